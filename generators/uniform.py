@@ -1,0 +1,55 @@
+"""Uniformly distributed particles in a uniform flow."""
+
+from __future__ import annotations
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from sabench.api import Generator, Parameters
+from sabench.seeds import stream
+from sabench.world import Domain, Particles
+
+
+class UniformParameters(Parameters):
+    """Exactly one of `count`, `per_mm3` and `per_pixel` says how many; diameters are log-normal (a spread of 0: all equal)."""
+
+    count: int | None = Field(None, ge=0, le=50_000_000, description="number of particles")
+    per_mm3: float | None = Field(None, ge=0.0, description="particles per mm3 of the volume")
+    per_pixel: float | None = Field(None, ge=0.0, description="particles per pixel of one camera's image (ppp)")
+    diameter_mm: float = Field(0.05, gt=0.0, description="median diameter")
+    diameter_spread: float = Field(0.0, ge=0.0, le=1.0, description="standard deviation of the logarithm of the diameter")
+    velocity_mm_s: tuple[float, float, float] = Field((0.0, 0.0, 0.0), description="velocity of all particles")
+
+    @model_validator(mode="after")
+    def _one_density(self) -> UniformParameters:
+        given = [name for name in ("count", "per_mm3", "per_pixel") if getattr(self, name) is not None]
+        if len(given) != 1:
+            raise ValueError(f"expected exactly one of count, per_mm3, per_pixel, got {', '.join(given) or 'none'}")
+        return self
+
+
+class Uniform(Generator):
+    """Uniformly random particles carried by one velocity; whoever leaves the volume is replaced on the other side."""
+
+    name = "uniform"
+    Parameters = UniformParameters
+
+    def particles(self, domain: Domain, seed: int, frame: int, time_s: float) -> Particles:
+        """The frame's particles: the seed draws the cloud, the time moves it."""
+        count = self._count(domain)
+        rng = stream(seed, "particles")
+        size, velocity = np.asarray(domain.size_mm), np.asarray(self.parameters.velocity_mm_s)
+        travelled = rng.random((count, 3)) * size + velocity * time_s
+        diameter = self.parameters.diameter_mm * np.exp(self.parameters.diameter_spread * rng.standard_normal(count))
+        turns = np.floor(travelled / size).astype(np.int64)  # a particle that re-enters is a new one, with a new id
+        position = domain.low_mm + np.clip(travelled - turns * size, 0.0, size)
+        identity = np.arange(count, dtype=np.int64) + count * np.abs(turns).sum(axis=1)
+        return Particles(identity, position, diameter, np.tile(velocity, (count, 1)))
+
+    def _count(self, domain: Domain) -> int:
+        chosen = self.parameters
+        if chosen.count is not None:
+            return int(chosen.count)
+        if chosen.per_mm3 is not None:
+            return round(chosen.per_mm3 * domain.volume_mm3)
+        return round(chosen.per_pixel * domain.pixels)

@@ -1,0 +1,93 @@
+"""What a plug-in implements: a generator makes truth, a solver makes an estimate from what an experimenter would see.
+
+A plug-in is a file in generators/ or solvers/ with one class; its `name` is the file's stem, the first line of its docstring
+is what `sabench list` shows, its `Parameters` are what a scene or `-p name=value` may set.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, ClassVar, Literal
+
+from pydantic import BaseModel, ConfigDict
+
+from sabench.arrays import F32, F64, U16
+from sabench.optics.camera import Camera
+from sabench.volume import Grid
+from sabench.world import Domain, Particles
+
+Track = Literal["reconstruction"]
+
+
+class Parameters(BaseModel):
+    """Base of a plug-in's parameters: immutable, unknown names refused."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+class Generator:
+    """Base of a generator: `particles` makes one frame of truth, the same for the same arguments whatever else is generated."""
+
+    name: ClassVar[str]
+    references: ClassVar[tuple[str, ...]] = ()
+    Parameters: ClassVar[type[Parameters]] = Parameters
+
+    def __init__(self, parameters: Any) -> None:
+        self.parameters = parameters
+
+    def particles(self, domain: Domain, seed: int, frame: int, time_s: float) -> Particles:
+        """Particles of a frame at a time; draw from `sabench.seeds.stream(seed, ...)` only."""
+        raise NotImplementedError(f"generator {type(self).__name__} must implement particles()")
+
+
+@dataclass(frozen=True)
+class Observation:
+    """One frame as an experimenter has it.
+
+    Attributes
+    ----------
+    images : (camera, row, column) uint16 grey values.
+    cameras : calibrated cameras in the order of the images; each knows its wall.
+    grid : the voxels to reconstruct.
+    black_dn, white_dn : grey values of no light and of saturation.
+    """
+
+    images: U16
+    cameras: tuple[Camera, ...]
+    grid: Grid
+    black_dn: float
+    white_dn: float
+
+
+@dataclass(frozen=True)
+class Reconstruction:
+    """A solver's estimate of one frame.
+
+    Attributes
+    ----------
+    volume : (z, y, x) float32 intensities on the grid, zero where there is nothing.
+    particles_mm : (n, 3) positions if the algorithm finds particles itself, else None: the score then detects them in the volume.
+    """
+
+    volume: F32
+    particles_mm: F64 | None = None
+
+
+class Solver:
+    """Base of a reconstruction algorithm: `solve` turns one observation into one reconstruction."""
+
+    name: ClassVar[str]
+    track: ClassVar[Track] = "reconstruction"
+    references: ClassVar[tuple[str, ...]] = ()
+    Parameters: ClassVar[type[Parameters]] = Parameters
+
+    def __init__(self, parameters: Any) -> None:
+        self.parameters = parameters
+
+    def skip(self, case: Observation) -> str | None:
+        """Why this algorithm cannot take the case, or None if it can."""
+        return None
+
+    def solve(self, case: Observation) -> Reconstruction:
+        """Reconstruct one frame."""
+        raise NotImplementedError(f"solver {type(self).__name__} must implement solve()")

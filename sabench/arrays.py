@@ -1,0 +1,18 @@
+"""Array types and the checks that public functions share."""
+
+import numpy as np
+import numpy.typing as npt
+
+F64 = npt.NDArray[np.float64]
+F32 = npt.NDArray[np.float32]
+U16 = npt.NDArray[np.uint16]
+I64 = npt.NDArray[np.int64]
+Bool = npt.NDArray[np.bool_]
+
+
+def rows_of(values: npt.ArrayLike, width: int, what: str) -> F64:
+    """`values` as a float64 array of shape (n, width), or a ValueError that says what came instead."""
+    array = np.asarray(values, dtype=np.float64)
+    if array.ndim != 2 or array.shape[1] != width:
+        raise ValueError(f"{what}: expected an array of shape (n, {width}), got {array.shape}")
+    return array

@@ -1,0 +1,5 @@
+"""The one exception that means: the input is wrong, and here is the sentence that says how."""
+
+
+class InputError(Exception):
+    """Bad input: one sentence that names the file, key or camera, what was expected and what came."""

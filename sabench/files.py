@@ -1,0 +1,108 @@
+"""Writing so that nothing half-written is ever seen, and reading without being led astray."""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import json
+import os
+import re
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from sabench.errors import InputError
+
+_PARTIAL = re.compile(r"^\.(?P<name>.+)\.partial-(?P<pid>\d+)$")
+
+
+@contextlib.contextmanager
+def complete_or_nothing(target: Path, *, overwrite: bool = False) -> Iterator[Path]:
+    """A temporary path beside `target` that takes its place only when the block has ended well.
+
+    The block makes a file or a folder at the path it gets. A killed process leaves a hidden `.NAME.partial-PID`,
+    which the next write to the same target removes.
+    """
+    target = Path(os.path.abspath(target))
+    if target.exists() and not overwrite:
+        raise InputError(f"{target} exists already: choose another name, or say --overwrite")
+    target.parent.mkdir(parents=True, exist_ok=True)
+    _remove_abandoned(target)
+    partial = target.parent / f".{target.name}.partial-{os.getpid()}"
+    try:
+        yield partial
+        _flush(partial)
+        if target.is_dir():
+            retired = partial.with_name(f".{target.name}.retired.partial-{os.getpid()}")
+            target.rename(retired)
+            partial.rename(target)
+            shutil.rmtree(retired)
+        else:
+            partial.replace(target)
+    finally:
+        _remove(partial)
+
+
+def _remove_abandoned(target: Path) -> None:
+    for entry in target.parent.iterdir():
+        match = _PARTIAL.match(entry.name)
+        if match and match["name"] in (target.name, f"{target.name}.retired") and not _alive(int(match["pid"])):
+            _remove(entry)
+
+
+def _alive(pid: int) -> bool:
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    except PermissionError:
+        return True
+    return True
+
+
+def _remove(path: Path) -> None:
+    if path.is_dir() and not path.is_symlink():
+        shutil.rmtree(path)
+    else:
+        path.unlink(missing_ok=True)
+
+
+def _flush(path: Path) -> None:
+    """Have the disk hold every byte before the rename says that it does."""
+    for file in [path] if path.is_file() else [entry for entry in path.rglob("*") if entry.is_file()]:
+        with file.open("rb") as handle:
+            os.fsync(handle.fileno())
+
+
+def sha256(path: Path) -> str:
+    """Hexadecimal SHA-256 of a file's bytes."""
+    with path.open("rb") as handle:
+        return hashlib.file_digest(handle, "sha256").hexdigest()
+
+
+def canonical_json(value: Any) -> str:
+    """JSON with sorted keys and shortest round-trip numbers: equal values give equal text."""
+    return json.dumps(value, sort_keys=True, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+
+
+def read_json(path: Path) -> Any:
+    """Parse a JSON file; a missing or broken one is an InputError that names it."""
+    try:
+        return json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise InputError(f"{path}: expected a JSON file, got {_short(error)}") from error
+
+
+def inside(root: Path, name: str) -> Path:
+    """The file `name` in the folder `root`; a name that leads outside, or through a link, is an InputError."""
+    path = root / name
+    parts = Path(name).parts
+    bad = not parts or Path(name).is_absolute() or ".." in parts or "\\" in name
+    if bad or any((root / Path(*parts[: i + 1])).is_symlink() for i in range(len(parts))):
+        raise InputError(f"{root}: expected a plain file inside the folder, got {name!r}")
+    return path
+
+
+def _short(error: Exception) -> str:
+    return f"{type(error).__name__}: {str(error).splitlines()[0] if str(error) else 'no detail'}"

@@ -1,0 +1,134 @@
+"""What one camera receives from each particle: where, how many photons, how large. Both renderers start from these figures.
+
+The lens is a round aperture. Moving the pinhole over it gives, through the wall, the directions in which light must leave a particle
+to pass it: the spread of these directions is the solid angle of the lens, the spread of the pixels is the defocus.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from sabench.arrays import F64, Bool
+from sabench.imaging.light import fluence
+from sabench.imaging.scattering import MieTable, mie_table
+from sabench.optics.camera import Camera
+from sabench.optics.wall import trace_to_points, transmittance
+from sabench.scene import Scene
+from sabench.world import Particles
+
+_AIRY = 2.44 / np.sqrt(8 * 3.67)  # sigma of the Gaussian nearest to Airy's disc / (lambda N (1 + M)): Adrian and Yao (1985)
+
+
+@dataclass(frozen=True)
+class ParticleImages:
+    """Images of n particles in one camera.
+
+    Attributes
+    ----------
+    pixel : (n, 2) column, row of the centre; NaN where there is none.
+    photons : (n,) mean number that reaches the whole sensor plane in one exposure.
+    sigma_px : (n,) standard deviation of the Gaussian image.
+    intensity : (n,) photons per steradian that leave the particle towards the camera.
+    direction : (n, 3) unit direction of the light path at the particle, away from the camera.
+    shape_mm : (n, 2, 3) two vectors across `direction`; moving the particle by one of them moves its image by sigma_px
+        along the columns (first) or the rows (second).
+    visible : (n,) whether the centre has a light path and lies on the sensor.
+    """
+
+    pixel: F64
+    photons: F64
+    sigma_px: F64
+    intensity: F64
+    direction: F64
+    shape_mm: F64
+    visible: Bool
+
+
+def scattering_table(scene: Scene, cameras: tuple[Camera, ...], particles: Particles) -> MieTable | None:
+    """The Mie table that covers all directions from the particles to the cameras; None for isotropic scattering."""
+    if scene.illumination.scattering == "isotropic" or not len(particles):
+        return None
+    ranges = []
+    for camera in cameras:
+        paths = trace_to_points(camera.wall, np.asarray(camera.center_mm), particles.position_mm)
+        angles = _scattering_angles(scene, paths.arriving[paths.valid])
+        ranges += [angles.min(), angles.max()] if len(angles) else []
+    if not ranges:
+        return None
+    index = complex(scene.tracer.index, -scene.tracer.absorption)
+    margin = 2.0 * max(c.aperture_radius_mm / c.focus_mm for c in cameras)
+    fluid = scene.wall.fluid_index if scene.wall else 1.0
+    span = (min(ranges) - margin, max(ranges) + margin)
+    return mie_table(particles.diameter_mm, index, fluid, scene.illumination.wavelength_nm, span)
+
+
+def image_particles(scene: Scene, camera: Camera, particles: Particles, table: MieTable | None) -> ParticleImages:
+    """Position, brightness and size of every particle's image in one camera.
+
+    Photons = intensity x solid angle of the lens x Fresnel transmission of the wall; intensity = fluence x dC/dOmega averaged over the lens.
+    The image is Gaussian with the summed variances of the particle's disc (M d / 4), of diffraction (Airy, `_AIRY`) and of
+    defocus (a disc, diameter / 4): Adrian and Yao (1985), Olsen and Adrian (2000).
+    """
+    points = particles.position_mm
+    paths = trace_to_points(camera.wall, np.asarray(camera.center_mm), points)
+    pixel, valid = camera.pixels_of(paths.leaving, paths.valid)
+    across, blur, solid_angle = _through_aperture(camera, points, paths.arriving)
+    magnification, shape = _object_shape(camera, points, paths.arriving)
+    diffraction = _AIRY * scene.illumination.wavelength_nm * 1e-6 * camera.f_number * camera.principal_distance_mm / camera.focal_length_mm
+    variance = (diffraction / camera.pixel_mm) ** 2 + (magnification * particles.diameter_mm / 4.0) ** 2 + (blur / 4.0) ** 2
+    intensity = fluence(scene.illumination, np.asarray(scene.volume.center_mm), points) * _cross_section(scene, particles, paths.arriving, table, across)
+    photons = intensity * solid_angle * transmittance(camera.wall, paths.leaving)
+    sigma = np.sqrt(variance)
+    return ParticleImages(
+        pixel, np.where(valid, photons, 0.0), sigma, intensity, paths.arriving, shape * sigma[:, None, None], valid & camera.contains(pixel)
+    )
+
+
+def _through_aperture(camera: Camera, points: F64, chief: F64) -> tuple[float, F64, F64]:
+    """Half angle of the lens in the fluid (rad, median), diameter of the defocus disc (px) and solid angle (sr) of the lens at each point."""
+    radius = camera.aperture_radius_mm
+    turns, smears = [], []
+    for axis, (right, down) in enumerate(((radius, 0.0), (0.0, radius))):
+        ends = []
+        for sign in (1.0, -1.0):
+            moved = camera.shifted(sign * right, sign * down)
+            paths = trace_to_points(moved.wall, np.asarray(moved.center_mm), points)
+            ends.append((paths.arriving, moved.pixels_of(paths.leaving, paths.valid)[0]))
+        turns.append((ends[0][0] - ends[1][0]) / 2.0)
+        smear = ends[0][1] - ends[1][1]
+        smear[:, axis] += 2.0 * radius * camera.focal_px / camera.focus_mm  # a point in focus would shift by this, and is at rest on the sensor
+        smears.append(np.linalg.norm(smear, axis=1))
+    solid_angle = np.pi * np.abs(np.einsum("ij,ij->i", np.cross(turns[0], turns[1]), chief))
+    half_angle = float(np.nanmedian(np.linalg.norm(turns[0], axis=1))) if len(points) else 0.0
+    return half_angle, np.sqrt((smears[0] ** 2 + smears[1] ** 2) / 2.0), solid_angle
+
+
+def _object_shape(camera: Camera, points: F64, direction: F64) -> tuple[F64, F64]:
+    """Magnification (px/mm, mean over directions) and the moves across the light path that shift the image by one pixel: (n, 2, 3)."""
+    step = 1e-3  # mm: far above float64's noise, far below any change of magnification
+    first = np.cross(direction, [0.0, 1.0, 0.0])
+    first /= np.maximum(np.linalg.norm(first, axis=1, keepdims=True), 1e-12)
+    basis = np.stack([first, np.cross(direction, first)], axis=1)
+    ends = [camera.project(points + sign * step * basis[:, i])[0] for i in (0, 1) for sign in (1.0, -1.0)]
+    jacobian = np.stack([ends[0] - ends[1], ends[2] - ends[3]], axis=2) / (2.0 * step)
+    determinant = np.linalg.det(jacobian)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        adjugate = np.stack([jacobian[:, 1, 1], -jacobian[:, 0, 1], -jacobian[:, 1, 0], jacobian[:, 0, 0]], axis=1).reshape(-1, 2, 2)
+        inverse = adjugate / determinant[:, None, None]
+    return np.sqrt(np.abs(determinant)), np.einsum("nba,nbk->nak", inverse, basis)
+
+
+def _cross_section(scene: Scene, particles: Particles, arriving: F64, table: MieTable | None, half_angle: float) -> F64:
+    """dC/dOmega towards the camera, mm2/sr; isotropic: the geometric cross-section spread over the sphere."""
+    if table is None:
+        return particles.diameter_mm**2 / 16.0
+    angles = _scattering_angles(scene, arriving)
+    return table.averaged(half_angle).cross_section(angles, particles.diameter_mm)
+
+
+def _scattering_angles(scene: Scene, arriving: F64) -> F64:
+    """Angle between the laser's direction and the light that goes to the camera, rad."""
+    forward = np.asarray(scene.illumination.direction) / np.linalg.norm(scene.illumination.direction)
+    return np.arccos(np.clip(-arriving @ forward, -1.0, 1.0))

@@ -1,0 +1,28 @@
+"""The camera's sensor: photons to electrons to grey values."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from sabench.arrays import F64, U16
+from sabench.scene import Sensor
+
+
+def white_level(sensor: Sensor) -> int:
+    """Grey value of a saturated pixel: the full well's or the converter's limit, whichever comes first."""
+    return min(2**sensor.bit_depth - 1, round(sensor.black_level_dn + sensor.gain_dn_e * sensor.full_well_e))
+
+
+def expose(sensor: Sensor, photons: F64, rng: np.random.Generator) -> U16:
+    """Grey values (rows, columns) of a mean photon image, noise drawn from `rng`.
+
+    Electrons: Poisson (QE photons + dark current x exposure) if shot noise is on, its mean if not, plus Gaussian read noise, clipped to the full well
+    before the read noise; grey value: black level + gain x electrons, rounded, clipped to the bit depth (EMVA 1288's linear model).
+    """
+    mean = sensor.quantum_efficiency * photons + sensor.dark_current_e_s * sensor.exposure_s
+    electrons = rng.poisson(mean).astype(np.float64) if sensor.shot_noise else mean
+    electrons = np.minimum(electrons, sensor.full_well_e)
+    if sensor.read_noise_e > 0.0:
+        electrons = electrons + sensor.read_noise_e * rng.standard_normal(photons.shape)
+    grey = np.rint(sensor.black_level_dn + sensor.gain_dn_e * electrons)
+    return np.clip(grey, 0, 2**sensor.bit_depth - 1).astype(np.uint16)

@@ -1,0 +1,185 @@
+"""A pinhole camera with radial-tangential distortion that looks through a wall, or through plain air."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from sabench.arrays import F64, Bool, rows_of
+from sabench.optics.wall import Rays, Wall, trace_into_fluid, trace_to_points
+
+_UNDISTORT_STEPS = 50
+
+
+@dataclass(frozen=True)
+class Distortion:
+    """Brown-Conrady coefficients (dimensionless, on ideal image coordinates x/z, y/z); all zero means none."""
+
+    k1: float = 0.0
+    k2: float = 0.0
+    p1: float = 0.0
+    p2: float = 0.0
+    k3: float = 0.0
+
+
+@dataclass(frozen=True)
+class Camera:
+    """One camera of an array.
+
+    Attributes
+    ----------
+    name : used in file names.
+    rows, columns : image size, px.
+    center_mm : pinhole, world frame.
+    rotation : 3x3 as nested tuples, world to camera: the rows are the camera's X (right), Y (down) and Z (forward) axes in the world.
+    principal_distance_mm : distance from the pinhole to the image plane.
+    pixel_mm : pixel pitch.
+    principal_point_px : (column, row) of the optical axis; (0, 0) is the CENTRE of the top-left pixel.
+    distortion : radial-tangential coefficients.
+    focal_length_mm, f_number : of the lens, for defocus and light gathering.
+    wall : what the camera looks through; None for plain air.
+    """
+
+    name: str
+    rows: int
+    columns: int
+    center_mm: tuple[float, float, float]
+    rotation: tuple[tuple[float, float, float], tuple[float, float, float], tuple[float, float, float]]
+    principal_distance_mm: float
+    pixel_mm: float
+    principal_point_px: tuple[float, float]
+    distortion: Distortion
+    focal_length_mm: float
+    f_number: float
+    wall: Wall | None = None
+
+    @property
+    def focal_px(self) -> float:
+        """Principal distance in pixels."""
+        return self.principal_distance_mm / self.pixel_mm
+
+    @property
+    def aperture_radius_mm(self) -> float:
+        """Radius of the entrance pupil."""
+        return self.focal_length_mm / self.f_number / 2.0
+
+    @property
+    def focus_mm(self) -> float:
+        """Distance in the camera's medium at which points are sharp: the thin lens's conjugate of the principal distance."""
+        return 1.0 / (1.0 / self.focal_length_mm - 1.0 / self.principal_distance_mm)
+
+    def shifted(self, right_mm: float, down_mm: float) -> Camera:
+        """The same camera with its pinhole moved in the plane of the lens (a point of the aperture)."""
+        axes = np.asarray(self.rotation)
+        center = np.asarray(self.center_mm) + right_mm * axes[0] + down_mm * axes[1]
+        return replace(self, center_mm=(float(center[0]), float(center[1]), float(center[2])))
+
+    def project(self, points_mm: npt.ArrayLike) -> tuple[F64, Bool]:
+        """Pixels (n, 2) as (column, row) of world points (n, 3), and whether each has one.
+
+        Not `valid`: points outside the fluid, behind the camera's image plane, or where distortion folds the image over.
+        A valid pixel may lie outside the image: see `contains`.
+        """
+        points = rows_of(points_mm, 3, "points_mm")
+        paths = trace_to_points(self.wall, np.asarray(self.center_mm), points)
+        return self.pixels_of(paths.leaving, paths.valid)
+
+    def pixels_of(self, leaving: F64, valid: Bool) -> tuple[F64, Bool]:
+        """Pixels (n, 2) of world directions (n, 3) that leave the pinhole."""
+        local = leaving @ np.asarray(self.rotation).T
+        valid = valid & (local[:, 2] > 1e-9)
+        ideal = local[:, :2] / np.where(valid, local[:, 2], 1.0)[:, None]
+        distorted, slope = _distort(self.distortion, ideal)
+        valid &= slope > 0.0
+        pixels = distorted * self.focal_px + np.asarray(self.principal_point_px)
+        pixels[~valid] = np.nan
+        return pixels, valid
+
+    def directions(self, pixels: npt.ArrayLike) -> tuple[F64, Bool]:
+        """Unit world directions (n, 3) in the camera's medium of pixels (n, 2) given as (column, row)."""
+        ideal, valid = self.ideal(pixels)
+        local = np.column_stack([ideal, np.ones(len(ideal))])
+        local /= np.linalg.norm(local, axis=1, keepdims=True)
+        return local @ np.asarray(self.rotation), valid
+
+    def ideal(self, pixels: npt.ArrayLike) -> tuple[F64, Bool]:
+        """Undistorted image coordinates (n, 2), x/z and y/z, of pixels (n, 2)."""
+        distorted = (rows_of(pixels, 2, "pixels") - np.asarray(self.principal_point_px)) / self.focal_px
+        return _undistort(self.distortion, distorted)
+
+    def back_project(self, pixels: npt.ArrayLike) -> Rays:
+        """The rays in the fluid that pixels (n, 2) see; total reflection is not `valid`."""
+        directions, valid = self.directions(pixels)
+        rays = trace_into_fluid(self.wall, np.asarray(self.center_mm), directions)
+        return Rays(rays.origins_mm, rays.directions, rays.valid & valid)
+
+    def contains(self, pixels: F64, margin_px: float = 0.0) -> Bool:
+        """Whether pixels (n, 2) lie on the sensor, or at most `margin_px` outside."""
+        low = -0.5 - margin_px
+        column, row = pixels[:, 0], pixels[:, 1]
+        with np.errstate(invalid="ignore"):
+            inside = (column >= low) & (row >= low)
+            return np.asarray(inside & (column < self.columns + margin_px - 0.5) & (row < self.rows + margin_px - 0.5))
+
+    def etendue(self) -> F64:
+        """mm^2 sr that each pixel collects: pupil area seen at its angle times its solid angle in front of the lens; (rows, columns)."""
+        column, row = np.meshgrid(np.arange(self.columns), np.arange(self.rows))
+        pixels = np.column_stack([column.ravel(), row.ravel()]).astype(np.float64)
+        across = self.ideal(pixels + [0.5, 0.0])[0] - self.ideal(pixels - [0.5, 0.0])[0]
+        down = self.ideal(pixels + [0.0, 0.5])[0] - self.ideal(pixels - [0.0, 0.5])[0]
+        area = np.abs(across[:, 0] * down[:, 1] - across[:, 1] * down[:, 0])
+        square = 1.0 + np.sum(self.ideal(pixels)[0] ** 2, axis=1)
+        return np.asarray(np.pi * self.aperture_radius_mm**2 * area / square**2).reshape(self.rows, self.columns)
+
+
+def _distort(lens: Distortion, ideal: F64) -> tuple[F64, F64]:
+    """Distorted image coordinates, and the Jacobian's determinant (positive where the map is one to one)."""
+    x, y = ideal[:, 0], ideal[:, 1]
+    s = x * x + y * y
+    radial = 1.0 + s * (lens.k1 + s * (lens.k2 + s * lens.k3))
+    slope = lens.k1 + s * (2.0 * lens.k2 + 3.0 * lens.k3 * s)
+    u = x * radial + 2.0 * lens.p1 * x * y + lens.p2 * (s + 2.0 * x * x)
+    v = y * radial + lens.p1 * (s + 2.0 * y * y) + 2.0 * lens.p2 * x * y
+    ux = radial + 2.0 * x * x * slope + 2.0 * lens.p1 * y + 6.0 * lens.p2 * x
+    uy = 2.0 * x * y * slope + 2.0 * lens.p1 * x + 2.0 * lens.p2 * y
+    vy = radial + 2.0 * y * y * slope + 6.0 * lens.p1 * y + 2.0 * lens.p2 * x
+    return np.column_stack([u, v]), ux * vy - uy * uy
+
+
+def _undistort(lens: Distortion, distorted: F64) -> tuple[F64, Bool]:
+    """Invert `_distort` by fixed-point iteration with the exact residual as its test."""
+    if lens == Distortion():
+        return distorted, np.isfinite(distorted).all(axis=1)
+    ideal, residual = distorted.copy(), np.zeros_like(distorted)
+    with np.errstate(invalid="ignore", over="ignore"):
+        for _ in range(_UNDISTORT_STEPS):
+            residual = distorted - _distort(lens, ideal)[0]
+            ideal = ideal + residual
+            if np.all(np.abs(residual) < 1e-15):
+                break
+        valid = (np.abs(residual).max(axis=1) < 1e-12) & (_distort(lens, ideal)[1] > 0.0)
+    return ideal, np.asarray(valid)
+
+
+def aimed_rotation(
+    forward: F64, down: npt.ArrayLike = (0.0, 1.0, 0.0)
+) -> tuple[tuple[float, float, float], tuple[float, float, float], tuple[float, float, float]]:
+    """World-to-camera rotation whose Z axis is `forward` and whose Y axis is as near to `down` as it can be."""
+    z = forward / np.linalg.norm(forward)
+    x = np.cross(np.asarray(down, dtype=np.float64), z)
+    if np.linalg.norm(x) < 1e-9:  # looking along `down`: any right-hand side will do, so the world's X
+        x = np.cross(np.cross(z, [1.0, 0.0, 0.0]), z)
+    x = x / np.linalg.norm(x)
+    rows = [tuple(float(value) for value in axis) for axis in (x, np.cross(z, x), z)]
+    return rows[0], rows[1], rows[2]  # type: ignore[return-value]
+
+
+def aim(camera: Camera, target_mm: npt.ArrayLike) -> Camera:
+    """`camera` turned so that the light from `target_mm` runs along its optical axis, refraction included."""
+    target = np.asarray(target_mm, dtype=np.float64)[None]
+    paths = trace_to_points(camera.wall, np.asarray(camera.center_mm), target)
+    if not paths.valid[0]:
+        raise ValueError(f"camera {camera.name}: no light path to its aim point {target[0].tolist()}")
+    return replace(camera, rotation=aimed_rotation(paths.leaving[0]))

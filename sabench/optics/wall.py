@@ -1,0 +1,232 @@
+"""Refraction by a stack of parallel plane layers between a camera and a fluid.
+
+Light between a point of the camera's medium and a point of the fluid stays in the plane that holds both and the
+wall normal, so the path has one unknown. sabench takes t = tan of the ray's angle in the RAREST medium of the stack:
+every other medium then has a relative index r >= 1 and adds d t / sqrt(r^2 + (r^2 - 1) t^2) to the lateral distance, which
+increases and is concave in t and has no pole, for any order of indices. Newton's iteration on an increasing concave function
+climbs to the root from the left without overshooting; the bracket [t_low, R / d_rarest] guards it against rounding all the same.
+(The thesis solves the same path for two unknowns per layer pair, equations 4.14 and 4.15.)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from sabench.arrays import F64, Bool
+
+_CHUNK = 1 << 14  # points per pass: the working arrays of one pass stay in the second-level cache
+_MAX_STEPS = 100
+
+
+@dataclass(frozen=True)
+class Layer:
+    """One solid layer of a wall: its name, refractive index and thickness (mm)."""
+
+    name: str
+    index: float
+    thickness_mm: float
+
+
+@dataclass(frozen=True)
+class Wall:
+    """A stack of parallel layers between the cameras' medium and the fluid.
+
+    Attributes
+    ----------
+    point_mm : a point on the outer face (the face that the cameras see), world frame.
+    normal : unit vector from the cameras into the tank, world frame.
+    air_index, fluid_index : refractive indices on the cameras' side and in the tank.
+    layers : the solid layers, in the order in which light from a camera meets them; may be empty (a bare surface).
+    depth_mm : free distance from the inner face to the back wall, or None where there is none.
+    """
+
+    point_mm: tuple[float, float, float]
+    normal: tuple[float, float, float]
+    air_index: float
+    layers: tuple[Layer, ...]
+    fluid_index: float
+    depth_mm: float | None = None
+
+    @property
+    def thickness_mm(self) -> float:
+        """Distance from the outer to the inner face."""
+        return sum(layer.thickness_mm for layer in self.layers)
+
+    @property
+    def indices(self) -> F64:
+        """Indices of all media along the way of light from a camera: (2 + layers,)."""
+        return np.array([self.air_index, *(layer.index for layer in self.layers), self.fluid_index])
+
+    @property
+    def interface_depths_mm(self) -> F64:
+        """Depth of every interface behind the outer face: (1 + layers,)."""
+        return np.cumsum([0.0, *(layer.thickness_mm for layer in self.layers)])
+
+    def depth_of(self, points_mm: F64) -> F64:
+        """Signed distance of points (..., 3) behind the outer face, mm."""
+        return (points_mm - np.asarray(self.point_mm)) @ np.asarray(self.normal)
+
+
+@dataclass(frozen=True)
+class Paths:
+    """Light paths from a pinhole to points: unit directions (n, 3) away from the pinhole, in its medium and in the fluid."""
+
+    leaving: F64
+    arriving: F64
+    valid: Bool
+
+
+def trace_to_points(wall: Wall | None, pinhole_mm: F64, points_mm: F64) -> Paths:
+    """Paths of light from one pinhole (3,) to points (n, 3) through the wall.
+
+    `valid` is False for points that are not in the fluid, that are not finite, or when the pinhole itself lies in the wall or the fluid.
+    """
+    if wall is None:
+        offset = points_mm - pinhole_mm
+        with np.errstate(invalid="ignore", divide="ignore"):
+            direction = offset / np.linalg.norm(offset, axis=1, keepdims=True)
+        return Paths(direction, direction, np.isfinite(direction).all(axis=1))
+    normal = np.asarray(wall.normal)
+    leaving, arriving = np.empty_like(points_mm), np.empty_like(points_mm)
+    valid = np.empty(len(points_mm), dtype=np.bool_)
+    for part in _chunks(len(points_mm)):
+        lateral, radius, depths, good = _cylindrical(wall, pinhole_mm, points_mm[part])
+        slope, _ = solve_slope(wall.indices, depths, radius)
+        leaving[part] = _direction(normal, lateral, _slope_in(wall.indices, 0, slope))
+        arriving[part] = _direction(normal, lateral, _slope_in(wall.indices, -1, slope))
+        valid[part] = good
+    leaving[~valid] = arriving[~valid] = np.nan
+    return Paths(leaving, arriving, valid)
+
+
+def solve_slope(indices: F64, depths_mm: list[F64 | float], radius_mm: F64) -> tuple[F64, F64]:
+    """Tangent t of the angle in the rarest medium for paths of a given lateral distance, and the residual in mm.
+
+    Parameters
+    ----------
+    indices : (m,) refractive indices.
+    depths_mm : for each medium the distance that the path crosses along the normal; scalars or arrays (n,), positive or zero.
+    radius_mm : (n,) lateral distance between the ends of the path.
+
+    Returns
+    -------
+    slope : (n,) t >= 0.
+    residual_mm : (n,) lateral distance of the traced path minus `radius_mm`.
+    """
+    relative = indices / indices.min()
+    rare = np.asarray(sum(depth for depth, r in zip(depths_mm, relative, strict=True) if r == 1.0))
+    reach = radius_mm / np.maximum(rare, 1e-300)  # an upper bound: the rarest medium alone cannot bridge more than R
+    low = radius_mm / np.asarray(sum(depth / r for depth, r in zip(depths_mm, relative, strict=True)))  # paraxial root
+    slope = low
+    value, gradient = _lateral(relative, depths_mm, slope)
+    for _ in range(_MAX_STEPS):
+        low = np.where(value <= radius_mm, np.maximum(low, slope), low)
+        reach = np.where(value >= radius_mm, np.minimum(reach, slope), reach)
+        step = slope + (radius_mm - value) / gradient
+        better = np.where((step >= low) & (step <= reach), step, 0.5 * (low + reach))
+        moved = np.abs(better - slope)
+        slope = better
+        value, gradient = _lateral(relative, depths_mm, slope)
+        if np.all((moved <= 2e-16 * slope) | (np.abs(value - radius_mm) <= 2e-13)):
+            break
+    return slope, value - radius_mm
+
+
+def _lateral(relative: F64, depths_mm: list[F64 | float], slope: F64) -> tuple[F64, F64]:
+    """Lateral distance of a path with slope t in the rarest medium, and its derivative."""
+    square = slope * slope
+    value, gradient = np.zeros_like(slope), np.zeros_like(slope)
+    for depth, r in zip(depths_mm, relative, strict=True):
+        if r == 1.0:
+            value += depth * slope
+            gradient += depth
+            continue
+        inverse = 1.0 / np.sqrt(r * r + (r * r - 1.0) * square)
+        part = depth * inverse
+        value += part * slope
+        gradient += (r * r) * part * inverse * inverse
+    return value, gradient
+
+
+def _slope_in(indices: F64, medium: int, slope: F64) -> F64:
+    """Tangent of the path's angle in one medium, from the tangent in the rarest."""
+    r = indices[medium] / indices.min()
+    return np.asarray(slope / np.sqrt(r * r + (r * r - 1.0) * slope * slope))
+
+
+def _cylindrical(wall: Wall, pinhole_mm: F64, points_mm: F64) -> tuple[F64, F64, list[F64 | float], Bool]:
+    """Unit lateral directions, lateral distances, depths crossed per medium and validity of paths to points."""
+    normal = np.asarray(wall.normal)
+    before = -float(wall.depth_of(pinhole_mm))
+    behind = wall.depth_of(points_mm) - wall.thickness_mm
+    offset = points_mm - pinhole_mm
+    offset = offset - (offset @ normal)[:, None] * normal
+    radius = np.sqrt(np.einsum("ij,ij->i", offset, offset))
+    valid = np.isfinite(radius) & np.isfinite(behind) & (behind > 0.0) & (before > 0.0)
+    radius = np.where(valid, radius, 0.0)
+    lateral = np.where(valid[:, None], offset, 0.0) / np.where(radius > 0.0, radius, 1.0)[:, None]
+    thicknesses = [layer.thickness_mm for layer in wall.layers]
+    return lateral, radius, [max(before, 1e-300), *thicknesses, np.where(valid, behind, 1.0)], valid
+
+
+def _direction(normal: F64, lateral: F64, tangent: F64) -> F64:
+    """Unit vectors at a given tangent from the normal, towards the lateral unit vectors."""
+    cosine = 1.0 / np.sqrt(1.0 + tangent * tangent)
+    return np.asarray(cosine[:, None] * normal + (tangent * cosine)[:, None] * lateral)
+
+
+def _chunks(count: int) -> Iterator[slice]:
+    for start in range(0, count, _CHUNK):
+        yield slice(start, min(start + _CHUNK, count))
+
+
+@dataclass(frozen=True)
+class Rays:
+    """Rays in the fluid: origins (n, 3) in mm on the wall's inner face (the pinhole without a wall), unit directions (n, 3)."""
+
+    origins_mm: F64
+    directions: F64
+    valid: Bool
+
+
+def trace_into_fluid(wall: Wall | None, pinhole_mm: F64, directions: F64) -> Rays:
+    """Follow unit directions (n, 3) from a pinhole (3,) through the wall; total reflection and misses are not `valid`."""
+    origins = np.broadcast_to(pinhole_mm, directions.shape).copy()
+    valid = np.isfinite(directions).all(axis=1)
+    if wall is None:
+        return Rays(origins, directions.copy(), valid)
+    normal, indices, current = np.asarray(wall.normal), wall.indices, directions
+    gaps = np.diff(wall.interface_depths_mm, prepend=wall.depth_of(pinhole_mm))
+    valid &= gaps[0] > 0.0
+    with np.errstate(invalid="ignore", divide="ignore"):
+        for gap, before, after in zip(gaps, indices[:-1], indices[1:], strict=True):
+            cosine = current @ normal
+            origins = origins + current * (gap / cosine)[:, None]
+            tangential = (current - cosine[:, None] * normal) * (before / after)
+            square = 1.0 - np.einsum("ij,ij->i", tangential, tangential)
+            valid &= (cosine > 0.0) & (square > 0.0)
+            current = tangential + np.sqrt(square)[:, None] * normal
+    origins[~valid] = current[~valid] = np.nan
+    return Rays(origins, current, valid)
+
+
+def transmittance(wall: Wall | None, leaving: F64) -> F64:
+    """Fraction of unpolarised power that passes all interfaces, for unit directions (n, 3) in the camera's medium.
+
+    Fresnel's equations at every interface; light that is reflected twice inside a layer is not counted.
+    """
+    if wall is None:
+        return np.ones(len(leaving))
+    indices, cosine = wall.indices, leaving @ np.asarray(wall.normal)
+    result = np.ones(len(leaving))
+    for before, after in zip(indices[:-1], indices[1:], strict=True):
+        sine = (before / after) * np.sqrt(np.maximum(0.0, 1.0 - cosine * cosine))
+        after_cosine = np.sqrt(np.maximum(0.0, 1.0 - sine * sine))
+        senkrecht = (before * cosine - after * after_cosine) / (before * cosine + after * after_cosine)
+        parallel = (after * cosine - before * after_cosine) / (after * cosine + before * after_cosine)
+        result *= 1.0 - 0.5 * (senkrecht**2 + parallel**2)
+        cosine = after_cosine
+    return result

@@ -1,0 +1,171 @@
+"""From a scene to its optics: the wall, the aimed and focused cameras, the voxel grid; impossible geometry ends here."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from sabench.arrays import F64
+from sabench.errors import InputError
+from sabench.optics import layout
+from sabench.optics.camera import Camera, Distortion, aim, aimed_rotation
+from sabench.optics.wall import Layer, Wall
+from sabench.scene import (
+    Cameras,
+    CrossLayout,
+    GridLayout,
+    LineLayout,
+    ListLayout,
+    Place,
+    RingLayout,
+    Scene,
+    WallSpec,
+)
+from sabench.volume import Grid
+
+
+@dataclass(frozen=True)
+class Rig:
+    """The built optics of a scene: cameras (each knows its wall) and the grid."""
+
+    cameras: tuple[Camera, ...]
+    wall: Wall | None
+    grid: Grid
+
+
+def build_rig(scene: Scene, source: str = "scene") -> Rig:
+    """Build and check the rig; `source` is named in errors.
+
+    Raises
+    ------
+    InputError
+        A camera in the wall or the tank, a volume that is not wholly in the fluid, a grid that does not fit, or no camera that sees the volume.
+    """
+    wall = _build_wall(scene.wall) if scene.wall else None
+    corners = _corners(scene)
+    if wall:
+        _check_tank(wall, corners, source)
+    cameras = tuple(_build_camera(scene, wall, i, place, source) for i, place in enumerate(_places(scene.cameras)))
+    _check_views(cameras, corners, source)
+    return Rig(cameras, wall, build_grid(scene, source))
+
+
+def build_grid(scene: Scene, source: str = "scene") -> Grid:
+    """Voxels that fill the volume; their number along each axis is rounded."""
+    size, voxel, crop = (np.asarray(v) for v in (scene.volume.size_mm, scene.grid.voxel_mm, scene.grid.crop_mm))
+    counts = np.maximum(1, np.rint(size / voxel).astype(int))
+    cut = np.rint(crop / voxel).astype(int)
+    if np.any(2 * cut >= counts):
+        raise InputError(f"{source}: grid.crop_mm: expected less than half of volume.size_mm, got {list(scene.grid.crop_mm)}")
+    low = np.asarray(scene.volume.center_mm) - (counts - 1) / 2.0 * voxel
+    x, y, z = (int(n) for n in counts)
+    return Grid((float(low[0]), float(low[1]), float(low[2])), scene.grid.voxel_mm, (z, y, x), (int(cut[0]), int(cut[1]), int(cut[2])))
+
+
+def _build_wall(spec: WallSpec) -> Wall:
+    unit = np.asarray(spec.normal) / np.linalg.norm(spec.normal)
+    normal = (float(unit[0]), float(unit[1]), float(unit[2]))
+    layers = tuple(Layer(layer.name, layer.index, layer.thickness_mm) for layer in spec.layers)
+    return Wall(spec.point_mm, normal, spec.air_index, layers, spec.fluid_index, spec.depth_mm)
+
+
+def _corners(scene: Scene) -> F64:
+    signs = np.array(list(itertools.product((-0.5, 0.5), repeat=3)))
+    return np.asarray(scene.volume.center_mm) + signs * np.asarray(scene.volume.size_mm)
+
+
+def _check_tank(wall: Wall, corners: F64, source: str) -> None:
+    depth = wall.depth_of(corners) - wall.thickness_mm
+    if depth.min() <= 0.0:
+        raise InputError(
+            f"{source}: volume: expected it to lie behind the wall's inner face, but it reaches {-depth.min():.4g} mm in front of it"
+        )
+    if wall.depth_mm is not None and depth.max() > wall.depth_mm:
+        raise InputError(
+            f"{source}: volume: expected it to lie in front of the back wall (wall.depth_mm = {wall.depth_mm:g}), "
+            f"but it reaches {depth.max():.4g} mm deep"
+        )
+
+
+def _places(spec: Cameras) -> list[Place]:
+    if isinstance(spec.layout, ListLayout):
+        return list(spec.layout.places)
+    axes = [np.asarray(axis) / np.linalg.norm(axis) for axis in (spec.x_axis, spec.y_axis)]
+    centers = np.asarray(spec.center_mm) + _offsets(spec.layout) @ np.stack(axes)
+    return [Place(center_mm=(float(c[0]), float(c[1]), float(c[2]))) for c in centers]
+
+
+def _offsets(spec: GridLayout | RingLayout | LineLayout | CrossLayout) -> F64:
+    if isinstance(spec, RingLayout):
+        return layout.ring(spec.count, spec.radius_mm, np.deg2rad(spec.start_deg))
+    if isinstance(spec, LineLayout):
+        return layout.line(spec.count, spec.spacing_mm, np.deg2rad(spec.angle_deg))
+    if isinstance(spec, CrossLayout):
+        return layout.cross(spec.arm, spec.spacing_mm)
+    if spec.x_mm is not None and spec.y_mm is not None:
+        return layout.grid(spec.x_mm, spec.y_mm)
+    assert spec.columns and spec.rows and spec.spacing_mm  # the scene's own check: one of the two ways
+    return layout.grid(layout.even(spec.columns, spec.spacing_mm[0]), layout.even(spec.rows, spec.spacing_mm[1]))
+
+
+def _build_camera(scene: Scene, wall: Wall | None, number: int, place: Place, source: str) -> Camera:
+    spec, name = scene.cameras, f"camera_{number:02d}"
+    if wall and wall.depth_of(np.asarray(place.center_mm)) >= 0.0:
+        raise InputError(f"{source}: cameras: {name} at {list(place.center_mm)} mm: expected it in front of the wall, but it is in the wall or the tank")
+    target = np.asarray(place.aim_mm or spec.aim_mm or scene.volume.center_mm)
+    camera = Camera(
+        name=name, rows=spec.rows, columns=spec.columns, center_mm=place.center_mm,
+        rotation=place.rotation or aimed_rotation(np.array([0.0, 0.0, 1.0])),
+        principal_distance_mm=spec.focal_length_mm, pixel_mm=spec.pixel_mm,
+        principal_point_px=((spec.columns - 1) / 2.0, (spec.rows - 1) / 2.0),
+        distortion=Distortion(**spec.distortion.model_dump()),
+        focal_length_mm=spec.focal_length_mm, f_number=spec.f_number, wall=wall,
+    )  # fmt: skip
+    if place.rotation is None:
+        try:
+            camera = aim(camera, target)
+        except ValueError as error:
+            raise InputError(f"{source}: cameras.aim_mm: {error}") from error
+    elif np.abs(np.asarray(place.rotation) @ np.asarray(place.rotation).T - np.eye(3)).max() > 1e-9:
+        raise InputError(f"{source}: cameras: {name}: rotation: expected an orthonormal matrix")
+    elif np.linalg.det(place.rotation) < 0.0:
+        raise InputError(f"{source}: cameras: {name}: rotation: expected a right-handed matrix, got a mirrored one")
+    return _focused(camera, target, spec.focus_mm, source)
+
+
+def _focused(camera: Camera, target: F64, focus_mm: float | None, source: str) -> Camera:
+    """The camera with its image plane where points at `focus_mm`, or else its target, are sharp."""
+    focus = focus_mm or apparent_distance_mm(camera, target)
+    if not focus > camera.focal_length_mm:
+        raise InputError(f"{source}: cameras.focus_mm: {camera.name}: expected more than the focal length {camera.focal_length_mm:g} mm, got {focus:.4g}")
+    return replace(camera, principal_distance_mm=1.0 / (1.0 / camera.focal_length_mm - 1.0 / focus))
+
+
+def apparent_distance_mm(camera: Camera, target_mm: F64) -> float:
+    """Distance along the axis at which a point in plain air would show the parallax that `target_mm` shows through the wall.
+
+    Refraction makes it astigmatic: the mean over the aperture's two axes is taken.
+    """
+    plain = replace(camera, distortion=Distortion())
+    step = camera.aperture_radius_mm
+    moves = []
+    for axis, (right, down) in enumerate(((step, 0.0), (0.0, step))):
+        there, valid = plain.shifted(right, down).project(target_mm[None])
+        back, valid_back = plain.shifted(-right, -down).project(target_mm[None])
+        if not (valid[0] and valid_back[0]):
+            return float("nan")
+        moves.append(abs(there[0, axis] - back[0, axis]) / (2.0 * step * plain.focal_px))
+    return float(1.0 / np.mean(moves))
+
+
+def _check_views(cameras: tuple[Camera, ...], corners: F64, source: str) -> None:
+    """At least one camera must see some of the volume: a lattice of points over it is tried."""
+    steps = np.linspace(0.0, 1.0, 9)
+    lattice = corners[0] + np.array(list(itertools.product(steps, repeat=3))) * (corners[-1] - corners[0])
+    for camera in cameras:
+        pixels, valid = camera.project(lattice)
+        if (valid & camera.contains(pixels)).any():
+            return
+    raise InputError(f"{source}: volume: expected it in view of at least one camera, but no camera of {len(cameras)} sees any of it")

@@ -1,0 +1,358 @@
+"""What a TOML scene may say, and sentences for whatever else it says."""
+
+from __future__ import annotations
+
+import difflib
+import hashlib
+import math
+import tomllib
+import types
+import typing
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import tomli_w
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from sabench import plugins
+from sabench.errors import InputError
+from sabench.files import canonical_json
+
+Vector = tuple[float, float, float]
+Positive = Annotated[float, Field(gt=0.0)]
+Index = Annotated[float, Field(ge=1.0, le=4.0)]
+
+
+class _Table(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+class Volume(_Table):
+    """The box that the generator fills, in the world frame."""
+
+    center_mm: Vector = Field(description="centre of the box")
+    size_mm: tuple[Positive, Positive, Positive] = Field(description="edge lengths along x, y and z")
+
+
+class GridSpec(_Table):
+    """The voxels that solvers reconstruct: they fill the volume."""
+
+    voxel_mm: tuple[Positive, Positive, Positive] = Field(description="voxel size along x, y and z")
+    crop_mm: tuple[Annotated[float, Field(ge=0)], Annotated[float, Field(ge=0)], Annotated[float, Field(ge=0)]] = Field(
+        (0.0, 0.0, 0.0), description="margin at either side that scores leave out"
+    )
+
+
+class LayerSpec(_Table):
+    """One solid layer of the wall."""
+
+    name: str = "glass"
+    index: Index = Field(description="refractive index")
+    thickness_mm: Positive
+
+
+class WallSpec(_Table):
+    """The tank wall between the cameras and the fluid; a scene without this table is in plain air."""
+
+    point_mm: Vector = Field((0.0, 0.0, 0.0), description="a point on the outer face")
+    normal: Vector = Field((0.0, 0.0, 1.0), description="direction from the cameras into the tank")
+    air_index: Index = Field(1.0, description="refractive index on the cameras' side")
+    layers: tuple[LayerSpec, ...] = Field((), description="solid layers, the cameras' side first")
+    fluid_index: Index = Field(description="refractive index of the fluid")
+    depth_mm: Positive | None = Field(None, description="distance from the inner face to the back wall")
+
+    @model_validator(mode="after")
+    def _has_direction(self) -> WallSpec:
+        if math.hypot(*self.normal) < 1e-9:
+            raise ValueError("normal: expected a vector of non-zero length")
+        return self
+
+
+class GridLayout(_Table):
+    """Cameras in columns and rows; evenly by count and spacing, or unevenly by lists of offsets."""
+
+    kind: Literal["grid"]
+    columns: int | None = Field(None, ge=1)
+    rows: int | None = Field(None, ge=1)
+    spacing_mm: tuple[Positive, Positive] | None = Field(None, description="between columns, between rows")
+    x_mm: tuple[float, ...] | None = Field(None, min_length=1, description="offsets of the columns")
+    y_mm: tuple[float, ...] | None = Field(None, min_length=1, description="offsets of the rows")
+
+    @model_validator(mode="after")
+    def _even_or_uneven(self) -> GridLayout:
+        even = [self.columns, self.rows, self.spacing_mm]
+        uneven = [self.x_mm, self.y_mm]
+        if (None in even) == (None in uneven) or any(v is not None for v in (even if None in even else uneven)):
+            raise ValueError("expected either columns, rows and spacing_mm or x_mm and y_mm")
+        return self
+
+
+class RingLayout(_Table):
+    """Cameras on a circle."""
+
+    kind: Literal["ring"]
+    count: int = Field(ge=1)
+    radius_mm: Positive
+    start_deg: float = 0.0
+
+
+class LineLayout(_Table):
+    """Cameras on a straight line."""
+
+    kind: Literal["line"]
+    count: int = Field(ge=1)
+    spacing_mm: Positive
+    angle_deg: float = 0.0
+
+
+class CrossLayout(_Table):
+    """A camera in the centre and four arms."""
+
+    kind: Literal["cross"]
+    arm: int = Field(ge=1, description="cameras per arm")
+    spacing_mm: Positive
+
+
+class Place(_Table):
+    """One camera of an explicit list, aimed at a point (by default the array's) or turned by a rotation matrix."""
+
+    center_mm: Vector
+    aim_mm: Vector | None = None
+    rotation: tuple[Vector, Vector, Vector] | None = Field(None, description="world to camera; rows are its X, Y, Z axes")
+
+
+class ListLayout(_Table):
+    """Cameras one by one."""
+
+    kind: Literal["list"]
+    places: tuple[Place, ...] = Field(min_length=1)
+
+
+class DistortionSpec(_Table):
+    """Radial-tangential (Brown-Conrady) coefficients."""
+
+    k1: float = 0.0
+    k2: float = 0.0
+    p1: float = 0.0
+    p2: float = 0.0
+    k3: float = 0.0
+
+
+class Cameras(_Table):
+    """An array of equal cameras."""
+
+    rows: int = Field(ge=8, le=20000)
+    columns: int = Field(ge=8, le=20000)
+    pixel_mm: Positive = Field(description="pixel pitch")
+    focal_length_mm: Positive
+    f_number: Positive
+    focus_mm: Positive | None = Field(None, description="distance of sharp points in air; by default each camera's aim point is sharp")
+    distortion: DistortionSpec = DistortionSpec()
+    center_mm: Vector = Field((0.0, 0.0, 0.0), description="centre of the array (not for lists)")
+    x_axis: Vector = Field((1.0, 0.0, 0.0), description="direction of the array's columns")
+    y_axis: Vector = Field((0.0, 1.0, 0.0), description="direction of the array's rows")
+    aim_mm: Vector | None = Field(None, description="point that images at every image centre; by default the volume's centre")
+    layout: GridLayout | RingLayout | LineLayout | CrossLayout | ListLayout = Field(discriminator="kind")
+
+
+class Illumination(_Table):
+    """One laser pulse per frame, as a sheet or slab."""
+
+    wavelength_nm: Positive = Field(532.0, description="in vacuum")
+    pulse_energy_mj: Positive
+    direction: Vector = Field((1.0, 0.0, 0.0), description="in which the light travels")
+    sheet_normal: Vector = Field((0.0, 0.0, 1.0), description="across the sheet")
+    thickness_mm: Positive = Field(description="full width (top-hat) or e^-2 width (gaussian)")
+    height_mm: Positive = Field(description="width of the sheet at right angles to its direction and normal")
+    profile: Literal["top-hat", "gaussian"] = "top-hat"
+    scattering: Literal["mie", "isotropic"] = "mie"
+
+    @model_validator(mode="after")
+    def _crossed(self) -> Illumination:
+        lengths = math.hypot(*self.direction) * math.hypot(*self.sheet_normal)
+        dot = sum(a * b for a, b in zip(self.direction, self.sheet_normal, strict=True))
+        if lengths < 1e-9 or abs(dot) > 1e-6 * lengths:
+            raise ValueError("expected direction and sheet_normal of non-zero length and at right angles")
+        return self
+
+
+class Tracer(_Table):
+    """What the particles are made of: complex refractive index m = index - i absorption."""
+
+    index: float = Field(1.59, ge=1.0, le=4.0)
+    absorption: float = Field(0.0, ge=0.0, le=5.0)
+
+
+class Sensor(_Table):
+    """From photons to grey values."""
+
+    exposure_s: Positive = 1e-3
+    quantum_efficiency: float = Field(0.6, gt=0.0, le=1.0)
+    dark_current_e_s: float = Field(0.0, ge=0.0)
+    read_noise_e: float = Field(0.0, ge=0.0)
+    full_well_e: Positive = 20000.0
+    gain_dn_e: Positive = Field(0.2, description="grey values per electron")
+    black_level_dn: float = Field(0.0, ge=0.0, description="grey value of no light")
+    bit_depth: int = Field(12, ge=1, le=16)
+    shot_noise: bool = True
+
+
+class Render(_Table):
+    """How the images are computed."""
+
+    samples_per_pixel: int = Field(9, ge=1, le=4096, description="a square number: a regular grid of rays in each pixel")
+
+    @model_validator(mode="after")
+    def _square(self) -> Render:
+        if math.isqrt(self.samples_per_pixel) ** 2 != self.samples_per_pixel:
+            raise ValueError(f"samples_per_pixel: expected a square number, got {self.samples_per_pixel}")
+        return self
+
+
+class Scene(_Table):
+    """A whole scene: the world, what lights it, who looks at it through what."""
+
+    title: str
+    frames: int = Field(1, ge=1)
+    interval_s: Positive = Field(1e-3, description="time between frames")
+    volume: Volume
+    grid: GridSpec
+    wall: WallSpec | None = None
+    cameras: Cameras
+    illumination: Illumination
+    tracer: Tracer = Tracer()
+    particles: dict[str, Any] = Field(description="`generator` names a generator; the other keys are its parameters")
+    sensor: Sensor = Sensor()
+    render: Render = Render()
+
+    def to_dict(self) -> dict[str, Any]:
+        """All keys with their values, defaults included, as TOML holds them."""
+        return _plain(self.model_dump(mode="json", exclude_none=True))
+
+    def to_toml(self) -> str:
+        """The resolved scene as TOML; loading it gives an equal scene."""
+        return tomli_w.dumps(self.to_dict())
+
+    @property
+    def hash(self) -> str:
+        """SHA-256 of the resolved scene: equal scenes have equal hashes, however they were written."""
+        return hashlib.sha256(canonical_json(self.to_dict()).encode()).hexdigest()
+
+
+def load_scene(path: str | Path) -> Scene:
+    """Read and check a scene file; `path` may also be the name of a bundled scene.
+
+    Raises
+    ------
+    InputError
+        No such file, not TOML, an unknown key (with the nearest valid one), a wrong value or an impossible geometry.
+    """
+    from sabench.rig import build_rig
+
+    file = find(path, "scenes")
+    try:
+        values = tomllib.loads(file.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise InputError(f"{file}: expected a TOML file, got {error}") from error
+    scene = parse_scene(values, str(file))
+    build_rig(scene, str(file))
+    return scene
+
+
+def find(name: str | Path, folder: str) -> Path:
+    """`name` as a path, or as the stem of a TOML file in a bundled folder (scenes, scenes/suites)."""
+    direct = Path(name)
+    if direct.is_file():
+        return direct
+    inside = plugins.bundled("scenes").parent / folder
+    stem = direct.name.removesuffix(".toml")
+    bundled = inside / f"{stem}.toml"
+    if direct.parent in (Path("."), Path(folder), Path("suites")) and bundled.is_file():
+        return bundled
+    known = sorted(file.stem for file in inside.glob("*.toml"))
+    near = difflib.get_close_matches(stem, known, 1)
+    raise InputError(f"{name}: expected a file or one of {', '.join(known)}" + (f"; did you mean {near[0]}?" if near else ""))
+
+
+def parse_scene(values: dict[str, Any], source: str) -> Scene:
+    """A scene from its keys and values; `source` is named in errors."""
+    scene = validate(Scene, values, source)
+    given = dict(scene.particles)
+    name = given.pop("generator", None)
+    if not isinstance(name, str):
+        raise InputError(f"{source}: particles.generator: expected the name of a generator, got {name!r}")
+    parameters = validate(plugins.load("generators", name).Parameters, given, source, "particles.")
+    resolved = {"generator": name, **_plain(parameters.model_dump(mode="json", exclude_none=True))}
+    return scene.model_copy(update={"particles": resolved})
+
+
+Model = typing.TypeVar("Model", bound=BaseModel)
+
+
+def validate(model: type[Model], values: dict[str, Any], source: str, prefix: str = "") -> Model:
+    """`values` as a model, or an InputError of one sentence for its first fault."""
+    try:
+        return model.model_validate(values)
+    except ValidationError as error:
+        faults = error.errors(include_url=False)
+        fault = next((f for f in faults if f["type"] == "extra_forbidden"), faults[0])  # a typo explains the missing key
+        path = [str(part) for part in _key_path(model, fault["loc"])]
+        key = prefix + ".".join(path)
+        raise InputError(f"{source}: {key + ': ' if key else ''}{_sentence(model, fault, path)}") from error
+
+
+def _sentence(model: type[BaseModel], fault: Any, path: list[str]) -> str:
+    kind = fault["type"]
+    if kind == "extra_forbidden":
+        known = _keys_at(model, path[:-1])
+        near = difflib.get_close_matches(path[-1], known, 1, 0.4)
+        return f"unknown key; did you mean {near[0]}?" if near else f"unknown key; expected one of {', '.join(known)}"
+    if kind == "missing":
+        return "this key is missing"
+    text = str(fault["msg"]).removeprefix("Value error, ")
+    if kind == "value_error":
+        return text
+    return f"{text[0].lower()}{text[1:]}, got {fault['input']!r}"
+
+
+def _key_path(model: type[BaseModel], loc: tuple[Any, ...]) -> list[Any]:
+    """The fault's place as TOML keys: without the tags that pydantic adds for the kinds of a union."""
+    tags = {"grid", "ring", "line", "cross", "list"}
+    return [part for i, part in enumerate(loc) if not (i and loc[i - 1] == "layout" and part in tags)]
+
+
+def _keys_at(model: type[BaseModel], path: list[str]) -> list[str]:
+    """Names that are valid inside the table at `path`."""
+    models: list[type[BaseModel]] = [model]
+    for part in path:
+        if part.isdigit():
+            continue
+        models = [inner for outer in models if part in outer.model_fields for inner in _models_in(outer.model_fields[part].annotation)]
+    return sorted({name for table in models for name in table.model_fields})
+
+
+def _models_in(annotation: Any) -> list[type[BaseModel]]:
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel) and not isinstance(annotation, types.GenericAlias):
+        return [annotation]
+    return [model for inner in typing.get_args(annotation) for model in _models_in(inner)]
+
+
+def _plain(value: Any) -> Any:
+    """Nested tuples as lists, as TOML and JSON give them back."""
+    if isinstance(value, dict):
+        return {key: _plain(inner) for key, inner in value.items()}
+    return [_plain(inner) for inner in value] if isinstance(value, list | tuple) else value
+
+
+def schema() -> dict[str, Any]:
+    """The JSON schema of a scene, with the parameters of every installed generator under `particles`."""
+    whole = Scene.model_json_schema()
+    definitions, choices = whole["$defs"], []
+    for name in plugins.names("generators"):
+        table = plugins.load("generators", name).Parameters.model_json_schema(ref_template=f"#/$defs/{name}.{{model}}")
+        definitions.update({f"{name}.{key}": value for key, value in table.pop("$defs", {}).items()})
+        table["properties"] = {"generator": {"const": name}, **table.get("properties", {})}
+        table["required"] = ["generator", *table.get("required", [])]
+        choices.append(table)
+    whole["properties"]["particles"] = {"oneOf": choices}
+    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **whole}

@@ -1,0 +1,67 @@
+"""The truth that a generator makes: what is in the water, where and when."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from sabench.arrays import F64, I64
+
+
+@dataclass(frozen=True)
+class Domain:
+    """What a generator fills.
+
+    Attributes
+    ----------
+    center_mm, size_mm : the seeded box in the world frame, axis-aligned.
+    pixels : pixels of one camera's image, for densities per pixel.
+    """
+
+    center_mm: tuple[float, float, float]
+    size_mm: tuple[float, float, float]
+    pixels: int
+
+    @property
+    def low_mm(self) -> F64:
+        """The corner with the smallest coordinates."""
+        return np.asarray(self.center_mm) - np.asarray(self.size_mm) / 2.0
+
+    @property
+    def volume_mm3(self) -> float:
+        """Volume of the box."""
+        return float(np.prod(self.size_mm))
+
+
+@dataclass(frozen=True)
+class Particles:
+    """Particles at one instant, world frame.
+
+    Attributes
+    ----------
+    id : (n,) int64, unique within the frame; the same id in two frames is the same particle.
+    position_mm : (n, 3).
+    diameter_mm : (n,).
+    velocity_mm_s : (n, 3).
+    """
+
+    id: I64
+    position_mm: F64
+    diameter_mm: F64
+    velocity_mm_s: F64
+
+    def __post_init__(self) -> None:
+        count = len(self.id)
+        shapes = {"position_mm": (count, 3), "diameter_mm": (count,), "velocity_mm_s": (count, 3)}
+        for name, expected in shapes.items():
+            value = getattr(self, name)
+            if value.shape != expected or not np.isfinite(value).all():
+                raise ValueError(f"Particles.{name}: expected finite values of shape {expected}, got shape {value.shape}")
+        if len(np.unique(self.id)) != count:
+            raise ValueError("Particles.id: expected unique numbers, got duplicates")
+        if count and not (self.diameter_mm > 0.0).all():
+            raise ValueError("Particles.diameter_mm: expected positive values")
+
+    def __len__(self) -> int:
+        return len(self.id)
