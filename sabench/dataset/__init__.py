@@ -1,0 +1,1 @@
+"""The data set on disk: docs/dataset-format.md is its contract."""

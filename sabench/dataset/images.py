@@ -1,0 +1,60 @@
+"""Image files: 16-bit TIFF as a camera gives them, EXR for radiance."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from sabench.arrays import F32, U16
+from sabench.errors import InputError
+
+
+def write_tiff(path: Path, image: U16) -> None:
+    """Grey values (rows, columns) as an uncompressed 16-bit TIFF, the same bytes for the same image."""
+    import tifffile
+
+    tifffile.imwrite(path, image, photometric="minisblack", metadata=None, software=False)
+
+
+def read_tiff(path: Path, shape: tuple[int, int]) -> U16:
+    """Grey values of a 16-bit TIFF of that shape; InputError that names the file otherwise."""
+    import tifffile
+
+    if not path.is_file():
+        raise InputError(f"{path}: expected an image, found no such file")
+    try:
+        image = tifffile.imread(path)
+    except Exception as error:  # tifffile raises what its parsers raise: struct, index, zlib, value errors
+        raise InputError(f"{path}: expected a whole TIFF file, got {type(error).__name__}: {error}") from error
+    if image.dtype != np.uint16 or image.shape != shape:
+        raise InputError(f"{path}: expected 16-bit grey values of shape {shape}, got {image.dtype} of shape {image.shape}")
+    return np.asarray(image)
+
+
+def write_exr(path: Path, radiance: F32) -> None:
+    """Photon radiance (rows, columns) as an EXR with one 32-bit channel Y."""
+    import OpenEXR
+
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    try:
+        with OpenEXR.File(header, {"Y": np.ascontiguousarray(radiance, dtype=np.float32)}) as file:
+            file.write(str(path))
+    except RuntimeError as error:
+        raise OSError(f"{path}: {error}") from error
+
+
+def read_exr(path: Path, shape: tuple[int, int]) -> F32:
+    """Photon radiance of an EXR of that shape; InputError that names the file otherwise."""
+    import OpenEXR
+
+    if not path.is_file():
+        raise InputError(f"{path}: expected an image, found no such file")
+    try:
+        with OpenEXR.File(str(path)) as file:
+            image = file.channels()["Y"].pixels
+    except Exception as error:  # OpenEXR reports every fault as a RuntimeError or a KeyError
+        raise InputError(f"{path}: expected a whole EXR file with a channel Y, got {type(error).__name__}: {error}") from error
+    if image.dtype != np.float32 or image.shape != shape:
+        raise InputError(f"{path}: expected 32-bit values of shape {shape}, got {image.dtype} of shape {image.shape}")
+    return np.asarray(image)

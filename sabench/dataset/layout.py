@@ -1,0 +1,124 @@
+"""Names, keys and their checks that writing, reading and verifying share."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+from pathlib import Path
+from typing import Any
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from sabench.errors import InputError
+from sabench.files import canonical_json, read_json
+from sabench.optics.camera import Camera
+from sabench.optics.wall import Wall
+from sabench.scene import validate
+from sabench.volume import Grid
+
+FORMAT = "sabench-dataset"
+VERSION = 1
+MANIFEST, CAMERAS, SCENE, TRUTH = "manifest.json", "cameras.json", "scene.toml", "truth.h5"
+
+
+class _Record(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+class SensorLevels(_Record):
+    """What an experimenter knows of the sensor."""
+
+    black_dn: float
+    white_dn: float
+    bit_depth: int = Field(ge=1, le=16)
+
+
+class CamerasFile(_Record):
+    """cameras.json: the whole observation side but for the images."""
+
+    format: str
+    version: int
+    frames: int = Field(ge=1)
+    interval_s: float = Field(gt=0)
+    wall: Wall | None
+    cameras: tuple[Camera, ...] = Field(min_length=1)
+    grid: Grid
+    sensor: SensorLevels
+
+
+class FileEntry(_Record):
+    """One file's size and checksum."""
+
+    bytes: int = Field(ge=0)
+    sha256: str = Field(pattern="^[0-9a-f]{64}$")
+
+
+class Manifest(_Record):
+    """manifest.json: what the data set consists of and came from."""
+
+    format: str
+    version: int
+    content_hash: str = Field(pattern="^[0-9a-f]{64}$")
+    scene: str
+    scene_hash: str = Field(pattern="^[0-9a-f]{64}$")
+    seed: int = Field(ge=0)
+    renderer: str
+    versions: dict[str, str]
+    files: dict[str, FileEntry]
+    manifest_hash: str = Field(pattern="^[0-9a-f]{64}$")
+
+
+def image_name(camera: str, frame: int, suffix: str) -> str:
+    """Path of an image inside a data set; `suffix` is tif (grey values) or exr (radiance)."""
+    return f"images/frame_{frame:04d}/{camera}.{suffix}"
+
+
+def frame_group(frame: int) -> str:
+    """HDF5 group of a frame, in truth and result files."""
+    return f"frames/{frame:04d}"
+
+
+def content_hash(files: dict[str, FileEntry]) -> str:
+    """Names a data set: SHA-256 over the canonical JSON of path -> SHA-256."""
+    return hashlib.sha256(canonical_json({name: entry.sha256 for name, entry in files.items()}).encode()).hexdigest()
+
+
+def sealed(manifest: dict[str, Any]) -> str:
+    """The manifest's text, with the hash of all its other keys as `manifest_hash`."""
+    rest = {key: value for key, value in manifest.items() if key != "manifest_hash"}
+    return canonical_json({**rest, "manifest_hash": hashlib.sha256(canonical_json(rest).encode()).hexdigest()})
+
+
+def read_manifest(root: Path) -> Manifest:
+    """The manifest of a data set; InputError if there is none, it is broken or of another format."""
+    path = root / MANIFEST
+    if not root.is_dir() or not path.is_file():
+        raise InputError(f"{path}: expected a data set's manifest, found none")
+    manifest = _checked(Manifest, path)
+    if path.read_text(encoding="utf-8") != sealed(manifest.model_dump(mode="json")):
+        raise InputError(f"{path}: its manifest_hash does not match its content")
+    return manifest
+
+
+def read_cameras(root: Path) -> CamerasFile:
+    """The rig of a data set, every camera with its wall."""
+    path = root / CAMERAS
+    loaded = _checked(CamerasFile, path)
+    names = [camera.name for camera in loaded.cameras]
+    if len(set(names)) != len(names) or not all(name.replace("_", "").isalnum() for name in names):
+        raise InputError(f"{path}: cameras: expected different names of letters, digits and _, got {names}")
+    return loaded.model_copy(update={"cameras": tuple(dataclasses.replace(c, wall=loaded.wall) for c in loaded.cameras)})
+
+
+def _checked(model: type[Any], path: Path) -> Any:
+    value = read_json(path)
+    if not isinstance(value, dict) or value.get("format") != FORMAT or value.get("version") != VERSION:
+        got = f"{value.get('format')!r} version {value.get('version')!r}" if isinstance(value, dict) else type(value).__name__
+        raise InputError(f"{path}: expected format {FORMAT!r} version {VERSION}, got {got}")
+    return validate(model, value, str(path))
+
+
+def rig_to_dict(cameras: tuple[Camera, ...], wall: Wall | None) -> dict[str, Any]:
+    """Cameras and their common wall as JSON keeps them."""
+    records = [{k: v for k, v in dataclasses.asdict(camera).items() if k != "wall"} for camera in cameras]
+    return {"wall": dataclasses.asdict(wall) if wall else None, "cameras": records}

@@ -1,0 +1,104 @@
+"""Open a data set: its observation side for solvers, its truth for scores."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+
+from sabench.api import Observation
+from sabench.arrays import F32, F64
+from sabench.dataset import layout
+from sabench.dataset.hdf import finite, opened, read_array
+from sabench.dataset.images import read_exr, read_tiff
+from sabench.dataset.layout import CamerasFile, Manifest
+from sabench.errors import InputError
+from sabench.files import inside
+from sabench.world import Particles
+
+
+@dataclass(frozen=True)
+class View:
+    """What one camera receives of a frame's n particles: pixel (n, 2), photons (n,), sigma_px (n,), visible (n,)."""
+
+    pixel: F64
+    photons: F64
+    sigma_px: F64
+    visible: F64
+
+
+@dataclass(frozen=True)
+class Dataset:
+    """A data set folder; frames are read when asked for."""
+
+    root: Path
+    manifest: Manifest
+
+    @property
+    def content_hash(self) -> str:
+        """The hash that names this data set."""
+        return self.manifest.content_hash
+
+    @cached_property
+    def rig(self) -> CamerasFile:
+        """Cameras, wall, grid and sensor levels."""
+        return layout.read_cameras(self.root)
+
+    def observation(self, frame: int) -> Observation:
+        """One frame as a solver may see it."""
+        self._check_frame(frame)
+        rig = self.rig
+        shapes = {(camera.rows, camera.columns) for camera in rig.cameras}
+        if len(shapes) != 1:
+            raise InputError(f"{self.root}: expected images of one size, got {sorted(shapes)}")
+        images = [read_tiff(self._image(camera.name, frame, "tif"), (camera.rows, camera.columns)) for camera in rig.cameras]
+        return Observation(np.stack(images), rig.cameras, rig.grid, rig.sensor.black_dn, rig.sensor.white_dn)
+
+    def radiance(self, frame: int) -> list[F32]:
+        """Noise-free photon radiance of every camera, photons / (mm2 sr): truth, not for solvers."""
+        self._check_frame(frame)
+        return [read_exr(self._image(camera.name, frame, "exr"), (camera.rows, camera.columns)) for camera in self.rig.cameras]
+
+    def particles(self, frame: int) -> Particles:
+        """The true particles of a frame."""
+        self._check_frame(frame)
+        group = layout.frame_group(frame)
+        with opened(self.root / layout.TRUTH) as file:
+            identity = read_array(file, f"{group}/id", (None,), "i")
+            n = len(identity)
+            shapes = {"position_mm": (n, 3), "diameter_mm": (n,), "velocity_mm_s": (n, 3)}
+            values = {k: finite(read_array(file, f"{group}/{k}", shape, "f"), f"{file.filename}: {group}/{k}") for k, shape in shapes.items()}
+            return Particles(identity, **values)
+
+    def views(self, frame: int) -> list[View]:
+        """What every camera truly receives of a frame's particles, in the cameras' order."""
+        self._check_frame(frame)
+        with opened(self.root / layout.TRUTH) as file:
+            n = len(read_array(file, f"{layout.frame_group(frame)}/id", (None,), "i"))
+            views = []
+            for camera in self.rig.cameras:
+                base = f"{layout.frame_group(frame)}/cameras/{camera.name}"
+                fields = [("pixel", (n, 2), "f"), ("photons", (n,), "f"), ("sigma_px", (n,), "f"), ("visible", (n,), "u")]
+                views.append(View(*(read_array(file, f"{base}/{name}", shape, kind).astype(np.float64) for name, shape, kind in fields)))
+            return views
+
+    def _image(self, camera: str, frame: int, suffix: str) -> Path:
+        return inside(self.root, layout.image_name(camera, frame, suffix))
+
+    def _check_frame(self, frame: int) -> None:
+        if not 0 <= frame < self.rig.frames:
+            raise InputError(f"{self.root}: frame {frame}: expected 0 to {self.rig.frames - 1}")
+
+
+def open_dataset(path: str | Path) -> Dataset:
+    """Open a data set folder.
+
+    Raises
+    ------
+    InputError
+        No data set there, or one of another format; checksums are `verify`'s business.
+    """
+    root = Path(path)
+    return Dataset(root, layout.read_manifest(root))

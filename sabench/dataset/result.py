@@ -1,0 +1,99 @@
+"""A solver's estimate on disk: docs/result-format.md is its contract."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+
+from sabench.api import Reconstruction
+from sabench.dataset import layout
+from sabench.dataset.hdf import finite, opened, read_array
+from sabench.dataset.read import Dataset
+from sabench.errors import InputError
+from sabench.files import complete_or_nothing
+from sabench.volume import Grid
+
+FORMAT, VERSION = "sabench-result", 1
+
+
+@dataclass(frozen=True)
+class Result:
+    """A result file: which data set it belongs to, who made it and at what cost (None where it does not say)."""
+
+    path: Path
+    solver: str
+    parameters: dict[str, Any]
+    seconds: float | None
+    peak_mb: float | None
+    grid: Grid
+
+    def reconstruction(self, frame: int) -> Reconstruction:
+        """The estimate of a frame, checked for shape and finite values."""
+        group = layout.frame_group(frame)
+        with opened(self.path) as file:
+            volume = read_array(file, f"{group}/volume", self.grid.shape, "f").astype(np.float32)
+            finite(volume, f"{self.path}: {group}/volume")
+            if "particles_mm" not in file[group]:
+                return Reconstruction(volume)
+            found = read_array(file, f"{group}/particles_mm", (None, 3), "f").astype(np.float64)
+            return Reconstruction(volume, finite(found, f"{self.path}: {group}/particles_mm"))
+
+
+class ResultWriter:
+    """Takes the frames of one result; made by `result_writer`."""
+
+    def __init__(self, file: Any) -> None:
+        self._file = file
+
+    def add(self, frame: int, reconstruction: Reconstruction) -> None:
+        """Store a frame's estimate."""
+        group = self._file.create_group(layout.frame_group(frame))
+        volume = reconstruction.volume
+        chunk = (1, min(256, volume.shape[1]), min(256, volume.shape[2]))
+        group.create_dataset("volume", data=volume, chunks=chunk, compression="gzip", compression_opts=1)
+        if reconstruction.particles_mm is not None:
+            group.create_dataset("particles_mm", data=reconstruction.particles_mm)
+
+    def set_cost(self, seconds: float, peak_mb: float) -> None:
+        """Say what one frame cost: seconds (mean), and the process's peak resident memory."""
+        self._file.attrs["seconds"], self._file.attrs["peak_mb"] = seconds, peak_mb
+
+
+@contextlib.contextmanager
+def result_writer(target: Path, dataset: Dataset, solver: str, parameters: dict[str, Any], *, overwrite: bool = False) -> Iterator[ResultWriter]:
+    """A writer whose frames become the result file `target` when the block ends well, and vanish otherwise."""
+    with complete_or_nothing(target, overwrite=overwrite) as path, h5py.File(path, "w") as file:
+        file.attrs["format"], file.attrs["version"] = FORMAT, VERSION
+        file.attrs["dataset"], file.attrs["solver"] = dataset.content_hash, solver
+        file.attrs["parameters"] = json.dumps(parameters, sort_keys=True)
+        yield ResultWriter(file)
+
+
+def open_result(path: str | Path, dataset: Dataset) -> Result:
+    """Open a result of this data set.
+
+    Raises
+    ------
+    InputError
+        Not a result file, or one of another data set.
+    """
+    file_path = Path(path)
+    with opened(file_path) as file:
+        head = dict(file.attrs)
+        if head.get("format") != FORMAT or head.get("version") != VERSION:
+            raise InputError(f"{path}: expected format {FORMAT!r} version {VERSION}, got {head.get('format')!r} version {head.get('version')!r}")
+        if head.get("dataset") != dataset.content_hash:
+            raise InputError(f"{path}: expected a result of the data set {dataset.content_hash[:12]} ({dataset.root}), got one of {str(head.get('dataset'))[:12]}")
+        try:
+            parameters = json.loads(str(head.get("parameters", "{}")))
+        except ValueError as error:
+            raise InputError(f"{path}: attribute parameters: expected JSON, got {head['parameters']!r}") from error
+        cost = [float(head[key]) if key in head else None for key in ("seconds", "peak_mb")]
+        return Result(file_path, str(head.get("solver", "unknown")), parameters, cost[0], cost[1], dataset.rig.grid)

@@ -1,0 +1,63 @@
+"""Prove a data set whole: every byte by its checksum, every array by its shape."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+from sabench.dataset import layout
+from sabench.dataset.read import Dataset
+from sabench.errors import InputError
+from sabench.files import inside, sha256
+from sabench.progress import track
+from sabench.scene import load_scene
+
+
+def verify(path: str | Path) -> list[str]:
+    """Faults of a data set, one sentence each that names the file; an empty list if it is whole."""
+    root = Path(path)
+    if not root.is_dir():
+        raise InputError(f"{root}: expected a data set folder, found none")
+    try:
+        manifest = layout.read_manifest(root)
+    except InputError as error:
+        return [str(error)]
+    faults = list(_byte_faults(root, manifest))
+    return faults or list(_content_faults(Dataset(root, manifest)))
+
+
+def _byte_faults(root: Path, manifest: layout.Manifest) -> Iterator[str]:
+    """Missing, changed and foreign files."""
+    if manifest.content_hash != layout.content_hash(manifest.files):
+        yield f"{root / layout.MANIFEST}: its content_hash does not match its files"
+    present = {entry.relative_to(root).as_posix() for entry in root.rglob("*") if entry.is_symlink() or not entry.is_dir()}
+    for name in sorted(present - set(manifest.files) - {layout.MANIFEST}):
+        yield f"{root / name}: a file that the manifest does not list"
+    for name, entry in track(manifest.files.items(), "verify checksums"):
+        try:
+            file = inside(root, name)
+            if not file.is_file():
+                yield f"{file}: missing"
+            elif file.stat().st_size != entry.bytes or sha256(file) != entry.sha256:
+                yield f"{file}: its bytes do not match the manifest"
+        except (InputError, OSError) as error:
+            yield str(error)
+
+
+def _content_faults(dataset: Dataset) -> Iterator[str]:
+    """Files that are as they were written, but do not fit together."""
+    yield from _try(lambda: load_scene(dataset.root / layout.SCENE))
+    broken = list(_try(lambda: dataset.rig))
+    if broken:
+        yield from broken
+        return
+    for frame in track(range(dataset.rig.frames), "verify shapes"):
+        for part in (dataset.observation, dataset.radiance, dataset.particles, dataset.views):
+            yield from _try(lambda part=part, frame=frame: part(frame))  # type: ignore[misc]
+
+
+def _try(read: Callable[[], object]) -> Iterator[str]:
+    try:
+        read()
+    except (InputError, ValueError) as error:
+        yield str(error)

@@ -1,0 +1,87 @@
+"""Write a data set frame by frame into a temporary folder that becomes the data set when it is complete."""
+
+from __future__ import annotations
+
+import contextlib
+import importlib.metadata
+import platform
+from collections.abc import Iterator
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+
+from sabench import __version__
+from sabench.arrays import F32, U16
+from sabench.dataset import layout
+from sabench.dataset.images import write_exr, write_tiff
+from sabench.files import canonical_json, complete_or_nothing, sha256
+from sabench.imaging.particle_images import ParticleImages
+from sabench.imaging.sensor import white_level
+from sabench.optics.camera import Camera
+from sabench.rig import Rig
+from sabench.scene import Scene
+from sabench.world import Particles
+
+_RECORDED = ("mitsuba", "drjit", "numpy", "scipy", "miepython", "h5py", "tifffile", "OpenEXR")
+
+
+class DatasetWriter:
+    """Takes the frames of one data set; made by `dataset_writer`."""
+
+    def __init__(self, root: Path, truth: Any) -> None:
+        self.root, self._truth = root, truth
+
+    def add_image(self, camera: Camera, frame: int, grey: U16, radiance: F32) -> None:
+        """Store one camera's picture of a frame."""
+        path = self.root / layout.image_name(camera.name, frame, "tif")
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_tiff(path, grey)
+        write_exr(path.with_suffix(".exr"), radiance)
+
+    def add_particles(self, frame: int, particles: Particles) -> None:
+        """Store a frame's particles; `add_view` then stores what each camera receives of them."""
+        group = self._truth.create_group(layout.frame_group(frame))
+        for name in ("id", "position_mm", "diameter_mm", "velocity_mm_s"):
+            group.create_dataset(name, data=getattr(particles, name))
+
+    def add_view(self, frame: int, camera: Camera, images: ParticleImages) -> None:
+        """Store where and how bright one camera receives a frame's particles."""
+        group = self._truth[layout.frame_group(frame)].create_group(f"cameras/{camera.name}")
+        group.create_dataset("pixel", data=images.pixel)
+        group.create_dataset("photons", data=images.photons)
+        group.create_dataset("sigma_px", data=images.sigma_px.astype(np.float32))
+        group.create_dataset("visible", data=images.visible.astype(np.uint8))
+
+
+@contextlib.contextmanager
+def dataset_writer(target: Path, name: str, scene: Scene, rig: Rig, seed: int, renderer: str, *, overwrite: bool = False) -> Iterator[DatasetWriter]:
+    """A writer whose frames become the data set at `target` when the block ends well, and vanish otherwise."""
+    with complete_or_nothing(target, overwrite=overwrite) as root:
+        root.mkdir()
+        (root / layout.SCENE).write_text(scene.to_toml(), encoding="utf-8")
+        (root / layout.CAMERAS).write_text(canonical_json(_observation(scene, rig)), encoding="utf-8")
+        with h5py.File(root / layout.TRUTH, "w") as truth:
+            truth.attrs["format"], truth.attrs["version"] = layout.FORMAT, layout.VERSION
+            yield DatasetWriter(root, truth)
+        (root / layout.MANIFEST).write_text(_manifest(root, name, scene, seed, renderer), encoding="utf-8")
+
+
+def _observation(scene: Scene, rig: Rig) -> dict[str, Any]:
+    sensor = {"black_dn": scene.sensor.black_level_dn, "white_dn": white_level(scene.sensor), "bit_depth": scene.sensor.bit_depth}
+    head = {"format": layout.FORMAT, "version": layout.VERSION, "frames": scene.frames, "interval_s": scene.interval_s}
+    return {**head, **layout.rig_to_dict(rig.cameras, rig.wall), "grid": asdict(rig.grid), "sensor": sensor}
+
+
+def _manifest(root: Path, name: str, scene: Scene, seed: int, renderer: str) -> str:
+    paths = sorted(path for path in root.rglob("*") if path.is_file())
+    files = {path.relative_to(root).as_posix(): layout.FileEntry(bytes=path.stat().st_size, sha256=sha256(path)) for path in paths}
+    versions = {"sabench": __version__, "python": platform.python_version()}
+    versions |= {package: importlib.metadata.version(package) for package in _RECORDED}
+    return layout.sealed({
+        "format": layout.FORMAT, "version": layout.VERSION, "content_hash": layout.content_hash(files), "scene": name,
+        "scene_hash": scene.hash, "seed": seed, "renderer": renderer, "versions": versions,
+        "files": {key: entry.model_dump() for key, entry in files.items()},
+    })  # fmt: skip
