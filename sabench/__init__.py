@@ -1,3 +1,25 @@
-"""sabench: physically based synthetic data for volumetric velocimetry, and benchmarks on it."""
+"""sabench: physically based synthetic data for volumetric velocimetry, and benchmarks of algorithms on it."""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from sabench.dataset.read import open_dataset
+    from sabench.generation import generate
+    from sabench.scene import load_scene
+    from sabench.scoring import score
+    from sabench.solving import solve
 
 __version__ = "0.1.0"
+__all__ = ["generate", "load_scene", "open_dataset", "score", "solve"]
+
+_HOMES = {"generate": "generation", "load_scene": "scene", "open_dataset": "dataset.read", "score": "scoring", "solve": "solving"}
+
+
+def __getattr__(name: str) -> Any:
+    """Import the public functions when they are first used, so that `import sabench` stays light."""
+    if name not in _HOMES:
+        raise AttributeError(f"module 'sabench' has no attribute {name!r}")
+    return getattr(importlib.import_module(f"sabench.{_HOMES[name]}"), name)

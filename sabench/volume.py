@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.special import erf
 
 from sabench.arrays import F32, F64, Bool
 
@@ -53,7 +54,7 @@ class Grid:
 
 
 def synthesise(grid: Grid, positions_mm: F64, weights: F64, sigma_mm: float) -> F32:
-    """The field E_s: a spherical Gaussian in physical space for every particle, added up; (z, y, x).
+    """The field E_s: a spherical Gaussian in physical space for every particle, added up and averaged over each voxel; (z, y, x).
 
     Parameters
     ----------
@@ -61,12 +62,13 @@ def synthesise(grid: Grid, positions_mm: F64, weights: F64, sigma_mm: float) -> 
     weights : (n,) peak value of each Gaussian.
     sigma_mm : its standard deviation, in mm along all axes.
 
-    Source: thesis section 2.2.3, the field that equation 2.13 compares with.
+    Source: thesis section 2.2.3, the field that equation 2.13 compares with. The average over the voxel, as a pixel averages an image, keeps
+    the field's integral where a voxel is longer than the particle: values at voxel centres would miss particles between two planes.
     """
     voxels = grid.to_voxels(positions_mm)
     nearest = np.rint(voxels).astype(np.int64)
     sigma = sigma_mm / np.asarray(grid.voxel_mm)
-    reach = np.ceil(_REACH * sigma).astype(int)
+    reach = np.ceil(_REACH * sigma + 0.5).astype(int)
     factors = [_profile(voxels[:, i], nearest[:, i], int(reach[i]), float(sigma[i])) for i in range(3)]
     padded = np.zeros(tuple(n + 2 * int(r) for n, r in zip(grid.shape, reach[::-1], strict=True)), dtype=np.float32)
     keep = ((nearest >= -reach) & (nearest < np.asarray(grid.shape[::-1]) + reach)).all(axis=1)
@@ -80,9 +82,9 @@ def synthesise(grid: Grid, positions_mm: F64, weights: F64, sigma_mm: float) -> 
 
 
 def _profile(voxels: F64, nearest: F64, reach: int, sigma: float) -> F32:
-    """Gaussian along one axis at the offsets -reach..reach from the nearest voxel: (2 reach + 1, n)."""
-    offset = np.arange(-reach, reach + 1)[:, None] + (nearest - voxels)[None]
-    return np.exp(-0.5 * (offset / sigma) ** 2).astype(np.float32)
+    """Mean of a Gaussian of peak 1 along one axis over the voxels -reach..reach from the nearest: (2 reach + 1, n)."""
+    edges = np.arange(-reach, reach + 2)[:, None] - 0.5 + (nearest - voxels)[None]
+    return (sigma * np.sqrt(np.pi / 2.0) * np.diff(erf(edges / (sigma * np.sqrt(2.0))), axis=0)).astype(np.float32)
 
 
 def _add_row(

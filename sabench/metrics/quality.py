@@ -17,4 +17,4 @@ def quality(reconstructed: F32, synthesised: F32) -> float:
         a64, b64 = a.astype(np.float64), b.astype(np.float64)
         sums += [np.vdot(a64, b64), np.vdot(a64, a64), np.vdot(b64, b64)]
     norm = np.sqrt(sums[1]) * np.sqrt(sums[2])
-    return float(sums[0] / norm) if norm > 0.0 else 0.0
+    return min(1.0, float(sums[0] / norm)) if norm > 0.0 else 0.0

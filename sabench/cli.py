@@ -1,0 +1,217 @@
+"""The command `sabench`."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import sys
+import tomllib
+from pathlib import Path
+from typing import Annotated, Any, NoReturn
+
+import typer
+from rich.console import Console
+from rich.table import Table
+
+from sabench import __version__, plugins
+from sabench.errors import InputError
+from sabench.scene import find
+
+app = typer.Typer(add_completion=False, no_args_is_help=True, help="Synthetic data with known truth for volumetric velocimetry, and benchmarks on it.")
+
+Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace what is there.")]
+AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON value.")]
+Leaderboard = Annotated[Path, typer.Option(help="Folder of the records and the page.")]
+
+
+@app.command("list")
+def list_all() -> None:
+    """Generators, solvers, scenes and suites, each with one line."""
+    for kind in plugins.KINDS:
+        for name in plugins.names(kind):
+            _say(f"{kind[:-1]:<10} {name:<16} {plugins.summary(plugins.load(kind, name))}")
+    for kind, folder in (("scene", "scenes"), ("suite", "scenes/suites")):
+        for file in sorted((plugins.bundled("scenes").parent / folder).glob("*.toml")):
+            _say(f"{kind:<10} {file.stem:<16} {tomllib.loads(find(file, folder).read_text(encoding='utf-8'))['title']}")
+
+
+@app.command()
+def schema() -> None:
+    """The JSON schema of a scene file, for editors."""
+    from sabench.scene import schema as scene_schema
+
+    _say(json.dumps(scene_schema(), indent=1))
+
+
+@app.command()
+def generate(
+    scene: Annotated[str, typer.Argument(help="A scene file, or the name of a bundled scene.")],
+    output: Annotated[Path, typer.Option("-o", "--output", help="The data set folder to make.")],
+    seed: Annotated[int, typer.Option(help="Seed of all random numbers.")] = 0,
+    backend: Annotated[str, typer.Option(help="auto, mitsuba or splat.")] = "auto",
+    overwrite: Overwrite = False,
+) -> None:
+    """Make a data set: pictures, cameras and truth."""
+    from sabench.generation import choose_renderer
+    from sabench.generation import generate as make
+
+    made = make(scene, output, seed=seed, backend=choose_renderer(backend), overwrite=overwrite)  # type: ignore[arg-type]
+    _say(f"{made.root}: {made.rig.frames} frame(s) of {len(made.rig.cameras)} cameras, rendered by {made.manifest.renderer}, hash {made.content_hash[:12]}")
+
+
+@app.command()
+def verify(dataset: Annotated[Path, typer.Argument(help="A data set folder.")]) -> None:
+    """Check every byte and every shape of a data set."""
+    from sabench.dataset.verify import verify as faults_of
+
+    faults = faults_of(dataset)
+    for fault in faults:
+        _say(fault)
+    if faults:
+        raise typer.Exit(1)
+    _say(f"{dataset}: whole")
+
+
+@app.command()
+def solve(
+    solver: Annotated[str, typer.Argument(help="Name of a solver.")],
+    dataset: Annotated[Path, typer.Argument(help="A data set folder.")],
+    output: Annotated[Path, typer.Option("-o", "--output", help="The result file to make.")],
+    parameter: Annotated[list[str] | None, typer.Option("-p", "--parameter", help="name=value, as often as needed.")] = None,
+    overwrite: Overwrite = False,
+) -> None:
+    """Reconstruct a data set."""
+    from sabench.solving import solve as run_solver
+
+    result = run_solver(solver, dataset, output, parameters=_parameters(parameter or []), overwrite=overwrite)
+    _say(f"{output}: {solver}, {result.seconds:.2f} s per frame, {result.peak_mb:.0f} MB at most")
+
+
+@app.command()
+def score(
+    dataset: Annotated[Path, typer.Argument(help="A data set folder.")],
+    result: Annotated[str, typer.Argument(help="A result file, or truth or empty: the ends of every scale.")],
+    as_json: AsJson = False,
+) -> None:
+    """Score a result against the truth."""
+    from sabench.scoring import score as scores_of
+
+    scores = scores_of(dataset, result)
+    _show(scores, [scores], as_json)
+
+
+@app.command()
+def run(
+    suite: Annotated[str, typer.Argument(help="A suite file, or the name of a bundled suite.")],
+    as_json: AsJson = False,
+    work: Annotated[Path, typer.Option(help="Folder for data sets and results.")] = Path("work"),
+    leaderboard: Leaderboard = Path("leaderboard"),
+    fresh: Annotated[bool, typer.Option("--fresh", help="Generate data sets anew even if whole ones are there.")] = False,
+) -> None:
+    """Generate, solve and score a whole suite, then build the page."""
+    from sabench.run import run_suite
+
+    records = run_suite(suite, work, leaderboard, fresh=fresh)
+    _show(records, records, as_json)
+    if not as_json:
+        _say(f"page: {(leaderboard / 'index.html').resolve()}")
+    if any(record["error"] for record in records):
+        raise typer.Exit(1)
+
+
+@app.command()
+def board(leaderboard: Leaderboard = Path("leaderboard")) -> None:
+    """Build the page from the records."""
+    from sabench.run import build_board
+
+    _say(f"page: {build_board(leaderboard).resolve()}")
+
+
+@app.command()
+def doctor() -> None:
+    """What this machine renders and computes on, tried, with the remedy for what is missing."""
+    from sabench.doctor import examine
+
+    findings = examine()
+    for finding in findings:
+        _say(f"{'ok ' if finding.well else 'BAD'} {finding.subject:<16} {finding.text}")
+        if finding.remedy and not finding.well:
+            _say(f"    remedy: {finding.remedy}")
+    if not all(finding.well for finding in findings):
+        raise typer.Exit(1)
+
+
+@app.callback(invoke_without_command=True)
+def top(version: Annotated[bool, typer.Option("--version", help="Print the version.")] = False) -> None:
+    """Synthetic data with known truth for volumetric velocimetry, and benchmarks on it."""
+    if version:
+        _say(f"sabench {__version__}")
+        raise typer.Exit
+
+
+def _parameters(pairs: list[str]) -> dict[str, Any]:
+    """name=value pairs; a value is what TOML takes it for, else a string."""
+    values: dict[str, Any] = {}
+    for pair in pairs:
+        name, sign, text = pair.partition("=")
+        if not sign or not name:
+            raise InputError(f"-p {pair}: expected name=value")
+        try:
+            values[name] = tomllib.loads(f"value = {text}")["value"]
+        except tomllib.TOMLDecodeError:
+            values[name] = text
+    return values
+
+
+_COLUMNS = ("q", "true_percent", "ghost_percent", "precision", "recall", "rms_px", "seconds", "peak_mb")
+
+
+def _show(value: Any, rows: list[dict[str, Any]], as_json: bool) -> None:
+    if as_json:
+        _say(json.dumps(value, allow_nan=False))
+        return
+    table = Table("scene", "solver", *_COLUMNS)
+    for row in sorted(rows, key=lambda row: -1.0 if row["q"] is None else row["q"], reverse=True):
+        figures = ["-" if row[key] is None else f"{row[key]:.4g}" for key in _COLUMNS]
+        table.add_row(str(row.get("scene", row["dataset"][:12])), row["solver"], *figures)
+    Console(width=None if sys.stdout.isatty() else 140).print(table)
+
+
+def _say(text: str) -> None:
+    typer.echo(text)
+
+
+def main() -> NoReturn:
+    """Run the command; faults of the input, the disk or the user's Ctrl-C end in one sentence and exit code 2."""
+    try:
+        code = app(standalone_mode=False)
+    except InputError as error:
+        _fail(str(error))
+    except KeyboardInterrupt:
+        _fail("interrupted: what was finished is kept, nothing half-written is left")
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # the reader has gone: no more output, and no complaint at exit
+        sys.exit(0)
+    except OSError as error:
+        _fail(f"{error.filename or 'a file'}: {error.strerror or error}")
+    except MemoryError as error:
+        _fail(f"out of memory: {error}")
+    except Exception as error:
+        if not hasattr(error, "exit_code"):
+            raise
+        _usage(error)
+    sys.exit(code if isinstance(code, int) else 0)
+
+
+def _usage(error: Any) -> NoReturn:
+    """A wrong command line, or an interrupt that the command-line library turned into its own exception."""
+    if type(error).__name__ == "Abort":
+        _fail("interrupted: what was finished is kept, nothing half-written is left")
+    _fail(error.format_message())
+
+
+def _fail(sentence: str) -> NoReturn:
+    with contextlib.suppress(OSError):
+        print(f"sabench: {' '.join(sentence.split())}", file=sys.stderr)
+    sys.exit(2)

@@ -1,0 +1,216 @@
+"""Run a suite: every scene and seed, every solver on it, every score into a record, then the page."""
+
+from __future__ import annotations
+
+import hashlib
+import importlib.metadata
+import json
+import multiprocessing
+import multiprocessing.connection
+import os
+import platform
+import tomllib
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from sabench import __version__, backend, board, pictures
+from sabench.dataset.read import Dataset, open_dataset
+from sabench.dataset.result import open_result
+from sabench.dataset.verify import verify
+from sabench.errors import InputError
+from sabench.files import canonical_json
+from sabench.generation import Renderer, choose_renderer, generate
+from sabench.progress import console
+from sabench.scene import Scene, find, load_scene, validate
+from sabench.scoring import SCORES, score, true_field
+from sabench.solving import make_solver, solve
+
+
+class Entrant(BaseModel):
+    """One solver with its parameters."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+    name: str
+    parameters: dict[str, Any] = {}
+
+
+class Suite(BaseModel):
+    """A suite file: scenes x seeds x solvers."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+    title: str
+    scenes: tuple[str, ...] = Field(min_length=1, description="names of bundled scenes, or paths beside the suite")
+    seeds: tuple[int, ...] = Field((1,), min_length=1)
+    backend: Renderer = "auto"
+    solvers: tuple[Entrant, ...] = Field(min_length=1)
+
+
+@dataclass(frozen=True)
+class Case:
+    """One data set of a suite."""
+
+    name: str
+    scene: Scene
+    seed: int
+    renderer: str
+
+    def folder(self, work: Path) -> Path:
+        """Where its data set lies."""
+        return work / "datasets" / f"{self.name}-{self.scene.hash[:8]}-{self.renderer}-seed{self.seed}"
+
+
+def load_suite(path: str | Path) -> tuple[Suite, list[Case]]:
+    """Read a suite and check all its scenes and solvers before any work starts."""
+    file = find(path, "scenes/suites")
+    try:
+        values = tomllib.loads(file.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise InputError(f"{file}: expected a TOML file, got {error}") from error
+    suite = validate(Suite, values, str(file))
+    for entrant in suite.solvers:
+        make_solver(entrant.name, entrant.parameters)
+    renderer = choose_renderer(suite.backend)
+    return suite, [Case(Path(name).stem, _load(name, file), seed, renderer) for name in suite.scenes for seed in suite.seeds]
+
+
+def _load(name: str, suite: Path) -> Scene:
+    beside = suite.parent / name
+    return load_scene(beside if beside.is_file() else name)
+
+
+def run_suite(path: str | Path, work: Path, leaderboard: Path, *, fresh: bool = False) -> list[dict[str, Any]]:
+    """Generate, solve, score and record a whole suite, then rebuild the page; returns the new records.
+
+    A record is written as soon as its score is known, so an interrupted run keeps what it has finished. A solver that fails gets a record
+    that says why, and the run goes on.
+    """
+    suite, cases = load_suite(path)
+    records = []
+    for case in cases:
+        dataset = _dataset(case, work, fresh)
+        for record in _rank(case, dataset, suite, work, leaderboard):
+            _append(leaderboard / "records" / "local.jsonl", record)
+            records.append(record)
+    build_board(leaderboard)
+    return records
+
+
+def build_board(leaderboard: Path) -> Path:
+    """Records to page; returns the page's path."""
+    page = leaderboard / "index.html"
+    board.build_page(board.latest(board.read_records(leaderboard / "records")), leaderboard / "pictures", page)
+    return page
+
+
+def _dataset(case: Case, work: Path, fresh: bool) -> Dataset:
+    """The case's data set: an earlier one if it is whole and was made by this version, else a new one."""
+    folder = case.folder(work)
+    if folder.is_dir() and not fresh and not verify(folder):
+        dataset = open_dataset(folder)
+        if dataset.manifest.versions.get("sabench") == __version__ and dataset.manifest.versions.get("mitsuba") == _version("mitsuba"):
+            console.print(f"data set {folder} is whole: used again")
+            return dataset
+    renderer: Renderer = "mitsuba" if case.renderer == "mitsuba" else "splat"
+    return generate(case.scene, folder, seed=case.seed, backend=renderer, name=case.name, overwrite=True)
+
+
+def _rank(case: Case, dataset: Dataset, suite: Suite, work: Path, leaderboard: Path) -> Iterator[dict[str, Any]]:
+    folder = leaderboard / "pictures" / case.folder(work).name
+    _draw(folder / "images.png", lambda: _montage(dataset))
+    _draw(folder / "truth.png", lambda: pictures.slice_picture(true_field(dataset, 0)[0], dataset.rig.grid.scored))
+    for entrant in suite.solvers:
+        parameters = make_solver(entrant.name, entrant.parameters).parameters.model_dump(mode="json")
+        record = _describe(case, dataset, entrant.name, parameters) | {"pictures": folder.name}
+        out = work / "results" / f"{folder.name}-{entrant.name}-{record['run_hash'][:8]}.h5"
+        error = _solve_apart(entrant, dataset, out)
+        if error is None:
+            record |= {key: value for key, value in score(dataset, out).items() if key in (*SCORES, "seconds", "peak_mb")}
+            volume = open_result(out, dataset).reconstruction(0).volume
+            picture = pictures.slice_picture(volume, dataset.rig.grid.scored)
+            _draw(folder / f"{entrant.name}-{record['run_hash'][:8]}.png", lambda picture=picture: picture)
+        else:
+            console.print(f"error: {error}", style="red", markup=False, highlight=False)
+        yield record | {"error": error}
+
+
+def _describe(case: Case, dataset: Dataset, solver: str, parameters: dict[str, Any]) -> dict[str, Any]:
+    """All of a record but its scores."""
+    head = {
+        "scene": case.name, "scene_hash": case.scene.hash, "dataset": dataset.content_hash, "seed": case.seed,
+        "renderer": case.renderer, "solver": solver, "parameters": parameters,
+    }  # fmt: skip
+    blank: dict[str, Any] = dict.fromkeys((*SCORES, "seconds", "peak_mb", "error"))
+    versions = {name: _version(name) for name in ("mitsuba", "drjit", "numpy", "scipy")}
+    versions |= {"sabench": __version__, "python": platform.python_version()}
+    run_hash = hashlib.sha256(canonical_json([head["dataset"], solver, parameters]).encode()).hexdigest()
+    return {**head, **blank, "versions": versions, "machine": machine(), "run_hash": run_hash}
+
+
+def machine() -> dict[str, Any]:
+    """What this run computes on."""
+    info = Path("/proc/cpuinfo")
+    models = [line.split(":", 1)[1].strip() for line in info.read_text().splitlines() if line.startswith("model name")] if info.exists() else []
+    try:
+        kind = backend.choose().kind
+    except InputError:
+        kind = "none"
+    cpu = models[0] if models else platform.processor() or platform.machine()
+    return {"cpu": cpu, "cores": os.cpu_count(), "system": f"{platform.system()} {platform.machine()}", "backend": kind}
+
+
+def _solve_apart(entrant: Entrant, dataset: Dataset, out: Path) -> str | None:
+    """Solve in a process of its own, so that its memory is its own and its crash is only its own; the error's sentence, or None."""
+    context = multiprocessing.get_context("spawn")
+    receiver, sender = context.Pipe(duplex=False)
+    child = context.Process(target=_solve_child, args=(sender, entrant.name, entrant.parameters, str(dataset.root), str(out)))
+    child.start()
+    sender.close()
+    try:
+        message: str | None = receiver.recv()
+    except EOFError:  # it died without a word
+        child.join()
+        message = f"solver {entrant.name}: its process ended with exit code {child.exitcode}"
+    finally:
+        child.join()
+        receiver.close()
+    return message
+
+
+def _solve_child(sender: multiprocessing.connection.Connection, name: str, parameters: dict[str, Any], dataset: str, out: str) -> None:
+    try:
+        solve(name, dataset, out, parameters=parameters, overwrite=True)
+    except (InputError, OSError, MemoryError) as error:
+        sender.send(f"{error}" or type(error).__name__)
+    else:
+        sender.send(None)
+
+
+def _append(path: Path, record: dict[str, Any]) -> None:
+    """Add one line and have the disk hold it; the torn last line of a killed run is cut off first."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with path.open("a+b") as file:
+        file.seek(0)
+        file.truncate(file.read().rfind(b"\n") + 1)
+        file.write(json.dumps(record, sort_keys=True, allow_nan=False).encode() + b"\n")
+        file.flush()
+        os.fsync(file.fileno())
+
+
+def _montage(dataset: Dataset) -> bytes:
+    case = dataset.observation(0)
+    return pictures.montage(case.images, case.black_dn, case.white_dn)
+
+
+def _draw(path: Path, make: Any) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    partial = path.with_suffix(".partial")
+    partial.write_bytes(make())
+    partial.replace(path)
+
+
+def _version(package: str) -> str:
+    return importlib.metadata.version(package)
