@@ -47,9 +47,9 @@ class Uniform(Generator):
         return Particles(identity, position, diameter, np.tile(velocity, (count, 1)))
 
     def _count(self, domain: Domain) -> int:
-        chosen = self.parameters
+        chosen: UniformParameters = self.parameters
         if chosen.count is not None:
-            return int(chosen.count)
+            return chosen.count
         if chosen.per_mm3 is not None:
             return round(chosen.per_mm3 * domain.volume_mm3)
-        return round(chosen.per_pixel * domain.pixels)
+        return round((chosen.per_pixel or 0.0) * domain.pixels)

@@ -9,11 +9,11 @@ from __future__ import annotations
 import ctypes
 import ctypes.util
 import functools
-import glob
 import importlib.metadata
 import os
 import sys
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 from sabench.errors import InputError
@@ -21,7 +21,7 @@ from sabench.errors import InputError
 LLVM_VARIABLE = "DRJIT_LIBLLVM_PATH"
 CHOICE_VARIABLE = "SABENCH_BACKEND"
 OLDEST_LLVM = 16  # 14 is refused by Dr.Jit and 15 aborts ("Cannot select: fminimum")
-_SYSTEM = ("/usr/lib/llvm-*/lib/libLLVM*.so*", "/usr/lib/*/libLLVM*.so*", "/usr/lib*/libLLVM*.so*", "/opt/homebrew/opt/llvm/lib/libLLVM*.dylib")
+_SYSTEM = ("usr/lib/llvm-*/lib/libLLVM*.so*", "usr/lib/*/libLLVM*.so*", "usr/lib*/libLLVM*.so*", "opt/homebrew/opt/llvm/lib/libLLVM*.dylib")
 REMEDY = (
     f"install the wheel karellen-llvm-core (Linux x86-64) or an LLVM of version {OLDEST_LLVM} or later (Debian: libllvm19), "
     f"or set {LLVM_VARIABLE} to its libLLVM"
@@ -76,7 +76,7 @@ def _llvm_candidates() -> list[tuple[str, str]]:
     if variable:
         return [(LLVM_VARIABLE, variable)]
     wheel = [("the wheel karellen-llvm-core", path) for path in _wheel_libraries()]
-    paths = {os.path.realpath(path) for pattern in _SYSTEM for path in glob.glob(pattern)}
+    paths = {os.path.realpath(path) for pattern in _SYSTEM for path in Path("/").glob(pattern)}
     numbered = sorted(((llvm_version(path), path) for path in paths), reverse=True) if not wheel else []
     return wheel + [("the system", path) for _, path in numbered]
 
@@ -87,7 +87,7 @@ def _wheel_libraries() -> list[str]:
     except importlib.metadata.PackageNotFoundError:
         return []
     paths = {os.path.realpath(str(file.locate())) for file in files if file.name.startswith("libLLVM")}
-    return sorted(path for path in paths if os.path.isfile(path))
+    return sorted(path for path in paths if Path(path).is_file())
 
 
 def llvm_version(path: str) -> int:
@@ -142,5 +142,3 @@ def drjit() -> tuple[Any, Any]:
     else:
         import drjit.llvm as types  # type: ignore[no-redef]
     return dr, types
-
-

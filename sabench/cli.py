@@ -18,7 +18,9 @@ from sabench import __version__, plugins
 from sabench.errors import InputError
 from sabench.scene import find
 
-app = typer.Typer(add_completion=False, no_args_is_help=True, help="Synthetic data with known truth for volumetric velocimetry, and benchmarks on it.")
+app = typer.Typer(
+    add_completion=False, no_args_is_help=True, help="Synthetic data with known truth for volumetric velocimetry, and benchmarks on it."
+)
 
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace what is there.")]
 AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON value.")]
@@ -57,7 +59,7 @@ def generate(
     from sabench.generation import generate as make
 
     made = make(scene, output, seed=seed, backend=choose_renderer(backend), overwrite=overwrite)  # type: ignore[arg-type]
-    _say(f"{made.root}: {made.rig.frames} frame(s) of {len(made.rig.cameras)} cameras, rendered by {made.manifest.renderer}, hash {made.content_hash[:12]}")
+    _say(f"{made.root}: {made.rig.frames} frame(s) of {len(made.rig.cameras)} cameras, {made.manifest.renderer}, hash {made.content_hash[:12]}")
 
 
 @app.command()

@@ -28,7 +28,11 @@ class Finding:
 
 def examine() -> list[Finding]:
     """All findings; the trials run in processes of their own, since a bad library can abort one."""
-    findings = [Finding("sabench", True, f"{__version__} on Python {platform.python_version()}, {platform.system()} {platform.machine()}, {os.cpu_count()} cores")]
+    findings = [
+        Finding(
+            "sabench", True, f"{__version__} on Python {platform.python_version()}, {platform.system()} {platform.machine()}, {os.cpu_count()} cores"
+        )
+    ]
     try:
         chosen = backend.choose()
     except InputError as error:

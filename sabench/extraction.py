@@ -28,7 +28,7 @@ def normalised(case: Observation) -> F32:
     """
     images = np.maximum(case.images.astype(np.float32) - np.float32(case.black_dn), 0.0)
     scale = np.percentile(images, _BRIGHT, axis=(1, 2), keepdims=True)
-    return (images / np.maximum(scale, 1.0)).astype(np.float32)
+    return np.asarray(images / np.maximum(scale, 1.0), dtype=np.float32)
 
 
 def extract(volume: F32, k: float, keep: Literal["reduced", "whole"]) -> F32:

@@ -24,7 +24,7 @@ def complete_or_nothing(target: Path, *, overwrite: bool = False) -> Iterator[Pa
     The block makes a file or a folder at the path it gets. A killed process leaves a hidden `.NAME.partial-PID`,
     which the next write to the same target removes.
     """
-    target = Path(os.path.abspath(target))
+    target = target.absolute()
     if target.exists() and not overwrite:
         raise InputError(f"{target} exists already: choose another name, or say --overwrite")
     target.parent.mkdir(parents=True, exist_ok=True)

@@ -52,9 +52,9 @@ def plane_map(camera: Camera, grid: Grid, z_mm: float, degree: int) -> PlaneMap:
     between = np.linspace(-1.0, 1.0, 2 * degree + 5)
     fit, check = (np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2) for axis in (nodes, between))
     target = _project_plane(camera, grid, z_mm, fit)
-    coefficients = np.linalg.lstsq(_terms(fit, degree), target, rcond=None)[0]
+    coefficients = np.asarray(np.linalg.lstsq(_terms(fit, degree), target, rcond=None)[0], dtype=np.float64)
     error = np.abs(_terms(check, degree) @ coefficients - _project_plane(camera, grid, z_mm, check)).max()
-    return PlaneMap(degree, coefficients.T, float(error))
+    return PlaneMap(degree, np.asarray(coefficients.T), float(error))
 
 
 def plane_maps(cameras: Sequence[Camera], grid: Grid) -> list[list[PlaneMap]]:

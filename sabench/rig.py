@@ -73,15 +73,13 @@ def _build_wall(spec: WallSpec) -> Wall:
 
 def _corners(scene: Scene) -> F64:
     signs = np.array(list(itertools.product((-0.5, 0.5), repeat=3)))
-    return np.asarray(scene.volume.center_mm) + signs * np.asarray(scene.volume.size_mm)
+    return np.asarray(scene.volume.center_mm + signs * np.asarray(scene.volume.size_mm))
 
 
 def _check_tank(wall: Wall, corners: F64, source: str) -> None:
     depth = wall.depth_of(corners) - wall.thickness_mm
     if depth.min() <= 0.0:
-        raise InputError(
-            f"{source}: volume: expected it to lie behind the wall's inner face, but it reaches {-depth.min():.4g} mm in front of it"
-        )
+        raise InputError(f"{source}: volume: expected it to lie behind the wall's inner face, but it reaches {-depth.min():.4g} mm in front of it")
     if wall.depth_mm is not None and depth.max() > wall.depth_mm:
         raise InputError(
             f"{source}: volume: expected it to lie in front of the back wall (wall.depth_mm = {wall.depth_mm:g}), "
@@ -106,14 +104,16 @@ def _offsets(spec: GridLayout | RingLayout | LineLayout | CrossLayout) -> F64:
         return layout.cross(spec.arm, spec.spacing_mm)
     if spec.x_mm is not None and spec.y_mm is not None:
         return layout.grid(spec.x_mm, spec.y_mm)
-    assert spec.columns and spec.rows and spec.spacing_mm  # the scene's own check: one of the two ways
-    return layout.grid(layout.even(spec.columns, spec.spacing_mm[0]), layout.even(spec.rows, spec.spacing_mm[1]))
+    columns, rows, spacing = spec.columns or 1, spec.rows or 1, spec.spacing_mm or (1.0, 1.0)  # all given: the scene checks it
+    return layout.grid(layout.even(columns, spacing[0]), layout.even(rows, spacing[1]))
 
 
 def _build_camera(scene: Scene, wall: Wall | None, number: int, place: Place, source: str) -> Camera:
     spec, name = scene.cameras, f"camera_{number:02d}"
     if wall and wall.depth_of(np.asarray(place.center_mm)) >= 0.0:
-        raise InputError(f"{source}: cameras: {name} at {list(place.center_mm)} mm: expected it in front of the wall, but it is in the wall or the tank")
+        raise InputError(
+            f"{source}: cameras: {name} at {list(place.center_mm)} mm: expected it in front of the wall, but it is in the wall or the tank"
+        )
     target = np.asarray(place.aim_mm or spec.aim_mm or scene.volume.center_mm)
     camera = Camera(
         name=name, rows=spec.rows, columns=spec.columns, center_mm=place.center_mm,
@@ -139,7 +139,9 @@ def _focused(camera: Camera, target: F64, focus_mm: float | None, source: str) -
     """The camera with its image plane where points at `focus_mm`, or else its target, are sharp."""
     focus = focus_mm or apparent_distance_mm(camera, target)
     if not focus > camera.focal_length_mm:
-        raise InputError(f"{source}: cameras.focus_mm: {camera.name}: expected more than the focal length {camera.focal_length_mm:g} mm, got {focus:.4g}")
+        raise InputError(
+            f"{source}: cameras.focus_mm: {camera.name}: expected more than the focal length {camera.focal_length_mm:g} mm, got {focus:.4g}"
+        )
     return replace(camera, principal_distance_mm=1.0 / (1.0 / camera.focal_length_mm - 1.0 / focus))
 
 

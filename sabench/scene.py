@@ -227,7 +227,8 @@ class Scene(_Table):
 
     def to_dict(self) -> dict[str, Any]:
         """All keys with their values, defaults included, as TOML holds them."""
-        return _plain(self.model_dump(mode="json", exclude_none=True))
+        values: dict[str, Any] = _plain(self.model_dump(mode="json", exclude_none=True))
+        return values
 
     def to_toml(self) -> str:
         """The resolved scene as TOML; loading it gives an equal scene."""
@@ -267,7 +268,7 @@ def find(name: str | Path, folder: str) -> Path:
     inside = plugins.bundled("scenes").parent / folder
     stem = direct.name.removesuffix(".toml")
     bundled = inside / f"{stem}.toml"
-    if direct.parent in (Path("."), Path(folder), Path("suites")) and bundled.is_file():
+    if direct.parent in (Path(), Path(folder), Path("suites")) and bundled.is_file():
         return bundled
     known = sorted(file.stem for file in inside.glob("*.toml"))
     near = difflib.get_close_matches(stem, known, 1)

@@ -69,7 +69,9 @@ def _attempt(algorithm: Solver, name: str, case: Observation, frame: int) -> Rec
     if not isinstance(guess, Reconstruction) or not isinstance(guess.volume, np.ndarray):
         raise InputError(f"solver {name}: expected a Reconstruction with an array, got {type(guess).__name__}")
     if guess.volume.shape != case.grid.shape or guess.volume.dtype != np.float32:
-        raise InputError(f"solver {name}: expected a float32 volume of shape {case.grid.shape}, got {guess.volume.dtype} of shape {guess.volume.shape}")
+        raise InputError(
+            f"solver {name}: expected a float32 volume of shape {case.grid.shape}, got {guess.volume.dtype} of shape {guess.volume.shape}"
+        )
     if not np.isfinite(guess.volume).all():
         raise InputError(f"solver {name}: expected finite intensities, got NaN or infinite ones in frame {frame}")
     return guess

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import erf
 
-from sabench.arrays import F32, F64, Bool
+from sabench.arrays import F32, F64, I64, Bool
 
 _REACH = 4.0  # standard deviations after which a particle's field is cut: 3e-4 of its peak
 
@@ -33,12 +33,12 @@ class Grid:
     def axes_mm(self) -> tuple[F64, F64, F64]:
         """Voxel centres along x, y and z."""
         counts = self.shape[::-1]
-        x, y, z = (low + step * np.arange(n) for low, step, n in zip(self.low_mm, self.voxel_mm, counts, strict=True))
+        x, y, z = (np.asarray(low + step * np.arange(n), np.float64) for low, step, n in zip(self.low_mm, self.voxel_mm, counts, strict=True))
         return x, y, z
 
     def to_voxels(self, points_mm: F64) -> F64:
         """World points (n, 3) as fractional voxel indices (x, y, z)."""
-        return (points_mm - np.asarray(self.low_mm)) / np.asarray(self.voxel_mm)
+        return np.asarray((points_mm - np.asarray(self.low_mm)) / np.asarray(self.voxel_mm))
 
     @property
     def scored(self) -> tuple[slice, slice, slice]:
@@ -81,15 +81,14 @@ def synthesise(grid: Grid, positions_mm: F64, weights: F64, sigma_mm: float) -> 
     return np.ascontiguousarray(padded[z, y, x])
 
 
-def _profile(voxels: F64, nearest: F64, reach: int, sigma: float) -> F32:
+def _profile(voxels: F64, nearest: I64, reach: int, sigma: float) -> F32:
     """Mean of a Gaussian of peak 1 along one axis over the voxels -reach..reach from the nearest: (2 reach + 1, n)."""
     edges = np.arange(-reach, reach + 2)[:, None] - 0.5 + (nearest - voxels)[None]
-    return (sigma * np.sqrt(np.pi / 2.0) * np.diff(erf(edges / (sigma * np.sqrt(2.0))), axis=0)).astype(np.float32)
+    mean = sigma * np.sqrt(np.pi / 2.0) * np.diff(erf(edges / (sigma * np.sqrt(2.0))), axis=0)
+    return np.asarray(mean, dtype=np.float32)
 
 
-def _add_row(
-    padded: F32, nearest: F64, keep: Bool, offset: tuple[int, int], row: F32, profile: F32, reach: F64
-) -> None:
+def _add_row(padded: F32, nearest: I64, keep: Bool, offset: tuple[int, int], row: F32, profile: F32, reach: I64) -> None:
     """Add every particle's row of voxels at one (z, y) offset; voxels outside the padded volume are dropped."""
     z = nearest[:, 2] + offset[0] + reach[2]
     y = nearest[:, 1] + offset[1] + reach[1]

@@ -13,7 +13,7 @@ from sabench.errors import InputError
 from sabench.files import canonical_json, read_json
 from sabench.optics.camera import Camera
 from sabench.optics.wall import Wall
-from sabench.scene import validate
+from sabench.scene import Model, validate
 from sabench.volume import Grid
 
 FORMAT = "sabench-dataset"
@@ -110,7 +110,7 @@ def read_cameras(root: Path) -> CamerasFile:
     return loaded.model_copy(update={"cameras": tuple(dataclasses.replace(c, wall=loaded.wall) for c in loaded.cameras)})
 
 
-def _checked(model: type[Any], path: Path) -> Any:
+def _checked(model: type[Model], path: Path) -> Model:
     value = read_json(path)
     if not isinstance(value, dict) or value.get("format") != FORMAT or value.get("version") != VERSION:
         got = f"{value.get('format')!r} version {value.get('version')!r}" if isinstance(value, dict) else type(value).__name__

@@ -90,7 +90,9 @@ def open_result(path: str | Path, dataset: Dataset) -> Result:
         if head.get("format") != FORMAT or head.get("version") != VERSION:
             raise InputError(f"{path}: expected format {FORMAT!r} version {VERSION}, got {head.get('format')!r} version {head.get('version')!r}")
         if head.get("dataset") != dataset.content_hash:
-            raise InputError(f"{path}: expected a result of the data set {dataset.content_hash[:12]} ({dataset.root}), got one of {str(head.get('dataset'))[:12]}")
+            raise InputError(
+                f"{path}: expected a result of the data set {dataset.content_hash[:12]} ({dataset.root}), got one of {str(head.get('dataset'))[:12]}"
+            )
         try:
             parameters = json.loads(str(head.get("parameters", "{}")))
         except ValueError as error:

@@ -20,7 +20,7 @@ _ADVANCE_MM = 2e-3  # past a surface that was met; a second ball that begins wit
 _NONE = 0xFFFFFFFF
 
 
-class SabenchCamera(mi.Sensor):  # type: ignore[misc]
+class SabenchCamera(mi.Sensor):
     """A pinhole with an off-centre principal point and radial-tangential distortion, as sabench.optics.camera has it."""
 
     def prepare(self, camera: Camera, origin: F64) -> None:
@@ -42,7 +42,7 @@ class SabenchCamera(mi.Sensor):  # type: ignore[misc]
         return mi.Ray3f(self.origin, dr.normalize(x * self.axes[0] + y * self.axes[1] + self.axes[2])), mi.Color1f(1.0)
 
 
-class Glow(mi.SamplingIntegrator):  # type: ignore[misc]
+class Glow(mi.SamplingIntegrator):
     """Transmit at dielectrics, add the Gaussian glow of every ball that a ray enters in the fluid.
 
     Mitsuba intersects balls in single precision, whose error grows with the square of the distance from the ray's origin: a ray is
@@ -56,8 +56,8 @@ class Glow(mi.SamplingIntegrator):  # type: ignore[misc]
         self.interfaces = mi.UInt32(interfaces)
         self.reach = mi.Float(float(np.linalg.norm(centers, axis=1).max()) + _CLEARANCE_MM)
 
-    @dr.syntax  # type: ignore[untyped-decorator]
-    def sample(self, scene: Any, sampler: Any, ray: Any, medium: Any, active: Any) -> Any:
+    @dr.syntax
+    def sample(self, scene: Any, sampler: Any, ray: Any, medium: Any = None, active: Any = True) -> Any:
         ray = mi.Ray3f(ray)
         active = mi.Bool(active)
         result, weight = mi.Float(0.0), mi.Float(1.0)

@@ -78,7 +78,9 @@ def image_particles(scene: Scene, camera: Camera, particles: Particles, table: M
     magnification, shape = _object_shape(camera, points, paths.arriving)
     diffraction = _AIRY * scene.illumination.wavelength_nm * 1e-6 * camera.f_number * camera.principal_distance_mm / camera.focal_length_mm
     variance = (diffraction / camera.pixel_mm) ** 2 + (magnification * particles.diameter_mm / 4.0) ** 2 + (blur / 4.0) ** 2
-    intensity = fluence(scene.illumination, np.asarray(scene.volume.center_mm), points) * _cross_section(scene, particles, paths.arriving, table, across)
+    intensity = fluence(scene.illumination, np.asarray(scene.volume.center_mm), points) * _cross_section(
+        scene, particles, paths.arriving, table, across
+    )
     photons = intensity * solid_angle * transmittance(camera.wall, paths.leaving)
     sigma = np.sqrt(variance)
     return ParticleImages(
@@ -123,7 +125,7 @@ def _object_shape(camera: Camera, points: F64, direction: F64) -> tuple[F64, F64
 def _cross_section(scene: Scene, particles: Particles, arriving: F64, table: MieTable | None, half_angle: float) -> F64:
     """dC/dOmega towards the camera, mm2/sr; isotropic: the geometric cross-section spread over the sphere."""
     if table is None:
-        return particles.diameter_mm**2 / 16.0
+        return np.asarray(particles.diameter_mm**2 / 16.0)
     angles = _scattering_angles(scene, arriving)
     return table.averaged(half_angle).cross_section(angles, particles.diameter_mm)
 
@@ -131,4 +133,4 @@ def _cross_section(scene: Scene, particles: Particles, arriving: F64, table: Mie
 def _scattering_angles(scene: Scene, arriving: F64) -> F64:
     """Angle between the laser's direction and the light that goes to the camera, rad."""
     forward = np.asarray(scene.illumination.direction) / np.linalg.norm(scene.illumination.direction)
-    return np.arccos(np.clip(-arriving @ forward, -1.0, 1.0))
+    return np.asarray(np.arccos(np.clip(-arriving @ forward, -1.0, 1.0)))

@@ -36,7 +36,9 @@ def render(camera: Camera, images: ParticleImages, positions_mm: F64, samples: i
 
     origin = positions_mm[lit].mean(axis=0)  # single precision: the numbers are small where the particles are
     glow = _glow(images, lit)
-    scene = mi.load_dict({"type": "scene", **_interfaces(mi, camera.wall, origin, camera), "cloud": _cloud(mi, positions_mm[lit] - origin, images, lit)})
+    scene = mi.load_dict(
+        {"type": "scene", **_interfaces(mi, camera.wall, origin, camera), "cloud": _cloud(mi, positions_mm[lit] - origin, images, lit)}
+    )
     integrator = mi.load_dict({"type": "sabench_glow"})
     integrator.prepare(positions_mm[lit] - origin, *glow, _count_interfaces(camera.wall))
     film = {"type": "hdrfilm", "width": camera.columns, "height": camera.rows, "pixel_format": "luminance", "rfilter": {"type": "box"}}

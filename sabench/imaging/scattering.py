@@ -35,9 +35,7 @@ class MieTable:
         return np.interp(angles_rad, self.angles_rad, self.per_square_diameter) * diameters_mm**2
 
 
-def mie_table(
-    diameters_mm: F64, particle_index: complex, fluid_index: float, wavelength_nm: float, angles_rad: tuple[float, float]
-) -> MieTable:
+def mie_table(diameters_mm: F64, particle_index: complex, fluid_index: float, wavelength_nm: float, angles_rad: tuple[float, float]) -> MieTable:
     """Tabulate unpolarised scattering of a cloud between two scattering angles.
 
     Parameters

@@ -10,7 +10,7 @@ from sabench.scene import Sensor
 
 def white_level(sensor: Sensor) -> int:
     """Grey value of a saturated pixel: the full well's or the converter's limit, whichever comes first."""
-    return min(2**sensor.bit_depth - 1, round(sensor.black_level_dn + sensor.gain_dn_e * sensor.full_well_e))
+    return min((1 << sensor.bit_depth) - 1, round(sensor.black_level_dn + sensor.gain_dn_e * sensor.full_well_e))
 
 
 def expose(sensor: Sensor, photons: F64, rng: np.random.Generator) -> U16:
@@ -25,4 +25,4 @@ def expose(sensor: Sensor, photons: F64, rng: np.random.Generator) -> U16:
     if sensor.read_noise_e > 0.0:
         electrons = electrons + sensor.read_noise_e * rng.standard_normal(photons.shape)
     grey = np.rint(sensor.black_level_dn + sensor.gain_dn_e * electrons)
-    return np.clip(grey, 0, 2**sensor.bit_depth - 1).astype(np.uint16)
+    return np.clip(grey, 0, (1 << sensor.bit_depth) - 1).astype(np.uint16)

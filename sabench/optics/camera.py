@@ -127,9 +127,10 @@ class Camera:
         """mm^2 sr that each pixel collects: pupil area seen at its angle times its solid angle in front of the lens; (rows, columns)."""
         column, row = np.meshgrid(np.arange(self.columns), np.arange(self.rows))
         pixels = np.column_stack([column.ravel(), row.ravel()]).astype(np.float64)
-        across = self.ideal(pixels + [0.5, 0.0])[0] - self.ideal(pixels - [0.5, 0.0])[0]
-        down = self.ideal(pixels + [0.0, 0.5])[0] - self.ideal(pixels - [0.0, 0.5])[0]
-        area = np.abs(across[:, 0] * down[:, 1] - across[:, 1] * down[:, 0])
+        right, down = np.array([0.5, 0.0]), np.array([0.0, 0.5])
+        across = self.ideal(pixels + right)[0] - self.ideal(pixels - right)[0]
+        along = self.ideal(pixels + down)[0] - self.ideal(pixels - down)[0]
+        area = np.abs(across[:, 0] * along[:, 1] - across[:, 1] * along[:, 0])
         square = 1.0 + np.sum(self.ideal(pixels)[0] ** 2, axis=1)
         return np.asarray(np.pi * self.aperture_radius_mm**2 * area / square**2).reshape(self.rows, self.columns)
 
@@ -151,7 +152,7 @@ def _distort(lens: Distortion, ideal: F64) -> tuple[F64, F64]:
 def _undistort(lens: Distortion, distorted: F64) -> tuple[F64, Bool]:
     """Invert `_distort` by fixed-point iteration with the exact residual as its test."""
     if lens == Distortion():
-        return distorted, np.isfinite(distorted).all(axis=1)
+        return distorted, np.asarray(np.isfinite(distorted).all(axis=1))
     ideal, residual = distorted.copy(), np.zeros_like(distorted)
     with np.errstate(invalid="ignore", over="ignore"):
         for _ in range(_UNDISTORT_STEPS):

@@ -10,6 +10,7 @@ climbs to the root from the left without overshooting; the bracket [t_low, R / d
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -67,7 +68,7 @@ class Wall:
 
     def depth_of(self, points_mm: F64) -> F64:
         """Signed distance of points (..., 3) behind the outer face, mm."""
-        return (points_mm - np.asarray(self.point_mm)) @ np.asarray(self.normal)
+        return np.asarray((points_mm - np.asarray(self.point_mm)) @ np.asarray(self.normal))
 
 
 @dataclass(frozen=True)
@@ -195,7 +196,7 @@ class Rays:
 def trace_into_fluid(wall: Wall | None, pinhole_mm: F64, directions: F64) -> Rays:
     """Follow unit directions (n, 3) from a pinhole (3,) through the wall; total reflection and misses are not `valid`."""
     origins = np.broadcast_to(pinhole_mm, directions.shape).copy()
-    valid = np.isfinite(directions).all(axis=1)
+    valid: Bool = np.asarray(np.isfinite(directions).all(axis=1))
     if wall is None:
         return Rays(origins, directions.copy(), valid)
     normal, indices, current = np.asarray(wall.normal), wall.indices, directions
@@ -222,7 +223,7 @@ def transmittance(wall: Wall | None, leaving: F64) -> F64:
         return np.ones(len(leaving))
     indices, cosine = wall.indices, leaving @ np.asarray(wall.normal)
     result = np.ones(len(leaving))
-    for before, after in zip(indices[:-1], indices[1:], strict=True):
+    for before, after in itertools.pairwise(indices):
         sine = (before / after) * np.sqrt(np.maximum(0.0, 1.0 - cosine * cosine))
         after_cosine = np.sqrt(np.maximum(0.0, 1.0 - sine * sine))
         senkrecht = (before * cosine - after * after_cosine) / (before * cosine + after * after_cosine)

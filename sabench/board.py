@@ -1,0 +1,163 @@
+"""Records to page: reads the JSON lines that runs left and renders one static HTML file."""
+
+from __future__ import annotations
+
+import base64
+import itertools
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
+
+from sabench import plugins
+from sabench.errors import InputError
+from sabench.files import complete_or_nothing, inside
+
+Record = dict[str, Any]
+
+# What a record must have to be placed on the page; scores and pictures may be missing or null.
+_NEEDED: dict[str, type] = {
+    "scene": str, "scene_hash": str, "seed": int, "renderer": str,
+    "solver": str, "parameters": dict, "machine": dict, "run_hash": str,
+}  # fmt: skip
+_RUN = ("scene_hash", "seed", "renderer", "solver", "parameters", "machine")
+_SECTION = ("scene", "scene_hash", "renderer", "seed")
+
+# Score columns: key, heading, decimals, meaning.
+_SCORES = (
+    ("q", "Q", 3, "quality factor, the correlation of the reconstructed with the true intensity: 1 is perfect"),
+    ("true_percent", "true %", 1, "share of the true particles that were found within 1.5 voxels"),
+    ("ghost_percent", "ghost %", 1, "detections that are no true particle, relative to those that are"),
+    ("precision", "precision", 3, "share of the detections that are true, closer than 1 voxel along every axis, one to one"),
+    ("recall", "recall", 3, "share of the true particles that were found, by the same rule"),
+    ("rms_px", "rms px", 3, "root mean square distance between the pairs of that rule"),
+    ("seconds", "seconds", 2, "time of the solver alone"),
+    ("peak_mb", "peak MB", 0, "most memory that the solver's process held"),
+)
+_LARGEST = 1e15  # beyond it no score is meant, and digits would fill the page
+
+
+def read_records(folder: Path) -> list[Record]:
+    """All records of a folder's *.jsonl files, in the order of the files' names and of their lines.
+
+    A last line that a killed run left torn, without its newline, is left out.
+
+    Raises
+    ------
+    InputError
+        A line that is not a record; the text names file and line.
+    """
+    return [record for path in sorted(folder.glob("*.jsonl")) for record in _read_file(path)]
+
+
+def _read_file(path: Path) -> Iterator[Record]:
+    lines = path.read_bytes().split(b"\n")
+    for number, line in enumerate(lines, 1):
+        if not line.strip():
+            continue
+        try:
+            yield _parse(line)
+        except (ValueError, RecursionError) as error:
+            if number < len(lines):  # the last piece of the split is what follows the last newline
+                raise InputError(f"{path}: line {number}: expected a record as a JSON object, got {error}") from error
+
+
+def _parse(line: bytes) -> Record:
+    record = json.loads(line.decode("utf-8"), parse_constant=_refuse)
+    if not isinstance(record, dict):
+        raise ValueError(f"a {type(record).__name__}")
+    for key, kind in _NEEDED.items():
+        if not isinstance(record.get(key), kind):
+            raise ValueError(f"{key} = {record.get(key)!r} where a {kind.__name__} belongs")
+    return record
+
+
+def _refuse(constant: str) -> None:
+    raise ValueError(f"the number {constant}, which JSON does not have")
+
+
+def latest(records: list[Record]) -> list[Record]:
+    """Only the last record of each scene, seed, renderer, solver, parameters and machine, in the order in which they first came."""
+    return list({_key(record, _RUN): record for record in records}.values())
+
+
+def _key(record: Record, names: tuple[str, ...]) -> str:
+    return json.dumps([record[name] for name in names], sort_keys=True)
+
+
+def build_page(records: list[Record], pictures: Path, out: Path) -> None:
+    """Write the records as one self-contained page; `pictures` holds the folders that the records name.
+
+    Raises
+    ------
+    InputError
+        A record whose pictures would lie outside `pictures`.
+    """
+    folder = plugins.bundled("leaderboard")
+    # Autoescape is what keeps a foreign record's text from becoming markup.
+    environment = Environment(loader=FileSystemLoader(folder), autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
+    page = environment.get_template("page.html.j2").render(sections=_sections(records, pictures), scores=_SCORES)
+    with complete_or_nothing(out, overwrite=True) as partial:
+        partial.write_text(page, encoding="utf-8", errors="replace")  # JSON can hold half a surrogate pair, UTF-8 can not
+
+
+def _sections(records: list[Record], pictures: Path) -> list[dict[str, Any]]:
+    """One section per scene, renderer and seed, in the order of their names and numbers."""
+    ordered = sorted(records, key=lambda record: tuple(record[name] for name in _SECTION))
+    groups = itertools.groupby(ordered, key=lambda record: _key(record, _SECTION))
+    return [_section(sorted(group, key=_rank), pictures) for _, group in groups]
+
+
+def _section(ranked: list[Record], pictures: Path) -> dict[str, Any]:
+    rows = [_row(record, pictures) for record in ranked]
+    head = {name: ranked[0][name] for name in _SECTION}
+    return {**head, "rows": rows, "images": _first(ranked, pictures, "images.png"), "truth": _first(ranked, pictures, "truth.png")}
+
+
+def _rank(record: Record) -> tuple[bool, bool, float, str, str]:
+    """Best Q first, then those without, then errors; the rest settles ties so that equal records give equal pages."""
+    q = _number(record.get("q"))
+    return bool(record.get("error")), q is None, -(q or 0.0), record["solver"], _text(record["parameters"])
+
+
+def _row(record: Record, pictures: Path) -> dict[str, Any]:
+    machine = record["machine"]
+    return {
+        "solver": record["solver"],
+        "parameters": _text(record["parameters"]),
+        "scores": [_cell(record.get(key), decimals) for key, _, decimals, _ in _SCORES],
+        "error": record.get("error"),
+        "machine": [str(machine[key]) for key in ("cpu", "backend") if machine.get(key)],
+        "details": _text({"dataset": record.get("dataset"), "run": record["run_hash"], **machine, **(record.get("versions") or {})}),
+        "picture": _picture(record, pictures, f"{record['solver']}-{record['run_hash'][:8]}.png"),
+    }
+
+
+def _text(values: Record) -> str:
+    """`key value, key value`, strings without quotes."""
+    return ", ".join(f"{key} {value if isinstance(value, str) else json.dumps(value)}" for key, value in values.items())
+
+
+def _number(value: object) -> float | None:
+    usable = isinstance(value, (int, float)) and not isinstance(value, bool) and -_LARGEST < value < _LARGEST
+    return float(value) if usable else None  # type: ignore[arg-type]
+
+
+def _cell(value: object, decimals: int) -> tuple[str, str]:
+    """The number to sort by and the number to show, both empty for null."""
+    number = _number(value)
+    return ("", "") if number is None else (repr(number), f"{number:.{decimals}f}")
+
+
+def _first(ranked: list[Record], pictures: Path, name: str) -> str | None:
+    return next((data for record in ranked if (data := _picture(record, pictures, name))), None)
+
+
+def _picture(record: Record, pictures: Path, name: str) -> str | None:
+    """A picture of a record as a data: URI, None if there is none."""
+    if record.get("pictures") is None:
+        return None
+    path = inside(pictures, f"{record['pictures']}/{name}")
+    return f"data:image/png;base64,{base64.b64encode(path.read_bytes()).decode()}" if path.is_file() else None

@@ -1,0 +1,106 @@
+"""Small PNG pictures for the page: what the cameras saw, and one slice of what a volume holds."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import numpy.typing as npt
+
+from sabench.arrays import F32, F64, U16
+
+U8 = npt.NDArray[np.uint8]
+
+_MONTAGE_PX = 900  # widest mosaic
+_GAP_PX = 3  # between two cameras
+_GAP_GREY = 96  # told from both dark images and either page background
+_GAMMA = 1.0 / 2.2  # a particle of 1 % of the brightest is shown at 12 %
+_BRIGHTEST = 99.9  # percentile shown as white
+_LEAST_RANGE = 0.01  # of black to white: below this, noise would be shown as light
+_WINDOW = 200  # voxels of a slice that are shown, per side
+_ENLARGED_PX = 400  # side of a slice's picture
+
+
+def montage(images: U16, black_dn: float, white_dn: float) -> bytes:
+    """All cameras' images of one moment in a near-square mosaic, as a PNG.
+
+    Parameters
+    ----------
+    images : (camera, row, column) grey values.
+    black_dn, white_dn : grey values of no light and of saturation. One scale holds for all cameras.
+
+    Notes
+    -----
+    Pixels are joined by their maximum and not their mean, so that particles of two or three pixels do not fade.
+    """
+    if images.ndim != 3 or not images.size:
+        raise ValueError(f"montage: expected images (camera, row, column), got shape {images.shape}")
+    across = _across(*images.shape)
+    small = _joined(images, math.ceil(across * images.shape[2] / (_MONTAGE_PX - _GAP_PX * (across - 1))))
+    least = black_dn + _LEAST_RANGE * (white_dn - black_dn)
+    top = min(white_dn, max(least, float(np.percentile(small, _BRIGHTEST))))
+    return _png(_mosaic(_grey(small.astype(np.float64) - black_dn, top - black_dn, _GAMMA), across))
+
+
+def slice_picture(volume: F32, scored: tuple[slice, slice, slice]) -> bytes:
+    """The central window of the middle z plane of the scored part of a volume (z, y, x), as a PNG with x to the right and y down.
+
+    The window depends on the grid only, and a voxel is a block of whole pixels, so pictures of one grid can be compared particle by particle.
+    Brightness is linear up to the window's own 99.9th percentile, as Q is the same for any scale.
+    """
+    part = volume[scored]
+    if part.ndim != 3 or not part.size:
+        raise ValueError(f"slice_picture: expected a scored part (z, y, x) with voxels, got shape {part.shape}")
+    plane = part[part.shape[0] // 2]
+    window = plane[_central(plane.shape[0]), _central(plane.shape[1])].astype(np.float64)
+    top = float(np.percentile(window, _BRIGHTEST)) or float(window.max())  # a few lone particles can fill less than 0.1 %
+    block = max(1, _ENLARGED_PX // max(window.shape))
+    return _png(_grey(window, top, 1.0).repeat(block, axis=0).repeat(block, axis=1))
+
+
+def _across(cameras: int, rows: int, columns: int) -> int:
+    """Images per row that make the mosaic most nearly square with few empty places."""
+
+    def badness(across: int) -> float:
+        down = math.ceil(cameras / across)
+        return abs(math.log(across * columns / (down * rows))) + (across * down - cameras) / cameras
+
+    return min(range(cameras, 0, -1), key=badness)
+
+
+def _joined(images: U16, block: int) -> U16:
+    """Every block x block pixels joined by their maximum; the last row and column of blocks may be cut."""
+    _, rows, columns = images.shape
+    padded = np.pad(images, ((0, 0), (0, -rows % block), (0, -columns % block)))
+    shape = (len(images), padded.shape[1] // block, block, padded.shape[2] // block, block)
+    return np.asarray(padded.reshape(shape).max(axis=(2, 4)))
+
+
+def _grey(values: F64, top: float, gamma: float) -> U8:
+    """0 to `top` as 0 to 255."""
+    scaled = np.clip(values / top, 0.0, 1.0) if top > 0.0 else np.zeros_like(values)
+    return np.rint(255.0 * scaled**gamma).astype(np.uint8)
+
+
+def _mosaic(images: U8, across: int) -> U8:
+    count, rows, columns = images.shape
+    down = math.ceil(count / across)
+    sheet = np.full((down * (rows + _GAP_PX) - _GAP_PX, across * (columns + _GAP_PX) - _GAP_PX), _GAP_GREY, dtype=np.uint8)
+    for i, image in enumerate(images):
+        y, x = (i // across) * (rows + _GAP_PX), (i % across) * (columns + _GAP_PX)
+        sheet[y : y + rows, x : x + columns] = image
+    return sheet
+
+
+def _central(count: int) -> slice:
+    shown = min(count, _WINDOW)
+    return slice((count - shown) // 2, (count - shown) // 2 + shown)
+
+
+def _png(grey: U8) -> bytes:
+    import cv2
+
+    done, data = cv2.imencode(".png", grey, [cv2.IMWRITE_PNG_COMPRESSION, 9])
+    if not done:
+        raise ValueError(f"expected an image that can be a PNG, got shape {grey.shape}")
+    return bytes(data)
