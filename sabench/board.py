@@ -19,8 +19,8 @@ Record = dict[str, Any]
 
 # What a record must have to be placed on the page; scores and pictures may be missing or null.
 _NEEDED: dict[str, type] = {
-    "scene": str, "scene_hash": str, "seed": int, "renderer": str,
-    "solver": str, "parameters": dict, "machine": dict, "run_hash": str,
+    "scene": str, "scene_hash": str, "dataset": str, "seed": int, "renderer": str,
+    "solver": str, "parameters": dict, "machine": dict, "versions": dict, "run_hash": str,
 }  # fmt: skip
 _RUN = ("scene_hash", "seed", "renderer", "solver", "parameters", "machine")
 _SECTION = ("scene", "scene_hash", "renderer", "seed")
@@ -130,8 +130,9 @@ def _row(record: Record, pictures: Path) -> dict[str, Any]:
         "scores": [_cell(record.get(key), decimals) for key, _, decimals, _ in _SCORES],
         "error": record.get("error"),
         "machine": [str(machine[key]) for key in ("cpu", "backend") if machine.get(key)],
-        "details": _text({"dataset": record.get("dataset"), "run": record["run_hash"], **machine, **(record.get("versions") or {})}),
-        "picture": _picture(record, pictures, f"{record['solver']}-{record['run_hash'][:8]}.png"),
+        "details": _text({"data set": record["dataset"], "run": record["run_hash"], **machine, **record["versions"]}),
+        # A failed run may have left a picture when it once succeeded: it is not this record's.
+        "picture": None if record.get("error") else _picture(record, pictures, f"{record['solver']}-{record['run_hash'][:8]}.png"),
     }
 
 

@@ -180,6 +180,9 @@ def _show(value: Any, rows: list[dict[str, Any]], as_json: bool) -> None:
     Console(width=None if sys.stdout.isatty() else 140).print(table)
 
 
+_INTERRUPTED = "interrupted: what was finished is kept, nothing half-written is left"
+
+
 def _say(text: str) -> None:
     typer.echo(text)
 
@@ -191,7 +194,7 @@ def main() -> NoReturn:
     except InputError as error:
         _fail(str(error))
     except KeyboardInterrupt:
-        _fail("interrupted: what was finished is kept, nothing half-written is left")
+        _fail(_INTERRUPTED)
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # the reader has gone: no more output, and no complaint at exit
         sys.exit(0)
@@ -203,13 +206,15 @@ def main() -> NoReturn:
         if not hasattr(error, "exit_code"):
             raise
         _usage(error)
+    if code == 130:  # the command-line library's way to say Ctrl-C
+        _fail(_INTERRUPTED)
     sys.exit(code if isinstance(code, int) else 0)
 
 
 def _usage(error: Any) -> NoReturn:
     """A wrong command line, or an interrupt that the command-line library turned into its own exception."""
     if type(error).__name__ == "Abort":
-        _fail("interrupted: what was finished is kept, nothing half-written is left")
+        _fail(_INTERRUPTED)
     _fail(error.format_message())
 
 

@@ -12,8 +12,8 @@ from sabench.arrays import F32, F64, U16
 U8 = npt.NDArray[np.uint8]
 
 _MONTAGE_PX = 900  # widest mosaic
-_GAP_PX = 3  # between two cameras
-_GAP_GREY = 96  # told from both dark images and either page background
+_GAP_PX = 5  # between two cameras
+_GAP_GREY = 200  # stands out from sparse and from crowded images
 _GAMMA = 1.0 / 2.2  # a particle of 1 % of the brightest is shown at 12 %
 _BRIGHTEST = 99.9  # percentile shown as white
 _LEAST_RANGE = 0.01  # of black to white: below this, noise would be shown as light

@@ -282,7 +282,11 @@ def parse_scene(values: dict[str, Any], source: str) -> Scene:
     name = given.pop("generator", None)
     if not isinstance(name, str):
         raise InputError(f"{source}: particles.generator: expected the name of a generator, got {name!r}")
-    parameters = validate(plugins.load("generators", name).Parameters, given, source, "particles.")
+    try:
+        plugin = plugins.load("generators", name)
+    except InputError as error:
+        raise InputError(f"{source}: particles.generator: {error}") from error
+    parameters = validate(plugin.Parameters, given, source, "particles.")
     resolved = {"generator": name, **_plain(parameters.model_dump(mode="json", exclude_none=True))}
     return scene.model_copy(update={"particles": resolved})
 

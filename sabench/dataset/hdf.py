@@ -1,9 +1,10 @@
-"""HDF5 reading that trusts nothing: no links out of the file, no surprises in shape or kind."""
+"""HDF5 that trusts nothing: no links out of a file, no surprises in shape or kind, no crash on a full disk."""
 
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator
+import io
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +25,74 @@ def opened(path: Path) -> Iterator[Any]:
             yield file
     except (OSError, RuntimeError, KeyError, ValueError) as error:
         raise InputError(f"{path}: expected a whole HDF5 file, got {type(error).__name__}: {error}") from error
+
+
+class NewFile(io.RawIOBase):
+    """A file that HDF5 writes through; the first write that the system refuses is kept, and HDF5 told that all is well.
+
+    HDF5 does not survive a refused write: it crashes the process when it closes. `check` raises the refusal where Python can handle it.
+    """
+
+    def __init__(self, path: Path) -> None:
+        super().__init__()
+        self._file = path.open("w+b", buffering=0)
+        self._fault: OSError | None = None
+
+    def check(self) -> None:
+        """Raise what the system refused so far."""
+        if self._fault:
+            raise self._fault
+
+    def write(self, data: Any) -> int:
+        """Write all of `data`, or keep the fault."""
+        view = memoryview(data).cast("B")
+        done = 0
+        while not self._fault and done < len(view):
+            try:
+                done += self._file.write(view[done:])
+            except OSError as error:
+                self._fault = OSError(error.errno, error.strerror, self._file.name)
+        return len(view)
+
+    def readinto(self, buffer: Any) -> int:
+        """Read back; what was refused reads as zeros."""
+        view = memoryview(buffer).cast("B")
+        count = self._file.readinto(view) or 0
+        view[count:] = bytes(len(view) - count)
+        return len(view)
+
+    def seek(self, offset: int, whence: int = 0) -> int:
+        """Move."""
+        return self._file.seek(offset, whence)
+
+    def tell(self) -> int:
+        """Where."""
+        return self._file.tell()
+
+    def truncate(self, size: int | None = None) -> int:
+        """Set the length, or keep the fault."""
+        try:
+            return self._file.truncate(size)
+        except OSError as error:
+            self._fault = self._fault or OSError(error.errno, error.strerror, self._file.name)
+            return size or 0
+
+    def close(self) -> None:
+        """Close the file below."""
+        self._file.close()
+        super().close()
+
+
+@contextlib.contextmanager
+def created(path: Path) -> Iterator[tuple[Any, Callable[[], None]]]:
+    """A new HDF5 file, and a function that raises if the disk has refused a write; it is called at the end in any case."""
+    sink = NewFile(path)
+    try:
+        with h5py.File(sink, "w") as file:
+            yield file, sink.check
+        sink.check()
+    finally:
+        sink.close()
 
 
 def read_array(file: Any, name: str, shape: tuple[int | None, ...], kind: str) -> npt.NDArray[Any]:

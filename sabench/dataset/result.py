@@ -4,17 +4,16 @@ from __future__ import annotations
 
 import contextlib
 import json
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import h5py
 import numpy as np
 
 from sabench.api import Reconstruction
 from sabench.dataset import layout
-from sabench.dataset.hdf import finite, opened, read_array
+from sabench.dataset.hdf import created, finite, opened, read_array
 from sabench.dataset.read import Dataset
 from sabench.errors import InputError
 from sabench.files import complete_or_nothing
@@ -49,8 +48,8 @@ class Result:
 class ResultWriter:
     """Takes the frames of one result; made by `result_writer`."""
 
-    def __init__(self, file: Any) -> None:
-        self._file = file
+    def __init__(self, file: Any, check: Callable[[], None]) -> None:
+        self._file, self._check = file, check
 
     def add(self, frame: int, reconstruction: Reconstruction) -> None:
         """Store a frame's estimate."""
@@ -60,6 +59,8 @@ class ResultWriter:
         group.create_dataset("volume", data=volume, chunks=chunk, compression="gzip", compression_opts=1)
         if reconstruction.particles_mm is not None:
             group.create_dataset("particles_mm", data=reconstruction.particles_mm)
+        self._file.flush()
+        self._check()
 
     def set_cost(self, seconds: float, peak_mb: float) -> None:
         """Say what one frame cost: seconds (mean), and the process's peak resident memory."""
@@ -69,11 +70,11 @@ class ResultWriter:
 @contextlib.contextmanager
 def result_writer(target: Path, dataset: Dataset, solver: str, parameters: dict[str, Any], *, overwrite: bool = False) -> Iterator[ResultWriter]:
     """A writer whose frames become the result file `target` when the block ends well, and vanish otherwise."""
-    with complete_or_nothing(target, overwrite=overwrite) as path, h5py.File(path, "w") as file:
+    with complete_or_nothing(target, overwrite=overwrite) as path, created(path) as (file, check):
         file.attrs["format"], file.attrs["version"] = FORMAT, VERSION
         file.attrs["dataset"], file.attrs["solver"] = dataset.content_hash, solver
         file.attrs["parameters"] = json.dumps(parameters, sort_keys=True)
-        yield ResultWriter(file)
+        yield ResultWriter(file, check)
 
 
 def open_result(path: str | Path, dataset: Dataset) -> Result:
@@ -88,7 +89,7 @@ def open_result(path: str | Path, dataset: Dataset) -> Result:
     with opened(file_path) as file:
         head = dict(file.attrs)
         if head.get("format") != FORMAT or head.get("version") != VERSION:
-            raise InputError(f"{path}: expected format {FORMAT!r} version {VERSION}, got {head.get('format')!r} version {head.get('version')!r}")
+            raise InputError(f"{path}: expected format {FORMAT!r} version {VERSION}, got {head.get('format')!r} version {head.get('version')}")
         if head.get("dataset") != dataset.content_hash:
             raise InputError(
                 f"{path}: expected a result of the data set {dataset.content_hash[:12]} ({dataset.root}), got one of {str(head.get('dataset'))[:12]}"

@@ -5,17 +5,17 @@ from __future__ import annotations
 import contextlib
 import importlib.metadata
 import platform
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-import h5py
 import numpy as np
 
 from sabench import __version__
 from sabench.arrays import F32, U16
 from sabench.dataset import layout
+from sabench.dataset.hdf import created
 from sabench.dataset.images import write_exr, write_tiff
 from sabench.files import canonical_json, complete_or_nothing, sha256
 from sabench.imaging.particle_images import ParticleImages
@@ -31,8 +31,8 @@ _RECORDED = ("mitsuba", "drjit", "numpy", "scipy", "miepython", "h5py", "tifffil
 class DatasetWriter:
     """Takes the frames of one data set; made by `dataset_writer`."""
 
-    def __init__(self, root: Path, truth: Any) -> None:
-        self.root, self._truth = root, truth
+    def __init__(self, root: Path, truth: Any, check: Callable[[], None]) -> None:
+        self.root, self._truth, self._check = root, truth, check
 
     def add_image(self, camera: Camera, frame: int, grey: U16, radiance: F32) -> None:
         """Store one camera's picture of a frame."""
@@ -54,6 +54,8 @@ class DatasetWriter:
         group.create_dataset("photons", data=images.photons)
         group.create_dataset("sigma_px", data=images.sigma_px.astype(np.float32))
         group.create_dataset("visible", data=images.visible.astype(np.uint8))
+        self._truth.flush()
+        self._check()
 
 
 @contextlib.contextmanager
@@ -63,9 +65,9 @@ def dataset_writer(target: Path, name: str, scene: Scene, rig: Rig, seed: int, r
         root.mkdir()
         (root / layout.SCENE).write_text(scene.to_toml(), encoding="utf-8")
         (root / layout.CAMERAS).write_text(canonical_json(_observation(scene, rig)), encoding="utf-8")
-        with h5py.File(root / layout.TRUTH, "w") as truth:
+        with created(root / layout.TRUTH) as (truth, check):
             truth.attrs["format"], truth.attrs["version"] = layout.FORMAT, layout.VERSION
-            yield DatasetWriter(root, truth)
+            yield DatasetWriter(root, truth, check)
         (root / layout.MANIFEST).write_text(_manifest(root, name, scene, seed, renderer), encoding="utf-8")
 
 

@@ -1,0 +1,52 @@
+"""One small data set, rendered by Mitsuba through glass, that all system tests share; and the command as users run it."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import sabench
+from sabench.dataset.read import Dataset
+
+Command = Callable[..., "subprocess.CompletedProcess[str]"]
+ROOT = Path(__file__).resolve().parents[1]
+
+
+@pytest.fixture(scope="session")
+def quick(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
+    """The quick scene, seed 1. Do not change it: copy it."""
+    return sabench.generate("quick", tmp_path_factory.mktemp("data") / "quick", seed=1, backend="mitsuba")
+
+
+@pytest.fixture(scope="session")
+def quick_result(quick: Dataset) -> Path:
+    """The multiplicative synthetic aperture's result on `quick`."""
+    path = quick.root.parent / "msa.h5"
+    sabench.solve("msa", quick, path)
+    return path
+
+
+@pytest.fixture
+def command(tmp_path: Path) -> Command:
+    """Run `sabench ARGUMENTS` in an empty folder, as a user would."""
+
+    def run(*arguments: object, **options: Any) -> subprocess.CompletedProcess[str]:
+        words = [sys.executable, "-m", "sabench", *(str(argument) for argument in arguments)]
+        environment = os.environ | {"PYTHONPATH": str(ROOT)} | options.pop("env", {})
+        settings: dict[str, Any] = {"cwd": tmp_path, "capture_output": True, "text": True, "timeout": 300, "check": False} | options
+        done: subprocess.CompletedProcess[str] = subprocess.run(words, env=environment, **settings)
+        return done
+
+    return run
+
+
+@pytest.fixture
+def quick_toml() -> str:
+    """Text of the quick scene, to be changed."""
+    return (ROOT / "scenes" / "quick.toml").read_text(encoding="utf-8")

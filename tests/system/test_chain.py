@@ -1,0 +1,139 @@
+"""From a scene to a score: the whole chain, its two ends, and what must not change."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import sabench
+from sabench.dataset.layout import image_name
+from sabench.dataset.read import Dataset
+from sabench.dataset.verify import verify
+from sabench.files import sha256
+from sabench.scene import load_scene, parse_scene
+from tests.conftest import Command
+
+
+def test_quick_data_set_is_whole_and_rendered(quick: Dataset) -> None:
+    assert verify(quick.root) == []
+    assert quick.manifest.renderer == "mitsuba"
+    case = quick.observation(0)
+    assert case.images.shape == (4, 240, 320)
+    assert case.images.dtype == np.uint16
+
+
+def test_pictures_show_the_particles_where_the_truth_says(quick: Dataset) -> None:
+    """Bright pixels lie at true positions, and dark ones everywhere else: rendering, projection and axes agree."""
+    case = quick.observation(0)
+    for image, view in zip(case.images, quick.views(0), strict=True):
+        seen = view.pixel[view.visible > 0]
+        bright = np.argwhere(image > case.black_dn + 0.1 * (case.white_dn - case.black_dn))[:, ::-1]
+        distance = np.linalg.norm(bright[:, None] - seen[None], axis=2).min(axis=1)
+        assert len(bright) > 300
+        assert distance.max() < 2.5
+
+
+def test_same_seed_same_bytes_other_seed_other_bytes(quick: Dataset, tmp_path: Path) -> None:
+    again = sabench.generate("quick", tmp_path / "again", seed=1, backend="mitsuba")
+    assert again.manifest == quick.manifest
+    for name in quick.manifest.files:
+        assert sha256(again.root / name) == sha256(quick.root / name)
+    other = sabench.generate("quick", tmp_path / "other", seed=2, backend="splat")
+    assert other.content_hash != quick.content_hash
+
+
+def test_frames_do_not_depend_on_how_many_there_are(tmp_path: Path) -> None:
+    values = load_scene("quick").to_dict()
+    few, many = (sabench.generate(parse_scene(values | {"frames": n}, "s"), tmp_path / str(n), seed=3, backend="splat", name="s") for n in (1, 3))
+    for camera in few.rig.cameras:
+        name = image_name(camera.name, 0, "tif")
+        assert sha256(few.root / name) == sha256(many.root / name)
+    np.testing.assert_array_equal(few.particles(0).position_mm, many.particles(0).position_mm)
+
+
+def test_truth_is_perfect_and_empty_is_the_floor(quick: Dataset) -> None:
+    best = sabench.score(quick, "truth")
+    assert best["q"] == pytest.approx(1.0, abs=1e-12)
+    assert (best["true_percent"], best["ghost_percent"], best["precision"], best["recall"], best["rms_px"]) == (100.0, 0.0, 1.0, 1.0, 0.0)
+    floor = sabench.score(quick, "empty")
+    assert [floor[key] for key in ("q", "true_percent", "ghost_percent", "precision", "recall", "rms_px")] == [0.0, 0.0, 0.0, 0.0, 0.0, None]
+
+
+def test_both_solvers_find_the_particles(quick: Dataset, quick_result: Path, tmp_path: Path) -> None:
+    multiplicative = sabench.score(quick, quick_result)
+    assert multiplicative["q"] > 0.65
+    assert multiplicative["recall"] > 0.95
+    assert multiplicative["precision"] > 0.95
+    assert multiplicative["rms_px"] < 0.4
+    sabench.solve("asa", quick, tmp_path / "asa.h5", parameters={"k": 12.0})
+    additive = sabench.score(quick, tmp_path / "asa.h5")
+    assert 0.5 < additive["q"] < multiplicative["q"]
+
+
+def test_a_solver_without_the_wall_is_lost(quick: Dataset, tmp_path: Path) -> None:
+    """The point of the project: cameras that ignore the glass and the water reconstruct almost nothing."""
+    from dataclasses import replace
+
+    from sabench.dataset.result import result_writer
+    from sabench.solving import make_solver
+
+    case = quick.observation(0)
+    blind = replace(case, cameras=tuple(replace(camera, wall=None) for camera in case.cameras))
+    with result_writer(tmp_path / "blind.h5", quick, "blind", {}) as writer:
+        writer.add(0, make_solver("msa", {}).solve(blind))
+    assert sabench.score(quick, tmp_path / "blind.h5")["recall"] < 0.05
+
+
+def test_auto_renderer_falls_back_where_nothing_runs_mitsuba(command: Command, tmp_path: Path) -> None:
+    broken = {"DRJIT_LIBLLVM_PATH": "/nowhere/libLLVM.so", "SABENCH_BACKEND": "llvm"}
+    done = command("generate", "quick", "-o", tmp_path / "fallback", env=broken)
+    assert done.returncode == 0, done.stderr
+    assert "splat" in done.stdout
+    refused = command("generate", "quick", "-o", tmp_path / "asked", "--backend", "mitsuba", env=broken)
+    assert refused.returncode == 2
+    assert "/nowhere/libLLVM.so" in refused.stderr
+    assert "karellen-llvm-core" in refused.stderr
+
+
+def test_steps_at_the_command_line(command: Command, quick: Dataset, tmp_path: Path) -> None:
+    assert command("verify", quick.root).returncode == 0
+    assert command("solve", "msa", quick.root, "-o", "r.h5", "-p", "k=2.5", "-p", "keep=whole").returncode == 0
+    done = command("score", quick.root, "r.h5", "--json")
+    scores = json.loads(done.stdout)
+    keys = {"dataset", "solver", "parameters", "q", "true_percent", "ghost_percent", "precision", "recall", "rms_px", "seconds", "peak_mb"}
+    assert set(scores) == keys
+    assert scores["dataset"] == quick.content_hash
+    assert scores["parameters"]["k"] == 2.5
+    assert scores["seconds"] > 0
+    assert scores["peak_mb"] > 50
+
+
+def test_suite_makes_records_and_page_and_survives_a_failing_solver(command: Command, tmp_path: Path) -> None:
+    plugin = tmp_path / "mine" / "solvers" / "bad.py"
+    plugin.parent.mkdir(parents=True)
+    plugin.write_text(
+        '"""Fails."""\nimport os\nfrom sabench.api import Observation, Parameters, Reconstruction, Solver\n\n\n'
+        "class BadParameters(Parameters):\n    die: bool = False\n\n\n"
+        'class Bad(Solver):\n    """Raises <b>or</b> dies."""\n\n    name = "bad"\n    Parameters = BadParameters\n\n'
+        "    def solve(self, case: Observation) -> Reconstruction:\n        if self.parameters.die:\n            os.abort()\n"
+        '        raise RuntimeError("no luck <script>")\n'
+    )
+    (tmp_path / "suite.toml").write_text(
+        'title = "t"\nscenes = ["quick"]\nbackend = "splat"\n[[solvers]]\nname = "bad"\n[[solvers]]\nname = "bad"\nparameters = { die = true }\n'
+        '[[solvers]]\nname = "msa"\n'
+    )
+    done = command("run", "suite.toml", "--json", env={"SABENCH_PLUGINS": str(tmp_path / "mine")})
+    assert done.returncode == 1, done.stderr
+    raised, died, good = json.loads(done.stdout)
+    assert "RuntimeError: no luck" in raised["error"]
+    assert "exit code -6" in died["error"]
+    assert good["error"] is None
+    assert good["q"] > 0.6
+    page = (tmp_path / "leaderboard" / "index.html").read_text()
+    assert "no luck &lt;script&gt;" in page
+    assert "no luck <script>" not in page
+    again = command("board")
+    assert again.returncode == 0

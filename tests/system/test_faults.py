@@ -1,0 +1,277 @@
+"""Bad input and faults: one clear sentence, exit code 2, nothing half-written, nothing accepted wrongly."""
+
+from __future__ import annotations
+
+import json
+import os
+import resource
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+
+import sabench
+from sabench.dataset.layout import sealed
+from sabench.dataset.read import Dataset
+from sabench.dataset.verify import verify
+from sabench.errors import InputError
+from sabench.files import complete_or_nothing
+from tests.conftest import ROOT, Command
+
+
+@pytest.fixture
+def copy(quick: Dataset, tmp_path: Path) -> Path:
+    return Path(shutil.copytree(quick.root, tmp_path / "copy"))
+
+
+def check_sentence(done: subprocess.CompletedProcess[str], *words: str) -> None:
+    """Exit code 2, and exactly one line of complaint that holds all the words (progress bars go before it)."""
+    assert done.returncode == 2, (done.stdout, done.stderr)
+    assert "Traceback" not in done.stderr
+    complaint = [line for line in done.stderr.splitlines() if line.startswith("sabench: ")]
+    assert len(complaint) == 1, done.stderr
+    for word in words:
+        assert word in complaint[0]
+
+
+def test_every_single_flipped_bit_is_found(copy: Path) -> None:
+    rng = np.random.default_rng(7)
+    files = sorted(path for path in copy.rglob("*") if path.is_file())
+    assert len(files) == 12
+    for file in files:
+        whole = file.read_bytes()
+        for position in rng.integers(0, len(whole) * 8, 6):
+            damaged = bytearray(whole)
+            damaged[position // 8] ^= 1 << (position % 8)
+            file.write_bytes(damaged)
+            faults = verify(copy)
+            assert any(file.name in fault for fault in faults), (file, position)
+        file.write_bytes(whole)
+    assert verify(copy) == []
+
+
+def test_every_bit_of_the_manifest_counts(copy: Path) -> None:
+    manifest = copy / "manifest.json"
+    whole = manifest.read_bytes()
+    for position in range(0, len(whole) * 8, 97):
+        damaged = bytearray(whole)
+        damaged[position // 8] ^= 1 << (position % 8)
+        manifest.write_bytes(damaged)
+        assert verify(copy), position
+
+
+def test_verify_names_missing_and_foreign_files(copy: Path, command: Command) -> None:
+    (copy / "images/frame_0000/camera_02.exr").unlink()
+    (copy / "notes.txt").write_text("mine")
+    done = command("verify", copy)
+    assert done.returncode == 1
+    assert "camera_02.exr: missing" in done.stdout
+    assert "notes.txt: a file that the manifest does not list" in done.stdout
+
+
+def test_no_path_is_followed_outside(copy: Path, tmp_path: Path) -> None:
+    secret = tmp_path / "secret"
+    shutil.copy(copy / "truth.h5", secret)
+    (copy / "truth.h5").unlink()
+    (copy / "truth.h5").symlink_to(secret)
+    assert any("truth.h5" in fault for fault in verify(copy))
+    manifest = json.loads((copy / "manifest.json").read_text())
+    manifest["files"]["../secret"] = manifest["files"].pop("truth.h5")
+    (copy / "manifest.json").write_text(sealed(manifest))
+    assert any("../secret" in fault for fault in verify(copy))
+
+
+def test_hdf5_link_out_of_the_file_is_refused(quick: Dataset, copy: Path, tmp_path: Path) -> None:
+    with h5py.File(copy / "truth.h5", "r+") as file:
+        del file["frames/0000/position_mm"]
+        file["frames/0000/position_mm"] = h5py.ExternalLink(str(quick.root / "truth.h5"), "/frames/0000/position_mm")
+    with pytest.raises(InputError, match="a link"):
+        sabench.open_dataset(copy).particles(0)
+
+
+def truncate(path: Path) -> None:
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+
+
+def test_missing_and_truncated_images_and_truth(copy: Path, command: Command) -> None:
+    image = copy / "images/frame_0000/camera_01.tif"
+    truncate(image)
+    check_sentence(command("solve", "msa", copy, "-o", "r.h5"), "camera_01.tif")
+    image.unlink()
+    check_sentence(command("solve", "msa", copy, "-o", "r.h5"), "camera_01.tif", "no such file")
+    truncate(copy / "truth.h5")
+    check_sentence(command("score", copy, "truth"), "truth.h5")
+    (copy / "manifest.json").unlink()
+    check_sentence(command("score", copy, "truth"), "manifest.json")
+
+
+Damage = Callable[["h5py.File"], None]
+
+
+def put_nan(file: h5py.File) -> None:
+    file["frames/0000/volume"][3, 5, 7] = np.nan
+
+
+def wrong_shape(file: h5py.File) -> None:
+    del file["frames/0000/volume"]
+    file["frames/0000/volume"] = np.zeros((3, 4, 5), np.float32)
+
+
+def wrong_kind(file: h5py.File) -> None:
+    del file["frames/0000/volume"]
+    file["frames/0000/volume"] = np.zeros((40, 200, 280), np.int32)
+
+
+def other_data_set(file: h5py.File) -> None:
+    file.attrs["dataset"] = "0" * 64
+
+
+def no_frame(file: h5py.File) -> None:
+    del file["frames/0000"]
+
+
+def other_format(file: h5py.File) -> None:
+    file.attrs["version"] = 99
+
+
+@pytest.mark.parametrize(
+    ("damage", "words"),
+    [
+        (put_nan, ("1 that are NaN",)),
+        (wrong_shape, ("expected shape (40, 200, 280)", "(3, 4, 5)")),
+        (wrong_kind, ("int32",)),
+        (other_data_set, ("result of the data set",)),
+        (no_frame, ("frames/0000",)),
+        (other_format, ("version 99",)),
+    ],
+)
+def test_bad_results_are_refused(
+    quick: Dataset, quick_result: Path, tmp_path: Path, command: Command, damage: Damage, words: tuple[str, ...]
+) -> None:
+    bad = tmp_path / "bad.h5"
+    shutil.copy(quick_result, bad)
+    with h5py.File(bad, "r+") as file:
+        damage(file)
+    check_sentence(command("score", quick.root, bad), "bad.h5", *words)
+
+
+def test_truncated_result(quick: Dataset, quick_result: Path, tmp_path: Path, command: Command) -> None:
+    bad = tmp_path / "bad.h5"
+    shutil.copy(quick_result, bad)
+    truncate(bad)
+    check_sentence(command("score", quick.root, bad), "bad.h5")
+    bad.write_bytes(b"not HDF5 at all")
+    check_sentence(command("score", quick.root, bad), "bad.h5")
+    check_sentence(command("score", quick.root, "nowhere.h5"), "nowhere.h5")
+
+
+def test_bad_command_lines(quick: Dataset, command: Command, tmp_path: Path, quick_toml: str) -> None:
+    check_sentence(command("solve", "masa", quick.root, "-o", "r.h5"), "did you mean msa?")
+    check_sentence(command("solve", "msa", quick.root, "-o", "r.h5", "-p", "kk=3"), "kk", "did you mean k?")
+    check_sentence(command("solve", "msa", quick.root, "-o", "r.h5", "-p", "k=lots"), "k", "lots")
+    check_sentence(command("solve", "msa", quick.root, "-o", "r.h5", "-p", "k"), "name=value")
+    check_sentence(command("generate", "quick", "-o", "d", "--backend", "povray"), "auto, mitsuba or splat")
+    check_sentence(command("generate", "quick", "-o", "d", "--seed", "-1"), "seed")
+    check_sentence(command("generate", "quick"), "--output")
+    check_sentence(command("generate", "quick", "-o", quick.root), "exists already")
+    check_sentence(command("run", "quik"), "did you mean quick?")
+    (tmp_path / "typo.toml").write_text(quick_toml.replace("fluid_index", "fluid_indx"))
+    check_sentence(command("generate", "typo.toml", "-o", "d"), "fluid_indx", "did you mean fluid_index?")
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["typo.toml"]
+
+
+def limit_files() -> None:
+    resource.setrlimit(resource.RLIMIT_FSIZE, (60_000, 60_000))
+    signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+
+
+def test_a_disk_that_takes_no_more(quick: Dataset, command: Command, tmp_path: Path) -> None:
+    """A limit on the size of files stands in for a full disk: writes fail in the middle with the system's error."""
+    check_sentence(command("generate", "quick", "-o", "full", "--backend", "splat", preexec_fn=limit_files))
+    check_sentence(command("solve", "msa", quick.root, "-o", "full.h5", "-p", "k=0", preexec_fn=limit_files))
+    assert list(tmp_path.iterdir()) == []
+
+
+def many_frames(quick_toml: str, folder: Path) -> Path:
+    file = folder / "many.toml"
+    file.write_text(quick_toml.replace("frames = 1", "frames = 60"))
+    return file
+
+
+def start(tmp_path: Path, scene: Path, out: Path) -> subprocess.Popen[bytes]:
+    words = [sys.executable, "-m", "sabench", "generate", str(scene), "-o", str(out), "--backend", "splat"]
+    environment = os.environ | {"PYTHONPATH": str(ROOT)}
+    return subprocess.Popen(words, env=environment, cwd=tmp_path, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
+
+
+def wait_for_work(folder: Path) -> None:
+    """Until the first files of a data set are being written."""
+    end = time.monotonic() + 60.0
+    while not any(folder.glob(".*.partial-*/images/*")):
+        assert time.monotonic() < end
+        time.sleep(0.01)
+
+
+def test_kill_at_ten_moments_leaves_nothing_that_verifies(tmp_path: Path, quick_toml: str) -> None:
+    scene, rng = many_frames(quick_toml, tmp_path), np.random.default_rng(3)
+    for number in range(10):
+        folder = tmp_path / str(number)
+        folder.mkdir()
+        with start(tmp_path, scene, folder / "set") as process:
+            if number:  # the first is killed while it starts up
+                wait_for_work(folder)
+            time.sleep(float(rng.uniform(0.0, 0.7)))
+            process.kill()
+        assert process.returncode == -signal.SIGKILL
+        for left in folder.iterdir():
+            assert left.name.startswith(".set.partial-")
+            assert verify(left)
+        with pytest.raises(InputError):
+            verify(folder / "set")
+
+
+def test_ctrl_c_ends_in_a_sentence_and_cleans_up(tmp_path: Path, quick_toml: str) -> None:
+    scene, folder = many_frames(quick_toml, tmp_path), tmp_path / "c"
+    folder.mkdir()
+    with start(tmp_path, scene, folder / "set") as process:
+        wait_for_work(folder)
+        process.send_signal(signal.SIGINT)
+        _, errors = process.communicate(timeout=60)
+    assert process.returncode == 2
+    assert b"Traceback" not in errors
+    assert b"sabench: interrupted" in errors
+    assert list(folder.iterdir()) == []
+
+
+def test_the_next_write_removes_what_a_killed_one_left(tmp_path: Path) -> None:
+    with subprocess.Popen([sys.executable, "-c", ""]) as ended:
+        pass
+    left = tmp_path / f".set.partial-{ended.pid}"
+    left.mkdir()
+    (left / "half").write_text("half")
+    with complete_or_nothing(tmp_path / "set") as path:
+        path.write_text("whole")
+    assert [entry.name for entry in tmp_path.iterdir()] == ["set"]
+
+
+def test_overwriting_keeps_the_old_one_until_the_new_is_whole(tmp_path: Path) -> None:
+    target = tmp_path / "set"
+    target.mkdir()
+    (target / "old").write_text("old")
+
+    def fail() -> None:
+        with complete_or_nothing(target, overwrite=True) as path:
+            path.mkdir()
+            raise InputError("on the way")
+
+    with pytest.raises(InputError, match="on the way"):
+        fail()
+    assert (target / "old").read_text() == "old"
+    assert list(tmp_path.iterdir()) == [target]

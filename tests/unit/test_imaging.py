@@ -1,0 +1,413 @@
+"""From a particle to grey values: Mie's theory, the sheet, the lens, both renderers and the sensor, each against its own law."""
+
+from __future__ import annotations
+
+import math
+import tomllib
+from dataclasses import replace
+from typing import Any
+
+import miepython
+import numpy as np
+import pytest
+
+from sabench.arrays import F64
+from sabench.imaging.light import LIGHT_M_S, PLANCK_J_S, fluence
+from sabench.imaging.particle_images import ParticleImages, image_particles, scattering_table
+from sabench.imaging.pathtrace import render
+from sabench.imaging.scattering import MieTable, mie_table
+from sabench.imaging.sensor import expose, white_level
+from sabench.imaging.splat import splat
+from sabench.optics.camera import Camera, Distortion, aimed_rotation
+from sabench.optics.wall import trace_to_points, transmittance
+from sabench.rig import build_rig
+from sabench.scene import Illumination, Scene, Sensor, find, parse_scene
+from sabench.world import Particles
+
+WAVELENGTH_MM = 532e-6
+
+
+def make_scene(**changes: dict[str, Any] | None) -> Scene:
+    """The quick scene with unequal, small images; each table is updated with the given keys, or left out."""
+    values = tomllib.loads(find("quick", "scenes").read_text(encoding="utf-8"))
+    values["cameras"] |= {"rows": 110, "columns": 170}
+    values["illumination"] |= {"thickness_mm": 30.0, "scattering": "isotropic"}
+    for table, update in changes.items():
+        if update is None:
+            del values[table]
+        else:
+            values[table] |= update
+    return parse_scene(values, "test")
+
+
+def cloud(positions: F64, diameter_mm: float = 0.02) -> Particles:
+    count = len(positions)
+    return Particles(np.arange(count), positions, np.full(count, diameter_mm), np.zeros((count, 3)))
+
+
+# Scattering
+
+
+def over_the_sphere(table: MieTable) -> float:
+    angles = np.append(table.angles_rad[table.angles_rad < np.pi], np.pi)
+    values = np.interp(angles, table.angles_rad, table.per_square_diameter)
+    return float(2.0 * np.pi * np.trapezoid(values * np.sin(angles), angles))
+
+
+@pytest.mark.parametrize("diameter_mm", [1e-4, 1e-3, 5e-3, 2e-2, 5e-2])
+@pytest.mark.parametrize(("index", "fluid"), [(1.59 + 0j, 1.333), (1.33 - 0.02j, 1.0), (1.0 + 0j, 1.333)])
+def test_scattering_adds_up_to_the_cross_section(diameter_mm: float, index: complex, fluid: float) -> None:
+    table = mie_table(np.array([diameter_mm]), index, fluid, 532.0, (0.0, np.pi))
+    efficiency = miepython.efficiencies_mx(index / fluid, np.pi * diameter_mm * fluid / WAVELENGTH_MM)[1]
+    assert over_the_sphere(table) == pytest.approx(efficiency * np.pi / 4.0, rel=1e-3)
+
+
+def test_small_particles_scatter_as_rayleighs() -> None:
+    diameter, m = 2e-6, 1.59 / 1.333
+    table = mie_table(np.array([diameter]), 1.59 + 0j, 1.333, 532.0, (0.0, np.pi))
+    k = 2.0 * np.pi * 1.333 / WAVELENGTH_MM
+    polarisability = (m**2 - 1.0) / (m**2 + 2.0)
+    expected = k**4 * (diameter / 2.0) ** 6 * polarisability**2 * (1.0 + np.cos(table.angles_rad) ** 2) / 2.0
+    np.testing.assert_allclose(table.cross_section(table.angles_rad, np.full(len(expected), diameter)), expected, rtol=2e-3)
+
+
+def test_a_cloud_scatters_as_the_mean_of_its_sizes() -> None:
+    sizes = np.array([0.004, 0.008])
+    both = mie_table(sizes.repeat([120, 40]), 1.59 + 0j, 1.333, 532.0, (1.0, 2.0)).per_square_diameter
+    small, large = (mie_table(sizes[[i]], 1.59 + 0j, 1.333, 532.0, (1.0, 2.0)).per_square_diameter for i in (0, 1))
+    np.testing.assert_allclose(both, 0.75 * small + 0.25 * large, rtol=1e-9)
+
+
+def test_averaging_keeps_straight_lines_and_smooths() -> None:
+    table = mie_table(np.array([0.05]), 1.59 + 0j, 1.333, 532.0, (1.0, 2.0))
+    angles = table.angles_rad
+    line = MieTable(angles, 3.0 - 0.7 * angles).averaged(0.01)
+    inner = slice(60, -60)
+    np.testing.assert_allclose(line.per_square_diameter[inner], (3.0 - 0.7 * angles)[inner], rtol=1e-12)
+    previous = table.per_square_diameter
+    for half_angle in (0.002, 0.004, 0.01):
+        averaged = table.averaged(half_angle).per_square_diameter
+        assert np.abs(np.diff(averaged)).sum() < np.abs(np.diff(previous)).sum()
+        previous = averaged
+    np.testing.assert_array_equal(table.averaged(0.0).per_square_diameter, table.per_square_diameter)
+
+
+def test_averaging_is_the_mean_over_a_round_aperture() -> None:
+    table, half = mie_table(np.array([0.03]), 1.59 + 0j, 1.333, 532.0, (1.2, 1.9)), 0.012
+    points = np.random.default_rng(1).uniform(-1.0, 1.0, (400_000, 2))
+    across = points[np.hypot(*points.T) < 1.0, 0] * half
+    for angle in (1.3, 1.5, 1.75):
+        expected = table.cross_section(angle + across, np.ones_like(across)).mean()
+        found = table.averaged(half).cross_section(np.array([angle]), np.ones(1))[0]
+        assert found == pytest.approx(expected, rel=0.01)
+
+
+# The sheet
+
+
+@pytest.mark.parametrize("profile", ["top-hat", "gaussian"])
+def test_sheet_holds_the_energy_of_its_pulse(profile: str) -> None:
+    light = Illumination(
+        pulse_energy_mj=3.0, thickness_mm=2.0, height_mm=40.0, direction=(1.0, 0.0, 0.0), sheet_normal=(0.0, 3.0, 4.0), profile=profile  # type: ignore[arg-type]
+    )
+    across = np.linspace(-6.0, 6.0, 24_001)
+    center = np.array([1.0, -2.0, 30.0])
+    positions = center + across[:, None] * [0.0, 0.6, 0.8] + [7.0, 0.0, 0.0]
+    photons = np.trapezoid(fluence(light, center, positions), across) * 40.0
+    assert photons * PLANCK_J_S * LIGHT_M_S / 532e-9 * 1e3 == pytest.approx(3.0, rel=1e-3)
+
+
+def test_gaussian_sheet_falls_to_e_minus_2_at_half_its_width() -> None:
+    light = Illumination(pulse_energy_mj=3.0, thickness_mm=2.0, height_mm=40.0, profile="gaussian")
+    values = fluence(light, np.zeros(3), np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 1.0], [9.0, 9.0, -1.0]]))
+    np.testing.assert_allclose(values[1:] / values[0], math.exp(-2.0), rtol=1e-12)
+
+
+# The lens
+
+
+def solid_angle_of(a: F64, b: F64, c: F64) -> F64:
+    """Van Oosterom and Strackee's triangle of unit vectors (n, 3)."""
+    triple = np.abs(np.einsum("ij,ij->i", a, np.cross(b, c)))
+    pairs = sum(np.einsum("ij,ij->i", p, q) for p, q in ((a, b), (b, c), (c, a)))
+    return np.asarray(2.0 * np.arctan2(triple, 1.0 + pairs))
+
+
+def caught_light(camera: Camera, points: F64, rings: int = 6, sectors: int = 24) -> F64:
+    """Solid angle of the pupil at each point, weighted with the wall's transmission: the pupil cut into small cells, each traced by itself."""
+
+    def paths(radius: float, turn: float) -> tuple[F64, F64]:
+        moved = camera.shifted(radius * math.cos(turn), radius * math.sin(turn))
+        found = trace_to_points(camera.wall, np.asarray(moved.center_mm), points)
+        return found.arriving, transmittance(camera.wall, found.leaving)
+
+    radii = np.linspace(0.0, camera.aperture_radius_mm, rings + 1)
+    turns = np.linspace(0.0, 2.0 * np.pi, sectors + 1)
+    total = np.zeros(len(points))
+    for inner, outer in zip(radii[:-1], radii[1:], strict=True):
+        for first, last in zip(turns[:-1], turns[1:], strict=True):
+            a, b, c, d = (paths(r, t)[0] for r, t in ((inner, first), (outer, first), (outer, last), (inner, last)))
+            passed = paths((inner + outer) / 2.0, (first + last) / 2.0)[1]
+            total += passed * (solid_angle_of(a, b, c) + solid_angle_of(a, c, d))
+    return total * (2.0 * np.pi / sectors) / math.sin(2.0 * np.pi / sectors)  # chords leave out a share of the disc
+
+
+TILT = {"normal": [0.3, -0.2, 1.0], "layers": [{"name": "glass", "index": 1.52, "thickness_mm": 5.0}, {"name": "gel", "index": 1.4, "thickness_mm": 3.0}]}
+VARIANTS: dict[str, dict[str, dict[str, Any] | None]] = {
+    "flat": {},
+    "tilted": {"wall": TILT},
+    "distorted": {"cameras": {"distortion": {"k1": -60.0, "k2": 2000.0, "p1": 0.3, "p2": -0.2, "k3": 0.0}}},
+    "air": {"wall": None},
+    "wide-open": {"cameras": {"f_number": 2.0}},
+}
+
+
+@pytest.mark.parametrize("variant", VARIANTS)
+def test_photons_are_those_that_a_round_aperture_catches(variant: str) -> None:
+    scene = make_scene(**VARIANTS[variant])
+    particles = cloud(np.random.default_rng(2).uniform([-6.0, -4.0, 26.0], [6.0, 4.0, 34.0], (5, 3)))
+    for camera in build_rig(scene).cameras[::3]:
+        images = image_particles(scene, camera, particles, None)
+        np.testing.assert_allclose(images.photons, images.intensity * caught_light(camera, particles.position_mm), rtol=0.01)
+
+
+def test_isotropic_particles_scatter_what_falls_on_them() -> None:
+    scene, diameter = make_scene(), 0.03
+    images = image_particles(scene, build_rig(scene).cameras[0], cloud(np.array([[1.0, 2.0, 30.0]]), diameter), None)
+    fallen = 20.0 / (PLANCK_J_S * LIGHT_M_S / 532e-9 * 1e3) / (30.0 * 20.0) * np.pi * diameter**2 / 4.0
+    assert images.intensity[0] * 4.0 * np.pi == pytest.approx(fallen, rel=1e-12)
+
+
+@pytest.mark.parametrize("f_number", [4.0, 16.0])
+def test_mie_intensity_is_the_mean_over_the_lens(f_number: float) -> None:
+    """Every point of the lens asks Mie's theory at its own angle; the mean is what the table must give at the lens's centre."""
+    scene, diameter = make_scene(illumination={"scattering": "mie"}, cameras={"f_number": f_number}), 0.02
+    rig, particles = build_rig(scene), cloud(np.array([[0.5, -0.4, 30.5]]), diameter)
+    table = scattering_table(scene, rig.cameras, particles)
+    disc = np.random.default_rng(7).uniform(-1.0, 1.0, (1500, 2))
+    disc = disc[np.hypot(*disc.T) < 1.0]
+    light = fluence(scene.illumination, np.array([0.0, 0.0, 30.0]), particles.position_mm)[0]
+    for camera in rig.cameras:
+        angles = []
+        for right, down in disc * camera.aperture_radius_mm:
+            moved = camera.shifted(right, down)
+            arriving = trace_to_points(moved.wall, np.asarray(moved.center_mm), particles.position_mm).arriving[0]
+            angles.append(math.acos(-arriving[0]))  # the laser runs along +X, the light towards the camera
+        amplitudes = miepython.S1_S2(1.59 / 1.333, np.pi * 1.333 * diameter / WAVELENGTH_MM, np.cos(angles), norm="wiscombe")
+        raw = sum(np.abs(a) ** 2 for a in amplitudes) / (2.0 * (2.0 * np.pi * 1.333 / WAVELENGTH_MM) ** 2)
+        found = image_particles(scene, camera, particles, table).intensity[0]
+        assert found == pytest.approx(raw.mean() * light, rel=0.02)
+
+
+@pytest.mark.parametrize("z_mm", [-200.0, 0.0, 100.0, 400.0, 1500.0])
+def test_width_in_air_is_that_of_the_thin_lens(z_mm: float) -> None:
+    f, number, distance, pitch, diameter = 85.0, 4.0, 103.0, 0.01, 0.05
+    camera = Camera(
+        name="camera_00", rows=90, columns=120, center_mm=(0.0, 0.0, -400.0), rotation=aimed_rotation(np.array([0.0, 0.0, 1.0])),
+        principal_distance_mm=distance, pixel_mm=pitch, principal_point_px=(59.5, 44.5), distortion=Distortion(), focal_length_mm=f, f_number=number,
+    )  # fmt: skip
+    light = make_scene(wall=None, illumination={"thickness_mm": 1e4})
+    sigma = image_particles(light, camera, cloud(np.array([[0.0, 0.0, z_mm]]), diameter), None).sigma_px[0]
+    far = z_mm + 400.0
+    image_at = 1.0 / (1.0 / f - 1.0 / far)  # where the point is sharp
+    blur = f / number * abs(image_at - distance) / image_at
+    airy = 2.44 * (distance / f) * number * WAVELENGTH_MM  # (1 + M) N lambda with 1 + M = v / f
+    expected = math.sqrt((diameter * distance / far / 4.0) ** 2 + airy**2 / (8 * 3.67) + (blur / 4.0) ** 2)
+    assert sigma * pitch == pytest.approx(expected, rel=2e-4)
+
+
+def test_shape_moves_the_image_by_its_width() -> None:
+    scene = make_scene(wall=TILT)
+    camera = build_rig(scene).cameras[1]
+    particles = cloud(np.random.default_rng(3).uniform([-1.5, -1.0, 28.0], [1.5, 1.0, 32.0], (20, 3)))
+    images = image_particles(scene, camera, particles, None)
+    for axis in (0, 1):
+        step = 1e-2 * images.shape_mm[:, axis]
+        moved = camera.project(particles.position_mm + step)[0] - camera.project(particles.position_mm - step)[0]
+        np.testing.assert_allclose(moved / 2e-2, images.sigma_px[:, None] * np.eye(2)[axis], rtol=0, atol=1e-5)
+        np.testing.assert_allclose(np.einsum("ij,ij->i", images.shape_mm[:, axis], images.direction), 0.0, atol=1e-12)
+
+
+@pytest.mark.parametrize("forward", [(0.0, 1.0, 0.0), (0.0, -1.0, 0.0), (1.0, 0.0, 0.0), (0.0, 0.0, -1.0)])
+def test_width_does_not_depend_on_where_the_world_points(forward: tuple[float, float, float]) -> None:
+    scene = make_scene(wall=None, illumination={"thickness_mm": 1e4})
+    camera = replace(build_rig(scene).cameras[0], center_mm=(0.0, 0.0, 0.0), rotation=aimed_rotation(np.array(forward)))
+    upright = replace(camera, rotation=aimed_rotation(np.array([0.0, 0.0, 1.0])))
+    turned, plain = (image_particles(scene, c, cloud(540.0 * np.asarray(c.rotation)[2:]), None) for c in (camera, upright))
+    assert turned.sigma_px[0] == pytest.approx(plain.sigma_px[0], rel=1e-9)
+    assert np.isfinite(turned.shape_mm).all()
+
+
+# Splatting
+
+
+def spots(pixels: F64, photons: F64, sigma: F64) -> ParticleImages:
+    count = len(pixels)
+    zero = np.zeros((count, 3))
+    return ParticleImages(pixels, photons, sigma, np.zeros(count), zero, np.zeros((count, 2, 3)), np.ones(count, dtype=np.bool_))
+
+
+SMALL = Camera(
+    name="camera_00", rows=40, columns=60, center_mm=(0.0, 0.0, 0.0), rotation=aimed_rotation(np.array([0.0, 0.0, 1.0])), principal_distance_mm=50.0,
+    pixel_mm=0.01, principal_point_px=(29.5, 19.5), distortion=Distortion(), focal_length_mm=50.0, f_number=8.0,
+)  # fmt: skip
+
+
+def centre_of_rounded(place: F64, sigma: float) -> F64:
+    """Mean of a normal variable rounded to whole numbers, by the Fourier series of the saw tooth: narrow images are drawn to their pixel's centre."""
+    k = np.arange(1, 30)[:, None]
+    return place - np.sum((-1.0) ** (k + 1) * np.sin(2 * np.pi * k * place) * np.exp(-2 * (np.pi * k * sigma) ** 2) / (np.pi * k), axis=0)
+
+
+@pytest.mark.parametrize("sigma", [0.15, 0.5, 1.0, 2.3])
+def test_splat_keeps_light_and_place(sigma: float) -> None:
+    for place in np.random.default_rng(4).uniform([15.0, 15.0], [45.0, 25.0], (20, 2)):
+        image = splat(SMALL, spots(place[None], np.array([1000.0]), np.array([sigma])))
+        assert image.sum() == pytest.approx(1000.0, rel=2e-5)
+        centroid = [(image.sum(axis=0) @ np.arange(60)) / image.sum(), (image.sum(axis=1) @ np.arange(40)) / image.sum()]
+        np.testing.assert_allclose(centroid, centre_of_rounded(place, sigma), rtol=0, atol=1e-4)
+        if sigma >= 1.0:
+            np.testing.assert_allclose(centroid, place, rtol=0, atol=1e-4)
+
+
+def test_splat_pixel_is_the_integral_of_a_gaussian_over_it() -> None:
+    place, sigma = np.array([20.37, 11.81]), 0.8
+    image = splat(SMALL, spots(place[None], np.array([500.0]), np.array([sigma])))
+    fine = (np.arange(200) + 0.5) / 200 - 0.5
+    for row, column in ((12, 20), (11, 22), (10, 19)):
+        x, y = np.meshgrid(column + fine, row + fine)
+        value = np.mean(np.exp(-((x - place[0]) ** 2 + (y - place[1]) ** 2) / (2 * sigma**2))) * 500.0 / (2 * np.pi * sigma**2)
+        assert image[row, column] == pytest.approx(value, rel=1e-5)
+
+
+def test_splat_moves_with_its_particle() -> None:
+    sigma, photons = np.array([0.7]), np.array([300.0])
+    first = splat(SMALL, spots(np.array([[20.3, 14.6]]), photons, sigma))
+    moved = splat(SMALL, spots(np.array([[27.3, 18.6]]), photons, sigma))
+    np.testing.assert_allclose(moved[8:36, 12:50], first[4:32, 5:43], rtol=0, atol=1e-9)
+    mirrored = splat(SMALL, spots(np.array([[59.0 - 20.3, 39.0 - 14.6]]), photons, sigma))
+    np.testing.assert_allclose(mirrored[::-1, ::-1], first, rtol=0, atol=1e-9)
+
+
+def test_splat_is_additive_and_cut_at_the_border() -> None:
+    rng = np.random.default_rng(5)
+    places, photons, sigma = rng.uniform(-6.0, 66.0, (400, 2)), rng.uniform(0.0, 9.0, 400), rng.uniform(0.3, 2.0, 400)
+    whole = splat(SMALL, spots(places, photons, sigma))
+    parts = [splat(SMALL, spots(places[i::3], photons[i::3], sigma[i::3])) for i in range(3)]
+    np.testing.assert_allclose(sum(parts), whole, rtol=0, atol=1e-9)
+    larger = splat(replace(SMALL, rows=80, columns=110), spots(places + [20.0, 30.0], photons, sigma))
+    np.testing.assert_allclose(whole, larger[30:70, 20:80], rtol=0, atol=1e-9)
+
+
+def test_splat_of_nothing_is_dark() -> None:
+    nowhere = spots(np.array([[math.nan, math.nan], [500.0, 3.0]]), np.array([0.0, 9.0]), np.array([math.nan, 0.5]))
+    assert not splat(SMALL, nowhere).any()
+    assert not splat(SMALL, spots(np.empty((0, 2)), np.empty(0), np.empty(0))).any()
+
+
+def test_brightest_pixel_is_where_the_particle_projects() -> None:
+    camera = replace(SMALL, principal_point_px=(0.0, 0.0))
+    image = splat(camera, spots(camera.project([[0.0, 0.0, 100.0]])[0], np.array([100.0]), np.array([0.5])))
+    assert np.unravel_index(image.argmax(), image.shape) == (0, 0)
+
+
+# Mitsuba against splatting
+
+
+def isolated(camera: Camera, depth_mm: tuple[float, float], pitch: int, seed: int) -> tuple[F64, F64]:
+    """Particles behind the wall whose images lie on a jittered lattice, and the lattice's nearest pixels (column, row)."""
+    rng = np.random.default_rng(seed)
+    column, row = np.meshgrid(np.arange(pitch, camera.columns - pitch, pitch), np.arange(pitch, camera.rows - pitch, pitch))
+    pixels = np.column_stack([column.ravel(), row.ravel()])
+    rays = camera.back_project(pixels + rng.uniform(-1.0, 1.0, pixels.shape))
+    z = rng.uniform(*depth_mm, len(pixels))
+    return rays.origins_mm + rays.directions * ((z - rays.origins_mm[:, 2]) / rays.directions[:, 2])[:, None], pixels
+
+
+def moments(image: F64, pixels: F64, half: int) -> tuple[F64, F64]:
+    """Light and centroid offset (n, 2) in windows around pixels (column, row)."""
+    offset = np.arange(-half, half + 1)
+    windows = image[pixels[:, 1, None, None] + offset[:, None], pixels[:, 0, None, None] + offset]
+    light = windows.sum(axis=(1, 2))
+    return light, np.stack([windows.sum(axis=1) @ offset, windows.sum(axis=2) @ offset], axis=1) / light[:, None]
+
+
+@pytest.mark.parametrize("number", [0, 3])
+@pytest.mark.parametrize("variant", VARIANTS)
+def test_rays_and_formulas_make_the_same_picture(variant: str, number: int) -> None:
+    scene = make_scene(**VARIANTS[variant])
+    camera = build_rig(scene).cameras[number]
+    positions, pixels = isolated(camera, (27.0, 33.0) if variant != "wide-open" else (29.5, 30.5), 13, number)
+    images = image_particles(scene, camera, cloud(positions), None)
+    traced = moments(render(camera, images, positions, 16) * camera.etendue(), pixels, 6)
+    formula = moments(splat(camera, images), pixels, 6)
+    assert len(positions) >= 70
+    shift = traced[1] - formula[1]
+    assert np.abs(shift.mean(axis=0)).max() < 0.01
+    assert np.abs(shift).max() < 0.02
+    np.testing.assert_allclose(traced[0], formula[0], rtol=0.02)
+    assert traced[0].sum() == pytest.approx(formula[0].sum(), rel=5e-3)
+
+
+def test_render_of_nothing_is_dark() -> None:
+    scene = make_scene()
+    camera = build_rig(scene).cameras[0]
+    empty = cloud(np.empty((0, 3)))
+    picture = render(camera, image_particles(scene, camera, empty, None), empty.position_mm, 4)
+    assert picture.shape == (110, 170)
+    assert not picture.any()
+
+
+def test_the_same_render_twice_gives_the_same_bytes() -> None:
+    scene = make_scene()
+    camera = build_rig(scene).cameras[2]
+    positions = isolated(camera, (27.0, 33.0), 20, 1)[0]
+    images = image_particles(scene, camera, cloud(positions), None)
+    np.testing.assert_array_equal(render(camera, images, positions, 4), render(camera, images, positions, 4))
+
+
+# The sensor
+
+
+def test_photon_transfer() -> None:
+    """EMVA 1288: mean = black + K mu_e and variance = K^2 (mu_e + read^2) + 1/12 of the rounding."""
+    sensor = Sensor(
+        quantum_efficiency=0.5, dark_current_e_s=2000.0, exposure_s=5e-3, read_noise_e=4.0, full_well_e=5e4, gain_dn_e=0.8, black_level_dn=100.0, bit_depth=16
+    )
+    rng = np.random.default_rng(6)
+    for photons in (0.0, 300.0, 4000.0):
+        grey = expose(sensor, np.full((300, 500), photons), rng).astype(np.float64)
+        electrons = 0.5 * photons + 10.0
+        variance = 0.8**2 * (electrons + 16.0) + 1.0 / 12.0
+        assert grey.mean() == pytest.approx(100.0 + 0.8 * electrons, abs=5.0 * math.sqrt(variance / grey.size))
+        assert grey.var() == pytest.approx(variance, rel=5.0 * math.sqrt(2.0 / grey.size))
+
+
+def test_a_full_well_and_the_converter_limit_the_grey_value() -> None:
+    photons = np.full((3, 5), 1e7)
+    well = Sensor(full_well_e=1000.0, gain_dn_e=0.5, black_level_dn=20.0, bit_depth=12)
+    converter = Sensor(full_well_e=1e6, gain_dn_e=0.5, black_level_dn=20.0, bit_depth=8)
+    for sensor, top in ((well, 520), (converter, 255)):
+        assert white_level(sensor) == top
+        assert (expose(sensor, photons, np.random.default_rng(0)) == top).all()
+
+
+def test_without_noise_the_grey_value_is_rounded() -> None:
+    sensor = Sensor(shot_noise=False, quantum_efficiency=0.5, gain_dn_e=0.25, black_level_dn=10.0, full_well_e=400.0, bit_depth=10)
+    photons = np.array([[0.0, 7.0, 9.0], [20.0, 100.0, 1e6]])
+    np.testing.assert_array_equal(expose(sensor, photons, np.random.default_rng(0)), [[10, 11, 11], [12, 22, 110]])
+    np.testing.assert_array_equal(expose(sensor, photons, np.random.default_rng(1)), expose(sensor, photons, np.random.default_rng(2)))
+
+
+def test_noise_is_that_of_its_generator() -> None:
+    sensor, photons = Sensor(read_noise_e=3.0), np.full((20, 30), 500.0)
+    first, again, other = (expose(sensor, photons, np.random.default_rng(seed)) for seed in (1, 1, 2))
+    np.testing.assert_array_equal(first, again)
+    assert (first != other).any()
+    assert first.dtype == np.uint16
+
+
+def test_read_noise_never_goes_below_zero() -> None:
+    grey = expose(Sensor(read_noise_e=50.0, black_level_dn=0.0), np.zeros((40, 60)), np.random.default_rng(3))
+    assert grey.min() == 0
+    assert 0.4 < (grey == 0).mean() < 0.6
