@@ -31,7 +31,7 @@ def make_scene(**changes: dict[str, Any] | None) -> Scene:
     """The quick scene with unequal, small images; each table is updated with the given keys, or left out."""
     values = tomllib.loads(find("quick", "scenes").read_text(encoding="utf-8"))
     values["cameras"] |= {"rows": 110, "columns": 170}
-    values["illumination"] |= {"thickness_mm": 30.0, "scattering": "isotropic"}
+    values["illumination"] |= {"pulse_energy_mj": 20.0, "thickness_mm": 30.0, "height_mm": 20.0, "scattering": "isotropic"}
     for table, update in changes.items():
         if update is None:
             del values[table]

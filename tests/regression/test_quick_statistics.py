@@ -1,0 +1,30 @@
+"""The quick scene's figures, as they were when they were last looked at: a change must be meant, and said in the CHANGELOG."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+import sabench
+from sabench.dataset.read import Dataset
+
+GOLDEN = Path(__file__).with_name("quick_statistics.json")
+
+
+def measure(dataset: Dataset, result: Path) -> dict[str, float]:
+    """Radiance (noise-free), grey values and scores."""
+    figures: dict[str, float] = {}
+    for camera, radiance, grey in zip(dataset.rig.cameras, dataset.radiance(0), dataset.observation(0).images, strict=True):
+        figures |= {f"{camera.name} radiance": float(radiance.mean(dtype=np.float64)), f"{camera.name} grey": float(grey.mean())}
+    scores = sabench.score(dataset, result)
+    return figures | {key: float(scores[key]) for key in ("q", "precision", "recall", "rms_px")}
+
+
+def test_statistics_are_as_recorded(quick: Dataset, quick_result: Path, request: pytest.FixtureRequest) -> None:
+    """Other processors round single precision otherwise; 1e-3 covers that and no change of the model."""
+    figures = measure(quick, quick_result)
+    if request.config.getoption("--update-golden"):
+        GOLDEN.write_text(json.dumps(figures, indent=1) + "\n", encoding="utf-8")
+    assert figures == pytest.approx(json.loads(GOLDEN.read_text(encoding="utf-8")), rel=1e-3)

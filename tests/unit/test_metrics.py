@@ -1,0 +1,249 @@
+"""Quality and detection: laws that hold for any input, cases that can be counted on paper, and slow counts of the same rules."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from sabench.arrays import F32, F64, Bool
+from sabench.metrics.detection import Counts, count_challenge, count_thesis, detect
+from sabench.metrics.quality import quality
+
+SHAPE = (3, 4, 5)
+volumes = arrays(np.float32, SHAPE, elements=st.floats(0.0, 1000.0, width=32))
+
+
+def random_volume(seed: int) -> F32:
+    return np.random.default_rng(seed).exponential(size=(6, 7, 9)).astype(np.float32)
+
+
+# Quality
+
+
+def test_quality_is_one_for_any_scale_of_the_truth() -> None:
+    volume = random_volume(1)
+    for scale in (1.0, 1e-6, 3.7, 1e6):
+        assert quality(np.float32(scale) * volume, volume) == pytest.approx(1.0, abs=1e-7)
+
+
+def test_quality_of_nothing_is_zero() -> None:
+    volume, empty = random_volume(2), np.zeros((6, 7, 9), dtype=np.float32)
+    assert quality(empty, volume) == quality(volume, empty) == quality(empty, empty) == 0.0
+
+
+def test_quality_of_volumes_without_common_voxels_is_zero() -> None:
+    even = random_volume(3)
+    even[::2] = 0.0
+    odd = random_volume(4)
+    odd[1::2] = 0.0
+    assert quality(even, odd) == 0.0
+
+
+def test_quality_is_the_cosine_between_the_volumes() -> None:
+    a, b = random_volume(5), random_volume(6)
+    flat_a, flat_b = a.astype(np.float64).ravel(), b.astype(np.float64).ravel()
+    expected = flat_a @ flat_b / np.linalg.norm(flat_a) / np.linalg.norm(flat_b)
+    assert quality(a, b) == pytest.approx(expected, rel=1e-12)
+    assert quality(a.transpose(2, 0, 1), b.transpose(2, 0, 1)) == pytest.approx(expected, rel=1e-12)
+
+
+@settings(max_examples=60, deadline=None, derandomize=True)
+@given(volumes, volumes)
+def test_quality_is_symmetric_and_bounded(a: F32, b: F32) -> None:
+    value = quality(a, b)
+    assert value == quality(b, a)
+    assert 0.0 <= value <= 1.0 + 1e-12
+
+
+@settings(max_examples=60, deadline=None, derandomize=True)
+@given(volumes, volumes)
+def test_quality_falls_with_what_is_added_elsewhere(a: F32, b: F32) -> None:
+    """Light where the truth has none can only lower Q: by the share of the energy that it adds."""
+    truth, ghosts = a.copy(), b.copy()
+    truth[1:], ghosts[:1] = 0.0, 0.0
+    with_ghosts = quality(truth + ghosts, truth)
+    energy, added = (float(np.sum(v.astype(np.float64) ** 2)) for v in (truth, ghosts))
+    expected = math.sqrt(energy / (energy + added)) if energy > 0.0 else 0.0
+    assert with_ghosts == pytest.approx(expected, rel=1e-6)
+
+
+def test_quality_of_unequal_shapes_is_refused() -> None:
+    with pytest.raises(ValueError, match=r"expected two volumes of one shape, got \(6, 7, 9\) and \(7, 6, 9\)"):
+        quality(random_volume(7), random_volume(8).transpose(1, 0, 2))
+
+
+# Particles in a volume
+
+
+def test_detect_finds_centroids_of_separate_blobs() -> None:
+    volume = np.zeros((9, 11, 14), dtype=np.float32)
+    places = np.array([[3.0, 2.0, 4.0], [10.2, 7.6, 4.3], [3.4, 8.0, 6.0]])
+    z, y, x = np.mgrid[0:9, 0:11, 0:14]
+    for place in places:
+        squared = (x - place[0]) ** 2 + (y - place[1]) ** 2 + (z - place[2]) ** 2
+        volume += np.where(squared < 8.0, np.exp(-squared / 1.0), 0.0).astype(np.float32)
+    found = detect(volume)
+    assert len(found) == 3
+    order = [int(np.argmin(np.linalg.norm(found - place, axis=1))) for place in places]
+    np.testing.assert_allclose(found[order], places, rtol=0, atol=0.05)
+
+
+def test_detect_joins_voxels_that_touch_at_a_corner() -> None:
+    volume = np.zeros((5, 6, 7), dtype=np.float32)
+    volume[1, 1, 1], volume[2, 2, 2], volume[4, 5, 6] = 2.0, 6.0, 3.0
+    volume[0, 5, 0] = 1e-3  # the smallest 10 % are left out
+    found = detect(volume)
+    np.testing.assert_allclose(found, [[1.75, 1.75, 1.75], [6.0, 5.0, 4.0]])
+
+
+def test_detect_leaves_out_the_faintest_tenth() -> None:
+    volume = np.zeros((3, 5, 41), dtype=np.float32)
+    volume[1, 2, ::2] = np.arange(1.0, 22.0)  # 21 lit voxels, none of which touch: two are below the tenth part
+    found = detect(volume)
+    assert found[:, 0].min() >= 4.0
+    assert 18 <= len(found) <= 19
+
+
+@pytest.mark.parametrize("value", [1.0, 0.3, 7.5])
+def test_detect_finds_particles_of_equal_brightness(value: float) -> None:
+    """A solver may return a volume of zeros and ones; a single bright voxel is one particle."""
+    volume = np.zeros((5, 6, 7), dtype=np.float32)
+    volume[1, 2, 3] = value
+    np.testing.assert_allclose(detect(volume), [[3.0, 2.0, 1.0]])
+    volume[4, 5, 6] = value
+    np.testing.assert_allclose(detect(volume), [[3.0, 2.0, 1.0], [6.0, 5.0, 4.0]])
+
+
+def test_detect_finds_nothing_in_the_dark() -> None:
+    assert detect(np.zeros((4, 5, 6), dtype=np.float32)).shape == (0, 3)
+
+
+# Counting
+
+
+def everything(points: F64) -> Bool:
+    return np.ones(len(points), dtype=np.bool_)
+
+
+def thesis(detections: F64, truths: F64) -> Counts:
+    return count_thesis(detections, truths, everything(detections), everything(truths))
+
+
+def challenge(detections: F64, truths: F64) -> Counts:
+    return count_challenge(detections, truths, everything(detections), everything(truths))
+
+
+def points(*rows: tuple[float, float, float]) -> F64:
+    return np.array(rows, dtype=np.float64).reshape(-1, 3)
+
+
+TRUTH = points((10.0, 20.0, 30.0))
+
+
+@pytest.mark.parametrize("count", [thesis, challenge])
+def test_the_truth_itself_is_perfect(count) -> None:  # type: ignore[no-untyped-def]
+    truths = np.random.default_rng(1).uniform(0.0, 50.0, (80, 3))
+    counts = count(truths[np.random.default_rng(2).permutation(80)], truths)
+    assert (counts.recall, counts.precision, counts.ghost_percent, counts.rms) == (1.0, 1.0, 0.0, 0.0)
+
+
+@pytest.mark.parametrize("count", [thesis, challenge])
+def test_nothing_found_and_nothing_there(count) -> None:  # type: ignore[no-untyped-def]
+    nothing = np.empty((0, 3))
+    assert count(nothing, TRUTH) == Counts(1, 0, 0, None)
+    assert count(TRUTH, nothing) == Counts(0, 1, 0, None)
+    assert count(nothing, nothing) == Counts(0, 0, 0, None)
+    assert count(TRUTH, nothing).ghost_percent is None
+    assert count(nothing, nothing).ghost_percent == 0.0
+
+
+@pytest.mark.parametrize("offset", [(1.5, 0.0, 0.0), (0.0, -1.5, 0.0), (0.9, 0.0, 1.2), (0.0, 0.0, 0.0)])
+def test_thesis_radius_includes_its_border(offset: tuple[float, float, float]) -> None:
+    counts = thesis(points(offset), points((0.0, 0.0, 0.0)))
+    assert counts.matched == 1
+    assert counts.rms == pytest.approx(math.hypot(*offset))
+
+
+@pytest.mark.parametrize("offset", [(math.nextafter(1.5, 2.0), 0.0, 0.0), (1.0, 1.0, 0.6), (0.0, 0.0, -1.51)])
+def test_thesis_radius_is_euclidean(offset: tuple[float, float, float]) -> None:
+    assert thesis(points(offset), points((0.0, 0.0, 0.0))).matched == 0
+
+
+def test_challenge_radius_excludes_its_border_and_takes_the_largest_component() -> None:
+    origin = points((0.0, 0.0, 0.0))
+    assert challenge(points((0.99, -0.99, 0.99)), origin).matched == 1  # 1.71 voxels away
+    assert challenge(points((math.nextafter(1.0, 0.0), 0.0, 0.0)), origin).matched == 1
+    for offset in ((1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.2, 0.1, 1.2)):
+        assert challenge(points(offset), origin).matched == 0
+
+
+@pytest.mark.parametrize("count", [thesis, challenge])
+def test_duplicates_are_ghosts(count) -> None:  # type: ignore[no-untyped-def]
+    counts = count(np.vstack([TRUTH + 0.3, TRUTH - 0.1, TRUTH + 0.2, TRUTH + 9.0]), TRUTH)
+    assert (counts.truths, counts.detections, counts.matched) == (1, 4, 1)
+    assert counts.ghost_percent == 300.0
+    assert counts.precision == 0.25
+    assert counts.rms == pytest.approx(0.1 * math.sqrt(3.0))  # the nearest of the three
+
+
+def test_only_the_challenge_gives_the_second_truth_to_the_second_detection() -> None:
+    truths = points((0.0, 0.0, 0.0), (0.8, 0.0, 0.0))
+    detections = points((0.1, 0.0, 0.0), (-0.1, 0.0, 0.0))
+    assert thesis(detections, truths).matched == 1  # both lie nearest to the first truth
+    assert challenge(detections, truths).matched == 2
+
+
+@pytest.mark.parametrize("count", [count_thesis, count_challenge])
+def test_a_pair_counts_where_its_truth_lies(count) -> None:  # type: ignore[no-untyped-def]
+    inside, outside = points((5.0, 5.0, 5.0)), points((9.4, 5.0, 5.0))
+    near_inside, near_outside = points((5.4, 5.0, 5.0)), points((9.0, 5.0, 5.0))
+    yes, no = np.array([True]), np.array([False])
+    assert count(near_inside, inside, no, yes) == Counts(1, 1, 1, pytest.approx(0.4))  # the detection has slipped over the border
+    assert count(near_outside, outside, yes, no) == Counts(0, 0, 0, None)
+    assert count(near_outside, inside, yes, yes) == Counts(1, 1, 0, None)
+    assert count(near_outside, inside, no, yes) == Counts(1, 0, 0, None)
+
+
+def slow_thesis(detections: F64, truths: F64) -> list[tuple[int, int]]:
+    """(detection, truth) pairs: for each truth the nearest of the detections that lie within 1.5 voxels and nearest to it."""
+    pairs = []
+    distance = [[math.dist(d, t) for t in truths] for d in detections]
+    for j in range(len(truths)):
+        mine = [(row[j], i) for i, row in enumerate(distance) if row[j] <= 1.5 and row[j] == min(row)]
+        pairs += [(min(mine)[1], j)] if mine else []
+    return pairs
+
+
+def slow_challenge(detections: F64, truths: F64) -> list[tuple[int, int]]:
+    """The closest pair of what is left, again and again."""
+    pairs: list[tuple[int, int]] = []
+    near = [
+        (math.dist(d, t), i, j) for i, d in enumerate(detections) for j, t in enumerate(truths) if max(abs(a - b) for a, b in zip(d, t, strict=True)) < 1.0
+    ]
+    while near:
+        _, i, j = min(near)
+        pairs.append((i, j))
+        near = [pair for pair in near if pair[1] != i and pair[2] != j]
+    return pairs
+
+
+@pytest.mark.parametrize(("count", "slow"), [(count_thesis, slow_thesis), (count_challenge, slow_challenge)])
+@pytest.mark.parametrize("seed", range(6))
+def test_counts_agree_with_all_pairs(count, slow, seed: int) -> None:  # type: ignore[no-untyped-def]
+    rng = np.random.default_rng(seed)
+    size = [9.0, 7.0, 5.0]  # so crowded that rules meet: a truth every two voxels
+    truths, detections = rng.uniform(0.0, size, (70, 3)), rng.uniform(0.0, size, (110, 3))
+    scored_truths, scored_detections = truths[:, 0] > 1.5, detections[:, 0] > 1.5
+    found = count(detections, truths, scored_detections, scored_truths)
+    pairs = slow(detections, truths)
+    inside = [(i, j) for i, j in pairs if scored_truths[j]]
+    alone = set(np.flatnonzero(scored_detections)) - {i for i, _ in pairs}
+    rms = math.sqrt(np.mean([math.dist(detections[i], truths[j]) ** 2 for i, j in inside]))
+    assert found == Counts(int(scored_truths.sum()), len(inside) + len(alone), len(inside), pytest.approx(rms, rel=1e-12))
+    assert len(inside) < len(pairs)
+    assert 0 < len(inside) < scored_truths.sum()

@@ -1,0 +1,243 @@
+"""Voxel grids, the field of a perfect reconstruction, and the plane sweep against exact projection and scipy's interpolation."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.integrate import quad
+from scipy.ndimage import gaussian_filter, map_coordinates
+
+from sabench.arrays import F32, F64, Bool
+from sabench.optics.camera import Camera, Distortion, aim, aimed_rotation
+from sabench.optics.wall import Layer, Wall
+from sabench.reproject import TOLERANCE_PX, plane_map, plane_maps, sweep
+from sabench.volume import Grid, synthesise
+
+GRID = Grid((-4.0, 2.0, 40.0), (0.25, 0.2, 0.5), (12, 30, 41), crop=(3, 2, 1))
+
+
+def peak_integral(sigma_mm: float) -> float:
+    return (2.0 * math.pi) ** 1.5 * sigma_mm**3
+
+
+def inner_points(count: int, margin_mm: float, seed: int) -> F64:
+    axes = GRID.axes_mm
+    rng = np.random.default_rng(seed)
+    return rng.uniform([axis[0] + margin_mm for axis in axes], [axis[-1] - margin_mm for axis in axes], (count, 3))
+
+
+# Grids
+
+
+def test_axes_are_x_y_z_and_volumes_z_y_x() -> None:
+    x, y, z = GRID.axes_mm
+    assert (len(x), len(y), len(z)) == (41, 30, 12)
+    np.testing.assert_allclose([x[0], x[-1], y[0], y[-1], z[0], z[-1]], [-4.0, 6.0, 2.0, 7.8, 40.0, 45.5])
+    np.testing.assert_allclose(GRID.to_voxels(np.array([[-4.0 + 0.25 * 7, 2.0 + 0.2 * 5, 40.0 + 0.5 * 3]])), [[7.0, 5.0, 3.0]])
+    volume = np.zeros(GRID.shape)
+    assert volume[GRID.scored].shape == (10, 26, 35)
+
+
+def test_scored_part_is_the_same_for_voxels_and_positions() -> None:
+    mask = np.zeros(GRID.shape, dtype=np.bool_)
+    mask[GRID.scored] = True
+    z, y, x = np.meshgrid(*(np.arange(n) for n in GRID.shape), indexing="ij")
+    voxels = np.stack([x, y, z], axis=-1).reshape(-1, 3)
+    for shift in (-0.499, 0.0, 0.499):
+        np.testing.assert_array_equal(GRID.in_scored(voxels + shift), mask.ravel())
+
+
+# The field of a perfect reconstruction
+
+
+@pytest.mark.parametrize("sigma_mm", [0.1, 0.25, 0.5])
+def test_field_keeps_integral_and_place(sigma_mm: float) -> None:
+    for place, weight in zip(inner_points(12, 2.2, 1), (0.5, 1.0, 3.0) * 4, strict=True):
+        field = synthesise(GRID, place[None], np.array([weight]), sigma_mm).astype(np.float64)
+        assert field.dtype == np.float64
+        assert field.sum() * math.prod(GRID.voxel_mm) == pytest.approx(weight * peak_integral(sigma_mm), rel=3e-4)
+        if sigma_mm >= 0.5:  # at least one voxel along each axis: the voxels' own shape is not seen
+            centroid = [np.average(axis, weights=field.sum(axis=other)) for axis, other in zip(GRID.axes_mm, ((0, 1), (0, 2), (1, 2)), strict=True)]
+            np.testing.assert_allclose(centroid, place, rtol=0, atol=1e-3)
+
+
+def test_voxel_is_the_mean_of_the_gaussian_over_it() -> None:
+    place, sigma = np.array([0.13, 4.91, 42.7]), 0.3
+    field = synthesise(GRID, place[None], np.array([2.0]), sigma)
+    for k, j, i in ((5, 14, 16), (6, 15, 17), (4, 12, 18)):
+        value = 2.0
+        for center, step, x in zip((GRID.axes_mm[0][i], GRID.axes_mm[1][j], GRID.axes_mm[2][k]), GRID.voxel_mm, place, strict=True):
+            value *= quad(lambda s, x=x: math.exp(-((s - x) ** 2) / (2 * sigma**2)), center - step / 2, center + step / 2)[0] / step
+        assert field[k, j, i] == pytest.approx(value, rel=1e-5)
+
+
+def test_field_is_symmetric_and_additive() -> None:
+    middle = np.array([(axis[0] + axis[-1]) / 2.0 for axis in GRID.axes_mm])
+    offsets = np.random.default_rng(2).uniform(-0.7, 0.7, (3, 3)) * [5.0, 3.0, 2.5]
+    weights = np.array([1.0, 2.0, 0.5])
+    field = synthesise(GRID, middle + offsets, weights, 0.4)
+    np.testing.assert_allclose(synthesise(GRID, middle - offsets, weights, 0.4)[::-1, ::-1, ::-1], field, rtol=0, atol=1e-6)
+    singly = sum(synthesise(GRID, middle + offsets[[i]], weights[[i]], 0.4) for i in range(3))
+    np.testing.assert_allclose(field, singly, rtol=0, atol=1e-6)
+
+
+def test_field_at_the_border_is_cut_out_of_a_larger_one() -> None:
+    pad = (6, 7, 8)
+    low = tuple(a - p * s for a, p, s in zip(GRID.low_mm, pad, GRID.voxel_mm, strict=True))
+    larger = Grid((low[0], low[1], low[2]), GRID.voxel_mm, (12 + 16, 30 + 14, 41 + 12))
+    rng = np.random.default_rng(3)
+    places = rng.uniform([-5.5, 0.6, 36.5], [7.5, 9.2, 49.0], (300, 3))
+    weights = rng.uniform(0.1, 2.0, 300)
+    field = synthesise(larger, places, weights, 0.35)
+    np.testing.assert_allclose(synthesise(GRID, places, weights, 0.35), field[8:20, 7:37, 6:47], rtol=0, atol=1e-5)
+
+
+def test_field_of_nothing_and_of_particles_far_away_is_empty() -> None:
+    assert not synthesise(GRID, np.empty((0, 3)), np.empty(0), 0.3).any()
+    assert not synthesise(GRID, np.array([[100.0, 5.0, 42.0], [0.0, 5.0, -1e6]]), np.ones(2), 0.3).any()
+
+
+# Plane maps
+
+FLAT = Wall((0.0, 0.0, 0.0), (0.0, 0.0, 1.0), 1.0, (Layer("glass", 1.52, 5.0),), 1.333)
+TILTED = replace(FLAT, normal=(0.28, 0.0, 0.96))
+BROWN = Distortion(-0.4, 2.0, 2e-3, -3e-3, 0.0)
+
+
+def make_camera(x: float, y: float, wall: Wall | None, lens: Distortion = BROWN) -> Camera:
+    camera = Camera(
+        name="camera_00", rows=90, columns=140, center_mm=(x, y, -300.0), rotation=aimed_rotation(np.array([0.0, 0.0, 1.0])),
+        principal_distance_mm=50.0, pixel_mm=0.01, principal_point_px=(66.0, 47.0), distortion=lens, focal_length_mm=45.0, f_number=8.0, wall=wall,
+    )  # fmt: skip
+    return aim(camera, (1.0, 5.0, 43.0))
+
+
+def on_plane(z_mm: float, unit: F64) -> F64:
+    x, y, _ = GRID.axes_mm
+    across = (x[0] + x[-1]) / 2.0 + unit[:, 0] * (x[-1] - x[0]) / 2.0
+    down = (y[0] + y[-1]) / 2.0 + unit[:, 1] * (y[-1] - y[0]) / 2.0
+    return np.column_stack([across, down, np.full(len(unit), z_mm)])
+
+
+def evaluated(coefficients: F64, degree: int, unit: F64) -> F64:
+    """The documented polynomial: terms ordered by the power of v, then of u, up to a total degree."""
+    powers = [(i, j) for j in range(degree + 1) for i in range(degree + 1 - j)]
+    return np.stack([sum(c * unit[:, 0] ** i * unit[:, 1] ** j for c, (i, j) in zip(row, powers, strict=True)) for row in coefficients], axis=1)
+
+
+@pytest.mark.parametrize("wall", [None, FLAT, TILTED])
+@pytest.mark.parametrize("lens", [Distortion(), BROWN])
+def test_plane_maps_stay_within_their_tolerance(wall: Wall | None, lens: Distortion) -> None:
+    cameras = [make_camera(120.0, -80.0, wall, lens), make_camera(-90.0, 130.0, wall, lens)]
+    unit = np.random.default_rng(4).uniform(-1.0, 1.0, (1500, 2))
+    for z, plane in zip(GRID.axes_mm[2], plane_maps(cameras, GRID), strict=True):
+        for camera, part in zip(cameras, plane, strict=True):
+            exact = camera.project(on_plane(z, unit))[0]
+            error = np.linalg.norm(evaluated(part.coefficients, part.degree, unit) - exact, axis=1).max()
+            assert part.error_px <= TOLERANCE_PX
+            assert error <= TOLERANCE_PX
+            assert error <= 1.2 * part.error_px + 1e-9  # measured between the nodes, so about the largest there is
+
+
+def test_plane_map_converges_with_its_degree() -> None:
+    camera = make_camera(120.0, -80.0, TILTED)
+    errors = [plane_map(camera, GRID, 41.0, degree).error_px for degree in (1, 2, 4, 6)]
+    assert errors[0] > 10.0 * errors[1] > 100.0 * errors[2] > 1000.0 * errors[3]
+
+
+def test_plane_without_a_light_path_is_refused() -> None:
+    with pytest.raises(ValueError, match="expected a light path to every voxel, but the plane z = 3 mm"):
+        plane_map(make_camera(0.0, 0.0, FLAT), GRID, 3.0, 3)
+
+
+# The sweep
+
+CAMERAS = [make_camera(120.0, -80.0, TILTED), make_camera(-90.0, 130.0, TILTED), make_camera(0.0, 10.0, TILTED, Distortion())]
+
+
+def smooth_images(seed: int) -> F32:
+    """Noise with details of about three pixels, from 0 to 1: a misplaced sample shows."""
+    noise = np.random.default_rng(seed).standard_normal((len(CAMERAS), 90, 140))
+    smooth = np.stack([gaussian_filter(image, 1.5, mode="wrap") for image in noise])
+    return ((smooth - smooth.min()) / (smooth.max() - smooth.min())).astype(np.float32)
+
+
+def reference(images: F32, grid: Grid) -> tuple[F64, Bool]:
+    """Samples (camera, z, y, x) at exact projections, and which voxels lie clear of every image's border."""
+    x, y, z = grid.axes_mm
+    zz, yy, xx = np.meshgrid(z, y, x, indexing="ij")
+    points = np.stack([xx, yy, zz], axis=-1).reshape(-1, 3)
+    samples, clear = [], np.ones(grid.shape, dtype=np.bool_)
+    for image, camera in zip(images, CAMERAS, strict=True):
+        pixels = camera.project(points)[0]
+        value = map_coordinates(image.astype(np.float64), pixels[:, ::-1].T, order=1, mode="constant", cval=0.0)
+        samples.append(value.reshape(grid.shape))
+        border = [np.abs(pixels[:, axis] - edge) for axis, edge in ((0, 0.0), (0, 139.0), (1, 0.0), (1, 89.0))]
+        clear &= (np.min(border, axis=0) > 0.01).reshape(grid.shape)
+    return np.stack(samples), clear
+
+
+def mean_fold(dr: Any, samples: Any) -> Any:
+    return sum(samples) / len(samples)
+
+
+def product_fold(dr: Any, samples: Any) -> Any:
+    return dr.exp2(sum(dr.log2(dr.maximum(sample, 0.05)) for sample in samples) / len(samples))
+
+
+def test_sweep_is_bilinear_interpolation_at_exact_projections() -> None:
+    images = smooth_images(5)
+    samples, clear = reference(images, GRID)
+    outside = (samples == 0.0).any(axis=0)
+    assert 0.1 < outside.mean() < 0.9  # the grid is wider than what the cameras see
+    assert clear.mean() > 0.9
+    found = sweep(images, CAMERAS, GRID, mean_fold)
+    assert found.dtype == np.float32
+    np.testing.assert_allclose(found[clear], samples.mean(axis=0)[clear], rtol=0, atol=1e-3)
+    product = np.exp(np.log(np.maximum(samples, 0.05)).mean(axis=0))
+    np.testing.assert_allclose(sweep(images, CAMERAS, GRID, product_fold)[clear], product[clear], rtol=0, atol=1e-3)
+
+
+def test_sweep_samples_each_camera_by_itself() -> None:
+    images = smooth_images(6)
+    samples, clear = reference(images, GRID)
+    for number in range(len(CAMERAS)):
+        found = sweep(images, CAMERAS, GRID, lambda dr, s, number=number: s[number])
+        np.testing.assert_allclose(found[clear], samples[number][clear], rtol=0, atol=1e-3)
+
+
+def test_mean_sweep_is_linear() -> None:
+    first, second = smooth_images(7), smooth_images(8)
+    both = sweep(2.0 * first + np.float32(0.5) * second, CAMERAS, GRID, mean_fold)
+    apart = 2.0 * sweep(first, CAMERAS, GRID, mean_fold) + 0.5 * sweep(second, CAMERAS, GRID, mean_fold)
+    np.testing.assert_allclose(both, apart, rtol=0, atol=3e-6)
+
+
+def test_sweep_of_even_images_shows_which_voxels_are_seen() -> None:
+    images = np.ones((len(CAMERAS), 90, 140), dtype=np.float32)
+    samples, clear = reference(images, GRID)
+    np.testing.assert_allclose(sweep(images, CAMERAS, GRID, mean_fold)[clear], samples.mean(axis=0)[clear], rtol=0, atol=1e-6)
+
+
+@pytest.mark.parametrize("shape", [(1, 7, 11), (3, 1, 11), (3, 7, 1)])
+def test_sweep_takes_grids_of_one_voxel_along_an_axis(shape: tuple[int, int, int]) -> None:
+    grid = Grid((0.3, 4.6, 42.0), (0.1, 0.15, 0.4), shape)
+    images = smooth_images(9)
+    samples, clear = reference(images, grid)
+    assert clear.any()
+    np.testing.assert_allclose(sweep(images, CAMERAS, grid, mean_fold)[clear], samples.mean(axis=0)[clear], rtol=0, atol=1e-3)
+
+
+def test_a_particle_in_all_images_is_brightest_where_it_is() -> None:
+    voxel = (4, 17, 21)
+    x, y, z = GRID.axes_mm
+    place = np.array([[x[voxel[2]], y[voxel[1]], z[voxel[0]]]])
+    rows, columns = np.mgrid[0:90, 0:140]
+    pixels = [camera.project(place)[0][0] for camera in CAMERAS]
+    images = np.stack([np.exp(-((columns - c) ** 2 + (rows - r) ** 2) / 8.0) for c, r in pixels]).astype(np.float32)
+    volume = sweep(images, CAMERAS, GRID, product_fold)
+    assert np.unravel_index(volume.argmax(), volume.shape) == voxel
