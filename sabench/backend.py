@@ -20,7 +20,7 @@ from sabench.errors import InputError
 
 LLVM_VARIABLE = "DRJIT_LIBLLVM_PATH"
 CHOICE_VARIABLE = "SABENCH_BACKEND"
-OLDEST_LLVM = 16  # 14 is refused by Dr.Jit and 15 aborts ("Cannot select: fminimum")
+OLDEST_LLVM = 19  # tried: 14 is refused by Dr.Jit, 15 and 16 abort in renders, 19 and 23 work
 _SYSTEM = ("usr/lib/llvm-*/lib/libLLVM*.so*", "usr/lib/*/libLLVM*.so*", "usr/lib*/libLLVM*.so*", "opt/homebrew/opt/llvm/lib/libLLVM*.dylib")
 REMEDY = (
     f"install the wheel karellen-llvm-core (Linux x86-64) or an LLVM of version {OLDEST_LLVM} or later (Debian: libllvm19), "

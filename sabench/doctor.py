@@ -36,7 +36,7 @@ def examine() -> list[Finding]:
     try:
         chosen = backend.choose()
     except InputError as error:
-        return [*findings, Finding("backend", False, str(error), backend.REMEDY)]
+        return [*findings, Finding("backend", False, str(error))]  # its text holds the remedy
     findings.append(Finding("backend", True, f"{chosen.kind}: {chosen.why}"))
     findings.append(_trial("Dr.Jit kernel", "compute"))
     findings.append(_trial("Mitsuba render", "render"))

@@ -1,0 +1,64 @@
+"""The library that Dr.Jit runs on is chosen, never left to chance."""
+
+from __future__ import annotations
+
+import ctypes.util
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from sabench import backend
+from sabench.errors import InputError
+
+CHOICE = "from sabench import backend; print(backend.choose().library)"
+
+
+def choose(**environment: str) -> subprocess.CompletedProcess[str]:
+    """The choice of a fresh process."""
+    return subprocess.run([sys.executable, "-c", CHOICE], env=os.environ | environment, capture_output=True, text=True, check=False)
+
+
+def test_the_chosen_library_is_recent_and_was_asked_for_its_version() -> None:
+    chosen = backend.choose()
+    assert chosen.kind in ("llvm", "cuda")
+    if chosen.library:
+        assert backend.llvm_version(chosen.library) >= backend.OLDEST_LLVM
+
+
+def test_a_library_that_is_no_llvm_is_refused() -> None:
+    other = ctypes.util.find_library("z") or ctypes.util.find_library("m")
+    assert other
+    done = choose(SABENCH_BACKEND="llvm", DRJIT_LIBLLVM_PATH=other)
+    assert done.returncode != 0
+    assert "refused" in done.stderr
+    assert other in done.stderr
+    assert backend.REMEDY in done.stderr
+
+
+def test_a_library_that_is_not_there_is_not_replaced_by_another(tmp_path: Path) -> None:
+    """Who sets the variable wants that library: falling back in silence would hide the mistake."""
+    done = choose(SABENCH_BACKEND="llvm", DRJIT_LIBLLVM_PATH=str(tmp_path / "none.so"))
+    assert done.returncode != 0
+    assert "cannot be loaded" in done.stderr
+
+
+def test_candidates_put_the_wheel_before_the_system(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv(backend.LLVM_VARIABLE, raising=False)
+    monkeypatch.setattr(backend, "_wheel_libraries", lambda: ["/wheel/libLLVM.so"])
+    assert backend._llvm_candidates() == [("the wheel karellen-llvm-core", "/wheel/libLLVM.so")]
+
+
+def test_an_old_system_library_is_refused_by_its_version(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(backend, "_llvm_candidates", lambda: [("the system", "/usr/lib/libLLVM-16.so")])
+    monkeypatch.setattr(backend, "llvm_version", lambda path: 16)
+    with pytest.raises(InputError, match="LLVM 16"):
+        backend._choose_llvm()
+
+
+def test_unknown_choice_is_refused() -> None:
+    done = choose(SABENCH_BACKEND="metal")
+    assert done.returncode != 0
+    assert "expected auto, cuda or llvm" in done.stderr
