@@ -120,6 +120,14 @@ def _prepare() -> Backend:
     backend = choose()
     if backend.library:
         os.environ[LLVM_VARIABLE] = backend.library
+        import drjit as dr
+
+        loaded = dr.detail.llvm_version()[0]
+        if loaded < OLDEST_LLVM:  # somebody imported drjit before the variable was set
+            raise InputError(
+                f"drjit was imported before sabench and took LLVM {loaded}, which aborts in renders: expected sabench's choice, {backend.library}; "
+                f"import sabench.backend and call its mitsuba() first, or set {LLVM_VARIABLE}"
+            )
     return backend
 
 

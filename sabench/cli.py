@@ -87,7 +87,7 @@ def solve(
     from sabench.solving import solve as run_solver
 
     result = run_solver(solver, dataset, output, parameters=_parameters(parameter or []), overwrite=overwrite)
-    _say(f"{output}: {solver}, {result.seconds:.2f} s per frame, {result.peak_mb:.0f} MB at most")
+    _say(f"{output}: {solver}, {result.seconds:.2f} s per frame, {result.peak_mb or float('nan'):.0f} MB at most")
 
 
 @app.command()

@@ -10,7 +10,8 @@ from pydantic import Field
 from sabench.api import Observation, Parameters
 from sabench.arrays import F32
 
-_BRIGHT = 99.5  # percentile of the lit pixels that becomes 1
+_BRIGHT = 95.0  # percentile of the lit pixels that becomes 1
+_LIT = 0.1  # of the image's maximum
 
 
 class ExtractionParameters(Parameters):
@@ -24,11 +25,14 @@ def normalised(case: Observation) -> F32:
     """Images as fractions of a bright particle's peak in the same camera, black level subtracted: (camera, row, column).
 
     Cameras see particles at different scattering angles and so at very different brightness; a common scale makes them count alike
-    (the thesis matches histograms to the same end, section 2.3). The scale is the 99.5th percentile; saturated pixels count as they are.
+    (the thesis matches histograms to the same end, section 2.3). The scale is the 95th percentile of the pixels that reach a tenth
+    of the image's maximum, which is the same kind of pixel in a sparse and in a dense image.
     """
-    images = np.maximum(case.images.astype(np.float32) - np.float32(case.black_dn), 0.0)
-    scale = np.percentile(images, _BRIGHT, axis=(1, 2), keepdims=True)
-    return np.asarray(images / np.maximum(scale, 1.0), dtype=np.float32)
+    images: F32 = np.maximum(case.images.astype(np.float32) - np.float32(case.black_dn), np.float32(0.0))
+    for image in images:
+        lit = image[image > _LIT * image.max()]
+        image /= max(float(np.percentile(lit, _BRIGHT)) if len(lit) else 0.0, 1.0)
+    return images
 
 
 def extract(volume: F32, k: float, keep: Literal["reduced", "whole"]) -> F32:

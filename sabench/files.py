@@ -14,7 +14,7 @@ from typing import Any
 
 from sabench.errors import InputError
 
-_PARTIAL = re.compile(r"^\.(?P<name>.+)\.partial-(?P<pid>\d+)$")
+_ABANDONED = re.compile(r"^\.(?P<name>.+)\.(?P<what>partial|retired)-(?P<pid>\d+)$")
 
 
 @contextlib.contextmanager
@@ -25,29 +25,35 @@ def complete_or_nothing(target: Path, *, overwrite: bool = False) -> Iterator[Pa
     which the next write to the same target removes.
     """
     target = target.absolute()
+    target.parent.mkdir(parents=True, exist_ok=True)
+    _clear_abandoned(target)
     if target.exists() and not overwrite:
         raise InputError(f"{target} exists already: choose another name, or say --overwrite")
-    target.parent.mkdir(parents=True, exist_ok=True)
-    _remove_abandoned(target)
     partial = target.parent / f".{target.name}.partial-{os.getpid()}"
+    retired = target.parent / f".{target.name}.retired-{os.getpid()}"
     try:
         yield partial
         _flush(partial)
-        if target.is_dir():
-            retired = partial.with_name(f".{target.name}.retired.partial-{os.getpid()}")
-            target.rename(retired)
+        if target.is_dir() or (target.exists() and partial.is_dir()):
+            target.rename(retired)  # folders cannot be replaced in one step; `_clear_abandoned` mends a death between these two lines
             partial.rename(target)
-            shutil.rmtree(retired)
         else:
             partial.replace(target)
     finally:
         _remove(partial)
+        if target.exists():
+            _remove(retired)
 
 
-def _remove_abandoned(target: Path) -> None:
-    for entry in target.parent.iterdir():
-        match = _PARTIAL.match(entry.name)
-        if match and match["name"] in (target.name, f"{target.name}.retired") and not _alive(int(match["pid"])):
+def _clear_abandoned(target: Path) -> None:
+    """Remove what killed processes left of writing `target`; what they had set aside comes back if nothing took its place."""
+    for entry in sorted(target.parent.iterdir()):
+        match = _ABANDONED.match(entry.name)
+        if not match or match["name"] != target.name or _alive(int(match["pid"])):
+            continue
+        if match["what"] == "retired" and not target.exists():
+            entry.rename(target)
+        else:
             _remove(entry)
 
 

@@ -22,7 +22,7 @@ from sabench.dataset.read import Dataset, open_dataset
 from sabench.dataset.result import open_result
 from sabench.dataset.verify import verify
 from sabench.errors import InputError
-from sabench.files import canonical_json
+from sabench.files import canonical_json, complete_or_nothing
 from sabench.generation import Renderer, choose_renderer, generate
 from sabench.progress import console
 from sabench.scene import Scene, find, load_scene, validate
@@ -120,21 +120,22 @@ def _dataset(case: Case, work: Path, fresh: bool) -> Dataset:
 
 def _rank(case: Case, dataset: Dataset, suite: Suite, work: Path, leaderboard: Path) -> Iterator[dict[str, Any]]:
     folder = leaderboard / "pictures" / case.folder(work).name
-    _draw(folder / "images.png", lambda: _montage(dataset))
-    _draw(folder / "truth.png", lambda: pictures.slice_picture(true_field(dataset, 0)[0], dataset.rig.grid.scored))
+    case_images = dataset.observation(0)
+    _draw(folder / "images.png", pictures.montage(case_images.images, case_images.black_dn, case_images.white_dn))
+    _draw(folder / "truth.png", pictures.slice_picture(true_field(dataset, 0)[0], dataset.rig.grid.scored))
     for entrant in suite.solvers:
         parameters = make_solver(entrant.name, entrant.parameters).parameters.model_dump(mode="json")
         record = _describe(case, dataset, entrant.name, parameters) | {"pictures": folder.name}
         out = work / "results" / f"{folder.name}-{entrant.name}-{record['run_hash'][:8]}.h5"
-        error = _solve_apart(entrant, dataset, out)
-        if error is None:
+        try:
+            _solve_apart(entrant, dataset, out)
             record |= {key: value for key, value in score(dataset, out).items() if key in (*SCORES, "seconds", "peak_mb")}
             volume = open_result(out, dataset).reconstruction(0).volume
-            picture = pictures.slice_picture(volume, dataset.rig.grid.scored)
-            _draw(folder / f"{entrant.name}-{record['run_hash'][:8]}.png", lambda picture=picture: picture)
-        else:
+            _draw(folder / f"{entrant.name}-{record['run_hash'][:8]}.png", pictures.slice_picture(volume, dataset.rig.grid.scored))
+        except InputError as error:
             console.print(f"error: {error}", style="red", markup=False, highlight=False)
-        yield record | {"error": error}
+            record["error"] = str(error)
+        yield record
 
 
 def _describe(case: Case, dataset: Dataset, solver: str, parameters: dict[str, Any]) -> dict[str, Any]:
@@ -162,8 +163,8 @@ def machine() -> dict[str, Any]:
     return {"cpu": cpu, "cores": os.cpu_count(), "system": f"{platform.system()} {platform.machine()}", "backend": kind}
 
 
-def _solve_apart(entrant: Entrant, dataset: Dataset, out: Path) -> str | None:
-    """Solve in a process of its own, so that its memory is its own and its crash is only its own; the error's sentence, or None."""
+def _solve_apart(entrant: Entrant, dataset: Dataset, out: Path) -> None:
+    """Solve in a process of its own, so that its memory is its own and its crash is only its own; its fault is an InputError here."""
     context = multiprocessing.get_context("spawn")
     receiver, sender = context.Pipe(duplex=False)
     child = context.Process(target=_solve_child, args=(sender, entrant.name, entrant.parameters, str(dataset.root), str(out)))
@@ -177,7 +178,8 @@ def _solve_apart(entrant: Entrant, dataset: Dataset, out: Path) -> str | None:
     finally:
         child.join()
         receiver.close()
-    return message
+    if message is not None:
+        raise InputError(message)
 
 
 def _solve_child(sender: multiprocessing.connection.Connection, name: str, parameters: dict[str, Any], dataset: str, out: str) -> None:
@@ -200,16 +202,9 @@ def _append(path: Path, record: dict[str, Any]) -> None:
         os.fsync(file.fileno())
 
 
-def _montage(dataset: Dataset) -> bytes:
-    case = dataset.observation(0)
-    return pictures.montage(case.images, case.black_dn, case.white_dn)
-
-
-def _draw(path: Path, make: Any) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    partial = path.with_suffix(".partial")
-    partial.write_bytes(make())
-    partial.replace(path)
+def _draw(path: Path, picture: bytes) -> None:
+    with complete_or_nothing(path, overwrite=True) as partial:
+        partial.write_bytes(picture)
 
 
 def _version(package: str) -> str:

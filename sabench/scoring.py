@@ -43,7 +43,7 @@ def score(dataset: Dataset | str | Path, result: str | Path) -> dict[str, Any]:
 def true_field(dataset: Dataset, frame: int) -> tuple[F32, F64]:
     """The synthesised field E_s (z, y, x) of a frame, and the true positions (n, 3) in mm.
 
-    Every particle that at least one camera sees is a sphere in mm: peak = its brightness (mean over the cameras, in each relative to that
+    Every particle, seen or not, is a sphere in mm: peak = its brightness (mean over the cameras, in each relative to that
     camera's mean), standard deviation = the median image size, carried from pixels to mm by the grid's x spacing.
     """
     particles, views = dataset.particles(frame), dataset.views(frame)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import resource
 import time
 from pathlib import Path
 from typing import Any
@@ -59,22 +58,27 @@ def make_solver(name: str, parameters: dict[str, Any]) -> Solver:
 
 def _attempt(algorithm: Solver, name: str, case: Observation, frame: int) -> Reconstruction:
     """One call of a solver, which may do anything; what it returns is checked here."""
-    reason = algorithm.skip(case)
-    if reason:
-        raise InputError(f"solver {name} declines this case: {reason}")
     try:
-        guess = algorithm.solve(case)
+        reason = algorithm.skip(case)
+        guess = None if reason else algorithm.solve(case)
     except Exception as error:
         raise InputError(f"solver {name} failed on frame {frame}: {type(error).__name__}: {error}") from error
-    if not isinstance(guess, Reconstruction) or not isinstance(guess.volume, np.ndarray):
-        raise InputError(f"solver {name}: expected a Reconstruction with an array, got {type(guess).__name__}")
-    if guess.volume.shape != case.grid.shape or guess.volume.dtype != np.float32:
-        raise InputError(
-            f"solver {name}: expected a float32 volume of shape {case.grid.shape}, got {guess.volume.dtype} of shape {guess.volume.shape}"
-        )
-    if not np.isfinite(guess.volume).all():
-        raise InputError(f"solver {name}: expected finite intensities, got NaN or infinite ones in frame {frame}")
+    if reason:
+        raise InputError(f"solver {name} declines this case: {reason}")
+    if not isinstance(guess, Reconstruction):
+        raise InputError(f"solver {name}: expected a Reconstruction, got {type(guess).__name__}")
+    _check_array(name, frame, "volume", guess.volume, np.dtype(np.float32), case.grid.shape)
+    if guess.particles_mm is not None:
+        _check_array(name, frame, "particles_mm", guess.particles_mm, np.dtype(np.float64), (len(guess.particles_mm), 3))
     return guess
+
+
+def _check_array(solver: str, frame: int, what: str, array: Any, kind: np.dtype[Any], shape: tuple[int, ...]) -> None:
+    if not isinstance(array, np.ndarray) or array.shape != shape or array.dtype != kind:
+        got = f"{array.dtype} of shape {array.shape}" if isinstance(array, np.ndarray) else type(array).__name__
+        raise InputError(f"solver {solver}: {what}: expected {kind} of shape {shape}, got {got}")
+    if not np.isfinite(array).all():
+        raise InputError(f"solver {solver}: {what}: expected finite values, got NaN or infinite ones in frame {frame}")
 
 
 def _forget_peak() -> None:
@@ -87,10 +91,14 @@ def _forget_peak() -> None:
             return  # not permitted in some containers: the peak then covers the whole process, which is an upper bound
 
 
-def _peak_mb() -> float:
-    """Peak resident memory of this process in MB (10^6 bytes)."""
+def _peak_mb() -> float | None:
+    """Peak resident memory of this process in MB (10^6 bytes); None where the system does not say."""
     status = Path("/proc/self/status")
     if status.exists():
         line = next(line for line in status.read_text().splitlines() if line.startswith("VmHWM:"))
         return int(line.split()[1]) * 1024 / 1e6
+    try:
+        import resource
+    except ImportError:  # Windows
+        return None
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6  # macOS counts bytes

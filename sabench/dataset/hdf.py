@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import contextlib
 import io
+import signal
+import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -85,14 +87,38 @@ class NewFile(io.RawIOBase):
 
 @contextlib.contextmanager
 def created(path: Path) -> Iterator[tuple[Any, Callable[[], None]]]:
-    """A new HDF5 file, and a function that raises if the disk has refused a write; it is called at the end in any case."""
+    """A new HDF5 file, and a function that raises if the disk has refused a write; it is called at the end in any case.
+
+    Whoever writes into the file does so `uninterrupted`.
+    """
     sink = NewFile(path)
     try:
-        with h5py.File(sink, "w") as file:
+        with uninterrupted():
+            file = h5py.File(sink, "w")
+        try:
             yield file, sink.check
+        finally:
+            with uninterrupted():
+                file.close()
         sink.check()
     finally:
         sink.close()
+
+
+@contextlib.contextmanager
+def uninterrupted() -> Iterator[None]:
+    """Hold Ctrl-C back until the block has ended: raised inside HDF5's calls to `NewFile` it would be lost, or leave the file in pieces."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    caught: list[int] = []
+    before = signal.signal(signal.SIGINT, lambda number, _: caught.append(number))
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+    if caught:
+        raise KeyboardInterrupt
 
 
 def read_array(file: Any, name: str, shape: tuple[int | None, ...], kind: str) -> npt.NDArray[Any]:

@@ -7,10 +7,11 @@ import hashlib
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from sabench.errors import InputError
-from sabench.files import canonical_json, read_json
+from sabench.files import canonical_json, inside, read_json
 from sabench.optics.camera import Camera
 from sabench.optics.wall import Wall
 from sabench.scene import Model, validate
@@ -91,7 +92,7 @@ def sealed(manifest: dict[str, Any]) -> str:
 
 def read_manifest(root: Path) -> Manifest:
     """The manifest of a data set; InputError if there is none, it is broken or of another format."""
-    path = root / MANIFEST
+    path = inside(root, MANIFEST)
     if not root.is_dir() or not path.is_file():
         raise InputError(f"{path}: expected a data set's manifest, found none")
     manifest = _checked(Manifest, path)
@@ -102,12 +103,29 @@ def read_manifest(root: Path) -> Manifest:
 
 def read_cameras(root: Path) -> CamerasFile:
     """The rig of a data set, every camera with its wall."""
-    path = root / CAMERAS
+    path = inside(root, CAMERAS)
     loaded = _checked(CamerasFile, path)
     names = [camera.name for camera in loaded.cameras]
     if len(set(names)) != len(names) or not all(name.replace("_", "").isalnum() for name in names):
         raise InputError(f"{path}: cameras: expected different names of letters, digits and _, got {names}")
+    _check_numbers(loaded, path)
     return loaded.model_copy(update={"cameras": tuple(dataclasses.replace(c, wall=loaded.wall) for c in loaded.cameras)})
+
+
+def _check_numbers(loaded: CamerasFile, path: Path) -> None:
+    """What the types cannot say."""
+    for camera in loaded.cameras:
+        sizes = (camera.rows, camera.columns, camera.pixel_mm, camera.principal_distance_mm, camera.focal_length_mm, camera.f_number)
+        if min(sizes) <= 0:
+            raise InputError(f"{path}: {camera.name}: expected positive sizes, got {sizes}")
+        turn = np.asarray(camera.rotation)
+        if np.abs(turn @ turn.T - np.eye(3)).max() > 1e-9 or np.linalg.det(turn) < 0.0:
+            raise InputError(f"{path}: {camera.name}: rotation: expected a right-handed orthonormal matrix, got {turn.tolist()}")
+    wall, grid = loaded.wall, loaded.grid
+    if wall and (abs(np.linalg.norm(wall.normal) - 1.0) > 1e-9 or min(*wall.indices, *(layer.thickness_mm for layer in wall.layers)) <= 0.0):
+        raise InputError(f"{path}: wall: expected a unit normal and positive indices and thicknesses, got {wall}")
+    if min(*grid.shape, *grid.voxel_mm) <= 0 or any(cut < 0 or 2 * cut >= n for cut, n in zip(grid.crop, grid.shape[::-1], strict=True)):
+        raise InputError(f"{path}: grid: expected positive shape and voxels and a crop that leaves some, got {grid}")
 
 
 def _checked(model: type[Model], path: Path) -> Model:

@@ -65,7 +65,7 @@ class Dataset:
         """The true particles of a frame."""
         self._check_frame(frame)
         group = layout.frame_group(frame)
-        with opened(self.root / layout.TRUTH) as file:
+        with opened(inside(self.root, layout.TRUTH)) as file:
             identity = read_array(file, f"{group}/id", (None,), "i")
             n = len(identity)
             shapes = {"position_mm": (n, 3), "diameter_mm": (n,), "velocity_mm_s": (n, 3)}
@@ -75,13 +75,16 @@ class Dataset:
     def views(self, frame: int) -> list[View]:
         """What every camera truly receives of a frame's particles, in the cameras' order."""
         self._check_frame(frame)
-        with opened(self.root / layout.TRUTH) as file:
+        with opened(inside(self.root, layout.TRUTH)) as file:
             n = len(read_array(file, f"{layout.frame_group(frame)}/id", (None,), "i"))
             views = []
             for camera in self.rig.cameras:
                 base = f"{layout.frame_group(frame)}/cameras/{camera.name}"
                 fields = [("pixel", (n, 2), "f"), ("photons", (n,), "f"), ("sigma_px", (n,), "f"), ("visible", (n,), "u")]
-                views.append(View(*(read_array(file, f"{base}/{name}", shape, kind).astype(np.float64) for name, shape, kind in fields)))
+                view = View(*(read_array(file, f"{base}/{name}", shape, kind).astype(np.float64) for name, shape, kind in fields))
+                finite(view.photons, f"{file.filename}: {base}/photons")
+                finite(view.pixel[view.visible > 0], f"{file.filename}: {base}/pixel of visible particles")
+                views.append(view)
             return views
 
     def _image(self, camera: str, frame: int, suffix: str) -> Path:

@@ -13,7 +13,7 @@ import numpy as np
 
 from sabench.api import Reconstruction
 from sabench.dataset import layout
-from sabench.dataset.hdf import created, finite, opened, read_array
+from sabench.dataset.hdf import created, finite, opened, read_array, uninterrupted
 from sabench.dataset.read import Dataset
 from sabench.errors import InputError
 from sabench.files import complete_or_nothing
@@ -53,27 +53,32 @@ class ResultWriter:
 
     def add(self, frame: int, reconstruction: Reconstruction) -> None:
         """Store a frame's estimate."""
-        group = self._file.create_group(layout.frame_group(frame))
         volume = reconstruction.volume
         chunk = (1, min(256, volume.shape[1]), min(256, volume.shape[2]))
-        group.create_dataset("volume", data=volume, chunks=chunk, compression="gzip", compression_opts=1)
-        if reconstruction.particles_mm is not None:
-            group.create_dataset("particles_mm", data=reconstruction.particles_mm)
-        self._file.flush()
+        with uninterrupted():
+            group = self._file.create_group(layout.frame_group(frame))
+            group.create_dataset("volume", data=volume, chunks=chunk, compression="gzip", compression_opts=1)
+            if reconstruction.particles_mm is not None:
+                group.create_dataset("particles_mm", data=reconstruction.particles_mm)
+            self._file.flush()
         self._check()
 
-    def set_cost(self, seconds: float, peak_mb: float) -> None:
-        """Say what one frame cost: seconds (mean), and the process's peak resident memory."""
-        self._file.attrs["seconds"], self._file.attrs["peak_mb"] = seconds, peak_mb
+    def set_cost(self, seconds: float, peak_mb: float | None) -> None:
+        """Say what one frame cost: seconds (mean), and the process's peak resident memory (None: not known)."""
+        with uninterrupted():
+            self._file.attrs["seconds"] = seconds
+            if peak_mb is not None:
+                self._file.attrs["peak_mb"] = peak_mb
 
 
 @contextlib.contextmanager
 def result_writer(target: Path, dataset: Dataset, solver: str, parameters: dict[str, Any], *, overwrite: bool = False) -> Iterator[ResultWriter]:
     """A writer whose frames become the result file `target` when the block ends well, and vanish otherwise."""
     with complete_or_nothing(target, overwrite=overwrite) as path, created(path) as (file, check):
-        file.attrs["format"], file.attrs["version"] = FORMAT, VERSION
-        file.attrs["dataset"], file.attrs["solver"] = dataset.content_hash, solver
-        file.attrs["parameters"] = json.dumps(parameters, sort_keys=True)
+        with uninterrupted():
+            file.attrs["format"], file.attrs["version"] = FORMAT, VERSION
+            file.attrs["dataset"], file.attrs["solver"] = dataset.content_hash, solver
+            file.attrs["parameters"] = json.dumps(parameters, sort_keys=True)
         yield ResultWriter(file, check)
 
 
@@ -87,7 +92,7 @@ def open_result(path: str | Path, dataset: Dataset) -> Result:
     """
     file_path = Path(path)
     with opened(file_path) as file:
-        head = dict(file.attrs)
+        head = {key: _plain(value) for key, value in file.attrs.items()}
         if head.get("format") != FORMAT or head.get("version") != VERSION:
             raise InputError(f"{path}: expected format {FORMAT!r} version {VERSION}, got {head.get('format')!r} version {head.get('version')}")
         if head.get("dataset") != dataset.content_hash:
@@ -98,5 +103,19 @@ def open_result(path: str | Path, dataset: Dataset) -> Result:
             parameters = json.loads(str(head.get("parameters", "{}")))
         except ValueError as error:
             raise InputError(f"{path}: attribute parameters: expected JSON, got {head['parameters']!r}") from error
-        cost = [float(head[key]) if key in head else None for key in ("seconds", "peak_mb")]
-        return Result(file_path, str(head.get("solver", "unknown")), parameters, cost[0], cost[1], dataset.rig.grid)
+        seconds, peak_mb = (_cost(head.get(key), f"{path}: attribute {key}") for key in ("seconds", "peak_mb"))
+        return Result(file_path, str(head.get("solver", "unknown")), parameters, seconds, peak_mb, dataset.rig.grid)
+
+
+def _plain(value: Any) -> Any:
+    """An attribute as a Python value: other languages write strings of fixed length, which arrive as bytes."""
+    value = value.item() if isinstance(value, np.generic) else value
+    return value.decode("utf-8", "replace") if isinstance(value, bytes) else value
+
+
+def _cost(value: Any, where: str) -> float | None:
+    if value is None:
+        return None
+    if not isinstance(value, int | float) or not 0.0 <= value < float("inf"):
+        raise InputError(f"{where}: expected one number that is not negative, got {value!r}")
+    return float(value)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tomllib
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -10,7 +11,7 @@ from sabench.dataset.read import Dataset
 from sabench.errors import InputError
 from sabench.files import inside, sha256
 from sabench.progress import track
-from sabench.scene import load_scene
+from sabench.scene import Scene, validate
 
 
 def verify(path: str | Path) -> list[str]:
@@ -46,7 +47,7 @@ def _byte_faults(root: Path, manifest: layout.Manifest) -> Iterator[str]:
 
 def _content_faults(dataset: Dataset) -> Iterator[str]:
     """Files that are as they were written, but do not fit together."""
-    yield from _try(lambda: load_scene(dataset.root / layout.SCENE))
+    yield from _try(lambda: _check_scene(dataset))
     broken = list(_try(lambda: dataset.rig))
     if broken:
         yield from broken
@@ -54,6 +55,17 @@ def _content_faults(dataset: Dataset) -> Iterator[str]:
     for frame in track(range(dataset.rig.frames), "verify shapes"):
         for part in (dataset.observation, dataset.radiance, dataset.particles, dataset.views):
             yield from _try(lambda part=part, frame=frame: part(frame))  # type: ignore[misc]
+
+
+def _check_scene(dataset: Dataset) -> None:
+    """The resolved scene must be the one that the manifest names; its generator need not be installed."""
+    path = inside(dataset.root, layout.SCENE)
+    try:
+        scene = validate(Scene, tomllib.loads(path.read_text(encoding="utf-8")), str(path))
+    except ValueError as error:
+        raise InputError(f"{path}: expected a TOML file, got {error}") from error
+    if scene.hash != dataset.manifest.scene_hash:
+        raise InputError(f"{path}: its hash {scene.hash[:12]} is not the manifest's scene_hash {dataset.manifest.scene_hash[:12]}")
 
 
 def _try(read: Callable[[], object]) -> Iterator[str]:

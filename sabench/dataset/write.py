@@ -11,11 +11,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from sabench import __version__
 from sabench.arrays import F32, U16
 from sabench.dataset import layout
-from sabench.dataset.hdf import created
+from sabench.dataset.hdf import created, uninterrupted
 from sabench.dataset.images import write_exr, write_tiff
 from sabench.files import canonical_json, complete_or_nothing, sha256
 from sabench.imaging.particle_images import ParticleImages
@@ -43,18 +44,19 @@ class DatasetWriter:
 
     def add_particles(self, frame: int, particles: Particles) -> None:
         """Store a frame's particles; `add_view` then stores what each camera receives of them."""
-        group = self._truth.create_group(layout.frame_group(frame))
-        for name in ("id", "position_mm", "diameter_mm", "velocity_mm_s"):
-            group.create_dataset(name, data=getattr(particles, name))
+        values = {name: getattr(particles, name) for name in ("id", "position_mm", "diameter_mm", "velocity_mm_s")}
+        self._store(layout.frame_group(frame), values)
 
     def add_view(self, frame: int, camera: Camera, images: ParticleImages) -> None:
         """Store where and how bright one camera receives a frame's particles."""
-        group = self._truth[layout.frame_group(frame)].create_group(f"cameras/{camera.name}")
-        group.create_dataset("pixel", data=images.pixel)
-        group.create_dataset("photons", data=images.photons)
-        group.create_dataset("sigma_px", data=images.sigma_px.astype(np.float32))
-        group.create_dataset("visible", data=images.visible.astype(np.uint8))
-        self._truth.flush()
+        small: dict[str, npt.NDArray[Any]] = {"sigma_px": images.sigma_px.astype(np.float32), "visible": images.visible.astype(np.uint8)}
+        self._store(f"{layout.frame_group(frame)}/cameras/{camera.name}", {"pixel": images.pixel, "photons": images.photons, **small})
+
+    def _store(self, group: str, values: dict[str, npt.NDArray[Any]]) -> None:
+        with uninterrupted():
+            for name, value in values.items():
+                self._truth.create_dataset(f"{group}/{name}", data=value)
+            self._truth.flush()
         self._check()
 
 
@@ -66,7 +68,8 @@ def dataset_writer(target: Path, name: str, scene: Scene, rig: Rig, seed: int, r
         (root / layout.SCENE).write_text(scene.to_toml(), encoding="utf-8")
         (root / layout.CAMERAS).write_text(canonical_json(_observation(scene, rig)), encoding="utf-8")
         with created(root / layout.TRUTH) as (truth, check):
-            truth.attrs["format"], truth.attrs["version"] = layout.FORMAT, layout.VERSION
+            with uninterrupted():
+                truth.attrs["format"], truth.attrs["version"] = layout.FORMAT, layout.VERSION
             yield DatasetWriter(root, truth, check)
         (root / layout.MANIFEST).write_text(_manifest(root, name, scene, seed, renderer), encoding="utf-8")
 

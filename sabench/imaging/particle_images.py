@@ -47,21 +47,25 @@ class ParticleImages:
 
 
 def scattering_table(scene: Scene, cameras: tuple[Camera, ...], particles: Particles) -> MieTable | None:
-    """The Mie table that covers all directions from the particles to the cameras; None for isotropic scattering."""
+    """The Mie table of these particles over all directions from the volume to the cameras; None for isotropic scattering or no particles."""
     if scene.illumination.scattering == "isotropic" or not len(particles):
         return None
-    ranges = []
-    for camera in cameras:
-        paths = trace_to_points(camera.wall, np.asarray(camera.center_mm), particles.position_mm)
-        angles = _scattering_angles(scene, paths.arriving[paths.valid])
-        ranges += [angles.min(), angles.max()] if len(angles) else []
-    if not ranges:
-        return None
     index = complex(scene.tracer.index, -scene.tracer.absorption)
-    margin = 2.0 * max(c.aperture_radius_mm / c.focus_mm for c in cameras)
     fluid = scene.wall.fluid_index if scene.wall else 1.0
-    span = (min(ranges) - margin, max(ranges) + margin)
-    return mie_table(particles.diameter_mm, index, fluid, scene.illumination.wavelength_nm, span)
+    return mie_table(particles.diameter_mm, index, fluid, scene.illumination.wavelength_nm, _angle_range(scene, cameras))
+
+
+def _angle_range(scene: Scene, cameras: tuple[Camera, ...]) -> tuple[float, float]:
+    """Smallest and largest scattering angle over a lattice in the volume, with room for the apertures and between the lattice's points."""
+    steps = np.stack(np.meshgrid(*[np.linspace(-0.5, 0.5, 9)] * 3), axis=-1).reshape(-1, 3)
+    lattice = np.asarray(scene.volume.center_mm) + steps * np.asarray(scene.volume.size_mm)
+    angles = []
+    for camera in cameras:
+        paths = trace_to_points(camera.wall, np.asarray(camera.center_mm), lattice)
+        angles.append(_scattering_angles(scene, paths.arriving[paths.valid]))
+    every = np.concatenate(angles)
+    margin = 0.01 + 2.0 * max(camera.aperture_radius_mm / camera.focus_mm for camera in cameras)
+    return float(every.min() - margin), float(every.max() + margin)
 
 
 def image_particles(scene: Scene, camera: Camera, particles: Particles, table: MieTable | None) -> ParticleImages:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass
 
 import numpy as np
@@ -47,13 +48,21 @@ def mie_table(diameters_mm: F64, particle_index: complex, fluid_index: float, wa
     Source: dC/dOmega = (|S1|^2 + |S2|^2) / (2 k^2), Bohren and Huffman (1983), section 4.4; amplitudes from miepython, whose norm
     "wiscombe" is theirs (its "bohren" is twice that).
     """
+    sizes = np.unique(np.quantile(diameters_mm, (np.arange(_SIZES) + 0.5) / _SIZES))
+    return _tabulate(tuple(sizes.tolist()), particle_index, fluid_index, wavelength_nm, angles_rad)
+
+
+@functools.lru_cache(maxsize=8)
+def _tabulate(
+    sizes_mm: tuple[float, ...], particle_index: complex, fluid_index: float, wavelength_nm: float, angles_rad: tuple[float, float]
+) -> MieTable:
+    """The table, kept: the frames of a cloud that moves share it."""
     import miepython
 
     angles = np.arange(max(0.0, angles_rad[0] - 10 * _STEP_RAD), min(np.pi, angles_rad[1] + 10 * _STEP_RAD) + _STEP_RAD, _STEP_RAD)
     wavenumber = 2.0 * np.pi * fluid_index / (wavelength_nm * 1e-6)
-    sizes = np.unique(np.quantile(diameters_mm, (np.arange(_SIZES) + 0.5) / _SIZES))
     total = np.zeros_like(angles)
-    for size in sizes:
+    for size in sizes_mm:
         amplitudes = miepython.S1_S2(particle_index / fluid_index, wavenumber * size / 2.0, np.cos(angles), norm="wiscombe")
         total += sum(np.abs(a) ** 2 for a in amplitudes) / (2.0 * wavenumber**2 * size**2)
-    return MieTable(angles, total / len(sizes))
+    return MieTable(angles, total / len(sizes_mm))

@@ -19,13 +19,13 @@ _CONNECTED = np.ones((3, 3, 3), dtype=np.int8)
 def detect(volume: F32) -> F64:
     """Intensity-weighted centroids (n, 3) of the particles in a volume (z, y, x), as fractional voxel indices (x, y, z).
 
-    The smallest 10 % of the non-zero intensities are removed, the rest is joined into 26-connected components: thesis section 3.3.2, after
+    Non-zero intensities below their own 10 % quantile are removed, the rest is joined into 26-connected components: thesis section 3.3.2, after
     Elsinga et al. (2006). The thesis takes the centroid of the binary component; weighting it with the intensity is more exact.
     """
     lit = volume > 0.0
     if not lit.any():
         return np.empty((0, 3))
-    lit &= volume > np.quantile(volume[lit], _LOWEST)
+    lit &= volume >= np.quantile(volume[lit], _LOWEST)
     labels, count = ndimage.label(lit, structure=_CONNECTED)
     index = np.flatnonzero(labels)
     component = labels.ravel()[index]

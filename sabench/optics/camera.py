@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -91,8 +92,8 @@ class Camera:
         local = leaving @ np.asarray(self.rotation).T
         valid = valid & (local[:, 2] > 1e-9)
         ideal = local[:, :2] / np.where(valid, local[:, 2], 1.0)[:, None]
-        distorted, slope = _distort(self.distortion, ideal)
-        valid &= slope > 0.0
+        distorted, one_to_one = _distort(self.distortion, ideal)
+        valid &= one_to_one
         pixels = distorted * self.focal_px + np.asarray(self.principal_point_px)
         pixels[~valid] = np.nan
         return pixels, valid
@@ -135,8 +136,16 @@ class Camera:
         return np.asarray(np.pi * self.aperture_radius_mm**2 * area / square**2).reshape(self.rows, self.columns)
 
 
-def _distort(lens: Distortion, ideal: F64) -> tuple[F64, F64]:
-    """Distorted image coordinates, and the Jacobian's determinant (positive where the map is one to one)."""
+@functools.cache
+def _fold_square(lens: Distortion) -> float:
+    """Squared ideal radius at which the radial part stops growing: beyond it two points share a pixel."""
+    roots = np.roots([7.0 * lens.k3, 5.0 * lens.k2, 3.0 * lens.k1, 1.0])
+    real = roots.real[(np.abs(roots.imag) < 1e-12) & (roots.real > 0.0)]
+    return float(real.min()) if len(real) else float("inf")
+
+
+def _distort(lens: Distortion, ideal: F64) -> tuple[F64, Bool]:
+    """Distorted image coordinates, and whether the map is one to one there: inside the radial fold, with a positive determinant."""
     x, y = ideal[:, 0], ideal[:, 1]
     s = x * x + y * y
     radial = 1.0 + s * (lens.k1 + s * (lens.k2 + s * lens.k3))
@@ -146,7 +155,8 @@ def _distort(lens: Distortion, ideal: F64) -> tuple[F64, F64]:
     ux = radial + 2.0 * x * x * slope + 2.0 * lens.p1 * y + 6.0 * lens.p2 * x
     uy = 2.0 * x * y * slope + 2.0 * lens.p1 * x + 2.0 * lens.p2 * y
     vy = radial + 2.0 * y * y * slope + 6.0 * lens.p1 * y + 2.0 * lens.p2 * x
-    return np.column_stack([u, v]), ux * vy - uy * uy
+    one_to_one = (ux * vy - uy * uy > 0.0) & (s < _fold_square(lens))
+    return np.column_stack([u, v]), np.asarray(one_to_one)
 
 
 def _undistort(lens: Distortion, distorted: F64) -> tuple[F64, Bool]:
@@ -160,7 +170,7 @@ def _undistort(lens: Distortion, distorted: F64) -> tuple[F64, Bool]:
             ideal = ideal + residual
             if np.all(np.abs(residual) < 1e-15):
                 break
-        valid = (np.abs(residual).max(axis=1) < 1e-12) & (_distort(lens, ideal)[1] > 0.0)
+        valid = (np.abs(residual).max(axis=1) < 1e-12) & _distort(lens, ideal)[1]
     return ideal, np.asarray(valid)
 
 

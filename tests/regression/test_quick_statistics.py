@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import sabench
@@ -23,8 +24,11 @@ def measure(dataset: Dataset, result: Path) -> dict[str, float]:
 
 
 def test_statistics_are_as_recorded(quick: Dataset, quick_result: Path, request: pytest.FixtureRequest) -> None:
-    """Other processors round single precision otherwise; 1e-3 covers that and no change of the model."""
+    """Other processors round single precision otherwise: 1e-3 covers that in means; scores of 255 particles move in steps of 1/255."""
     figures = measure(quick, quick_result)
     if request.config.getoption("--update-golden"):
         GOLDEN.write_text(json.dumps(figures, indent=1) + "\n", encoding="utf-8")
-    assert figures == pytest.approx(json.loads(GOLDEN.read_text(encoding="utf-8")), rel=1e-3)
+    stored = json.loads(GOLDEN.read_text(encoding="utf-8"))
+    assert list(figures) == list(stored)
+    for key, value in figures.items():
+        assert value == pytest.approx(stored[key], **({"rel": 1e-3} if key.startswith("camera") else {"abs": 2 / 255})), key

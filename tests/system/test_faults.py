@@ -9,6 +9,7 @@ import shutil
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -18,6 +19,7 @@ import numpy as np
 import pytest
 
 import sabench
+from sabench.dataset.hdf import created, uninterrupted
 from sabench.dataset.layout import sealed
 from sabench.dataset.read import Dataset
 from sabench.dataset.verify import verify
@@ -201,7 +203,7 @@ def test_a_disk_that_takes_no_more(quick: Dataset, command: Command, tmp_path: P
 
 def many_frames(quick_toml: str, folder: Path) -> Path:
     file = folder / "many.toml"
-    file.write_text(quick_toml.replace("frames = 1", "frames = 60"))
+    file.write_text(quick_toml.replace("frames = 1", "frames = 120"))
     return file
 
 
@@ -237,17 +239,34 @@ def test_kill_at_ten_moments_leaves_nothing_that_verifies(tmp_path: Path, quick_
             verify(folder / "set")
 
 
-def test_ctrl_c_ends_in_a_sentence_and_cleans_up(tmp_path: Path, quick_toml: str) -> None:
-    scene, folder = many_frames(quick_toml, tmp_path), tmp_path / "c"
+def test_ctrl_c_at_any_moment_ends_in_a_sentence_and_cleans_up(tmp_path: Path, quick_toml: str) -> None:
+    scene, folder, rng = many_frames(quick_toml, tmp_path), tmp_path / "c", np.random.default_rng(5)
     folder.mkdir()
-    with start(tmp_path, scene, folder / "set") as process:
-        wait_for_work(folder)
-        process.send_signal(signal.SIGINT)
-        _, errors = process.communicate(timeout=60)
-    assert process.returncode == 2
-    assert b"Traceback" not in errors
-    assert b"sabench: interrupted" in errors
-    assert list(folder.iterdir()) == []
+    for _ in range(4):
+        with start(tmp_path, scene, folder / "set") as process:
+            wait_for_work(folder)
+            time.sleep(float(rng.uniform(0.0, 0.3)))
+            process.send_signal(signal.SIGINT)
+            _, errors = process.communicate(timeout=60)
+        assert process.returncode == 2, errors
+        assert b"Traceback" not in errors
+        assert b"sabench: interrupted" in errors
+        assert list(folder.iterdir()) == []
+
+
+def test_ctrl_c_inside_hdf5_is_not_lost(tmp_path: Path) -> None:
+    """The interrupt comes while HDF5 calls back into Python; it must arrive once, behind the write."""
+    with pytest.raises(KeyboardInterrupt), created(tmp_path / "a.h5") as (file, check):
+        threading.Timer(0.2, os.kill, (os.getpid(), signal.SIGINT)).start()
+        end, number = time.monotonic() + 20.0, 0
+        while time.monotonic() < end:
+            with uninterrupted():
+                file.create_dataset(str(number), data=np.zeros(300))
+                file.flush()
+            check()
+            number += 1
+    with h5py.File(tmp_path / "a.h5", "r") as again:
+        assert len(again) >= number
 
 
 def test_the_next_write_removes_what_a_killed_one_left(tmp_path: Path) -> None:

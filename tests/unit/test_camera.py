@@ -60,6 +60,17 @@ def test_undistorting_inverts_distorting(lens: Distortion) -> None:
     np.testing.assert_allclose(back, ideal, rtol=0, atol=1e-11)
 
 
+@pytest.mark.parametrize("share", [0.5, 0.8, 0.95, 0.99])
+def test_undistorting_works_up_to_the_fold(share: float) -> None:
+    camera, turn = make_camera(distortion=Distortion(k1=-0.3)), np.linspace(0.0, 6.0, 25)
+    radius = share / math.sqrt(3.0 * 0.3)
+    ideal = radius * np.stack([np.cos(turn), np.sin(turn)], axis=1)
+    pixels = 600.0 * ideal * (1.0 - 0.3 * radius**2) + np.array(camera.principal_point_px)
+    found, valid = camera.ideal(pixels)
+    assert valid.all()
+    np.testing.assert_allclose(found, ideal, rtol=0, atol=1e-11)
+
+
 def along_radius(camera: Camera, radii: F64) -> tuple[F64, Bool]:
     local = np.stack([0.6 * radii, 0.8 * radii, np.ones_like(radii)], axis=1)
     return camera.project(np.asarray(camera.center_mm) + 30.0 * local @ np.asarray(camera.rotation))
@@ -142,7 +153,7 @@ def test_etendue_adds_up_to_the_view_of_the_sensor() -> None:
     total = sum(corner_integral(a, b) for a in (left, right) for b in (top, bottom))
     assert found.shape == (300, 500)
     assert found.sum() == pytest.approx(math.pi * (5.0 / 16.0) ** 2 * total, rel=1e-6)
-    assert np.unravel_index(found.argmax(), found.shape) == (140, 260)
+    assert found.argmax() == 140 * 500 + 260
     assert found[140, 260] == pytest.approx(math.pi * (5.0 / 16.0) ** 2 / 600.0**2, rel=1e-6)
 
 
@@ -168,6 +179,16 @@ def test_etendue_with_distortion_counts_directions() -> None:
     assert etendue.sum() == pytest.approx(blocks.sum(), rel=6e-4)
 
 
+def test_pixels_that_the_lens_does_not_reach_collect_nothing() -> None:
+    camera = make_camera(distortion=Distortion(k1=-0.3), rows=800, columns=1200, principal_point_px=(620.0, 380.0))
+    found = camera.etendue()
+    row, column = np.mgrid[0:800, 0:1200]
+    reached = np.hypot(column - 620.0, row - 380.0) / 600.0 / (2.0 / 3.0 / math.sqrt(0.9))  # 1 at the fold of r (1 - 0.3 r^2)
+    assert np.isfinite(found).all()
+    assert (found[reached < 0.98] > 0.0).all()
+    assert not found[reached > 1.01].any()
+
+
 def test_etendue_of_one_pixel_is_an_integral_over_it() -> None:
     """The ideal coordinates' Jacobian by Gauss-Legendre over the pixel and differences far inside it."""
     camera = make_camera(distortion=BROWN)
@@ -190,15 +211,13 @@ def coddington(wall: Wall, before: float, behind: float, sine: float) -> float:
     roots = [math.sqrt(n * n - (n0 * sine) ** 2) for n in wall.indices]
     sagittal = sum(d * n0 / root for d, root in zip(depths, roots, strict=True))
     tangential = sum(d * n0 * n * n / root**3 for d, root, n in zip(depths, roots, wall.indices, strict=True)) * cosine**2
-    return 2.0 / (1.0 / sagittal + 1.0 / tangential)
+    return float(2.0 / (1.0 / sagittal + 1.0 / tangential))
 
 
 @pytest.mark.parametrize("sine", [0.0, 0.2, 0.45, 0.6])
 def test_apparent_distance_is_that_of_the_pencil(sine: float) -> None:
     before, behind = 350.0, 45.0
-    reach = sum(
-        d * sine / math.sqrt(n * n - sine**2) for d, n in zip([before, 5.0, 2.0, behind], GLASS.indices, strict=True)
-    )
+    reach = sum(d * sine / math.sqrt(n * n - sine**2) for d, n in zip([before, 5.0, 2.0, behind], GLASS.indices, strict=True))
     target = np.array([reach, 0.0, 7.0 + behind])
     camera = aim(make_camera(wall=GLASS, center_mm=(0.0, 0.0, -before), f_number=200.0), target)
     assert apparent_distance_mm(camera, target) == pytest.approx(coddington(GLASS, before, behind, sine), rel=1e-6)

@@ -21,7 +21,7 @@ GRID = Grid((-4.0, 2.0, 40.0), (0.25, 0.2, 0.5), (12, 30, 41), crop=(3, 2, 1))
 
 
 def peak_integral(sigma_mm: float) -> float:
-    return (2.0 * math.pi) ** 1.5 * sigma_mm**3
+    return float((2.0 * math.pi) ** 1.5 * sigma_mm**3)
 
 
 def inner_points(count: int, margin_mm: float, seed: int) -> F64:
@@ -46,7 +46,7 @@ def test_scored_part_is_the_same_for_voxels_and_positions() -> None:
     mask = np.zeros(GRID.shape, dtype=np.bool_)
     mask[GRID.scored] = True
     z, y, x = np.meshgrid(*(np.arange(n) for n in GRID.shape), indexing="ij")
-    voxels = np.stack([x, y, z], axis=-1).reshape(-1, 3)
+    voxels = np.stack([x, y, z], axis=-1).reshape(-1, 3).astype(np.float64)
     for shift in (-0.499, 0.0, 0.499):
         np.testing.assert_array_equal(GRID.in_scored(voxels + shift), mask.ravel())
 
@@ -163,7 +163,7 @@ def smooth_images(seed: int) -> F32:
     """Noise with details of about three pixels, from 0 to 1: a misplaced sample shows."""
     noise = np.random.default_rng(seed).standard_normal((len(CAMERAS), 90, 140))
     smooth = np.stack([gaussian_filter(image, 1.5, mode="wrap") for image in noise])
-    return ((smooth - smooth.min()) / (smooth.max() - smooth.min())).astype(np.float32)
+    return np.asarray((smooth - smooth.min()) / (smooth.max() - smooth.min()), dtype=np.float32)
 
 
 def reference(images: F32, grid: Grid) -> tuple[F64, Bool]:
@@ -206,7 +206,11 @@ def test_sweep_samples_each_camera_by_itself() -> None:
     images = smooth_images(6)
     samples, clear = reference(images, GRID)
     for number in range(len(CAMERAS)):
-        found = sweep(images, CAMERAS, GRID, lambda dr, s, number=number: s[number])
+
+        def chosen(dr: Any, samples: Any, number: int = number) -> Any:
+            return samples[number]
+
+        found = sweep(images, CAMERAS, GRID, chosen)
         np.testing.assert_allclose(found[clear], samples[number][clear], rtol=0, atol=1e-3)
 
 
@@ -240,4 +244,4 @@ def test_a_particle_in_all_images_is_brightest_where_it_is() -> None:
     pixels = [camera.project(place)[0][0] for camera in CAMERAS]
     images = np.stack([np.exp(-((columns - c) ** 2 + (rows - r) ** 2) / 8.0) for c, r in pixels]).astype(np.float32)
     volume = sweep(images, CAMERAS, GRID, product_fold)
-    assert np.unravel_index(volume.argmax(), volume.shape) == voxel
+    assert volume.argmax() == np.ravel_multi_index(voxel, volume.shape)

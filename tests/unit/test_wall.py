@@ -11,6 +11,7 @@ import pytest
 from scipy.optimize import brentq, minimize
 from scipy.spatial.transform import Rotation
 
+import sabench.optics.wall
 from sabench.arrays import F64
 from sabench.optics.camera import Camera, Distortion, aimed_rotation
 from sabench.optics.wall import Layer, Wall, solve_slope, trace_into_fluid, trace_to_points, transmittance
@@ -57,7 +58,7 @@ def hand_path(wall: Wall, before: float, behind: float, sine: float) -> tuple[F6
 
 
 def in_world(wall: Wall, across: F64, lateral: F64, depth: F64) -> F64:
-    return np.asarray(wall.point_mm) + lateral[:, None] * across + depth[:, None] * np.asarray(wall.normal)
+    return np.asarray(np.asarray(wall.point_mm) + lateral[:, None] * across + depth[:, None] * np.asarray(wall.normal))
 
 
 def hand_paths(wall: Wall, count: int, seed: int) -> list[F64]:
@@ -159,12 +160,28 @@ def test_lateral_distance_is_met(wall: Wall) -> None:
     slope, residual = solve_slope(wall.indices, [400.0, *thicknesses, behind], radius)
     sine = slope.astype(np.longdouble) / np.hypot(1.0, slope.astype(np.longdouble))
     lateral = np.zeros_like(sine)
-    for depth, n in zip([400.0, *thicknesses, behind], wall.indices, strict=True):
+    depths: list[F64 | float] = [400.0, *thicknesses, behind]
+    for depth, n in zip(depths, wall.indices, strict=True):
         share = sine * np.longdouble(wall.indices.min()) / np.longdouble(n)
         tangent = slope if n == wall.indices.min() else share / np.sqrt(1.0 - share**2)
         lateral += depth * tangent
     assert np.abs(lateral - radius).max() < 1e-10
     assert np.abs(residual).max() < 1e-10
+
+
+@pytest.mark.parametrize("wall", WALLS)
+def test_the_iteration_ends_in_a_few_steps(wall: Wall, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Newton's iteration doubles its digits: a stopping rule that asks for more of them than a double has would go on to the limit."""
+    calls, lateral = [], sabench.optics.wall._lateral
+
+    def counted(*arguments: Any) -> Any:
+        calls.append(arguments)
+        return lateral(*arguments)
+
+    monkeypatch.setattr(sabench.optics.wall, "_lateral", counted)
+    thicknesses = [layer.thickness_mm for layer in wall.layers]
+    solve_slope(wall.indices, [400.0, *thicknesses, 60.0], np.linspace(0.0, 2000.0, 4001))
+    assert len(calls) <= 20
 
 
 @pytest.mark.parametrize("wall", WALLS)
