@@ -19,8 +19,7 @@ from sabench.arrays import F64, Bool
 from sabench.optics.camera import Camera, Distortion, aimed_rotation
 from sabench.optics.wall import Layer, Wall, solve_slope
 from sabench.progress import track
-from sabench.rig import build_rig
-from sabench.scene import load_scene
+from sabench.rig import build_rig, load_scene
 
 _WALLS = 20
 _BEFORE_MM = 450.0  # from the pinhole to the outer face

@@ -23,8 +23,7 @@ from sabench import backend
 from sabench.arrays import F32
 from sabench.progress import track
 from sabench.reproject import Fold, plane_maps, sweep
-from sabench.rig import Rig, build_rig
-from sabench.scene import load_scene
+from sabench.rig import Rig, build_rig, load_scene
 from sabench.volume import Grid
 
 

@@ -21,8 +21,8 @@ from sabench.imaging.pathtrace import render
 from sabench.imaging.splat import splat
 from sabench.optics.camera import Camera
 from sabench.progress import track
-from sabench.rig import Rig, build_rig
-from sabench.scene import Scene, load_scene
+from sabench.rig import Rig, build_rig, load_scene
+from sabench.scene import Scene
 from sabench.world import Particles
 
 _PITCH, _JITTER, _HALF = 14, 1.0, 6  # px: lattice, shift of each particle, half the window; neighbours are at least 12 px apart

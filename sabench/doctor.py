@@ -71,8 +71,7 @@ def try_render() -> str:
     from sabench.generation import make_particles
     from sabench.imaging.particle_images import image_particles, scattering_table
     from sabench.imaging.pathtrace import render
-    from sabench.rig import build_rig
-    from sabench.scene import load_scene
+    from sabench.rig import build_rig, load_scene
 
     scene = load_scene("quick")
     camera, particles = build_rig(scene).cameras[0], make_particles(scene, 0, 0)

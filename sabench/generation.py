@@ -18,8 +18,8 @@ from sabench.imaging.sensor import expose
 from sabench.imaging.splat import splat
 from sabench.optics.camera import Camera
 from sabench.progress import track
-from sabench.rig import Rig, build_rig
-from sabench.scene import Scene, load_scene
+from sabench.rig import Rig, build_rig, load_scene
+from sabench.scene import Scene
 from sabench.seeds import stream
 from sabench.world import Domain, Particles
 
@@ -109,7 +109,7 @@ def _picture(scene: Scene, camera: Camera, particles: Particles, images: Particl
     etendue = camera.etendue()
     if renderer == "splat":
         photons = splat(camera, images)
-        return photons, photons / etendue
+        return photons, np.divide(photons, etendue, out=np.zeros_like(photons), where=etendue > 0.0)
     from sabench.imaging.pathtrace import render
 
     radiance = render(camera, images, particles.position_mm, scene.render.samples_per_pixel)

@@ -53,7 +53,7 @@ def plane_map(camera: Camera, grid: Grid, z_mm: float, degree: int) -> PlaneMap:
     fit, check = (np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2) for axis in (nodes, between))
     target = _project_plane(camera, grid, z_mm, fit)
     coefficients = np.asarray(np.linalg.lstsq(_terms(fit, degree), target, rcond=None)[0], dtype=np.float64)
-    error = np.abs(_terms(check, degree) @ coefficients - _project_plane(camera, grid, z_mm, check)).max()
+    error = np.linalg.norm(_terms(check, degree) @ coefficients - _project_plane(camera, grid, z_mm, check), axis=1).max()
     return PlaneMap(degree, np.asarray(coefficients.T), float(error))
 
 

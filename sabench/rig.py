@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import itertools
+import tomllib
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 
@@ -22,8 +24,28 @@ from sabench.scene import (
     RingLayout,
     Scene,
     WallSpec,
+    find,
+    parse_scene,
 )
 from sabench.volume import Grid
+
+
+def load_scene(path: str | Path) -> Scene:
+    """Read and check a scene file; `path` may also be the name of a bundled scene.
+
+    Raises
+    ------
+    InputError
+        No such file, not TOML, an unknown key (with the nearest valid one), a wrong value or an impossible geometry.
+    """
+    file = find(path, "scenes")
+    try:
+        values = tomllib.loads(file.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise InputError(f"{file}: expected a TOML file, got {error}") from error
+    scene = parse_scene(values, str(file))
+    build_rig(scene, str(file))
+    return scene
 
 
 @dataclass(frozen=True)

@@ -25,7 +25,8 @@ from sabench.errors import InputError
 from sabench.files import canonical_json, complete_or_nothing
 from sabench.generation import Renderer, choose_renderer, generate
 from sabench.progress import console
-from sabench.scene import Scene, find, load_scene, validate
+from sabench.rig import load_scene
+from sabench.scene import Scene, find, validate
 from sabench.scoring import SCORES, score, true_field
 from sabench.solving import make_solver, solve
 

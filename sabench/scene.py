@@ -5,7 +5,6 @@ from __future__ import annotations
 import difflib
 import hashlib
 import math
-import tomllib
 import types
 import typing
 from pathlib import Path
@@ -238,26 +237,6 @@ class Scene(_Table):
     def hash(self) -> str:
         """SHA-256 of the resolved scene: equal scenes have equal hashes, however they were written."""
         return hashlib.sha256(canonical_json(self.to_dict()).encode()).hexdigest()
-
-
-def load_scene(path: str | Path) -> Scene:
-    """Read and check a scene file; `path` may also be the name of a bundled scene.
-
-    Raises
-    ------
-    InputError
-        No such file, not TOML, an unknown key (with the nearest valid one), a wrong value or an impossible geometry.
-    """
-    from sabench.rig import build_rig
-
-    file = find(path, "scenes")
-    try:
-        values = tomllib.loads(file.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise InputError(f"{file}: expected a TOML file, got {error}") from error
-    scene = parse_scene(values, str(file))
-    build_rig(scene, str(file))
-    return scene
 
 
 def find(name: str | Path, folder: str) -> Path:

@@ -126,6 +126,7 @@ def _trace(scene: Any, ray: Any, cloud: Any) -> Any:
         entered = ball & (si.prim_index != last) & (crossed == cloud.interfaces)
         place = dr.fma(ray.d, si.t, ray.o)
         offset = place - dr.gather(mi.Point3f, cloud.centers, si.prim_index, entered)
+        offset -= dr.dot(ray.d, offset) * ray.d  # a ball is met in front of its centre, where rays of one pinhole lie closer together
         first = dr.dot(dr.gather(mi.Point3f, cloud.a, si.prim_index, entered), offset)
         second = dr.dot(dr.gather(mi.Point3f, cloud.b, si.prim_index, entered), offset)
         glow = dr.exp(-0.5 * (first * first + second * second))

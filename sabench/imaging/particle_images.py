@@ -114,12 +114,12 @@ def _through_aperture(camera: Camera, points: F64, chief: F64) -> tuple[float, F
 def _object_shape(camera: Camera, points: F64, direction: F64) -> tuple[F64, F64]:
     """Magnification (px/mm, mean over directions) and the moves across the light path that shift the image by one pixel: (n, 2, 3)."""
     step = 1e-3  # mm: far above float64's noise, far below any change of magnification
-    first = np.cross(direction, [0.0, 1.0, 0.0])
-    first /= np.maximum(np.linalg.norm(first, axis=1, keepdims=True), 1e-12)
+    first = np.cross(direction, camera.rotation[1])  # never along the path: a path in view is near the camera's Z axis
+    first /= np.linalg.norm(first, axis=1, keepdims=True)
     basis = np.stack([first, np.cross(direction, first)], axis=1)
     ends = [camera.project(points + sign * step * basis[:, i])[0] for i in (0, 1) for sign in (1.0, -1.0)]
     jacobian = np.stack([ends[0] - ends[1], ends[2] - ends[3]], axis=2) / (2.0 * step)
-    determinant = np.linalg.det(jacobian)
+    determinant = jacobian[:, 0, 0] * jacobian[:, 1, 1] - jacobian[:, 0, 1] * jacobian[:, 1, 0]
     with np.errstate(invalid="ignore", divide="ignore"):
         adjugate = np.stack([jacobian[:, 1, 1], -jacobian[:, 0, 1], -jacobian[:, 1, 0], jacobian[:, 0, 0]], axis=1).reshape(-1, 2, 2)
         inverse = adjugate / determinant[:, None, None]

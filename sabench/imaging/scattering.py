@@ -48,21 +48,21 @@ def mie_table(diameters_mm: F64, particle_index: complex, fluid_index: float, wa
     Source: dC/dOmega = (|S1|^2 + |S2|^2) / (2 k^2), Bohren and Huffman (1983), section 4.4; amplitudes from miepython, whose norm
     "wiscombe" is theirs (its "bohren" is twice that).
     """
-    sizes = np.unique(np.quantile(diameters_mm, (np.arange(_SIZES) + 0.5) / _SIZES))
-    return _tabulate(tuple(sizes.tolist()), particle_index, fluid_index, wavelength_nm, angles_rad)
+    sizes, counts = np.unique(np.quantile(diameters_mm, (np.arange(_SIZES) + 0.5) / _SIZES), return_counts=True)
+    return _tabulate(tuple(zip(sizes.tolist(), counts.tolist(), strict=True)), particle_index, fluid_index, wavelength_nm, angles_rad)
 
 
 @functools.lru_cache(maxsize=8)
 def _tabulate(
-    sizes_mm: tuple[float, ...], particle_index: complex, fluid_index: float, wavelength_nm: float, angles_rad: tuple[float, float]
+    sizes_mm: tuple[tuple[float, int], ...], particle_index: complex, fluid_index: float, wavelength_nm: float, angles_rad: tuple[float, float]
 ) -> MieTable:
-    """The table, kept: the frames of a cloud that moves share it."""
+    """The table of sizes and how many of the cloud's `_SIZES` quantiles have each; kept, since the frames of a cloud that moves share it."""
     import miepython
 
     angles = np.arange(max(0.0, angles_rad[0] - 10 * _STEP_RAD), min(np.pi, angles_rad[1] + 10 * _STEP_RAD) + _STEP_RAD, _STEP_RAD)
     wavenumber = 2.0 * np.pi * fluid_index / (wavelength_nm * 1e-6)
     total = np.zeros_like(angles)
-    for size in sizes_mm:
+    for size, count in sizes_mm:
         amplitudes = miepython.S1_S2(particle_index / fluid_index, wavenumber * size / 2.0, np.cos(angles), norm="wiscombe")
-        total += sum(np.abs(a) ** 2 for a in amplitudes) / (2.0 * wavenumber**2 * size**2)
-    return MieTable(angles, total / len(sizes_mm))
+        total += count * sum(np.abs(a) ** 2 for a in amplitudes) / (2.0 * wavenumber**2 * size**2)
+    return MieTable(angles, total / _SIZES)

@@ -9,7 +9,7 @@ from sabench.arrays import F64
 from sabench.imaging.particle_images import ParticleImages
 from sabench.optics.camera import Camera
 
-_REACH = 4.5  # standard deviations from the centre to the window's edge: less than 1e-5 of the light is left out
+_REACH = 4.5  # standard deviations from the centre to the window's edge: less than 2e-5 of the light is left out
 _BATCH = 1 << 16
 
 

@@ -11,7 +11,7 @@ import numpy.typing as npt
 from sabench.arrays import F64, Bool, rows_of
 from sabench.optics.wall import Rays, Wall, trace_into_fluid, trace_to_points
 
-_UNDISTORT_STEPS = 50
+_UNDISTORT_STEPS = 20
 
 
 @dataclass(frozen=True)
@@ -92,7 +92,7 @@ class Camera:
         local = leaving @ np.asarray(self.rotation).T
         valid = valid & (local[:, 2] > 1e-9)
         ideal = local[:, :2] / np.where(valid, local[:, 2], 1.0)[:, None]
-        distorted, one_to_one = _distort(self.distortion, ideal)
+        distorted, one_to_one, _ = _distort(self.distortion, ideal)
         valid &= one_to_one
         pixels = distorted * self.focal_px + np.asarray(self.principal_point_px)
         pixels[~valid] = np.nan
@@ -125,14 +125,19 @@ class Camera:
             return np.asarray(inside & (column < self.columns + margin_px - 0.5) & (row < self.rows + margin_px - 0.5))
 
     def etendue(self) -> F64:
-        """mm^2 sr that each pixel collects: pupil area seen at its angle times its solid angle in front of the lens; (rows, columns)."""
+        """mm^2 sr that each pixel collects: pupil area seen at its angle times its solid angle in front of the lens; (rows, columns).
+
+        0 where the distorted lens shows nothing.
+        """
         column, row = np.meshgrid(np.arange(self.columns), np.arange(self.rows))
         pixels = np.column_stack([column.ravel(), row.ravel()]).astype(np.float64)
         right, down = np.array([0.5, 0.0]), np.array([0.0, 0.5])
-        across = self.ideal(pixels + right)[0] - self.ideal(pixels - right)[0]
-        along = self.ideal(pixels + down)[0] - self.ideal(pixels - down)[0]
+        around = [self.ideal(pixels + step) for step in (right, -right, down, -down, 0.0 * right)]
+        seen = np.all([valid for _, valid in around], axis=0)
+        ends = [np.where(seen[:, None], ideal, 0.0) for ideal, _ in around]
+        across, along = ends[0] - ends[1], ends[2] - ends[3]
         area = np.abs(across[:, 0] * along[:, 1] - across[:, 1] * along[:, 0])
-        square = 1.0 + np.sum(self.ideal(pixels)[0] ** 2, axis=1)
+        square = 1.0 + np.sum(ends[4] ** 2, axis=1)
         return np.asarray(np.pi * self.aperture_radius_mm**2 * area / square**2).reshape(self.rows, self.columns)
 
 
@@ -144,8 +149,11 @@ def _fold_square(lens: Distortion) -> float:
     return float(real.min()) if len(real) else float("inf")
 
 
-def _distort(lens: Distortion, ideal: F64) -> tuple[F64, Bool]:
-    """Distorted image coordinates, and whether the map is one to one there: inside the radial fold, with a positive determinant."""
+def _distort(lens: Distortion, ideal: F64) -> tuple[F64, Bool, tuple[F64, F64, F64]]:
+    """Distorted image coordinates, whether the map is one to one there (inside the radial fold, with a positive determinant), and its Jacobian.
+
+    The Jacobian is symmetric: (du/dx, du/dy, dv/dy).
+    """
     x, y = ideal[:, 0], ideal[:, 1]
     s = x * x + y * y
     radial = 1.0 + s * (lens.k1 + s * (lens.k2 + s * lens.k3))
@@ -156,20 +164,22 @@ def _distort(lens: Distortion, ideal: F64) -> tuple[F64, Bool]:
     uy = 2.0 * x * y * slope + 2.0 * lens.p1 * x + 2.0 * lens.p2 * y
     vy = radial + 2.0 * y * y * slope + 6.0 * lens.p1 * y + 2.0 * lens.p2 * x
     one_to_one = (ux * vy - uy * uy > 0.0) & (s < _fold_square(lens))
-    return np.column_stack([u, v]), np.asarray(one_to_one)
+    return np.column_stack([u, v]), np.asarray(one_to_one), (ux, uy, vy)
 
 
 def _undistort(lens: Distortion, distorted: F64) -> tuple[F64, Bool]:
-    """Invert `_distort` by fixed-point iteration with the exact residual as its test."""
+    """Invert `_distort` by Newton's iteration with the exact residual as its test."""
     if lens == Distortion():
         return distorted, np.asarray(np.isfinite(distorted).all(axis=1))
     ideal, residual = distorted.copy(), np.zeros_like(distorted)
-    with np.errstate(invalid="ignore", over="ignore"):
+    with np.errstate(all="ignore"):
         for _ in range(_UNDISTORT_STEPS):
-            residual = distorted - _distort(lens, ideal)[0]
-            ideal = ideal + residual
+            image, _, (ux, uy, vy) = _distort(lens, ideal)
+            residual = distorted - image
             if np.all(np.abs(residual) < 1e-15):
                 break
+            a, b = residual.T
+            ideal = ideal + np.column_stack([vy * a - uy * b, ux * b - uy * a]) / (ux * vy - uy * uy)[:, None]
         valid = (np.abs(residual).max(axis=1) < 1e-12) & _distort(lens, ideal)[1]
     return ideal, np.asarray(valid)
 

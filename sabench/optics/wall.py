@@ -131,7 +131,7 @@ def solve_slope(indices: F64, depths_mm: list[F64 | float], radius_mm: F64) -> t
         moved = np.abs(better - slope)
         slope = better
         value, gradient = _lateral(relative, depths_mm, slope)
-        if np.all((moved <= 2e-16 * slope) | (np.abs(value - radius_mm) <= 2e-13)):
+        if np.all((moved <= 2e-16 * slope) | (np.abs(value - radius_mm) <= 2e-13 + 5e-16 * radius_mm)):
             break
     return slope, value - radius_mm
 
@@ -161,12 +161,14 @@ def _slope_in(indices: F64, medium: int, slope: F64) -> F64:
 def _cylindrical(wall: Wall, pinhole_mm: F64, points_mm: F64) -> tuple[F64, F64, list[F64 | float], Bool]:
     """Unit lateral directions, lateral distances, depths crossed per medium and validity of paths to points."""
     normal = np.asarray(wall.normal)
+    finite: Bool = np.asarray(np.isfinite(points_mm).all(axis=1))
+    points_mm = np.where(finite[:, None], points_mm, pinhole_mm)
     before = -float(wall.depth_of(pinhole_mm))
     behind = wall.depth_of(points_mm) - wall.thickness_mm
     offset = points_mm - pinhole_mm
     offset = offset - (offset @ normal)[:, None] * normal
     radius = np.sqrt(np.einsum("ij,ij->i", offset, offset))
-    valid = np.isfinite(radius) & np.isfinite(behind) & (behind > 0.0) & (before > 0.0)
+    valid = finite & (behind > 0.0) & (before > 0.0)
     radius = np.where(valid, radius, 0.0)
     lateral = np.where(valid[:, None], offset, 0.0) / np.where(radius > 0.0, radius, 1.0)[:, None]
     thicknesses = [layer.thickness_mm for layer in wall.layers]

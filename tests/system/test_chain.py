@@ -13,7 +13,8 @@ from sabench.dataset.layout import image_name
 from sabench.dataset.read import Dataset
 from sabench.dataset.verify import verify
 from sabench.files import sha256
-from sabench.scene import load_scene, parse_scene
+from sabench.rig import load_scene
+from sabench.scene import parse_scene
 from tests.conftest import Command
 
 
