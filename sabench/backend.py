@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from sabench.errors import InputError
+from sabench.progress import console
 
 LLVM_VARIABLE = "DRJIT_LIBLLVM_PATH"
 CHOICE_VARIABLE = "SABENCH_BACKEND"
@@ -128,6 +129,7 @@ def _prepare() -> Backend:
                 f"drjit was imported before sabench and took LLVM {loaded}, which aborts in renders: expected sabench's choice, {backend.library}; "
                 f"import sabench.backend and call its mitsuba() first, or set {LLVM_VARIABLE}"
             )
+    console.print(f"computing on {backend.why}", style="dim", highlight=False, soft_wrap=True)
     return backend
 
 

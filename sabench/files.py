@@ -26,7 +26,7 @@ def complete_or_nothing(target: Path, *, overwrite: bool = False) -> Iterator[Pa
     """
     target = target.absolute()
     target.parent.mkdir(parents=True, exist_ok=True)
-    _clear_abandoned(target)
+    clear_abandoned(target)
     if target.exists() and not overwrite:
         raise InputError(f"{target} exists already: choose another name, or say --overwrite")
     partial = target.parent / f".{target.name}.partial-{os.getpid()}"
@@ -35,17 +35,20 @@ def complete_or_nothing(target: Path, *, overwrite: bool = False) -> Iterator[Pa
         yield partial
         _flush(partial)
         if target.is_dir() or (target.exists() and partial.is_dir()):
-            target.rename(retired)  # folders cannot be replaced in one step; `_clear_abandoned` mends a death between these two lines
+            target.rename(retired)  # folders cannot be replaced in one step; `clear_abandoned` mends a death between these two lines
             partial.rename(target)
         else:
             partial.replace(target)
+    except OSError as error:
+        error.filename = error.filename or str(target)  # a refused write does not say where
+        raise
     finally:
         _remove(partial)
         if target.exists():
             _remove(retired)
 
 
-def _clear_abandoned(target: Path) -> None:
+def clear_abandoned(target: Path) -> None:
     """Remove what killed processes left of writing `target`; what they had set aside comes back if nothing took its place."""
     for entry in sorted(target.parent.iterdir()):
         match = _ABANDONED.match(entry.name)

@@ -9,9 +9,11 @@ import multiprocessing
 import multiprocessing.connection
 import os
 import platform
+import signal
 import tomllib
 from collections.abc import Iterator
 from dataclasses import dataclass
+from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +24,7 @@ from sabench.dataset.read import Dataset, open_dataset
 from sabench.dataset.result import open_result
 from sabench.dataset.verify import verify
 from sabench.errors import InputError
-from sabench.files import canonical_json, complete_or_nothing
+from sabench.files import canonical_json, clear_abandoned, complete_or_nothing
 from sabench.generation import Renderer, choose_renderer, generate
 from sabench.progress import console
 from sabench.rig import load_scene
@@ -169,18 +171,31 @@ def _solve_apart(entrant: Entrant, dataset: Dataset, out: Path) -> None:
     context = multiprocessing.get_context("spawn")
     receiver, sender = context.Pipe(duplex=False)
     child = context.Process(target=_solve_child, args=(sender, entrant.name, entrant.parameters, str(dataset.root), str(out)))
-    child.start()
+    _start_deaf(child)
     sender.close()
     try:
         message: str | None = receiver.recv()
     except EOFError:  # it died without a word
         child.join()
         message = f"solver {entrant.name}: its process ended with exit code {child.exitcode}"
+    except KeyboardInterrupt:
+        child.terminate()
+        raise
     finally:
         child.join()
         receiver.close()
+        clear_abandoned(out)
     if message is not None:
         raise InputError(message)
+
+
+def _start_deaf(child: BaseProcess) -> None:
+    """Start a process that does not hear Ctrl-C, which a terminal sends to all: the parent hears it and ends the child."""
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        child.start()
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 def _solve_child(sender: multiprocessing.connection.Connection, name: str, parameters: dict[str, Any], dataset: str, out: str) -> None:

@@ -196,8 +196,8 @@ def limit_files() -> None:
 
 def test_a_disk_that_takes_no_more(quick: Dataset, command: Command, tmp_path: Path) -> None:
     """A limit on the size of files stands in for a full disk: writes fail in the middle with the system's error."""
-    check_sentence(command("generate", "quick", "-o", "full", "--backend", "splat", preexec_fn=limit_files))
-    check_sentence(command("solve", "msa", quick.root, "-o", "full.h5", "-p", "k=0", preexec_fn=limit_files))
+    check_sentence(command("generate", "quick", "-o", "full", "--backend", "splat", preexec_fn=limit_files), "full", "File too large")
+    check_sentence(command("solve", "msa", quick.root, "-o", "full.h5", "-p", "k=0", preexec_fn=limit_files), "full.h5", "File too large")
     assert list(tmp_path.iterdir()) == []
 
 
@@ -252,6 +252,48 @@ def test_ctrl_c_at_any_moment_ends_in_a_sentence_and_cleans_up(tmp_path: Path, q
         assert b"Traceback" not in errors
         assert b"sabench: interrupted" in errors
         assert list(folder.iterdir()) == []
+
+
+SLEEPER = '''"""Sleeps."""
+
+import time
+
+from sabench.api import Observation, Reconstruction, Solver
+
+
+class Sleeper(Solver):
+    """Says that it began, and sleeps."""
+
+    name = "sleeper"
+
+    def solve(self, case: Observation) -> Reconstruction:
+        open("began", "w").close()
+        time.sleep(60.0)
+        raise RuntimeError("woken")
+'''
+
+
+def test_ctrl_c_in_a_suite_keeps_what_is_finished(tmp_path: Path) -> None:
+    """As from a terminal: the interrupt goes to the command and to the solver's process alike."""
+    plugin = tmp_path / "mine" / "solvers" / "sleeper.py"
+    plugin.parent.mkdir(parents=True)
+    plugin.write_text(SLEEPER)
+    (tmp_path / "s.toml").write_text('title = "t"\nscenes = ["quick"]\nbackend = "splat"\nsolvers = [{ name = "msa" }, { name = "sleeper" }]\n')
+    environment = os.environ | {"PYTHONPATH": str(ROOT), "SABENCH_PLUGINS": str(tmp_path / "mine")}
+    words = [sys.executable, "-m", "sabench", "run", "s.toml"]
+    with subprocess.Popen(words, env=environment, cwd=tmp_path, stderr=subprocess.PIPE, start_new_session=True) as process:
+        end = time.monotonic() + 60.0
+        while not (tmp_path / "began").exists():
+            assert time.monotonic() < end
+            time.sleep(0.05)
+        os.killpg(process.pid, signal.SIGINT)
+        _, errors = process.communicate(timeout=30)
+    assert process.returncode == 2, errors
+    assert b"Traceback" not in errors
+    assert errors.count(b"sabench: interrupted") == 1
+    records = [json.loads(line) for line in (tmp_path / "leaderboard/records/local.jsonl").read_text().splitlines()]
+    assert [record["solver"] for record in records] == ["msa"]
+    assert not list(tmp_path.rglob("*.partial-*"))
 
 
 def write_for_ever(path: Path, written: list[str]) -> None:

@@ -10,7 +10,8 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[2]
 LEVELS = [
     {"errors", "arrays"},
-    {"files", "seeds", "progress", "backend", "plugins"},
+    {"files", "seeds", "progress", "plugins"},
+    {"backend"},
     {"optics", "world", "volume"},
     {"api", "scene"},
     {"rig"},
