@@ -40,7 +40,8 @@ def complete_or_nothing(target: Path, *, overwrite: bool = False) -> Iterator[Pa
         else:
             partial.replace(target)
     except OSError as error:
-        error.filename = error.filename or str(target)  # a refused write does not say where
+        if error.errno and not error.filename:  # a refused write does not say where
+            error.filename = str(target)
         raise
     finally:
         _remove(partial)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,9 @@ def write_tiff(path: Path, image: U16) -> None:
     """Grey values (rows, columns) as an uncompressed 16-bit TIFF, the same bytes for the same image."""
     import tifffile
 
-    tifffile.imwrite(path, image, photometric="minisblack", metadata=None, software=False)
+    memory = io.BytesIO()  # written in one piece: a full disk is then the system's own error, with its reason
+    tifffile.imwrite(memory, image, photometric="minisblack", metadata=None, software=False)
+    path.write_bytes(memory.getvalue())
 
 
 def read_tiff(path: Path, shape: tuple[int, int]) -> U16:
