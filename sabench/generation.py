@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 
 from sabench import backend as compute
-from sabench import plugins
+from sabench import memory, plugins
 from sabench.arrays import F64
 from sabench.dataset.read import Dataset, open_dataset
 from sabench.dataset.write import DatasetWriter, dataset_writer
@@ -57,6 +57,7 @@ def generate(
             if world is None or world.frame != frame:
                 world = _Frame(loaded, rig, seed, frame, writer)
             _record(loaded, writer, world, camera, seed, renderer)
+            memory.trim()
     return open_dataset(out)
 
 

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from sabench import memory
 from sabench.api import Reconstruction
 from sabench.arrays import F32, F64
 from sabench.dataset.read import Dataset, open_dataset
@@ -71,6 +72,7 @@ def _score_frame(dataset: Dataset, result: Result | str, frame: int) -> dict[str
     part = grid.scored
     found = detect(guess.volume) if guess.particles_mm is None else grid.to_voxels(guess.particles_mm)
     truths = grid.to_voxels(positions)
+    memory.trim()
     pair = (found, truths, grid.in_scored(found), grid.in_scored(truths))
     thesis, challenge = count_thesis(*pair), count_challenge(*pair)
     return {

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from sabench import plugins
+from sabench import memory, plugins
 from sabench.api import Observation, Reconstruction, Solver
 from sabench.dataset.read import Dataset, open_dataset
 from sabench.dataset.result import Result, open_result, result_writer
@@ -36,7 +36,7 @@ def solve(
     data = dataset if isinstance(dataset, Dataset) else open_dataset(dataset)
     algorithm = make_solver(solver, parameters or {})
     seconds = []
-    _forget_peak()
+    memory.forget_peak()
     resolved = algorithm.parameters.model_dump(mode="json")
     with result_writer(Path(out), data, solver, resolved, overwrite=overwrite) as writer:
         for frame in range(data.rig.frames):
@@ -45,7 +45,9 @@ def solve(
             guess = _attempt(algorithm, solver, case, frame)
             seconds.append(time.perf_counter() - start)
             writer.add(frame, guess)
-        writer.set_cost(float(np.mean(seconds)), _peak_mb())
+            del case, guess
+            memory.trim()
+        writer.set_cost(float(np.mean(seconds)), memory.peak_mb())
     return open_result(out, data)
 
 
@@ -79,26 +81,3 @@ def _check_array(solver: str, frame: int, what: str, array: Any, kind: np.dtype[
         raise InputError(f"solver {solver}: {what}: expected {kind} of shape {shape}, got {got}")
     if not np.isfinite(array).all():
         raise InputError(f"solver {solver}: {what}: expected finite values, got NaN or infinite ones in frame {frame}")
-
-
-def _forget_peak() -> None:
-    """Start the process's memory high-water mark anew, where the system can (Linux)."""
-    marks = Path("/proc/self/clear_refs")
-    if marks.exists():
-        try:
-            marks.write_text("5")
-        except OSError:
-            return  # not permitted in some containers: the peak then covers the whole process, which is an upper bound
-
-
-def _peak_mb() -> float | None:
-    """Peak resident memory of this process in MB (10^6 bytes); None where the system does not say."""
-    status = Path("/proc/self/status")
-    if status.exists():
-        line = next(line for line in status.read_text().splitlines() if line.startswith("VmHWM:"))
-        return int(line.split()[1]) * 1024 / 1e6
-    try:
-        import resource
-    except ImportError:  # Windows
-        return None
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6  # macOS counts bytes

@@ -10,7 +10,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[2]
 LEVELS = [
     {"errors", "arrays"},
-    {"files", "seeds", "progress", "plugins"},
+    {"files", "seeds", "progress", "plugins", "memory"},
     {"backend"},
     {"optics", "world", "volume"},
     {"api", "scene"},

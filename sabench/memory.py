@@ -1,0 +1,48 @@
+"""What this process holds at most, and giving back what it no longer needs."""
+
+from __future__ import annotations
+
+import ctypes
+import functools
+from collections.abc import Callable
+from pathlib import Path
+
+
+def forget_peak() -> None:
+    """Start the process's memory high-water mark anew, where the system can (Linux)."""
+    marks = Path("/proc/self/clear_refs")
+    if marks.exists():
+        try:
+            marks.write_text("5")
+        except OSError:
+            return  # not permitted in some containers: the peak then covers the whole process, which is an upper bound
+
+
+def peak_mb() -> float | None:
+    """Peak resident memory of this process in MB (10^6 bytes); None where the system does not say."""
+    status = Path("/proc/self/status")
+    if status.exists():
+        line = next(line for line in status.read_text().splitlines() if line.startswith("VmHWM:"))
+        return int(line.split()[1]) * 1024 / 1e6
+    try:
+        import resource
+    except ImportError:  # Windows
+        return None
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6  # macOS counts bytes
+
+
+def trim() -> None:
+    """Give freed memory back to the system, where the C library keeps it (glibc).
+
+    Large blocks of one frame are freed below small ones that HDF5 keeps until its file is closed; glibc then holds on to all of them,
+    and a long data set would cost some 3 MB a frame.
+    """
+    _trimmer()(0)
+
+
+@functools.cache
+def _trimmer() -> Callable[[int], object]:
+    try:
+        return ctypes.CDLL(None).malloc_trim
+    except (AttributeError, OSError, TypeError):  # another C library, which returns large blocks by itself
+        return lambda _: None
