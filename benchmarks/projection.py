@@ -9,7 +9,7 @@ from __future__ import annotations
 import functools
 import json
 import sys
-import time
+import timeit
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -86,12 +86,7 @@ def round_trip(camera: Camera, wall: Wall, points: F64) -> tuple[F64, Bool, F64]
 
 def fastest(work: Callable[[], object], repeats: int = 3) -> float:
     """Seconds of the fastest of several runs."""
-    times = []
-    for _ in range(repeats):
-        start = time.perf_counter()
-        work()
-        times.append(time.perf_counter() - start)
-    return min(times)
+    return min(timeit.repeat(work, number=1, repeat=repeats))
 
 
 def demo_points_per_s(count: int) -> float:

@@ -10,7 +10,7 @@ import functools
 import json
 import os
 import sys
-import time
+import timeit
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -38,12 +38,7 @@ def product_of(dr: Any, samples: Any) -> Any:
 def timed(work: Callable[[], object], repeats: int) -> float:
     """Seconds of the fastest of several runs, after one to warm up."""
     work()
-    times = []
-    for _ in range(repeats):
-        start = time.perf_counter()
-        work()
-        times.append(time.perf_counter() - start)
-    return min(times)
+    return min(timeit.repeat(work, number=1, repeat=repeats))
 
 
 def remap_all(images: F32, maps: list[tuple[F32, F32]], planes: int) -> None:

@@ -10,6 +10,12 @@ I64 = npt.NDArray[np.int64]
 Bool = npt.NDArray[np.bool_]
 
 
+def triple(values: npt.ArrayLike) -> tuple[float, float, float]:
+    """Three numbers as a tuple of Python floats, as frozen values keep them."""
+    x, y, z = np.asarray(values, dtype=np.float64).tolist()
+    return x, y, z
+
+
 def rows_of(values: npt.ArrayLike, width: int, what: str) -> F64:
     """`values` as a float64 array of shape (n, width), or a ValueError that says what came instead."""
     array = np.asarray(values, dtype=np.float64)

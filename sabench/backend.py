@@ -9,6 +9,7 @@ from __future__ import annotations
 import ctypes
 import ctypes.util
 import functools
+import importlib
 import importlib.metadata
 import os
 import sys
@@ -147,8 +148,4 @@ def drjit() -> tuple[Any, Any]:
     backend = _prepare()
     import drjit as dr
 
-    if backend.kind == "cuda":
-        import drjit.cuda as types
-    else:
-        import drjit.llvm as types  # type: ignore[no-redef]
-    return dr, types
+    return dr, importlib.import_module(f"drjit.{backend.kind}")

@@ -8,7 +8,7 @@ import os
 import sys
 import tomllib
 from pathlib import Path
-from typing import Annotated, Any, NoReturn
+from typing import Annotated, Any, NoReturn, cast
 
 import typer
 from rich.console import Console
@@ -55,10 +55,10 @@ def generate(
     overwrite: Overwrite = False,
 ) -> None:
     """Make a data set: pictures, cameras and truth."""
-    from sabench.generation import choose_renderer
+    from sabench.generation import Renderer
     from sabench.generation import generate as make
 
-    made = make(scene, output, seed=seed, backend=choose_renderer(backend), overwrite=overwrite)  # type: ignore[arg-type]
+    made = make(scene, output, seed=seed, backend=cast(Renderer, backend), overwrite=overwrite)  # `make` checks the word
     _say(f"{made.root}: {made.rig.frames} frame(s) of {len(made.rig.cameras)} cameras, {made.manifest.renderer}, hash {made.content_hash[:12]}")
 
 

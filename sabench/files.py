@@ -45,8 +45,9 @@ def complete_or_nothing(target: Path, *, overwrite: bool = False) -> Iterator[Pa
         raise
     finally:
         _remove(partial)
-        if target.exists():
-            _remove(retired)
+        if retired.exists() and not target.exists():
+            retired.rename(target)
+        _remove(retired)
 
 
 def clear_abandoned(target: Path) -> None:

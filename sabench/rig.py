@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from sabench.arrays import F64
+from sabench.arrays import F64, triple
 from sabench.errors import InputError
 from sabench.optics import layout
 from sabench.optics.camera import Camera, Distortion, aim, aimed_rotation
@@ -83,14 +83,13 @@ def build_grid(scene: Scene, source: str = "scene") -> Grid:
         raise InputError(f"{source}: grid.crop_mm: expected less than half of volume.size_mm, got {list(scene.grid.crop_mm)}")
     low = np.asarray(scene.volume.center_mm) - (counts - 1) / 2.0 * voxel
     x, y, z = (int(n) for n in counts)
-    return Grid((float(low[0]), float(low[1]), float(low[2])), scene.grid.voxel_mm, (z, y, x), (int(cut[0]), int(cut[1]), int(cut[2])))
+    return Grid(triple(low), scene.grid.voxel_mm, (z, y, x), (int(cut[0]), int(cut[1]), int(cut[2])))
 
 
 def _build_wall(spec: WallSpec) -> Wall:
     unit = np.asarray(spec.normal) / np.linalg.norm(spec.normal)
-    normal = (float(unit[0]), float(unit[1]), float(unit[2]))
     layers = tuple(Layer(layer.name, layer.index, layer.thickness_mm) for layer in spec.layers)
-    return Wall(spec.point_mm, normal, spec.air_index, layers, spec.fluid_index, spec.depth_mm)
+    return Wall(spec.point_mm, triple(unit), spec.air_index, layers, spec.fluid_index, spec.depth_mm)
 
 
 def _corners(scene: Scene) -> F64:
@@ -114,7 +113,7 @@ def _places(spec: Cameras) -> list[Place]:
         return list(spec.layout.places)
     axes = [np.asarray(axis) / np.linalg.norm(axis) for axis in (spec.x_axis, spec.y_axis)]
     centers = np.asarray(spec.center_mm) + _offsets(spec.layout) @ np.stack(axes)
-    return [Place(center_mm=(float(c[0]), float(c[1]), float(c[2]))) for c in centers]
+    return [Place(center_mm=triple(c)) for c in centers]
 
 
 def _offsets(spec: GridLayout | RingLayout | LineLayout | CrossLayout) -> F64:

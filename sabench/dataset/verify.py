@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import tomllib
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -54,7 +55,7 @@ def _content_faults(dataset: Dataset) -> Iterator[str]:
         return
     for frame in track(range(dataset.rig.frames), "verify shapes"):
         for part in (dataset.observation, dataset.radiance, dataset.particles, dataset.views):
-            yield from _try(lambda part=part, frame=frame: part(frame))  # type: ignore[misc]
+            yield from _try(functools.partial(part, frame))
 
 
 def _check_scene(dataset: Dataset) -> None:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from sabench.arrays import F64, Bool, rows_of
+from sabench.arrays import F64, Bool, rows_of, triple
 from sabench.optics.wall import Rays, Wall, trace_into_fluid, trace_to_points
 
 _UNDISTORT_STEPS = 20
@@ -75,7 +75,7 @@ class Camera:
         """The same camera with its pinhole moved in the plane of the lens (a point of the aperture)."""
         axes = np.asarray(self.rotation)
         center = np.asarray(self.center_mm) + right_mm * axes[0] + down_mm * axes[1]
-        return replace(self, center_mm=(float(center[0]), float(center[1]), float(center[2])))
+        return replace(self, center_mm=triple(center))
 
     def project(self, points_mm: npt.ArrayLike) -> tuple[F64, Bool]:
         """Pixels (n, 2) as (column, row) of world points (n, 3), and whether each has one.
@@ -193,8 +193,7 @@ def aimed_rotation(
     if np.linalg.norm(x) < 1e-9:  # looking along `down`: any right-hand side will do, so the world's X
         x = np.cross(np.cross(z, [1.0, 0.0, 0.0]), z)
     x = x / np.linalg.norm(x)
-    rows = [tuple(float(value) for value in axis) for axis in (x, np.cross(z, x), z)]
-    return rows[0], rows[1], rows[2]  # type: ignore[return-value]
+    return triple(x), triple(np.cross(z, x)), triple(z)
 
 
 def aim(camera: Camera, target_mm: npt.ArrayLike) -> Camera:
