@@ -1,4 +1,4 @@
-"""From a particle to grey values: Mie's theory, the sheet, the lens, both renderers and the sensor, each against its own law."""
+"""From a particle to its picture: the lens, and both renderers, each against its own law and against the other."""
 
 from __future__ import annotations
 
@@ -16,13 +16,11 @@ from sabench.arrays import F64, I64
 from sabench.imaging.light import LIGHT_M_S, PLANCK_J_S, fluence
 from sabench.imaging.particle_images import ParticleImages, image_particles, scattering_table
 from sabench.imaging.pathtrace import render
-from sabench.imaging.scattering import MieTable, mie_table
-from sabench.imaging.sensor import expose, white_level
 from sabench.imaging.splat import splat
 from sabench.optics.camera import Camera, Distortion, aimed_rotation
 from sabench.optics.wall import trace_to_points, transmittance
 from sabench.rig import build_rig
-from sabench.scene import Illumination, Scene, Sensor, find, parse_scene
+from sabench.scene import Scene, find, parse_scene
 from sabench.world import Particles
 
 WAVELENGTH_MM = 532e-6
@@ -44,89 +42,6 @@ def make_scene(**changes: dict[str, Any] | None) -> Scene:
 def cloud(positions: F64, diameter_mm: float = 0.02) -> Particles:
     count = len(positions)
     return Particles(np.arange(count), positions, np.full(count, diameter_mm), np.zeros((count, 3)))
-
-
-# Scattering
-
-
-def over_the_sphere(table: MieTable) -> float:
-    angles = np.append(table.angles_rad[table.angles_rad < np.pi], np.pi)
-    values = np.interp(angles, table.angles_rad, table.per_square_diameter)
-    return float(2.0 * np.pi * np.trapezoid(values * np.sin(angles), angles))
-
-
-@pytest.mark.parametrize("diameter_mm", [1e-4, 1e-3, 5e-3, 2e-2, 5e-2])
-@pytest.mark.parametrize(("index", "fluid"), [(1.59 + 0j, 1.333), (1.33 - 0.02j, 1.0), (1.0 + 0j, 1.333)])
-def test_scattering_adds_up_to_the_cross_section(diameter_mm: float, index: complex, fluid: float) -> None:
-    table = mie_table(np.array([diameter_mm]), index, fluid, 532.0, (0.0, np.pi))
-    efficiency = miepython.efficiencies_mx(index / fluid, np.pi * diameter_mm * fluid / WAVELENGTH_MM)[1]
-    assert over_the_sphere(table) == pytest.approx(efficiency * np.pi / 4.0, rel=1e-3)
-
-
-def test_small_particles_scatter_as_rayleighs() -> None:
-    diameter, m = 2e-6, 1.59 / 1.333
-    table = mie_table(np.array([diameter]), 1.59 + 0j, 1.333, 532.0, (0.0, np.pi))
-    k = 2.0 * np.pi * 1.333 / WAVELENGTH_MM
-    polarisability = (m**2 - 1.0) / (m**2 + 2.0)
-    expected = k**4 * (diameter / 2.0) ** 6 * polarisability**2 * (1.0 + np.cos(table.angles_rad) ** 2) / 2.0
-    np.testing.assert_allclose(table.cross_section(table.angles_rad, np.full(len(expected), diameter)), expected, rtol=2e-3)
-
-
-def test_a_cloud_scatters_as_the_mean_of_its_sizes() -> None:
-    sizes = np.array([0.004, 0.008])
-    both = mie_table(sizes.repeat([120, 40]), 1.59 + 0j, 1.333, 532.0, (1.0, 2.0)).per_square_diameter
-    small, large = (mie_table(sizes[[i]], 1.59 + 0j, 1.333, 532.0, (1.0, 2.0)).per_square_diameter for i in (0, 1))
-    np.testing.assert_allclose(both, 0.75 * small + 0.25 * large, rtol=1e-9)
-
-
-def test_averaging_keeps_straight_lines_and_smooths() -> None:
-    table = mie_table(np.array([0.05]), 1.59 + 0j, 1.333, 532.0, (1.0, 2.0))
-    angles = table.angles_rad
-    line = MieTable(angles, 3.0 - 0.7 * angles).averaged(0.01)
-    inner = slice(60, -60)
-    np.testing.assert_allclose(line.per_square_diameter[inner], (3.0 - 0.7 * angles)[inner], rtol=1e-12)
-    previous = table.per_square_diameter
-    for half_angle in (0.002, 0.004, 0.01):
-        averaged = table.averaged(half_angle).per_square_diameter
-        assert np.abs(np.diff(averaged)).sum() < np.abs(np.diff(previous)).sum()
-        previous = averaged
-    np.testing.assert_array_equal(table.averaged(0.0).per_square_diameter, table.per_square_diameter)
-
-
-def test_averaging_is_the_mean_over_a_round_aperture() -> None:
-    table, half = mie_table(np.array([0.03]), 1.59 + 0j, 1.333, 532.0, (1.2, 1.9)), 0.012
-    points = np.random.default_rng(1).uniform(-1.0, 1.0, (400_000, 2))
-    across = points[np.hypot(*points.T) < 1.0, 0] * half
-    for angle in (1.3, 1.5, 1.75):
-        expected = table.cross_section(angle + across, np.ones_like(across)).mean()
-        found = table.averaged(half).cross_section(np.array([angle]), np.ones(1))[0]
-        assert found == pytest.approx(expected, rel=0.01)
-
-
-# The sheet
-
-
-@pytest.mark.parametrize("profile", ["top-hat", "gaussian"])
-def test_sheet_holds_the_energy_of_its_pulse(profile: str) -> None:
-    light = Illumination(
-        pulse_energy_mj=3.0,
-        thickness_mm=2.0,
-        height_mm=40.0,
-        direction=(1.0, 0.0, 0.0),
-        sheet_normal=(0.0, 3.0, 4.0),
-        profile=profile,
-    )
-    across = np.linspace(-6.0, 6.0, 24_001)
-    center = np.array([1.0, -2.0, 30.0])
-    positions = center + across[:, None] * [0.0, 0.6, 0.8] + [7.0, 0.0, 0.0]
-    photons = np.trapezoid(fluence(light, center, positions), across) * 40.0
-    assert photons * PLANCK_J_S * LIGHT_M_S / 532e-9 * 1e3 == pytest.approx(3.0, rel=1e-3)
-
-
-def test_gaussian_sheet_falls_to_e_minus_2_at_half_its_width() -> None:
-    light = Illumination(pulse_energy_mj=3.0, thickness_mm=2.0, height_mm=40.0, profile="gaussian")
-    values = fluence(light, np.zeros(3), np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 1.0], [9.0, 9.0, -1.0]]))
-    np.testing.assert_allclose(values[1:] / values[0], math.exp(-2.0), rtol=1e-12)
 
 
 # The lens
@@ -411,57 +326,3 @@ def test_the_same_render_twice_gives_the_same_bytes() -> None:
     positions = isolated(camera, (27.0, 33.0), 20, 1)[0]
     images = image_particles(scene, camera, cloud(positions), None)
     np.testing.assert_array_equal(render(camera, images, positions, 4), render(camera, images, positions, 4))
-
-
-# The sensor
-
-
-def test_photon_transfer() -> None:
-    """EMVA 1288: mean = black + K mu_e and variance = K^2 (mu_e + read^2) + 1/12 of the rounding."""
-    sensor = Sensor(
-        quantum_efficiency=0.5,
-        dark_current_e_s=2000.0,
-        exposure_s=5e-3,
-        read_noise_e=4.0,
-        full_well_e=5e4,
-        gain_dn_e=0.8,
-        black_level_dn=100.0,
-        bit_depth=16,
-    )
-    rng = np.random.default_rng(6)
-    for photons in (0.0, 300.0, 4000.0):
-        grey = expose(sensor, np.full((300, 500), photons), rng).astype(np.float64)
-        electrons = 0.5 * photons + 10.0
-        variance = 0.8**2 * (electrons + 16.0) + 1.0 / 12.0
-        assert grey.mean() == pytest.approx(100.0 + 0.8 * electrons, abs=5.0 * math.sqrt(variance / grey.size))
-        assert grey.var() == pytest.approx(variance, rel=5.0 * math.sqrt(2.0 / grey.size))
-
-
-def test_a_full_well_and_the_converter_limit_the_grey_value() -> None:
-    photons = np.full((3, 5), 1e7)
-    well = Sensor(full_well_e=1000.0, gain_dn_e=0.5, black_level_dn=20.0, bit_depth=12)
-    converter = Sensor(full_well_e=1e6, gain_dn_e=0.5, black_level_dn=20.0, bit_depth=8)
-    for sensor, top in ((well, 520), (converter, 255)):
-        assert white_level(sensor) == top
-        assert (expose(sensor, photons, np.random.default_rng(0)) == top).all()
-
-
-def test_without_noise_the_grey_value_is_rounded() -> None:
-    sensor = Sensor(shot_noise=False, quantum_efficiency=0.5, gain_dn_e=0.25, black_level_dn=10.0, full_well_e=400.0, bit_depth=10)
-    photons = np.array([[0.0, 7.0, 9.0], [20.0, 100.0, 1e6]])
-    np.testing.assert_array_equal(expose(sensor, photons, np.random.default_rng(0)), [[10, 11, 11], [12, 22, 110]])
-    np.testing.assert_array_equal(expose(sensor, photons, np.random.default_rng(1)), expose(sensor, photons, np.random.default_rng(2)))
-
-
-def test_noise_is_that_of_its_generator() -> None:
-    sensor, photons = Sensor(read_noise_e=3.0), np.full((20, 30), 500.0)
-    first, again, other = (expose(sensor, photons, np.random.default_rng(seed)) for seed in (1, 1, 2))
-    np.testing.assert_array_equal(first, again)
-    assert (first != other).any()
-    assert first.dtype == np.uint16
-
-
-def test_read_noise_never_goes_below_zero() -> None:
-    grey = expose(Sensor(read_noise_e=50.0, black_level_dn=0.0), np.zeros((40, 60)), np.random.default_rng(3))
-    assert grey.min() == 0
-    assert 0.4 < (grey == 0).mean() < 0.6
