@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
@@ -9,12 +10,14 @@ import numpy as np
 
 from sabench import backend as compute
 from sabench import memory, plugins
-from sabench.arrays import F64
-from sabench.dataset.read import Dataset, open_dataset
+from sabench.api import Observation
+from sabench.arrays import F32, F64, U16
+from sabench.dataset.read import Dataset, View, open_dataset
 from sabench.dataset.write import DatasetWriter, dataset_writer
 from sabench.errors import InputError
 from sabench.imaging.particle_images import ParticleImages, image_particles, scattering_table
-from sabench.imaging.sensor import expose
+from sabench.imaging.sensor import expose, white_level
+from sabench.imaging.scattering import MieTable
 from sabench.imaging.splat import splat
 from sabench.optics.camera import Camera
 from sabench.progress import track
@@ -61,6 +64,35 @@ def generate(
     return open_dataset(out)
 
 
+@dataclass(frozen=True)
+class Shot:
+    """One frame in memory: what a solver may see, and the truth that it is scored with."""
+
+    observation: Observation
+    particles: Particles
+    views: list[View]
+
+
+def simulate(scene: Scene, *, seed: int = 0, frame: int = 0, backend: Renderer = "splat") -> Shot:
+    """One frame of the data set that `generate` would make of the scene and seed, without writing anything.
+
+    Raises
+    ------
+    InputError
+        As `generate`.
+    """
+    rig, renderer = build_rig(scene, scene.title), choose_renderer(backend)
+    particles = make_particles(scene, seed, frame)
+    table = scattering_table(scene, rig.cameras, particles)
+    pictures, views = [], []
+    for camera in rig.cameras:
+        images, grey, _ = _shoot(scene, particles, table, camera, seed, frame, renderer)
+        pictures.append(grey)
+        views.append(View(images.pixel, images.photons, images.sigma_px, images.visible.astype(np.float64)))
+    observation = Observation(np.stack(pictures), rig.cameras, rig.grid, scene.sensor.black_level_dn, white_level(scene.sensor))
+    return Shot(observation, particles, views)
+
+
 def make_particles(scene: Scene, seed: int, frame: int) -> Particles:
     """The particles of one frame, whatever else is generated."""
     given = dict(scene.particles)
@@ -96,13 +128,21 @@ class _Frame:
 
 
 def _record(scene: Scene, writer: DatasetWriter, world: _Frame, camera: Camera, seed: int, renderer: str) -> None:
-    """Render one camera's picture, expose its sensor, and store both with the truth of this view."""
-    images = image_particles(scene, camera, world.particles, world.table)
-    photons, radiance = _picture(scene, camera, world.particles, images, renderer)
-    number = int(camera.name.rsplit("_", 1)[1])
-    grey = expose(scene.sensor, photons, stream(seed, "sensor", world.frame, number))
+    """Record one camera's picture and store it with the truth of this view."""
+    images, grey, radiance = _shoot(scene, world.particles, world.table, camera, seed, world.frame, renderer)
     writer.add_view(world.frame, camera, images)
-    writer.add_image(camera, world.frame, grey, radiance.astype(np.float32))
+    writer.add_image(camera, world.frame, grey, radiance)
+
+
+def _shoot(
+    scene: Scene, particles: Particles, table: MieTable | None, camera: Camera, seed: int, frame: int, renderer: str
+) -> tuple[ParticleImages, U16, F32]:
+    """Render one camera's picture and expose its sensor: the particles' images, grey values, and radiance."""
+    images = image_particles(scene, camera, particles, table)
+    photons, radiance = _picture(scene, camera, particles, images, renderer)
+    number = int(camera.name.rsplit("_", 1)[1])
+    grey = expose(scene.sensor, photons, stream(seed, "sensor", frame, number))
+    return images, grey, radiance.astype(np.float32)
 
 
 def _picture(scene: Scene, camera: Camera, particles: Particles, images: ParticleImages, renderer: str) -> tuple[F64, F64]:

@@ -29,7 +29,7 @@ from sabench.generation import Renderer, choose_renderer, generate
 from sabench.progress import console
 from sabench.rig import load_scene
 from sabench.scene import Scene, find, validate
-from sabench.scoring import SCORES, score, true_field
+from sabench.scoring import SCORES, estimate, score
 from sabench.solving import make_solver, solve
 
 
@@ -125,7 +125,7 @@ def _rank(case: Case, dataset: Dataset, suite: Suite, work: Path, leaderboard: P
     folder = leaderboard / "pictures" / case.folder(work).name
     case_images = dataset.observation(0)
     _draw(folder / "images.png", pictures.montage(case_images.images, case_images.black_dn, case_images.white_dn))
-    _draw(folder / "truth.png", pictures.slice_picture(true_field(dataset, 0)[0], dataset.rig.grid.scored))
+    _draw(folder / "truth.png", pictures.slice_picture(estimate(dataset, "truth", 0).volume, dataset.rig.grid.scored))
     for entrant in suite.solvers:
         parameters = make_solver(entrant.name, entrant.parameters).parameters.model_dump(mode="json")
         record = _describe(case, dataset, entrant.name, parameters) | {"pictures": folder.name}

@@ -147,6 +147,9 @@ class Cameras(_Table):
     f_number: Positive
     focus_mm: Positive | None = Field(None, description="distance of sharp points in air; by default each camera's aim point is sharp")
     distortion: DistortionSpec = DistortionSpec()
+    particle_sigma_px: Positive | None = Field(
+        None, description="standard deviation of every particle's image; by default it follows from diffraction, size and defocus"
+    )
     center_mm: Vector = Field((0.0, 0.0, 0.0), description="centre of the array (not for lists)")
     x_axis: Vector = Field((1.0, 0.0, 0.0), description="direction of the array's columns")
     y_axis: Vector = Field((0.0, 1.0, 0.0), description="direction of the array's rows")

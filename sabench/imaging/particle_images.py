@@ -86,7 +86,8 @@ def image_particles(scene: Scene, camera: Camera, particles: Particles, table: M
         scene, particles, paths.arriving, table, across
     )
     photons = intensity * solid_angle * transmittance(camera.wall, paths.leaving)
-    sigma = np.sqrt(variance)
+    given = scene.cameras.particle_sigma_px
+    sigma = np.sqrt(variance) if given is None else np.full(len(points), given)
     return ParticleImages(
         pixel, np.where(valid, photons, 0.0), sigma, intensity, paths.arriving, shape * sigma[:, None, None], valid & camera.contains(pixel)
     )

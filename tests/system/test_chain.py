@@ -13,6 +13,7 @@ from sabench.dataset.layout import image_name
 from sabench.dataset.read import Dataset
 from sabench.dataset.verify import verify
 from sabench.files import sha256
+from sabench.generation import simulate
 from sabench.rig import load_scene
 from sabench.scene import parse_scene
 from tests.conftest import Command
@@ -44,6 +45,26 @@ def test_same_seed_same_bytes_other_seed_other_bytes(quick: Dataset, tmp_path: P
         assert sha256(again.root / name) == sha256(quick.root / name)
     other = sabench.generate("quick", tmp_path / "other", seed=2, backend="splat")
     assert other.content_hash != quick.content_hash
+
+
+def test_a_shot_in_memory_is_the_frame_that_is_written(tmp_path: Path) -> None:
+    scene = load_scene("quick")
+    written = sabench.generate("quick", tmp_path / "set", seed=3, backend="splat")
+    shot, stored = simulate(scene, seed=3), written.observation(0)
+    np.testing.assert_array_equal(shot.observation.images, stored.images)
+    assert (shot.observation.grid, shot.observation.black_dn, shot.observation.white_dn) == (stored.grid, stored.black_dn, stored.white_dn)
+    assert shot.observation.cameras == stored.cameras
+    np.testing.assert_array_equal(shot.particles.position_mm, written.particles(0).position_mm)
+    for mine, theirs in zip(shot.views, written.views(0), strict=True):
+        np.testing.assert_array_equal(mine.pixel, theirs.pixel)
+        np.testing.assert_array_equal(mine.photons, theirs.photons)
+
+
+def test_particles_can_be_given_one_image_size() -> None:
+    values = load_scene("quick").to_dict()
+    values["cameras"]["particle_sigma_px"] = 0.8
+    shot = simulate(parse_scene(values, "s"), seed=3)
+    assert all((view.sigma_px == 0.8).all() for view in shot.views)
 
 
 def test_frames_do_not_depend_on_how_many_there_are(tmp_path: Path) -> None:
