@@ -2,11 +2,18 @@
 
 from __future__ import annotations
 
-from typing import Any
+import numpy as np
+from pydantic import Field
 
 from sabench.api import Observation, Reconstruction, Solver
 from sabench.extraction import ExtractionParameters, extract, normalised
-from sabench.reproject import sweep
+from sabench.reproject import refocus_sum
+
+
+class AsaParameters(ExtractionParameters):
+    """Whether a camera that does not see a voxel counts as one that sees it dark."""
+
+    seen_only: bool = Field(False, description="average only the cameras that see a voxel (thesis section 2.2.4)")
 
 
 class Asa(Solver):
@@ -14,13 +21,13 @@ class Asa(Solver):
 
     name = "asa"
     references = ("Belden, MIT thesis, equation 3.3 and section 2.2.3", "Belden et al., Meas. Sci. Technol. 21 (2010) 125403")
-    Parameters = ExtractionParameters
+    Parameters = AsaParameters
 
     def solve(self, case: Observation) -> Reconstruction:
         """I_k = (1 / N) sum_i I_ki, thresholded plane by plane."""
-
-        def mean(dr: Any, samples: Any) -> Any:
-            return sum(samples) / len(samples)
-
-        volume = sweep(normalised(case), case.cameras, case.grid, mean)
+        volume = refocus_sum(normalised(case), case.cameras, case.grid)
+        if self.parameters.seen_only:
+            volume /= np.maximum(refocus_sum(np.ones(case.images.shape, dtype=np.float32), case.cameras, case.grid), 1.0)
+        else:
+            volume /= len(case.cameras)
         return Reconstruction(extract(volume, self.parameters.k, self.parameters.keep))

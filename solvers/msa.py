@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-from typing import Any
-
+import numpy as np
 from pydantic import Field
 
 from sabench.api import Observation, Reconstruction, Solver
 from sabench.extraction import ExtractionParameters, extract, normalised
-from sabench.reproject import sweep
+from sabench.reproject import refocus_log2, refocus_sum
 
 
 class MsaParameters(ExtractionParameters):
     """The exponent n and the floor that lets an object survive a camera that does not see it."""
 
     exponent: float | None = Field(None, gt=0.0, le=1.0, description="n of equation 3.4; by default 3 / N for N cameras (1/3 for 9)")
-    floor: float = Field(0.01, gt=0.0, lt=1.0, description="smallest sample, as a fraction of a bright particle's peak")
+    floor: float = Field(0.01, ge=1e-6, lt=1.0, description="smallest sample, as a fraction of a bright particle's peak")
+    seen_only: bool = Field(False, description="multiply only the cameras that see a voxel, and adapt n to their number (thesis section 2.2.4)")
 
 
 class Msa(Solver):
@@ -27,11 +27,13 @@ class Msa(Solver):
 
     def solve(self, case: Observation) -> Reconstruction:
         """I_k = prod_i max(I_ki, floor)^n, thresholded plane by plane."""
-        floor = self.parameters.floor
-        exponent = self.parameters.exponent or min(1.0, 3.0 / len(case.cameras))
-
-        def product(dr: Any, samples: Any) -> Any:
-            return dr.exp2(exponent * sum(dr.log2(dr.maximum(sample, floor)) for sample in samples))
-
-        volume = sweep(normalised(case), case.cameras, case.grid, product)
-        return Reconstruction(extract(volume, self.parameters.k, self.parameters.keep))
+        count, floor = len(case.cameras), self.parameters.floor
+        exponent = self.parameters.exponent or min(1.0, 3.0 / count)
+        images = normalised(case)
+        if self.parameters.seen_only:  # where a camera sees nothing its factor is 1
+            volume = refocus_log2(images, case.cameras, case.grid, floor, outside=1.0)
+            volume *= count / np.maximum(refocus_sum(np.ones_like(images), case.cameras, case.grid), 1.0)
+        else:
+            volume = refocus_log2(images, case.cameras, case.grid, floor)
+        volume *= exponent
+        return Reconstruction(extract(np.exp2(volume, out=volume), self.parameters.k, self.parameters.keep))

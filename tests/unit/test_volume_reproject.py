@@ -1,20 +1,18 @@
-"""Voxel grids, the field of a perfect reconstruction, and the plane sweep against exact projection and scipy's interpolation."""
+"""Voxel grids, the field of a perfect reconstruction, and maps of planes against exact projection."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
 from scipy.integrate import quad
-from scipy.ndimage import gaussian_filter, map_coordinates
 
-from sabench.arrays import F32, F64, Bool
+from sabench.arrays import F64
 from sabench.optics.camera import Camera, Distortion, aim, aimed_rotation
 from sabench.optics.wall import Layer, Wall
-from sabench.reproject import TOLERANCE_PX, plane_map, plane_maps, sweep
+from sabench.reproject import TOLERANCE_PX, plane_map, plane_maps
 from sabench.volume import Grid, synthesise
 
 GRID = Grid((-4.0, 2.0, 40.0), (0.25, 0.2, 0.5), (12, 30, 41), crop=(3, 2, 1))
@@ -152,96 +150,3 @@ def test_plane_map_converges_with_its_degree() -> None:
 def test_plane_without_a_light_path_is_refused() -> None:
     with pytest.raises(ValueError, match="expected a light path to every voxel, but the plane z = 3 mm"):
         plane_map(make_camera(0.0, 0.0, FLAT), GRID, 3.0, 3)
-
-
-# The sweep
-
-CAMERAS = [make_camera(120.0, -80.0, TILTED), make_camera(-90.0, 130.0, TILTED), make_camera(0.0, 10.0, TILTED, Distortion())]
-
-
-def smooth_images(seed: int) -> F32:
-    """Noise with details of about three pixels, from 0 to 1: a misplaced sample shows."""
-    noise = np.random.default_rng(seed).standard_normal((len(CAMERAS), 90, 140))
-    smooth = np.stack([gaussian_filter(image, 1.5, mode="wrap") for image in noise])
-    return np.asarray((smooth - smooth.min()) / (smooth.max() - smooth.min()), dtype=np.float32)
-
-
-def reference(images: F32, grid: Grid) -> tuple[F64, Bool]:
-    """Samples (camera, z, y, x) at exact projections, and which voxels lie clear of every image's border."""
-    x, y, z = grid.axes_mm
-    zz, yy, xx = np.meshgrid(z, y, x, indexing="ij")
-    points = np.stack([xx, yy, zz], axis=-1).reshape(-1, 3)
-    samples, clear = [], np.ones(grid.shape, dtype=np.bool_)
-    for image, camera in zip(images, CAMERAS, strict=True):
-        pixels = camera.project(points)[0]
-        value = map_coordinates(image.astype(np.float64), pixels[:, ::-1].T, order=1, mode="constant", cval=0.0)
-        samples.append(value.reshape(grid.shape))
-        border = [np.abs(pixels[:, axis] - edge) for axis, edge in ((0, 0.0), (0, 139.0), (1, 0.0), (1, 89.0))]
-        clear &= (np.min(border, axis=0) > 0.01).reshape(grid.shape)
-    return np.stack(samples), clear
-
-
-def mean_fold(dr: Any, samples: Any) -> Any:
-    return sum(samples) / len(samples)
-
-
-def product_fold(dr: Any, samples: Any) -> Any:
-    return dr.exp2(sum(dr.log2(dr.maximum(sample, 0.05)) for sample in samples) / len(samples))
-
-
-def test_sweep_is_bilinear_interpolation_at_exact_projections() -> None:
-    images = smooth_images(5)
-    samples, clear = reference(images, GRID)
-    outside = (samples == 0.0).any(axis=0)
-    assert 0.1 < outside.mean() < 0.9  # the grid is wider than what the cameras see
-    assert clear.mean() > 0.9
-    found = sweep(images, CAMERAS, GRID, mean_fold)
-    assert found.dtype == np.float32
-    np.testing.assert_allclose(found[clear], samples.mean(axis=0)[clear], rtol=0, atol=1e-3)
-    product = np.exp(np.log(np.maximum(samples, 0.05)).mean(axis=0))
-    np.testing.assert_allclose(sweep(images, CAMERAS, GRID, product_fold)[clear], product[clear], rtol=0, atol=1e-3)
-
-
-def test_sweep_samples_each_camera_by_itself() -> None:
-    images = smooth_images(6)
-    samples, clear = reference(images, GRID)
-    for number in range(len(CAMERAS)):
-
-        def chosen(dr: Any, samples: Any, number: int = number) -> Any:
-            return samples[number]
-
-        found = sweep(images, CAMERAS, GRID, chosen)
-        np.testing.assert_allclose(found[clear], samples[number][clear], rtol=0, atol=1e-3)
-
-
-def test_mean_sweep_is_linear() -> None:
-    first, second = smooth_images(7), smooth_images(8)
-    both = sweep(2.0 * first + np.float32(0.5) * second, CAMERAS, GRID, mean_fold)
-    apart = 2.0 * sweep(first, CAMERAS, GRID, mean_fold) + 0.5 * sweep(second, CAMERAS, GRID, mean_fold)
-    np.testing.assert_allclose(both, apart, rtol=0, atol=3e-6)
-
-
-def test_sweep_of_even_images_shows_which_voxels_are_seen() -> None:
-    images = np.ones((len(CAMERAS), 90, 140), dtype=np.float32)
-    samples, clear = reference(images, GRID)
-    np.testing.assert_allclose(sweep(images, CAMERAS, GRID, mean_fold)[clear], samples.mean(axis=0)[clear], rtol=0, atol=1e-6)
-
-
-@pytest.mark.parametrize("shape", [(1, 7, 11), (3, 1, 11), (3, 7, 1)])
-def test_sweep_takes_grids_of_one_voxel_along_an_axis(shape: tuple[int, int, int]) -> None:
-    grid = Grid((0.3, 4.6, 42.0), (0.1, 0.15, 0.4), shape)
-    images = smooth_images(9)
-    samples, clear = reference(images, grid)
-    assert clear.any()
-    np.testing.assert_allclose(sweep(images, CAMERAS, grid, mean_fold)[clear], samples.mean(axis=0)[clear], rtol=0, atol=1e-3)
-
-
-def test_a_particle_in_all_images_is_brightest_where_it_is() -> None:
-    voxel = (4, 17, 21)
-    x, y, z = GRID.axes_mm
-    place = np.array([[x[voxel[2]], y[voxel[1]], z[voxel[0]]]])
-    rows, columns = np.mgrid[0:90, 0:140]
-    pixels = [camera.project(place)[0][0] for camera in CAMERAS]
-    images = np.stack([np.exp(-((columns - c) ** 2 + (rows - r) ** 2) / 8.0) for c, r in pixels]).astype(np.float32)
-    volume = sweep(images, CAMERAS, GRID, product_fold)
-    assert volume.argmax() == np.ravel_multi_index(voxel, volume.shape)
