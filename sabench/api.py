@@ -9,9 +9,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, ClassVar, Literal
 
+import numpy as np
 from pydantic import BaseModel, ConfigDict
 
 from sabench.arrays import F32, F64, U16
+from sabench.errors import InputError
 from sabench.optics.camera import Camera
 from sabench.volume import Grid
 from sabench.world import Domain, Particles
@@ -47,9 +49,14 @@ class Observation:
     Attributes
     ----------
     images : (camera, row, column) uint16 grey values.
-    cameras : calibrated cameras in the order of the images; each knows its wall.
+    cameras : calibrated cameras in the order of the images; each knows its wall. What they say may be off: see `[calibration]` in a scene.
     grid : the voxels to reconstruct.
     black_dn, white_dn : grey values of no light and of saturation.
+
+    Raises
+    ------
+    InputError
+        Images of another kind, number or size than the cameras', or a black level that is not below the white one.
     """
 
     images: U16
@@ -57,6 +64,41 @@ class Observation:
     grid: Grid
     black_dn: float
     white_dn: float
+
+    def __post_init__(self) -> None:
+        if not self.black_dn < self.white_dn:
+            raise InputError(f"black_dn: expected it below white_dn, got {self.black_dn:g} and {self.white_dn:g}")
+        _check_kind(self.images)
+        _check_sizes(self.images, self.cameras)
+
+
+def _check_kind(images: Any) -> None:
+    """Grey values are 16-bit numbers without sign, in one array."""
+    if not isinstance(images, np.ndarray):
+        raise InputError(f"images: expected one uint16 array (camera, row, column), got {type(images).__name__}")
+    if images.dtype != np.uint16:
+        raise InputError(f"images: expected uint16 grey values, got {images.dtype}{_oddities(images)}")
+    if images.ndim != 3:
+        raise InputError(f"images: expected the shape (camera, row, column), got {images.shape}")
+
+
+def _oddities(values: Any) -> str:
+    """What of other numbers cannot be a grey value."""
+    if values.dtype.kind not in "fi":
+        return ""
+    counts = {"NaN or infinite": int((~np.isfinite(values)).sum()), "negative": int((values < 0).sum())}
+    return "".join(f", {count} of them {what}" for what, count in counts.items() if count)
+
+
+def _check_sizes(images: U16, cameras: tuple[Camera, ...]) -> None:
+    """Every camera has an image, of its own size."""
+    if not cameras or len(images) != len(cameras):
+        without = ", ".join(camera.name for camera in cameras[len(images) :])
+        raise InputError(f"images: expected one for each of {len(cameras)} cameras, got {len(images)}{': none for ' + without if without else ''}")
+    rows, columns = images.shape[1:]
+    for camera in cameras:
+        if (camera.rows, camera.columns) != (rows, columns):
+            raise InputError(f"{camera.name}: expected an image of {camera.rows} x {camera.columns} pixels (rows x columns), got {rows} x {columns}")
 
 
 @dataclass(frozen=True)

@@ -13,15 +13,15 @@ from sabench import memory, plugins
 from sabench.api import Observation
 from sabench.arrays import F32, F64, U16
 from sabench.dataset.read import Dataset, View, open_dataset
-from sabench.dataset.write import DatasetWriter, dataset_writer
+from sabench.dataset.write import dataset_writer
 from sabench.errors import InputError
 from sabench.imaging.particle_images import ParticleImages, image_particles, scattering_table
-from sabench.imaging.sensor import expose, white_level
 from sabench.imaging.scattering import MieTable
+from sabench.imaging.sensor import expose, white_level
 from sabench.imaging.splat import splat
 from sabench.optics.camera import Camera
 from sabench.progress import track
-from sabench.rig import Rig, build_rig, load_scene
+from sabench.rig import Rig, build_rig, load_scene, told_cameras
 from sabench.scene import Scene
 from sabench.seeds import stream
 from sabench.world import Domain, Particles
@@ -53,13 +53,17 @@ def generate(
     loaded = scene if isinstance(scene, Scene) else load_scene(scene)
     label = name or (loaded.title if isinstance(scene, Scene) else Path(scene).stem)
     rig, renderer = build_rig(loaded, label), choose_renderer(backend)
-    with dataset_writer(Path(out), label, loaded, rig, seed, renderer, overwrite=overwrite) as writer:
+    told = told_cameras(loaded, rig.cameras, seed)
+    with dataset_writer(Path(out), label, loaded, rig, told, seed, renderer, overwrite=overwrite) as writer:
         steps = [(frame, camera) for frame in range(loaded.frames) for camera in rig.cameras]
-        world: _Frame | None = None
+        world: _World | None = None
         for frame, camera in track(steps, f"render {label} with {renderer}"):
             if world is None or world.frame != frame:
-                world = _Frame(loaded, rig, seed, frame, writer)
-            _record(loaded, writer, world, camera, seed, renderer)
+                world = _make_world(loaded, rig, seed, frame, renderer)
+                writer.add_particles(frame, world.particles)
+            images, grey, radiance = _shoot(world, camera)
+            writer.add_view(frame, camera, images)
+            writer.add_image(camera, frame, grey, radiance)
             memory.trim()
     return open_dataset(out)
 
@@ -81,16 +85,16 @@ def simulate(scene: Scene, *, seed: int = 0, frame: int = 0, backend: Renderer =
     InputError
         As `generate`.
     """
-    rig, renderer = build_rig(scene, scene.title), choose_renderer(backend)
-    particles = make_particles(scene, seed, frame)
-    table = scattering_table(scene, rig.cameras, particles)
+    rig = build_rig(scene, scene.title)
+    world = _make_world(scene, rig, seed, frame, choose_renderer(backend))
     pictures, views = [], []
     for camera in rig.cameras:
-        images, grey, _ = _shoot(scene, particles, table, camera, seed, frame, renderer)
+        images, grey, _ = _shoot(world, camera)
         pictures.append(grey)
         views.append(View(images.pixel, images.photons, images.sigma_px, images.visible.astype(np.float64)))
-    observation = Observation(np.stack(pictures), rig.cameras, rig.grid, scene.sensor.black_level_dn, white_level(scene.sensor))
-    return Shot(observation, particles, views)
+    told = told_cameras(scene, rig.cameras, seed)
+    observation = Observation(np.stack(pictures), told, rig.grid, scene.sensor.black_level_dn, white_level(scene.sensor))
+    return Shot(observation, world.particles, views)
 
 
 def make_particles(scene: Scene, seed: int, frame: int) -> Particles:
@@ -117,41 +121,40 @@ def choose_renderer(asked: Renderer) -> str:
     return "mitsuba"
 
 
-class _Frame:
-    """One frame's world, stored as soon as it is made."""
+@dataclass(frozen=True)
+class _World:
+    """One frame's world, and what records it."""
 
-    def __init__(self, scene: Scene, rig: Rig, seed: int, frame: int, writer: DatasetWriter) -> None:
-        self.frame = frame
-        self.particles = make_particles(scene, seed, frame)
-        self.table = scattering_table(scene, rig.cameras, self.particles)
-        writer.add_particles(frame, self.particles)
-
-
-def _record(scene: Scene, writer: DatasetWriter, world: _Frame, camera: Camera, seed: int, renderer: str) -> None:
-    """Record one camera's picture and store it with the truth of this view."""
-    images, grey, radiance = _shoot(scene, world.particles, world.table, camera, seed, world.frame, renderer)
-    writer.add_view(world.frame, camera, images)
-    writer.add_image(camera, world.frame, grey, radiance)
+    scene: Scene
+    rig: Rig
+    seed: int
+    frame: int
+    renderer: str
+    particles: Particles
+    table: MieTable | None
 
 
-def _shoot(
-    scene: Scene, particles: Particles, table: MieTable | None, camera: Camera, seed: int, frame: int, renderer: str
-) -> tuple[ParticleImages, U16, F32]:
+def _make_world(scene: Scene, rig: Rig, seed: int, frame: int, renderer: str) -> _World:
+    particles = make_particles(scene, seed, frame)
+    return _World(scene, rig, seed, frame, renderer, particles, scattering_table(scene, rig.cameras, particles))
+
+
+def _shoot(world: _World, camera: Camera) -> tuple[ParticleImages, U16, F32]:
     """Render one camera's picture and expose its sensor: the particles' images, grey values, and radiance."""
-    images = image_particles(scene, camera, particles, table)
-    photons, radiance = _picture(scene, camera, particles, images, renderer)
+    images = image_particles(world.scene, camera, world.particles, world.table, world.rig.occluders)
+    photons, radiance = _picture(world, camera, images)
     number = int(camera.name.rsplit("_", 1)[1])
-    grey = expose(scene.sensor, photons, stream(seed, "sensor", frame, number))
+    grey = expose(world.scene.sensor, photons, stream(world.seed, "sensor", world.frame, number))
     return images, grey, radiance.astype(np.float32)
 
 
-def _picture(scene: Scene, camera: Camera, particles: Particles, images: ParticleImages, renderer: str) -> tuple[F64, F64]:
+def _picture(world: _World, camera: Camera, images: ParticleImages) -> tuple[F64, F64]:
     """Photons per pixel and radiance, (rows, columns) each."""
     etendue = camera.etendue()
-    if renderer == "splat":
+    if world.renderer == "splat":
         photons = splat(camera, images)
         return photons, np.divide(photons, etendue, out=np.zeros_like(photons), where=etendue > 0.0)
     from sabench.imaging.pathtrace import render
 
-    radiance = render(camera, images, particles.position_mm, scene.render.samples_per_pixel)
+    radiance = render(camera, images, world.particles.position_mm, world.scene.render.samples_per_pixel, world.rig.occluders)
     return radiance * etendue, radiance

@@ -1,9 +1,10 @@
-"""What this process holds at most, and giving back what it no longer needs."""
+"""What this process holds at most and may still take, and giving back what it no longer needs."""
 
 from __future__ import annotations
 
 import ctypes
 import functools
+import os
 from collections.abc import Callable
 from pathlib import Path
 
@@ -29,6 +30,21 @@ def peak_mb() -> float | None:
     except ImportError:  # Windows
         return None
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6  # macOS counts bytes
+
+
+def available_mb() -> float | None:
+    """Memory that a process can still take, in MB (10^6 bytes); None where the system does not say.
+
+    Where only the whole memory is known (macOS) it is that, an upper bound. A container's own limit is not seen.
+    """
+    info = Path("/proc/meminfo")
+    if info.exists():
+        line = next(line for line in info.read_text().splitlines() if line.startswith("MemAvailable:"))
+        return int(line.split()[1]) * 1024 / 1e6
+    try:
+        return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") / 1e6
+    except (AttributeError, ValueError):  # Windows has no sysconf, other systems may lack the names
+        return None
 
 
 def trim() -> None:

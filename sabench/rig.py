@@ -13,6 +13,7 @@ from sabench.arrays import F64, triple
 from sabench.errors import InputError
 from sabench.optics import layout
 from sabench.optics.camera import Camera, Distortion, aim, aimed_rotation
+from sabench.optics.occluder import Disc
 from sabench.optics.wall import Layer, Wall
 from sabench.scene import (
     Cameras,
@@ -20,6 +21,7 @@ from sabench.scene import (
     GridLayout,
     LineLayout,
     ListLayout,
+    OccluderSpec,
     Place,
     RingLayout,
     Scene,
@@ -27,6 +29,7 @@ from sabench.scene import (
     find,
     parse_scene,
 )
+from sabench.seeds import stream
 from sabench.volume import Grid
 
 
@@ -50,11 +53,12 @@ def load_scene(path: str | Path) -> Scene:
 
 @dataclass(frozen=True)
 class Rig:
-    """The built optics of a scene: cameras (each knows its wall) and the grid."""
+    """The built optics of a scene: the true cameras (each knows its wall), the grid, and what stands in the way of light."""
 
     cameras: tuple[Camera, ...]
     wall: Wall | None
     grid: Grid
+    occluders: tuple[Disc, ...]
 
 
 def build_rig(scene: Scene, source: str = "scene") -> Rig:
@@ -63,7 +67,8 @@ def build_rig(scene: Scene, source: str = "scene") -> Rig:
     Raises
     ------
     InputError
-        A camera in the wall or the tank, a volume that is not wholly in the fluid, a grid that does not fit, or no camera that sees the volume.
+        A camera in the wall or the tank, a volume that is not wholly in the fluid, a grid that does not fit, no camera that sees the volume, or an
+        occluder that is not between the cameras and the wall (or the volume).
     """
     wall = _build_wall(scene.wall) if scene.wall else None
     corners = _corners(scene)
@@ -71,7 +76,10 @@ def build_rig(scene: Scene, source: str = "scene") -> Rig:
         _check_tank(wall, corners, source)
     cameras = tuple(_build_camera(scene, wall, i, place, source) for i, place in enumerate(_places(scene.cameras)))
     _check_views(cameras, corners, source)
-    return Rig(cameras, wall, build_grid(scene, source))
+    occluders = tuple(_build_occluder(spec) for spec in scene.occluders or ())
+    for number, disc in enumerate(occluders):
+        _check_occluder(disc, wall, cameras, corners, f"{source}: occluders.{number}")
+    return Rig(cameras, wall, build_grid(scene, source), occluders)
 
 
 def build_grid(scene: Scene, source: str = "scene") -> Grid:
@@ -86,10 +94,54 @@ def build_grid(scene: Scene, source: str = "scene") -> Grid:
     return Grid(triple(low), scene.grid.voxel_mm, (z, y, x), (int(cut[0]), int(cut[1]), int(cut[2])))
 
 
+def told_cameras(scene: Scene, cameras: tuple[Camera, ...], seed: int) -> tuple[Camera, ...]:
+    """The cameras as solvers are told them: each principal point is off by the scene's calibration error, in a random direction of its own.
+
+    A shift on the image moves the projections of all points alike. Source: thesis section 2.2.4, the error eps_RP of figure 2-7b, whose
+    length is the same for all cameras and whose direction is random.
+    """
+    if scene.calibration is None:
+        return cameras
+    shift = scene.calibration.shift_px
+    return tuple(_miscalibrated(camera, shift, stream(seed, "calibration", number)) for number, camera in enumerate(cameras))
+
+
+def _miscalibrated(camera: Camera, shift_px: float, rng: np.random.Generator) -> Camera:
+    turn = rng.uniform(0.0, 2.0 * np.pi)
+    column, row = camera.principal_point_px
+    return replace(camera, principal_point_px=(column + shift_px * float(np.cos(turn)), row + shift_px * float(np.sin(turn))))
+
+
 def _build_wall(spec: WallSpec) -> Wall:
-    unit = np.asarray(spec.normal) / np.linalg.norm(spec.normal)
+    unit = _unit(spec.normal)
     layers = tuple(Layer(layer.name, layer.index, layer.thickness_mm) for layer in spec.layers)
     return Wall(spec.point_mm, triple(unit), spec.air_index, layers, spec.fluid_index, spec.depth_mm)
+
+
+def _unit(vector: tuple[float, float, float]) -> F64:
+    return np.asarray(np.asarray(vector) / np.linalg.norm(vector))
+
+
+def _build_occluder(spec: OccluderSpec) -> Disc:
+    return Disc(spec.center_mm, triple(_unit(spec.normal)), spec.radius_mm)
+
+
+def _check_occluder(disc: Disc, wall: Wall | None, cameras: tuple[Camera, ...], corners: F64, where: str) -> None:
+    """A disc must lie where all light on its way to the cameras still comes by, and runs straight."""
+    if wall:
+        depth = disc.span_mm(np.asarray(wall.normal))[1] - float(np.dot(wall.point_mm, wall.normal))
+        if depth >= 0.0:
+            raise InputError(f"{where}: expected it wholly in front of the wall, but it reaches {depth:.4g} mm behind the wall's outer face")
+    for camera in cameras:
+        forward = np.asarray(camera.rotation[2])
+        near, far = (end - float(np.dot(camera.center_mm, forward)) for end in disc.span_mm(forward))
+        if near <= 0.0:
+            raise InputError(f"{where}: expected it wholly in front of all cameras, but it reaches {-near:.4g} mm behind {camera.name}")
+        excess = far - float(((corners - camera.center_mm) @ forward).min())
+        if wall is None and excess >= 0.0:
+            raise InputError(
+                f"{where}: expected it wholly between the cameras and the volume, but for {camera.name} it reaches {excess:.4g} mm into the volume"
+            )
 
 
 def _corners(scene: Scene) -> F64:
@@ -111,7 +163,7 @@ def _check_tank(wall: Wall, corners: F64, source: str) -> None:
 def _places(spec: Cameras) -> list[Place]:
     if isinstance(spec.layout, ListLayout):
         return list(spec.layout.places)
-    axes = [np.asarray(axis) / np.linalg.norm(axis) for axis in (spec.x_axis, spec.y_axis)]
+    axes = [_unit(spec.x_axis), _unit(spec.y_axis)]
     centers = np.asarray(spec.center_mm) + _offsets(spec.layout) @ np.stack(axes)
     return [Place(center_mm=triple(c)) for c in centers]
 
@@ -187,8 +239,11 @@ def _check_views(cameras: tuple[Camera, ...], corners: F64, source: str) -> None
     """At least one camera must see some of the volume: a lattice of points over it is tried."""
     steps = np.linspace(0.0, 1.0, 9)
     lattice = corners[0] + np.array(list(itertools.product(steps, repeat=3))) * (corners[-1] - corners[0])
-    for camera in cameras:
-        pixels, valid = camera.project(lattice)
-        if (valid & camera.contains(pixels)).any():
-            return
-    raise InputError(f"{source}: volume: expected it in view of at least one camera, but no camera of {len(cameras)} sees any of it")
+    if not any_in_view(cameras, lattice):
+        raise InputError(f"{source}: volume: expected it in view of at least one camera, but no camera of {len(cameras)} sees any of it")
+
+
+def any_in_view(cameras: tuple[Camera, ...], points_mm: F64) -> bool:
+    """Whether any of the points (n, 3) lies on any camera's image."""
+    views = ((camera, *camera.project(points_mm)) for camera in cameras)
+    return any((valid & camera.contains(pixels)).any() for camera, pixels, valid in views)

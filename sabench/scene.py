@@ -5,19 +5,28 @@ from __future__ import annotations
 import difflib
 import hashlib
 import math
-import types
 import typing
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import tomli_w
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from sabench import plugins
 from sabench.errors import InputError
 from sabench.files import canonical_json
+from sabench.sentences import sentence
 
 Vector = tuple[float, float, float]
+
+
+def _not_zero(vector: Vector) -> Vector:
+    if math.hypot(*vector) < 1e-9:
+        raise ValueError("expected a vector of non-zero length")
+    return vector
+
+
+Direction = Annotated[Vector, AfterValidator(_not_zero)]
 Positive = Annotated[float, Field(gt=0.0)]
 Index = Annotated[float, Field(ge=1.0, le=4.0)]
 
@@ -54,17 +63,19 @@ class WallSpec(_Table):
     """The tank wall between the cameras and the fluid; a scene without this table is in plain air."""
 
     point_mm: Vector = Field((0.0, 0.0, 0.0), description="a point on the outer face")
-    normal: Vector = Field((0.0, 0.0, 1.0), description="direction from the cameras into the tank")
+    normal: Direction = Field((0.0, 0.0, 1.0), description="direction from the cameras into the tank")
     air_index: Index = Field(1.0, description="refractive index on the cameras' side")
     layers: tuple[LayerSpec, ...] = Field((), description="solid layers, the cameras' side first")
     fluid_index: Index = Field(description="refractive index of the fluid")
     depth_mm: Positive | None = Field(None, description="distance from the inner face to the back wall")
 
-    @model_validator(mode="after")
-    def _has_direction(self) -> WallSpec:
-        if math.hypot(*self.normal) < 1e-9:
-            raise ValueError("normal: expected a vector of non-zero length")
-        return self
+
+class OccluderSpec(_Table):
+    """An opaque, black, thin disc between the cameras and the wall or, in plain air, between the cameras and the volume."""
+
+    center_mm: Vector
+    normal: Direction = Field((0.0, 0.0, 1.0), description="at right angles to the disc")
+    radius_mm: Positive
 
 
 class GridLayout(_Table):
@@ -151,10 +162,16 @@ class Cameras(_Table):
         None, description="standard deviation of every particle's image; by default it follows from diffraction, size and defocus"
     )
     center_mm: Vector = Field((0.0, 0.0, 0.0), description="centre of the array (not for lists)")
-    x_axis: Vector = Field((1.0, 0.0, 0.0), description="direction of the array's columns")
-    y_axis: Vector = Field((0.0, 1.0, 0.0), description="direction of the array's rows")
+    x_axis: Direction = Field((1.0, 0.0, 0.0), description="direction of the array's columns")
+    y_axis: Direction = Field((0.0, 1.0, 0.0), description="direction of the array's rows")
     aim_mm: Vector | None = Field(None, description="point that images at every image centre; by default the volume's centre")
     layout: GridLayout | RingLayout | LineLayout | CrossLayout | ListLayout = Field(discriminator="kind")
+
+
+class Calibration(_Table):
+    """How wrongly solvers are told the cameras; without this table they are told the truth."""
+
+    shift_px: float = Field(0.0, ge=0.0, description="every principal point is told this far from the true one, in a random direction of its own")
 
 
 class Illumination(_Table):
@@ -220,7 +237,9 @@ class Scene(_Table):
     volume: Volume
     grid: GridSpec
     wall: WallSpec | None = None
+    occluders: tuple[OccluderSpec, ...] | None = Field(None, description="discs that hide some of the volume from some cameras")
     cameras: Cameras
+    calibration: Calibration | None = None
     illumination: Illumination
     tracer: Tracer = Tracer()
     particles: dict[str, Any] = Field(description="`generator` names a generator; the other keys are its parameters")
@@ -281,47 +300,7 @@ def validate(model: type[Model], values: dict[str, Any], source: str, prefix: st
     try:
         return model.model_validate(values)
     except ValidationError as error:
-        faults = error.errors(include_url=False)
-        fault = next((f for f in faults if f["type"] == "extra_forbidden"), faults[0])  # a typo explains the missing key
-        path = [str(part) for part in _key_path(model, fault["loc"])]
-        key = prefix + ".".join(path)
-        raise InputError(f"{source}: {key + ': ' if key else ''}{_sentence(model, fault, path)}") from error
-
-
-def _sentence(model: type[BaseModel], fault: Any, path: list[str]) -> str:
-    kind = fault["type"]
-    if kind == "extra_forbidden":
-        known = _keys_at(model, path[:-1])
-        near = difflib.get_close_matches(path[-1], known, 1, 0.4)
-        return f"unknown key; did you mean {near[0]}?" if near else f"unknown key; expected one of {', '.join(known)}"
-    if kind == "missing":
-        return "this key is missing"
-    text = str(fault["msg"]).removeprefix("Value error, ")
-    if kind == "value_error":
-        return text
-    return f"{text[0].lower()}{text[1:]}, got {fault['input']!r}"
-
-
-def _key_path(model: type[BaseModel], loc: tuple[Any, ...]) -> list[Any]:
-    """The fault's place as TOML keys: without the tags that pydantic adds for the kinds of a union."""
-    tags = {"grid", "ring", "line", "cross", "list"}
-    return [part for i, part in enumerate(loc) if not (i and loc[i - 1] == "layout" and part in tags)]
-
-
-def _keys_at(model: type[BaseModel], path: list[str]) -> list[str]:
-    """Names that are valid inside the table at `path`."""
-    models: list[type[BaseModel]] = [model]
-    for part in path:
-        if part.isdigit():
-            continue
-        models = [inner for outer in models if part in outer.model_fields for inner in _models_in(outer.model_fields[part].annotation)]
-    return sorted({name for table in models for name in table.model_fields})
-
-
-def _models_in(annotation: Any) -> list[type[BaseModel]]:
-    if isinstance(annotation, type) and issubclass(annotation, BaseModel) and not isinstance(annotation, types.GenericAlias):
-        return [annotation]
-    return [model for inner in typing.get_args(annotation) for model in _models_in(inner)]
+        raise InputError(f"{source}: {sentence(model, error, prefix)}") from error
 
 
 def _plain(value: Any) -> Any:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import time
 from pathlib import Path
 from typing import Any
@@ -13,7 +14,11 @@ from sabench.api import Observation, Reconstruction, Solver
 from sabench.dataset.read import Dataset, open_dataset
 from sabench.dataset.result import Result, open_result, result_writer
 from sabench.errors import InputError
+from sabench.rig import any_in_view
 from sabench.scene import validate
+
+_VOLUMES = 2.0  # float32 volumes that fit beside the images or the solver is not started: its own, and as much again for its work and the checks
+_TRIED = 33  # voxels along each axis that are looked for in the images
 
 
 def solve(
@@ -31,7 +36,8 @@ def solve(
     Raises
     ------
     InputError
-        An unknown solver or parameter, a broken data set, or a solver that declines, raises, or returns a wrong shape or values that are not finite.
+        An unknown solver or parameter, a broken data set, a frame that `check_case` refuses, or a solver that declines, raises, or returns a wrong
+        shape or values that are not finite.
     """
     data = dataset if isinstance(dataset, Dataset) else open_dataset(dataset)
     algorithm = make_solver(solver, parameters or {})
@@ -41,6 +47,7 @@ def solve(
     with result_writer(Path(out), data, solver, resolved, overwrite=overwrite) as writer:
         for frame in range(data.rig.frames):
             case = data.observation(frame)
+            check_case(case, f"{data.root}: frame {frame}")
             start = time.perf_counter()
             guess = _attempt(algorithm, solver, case, frame)
             seconds.append(time.perf_counter() - start)
@@ -56,6 +63,40 @@ def make_solver(name: str, parameters: dict[str, Any]) -> Solver:
     plugin = plugins.load("solvers", name)
     made: Solver = plugin(validate(plugin.Parameters, parameters, f"solver {name}"))
     return made
+
+
+def check_case(case: Observation, source: str) -> None:
+    """Refuse what no algorithm can make anything of; `source` is named in errors. A black image passes: a camera may be covered.
+
+    Raises
+    ------
+    InputError
+        An image that is saturated all over, a grid that does not fit into memory, or one that no camera sees.
+    """
+    for camera, image in zip(case.cameras, case.images, strict=True):
+        if image.min() >= case.white_dn:
+            raise InputError(
+                f"{source}: {camera.name}: expected an image that shows something, but every pixel is saturated ({case.white_dn:g} or more)"
+            )
+    _check_memory(case, source)
+    axes = [axis[np.unique(np.linspace(0, len(axis) - 1, _TRIED).astype(int))] for axis in case.grid.axes_mm]
+    if not any_in_view(case.cameras, np.array(list(itertools.product(*axes)))):
+        raise InputError(f"{source}: grid: expected it in view of at least one camera, but no camera of {len(case.cameras)} sees any of it")
+
+
+def _check_memory(case: Observation, source: str) -> None:
+    """What a solver needs at least: `_VOLUMES` and the images as float32."""
+    there, images = memory.available_mb(), case.images.size * 4 / 1e6
+    (planes, rows, columns), voxel = case.grid.shape, _VOLUMES * 4 / 1e6
+    need = images + planes * rows * columns * voxel
+    if there is None or need <= there:
+        return
+    voxels = max(0, int((there - images) / voxel))
+    largest = f"{voxels // (rows * columns)} of its planes" if voxels >= rows * columns else f"{voxels} of its voxels"
+    raise InputError(
+        f"{source}: grid: expected it to fit into memory, but its {planes} x {rows} x {columns} voxels (z, y, x) need {need:.0f} MB "
+        f"where {there:.0f} MB are there: at most {largest} fit"
+    )
 
 
 def _attempt(algorithm: Solver, name: str, case: Observation, frame: int) -> Reconstruction:

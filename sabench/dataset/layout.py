@@ -19,7 +19,7 @@ from sabench.volume import Grid
 
 FORMAT = "sabench-dataset"
 VERSION = 1
-MANIFEST, CAMERAS, SCENE, TRUTH = "manifest.json", "cameras.json", "scene.toml", "truth.h5"
+MANIFEST, CAMERAS, SCENE, TRUTH, TRUE_CAMERAS = "manifest.json", "cameras.json", "scene.toml", "truth.h5", "true_cameras.json"
 
 
 class _Record(BaseModel):
@@ -45,6 +45,14 @@ class CamerasFile(_Record):
     cameras: tuple[Camera, ...] = Field(min_length=1)
     grid: Grid
     sensor: SensorLevels
+
+
+class TrueCamerasFile(_Record):
+    """true_cameras.json: the cameras that took the pictures, where cameras.json tells others."""
+
+    format: str
+    version: int
+    cameras: tuple[Camera, ...]
 
 
 class FileEntry(_Record):
@@ -108,19 +116,46 @@ def read_cameras(root: Path) -> CamerasFile:
     names = [camera.name for camera in loaded.cameras]
     if len(set(names)) != len(names) or not all(name.replace("_", "").isalnum() for name in names):
         raise InputError(f"{path}: cameras: expected different names of letters, digits and _, got {names}")
+    _check_cameras(loaded.cameras, path)
     _check_numbers(loaded, path)
-    return loaded.model_copy(update={"cameras": tuple(dataclasses.replace(c, wall=loaded.wall) for c in loaded.cameras)})
+    return loaded.model_copy(update={"cameras": _behind(loaded.wall, loaded.cameras)})
 
 
-def _check_numbers(loaded: CamerasFile, path: Path) -> None:
-    """What the types cannot say."""
-    for camera in loaded.cameras:
+def read_true_cameras(root: Path, told: CamerasFile) -> tuple[Camera, ...]:
+    """The true cameras of a data set whose cameras.json tells others: the same names and image sizes, behind the same wall."""
+    path = inside(root, TRUE_CAMERAS)
+    cameras = _checked(TrueCamerasFile, path).cameras
+    expected, got = ([(c.name, c.rows, c.columns) for c in group] for group in (told.cameras, cameras))
+    if got != expected:
+        raise InputError(f"{path}: cameras: expected names and image sizes as in {CAMERAS}, {expected}, got {got}")
+    _check_cameras(cameras, path)
+    return _behind(told.wall, cameras)
+
+
+def _behind(wall: Wall | None, cameras: tuple[Camera, ...]) -> tuple[Camera, ...]:
+    return tuple(dataclasses.replace(camera, wall=wall) for camera in cameras)
+
+
+def _check_cameras(cameras: tuple[Camera, ...], path: Path) -> None:
+    """What the types cannot say of cameras."""
+    first = cameras[0]
+    for camera in cameras:
         sizes = (camera.rows, camera.columns, camera.pixel_mm, camera.principal_distance_mm, camera.focal_length_mm, camera.f_number)
         if min(sizes) <= 0:
             raise InputError(f"{path}: {camera.name}: expected positive sizes, got {sizes}")
+        if (camera.rows, camera.columns) != (first.rows, first.columns):
+            got = f"{camera.rows} x {camera.columns}"
+            raise InputError(f"{path}: {camera.name}: expected {first.rows} x {first.columns} pixels (rows x columns) as {first.name} has, got {got}")
         turn = np.asarray(camera.rotation)
         if np.abs(turn @ turn.T - np.eye(3)).max() > 1e-9 or np.linalg.det(turn) < 0.0:
             raise InputError(f"{path}: {camera.name}: rotation: expected a right-handed orthonormal matrix, got {turn.tolist()}")
+
+
+def _check_numbers(loaded: CamerasFile, path: Path) -> None:
+    """What the types cannot say of the rest."""
+    levels = loaded.sensor
+    if not levels.black_dn < levels.white_dn:
+        raise InputError(f"{path}: sensor: expected black_dn below white_dn, got {levels.black_dn:g} and {levels.white_dn:g}")
     wall, grid = loaded.wall, loaded.grid
     if wall and (abs(np.linalg.norm(wall.normal) - 1.0) > 1e-9 or min(*wall.indices, *(layer.thickness_mm for layer in wall.layers)) <= 0.0):
         raise InputError(f"{path}: wall: expected a unit normal and positive indices and thicknesses, got {wall}")
@@ -136,7 +171,6 @@ def _checked(model: type[Model], path: Path) -> Model:
     return validate(model, value, str(path))
 
 
-def rig_to_dict(cameras: tuple[Camera, ...], wall: Wall | None) -> dict[str, Any]:
-    """Cameras and their common wall as JSON keeps them."""
-    records = [{k: v for k, v in dataclasses.asdict(camera).items() if k != "wall"} for camera in cameras]
-    return {"wall": dataclasses.asdict(wall) if wall else None, "cameras": records}
+def camera_records(cameras: tuple[Camera, ...]) -> list[dict[str, Any]]:
+    """Cameras as JSON keeps them: their wall stands beside them."""
+    return [{k: v for k, v in dataclasses.asdict(camera).items() if k != "wall"} for camera in cameras]

@@ -16,6 +16,7 @@ from sabench.dataset.images import read_exr, read_tiff
 from sabench.dataset.layout import CamerasFile, Manifest
 from sabench.errors import InputError
 from sabench.files import inside
+from sabench.optics.camera import Camera
 from sabench.world import Particles
 
 
@@ -43,16 +44,20 @@ class Dataset:
 
     @cached_property
     def rig(self) -> CamerasFile:
-        """Cameras, wall, grid and sensor levels."""
+        """What solvers are told: cameras, wall, grid and sensor levels."""
         return layout.read_cameras(self.root)
+
+    @cached_property
+    def true_cameras(self) -> tuple[Camera, ...]:
+        """The cameras that took the pictures: truth, not for solvers. They are those of `rig`, unless the data set has a calibration error."""
+        if layout.TRUE_CAMERAS not in self.manifest.files:
+            return self.rig.cameras
+        return layout.read_true_cameras(self.root, self.rig)
 
     def observation(self, frame: int) -> Observation:
         """One frame as a solver may see it."""
         self._check_frame(frame)
         rig = self.rig
-        shapes = {(camera.rows, camera.columns) for camera in rig.cameras}
-        if len(shapes) != 1:
-            raise InputError(f"{self.root}: expected images of one size, got {sorted(shapes)}")
         images = [read_tiff(self._image(camera.name, frame, "tif"), (camera.rows, camera.columns)) for camera in rig.cameras]
         return Observation(np.stack(images), rig.cameras, rig.grid, rig.sensor.black_dn, rig.sensor.white_dn)
 

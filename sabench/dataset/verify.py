@@ -53,6 +53,7 @@ def _content_faults(dataset: Dataset) -> Iterator[str]:
     if broken:
         yield from broken
         return
+    yield from _try(lambda: dataset.true_cameras)
     for frame in track(range(dataset.rig.frames), "verify shapes"):
         for part in (dataset.observation, dataset.radiance, dataset.particles, dataset.views):
             yield from _try(functools.partial(part, frame))

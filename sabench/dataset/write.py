@@ -61,12 +61,22 @@ class DatasetWriter:
 
 
 @contextlib.contextmanager
-def dataset_writer(target: Path, name: str, scene: Scene, rig: Rig, seed: int, renderer: str, *, overwrite: bool = False) -> Iterator[DatasetWriter]:
-    """A writer whose frames become the data set at `target` when the block ends well, and vanish otherwise."""
+def dataset_writer(
+    target: Path, name: str, scene: Scene, rig: Rig, told: tuple[Camera, ...], seed: int, renderer: str, *, overwrite: bool = False
+) -> Iterator[DatasetWriter]:
+    """A writer whose frames become the data set at `target` when the block ends well, and vanish otherwise.
+
+    Parameters
+    ----------
+    rig : the true optics.
+    told : the cameras that solvers are told.
+    """
     with complete_or_nothing(target, overwrite=overwrite) as root:
         root.mkdir()
         (root / layout.SCENE).write_text(scene.to_toml(), encoding="utf-8")
-        (root / layout.CAMERAS).write_text(canonical_json(_observation(scene, rig)), encoding="utf-8")
+        (root / layout.CAMERAS).write_text(canonical_json(_observation(scene, rig, told)), encoding="utf-8")
+        if scene.calibration:
+            (root / layout.TRUE_CAMERAS).write_text(canonical_json(_true_cameras(rig)), encoding="utf-8")
         with created(root / layout.TRUTH) as (truth, check):
             with uninterrupted():
                 truth.attrs["format"], truth.attrs["version"] = layout.FORMAT, layout.VERSION
@@ -74,10 +84,15 @@ def dataset_writer(target: Path, name: str, scene: Scene, rig: Rig, seed: int, r
         (root / layout.MANIFEST).write_text(_manifest(root, name, scene, seed, renderer), encoding="utf-8")
 
 
-def _observation(scene: Scene, rig: Rig) -> dict[str, Any]:
+def _observation(scene: Scene, rig: Rig, told: tuple[Camera, ...]) -> dict[str, Any]:
     sensor = {"black_dn": scene.sensor.black_level_dn, "white_dn": white_level(scene.sensor), "bit_depth": scene.sensor.bit_depth}
     head = {"format": layout.FORMAT, "version": layout.VERSION, "frames": scene.frames, "interval_s": scene.interval_s}
-    return {**head, **layout.rig_to_dict(rig.cameras, rig.wall), "grid": asdict(rig.grid), "sensor": sensor}
+    wall = asdict(rig.wall) if rig.wall else None
+    return {**head, "wall": wall, "cameras": layout.camera_records(told), "grid": asdict(rig.grid), "sensor": sensor}
+
+
+def _true_cameras(rig: Rig) -> dict[str, Any]:
+    return {"format": layout.FORMAT, "version": layout.VERSION, "cameras": layout.camera_records(rig.cameras)}
 
 
 def _manifest(root: Path, name: str, scene: Scene, seed: int, renderer: str) -> str:

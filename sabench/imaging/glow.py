@@ -12,9 +12,11 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 import numpy as np
+import numpy.typing as npt
 
 from sabench.arrays import F32, F64
 from sabench.optics.camera import Camera, Distortion
+from sabench.optics.occluder import Disc
 
 _MAX_HITS = 4096
 _NONE = 0xFFFFFFFF
@@ -40,7 +42,7 @@ class Cloud:
     radiance: F64
 
 
-def picture(scene: Any, camera: Camera, origin: F64, cloud: Cloud, interfaces: int, side: int) -> F32:
+def picture(scene: Any, camera: Camera, origin: F64, cloud: Cloud, interfaces: int, side: int, occluders: tuple[Disc, ...]) -> F32:
     """Radiance (rows, columns) in front of the lens: each pixel's mean over a regular grid of side x side rays.
 
     Rays of one pixel are neighbours and are added up in their order, so that the picture does not depend on how threads are scheduled (a
@@ -50,6 +52,7 @@ def picture(scene: Any, camera: Camera, origin: F64, cloud: Cloud, interfaces: i
     ----------
     origin : world point that is the scene's (0, 0, 0).
     interfaces : dielectric planes that a ray crosses before it may meet a ball.
+    occluders : discs in front of all interfaces (or balls); a ray that meets one carries nothing.
     """
     tables = _Tables(cloud, interfaces)
     samples = side * side
@@ -58,7 +61,7 @@ def picture(scene: Any, camera: Camera, origin: F64, cloud: Cloud, interfaces: i
     for first in range(0, camera.rows, rows):
         count = min(rows, camera.rows - first)
         rays = _rays(camera, origin, first, count, side)
-        band = dr.block_sum(_trace(scene, rays, tables), samples) * (1.0 / samples)
+        band = dr.block_sum(_trace(scene, rays, tables, _unstopped(rays, occluders, origin)), samples) * (1.0 / samples)
         bands.append(np.array(band, dtype=np.float32).reshape(count, camera.columns))
     return np.concatenate(bands)
 
@@ -85,9 +88,23 @@ def _rays(camera: Camera, origin: F64, first: int, count: int, side: int) -> Any
     u = (across - dr.opaque(mi.Float, center[0])) * dr.opaque(mi.Float, scale)
     v = (down + dr.opaque(mi.Float, first - center[1])) * dr.opaque(mi.Float, scale)
     x, y = _undistorted(camera.distortion, u, v)
-    right, below, forward = (mi.Vector3f(*(dr.opaque(mi.Float, value) for value in axis)) for axis in camera.rotation)
-    pinhole = mi.Point3f(*(dr.opaque(mi.Float, value) for value in (np.asarray(camera.center_mm) - origin).tolist()))
-    return mi.Ray3f(pinhole, dr.normalize(x * right + y * below + forward))
+    right, below, forward = (_opaque(axis) for axis in camera.rotation)
+    return mi.Ray3f(mi.Point3f(_opaque(camera.center_mm - origin)), dr.normalize(x * right + y * below + forward))
+
+
+def _opaque(vector: npt.ArrayLike) -> Any:
+    """A vector (3,) that all kernels share, whatever its value."""
+    return mi.Vector3f(*(dr.opaque(mi.Float, value) for value in np.asarray(vector, dtype=np.float64).tolist()))
+
+
+def _unstopped(rays: Any, occluders: tuple[Disc, ...], origin: F64) -> Any:
+    """Whether no disc stops a ray: the same test as Disc.stops."""
+    free = mi.Bool(True)
+    for disc in occluders:
+        offset, normal = mi.Point3f(_opaque(disc.center_mm - origin)) - rays.o, _opaque(disc.normal)
+        way = dr.dot(offset, normal) / dr.dot(rays.d, normal)
+        free &= ~((way > 0.0) & (dr.norm(way * rays.d - offset) <= dr.opaque(mi.Float, disc.radius_mm)))
+    return free
 
 
 def _undistorted(lens: Distortion, u: Any, v: Any) -> tuple[Any, Any]:
@@ -103,8 +120,8 @@ def _undistorted(lens: Distortion, u: Any, v: Any) -> tuple[Any, Any]:
 
 
 @dr.syntax
-def _trace(scene: Any, ray: Any, cloud: Any) -> Any:
-    """Radiance along rays: Mitsuba's transmission at dielectrics, plus the glow of every ball that is entered in the fluid.
+def _trace(scene: Any, ray: Any, cloud: Any, free: Any) -> Any:
+    """Radiance along `free` rays: Mitsuba's transmission at dielectrics, plus the glow of every ball that is entered in the fluid.
 
     Mitsuba intersects balls in single precision, whose error grows with the square of the distance from the ray's origin: a ray is
     therefore moved up to the cloud (a sphere around the scene's origin) before it looks for balls, and a ball that it meets twice
@@ -113,7 +130,7 @@ def _trace(scene: Any, ray: Any, cloud: Any) -> Any:
     ray = mi.Ray3f(ray)
     result, weight = mi.Float(0.0), mi.Float(1.0)
     hits, crossed, last = mi.UInt32(0), mi.UInt32(0), mi.UInt32(_NONE)
-    active = mi.Bool(True)
+    active = mi.Bool(free)
     context = mi.BSDFContext()
     context.type_mask = mi.BSDFFlags.DeltaTransmission
     while active:

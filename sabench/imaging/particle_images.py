@@ -14,6 +14,7 @@ from sabench.arrays import F64, Bool
 from sabench.imaging.light import fluence
 from sabench.imaging.scattering import MieTable, mie_table
 from sabench.optics.camera import Camera
+from sabench.optics.occluder import Disc, in_shadow
 from sabench.optics.wall import trace_to_points, transmittance
 from sabench.scene import Scene
 from sabench.world import Particles
@@ -28,13 +29,13 @@ class ParticleImages:
     Attributes
     ----------
     pixel : (n, 2) column, row of the centre; NaN where there is none.
-    photons : (n,) mean number that reaches the whole sensor plane in one exposure.
+    photons : (n,) mean number that reaches the whole sensor plane in one exposure; 0 where an occluder stops the chief ray.
     sigma_px : (n,) standard deviation of the Gaussian image.
-    intensity : (n,) photons per steradian that leave the particle towards the camera.
+    intensity : (n,) photons per steradian that leave the particle towards the camera, whatever stands in their way.
     direction : (n, 3) unit direction of the light path at the particle, away from the camera.
     shape_mm : (n, 2, 3) two vectors across `direction`; moving the particle by one of them moves its image by sigma_px
         along the columns (first) or the rows (second).
-    visible : (n,) whether the centre has a light path and lies on the sensor.
+    visible : (n,) whether the centre has a light path that no occluder stops, and lies on the sensor.
     """
 
     pixel: F64
@@ -68,7 +69,7 @@ def _angle_range(scene: Scene, cameras: tuple[Camera, ...]) -> tuple[float, floa
     return float(every.min() - margin), float(every.max() + margin)
 
 
-def image_particles(scene: Scene, camera: Camera, particles: Particles, table: MieTable | None) -> ParticleImages:
+def image_particles(scene: Scene, camera: Camera, particles: Particles, table: MieTable | None, occluders: tuple[Disc, ...] = ()) -> ParticleImages:
     """Position, brightness and size of every particle's image in one camera.
 
     Photons = intensity x solid angle of the lens x Fresnel transmission of the wall; intensity = fluence x dC/dOmega averaged over the lens.
@@ -76,8 +77,10 @@ def image_particles(scene: Scene, camera: Camera, particles: Particles, table: M
     defocus (a disc, diameter / 4): Adrian and Yao (1985), Olsen and Adrian (2000).
     """
     points = particles.position_mm
-    paths = trace_to_points(camera.wall, np.asarray(camera.center_mm), points)
+    pinhole = np.asarray(camera.center_mm)
+    paths = trace_to_points(camera.wall, pinhole, points)
     pixel, valid = camera.pixels_of(paths.leaving, paths.valid)
+    lit = valid & ~in_shadow(occluders, pinhole, paths.leaving)
     across, blur, solid_angle = _through_aperture(camera, points, paths.arriving)
     magnification, shape = _object_shape(camera, points, paths.arriving)
     diffraction = _AIRY * scene.illumination.wavelength_nm * 1e-6 * camera.f_number * camera.principal_distance_mm / camera.focal_length_mm
@@ -89,7 +92,7 @@ def image_particles(scene: Scene, camera: Camera, particles: Particles, table: M
     given = scene.cameras.particle_sigma_px
     sigma = np.sqrt(variance) if given is None else np.full(len(points), given)
     return ParticleImages(
-        pixel, np.where(valid, photons, 0.0), sigma, intensity, paths.arriving, shape * sigma[:, None, None], valid & camera.contains(pixel)
+        pixel, np.where(lit, photons, 0.0), sigma, intensity, paths.arriving, shape * sigma[:, None, None], lit & camera.contains(pixel)
     )
 
 

@@ -17,19 +17,21 @@ from sabench import backend
 from sabench.arrays import F64, Bool
 from sabench.imaging.particle_images import ParticleImages
 from sabench.optics.camera import Camera
+from sabench.optics.occluder import Disc
 from sabench.optics.wall import Wall
 
 _REACH = 4.0  # standard deviations from a particle's centre to its ball's surface; 3e-4 of the light lies outside
 
 
-def render(camera: Camera, images: ParticleImages, positions_mm: F64, samples: int) -> F64:
+def render(camera: Camera, images: ParticleImages, positions_mm: F64, samples: int, occluders: tuple[Disc, ...] = ()) -> F64:
     """Photon radiance image (rows, columns), photons / (mm2 sr) in front of the lens, of one exposure.
 
     Parameters
     ----------
     samples : rays per pixel, a square number.
+    occluders : discs that stop rays before they reach the wall; a particle behind the edge of one is cut there, so all that glow are traced.
     """
-    lit = (images.photons > 0.0) & camera.contains(images.pixel, 8.0 * float(np.nanmax(images.sigma_px, initial=0.0)) + 8.0)
+    lit = (images.intensity > 0.0) & camera.contains(images.pixel, 8.0 * float(np.nanmax(images.sigma_px, initial=0.0)) + 8.0)
     if not lit.any():
         return np.zeros((camera.rows, camera.columns))
     mi = backend.mitsuba()
@@ -38,7 +40,8 @@ def render(camera: Camera, images: ParticleImages, positions_mm: F64, samples: i
     origin = positions_mm[lit].mean(axis=0)  # single precision: the numbers are small where the particles are
     cloud = glow.Cloud(positions_mm[lit] - origin, *_glow(images, lit))
     scene = mi.load_dict({"type": "scene", **_interfaces(mi, camera.wall, origin, camera), "cloud": _balls(mi, cloud.centers, cloud.radii)})
-    radiance = glow.picture(scene, camera, origin, cloud, len(camera.wall.layers) + 1 if camera.wall else 0, math.isqrt(samples))
+    interfaces = len(camera.wall.layers) + 1 if camera.wall else 0
+    radiance = glow.picture(scene, camera, origin, cloud, interfaces, math.isqrt(samples), occluders)
     return radiance.astype(np.float64)
 
 

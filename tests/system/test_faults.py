@@ -13,10 +13,12 @@ import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import h5py
 import numpy as np
 import pytest
+import tifffile
 
 import sabench
 from sabench.dataset.hdf import created, uninterrupted
@@ -112,6 +114,44 @@ def test_missing_and_truncated_images_and_truth(copy: Path, command: Command) ->
     check_sentence(command("score", copy, "truth"), "truth.h5")
     (copy / "manifest.json").unlink()
     check_sentence(command("score", copy, "truth"), "manifest.json")
+
+
+def test_images_of_another_kind_or_size(copy: Path, command: Command, tmp_path: Path) -> None:
+    image = copy / "images/frame_0000/camera_02.tif"
+    tifffile.imwrite(image, np.full((240, 320), np.nan, dtype=np.float32))
+    check_sentence(command("solve", "msa", copy, "-o", "r.h5"), f"{image}: expected 16-bit grey values of shape (240, 320), got float32")
+    tifffile.imwrite(image, np.zeros((200, 320), dtype=np.uint16))
+    check_sentence(command("solve", "msa", copy, "-o", "r.h5"), f"{image}: expected 16-bit grey values of shape (240, 320)", "(200, 320)")
+    tifffile.imwrite(image, np.full((240, 320), 4095, dtype=np.uint16))
+    check_sentence(command("solve", "msa", copy, "-o", "r.h5"), f"{copy}: frame 0: camera_02: expected an image", "every pixel is saturated")
+    assert list(tmp_path.iterdir()) == [copy]
+
+
+def test_a_black_image_is_solved(copy: Path, command: Command) -> None:
+    tifffile.imwrite(copy / "images/frame_0000/camera_02.tif", np.zeros((240, 320), dtype=np.uint16))
+    assert command("solve", "asa", copy, "-o", "r.h5").returncode == 0
+
+
+@pytest.mark.parametrize(
+    ("table", "damage", "words"),
+    [
+        ("cameras", {"rows": 200}, ("cameras.json: camera_01: expected 240 x 320 pixels (rows x columns) as camera_00 has, got 200 x 320",)),
+        ("cameras", {"name": "left"}, ("left.tif: expected an image, found no such file",)),
+        ("sensor", {"white_dn": 64.0}, ("cameras.json: sensor: expected black_dn below white_dn, got 64 and 64",)),
+        ("grid", {"low_mm": [500.0, 0.0, 30.0]}, ("frame 0: grid: expected it in view of at least one camera, but no camera of 4 sees any of it",)),
+        (
+            "grid",
+            {"shape": [100_000] * 3},
+            ("grid: expected it to fit into memory, but its 100000 x 100000 x 100000 voxels", "8000000001 MB", "at most"),
+        ),
+    ],
+)
+def test_rigs_that_cannot_be_solved(copy: Path, tmp_path: Path, command: Command, table: str, damage: dict[str, Any], words: tuple[str, ...]) -> None:
+    rig = json.loads((copy / "cameras.json").read_text())
+    (rig["cameras"][1] if table == "cameras" else rig[table]).update(damage)
+    (copy / "cameras.json").write_text(json.dumps(rig))
+    check_sentence(command("solve", "msa", copy, "-o", "r.h5"), *words)
+    assert list(tmp_path.iterdir()) == [copy]
 
 
 Damage = Callable[["h5py.File"], None]

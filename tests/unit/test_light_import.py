@@ -10,7 +10,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[2]
 LEVELS = [
     {"errors", "arrays"},
-    {"files", "seeds", "progress", "plugins", "memory"},
+    {"files", "seeds", "progress", "plugins", "memory", "sentences"},
     {"backend"},
     {"optics", "world", "volume"},
     {"api", "scene"},
