@@ -1,17 +1,16 @@
-"""Speed of the plane sweep on the demo's rig: `python benchmarks/refocus.py [scene] [planes]` prints JSON.
+"""Speed of synthetic aperture refocusing: `python benchmarks/refocus.py [planes]` prints JSON.
 
-Nine cameras of 1000 x 1000 pixels, 80 planes, random images. Speed is also given against OpenCV's bilinear remap on the same number of
-samples, taken in the same run with the maps ready; the sweep also computes its maps, one polynomial per camera and plane, and folds.
+Nine cameras behind glass (demo), the thesis's 25 in air, and nine cameras anywhere behind a leaning wall; 1000 x 1000 voxels, random images.
+A sample is one camera at one voxel. The time holds all that a frame costs: the spline's coefficients, rectifying, adding or multiplying. What depends
+on the cameras alone is computed once before. Shares are of limits measured in the same run: four loads from the first cache for each bilinear
+sample, and OpenCV's bilinear remap.
 """
 
 from __future__ import annotations
 
-import functools
 import json
 import os
 import sys
-import timeit
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -22,42 +21,33 @@ import numpy as np
 from sabench import backend
 from sabench.arrays import F32
 from sabench.progress import track
-from sabench.reproject import Fold, plane_maps, sweep
+from sabench.reproject import refocus_by_shifts, refocus_log2, refocus_sum
+from sabench.reproject.slabs import deviation_px, slabs
 from sabench.rig import Rig, build_rig, load_scene
+from sabench.rooflines import cached_gigaloads_s, fastest_s, gathered_gigaloads_s, triad_gb_s
+from sabench.scene import parse_scene
 from sabench.volume import Grid
 
 
-def mean_of(dr: Any, samples: Any) -> Any:
-    return sum(samples) / len(samples)
+def scattered_rig() -> Rig:
+    """Nine cameras at different distances, behind a wall that leans by ten degrees."""
+    values = load_scene("demo").to_dict()
+    values["wall"]["normal"] = [float(np.sin(np.radians(10.0))), 0.0, float(np.cos(np.radians(10.0)))]
+    values["wall"]["point_mm"] = [0.0, 0.0, -10.0]
+    places = [{"center_mm": [x, y, -485.0 - 12.0 * k]} for k, (x, y) in enumerate((x, y) for y in (-204.0, 0.0, 204.0) for x in (-204.0, 0.0, 204.0))]
+    values["cameras"]["layout"] = {"kind": "list", "places": places}
+    return build_rig(parse_scene(values, "scattered"))
 
 
-def product_of(dr: Any, samples: Any) -> Any:
-    return dr.exp2(sum(dr.log2(dr.maximum(sample, 0.01)) for sample in samples) * (3.0 / len(samples)))
-
-
-def timed(work: Callable[[], object], repeats: int) -> float:
-    """Seconds of the fastest of several runs, after one to warm up."""
-    work()
-    return min(timeit.repeat(work, number=1, repeat=repeats))
-
-
-def remap_all(images: F32, maps: list[tuple[F32, F32]], planes: int) -> None:
-    """As many bilinear samples as a sweep takes."""
-    for _ in track(range(planes), "cv2.remap"):
-        for image, (column, row) in zip(images, maps, strict=True):
-            cv2.remap(image, column, row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT)
-
-
-def middle_maps(rig: Rig) -> list[tuple[F32, F32]]:
-    """Exact pixel coordinates of the middle plane's voxels in every camera."""
+def remap_gigasamples_s(images: F32, rig: Rig) -> float:
+    """OpenCV's bilinear remap of all images to the middle plane, 1e9 samples/s."""
     x, y, z = rig.grid.axes_mm
     across, down = np.meshgrid(x, y)
     points = np.column_stack([across.ravel(), down.ravel(), np.full(across.size, z[len(z) // 2])])
-    maps = []
-    for camera in track(rig.cameras, "maps for cv2.remap"):
-        pixels = camera.project(points)[0].astype(np.float32).reshape(*across.shape, 2)
-        maps.append((np.ascontiguousarray(pixels[..., 0]), np.ascontiguousarray(pixels[..., 1])))
-    return maps
+    maps = [camera.project(points)[0].astype(np.float32).reshape(*across.shape, 2) for camera in track(rig.cameras, "maps for cv2.remap")]
+    pairs = [(np.ascontiguousarray(m[..., 0]), np.ascontiguousarray(m[..., 1])) for m in maps]
+    seconds = fastest_s(lambda: [cv2.remap(image, column, row, cv2.INTER_LINEAR) for image, (column, row) in zip(images, pairs, strict=True)])
+    return len(images) * across.size / seconds / 1e9
 
 
 def high_water_mib() -> float | None:
@@ -69,34 +59,43 @@ def high_water_mib() -> float | None:
     return int(line.split()[1]) / 1024.0
 
 
-def main() -> None:
-    rig = build_rig(load_scene(sys.argv[1] if len(sys.argv) > 1 else "demo"))
-    planes = int(sys.argv[2]) if len(sys.argv) > 2 else rig.grid.shape[0]
+def measure(rig: Rig, planes: int, loads: float) -> dict[str, Any]:
+    """Speeds on one rig."""
     grid: Grid = replace(rig.grid, shape=(planes, *rig.grid.shape[1:]))
-    first = rig.cameras[0]
-    images = np.random.default_rng(0).random((len(rig.cameras), first.rows, first.columns), dtype=np.float32)
-    giga = len(rig.cameras) * float(np.prod(grid.shape)) / 1e9
-    folds: dict[str, Fold] = {"mean": mean_of, "product": product_of}
-    seconds = {name: timed(functools.partial(sweep, images, rig.cameras, grid, fold), 2) for name, fold in folds.items()}
-    peak = high_water_mib()
-    maps = middle_maps(rig)
-    seconds["remap"] = timed(lambda: remap_all(images, maps, planes), 1)
-    fitted = timed(lambda: plane_maps(rig.cameras, grid), 1)
-    report = {
-        "backend": backend.choose().why,
-        "cores": os.cpu_count(),
-        "cameras": len(rig.cameras),
-        "grid_zyx": grid.shape,
-        "gigasamples": round(giga, 4),
-        "mean_gigasamples_per_s": round(giga / seconds["mean"], 3),
-        "product_gigasamples_per_s": round(giga / seconds["product"], 3),
-        "remap_gigasamples_per_s": round(giga / seconds["remap"], 3),
-        "mean_against_remap": round(seconds["remap"] / seconds["mean"], 3),
-        "product_against_remap": round(seconds["remap"] / seconds["product"], 3),
-        "plane_maps_s": round(fitted, 3),
-        "peak_memory_mib": None if peak is None else round(peak),
-        "volume_mib": round(4.0 * float(np.prod(grid.shape)) / 2**20),
+    cameras = rig.cameras
+    images = np.random.default_rng(0).random((len(cameras), cameras[0].rows, cameras[0].columns), dtype=np.float32)
+    giga = len(cameras) * float(np.prod(grid.shape)) / 1e9
+    parts = slabs(cameras, grid)
+    geometry = fastest_s(lambda: slabs(cameras, grid), 1)
+    works = {
+        "asa": lambda: refocus_sum(images, cameras, grid),
+        "msa": lambda: refocus_log2(images, cameras, grid, 0.01),
+        "map_shift_average": lambda: refocus_by_shifts(images, cameras, grid),
     }
+    report: dict[str, Any] = {
+        "cameras": len(cameras), "grid_zyx": grid.shape, "slabs": len(parts),
+        "deviation_px": round(max(deviation_px(part, cameras, grid) for part in parts), 5), "geometry_s": round(geometry, 3),
+    }  # fmt: skip
+    remap = remap_gigasamples_s(images, rig)
+    for name, work in works.items():
+        seconds = fastest_s(work)
+        report[name] = {
+            "s": round(seconds, 3), "gigasamples_per_s": round(giga / seconds, 2), "against_remap": round(giga / seconds / remap, 2),
+            "share_of_loads": round(4.0 * giga / seconds / loads, 3),
+        }  # fmt: skip
+    return report | {"peak_memory_mib": high_water_mib(), "volume_mib": round(4.0 * float(np.prod(grid.shape)) / 2**20)}
+
+
+def main() -> None:
+    planes = int(sys.argv[1]) if len(sys.argv) > 1 else 80
+    loads = cached_gigaloads_s()
+    report: dict[str, Any] = {
+        "backend": backend.choose().why, "cores": os.cpu_count(), "triad_gb_per_s": round(triad_gb_s(), 1),
+        "cached_gigaloads_per_s": round(loads, 1), "gathered_gigaloads_per_s": round(gathered_gigaloads_s(), 2),
+    }  # fmt: skip
+    rigs = {"demo": build_rig(load_scene("demo")), "thesis-50x50x10": build_rig(load_scene("thesis-50x50x10")), "scattered": scattered_rig()}
+    for name, rig in rigs.items():
+        report[name] = measure(rig, planes, loads)
     print(json.dumps(report, indent=2))
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from sabench import backend as compute
 from sabench import memory, plugins
 from sabench.api import Observation
-from sabench.arrays import F32, F64, U16
+from sabench.arrays import F64, U16
 from sabench.dataset.read import Dataset, View, open_dataset
 from sabench.dataset.write import dataset_writer
 from sabench.errors import InputError
@@ -61,9 +61,9 @@ def generate(
             if world is None or world.frame != frame:
                 world = _make_world(loaded, rig, seed, frame, renderer)
                 writer.add_particles(frame, world.particles)
-            images, grey, radiance = _shoot(world, camera)
+            images, grey, photons, radiance = _shoot(world, camera)
             writer.add_view(frame, camera, images)
-            writer.add_image(camera, frame, grey, radiance)
+            writer.add_image(camera, frame, grey, (_radiance(camera, photons) if radiance is None else radiance).astype(np.float32))
             memory.trim()
     return open_dataset(out)
 
@@ -89,7 +89,7 @@ def simulate(scene: Scene, *, seed: int = 0, frame: int = 0, backend: Renderer =
     world = _make_world(scene, rig, seed, frame, choose_renderer(backend))
     pictures, views = [], []
     for camera in rig.cameras:
-        images, grey, _ = _shoot(world, camera)
+        images, grey, _, _ = _shoot(world, camera)
         pictures.append(grey)
         views.append(View(images.pixel, images.photons, images.sigma_px, images.visible.astype(np.float64)))
     told = told_cameras(scene, rig.cameras, seed)
@@ -139,22 +139,24 @@ def _make_world(scene: Scene, rig: Rig, seed: int, frame: int, renderer: str) ->
     return _World(scene, rig, seed, frame, renderer, particles, scattering_table(scene, rig.cameras, particles))
 
 
-def _shoot(world: _World, camera: Camera) -> tuple[ParticleImages, U16, F32]:
-    """Render one camera's picture and expose its sensor: the particles' images, grey values, and radiance."""
+def _shoot(world: _World, camera: Camera) -> tuple[ParticleImages, U16, F64, F64 | None]:
+    """Render one camera's picture and expose its sensor: the particles' images, grey values, photons, and the radiance if the renderer gives it."""
     images = image_particles(world.scene, camera, world.particles, world.table, world.rig.occluders)
-    photons, radiance = _picture(world, camera, images)
+    radiance = None if world.renderer == "splat" else _render(world, camera, images)
+    photons = splat(camera, images) if radiance is None else radiance * camera.etendue()
     number = int(camera.name.rsplit("_", 1)[1])
     grey = expose(world.scene.sensor, photons, stream(world.seed, "sensor", world.frame, number))
-    return images, grey, radiance.astype(np.float32)
+    return images, grey, photons, radiance
 
 
-def _picture(world: _World, camera: Camera, images: ParticleImages) -> tuple[F64, F64]:
-    """Photons per pixel and radiance, (rows, columns) each."""
-    etendue = camera.etendue()
-    if world.renderer == "splat":
-        photons = splat(camera, images)
-        return photons, np.divide(photons, etendue, out=np.zeros_like(photons), where=etendue > 0.0)
+def _render(world: _World, camera: Camera, images: ParticleImages) -> F64:
     from sabench.imaging.pathtrace import render
 
-    radiance = render(camera, images, world.particles.position_mm, world.scene.render.samples_per_pixel, world.rig.occluders)
-    return radiance * etendue, radiance
+    picture: F64 = render(camera, images, world.particles.position_mm, world.scene.render.samples_per_pixel, world.rig.occluders)
+    return picture
+
+
+def _radiance(camera: Camera, photons: F64) -> F64:
+    """Photons / (mm2 sr) in front of the lens; 0 where a distorted lens shows nothing."""
+    etendue = camera.etendue()
+    return np.divide(photons, etendue, out=np.zeros_like(photons), where=etendue > 0.0)

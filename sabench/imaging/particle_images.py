@@ -7,6 +7,7 @@ to pass it: the spread of these directions is the solid angle of the lens, the s
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -20,6 +21,7 @@ from sabench.scene import Scene
 from sabench.world import Particles
 
 _AIRY = 2.44 / np.sqrt(8 * 3.67)  # sigma of the Gaussian nearest to Airy's disc / (lambda N (1 + M)): Adrian and Yao (1985)
+_CHUNK = 8192  # points at a time
 
 
 @dataclass(frozen=True)
@@ -76,28 +78,50 @@ def image_particles(scene: Scene, camera: Camera, particles: Particles, table: M
     The image is Gaussian with the summed variances of the particle's disc (M d / 4), of diffraction (Airy, `_AIRY`) and of
     defocus (a disc, diameter / 4): Adrian and Yao (1985), Olsen and Adrian (2000).
     """
-    points = particles.position_mm
-    pinhole = np.asarray(camera.center_mm)
-    paths = trace_to_points(camera.wall, pinhole, points)
-    pixel, valid = camera.pixels_of(paths.leaving, paths.valid)
-    lit = valid & ~in_shadow(occluders, pinhole, paths.leaving)
-    across, blur, solid_angle = _through_aperture(camera, points, paths.arriving)
-    magnification, shape = _object_shape(camera, points, paths.arriving)
+    seen = _see(camera, particles.position_mm)
+    lit = seen.valid & ~in_shadow(occluders, np.asarray(camera.center_mm), seen.leaving)
     diffraction = _AIRY * scene.illumination.wavelength_nm * 1e-6 * camera.f_number * camera.principal_distance_mm / camera.focal_length_mm
-    variance = (diffraction / camera.pixel_mm) ** 2 + (magnification * particles.diameter_mm / 4.0) ** 2 + (blur / 4.0) ** 2
-    intensity = fluence(scene.illumination, np.asarray(scene.volume.center_mm), points) * _cross_section(
-        scene, particles, paths.arriving, table, across
+    variance = (diffraction / camera.pixel_mm) ** 2 + (seen.magnification * particles.diameter_mm / 4.0) ** 2 + (seen.blur / 4.0) ** 2
+    half_angle = float(np.nanmedian(seen.half_angle)) if len(particles) else 0.0
+    intensity = fluence(scene.illumination, np.asarray(scene.volume.center_mm), particles.position_mm) * _cross_section(
+        scene, particles, seen.arriving, table, half_angle
     )
-    photons = intensity * solid_angle * transmittance(camera.wall, paths.leaving)
+    photons = np.where(lit, intensity * seen.solid_angle * transmittance(camera.wall, seen.leaving), 0.0)
     given = scene.cameras.particle_sigma_px
-    sigma = np.sqrt(variance) if given is None else np.full(len(points), given)
-    return ParticleImages(
-        pixel, np.where(lit, photons, 0.0), sigma, intensity, paths.arriving, shape * sigma[:, None, None], lit & camera.contains(pixel)
-    )
+    sigma = np.sqrt(variance) if given is None else np.full(len(particles), given)
+    visible = lit & camera.contains(seen.pixel)
+    return ParticleImages(seen.pixel, photons, sigma, intensity, seen.arriving, seen.shape * sigma[:, None, None], visible)
 
 
-def _through_aperture(camera: Camera, points: F64, chief: F64) -> tuple[float, F64, F64]:
-    """Half angle of the lens in the fluid (rad, median), diameter of the defocus disc (px) and solid angle (sr) of the lens at each point."""
+class _Sight(NamedTuple):
+    """How one camera sees n points: arrays of n rows."""
+
+    leaving: F64
+    arriving: F64
+    pixel: F64
+    valid: Bool
+    half_angle: F64
+    blur: F64
+    solid_angle: F64
+    magnification: F64
+    shape: F64
+
+
+def _see(camera: Camera, points: F64) -> _Sight:
+    """Chunk by chunk, so that what lies between the steps stays in the cache: three times as fast for many points."""
+    chunks = [_see_chunk(camera, points[first : first + _CHUNK]) for first in range(0, max(len(points), 1), _CHUNK)]
+    return _Sight(*(np.concatenate(parts) for parts in zip(*chunks, strict=True)))
+
+
+def _see_chunk(camera: Camera, points: F64) -> _Sight:
+    paths = trace_to_points(camera.wall, np.asarray(camera.center_mm), points)
+    pixel, valid = camera.pixels_of(paths.leaving, paths.valid)
+    aperture = _through_aperture(camera, points, paths.arriving)
+    return _Sight(paths.leaving, paths.arriving, pixel, valid, *aperture, *_object_shape(camera, points, paths.arriving))
+
+
+def _through_aperture(camera: Camera, points: F64, chief: F64) -> tuple[F64, F64, F64]:
+    """Half angle of the lens in the fluid (rad), diameter of the defocus disc (px) and solid angle (sr) of the lens at each point."""
     radius = camera.aperture_radius_mm
     turns, smears = [], []
     for axis, (right, down) in enumerate(((radius, 0.0), (0.0, radius))):
@@ -111,8 +135,7 @@ def _through_aperture(camera: Camera, points: F64, chief: F64) -> tuple[float, F
         smear[:, axis] += 2.0 * radius * camera.focal_px / camera.focus_mm  # a point in focus would shift by this, and is at rest on the sensor
         smears.append(np.linalg.norm(smear, axis=1))
     solid_angle = np.pi * np.abs(np.einsum("ij,ij->i", np.cross(turns[0], turns[1]), chief))
-    half_angle = float(np.nanmedian(np.linalg.norm(turns[0], axis=1))) if len(points) else 0.0
-    return half_angle, np.sqrt((smears[0] ** 2 + smears[1] ** 2) / 2.0), solid_angle
+    return np.linalg.norm(turns[0], axis=1), np.sqrt((smears[0] ** 2 + smears[1] ** 2) / 2.0), solid_angle
 
 
 def _object_shape(camera: Camera, points: F64, direction: F64) -> tuple[F64, F64]:

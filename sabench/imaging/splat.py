@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import math
+from typing import Any
+
+import numba
 import numpy as np
-from scipy.special import erf
 
 from sabench.arrays import F64
 from sabench.imaging.particle_images import ParticleImages
 from sabench.optics.camera import Camera
 
 _REACH = 4.5  # standard deviations from the centre to the window's edge: less than 2e-5 of the light is left out
-_BATCH = 1 << 16
+_BAND = 64  # rows that one thread fills at a time, so that none writes where another does
 
 
 def splat(camera: Camera, images: ParticleImages) -> F64:
@@ -19,27 +22,40 @@ def splat(camera: Camera, images: ParticleImages) -> F64:
     Light outside a particle's window of `_REACH` standard deviations is left out; particles whose centre lies outside
     the sensor still light the pixels that their window reaches.
     """
-    reach = np.ceil(_REACH * images.sigma_px + 0.5)
+    image = np.zeros((camera.rows, camera.columns))
     lit = images.photons > 0.0
-    lit[lit] &= camera.contains(images.pixel[lit], float(reach[lit].max()) if lit.any() else 0.0)
-    image = np.zeros(camera.rows * camera.columns)
-    for half in np.unique(reach[lit]):
-        chosen = np.flatnonzero(lit & (reach == half))
-        for start in range(0, len(chosen), _BATCH):
-            _add(image, camera, images, chosen[start : start + _BATCH], int(half))
-    return image.reshape(camera.rows, camera.columns)
+    half = np.ceil(_REACH * images.sigma_px[lit] + 0.5).astype(np.int64)
+    _add_windows(image, images.pixel[lit], images.photons[lit], images.sigma_px[lit], half)
+    return image
 
 
-def _add(image: F64, camera: Camera, images: ParticleImages, chosen: np.ndarray[tuple[int], np.dtype[np.intp]], half: int) -> None:
-    """Add the windows of 2 half + 1 pixels of the chosen particles to a flat image."""
-    nearest = np.rint(images.pixel[chosen]).astype(np.int64)
-    offsets = np.arange(-half, half + 1)
-    sigma = images.sigma_px[chosen, None, None] * np.sqrt(2.0)
-    edges = np.append(offsets - 0.5, half + 0.5)[None, None] + (nearest - images.pixel[chosen])[:, :, None]
-    share = 0.5 * np.diff(erf(edges / sigma), axis=2)
-    light = images.photons[chosen, None, None] * share[:, 1, :, None] * share[:, 0, None, :]
-    column = nearest[:, 0, None, None] + offsets[None, None, :]
-    row = nearest[:, 1, None, None] + offsets[None, :, None]
-    inside = (column >= 0) & (column < camera.columns) & (row >= 0) & (row < camera.rows)
-    flat = (row * camera.columns + column)[inside]
-    image += np.bincount(flat, weights=light[inside], minlength=len(image))
+@numba.njit(cache=True, parallel=True)
+def _add_windows(image: Any, pixel: Any, photons: Any, sigma: Any, half: Any) -> None:
+    """Add the windows of 2 half + 1 pixels around all particles to an image."""
+    rows, columns = image.shape
+    for band in numba.prange((rows + _BAND - 1) // _BAND):
+        first, last = band * _BAND, min(band * _BAND + _BAND, rows) - 1
+        for i in range(len(photons)):
+            row, column = int(np.rint(pixel[i, 1])), int(np.rint(pixel[i, 0]))
+            top, bottom = max(row - half[i], first), min(row + half[i], last)
+            left, right = max(column - half[i], 0), min(column + half[i], columns - 1)
+            if top > bottom or left > right:
+                continue
+            across = _shares(pixel[i, 0], sigma[i], left, right)
+            down = _shares(pixel[i, 1], sigma[i], top, bottom)
+            for j in range(len(down)):
+                light = photons[i] * down[j]
+                for k in range(len(across)):
+                    image[top + j, left + k] += light * across[k]
+
+
+@numba.njit(cache=True)
+def _shares(center: float, sigma: float, first: int, last: int) -> Any:
+    """Shares of a Gaussian's integral in the pixels first to last."""
+    shares, scale = np.empty(last - first + 1), 1.0 / (sigma * math.sqrt(2.0))
+    before = math.erf((first - 0.5 - center) * scale)
+    for i in range(len(shares)):
+        after = math.erf((first + i + 0.5 - center) * scale)
+        shares[i] = 0.5 * (after - before)
+        before = after
+    return shares

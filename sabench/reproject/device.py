@@ -33,23 +33,13 @@ def _sweep(rectified: F32, slab: Slab, grid: Grid, outside: float, fold: Fold, o
     row = index // width
     u, v = _unit(types.Float(index - row * width), width), _unit(types.Float(row), height)
     dr.eval(u, v)
-    maps = _box_positions(slab, grid)
+    maps = slab.positions(grid)
     for plane, target in enumerate(out):
         samples = [
             _sample(dr, types, image, slab.shape, [_horner(dr, types, c, slab.degree, u, v) for c in maps[camera, plane]], outside)
             for camera, image in enumerate(flat)
         ]
         target[:] = np.asarray(fold(dr, samples)).reshape(height, width)
-
-
-def _box_positions(slab: Slab, grid: Grid) -> F64:
-    """Polynomials (camera, plane, 2, terms) of positions in the rectified images: the slab's displacements plus the voxels' own places."""
-    maps = slab.displacement.copy()
-    for axis, (count, linear) in enumerate(zip(grid.shape[:0:-1], (1, slab.degree + 1), strict=True)):
-        half = max(count - 1, 1) / 2.0
-        maps[:, :, axis, linear] += half if count > 1 else 0.0
-        maps[:, :, axis, 0] += (half if count > 1 else 0.0) - slab.corners[:, None, axis]
-    return maps
 
 
 def _unit(index: Any, count: int) -> Any:

@@ -1,4 +1,4 @@
-"""Images resampled once, with cubic B-splines, onto a plane of the world: afterwards other planes need shifts and scales only."""
+"""Images resampled once onto a plane of the world: afterwards other planes need shifts and scales only."""
 
 from __future__ import annotations
 
@@ -11,13 +11,16 @@ import numpy.typing as npt
 
 from sabench.arrays import F32
 
+LINEAR, CUBIC = (1,), (1, 1, 1)  # the degree of a spline as a tuple's length: part of its type, so that kernels are compiled for each
 _POLE = math.sqrt(3.0) - 2.0  # of the cubic B-spline's inverse filter: Unser, IEEE Signal Process. Mag. 16 (1999) 22-38
 _SETTLED = 12  # terms after which the pole's powers are below single precision
 _LINES = 64  # lines filtered side by side, so that the recursion runs over contiguous numbers
 
 
-def spline_coefficients(images: F32) -> F32:
-    """Coefficients (n, rows + 3, columns + 3) of the cubic B-spline through all pixels, mirrored one pixel before and two behind."""
+def coefficients_of(images: F32, spline: tuple[int, ...]) -> F32:
+    """Coefficients (n, rows + 3, columns + 3) of the B-spline through all pixels, mirrored one pixel before and two behind."""
+    if spline == LINEAR:
+        return np.pad(images, ((0, 0), (1, 2), (1, 2)), mode="reflect")
     count, rows, columns = images.shape
     padded: npt.NDArray[np.float32] = np.empty((count, rows + 3, columns + 3), dtype=np.float32)
     _filter_along_rows(images, padded)
@@ -83,12 +86,13 @@ def _filter(lines: Any) -> None:
 
 
 @numba.njit(cache=True, parallel=True, fastmath=True)
-def resample(coefficients: Any, maps: Any, degree: int, outside: float, out: Any) -> None:
+def resample(coefficients: Any, spline: Any, maps: Any, degree: int, outside: float, out: Any) -> None:
     """Evaluate each image's spline at its mapped positions.
 
     Parameters
     ----------
-    coefficients : from `spline_coefficients`.
+    coefficients : from `coefficients_of`.
+    spline : LINEAR or CUBIC.
     maps : (n, 2, terms) polynomials of column and row in u, v from -1 to 1 across the output, ordered as in `PlaneMap`.
     degree : of the polynomials.
     outside : value of output pixels that lie outside an image's pixel centres.
@@ -103,7 +107,7 @@ def resample(coefficients: Any, maps: Any, degree: int, outside: float, out: Any
         positions = np.empty((2, width), dtype=np.float32)
         _evaluate(column, positions[0])
         _evaluate(row, positions[1])
-        _interpolate(coefficients[number], positions, np.float32(outside), out[number, line])
+        _interpolate(coefficients[number], spline, positions, np.float32(outside), out[number, line])
 
 
 @numba.njit(cache=True, fastmath=True)
@@ -132,16 +136,16 @@ def _evaluate(line: Any, out: Any) -> None:
 
 
 @numba.njit(cache=True, fastmath=True)
-def _interpolate(padded: Any, positions: Any, outside: Any, out: Any) -> None:
-    """Four by four cubic B-spline weights around every position (column, row); no branch, so that it runs on vectors."""
+def _interpolate(padded: Any, spline: Any, positions: Any, outside: Any, out: Any) -> None:
+    """Four by four weights around every position (column, row); no branch, so that it runs on vectors."""
     rows, columns, pitch = padded.shape[0] - 3, padded.shape[1] - 3, padded.shape[1]
     flat = padded.ravel()
     last_column, last_row, zero = np.float32(columns - 1), np.float32(rows - 1), np.float32(0.0)
     for i in range(len(out)):
         column, row = min(max(positions[0, i], zero), last_column), min(max(positions[1, i], zero), last_row)
         left, top = np.int32(column), np.int32(row)
-        a0, a1, a2, a3 = _weights(column - np.float32(left))
-        b0, b1, b2, b3 = _weights(row - np.float32(top))
+        a0, a1, a2, a3 = _weights(spline, column - np.float32(left))
+        b0, b1, b2, b3 = _weights(spline, row - np.float32(top))
         k = np.uint32(top * pitch + left)
         total = b0 * (a0 * flat[k] + a1 * flat[k + 1] + a2 * flat[k + 2] + a3 * flat[k + 3])
         k += np.uint32(pitch)
@@ -155,9 +159,11 @@ def _interpolate(padded: Any, positions: Any, outside: Any, out: Any) -> None:
 
 
 @numba.njit(cache=True, fastmath=True)
-def _weights(t: Any) -> Any:
-    """Cubic B-spline weights of the pixels -1, 0, 1, 2 at the fraction t."""
+def _weights(spline: Any, t: Any) -> Any:
+    """B-spline weights of the pixels -1, 0, 1, 2 at the fraction t."""
     sixth, one = np.float32(1.0 / 6.0), np.float32(1.0)
     s = one - t
+    if len(spline) == 1:
+        return np.float32(0.0), s, t, np.float32(0.0)
     before, after = sixth * s * s * s, sixth * t * t * t
     return before, np.float32(4.0 / 6.0) - t * t * (one - np.float32(0.5) * t), np.float32(4.0 / 6.0) - s * s * (one - np.float32(0.5) * s), after

@@ -12,8 +12,8 @@ from sabench.arrays import F32, F64
 from sabench.optics.camera import Camera
 from sabench.progress import track
 from sabench.reproject import device, kernels
-from sabench.reproject.rectify import resample, spline_coefficients
-from sabench.reproject.slabs import Slab, rectifying_maps, slabs
+from sabench.reproject.rectify import CUBIC, LINEAR, coefficients_of, resample
+from sabench.reproject.slabs import Slab, make_slab, rectifying_maps, slabs, tile_origins
 from sabench.volume import Grid
 
 
@@ -56,12 +56,44 @@ def refocus_log2(images: F32, cameras: Sequence[Camera], grid: Grid, floor: floa
     return volume
 
 
+def refocus_by_shifts(images: F32, cameras: Sequence[Camera], grid: Grid) -> F32:
+    """The mean over cameras by whole-pixel shifts of images mapped to the grid's middle plane: (z, y, x).
+
+    Source: thesis, equations 2.1 to 2.3, the map-shift-average of cameras on one plane. Images are mapped bilinearly. A plane is refocused as the
+    camera nearest to the array's centre sees it, which needs only shifts, and then resampled to the grid's voxels by a cubic spline. Its
+    coefficients are shifted instead of the pixels: filtering before or after a shift is the same.
+    """
+    slab = make_slab(cameras, grid, 0, grid.shape[0])
+    mapped = np.empty((len(images), *slab.shape), dtype=np.float32)
+    resample(coefficients_of(images, LINEAR), LINEAR, *rectifying_maps(slab, cameras, grid), 0.0, mapped)
+    coefficients = coefficients_of(mapped, CUBIC)
+    centers = np.asarray([camera.center_mm for camera in cameras])
+    nearest = int(np.linalg.norm(centers - centers.mean(axis=0), axis=1).argmin())
+    shifts = np.rint(slab.middle_shifts - slab.middle_shifts[nearest]) - (slab.corners - slab.corners[nearest])[:, None]
+    maps, canvas = slab.positions(grid)[nearest], Grid(grid.low_mm, grid.voxel_mm, (1, *coefficients.shape[1:]))
+    volume, focused = np.empty(grid.shape, dtype=np.float32), np.empty((1, *coefficients.shape[1:]), dtype=np.float32)
+    for plane in track(range(grid.shape[0]), f"shift {len(cameras)} cameras"):
+        kernels.sum_planes(coefficients, _whole_shifts(canvas, shifts[:, plane]), 0.0, focused)
+        resample(focused, CUBIC, maps[plane : plane + 1], slab.degree, 0.0, volume[plane : plane + 1])
+    volume /= len(cameras)
+    return volume
+
+
+def _whole_shifts(canvas: Grid, shifts: F64) -> F64:
+    """Affine maps (tile, 1, camera, 6) that move by whole pixels (camera, 2)."""
+    top, left = tile_origins(canvas)
+    maps = np.zeros((len(top), 1, len(shifts), 6))
+    maps[..., 0], maps[..., 1] = left[:, None, None] + shifts[:, 0], 1.0
+    maps[..., 3], maps[..., 5] = top[:, None, None] + shifts[:, 1], 1.0
+    return maps
+
+
 def _parts(images: F32, cameras: Sequence[Camera], grid: Grid, outside: float, volume: F32) -> Iterator[tuple[Slab, F32, F32]]:
     """Every slab with its rectified images (camera, height, width) and its part of the volume."""
-    coefficients = spline_coefficients(images)
+    coefficients = coefficients_of(images, CUBIC)
     for slab, maps, degree in track(_geometry(tuple(cameras), grid), f"refocus, {len(cameras)} cameras"):
         rectified = np.empty((len(images), *slab.shape), dtype=np.float32)
-        resample(coefficients, maps, degree, outside, rectified)
+        resample(coefficients, CUBIC, maps, degree, outside, rectified)
         yield slab, rectified, volume[slab.first : slab.first + slab.count]
 
 

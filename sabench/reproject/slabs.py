@@ -61,6 +61,20 @@ class Slab:
         start = value + middle[:, None, None] - self.corners + along_x * back[..., :1] + along_y * back[..., 1:]
         return np.stack([start, along_x, along_y], axis=-1).reshape(*start.shape[:3], 6)
 
+    def positions(self, grid: Grid) -> F64:
+        """Polynomials (camera, plane, 2, terms) of positions in the rectified images: displacements plus the voxels' own places."""
+        maps = self.displacement.copy()
+        for axis, (count, linear) in enumerate(zip(grid.shape[:0:-1], (1, self.degree + 1), strict=True)):
+            half = (count - 1) / 2.0
+            maps[:, :, axis, linear] += half
+            maps[:, :, axis, 0] += half - self.corners[:, None, axis]
+        return maps
+
+    @property
+    def middle_shifts(self) -> F64:
+        """The displacement at the grid's middle: (camera, plane, 2)."""
+        return self.displacement[..., 0]  # the constant terms
+
     def _evaluate(self, basis: F64) -> F64:
         """Polynomials at n places: (n, plane, camera, 2)."""
         cameras, planes = self.displacement.shape[:2]

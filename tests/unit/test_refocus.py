@@ -14,7 +14,7 @@ from sabench.arrays import F32, F64
 from sabench.optics.camera import Camera, Distortion, aim, aimed_rotation
 from sabench.optics.wall import Layer, Wall
 from sabench.reproject import kernels, refocus, refocus_log2, refocus_sum
-from sabench.reproject.rectify import resample, spline_coefficients
+from sabench.reproject.rectify import CUBIC, LINEAR, coefficients_of, resample
 from sabench.reproject.slabs import DEVIATION_PX, deviation_px, make_slab, rectifying_maps, slabs
 from sabench.volume import Grid
 
@@ -195,13 +195,22 @@ def test_a_particle_in_all_images_is_brightest_where_it_is() -> None:
 
 def test_spline_passes_through_pixels_and_is_scipys() -> None:
     images = np.random.default_rng(11).random((2, 37, 53)).astype(np.float32)
-    coefficients = spline_coefficients(images)
+    coefficients = coefficients_of(images, CUBIC)
     for image, found in zip(images, coefficients, strict=True):
         np.testing.assert_allclose(found[1:-2, 1:-2], spline_filter(image.astype(np.float64), mode="mirror"), rtol=0, atol=3e-6)
     out = np.empty((2, 37, 53), dtype=np.float32)
     identity = np.array([[[26.0, 26.0, 0.0], [18.0, 0.0, 18.0]]] * 2)
-    resample(coefficients, identity, 1, 0.0, out)
+    resample(coefficients, CUBIC, identity, 1, 0.0, out)
     np.testing.assert_allclose(out, images, rtol=0, atol=2e-5)
+
+
+def test_linear_resampling_is_scipys() -> None:
+    images = np.random.default_rng(13).random((1, 37, 53)).astype(np.float32)
+    out = np.empty((1, 21, 33), dtype=np.float32)
+    resample(coefficients_of(images, LINEAR), LINEAR, np.array([[[25.0, 20.0, 3.0], [18.0, 2.0, 14.0]]]), 1, 0.0, out)
+    v, u = np.meshgrid(np.linspace(-1.0, 1.0, 21), np.linspace(-1.0, 1.0, 33), indexing="ij")
+    expected = map_coordinates(images[0].astype(np.float64), [18.0 + 2.0 * u + 14.0 * v, 25.0 + 20.0 * u + 3.0 * v], order=1)
+    np.testing.assert_allclose(out[0], expected, rtol=0, atol=2e-5)
 
 
 def test_rectifying_maps_are_projections() -> None:
