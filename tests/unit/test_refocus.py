@@ -13,7 +13,7 @@ from scipy.ndimage import gaussian_filter, map_coordinates, spline_filter
 from sabench.arrays import F32, F64
 from sabench.optics.camera import Camera, Distortion, aim, aimed_rotation
 from sabench.optics.wall import Layer, Wall
-from sabench.reproject import kernels, refocus, refocus_log2, refocus_sum
+from sabench.reproject import kernels, refocus, refocus_by_shifts, refocus_log2, refocus_sum
 from sabench.reproject.rectify import CUBIC, LINEAR, coefficients_of, resample
 from sabench.reproject.slabs import DEVIATION_PX, deviation_px, make_slab, rectifying_maps, slabs
 from sabench.volume import Grid
@@ -230,3 +230,36 @@ def test_rectifying_maps_are_projections() -> None:
 def test_a_voxel_without_a_light_path_is_refused() -> None:
     with pytest.raises(ValueError, match="expected a light path to every voxel, but the plane z = "):
         refocus_sum(smooth_images(1), array(FLAT), replace(GRID, low_mm=(-5.0, 0.7, 3.0)))
+
+
+def planar_array(wall: Wall | None) -> list[Camera]:
+    """Five cameras on one plane, 60 mm apart, that look straight ahead at the grid's middle."""
+    places = ((0.0, 0.0), (-60.0, 0.0), (60.0, 0.0), (0.0, -60.0), (0.0, 60.0))
+    return [aim(replace(make_camera(0.0, 5.0, wall, Distortion()), center_mm=(x, y + 5.0, -300.0)), (0.7, 5.2, 42.0)) for x, y in places]
+
+
+def test_whole_shifts_find_particles_where_the_exact_maps_do() -> None:
+    """On planes where the shifts are whole numbers the published method equals exact refocusing up to its bilinear first step."""
+    cameras = planar_array(None)
+    distance = 342.0
+    step = 0.06 * distance / (60.0 + 0.06)  # one voxel of shift between neighbours, at the middle plane
+    grid = Grid((-1.0, 4.0, 42.0 - step), (0.06, 0.06, step), (3, 41, 57))
+    images = np.zeros((5, 110, 140), dtype=np.float32)
+    places = np.array([[0.2, 5.0, 42.0 + k * step] for k in (-1, 0, 1)]) + np.array([[-0.6, -0.3, 0.0], [0.0, 0.0, 0.0], [0.9, 0.4, 0.0]])
+    rows, columns = np.mgrid[0:110, 0:140]
+    for image, camera in zip(images, cameras, strict=True):
+        for column, row in camera.project(places)[0]:
+            image += np.exp(-((columns - column) ** 2 + (rows - row) ** 2) / 4.0)
+    shifted, exact = refocus_by_shifts(images, cameras, grid), refocus_sum(images, cameras, grid) / 5.0
+    assert np.abs(shifted - exact).max() < 0.12
+    for plane, place in enumerate(places):
+        x, y, _ = np.rint(grid.to_voxels(place[None])[0]).astype(int)
+        assert shifted[plane].max() > 0.85
+        peak = np.unravel_index(shifted[plane].argmax(), shifted[plane].shape)
+        assert np.abs(np.asarray(peak) - [y, x]).max() <= 1
+
+
+def test_whole_shifts_keep_an_even_image_even() -> None:
+    cameras = planar_array(FLAT)
+    grid = Grid((0.2, 4.9, 41.0), (0.06, 0.06, 0.5), (4, 9, 11))
+    np.testing.assert_allclose(refocus_by_shifts(np.full((5, 110, 140), 0.75, dtype=np.float32), cameras, grid), 0.75, rtol=1e-5)
