@@ -73,18 +73,18 @@ def refocus_by_shifts(images: F32, cameras: Sequence[Camera], grid: Grid) -> F32
     maps, canvas = slab.positions(grid)[nearest], Grid(grid.low_mm, grid.voxel_mm, (1, *coefficients.shape[1:]))
     volume, focused = np.empty(grid.shape, dtype=np.float32), np.empty((1, *coefficients.shape[1:]), dtype=np.float32)
     for plane in track(range(grid.shape[0]), f"shift {len(cameras)} cameras"):
-        kernels.sum_planes(coefficients, _whole_shifts(canvas, shifts[:, plane]), 0.0, focused)
+        kernels.sum_planes(coefficients, shift_maps(canvas, shifts[None, :, plane]), 0.0, focused)
         resample(focused, CUBIC, maps[plane : plane + 1], slab.degree, 0.0, volume[plane : plane + 1])
     volume /= len(cameras)
     return volume
 
 
-def _whole_shifts(canvas: Grid, shifts: F64) -> F64:
-    """Affine maps (tile, 1, camera, 6) that move by whole pixels (camera, 2)."""
-    top, left = tile_origins(canvas)
-    maps = np.zeros((len(top), 1, len(shifts), 6))
-    maps[..., 0], maps[..., 1] = left[:, None, None] + shifts[:, 0], 1.0
-    maps[..., 3], maps[..., 5] = top[:, None, None] + shifts[:, 1], 1.0
+def shift_maps(grid: Grid, shifts: F64) -> F64:
+    """Affine maps (tile, plane, camera, 6) for `kernels.sum_planes` that move whole planes by shifts (plane, camera, 2) of columns and rows."""
+    top, left = tile_origins(grid)
+    maps = np.zeros((len(top), *shifts.shape[:2], 6))
+    maps[..., 0], maps[..., 1] = left[:, None, None] + shifts[..., 0], 1.0
+    maps[..., 3], maps[..., 5] = top[:, None, None] + shifts[..., 1], 1.0
     return maps
 
 
