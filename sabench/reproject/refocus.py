@@ -12,9 +12,12 @@ from sabench.arrays import F32, F64
 from sabench.optics.camera import Camera
 from sabench.progress import track
 from sabench.reproject import device, kernels
+from sabench.reproject.maps import terms
 from sabench.reproject.rectify import CUBIC, LINEAR, coefficients_of, resample
 from sabench.reproject.slabs import Slab, make_slab, rectifying_maps, slabs, tile_origins
 from sabench.volume import Grid
+
+_AT_ONCE = 16  # planes that are shifted before they are resampled: bounds memory
 
 
 def refocus_sum(images: F32, cameras: Sequence[Camera], grid: Grid, *, outside: float = 0.0) -> F32:
@@ -70,13 +73,27 @@ def refocus_by_shifts(images: F32, cameras: Sequence[Camera], grid: Grid) -> F32
     centers = np.asarray([camera.center_mm for camera in cameras])
     nearest = int(np.linalg.norm(centers - centers.mean(axis=0), axis=1).argmin())
     shifts = np.rint(slab.middle_shifts - slab.middle_shifts[nearest]) - (slab.corners - slab.corners[nearest])[:, None]
-    maps, canvas = slab.positions(grid)[nearest], Grid(grid.low_mm, grid.voxel_mm, (1, *coefficients.shape[1:]))
-    volume, focused = np.empty(grid.shape, dtype=np.float32), np.empty((1, *coefficients.shape[1:]), dtype=np.float32)
-    for plane in track(range(grid.shape[0]), f"shift {len(cameras)} cameras"):
-        kernels.sum_planes(coefficients, shift_maps(canvas, shifts[None, :, plane]), 0.0, focused)
-        resample(focused, CUBIC, maps[plane : plane + 1], slab.degree, 0.0, volume[plane : plane + 1])
+    maps, low, shape = _canvas(slab.positions(grid)[nearest], slab.degree)
+    canvas, volume = Grid(grid.low_mm, grid.voxel_mm, (_AT_ONCE, *shape)), np.empty(grid.shape, dtype=np.float32)
+    focused = np.empty(canvas.shape, dtype=np.float32)
+    for first in track(range(0, grid.shape[0], _AT_ONCE), f"shift {len(cameras)} cameras"):
+        part = slice(first, first + _AT_ONCE)
+        planes = focused[: len(maps[part])]
+        kernels.sum_planes(coefficients, shift_maps(canvas, shifts[:, part].transpose(1, 0, 2) + low), 0.0, planes)
+        resample(planes, CUBIC, maps[part], slab.degree, 0.0, volume[part])
     volume /= len(cameras)
     return volume
+
+
+def _canvas(maps: F64, degree: int) -> tuple[F64, F64, tuple[int, int]]:
+    """The part of a rectified image that positions (plane, 2, terms) reach: positions in it, its first column and row, its padded shape."""
+    corners = np.array([[-1.0, -1.0], [-1.0, 1.0], [1.0, -1.0], [1.0, 1.0]])
+    reached = np.einsum("nk,pik->pni", terms(corners, degree), maps[[0, -1]]).reshape(-1, 2)
+    low = np.floor(reached.min(axis=0)) - 2.0
+    width, height = (np.ceil(reached.max(axis=0)) - low).astype(int) + 3
+    inside = maps.copy()
+    inside[:, :, 0] -= low
+    return inside, low, (int(height) + 3, int(width) + 3)
 
 
 def shift_maps(grid: Grid, shifts: F64) -> F64:
