@@ -12,6 +12,8 @@ from typing import Any
 import numba
 import numpy as np
 
+from sabench.reproject.rectify import LINEAR, weights
+
 TILE_ROWS, TILE_COLUMNS = 16, 512  # a tile's accumulators and the pixels that it reads stay in the first two caches
 _DECADES = 30.0  # a product's range before its logarithm is taken: inside float32's
 
@@ -42,9 +44,10 @@ def _folded(total: Any, sample: Any, fold: Any) -> Any:
 
 
 @numba.njit(cache=True, fastmath=True)
-def _fold_samples(image: Any, affine: Any, row: int, outside: Any, fold: Any, target: Any) -> None:
-    """Fold bilinear samples into the target along one row of a tile."""
-    height, width = image.shape
+def _fold_samples(image: Any, spline: Any, affine: Any, row: int, outside: Any, fold: Any, target: Any) -> None:
+    """Fold samples into the target along one row of a tile."""
+    padding = 0 if len(spline) == 1 else 2
+    height, width = image.shape[0] - padding, image.shape[1] - padding
     column_start, column_step = affine[0] + affine[2] * row, affine[1] - 1.0
     row_start, row_step = affine[3] + affine[5] * row, affine[4]
     first, count = 0, len(target)
@@ -60,18 +63,33 @@ def _fold_samples(image: Any, affine: Any, row: int, outside: Any, fold: Any, ta
         for i in range(high, end):
             target[i] = _folded(target[i], outside, fold)
         if high > low:
-            right, right_step = np.float32(x - shift + column_step * (low - first)), np.float32(column_step)
-            down, down_step = np.float32(y - above + row_step * (low - first)), np.float32(row_step)
-            upper = image[above, low + shift : high + shift + 1]
-            lower = image[above + 1, low + shift : high + shift + 1]
-            inner = target[low:high]
-            for i in range(len(inner)):
-                step = np.float32(np.int32(i))
-                share = right + right_step * step
-                over = upper[i] + share * (upper[i + 1] - upper[i])
-                under = lower[i] + share * (lower[i + 1] - lower[i])
-                inner[i] = _folded(inner[i], over + (down + down_step * step) * (under - over), fold)
+            start = np.float32(x - shift + column_step * (low - first)), np.float32(y - above + row_step * (low - first))
+            step = np.float32(column_step), np.float32(row_step)
+            _interpolate(image, spline, (low + shift, above), start, step, fold, target[low:high])
         first = end
+
+
+@numba.njit(cache=True, fastmath=True)
+def _interpolate(image: Any, spline: Any, corner: Any, start: Any, step: Any, fold: Any, target: Any) -> None:
+    """Fold samples between the same rows of an image, from `corner` on, into the target; the place inside a pixel moves by `step`."""
+    (left, top), (right, down), (right_step, down_step) = corner, start, step
+    upper, lower = image[top, left:], image[top + 1, left:]
+    if len(spline) == 1:
+        for i in range(len(target)):
+            share, below = right + right_step * np.float32(np.int32(i)), down + down_step * np.float32(np.int32(i))
+            over = upper[i] + share * (upper[i + 1] - upper[i])
+            under = lower[i] + share * (lower[i + 1] - lower[i])
+            target[i] = _folded(target[i], over + below * (under - over), fold)
+    else:
+        p, q, r, s = upper, lower, image[top + 2, left:], image[top + 3, left:]
+        for i in range(len(target)):
+            a0, a1, a2, a3 = weights(spline, right + right_step * np.float32(np.int32(i)))
+            b0, b1, b2, b3 = weights(spline, down + down_step * np.float32(np.int32(i)))
+            over = b0 * (a0 * p[i] + a1 * p[i + 1] + a2 * p[i + 2] + a3 * p[i + 3]) + b1 * (a0 * q[i] + a1 * q[i + 1] + a2 * q[i + 2] + a3 * q[i + 3])
+            under = b2 * (a0 * r[i] + a1 * r[i + 1] + a2 * r[i + 2] + a3 * r[i + 3]) + b3 * (
+                a0 * s[i] + a1 * s[i + 1] + a2 * s[i + 2] + a3 * s[i + 3]
+            )
+            target[i] = _folded(target[i], over + under, fold)
 
 
 @numba.njit(cache=True, fastmath=True)
@@ -94,12 +112,13 @@ def _add_log2(product: Any, total: Any) -> None:
 
 
 @numba.njit(cache=True, parallel=True, fastmath=True)
-def sum_planes(rectified: Any, maps: Any, outside: float, out: Any) -> None:
+def sum_planes(rectified: Any, spline: Any, maps: Any, outside: float, out: Any) -> None:
     """out[k] = the sum of all cameras' samples on plane k.
 
     Parameters
     ----------
-    rectified : (camera, height, width) float32.
+    rectified : (camera, height, width) float32, or `rectify.coefficients_of` such.
+    spline : LINEAR or CUBIC, which tells one from the other.
     maps : (tile, plane, camera, 6): column at the tile's first voxel, its steps along x and y; row, its steps along x and y.
     outside : sample where a map leaves the rectified image.
     out : (plane, y, x) float32, written.
@@ -115,14 +134,14 @@ def sum_planes(rectified: Any, maps: Any, outside: float, out: Any) -> None:
             total[:] = 0.0
             for camera in range(len(rectified)):
                 for row in range(height):
-                    _fold_samples(rectified[camera], maps[tile, plane, camera], row, value, (value,), total[row])
+                    _fold_samples(rectified[camera], spline, maps[tile, plane, camera], row, value, (value,), total[row])
             for row in range(height):
                 out[plane, top + row, left : left + width] = total[row]
 
 
 @numba.njit(cache=True, parallel=True, fastmath=True)
 def multiply_planes(rectified: Any, maps: Any, outside: float, floor: float, largest: float, out: Any) -> None:
-    """out[k] = the sum over cameras of log2 of their samples on plane k, each raised to `floor` at least; arguments as in `sum_planes`.
+    """out[k] = the sum over cameras of log2 of their samples on plane k, each raised to `floor` at least; arguments as in `sum_planes`, linear.
 
     `largest` is the largest sample. Samples are multiplied, and the logarithm is taken of the product just before it could leave float32's range.
     """
@@ -139,9 +158,34 @@ def multiply_planes(rectified: Any, maps: Any, outside: float, floor: float, lar
             product[:] = 1.0
             for camera in range(len(rectified)):
                 for row in range(height):
-                    _fold_samples(rectified[camera], maps[tile, plane, camera], row, value, (smallest, smallest), product[row])
+                    _fold_samples(rectified[camera], LINEAR, maps[tile, plane, camera], row, value, (smallest, smallest), product[row])
                 if camera % group == group - 1 or camera == len(rectified) - 1:
                     for row in range(height):
                         _add_log2(product[row], total[row])
             for row in range(height):
                 out[plane, top + row, left : left + width] = total[row]
+
+
+@numba.njit(cache=True, parallel=True, fastmath=True)
+def sum_shifted(images: Any, shifts: Any, out: Any) -> None:
+    """out[k] = the sum of all cameras' images, each moved by whole pixels; 0 comes in from outside.
+
+    Parameters
+    ----------
+    images : (camera, height, width) float32.
+    shifts : (plane, camera, 2) integers: column and row of an image that come to the output's first.
+    out : (plane, rows, columns) float32, written.
+    """
+    planes, rows, columns = out.shape
+    for strip in numba.prange((rows + TILE_ROWS - 1) // TILE_ROWS):
+        for plane in range(planes):
+            for row in range(strip * TILE_ROWS, min(strip * TILE_ROWS + TILE_ROWS, rows)):
+                target = out[plane, row]
+                target[:] = 0.0
+                for camera in range(len(images)):
+                    column, line = shifts[plane, camera, 0], row + shifts[plane, camera, 1]
+                    low, high = max(0, -column), min(columns, images.shape[2] - column)
+                    if 0 <= line < images.shape[1] and low < high:
+                        source, inner = images[camera, line, low + column : high + column], target[low:high]
+                        for i in range(len(inner)):
+                            inner[i] += source[i]

@@ -144,8 +144,8 @@ def _interpolate(padded: Any, spline: Any, positions: Any, outside: Any, out: An
     for i in range(len(out)):
         column, row = min(max(positions[0, i], zero), last_column), min(max(positions[1, i], zero), last_row)
         left, top = np.int32(column), np.int32(row)
-        a0, a1, a2, a3 = _weights(spline, column - np.float32(left))
-        b0, b1, b2, b3 = _weights(spline, row - np.float32(top))
+        a0, a1, a2, a3 = weights(spline, column - np.float32(left))
+        b0, b1, b2, b3 = weights(spline, row - np.float32(top))
         k = np.uint32(top * pitch + left)
         total = b0 * (a0 * flat[k] + a1 * flat[k + 1] + a2 * flat[k + 2] + a3 * flat[k + 3])
         k += np.uint32(pitch)
@@ -159,7 +159,7 @@ def _interpolate(padded: Any, spline: Any, positions: Any, outside: Any, out: An
 
 
 @numba.njit(cache=True, fastmath=True)
-def _weights(spline: Any, t: Any) -> Any:
+def weights(spline: Any, t: Any) -> Any:
     """B-spline weights of the pixels -1, 0, 1, 2 at the fraction t."""
     sixth, one = np.float32(1.0 / 6.0), np.float32(1.0)
     s = one - t

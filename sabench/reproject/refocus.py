@@ -12,7 +12,7 @@ from sabench.arrays import F32, F64
 from sabench.optics.camera import Camera
 from sabench.progress import track
 from sabench.reproject import device, kernels
-from sabench.reproject.maps import terms
+from sabench.reproject.kernels import TILE_COLUMNS, TILE_ROWS
 from sabench.reproject.rectify import CUBIC, LINEAR, coefficients_of, resample
 from sabench.reproject.slabs import Slab, make_slab, rectifying_maps, slabs, tile_origins
 from sabench.volume import Grid
@@ -41,7 +41,7 @@ def refocus_sum(images: F32, cameras: Sequence[Camera], grid: Grid, *, outside: 
         if _on_device():
             device.sum_planes(rectified, slab, grid, outside, part)
         else:
-            kernels.sum_planes(rectified, slab.tiles(grid), outside, part)
+            kernels.sum_planes(rectified, LINEAR, slab.tiles(grid), outside, part)
     return volume
 
 
@@ -70,30 +70,36 @@ def refocus_by_shifts(images: F32, cameras: Sequence[Camera], grid: Grid) -> F32
     mapped = np.empty((len(images), *slab.shape), dtype=np.float32)
     resample(coefficients_of(images, LINEAR), LINEAR, *rectifying_maps(slab, cameras, grid), 0.0, mapped)
     coefficients = coefficients_of(mapped, CUBIC)
-    centers = np.asarray([camera.center_mm for camera in cameras])
-    nearest = int(np.linalg.norm(centers - centers.mean(axis=0), axis=1).argmin())
+    nearest = _innermost(cameras)
     shifts = np.rint(slab.middle_shifts - slab.middle_shifts[nearest]) - (slab.corners - slab.corners[nearest])[:, None]
-    maps, low, shape = _canvas(slab.positions(grid)[nearest], slab.degree)
-    canvas, volume = Grid(grid.low_mm, grid.voxel_mm, (_AT_ONCE, *shape)), np.empty(grid.shape, dtype=np.float32)
-    focused = np.empty(canvas.shape, dtype=np.float32)
+    maps = np.ascontiguousarray(slab.tiles(grid)[:, :, nearest : nearest + 1])
+    low, shape = _reached(maps)
+    maps[..., [0, 3]] -= low
+    whole = (shifts + low).astype(np.int64).transpose(1, 0, 2)
+    volume, focused = np.empty(grid.shape, dtype=np.float32), np.empty((_AT_ONCE, *shape), dtype=np.float32)
     for first in track(range(0, grid.shape[0], _AT_ONCE), f"shift {len(cameras)} cameras"):
-        part = slice(first, first + _AT_ONCE)
-        planes = focused[: len(maps[part])]
-        kernels.sum_planes(coefficients, shift_maps(canvas, shifts[:, part].transpose(1, 0, 2) + low), 0.0, planes)
-        resample(planes, CUBIC, maps[part], slab.degree, 0.0, volume[part])
+        kernels.sum_shifted(coefficients, whole[first : first + _AT_ONCE], focused[: grid.shape[0] - first])
+        for plane in range(first, min(first + _AT_ONCE, grid.shape[0])):
+            kernels.sum_planes(focused[plane - first][None], CUBIC, maps[:, plane : plane + 1], 0.0, volume[plane : plane + 1])
     volume /= len(cameras)
-    return volume
+    return np.maximum(volume, np.float32(0.0), out=volume)  # a spline dips below zero beside bright particles
 
 
-def _canvas(maps: F64, degree: int) -> tuple[F64, F64, tuple[int, int]]:
-    """The part of a rectified image that positions (plane, 2, terms) reach: positions in it, its first column and row, its padded shape."""
-    corners = np.array([[-1.0, -1.0], [-1.0, 1.0], [1.0, -1.0], [1.0, 1.0]])
-    reached = np.einsum("nk,pik->pni", terms(corners, degree), maps[[0, -1]]).reshape(-1, 2)
-    low = np.floor(reached.min(axis=0)) - 2.0
-    width, height = (np.ceil(reached.max(axis=0)) - low).astype(int) + 3
-    inside = maps.copy()
-    inside[:, :, 0] -= low
-    return inside, low, (int(height) + 3, int(width) + 3)
+def _reached(maps: F64) -> tuple[F64, tuple[int, int]]:
+    """First column and row of the part of the rectified images that tiles' maps (tile, plane, 1, 6) reach, and its padded shape."""
+    size = np.array([TILE_COLUMNS, TILE_ROWS])
+    starts = maps[..., [0, 3]]
+    ends = starts + maps[..., [1, 4]] * size[0] + maps[..., [2, 5]] * size[1]
+    low = np.floor(np.minimum(starts, ends).min(axis=(0, 1, 2))) - 1.0
+    width, height = (np.ceil(np.maximum(starts, ends).max(axis=(0, 1, 2))) - low).astype(int) + 5
+    return low, (int(height), int(width))
+
+
+def _innermost(cameras: Sequence[Camera]) -> int:
+    """The camera nearest to the array's centre; of several the one with the smallest coordinates, in whatever order they come."""
+    centers = np.asarray([camera.center_mm for camera in cameras])
+    distance = np.linalg.norm(centers - centers.mean(axis=0), axis=1).round(6)
+    return int(np.lexsort((*centers.T, distance))[0])
 
 
 def shift_maps(grid: Grid, shifts: F64) -> F64:
