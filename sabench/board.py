@@ -14,6 +14,7 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from sabench import plugins
 from sabench.errors import InputError
 from sabench.files import complete_or_nothing, inside
+from sabench.statistics import Mean, mean_of
 
 Record = dict[str, Any]
 
@@ -22,8 +23,10 @@ _NEEDED: dict[str, type] = {
     "scene": str, "scene_hash": str, "dataset": str, "seed": int, "renderer": str,
     "solver": str, "parameters": dict, "machine": dict, "versions": dict, "run_hash": str,
 }  # fmt: skip
+_MAY_HAVE: dict[str, type] = {"case": str, "axes": dict, "label": str}
 _RUN = ("scene_hash", "seed", "renderer", "solver", "parameters", "machine")
-_SECTION = ("scene", "scene_hash", "renderer", "seed")
+_ENTRY = ("case", "scene_hash", "renderer", "solver", "parameters", "machine")
+_SECTION = ("case", "scene_hash", "renderer")
 
 # Score columns: key, heading, decimals, meaning.
 _SCORES = (
@@ -33,6 +36,8 @@ _SCORES = (
     ("precision", "precision", 3, "share of the detections that are true, closer than 1 voxel along every axis, one to one"),
     ("recall", "recall", 3, "share of the true particles that were found, by the same rule"),
     ("rms_px", "rms px", 3, "root mean square distance between the pairs of that rule"),
+    ("peak_true_percent", "peak true %", 1, "true %, but with particles found as local maxima: those that touch are still two"),
+    ("peak_ghost_percent", "peak ghost %", 1, "ghost % of these"),
     ("seconds", "seconds", 2, "time of the solver alone"),
     ("peak_mb", "peak MB", 0, "most memory that the solver's process held"),
 )
@@ -71,6 +76,9 @@ def _parse(line: bytes) -> Record:
     for key, kind in _NEEDED.items():
         if not isinstance(record.get(key), kind):
             raise ValueError(f"{key} = {record.get(key)!r} where a {kind.__name__} belongs")
+    for key, kind in _MAY_HAVE.items():
+        if not isinstance(record.get(key), (kind, type(None))):
+            raise ValueError(f"{key} = {record[key]!r} where a {kind.__name__} or null belongs")
     return record
 
 
@@ -85,6 +93,25 @@ def latest(records: list[Record]) -> list[Record]:
 
 def _key(record: Record, names: tuple[str, ...]) -> str:
     return json.dumps([record[name] for name in names], sort_keys=True)
+
+
+def over_seeds(records: list[Record]) -> list[Record]:
+    """One row for every case, solver and machine: the first seed's record with `seeds` and, in place of every score, its `Mean` over them.
+
+    A score that no seed has is None. `error` counts the seeds that failed and says why the first one did.
+    """
+    groups: dict[str, list[Record]] = {}
+    for record in sorted(records, key=lambda record: int(record["seed"])):
+        named = {**record, "case": record.get("case") or record["scene"]}  # older records have no case of their own
+        groups.setdefault(_key(named, _ENTRY), []).append(named)
+    return [_merged(group) for group in groups.values()]
+
+
+def _merged(group: list[Record]) -> Record:
+    means = {key: mean_of([value for record in group if (value := _number(record.get(key))) is not None]) for key, *_ in _SCORES}
+    errors = [record["error"] for record in group if record.get("error")]
+    share = f"{len(errors)} of {len(group)} seeds: " if len(group) > 1 and errors else ""
+    return {**group[0], **means, "seeds": [record["seed"] for record in group], "error": share + errors[0] if errors else None}
 
 
 def build_page(records: list[Record], pictures: Path, out: Path) -> None:
@@ -104,35 +131,42 @@ def build_page(records: list[Record], pictures: Path, out: Path) -> None:
 
 
 def _sections(records: list[Record], pictures: Path) -> list[dict[str, Any]]:
-    """One section per scene, renderer and seed, in the order of their names and numbers."""
-    ordered = sorted(records, key=lambda record: tuple(record[name] for name in _SECTION))
-    groups = itertools.groupby(ordered, key=lambda record: _key(record, _SECTION))
+    """One section per case, scene and renderer, in the order of their names."""
+    ordered = sorted(over_seeds(records), key=lambda row: tuple(row[name] for name in _SECTION))
+    groups = itertools.groupby(ordered, key=lambda row: _key(row, _SECTION))
     return [_section(sorted(group, key=_rank), pictures) for _, group in groups]
 
 
 def _section(ranked: list[Record], pictures: Path) -> dict[str, Any]:
-    rows = [_row(record, pictures) for record in ranked]
+    rows = [_row(row, pictures) for row in ranked]
     head = {name: ranked[0][name] for name in _SECTION}
-    return {**head, "rows": rows, "images": _first(ranked, pictures, "images.png"), "truth": _first(ranked, pictures, "truth.png")}
+    seeds = sorted({seed for row in ranked for seed in row["seeds"]})
+    axes: Record = next((row["axes"] for row in ranked if row.get("axes")), {})
+    words = {"seeds": _seeds(seeds), "axes": _text(axes)}
+    return {**head, **words, "rows": rows, "images": _first(ranked, pictures, "images.png"), "truth": _first(ranked, pictures, "truth.png")}
 
 
-def _rank(record: Record) -> tuple[bool, bool, float, str, str]:
+def _seeds(seeds: list[int]) -> str:
+    return f"seed {seeds[0]}" if len(seeds) == 1 else f"seeds {', '.join(map(str, seeds))}"
+
+
+def _rank(row: Record) -> tuple[bool, bool, float, str, str]:
     """Best Q first, then those without, then errors; the rest settles ties so that equal records give equal pages."""
-    q = _number(record.get("q"))
-    return bool(record.get("error")), q is None, -(q or 0.0), record["solver"], _text(record["parameters"])
+    q: Mean | None = row["q"]
+    return bool(row["error"]), q is None, -(q.mean if q else 0.0), row["solver"], _text(row["parameters"])
 
 
-def _row(record: Record, pictures: Path) -> dict[str, Any]:
-    machine = record["machine"]
+def _row(row: Record, pictures: Path) -> dict[str, Any]:
+    machine = row["machine"]
     return {
-        "solver": record["solver"],
-        "parameters": _text(record["parameters"]),
-        "scores": [_cell(record.get(key), decimals) for key, _, decimals, _ in _SCORES],
-        "error": record.get("error"),
+        "solver": row.get("label") or row["solver"],
+        "parameters": _text(row["parameters"]),
+        "scores": [_cell(row[key], decimals) for key, _, decimals, _ in _SCORES],
+        "error": row["error"],
         "machine": [str(machine[key]) for key in ("cpu", "backend") if machine.get(key)],
-        "details": _text({"data set": record["dataset"], "run": record["run_hash"], **machine, **record["versions"]}),
+        "details": _text({"seeds": row["seeds"], "data set": row["dataset"], "run": row["run_hash"], **machine, **row["versions"]}),
         # A failed run may have left a picture when it once succeeded: it is not this record's.
-        "picture": None if record.get("error") else _picture(record, pictures, f"{record['solver']}-{record['run_hash'][:8]}.png"),
+        "picture": None if row["error"] else _picture(row, pictures, f"{row['solver']}-{row['run_hash'][:8]}.png"),
     }
 
 
@@ -147,10 +181,9 @@ def _number(value: object) -> float | None:
     return float(value) if -_LARGEST < value < _LARGEST else None
 
 
-def _cell(value: object, decimals: int) -> tuple[str, str]:
-    """The number to sort by and the number to show, both empty for null."""
-    number = _number(value)
-    return ("", "") if number is None else (repr(number), f"{number:.{decimals}f}")
+def _cell(score: Mean | None, decimals: int) -> tuple[str, str]:
+    """The number to sort by and the text to show, both empty for None."""
+    return ("", "") if score is None else (repr(score.mean), score.text(decimals))
 
 
 def _first(ranked: list[Record], pictures: Path, name: str) -> str | None:

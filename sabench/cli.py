@@ -32,10 +32,10 @@ def list_all() -> None:
     """Generators, solvers, scenes and suites, each with one line."""
     for kind in plugins.KINDS:
         for name in plugins.names(kind):
-            _say(f"{kind[:-1]:<10} {name:<16} {plugins.summary(plugins.load(kind, name))}")
+            _say(f"{kind[:-1]:<10} {name:<20} {plugins.summary(plugins.load(kind, name))}")
     for kind, folder in (("scene", "scenes"), ("suite", "scenes/suites")):
         for file in sorted((plugins.bundled("scenes").parent / folder).glob("*.toml")):
-            _say(f"{kind:<10} {file.stem:<16} {tomllib.loads(find(file, folder).read_text(encoding='utf-8'))['title']}")
+            _say(f"{kind:<10} {file.stem:<20} {tomllib.loads(find(file, folder).read_text(encoding='utf-8'))['title']}")
 
 
 @app.command()
@@ -100,7 +100,10 @@ def score(
     from sabench.scoring import score as scores_of
 
     scores = scores_of(dataset, result)
-    _show(scores, [scores], as_json)
+    if as_json:
+        _say(json.dumps(scores, allow_nan=False))
+    else:
+        _show_scores(scores)
 
 
 @app.command()
@@ -115,11 +118,41 @@ def run(
     from sabench.run import run_suite
 
     records = run_suite(suite, work, leaderboard, fresh=fresh)
-    _show(records, records, as_json)
-    if not as_json:
+    if as_json:
+        _say(json.dumps(records, allow_nan=False))
+    else:
+        _show_records(records)
         _say(f"page: {(leaderboard / 'index.html').resolve()}")
     if any(record["error"] for record in records):
         raise typer.Exit(1)
+
+
+@app.command()
+def reproduce(
+    table: Annotated[str, typer.Argument(help="table-2-1, fig-2-6 or another: an unknown name lists them.")],
+    as_json: AsJson = False,
+    seeds: Annotated[int | None, typer.Option(min=1, help="How many seeds each figure is the mean of.")] = None,
+    pixels: Annotated[int | None, typer.Option(min=32, help="Side of the images in a coarse copy of each array: to try it, not to compare.")] = None,
+    output: Annotated[Path | None, typer.Option("-o", "--output", help="A JSON file for the rows, too, written after each of them.")] = None,
+) -> None:
+    """Measure a table or figure of Belden's thesis again, its values beside ours."""
+    from dataclasses import asdict
+
+    from sabench.files import canonical_json, complete_or_nothing
+    from sabench.progress import console
+    from sabench.reproduce import reproduce as measure
+
+    rows: list[dict[str, Any]] = []
+    for row in measure(table, seeds, pixels):
+        console.print(f"{row.name}: {_figure(row.measured)}, thesis {_figure(row.thesis)}: {row.verdict}", markup=False, highlight=False)
+        rows.append(asdict(row))
+        if output:  # after every row: an interrupted run keeps what it has
+            with complete_or_nothing(output, overwrite=True) as partial:
+                partial.write_text(canonical_json(rows), encoding="utf-8")
+    if as_json:
+        _say(json.dumps(rows, allow_nan=False))
+    else:
+        _show_rows(rows)
 
 
 @app.command()
@@ -166,18 +199,51 @@ def _parameters(pairs: list[str]) -> dict[str, Any]:
     return values
 
 
-_COLUMNS = ("q", "true_percent", "ghost_percent", "precision", "recall", "rms_px", "seconds", "peak_mb")
+_COLUMNS = {
+    "q": 3, "true_percent": 1, "ghost_percent": 1, "precision": 3, "recall": 3, "rms_px": 3,
+    "peak_true_percent": 1, "peak_ghost_percent": 1, "seconds": 2, "peak_mb": 0,
+}  # fmt: skip  # key: decimals
 
 
-def _show(value: Any, rows: list[dict[str, Any]], as_json: bool) -> None:
-    if as_json:
-        _say(json.dumps(value, allow_nan=False))
-        return
-    table = Table("scene", "solver", *_COLUMNS)
-    for row in sorted(rows, key=lambda row: -1.0 if row["q"] is None else row["q"], reverse=True):
-        figures = ["-" if row[key] is None else f"{row[key]:.4g}" for key in _COLUMNS]
-        table.add_row(str(row.get("scene", row["dataset"][:12])), row["solver"], *figures)
-    Console(width=None if sys.stdout.isatty() else 140).print(table)
+def _show_scores(scores: dict[str, Any]) -> None:
+    table = Table("data set", "solver", *_COLUMNS)
+    figures = ["-" if scores[key] is None else f"{scores[key]:.{decimals}f}" for key, decimals in _COLUMNS.items()]
+    table.add_row(scores["dataset"][:12], scores["solver"], *figures)
+    _print(table)
+
+
+def _show_records(records: list[dict[str, Any]]) -> None:
+    """Mean and 95 % confidence interval over the seeds of every case and solver, the best of each case first."""
+    from sabench.board import over_seeds
+
+    table = Table("case", "solver", "seeds", *_COLUMNS)
+    rows = over_seeds(records)
+    order = list(dict.fromkeys(row["case"] for row in rows))
+    for row in sorted(rows, key=lambda row: (order.index(row["case"]), -(row["q"].mean if row["q"] else -1.0))):
+        figures = ["-" if row[key] is None else row[key].text(decimals) for key, decimals in _COLUMNS.items()]
+        table.add_row(row["case"], row.get("label") or row["solver"], str(len(row["seeds"])), *figures)
+    _print(table)
+
+
+def _show_rows(rows: list[dict[str, Any]]) -> None:
+    """What the thesis says beside what was measured."""
+    table = Table("row", "thesis", "measured", "seeds", "verdict", "note")
+    for row in rows:
+        spread = "" if row["ci95"] is None else f" ± {row['ci95']:.2g}"
+        table.add_row(row["name"], _figure(row["thesis"]), _figure(row["measured"]) + spread, str(row["seeds"] or "-"), row["verdict"], row["note"])
+    _print(table)
+
+
+def _figure(value: float | str | None) -> str:
+    if value is None:
+        return "-"
+    if isinstance(value, str):
+        return value
+    return f"{value:,.0f}" if 1e4 <= abs(value) < 1e7 else f"{value:.4g}"
+
+
+def _print(table: Table) -> None:
+    Console(width=None if sys.stdout.isatty() else 200).print(table)
 
 
 _INTERRUPTED = "interrupted: what was finished is kept, nothing half-written is left"

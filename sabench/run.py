@@ -1,4 +1,4 @@
-"""Run a suite: every scene and seed, every solver on it, every score into a record, then the page."""
+"""Run a suite: every case and seed, every solver on it, every score into a record, then the page."""
 
 from __future__ import annotations
 
@@ -9,15 +9,12 @@ import multiprocessing
 import multiprocessing.connection
 import os
 import platform
+import shutil
 import signal
-import tomllib
 from collections.abc import Iterator
-from dataclasses import dataclass
 from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import Any
-
-from pydantic import BaseModel, ConfigDict, Field
 
 from sabench import __version__, backend, board, pictures
 from sabench.dataset.read import Dataset, open_dataset
@@ -25,64 +22,11 @@ from sabench.dataset.result import open_result
 from sabench.dataset.verify import verify
 from sabench.errors import InputError
 from sabench.files import canonical_json, clear_abandoned, complete_or_nothing
-from sabench.generation import Renderer, choose_renderer, generate
+from sabench.generation import Renderer, generate
 from sabench.progress import console
-from sabench.rig import load_scene
-from sabench.scene import Scene, find, validate
 from sabench.scoring import SCORES, estimate, score
 from sabench.solving import make_solver, solve
-
-
-class Entrant(BaseModel):
-    """One solver with its parameters."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
-    name: str
-    parameters: dict[str, Any] = {}
-
-
-class Suite(BaseModel):
-    """A suite file: scenes x seeds x solvers."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
-    title: str
-    scenes: tuple[str, ...] = Field(min_length=1, description="names of bundled scenes, or paths beside the suite")
-    seeds: tuple[int, ...] = Field((1,), min_length=1)
-    backend: Renderer = "auto"
-    solvers: tuple[Entrant, ...] = Field(min_length=1)
-
-
-@dataclass(frozen=True)
-class Case:
-    """One data set of a suite."""
-
-    name: str
-    scene: Scene
-    seed: int
-    renderer: str
-
-    def folder(self, work: Path) -> Path:
-        """Where its data set lies."""
-        return work / "datasets" / f"{self.name}-{self.scene.hash[:8]}-{self.renderer}-seed{self.seed}"
-
-
-def load_suite(path: str | Path) -> tuple[Suite, list[Case]]:
-    """Read a suite and check all its scenes and solvers before any work starts."""
-    file = find(path, "scenes/suites")
-    try:
-        values = tomllib.loads(file.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise InputError(f"{file}: expected a TOML file, got {error}") from error
-    suite = validate(Suite, values, str(file))
-    for entrant in suite.solvers:
-        make_solver(entrant.name, entrant.parameters)
-    renderer = choose_renderer(suite.backend)
-    return suite, [Case(Path(name).stem, _load(name, file), seed, renderer) for name in suite.scenes for seed in suite.seeds]
-
-
-def _load(name: str, suite: Path) -> Scene:
-    beside = suite.parent / name
-    return load_scene(beside if beside.is_file() else name)
+from sabench.suite import Case, Entrant, Suite, load_suite
 
 
 def run_suite(path: str | Path, work: Path, leaderboard: Path, *, fresh: bool = False) -> list[dict[str, Any]]:
@@ -93,11 +37,14 @@ def run_suite(path: str | Path, work: Path, leaderboard: Path, *, fresh: bool = 
     """
     suite, cases = load_suite(path)
     records = []
-    for case in cases:
+    for number, case in enumerate(cases, 1):
+        console.print(f"data set {number} of {len(cases)}: {case.name}, seed {case.seed}", markup=False, highlight=False)
         dataset = _dataset(case, work, fresh)
         for record in _rank(case, dataset, suite, work, leaderboard):
             _append(leaderboard / "records" / "local.jsonl", record)
             records.append(record)
+        if not suite.keep_data:
+            shutil.rmtree(dataset.root)
     build_board(leaderboard)
     return records
 
@@ -122,35 +69,46 @@ def _dataset(case: Case, work: Path, fresh: bool) -> Dataset:
 
 
 def _rank(case: Case, dataset: Dataset, suite: Suite, work: Path, leaderboard: Path) -> Iterator[dict[str, Any]]:
-    folder = leaderboard / "pictures" / case.folder(work).name
-    case_images = dataset.observation(0)
-    _draw(folder / "images.png", pictures.montage(case_images.images, case_images.black_dn, case_images.white_dn))
-    _draw(folder / "truth.png", pictures.slice_picture(estimate(dataset, "truth", 0).volume, dataset.rig.grid.scored))
+    """Records of all the suite's solvers on one data set; the first seed of a case is pictured."""
+    folder = leaderboard / "pictures" / case.folder(work).name if case.seed == suite.seeds[0] else None
+    if folder:
+        _picture_case(folder, dataset)
     for entrant in suite.solvers:
-        parameters = make_solver(entrant.name, entrant.parameters).parameters.model_dump(mode="json")
-        record = _describe(case, dataset, entrant.name, parameters) | {"pictures": folder.name}
-        out = work / "results" / f"{folder.name}-{entrant.name}-{record['run_hash'][:8]}.h5"
+        record = _describe(case, dataset, entrant) | {"pictures": folder.name if folder else None}
+        name = f"{entrant.name}-{record['run_hash'][:8]}"
+        out = work / "results" / f"{case.folder(work).name}-{name}.h5"
         try:
             _solve_apart(entrant, dataset, out)
             record |= {key: value for key, value in score(dataset, out).items() if key in (*SCORES, "seconds", "peak_mb")}
-            volume = open_result(out, dataset).reconstruction(0).volume
-            _draw(folder / f"{entrant.name}-{record['run_hash'][:8]}.png", pictures.slice_picture(volume, dataset.rig.grid.scored))
+            if folder:
+                volume = open_result(out, dataset).reconstruction(0).volume
+                _draw(folder / f"{name}.png", pictures.slice_picture(volume, dataset.rig.grid.scored))
         except InputError as error:
             console.print(f"error: {error}", style="red", markup=False, highlight=False)
             record["error"] = str(error)
+        if not suite.keep_data:
+            out.unlink(missing_ok=True)
         yield record
 
 
-def _describe(case: Case, dataset: Dataset, solver: str, parameters: dict[str, Any]) -> dict[str, Any]:
-    """All of a record but its scores."""
+def _picture_case(folder: Path, dataset: Dataset) -> None:
+    """What the cameras saw, and what was there."""
+    seen = dataset.observation(0)
+    _draw(folder / "images.png", pictures.montage(seen.images, seen.black_dn, seen.white_dn))
+    _draw(folder / "truth.png", pictures.slice_picture(estimate(dataset, "truth", 0).volume, dataset.rig.grid.scored))
+
+
+def _describe(case: Case, dataset: Dataset, entrant: Entrant) -> dict[str, Any]:
+    """All of a record but its scores and pictures."""
+    parameters = make_solver(entrant.name, entrant.parameters).parameters.model_dump(mode="json")
     head = {
-        "scene": case.name, "scene_hash": case.scene.hash, "dataset": dataset.content_hash, "seed": case.seed,
-        "renderer": case.renderer, "solver": solver, "parameters": parameters,
+        "scene": case.base, "case": case.name, "axes": dict(case.axes), "scene_hash": case.scene.hash, "dataset": dataset.content_hash,
+        "seed": case.seed, "renderer": case.renderer, "solver": entrant.name, "label": entrant.label, "parameters": parameters,
     }  # fmt: skip
     blank: dict[str, Any] = dict.fromkeys((*SCORES, "seconds", "peak_mb", "error"))
     versions = {name: _version(name) for name in ("mitsuba", "drjit", "numpy", "scipy")}
     versions |= {"sabench": __version__, "python": platform.python_version()}
-    run_hash = hashlib.sha256(canonical_json([head["dataset"], solver, parameters]).encode()).hexdigest()
+    run_hash = hashlib.sha256(canonical_json([head["dataset"], entrant.name, parameters]).encode()).hexdigest()
     return {**head, **blank, "versions": versions, "machine": machine(), "run_hash": run_hash}
 
 

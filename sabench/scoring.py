@@ -10,16 +10,17 @@ import numpy as np
 
 from sabench import memory
 from sabench.api import Reconstruction
-from sabench.arrays import F32
+from sabench.arrays import F32, F64
 from sabench.dataset.read import Dataset, View, open_dataset
 from sabench.dataset.result import Result, open_result
-from sabench.metrics.detection import count_challenge, count_thesis, detect
+from sabench.metrics.detection import count_challenge, count_thesis, detect, detect_peaks
 from sabench.metrics.quality import quality
 from sabench.progress import track
 from sabench.volume import Grid, synthesise
 from sabench.world import Particles
 
-SCORES = ("q", "true_percent", "ghost_percent", "precision", "recall", "rms_px")
+_DETECTION = ("true_percent", "ghost_percent", "precision", "recall", "rms_px")
+SCORES = ("q", *_DETECTION, *(f"peak_{key}" for key in _DETECTION))
 
 
 def score(dataset: Dataset | str | Path, result: str | Path) -> dict[str, Any]:
@@ -27,8 +28,8 @@ def score(dataset: Dataset | str | Path, result: str | Path) -> dict[str, Any]:
 
     Returns
     -------
-    A flat dict: dataset, solver, parameters, q, true_percent, ghost_percent, precision, recall, rms_px, seconds, peak_mb; None where a
-    figure does not apply. Several frames: the mean over the frames that have the figure.
+    A flat dict: dataset, solver, parameters, all `SCORES`, seconds, peak_mb; None where a figure does not apply. Several frames: the mean
+    over the frames that have the figure.
 
     Raises
     ------
@@ -49,14 +50,22 @@ def score(dataset: Dataset | str | Path, result: str | Path) -> dict[str, Any]:
 def true_field(grid: Grid, particles: Particles, views: Sequence[View]) -> F32:
     """The synthesised field E_s (z, y, x) of a frame.
 
-    Every particle, seen or not, is a sphere in mm: peak = its brightness (mean over the cameras, in each relative to that
-    camera's mean), standard deviation = the median image size, carried from pixels to mm by the grid's x spacing.
+    Every particle, seen or not, is a sphere in mm: peak = its `brightness`, standard deviation = the median image size, carried from
+    pixels to mm by the grid's x spacing.
     """
     if not len(particles):
         return np.zeros(grid.shape, dtype=np.float32)
-    bright = np.mean([view.photons / max(view.photons.mean(), 1e-300) for view in views], axis=0)
     sigma_px = float(np.nanmedian(np.concatenate([view.sigma_px for view in views])))
-    return synthesise(grid, particles.position_mm, bright, sigma_px * grid.voxel_mm[0])
+    return synthesise(grid, particles.position_mm, brightness(views), sigma_px * grid.voxel_mm[0])
+
+
+def brightness(views: Sequence[View]) -> F64:
+    """Each particle's photons relative to the mean of all lit particles in a camera, mean over the cameras in which it is lit; 0 if in none."""
+    photons = np.stack([view.photons for view in views])
+    lit = photons > 0.0
+    typical = photons.sum(axis=1) / np.maximum(lit.sum(axis=1), 1)
+    relative = photons / np.maximum(typical, 1e-300)[:, None]
+    return np.asarray(relative.sum(axis=0) / np.maximum(lit.sum(axis=0), 1))
 
 
 def estimate(dataset: Dataset, result: Result | str, frame: int) -> Reconstruction:
@@ -71,16 +80,27 @@ def estimate(dataset: Dataset, result: Result | str, frame: int) -> Reconstructi
 
 def score_frame(grid: Grid, particles: Particles, views: Sequence[View], guess: Reconstruction) -> dict[str, float | None]:
     """All scores of one frame's estimate, from truth in memory."""
-    found = detect(guess.volume) if guess.particles_mm is None else grid.to_voxels(guess.particles_mm)
     truths = grid.to_voxels(particles.position_mm)
+    components, peaks = (_count(grid, found, truths) for found in _found(grid, guess))
     memory.trim()
+    q = quality(guess.volume[grid.scored], true_field(grid, particles, views)[grid.scored])
+    return {"q": q, **components, **{f"peak_{key}": value for key, value in peaks.items()}}
+
+
+def _found(grid: Grid, guess: Reconstruction) -> tuple[F64, F64]:
+    """Particles in voxels, as components and as peaks of the volume, unless the estimate itself lists them."""
+    if guess.particles_mm is None:
+        return detect(guess.volume), detect_peaks(guess.volume)
+    given = grid.to_voxels(guess.particles_mm)
+    return given, given
+
+
+def _count(grid: Grid, found: F64, truths: F64) -> dict[str, float | None]:
+    """The five figures of detections against truths, both in voxels."""
     pair = (found, truths, grid.in_scored(found), grid.in_scored(truths))
     thesis, challenge = count_thesis(*pair), count_challenge(*pair)
-    return {
-        "q": quality(guess.volume[grid.scored], true_field(grid, particles, views)[grid.scored]),
-        "true_percent": thesis.true_percent, "ghost_percent": thesis.ghost_percent,
-        "precision": challenge.precision, "recall": challenge.recall, "rms_px": challenge.rms,
-    }  # fmt: skip
+    figures = (thesis.true_percent, thesis.ghost_percent, challenge.precision, challenge.recall, challenge.rms)
+    return dict(zip(_DETECTION, figures, strict=True))
 
 
 def _mean(values: list[float | None]) -> float | None:

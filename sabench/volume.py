@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -66,33 +68,42 @@ def synthesise(grid: Grid, positions_mm: F64, weights: F64, sigma_mm: float) -> 
     the field's integral where a voxel is longer than the particle: values at voxel centres would miss particles between two planes.
     """
     voxels = grid.to_voxels(positions_mm)
-    nearest = np.rint(voxels).astype(np.int64)
     sigma = sigma_mm / np.asarray(grid.voxel_mm)
-    reach = np.ceil(_REACH * sigma + 0.5).astype(int)
-    factors = [_profile(voxels[:, i], nearest[:, i], int(reach[i]), float(sigma[i])) for i in range(3)]
-    padded = np.zeros(tuple(n + 2 * int(r) for n, r in zip(grid.shape, reach[::-1], strict=True)), dtype=np.float32)
-    keep = ((nearest >= -reach) & (nearest < np.asarray(grid.shape[::-1]) + reach)).all(axis=1)
-    weight = weights.astype(np.float32)
-    for a in range(-reach[2], reach[2] + 1):
-        for b in range(-reach[1], reach[1] + 1):
-            row = weight * factors[2][a + reach[2]] * factors[1][b + reach[1]]
-            _add_row(padded, nearest, keep, (a, b), row, factors[0], reach)
-    z, y, x = (slice(int(r), int(r) + n) for n, r in zip(grid.shape, reach[::-1], strict=True))
-    return np.ascontiguousarray(padded[z, y, x])
+    reach = np.ceil(_REACH * sigma + 0.5).astype(np.int64)
+    size = np.asarray(grid.shape[::-1])
+    near = ((voxels >= -1.0 - reach) & (voxels <= size + reach)).all(axis=1) & (weights != 0.0)
+    voxels = voxels[near]
+    nearest = np.rint(voxels).astype(np.int64)
+    x, y, z = (_profile(voxels[:, i], nearest[:, i], int(reach[i]), float(sigma[i])) for i in range(3))
+    field: F32 = np.zeros(grid.shape, dtype=np.float32)
+    _compiled()(nearest - reach, weights[near].astype(np.float32), x, y, z, field)
+    return field
 
 
 def _profile(voxels: F64, nearest: I64, reach: int, sigma: float) -> F32:
-    """Mean of a Gaussian of peak 1 along one axis over the voxels -reach..reach from the nearest: (2 reach + 1, n)."""
-    edges = np.arange(-reach, reach + 2)[:, None] - 0.5 + (nearest - voxels)[None]
-    mean = sigma * np.sqrt(np.pi / 2.0) * np.diff(erf(edges / (sigma * np.sqrt(2.0))), axis=0)
+    """Mean of a Gaussian of peak 1 along one axis over the voxels -reach..reach from the nearest: (n, 2 reach + 1)."""
+    edges = np.arange(-reach, reach + 2)[None] - 0.5 + (nearest - voxels)[:, None]
+    mean = sigma * np.sqrt(np.pi / 2.0) * np.diff(erf(edges / (sigma * np.sqrt(2.0))), axis=1)
     return np.asarray(mean, dtype=np.float32)
 
 
-def _add_row(padded: F32, nearest: I64, keep: Bool, offset: tuple[int, int], row: F32, profile: F32, reach: I64) -> None:
-    """Add every particle's row of voxels at one (z, y) offset; voxels outside the padded volume are dropped."""
-    z = nearest[:, 2] + offset[0] + reach[2]
-    y = nearest[:, 1] + offset[1] + reach[1]
-    for c in range(-reach[0], reach[0] + 1):
-        x = nearest[:, 0] + c + reach[0]
-        inside = keep & (z >= 0) & (z < padded.shape[0]) & (y >= 0) & (y < padded.shape[1]) & (x >= 0) & (x < padded.shape[2])
-        np.add.at(padded, (z[inside], y[inside], x[inside]), (row * profile[c + reach[0]])[inside])
+@functools.cache
+def _compiled() -> Callable[[I64, F32, F32, F32, F32, F32], None]:
+    """`_add_particles` in machine code; numba is loaded at the first use, since most of the package needs none of it."""
+    import numba
+
+    compiled: Callable[[I64, F32, F32, F32, F32, F32], None] = numba.njit(cache=True)(_add_particles)
+    return compiled
+
+
+def _add_particles(first: I64, weights: F32, along_x: F32, along_y: F32, along_z: F32, field: F32) -> None:
+    """Add w p(x) p(y) p(z) of every particle to the field (z, y, x), from the voxel `first` (x, y, z) on; what lies outside is dropped."""
+    planes, rows, columns = field.shape
+    for i in range(len(first)):
+        left, top, front = first[i]
+        start, stop = max(0, -left), min(along_x.shape[1], columns - left)
+        for c in range(max(0, -front), min(along_z.shape[1], planes - front)):
+            for b in range(max(0, -top), min(along_y.shape[1], rows - top)):
+                row = weights[i] * along_z[i, c] * along_y[i, b]
+                for a in range(start, stop):
+                    field[front + c, top + b, left + a] += row * along_x[i, a]

@@ -6,7 +6,7 @@ import numpy as np
 from pydantic import Field
 
 from sabench.api import Observation, Reconstruction, Solver
-from sabench.extraction import ExtractionParameters, extract, normalised
+from sabench.extraction import ExtractionParameters, extracted, normalised
 from sabench.reproject import refocus_sum
 
 
@@ -30,4 +30,4 @@ class Asa(Solver):
             volume /= np.maximum(refocus_sum(np.ones(case.images.shape, dtype=np.float32), case.cameras, case.grid), 1.0)
         else:
             volume /= len(case.cameras)
-        return Reconstruction(extract(volume, self.parameters.k, self.parameters.keep))
+        return Reconstruction(extracted(volume, case, self.parameters))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from sabench.api import Observation, Reconstruction, Solver
-from sabench.extraction import ExtractionParameters, extract, normalised
+from sabench.extraction import ExtractionParameters, extracted, normalised
 from sabench.reproject import refocus_by_shifts
 
 
@@ -17,4 +17,4 @@ class MapShiftAverage(Solver):
     def solve(self, case: Observation) -> Reconstruction:
         """I_k = (1 / N) sum_i of image i mapped to the reference plane and shifted by mu_k (dX_i, dY_i), thresholded plane by plane."""
         volume = refocus_by_shifts(normalised(case), case.cameras, case.grid)
-        return Reconstruction(extract(volume, self.parameters.k, self.parameters.keep))
+        return Reconstruction(extracted(volume, case, self.parameters))

@@ -6,7 +6,7 @@ import numpy as np
 from pydantic import Field
 
 from sabench.api import Observation, Reconstruction, Solver
-from sabench.extraction import ExtractionParameters, extract, normalised
+from sabench.extraction import ExtractionParameters, extracted, normalised
 from sabench.reproject import refocus_log2, refocus_sum
 
 
@@ -36,4 +36,4 @@ class Msa(Solver):
         else:
             volume = refocus_log2(images, case.cameras, case.grid, floor)
         volume *= exponent
-        return Reconstruction(extract(np.exp2(volume, out=volume), self.parameters.k, self.parameters.keep))
+        return Reconstruction(extracted(np.exp2(volume, out=volume), case, self.parameters))

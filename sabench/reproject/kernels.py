@@ -37,13 +37,13 @@ def _stretch(fraction: float, step: float, first: int, count: int) -> int:
     return min(count, first + max(1, int(whole)))
 
 
-@numba.njit(cache=True, fastmath=True)
+@numba.njit(cache=True, fastmath=True, forceinline=True)
 def _folded(total: Any, sample: Any, fold: Any) -> Any:
     """total + sample for a `fold` of one number, total * max(sample, fold[0]) for one of two: its type, so no branch is left at run time."""
     return total + sample if len(fold) == 1 else total * max(sample, fold[0])
 
 
-@numba.njit(cache=True, fastmath=True)
+@numba.njit(cache=True, fastmath=True, forceinline=True)
 def _fold_samples(image: Any, spline: Any, affine: Any, row: int, outside: Any, fold: Any, target: Any) -> None:
     """Fold samples into the target along one row of a tile."""
     padding = 0 if len(spline) == 1 else 2
@@ -69,7 +69,7 @@ def _fold_samples(image: Any, spline: Any, affine: Any, row: int, outside: Any, 
         first = end
 
 
-@numba.njit(cache=True, fastmath=True)
+@numba.njit(cache=True, fastmath=True, forceinline=True)
 def _interpolate(image: Any, spline: Any, corner: Any, start: Any, step: Any, fold: Any, target: Any) -> None:
     """Fold samples between the same rows of an image, from `corner` on, into the target; the place inside a pixel moves by `step`."""
     (left, top), (right, down), (right_step, down_step) = corner, start, step

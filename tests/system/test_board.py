@@ -115,11 +115,40 @@ def test_the_page_loads_nothing(tmp_path: Path) -> None:
 
 
 def test_rows_are_ranked_and_sections_kept_apart(tmp_path: Path) -> None:
-    records = [record("low", 0.1), record("unknown"), record("failed", error="it broke"), record("high", 0.9), record("alone", 0.5, seed=2)]
+    records = [record("low", 0.1), record("unknown"), record("failed", error="it broke"), record("high", 0.9), record("alone", 0.5, case="tank-2")]
     page = page_of(records, tmp_path)
     assert re.findall(r'<th scope="row">(\w+)', page) == ["high", "low", "unknown", "failed", "alone"]
     assert page.count("<table>") == 2
     assert page == page_of(records[::-1], tmp_path)
+
+
+def test_seeds_of_a_case_become_one_row(tmp_path: Path) -> None:
+    seeds = [record("a", q, seed=seed, case="tank-0.1", axes={"particles.per_pixel": 0.1}) for seed, q in ((2, 0.6), (1, 0.5), (3, 0.7))]
+    page = page_of(
+        [*seeds, record("b", 0.4, seed=1, case="tank-0.1"), record("a", 0.9, seed=1, case="tank-0.1", label="tuned", parameters={"k": 2})], tmp_path
+    )
+    assert re.findall(r'<th scope="row">(\w+)', page) == ["tuned", "a", "b"]
+    assert re.findall(r'<td class="number" data-value="([^"]+)">(0\.[^<]+)<', page) == [("0.9", "0.900"), ("0.6", "0.600 ± 0.248"), ("0.4", "0.400")]
+    assert "seeds 1, 2, 3" in page
+    assert "particles.per_pixel 0.1" in page
+
+
+def test_a_score_that_some_seeds_lack_is_the_mean_of_the_others() -> None:
+    (row,) = board.over_seeds([record("a", 0.5, seed=1, rms_px=0.25), record("a", 0.7, seed=2, error="it broke")])
+    assert (row["case"], row["seeds"], row["error"]) == ("tank", [1, 2], "1 of 2 seeds: it broke")
+    assert (row["q"].mean, row["rms_px"].mean, row["rms_px"].half_width, row["recall"]) == (0.6, 0.25, None, None)
+
+
+def test_another_machine_or_renderer_is_another_row() -> None:
+    records = [record("a", 0.5), record("a", 0.6, seed=2, machine={"cpu": "another"}), record("a", 0.7, seed=2, renderer="mitsuba")]
+    assert [row["q"].mean for row in board.over_seeds(records)] == [0.5, 0.6, 0.7]
+
+
+@pytest.mark.parametrize("changes", [{"case": 1}, {"axes": []}, {"label": ["x"]}])
+def test_a_record_with_a_wrong_case_is_named(tmp_path: Path, changes: dict[str, Any]) -> None:
+    (tmp_path / "a.jsonl").write_text(json.dumps(record("x", **changes)) + "\n")
+    with pytest.raises(InputError, match="line 1: expected a record"):
+        board.read_records(tmp_path)
 
 
 def test_a_page_without_records_says_how_to_make_one(tmp_path: Path) -> None:

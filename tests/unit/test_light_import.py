@@ -9,7 +9,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
 LEVELS = [
-    {"errors", "arrays"},
+    {"errors", "arrays", "theory", "statistics", "rooflines"},
     {"files", "seeds", "progress", "plugins", "memory", "sentences"},
     {"backend"},
     {"optics", "world", "volume"},
@@ -17,8 +17,10 @@ LEVELS = [
     {"rig"},
     {"imaging", "metrics", "reproject"},
     {"extraction", "dataset"},
+    {"tomography"},
     {"generation", "solving", "scoring", "pictures", "board"},
-    {"run", "doctor"},
+    {"suite"},
+    {"run", "reproduce", "doctor"},
     {"cli"},
 ]
 

@@ -1,0 +1,43 @@
+"""The thesis's tables and figures measured again, its values beside ours."""
+
+from __future__ import annotations
+
+import difflib
+import importlib
+from collections.abc import Iterator
+from typing import Any
+
+from sabench.errors import InputError
+from sabench.reproduce.common import Row
+
+TABLES = {
+    "table-2-1": "largest density with Q = 0.75, and the plane spacing, of eleven arrays of 25 cameras",
+    "table-2-1-best": "Q of the best tomographic solver at 1.5 times these densities",
+    "fig-2-6": "Q against density for every baseline",
+    "fig-2-7": "Q against the number of cameras, and against the mapping error",
+    "table-2-3": "particles per pixel of all cameras together",
+    "table-3-1": "operations and seconds of the algorithms",
+    "fig-3-6": "true and ghost particles against the number of cameras",
+    "fig-3-8": "true and ghost particles against the number of particles",
+}
+
+
+def reproduce(table: str, seeds: int | None = None, pixels: int | None = None) -> Iterator[Row]:
+    """The rows of one table or figure, each as soon as it is measured.
+
+    Parameters
+    ----------
+    table : one of `TABLES`.
+    seeds : how many; by default as many as the table's module says.
+    pixels : side of the images; by default the scene's. Fewer make a coarse copy of each array, for a quick look.
+
+    Raises
+    ------
+    InputError
+        An unknown table.
+    """
+    if table not in TABLES:
+        near = difflib.get_close_matches(table, TABLES, 1)
+        raise InputError(f"{table}: expected one of {', '.join(TABLES)}" + (f"; did you mean {near[0]}?" if near else ""))
+    module: Any = importlib.import_module(f"{__name__}.{table.replace('-', '_')}")
+    return iter(module.rows(range(1, (seeds or module.SEEDS) + 1), pixels))

@@ -1,0 +1,37 @@
+"""What several seeds say: their mean, and how far it may be from the mean of all seeds."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import stdtrit
+
+CONFIDENCE = 0.95
+
+
+@dataclass(frozen=True)
+class Mean:
+    """A mean of `count` independent values with the half width of its 95 % confidence interval; None for a single value."""
+
+    mean: float
+    half_width: float | None
+    count: int
+
+    def text(self, decimals: int) -> str:
+        """`0.750 ± 0.004`, or the mean alone."""
+        spread = "" if self.half_width is None else f" ± {self.half_width:.{decimals}f}"
+        return f"{self.mean:.{decimals}f}{spread}"
+
+
+def mean_of(values: Sequence[float]) -> Mean | None:
+    """Mean with Student's t-interval, for values drawn from a normal distribution of unknown variance; None without values."""
+    count = len(values)
+    if not count:
+        return None
+    if count == 1:
+        return Mean(float(values[0]), None, 1)
+    error = float(np.std(values, ddof=1)) / math.sqrt(count)
+    return Mean(float(np.mean(values)), float(stdtrit(count - 1, (1.0 + CONFIDENCE) / 2.0)) * error, count)

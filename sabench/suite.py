@@ -1,0 +1,160 @@
+"""What a suite file says: scenes and how they are changed, seeds, solvers; all of it checked before any work starts."""
+
+from __future__ import annotations
+
+import itertools
+import re
+import tomllib
+from collections import Counter
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from sabench.errors import InputError
+from sabench.generation import Renderer, choose_renderer
+from sabench.rig import build_rig, load_scene
+from sabench.scene import Scene, find, parse_scene, validate
+from sabench.solving import make_solver
+
+_SAFE = r"[A-Za-z0-9][A-Za-z0-9._-]*"  # as a part of a file name on every system
+_UNSAFE = re.compile(r"[^A-Za-z0-9._-]+")
+
+
+class _Table(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class Changes(_Table):
+    """How a scene departs from its file; keys are the scene's, with dots between tables: "cameras.layout.x_mm"."""
+
+    set: dict[str, Any] = Field({}, description="values that replace the scene's")
+    vary: dict[str, Annotated[list[Any], Field(min_length=1)]] = Field({}, description="lists of values: one case for each, or for each combination")
+
+
+class CaseSpec(Changes):
+    """One scene, changed."""
+
+    scene: str = Field(description="name of a bundled scene, or a path beside the suite")
+    name: str | None = Field(None, pattern=f"^{_SAFE}$", description="by default the scene's; the varied values are appended")
+
+
+class Entrant(_Table):
+    """One solver with its parameters."""
+
+    name: str
+    parameters: dict[str, Any] = {}
+    label: str | None = Field(None, description="shown in place of the name")
+
+
+class Suite(Changes):
+    """A suite file: cases x seeds x solvers. Its own `set` and `vary` hold for all cases, before the cases' own."""
+
+    title: str
+    scenes: tuple[str, ...] = Field((), description="cases that change no more than the suite does")
+    cases: tuple[CaseSpec, ...] = ()
+    seeds: tuple[Annotated[int, Field(ge=0, lt=2**63)], ...] = Field((1,), min_length=1)
+    backend: Renderer = "auto"
+    keep_data: bool = Field(True, description="false: a data set and its results are deleted when they are scored")
+    solvers: tuple[Entrant, ...] = Field(min_length=1)
+
+    @model_validator(mode="after")
+    def _has_cases(self) -> Suite:
+        if not self.scenes and not self.cases:
+            raise ValueError("scenes, cases: expected at least one scene in either")
+        return self
+
+
+@dataclass(frozen=True)
+class Case:
+    """One data set of a suite.
+
+    Attributes
+    ----------
+    name : unique in its suite but for the seed, and safe as a file name.
+    base : the name of the scene that was changed.
+    axes : the varied keys of the scene with this case's values.
+    """
+
+    name: str
+    base: str
+    axes: Mapping[str, Any]
+    scene: Scene
+    seed: int
+    renderer: str
+
+    def folder(self, work: Path) -> Path:
+        """Where its data set lies."""
+        return work / "datasets" / f"{self.name}-{self.scene.hash[:8]}-{self.renderer}-seed{self.seed}"
+
+
+def load_suite(path: str | Path) -> tuple[Suite, list[Case]]:
+    """Read a suite and check all its cases and solvers before any work starts.
+
+    Raises
+    ------
+    InputError
+        Anything wrong in the suite, in one of its scenes or in what it changes, or two cases of one name.
+    """
+    file = find(path, "scenes/suites")
+    try:
+        values = tomllib.loads(file.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise InputError(f"{file}: expected a TOML file, got {error}") from error
+    suite = validate(Suite, values, str(file))
+    for entrant in suite.solvers:
+        make_solver(entrant.name, entrant.parameters)
+    renderer = choose_renderer(suite.backend)
+    variants = [variant for spec in _specs(suite) for variant in _variants(spec, file)]
+    _check_names([name for name, *_ in variants], file)
+    return suite, [Case(*variant, seed, renderer) for variant in variants for seed in dict.fromkeys(suite.seeds)]
+
+
+def override(scene: Scene, values: Mapping[str, Any], source: str) -> Scene:
+    """The scene with other values at some of its dotted keys, checked as a scene file is; `source` is named in errors."""
+    table = scene.to_dict()
+    for key, value in values.items():
+        _assign(table, key, value, source)
+    changed = parse_scene(table, source)
+    build_rig(changed, source)
+    return changed
+
+
+def _assign(table: dict[str, Any], key: str, value: Any, source: str) -> None:
+    *path, last = key.split(".")
+    for part in path:
+        table = table.setdefault(part, {})
+        if not isinstance(table, dict):
+            raise InputError(f"{source}: {key}: expected a table at {part}, got {table!r}")
+    table[last] = value
+
+
+def _specs(suite: Suite) -> list[CaseSpec]:
+    """All cases with the suite's own changes in front of theirs."""
+    specs = (*(CaseSpec(scene=name) for name in suite.scenes), *suite.cases)
+    return [spec.model_copy(update={"set": suite.set | spec.set, "vary": suite.vary | spec.vary}) for spec in specs]
+
+
+def _variants(spec: CaseSpec, suite: Path) -> Iterator[tuple[str, str, dict[str, Any], Scene]]:
+    """Name, base, axes and scene for every combination of the varied values."""
+    beside = suite.parent / spec.scene
+    base, scene = Path(spec.scene).stem, load_scene(beside if beside.is_file() else spec.scene)
+    for choice in itertools.product(*(enumerate(values, 1) for values in spec.vary.values())):
+        axes = {key: value for key, (_, value) in zip(spec.vary, choice, strict=True)}
+        tags = [_tag(key, value, number) for key, (number, value) in zip(spec.vary, choice, strict=True)]
+        name = "-".join([spec.name or _UNSAFE.sub("_", base), *tags])
+        yield name, base, axes, override(scene, spec.set | axes, f"{suite}: case {name}")
+
+
+def _tag(key: str, value: Any, number: int) -> str:
+    """What tells a varied value in a name: `per_pixel_0.05`; lists and tables go by their number."""
+    shown = str(number) if isinstance(value, list | dict) else _UNSAFE.sub("_", str(value))
+    return f"{key.rpartition('.')[2]}_{shown}"
+
+
+def _check_names(names: list[str], file: Path) -> None:
+    name, count = Counter(name.casefold() for name in names).most_common(1)[0]  # some file systems do not tell a from A
+    if count > 1:
+        raise InputError(f"{file}: {count} cases are named {name}: give them names of their own")

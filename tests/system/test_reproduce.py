@@ -1,0 +1,84 @@
+"""`sabench reproduce` as a user runs it, on coarse copies of the arrays; and suites with several cases and seeds."""
+
+from __future__ import annotations
+
+import itertools
+import json
+from pathlib import Path
+
+import pytest
+
+from sabench.reproduce import TABLES, reproduce, table_2_1_best
+from tests.conftest import Command
+
+KEYS = {"name", "thesis", "measured", "verdict", "ci95", "seeds", "note"}
+QUICK = ["--seeds", "2", "--pixels", "60"]
+
+
+def test_rows_as_json_and_in_a_file(command: Command, tmp_path: Path) -> None:
+    done = command("reproduce", "table-2-3", *QUICK, "--json", "-o", "rows.json")
+    assert done.returncode == 0, done.stderr
+    rows = json.loads(done.stdout)
+    assert json.loads((tmp_path / "rows.json").read_text()) == rows
+    assert all(set(row) >= KEYS for row in rows)
+    quality = next(row for row in rows if row["name"] == "Q of 13 cameras, additive")
+    assert 0.5 < quality["measured"] < 1.0
+    assert quality["seeds"] == 2
+    assert quality["ci95"] > 0.0
+    assert "particles, seed 2" in done.stderr
+
+
+def test_rows_as_a_table(command: Command) -> None:
+    done = command("reproduce", "table-2-3", *QUICK)
+    assert done.returncode == 0, done.stderr
+    assert "particles per pixel of all cameras" in done.stdout
+    assert "reproduced" in done.stdout
+    assert "125,000" in done.stdout
+
+
+def test_an_unknown_table_is_refused(command: Command) -> None:
+    done = command("reproduce", "table-9")
+    assert done.returncode == 2
+    assert "expected one of table-2-1, table-2-1-best, fig-2-6, fig-2-7" in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+def test_the_best_tomographic_solver_is_chosen(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(table_2_1_best, "SOLVERS", ("mlos_sart", "mlos_smart"))
+    row = next(reproduce("table-2-1-best", 2, 60))
+    assert row.name == "50x50x10-D0.2: Q at 15 per mm3"
+    assert row.note.split(";")[0] in ("mlos_sart", "mlos_smart")
+    assert row.seeds == 2
+    assert row.measured is not None
+    assert row.verdict == ("reproduced" if row.measured >= 0.75 else "below")
+
+
+@pytest.mark.parametrize("table", [name for name in TABLES if name != "table-2-1-best"])
+def test_every_table_yields_rows(table: str) -> None:
+    for row in itertools.islice(reproduce(table, 2, 60), 4):
+        assert row.name
+        assert row.verdict
+        assert row.measured is not None
+
+
+def test_a_suite_of_cases_and_seeds_ends_in_means_and_leaves_no_data(command: Command, tmp_path: Path) -> None:
+    (tmp_path / "suite.toml").write_text(
+        'title = "t"\nbackend = "splat"\nseeds = [1, 2]\nkeep_data = false\n[[cases]]\nscene = "quick"\nname = "q"\n'
+        '[cases.vary]\n"particles.count" = [100, 200]\n[[solvers]]\nname = "msa"\nlabel = "product"\n'
+    )
+    done = command("run", "suite.toml")
+    assert done.returncode == 0, done.stderr
+    assert "data set 4 of 4: q-count_200, seed 2" in done.stderr
+    assert [line.count("±") > 4 for line in done.stdout.splitlines() if "product" in line] == [True, True]
+    lines = (tmp_path / "leaderboard" / "records" / "local.jsonl").read_text().splitlines()
+    records = [json.loads(line) for line in lines]
+    assert [(record["case"], record["axes"], record["seed"]) for record in records] == [
+        (f"q-count_{count}", {"particles.count": count}, seed) for count in (100, 200) for seed in (1, 2)
+    ]
+    assert [bool(record["pictures"]) for record in records] == [True, False, True, False]
+    assert not list((tmp_path / "work" / "datasets").iterdir())
+    assert not list((tmp_path / "work" / "results").iterdir())
+    page = (tmp_path / "leaderboard" / "index.html").read_text()
+    assert page.count("<table>") == 2
+    assert "particles.count 200" in page
+    assert "±" in page

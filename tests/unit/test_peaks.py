@@ -1,0 +1,115 @@
+"""Local maxima: against a slow search, on plateaus, and how near the fit comes to Gaussian particles."""
+
+from __future__ import annotations
+
+import itertools
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+from scipy import ndimage
+
+from sabench.arrays import F32, F64
+from sabench.metrics.detection import detect, detect_peaks
+from sabench.metrics.maxima import fitted_maxima, three_point
+
+NEIGHBOURS = [offset for offset in itertools.product((-1, 0, 1), repeat=3) if any(offset)]
+
+
+def gaussians(shape: tuple[int, int, int], places: F64, sigma: float) -> F32:
+    """Spherical particles of peak 1 at places (x, y, z), in voxels."""
+    z, y, x = np.indices(shape)
+    volume = np.zeros(shape)
+    for a, b, c in places:
+        volume += np.exp(-((x - a) ** 2 + (y - b) ** 2 + (z - c) ** 2) / (2.0 * sigma**2))
+    return volume.astype(np.float32)
+
+
+def slow_maxima(volume: F32, floor: float) -> list[tuple[float, ...]]:
+    """Mean places (x, y, z) of the connected sets of equal voxels that reach the floor and border on lower voxels only."""
+    maxima = []
+    for value in np.unique(volume[volume >= floor]):
+        labels, count = ndimage.label(volume == value, structure=np.ones((3, 3, 3)))
+        for label in range(1, count + 1):
+            voxels = np.argwhere(labels == label)
+            around = ndimage.binary_dilation(labels == label, structure=np.ones((3, 3, 3)))
+            if volume[around].max() == value:
+                maxima.append(tuple(voxels.mean(axis=0)[::-1]))
+    return maxima
+
+
+@settings(max_examples=60, deadline=None, derandomize=True)
+@given(arrays(np.float32, (4, 5, 6), elements=st.integers(0, 4).map(float)))
+def test_plateaus_are_maxima_once_each(volume: F32) -> None:
+    """Few different values make many plateaus of odd shapes; a single voxel may be fitted up to half a voxel away."""
+    found, expected = fitted_maxima(volume, 1.0), slow_maxima(volume, 1.0)
+    assert len(found) == len(expected)
+    for place in found:
+        assert min(np.abs(place - other).max() for other in expected) <= 0.5
+
+
+def test_maxima_agree_with_all_neighbours() -> None:
+    rng = np.random.default_rng(1)
+    volume = np.where(rng.random((9, 11, 13)) < 0.4, rng.exponential(size=(9, 11, 13)), 0.0).astype(np.float32)
+    floor = float(np.quantile(volume[volume > 0.0], 0.1))
+    padded = np.pad(volume, 1)
+    higher = [padded[1 + c : 10 + c, 1 + b : 12 + b, 1 + a : 14 + a] >= volume for c, b, a in NEIGHBOURS]
+    expected = np.argwhere((volume >= floor) & ~np.any(higher, axis=0))
+    found = detect_peaks(volume)
+    np.testing.assert_allclose(found[:, ::-1], expected, rtol=0, atol=0.5)
+    assert len(found) > 20
+
+
+@pytest.mark.parametrize("sigma", [0.6, 0.8, 1.5])
+def test_a_gaussian_is_found_where_it_is(sigma: float) -> None:
+    for place in np.random.default_rng(2).uniform(3.0, 5.0, (20, 3)):
+        np.testing.assert_allclose(detect_peaks(gaussians((9, 9, 9), place[None], sigma)), place[None], rtol=0, atol=2e-3)
+
+
+def test_particles_that_touch_are_two_peaks_and_one_component() -> None:
+    places = np.array([[4.0, 5.0, 3.0], [7.2, 5.4, 3.0]])
+    volume = gaussians((7, 11, 12), places, 0.8)
+    assert len(detect(volume)) == 1
+    np.testing.assert_allclose(detect_peaks(volume), places, rtol=0, atol=0.05)
+
+
+def test_a_plateau_is_one_peak_in_its_middle_and_none_on_a_slope() -> None:
+    volume = np.zeros((5, 7, 12), dtype=np.float32)
+    volume[2, 3, 2:5] = 4.0  # a saturated particle
+    volume[2, 2:5, 8] = 2.0
+    volume[2, 3, 9] = 3.0  # above the middle of a step
+    np.testing.assert_allclose(detect_peaks(volume), [[3.0, 3.0, 2.0], [9.0 - 2.0 / 5.0, 3.0, 2.0]])
+
+
+def test_plateaus_of_one_value_that_do_not_touch_are_peaks_of_their_own() -> None:
+    volume = np.zeros((3, 3, 9), dtype=np.float32)
+    volume[1, 1, [1, 2, 5, 6]] = 1.0
+    np.testing.assert_allclose(detect_peaks(volume), [[1.5, 1.0, 1.0], [5.5, 1.0, 1.0]])
+
+
+def test_peaks_at_the_border_stay_in_their_voxel() -> None:
+    volume = np.zeros((3, 4, 5), dtype=np.float32)
+    volume[0, 0, 0], volume[0, 0, 1], volume[2, 3, 4] = 3.0, 1.0, 2.0
+    np.testing.assert_allclose(detect_peaks(volume), [[0.0, 0.0, 0.0], [4.0, 3.0, 2.0]])
+
+
+def test_the_faintest_tenth_is_left_out_and_nothing_is_found_in_the_dark() -> None:
+    volume = np.zeros((3, 5, 41), dtype=np.float32)
+    assert detect_peaks(volume).shape == (0, 3)
+    volume[1, 2, ::2] = np.arange(1.0, 22.0)
+    np.testing.assert_allclose(detect_peaks(volume)[:, 0], np.arange(4, 41, 2))
+
+
+@pytest.mark.parametrize("offset", [-0.5, -0.2, 0.0, 0.37, 0.5])
+def test_three_points_of_a_gaussian_give_its_vertex(offset: float) -> None:
+    a, b, c = (math.exp(-((x - offset) ** 2) / 0.9) for x in (-1.0, 0.0, 1.0))
+    assert three_point(a, b, c) == pytest.approx(offset, abs=1e-12)
+
+
+def test_three_points_without_a_logarithm_give_their_centroid() -> None:
+    assert three_point(0.0, 3.0, 1.0) == 0.25
+    assert three_point(1.0, 3.0, 0.0) == -0.25
+    assert three_point(0.0, 1.0, 0.0) == 0.0
