@@ -10,13 +10,14 @@ import numpy as np
 from pydantic import BeforeValidator, Field
 
 from sabench.api import Observation, Parameters
-from sabench.arrays import F32, F64
+from sabench.arrays import F32, F64, U16
 from sabench.volume import Grid
 
 _BRIGHT = 95.0  # percentile of the lit pixels that becomes 1
 _LIT = 0.1  # of the image's maximum
 _SHARE = {"reduced": 0.85, "whole": 0.65}  # of the particles' occupancy that a field should have: best for Q, see docs/scores.md
-_STEPS = 12  # bisections of k
+_STEP, _BINS = 0.01, 4096  # levels of k that are tried, up to 41
+_FLAT = 1e-30
 
 Keep = Literal["reduced", "whole"]
 
@@ -43,11 +44,31 @@ def normalised(case: Observation) -> F32:
     (the thesis matches histograms to the same end, section 2.3). The scale is the 95th percentile of the pixels that reach a tenth
     of the image's maximum, which is the same kind of pixel in a sparse and in a dense image.
     """
-    images: F32 = np.maximum(case.images.astype(np.float32) - np.float32(case.black_dn), np.float32(0.0))
-    for image in images:
-        lit = image[image > _LIT * image.max()]
-        image /= max(float(np.percentile(lit, _BRIGHT)) if len(lit) else 0.0, 1.0)
+    images: F32 = np.empty(case.images.shape, dtype=np.float32)
+    for grey, image in zip(case.images, images, strict=True):
+        _scale(grey, float(case.black_dn), 1.0 / max(bright_dn(grey, case.black_dn), 1.0), image)
     return images
+
+
+def bright_dn(grey: U16, black_dn: float) -> float:
+    """The 95th percentile, interpolated linearly, of grey values less black of the pixels that exceed a tenth of the brightest; 0 without any."""
+    counts = np.bincount(grey.ravel(), minlength=1)
+    levels = np.maximum(np.arange(len(counts)) - black_dn, 0.0)
+    counts[levels <= _LIT * levels[-1]] = 0
+    upto = np.cumsum(counts)
+    if upto[-1] == 0:
+        return 0.0
+    place = _BRIGHT / 100.0 * (upto[-1] - 1)
+    low, high = (levels[np.searchsorted(upto, math.floor(place) + step, side="right")] for step in (0, min(1, math.ceil(place) - math.floor(place))))
+    return float(low + (place - math.floor(place)) * (high - low))
+
+
+@numba.njit(cache=True, parallel=True)
+def _scale(grey: Any, black: float, factor: float, image: Any) -> None:
+    """image = factor max(grey - black, 0)."""
+    for row in numba.prange(len(grey)):
+        for i in range(grey.shape[1]):
+            image[row, i] = np.float32(max(grey[row, i] - black, 0.0) * factor)
 
 
 def extracted(volume: F32, case: Observation, parameters: ExtractionParameters) -> F32:
@@ -61,12 +82,9 @@ def extract(volume: F32, k: float, keep: Keep) -> F32:
 
     Source: thesis section 2.2.3; whether the threshold is subtracted is not stated there, so both are offered.
     """
-    for plane in volume:
-        threshold = np.float32(plane.mean(dtype=np.float64) + k * plane.std(dtype=np.float64))
-        if keep == "reduced":
-            np.maximum(plane - threshold, 0.0, out=plane)
-        else:
-            plane[plane <= threshold] = 0.0
+    means, spreads = _statistics(volume)
+    thresholds = (means + k * spreads).astype(np.float32)
+    _cut(volume, thresholds, thresholds if keep == "reduced" else np.zeros_like(thresholds))
     return volume
 
 
@@ -78,19 +96,36 @@ def occupancy(case: Observation) -> float:
     of A, w being a particle's effective depth in voxels. Assumed are a dark background, light from the grid's particles only, and voxels whose x
     edge is a pixel's size or, if it is not, particles as wide in voxels as in pixels, as E_s has them. The median camera counts.
     """
-    return float(np.median([_filled(image.astype(np.float64) - case.black_dn, case.grid) for image in case.images]))
+    return float(np.median([_filled(image, float(case.black_dn), case.grid) for image in case.images]))
 
 
-def _filled(image: F64, grid: Grid) -> float:
-    light = image.mean()
-    image = image - light
-    variance = float(np.mean(image**2))
+def _filled(image: U16, black_dn: float, grid: Grid) -> float:
+    light = float(image.mean()) - black_dn
+    square, across, down = _products(image, light + black_dn)
+    variance = square / image.size
     if not variance > 0.0:
         return 0.0
-    beside = (float(np.mean(image[:, 1:] * image[:, :-1])) + float(np.mean(image[1:] * image[:-1]))) / (2.0 * variance)
+    rows, columns = image.shape
+    beside = (across / (rows * (columns - 1)) + down / ((rows - 1) * columns)) / (2.0 * variance)
     sigma_px = math.sqrt(max(-0.25 / math.log(min(max(beside, 1e-3), 0.999)) - 1.0 / 12.0, 0.01))  # of a Gaussian averaged over pixels
     depth = effective_width(sigma_px * grid.voxel_mm[0] / grid.voxel_mm[2])
     return float(light**2 / variance * image.size * depth / math.prod(grid.shape))
+
+
+@numba.njit(cache=True)
+def _products(image: Any, mean: float) -> Any:
+    """Sums over an image less its mean: of squares, and of products with the pixel to the right and below."""
+    square = across = down = 0.0
+    for row in range(image.shape[0]):
+        line, below = image[row], image[min(row + 1, image.shape[0] - 1)]
+        for i in range(image.shape[1]):
+            value = line[i] - mean
+            square += value * value
+            if i + 1 < image.shape[1]:
+                across += value * (line[i + 1] - mean)
+            if row + 1 < image.shape[0]:
+                down += value * (below[i] - mean)
+    return square, across, down
 
 
 def effective_width(sigma: float) -> float:
@@ -103,41 +138,64 @@ def effective_width(sigma: float) -> float:
 
 
 def auto_k(volume: F32, share: float, keep: Keep) -> float:
-    """The k >= 0 at which what `extract` leaves fills the given share of the volume, by bisection; the volume (z, y, x) is not changed.
+    """The k >= 0 at which what `extract` leaves fills the given share of the volume, to 0.01 and at most 41; the volume (z, y, x) is not changed.
 
     Parameters
     ----------
     share : `occupancy`; the field aims at 0.85 (reduced) or 0.65 (whole) of it.
     """
-    means = np.array([plane.mean(dtype=np.float64) for plane in volume])
-    spreads = np.array([plane.std(dtype=np.float64) for plane in volume])
-    target = _SHARE[keep] * share * volume.size
+    means, spreads = _statistics(volume)
+    sums = np.zeros((len(volume), _BINS, 3))
+    _sum_bins(volume, means, 1.0 / (_STEP * np.maximum(spreads, _FLAT)), sums)
+    count, light, square = np.moveaxis(np.cumsum(sums[:, ::-1], axis=1)[:, ::-1], 2, 0)  # of all that lies above each level
+    levels = _STEP * np.arange(_BINS)
+    base = means[:, None] + levels * spreads[:, None] if keep == "reduced" else np.zeros_like(light)
+    left = (light - base * count).sum(axis=0)
+    filled = left**2 / np.maximum((square - base * (2.0 * light - base * count)).sum(axis=0), _FLAT)
+    enough = np.flatnonzero(filled <= _SHARE[keep] * share * volume.size)
+    return float(levels[enough[0]]) if len(enough) else float(levels[-1])
 
-    def fills_more(k: float) -> bool:
-        thresholds = means + k * spreads
-        sums = np.zeros((len(volume), 2))
-        _sum_above(volume, thresholds, thresholds if keep == "reduced" else np.zeros_like(thresholds), sums)
-        light, square = sums.sum(axis=0)
-        return bool(light**2 > target * square)
 
-    low, high = 0.0, 1.0
-    while fills_more(high):
-        low, high = high, 2.0 * high
-    for _ in range(_STEPS):
-        middle = (low + high) / 2.0
-        low, high = (middle, high) if fills_more(middle) else (low, middle)
-    return low
+def _statistics(volume: F32) -> tuple[F64, F64]:
+    """Mean and standard deviation of every plane."""
+    sums = np.zeros((len(volume), 2))
+    _sum_squares(volume, sums)
+    means = sums[:, 0] / volume[0].size
+    return means, np.sqrt(np.maximum(sums[:, 1] / volume[0].size - means**2, 0.0))
 
 
 @numba.njit(cache=True, parallel=True)
-def _sum_above(volume: Any, thresholds: Any, bases: Any, sums: Any) -> None:
-    """sums[plane] = sum of E - base and of its square over the voxels above the plane's threshold."""
+def _sum_squares(volume: Any, sums: Any) -> None:
     for plane in numba.prange(len(volume)):
-        light = square = 0.0
+        for row in volume[plane]:
+            light = square = 0.0
+            for value in row:
+                wide = np.float64(value)
+                light += wide
+                square += wide * wide
+            sums[plane, 0] += light
+            sums[plane, 1] += square
+
+
+@numba.njit(cache=True, parallel=True)
+def _cut(volume: Any, thresholds: Any, bases: Any) -> None:
+    """What lies above a plane's threshold loses its base, the rest is zero."""
+    for plane in numba.prange(len(volume)):
+        for row in volume[plane]:
+            for i in range(len(row)):
+                row[i] = row[i] - bases[plane] if row[i] > thresholds[plane] else np.float32(0.0)
+
+
+@numba.njit(cache=True, parallel=True)
+def _sum_bins(volume: Any, means: Any, scales: Any, sums: Any) -> None:
+    """sums[plane, i] = number, sum and sum of squares of the voxels that lie i to i + 1 steps of k above the mean, in the last bin all above."""
+    last = sums.shape[1] - 1
+    for plane in numba.prange(len(volume)):
         for row in volume[plane]:
             for value in row:
-                if value > thresholds[plane]:
-                    excess = value - bases[plane]
-                    light += excess
-                    square += excess * excess
-        sums[plane, 0], sums[plane, 1] = light, square
+                if value > means[plane]:
+                    entry = sums[plane, int(min((value - means[plane]) * scales[plane], last))]
+                    wide = np.float64(value)
+                    entry[0] += 1.0
+                    entry[1] += wide
+                    entry[2] += wide * wide

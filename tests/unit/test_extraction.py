@@ -11,7 +11,7 @@ from pydantic import ValidationError
 
 from sabench.api import Observation
 from sabench.arrays import F32
-from sabench.extraction import ExtractionParameters, Keep, auto_k, effective_width, extract, extracted, normalised, occupancy
+from sabench.extraction import ExtractionParameters, Keep, auto_k, bright_dn, effective_width, extract, extracted, normalised, occupancy
 from sabench.generation import Shot, simulate
 from sabench.metrics.quality import quality
 from sabench.metrics.threshold import best_k, quality_of_k
@@ -161,3 +161,19 @@ def test_parameters_choose_the_k(shot: Shot, keep: Keep) -> None:
 def test_other_values_of_k_are_refused(k: object) -> None:
     with pytest.raises(ValidationError, match="expected auto or a number of at least 0, got"):
         ExtractionParameters.model_validate({"k": k})
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_bright_level_is_numpys_percentile_of_lit_pixels(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    grey, black = rng.poisson(rng.uniform(0.1, 300.0), (31, 47)).astype(np.uint16), float(rng.uniform(0.0, 64.0))
+    light = np.maximum(grey.astype(np.float64) - black, 0.0)
+    lit = light[light > 0.1 * light.max()]
+    assert bright_dn(grey, black) == pytest.approx(np.percentile(lit, 95.0) if len(lit) else 0.0, abs=1e-9)
+
+
+def test_images_are_scaled_to_their_bright_level() -> None:
+    case = simulate(array_scene(0.05, sensor={"black_level_dn": 20.0}), seed=3).observation
+    for grey, scaled in zip(case.images, normalised(case), strict=True):
+        expected = np.maximum(grey - 20.0, 0.0) / bright_dn(grey, 20.0)
+        np.testing.assert_allclose(scaled, expected, rtol=1e-6, atol=1e-7)
