@@ -1,0 +1,30 @@
+"""Multiplicative algebraic reconstruction, pixel by pixel."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from sabench.api import Observation, Reconstruction, Solver
+from sabench.tomography.problem import Problem, SparseParameters
+from sabench.tomography.updates import iterate, mart
+
+
+class Mart(Solver):
+    """MART: from a uniform guess, every pixel in turn scales its line of sight to the light that it recorded."""
+
+    name = "mart"
+    references = (
+        "Elsinga, Scarano, Wieneke and van Oudheusden, Exp. Fluids 41 (2006) 933-947",
+        "Herman and Lent, Comput. Biol. Med. 6 (1976) 273-294",
+        "Belden, MIT thesis, equation 3.9",
+    )
+    Parameters = SparseParameters
+
+    def solve(self, case: Observation) -> Reconstruction:
+        """I_j <- I_j (P_i / sum_k W_ik I_k)^(mu W_ij), pixel i by pixel; voxels that a camera sees black are zero from the start."""
+        chosen = self.parameters
+        problem = Problem.of(case, chosen)
+        state = problem.mlos(chosen.threshold)
+        np.sign(state.values, out=state.values)
+        iterate(lambda: mart(state, problem.measured, chosen.relaxation), problem.measured, chosen.iterations, chosen.tolerance, self.name)
+        return Reconstruction(problem.volume(state, chosen.floor))

@@ -1,0 +1,37 @@
+"""Simultaneous additive algebraic reconstruction on multiplied lines of sight."""
+
+from __future__ import annotations
+
+import numpy as np
+from pydantic import Field
+
+from sabench.api import Observation, Reconstruction, Solver
+from sabench.tomography.problem import Problem, SimultaneousParameters, SparseParameters
+from sabench.tomography.updates import iterate, sart
+
+
+class MlosSartParameters(SimultaneousParameters, SparseParameters):
+    """The iteration converges for relaxations below 2."""
+
+    relaxation: float = Field(1.0, gt=0.0, lt=2.0, description="mu, the part of what is missing that one iteration adds")
+
+
+class MlosSart(Solver):
+    """MLOS-SART: where all cameras see light, add the mean over cameras of what is missing along the lines of sight."""
+
+    name = "mlos_sart"
+    references = (
+        "Atkinson and Soria, Exp. Fluids 47 (2009) 553-568",
+        "Andersen and Kak, Ultrasonic Imaging 6 (1984) 81-94",
+        "Belden, MIT thesis, equation 3.12",
+    )
+    Parameters = MlosSartParameters
+
+    def solve(self, case: Observation) -> Reconstruction:
+        """I_j <- max(0, I_j + mu sum_i W_ij (P_i - sum_k W_ik I_k) / L_i / N_j) on the voxels that MLOS leaves."""
+        chosen = self.parameters
+        problem = Problem.of(case, chosen)
+        state = problem.mlos(chosen.threshold)
+        lengths = state.lines.forward(np.ones_like(state.values))
+        iterate(lambda: sart(state, problem.measured, lengths, chosen.relaxation), problem.measured, chosen.iterations, chosen.tolerance, self.name)
+        return Reconstruction(problem.volume(state, chosen.floor))

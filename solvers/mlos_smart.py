@@ -1,0 +1,35 @@
+"""Simultaneous multiplicative algebraic reconstruction on multiplied lines of sight."""
+
+from __future__ import annotations
+
+from pydantic import Field
+
+from sabench.api import Observation, Reconstruction, Solver
+from sabench.tomography.problem import Problem, SimultaneousParameters, SparseParameters
+from sabench.tomography.updates import iterate, smart
+
+
+class MlosSmartParameters(SimultaneousParameters, SparseParameters):
+    """The geometric mean over cameras may be overdone."""
+
+    relaxation: float = Field(1.5, gt=0.0, le=2.0, description="mu, the power of the geometric mean over cameras")
+
+
+class MlosSmart(Solver):
+    """MLOS-SMART: where all cameras see light, multiply by the geometric mean over cameras of recorded to projected light."""
+
+    name = "mlos_smart"
+    references = (
+        "Atkinson and Soria, Exp. Fluids 47 (2009) 553-568",
+        "Mishra, Muralidhar and Munshi, Inverse Problems 15 (1999)",
+        "Belden, MIT thesis, equation 3.13",
+    )
+    Parameters = MlosSmartParameters
+
+    def solve(self, case: Observation) -> Reconstruction:
+        """I_j <- I_j prod_i (P_i / sum_k W_ik I_k)^(mu W_ij / N_j) on the voxels that MLOS leaves."""
+        chosen = self.parameters
+        problem = Problem.of(case, chosen)
+        state = problem.mlos(chosen.threshold)
+        iterate(lambda: smart(state, problem.measured, chosen.relaxation), problem.measured, chosen.iterations, chosen.tolerance, self.name)
+        return Reconstruction(problem.volume(state, chosen.floor))

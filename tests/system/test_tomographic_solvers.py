@@ -1,0 +1,147 @@
+"""The tomographic solvers on small volumes with known particles, from grey values to scores."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from pydantic import ValidationError
+
+from sabench import plugins
+from sabench.api import Observation, Reconstruction
+from sabench.generation import Shot, simulate
+from sabench.metrics.quality import quality
+from sabench.rig import load_scene
+from sabench.scene import Scene, parse_scene
+from sabench.scoring import score_frame, true_field
+from sabench.volume import Grid, synthesise
+
+SOLVERS = {"mlos_sart": 0.82, "mlos_smart": 0.92, "smart": 0.90, "block_mart": 0.93, "mart": 0.93, "mfg_mart": 0.93}  # least Q in air
+
+
+def scene_of(wall: bool) -> Scene:
+    """Four cameras, 28 degrees off the axis, of 72 x 72 x 28 voxels of a pixel's size."""
+    values = load_scene("quick").to_dict()
+    values["volume"] = {"center_mm": [0.0, 0.0, 30.0 if wall else 0.0], "size_mm": [3.6, 3.6, 1.4]}
+    values["grid"] = {"voxel_mm": [0.05, 0.05, 0.05]}
+    layout = {"kind": "ring", "count": 4, "radius_mm": 240.0}
+    values["cameras"] |= {"rows": 112, "columns": 112, "particle_sigma_px": 0.85, "layout": layout}
+    values["cameras"]["center_mm"] = [0.0, 0.0, -425.0 if wall else -450.0]
+    values["illumination"] |= {"scattering": "isotropic", "pulse_energy_mj": 10.0}
+    values["particles"] = {"generator": "uniform", "count": 80, "diameter_mm": 0.02}
+    values["sensor"] = {"full_well_e": 1e7, "gain_dn_e": 0.2, "bit_depth": 16, "black_level_dn": 100.0, "shot_noise": False}
+    if not wall:
+        del values["wall"]
+    return parse_scene(values, "test")
+
+
+def solve(name: str, case: Observation, **parameters: Any) -> Reconstruction:
+    solver = plugins.load("solvers", name)
+    made: Reconstruction = solver(solver.Parameters(**parameters)).solve(case)
+    return made
+
+
+def scores(shot: Shot, made: Reconstruction) -> dict[str, float]:
+    found = score_frame(shot.observation.grid, shot.particles, shot.views, made)
+    return {key: -1.0 if value is None else value for key, value in found.items()}
+
+
+@pytest.fixture(scope="module")
+def in_air() -> Shot:
+    return simulate(scene_of(wall=False), seed=100)
+
+
+@pytest.fixture(scope="module")
+def behind_glass() -> Shot:
+    return simulate(scene_of(wall=True), seed=101)
+
+
+@pytest.mark.parametrize("name", SOLVERS)
+def test_particles_are_reconstructed(name: str, in_air: Shot, behind_glass: Shot) -> None:
+    for shot, slack in ((in_air, 0.0), (behind_glass, 0.03)):
+        made = solve(name, shot.observation)
+        assert made.volume.dtype == np.float32
+        assert made.volume.shape == shot.observation.grid.shape
+        assert made.particles_mm is None
+        found = scores(shot, made)
+        assert found["q"] > SOLVERS[name] - slack, found
+        assert found["true_percent"] > 80.0
+        assert found["ghost_percent"] < 25.0
+
+
+@pytest.mark.parametrize("name", SOLVERS)
+def test_bilinear_points_do_nearly_as_well(name: str, in_air: Shot) -> None:
+    assert scores(in_air, solve(name, in_air.observation, footprint="bilinear", floor=0.02))["q"] > SOLVERS[name] - 0.1
+
+
+@pytest.mark.parametrize("name", SOLVERS)
+def test_no_light_no_volume(name: str, in_air: Shot) -> None:
+    dark = replace(in_air.observation, images=np.full_like(in_air.observation.images, 100))
+    volume = solve(name, dark, iterations=2).volume
+    assert volume.shape == in_air.observation.grid.shape
+    assert not volume.any()
+
+
+@pytest.mark.parametrize("name", SOLVERS)
+def test_same_case_same_volume(name: str, in_air: Shot) -> None:
+    first, second = (solve(name, in_air.observation, iterations=2).volume for _ in range(2))
+    np.testing.assert_array_equal(first, second)
+
+
+@pytest.mark.parametrize("name", SOLVERS)
+def test_particles_beyond_one_cameras_border_are_kept(name: str, in_air: Shot) -> None:
+    """The first camera looks past half of the volume: there the other three find the particles."""
+    case, aside = in_air.observation, 55
+    images = case.images.copy()
+    images[0] = np.roll(images[0], aside, axis=1)
+    images[0, :, :aside] = 100
+    column, row = case.cameras[0].principal_point_px
+    moved = replace(case.cameras[0], principal_point_px=(column + aside, row))
+    made = solve(name, replace(case, images=images, cameras=(moved, *case.cameras[1:])))
+    hidden = in_air.particles.position_mm[in_air.views[0].pixel[:, 0] > case.cameras[0].columns - aside + 2]
+    x, y, z = np.clip(np.rint(case.grid.to_voxels(hidden)).astype(int), 1, np.asarray(case.grid.shape[::-1]) - 2).T
+    brightest = np.asarray([made.volume[k - 1 : k + 2, j - 1 : j + 2, i - 1 : i + 2].max() for i, j, k in zip(x, y, z, strict=True)])
+    assert 15 < len(hidden) < 60
+    assert (brightest > 0.0).mean() > 0.9
+
+
+def test_clipped_pixels_are_known_to_be_clipped(in_air: Shot) -> None:
+    case = in_air.observation
+    white = np.floor(np.quantile(case.images[case.images > 200], 0.7))
+    clipped = np.minimum(case.images, np.uint16(white))
+    told, untold = (replace(case, images=clipped, white_dn=level) for level in (white, 65535.0))
+    truth = true_field(case.grid, in_air.particles, in_air.views)
+    for name in ("block_mart", "mart", "mlos_sart"):
+        better, worse = (quality(solve(name, view).volume, truth) for view in (told, untold))
+        assert better > worse + 0.01, name
+
+
+def test_long_voxels_are_split(in_air: Shot) -> None:
+    """The same images, and voxels four times as long: as good as short ones added up."""
+    grid = in_air.observation.grid
+    long = Grid((*grid.low_mm[:2], grid.low_mm[2] + 1.5 * 0.05), (0.05, 0.05, 0.2), (7, 72, 72))
+    made = solve("block_mart", replace(in_air.observation, grid=long))
+    truth = synthesise(long, in_air.particles.position_mm, np.ones(len(in_air.particles)), 0.85 * 0.05)
+    assert made.volume.shape == long.shape
+    assert quality(made.volume, truth) > 0.93
+
+
+def test_more_iterations_are_better_and_tolerance_ends_them(in_air: Shot) -> None:
+    truth = true_field(in_air.observation.grid, in_air.particles, in_air.views)
+    few, many, stopped = (
+        quality(solve("mlos_smart", in_air.observation, iterations=n, tolerance=t).volume, truth) for n, t in ((1, 0.0), (20, 0.0), (20, 0.9))
+    )
+    assert few < many
+    assert few <= stopped < many
+
+
+@pytest.mark.parametrize("name", SOLVERS)
+@pytest.mark.parametrize(
+    "wrong",
+    [{"iterations": 0}, {"relaxation": 0.0}, {"relaxation": 2.5}, {"tolerance": 1.0}, {"footprint": "disc"}, {"sigma_px": 0.1}, {"floor": 1.0}],
+)
+def test_nonsense_is_refused(name: str, wrong: dict[str, Any]) -> None:
+    with pytest.raises(ValidationError):
+        plugins.load("solvers", name).Parameters(**wrong)
