@@ -1,85 +1,150 @@
-"""Speed and memory of the tomographic solvers: `python benchmarks/tomography.py [solver ...]` prints JSON.
+"""Speed of tomography: `python benchmarks/tomography.py [WIDTH DEPTH PPP]` prints JSON.
 
-Four cameras, 700 x 700 x 140 voxels, 24,500 particles (0.05 per pixel), after Elsinga et al. (2006); then fewer voxels, fewer and more particles,
-and the thesis's array of nine cameras. Five iterations each, kernels compiled before.
-A visit is one voxel seen by one camera, forwards or backwards, counted from the voxels that the first guess leaves; it loads or adds to four
-pixels. Shares are of the pixels that this machine can gather, measured in the same run.
+Four cameras 27 degrees off the axis look at WIDTH x WIDTH x DEPTH voxels of a pixel's size (700 x 700 x 140: the volume of Elsinga et al. 2006) with
+PPP particles per pixel (0.05) of the volume's face. Everything is compiled on a small volume first. Rates are compared with what the machine can do,
+measured in the same run: a projection or back-projection reads or writes four pixels for every voxel and camera, so its roofline is a fourth
+of the rate of random reads from an image; the bandwidth is that of a + b c over large arrays.
 """
 
 from __future__ import annotations
 
+import functools
 import json
+import math
 import os
 import sys
-import time
+import timeit
+from collections.abc import Callable
 from typing import Any
 
-from sabench import memory
+import numba
+import numpy as np
+
+from sabench import plugins
 from sabench.api import Observation
 from sabench.generation import simulate
+from sabench.memory import forget_peak, peak_mb
+from sabench.progress import track
 from sabench.rig import load_scene
-from sabench.rooflines import gathered_gigaloads_s, triad_gb_s
 from sabench.scene import Scene, parse_scene
-from sabench.solving import make_solver
-from sabench.tomography.problem import Problem
+from sabench.tomography.problem import Problem, SparseParameters
 
-SOLVERS = ("mlos_smart", "mlos_sart", "block_mart", "mfg_mart", "mart")
-SEED = 101
 ITERATIONS = 5
+SOLVERS = ("mlos_sart", "mlos_smart", "block_mart", "mart", "mfg_mart", "smart")
+TILT_DEG, VOXEL_MM, DISTANCE_MM = 27.0, 0.05, 510.0
 
 
-def variant(name: str, size_mm: list[float] | None = None, per_pixel: float | None = None) -> Scene:
-    """A bundled scene with another box or density."""
-    values = load_scene(name).to_dict()
-    values["grid"]["crop_mm"] = [0.0, 0.0, 0.0]
-    if size_mm:
-        values["volume"]["size_mm"] = size_mm
-    if per_pixel:
-        generator, diameter = values["particles"]["generator"], values["particles"]["diameter_mm"]
-        across, down, _ = (edge / voxel for edge, voxel in zip(values["volume"]["size_mm"], values["grid"]["voxel_mm"], strict=True))
-        values["particles"] = {"generator": generator, "diameter_mm": diameter, "count": round(per_pixel * across * down)}
-    return parse_scene(values, name)
+def scene_of(width: int, depth: int, ppp: float, cameras: int = 4) -> Scene:
+    """A ring of cameras in air, images that hold the whole volume, particles alike."""
+    size = [width * VOXEL_MM, width * VOXEL_MM, depth * VOXEL_MM]
+    pixels = math.ceil((1.1 * width + 0.6 * depth) / 8) * 8
+    tilt = math.radians(TILT_DEG)
+    layout = {"kind": "ring", "count": cameras, "radius_mm": DISTANCE_MM * math.sin(tilt), "start_deg": 45.0}
+    values: dict[str, Any] = load_scene("quick").to_dict() | {
+        "volume": {"center_mm": [0.0, 0.0, 0.0], "size_mm": size},
+        "grid": {"voxel_mm": [VOXEL_MM] * 3},
+        "particles": {"generator": "uniform", "count": max(1, round(ppp * width * width)), "diameter_mm": 0.02},
+        "sensor": {"full_well_e": 1e7, "gain_dn_e": 0.2, "bit_depth": 16, "shot_noise": False},
+    }
+    del values["wall"]
+    values["cameras"] |= {"rows": pixels, "columns": pixels, "particle_sigma_px": 0.85, "layout": layout}
+    values["cameras"]["center_mm"] = [0.0, 0.0, -DISTANCE_MM * math.cos(tilt)]
+    values["illumination"] |= {"scattering": "isotropic", "pulse_energy_mj": 10.0, "thickness_mm": 2.0 * size[2], "height_mm": 2.0 * size[1]}
+    return parse_scene(values, "benchmark")
 
 
-def measured(case: Observation, solver: str, gathers: float) -> dict[str, Any]:
-    """One solver on one frame."""
-    made = make_solver(solver, {"iterations": ITERATIONS})
-    memory.trim()
-    memory.forget_peak()
-    start = time.perf_counter()
-    made.solve(case)
-    seconds = time.perf_counter() - start
-    problem = Problem.of(case, made.parameters)
-    voxels = len(problem.mlos(made.parameters.threshold).lines.support)
-    visits = 2.0 * ITERATIONS * voxels * len(case.cameras)
-    loads = 4.0 * visits
+def fastest(work: Callable[[], object], repeats: int = 3) -> float:
+    """Seconds of the fastest of several runs, after one to warm up."""
+    work()
+    return min(timeit.repeat(work, number=1, repeat=repeats))
+
+
+@numba.njit(parallel=True)
+def triad(a: Any, b: Any, c: Any) -> None:
+    for i in numba.prange(len(a)):
+        a[i] = b[i] + np.float32(3.0) * c[i]
+
+
+@numba.njit(parallel=True, fastmath=True)
+def read_at(values: Any, places: Any) -> float:
+    total = 0.0
+    for i in numba.prange(len(places)):
+        total += values[places[i]]
+    return total
+
+
+def machine(pixels: int) -> dict[str, float]:
+    """Bandwidth in GB/s, and random reads from an image in millions/s."""
+    a, b, c = (np.ones(30_000_000, dtype=np.float32) for _ in range(3))
+    places = np.random.default_rng(0).integers(pixels, size=10_000_000, dtype=np.uint32)
+    image = np.ones(pixels, dtype=np.float32)
     return {
-        "s": round(seconds, 2), "peak_mb": round(memory.peak_mb() or 0.0), "lit_voxels": voxels,
-        "mvoxel_cameras_per_s": round(visits / seconds / 1e6, 1), "share_of_gathers": round(loads / seconds / 1e9 / gathers, 3),
+        "triad_gb_per_s": 3.0 * a.nbytes / 1e9 / fastest(lambda: triad(a, b, c)),
+        "random_reads_millions_per_s": len(places) / 1e6 / fastest(lambda: read_at(image, places)),
+    }
+
+
+def operator_rates(case: Observation, reads: float) -> dict[str, float]:
+    """First guess, projection and back-projection in millions of voxels times cameras per second, and the latter two against the roofline."""
+    parameters = SparseParameters()
+    problem = Problem.of(case, parameters)
+    state = problem.mlos(parameters.threshold)
+    lines, images = state.lines, problem.measured.light
+    pairs, most = len(state.values) * len(case.cameras) / 1e6, lines.support.shape
+    rates = {
+        "first_guess": math.prod(most) * len(case.cameras) / 1e6 / fastest(lambda: problem.mlos(parameters.threshold)),
+        "forward": pairs / fastest(lambda: lines.forward(state.values)),
+        "adjoint": pairs / fastest(lambda: lines.adjoint(images)),
+    }
+    against = {f"{name}_against_reads": rates[name] * 4.0 / reads for name in ("forward", "adjoint")}
+    return {"nonzero_millions": len(state.values) / 1e6, "nonzero_share": len(state.values) / math.prod(most), **rates, **against}
+
+
+def timed(name: str, case: Observation, bandwidth: float) -> dict[str, float | None]:
+    """One run of a solver; its rate counts all voxels, and is compared with reading the volume once per camera and iteration."""
+    solver = plugins.load("solvers", name)
+    work = functools.partial(solver(solver.Parameters(iterations=ITERATIONS)).solve, case)
+    forget_peak()
+    seconds = timeit.timeit(work, number=1)
+    steps = math.prod(case.grid.shape) * len(case.cameras) * ITERATIONS
+    return {
+        "seconds": seconds, "mvoxel_cameras_per_s": steps / 1e6 / seconds,
+        "against_bandwidth": 4.0 * steps / 1e9 / bandwidth / seconds, "peak_mb": peak_mb(),
     }  # fmt: skip
 
 
+def rounded(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: rounded(inner) for key, inner in value.items()}
+    return float(f"{value:.4g}") if isinstance(value, float) else value
+
+
 def main() -> None:
-    solvers = sys.argv[1:] or SOLVERS
-    scenes = {
-        "4 cameras, 700x700x140, .05 ppp": variant("elsinga-35x35x7"),
-        "4 cameras, 700x700x70, .05 ppp": variant("elsinga-35x35x7", [35.0, 35.0, 3.5], 0.05),
-        "4 cameras, 350x350x140, .05 ppp": variant("elsinga-35x35x7", [17.5, 17.5, 7.0], 0.05),
-        "4 cameras, 350x350x140, .025 ppp": variant("elsinga-35x35x7", [17.5, 17.5, 7.0], 0.025),
-        "4 cameras, 350x350x140, .1 ppp": variant("elsinga-35x35x7", [17.5, 17.5, 7.0], 0.1),
-        "9 cameras, 1000x1000x80, .05 ppp": variant("array-9", None, 0.05),
+    width, depth, ppp = int(sys.argv[1]), int(sys.argv[2]), float(sys.argv[3])
+    warm = simulate(scene_of(48, 16, 0.02), seed=100).observation
+    for name in track(SOLVERS, "compile"):
+        timed(name, warm, 1.0)
+    case = simulate(scene_of(width, depth, ppp), seed=100).observation
+    limits = machine(case.images[0].size)
+    bandwidth, reads = limits["triad_gb_per_s"], limits["random_reads_millions_per_s"]
+    scaling: dict[str, dict[str, Scene]] = {
+        "cameras": {str(n): scene_of(width, depth, ppp, n) for n in (3, 4, 6, 9)},
+        "depth": {str(n): scene_of(width, n, ppp) for n in (depth // 4, depth // 2, depth)},
+        "ppp": {str(n): scene_of(width, depth, n) for n in (ppp / 2.0, ppp, 2.0 * ppp)},
     }
-    small = simulate(variant("elsinga-35x35x7", [3.5, 3.5, 2.0], 0.02), seed=SEED).observation
-    for solver in solvers:
-        make_solver(solver, {}).solve(small)  # compiles
-    gathers = gathered_gigaloads_s()
-    report: dict[str, Any] = {"cores": os.cpu_count(), "triad_gb_per_s": round(triad_gb_s(), 1), "gathered_gigaloads_per_s": round(gathers, 2)}
-    for name, scene in scenes.items():
-        case = simulate(scene, seed=SEED).observation
-        report[name] = {solver: measured(case, solver, gathers) for solver in solvers}
-        print(name, json.dumps(report[name]), file=sys.stderr)
-    print(json.dumps(report, indent=2))
+    report = {
+        "cores": os.cpu_count(), "threads": numba.get_num_threads(), "cameras": len(case.cameras), "images": case.images.shape[1:],
+        "grid_zyx": case.grid.shape, "ppp": ppp, "iterations": ITERATIONS, "machine": limits,
+        "solvers": {name: timed(name, case, bandwidth) for name in SOLVERS},
+        "operator": operator_rates(case, reads),
+        "mlos_smart_against": {
+            kind: {n: timed("mlos_smart", simulate(scene, seed=100).observation, bandwidth) for n, scene in cases.items()}
+            for kind, cases in scaling.items()
+        },
+    }  # fmt: skip
+    print(json.dumps(rounded(report), indent=2))
 
 
 if __name__ == "__main__":
+    sys.argv += ["700", "140", "0.05"][len(sys.argv) - 1 :]
     main()

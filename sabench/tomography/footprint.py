@@ -10,7 +10,6 @@ import numpy as np
 from scipy.ndimage import maximum_filter
 
 from sabench.arrays import F32, F64
-from sabench.tomography.kernels import STEPS
 
 _BRIGHT = 0.3  # of a bright particle's peak: dimmer local maxima are not measured
 
@@ -32,14 +31,6 @@ class Footprint:
     def margin(self) -> int:
         """Pixels by which it reaches beyond the four."""
         return 1 if self.spread else 0
-
-    @property
-    def weights(self) -> F32:
-        """Along one axis, by pixel and by position between the middle two: (2 + 2 margin, STEPS)."""
-        given, kept = self.spread, 1.0 - 2.0 * self.spread
-        matrix = np.array([[given, 0.0], [kept, given], [given, kept], [0.0, given]])
-        right = np.arange(STEPS) / STEPS
-        return np.asarray(matrix[1 - self.margin : 3 + self.margin] @ np.stack([1.0 - right, right]), dtype=np.float32)
 
     def smooth(self, images: F32) -> F32:
         """Images (camera, row, column) after every pixel gave to its neighbours; a symmetric operator, dark beyond the borders."""

@@ -1,7 +1,7 @@
 """MART pixel by pixel: every pixel corrects the voxels on its line of sight and finds them as the pixels before it left them.
 
 For one camera at a time the voxels are sorted by the first pixel of their footprints. A pixel then finds its voxels in a few stretches of
-memory, one for every place that it can have in a footprint, and W is never stored. Strips of pixels that share no voxel are independent: first
+memory, one for every row that its footprints can begin in, and W is never stored. Strips of pixels that share no voxel are independent: first
 all even strips are done, then all odd ones, and in each strip the pixels row by row.
 """
 
@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sabench.arrays import F32, I64, Bool
-from sabench.tomography.kernels import exp2, locate, scratch
+from sabench.tomography.kernels import STEPS, exp2, locate, scratch
 from sabench.tomography.operator import LinesOfSight
 
 STRIP = 16  # rows of pixels, more than a footprint has: every other strip shares no voxel with this one
@@ -27,20 +27,21 @@ class Buckets(NamedTuple):
 
     Attributes
     ----------
-    weights : (width, STEPS) of a footprint along either axis.
+    spread, taps : of a footprint, and its pixels along either axis.
     columns : pixels of a row.
     first : (rows * columns + 1,) where each pixel's voxels begin.
     voxel : (n,) their numbers in the support.
-    across, down : (n,) uint16 positions inside the pixel.
+    across, down : (n,) float32 column and row.
     light : (n,) what they hold.
     """
 
-    weights: F32
+    spread: np.float32
+    taps: int
     columns: int
     first: I64
     voxel: npt.NDArray[np.int32]
-    across: npt.NDArray[np.uint16]
-    down: npt.NDArray[np.uint16]
+    across: F32
+    down: F32
     light: F32
 
 
@@ -70,8 +71,9 @@ def _sorted(lines: LinesOfSight, values: F32, camera: int) -> Buckets:
     _count(sight, camera, parts, support.start, support.x, slots)
     _number(slots, first)
     seen = int(first[-1])
-    place = (np.empty(seen, dtype=np.uint16), np.empty(seen, dtype=np.uint16))
-    buckets = Buckets(lines.footprint.weights, sight.columns, first, np.empty(seen, dtype=np.int32), *place, np.empty(seen, dtype=np.float32))
+    across, down, light = (np.empty(seen, dtype=np.float32) for _ in range(3))
+    spread, taps = np.float32(lines.footprint.spread), 2 + 2 * sight.margin
+    buckets = Buckets(spread, taps, sight.columns, first, np.empty(seen, dtype=np.int32), across, down, light)
     _fill(sight, camera, parts, support.start, support.x, values, slots, buckets)
     return buckets
 
@@ -118,7 +120,8 @@ def _fill_part(sight: Any, camera: int, begin: int, end: int, start: Any, x: Any
                 slot = slots[base[i] - corner]
                 slots[base[i] - corner] += 1
                 buckets.voxel[slot] = start[row] + i
-                buckets.across[slot], buckets.down[slot] = across[i], down[i]
+                buckets.across[slot] = np.float32(base[i] % sight.columns) + np.float32(across[i]) / np.float32(STEPS)
+                buckets.down[slot] = np.float32(base[i] // sight.columns) + np.float32(down[i]) / np.float32(STEPS)
                 buckets.light[slot] = values[start[row] + i]
 
 
@@ -156,25 +159,48 @@ def _correct(buckets: Any, row: int, column: int, light: Any, saturated: Any, re
     return (light - seen) ** 2
 
 
-@numba.njit(cache=True, fastmath=True)
+@numba.njit(cache=True)
 def _line_of_sight(buckets: Any, row: int, column: int) -> Any:
     """sum_j W_ij I_j of one pixel."""
     total = np.float32(0.0)
-    for a in range(min(len(buckets.weights), row + 1)):
-        for b in range(min(len(buckets.weights), column + 1)):
-            pixel = (row - a) * buckets.columns + column - b
-            down, across = buckets.weights[a], buckets.weights[b]
-            for k in range(buckets.first[pixel], buckets.first[pixel + 1]):
-                total += down[buckets.down[k]] * across[buckets.across[k]] * buckets.light[k]
+    for above in range(min(buckets.taps, row + 1)):
+        total += _sum(*_stretch(buckets, row - above, column), np.float32(row), np.float32(column), buckets.spread)
+    return total
+
+
+@numba.njit(cache=True)
+def _raise(buckets: Any, row: int, column: int, exponent: Any) -> None:
+    """I_j <- I_j 2^(exponent W_ij) for the voxels of one pixel."""
+    for above in range(min(buckets.taps, row + 1)):
+        _multiply(*_stretch(buckets, row - above, column), np.float32(row), np.float32(column), buckets.spread, exponent)
+
+
+@numba.njit(cache=True)
+def _stretch(buckets: Any, row: int, column: int) -> Any:
+    """Rows, columns and light of the voxels whose footprints begin in a row of pixels and reach a column."""
+    left, line = max(column - buckets.taps + 1, 0), row * buckets.columns
+    here = slice(buckets.first[line + left], buckets.first[line + column + 1])
+    return buckets.down[here], buckets.across[here], buckets.light[here]
+
+
+@numba.njit(cache=True, fastmath=True)
+def _sum(down: Any, across: Any, light: Any, row: Any, column: Any, spread: Any) -> Any:
+    total = np.float32(0.0)
+    for k in range(len(light)):
+        total += _share(down[k] - row, spread) * _share(across[k] - column, spread) * light[k]
     return total
 
 
 @numba.njit(cache=True, fastmath=True)
-def _raise(buckets: Any, row: int, column: int, exponent: Any) -> None:
-    """I_j <- I_j 2^(exponent W_ij) for the voxels of one pixel."""
-    for a in range(min(len(buckets.weights), row + 1)):
-        for b in range(min(len(buckets.weights), column + 1)):
-            pixel = (row - a) * buckets.columns + column - b
-            down, across = buckets.weights[a], buckets.weights[b]
-            for k in range(buckets.first[pixel], buckets.first[pixel + 1]):
-                buckets.light[k] *= exp2(exponent * down[buckets.down[k]] * across[buckets.across[k]])
+def _multiply(down: Any, across: Any, light: Any, row: Any, column: Any, spread: Any, exponent: Any) -> None:
+    for k in range(len(light)):
+        light[k] *= exp2(exponent * _share(down[k] - row, spread) * _share(across[k] - column, spread))
+
+
+@numba.njit(cache=True, fastmath=True)
+def _share(distance: Any, spread: Any) -> Any:
+    """The part of a voxel's light that a pixel at some distance gets along one axis: see `Footprint`."""
+    one, none = np.float32(1.0), np.float32(0.0)
+    own = max(one - abs(distance), none)
+    given = max(one - abs(distance - one), none) + max(one - abs(distance + one), none)
+    return own + spread * (given - own - own)
