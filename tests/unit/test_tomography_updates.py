@@ -105,7 +105,7 @@ def test_saturated_pixels_only_make_voxels_brighter(name: str) -> None:
         STEPS[name](one, what)
     assert (dark[1].values > before * 0.03).mean() > 0.8
     if name in ("smart", "sart"):  # the others turn to other cameras in between, which may then see too much
-        np.testing.assert_array_equal(dark[0].values, dark[1].values)
+        np.testing.assert_allclose(dark[0].values, dark[1].values, rtol=5e-3)
 
 
 def residual_of_dark_pixels(state: State, measured: Measured) -> float:
@@ -173,11 +173,13 @@ def test_black_pixels_leave_no_light_but_finite_values() -> None:
 
 
 def test_a_voxel_that_one_camera_sees_is_led_by_that_camera() -> None:
-    """Voxels beyond the last camera's border are corrected by the other two alone."""
+    """What the last camera records does not matter to voxels that it does not see, and to others the less, the more cameras see them."""
     state = make_state(every=1)
     lines = state.lines
-    counts = np.rint(lines.adjoint(np.ones((3, ROWS, COLUMNS), dtype=np.float32)))
-    assert set(np.unique(counts)) == {2.0, 3.0}
+    ones = np.ones((3, ROWS, COLUMNS), dtype=np.float32)
+    counts, last = np.rint(lines.adjoint(ones)), np.rint(lines.adjoint(ones[2:], [2])) > 0.0
+    assert set(np.unique(counts[last])) == {2.0, 3.0}
+    assert set(np.unique(counts[~last])) == {1.0, 2.0}
     measured = recorded(state, 5)
     other = Measured(measured.light.copy(), measured.saturated)
     other.light[2] *= np.float32(3.0)
@@ -186,5 +188,5 @@ def test_a_voxel_that_one_camera_sees_is_led_by_that_camera() -> None:
         fresh = State(lines, state.values.copy(), state.seen)
         smart(fresh, what, 1.0)
         results.append(fresh.values)
-    np.testing.assert_array_equal(results[0][counts == 2], results[1][counts == 2])
-    np.testing.assert_allclose(results[1][counts == 3], results[0][counts == 3] * 3.0 ** (1.0 / 3.0), rtol=1e-4)
+    np.testing.assert_array_equal(results[0][~last], results[1][~last])
+    np.testing.assert_allclose(results[1][last], results[0][last] * 3.0 ** (1.0 / counts[last]), rtol=1e-4)
