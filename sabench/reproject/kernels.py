@@ -15,6 +15,7 @@ import numpy as np
 from sabench.reproject.rectify import LINEAR, weights
 
 TILE_ROWS, TILE_COLUMNS = 16, 512  # a tile's accumulators and the pixels that it reads stay in the first two caches
+_SHEAR = 3e-4  # columns per row: four rows whose columns drift by less are taken for in line, which misses by 1.5 times this at most
 _DECADES = 30.0  # a product's range before its logarithm is taken: inside float32's
 
 
@@ -43,13 +44,13 @@ def _folded(total: Any, sample: Any, fold: Any) -> Any:
     return total + sample if len(fold) == 1 else total * max(sample, fold[0])
 
 
-@numba.njit(cache=True, fastmath=True, forceinline=True)
-def _fold_samples(image: Any, spline: Any, affine: Any, row: int, outside: Any, fold: Any, target: Any) -> None:
-    """Fold samples into the target along one row of a tile."""
+@numba.njit(cache=True, fastmath=True)
+def _fold_row(image: Any, spline: Any, affine: Any, row: int, begin: int, outside: Any, fold: Any, target: Any) -> None:
+    """Fold samples into the target, a part of one row of a tile that begins at column `begin`."""
     padding = 0 if len(spline) == 1 else 2
     height, width = image.shape[0] - padding, image.shape[1] - padding
-    column_start, column_step = affine[0] + affine[2] * row, affine[1] - 1.0
-    row_start, row_step = affine[3] + affine[5] * row, affine[4]
+    column_start, column_step = affine[0] + affine[2] * row + affine[1] * begin, affine[1] - 1.0
+    row_start, row_step = affine[3] + affine[5] * row + affine[4] * begin, affine[4]
     first, count = 0, len(target)
     while first < count:
         x, y = column_start + column_step * first, row_start + row_step * first  # x less the shift of one pixel per voxel
@@ -92,6 +93,75 @@ def _interpolate(image: Any, spline: Any, corner: Any, start: Any, step: Any, fo
             target[i] = _folded(target[i], over + under, fold)
 
 
+@numba.njit(cache=True, fastmath=True, forceinline=True)
+def _fold_tile(image: Any, spline: Any, affine: Any, outside: Any, fold: Any, total: Any, size: Any) -> None:
+    """Fold one camera's samples into a tile, whose rows lie TILE_COLUMNS apart in `total`; `size` is its rows and columns."""
+    rows, columns = size
+    row, flat = 0, image.ravel()
+    if len(spline) == 1 and abs(affine[2]) <= _SHEAR:
+        while row + 4 <= rows:
+            _fold_four(image, flat, spline, affine, row, outside, fold, total, columns)
+            row += 4
+    while row < rows:
+        start = row * TILE_COLUMNS
+        _fold_row(image, spline, affine, row, 0, outside, fold, total[start : start + columns])
+        row += 1
+
+
+@numba.njit(cache=True, fastmath=True, forceinline=True)
+def _fold_four(image: Any, flat: Any, spline: Any, affine: Any, row: int, outside: Any, fold: Any, total: Any, columns: int) -> None:
+    """Fold samples into four rows of a tile at once: they share five rows of pixels and the places between columns."""
+    column_step, row_step = affine[1] - 1.0, affine[4]
+    first = 0
+    while first < columns:
+        x, y = affine[0] + affine[2] * row + column_step * first, affine[3] + affine[5] * row + row_step * first
+        x_last, y_last = x + 3.0 * affine[2], y + 3.0 * (affine[5] - 1.0)  # less the shift of one pixel per row
+        shift, above = math.floor(x), math.floor(y)
+        shift_last, above_last = math.floor(x_last), math.floor(y_last)
+        end = min(_stretch(x - shift, column_step, first, columns), _stretch(y - above, row_step, first, columns))
+        end = min(end, _stretch(x_last - shift_last, column_step, first, columns), _stretch(y_last - above_last, row_step, first, columns))
+        seen = first + shift >= 0 and end + shift < image.shape[1] and above >= 0 and above + 4 < image.shape[0]
+        if seen and shift == shift_last and above == above_last:
+            corner = np.uint32(above * image.shape[1] + shift + first)
+            start = np.float32(x - shift + 1.5 * affine[2]), np.float32(y - above)
+            step = np.float32(column_step), np.float32(row_step), np.float32(affine[5] - 1.0)
+            _interpolate_four(
+                flat,
+                np.uint32(image.shape[1]),
+                corner,
+                start,
+                step,
+                fold,
+                total[row * TILE_COLUMNS + first : (row + 3) * TILE_COLUMNS + end],
+                end - first,
+            )
+        else:
+            for one in range(row, row + 4):
+                place = one * TILE_COLUMNS
+                _fold_row(image, spline, affine, one, first, outside, fold, total[place + first : place + end])
+        first = end
+
+
+@numba.njit(cache=True, fastmath=True, forceinline=True)
+def _interpolate_four(flat: Any, pitch: Any, corner: Any, start: Any, step: Any, fold: Any, target: Any, count: int) -> None:
+    """Fold samples between five rows of an image into four rows of a tile; `step` is per column, then per row."""
+    (right, below), (right_step, down_step, row_step) = start, step
+    width = count + 1
+    k1, k2, k3, k4 = corner + pitch, corner + pitch * np.uint32(2), corner + pitch * np.uint32(3), corner + pitch * np.uint32(4)
+    p, q, r = flat[corner : corner + width], flat[k1 : k1 + width], flat[k2 : k2 + width]
+    s, t = flat[k3 : k3 + width], flat[k4 : k4 + width]
+    below_1, below_2, below_3 = below + row_step, below + np.float32(2.0) * row_step, below + np.float32(3.0) * row_step
+    for i in range(count):
+        along = np.float32(np.int32(i))
+        share, down = right + right_step * along, down_step * along
+        row_0, row_1, row_2 = p[i] + share * (p[i + 1] - p[i]), q[i] + share * (q[i + 1] - q[i]), r[i] + share * (r[i + 1] - r[i])
+        row_3, row_4 = s[i] + share * (s[i + 1] - s[i]), t[i] + share * (t[i + 1] - t[i])
+        target[i] = _folded(target[i], row_0 + (below + down) * (row_1 - row_0), fold)
+        target[i + TILE_COLUMNS] = _folded(target[i + TILE_COLUMNS], row_1 + (below_1 + down) * (row_2 - row_1), fold)
+        target[i + 2 * TILE_COLUMNS] = _folded(target[i + 2 * TILE_COLUMNS], row_2 + (below_2 + down) * (row_3 - row_2), fold)
+        target[i + 3 * TILE_COLUMNS] = _folded(target[i + 3 * TILE_COLUMNS], row_3 + (below_3 + down) * (row_4 - row_3), fold)
+
+
 @numba.njit(cache=True, fastmath=True)
 def _add_log2(product: Any, total: Any) -> None:
     """total += log2(product), product = 1; within 5e-6.
@@ -129,14 +199,13 @@ def sum_planes(rectified: Any, spline: Any, maps: Any, outside: float, out: Any)
     for tile in numba.prange(maps.shape[0]):
         top, left = tile // across * TILE_ROWS, tile % across * TILE_COLUMNS
         height, width = min(TILE_ROWS, rows - top), min(TILE_COLUMNS, columns - left)
-        total = np.empty((height, width), dtype=np.float32)
+        total = np.empty(TILE_ROWS * TILE_COLUMNS, dtype=np.float32)
         for plane in range(planes):
             total[:] = 0.0
             for camera in range(len(rectified)):
-                for row in range(height):
-                    _fold_samples(rectified[camera], spline, maps[tile, plane, camera], row, value, (value,), total[row])
+                _fold_tile(rectified[camera], spline, maps[tile, plane, camera], value, (value,), total, (height, width))
             for row in range(height):
-                out[plane, top + row, left : left + width] = total[row]
+                out[plane, top + row, left : left + width] = total[row * TILE_COLUMNS : row * TILE_COLUMNS + width]
 
 
 @numba.njit(cache=True, parallel=True, fastmath=True)
@@ -152,18 +221,16 @@ def multiply_planes(rectified: Any, maps: Any, outside: float, floor: float, lar
     for tile in numba.prange(maps.shape[0]):
         top, left = tile // across * TILE_ROWS, tile % across * TILE_COLUMNS
         height, width = min(TILE_ROWS, rows - top), min(TILE_COLUMNS, columns - left)
-        product, total = np.empty((height, width), dtype=np.float32), np.empty((height, width), dtype=np.float32)
+        product, total = np.empty(TILE_ROWS * TILE_COLUMNS, dtype=np.float32), np.empty(TILE_ROWS * TILE_COLUMNS, dtype=np.float32)
         for plane in range(planes):
             total[:] = 0.0
             product[:] = 1.0
             for camera in range(len(rectified)):
-                for row in range(height):
-                    _fold_samples(rectified[camera], LINEAR, maps[tile, plane, camera], row, value, (smallest, smallest), product[row])
+                _fold_tile(rectified[camera], LINEAR, maps[tile, plane, camera], value, (smallest, smallest), product, (height, width))
                 if camera % group == group - 1 or camera == len(rectified) - 1:
-                    for row in range(height):
-                        _add_log2(product[row], total[row])
+                    _add_log2(product, total)
             for row in range(height):
-                out[plane, top + row, left : left + width] = total[row]
+                out[plane, top + row, left : left + width] = total[row * TILE_COLUMNS : row * TILE_COLUMNS + width]
 
 
 @numba.njit(cache=True, parallel=True, fastmath=True)

@@ -104,10 +104,10 @@ def resample(coefficients: Any, spline: Any, maps: Any, degree: int, outside: fl
         v = 2.0 * line / max(height - 1, 1) - (1.0 if height > 1 else 0.0)
         column = _along_row(maps[number, 0], degree, v)
         row = _along_row(maps[number, 1], degree, v)
-        positions = np.empty((2, width), dtype=np.float32)
-        _evaluate(column, positions[0])
-        _evaluate(row, positions[1])
-        _interpolate(coefficients[number], spline, positions, np.float32(outside), out[number, line])
+        columns, rows = np.empty(width, dtype=np.float32), np.empty(width, dtype=np.float32)
+        _evaluate(column, columns)
+        _evaluate(row, rows)
+        _interpolate(coefficients[number], spline, columns, rows, np.float32(outside), out[number, line])
 
 
 @numba.njit(cache=True, fastmath=True)
@@ -125,37 +125,42 @@ def _along_row(polynomial: Any, degree: int, v: float) -> Any:
 
 @numba.njit(cache=True, fastmath=True)
 def _evaluate(line: Any, out: Any) -> None:
-    """A polynomial in u at evenly spaced u from -1 to 1."""
-    step = 2.0 / max(len(out) - 1, 1)
+    """A polynomial in u at evenly spaced u from -1 to 1; one power after the other, so that it runs on vectors."""
+    step, start = 2.0 / max(len(out) - 1, 1), 1.0 if len(out) > 1 else 0.0
+    value = np.full(len(out), line[-1])
+    for k in range(len(line) - 2, -1, -1):
+        c = line[k]
+        for i in range(len(out)):
+            value[i] = value[i] * (np.int32(i) * step - start) + c
     for i in range(len(out)):
-        u = np.int32(i) * step - (1.0 if len(out) > 1 else 0.0)
-        value = line[-1]
-        for k in range(len(line) - 2, -1, -1):
-            value = value * u + line[k]
-        out[i] = value
+        out[i] = value[i]
 
 
 @numba.njit(cache=True, fastmath=True)
-def _interpolate(padded: Any, spline: Any, positions: Any, outside: Any, out: Any) -> None:
-    """Four by four weights around every position (column, row); no branch, so that it runs on vectors."""
-    rows, columns, pitch = padded.shape[0] - 3, padded.shape[1] - 3, padded.shape[1]
-    flat = padded.ravel()
-    last_column, last_row, zero = np.float32(columns - 1), np.float32(rows - 1), np.float32(0.0)
-    for i in range(len(out)):
-        column, row = min(max(positions[0, i], zero), last_column), min(max(positions[1, i], zero), last_row)
+def _interpolate(padded: Any, spline: Any, columns: Any, rows: Any, outside: Any, out: Any) -> None:
+    """Four by four weights around every position. Weights and sums are loops of their own: the weights then run on vectors, loads cannot."""
+    last_row, last_column, pitch = np.float32(padded.shape[0] - 4), np.float32(padded.shape[1] - 4), np.uint32(padded.shape[1])
+    zero, flat, count = np.float32(0.0), padded.ravel(), len(out)
+    corner, across, down = np.empty(count, dtype=np.uint32), np.empty((4, count), dtype=np.float32), np.empty((4, count), dtype=np.float32)
+    for i in range(count):
+        column, row = min(max(columns[i], zero), last_column), min(max(rows[i], zero), last_row)
         left, top = np.int32(column), np.int32(row)
-        a0, a1, a2, a3 = weights(spline, column - np.float32(left))
-        b0, b1, b2, b3 = weights(spline, row - np.float32(top))
-        k = np.uint32(top * pitch + left)
-        total = b0 * (a0 * flat[k] + a1 * flat[k + 1] + a2 * flat[k + 2] + a3 * flat[k + 3])
-        k += np.uint32(pitch)
-        total += b1 * (a0 * flat[k] + a1 * flat[k + 1] + a2 * flat[k + 2] + a3 * flat[k + 3])
-        k += np.uint32(pitch)
-        total += b2 * (a0 * flat[k] + a1 * flat[k + 1] + a2 * flat[k + 2] + a3 * flat[k + 3])
-        k += np.uint32(pitch)
-        total += b3 * (a0 * flat[k] + a1 * flat[k + 1] + a2 * flat[k + 2] + a3 * flat[k + 3])
-        seen = (positions[0, i] >= zero) & (positions[1, i] >= zero) & (positions[0, i] <= last_column) & (positions[1, i] <= last_row)
-        out[i] = max(total, zero) if seen else outside
+        across[0, i], across[1, i], across[2, i], across[3, i] = weights(spline, column - np.float32(left))
+        down[0, i], down[1, i], down[2, i], down[3, i] = weights(spline, row - np.float32(top))
+        corner[i] = np.uint32(top) * pitch + np.uint32(left)
+    for i in range(count):
+        total, k = zero, corner[i]
+        for line in range(4):
+            if len(spline) > 1 or line in (1, 2):
+                over = across[1, i] * flat[k + 1] + across[2, i] * flat[k + 2]
+                if len(spline) > 1:
+                    over += across[0, i] * flat[k] + across[3, i] * flat[k + 3]
+                total += down[line, i] * over
+            k += pitch
+        out[i] = max(total, zero)
+    for i in range(count):
+        seen = (columns[i] >= zero) & (rows[i] >= zero) & (columns[i] <= last_column) & (rows[i] <= last_row)
+        out[i] = out[i] if seen else outside
 
 
 @numba.njit(cache=True, fastmath=True)

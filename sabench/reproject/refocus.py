@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -37,11 +38,11 @@ def refocus_sum(images: F32, cameras: Sequence[Camera], grid: Grid, *, outside: 
         Some of the grid has no light path to a camera.
     """
     volume = np.empty(grid.shape, dtype=np.float32)
-    for slab, rectified, part in _parts(images, cameras, grid, outside, volume):
+    for view, rectified, part in _parts(images, cameras, grid, outside, volume):
         if _on_device():
-            device.sum_planes(rectified, slab, grid, outside, part)
+            device.sum_planes(rectified, view.slab, grid, outside, part)
         else:
-            kernels.sum_planes(rectified, LINEAR, slab.tiles(grid), outside, part)
+            kernels.sum_planes(rectified, LINEAR, view.tiles, outside, part)
     return volume
 
 
@@ -51,11 +52,11 @@ def refocus_log2(images: F32, cameras: Sequence[Camera], grid: Grid, floor: floa
     Two to the power of n times it is the product of equation 3.4 of the thesis.
     """
     volume, largest = np.empty(grid.shape, dtype=np.float32), float(max(images.max(initial=0.0), outside, 1.0))
-    for slab, rectified, part in _parts(images, cameras, grid, outside, volume):
+    for view, rectified, part in _parts(images, cameras, grid, outside, volume):
         if _on_device():
-            device.multiply_planes(rectified, slab, grid, outside, floor, part)
+            device.multiply_planes(rectified, view.slab, grid, outside, floor, part)
         else:
-            kernels.multiply_planes(rectified, slab.tiles(grid), outside, floor, 2.0 * largest, part)
+            kernels.multiply_planes(rectified, view.tiles, outside, floor, 2.0 * largest, part)
     return volume
 
 
@@ -64,15 +65,17 @@ def refocus_by_shifts(images: F32, cameras: Sequence[Camera], grid: Grid) -> F32
 
     Source: thesis, equations 2.1 to 2.3, the map-shift-average of cameras on one plane. Images are mapped bilinearly. A plane is refocused as the
     camera nearest to the array's centre sees it, which needs only shifts, and then resampled to the grid's voxels by a cubic spline. Its
-    coefficients are shifted instead of the pixels: filtering before or after a shift is the same.
+    coefficients are shifted instead of the pixels: filtering before or after a shift is the same. Beside bright particles the spline dips below
+    zero.
     """
-    slab = make_slab(cameras, grid, 0, grid.shape[0])
-    mapped = np.empty((len(images), *slab.shape), dtype=np.float32)
-    resample(coefficients_of(images, LINEAR), LINEAR, *rectifying_maps(slab, cameras, grid), 0.0, mapped)
+    view = _whole(tuple(cameras), grid)
+    slab, mapped = view.slab, np.empty((len(images), *view.slab.shape), dtype=np.float32)
+    resample(coefficients_of(images, LINEAR), LINEAR, view.maps, view.degree, 0.0, mapped)
+    mapped /= len(cameras)
     coefficients = coefficients_of(mapped, CUBIC)
     nearest = _innermost(cameras)
     shifts = np.rint(slab.middle_shifts - slab.middle_shifts[nearest]) - (slab.corners - slab.corners[nearest])[:, None]
-    maps = np.ascontiguousarray(slab.tiles(grid)[:, :, nearest : nearest + 1])
+    maps = np.ascontiguousarray(view.tiles[:, :, nearest : nearest + 1])
     low, shape = _reached(maps)
     maps[..., [0, 3]] -= low
     whole = (shifts + low).astype(np.int64).transpose(1, 0, 2)
@@ -81,8 +84,7 @@ def refocus_by_shifts(images: F32, cameras: Sequence[Camera], grid: Grid) -> F32
         kernels.sum_shifted(coefficients, whole[first : first + _AT_ONCE], focused[: grid.shape[0] - first])
         for plane in range(first, min(first + _AT_ONCE, grid.shape[0])):
             kernels.sum_planes(focused[plane - first][None], CUBIC, maps[:, plane : plane + 1], 0.0, volume[plane : plane + 1])
-    volume /= len(cameras)
-    return np.maximum(volume, np.float32(0.0), out=volume)  # a spline dips below zero beside bright particles
+    return volume
 
 
 def _reached(maps: F64) -> tuple[F64, tuple[int, int]]:
@@ -111,19 +113,45 @@ def shift_maps(grid: Grid, shifts: F64) -> F64:
     return maps
 
 
-def _parts(images: F32, cameras: Sequence[Camera], grid: Grid, outside: float, volume: F32) -> Iterator[tuple[Slab, F32, F32]]:
+@dataclass(frozen=True)
+class _View:
+    """How an array sees one slab: the same for all its frames.
+
+    Attributes
+    ----------
+    maps, degree : from `rectifying_maps`.
+    tiles : from `Slab.tiles`. They come from a matrix product, whose threads would go on spinning beside the kernels.
+    """
+
+    slab: Slab
+    maps: F64
+    degree: int
+    tiles: F64
+
+    @classmethod
+    def of(cls, slab: Slab, cameras: Sequence[Camera], grid: Grid) -> _View:
+        """The view of a slab of the grid."""
+        return cls(slab, *rectifying_maps(slab, cameras, grid), slab.tiles(grid))
+
+
+def _parts(images: F32, cameras: Sequence[Camera], grid: Grid, outside: float, volume: F32) -> Iterator[tuple[_View, F32, F32]]:
     """Every slab with its rectified images (camera, height, width) and its part of the volume."""
-    coefficients = coefficients_of(images, CUBIC)
-    for slab, maps, degree in track(_geometry(tuple(cameras), grid), f"refocus, {len(cameras)} cameras"):
-        rectified = np.empty((len(images), *slab.shape), dtype=np.float32)
-        resample(coefficients, CUBIC, maps, degree, outside, rectified)
-        yield slab, rectified, volume[slab.first : slab.first + slab.count]
+    for view in track(_views(tuple(cameras), grid), f"refocus, {len(cameras)} cameras"):
+        rectified = np.empty((len(images), *view.slab.shape), dtype=np.float32)
+        for number in range(len(images)):  # one at a time: its coefficients stay in the cache
+            this = slice(number, number + 1)
+            resample(coefficients_of(images[this], CUBIC), CUBIC, view.maps[this], view.degree, outside, rectified[this])
+        yield view, rectified, volume[view.slab.first : view.slab.first + view.slab.count]
 
 
 @functools.lru_cache(maxsize=2)
-def _geometry(cameras: tuple[Camera, ...], grid: Grid) -> list[tuple[Slab, F64, int]]:
-    """Slabs and the maps that rectify for them: the same for all frames of an array."""
-    return [(slab, *rectifying_maps(slab, cameras, grid)) for slab in slabs(cameras, grid)]
+def _views(cameras: tuple[Camera, ...], grid: Grid) -> list[_View]:
+    return [_View.of(slab, cameras, grid) for slab in slabs(cameras, grid)]
+
+
+@functools.lru_cache(maxsize=2)
+def _whole(cameras: tuple[Camera, ...], grid: Grid) -> _View:
+    return _View.of(make_slab(cameras, grid, 0, grid.shape[0]), cameras, grid)
 
 
 def _on_device() -> bool:
