@@ -82,7 +82,7 @@ def extract(volume: F32, k: float, keep: Keep) -> F32:
 
     Source: thesis section 2.2.3; whether the threshold is subtracted is not stated there, so both are offered.
     """
-    means, spreads = _statistics(volume)
+    means, spreads = plane_statistics(volume)
     thresholds = (means + k * spreads).astype(np.float32)
     _cut(volume, thresholds, thresholds if keep == "reduced" else np.zeros_like(thresholds))
     return volume
@@ -144,7 +144,7 @@ def auto_k(volume: F32, share: float, keep: Keep) -> float:
     ----------
     share : `occupancy`; the field aims at 0.85 (reduced) or 0.65 (whole) of it.
     """
-    means, spreads = _statistics(volume)
+    means, spreads = plane_statistics(volume)
     sums = np.zeros((len(volume), _BINS, 3))
     _sum_bins(volume, means, 1.0 / (_STEP * np.maximum(spreads, _FLAT)), sums)
     count, light, square = np.moveaxis(np.cumsum(sums[:, ::-1], axis=1)[:, ::-1], 2, 0)  # of all that lies above each level
@@ -156,7 +156,7 @@ def auto_k(volume: F32, share: float, keep: Keep) -> float:
     return float(levels[enough[0]]) if len(enough) else float(levels[-1])
 
 
-def _statistics(volume: F32) -> tuple[F64, F64]:
+def plane_statistics(volume: F32) -> tuple[F64, F64]:
     """Mean and standard deviation of every plane."""
     sums = np.zeros((len(volume), 2))
     _sum_squares(volume, sums)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import functools
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -67,6 +65,8 @@ def synthesise(grid: Grid, positions_mm: F64, weights: F64, sigma_mm: float) -> 
     Source: thesis section 2.2.3, the field that equation 2.13 compares with. The average over the voxel, as a pixel averages an image, keeps
     the field's integral where a voxel is longer than the particle: values at voxel centres would miss particles between two planes.
     """
+    from sabench.field import add_particles  # numba is loaded at the first use, since most of the package needs none of it
+
     voxels = grid.to_voxels(positions_mm)
     sigma = sigma_mm / np.asarray(grid.voxel_mm)
     reach = np.ceil(_REACH * sigma + 0.5).astype(np.int64)
@@ -76,7 +76,7 @@ def synthesise(grid: Grid, positions_mm: F64, weights: F64, sigma_mm: float) -> 
     nearest = np.rint(voxels).astype(np.int64)
     x, y, z = (_profile(voxels[:, i], nearest[:, i], int(reach[i]), float(sigma[i])) for i in range(3))
     field: F32 = np.zeros(grid.shape, dtype=np.float32)
-    _compiled()(nearest - reach, weights[near].astype(np.float32), x, y, z, field)
+    add_particles(nearest - reach, weights[near].astype(np.float32), x, y, z, field)
     return field
 
 
@@ -85,25 +85,3 @@ def _profile(voxels: F64, nearest: I64, reach: int, sigma: float) -> F32:
     edges = np.arange(-reach, reach + 2)[None] - 0.5 + (nearest - voxels)[:, None]
     mean = sigma * np.sqrt(np.pi / 2.0) * np.diff(erf(edges / (sigma * np.sqrt(2.0))), axis=1)
     return np.asarray(mean, dtype=np.float32)
-
-
-@functools.cache
-def _compiled() -> Callable[[I64, F32, F32, F32, F32, F32], None]:
-    """`_add_particles` in machine code; numba is loaded at the first use, since most of the package needs none of it."""
-    import numba
-
-    compiled: Callable[[I64, F32, F32, F32, F32, F32], None] = numba.njit(cache=True)(_add_particles)
-    return compiled
-
-
-def _add_particles(first: I64, weights: F32, along_x: F32, along_y: F32, along_z: F32, field: F32) -> None:
-    """Add w p(x) p(y) p(z) of every particle to the field (z, y, x), from the voxel `first` (x, y, z) on; what lies outside is dropped."""
-    planes, rows, columns = field.shape
-    for i in range(len(first)):
-        left, top, front = first[i]
-        start, stop = max(0, -left), min(along_x.shape[1], columns - left)
-        for c in range(max(0, -front), min(along_z.shape[1], planes - front)):
-            for b in range(max(0, -top), min(along_y.shape[1], rows - top)):
-                row = weights[i] * along_z[i, c] * along_y[i, b]
-                for a in range(start, stop):
-                    field[front + c, top + b, left + a] += row * along_x[i, a]
