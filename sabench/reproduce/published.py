@@ -19,7 +19,7 @@ from sabench.optics.wall import trace_to_points
 from sabench.reproject import kernels
 from sabench.reproject.rectify import LINEAR, coefficients_of, resample
 from sabench.reproject.refocus import shift_maps
-from sabench.reproject.slabs import make_slab, rectifying_maps
+from sabench.reproject.slabs import Slab, make_slab, rectifying_maps
 from sabench.volume import Grid
 from sabench.world import Particles
 
@@ -30,6 +30,8 @@ def published_volume(shot: Shot) -> tuple[Grid, Particles, F32]:
     """The mean of shifted images (z, y, x) of a shot, its voxels, and the particles in the space of these voxels.
 
     Equations 2.1 to 2.3. Cameras whose shifts are no whole numbers, as in unevenly spaced arrays, are interpolated bilinearly, as the thesis says.
+    Mapped images are as large as the images, so that a shifted one adds zeros to one side of a plane (section 2.2.4): what a tilted camera sees
+    beyond is lost.
     """
     seen, cameras = shot.observation, shot.observation.cameras
     grid, (center, neighbour) = seen.grid, _two_innermost(cameras)
@@ -37,7 +39,7 @@ def published_volume(shot: Shot) -> tuple[Grid, Particles, F32]:
     numbers = np.arange(np.ceil(shift.min()), np.floor(shift.max()) + 1)
     planes = np.column_stack([np.zeros((len(numbers), 2)), np.interp(numbers, shift, depths)])
     space = _space(grid, numbers)
-    slab = make_slab(cameras, grid, 0, grid.shape[0])
+    slab = _as_large_as_images(make_slab(cameras, grid, 0, grid.shape[0]), center, grid)
     mapped = np.empty((len(cameras), *slab.shape), dtype=np.float32)
     resample(coefficients_of(normalised(seen), LINEAR), LINEAR, *rectifying_maps(slab, cameras, grid), 0.0, mapped)
     across = np.asarray(grid.voxel_mm)[:2]
@@ -48,6 +50,12 @@ def published_volume(shot: Shot) -> tuple[Grid, Particles, F32]:
     position = shot.particles.position_mm
     carried = np.column_stack([_on_middle(center, position, grid), np.interp(position[:, 2], depths, shift) * grid.voxel_mm[2]])
     return space, replace(shot.particles, position_mm=carried), volume
+
+
+def _as_large_as_images(slab: Slab, camera: Camera, grid: Grid) -> Slab:
+    size = np.array([camera.columns, camera.rows])
+    corner = (np.asarray(grid.shape[:0:-1]) - size) / 2.0
+    return replace(slab, corners=np.tile(corner, (len(slab.corners), 1)), shape=(camera.rows, camera.columns))
 
 
 def _space(grid: Grid, numbers: F64) -> Grid:
