@@ -129,13 +129,13 @@ def run(
 
 @app.command()
 def reproduce(
-    table: Annotated[str, typer.Argument(help="table-2-1, fig-2-6 or another: an unknown name lists them.")],
+    tables: Annotated[list[str], typer.Argument(help="table-2-1, fig-2-6 or others: an unknown name lists them.")],
     as_json: AsJson = False,
     seeds: Annotated[int | None, typer.Option(min=1, help="How many seeds each figure is the mean of.")] = None,
     pixels: Annotated[int | None, typer.Option(min=32, help="Side of the images in a coarse copy of each array: to try it, not to compare.")] = None,
     output: Annotated[Path | None, typer.Option("-o", "--output", help="A JSON file for the rows, too, written after each of them.")] = None,
 ) -> None:
-    """Measure a table or figure of Belden's thesis again, its values beside ours."""
+    """Measure tables and figures of Belden's thesis again, their values beside ours."""
     from dataclasses import asdict
 
     from sabench.files import canonical_json, complete_or_nothing
@@ -143,7 +143,7 @@ def reproduce(
     from sabench.reproduce import reproduce as measure
 
     rows: list[dict[str, Any]] = []
-    for row in measure(table, seeds, pixels):
+    for row in measure(tables, seeds, pixels):
         console.print(f"{row.name}: {_figure(row.measured)}, thesis {_figure(row.thesis)}: {row.verdict}", markup=False, highlight=False)
         rows.append(asdict(row))
         if output:  # after every row: an interrupted run keeps what it has

@@ -38,25 +38,25 @@ def render(camera: Camera, images: ParticleImages, positions_mm: F64, samples: i
     from sabench.imaging import glow  # needs the variant
 
     origin = positions_mm[lit].mean(axis=0)  # single precision: the numbers are small where the particles are
-    cloud = glow.Cloud(positions_mm[lit] - origin, *_glow(images, lit))
+    cloud = glow.Cloud(positions_mm[lit] - origin, *_glow(images, images.shape_mm(camera, positions_mm), lit))
     scene = mi.load_dict({"type": "scene", **_interfaces(mi, camera.wall, origin, camera), "cloud": _balls(mi, cloud.centers, cloud.radii)})
     interfaces = len(camera.wall.layers) + 1 if camera.wall else 0
     radiance = glow.picture(scene, camera, origin, cloud, interfaces, math.isqrt(samples), occluders)
     return radiance.astype(np.float64)
 
 
-def _glow(images: ParticleImages, lit: Bool) -> tuple[F64, F64, F64, F64]:
+def _glow(images: ParticleImages, shape_mm: F64, lit: Bool) -> tuple[F64, F64, F64, F64]:
     """Per particle the radius of its ball, two covectors a, b of its Gaussian across the light path, and its peak radiance.
 
     The radiance integrates to the radiant intensity: I = L 2 pi |s x t| for a Gaussian with the half axes s, t.
     """
-    s, t = images.shape_mm[lit, 0], images.shape_mm[lit, 1]
+    s, t = shape_mm[lit, 0], shape_mm[lit, 1]
     normal = np.cross(s, t)
     area = np.linalg.norm(normal, axis=1)
     unit = normal / area[:, None]
     a = np.cross(t, unit) / area[:, None]
     b = np.cross(unit, s) / area[:, None]
-    radii = _REACH * np.linalg.norm(images.shape_mm[lit], axis=(1, 2))  # Frobenius norm: at least the largest half axis
+    radii = _REACH * np.linalg.norm(shape_mm[lit], axis=(1, 2))  # Frobenius norm: at least the largest half axis
     return radii, a, b, images.intensity[lit] / (2.0 * np.pi * area)
 
 

@@ -19,10 +19,13 @@ def expose(sensor: Sensor, photons: F64, rng: np.random.Generator) -> U16:
     Electrons: Poisson (QE photons + dark current x exposure) if shot noise is on, its mean if not, plus Gaussian read noise, clipped to the full well
     before the read noise; grey value: black level + gain x electrons, rounded, clipped to the bit depth (EMVA 1288's linear model).
     """
-    mean = sensor.quantum_efficiency * photons + sensor.dark_current_e_s * sensor.exposure_s
+    mean = sensor.quantum_efficiency * photons
+    mean += sensor.dark_current_e_s * sensor.exposure_s
     electrons = rng.poisson(mean).astype(np.float64) if sensor.shot_noise else mean
-    electrons = np.minimum(electrons, sensor.full_well_e)
+    np.minimum(electrons, sensor.full_well_e, out=electrons)
     if sensor.read_noise_e > 0.0:
-        electrons = electrons + sensor.read_noise_e * rng.standard_normal(photons.shape)
-    grey = np.rint(sensor.black_level_dn + sensor.gain_dn_e * electrons)
-    return np.clip(grey, 0, (1 << sensor.bit_depth) - 1).astype(np.uint16)
+        electrons += sensor.read_noise_e * rng.standard_normal(photons.shape)
+    electrons *= sensor.gain_dn_e
+    electrons += sensor.black_level_dn
+    np.rint(electrons, out=electrons)
+    return np.clip(electrons, 0, (1 << sensor.bit_depth) - 1, out=electrons).astype(np.uint16)

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import difflib
 import importlib
-from collections.abc import Iterator
+import itertools
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 from sabench.errors import InputError
@@ -22,13 +23,13 @@ TABLES = {
 }
 
 
-def reproduce(table: str, seeds: int | None = None, pixels: int | None = None) -> Iterator[Row]:
-    """The rows of one table or figure, each as soon as it is measured.
+def reproduce(tables: Sequence[str], seeds: int | None = None, pixels: int | None = None) -> Iterator[Row]:
+    """The rows of tables and figures, each as soon as it is measured; frames that several of them look at are taken once.
 
     Parameters
     ----------
-    table : one of `TABLES`.
-    seeds : how many; by default as many as the table's module says.
+    tables : some of `TABLES`.
+    seeds : how many; by default as many as each table's module says.
     pixels : side of the images; by default the scene's. Fewer make a coarse copy of each array, for a quick look.
 
     Raises
@@ -36,8 +37,9 @@ def reproduce(table: str, seeds: int | None = None, pixels: int | None = None) -
     InputError
         An unknown table.
     """
-    if table not in TABLES:
-        near = difflib.get_close_matches(table, TABLES, 1)
-        raise InputError(f"{table}: expected one of {', '.join(TABLES)}" + (f"; did you mean {near[0]}?" if near else ""))
-    module: Any = importlib.import_module(f"{__name__}.{table.replace('-', '_')}")
-    return iter(module.rows(range(1, (seeds or module.SEEDS) + 1), pixels))
+    for table in tables:
+        if table not in TABLES:
+            near = difflib.get_close_matches(table, TABLES, 1)
+            raise InputError(f"{table}: expected one of {', '.join(TABLES)}" + (f"; did you mean {near[0]}?" if near else ""))
+    modules: list[Any] = [importlib.import_module(f"{__name__}.{table.replace('-', '_')}") for table in tables]
+    return itertools.chain.from_iterable(module.rows(range(1, (seeds or module.SEEDS) + 1), pixels) for module in modules)

@@ -139,6 +139,14 @@ class Quality:
 
 
 @dataclass(frozen=True)
+class Judged:
+    """Q of a frame, and its true particles and ghosts by the thesis's rule."""
+
+    quality: Quality
+    counts: Counts
+
+
+@dataclass(frozen=True)
 class Refocused:
     """A frame refocused but not yet thresholded, with the truth in the space of its voxels.
 
@@ -166,10 +174,11 @@ class Refocused:
         top, blind = int(values.argmax()), auto_k(self.volume, occupancy(self.case), "reduced")
         return Quality(float(values[top]), float(KS[top]), float(np.interp(blind, KS, values)), blind)
 
-    def counts(self) -> Counts:
-        """True particles and ghosts by the thesis's rule, at the threshold with the best Q as in the thesis; the volume is left thresholded."""
-        grid, found = self.case.grid, detect(extract(self.volume, self.quality().best_k, "reduced"))
-        return count_thesis(found, self.truths, grid.in_scored(found), grid.in_scored(self.truths))
+    def judged(self) -> Judged:
+        """Q, and the particles at the threshold with the best Q as in the thesis; the volume is left thresholded."""
+        quality, grid = self.quality(), self.case.grid
+        found = detect(extract(self.volume, quality.best_k, "reduced"))
+        return Judged(quality, count_thesis(found, self.truths, grid.in_scored(found), grid.in_scored(self.truths)))
 
 
 def map_shift_average(shot: Shot) -> Refocused:
@@ -185,20 +194,29 @@ def additive(shot: Shot) -> Refocused:
     return Refocused.of(shot, seen.grid, shot.particles, volume)
 
 
-Methods = Mapping[str, Callable[[Shot], Refocused]]
-METHODS: Methods = {"map-shift-average": map_shift_average, "additive": additive}
+METHODS: Mapping[str, Callable[[Shot], Refocused]] = {"map-shift-average": map_shift_average, "additive": additive}
 
 
-def measured(scene: Scene, seed: int, methods: Methods = METHODS) -> dict[str, Quality]:
+_seen: dict[tuple[str, int], Mapping[str, Judged]] = {}
+
+
+def judged(scene: Scene, seed: int) -> Mapping[str, Judged]:
+    """One frame by each method. Several tables look at the same frames: each is taken once."""
+    key = scene.hash, seed
+    if key not in _seen:
+        shot = simulated(scene, seed)
+        _seen[key] = {name: method(shot).judged() for name, method in METHODS.items()}
+    return _seen[key]
+
+
+def measured(scene: Scene, seed: int) -> dict[str, Quality]:
     """Q of one frame by each method."""
-    shot = simulated(scene, seed)
-    return {name: method(shot).quality() for name, method in methods.items()}
+    return {name: frame.quality for name, frame in judged(scene, seed).items()}
 
 
 def counted(scene: Scene, seed: int) -> dict[str, Counts]:
     """True particles and ghosts of one frame by each method."""
-    shot = simulated(scene, seed)
-    return {name: method(shot).counts() for name, method in METHODS.items()}
+    return {name: frame.counts for name, frame in judged(scene, seed).items()}
 
 
 def detection_rows(name: str, found: Sequence[Counts], note: str = "") -> list[Row]:

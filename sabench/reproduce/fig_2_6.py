@@ -9,14 +9,14 @@ from sabench.reproduce.table_2_1 import BOUNDED, SUITE
 from sabench.suite import Case
 
 SEEDS = 5
-_PARTS = (0.25, 0.5, 1.0, 1.5, 2.0)  # of the density that the thesis gives for Q = 0.75
+PARTS = (0.25, 0.5, 1.0, 1.5, 2.0)  # of the density that the thesis gives for Q = 0.75
 _ABSENT = "40x40x30-D0.4-uneven"  # it has no curve
 
 
 def rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Row]:
     """Points of each curve; the thesis prints no numbers but the crossing of 0.75, which is in table 2.1."""
     for case in curves():
-        for part in _PARTS:
+        for part in PARTS:
             scene = with_density(case.scene, part * density(case.scene))
             found = [measured(coarsened(scene, pixels), seed) for seed in seeds]
             thesis = ADEQUATE if part == 1.0 and case.name not in BOUNDED else None

@@ -8,10 +8,9 @@ import numpy as np
 
 from sabench.arrays import F64
 from sabench.reproduce.common import METHODS, Row, claim, coarsened, counted, density, detection_rows, with_density
-from sabench.reproduce.fig_2_6 import curves
+from sabench.reproduce.fig_2_6 import PARTS, curves
 
 SEEDS = 5
-_PARTS = (0.25, 0.5, 0.75, 1.0, 1.25, 1.5)  # of the density that the thesis gives for Q = 0.75
 _LINEAR = 0.9  # share of the variance that a straight line explains
 
 
@@ -19,7 +18,7 @@ def rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Row]:
     """Points of the curves, and what the thesis says of their shapes."""
     for case in curves():
         points: dict[str, list[list[Row]]] = {method: [] for method in METHODS}
-        for part in _PARTS:
+        for part in PARTS:
             scene = with_density(case.scene, part * density(case.scene))
             found = [counted(coarsened(scene, pixels), seed) for seed in seeds]
             count = round(density(scene) * float(np.prod(scene.volume.size_mm)))
@@ -31,10 +30,10 @@ def rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Row]:
 
 
 def _claims(where: str, true: Sequence[Row], ghosts: Sequence[Row]) -> Iterator[Row]:
-    slope, straight = _line(np.array(_PARTS), np.array([row.measured or 0.0 for row in true]))
+    slope, straight = _line(np.array(PARTS), np.array([row.measured or 0.0 for row in true]))
     falls = slope < 0.0 and straight >= _LINEAR
     yield claim(f"{where}: true %", "falls linearly", straight, falls, "share of the variance that a straight line explains")
-    known = [(part, row.measured) for part, row in zip(_PARTS, ghosts, strict=True) if row.measured]
+    known = [(part, row.measured) for part, row in zip(PARTS, ghosts, strict=True) if row.measured]
     power = _line(*np.log(np.transpose(known)))[0] if len(known) > 1 else None
     yield claim(f"{where}: ghost %", "grows faster than linearly", power, power is not None and power > 1.0, "power of the number of particles")
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
@@ -42,24 +41,13 @@ def rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Row]:
     """Plane spacing and density of every array of the table."""
     for case in cases(SUITE):
         yield _spacing_row(case)
-        both = _trials(case.scene, pixels)
         for method in METHODS:
-            trial, label = _of(both, method), f"{case.name}, {method}"
+            trial, label = _trial(case.scene, pixels, method), f"{case.name}, {method}"
             yield from _bound_rows(label, case, trial, seeds) if case.name in BOUNDED else _density_rows(label, case, trial, seeds)
 
 
-def _trials(scene: Scene, pixels: int | None) -> Callable[[float, int], dict[str, Quality]]:
-    """All methods on the same frames, each taken once."""
-
-    @functools.cache
-    def trials(per_mm3: float, seed: int) -> dict[str, Quality]:
-        return measured(coarsened(with_density(scene, per_mm3), pixels), seed)
-
-    return trials
-
-
-def _of(trials: Callable[[float, int], dict[str, Quality]], method: str) -> Trial:
-    return lambda per_mm3, seed: trials(per_mm3, seed)[method]
+def _trial(scene: Scene, pixels: int | None, method: str) -> Trial:
+    return lambda per_mm3, seed: measured(coarsened(with_density(scene, per_mm3), pixels), seed)[method]
 
 
 def _bound_rows(label: str, case: Case, trial: Trial, seeds: Sequence[int]) -> Iterator[Row]:
