@@ -86,6 +86,25 @@ def measure(rig: Rig, planes: int, loads: float) -> dict[str, Any]:
     return report | {"peak_memory_mib": high_water_mib(), "volume_mib": round(4.0 * float(np.prod(grid.shape)) / 2**20)}
 
 
+def scaling(rig: Rig, planes: int, loads: float) -> dict[str, dict[str, dict[str, float]]]:
+    """Additive refocusing with fewer cameras, planes and voxels across: seconds, and the share of the loads' roofline."""
+    images = np.random.default_rng(0).random((len(rig.cameras), rig.cameras[0].rows, rig.cameras[0].columns), dtype=np.float32)
+    cases = {
+        "cameras": {str(n): (n, planes, rig.grid.shape[1]) for n in (5, 10, 25)},
+        "planes": {str(n): (len(rig.cameras), n, rig.grid.shape[1]) for n in (planes // 4, planes, 4 * planes)},
+        "across": {str(n): (len(rig.cameras), planes, n) for n in (250, 500, 1000)},
+    }
+    return {axis: {key: _one_size(rig, images, size, loads) for key, size in sizes.items()} for axis, sizes in cases.items()}
+
+
+def _one_size(rig: Rig, images: F32, size: tuple[int, int, int], loads: float) -> dict[str, float]:
+    count, planes, across = size
+    grid = replace(rig.grid, shape=(planes, across, across))
+    seconds = fastest_s(lambda: refocus_sum(images[:count], rig.cameras[:count], grid))
+    samples = count * planes * across**2 / 1e9
+    return {"s": round(seconds, 3), "gigasamples_per_s": round(samples / seconds, 2), "share_of_loads": round(4.0 * samples / seconds / loads, 3)}
+
+
 def main() -> None:
     planes = int(sys.argv[1]) if len(sys.argv) > 1 else 80
     loads = cached_gigaloads_s()
@@ -96,6 +115,7 @@ def main() -> None:
     rigs = {"demo": build_rig(load_scene("demo")), "thesis-50x50x10": build_rig(load_scene("thesis-50x50x10")), "scattered": scattered_rig()}
     for name, rig in rigs.items():
         report[name] = measure(rig, planes, loads)
+    report["asa_scaling"] = scaling(rigs["thesis-50x50x10"], planes, loads)
     print(json.dumps(report, indent=2))
 
 

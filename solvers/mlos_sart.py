@@ -6,11 +6,11 @@ import numpy as np
 from pydantic import Field
 
 from sabench.api import Observation, Reconstruction, Solver
-from sabench.tomography.problem import Problem, SimultaneousParameters, SparseParameters
+from sabench.tomography.problem import Problem, SparseParameters
 from sabench.tomography.updates import iterate, sart
 
 
-class MlosSartParameters(SimultaneousParameters, SparseParameters):
+class MlosSartParameters(SparseParameters):
     """The iteration converges for relaxations below 2."""
 
     relaxation: float = Field(1.0, gt=0.0, lt=2.0, description="mu, the part of what is missing that one iteration adds")

@@ -5,11 +5,11 @@ from __future__ import annotations
 from pydantic import Field
 
 from sabench.api import Observation, Reconstruction, Solver
-from sabench.tomography.problem import Problem, SimultaneousParameters, SparseParameters
+from sabench.tomography.problem import Problem, SparseParameters
 from sabench.tomography.updates import iterate, smart
 
 
-class MlosSmartParameters(SimultaneousParameters, SparseParameters):
+class MlosSmartParameters(SparseParameters):
     """The geometric mean over cameras may be overdone."""
 
     relaxation: float = Field(1.5, gt=0.0, le=2.0, description="mu, the power of the geometric mean over cameras")

@@ -54,7 +54,8 @@ def _bound_rows(label: str, case: Case, trial: Trial, seeds: Sequence[int]) -> I
     for per_mm3 in (density(case.scene), BOUNDED[case.name]):
         found = [trial(per_mm3, seed) for seed in seeds]
         blind = f"k = {found[0].best_k:.3g}; automatic k = {found[0].blind_k:.3g}: Q = {np.mean([quality.blind for quality in found]):.3g}"
-        yield at_least(f"{label}: Q at {per_mm3:g} per mm3", ADEQUATE, [quality.best for quality in found], blind)
+        name, values = f"{label}: Q at {per_mm3:g} per mm3", [quality.best for quality in found]
+        yield at_least(name, ADEQUATE, values, blind) if per_mm3 == density(case.scene) else compared(name, None, values, blind)
 
 
 def _density_rows(label: str, case: Case, trial: Trial, seeds: Sequence[int]) -> Iterator[Row]:

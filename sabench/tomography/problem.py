@@ -26,7 +26,7 @@ _SIGMA_PX = (0.3, 0.8)  # what a footprint of four pixels holds
 class TomographyParameters(Parameters):
     """What the algorithms on all voxels have in common."""
 
-    iterations: int = Field(5, ge=1, le=1000, description="how often all cameras correct the volume")
+    iterations: int = Field(10, ge=1, le=1000, description="how often all cameras correct the volume")
     relaxation: float = Field(1.0, gt=0.0, le=1.0, description="mu of equation 3.9")
     tolerance: float = Field(0.0, ge=0.0, lt=1.0, description="stop when the residual |P - W I| changes by less than this fraction in an iteration")
     footprint: Literal["gaussian", "bilinear"] = Field("gaussian", description="a voxel's projection: of a Gaussian blob, or a share of four pixels")
@@ -34,12 +34,6 @@ class TomographyParameters(Parameters):
         None, ge=_SIGMA_PX[0], le=_SIGMA_PX[1], description="standard deviation of the blobs; by default three quarters of the particle images'"
     )
     floor: float = Field(0.25, ge=0.0, lt=1.0, description="voxels darker than this fraction of a bright one become zero")
-
-
-class SimultaneousParameters(TomographyParameters):
-    """Corrections that are a mean over all cameras take more of them."""
-
-    iterations: int = Field(10, ge=1, le=1000, description="how often all cameras correct the volume")
 
 
 class SparseParameters(TomographyParameters):
