@@ -92,9 +92,10 @@ class Camera:
         local = leaving @ np.asarray(self.rotation).T
         valid = valid & (local[:, 2] > 1e-9)
         ideal = local[:, :2] / np.where(valid, local[:, 2], 1.0)[:, None]
-        distorted, one_to_one, _ = _distort(self.distortion, ideal)
-        valid &= one_to_one
-        pixels = distorted * self.focal_px + np.asarray(self.principal_point_px)
+        if self.distortion != Distortion():
+            ideal, one_to_one, _ = _distort(self.distortion, ideal)
+            valid &= one_to_one
+        pixels = ideal * self.focal_px + np.asarray(self.principal_point_px)
         pixels[~valid] = np.nan
         return pixels, valid
 
