@@ -12,19 +12,20 @@ from sabench.scoring import true_field
 from sabench.solving import make_solver
 
 SEEDS = 5
-SOLVERS = ("mart", "block_mart", "smart", "mfg_mart", "mlos_sart", "mlos_smart")
+SOLVERS = ("mlos_smart", "mlos_sart", "block_mart", "smart", "mfg_mart", "mart")  # the quickest first
 _DENSER = 1.5
 _TRIAL_PX = 100  # side of the images on which the solver is chosen: at full size each takes minutes
+_AS_GOOD = 0.01  # in Q
 
 
 def rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Row]:
-    """Q of the solver that does best on a coarse copy of the array."""
+    """Q of the quickest solver of those that do best on a coarse copy of the array."""
     for case in cases(SUITE):
         per_mm3 = _DENSER * density(case.scene)
         scene = with_density(case.scene, per_mm3)
         trial = coarsened(scene, min(pixels or _TRIAL_PX, _TRIAL_PX))
         tried = {name: solved_quality(name, trial, seeds[0]) for name in SOLVERS}
-        best = max(tried, key=lambda name: tried[name])
+        best = next(name for name in SOLVERS if tried[name] >= max(tried.values()) - _AS_GOOD)
         values = [solved_quality(best, coarsened(scene, pixels), seed) for seed in seeds]
         others = ", ".join(f"{name} {value:.3f}" for name, value in tried.items())
         yield at_least(f"{case.name}: Q at {per_mm3:.4g} per mm3", ADEQUATE, values, f"{best}; coarse: {others}")
