@@ -16,8 +16,9 @@ from dataclasses import replace
 import numpy as np
 
 from sabench.arrays import F64, Bool
+from sabench.optics import kernels
 from sabench.optics.camera import Camera, Distortion, aimed_rotation
-from sabench.optics.wall import Layer, Wall, solve_slope
+from sabench.optics.wall import Layer, Wall, solve_slope, trace_to_points
 from sabench.progress import track
 from sabench.rig import build_rig, load_scene
 
@@ -98,6 +99,36 @@ def demo_points_per_s(count: int) -> float:
     return count / fastest(lambda: camera.project(points))
 
 
+def kernel_on_demo(count: int) -> dict[str, float]:
+    """The kernel alone on separate x, y, z, one thread, and the path by numpy; and the kernel's worst path, summed in extended precision.
+
+    The demo's corner camera is taken as if it faced the wall, so that a pixel is a tangent without more rounding than the kernel's own.
+    """
+    scene = load_scene("demo")
+    low, size = np.asarray(scene.volume.center_mm) - np.asarray(scene.volume.size_mm) / 2.0, np.asarray(scene.volume.size_mm)
+    points = low + np.random.default_rng(2).random((count, 3)) * size
+    camera = replace(build_rig(scene).cameras[0], principal_point_px=(0.0, 0.0))
+    wall, center = camera.wall, np.asarray(camera.center_mm)
+    assert wall is not None
+    x, y, z = np.ascontiguousarray(points.T)
+    column, row = np.empty(count), np.empty(count)
+    frame, lens = (*np.eye(3).ravel().tolist(),), (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0)
+    media = kernels.media_of(wall, center)
+    kernels.project(x, y, z, camera.center_mm, frame, media, lens, column, row)
+    seconds = fastest(lambda: kernels.project(x, y, z, camera.center_mm, frame, media, lens, column, row), 9)
+    traced = fastest(lambda: trace_to_points(wall, center, points))
+    tangent = np.hypot(column.astype(np.longdouble), row)
+    sine = wall.air_index * tangent / np.sqrt(1 + tangent**2)
+    depths = [-wall.depth_of(center), *(layer.thickness_mm for layer in wall.layers), wall.depth_of(points) - wall.thickness_mm]
+    lateral = sum(depth * sine / np.sqrt(np.longdouble(index) ** 2 - sine**2) for depth, index in zip(depths, wall.indices, strict=True))
+    radius = np.hypot(points[:, 0].astype(np.longdouble) - center[0], points[:, 1] - center[1])
+    return {
+        "kernel_points_per_s": round(count / seconds),
+        "traced_points_per_s": round(count / traced),
+        "kernel_worst_residual_mm": float(np.abs(lateral - radius).max()),
+    }
+
+
 def main() -> None:
     total = int(sys.argv[1]) if len(sys.argv) > 1 else 1_000_000
     rng, count = np.random.default_rng(0), -(-total // _WALLS)
@@ -120,6 +151,7 @@ def main() -> None:
         "points_per_s_slowest_wall": round(count / seconds.max()),
         "points_per_s_demo": round(demo),
         "points_per_s_plain_air": round(count * _WALLS / plain.sum()),
+        **kernel_on_demo(total),
         "sqrt_per_s": round(1.0 / kernel),
         "square_roots_per_point": round(seconds.sum() / (count * _WALLS) / kernel, 1),
         "square_roots_per_point_demo": round(1.0 / demo / kernel, 1),

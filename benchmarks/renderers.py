@@ -37,7 +37,7 @@ def lattice(scene: Scene, camera: Camera, seed: int) -> tuple[Particles, I64]:
     center, size = scene.volume.center_mm[2], scene.volume.size_mm[2]
     z = rng.uniform(center - size / 2.0, center + size / 2.0, len(nodes))
     positions = rays.origins_mm + rays.directions * ((z - rays.origins_mm[:, 2]) / rays.directions[:, 2])[:, None]
-    diameter = np.full(len(nodes), float(scene.particles.get("diameter_mm", 0.02)))
+    diameter = np.full(len(nodes), float((scene.particles or {}).get("diameter_mm", 0.02)))
     return Particles(np.arange(len(nodes)), positions, diameter, np.zeros((len(nodes), 3))), nodes
 
 
@@ -91,7 +91,7 @@ def _spread(shift: F64) -> dict[str, Any]:
 def main() -> None:
     name = sys.argv[1] if len(sys.argv) > 1 else "demo"
     loaded = load_scene(name)
-    scene = loaded.model_copy(update={"illumination": loaded.illumination.model_copy(update={"scattering": "isotropic"})})
+    scene = loaded.model_copy(update={"illumination": loaded.light.model_copy(update={"scattering": "isotropic"})})
     rig = build_rig(scene)
     found = [compared(scene, camera, i) for i, camera in enumerate(track(rig.cameras, "render with Mitsuba"))]
     formula, exact, ratio = (np.concatenate([part[i] for part in found]) for i in range(3))

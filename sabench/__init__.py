@@ -9,13 +9,12 @@ if TYPE_CHECKING:
     from sabench.dataset.read import open_dataset
     from sabench.generation import generate
     from sabench.rig import load_scene
-    from sabench.scoring import score
-    from sabench.solving import solve
+    from sabench.solving import score, solve
 
 __version__ = "0.1.0"
 __all__ = ["generate", "load_scene", "open_dataset", "score", "solve"]
 
-_HOMES = {"generate": "generation", "load_scene": "rig", "open_dataset": "dataset.read", "score": "scoring", "solve": "solving"}
+_HOMES = {"generate": "generation", "load_scene": "rig", "open_dataset": "dataset.read", "score": "solving", "solve": "solving"}
 
 
 def __getattr__(name: str) -> Any:

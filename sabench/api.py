@@ -12,13 +12,15 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict
 
-from sabench.arrays import F32, F64, U16
+from sabench.arrays import F32, F64, U16, Bool
 from sabench.errors import InputError
 from sabench.optics.camera import Camera
+from sabench.optics.model import CameraModel
 from sabench.volume import Grid
-from sabench.world import Domain, Particles
+from sabench.world import Domain, Particles, Pose, Target
 
-Track = Literal["reconstruction"]
+Track = Literal["reconstruction", "calibration"]
+Sight = Literal["particles", "target"]  # what a data set's frames show
 
 
 class Parameters(BaseModel):
@@ -27,8 +29,8 @@ class Parameters(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
-class Generator:
-    """Base of a generator: `particles` makes one frame of truth, the same for the same arguments whatever else is generated."""
+class PlugIn:
+    """What all plug-ins have."""
 
     name: ClassVar[str]
     references: ClassVar[tuple[str, ...]] = ()
@@ -37,9 +39,29 @@ class Generator:
     def __init__(self, parameters: Any) -> None:
         self.parameters = parameters
 
+
+class Generator(PlugIn):
+    """Base of a generator of particles: `particles` makes one frame of truth, the same for the same arguments whatever else is generated."""
+
+    makes: ClassVar[str] = "particles"
+
     def particles(self, domain: Domain, seed: int, frame: int, time_s: float) -> Particles:
         """Particles of a frame at a time; draw from `sabench.seeds.stream(seed, ...)` only."""
         raise NotImplementedError(f"generator {type(self).__name__} must implement particles()")
+
+
+class TargetGenerator(PlugIn):
+    """Base of a generator of calibration targets: one target, which every frame shows at another place."""
+
+    makes: ClassVar[str] = "targets"
+
+    def target(self) -> Target:
+        """The target itself, in its own frame."""
+        raise NotImplementedError(f"generator {type(self).__name__} must implement target()")
+
+    def pose(self, domain: Domain, seed: int, frame: int, frames: int) -> Pose:
+        """Where a frame shows it; draw from `sabench.seeds.stream(seed, ...)` only."""
+        raise NotImplementedError(f"generator {type(self).__name__} must implement pose()")
 
 
 @dataclass(frozen=True)
@@ -60,7 +82,7 @@ class Observation:
     """
 
     images: U16
-    cameras: tuple[Camera, ...]
+    cameras: tuple[CameraModel, ...]
     grid: Grid
     black_dn: float
     white_dn: float
@@ -90,7 +112,7 @@ def _oddities(values: Any) -> str:
     return "".join(f", {count} of them {what}" for what, count in counts.items() if count)
 
 
-def _check_sizes(images: U16, cameras: tuple[Camera, ...]) -> None:
+def _check_sizes(images: U16, cameras: tuple[CameraModel, ...]) -> None:
     """Every camera has an image, of its own size."""
     if not cameras or len(images) != len(cameras):
         without = ", ".join(camera.name for camera in cameras[len(images) :])
@@ -115,16 +137,11 @@ class Reconstruction:
     particles_mm: F64 | None = None
 
 
-class Solver:
+class Solver(PlugIn):
     """Base of a reconstruction algorithm: `solve` turns one observation into one reconstruction."""
 
-    name: ClassVar[str]
     track: ClassVar[Track] = "reconstruction"
-    references: ClassVar[tuple[str, ...]] = ()
-    Parameters: ClassVar[type[Parameters]] = Parameters
-
-    def __init__(self, parameters: Any) -> None:
-        self.parameters = parameters
+    sees: ClassVar[Sight] = "particles"
 
     def skip(self, case: Observation) -> str | None:
         """Why this algorithm cannot take the case, or None if it can."""
@@ -133,3 +150,97 @@ class Solver:
     def solve(self, case: Observation) -> Reconstruction:
         """Reconstruct one frame."""
         raise NotImplementedError(f"solver {type(self).__name__} must implement solve()")
+
+
+@dataclass(frozen=True)
+class CalibrationCase:
+    """A calibration as an experimenter has it.
+
+    Attributes
+    ----------
+    target : what was shown, in its own frame.
+    pixels : (camera, frame, point, 2) column and row of the target's m points; NaN where one was not found.
+    cameras : roughly known cameras; each knows its wall.
+    rough_mm : (frame, point, 3) roughly known places of the target's points, world frame; NaN where nothing is known.
+    known_mm : (frame, point, 3) coordinates that were measured by other means; NaN where they were not.
+    known_sigma_mm : the same shape, their standard deviations.
+
+    Raises
+    ------
+    InputError
+        Arrays of other shapes, or a camera that found nothing.
+    """
+
+    target: Target
+    pixels: F64
+    cameras: tuple[Camera, ...]
+    rough_mm: F64
+    known_mm: F64
+    known_sigma_mm: F64
+
+    def __post_init__(self) -> None:
+        count = len(self.target.points_mm)
+        if self.pixels.ndim != 4 or self.pixels.shape[::2] != (len(self.cameras), count) or self.pixels.shape[3] != 2:
+            raise InputError(f"pixels: expected the shape ({len(self.cameras)}, frames, {count}, 2), got {self.pixels.shape}")
+        expected = (self.pixels.shape[1], count, 3)
+        for name in ("rough_mm", "known_mm", "known_sigma_mm"):
+            if getattr(self, name).shape != expected:
+                raise InputError(f"{name}: expected the shape {expected}, got {getattr(self, name).shape}")
+        for camera, found in zip(self.cameras, self.found, strict=True):
+            if not found.any():
+                raise InputError(f"{camera.name}: expected it to see some of the target, but not one of its points was found")
+
+    @property
+    def found(self) -> Bool:
+        """Which points were found: (camera, frame, point)."""
+        return np.asarray(np.isfinite(self.pixels).all(axis=-1))
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """A calibration's result.
+
+    Attributes
+    ----------
+    cameras : in the order of the case.
+    points_mm : (frame, point, 3) places of the target's points, world frame, if the algorithm finds them itself, else None: the score then
+        intersects the cameras' lines of sight.
+    used : (camera, frame, point) observations that the algorithm took for good, None: all.
+    """
+
+    cameras: tuple[CameraModel, ...]
+    points_mm: F64 | None = None
+    used: Bool | None = None
+
+
+class CalibrationSolver(PlugIn):
+    """Base of a calibration algorithm: `solve` turns all observations of a target into cameras."""
+
+    track: ClassVar[Track] = "calibration"
+    sees: ClassVar[Sight] = "target"
+
+    def skip(self, case: CalibrationCase) -> str | None:
+        """Why this algorithm cannot take the case, or None if it can."""
+        return None
+
+    def solve(self, case: CalibrationCase) -> Calibration:
+        """Calibrate an array."""
+        raise NotImplementedError(f"solver {type(self).__name__} must implement solve()")
+
+
+class SelfCalibrationSolver(PlugIn):
+    """Base of an algorithm that corrects cameras by images of particles: `solve` turns one observation into cameras."""
+
+    track: ClassVar[Track] = "calibration"
+    sees: ClassVar[Sight] = "particles"
+
+    def skip(self, case: Observation) -> str | None:
+        """Why this algorithm cannot take the case, or None if it can."""
+        return None
+
+    def solve(self, case: Observation) -> Calibration:
+        """Correct the cameras of an array by one frame."""
+        raise NotImplementedError(f"solver {type(self).__name__} must implement solve()")
+
+
+AnySolver = Solver | CalibrationSolver | SelfCalibrationSolver

@@ -12,6 +12,7 @@ from typing import Any
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from sabench import plugins
+from sabench.columns import COLUMNS, LARGER_IS_BETTER
 from sabench.errors import InputError
 from sabench.files import complete_or_nothing, inside
 from sabench.statistics import Mean, mean_of
@@ -23,24 +24,11 @@ _NEEDED: dict[str, type] = {
     "scene": str, "scene_hash": str, "dataset": str, "seed": int, "renderer": str,
     "solver": str, "parameters": dict, "machine": dict, "versions": dict, "run_hash": str,
 }  # fmt: skip
-_MAY_HAVE: dict[str, type] = {"case": str, "axes": dict, "label": str}
+_MAY_HAVE: dict[str, type] = {"case": str, "axes": dict, "label": str, "track": str}
 _RUN = ("scene_hash", "seed", "renderer", "solver", "parameters", "machine")
-_ENTRY = ("case", "scene_hash", "renderer", "solver", "parameters", "machine")
-_SECTION = ("case", "scene_hash", "renderer")
+_ENTRY = ("track", "case", "scene_hash", "renderer", "solver", "parameters", "machine")
+_SECTION = ("track", "case", "scene_hash", "renderer")
 
-# Score columns: key, heading, decimals, meaning.
-_SCORES = (
-    ("q", "Q", 3, "quality factor, the correlation of the reconstructed with the true intensity: 1 is perfect"),
-    ("true_percent", "true %", 1, "share of the true particles that were found within 1.5 voxels"),
-    ("ghost_percent", "ghost %", 1, "detections that are no true particle, relative to those that are"),
-    ("precision", "precision", 3, "share of the detections that are true, closer than 1 voxel along every axis, one to one"),
-    ("recall", "recall", 3, "share of the true particles that were found, by the same rule"),
-    ("rms_px", "rms px", 3, "root mean square distance between the pairs of that rule"),
-    ("peak_true_percent", "peak true %", 1, "true %, but with particles found as local maxima: those that touch are still two"),
-    ("peak_ghost_percent", "peak ghost %", 1, "ghost % of these"),
-    ("seconds", "seconds", 2, "time of the solver alone"),
-    ("peak_mb", "peak MB", 0, "most memory that the solver's process held"),
-)
 _LARGEST = 1e15  # beyond it no score is meant, and digits would fill the page
 
 
@@ -102,13 +90,18 @@ def over_seeds(records: list[Record]) -> list[Record]:
     """
     groups: dict[str, list[Record]] = {}
     for record in sorted(records, key=lambda record: int(record["seed"])):
-        named = {**record, "case": record.get("case") or record["scene"]}  # older records have no case of their own
+        named = {
+            **record,
+            "case": record.get("case") or record["scene"],
+            "track": record.get("track") or "reconstruction",
+        }  # older records have neither
         groups.setdefault(_key(named, _ENTRY), []).append(named)
     return [_merged(group) for group in groups.values()]
 
 
 def _merged(group: list[Record]) -> Record:
-    means = {key: mean_of([value for record in group if (value := _number(record.get(key))) is not None]) for key, *_ in _SCORES}
+    keys = [column.key for column in COLUMNS[group[0]["track"]]]
+    means = {key: mean_of([value for record in group if (value := _number(record.get(key))) is not None]) for key in keys}
     errors = [record["error"] for record in group if record.get("error")]
     share = f"{len(errors)} of {len(group)} seeds: " if len(group) > 1 and errors else ""
     return {**group[0], **means, "seeds": [record["seed"] for record in group], "error": share + errors[0] if errors else None}
@@ -125,7 +118,9 @@ def build_page(records: list[Record], pictures: Path, out: Path) -> None:
     folder = plugins.bundled("leaderboard")
     # Autoescape is what keeps a foreign record's text from becoming markup.
     environment = Environment(loader=FileSystemLoader(folder), autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
-    page = environment.get_template("page.html.j2").render(sections=_sections(records, pictures), scores=_SCORES)
+    sections = _sections(records, pictures)
+    shown = {section["track"] for section in sections}
+    page = environment.get_template("page.html.j2").render(sections=sections, tracks={name: COLUMNS[name] for name in COLUMNS if name in shown})
     with complete_or_nothing(out, overwrite=True) as partial:
         partial.write_text(page, encoding="utf-8", errors="replace")  # JSON can hold half a surrogate pair, UTF-8 can not
 
@@ -142,7 +137,7 @@ def _section(ranked: list[Record], pictures: Path) -> dict[str, Any]:
     head = {name: ranked[0][name] for name in _SECTION}
     seeds = sorted({seed for row in ranked for seed in row["seeds"]})
     axes: Record = next((row["axes"] for row in ranked if row.get("axes")), {})
-    words = {"seeds": _seeds(seeds), "axes": _text(axes)}
+    words = {"seeds": _seeds(seeds), "axes": _text(axes), "columns": COLUMNS[head["track"]], "falling": LARGER_IS_BETTER[head["track"]]}
     return {**head, **words, "rows": rows, "images": _first(ranked, pictures, "images.png"), "truth": _first(ranked, pictures, "truth.png")}
 
 
@@ -151,9 +146,10 @@ def _seeds(seeds: list[int]) -> str:
 
 
 def _rank(row: Record) -> tuple[bool, bool, float, str, str]:
-    """Best Q first, then those without, then errors; the rest settles ties so that equal records give equal pages."""
-    q: Mean | None = row["q"]
-    return bool(row["error"]), q is None, -(q.mean if q else 0.0), row["solver"], _text(row["parameters"])
+    """Best first column first, then those without, then errors; the rest settles ties so that equal records give equal pages."""
+    first: Mean | None = row[COLUMNS[row["track"]][0].key]
+    sign = -1.0 if LARGER_IS_BETTER[row["track"]] else 1.0
+    return bool(row["error"]), first is None, sign * first.mean if first else 0.0, row["solver"], _text(row["parameters"])
 
 
 def _row(row: Record, pictures: Path) -> dict[str, Any]:
@@ -161,7 +157,7 @@ def _row(row: Record, pictures: Path) -> dict[str, Any]:
     return {
         "solver": row.get("label") or row["solver"],
         "parameters": _text(row["parameters"]),
-        "scores": [_cell(row[key], decimals) for key, _, decimals, _ in _SCORES],
+        "scores": [_cell(row[column.key], column.decimals) for column in COLUMNS[row["track"]]],
         "error": row["error"],
         "machine": [str(machine[key]) for key in ("cpu", "backend") if machine.get(key)],
         "details": _text({"seeds": row["seeds"], "data set": row["dataset"], "run": row["run_hash"], **machine, **row["versions"]}),

@@ -97,13 +97,45 @@ def score(
     as_json: AsJson = False,
 ) -> None:
     """Score a result against the truth."""
-    from sabench.scoring import score as scores_of
+    from sabench.solving import score as scores_of
 
     scores = scores_of(dataset, result)
     if as_json:
         _say(json.dumps(scores, allow_nan=False))
     else:
         _show_scores(scores)
+
+
+@app.command()
+def calibrate(
+    folder: Annotated[Path, typer.Argument(help="A folder with calibration.toml and images or points.csv; see docs/calibration.md.")],
+    output: Annotated[Path | None, typer.Option("-o", "--output", help="The folder to make; by default `result` in that folder.")] = None,
+    solver: Annotated[str, typer.Option(help="Name of a calibration solver.")] = "refractive_autocal",
+    parameter: Annotated[list[str] | None, typer.Option("-p", "--parameter", help="name=value, as often as needed.")] = None,
+    as_json: AsJson = False,
+    overwrite: Overwrite = False,
+) -> None:
+    """Calibrate your own cameras by images or points of a target: cameras.json and a report."""
+    from dataclasses import asdict
+
+    from sabench.calibrate import calibrate as make
+
+    out = output or folder / "result"
+    report = make(folder, out, solver, _parameters(parameter or []), overwrite=overwrite)
+    if as_json:
+        _say(json.dumps(asdict(report), allow_nan=False))
+        return
+    table = Table("camera or frame", "found", "used", "mean px", "largest px")
+    for line in (*report.cameras, *report.frames):
+        name = line["name"] if isinstance(line["name"], str) else f"frame {line['name']}"
+        table.add_row(
+            name, str(line["found"]), str(line["used"]), *("-" if line[key] is None else f"{line[key]:.3f}" for key in ("mean_px", "largest_px"))
+        )
+    _print(table)
+    _say(f"noise of a pixel coordinate {report.noise_px:.4f} px; to be expected: {report.true_px:.4f} px of true error, points scattered by")
+    x, y, z = report.std_mm
+    _say(f"{x:.4f}, {y:.4f}, {z:.4f} mm along X, Y, Z, and all of them together {report.depth_mm:.3f} mm too deep or not deep enough")
+    _say(f"{out}: cameras.json, report.json, errors.png")
 
 
 @app.command()
@@ -123,7 +155,7 @@ def run(
     else:
         _show_records(records)
         _say(f"page: {(leaderboard / 'index.html').resolve()}")
-    if any(record["error"] for record in records):
+    if any(record["error"] and not record["declined"] for record in records):
         raise typer.Exit(1)
 
 
@@ -199,30 +231,32 @@ def _parameters(pairs: list[str]) -> dict[str, Any]:
     return values
 
 
-_COLUMNS = {
-    "q": 3, "true_percent": 1, "ghost_percent": 1, "precision": 3, "recall": 3, "rms_px": 3,
-    "peak_true_percent": 1, "peak_ghost_percent": 1, "seconds": 2, "peak_mb": 0,
-}  # fmt: skip  # key: decimals
-
-
 def _show_scores(scores: dict[str, Any]) -> None:
-    table = Table("data set", "solver", *_COLUMNS)
-    figures = ["-" if scores[key] is None else f"{scores[key]:.{decimals}f}" for key, decimals in _COLUMNS.items()]
+    from sabench.columns import COLUMNS
+
+    columns = COLUMNS[scores["track"]]
+    table = Table("data set", "solver", *(column.key for column in columns))
+    figures = ["-" if scores[column.key] is None else f"{scores[column.key]:.{column.decimals}f}" for column in columns]
     table.add_row(scores["dataset"][:12], scores["solver"], *figures)
     _print(table)
 
 
 def _show_records(records: list[dict[str, Any]]) -> None:
-    """Mean and 95 % confidence interval over the seeds of every case and solver, the best of each case first."""
+    """Mean and 95 % confidence interval over the seeds of every case and solver, one table for each track, the best of each case first."""
     from sabench.board import over_seeds
+    from sabench.columns import COLUMNS, LARGER_IS_BETTER
 
-    table = Table("case", "solver", "seeds", *_COLUMNS)
     rows = over_seeds(records)
     order = list(dict.fromkeys(row["case"] for row in rows))
-    for row in sorted(rows, key=lambda row: (order.index(row["case"]), -(row["q"].mean if row["q"] else -1.0))):
-        figures = ["-" if row[key] is None else row[key].text(decimals) for key, decimals in _COLUMNS.items()]
-        table.add_row(row["case"], row.get("label") or row["solver"], str(len(row["seeds"])), *figures)
-    _print(table)
+    for track, columns in COLUMNS.items():
+        own = [row for row in rows if row["track"] == track]
+        sign, first = -1.0 if LARGER_IS_BETTER[track] else 1.0, columns[0].key
+        table = Table("case", "solver", "seeds", *(column.key for column in columns))
+        for row in sorted(own, key=lambda row: (order.index(row["case"]), sign * row[first].mean if row[first] else float("inf"))):
+            figures = ["-" if row[column.key] is None else row[column.key].text(column.decimals) for column in columns]
+            table.add_row(row["case"], row.get("label") or row["solver"], str(len(row["seeds"])), *figures)
+        if own:
+            _print(table)
 
 
 def _show_rows(rows: list[dict[str, Any]]) -> None:

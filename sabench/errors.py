@@ -3,3 +3,7 @@
 
 class InputError(Exception):
     """Bad input: one sentence that names the file, key or camera, what was expected and what came."""
+
+
+class DeclinedError(InputError):
+    """A solver cannot take a case, and says why: not a fault of either."""

@@ -9,11 +9,11 @@ from typing import Literal
 import numpy as np
 
 from sabench import backend as compute
-from sabench import memory, plugins
+from sabench import memory, plugins, targets
 from sabench.api import Observation
 from sabench.arrays import F64, U16
 from sabench.dataset.read import Dataset, View, open_dataset
-from sabench.dataset.write import dataset_writer
+from sabench.dataset.write import DatasetWriter, dataset_writer
 from sabench.errors import InputError
 from sabench.imaging.particle_images import ParticleImages, image_particles, scattering_table
 from sabench.imaging.scattering import MieTable
@@ -24,6 +24,7 @@ from sabench.progress import track
 from sabench.rig import Rig, build_rig, load_scene, told_cameras
 from sabench.scene import Scene
 from sabench.seeds import stream
+from sabench.targets import Placed
 from sabench.world import Domain, Particles
 
 Renderer = Literal["auto", "mitsuba", "splat"]
@@ -52,20 +53,70 @@ def generate(
         raise InputError(f"seed: expected 0 to 2^63 - 1, got {seed}")
     loaded = scene if isinstance(scene, Scene) else load_scene(scene)
     label = name or (loaded.title if isinstance(scene, Scene) else Path(scene).stem)
-    rig, renderer = build_rig(loaded, label), choose_renderer(backend)
+    rig, renderer = build_rig(loaded, label), _renderer(loaded, backend, label)
     told = told_cameras(loaded, rig.cameras, seed)
     with dataset_writer(Path(out), label, loaded, rig, told, seed, renderer, overwrite=overwrite) as writer:
-        steps = [(frame, camera) for frame in range(loaded.frames) for camera in rig.cameras]
-        world: _World | None = None
-        for frame, camera in track(steps, f"render {label} with {renderer}"):
-            if world is None or world.frame != frame:
-                world = _make_world(loaded, rig, seed, frame, renderer)
-                writer.add_particles(frame, world.particles)
-            images, grey, photons, radiance = _shoot(world, camera)
-            writer.add_view(frame, camera, images)
-            writer.add_image(camera, frame, grey, (_radiance(camera, photons) if radiance is None else radiance).astype(np.float32))
-            memory.trim()
+        if loaded.targets:
+            _show_targets(writer, loaded, rig, told, seed, renderer, label)
+        else:
+            _record_particles(writer, loaded, rig, seed, renderer, label)
     return open_dataset(out)
+
+
+def _record_particles(writer: DatasetWriter, scene: Scene, rig: Rig, seed: int, renderer: str, label: str) -> None:
+    steps = [(frame, camera) for frame in range(scene.frames) for camera in rig.cameras]
+    world: _World | None = None
+    for frame, camera in track(steps, f"render {label} with {renderer}"):
+        if world is None or world.frame != frame:
+            world = _make_world(scene, rig, seed, frame, renderer)
+            writer.add_particles(frame, world.particles)
+        images, grey, photons, radiance = _shoot(world, camera)
+        writer.add_view(frame, camera, images)
+        writer.add_image(camera, frame, grey, (_radiance(camera, photons) if radiance is None else radiance).astype(np.float32))
+        memory.trim()
+
+
+def _show_targets(writer: DatasetWriter, scene: Scene, rig: Rig, told: tuple[Camera, ...], seed: int, renderer: str, label: str) -> None:
+    """Store what every camera finds of a calibration target at all its places, in pictures or without."""
+    placed = targets.place(scene, seed)
+    known, found = targets.prior(scene, placed, seed), []
+    writer.add_target(placed)
+    for number, (camera, rough) in enumerate(zip(track(rig.cameras, f"show the target of {label} with {renderer}"), told, strict=True)):
+        exact = targets.exact_pixels(camera, placed.points_mm)
+        if renderer == "mitsuba":
+            expected = rough.project(known.rough_mm.reshape(-1, 3))[0].reshape(exact.shape)
+            pixels, outliers = _photographed(writer, scene, camera, placed, seed, number, expected), np.zeros(exact.shape[:2], dtype=np.bool_)
+        else:
+            pixels, outliers = targets.found_pixels(scene.detection, exact, seed, number)
+        writer.add_sighting(camera, exact, outliers)
+        found.append(pixels)
+    writer.add_points(np.stack(found), known)
+
+
+def _photographed(writer: DatasetWriter, scene: Scene, camera: Camera, placed: Placed, seed: int, number: int, expected: F64) -> F64:
+    """Photograph the target in every frame, store the pictures, and return what is found in them (frame, point, 2)."""
+    from sabench.detection import detect
+    from sabench.imaging.target_pictures import photograph
+
+    lighting = scene.lighting
+    assert lighting is not None  # `_renderer` has checked it
+    full, found = scene.sensor.full_well_e / scene.sensor.quantum_efficiency, []
+    for frame, pose in enumerate(placed.poses):
+        photons = full * photograph(camera, placed.target, pose, lighting, np.asarray(scene.volume.center_mm), scene.render.samples_per_pixel)
+        grey = expose(scene.sensor, photons.copy(), stream(seed, "sensor", frame, number))
+        writer.add_image(camera, frame, grey, _radiance(camera, photons).astype(np.float32))
+        found.append(detect(grey, placed.target, expected[frame]))
+        memory.trim()
+    return np.stack(found)
+
+
+def _renderer(scene: Scene, asked: Renderer, label: str) -> str:
+    """What makes the data set: a target without lamps needs no pictures."""
+    if scene.targets is None or scene.lighting is not None:
+        return choose_renderer(asked)
+    if asked == "mitsuba":
+        raise InputError(f"{label}: lighting: expected lamps to render a target by, got none; the backend splat needs none")
+    return "splat"
 
 
 @dataclass(frozen=True)
@@ -99,7 +150,7 @@ def simulate(scene: Scene, *, seed: int = 0, frame: int = 0, backend: Renderer =
 
 def make_particles(scene: Scene, seed: int, frame: int) -> Particles:
     """The particles of one frame, whatever else is generated."""
-    given = dict(scene.particles)
+    given = dict(scene.particles or {})
     plugin = plugins.load("generators", given.pop("generator"))
     domain = Domain(scene.volume.center_mm, scene.volume.size_mm, scene.cameras.rows * scene.cameras.columns)
     made: Particles = plugin(plugin.Parameters(**given)).particles(domain, seed, frame, frame * scene.interval_s)

@@ -58,6 +58,65 @@ def slice_picture(volume: F32, scored: tuple[slice, slice, slice]) -> bytes:
     return _png(_grey(window, top, 0.5).repeat(block, axis=0).repeat(block, axis=1))
 
 
+def dots(pixels: F64, rows: int, columns: int) -> bytes:
+    """Points in every camera's image, a near-square mosaic as a PNG; each frame of a target has its own grey.
+
+    Parameters
+    ----------
+    pixels : (camera, frame, point, 2) columns and rows; NaN for none.
+    """
+    across, scale = _layout(len(pixels), rows, columns)
+    sheets = np.zeros((len(pixels), math.ceil(rows * scale), math.ceil(columns * scale)), dtype=np.uint8)
+    for sheet, frames in zip(sheets, pixels, strict=True):
+        for number, frame in enumerate(frames):
+            for x, y in frame[np.isfinite(frame).all(axis=1)] * scale:
+                _line(sheet, (x, y), (x, y), 255 - 130 * number // max(len(frames) - 1, 1), 2)
+    return _png(_mosaic(sheets, across))
+
+
+def arrows(places: F64, errors: F64, rows: int, columns: int) -> bytes:
+    """Errors as lines from their places in every camera's image, a near-square mosaic as a PNG.
+
+    Lines are longer than the errors by a power of ten, written into the picture, that makes the median one about as long as a thirtieth of the image.
+
+    Parameters
+    ----------
+    places, errors : (camera, frame, point, 2) in px; NaN for none.
+    """
+    across, scale = _layout(len(places), rows, columns)
+    lengths = np.linalg.norm(errors, axis=-1)
+    median = float(np.nanmedian(lengths)) if np.isfinite(lengths).any() else 0.0
+    longer = 10.0 ** math.floor(math.log10(columns / 30.0 / median)) if median > 1e-12 else 1.0
+    sheets = np.zeros((len(places), math.ceil(rows * scale), math.ceil(columns * scale)), dtype=np.uint8)
+    for sheet, at, off in zip(sheets, places, errors, strict=True):
+        good = np.isfinite(at).all(axis=-1) & np.isfinite(off).all(axis=-1)
+        for (x, y), (dx, dy) in zip(at[good] * scale, off[good] * scale * longer, strict=True):
+            _line(sheet, (x, y), (x + dx, y + dy), 170, 1)
+            _line(sheet, (x, y), (x, y), 255, 1)
+    _write(sheets[0], f"x {longer:g}")
+    return _png(_mosaic(sheets, across))
+
+
+def _layout(cameras: int, rows: int, columns: int) -> tuple[int, float]:
+    """Images per row of a mosaic, and by how much they shrink."""
+    across = _across(cameras, rows, columns)
+    return across, min(1.0, (_MONTAGE_PX - _GAP_PX * (across - 1)) / across / columns)
+
+
+def _line(sheet: U8, start: tuple[float, float], end: tuple[float, float], grey: int, width: int) -> None:
+    import cv2
+
+    finer = 16.0  # four fractional bits
+    ends = [tuple(int(np.clip(value * finer, -1e6, 1e6)) for value in point) for point in (start, end)]
+    cv2.line(sheet, ends[0], ends[1], grey, width, cv2.LINE_AA, 4)
+
+
+def _write(sheet: U8, text: str) -> None:
+    import cv2
+
+    cv2.putText(sheet, text, (6, 18), cv2.FONT_HERSHEY_SIMPLEX, 0.5, 255, 1, cv2.LINE_AA)
+
+
 def _across(cameras: int, rows: int, columns: int) -> int:
     """Images per row that make the mosaic most nearly square with few empty places."""
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import tomllib
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -13,9 +14,12 @@ from sabench.arrays import F64, triple
 from sabench.errors import InputError
 from sabench.optics import layout
 from sabench.optics.camera import Camera, Distortion, aim, aimed_rotation
+from sabench.optics.model import CameraModel
 from sabench.optics.occluder import Disc
+from sabench.optics.rotation import exponential
 from sabench.optics.wall import Layer, Wall
 from sabench.scene import (
+    Calibration,
     Cameras,
     CrossLayout,
     GridLayout,
@@ -70,7 +74,7 @@ def build_rig(scene: Scene, source: str = "scene") -> Rig:
         A camera in the wall or the tank, a volume that is not wholly in the fluid, a grid that does not fit, no camera that sees the volume, or an
         occluder that is not between the cameras and the wall (or the volume).
     """
-    wall = _build_wall(scene.wall) if scene.wall else None
+    wall = build_wall(scene.wall) if scene.wall else None
     corners = _corners(scene)
     if wall:
         _check_tank(wall, corners, source)
@@ -95,24 +99,32 @@ def build_grid(scene: Scene, source: str = "scene") -> Grid:
 
 
 def told_cameras(scene: Scene, cameras: tuple[Camera, ...], seed: int) -> tuple[Camera, ...]:
-    """The cameras as solvers are told them: each principal point is off by the scene's calibration error, in a random direction of its own.
+    """The cameras as solvers are told them: off by the scene's calibration error.
 
     A shift on the image moves the projections of all points alike. Source: thesis section 2.2.4, the error eps_RP of figure 2-7b, whose
     length is the same for all cameras and whose direction is random.
     """
-    if scene.calibration is None:
+    spec = scene.calibration
+    if spec is None:
         return cameras
-    shift = scene.calibration.shift_px
-    return tuple(_miscalibrated(camera, shift, stream(seed, "calibration", number)) for number, camera in enumerate(cameras))
+    return tuple(_roughly(_shifted(camera, spec, seed, number), spec, seed, number) for number, camera in enumerate(cameras))
 
 
-def _miscalibrated(camera: Camera, shift_px: float, rng: np.random.Generator) -> Camera:
-    turn = rng.uniform(0.0, 2.0 * np.pi)
+def _shifted(camera: Camera, spec: Calibration, seed: int, number: int) -> Camera:
+    turn = stream(seed, "calibration", number).uniform(0.0, 2.0 * np.pi)
     column, row = camera.principal_point_px
-    return replace(camera, principal_point_px=(column + shift_px * float(np.cos(turn)), row + shift_px * float(np.sin(turn))))
+    return replace(camera, principal_point_px=(column + spec.shift_px * float(np.cos(turn)), row + spec.shift_px * float(np.sin(turn))))
 
 
-def _build_wall(spec: WallSpec) -> Wall:
+def _roughly(camera: Camera, spec: Calibration, seed: int, number: int) -> Camera:
+    rng = stream(seed, "rough cameras", number)
+    center = np.asarray(camera.center_mm) + spec.center_mm * rng.standard_normal(3)
+    turn = exponential(np.deg2rad(spec.turn_deg) * rng.standard_normal(3)) @ np.asarray(camera.rotation)
+    distance = camera.principal_distance_mm * (1.0 + spec.focal_percent / 100.0 * float(rng.standard_normal()))
+    return replace(camera, center_mm=triple(center), rotation=(triple(turn[0]), triple(turn[1]), triple(turn[2])), principal_distance_mm=distance)
+
+
+def build_wall(spec: WallSpec) -> Wall:
     unit = _unit(spec.normal)
     layers = tuple(Layer(layer.name, layer.index, layer.thickness_mm) for layer in spec.layers)
     return Wall(spec.point_mm, triple(unit), spec.air_index, layers, spec.fluid_index, spec.depth_mm)
@@ -243,7 +255,7 @@ def _check_views(cameras: tuple[Camera, ...], corners: F64, source: str) -> None
         raise InputError(f"{source}: volume: expected it in view of at least one camera, but no camera of {len(cameras)} sees any of it")
 
 
-def any_in_view(cameras: tuple[Camera, ...], points_mm: F64) -> bool:
+def any_in_view(cameras: Sequence[CameraModel], points_mm: F64) -> bool:
     """Whether any of the points (n, 3) lies on any camera's image."""
     views = ((camera, *camera.project(points_mm)) for camera in cameras)
     return any((valid & camera.contains(pixels)).any() for camera, pixels, valid in views)

@@ -17,16 +17,16 @@ from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import Any
 
-from sabench import __version__, backend, board, pictures
+from sabench import __version__, backend, board, tracks
+from sabench.columns import COLUMNS
 from sabench.dataset.read import Dataset, open_dataset
 from sabench.dataset.result import open_result
 from sabench.dataset.verify import verify
-from sabench.errors import InputError
+from sabench.errors import DeclinedError, InputError
 from sabench.files import canonical_json, clear_abandoned, complete_or_nothing
 from sabench.generation import Renderer, generate
 from sabench.progress import console
-from sabench.scoring import SCORES, estimate, score
-from sabench.solving import make_solver, solve
+from sabench.solving import make_algorithm, score, solve
 from sabench.suite import Case, Entrant, Suite, load_suite
 
 
@@ -75,18 +75,18 @@ def _rank(case: Case, dataset: Dataset, suite: Suite, work: Path, leaderboard: P
     if folder:
         _picture_case(folder, dataset)
     for entrant in suite.solvers:
-        record = _describe(case, dataset, entrant) | {"pictures": folder.name if folder else None}
+        head = _describe(case, dataset, entrant) | {"pictures": folder.name if folder else None}
+        record = head | _blank(head["track"])
         name = f"{entrant.name}-{record['run_hash'][:8]}"
         out = work / "results" / f"{case.folder(work).name}-{name}.h5"
         try:
             _solve_apart(entrant, dataset, out)
-            record |= {key: value for key, value in score(dataset, out).items() if key in (*SCORES, "seconds", "peak_mb")}
+            record |= {key: value for key, value in score(dataset, out).items() if key not in head}
             if folder:
-                volume = open_result(out, dataset).reconstruction(0).volume
-                _draw(folder / f"{name}.png", pictures.slice_picture(volume, dataset.rig.grid.scored))
+                _draw(folder / f"{name}.png", tracks.of(record["track"]).picture(dataset, open_result(out, dataset)))
         except InputError as error:
             console.print(f"error: {error}", style="red", markup=False, highlight=False)
-            record["error"] = str(error)
+            record["error"], record["declined"] = str(error), isinstance(error, DeclinedError)
         if not suite.keep_data:
             out.unlink(missing_ok=True)
         yield record
@@ -94,23 +94,28 @@ def _rank(case: Case, dataset: Dataset, suite: Suite, work: Path, leaderboard: P
 
 def _picture_case(folder: Path, dataset: Dataset) -> None:
     """What the cameras saw, and what was there."""
-    seen = dataset.observation(0)
-    _draw(folder / "images.png", pictures.montage(seen.images, seen.black_dn, seen.white_dn))
-    _draw(folder / "truth.png", pictures.slice_picture(estimate(dataset, "truth", 0).volume, dataset.rig.grid.scored))
+    track = tracks.of("calibration" if dataset.shows_target else "reconstruction")
+    _draw(folder / "images.png", track.images(dataset))
+    _draw(folder / "truth.png", track.picture(dataset, "truth"))
 
 
 def _describe(case: Case, dataset: Dataset, entrant: Entrant) -> dict[str, Any]:
     """All of a record but its scores and pictures."""
-    parameters = make_solver(entrant.name, entrant.parameters).parameters.model_dump(mode="json")
+    solver = make_algorithm(entrant.name, entrant.parameters)
+    parameters = solver.parameters.model_dump(mode="json")
     head = {
         "scene": case.base, "case": case.name, "axes": dict(case.axes), "scene_hash": case.scene.hash, "dataset": dataset.content_hash,
-        "seed": case.seed, "renderer": case.renderer, "solver": entrant.name, "label": entrant.label, "parameters": parameters,
+        "seed": case.seed, "renderer": case.renderer, "track": solver.track, "solver": entrant.name, "label": entrant.label, "parameters": parameters,
     }  # fmt: skip
-    blank: dict[str, Any] = dict.fromkeys((*SCORES, "seconds", "peak_mb", "error"))
     versions = {name: _version(name) for name in ("mitsuba", "drjit", "numpy", "scipy")}
     versions |= {"sabench": __version__, "python": platform.python_version()}
     run_hash = hashlib.sha256(canonical_json([head["dataset"], entrant.name, parameters]).encode()).hexdigest()
-    return {**head, **blank, "versions": versions, "machine": machine(), "run_hash": run_hash}
+    return {**head, "versions": versions, "machine": machine(), "run_hash": run_hash}
+
+
+def _blank(track: str) -> dict[str, Any]:
+    """A record's scores before any is known."""
+    return dict.fromkeys((*(column.key for column in COLUMNS[track]), "error")) | {"declined": False}
 
 
 def machine() -> dict[str, Any]:
@@ -133,10 +138,10 @@ def _solve_apart(entrant: Entrant, dataset: Dataset, out: Path) -> None:
     _start_deaf(child)
     sender.close()
     try:
-        message: str | None = receiver.recv()
+        fault: InputError | None = receiver.recv()
     except EOFError:  # it died without a word
         child.join()
-        message = f"solver {entrant.name}: its process ended with exit code {child.exitcode}"
+        fault = InputError(f"solver {entrant.name}: its process ended with exit code {child.exitcode}")
     except KeyboardInterrupt:
         child.terminate()
         raise
@@ -144,8 +149,8 @@ def _solve_apart(entrant: Entrant, dataset: Dataset, out: Path) -> None:
         child.join()
         receiver.close()
         clear_abandoned(out)
-    if message is not None:
-        raise InputError(message)
+    if fault is not None:
+        raise fault
 
 
 @functools.cache
@@ -171,7 +176,7 @@ def _solve_child(sender: multiprocessing.connection.Connection, name: str, param
     try:
         solve(name, dataset, out, parameters=parameters, overwrite=True)
     except (InputError, OSError, MemoryError) as error:
-        sender.send(f"{error}" or type(error).__name__)
+        sender.send(error if isinstance(error, InputError) else InputError(f"{error}" or type(error).__name__))
     else:
         sender.send(None)
 

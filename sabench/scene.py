@@ -29,6 +29,7 @@ def _not_zero(vector: Vector) -> Vector:
 Direction = Annotated[Vector, AfterValidator(_not_zero)]
 Positive = Annotated[float, Field(gt=0.0)]
 Index = Annotated[float, Field(ge=1.0, le=4.0)]
+WORLDS = ("particles", "targets")  # tables whose `generator` is a plug-in
 
 
 class _Table(BaseModel):
@@ -168,10 +169,38 @@ class Cameras(_Table):
     layout: GridLayout | RingLayout | LineLayout | CrossLayout | ListLayout = Field(discriminator="kind")
 
 
+class KnownPoint(_Table):
+    """A point of a target whose place was measured by other means."""
+
+    frame: int = Field(0, ge=0, description="which placing of the target")
+    point: int = Field(ge=0, description="which of its points")
+    axes: Annotated[str, Field(pattern="^x?y?z?$", min_length=1)] = Field("xyz", description="coordinates that are known")
+    sigma_mm: Positive = Field(0.05, description="standard deviation of each of them")
+
+
 class Calibration(_Table):
-    """How wrongly solvers are told the cameras; without this table they are told the truth."""
+    """How wrongly solvers are told the cameras, and a target's places; without this table they are told the truth.
+
+    Errors are normally distributed, each number of each camera or point on its own.
+    """
 
     shift_px: float = Field(0.0, ge=0.0, description="every principal point is told this far from the true one, in a random direction of its own")
+    center_mm: float = Field(0.0, ge=0.0, description="standard deviation of each coordinate of the pinholes")
+    turn_deg: float = Field(0.0, ge=0.0, description="standard deviation of each component of the cameras' rotation vectors")
+    focal_percent: float = Field(0.0, ge=0.0, lt=100.0, description="standard deviation of the principal distances")
+    points: float = Field(0.0, ge=0.0, description="standard deviation of each coordinate of the target's points, over the volume's largest edge")
+    blank: bool = Field(False, description="places of the target are told as all alike: unturned, at the volume's centre")
+    known: tuple[KnownPoint, ...] = Field((), description="points whose places are known")
+
+
+class Detection(_Table):
+    """How a target's points come out of the cameras' images, where no images are rendered."""
+
+    noise_px: float = Field(0.0, ge=0.0, description="standard deviation of each pixel coordinate")
+    missing: float = Field(0.0, ge=0.0, lt=1.0, description="share of points that are not found, at random")
+    hidden: float = Field(0.0, ge=0.0, lt=1.0, description="share of a camera's views of a target in which something hides a part of it")
+    outliers: float = Field(0.0, ge=0.0, lt=1.0, description="share of found points that are elsewhere")
+    outlier_px: Positive = Field(20.0, description="standard deviation of each coordinate of where")
 
 
 class Illumination(_Table):
@@ -193,6 +222,21 @@ class Illumination(_Table):
         if lengths < 1e-9 or abs(dot) > 1e-6 * lengths:
             raise ValueError("expected direction and sheet_normal of non-zero length and at right angles")
         return self
+
+
+class Lamp(_Table):
+    """A small lamp; light from in front of the wall is taken to cross it steeply."""
+
+    center_mm: Vector
+    power: Positive = 1.0
+
+
+class Lighting(_Table):
+    """What lights a calibration target."""
+
+    lamps: tuple[Lamp, ...] = Field(min_length=1)
+    exposure: Positive = Field(0.7, description="what a white surface at the volume's centre that faces the wall gives, as a part of the full well")
+    wavelength_nm: Positive = Field(550.0, description="for diffraction")
 
 
 class Tracer(_Table):
@@ -240,11 +284,31 @@ class Scene(_Table):
     occluders: tuple[OccluderSpec, ...] | None = Field(None, description="discs that hide some of the volume from some cameras")
     cameras: Cameras
     calibration: Calibration | None = None
-    illumination: Illumination
+    illumination: Illumination | None = Field(None, description="the laser; needed where there are particles")
     tracer: Tracer = Tracer()
-    particles: dict[str, Any] = Field(description="`generator` names a generator; the other keys are its parameters")
+    particles: dict[str, Any] | None = Field(None, description="`generator` names a generator; the other keys are its parameters")
+    targets: dict[str, Any] | None = Field(
+        None, description="instead of particles, a calibration target that each frame shows at another place: `generator` and its parameters"
+    )
+    lighting: Lighting | None = Field(None, description="lamps; needed to render a target")
+    detection: Detection | None = Field(None, description="by default every point of a target is found where it is")
     sensor: Sensor = Sensor()
     render: Render = Render()
+
+    @model_validator(mode="after")
+    def _one_world(self) -> Scene:
+        if (self.particles is None) == (self.targets is None):
+            raise ValueError("expected either particles or targets")
+        if self.particles is not None and self.illumination is None:
+            raise ValueError("expected an illumination for the particles")
+        return self
+
+    @property
+    def light(self) -> Illumination:
+        """The laser of a scene with particles."""
+        if self.illumination is None:
+            raise ValueError(f"{self.title}: expected a scene with an illumination")
+        return self.illumination
 
     def to_dict(self) -> dict[str, Any]:
         """All keys with their values, defaults included, as TOML holds them."""
@@ -279,17 +343,24 @@ def find(name: str | Path, folder: str) -> Path:
 def parse_scene(values: dict[str, Any], source: str) -> Scene:
     """A scene from its keys and values; `source` is named in errors."""
     scene = validate(Scene, values, source)
-    given = dict(scene.particles)
-    name = given.pop("generator", None)
+    tables = {table: getattr(scene, table) for table in WORLDS}
+    return scene.model_copy(update={table: _resolved(table, given, source) for table, given in tables.items() if given is not None})
+
+
+def _resolved(table: str, given: dict[str, Any], source: str) -> dict[str, Any]:
+    """A generator's table with all its parameters."""
+    rest = dict(given)
+    name = rest.pop("generator", None)
     if not isinstance(name, str):
-        raise InputError(f"{source}: particles.generator: expected the name of a generator, got {name!r}")
+        raise InputError(f"{source}: {table}.generator: expected the name of a generator, got {name!r}")
     try:
         plugin = plugins.load("generators", name)
     except InputError as error:
-        raise InputError(f"{source}: particles.generator: {error}") from error
-    parameters = validate(plugin.Parameters, given, source, "particles.")
-    resolved = {"generator": name, **_plain(parameters.model_dump(mode="json", exclude_none=True))}
-    return scene.model_copy(update={"particles": resolved})
+        raise InputError(f"{source}: {table}.generator: {error}") from error
+    if plugin.makes != table:
+        raise InputError(f"{source}: {table}.generator: expected a generator of {table}, got {name}, which makes {plugin.makes}")
+    parameters = validate(plugin.Parameters, rest, source, f"{table}.")
+    return {"generator": name, **_plain(parameters.model_dump(mode="json", exclude_none=True))}
 
 
 Model = typing.TypeVar("Model", bound=BaseModel)
@@ -311,14 +382,15 @@ def _plain(value: Any) -> Any:
 
 
 def schema() -> dict[str, Any]:
-    """The JSON schema of a scene, with the parameters of every installed generator under `particles`."""
+    """The JSON schema of a scene, with the parameters of every installed generator under the table that it fills."""
     whole = Scene.model_json_schema()
-    definitions, choices = whole["$defs"], []
+    choices: dict[str, list[Any]] = {table: [{"type": "null"}] for table in WORLDS}
     for name in plugins.names("generators"):
-        table = plugins.load("generators", name).Parameters.model_json_schema(ref_template=f"#/$defs/{name}.{{model}}")
-        definitions.update({f"{name}.{key}": value for key, value in table.pop("$defs", {}).items()})
+        plugin = plugins.load("generators", name)
+        table = plugin.Parameters.model_json_schema(ref_template=f"#/$defs/{name}.{{model}}")
+        whole["$defs"].update({f"{name}.{key}": value for key, value in table.pop("$defs", {}).items()})
         table["properties"] = {"generator": {"const": name}, **table.get("properties", {})}
         table["required"] = ["generator", *table.get("required", [])]
-        choices.append(table)
-    whole["properties"]["particles"] = {"oneOf": choices}
+        choices[plugin.makes].append(table)
+    whole["properties"] |= {table: {"oneOf": options} for table, options in choices.items()}
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", **whole}

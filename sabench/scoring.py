@@ -3,48 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from sabench import memory
 from sabench.api import Reconstruction
 from sabench.arrays import F32, F64
-from sabench.dataset.read import Dataset, View, open_dataset
-from sabench.dataset.result import Result, open_result
+from sabench.dataset.read import Dataset, View
+from sabench.dataset.result import Result
 from sabench.metrics.detection import count_challenge, count_thesis, detect, detect_peaks
 from sabench.metrics.quality import quality
-from sabench.progress import track
 from sabench.volume import Grid, synthesise
 from sabench.world import Particles
 
 _DETECTION = ("true_percent", "ghost_percent", "precision", "recall", "rms_px")
 SCORES = ("q", *_DETECTION, *(f"peak_{key}" for key in _DETECTION))
-
-
-def score(dataset: Dataset | str | Path, result: str | Path) -> dict[str, Any]:
-    """Score a result file, or one of the words `truth` and `empty`, the two ends of every scale.
-
-    Returns
-    -------
-    A flat dict: dataset, solver, parameters, all `SCORES`, seconds, peak_mb; None where a figure does not apply. Several frames: the mean
-    over the frames that have the figure.
-
-    Raises
-    ------
-    InputError
-        A file that is not a result of this data set, or has a wrong shape or values that are not finite.
-    """
-    data = dataset if isinstance(dataset, Dataset) else open_dataset(dataset)
-    opened = None if str(result) in ("truth", "empty") else open_result(result, data)
-    frames = [
-        score_frame(data.rig.grid, data.particles(frame), data.views(frame), estimate(data, opened or str(result), frame))
-        for frame in track(range(data.rig.frames), "score")
-    ]
-    means = {key: _mean([frame[key] for frame in frames]) for key in SCORES}
-    head = {"dataset": data.content_hash, "solver": opened.solver if opened else str(result), "parameters": opened.parameters if opened else {}}
-    return {**head, **means, "seconds": opened.seconds if opened else None, "peak_mb": opened.peak_mb if opened else None}
 
 
 def true_field(grid: Grid, particles: Particles, views: Sequence[View]) -> F32:
@@ -101,8 +74,3 @@ def _count(grid: Grid, found: F64, truths: F64) -> dict[str, float | None]:
     thesis, challenge = count_thesis(*pair), count_challenge(*pair)
     figures = (thesis.true_percent, thesis.ghost_percent, challenge.precision, challenge.recall, challenge.rms)
     return dict(zip(_DETECTION, figures, strict=True))
-
-
-def _mean(values: list[float | None]) -> float | None:
-    known = [value for value in values if value is not None]
-    return float(np.mean(known)) if known else None

@@ -1,24 +1,18 @@
-"""Run a solver on the observation side of a data set, and weigh what it cost."""
+"""Run a solver on the observation side of a data set, weigh what it cost, and score its result against the truth."""
 
 from __future__ import annotations
 
-import itertools
-import time
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from sabench import memory, plugins
-from sabench.api import Observation, Reconstruction, Solver
+from sabench import memory, plugins, tracks
+from sabench.api import AnySolver, Solver
 from sabench.dataset.read import Dataset, open_dataset
 from sabench.dataset.result import Result, open_result, result_writer
 from sabench.errors import InputError
-from sabench.rig import any_in_view
 from sabench.scene import validate
-
-_VOLUMES = 2.0  # float32 volumes that fit beside the images or the solver is not started: its own, and as much again for its work and the checks
-_TRIED = 33  # voxels along each axis that are looked for in the images
 
 
 def solve(
@@ -36,89 +30,52 @@ def solve(
     Raises
     ------
     InputError
-        An unknown solver or parameter, a broken data set, a frame that `check_case` refuses, or a solver that declines, raises, or returns a wrong
-        shape or values that are not finite.
+        An unknown solver or parameter, a broken data set or one of another track, and what the track's `run` refuses.
     """
     data = dataset if isinstance(dataset, Dataset) else open_dataset(dataset)
-    algorithm = make_solver(solver, parameters or {})
-    seconds = []
+    algorithm = make_algorithm(solver, parameters or {})
+    if data.shows_target != (algorithm.sees == "target"):
+        shown, wanted = ("a calibration target", "particles") if data.shows_target else ("particles", "a calibration target")
+        raise InputError(f"solver {solver}: expected a data set that shows {wanted}, but {data.root} shows {shown}")
     memory.forget_peak()
     resolved = algorithm.parameters.model_dump(mode="json")
-    with result_writer(Path(out), data, solver, resolved, overwrite=overwrite) as writer:
-        for frame in range(data.rig.frames):
-            case = data.observation(frame)
-            check_case(case, f"{data.root}: frame {frame}")
-            start = time.perf_counter()
-            guess = _attempt(algorithm, solver, case, frame)
-            seconds.append(time.perf_counter() - start)
-            writer.add(frame, guess)
-            del case, guess
-            memory.trim()
+    with result_writer(Path(out), data, solver, algorithm.track, resolved, overwrite=overwrite) as writer:
+        seconds = tracks.of(algorithm.track).run(algorithm, solver, data, writer)
         writer.set_cost(float(np.mean(seconds)), memory.peak_mb())
     return open_result(out, data)
 
 
-def make_solver(name: str, parameters: dict[str, Any]) -> Solver:
-    """A solver with checked parameters."""
-    plugin = plugins.load("solvers", name)
-    made: Solver = plugin(validate(plugin.Parameters, parameters, f"solver {name}"))
-    return made
+def score(dataset: Dataset | str | Path, result: str | Path) -> dict[str, Any]:
+    """Score a result file, or one of the words `truth` and `empty`, the two ends of every scale.
 
-
-def check_case(case: Observation, source: str) -> None:
-    """Refuse what no algorithm can make anything of; `source` is named in errors. A black image passes: a camera may be covered.
+    Returns
+    -------
+    A flat dict: dataset, track, solver, parameters, the track's scores, seconds, peak_mb; None where a figure does not apply.
 
     Raises
     ------
     InputError
-        An image that is saturated all over, a grid that does not fit into memory, or one that no camera sees.
+        A file that is not a result of this data set, or has a wrong shape or values that are not finite.
     """
-    for camera, image in zip(case.cameras, case.images, strict=True):
-        if image.min() >= case.white_dn:
-            raise InputError(
-                f"{source}: {camera.name}: expected an image that shows something, but every pixel is saturated ({case.white_dn:g} or more)"
-            )
-    _check_memory(case, source)
-    axes = [axis[np.unique(np.linspace(0, len(axis) - 1, _TRIED).astype(int))] for axis in case.grid.axes_mm]
-    if not any_in_view(case.cameras, np.array(list(itertools.product(*axes)))):
-        raise InputError(f"{source}: grid: expected it in view of at least one camera, but no camera of {len(case.cameras)} sees any of it")
+    data = dataset if isinstance(dataset, Dataset) else open_dataset(dataset)
+    opened = None if str(result) in ("truth", "empty") else open_result(result, data)
+    track = opened.track if opened else "calibration" if data.shows_target else "reconstruction"
+    head: dict[str, Any] = {"dataset": data.content_hash, "track": track, "solver": opened.solver if opened else str(result)}
+    head |= {"parameters": opened.parameters if opened else {}}
+    figures = tracks.of(track).score_result(data, opened or str(result))
+    return {**head, **figures, "seconds": opened.seconds if opened else None, "peak_mb": opened.peak_mb if opened else None}
 
 
-def _check_memory(case: Observation, source: str) -> None:
-    """What a solver needs at least: `_VOLUMES` and the images as float32."""
-    there, images = memory.available_mb(), case.images.size * 4 / 1e6
-    (planes, rows, columns), voxel = case.grid.shape, _VOLUMES * 4 / 1e6
-    need = images + planes * rows * columns * voxel
-    if there is None or need <= there:
-        return
-    voxels = max(0, int((there - images) / voxel))
-    largest = f"{voxels // (rows * columns)} of its planes" if voxels >= rows * columns else f"{voxels} of its voxels"
-    raise InputError(
-        f"{source}: grid: expected it to fit into memory, but its {planes} x {rows} x {columns} voxels (z, y, x) need {need:.0f} MB "
-        f"where {there:.0f} MB are there: at most {largest} fit"
-    )
+def make_algorithm(name: str, parameters: dict[str, Any]) -> AnySolver:
+    """A solver of any track, with checked parameters."""
+    plugin = plugins.load("solvers", name)
+    made: AnySolver = plugin(validate(plugin.Parameters, parameters, f"solver {name}"))
+    return made
 
 
-def _attempt(algorithm: Solver, name: str, case: Observation, frame: int) -> Reconstruction:
-    """One call of a solver, which may do anything; what it returns is checked here."""
-    try:
-        reason = algorithm.skip(case)
-        guess = None if reason else algorithm.solve(case)
-    except Exception as error:
-        raise InputError(f"solver {name} failed on frame {frame}: {type(error).__name__}: {error}") from error
-    if reason:
-        raise InputError(f"solver {name} declines this case: {reason}")
-    if not isinstance(guess, Reconstruction):
-        raise InputError(f"solver {name}: expected a Reconstruction, got {type(guess).__name__}")
-    _check_array(name, frame, "volume", guess.volume, np.dtype(np.float32), case.grid.shape)
-    if guess.particles_mm is not None:
-        _check_array(name, frame, "particles_mm", guess.particles_mm, np.dtype(np.float64), (len(guess.particles_mm), 3))
-    return guess
-
-
-def _check_array(solver: str, frame: int, what: str, array: Any, kind: np.dtype[Any], shape: tuple[int, ...]) -> None:
-    if not isinstance(array, np.ndarray) or array.shape != shape or array.dtype != kind:
-        got = f"{array.dtype} of shape {array.shape}" if isinstance(array, np.ndarray) else type(array).__name__
-        raise InputError(f"solver {solver}: {what}: expected {kind} of shape {shape}, got {got}")
-    if not np.isfinite(array).all():
-        raise InputError(f"solver {solver}: {what}: expected finite values, got NaN or infinite ones in frame {frame}")
+def make_solver(name: str, parameters: dict[str, Any]) -> Solver:
+    """A reconstruction solver with checked parameters."""
+    made = make_algorithm(name, parameters)
+    if not isinstance(made, Solver):
+        raise InputError(f"solver {name}: expected one of the track reconstruction, got one of {made.track}")
+    return made

@@ -17,7 +17,7 @@ from sabench.errors import InputError
 from sabench.generation import Renderer, choose_renderer
 from sabench.rig import build_rig, load_scene
 from sabench.scene import Scene, find, parse_scene, validate
-from sabench.solving import make_solver
+from sabench.solving import make_algorithm
 
 _SAFE = r"[A-Za-z0-9][A-Za-z0-9._-]*"  # as a part of a file name on every system
 _UNSAFE = re.compile(r"[^A-Za-z0-9._-]+")
@@ -105,7 +105,7 @@ def load_suite(path: str | Path) -> tuple[Suite, list[Case]]:
         raise InputError(f"{file}: expected a TOML file, got {error}") from error
     suite = validate(Suite, values, str(file))
     for entrant in suite.solvers:
-        make_solver(entrant.name, entrant.parameters)
+        make_algorithm(entrant.name, entrant.parameters)
     renderer = choose_renderer(suite.backend)
     variants = [variant for spec in _specs(suite) for variant in _variants(spec, file)]
     _check_names([name for name, *_ in variants], file)

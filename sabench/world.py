@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
 from sabench.arrays import F64, I64
+
+Pattern = Literal["checkerboard", "circles", "charuco", "wand"]
 
 
 @dataclass(frozen=True)
@@ -65,3 +68,42 @@ class Particles:
 
     def __len__(self) -> int:
         return len(self.id)
+
+
+@dataclass(frozen=True)
+class Target:
+    """A calibration target in its own frame.
+
+    Attributes
+    ----------
+    pattern : what it shows. The points of a checkerboard and of a ChArUco board are its inner corners, those of the others are centres.
+    columns, rows : of points; they are counted row by row.
+    pitch_mm : distance of neighbours.
+    mark_mm : diameter of a circle or a ball, edge of a ChArUco marker; 0 for a checkerboard.
+    points_mm : (columns x rows, 3), centred; a board lies in Z = 0, X along its rows, Y down its columns, and shows its pattern towards -Z.
+    """
+
+    pattern: Pattern
+    columns: int
+    rows: int
+    pitch_mm: float
+    mark_mm: float
+
+    @property
+    def points_mm(self) -> F64:
+        """The points, row by row."""
+        across, down = ((np.arange(count) - (count - 1) / 2.0) * self.pitch_mm for count in (self.columns, self.rows))
+        x, y = np.meshgrid(across, down)
+        return np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)])
+
+
+@dataclass(frozen=True)
+class Pose:
+    """Where a target stands: its points are turn x + place_mm in the world frame; turn (3, 3), place_mm (3,)."""
+
+    turn: F64
+    place_mm: F64
+
+    def __call__(self, points_mm: F64) -> F64:
+        """World points (n, 3) of the target's."""
+        return np.asarray(points_mm @ self.turn.T + self.place_mm)

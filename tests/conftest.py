@@ -6,7 +6,7 @@ import os
 import signal
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +14,8 @@ import pytest
 
 import sabench
 from sabench.dataset.read import Dataset
+from sabench.optics.camera import Camera
+from sabench.optics.model import CameraModel
 
 Command = Callable[..., "subprocess.CompletedProcess[str]"]
 ROOT = Path(__file__).resolve().parents[1]
@@ -27,6 +29,11 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 def hears_ctrl_c() -> None:
     """A shell's background job and its children ignore Ctrl-C, which some tests send to theirs."""
     signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+def pinholes(cameras: Iterable[CameraModel]) -> tuple[Camera, ...]:
+    """Cameras of which a test knows that they are pinholes behind walls."""
+    return tuple(camera for camera in cameras if isinstance(camera, Camera))
 
 
 @pytest.fixture(scope="session")

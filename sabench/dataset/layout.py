@@ -16,10 +16,12 @@ from sabench.optics.camera import Camera
 from sabench.optics.wall import Wall
 from sabench.scene import Model, validate
 from sabench.volume import Grid
+from sabench.world import Target
 
 FORMAT = "sabench-dataset"
 VERSION = 1
 MANIFEST, CAMERAS, SCENE, TRUTH, TRUE_CAMERAS = "manifest.json", "cameras.json", "scene.toml", "truth.h5", "true_cameras.json"
+TARGET, POINTS = "target.json", "points.h5"
 
 
 class _Record(BaseModel):
@@ -53,6 +55,14 @@ class TrueCamerasFile(_Record):
     format: str
     version: int
     cameras: tuple[Camera, ...]
+
+
+class TargetFile(_Record):
+    """target.json: the calibration target that the frames show."""
+
+    format: str
+    version: int
+    target: Target
 
 
 class FileEntry(_Record):
@@ -130,6 +140,20 @@ def read_true_cameras(root: Path, told: CamerasFile) -> tuple[Camera, ...]:
         raise InputError(f"{path}: cameras: expected names and image sizes as in {CAMERAS}, {expected}, got {got}")
     _check_cameras(cameras, path)
     return _behind(told.wall, cameras)
+
+
+def read_target(root: Path) -> Target:
+    """The target of a data set for calibrations."""
+    path = inside(root, TARGET)
+    target = _checked(TargetFile, path).target
+    if (
+        min(target.columns, target.rows) < 1
+        or target.columns * target.rows < 2
+        or target.pitch_mm <= 0.0
+        or not 0.0 <= target.mark_mm < target.pitch_mm
+    ):
+        raise InputError(f"{path}: target: expected two points at least, a positive pitch_mm and a smaller mark_mm, got {target}")
+    return target
 
 
 def _behind(wall: Wall | None, cameras: tuple[Camera, ...]) -> tuple[Camera, ...]:

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import tomllib
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from sabench.api import Observation
-from sabench.arrays import F32, F64
+from sabench.api import CalibrationCase, Observation
+from sabench.arrays import F32, F64, Bool
 from sabench.dataset import layout
 from sabench.dataset.hdf import finite, opened, read_array
 from sabench.dataset.images import read_exr, read_tiff
@@ -17,7 +19,9 @@ from sabench.dataset.layout import CamerasFile, Manifest
 from sabench.errors import InputError
 from sabench.files import inside
 from sabench.optics.camera import Camera
-from sabench.world import Particles
+from sabench.scene import Scene, validate
+from sabench.targets import Placed
+from sabench.world import Particles, Pose, Target
 
 
 @dataclass(frozen=True)
@@ -53,6 +57,15 @@ class Dataset:
         if layout.TRUE_CAMERAS not in self.manifest.files:
             return self.rig.cameras
         return layout.read_true_cameras(self.root, self.rig)
+
+    @cached_property
+    def scene(self) -> Scene:
+        """The resolved scene: truth, not for solvers."""
+        path = inside(self.root, layout.SCENE)
+        try:
+            return validate(Scene, tomllib.loads(path.read_text(encoding="utf-8")), str(path))
+        except ValueError as error:
+            raise InputError(f"{path}: expected a TOML file, got {error}") from error
 
     def observation(self, frame: int) -> Observation:
         """One frame as a solver may see it."""
@@ -92,12 +105,56 @@ class Dataset:
                 views.append(view)
             return views
 
+    @property
+    def shows_target(self) -> bool:
+        """Whether its frames show a calibration target, and not particles."""
+        return layout.TARGET in self.manifest.files
+
+    def calibration_case(self) -> CalibrationCase:
+        """All frames of a target as a solver may see them."""
+        target, rig = self._target(), self.rig
+        count = len(target.points_mm)
+        shapes = {"pixels": (len(rig.cameras), rig.frames, count, 2)} | dict.fromkeys(
+            ("rough_mm", "known_mm", "known_sigma_mm"), (rig.frames, count, 3)
+        )
+        with opened(inside(self.root, layout.POINTS)) as file:
+            arrays = {name: read_array(file, name, shape, "f").astype(np.float64) for name, shape in shapes.items()}
+        return CalibrationCase(target=target, cameras=rig.cameras, **arrays)
+
+    def placed(self) -> Placed:
+        """The target's true places: not for solvers."""
+        target = self._target()
+        with opened(inside(self.root, layout.TRUTH)) as file:
+            return Placed(target, tuple(_pose(file, layout.frame_group(frame)) for frame in range(self.rig.frames)))
+
+    def sightings(self) -> tuple[F64, Bool]:
+        """Where the cameras truly see the target's points (camera, frame, point, 2), NaN if they do not, and outliers (camera, frame, point).
+
+        Truth, not for solvers.
+        """
+        shape = (self.rig.frames, len(self._target().points_mm))
+        with opened(inside(self.root, layout.TRUTH)) as file:
+            groups = [f"cameras/{camera.name}" for camera in self.rig.cameras]
+            exact = [read_array(file, f"{group}/pixel", (*shape, 2), "f") for group in groups]
+            outliers = [read_array(file, f"{group}/outlier", shape, "u") > 0 for group in groups]
+        return np.stack(exact), np.stack(outliers)
+
+    def _target(self) -> Target:
+        if not self.shows_target:
+            raise InputError(f"{self.root}: expected a data set with a calibration target, got one with particles")
+        return layout.read_target(self.root)
+
     def _image(self, camera: str, frame: int, suffix: str) -> Path:
         return inside(self.root, layout.image_name(camera, frame, suffix))
 
     def _check_frame(self, frame: int) -> None:
         if not 0 <= frame < self.rig.frames:
             raise InputError(f"{self.root}: frame {frame}: expected 0 to {self.rig.frames - 1}")
+
+
+def _pose(file: Any, group: str) -> Pose:
+    turn = finite(read_array(file, f"{group}/turn", (3, 3), "f"), f"{file.filename}: {group}/turn")
+    return Pose(turn, finite(read_array(file, f"{group}/place_mm", (3,), "f"), f"{file.filename}: {group}/place_mm"))
 
 
 def open_dataset(path: str | Path) -> Dataset:

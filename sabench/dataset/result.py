@@ -5,21 +5,32 @@ from __future__ import annotations
 import contextlib
 import json
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
+from pydantic import TypeAdapter, ValidationError
 
-from sabench.api import Reconstruction
+from sabench.api import Calibration, Reconstruction
+from sabench.columns import COLUMNS
 from sabench.dataset import layout
 from sabench.dataset.hdf import created, finite, opened, read_array, uninterrupted
 from sabench.dataset.read import Dataset
 from sabench.errors import InputError
-from sabench.files import complete_or_nothing
+from sabench.files import canonical_json, complete_or_nothing
+from sabench.optics.camera import Camera
+from sabench.optics.empirical import PlanePolynomials, Projective, Soloff
+from sabench.optics.model import CameraModel
 from sabench.volume import Grid
 
 FORMAT, VERSION = "sabench-result", 1
+MODELS: dict[type[Any], str] = {
+    Camera: "pinhole",
+    Projective: "projective",
+    Soloff: "soloff",
+    PlanePolynomials: "polynomial_planes",
+}  # what a camera's `model` says in a result
 
 
 @dataclass(frozen=True)
@@ -27,6 +38,7 @@ class Result:
     """A result file: which data set it belongs to, who made it and at what cost (None where it does not say)."""
 
     path: Path
+    track: str
     solver: str
     parameters: dict[str, Any]
     seconds: float | None
@@ -43,6 +55,36 @@ class Result:
                 return Reconstruction(volume)
             found = read_array(file, f"{group}/particles_mm", (None, 3), "f").astype(np.float64)
             return Reconstruction(volume, finite(found, f"{self.path}: {group}/particles_mm"))
+
+    def calibration(self) -> Calibration:
+        """The estimated cameras and points."""
+        where = f"{self.path}: calibration/cameras"
+        with opened(self.path) as file:
+            text = read_array(file, "calibration/cameras", (None,), "u").astype(np.uint8).tobytes()
+            names = set(file["calibration"])
+            points = read_array(file, "calibration/points_mm", (None, None, 3), "f").astype(np.float64) if "points_mm" in names else None
+            used = read_array(file, "calibration/used", (None, None, None), "u") > 0 if "used" in names else None
+        try:
+            records = json.loads(text)
+        except ValueError as error:
+            raise InputError(f"{where}: expected JSON, got {error}") from error
+        if not isinstance(records, list):
+            raise InputError(f"{where}: expected a list, got {type(records).__name__}")
+        return Calibration(tuple(_camera(record, f"{where}: {number}") for number, record in enumerate(records)), points, used)
+
+
+def _camera(record: Any, where: str) -> CameraModel:
+    """A camera from its record."""
+    kinds = {name: kind for kind, name in MODELS.items()}
+    if not isinstance(record, dict) or record.get("model") not in kinds:
+        raise InputError(
+            f"{where}: model: expected one of {', '.join(sorted(kinds))}, got {record.get('model') if isinstance(record, dict) else record!r}"
+        )
+    try:
+        made: CameraModel = TypeAdapter(kinds[record["model"]]).validate_python({k: v for k, v in record.items() if k != "model"})
+    except ValidationError as error:
+        raise InputError(f"{where}: {error.errors()[0]['loc']}: {error.errors()[0]['msg']}") from error
+    return made
 
 
 class ResultWriter:
@@ -63,6 +105,19 @@ class ResultWriter:
             self._file.flush()
         self._check()
 
+    def add_calibration(self, calibration: Calibration) -> None:
+        """Store a calibration: cameras as JSON, points and the observations that count."""
+        text = canonical_json([{"model": MODELS[type(camera)], **asdict(cast(Any, camera))} for camera in calibration.cameras])
+        with uninterrupted():
+            group = self._file.create_group("calibration")
+            group.create_dataset("cameras", data=np.frombuffer(text.encode(), dtype=np.uint8))
+            if calibration.points_mm is not None:
+                group.create_dataset("points_mm", data=calibration.points_mm)
+            if calibration.used is not None:
+                group.create_dataset("used", data=calibration.used.astype(np.uint8))
+            self._file.flush()
+        self._check()
+
     def set_cost(self, seconds: float, peak_mb: float | None) -> None:
         """Say what one frame cost: seconds (mean), and the process's peak resident memory (None: not known)."""
         with uninterrupted():
@@ -72,12 +127,14 @@ class ResultWriter:
 
 
 @contextlib.contextmanager
-def result_writer(target: Path, dataset: Dataset, solver: str, parameters: dict[str, Any], *, overwrite: bool = False) -> Iterator[ResultWriter]:
+def result_writer(
+    target: Path, dataset: Dataset, solver: str, track: str, parameters: dict[str, Any], *, overwrite: bool = False
+) -> Iterator[ResultWriter]:
     """A writer whose frames become the result file `target` when the block ends well, and vanish otherwise."""
     with complete_or_nothing(target, overwrite=overwrite) as path, created(path) as (file, check):
         with uninterrupted():
             file.attrs["format"], file.attrs["version"] = FORMAT, VERSION
-            file.attrs["dataset"], file.attrs["solver"] = dataset.content_hash, solver
+            file.attrs["dataset"], file.attrs["track"], file.attrs["solver"] = dataset.content_hash, track, solver
             file.attrs["parameters"] = json.dumps(parameters, sort_keys=True)
         yield ResultWriter(file, check)
 
@@ -104,7 +161,10 @@ def open_result(path: str | Path, dataset: Dataset) -> Result:
         except ValueError as error:
             raise InputError(f"{path}: attribute parameters: expected JSON, got {head['parameters']!r}") from error
         seconds, peak_mb = (_cost(head.get(key), f"{path}: attribute {key}") for key in ("seconds", "peak_mb"))
-        return Result(file_path, str(head.get("solver", "unknown")), parameters, seconds, peak_mb, dataset.rig.grid)
+        track = str(head.get("track", "reconstruction"))
+        if track not in COLUMNS:
+            raise InputError(f"{path}: attribute track: expected one of {', '.join(COLUMNS)}, got {track!r}")
+        return Result(file_path, track, str(head.get("solver", "unknown")), parameters, seconds, peak_mb, dataset.rig.grid)
 
 
 def _plain(value: Any) -> Any:

@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sabench import __version__
-from sabench.arrays import F32, U16
+from sabench.arrays import F32, F64, U16, Bool
 from sabench.dataset import layout
 from sabench.dataset.hdf import created, uninterrupted
 from sabench.dataset.images import write_exr, write_tiff
@@ -24,6 +24,7 @@ from sabench.imaging.sensor import white_level
 from sabench.optics.camera import Camera
 from sabench.rig import Rig
 from sabench.scene import Scene
+from sabench.targets import Placed, Prior
 from sabench.world import Particles
 
 _RECORDED = ("mitsuba", "drjit", "numpy", "scipy", "miepython", "h5py", "tifffile", "OpenEXR")
@@ -51,6 +52,25 @@ class DatasetWriter:
         """Store where and how bright one camera receives a frame's particles."""
         small: dict[str, npt.NDArray[Any]] = {"sigma_px": images.sigma_px.astype(np.float32), "visible": images.visible.astype(np.uint8)}
         self._store(f"{layout.frame_group(frame)}/cameras/{camera.name}", {"pixel": images.pixel, "photons": images.photons, **small})
+
+    def add_target(self, placed: Placed) -> None:
+        """Store a calibration target and its true places."""
+        head = {"format": layout.FORMAT, "version": layout.VERSION}
+        (self.root / layout.TARGET).write_text(canonical_json({**head, "target": asdict(placed.target)}), encoding="utf-8")
+        for frame, pose in enumerate(placed.poses):
+            self._store(layout.frame_group(frame), {"turn": pose.turn, "place_mm": pose.place_mm})
+
+    def add_sighting(self, camera: Camera, exact: F64, outliers: Bool) -> None:
+        """Store where one camera truly sees the target's points (frame, point, 2), and which of those that it found are elsewhere (frame, point)."""
+        self._store(f"cameras/{camera.name}", {"pixel": exact, "outlier": outliers.astype(np.uint8)})
+
+    def add_points(self, pixels: F64, prior: Prior) -> None:
+        """Store what solvers see of the target: pixels (camera, frame, point, 2), and what is known of its places."""
+        values = {"pixels": pixels, "rough_mm": prior.rough_mm, "known_mm": prior.known_mm, "known_sigma_mm": prior.known_sigma_mm}
+        with created(self.root / layout.POINTS) as (file, _), uninterrupted():
+            file.attrs["format"], file.attrs["version"] = layout.FORMAT, layout.VERSION
+            for name, value in values.items():
+                file.create_dataset(name, data=value)
 
     def _store(self, group: str, values: dict[str, npt.NDArray[Any]]) -> None:
         with uninterrupted():

@@ -87,12 +87,12 @@ def _rays(camera: Camera, origin: F64, first: int, count: int, side: int) -> Any
     center, scale = camera.principal_point_px, 1.0 / camera.focal_px
     u = (across - dr.opaque(mi.Float, center[0])) * dr.opaque(mi.Float, scale)
     v = (down + dr.opaque(mi.Float, first - center[1])) * dr.opaque(mi.Float, scale)
-    x, y = _undistorted(camera.distortion, u, v)
-    right, below, forward = (_opaque(axis) for axis in camera.rotation)
-    return mi.Ray3f(mi.Point3f(_opaque(camera.center_mm - origin)), dr.normalize(x * right + y * below + forward))
+    x, y = undistorted(camera.distortion, u, v)
+    right, below, forward = (opaque(axis) for axis in camera.rotation)
+    return mi.Ray3f(mi.Point3f(opaque(camera.center_mm - origin)), dr.normalize(x * right + y * below + forward))
 
 
-def _opaque(vector: npt.ArrayLike) -> Any:
+def opaque(vector: npt.ArrayLike) -> Any:
     """A vector (3,) that all kernels share, whatever its value."""
     return mi.Vector3f(*(dr.opaque(mi.Float, value) for value in np.asarray(vector, dtype=np.float64).tolist()))
 
@@ -101,13 +101,13 @@ def _unstopped(rays: Any, occluders: tuple[Disc, ...], origin: F64) -> Any:
     """Whether no disc stops a ray: the same test as Disc.stops."""
     free = mi.Bool(True)
     for disc in occluders:
-        offset, normal = mi.Point3f(_opaque(disc.center_mm - origin)) - rays.o, _opaque(disc.normal)
+        offset, normal = mi.Point3f(opaque(disc.center_mm - origin)) - rays.o, opaque(disc.normal)
         way = dr.dot(offset, normal) / dr.dot(rays.d, normal)
         free &= ~((way > 0.0) & (dr.norm(way * rays.d - offset) <= dr.opaque(mi.Float, disc.radius_mm)))
     return free
 
 
-def _undistorted(lens: Distortion, u: Any, v: Any) -> tuple[Any, Any]:
+def undistorted(lens: Distortion, u: Any, v: Any) -> tuple[Any, Any]:
     """Fixed-point inverse of the distortion; single precision is reached in a dozen steps."""
     x, y = u, v
     for _ in range(0 if lens == Distortion() else 12):

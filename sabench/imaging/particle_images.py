@@ -53,11 +53,11 @@ class ParticleImages:
 
 def scattering_table(scene: Scene, cameras: tuple[Camera, ...], particles: Particles) -> MieTable | None:
     """The Mie table of these particles over all directions from the volume to the cameras; None for isotropic scattering or no particles."""
-    if scene.illumination.scattering == "isotropic" or not len(particles):
+    if scene.light.scattering == "isotropic" or not len(particles):
         return None
     index = complex(scene.tracer.index, -scene.tracer.absorption)
     fluid = scene.wall.fluid_index if scene.wall else 1.0
-    return mie_table(particles.diameter_mm, index, fluid, scene.illumination.wavelength_nm, _angle_range(scene, cameras))
+    return mie_table(particles.diameter_mm, index, fluid, scene.light.wavelength_nm, _angle_range(scene, cameras))
 
 
 def _angle_range(scene: Scene, cameras: tuple[Camera, ...]) -> tuple[float, float]:
@@ -83,7 +83,7 @@ def image_particles(scene: Scene, camera: Camera, particles: Particles, table: M
     seen = _Sight(*_chunked(_see, camera, particles.position_mm))
     lit = seen.valid & ~in_shadow(occluders, np.asarray(camera.center_mm), seen.leaving)
     half_angle = float(np.nanmedian(seen.half_angle)) if len(particles) else 0.0
-    intensity = fluence(scene.illumination, np.asarray(scene.volume.center_mm), particles.position_mm) * _cross_section(
+    intensity = fluence(scene.light, np.asarray(scene.volume.center_mm), particles.position_mm) * _cross_section(
         scene, particles, seen.arriving, table, half_angle
     )
     photons = np.where(lit, intensity * seen.solid_angle * transmittance(camera.wall, seen.leaving), 0.0)
@@ -96,9 +96,13 @@ def image_particles(scene: Scene, camera: Camera, particles: Particles, table: M
 def _sigma_px(scene: Scene, camera: Camera, particles: Particles, seen: _Sight) -> F64:
     """The spread of a Gaussian with the variances of diffraction, of the particle's disc and of defocus."""
     magnification = _chunked(_object_shape, camera, particles.position_mm, seen.arriving)[0]
-    diffraction = _AIRY * scene.illumination.wavelength_nm * 1e-6 * camera.f_number * camera.principal_distance_mm / camera.focal_length_mm
-    variance = (diffraction / camera.pixel_mm) ** 2 + (magnification * particles.diameter_mm / 4.0) ** 2 + (seen.blur / 4.0) ** 2
+    variance = diffraction_px(camera, scene.light.wavelength_nm) ** 2 + (magnification * particles.diameter_mm / 4.0) ** 2 + (seen.blur / 4.0) ** 2
     return np.asarray(np.sqrt(variance))
+
+
+def diffraction_px(camera: Camera, wavelength_nm: float) -> float:
+    """Standard deviation of the Gaussian that stands for the lens's Airy disc."""
+    return float(_AIRY * wavelength_nm * 1e-6 * camera.f_number * camera.principal_distance_mm / camera.focal_length_mm / camera.pixel_mm)
 
 
 class _Sight(NamedTuple):
@@ -168,5 +172,5 @@ def _cross_section(scene: Scene, particles: Particles, arriving: F64, table: Mie
 
 def _scattering_angles(scene: Scene, arriving: F64) -> F64:
     """Angle between the laser's direction and the light that goes to the camera, rad."""
-    forward = np.asarray(scene.illumination.direction) / np.linalg.norm(scene.illumination.direction)
+    forward = np.asarray(scene.light.direction) / np.linalg.norm(scene.light.direction)
     return np.asarray(np.arccos(np.clip(-arriving @ forward, -1.0, 1.0)))

@@ -39,9 +39,9 @@ def render(camera: Camera, images: ParticleImages, positions_mm: F64, samples: i
 
     origin = positions_mm[lit].mean(axis=0)  # single precision: the numbers are small where the particles are
     cloud = glow.Cloud(positions_mm[lit] - origin, *_glow(images, images.shape_mm(camera, positions_mm), lit))
-    scene = mi.load_dict({"type": "scene", **_interfaces(mi, camera.wall, origin, camera), "cloud": _balls(mi, cloud.centers, cloud.radii)})
-    interfaces = len(camera.wall.layers) + 1 if camera.wall else 0
-    radiance = glow.picture(scene, camera, origin, cloud, interfaces, math.isqrt(samples), occluders)
+    scene = mi.load_dict({"type": "scene", **interfaces(mi, camera.wall, origin, camera), "cloud": _balls(mi, cloud.centers, cloud.radii)})
+    planes = len(camera.wall.layers) + 1 if camera.wall else 0
+    radiance = glow.picture(scene, camera, origin, cloud, planes, math.isqrt(samples), occluders)
     return radiance.astype(np.float64)
 
 
@@ -67,7 +67,7 @@ def _balls(mi: Any, centers: F64, radii: F64) -> dict[str, Any]:
     return {"type": "ellipsoids", "data": mi.TensorXf(data), "extent": _REACH, "bsdf": {"type": "diffuse"}}
 
 
-def _interfaces(mi: Any, wall: Wall | None, origin: F64, camera: Camera) -> dict[str, Any]:
+def interfaces(mi: Any, wall: Wall | None, origin: F64, camera: Camera) -> dict[str, Any]:
     """One dielectric rectangle per interface, facing the cameras."""
     if wall is None:
         return {}

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sabench.arrays import F64, Bool, rows_of, triple
-from sabench.optics.wall import Rays, Wall, trace_into_fluid, trace_to_points
+from sabench.optics.wall import Rays, Wall, trace_into_fluid, trace_to_points, wall_axes
 
 _UNDISTORT_STEPS = 20
 
@@ -84,8 +84,32 @@ class Camera:
         A valid pixel may lie outside the image: see `contains`.
         """
         points = rows_of(points_mm, 3, "points_mm")
-        paths = trace_to_points(self.wall, np.asarray(self.center_mm), points)
-        return self.pixels_of(paths.leaving, paths.valid)
+        if self.wall is None or self.wall.depth_of(np.asarray(self.center_mm)) >= 0.0:
+            paths = trace_to_points(self.wall, np.asarray(self.center_mm), points)
+            return self.pixels_of(paths.leaving, paths.valid)
+        pixels = self._ideal_pixels(self.wall, points)
+        valid = np.asarray(np.isfinite(pixels[:, 0]) & np.isfinite(pixels[:, 1]))
+        if self.distortion != Distortion():
+            middle = np.asarray(self.principal_point_px)
+            ideal, one_to_one, _ = _distort(self.distortion, np.where(valid[:, None], (pixels - middle) / self.focal_px, 0.0))
+            valid &= one_to_one
+            pixels = ideal * self.focal_px + middle
+        pixels[~valid] = np.nan
+        return pixels, valid
+
+    def _ideal_pixels(self, wall: Wall, points: F64) -> F64:
+        """Pixels without distortion (n, 2), NaN for points without a path."""
+        from sabench.optics import kernels  # numba is loaded at the first use
+
+        along, across, normal = wall_axes(wall)
+        local = np.asarray(self.rotation) @ np.stack([along, across, normal]).T
+        local[:2] *= self.focal_px
+        x, y, z = np.ascontiguousarray(points.T)
+        column, row = np.empty(len(points)), np.empty(len(points))
+        frame = (*along.tolist(), *across.tolist(), *normal.tolist())
+        lens = (*local.ravel().tolist(), *(float(v) for v in self.principal_point_px))
+        kernels.project(x, y, z, self.center_mm, frame, kernels.media_of(wall, np.asarray(self.center_mm)), lens, column, row)
+        return np.column_stack([column, row])
 
     def pixels_of(self, leaving: F64, valid: Bool) -> tuple[F64, Bool]:
         """Pixels (n, 2) of world directions (n, 3) that leave the pinhole."""
@@ -116,6 +140,11 @@ class Camera:
         directions, valid = self.directions(pixels)
         rays = trace_into_fluid(self.wall, np.asarray(self.center_mm), directions)
         return Rays(rays.origins_mm, rays.directions, rays.valid & valid)
+
+    def carry(self, points_mm: F64, z_mm: float) -> F64:
+        """Where the lines of sight through points (n, 3) of the fluid meet the plane at `z_mm`: (n, 2); NaN for points without one."""
+        arriving = trace_to_points(self.wall, np.asarray(self.center_mm), points_mm).arriving
+        return np.asarray(points_mm[:, :2] + arriving[:, :2] / arriving[:, 2:] * (z_mm - points_mm[:, 2:]))
 
     def contains(self, pixels: F64, margin_px: float = 0.0) -> Bool:
         """Whether pixels (n, 2) lie on the sensor, or at most `margin_px` outside."""

@@ -71,6 +71,15 @@ class Wall:
         return np.asarray((points_mm - np.asarray(self.point_mm)) @ np.asarray(self.normal))
 
 
+def wall_axes(wall: Wall) -> tuple[F64, F64, F64]:
+    """Two unit vectors along a wall and its normal, a right-handed frame; the first is as near to X as it can be."""
+    normal = np.asarray(wall.normal, dtype=np.float64)
+    x = np.array([1.0, 0.0, 0.0]) if abs(normal[0]) < 0.9 else np.array([0.0, 1.0, 0.0])
+    across = np.cross(normal, x)
+    across /= np.linalg.norm(across)
+    return np.cross(across, normal), across, normal
+
+
 @dataclass(frozen=True)
 class Paths:
     """Light paths from a pinhole to points: unit directions (n, 3) away from the pinhole, in its medium and in the fluid."""

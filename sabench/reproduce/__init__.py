@@ -20,6 +20,13 @@ TABLES = {
     "table-3-1": "operations and seconds of the algorithms",
     "fig-3-6": "true and ghost particles against the number of cameras",
     "fig-3-8": "true and ghost particles against the number of particles",
+    "fig-2-7-cameras": "Q with the cameras of every calibration, from the same images through a wall",
+    "fig-4-6": "error of camera models without refraction",
+    "fig-4-9": "Newton's iteration for the path through a wall",
+    "fig-4-12": "errors of the auto-calibration against noise and start (figures 4-11 to 4-15)",
+    "fig-4-16": "auto-calibration on random subsets of the cameras",
+    "fig-4-18": "points in the volume by estimated and exact cameras, and by linear auto-calibration (figures 4-18 to 4-21)",
+    "fig-4-27": "cameras refitted to moved points",
 }
 
 

@@ -95,14 +95,14 @@ def coarsened(scene: Scene, pixels: int | None) -> Scene:
         "cameras.rows": round(scene.cameras.rows / factor), "cameras.columns": pixels, "cameras.pixel_mm": scene.cameras.pixel_mm * factor,
         "grid.voxel_mm": [edge * factor for edge in scene.grid.voxel_mm],
     }  # fmt: skip
-    if "per_mm3" in scene.particles:
+    if "per_mm3" in (scene.particles or {}):
         values["particles.per_mm3"] = density(scene) / factor**2
     return override(scene, values, scene.title)
 
 
 def density(scene: Scene) -> float:
     """Particles per mm3."""
-    return float(scene.particles["per_mm3"])
+    return float((scene.particles or {})["per_mm3"])
 
 
 def with_density(scene: Scene, per_mm3: float) -> Scene:

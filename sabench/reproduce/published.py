@@ -14,8 +14,7 @@ import numpy as np
 from sabench.arrays import F32, F64
 from sabench.extraction import normalised
 from sabench.generation import Shot
-from sabench.optics.camera import Camera
-from sabench.optics.wall import trace_to_points
+from sabench.optics.model import CameraModel
 from sabench.reproject import kernels
 from sabench.reproject.rectify import LINEAR, coefficients_of, resample
 from sabench.reproject.refocus import shift_maps
@@ -52,7 +51,7 @@ def published_volume(shot: Shot) -> tuple[Grid, Particles, F32]:
     return space, replace(shot.particles, position_mm=carried), volume
 
 
-def _as_large_as_images(slab: Slab, camera: Camera, grid: Grid) -> Slab:
+def _as_large_as_images(slab: Slab, camera: CameraModel, grid: Grid) -> Slab:
     size = np.array([camera.columns, camera.rows])
     corner = (np.asarray(grid.shape[:0:-1]) - size) / 2.0
     return replace(slab, corners=np.tile(corner, (len(slab.corners), 1)), shape=(camera.rows, camera.columns))
@@ -63,7 +62,7 @@ def _space(grid: Grid, numbers: F64) -> Grid:
     return Grid(low, grid.voxel_mm, (len(numbers), *grid.shape[1:]), grid.crop)
 
 
-def _two_innermost(cameras: Sequence[Camera]) -> tuple[Camera, Camera]:
+def _two_innermost(cameras: Sequence[CameraModel]) -> tuple[CameraModel, CameraModel]:
     """The camera nearest to the array's centre, and its neighbour."""
     places = np.array([camera.center_mm for camera in cameras])
     center = int(np.linalg.norm(places - places.mean(axis=0), axis=1).argmin())
@@ -71,7 +70,7 @@ def _two_innermost(cameras: Sequence[Camera]) -> tuple[Camera, Camera]:
     return cameras[center], cameras[int(order[1])]
 
 
-def _shift_of_depth(center: Camera, neighbour: Camera, grid: Grid) -> tuple[F64, F64]:
+def _shift_of_depth(center: CameraModel, neighbour: CameraModel, grid: Grid) -> tuple[F64, F64]:
     """Depths over the grid, and by how many voxels the two cameras differ on the middle plane for a point on the axis at that depth."""
     x, y, z = grid.axes_mm
     depths = np.linspace(z[0] - grid.voxel_mm[2] / 2.0, z[-1] + grid.voxel_mm[2] / 2.0, _LOOKUPS)
@@ -81,8 +80,7 @@ def _shift_of_depth(center: Camera, neighbour: Camera, grid: Grid) -> tuple[F64,
     return depths, np.asarray(apart @ (along / np.linalg.norm(along)))
 
 
-def _on_middle(camera: Camera, points: F64, grid: Grid) -> F64:
+def _on_middle(camera: CameraModel, points: F64, grid: Grid) -> F64:
     """Where lines of sight through points (n, 3) meet the grid's middle plane: x, y in mm (n, 2)."""
     z = grid.axes_mm[2]
-    arriving = trace_to_points(camera.wall, np.asarray(camera.center_mm), points).arriving
-    return np.asarray(points[:, :2] + arriving[:, :2] / arriving[:, 2:] * ((z[0] + z[-1]) / 2.0 - points[:, 2:]))
+    return camera.carry(points, (z[0] + z[-1]) / 2.0)

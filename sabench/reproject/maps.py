@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sabench.arrays import F64
-from sabench.optics.camera import Camera
+from sabench.optics.model import CameraModel
 from sabench.volume import Grid
 
 TOLERANCE_PX = 1e-3
@@ -36,7 +36,7 @@ class PlaneMap:
     error_px: float
 
 
-def plane_map(camera: Camera, grid: Grid, z_mm: float, degree: int) -> PlaneMap:
+def plane_map(camera: CameraModel, grid: Grid, z_mm: float, degree: int) -> PlaneMap:
     """Fit the map of the plane at `z_mm` onto a camera's image.
 
     Raises
@@ -48,7 +48,7 @@ def plane_map(camera: Camera, grid: Grid, z_mm: float, degree: int) -> PlaneMap:
     return made
 
 
-def plane_maps(cameras: Sequence[Camera], grid: Grid) -> list[list[PlaneMap]]:
+def plane_maps(cameras: Sequence[CameraModel], grid: Grid) -> list[list[PlaneMap]]:
     """Maps of all planes (outer list) onto all cameras (inner list), of the lowest common degree within `TOLERANCE_PX`."""
     depths = grid.axes_mm[2]
     degree = max(lowest_degree(_plane_function(camera, grid, depths[[0, -1]])) for camera in cameras)
@@ -105,13 +105,13 @@ def plane_points(grid: Grid, z_mm: float, unit: F64) -> F64:
     return np.column_stack([(ends[0] + ends[1]) / 2 + unit * (ends[1] - ends[0]) / 2, np.full(len(unit), z_mm)])
 
 
-def _maps_of_degree(camera: Camera, grid: Grid, depths: F64, degree: int) -> list[PlaneMap]:
+def _maps_of_degree(camera: CameraModel, grid: Grid, depths: F64, degree: int) -> list[PlaneMap]:
     coefficients, errors = fit(_plane_function(camera, grid, depths), degree)
     pairs = zip(coefficients.reshape(len(depths), 2, -1), errors.reshape(len(depths), 2), strict=True)
     return [PlaneMap(degree, part, float(np.linalg.norm(error))) for part, error in pairs]
 
 
-def _plane_function(camera: Camera, grid: Grid, depths: F64) -> Smooth:
+def _plane_function(camera: CameraModel, grid: Grid, depths: F64) -> Smooth:
     """Exact pixels of points on several planes: (n, 2 planes)."""
 
     def pixels(unit: F64) -> F64:
@@ -120,7 +120,7 @@ def _plane_function(camera: Camera, grid: Grid, depths: F64) -> Smooth:
     return pixels
 
 
-def _project_plane(camera: Camera, grid: Grid, z_mm: float, unit: F64) -> F64:
+def _project_plane(camera: CameraModel, grid: Grid, z_mm: float, unit: F64) -> F64:
     pixels, valid = camera.project(plane_points(grid, z_mm, unit))
     if not valid.all():
         raise ValueError(f"{camera.name}: expected a light path to every voxel, but the plane z = {z_mm:g} mm has points without one")

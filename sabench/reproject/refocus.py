@@ -10,7 +10,7 @@ import numpy as np
 
 from sabench import backend
 from sabench.arrays import F32, F64
-from sabench.optics.camera import Camera
+from sabench.optics.model import CameraModel
 from sabench.progress import track
 from sabench.reproject import device, kernels
 from sabench.reproject.kernels import TILE_COLUMNS, TILE_ROWS
@@ -21,7 +21,7 @@ from sabench.volume import Grid
 _AT_ONCE = 16  # planes that are shifted before they are resampled: bounds memory
 
 
-def refocus_sum(images: F32, cameras: Sequence[Camera], grid: Grid, *, outside: float = 0.0) -> F32:
+def refocus_sum(images: F32, cameras: Sequence[CameraModel], grid: Grid, *, outside: float = 0.0) -> F32:
     """The sum over cameras of their images at every voxel: (z, y, x).
 
     Parameters
@@ -46,7 +46,7 @@ def refocus_sum(images: F32, cameras: Sequence[Camera], grid: Grid, *, outside: 
     return volume
 
 
-def refocus_log2(images: F32, cameras: Sequence[Camera], grid: Grid, floor: float, *, outside: float = 0.0) -> F32:
+def refocus_log2(images: F32, cameras: Sequence[CameraModel], grid: Grid, floor: float, *, outside: float = 0.0) -> F32:
     """The sum over cameras of log2 of their images, raised to `floor` at least, at every voxel: (z, y, x); arguments as for `refocus_sum`.
 
     Two to the power of n times it is the product of equation 3.4 of the thesis.
@@ -60,7 +60,7 @@ def refocus_log2(images: F32, cameras: Sequence[Camera], grid: Grid, floor: floa
     return volume
 
 
-def refocus_by_shifts(images: F32, cameras: Sequence[Camera], grid: Grid) -> F32:
+def refocus_by_shifts(images: F32, cameras: Sequence[CameraModel], grid: Grid) -> F32:
     """The mean over cameras by whole-pixel shifts of images mapped to the grid's middle plane: (z, y, x).
 
     Source: thesis, equations 2.1 to 2.3, the map-shift-average of cameras on one plane. Images are mapped bilinearly. A plane is refocused as the
@@ -97,7 +97,7 @@ def _reached(maps: F64) -> tuple[F64, tuple[int, int]]:
     return low, (int(height), int(width))
 
 
-def _innermost(cameras: Sequence[Camera]) -> int:
+def _innermost(cameras: Sequence[CameraModel]) -> int:
     """The camera nearest to the array's centre; of several the one with the smallest coordinates, in whatever order they come."""
     centers = np.asarray([camera.center_mm for camera in cameras])
     distance = np.linalg.norm(centers - centers.mean(axis=0), axis=1).round(6)
@@ -129,12 +129,12 @@ class _View:
     tiles: F64
 
     @classmethod
-    def of(cls, slab: Slab, cameras: Sequence[Camera], grid: Grid) -> _View:
+    def of(cls, slab: Slab, cameras: Sequence[CameraModel], grid: Grid) -> _View:
         """The view of a slab of the grid."""
         return cls(slab, *rectifying_maps(slab, cameras, grid), slab.tiles(grid))
 
 
-def _parts(images: F32, cameras: Sequence[Camera], grid: Grid, outside: float, volume: F32) -> Iterator[tuple[_View, F32, F32]]:
+def _parts(images: F32, cameras: Sequence[CameraModel], grid: Grid, outside: float, volume: F32) -> Iterator[tuple[_View, F32, F32]]:
     """Every slab with its rectified images (camera, height, width) and its part of the volume."""
     for view in track(_views(tuple(cameras), grid), f"refocus, {len(cameras)} cameras"):
         rectified = np.empty((len(images), *view.slab.shape), dtype=np.float32)
@@ -145,12 +145,12 @@ def _parts(images: F32, cameras: Sequence[Camera], grid: Grid, outside: float, v
 
 
 @functools.lru_cache(maxsize=2)
-def _views(cameras: tuple[Camera, ...], grid: Grid) -> list[_View]:
+def _views(cameras: tuple[CameraModel, ...], grid: Grid) -> list[_View]:
     return [_View.of(slab, cameras, grid) for slab in slabs(cameras, grid)]
 
 
 @functools.lru_cache(maxsize=2)
-def _whole(cameras: tuple[Camera, ...], grid: Grid) -> _View:
+def _whole(cameras: tuple[CameraModel, ...], grid: Grid) -> _View:
     return _View.of(make_slab(cameras, grid, 0, grid.shape[0]), cameras, grid)
 
 

@@ -12,8 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sabench.arrays import F64, I64
-from sabench.optics.camera import Camera
-from sabench.optics.wall import trace_to_points
+from sabench.optics.model import CameraModel
 from sabench.reproject.kernels import TILE_COLUMNS, TILE_ROWS
 from sabench.reproject.maps import Smooth, fit, lowest_degree, plane_points, slopes, terms
 from sabench.volume import Grid
@@ -82,7 +81,7 @@ class Slab:
         return np.asarray(basis @ flat.T).reshape(len(basis), planes, cameras, 2)
 
 
-def slabs(cameras: Sequence[Camera], grid: Grid) -> list[Slab]:
+def slabs(cameras: Sequence[CameraModel], grid: Grid) -> list[Slab]:
     """As few slabs as keep the affine maps within `DEVIATION_PX` of the exact lines of sight.
 
     Raises
@@ -101,7 +100,7 @@ def slabs(cameras: Sequence[Camera], grid: Grid) -> list[Slab]:
     return done
 
 
-def make_slab(cameras: Sequence[Camera], grid: Grid, first: int, count: int) -> Slab:
+def make_slab(cameras: Sequence[CameraModel], grid: Grid, first: int, count: int) -> Slab:
     """A slab of the given planes, whatever its deviation is."""
     depths = grid.axes_mm[2][first : first + count]
     z_mm = float(depths[0] + depths[-1]) / 2.0
@@ -114,7 +113,7 @@ def make_slab(cameras: Sequence[Camera], grid: Grid, first: int, count: int) -> 
     return Slab(first, count, z_mm, corners, shape, displacement, degree)
 
 
-def deviation_px(slab: Slab, cameras: Sequence[Camera], grid: Grid) -> float:
+def deviation_px(slab: Slab, cameras: Sequence[CameraModel], grid: Grid) -> float:
     """Largest distance in pixels between where the tiles' affine maps and where the exact lines of sight lead, over voxels that a camera sees.
 
     Random voxels are tried, every other one in a corner of its tile and most on the slab's outer planes: the deviation grows towards both.
@@ -138,7 +137,7 @@ def deviation_px(slab: Slab, cameras: Sequence[Camera], grid: Grid) -> float:
     return worst
 
 
-def rectifying_maps(slab: Slab, cameras: Sequence[Camera], grid: Grid) -> tuple[F64, int]:
+def rectifying_maps(slab: Slab, cameras: Sequence[CameraModel], grid: Grid) -> tuple[F64, int]:
     """Pixel positions over each camera's rectified image as polynomials (camera, 2, terms), and their degree."""
     height, width = slab.shape
     step, low = np.asarray(grid.voxel_mm), np.asarray(grid.low_mm)
@@ -175,35 +174,34 @@ def _depth_nodes(depths: F64) -> tuple[F64, F64]:
     return middle + half * nodes, np.asarray(matrix)
 
 
-def _displacement(camera: Camera, grid: Grid, depths: F64, z_mm: float) -> Smooth:
+def _displacement(camera: CameraModel, grid: Grid, depths: F64, z_mm: float) -> Smooth:
     """The way along the line of sight from each plane to `z_mm`, in voxels: (n, 2 planes)."""
 
     def ways(unit: F64) -> F64:
         parts = []
         for z in depths:
-            arriving = _paths(camera, plane_points(grid, float(z), unit))
-            parts.append(arriving[:, :2] / arriving[:, 2:] * (z_mm - z) / np.asarray(grid.voxel_mm)[:2])
+            points = plane_points(grid, float(z), unit)
+            parts.append((_carried(camera, points, z_mm) - points[:, :2]) / np.asarray(grid.voxel_mm)[:2])
         return np.column_stack(parts)
 
     return ways
 
 
-def _paths(camera: Camera, points: F64) -> F64:
-    paths = trace_to_points(camera.wall, np.asarray(camera.center_mm), points)
-    if not paths.valid.all():
+def _carried(camera: CameraModel, points: F64, z_mm: float) -> F64:
+    there = camera.carry(points, z_mm)
+    if not np.isfinite(there).all():
         raise ValueError(f"{camera.name}: expected a light path to every voxel, but the plane z = {points[0, 2]:g} mm has points without one")
-    return paths.arriving
+    return there
 
 
-def _pixels(camera: Camera, box: Grid, z_mm: float) -> Smooth:
+def _pixels(camera: CameraModel, box: Grid, z_mm: float) -> Smooth:
     def pixels(unit: F64) -> F64:
-        points = plane_points(box, z_mm, unit)
-        return camera.pixels_of(trace_to_points(camera.wall, np.asarray(camera.center_mm), points).leaving, np.ones(len(points), dtype=np.bool_))[0]
+        return camera.project(plane_points(box, z_mm, unit))[0]
 
     return pixels
 
 
-def _boxes(cameras: Sequence[Camera], grid: Grid, z_mm: float, displacement: F64, degree: int) -> tuple[F64, tuple[int, int]]:
+def _boxes(cameras: Sequence[CameraModel], grid: Grid, z_mm: float, displacement: F64, degree: int) -> tuple[F64, tuple[int, int]]:
     """First pixels (camera, 2) and common shape of the rectified images: what the slab's planes need of what each camera sees."""
     axis = np.linspace(-1.0, 1.0, 9)
     unit = np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2)
@@ -220,7 +218,7 @@ def _boxes(cameras: Sequence[Camera], grid: Grid, z_mm: float, displacement: F64
     return corners, (int(height), int(width))
 
 
-def _border(camera: Camera, grid: Grid, z_mm: float) -> F64:
+def _border(camera: CameraModel, grid: Grid, z_mm: float) -> F64:
     """Where the border of an image looks to on a plane, in voxels (n, 2); everywhere, if some of it looks nowhere."""
     along = np.linspace(-0.5, 0.5, 33)
     sides = [np.column_stack(pair) for end in (-0.5, 0.5) for pair in ((along, np.full(33, end)), (np.full(33, end), along))]

@@ -15,7 +15,7 @@ import numpy as np
 from scipy.special import erf
 
 from sabench.arrays import F32, F64, triple
-from sabench.optics.camera import Camera
+from sabench.optics.model import CameraModel
 from sabench.tomography.operator import Support
 from sabench.volume import Grid
 
@@ -42,7 +42,7 @@ class Scale:
     px_per_mm: float
 
 
-def scale_of(cameras: Sequence[Camera], grid: Grid) -> Scale:
+def scale_of(cameras: Sequence[CameraModel], grid: Grid) -> Scale:
     """Measured in the middle of the grid.
 
     Raises
@@ -58,7 +58,7 @@ def scale_of(cameras: Sequence[Camera], grid: Grid) -> Scale:
     return Scale(triple(np.linalg.norm(steps, axis=2).max(axis=0)), float(np.linalg.svd(across, compute_uv=False)[:, 0].mean()))
 
 
-def _visible(camera: Camera, points: F64) -> F64:
+def _visible(camera: CameraModel, points: F64) -> F64:
     pixels, valid = camera.project(points)
     if not valid.all():
         raise ValueError(f"{camera.name}: expected a light path to every voxel, but the middle of the grid has none")

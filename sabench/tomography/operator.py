@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sabench.arrays import F32, I64
-from sabench.optics.camera import Camera
+from sabench.optics.model import CameraModel
 from sabench.reproject import plane_maps
 from sabench.tomography.footprint import Footprint
 from sabench.tomography.kernels import Sight, back_project, project
@@ -44,7 +44,7 @@ class Support:
         return np.asarray(cuts, dtype=np.int64)
 
 
-def sight_of(cameras: Sequence[Camera], grid: Grid, margin: int) -> Sight:
+def sight_of(cameras: Sequence[CameraModel], grid: Grid, margin: int) -> Sight:
     """Cameras and grid as the kernels take them; the images of all cameras are of one size.
 
     Raises

@@ -17,7 +17,7 @@ from sabench.generation import simulate
 from sabench.rig import load_scene
 from sabench.scene import parse_scene
 from sabench.scoring import SCORES
-from tests.conftest import Command
+from tests.conftest import Command, pinholes
 
 
 def test_quick_data_set_is_whole_and_rendered(quick: Dataset) -> None:
@@ -104,8 +104,8 @@ def test_a_solver_without_the_wall_is_lost(quick: Dataset, tmp_path: Path) -> No
     from sabench.solving import make_solver
 
     case = quick.observation(0)
-    blind = replace(case, cameras=tuple(replace(camera, wall=None) for camera in case.cameras))
-    with result_writer(tmp_path / "blind.h5", quick, "blind", {}) as writer:
+    blind = replace(case, cameras=tuple(replace(camera, wall=None) for camera in pinholes(case.cameras)))
+    with result_writer(tmp_path / "blind.h5", quick, "blind", "reconstruction", {}) as writer:
         writer.add(0, make_solver("msa", {}).solve(blind))
     assert sabench.score(quick, tmp_path / "blind.h5")["recall"] < 0.05
 
@@ -126,7 +126,7 @@ def test_steps_at_the_command_line(command: Command, quick: Dataset, tmp_path: P
     assert command("solve", "msa", quick.root, "-o", "r.h5", "-p", "k=2.5", "-p", "keep=whole").returncode == 0
     done = command("score", quick.root, "r.h5", "--json")
     scores = json.loads(done.stdout)
-    assert set(scores) == {"dataset", "solver", "parameters", *SCORES, "seconds", "peak_mb"}
+    assert set(scores) == {"dataset", "track", "solver", "parameters", *SCORES, "seconds", "peak_mb"}
     assert scores["dataset"] == quick.content_hash
     assert scores["parameters"]["k"] == 2.5
     assert scores["seconds"] > 0

@@ -53,9 +53,12 @@ def test_the_best_tomographic_solver_is_chosen(monkeypatch: pytest.MonkeyPatch) 
     assert row.verdict == ("reproduced" if row.measured >= 0.75 else "below")
 
 
+SLOW = ("fig-4-16", "fig-4-18", "fig-2-7-cameras")
+
+
 @pytest.mark.parametrize("table", [name for name in TABLES if name != "table-2-1-best"])
 def test_every_table_yields_rows(table: str) -> None:
-    for row in itertools.islice(reproduce([table], 2, 60), 4):
+    for row in itertools.islice(reproduce([table], 1 if table in SLOW else 2, 60), 1 if table in SLOW else 4):
         assert row.name
         assert row.verdict
         assert row.measured is not None

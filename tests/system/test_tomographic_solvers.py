@@ -17,6 +17,7 @@ from sabench.rig import load_scene
 from sabench.scene import Scene, parse_scene
 from sabench.scoring import score_frame, true_field
 from sabench.volume import Grid, synthesise
+from tests.conftest import pinholes
 
 SOLVERS = {"mlos_sart": 0.82, "mlos_smart": 0.92, "smart": 0.90, "block_mart": 0.93, "mart": 0.93, "mfg_mart": 0.93}  # least Q in air
 
@@ -97,8 +98,8 @@ def test_particles_beyond_one_cameras_border_are_kept(name: str, in_air: Shot) -
     images = case.images.copy()
     images[0] = np.roll(images[0], aside, axis=1)
     images[0, :, :aside] = 100
-    column, row = case.cameras[0].principal_point_px
-    moved = replace(case.cameras[0], principal_point_px=(column + aside, row))
+    column, row = pinholes(case.cameras)[0].principal_point_px
+    moved = replace(pinholes(case.cameras)[0], principal_point_px=(column + aside, row))
     made = solve(name, replace(case, images=images, cameras=(moved, *case.cameras[1:])))
     hidden = in_air.particles.position_mm[in_air.views[0].pixel[:, 0] > case.cameras[0].columns - aside + 2]
     x, y, z = np.clip(np.rint(case.grid.to_voxels(hidden)).astype(int), 1, np.asarray(case.grid.shape[::-1]) - 2).T

@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 from numpy.polynomial.legendre import leggauss
 
-from sabench.arrays import F64, Bool
+from sabench.arrays import F64, Bool, triple
 from sabench.optics import layout
 from sabench.optics.camera import Camera, Distortion, aim, aimed_rotation
-from sabench.optics.wall import Layer, Wall
+from sabench.optics.wall import Layer, Wall, trace_to_points
 from sabench.rig import apparent_distance_mm
 
 BROWN = Distortion(-0.12, 0.03, 2e-3, -3e-3, 0.01)
@@ -275,3 +275,26 @@ def test_cross_has_a_centre_and_four_equal_arms() -> None:
     expected = {(0.0, 0.0), (3.0, 0.0), (6.0, 0.0), (-3.0, 0.0), (-6.0, 0.0), (0.0, 3.0), (0.0, 6.0), (0.0, -3.0), (0.0, -6.0)}
     assert len(offsets) == 9
     assert {(float(x), float(y)) for x, y in offsets} == expected
+
+
+@pytest.mark.parametrize("layers", range(4))
+def test_the_projection_kernel_and_the_traced_path_agree(layers: int) -> None:
+    """Two programs: one unknown in vector registers, and the path with its bracket by numpy; any order of indices, points outside the fluid too."""
+    rng = np.random.default_rng(layers)
+    normal = np.array([0.2, -0.3, 1.0]) / np.linalg.norm([0.2, -0.3, 1.0])
+    indices = rng.uniform(1.0, 2.4, layers + 2).tolist()
+    stack = tuple(Layer(f"layer {i}", index, float(rng.uniform(0.01, 20.0))) for i, index in enumerate(indices[1:-1]))
+    wall = Wall((3.0, -4.0, 5.0), triple(normal), indices[0], stack, indices[-1])
+    camera = Camera(
+        "camera", 100, 100, (1.0, 2.0, -400.0), aimed_rotation(normal), 85.0, 0.01, (49.0, 51.0), Distortion(k1=0.02, p2=-0.01), 80.0, 8.0, wall
+    )  # fmt: skip
+    points = rng.uniform(-150.0, 150.0, (3000, 3)) + np.array([0.0, 0.0, 100.0])
+    points[7] = np.nan
+    paths = trace_to_points(wall, np.asarray(camera.center_mm), points)
+    expected, valid = camera.pixels_of(paths.leaving, paths.valid)
+    pixels, also = camera.project(points)
+    np.testing.assert_array_equal(also, valid)
+    assert 0.1 < valid.mean() < 1.0
+    np.testing.assert_allclose(pixels[valid], expected[valid], rtol=0.0, atol=1e-8)
+    inside = replace(camera, center_mm=(1.0, 2.0, 80.0))
+    assert not inside.project(points)[1].any()

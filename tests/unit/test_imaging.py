@@ -110,7 +110,7 @@ def test_mie_intensity_is_the_mean_over_the_lens(f_number: float) -> None:
     table = scattering_table(scene, rig.cameras, particles)
     disc = np.random.default_rng(7).uniform(-1.0, 1.0, (1500, 2))
     disc = disc[np.hypot(*disc.T) < 1.0]
-    light = fluence(scene.illumination, np.array([0.0, 0.0, 30.0]), particles.position_mm)[0]
+    light = fluence(scene.light, np.array([0.0, 0.0, 30.0]), particles.position_mm)[0]
     for camera in rig.cameras:
         angles = []
         for right, down in disc * camera.aperture_radius_mm:

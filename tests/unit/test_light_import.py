@@ -9,19 +9,19 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
 LEVELS = [
-    {"errors", "arrays", "theory", "statistics", "rooflines"},
+    {"errors", "arrays", "theory", "statistics", "rooflines", "columns"},
     {"files", "seeds", "progress", "plugins", "memory", "sentences"},
     {"backend"},
     {"field"},
     {"optics", "world", "volume"},
     {"api", "scene"},
-    {"rig", "extraction"},
+    {"rig", "extraction", "targets", "detection", "calibration"},
     {"imaging", "metrics", "reproject"},
     {"dataset"},
     {"tomography"},
-    {"generation", "solving", "scoring", "pictures", "board"},
+    {"generation", "solving", "scoring", "tracks", "pictures", "board"},
     {"suite"},
-    {"run", "reproduce", "doctor"},
+    {"run", "reproduce", "doctor", "calibrate"},
     {"cli"},
 ]
 

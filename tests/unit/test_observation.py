@@ -18,8 +18,9 @@ from sabench.dataset.images import write_tiff
 from sabench.dataset.read import Dataset
 from sabench.errors import InputError
 from sabench.generation import simulate
-from sabench.solving import check_case
+from sabench.tracks.reconstruction import check_case
 from sabench.volume import Grid
+from tests.conftest import pinholes
 from tests.unit.test_imaging import make_scene
 
 
@@ -39,7 +40,7 @@ def with_nan(case: Observation) -> dict[str, Any]:
 
 
 def with_other_camera(case: Observation) -> dict[str, Any]:
-    return {"cameras": (*case.cameras[:2], replace(case.cameras[2], rows=90), case.cameras[3])}
+    return {"cameras": (*case.cameras[:2], replace(pinholes(case.cameras)[2], rows=90), case.cameras[3])}
 
 
 REFUSED: list[tuple[Change, str]] = [

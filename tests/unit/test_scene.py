@@ -82,7 +82,7 @@ def test_what_a_scene_does_not_have_is_not_in_its_hash() -> None:
     with_both = values | {"occluders": [{"center_mm": [0.0, 0.0, -100.0], "radius_mm": 5.0}], "calibration": {}}
     resolved = parse_scene(with_both, "s").to_dict()
     assert resolved["occluders"] == [{"center_mm": [0.0, 0.0, -100.0], "normal": [0.0, 0.0, 1.0], "radius_mm": 5.0}]
-    assert resolved["calibration"] == {"shift_px": 0.0}
+    assert resolved["calibration"]["shift_px"] == 0.0
 
 
 def test_hash_depends_on_every_value() -> None:
@@ -96,7 +96,10 @@ def test_schema_covers_every_key_of_a_scene() -> None:
     whole = schema()
     assert set(load_scene("quick").to_dict()) <= set(whole["properties"])
     assert whole["additionalProperties"] is False
-    assert whole["properties"]["particles"]["oneOf"][0]["properties"]["generator"] == {"const": "uniform"}
+    for table, name in (("particles", "uniform"), ("targets", "boards")):
+        known = [choice["properties"]["generator"] for choice in whole["properties"][table]["oneOf"] if "properties" in choice]
+        assert {"const": name} in known
+        assert ({"const": "boards"} in known) == (table == "targets")
 
 
 def test_particles_of_a_frame_do_not_depend_on_other_frames_or_cameras() -> None:

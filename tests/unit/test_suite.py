@@ -73,7 +73,7 @@ def test_varied_values_make_one_case_for_each_combination(tmp_path: Path) -> Non
     assert len(cases) == 6
     assert cases[1].name == "q-count_10-shift_px_0.5"
     assert dict(cases[1].axes) == {"particles.count": 10, "calibration.shift_px": 0.5}
-    assert cases[1].scene.particles["count"] == 10
+    assert (cases[1].scene.particles or {})["count"] == 10
     assert cases[1].scene.calibration is not None
     assert cases[1].scene.calibration.shift_px == 0.5
     assert len({case.folder(Path("work")) for case in cases}) == 6
@@ -86,7 +86,7 @@ def test_the_suites_changes_hold_for_all_cases_and_a_case_has_the_last_word(tmp_
     )
     found = {case.name: case.scene for case in load(tmp_path, text)}
     assert list(found) == ["quick-bit_depth_8", "quick-bit_depth_10", "few-bit_depth_8", "few-bit_depth_10"]
-    assert [scene.particles["count"] for scene in found.values()] == [7, 7, 5, 5]
+    assert [(scene.particles or {})["count"] for scene in found.values()] == [7, 7, 5, 5]
     assert {scene.cameras.f_number for scene in found.values()} == {8.0}
 
 
@@ -170,7 +170,7 @@ def test_the_thesis_arrays_are_as_it_says(name: str, magnification: float, count
 def test_a_lone_particle_is_as_bright_as_the_scene_says(name: str, share: float) -> None:
     """The brightest pixel of a particle whose image lies on a pixel's centre, as a share of the full well, in the camera that sees most light."""
     scene = load_scene(name)
-    lone = Particles(np.array([0]), np.zeros((1, 3)), np.array([scene.particles["diameter_mm"]]), np.zeros((1, 3)))
+    lone = Particles(np.array([0]), np.zeros((1, 3)), np.array([(scene.particles or {})["diameter_mm"]]), np.zeros((1, 3)))
     photons = max(image_particles(scene, camera, lone, None).photons[0] for camera in build_rig(scene).cameras)
     assert scene.cameras.particle_sigma_px is not None
     pixel = erf(0.5 / (scene.cameras.particle_sigma_px * np.sqrt(2.0))) ** 2

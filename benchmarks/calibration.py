@@ -1,0 +1,144 @@
+"""Accuracy and speed of the joint refractive calibration: `NUMBA_NUM_THREADS=1 python benchmarks/calibration.py [draws]` prints JSON.
+
+Accuracy is a ratio to the Cramer-Rao bound of the same data: mean true reprojection error, and scatter of the points along each axis, over
+as many draws of noise and boards as asked for. Times are medians after a first run; beside them stands what a dense product of as many rows and
+columns as one step's normal equations takes in the same run.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from sabench.arrays import F64
+from sabench.calibration.bundle import Seen, normal_equations, refine, residuals
+from sabench.calibration.frame import lateral_fit
+from sabench.calibration.limit import limit
+from sabench.calibration.problem import Problem
+from sabench.calibration.robust import adjust
+from sabench.calibration.state import Frame, Free, State
+from sabench.progress import track
+from sabench.reproduce.chapter_4 import Board, board, scene_of
+from sabench.rig import build_rig
+from sabench.scene import parse_scene
+from sabench.targets import exact_pixels, place
+
+_NOISES = (0.1, 0.5, 1.0, 2.0)
+_CAMERAS = (3, 7, 9, 13)
+_STARTS = (0.001, 0.01, 0.1, 0.2, 0.3)
+
+
+def median_s(work: Callable[[], object], repeats: int = 15) -> float:
+    """Median time of several runs after one to warm up."""
+    work()
+    times = []
+    for _ in range(repeats):
+        start = time.perf_counter()
+        work()
+        times.append(time.perf_counter() - start)
+    return float(np.median(times))
+
+
+def truth_of(given: Board) -> tuple[Frame, State, Seen]:
+    """The true state and exact images of a draw."""
+    frame = Frame.of(given.cameras, given.points_mm)
+    board_mm = given.case.target.points_mm
+    weights = np.asarray(np.isfinite(given.exact).all(axis=-1), dtype=np.float64)
+    return frame, frame.state(board_mm, given.points_mm), Seen(board_mm, np.nan_to_num(given.exact), weights)
+
+
+def ratios(cameras: int, noise: float, draws: int) -> dict[str, Any]:
+    """Errors over their bounds, and true over measured error over its own."""
+    found: dict[str, list[Any]] = {"reprojection": [], "scatter": [], "efficiency": [], "depth": [], "steps": []}
+    for seed in range(1, draws + 1):
+        _, state, seen = truth_of(board.__wrapped__(cameras, 0.3, 0.0, 0.0, seed))
+        bound = limit(state, seen, Free(), noise)
+        rng = np.random.default_rng(seed)
+        noisy = replace(seen, pixels=seen.pixels + noise * rng.standard_normal(seen.pixels.shape))
+        fit = refine(state, noisy, Free())
+        there = seen.weights > 0.0
+        true, measured = (float(np.linalg.norm(residuals(fit.state, one)[there], axis=-1).mean()) for one in (seen, noisy))
+        points = state.points(seen.board).reshape(-1, 3)
+        made = fit.state.points(seen.board).reshape(-1, 3)
+        errors = lateral_fit(made, points)(made) - points
+        found["reprojection"].append(true / bound.reprojection_px)
+        found["scatter"].append(errors.std(axis=0) / bound.point_std_mm)
+        found["efficiency"].append(true / measured / bound.efficiency)
+        found["depth"].append(errors[:, 2].mean() / bound.point_mean_mm[2])
+        found["steps"].append(fit.steps)
+    return {
+        "cameras": cameras, "noise_px": noise, "draws": draws,
+        "true_over_bound": round(float(np.mean(found["reprojection"])), 4),
+        "std_over_bound_xyz": np.mean(found["scatter"], axis=0).round(4).tolist(),
+        "rms_std_over_bound_xyz": np.sqrt(np.mean(np.square(found["scatter"]), axis=0)).round(4).tolist(),
+        "true_over_measured_over_expected": round(float(np.mean(found["efficiency"])), 4),
+        "depth_std_over_bound": round(float(np.std(found["depth"])), 3),
+        "steps": float(np.mean(found["steps"])),
+    }  # fmt: skip
+
+
+def starts(cameras: int, noise: float, seeds: int) -> list[dict[str, Any]]:
+    """The largest difference in true error between any start and the true one, px, and how many draws ended there."""
+    rows = []
+    for start in _STARTS:
+        differences = []
+        for seed in range(1, seeds + 1):
+            given = board.__wrapped__(cameras, 0.3, noise, start, seed)
+            _, state, seen = truth_of(given)
+            problem = Problem.of(given.case)
+            best = refine(state, problem.seen, Free())
+            fit = refine(problem.start, problem.seen, Free())
+            there = seen.weights > 0.0
+            both = [float(np.linalg.norm(residuals(one.state, seen)[there], axis=-1).mean()) for one in (best, fit)]
+            differences.append(abs(both[1] - both[0]))
+        rows.append({"cameras": cameras, "noise_px": noise, "start": start, "largest_difference_px": max(differences), "draws": seeds})
+    return rows
+
+
+def timed(cameras: int, frames: int) -> dict[str, Any]:
+    """Median seconds of a whole calibration, and of the parts of a step."""
+    values = scene_of(cameras, 0.3, 0.1, 0.1).to_dict() | {"frames": frames}
+    scene = parse_scene(values, "timed")
+    rig, placed = build_rig(scene), place(scene, 1)
+    exact = np.stack([exact_pixels(camera, placed.points_mm) for camera in rig.cameras])
+    rng = np.random.default_rng(1)
+    weights = np.asarray(np.isfinite(exact).all(axis=-1), dtype=np.float64)
+    seen = Seen(placed.target.points_mm, np.nan_to_num(exact) + 0.1 * rng.standard_normal(exact.shape), weights)
+    rough = placed.points_mm + 5.0 * rng.standard_normal(placed.points_mm.shape)
+    start = Frame.of(rig.cameras, rough).state(placed.target.points_mm, rough)
+    fit = adjust(start, seen, Free()).fit
+    step = median_s(lambda: normal_equations(start, seen, Free()))
+    count, local = float(seen.weights.sum()), 13
+    product = dense_product_s(int(count), local)
+    return {
+        "cameras": cameras, "frames": frames, "points": int(count), "steps": fit.steps,
+        "seconds": round(median_s(lambda: adjust(start, seen, Free())), 4),
+        "equations_s": round(step, 5), "points_per_s": round(count / step), "equations_over_dense_product": round(step / product, 2),
+    }  # fmt: skip
+
+
+def dense_product_s(points: int, unknowns: int) -> float:
+    """J^T J of as many rows and columns as one step sums up, by the machine's BLAS."""
+    jacobian: F64 = np.random.default_rng(0).standard_normal((2 * points, unknowns))
+    return median_s(lambda: jacobian.T @ jacobian)
+
+
+def main() -> None:
+    draws = int(sys.argv[1]) if len(sys.argv) > 1 else 100
+    pairs = [(cameras, noise) for cameras in _CAMERAS for noise in _NOISES]
+    report = {
+        "times": [timed(9, 5), timed(13, 20)],
+        "bound": [ratios(cameras, noise, draws) for cameras, noise in track(pairs, "draws")],
+        "starts": [row for cameras in track(_CAMERAS, "starts") for row in starts(cameras, 0.1, max(5, draws // 10))],
+    }
+    print(json.dumps(report, indent=2))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,42 @@
+"""A wand with balls in a row, waved through the volume."""
+
+from __future__ import annotations
+
+import numpy as np
+from pydantic import Field
+
+from sabench.api import Parameters, TargetGenerator
+from sabench.optics.rotation import exponential
+from sabench.seeds import stream
+from sabench.world import Domain, Pose, Target
+
+
+class WandParameters(Parameters):
+    """The wand; its places and directions are random."""
+
+    balls: int = Field(2, ge=2, le=20)
+    pitch_mm: float = Field(20.0, gt=0.0, description="distance of neighbouring balls")
+    ball_mm: float = Field(1.0, gt=0.0, description="diameter of a ball")
+
+
+class Wand(TargetGenerator):
+    """Two or more balls at known distances, at random places and in random directions."""
+
+    name = "wand"
+    Parameters = WandParameters
+
+    def target(self) -> Target:
+        """The balls in a row."""
+        chosen: WandParameters = self.parameters
+        return Target("wand", chosen.balls, 1, chosen.pitch_mm, chosen.ball_mm)
+
+    def pose(self, domain: Domain, seed: int, frame: int, frames: int) -> Pose:
+        """Any direction alike; all balls inside the volume, if it is large enough."""
+        rng = stream(seed, "targets", frame)
+        axis = rng.standard_normal(3)
+        axis /= np.linalg.norm(axis)
+        across = np.cross([1.0, 0.0, 0.0], axis)
+        sine = float(np.linalg.norm(across))
+        turn = exponential(across / sine * np.arctan2(sine, axis[0])) if sine > 1e-12 else np.eye(3)
+        room = np.maximum(np.asarray(domain.size_mm) / 2.0 - np.abs(self.target().points_mm @ turn.T).max(axis=0), 0.0)
+        return Pose(turn, np.asarray(domain.center_mm) + room * rng.uniform(-1.0, 1.0, 3))

@@ -1,0 +1,1 @@
+"""From image points to cameras: the equations that the calibration solvers share."""

@@ -1,0 +1,85 @@
+"""Rigid motions: turns from small vectors, the frame of a wall, and the motion that brings points onto others."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from sabench.arrays import F64, triple
+from sabench.optics.camera import Camera
+from sabench.optics.rotation import exponential
+from sabench.optics.wall import Wall, wall_axes
+
+
+@dataclass(frozen=True)
+class Motion:
+    """x -> turn x + shift.
+
+    Attributes
+    ----------
+    turn : (3, 3) rotation.
+    shift : (3,) mm.
+    """
+
+    turn: F64
+    shift: F64
+
+    def __call__(self, points_mm: F64) -> F64:
+        """Points (..., 3), moved."""
+        return np.asarray(points_mm @ self.turn.T + self.shift)
+
+    def back(self) -> Motion:
+        """The opposite motion."""
+        return Motion(self.turn.T, -self.turn.T @ self.shift)
+
+    def after(self, first: Motion) -> Motion:
+        """`first`, then this."""
+        return Motion(self.turn @ first.turn, self.turn @ first.shift + self.shift)
+
+
+def rigid_fit(points: F64, targets: F64) -> Motion:
+    """The motion of points (n, 3) that brings them nearest to targets (n, 3), in the least-squares sense.
+
+    Source: Kabsch (1976), by the singular value decomposition.
+    """
+    middle, goal = points.mean(axis=0), targets.mean(axis=0)
+    left, _, right = np.linalg.svd((targets - goal).T @ (points - middle))
+    turn = left @ np.diag([1.0, 1.0, np.sign(np.linalg.det(left @ right))]) @ right
+    return Motion(turn, goal - turn @ middle)
+
+
+def lateral_fit(points: F64, targets: F64) -> Motion:
+    """The turn about Z and shift in X and Y of points (n, 3) that bring them nearest to targets (n, 3)."""
+    middle, goal = points.mean(axis=0), targets.mean(axis=0)
+    (x, y), (p, q) = (points - middle).T[:2], (targets - goal).T[:2]
+    angle = np.arctan2(np.sum(x * q - y * p), np.sum(x * p + y * q))
+    turn = exponential(np.array([0.0, 0.0, angle]))
+    return Motion(turn, np.append((goal - turn @ middle)[:2], 0.0))
+
+
+def wall_frame(wall: Wall | None, cameras: tuple[Camera, ...], points_mm: F64) -> Motion:
+    """From the world to the frame whose Z = 0 is the wall's outer face and whose Z axis is its normal.
+
+    Without a wall the plane lies between the cameras and the points; it then has no meaning.
+    """
+    if wall is not None:
+        turn = np.stack(wall_axes(wall))
+        return Motion(turn, -turn @ np.asarray(wall.point_mm) * np.array([0.0, 0.0, 1.0]))
+    centers = np.array([camera.center_mm for camera in cameras])
+    normal = np.mean([camera.rotation[2] for camera in cameras], axis=0)
+    normal /= np.linalg.norm(normal)
+    middle = ((centers @ normal).max() + np.nanmin(points_mm.reshape(-1, 3) @ normal)) / 2.0
+    turn = np.stack(wall_axes(Wall(triple(normal * middle), triple(normal), 1.0, (), 1.0)))
+    return Motion(turn, np.array([0.0, 0.0, -middle]))
+
+
+def similarity_fit(points: F64, targets: F64) -> F64:
+    """The homogeneous matrix (4, 4) of the turn, scale and shift of points (n, 3) that bring them nearest to targets (n, 3)."""
+    motion = rigid_fit(points, targets)
+    turned = (points - points.mean(axis=0)) @ motion.turn.T
+    scale = float(np.sum(turned * (targets - targets.mean(axis=0))) / np.sum(turned**2))
+    matrix = np.eye(4)
+    matrix[:3, :3] = scale * motion.turn
+    matrix[:3, 3] = targets.mean(axis=0) - scale * motion.turn @ points.mean(axis=0)
+    return matrix

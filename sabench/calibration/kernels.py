@@ -1,0 +1,318 @@
+"""Projections through a wall with all their derivatives, and the normal equations of a bundle of them.
+
+Everything happens in the wall's own frame: its outer face is Z = 0, its normal +Z, media are numbered along the way of light from a camera.
+For a pinhole C and a point P the direction in which light leaves the pinhole is w = (G L, 1), where L is the lateral part of P - C and G the
+tangent of its angle divided by |L|. G follows from the invariant p = n sin(angle) of the path, for which sum d_i p / sqrt(n_i^2 - p^2) = |L|;
+the derivatives of p are those of an implicit function.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numba
+import numpy as np
+
+CAMERA = 14  # turn 3, centre 3, focal length in px, principal point 2, k1, k2, p1, p2, k3
+BOARD = 6  # turn 3, place 3
+_STEPS = 60
+
+
+@numba.njit(cache=True)
+def bend(indices: Any, depths: Any, radius: float) -> float:
+    """Tangent of a path's angle in its rarest medium, by Newton's iteration from the paraxial path; negative depths are gone back."""
+    rarest = indices.min()
+    paraxial = 0.0
+    for i in range(len(indices)):
+        paraxial += depths[i] * rarest / indices[i]
+    slope = radius / paraxial
+    for _ in range(_STEPS):
+        value, gradient = -radius, 0.0
+        for i in range(len(indices)):
+            r = indices[i] / rarest
+            inverse = 1.0 / math.sqrt(r * r + (r * r - 1.0) * slope * slope)
+            value += depths[i] * inverse * slope
+            gradient += depths[i] * r * r * inverse * inverse * inverse
+        step = value / gradient
+        slope -= step
+        if abs(step) <= 1e-15 * slope:
+            break
+    return slope
+
+
+@numba.njit(cache=True)
+def leave(indices: Any, depths: Any, radius: float, by_depth: Any, by_index: Any) -> tuple[float, float]:
+    """G = tan(angle in the first medium) / radius, and (dG/d radius) / radius; fills in dG by depths and by indices.
+
+    Derivatives at a radius of zero are those of the paraxial path.
+    """
+    slope = bend(indices, depths, radius)
+    rarest = indices.min()
+    gain = 0.0  # d radius / d p
+    stretch = 0.0  # sum of depth / sqrt(n^2 - p^2) = radius / p
+    for i in range(len(indices)):
+        n = indices[i]
+        cosine = math.sqrt((n * n + (n * n - rarest * rarest) * slope * slope) / (1.0 + slope * slope))
+        stretch += depths[i] / cosine
+        gain += depths[i] * n * n / (cosine * cosine * cosine)
+        by_depth[i] = 1.0 / cosine
+        by_index[i] = depths[i] * n / (cosine * cosine * cosine)
+    n = indices[0]
+    first = by_depth[0]  # 1 / sqrt(n^2 - p^2) in the cameras' medium
+    turning = n * n * first * first * first / gain  # d tan / d radius
+    tangent = first / stretch  # G
+    for i in range(len(indices)):
+        by_depth[i] *= -turning / stretch
+        by_index[i] *= turning / stretch
+    by_index[0] -= n * first * first * first / stretch  # the cameras' own index also turns p into another tangent
+    curved = (turning - tangent) / (radius * radius) if radius > 0.0 else 0.0
+    return tangent, curved
+
+
+@numba.njit(cache=True)
+def observe(turn: Any, center: Any, lens: Any, media: Any, arm: Any, place: Any, row: Any, room: Any) -> tuple[float, float, bool]:
+    """Pixel (column, row) of the point place + arm, and in `row` (2, CAMERA + BOARD + shared) its derivatives.
+
+    Parameters
+    ----------
+    turn : (3, 3) wall frame to camera frame; a small turn d acts as exp(d) turn.
+    center : (3,) pinhole.
+    lens : (8,) focal length in px, principal point, k1, k2, p1, p2, k3.
+    media : indices (m,) and thicknesses (m - 2,).
+    arm : (3,) the turned point of the board; a small turn d acts as exp(d) arm.
+    place : (3,) the board's origin.
+    row : columns in the order of `lens` after turn and centre, then the board's turn and place, then indices and thicknesses.
+    room : depths, by_depth and by_index (3, m).
+
+    Not ok: the path would not reach forward, or the point is behind the camera.
+    """
+    indices, thicknesses = media
+    depths, by_depth, by_index = room[0], room[1], room[2]
+    count = len(indices)
+    thick, paraxial = 0.0, 0.0
+    for i in range(count - 2):
+        depths[i + 1] = thicknesses[i]
+        thick += thicknesses[i]
+        paraxial += thicknesses[i] / indices[i + 1]
+    x, y = place[0] + arm[0] - center[0], place[1] + arm[1] - center[1]
+    depths[0] = -center[2]
+    depths[count - 1] = place[2] + arm[2] - thick
+    paraxial += depths[0] / indices[0] + depths[count - 1] / indices[count - 1]
+    if depths[0] <= 0.0 or paraxial * indices[0] <= 0.1 * depths[0]:
+        return 0.0, 0.0, False
+    radius = math.sqrt(x * x + y * y)
+    tangent, curved = leave(indices, depths, radius, by_depth, by_index)
+    a, b = tangent * x, tangent * y
+    u = turn[0, 0] * a + turn[0, 1] * b + turn[0, 2]
+    v = turn[1, 0] * a + turn[1, 1] * b + turn[1, 2]
+    w = turn[2, 0] * a + turn[2, 1] * b + turn[2, 2]
+    if w <= 1e-6:
+        return 0.0, 0.0, False
+    u, v = u / w, v / w
+    du, dv, uu, uv, vv = _distorted(u, v, lens)
+    focal, swing = lens[0], (x, y, tangent, curved)
+    _fill(row[0], focal * uu / w, focal * uv / w, (u, v, w), turn, swing, arm, room, count)
+    _fill(row[1], focal * uv / w, focal * vv / w, (u, v, w), turn, swing, arm, room, count)
+    s = u * u + v * v
+    row[0, 6], row[1, 6] = du, dv
+    row[0, 7], row[1, 7] = 1.0, 0.0
+    row[0, 8], row[1, 8] = 0.0, 1.0
+    row[0, 9], row[1, 9] = focal * u * s, focal * v * s
+    row[0, 10], row[1, 10] = focal * u * s * s, focal * v * s * s
+    row[0, 11], row[1, 11] = focal * 2.0 * u * v, focal * (s + 2.0 * v * v)
+    row[0, 12], row[1, 12] = focal * (s + 2.0 * u * u), focal * 2.0 * u * v
+    row[0, 13], row[1, 13] = focal * u * s * s * s, focal * v * s * s * s
+    return focal * du + lens[1], focal * dv + lens[2], True
+
+
+@numba.njit(cache=True)
+def _distorted(u: float, v: float, lens: Any) -> tuple[float, float, float, float, float]:
+    """Brown and Conrady's distortion of ideal coordinates, and its symmetric derivative."""
+    k1, k2, p1, p2, k3 = lens[3], lens[4], lens[5], lens[6], lens[7]
+    s = u * u + v * v
+    radial = 1.0 + s * (k1 + s * (k2 + s * k3))
+    slope = k1 + s * (2.0 * k2 + 3.0 * k3 * s)
+    du = u * radial + 2.0 * p1 * u * v + p2 * (s + 2.0 * u * u)
+    dv = v * radial + p1 * (s + 2.0 * v * v) + 2.0 * p2 * u * v
+    uu = radial + 2.0 * u * u * slope + 2.0 * p1 * v + 6.0 * p2 * u
+    uv = 2.0 * u * v * slope + 2.0 * p1 * u + 2.0 * p2 * v
+    vv = radial + 2.0 * v * v * slope + 6.0 * p1 * v + 2.0 * p2 * u
+    return du, dv, uu, uv, vv
+
+
+@numba.njit(cache=True)
+def _fill(row: Any, first: float, second: float, seen: Any, turn: Any, swing: Any, arm: Any, room: Any, count: int) -> None:
+    """Derivatives of one pixel coordinate by turn, centre, board and media, from those by the camera frame's x and y."""
+    (u, v, w), (x, y, tangent, curved) = seen, swing
+    by_depth, by_index = room[1], room[2]
+    third = -(first * u + second * v)  # by the camera frame's z; its vector is (u, v, 1) w
+    row[0], row[1], row[2] = w * (third * v - second), w * (first - third * u), w * (second * u - first * v)
+    left = first * turn[0, 0] + second * turn[1, 0] + third * turn[2, 0]  # by the lateral parts of the direction of light
+    down = first * turn[0, 1] + second * turn[1, 1] + third * turn[2, 1]
+    along = left * x + down * y
+    by_x, by_y = tangent * left + along * curved * x, tangent * down + along * curved * y
+    by_z = along * by_depth[count - 1]
+    row[3], row[4], row[5] = -by_x, -by_y, -along * by_depth[0]
+    row[CAMERA] = by_z * arm[1] - by_y * arm[2]
+    row[CAMERA + 1] = by_x * arm[2] - by_z * arm[0]
+    row[CAMERA + 2] = by_y * arm[0] - by_x * arm[1]
+    row[CAMERA + 3], row[CAMERA + 4], row[CAMERA + 5] = by_x, by_y, by_z
+    for i in range(count):
+        row[CAMERA + BOARD + i] = along * by_index[i]
+    for i in range(count - 2):
+        row[CAMERA + BOARD + count + i] = along * (by_depth[i + 1] - by_depth[count - 1])
+
+
+@numba.njit(cache=True)
+def _turned(turn: Any, point: Any, arm: Any) -> None:
+    for axis in range(3):
+        arm[axis] = turn[axis, 0] * point[0] + turn[axis, 1] * point[1] + turn[axis, 2] * point[2]
+
+
+@numba.njit(cache=True)
+def _columns(own: Any, shared: Any) -> Any:
+    """Columns of `observe`'s rows for the unknowns in the order camera, shared, board."""
+    f, s = len(own), len(shared)
+    pick = np.empty(f + s + BOARD, dtype=np.int64)
+    pick[:f] = own
+    for i in range(s):
+        pick[f + i] = CAMERA + BOARD + shared[i]
+    for i in range(BOARD):
+        pick[f + s + i] = CAMERA + i
+    return pick
+
+
+@numba.njit(cache=True)
+def equations(array: Any, boards: Any, seen: Any, free: Any, scale: float) -> Any:
+    """Normal equations of all observations, with the boards' unknowns in blocks.
+
+    Parameters
+    ----------
+    array : turns (M, 3, 3), centres (M, 3), lenses (M, 8), media.
+    boards : turns (K, 3, 3), places (K, 3), points on a board (m, 3).
+    seen : pixels (M, K, m, 2) and weights (M, K, m); what has no weight is not looked at.
+    free : columns of a camera (f,) that are unknowns, and of what all cameras share, counted from 0 (s,).
+    scale : of Cauchy's loss scale^2 log(1 + e^2 / scale^2), px; 0 for e^2.
+
+    Returns
+    -------
+    cost : sum of weighted losses; infinite if a weighted point has no path.
+    aa : (M f + s, M f + s) of cameras and what they share; ab : (K, M f + s, BOARD); bb : (K, BOARD, BOARD).
+    a, d : (M f + s,) and (K, BOARD), minus the gradients.
+    """
+    turns, centers, lenses, media = array
+    board_turns, places, points = boards
+    pixels, weights = seen
+    own, shared = free
+    cameras, count, dots = weights.shape
+    f, s, m = len(own), len(shared), len(media[0])
+    size, local = cameras * f + s, f + s + BOARD
+    aa, ab, bb = np.zeros((size, size)), np.zeros((count, size, BOARD)), np.zeros((count, BOARD, BOARD))
+    a, d = np.zeros(size), np.zeros((count, BOARD))
+    row, room, arm = np.zeros((2, CAMERA + BOARD + 2 * m - 2)), np.zeros((3, m)), np.zeros(3)
+    pick = _columns(own, shared)
+    part, slope, chosen = np.zeros((local, local)), np.zeros(local), np.zeros((2, local))
+    cost = 0.0
+    for c in range(cameras):
+        for k in range(count):
+            part[:], slope[:] = 0.0, 0.0
+            for i in range(dots):
+                weight = weights[c, k, i]
+                if weight == 0.0:
+                    continue
+                _turned(board_turns[k], points[i], arm)
+                u, v, ok = observe(turns[c], centers[c], lenses[c], media, arm, places[k], row, room)
+                if not ok:
+                    return math.inf, aa, ab, bb, a, d
+                eu, ev = pixels[c, k, i, 0] - u, pixels[c, k, i, 1] - v
+                square = eu * eu + ev * ev
+                if scale > 0.0:
+                    cost += weight * scale * scale * math.log1p(square / (scale * scale))
+                    weight /= 1.0 + square / (scale * scale)
+                else:
+                    cost += weight * square
+                for p in range(local):
+                    chosen[0, p], chosen[1, p] = row[0, pick[p]], row[1, pick[p]]
+                for p in range(local):
+                    gu, gv = weight * chosen[0, p], weight * chosen[1, p]
+                    slope[p] += gu * eu + gv * ev
+                    for q in range(p + 1):
+                        part[p, q] += gu * chosen[0, q] + gv * chosen[1, q]
+            _scatter(part, slope, c, k, f, s, cameras, aa, ab, bb, a, d)
+    return cost, aa, ab, bb, a, d
+
+
+@numba.njit(cache=True)
+def _scatter(part: Any, slope: Any, c: int, k: int, f: int, s: int, cameras: int, aa: Any, ab: Any, bb: Any, a: Any, d: Any) -> None:
+    """Add the lower triangle of one camera's and one board's equations to their places."""
+    for p in range(f + s):
+        here = c * f + p if p < f else cameras * f + p - f
+        a[here] += slope[p]
+        for q in range(f + s):
+            there = c * f + q if q < f else cameras * f + q - f
+            aa[here, there] += part[p, q] if q <= p else part[q, p]
+        for q in range(BOARD):
+            ab[k, here, q] += part[f + s + q, p]
+    for p in range(BOARD):
+        d[k, p] += slope[f + s + p]
+        for q in range(BOARD):
+            bb[k, p, q] += part[f + s + p, f + s + q] if q <= p else part[f + s + q, f + s + p]
+
+
+@numba.njit(cache=True)
+def misses(array: Any, boards: Any, seen: Any) -> Any:
+    """Observed minus computed pixels (M, K, m, 2); NaN where nothing was seen or there is no path."""
+    turns, centers, lenses, media = array
+    board_turns, places, points = boards
+    pixels, _ = seen
+    out, m = np.full(pixels.shape, math.nan), len(media[0])
+    row, room, arm = np.zeros((2, CAMERA + BOARD + 2 * m - 2)), np.zeros((3, m)), np.zeros(3)
+    for c in range(pixels.shape[0]):
+        for k in range(pixels.shape[1]):
+            for i in range(pixels.shape[2]):
+                _turned(board_turns[k], points[i], arm)
+                u, v, ok = observe(turns[c], centers[c], lenses[c], media, arm, places[k], row, room)
+                if ok:
+                    out[c, k, i, 0], out[c, k, i, 1] = pixels[c, k, i, 0] - u, pixels[c, k, i, 1] - v
+    return out
+
+
+@numba.njit(cache=True)
+def spreads(array: Any, boards: Any, seen: Any, free: Any, covariance: Any) -> Any:
+    """Covariances (M, K, m, 3) of computed pixels - column, row and both - from that of the unknowns in the order cameras, shared, boards."""
+    turns, centers, lenses, media = array
+    board_turns, places, points = boards
+    _, weights = seen
+    own, shared = free
+    cameras, count, dots = weights.shape
+    f, s, m = len(own), len(shared), len(media[0])
+    local, base = f + s + BOARD, cameras * f + s
+    row, room, arm = np.zeros((2, CAMERA + BOARD + 2 * m - 2)), np.zeros((3, m)), np.zeros(3)
+    out = np.full((cameras, count, dots, 3), math.nan)
+    part, pick, there = np.zeros((local, local)), _columns(own, shared), np.empty(local, dtype=np.int64)
+    for c in range(cameras):
+        for k in range(count):
+            for p in range(local):
+                there[p] = c * f + p if p < f else cameras * f + p - f if p < f + s else base + k * BOARD + p - f - s
+            for p in range(local):
+                for q in range(local):
+                    part[p, q] = covariance[there[p], there[q]]
+            for i in range(dots):
+                if weights[c, k, i] == 0.0:
+                    continue
+                _turned(board_turns[k], points[i], arm)
+                _, _, ok = observe(turns[c], centers[c], lenses[c], media, arm, places[k], row, room)
+                if not ok:
+                    continue
+                uu, vv, uv = 0.0, 0.0, 0.0
+                for p in range(local):
+                    u, v = 0.0, 0.0
+                    for q in range(local):
+                        u += part[p, q] * row[0, pick[q]]
+                        v += part[p, q] * row[1, pick[q]]
+                    uu += row[0, pick[p]] * u
+                    vv += row[1, pick[p]] * v
+                    uv += row[0, pick[p]] * v
+                out[c, k, i, 0], out[c, k, i, 1], out[c, k, i, 2] = uu, vv, uv
+    return out

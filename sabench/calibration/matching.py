@@ -1,0 +1,340 @@
+"""Particle images that may belong to one particle: seen by several cameras whose calibration is a few pixels off.
+
+Source: B. Wieneke, Volume self-calibration for 3D particle image velocimetry, Exp. Fluids 45, 549-556, 2008.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numba
+import numpy as np
+
+from sabench.arrays import F32, F64, I64
+from sabench.optics.model import CameraModel
+
+_DEGREES = range(3, 10)
+_TOLERANCE_PX = 1e-3  # of the polynomials that stand for the cameras
+_HIGHEST = 9
+_NEAR = 64  # particle images looked at around one place
+_CELL_PX = 4.0
+
+
+class Maps(NamedTuple):
+    """Cameras over a box as polynomials of x, y, z from -1 to 1.
+
+    Attributes
+    ----------
+    coefficients : (camera, terms, 2) of column and row.
+    powers : (terms, 3).
+    middle_mm, half_mm : (3,) the box.
+    """
+
+    coefficients: F64
+    powers: I64
+    middle_mm: F64
+    half_mm: F64
+
+
+class Spots(NamedTuple):
+    """One camera's particle images, sorted into square cells.
+
+    Attributes
+    ----------
+    pixel : (n, 2).
+    start : (cells + 1,) where each cell's images begin.
+    across, down : cells.
+    """
+
+    pixel: F64
+    start: I64
+    across: int
+    down: int
+
+
+def maps_of(cameras: Sequence[CameraModel], low_mm: F64, high_mm: F64) -> Maps:
+    """Polynomials of the lowest degree that stands for all cameras within a thousandth of a pixel.
+
+    Raises
+    ------
+    ValueError
+        Some of the box has no light path to a camera, or no degree is enough.
+    """
+    middle, half = (low_mm + high_mm) / 2.0, (high_mm - low_mm) / 2.0
+    axis = np.cos(np.pi * (np.arange(11) + 0.5) / 11)
+    unit = np.stack(np.meshgrid(axis, axis, axis), axis=-1).reshape(-1, 3)
+    pixels = np.stack([camera.project(middle + half * unit)[0] for camera in cameras], axis=1).reshape(len(unit), -1)
+    if not np.isfinite(pixels).all():
+        raise ValueError("expected a light path from every camera to all of the volume, but some of it has none")
+    for degree in _DEGREES:
+        powers = np.array([(i, j, k) for k in range(degree + 1) for j in range(degree + 1 - k) for i in range(degree + 1 - k - j)])
+        terms = np.prod(unit[:, None] ** powers, axis=2)
+        found = np.linalg.lstsq(terms, pixels, rcond=None)[0]
+        if np.abs(terms @ found - pixels).max() < _TOLERANCE_PX:
+            shaped = found.reshape(len(powers), len(cameras), 2).transpose(1, 0, 2)
+            return Maps(np.ascontiguousarray(shaped, dtype=np.float64), powers.astype(np.int64), middle, half)
+    raise ValueError(f"expected cameras smooth enough for polynomials of degree {_HIGHEST}: one of them, its wall or its distortion is too extreme")
+
+
+def spots_of(light: F32, least: float) -> Spots:
+    """Local maxima above `least` of an image (rows, columns), to parts of a pixel by Gaussians through three values along either axis."""
+    row, column = _maxima(np.ascontiguousarray(light), np.float32(least))
+    height = np.log(np.maximum(light, np.float32(1e-6 + 0.01 * least)))
+    across = _vertex(height[row, column - 1], height[row, column], height[row, column + 1])
+    along = _vertex(height[row - 1, column], height[row, column], height[row + 1, column])
+    return _sorted(np.column_stack([column + across, row + along]).astype(np.float64), light.shape)
+
+
+@numba.njit(cache=True)
+def _maxima(light: Any, least: Any) -> Any:
+    """Rows and columns of pixels that no neighbour outshines, borders left out."""
+    rows, columns = light.shape
+    found = []
+    for r in range(1, rows - 1):
+        for c in range(1, columns - 1):
+            value = light[r, c]
+            if value < least:
+                continue
+            top = True
+            for i in range(-1, 2):
+                for j in range(-1, 2):
+                    other = light[r + i, c + j]
+                    if other > value or (other == value and (i < 0 or (i == 0 and j < 0))):
+                        top = False
+            if top:
+                found.append((r, c))
+    out = np.empty((2, len(found)), dtype=np.int64)
+    for n in range(len(found)):
+        out[0, n], out[1, n] = found[n]
+    return out
+
+
+def _vertex(before: F32, here: F32, behind: F32) -> F64:
+    bend = 2.0 * (before - 2.0 * here + behind).astype(np.float64)
+    return np.clip((before - behind) / np.where(bend < -1e-6, bend, -np.inf), -0.5, 0.5)
+
+
+def _sorted(pixel: F64, shape: tuple[int, ...]) -> Spots:
+    down, across = (math.ceil(size / _CELL_PX) for size in shape)
+    cell = (pixel[:, 1] // _CELL_PX).astype(np.int64) * across + (pixel[:, 0] // _CELL_PX).astype(np.int64)
+    order = np.argsort(cell, kind="stable")
+    return Spots(np.ascontiguousarray(pixel[order]), np.searchsorted(cell[order], np.arange(across * down + 1)).astype(np.int64), across, down)
+
+
+@numba.njit(cache=True)
+def _locate(maps: Any, camera: int, place: Any, pixel: Any, slope: Any) -> None:
+    """A camera's pixel (2,) of a place in the box, and its slope (2, 3)."""
+    x, y, z = np.ones(_HIGHEST + 1), np.ones(_HIGHEST + 1), np.ones(_HIGHEST + 1)
+    for i in range(_HIGHEST):
+        x[i + 1], y[i + 1], z[i + 1] = x[i] * place[0], y[i] * place[1], z[i] * place[2]
+    pixel[:], slope[:] = 0.0, 0.0
+    for t in range(len(maps.powers)):
+        i, j, k = maps.powers[t]
+        by_x = i * x[i - 1] * y[j] * z[k] if i else 0.0
+        by_y = j * x[i] * y[j - 1] * z[k] if j else 0.0
+        by_z = k * x[i] * y[j] * z[k - 1] if k else 0.0
+        for a in range(2):
+            value = maps.coefficients[camera, t, a]
+            pixel[a] += value * x[i] * y[j] * z[k]
+            slope[a, 0] += value * by_x
+            slope[a, 1] += value * by_y
+            slope[a, 2] += value * by_z
+
+
+@numba.njit(cache=True)
+def _around(spots: Any, pixel: Any, reach: float, found: Any) -> int:
+    """Numbers of the particle images within reach of a pixel; returns how many."""
+    count = 0
+    left, right = max(int((pixel[0] - reach) // _CELL_PX), 0), min(int((pixel[0] + reach) // _CELL_PX), spots.across - 1)
+    top, bottom = max(int((pixel[1] - reach) // _CELL_PX), 0), min(int((pixel[1] + reach) // _CELL_PX), spots.down - 1)
+    for r in range(top, bottom + 1):
+        for c in range(left, right + 1):
+            for n in range(spots.start[r * spots.across + c], spots.start[r * spots.across + c + 1]):
+                if math.hypot(spots.pixel[n, 0] - pixel[0], spots.pixel[n, 1] - pixel[1]) <= reach and count < len(found):
+                    found[count] = n
+                    count += 1
+    return count
+
+
+@numba.njit(cache=True)
+def _gains(slopes: Any, cameras: int, gains: Any) -> bool:
+    """Fill in gains (camera, 2, 3): by how much a place moves for every pixel that a camera misses it by, in the least-squares sense."""
+    m = np.zeros((3, 3))
+    for c in range(cameras):
+        for a in range(2):
+            for p in range(3):
+                for q in range(3):
+                    m[p, q] += slopes[c, a, p] * slopes[c, a, q]
+    cross = np.empty((3, 3))
+    for p in range(3):
+        i, j = (p + 1) % 3, (p + 2) % 3
+        for q in range(3):
+            k, n = (q + 1) % 3, (q + 2) % 3
+            cross[p, q] = m[i, k] * m[j, n] - m[i, n] * m[j, k]
+    determinant = m[0, 0] * cross[0, 0] + m[0, 1] * cross[0, 1] + m[0, 2] * cross[0, 2]
+    if determinant <= 1e-9 * (m[0, 0] * m[1, 1] * m[2, 2]):
+        return False
+    for c in range(cameras):
+        for a in range(2):
+            for p in range(3):
+                sum_ = cross[p, 0] * slopes[c, a, 0] + cross[p, 1] * slopes[c, a, 1] + cross[p, 2] * slopes[c, a, 2]
+                gains[c, a, p] = sum_ / determinant
+    return True
+
+
+@numba.njit(cache=True)
+def _moved(gains: Any, misses: Any, cameras: int, step: Any) -> None:
+    """The step (3,) of a place that lowers the sum of squared misses most."""
+    for p in range(3):
+        step[p] = 0.0
+        for c in range(cameras):
+            step[p] += gains[c, 0, p] * misses[c, 0] + gains[c, 1, p] * misses[c, 1]
+
+
+@numba.njit(cache=True)
+def _on_sight(maps: Any, pixel: Any, place: Any, here: Any, slope: Any) -> bool:
+    """Move a place in x and y to where the first camera sees it at a pixel."""
+    for _ in range(10):
+        _locate(maps, 0, place, here, slope)
+        du, dv = pixel[0] - here[0], pixel[1] - here[1]
+        determinant = slope[0, 0] * slope[1, 1] - slope[0, 1] * slope[1, 0]
+        place[0] += (slope[1, 1] * du - slope[0, 1] * dv) / determinant
+        place[1] += (slope[0, 0] * dv - slope[1, 0] * du) / determinant
+        if abs(du) + abs(dv) < 1e-3:
+            break
+    return bool(abs(place[0]) <= 1.0 and abs(place[1]) <= 1.0)
+
+
+@numba.njit(cache=True)
+def match(maps: Any, spots: Any, reach: float, steps: int, places: Any, hits: Any, errors: Any) -> int:
+    """Fill in all sets of particle images, one of each of three or four cameras, that may be those of one particle; returns how many there are.
+
+    The first camera's line of sight is followed through the box; what the second shows within reach of it is intersected with it, and all that
+    the others show within reach of this place makes a set. A set counts if no camera misses the place that fits it best by more than `reach`.
+
+    Parameters
+    ----------
+    spots : one `Spots` of each camera.
+    steps : places on a line of sight, close enough for `reach`.
+    places : (sets, 3) room for the places, x, y, z from -1 to 1.
+    hits : (sets, cameras) room for the numbers of the images. A set too many is counted, but not filled in.
+    errors : (sets, cameras, 2) room for where the images lie against where the cameras see the place, px.
+    """
+    cameras, count = len(spots), 0
+    place, here, slope, step = np.zeros(3), np.zeros(2), np.zeros((2, 3)), np.zeros(3)
+    slopes, gains = np.zeros((cameras, 2, 3)), np.zeros((cameras, 2, 3))
+    misses, chosen = np.zeros((cameras, 2)), np.zeros(cameras, dtype=np.int64)
+    second, tried = np.zeros(_NEAR, dtype=np.int64), np.zeros(_NEAR, dtype=np.int64)
+    for first in range(len(spots[0].pixel)):
+        chosen[0], left = first, 0
+        place[:] = 0.0
+        for n in range(steps):
+            place[2] = -1.0 + 2.0 * n / (steps - 1)
+            if not _on_sight(maps, spots[0].pixel[first], place, here, slope):
+                place[:2] = 0.0
+                continue
+            _locate(maps, 1, place, here, slope)
+            for k in range(_around(spots[1], here, reach, second)):
+                chosen[1] = second[k]
+                if (tried[: min(left, _NEAR)] == second[k]).any():
+                    continue
+                tried[left % _NEAR] = second[k]
+                left += 1
+                start = place.copy()
+                if _crossed(maps, spots, chosen, start, slopes, misses, gains, here, slope, step):
+                    count = _others(maps, spots, reach, chosen, start, slopes, misses, gains, step, places, hits, errors, count)
+    return count
+
+
+@numba.njit(cache=True)
+def _crossed(maps: Any, spots: Any, chosen: Any, place: Any, slopes: Any, misses: Any, gains: Any, here: Any, slope: Any, step: Any) -> bool:
+    """Move a place to where the first two cameras' lines of sight come nearest to each other, if that is in the box."""
+    for _ in range(2):
+        for c in range(2):
+            _locate(maps, c, place, here, slope)
+            slopes[c] = slope
+            misses[c] = spots[c].pixel[chosen[c]] - here
+        if not _gains(slopes, 2, gains):
+            return False
+        _moved(gains, misses, 2, step)
+        place += step
+    return bool(np.abs(place).max() <= 1.0)
+
+
+@numba.njit(cache=True)
+def _others(
+    maps: Any,
+    spots: Any,
+    reach: float,
+    chosen: Any,
+    start: Any,
+    slopes: Any,
+    misses: Any,
+    gains: Any,
+    step: Any,
+    places: Any,
+    hits: Any,
+    errors: Any,
+    count: int,
+) -> int:
+    """Go through all that the cameras after the second show near to a place; returns the number of sets so far."""
+    cameras = len(spots)
+    seen, found = np.zeros((cameras, 2)), np.zeros((2, _NEAR), dtype=np.int64)
+    numbers = np.ones(2, dtype=np.int64)
+    for c in range(cameras):
+        _locate(maps, c, start, seen[c], slopes[c])
+        if c >= 2:
+            numbers[c - 2] = _around(spots[c], seen[c], reach, found[c - 2])
+    if numbers[0] * numbers[1] == 0 or not _gains(slopes, cameras, gains):
+        return count
+    for c in range(2):
+        misses[c] = spots[c].pixel[chosen[c]] - seen[c]
+    for both in range(numbers[0] * numbers[1]):
+        for c in range(2, cameras):
+            chosen[c] = found[0, both // numbers[1]] if c == 2 else found[1, both % numbers[1]]
+            misses[c, 0] = spots[c].pixel[chosen[c], 0] - seen[c, 0]
+            misses[c, 1] = spots[c].pixel[chosen[c], 1] - seen[c, 1]
+        _moved(gains, misses, cameras, step)
+        if _worst(slopes, misses, step, cameras) <= reach * reach:
+            if count < len(places):
+                for p in range(3):
+                    places[count, p] = start[p] + step[p]
+                for c in range(cameras):
+                    hits[count, c] = chosen[c]
+                    for a in range(2):
+                        bend = slopes[c, a, 0] * step[0] + slopes[c, a, 1] * step[1] + slopes[c, a, 2] * step[2]
+                        errors[count, c, a] = misses[c, a] - bend
+            count += 1
+    return count
+
+
+@numba.njit(cache=True)
+def _worst(slopes: Any, misses: Any, step: Any, cameras: int) -> float:
+    """The largest squared distance by which a camera still misses a place after a step."""
+    worst = 0.0
+    for c in range(cameras):
+        square = 0.0
+        for a in range(2):
+            off = misses[c, a] - slopes[c, a, 0] * step[0] - slopes[c, a, 1] * step[1] - slopes[c, a, 2] * step[2]
+            square += off * off
+        worst = max(worst, square)
+    return worst
+
+
+def positions(maps: Maps, camera: int, places: F64) -> F64:
+    """Pixels (n, 2) of places (n, 3) in the box."""
+    return np.asarray(np.prod(places[:, None] ** maps.powers, axis=2) @ maps.coefficients[camera])
+
+
+@numba.njit(cache=True)
+def pair_up(spots: Any, pixels: Any, reach: float, out: Any) -> int:
+    """Fill in all pairs (number of a pixel, number of a particle image) within reach of each other; returns how many there are."""
+    found, count = np.zeros(_NEAR, dtype=np.int64), 0
+    for n in range(len(pixels)):
+        for k in range(_around(spots, pixels[n], reach, found)):
+            if count < len(out):
+                out[count, 0], out[count, 1] = n, found[k]
+            count += 1
+    return count

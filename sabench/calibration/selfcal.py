@@ -1,0 +1,183 @@
+"""The steps of a volume self-calibration: follow the disparities down, collect particles that all agree on, adjust the cameras to them."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from sabench.api import Observation
+from sabench.arrays import F32, F64, I64
+from sabench.calibration.bundle import Anchor, Seen, refine, residuals
+from sabench.calibration.disparity import Sets, corrected, find_sets
+from sabench.calibration.matching import Maps, Spots, maps_of, pair_up, positions, spots_of
+from sabench.calibration.state import Frame, Free, State
+from sabench.errors import InputError
+from sabench.optics.camera import Camera
+
+_ROUNDS = 20
+_SETTLED_PX = 0.03
+_CORE = 4  # cameras whose particle images are matched all with all
+_MOST = 3000  # particles that the cameras are adjusted to
+_LATTICE = (5, 5, 3)
+_TOLD_PX = 2.0  # how far the told cameras are believed, where particles say nothing
+_REJECT = 4.0
+_RAYLEIGH_MEDIAN = 1.17741
+
+
+@dataclass(frozen=True)
+class Tracking:
+    """A case ready to be matched.
+
+    Attributes
+    ----------
+    cameras : as told, those of the core first.
+    order : their numbers in the case.
+    spots : their particle images.
+    maps : what they are told to see.
+    """
+
+    cameras: tuple[Camera, ...]
+    order: tuple[int, ...]
+    spots: tuple[Spots, ...]
+    maps: Maps
+
+    @classmethod
+    def of(cls, case: Observation, light: F32, bright: float) -> Tracking:
+        """Find particle images, and put those cameras first that look from the most different places."""
+        pinholes = tuple(camera for camera in case.cameras if isinstance(camera, Camera))
+        if len(pinholes) != len(case.cameras):
+            raise InputError("expected pinhole cameras, whose parameters can be adjusted, got others")
+        order = _spread(np.array([camera.center_mm for camera in pinholes]))
+        spots = tuple(spots_of(light[number], bright) for number in order)
+        for number, own in zip(order, spots, strict=True):
+            if not len(own.pixel):
+                raise InputError(f"{pinholes[number].name}: expected particle images, got none above {bright:g} of a bright one's peak")
+        low = np.asarray(case.grid.low_mm)
+        high = low + (np.asarray(case.grid.shape[::-1]) - 1) * np.asarray(case.grid.voxel_mm)
+        cameras = tuple(pinholes[number] for number in order)
+        return cls(cameras, tuple(order), spots, maps_of(cameras, low, high))
+
+
+def _spread(centers: F64) -> list[int]:
+    """All cameras, each the farthest from those before it; the first is the farthest from their mean."""
+    order = [int(np.linalg.norm(centers - centers.mean(axis=0), axis=1).argmax())]
+    while len(order) < len(centers):
+        away = np.linalg.norm(centers[:, None] - centers[order], axis=2).min(axis=1)
+        order.append(int(np.argmax(np.where(np.isin(np.arange(len(centers)), order), -1.0, away))))
+    return order
+
+
+def follow(tracking: Tracking, reach_px: float, least_px: float) -> Maps:
+    """Maps corrected by disparities, first of the core, then of every other camera against what the core agrees on."""
+    core = range(min(_CORE, len(tracking.cameras)))
+    maps, reach = tracking.maps, reach_px
+    for _ in range(_ROUNDS):
+        sets = find_sets(maps, tracking.spots[: len(core)], reach)
+        if not len(sets.places):
+            raise InputError(f"expected particle images that agree within {reach:g} px, got none: larger errors need a larger reach_px")
+        maps, moved = corrected(maps, sets, core)
+        if reach <= least_px and moved < _SETTLED_PX:
+            break
+        reach = max(least_px, 0.5 * reach)
+    sure = find_sets(maps, tracking.spots[: len(core)], least_px)
+    for camera in range(len(core), len(tracking.cameras)):
+        maps = _follow_one(tracking, maps, sure, camera, reach_px, least_px)
+    return maps
+
+
+def _follow_one(tracking: Tracking, maps: Maps, sure: Sets, camera: int, reach_px: float, least_px: float) -> Maps:
+    reach = reach_px
+    for _ in range(_ROUNDS):
+        pairs, errors = _pairs(maps, tracking.spots[camera], camera, sure.places, reach)
+        if not len(pairs):
+            raise InputError(
+                f"{tracking.cameras[camera].name}: expected particle images within {reach:g} px of where the other cameras' are, got none"
+            )
+        maps, moved = corrected(maps, Sets(sure.places[pairs[:, 0]], pairs, errors[:, None]), range(camera, camera + 1))
+        if reach <= least_px and moved < _SETTLED_PX:
+            break
+        reach = max(least_px, 0.5 * reach)
+    return maps
+
+
+def _pairs(maps: Maps, spots: Spots, camera: int, places: F64, reach: float) -> tuple[I64, F64]:
+    """Pairs (n, 2) of places and a camera's images within reach, and the images' errors (n, 2)."""
+    pixels = positions(maps, camera, places)
+    pairs = np.empty((20 * len(places) + 1, 2), dtype=np.int64)
+    pairs = pairs[: pair_up(spots, pixels, reach, pairs)]
+    return pairs, spots.pixel[pairs[:, 1]] - pixels[pairs[:, 0]]
+
+
+def match_all(tracking: Tracking, maps: Maps, least_px: float) -> tuple[F64, F64]:
+    """Particles that the cameras agree on: places (n, 3) from -1 to 1, and pixels (camera, n, 2), NaN where a camera has none.
+
+    A particle image belongs to the set that fits best of all that want it.
+    """
+    core = min(_CORE, len(tracking.cameras))
+    sets = find_sets(maps, tracking.spots[:core], least_px)
+    order = np.argsort(np.linalg.norm(sets.errors, axis=2).max(axis=1), kind="stable")
+    taken = [np.zeros(len(own.pixel), dtype=np.bool_) for own in tracking.spots]
+    chosen = []
+    for number in order.tolist():
+        if not any(taken[c][sets.hits[number, c]] for c in range(core)):
+            chosen.append(number)
+            for c in range(core):
+                taken[c][sets.hits[number, c]] = True
+    some = np.random.default_rng(0).permutation(np.array(chosen, dtype=np.int64))[:_MOST]  # the best alone would agree with the maps too much
+    places = sets.places[some]
+    pixels = np.full((len(tracking.cameras), len(some), 2), np.nan)
+    for c in range(core):
+        pixels[c] = tracking.spots[c].pixel[sets.hits[some, c]]
+    for c in range(core, len(tracking.cameras)):
+        pairs, errors = _pairs(maps, tracking.spots[c], c, places, least_px)
+        for row in np.argsort(-np.linalg.norm(errors, axis=1)).tolist():  # the nearest comes last and stays
+            pixels[c, pairs[row, 0]] = tracking.spots[c].pixel[pairs[row, 1]]
+    return places, pixels
+
+
+def refined(tracking: Tracking, matched: tuple[F64, F64]) -> tuple[Camera, ...]:
+    """The told cameras adjusted to particles, in the order of the case.
+
+    A lattice of places at which the told cameras are believed, to two pixels, holds what particles do not show.
+    """
+    (places, pixels), maps = matched, tracking.maps
+    particles = maps.middle_mm + maps.half_mm * places
+    axes = [np.linspace(-1.0, 1.0, count) for count in _LATTICE]
+    lattice = maps.middle_mm + maps.half_mm * np.array(list(itertools.product(*axes)))
+    points = np.vstack([particles, lattice])
+    told = np.stack([camera.project(lattice)[0] for camera in tracking.cameras])
+    both = np.concatenate([pixels, told], axis=1)
+    weights = np.isfinite(both).all(axis=2).astype(np.float64)
+    frame = Frame.of(tracking.cameras, points[:, None])
+    state = frame.state(np.zeros((1, 3)), points[:, None])
+    seen = Seen(np.zeros((1, 3)), np.nan_to_num(both)[:, :, None], weights[:, :, None], _held(frame, lattice, len(particles)))
+    state = _adjusted(state, seen, len(particles))
+    by_number = dict(zip(tracking.order, frame.built(state), strict=True))
+    return tuple(by_number[number] for number in range(len(by_number)))
+
+
+def _held(frame: Frame, lattice: F64, first: int) -> tuple[Anchor, ...]:
+    world = frame.motion.back()
+    return tuple(Anchor(first + number, 0, place, np.full(3, 1e6), world) for number, place in enumerate(lattice))
+
+
+def _adjusted(state: State, seen: Seen, particles: int) -> State:
+    """Cauchy's loss, then least squares without what is far off; the lattice weighs as its distrust says."""
+    start = seen.weights
+    noise = _noise(state, seen, particles)
+    for scale in (3.0 * noise, 0.0):
+        weights = start.copy()
+        weights[:, particles:] *= (noise / _TOLD_PX) ** 2
+        if scale == 0.0:
+            lengths = np.linalg.norm(residuals(state, seen), axis=-1)
+            weights[:, :particles] *= lengths[:, :particles] <= _REJECT * noise
+        state = refine(state, replace(seen, weights=weights), Free(), scale).state
+        noise = _noise(state, seen, particles)
+    return state
+
+
+def _noise(state: State, seen: Seen, particles: int) -> float:
+    lengths = np.linalg.norm(residuals(state, seen), axis=-1)[:, :particles]
+    return max(float(np.median(lengths[seen.weights[:, :particles] > 0.0])) / _RAYLEIGH_MEDIAN, 1e-3)

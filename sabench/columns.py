@@ -1,0 +1,48 @@
+"""The scores of every track as tables show them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Column:
+    """A score as tables show it."""
+
+    key: str
+    heading: str
+    decimals: int
+    meaning: str
+
+
+_COST = (
+    Column("seconds", "seconds", 2, "time of the solver alone"),
+    Column("peak_mb", "peak MB", 0, "most memory that the solver's process held"),
+)
+COLUMNS: dict[str, tuple[Column, ...]] = {
+    "reconstruction": (
+        Column("q", "Q", 3, "quality factor, the correlation of the reconstructed with the true intensity: 1 is perfect"),
+        Column("true_percent", "true %", 1, "share of the true particles that were found within 1.5 voxels"),
+        Column("ghost_percent", "ghost %", 1, "detections that are no true particle, relative to those that are"),
+        Column("precision", "precision", 3, "share of the detections that are true, closer than 1 voxel along every axis, one to one"),
+        Column("recall", "recall", 3, "share of the true particles that were found, by the same rule"),
+        Column("rms_px", "rms px", 3, "root mean square distance between the pairs of that rule"),
+        Column("peak_true_percent", "peak true %", 1, "true %, but with particles found as local maxima: those that touch are still two"),
+        Column("peak_ghost_percent", "peak ghost %", 1, "ghost % of these"),
+        *_COST,
+    ),
+    "calibration": (
+        Column("true_px", "true px", 4, "mean distance of reprojected points from where they truly are in the images"),
+        Column("true_ratio", "true / bound", 3, "the same over the least that the data allow (Cramer-Rao)"),
+        Column("measured_px", "measured px", 4, "mean distance of reprojected points from where they were found"),
+        Column("x_std_mm", "x std mm", 4, "scatter of the points' errors along X, after a shift in X and Y and a turn about the wall's normal"),
+        Column("y_std_mm", "y std mm", 4, "the same along Y"),
+        Column("z_std_mm", "z std mm", 4, "the same along Z"),
+        Column("z_mean_mm", "z mean mm", 3, "mean error along Z, which images through a plane wall hardly show"),
+        Column("z_std_ratio", "z std / bound", 3, "scatter along Z over its bound"),
+        Column("held_out_mm", "held out mm", 4, "root mean square error of other points in the volume, intersected from noisy images"),
+        Column("held_out_exact_mm", "with exact cameras", 4, "the same with the true cameras"),
+        *_COST,
+    ),
+}
+LARGER_IS_BETTER = {"reconstruction": True, "calibration": False}  # of the first column, by which tables are sorted

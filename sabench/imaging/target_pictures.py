@@ -1,0 +1,94 @@
+"""Pictures of a calibration target: Mitsuba follows rays through the wall to it, lamps light it, lens and sensor record it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from sabench import backend
+from sabench.arrays import F64, Bool
+from sabench.imaging.particle_images import diffraction_px
+from sabench.imaging.pathtrace import interfaces
+from sabench.optics.camera import Camera
+from sabench.optics.wall import Wall, transmittance
+from sabench.scene import Lighting
+from sabench.world import Pose, Target
+
+_CELLS = 6  # of a ChArUco marker and its black frame, along each side
+_QUIET = 0.75  # white around a board's pattern, in pitches
+
+
+def photograph(camera: Camera, target: Target, pose: Pose, lighting: Lighting, center_mm: F64, samples: int) -> F64:
+    """Photons (rows, columns) that reach the pixels, as a part of what saturates one at `lighting.exposure` 1.
+
+    Parameters
+    ----------
+    center_mm : where a white surface that faces the cameras gives the exposure asked for.
+    samples : rays per pixel.
+    """
+    mi = backend.mitsuba()
+    from sabench.imaging import target_rays  # needs the variant
+
+    origin = pose.place_mm
+    scene = mi.load_dict({"type": "scene", **interfaces(mi, camera.wall, origin, camera), **_shapes(mi, target, pose)})
+    squares = (target.columns, target.rows) if target.pattern in ("circles", "wand") else (target.columns + 1, target.rows + 1)
+    paint = target_rays.Paint(target.pattern, squares, target.pitch_mm, target.mark_mm, marker_bits(target), pose.turn.T)
+    facing = np.asarray(camera.wall.normal if camera.wall else camera.rotation[2])
+    lamps = _lamps(target_rays, lighting, camera, facing, center_mm, origin)
+    planes = len(camera.wall.layers) + 1 if camera.wall else 0
+    radiance = target_rays.picture(scene, camera, origin, paint, lamps, planes, samples).astype(np.float64)
+    radiance /= float(transmittance(camera.wall, facing[None])[0]) * (camera.wall.air_index / camera.wall.fluid_index) ** 2 if camera.wall else 1.0
+    return _diffracted(camera, radiance * camera.etendue() / camera.etendue().max(), lighting)
+
+
+def marker_bits(target: Target) -> Bool:
+    """(marker, cells) whether each cell of a ChArUco board's markers is white, in the order of its white squares; empty for other targets."""
+    if target.pattern != "charuco":
+        return np.zeros((0, _CELLS * _CELLS), dtype=np.bool_)
+    import cv2
+
+    dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_1000)
+    count = (target.columns + 1) * (target.rows + 1) // 2
+    return np.stack([cv2.aruco.generateImageMarker(dictionary, number, _CELLS).ravel() > 0 for number in range(count)])
+
+
+def _shapes(mi: Any, target: Target, pose: Pose) -> dict[str, Any]:
+    """A rectangle for a board, with white around its pattern; balls for a wand."""
+    matte = {"type": "diffuse"}
+    if target.pattern == "wand":
+        balls = pose(target.points_mm) - pose.place_mm
+        return {
+            f"ball_{i}": {"type": "sphere", "center": ball.tolist(), "radius": target.mark_mm / 2.0, "bsdf": matte} for i, ball in enumerate(balls)
+        }
+    half = [(count + 1) / 2.0 * target.pitch_mm + _QUIET * target.pitch_mm for count in (target.columns, target.rows)]
+    frame = np.eye(4)
+    frame[:3, :3] = pose.turn * [half[0], half[1], 1.0]
+    return {"board": {"type": "rectangle", "to_world": mi.ScalarTransform4f(frame), "bsdf": matte}}
+
+
+def _lamps(rays: Any, lighting: Lighting, camera: Camera, facing: F64, center_mm: F64, origin: F64) -> Any:
+    """Lamps where the fluid sees them, with powers that add up to 1 at the centre."""
+    places = np.array([_apparent(camera.wall, np.asarray(lamp.center_mm)) for lamp in lighting.lamps])
+    powers = np.array([lamp.power for lamp in lighting.lamps])
+    ways = places - center_mm
+    lengths = np.linalg.norm(ways, axis=1)
+    there = float(np.sum(powers * np.maximum(-(ways @ facing), 0.0) / lengths**3))
+    return rays.Lamps(places - origin, lighting.exposure * powers / max(there, 1e-300))
+
+
+def _apparent(wall: Wall | None, lamp_mm: F64) -> F64:
+    """Where a lamp in front of the wall seems to be for rays that cross the wall steeply; a lamp in the fluid is where it is."""
+    before = -float(wall.depth_of(lamp_mm)) if wall else 0.0
+    if wall is None or before <= 0.0:
+        return lamp_mm
+    indices = wall.indices
+    optical = before / indices[0] + sum(layer.thickness_mm / layer.index for layer in wall.layers)
+    return np.asarray(lamp_mm + (before + wall.thickness_mm - optical * indices[-1]) * np.asarray(wall.normal))
+
+
+def _diffracted(camera: Camera, photons: F64, lighting: Lighting) -> F64:
+    """Blurred by the lens's Airy disc, as a Gaussian of its width."""
+    from scipy.ndimage import gaussian_filter
+
+    return np.asarray(gaussian_filter(photons, diffraction_px(camera, lighting.wavelength_nm)))

@@ -1,0 +1,23 @@
+"""Rotations from small vectors."""
+
+import numpy as np
+
+from sabench.arrays import F64
+
+
+def exponential(vectors: F64) -> F64:
+    """Rotation matrices (..., 3, 3) of rotation vectors (..., 3), by Rodrigues' formula."""
+    angle = np.linalg.norm(vectors, axis=-1)[..., None, None]
+    cross = skew(vectors)
+    small = angle < 1e-8
+    safe = np.where(small, 1.0, angle)
+    first = np.where(small, 1.0, np.sin(safe) / safe)
+    second = np.where(small, 0.5, 2.0 * np.sin(safe / 2.0) ** 2 / safe**2)
+    return np.asarray(np.eye(3) + first * cross + second * (cross @ cross))
+
+
+def skew(vectors: F64) -> F64:
+    """Matrices (..., 3, 3) of the cross product with vectors (..., 3)."""
+    x, y, z = np.moveaxis(vectors, -1, 0)
+    zero = np.zeros_like(x)
+    return np.stack([np.stack([zero, -z, y], -1), np.stack([z, zero, -x], -1), np.stack([-y, x, zero], -1)], -2)

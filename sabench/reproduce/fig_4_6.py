@@ -1,0 +1,58 @@
+"""Figure 4-6: what a camera model without refraction makes of exact points behind a wall; and the polynomials beside it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from sabench.arrays import F64
+from sabench.optics.empirical import fit_planes, fit_projective, fit_soloff
+from sabench.optics.model import CameraModel
+from sabench.reproduce.chapter_4 import scene_of
+from sabench.reproduce.common import Row, claim, compared
+from sabench.rig import build_rig
+
+SEEDS = 1
+_MEAN, _STD = 0.411, 0.269
+_BASELINES = (0.2, 0.3, 0.4, 0.5)
+
+
+def rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Row]:
+    """Mean and scatter of the error over all cameras of the inner 3 x 3, for several baselines: the thesis does not say which it took."""
+    means = {}
+    for baseline in _BASELINES:
+        cameras = build_rig(scene_of(9, baseline, 0.0, 0.0)).cameras
+        errors: dict[str, list[F64]] = {name: [] for name in ("projective", "soloff", "planes")}
+        for camera in cameras:
+            for name, own in _errors(camera).items():
+                errors[name].append(own)
+        for name, parts in errors.items():
+            values = np.concatenate(parts)
+            means[baseline, name] = float(values.mean())
+            thesis = _MEAN if name == "projective" else None
+            yield compared(
+                f"D = {baseline:g}: mean error of {name}, px", thesis, [float(values.mean())], f"std {values.std():.3g} px (thesis {_STD})"
+            )
+    reached = max(means[baseline, "projective"] for baseline in _BASELINES)
+    yield claim("a model without refraction is not enough", "above 0.4 px", reached, reached > 0.3, f"largest of D = {_BASELINES}")
+
+
+def _errors(camera: CameraModel) -> dict[str, F64]:
+    """Distances in px at random points, of models fitted to a lattice of exact points on nine planes."""
+    planes = np.linspace(12.0, 58.0, 9)
+    axis = np.linspace(-23.0, 23.0, 13)
+    x, y, z = np.meshgrid(axis, axis, planes)
+    points = np.column_stack([x.ravel(), y.ravel(), z.ravel()])
+    images = camera.project(points)[0]
+    by_plane = [points[:, 2] == depth for depth in planes]
+    size = (camera.name, camera.rows, camera.columns)
+    models: dict[str, CameraModel] = {
+        "projective": fit_projective(*size, points, images),
+        "soloff": fit_soloff(*size, points, images),
+        "planes": fit_planes(*size, [points[own] for own in by_plane], [images[own] for own in by_plane]),
+    }
+    rng = np.random.default_rng(1)
+    tried = np.column_stack([rng.uniform(-23.0, 23.0, (2000, 2)), rng.uniform(12.0, 58.0, 2000)])
+    exact = camera.project(tried)[0]
+    return {name: np.linalg.norm(model.project(tried)[0] - exact, axis=1) for name, model in models.items()}

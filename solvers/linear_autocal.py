@@ -1,0 +1,50 @@
+"""Auto-calibration of pinholes by factorisation."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from sabench.api import Calibration, CalibrationCase, CalibrationSolver
+from sabench.arrays import F64
+from sabench.calibration.factorisation import adjusted, euclidean, factorise
+from sabench.calibration.frame import similarity_fit
+from sabench.errors import InputError
+from sabench.optics.empirical import Projective
+
+
+class LinearAutocal(CalibrationSolver):
+    """Factorisation and Euclidean upgrade for pinholes in a single medium, brought to the world by a similarity.
+
+    The principal points are believed, the cameras otherwise unknown. Scale, place and direction come from the target's roughly known places, of
+    which only this similarity is taken.
+    """
+
+    name = "linear_autocal"
+    references = ("T. Svoboda, D. Martinec and T. Pajdla, Presence 14, 2005", "J. Belden, PhD thesis, MIT 2011, figures 4-20 and 4-21")
+
+    def solve(self, case: CalibrationCase) -> Calibration:
+        """Points that two cameras found, and the cameras that follow from all of them."""
+        seen = case.found.reshape(len(case.cameras), -1)
+        chosen = (seen.sum(axis=0) >= 2) & np.isfinite(case.rough_mm.reshape(-1, 3)).all(axis=1)
+        if len(case.cameras) < 3:
+            raise InputError(f"expected 3 cameras or more, got {len(case.cameras)}")
+        scales = np.array([_scale(camera.focal_px, camera.principal_point_px) for camera in case.cameras])
+        images = (case.pixels.reshape(len(scales), -1, 2)[:, chosen] - scales[:, None, :2]) / scales[:, None, 2:]
+        factors = euclidean(adjusted(factorise(images, seen[:, chosen]), images, seen[:, chosen]))
+        points = factors.points[:, :3] / factors.points[:, 3:]
+        world = similarity_fit(points, case.rough_mm.reshape(-1, 3)[chosen])
+        matrices = factors.matrices @ np.linalg.inv(world)
+        cameras = [
+            Projective(camera.name, camera.rows, camera.columns, tuple(tuple(row) for row in (_image(scale) @ matrix).tolist()))
+            for camera, scale, matrix in zip(case.cameras, scales, matrices, strict=True)
+        ]
+        return Calibration(tuple(cameras))
+
+
+def _scale(focal_px: float, principal_point_px: tuple[float, float]) -> tuple[float, float, float]:
+    return *principal_point_px, focal_px
+
+
+def _image(scale: F64) -> F64:
+    """From scaled coordinates to pixels."""
+    return np.array([[scale[2], 0.0, scale[0]], [0.0, scale[2], scale[1]], [0.0, 0.0, 1.0]])

@@ -1,0 +1,24 @@
+"""A pinhole without refraction for every camera."""
+
+from __future__ import annotations
+
+from sabench.api import Calibration, CalibrationCase, CalibrationSolver
+from sabench.calibration.known import known_points
+from sabench.optics.empirical import fit_projective
+
+
+class PinholeLinear(CalibrationSolver):
+    """Direct linear transform and refinement of 11 parameters, as if there were no wall.
+
+    The target's places are believed as they are told: their errors become the cameras'.
+    """
+
+    name = "pinhole_linear"
+    references = ("R. Hartley and A. Zisserman, Multiple View Geometry, chapter 7", "J. Belden, PhD thesis, MIT 2011, section 4.4 and figure 4-6")
+
+    def solve(self, case: CalibrationCase) -> Calibration:
+        """Fit every camera on its own."""
+        cameras = [
+            fit_projective(camera.name, camera.rows, camera.columns, *known_points(case, number)) for number, camera in enumerate(case.cameras)
+        ]
+        return Calibration(tuple(cameras))

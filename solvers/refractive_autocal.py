@@ -1,0 +1,49 @@
+"""Refractive auto-calibration: all cameras and all boards at once."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Literal
+
+from pydantic import Field
+
+from sabench.api import Calibration, CalibrationCase, CalibrationSolver, Parameters
+from sabench.calibration.diagnosis import check_case, check_fit
+from sabench.calibration.problem import Problem, anchors_of
+from sabench.calibration.robust import adjust
+from sabench.calibration.state import Free
+
+
+class RefractiveAutocalParameters(Parameters):
+    """What is free besides the turn, centre and focal length of every camera and the places of the boards."""
+
+    principal_point: bool = Field(False, description="of every camera")
+    distortion: tuple[Literal["k1", "k2", "p1", "p2", "k3"], ...] = Field((), description="coefficients of every camera")
+    indices: tuple[int, ...] = Field((), description="refractive indices of these media, the cameras' side first, starting with 0")
+    thicknesses: tuple[int, ...] = Field((), description="thicknesses of these layers of the wall, starting with 0")
+
+
+class RefractiveAutocal(CalibrationSolver):
+    """Joint bundle adjustment of refractive cameras and boards, robust against outliers, with the known points as observations.
+
+    A wall's place is not free: all that the images show is where the cameras and boards are against it, and where it is in the world the known
+    points say.
+    """
+
+    name = "refractive_autocal"
+    references = ("J. Belden, PhD thesis, MIT 2011, chapter 4", "B. Triggs et al., Bundle adjustment - a modern synthesis, LNCS 1883, 2000")
+    Parameters = RefractiveAutocalParameters
+
+    def solve(self, case: CalibrationCase) -> Calibration:
+        """Adjust, then again with the known coordinates weighed against the noise that was found."""
+        chosen: RefractiveAutocalParameters = self.parameters
+        free = Free(chosen.principal_point, chosen.distortion, chosen.indices, chosen.thicknesses)
+        check_case(case)
+        problem = Problem.of(case)
+        found = adjust(problem.start, problem.seen, free)
+        anchors = anchors_of(case, problem.frame, found.noise_px)
+        if anchors:
+            found = adjust(problem.settled(found.fit.state), replace(problem.seen, anchors=anchors), free)
+        state = problem.settled(found.fit.state)
+        check_fit(case, state, problem.frame, problem.seen, found.used, found.noise_px)
+        return problem.answer(state, found.used)

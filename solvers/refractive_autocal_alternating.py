@@ -1,0 +1,37 @@
+"""Refractive auto-calibration as the thesis does it: cameras and boards in turn."""
+
+from __future__ import annotations
+
+from pydantic import Field
+
+from sabench.api import Calibration, CalibrationCase, CalibrationSolver, Parameters
+from sabench.calibration.alternate import alternate
+from sabench.calibration.problem import Problem
+from sabench.calibration.state import Free
+
+
+class AlternatingParameters(Parameters):
+    """When it stops."""
+
+    tolerance_px: float = Field(0.001, gt=0.0, description="stop when the largest mean reprojection error of a camera changes by less in a round")
+    rounds: int = Field(1000, ge=1, description="stop after as many rounds in any case")
+
+
+class RefractiveAutocalAlternating(CalibrationSolver):
+    """Each camera against the boards, each board against the cameras, in turn until the errors hardly change.
+
+    The stop rule looks at a change and not at a gradient: it ends before the least-squares solution is reached.
+    """
+
+    name = "refractive_autocal_alternating"
+    references = ("J. Belden, PhD thesis, MIT 2011, figure 4-1 and section 4.4.2",)
+    Parameters = AlternatingParameters
+
+    def solve(self, case: CalibrationCase) -> Calibration:
+        """Alternate, bring the points to the known reference points, and alternate again."""
+        chosen: AlternatingParameters = self.parameters
+        problem, free = Problem.of(case), Free()
+        state = problem.start
+        for _ in range(2):
+            state = problem.settled(alternate(state, problem.seen, free, chosen.tolerance_px, chosen.rounds).state)
+        return problem.answer(state)

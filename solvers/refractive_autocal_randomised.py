@@ -1,0 +1,69 @@
+"""The thesis's auto-calibration on random subsets of the cameras."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from pydantic import Field
+
+from sabench.api import Calibration, CalibrationCase, CalibrationSolver, Parameters
+from sabench.calibration.alternate import alternate, mean_turn, subset
+from sabench.calibration.problem import Problem
+from sabench.calibration.state import Free, State
+from sabench.seeds import stream
+
+
+class RandomisedParameters(Parameters):
+    """The subsets, and when they agree."""
+
+    subset: int = Field(4, ge=2, description="cameras in a subset; two subsets are drawn in every iteration")
+    agreement_mm: float = Field(0.001, gt=0.0, description="stop when the points of two subsets differ by less, as a standard deviation")
+    iterations: int = Field(20, ge=1, description="stop after as many in any case")
+    tolerance_px: float = Field(0.001, gt=0.0, description="of the alternation")
+    rounds: int = Field(1000, ge=1, description="of the alternation, at most")
+    seed: int = Field(1, ge=0, description="of the draws")
+
+
+class RefractiveAutocalRandomised(CalibrationSolver):
+    """Alternating calibrations of random subsets until two agree; their mean boards start that of all cameras."""
+
+    name = "refractive_autocal_randomised"
+    references = ("J. Belden, PhD thesis, MIT 2011, section 4.4.2",)
+    Parameters = RandomisedParameters
+
+    def skip(self, case: CalibrationCase) -> str | None:
+        """Two different subsets must exist."""
+        chosen: RandomisedParameters = self.parameters
+        if len(case.cameras) > chosen.subset:
+            return None
+        return f"expected more than {chosen.subset} cameras, of which subsets can be drawn, got {len(case.cameras)}"
+
+    def solve(self, case: CalibrationCase) -> Calibration:
+        """Draw and average until the subsets agree, or agree less than before."""
+        chosen: RandomisedParameters = self.parameters
+        problem, free, rng = Problem.of(case), Free(), stream(self.parameters.seed, "subsets")
+        state, least = problem.start, np.inf
+        for _ in range(chosen.iterations):
+            pair = [self._subset(problem, state, rng, free) for _ in range(2)]
+            points = [part.points(problem.seen.board) for part in pair]
+            spread = float((points[0] - points[1]).std(axis=(0, 1)).max())
+            if spread > least:
+                break
+            state, least = _averaged(state, pair), spread
+            if spread < chosen.agreement_mm:
+                break
+        return problem.answer(problem.settled(alternate(state, problem.seen, free, chosen.tolerance_px, chosen.rounds).state))
+
+    def _subset(self, problem: Problem, state: State, rng: np.random.Generator, free: Free) -> State:
+        """One subset's calibration, from the boards as they are known so far."""
+        chosen: RandomisedParameters = self.parameters
+        cameras = np.sort(rng.permutation(len(state.turns))[: chosen.subset])
+        part, seen = subset(state, problem.seen, cameras)
+        return problem.settled(alternate(part, seen, free, chosen.tolerance_px, chosen.rounds).state)
+
+
+def _averaged(state: State, pair: list[State]) -> State:
+    """The state with the mean of both subsets' boards."""
+    places = np.mean([part.places for part in pair], axis=0)
+    return replace(state, board_turns=mean_turn(np.stack([part.board_turns for part in pair])), places=places)

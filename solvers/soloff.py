@@ -1,0 +1,19 @@
+"""A cubic polynomial for every camera."""
+
+from __future__ import annotations
+
+from sabench.api import Calibration, CalibrationCase, CalibrationSolver
+from sabench.calibration.known import known_points
+from sabench.optics.empirical import fit_soloff
+
+
+class SoloffCalibration(CalibrationSolver):
+    """Soloff's polynomial of 19 terms, fitted to the target's places as they are told: their errors become the cameras'."""
+
+    name = "soloff"
+    references = ("S. M. Soloff, R. J. Adrian and Z.-C. Liu, Meas. Sci. Technol. 8, 1441, 1997",)
+
+    def solve(self, case: CalibrationCase) -> Calibration:
+        """Fit every camera on its own."""
+        cameras = [fit_soloff(camera.name, camera.rows, camera.columns, *known_points(case, number)) for number, camera in enumerate(case.cameras)]
+        return Calibration(tuple(cameras))

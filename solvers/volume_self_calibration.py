@@ -1,0 +1,40 @@
+"""Volume self-calibration on particle images."""
+
+from __future__ import annotations
+
+import numpy as np
+from pydantic import Field
+
+from sabench.api import Calibration, Observation, Parameters, SelfCalibrationSolver
+from sabench.calibration.selfcal import Tracking, follow, match_all, refined
+from sabench.extraction import normalised
+
+
+class VolumeSelfCalibrationParameters(Parameters):
+    """How far off the cameras may be, and which particle images count."""
+
+    reach_px: float = Field(4.0, gt=0.5, le=20.0, description="largest error that is looked for; it is halved in every round")
+    least_px: float = Field(0.7, gt=0.1, description="reach at which the rounds end")
+    bright: float = Field(0.15, gt=0.0, lt=1.0, description="least peak of a particle image, as a fraction of a bright one's")
+
+
+class VolumeSelfCalibration(SelfCalibrationSolver):
+    """Disparities of particle images between cameras that are a few pixels off, then all cameras adjusted to the particles that they agree on.
+
+    What particles cannot show - a motion of all cameras together, and what comes near to one - stays as it was.
+    """
+
+    name = "volume_self_calibration"
+    references = ("B. Wieneke, Exp. Fluids 45, 549-556, 2008",)
+    Parameters = VolumeSelfCalibrationParameters
+
+    def skip(self, case: Observation) -> str | None:
+        """Two cameras agree on anything."""
+        return f"expected 3 cameras or more, got {len(case.cameras)}" if len(case.cameras) < 3 else None
+
+    def solve(self, case: Observation) -> Calibration:
+        """Four cameras first, then the others against what these agree on."""
+        chosen: VolumeSelfCalibrationParameters = self.parameters
+        tracking = Tracking.of(case, np.asarray(normalised(case)), chosen.bright)
+        maps = follow(tracking, chosen.reach_px, chosen.least_px)
+        return Calibration(refined(tracking, match_all(tracking, maps, chosen.least_px)))
