@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from sabench.api import Calibration, CalibrationCase, CalibrationSolver
-from sabench.calibration.known import known_points
+from sabench.calibration.known import flat, known_points
 from sabench.optics.empirical import fit_projective
 
 
@@ -15,6 +15,10 @@ class PinholeLinear(CalibrationSolver):
 
     name = "pinhole_linear"
     references = ("R. Hartley and A. Zisserman, Multiple View Geometry, chapter 7", "J. Belden, PhD thesis, MIT 2011, section 4.4 and figure 4-6")
+
+    def skip(self, case: CalibrationCase) -> str | None:
+        """Places in one plane determine no camera."""
+        return flat(case)
 
     def solve(self, case: CalibrationCase) -> Calibration:
         """Fit every camera on its own."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from sabench.api import Calibration, CalibrationCase, CalibrationSolver
-from sabench.calibration.known import known_points
+from sabench.calibration.known import flat, known_points
 from sabench.optics.empirical import fit_soloff
 
 
@@ -12,6 +12,10 @@ class SoloffCalibration(CalibrationSolver):
 
     name = "soloff"
     references = ("S. M. Soloff, R. J. Adrian and Z.-C. Liu, Meas. Sci. Technol. 8, 1441, 1997",)
+
+    def skip(self, case: CalibrationCase) -> str | None:
+        """Places in one plane determine no camera."""
+        return flat(case)
 
     def solve(self, case: CalibrationCase) -> Calibration:
         """Fit every camera on its own."""

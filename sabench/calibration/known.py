@@ -7,6 +7,8 @@ import numpy as np
 from sabench.api import CalibrationCase
 from sabench.arrays import F64
 
+_FLAT = 1e-6  # thickness over width of places in one plane
+
 
 def known_points(case: CalibrationCase, camera: int) -> tuple[F64, F64]:
     """Places (n, 3) and pixels (n, 2) of everything that a camera found."""
@@ -23,3 +25,10 @@ def known_frames(case: CalibrationCase, camera: int) -> tuple[list[F64], list[F6
             points.append(rough[there])
             pixels.append(found[there])
     return points, pixels
+
+
+def flat(case: CalibrationCase) -> str | None:
+    """Why a classical calibration cannot take a case whose places are all told in one plane, or None if they are not."""
+    told = case.rough_mm[np.isfinite(case.rough_mm).all(axis=-1)]
+    spread = np.linalg.svd(told - told.mean(axis=0), compute_uv=False)
+    return "expected places that are told at different depths, got all of them in one plane" if spread[2] <= _FLAT * spread[0] else None

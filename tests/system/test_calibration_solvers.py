@@ -94,6 +94,13 @@ def test_polynomials_need_planes() -> None:
     assert reason.startswith("expected frames of one Z each, got one with a range of")
 
 
+@pytest.mark.parametrize("name", ["soloff", "pinhole_linear"])
+def test_classical_calibrations_need_different_depths(name: str) -> None:
+    case, *_ = case_of(calibration_scene(calibration={"blank": True, "known": []}))
+    algorithm: Any = make_algorithm(name, {})
+    assert algorithm.skip(case) == "expected places that are told at different depths, got all of them in one plane"
+
+
 def test_alternation_ends_early_and_joint_adjustment_does_not() -> None:
     """The thesis's stop rule looks at a change of 0.001 px; the least-squares solution is further on."""
     case, _, _, exact = case_of(calibration_scene(calibration={"points": 0.2, "center_mm": 30.0, "turn_deg": 3.0, "known": []}))
