@@ -8,7 +8,7 @@ from typing import Literal
 from pydantic import Field
 
 from sabench.api import Calibration, CalibrationCase, CalibrationSolver, Parameters
-from sabench.calibration.diagnosis import check_case, check_fit
+from sabench.calibration.diagnosis import check_fit
 from sabench.calibration.problem import Problem, anchors_of
 from sabench.calibration.robust import adjust
 from sabench.calibration.state import Free
@@ -38,7 +38,6 @@ class RefractiveAutocal(CalibrationSolver):
         """Adjust, then again with the known coordinates weighed against the noise that was found."""
         chosen: RefractiveAutocalParameters = self.parameters
         free = Free(chosen.principal_point, chosen.distortion, chosen.indices, chosen.thicknesses)
-        check_case(case)
         problem = Problem.of(case)
         found = adjust(problem.start, problem.seen, free)
         anchors = anchors_of(case, problem.frame, found.noise_px)

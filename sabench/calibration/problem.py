@@ -9,6 +9,7 @@ import numpy as np
 from sabench.api import Calibration, CalibrationCase
 from sabench.arrays import Bool
 from sabench.calibration.bundle import Anchor, Seen
+from sabench.calibration.diagnosis import check_case
 from sabench.calibration.frame import Motion, lateral_fit, rigid_fit
 from sabench.calibration.state import Frame, State
 from sabench.errors import InputError
@@ -38,8 +39,9 @@ class Problem:
         Raises
         ------
         InputError
-            Fewer points than unknowns, or a frame of which nothing is known beforehand.
+            What `diagnosis.check_case` refuses, fewer points than unknowns, or a frame of which nothing is known beforehand.
         """
+        check_case(case)
         check_count(case)
         for number, points in enumerate(case.rough_mm):
             if np.isfinite(points).all(axis=1).sum() < 3 and case.found[:, number].any():

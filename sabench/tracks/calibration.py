@@ -19,8 +19,10 @@ from sabench.dataset.read import Dataset
 from sabench.dataset.result import Result, ResultWriter
 from sabench.errors import DeclinedError, InputError
 from sabench.metrics.alignment import ALIGNMENTS, alignment
+from sabench.optics.camera import Camera
 from sabench.optics.model import CameraModel
 from sabench.optics.triangulation import triangulate
+from sabench.optics.wall import Wall
 from sabench.seeds import stream
 from sabench.targets import exact_pixels
 
@@ -90,6 +92,7 @@ def score_result(data: Dataset, result: Result | str) -> dict[str, float | None]
     bound = _bound(case, frame, truths, good, noise)
     scores = _reprojection(guess, points, case, exact, good, bound)
     scores |= _points(points, truths, frame, np.asarray(good.any(axis=0)), bound)
+    scores |= _wall_errors(guess.cameras, data.true_cameras[0].wall)
     return scores | _held_out(guess.cameras, points, data, truths, frame, noise)
 
 
@@ -173,6 +176,15 @@ def _length(errors: F64, chosen: Bool) -> float | None:
     lengths = np.linalg.norm(errors[chosen], axis=-1)
     lengths = lengths[np.isfinite(lengths)]
     return float(lengths.mean()) if len(lengths) else None
+
+
+def _wall_errors(cameras: tuple[CameraModel, ...], wall: Wall | None) -> dict[str, float | None]:
+    """Largest error of a refractive index and of a layer's thickness, where both walls are known."""
+    found = cameras[0].wall if isinstance(cameras[0], Camera) else None
+    if wall is None or found is None or len(found.layers) != len(wall.layers):
+        return {"index_error": None, "thickness_error_mm": None}
+    thick = [abs(own.thickness_mm - true.thickness_mm) for own, true in zip(found.layers, wall.layers, strict=True)]
+    return {"index_error": float(np.abs(found.indices - wall.indices).max()), "thickness_error_mm": max(thick, default=0.0)}
 
 
 def _points(points: F64, truths: F64, frame: Frame, seen: Bool, bound: Limit | None) -> dict[str, float | None]:

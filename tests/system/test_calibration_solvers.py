@@ -146,6 +146,14 @@ def test_a_calibration_s_scores(boards: Dataset, tmp_path: Path) -> None:
     assert again.points_mm.shape == (5, 121, 3)
 
 
+def test_a_wrong_index_is_estimated_and_scored(boards: Dataset, tmp_path: Path) -> None:
+    """Of the wall the fluid's index alone can be estimated, to some thousandths; what is not free stays exact."""
+    result = sabench.solve("refractive_autocal", boards, tmp_path / "r.h5", parameters={"indices": [2]})
+    scores = sabench.score(boards, result.path)
+    assert 0.0 < scores["index_error"] < 0.01
+    assert scores["thickness_error_mm"] == 0.0
+
+
 @pytest.mark.parametrize("name", ["soloff", "pinhole_linear"])
 def test_other_camera_models_come_back_from_their_file(boards: Dataset, tmp_path: Path, name: str) -> None:
     result = sabench.solve(name, boards, tmp_path / "r.h5")
