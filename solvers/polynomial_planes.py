@@ -26,7 +26,7 @@ class PolynomialPlanes(CalibrationSolver):
         middles = np.sort(np.nanmean(depth, axis=1))
         ranges = np.nanmax(depth, axis=1) - np.nanmin(depth, axis=1)
         apart = float(np.diff(middles).min(initial=np.inf))
-        if ranges.max() <= _FLAT * apart:
+        if apart > 0.0 and ranges.max() <= _FLAT * apart:
             return None
         return f"expected frames of one Z each, got one with a range of {ranges.max():.3g} mm where frames are {apart:.3g} mm apart"
 

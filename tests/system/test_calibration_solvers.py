@@ -99,6 +99,8 @@ def test_classical_calibrations_need_different_depths(name: str) -> None:
     case, *_ = case_of(calibration_scene(calibration={"blank": True, "known": []}))
     algorithm: Any = make_algorithm(name, {})
     assert algorithm.skip(case) == "expected places that are told at different depths, got all of them in one plane"
+    planes: Any = make_algorithm("polynomial_planes", {})
+    assert planes.skip(case) == "expected frames of one Z each, got one with a range of 0 mm where frames are 0 mm apart"
 
 
 def test_alternation_ends_early_and_joint_adjustment_does_not() -> None:
