@@ -51,11 +51,7 @@ def scene_of(cameras: int, baseline: float, noise_px: float, start: float, *, wa
     ----------
     start : standard deviation of the rough points over the volume's edge; cameras start as wrong as that.
     """
-    values: dict[str, Any] = load_scene("calibration").to_dict()
-    middle = values["volume"]["center_mm"][2] - values["cameras"]["center_mm"][2]
-    steps = [(_INNER + _OUTER)[number] for number in _CHOSEN[cameras]]
-    places = [{"center_mm": [x * baseline * middle, y * baseline * middle, values["cameras"]["center_mm"][2]]} for x, y in steps]
-    values["cameras"]["layout"] = {"kind": "list", "places": places}
+    values: dict[str, Any] = scene_at([(_INNER + _OUTER)[number] for number in _CHOSEN[cameras]], baseline).to_dict()
     values["detection"] = {"noise_px": noise_px}
     values["calibration"] = {
         "points": start, "center_mm": 200.0 * start, "turn_deg": 20.0 * start, "focal_percent": 30.0 * start, "known": [{"frame": 2, "point": 60}],
@@ -63,6 +59,15 @@ def scene_of(cameras: int, baseline: float, noise_px: float, start: float, *, wa
     if not wall:
         del values["wall"]
     return parse_scene(values, f"{cameras} cameras, D = {baseline:g}")
+
+
+def scene_at(steps: Sequence[tuple[int, int]], baseline: float) -> Scene:
+    """The bundled scene with cameras so many baselines from the array's middle."""
+    values: dict[str, Any] = load_scene("calibration").to_dict()
+    middle = values["volume"]["center_mm"][2] - values["cameras"]["center_mm"][2]
+    places = [{"center_mm": [x * baseline * middle, y * baseline * middle, values["cameras"]["center_mm"][2]]} for x, y in steps]
+    values["cameras"]["layout"] = {"kind": "list", "places": places}
+    return parse_scene(values, f"D = {baseline:g}")
 
 
 @functools.cache

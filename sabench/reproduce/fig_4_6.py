@@ -9,33 +9,30 @@ import numpy as np
 from sabench.arrays import F64
 from sabench.optics.empirical import fit_planes, fit_projective, fit_soloff
 from sabench.optics.model import CameraModel
-from sabench.reproduce.chapter_4 import scene_of
+from sabench.reproduce.chapter_4 import scene_at
 from sabench.reproduce.common import Row, claim, compared
 from sabench.rig import build_rig
 
 SEEDS = 1
 _MEAN, _STD = 0.411, 0.269
-_BASELINES = (0.2, 0.3, 0.4, 0.5)
+_BASELINES = (0.2, 0.3, 0.4)
+_STEPS = ((1, 1), (2, 0), (2, 2))  # places in the 5 x 5 array, in baselines from its middle
 
 
 def rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Row]:
-    """Mean and scatter of the error over all cameras of the inner 3 x 3, for several baselines: the thesis does not say which it took."""
-    means = {}
+    """Mean and scatter of single cameras' errors: the thesis shows one camera of one of chapter 2's arrays, and does not say which."""
+    means = []
     for baseline in _BASELINES:
-        cameras = build_rig(scene_of(9, baseline, 0.0, 0.0)).cameras
-        errors: dict[str, list[F64]] = {name: [] for name in ("projective", "soloff", "planes")}
-        for camera in cameras:
-            for name, own in _errors(camera).items():
-                errors[name].append(own)
-        for name, parts in errors.items():
-            values = np.concatenate(parts)
-            means[baseline, name] = float(values.mean())
-            thesis = _MEAN if name == "projective" else None
-            yield compared(
-                f"D = {baseline:g}: mean error of {name}, px", thesis, [float(values.mean())], f"std {values.std():.3g} px (thesis {_STD})"
-            )
-    reached = max(means[baseline, "projective"] for baseline in _BASELINES)
-    yield claim("a model without refraction is not enough", "above 0.4 px", reached, reached > 0.3, f"largest of D = {_BASELINES}")
+        for step in _STEPS:
+            (camera,) = build_rig(scene_at([step], baseline)).cameras
+            head = f"D = {baseline:g}, camera at {step}"
+            for name, errors in _errors(camera).items():
+                mean, std = float(errors.mean()), float(errors.std())
+                yield compared(
+                    f"{head}: mean error of {name}, px", _MEAN if name == "projective" else None, [mean], f"std {std:.3g} px (thesis {_STD})"
+                )
+                means.append(mean if name == "projective" else 0.0)
+    yield claim("a model without refraction is not enough", "above 0.4 px", max(means), max(means) > 0.4, "the outermost cameras of the 5 x 5 array")
 
 
 def _errors(camera: CameraModel) -> dict[str, F64]:
