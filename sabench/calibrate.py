@@ -24,7 +24,7 @@ from sabench.calibration.bundle import Seen
 from sabench.calibration.limit import limit
 from sabench.calibration.problem import anchors_of
 from sabench.calibration.state import Frame, Free
-from sabench.dataset.result import MODELS
+from sabench.dataset.result import camera_record
 from sabench.detection import detect
 from sabench.errors import InputError
 from sabench.files import canonical_json, complete_or_nothing
@@ -136,7 +136,7 @@ def calibrate(folder: Path, out: Path, solver: str, parameters: dict[str, Any], 
     report, errors = report_on(case, answer, points)
     with complete_or_nothing(out, overwrite=overwrite) as partial:
         partial.mkdir()
-        records = [{"model": MODELS[type(camera)], **asdict(camera)} for camera in answer.cameras if isinstance(camera, Camera)]
+        records = [camera_record(camera) for camera in answer.cameras]
         (partial / "cameras.json").write_text(canonical_json({"format": "sabench-cameras", "version": 1, "cameras": records}), encoding="utf-8")
         (partial / "report.json").write_text(canonical_json(asdict(report)), encoding="utf-8")
         (partial / "errors.png").write_bytes(pictures.arrows(case.pixels, errors, case.cameras[0].rows, case.cameras[0].columns))

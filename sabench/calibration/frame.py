@@ -33,10 +33,6 @@ class Motion:
         """The opposite motion."""
         return Motion(self.turn.T, -self.turn.T @ self.shift)
 
-    def after(self, first: Motion) -> Motion:
-        """`first`, then this."""
-        return Motion(self.turn @ first.turn, self.turn @ first.shift + self.shift)
-
 
 def rigid_fit(points: F64, targets: F64) -> Motion:
     """The motion of points (n, 3) that brings them nearest to targets (n, 3), in the least-squares sense.

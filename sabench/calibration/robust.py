@@ -70,6 +70,11 @@ def _lengths(state: State, seen: Seen) -> F64:
     return np.where(np.isfinite(lengths), lengths, np.inf)
 
 
+def median_noise(lengths: F64) -> float:
+    """Standard deviation per coordinate of pairs of normal numbers whose lengths have this median."""
+    return float(np.median(lengths)) / _RAYLEIGH_MEDIAN
+
+
 def _noise(lengths: F64, used: Bool) -> float:
     """Standard deviation per coordinate that explains the median error."""
-    return float(np.median(lengths[used])) / _RAYLEIGH_MEDIAN
+    return median_noise(lengths[used])

@@ -12,6 +12,7 @@ from sabench.arrays import F32, F64, I64
 from sabench.calibration.bundle import Anchor, Seen, refine, residuals
 from sabench.calibration.disparity import Sets, corrected, find_sets
 from sabench.calibration.matching import Maps, Spots, maps_of, pair_up, positions, spots_of
+from sabench.calibration.robust import median_noise
 from sabench.calibration.state import Frame, Free, State
 from sabench.errors import InputError
 from sabench.optics.camera import Camera
@@ -23,7 +24,6 @@ _MOST = 3000  # particles that the cameras are adjusted to
 _LATTICE = (5, 5, 3)
 _TOLD_PX = 2.0  # how far the told cameras are believed, where particles say nothing
 _REJECT = 4.0
-_RAYLEIGH_MEDIAN = 1.17741
 
 
 @dataclass(frozen=True)
@@ -180,4 +180,4 @@ def _adjusted(state: State, seen: Seen, particles: int) -> State:
 
 def _noise(state: State, seen: Seen, particles: int) -> float:
     lengths = np.linalg.norm(residuals(state, seen), axis=-1)[:, :particles]
-    return max(float(np.median(lengths[seen.weights[:, :particles] > 0.0])) / _RAYLEIGH_MEDIAN, 1e-3)
+    return max(median_noise(lengths[seen.weights[:, :particles] > 0.0]), 1e-3)

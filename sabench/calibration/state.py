@@ -32,11 +32,10 @@ class Free:
     distortion: tuple[str, ...] = ()
     indices: tuple[int, ...] = ()
     thicknesses: tuple[int, ...] = ()
-    focal: bool = True
 
     def columns(self, media: int) -> tuple[I64, I64]:
         """Numbers of a camera's unknowns and of the shared ones, as `kernels.equations` counts them."""
-        own = [0, 1, 2, 3, 4, 5] + [6] * self.focal + [7, 8] * self.principal_point + [9 + _DISTORTION.index(name) for name in self.distortion]
+        own = [0, 1, 2, 3, 4, 5, 6] + [7, 8] * self.principal_point + [9 + _DISTORTION.index(name) for name in self.distortion]
         shared = [*self.indices, *(media + layer for layer in self.thicknesses)]
         return np.array(own, dtype=np.int64), np.array(shared, dtype=np.int64)
 

@@ -73,6 +73,11 @@ class Result:
         return Calibration(tuple(_camera(record, f"{where}: {number}") for number, record in enumerate(records)), points, used)
 
 
+def camera_record(camera: CameraModel) -> dict[str, Any]:
+    """A camera of any model as JSON keeps it."""
+    return {"model": MODELS[type(camera)], **asdict(cast(Any, camera))}
+
+
 def _camera(record: Any, where: str) -> CameraModel:
     """A camera from its record."""
     kinds = {name: kind for kind, name in MODELS.items()}
@@ -107,7 +112,7 @@ class ResultWriter:
 
     def add_calibration(self, calibration: Calibration) -> None:
         """Store a calibration: cameras as JSON, points and the observations that count."""
-        text = canonical_json([{"model": MODELS[type(camera)], **asdict(cast(Any, camera))} for camera in calibration.cameras])
+        text = canonical_json([camera_record(camera) for camera in calibration.cameras])
         with uninterrupted():
             group = self._file.create_group("calibration")
             group.create_dataset("cameras", data=np.frombuffer(text.encode(), dtype=np.uint8))

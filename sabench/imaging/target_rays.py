@@ -81,7 +81,7 @@ def _rays(camera: Camera, origin: F64, first: int, count: int, samples: int) -> 
     """Rays of `count` rows from row `first` on, pixel by pixel; a pixel's rays start all over the aperture and meet where the lens is focused.
 
     A pixel is sampled on a lattice of which no two points share a column or a row, shifted from pixel to pixel, as the aperture's points are turned:
-    with one pattern for all an edge that runs along the pixels would move by whole steps of it, and corners with it, by .06 px for 16 rays.
+    with one pattern for all an edge that runs along the pixels would move by whole steps of it, and corners with it.
     """
     index = dr.arange(mi.UInt32, count * camera.columns * samples)
     pixel, sub = index // samples, index % samples

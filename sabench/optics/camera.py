@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sabench.arrays import F64, Bool, rows_of, triple
+from sabench.optics.model import on_sensor
 from sabench.optics.wall import Rays, Wall, trace_into_fluid, trace_to_points, wall_axes
 
 _UNDISTORT_STEPS = 20
@@ -148,11 +149,7 @@ class Camera:
 
     def contains(self, pixels: F64, margin_px: float = 0.0) -> Bool:
         """Whether pixels (n, 2) lie on the sensor, or at most `margin_px` outside."""
-        low = -0.5 - margin_px
-        column, row = pixels[:, 0], pixels[:, 1]
-        with np.errstate(invalid="ignore"):
-            inside = (column >= low) & (row >= low)
-            return np.asarray(inside & (column < self.columns + margin_px - 0.5) & (row < self.rows + margin_px - 0.5))
+        return on_sensor(self.rows, self.columns, pixels, margin_px)
 
     def etendue(self) -> F64:
         """mm^2 sr that each pixel collects: pupil area seen at its angle times its solid angle in front of the lens; (rows, columns).

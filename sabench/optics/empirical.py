@@ -8,8 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from sabench.arrays import F64, Bool, rows_of
+from sabench.arrays import F64, Bool, rows_of, triple
 from sabench.errors import InputError
+from sabench.optics.model import on_sensor
 from sabench.optics.wall import Rays
 
 _STEPS = 30
@@ -48,7 +49,7 @@ class Projective:
     def center_mm(self) -> tuple[float, float, float]:
         """The centre of projection."""
         matrix = np.asarray(self.matrix)
-        return _triple(-np.linalg.solve(matrix[:, :3], matrix[:, 3]))
+        return triple(-np.linalg.solve(matrix[:, :3], matrix[:, 3]))
 
     def carry(self, points_mm: F64, z_mm: float) -> F64:
         """Where the lines of sight through points (n, 3) meet the plane at `z_mm`: (n, 2)."""
@@ -65,19 +66,16 @@ class Projective:
 
     def contains(self, pixels: F64, margin_px: float = 0.0) -> Bool:
         """Whether pixels (n, 2) lie on the sensor, or at most `margin_px` outside."""
-        return _on_sensor(self.rows, self.columns, pixels, margin_px)
+        return on_sensor(self.rows, self.columns, pixels, margin_px)
 
 
 @dataclass(frozen=True)
-class Soloff:
-    """A cubic in X and Y, quadratic in Z, with 19 terms for the column and the row.
-
-    Source: Soloff, Adrian and Liu (1997), Meas. Sci. Technol. 8, 1441.
+class _Fitted:
+    """What polynomials have in common: the box in which they were fitted, and lines of sight that follow from pixels alone.
 
     Attributes
     ----------
-    middle_mm, half_mm : centre and half edges of the box in which it was fitted; coordinates run from -1 to 1 in it.
-    coefficients : two rows, for column and row, in the order of `_SOLOFF`: powers of X fastest, then Y, then Z.
+    middle_mm, half_mm : centre and half edges of the box; coordinates run from -1 to 1 in it.
     """
 
     name: str
@@ -85,13 +83,15 @@ class Soloff:
     columns: int
     middle_mm: tuple[float, float, float]
     half_mm: tuple[float, float, float]
-    coefficients: Rows
 
     def project(self, points_mm: npt.ArrayLike) -> tuple[F64, Bool]:
-        """Pixels (n, 2) as (column, row) of world points (n, 3); every finite point has one, far from the fitted box a meaningless one."""
-        points = rows_of(points_mm, 3, "points_mm")
-        pixels = _cubic((points - self.middle_mm) / self.half_mm) @ np.asarray(self.coefficients).T
-        return pixels, np.isfinite(pixels).all(axis=1)
+        """Pixels (n, 2) as (column, row) of world points (n, 3), and whether each has one."""
+        raise NotImplementedError(f"{type(self).__name__} must implement project()")
+
+    @property
+    def _ends_mm(self) -> tuple[float, float]:
+        """Z of the planes that lines of sight are drawn through: the box's front and back."""
+        return self.middle_mm[2] - self.half_mm[2], self.middle_mm[2] + self.half_mm[2]
 
     @property
     def center_mm(self) -> tuple[float, float, float]:
@@ -103,33 +103,46 @@ class Soloff:
         return _on_plane(lambda points: self.project(points)[0], self.project(points_mm)[0], z_mm, points_mm[:, :2], self.half_mm)[:, :2]
 
     def back_project(self, pixels: npt.ArrayLike) -> Rays:
-        """Straight lines through the points of the fitted box's front and back that a pixel sees."""
-        ends = (self.middle_mm[2] - self.half_mm[2], self.middle_mm[2] + self.half_mm[2])
-        return _through(lambda points: self.project(points)[0], rows_of(pixels, 2, "pixels"), ends, self.middle_mm, self.half_mm)
+        """Straight lines through the points of the box's front and back that a pixel sees."""
+        return _through(lambda points: self.project(points)[0], rows_of(pixels, 2, "pixels"), self._ends_mm, self.middle_mm, self.half_mm)
 
     def contains(self, pixels: F64, margin_px: float = 0.0) -> Bool:
         """Whether pixels (n, 2) lie on the sensor, or at most `margin_px` outside."""
-        return _on_sensor(self.rows, self.columns, pixels, margin_px)
+        return on_sensor(self.rows, self.columns, pixels, margin_px)
 
 
 @dataclass(frozen=True)
-class PlanePolynomials:
+class Soloff(_Fitted):
+    """A cubic in X and Y, quadratic in Z, with 19 terms for the column and the row.
+
+    Source: Soloff, Adrian and Liu (1997), Meas. Sci. Technol. 8, 1441.
+
+    Attributes
+    ----------
+    coefficients : two rows, for column and row, in the order of `_SOLOFF`: powers of X fastest, then Y, then Z.
+    """
+
+    coefficients: Rows
+
+    def project(self, points_mm: npt.ArrayLike) -> tuple[F64, Bool]:
+        """Pixels (n, 2) as (column, row) of world points (n, 3); every finite point has one, far from the fitted box a meaningless one."""
+        points = rows_of(points_mm, 3, "points_mm")
+        pixels = _cubic((points - self.middle_mm) / self.half_mm) @ np.asarray(self.coefficients).T
+        return pixels, np.isfinite(pixels).all(axis=1)
+
+
+@dataclass(frozen=True)
+class PlanePolynomials(_Fitted):
     """A quadratic in X and Y for each of several planes of one Z, and straight lines between them.
 
     Source: J. Belden, PhD thesis, MIT 2011, section 2.3.2.
 
     Attributes
     ----------
-    middle_mm, half_mm : centre and half edges of the box in which it was fitted; X and Y run from -1 to 1 in it.
     planes_mm : Z of the planes, rising.
     coefficients : for each plane the six of the column, then the six of the row: 1, X, X^2, Y, X Y, Y^2.
     """
 
-    name: str
-    rows: int
-    columns: int
-    middle_mm: tuple[float, float, float]
-    half_mm: tuple[float, float, float]
     planes_mm: tuple[float, ...]
     coefficients: Rows
 
@@ -143,24 +156,6 @@ class PlanePolynomials:
         before, behind = (np.einsum("nt,nct->nc", terms, table[plane]) for plane in (left, left + 1))
         pixels = before + share[:, None] * (behind - before)
         return pixels, np.isfinite(pixels).all(axis=1)
-
-    @property
-    def center_mm(self) -> tuple[float, float, float]:
-        """Where the lines of sight of the image's corners and middle come nearest to each other."""
-        return _meeting(self)
-
-    def carry(self, points_mm: F64, z_mm: float) -> F64:
-        """Where what has the same pixels as points (n, 3) lies on the plane at `z_mm`: (n, 2)."""
-        return _on_plane(lambda points: self.project(points)[0], self.project(points_mm)[0], z_mm, points_mm[:, :2], self.half_mm)[:, :2]
-
-    def back_project(self, pixels: npt.ArrayLike) -> Rays:
-        """Straight lines through the points of the first and the last plane that a pixel sees."""
-        ends = (self.planes_mm[0], self.planes_mm[-1])
-        return _through(lambda points: self.project(points)[0], rows_of(pixels, 2, "pixels"), ends, self.middle_mm, self.half_mm)
-
-    def contains(self, pixels: F64, margin_px: float = 0.0) -> Bool:
-        """Whether pixels (n, 2) lie on the sensor, or at most `margin_px` outside."""
-        return _on_sensor(self.rows, self.columns, pixels, margin_px)
 
 
 def fit_projective(name: str, rows: int, columns: int, points_mm: F64, pixels: F64) -> Projective:
@@ -216,7 +211,7 @@ def fit_soloff(name: str, rows: int, columns: int, points_mm: F64, pixels: F64) 
     """
     middle, half = _box(points_mm)
     coefficients = _fitted(_cubic((points_mm - middle) / half), pixels, f"{name}: a polynomial of 19 terms")
-    return Soloff(name, rows, columns, _triple(middle), _triple(half), _rows(coefficients.T))
+    return Soloff(name, rows, columns, triple(middle), triple(half), _rows(coefficients.T))
 
 
 def fit_planes(name: str, rows: int, columns: int, points_mm: list[F64], pixels: list[F64]) -> PlanePolynomials:
@@ -236,7 +231,7 @@ def fit_planes(name: str, rows: int, columns: int, points_mm: list[F64], pixels:
     for plane in order.tolist():
         terms = _quadratic(((points_mm[plane] - middle) / half)[:, :2])
         table.append(_fitted(terms, pixels[plane], f"{name}: frame {plane}: a polynomial of 6 terms").T.ravel())
-    return PlanePolynomials(name, rows, columns, _triple(middle), _triple(half), tuple(depths[order].tolist()), _rows(np.stack(table)))
+    return PlanePolynomials(name, rows, columns, triple(middle), triple(half), tuple(depths[order].tolist()), _rows(np.stack(table)))
 
 
 def _cubic(unit: F64) -> F64:
@@ -289,25 +284,13 @@ def _on_plane(project: Smooth, pixels: F64, z_mm: float, start: F64, half: tuple
     return points
 
 
-def _meeting(camera: Soloff | PlanePolynomials) -> tuple[float, float, float]:
+def _meeting(camera: _Fitted) -> tuple[float, float, float]:
     """The point nearest to a few lines of sight."""
     column, row = np.meshgrid(np.linspace(0.0, camera.columns - 1.0, 3), np.linspace(0.0, camera.rows - 1.0, 3))
     rays = camera.back_project(np.column_stack([column.ravel(), row.ravel()]))
     direction, origin = rays.directions[rays.valid], rays.origins_mm[rays.valid]
     across = np.eye(3) - direction[:, :, None] * direction[:, None, :]
-    return _triple(np.linalg.lstsq(across.sum(axis=0), np.einsum("nij,nj->i", across, origin), rcond=None)[0])
-
-
-def _on_sensor(rows: int, columns: int, pixels: F64, margin_px: float) -> Bool:
-    low = -0.5 - margin_px
-    with np.errstate(invalid="ignore"):
-        inside = (pixels[:, 0] >= low) & (pixels[:, 1] >= low)
-        return np.asarray(inside & (pixels[:, 0] < columns + margin_px - 0.5) & (pixels[:, 1] < rows + margin_px - 0.5))
-
-
-def _triple(values: F64) -> tuple[float, float, float]:
-    x, y, z = values.tolist()
-    return x, y, z
+    return triple(np.linalg.lstsq(across.sum(axis=0), np.einsum("nij,nj->i", across, origin), rcond=None)[0])
 
 
 def _rows(values: F64) -> Rows:

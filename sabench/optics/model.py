@@ -4,10 +4,20 @@ from __future__ import annotations
 
 from typing import Protocol
 
+import numpy as np
 import numpy.typing as npt
 
 from sabench.arrays import F64, Bool
 from sabench.optics.wall import Rays
+
+
+def on_sensor(rows: int, columns: int, pixels: F64, margin_px: float) -> Bool:
+    """Whether pixels (n, 2) lie on a sensor of that size, or at most `margin_px` outside; the border belongs to it above and to the left only."""
+    low = -0.5 - margin_px
+    column, row = pixels[:, 0], pixels[:, 1]
+    with np.errstate(invalid="ignore"):
+        inside = (column >= low) & (row >= low)
+        return np.asarray(inside & (column < columns + margin_px - 0.5) & (row < rows + margin_px - 0.5))
 
 
 class CameraModel(Protocol):

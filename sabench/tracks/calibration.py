@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from sabench import pictures
-from sabench.api import Calibration, CalibrationCase, CalibrationSolver, SelfCalibrationSolver
+from sabench.api import Calibration, CalibrationCase, CalibrationSolver, Observation, SelfCalibrationSolver
 from sabench.arrays import F64, Bool
 from sabench.calibration.bundle import Seen
 from sabench.calibration.frame import rigid_fit
@@ -56,25 +56,30 @@ def _attempt(algorithm: CalibrationSolver | SelfCalibrationSolver, name: str, ca
         raise InputError(f"solver {name} failed: {type(error).__name__}: {error}") from error
     if reason:
         raise DeclinedError(f"solver {name} declines this case: {reason}")
-    if not isinstance(answer, Calibration) or [c.name for c in answer.cameras] != [c.name for c in case.cameras]:
-        got = [c.name for c in answer.cameras] if isinstance(answer, Calibration) else type(answer).__name__
-        raise InputError(f"solver {name}: expected a Calibration of {[c.name for c in case.cameras]}, got {got}")
-    if isinstance(case, CalibrationCase):
-        _check_points(answer, name, case)
-    return answer
+    if not isinstance(answer, Calibration):
+        raise InputError(f"solver {name}: expected a Calibration, got {type(answer).__name__}")
+    return _checked(answer, f"solver {name}", case)
 
 
-def _check_points(answer: Calibration, name: str, case: CalibrationCase) -> None:
+def _checked(answer: Calibration, source: str, case: CalibrationCase | Observation) -> Calibration:
+    """A solver's or a file's calibration, if it fits the case."""
+    names, expected = [camera.name for camera in answer.cameras], [camera.name for camera in case.cameras]
+    if names != expected:
+        raise InputError(f"{source}: expected the cameras {expected}, got {names}")
+    if not isinstance(case, CalibrationCase):
+        return answer
     if answer.points_mm is not None and answer.points_mm.shape != case.rough_mm.shape:
-        raise InputError(f"solver {name}: points_mm: expected the shape {case.rough_mm.shape}, got {answer.points_mm.shape}")
+        raise InputError(f"{source}: points_mm: expected the shape {case.rough_mm.shape}, got {answer.points_mm.shape}")
     if answer.used is not None and (answer.used.shape != case.found.shape or answer.used.dtype != np.bool_):
-        raise InputError(f"solver {name}: used: expected bool of the shape {case.found.shape}, got {answer.used.dtype} of {answer.used.shape}")
+        raise InputError(f"{source}: used: expected bool of the shape {case.found.shape}, got {answer.used.dtype} of {answer.used.shape}")
+    return answer
 
 
 def estimate(data: Dataset, result: Result | str) -> Calibration:
     """A result's calibration, or the one that the word `truth` or `empty` stands for: the true cameras, or those that solvers are told."""
     if isinstance(result, Result):
-        return result.calibration()
+        case = data.calibration_case() if data.shows_target else data.observation(0)
+        return _checked(result.calibration(), str(result.path), case)
     if result == "truth":
         return Calibration(data.true_cameras, data.placed().points_mm if data.shows_target else None)
     return Calibration(data.rig.cameras)
@@ -92,7 +97,7 @@ def score_result(data: Dataset, result: Result | str) -> dict[str, float | None]
     bound = _bound(case, frame, truths, good, noise)
     scores = _reprojection(guess, points, case, exact, good, bound)
     scores |= _points(points, truths, frame, np.asarray(good.any(axis=0)), bound)
-    scores |= _wall_errors(guess.cameras, data.true_cameras[0].wall)
+    scores |= _detection(case, exact, good) | _wall_errors(guess.cameras, data.true_cameras[0].wall)
     return scores | _held_out(guess.cameras, points, data, truths, frame, noise)
 
 
@@ -137,6 +142,14 @@ def _seen_particles(data: Dataset, cameras: tuple[CameraModel, ...]) -> tuple[F6
         return truths, exact, np.full_like(exact, np.nan), found
     moved = rigid_fit(truths[known], found[known])(truths)
     return moved, exact, np.stack([camera.project(moved)[0] for camera in cameras]), found
+
+
+def _detection(case: CalibrationCase, exact: F64, good: Bool) -> dict[str, float | None]:
+    """What detection adds to pixel coordinates, outliers not counted: mean along columns and rows, and scatter."""
+    errors = (case.pixels - exact)[good]
+    column, row = errors.mean(axis=0) if len(errors) else (np.nan, np.nan)
+    scatter = float(errors.std(axis=0).mean()) if len(errors) else np.nan
+    return {"found_bias_column_px": _finite(column), "found_bias_row_px": _finite(row), "found_std_px": _finite(scatter)}
 
 
 def _noise(case: CalibrationCase, exact: F64, outliers: Bool) -> float:
