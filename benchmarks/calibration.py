@@ -24,7 +24,7 @@ from sabench.calibration.problem import Problem
 from sabench.calibration.robust import adjust
 from sabench.calibration.state import Frame, Free, State
 from sabench.progress import track
-from sabench.reproduce.chapter_4 import Board, board, scene_of
+from sabench.reproduce.chapter_4 import D_PIX, Board, board, draw, places_of, reprojection, scene_of, solved
 from sabench.rig import build_rig
 from sabench.scene import parse_scene
 from sabench.targets import exact_pixels, place
@@ -101,6 +101,28 @@ def starts(cameras: int, noise: float, seeds: int) -> list[dict[str, Any]]:
     return rows
 
 
+def anchored(noise: float, draws: int) -> dict[str, Any]:
+    """Mean depth of all boards with nine cameras and one point known to 0.05 mm."""
+    depths = []
+    for seed in range(1, draws + 1):
+        given = draw(scene_of(9, 0.3, noise, 0.1), seed)
+        answer = solved("refractive_autocal", given)
+        depths.append(float((places_of(answer, given) - given.points_mm)[..., 2].mean()))
+    rms = float(np.sqrt(np.mean(np.square(depths))))
+    return {"noise_px": noise, "draws": draws, "rms_mean_depth_mm": round(rms, 4), "rms_in_pixels_of_the_middle": round(rms / D_PIX, 3)}
+
+
+def with_outliers(share: float, draws: int) -> dict[str, Any]:
+    """True error where a share of the points is 20 px off and the rest 0.1 px, nine cameras, from a start of 0.1."""
+    values = scene_of(9, 0.3, 0.1, 0.1).to_dict()
+    values["detection"] |= {"outliers": share}
+    errors = []
+    for seed in range(1, draws + 1):
+        given = draw(parse_scene(values, "outliers"), seed)
+        errors.append(reprojection(solved("refractive_autocal", given), given)[0])
+    return {"outliers": share, "draws": draws, "true_px": round(float(np.mean(errors)), 4), "largest_px": round(max(errors), 4)}
+
+
 def timed(cameras: int, frames: int) -> dict[str, Any]:
     """Median seconds of a whole calibration, and of the parts of a step."""
     values = scene_of(cameras, 0.3, 0.1, 0.1).to_dict() | {"frames": frames}
@@ -135,6 +157,8 @@ def main() -> None:
     report = {
         "times": [timed(9, 5), timed(13, 20)],
         "bound": [ratios(cameras, noise, draws) for cameras, noise in track(pairs, "draws")],
+        "anchor": [anchored(noise, max(4, 2 * draws // 5)) for noise in track((0.1, 2.0), "anchors")],
+        "outliers": with_outliers(0.3, max(4, draws // 5)),
         "starts": [row for cameras in track(_CAMERAS, "starts") for row in starts(cameras, 0.1, max(5, draws // 10))],
     }
     print(json.dumps(report, indent=2))
