@@ -11,13 +11,12 @@ import numpy as np
 
 from sabench.arrays import F64, I64
 from sabench.calibration.matching import Maps, Spots, match, positions
-from sabench.errors import InputError
 
-_CELL_PX = 0.5  # in which sets are counted
+_CELL_PX = 1.0  # in which sets are counted
 _SPOT_PX = 0.6  # radius of what belongs together
 _AROUND_PX = 1.5  # as far as a search for the middle of a spot goes
 _TRIED, _SHIFTS = 20, 10
-_SETS = 4_000_000
+_SETS = 1_000_000
 _STEP_PX = 1.5  # between places on a line of sight, as the other cameras see them
 _PARTS = 3  # of the box along x and along y, each with a disparity of its own
 _FEW = 100  # sets below which a part has none
@@ -33,21 +32,15 @@ class Sets:
 
 
 def find_sets(maps: Maps, spots: tuple[Spots, ...], reach_px: float) -> Sets:
-    """All sets within reach, and how far their images lie from where the cameras see the place that fits best.
+    """Sets within reach, and how far their images lie from where the cameras see the place that fits best.
 
-    Raises
-    ------
-    InputError
-        More sets than fit into memory.
+    Where there is no room for all, they are those of a random part of the first camera's images: right and wrong ones become fewer alike.
     """
     pixels = np.stack([positions(maps, c, np.array([[0.0, 0.0, -1.0], [0.0, 0.0, 1.0]])) for c in range(len(spots))])
     travel = float(np.linalg.norm((pixels[1:, 1] - pixels[1:, 0]) - (pixels[0, 1] - pixels[0, 0]), axis=1).max())
     places, hits, errors = np.empty((_SETS, 3)), np.empty((_SETS, len(spots)), dtype=np.int32), np.empty((_SETS, len(spots), 2))
-    count = match(maps, spots, reach_px, max(2, int(travel / _STEP_PX) + 2), places, hits, errors)
-    if count > _SETS:
-        raise InputError(
-            f"expected fewer sets of particle images within {reach_px:g} px of each other than {_SETS}, got {count}: a smaller reach is needed"
-        )
+    order = np.random.default_rng(0).permutation(len(spots[0].pixel))
+    count = match(maps, spots, order, reach_px, max(2, int(travel / _STEP_PX) + 2), places, hits, errors)
     return Sets(places[:count].copy(), hits[:count].astype(np.int64), errors[:count].copy())
 
 

@@ -208,18 +208,20 @@ def _on_sight(maps: Any, pixel: Any, place: Any, here: Any, slope: Any) -> bool:
 
 
 @numba.njit(cache=True)
-def match(maps: Any, spots: Any, reach: float, steps: int, places: Any, hits: Any, errors: Any) -> int:
-    """Fill in all sets of particle images, one of each of three or four cameras, that may be those of one particle; returns how many there are.
+def match(maps: Any, spots: Any, order: Any, reach: float, steps: int, places: Any, hits: Any, errors: Any) -> int:
+    """Fill in sets of particle images, one of each of three or four cameras, that may be those of one particle; returns how many.
 
     The first camera's line of sight is followed through the box; what the second shows within reach of it is intersected with it, and all that
     the others show within reach of this place makes a set. A set counts if no camera misses the place that fits it best by more than `reach`.
+    When there is no more room, the rest of the first camera's images is left out.
 
     Parameters
     ----------
     spots : one `Spots` of each camera.
+    order : numbers of the first camera's images, in the order in which they are taken.
     steps : places on a line of sight, close enough for `reach`.
     places : (sets, 3) room for the places, x, y, z from -1 to 1.
-    hits : (sets, cameras) room for the numbers of the images. A set too many is counted, but not filled in.
+    hits : (sets, cameras) room for the numbers of the images.
     errors : (sets, cameras, 2) room for where the images lie against where the cameras see the place, px.
     """
     cameras, count = len(spots), 0
@@ -227,7 +229,9 @@ def match(maps: Any, spots: Any, reach: float, steps: int, places: Any, hits: An
     slopes, gains = np.zeros((cameras, 2, 3)), np.zeros((cameras, 2, 3))
     misses, chosen = np.zeros((cameras, 2)), np.zeros(cameras, dtype=np.int64)
     second, tried = np.zeros(_NEAR, dtype=np.int64), np.zeros(_NEAR, dtype=np.int64)
-    for first in range(len(spots[0].pixel)):
+    for first in order:
+        if count == len(places):
+            break
         chosen[0], left = first, 0
         place[:] = 0.0
         for n in range(steps):
@@ -298,14 +302,15 @@ def _others(
             misses[c, 1] = spots[c].pixel[chosen[c], 1] - seen[c, 1]
         _moved(gains, misses, cameras, step)
         if _worst(slopes, misses, step, cameras) <= reach * reach:
-            if count < len(places):
-                for p in range(3):
-                    places[count, p] = start[p] + step[p]
-                for c in range(cameras):
-                    hits[count, c] = chosen[c]
-                    for a in range(2):
-                        bend = slopes[c, a, 0] * step[0] + slopes[c, a, 1] * step[1] + slopes[c, a, 2] * step[2]
-                        errors[count, c, a] = misses[c, a] - bend
+            if count == len(places):
+                return count
+            for p in range(3):
+                places[count, p] = start[p] + step[p]
+            for c in range(cameras):
+                hits[count, c] = chosen[c]
+                for a in range(2):
+                    bend = slopes[c, a, 0] * step[0] + slopes[c, a, 1] * step[1] + slopes[c, a, 2] * step[2]
+                    errors[count, c, a] = misses[c, a] - bend
             count += 1
     return count
 
@@ -330,11 +335,12 @@ def positions(maps: Maps, camera: int, places: F64) -> F64:
 
 @numba.njit(cache=True)
 def pair_up(spots: Any, pixels: Any, reach: float, out: Any) -> int:
-    """Fill in all pairs (number of a pixel, number of a particle image) within reach of each other; returns how many there are."""
-    found, count = np.zeros(_NEAR, dtype=np.int64), 0
+    """Fill in pairs (number of a pixel, number of a particle image) within reach of each other, as long as there is room; returns how many."""
+    found, count = np.zeros(len(spots.pixel), dtype=np.int64), 0
     for n in range(len(pixels)):
         for k in range(_around(spots, pixels[n], reach, found)):
-            if count < len(out):
-                out[count, 0], out[count, 1] = n, found[k]
+            if count == len(out):
+                return count
+            out[count, 0], out[count, 1] = n, found[k]
             count += 1
     return count

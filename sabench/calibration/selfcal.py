@@ -19,11 +19,14 @@ from sabench.optics.camera import Camera
 
 _ROUNDS = 20
 _SETTLED_PX = 0.03
+_FARTHER = 3.0  # the core's common errors move all places, and so may another camera's disparity be larger than its own error
 _CORE = 4  # cameras whose particle images are matched all with all
+_PAIRS = 1_000_000
 _MOST = 3000  # particles that the cameras are adjusted to
 _LATTICE = (5, 5, 3)
 _TOLD_PX = 2.0  # how far the told cameras are believed, where particles say nothing
 _REJECT = 4.0
+_SURE = 20.0  # standard deviations by which right sets exceed chance: the most crowded of many spots of wrong ones has a dozen
 
 
 @dataclass(frozen=True)
@@ -82,13 +85,26 @@ def follow(tracking: Tracking, reach_px: float, least_px: float) -> Maps:
             break
         reach = max(least_px, 0.5 * reach)
     sure = find_sets(maps, tracking.spots[: len(core)], least_px)
+    _check(tracking, maps, sure, reach_px, least_px)
     for camera in range(len(core), len(tracking.cameras)):
         maps = _follow_one(tracking, maps, sure, camera, reach_px, least_px)
     return maps
 
 
+def _check(tracking: Tracking, maps: Maps, sure: Sets, reach_px: float, least_px: float) -> None:
+    """Refuse a spot of sets that agree by chance: such sets grow with the reach to the power of the dimensions in which they could disagree."""
+    core = min(_CORE, len(tracking.cameras))
+    wider = find_sets(maps, tracking.spots[:core], 2.0 * least_px)
+    chance = (len(wider.places) - len(sure.places)) / (2.0 ** (2 * core - 3) - 1.0)
+    if len(sure.places) - chance < _SURE * np.sqrt(max(chance, 1.0)):
+        raise InputError(
+            f"expected sets of particle images of {core} cameras that agree within {least_px:g} px, got {len(sure.places)} where chance makes "
+            f"{chance:.0f}: errors are larger than reach_px = {reach_px:g}, or particles too many"
+        )
+
+
 def _follow_one(tracking: Tracking, maps: Maps, sure: Sets, camera: int, reach_px: float, least_px: float) -> Maps:
-    reach = reach_px
+    reach = _FARTHER * reach_px
     for _ in range(_ROUNDS):
         pairs, errors = _pairs(maps, tracking.spots[camera], camera, sure.places, reach)
         if not len(pairs):
@@ -105,7 +121,7 @@ def _follow_one(tracking: Tracking, maps: Maps, sure: Sets, camera: int, reach_p
 def _pairs(maps: Maps, spots: Spots, camera: int, places: F64, reach: float) -> tuple[I64, F64]:
     """Pairs (n, 2) of places and a camera's images within reach, and the images' errors (n, 2)."""
     pixels = positions(maps, camera, places)
-    pairs = np.empty((20 * len(places) + 1, 2), dtype=np.int64)
+    pairs = np.empty((_PAIRS, 2), dtype=np.int64)
     pairs = pairs[: pair_up(spots, pixels, reach, pairs)]
     return pairs, spots.pixel[pairs[:, 1]] - pixels[pairs[:, 0]]
 
@@ -164,18 +180,23 @@ def _held(frame: Frame, lattice: F64, first: int) -> tuple[Anchor, ...]:
 
 
 def _adjusted(state: State, seen: Seen, particles: int) -> State:
-    """Cauchy's loss, then least squares without what is far off; the lattice weighs as its distrust says."""
-    start = seen.weights
+    """Cauchy's loss until the noise it leaves falls no more, then least squares without what is far off; the lattice weighs as its distrust says."""
     noise = _noise(state, seen, particles)
-    for scale in (3.0 * noise, 0.0):
-        weights = start.copy()
-        weights[:, particles:] *= (noise / _TOLD_PX) ** 2
-        if scale == 0.0:
-            lengths = np.linalg.norm(residuals(state, seen), axis=-1)
-            weights[:, :particles] *= lengths[:, :particles] <= _REJECT * noise
-        state = refine(state, replace(seen, weights=weights), Free(), scale).state
-        noise = _noise(state, seen, particles)
-    return state
+    for _ in range(_ROUNDS):
+        state = refine(state, replace(seen, weights=_weights(seen, particles, noise)), Free(), 3.0 * noise).state
+        before, noise = noise, _noise(state, seen, particles)
+        if noise > 0.9 * before:
+            break
+    weights = _weights(seen, particles, noise)
+    lengths = np.linalg.norm(residuals(state, seen), axis=-1)
+    weights[:, :particles] *= lengths[:, :particles] <= _REJECT * noise
+    return refine(state, replace(seen, weights=weights), Free(), 0.0).state
+
+
+def _weights(seen: Seen, particles: int, noise: float) -> F64:
+    weights = seen.weights.copy()
+    weights[:, particles:] *= (noise / _TOLD_PX) ** 2
+    return weights
 
 
 def _noise(state: State, seen: Seen, particles: int) -> float:

@@ -103,11 +103,10 @@ def trace_to_points(wall: Wall | None, pinhole_mm: F64, points_mm: F64) -> Paths
     leaving, arriving = np.empty_like(points_mm), np.empty_like(points_mm)
     valid = np.empty(len(points_mm), dtype=np.bool_)
     for part in _chunks(len(points_mm)):
-        lateral, radius, depths, good = _cylindrical(wall, pinhole_mm, points_mm[part])
+        towards, radius, depths, good = _cylindrical(wall, pinhole_mm, points_mm[part])
         slope, _ = solve_slope(wall.indices, depths, radius)
-        scale = 1.0 / np.where(radius > 0.0, radius, 1.0)
-        _direct(normal, lateral, scale, _slope_in(wall.indices, 0, slope), leaving[part])
-        _direct(normal, lateral, scale, _slope_in(wall.indices, -1, slope), arriving[part])
+        _direct(normal, towards, *_angle_in(wall.indices, 0, slope), leaving[part])
+        _direct(normal, towards, *_angle_in(wall.indices, -1, slope), arriving[part])
         valid[part] = good
     if not valid.all():
         leaving[~valid] = arriving[~valid] = np.nan
@@ -152,7 +151,7 @@ def solve_slope(indices: F64, depths_mm: list[F64 | float], radius_mm: F64) -> t
 
 def _halley(relative: F64, depths_mm: list[F64 | float], radius_mm: F64) -> tuple[F64, F64] | None:
     """The same by a few of Halley's steps, which triple the right digits but have no bracket; None where one has not arrived."""
-    slope = radius_mm / np.asarray(sum(depth / r for depth, r in zip(depths_mm, relative, strict=True)))
+    slope = _start(relative, depths_mm, radius_mm)
     for _ in range(_HALLEY):
         value, gradient, bow = _bowed(relative, depths_mm, slope)
         miss = radius_mm - value
@@ -163,6 +162,21 @@ def _halley(relative: F64, depths_mm: list[F64 | float], radius_mm: F64) -> tupl
             left = value - radius_mm
             return (slope, left) if np.all(np.abs(left) <= 2e-13 + 5e-16 * radius_mm) else None
     return None
+
+
+def _start(relative: F64, depths_mm: list[F64 | float], radius_mm: F64) -> F64:
+    """A first tangent: right to the third power for steep paths and in the limit for flat ones, where the rarest medium bridges all."""
+    paraxial, rare, bow = (np.zeros(np.shape(radius_mm)) for _ in range(3))
+    for depth, r in zip(depths_mm, relative, strict=True):
+        paraxial += depth / r
+        if r == 1.0:
+            rare += depth
+        else:
+            bow += depth * (0.5 * (r * r - 1.0) / r**3)
+    slope = radius_mm / paraxial
+    square = slope * slope
+    square *= bow
+    return np.asarray(slope * (1.0 + square * (paraxial - rare) / (paraxial * (paraxial - rare) + rare * square + 1e-300)))
 
 
 def _bowed(relative: F64, depths_mm: list[F64 | float], slope: F64) -> tuple[F64, F64, F64]:
@@ -202,33 +216,41 @@ def _lateral(relative: F64, depths_mm: list[F64 | float], slope: F64) -> tuple[F
     return value, gradient
 
 
-def _slope_in(indices: F64, medium: int, slope: F64) -> F64:
-    """Tangent of the path's angle in one medium, from the tangent in the rarest."""
-    r = indices[medium] / indices.min()
-    return np.asarray(slope / np.sqrt(r * r + (r * r - 1.0) * slope * slope))
+def _angle_in(indices: F64, medium: int, slope: F64) -> tuple[F64, F64]:
+    """Sine and cosine of the path's angle in one medium, from the tangent in the rarest."""
+    r, square = indices[medium] / indices.min(), slope * slope
+    scale = 1.0 / np.sqrt(1.0 + square)
+    if r == 1.0:
+        return slope * scale, scale
+    scale /= r
+    square *= r * r - 1.0
+    square += r * r
+    return slope * scale, np.sqrt(square, out=square) * scale
 
 
 def _cylindrical(wall: Wall, pinhole_mm: F64, points_mm: F64) -> tuple[F64, F64, list[F64 | float], Bool]:
-    """Lateral offsets (n, 3) of points, their lengths, depths crossed per medium and validity of paths to them; zeros where there is none."""
+    """Unit vectors (3, n) along the wall towards points, lateral distances, depths crossed per medium, validity; zeros where there is no path."""
     normal = np.asarray(wall.normal)
     before = -float(wall.depth_of(pinhole_mm))
-    lateral = points_mm - pinhole_mm
+    lateral = np.array(points_mm.T, order="C")  # separate coordinates: numpy is slow on rows of three
+    lateral -= pinhole_mm[:, None]
     with np.errstate(invalid="ignore"):  # infinite coordinates
-        along = lateral @ normal
+        along = normal @ lateral
         behind = along - (before + wall.thickness_mm)
-        lateral -= along[:, None] * normal
+        for axis in range(3):
+            lateral[axis] -= normal[axis] * along
     valid: Bool = np.isfinite(behind) & (behind > 0.0) & (before > 0.0)  # a coordinate that is not finite makes the depth so, too
     if not valid.all():
-        lateral[~valid], behind[~valid] = 0.0, 1.0
-    radius = np.sqrt(np.einsum("ij,ij->i", lateral, lateral))
+        lateral[:, ~valid], behind[~valid] = 0.0, 1.0
+    radius = np.sqrt(lateral[0] ** 2 + lateral[1] ** 2 + lateral[2] ** 2)
+    lateral *= 1.0 / np.where(radius > 0.0, radius, 1.0)
     return lateral, radius, [max(before, 1e-300), *(layer.thickness_mm for layer in wall.layers), behind], valid
 
 
-def _direct(normal: F64, lateral: F64, scale: F64, tangent: F64, out: F64) -> None:
-    """Unit vectors at a given tangent from the normal, towards lateral offsets of the lengths 1 / scale."""
-    cosine = 1.0 / np.sqrt(1.0 + tangent * tangent)
-    np.multiply(lateral, (tangent * cosine * scale)[:, None], out=out)
-    out += cosine[:, None] * normal
+def _direct(normal: F64, towards: F64, sine: F64, cosine: F64, out: F64) -> None:
+    """Unit vectors (n, 3) at given angles from the normal, leaning towards unit vectors (3, n) along the wall."""
+    for axis in range(3):
+        out[:, axis] = sine * towards[axis] + cosine * normal[axis]
 
 
 def _chunks(count: int) -> Iterator[slice]:

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from sabench.api import Calibration, Observation
+from sabench.calibration import disparity
 from sabench.calibration.disparity import densest, find_sets
 from sabench.calibration.frame import rigid_fit
 from sabench.calibration.matching import maps_of, positions, spots_of
@@ -34,9 +35,9 @@ def particle_scene(shift_px: float, wall: bool = True) -> Scene:
     return parse_scene(values, "particles")
 
 
-def corrected(case: Observation) -> Calibration:
+def corrected(case: Observation, **parameters: float) -> Calibration:
     plugin = load("solvers", "volume_self_calibration")
-    made: Calibration = plugin(plugin.Parameters()).solve(case)
+    made: Calibration = plugin(plugin.Parameters(**parameters)).solve(case)
     return made
 
 
@@ -63,6 +64,28 @@ def test_exact_cameras_stay_as_they_are() -> None:
     scene = particle_scene(0.0)
     shot = simulate(scene, seed=4)
     assert disagreement_px(shot, corrected(shot.observation).cameras, scene) < 0.04
+
+
+def test_larger_errors_need_a_larger_reach() -> None:
+    scene = particle_scene(8.0)
+    shot = simulate(scene, seed=4)
+    assert disagreement_px(shot, corrected(shot.observation, reach_px=10.0).cameras, scene) < 0.06
+
+
+def test_sets_that_agree_by_chance_are_refused() -> None:
+    seen = simulate(particle_scene(8.0), seed=3).observation
+    with pytest.raises(
+        InputError,
+        match=r"4 cameras that agree within 0.7 px, got \d+ where chance makes \d+: .* larger than reach_px = 4",
+    ):
+        corrected(seen)
+
+
+def test_where_there_is_no_room_for_all_sets_some_images_are_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    scene = particle_scene(2.0)
+    shot = simulate(scene, seed=3)
+    monkeypatch.setattr(disparity, "_SETS", 20_000)
+    assert disagreement_px(shot, corrected(shot.observation).cameras, scene) < 0.06
 
 
 def test_particle_images_are_found_to_parts_of_a_pixel() -> None:
