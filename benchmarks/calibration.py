@@ -31,6 +31,7 @@ from sabench.targets import exact_pixels, place
 
 _NOISES = (0.1, 0.5, 1.0, 2.0)
 _CAMERAS = (3, 7, 9, 13)
+_LENSES = ("principal_point", "k1")
 _STARTS = (0.001, 0.01, 0.1, 0.2, 0.3)
 
 
@@ -53,15 +54,16 @@ def truth_of(given: Board) -> tuple[Frame, State, Seen]:
     return frame, frame.state(board_mm, given.points_mm), Seen(board_mm, np.nan_to_num(given.exact), weights)
 
 
-def ratios(cameras: int, noise: float, draws: int) -> dict[str, Any]:
-    """Errors over their bounds, and true over measured error over its own."""
+def ratios(cameras: int, noise: float, draws: int, unknown: tuple[str, ...] = ()) -> dict[str, Any]:
+    """Errors over their bounds, and true over measured error over its own; `unknown` of the lenses besides their focal lengths."""
+    free = Free.of(unknown)
     found: dict[str, list[Any]] = {"reprojection": [], "scatter": [], "efficiency": [], "depth": [], "steps": []}
     for seed in range(1, draws + 1):
         _, state, seen = truth_of(board.__wrapped__(cameras, 0.3, 0.0, 0.0, seed))
-        bound = limit(state, seen, Free(), noise)
+        bound = limit(state, seen, free, noise)
         rng = np.random.default_rng(seed)
         noisy = replace(seen, pixels=seen.pixels + noise * rng.standard_normal(seen.pixels.shape))
-        fit = refine(state, noisy, Free())
+        fit = refine(state, noisy, free)
         there = seen.weights > 0.0
         true, measured = (float(np.linalg.norm(residuals(fit.state, one)[there], axis=-1).mean()) for one in (seen, noisy))
         points = state.points(seen.board).reshape(-1, 3)
@@ -73,7 +75,7 @@ def ratios(cameras: int, noise: float, draws: int) -> dict[str, Any]:
         found["depth"].append(errors[:, 2].mean() / bound.point_mean_mm[2])
         found["steps"].append(fit.steps)
     return {
-        "cameras": cameras, "noise_px": noise, "draws": draws,
+        "cameras": cameras, "noise_px": noise, "unknown": list(unknown), "draws": draws,
         "true_over_bound": round(float(np.mean(found["reprojection"])), 4),
         "std_over_bound_xyz": np.mean(found["scatter"], axis=0).round(4).tolist(),
         "rms_std_over_bound_xyz": np.sqrt(np.mean(np.square(found["scatter"]), axis=0)).round(4).tolist(),
@@ -91,7 +93,7 @@ def starts(cameras: int, noise: float, seeds: int) -> list[dict[str, Any]]:
         for seed in range(1, seeds + 1):
             given = board.__wrapped__(cameras, 0.3, noise, start, seed)
             _, state, seen = truth_of(given)
-            problem = Problem.of(given.case)
+            problem = Problem.of(given.case, Free())
             best = refine(state, problem.seen, Free())
             fit = refine(problem.start, problem.seen, Free())
             there = seen.weights > 0.0
@@ -156,6 +158,7 @@ def main() -> None:
     pairs = [(cameras, noise) for cameras in _CAMERAS for noise in _NOISES]
     report = {
         "times": [timed(9, 5), timed(13, 20)],
+        "lenses": [ratios(cameras, noise, draws, _LENSES) for cameras, noise in track(pairs, "draws with unknown lenses")],
         "bound": [ratios(cameras, noise, draws) for cameras, noise in track(pairs, "draws")],
         "anchor": [anchored(noise, max(4, 2 * draws // 5)) for noise in track((0.1, 2.0), "anchors")],
         "outliers": with_outliers(0.3, max(4, draws // 5)),

@@ -16,6 +16,7 @@ from sabench.arrays import F32, F64, U16, Bool
 from sabench.errors import InputError
 from sabench.optics.camera import Camera
 from sabench.optics.model import CameraModel
+from sabench.scene import LensNumber
 from sabench.volume import Grid
 from sabench.world import Domain, Particles, Pose, Target
 
@@ -164,6 +165,7 @@ class CalibrationCase:
     rough_mm : (frame, point, 3) roughly known places of the target's points, world frame; NaN where nothing is known.
     known_mm : (frame, point, 3) coordinates that were measured by other means; NaN where they were not.
     known_sigma_mm : the same shape, their standard deviations.
+    unknown : what nobody has measured of the lenses besides their focal lengths: "principal_point" and names of coefficients of distortion.
 
     Raises
     ------
@@ -177,6 +179,7 @@ class CalibrationCase:
     rough_mm: F64
     known_mm: F64
     known_sigma_mm: F64
+    unknown: tuple[LensNumber, ...] = ()
 
     def __post_init__(self) -> None:
         count = len(self.target.points_mm)

@@ -31,7 +31,7 @@ from sabench.files import canonical_json, complete_or_nothing
 from sabench.optics.camera import Camera, Distortion, aim, aimed_rotation
 from sabench.progress import track
 from sabench.rig import build_wall
-from sabench.scene import Positive, Vector, WallSpec, validate
+from sabench.scene import LensNumber, Positive, Vector, WallSpec, validate
 from sabench.solving import make_algorithm
 from sabench.world import Pattern, Target
 
@@ -91,6 +91,7 @@ class Configuration(_Table):
     cameras: Annotated[tuple[CameraSpec, ...], Field(min_length=2)]
     target_mm: Vector = Field(description="roughly where the target was")
     known: tuple[KnownSpec, ...] = ()
+    unknown: tuple[LensNumber, ...] = Field((), description="what is to be found of the lenses besides their focal lengths")
 
 
 @dataclass(frozen=True)
@@ -158,7 +159,7 @@ def read_case(folder: Path) -> CalibrationCase:
     plain = target.points_mm + np.asarray(told.target_mm)
     pixels = _read_points(folder / POINTS, target, cameras) if (folder / POINTS).is_file() else _read_images(folder / IMAGES, target, cameras, plain)
     rough = np.tile(plain, (pixels.shape[1], 1, 1))
-    return CalibrationCase(target, pixels, cameras, rough, *_known(told, rough.shape, str(path)))
+    return CalibrationCase(target, pixels, cameras, rough, *_known(told, rough.shape, str(path)), told.unknown)
 
 
 def _cameras(told: Configuration, source: str) -> tuple[Camera, ...]:
@@ -261,10 +262,11 @@ def report_on(case: CalibrationCase, answer: Calibration, points: F64) -> tuple[
     errors = case.pixels - np.stack([camera.project(flat)[0] for camera in cameras]).reshape(case.pixels.shape)
     used = case.found if answer.used is None else answer.used
     frame = Frame.of(cameras, points)
-    size, boards = 7 * len(cameras), 6 * int(used.any(axis=(0, 2)).sum())
+    free = Free.of(case.unknown)
+    size, boards = free.per_camera * len(cameras), 6 * int(used.any(axis=(0, 2)).sum())
     noise = float(np.sqrt(np.sum(errors[used] ** 2) / max(2 * used.sum() - size - boards, 1)))
     seen = Seen(case.target.points_mm, np.nan_to_num(case.pixels), used.astype(np.float64), anchors_of(case, frame, noise))
-    bound = limit(frame.state(case.target.points_mm, points), seen, Free(), noise)
+    bound = limit(frame.state(case.target.points_mm, points), seen, free, noise)
     lengths = np.linalg.norm(errors, axis=-1)
     by_camera = tuple(_line(camera.name, lengths[i], case.found[i], used[i]) for i, camera in enumerate(cameras))
     by_frame = tuple(_line(k, lengths[:, k], case.found[:, k], used[:, k]) for k in range(points.shape[0]))

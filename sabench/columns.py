@@ -33,7 +33,8 @@ COLUMNS: dict[str, tuple[Column, ...]] = {
     ),
     "calibration": (
         Column("true_px", "true px", 4, "mean distance of reprojected points from where they truly are in the images"),
-        Column("true_ratio", "true / bound", 3, "the same over the least that the data allow (Cramer-Rao)"),
+        Column("bound_px", "bound px", 4, "the least of these that the data allow (Cramer-Rao)"),
+        Column("true_ratio", "true / bound", 3, "true px over bound px"),
         Column("measured_px", "measured px", 4, "mean distance of reprojected points from where they were found"),
         Column("x_std_mm", "x std mm", 4, "scatter of the points' errors along X, after a shift in X and Y and a turn about the wall's normal"),
         Column("y_std_mm", "y std mm", 4, "the same along Y"),

@@ -107,7 +107,12 @@ def told_cameras(scene: Scene, cameras: tuple[Camera, ...], seed: int) -> tuple[
     spec = scene.calibration
     if spec is None:
         return cameras
-    return tuple(_roughly(_shifted(camera, spec, seed, number), spec, seed, number) for number, camera in enumerate(cameras))
+    return tuple(_roughly(_shifted(_plainer(camera, spec), spec, seed, number), spec, seed, number) for number, camera in enumerate(cameras))
+
+
+def _plainer(camera: Camera, spec: Calibration) -> Camera:
+    unmeasured = {name: 0.0 for name in spec.unknown or () if name != "principal_point"}
+    return replace(camera, distortion=replace(camera.distortion, **unmeasured))
 
 
 def _shifted(camera: Camera, spec: Calibration, seed: int, number: int) -> Camera:

@@ -169,6 +169,9 @@ class Cameras(_Table):
     layout: GridLayout | RingLayout | LineLayout | CrossLayout | ListLayout = Field(discriminator="kind")
 
 
+LensNumber = Literal["principal_point", "k1", "k2", "p1", "p2", "k3"]
+
+
 class KnownPoint(_Table):
     """A point of a target whose place was measured by other means."""
 
@@ -191,6 +194,9 @@ class Calibration(_Table):
     points: float = Field(0.0, ge=0.0, description="standard deviation of each coordinate of the target's points, over the volume's largest edge")
     blank: bool = Field(False, description="places of the target are told as all alike: unturned, at the volume's centre")
     known: tuple[KnownPoint, ...] = Field((), description="points whose places are known")
+    unknown: tuple[LensNumber, ...] | None = Field(
+        None, description="what nobody has measured of the lenses: solvers are told so, and coefficients of distortion as zero"
+    )
 
 
 class Detection(_Table):

@@ -15,10 +15,10 @@ from sabench.calibration.state import Free
 
 
 class RefractiveAutocalParameters(Parameters):
-    """What is free besides the turn, centre and focal length of every camera and the places of the boards."""
+    """What is free besides the turn, centre and focal length of every camera, what the case calls unknown, and the places of the boards."""
 
-    principal_point: bool = Field(False, description="of every camera")
-    distortion: tuple[Literal["k1", "k2", "p1", "p2", "k3"], ...] = Field((), description="coefficients of every camera")
+    principal_point: bool = Field(False, description="of every camera, whether the case calls it unknown or not")
+    distortion: tuple[Literal["k1", "k2", "p1", "p2", "k3"], ...] = Field((), description="coefficients of every camera, in the same way")
     indices: tuple[int, ...] = Field((), description="refractive indices of these media, the cameras' side first, starting with 0")
     thicknesses: tuple[int, ...] = Field((), description="thicknesses of these layers of the wall, starting with 0")
 
@@ -37,8 +37,9 @@ class RefractiveAutocal(CalibrationSolver):
     def solve(self, case: CalibrationCase) -> Calibration:
         """Adjust, then again with the known coordinates weighed against the noise that was found."""
         chosen: RefractiveAutocalParameters = self.parameters
-        free = Free(chosen.principal_point, chosen.distortion, chosen.indices, chosen.thicknesses)
-        problem = Problem.of(case)
+        lenses = Free.of({*case.unknown, *chosen.distortion, *["principal_point"] * chosen.principal_point})
+        free = replace(lenses, indices=chosen.indices, thicknesses=chosen.thicknesses)
+        problem = Problem.of(case, free)
         found = adjust(problem.start, problem.seen, free)
         anchors = anchors_of(case, problem.frame, found.noise_px)
         if anchors:

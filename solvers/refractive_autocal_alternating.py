@@ -30,7 +30,8 @@ class RefractiveAutocalAlternating(CalibrationSolver):
     def solve(self, case: CalibrationCase) -> Calibration:
         """Alternate, bring the points to the known reference points, and alternate again."""
         chosen: AlternatingParameters = self.parameters
-        problem, free = Problem.of(case), Free()
+        free = Free.of(case.unknown)
+        problem = Problem.of(case, free)
         state = problem.start
         for _ in range(2):
             state = problem.settled(alternate(state, problem.seen, free, chosen.tolerance_px, chosen.rounds).state)

@@ -42,7 +42,8 @@ class RefractiveAutocalRandomised(CalibrationSolver):
     def solve(self, case: CalibrationCase) -> Calibration:
         """Draw and average until the subsets agree, or agree less than before."""
         chosen: RandomisedParameters = self.parameters
-        problem, free, rng = Problem.of(case), Free(), stream(self.parameters.seed, "subsets")
+        free, rng = Free.of(case.unknown), stream(self.parameters.seed, "subsets")
+        problem = Problem.of(case, free)
         state, least = problem.start, np.inf
         for _ in range(chosen.iterations):
             pair = [self._subset(problem, state, rng, free) for _ in range(2)]

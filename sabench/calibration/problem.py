@@ -11,7 +11,7 @@ from sabench.arrays import Bool
 from sabench.calibration.bundle import Anchor, Seen
 from sabench.calibration.diagnosis import check_case
 from sabench.calibration.frame import Motion, lateral_fit, rigid_fit
-from sabench.calibration.state import Frame, State
+from sabench.calibration.state import Frame, Free, State
 from sabench.errors import InputError
 
 
@@ -33,7 +33,7 @@ class Problem:
     case: CalibrationCase
 
     @classmethod
-    def of(cls, case: CalibrationCase) -> Problem:
+    def of(cls, case: CalibrationCase, free: Free) -> Problem:
         """Check that there is enough to go on, and bring it into the wall's frame.
 
         Raises
@@ -42,7 +42,7 @@ class Problem:
             What `diagnosis.check_case` refuses, fewer points than unknowns, or a frame of which nothing is known beforehand.
         """
         check_case(case)
-        check_count(case)
+        check_count(case, free.per_camera)
         for number, points in enumerate(case.rough_mm):
             if np.isfinite(points).all(axis=1).sum() < 3 and case.found[:, number].any():
                 raise InputError(f"frame {number}: expected a rough place of its target to start from, got none")
@@ -82,7 +82,7 @@ def anchors_of(case: CalibrationCase, frame: Frame, noise_px: float) -> tuple[An
     return tuple(anchors)
 
 
-def check_count(case: CalibrationCase, unknowns: int = 7) -> None:
+def check_count(case: CalibrationCase, unknowns: int) -> None:
     """Refuse a case with fewer equations than unknowns.
 
     With boards the thesis's equation 4.3 becomes 2 N >= b M + 6 K: N image points, M cameras with b unknowns each, K placed boards.

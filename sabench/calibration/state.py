@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -32,6 +33,17 @@ class Free:
     distortion: tuple[str, ...] = ()
     indices: tuple[int, ...] = ()
     thicknesses: tuple[int, ...] = ()
+
+    @classmethod
+    def of(cls, unknown: Iterable[str]) -> Free:
+        """What a case calls unknown of its lenses."""
+        names = set(unknown)
+        return cls("principal_point" in names, tuple(name for name in _DISTORTION if name in names))
+
+    @property
+    def per_camera(self) -> int:
+        """Unknowns of one camera."""
+        return 7 + 2 * self.principal_point + len(self.distortion)
 
     def columns(self, media: int) -> tuple[I64, I64]:
         """Numbers of a camera's unknowns and of the shared ones, as `kernels.equations` counts them."""

@@ -14,7 +14,7 @@ from sabench.errors import InputError
 from sabench.files import canonical_json, inside, read_json
 from sabench.optics.camera import Camera
 from sabench.optics.wall import Wall
-from sabench.scene import Model, validate
+from sabench.scene import LensNumber, Model, validate
 from sabench.volume import Grid
 from sabench.world import Target
 
@@ -47,6 +47,7 @@ class CamerasFile(_Record):
     cameras: tuple[Camera, ...] = Field(min_length=1)
     grid: Grid
     sensor: SensorLevels
+    unknown: tuple[LensNumber, ...] = ()
 
 
 class TrueCamerasFile(_Record):

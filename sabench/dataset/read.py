@@ -119,7 +119,7 @@ class Dataset:
         )
         with opened(inside(self.root, layout.POINTS)) as file:
             arrays = {name: read_array(file, name, shape, "f").astype(np.float64) for name, shape in shapes.items()}
-        return CalibrationCase(target=target, cameras=rig.cameras, **arrays)
+        return CalibrationCase(target=target, cameras=rig.cameras, unknown=rig.unknown, **arrays)
 
     def placed(self) -> Placed:
         """The target's true places: not for solvers."""

@@ -108,7 +108,9 @@ def _observation(scene: Scene, rig: Rig, told: tuple[Camera, ...]) -> dict[str, 
     sensor = {"black_dn": scene.sensor.black_level_dn, "white_dn": white_level(scene.sensor), "bit_depth": scene.sensor.bit_depth}
     head = {"format": layout.FORMAT, "version": layout.VERSION, "frames": scene.frames, "interval_s": scene.interval_s}
     wall = asdict(rig.wall) if rig.wall else None
-    return {**head, "wall": wall, "cameras": layout.camera_records(told), "grid": asdict(rig.grid), "sensor": sensor}
+    unknown = scene.calibration.unknown if scene.calibration else None
+    told_too = {} if unknown is None else {"unknown": list(unknown)}
+    return {**head, "wall": wall, "cameras": layout.camera_records(told), "grid": asdict(rig.grid), "sensor": sensor, **told_too}
 
 
 def _true_cameras(rig: Rig) -> dict[str, Any]:

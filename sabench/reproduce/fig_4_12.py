@@ -91,6 +91,6 @@ def _rounds(seeds: Sequence[int]) -> Iterator[Row]:
 
 
 def _alternated(given: Board) -> tuple[int, float, float]:
-    problem = Problem.of(given.case)
+    problem = Problem.of(given.case, Free())
     rounds = alternate(problem.start, problem.seen, Free(), 0.001, 1000)
     return len(rounds.errors_px) - 1, rounds.errors_px[0], rounds.errors_px[-1]

@@ -42,6 +42,6 @@ def _moved(points: F64, name: str, move: float) -> F64:
 
 
 def _refitted(given: Board, points: F64) -> float:
-    problem = Problem.of(with_points(given, points).case)
+    problem = Problem.of(with_points(given, points).case, Free())
     fit = refine(problem.start, problem.seen, Free(), moving="cameras")
     return float(np.nanmean(np.linalg.norm(residuals(fit.state, problem.seen), axis=-1)[problem.seen.weights > 0.0]))

@@ -159,11 +159,11 @@ def _noise(case: CalibrationCase, exact: F64, outliers: Bool) -> float:
 
 
 def _bound(case: CalibrationCase, frame: Frame, truths: F64, good: Bool, noise: float) -> Limit | None:
-    """The Cramer-Rao bound with turn, centre and focal length of every camera and all boards unknown; None without noise."""
+    """The Cramer-Rao bound; unknown are turn, centre, focal length of every camera, what else the case says, and all boards; None without noise."""
     if noise <= 0.0:
         return None
     seen = Seen(case.target.points_mm, np.nan_to_num(case.pixels), good.astype(np.float64), anchors_of(case, frame, noise))
-    return limit(frame.state(case.target.points_mm, truths), seen, Free(), noise)
+    return limit(frame.state(case.target.points_mm, truths), seen, Free.of(case.unknown), noise)
 
 
 def _intersected(cameras: tuple[CameraModel, ...], case: CalibrationCase, used: Bool | None) -> F64:

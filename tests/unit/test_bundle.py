@@ -111,7 +111,7 @@ def test_exact_points_give_exact_cameras_from_any_start(cameras: int, blank: boo
     rough = {"points": 0.0 if blank else 0.3, "blank": blank, "center_mm": 58.0, "turn_deg": 5.8, "focal_percent": 11.0, "known": []}
     scene = calibration_scene(detection=None, calibration=rough, cameras={"layout": {"kind": "list", "places": places}})
     case, _, points, exact = case_of(scene)
-    problem = Problem.of(case)
+    problem = Problem.of(case, Free())
     fit = refine(problem.start, problem.seen, Free())
     answer = problem.answer(problem.settled(fit.state))
     assert answer.points_mm is not None
@@ -173,7 +173,7 @@ def test_an_anchor_settles_the_depth() -> None:
     for known in ([], [{"frame": 2, "point": 60, "axes": "z", "sigma_mm": 0.05}]):
         scene = calibration_scene(detection={"noise_px": 2.0}, calibration={"points": 0.02, "known": known})
         case, _, points, _ = case_of(scene, 4)
-        problem = Problem.of(case)
+        problem = Problem.of(case, Free())
         first = adjust(problem.start, problem.seen, Free())
         anchors = anchors_of(case, problem.frame, first.noise_px)
         found = adjust(first.fit.state, replace(problem.seen, anchors=anchors), Free())
@@ -203,4 +203,4 @@ def test_too_few_points_are_counted() -> None:
     case, *_ = case_of(calibration_scene(targets={"columns": 3, "rows": 3}, frames=1, calibration={"known": []}))
     few = np.where(np.arange(9)[:, None] < 3, case.pixels, np.nan)
     with pytest.raises(InputError, match=r"at least 35 image points for 9 cameras of 7 unknowns and 1 boards of 6 \(2 N >= b M \+ 6 K\), got 27"):
-        Problem.of(replace(case, pixels=few))
+        Problem.of(replace(case, pixels=few), Free())
