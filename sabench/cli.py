@@ -166,16 +166,24 @@ def reproduce(
     seeds: Annotated[int | None, typer.Option(min=1, help="How many seeds each figure is the mean of.")] = None,
     pixels: Annotated[int | None, typer.Option(min=32, help="Side of the images in a coarse copy of each array: to try it, not to compare.")] = None,
     output: Annotated[Path | None, typer.Option("-o", "--output", help="A JSON file for the rows, too, written after each of them.")] = None,
+    figures: Annotated[Path | None, typer.Option(help="A folder for pictures of the curves.")] = None,
 ) -> None:
     """Measure tables and figures of Belden's thesis again, their values beside ours."""
     from dataclasses import asdict
 
     from sabench.files import canonical_json, complete_or_nothing
+    from sabench.plots import Figure, draw
     from sabench.progress import console
     from sabench.reproduce import reproduce as measure
 
     rows: list[dict[str, Any]] = []
     for row in measure(tables, seeds, pixels):
+        if isinstance(row, Figure):
+            if figures:
+                figures.mkdir(parents=True, exist_ok=True)
+                with complete_or_nothing(figures / f"{row.name}.png", overwrite=True) as partial:
+                    partial.write_bytes(draw(row))
+            continue
         console.print(f"{row.name}: {_figure(row.measured)}, thesis {_figure(row.thesis)}: {row.verdict}", markup=False, highlight=False)
         rows.append(asdict(row))
         if output:  # after every row: an interrupted run keeps what it has

@@ -9,7 +9,7 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 from sabench.errors import InputError
-from sabench.reproduce.common import Row
+from sabench.reproduce.common import Item
 
 TABLES = {
     "table-2-1": "largest density with Q = 0.75, and the plane spacing, of eleven arrays of 25 cameras",
@@ -26,12 +26,13 @@ TABLES = {
     "fig-4-12": "errors of the auto-calibration against noise and start (figures 4-11 to 4-15)",
     "fig-4-16": "auto-calibration on random subsets of the cameras",
     "fig-4-18": "points in the volume by estimated and exact cameras, and by linear auto-calibration (figures 4-18 to 4-21)",
+    "fig-4-25": "spacing of a traversed grid's planes from poor starts (figures 4-25 and 4-26)",
     "fig-4-27": "cameras refitted to moved points",
 }
 
 
-def reproduce(tables: Sequence[str], seeds: int | None = None, pixels: int | None = None) -> Iterator[Row]:
-    """The rows of tables and figures, each as soon as it is measured; frames that several of them look at are taken once.
+def reproduce(tables: Sequence[str], seeds: int | None = None, pixels: int | None = None) -> Iterator[Item]:
+    """The rows of tables and figures, and pictures of curves, each as soon as it is measured; frames that several of them look at are taken once.
 
     Parameters
     ----------

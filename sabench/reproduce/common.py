@@ -14,6 +14,7 @@ from sabench.extraction import auto_k, extract, normalised, occupancy
 from sabench.generation import Shot, simulate
 from sabench.metrics.detection import Counts, count_thesis, detect
 from sabench.metrics.threshold import quality_of_k
+from sabench.plots import Figure
 from sabench.progress import console
 from sabench.reproduce.published import published_volume
 from sabench.reproject import refocus_sum
@@ -50,6 +51,9 @@ class Row:
     ci95: float | None = None
     seeds: int = 0
     note: str = ""
+
+
+Item = Row | Figure  # what a table yields
 
 
 def compared(name: str, thesis: float | None, values: Sequence[float], note: str = "") -> Row:

@@ -6,9 +6,11 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from sabench.arrays import F64
+from sabench.plots import Curve, Figure, Panel
 from sabench.progress import track
 from sabench.reproduce.chapter_4 import D_PIX, NOISES, STARTS, board, point_errors, solved, stds
-from sabench.reproduce.common import Row, claim, compared
+from sabench.reproduce.common import Item, claim, compared
 
 SEEDS = 5
 _SOLVERS = {
@@ -16,21 +18,23 @@ _SOLVERS = {
 }  # fmt: skip
 
 
-def rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Row]:
+def rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
     """Scatter of the points' errors, over all starts; the thesis shows histograms without numbers."""
-    better = []
+    better, panels = [], []
     for noise in NOISES:
         scatter = {}
         steps = [(start, seed) for start in STARTS for seed in seeds]
-        errors: dict[str, list[np.ndarray[tuple[int, ...], np.dtype[np.float64]]]] = {name: [] for name in _SOLVERS}
+        errors: dict[str, dict[float, list[F64]]] = {name: {start: [] for start in STARTS} for name in _SOLVERS}
         for start, seed in track(steps, f"8 cameras, {noise:g} px"):
             given = board(8, 0.3, noise, start, seed)
             for name, solver in _SOLVERS.items():
-                errors[name].append(point_errors(solved(solver, given), given))
+                errors[name][start].append(point_errors(solved(solver, given), given))
         for name, own in errors.items():
-            scatter[name] = stds(own) / D_PIX
+            scatter[name] = stds([one for draws in own.values() for one in draws]) / D_PIX
             note = f"X, Y, Z: {', '.join(f'{value:.3g}' for value in scatter[name])}"
             yield compared(f"8 cameras, {noise:g} px, {name}: scatter along Z, pixels of the middle", None, [float(scatter[name][2])], note)
+        curves = [Curve(name, STARTS, [float(stds(draws)[2]) / D_PIX for draws in own.values()]) for name, own in errors.items()]
+        panels.append(Panel(f"{noise:g} px", "start", "scatter along Z, pixels of the middle", tuple(curves), "xy"))
         better.append(float(scatter["randomised"][2] / scatter["alternating"][2]))
     yield claim(
         "randomised over alternating, scatter along Z",
@@ -39,3 +43,4 @@ def rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Row]:
         bool(np.mean(better) < 1.0),
         f"by noise: {np.round(better, 2)}",
     )
+    yield Figure("fig-4-16", "Figures 4-16 and 4-17: random subsets of 8 cameras", tuple(panels))

@@ -11,27 +11,30 @@ from sabench.calibration.bundle import refine, residuals
 from sabench.calibration.problem import Problem
 from sabench.calibration.state import Free
 from sabench.optics.rotation import exponential
+from sabench.plots import Curve, Figure, Panel
 from sabench.reproduce.chapter_4 import Board, board, with_points
-from sabench.reproduce.common import Row, claim, compared
+from sabench.reproduce.common import Item, claim, compared
 
 SEEDS = 1
 _DEGREES = np.arange(-4.0, 4.01, 1.0)
 _SHIFTS = np.arange(0.0, 50.1, 10.0)
 
 
-def rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Row]:
+def rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
     """Mean reprojection error of nine cameras for every turn about the vertical axis and every shift along Z."""
-    given = board(9, 0.3, 0.0, 0.0, seeds[0])
+    given, panels = board(9, 0.3, 0.0, 0.0, seeds[0]), []
     for name, moves in (("turn, degrees", _DEGREES), ("shift, mm", _SHIFTS)):
         errors = []
         for move in moves:
             errors.append(_refitted(given, _moved(given.points_mm, name, float(move))))
             yield compared(f"{name} {move:g}: mean error, px", None, [errors[-1]])
+        panels.append(Panel("", name, "mean error, px", (Curve(name, moves.tolist(), errors),)))
         still = float(errors[int(np.flatnonzero(moves == 0.0)[0])])
         least = min(error for error, move in zip(errors, moves, strict=True) if move != 0.0)
         yield claim(
             f"{name}: moved points cannot be fitted", "errors above zero", float(least), bool(still < 1e-4 < least), f"unmoved {still:.2g} px"
         )
+    yield Figure("fig-4-27", "Figure 4-27: cameras refitted to moved boards", tuple(panels))
 
 
 def _moved(points: F64, name: str, move: float) -> F64:

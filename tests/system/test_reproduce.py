@@ -6,9 +6,11 @@ import itertools
 import json
 from pathlib import Path
 
+import cv2
 import pytest
 
 from sabench.reproduce import TABLES, reproduce, table_2_1_best
+from sabench.reproduce.common import Row
 from tests.conftest import Command
 
 KEYS = {"name", "thesis", "measured", "verdict", "ci95", "seeds", "note"}
@@ -36,6 +38,16 @@ def test_rows_as_a_table(command: Command) -> None:
     assert "125,000" in done.stdout
 
 
+def test_curves_become_pictures(command: Command, tmp_path: Path) -> None:
+    done = command("reproduce", "fig-4-27", "--figures", "pictures", "--json")
+    assert done.returncode == 0, done.stderr
+    assert len(json.loads(done.stdout)) == 17
+    picture = cv2.imread(str(tmp_path / "pictures" / "fig-4-27.png"))
+    assert picture is not None
+    assert picture.shape[1] > picture.shape[0] > 200
+    assert (picture.reshape(-1, 3) != 255).any(axis=1).mean() > 0.01
+
+
 def test_an_unknown_table_is_refused(command: Command) -> None:
     done = command("reproduce", "table-9")
     assert done.returncode == 2
@@ -46,6 +58,7 @@ def test_an_unknown_table_is_refused(command: Command) -> None:
 def test_the_best_tomographic_solver_is_chosen(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(table_2_1_best, "SOLVERS", ("mlos_sart", "mlos_smart"))
     row = next(reproduce(["table-2-1-best"], 2, 60))
+    assert isinstance(row, Row)
     assert row.name == "50x50x10-D0.2: Q at 15 per mm3"
     assert row.note.split(";")[0] in ("mlos_sart", "mlos_smart")
     assert row.seeds == 2
@@ -53,12 +66,13 @@ def test_the_best_tomographic_solver_is_chosen(monkeypatch: pytest.MonkeyPatch) 
     assert row.verdict == ("reproduced" if row.measured >= 0.75 else "below")
 
 
-SLOW = ("fig-4-16", "fig-4-18", "fig-2-7-cameras")
+SLOW = ("fig-4-16", "fig-4-18", "fig-4-25", "fig-2-7-cameras")
 
 
 @pytest.mark.parametrize("table", [name for name in TABLES if name != "table-2-1-best"])
 def test_every_table_yields_rows(table: str) -> None:
     for row in itertools.islice(reproduce([table], 1 if table in SLOW else 2, 60), 1 if table in SLOW else 4):
+        assert isinstance(row, Row)
         assert row.name
         assert row.verdict
         assert row.measured is not None
