@@ -12,6 +12,9 @@ from sabench.world import Target
 
 U8 = npt.NDArray[np.uint8]
 
+_BLUR_PX = 1.5  # against noise, where lights are few
+_FAINT, _FULL = 0.05, 0.15  # of a blob's peak: below there is none, and beyond a ball's shading would draw its centroid to the lit side
+_LIT = 0.35  # of the brightest ball: what belongs to one
 _DARKEST, _BRIGHTEST = 0.5, 99.5  # percentiles that become black and white for the detectors
 
 
@@ -24,15 +27,21 @@ def detect(image: U16, target: Target, expected: F64 | None = None) -> F64:
     expected : rough pixels (point, 2), which tell a board that looks the same after a half or a quarter turn which way it lies; by default it is
         taken to lie upright. Shift, scale and a turn of less than half of that do not matter.
     """
-    grey = _eight_bits(image)
+    grey = _eight_bits(image, *(_small_lights(image) if target.pattern == "wand" else np.percentile(image, [_DARKEST, _BRIGHTEST])))
     found = {"checkerboard": _corners, "circles": _circles, "charuco": _charuco, "wand": _balls}[target.pattern](grey, target)
     if found is None:
         return np.full((len(target.points_mm), 2), np.nan)
     return found if target.pattern == "charuco" else _turned(found, target, expected)
 
 
-def _eight_bits(image: U16) -> U8:
-    low, high = np.percentile(image, [_DARKEST, _BRIGHTEST])
+def _small_lights(image: U16) -> tuple[float, float]:
+    """Grey values of the dark around lights and of the brightest, however small a part of the image they are."""
+    import cv2
+
+    return float(np.median(image)), float(cv2.GaussianBlur(image.astype(np.float32), (0, 0), _BLUR_PX).max())
+
+
+def _eight_bits(image: U16, low: float, high: float) -> U8:
     return np.asarray(np.clip((image - low) * (255.0 / max(high - low, 1.0)), 0.0, 255.0), dtype=np.uint8)
 
 
@@ -81,25 +90,26 @@ def _balls(grey: U8, target: Target) -> F64 | None:
     """Centroids of as many bright balls as the wand has, in their order along it."""
     import cv2
 
-    _, binary = cv2.threshold(grey, 0, 255, cv2.THRESH_BINARY | cv2.THRESH_OTSU)
-    count, _, stats, centers = cv2.connectedComponentsWithStats(binary)
+    smooth = cv2.GaussianBlur(grey, (0, 0), _BLUR_PX)
+    count, _, stats, centers = cv2.connectedComponentsWithStats((smooth > 255.0 * _LIT).astype(np.uint8))
     largest = 1 + np.argsort(stats[1:, cv2.CC_STAT_AREA])[::-1][: target.columns]
     if count - 1 < target.columns:
         return None
-    balls = _centroids(grey, centers[largest])
+    balls = _centroids(grey, centers[largest], _FULL)
     axis = np.linalg.svd(balls - balls.mean(axis=0))[2][0]
     return np.asarray(balls[np.argsort(balls @ axis)])
 
 
-def _centroids(light: U8, centers: F64) -> F64:
-    """Intensity-weighted centroids of blobs around rough centres, as far as half the way to the next."""
+def _centroids(light: U8, centers: F64, full: float = 1.0) -> F64:
+    """Intensity-weighted centroids of blobs around rough centres, as far as half the way to the next; more light than `full` of the peak is cut."""
     gaps = np.linalg.norm(centers[:, None] - centers[None], axis=2) + np.diag(np.full(len(centers), np.inf))
     out = centers.copy()
     for number, (center, gap) in enumerate(zip(centers, gaps.min(axis=1), strict=True)):
         reach = max(3, int(min(0.45 * gap, 60.0)))
         left, top = np.maximum(np.rint(center).astype(int) - reach, 0)
         patch = light[top : top + 2 * reach + 1, left : left + 2 * reach + 1].astype(np.float64)
-        patch = np.clip(patch - np.median(patch) - 0.1 * (patch.max() - np.median(patch)), 0.0, None)
+        dark, peak = np.median(patch), patch.max() - np.median(patch)
+        patch = np.clip(patch - dark - _FAINT * peak, 0.0, (full - _FAINT) * peak)
         rows, columns = np.mgrid[: patch.shape[0], : patch.shape[1]]
         total = patch.sum()
         if total > 0.0:

@@ -242,6 +242,7 @@ class Lighting(_Table):
 
     lamps: tuple[Lamp, ...] = Field(min_length=1)
     exposure: Positive = Field(0.7, description="what a white surface at the volume's centre that faces the wall gives, as a part of the full well")
+    even: float | None = Field(None, ge=0.0, le=1.0, description="part of the light that comes evenly from everywhere, as from balls that glow")
     wavelength_nm: Positive = Field(550.0, description="for diffraction")
 
 

@@ -15,6 +15,7 @@ from sabench.optics.wall import Wall
 from sabench.world import Target
 
 _SUSPECT = 0.5  # share of an image's points that fit, below which something is wrong with all of it
+_WRONG = 0.01  # of an image's width: noise that no detection has
 _FITS = 6.0  # times the noise below which a guess explains the points
 _FLAT = 1e-3  # thickness over width of points that lie in one plane
 _GLASS = 1.4  # index that solids exceed and most fluids do not
@@ -71,6 +72,10 @@ def check_fit(case: CalibrationCase, state: State, frame: Frame, seen: Seen, use
         With the camera or the frame, and what explains it.
     """
     there = seen.weights > 0.0
+    if noise_px > _WRONG * case.cameras[0].columns:
+        raise InputError(
+            f"expected points that one array can see, got some that miss by {noise_px:.3g} px at best: are they the target's, in its order?"
+        )
     _check_views(case, state, seen, used, there, noise_px)
     points = state.points(seen.board)
     _check_corners(case, points, frame.motion(case.rough_mm), there)

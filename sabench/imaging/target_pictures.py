@@ -68,13 +68,14 @@ def _shapes(mi: Any, target: Target, pose: Pose) -> dict[str, Any]:
 
 
 def _lamps(rays: Any, lighting: Lighting, camera: Camera, facing: F64, center_mm: F64, origin: F64) -> Any:
-    """Lamps where the fluid sees them, with powers that add up to 1 at the centre."""
+    """Lamps where the fluid sees them, with powers that add up to the exposure at the centre, even light included."""
     places = np.array([_apparent(camera.wall, np.asarray(lamp.center_mm)) for lamp in lighting.lamps])
     powers = np.array([lamp.power for lamp in lighting.lamps])
     ways = places - center_mm
     lengths = np.linalg.norm(ways, axis=1)
     there = float(np.sum(powers * np.maximum(-(ways @ facing), 0.0) / lengths**3))
-    return rays.Lamps(places - origin, lighting.exposure * powers / max(there, 1e-300))
+    even = lighting.even or 0.0
+    return rays.Lamps(places - origin, (1.0 - even) * lighting.exposure * powers / max(there, 1e-300), even * lighting.exposure)
 
 
 def _apparent(wall: Wall | None, lamp_mm: F64) -> F64:

@@ -43,10 +43,12 @@ class Paint:
 
 @dataclass(frozen=True)
 class Lamps:
-    """Where light comes from: places (n, 3) in the frame of the render, and power, 1 for a white surface that faces it at a distance of 1 mm."""
+    """Where light comes from: places (n, 3) in the frame of the render, power, 1 for a white surface that faces it at a distance of 1 mm, and what
+    comes evenly from everywhere."""
 
     places: F64
     powers: F64
+    even: float
 
 
 def picture(scene: Any, camera: Camera, origin: F64, paint: Paint, lamps: Lamps, interfaces: int, samples: int) -> F32:
@@ -75,6 +77,7 @@ class _Target:
         self.axes = [opaque(axis) for axis in paint.turn]
         self.bits = mi.Float(paint.bits.astype(np.float32).ravel()) if paint.bits.size else mi.Float(0.0)
         self.lamps = [(opaque(place), dr.opaque(mi.Float, power)) for place, power in zip(lamps.places, lamps.powers.tolist(), strict=True)]
+        self.even = dr.opaque(mi.Float, lamps.even)
 
 
 def _rays(camera: Camera, origin: F64, first: int, count: int, samples: int) -> Any:
@@ -154,7 +157,7 @@ def _trace(scene: Any, ray: Any, target: Any) -> Any:
 
 def _lit(target: Any, place: Any, normal: Any) -> Any:
     """Irradiance at a place; lamps are points."""
-    total = mi.Float(0.0)
+    total = mi.Float(target.even)
     for lamp, power in target.lamps:
         way = lamp - place
         square = dr.squared_norm(way)

@@ -92,6 +92,17 @@ def test_one_plane_is_not_enough() -> None:
         algorithm.solve(case(frames=1, targets={"tilt_deg": 0.0}))
 
 
+def test_points_in_no_order_are_named() -> None:
+    """Every image counts the target's points in an order of its own: whatever comes out, it is no calibration."""
+    given, rng = case(), np.random.default_rng(0)
+    pixels = given.pixels.copy()
+    for view in pixels.reshape(-1, *pixels.shape[2:]):
+        view[:] = view[rng.permutation(len(view))]
+    algorithm: Any = make_algorithm("refractive_autocal", {})
+    with pytest.raises(InputError, match=r"got some that miss by \d+ px at best: are they the target's, in its order\?"):
+        algorithm.solve(replace(given, pixels=pixels))
+
+
 def test_a_spoilt_image_is_left_out() -> None:
     given = case()
     pixels = given.pixels.copy()

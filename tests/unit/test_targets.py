@@ -56,6 +56,17 @@ def test_a_rendered_wand_is_found_on_its_lit_side() -> None:
     assert np.abs(detect(grey, target) - camera.project(POSE(target.points_mm))[0]).max() < 0.5
 
 
+def test_small_glowing_balls_are_found_where_they_are() -> None:
+    """They are less than a thousandth of a noisy image, and evenly bright: nothing draws a centroid aside."""
+    camera, target = small_camera(), Target("wand", 3, 1, 12.0, 1.0)
+    glow = LAMPS.model_copy(update={"even": 1.0})
+    picture = photograph(camera, target, POSE, glow, np.array([0.0, 0.0, 35.0]), 16)
+    assert picture.max() == pytest.approx(0.7, rel=0.05)
+    grey = np.clip(np.random.default_rng(0).normal(50.0 + 2800.0 * picture, 5.0), 0.0, 4095.0).astype(np.uint16)
+    errors = detect(grey, target) - camera.project(POSE(target.points_mm))[0]
+    assert np.abs(errors).max() < 0.15
+
+
 def test_exposure_is_what_was_asked_for() -> None:
     """White in the middle of the volume reaches it; black print 4 % of that."""
     camera = small_camera()
