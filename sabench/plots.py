@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-_ACROSS, _PANEL_INCH, _DPI = 3, (4.2, 3.2), 110
+_PANEL_INCH, _DPI = (4.2, 3.2), 110
 _BINS = 40
 _COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")  # Okabe and Ito: told apart by the colour-blind
 _MARKERS = "os^Dv*x"
@@ -59,7 +59,7 @@ def draw(figure: Figure) -> bytes:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure as Sheet
 
-    across = min(_ACROSS, len(figure.panels))
+    across = min(3 if len(figure.panels) % 4 else 4, len(figure.panels))  # no gap in the last row where four fit
     down = -(-len(figure.panels) // across)
     sheet = Sheet(figsize=(across * _PANEL_INCH[0], down * _PANEL_INCH[1] + 0.4), dpi=_DPI, layout="constrained")
     FigureCanvasAgg(sheet)

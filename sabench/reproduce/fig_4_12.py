@@ -65,7 +65,7 @@ def _errors_panel(cameras: int, found: dict[float, Draws]) -> Panel:
 
 def _points_figure(found: dict[float, Draws]) -> Figure:
     """Figures 4-14 and 4-15: mean and scatter of the points' errors along X, Y, Z by start, 7 cameras."""
-    panels = []
+    upper, lower = [], []
     for noise, draws in found.items():
         means, scatters = [], []
         for name in _SOLVERS:
@@ -74,9 +74,9 @@ def _points_figure(found: dict[float, Draws]) -> Figure:
             scatter = np.array([stds(own) for own in errors])
             means.append(Curve(f"Z, {name}", STARTS, mean[:, 2].tolist()))
             scatters += [Curve(f"{axis}, {name}", STARTS, scatter[:, number].tolist()) for number, axis in enumerate("XYZ")]
-        panels.append(Panel(f"{noise:g} px: mean along Z", "start", "mm", tuple(means), "xy"))
-        panels.append(Panel(f"{noise:g} px: scatter", "start", "mm", tuple(scatters), "xy"))
-    return Figure("fig-4-14", "Figures 4-14 and 4-15: errors of the points, 7 cameras", tuple(panels))
+        upper.append(Panel(f"{noise:g} px: mean along Z", "start", "mm", tuple(means), "xy"))
+        lower.append(Panel(f"{noise:g} px: scatter", "start", "mm", tuple(scatters), "xy"))
+    return Figure("fig-4-14", "Figures 4-14 and 4-15: errors of the points, 7 cameras", (*upper, *lower))
 
 
 def _measured(cameras: int, noise: float, seeds: Sequence[int]) -> Draws:

@@ -41,12 +41,13 @@ def test_histograms_are_densities_over_common_bins() -> None:
     assert tops[0] < tops[1]
 
 
-def test_panels_stand_three_beside_each_other() -> None:
+def test_panels_stand_three_or_four_beside_each_other() -> None:
     curve = Curve("", [0.0, 1.0], [0.0, 1.0])
-    one, three, four = (picture(curve, panels=count).shape for count in (1, 3, 4))
-    assert three[1] == 3 * one[1]
-    assert four[1] == three[1]
-    assert four[0] > 1.5 * three[0]
+    one, three, four, five = (picture(curve, panels=count).shape for count in (1, 3, 4, 5))
+    assert three[1] == five[1] == 3 * one[1]
+    assert four[1] == 4 * one[1]
+    assert four[0] == three[0]
+    assert five[0] > 1.5 * three[0]
 
 
 def test_equal_figures_are_equal_pictures() -> None:
