@@ -75,7 +75,7 @@ def _fill(axes: Any, panel: Panel) -> None:
     axes.set_title(panel.title, fontsize=9)
     axes.set_xlabel(panel.x, fontsize=8)
     axes.set_ylabel(panel.y, fontsize=8)
-    axes.tick_params(labelsize=7)
+    axes.tick_params(which="both", labelsize=7)
     axes.grid(alpha=0.3)
     edges = _edges([one.values for one in panel.content if isinstance(one, Histogram)])
     for number, one in enumerate(panel.content):
