@@ -51,6 +51,20 @@ class Generator(PlugIn):
         raise NotImplementedError(f"generator {type(self).__name__} must implement particles()")
 
 
+class Flow(PlugIn):
+    """Base of a velocity field that carries particles: `velocity`, and `gradient` where it is known exactly."""
+
+    makes: ClassVar[str] = "flow"
+
+    def velocity(self, points_mm: F64, time_s: float) -> F64:
+        """Velocities (n, 3) in mm/s at points (n, 3) of the world frame."""
+        raise NotImplementedError(f"flow {type(self).__name__} must implement velocity()")
+
+    def gradient(self, points_mm: F64, time_s: float) -> F64:
+        """Gradients (n, 3, 3) in 1/s, du_i / dx_j."""
+        raise NotImplementedError(f"flow {type(self).__name__} must implement gradient()")
+
+
 class TargetGenerator(PlugIn):
     """Base of a generator of calibration targets: one target, which every frame shows at another place."""
 

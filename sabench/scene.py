@@ -29,7 +29,7 @@ def _not_zero(vector: Vector) -> Vector:
 Direction = Annotated[Vector, AfterValidator(_not_zero)]
 Positive = Annotated[float, Field(gt=0.0)]
 Index = Annotated[float, Field(ge=1.0, le=4.0)]
-WORLDS = ("particles", "targets")  # tables whose `generator` is a plug-in
+WORLDS = ("particles", "targets", "flow")  # tables whose `generator` is a plug-in
 
 
 class _Table(BaseModel):
@@ -218,6 +218,7 @@ class Illumination(_Table):
     sheet_normal: Vector = Field((0.0, 0.0, 1.0), description="across the sheet")
     thickness_mm: Positive = Field(description="full width (top-hat) or e^-2 width (gaussian)")
     height_mm: Positive = Field(description="width of the sheet at right angles to its direction and normal")
+    shift_mm: float | None = Field(None, description="how far the sheet's middle lies from the volume's, along its normal")
     profile: Literal["top-hat", "gaussian"] = "top-hat"
     scattering: Literal["mie", "isotropic"] = "mie"
 
@@ -227,6 +228,32 @@ class Illumination(_Table):
         dot = sum(a * b for a, b in zip(self.direction, self.sheet_normal, strict=True))
         if lengths < 1e-9 or abs(dot) > 1e-6 * lengths:
             raise ValueError("expected direction and sheet_normal of non-zero length and at right angles")
+        return self
+
+
+class Timing(_Table):
+    """When frames are taken: groups of pulses, one frame each, and what differs from pulse to pulse.
+
+    One pulse a group is a time-resolved sequence, two are frame straddling (double frames), four a four-pulse system.
+    """
+
+    rate_hz: Positive = Field(description="of the groups")
+    pulses_s: tuple[Annotated[float, Field(ge=0.0)], ...] = Field((0.0,), min_length=1, description="times of a group's pulses, from its start")
+    energy: tuple[Positive, ...] | None = Field(None, description="of each of a group's pulses, over the illumination's")
+    energy_spread: float = Field(0.0, ge=0.0, lt=1.0, description="standard deviation of each pulse's energy, over its mean")
+    shift_mm: tuple[float, ...] | None = Field(None, description="of each of a group's sheets along its normal: lasers are never aligned exactly")
+    duration_s: float = Field(0.0, ge=0.0, description="of a pulse: particles leave streaks")
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Timing:
+        if list(self.pulses_s) != sorted(set(self.pulses_s)):
+            raise ValueError(f"pulses_s: expected rising times, got {list(self.pulses_s)}")
+        if self.pulses_s[-1] - self.pulses_s[0] >= 1.0 / self.rate_hz and len(self.pulses_s) > 1:
+            raise ValueError(f"pulses_s: expected a group shorter than 1 / rate_hz = {1.0 / self.rate_hz:g} s, got {list(self.pulses_s)}")
+        for name in ("energy", "shift_mm"):
+            given = getattr(self, name)
+            if given is not None and len(given) != len(self.pulses_s):
+                raise ValueError(f"{name}: expected one value for each of {len(self.pulses_s)} pulses, got {len(given)}")
         return self
 
 
@@ -285,6 +312,7 @@ class Scene(_Table):
     title: str
     frames: int = Field(1, ge=1)
     interval_s: Positive = Field(1e-3, description="time between frames")
+    timing: Timing | None = Field(None, description="instead of frames at equal intervals")
     volume: Volume
     grid: GridSpec
     wall: WallSpec | None = None
@@ -294,6 +322,7 @@ class Scene(_Table):
     illumination: Illumination | None = Field(None, description="the laser; needed where there are particles")
     tracer: Tracer = Tracer()
     particles: dict[str, Any] | None = Field(None, description="`generator` names a generator; the other keys are its parameters")
+    flow: dict[str, Any] | None = Field(None, description="what carries the particles: `generator` and its parameters")
     targets: dict[str, Any] | None = Field(
         None, description="instead of particles, a calibration target that each frame shows at another place: `generator` and its parameters"
     )
@@ -306,6 +335,8 @@ class Scene(_Table):
     def _one_world(self) -> Scene:
         if (self.particles is None) == (self.targets is None):
             raise ValueError("expected either particles or targets")
+        if self.flow is not None and self.particles is None:
+            raise ValueError("flow: expected particles that it carries")
         if self.particles is not None and self.illumination is None:
             raise ValueError("expected an illumination for the particles")
         return self
@@ -316,6 +347,13 @@ class Scene(_Table):
         if self.illumination is None:
             raise ValueError(f"{self.title}: expected a scene with an illumination")
         return self.illumination
+
+    def time_s(self, frame: int) -> float:
+        """When a frame is taken, from the first group's start."""
+        if self.timing is None:
+            return frame * self.interval_s
+        group, pulse = divmod(frame, len(self.timing.pulses_s))
+        return group / self.timing.rate_hz + self.timing.pulses_s[pulse]
 
     def to_dict(self) -> dict[str, Any]:
         """All keys with their values, defaults included, as TOML holds them."""

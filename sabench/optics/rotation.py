@@ -21,3 +21,13 @@ def skew(vectors: F64) -> F64:
     x, y, z = np.moveaxis(vectors, -1, 0)
     zero = np.zeros_like(x)
     return np.stack([np.stack([zero, -z, y], -1), np.stack([z, zero, -x], -1), np.stack([-y, x, zero], -1)], -2)
+
+
+def leading(axis: tuple[float, float, float]) -> F64:
+    """A right-handed frame (3, 3) whose third row points along an axis of any length; the first is as near to X as it can be."""
+    third = np.asarray(axis, dtype=np.float64)
+    third = third / np.linalg.norm(third)
+    x = np.array([1.0, 0.0, 0.0]) if abs(third[0]) < 0.9 else np.array([0.0, 1.0, 0.0])
+    second = np.cross(third, x)
+    second /= np.linalg.norm(second)
+    return np.stack([np.cross(second, third), second, third])

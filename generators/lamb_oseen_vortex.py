@@ -1,0 +1,51 @@
+"""The vortex of Lamb and Oseen."""
+
+from __future__ import annotations
+
+import numpy as np
+from pydantic import Field
+
+from sabench.api import Flow, Parameters
+from sabench.arrays import F64
+from sabench.swirl import lateral, turning, turning_gradient
+
+_SMALL = 1e-4  # of the core squared: below, the series is exact to rounding
+
+
+class LambOseenParameters(Parameters):
+    """The vortex, and how it spreads."""
+
+    center_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    axis: tuple[float, float, float] = (0.0, 0.0, 1.0)
+    core_mm: float = Field(4.0, gt=0.0, description="r_c of 1 - exp(-r^2 / r_c^2), at the start")
+    circulation_mm2_s: float = Field(4000.0, description="far away")
+    viscosity_mm2_s: float = Field(0.0, ge=0.0, description="r_c^2 grows by four times that per second: 1 for water")
+
+
+class LambOseenVortex(Flow):
+    """A vortex with a Gaussian core, which viscosity spreads: a solution of the Navier-Stokes equations."""
+
+    name = "lamb_oseen_vortex"
+    references = ("C. W. Oseen, Ark. Mat. Astron. Fys. 7, 14, 1912", "H. Lamb, Hydrodynamics, 1932, section 334a")
+    Parameters = LambOseenParameters
+
+    def velocity(self, points_mm: F64, time_s: float) -> F64:
+        """Speed Gamma / (2 pi r) (1 - exp(-r^2 / r_c^2))."""
+        offset, distance, along = lateral(points_mm, self.parameters.center_mm, self.parameters.axis)
+        return turning(offset, along, self._rates(distance, time_s)[0])
+
+    def gradient(self, points_mm: F64, time_s: float) -> F64:
+        """Its derivatives."""
+        offset, distance, along = lateral(points_mm, self.parameters.center_mm, self.parameters.axis)
+        return turning_gradient(offset, along, *self._rates(distance, time_s))
+
+    def _rates(self, distance: F64, time_s: float) -> tuple[F64, F64]:
+        """Rate of turning, and its derivative by the distance over the distance; with q = r^2 / r_c^2 they are (1 - e^-q) / q and its slope."""
+        chosen: LambOseenParameters = self.parameters
+        core = chosen.core_mm**2 + 4.0 * chosen.viscosity_mm2_s * time_s
+        q = distance**2 / core
+        safe = np.maximum(q, _SMALL)
+        share = np.where(q > _SMALL, -np.expm1(-safe) / safe, 1.0 - q / 2.0 + q * q / 6.0)
+        slope = np.where(q > _SMALL, (np.exp(-safe) * (1.0 + safe) - 1.0) / safe**2, -0.5 + q / 3.0)
+        scale = chosen.circulation_mm2_s / (2.0 * np.pi * core)
+        return scale * share, scale * slope * 2.0 / core

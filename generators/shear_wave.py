@@ -1,0 +1,48 @@
+"""A sinusoidal shear."""
+
+from __future__ import annotations
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from sabench.api import Flow, Parameters
+from sabench.arrays import F64
+
+
+class ShearWaveParameters(Parameters):
+    """The wave."""
+
+    center_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    along: tuple[float, float, float] = Field((1.0, 0.0, 0.0), description="direction of the velocity")
+    across: tuple[float, float, float] = Field((0.0, 1.0, 0.0), description="direction in which it varies")
+    wavelength_mm: float = Field(10.0, gt=0.0)
+    peak_mm_s: float = 100.0
+
+    @model_validator(mode="after")
+    def _square(self) -> ShearWaveParameters:
+        if abs(np.dot(self.along, self.across)) > 1e-9 * np.linalg.norm(self.along) * np.linalg.norm(self.across):
+            raise ValueError(f"expected along and across at right angles, got {list(self.along)} and {list(self.across)}")
+        return self
+
+
+class ShearWave(Flow):
+    """Velocity that varies as a sine across its own direction: how well a method resolves a wavelength shows in the amplitude that it finds."""
+
+    name = "shear_wave"
+    Parameters = ShearWaveParameters
+
+    def velocity(self, points_mm: F64, time_s: float) -> F64:
+        """A sin(k y) along x."""
+        along, _, phase = self._wave(points_mm)
+        return np.asarray(self.parameters.peak_mm_s * np.sin(phase)[:, None] * along)
+
+    def gradient(self, points_mm: F64, time_s: float) -> F64:
+        """A k cos(k y)."""
+        along, across, phase = self._wave(points_mm)
+        slope = self.parameters.peak_mm_s * 2.0 * np.pi / self.parameters.wavelength_mm * np.cos(phase)
+        return np.asarray(slope[:, None, None] * np.outer(along, across))
+
+    def _wave(self, points_mm: F64) -> tuple[F64, F64, F64]:
+        along, across = (np.asarray(v) / np.linalg.norm(v) for v in (self.parameters.along, self.parameters.across))
+        phase = 2.0 * np.pi / self.parameters.wavelength_mm * ((points_mm - np.asarray(self.parameters.center_mm)) @ across)
+        return along, across, phase

@@ -1,0 +1,119 @@
+"""Velocity fields: gradients against differences, divergence, and paths that must close."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from sabench.api import Flow
+from sabench.arrays import F64
+from sabench.flows import advect, divergence, vorticity
+from sabench.plugins import load
+from sabench.scene import validate
+
+FLOWS: list[tuple[str, dict[str, Any]]] = [
+    ("vortex_ring", {"axis": (1.0, 0.2, 0.4), "center_mm": (1.0, -2.0, 0.5)}),
+    ("taylor_green", {"center_mm": (1.0, 2.0, 3.0)}),
+    ("taylor_green", {"deep": False, "viscosity_mm2_s": 1.0}),
+    ("abc_flow", {"center_mm": (0.3, 0.0, -1.0)}),
+    ("rankine_vortex", {"axis": (0.3, -0.5, 1.0), "center_mm": (0.0, 1.0, 0.0)}),
+    ("lamb_oseen_vortex", {"axis": (0.0, 1.0, 1.0), "viscosity_mm2_s": 1.0}),
+    ("linear_flow", {"gradient_1_s": ((1.0, 2.0, 3.0), (0.5, -2.0, 0.1), (0.0, 4.0, 1.0)), "velocity_mm_s": (1.0, 2.0, 3.0)}),
+    ("shear_wave", {"along": (0.0, 1.0, 0.0), "across": (1.0, 0.0, 1.0)}),
+    ("turbulence", {"modes": 60}),
+]
+FREE = [case for case in FLOWS if case[0] not in ("vortex_ring", "linear_flow")]  # of divergence
+
+
+def flow(name: str, parameters: dict[str, Any]) -> Flow:
+    plugin = load("generators", name)
+    made: Flow = plugin(validate(plugin.Parameters, parameters, name))
+    return made
+
+
+def points(count: int = 200) -> F64:
+    return np.random.default_rng(0).uniform(-15.0, 15.0, (count, 3))
+
+
+@pytest.mark.parametrize(("name", "parameters"), FLOWS)
+def test_gradients_are_the_slopes_of_velocities(name: str, parameters: dict[str, Any]) -> None:
+    field, places, step = flow(name, parameters), points(), 1e-4
+    exact = field.gradient(places, 0.3)
+    assert exact.shape == (len(places), 3, 3)
+    for axis in range(3):
+        move = step * np.eye(3)[axis]
+        slope = (field.velocity(places + move, 0.3) - field.velocity(places - move, 0.3)) / (2.0 * step)
+        np.testing.assert_allclose(exact[:, :, axis], slope, atol=1e-5 * np.abs(exact).max())
+
+
+@pytest.mark.parametrize(("name", "parameters"), FREE)
+def test_fields_without_divergence_have_none(name: str, parameters: dict[str, Any]) -> None:
+    gradient = flow(name, parameters).gradient(points(), 0.1)
+    assert np.abs(divergence(gradient)).max() < 1e-12 * np.abs(gradient).max() * 10.0
+
+
+def test_the_ring_is_equation_2_14() -> None:
+    """Along a radius in the plane of the ring, and on its axis."""
+    ring = flow("vortex_ring", {"diameter_mm": 20.0, "core_mm": 4.0, "peak_mm_s": 100.0})
+    distance = np.array([0.0, 1.0, 4.0, 9.0])
+    places = np.column_stack([10.0 + distance, np.zeros(4), np.zeros(4)])
+    expected = 100.0 * np.e * distance / 4.0 * np.exp(-distance / 4.0)
+    np.testing.assert_allclose(ring.velocity(places, 0.0), np.column_stack([np.zeros(4), np.zeros(4), -expected]), atol=1e-10)
+    assert ring.velocity(np.zeros((1, 3)), 0.0)[0, 2] > 0.0
+    assert np.linalg.norm(ring.velocity(points(5000), 0.0), axis=1).max() <= 100.0 + 1e-9
+
+
+def test_rotation_has_twice_its_rate_as_vorticity() -> None:
+    turning = flow("linear_flow", {"gradient_1_s": ((0.0, -2.0, 0.0), (2.0, 0.0, 0.0), (0.0, 0.0, 0.0))})
+    np.testing.assert_allclose(vorticity(turning.gradient(points(3), 0.0)), np.tile([0.0, 0.0, 4.0], (3, 1)))
+
+
+def test_abc_is_parallel_to_its_vorticity() -> None:
+    field = flow("abc_flow", {"wavelength_mm": 20.0})
+    np.testing.assert_allclose(vorticity(field.gradient(points(), 0.0)), 2.0 * np.pi / 20.0 * field.velocity(points(), 0.0), atol=1e-10)
+
+
+def test_oseen_s_vortex_diffuses() -> None:
+    """It satisfies the vorticity equation: d(omega)/dt = nu laplacian(omega), by differences."""
+    field = flow("lamb_oseen_vortex", {"viscosity_mm2_s": 1.0})
+    places = np.column_stack([np.linspace(0.5, 9.0, 12), np.zeros(12), np.zeros(12)])
+
+    def spin(at: F64, time: float) -> F64:
+        return vorticity(field.gradient(at, time))[:, 2]
+
+    step = 1e-2
+    rate = (spin(places, 1.0 + step) - spin(places, 1.0 - step)) / (2.0 * step)
+    moves = step * np.eye(3)[:2]
+    laplacian = sum(spin(places + move, 1.0) + spin(places - move, 1.0) - 2.0 * spin(places, 1.0) for move in moves) / step**2
+    np.testing.assert_allclose(rate, laplacian, atol=1e-3 * np.abs(rate).max())
+
+
+def test_turbulence_has_its_rms_and_spectrum() -> None:
+    fields = [flow("turbulence", {"draw": draw, "modes": 300, "integral_mm": 10.0, "kolmogorov_mm": 0.5}) for draw in range(8)]
+    places = np.random.default_rng(1).uniform(-200.0, 200.0, (20000, 3))
+    speeds = np.array([field.velocity(places, 0.0).std(axis=0) for field in fields])
+    assert np.sqrt((speeds**2).mean()) == pytest.approx(50.0, rel=0.05)
+    dissipation = np.mean([(field.gradient(places, 0.0) ** 2).mean() for field in fields])
+    assert dissipation > (50.0 * 2.0 * np.pi / 10.0 / 3.0) ** 2  # small scales are there
+
+
+@pytest.mark.parametrize(("name", "start", "period"), [
+    ("vortex_ring", (12.0, 0.0, 0.0), 2.0 * np.pi * 2.0 / (100.0 * np.e * 0.5 * np.exp(-0.5))),
+    ("rankine_vortex", (2.0, 0.0, 1.0), 2.0 * np.pi * 4.0 / 100.0),
+    ("rankine_vortex", (8.0, 0.0, 1.0), 2.0 * np.pi * 8.0 / 50.0),
+])  # fmt: skip
+def test_a_particle_carried_once_around_comes_back(name: str, start: tuple[float, float, float], period: float) -> None:
+    field, places = flow(name, {}), np.array([start])
+    there = advect(field, places, 0.0, period, 2e-8)
+    assert np.linalg.norm(there - places) < 1e-6 * 20.0
+    half = advect(field, places, 0.0, 0.5 * period, 2e-8)
+    assert np.linalg.norm(half - places) > 1.0
+
+
+def test_backwards_undoes_forwards() -> None:
+    field, places = flow("abc_flow", {}), points(500)
+    there = advect(field, places, 0.0, 0.2, 1e-8)
+    assert np.linalg.norm(there - places, axis=1).max() > 10.0
+    assert np.linalg.norm(advect(field, there, 0.2, 0.0, 1e-8) - places, axis=1).max() < 1e-5
