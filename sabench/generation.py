@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
 
 from sabench import backend as compute
-from sabench import memory, plugins, targets
+from sabench import memory, targets
 from sabench.api import Observation
 from sabench.arrays import F64, U16
 from sabench.dataset.read import Dataset, View, open_dataset
@@ -19,15 +19,17 @@ from sabench.imaging.particle_images import ParticleImages, image_particles, sca
 from sabench.imaging.scattering import MieTable
 from sabench.imaging.sensor import expose, white_level
 from sabench.imaging.splat import splat
+from sabench.motion import Motion, moments, pulse
 from sabench.optics.camera import Camera
 from sabench.progress import track
 from sabench.rig import Rig, build_rig, load_scene, told_cameras
 from sabench.scene import Scene
 from sabench.seeds import stream
 from sabench.targets import Placed
-from sabench.world import Domain, Particles
+from sabench.world import Particles
 
 Renderer = Literal["auto", "mitsuba", "splat"]
+_STREAK_PX = 0.5  # of a streak for each place that stands for it
 
 
 def generate(
@@ -65,10 +67,10 @@ def generate(
 
 def _record_particles(writer: DatasetWriter, scene: Scene, rig: Rig, seed: int, renderer: str, label: str) -> None:
     steps = [(frame, camera) for frame in range(scene.frames) for camera in rig.cameras]
-    world: _World | None = None
+    motion, world = Motion(scene, seed), None
     for frame, camera in track(steps, f"render {label} with {renderer}"):
         if world is None or world.frame != frame:
-            world = _make_world(scene, rig, seed, frame, renderer)
+            world = _make_world(motion, rig, frame, renderer)
             writer.add_particles(frame, world.particles)
         images, grey, photons, radiance = _shoot(world, camera)
         writer.add_view(frame, camera, images)
@@ -137,7 +139,7 @@ def simulate(scene: Scene, *, seed: int = 0, frame: int = 0, backend: Renderer =
         As `generate`.
     """
     rig = build_rig(scene, scene.title)
-    world = _make_world(scene, rig, seed, frame, choose_renderer(backend))
+    world = _make_world(Motion(scene, seed), rig, frame, choose_renderer(backend))
     pictures, views = [], []
     for camera in rig.cameras:
         images, grey, _, _ = _shoot(world, camera)
@@ -150,11 +152,7 @@ def simulate(scene: Scene, *, seed: int = 0, frame: int = 0, backend: Renderer =
 
 def make_particles(scene: Scene, seed: int, frame: int) -> Particles:
     """The particles of one frame, whatever else is generated."""
-    given = dict(scene.particles or {})
-    plugin = plugins.load("generators", given.pop("generator"))
-    domain = Domain(scene.volume.center_mm, scene.volume.size_mm, scene.cameras.rows * scene.cameras.columns)
-    made: Particles = plugin(plugin.Parameters(**given)).particles(domain, seed, frame, frame * scene.interval_s)
-    return made
+    return Motion(scene, seed).at(frame)
 
 
 def choose_renderer(asked: Renderer) -> str:
@@ -174,7 +172,13 @@ def choose_renderer(asked: Renderer) -> str:
 
 @dataclass(frozen=True)
 class _World:
-    """One frame's world, and what records it."""
+    """One frame's world, and what records it.
+
+    Attributes
+    ----------
+    scene : with the laser as it is in this frame.
+    streaks : places of the particles in equal parts of the pulse; one, in its middle, for a short pulse.
+    """
 
     scene: Scene
     rig: Rig
@@ -183,27 +187,55 @@ class _World:
     renderer: str
     particles: Particles
     table: MieTable | None
+    streaks: tuple[F64, ...]
 
 
-def _make_world(scene: Scene, rig: Rig, seed: int, frame: int, renderer: str) -> _World:
-    particles = make_particles(scene, seed, frame)
-    return _World(scene, rig, seed, frame, renderer, particles, scattering_table(scene, rig.cameras, particles))
+def _make_world(motion: Motion, rig: Rig, frame: int, renderer: str) -> _World:
+    particles = motion.at(frame)
+    scene = motion.scene.model_copy(update={"illumination": pulse(motion.scene, motion.seed, frame)})
+    table = scattering_table(scene, rig.cameras, particles)
+    return _World(scene, rig, motion.seed, frame, renderer, particles, table, _streaks(motion, rig, particles, frame))
+
+
+def _streaks(motion: Motion, rig: Rig, particles: Particles, frame: int) -> tuple[F64, ...]:
+    """As many places along each path as its longest image has halves of a pixel."""
+    duration = motion.scene.timing.duration_s if motion.scene.timing else 0.0
+    if duration == 0.0 or not len(particles):
+        return (particles.position_mm,)
+    ends = [motion.moved(particles, frame, delay) for delay in (-duration / 2.0, duration / 2.0)]
+    seen = [[camera.project(end)[0] for end in ends] for camera in rig.cameras]
+    longest = max(float(np.nanmax(np.linalg.norm(late - early, axis=1))) for early, late in seen)
+    steps = max(1, int(np.ceil(longest / _STREAK_PX)))
+    return tuple(motion.moved(particles, frame, delay) for delay in moments(duration, steps))
 
 
 def _shoot(world: _World, camera: Camera) -> tuple[ParticleImages, U16, F64, F64 | None]:
     """Render one camera's picture and expose its sensor: the particles' images, grey values, photons, and the radiance if the renderer gives it."""
     images = image_particles(world.scene, camera, world.particles, world.table, world.rig.occluders)
-    radiance = None if world.renderer == "splat" else _render(world, camera, images)
-    photons = splat(camera, images) if radiance is None else radiance * camera.etendue()
+    photons, radiance = _exposed(world, camera, images)
     number = int(camera.name.rsplit("_", 1)[1])
     grey = expose(world.scene.sensor, photons, stream(world.seed, "sensor", world.frame, number))
     return images, grey, photons, radiance
 
 
-def _render(world: _World, camera: Camera, images: ParticleImages) -> F64:
+def _exposed(world: _World, camera: Camera, images: ParticleImages) -> tuple[F64, F64 | None]:
+    """Photons on the sensor, and the radiance if the renderer gives it: the mean over the parts of the pulse."""
+    parts = len(world.streaks)
+    photons, radiance = np.zeros((camera.rows, camera.columns)), None if world.renderer == "splat" else np.zeros((camera.rows, camera.columns))
+    for places in world.streaks:
+        there = replace(world.particles, position_mm=places)
+        own = images if parts == 1 else image_particles(world.scene, camera, there, world.table, world.rig.occluders)
+        if radiance is None:
+            photons += splat(camera, own) / parts
+        else:
+            radiance += _render(world, camera, own, places) / parts
+    return (photons, None) if radiance is None else (radiance * camera.etendue(), radiance)
+
+
+def _render(world: _World, camera: Camera, images: ParticleImages, places: F64) -> F64:
     from sabench.imaging.pathtrace import render
 
-    picture: F64 = render(camera, images, world.particles.position_mm, world.scene.render.samples_per_pixel, world.rig.occluders)
+    picture: F64 = render(camera, images, places, world.scene.render.samples_per_pixel, world.rig.occluders)
     return picture
 
 

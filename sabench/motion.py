@@ -45,7 +45,7 @@ class Motion:
         given = dict(scene.particles or {})
         plugin = plugins.load("generators", given.pop("generator"))
         self._generator: Generator = plugin(plugin.Parameters(**given))
-        self._scene, self._seed, self._flow = scene, seed, flow_of(scene)
+        self.scene, self.seed, self._flow = scene, seed, flow_of(scene)
         self._last: tuple[int, Particles] | None = None
 
     def at(self, frame: int) -> Particles:
@@ -56,9 +56,9 @@ class Motion:
         InputError
             Particles that move by themselves, beside a flow.
         """
-        domain, time = domain_of(self._scene), self._scene.time_s(frame)
+        domain, time = domain_of(self.scene), self.scene.time_s(frame)
         if self._flow is None:
-            return self._generator.particles(domain, self._seed, frame, time)
+            return self._generator.particles(domain, self.seed, frame, time)
         number, particles = self._last if self._last and self._last[0] <= frame else (0, self._first(domain))
         while number < frame:
             number += 1
@@ -70,18 +70,18 @@ class Motion:
         """Where a frame's particles (n, 3) are some time later or earlier."""
         if self._flow is None:
             return particles.position_mm + delay_s * particles.velocity_mm_s
-        time = self._scene.time_s(frame)
+        time = self.scene.time_s(frame)
         return advect(self._flow, particles.position_mm, time, time + delay_s, self._tolerance)
 
     @property
     def _tolerance(self) -> float:
-        return TOLERANCE * max(self._scene.volume.size_mm)
+        return TOLERANCE * max(self.scene.volume.size_mm)
 
     def _first(self, domain: Domain) -> Particles:
-        made = self._generator.particles(domain, self._seed, 0, 0.0)
+        made = self._generator.particles(domain, self.seed, 0, 0.0)
         if np.any(made.velocity_mm_s):
-            raise InputError(f"{self._scene.title}: particles: expected some that rest, for the flow to carry them, got some that move by themselves")
-        return self._at_speed(made, self._scene.time_s(0))
+            raise InputError(f"{self.scene.title}: particles: expected some that rest, for the flow to carry them, got some that move by themselves")
+        return self._at_speed(made, self.scene.time_s(0))
 
     def _next(self, domain: Domain, before: Particles, frame: int) -> Particles:
         """Those that stay in the volume, and those that enter.
@@ -90,10 +90,10 @@ class Motion:
         a flow without divergence this keeps the density exactly, whatever the flow does at the faces.
         """
         assert self._flow is not None
-        start, end = self._scene.time_s(frame - 1), self._scene.time_s(frame)
+        start, end = self.scene.time_s(frame - 1), self.scene.time_s(frame)
         there = advect(self._flow, before.position_mm, start, end, self._tolerance)
         stay = _inside(domain, there)
-        seed = int(stream(self._seed, "entering", frame).integers(1 << 62))
+        seed = int(stream(self.seed, "entering", frame).integers(1 << 62))
         fresh = self._generator.particles(domain, seed, 0, 0.0)
         enter = ~_inside(domain, advect(self._flow, fresh.position_mm, end, start, self._tolerance))
         both = Particles(

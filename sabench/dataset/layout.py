@@ -48,6 +48,11 @@ class CamerasFile(_Record):
     grid: Grid
     sensor: SensorLevels
     unknown: tuple[LensNumber, ...] = ()
+    times_s: tuple[float, ...] | None = None
+
+    def time_s(self, frame: int) -> float:
+        """When a frame was taken."""
+        return frame * self.interval_s if self.times_s is None else self.times_s[frame]
 
 
 class TrueCamerasFile(_Record):
