@@ -1,0 +1,1 @@
+"""Velocity from pairs of volumes: window correlation with volume deformation."""

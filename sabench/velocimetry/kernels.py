@@ -1,0 +1,255 @@
+"""Correlation of windows over small shifts, and volumes moved by a displacement field, on the CPU.
+
+Overlapping windows share their voxels. A volume is cut into blocks as long as windows are apart; the products of one volume with the other, shifted, are
+summed over each block once, and a window is a weighted sum of blocks: its cost does not depend on the overlap.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numba
+import numpy as np
+
+
+@numba.njit(cache=True, fastmath=True, parallel=True)
+def block_sums(first: Any, second: Any, block: Any, reach: Any, products: Any, squares: Any) -> None:
+    """Fill in sums over blocks of first x shifted second, and of the square of the latter, for every shift.
+
+    Parameters
+    ----------
+    first, second : (z, y, x) float32.
+    block : voxels (z, y, x) of a block.
+    reach : largest shift (z, y, x).
+    products, squares : (block z, block y, block x, shifts), the shifts in the order of z, y, x from -reach to reach. Voxels beyond the volume count
+        as zero.
+    """
+    deep, high, wide = products.shape[:3]
+    rz, ry, rx = reach
+    across = 2 * rx + 1
+    for job in numba.prange(deep * high):
+        bz, by = job // high, job % high
+        rows = np.zeros((across + 1, second.shape[2] + 2 * rx), dtype=np.float32)  # products for every shift along x, and squares
+        for dz in range(-rz, rz + 1):
+            for dy in range(-ry, ry + 1):
+                rows[:] = 0.0
+                for z in range(bz * block[0], (bz + 1) * block[0]):
+                    for y in range(by * block[1], (by + 1) * block[1]):
+                        if 0 <= z + dz < second.shape[0] and 0 <= y + dy < second.shape[1]:
+                            _add_rows(first[z, y], second[z + dz, y + dy], rx, rows)
+                place = ((dz + rz) * (2 * ry + 1) + dy + ry) * across
+                for bx in range(wide):
+                    for n in range(across):
+                        product, square = np.float32(0.0), np.float32(0.0)
+                        for x in range(bx * block[2], (bx + 1) * block[2]):
+                            product += rows[n, x]
+                            square += rows[across, x + n]
+                        products[bz, by, bx, place + n] = product
+                        squares[bz, by, bx, place + n] = square
+
+
+@numba.njit(cache=True, fastmath=True)
+def _add_rows(one: Any, other: Any, reach: int, rows: Any) -> None:
+    """Add the products of two rows for all shifts along them, and the squares of the second, `reach` places further right."""
+    count = len(one)
+    for n in range(2 * reach + 1):
+        dx = n - reach
+        low, high = max(0, -dx), min(count, count - dx)
+        target, left, right = rows[n, low:high], one[low:high], other[low + dx : high + dx]
+        for x in range(len(target)):
+            target[x] += left[x] * right[x]
+    target = rows[2 * reach + 1, reach : reach + count]
+    for x in range(count):
+        target[x] += other[x] * other[x]
+
+
+@numba.njit(cache=True, fastmath=True, parallel=True)
+def spline_coefficients(volume: Any) -> Any:
+    """Coefficients of the cubic B-spline through a volume's voxels (z, y, x), mirrored at its faces.
+
+    Source: M. Unser, IEEE Signal Processing Magazine 16(6), 22-38, 1999.
+    """
+    out = volume.copy()
+    depth, height, width = out.shape
+    pole = np.float32(np.sqrt(3.0) - 2.0)
+    for z in numba.prange(depth):
+        for y in range(height):
+            _filter_line(out[z, y], pole)
+        _filter_rows(out[z], pole)
+    for y in numba.prange(height):
+        _filter_rows(out[:, y], pole)
+    return out
+
+
+@numba.njit(cache=True, fastmath=True)
+def _filter_line(line: Any, pole: Any) -> None:
+    count = len(line)
+    if count < 2:
+        return
+    start, power = line[0], pole
+    for n in range(1, min(count, 14)):
+        start += power * line[n]
+        power *= pole
+    line[0] = start
+    for n in range(1, count):
+        line[n] += pole * line[n - 1]
+    line[count - 1] = pole / (pole * pole - 1.0) * (line[count - 1] + pole * line[count - 2])
+    for n in range(count - 2, -1, -1):
+        line[n] = pole * (line[n + 1] - line[n])
+    for n in range(count):
+        line[n] *= np.float32(6.0)
+
+
+@numba.njit(cache=True, fastmath=True)
+def _filter_rows(plane: Any, pole: Any) -> None:
+    """Along the first axis, all columns at once."""
+    count, width = plane.shape
+    if count < 2:
+        return
+    power = pole
+    for n in range(1, min(count, 14)):
+        for x in range(width):
+            plane[0, x] += power * plane[n, x]
+        power *= pole
+    for n in range(1, count):
+        for x in range(width):
+            plane[n, x] += pole * plane[n - 1, x]
+    scale = pole / (pole * pole - np.float32(1.0))
+    for x in range(width):
+        plane[count - 1, x] = scale * (plane[count - 1, x] + pole * plane[count - 2, x])
+    for n in range(count - 2, -1, -1):
+        for x in range(width):
+            plane[n, x] = pole * (plane[n + 1, x] - plane[n, x])
+    for n in range(count):
+        for x in range(width):
+            plane[n, x] *= np.float32(6.0)
+
+
+@numba.njit(cache=True, fastmath=True)
+def _cubic(part: Any) -> Any:
+    """Weights of the four nearest coefficients at a part of the way from the second to the third."""
+    rest = np.float32(1.0) - part
+    sixth = np.float32(1.0 / 6.0)
+    outer, inner = rest * rest * rest * sixth, part * part * part * sixth
+    second = np.float32(2.0 / 3.0) - part * part * (np.float32(1.0) - np.float32(0.5) * part)
+    return outer, second, np.float32(1.0) - outer - second - inner, inner
+
+
+@numba.njit(cache=True, fastmath=True, parallel=True)
+def moved(coefficients: Any, field: Any, origin: Any, step: Any, share: float, out: Any) -> None:
+    """Fill in a volume read at every voxel plus a share of its displacement; what lies beyond the volume is zero.
+
+    Parameters
+    ----------
+    coefficients : (z, y, x) of `spline_coefficients`.
+    field : (z, y, x, 3) displacements in voxels (x, y, z) on a lattice, extended evenly beyond it.
+    origin, step : place (z, y, x) of the lattice's first node and its spacing, voxels.
+    out : (z, y, x).
+    """
+    depth, height, width = out.shape
+    flat, flat_out = coefficients.ravel(), out.ravel()
+    for job in numba.prange(depth * height):
+        z, y = job // height, job % height
+        row = _row_field(field, (z - origin[0]) / step[0], (y - origin[1]) / step[1])
+        places, corners = np.empty((3, width), dtype=np.float32), np.empty((3, width), dtype=np.int32)
+        _aim(row, origin[2], step[2], share, y, z, places, corners)
+        first = 0
+        while first < width:
+            end = _alike(corners, first)
+            left, j, k = first + corners[0, first], corners[1, first], corners[2, first]
+            inside = 1 <= j < height - 2 and 1 <= k < depth - 2
+            if inside and left >= 1 and left + (end - first) + 1 < width:
+                at = (k * height + j) * width + corners[0, first]
+                _stretch(flat, at, width, height * width, places, first, end, flat_out, (z * height + y) * width)
+            else:
+                for x in range(first, end):
+                    i = x + corners[0, x]
+                    out[z, y, x] = _sample(coefficients, (i, j, k), (places[0, x], places[1, x], places[2, x]))
+            first = end
+
+
+@numba.njit(cache=True, fastmath=True)
+def _aim(row: Any, origin: float, step: float, share: float, y: int, z: int, places: Any, corners: Any) -> None:
+    """Where each voxel of a row is read: the voxel before it (x relative to its own, y, z), and the part of the way to the next."""
+    last = len(row) - 1
+    for x in range(places.shape[1]):
+        at = min(max((x - origin) / step, 0.0), float(last))
+        cell = min(int(at), max(last - 1, 0))
+        part, after = at - cell, min(cell + 1, last)
+        for axis in range(3):
+            move = share * (row[cell, axis] + part * (row[after, axis] - row[cell, axis])) + (y if axis == 1 else z if axis == 2 else 0)
+            whole = math.floor(move)
+            corners[axis, x], places[axis, x] = whole, move - whole
+
+
+@numba.njit(cache=True)
+def _alike(corners: Any, first: int) -> int:
+    """The first voxel after this one that is read from elsewhere than beside its neighbour's place."""
+    end = first + 1
+    while end < corners.shape[1] and (
+        corners[0, end] == corners[0, first] and corners[1, end] == corners[1, first] and corners[2, end] == corners[2, first]
+    ):
+        end += 1
+    return end
+
+
+@numba.njit(cache=True, fastmath=True, forceinline=True)
+def _along(flat: Any, at: Any, w: Any) -> Any:
+    return w[0] * flat[at - 1] + w[1] * flat[at] + w[2] * flat[at + 1] + w[3] * flat[at + 2]
+
+
+@numba.njit(cache=True, fastmath=True, forceinline=True)
+def _across(flat: Any, at: Any, width: Any, w: Any, v: Any) -> Any:
+    return (
+        v[0] * _along(flat, at - width, w) + v[1] * _along(flat, at, w)
+        + v[2] * _along(flat, at + width, w) + v[3] * _along(flat, at + 2 * width, w)
+    )  # fmt: skip
+
+
+@numba.njit(cache=True, fastmath=True)
+def _stretch(flat: Any, at: int, width: int, plane: int, places: Any, first: int, end: int, out: Any, begin: int) -> None:
+    """Read voxels that lie beside each other, from `at` on for the first, out of 4 x 4 rows that do. All rows are parts of one array: so the loop is
+    vectorised."""
+    for x in range(first, end):
+        w, v, u = _cubic(places[0, x]), _cubic(places[1, x]), _cubic(places[2, x])
+        p = at + x
+        out[begin + x] = (
+            u[0] * _across(flat, p - plane, width, w, v) + u[1] * _across(flat, p, width, w, v)
+            + u[2] * _across(flat, p + plane, width, w, v) + u[3] * _across(flat, p + 2 * plane, width, w, v)
+        )  # fmt: skip
+
+
+@numba.njit(cache=True, fastmath=True)
+def _row_field(field: Any, z: float, y: float) -> Any:
+    """The displacements of one row, interpolated in z and y: (x, 3)."""
+    z, y = min(max(z, 0.0), field.shape[0] - 1.0), min(max(y, 0.0), field.shape[1] - 1.0)
+    above, back = min(int(z), max(field.shape[0] - 2, 0)), min(int(y), max(field.shape[1] - 2, 0))
+    below, front = min(above + 1, field.shape[0] - 1), min(back + 1, field.shape[1] - 1)
+    p, q = z - above, y - back
+    return (1.0 - p) * ((1.0 - q) * field[above, back] + q * field[above, front]) + p * ((1.0 - q) * field[below, back] + q * field[below, front])
+
+
+@numba.njit(cache=True, fastmath=True)
+def _sample(c: Any, corner: Any, parts: Any) -> Any:
+    """One value, near a face of the volume."""
+    depth, height, width = c.shape
+    i, j, k = corner
+    total = np.float32(0.0)
+    if i < 0 or j < 0 or k < 0 or i > width - 1 or j > height - 1 or k > depth - 1:
+        return total
+    wx, wy, wz = _cubic(parts[0]), _cubic(parts[1]), _cubic(parts[2])
+    for n in range(4):
+        for m in range(4):
+            for l in range(4):
+                value = c[_mirror(k + n - 1, depth), _mirror(j + m - 1, height), _mirror(i + l - 1, width)]
+                total += wz[n] * wy[m] * wx[l] * value
+    return total
+
+
+@numba.njit(cache=True)
+def _mirror(index: int, count: int) -> int:
+    if count == 1:
+        return 0
+    index = abs(index)
+    return index if index < count else 2 * (count - 1) - index

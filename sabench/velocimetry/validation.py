@@ -1,0 +1,76 @@
+"""Which vectors to believe, and what to put in place of the others."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+from scipy.ndimage import gaussian_filter, median_filter
+
+from sabench.arrays import F64, Bool
+
+_FLOOR = 0.1  # voxels: a fluctuation that any measurement has; Westerweel and Scarano (2005)
+
+
+def within_deviations(shift: F64, valid: Bool, deviations: float) -> Bool:
+    """Vectors (z, y, x, 3) within so many standard deviations of the mean of all valid ones, component by component."""
+    if not valid.any():
+        return valid
+    known = shift[valid]
+    return np.asarray(valid & (np.abs(shift - known.mean(axis=0)) <= deviations * known.std(axis=0) + _FLOOR).all(axis=-1))
+
+
+def near_the_median(shift: F64, valid: Bool, times: float) -> Bool:
+    """Vectors that are not further from the median of their 26 neighbours than `times` the median of these neighbours' own distances from it.
+
+    Source: J. Westerweel and F. Scarano, Universal outlier detection for PIV data, Exp. Fluids 39, 1096-1100, 2005, in three dimensions.
+    """
+    around = np.where(valid[..., None], shift, np.nan)
+    padded = np.pad(around, [(1, 1)] * 3 + [(0, 0)], constant_values=np.nan)
+    z, y, x = shift.shape[:3]
+    offsets = [offset for offset in itertools.product(range(3), repeat=3) if offset != (1, 1, 1)]
+    neighbours = np.stack([padded[k : k + z, j : j + y, i : i + x] for k, j, i in offsets])
+    alone = ~np.isfinite(neighbours).any(axis=(0, -1))
+    neighbours[:, alone] = 0.0
+    middle = np.nanmedian(neighbours, axis=0)
+    spread = np.nanmedian(np.abs(neighbours - middle), axis=0)
+    far = np.linalg.norm(shift - middle, axis=-1) > times * (np.linalg.norm(spread, axis=-1) + _FLOOR)
+    return np.asarray(valid & ~(far & ~alone))
+
+
+def filled(shift: F64, valid: Bool) -> F64:
+    """Vectors with the invalid ones replaced by means of their valid neighbours, from the edges of gaps inwards; zero if none is valid."""
+    out, known = np.where(valid[..., None], shift, 0.0), valid.copy()
+    if not known.any():
+        return out
+    while not known.all():
+        total, count = _around(out * known[..., None]), _around(known[..., None].astype(np.float64))
+        fresh = ~known & (count[..., 0] > 0.5)
+        out[fresh] = total[fresh] / count[fresh]
+        known |= fresh
+    return out
+
+
+def _around(values: F64) -> F64:
+    """Sums over the 3 x 3 x 3 nearest, zeros beyond the edges."""
+    for axis in range(3):
+        padded = np.pad(values, [(1, 1) if own == axis else (0, 0) for own in range(values.ndim)])
+        count = values.shape[axis]
+        values = sum(np.take(padded, range(n, n + count), axis=axis) for n in range(1, 3)) + np.take(padded, range(count), axis=axis)
+    return values
+
+
+def smoothed(shift: F64, sigma: float) -> F64:
+    """Vectors after a Gaussian of a standard deviation in vectors along each axis, evenly continued beyond the edges."""
+    return np.stack([gaussian_filter(shift[..., axis], sigma, mode="nearest", truncate=2.0) for axis in range(3)], axis=-1)
+
+
+def thesis_local(shift: F64, valid: Bool, deviations: float) -> Bool:
+    """Vectors within so many standard deviations of their 3 x 3 x 3 neighbourhood from its median; thesis, section 2.3.3."""
+    ok = valid.copy()
+    for axis in range(3):
+        own = shift[..., axis]
+        middle = median_filter(own, 3, mode="nearest")
+        mean, square = (_around(values[..., None])[..., 0] / _around(np.ones((*own.shape, 1)))[..., 0] for values in (own, own**2))
+        ok &= np.abs(own - middle) <= deviations * np.sqrt(np.maximum(square - mean**2, 0.0)) + 1e-12
+    return ok
