@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import Any, ClassVar, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel, ConfigDict, Field
 
 from sabench.arrays import F32, F64, U16, Bool
 from sabench.errors import InputError
@@ -20,7 +20,7 @@ from sabench.scene import LensNumber
 from sabench.volume import Grid
 from sabench.world import Domain, Particles, Pose, Target
 
-Track = Literal["reconstruction", "calibration"]
+Track = Literal["reconstruction", "calibration", "velocimetry"]
 Sight = Literal["particles", "target"]  # what a data set's frames show
 
 
@@ -260,4 +260,82 @@ class SelfCalibrationSolver(PlugIn):
         raise NotImplementedError(f"solver {type(self).__name__} must implement solve()")
 
 
-AnySolver = Solver | CalibrationSolver | SelfCalibrationSolver
+@dataclass(frozen=True)
+class VolumePair:
+    """Two reconstructed volumes of one grid, some time apart.
+
+    Attributes
+    ----------
+    first, second : (z, y, x) float32 intensities.
+    grid : their voxels.
+    interval_s : the time between them.
+
+    Raises
+    ------
+    InputError
+        Volumes of another shape than the grid's, or without any contrast.
+    """
+
+    first: F32
+    second: F32
+    grid: Grid
+    interval_s: float
+
+    def __post_init__(self) -> None:
+        for name in ("first", "second"):
+            volume = getattr(self, name)
+            if volume.shape != self.grid.shape:
+                raise InputError(f"{name} volume: expected {self.grid.shape} voxels (z, y, x) as its grid has, got {volume.shape}")
+            if not np.isfinite(volume).all():
+                raise InputError(f"{name} volume: expected finite intensities, got NaN or infinite ones")
+            if volume.min() == volume.max():
+                raise InputError(f"{name} volume: expected one that shows something, got {volume.flat[0]:g} everywhere")
+
+
+@dataclass(frozen=True)
+class Velocity:
+    """A velocity field on a lattice along the world's axes.
+
+    Attributes
+    ----------
+    low_mm, step_mm : the first node and the spacing of nodes, as (x, y, z).
+    velocity_mm_s : (z, y, x, 3), finite everywhere: where nothing was measured it is what the neighbours say.
+    valid : (z, y, x) where it was measured.
+    """
+
+    low_mm: tuple[float, float, float]
+    step_mm: tuple[float, float, float]
+    velocity_mm_s: F64
+    valid: Bool
+
+    @property
+    def positions_mm(self) -> F64:
+        """Nodes (z, y, x, 3)."""
+        counts = self.valid.shape[::-1]
+        x, y, z = (low + step * np.arange(count) for low, step, count in zip(self.low_mm, self.step_mm, counts, strict=True))
+        return np.stack(np.meshgrid(z, y, x, indexing="ij")[::-1], axis=-1)
+
+
+class VelocimetryParameters(Parameters):
+    """Which solver reconstructs the volumes."""
+
+    reconstruction: str = Field("block_mart", description="name of a reconstruction solver, with its own defaults")
+
+
+class VelocimetrySolver(PlugIn):
+    """Base of a velocimetry algorithm: `solve` turns two volumes into a velocity field."""
+
+    track: ClassVar[Track] = "velocimetry"
+    sees: ClassVar[Sight] = "particles"
+    Parameters = VelocimetryParameters
+
+    def skip(self, case: VolumePair) -> str | None:
+        """Why this algorithm cannot take the case, or None if it can."""
+        return None
+
+    def solve(self, case: VolumePair) -> Velocity:
+        """Measure the velocity field of a pair."""
+        raise NotImplementedError(f"solver {type(self).__name__} must implement solve()")
+
+
+AnySolver = Solver | CalibrationSolver | SelfCalibrationSolver | VelocimetrySolver

@@ -31,6 +31,18 @@ COLUMNS: dict[str, tuple[Column, ...]] = {
         Column("peak_ghost_percent", "peak ghost %", 1, "ghost % of these"),
         *_COST,
     ),
+    "velocimetry": (
+        Column("u_p90_voxel", "u 90 % voxel", 3, "half width of the interval about zero that holds 90 % of the errors of the displacement along X"),
+        Column("v_p90_voxel", "v 90 % voxel", 3, "the same along Y"),
+        Column("w_p90_voxel", "w 90 % voxel", 3, "the same along Z"),
+        Column("bias_voxel", "bias voxel", 4, "length of the mean error"),
+        Column("rms_voxel", "rms voxel", 3, "root mean square length of the error"),
+        Column("yield_percent", "yield %", 1, "share of the vectors that were measured"),
+        Column("divergence_1_s", "divergence 1/s", 3, "root mean square error of the divergence, by central differences"),
+        Column("vorticity_percent", "vorticity %", 1, "root mean square error of the vorticity over its own root mean square"),
+        Column("reconstruction_s", "reconstruction s", 2, "time of the reconstruction of one frame"),
+        *_COST,
+    ),
     "calibration": (
         Column("true_px", "true px", 4, "mean distance of reprojected points from where they truly are in the images"),
         Column("bound_px", "bound px", 4, "the least of these that the data allow (Cramer-Rao)"),
@@ -46,4 +58,4 @@ COLUMNS: dict[str, tuple[Column, ...]] = {
         *_COST,
     ),
 }
-LARGER_IS_BETTER = {"reconstruction": True, "calibration": False}  # of the first column, by which tables are sorted
+LARGER_IS_BETTER = {"reconstruction": True, "calibration": False, "velocimetry": False}  # of the first column, by which tables are sorted

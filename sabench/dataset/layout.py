@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
+import itertools
 from pathlib import Path
 from typing import Any
 
@@ -50,9 +51,16 @@ class CamerasFile(_Record):
     unknown: tuple[LensNumber, ...] = ()
     times_s: tuple[float, ...] | None = None
 
+    pulses: int = Field(1, ge=1)
+
     def time_s(self, frame: int) -> float:
         """When a frame was taken."""
         return frame * self.interval_s if self.times_s is None else self.times_s[frame]
+
+    def pairs(self) -> list[tuple[int, int]]:
+        """Frames that follow each other: within each group of pulses, or all, where a group has but one."""
+        every = itertools.pairwise(range(self.frames))
+        return [(one, other) for one, other in every if self.pulses == 1 or one // self.pulses == other // self.pulses]
 
 
 class TrueCamerasFile(_Record):

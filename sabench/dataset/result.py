@@ -12,7 +12,8 @@ from typing import Any, cast
 import numpy as np
 from pydantic import TypeAdapter, ValidationError
 
-from sabench.api import Calibration, Reconstruction
+from sabench.api import Calibration, Reconstruction, Velocity
+from sabench.arrays import triple
 from sabench.columns import COLUMNS
 from sabench.dataset import layout
 from sabench.dataset.hdf import created, finite, opened, read_array, uninterrupted
@@ -44,6 +45,7 @@ class Result:
     seconds: float | None
     peak_mb: float | None
     grid: Grid
+    reconstruction_s: float | None = None
 
     def reconstruction(self, frame: int) -> Reconstruction:
         """The estimate of a frame, checked for shape and finite values."""
@@ -55,6 +57,15 @@ class Result:
                 return Reconstruction(volume)
             found = read_array(file, f"{group}/particles_mm", (None, 3), "f").astype(np.float64)
             return Reconstruction(volume, finite(found, f"{self.path}: {group}/particles_mm"))
+
+    def velocity(self, frame: int) -> Velocity:
+        """The field of the pair that starts with a frame, checked for shape and finite values."""
+        group = f"{layout.frame_group(frame)}/velocity"
+        with opened(self.path) as file:
+            valid = read_array(file, f"{group}/valid", (None, None, None), "u") > 0
+            field = read_array(file, f"{group}/velocity_mm_s", (*valid.shape, 3), "f").astype(np.float64)
+            low, step = (finite(read_array(file, f"{group}/{name}", (3,), "f"), f"{self.path}: {group}/{name}") for name in ("low_mm", "step_mm"))
+        return Velocity(triple(low), triple(step), finite(field, f"{self.path}: {group}/velocity_mm_s"), valid)
 
     def calibration(self) -> Calibration:
         """The estimated cameras and points."""
@@ -110,6 +121,19 @@ class ResultWriter:
             self._file.flush()
         self._check()
 
+    def add_velocity(self, frame: int, velocity: Velocity) -> None:
+        """Store the field of the pair that starts with a frame."""
+        values = {
+            "velocity_mm_s": velocity.velocity_mm_s, "valid": velocity.valid.astype(np.uint8), "low_mm": np.array(velocity.low_mm),
+            "step_mm": np.array(velocity.step_mm),
+        }  # fmt: skip
+        with uninterrupted():
+            group = self._file.create_group(f"{layout.frame_group(frame)}/velocity")
+            for name, value in values.items():
+                group.create_dataset(name, data=value)
+            self._file.flush()
+        self._check()
+
     def add_calibration(self, calibration: Calibration) -> None:
         """Store a calibration: cameras as JSON, points and the observations that count."""
         text = canonical_json([camera_record(camera) for camera in calibration.cameras])
@@ -122,6 +146,11 @@ class ResultWriter:
                 group.create_dataset("used", data=calibration.used.astype(np.uint8))
             self._file.flush()
         self._check()
+
+    def set_reconstruction(self, seconds: float) -> None:
+        """Say what the reconstruction of a frame cost that a velocity field was measured in: seconds (mean)."""
+        with uninterrupted():
+            self._file.attrs["reconstruction_s"] = seconds
 
     def set_cost(self, seconds: float, peak_mb: float | None) -> None:
         """Say what one frame cost: seconds (mean), and the process's peak resident memory (None: not known)."""
@@ -165,11 +194,11 @@ def open_result(path: str | Path, dataset: Dataset) -> Result:
             parameters = json.loads(str(head.get("parameters", "{}")))
         except ValueError as error:
             raise InputError(f"{path}: attribute parameters: expected JSON, got {head['parameters']!r}") from error
-        seconds, peak_mb = (_cost(head.get(key), f"{path}: attribute {key}") for key in ("seconds", "peak_mb"))
+        seconds, peak_mb, before_s = (_cost(head.get(key), f"{path}: attribute {key}") for key in ("seconds", "peak_mb", "reconstruction_s"))
         track = str(head.get("track", "reconstruction"))
         if track not in COLUMNS:
             raise InputError(f"{path}: attribute track: expected one of {', '.join(COLUMNS)}, got {track!r}")
-        return Result(file_path, track, str(head.get("solver", "unknown")), parameters, seconds, peak_mb, dataset.rig.grid)
+        return Result(file_path, track, str(head.get("solver", "unknown")), parameters, seconds, peak_mb, dataset.rig.grid, before_s)
 
 
 def _plain(value: Any) -> Any:

@@ -106,9 +106,9 @@ def dataset_writer(
 
 def _observation(scene: Scene, rig: Rig, told: tuple[Camera, ...]) -> dict[str, Any]:
     sensor = {"black_dn": scene.sensor.black_level_dn, "white_dn": white_level(scene.sensor), "bit_depth": scene.sensor.bit_depth}
-    head = {"format": layout.FORMAT, "version": layout.VERSION, "frames": scene.frames, "interval_s": scene.interval_s}
+    head: dict[str, Any] = {"format": layout.FORMAT, "version": layout.VERSION, "frames": scene.frames, "interval_s": scene.interval_s}
     if scene.timing is not None:
-        head["times_s"] = [scene.time_s(frame) for frame in range(scene.frames)]
+        head |= {"times_s": [scene.time_s(frame) for frame in range(scene.frames)], "pulses": len(scene.timing.pulses_s)}
     wall = asdict(rig.wall) if rig.wall else None
     unknown = scene.calibration.unknown if scene.calibration else None
     told_too = {} if unknown is None else {"unknown": list(unknown)}

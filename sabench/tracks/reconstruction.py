@@ -31,15 +31,21 @@ def run(algorithm: Solver, name: str, data: Dataset, writer: ResultWriter) -> li
     """
     seconds = []
     for frame in range(data.rig.frames):
-        case = data.observation(frame)
-        check_case(case, f"{data.root}: frame {frame}")
-        start = time.perf_counter()
-        guess = _attempt(algorithm, name, case, frame)
-        seconds.append(time.perf_counter() - start)
+        guess, took = reconstruct(algorithm, name, data, frame)
+        seconds.append(took)
         writer.add(frame, guess)
-        del case, guess
+        del guess
         memory.trim()
     return seconds
+
+
+def reconstruct(algorithm: Solver, name: str, data: Dataset, frame: int) -> tuple[Reconstruction, float]:
+    """One frame, and the seconds that it took; raises as `run` does."""
+    case = data.observation(frame)
+    check_case(case, f"{data.root}: frame {frame}")
+    start = time.perf_counter()
+    guess = _attempt(algorithm, name, case, frame)
+    return guess, time.perf_counter() - start
 
 
 def score_result(data: Dataset, result: Result | str) -> dict[str, float | None]:

@@ -57,13 +57,13 @@ def evaluate(first: F32, second: F32, plan: Plan) -> Field:
     assert peaks.ratio is not None
     field = _checked(coarse, peaks, (peaks.ratio >= plan.ratio) & (peaks.height > 0.0), plan)
     windows = Windows.over(first.shape, plan.last, plan.overlap)
-    coefficients = [spline_coefficients(volume) for volume in (first, second)]
-    warped = [np.empty_like(first), np.empty_like(second)]
+    coefficients = spline_coefficients(first), spline_coefficients(second)
+    warped = np.empty_like(first), np.empty_like(second)
     for _ in range(plan.passes):
         lead = smoothed(field.shift, plan.smoothing) if plan.smoothing else field.shift
         for volume, share, out in zip(coefficients, (-0.5, 0.5), warped, strict=True):
             moved(volume, lead, field.windows.origin, tuple(float(part) for part in field.windows.step), share, out)
-        peaks = by_shifts(*warped, windows, plan.reach)
+        peaks = by_shifts(warped[0], warped[1], windows, plan.reach)
         peaks.shift[:] += _at(lead, field.windows, windows)
         field = _checked(windows, peaks, peaks.height >= plan.height, plan)
     return field

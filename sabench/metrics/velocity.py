@@ -1,0 +1,33 @@
+"""How far a velocity field is from the true one."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from sabench.arrays import F64, Bool
+
+_PRECISION = 90.0  # percent; thesis, table 2.2
+
+
+def precision_interval(errors: F64) -> F64:
+    """Half widths (3,) of the intervals about zero that hold 90 % of errors (n, 3); thesis, section 2.3.3."""
+    return np.percentile(np.abs(errors), _PRECISION, axis=0) if len(errors) else np.full(3, np.nan)
+
+
+def gradient(velocity: F64, step_mm: tuple[float, float, float]) -> F64:
+    """Gradients (z, y, x, 3, 3), du_i / dx_j, of a field on a lattice by central differences; NaN along axes of a single node."""
+    parts: list[F64] = []
+    for axis in range(3):
+        along = 2 - axis  # x varies along the last of the first three
+        if velocity.shape[along] < 2:
+            parts.append(np.full(velocity.shape, np.nan))
+        else:
+            parts.append(np.asarray(np.gradient(velocity, step_mm[axis], axis=along)))
+    return np.stack(parts, axis=-1)
+
+
+def inner(shape: tuple[int, int, int]) -> Bool:
+    """Nodes whose differences are central ones."""
+    out = np.zeros(shape, dtype=np.bool_)
+    out[1:-1, 1:-1, 1:-1] = True
+    return out
