@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import numpy as np
 from pydantic import Field
 
 from sabench.api import VelocimetryParameters, VelocimetrySolver, Velocity, VolumePair
-from sabench.arrays import triple
 from sabench.velocimetry.multipass import Plan, evaluate
-from sabench.velocimetry.windows import Windows
 
 Voxels = tuple[int, int, int]
 
@@ -45,12 +42,4 @@ class Piv3d(VelocimetrySolver):
             (first[0], first[1], first[2]), chosen.window[::-1], chosen.overlap, chosen.passes, chosen.reach[::-1], chosen.least_ratio,
             chosen.least_height, chosen.median, chosen.smoothing,
         )  # fmt: skip
-        field = evaluate(case.first, case.second, plan)
-        return on_grid(case, field.windows, field.shift, field.valid)
-
-
-def on_grid(case: VolumePair, windows: Windows, shift: np.ndarray, valid: np.ndarray) -> Velocity:
-    """Displacements in voxels as velocities in the world."""
-    voxel, low = np.asarray(case.grid.voxel_mm), np.asarray(case.grid.low_mm)
-    start, step = (np.asarray(values[::-1]) for values in (windows.origin, windows.step))
-    return Velocity(triple(low + voxel * start), triple(voxel * step), shift * voxel / case.interval_s, valid)
+        return evaluate(case.first, case.second, plan).on_grid(case.grid, case.interval_s)

@@ -1,7 +1,7 @@
 """Correlation of windows over small shifts, and volumes moved by a displacement field, on the CPU.
 
-Overlapping windows share their voxels. A volume is cut into blocks as long as windows are apart; the products of one volume with the other, shifted, are
-summed over each block once, and a window is a weighted sum of blocks: its cost does not depend on the overlap.
+Overlapping windows share their voxels. A volume is cut into blocks as long as windows are apart; the products of one volume with the other, shifted,
+are summed over each block once, and a window is a sum of blocks: its cost does not depend on the overlap.
 """
 
 from __future__ import annotations
@@ -71,7 +71,7 @@ def spline_coefficients(volume: Any) -> Any:
     Source: M. Unser, IEEE Signal Processing Magazine 16(6), 22-38, 1999.
     """
     out = volume.copy()
-    depth, height, width = out.shape
+    depth, height = out.shape[:2]
     pole = np.float32(np.sqrt(3.0) - 2.0)
     for z in numba.prange(depth):
         for y in range(height):
@@ -241,9 +241,9 @@ def _sample(c: Any, corner: Any, parts: Any) -> Any:
     wx, wy, wz = _cubic(parts[0]), _cubic(parts[1]), _cubic(parts[2])
     for n in range(4):
         for m in range(4):
-            for l in range(4):
-                value = c[_mirror(k + n - 1, depth), _mirror(j + m - 1, height), _mirror(i + l - 1, width)]
-                total += wz[n] * wy[m] * wx[l] * value
+            for o in range(4):
+                value = c[_mirror(k + n - 1, depth), _mirror(j + m - 1, height), _mirror(i + o - 1, width)]
+                total += wz[n] * wy[m] * wx[o] * value
     return total
 
 

@@ -6,12 +6,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sabench.arrays import F32, F64, Bool
+from sabench.api import Velocity
+from sabench.arrays import F32, F64, Bool, triple
 from sabench.velocimetry.kernels import moved, spline_coefficients
-from sabench.velocimetry.validation import filled, near_the_median, smoothed, within_deviations
+from sabench.velocimetry.validation import filled, near_the_median, smoothed, thesis_local, within_deviations
 from sabench.velocimetry.windows import Peaks, Windows, by_shifts, by_spectra
+from sabench.volume import Grid
 
 Size = tuple[int, int, int]
+_KERNEL = 0.65  # vectors: the Gaussian of matPIV's 3 x 3 x 3 kernel
 
 
 @dataclass(frozen=True)
@@ -49,14 +52,20 @@ class Field:
     valid: Bool
     height: F64
 
+    def on_grid(self, grid: Grid, interval_s: float) -> Velocity:
+        """The same as velocities in the world."""
+        voxel = np.asarray(grid.voxel_mm)
+        start, step = (np.asarray(values[::-1]) for values in (self.windows.origin, self.windows.step))
+        return Velocity(triple(np.asarray(grid.low_mm) + voxel * start), triple(voxel * step), self.shift * voxel / interval_s, self.valid)
+
 
 def evaluate(first: F32, second: F32, plan: Plan) -> Field:
     """Displacements between two volumes (z, y, x)."""
-    coarse = Windows.over(first.shape, plan.first, 0.5)
+    coarse = Windows.over(_shape(first), plan.first, 0.5)
     peaks = by_spectra(first, second, coarse)
     assert peaks.ratio is not None
     field = _checked(coarse, peaks, (peaks.ratio >= plan.ratio) & (peaks.height > 0.0), plan)
-    windows = Windows.over(first.shape, plan.last, plan.overlap)
+    windows = Windows.over(_shape(first), plan.last, plan.overlap)
     coefficients = spline_coefficients(first), spline_coefficients(second)
     warped = np.empty_like(first), np.empty_like(second)
     for _ in range(plan.passes):
@@ -67,6 +76,21 @@ def evaluate(first: F32, second: F32, plan: Plan) -> Field:
         peaks.shift[:] += _at(lead, field.windows, windows)
         field = _checked(windows, peaks, peaks.height >= plan.height, plan)
     return field
+
+
+def _shape(volume: F32) -> Size:
+    z, y, x = volume.shape
+    return z, y, x
+
+
+def evaluate_once(first: F32, second: F32, size: Size, overlap: float, ratio: float) -> Field:
+    """One pass of spectra on windows that stay where they are, filtered, filled and smoothed as the thesis does; section 2.3.3."""
+    windows = Windows.over(_shape(first), size, overlap)
+    peaks = by_spectra(first, second, windows)
+    assert peaks.ratio is not None
+    valid = within_deviations(peaks.shift, np.asarray((peaks.ratio >= ratio) & (peaks.height > 0.0)), 5.0)
+    valid = thesis_local(filled(peaks.shift, valid), valid, 3.0)
+    return Field(windows, smoothed(filled(peaks.shift, valid), _KERNEL), valid, peaks.height)
 
 
 def _checked(windows: Windows, peaks: Peaks, valid: Bool, plan: Plan) -> Field:

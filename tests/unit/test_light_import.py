@@ -16,7 +16,7 @@ LEVELS = [
     {"optics", "world", "volume"},
     {"api", "scene", "swirl"},
     {"rig", "extraction", "targets", "detection", "calibration", "flows"},
-    {"imaging", "metrics", "reproject", "motion"},
+    {"imaging", "metrics", "reproject", "motion", "velocimetry"},
     {"dataset"},
     {"tomography"},
     {"generation", "solving", "scoring", "tracks", "pictures", "board"},
