@@ -12,6 +12,17 @@ from typing import Any
 import numba
 import numpy as np
 
+_TERMS = 14  # of a geometric series that falls to a hundred-millionth: float32 holds no more
+
+
+@numba.njit(cache=True)
+def _mirror(index: int, count: int) -> int:
+    """An index beyond the ends of a line, mirrored into it as often as it takes."""
+    if count == 1:
+        return 0
+    index = abs(index) % (2 * count - 2)
+    return min(index, 2 * count - 2 - index)
+
 
 @numba.njit(cache=True, fastmath=True, parallel=True)
 def block_sums(first: Any, second: Any, block: Any, reach: Any, products: Any, squares: Any) -> None:
@@ -88,8 +99,8 @@ def _filter_line(line: Any, pole: Any) -> None:
     if count < 2:
         return
     start, power = line[0], pole
-    for n in range(1, min(count, 14)):
-        start += power * line[n]
+    for n in range(1, _TERMS):
+        start += power * line[_mirror(n, count)]
         power *= pole
     line[0] = start
     for n in range(1, count):
@@ -107,11 +118,13 @@ def _filter_rows(plane: Any, pole: Any) -> None:
     count, width = plane.shape
     if count < 2:
         return
-    power = pole
-    for n in range(1, min(count, 14)):
+    start, power = plane[0].copy(), pole
+    for n in range(1, _TERMS):
+        row = plane[_mirror(n, count)]
         for x in range(width):
-            plane[0, x] += power * plane[n, x]
+            start[x] += power * row[x]
         power *= pole
+    plane[0] = start
     for n in range(1, count):
         for x in range(width):
             plane[n, x] += pole * plane[n - 1, x]
@@ -137,36 +150,53 @@ def _cubic(part: Any) -> Any:
 
 
 @numba.njit(cache=True, fastmath=True, parallel=True)
-def moved(coefficients: Any, field: Any, origin: Any, step: Any, share: float, out: Any) -> None:
-    """Fill in a volume read at every voxel plus a share of its displacement; what lies beyond the volume is zero.
+def met(first: Any, second: Any, field: Any, origin: Any, step: Any, out: Any, other: Any) -> None:
+    """Fill in two volumes moved towards each other, by half of a field each, so that what it carries meets in the middle.
+
+    Where one of them is read beyond its faces both are zero: what only one of them shows would look like motion.
 
     Parameters
     ----------
-    coefficients : (z, y, x) of `spline_coefficients`.
-    field : (z, y, x, 3) displacements in voxels (x, y, z) on a lattice, extended evenly beyond it.
+    first, second : (z, y, x) `spline_coefficients` of the volumes.
+    field : (z, y, x, 3) displacements in voxels (x, y, z) on a lattice, continued beyond it along straight lines.
     origin, step : place (z, y, x) of the lattice's first node and its spacing, voxels.
-    out : (z, y, x).
+    out, other : (z, y, x).
     """
     depth, height, width = out.shape
-    flat, flat_out = coefficients.ravel(), out.ravel()
     for job in numba.prange(depth * height):
         z, y = job // height, job % height
         row = _row_field(field, (z - origin[0]) / step[0], (y - origin[1]) / step[1])
         places, corners = np.empty((3, width), dtype=np.float32), np.empty((3, width), dtype=np.int32)
-        _aim(row, origin[2], step[2], share, y, z, places, corners)
-        first = 0
-        while first < width:
-            end = _alike(corners, first)
-            left, j, k = first + corners[0, first], corners[1, first], corners[2, first]
-            inside = 1 <= j < height - 2 and 1 <= k < depth - 2
-            if inside and left >= 1 and left + (end - first) + 1 < width:
-                at = (k * height + j) * width + corners[0, first]
-                _stretch(flat, at, width, height * width, places, first, end, flat_out, (z * height + y) * width)
-            else:
-                for x in range(first, end):
-                    i = x + corners[0, x]
+        beyond = np.zeros(width, dtype=np.bool_)
+        _aim(row, origin[2], step[2], -0.5, y, z, places, corners)
+        _read_row(first, places, corners, z, y, out, beyond)
+        _aim(row, origin[2], step[2], 0.5, y, z, places, corners)
+        _read_row(second, places, corners, z, y, other, beyond)
+        for x in range(width):
+            if beyond[x]:
+                out[z, y, x] = other[z, y, x] = 0.0
+
+
+@numba.njit(cache=True, fastmath=True)
+def _read_row(coefficients: Any, places: Any, corners: Any, z: int, y: int, out: Any, beyond: Any) -> None:
+    """Read one row, and mark what lies beyond the volume."""
+    depth, height, width = out.shape
+    flat, flat_out = coefficients.ravel(), out.ravel()
+    first = 0
+    while first < width:
+        end = _alike(corners, first)
+        left, j, k = first + corners[0, first], corners[1, first], corners[2, first]
+        if 1 <= j < height - 2 and 1 <= k < depth - 2 and left >= 1 and left + (end - first) + 1 < width:
+            at = (k * height + j) * width + corners[0, first]
+            _stretch(flat, at, width, height * width, places, first, end, flat_out, (z * height + y) * width)
+        else:
+            for x in range(first, end):
+                i = x + corners[0, x]
+                if i < 0 or j < 0 or k < 0 or i > width - 1 or j > height - 1 or k > depth - 1:
+                    beyond[x] = True
+                else:
                     out[z, y, x] = _sample(coefficients, (i, j, k), (places[0, x], places[1, x], places[2, x]))
-            first = end
+        first = end
 
 
 @numba.njit(cache=True, fastmath=True)
@@ -174,8 +204,8 @@ def _aim(row: Any, origin: float, step: float, share: float, y: int, z: int, pla
     """Where each voxel of a row is read: the voxel before it (x relative to its own, y, z), and the part of the way to the next."""
     last = len(row) - 1
     for x in range(places.shape[1]):
-        at = min(max((x - origin) / step, 0.0), float(last))
-        cell = min(int(at), max(last - 1, 0))
+        at = (x - origin) / step
+        cell = min(max(int(at), 0), max(last - 1, 0))
         part, after = at - cell, min(cell + 1, last)
         for axis in range(3):
             move = share * (row[cell, axis] + part * (row[after, axis] - row[cell, axis])) + (y if axis == 1 else z if axis == 2 else 0)
@@ -223,8 +253,7 @@ def _stretch(flat: Any, at: int, width: int, plane: int, places: Any, first: int
 @numba.njit(cache=True, fastmath=True)
 def _row_field(field: Any, z: float, y: float) -> Any:
     """The displacements of one row, interpolated in z and y: (x, 3)."""
-    z, y = min(max(z, 0.0), field.shape[0] - 1.0), min(max(y, 0.0), field.shape[1] - 1.0)
-    above, back = min(int(z), max(field.shape[0] - 2, 0)), min(int(y), max(field.shape[1] - 2, 0))
+    above, back = min(max(int(z), 0), max(field.shape[0] - 2, 0)), min(max(int(y), 0), max(field.shape[1] - 2, 0))
     below, front = min(above + 1, field.shape[0] - 1), min(back + 1, field.shape[1] - 1)
     p, q = z - above, y - back
     return (1.0 - p) * ((1.0 - q) * field[above, back] + q * field[above, front]) + p * ((1.0 - q) * field[below, back] + q * field[below, front])
@@ -236,8 +265,6 @@ def _sample(c: Any, corner: Any, parts: Any) -> Any:
     depth, height, width = c.shape
     i, j, k = corner
     total = np.float32(0.0)
-    if i < 0 or j < 0 or k < 0 or i > width - 1 or j > height - 1 or k > depth - 1:
-        return total
     wx, wy, wz = _cubic(parts[0]), _cubic(parts[1]), _cubic(parts[2])
     for n in range(4):
         for m in range(4):
@@ -245,11 +272,3 @@ def _sample(c: Any, corner: Any, parts: Any) -> Any:
                 value = c[_mirror(k + n - 1, depth), _mirror(j + m - 1, height), _mirror(i + o - 1, width)]
                 total += wz[n] * wy[m] * wx[o] * value
     return total
-
-
-@numba.njit(cache=True)
-def _mirror(index: int, count: int) -> int:
-    if count == 1:
-        return 0
-    index = abs(index)
-    return index if index < count else 2 * (count - 1) - index

@@ -8,7 +8,7 @@ import numpy as np
 
 from sabench.api import Velocity
 from sabench.arrays import F32, F64, Bool, triple
-from sabench.velocimetry.kernels import moved, spline_coefficients
+from sabench.velocimetry.kernels import met, spline_coefficients
 from sabench.velocimetry.validation import filled, near_the_median, smoothed, thesis_local, within_deviations
 from sabench.velocimetry.windows import Peaks, Windows, by_shifts, by_spectra
 from sabench.volume import Grid
@@ -70,8 +70,7 @@ def evaluate(first: F32, second: F32, plan: Plan) -> Field:
     warped = np.empty_like(first), np.empty_like(second)
     for _ in range(plan.passes):
         lead = smoothed(field.shift, plan.smoothing) if plan.smoothing else field.shift
-        for volume, share, out in zip(coefficients, (-0.5, 0.5), warped, strict=True):
-            moved(volume, lead, field.windows.origin, tuple(float(part) for part in field.windows.step), share, out)
+        met(*coefficients, lead, field.windows.origin, tuple(float(part) for part in field.windows.step), *warped)
         peaks = by_shifts(warped[0], warped[1], windows, plan.reach)
         peaks.shift[:] += _at(lead, field.windows, windows)
         field = _checked(windows, peaks, peaks.height >= plan.height, plan)
@@ -100,11 +99,10 @@ def _checked(windows: Windows, peaks: Peaks, valid: Bool, plan: Plan) -> Field:
 
 
 def _at(values: F64, there: Windows, here: Windows) -> F64:
-    """A field on some windows' middles, interpolated to others'."""
+    """A field on some windows' middles, interpolated to others', and continued along straight lines."""
     for axis in range(3):
         place = (here.origin[axis] + here.step[axis] * np.arange(here.counts[axis]) - there.origin[axis]) / there.step[axis]
-        place = np.clip(place, 0.0, there.counts[axis] - 1.0)
-        low = np.minimum(place.astype(int), max(there.counts[axis] - 2, 0))
+        low = np.clip(place.astype(int), 0, max(there.counts[axis] - 2, 0))
         part = np.expand_dims(place - low, tuple(n for n in range(values.ndim) if n != axis))
         high = np.minimum(low + 1, there.counts[axis] - 1)
         values = np.take(values, low, axis=axis) * (1.0 - part) + np.take(values, high, axis=axis) * part

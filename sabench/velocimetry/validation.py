@@ -9,6 +9,7 @@ from scipy.ndimage import gaussian_filter, median_filter
 
 from sabench.arrays import F64, Bool
 
+_ROOM = 2  # vectors to either side that a Gaussian reaches
 _FLOOR = 0.1  # voxels: a fluctuation that any measurement has; Westerweel and Scarano (2005)
 
 
@@ -23,10 +24,14 @@ def within_deviations(shift: F64, valid: Bool, deviations: float) -> Bool:
 def near_the_median(shift: F64, valid: Bool, times: float) -> Bool:
     """Vectors that are not further from the median of their 26 neighbours than `times` the median of these neighbours' own distances from it.
 
+    Beyond the edges fields go on along straight lines: else the median of an edge's neighbours would lie inwards of it.
+
     Source: J. Westerweel and F. Scarano, Universal outlier detection for PIV data, Exp. Fluids 39, 1096-1100, 2005, in three dimensions.
     """
     around = np.where(valid[..., None], shift, np.nan)
-    padded = np.pad(around, [(1, 1)] * 3 + [(0, 0)], constant_values=np.nan)
+    room = [(min(1, count - 1),) * 2 for count in shift.shape[:3]]
+    padded = np.pad(around, [*room, (0, 0)], mode="reflect", reflect_type="odd")
+    padded = np.pad(padded, [(1 - before,) * 2 for before, _ in room] + [(0, 0)], constant_values=np.nan)
     z, y, x = shift.shape[:3]
     offsets = [offset for offset in itertools.product(range(3), repeat=3) if offset != (1, 1, 1)]
     neighbours = np.stack([padded[k : k + z, j : j + y, i : i + x] for k, j, i in offsets])
@@ -61,8 +66,11 @@ def _around(values: F64) -> F64:
 
 
 def smoothed(shift: F64, sigma: float) -> F64:
-    """Vectors after a Gaussian of a standard deviation in vectors along each axis, evenly continued beyond the edges."""
-    return np.stack([gaussian_filter(shift[..., axis], sigma, mode="nearest", truncate=2.0) for axis in range(3)], axis=-1)
+    """Vectors after a Gaussian of a standard deviation in vectors along each axis; beyond the edges fields go on along straight lines."""
+    room = [(min(_ROOM, count - 1),) * 2 for count in shift.shape[:3]]
+    wide = np.pad(shift, [*room, (0, 0)], mode="reflect", reflect_type="odd")
+    inner = tuple(slice(before, before + count) for (before, _), count in zip(room, shift.shape[:3], strict=True))
+    return np.stack([gaussian_filter(wide[..., axis], sigma, mode="nearest", radius=_ROOM)[inner] for axis in range(3)], axis=-1)
 
 
 def thesis_local(shift: F64, valid: Bool, deviations: float) -> Bool:

@@ -13,7 +13,7 @@ from sabench.errors import InputError
 from sabench.velocimetry.kernels import block_sums
 
 _BATCH = 256  # windows transformed at once: they fit into the cache together with their spectra
-_EMPTY = 1e-12  # of the volume's own mean square: a window with less has no signal
+_EMPTY = 1e-3  # of the windows' mean square: one with less has no signal; what a spline's ringing leaves of bright neighbours is less
 
 
 @dataclass(frozen=True)
@@ -82,18 +82,28 @@ class Peaks:
 
 
 def by_shifts(first: F32, second: F32, windows: Windows, reach: tuple[int, int, int]) -> Peaks:
-    """Normalised correlation at all shifts within reach (z, y, x), through sums over blocks."""
+    """Normalised correlation at all shifts within reach (z, y, x), through sums over blocks.
+
+    The second volume is shifted against the window, and the first one the other way, and the mean is taken: two equal volumes then correlate alike at
+    opposite shifts, whatever is cut by the window's faces.
+    """
     shifts = tuple(2 * r + 1 for r in reach)
-    shape = (*windows.blocks, int(np.prod(shifts)))
+    middle = int(np.prod(shifts)) // 2
+    there, back = (_sums(*pair, windows, reach) for pair in ((first, second), (second, first)))
+    product = there[0] + back[0][..., ::-1]
+    square = (there[1] + there[1][..., middle, None]) * (back[1][..., ::-1] + back[1][..., middle, None])
+    scale = np.sqrt(np.maximum(square, 0.0))
+    lit = scale > _EMPTY * float(np.mean(scale)) + 1e-30
+    height = np.where(lit, 2.0 * product / np.where(lit, 2.0 * scale, 1.0), 0.0).reshape(*windows.counts, *shifts)
+    return _peaks(np.asarray(height, dtype=np.float32), reach)
+
+
+def _sums(first: F32, second: F32, windows: Windows, reach: tuple[int, int, int]) -> tuple[F32, F32]:
+    """Sums over windows of the products, and of the squares of what is shifted: (z, y, x, shifts)."""
+    shape = (*windows.blocks, int(np.prod([2 * r + 1 for r in reach])))
     products, squares = np.empty(shape, dtype=np.float32), np.empty(shape, dtype=np.float32)
     block_sums(first, second, windows.step, reach, products, squares)
-    own = np.empty((*windows.blocks, 1), dtype=np.float32)
-    block_sums(first, first, windows.step, (0, 0, 0), own, np.empty_like(own))
-    product, square, energy = (_windowed(sums, windows) for sums in (products, squares, own))
-    scale = np.sqrt(np.maximum(square * energy, 0.0))
-    there = scale > _EMPTY * float(np.mean(energy)) + 1e-30
-    height = np.where(there, product / np.where(there, scale, 1.0), 0.0).reshape(*windows.counts, *shifts)
-    return _peaks(height, reach)
+    return _windowed(products, windows), _windowed(squares, windows)
 
 
 def _windowed(sums: F32, windows: Windows) -> F32:

@@ -1,0 +1,205 @@
+"""Window correlation: its kernels against other programs, its vectors against displacements that are known."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.ndimage import map_coordinates, spline_filter
+
+from sabench.api import Velocity, VolumePair
+from sabench.arrays import F32, F64
+from sabench.errors import InputError
+from sabench.flows import advect
+from sabench.metrics.velocity import gradient, inner, precision_interval
+from sabench.plugins import load
+from sabench.velocimetry.kernels import block_sums, met, spline_coefficients
+from sabench.velocimetry.validation import filled, near_the_median, thesis_local, within_deviations
+from sabench.velocimetry.windows import Windows, by_shifts, by_spectra
+from sabench.volume import Grid, synthesise
+
+GRID = Grid((-4.0, -4.0, -2.0), (0.05, 0.05, 0.1), (40, 160, 160))
+WINDOW = (16, 32, 32)
+
+
+def particles(per_mm3: float = 5.0) -> F64:
+    """More than the grid holds, so that some enter and leave."""
+    return np.random.default_rng(0).uniform([-5.0, -5.0, -3.0], [5.0, 5.0, 3.0], (round(600.0 * per_mm3), 3))
+
+
+def volume(points: F64) -> F32:
+    return synthesise(GRID, points, np.ones(len(points)), 0.05)
+
+
+def pair_of(name: str, **parameters: Any) -> tuple[VolumePair, Any]:
+    plugin = load("generators", name)
+    flow, start = plugin(plugin.Parameters(**parameters)), particles()
+    return VolumePair(volume(start), volume(advect(flow, start, 0.0, 1.0, 1e-7)), GRID, 1.0), flow
+
+
+def errors(field: Velocity, flow: Any) -> F64:
+    """Of valid vectors, in voxels, against the displacement about the middle of the interval."""
+    points = field.positions_mm.reshape(-1, 3)
+    exact = advect(flow, points, 0.5, 1.0, 1e-7) - advect(flow, points, 0.5, 0.0, 1e-7)
+    return np.asarray(((field.velocity_mm_s.reshape(-1, 3) - exact) / np.asarray(GRID.voxel_mm))[field.valid.ravel()])
+
+
+def solved(case: VolumePair, name: str = "piv3d", **parameters: Any) -> Velocity:
+    plugin = load("solvers", name)
+    made: Velocity = plugin(plugin.Parameters(**parameters)).solve(case)
+    return made
+
+
+def test_spline_coefficients_are_scipy_s() -> None:
+    for shape in ((20, 40, 50), (3, 9, 2)):
+        values = np.random.default_rng(1).random(shape).astype(np.float32)
+        np.testing.assert_allclose(spline_coefficients(values), spline_filter(values.astype(np.float64), 3, mode="mirror"), atol=2e-5)
+
+
+def test_moved_volumes_are_scipy_s() -> None:
+    rng = np.random.default_rng(2)
+    volumes, field = rng.random((2, 20, 40, 50)).astype(np.float32), rng.normal(0.0, 1.5, (4, 5, 6, 3))
+    out, other = np.empty((2, 20, 40, 50), dtype=np.float32)
+    met(*(spline_coefficients(values) for values in volumes), field, (2.0, 3.0, 4.0), (4.0, 8.0, 8.0), out, other)
+    place = np.mgrid[:20, :40, :50].astype(np.float64)
+    shift = _continued(field, [(place[i] - (2.0, 3.0, 4.0)[i]) / (4.0, 8.0, 8.0)[i] for i in range(3)])
+    found, both = [], np.ones((20, 40, 50), dtype=np.bool_)
+    for values, share in zip(volumes, (-0.5, 0.5), strict=True):
+        there = place + share * shift
+        found.append(map_coordinates(values.astype(np.float64), there, order=3, mode="mirror"))
+        for i in range(3):
+            both &= (there[i] >= 0.0) & (there[i] < values.shape[i])
+    for made, expected in zip((out, other), found, strict=True):
+        np.testing.assert_allclose(made[both], expected[both], atol=5e-6)
+        assert not made[~both].any()
+
+
+def _continued(field: F64, at: list[F64]) -> F64:
+    """Displacements (z, y, x) at places on a lattice, linear beyond it: through a lattice that has been continued by hand."""
+    room = 4
+    for axis in range(3):
+        before, after = (np.take(field, [n], axis=axis) for n in (0, -1))
+        first, last = before - np.take(field, [1], axis=axis), after - np.take(field, [-2], axis=axis)
+        low = [before + n * first for n in range(room, 0, -1)]
+        field = np.concatenate([*low, field, *[after + n * last for n in range(1, room + 1)]], axis=axis)
+    return np.stack([map_coordinates(field[..., 2 - i], [own + room for own in at], order=1) for i in range(3)])
+
+
+def test_block_sums_are_sums() -> None:
+    rng = np.random.default_rng(3)
+    first, second = rng.random((2, 12, 16, 24)).astype(np.float32)
+    products, squares = (np.empty((3, 2, 3, 3 * 5 * 5), dtype=np.float32) for _ in range(2))
+    block_sums(first, second, (4, 8, 8), (1, 2, 2), products, squares)
+    padded = np.pad(second, ((1, 1), (2, 2), (2, 2)))
+    for (dz, dy, dx), place in np.ndenumerate(np.arange(75).reshape(3, 5, 5)):
+        other = padded[dz : dz + 12, dy : dy + 16, dx : dx + 24]
+        for sums, values in ((products, first * other), (squares, other * other)):
+            expected = values.reshape(3, 4, 2, 8, 3, 8).sum(axis=(1, 3, 5))
+            np.testing.assert_allclose(sums[..., place], expected, rtol=1e-4)
+
+
+def test_small_shifts_are_found_to_parts_of_a_voxel() -> None:
+    start, shift = particles(), np.array([0.3, -0.45, 0.2])
+    windows = Windows.over(GRID.shape, WINDOW, 0.5)
+    peaks = by_shifts(volume(start), volume(start + shift * np.asarray(GRID.voxel_mm)), windows, (1, 1, 1))
+    assert np.abs(peaks.shift.mean(axis=(0, 1, 2)) - shift).max() < 0.04
+    assert peaks.height.min() > 0.7
+
+
+def test_large_shifts_are_found_by_spectra() -> None:
+    start, shift = particles(), np.array([7.2, -9.6, 3.3])
+    windows = Windows.over(GRID.shape, WINDOW, 0.5)
+    peaks = by_spectra(volume(start), volume(start + shift * np.asarray(GRID.voxel_mm)), windows)
+    good = np.abs(peaks.shift - shift).max(axis=-1) < 0.5
+    assert good.mean() > 0.9
+    assert peaks.ratio is not None
+    assert np.median(peaks.ratio[good]) > 1.3
+
+
+@pytest.mark.parametrize(("name", "parameters"), [
+    ("linear_flow", {"velocity_mm_s": (0.21, -0.13, 0.17)}),
+    ("linear_flow", {"gradient_1_s": ((0.0, -0.05, 0.0), (0.05, 0.0, 0.0), (0.0, 0.0, 0.0))}),
+    ("linear_flow", {"gradient_1_s": ((0.0, 0.06, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))}),
+    ("lamb_oseen_vortex", {"core_mm": 2.0, "circulation_mm2_s": 3.0}),
+])  # fmt: skip
+def test_known_flows_are_measured(name: str, parameters: dict[str, Any]) -> None:
+    case, flow = pair_of(name, **parameters)
+    field = solved(case)
+    off = errors(field, flow)
+    assert field.valid.mean() > 0.98
+    assert (precision_interval(off) < [0.06, 0.06, 0.1]).all()
+    assert (np.abs(off.mean(axis=0)) < [0.01, 0.01, 0.03]).all()  # along Z a particle is half a voxel wide: no interpolation is right there
+
+
+def test_the_plain_method_is_worse_and_still_right() -> None:
+    case, flow = pair_of("lamb_oseen_vortex", core_mm=2.0, circulation_mm2_s=3.0)
+    plain, better = (precision_interval(errors(solved(case, name), flow)) for name in ("piv3d_plain", "piv3d"))
+    assert (better[:2] < plain[:2]).all()
+    assert plain.max() < 0.6
+
+
+def test_vectors_lie_at_the_middles_of_their_windows() -> None:
+    case, _ = pair_of("linear_flow", velocity_mm_s=(0.1, 0.0, 0.0))
+    field = solved(case, overlap=0.5)
+    assert field.valid.shape == (4, 9, 9)
+    np.testing.assert_allclose(field.positions_mm[0, 0, 0], np.asarray(GRID.low_mm) + np.asarray(GRID.voxel_mm) * [15.5, 15.5, 7.5])
+    np.testing.assert_allclose(field.step_mm, [0.8, 0.8, 0.8])
+
+
+def test_windows_without_signal_are_invalid_and_finite() -> None:
+    case, _ = pair_of("linear_flow", velocity_mm_s=(0.1, 0.0, 0.0))
+    first, second = case.first.copy(), case.second.copy()
+    first[:, :, 80:], second[:, :, 80:] = 0.0, 0.0
+    field = solved(VolumePair(first, second, GRID, 1.0))
+    dark = field.positions_mm[..., 0] > 0.05 * (80 + 20) - 4.0
+    assert not field.valid[dark].any()
+    assert field.valid[~dark].mean() > 0.7
+    assert np.isfinite(field.velocity_mm_s).all()
+
+
+@pytest.mark.parametrize(("parameters", "sentence"), [
+    ({"window": (320, 32, 16)}, "window: expected one that fits into the volume of 160 x 160 x 40 voxels, got 320 x 32 x 16"),
+    ({"overlap": 0.7}, "overlap: expected a part of 32 x 32 x 16 voxels that leaves whole steps which divide it, got 0.7"),
+])  # fmt: skip
+def test_impossible_windows_are_named(parameters: dict[str, Any], sentence: str) -> None:
+    case, _ = pair_of("linear_flow")
+    with pytest.raises(InputError) as caught:
+        solved(case, **parameters)
+    assert str(caught.value) == sentence
+
+
+def test_impossible_pairs_are_named() -> None:
+    good = volume(particles())
+    for first, second, sentence in (
+        (good, good[:-1], r"second volume: expected \(40, 160, 160\) voxels \(z, y, x\) as its grid has, got \(39, 160, 160\)"),
+        (np.zeros_like(good), good, "first volume: expected one that shows something, got 0 everywhere"),
+        (good, np.where(good > 0.5, np.float32(np.nan), good), "second volume: expected finite intensities"),
+    ):
+        with pytest.raises(InputError, match=sentence):
+            VolumePair(first, second, GRID, 1.0)
+
+
+def test_outliers_are_found_and_filled() -> None:
+    z, y, x = np.mgrid[:8, :10, :12].astype(np.float64)
+    smooth = np.stack([0.2 * y, -0.1 * x, 0.05 * z], axis=-1)
+    spoilt, valid = smooth.copy(), np.ones(smooth.shape[:3], dtype=np.bool_)
+    places = [(3, 4, 5), (6, 8, 2)]
+    for place in places:
+        spoilt[place] += [2.0, -1.5, 1.0]
+    for kept in (near_the_median(spoilt, valid, 2.0), thesis_local(spoilt, valid, 3.0)):
+        assert not any(kept[place] for place in places)
+        assert kept.mean() > 0.98
+    repaired = filled(spoilt, near_the_median(spoilt, valid, 2.0))
+    assert np.abs(repaired - smooth)[1:-1, 1:-1, 1:-1].max() < 0.1
+    far = smooth.copy()
+    far[2, 2, 2] += 50.0
+    assert not within_deviations(far, valid, 5.0)[2, 2, 2]
+    assert not filled(spoilt, np.zeros_like(valid)).any()
+
+
+def test_gradients_are_those_of_linear_fields() -> None:
+    slope = np.array([[1.0, 2.0, 3.0], [0.0, -1.0, 0.5], [4.0, 0.0, 0.0]])
+    field = Velocity((0.0, 0.0, 0.0), (0.5, 0.4, 0.8), np.zeros((4, 5, 6, 3)), np.ones((4, 5, 6), dtype=np.bool_))
+    values = field.positions_mm @ slope.T
+    np.testing.assert_allclose(gradient(values, field.step_mm)[inner((4, 5, 6))], np.tile(slope, (24, 1, 1)), atol=1e-12)
