@@ -20,12 +20,14 @@ class VortexRingParameters(Parameters):
     diameter_mm: float = Field(20.0, gt=0.0, description="of the toroidal axis")
     core_mm: float = Field(4.0, gt=0.0, description="distance from the toroidal axis at which the fluid is fastest, l")
     peak_mm_s: float = Field(100.0, description="speed there, 8 K / e")
+    fold_mm: float = Field(0.5, gt=0.0, description="distance from the ring's axis within which the component away from it is let go to zero")
 
 
 class VortexRing(Flow):
     """The thesis's ring: the fluid turns about a circle, at a speed that depends on the distance from it only.
 
-    Such a field is not free of divergence, and has a fold along the ring's axis, where it still has a component away from it.
+    Such a field is not free of divergence. Along the ring's axis it would have a fold, where fluid of all sides meets and stays for ever: there, and
+    only there, it is smoothed.
     """
 
     name = "vortex_ring"
@@ -38,7 +40,7 @@ class VortexRing(Flow):
         away = r - self.parameters.diameter_mm / 2.0
         rate = self._rate(np.hypot(away, z))
         turn = leading(self.parameters.axis)
-        return np.asarray((rate * z)[:, None] * outward - (rate * away)[:, None] * turn[2])
+        return np.asarray((rate * z * r * self._opened(r)[0])[:, None] * outward - (rate * away)[:, None] * turn[2])
 
     def gradient(self, points_mm: F64, time_s: float) -> F64:
         """By the chain rule in cylindrical coordinates."""
@@ -49,9 +51,11 @@ class VortexRing(Flow):
         slope = -rate / self.parameters.core_mm / distance  # of the rate, over the distance
         along = np.broadcast_to(axis, outward.shape)
         around = np.cross(along, outward)
+        share, growth = self._opened(r)
         parts = (
-            (slope * away * z, outward, outward), (rate + slope * z * z, outward, along),
-            (-rate - slope * away * away, along, outward), (-slope * away * z, along, along), (rate * z / np.maximum(r, _AXIS), around, around),
+            (slope * away * z * r * share + rate * z * growth, outward, outward), ((rate + slope * z * z) * r * share, outward, along),
+            (-rate - slope * away * away, along, outward), (-slope * away * z, along, along),
+            (rate * z * share, around, around),
         )  # fmt: skip
         return np.asarray(sum(np.einsum("n,ni,nj->nij", value, i, j) for value, i, j in parts))
 
@@ -62,6 +66,13 @@ class VortexRing(Flow):
         lateral = offset - z[:, None] * axis
         r = np.linalg.norm(lateral, axis=1)
         return r, z, lateral / np.maximum(r, _AXIS)[:, None]
+
+    def _opened(self, r: F64) -> tuple[F64, F64]:
+        """The part of the outward component that is left near the axis, over the distance from it, and its derivative."""
+        fold = self.parameters.fold_mm
+        t = np.minimum(r / fold, 1.0)
+        share = np.where(t < 1.0, (15.0 - 10.0 * t**2 + 3.0 * t**4) / (8.0 * fold), 1.0 / np.maximum(r, fold))
+        return share, 15.0 / 8.0 * (1.0 - t**2) ** 2 / fold
 
     def _rate(self, distance: F64) -> F64:
         """Speed over the distance from the circle."""

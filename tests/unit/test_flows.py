@@ -9,6 +9,7 @@ import pytest
 
 from sabench.api import Flow
 from sabench.arrays import F64
+from sabench.errors import InputError
 from sabench.flows import advect, divergence, vorticity
 from sabench.plugins import load
 from sabench.scene import validate
@@ -63,6 +64,25 @@ def test_the_ring_is_equation_2_14() -> None:
     np.testing.assert_allclose(ring.velocity(places, 0.0), np.column_stack([np.zeros(4), np.zeros(4), -expected]), atol=1e-10)
     assert ring.velocity(np.zeros((1, 3)), 0.0)[0, 2] > 0.0
     assert np.linalg.norm(ring.velocity(points(5000), 0.0), axis=1).max() <= 100.0 + 1e-9
+
+
+def test_fluid_crosses_the_ring_s_axis_or_stays_beside_it() -> None:
+    """Above the ring fluid comes together at the axis; with a fold there, its path could not be followed."""
+    ring = flow("vortex_ring", {"peak_mm_s": 100.0})
+    there = advect(ring, points(3000), 0.0, 0.1, 1e-6)
+    assert np.isfinite(there).all()
+    np.testing.assert_allclose(ring.velocity(np.array([[1e-6, 0.0, -5.0]]), 0.0)[0, :2], 0.0, atol=1e-3)
+
+
+def test_a_field_that_cannot_be_followed_is_named() -> None:
+    class Trap(Flow):
+        name = "trap"
+
+        def velocity(self, points_mm: F64, time_s: float) -> F64:
+            return np.asarray(-np.sign(points_mm))
+
+    with pytest.raises(InputError, match="flow trap: expected a field smooth enough to follow for 10 s"):
+        advect(Trap(None), points(10), 0.0, 10.0, 1e-9)
 
 
 def test_rotation_has_twice_its_rate_as_vorticity() -> None:
