@@ -1,0 +1,96 @@
+"""From a flow to vectors: double frames, a reconstruction, a field, its scores and its place on the page."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from sabench.dataset.read import Dataset, open_dataset
+from sabench.dataset.result import open_result
+from sabench.generation import generate
+from sabench.motion import flow_of
+from sabench.rig import load_scene
+from sabench.scene import Scene, parse_scene
+from sabench.solving import score, solve
+from tests.conftest import Command
+
+SETTINGS = {"window": (24, 24, 24), "first_window": (32, 32, 32)}
+
+
+def vortex_scene(**changes: Any) -> Scene:
+    """Nine cameras look at a small vortex of 3 voxels' motion."""
+    values = load_scene("array-9").to_dict()
+    values["cameras"] |= {"rows": 160, "columns": 160, "particle_sigma_px": 0.8}
+    values["volume"] |= {"size_mm": [8.0, 8.0, 4.0]}
+    values["grid"] |= {"crop_mm": [0.5, 0.5, 0.0], "voxel_mm": [0.05, 0.05, 0.05]}
+    values["particles"] = {"generator": "uniform", "per_pixel": 0.03, "diameter_mm": 0.02}
+    values["flow"] = {"generator": "lamb_oseen_vortex", "core_mm": 1.5, "circulation_mm2_s": 2216.0}
+    values |= {"frames": 4, "timing": {"rate_hz": 10.0, "pulses_s": [0.0, 0.001]}}
+    return parse_scene(values | changes, "vortex")
+
+
+@pytest.fixture(scope="module")
+def vortex(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
+    return generate(vortex_scene(), tmp_path_factory.mktemp("vortex") / "data", seed=1, backend="splat")
+
+
+def test_pairs_are_those_of_the_pulses(vortex: Dataset) -> None:
+    assert vortex.rig.pairs() == [(0, 1), (2, 3)]
+    assert flow_of(vortex.scene) is not None
+
+
+def test_a_pair_becomes_a_field_and_scores(vortex: Dataset, tmp_path: Path) -> None:
+    made = solve("piv3d", vortex, tmp_path / "result.h5", parameters={"reconstruction": "mlos_smart", **SETTINGS})
+    assert made.track == "velocimetry"
+    assert made.reconstruction_s is not None
+    field = open_result(tmp_path / "result.h5", vortex).velocity(2)
+    assert field.valid.mean() > 0.9
+    assert np.linalg.norm(field.velocity_mm_s, axis=-1).max() == pytest.approx(150.0, rel=0.25)
+    scores = score(vortex, tmp_path / "result.h5")
+    assert scores["u_p90_voxel"] < 0.35
+    assert scores["v_p90_voxel"] < 0.35
+    assert scores["yield_percent"] > 90.0
+    assert scores["vorticity_percent"] < 50.0
+    assert scores["reconstruction_s"] > 0.0
+
+
+def test_the_ends_of_the_scale(vortex: Dataset) -> None:
+    perfect, none = score(vortex, "truth"), score(vortex, "empty")
+    assert perfect["track"] == "reconstruction"  # a data set of particles is scored as one of volumes, unless a result says otherwise
+    assert none["track"] == "reconstruction"
+
+
+def test_one_command_and_the_page(command: Command, tmp_path: Path) -> None:
+    scene = vortex_scene(frames=2)
+    (tmp_path / "vortex.toml").write_text(scene.to_toml(), encoding="utf-8")
+    (tmp_path / "suite.toml").write_text(
+        'title = "t"\nbackend = "splat"\nscenes = ["vortex.toml"]\n'
+        '[[solvers]]\nname = "piv3d"\nparameters = { reconstruction = "mlos_smart", window = [24, 24, 24], first_window = [32, 32, 32] }\n'
+    )
+    done = command("run", "suite.toml", "--json")
+    assert done.returncode == 0, done.stderr
+    (record,) = json.loads(done.stdout)
+    assert record["track"] == "velocimetry"
+    assert record["u_p90_voxel"] < 0.4
+    page = (tmp_path / "leaderboard" / "index.html").read_text(encoding="utf-8")
+    assert "u 90 % voxel" in page
+    data = open_dataset(next((tmp_path / "work" / "datasets").iterdir()))
+    assert data.rig.times_s == (0.0, 0.001)
+
+
+def test_single_frames_are_no_pairs(tmp_path: Path, command: Command) -> None:
+    generate(vortex_scene(frames=1), tmp_path / "data", seed=1, backend="splat")
+    done = command("solve", "piv3d", "data", "-o", "result.h5")
+    assert done.returncode == 2
+    assert "expected pairs of frames, got 1 that make none" in done.stderr
+    assert not (tmp_path / "result.h5").exists()
+
+
+def test_volumes_smaller_than_a_window_are_named(vortex: Dataset, command: Command) -> None:
+    done = command("solve", "piv3d", str(vortex.root), "-o", "result.h5", "-p", "reconstruction=asa", "-p", "window=[320,32,16]")
+    assert done.returncode == 2
+    assert "window: expected one that fits into the volume of 160 x 160 x 80 voxels, got 320 x 32 x 16" in done.stderr
