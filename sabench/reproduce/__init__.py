@@ -16,6 +16,7 @@ TABLES = {
     "table-2-1-best": "Q of the best tomographic solver at 1.5 times these densities",
     "fig-2-6": "Q against density for every baseline",
     "fig-2-7": "Q against the number of cameras, and against the mapping error",
+    "table-2-2": "precision of the velocity in two vortex rings",
     "table-2-3": "particles per pixel of all cameras together",
     "table-3-1": "operations and seconds of the algorithms",
     "fig-3-6": "true and ghost particles against the number of cameras",
