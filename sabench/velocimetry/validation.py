@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import itertools
-
 import numpy as np
 from scipy.ndimage import gaussian_filter, median_filter
 
 from sabench.arrays import F64, Bool
+from sabench.velocimetry.kernels import medians
 
 _ROOM = 2  # vectors to either side that a Gaussian reaches
 _FLOOR = 0.1  # voxels: a fluctuation that any measurement has; Westerweel and Scarano (2005)
@@ -32,15 +31,10 @@ def near_the_median(shift: F64, valid: Bool, times: float) -> Bool:
     room = [(min(1, count - 1),) * 2 for count in shift.shape[:3]]
     padded = np.pad(around, [*room, (0, 0)], mode="reflect", reflect_type="odd")
     padded = np.pad(padded, [(1 - before,) * 2 for before, _ in room] + [(0, 0)], constant_values=np.nan)
-    z, y, x = shift.shape[:3]
-    offsets = [offset for offset in itertools.product(range(3), repeat=3) if offset != (1, 1, 1)]
-    neighbours = np.stack([padded[k : k + z, j : j + y, i : i + x] for k, j, i in offsets])
-    alone = ~np.isfinite(neighbours).any(axis=(0, -1))
-    neighbours[:, alone] = 0.0
-    middle = np.nanmedian(neighbours, axis=0)
-    spread = np.nanmedian(np.abs(neighbours - middle), axis=0)
-    far = np.linalg.norm(shift - middle, axis=-1) > times * (np.linalg.norm(spread, axis=-1) + _FLOOR)
-    return np.asarray(valid & ~(far & ~alone))
+    middle, spread = np.empty_like(shift), np.empty_like(shift)
+    medians(padded, middle, spread)
+    far = np.linalg.norm(shift - middle, axis=-1) > times * (np.linalg.norm(spread, axis=-1) + _FLOOR)  # never, where there are no neighbours
+    return np.asarray(valid & ~far)
 
 
 def filled(shift: F64, valid: Bool) -> F64:

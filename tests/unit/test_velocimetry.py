@@ -14,7 +14,7 @@ from sabench.errors import InputError
 from sabench.flows import advect
 from sabench.metrics.velocity import gradient, inner, precision_interval
 from sabench.plugins import load
-from sabench.velocimetry.kernels import block_sums, met, spline_coefficients
+from sabench.velocimetry.kernels import block_sums, medians, met, spline_coefficients
 from sabench.velocimetry.validation import filled, near_the_median, thesis_local, within_deviations
 from sabench.velocimetry.windows import Windows, by_shifts, by_spectra
 from sabench.volume import Grid, synthesise
@@ -203,3 +203,20 @@ def test_gradients_are_those_of_linear_fields() -> None:
     field = Velocity((0.0, 0.0, 0.0), (0.5, 0.4, 0.8), np.zeros((4, 5, 6, 3)), np.ones((4, 5, 6), dtype=np.bool_))
     values = field.positions_mm @ slope.T
     np.testing.assert_allclose(gradient(values, field.step_mm)[inner((4, 5, 6))], np.tile(slope, (24, 1, 1)), atol=1e-12)
+
+
+def test_medians_are_those_of_the_neighbours() -> None:
+    rng = np.random.default_rng(5)
+    padded = rng.normal(0.0, 1.0, (5, 6, 7, 3))
+    padded[rng.random((5, 6, 7)) < 0.3] = np.nan
+    padded[:3, :3, :3] = np.nan
+    middle, spread = np.empty((3, 4, 5, 3)), np.empty((3, 4, 5, 3))
+    medians(padded, middle, spread)
+    for z, y, x in np.ndindex(3, 4, 5):
+        around = np.delete(padded[z : z + 3, y : y + 3, x : x + 3].reshape(27, 3), 13, axis=0)
+        known = around[np.isfinite(around[:, 0])]
+        if len(known):
+            np.testing.assert_allclose(middle[z, y, x], np.median(known, axis=0))
+            np.testing.assert_allclose(spread[z, y, x], np.median(np.abs(known - np.median(known, axis=0)), axis=0))
+        else:
+            assert np.isnan(middle[z, y, x]).all()
