@@ -304,7 +304,7 @@ def medians(padded: Any, middle: Any, spread: Any) -> None:
 
 
 @numba.njit(cache=True)
-def _median(values: Any, count: int) -> float:
+def _median(values: Any, count: int) -> Any:
     """Of the first values, which are left in order."""
     if count == 0:
         return np.nan
