@@ -13,7 +13,8 @@ from sabench.world import Target
 U8 = npt.NDArray[np.uint8]
 
 _BLUR_PX = 1.5  # against noise, where lights are few
-_FAINT, _FULL = 0.05, 0.15  # of a blob's peak: below there is none, and beyond a ball's shading would draw its centroid to the lit side
+_FAINT = 0.1  # of a blob's peak: below there is none
+_BALL = 0.05, 0.15  # the same of a ball's, and where its light is cut: its shading would draw its centroid to the lit side
 _LIT = 0.35  # of the brightest ball: what belongs to one
 _DARKEST, _BRIGHTEST = 0.5, 99.5  # percentiles that become black and white for the detectors
 
@@ -95,12 +96,12 @@ def _balls(grey: U8, target: Target) -> F64 | None:
     largest = 1 + np.argsort(stats[1:, cv2.CC_STAT_AREA])[::-1][: target.columns]
     if count - 1 < target.columns:
         return None
-    balls = _centroids(grey, centers[largest], _FULL)
+    balls = _centroids(grey, centers[largest], *_BALL)
     axis = np.linalg.svd(balls - balls.mean(axis=0))[2][0]
     return np.asarray(balls[np.argsort(balls @ axis)])
 
 
-def _centroids(light: U8, centers: F64, full: float = 1.0) -> F64:
+def _centroids(light: U8, centers: F64, faint: float = _FAINT, full: float = 1.0) -> F64:
     """Intensity-weighted centroids of blobs around rough centres, as far as half the way to the next; more light than `full` of the peak is cut."""
     gaps = np.linalg.norm(centers[:, None] - centers[None], axis=2) + np.diag(np.full(len(centers), np.inf))
     out = centers.copy()
@@ -109,7 +110,7 @@ def _centroids(light: U8, centers: F64, full: float = 1.0) -> F64:
         left, top = np.maximum(np.rint(center).astype(int) - reach, 0)
         patch = light[top : top + 2 * reach + 1, left : left + 2 * reach + 1].astype(np.float64)
         dark, peak = np.median(patch), patch.max() - np.median(patch)
-        patch = np.clip(patch - dark - _FAINT * peak, 0.0, (full - _FAINT) * peak)
+        patch = np.clip(patch - dark - faint * peak, 0.0, (full - faint) * peak)
         rows, columns = np.mgrid[: patch.shape[0], : patch.shape[1]]
         total = patch.sum()
         if total > 0.0:

@@ -12,17 +12,13 @@ from sabench.api import Flow, Generator
 from sabench.arrays import F64, Bool
 from sabench.errors import InputError
 from sabench.flows import advect
+from sabench.rig import domain_of
 from sabench.scene import Illumination, Scene
 from sabench.seeds import stream
 from sabench.world import Domain, Particles
 
 TOLERANCE = 1e-9  # of the volume's largest edge, per step of a particle's path
 _NEWER = 1 << 32  # ids of particles that enter in a frame start at so many times its number
-
-
-def domain_of(scene: Scene) -> Domain:
-    """What the scene's particles fill."""
-    return Domain(scene.volume.center_mm, scene.volume.size_mm, scene.cameras.rows * scene.cameras.columns)
 
 
 def flow_of(scene: Scene) -> Flow | None:

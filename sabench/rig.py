@@ -35,6 +35,7 @@ from sabench.scene import (
 )
 from sabench.seeds import stream
 from sabench.volume import Grid
+from sabench.world import Domain
 
 
 def load_scene(path: str | Path) -> Scene:
@@ -96,6 +97,11 @@ def build_grid(scene: Scene, source: str = "scene") -> Grid:
     low = np.asarray(scene.volume.center_mm) - (counts - 1) / 2.0 * voxel
     x, y, z = (int(n) for n in counts)
     return Grid(triple(low), scene.grid.voxel_mm, (z, y, x), (int(cut[0]), int(cut[1]), int(cut[2])))
+
+
+def domain_of(scene: Scene) -> Domain:
+    """What the scene's generators fill."""
+    return Domain(scene.volume.center_mm, scene.volume.size_mm, scene.cameras.rows * scene.cameras.columns)
 
 
 def told_cameras(scene: Scene, cameras: tuple[Camera, ...], seed: int) -> tuple[Camera, ...]:

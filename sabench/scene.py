@@ -348,6 +348,11 @@ class Scene(_Table):
             raise ValueError(f"{self.title}: expected a scene with an illumination")
         return self.illumination
 
+    @property
+    def unknown(self) -> tuple[LensNumber, ...]:
+        """What nobody has measured of the lenses."""
+        return (self.calibration.unknown if self.calibration else None) or ()
+
     def time_s(self, frame: int) -> float:
         """When a frame is taken, from the first group's start."""
         if self.timing is None:

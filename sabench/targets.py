@@ -11,9 +11,10 @@ from sabench.api import TargetGenerator
 from sabench.arrays import F64, Bool
 from sabench.errors import InputError
 from sabench.optics.camera import Camera
+from sabench.rig import domain_of
 from sabench.scene import Detection, Scene
 from sabench.seeds import stream
-from sabench.world import Domain, Pose, Target
+from sabench.world import Pose, Target
 
 
 @dataclass(frozen=True)
@@ -43,7 +44,7 @@ def place(scene: Scene, seed: int) -> Placed:
     given = dict(scene.targets or {})
     plugin = plugins.load("generators", given.pop("generator"))
     maker: TargetGenerator = plugin(plugin.Parameters(**given))
-    domain = Domain(scene.volume.center_mm, scene.volume.size_mm, scene.cameras.rows * scene.cameras.columns)
+    domain = domain_of(scene)
     return Placed(maker.target(), tuple(maker.pose(domain, seed, frame, scene.frames) for frame in range(scene.frames)))
 
 

@@ -110,8 +110,7 @@ def _observation(scene: Scene, rig: Rig, told: tuple[Camera, ...]) -> dict[str, 
     if scene.timing is not None:
         head |= {"times_s": [scene.time_s(frame) for frame in range(scene.frames)], "pulses": len(scene.timing.pulses_s)}
     wall = asdict(rig.wall) if rig.wall else None
-    unknown = scene.calibration.unknown if scene.calibration else None
-    told_too = {} if unknown is None else {"unknown": list(unknown)}
+    told_too = {"unknown": list(scene.unknown)} if scene.unknown else {}
     return {**head, "wall": wall, "cameras": layout.camera_records(told), "grid": asdict(rig.grid), "sensor": sensor, **told_too}
 
 

@@ -11,7 +11,7 @@ _PRECISION = 90.0  # percent; thesis, table 2.2
 
 def precision_interval(errors: F64) -> F64:
     """Half widths (3,) of the intervals about zero that hold 90 % of errors (n, 3); thesis, section 2.3.3."""
-    return np.percentile(np.abs(errors), _PRECISION, axis=0) if len(errors) else np.full(3, np.nan)
+    return np.asarray(np.percentile(np.abs(errors), _PRECISION, axis=0))
 
 
 def gradient(velocity: F64, step_mm: tuple[float, float, float]) -> F64:

@@ -82,8 +82,9 @@ def draw(scene: Scene, seed: int) -> Board:
     exact = np.stack([exact_pixels(camera, placed.points_mm) for camera in true])
     pixels = np.stack([found_pixels(scene.detection, own, seed, number)[0] for number, own in enumerate(exact)])
     known = prior(scene, placed, seed)
-    unknown = (scene.calibration and scene.calibration.unknown) or ()
-    case = CalibrationCase(placed.target, pixels, told_cameras(scene, true, seed), known.rough_mm, known.known_mm, known.known_sigma_mm, unknown)
+    case = CalibrationCase(
+        placed.target, pixels, told_cameras(scene, true, seed), known.rough_mm, known.known_mm, known.known_sigma_mm, scene.unknown
+    )
     return Board(case, true, placed.points_mm, exact)
 
 

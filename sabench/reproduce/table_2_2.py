@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -125,7 +125,7 @@ def _pairs(scene: Scene, seed: int) -> Iterator[tuple[str, VolumePair, float]]:
 
 
 def _pair(shots: Sequence[Shot], volumes: Sequence[F32]) -> VolumePair:
-    return VolumePair(volumes[0], volumes[1], replace(shots[0].observation.grid), _INTERVAL_S)
+    return VolumePair(volumes[0], volumes[1], shots[0].observation.grid, _INTERVAL_S)
 
 
 def intervals(scene: Scene, field: Velocity) -> F64:

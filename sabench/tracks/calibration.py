@@ -17,7 +17,7 @@ from sabench.calibration.problem import anchors_of
 from sabench.calibration.state import Frame, Free
 from sabench.dataset.read import Dataset
 from sabench.dataset.result import Result, ResultWriter
-from sabench.errors import DeclinedError, InputError
+from sabench.errors import InputError
 from sabench.metrics.alignment import ALIGNMENTS, alignment
 from sabench.optics.camera import Camera
 from sabench.optics.model import CameraModel
@@ -25,6 +25,7 @@ from sabench.optics.triangulation import triangulate
 from sabench.optics.wall import Wall
 from sabench.seeds import stream
 from sabench.targets import exact_pixels
+from sabench.tracks.attempt import attempt
 
 _HELD_OUT = 500  # points that no calibration sees; thesis, section 4.4.2
 _PARTICLES = 2000
@@ -47,17 +48,7 @@ def run(algorithm: CalibrationSolver | SelfCalibrationSolver, name: str, data: D
 
 
 def _attempt(algorithm: CalibrationSolver | SelfCalibrationSolver, name: str, case: Any) -> Calibration:
-    try:
-        reason = algorithm.skip(case)
-        answer = None if reason else algorithm.solve(case)
-    except InputError as error:
-        raise InputError(f"solver {name}: {error}") from error
-    except Exception as error:
-        raise InputError(f"solver {name} failed: {type(error).__name__}: {error}") from error
-    if reason:
-        raise DeclinedError(f"solver {name} declines this case: {reason}")
-    if not isinstance(answer, Calibration):
-        raise InputError(f"solver {name}: expected a Calibration, got {type(answer).__name__}")
+    answer: Calibration = attempt(algorithm, name, case, Calibration)
     return _checked(answer, f"solver {name}", case)
 
 

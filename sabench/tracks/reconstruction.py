@@ -12,10 +12,11 @@ from sabench import memory, pictures
 from sabench.api import Observation, Reconstruction, Solver
 from sabench.dataset.read import Dataset
 from sabench.dataset.result import Result, ResultWriter
-from sabench.errors import DeclinedError, InputError
+from sabench.errors import InputError
 from sabench.progress import track
 from sabench.rig import any_in_view
 from sabench.scoring import SCORES, estimate, score_frame
+from sabench.tracks.attempt import attempt
 
 _VOLUMES = 2.0  # float32 volumes that fit beside the images or the solver is not started: its own, and as much again for its work and the checks
 _TRIED = 33  # voxels along each axis that are looked for in the images
@@ -109,15 +110,7 @@ def _check_memory(case: Observation, source: str) -> None:
 
 def _attempt(algorithm: Solver, name: str, case: Observation, frame: int) -> Reconstruction:
     """One call of a solver, which may do anything; what it returns is checked here."""
-    try:
-        reason = algorithm.skip(case)
-        guess = None if reason else algorithm.solve(case)
-    except Exception as error:
-        raise InputError(f"solver {name} failed on frame {frame}: {type(error).__name__}: {error}") from error
-    if reason:
-        raise DeclinedError(f"solver {name} declines this case: {reason}")
-    if not isinstance(guess, Reconstruction):
-        raise InputError(f"solver {name}: expected a Reconstruction, got {type(guess).__name__}")
+    guess: Reconstruction = attempt(algorithm, name, case, Reconstruction, f" on frame {frame}")
     _check_array(name, frame, "volume", guess.volume, np.dtype(np.float32), case.grid.shape)
     if guess.particles_mm is not None:
         _check_array(name, frame, "particles_mm", guess.particles_mm, np.dtype(np.float64), (len(guess.particles_mm), 3))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from typing import Any
 
 import numpy as np
 
@@ -12,11 +11,12 @@ from sabench.api import Reconstruction, Solver, VelocimetrySolver, Velocity, Vol
 from sabench.arrays import F64
 from sabench.dataset.read import Dataset
 from sabench.dataset.result import Result, ResultWriter
-from sabench.errors import DeclinedError, InputError
+from sabench.errors import InputError
 from sabench.flows import advect, divergence, vorticity
 from sabench.metrics.velocity import gradient, inner, precision_interval
 from sabench.motion import TOLERANCE, flow_of
 from sabench.progress import track
+from sabench.tracks.attempt import attempt
 from sabench.tracks.reconstruction import reconstruct
 
 _NEIGHBOURS = 8  # true particles whose mean stands for the flow where it is not known otherwise
@@ -62,31 +62,17 @@ def _maker(name: str) -> Solver:
 
 
 def _attempt(algorithm: VelocimetrySolver, name: str, case: VolumePair, frame: int) -> Velocity:
-    try:
-        reason = algorithm.skip(case)
-        field = None if reason else algorithm.solve(case)
-    except InputError as error:
-        raise InputError(f"solver {name}: {error}") from error
-    except Exception as error:
-        raise InputError(f"solver {name} failed on frame {frame}: {type(error).__name__}: {error}") from error
-    if reason:
-        raise DeclinedError(f"solver {name} declines this case: {reason}")
-    if not isinstance(field, Velocity):
-        raise InputError(f"solver {name}: expected a Velocity, got {type(field).__name__}")
+    field: Velocity = attempt(algorithm, name, case, Velocity, f" on frame {frame}")
     if field.velocity_mm_s.shape != (*field.valid.shape, 3) or not np.isfinite(field.velocity_mm_s).all():
         raise InputError(f"solver {name}: expected finite velocities (z, y, x, 3) on {field.valid.shape} nodes, got {field.velocity_mm_s.shape}")
     return field
 
 
-def score_result(data: Dataset, result: Result | str) -> dict[str, float | None]:
-    """All scores: the means over the pairs. The word `truth` stands for the exact field on 20 x 20 x 10 nodes, `empty` for rest there."""
-    pairs = [score_pair(data, pair, _estimate(data, result, pair)) for pair in track(data.rig.pairs(), "score")]
+def score_result(data: Dataset, result: Result) -> dict[str, float | None]:
+    """All scores: the means over the pairs."""
+    pairs = [score_pair(data, pair, result.velocity(pair[0])) for pair in track(data.rig.pairs(), "score")]
     scores = {key: float(np.mean([one[key] for one in pairs])) for key in pairs[0]}
-    return {**{key: value if np.isfinite(value) else None for key, value in scores.items()}, "reconstruction_s": _cost(result)}
-
-
-def _cost(result: Result | str) -> float | None:
-    return result.reconstruction_s if isinstance(result, Result) else None
+    return {**{key: value if np.isfinite(value) else None for key, value in scores.items()}, "reconstruction_s": result.reconstruction_s}
 
 
 def score_pair(data: Dataset, pair: tuple[int, int], guess: Velocity) -> dict[str, float]:
@@ -95,9 +81,10 @@ def score_pair(data: Dataset, pair: tuple[int, int], guess: Velocity) -> dict[st
     interval = data.rig.time_s(pair[1]) - data.rig.time_s(pair[0])
     exact = true_velocity(data, pair, points.reshape(-1, 3)).reshape(points.shape)
     errors = ((guess.velocity_mm_s - exact) * interval / np.asarray(data.rig.grid.voxel_mm))[guess.valid]
+    errors = errors if len(errors) else np.full((1, 3), np.nan)  # nothing was measured: no figure
     widths = precision_interval(errors)
     scores = {f"{axis}_p90_voxel": float(width) for axis, width in zip(_AXES, widths, strict=True)}
-    scores |= {f"{axis}_bias_voxel": float(value) for axis, value in zip(_AXES, errors.mean(axis=0) if len(errors) else [np.nan] * 3, strict=True)}
+    scores |= {f"{axis}_bias_voxel": float(value) for axis, value in zip(_AXES, errors.mean(axis=0), strict=True)}
     scores |= {f"{axis}_rms_voxel": float(value) for axis, value in zip(_AXES, np.sqrt((errors**2).mean(axis=0)), strict=True)}
     scores["bias_voxel"] = float(np.linalg.norm(errors.mean(axis=0)))
     scores["rms_voxel"] = float(np.sqrt((errors**2).sum(axis=1).mean()))
@@ -140,28 +127,12 @@ def _among_particles(data: Dataset, pair: tuple[int, int], points_mm: F64) -> F6
     return np.asarray(moves[near].mean(axis=1))
 
 
-def _estimate(data: Dataset, result: Result | str, pair: tuple[int, int]) -> Velocity:
-    if isinstance(result, Result):
-        return result.velocity(pair[0])
-    counts = np.array([20, 20, 10])
-    size = np.asarray(data.scene.volume.size_mm)
-    step = size / counts
-    low = np.asarray(data.scene.volume.center_mm) - size / 2.0 + step / 2.0
-    shape = tuple(int(n) for n in counts[::-1])
-    field = Velocity((low[0], low[1], low[2]), (step[0], step[1], step[2]), np.zeros((*shape, 3)), np.ones(shape, dtype=np.bool_))
-    if result != "truth":
-        return field
-    points = field.positions_mm
-    return Velocity(field.low_mm, field.step_mm, true_velocity(data, pair, points.reshape(-1, 3)).reshape(points.shape), field.valid)
-
-
 def images(data: Dataset) -> bytes:
     """What the cameras saw, as a PNG."""
     seen = data.observation(0)
     return pictures.montage(seen.images, seen.black_dn, seen.white_dn)
 
 
-def picture(data: Dataset, result: Result | str) -> bytes:
+def picture(data: Dataset, result: Result) -> bytes:
     """The middle plane of the first pair's field as arrows, as a PNG."""
-    field: Any = _estimate(data, result, data.rig.pairs()[0])
-    return pictures.vectors(field)
+    return pictures.vectors(result.velocity(data.rig.pairs()[0][0]))

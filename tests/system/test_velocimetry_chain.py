@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from sabench.api import Velocity
 from sabench.dataset.read import Dataset, open_dataset
 from sabench.dataset.result import open_result
 from sabench.generation import generate
@@ -16,6 +17,7 @@ from sabench.motion import flow_of
 from sabench.rig import load_scene
 from sabench.scene import Scene, parse_scene
 from sabench.solving import score, solve
+from sabench.tracks.velocimetry import score_pair
 from tests.conftest import Command
 
 SETTINGS = {"window": (24, 24, 24), "first_window": (32, 32, 32)}
@@ -58,10 +60,11 @@ def test_a_pair_becomes_a_field_and_scores(vortex: Dataset, tmp_path: Path) -> N
     assert scores["reconstruction_s"] > 0.0
 
 
-def test_the_ends_of_the_scale(vortex: Dataset) -> None:
-    perfect, none = score(vortex, "truth"), score(vortex, "empty")
-    assert perfect["track"] == "reconstruction"  # a data set of particles is scored as one of volumes, unless a result says otherwise
-    assert none["track"] == "reconstruction"
+def test_a_field_without_vectors_has_no_figures(vortex: Dataset) -> None:
+    field = Velocity((0.0, 0.0, 0.0), (1.0, 1.0, 1.0), np.zeros((3, 3, 3, 3)), np.zeros((3, 3, 3), dtype=np.bool_))
+    scores = score_pair(vortex, (0, 1), field)
+    assert scores["yield_percent"] == 0.0
+    assert np.isnan(scores["u_p90_voxel"])
 
 
 def test_one_command_and_the_page(command: Command, tmp_path: Path) -> None:

@@ -34,8 +34,7 @@ def case_of(scene: Scene, seed: int = 1) -> tuple[CalibrationCase, tuple[Camera,
     pixels = np.stack([found_pixels(scene.detection, own, seed, number)[0] for number, own in enumerate(exact)])
     known = prior(scene, placed, seed)
     told = told_cameras(scene, cameras, seed)
-    unknown = (scene.calibration and scene.calibration.unknown) or ()
-    case = CalibrationCase(placed.target, pixels, told, known.rough_mm, known.known_mm, known.known_sigma_mm, unknown)
+    case = CalibrationCase(placed.target, pixels, told, known.rough_mm, known.known_mm, known.known_sigma_mm, scene.unknown)
     return case, cameras, placed.points_mm, exact
 
 
