@@ -1,4 +1,4 @@
-"""Correlation of windows over small shifts, and volumes moved by a displacement field, on the CPU.
+"""Correlation of windows and its peaks, and volumes moved by a displacement field, on the CPU.
 
 Overlapping windows share their voxels. A volume is cut into blocks as long as windows are apart; the products of one volume with the other, shifted,
 are summed over each block once, and a window is a sum of blocks: its cost does not depend on the overlap.
@@ -73,6 +73,140 @@ def _add_rows(one: Any, other: Any, reach: int, rows: Any) -> None:
     target = rows[2 * reach + 1, reach : reach + count]
     for x in range(count):
         target[x] += other[x] * other[x]
+
+
+@numba.njit(cache=True, fastmath=True, parallel=True)
+def small_peaks(products: Any, squares: Any, weights: Any, reach: Any, floor: float, shift: Any, height: Any) -> None:
+    """Fill in the peaks of the normalised correlation of windows that are weighted sums of blocks.
+
+    Parameters
+    ----------
+    products, squares : two each of what `block_sums` fills in, of the second volume shifted and of the first one.
+    weights : three lines of the blocks of a window, along z, y and x.
+    reach : largest shift (z, y, x).
+    floor : mean of both volumes' squares over a window below which there is no signal.
+    shift, height : (z, y, x, 3) displacements (x, y, z), and (z, y, x) the correlation there, 0 without signal.
+    """
+    deep, high, wide = height.shape
+    count = products[0].shape[3]
+    for job in numba.prange(deep * high):
+        z, y = job // high, job % high
+        sums, curve = np.empty((4, count), dtype=np.float32), np.empty(count, dtype=np.float32)
+        for x in range(wide):
+            sums[:] = 0.0
+            for i in range(len(weights[0])):
+                for j in range(len(weights[1])):
+                    for k in range(len(weights[2])):
+                        weight = weights[0][i] * weights[1][j] * weights[2][k]
+                        _add(weight, products[0][z + i, y + j, x + k], sums[0])
+                        _add(weight, products[1][z + i, y + j, x + k], sums[1])
+                        _add(weight, squares[0][z + i, y + j, x + k], sums[2])
+                        _add(weight, squares[1][z + i, y + j, x + k], sums[3])
+            _normalise(sums, floor, curve)
+            height[z, y, x] = _highest(curve, reach, shift[z, y, x])
+
+
+@numba.njit(cache=True, fastmath=True)
+def _add(weight: Any, values: Any, total: Any) -> None:
+    for n in range(len(total)):
+        total[n] += weight * values[n]
+
+
+@numba.njit(cache=True, fastmath=True)
+def _normalise(sums: Any, floor: float, curve: Any) -> None:
+    """Correlation over shifts, the mean of both ways; opposite shifts stand at opposite ends."""
+    count = len(curve)
+    rest = sums[2, count // 2], sums[3, count // 2]
+    for n in range(count):
+        scale = np.sqrt(max((sums[2, n] + rest[0]) * (sums[3, count - 1 - n] + rest[1]), np.float32(0.0)))
+        curve[n] = (sums[0, n] + sums[1, count - 1 - n]) / scale if scale > 2.0 * floor else 0.0
+
+
+@numba.njit(cache=True, fastmath=True)
+def _highest(curve: Any, reach: Any, shift: Any) -> Any:
+    """Fill in the place (x, y, z) of the largest of small shifts, to parts of a voxel where its neighbours were looked at, too; returns its height."""
+    top = 0
+    for n in range(len(curve)):
+        if curve[n] > curve[top]:
+            top = n
+    across, along = 2 * reach[2] + 1, (2 * reach[2] + 1) * (2 * reach[1] + 1)
+    place = (top % across - reach[2], top % along // across - reach[1], top // along - reach[0])
+    strides, ends = (1, across, along), (reach[2], reach[1], reach[0])
+    for axis in range(3):
+        shift[axis] = place[axis]
+        if abs(place[axis]) < ends[axis]:  # at the edge of the search: the whole step, no more is known
+            shift[axis] += _vertex(curve[top - strides[axis]], curve[top], curve[top + strides[axis]])
+        if curve[top] <= 0.0:
+            shift[axis] = 0.0
+    return curve[top]
+
+
+@numba.njit(cache=True, fastmath=True)
+def _vertex(before: float, here: float, after: float) -> float:
+    """Where the Gaussian through three values peaks, from the middle one; the parabola, where not all are positive."""
+    if min(before, here, after) > 0.0:
+        before, here, after = math.log(before), math.log(here), math.log(after)
+    bend = before - 2.0 * here + after
+    return min(max(0.5 * (before - after) / bend, -1.0), 1.0) if bend < 0.0 else 0.0
+
+
+@numba.njit(cache=True, fastmath=True, parallel=True)
+def cut_windows(volume: Any, corners: Any, out: Any, energy: Any) -> None:
+    """Fill in windows (n, z, y, x) of a volume less their means, from their corners (n, 3) on, and the sums of their squares (n,)."""
+    _, deep, high, wide = out.shape
+    for n in numba.prange(len(corners)):
+        z, y, x = corners[n]
+        total = 0.0
+        for k in range(deep):
+            for j in range(high):
+                row, to = volume[z + k, y + j, x : x + wide], out[n, k, j]
+                for i in range(wide):
+                    to[i] = row[i]
+                    total += row[i]
+        mean, flat, squares = np.float32(total / (deep * high * wide)), out[n].ravel(), 0.0
+        for i in range(len(flat)):
+            flat[i] -= mean
+            squares += flat[i] * flat[i]
+        energy[n] = squares
+
+
+@numba.njit(cache=True, fastmath=True, parallel=True)
+def circular_peaks(planes: Any, shift: Any, height: Any, ratio: Any) -> None:
+    """Fill in where circular correlations (n, z, y, x) are highest: displacements (n, 3) as x, y, z, the heights, and their ratios to the highest values
+    elsewhere. The surroundings of the peaks are set to zero."""
+    count, deep, high, wide = planes.shape
+    for n in numba.prange(count):
+        plane = planes[n]
+        flat = plane.ravel()
+        top = _largest(flat)
+        z, y, x = top // (high * wide), top // wide % high, top % wide
+        here = flat[top]
+        shift[n, 0] = _signed(x, wide) + _vertex(plane[z, y, x - 1], here, plane[z, y, (x + 1) % wide])
+        shift[n, 1] = _signed(y, high) + _vertex(plane[z, y - 1, x], here, plane[z, (y + 1) % high, x])
+        shift[n, 2] = _signed(z, deep) + _vertex(plane[z - 1, y, x], here, plane[(z + 1) % deep, y, x])
+        for k in range(-1, 2):
+            for j in range(-1, 2):
+                for i in range(-1, 2):
+                    plane[(z + k) % deep, (y + j) % high, (x + i) % wide] = 0.0
+        height[n], ratio[n] = here, here / max(flat[_largest(flat)], 1e-12 * here, 1e-30)
+
+
+@numba.njit(cache=True, fastmath=True)
+def _largest(values: Any) -> int:
+    """The first of the largest values: the largest is found without branches, then its place."""
+    most = values[0]
+    for n in range(len(values)):
+        most = max(most, values[n])
+    for n in range(len(values)):
+        if values[n] == most:
+            return n
+    return 0
+
+
+@numba.njit(cache=True)
+def _signed(place: int, count: int) -> int:
+    """A circular shift as a displacement."""
+    return place - count if place > count // 2 else place
 
 
 @numba.njit(cache=True, fastmath=True, parallel=True)
@@ -181,22 +315,30 @@ def met(first: Any, second: Any, field: Any, origin: Any, step: Any, out: Any, o
 def _read_row(coefficients: Any, places: Any, corners: Any, z: int, y: int, out: Any, beyond: Any) -> None:
     """Read one row, and mark what lies beyond the volume."""
     depth, height, width = out.shape
-    flat, flat_out = coefficients.ravel(), out.ravel()
     first = 0
     while first < width:
         end = _alike(corners, first)
-        left, j, k = first + corners[0, first], corners[1, first], corners[2, first]
-        if 1 <= j < height - 2 and 1 <= k < depth - 2 and left >= 1 and left + (end - first) + 1 < width:
-            at = (k * height + j) * width + corners[0, first]
-            _stretch(flat, at, width, height * width, places, first, end, flat_out, (z * height + y) * width)
-        else:
-            for x in range(first, end):
-                i = x + corners[0, x]
-                if i < 0 or j < 0 or k < 0 or i > width - 1 or j > height - 1 or k > depth - 1:
-                    beyond[x] = True
-                else:
-                    out[z, y, x] = _sample(coefficients, (i, j, k), (places[0, x], places[1, x], places[2, x]))
+        i, j, k = corners[0, first], corners[1, first], corners[2, first]
+        low, high = first, first  # the part whose 4 x 4 x 4 neighbours are all there
+        if 1 <= j < height - 2 and 1 <= k < depth - 2:
+            low = min(max(first, 1 - i), end)
+            high = max(low, min(end, width - 2 - i))
+            _stretch(coefficients.ravel(), (k * height + j) * width + i, width, height * width, places, low, high, out[z, y])
+        _read_edge(coefficients, places, corners, first, low, out[z, y], beyond)
+        _read_edge(coefficients, places, corners, high, end, out[z, y], beyond)
         first = end
+
+
+@numba.njit(cache=True, fastmath=True)
+def _read_edge(coefficients: Any, places: Any, corners: Any, first: int, end: int, out: Any, beyond: Any) -> None:
+    """Read voxels near a face of the volume."""
+    depth, height, width = coefficients.shape
+    for x in range(first, end):
+        i, j, k = x + corners[0, x], corners[1, x], corners[2, x]
+        if i < 0 or j < 0 or k < 0 or i > width - 1 or j > height - 1 or k > depth - 1:
+            beyond[x] = True
+        else:
+            out[x] = _sample(coefficients, (i, j, k), (places[0, x], places[1, x], places[2, x]))
 
 
 @numba.njit(cache=True, fastmath=True)
@@ -226,28 +368,36 @@ def _alike(corners: Any, first: int) -> int:
 
 @numba.njit(cache=True, fastmath=True, forceinline=True)
 def _along(flat: Any, at: Any, w: Any) -> Any:
-    return w[0] * flat[at - 1] + w[1] * flat[at] + w[2] * flat[at + 1] + w[3] * flat[at + 2]
+    one = np.uint64(1)
+    return w[0] * flat[at - one] + w[1] * flat[at] + w[2] * flat[at + one] + w[3] * flat[at + one + one]
 
 
 @numba.njit(cache=True, fastmath=True, forceinline=True)
 def _across(flat: Any, at: Any, width: Any, w: Any, v: Any) -> Any:
     return (
         v[0] * _along(flat, at - width, w) + v[1] * _along(flat, at, w)
-        + v[2] * _along(flat, at + width, w) + v[3] * _along(flat, at + 2 * width, w)
+        + v[2] * _along(flat, at + width, w) + v[3] * _along(flat, at + width + width, w)
+    )  # fmt: skip
+
+
+@numba.njit(cache=True, fastmath=True, forceinline=True)
+def _value(flat: Any, at: Any, width: Any, plane: Any, x: Any, y: Any, z: Any) -> Any:
+    """The value at parts of the way from a voxel to the next ones, out of 4 x 4 rows. Places have no sign: an index that may be negative would be
+    looked at twice, and loops over it would not be vectorised."""
+    w, v, u = _cubic(x), _cubic(y), _cubic(z)
+    return (
+        u[0] * _across(flat, at - plane, width, w, v) + u[1] * _across(flat, at, width, w, v)
+        + u[2] * _across(flat, at + plane, width, w, v) + u[3] * _across(flat, at + plane + plane, width, w, v)
     )  # fmt: skip
 
 
 @numba.njit(cache=True, fastmath=True)
-def _stretch(flat: Any, at: int, width: int, plane: int, places: Any, first: int, end: int, out: Any, begin: int) -> None:
-    """Read voxels that lie beside each other, from `at` on for the first, out of 4 x 4 rows that do. All rows are parts of one array: so the loop is
-    vectorised."""
-    for x in range(first, end):
-        w, v, u = _cubic(places[0, x]), _cubic(places[1, x]), _cubic(places[2, x])
-        p = at + x
-        out[begin + x] = (
-            u[0] * _across(flat, p - plane, width, w, v) + u[1] * _across(flat, p, width, w, v)
-            + u[2] * _across(flat, p + plane, width, w, v) + u[3] * _across(flat, p + 2 * plane, width, w, v)
-        )  # fmt: skip
+def _stretch(flat: Any, at: int, width: int, plane: int, places: Any, first: int, end: int, out: Any) -> None:
+    """Read voxels of a row that lie beside each other, `at` + x for each of them. All rows are parts of one array: so the loop is vectorised."""
+    row, deep, start = np.uint64(width), np.uint64(plane), np.uint64(at + first)
+    for n in range(np.uint64(end - first)):
+        x = np.uint64(first) + n
+        out[x] = _value(flat, start + n, row, deep, places[0, x], places[1, x], places[2, x])
 
 
 @numba.njit(cache=True, fastmath=True)

@@ -8,12 +8,12 @@ import numpy as np
 
 from sabench.api import Velocity
 from sabench.arrays import F32, F64, Bool, triple
+from sabench.velocimetry.blur import widened, widths
 from sabench.velocimetry.kernels import met, spline_coefficients
 from sabench.velocimetry.validation import filled, near_the_median, smoothed, thesis_local, within_deviations
-from sabench.velocimetry.windows import Peaks, Windows, by_shifts, by_spectra
+from sabench.velocimetry.windows import Peaks, Size, Windows, by_shifts, by_spectra
 from sabench.volume import Grid
 
-Size = tuple[int, int, int]
 _KERNEL = 0.65  # vectors: the Gaussian of matPIV's 3 x 3 x 3 kernel
 
 
@@ -30,6 +30,8 @@ class Plan:
     ratio, height : least peak ratio of the first pass, and least normalised correlation of the last one.
     median : of the test against neighbours.
     smoothing : standard deviation in vectors of the Gaussian on the field that moves the volumes.
+    width : least standard deviation in voxels of particles, to which narrower ones are blurred: splines cannot follow these between voxels.
+    taper : standard deviation of the Gaussian that weights the later windows, as a part of them; None: no weights.
     """
 
     first: Size
@@ -41,6 +43,8 @@ class Plan:
     height: float
     median: float
     smoothing: float
+    width: float
+    taper: float | None
 
 
 @dataclass(frozen=True)
@@ -61,6 +65,9 @@ class Field:
 
 def evaluate(first: F32, second: F32, plan: Plan) -> Field:
     """Displacements between two volumes (z, y, x)."""
+    own = widths(first), widths(second)
+    mean = tuple(0.5 * (one + other) for one, other in zip(*own, strict=True))
+    first, second = (widened(volume, (mean[0], mean[1], mean[2]), plan.width) for volume in (first, second))
     coarse = Windows.over(_shape(first), plan.first, 0.5)
     peaks = by_spectra(first, second, coarse)
     assert peaks.ratio is not None
@@ -71,7 +78,7 @@ def evaluate(first: F32, second: F32, plan: Plan) -> Field:
     for _ in range(plan.passes):
         lead = smoothed(field.shift, plan.smoothing) if plan.smoothing else field.shift
         met(*coefficients, lead, field.windows.origin, tuple(float(part) for part in field.windows.step), *warped)
-        peaks = by_shifts(warped[0], warped[1], windows, plan.reach)
+        peaks = by_shifts(warped[0], warped[1], windows, plan.reach, plan.taper)
         peaks.shift[:] += _at(lead, field.windows, windows)
         field = _checked(windows, peaks, peaks.height >= plan.height, plan)
     return field

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import itertools
+import math
 from dataclasses import dataclass
 
 import numpy as np
 import scipy.fft
 
-from sabench.arrays import F32, F64, Bool
+from sabench.arrays import F32, F64, I64
 from sabench.errors import InputError
-from sabench.velocimetry.kernels import block_sums
+from sabench.velocimetry.kernels import block_sums, circular_peaks, cut_windows, small_peaks
 
-_BATCH = 256  # windows transformed at once: they fit into the cache together with their spectra
+Size = tuple[int, int, int]
+_BATCH = 64  # windows transformed at once: they fit into the cache together with their spectra
 _EMPTY = 1e-3  # of the windows' mean square: one with less has no signal; what a spline's ringing leaves of bright neighbours is less
 
 
@@ -27,12 +29,12 @@ class Windows:
     counts : windows (z, y, x).
     """
 
-    size: tuple[int, int, int]
-    step: tuple[int, int, int]
-    counts: tuple[int, int, int]
+    size: Size
+    step: Size
+    counts: Size
 
     @classmethod
-    def over(cls, shape: tuple[int, int, int], size: tuple[int, int, int], overlap: float) -> Windows:
+    def over(cls, shape: Size, size: Size, overlap: float) -> Windows:
         """As many as fit.
 
         Raises
@@ -55,13 +57,13 @@ class Windows:
         return z, y, x
 
     @property
-    def blocks(self) -> tuple[int, int, int]:
+    def blocks(self) -> Size:
         """Blocks (z, y, x) of one step each that the windows cover."""
         z, y, x = (n - 1 + own // part for n, own, part in zip(self.counts, self.size, self.step, strict=True))
         return z, y, x
 
 
-def _xyz(values: tuple[int, int, int]) -> str:
+def _xyz(values: Size) -> str:
     return " x ".join(str(value) for value in values[::-1])
 
 
@@ -81,100 +83,55 @@ class Peaks:
     ratio: F64 | None
 
 
-def by_shifts(first: F32, second: F32, windows: Windows, reach: tuple[int, int, int]) -> Peaks:
+def by_shifts(first: F32, second: F32, windows: Windows, reach: Size, taper: float | None = None) -> Peaks:
     """Normalised correlation at all shifts within reach (z, y, x), through sums over blocks.
 
     The second volume is shifted against the window, and the first one the other way, and the mean is taken: two equal volumes then correlate alike at
     opposite shifts, whatever is cut by the window's faces.
+
+    Parameters
+    ----------
+    taper : standard deviation of the Gaussian that weights a window's blocks, as a part of the window; None: all count alike.
     """
-    shifts = tuple(2 * r + 1 for r in reach)
-    middle = int(np.prod(shifts)) // 2
-    there, back = (_sums(*pair, windows, reach) for pair in ((first, second), (second, first)))
-    product = there[0] + back[0][..., ::-1]
-    square = (there[1] + there[1][..., middle, None]) * (back[1][..., ::-1] + back[1][..., middle, None])
-    scale = np.sqrt(np.maximum(square, 0.0))
-    lit = scale > _EMPTY * float(np.mean(scale)) + 1e-30
-    height = np.where(lit, 2.0 * product / np.where(lit, 2.0 * scale, 1.0), 0.0).reshape(*windows.counts, *shifts)
-    return _peaks(np.asarray(height, dtype=np.float32), reach)
+    shape = (*windows.blocks, math.prod(2 * r + 1 for r in reach))
+    products, squares = ((np.empty(shape, dtype=np.float32), np.empty(shape, dtype=np.float32)) for _ in range(2))
+    block_sums(first, second, windows.step, reach, products[0], squares[0])
+    block_sums(second, first, windows.step, reach, products[1], squares[1])
+    weights = tuple(_weights(own // part, taper) for own, part in zip(windows.size, windows.step, strict=True))
+    energies = [float(np.mean(part[..., shape[3] // 2])) for part in squares]
+    floor = _EMPTY * math.sqrt(energies[0] * energies[1]) * math.prod(float(line.sum()) for line in weights) + 1e-30
+    shift, height = np.empty((*windows.counts, 3)), np.empty(windows.counts)
+    small_peaks(products, squares, weights, reach, floor, shift, height)
+    return Peaks(shift, height, None)
 
 
-def _sums(first: F32, second: F32, windows: Windows, reach: tuple[int, int, int]) -> tuple[F32, F32]:
-    """Sums over windows of the products, and of the squares of what is shifted: (z, y, x, shifts)."""
-    shape = (*windows.blocks, int(np.prod([2 * r + 1 for r in reach])))
-    products, squares = np.empty(shape, dtype=np.float32), np.empty(shape, dtype=np.float32)
-    block_sums(first, second, windows.step, reach, products, squares)
-    return _windowed(products, windows), _windowed(squares, windows)
-
-
-def _windowed(sums: F32, windows: Windows) -> F32:
-    """Sums over windows from sums over blocks (z, y, x, ...)."""
-    for axis, (own, part, count) in enumerate(zip(windows.size, windows.step, windows.counts, strict=True)):
-        parts = [np.take(sums, range(n, n + count), axis=axis) for n in range(own // part)]
-        sums = np.asarray(sum(parts[1:], start=parts[0]))
-    return sums
+def _weights(blocks: int, taper: float | None) -> F32:
+    """Of a window's blocks along one axis."""
+    middles = (np.arange(blocks) + 0.5) / blocks - 0.5
+    return np.asarray(np.ones(blocks) if taper is None else np.exp(-0.5 * (middles / taper) ** 2), dtype=np.float32)
 
 
 def by_spectra(first: F32, second: F32, windows: Windows) -> Peaks:
     """Circular correlation of whole windows by their Fourier transforms, for displacements up to half a window."""
     corners = np.array(list(itertools.product(*(part * np.arange(count) for part, count in zip(windows.step, windows.counts, strict=True)))))
-    views = [np.lib.stride_tricks.sliding_window_view(volume, windows.size) for volume in (first, second)]
     shift, height, ratio = np.zeros((len(corners), 3)), np.zeros(len(corners)), np.zeros(len(corners))
     for start in range(0, len(corners), _BATCH):
         part = slice(start, start + _BATCH)
-        z, y, x = corners[part].T
-        shift[part], height[part], ratio[part] = _correlated(*(np.ascontiguousarray(view[z, y, x]) for view in views))
-    return Peaks(shift.reshape(*windows.counts, 3), height.reshape(windows.counts), ratio.reshape(windows.counts))
+        planes, scale = _correlated(first, second, corners[part], windows.size)
+        circular_peaks(planes, shift[part], height[part], ratio[part])
+        height[part] /= np.where(scale > 0.0, scale, np.inf)
+    lit = height > 0.0
+    return Peaks((shift * lit[:, None]).reshape(*windows.counts, 3), height.reshape(windows.counts), (ratio * lit).reshape(windows.counts))
 
 
-def _correlated(one: F32, other: F32) -> tuple[F64, F64, F64]:
-    """Displacements (n, 3) in x, y, z, heights and peak ratios of pairs of windows (n, z, y, x)."""
-    axes, size = (1, 2, 3), one.shape[1:]
-    for windows in (one, other):
-        windows -= windows.mean(axis=axes, keepdims=True)
-    scale = np.sqrt((one**2).sum(axis=axes, dtype=np.float64) * (other**2).sum(axis=axes, dtype=np.float64))
-    spectrum = np.conj(scipy.fft.rfftn(one, axes=axes, workers=-1)) * scipy.fft.rfftn(other, axes=axes, workers=-1)
-    plane = scipy.fft.irfftn(spectrum, s=size, axes=axes, workers=-1).astype(np.float32)
-    count = len(plane)
-    flat = plane.reshape(count, -1)
-    top = flat.argmax(axis=1)
-    where = np.stack(np.unravel_index(top, size), axis=1)
-    rows = np.arange(count)
-    near = [(where[:, axis, None] + np.arange(-1, 2)) % size[axis] for axis in range(3)]
-    cube = plane[rows[:, None, None, None], near[0][:, :, None, None], near[1][:, None, :, None], near[2][:, None, None, :]]
-    signed = np.where(where > np.array(size) // 2, where - np.array(size), where)
-    found = signed + _vertices(cube)
-    highest = flat[rows, top].astype(np.float64)
-    plane[rows[:, None, None, None], near[0][:, :, None, None], near[1][:, None, :, None], near[2][:, None, None, :]] = 0.0
-    second = np.maximum(flat.max(axis=1), 1e-12 * np.maximum(highest, 1e-30))
-    there = scale > 0.0
-    return found[:, ::-1] * there[:, None], np.where(there, highest / np.where(there, scale, 1.0), 0.0), np.where(there, highest / second, 0.0)
-
-
-def _peaks(height: F32, reach: tuple[int, int, int]) -> Peaks:
-    """The highest of small shifts, to parts of a voxel where its neighbours were looked at, too."""
-    counts, shifts = height.shape[:3], height.shape[3:]
-    flat = height.reshape(-1, *shifts)
-    top = np.stack(np.unravel_index(flat.reshape(len(flat), -1).argmax(axis=1), shifts), axis=1)
-    inner = np.stack([np.clip(top[:, axis], 1, shifts[axis] - 2) if shifts[axis] > 2 else top[:, axis] for axis in range(3)], axis=1)
-    rows = np.arange(len(flat))
-    near = [inner[:, axis, None] + (np.arange(-1, 2) if shifts[axis] > 2 else np.zeros(3, dtype=np.int64)) for axis in range(3)]
-    cube = flat[rows[:, None, None, None], near[0][:, :, None, None], near[1][:, None, :, None], near[2][:, None, None, :]]
-    parts = np.where(top == inner, _vertices(cube), (top - inner).astype(np.float64))  # at the edge of the search: the whole step, no more is known
-    found = inner - np.asarray(reach) + parts
-    highest = flat[rows, top[:, 0], top[:, 1], top[:, 2]].astype(np.float64)
-    found *= (highest > 0.0)[:, None]
-    return Peaks(found[:, ::-1].reshape(*counts, 3), highest.reshape(counts), None)
-
-
-def _vertices(cube: F32) -> F64:
-    """Where Gaussians through three values along each axis peak, from the middle of cubes (n, 3, 3, 3): (n, 3) in z, y, x."""
-    middle = cube[:, 1, 1, 1].astype(np.float64)
-    out = np.zeros((len(cube), 3))
-    for axis in range(3):
-        line = np.take(np.take(cube, 1, axis=[2, 1, 1][axis]), 1, axis=[2, 2, 1][axis]).astype(np.float64)
-        positive: Bool = (line > 0.0).all(axis=1)
-        logs = np.log(np.where(positive[:, None], line, 1.0))
-        before, here, after = np.where(positive[:, None], logs, line).T
-        bend = before - 2.0 * here + after
-        out[:, axis] = np.where(bend < 0.0, 0.5 * (before - after) / np.where(bend < 0.0, bend, -1.0), 0.0)
-    return np.clip(out, -1.0, 1.0) * (middle > 0.0)[:, None]
+def _correlated(first: F32, second: F32, corners: I64, size: Size) -> tuple[F32, F64]:
+    """Circular correlations of windows (n, z, y, x), and the product of their norms."""
+    spectra, energies = [], []
+    for volume in (first, second):
+        cut, energy = np.empty((len(corners), *size), dtype=np.float32), np.empty(len(corners))
+        cut_windows(volume, corners, cut, energy)
+        spectra.append(scipy.fft.rfftn(cut, axes=(1, 2, 3), workers=-1))
+        energies.append(energy)
+    product = np.conjugate(spectra[0], out=spectra[0])
+    product *= spectra[1]
+    return scipy.fft.irfftn(product, s=size, axes=(1, 2, 3), workers=-1, overwrite_x=True), np.sqrt(energies[0] * energies[1])
