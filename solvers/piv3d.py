@@ -23,7 +23,7 @@ class Piv3dParameters(VelocimetryParameters):
     median: float = Field(2.0, gt=0.0, description="test against the neighbours' median, in their own median distances from it")
     smoothing: float = Field(1.0, ge=0.0, description="standard deviation, in vectors, of the Gaussian on the field that moves the volumes")
     width: float = Field(1.0, ge=0.0, description="standard deviation in voxels to which narrower particles are blurred, for splines to follow them")
-    taper: float | None = Field(None, gt=0.0, description="standard deviation of the later windows' Gaussian weights, as a part of them; none by default")
+    taper: float | None = Field(None, gt=0.0, description="standard deviation of the later windows' Gaussian weights, as a part of them")
 
 
 class Piv3d(VelocimetrySolver):

@@ -124,7 +124,7 @@ def _normalise(sums: Any, floor: float, curve: Any) -> None:
 
 @numba.njit(cache=True, fastmath=True)
 def _highest(curve: Any, reach: Any, shift: Any) -> Any:
-    """Fill in the place (x, y, z) of the largest of small shifts, to parts of a voxel where its neighbours were looked at, too; returns its height."""
+    """Fill in the place (x, y, z) of the largest of small shifts, to parts of a voxel where its neighbours were looked at; returns its height."""
     top = 0
     for n in range(len(curve)):
         if curve[n] > curve[top]:
@@ -172,8 +172,8 @@ def cut_windows(volume: Any, corners: Any, out: Any, energy: Any) -> None:
 
 @numba.njit(cache=True, fastmath=True, parallel=True)
 def circular_peaks(planes: Any, shift: Any, height: Any, ratio: Any) -> None:
-    """Fill in where circular correlations (n, z, y, x) are highest: displacements (n, 3) as x, y, z, the heights, and their ratios to the highest values
-    elsewhere. The surroundings of the peaks are set to zero."""
+    """Fill in where circular correlations (n, z, y, x) are highest: displacements (n, 3) as x, y, z, the heights, and their ratios to the highest
+    values elsewhere. The surroundings of the peaks are set to zero."""
     count, deep, high, wide = planes.shape
     for n in numba.prange(count):
         plane = planes[n]
