@@ -30,6 +30,13 @@ class Parameters(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
+class FileParameters(Parameters):
+    """Base of the parameters of a generator that reads a file; a data set keeps a copy of it."""
+
+    file: str = Field(description="its path, from the scene file's folder")
+    sha256: str | None = Field(None, pattern="^[0-9a-f]{64}$", description="of the file: filled in where it is not given")
+
+
 class PlugIn:
     """What all plug-ins have."""
 
@@ -55,6 +62,9 @@ class Flow(PlugIn):
     """Base of a velocity field that carries particles: `velocity`, and `gradient` where it is known exactly."""
 
     makes: ClassVar[str] = "flow"
+
+    def check(self, domain: Domain) -> None:
+        """Raise an InputError if the field is not known in all of the volume."""
 
     def velocity(self, points_mm: F64, time_s: float) -> F64:
         """Velocities (n, 3) in mm/s at points (n, 3) of the world frame."""

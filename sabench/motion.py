@@ -42,6 +42,8 @@ class Motion:
         plugin = plugins.load("generators", given.pop("generator"))
         self._generator: Generator = plugin(plugin.Parameters(**given))
         self.scene, self.seed, self._flow = scene, seed, flow_of(scene)
+        if self._flow is not None:
+            self._flow.check(domain_of(scene))
         self._last: tuple[int, Particles] | None = None
 
     def at(self, frame: int) -> Particles:

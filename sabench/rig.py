@@ -51,7 +51,7 @@ def load_scene(path: str | Path) -> Scene:
         values = tomllib.loads(file.read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
         raise InputError(f"{file}: expected a TOML file, got {error}") from error
-    scene = parse_scene(values, str(file))
+    scene = parse_scene(values, str(file), file.parent)
     build_rig(scene, str(file))
     return scene
 

@@ -14,7 +14,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationErr
 
 from sabench import plugins
 from sabench.errors import InputError
-from sabench.files import canonical_json
+from sabench.files import canonical_json, sha256
 from sabench.sentences import sentence
 
 Vector = tuple[float, float, float]
@@ -372,7 +372,21 @@ class Scene(_Table):
     @property
     def hash(self) -> str:
         """SHA-256 of the resolved scene: equal scenes have equal hashes, however they were written."""
-        return hashlib.sha256(canonical_json(self.to_dict()).encode()).hexdigest()
+        values = self.to_dict()
+        for table in WORLDS:
+            if "sha256" in values.get(table, {}):
+                del values[table]["file"]  # its content counts, not its name
+        return hashlib.sha256(canonical_json(values).encode()).hexdigest()
+
+    @property
+    def files(self) -> dict[str, Path]:
+        """Files of other programs that the generators read, by the table that names them."""
+        tables = {table: getattr(self, table) or {} for table in WORLDS}
+        return {table: Path(given["file"]) for table, given in tables.items() if "sha256" in given}
+
+    def with_files(self, places: dict[str, Path]) -> Scene:
+        """The same scene, its files elsewhere."""
+        return self.model_copy(update={table: {**getattr(self, table), "file": str(place)} for table, place in places.items()})
 
 
 def find(name: str | Path, folder: str) -> Path:
@@ -390,14 +404,14 @@ def find(name: str | Path, folder: str) -> Path:
     raise InputError(f"{name}: expected a file or one of {', '.join(known)}" + (f"; did you mean {near[0]}?" if near else ""))
 
 
-def parse_scene(values: dict[str, Any], source: str) -> Scene:
-    """A scene from its keys and values; `source` is named in errors."""
+def parse_scene(values: dict[str, Any], source: str, folder: Path | None = None) -> Scene:
+    """A scene from its keys and values; `source` is named in errors, `folder` is where its files are looked for."""
     scene = validate(Scene, values, source)
     tables = {table: getattr(scene, table) for table in WORLDS}
-    return scene.model_copy(update={table: _resolved(table, given, source) for table, given in tables.items() if given is not None})
+    return scene.model_copy(update={table: _resolved(table, given, source, folder or Path()) for table, given in tables.items() if given is not None})
 
 
-def _resolved(table: str, given: dict[str, Any], source: str) -> dict[str, Any]:
+def _resolved(table: str, given: dict[str, Any], source: str, folder: Path) -> dict[str, Any]:
     """A generator's table with all its parameters."""
     rest = dict(given)
     name = rest.pop("generator", None)
@@ -410,7 +424,22 @@ def _resolved(table: str, given: dict[str, Any], source: str) -> dict[str, Any]:
     if plugin.makes != table:
         raise InputError(f"{source}: {table}.generator: expected a generator of {table}, got {name}, which makes {plugin.makes}")
     parameters = validate(plugin.Parameters, rest, source, f"{table}.")
-    return {"generator": name, **_plain(parameters.model_dump(mode="json", exclude_none=True))}
+    made = {"generator": name, **_plain(parameters.model_dump(mode="json", exclude_none=True))}
+    if "file" not in plugin.Parameters.model_fields:
+        return made
+    found = _found(made, f"{source}: {table}", folder)
+    return {**{key: value for key, value in made.items() if key not in found}, **found}
+
+
+def _found(made: dict[str, Any], where: str, folder: Path) -> dict[str, str]:
+    """A file's whole path, and what its content is."""
+    path = (folder / made["file"]).resolve()
+    if not path.is_file():
+        raise InputError(f"{where}.file: expected a file, but there is none at {path}")
+    content = sha256(path)
+    if made.get("sha256", content) != content:
+        raise InputError(f"{where}.sha256: expected {made['sha256'][:12]}... of {path}, got {content[:12]}...: the file has changed")
+    return {"file": str(path), "sha256": content}
 
 
 Model = typing.TypeVar("Model", bound=BaseModel)

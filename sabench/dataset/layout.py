@@ -23,6 +23,7 @@ FORMAT = "sabench-dataset"
 VERSION = 1
 MANIFEST, CAMERAS, SCENE, TRUTH, TRUE_CAMERAS = "manifest.json", "cameras.json", "scene.toml", "truth.h5", "true_cameras.json"
 TARGET, POINTS = "target.json", "points.h5"
+GIVEN = "given"  # folder of what other programs wrote and the scene reads
 
 
 class _Record(BaseModel):

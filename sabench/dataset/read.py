@@ -63,9 +63,10 @@ class Dataset:
         """The resolved scene: truth, not for solvers."""
         path = inside(self.root, layout.SCENE)
         try:
-            return validate(Scene, tomllib.loads(path.read_text(encoding="utf-8")), str(path))
+            scene = validate(Scene, tomllib.loads(path.read_text(encoding="utf-8")), str(path))
         except ValueError as error:
             raise InputError(f"{path}: expected a TOML file, got {error}") from error
+        return scene.with_files({table: inside(self.root, place.as_posix()) for table, place in scene.files.items()})
 
     def observation(self, frame: int) -> Observation:
         """One frame as a solver may see it."""

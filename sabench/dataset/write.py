@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import importlib.metadata
 import platform
+import shutil
 from collections.abc import Callable, Iterator
 from dataclasses import asdict
 from pathlib import Path
@@ -93,7 +94,7 @@ def dataset_writer(
     """
     with complete_or_nothing(target, overwrite=overwrite) as root:
         root.mkdir()
-        (root / layout.SCENE).write_text(scene.to_toml(), encoding="utf-8")
+        (root / layout.SCENE).write_text(_with_copies(scene, root).to_toml(), encoding="utf-8")
         (root / layout.CAMERAS).write_text(canonical_json(_observation(scene, rig, told)), encoding="utf-8")
         if scene.calibration:
             (root / layout.TRUE_CAMERAS).write_text(canonical_json(_true_cameras(rig)), encoding="utf-8")
@@ -102,6 +103,16 @@ def dataset_writer(
                 truth.attrs["format"], truth.attrs["version"] = layout.FORMAT, layout.VERSION
             yield DatasetWriter(root, truth, check)
         (root / layout.MANIFEST).write_text(_manifest(root, name, scene, seed, renderer), encoding="utf-8")
+
+
+def _with_copies(scene: Scene, root: Path) -> Scene:
+    """The scene with copies of its files in the data set."""
+    places = {}
+    for table, path in scene.files.items():
+        places[table] = Path(layout.GIVEN) / f"{table}{path.suffix}"
+        (root / layout.GIVEN).mkdir(exist_ok=True)
+        shutil.copyfile(path, root / places[table])
+    return scene.with_files(places)
 
 
 def _observation(scene: Scene, rig: Rig, told: tuple[Camera, ...]) -> dict[str, Any]:

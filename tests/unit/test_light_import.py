@@ -14,7 +14,7 @@ LEVELS = [
     {"backend"},
     {"field"},
     {"optics", "world", "volume"},
-    {"api", "scene", "swirl"},
+    {"api", "scene", "swirl", "foreign"},
     {"rig", "extraction", "targets", "detection", "calibration", "flows"},
     {"imaging", "metrics", "reproject", "motion", "velocimetry"},
     {"dataset"},
