@@ -12,7 +12,7 @@ from sabench import backend as compute
 from sabench import memory, targets
 from sabench.api import Observation
 from sabench.arrays import F64, U16
-from sabench.dataset.read import Dataset, View, open_dataset
+from sabench.dataset.read import Dataset, View, observed, open_dataset
 from sabench.dataset.write import DatasetWriter, dataset_writer
 from sabench.errors import InputError
 from sabench.imaging.particle_images import ParticleImages, image_particles, scattering_table
@@ -146,7 +146,8 @@ def simulate(scene: Scene, *, seed: int = 0, frame: int = 0, backend: Renderer =
         pictures.append(grey)
         views.append(View(images.pixel, images.photons, images.sigma_px, images.visible.astype(np.float64)))
     told = told_cameras(scene, rig.cameras, seed)
-    observation = Observation(np.stack(pictures), told, rig.grid, scene.sensor.black_level_dn, white_level(scene.sensor))
+    levels = scene.sensor.black_level_dn, white_level(scene.sensor)
+    observation = observed(np.stack(pictures), told, rig.grid, levels, scene.preprocessing or ())
     return Shot(observation, world.particles, views)
 
 

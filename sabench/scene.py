@@ -15,6 +15,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationErr
 from sabench import plugins
 from sabench.errors import InputError
 from sabench.files import canonical_json, sha256
+from sabench.preprocessing import Step
 from sabench.sentences import sentence
 
 Vector = tuple[float, float, float]
@@ -329,6 +330,7 @@ class Scene(_Table):
     lighting: Lighting | None = Field(None, description="lamps; needed to render a target")
     detection: Detection | None = Field(None, description="by default every point of a target is found where it is")
     sensor: Sensor = Sensor()
+    preprocessing: tuple[Step, ...] | None = Field(None, description="what is done to the images before solvers see them; those stored are raw")
     render: Render = Render()
 
     @model_validator(mode="after")

@@ -15,6 +15,7 @@ from sabench.errors import InputError
 from sabench.files import canonical_json, inside, read_json
 from sabench.optics.camera import Camera
 from sabench.optics.wall import Wall
+from sabench.preprocessing import Step
 from sabench.scene import LensNumber, Model, validate
 from sabench.volume import Grid
 from sabench.world import Target
@@ -51,8 +52,8 @@ class CamerasFile(_Record):
     sensor: SensorLevels
     unknown: tuple[LensNumber, ...] = ()
     times_s: tuple[float, ...] | None = None
-
     pulses: int = Field(1, ge=1)
+    preprocessing: tuple[Step, ...] = ()
 
     def time_s(self, frame: int) -> float:
         """When a frame was taken."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tomllib
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -11,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from sabench.api import CalibrationCase, Observation
-from sabench.arrays import F32, F64, Bool
+from sabench.arrays import F32, F64, U16, Bool
 from sabench.dataset import layout
 from sabench.dataset.hdf import finite, opened, read_array
 from sabench.dataset.images import read_exr, read_tiff
@@ -19,8 +20,10 @@ from sabench.dataset.layout import CamerasFile, Manifest
 from sabench.errors import InputError
 from sabench.files import inside
 from sabench.optics.camera import Camera
+from sabench.preprocessing import WHITE, Step, processed
 from sabench.scene import Scene, validate
 from sabench.targets import Placed
+from sabench.volume import Grid
 from sabench.world import Particles, Pose, Target
 
 
@@ -73,7 +76,7 @@ class Dataset:
         self._check_frame(frame)
         rig = self.rig
         images = [read_tiff(self._image(camera.name, frame, "tif"), (camera.rows, camera.columns)) for camera in rig.cameras]
-        return Observation(np.stack(images), rig.cameras, rig.grid, rig.sensor.black_dn, rig.sensor.white_dn)
+        return observed(np.stack(images), rig.cameras, rig.grid, (rig.sensor.black_dn, rig.sensor.white_dn), rig.preprocessing)
 
     def radiance(self, frame: int) -> list[F32]:
         """Noise-free photon radiance of every camera, photons / (mm2 sr): truth, not for solvers."""
@@ -151,6 +154,13 @@ class Dataset:
     def _check_frame(self, frame: int) -> None:
         if not 0 <= frame < self.rig.frames:
             raise InputError(f"{self.root}: frame {frame}: expected 0 to {self.rig.frames - 1}")
+
+
+def observed(images: U16, cameras: tuple[Camera, ...], grid: Grid, levels: tuple[float, float], steps: Sequence[Step]) -> Observation:
+    """Raw images with their grey values of no light and of saturation, as a solver sees them: after the steps of preprocessing."""
+    if not steps:
+        return Observation(images, cameras, grid, *levels)
+    return Observation(processed(images, *levels, steps), cameras, grid, 0.0, float(WHITE))
 
 
 def _pose(file: Any, group: str) -> Pose:

@@ -120,6 +120,8 @@ def _observation(scene: Scene, rig: Rig, told: tuple[Camera, ...]) -> dict[str, 
     head: dict[str, Any] = {"format": layout.FORMAT, "version": layout.VERSION, "frames": scene.frames, "interval_s": scene.interval_s}
     if scene.timing is not None:
         head |= {"times_s": [scene.time_s(frame) for frame in range(scene.frames)], "pulses": len(scene.timing.pulses_s)}
+    if scene.preprocessing:
+        head["preprocessing"] = [step.model_dump() for step in scene.preprocessing]
     wall = asdict(rig.wall) if rig.wall else None
     told_too = {"unknown": list(scene.unknown)} if scene.unknown else {}
     return {**head, "wall": wall, "cameras": layout.camera_records(told), "grid": asdict(rig.grid), "sensor": sensor, **told_too}

@@ -127,7 +127,7 @@ def test_a_box_repeats_and_time_goes_on(tmp_path: Path) -> None:
     axis = np.arange(count) * SIDE / count
     z, y, x = np.meshgrid(axis, axis, axis, indexing="ij")
     values = cellular(np.stack([x, y, z], axis=-1).reshape(-1, 3)).reshape(*x.shape, 3)
-    arrays: Arrays = dict.fromkeys("xyz", (axis, "m")) | {"t": (times, "s")}
+    arrays: Arrays = {"x": (axis, "m"), "y": (axis, "m"), "z": (axis, "m"), "t": (times, "s")}
     arrays |= {name: (times[:, None, None, None] ** 2 * values[..., number], "m/s") for number, name in enumerate("uvw")}
     field = field_of(as_hdf5(tmp_path / "field.h5", arrays), periodic="xyz", time="t")
     far = points() + np.array([600.0, -1200.0, 60.0])

@@ -10,7 +10,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[2]
 LEVELS = [
     {"errors", "arrays", "theory", "statistics", "rooflines", "columns", "plots"},
-    {"files", "seeds", "progress", "plugins", "memory", "sentences"},
+    {"files", "seeds", "progress", "plugins", "memory", "sentences", "preprocessing"},
     {"backend"},
     {"field"},
     {"optics", "world", "volume"},
