@@ -107,6 +107,22 @@ def score(
 
 
 @app.command()
+def export(
+    dataset: Annotated[Path, typer.Argument(help="A data set folder.")],
+    result: Annotated[Path | None, typer.Argument(help="A result of it; without one, the data set's truth is exported.")] = None,
+    output: Annotated[Path, typer.Option("-o", "--output", help="The folder to make.")] = Path("vtk"),
+    to: Annotated[str, typer.Option(help="vtk: files that ParaView opens.")] = "vtk",
+    overwrite: Overwrite = False,
+) -> None:
+    """Write volumes, particles and velocity fields for other programs."""
+    from sabench.export import Format
+    from sabench.export import export as write
+
+    out = write(dataset, output, result, to=cast(Format, to), overwrite=overwrite)  # `write` checks the word
+    _say(f"{out}: {', '.join(sorted(path.name for path in out.iterdir()))}")
+
+
+@app.command()
 def calibrate(
     folder: Annotated[Path, typer.Argument(help="A folder with calibration.toml and images or points.csv; see docs/calibration.md.")],
     output: Annotated[Path | None, typer.Option("-o", "--output", help="The folder to make; by default `result` in that folder.")] = None,

@@ -19,7 +19,7 @@ from sabench.imaging.particle_images import ParticleImages, image_particles, sca
 from sabench.imaging.scattering import MieTable
 from sabench.imaging.sensor import expose, white_level
 from sabench.imaging.splat import splat
-from sabench.motion import Motion, moments, pulse
+from sabench.motion import Motion, lattice, moments, pulse
 from sabench.optics.camera import Camera
 from sabench.progress import track
 from sabench.rig import Rig, build_rig, load_scene, told_cameras
@@ -72,6 +72,8 @@ def _record_particles(writer: DatasetWriter, scene: Scene, rig: Rig, seed: int, 
         if world is None or world.frame != frame:
             world = _make_world(motion, rig, frame, renderer)
             writer.add_particles(frame, world.particles)
+            if scene.flow_grid_mm:
+                writer.add_flow(frame, *lattice(scene, frame, scene.flow_grid_mm))
         images, grey, photons, radiance = _shoot(world, camera)
         writer.add_view(frame, camera, images)
         writer.add_image(camera, frame, grey, (_radiance(camera, photons) if radiance is None else radiance).astype(np.float32))

@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 
 from sabench import plugins
-from sabench.api import Flow, Generator
-from sabench.arrays import F64, Bool
+from sabench.api import Flow, Generator, Velocity
+from sabench.arrays import F64, Bool, triple
 from sabench.errors import InputError
 from sabench.flows import advect
 from sabench.rig import domain_of
@@ -108,6 +108,19 @@ class Motion:
 def _inside(domain: Domain, points_mm: F64) -> Bool:
     low = domain.low_mm
     return np.asarray(((points_mm >= low) & (points_mm <= low + np.asarray(domain.size_mm))).all(axis=1))
+
+
+def lattice(scene: Scene, frame: int, step_mm: tuple[float, float, float]) -> tuple[Velocity, F64]:
+    """A frame's exact velocities on a lattice centred in the volume, and their gradients (z, y, x, 3, 3) in 1/s."""
+    flow = flow_of(scene)
+    assert flow is not None
+    counts = [int(size / step * (1.0 + 1e-12)) + 1 for size, step in zip(scene.volume.size_mm, step_mm, strict=True)]
+    low = np.asarray(scene.volume.center_mm) - (np.array(counts) - 1) / 2.0 * np.asarray(step_mm)
+    valid = np.ones(counts[::-1], dtype=np.bool_)
+    field = Velocity(triple(low), step_mm, np.zeros((*valid.shape, 3)), valid)
+    points, time = field.positions_mm.reshape(-1, 3), scene.time_s(frame)
+    field.velocity_mm_s[:] = flow.velocity(points, time).reshape(field.velocity_mm_s.shape)
+    return field, flow.gradient(points, time).reshape(*valid.shape, 3, 3)
 
 
 def pulse(scene: Scene, seed: int, frame: int) -> Illumination:

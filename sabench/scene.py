@@ -324,6 +324,9 @@ class Scene(_Table):
     tracer: Tracer = Tracer()
     particles: dict[str, Any] | None = Field(None, description="`generator` names a generator; the other keys are its parameters")
     flow: dict[str, Any] | None = Field(None, description="what carries the particles: `generator` and its parameters")
+    flow_grid_mm: tuple[Positive, Positive, Positive] | None = Field(
+        None, description="spacing along x, y, z of a lattice over the volume on which the data set stores the exact flow of every frame"
+    )
     targets: dict[str, Any] | None = Field(
         None, description="instead of particles, a calibration target that each frame shows at another place: `generator` and its parameters"
     )
@@ -339,6 +342,8 @@ class Scene(_Table):
             raise ValueError("expected either particles or targets")
         if self.flow is not None and self.particles is None:
             raise ValueError("flow: expected particles that it carries")
+        if self.flow_grid_mm is not None and self.flow is None:
+            raise ValueError("flow_grid_mm: expected a flow")
         if self.particles is not None and self.illumination is None:
             raise ValueError("expected an illumination for the particles")
         return self

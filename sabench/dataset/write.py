@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sabench import __version__
+from sabench.api import Velocity
 from sabench.arrays import F32, F64, U16, Bool
 from sabench.dataset import layout
 from sabench.dataset.hdf import created, uninterrupted
@@ -48,6 +49,16 @@ class DatasetWriter:
         """Store a frame's particles; `add_view` then stores what each camera receives of them."""
         values = {name: getattr(particles, name) for name in ("id", "position_mm", "diameter_mm", "velocity_mm_s")}
         self._store(layout.frame_group(frame), values)
+
+    def add_flow(self, frame: int, field: Velocity, gradient: F64) -> None:
+        """Store a frame's exact flow on a lattice."""
+        values = {
+            "velocity_mm_s": field.velocity_mm_s,
+            "gradient_1_s": gradient,
+            "low_mm": np.array(field.low_mm),
+            "step_mm": np.array(field.step_mm),
+        }
+        self._store(f"{layout.frame_group(frame)}/flow", values)
 
     def add_view(self, frame: int, camera: Camera, images: ParticleImages) -> None:
         """Store where and how bright one camera receives a frame's particles."""

@@ -21,7 +21,7 @@ LEVELS = [
     {"tomography"},
     {"generation", "solving", "scoring", "tracks", "pictures", "board"},
     {"suite"},
-    {"run", "reproduce", "doctor", "calibrate"},
+    {"run", "reproduce", "doctor", "calibrate", "export"},
     {"cli"},
 ]
 

@@ -6,6 +6,7 @@ import itertools
 from pathlib import Path
 from typing import Any
 
+import h5py
 import numpy as np
 import pytest
 from scipy.stats import kstest
@@ -152,3 +153,18 @@ def test_a_data_set_tells_times_and_keeps_the_flow(tmp_path: Path) -> None:
     for frame in range(2):
         particles = data.particles(frame)
         np.testing.assert_allclose(particles.velocity_mm_s, flow.velocity(particles.position_mm, 0.0))
+
+
+def test_a_data_set_keeps_the_flow_on_a_lattice(tmp_path: Path) -> None:
+    scene = moving_scene(frames=2, flow_grid_mm=[2.0, 2.5, 1.5])
+    data = generate(scene, tmp_path / "data", seed=2, backend="splat")
+    flow = flow_of(scene)
+    assert flow is not None
+    with h5py.File(data.root / "truth.h5") as file:
+        group = file["frames/0001/flow"]
+        low, step, velocity, gradient = (group[name][()] for name in ("low_mm", "step_mm", "velocity_mm_s", "gradient_1_s"))
+    assert velocity.shape == (3, 5, 8, 3)  # 4, 10 and 14 mm along z, y, x
+    np.testing.assert_allclose(low + step * (np.array([8, 5, 3]) - 1) / 2.0, scene.volume.center_mm)
+    place = low + step * np.array([6, 2, 1])
+    np.testing.assert_allclose(velocity[1, 2, 6], flow.velocity(place[None], scene.time_s(1))[0])
+    np.testing.assert_allclose(gradient[1, 2, 6], flow.gradient(place[None], scene.time_s(1))[0])
