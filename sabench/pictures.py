@@ -7,7 +7,6 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from sabench.api import Velocity
 from sabench.arrays import F32, F64, U16
 
 U8 = npt.NDArray[np.uint8]
@@ -19,7 +18,6 @@ _GAMMA = 1.0 / 2.2  # a particle of 1 % of the brightest is shown at 12 %
 _BRIGHTEST = 99.9  # percentile shown as white
 _LEAST_RANGE = 0.01  # of black to white: below this, noise would be shown as light
 _WINDOW = 200  # voxels of a slice that are shown, per side
-_ARROWS = 60  # vectors along a side at most
 _ENLARGED_PX = 400  # side of a slice's picture
 
 
@@ -97,26 +95,6 @@ def arrows(places: F64, errors: F64, rows: int, columns: int) -> bytes:
             _line(sheet, (x, y), (x, y), 255, 1)
     _write(sheets[0], f"x {longer:g}")
     return _png(_mosaic(sheets, across))
-
-
-def vectors(field: Velocity) -> bytes:
-    """The middle plane of a velocity field, x to the right and y down, as a PNG: lines from the nodes, a point at each; invalid ones are dim.
-
-    The fastest vector is two nodes long.
-    """
-    plane = field.velocity_mm_s.shape[0] // 2
-    velocity, valid = field.velocity_mm_s[plane], field.valid[plane]
-    every = max(1, math.ceil(max(valid.shape) / _ARROWS))
-    velocity, valid = velocity[::every, ::every, :2], valid[::every, ::every]
-    pitch = max(8, _ENLARGED_PX * 2 // max(valid.shape))
-    sheet = np.zeros((pitch * valid.shape[0], pitch * valid.shape[1]), dtype=np.uint8)
-    longest = float(np.linalg.norm(velocity, axis=-1).max()) or 1.0
-    for row, column in np.ndindex(valid.shape):
-        start = (pitch * (column + 0.5), pitch * (row + 0.5))
-        end = tuple(at + 2.0 * pitch * part / longest for at, part in zip(start, velocity[row, column], strict=True))
-        _line(sheet, start, (end[0], end[1]), 200 if valid[row, column] else 80, 1)
-        _line(sheet, start, start, 255 if valid[row, column] else 80, 1)
-    return _png(sheet)
 
 
 def _layout(cameras: int, rows: int, columns: int) -> tuple[int, float]:

@@ -1,4 +1,4 @@
-"""Figures of tables: curves and histograms as PNG pictures."""
+"""Figures of tables and fields: curves, histograms, clouds of points and slices as PNG pictures."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ _PANEL_INCH, _DPI = (4.2, 3.2), 110
 _BINS = 40
 _COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")  # Okabe and Ito: told apart by the colour-blind
 _MARKERS = "os^Dv*x"
+_ARROWS = 32  # along a slice's longer side at most
 
 
 @dataclass(frozen=True)
@@ -35,23 +36,55 @@ class Histogram:
 
 
 @dataclass(frozen=True)
+class Cloud:
+    """Points (n,) without lines."""
+
+    label: str
+    x: npt.NDArray[np.float64]
+    y: npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Slice:
+    """Values (rows, columns) on a lattice in colours, y downwards as in images; alone in its panel.
+
+    Attributes
+    ----------
+    x, y : coordinates of the columns and of the rows.
+    signed : whether zero is the middle of the colours.
+    arrows : (rows, columns, 2) vectors over them, if there are any; where they are NaN there is none.
+    """
+
+    label: str
+    x: npt.NDArray[np.float64]
+    y: npt.NDArray[np.float64]
+    values: npt.NDArray[np.float64]
+    signed: bool = False
+    arrows: npt.NDArray[np.float64] | None = None
+
+
+Content = Curve | Histogram | Cloud | Slice
+
+
+@dataclass(frozen=True)
 class Panel:
     """One pair of axes; `log` names those that are logarithmic: "", "x", "y" or "xy"."""
 
     title: str
     x: str
     y: str
-    content: tuple[Curve | Histogram, ...]
+    content: tuple[Content, ...]
     log: str = ""
 
 
 @dataclass(frozen=True)
 class Figure:
-    """Panels beside each other; `name` becomes the file's."""
+    """Panels beside each other; `name` becomes the file's, `across` says how many stand in a row."""
 
     name: str
     title: str
     panels: tuple[Panel, ...]
+    across: int | None = None
 
 
 def draw(figure: Figure) -> bytes:
@@ -59,7 +92,7 @@ def draw(figure: Figure) -> bytes:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure as Sheet
 
-    across = min(3 if len(figure.panels) % 4 else 4, len(figure.panels))  # no gap in the last row where four fit
+    across = figure.across or min(3 if len(figure.panels) % 4 else 4, len(figure.panels))  # no gap in the last row where four fit
     down = -(-len(figure.panels) // across)
     sheet = Sheet(figsize=(across * _PANEL_INCH[0], down * _PANEL_INCH[1] + 0.4), dpi=_DPI, layout="constrained")
     FigureCanvasAgg(sheet)
@@ -82,6 +115,10 @@ def _fill(axes: Any, panel: Panel) -> None:
         colour, marker = _COLOURS[number % len(_COLOURS)], _MARKERS[number % len(_MARKERS)]
         if isinstance(one, Histogram):
             axes.hist(one.values, bins=edges, density=True, histtype="step", linewidth=1.5, color=colour, label=one.label)
+        elif isinstance(one, Cloud):
+            axes.plot(one.x, one.y, linestyle="", marker=".", markersize=2, color=colour, label=one.label, rasterized=True)
+        elif isinstance(one, Slice):
+            _colour(axes, one)
         else:
             axes.errorbar(one.x, one.y, yerr=one.spread, color=colour, marker=marker, markersize=4, linewidth=1, capsize=2, label=one.label)
     if "x" in panel.log:
@@ -90,6 +127,20 @@ def _fill(axes: Any, panel: Panel) -> None:
         axes.set_yscale("log")
     if len(panel.content) > 1:
         axes.legend(fontsize=6)
+
+
+def _colour(axes: Any, one: Slice) -> None:
+    top = float(np.nanmax(np.abs(one.values))) or 1.0
+    colours, low = ("RdBu_r", -top) if one.signed else ("viridis", float(np.nanmin(one.values)))
+    shown = axes.pcolormesh(one.x, one.y, one.values, cmap=colours, vmin=low, vmax=top if one.signed else None, shading="nearest", rasterized=True)
+    axes.figure.colorbar(shown, ax=axes).set_label(one.label, fontsize=8)
+    if one.arrows is not None:
+        every = max(1, -(-max(one.values.shape) // _ARROWS))
+        u, v = np.moveaxis(one.arrows[::every, ::every], -1, 0)
+        axes.quiver(one.x[::every], one.y[::every], u, v, angles="xy", width=0.003, color="#000000")
+    axes.set_aspect("equal")
+    axes.set_ylim(one.y[-1], one.y[0])
+    axes.grid(visible=False)
 
 
 def _edges(values: Sequence[npt.NDArray[np.float64]]) -> npt.NDArray[np.float64]:

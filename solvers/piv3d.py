@@ -21,8 +21,10 @@ class Piv3dParameters(VelocimetryParameters):
     least_ratio: float = Field(1.2, ge=1.0, description="of the highest to the second highest peak in the first pass")
     least_height: float = Field(0.1, ge=0.0, lt=1.0, description="normalised correlation of a measured vector")
     median: float = Field(2.0, gt=0.0, description="test against the neighbours' median, in their own median distances from it")
-    smoothing: float = Field(1.0, ge=0.0, description="standard deviation, in vectors, of the Gaussian on the field that moves the volumes")
-    width: float = Field(1.0, ge=0.0, description="standard deviation in voxels to which narrower particles are blurred, for splines to follow them")
+    smoothing: float = Field(
+        0.35, ge=0.0, description="standard deviation of the Gaussian on the field that moves the volumes, as a part of the windows"
+    )
+    width: float = Field(0.7, ge=0.0, description="standard deviation in voxels to which narrower particles are blurred, for splines to follow them")
     taper: float | None = Field(None, gt=0.0, description="standard deviation of the later windows' Gaussian weights, as a part of them")
 
 

@@ -15,11 +15,13 @@ from sabench.flows import advect
 from sabench.generation import Shot, simulate
 from sabench.metrics.velocity import precision_interval
 from sabench.motion import TOLERANCE, flow_of
+from sabench.plots import Figure, Panel
 from sabench.progress import console
 from sabench.reproduce.common import Item, cases, coarsened, compared
 from sabench.scene import Scene, parse_scene
 from sabench.scoring import true_field
 from sabench.solving import make_algorithm, make_solver
+from sabench.velocity_figures import error_scatter, slice_panel
 
 SEEDS = 3
 _INTERVAL_S = 1e-3
@@ -60,11 +62,12 @@ RINGS = (
 
 
 def rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
-    """Per ring, volumes and solver: the intervals of u, v and w, with the seconds of both steps."""
+    """Per ring, volumes and solver: the intervals of u, v and w, with the seconds of both steps; figures 2-8 to 2-11."""
     for ring in RINGS:
         scene = coarsened(scene_of(ring), pixels)
         found: dict[tuple[str, str], list[F64]] = {}
         spent: dict[str, list[float]] = {}
+        scattered: dict[tuple[str, str], Panel] = {}
         for seed in seeds:
             for volumes, pair, seconds in _pairs(scene, seed):
                 spent.setdefault(volumes, []).append(seconds)
@@ -73,9 +76,20 @@ def rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
                     algorithm: Any = make_algorithm(solver, parameters)
                     field = algorithm.solve(pair)
                     spent.setdefault(f"{volumes}, {solver}", []).append(time.perf_counter() - start)
-                    found.setdefault((volumes, solver), []).append(intervals(scene, field))
+                    off = errors(scene, field)
+                    found.setdefault((volumes, solver), []).append(precision_interval(off))
+                    scattered[volumes, solver] = error_scatter(f"{volumes}, {solver}", off)
+                    if (volumes, solver) == ("block_mart", "piv3d"):
+                        yield Figure(
+                            f"ring-{_slug(ring)}", f"{ring.name}: {volumes}, {solver}", (slice_panel(field, 1), slice_panel(field, 0)), across=1
+                        )
                     console.print(f"{ring.name}, {volumes}, {solver}: {np.round(found[volumes, solver][-1], 3)}", markup=False, highlight=False)
+        yield Figure(f"fig-2-9-{_slug(ring)}", f"{ring.name}: errors in voxels", tuple(scattered.values()), across=2)
         yield from _ring_rows(ring, found, spent)
+
+
+def _slug(ring: Ring) -> str:
+    return ring.name.replace(",", "").replace(" ", "-")
 
 
 def _ring_rows(ring: Ring, found: dict[tuple[str, str], list[F64]], spent: dict[str, list[float]]) -> Iterator[Item]:
@@ -128,10 +142,10 @@ def _pair(shots: Sequence[Shot], volumes: Sequence[F32]) -> VolumePair:
     return VolumePair(volumes[0], volumes[1], shots[0].observation.grid, _INTERVAL_S)
 
 
-def intervals(scene: Scene, field: Velocity) -> F64:
-    """90 % intervals of u, v, w in voxels over all vectors, as the thesis has it: those that were filled in as well."""
+def errors(scene: Scene, field: Velocity) -> F64:
+    """Errors (n, 3) of u, v, w in voxels of all vectors, as the thesis has it: those that were filled in as well."""
     flow, points = flow_of(scene), field.positions_mm.reshape(-1, 3)
     assert flow is not None
     tolerance = TOLERANCE * max(scene.volume.size_mm)
     exact = advect(flow, points, _INTERVAL_S / 2.0, _INTERVAL_S, tolerance) - advect(flow, points, _INTERVAL_S / 2.0, 0.0, tolerance)
-    return precision_interval((field.velocity_mm_s.reshape(-1, 3) * _INTERVAL_S - exact) / np.asarray(scene.grid.voxel_mm))
+    return np.asarray((field.velocity_mm_s.reshape(-1, 3) * _INTERVAL_S - exact) / np.asarray(scene.grid.voxel_mm))

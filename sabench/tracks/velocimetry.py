@@ -15,9 +15,11 @@ from sabench.errors import InputError
 from sabench.flows import advect, divergence, vorticity
 from sabench.metrics.velocity import gradient, inner, precision_interval
 from sabench.motion import TOLERANCE, flow_of
+from sabench.plots import draw
 from sabench.progress import track
 from sabench.tracks.attempt import attempt
 from sabench.tracks.reconstruction import reconstruct
+from sabench.velocity_figures import field_figure
 
 _NEIGHBOURS = 8  # true particles whose mean stands for the flow where it is not known otherwise
 _AXES = ("u", "v", "w")
@@ -134,5 +136,8 @@ def images(data: Dataset) -> bytes:
 
 
 def picture(data: Dataset, result: Result) -> bytes:
-    """The middle plane of the first pair's field as arrows, as a PNG."""
-    return pictures.vectors(result.velocity(data.rig.pairs()[0][0]))
+    """The first pair's field, its errors and a profile, as a PNG."""
+    pair = data.rig.pairs()[0]
+    field, interval = result.velocity(pair[0]), data.rig.time_s(pair[1]) - data.rig.time_s(pair[0])
+    exact = true_velocity(data, pair, field.positions_mm.reshape(-1, 3)).reshape(field.velocity_mm_s.shape)
+    return draw(field_figure(field, exact, np.asarray(data.rig.grid.voxel_mm) / interval, result.solver))

@@ -29,7 +29,7 @@ class Plan:
     reach : largest shift (z, y, x) that a later pass looks for.
     ratio, height : least peak ratio of the first pass, and least normalised correlation of the last one.
     median : of the test against neighbours.
-    smoothing : standard deviation in vectors of the Gaussian on the field that moves the volumes.
+    smoothing : standard deviation of the Gaussian on the field that moves the volumes, as a part of the later windows.
     width : least standard deviation in voxels of particles, to which narrower ones are blurred: splines cannot follow these between voxels.
     taper : standard deviation of the Gaussian that weights the later windows, as a part of them; None: no weights.
     """
@@ -76,7 +76,8 @@ def evaluate(first: F32, second: F32, plan: Plan) -> Field:
     coefficients = spline_coefficients(first), spline_coefficients(second)
     warped = np.empty_like(first), np.empty_like(second)
     for _ in range(plan.passes):
-        lead = smoothed(field.shift, plan.smoothing) if plan.smoothing else field.shift
+        z, y, x = (plan.smoothing * own / step for own, step in zip(plan.last, field.windows.step, strict=True))
+        lead = smoothed(field.shift, (z, y, x)) if plan.smoothing else field.shift
         met(*coefficients, lead, field.windows.origin, tuple(float(part) for part in field.windows.step), *warped)
         peaks = by_shifts(warped[0], warped[1], windows, plan.reach, plan.taper)
         peaks.shift[:] += _at(lead, field.windows, windows)
@@ -96,7 +97,7 @@ def evaluate_once(first: F32, second: F32, size: Size, overlap: float, ratio: fl
     assert peaks.ratio is not None
     valid = within_deviations(peaks.shift, np.asarray((peaks.ratio >= ratio) & (peaks.height > 0.0)), 5.0)
     valid = thesis_local(filled(peaks.shift, valid), valid, 3.0)
-    return Field(windows, smoothed(filled(peaks.shift, valid), _KERNEL), valid, peaks.height)
+    return Field(windows, smoothed(filled(peaks.shift, valid), (_KERNEL,) * 3), valid, peaks.height)
 
 
 def _checked(windows: Windows, peaks: Peaks, valid: Bool, plan: Plan) -> Field:

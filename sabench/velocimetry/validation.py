@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from scipy.ndimage import gaussian_filter, median_filter
 
 from sabench.arrays import F64, Bool
 from sabench.velocimetry.kernels import medians
 
-_ROOM = 2  # vectors to either side that a Gaussian reaches
+_REACH = 3.0  # standard deviations that a Gaussian reaches
 _FLOOR = 0.1  # voxels: a fluctuation that any measurement has; Westerweel and Scarano (2005)
 
 
@@ -59,12 +61,13 @@ def _around(values: F64) -> F64:
     return values
 
 
-def smoothed(shift: F64, sigma: float) -> F64:
-    """Vectors after a Gaussian of a standard deviation in vectors along each axis; beyond the edges fields go on along straight lines."""
-    room = [(min(_ROOM, count - 1),) * 2 for count in shift.shape[:3]]
+def smoothed(shift: F64, sigma: tuple[float, float, float]) -> F64:
+    """Vectors after a Gaussian of standard deviations (z, y, x) in vectors; beyond the edges fields go on along straight lines."""
+    reach = [math.ceil(_REACH * own) for own in sigma]
+    room = [(min(own, count - 1),) * 2 for own, count in zip(reach, shift.shape[:3], strict=True)]
     wide = np.pad(shift, [*room, (0, 0)], mode="reflect", reflect_type="odd")
     inner = tuple(slice(before, before + count) for (before, _), count in zip(room, shift.shape[:3], strict=True))
-    return np.stack([gaussian_filter(wide[..., axis], sigma, mode="nearest", radius=_ROOM)[inner] for axis in range(3)], axis=-1)
+    return np.stack([gaussian_filter(wide[..., axis], sigma, mode="nearest", radius=reach)[inner] for axis in range(3)], axis=-1)
 
 
 def thesis_local(shift: F64, valid: Bool, deviations: float) -> Bool:

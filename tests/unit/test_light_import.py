@@ -16,7 +16,7 @@ LEVELS = [
     {"optics", "world", "volume"},
     {"api", "scene", "swirl", "foreign"},
     {"rig", "extraction", "targets", "detection", "calibration", "flows"},
-    {"imaging", "metrics", "reproject", "motion", "velocimetry"},
+    {"imaging", "metrics", "reproject", "motion", "velocimetry", "velocity_figures"},
     {"dataset"},
     {"tomography"},
     {"generation", "solving", "scoring", "tracks", "pictures", "board"},
