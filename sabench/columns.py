@@ -38,6 +38,7 @@ COLUMNS: dict[str, tuple[Column, ...]] = {
         Column("bias_voxel", "bias voxel", 4, "length of the mean error"),
         Column("rms_voxel", "rms voxel", 3, "root mean square length of the error"),
         Column("yield_percent", "yield %", 1, "share of the vectors that were measured"),
+        Column("response", "response", 3, "the part of the true field's variation that is found"),
         Column("divergence_1_s", "divergence 1/s", 3, "root mean square error of the divergence, by central differences"),
         Column("vorticity_percent", "vorticity %", 1, "root mean square error of the vorticity over its own root mean square"),
         Column("reconstruction_s", "reconstruction s", 2, "time of the reconstruction of one frame"),

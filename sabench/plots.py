@@ -137,7 +137,10 @@ def _colour(axes: Any, one: Slice) -> None:
     if one.arrows is not None:
         every = max(1, -(-max(one.values.shape) // _ARROWS))
         u, v = np.moveaxis(one.arrows[::every, ::every], -1, 0)
-        axes.quiver(one.x[::every], one.y[::every], u, v, angles="xy", width=0.003, color="#000000")
+        x, y = np.meshgrid(one.x[::every], one.y[::every])
+        known = np.isfinite(u) & np.isfinite(v)
+        if known.any():
+            axes.quiver(x[known], y[known], u[known], v[known], angles="xy", width=0.003, color="#000000")
     axes.set_aspect("equal")
     axes.set_ylim(one.y[-1], one.y[0])
     axes.grid(visible=False)

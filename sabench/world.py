@@ -61,7 +61,7 @@ class Particles:
             value = getattr(self, name)
             if value.shape != expected or not np.isfinite(value).all():
                 raise ValueError(f"Particles.{name}: expected finite values of shape {expected}, got shape {value.shape}")
-        if len(np.unique(self.id)) != count:
+        if (np.diff(np.sort(self.id)) == 0).any():
             raise ValueError("Particles.id: expected unique numbers, got duplicates")
         if count and not (self.diameter_mm > 0.0).all():
             raise ValueError("Particles.diameter_mm: expected positive values")

@@ -156,16 +156,24 @@ class Camera:
 
         0 where the distorted lens shows nothing.
         """
-        column, row = np.meshgrid(np.arange(self.columns), np.arange(self.rows))
-        pixels = np.column_stack([column.ravel(), row.ravel()]).astype(np.float64)
-        right, down = np.array([0.5, 0.0]), np.array([0.0, 0.5])
-        around = [self.ideal(pixels + step) for step in (right, -right, down, -down, 0.0 * right)]
-        seen = np.all([valid for _, valid in around], axis=0)
-        ends = [np.where(seen[:, None], ideal, 0.0) for ideal, _ in around]
-        across, along = ends[0] - ends[1], ends[2] - ends[3]
-        area = np.abs(across[:, 0] * along[:, 1] - across[:, 1] * along[:, 0])
-        square = 1.0 + np.sum(ends[4] ** 2, axis=1)
-        return np.asarray(np.pi * self.aperture_radius_mm**2 * area / square**2).reshape(self.rows, self.columns)
+        return _etendue(self)
+
+
+@functools.lru_cache(maxsize=32)
+def _etendue(camera: Camera) -> F64:
+    """Once for all frames of a camera."""
+    column, row = np.meshgrid(np.arange(camera.columns), np.arange(camera.rows))
+    pixels = np.column_stack([column.ravel(), row.ravel()]).astype(np.float64)
+    right, down = np.array([0.5, 0.0]), np.array([0.0, 0.5])
+    around = [camera.ideal(pixels + step) for step in (right, -right, down, -down, 0.0 * right)]
+    seen = np.all([valid for _, valid in around], axis=0)
+    ends = [np.where(seen[:, None], ideal, 0.0) for ideal, _ in around]
+    across, along = ends[0] - ends[1], ends[2] - ends[3]
+    area = np.abs(across[:, 0] * along[:, 1] - across[:, 1] * along[:, 0])
+    square = 1.0 + np.sum(ends[4] ** 2, axis=1)
+    out = np.asarray(np.pi * camera.aperture_radius_mm**2 * area / square**2).reshape(camera.rows, camera.columns)
+    out.flags.writeable = False
+    return out
 
 
 @functools.cache

@@ -91,11 +91,19 @@ def score_pair(data: Dataset, pair: tuple[int, int], guess: Velocity) -> dict[st
     scores["bias_voxel"] = float(np.linalg.norm(errors.mean(axis=0)))
     scores["rms_voxel"] = float(np.sqrt((errors**2).sum(axis=1).mean()))
     scores["yield_percent"] = 100.0 * float(guess.valid.mean())
+    scores["response"] = response(guess.velocity_mm_s[guess.valid], exact[guess.valid])
     slopes, true = (gradient(field, guess.step_mm)[inner(guess.valid.shape)] for field in (guess.velocity_mm_s, exact))
     scores["divergence_1_s"] = _rms(divergence(slopes) - divergence(true))
     curl, spin = vorticity(slopes), vorticity(true)
     scores["vorticity_percent"] = 100.0 * _rms(curl - spin) / max(_rms(spin), 1e-300)
     return scores
+
+
+def response(found: F64, true: F64) -> float:
+    """The part of the true variation that is found: slope of found over true velocities (n, 3), each less its mean. For a wave: its amplitude."""
+    about = [values - values.mean(axis=0) for values in (found, true)] if len(true) else [found, true]
+    power = float(np.sum(about[1] ** 2))
+    return float(np.sum(about[0] * about[1])) / power if power > 0.0 else float("nan")
 
 
 def _rms(values: F64) -> float:

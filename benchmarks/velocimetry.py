@@ -1,0 +1,114 @@
+"""Speed and response of 3-D PIV: `python benchmarks/velocimetry.py [WIDTH DEPTH]` prints JSON.
+
+Two volumes of WIDTH x WIDTH x DEPTH voxels (1000 x 1000 x 100) with 20 particles per window of 32 x 32 x 16 voxels are evaluated; everything is
+compiled on a small pair first. The first pass is compared with its three Fourier transforms per window alone; a later pass (volumes moved by cubic
+splines, correlation, validation) with scipy's `map_coordinates` moving the same two volumes once. Then the response: the amplitude that is found of
+sinusoidal shears, over the wavelength, beside that of the mean over a window.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+import timeit
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import scipy.fft
+from scipy.ndimage import map_coordinates
+
+from sabench.api import VolumePair
+from sabench.arrays import F32, F64
+from sabench.flows import advect
+from sabench.plugins import load
+from sabench.progress import track
+from sabench.tracks.velocimetry import response
+from sabench.velocimetry.multipass import Plan, evaluate
+from sabench.velocimetry.windows import Windows, by_spectra
+from sabench.volume import Grid, synthesise
+
+WINDOW = (16, 32, 32)
+PLAN = Plan(WINDOW, WINDOW, 0.75, 4, (1, 1, 1), 1.2, 0.1, 2.0, 0.35, 0.7, None)
+_PER_WINDOW, _SIGMA_MM, _VOXEL_MM = 20.0, 0.034, (0.05, 0.05, 0.1)
+_WAVES = (1.0, 1.25, 1.5, 2.0, 2.5, 3.0, 4.0, 6.0, 8.0)  # windows
+_SHIFT = 1.0  # voxels: amplitude of the waves
+_SAMPLE = 2_000_000  # voxels that scipy moves
+
+
+def pair_of(grid: Grid, flow: Any, seed: int = 0) -> tuple[F32, F32]:
+    """Volumes of particles before and after a flow of one second has carried them."""
+    size = np.asarray(grid.shape[::-1]) * np.asarray(grid.voxel_mm)
+    low = np.asarray(grid.low_mm) - 0.5 * np.asarray(grid.voxel_mm) - 1.0  # some enter and leave
+    count = round(float(np.prod(size + 2.0)) * _PER_WINDOW / float(np.prod(np.asarray(WINDOW[::-1]) * np.asarray(grid.voxel_mm))))
+    start = np.random.default_rng(seed).uniform(low, low + size + 2.0, (count, 3))
+    before, after = (advect(flow, start, 0.5, time, 1e-6) for time in (0.0, 1.0))
+    return synthesise(grid, before, np.ones(count), _SIGMA_MM), synthesise(grid, after, np.ones(count), _SIGMA_MM)
+
+
+def grid_of(width: int, height: int, depth: int) -> Grid:
+    """Centred."""
+    x, y, z = (-(count - 1) / 2.0 * voxel for count, voxel in zip((width, height, depth), _VOXEL_MM, strict=True))
+    return Grid((x, y, z), _VOXEL_MM, (depth, height, width))
+
+
+def flow_of(name: str, **parameters: Any) -> Any:
+    """A flow by its name."""
+    plugin = load("generators", name)
+    return plugin(plugin.Parameters(**parameters))
+
+
+def best(work: Any, repeats: int = 3) -> float:
+    """Least seconds of a few runs."""
+    return min(timeit.repeat(work, number=1, repeat=repeats))
+
+
+def speed(width: int, depth: int) -> dict[str, float]:
+    """Vectors a second of the first pass and of a later one, and what they are compared with."""
+    flow = flow_of("taylor_green", wavelength_mm=20.0, peak_mm_s=0.1)
+    evaluate(*pair_of(grid_of(96, 96, 48), flow), PLAN)
+    first, second = pair_of(grid_of(width, width, depth), flow)
+    shape = (depth, width, width)
+    coarse, fine = Windows.over(shape, WINDOW, 0.5), Windows.over(shape, WINDOW, 0.75)
+    spectra = best(lambda: by_spectra(first, second, coarse))
+    rates = [best(lambda passes=passes: evaluate(first, second, replace(PLAN, passes=passes)), 2) for passes in (1, 5)]
+    later = (rates[1] - rates[0]) / 4.0
+    batch = np.zeros((64, *WINDOW), dtype=np.float32)
+    transformed = scipy.fft.rfftn(batch, axes=(1, 2, 3), workers=-1)
+    there = best(lambda: scipy.fft.rfftn(batch, axes=(1, 2, 3), workers=-1), 50)
+    back = best(lambda: scipy.fft.irfftn(transformed, s=WINDOW, axes=(1, 2, 3), workers=-1), 50)
+    places = np.random.default_rng(0).uniform(2.0, np.array(shape)[:, None] - 3.0, (3, _SAMPLE))
+    moved = best(lambda: map_coordinates(first, places, order=3, prefilter=False)) / _SAMPLE * 2.0 * first.size
+    count, many = int(np.prod(coarse.counts)), int(np.prod(fine.counts))
+    return {
+        "first_pass_vectors_per_s": round(count / spectra), "first_pass_over_its_transforms": round(spectra / (count / 64 * (2.0 * there + back)), 2),
+        "later_pass_vectors_per_s": round(many / later), "scipy_s_moving_volumes_over_a_later_pass": round(moved / later, 1),
+    }  # fmt: skip
+
+
+def amplitude(solver: str, across: tuple[float, float, float], wavelength_mm: float) -> float:
+    """The part of a wave's amplitude that a solver finds."""
+    along = (1.0, 0.0, 0.0) if across[0] == 0.0 else (0.0, 1.0, 0.0)
+    flow = flow_of("shear_wave", along=along, across=across, wavelength_mm=wavelength_mm, peak_mm_s=_SHIFT * _VOXEL_MM[0])
+    grid = grid_of(288, 288, 112)
+    plugin = load("solvers", solver)
+    field = plugin(plugin.Parameters()).solve(VolumePair(*pair_of(grid, flow), grid, 1.0))
+    exact: F64 = flow.velocity(field.positions_mm.reshape(-1, 3), 0.5).reshape(field.velocity_mm_s.shape)
+    return response(field.velocity_mm_s[field.valid], exact[field.valid])
+
+
+def main() -> None:
+    """Print one JSON object."""
+    width, depth = (int(sys.argv[1]), int(sys.argv[2])) if len(sys.argv) == 3 else (1000, 100)
+    out: dict[str, Any] = {"volume": [width, width, depth], "window": WINDOW[::-1], **speed(width, depth), "response": []}
+    for size in track(_WAVES, "waves"):
+        row = {"wavelength_over_window": size, "top_hat": round(float(np.sinc(1.0 / size)), 3)}
+        for solver in ("piv3d_plain", "piv3d"):
+            for name, across, window in (("y", (0.0, 1.0, 0.0), WINDOW[1] * _VOXEL_MM[1]), ("z", (0.0, 0.0, 1.0), WINDOW[0] * _VOXEL_MM[2])):
+                row[f"{solver}, across {name}"] = round(amplitude(solver, across, size * window), 3)
+        out["response"].append(row)
+    print(json.dumps(out, indent=1))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,118 @@
+"""Circulation and cores of vortices whose circulation is known, and pictures of fields."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from sabench.api import Velocity
+from sabench.arrays import F64
+from sabench.metrics.rings import circulation, core, half_plane, sampled, spin_of
+from sabench.plots import Cloud, Figure, Panel, Slice, draw
+from sabench.plugins import load
+from sabench.tracks.velocimetry import response
+from sabench.velocity_figures import error_scatter, field_figure, profile_panel
+
+
+def flow_of(name: str, **parameters: Any) -> Any:
+    plugin = load("generators", name)
+    return plugin(plugin.Parameters(**parameters))
+
+
+def on_lattice(flow: Any, counts: tuple[int, int, int] = (31, 41, 51)) -> Velocity:
+    """A flow at nodes 1 mm apart, other counts along each axis."""
+    low = [-(count - 1) / 2.0 for count in counts[::-1]]
+    field = Velocity((low[0], low[1], low[2]), (1.0, 1.0, 1.0), np.zeros((*counts, 3)), np.ones(counts, dtype=np.bool_))
+    field.velocity_mm_s[:] = flow.velocity(field.positions_mm.reshape(-1, 3), 0.0).reshape(field.velocity_mm_s.shape)
+    return field
+
+
+def test_a_rotation_s_circulation_is_its_vorticity_times_the_area() -> None:
+    rotation = flow_of("linear_flow", gradient_1_s=[[0.0, -3.0, 0.0], [3.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
+    velocity = sampled(on_lattice(rotation), on_lattice(rotation).velocity_mm_s)
+    half = half_plane((0.0, 0.0, 0.0), (0.0, 1.0, 0.0), (1.0, 0.0, 0.0), 0.0)
+    np.testing.assert_allclose(np.cross(half.outward, half.axis), half.normal)
+    np.testing.assert_allclose(circulation(velocity, half, 6.0, 1.0, 8.0, 5.0), 6.0 * 8.0 * 5.0 * half.normal[2], rtol=1e-9)
+    assert np.isnan(circulation(velocity, half, 20.0, 0.0, 12.0, 4.0))  # a part of it lies beyond the field
+
+
+@pytest.mark.parametrize("degrees", [0.0, 40.0, 90.0, 180.0])
+@pytest.mark.parametrize("axis", [(0.0, 1.0, 0.0), (0.0, 0.0, -1.0)])
+def test_a_ring_is_found_at_every_angle(degrees: float, axis: tuple[float, float, float]) -> None:
+    """The circulation of equation 2.14 about a circle of radius R is 2 pi e v R^2 exp(-R / l) / l; a square's lies between its circles'."""
+    ring = flow_of("vortex_ring", axis=axis, diameter_mm=20.0, core_mm=4.0, peak_mm_s=50.0)
+    half = half_plane((0.0, 0.0, 0.0), axis, (1.0, 0.0, 0.0), degrees)
+    found = circulation(lambda points: ring.velocity(points, 0.0), half, 10.0, 0.0, 12.0, 12.0)
+    inner, outer = (2.0 * np.pi * np.e * 50.0 * radius**2 * np.exp(-radius / 4.0) / 4.0 for radius in (6.0, 6.0 * np.sqrt(2.0)))
+    assert inner < abs(found) < outer
+    field = on_lattice(ring)
+    r, z, spin = core(spin_of(field), half, 10.0, 4.0)
+    np.testing.assert_allclose((r, z), (10.0, 0.0), atol=0.8)
+    assert np.sign(spin) == np.sign(found)
+    assert np.isnan(core(spin_of(field), half, 60.0, 4.0)).all()
+
+
+def test_the_response_is_the_slope() -> None:
+    rng = np.random.default_rng(0)
+    true = rng.standard_normal((500, 3)) + 7.0
+    np.testing.assert_allclose(response(0.8 * true - 5.0, true), 0.8)
+    np.testing.assert_allclose(response(true.mean(axis=0) + 0.0 * true, true), 0.0, atol=1e-12)
+    assert np.isnan(response(true, np.ones_like(true)))
+    assert np.isnan(response(true[:0], true[:0]))
+
+
+def picture(*panels: Panel) -> F64:
+    png = draw(Figure("f", "a figure", panels))
+    return np.asarray(cv2.imdecode(np.frombuffer(png, dtype=np.uint8), cv2.IMREAD_COLOR), dtype=np.float64)
+
+
+def test_slices_are_the_right_way_up() -> None:
+    """Positive values are red; the first row is at the top."""
+    values = np.zeros((20, 20))
+    values[:10, :10] = 1.0
+    values[10:, 10:] = -1.0
+    axis = np.arange(20.0)
+    image = picture(Panel("", "x", "y", (Slice("", axis, axis, values, signed=True, arrows=np.full((20, 20, 2), np.nan)),)))
+    red, blue = image[..., 2] - image[..., 0] > 60, image[..., 0] - image[..., 2] > 60
+    left = slice(0, 330)  # without the scale
+    (red_row, red_column), (blue_row, blue_column) = (np.argwhere(part[:, left]).mean(axis=0) for part in (red, blue))
+    assert red_row < blue_row
+    assert red_column < blue_column
+
+
+def test_clouds_have_their_points() -> None:
+    one, many = (picture(Panel("", "x", "y", (Cloud("", np.linspace(0.0, 1.0, n), np.linspace(0.0, 1.0, n)),))) for n in (2, 400))
+    blue = [(image[..., 0] - image[..., 2] > 60).sum() for image in (one, many)]
+    assert 0 < blue[0] < 0.1 * blue[1]
+
+
+@pytest.mark.parametrize("normal", [0, 1, 2])
+def test_the_slice_with_the_vortex_is_shown(normal: int) -> None:
+    vortex = flow_of("lamb_oseen_vortex", axis=np.eye(3)[normal].tolist(), core_mm=5.0, circulation_mm2_s=500.0)
+    field = on_lattice(vortex)
+    field.valid[0] = False
+    exact = 0.9 * field.velocity_mm_s
+    figure = field_figure(field, exact, np.ones(3), "a solver")
+    content = figure.panels[0].content[0]
+    assert isinstance(content, Slice)
+    assert content.label == f"vorticity about {'xyz'[normal]}, 1/s"
+    counts = [count for axis, count in enumerate(field.valid.shape[::-1]) if axis != normal]
+    assert content.values.shape == (counts[1], counts[0])
+    middle = content.values[counts[1] // 2, counts[0] // 2]
+    assert middle == content.values.max() > 0.0
+    assert content.arrows is not None
+    assert np.isnan(content.arrows).any() == (normal != 2)
+    assert draw(figure)[:4] == b"\x89PNG"
+    assert [curve.label for curve in profile_panel(field, exact, normal).content] == ["u", "u exact", "v", "v exact", "w", "w exact"]
+
+
+def test_scatter_shows_some_of_many() -> None:
+    errors = np.random.default_rng(0).standard_normal((10_000, 3))
+    cloud = error_scatter("", errors).content[1]
+    assert isinstance(cloud, Cloud)
+    assert len(cloud.x) == 4000
+    order = {(u, w) for u, _, w in errors}
+    assert all(pair in order for pair in zip(cloud.x, cloud.y, strict=True))
