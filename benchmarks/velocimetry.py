@@ -3,7 +3,7 @@
 Two volumes of WIDTH x WIDTH x DEPTH voxels (1000 x 1000 x 100) with 20 particles per window of 32 x 32 x 16 voxels are evaluated; everything is
 compiled on a small pair first. The first pass is compared with its three Fourier transforms per window alone; a later pass (volumes moved by cubic
 splines, correlation, validation) with scipy's `map_coordinates` moving the same two volumes once. Then the response: the amplitude that is found of
-sinusoidal shears, over the wavelength, beside that of the mean over a window.
+sinusoidal shears, over the wavelength, beside that of the mean over a window; and how well a particle closes its path about a ring's core.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from scipy.ndimage import map_coordinates
 from sabench.api import VolumePair
 from sabench.arrays import F32, F64
 from sabench.flows import advect
+from sabench.motion import TOLERANCE
 from sabench.plugins import load
 from sabench.progress import track
 from sabench.tracks.velocimetry import response
@@ -97,10 +98,27 @@ def amplitude(solver: str, across: tuple[float, float, float], wavelength_mm: fl
     return response(field.velocity_mm_s[field.valid], exact[field.valid])
 
 
+def once_around() -> float:
+    """How far from its start a particle ends that the thesis's ring carries once around its core, over the ring's diameter."""
+    ring = flow_of("vortex_ring", diameter_mm=20.0, core_mm=4.0, peak_mm_s=100.0)
+    start = np.array([[14.0, 0.0, 0.0], [10.0, 0.0, 2.0], [7.0, 0.0, 0.0]])
+    radii = np.hypot(start[:, 0] - 10.0, start[:, 2])
+    periods = 2.0 * np.pi * radii / np.linalg.norm(ring.velocity(start, 0.0), axis=1)
+    tolerance = TOLERANCE * 50.0
+    ends = [advect(ring, place[None], 0.0, float(period), tolerance)[0] for place, period in zip(start, periods, strict=True)]
+    return float(np.linalg.norm(np.array(ends) - start, axis=1).max() / 20.0)
+
+
 def main() -> None:
     """Print one JSON object."""
     width, depth = (int(sys.argv[1]), int(sys.argv[2])) if len(sys.argv) == 3 else (1000, 100)
-    out: dict[str, Any] = {"volume": [width, width, depth], "window": WINDOW[::-1], **speed(width, depth), "response": []}
+    out: dict[str, Any] = {
+        "volume": [width, width, depth],
+        "window": WINDOW[::-1],
+        "once_around_over_ring": once_around(),
+        **speed(width, depth),
+        "response": [],
+    }
     for size in track(_WAVES, "waves"):
         row = {"wavelength_over_window": size, "top_hat": round(float(np.sinc(1.0 / size)), 3)}
         for solver in ("piv3d_plain", "piv3d"):
