@@ -150,11 +150,11 @@ def _vertex(before: float, here: float, after: float) -> float:
     return min(max(0.5 * (before - after) / bend, -1.0), 1.0) if bend < 0.0 else 0.0
 
 
-@numba.njit(cache=True, fastmath=True, parallel=True)
+@numba.njit(cache=True, fastmath=True, nogil=True)
 def cut_windows(volume: Any, corners: Any, out: Any, energy: Any) -> None:
     """Fill in windows (n, z, y, x) of a volume less their means, from their corners (n, 3) on, and the sums of their squares (n,)."""
     _, deep, high, wide = out.shape
-    for n in numba.prange(len(corners)):
+    for n in range(len(corners)):
         z, y, x = corners[n]
         total = 0.0
         for k in range(deep):
@@ -170,12 +170,12 @@ def cut_windows(volume: Any, corners: Any, out: Any, energy: Any) -> None:
         energy[n] = squares
 
 
-@numba.njit(cache=True, fastmath=True, parallel=True)
+@numba.njit(cache=True, fastmath=True, nogil=True)
 def circular_peaks(planes: Any, shift: Any, height: Any, ratio: Any) -> None:
     """Fill in where circular correlations (n, z, y, x) are highest: displacements (n, 3) as x, y, z, the heights, and their ratios to the highest
     values elsewhere. The surroundings of the peaks are set to zero."""
     count, deep, high, wide = planes.shape
-    for n in numba.prange(count):
+    for n in range(count):
         plane = planes[n]
         flat = plane.ravel()
         top = _largest(flat)

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import itertools
 import math
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
+import numba
 import numpy as np
 import scipy.fft
 
@@ -14,7 +16,7 @@ from sabench.errors import InputError
 from sabench.velocimetry.kernels import block_sums, circular_peaks, cut_windows, small_peaks
 
 Size = tuple[int, int, int]
-_BATCH = 64  # windows transformed at once: they fit into the cache together with their spectra
+_AT_ONCE = 1 << 20  # voxels of the windows that a thread transforms at once
 _EMPTY = 1e-3  # of the windows' mean square: one with less has no signal; what a spline's ringing leaves of bright neighbours is less
 
 
@@ -115,11 +117,16 @@ def by_spectra(first: F32, second: F32, windows: Windows) -> Peaks:
     """Circular correlation of whole windows by their Fourier transforms, for displacements up to half a window."""
     corners = np.array(list(itertools.product(*(part * np.arange(count) for part, count in zip(windows.step, windows.counts, strict=True)))))
     shift, height, ratio = np.zeros((len(corners), 3)), np.zeros(len(corners)), np.zeros(len(corners))
-    for start in range(0, len(corners), _BATCH):
-        part = slice(start, start + _BATCH)
+    batch = max(1, _AT_ONCE // math.prod(windows.size))
+
+    def correlate(start: int) -> None:
+        part = slice(start, start + batch)
         planes, scale = _correlated(first, second, corners[part], windows.size)
         circular_peaks(planes, shift[part], height[part], ratio[part])
         height[part] /= np.where(scale > 0.0, scale, np.inf)
+
+    with ThreadPoolExecutor(numba.get_num_threads()) as pool:
+        list(pool.map(correlate, range(0, len(corners), batch)))
     lit = height > 0.0
     return Peaks((shift * lit[:, None]).reshape(*windows.counts, 3), height.reshape(windows.counts), (ratio * lit).reshape(windows.counts))
 
@@ -130,8 +137,8 @@ def _correlated(first: F32, second: F32, corners: I64, size: Size) -> tuple[F32,
     for volume in (first, second):
         cut, energy = np.empty((len(corners), *size), dtype=np.float32), np.empty(len(corners))
         cut_windows(volume, corners, cut, energy)
-        spectra.append(scipy.fft.rfftn(cut, axes=(1, 2, 3), workers=-1))
+        spectra.append(scipy.fft.rfftn(cut, axes=(1, 2, 3)))
         energies.append(energy)
     product = np.conjugate(spectra[0], out=spectra[0])
     product *= spectra[1]
-    return scipy.fft.irfftn(product, s=size, axes=(1, 2, 3), workers=-1, overwrite_x=True), np.sqrt(energies[0] * energies[1])
+    return scipy.fft.irfftn(product, s=size, axes=(1, 2, 3), overwrite_x=True), np.sqrt(energies[0] * energies[1])

@@ -296,3 +296,17 @@ def test_tracks_become_frames(tmp_path: Path) -> None:
     frames = [motion.at(frame) for frame in range(3)]
     assert [len(frame) for frame in frames] == [2, 2, 3]
     np.testing.assert_allclose(frames[1].position_mm[0] - frames[0].position_mm[0], [0.5, -0.0125, 0.0], atol=1e-12)
+
+
+def test_what_trackpy_linked_is_read() -> None:
+    """25 particles in five frames 0.1 s apart that all move by 0.2 mm along X, and ever faster along Y, as trackpy 0.7 wrote them: rows of a frame in
+    no order, and a column without a name."""
+    path = Path(__file__).parents[1] / "data/trackpy-0.7.csv"
+    tracks = tracks_of(path, length="mm", seconds=0.1)
+    domain = Domain((0.0, 0.0, 30.0), (30.0, 30.0, 10.0), 100)
+    frames = [tracks.particles(domain, 0, frame, 0.1 * frame) for frame in range(5)]
+    for frame, particles in enumerate(frames):
+        order, first = np.argsort(particles.id), np.argsort(frames[0].id)
+        moved = particles.position_mm[order] - frames[0].position_mm[first]
+        np.testing.assert_allclose(moved, np.tile([0.2 * frame, 0.05 * frame * (frame - 1), 0.0], (25, 1)), atol=2e-5)
+        np.testing.assert_allclose(particles.velocity_mm_s, np.tile([2.0, frame - 0.5, 0.0], (25, 1)), atol=1e-3)

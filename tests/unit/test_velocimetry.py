@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scipy.ndimage import map_coordinates, spline_filter
+from scipy.ndimage import gaussian_filter, map_coordinates, spline_filter
 
 from sabench.api import Velocity, VolumePair
 from sabench.arrays import F32, F64
@@ -14,6 +14,8 @@ from sabench.errors import InputError
 from sabench.flows import advect
 from sabench.metrics.velocity import gradient, inner, precision_interval
 from sabench.plugins import load
+from sabench.tracks.velocimetry import response
+from sabench.velocimetry.blur import widened, widths
 from sabench.velocimetry.kernels import block_sums, medians, met, spline_coefficients
 from sabench.velocimetry.validation import filled, near_the_median, thesis_local, within_deviations
 from sabench.velocimetry.windows import Windows, by_shifts, by_spectra
@@ -220,3 +222,33 @@ def test_medians_are_those_of_the_neighbours() -> None:
             np.testing.assert_allclose(spread[z, y, x], np.median(np.abs(known - np.median(known, axis=0)), axis=0))
         else:
             assert np.isnan(middle[z, y, x]).all()
+
+
+def test_widths_are_those_of_the_particles() -> None:
+    places = particles(8.0)
+    for sigma in (0.05, 0.1):
+        z, y, x = widths(synthesise(GRID, places, np.ones(len(places)), sigma))
+        for found, voxel in ((z, 0.1), (y, 0.05), (x, 0.05)):
+            mean = np.hypot(sigma / voxel, np.sqrt(1.0 / 12.0))  # a voxel's value is the mean over it
+            assert found == pytest.approx(mean, rel=0.1)
+    assert widths(np.ones((4, 5, 6), dtype=np.float32)) == (np.inf, np.inf, np.inf)
+
+
+def test_narrow_particles_are_widened_by_a_gaussian() -> None:
+    values = np.random.default_rng(0).random((20, 30, 40)).astype(np.float32)
+    sigma = [np.sqrt(1.2**2 - 0.4**2), 0.0, np.sqrt(1.2**2 - 0.9**2)]
+    expected = gaussian_filter(values, sigma, mode="mirror", radius=[int(np.ceil(3.0 * own)) for own in sigma])
+    np.testing.assert_allclose(widened(values, (0.4, 1.3, 0.9), 1.2), expected, atol=1e-5)
+    assert widened(values, (0.8, 0.9, 1.0), 0.8) is values
+
+
+def test_weighted_windows_resolve_more() -> None:
+    """Of a wave twice as long as the window, a Gaussian's weights see more than equal ones."""
+    parameters = {"along": (1.0, 0.0, 0.0), "across": (0.0, 1.0, 0.0), "wavelength_mm": 3.2, "peak_mm_s": 0.05}
+    case, flow = pair_of("shear_wave", **parameters)
+    found = []
+    for taper in (None, 0.25):
+        field = solved(case, first_window=(32, 32, 16), passes=1, taper=taper)
+        exact = flow.velocity(field.positions_mm.reshape(-1, 3), 0.5).reshape(field.velocity_mm_s.shape)
+        found.append(response(field.velocity_mm_s[field.valid], exact[field.valid]))
+    assert 0.5 < found[0] < found[1] < 1.05
