@@ -14,6 +14,7 @@ _PANEL_INCH, _DPI = (4.2, 3.2), 110
 _BINS = 40
 _COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")  # Okabe and Ito: told apart by the colour-blind
 _MARKERS = "os^Dv*x"
+_FLAT = 2.0  # a slice so many times wider than high has its scale below it
 _ARROWS = 32  # along a slice's longer side at most
 
 
@@ -133,7 +134,8 @@ def _colour(axes: Any, one: Slice) -> None:
     top = float(np.nanmax(np.abs(one.values))) or 1.0
     colours, low = ("RdBu_r", -top) if one.signed else ("viridis", float(np.nanmin(one.values)))
     shown = axes.pcolormesh(one.x, one.y, one.values, cmap=colours, vmin=low, vmax=top if one.signed else None, shading="nearest", rasterized=True)
-    axes.figure.colorbar(shown, ax=axes).set_label(one.label, fontsize=8)
+    flat = abs(one.x[-1] - one.x[0]) > _FLAT * abs(one.y[-1] - one.y[0])
+    axes.figure.colorbar(shown, ax=axes, orientation="horizontal" if flat else "vertical").set_label(one.label, fontsize=8)
     if one.arrows is not None:
         every = max(1, -(-max(one.values.shape) // _ARROWS))
         u, v = np.moveaxis(one.arrows[::every, ::every], -1, 0)
