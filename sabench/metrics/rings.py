@@ -65,14 +65,18 @@ def half_plane(center_mm: Vector, axis: Vector, start: Vector, degrees: float) -
 
 
 def core(spin: Sampled, half: HalfPlane, radius_mm: float, reach_mm: float) -> tuple[float, float, float]:
-    """Distance from the axis and height of the strongest vorticity across a half plane, and that vorticity, near a place (radius, 0)."""
+    """Distance from the axis and height of a core, and the strongest vorticity across a half plane, near a place (radius, 0).
+
+    The place is the centroid of the vorticity that exceeds half of the strongest: a maximum lies on a node of a coarse field. NaN where nothing is known.
+    """
     offsets = np.linspace(-reach_mm, reach_mm, _FINE)
     r, z = (part.ravel() for part in np.meshgrid(radius_mm + offsets, offsets))
     across = spin(half.points(r, z)) @ half.normal
     if np.isnan(across).all():
         return float("nan"), float("nan"), float("nan")
-    top = int(np.nanargmax(np.abs(across)))
-    return float(r[top]), float(z[top]), float(across[top])
+    top = float(across[np.nanargmax(np.abs(across))])
+    weight = np.where(across / top > 0.5, across / top, 0.0)
+    return float(np.average(r, weights=weight)), float(np.average(z, weights=weight)), top
 
 
 def circulation(velocity: Sampled, half: HalfPlane, r_mm: float, z_mm: float, width_mm: float, height_mm: float) -> float:
