@@ -1,8 +1,8 @@
 """Speed and memory of a time-resolved sequence: `python benchmarks/sequence.py [FRAMES PARTICLES]` prints JSON.
 
-Nine cameras of 1000 x 1000 pixels look at PARTICLES (125,000) that a flow carries; the splat renderer writes FRAMES (100) frames and their truth and,
-in a process of its own, a fifth as many: the difference of the peak memories is what frames cost. A particle-image is one particle in one
-camera's image of one frame. Beside it stands the time that writing as many bytes takes.
+Nine cameras of 1000 x 1000 pixels look at PARTICLES (125,000) that a flow carries; the splat renderer writes FRAMES (100) frames and their truth in
+a process of its own, which notes its resident memory at every frame: its slope over all but the first tenth, with a standard error, is what a frame
+costs. A particle-image is one particle in one camera's image of one frame. Beside its rate stands the time that writing as many bytes takes.
 """
 
 from __future__ import annotations
@@ -14,15 +14,29 @@ import tempfile
 import time
 from pathlib import Path
 
-from sabench.progress import track
+import numpy as np
+from scipy.stats import linregress
+
 from sabench.rig import build_rig, load_scene
 from sabench.scene import Scene, parse_scene
 
-_PEAK = "print([w.split()[1] for w in pathlib.Path('/proc/self/status').read_text().splitlines() if w.startswith('VmHWM')][0])"
-_MAKE = (
-    "import pathlib, time, sabench; start = time.perf_counter(); sabench.generate({scene!r}, {out!r}, seed=1, backend='splat'); "
-    "print(time.perf_counter() - start)"
-)
+_CHILD = """
+import json, pathlib, sys, time
+import sabench
+from sabench.dataset.write import DatasetWriter
+
+def memory(name):
+    return [int(line.split()[1]) / 1024.0 for line in pathlib.Path("/proc/self/status").read_text().splitlines() if line.startswith(name)][0]
+
+seen, add = [], DatasetWriter.add_particles
+def noting(self, frame, particles):
+    seen.append(memory("VmRSS"))
+    add(self, frame, particles)
+DatasetWriter.add_particles = noting
+start = time.perf_counter()
+sabench.generate(sys.argv[1], sys.argv[2], seed=1, backend="splat")
+print(json.dumps([time.perf_counter() - start, memory("VmHWM"), seen]))
+"""
 
 
 def scene_of(frames: int, particles: int) -> Scene:
@@ -33,15 +47,13 @@ def scene_of(frames: int, particles: int) -> Scene:
     return parse_scene(values | {"frames": frames, "interval_s": 0.001}, "sequence")
 
 
-def made(scene: Scene, folder: Path) -> tuple[float, float, int]:
-    """Seconds and peak MiB of generating a scene in a process of its own, and the bytes that it wrote."""
-    folder.mkdir()
+def made(scene: Scene, folder: Path) -> tuple[float, float, list[float]]:
+    """Seconds and peak MiB of generating a scene in a process of its own, and its MiB at every frame."""
     (folder / "scene.toml").write_text(scene.to_toml(), encoding="utf-8")
-    code = _MAKE.format(scene=str(folder / "scene.toml"), out=str(folder / "set"))
-    done = subprocess.run([sys.executable, "-c", f"{code}\n{_PEAK}"], stdout=subprocess.PIPE, text=True, check=True)
-    seconds, peak = done.stdout.split()
-    size = sum(path.stat().st_size for path in (folder / "set").rglob("*") if path.is_file())
-    return float(seconds), int(peak) / 1024.0, size
+    command = [sys.executable, "-c", _CHILD, str(folder / "scene.toml"), str(folder / "set")]
+    done = subprocess.run(command, stdout=subprocess.PIPE, text=True, check=True)
+    seconds, peak, seen = json.loads(done.stdout)
+    return seconds, peak, seen
 
 
 def write_rate(folder: Path) -> float:
@@ -57,17 +69,17 @@ def write_rate(folder: Path) -> float:
 def main() -> None:
     """Print one JSON object."""
     frames, particles = (int(sys.argv[1]), int(sys.argv[2])) if len(sys.argv) == 3 else (100, 125_000)
-    counts = [max(2, frames // 5), frames]
     with tempfile.TemporaryDirectory() as work:
-        steps = [made(scene_of(count, particles), Path(work, str(count))) for count in track(counts, "sequences")]
+        seconds, peak, seen = made(scene_of(frames, particles), Path(work))
+        size = sum(path.stat().st_size for path in Path(work, "set").rglob("*") if path.is_file())
         rate = write_rate(Path(work))
-    cameras = len(build_rig(load_scene("demo")).cameras)
-    seconds, _, size = steps[-1]
+    cameras, later = len(build_rig(load_scene("demo")).cameras), np.array(seen[frames // 10 :])
+    fit = linregress(np.arange(len(later)), later)
     print(json.dumps({
         "frames": frames, "cameras": cameras, "particles": particles, "seconds": round(seconds, 1),
         "million_particle_images_per_s": round(frames * cameras * particles / seconds / 1e6, 3), "gigabytes": round(size / 1e9, 2),
-        "seconds_to_write_as_much": round(size / rate, 1), "peak_mib": [round(peak, 1) for _, peak, _ in steps],
-        "mib_per_added_frame": round((steps[1][1] - steps[0][1]) / (counts[1] - counts[0]), 3),
+        "seconds_to_write_as_much": round(size / rate, 1), "peak_mib": round(peak, 1), "mib_per_frame": round(fit.slope, 3),
+        "standard_error": round(fit.stderr, 3),
     }, indent=1))  # fmt: skip
 
 

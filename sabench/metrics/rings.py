@@ -67,7 +67,7 @@ def half_plane(center_mm: Vector, axis: Vector, start: Vector, degrees: float) -
 def core(spin: Sampled, half: HalfPlane, radius_mm: float, reach_mm: float) -> tuple[float, float, float]:
     """Distance from the axis and height of a core, and the strongest vorticity across a half plane, near a place (radius, 0).
 
-    The place is the centroid of the vorticity that exceeds half of the strongest: a maximum lies on a node of a coarse field. NaN where nothing is known.
+    The place is the centroid of the vorticity that exceeds half of the strongest: a maximum lies on a node of a coarse field. NaN if it is not known.
     """
     offsets = np.linspace(-reach_mm, reach_mm, _FINE)
     r, z = (part.ravel() for part in np.meshgrid(radius_mm + offsets, offsets))
