@@ -28,6 +28,20 @@ _MAY_HAVE: dict[str, type] = {"case": str, "axes": dict, "label": str, "track": 
 _RUN = ("scene_hash", "seed", "renderer", "solver", "parameters", "machine")
 _ENTRY = ("track", "case", "scene_hash", "renderer", "solver", "parameters", "machine")
 _SECTION = ("track", "case", "scene_hash", "renderer")
+_PICTURED = {  # heading and text of a section's pictures
+    "reconstruction": (
+        "Middle slice",
+        "The same central window of the middle z plane of the scored volume, x to the right, y down; each picture has its own brightness scale.",
+    ),
+    "calibration": (
+        "Errors in the images",
+        "From where the target's points were found to where the calibration sees them; the number says how much longer.",
+    ),
+    "velocimetry": (
+        "Fields",
+        "The first pair: vectors and vorticity of a middle plane, errors there, all errors against each other, a profile beside the exact one.",
+    ),
+}
 
 _LARGEST = 1e15  # beyond it no score is meant, and digits would fill the page
 
@@ -138,7 +152,9 @@ def _section(ranked: list[Record], pictures: Path) -> dict[str, Any]:
     seeds = sorted({seed for row in ranked for seed in row["seeds"]})
     axes: Record = next((row["axes"] for row in ranked if row.get("axes")), {})
     words = {"seeds": _seeds(seeds), "axes": _text(axes), "columns": COLUMNS[head["track"]], "falling": LARGER_IS_BETTER[head["track"]]}
-    return {**head, **words, "rows": rows, "images": _first(ranked, pictures, "images.png"), "truth": _first(ranked, pictures, "truth.png")}
+    shown, told = _PICTURED[head["track"]]
+    truth = _first(ranked, pictures, "truth.png") if head["track"] != "velocimetry" else None  # particles, where the solvers' pictures show fields
+    return {**head, **words, "rows": rows, "shown": shown, "told": told, "images": _first(ranked, pictures, "images.png"), "truth": truth}
 
 
 def _seeds(seeds: list[int]) -> str:

@@ -80,7 +80,9 @@ def test_one_command_and_the_page(command: Command, tmp_path: Path) -> None:
     assert record["track"] == "velocimetry"
     assert record["u_p90_voxel"] < 0.4
     page = (tmp_path / "leaderboard" / "index.html").read_text(encoding="utf-8")
-    assert "u 90 % voxel" in page
+    assert f"piv3d</b> u 90 % voxel {record['u_p90_voxel']:.3f}" in page
+    assert "<h3>Fields</h3>" in page
+    assert "Slice of the truth" not in page
     data = open_dataset(next((tmp_path / "work" / "datasets").iterdir()))
     assert data.rig.times_s == (0.0, 0.001)
 
