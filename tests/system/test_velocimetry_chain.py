@@ -6,8 +6,10 @@ import json
 from pathlib import Path
 from typing import Any
 
+import h5py
 import numpy as np
 import pytest
+import tomli_w
 
 from sabench.api import Velocity
 from sabench.dataset.read import Dataset, open_dataset
@@ -99,3 +101,26 @@ def test_volumes_smaller_than_a_window_are_named(vortex: Dataset, command: Comma
     done = command("solve", "piv3d", str(vortex.root), "-o", "result.h5", "-p", "reconstruction=asa", "-p", "window=[320,32,16]")
     assert done.returncode == 2
     assert "window: expected one that fits into the volume of 160 x 160 x 80 voxels, got 320 x 32 x 16" in done.stderr
+
+
+def test_a_flow_without_units_is_named_and_leaves_nothing(tmp_path: Path, command: Command) -> None:
+    axis = np.linspace(-20.0, 20.0, 8)
+    with h5py.File(tmp_path / "dns.h5", "w") as file:
+        for name in "xyz":
+            file[name] = axis
+        for name in "uvw":
+            file[name] = np.ones((8, 8, 8))
+    values = vortex_scene(frames=1).to_dict() | {"flow": {"generator": "from_field", "file": "dns.h5", "length": "mm"}}
+    (tmp_path / "scene.toml").write_text(tomli_w.dumps(values), encoding="utf-8")
+    done = command("generate", "scene.toml", "-o", "data", "--backend", "splat")
+    assert done.returncode == 2
+    assert "dns.h5: u: expected a unit, but the file names none: give flow.speed" in done.stderr
+    assert not (tmp_path / "data").exists()
+
+
+def test_volumes_that_show_nothing_are_named(tmp_path: Path, command: Command) -> None:
+    generate(vortex_scene(frames=2, particles={"generator": "uniform", "count": 0}), tmp_path / "data", seed=1, backend="splat")
+    done = command("solve", "piv3d", "data", "-o", "result.h5", "-p", "reconstruction=asa")
+    assert done.returncode == 2
+    assert "first volume: expected one that shows something, got 0 everywhere" in done.stderr
+    assert not (tmp_path / "result.h5").exists()
