@@ -8,6 +8,7 @@ import numpy as np
 
 from sabench.api import Velocity
 from sabench.arrays import F32, F64, Bool, triple
+from sabench.progress import track
 from sabench.velocimetry.blur import widened, widths
 from sabench.velocimetry.kernels import met, spline_coefficients
 from sabench.velocimetry.validation import filled, near_the_median, smoothed, thesis_local, within_deviations
@@ -75,7 +76,7 @@ def evaluate(first: F32, second: F32, plan: Plan) -> Field:
     windows = Windows.over(_shape(first), plan.last, plan.overlap)
     coefficients = spline_coefficients(first), spline_coefficients(second)
     warped = np.empty_like(first), np.empty_like(second)
-    for _ in range(plan.passes):
+    for _ in track(range(plan.passes), "move and correlate"):
         z, y, x = (plan.smoothing * own / step for own, step in zip(plan.last, field.windows.step, strict=True))
         lead = smoothed(field.shift, (z, y, x)) if plan.smoothing else field.shift
         met(*coefficients, lead, field.windows.origin, tuple(float(part) for part in field.windows.step), *warped)

@@ -13,6 +13,7 @@ import scipy.fft
 
 from sabench.arrays import F32, F64, I64
 from sabench.errors import InputError
+from sabench.progress import track
 from sabench.velocimetry.kernels import block_sums, circular_peaks, cut_windows, small_peaks
 
 Size = tuple[int, int, int]
@@ -126,7 +127,8 @@ def by_spectra(first: F32, second: F32, windows: Windows) -> Peaks:
         height[part] /= np.where(scale > 0.0, scale, np.inf)
 
     with ThreadPoolExecutor(numba.get_num_threads()) as pool:
-        list(pool.map(correlate, range(0, len(corners), batch)))
+        for done in track([pool.submit(correlate, start) for start in range(0, len(corners), batch)], "correlate by spectra"):
+            done.result()
     lit = height > 0.0
     return Peaks((shift * lit[:, None]).reshape(*windows.counts, 3), height.reshape(windows.counts), (ratio * lit).reshape(windows.counts))
 
