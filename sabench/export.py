@@ -93,11 +93,7 @@ def _export_velocities(root: Path, data: Dataset, result: Result) -> None:
 
 def _field(field: Velocity, slopes: F64) -> Data:
     """Velocities and what their gradients (z, y, x, 3, 3) say."""
-    flat = slopes.reshape(-1, 3, 3)
-    return {
-        "velocity_mm_s": field.velocity_mm_s, "vorticity_1_s": vorticity(flat).reshape(field.velocity_mm_s.shape),
-        "divergence_1_s": divergence(flat).reshape(field.valid.shape),
-    }  # fmt: skip
+    return {"velocity_mm_s": field.velocity_mm_s, "vorticity_1_s": vorticity(slopes), "divergence_1_s": divergence(slopes)}
 
 
 def write_lattice(path: Path, low_mm: tuple[float, float, float], step_mm: tuple[float, float, float], data: Data) -> None:

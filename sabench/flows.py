@@ -17,13 +17,14 @@ _AT_ONCE = 20_000  # particles whose paths share their steps: one fast particle 
 
 
 def vorticity(gradient: F64) -> F64:
-    """Curl (n, 3) of a field with gradients (n, 3, 3), du_i / dx_j."""
-    return np.stack([gradient[:, 2, 1] - gradient[:, 1, 2], gradient[:, 0, 2] - gradient[:, 2, 0], gradient[:, 1, 0] - gradient[:, 0, 1]], axis=1)
+    """Curl (..., 3) of a field with gradients (..., 3, 3), du_i / dx_j."""
+    turns = [gradient[..., i, j] - gradient[..., j, i] for i, j in ((2, 1), (0, 2), (1, 0))]
+    return np.stack(turns, axis=-1)
 
 
 def divergence(gradient: F64) -> F64:
-    """Divergence (n,) of a field with gradients (n, 3, 3)."""
-    return np.asarray(np.trace(gradient, axis1=1, axis2=2))
+    """Divergence (...) of a field with gradients (..., 3, 3)."""
+    return np.asarray(np.trace(gradient, axis1=-2, axis2=-1))
 
 
 def advect(flow: Flow, points_mm: F64, start_s: float, end_s: float, tolerance_mm: float) -> F64:

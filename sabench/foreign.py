@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -103,12 +104,14 @@ def _from_csv(path: Path, names: Sequence[str]) -> dict[str, Array]:
     separator = next((mark for mark in (",", ";", "\t") if mark in header), None)
     columns = [_named(part.strip().strip('"')) for part in header.split(separator)]
     places = _places(path, names, [name for name, _ in columns])
-    if path.read_text(encoding="utf-8-sig", errors="replace").strip().count("\n") < 1:
-        raise InputError(f"{path}: expected numbers below a line of names, got none")
     try:
-        values = np.loadtxt(path, delimiter=separator, skiprows=1, usecols=list(places.values()), ndmin=2, encoding="utf-8-sig")
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)  # of a file without data, which is said below
+            values = np.loadtxt(path, delimiter=separator, skiprows=1, usecols=list(places.values()), ndmin=2, encoding="utf-8-sig")
     except ValueError as error:
         raise InputError(f"{path}: expected numbers below a line of names, got {str(error).split(';')[0]}") from error
+    if not len(values):
+        raise InputError(f"{path}: expected numbers below a line of names, got none")
     return {name: Array(values[:, number], columns[places[name]][1]) for number, name in enumerate(places)}
 
 

@@ -41,8 +41,7 @@ def _liveliest(field: Velocity) -> int:
 
 
 def _vorticity(field: Velocity) -> F64:
-    slopes = gradient(field.velocity_mm_s, field.step_mm).reshape(-1, 3, 3)
-    return np.asarray(np.nan_to_num(vorticity(slopes).reshape(field.velocity_mm_s.shape)))
+    return np.asarray(np.nan_to_num(vorticity(gradient(field.velocity_mm_s, field.step_mm))))
 
 
 def _middle(values: npt.NDArray[Any], normal: int) -> npt.NDArray[Any]:

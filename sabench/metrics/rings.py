@@ -30,8 +30,7 @@ def sampled(field: Velocity, values: F64) -> Sampled:
 
 def spin_of(field: Velocity) -> Sampled:
     """A field's vorticity between its nodes."""
-    slopes = gradient(field.velocity_mm_s, field.step_mm).reshape(-1, 3, 3)
-    return sampled(field, vorticity(slopes).reshape(field.velocity_mm_s.shape))
+    return sampled(field, vorticity(gradient(field.velocity_mm_s, field.step_mm)))
 
 
 @dataclass(frozen=True)

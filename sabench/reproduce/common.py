@@ -228,3 +228,13 @@ def detection_rows(name: str, found: Sequence[Counts], note: str = "") -> list[R
     true = compared(f"{name}: true %", None, [counts.true_percent for counts in found], note)
     ghosts = [counts.ghost_percent for counts in found]
     return [true, compared(f"{name}: ghost %", None, [value for value in ghosts if value is not None], note)]
+
+
+def settings(solver: str, window: tuple[int, int, int], overlap: float, grid: Grid) -> dict[str, Any]:
+    """A PIV solver's parameters with the thesis's windows; the first ones of `piv3d` are twice as long and find larger displacements.
+
+    A coarse copy of an array has fewer voxels: windows are then as large as fit, in whole steps.
+    """
+    fitting = tuple(min(own, 4 * (there // 4)) for own, there in zip(window, grid.shape[::-1], strict=True))
+    same = {"window": fitting, "overlap": overlap}
+    return same | ({"first_window": tuple(2 * own for own in fitting)} if solver == "piv3d" else {})

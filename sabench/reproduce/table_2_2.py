@@ -17,7 +17,7 @@ from sabench.metrics.velocity import precision_interval
 from sabench.motion import TOLERANCE, flow_of
 from sabench.plots import Figure, Panel
 from sabench.progress import console
-from sabench.reproduce.common import Item, cases, coarsened, compared
+from sabench.reproduce.common import Item, cases, coarsened, compared, settings
 from sabench.scene import Scene, parse_scene
 from sabench.scoring import true_field
 from sabench.solving import make_algorithm, make_solver
@@ -71,9 +71,9 @@ def rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
         for seed in seeds:
             for volumes, pair, seconds in _pairs(scene, seed):
                 spent.setdefault(volumes, []).append(seconds)
-                for solver, parameters in _solvers(ring, pair).items():
+                for solver in ("piv3d_plain", "piv3d"):
                     start = time.perf_counter()
-                    algorithm: Any = make_algorithm(solver, parameters)
+                    algorithm: Any = make_algorithm(solver, settings(solver, ring.window, ring.overlap, pair.grid))
                     field = algorithm.solve(pair)
                     spent.setdefault(f"{volumes}, {solver}", []).append(time.perf_counter() - start)
                     off = errors(scene, field)
@@ -100,16 +100,6 @@ def _ring_rows(ring: Ring, found: dict[tuple[str, str], list[F64]], spent: dict[
         )
         for number, axis in enumerate("uvw"):
             yield compared(f"{ring.name}, {volumes}, {solver}: {axis}, voxels", thesis[number], [float(own[number]) for own in widths], note)
-
-
-def _solvers(ring: Ring, pair: VolumePair) -> dict[str, dict[str, Any]]:
-    """The thesis's windows, and the better solver with the same ones, whose first windows find three times the displacement as well.
-
-    A coarse copy has fewer voxels: windows are then as large as fit.
-    """
-    fitting = tuple(min(own, 4 * (there // 4)) for own, there in zip(ring.window, pair.grid.shape[::-1], strict=True))
-    same = {"window": fitting, "overlap": ring.overlap}
-    return {"piv3d_plain": same, "piv3d": same | {"first_window": tuple(2 * own for own in fitting)}}
 
 
 def scene_of(ring: Ring) -> Scene:

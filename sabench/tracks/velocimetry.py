@@ -13,7 +13,7 @@ from sabench.dataset.read import Dataset
 from sabench.dataset.result import Result, ResultWriter
 from sabench.errors import InputError
 from sabench.flows import advect, divergence, vorticity
-from sabench.metrics.velocity import gradient, inner, precision_interval
+from sabench.metrics.velocity import gradient, inner, precision_interval, response
 from sabench.motion import TOLERANCE, flow_of
 from sabench.plots import draw
 from sabench.progress import track
@@ -97,13 +97,6 @@ def score_pair(data: Dataset, pair: tuple[int, int], guess: Velocity) -> dict[st
     curl, spin = vorticity(slopes), vorticity(true)
     scores["vorticity_percent"] = 100.0 * _rms(curl - spin) / max(_rms(spin), 1e-300)
     return scores
-
-
-def response(found: F64, true: F64) -> float:
-    """The part of the true variation that is found: slope of found over true velocities (n, 3), each less its mean. For a wave: its amplitude."""
-    about = [values - values.mean(axis=0) for values in (found, true)] if len(true) else [found, true]
-    power = float(np.sum(about[1] ** 2))
-    return float(np.sum(about[0] * about[1])) / power if power > 0.0 else float("nan")
 
 
 def _rms(values: F64) -> float:

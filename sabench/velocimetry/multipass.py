@@ -10,12 +10,12 @@ from sabench.api import Velocity
 from sabench.arrays import F32, F64, Bool, triple
 from sabench.progress import track
 from sabench.velocimetry.blur import widened, widths
-from sabench.velocimetry.kernels import met, spline_coefficients
+from sabench.velocimetry.moving import met, spline_coefficients
 from sabench.velocimetry.validation import filled, near_the_median, smoothed, thesis_local, within_deviations
 from sabench.velocimetry.windows import Peaks, Size, Windows, by_shifts, by_spectra
 from sabench.volume import Grid
 
-_KERNEL = 0.65  # vectors: the Gaussian of matPIV's 3 x 3 x 3 kernel
+_KERNEL = 0.65  # vectors: the Gaussian of matPIV's 3 x 3 x 3 kernel; what it weighs beyond that is under 1 %
 
 
 @dataclass(frozen=True)
@@ -50,12 +50,11 @@ class Plan:
 
 @dataclass(frozen=True)
 class Field:
-    """Displacements at windows: (z, y, x, 3) in voxels (x, y, z), which of them were measured, and their correlation."""
+    """Displacements at windows: (z, y, x, 3) in voxels (x, y, z), and which of them were measured."""
 
     windows: Windows
     shift: F64
     valid: Bool
-    height: F64
 
     def on_grid(self, grid: Grid, interval_s: float) -> Velocity:
         """The same as velocities in the world."""
@@ -98,13 +97,13 @@ def evaluate_once(first: F32, second: F32, size: Size, overlap: float, ratio: fl
     assert peaks.ratio is not None
     valid = within_deviations(peaks.shift, np.asarray((peaks.ratio >= ratio) & (peaks.height > 0.0)), 5.0)
     valid = thesis_local(filled(peaks.shift, valid), valid, 3.0)
-    return Field(windows, smoothed(filled(peaks.shift, valid), (_KERNEL,) * 3), valid, peaks.height)
+    return Field(windows, smoothed(filled(peaks.shift, valid), (_KERNEL,) * 3), valid)
 
 
 def _checked(windows: Windows, peaks: Peaks, valid: Bool, plan: Plan) -> Field:
     valid = within_deviations(peaks.shift, valid, 5.0)
     valid = near_the_median(peaks.shift, valid, plan.median)
-    return Field(windows, filled(peaks.shift, valid), valid, peaks.height)
+    return Field(windows, filled(peaks.shift, valid), valid)
 
 
 def _at(values: F64, there: Windows, here: Windows) -> F64:

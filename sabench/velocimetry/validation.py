@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
+import numba
 import numpy as np
 from scipy.ndimage import gaussian_filter, median_filter
 
 from sabench.arrays import F64, Bool
-from sabench.velocimetry.kernels import medians
 
 _REACH = 3.0  # standard deviations that a Gaussian reaches
 _FLOOR = 0.1  # voxels: a fluctuation that any measurement has; Westerweel and Scarano (2005)
@@ -79,3 +80,46 @@ def thesis_local(shift: F64, valid: Bool, deviations: float) -> Bool:
         mean, square = (_around(values[..., None])[..., 0] / _around(np.ones((*own.shape, 1)))[..., 0] for values in (own, own**2))
         ok &= np.abs(own - middle) <= deviations * np.sqrt(np.maximum(square - mean**2, 0.0)) + 1e-12
     return ok
+
+
+@numba.njit(cache=True, parallel=True)
+def medians(padded: Any, middle: Any, spread: Any) -> None:
+    """Fill in the medians of every vector's 26 neighbours, component by component, and the medians of these neighbours' distances from them.
+
+    Parameters
+    ----------
+    padded : (z + 2, y + 2, x + 2, 3) with NaN for vectors that do not count; where none does, both medians are NaN.
+    middle, spread : (z, y, x, 3).
+    """
+    deep, high, wide = middle.shape[:3]
+    for job in numba.prange(deep * high):
+        z, y = job // high, job % high
+        values = np.empty(26)
+        for x in range(wide):
+            for axis in range(3):
+                count = 0
+                for k in range(3):
+                    for j in range(3):
+                        for i in range(3):
+                            value = padded[z + k, y + j, x + i, axis]
+                            if (k != 1 or j != 1 or i != 1) and not np.isnan(value):
+                                values[count] = value
+                                count += 1
+                half = _median(values, count)
+                for n in range(count):
+                    values[n] = abs(values[n] - half)
+                middle[z, y, x, axis], spread[z, y, x, axis] = half, _median(values, count)
+
+
+@numba.njit(cache=True)
+def _median(values: Any, count: int) -> Any:
+    """Of the first values, which are left in order."""
+    if count == 0:
+        return np.nan
+    for n in range(1, count):
+        value, place = values[n], n
+        while place > 0 and values[place - 1] > value:
+            values[place] = values[place - 1]
+            place -= 1
+        values[place] = value
+    return 0.5 * (values[(count - 1) // 2] + values[count // 2])

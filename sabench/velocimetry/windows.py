@@ -14,7 +14,7 @@ import scipy.fft
 from sabench.arrays import F32, F64, I64
 from sabench.errors import InputError
 from sabench.progress import track
-from sabench.velocimetry.kernels import block_sums, circular_peaks, cut_windows, small_peaks
+from sabench.velocimetry.correlation import block_sums, circular_peaks, cut_windows, small_peaks
 
 Size = tuple[int, int, int]
 _AT_ONCE = 1 << 20  # voxels of the windows that a thread transforms at once

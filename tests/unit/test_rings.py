@@ -11,9 +11,9 @@ import pytest
 from sabench.api import Velocity
 from sabench.arrays import F64
 from sabench.metrics.rings import circulation, core, half_plane, sampled, spin_of
+from sabench.metrics.velocity import response
 from sabench.plots import Cloud, Figure, Panel, Slice, draw
 from sabench.plugins import load
-from sabench.tracks.velocimetry import response
 from sabench.velocity_figures import error_scatter, field_figure, profile_panel
 
 

@@ -12,12 +12,12 @@ from sabench.api import Velocity, VolumePair
 from sabench.arrays import F32, F64
 from sabench.errors import InputError
 from sabench.flows import advect
-from sabench.metrics.velocity import gradient, inner, precision_interval
+from sabench.metrics.velocity import gradient, inner, precision_interval, response
 from sabench.plugins import load
-from sabench.tracks.velocimetry import response
 from sabench.velocimetry.blur import widened, widths
-from sabench.velocimetry.kernels import block_sums, medians, met, spline_coefficients
-from sabench.velocimetry.validation import filled, near_the_median, thesis_local, within_deviations
+from sabench.velocimetry.correlation import block_sums
+from sabench.velocimetry.moving import met, spline_coefficients
+from sabench.velocimetry.validation import filled, medians, near_the_median, thesis_local, within_deviations
 from sabench.velocimetry.windows import Windows, by_shifts, by_spectra
 from sabench.volume import Grid, synthesise
 

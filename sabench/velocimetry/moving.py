@@ -1,0 +1,235 @@
+"""Volumes moved by a displacement field, between their voxels by cubic B-splines, on the CPU."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numba
+import numpy as np
+
+_TERMS = 14  # of a geometric series that falls to a hundred-millionth: float32 holds no more
+
+
+@numba.njit(cache=True)
+def _mirror(index: int, count: int) -> int:
+    """An index beyond the ends of a line, mirrored into it as often as it takes."""
+    if count == 1:
+        return 0
+    index = abs(index) % (2 * count - 2)
+    return min(index, 2 * count - 2 - index)
+
+
+@numba.njit(cache=True, fastmath=True, parallel=True)
+def spline_coefficients(volume: Any) -> Any:
+    """Coefficients of the cubic B-spline through a volume's voxels (z, y, x), mirrored at its faces.
+
+    Source: M. Unser, IEEE Signal Processing Magazine 16(6), 22-38, 1999.
+    """
+    out = volume.copy()
+    depth, height = out.shape[:2]
+    pole = np.float32(np.sqrt(3.0) - 2.0)
+    for z in numba.prange(depth):
+        for y in range(height):
+            _filter_line(out[z, y], pole)
+        _filter_rows(out[z], pole)
+    for y in numba.prange(height):
+        _filter_rows(out[:, y], pole)
+    return out
+
+
+@numba.njit(cache=True, fastmath=True)
+def _filter_line(line: Any, pole: Any) -> None:
+    count = len(line)
+    if count < 2:
+        return
+    start, power = line[0], pole
+    for n in range(1, _TERMS):
+        start += power * line[_mirror(n, count)]
+        power *= pole
+    line[0] = start
+    for n in range(1, count):
+        line[n] += pole * line[n - 1]
+    line[count - 1] = pole / (pole * pole - 1.0) * (line[count - 1] + pole * line[count - 2])
+    for n in range(count - 2, -1, -1):
+        line[n] = pole * (line[n + 1] - line[n])
+    for n in range(count):
+        line[n] *= np.float32(6.0)
+
+
+@numba.njit(cache=True, fastmath=True)
+def _filter_rows(plane: Any, pole: Any) -> None:
+    """Along the first axis, all columns at once."""
+    count, width = plane.shape
+    if count < 2:
+        return
+    start, power = plane[0].copy(), pole
+    for n in range(1, _TERMS):
+        row = plane[_mirror(n, count)]
+        for x in range(width):
+            start[x] += power * row[x]
+        power *= pole
+    plane[0] = start
+    for n in range(1, count):
+        for x in range(width):
+            plane[n, x] += pole * plane[n - 1, x]
+    scale = pole / (pole * pole - np.float32(1.0))
+    for x in range(width):
+        plane[count - 1, x] = scale * (plane[count - 1, x] + pole * plane[count - 2, x])
+    for n in range(count - 2, -1, -1):
+        for x in range(width):
+            plane[n, x] = pole * (plane[n + 1, x] - plane[n, x])
+    for n in range(count):
+        for x in range(width):
+            plane[n, x] *= np.float32(6.0)
+
+
+@numba.njit(cache=True, fastmath=True)
+def _cubic(part: Any) -> Any:
+    """Weights of the four nearest coefficients at a part of the way from the second to the third."""
+    rest = np.float32(1.0) - part
+    sixth = np.float32(1.0 / 6.0)
+    outer, inner = rest * rest * rest * sixth, part * part * part * sixth
+    second = np.float32(2.0 / 3.0) - part * part * (np.float32(1.0) - np.float32(0.5) * part)
+    return outer, second, np.float32(1.0) - outer - second - inner, inner
+
+
+@numba.njit(cache=True, fastmath=True, parallel=True)
+def met(first: Any, second: Any, field: Any, origin: Any, step: Any, out: Any, other: Any) -> None:
+    """Fill in two volumes moved towards each other, by half of a field each, so that what it carries meets in the middle.
+
+    Where one of them is read beyond its faces both are zero: what only one of them shows would look like motion.
+
+    Parameters
+    ----------
+    first, second : (z, y, x) `spline_coefficients` of the volumes.
+    field : (z, y, x, 3) displacements in voxels (x, y, z) on a lattice, continued beyond it along straight lines.
+    origin, step : place (z, y, x) of the lattice's first node and its spacing, voxels.
+    out, other : (z, y, x).
+    """
+    depth, height, width = out.shape
+    for job in numba.prange(depth * height):
+        z, y = job // height, job % height
+        row = _row_field(field, (z - origin[0]) / step[0], (y - origin[1]) / step[1])
+        places, corners = np.empty((3, width), dtype=np.float32), np.empty((3, width), dtype=np.int32)
+        beyond = np.zeros(width, dtype=np.bool_)
+        _aim(row, origin[2], step[2], -0.5, y, z, places, corners)
+        _read_row(first, places, corners, z, y, out, beyond)
+        _aim(row, origin[2], step[2], 0.5, y, z, places, corners)
+        _read_row(second, places, corners, z, y, other, beyond)
+        for x in range(width):
+            if beyond[x]:
+                out[z, y, x] = other[z, y, x] = 0.0
+
+
+@numba.njit(cache=True, fastmath=True)
+def _read_row(coefficients: Any, places: Any, corners: Any, z: int, y: int, out: Any, beyond: Any) -> None:
+    """Read one row, and mark what lies beyond the volume."""
+    depth, height, width = out.shape
+    first = 0
+    while first < width:
+        end = _alike(corners, first)
+        i, j, k = corners[0, first], corners[1, first], corners[2, first]
+        low, high = first, first  # the part whose 4 x 4 x 4 neighbours are all there
+        if 1 <= j < height - 2 and 1 <= k < depth - 2:
+            low = min(max(first, 1 - i), end)
+            high = max(low, min(end, width - 2 - i))
+            _stretch(coefficients.ravel(), (k * height + j) * width + i, width, height * width, places, low, high, out[z, y])
+        _read_edge(coefficients, places, corners, first, low, out[z, y], beyond)
+        _read_edge(coefficients, places, corners, high, end, out[z, y], beyond)
+        first = end
+
+
+@numba.njit(cache=True, fastmath=True)
+def _read_edge(coefficients: Any, places: Any, corners: Any, first: int, end: int, out: Any, beyond: Any) -> None:
+    """Read voxels near a face of the volume."""
+    depth, height, width = coefficients.shape
+    for x in range(first, end):
+        i, j, k = x + corners[0, x], corners[1, x], corners[2, x]
+        if i < 0 or j < 0 or k < 0 or i > width - 1 or j > height - 1 or k > depth - 1:
+            beyond[x] = True
+        else:
+            out[x] = _sample(coefficients, (i, j, k), (places[0, x], places[1, x], places[2, x]))
+
+
+@numba.njit(cache=True, fastmath=True)
+def _aim(row: Any, origin: float, step: float, share: float, y: int, z: int, places: Any, corners: Any) -> None:
+    """Where each voxel of a row is read: the voxel before it (x relative to its own, y, z), and the part of the way to the next."""
+    last = len(row) - 1
+    for x in range(places.shape[1]):
+        at = (x - origin) / step
+        cell = min(max(int(at), 0), max(last - 1, 0))
+        part, after = at - cell, min(cell + 1, last)
+        for axis in range(3):
+            move = share * (row[cell, axis] + part * (row[after, axis] - row[cell, axis])) + (y if axis == 1 else z if axis == 2 else 0)
+            whole = math.floor(move)
+            corners[axis, x], places[axis, x] = whole, move - whole
+
+
+@numba.njit(cache=True)
+def _alike(corners: Any, first: int) -> int:
+    """The first voxel after this one that is read from elsewhere than beside its neighbour's place."""
+    end = first + 1
+    while end < corners.shape[1] and (
+        corners[0, end] == corners[0, first] and corners[1, end] == corners[1, first] and corners[2, end] == corners[2, first]
+    ):
+        end += 1
+    return end
+
+
+@numba.njit(cache=True, fastmath=True, forceinline=True)
+def _along(flat: Any, at: Any, w: Any) -> Any:
+    one = np.uint64(1)
+    return w[0] * flat[at - one] + w[1] * flat[at] + w[2] * flat[at + one] + w[3] * flat[at + one + one]
+
+
+@numba.njit(cache=True, fastmath=True, forceinline=True)
+def _across(flat: Any, at: Any, width: Any, w: Any, v: Any) -> Any:
+    return (
+        v[0] * _along(flat, at - width, w) + v[1] * _along(flat, at, w)
+        + v[2] * _along(flat, at + width, w) + v[3] * _along(flat, at + width + width, w)
+    )  # fmt: skip
+
+
+@numba.njit(cache=True, fastmath=True, forceinline=True)
+def _value(flat: Any, at: Any, width: Any, plane: Any, x: Any, y: Any, z: Any) -> Any:
+    """The value at parts of the way from a voxel to the next ones, out of 4 x 4 rows. Places have no sign: an index that may be negative would be
+    looked at twice, and loops over it would not be vectorised."""
+    w, v, u = _cubic(x), _cubic(y), _cubic(z)
+    return (
+        u[0] * _across(flat, at - plane, width, w, v) + u[1] * _across(flat, at, width, w, v)
+        + u[2] * _across(flat, at + plane, width, w, v) + u[3] * _across(flat, at + plane + plane, width, w, v)
+    )  # fmt: skip
+
+
+@numba.njit(cache=True, fastmath=True)
+def _stretch(flat: Any, at: int, width: int, plane: int, places: Any, first: int, end: int, out: Any) -> None:
+    """Read voxels of a row that lie beside each other, `at` + x for each of them. All rows are parts of one array: so the loop is vectorised."""
+    row, deep, start = np.uint64(width), np.uint64(plane), np.uint64(at + first)
+    for n in range(np.uint64(end - first)):
+        x = np.uint64(first) + n
+        out[x] = _value(flat, start + n, row, deep, places[0, x], places[1, x], places[2, x])
+
+
+@numba.njit(cache=True, fastmath=True)
+def _row_field(field: Any, z: float, y: float) -> Any:
+    """The displacements of one row, interpolated in z and y: (x, 3)."""
+    above, back = min(max(int(z), 0), max(field.shape[0] - 2, 0)), min(max(int(y), 0), max(field.shape[1] - 2, 0))
+    below, front = min(above + 1, field.shape[0] - 1), min(back + 1, field.shape[1] - 1)
+    p, q = z - above, y - back
+    return (1.0 - p) * ((1.0 - q) * field[above, back] + q * field[above, front]) + p * ((1.0 - q) * field[below, back] + q * field[below, front])
+
+
+@numba.njit(cache=True, fastmath=True)
+def _sample(c: Any, corner: Any, parts: Any) -> Any:
+    """One value, near a face of the volume."""
+    depth, height, width = c.shape
+    i, j, k = corner
+    total = np.float32(0.0)
+    wx, wy, wz = _cubic(parts[0]), _cubic(parts[1]), _cubic(parts[2])
+    for n in range(4):
+        for m in range(4):
+            for o in range(4):
+                value = c[_mirror(k + n - 1, depth), _mirror(j + m - 1, height), _mirror(i + o - 1, width)]
+                total += wz[n] * wy[m] * wx[o] * value
+    return total
