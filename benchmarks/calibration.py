@@ -23,10 +23,10 @@ from sabench.calibration.limit import limit
 from sabench.calibration.problem import Problem
 from sabench.calibration.robust import adjust
 from sabench.calibration.state import Frame, Free, State
+from sabench.parsing import parse_scene
 from sabench.progress import track
 from sabench.reproduce.chapter_4 import D_PIX, Board, board, draw, places_of, reprojection, scene_of, solved
 from sabench.rig import build_rig
-from sabench.scene import parse_scene
 from sabench.targets import exact_pixels, place
 
 _NOISES = (0.1, 0.5, 1.0, 2.0)

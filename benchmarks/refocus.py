@@ -20,12 +20,12 @@ import numpy as np
 
 from sabench import backend
 from sabench.arrays import F32
+from sabench.parsing import parse_scene
 from sabench.progress import track
 from sabench.reproject import refocus_by_shifts, refocus_log2, refocus_sum
 from sabench.reproject.slabs import deviation_px, slabs
 from sabench.rig import Rig, build_rig, load_scene
 from sabench.rooflines import cached_gigaloads_s, fastest_s, gathered_gigaloads_s, triad_gb_s
-from sabench.scene import parse_scene
 from sabench.volume import Grid
 
 

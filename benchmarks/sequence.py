@@ -17,8 +17,9 @@ from pathlib import Path
 import numpy as np
 from scipy.stats import linregress
 
+from sabench.parsing import parse_scene
 from sabench.rig import build_rig, load_scene
-from sabench.scene import Scene, parse_scene
+from sabench.scene import Scene
 
 _CHILD = """
 import json, pathlib, sys, time

@@ -25,9 +25,10 @@ from sabench import plugins
 from sabench.api import Observation
 from sabench.generation import simulate
 from sabench.memory import forget_peak, peak_mb
+from sabench.parsing import parse_scene
 from sabench.progress import track
 from sabench.rig import load_scene
-from sabench.scene import Scene, parse_scene
+from sabench.scene import Scene
 from sabench.scoring import score_frame
 from sabench.solving import make_solver
 from sabench.statistics import mean_of

@@ -29,9 +29,10 @@ from sabench.detection import detect
 from sabench.errors import InputError
 from sabench.files import canonical_json, complete_or_nothing
 from sabench.optics.camera import Camera, Distortion, aim, aimed_rotation
+from sabench.parsing import validate
 from sabench.progress import track
 from sabench.rig import build_wall
-from sabench.scene import LensNumber, Positive, Vector, WallSpec, validate
+from sabench.scene import LensNumber, Positive, Vector, WallSpec
 from sabench.solving import make_algorithm
 from sabench.world import Pattern, Target
 

@@ -16,7 +16,7 @@ from rich.table import Table
 
 from sabench import __version__, plugins
 from sabench.errors import InputError
-from sabench.scene import find
+from sabench.parsing import find
 
 app = typer.Typer(
     add_completion=False, no_args_is_help=True, help="Synthetic data with known truth for volumetric velocimetry, and benchmarks on it."
@@ -41,7 +41,7 @@ def list_all() -> None:
 @app.command()
 def schema() -> None:
     """The JSON schema of a scene file, for editors."""
-    from sabench.scene import schema as scene_schema
+    from sabench.parsing import schema as scene_schema
 
     _say(json.dumps(scene_schema(), indent=1))
 

@@ -18,21 +18,8 @@ from sabench.optics.model import CameraModel
 from sabench.optics.occluder import Disc
 from sabench.optics.rotation import exponential
 from sabench.optics.wall import Layer, Wall
-from sabench.scene import (
-    Calibration,
-    Cameras,
-    CrossLayout,
-    GridLayout,
-    LineLayout,
-    ListLayout,
-    OccluderSpec,
-    Place,
-    RingLayout,
-    Scene,
-    WallSpec,
-    find,
-    parse_scene,
-)
+from sabench.parsing import find, parse_scene
+from sabench.scene import Calibration, Cameras, CrossLayout, GridLayout, LineLayout, ListLayout, OccluderSpec, Place, RingLayout, Scene, WallSpec
 from sabench.seeds import stream
 from sabench.volume import Grid
 from sabench.world import Domain

@@ -12,7 +12,7 @@ from sabench.api import AnySolver, Solver
 from sabench.dataset.read import Dataset, open_dataset
 from sabench.dataset.result import Result, open_result, result_writer
 from sabench.errors import InputError
-from sabench.scene import validate
+from sabench.parsing import validate
 
 
 def solve(

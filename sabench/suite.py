@@ -15,8 +15,9 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from sabench.errors import InputError
 from sabench.generation import Renderer, choose_renderer
+from sabench.parsing import find, parse_scene, validate
 from sabench.rig import build_rig, load_scene
-from sabench.scene import Scene, find, parse_scene, validate
+from sabench.scene import Scene
 from sabench.solving import make_algorithm
 
 _SAFE = r"[A-Za-z0-9][A-Za-z0-9._-]*"  # as a part of a file name on every system

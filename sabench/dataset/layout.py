@@ -15,8 +15,9 @@ from sabench.errors import InputError
 from sabench.files import canonical_json, inside, read_json
 from sabench.optics.camera import Camera
 from sabench.optics.wall import Wall
+from sabench.parsing import Model, validate
 from sabench.preprocessing import Step
-from sabench.scene import LensNumber, Model, validate
+from sabench.scene import LensNumber
 from sabench.volume import Grid
 from sabench.world import Target
 

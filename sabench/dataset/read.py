@@ -20,8 +20,9 @@ from sabench.dataset.layout import CamerasFile, Manifest
 from sabench.errors import InputError
 from sabench.files import inside
 from sabench.optics.camera import Camera
+from sabench.parsing import validate
 from sabench.preprocessing import WHITE, Step, processed
-from sabench.scene import Scene, validate
+from sabench.scene import Scene
 from sabench.targets import Placed
 from sabench.volume import Grid
 from sabench.world import Particles, Pose, Target

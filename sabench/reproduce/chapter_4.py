@@ -14,8 +14,9 @@ from sabench.arrays import F64
 from sabench.metrics.alignment import alignment
 from sabench.optics.camera import Camera
 from sabench.optics.triangulation import triangulate
+from sabench.parsing import parse_scene
 from sabench.rig import build_rig, load_scene, told_cameras
-from sabench.scene import Scene, parse_scene
+from sabench.scene import Scene
 from sabench.seeds import stream
 from sabench.solving import make_algorithm
 from sabench.targets import exact_pixels, found_pixels, place, prior

@@ -16,10 +16,11 @@ from sabench.calibration.frame import Motion, rigid_fit
 from sabench.generation import Shot, simulate
 from sabench.optics.model import CameraModel
 from sabench.optics.triangulation import triangulate
+from sabench.parsing import parse_scene
 from sabench.reproduce.chapter_4 import Board, draw, places_of, solved
 from sabench.reproduce.common import Row, claim, compared
 from sabench.rig import build_rig
-from sabench.scene import Scene, parse_scene
+from sabench.scene import Scene
 from sabench.scoring import score_frame
 from sabench.solving import make_algorithm, make_solver
 from sabench.suite import load_suite

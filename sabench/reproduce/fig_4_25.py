@@ -13,12 +13,13 @@ import numpy as np
 
 from sabench.arrays import F64
 from sabench.calibration.frame import rigid_fit
+from sabench.parsing import parse_scene
 from sabench.plots import Curve, Figure, Panel
 from sabench.progress import track
 from sabench.reproduce.chapter_4 import Board, draw, places_of, solved
 from sabench.reproduce.common import Item, claim, compared
 from sabench.rig import load_scene
-from sabench.scene import Scene, parse_scene
+from sabench.scene import Scene
 
 SEEDS = 5
 _SOLVERS = {"randomised": "refractive_autocal_randomised", "joint": "refractive_autocal"}

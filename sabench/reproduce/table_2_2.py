@@ -15,10 +15,11 @@ from sabench.flows import advect
 from sabench.generation import Shot, simulate
 from sabench.metrics.velocity import precision_interval
 from sabench.motion import TOLERANCE, flow_of
+from sabench.parsing import parse_scene
 from sabench.plots import Figure, Panel
 from sabench.progress import console
 from sabench.reproduce.common import Item, cases, coarsened, compared, settings
-from sabench.scene import Scene, parse_scene
+from sabench.scene import Scene
 from sabench.scoring import true_field
 from sabench.solving import make_algorithm, make_solver
 from sabench.velocity_figures import error_scatter, slice_panel

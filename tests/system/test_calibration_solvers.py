@@ -15,7 +15,7 @@ from sabench import plugins
 from sabench.api import Calibration, CalibrationCase
 from sabench.dataset.read import Dataset
 from sabench.errors import InputError
-from sabench.scene import parse_scene
+from sabench.parsing import parse_scene
 from sabench.solving import make_algorithm
 from sabench.tracks.calibration import score_result
 from tests.conftest import ROOT, Command

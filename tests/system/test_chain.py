@@ -14,8 +14,8 @@ from sabench.dataset.read import Dataset
 from sabench.dataset.verify import verify
 from sabench.files import sha256
 from sabench.generation import simulate
+from sabench.parsing import parse_scene
 from sabench.rig import load_scene
-from sabench.scene import parse_scene
 from sabench.scoring import SCORES
 from tests.conftest import Command, pinholes
 

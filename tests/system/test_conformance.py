@@ -10,8 +10,8 @@ import pytest
 from sabench import plugins
 from sabench.api import Observation, Reconstruction
 from sabench.generation import Shot, simulate
+from sabench.parsing import parse_scene
 from sabench.rig import load_scene
-from sabench.scene import parse_scene
 from sabench.scoring import score_frame
 from sabench.solving import make_solver
 

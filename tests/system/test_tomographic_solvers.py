@@ -13,8 +13,9 @@ from sabench import plugins
 from sabench.api import Observation, Reconstruction
 from sabench.generation import Shot, simulate
 from sabench.metrics.quality import quality
+from sabench.parsing import parse_scene
 from sabench.rig import load_scene
-from sabench.scene import Scene, parse_scene
+from sabench.scene import Scene
 from sabench.scoring import score_frame, true_field
 from sabench.volume import Grid, synthesise
 from tests.conftest import pinholes

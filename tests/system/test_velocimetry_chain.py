@@ -16,8 +16,9 @@ from sabench.dataset.read import Dataset, open_dataset
 from sabench.dataset.result import open_result
 from sabench.generation import generate
 from sabench.motion import flow_of
+from sabench.parsing import parse_scene
 from sabench.rig import load_scene
-from sabench.scene import Scene, parse_scene
+from sabench.scene import Scene
 from sabench.solving import score, solve
 from sabench.tracks.velocimetry import score_pair
 from tests.conftest import Command

@@ -9,8 +9,9 @@ import numpy as np
 from sabench.api import CalibrationCase
 from sabench.arrays import F64
 from sabench.optics.camera import Camera
+from sabench.parsing import parse_scene
 from sabench.rig import build_rig, load_scene, told_cameras
-from sabench.scene import Scene, parse_scene
+from sabench.scene import Scene
 from sabench.targets import exact_pixels, found_pixels, place, prior
 
 

@@ -18,8 +18,9 @@ from sabench.errors import InputError
 from sabench.files import canonical_json, sha256
 from sabench.generation import simulate
 from sabench.optics.camera import Camera
+from sabench.parsing import parse_scene
 from sabench.rig import build_rig, told_cameras
-from sabench.scene import Scene, parse_scene
+from sabench.scene import Scene
 from tests.conftest import pinholes
 from tests.unit.test_imaging import make_scene
 

@@ -15,8 +15,8 @@ from sabench.extraction import ExtractionParameters, Keep, auto_k, bright_dn, ef
 from sabench.generation import Shot, simulate
 from sabench.metrics.quality import quality
 from sabench.metrics.threshold import best_k, quality_of_k
+from sabench.parsing import parse_scene
 from sabench.reproject import refocus_sum
-from sabench.scene import parse_scene
 from sabench.scoring import true_field
 from sabench.volume import synthesise
 

@@ -11,8 +11,8 @@ from sabench.api import Flow
 from sabench.arrays import F64
 from sabench.errors import InputError
 from sabench.flows import advect, divergence, vorticity
+from sabench.parsing import validate
 from sabench.plugins import load
-from sabench.scene import validate
 
 FLOWS: list[tuple[str, dict[str, Any]]] = [
     ("vortex_ring", {"axis": (1.0, 0.2, 0.4), "center_mm": (1.0, -2.0, 0.5)}),

@@ -16,11 +16,12 @@ from sabench.api import Flow, Generator
 from sabench.arrays import F64
 from sabench.dataset.verify import verify
 from sabench.errors import InputError
-from sabench.foreign import read_arrays
+from sabench.foreign import Array, read_arrays, speed_mm_s
 from sabench.generation import generate
 from sabench.motion import Motion, flow_of
+from sabench.parsing import parse_scene
 from sabench.plugins import load
-from sabench.scene import Scene, parse_scene
+from sabench.scene import Scene
 from sabench.world import Domain
 from tests.unit.test_motion import moving_scene
 
@@ -112,6 +113,16 @@ def test_a_field_is_the_same_from_every_format(name: str, write: Callable[[Path,
         move = step * np.eye(3)[axis]
         difference = (field.velocity(points() + move, 0.0) - field.velocity(points() - move, 0.0)) / (2.0 * step)
         np.testing.assert_allclose(slopes[..., axis], difference, atol=1e-3)
+
+
+@pytest.mark.parametrize("word", ["m/s", "m s-1", "m s^-1", "m.s^-1", "m*s**-1", " m / s ", "metres per second", "mm/ms"])
+def test_speeds_are_written_in_many_ways(word: str) -> None:
+    assert speed_mm_s(None, Array(np.zeros(1), word), "u", "flow.speed") == pytest.approx(1e3)
+
+
+def test_a_number_is_no_unit_of_a_file() -> None:
+    with pytest.raises(InputError, match=r"u: expected a unit like .*got '1000 m/s': give flow.speed"):
+        speed_mm_s(None, Array(np.zeros(1), "1000 m/s"), "u", "flow.speed")
 
 
 def test_axes_may_stand_in_any_order_and_units_be_given(tmp_path: Path) -> None:

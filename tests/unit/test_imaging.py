@@ -19,8 +19,9 @@ from sabench.imaging.pathtrace import render
 from sabench.imaging.splat import splat
 from sabench.optics.camera import Camera, Distortion, aimed_rotation
 from sabench.optics.wall import trace_to_points, transmittance
+from sabench.parsing import find, parse_scene
 from sabench.rig import build_rig
-from sabench.scene import Scene, find, parse_scene
+from sabench.scene import Scene
 from sabench.world import Particles
 
 WAVELENGTH_MM = 532e-6

@@ -15,7 +15,7 @@ LEVELS = [
     {"field"},
     {"optics", "world", "volume"},
     {"api", "scene", "swirl", "foreign"},
-    {"rig", "extraction", "targets", "detection", "calibration", "flows"},
+    {"parsing", "rig", "extraction", "targets", "detection", "calibration", "flows"},
     {"imaging", "metrics", "reproject", "motion", "velocimetry", "velocity_figures"},
     {"dataset"},
     {"tomography"},

@@ -15,8 +15,9 @@ from sabench.errors import InputError
 from sabench.flows import advect
 from sabench.generation import generate, make_particles, simulate
 from sabench.motion import Motion, flow_of, pulse
+from sabench.parsing import parse_scene
 from sabench.rig import load_scene
-from sabench.scene import Scene, parse_scene
+from sabench.scene import Scene
 
 ABC = {"generator": "abc_flow", "wavelength_mm": 12.0}
 WIND = {"generator": "linear_flow", "velocity_mm_s": [40.0, -20.0, 10.0]}

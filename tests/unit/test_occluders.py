@@ -20,8 +20,9 @@ from sabench.imaging.pathtrace import render
 from sabench.imaging.splat import splat
 from sabench.optics.camera import Camera
 from sabench.optics.occluder import Disc
+from sabench.parsing import parse_scene
 from sabench.rig import build_rig
-from sabench.scene import Scene, parse_scene
+from sabench.scene import Scene
 from sabench.scoring import true_field
 from tests.unit.test_imaging import VARIANTS, cloud, isolated, make_scene, moments
 

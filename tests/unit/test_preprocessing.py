@@ -12,8 +12,8 @@ from scipy.ndimage import gaussian_filter, minimum_filter
 from sabench.arrays import F32
 from sabench.errors import InputError
 from sabench.generation import generate, simulate
+from sabench.parsing import parse_scene
 from sabench.preprocessing import WHITE, Gaussian, MatchHistograms, SlidingMinimum, Stretch, processed
-from sabench.scene import parse_scene
 from sabench.solving import solve
 from tests.unit.test_motion import moving_scene
 

@@ -11,8 +11,8 @@ import pytest
 
 from sabench.errors import InputError
 from sabench.generation import make_particles
+from sabench.parsing import parse_scene, schema
 from sabench.rig import build_rig, load_scene
-from sabench.scene import parse_scene, schema
 
 Edit = Callable[[str], str]
 

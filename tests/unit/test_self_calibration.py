@@ -16,9 +16,10 @@ from sabench.errors import InputError
 from sabench.generation import Shot, simulate
 from sabench.optics.model import CameraModel
 from sabench.optics.triangulation import triangulate
+from sabench.parsing import parse_scene
 from sabench.plugins import load
 from sabench.rig import build_rig, load_scene
-from sabench.scene import Scene, parse_scene
+from sabench.scene import Scene
 
 
 def particle_scene(shift_px: float, wall: bool = True) -> Scene:

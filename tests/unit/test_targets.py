@@ -16,8 +16,9 @@ from sabench.detection import detect
 from sabench.errors import InputError
 from sabench.imaging.target_pictures import marker_bits, photograph
 from sabench.optics.camera import Camera
+from sabench.parsing import parse_scene
 from sabench.rig import build_rig
-from sabench.scene import Detection, Lighting, parse_scene
+from sabench.scene import Detection, Lighting
 from sabench.targets import exact_pixels, found_pixels, place, prior
 from sabench.world import Pose, Target
 from tests.unit.calibration_cases import calibration_scene
