@@ -124,8 +124,9 @@ def _look(own: _Seen, scene: Scene, measured: Velocity) -> None:
     own.peak.append(float(peaks.mean() / true[known].max()) if known.any() else np.nan)
     r = np.linspace(0.0, ring["diameter_mm"], 400)
     points = _planes(scene)[0].points(r, np.zeros_like(r))
-    speeds = [np.nanmax(np.abs(values(points) @ np.asarray(ring["axis"]))) for values in (velocity, _exact(scene))]
-    own.speed.append(float(speeds[0] / speeds[1]))
+    speeds = [np.abs(values(points) @ np.asarray(ring["axis"])) for values in (velocity, _exact(scene))]
+    measured_there = ~np.isnan(speeds[0])
+    own.speed.append(float(speeds[0][measured_there].max() / speeds[1].max()) if measured_there.any() else np.nan)
     exact = [
         core(spin_of(_at_nodes(scene, measured)), half, ring["diameter_mm"] / 2.0, ring["core_mm"])
         for half in (_planes(scene)[0], _planes(scene)[-1])
