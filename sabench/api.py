@@ -16,12 +16,12 @@ from sabench.arrays import F32, F64, U16, Bool
 from sabench.errors import InputError
 from sabench.optics.camera import Camera
 from sabench.optics.model import CameraModel
-from sabench.scene import LensNumber
+from sabench.scene import LensNumber, Vector
 from sabench.volume import Grid
-from sabench.world import Domain, Particles, Pose, Target
+from sabench.world import Bubbles, Domain, Particles, Pose, Solid, Target
 
-Track = Literal["reconstruction", "calibration", "velocimetry"]
-Sight = Literal["particles", "target"]  # what a data set's frames show
+Track = Literal["reconstruction", "calibration", "velocimetry", "bubbles"]
+Shown = Literal["particles", "target", "bubbles"]  # what a data set's frames show
 
 
 class Parameters(BaseModel):
@@ -73,6 +73,59 @@ class Flow(PlugIn):
     def gradient(self, points_mm: F64, time_s: float) -> F64:
         """Gradients (n, 3, 3) in 1/s, du_i / dx_j."""
         raise NotImplementedError(f"flow {type(self).__name__} must implement gradient()")
+
+
+class BubbleParameters(Parameters):
+    """Base of a generator of bubbles: what is in them."""
+
+    index: float = Field(1.0, ge=1.0, le=4.0, description="refractive index of what is inside: 1 for air, 1.333 for drops of water")
+    overlap: bool = Field(False, description="true: bubbles may reach into each other, as if a thin film of the fluid were between them")
+
+
+class BubbleGenerator(PlugIn):
+    """Base of a generator of bubbles or droplets: `bubbles` makes one frame of truth, the same for the same arguments."""
+
+    makes: ClassVar[str] = "bubbles"
+    Parameters: ClassVar[type[BubbleParameters]] = BubbleParameters
+
+    def bubbles(self, domain: Domain, seed: int, frame: int, time_s: float) -> Bubbles:
+        """Bubbles of a frame at a time; draw from `sabench.seeds.stream(seed, ...)` only."""
+        raise NotImplementedError(f"generator {type(self).__name__} must implement bubbles()")
+
+
+class Material(BaseModel):
+    """What a solid is made of."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+    kind: Literal["matte", "principled", "measured", "liquid"] = Field("matte", description="how it reflects, or liquid: transparent")
+    reflectance: float = Field(0.5, ge=0.0, le=1.0, description="of matte and principled materials")
+    roughness: float = Field(0.5, ge=0.0, le=1.0, description="of principled materials")
+    metallic: float = Field(0.0, ge=0.0, le=1.0, description="of principled materials")
+    specular: float = Field(0.5, ge=0.0, le=1.0, description="of principled materials")
+    index: float = Field(1.333, ge=1.0, le=4.0, description="refractive index of a liquid")
+    measured: str | None = Field(None, description="whole path of a measured material in the RGL format (.bsdf), read when it is rendered")
+
+
+class SolidParameters(Parameters):
+    """Base of a generator of a body: where it is, how it moves, what it is made of."""
+
+    place_mm: Vector = Field((0.0, 0.0, 0.0), description="where its own origin is at the start")
+    turn_deg: Vector = Field((0.0, 0.0, 0.0), description="rotation vector, world frame: its direction is the axis, its length the angle")
+    velocity_mm_s: Vector = (0.0, 0.0, 0.0)
+    spin_deg_s: Vector = Field((0.0, 0.0, 0.0), description="rotation vector a second, about its own axes")
+    material: Material = Material()
+
+
+class SolidGenerator(PlugIn):
+    """Base of a generator of a body: `body` makes it in its own frame; `sabench.solids` brings it to its place."""
+
+    makes: ClassVar[str] = "solids"
+    Parameters: ClassVar[type[SolidParameters]] = SolidParameters
+
+    def body(self, seed: int) -> Solid:
+        """The closed surface in its own frame, mm."""
+        raise NotImplementedError(f"generator {type(self).__name__} must implement body()")
 
 
 class TargetGenerator(PlugIn):
@@ -166,7 +219,7 @@ class Solver(PlugIn):
     """Base of a reconstruction algorithm: `solve` turns one observation into one reconstruction."""
 
     track: ClassVar[Track] = "reconstruction"
-    sees: ClassVar[Sight] = "particles"
+    sees: ClassVar[Shown] = "particles"
 
     def skip(self, case: Observation) -> str | None:
         """Why this algorithm cannot take the case, or None if it can."""
@@ -244,7 +297,7 @@ class CalibrationSolver(PlugIn):
     """Base of a calibration algorithm: `solve` turns all observations of a target into cameras."""
 
     track: ClassVar[Track] = "calibration"
-    sees: ClassVar[Sight] = "target"
+    sees: ClassVar[Shown] = "target"
 
     def skip(self, case: CalibrationCase) -> str | None:
         """Why this algorithm cannot take the case, or None if it can."""
@@ -259,7 +312,7 @@ class SelfCalibrationSolver(PlugIn):
     """Base of an algorithm that corrects cameras by images of particles: `solve` turns one observation into cameras."""
 
     track: ClassVar[Track] = "calibration"
-    sees: ClassVar[Sight] = "particles"
+    sees: ClassVar[Shown] = "particles"
 
     def skip(self, case: Observation) -> str | None:
         """Why this algorithm cannot take the case, or None if it can."""
@@ -336,7 +389,7 @@ class VelocimetrySolver(PlugIn):
     """Base of a velocimetry algorithm: `solve` turns two volumes into a velocity field."""
 
     track: ClassVar[Track] = "velocimetry"
-    sees: ClassVar[Sight] = "particles"
+    sees: ClassVar[Shown] = "particles"
     Parameters = VelocimetryParameters
 
     def skip(self, case: VolumePair) -> str | None:
@@ -348,4 +401,61 @@ class VelocimetrySolver(PlugIn):
         raise NotImplementedError(f"solver {type(self).__name__} must implement solve()")
 
 
-AnySolver = Solver | CalibrationSolver | SelfCalibrationSolver | VelocimetrySolver
+@dataclass(frozen=True)
+class Detections:
+    """Bubbles that were found in one frame.
+
+    Attributes
+    ----------
+    center_mm, semi_axes_mm : (n, 3).
+    turn : (n, 3, 3) rotations from the world to the bubbles' own axes, whose rows the semi-axes lie along.
+
+    Raises
+    ------
+    InputError
+        Arrays of other shapes, values that are not finite, semi-axes that are not positive, or matrices that are no rotations.
+    """
+
+    center_mm: F64
+    semi_axes_mm: F64
+    turn: F64
+
+    def __post_init__(self) -> None:
+        count = len(self.center_mm)
+        for name, expected in {"center_mm": (count, 3), "semi_axes_mm": (count, 3), "turn": (count, 3, 3)}.items():
+            value = getattr(self, name)
+            if not isinstance(value, np.ndarray) or value.shape != expected or value.dtype != np.float64 or not np.isfinite(value).all():
+                got = f"{value.dtype} of shape {value.shape}" if isinstance(value, np.ndarray) else type(value).__name__
+                raise InputError(f"{name}: expected finite float64 values of shape {expected}, got {got}")
+        if count and self.semi_axes_mm.min() <= 0.0:
+            raise InputError(f"semi_axes_mm: expected positive lengths, got {self.semi_axes_mm.min():g}")
+        if count and np.abs(self.turn @ self.turn.transpose(0, 2, 1) - np.eye(3)).max() > 1e-6:
+            raise InputError("turn: expected rotations")
+
+    @classmethod
+    def balls(cls, center_mm: F64, radius_mm: F64) -> Detections:
+        """Spheres (n, 3), (n,)."""
+        return cls(np.asarray(center_mm, dtype=np.float64), np.repeat(radius_mm[:, None], 3, axis=1), np.tile(np.eye(3), (len(radius_mm), 1, 1)))
+
+    @property
+    def radius_mm(self) -> F64:
+        """Radii (n,) of balls of the same volumes."""
+        return np.asarray(np.cbrt(self.semi_axes_mm.prod(axis=1)))
+
+
+class BubbleSolver(PlugIn):
+    """Base of an algorithm that finds bubbles: `solve` turns one observation into detections."""
+
+    track: ClassVar[Track] = "bubbles"
+    sees: ClassVar[Shown] = "bubbles"
+
+    def skip(self, case: Observation) -> str | None:
+        """Why this algorithm cannot take the case, or None if it can."""
+        return None
+
+    def solve(self, case: Observation) -> Detections:
+        """Find the bubbles of one frame."""
+        raise NotImplementedError(f"solver {type(self).__name__} must implement solve()")
+
+
+AnySolver = BubbleSolver | Solver | CalibrationSolver | SelfCalibrationSolver | VelocimetrySolver

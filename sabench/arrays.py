@@ -7,6 +7,7 @@ F64 = npt.NDArray[np.float64]
 F32 = npt.NDArray[np.float32]
 U16 = npt.NDArray[np.uint16]
 I64 = npt.NDArray[np.int64]
+I32 = npt.NDArray[np.int32]
 Bool = npt.NDArray[np.bool_]
 
 

@@ -44,6 +44,27 @@ COLUMNS: dict[str, tuple[Column, ...]] = {
         Column("reconstruction_s", "reconstruction s", 2, "time of the reconstruction of one frame"),
         *_COST,
     ),
+    "bubbles": (
+        Column(
+            "f1_large", "F1, large", 3, "harmonic mean of precision and recall of bubbles from 0.5 mm radius on; found: closer than half a radius"
+        ),
+        Column("f1", "F1", 3, "the same, all bubbles"),
+        Column("precision", "precision", 3, "share of the detections that are bubbles, one to one"),
+        Column("recall", "recall", 3, "share of the bubbles that were found"),
+        Column("recall_hidden", "recall, hidden", 3, "share found of bubbles of which the cameras see less than nine tenths, mean over cameras"),
+        Column("radius_percent", "radius %", 2, "median error of the radius of found bubbles of 0.5 mm and more"),
+        Column("axes_percent", "axes %", 2, "median error of their semi-axes"),
+        Column("tilt_deg", "tilt deg", 1, "median error of the short axis's direction, of found bubbles flatter than 0.9"),
+        Column("plane_mm", "plane mm", 3, "median error across Z of found bubbles of 0.5 mm and more"),
+        Column("depth_mm", "depth mm", 3, "median error along Z"),
+        Column("sizes_percent", "sizes %", 1, "distance of the distributions of radii (Wasserstein) over the mean radius"),
+        Column("void_percent", "void %", 1, "error of the volume of all bubbles"),
+        Column("penetration_percent", "Y_p %", 1, "error of a jet's penetration depth, against the same analysis of the true bubbles"),
+        Column("angle_percent", "angle %", 1, "error of its spreading angle"),
+        Column("weight_percent", "A %", 1, "error of A of equation 5.18"),
+        Column("width_percent", "s %", 1, "error of s of equation 5.18"),
+        *_COST,
+    ),
     "calibration": (
         Column("true_px", "true px", 4, "mean distance of reprojected points from where they truly are in the images"),
         Column("bound_px", "bound px", 4, "the least of these that the data allow (Cramer-Rao)"),
@@ -59,4 +80,5 @@ COLUMNS: dict[str, tuple[Column, ...]] = {
         *_COST,
     ),
 }
-LARGER_IS_BETTER = {"reconstruction": True, "calibration": False, "velocimetry": False}  # of the first column, by which tables are sorted
+# of the first column, by which tables are sorted
+LARGER_IS_BETTER = {"reconstruction": True, "calibration": False, "velocimetry": False, "bubbles": True}

@@ -20,6 +20,7 @@ from sabench.imaging.scattering import MieTable
 from sabench.imaging.sensor import expose, white_level
 from sabench.imaging.splat import splat
 from sabench.motion import Motion, lattice, moments, pulse
+from sabench.multiphase import Worlds, record
 from sabench.optics.camera import Camera
 from sabench.progress import track
 from sabench.rig import Rig, build_rig, load_scene, told_cameras
@@ -60,6 +61,8 @@ def generate(
     with dataset_writer(Path(out), label, loaded, rig, told, seed, renderer, overwrite=overwrite) as writer:
         if loaded.targets:
             _show_targets(writer, loaded, rig, told, seed, renderer, label)
+        elif loaded.bubbles is not None or loaded.solids:
+            _record_phases(writer, loaded, rig, seed, label)
         else:
             _record_particles(writer, loaded, rig, seed, renderer, label)
     return open_dataset(out)
@@ -77,6 +80,22 @@ def _record_particles(writer: DatasetWriter, scene: Scene, rig: Rig, seed: int, 
         images, grey, photons, radiance = _shoot(world, camera)
         writer.add_view(frame, camera, images)
         writer.add_image(camera, frame, grey, (_radiance(camera, photons) if radiance is None else radiance).astype(np.float32))
+        memory.trim()
+
+
+def _record_phases(writer: DatasetWriter, scene: Scene, rig: Rig, seed: int, label: str) -> None:
+    steps, every, world = [(frame, camera) for frame in range(scene.frames) for camera in rig.cameras], Worlds(scene, rig, seed), None
+    for frame, camera in track(steps, f"render {label} with mitsuba"):
+        if world is None or world.frame != frame:
+            world = every.at(frame)
+            writer.add_phases(frame, world.bubbles, world.solids)
+            if world.particles is not None:
+                writer.add_particles(frame, world.particles)
+        view = record(world, camera)
+        writer.add_sight(frame, camera, view.sight, view.error)
+        if view.images is not None:
+            writer.add_view(frame, camera, view.images)
+        writer.add_image(camera, frame, view.grey, _radiance(camera, view.photons).astype(np.float32))
         memory.trim()
 
 
@@ -116,6 +135,10 @@ def _photographed(writer: DatasetWriter, scene: Scene, camera: Camera, placed: P
 
 def _renderer(scene: Scene, asked: Renderer, label: str) -> str:
     """What makes the data set: a target without lamps needs no pictures."""
+    if scene.bubbles is not None or scene.solids:
+        if asked == "splat":
+            raise InputError(f"{label}: backend: expected mitsuba for bubbles and solids, got splat, which renders particles only")
+        return choose_renderer("mitsuba")
     if scene.targets is None or scene.lighting is not None:
         return choose_renderer(asked)
     if asked == "mitsuba":

@@ -36,11 +36,14 @@ def find(name: str | Path, folder: str) -> Path:
 def parse_scene(values: dict[str, Any], source: str, folder: Path | None = None) -> Scene:
     """A scene from its keys and values; `source` is named in errors, `folder` is where its files are looked for."""
     scene = validate(Scene, values, source)
-    tables = {table: getattr(scene, table) for table in WORLDS}
-    return scene.model_copy(update={table: _resolved(table, given, source, folder or Path()) for table, given in tables.items() if given is not None})
+    here, tables = folder or Path(), {table: getattr(scene, table) for table in WORLDS}
+    made: dict[str, Any] = {table: _resolved(table, table, given, source, here) for table, given in tables.items() if given is not None}
+    if scene.solids is not None:
+        made["solids"] = tuple(_resolved("solids", f"solids.{number}", given, source, here) for number, given in enumerate(scene.solids))
+    return scene.model_copy(update=made)
 
 
-def _resolved(table: str, given: dict[str, Any], source: str, folder: Path) -> dict[str, Any]:
+def _resolved(makes: str, table: str, given: dict[str, Any], source: str, folder: Path) -> dict[str, Any]:
     """A generator's table with all its parameters."""
     rest = dict(given)
     name = rest.pop("generator", None)
@@ -50,8 +53,8 @@ def _resolved(table: str, given: dict[str, Any], source: str, folder: Path) -> d
         plugin = plugins.load("generators", name)
     except InputError as error:
         raise InputError(f"{source}: {table}.generator: {error}") from error
-    if plugin.makes != table:
-        raise InputError(f"{source}: {table}.generator: expected a generator of {table}, got {name}, which makes {plugin.makes}")
+    if plugin.makes != makes:
+        raise InputError(f"{source}: {table}.generator: expected a generator of {makes}, got {name}, which makes {plugin.makes}")
     parameters = validate(plugin.Parameters, rest, source, f"{table}.")
     made = {"generator": name, **plain(parameters.model_dump(mode="json", exclude_none=True))}
     if "file" not in plugin.Parameters.model_fields:
@@ -82,7 +85,7 @@ def validate(model: type[Model], values: dict[str, Any], source: str, prefix: st
 def schema() -> dict[str, Any]:
     """The JSON schema of a scene, with the parameters of every installed generator under the table that it fills."""
     whole = Scene.model_json_schema()
-    choices: dict[str, list[Any]] = {table: [{"type": "null"}] for table in WORLDS}
+    choices: dict[str, list[Any]] = {table: [{"type": "null"}] for table in WORLDS} | {"solids": []}
     for name in plugins.names("generators"):
         plugin = plugins.load("generators", name)
         table = plugin.Parameters.model_json_schema(ref_template=f"#/$defs/{name}.{{model}}")
@@ -90,5 +93,6 @@ def schema() -> dict[str, Any]:
         table["properties"] = {"generator": {"const": name}, **table.get("properties", {})}
         table["required"] = ["generator", *table.get("required", [])]
         choices[plugin.makes].append(table)
-    whole["properties"] |= {table: {"oneOf": options} for table, options in choices.items()}
+    solids = {"oneOf": [{"type": "null"}, {"type": "array", "items": {"oneOf": choices.pop("solids")}}]}
+    whole["properties"] |= {table: {"oneOf": options} for table, options in choices.items()} | {"solids": solids}
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", **whole}

@@ -42,6 +42,16 @@ def montage(images: U16, black_dn: float, white_dn: float) -> bytes:
     return _png(_mosaic(_grey(small.astype(np.float64) - black_dn, top - black_dn, _GAMMA), across))
 
 
+def backlit(images: U16, black_dn: float, white_dn: float) -> bytes:
+    """The same of bright images with dark things in them: pixels are joined by their minimum, and grey values are shown as they are."""
+    dark = np.clip(white_dn - images.astype(np.float64), 0.0, white_dn - black_dn).astype(np.uint16)
+    if dark.ndim != 3 or not dark.size:
+        raise ValueError(f"backlit: expected images (camera, row, column), got shape {dark.shape}")
+    across = _across(*dark.shape)
+    small = _joined(dark, math.ceil(across * dark.shape[2] / (_MONTAGE_PX - _GAP_PX * (across - 1))))
+    return _png(_mosaic(_grey((white_dn - black_dn) - small.astype(np.float64), white_dn - black_dn, 1.0), across))
+
+
 def slice_picture(volume: F32, scored: tuple[slice, slice, slice]) -> bytes:
     """The central window of the middle z plane of the scored part of a volume (z, y, x), as a PNG with x to the right and y down.
 

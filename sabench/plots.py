@@ -64,7 +64,17 @@ class Slice:
     arrows: npt.NDArray[np.float64] | None = None
 
 
-Content = Curve | Histogram | Cloud | Slice
+@dataclass(frozen=True)
+class Discs:
+    """Circles (n,) of radii in the axes' own unit, coloured by them, y downwards; alone in their panel."""
+
+    label: str
+    x: npt.NDArray[np.float64]
+    y: npt.NDArray[np.float64]
+    radius: npt.NDArray[np.float64]
+
+
+Content = Curve | Histogram | Cloud | Slice | Discs
 
 
 @dataclass(frozen=True)
@@ -120,6 +130,8 @@ def _fill(axes: Any, panel: Panel) -> None:
             axes.plot(one.x, one.y, linestyle="", marker=".", markersize=2, color=colour, label=one.label, rasterized=True)
         elif isinstance(one, Slice):
             _colour(axes, one)
+        elif isinstance(one, Discs):
+            _discs(axes, one)
         else:
             axes.errorbar(one.x, one.y, yerr=one.spread, color=colour, marker=marker, markersize=4, linewidth=1, capsize=2, label=one.label)
     if "x" in panel.log:
@@ -145,6 +157,26 @@ def _colour(axes: Any, one: Slice) -> None:
             axes.quiver(x[known], y[known], u[known], v[known], angles="xy", width=0.003, color="#000000")
     axes.set_aspect("equal")
     axes.set_ylim(one.y[-1], one.y[0])
+    axes.grid(visible=False)
+
+
+def _discs(axes: Any, one: Discs) -> None:
+    from matplotlib.collections import EllipseCollection
+
+    order = np.argsort(-one.radius)  # small ones on top
+    widths = 2.0 * one.radius[order]
+    shown = EllipseCollection(
+        widths, widths, np.zeros(len(widths)), units="xy", offsets=np.column_stack([one.x, one.y])[order], offset_transform=axes.transData,
+        cmap="viridis", edgecolors="#00000066", linewidths=0.3,
+    )  # fmt: skip
+    shown.set_array(one.radius[order])
+    axes.add_collection(shown)
+    axes.figure.colorbar(shown, ax=axes).set_label(one.label, fontsize=8)
+    axes.set_aspect("equal")
+    if len(widths):
+        reach = float(one.radius.max())
+        axes.set_xlim(one.x.min() - reach, one.x.max() + reach)
+        axes.set_ylim(one.y.max() + reach, one.y.min() - reach)
     axes.grid(visible=False)
 
 

@@ -71,6 +71,8 @@ def build_rig(scene: Scene, source: str = "scene") -> Rig:
     occluders = tuple(_build_occluder(spec) for spec in scene.occluders or ())
     for number, disc in enumerate(occluders):
         _check_occluder(disc, wall, cameras, corners, f"{source}: occluders.{number}")
+    if scene.backlight:
+        _check_backlight(scene, wall, cameras, corners, f"{source}: backlight.center_mm")
     return Rig(cameras, wall, build_grid(scene, source), occluders)
 
 
@@ -152,6 +154,25 @@ def _check_occluder(disc: Disc, wall: Wall | None, cameras: tuple[Camera, ...], 
             raise InputError(
                 f"{where}: expected it wholly between the cameras and the volume, but for {camera.name} it reaches {excess:.4g} mm into the volume"
             )
+
+
+def _check_backlight(scene: Scene, wall: Wall | None, cameras: tuple[Camera, ...], corners: F64, where: str) -> None:
+    """A diffuser must be behind the volume as all cameras see it and, where there is a tank, behind that."""
+    assert scene.backlight is not None
+    center = np.asarray(scene.backlight.center_mm)
+    if wall:
+        if wall.depth_mm is None:
+            raise InputError(f"{where}: expected wall.depth_mm, the back wall's place, for light from behind the tank")
+        rear = (scene.wall.rear or ()) if scene.wall else ()
+        outer = wall.thickness_mm + wall.depth_mm + sum(layer.thickness_mm for layer in rear)
+        depth = float(wall.depth_of(center))
+        if depth <= outer:
+            raise InputError(f"{where}: expected it behind the back wall, {outer:g} mm behind the outer face, got {depth:.4g} mm")
+    for camera in cameras:
+        forward = np.asarray(camera.rotation[2])
+        depth, far = float((center - camera.center_mm) @ forward), float(((corners - camera.center_mm) @ forward).max())
+        if depth <= far:
+            raise InputError(f"{where}: expected it behind the volume, {far:.4g} mm before {camera.name}, got {depth:.4g} mm")
 
 
 def _corners(scene: Scene) -> F64:

@@ -26,7 +26,7 @@ from sabench.errors import DeclinedError, InputError
 from sabench.files import canonical_json, clear_abandoned, complete_or_nothing
 from sabench.generation import Renderer, generate
 from sabench.progress import console
-from sabench.solving import make_algorithm, score, solve
+from sabench.solving import OWN_TRACK, make_algorithm, score, solve
 from sabench.suite import Case, Entrant, Suite, load_suite
 
 
@@ -94,7 +94,7 @@ def _rank(case: Case, dataset: Dataset, suite: Suite, work: Path, leaderboard: P
 
 def _picture_case(folder: Path, dataset: Dataset) -> None:
     """What the cameras saw, and what was there."""
-    track = tracks.of("calibration" if dataset.shows_target else "reconstruction")
+    track = tracks.of(OWN_TRACK[dataset.shows[-1]])
     _draw(folder / "images.png", track.images(dataset))
     _draw(folder / "truth.png", track.picture(dataset, "truth"))
 

@@ -25,7 +25,7 @@ def _not_zero(vector: Vector) -> Vector:
 Direction = Annotated[Vector, AfterValidator(_not_zero)]
 Positive = Annotated[float, Field(gt=0.0)]
 Index = Annotated[float, Field(ge=1.0, le=4.0)]
-WORLDS = ("particles", "targets", "flow")  # tables whose `generator` is a plug-in
+WORLDS = ("particles", "targets", "flow", "bubbles")  # tables whose `generator` is a plug-in
 
 
 class _Table(BaseModel):
@@ -65,6 +65,7 @@ class WallSpec(_Table):
     layers: tuple[LayerSpec, ...] = Field((), description="solid layers, the cameras' side first")
     fluid_index: Index = Field(description="refractive index of the fluid")
     depth_mm: Positive | None = Field(None, description="distance from the inner face to the back wall")
+    rear: tuple[LayerSpec, ...] | None = Field(None, description="solid layers of the back wall, the fluid's side first; air is behind it")
 
 
 class OccluderSpec(_Table):
@@ -269,6 +270,17 @@ class Lighting(_Table):
     wavelength_nm: Positive = Field(550.0, description="for diffraction")
 
 
+class Backlight(_Table):
+    """A diffuser behind the volume that shines evenly in all directions, as large as it is and dark beyond its edges."""
+
+    center_mm: Vector
+    size_mm: tuple[Positive, Positive] = Field(description="along x_axis, and at right angles to that")
+    normal: Direction = Field((0.0, 0.0, 1.0), description="at right angles to the diffuser")
+    x_axis: Direction = Field((1.0, 0.0, 0.0), description="along one of its edges, as far as it is at right angles to the normal")
+    exposure: Positive = Field(0.7, description="what it gives where nothing is in front of it, as a part of the full well")
+    wavelength_nm: Positive = Field(550.0, description="for diffraction")
+
+
 class Tracer(_Table):
     """What the particles are made of: complex refractive index m = index - i absorption."""
 
@@ -292,6 +304,10 @@ class Sensor(_Table):
 
 class Render(_Table):
     """How the images are computed."""
+
+    relative_error: float | None = Field(
+        None, ge=1e-4, le=0.2, description="of pixels of bubbles and solids, mean over an image: standard error over value; by default 0.01"
+    )
 
     samples_per_pixel: int = Field(9, ge=1, le=4096, description="a square number: a regular grid of rays in each pixel")
 
@@ -325,6 +341,9 @@ class Scene(_Table):
     targets: dict[str, Any] | None = Field(
         None, description="instead of particles, a calibration target that each frame shows at another place: `generator` and its parameters"
     )
+    bubbles: dict[str, Any] | None = Field(None, description="bubbles or droplets: `generator` and its parameters")
+    solids: tuple[dict[str, Any], ...] | None = Field(None, description="bodies in the fluid: `generator` and its parameters for each")
+    backlight: Backlight | None = Field(None, description="a diffuser behind the volume")
     lighting: Lighting | None = Field(None, description="lamps; needed to render a target")
     detection: Detection | None = Field(None, description="by default every point of a target is found where it is")
     sensor: Sensor = Sensor()
@@ -333,8 +352,13 @@ class Scene(_Table):
 
     @model_validator(mode="after")
     def _one_world(self) -> Scene:
-        if (self.particles is None) == (self.targets is None):
-            raise ValueError("expected either particles or targets")
+        bodies = self.bubbles is not None or bool(self.solids)
+        if (self.particles is None and not bodies) == (self.targets is None):
+            raise ValueError("expected either particles, bubbles or solids, or targets")
+        if bodies and self.backlight is None and self.lighting is None:
+            raise ValueError("expected a backlight or a lighting for bubbles and solids")
+        if self.backlight is not None and not bodies:
+            raise ValueError("backlight: expected bubbles or solids in front of it")
         if self.flow is not None and self.particles is None:
             raise ValueError("flow: expected particles that it carries")
         if self.flow_grid_mm is not None and self.flow is None:
@@ -375,20 +399,26 @@ class Scene(_Table):
     def hash(self) -> str:
         """SHA-256 of the resolved scene: equal scenes have equal hashes, however they were written."""
         values = self.to_dict()
-        for table in WORLDS:
-            if "sha256" in values.get(table, {}):
-                del values[table]["file"]  # its content counts, not its name
+        for given in (*(values.get(table, {}) for table in WORLDS), *values.get("solids", ())):
+            if "sha256" in given:
+                del given["file"]  # its content counts, not its name
         return hashlib.sha256(canonical_json(values).encode()).hexdigest()
 
     @property
     def files(self) -> dict[str, Path]:
         """Files of other programs that the generators read, by the table that names them."""
-        tables = {table: getattr(self, table) or {} for table in WORLDS}
+        tables = {table: getattr(self, table) or {} for table in WORLDS} | {
+            f"solids.{number}": given for number, given in enumerate(self.solids or ())
+        }
         return {table: Path(given["file"]) for table, given in tables.items() if "sha256" in given}
 
     def with_files(self, places: dict[str, Path]) -> Scene:
         """The same scene, its files elsewhere."""
-        return self.model_copy(update={table: {**getattr(self, table), "file": str(place)} for table, place in places.items()})
+        worlds = {table: {**getattr(self, table), "file": str(place)} for table, place in places.items() if table in WORLDS}
+        solids = tuple(
+            {**given, "file": str(places[key])} if (key := f"solids.{number}") in places else given for number, given in enumerate(self.solids or ())
+        )
+        return self.model_copy(update=worlds | ({"solids": solids} if solids else {}))
 
 
 def plain(value: Any) -> Any:

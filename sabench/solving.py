@@ -14,6 +14,9 @@ from sabench.dataset.result import Result, open_result, result_writer
 from sabench.errors import InputError
 from sabench.parsing import validate
 
+_SHOWN = {"particles": "particles", "target": "a calibration target", "bubbles": "bubbles"}
+OWN_TRACK = {"particles": "reconstruction", "target": "calibration", "bubbles": "bubbles"}  # of what a data set shows
+
 
 def solve(
     solver: str, dataset: Dataset | str | Path, out: str | Path, *, parameters: dict[str, Any] | None = None, overwrite: bool = False
@@ -34,9 +37,9 @@ def solve(
     """
     data = dataset if isinstance(dataset, Dataset) else open_dataset(dataset)
     algorithm = make_algorithm(solver, parameters or {})
-    if data.shows_target != (algorithm.sees == "target"):
-        shown, wanted = ("a calibration target", "particles") if data.shows_target else ("particles", "a calibration target")
-        raise InputError(f"solver {solver}: expected a data set that shows {wanted}, but {data.root} shows {shown}")
+    if algorithm.sees not in data.shows:
+        shown = " and ".join(_SHOWN[one] for one in data.shows)
+        raise InputError(f"solver {solver}: expected a data set that shows {_SHOWN[algorithm.sees]}, but {data.root} shows {shown}")
     memory.forget_peak()
     resolved = algorithm.parameters.model_dump(mode="json")
     with result_writer(Path(out), data, solver, algorithm.track, resolved, overwrite=overwrite) as writer:
@@ -59,7 +62,7 @@ def score(dataset: Dataset | str | Path, result: str | Path) -> dict[str, Any]:
     """
     data = dataset if isinstance(dataset, Dataset) else open_dataset(dataset)
     opened = None if str(result) in ("truth", "empty") else open_result(result, data)
-    track = opened.track if opened else "calibration" if data.shows_target else "reconstruction"
+    track = opened.track if opened else OWN_TRACK[data.shows[-1]]
     head: dict[str, Any] = {"dataset": data.content_hash, "track": track, "solver": opened.solver if opened else str(result)}
     head |= {"parameters": opened.parameters if opened else {}}
     figures = tracks.of(track).score_result(data, opened or str(result))

@@ -6,8 +6,9 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
+import numpy.typing as npt
 
-from sabench.arrays import F64, I64
+from sabench.arrays import F64, I64, Bool
 
 Pattern = Literal["checkerboard", "circles", "charuco", "wand"]
 
@@ -68,6 +69,84 @@ class Particles:
 
     def __len__(self) -> int:
         return len(self.id)
+
+
+@dataclass(frozen=True)
+class Bubbles:
+    """Bubbles or droplets at one instant, world frame: spheroids, or ellipsoids of any axes.
+
+    Attributes
+    ----------
+    id : (n,) int64, unique within the frame; the same id in two frames is the same bubble.
+    center_mm : (n, 3).
+    semi_axes_mm : (n, 3), along the rows of `turn`.
+    turn : (n, 3, 3) rotations from the world to the bubble's own axes.
+    velocity_mm_s : (n, 3).
+    index : refractive index of what is inside.
+    """
+
+    id: I64
+    center_mm: F64
+    semi_axes_mm: F64
+    turn: F64
+    velocity_mm_s: F64
+    index: float = 1.0
+
+    def __post_init__(self) -> None:
+        count = len(self.id)
+        shapes = {"center_mm": (count, 3), "semi_axes_mm": (count, 3), "turn": (count, 3, 3), "velocity_mm_s": (count, 3)}
+        for name, expected in shapes.items():
+            value = getattr(self, name)
+            if value.shape != expected or not np.isfinite(value).all():
+                raise ValueError(f"Bubbles.{name}: expected finite values of shape {expected}, got shape {value.shape}")
+        if (np.diff(np.sort(self.id)) == 0).any():
+            raise ValueError("Bubbles.id: expected unique numbers, got duplicates")
+        if count and not (self.semi_axes_mm > 0.0).all():
+            raise ValueError("Bubbles.semi_axes_mm: expected positive values")
+        if count and np.abs(self.turn @ self.turn.transpose(0, 2, 1) - np.eye(3)).max() > 1e-9:
+            raise ValueError("Bubbles.turn: expected rotations")
+        if self.index < 1.0:
+            raise ValueError(f"Bubbles.index: expected 1 or more, got {self.index:g}")
+
+    def __len__(self) -> int:
+        return len(self.id)
+
+    def __getitem__(self, chosen: Bool | I64) -> Bubbles:
+        """Some of them."""
+        return Bubbles(self.id[chosen], self.center_mm[chosen], self.semi_axes_mm[chosen], self.turn[chosen], self.velocity_mm_s[chosen], self.index)
+
+    @property
+    def radius_mm(self) -> F64:
+        """Radii (n,) of balls of the same volumes."""
+        return np.asarray(np.cbrt(self.semi_axes_mm.prod(axis=1)))
+
+    @property
+    def volume_mm3(self) -> F64:
+        """Volumes (n,)."""
+        return np.asarray(4.0 / 3.0 * np.pi * self.semi_axes_mm.prod(axis=1))
+
+    @property
+    def to_ball(self) -> F64:
+        """(n, 3, 3) matrices M: x is inside where |M (x - center)| < 1."""
+        return np.asarray(self.turn / self.semi_axes_mm[:, :, None])
+
+    def reach_mm(self, direction: npt.ArrayLike) -> F64:
+        """How far each extends from its centre along a unit vector (3,): (n,)."""
+        return np.asarray(np.linalg.norm(self.semi_axes_mm * (self.turn @ np.asarray(direction, dtype=np.float64)), axis=1))
+
+
+@dataclass(frozen=True)
+class Solid:
+    """A closed surface at one instant, world frame.
+
+    Attributes
+    ----------
+    vertices_mm : (v, 3).
+    faces : (f, 3) int64, counter-clockwise as seen from outside.
+    """
+
+    vertices_mm: F64
+    faces: I64
 
 
 @dataclass(frozen=True)

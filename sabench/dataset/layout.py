@@ -6,7 +6,7 @@ import dataclasses
 import hashlib
 import itertools
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
@@ -55,6 +55,7 @@ class CamerasFile(_Record):
     times_s: tuple[float, ...] | None = None
     pulses: int = Field(1, ge=1)
     preprocessing: tuple[Step, ...] = ()
+    shows: tuple[Literal["particles", "bubbles"], ...] = ("particles",)
 
     def time_s(self, frame: int) -> float:
         """When a frame was taken."""

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from sabench.api import CalibrationCase, Observation
+from sabench.api import CalibrationCase, Observation, Shown
 from sabench.arrays import F32, F64, U16, Bool
 from sabench.dataset import layout
 from sabench.dataset.hdf import finite, opened, read_array
@@ -19,13 +19,14 @@ from sabench.dataset.images import read_exr, read_tiff
 from sabench.dataset.layout import CamerasFile, Manifest
 from sabench.errors import InputError
 from sabench.files import inside
+from sabench.imaging.sightlines import Sight
 from sabench.optics.camera import Camera
 from sabench.parsing import validate
 from sabench.preprocessing import WHITE, Step, processed
 from sabench.scene import Scene
 from sabench.targets import Placed
 from sabench.volume import Grid
-from sabench.world import Particles, Pose, Target
+from sabench.world import Bubbles, Particles, Pose, Solid, Target
 
 
 @dataclass(frozen=True)
@@ -109,6 +110,45 @@ class Dataset:
                 finite(view.pixel[view.visible > 0], f"{file.filename}: {base}/pixel of visible particles")
                 views.append(view)
             return views
+
+    def bubbles(self, frame: int) -> Bubbles:
+        """The true bubbles of a frame."""
+        self._check_frame(frame)
+        group = f"{layout.frame_group(frame)}/bubbles"
+        with opened(inside(self.root, layout.TRUTH)) as file:
+            identity = read_array(file, f"{group}/id", (None,), "i")
+            n = len(identity)
+            shapes: dict[str, tuple[int, ...]] = {"center_mm": (n, 3), "semi_axes_mm": (n, 3), "turn": (n, 3, 3), "velocity_mm_s": (n, 3)}
+            values = {k: finite(read_array(file, f"{group}/{k}", shape, "f"), f"{file.filename}: {group}/{k}") for k, shape in shapes.items()}
+            return Bubbles(identity, **values, index=float(read_array(file, f"{group}/index", (1,), "f")[0]))
+
+    def solids(self, frame: int) -> list[Solid]:
+        """The true bodies of a frame."""
+        self._check_frame(frame)
+        group = f"{layout.frame_group(frame)}/bodies"
+        with opened(inside(self.root, layout.TRUTH)) as file:
+            count = len(file[group]) if group in file else 0
+            parts = [(f"{group}/{k}/vertices_mm", f"{group}/{k}/faces") for k in range(count)]
+            return [Solid(read_array(file, vertices, (None, 3), "f"), read_array(file, faces, (None, 3), "i")) for vertices, faces in parts]
+
+    def sight(self, frame: int, camera: Camera) -> Sight:
+        """What one camera truly sees of a frame's bubbles and bodies."""
+        self._check_frame(frame)
+        group, image = f"{layout.frame_group(frame)}/sights/{camera.name}", (camera.rows, camera.columns)
+        with opened(inside(self.root, layout.TRUTH)) as file:
+            n = len(read_array(file, f"{layout.frame_group(frame)}/bubbles/id", (None,), "i"))
+            fields = [("number", image, "i"), ("depth_mm", image, "f"), ("path_mm", image, "f"), ("visible", (n,), "f"), ("pixel", (n, 2), "f")]
+            return Sight(*(read_array(file, f"{group}/{k}", shape, kind) for k, shape, kind in [*fields, ("contour", (n, None, 2), "f")]))
+
+    def render_error(self, frame: int, camera: Camera) -> float:
+        """Mean relative standard error of a picture of bubbles and bodies."""
+        with opened(inside(self.root, layout.TRUTH)) as file:
+            return float(read_array(file, f"{layout.frame_group(frame)}/sights/{camera.name}/error", (1,), "f")[0])
+
+    @property
+    def shows(self) -> tuple[Shown, ...]:
+        """What its frames show: a target, or particles, bubbles, or both; bodies may be there in any case."""
+        return ("target",) if self.shows_target else self.rig.shows
 
     @property
     def shows_target(self) -> bool:

@@ -12,7 +12,7 @@ from typing import Any, cast
 import numpy as np
 from pydantic import TypeAdapter, ValidationError
 
-from sabench.api import Calibration, Reconstruction, Velocity
+from sabench.api import Calibration, Detections, Reconstruction, Velocity
 from sabench.arrays import triple
 from sabench.columns import COLUMNS
 from sabench.dataset import layout
@@ -66,6 +66,19 @@ class Result:
             field = read_array(file, f"{group}/velocity_mm_s", (*valid.shape, 3), "f").astype(np.float64)
             low, step = (finite(read_array(file, f"{group}/{name}", (3,), "f"), f"{self.path}: {group}/{name}") for name in ("low_mm", "step_mm"))
         return Velocity(triple(low), triple(step), finite(field, f"{self.path}: {group}/velocity_mm_s"), valid)
+
+    def bubbles(self, frame: int) -> Detections:
+        """The bubbles that were found in a frame, checked as `Detections` are."""
+        group = f"{layout.frame_group(frame)}/bubbles"
+        with opened(self.path) as file:
+            center = read_array(file, f"{group}/center_mm", (None, 3), "f").astype(np.float64)
+            n = len(center)
+            axes = read_array(file, f"{group}/semi_axes_mm", (n, 3), "f").astype(np.float64)
+            turn = read_array(file, f"{group}/turn", (n, 3, 3), "f").astype(np.float64)
+        try:
+            return Detections(center, axes, turn)
+        except InputError as error:
+            raise InputError(f"{self.path}: {group}: {error}") from error
 
     def calibration(self) -> Calibration:
         """The estimated cameras and points."""
@@ -131,6 +144,15 @@ class ResultWriter:
             group = self._file.create_group(f"{layout.frame_group(frame)}/velocity")
             for name, value in values.items():
                 group.create_dataset(name, data=value)
+            self._file.flush()
+        self._check()
+
+    def add_bubbles(self, frame: int, found: Detections) -> None:
+        """Store the bubbles that were found in a frame."""
+        with uninterrupted():
+            group = self._file.create_group(f"{layout.frame_group(frame)}/bubbles")
+            for name in ("center_mm", "semi_axes_mm", "turn"):
+                group.create_dataset(name, data=getattr(found, name))
             self._file.flush()
         self._check()
 

@@ -57,8 +57,13 @@ def _content_faults(dataset: Dataset) -> Iterator[str]:
             yield from _try(whole)
         return
     for frame in track(range(dataset.rig.frames), "verify shapes"):
-        for part in (dataset.observation, dataset.radiance, dataset.particles, dataset.views):
+        parts: list[Callable[[int], object]] = [dataset.observation, dataset.radiance]
+        parts += [dataset.particles, dataset.views] if "particles" in dataset.shows else []
+        parts += [dataset.bubbles, dataset.solids] if "bubbles" in dataset.shows else []
+        for part in parts:
             yield from _try(functools.partial(part, frame))
+        for camera in dataset.rig.cameras if "bubbles" in dataset.shows else ():
+            yield from _try(functools.partial(dataset.sight, frame, camera))
 
 
 def _check_scene(dataset: Dataset) -> None:

@@ -6,7 +6,7 @@ import contextlib
 import importlib.metadata
 import platform
 import shutil
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -23,11 +23,12 @@ from sabench.dataset.images import write_exr, write_tiff
 from sabench.files import canonical_json, complete_or_nothing, sha256
 from sabench.imaging.particle_images import ParticleImages
 from sabench.imaging.sensor import white_level
+from sabench.imaging.sightlines import Sight
 from sabench.optics.camera import Camera
 from sabench.rig import Rig
 from sabench.scene import Scene
 from sabench.targets import Placed, Prior
-from sabench.world import Particles
+from sabench.world import Bubbles, Particles, Solid
 
 _RECORDED = ("mitsuba", "drjit", "numpy", "scipy", "miepython", "h5py", "tifffile", "OpenEXR")
 
@@ -65,6 +66,19 @@ class DatasetWriter:
         small: dict[str, npt.NDArray[Any]] = {"sigma_px": images.sigma_px.astype(np.float32), "visible": images.visible.astype(np.uint8)}
         self._store(f"{layout.frame_group(frame)}/cameras/{camera.name}", {"pixel": images.pixel, "photons": images.photons, **small})
 
+    def add_phases(self, frame: int, bubbles: Bubbles, solids: Sequence[Solid]) -> None:
+        """Store a frame's bubbles and bodies."""
+        values = {name: getattr(bubbles, name) for name in ("id", "center_mm", "semi_axes_mm", "turn", "velocity_mm_s")}
+        self._store(f"{layout.frame_group(frame)}/bubbles", {**values, "index": np.array([bubbles.index])})
+        for number, solid in enumerate(solids):
+            self._store(f"{layout.frame_group(frame)}/bodies/{number}", {"vertices_mm": solid.vertices_mm, "faces": solid.faces})
+
+    def add_sight(self, frame: int, camera: Camera, sight: Sight, error: float) -> None:
+        """Store what one camera truly sees of a frame's bubbles and bodies, and the relative standard error of its picture."""
+        group = f"{layout.frame_group(frame)}/sights/{camera.name}"
+        self._store(group, {"number": sight.number, "depth_mm": sight.depth_mm, "path_mm": sight.path_mm}, packed=True)
+        self._store(group, {"visible": sight.visible, "pixel": sight.pixel, "contour": sight.contour, "error": np.array([error])})
+
     def add_target(self, placed: Placed) -> None:
         """Store a calibration target and its true places."""
         head = {"format": layout.FORMAT, "version": layout.VERSION}
@@ -84,10 +98,11 @@ class DatasetWriter:
             for name, value in values.items():
                 file.create_dataset(name, data=value)
 
-    def _store(self, group: str, values: dict[str, npt.NDArray[Any]]) -> None:
+    def _store(self, group: str, values: dict[str, npt.NDArray[Any]], *, packed: bool = False) -> None:
+        how = {"compression": "gzip", "compression_opts": 1, "shuffle": True} if packed else {}
         with uninterrupted():
             for name, value in values.items():
-                self._truth.create_dataset(f"{group}/{name}", data=value)
+                self._truth.create_dataset(f"{group}/{name}", data=value, **how)
             self._truth.flush()
         self._check()
 
@@ -133,6 +148,8 @@ def _observation(scene: Scene, rig: Rig, told: tuple[Camera, ...]) -> dict[str, 
         head |= {"times_s": [scene.time_s(frame) for frame in range(scene.frames)], "pulses": len(scene.timing.pulses_s)}
     if scene.preprocessing:
         head["preprocessing"] = [step.model_dump() for step in scene.preprocessing]
+    if scene.bubbles is not None or scene.solids:
+        head["shows"] = (["particles"] if scene.particles else []) + ["bubbles"]
     wall = asdict(rig.wall) if rig.wall else None
     told_too = {"unknown": list(scene.unknown)} if scene.unknown else {}
     return {**head, "wall": wall, "cameras": layout.camera_records(told), "grid": asdict(rig.grid), "sensor": sensor, **told_too}

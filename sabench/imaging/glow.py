@@ -61,7 +61,7 @@ def picture(scene: Any, camera: Camera, origin: F64, cloud: Cloud, interfaces: i
     for first in range(0, camera.rows, rows):
         count = min(rows, camera.rows - first)
         rays = _rays(camera, origin, first, count, side)
-        band = dr.block_sum(_trace(scene, rays, tables, _unstopped(rays, occluders, origin)), samples) * (1.0 / samples)
+        band = dr.block_sum(_trace(scene, rays, tables, unstopped(rays, occluders, origin)), samples) * (1.0 / samples)
         bands.append(np.array(band, dtype=np.float32).reshape(count, camera.columns))
     return np.concatenate(bands)
 
@@ -97,7 +97,7 @@ def opaque(vector: npt.ArrayLike) -> Any:
     return mi.Vector3f(*(dr.opaque(mi.Float, value) for value in np.asarray(vector, dtype=np.float64).tolist()))
 
 
-def _unstopped(rays: Any, occluders: tuple[Disc, ...], origin: F64) -> Any:
+def unstopped(rays: Any, occluders: tuple[Disc, ...], origin: F64) -> Any:
     """Whether no disc stops a ray: the same test as Disc.stops."""
     free = mi.Bool(True)
     for disc in occluders:

@@ -38,14 +38,14 @@ def render(camera: Camera, images: ParticleImages, positions_mm: F64, samples: i
     from sabench.imaging import glow  # needs the variant
 
     origin = positions_mm[lit].mean(axis=0)  # single precision: the numbers are small where the particles are
-    cloud = glow.Cloud(positions_mm[lit] - origin, *_glow(images, images.shape_mm(camera, positions_mm), lit))
-    scene = mi.load_dict({"type": "scene", **interfaces(mi, camera.wall, origin, camera), "cloud": _balls(mi, cloud.centers, cloud.radii)})
+    cloud = glow.Cloud(positions_mm[lit] - origin, *glow_of(images, images.shape_mm(camera, positions_mm), lit))
+    scene = mi.load_dict({"type": "scene", **interfaces(mi, camera.wall, origin, camera), "cloud": balls(mi, cloud.centers, cloud.radii)})
     planes = len(camera.wall.layers) + 1 if camera.wall else 0
     radiance = glow.picture(scene, camera, origin, cloud, planes, math.isqrt(samples), occluders)
     return radiance.astype(np.float64)
 
 
-def _glow(images: ParticleImages, shape_mm: F64, lit: Bool) -> tuple[F64, F64, F64, F64]:
+def glow_of(images: ParticleImages, shape_mm: F64, lit: Bool) -> tuple[F64, F64, F64, F64]:
     """Per particle the radius of its ball, two covectors a, b of its Gaussian across the light path, and its peak radiance.
 
     The radiance integrates to the radiant intensity: I = L 2 pi |s x t| for a Gaussian with the half axes s, t.
@@ -60,7 +60,7 @@ def _glow(images: ParticleImages, shape_mm: F64, lit: Bool) -> tuple[F64, F64, F
     return radii, a, b, images.intensity[lit] / (2.0 * np.pi * area)
 
 
-def _balls(mi: Any, centers: F64, radii: F64) -> dict[str, Any]:
+def balls(mi: Any, centers: F64, radii: F64) -> dict[str, Any]:
     """Balls that hold the glow, whatever its axes."""
     quaternion = np.tile([0.0, 0.0, 0.0, 1.0], (len(centers), 1))
     data = np.hstack([centers, np.repeat(radii[:, None] / _REACH, 3, axis=1), quaternion]).astype(np.float32)

@@ -69,7 +69,7 @@ def _shapes(mi: Any, target: Target, pose: Pose) -> dict[str, Any]:
 
 def _lamps(rays: Any, lighting: Lighting, camera: Camera, facing: F64, center_mm: F64, origin: F64) -> Any:
     """Lamps where the fluid sees them, with powers that add up to the exposure at the centre, even light included."""
-    places = np.array([_apparent(camera.wall, np.asarray(lamp.center_mm)) for lamp in lighting.lamps])
+    places = np.array([apparent(camera.wall, np.asarray(lamp.center_mm)) for lamp in lighting.lamps])
     powers = np.array([lamp.power for lamp in lighting.lamps])
     ways = places - center_mm
     lengths = np.linalg.norm(ways, axis=1)
@@ -78,7 +78,7 @@ def _lamps(rays: Any, lighting: Lighting, camera: Camera, facing: F64, center_mm
     return rays.Lamps(places - origin, (1.0 - even) * lighting.exposure * powers / max(there, 1e-300), even * lighting.exposure)
 
 
-def _apparent(wall: Wall | None, lamp_mm: F64) -> F64:
+def apparent(wall: Wall | None, lamp_mm: F64) -> F64:
     """Where a lamp in front of the wall seems to be for rays that cross the wall steeply; a lamp in the fluid is where it is."""
     before = -float(wall.depth_of(lamp_mm)) if wall else 0.0
     if wall is None or before <= 0.0:

@@ -9,14 +9,15 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
 LEVELS = [
-    {"errors", "arrays", "theory", "statistics", "rooflines", "columns", "plots"},
+    {"errors", "arrays", "theory", "statistics", "rooflines", "columns", "plots", "jets"},
     {"files", "seeds", "progress", "plugins", "memory", "sentences", "preprocessing"},
     {"backend"},
     {"field"},
     {"optics", "world", "volume"},
-    {"api", "scene", "swirl", "foreign"},
+    {"api", "scene", "swirl", "foreign", "dispersed", "placement"},
     {"parsing", "rig", "extraction", "targets", "detection", "calibration", "flows"},
-    {"imaging", "metrics", "reproject", "motion", "velocimetry", "velocity_figures"},
+    {"imaging", "metrics", "reproject", "motion", "velocimetry", "velocity_figures", "phases"},
+    {"multiphase", "bubblefit", "bubble_figures"},
     {"dataset"},
     {"tomography"},
     {"generation", "solving", "scoring", "tracks", "pictures", "board"},

@@ -191,7 +191,7 @@ def test_a_target_without_lamps_is_not_rendered(tmp_path: Path) -> None:
 
 def test_a_scene_shows_particles_or_a_target() -> None:
     values = calibration_scene().to_dict()
-    with pytest.raises(InputError, match="expected either particles or targets"):
+    with pytest.raises(InputError, match="expected either particles, bubbles or solids, or targets"):
         parse_scene(values | {"particles": {"generator": "uniform", "count": 3}}, "s")
     with pytest.raises(InputError, match=r"s: targets.generator: expected a generator of targets, got uniform, which makes particles"):
         parse_scene(values | {"targets": {"generator": "uniform", "count": 3}}, "s")

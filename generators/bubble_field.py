@@ -1,0 +1,70 @@
+"""Bubbles or drops all over the volume."""
+
+from __future__ import annotations
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from sabench.api import BubbleGenerator, BubbleParameters
+from sabench.arrays import F64, I64
+from sabench.dispersed import Spectrum, spheroids, within
+from sabench.placement import place
+from sabench.seeds import stream
+from sabench.world import Bubbles, Domain
+
+
+class BubbleFieldParameters(BubbleParameters, Spectrum):
+    """Exactly one of `count` and `void_fraction` says how many."""
+
+    count: int | None = Field(None, ge=0, le=1_000_000, description="number of bubbles")
+    void_fraction: float | None = Field(None, ge=0.0, le=0.3, description="volume of the bubbles over that of the box")
+    velocity_mm_s: tuple[float, float, float] = Field((0.0, 0.0, 0.0), description="velocity of all bubbles")
+
+    @model_validator(mode="after")
+    def _one_amount(self) -> BubbleFieldParameters:
+        if (self.count is None) == (self.void_fraction is None):
+            raise ValueError("expected exactly one of count, void_fraction")
+        return self
+
+
+class BubbleField(BubbleGenerator):
+    """Bubbles of log-normal sizes at uniformly random places, carried by one velocity; whoever leaves the volume is replaced on the other side."""
+
+    name = "bubble_field"
+    Parameters = BubbleFieldParameters
+
+    def bubbles(self, domain: Domain, seed: int, frame: int, time_s: float) -> Bubbles:
+        """Those that are wholly in the volume at a time: the seed draws the field, the time moves it."""
+        chosen: BubbleFieldParameters = self.parameters
+        rng = stream(seed, "bubbles")
+        velocity, size = np.asarray(chosen.velocity_mm_s), np.asarray(domain.size_mm)
+        beyond = np.where(velocity != 0.0, 2.0 * chosen.radius_range_mm[1] / chosen.aspect_range[0], 0.0)  # room to enter and leave
+        period = size + beyond
+        semi_axes, turn = self._shapes(rng, float(period.prod()))
+        reach = np.linalg.norm(semi_axes[:, None, :] * turn.transpose(0, 2, 1), axis=2)
+
+        def propose(which: I64, tries: int) -> F64:
+            room = np.maximum(period - 2.0 * reach[which], 0.0)[:, None]
+            return np.asarray((period - room) / 2.0 + room * rng.random((len(which), tries, 3)))
+
+        there = propose(np.arange(len(semi_axes)), 1)[:, 0] if chosen.overlap else place(semi_axes, turn, propose, "bubble_field")
+        travelled = there + velocity * time_s
+        turns = np.floor(travelled / period).astype(np.int64)
+        identity = np.arange(len(there)) + len(there) * np.abs(turns).sum(axis=1)
+        center = domain.low_mm - beyond / 2.0 + travelled - turns * period
+        made = Bubbles(identity, center, semi_axes, turn, np.tile(velocity, (len(there), 1)), chosen.index)
+        return made[within(domain, made)]
+
+    def _shapes(self, rng: np.random.Generator, room_mm3: float) -> tuple[F64, F64]:
+        chosen: BubbleFieldParameters = self.parameters
+        if chosen.count is not None:
+            return spheroids(chosen, rng, chosen.count)
+        wanted, count = (chosen.void_fraction or 0.0) * room_mm3, 64
+        while True:
+            semi_axes, turn = spheroids(chosen, rng, count)
+            volume = np.cumsum(4.0 / 3.0 * np.pi * semi_axes.prod(axis=1))
+            if volume[-1] >= wanted:
+                enough = int(np.searchsorted(volume, wanted))
+                enough += int(volume[enough] - wanted < wanted - (volume[enough - 1] if enough else 0.0))
+                return semi_axes[:enough], turn[:enough]
+            count = int(count * max(1.2, 1.1 * wanted / volume[-1])) + 1

@@ -1,0 +1,33 @@
+"""A round cylinder."""
+
+from __future__ import annotations
+
+import numpy as np
+from pydantic import Field
+
+from sabench.api import SolidGenerator, SolidParameters
+from sabench.world import Solid
+
+
+class CylinderParameters(SolidParameters):
+    """Its axis is Y before it is turned."""
+
+    radius_mm: float = Field(5.0, gt=0.0)
+    length_mm: float = Field(40.0, gt=0.0)
+    sections: int = Field(256, ge=8, le=4096, description="plane faces around it")
+
+
+class Cylinder(SolidGenerator):
+    """A closed cylinder, as obstacles in a flow are."""
+
+    name = "cylinder"
+    Parameters = CylinderParameters
+
+    def body(self, seed: int) -> Solid:
+        """Upright, around its own origin."""
+        import trimesh
+
+        chosen: CylinderParameters = self.parameters
+        made = trimesh.creation.cylinder(chosen.radius_mm, chosen.length_mm, sections=chosen.sections)
+        upright = np.asarray(made.vertices)[:, [0, 2, 1]] * [1.0, 1.0, -1.0]
+        return Solid(upright, np.asarray(made.faces, dtype=np.int64))

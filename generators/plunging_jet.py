@@ -1,0 +1,139 @@
+"""Bubbles below a plunging jet, drawn from the laws of the thesis."""
+
+from __future__ import annotations
+
+from functools import cached_property
+
+import numpy as np
+from pydantic import Field
+
+from sabench.api import BubbleGenerator, BubbleParameters
+from sabench.arrays import F64, I64, Bool
+from sabench.dispersed import Spectrum, spheroids, within
+from sabench.jets import LN2, JetLaw
+from sabench.placement import overlapping, place
+from sabench.seeds import stream
+from sabench.world import Bubbles, Domain
+
+_NODES = 4001  # of the distribution over depth
+_CORE = 6.2  # a turbulent jet's speed on its axis: 6.2 diameters over the depth (Rajaratnam 1976)
+
+
+class PlungingJetParameters(BubbleParameters, Spectrum):
+    """Table 5.2 and equations 5.18 to 5.23; sizes above Y_p are those of the spectrum, below it none is larger than `cutoff_mm`."""
+
+    impact_mm: tuple[float, float, float] = Field((0.0, 0.0, 0.0), description="where the jet meets the surface; it points down, along +Y")
+    penetration_mm: float = Field(120.0, gt=0.0, description="Y_p")
+    equivalent_mm: float = Field(48.1, gt=0.0, description="D_eq, diameter of the cloud at Y_p")
+    total_percent: float = Field(0.34, gt=0.0, le=5.0, description="C_tot, mean void fraction of the cone down to Y_p")
+    weight: float = Field(0.903, gt=0.0, lt=1.0, description="A of equation 5.18")
+    width: float = Field(0.1894, gt=0.0, description="s of equation 5.18")
+    cutoff_mm: float = Field(1.05, gt=0.0, description="largest radius below Y_p")
+    speed_mm_s: float = Field(6010.0, ge=0.0, description="V_i of the jet at impact: bubbles sink with what is left of it")
+    jet_mm: float = Field(3.78, gt=0.0, description="D_i, the jet's diameter at impact")
+    rise_mm_s: float = Field(250.0, ge=0.0, description="terminal velocity, upwards")
+
+
+class PlungingJet(BubbleGenerator):
+    """Bubbles whose concentration, sizes, depth and angle follow the thesis's laws of plunging jets, sinking on the axis and rising around it."""
+
+    name = "plunging_jet"
+    references = ("J. Belden, MIT thesis, chapter 5", "Clanet and Lasheras, Phys. Fluids 9 (1997)")
+    Parameters = PlungingJetParameters
+
+    @cached_property
+    def law(self) -> JetLaw:
+        """What the bubbles are drawn from."""
+        chosen: PlungingJetParameters = self.parameters
+        return JetLaw(chosen.penetration_mm, chosen.equivalent_mm, chosen.total_percent / 100.0, chosen.weight, chosen.width)
+
+    def bubbles(self, domain: Domain, seed: int, frame: int, time_s: float) -> Bubbles:
+        """Those in the volume at a time: drawn at the first, moved until then; where two meet, the larger one is left."""
+        chosen: PlungingJetParameters = self.parameters
+        rng, impact = stream(seed, "bubbles"), np.asarray(chosen.impact_mm)
+        semi_axes, turn, deep = self._shapes(rng, domain)
+        reach = np.linalg.norm(semi_axes[:, None, :] * turn.transpose(0, 2, 1), axis=2)
+
+        def propose(which: I64, tries: int) -> F64:
+            return self._places(rng, domain, deep[which], reach[which], tries)
+
+        center = propose(np.arange(len(deep)), 1)[:, 0] if chosen.overlap else place(semi_axes, turn, propose, "plunging_jet")
+        velocity = self._velocities(center - impact)
+        moved = center + velocity * time_s
+        made = Bubbles(np.arange(len(center)), moved, semi_axes, turn, velocity, chosen.index)
+        made = made[within(domain, made)]
+        if not chosen.overlap and time_s:
+            made = made[np.setdiff1d(np.arange(len(made)), overlapping(made)[:, 1])]
+        return made
+
+    def _shapes(self, rng: np.random.Generator, domain: Domain) -> tuple[F64, F64, Bool]:
+        """Bubbles whose volumes add up to the air above Y_p, and to that below it."""
+        chosen: PlungingJetParameters = self.parameters
+        top, bottom = self._depths(domain)
+        parts = []
+        for low, high, largest in ((top, min(bottom, chosen.penetration_mm), np.inf), (max(top, chosen.penetration_mm), bottom, chosen.cutoff_mm)):
+            y = np.linspace(low, max(low, high), _NODES)
+            wanted = float(np.trapezoid(self.law.air_mm2(y), y)) * self._share(domain, y)
+            semi_axes, turn = spheroids(chosen, rng, 0)
+            while len(semi_axes) == 0 or 4.0 / 3.0 * np.pi * semi_axes.prod(axis=1).sum() < wanted:
+                if wanted <= 0.0:
+                    break
+                more = spheroids(chosen, rng, 64, largest)
+                semi_axes, turn = (np.concatenate(pair) for pair in zip((semi_axes, turn), more, strict=True))
+            volume = np.cumsum(4.0 / 3.0 * np.pi * semi_axes.prod(axis=1))
+            enough = int(np.searchsorted(volume, wanted))
+            parts.append((semi_axes[:enough], turn[:enough]))
+        deep = np.repeat([False, True], [len(part[0]) for part in parts])
+        return np.concatenate([part[0] for part in parts]), np.concatenate([part[1] for part in parts]), deep
+
+    def _depths(self, domain: Domain) -> tuple[float, float]:
+        """The volume's top and bottom, below the surface."""
+        top = float(domain.low_mm[1]) - self.parameters.impact_mm[1]
+        return max(top, 0.0), top + domain.size_mm[1]
+
+    def _share(self, domain: Domain, y: F64) -> float:
+        """The part of the air that is within the volume's sides."""
+        from scipy.special import erf
+
+        if len(y) < 2 or y[-1] <= y[0]:
+            return 0.0
+        impact, half = self.parameters.impact_mm, self.law.half_radius_mm(y) / np.sqrt(LN2)
+        inside = np.ones(len(y))
+        for axis in (0, 2):
+            low = domain.low_mm[axis] - impact[axis]
+            inside = inside * 0.5 * (erf((low + domain.size_mm[axis]) / half) - erf(low / half))
+        air = self.law.air_mm2(y)
+        return float(np.trapezoid(air * inside, y) / np.trapezoid(air, y))
+
+    def _places(self, rng: np.random.Generator, domain: Domain, deep: Bool, reach: F64, tries: int) -> F64:
+        """Candidates (k, m, 3), wholly in the volume; depths from the law's distribution above or below Y_p, distances from equation 5.19."""
+        chosen: PlungingJetParameters = self.parameters
+        top, bottom = self._depths(domain)
+        low, high = domain.low_mm, domain.low_mm + np.asarray(domain.size_mm)
+        out = np.empty((len(deep), tries, 3))
+        for part, (start, end) in ((~deep, (top, min(bottom, chosen.penetration_mm))), (deep, (max(top, chosen.penetration_mm), bottom))):
+            number = np.flatnonzero(np.repeat(part, tries))
+            y = np.linspace(start, end, _NODES)
+            air = self.law.air_mm2(y)
+            cumulated = np.concatenate([[0.0], np.cumsum(0.5 * (air[1:] + air[:-1]))])
+            while len(number):
+                depth = np.interp(rng.random(len(number)) * cumulated[-1], cumulated, y)
+                spread = self.law.half_radius_mm(depth) / np.sqrt(2.0 * LN2)
+                x, z = spread * rng.standard_normal((2, len(number)))
+                place_mm = np.column_stack([x, depth, z]) + np.asarray(chosen.impact_mm)
+                own = reach[number // tries]
+                good = ((place_mm - own >= low) & (place_mm + own <= high)).all(axis=1)
+                out.reshape(-1, 3)[number[good]] = place_mm[good]
+                number = number[~good]
+        return out
+
+    def _velocities(self, places: F64) -> F64:
+        """Down a cone with what is left of the jet's speed, less the rise."""
+        chosen: PlungingJetParameters = self.parameters
+        depth = np.maximum(places[:, 1], 1e-3)
+        radius = np.hypot(places[:, 0], places[:, 2])
+        left = chosen.speed_mm_s * np.minimum(1.0, _CORE * chosen.jet_mm / depth) * np.maximum(0.0, 1.0 - depth / chosen.penetration_mm)
+        down = left * np.exp(-LN2 * radius**2 / self.law.half_radius_mm(depth) ** 2)
+        velocity = down[:, None] * places / depth[:, None]
+        velocity[:, 1] -= chosen.rise_mm_s
+        return np.asarray(velocity)

@@ -1,0 +1,160 @@
+"""One frame of bubbles, drops and bodies, with or without tracers: its world, and what each camera records of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from sabench.api import Material
+from sabench.arrays import F64, U16, Bool
+from sabench.imaging.multiphase import Lights, Tank, photograph
+from sabench.imaging.particle_images import ParticleImages, image_particles, scattering_table
+from sabench.imaging.sensor import expose
+from sabench.imaging.sightlines import NOTHING, Sight, see
+from sabench.motion import Motion, pulse
+from sabench.optics.camera import Camera
+from sabench.optics.wall import Layer
+from sabench.phases import Phases
+from sabench.rig import Rig
+from sabench.scene import Scene
+from sabench.seeds import stream
+from sabench.world import Bubbles, Particles, Solid
+
+_ERROR = 0.01  # of images, unless the scene says otherwise
+_GLOW_ERROR = 1.0  # of tracers among bubbles: the fewest rays there are, as their images are smooth
+
+
+@dataclass(frozen=True)
+class PhaseWorld:
+    """Everything in the fluid at one frame; `scene` has the laser as it is then."""
+
+    scene: Scene
+    rig: Rig
+    seed: int
+    frame: int
+    bubbles: Bubbles
+    bodies: list[tuple[Solid, Material]]
+    particles: Particles | None
+
+    @property
+    def solids(self) -> list[Solid]:
+        """The bodies' surfaces."""
+        return [solid for solid, _ in self.bodies]
+
+
+@dataclass(frozen=True)
+class PhaseView:
+    """What one camera records: grey values, mean photons, what each pixel truly sees, the picture's relative standard error, tracers' images."""
+
+    grey: U16
+    photons: F64
+    sight: Sight
+    error: float
+    images: ParticleImages | None
+
+
+class Worlds:
+    """All frames' worlds of a scene and seed."""
+
+    def __init__(self, scene: Scene, rig: Rig, seed: int) -> None:
+        self.scene, self.rig, self.seed = scene, rig, seed
+        self._phases = Phases(scene, seed)
+        self._motion = Motion(scene, seed) if scene.particles else None
+
+    def at(self, frame: int) -> PhaseWorld:
+        """A frame's world; tracers are in the fluid only. Raises as `Phases`."""
+        bubbles, bodies = self._phases.bubbles(frame), self._phases.bodies(frame)
+        scene, particles = self.scene, None
+        if self._motion is not None:
+            particles = self._motion.at(frame)
+            wet = ~_in_bubbles(bubbles, particles.position_mm) & ~_in_bodies(bodies, particles.position_mm)
+            particles = Particles(particles.id[wet], particles.position_mm[wet], particles.diameter_mm[wet], particles.velocity_mm_s[wet])
+            scene = scene.model_copy(update={"illumination": pulse(scene, self.seed, frame)})
+        return PhaseWorld(scene, self.rig, self.seed, frame, bubbles, bodies, particles)
+
+
+def record(world: PhaseWorld, camera: Camera) -> PhaseView:
+    """Render and expose one camera's picture, and say what it truly shows."""
+    scene, number = world.scene, int(camera.name.rsplit("_", 1)[1])
+    tank = tank_of(scene, world.rig)
+    full = scene.sensor.full_well_e / scene.sensor.quantum_efficiency
+    center = np.asarray(scene.volume.center_mm)
+    error = scene.render.relative_error or _ERROR
+    seed = int(stream(world.seed, "light paths", world.frame, number).integers(1 << 20))
+    shown = photograph(
+        camera, tank, world.bubbles, world.bodies, Lights(scene.backlight, scene.lighting, center, full), error, seed,
+        occluders=world.rig.occluders, exposure_s=scene.sensor.exposure_s,
+    )  # fmt: skip
+    sight = see(camera, world.bubbles, world.solids)
+    photons, images = shown.photons, None
+    if world.particles is not None:
+        images = _lit_particles(world, camera, sight)
+        glow = photograph(
+            camera, tank, world.bubbles, world.bodies, Lights(None, None, center, full), _GLOW_ERROR, seed + (1 << 20),
+            occluders=world.rig.occluders, images=images, particles_mm=world.particles.position_mm,
+        )  # fmt: skip
+        photons = photons + glow.photons
+    grey = expose(scene.sensor, photons.copy(), stream(world.seed, "sensor", world.frame, number))
+    return PhaseView(grey, photons, sight, shown.error, images)
+
+
+def tank_of(scene: Scene, rig: Rig) -> Tank:
+    """The walls of a scene."""
+    layers = (scene.wall.rear or ()) if scene.wall else ()
+    return Tank(rig.wall, tuple(Layer(layer.name, layer.index, layer.thickness_mm) for layer in layers))
+
+
+def _lit_particles(world: PhaseWorld, camera: Camera, sight: Sight) -> ParticleImages:
+    """Tracers' images: dark in the shadows that bubbles and bodies throw, not visible behind them."""
+    assert world.particles is not None
+    particles, scene = world.particles, world.scene
+    images = image_particles(scene, camera, particles, scattering_table(scene, world.rig.cameras, particles), world.rig.occluders)
+    way = np.broadcast_to(np.asarray(scene.light.direction) / np.linalg.norm(scene.light.direction), particles.position_mm.shape)
+    lit = ~_stopped(world, particles.position_mm, -way)
+    hidden = _hidden(camera, particles.position_mm, images.pixel, sight)
+    return replace(images, photons=images.photons * lit, intensity=images.intensity * lit, visible=images.visible & ~hidden)
+
+
+def _hidden(camera: Camera, points_mm: F64, pixels: F64, sight: Sight) -> Bool:
+    """Which points lie behind what their pixel sees first."""
+    with np.errstate(invalid="ignore"):
+        inside = camera.contains(pixels)
+    column, row = (np.where(inside, np.rint(np.nan_to_num(pixels[:, axis])), 0).astype(np.int64) for axis in (0, 1))
+    column, row = np.clip(column, 0, camera.columns - 1), np.clip(row, 0, camera.rows - 1)
+    axis = np.asarray(camera.rotation)[2]
+    depth = camera.wall.depth_of(points_mm) if camera.wall else (points_mm - np.asarray(camera.center_mm)) @ axis
+    return np.asarray(inside & (sight.number[row, column] != NOTHING) & (sight.depth_mm[row, column] < depth))
+
+
+def _stopped(world: PhaseWorld, points_mm: F64, ways: F64) -> Bool:
+    """Which lines (n,) from points (n, 3) meet a bubble or a body."""
+    from sabench.imaging.sightlines import meets
+
+    stopped = meets(world.bubbles, points_mm, ways)
+    if world.bodies:
+        from sabench.imaging.body_paths import BodySearch
+
+        stopped |= BodySearch(world.solids).first(points_mm, np.ascontiguousarray(ways))[1] >= 0
+    return stopped
+
+
+def _in_bubbles(bubbles: Bubbles, points_mm: F64) -> Bool:
+    from scipy.spatial import cKDTree
+
+    inside = np.zeros(len(points_mm), dtype=np.bool_)
+    if not len(bubbles) or not len(points_mm):
+        return inside
+    near = cKDTree(points_mm).query_ball_point(bubbles.center_mm, bubbles.semi_axes_mm.max(axis=1))
+    for number, which in enumerate(near):
+        offset = points_mm[which] - bubbles.center_mm[number]
+        inside[np.asarray(which, dtype=np.int64)[np.linalg.norm(offset @ bubbles.to_ball[number].T, axis=1) < 1.0]] = True
+    return inside
+
+
+def _in_bodies(bodies: list[tuple[Solid, Material]], points_mm: F64) -> Bool:
+    if not bodies:
+        return np.zeros(len(points_mm), dtype=np.bool_)
+    from sabench.imaging.body_paths import BodySearch
+
+    return BodySearch([solid for solid, _ in bodies]).enclosed(points_mm)

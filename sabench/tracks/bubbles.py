@@ -1,0 +1,98 @@
+"""The bubbles track: one observation in, bubbles out, frame by frame."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+
+from sabench import memory, pictures
+from sabench.api import BubbleSolver, Detections
+from sabench.arrays import F64
+from sabench.dataset.read import Dataset
+from sabench.dataset.result import Result, ResultWriter
+from sabench.metrics.bubbles import Balls, detection_scores
+from sabench.metrics.jets import JetFigures, analyse
+from sabench.progress import track
+from sabench.tracks.attempt import attempt
+
+_JET = {"penetration_percent": "penetration_mm", "angle_percent": "angle_deg", "weight_percent": "weight", "width_percent": "width"}
+
+
+def run(algorithm: BubbleSolver, name: str, data: Dataset, writer: ResultWriter) -> list[float]:
+    """Find every frame's bubbles; returns the seconds that each took.
+
+    Raises
+    ------
+    InputError
+        A solver that declines, raises, or returns something else.
+    """
+    seconds = []
+    for frame in range(data.rig.frames):
+        case = data.observation(frame)
+        start = time.perf_counter()
+        found: Detections = attempt(algorithm, name, case, Detections, f" on frame {frame}")
+        seconds.append(time.perf_counter() - start)
+        writer.add_bubbles(frame, found)
+        memory.trim()
+    return seconds
+
+
+def score_result(data: Dataset, result: Result | str) -> dict[str, float | None]:
+    """All scores: means over the frames, and a jet's figures from all frames together."""
+    frames, found = [], []
+    for frame in track(range(data.rig.frames), "score"):
+        guess, true = estimate(data, result, frame), data.bubbles(frame)
+        seen = np.mean([data.sight(frame, camera).visible for camera in data.rig.cameras], axis=0)
+        frames.append(detection_scores(guess, Balls(true.center_mm, true.semi_axes_mm, true.turn), seen))
+        found.append((guess, true))
+    scores = {key: _mean([frame[key] for frame in frames]) for key in frames[0]}
+    return scores | _jet_scores(data, [pair[0] for pair in found], [Balls(true.center_mm, true.semi_axes_mm, true.turn) for _, true in found])
+
+
+def estimate(data: Dataset, result: Result | str, frame: int) -> Balls:
+    """The estimate of a frame: a result's, or the one that the word `truth` or `empty` stands for."""
+    one = result.bubbles(frame) if isinstance(result, Result) else data.bubbles(frame) if result == "truth" else None
+    if one is None:
+        return Balls(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 3, 3)))
+    return Balls(one.center_mm, one.semi_axes_mm, one.turn)
+
+
+def _jet_scores(data: Dataset, found: list[Balls], true: list[Balls]) -> dict[str, float | None]:
+    """Errors of a jet's figures against the same analysis of the true bubbles; None where the scene has no jet."""
+    given = data.scene.bubbles or {}
+    if given.get("generator") != "plunging_jet":
+        return dict.fromkeys(_JET)
+    impact = np.asarray(given["impact_mm"])
+    volume = data.scene.volume
+    depth = volume.center_mm[1] + volume.size_mm[1] / 2.0 - impact[1]
+    guess, known = (_figures(balls, impact, depth) for balls in (found, true))
+    pairs = {key: (getattr(guess, name), getattr(known, name)) for key, name in _JET.items()}
+    return {key: _known(100.0 * abs(one / other - 1.0)) if other else None for key, (one, other) in pairs.items()}
+
+
+def _figures(balls: list[Balls], impact: F64, depth: float) -> JetFigures:
+    return analyse(np.concatenate([one.center_mm for one in balls]), np.concatenate([one.radius_mm for one in balls]), impact, depth, len(balls))
+
+
+def _mean(values: list[float]) -> float | None:
+    known = [value for value in values if np.isfinite(value)]
+    return float(np.mean(known)) if known else None
+
+
+def _known(value: float) -> float | None:
+    return value if np.isfinite(value) else None
+
+
+def images(data: Dataset) -> bytes:
+    """What the cameras saw, as a PNG."""
+    seen = data.observation(0)
+    return pictures.backlit(seen.images, seen.black_dn, seen.white_dn)
+
+
+def picture(data: Dataset, result: Result | str) -> bytes:
+    """The bubbles that were found, from the front and from the side, as a PNG."""
+    from sabench.bubble_figures import bubble_figure
+    from sabench.plots import draw
+
+    return draw(bubble_figure(estimate(data, result, 0), "bubbles"))

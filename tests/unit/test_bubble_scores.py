@@ -1,0 +1,116 @@
+"""Scores of bubbles: perfect for the truth, and what they must be for known faults."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from sabench.arrays import F64
+from sabench.jets import LN2, JetLaw
+from sabench.metrics.bubbles import Balls, detection_scores, match
+from sabench.metrics.jets import analyse
+
+
+def field(count: int = 60, seed: int = 1) -> Balls:
+    """Bubbles on a lattice, 10 mm apart."""
+    rng = np.random.default_rng(seed)
+    places = 10.0 * np.stack(np.unravel_index(np.arange(count), (4, 5, 4)), axis=1)
+    return Balls(places.astype(float), rng.uniform(0.3, 2.0, (count, 3)), Rotation.random(count, random_state=seed).as_matrix())
+
+
+def test_the_truth_is_perfect() -> None:
+    true = field()
+    scores = detection_scores(true, true, np.full(60, 0.5))
+    assert all(scores[key] == 1.0 for key in ("f1", "f1_large", "precision", "recall", "recall_hidden"))
+    assert all(
+        scores[key] == pytest.approx(0.0, abs=1e-6)
+        for key in ("radius_percent", "axes_percent", "plane_mm", "depth_mm", "sizes_percent", "void_percent")
+    )
+    assert scores["tilt_deg"] == pytest.approx(0.0, abs=1e-5)
+
+
+def test_faults_are_told_apart() -> None:
+    true = field()
+    found = Balls(true.center_mm + np.array([0.02, 0.0, -0.05]), 1.1 * true.semi_axes_mm, true.turn)
+    scores = detection_scores(found, true, np.ones(60))
+    assert scores["plane_mm"] == pytest.approx(0.02)
+    assert scores["depth_mm"] == pytest.approx(0.05)
+    assert scores["radius_percent"] == scores["axes_percent"] == pytest.approx(10.0)
+    assert scores["void_percent"] == pytest.approx(100.0 * (1.1**3 - 1.0))
+    assert np.isnan(scores["recall_hidden"])
+
+
+def test_a_third_missing_and_as_many_ghosts() -> None:
+    true = field()
+    ghosts = true.center_mm[:20] + 5.0
+    found = Balls(np.concatenate([true.center_mm[20:], ghosts]), true.semi_axes_mm, true.turn)
+    scores = detection_scores(found, true, np.ones(60))
+    assert scores["recall"] == scores["precision"] == scores["f1"] == pytest.approx(2.0 / 3.0)
+
+
+def test_half_a_radius_is_the_limit() -> None:
+    true = field()
+    for part, expected in ((0.49, 1.0), (0.51, 0.0)):
+        moved = true.center_mm + part * true.radius_mm[:, None] * np.array([0.6, 0.0, 0.8])
+        assert detection_scores(Balls(moved, true.semi_axes_mm, true.turn), true, np.ones(60))["f1"] == expected
+
+
+def test_matches_are_one_to_one_and_as_many_as_possible() -> None:
+    true, radius = np.array([[0.0, 0.0, 0.0], [0.8, 0.0, 0.0]]), np.array([2.0, 2.0])
+    i, j = match(np.array([[0.5, 0.0, 0.0], [-0.6, 0.0, 0.0]]), true, radius)  # the first is near both, the second only near the first true one
+    assert sorted(zip(i.tolist(), j.tolist(), strict=True)) == [(0, 1), (1, 0)]
+    i, j = match(np.zeros((3, 3)), true, radius)
+    assert len(i) == 2
+    assert len(match(np.zeros((0, 3)), true, radius)[0]) == 0
+
+
+def test_nothing_found_has_no_errors() -> None:
+    true, nothing = field(), Balls(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 3, 3)))
+    scores = detection_scores(nothing, true, np.ones(60))
+    assert scores["f1"] == scores["recall"] == 0.0
+    assert scores["void_percent"] == 100.0
+    assert np.isnan(scores["precision"])
+    assert np.isnan(scores["radius_percent"])
+    both = detection_scores(nothing, nothing, np.zeros(0))
+    assert np.isnan(both["f1"])
+
+
+def fine_air(law: JetLaw, depth_mm: float) -> tuple[F64, F64]:
+    """Very many equal bubbles whose density is a law's concentration, and their radii."""
+    rng = np.random.default_rng(7)
+    y = np.linspace(0.0, depth_mm, 20001)
+    air = law.air_mm2(y)
+    depth = np.interp(rng.random(400_000), np.cumsum(air) / air.sum(), y)
+    x, z = law.half_radius_mm(depth) / np.sqrt(2.0 * LN2) * rng.standard_normal((2, len(depth)))
+    volume = np.trapezoid(air, y) / len(depth)
+    return np.column_stack([x, depth, z]) + np.array([3.0, -2.0, 50.0]), np.full(len(depth), np.cbrt(volume * 3.0 / (4.0 * np.pi)))
+
+
+def test_figures_of_a_jet_are_those_of_its_law() -> None:
+    """Bins blur: the law's own means over bins are what they must be; Y_p is where they drop."""
+    law = JetLaw(120.0, 48.1, 0.0034)
+    centers, radii = fine_air(law, 200.0)
+    figures = analyse(centers, radii, np.array([3.0, -2.0, 50.0]), 200.0)
+    edges = np.arange(0.0, 201.0, 20.0)
+    rings = np.arange(0.0, 81.0, 8.0)
+    y = np.linspace(0.0, 200.0, 4001)
+    half = law.half_radius_mm(y)
+    inside = [-np.expm1(-LN2 * r**2 / half**2) for r in rings]
+    for ring in range(4):
+        air = law.air_mm2(y) * (inside[ring + 1] - inside[ring])
+        expected = [np.trapezoid(air[(y >= low) & (y <= low + 20.0)], y[(y >= low) & (y <= low + 20.0)]) for low in edges[:-1]]
+        room = np.pi * (rings[ring + 1] ** 2 - rings[ring] ** 2) * 20.0
+        np.testing.assert_allclose(figures.concentration[:, ring], np.array(expected) / room, rtol=0.1, atol=2e-5)
+    assert figures.penetration_mm == pytest.approx(120.0, rel=0.1)
+    assert figures.angle_deg == pytest.approx(law.angle_deg, rel=0.25)
+    assert figures.weight == pytest.approx(0.903, rel=0.1)
+    assert figures.width == pytest.approx(0.1894, rel=0.25)
+    assert figures.half_radius_mm[4] == pytest.approx(float(law.half_radius_mm(np.array(90.0))), rel=0.2)
+
+
+def test_no_bubbles_have_no_figures() -> None:
+    figures = analyse(np.zeros((0, 3)), np.zeros(0), np.zeros(3), 100.0)
+    assert np.isnan(figures.penetration_mm)
+    assert np.isnan(figures.weight)
+    assert (figures.concentration == 0.0).all()
