@@ -1,0 +1,41 @@
+"""The thesis's algorithm for bubbles in less dense flows."""
+
+from __future__ import annotations
+
+import numpy as np
+from pydantic import Field
+
+from sabench.api import BubbleSolver, Detections, Observation, Parameters
+from sabench.bubblefeature import WINDOW, attenuate, darkness, feature, minimum_images, outlines, validated
+from sabench.progress import track
+
+
+class MinimumImageParameters(Parameters):
+    """What counts as an edge, and as small."""
+
+    least_edge: float = Field(0.05, gt=0.0, lt=1.0, description="gradient of darkness per voxel that makes an edge")
+    small_px: float = Field(4.0, gt=0.0, description="equivalent diameter in voxels below which a feature is thresholded")
+
+
+class MinimumImage(BubbleSolver):
+    """Attenuated multiplicative planes, their minimum images over fifty planes, circles by Hough's transform."""
+
+    name = "minimum_image"
+    references = ("J. Belden, MIT thesis, section 5.4.2",)
+    Parameters = MinimumImageParameters
+
+    def solve(self, case: Observation) -> Detections:
+        """Steps 1 to 5 of the section."""
+        volume, grid = darkness(case), case.grid
+        attenuate(volume, feature(volume, WINDOW), WINDOW)
+        found = []
+        for dark, depth in track(minimum_images(volume), "minimum images"):
+            made = outlines(dark, depth, self.parameters.least_edge, self.parameters.small_px)
+            for (x, y, a, b), z in zip(made.shapes, made.depth, strict=True):
+                found.append((x, y, z, a, b, a * b))
+        shapes = np.array(found, dtype=np.float64).reshape(-1, 6)
+        voxel, low = np.asarray(grid.voxel_mm), np.asarray(grid.low_mm)
+        shapes[:, :3] = shapes[:, :3] * voxel + low
+        shapes[:, 3:5] *= voxel[:2]
+        kept = validated(shapes, grid)
+        return Detections.balls(kept[:, :3].copy(), np.sqrt(kept[:, 3] * kept[:, 4]))
