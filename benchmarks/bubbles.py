@@ -1,0 +1,60 @@
+"""Seconds to render bubbles before nine cameras of 1024 x 1024 pixels at a mean relative standard error of one percent.
+
+    python benchmarks/bubbles.py [bubbles ...]
+
+By default 200, 2,000 and 10,000 bubbles of 0.6 mm median radius in 200 x 200 x 100 mm. Prints one JSON value: seconds, the largest error of the
+nine pictures, and how much of the middle camera's picture bubbles cover.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+from typing import Any
+
+import numpy as np
+
+from sabench.imaging.multiphase import Lights, photograph
+from sabench.multiphase import Worlds, tank_of
+from sabench.parsing import parse_scene
+from sabench.rig import build_rig
+from sabench.scene import Scene
+
+_ERROR = 0.01
+
+
+def scene_of(count: int) -> Scene:
+    """The array of `plunging-jet-21` before a box full of bubbles."""
+    from sabench.rig import load_scene
+
+    values: dict[str, Any] = load_scene("plunging-jet-21").to_dict()
+    values["title"] = f"{count} bubbles"
+    values["volume"] = {"center_mm": [0.0, 125.0, 150.0], "size_mm": [200.0, 200.0, 100.0]}
+    values["bubbles"] = {"generator": "bubble_field", "count": count, "radius_mm": 0.6, "radius_range_mm": [0.15, 2.5]}
+    return parse_scene(values, "benchmark")
+
+
+def rendered(count: int) -> dict[str, float]:
+    """One frame, rendered by all cameras; kernels are compiled before."""
+    scene = scene_of(count)
+    rig = build_rig(scene)
+    world = Worlds(scene, rig, 1).at(0)
+    lights = Lights(scene.backlight, None, np.asarray(scene.volume.center_mm), scene.sensor.full_well_e / scene.sensor.quantum_efficiency)
+    tank = tank_of(scene, rig)
+    photograph(rig.cameras[0], tank, world.bubbles, (), lights, 1.0, 1)
+    start = time.perf_counter()
+    shown = [photograph(camera, tank, world.bubbles, (), lights, _ERROR, 1000 * number) for number, camera in enumerate(rig.cameras)]
+    seconds = time.perf_counter() - start
+    covered = float((shown[4].photons < 0.9 * np.median(shown[4].photons)).mean())
+    return {"bubbles": count, "seconds": round(seconds, 1), "error": round(max(one.error for one in shown), 4), "covered": round(covered, 3)}
+
+
+def main() -> None:
+    """All counts, one after another."""
+    counts = [int(argument) for argument in sys.argv[1:]] or [200, 2000, 10000]
+    print(json.dumps({"cameras": 9, "pixels": [1024, 1024], "runs": [rendered(count) for count in counts]}, indent=1))
+
+
+if __name__ == "__main__":
+    main()
