@@ -41,6 +41,10 @@ _PICTURED = {  # heading and text of a section's pictures
         "Fields",
         "The first pair: vectors and vorticity of a middle plane, errors there, all errors against each other, a profile beside the exact one.",
     ),
+    "bubbles": (
+        "Bubbles from the front and from the side",
+        "Every bubble as a circle of its radius, which its colour gives, too; X to the right or Z, Y down.",
+    ),
 }
 
 _LARGEST = 1e15  # beyond it no score is meant, and digits would fill the page

@@ -185,6 +185,27 @@ def test_what_cannot_be_is_said(name: str, tmp_path: Path) -> None:
     assert not (tmp_path / "data").exists()
 
 
+def test_a_suite_of_bubbles_ends_in_a_page(tmp_path: Path) -> None:
+    from sabench.run import run_suite
+
+    (tmp_path / "small.toml").write_text(small().to_toml(), encoding="utf-8")
+    text = 'title = "bubbles"\nscenes = ["small.toml"]\nbackend = "mitsuba"\n[[solvers]]\nname = "minimum_image"\n'
+    (tmp_path / "suite.toml").write_text(text, encoding="utf-8")
+    (record,) = run_suite(tmp_path / "suite.toml", tmp_path / "work", tmp_path / "board")
+    assert record["error"] is None
+    assert record["f1"] > 0.5
+    page = (tmp_path / "board" / "index.html").read_text(encoding="utf-8")
+    assert "Bubbles from the front and from the side" in page
+    assert "F1, large" in page
+
+
+def test_every_track_has_its_place_on_the_page() -> None:
+    from sabench.board import _PICTURED
+    from sabench.columns import COLUMNS, LARGER_IS_BETTER
+
+    assert set(_PICTURED) == set(COLUMNS) == set(LARGER_IS_BETTER)
+
+
 def test_splatting_renders_no_bubbles(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="small: backend: expected mitsuba for bubbles and solids, got splat"):
         generate(small(), tmp_path / "data", seed=1, backend="splat")
