@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from sabench.metrics.bubbles import Balls
+from sabench.metrics.bubbles import AnyBubbles
 from sabench.plots import Discs, Figure, Panel
 
 
-def bubble_figure(bubbles: Balls, name: str, title: str = "") -> Figure:
+def bubble_figure(bubbles: AnyBubbles, name: str, title: str = "") -> Figure:
     """Places and sizes across X-Y and Z-Y."""
     x, y, z = bubbles.center_mm.T
     views = (("front", "X, mm", x), ("side", "Z, mm", z))

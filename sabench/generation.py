@@ -91,6 +91,8 @@ def _record_phases(writer: DatasetWriter, scene: Scene, rig: Rig, seed: int, lab
             writer.add_phases(frame, world.bubbles, world.solids)
             if world.particles is not None:
                 writer.add_particles(frame, world.particles)
+            if scene.flow_grid_mm:
+                writer.add_flow(frame, *lattice(scene, frame, scene.flow_grid_mm))
         view = record(world, camera)
         writer.add_sight(frame, camera, view.sight, view.error)
         if view.images is not None:

@@ -8,10 +8,13 @@ import numpy as np
 
 from sabench.api import Material
 from sabench.arrays import F64, U16, Bool
+from sabench.errors import InputError
+from sabench.imaging.body_paths import BodySearch
 from sabench.imaging.multiphase import Lights, Tank, photograph
 from sabench.imaging.particle_images import ParticleImages, image_particles, scattering_table
+from sabench.imaging.scattering import MieTable
 from sabench.imaging.sensor import expose
-from sabench.imaging.sightlines import NOTHING, Sight, see
+from sabench.imaging.sightlines import NOTHING, Sight, depth_of, meets, see
 from sabench.motion import Motion, pulse
 from sabench.optics.camera import Camera
 from sabench.optics.wall import Layer
@@ -27,7 +30,13 @@ _GLOW_ERROR = 1.0  # of tracers among bubbles: the fewest rays there are, as the
 
 @dataclass(frozen=True)
 class PhaseWorld:
-    """Everything in the fluid at one frame; `scene` has the laser as it is then."""
+    """Everything in the fluid at one frame.
+
+    Attributes
+    ----------
+    scene : with the laser as it is in this frame.
+    particles, lit, table : tracers, which of them (n,) no bubble or body keeps the laser from, and how they scatter; None without any.
+    """
 
     scene: Scene
     rig: Rig
@@ -35,7 +44,9 @@ class PhaseWorld:
     frame: int
     bubbles: Bubbles
     bodies: list[tuple[Solid, Material]]
-    particles: Particles | None
+    particles: Particles | None = None
+    lit: Bool | None = None
+    table: MieTable | None = None
 
     @property
     def solids(self) -> list[Solid]:
@@ -58,6 +69,8 @@ class Worlds:
     """All frames' worlds of a scene and seed."""
 
     def __init__(self, scene: Scene, rig: Rig, seed: int) -> None:
+        if scene.particles and scene.timing and scene.timing.duration_s:
+            raise InputError(f"{scene.title}: timing.duration_s: expected 0 for tracers among bubbles or solids, got {scene.timing.duration_s:g}")
         self.scene, self.rig, self.seed = scene, rig, seed
         self._phases = Phases(scene, seed)
         self._motion = Motion(scene, seed) if scene.particles else None
@@ -65,13 +78,16 @@ class Worlds:
     def at(self, frame: int) -> PhaseWorld:
         """A frame's world; tracers are in the fluid only. Raises as `Phases`."""
         bubbles, bodies = self._phases.bubbles(frame), self._phases.bodies(frame)
-        scene, particles = self.scene, None
-        if self._motion is not None:
-            particles = self._motion.at(frame)
-            wet = ~_in_bubbles(bubbles, particles.position_mm) & ~_in_bodies(bodies, particles.position_mm)
-            particles = Particles(particles.id[wet], particles.position_mm[wet], particles.diameter_mm[wet], particles.velocity_mm_s[wet])
-            scene = scene.model_copy(update={"illumination": pulse(scene, self.seed, frame)})
-        return PhaseWorld(scene, self.rig, self.seed, frame, bubbles, bodies, particles)
+        world = PhaseWorld(self.scene, self.rig, self.seed, frame, bubbles, bodies)
+        if self._motion is None:
+            return world
+        every = self._motion.at(frame)
+        wet = ~_in_bubbles(bubbles, every.position_mm) & ~_in_bodies(bodies, every.position_mm)
+        particles = Particles(every.id[wet], every.position_mm[wet], every.diameter_mm[wet], every.velocity_mm_s[wet])
+        scene = self.scene.model_copy(update={"illumination": pulse(self.scene, self.seed, frame)})
+        way = np.asarray(scene.light.direction) / np.linalg.norm(scene.light.direction)
+        lit = ~_stopped(world, particles.position_mm, np.tile(-way, (len(particles), 1)))
+        return replace(world, scene=scene, particles=particles, lit=lit, table=scattering_table(scene, self.rig.cameras, particles))
 
 
 def record(world: PhaseWorld, camera: Camera) -> PhaseView:
@@ -108,12 +124,10 @@ def tank_of(scene: Scene, rig: Rig) -> Tank:
 def _lit_particles(world: PhaseWorld, camera: Camera, sight: Sight) -> ParticleImages:
     """Tracers' images: dark in the shadows that bubbles and bodies throw, not visible behind them."""
     assert world.particles is not None
-    particles, scene = world.particles, world.scene
-    images = image_particles(scene, camera, particles, scattering_table(scene, world.rig.cameras, particles), world.rig.occluders)
-    way = np.broadcast_to(np.asarray(scene.light.direction) / np.linalg.norm(scene.light.direction), particles.position_mm.shape)
-    lit = ~_stopped(world, particles.position_mm, -way)
-    hidden = _hidden(camera, particles.position_mm, images.pixel, sight)
-    return replace(images, photons=images.photons * lit, intensity=images.intensity * lit, visible=images.visible & ~hidden)
+    assert world.lit is not None
+    images = image_particles(world.scene, camera, world.particles, world.table, world.rig.occluders)
+    hidden = _hidden(camera, world.particles.position_mm, images.pixel, sight)
+    return replace(images, photons=images.photons * world.lit, intensity=images.intensity * world.lit, visible=images.visible & ~hidden)
 
 
 def _hidden(camera: Camera, points_mm: F64, pixels: F64, sight: Sight) -> Bool:
@@ -122,20 +136,15 @@ def _hidden(camera: Camera, points_mm: F64, pixels: F64, sight: Sight) -> Bool:
         inside = camera.contains(pixels)
     column, row = (np.where(inside, np.rint(np.nan_to_num(pixels[:, axis])), 0).astype(np.int64) for axis in (0, 1))
     column, row = np.clip(column, 0, camera.columns - 1), np.clip(row, 0, camera.rows - 1)
-    axis = np.asarray(camera.rotation)[2]
-    depth = camera.wall.depth_of(points_mm) if camera.wall else (points_mm - np.asarray(camera.center_mm)) @ axis
-    return np.asarray(inside & (sight.number[row, column] != NOTHING) & (sight.depth_mm[row, column] < depth))
+    first = sight.depth_mm[row, column]
+    return np.asarray(inside & (sight.number[row, column] != NOTHING) & (first < depth_of(camera, points_mm)))
 
 
 def _stopped(world: PhaseWorld, points_mm: F64, ways: F64) -> Bool:
     """Which lines (n,) from points (n, 3) meet a bubble or a body."""
-    from sabench.imaging.sightlines import meets
-
     stopped = meets(world.bubbles, points_mm, ways)
     if world.bodies:
-        from sabench.imaging.body_paths import BodySearch
-
-        stopped |= BodySearch(world.solids).first(points_mm, np.ascontiguousarray(ways))[1] >= 0
+        stopped |= BodySearch(world.solids).first(points_mm, ways)[1] >= 0
     return stopped
 
 
@@ -155,6 +164,4 @@ def _in_bubbles(bubbles: Bubbles, points_mm: F64) -> Bool:
 def _in_bodies(bodies: list[tuple[Solid, Material]], points_mm: F64) -> Bool:
     if not bodies:
         return np.zeros(len(points_mm), dtype=np.bool_)
-    from sabench.imaging.body_paths import BodySearch
-
     return BodySearch([solid for solid, _ in bodies]).enclosed(points_mm)

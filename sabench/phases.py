@@ -8,12 +8,12 @@ import numpy as np
 
 from sabench import plugins
 from sabench.api import BubbleGenerator, Material, SolidGenerator
-from sabench.arrays import F64
+from sabench.arrays import I64
 from sabench.errors import InputError
 from sabench.optics.rotation import exponential
 from sabench.optics.wall import Wall
-from sabench.placement import overlapping
-from sabench.rig import domain_of
+from sabench.placement import overlapping, touching
+from sabench.rig import build_wall, domain_of
 from sabench.scene import Scene
 from sabench.world import Bubbles, Solid
 
@@ -92,23 +92,17 @@ def _closed(body: Solid, where: str, scene: Scene) -> Solid:
     return Solid(np.asarray(body.vertices_mm, dtype=np.float64), np.asarray(faces, dtype=np.int64))
 
 
-def _depths(wall: Wall, scene: Scene) -> tuple[float, float]:
+def _depths(wall: Wall) -> tuple[float, float]:
     """Depths of the faces between which the fluid is."""
     inner = wall.thickness_mm
     return inner, inner + wall.depth_mm if wall.depth_mm is not None else np.inf
 
 
-def _wall(scene: Scene) -> Wall | None:
-    from sabench.rig import build_wall
-
-    return build_wall(scene.wall) if scene.wall else None
-
-
 def _check_walls(bubbles: Bubbles, scene: Scene, where: str) -> None:
-    wall = _wall(scene)
+    wall = build_wall(scene.wall) if scene.wall else None
     if wall is None or not len(bubbles):
         return
-    depth, reach, (near, far) = wall.depth_of(bubbles.center_mm), bubbles.reach_mm(wall.normal), _depths(wall, scene)
+    depth, reach, (near, far) = wall.depth_of(bubbles.center_mm), bubbles.reach_mm(wall.normal), _depths(wall)
     cut = np.flatnonzero((depth - reach < near) | (depth + reach > far))
     if len(cut):
         raise InputError(f"{where}: expected all of them in the fluid, but a wall cuts {len(cut)}: {_named(bubbles, cut)}")
@@ -122,9 +116,7 @@ def _check_apart(bubbles: Bubbles, where: str) -> None:
 
 
 def _check_beside(bubbles: Bubbles, solid: Solid, where: str, name: str) -> None:
-    """No bubble may cross a body's surface, or be within it."""
-    from sabench.placement import touching
-
+    """No bubble may cross a body's surface."""
     if not len(bubbles):
         return
     bad = np.flatnonzero(touching(bubbles, solid))
@@ -133,16 +125,16 @@ def _check_beside(bubbles: Bubbles, solid: Solid, where: str, name: str) -> None
 
 
 def _check_tank(solid: Solid, scene: Scene, where: str) -> None:
-    wall = _wall(scene)
+    wall = build_wall(scene.wall) if scene.wall else None
     if wall is None:
         return
-    depth, (near, far) = wall.depth_of(solid.vertices_mm), _depths(wall, scene)
+    depth, (near, far) = wall.depth_of(solid.vertices_mm), _depths(wall)
     if depth.min() < near or depth.max() > far:
         got = f"{depth.min():.4g} to {depth.max():.4g}"
         raise InputError(f"{where}: expected it in the tank, {near:g} to {far:g} mm behind the wall's outer face, but it reaches from {got} mm")
 
 
-def _named(bubbles: Bubbles, which: F64 | Any) -> str:
+def _named(bubbles: Bubbles, which: I64) -> str:
     """A few bubbles by number, place and size."""
     shown = [
         f"{bubbles.id[n]} at {np.round(bubbles.center_mm[n], 3).tolist()} mm with semi-axes {np.round(bubbles.semi_axes_mm[n], 3).tolist()} mm"

@@ -14,11 +14,11 @@ from typing import Any
 import numba
 import numpy as np
 
-from sabench.arrays import F32, F64, I64
-from sabench.bubblefit.profile import _LARGEST, _REACH, _SMALLEST, Profile
+from sabench.arrays import F32, F64
+from sabench.bubblefit.profile import LARGEST, REACH, SMALLEST, Profile
 from sabench.optics.camera import Camera
 
-PARAMETERS = 7  # x, y, z, log of the long and of the short semi-axis, tilts about z and about x
+# Parameters: x, y, z, logarithms of the long and of the short semi-axis, tilts about z and about x.
 _STEPS = np.array([1e-3, 1e-3, 5e-3, 1e-3, 1e-3, 2e-3, 2e-3])  # of differences
 _PRIOR = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.15, 0.15])  # weight of the tilts: a ball has none
 _DIM = 0.02  # transmission of the darkest model
@@ -96,24 +96,23 @@ def gain(model: Model, parameters: F64) -> F64:
     return out
 
 
-def fit(model: Model, parameters: F64, free: I64, steps: int) -> F64:
-    """Better parameters of a bubble that is not in the model now; `free` are the numbers of those that change."""
+def fit(model: Model, parameters: F64, steps: int) -> F64:
+    """Better parameters of a bubble that is not in the model now."""
     linear = linearised(model.cameras, parameters[:3])
     best, damping = parameters.copy(), 1e-2
-    value, normal, slope = _measured(model, linear, best, free)
+    value, normal, slope = _measured(model, linear, best)
     for _ in range(steps):
         try:
             change = np.linalg.solve(normal + damping * np.diag(np.diag(normal) + 1e-9), -slope)
         except np.linalg.LinAlgError:
             break
-        tried = best.copy()
-        tried[free] += np.clip(change, -0.5, 0.5)
+        tried = best + np.clip(change, -0.5, 0.5)
         tried[3:5] = np.clip(tried[3:5], np.log(0.02), np.log(20.0))
         tried[4] = min(tried[4], tried[3])
         tried[5:] = np.clip(tried[5:], -1.3, 1.3)
-        there = _measured(model, linear, tried, free)
+        there = _measured(model, linear, tried)
         if there[0] < value:
-            moved = float(np.abs(tried[free] - best[free]).max())
+            moved = float(np.abs(tried - best).max())
             best, (value, normal, slope), damping = tried, there, damping * 0.2
             if moved < 1e-3:
                 break
@@ -142,29 +141,25 @@ def misfit(model: Model, parameters: F64) -> float:
     return float(np.nanmedian(out)) if np.isfinite(out).any() else float("inf")
 
 
-def _measured(model: Model, linear: tuple[F64, F64, F64], parameters: F64, free: I64) -> tuple[float, F64, F64]:
-    """Robust sum of squares, and its normal equations in the free parameters."""
-    moved = [parameters]
-    for number in free:
-        other = parameters.copy()
-        other[number] += _STEPS[number]
-        moved.append(other)
+def _measured(model: Model, linear: tuple[F64, F64, F64], parameters: F64) -> tuple[float, F64, F64]:
+    """Robust sum of squares, and its normal equations."""
+    moved = [parameters, *(parameters + np.diag(_STEPS))]
     ellipses = np.stack([images_of(model.cameras, linear, one) for one in moved], axis=1)
-    normal, slope = np.zeros((len(free), len(free))), np.zeros(len(free))
-    value = _normal(model.images, model.logs, ellipses, model.profile.table, model.profile.blur_px, _STEPS[free], normal, slope)
-    prior = _PRIOR[free]
-    return value + float(np.sum((prior * parameters[free]) ** 2)), normal + np.diag(prior**2), slope + prior**2 * parameters[free]
+    normal, slope = np.zeros((len(parameters), len(parameters))), np.zeros(len(parameters))
+    value = _normal(model.images, model.logs, ellipses, model.profile.table, model.profile.blur_px, _STEPS, normal, slope)
+    weight = _PRIOR**2
+    return value + float(np.sum(weight * parameters**2)), normal + np.diag(weight), slope + weight * parameters
 
 
 @numba.njit(cache=True, error_model="numpy")
 def _shade(table: Any, blur: float, distance: float, part: float) -> Any:
     """Transmission at a distance in px from the centre that is a part of the radius there, bilinear in the profile's table."""
     radius = distance / part if part > 1e-9 else 1e9
-    radius = min(max(radius, _SMALLEST), _LARGEST)
-    across = distance / (radius + _REACH * blur) * (table.shape[1] - 1)
+    radius = min(max(radius, SMALLEST), LARGEST)
+    across = distance / (radius + REACH * blur) * (table.shape[1] - 1)
     if across >= table.shape[1] - 1:
         return 1.0
-    place = np.log(radius / _SMALLEST) / np.log(_LARGEST / _SMALLEST) * (table.shape[0] - 1)
+    place = np.log(radius / SMALLEST) / np.log(LARGEST / SMALLEST) * (table.shape[0] - 1)
     i, j = min(int(place), table.shape[0] - 2), int(across)
     u, v = place - i, across - j
     upper = table[i, j] * (1.0 - v) + table[i, j + 1] * v
@@ -187,7 +182,7 @@ def _box(ellipse: Any, shape: Any, blur: float) -> Any:
     """Rows and columns that an ellipse's image reaches, and its mean radius."""
     determinant = ellipse[2] * ellipse[4] - ellipse[3] * ellipse[3]
     width, height = np.sqrt(ellipse[4] / determinant), np.sqrt(ellipse[2] / determinant)
-    margin = _REACH * blur + _MARGIN
+    margin = REACH * blur + _MARGIN
     top, bottom = int(max(np.floor(ellipse[1] - height - margin), 0)), int(min(np.ceil(ellipse[1] + height + margin) + 1, shape[0]))
     left, right = int(max(np.floor(ellipse[0] - width - margin), 0)), int(min(np.ceil(ellipse[0] + width + margin) + 1, shape[1]))
     return top, bottom, left, right, determinant**-0.25

@@ -19,8 +19,8 @@ _INNER = 3  # reflections inside that are followed
 _SOFT = 0.15  # of the diffuser's half angle: it is not round, and not seen from its axis
 _FINE = 600  # distances at which the sharp profile is taken
 _RADII, _DISTANCES = 72, 96  # of the table
-_SMALLEST, _LARGEST = 0.4, 60.0  # px
-_REACH = 4.0  # widths of the blur beyond the rim
+SMALLEST, LARGEST = 0.4, 60.0  # px
+REACH = 4.0  # widths of the blur beyond the rim
 
 
 def sharp(b: F64, index: float, half_angle: float) -> F64:
@@ -68,21 +68,21 @@ class Profile:
     @classmethod
     def of(cls, index: float, half_angle: float, blur_px: float) -> Profile:
         """The table for balls of a relative index before a diffuser of a half angle, blurred by a Gaussian."""
-        radii = np.geomspace(_SMALLEST, _LARGEST, _RADII)
+        radii = np.geomspace(SMALLEST, LARGEST, _RADII)
         table = np.empty((_RADII, _DISTANCES), dtype=np.float32)
         for row, radius in zip(table, radii, strict=True):
             edges = np.linspace(0.0, radius, _FINE + 1)
             middle, step = edges[:-1] + radius / _FINE / 2.0, radius / _FINE
             missing = 1.0 - sharp(middle / radius, index, half_angle)
-            distance = np.linspace(0.0, 1.0, _DISTANCES)[:, None] * (radius + _REACH * blur_px)
+            distance = np.linspace(0.0, 1.0, _DISTANCES)[:, None] * (radius + REACH * blur_px)
             weight = np.exp(-((distance - middle) ** 2) / (2.0 * blur_px**2)) * i0e(distance * middle / blur_px**2) * middle / blur_px**2
             row[:] = 1.0 - (weight * missing).sum(axis=1) * step
         return cls(table, blur_px)
 
     def __call__(self, distance: F64, radius_px: float) -> F64:
         """Transmission at distances (n,) in px from the centre of a ball."""
-        place = np.log(radius_px / _SMALLEST) / np.log(_LARGEST / _SMALLEST) * (_RADII - 1)
+        place = np.log(radius_px / SMALLEST) / np.log(LARGEST / SMALLEST) * (_RADII - 1)
         low = int(np.clip(np.floor(place), 0, _RADII - 2))
         row = self.table[low] * (low + 1 - place) + self.table[low + 1] * (place - low)
-        part = distance / (radius_px + _REACH * self.blur_px)
+        part = distance / (radius_px + REACH * self.blur_px)
         return np.asarray(np.interp(part, np.linspace(0.0, 1.0, _DISTANCES), row, right=1.0))

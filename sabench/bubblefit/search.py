@@ -19,7 +19,6 @@ _ANGLES = np.deg2rad(np.geomspace(6.0, 70.0, 26))
 _LIKELY, _LARGEST, _CLEAN = 0.7, 32, 12  # part of the most votes; bubbles that may tell the diffuser, and those that do: nothing else is there
 _SURE, _WORTH = 0.75, 0.25  # gain of what goes first; part of the least gain that makes a fit worth while
 _VOTED, _SMALLER, _SIMPLER = 0.5, 0.75, 0.1  # votes of what may replace others; their radius over its; misfit that each of them is worth
-_ALL = np.arange(7)
 
 
 def search(
@@ -51,7 +50,7 @@ def _lit_from(images: F32, cameras: Sequence[Camera], profile_of: Callable[[floa
     costs = np.zeros((len(_ANGLES), len(chosen)))
     for row, angle in zip(costs, track(_ANGLES.tolist(), "find the diffuser"), strict=True):
         model = Model(images, np.zeros_like(images), cameras, profile_of(angle))
-        row[:] = [misfit(model, fit(model, _start(start, n), _ALL, _FIRST)) for n in chosen]
+        row[:] = [misfit(model, fit(model, _start(start, n), _FIRST)) for n in chosen]
     clean = np.argsort(costs.min(axis=0), kind="stable")[:_CLEAN]
     return float(_ANGLES[costs[:, clean].sum(axis=1).argmin()]) if len(chosen) else float(_ANGLES[len(_ANGLES) // 2])
 
@@ -65,7 +64,7 @@ def _accepted(model: Model, start: Hypotheses, least_gain: float) -> list[F64]:
             first = _start(start, n)
             if _judged(model, first) < _WORTH * least:
                 continue
-            fitted = fit(model, first, _ALL, _FIRST)
+            fitted = fit(model, first, _FIRST)
             if _judged(model, fitted) >= least:
                 darken(model, fitted, 1.0)
                 kept.append(fitted)
@@ -83,7 +82,7 @@ def _united(model: Model, kept: list[F64], start: Hypotheses, least_gain: float)
         before = unexplained(model, ellipses_of(model, first))
         for one in parts:
             darken(model, kept[one], -1.0)
-        whole = fit(model, first, _ALL, _FIRST)
+        whole = fit(model, first, _FIRST)
         good = _judged(model, whole) >= least_gain and set(_parts(kept, whole)) >= set(parts)
         if good:
             darken(model, whole, 1.0)
@@ -122,11 +121,11 @@ def _judged(model: Model, parameters: F64) -> float:
 
 
 def _refined(model: Model, kept: list[F64], least_gain: float) -> list[F64]:
-    """All fitted again with free tilts; those that the others explain by now are dropped."""
+    """All fitted again; those that the others explain by now are dropped."""
     out = []
     for parameters in track(kept, "refine bubbles"):
         darken(model, parameters, -1.0)
-        better = fit(model, parameters, _ALL, _MORE)
+        better = fit(model, parameters, _MORE)
         if _judged(model, better) >= least_gain:
             darken(model, better, 1.0)
             out.append(better)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
@@ -11,6 +12,16 @@ from sabench.arrays import F64, I64, Bool
 from sabench.world import Solid
 
 _ODD = np.array([0.8017837, 0.2672612, 0.5345225])  # a direction in which few bodies have edges
+
+
+def mesh_of(mi: Any, solid: Solid, origin: F64, **how: Any) -> Any:
+    """A body as a mesh of Mitsuba's, around an origin; `how` are further arguments of `mi.Mesh`."""
+    mesh = mi.Mesh("body", len(solid.vertices_mm), len(solid.faces), **how)
+    values = mi.traverse(mesh)
+    values["vertex_positions"] = (solid.vertices_mm - origin).astype(np.float32).ravel()
+    values["faces"] = solid.faces.astype(np.uint32).ravel()
+    values.update()
+    return mesh
 
 
 class BodySearch:
@@ -22,12 +33,7 @@ class BodySearch:
         self._reach = max(float(np.linalg.norm(solid.vertices_mm - self._origin, axis=1).max()) for solid in bodies)
         meshes = {}
         for number, solid in enumerate(bodies):
-            mesh = mi.Mesh(f"body_{number}", len(solid.vertices_mm), len(solid.faces))
-            values = mi.traverse(mesh)
-            values["vertex_positions"] = (solid.vertices_mm - self._origin).astype(np.float32).ravel()
-            values["faces"] = solid.faces.astype(np.uint32).ravel()
-            values.update()
-            meshes[f"body_{number}"] = mesh
+            meshes[f"body_{number}"] = mesh_of(mi, solid, self._origin)
         self._scene = mi.load_dict({"type": "scene", **meshes})
 
     def first(self, starts_mm: F64, ways: F64) -> tuple[F64, I64]:

@@ -10,7 +10,7 @@ Radiance is carried as L / n^2, which no interface changes but by what it reflec
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import drjit as dr
@@ -19,6 +19,7 @@ import numpy as np
 
 from sabench.arrays import F32, F64, I64
 from sabench.imaging.glow import Cloud, opaque, undistorted, unstopped
+from sabench.imaging.lamps import Lamps
 from sabench.optics.camera import Camera
 from sabench.optics.occluder import Disc
 
@@ -54,16 +55,6 @@ class Panel:
 
 
 @dataclass(frozen=True)
-class Lamps:
-    """Where lamps seem to be in the fluid (n, 3), in the frame of the render; power, 1 for a white surface that faces one at 1 mm to show
-    radiance 1; `even`, what comes from everywhere."""
-
-    places: F64
-    powers: F64
-    even: float
-
-
-@dataclass(frozen=True)
 class Stage:
     """What light meets, in the frame of the render.
 
@@ -93,7 +84,7 @@ class Stage:
     lamps: Lamps | None = None
     opaque_scene: Any = None
     bodies: bool = False
-    occluders: tuple[Disc, ...] = field(default=())
+    occluders: tuple[Disc, ...] = ()
 
 
 def radiance(stage: Stage, camera: Camera, origin: F64, pixels: I64, samples: int, seed: int) -> F32:
@@ -248,8 +239,12 @@ def _left(device: Any, ray: Any) -> tuple[Any, Any, Any]:
     along = dr.dot(ray.d, device.normal)
     back = along > 0.0
     _, _, out_in_front = _crossed(ray.o, ray.d, device.normal, device.front)
-    place, way, out_behind = _crossed(ray.o, ray.d, device.normal, device.rear)
-    face = dr.select(back, device.rear[0][0], device.front[0][0])
+    if device.rear is None:
+        place, way, out_behind, behind = ray.o, ray.d, mi.Float(1.0), mi.Float(device.front[0][0])
+    else:
+        place, way, out_behind = _crossed(ray.o, ray.d, device.normal, device.rear)
+        behind = device.rear[0][0]
+    face = dr.select(back, behind, device.front[0][0])
     here = dr.fma(ray.d, (face - dr.dot(ray.o, device.normal)) / along, ray.o)
     passed = dr.select(back, out_behind, out_in_front)
     seen = dr.select(back & (out_behind > 0.0), out_behind * _shown(device, place, way), 0.0)

@@ -12,9 +12,10 @@ from scipy.ndimage import gaussian_filter, maximum_filter, uniform_filter
 from sabench import backend
 from sabench.api import Material
 from sabench.arrays import F64, I64
+from sabench.imaging.body_paths import mesh_of
+from sabench.imaging.lamps import placed
 from sabench.imaging.particle_images import ParticleImages, diffraction_px
 from sabench.imaging.pathtrace import balls, glow_of
-from sabench.imaging.target_pictures import apparent
 from sabench.optics.camera import Camera
 from sabench.optics.occluder import Disc
 from sabench.optics.wall import Layer, Wall, transmittance
@@ -175,7 +176,9 @@ class _Stager:
         self._cloud = _cloud(self._paths, camera, images, particles_mm, self.origin)
         full = lights.full_photons / float(camera.etendue().max())  # radiance
         self._panel = _panel(self._paths, lights.backlight, self.origin, full / tank.straight())
-        self._lamps = _lamps(self._paths, camera, lights, self.origin, full)
+        facing = np.asarray(camera.wall.normal if camera.wall else camera.rotation[2])
+        behind = full / float(transmittance(camera.wall, facing[None])[0])
+        self._lamps = placed(lights.lighting, camera, self.origin, self.origin, behind) if lights.lighting else None
         shining = [light.exposure for light in (lights.backlight, lights.lighting) if light is not None]
         self.brightest = max(shining, default=1.0) * full
         corners = [np.linalg.norm(bubbles.center_mm - self.origin, axis=1) + bubbles.semi_axes_mm.max(axis=1, initial=0.0)]
@@ -223,12 +226,7 @@ def _mesh(mi: Any, solid: Solid, material: Material, origin: F64, tank: Tank) ->
     """A body as a mesh of Mitsuba's."""
     properties = mi.Properties()
     properties["mesh_bsdf"] = mi.load_dict(_bsdf(material, tank))
-    mesh = mi.Mesh("body", len(solid.vertices_mm), len(solid.faces), has_vertex_normals=material.kind == "liquid", props=properties)
-    values = mi.traverse(mesh)
-    values["vertex_positions"] = (solid.vertices_mm - origin).astype(np.float32).ravel()
-    values["faces"] = solid.faces.astype(np.uint32).ravel()
-    values.update()
-    return mesh
+    return mesh_of(mi, solid, origin, has_vertex_normals=material.kind == "liquid", props=properties)
 
 
 def _bsdf(material: Material, tank: Tank) -> dict[str, Any]:
@@ -253,13 +251,15 @@ def _cloud(paths: Any, camera: Camera, images: ParticleImages | None, positions_
 
 
 def _stacks(paths: Any, tank: Tank, origin: F64) -> tuple[Any, Any]:
-    """The walls, from the fluid outwards; behind, the fluid goes on where no wall is."""
+    """The walls, from the fluid outwards; the fluid goes on for ever where there is no back wall."""
     wall = tank.wall
     if wall is None:
         return None, None
     start = -float(wall.depth_of(origin))  # of the outer face, along the normal, in the frame of the render
     front = paths.Stack(start + wall.interface_depths_mm[::-1], wall.indices[::-1])
-    inner = start + wall.thickness_mm + (wall.depth_mm or 0.0)
+    if wall.depth_mm is None:
+        return front, None
+    inner = start + wall.thickness_mm + wall.depth_mm
     faces = inner + np.cumsum([0.0, *(layer.thickness_mm for layer in tank.rear)])
     return front, paths.Stack(faces, np.array([wall.fluid_index, *(layer.index for layer in tank.rear), wall.air_index]))
 
@@ -272,18 +272,3 @@ def _panel(paths: Any, light: Backlight | None, origin: F64, full: float) -> Any
     across /= np.linalg.norm(across)
     edges = np.stack([across * light.size_mm[0] / 2.0, np.cross(normal, across) * light.size_mm[1] / 2.0])
     return paths.Panel(np.asarray(light.center_mm) - origin, edges, light.exposure * full)
-
-
-def _lamps(paths: Any, camera: Camera, lights: Lights, origin: F64, full: float) -> Any:
-    """Lamps whose powers add up to the exposure of a white surface that faces the wall at the volume's centre, even light included."""
-    lighting = lights.lighting
-    if lighting is None:
-        return None
-    facing = np.asarray(camera.wall.normal if camera.wall else camera.rotation[2])
-    places = np.array([apparent(camera.wall, np.asarray(lamp.center_mm)) for lamp in lighting.lamps])
-    powers = np.array([lamp.power for lamp in lighting.lamps])
-    ways = places - lights.center_mm
-    there = float(np.sum(powers * np.maximum(-(ways @ facing), 0.0) / np.linalg.norm(ways, axis=1) ** 3))
-    even = lighting.even or 0.0
-    through = full / float(transmittance(camera.wall, facing[None])[0])
-    return paths.Lamps(places - origin, (1.0 - even) * lighting.exposure * through * powers / max(there, 1e-300), even * lighting.exposure * through)

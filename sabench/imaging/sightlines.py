@@ -14,7 +14,9 @@ import numba
 import numpy as np
 
 from sabench.arrays import F32, F64, I32, Bool
+from sabench.imaging.body_paths import BodySearch
 from sabench.optics.camera import Camera
+from sabench.optics.wall import length_to_fluid
 from sabench.world import Bubbles, Solid
 
 NOTHING, BODY = -1, -2  # of `Sight.number`: BODY - k is the k-th body
@@ -47,7 +49,7 @@ class Sight:
 
 def see(camera: Camera, bubbles: Bubbles, bodies: Sequence[Solid] = ()) -> Sight:
     """The truth of one camera's picture, without its lens's blur."""
-    starts, ways = _lines(camera)
+    starts, ways, before = _lines(camera)
     pixel, _ = camera.project(bubbles.center_mm) if len(bubbles) else (np.zeros((0, 2)), None)
     contour = outlines(camera, bubbles, pixel)
     shape = (camera.rows * _FINER, camera.columns * _FINER)
@@ -62,10 +64,8 @@ def see(camera: Camera, bubbles: Bubbles, bodies: Sequence[Solid] = ()) -> Sight
     first, distance = number[middle, middle].copy(), near[middle, middle].astype(np.float64)
     distance[first == NOTHING] = np.nan
     places = starts + ways * distance[..., None]
-    before = np.linalg.norm(starts - np.asarray(camera.center_mm), axis=-1)
-    air = _before(camera, starts) if camera.wall else before
     return Sight(
-        first, _depth(camera, places).astype(np.float32), (air + distance).astype(np.float32), _shares(seen, whole, contour), pixel,
+        first, depth_of(camera, places).astype(np.float32), (before + distance).astype(np.float32), _shares(seen, whole, contour), pixel,
         contour.astype(np.float32),
     )  # fmt: skip
 
@@ -105,32 +105,20 @@ def _distances(camera: Camera, bubbles: Bubbles, pixels: F64) -> F64:
     return np.asarray(np.linalg.norm(p - along[..., None] * d, axis=-1))
 
 
-def _lines(camera: Camera) -> tuple[F64, F64]:
-    """Lines of sight of all pixels in the fluid: starts and unit directions (rows, columns, 3)."""
+def _lines(camera: Camera) -> tuple[F64, F64, F64]:
+    """Lines of sight of all pixels in the fluid: starts and unit directions (rows, columns, 3), lengths of light's way before (rows, columns)."""
     column, row = np.meshgrid(np.arange(camera.columns, dtype=np.float64), np.arange(camera.rows, dtype=np.float64))
-    rays = camera.back_project(np.column_stack([column.ravel(), row.ravel()]))
-    shape = (camera.rows, camera.columns, 3)
-    return rays.origins_mm.reshape(shape), rays.directions.reshape(shape)
+    pixels, shape = np.column_stack([column.ravel(), row.ravel()]), (camera.rows, camera.columns)
+    rays = camera.back_project(pixels)
+    before = length_to_fluid(camera.wall, np.asarray(camera.center_mm), camera.directions(pixels)[0])
+    return rays.origins_mm.reshape(*shape, 3), rays.directions.reshape(*shape, 3), before.reshape(shape)
 
 
-def _before(camera: Camera, starts: F64) -> F64:
-    """Length of the ways from the pinhole to the wall's inner face, where lines of sight start."""
-    assert camera.wall is not None
-    column, row = np.meshgrid(np.arange(camera.columns, dtype=np.float64), np.arange(camera.rows, dtype=np.float64))
-    ways, _ = camera.directions(np.column_stack([column.ravel(), row.ravel()]))
-    cosine = ways @ np.asarray(camera.wall.normal)
-    sine = np.sqrt(np.maximum(0.0, 1.0 - cosine**2))
-    total = -camera.wall.depth_of(np.asarray(camera.center_mm)) / cosine
-    for layer in camera.wall.layers:
-        inner = sine * camera.wall.air_index / layer.index
-        total = total + layer.thickness_mm / np.sqrt(1.0 - inner**2)
-    return np.asarray(total.reshape(starts.shape[:2]))
-
-
-def _depth(camera: Camera, places: F64) -> F64:
+def depth_of(camera: Camera, places_mm: F64) -> F64:
+    """Depths (...) of places (..., 3): along the wall's normal from its outer face, without a wall along the camera's axis from its pinhole."""
     if camera.wall:
-        return camera.wall.depth_of(places)
-    return np.asarray((places - np.asarray(camera.center_mm)) @ np.asarray(camera.rotation)[2])
+        return camera.wall.depth_of(places_mm)
+    return np.asarray((places_mm - np.asarray(camera.center_mm)) @ np.asarray(camera.rotation)[2])
 
 
 def _boxes(contour: F64, shape: tuple[int, int]) -> I32:
@@ -157,8 +145,6 @@ def _shares(seen: Any, whole: Any, contour: F64) -> F64:
 
 def _bodies(starts: F64, ways: F64, bodies: Sequence[Solid], near: F32, number: I32) -> None:
     """The first bodies along all finer lines of sight."""
-    from sabench.imaging.body_paths import BodySearch
-
     search = BodySearch(bodies)
     for down in range(_FINER):
         for across in range(_FINER):

@@ -8,10 +8,11 @@ import numpy as np
 
 from sabench import backend
 from sabench.arrays import F64, Bool
+from sabench.imaging.lamps import placed
 from sabench.imaging.particle_images import diffraction_px
 from sabench.imaging.pathtrace import interfaces
 from sabench.optics.camera import Camera
-from sabench.optics.wall import Wall, transmittance
+from sabench.optics.wall import transmittance
 from sabench.scene import Lighting
 from sabench.world import Pose, Target
 
@@ -35,7 +36,7 @@ def photograph(camera: Camera, target: Target, pose: Pose, lighting: Lighting, c
     squares = (target.columns, target.rows) if target.pattern in ("circles", "wand") else (target.columns + 1, target.rows + 1)
     paint = target_rays.Paint(target.pattern, squares, target.pitch_mm, target.mark_mm, marker_bits(target), pose.turn.T)
     facing = np.asarray(camera.wall.normal if camera.wall else camera.rotation[2])
-    lamps = _lamps(target_rays, lighting, camera, facing, center_mm, origin)
+    lamps = placed(lighting, camera, center_mm, origin)
     planes = len(camera.wall.layers) + 1 if camera.wall else 0
     radiance = target_rays.picture(scene, camera, origin, paint, lamps, planes, samples).astype(np.float64)
     radiance /= float(transmittance(camera.wall, facing[None])[0]) * (camera.wall.air_index / camera.wall.fluid_index) ** 2 if camera.wall else 1.0
@@ -65,27 +66,6 @@ def _shapes(mi: Any, target: Target, pose: Pose) -> dict[str, Any]:
     frame = np.eye(4)
     frame[:3, :3] = pose.turn * [half[0], half[1], 1.0]
     return {"board": {"type": "rectangle", "to_world": mi.ScalarTransform4f(frame), "bsdf": matte}}
-
-
-def _lamps(rays: Any, lighting: Lighting, camera: Camera, facing: F64, center_mm: F64, origin: F64) -> Any:
-    """Lamps where the fluid sees them, with powers that add up to the exposure at the centre, even light included."""
-    places = np.array([apparent(camera.wall, np.asarray(lamp.center_mm)) for lamp in lighting.lamps])
-    powers = np.array([lamp.power for lamp in lighting.lamps])
-    ways = places - center_mm
-    lengths = np.linalg.norm(ways, axis=1)
-    there = float(np.sum(powers * np.maximum(-(ways @ facing), 0.0) / lengths**3))
-    even = lighting.even or 0.0
-    return rays.Lamps(places - origin, (1.0 - even) * lighting.exposure * powers / max(there, 1e-300), even * lighting.exposure)
-
-
-def apparent(wall: Wall | None, lamp_mm: F64) -> F64:
-    """Where a lamp in front of the wall seems to be for rays that cross the wall steeply; a lamp in the fluid is where it is."""
-    before = -float(wall.depth_of(lamp_mm)) if wall else 0.0
-    if wall is None or before <= 0.0:
-        return lamp_mm
-    indices = wall.indices
-    optical = before / indices[0] + sum(layer.thickness_mm / layer.index for layer in wall.layers)
-    return np.asarray(lamp_mm + (before + wall.thickness_mm - optical * indices[-1]) * np.asarray(wall.normal))
 
 
 def _diffracted(camera: Camera, photons: F64, lighting: Lighting) -> F64:

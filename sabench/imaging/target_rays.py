@@ -14,6 +14,7 @@ import numpy as np
 
 from sabench.arrays import F32, F64, Bool
 from sabench.imaging.glow import opaque, undistorted
+from sabench.imaging.lamps import Lamps
 from sabench.optics.camera import Camera
 
 _WAVEFRONT = 1 << 22  # rays traced at once: bounds memory, not results
@@ -39,16 +40,6 @@ class Paint:
     mark_mm: float
     bits: Bool
     turn: F64
-
-
-@dataclass(frozen=True)
-class Lamps:
-    """Where light comes from: places (n, 3) in the frame of the render, power, 1 for a white surface that faces it at a distance of 1 mm, and what
-    comes evenly from everywhere."""
-
-    places: F64
-    powers: F64
-    even: float
 
 
 def picture(scene: Any, camera: Camera, origin: F64, paint: Paint, lamps: Lamps, interfaces: int, samples: int) -> F32:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 from scipy.sparse import coo_matrix
@@ -11,26 +9,16 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 from scipy.stats import wasserstein_distance
 
+from sabench.api import Detections
 from sabench.arrays import F64, I64, Bool
+from sabench.world import Bubbles
 
 LARGE_MM = 0.5  # radius of what counts as a large bubble
 HIDDEN = 0.9  # seen part of a bubble, mean over the cameras, below which it counts as hidden
 FLAT = 0.9  # short over long axis below which a direction has a meaning
 _NEAR = 0.5  # of a true bubble's radius
 
-
-@dataclass(frozen=True)
-class Balls:
-    """Bubbles as figures need them: centres (n, 3), semi-axes (n, 3) along the rows of turns (n, 3, 3)."""
-
-    center_mm: F64
-    semi_axes_mm: F64
-    turn: F64
-
-    @property
-    def radius_mm(self) -> F64:
-        """Radii (n,) of balls of the same volumes."""
-        return np.asarray(np.cbrt(self.semi_axes_mm.prod(axis=1)))
+AnyBubbles = Detections | Bubbles
 
 
 def match(found_mm: F64, true_mm: F64, radius_mm: F64) -> tuple[I64, I64]:
@@ -67,7 +55,7 @@ def _assigned(pairs: I64, distance: F64) -> I64:
     return np.column_stack([rows[i[good]], columns[j[good]]])
 
 
-def detection_scores(found: Balls, true: Balls, seen: F64) -> dict[str, float]:
+def detection_scores(found: AnyBubbles, true: AnyBubbles, seen: F64) -> dict[str, float]:
     """All figures of one frame; NaN where there is nothing to count.
 
     Parameters
@@ -106,7 +94,7 @@ def _part(count: int, whole: int) -> float:
     return count / whole if whole else float("nan")
 
 
-def _errors(found: Balls, true: Balls, i: I64, j: I64) -> dict[str, float]:
+def _errors(found: AnyBubbles, true: AnyBubbles, i: I64, j: I64) -> dict[str, float]:
     """Medians over pairs."""
     if not len(i):
         return dict.fromkeys(("radius_percent", "axes_percent", "tilt_deg", "plane_mm", "depth_mm"), float("nan"))
@@ -124,6 +112,6 @@ def _errors(found: Balls, true: Balls, i: I64, j: I64) -> dict[str, float]:
     }
 
 
-def short_axis(bubbles: Balls, which: I64) -> F64:
+def short_axis(bubbles: AnyBubbles, which: I64) -> F64:
     """Unit vectors (n, 3) along the shortest axes."""
     return np.asarray(bubbles.turn[which, bubbles.semi_axes_mm[which].argmin(axis=1)])

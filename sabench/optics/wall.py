@@ -288,6 +288,21 @@ def trace_into_fluid(wall: Wall | None, pinhole_mm: F64, directions: F64) -> Ray
     return Rays(origins, current, valid)
 
 
+def length_to_fluid(wall: Wall | None, pinhole_mm: F64, leaving: F64) -> F64:
+    """Lengths (n,) of light's ways from a pinhole (3,) to the wall's inner face, for unit directions (n, 3) in the camera's medium.
+
+    0 without a wall.
+    """
+    if wall is None:
+        return np.zeros(len(leaving))
+    cosine = leaving @ np.asarray(wall.normal)
+    sine = np.sqrt(np.maximum(0.0, 1.0 - cosine**2))
+    total = -wall.depth_of(pinhole_mm) / cosine
+    for layer in wall.layers:
+        total = total + layer.thickness_mm / np.sqrt(1.0 - (sine * wall.air_index / layer.index) ** 2)
+    return np.asarray(total)
+
+
 def transmittance(wall: Wall | None, leaving: F64) -> F64:
     """Fraction of unpolarised power that passes all interfaces, for unit directions (n, 3) in the camera's medium.
 

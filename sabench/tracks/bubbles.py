@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -11,7 +12,7 @@ from sabench.api import BubbleSolver, Detections
 from sabench.arrays import F64
 from sabench.dataset.read import Dataset
 from sabench.dataset.result import Result, ResultWriter
-from sabench.metrics.bubbles import Balls, detection_scores
+from sabench.metrics.bubbles import AnyBubbles, detection_scores
 from sabench.metrics.jets import JetFigures, analyse
 from sabench.progress import track
 from sabench.tracks.attempt import attempt
@@ -40,25 +41,24 @@ def run(algorithm: BubbleSolver, name: str, data: Dataset, writer: ResultWriter)
 
 def score_result(data: Dataset, result: Result | str) -> dict[str, float | None]:
     """All scores: means over the frames, and a jet's figures from all frames together."""
-    frames, found = [], []
+    frames, found, every = [], [], []
     for frame in track(range(data.rig.frames), "score"):
         guess, true = estimate(data, result, frame), data.bubbles(frame)
         seen = np.mean([data.sight(frame, camera).visible for camera in data.rig.cameras], axis=0)
-        frames.append(detection_scores(guess, Balls(true.center_mm, true.semi_axes_mm, true.turn), seen))
-        found.append((guess, true))
-    scores = {key: _mean([frame[key] for frame in frames]) for key in frames[0]}
-    return scores | _jet_scores(data, [pair[0] for pair in found], [Balls(true.center_mm, true.semi_axes_mm, true.turn) for _, true in found])
+        frames.append(detection_scores(guess, true, seen))
+        found.append(guess)
+        every.append(true)
+    return {key: _mean([frame[key] for frame in frames]) for key in frames[0]} | _jet_scores(data, found, every)
 
 
-def estimate(data: Dataset, result: Result | str, frame: int) -> Balls:
+def estimate(data: Dataset, result: Result | str, frame: int) -> AnyBubbles:
     """The estimate of a frame: a result's, or the one that the word `truth` or `empty` stands for."""
-    one = result.bubbles(frame) if isinstance(result, Result) else data.bubbles(frame) if result == "truth" else None
-    if one is None:
-        return Balls(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 3, 3)))
-    return Balls(one.center_mm, one.semi_axes_mm, one.turn)
+    if isinstance(result, Result):
+        return result.bubbles(frame)
+    return data.bubbles(frame) if result == "truth" else Detections.balls(np.zeros((0, 3)), np.zeros(0))
 
 
-def _jet_scores(data: Dataset, found: list[Balls], true: list[Balls]) -> dict[str, float | None]:
+def _jet_scores(data: Dataset, found: Sequence[AnyBubbles], true: Sequence[AnyBubbles]) -> dict[str, float | None]:
     """Errors of a jet's figures against the same analysis of the true bubbles; None where the scene has no jet."""
     given = data.scene.bubbles or {}
     if given.get("generator") != "plunging_jet":
@@ -66,12 +66,12 @@ def _jet_scores(data: Dataset, found: list[Balls], true: list[Balls]) -> dict[st
     impact = np.asarray(given["impact_mm"])
     volume = data.scene.volume
     depth = volume.center_mm[1] + volume.size_mm[1] / 2.0 - impact[1]
-    guess, known = (_figures(balls, impact, depth) for balls in (found, true))
+    guess, known = (_figures(one, impact, depth) for one in (found, true))
     pairs = {key: (getattr(guess, name), getattr(known, name)) for key, name in _JET.items()}
     return {key: _known(100.0 * abs(one / other - 1.0)) if other else None for key, (one, other) in pairs.items()}
 
 
-def _figures(balls: list[Balls], impact: F64, depth: float) -> JetFigures:
+def _figures(balls: Sequence[AnyBubbles], impact: F64, depth: float) -> JetFigures:
     return analyse(np.concatenate([one.center_mm for one in balls]), np.concatenate([one.radius_mm for one in balls]), impact, depth, len(balls))
 
 

@@ -6,17 +6,18 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from sabench.api import Detections
 from sabench.arrays import F64
 from sabench.jets import LN2, JetLaw
-from sabench.metrics.bubbles import Balls, detection_scores, match
+from sabench.metrics.bubbles import detection_scores, match
 from sabench.metrics.jets import analyse
 
 
-def field(count: int = 60, seed: int = 1) -> Balls:
+def field(count: int = 60, seed: int = 1) -> Detections:
     """Bubbles on a lattice, 10 mm apart."""
     rng = np.random.default_rng(seed)
     places = 10.0 * np.stack(np.unravel_index(np.arange(count), (4, 5, 4)), axis=1)
-    return Balls(places.astype(float), rng.uniform(0.3, 2.0, (count, 3)), Rotation.random(count, random_state=seed).as_matrix())
+    return Detections(places.astype(float), rng.uniform(0.3, 2.0, (count, 3)), Rotation.random(count, random_state=seed).as_matrix())
 
 
 def test_the_truth_is_perfect() -> None:
@@ -32,7 +33,7 @@ def test_the_truth_is_perfect() -> None:
 
 def test_faults_are_told_apart() -> None:
     true = field()
-    found = Balls(true.center_mm + np.array([0.02, 0.0, -0.05]), 1.1 * true.semi_axes_mm, true.turn)
+    found = Detections(true.center_mm + np.array([0.02, 0.0, -0.05]), 1.1 * true.semi_axes_mm, true.turn)
     scores = detection_scores(found, true, np.ones(60))
     assert scores["plane_mm"] == pytest.approx(0.02)
     assert scores["depth_mm"] == pytest.approx(0.05)
@@ -44,7 +45,7 @@ def test_faults_are_told_apart() -> None:
 def test_a_third_missing_and_as_many_ghosts() -> None:
     true = field()
     ghosts = true.center_mm[:20] + 5.0
-    found = Balls(np.concatenate([true.center_mm[20:], ghosts]), true.semi_axes_mm, true.turn)
+    found = Detections(np.concatenate([true.center_mm[20:], ghosts]), true.semi_axes_mm, true.turn)
     scores = detection_scores(found, true, np.ones(60))
     assert scores["recall"] == scores["precision"] == scores["f1"] == pytest.approx(2.0 / 3.0)
 
@@ -53,7 +54,7 @@ def test_half_a_radius_is_the_limit() -> None:
     true = field()
     for part, expected in ((0.49, 1.0), (0.51, 0.0)):
         moved = true.center_mm + part * true.radius_mm[:, None] * np.array([0.6, 0.0, 0.8])
-        assert detection_scores(Balls(moved, true.semi_axes_mm, true.turn), true, np.ones(60))["f1"] == expected
+        assert detection_scores(Detections(moved, true.semi_axes_mm, true.turn), true, np.ones(60))["f1"] == expected
 
 
 def test_matches_are_one_to_one_and_as_many_as_possible() -> None:
@@ -66,7 +67,7 @@ def test_matches_are_one_to_one_and_as_many_as_possible() -> None:
 
 
 def test_nothing_found_has_no_errors() -> None:
-    true, nothing = field(), Balls(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 3, 3)))
+    true, nothing = field(), Detections(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 3, 3)))
     scores = detection_scores(nothing, true, np.ones(60))
     assert scores["f1"] == scores["recall"] == 0.0
     assert scores["void_percent"] == 100.0

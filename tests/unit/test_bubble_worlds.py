@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from typing import Any
 
 import numpy as np
 import pytest
@@ -197,7 +198,7 @@ def test_bad_parameters_are_named(name: str, parameters: dict[str, object], sent
     ],
 )
 def test_impossible_bubbles_are_refused(change: dict[str, object], sentence: str) -> None:
-    values: dict[str, object] = {
+    values: dict[str, Any] = {
         "id": np.arange(1),
         "center_mm": np.zeros((1, 3)),
         "semi_axes_mm": np.ones((1, 3)),
@@ -205,4 +206,4 @@ def test_impossible_bubbles_are_refused(change: dict[str, object], sentence: str
         "velocity_mm_s": np.zeros((1, 3)),
     }
     with pytest.raises(ValueError, match=sentence):
-        Bubbles(**(values | change))  # type: ignore[arg-type]
+        Bubbles(**(values | change))
