@@ -6,9 +6,11 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from sabench.api import BubbleGenerator, BubbleParameters
-from sabench.arrays import F64, I64
+from sabench.arrays import F64, I64, triple
 from sabench.dispersed import Spectrum, spheroids, within
+from sabench.errors import InputError
 from sabench.placement import place
+from sabench.scene import Vector
 from sabench.seeds import stream
 from sabench.world import Bubbles, Domain
 
@@ -18,17 +20,30 @@ class BubbleFieldParameters(BubbleParameters, Spectrum):
 
     count: int | None = Field(None, ge=0, le=1_000_000, description="number of bubbles")
     void_fraction: float | None = Field(None, ge=0.0, le=0.3, description="volume of the bubbles over that of the box")
-    velocity_mm_s: tuple[float, float, float] = Field((0.0, 0.0, 0.0), description="velocity of all bubbles")
+    velocity_mm_s: Vector = Field((0.0, 0.0, 0.0), description="velocity of all bubbles")
+    low_mm: Vector | None = Field(None, description="the box's corner with the smallest coordinates; by default the volume's")
+    high_mm: Vector | None = Field(None, description="its opposite corner")
 
     @model_validator(mode="after")
     def _one_amount(self) -> BubbleFieldParameters:
         if (self.count is None) == (self.void_fraction is None):
             raise ValueError("expected exactly one of count, void_fraction")
+        if (self.low_mm is None) != (self.high_mm is None):
+            raise ValueError("expected both of low_mm, high_mm or none")
         return self
+
+    def box(self, domain: Domain) -> Domain:
+        """What they fill."""
+        if self.low_mm is None or self.high_mm is None:
+            return domain
+        low, high = np.asarray(self.low_mm), np.asarray(self.high_mm)
+        if (low < domain.low_mm - 1e-9).any() or (high > domain.low_mm + np.asarray(domain.size_mm) + 1e-9).any() or (low >= high).any():
+            raise InputError(f"bubbles: low_mm, high_mm: expected rising corners within the volume, got {list(self.low_mm)} and {list(self.high_mm)}")
+        return Domain(triple((low + high) / 2.0), triple(high - low), domain.pixels)
 
 
 class BubbleField(BubbleGenerator):
-    """Bubbles of log-normal sizes at uniformly random places, carried by one velocity; whoever leaves the volume is replaced on the other side."""
+    """Bubbles of log-normal sizes at uniformly random places, carried by one velocity; whoever leaves the box is replaced on the other side."""
 
     name = "bubble_field"
     Parameters = BubbleFieldParameters
@@ -36,7 +51,7 @@ class BubbleField(BubbleGenerator):
     def bubbles(self, domain: Domain, seed: int, frame: int, time_s: float) -> Bubbles:
         """Those that are wholly in the volume at a time: the seed draws the field, the time moves it."""
         chosen: BubbleFieldParameters = self.parameters
-        rng = stream(seed, "bubbles")
+        domain, rng = chosen.box(domain), stream(seed, "bubbles")
         velocity, size = np.asarray(chosen.velocity_mm_s), np.asarray(domain.size_mm)
         beyond = np.where(velocity != 0.0, 2.0 * chosen.radius_range_mm[1] / chosen.aspect_range[0], 0.0)  # room to enter and leave
         period = size + beyond

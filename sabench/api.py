@@ -20,8 +20,8 @@ from sabench.scene import LensNumber, Vector
 from sabench.volume import Grid
 from sabench.world import Bubbles, Domain, Particles, Pose, Solid, Target
 
-Track = Literal["reconstruction", "calibration", "velocimetry", "bubbles"]
-Shown = Literal["particles", "target", "bubbles"]  # what a data set's frames show
+Track = Literal["reconstruction", "calibration", "velocimetry", "bubbles", "see_through"]
+Shown = Literal["particles", "target", "bubbles", "code"]  # what a data set's frames show
 
 
 class Parameters(BaseModel):
@@ -126,6 +126,28 @@ class SolidGenerator(PlugIn):
     def body(self, seed: int) -> Solid:
         """The closed surface in its own frame, mm."""
         raise NotImplementedError(f"generator {type(self).__name__} must implement body()")
+
+
+@dataclass(frozen=True)
+class Code:
+    """What is written on a body, in its own frame.
+
+    Attributes
+    ----------
+    points_mm : (cell, point, 3) points spread over each cell.
+    dark : (cell,) which cells let no light through.
+    """
+
+    points_mm: F64
+    dark: Bool
+
+
+class CodeGenerator(SolidGenerator):
+    """Base of a generator of a body with a code that is to be read through what is in front of it."""
+
+    def code(self, seed: int) -> Code:
+        """What is written on it, in its own frame."""
+        raise NotImplementedError(f"generator {type(self).__name__} must implement code()")
 
 
 class TargetGenerator(PlugIn):
@@ -458,4 +480,19 @@ class BubbleSolver(PlugIn):
         raise NotImplementedError(f"solver {type(self).__name__} must implement solve()")
 
 
-AnySolver = BubbleSolver | Solver | CalibrationSolver | SelfCalibrationSolver | VelocimetrySolver
+class SeeThroughSolver(PlugIn):
+    """Base of an algorithm that looks through what is in front of a body: `solve` turns one observation into a stack of planes."""
+
+    track: ClassVar[Track] = "see_through"
+    sees: ClassVar[Shown] = "code"
+
+    def skip(self, case: Observation) -> str | None:
+        """Why this algorithm cannot take the case, or None if it can."""
+        return None
+
+    def solve(self, case: Observation) -> Reconstruction:
+        """Planes in which bright is what lets light through."""
+        raise NotImplementedError(f"solver {type(self).__name__} must implement solve()")
+
+
+AnySolver = BubbleSolver | SeeThroughSolver | Solver | CalibrationSolver | SelfCalibrationSolver | VelocimetrySolver

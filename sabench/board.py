@@ -45,6 +45,10 @@ _PICTURED = {  # heading and text of a section's pictures
         "Bubbles from the front and from the side",
         "Every bubble as a circle of its radius, which its colour gives, too; X to the right or Z, Y down.",
     ),
+    "see_through": (
+        "The code's plane",
+        "The plane of the stack in which the code behind the bubbles is, each with its own brightness scale.",
+    ),
 }
 
 _LARGEST = 1e15  # beyond it no score is meant, and digits would fill the page

@@ -65,6 +65,15 @@ COLUMNS: dict[str, tuple[Column, ...]] = {
         Column("width_percent", "s %", 1, "error of s of equation 5.18"),
         *_COST,
     ),
+    "see_through": (
+        Column("read_percent", "read %", 1, "cells of a code behind bubbles that are read right in the plane where it is; guessing gives 50"),
+        Column("separation", "d'", 2, "difference of the mean bright and dark cells over their scatter"),
+        Column("contrast", "contrast", 3, "difference of these means over their sum"),
+        Column("single_percent", "single views, read %", 1, "the same of single images, mean over the cameras"),
+        Column("best_single_percent", "best view, read %", 1, "the best single image"),
+        Column("single_separation", "single views, d'", 2, "the separation in single images, mean over the cameras"),
+        *_COST,
+    ),
     "calibration": (
         Column("true_px", "true px", 4, "mean distance of reprojected points from where they truly are in the images"),
         Column("bound_px", "bound px", 4, "the least of these that the data allow (Cramer-Rao)"),
@@ -81,4 +90,4 @@ COLUMNS: dict[str, tuple[Column, ...]] = {
     ),
 }
 # of the first column, by which tables are sorted
-LARGER_IS_BETTER = {"reconstruction": True, "calibration": False, "velocimetry": False, "bubbles": True}
+LARGER_IS_BETTER = {"reconstruction": True, "calibration": False, "velocimetry": False, "bubbles": True, "see_through": True}

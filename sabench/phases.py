@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from sabench import plugins
-from sabench.api import BubbleGenerator, Material, SolidGenerator
+from sabench.api import BubbleGenerator, Material, SolidGenerator, SolidParameters
 from sabench.arrays import I64
 from sabench.errors import InputError
 from sabench.optics.rotation import exponential
@@ -15,7 +15,7 @@ from sabench.optics.wall import Wall
 from sabench.placement import overlapping, touching
 from sabench.rig import build_wall, domain_of
 from sabench.scene import Scene
-from sabench.world import Bubbles, Solid
+from sabench.world import Bubbles, Pose, Solid
 
 _SMALL, _LARGE = 0.01, 20.0  # of the volume's largest edge: a body beyond these is taken to be in another unit
 _NAMED = 3  # bubbles that an error names
@@ -26,8 +26,8 @@ class Phases:
 
     def __init__(self, scene: Scene, seed: int) -> None:
         self.scene, self.seed = scene, seed
-        self._bubbles: BubbleGenerator | None = _made(scene.bubbles) if scene.bubbles else None
-        self._solids: list[SolidGenerator] = [_made(given) for given in scene.solids or ()]
+        self._bubbles: BubbleGenerator | None = generator_of(scene.bubbles) if scene.bubbles else None
+        self._solids: list[SolidGenerator] = [generator_of(given) for given in scene.solids or ()]
         self._bodies = [_closed(generator.body(seed), f"{scene.title}: solids.{n}", scene) for n, generator in enumerate(self._solids)]
 
     def bubbles(self, frame: int) -> Bubbles:
@@ -59,21 +59,24 @@ class Phases:
         """
         out = []
         for number, (generator, body) in enumerate(zip(self._solids, self._bodies, strict=True)):
-            solid = _placed(generator.parameters, body, self.scene.time_s(frame))
+            pose = pose_of(generator.parameters, self.scene.time_s(frame))
+            solid = Solid(pose(body.vertices_mm), body.faces)
             _check_tank(solid, self.scene, f"{self.scene.title}: solids.{number} in frame {frame}")
             out.append((solid, generator.parameters.material))
         return out
 
 
-def _made(given: dict[str, Any]) -> Any:
+def generator_of(given: dict[str, Any]) -> Any:
+    """The generator that a table of a scene asks for."""
     rest = dict(given)
     plugin = plugins.load("generators", rest.pop("generator"))
     return plugin(plugin.Parameters(**rest))
 
 
-def _placed(parameters: Any, body: Solid, time_s: float) -> Solid:
+def pose_of(parameters: SolidParameters, time_s: float) -> Pose:
+    """Where a body is at a time."""
     turn = exponential(np.deg2rad(parameters.turn_deg)) @ exponential(np.deg2rad(parameters.spin_deg_s) * time_s)
-    return Solid(body.vertices_mm @ turn.T + np.asarray(parameters.place_mm) + np.asarray(parameters.velocity_mm_s) * time_s, body.faces)
+    return Pose(turn, np.asarray(parameters.place_mm) + np.asarray(parameters.velocity_mm_s) * time_s)
 
 
 def _closed(body: Solid, where: str, scene: Scene) -> Solid:

@@ -68,6 +68,13 @@ def slice_picture(volume: F32, scored: tuple[slice, slice, slice]) -> bytes:
     return _png(_grey(window, top, 0.5).repeat(block, axis=0).repeat(block, axis=1))
 
 
+def grey_picture(values: F64, size_px: int) -> bytes:
+    """A plane (rows, columns) from its 1st to its 99th percentile, enlarged by whole pixels to about `size_px`, as a PNG."""
+    low, high = np.percentile(values, [1.0, 99.0])
+    block = max(1, size_px // max(values.shape))
+    return _png(_grey(values - low, high - low, 1.0).repeat(block, axis=0).repeat(block, axis=1))
+
+
 def dots(pixels: F64, rows: int, columns: int) -> bytes:
     """Points in every camera's image, a near-square mosaic as a PNG; each frame of a target has its own grey.
 

@@ -14,8 +14,8 @@ from sabench.dataset.result import Result, open_result, result_writer
 from sabench.errors import InputError
 from sabench.parsing import validate
 
-_SHOWN = {"particles": "particles", "target": "a calibration target", "bubbles": "bubbles"}
-OWN_TRACK = {"particles": "reconstruction", "target": "calibration", "bubbles": "bubbles"}  # of what a data set shows
+_SHOWN = {"particles": "particles", "target": "a calibration target", "bubbles": "bubbles", "code": "a code"}
+OWN_TRACK = {"particles": "reconstruction", "target": "calibration", "bubbles": "bubbles", "code": "see_through"}  # of what a data set shows
 
 
 def solve(

@@ -55,7 +55,7 @@ class CamerasFile(_Record):
     times_s: tuple[float, ...] | None = None
     pulses: int = Field(1, ge=1)
     preprocessing: tuple[Step, ...] = ()
-    shows: tuple[Literal["particles", "bubbles"], ...] = ("particles",)
+    shows: tuple[Literal["particles", "bubbles", "code"], ...] = ("particles",)
 
     def time_s(self, frame: int) -> float:
         """When a frame was taken."""

@@ -17,6 +17,7 @@ import numpy.typing as npt
 from sabench import __version__
 from sabench.api import Velocity
 from sabench.arrays import F32, F64, U16, Bool
+from sabench.codes import has_code
 from sabench.dataset import layout
 from sabench.dataset.hdf import created, uninterrupted
 from sabench.dataset.images import write_exr, write_tiff
@@ -149,7 +150,7 @@ def _observation(scene: Scene, rig: Rig, told: tuple[Camera, ...]) -> dict[str, 
     if scene.preprocessing:
         head["preprocessing"] = [step.model_dump() for step in scene.preprocessing]
     if scene.bubbles is not None or scene.solids:
-        head["shows"] = (["particles"] if scene.particles else []) + ["bubbles"]
+        head["shows"] = (["particles"] if scene.particles else []) + ["bubbles"] + (["code"] if has_code(scene) else [])
     wall = asdict(rig.wall) if rig.wall else None
     told_too = {"unknown": list(scene.unknown)} if scene.unknown else {}
     return {**head, "wall": wall, "cameras": layout.camera_records(told), "grid": asdict(rig.grid), "sensor": sensor, **told_too}

@@ -111,13 +111,14 @@ def _check_memory(case: Observation, source: str) -> None:
 def _attempt(algorithm: Solver, name: str, case: Observation, frame: int) -> Reconstruction:
     """One call of a solver, which may do anything; what it returns is checked here."""
     guess: Reconstruction = attempt(algorithm, name, case, Reconstruction, f" on frame {frame}")
-    _check_array(name, frame, "volume", guess.volume, np.dtype(np.float32), case.grid.shape)
+    check_array(name, frame, "volume", guess.volume, np.dtype(np.float32), case.grid.shape)
     if guess.particles_mm is not None:
-        _check_array(name, frame, "particles_mm", guess.particles_mm, np.dtype(np.float64), (len(guess.particles_mm), 3))
+        check_array(name, frame, "particles_mm", guess.particles_mm, np.dtype(np.float64), (len(guess.particles_mm), 3))
     return guess
 
 
-def _check_array(solver: str, frame: int, what: str, array: Any, kind: np.dtype[Any], shape: tuple[int, ...]) -> None:
+def check_array(solver: str, frame: int, what: str, array: Any, kind: np.dtype[Any], shape: tuple[int, ...]) -> None:
+    """Refuse an array of another kind or shape, or one with values that are not finite."""
     if not isinstance(array, np.ndarray) or array.shape != shape or array.dtype != kind:
         got = f"{array.dtype} of shape {array.shape}" if isinstance(array, np.ndarray) else type(array).__name__
         raise InputError(f"solver {solver}: {what}: expected {kind} of shape {shape}, got {got}")

@@ -1,0 +1,59 @@
+"""A film with a code of dark cells."""
+
+from __future__ import annotations
+
+import numpy as np
+from pydantic import Field
+
+from sabench.api import Code, CodeGenerator, SolidParameters
+from sabench.arrays import F64, Bool
+from sabench.seeds import stream
+from sabench.world import Solid
+
+_FACES = np.array([
+    [0, 2, 1], [0, 3, 2], [4, 5, 6], [4, 6, 7], [0, 1, 5], [0, 5, 4], [1, 2, 6], [1, 6, 5], [2, 3, 7], [2, 7, 6], [3, 0, 4], [3, 4, 7],
+])  # fmt: skip
+_PRINTED = 0.96  # of a cell's edge: cells that touched would not be closed bodies
+_READ, _POINTS = 0.5, 5  # middle part of a cell's edges that is read, and points along each
+
+
+class CodePlateParameters(SolidParameters):
+    """Cells lie in the plane Z = 0 of its own frame, columns along X, rows along Y; the film itself is not there."""
+
+    columns: int = Field(16, ge=2, le=200)
+    rows: int = Field(12, ge=2, le=200)
+    cell_mm: float = Field(2.0, gt=0.0, description="edge of a cell")
+    thickness_mm: float = Field(0.1, gt=0.0, description="of the dark cells")
+
+
+class CodePlate(CodeGenerator):
+    """A random code of dark and clear square cells before the light, half of them dark: what of it is read says how well one sees through."""
+
+    name = "code_plate"
+    Parameters = CodePlateParameters
+
+    def body(self, seed: int) -> Solid:
+        """A flat box for every dark cell."""
+        chosen: CodePlateParameters = self.parameters
+        half = np.array([0.5 * _PRINTED * chosen.cell_mm, 0.5 * _PRINTED * chosen.cell_mm, 0.5 * chosen.thickness_mm])
+        corners = np.array([[-1, -1, -1], [1, -1, -1], [1, 1, -1], [-1, 1, -1], [-1, -1, 1], [1, -1, 1], [1, 1, 1], [-1, 1, 1]]) * half
+        middles = self._middles()[self._dark(seed)]
+        faces = _FACES + 8 * np.arange(len(middles))[:, None, None]
+        return Solid((middles[:, None] + corners).reshape(-1, 3), faces.reshape(-1, 3).astype(np.int64))
+
+    def code(self, seed: int) -> Code:
+        """The middle quarter of every cell."""
+        across = (np.arange(_POINTS) / (_POINTS - 1) - 0.5) * _READ * self.parameters.cell_mm
+        x, y = np.meshgrid(across, across)
+        return Code(self._middles()[:, None] + np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)]), self._dark(seed))
+
+    def _middles(self) -> F64:
+        """Cells' middles (n, 3), row by row."""
+        chosen: CodePlateParameters = self.parameters
+        x, y = np.meshgrid(*((np.arange(count) - (count - 1) / 2.0) * chosen.cell_mm for count in (chosen.columns, chosen.rows)))
+        return np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)])
+
+    def _dark(self, seed: int) -> Bool:
+        """Which cells (n,) are dark: half of them."""
+        count = self.parameters.columns * self.parameters.rows
+        return np.asarray(stream(seed, "code").permutation(count) < count // 2)

@@ -1,0 +1,56 @@
+"""What is behind bubbles or bodies, by what differs between the views."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Literal
+
+import numpy as np
+from pydantic import Field
+
+from sabench.api import Observation, Parameters, Reconstruction, SeeThroughSolver
+from sabench.arrays import F32
+from sabench.bubblefit.transmission import transmission
+from sabench.reproject import refocus_log2, refocus_sum
+from sabench.solving import make_solver
+
+_FLOOR = 0.02  # of transmission and of darkness: one camera cannot erase a point
+_LEVELS = 4000.0  # grey values of the largest optical depth that the tomography is given
+_DEEPEST = float(-np.log(_FLOOR))
+
+
+class SeeThroughParameters(Parameters):
+    """How the views are joined."""
+
+    method: Literal["additive", "multiplicative", "dark", "mart"] = Field(
+        "dark", description="mean of the light; its product; product of the darkness, so that one open view is enough; optical depth by MART"
+    )
+
+
+class SeeThrough(SeeThroughSolver):
+    """A refocused stack: additive or multiplicative of light, multiplicative of darkness, or MART of the optical depth."""
+
+    name = "see_through"
+    references = ("J. Belden, MIT thesis, equations 3.3, 3.4 and 3.9, figure 1-3",)
+    Parameters = SeeThroughParameters
+
+    def solve(self, case: Observation) -> Reconstruction:
+        """Transmission (z, y, x) of every voxel as the views show it."""
+        light, count = np.clip(transmission(case), _FLOOR, 1.0), len(case.cameras)
+        method = self.parameters.method
+        if method == "additive":
+            return Reconstruction(refocus_sum(light, case.cameras, case.grid) / np.float32(count))
+        if method == "multiplicative":
+            return Reconstruction(_product(light, case, count))
+        if method == "dark":
+            return Reconstruction(np.float32(1.0) - _product(np.maximum(np.float32(1.0) - light, np.float32(_FLOOR)), case, count))
+        depth = np.rint(-np.log(light) / _DEEPEST * _LEVELS).astype(np.uint16)
+        volume = make_solver("mart", {"floor": 0.0}).solve(replace(case, images=depth, black_dn=0.0, white_dn=2.0 * _LEVELS)).volume
+        return Reconstruction(np.exp(-volume))
+
+
+def _product(images: F32, case: Observation, count: int) -> F32:
+    """The geometric mean over the views."""
+    volume = refocus_log2(images, case.cameras, case.grid, _FLOOR, outside=1.0)
+    volume /= np.float32(count)
+    return np.asarray(np.exp2(volume, out=volume))
