@@ -63,6 +63,11 @@ COLUMNS: dict[str, tuple[Column, ...]] = {
         Column("angle_percent", "angle %", 1, "error of its spreading angle"),
         Column("weight_percent", "A %", 1, "error of A of equation 5.18"),
         Column("width_percent", "s %", 1, "error of s of equation 5.18"),
+        Column("link_recall", "link recall", 3, "share of the bubbles found in two frames that follow each other that one track joins"),
+        Column("link_precision", "link precision", 3, "share of the links between such frames that join the same bubble"),
+        Column("effectiveness", "effectiveness", 3, "share of a bubble's frames in which its longest track has it, mean over the bubbles"),
+        Column("velocity_mm_s", "velocity mm/s", 2, "median error of the velocity of right links, against the true mean velocity between the frames"),
+        Column("velocity_percent", "velocity %", 2, "the same over that velocity"),
         *_COST,
     ),
     "see_through": (

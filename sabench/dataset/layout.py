@@ -61,10 +61,14 @@ class CamerasFile(_Record):
         """When a frame was taken."""
         return frame * self.interval_s if self.times_s is None else self.times_s[frame]
 
+    def sequences(self) -> list[range]:
+        """Frames that belong together: each group of pulses, or all frames, where a group has but one."""
+        step = self.pulses if self.pulses > 1 else self.frames
+        return [range(first, min(first + step, self.frames)) for first in range(0, self.frames, step)]
+
     def pairs(self) -> list[tuple[int, int]]:
-        """Frames that follow each other: within each group of pulses, or all, where a group has but one."""
-        every = itertools.pairwise(range(self.frames))
-        return [(one, other) for one, other in every if self.pulses == 1 or one // self.pulses == other // self.pulses]
+        """Frames that follow each other within a sequence."""
+        return [pair for frames in self.sequences() for pair in itertools.pairwise(frames)]
 
 
 class TrueCamerasFile(_Record):

@@ -13,7 +13,7 @@ import numpy as np
 from pydantic import TypeAdapter, ValidationError
 
 from sabench.api import Calibration, Detections, Reconstruction, Velocity
-from sabench.arrays import triple
+from sabench.arrays import I64, triple
 from sabench.columns import COLUMNS
 from sabench.dataset import layout
 from sabench.dataset.hdf import created, finite, opened, read_array, uninterrupted
@@ -79,6 +79,19 @@ class Result:
             return Detections(center, axes, turn)
         except InputError as error:
             raise InputError(f"{self.path}: {group}: {error}") from error
+
+    def tracks(self, frame: int) -> I64 | None:
+        """Numbers (n,) of the tracks that a frame's bubbles belong to, or None where the file has none."""
+        group = f"{layout.frame_group(frame)}/bubbles"
+        with opened(self.path) as file:
+            if "track" not in file[group]:
+                return None
+            count = len(read_array(file, f"{group}/center_mm", (None, 3), "f"))
+            number = read_array(file, f"{group}/track", (count,), "iu").astype(np.int64)
+        values, times = np.unique(number, return_counts=True)
+        if len(values) < count:
+            raise InputError(f"{self.path}: {group}/track: expected different numbers, got {values[times.argmax()]} for {times.max()} bubbles")
+        return number
 
     def calibration(self) -> Calibration:
         """The estimated cameras and points."""
@@ -153,6 +166,13 @@ class ResultWriter:
             group = self._file.create_group(f"{layout.frame_group(frame)}/bubbles")
             for name in ("center_mm", "semi_axes_mm", "turn"):
                 group.create_dataset(name, data=getattr(found, name))
+            self._file.flush()
+        self._check()
+
+    def add_tracks(self, frame: int, number: I64) -> None:
+        """Store which tracks the bubbles of a frame, added before, belong to."""
+        with uninterrupted():
+            self._file[f"{layout.frame_group(frame)}/bubbles"].create_dataset("track", data=number)
             self._file.flush()
         self._check()
 

@@ -9,13 +9,18 @@ import numpy as np
 
 from sabench import memory, pictures
 from sabench.api import BubbleSolver, Detections
-from sabench.arrays import F64
+from sabench.arrays import F64, I64
+from sabench.dataset.layout import CamerasFile, frame_group
 from sabench.dataset.read import Dataset
 from sabench.dataset.result import Result, ResultWriter
+from sabench.errors import InputError
+from sabench.linking import link
 from sabench.metrics.bubbles import AnyBubbles, detection_scores
 from sabench.metrics.jets import JetFigures, analyse
+from sabench.metrics.tracks import track_scores
 from sabench.progress import track
 from sabench.tracks.attempt import attempt
+from sabench.world import Bubbles
 
 _JET = {"penetration_percent": "penetration_mm", "angle_percent": "angle_deg", "weight_percent": "weight", "width_percent": "width"}
 
@@ -28,19 +33,32 @@ def run(algorithm: BubbleSolver, name: str, data: Dataset, writer: ResultWriter)
     InputError
         A solver that declines, raises, or returns something else.
     """
-    seconds = []
+    seconds, every = [], []
     for frame in range(data.rig.frames):
         case = data.observation(frame)
         start = time.perf_counter()
         found: Detections = attempt(algorithm, name, case, Detections, f" on frame {frame}")
         seconds.append(time.perf_counter() - start)
         writer.add_bubbles(frame, found)
+        every.append(found)
         memory.trim()
+    for frame, number in enumerate(linked(data.rig, every)):
+        writer.add_tracks(frame, number)
     return seconds
 
 
+def linked(rig: CamerasFile, found: Sequence[AnyBubbles]) -> list[I64]:
+    """Numbers (n,) of the tracks of every frame's bubbles; no track goes from one group of pulses to the next."""
+    out: list[I64] = []
+    for frames in rig.sequences():
+        part = link([found[f].center_mm for f in frames], [found[f].radius_mm for f in frames], [rig.time_s(f) for f in frames])
+        first = max((int(one.max(initial=-1)) for one in out), default=-1) + 1
+        out.extend(first + one for one in part)
+    return out
+
+
 def score_result(data: Dataset, result: Result | str) -> dict[str, float | None]:
-    """All scores: means over the frames, and a jet's figures from all frames together."""
+    """All scores: means over the frames, and the figures of a jet and of tracks from all frames together."""
     frames, found, every = [], [], []
     for frame in track(range(data.rig.frames), "score"):
         guess, true = estimate(data, result, frame), data.bubbles(frame)
@@ -48,7 +66,9 @@ def score_result(data: Dataset, result: Result | str) -> dict[str, float | None]
         frames.append(detection_scores(guess, true, seen))
         found.append(guess)
         every.append(true)
-    return {key: _mean([frame[key] for frame in frames]) for key in frames[0]} | _jet_scores(data, found, every)
+    number, times = tracks(data, result, found), [data.rig.time_s(frame) for frame in range(data.rig.frames)]
+    over_time = {key: _known(value) for key, value in track_scores(found, number, every, times, data.rig.sequences()).items()}
+    return {key: _mean([frame[key] for frame in frames]) for key in frames[0]} | _jet_scores(data, found, every) | over_time
 
 
 def estimate(data: Dataset, result: Result | str, frame: int) -> AnyBubbles:
@@ -56,6 +76,24 @@ def estimate(data: Dataset, result: Result | str, frame: int) -> AnyBubbles:
     if isinstance(result, Result):
         return result.bubbles(frame)
     return data.bubbles(frame) if result == "truth" else Detections.balls(np.zeros((0, 3)), np.zeros(0))
+
+
+def tracks(data: Dataset, result: Result | str, found: Sequence[AnyBubbles]) -> list[I64]:
+    """Numbers of the tracks of every frame's estimate: the result's own, those of the true bubbles for `truth`, or else what `linked` makes of it.
+
+    Raises
+    ------
+    InputError
+        A result that has tracks in some frames only.
+    """
+    if not isinstance(result, Result):
+        return [one.id if isinstance(one, Bubbles) else np.arange(len(one.center_mm)) for one in found]
+    given = [result.tracks(frame) for frame in range(data.rig.frames)]
+    own = [number for number in given if number is not None]
+    if own and len(own) < len(given):
+        missing = next(frame for frame, number in enumerate(given) if number is None)
+        raise InputError(f"{result.path}: {frame_group(missing)}/bubbles/track: expected one in every frame or in none, found none here")
+    return own if own else linked(data.rig, found)
 
 
 def _jet_scores(data: Dataset, found: Sequence[AnyBubbles], true: Sequence[AnyBubbles]) -> dict[str, float | None]:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
 LEVELS = [
-    {"errors", "arrays", "theory", "statistics", "rooflines", "columns", "plots", "jets"},
+    {"errors", "arrays", "theory", "statistics", "rooflines", "columns", "plots", "jets", "linking"},
     {"files", "seeds", "progress", "plugins", "memory", "sentences", "preprocessing"},
     {"backend"},
     {"field"},
