@@ -38,7 +38,7 @@ def surface_of(function: Callable[[F64], F64], low_mm: Points, high_mm: Points, 
 
     low = np.asarray(low_mm, dtype=np.float64)
     counts = np.ceil((np.asarray(high_mm) - low) / step_mm - 1e-9).astype(np.int64) + 1
-    if counts.prod() > _NODES:
+    if counts.prod(dtype=np.float64) > _NODES:
         raise InputError(f"step_mm: expected a lattice of at most {_NODES} nodes, got {' x '.join(map(str, counts))} with {step_mm:g} mm")
     values = _sampled(function, [start + step_mm * np.arange(count) for start, count in zip(low, counts, strict=True)])
     _check_inside(values, low, step_mm)
@@ -121,9 +121,11 @@ def capsules(points_mm: F64, starts_mm: F64, ends_mm: F64, start_radii_mm: F64, 
 @numba.njit(cache=True, error_model="numpy")
 def _union(points: Any, starts: Any, ways: Any, lengths: Any, radii: Any, sines: Any, reach: Any, blend: float, out: Any) -> None:
     """Distances to rounded cones, added as `smooth_minimum` does, the sum taken relative to the least so far."""
+    nearest = 0
     for n in range(len(points)):
-        least, total = np.inf, 0.0
-        for k in range(len(starts)):
+        least, total, first = np.inf, 0.0, nearest  # the neighbour's nearest one first: what is far beyond it needs no distance
+        for rank in range(len(starts)):
+            k = first if rank == 0 else rank - 1 if rank <= first else rank
             x, y, z = points[n, 0] - starts[k, 0], points[n, 1] - starts[k, 1], points[n, 2] - starts[k, 2]
             square = x * x + y * y + z * z
             far = least + _BAND * blend + reach[k]
@@ -132,7 +134,7 @@ def _union(points: Any, starts: Any, ways: Any, lengths: Any, radii: Any, sines:
             value = _distance(square, x * ways[k, 0] + y * ways[k, 1] + z * ways[k, 2], lengths[k], radii[k], sines[k])
             if value < least:
                 total = total * np.exp((value - least) / blend) + 1.0
-                least = value
+                least, nearest = value, k
             elif value < least + _BAND * blend:
                 total += np.exp((least - value) / blend)
         out[n] = least - blend * np.log(max(total, 1.0))  # 1 is the least one's own
