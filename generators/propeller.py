@@ -67,7 +67,7 @@ class Propeller(SolidGenerator):
         share = 2.0 * np.pi / chosen.blades
         turns = turns - share * np.rint(turns / share)  # from the nearest one's
         across = radius * turns * sine
-        along = x * sine + radius * (turns + 2.0 * np.pi * x / chosen.pitch_mm) * cosine
+        along = np.sign(chosen.pitch_mm) * (x * sine + radius * (turns + 2.0 * np.pi * x / chosen.pitch_mm) * cosine)  # downstream
         wide = chosen.chord_mm * half_thickness(np.clip(along / chosen.chord_mm + 0.5, 0.0, 1.0), chosen.thickness)
         over = np.array([
             np.abs(along) - (chosen.chord_mm / 2.0 - edge), np.abs(across) - np.maximum(wide - edge, 0.0), radius - (chosen.diameter_mm / 2.0 - edge)

@@ -203,6 +203,8 @@ def test_a_propeller_has_its_blades_and_its_pitch(blades: int, pitch: float) -> 
         assert 2.0 * np.pi * at * axes[0, 0] / axes[0, 1] == pytest.approx(pitch, rel=0.03)  # its long axis climbs as the helix does
         assert np.ptp(outline @ axes[0]) == pytest.approx(7.0, abs=step)
         assert np.ptp(outline @ axes[1]) == pytest.approx(0.15 * 7.0, abs=step / 3.0)
+        thick = np.abs(outline @ axes[1]) > 0.9 * np.abs(outline @ axes[1]).max()
+        assert outline[thick, 0].mean() < -0.1 * np.ptp(outline[:, 0])  # sections are thickest at 0.3 of the chord, where +X comes from
 
 
 def test_a_propeller_s_volume_is_that_of_its_parts() -> None:
