@@ -114,7 +114,7 @@ def export(
     to: Annotated[str, typer.Option(help="vtk: files that ParaView opens.")] = "vtk",
     overwrite: Overwrite = False,
 ) -> None:
-    """Write volumes, particles and velocity fields for other programs."""
+    """Write volumes, particles, velocity fields, bubbles and bodies for other programs."""
     from sabench.export import Format
     from sabench.export import export as write
 

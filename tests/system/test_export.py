@@ -8,20 +8,22 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sabench.api import Velocity
+from sabench.api import Detections, Velocity
 from sabench.dataset.read import Dataset, open_dataset
 from sabench.dataset.result import open_result, result_writer
 from sabench.flows import vorticity
 from sabench.motion import flow_of
 from sabench.plugins import load
+from sabench.scene import Scene
 from sabench.scoring import true_field
+from tests.bubble_scenes import LASER, small
 from tests.conftest import Command
 
 vtk = pytest.importorskip("vtkmodules.vtkIOHDF", reason="needs the package vtk")
 
 
 def opened(path: Path) -> tuple[Any, dict[str, Any]]:
-    """What VTK's reader makes of a file, and its point data."""
+    """What VTK's reader makes of a file, and its points' and cells' data."""
     from vtkmodules.util.numpy_support import vtk_to_numpy
 
     reader = vtk.vtkHDFReader()
@@ -32,8 +34,8 @@ def opened(path: Path) -> tuple[Any, dict[str, Any]]:
     reader.Update()
     assert not told
     data = reader.GetOutputDataObject(0)
-    points = data.GetPointData()
-    return data, {points.GetArrayName(number): vtk_to_numpy(points.GetArray(number)) for number in range(points.GetNumberOfArrays())}
+    both = (data.GetPointData(), data.GetCellData())
+    return data, {one.GetArrayName(number): vtk_to_numpy(one.GetArray(number)) for one in both for number in range(one.GetNumberOfArrays())}
 
 
 @pytest.fixture(scope="module")
@@ -96,6 +98,100 @@ def test_an_exported_flow_carries_particles_again(moving: Dataset, tmp_path: Pat
     places = np.random.default_rng(0).uniform(-1.5, 1.5, (50, 3)) + np.asarray(moving.scene.volume.center_mm)
     exact = flow.velocity(places, 0.0)
     np.testing.assert_allclose(again.velocity(places, 0.0), exact, atol=0.05 * np.abs(exact).max())
+
+
+def tiny(**changes: Any) -> Scene:
+    """A quick one: exports do not look at images."""
+    cameras = {
+        "rows": 24, "columns": 30, "pixel_mm": 0.09, "focal_length_mm": 50.0, "f_number": 11.0, "center_mm": [0.0, 0.0, -520.0],
+        "layout": {"kind": "line", "count": 2, "spacing_mm": 120.0},
+    }  # fmt: skip
+    return small(cameras=cameras, render={"relative_error": 0.2}, **changes)
+
+
+@pytest.fixture(scope="module")
+def bubbly(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
+    from sabench.generation import generate
+
+    field = {
+        "generator": "bubble_field",
+        "count": 20,
+        "radius_mm": 0.8,
+        "aspect_range": [0.4, 0.7],
+        "tilt_deg": 30.0,
+        "velocity_mm_s": [0.0, -2.0, 0.0],
+    }
+    bodies = [
+        {"generator": "hydrofoil", "points": 8, "chord_mm": 4.0, "span_mm": 3.0, "place_mm": [0.0, 0.0, 80.0]},
+        {"generator": "cylinder", "sections": 8, "radius_mm": 1.0, "length_mm": 2.0, "place_mm": [0.0, 0.0, 90.0]},
+    ]
+    return generate(tiny(bubbles=field, solids=bodies), tmp_path_factory.mktemp("bubbly") / "data", seed=1)
+
+
+def test_bubbles_and_bodies_are_what_vtk_reads(bubbly: Dataset, tmp_path: Path) -> None:
+    """Balls that VTK's tensor glyphs deform are the true ellipsoids, and the triangles of every body are where they were."""
+    from vtkmodules.util.numpy_support import vtk_to_numpy
+    from vtkmodules.vtkFiltersCore import vtkTensorGlyph
+    from vtkmodules.vtkFiltersSources import vtkSphereSource
+
+    from sabench.export import export
+
+    export(bubbly, tmp_path / "vtk")
+    assert sorted(path.name for path in (tmp_path / "vtk").iterdir()) == ["bodies_0000.vtkhdf", "bubbles_0000.vtkhdf"]
+    cloud, about = opened(tmp_path / "vtk/bubbles_0000.vtkhdf")
+    true = bubbly.bubbles(0)
+    assert cloud.GetNumberOfPoints() == cloud.GetNumberOfCells() == len(true) > 4
+    for name in ("id", "radius_mm", "semi_axes_mm", "velocity_mm_s"):
+        np.testing.assert_array_equal(about[name], getattr(true, name))
+    np.testing.assert_array_equal(about["turn"].reshape(-1, 3, 3), true.turn)
+    cloud.GetPointData().SetActiveTensors("shape_mm")
+    ball, glyphs = vtkSphereSource(), vtkTensorGlyph()
+    ball.SetRadius(1.0)
+    glyphs.SetInputData(cloud)
+    glyphs.SetSourceConnection(ball.GetOutputPort())
+    glyphs.Update()
+    drawn = vtk_to_numpy(glyphs.GetOutput().GetPoints().GetData()).reshape(len(true), -1, 3) - true.center_mm[:, None]
+    np.testing.assert_allclose(np.linalg.norm(np.einsum("nij,nkj->nki", true.to_ball, drawn), axis=2), 1.0, atol=1e-4)
+    assert (np.ptp(np.linalg.norm(drawn, axis=2), axis=1) > 0.2).all()
+    bodies, about = opened(tmp_path / "vtk/bodies_0000.vtkhdf")
+    solids = bubbly.solids(0)
+    assert bodies.GetNumberOfPolys() == bodies.GetNumberOfCells()
+    for number, solid in enumerate(solids):
+        (own,) = np.nonzero(about["body"] == number)
+        corners = [[bodies.GetPoint(bodies.GetCell(cell).GetPointId(corner)) for corner in range(3)] for cell in own]
+        np.testing.assert_allclose(corners, solid.vertices_mm[solid.faces], rtol=1e-6)
+
+
+def test_found_bubbles_say_what_they_are(bubbly: Dataset, tmp_path: Path) -> None:
+    from sabench.export import export
+
+    true = bubbly.bubbles(0)
+    shift = np.array([0.05, 0.0, -0.1])
+    order = np.array([4, 0, 2])
+    center = np.concatenate([true.center_mm[order] + shift, [[0.0, 0.0, 20.0]]])  # three of them, and a ghost
+    found = Detections.balls(center, np.append(true.radius_mm[order] * 1.1, 0.5))
+    for name, detections in {"some": found, "none": Detections.balls(np.zeros((0, 3)), np.zeros(0))}.items():
+        with result_writer(tmp_path / f"{name}.h5", bubbly, "rim_fit", "bubbles", {}) as writer:
+            writer.add_bubbles(0, detections)
+        export(bubbly, tmp_path / name, tmp_path / f"{name}.h5")
+    cloud, about = opened(tmp_path / "some/bubbles_0000.vtkhdf")
+    np.testing.assert_allclose([cloud.GetPoint(number) for number in range(4)], found.center_mm)
+    np.testing.assert_array_equal(about["matched"], [1, 1, 1, 0])
+    np.testing.assert_array_equal(about["true_id"], [*true.id[order], -1])
+    np.testing.assert_allclose(about["error_mm"], np.array([shift, shift, shift, np.full(3, np.nan)]), atol=1e-12)
+    np.testing.assert_allclose(about["radius_error_mm"], [*(0.1 * true.radius_mm[order]), np.nan])
+    np.testing.assert_array_equal(about["semi_axes_mm"], found.semi_axes_mm)
+    assert opened(tmp_path / "none/bubbles_0000.vtkhdf")[0].GetNumberOfPoints() == 0
+
+
+def test_particles_among_bubbles_have_files_of_their_own(tmp_path: Path) -> None:
+    from sabench.export import export
+    from sabench.generation import generate
+
+    tracers = {"generator": "uniform", "count": 20, "diameter_mm": 0.05}
+    export(generate(tiny(illumination=LASER, particles=tracers), tmp_path / "data", seed=1), tmp_path / "vtk")
+    names = ["bubbles_0000.vtkhdf", "particles_0000.vtkhdf", "volume_0000.vtkhdf"]
+    assert sorted(path.name for path in (tmp_path / "vtk").iterdir()) == names
 
 
 def test_what_cannot_be_exported_is_named(moving: Dataset, tmp_path: Path, command: Command) -> None:

@@ -9,15 +9,15 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
 LEVELS = [
-    {"errors", "arrays", "theory", "statistics", "rooflines", "columns", "plots", "jets", "linking"},
+    {"errors", "arrays", "theory", "statistics", "rooflines", "columns", "plots", "jets", "linking", "foils"},
     {"files", "seeds", "progress", "plugins", "memory", "sentences", "preprocessing"},
     {"backend"},
     {"field"},
     {"optics", "world", "volume"},
-    {"api", "scene", "swirl", "foreign", "dispersed", "placement"},
+    {"api", "scene", "swirl", "foreign", "dispersed", "placement", "implicit"},
     {"parsing", "rig", "extraction", "targets", "detection", "calibration", "flows"},
     {"imaging", "metrics", "reproject", "motion", "velocimetry", "velocity_figures", "phases"},
-    {"multiphase", "bubblefit", "bubblefeature", "bubble_figures"},
+    {"multiphase", "codes", "bubblefit", "bubblefeature", "bubble_figures"},
     {"dataset"},
     {"tomography"},
     {"generation", "solving", "scoring", "tracks", "pictures", "board"},
