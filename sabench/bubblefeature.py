@@ -39,16 +39,16 @@ def darkness(case: Observation) -> F32:
     return np.asarray(np.exp2(volume, out=volume))
 
 
-def feature(volume: F32, step: int) -> F32:
-    """E (z, window rows, window columns) of equations 5.15 and 5.16, for windows `step` voxels apart."""
+def feature(volume: F32, step: int, flat: float = _FLAT) -> F32:
+    """E (z, window rows, window columns) of equations 5.15 and 5.16, for windows `step` voxels apart; 0 where the spread is below `flat`."""
     rows, columns = (max(1, (size - WINDOW) // step + 1) for size in volume.shape[1:])
     out = np.zeros((volume.shape[0], rows, columns), dtype=np.float32)
-    _potential(volume, step, out)
+    _potential(volume, step, flat, out)
     return out
 
 
 @numba.njit(cache=True, parallel=True, error_model="numpy")
-def _potential(volume: Any, step: int, out: Any) -> None:
+def _potential(volume: Any, step: int, flat: float, out: Any) -> None:
     planes, height, width = volume.shape
     for window in numba.prange(out.shape[1] * out.shape[2]):
         i, j = window // out.shape[2], window % out.shape[2]
@@ -62,7 +62,7 @@ def _potential(volume: Any, step: int, out: Any) -> None:
                     square += volume[z, y, x] ** 2
         count = planes * (bottom - top) * (right - left)
         spread = np.sqrt(max(square / count - (total / count) ** 2, 0.0))
-        if spread < _FLAT:
+        if spread < flat:
             continue
         for z in range(planes):
             across = along = 0.0
@@ -141,6 +141,21 @@ def _thresholded(dark: F32) -> list[tuple[float, float, float, float]]:
     rows, columns = np.nonzero(inside)
     radius = float(np.sqrt(inside.sum() / np.pi))
     return [(float(columns.mean()), float(rows.mean()), radius, radius)]
+
+
+def blots(dark: F32, least: float, small: float) -> list[tuple[float, float, float]]:
+    """Column, row and radius of features of a region that end within it and have an equivalent diameter below `small` voxels."""
+    right = cv2.Sobel(dark, cv2.CV_32F, 1, 0, ksize=3, scale=0.125)
+    down = cv2.Sobel(dark, cv2.CV_32F, 0, 1, ksize=3, scale=0.125)
+    count, _, stats, _ = cv2.connectedComponentsWithStats((cv2.magnitude(right, down) > least).astype(np.uint8), connectivity=8)
+    out = []
+    for left, top, width, height, area in stats[1:count]:
+        if area <= 3 or left == 0 or top == 0 or left + width == dark.shape[1] or top + height == dark.shape[0]:
+            continue
+        margin = 2
+        rows, columns = slice(max(top - margin, 0), top + height + margin), slice(max(left - margin, 0), left + width + margin)
+        out += [(x + columns.start, y + rows.start, r) for x, y, r, _ in _thresholded(dark[rows, columns]) if 2.0 * r < small]
+    return out
 
 
 def circles(right: F32, down: F32, own: Any) -> list[tuple[float, float, float, float]]:

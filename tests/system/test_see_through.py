@@ -15,6 +15,7 @@ from sabench.errors import InputError
 from sabench.generation import generate
 from sabench.imaging.sightlines import NOTHING
 from sabench.plugins import load
+from sabench.scene import Scene
 from sabench.solving import score, solve
 from sabench.tracks.see_through import single_views
 from tests.bubble_scenes import small
@@ -27,7 +28,7 @@ CURTAIN = {
 VOLUME = {"center_mm": [0.0, 0.0, 48.0], "size_mm": [24.0, 18.0, 40.0]}
 
 
-def behind(curtain: dict[str, Any] | None = CURTAIN, **plate: Any) -> Dataset | Any:
+def behind(curtain: dict[str, Any] | None = CURTAIN, **plate: Any) -> Scene:
     """The small scene with a code."""
     grid = {"voxel_mm": [0.25, 0.25, 2.0]}
     return small(volume=VOLUME, grid=grid, bubbles=curtain, solids=[PLATE | plate], render={"relative_error": 0.1})
@@ -80,7 +81,7 @@ def test_the_code_comes_from_the_seed() -> None:
 
 def test_what_has_no_code_is_refused(veiled: Dataset, tmp_path: Path) -> None:
     data = generate(small(bubbles={"generator": "bubble_field", "count": 0}, render={"relative_error": 0.2}), tmp_path / "data", seed=1)
-    with pytest.raises(InputError, match="solver see_through: expected a data set that shows a code, but .* shows bubbles"):
+    with pytest.raises(InputError, match=r"solver see_through: expected a data set that shows a code, but .* shows bubbles"):
         solve("see_through", data, tmp_path / "r.h5")
     with pytest.raises(InputError, match="low_mm, high_mm: expected rising corners within the volume"):
         generate(behind(CURTAIN | {"high_mm": [9.0, 8.0, 80.0]}), tmp_path / "other", seed=1)

@@ -17,7 +17,7 @@ LEVELS = [
     {"api", "scene", "swirl", "foreign", "dispersed", "placement", "implicit"},
     {"parsing", "rig", "extraction", "targets", "detection", "calibration", "flows"},
     {"imaging", "metrics", "reproject", "motion", "velocimetry", "velocity_figures", "phases"},
-    {"multiphase", "codes", "bubblefit", "bubblefeature", "bubble_figures"},
+    {"multiphase", "codes", "bubblefit", "bubblefeature", "ellipses", "featurepeaks", "bubble_figures"},
     {"dataset"},
     {"tomography"},
     {"generation", "solving", "scoring", "tracks", "pictures", "board"},

@@ -1,0 +1,60 @@
+"""The column and the ligaments of a liquid jet in a cross-flow."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from pydantic import Field
+
+from sabench.api import Material, SolidGenerator, SolidParameters
+from sabench.arrays import F64
+from sabench.crossflow import Crossflow
+from sabench.implicit import capsules, largest_part, surface_of
+from sabench.seeds import stream
+from sabench.world import Solid
+
+_BLEND = 0.04  # how round joints are, in nozzle diameters
+_ROUGH = 0.03  # amplitude of the surface's ripples, in the same
+_RIPPLES = 24  # plane waves that make them
+
+
+class LiquidColumnParameters(SolidParameters, Crossflow):
+    """The same jet's drops are those of `jet_in_crossflow` with the same numbers; `nozzle_mm` says where it is."""
+
+    step_mm: float = Field(0.2, gt=0.0, description="of the lattice on which its surface is found")
+    material: Material = Material(kind="liquid")
+
+
+class LiquidColumn(SolidGenerator):
+    """A liquid jet that gas bends: its column along a measured law up to where it breaks, with waves, ripples and ligaments; one closed surface."""
+
+    name = "liquid_column"
+    references = ("Wu, Kirkendall, Fuller and Nejad, J. Propul. Power 13, 64 (1997)",)
+    Parameters = LiquidColumnParameters
+
+    def body(self, seed: int) -> Solid:
+        """From the nozzle; `place_mm` comes on top of `nozzle_mm`."""
+        chosen: LiquidColumnParameters = self.parameters
+        cones, ripples = chosen.cones(seed), self._ripples(seed)
+        blend = _BLEND * chosen.diameter_mm
+
+        def body(points_mm: F64) -> F64:
+            return capsules(points_mm, *cones, blend) + ripples(points_mm)
+
+        reach = chosen.diameter_mm
+        low, high = (end(np.concatenate(cones[:2]), axis=0) for end in (np.min, np.max))
+        made = largest_part(surface_of(body, low - reach, high + reach, chosen.step_mm))
+        return Solid(made.vertices_mm + np.asarray(chosen.nozzle_mm), made.faces)
+
+    def _ripples(self, seed: int) -> Callable[[F64], F64]:
+        """Plane waves of all directions, a third to one nozzle diameter long."""
+        rng, diameter = stream(seed, "ripples"), self.parameters.diameter_mm
+        way = rng.normal(size=(_RIPPLES, 3))
+        way *= (2.0 * np.pi / rng.uniform(0.33, 1.0, _RIPPLES) / diameter / np.linalg.norm(way, axis=1))[:, None]
+        phase = rng.uniform(0.0, 2.0 * np.pi, _RIPPLES)
+
+        def height(points_mm: F64) -> F64:
+            return np.asarray(_ROUGH * diameter * np.sqrt(2.0 / _RIPPLES) * np.sin(points_mm @ way.T + phase).sum(axis=1))
+
+        return height

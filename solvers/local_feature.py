@@ -1,0 +1,115 @@
+"""The thesis's algorithm for bubbles in dense flows."""
+
+from __future__ import annotations
+
+import numpy as np
+from pydantic import Field
+
+from sabench.api import BubbleSolver, Detections, Observation, Parameters
+from sabench.arrays import F32, F64, I64
+from sabench.bubblefeature import WINDOW, attenuate, blots, darkness, feature
+from sabench.ellipses import edges, ellipses
+from sabench.featurepeaks import PLANES, STEP, Peaks, depth_of, distinct
+from sabench.progress import track
+from sabench.volume import Grid
+
+_FLAT = 0.01  # spread of a window in which nothing is: half as large as for minimum images
+_NEAR = 5  # planes from a bubble to a peak that speaks for it
+_MARGIN = 3  # voxels around what is looked at
+
+
+class LocalFeatureParameters(Parameters):
+    """What counts as a peak, as an edge and as a bubble."""
+
+    least_peak: float = Field(4.5, gt=0.0, description="logarithm of the feature potential that makes a peak")
+    least_edge: float = Field(0.01, gt=0.0, lt=1.0, description="gradient of darkness per voxel that makes an edge")
+    least_part: float = Field(0.5, gt=0.0, le=1.0, description="part of an ellipse that must have edges")
+    least_aspect: float = Field(0.4, gt=0.0, le=1.0, description="short over long axis below which an ellipse is a part of an outline")
+    largest_mm: float = Field(3.0, gt=0.0, description="largest semi-axis")
+    small_px: float = Field(4.0, gt=0.0, description="equivalent diameter in voxels below which a feature is thresholded")
+
+
+class LocalFeature(BubbleSolver):
+    """Peaks of the feature potential in twice attenuated planes; ellipses by Hough's transform around each group of them."""
+
+    name = "local_feature"
+    references = ("J. Belden, MIT thesis, section 5.4.3", "Y. Xie and Q. Ji, ICPR 2002")
+    Parameters = LocalFeatureParameters
+
+    def solve(self, case: Observation) -> Detections:
+        """Steps 1 to 4 of the section."""
+        volume = darkness(case)
+        for _ in range(2):
+            attenuate(volume, feature(volume, STEP, _FLAT), STEP)
+        peaks = Peaks.of(np.log1p(feature(volume, STEP, _FLAT)), self.parameters.least_peak)
+        bubbles = self._bubbles(volume, peaks, case.grid)
+        return _detections(distinct(bubbles, case.grid.voxel_mm[2] / case.grid.voxel_mm[0]), case.grid)
+
+    def _bubbles(self, volume: F32, peaks: Peaks, grid: Grid) -> F64:
+        """Bubbles (n, 7) of all groups, each grown from the strongest peak that is left: outline, part of it that has edges, plane."""
+        largest = self.parameters.largest_mm / grid.voxel_mm[0]
+        free = np.ones(len(peaks.weight), dtype=np.bool_)
+        found = []
+        for first in track(range(len(free)), "peaks"):
+            if not free[first]:
+                continue
+            group = peaks.group(first, free, int(np.ceil(largest / STEP)))
+            free[group] = False
+            for one in self._features(volume, peaks, group, largest):
+                if peaks.within(one, _NEAR).any():
+                    free &= ~peaks.within(one, PLANES)
+                    found.append(one)
+        return np.array(found, dtype=np.float64).reshape(-1, 7)
+
+    def _features(self, volume: F32, peaks: Peaks, group: I64, largest: float) -> list[F64]:
+        """Ellipses of a group in its mean plane, each then in its own; without one, small features at its strongest peak."""
+        windows = peaks.place[group, 1:] * STEP
+        plane = peaks.plane(group)
+        shapes = self._ellipses(volume, plane, windows.min(axis=0), windows.max(axis=0) + WINDOW, largest)
+        bubbles = [bubble for one in shapes if (bubble := self._refocused(volume, one, plane, largest)) is not None]
+        return bubbles or self._small(volume, peaks.place[group[0]])
+
+    def _ellipses(self, volume: F32, plane: int, low: I64, high: I64, largest: float) -> F64:
+        """Outlines (n, 6) within a box of rows and columns of a plane."""
+        chosen: LocalFeatureParameters = self.parameters
+        top, left = np.maximum(low - _MARGIN, 0)
+        bottom, right = np.maximum(high + _MARGIN, 0)
+        dark = np.ascontiguousarray(volume[plane, top:bottom, left:right])
+        out = ellipses(edges(dark, chosen.least_edge), largest, chosen.least_aspect, chosen.least_part)
+        out[:, :2] += left, top
+        return out
+
+    def _refocused(self, volume: F32, one: F64, plane: int, largest: float) -> F64 | None:
+        """An outline in the plane where it is darkest, and that plane; none if it is not there any more."""
+        depth = float(plane)
+        for _ in range(2):
+            depth = depth_of(volume, one, round(depth))
+            low, high = (np.floor(one[1::-1] + side * one[2]).astype(np.int64) for side in (-1.0, 1.0))
+            again = self._ellipses(volume, round(depth), low, high + 1, largest)
+            apart = np.hypot(*(again[:, :2] - one[:2]).T)
+            if not len(again) or apart.min() > 0.5 * one[3]:
+                return None
+            one = again[apart.argmin()]
+        return np.append(one, depth)
+
+    def _small(self, volume: F32, peak: I64) -> list[F64]:
+        """Features around a peak that are too small for votes, as circles whose outlines nothing is known of."""
+        chosen: LocalFeatureParameters = self.parameters
+        plane, (top, left) = int(peak[0]), np.maximum(peak[1:] * STEP - _MARGIN, 0)
+        size = WINDOW + 2 * _MARGIN
+        dark = np.ascontiguousarray(volume[plane, top : top + size, left : left + size])
+        circles = [np.array([x + left, y + top, r, r, 0.0, 0.0]) for x, y, r in blots(dark, chosen.least_edge, chosen.small_px)]
+        return [np.append(one, depth_of(volume, one, plane)) for one in circles]
+
+
+def _detections(bubbles: F64, grid: Grid) -> Detections:
+    """Ellipsoids whose third axis, along the line of sight, is as long as the longer one that is seen."""
+    voxel, low = np.asarray(grid.voxel_mm), np.asarray(grid.low_mm)
+    _, _, a, b, angle, _, _ = bubbles.T
+    cosine, sine = np.cos(angle), np.sin(angle)
+    across = np.array([[a * cosine, -b * sine], [a * sine, b * cosine]]).transpose(2, 0, 1)
+    directions, axes, _ = np.linalg.svd(voxel[:2, None] * across)  # voxels need not be square
+    x, y = directions[:, 0, 0], directions[:, 1, 0]
+    turn = np.tile(np.eye(3), (len(bubbles), 1, 1))
+    turn[:, :2, :2] = np.array([[x, y], [-y, x]]).transpose(2, 0, 1)
+    return Detections(bubbles[:, [0, 1, 6]] * voxel + low, axes[:, [0, 1, 0]], turn)
