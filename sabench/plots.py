@@ -74,7 +74,32 @@ class Discs:
     radius: npt.NDArray[np.float64]
 
 
-Content = Curve | Histogram | Cloud | Slice | Discs
+@dataclass(frozen=True)
+class Picture:
+    """Grey values (rows, columns) as they are seen, from the first to the last percentile, y downwards; alone in its panel.
+
+    Attributes
+    ----------
+    low, high : coordinates (x, y) of the middles of its first and last pixel.
+    rings : (n, 3) circles over it: middles and radii, in the axes' own unit.
+    """
+
+    values: npt.NDArray[np.float64]
+    low: tuple[float, float]
+    high: tuple[float, float]
+    rings: npt.NDArray[np.float64] | None = None
+
+
+@dataclass(frozen=True)
+class Space:
+    """Balls (n,) in space, y downwards, as discs of their size coloured by it; alone in its panel."""
+
+    label: str
+    center: npt.NDArray[np.float64]
+    radius: npt.NDArray[np.float64]
+
+
+Content = Curve | Histogram | Cloud | Slice | Discs | Picture | Space
 
 
 @dataclass(frozen=True)
@@ -109,7 +134,8 @@ def draw(figure: Figure) -> bytes:
     FigureCanvasAgg(sheet)
     sheet.suptitle(figure.title, fontsize=11)
     for number, panel in enumerate(figure.panels, 1):
-        _fill(sheet.add_subplot(down, across, number), panel)
+        solid = isinstance(panel.content[0], Space)
+        _fill(sheet.add_subplot(down, across, number, projection="3d" if solid else None), panel)
     out = io.BytesIO()
     sheet.savefig(out, format="png", metadata={"Software": None})
     return out.getvalue()
@@ -132,6 +158,10 @@ def _fill(axes: Any, panel: Panel) -> None:
             _colour(axes, one)
         elif isinstance(one, Discs):
             _discs(axes, one)
+        elif isinstance(one, Picture):
+            _picture(axes, one)
+        elif isinstance(one, Space):
+            _space(axes, one)
         else:
             axes.errorbar(one.x, one.y, yerr=one.spread, color=colour, marker=marker, markersize=4, linewidth=1, capsize=2, label=one.label)
     if "x" in panel.log:
@@ -178,6 +208,36 @@ def _discs(axes: Any, one: Discs) -> None:
         axes.set_xlim(one.x.min() - reach, one.x.max() + reach)
         axes.set_ylim(one.y.max() + reach, one.y.min() - reach)
     axes.grid(visible=False)
+
+
+def _picture(axes: Any, one: Picture) -> None:
+    from matplotlib.collections import EllipseCollection
+
+    rows, columns = one.values.shape
+    half = [(end - start) / max(count - 1, 1) / 2.0 for start, end, count in zip(one.low, one.high, (columns, rows), strict=True)]
+    extent = (one.low[0] - half[0], one.high[0] + half[0], one.high[1] + half[1], one.low[1] - half[1])
+    dark, bright = np.percentile(one.values, [1.0, 99.0])
+    axes.imshow(one.values, cmap="gray", vmin=dark, vmax=max(bright, dark + 1e-12), extent=extent, interpolation="nearest")
+    if one.rings is not None:
+        widths = 2.0 * one.rings[:, 2]
+        axes.add_collection(EllipseCollection(
+            widths, widths, np.zeros(len(widths)), units="xy", offsets=one.rings[:, :2], offset_transform=axes.transData,
+            facecolors="none", edgecolors=_COLOURS[1], linewidths=0.7,
+        ))  # fmt: skip
+    axes.grid(visible=False)
+
+
+def _space(axes: Any, one: Space) -> None:
+    """Discs' areas are in points squared: the axes' box is about as high as its panel's four fifths."""
+    x, y, z = one.center.T
+    spans = np.maximum(np.ptp(one.center, axis=0), 1e-9) if len(one.center) else np.ones(3)
+    points = 2.0 * one.radius / spans.max() * 0.6 * 72.0 * min(_PANEL_INCH)
+    shown = axes.scatter(x, z, y, s=points**2, c=one.radius, cmap="viridis", edgecolors="#00000066", linewidths=0.3)
+    axes.figure.colorbar(shown, ax=axes, shrink=0.7).set_label(one.label, fontsize=8)
+    axes.set_box_aspect(spans[[0, 2, 1]])
+    axes.invert_zaxis()
+    axes.set_ylabel("Z, mm", fontsize=8)
+    axes.set_zlabel("Y, mm", fontsize=8)
 
 
 def _edges(values: Sequence[npt.NDArray[np.float64]]) -> npt.NDArray[np.float64]:

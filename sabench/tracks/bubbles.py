@@ -9,7 +9,7 @@ import numpy as np
 
 from sabench import memory, pictures
 from sabench.api import BubbleSolver, Detections
-from sabench.arrays import F64, I64
+from sabench.arrays import I64
 from sabench.dataset.layout import CamerasFile, frame_group
 from sabench.dataset.read import Dataset
 from sabench.dataset.result import Result, ResultWriter
@@ -19,10 +19,11 @@ from sabench.metrics.bubbles import AnyBubbles, detection_scores
 from sabench.metrics.jets import JetFigures, analyse
 from sabench.metrics.tracks import track_scores
 from sabench.progress import track
+from sabench.scene import Scene
 from sabench.tracks.attempt import attempt
 from sabench.world import Bubbles
 
-_JET = {"penetration_percent": "penetration_mm", "angle_percent": "angle_deg", "weight_percent": "weight", "width_percent": "width"}
+JET = {"penetration_percent": "penetration_mm", "angle_percent": "angle_deg", "weight_percent": "weight", "width_percent": "width"}
 
 
 def run(algorithm: BubbleSolver, name: str, data: Dataset, writer: ResultWriter) -> list[float]:
@@ -98,18 +99,18 @@ def tracks(data: Dataset, result: Result | str, found: Sequence[AnyBubbles]) -> 
 
 def _jet_scores(data: Dataset, found: Sequence[AnyBubbles], true: Sequence[AnyBubbles]) -> dict[str, float | None]:
     """Errors of a jet's figures against the same analysis of the true bubbles; None where the scene has no jet."""
-    given = data.scene.bubbles or {}
-    if given.get("generator") != "plunging_jet":
-        return dict.fromkeys(_JET)
-    impact = np.asarray(given["impact_mm"])
-    volume = data.scene.volume
-    depth = volume.center_mm[1] + volume.size_mm[1] / 2.0 - impact[1]
-    guess, known = (_figures(one, impact, depth) for one in (found, true))
-    pairs = {key: (getattr(guess, name), getattr(known, name)) for key, name in _JET.items()}
+    if (data.scene.bubbles or {}).get("generator") != "plunging_jet":
+        return dict.fromkeys(JET)
+    guess, known = (jet_figures(data.scene, one) for one in (found, true))
+    pairs = {key: (getattr(guess, name), getattr(known, name)) for key, name in JET.items()}
     return {key: _known(100.0 * abs(one / other - 1.0)) if other else None for key, (one, other) in pairs.items()}
 
 
-def _figures(balls: Sequence[AnyBubbles], impact: F64, depth: float) -> JetFigures:
+def jet_figures(scene: Scene, balls: Sequence[AnyBubbles]) -> JetFigures:
+    """What the bubbles of some frames say of a scene's jet."""
+    assert scene.bubbles is not None
+    impact, volume = np.asarray(scene.bubbles["impact_mm"]), scene.volume
+    depth = volume.center_mm[1] + volume.size_mm[1] / 2.0 - impact[1]
     return analyse(np.concatenate([one.center_mm for one in balls]), np.concatenate([one.radius_mm for one in balls]), impact, depth, len(balls))
 
 
