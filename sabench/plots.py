@@ -76,7 +76,7 @@ class Discs:
 
 @dataclass(frozen=True)
 class Picture:
-    """Grey values (rows, columns) as they are seen, from the first to the last percentile, y downwards; alone in its panel.
+    """Grey values (rows, columns) as they are seen, from the least to the largest, y downwards; alone in its panel.
 
     Attributes
     ----------
@@ -115,12 +115,13 @@ class Panel:
 
 @dataclass(frozen=True)
 class Figure:
-    """Panels beside each other; `name` becomes the file's, `across` says how many stand in a row."""
+    """Panels beside each other; `name` becomes the file's, `across` says how many stand in a row, `inch` how wide and high each is."""
 
     name: str
     title: str
     panels: tuple[Panel, ...]
     across: int | None = None
+    inch: tuple[float, float] = _PANEL_INCH
 
 
 def draw(figure: Figure) -> bytes:
@@ -130,7 +131,7 @@ def draw(figure: Figure) -> bytes:
 
     across = figure.across or min(3 if len(figure.panels) % 4 else 4, len(figure.panels))  # no gap in the last row where four fit
     down = -(-len(figure.panels) // across)
-    sheet = Sheet(figsize=(across * _PANEL_INCH[0], down * _PANEL_INCH[1] + 0.4), dpi=_DPI, layout="constrained")
+    sheet = Sheet(figsize=(across * figure.inch[0], down * figure.inch[1] + 0.4), dpi=_DPI, layout="constrained")
     FigureCanvasAgg(sheet)
     sheet.suptitle(figure.title, fontsize=11)
     for number, panel in enumerate(figure.panels, 1):
@@ -216,7 +217,7 @@ def _picture(axes: Any, one: Picture) -> None:
     rows, columns = one.values.shape
     half = [(end - start) / max(count - 1, 1) / 2.0 for start, end, count in zip(one.low, one.high, (columns, rows), strict=True)]
     extent = (one.low[0] - half[0], one.high[0] + half[0], one.high[1] + half[1], one.low[1] - half[1])
-    dark, bright = np.percentile(one.values, [1.0, 99.0])
+    dark, bright = np.percentile(one.values, [0.0, 99.9])
     axes.imshow(one.values, cmap="gray", vmin=dark, vmax=max(bright, dark + 1e-12), extent=extent, interpolation="nearest")
     if one.rings is not None:
         widths = 2.0 * one.rings[:, 2]
@@ -228,14 +229,18 @@ def _picture(axes: Any, one: Picture) -> None:
 
 
 def _space(axes: Any, one: Space) -> None:
-    """Discs' areas are in points squared: the axes' box is about as high as its panel's four fifths."""
+    """Discs' areas are in points squared: the box's longest edge is about half as long as the panel is high."""
+    from matplotlib.ticker import MaxNLocator
+
     x, y, z = one.center.T
     spans = np.maximum(np.ptp(one.center, axis=0), 1e-9) if len(one.center) else np.ones(3)
-    points = 2.0 * one.radius / spans.max() * 0.6 * 72.0 * min(_PANEL_INCH)
+    points = 2.0 * one.radius / spans.max() * 0.5 * 72.0 * axes.figure.get_figheight()
     shown = axes.scatter(x, z, y, s=points**2, c=one.radius, cmap="viridis", edgecolors="#00000066", linewidths=0.3)
-    axes.figure.colorbar(shown, ax=axes, shrink=0.7).set_label(one.label, fontsize=8)
-    axes.set_box_aspect(spans[[0, 2, 1]])
+    axes.figure.colorbar(shown, ax=axes, shrink=0.5).set_label(one.label, fontsize=8)
+    axes.set_box_aspect(spans[[0, 2, 1]], zoom=1.3)
     axes.invert_zaxis()
+    for axis in (axes.xaxis, axes.yaxis):
+        axis.set_major_locator(MaxNLocator(3))
     axes.set_ylabel("Z, mm", fontsize=8)
     axes.set_zlabel("Y, mm", fontsize=8)
 

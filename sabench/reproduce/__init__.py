@@ -25,6 +25,7 @@ TABLES = {
     "fig-2-7-cameras": "Q with the cameras of every calibration, from the same images through a wall",
     "fig-1-3": "a code behind bubbles, in single views and in refocused planes",
     "table-5-2": "three plunging jets out of the bubbles that are found (table 5.2, figures 5-18 to 5-20)",
+    "fig-6-5": "a liquid jet in a cross-flow, refocused, and the drops that are found (figures 6-4 and 6-5)",
     "fig-4-6": "error of camera models without refraction",
     "fig-4-9": "Newton's iteration for the path through a wall",
     "fig-4-12": "errors of the auto-calibration against noise and start (figures 4-11 to 4-15)",

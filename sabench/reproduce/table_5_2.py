@@ -15,7 +15,7 @@ from sabench.metrics.bubbles import AnyBubbles, detection_scores
 from sabench.multiphase import PhaseWorld
 from sabench.plots import Curve, Figure, Panel, Space
 from sabench.progress import console
-from sabench.reproduce.chapter_5 import photographed
+from sabench.reproduce.chapter_5 import photographed, pictures
 from sabench.reproduce.common import Item, coarsened, compared
 from sabench.rig import load_scene
 from sabench.scene import Scene
@@ -23,7 +23,7 @@ from sabench.solving import make_algorithm
 from sabench.tracks.bubbles import JET, jet_figures
 
 SEEDS = 10
-_HEIGHTS = (7, 21, 43)
+_HEIGHTS, _PICTURED = (7, 21, 43), 21  # mm of the nozzle above the surface; that of figures 5-5 to 5-11
 _SOLVER = "rim_fit"
 _THESIS = {7: (211.5, 11.6), 21: (160.0, 10.9), 43: (120.0, 11.3)}  # table 5.2: Y_p in mm, angle in degrees
 _SCALING = {"weight": 0.903, "width": 0.1894}  # of equation 5.18
@@ -39,6 +39,8 @@ def rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
         scores: list[dict[str, float]] = []
         for seed in seeds:
             world, case = photographed(scene, seed)
+            if (height, seed) == (_PICTURED, seeds[0]):
+                yield from pictures(case)
             start = time.perf_counter()
             guess = _solved(case)
             spent = time.perf_counter() - start
@@ -77,7 +79,7 @@ def _figures(scene: Scene, height: int, true: list[AnyBubbles], found: list[AnyB
     panels = tuple(
         Panel(title, "X, mm", "", (Space("radius, mm", one.center_mm, one.radius_mm),)) for title, one in (("true", true[0]), ("found", found[0]))
     )
-    yield Figure(f"fig-{number}", f"bubbles, h = {height} mm", panels)
+    yield Figure(f"fig-{number}", f"bubbles, h = {height} mm", panels, inch=(4.6, 6.4))
     given = scene.bubbles or {}
     law = JetLaw(given["penetration_mm"], given["equivalent_mm"], given["total_percent"] / 100.0)
     curves = []

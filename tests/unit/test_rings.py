@@ -106,7 +106,8 @@ def test_the_slice_with_the_vortex_is_shown(normal: int) -> None:
     assert content.arrows is not None
     assert np.isnan(content.arrows).any() == (normal != 2)
     assert draw(figure)[:4] == b"\x89PNG"
-    assert [curve.label for curve in profile_panel(field, exact, normal).content if isinstance(curve, Curve)] == ["u", "u exact", "v", "v exact", "w", "w exact"]
+    curves = [curve.label for curve in profile_panel(field, exact, normal).content if isinstance(curve, Curve)]
+    assert curves == ["u", "u exact", "v", "v exact", "w", "w exact"]
 
 
 def test_scatter_shows_some_of_many() -> None:
