@@ -18,7 +18,7 @@ from sabench.solving import make_algorithm
 
 SEEDS = 3
 _DEPTHS_MM = (-8.0, 0.0, 8.0)
-_SOLVERS: dict[str, dict[str, Any]] = {"minimum_image": {}, "local_feature": {}, "rim_fit": {"index": 1.333, "radius_mm": (0.1, 1.5)}}
+_SOLVERS: dict[str, dict[str, Any]] = {"minimum_image": {}, "local_feature": {}, "rim_fit": {"index": 1.333, "radius_mm": (0.2, 1.5)}}
 
 
 def rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
