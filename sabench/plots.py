@@ -235,7 +235,7 @@ def _space(axes: Any, one: Space) -> None:
     x, y, z = one.center.T
     spans = np.maximum(np.ptp(one.center, axis=0), 1e-9) if len(one.center) else np.ones(3)
     points = 2.0 * one.radius / spans.max() * 0.5 * 72.0 * axes.figure.get_figheight()
-    shown = axes.scatter(x, z, y, s=points**2, c=one.radius, cmap="viridis", edgecolors="#00000066", linewidths=0.3)
+    shown = axes.scatter(x, z, y, s=points**2, c=one.radius, cmap="viridis", depthshade=False, edgecolors="#00000066", linewidths=0.3)
     axes.figure.colorbar(shown, ax=axes, shrink=0.5).set_label(one.label, fontsize=8)
     axes.set_box_aspect(spans[[0, 2, 1]], zoom=1.3)
     axes.invert_zaxis()

@@ -12,7 +12,7 @@ from sabench.api import Velocity
 from sabench.arrays import F64
 from sabench.metrics.rings import circulation, core, half_plane, sampled, spin_of
 from sabench.metrics.velocity import response
-from sabench.plots import Cloud, Curve, Figure, Panel, Slice, draw
+from sabench.plots import Cloud, Curve, Figure, Panel, Picture, Slice, Space, draw
 from sabench.plugins import load
 from sabench.velocity_figures import error_scatter, field_figure, profile_panel
 
@@ -108,6 +108,27 @@ def test_the_slice_with_the_vortex_is_shown(normal: int) -> None:
     assert draw(figure)[:4] == b"\x89PNG"
     curves = [curve.label for curve in profile_panel(field, exact, normal).content if isinstance(curve, Curve)]
     assert curves == ["u", "u exact", "v", "v exact", "w", "w exact"]
+
+
+def test_pictures_are_the_right_way_up_and_rings_lie_where_they_should() -> None:
+    values = np.zeros((20, 40))
+    values[:10, :10] = 1.0
+    bare = picture(Panel("", "", "", (Picture(values, (0.0, 100.0), (39.0, 119.0)),)))
+    ringed = picture(Panel("", "", "", (Picture(values, (0.0, 100.0), (39.0, 119.0), np.array([[35.0, 115.0, 3.0]])),)))
+    row, column = np.argwhere(bare.max(axis=2) < 5.0).mean(axis=0)  # black: all but the upper left, and letters
+    inside = np.argwhere((ringed[..., 2] - ringed[..., 0] > 100.0) & (bare.max(axis=2) < 60.0))
+    assert len(inside) > 20
+    assert inside[:, 0].mean() > row
+    assert inside[:, 1].mean() > column
+
+
+def test_balls_in_space_have_their_sizes() -> None:
+    """A ball of twice the radius covers four times the area; the smaller Y is above."""
+    center = np.array([[0.0, 0.0, 0.0], [10.0, 40.0, 10.0]])
+    small, large = (picture(Panel("", "", "", (Space("mm", center, np.array([0.2, radius])),)))[:, :400] for radius in (1.5, 3.0))
+    yellow = [np.argwhere((one[..., 2] > 180.0) & (one[..., 0] < 90.0)) for one in (small, large)]
+    assert len(yellow[1]) == pytest.approx(4.0 * len(yellow[0]), rel=0.25)
+    assert yellow[1][:, 0].mean() > 0.55 * small.shape[0]
 
 
 def test_scatter_shows_some_of_many() -> None:
