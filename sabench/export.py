@@ -56,7 +56,7 @@ def export(dataset: Dataset | str | Path, out: str | Path, result: str | Path | 
             _export_truth(root, data)
         elif found.track == "velocimetry":
             _export_velocities(root, data, found)
-        elif found.track == "reconstruction":
+        elif found.track in ("reconstruction", "see_through"):
             _export_reconstructions(root, data, found)
         elif found.track == "bubbles":
             _export_detections(root, data, found)

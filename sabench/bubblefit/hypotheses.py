@@ -40,7 +40,9 @@ def hypotheses(cameras: Sequence[Camera], votes: Sequence[Votes], grid: Grid, le
     ----------
     least_2d, least_3d : votes in one view that make it worth to look in the others; mean votes that make a hypothesis.
     """
-    maps = np.stack([_spread(one.maps) for one in votes])
+    maps = np.empty((len(votes), *votes[0].maps.shape), dtype=np.float32)
+    for out, one in zip(maps, votes, strict=True):
+        _spread(one.maps, out)
     made = [_along_lines(number, cameras, votes, maps, grid, least_2d, least_3d) for number in range(len(cameras))]
     center, radius, vote = (np.concatenate([part[k] for part in made]) for k in range(3))
     return distinct(Hypotheses(center, radius, vote, np.full(len(vote), votes[0].aspect)))
@@ -52,11 +54,12 @@ def together(parts: Sequence[Hypotheses]) -> Hypotheses:
     return distinct(Hypotheses(center, radius, vote, aspect))
 
 
-def _spread(maps: F32) -> F32:
+def _spread(maps: F32, out: F32) -> None:
     """Smoothed votes: other views are not hit to the pixel. A maximum over neighbours would be as good at many depths."""
     import cv2
 
-    return np.stack([cv2.GaussianBlur(one, (0, 0), _SPREAD) for one in maps])
+    for one, smooth in zip(maps, out, strict=True):
+        cv2.GaussianBlur(one, (0, 0), _SPREAD, dst=smooth)
 
 
 def _along_lines(

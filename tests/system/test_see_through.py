@@ -12,6 +12,7 @@ from sabench.codes import code_of
 from sabench.dataset.read import Dataset
 from sabench.dataset.verify import verify
 from sabench.errors import InputError
+from sabench.export import export
 from sabench.generation import generate
 from sabench.imaging.sightlines import NOTHING
 from sabench.plugins import load
@@ -47,6 +48,8 @@ def test_a_refocused_plane_shows_what_single_views_do_not(veiled: Dataset, tmp_p
         result = solve("see_through", veiled, tmp_path / f"{method}.h5", parameters={"method": method})
         assert result.track == "see_through"
         scores[method] = score(veiled, tmp_path / f"{method}.h5")
+    export(veiled, tmp_path / "vtk", tmp_path / "dark.h5")
+    assert [file.name for file in (tmp_path / "vtk").iterdir()] == ["volume_0000.vtkhdf"]
     for method in ("additive", "dark"):
         assert scores[method]["separation"] > 1.5 * scores[method]["single_separation"]
         assert scores[method]["read_percent"] > scores[method]["single_percent"]
