@@ -72,7 +72,7 @@ SHORTER: dict[str, dict[str, Any]] = {  # of what takes long, fewer kinds
     "fig-2-7-cameras": {"_CALIBRATIONS": ("refractive_autocal",), "_RECONSTRUCTIONS": ("msa",)},
     "fig-2-18": {"_VOLUMES": ("asa",), "_PIV": ("piv3d_plain",)},
     "fig-1-3": {"_METHODS": ("additive",)},
-    "fig-6-5": {"_SOLVERS": {"minimum_image": {}}},
+    "fig-6-5": {"_SOLVERS": ("minimum_image",)},
     "table-5-2": {"_HEIGHTS": (21,), "_SOLVER": "minimum_image"},
     "fig-4-16": {"STARTS": (0.01,)},
     "fig-4-25": {"_STEPS": {"test 1": 4.0}},
