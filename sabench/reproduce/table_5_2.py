@@ -70,7 +70,7 @@ def _rows(scene: Scene, height: int, scores: list[dict[str, float]], true: list[
     for name in JET.values():
         exact, measured = getattr(known, name), getattr(guess, name)
         note = f"{len(true)} frames together; of the true bubbles {exact:.4g}: {100.0 * (measured / exact - 1.0):+.1f} %"
-        yield compared(f"h = {height} mm: {name}", stated[name], [measured], note)
+        yield compared(f"h = {height} mm: {name}", stated[name], [measured] if np.isfinite(measured) else [], note)
 
 
 def _figures(scene: Scene, height: int, true: list[AnyBubbles], found: list[AnyBubbles]) -> Iterator[Item]:
@@ -85,7 +85,7 @@ def _figures(scene: Scene, height: int, true: list[AnyBubbles], found: list[AnyB
     curves = []
     for name, balls in (("true bubbles", true), ("found", found)):
         jet = jet_figures(scene, balls)
-        curves.append(Curve(name, list(jet.depth_mm), list(jet.total / jet.total.max())))
+        curves.append(Curve(name, list(jet.depth_mm), list(jet.total / max(float(jet.total.max()), 1e-12))))
     y = np.linspace(0.0, curves[0].x[-1], 100)
     curves.append(Curve("equation 5.18", list(y), list(law.total_over_peak(y))))
     yield Figure(f"fig-5-30-{height}", f"concentration over depth, h = {height} mm", (Panel("", "Y, mm", "C_Y over its largest", tuple(curves)),))
