@@ -11,10 +11,11 @@ from sabench.api import Code, Observation
 from sabench.arrays import F64
 from sabench.codes import code_of
 from sabench.metrics.reading import reading
+from sabench.multiphase import Worlds, record
 from sabench.plots import Figure, Panel, Picture
 from sabench.reproduce.chapter_5 import photographed
 from sabench.reproduce.common import Item, claim, coarsened, compared
-from sabench.rig import load_scene
+from sabench.rig import build_rig, load_scene
 from sabench.scene import Scene
 from sabench.solving import make_algorithm
 from sabench.suite import override
@@ -56,7 +57,8 @@ def _views(scene: Scene, seed: int, case: Observation, code: Code) -> list[Panel
     """What the middle camera sees without bubbles and with them."""
     bare = override(scene, {"bubbles": {"generator": "bubble_field", "count": 0}}, scene.title)
     middle = len(case.images) // 2
-    clear = photographed(bare, seed)[1].images[middle]
+    world = Worlds(bare, build_rig(bare, bare.title), seed).at(0)
+    clear = record(world, world.rig.cameras[middle]).grey
     return [_panel("(a) without bubbles", clear.astype(np.float64)), _panel("(b) one view", case.images[middle].astype(np.float64))]
 
 
