@@ -5,14 +5,14 @@ from __future__ import annotations
 import base64
 import itertools
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from sabench import plugins
-from sabench.columns import COLUMNS, LARGER_IS_BETTER
+from sabench.columns import COLUMNS, LARGER_IS_BETTER, Column
 from sabench.errors import InputError
 from sabench.files import complete_or_nothing, inside
 from sabench.statistics import Mean, mean_of
@@ -155,11 +155,13 @@ def _sections(records: list[Record], pictures: Path) -> list[dict[str, Any]]:
 
 
 def _section(ranked: list[Record], pictures: Path) -> dict[str, Any]:
-    rows = [_row(row, pictures) for row in ranked]
+    first, *others = COLUMNS[ranked[0]["track"]]
+    columns = (first, *(column for column in others if any(row[column.key] is not None for row in ranked)))  # a scene need not have every figure
+    rows = [_row(row, columns, pictures) for row in ranked]
     head = {name: ranked[0][name] for name in _SECTION}
     seeds = sorted({seed for row in ranked for seed in row["seeds"]})
     axes: Record = next((row["axes"] for row in ranked if row.get("axes")), {})
-    words = {"seeds": _seeds(seeds), "axes": _text(axes), "columns": COLUMNS[head["track"]], "falling": LARGER_IS_BETTER[head["track"]]}
+    words = {"seeds": _seeds(seeds), "axes": _text(axes), "columns": columns, "falling": LARGER_IS_BETTER[head["track"]]}
     shown, told = _PICTURED[head["track"]]
     truth = _first(ranked, pictures, "truth.png") if head["track"] != "velocimetry" else None  # particles, where the solvers' pictures show fields
     return {**head, **words, "rows": rows, "shown": shown, "told": told, "images": _first(ranked, pictures, "images.png"), "truth": truth}
@@ -176,12 +178,12 @@ def _rank(row: Record) -> tuple[bool, bool, float, str, str]:
     return bool(row["error"]), first is None, sign * first.mean if first else 0.0, row["solver"], _text(row["parameters"])
 
 
-def _row(row: Record, pictures: Path) -> dict[str, Any]:
+def _row(row: Record, columns: Sequence[Column], pictures: Path) -> dict[str, Any]:
     machine = row["machine"]
     return {
         "solver": row.get("label") or row["solver"],
         "parameters": _text(row["parameters"]),
-        "scores": [_cell(row[column.key], column.decimals) for column in COLUMNS[row["track"]]],
+        "scores": [_cell(row[column.key], column.decimals) for column in columns],
         "error": row["error"],
         "machine": [str(machine[key]) for key in ("cpu", "backend") if machine.get(key)],
         "details": _text({"seeds": row["seeds"], "data set": row["dataset"], "run": row["run_hash"], **machine, **row["versions"]}),

@@ -333,3 +333,10 @@ def test_only_the_table_scrolls_sideways(browser: Browser, page: Path, width: in
     assert browser.ask("innerWidth") == width
     assert browser.ask("document.documentElement.scrollWidth") <= width
     assert browser.ask("[...document.querySelectorAll('.box')].every(box => getComputedStyle(box).overflowX === 'auto')")
+
+
+def test_figures_that_no_solver_of_a_case_has_take_no_column(tmp_path: Path) -> None:
+    page = page_of([record("a", 0.5, recall=None), record("b", 0.4, recall=0.7), record("c", None, scene="other", error="no light")], tmp_path)
+    other, tank = (re.findall(">([^<>]+)</button>", head) for head in re.findall(r"<thead>(.*?)</thead>", page, re.S))
+    assert tank == ["solver", "parameters", "Q", "recall", "machine"]
+    assert other == ["solver", "parameters", "Q", "machine"]
