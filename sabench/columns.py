@@ -49,9 +49,11 @@ COLUMNS: dict[str, tuple[Column, ...]] = {
             "f1_large", "F1, large", 3, "harmonic mean of precision and recall of bubbles from 0.5 mm radius on; found: closer than half a radius"
         ),
         Column("f1", "F1", 3, "the same, all bubbles"),
+        Column("f1_small", "F1, small", 3, "the same, bubbles below 0.5 mm"),
         Column("precision", "precision", 3, "share of the detections that are bubbles, one to one"),
         Column("recall", "recall", 3, "share of the bubbles that were found"),
         Column("recall_hidden", "recall, hidden", 3, "share found of bubbles of which the cameras see less than nine tenths, mean over cameras"),
+        Column("recall_dense", "recall, dense", 3, "share found of bubbles around which, within 6 mm, others fill a hundredth or more"),
         Column("radius_percent", "radius %", 2, "median error of the radius of found bubbles of 0.5 mm and more"),
         Column("axes_percent", "axes %", 2, "median error of their semi-axes"),
         Column("tilt_deg", "tilt deg", 1, "median error of the short axis's direction, of found bubbles flatter than 0.9"),

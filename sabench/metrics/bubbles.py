@@ -15,6 +15,7 @@ from sabench.world import Bubbles
 
 LARGE_MM = 0.5  # radius of what counts as a large bubble
 HIDDEN = 0.9  # seen part of a bubble, mean over the cameras, below which it counts as hidden
+AROUND_MM, DENSE = 6.0, 0.01  # radius in which others' volume is counted, and the part of it from which a bubble is among many
 FLAT = 0.9  # short over long axis below which a direction has a meaning
 _NEAR = 0.5  # of a true bubble's radius
 
@@ -71,9 +72,11 @@ def detection_scores(found: AnyBubbles, true: AnyBubbles, seen: F64) -> dict[str
     scores = {
         "f1": _f1(hit_true, every, len(ghosts)),
         "f1_large": _f1(hit_true, large, int((ghosts >= LARGE_MM).sum())),
+        "f1_small": _f1(hit_true, ~large, int((ghosts < LARGE_MM).sum())),
         "precision": _part(len(i), len(found.center_mm)),
         "recall": _part(len(j), len(true.center_mm)),
-        "recall_hidden": _part(int(hit_true[seen < HIDDEN].sum()), int((seen < HIDDEN).sum())),
+        "recall_hidden": _recall(hit_true, seen < HIDDEN),
+        "recall_dense": _recall(hit_true, crowding(true) >= DENSE),
     }
     big = large[j]
     scores |= _errors(found, true, i[big], j[big])
@@ -83,6 +86,20 @@ def detection_scores(found: AnyBubbles, true: AnyBubbles, seen: F64) -> dict[str
     air, known = (4.0 / 3.0 * np.pi * float(one.semi_axes_mm.prod(axis=1).sum()) for one in (found, true))
     scores["void_percent"] = 100.0 * abs(air - known) / known if known else np.nan
     return scores
+
+
+def crowding(bubbles: AnyBubbles) -> F64:
+    """Void fraction (n,) that the others make around each bubble's centre, by whose centres are within `AROUND_MM`."""
+    volume = np.asarray(4.0 / 3.0 * np.pi * bubbles.semi_axes_mm.prod(axis=1))
+    if not len(volume):
+        return volume
+    near = cKDTree(bubbles.center_mm).query_ball_point(bubbles.center_mm, AROUND_MM)
+    others = np.array([volume[group].sum() for group in near]) - volume
+    return np.asarray(others / (4.0 / 3.0 * np.pi * AROUND_MM**3))
+
+
+def _recall(hit: Bool, chosen: Bool) -> float:
+    return _part(int(hit[chosen].sum()), int(chosen.sum()))
 
 
 def _f1(hit: Bool, chosen: Bool, ghosts: int) -> float:

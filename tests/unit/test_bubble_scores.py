@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from sabench.api import Detections
 from sabench.arrays import F64
 from sabench.jets import LN2, JetLaw
-from sabench.metrics.bubbles import detection_scores, match
+from sabench.metrics.bubbles import crowding, detection_scores, match
 from sabench.metrics.jets import analyse
 
 
@@ -115,3 +115,17 @@ def test_no_bubbles_have_no_figures() -> None:
     assert np.isnan(figures.penetration_mm)
     assert np.isnan(figures.weight)
     assert (figures.concentration == 0.0).all()
+
+
+def test_small_ones_and_those_among_many_are_counted_apart() -> None:
+    """Three of radius 1 mm close together, one alone, one small alone: the crowd fills 2 (1 / 6)^3 around each of its own."""
+    places = np.array([[0.0, 0.0, 0.0], [2.5, 0.0, 0.0], [0.0, 2.5, 0.0], [40.0, 0.0, 0.0], [80.0, 0.0, 0.0]])
+    true = Detections.balls(places, np.array([1.0, 1.0, 1.0, 1.0, 0.2]))
+    np.testing.assert_allclose(crowding(true), [2.0 / 216.0, 2.0 / 216.0, 2.0 / 216.0, 0.0, 0.0], atol=1e-15)
+    larger = Detections.balls(places, np.array([1.1, 1.1, 1.1, 1.0, 0.2]))
+    found = Detections.balls(places[[0, 3]], np.array([1.1, 1.0]))
+    scores = detection_scores(found, larger, np.ones(5))
+    assert scores["recall_dense"] == pytest.approx(1.0 / 3.0)
+    assert scores["f1_small"] == 0.0
+    assert scores["f1_large"] == pytest.approx(2.0 / 3.0)
+    assert np.isnan(detection_scores(found, Detections.balls(places[3:4], np.ones(1)), np.ones(1))["recall_dense"])
