@@ -52,13 +52,19 @@ def generate(
     output: Annotated[Path, typer.Option("-o", "--output", help="The data set folder to make.")],
     seed: Annotated[int, typer.Option(help="Seed of all random numbers.")] = 0,
     backend: Annotated[str, typer.Option(help="auto, mitsuba or splat.")] = "auto",
+    frames: Annotated[int | None, typer.Option(min=1, help="How many, in place of what the scene says.")] = None,
+    jobs: Annotated[int, typer.Option(min=1, help="Processes that share the work.")] = 1,
+    scheduler: Annotated[str | None, typer.Option(help="Address of a Dask scheduler, tcp://..., whose workers do the work.")] = None,
     overwrite: Overwrite = False,
 ) -> None:
-    """Make a data set: pictures, cameras and truth."""
+    """Make a data set: pictures, cameras and truth. Interrupted, the same command goes on with it."""
     from sabench.generation import Renderer
     from sabench.generation import generate as make
+    from sabench.rig import load_scene
 
-    made = make(scene, output, seed=seed, backend=cast(Renderer, backend), overwrite=overwrite)  # `make` checks the word
+    loaded = load_scene(scene) if frames is None else load_scene(scene).with_frames(frames)
+    kind = cast(Renderer, backend)  # `make` checks the word
+    made = make(loaded, output, seed=seed, backend=kind, name=Path(scene).stem, overwrite=overwrite, jobs=jobs, scheduler=scheduler)
     _say(f"{made.root}: {made.rig.frames} frame(s) of {len(made.rig.cameras)} cameras, {made.manifest.renderer}, hash {made.content_hash[:12]}")
 
 

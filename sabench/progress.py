@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sized
+import contextlib
+from collections.abc import Callable, Iterable, Iterator, Sized
 from typing import TypeVar
 
 from rich.console import Console
@@ -14,7 +15,17 @@ console = Console(stderr=True)
 
 def track(items: Iterable[T], doing: str) -> Iterator[T]:
     """Pass `items` through and show how many are done; on a terminal as a bar, in a log as one line when finished."""
-    total = len(items) if isinstance(items, Sized) else None
-    columns = (TextColumn("{task.description:<38}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
-    with Progress(*columns, console=console) as progress:
-        yield from progress.track(items, description=doing, total=total)
+    with _progress() as progress:
+        yield from progress.track(items, description=doing, total=len(items) if isinstance(items, Sized) else None)
+
+
+@contextlib.contextmanager
+def bar(doing: str, total: int) -> Iterator[Callable[[], None]]:
+    """The same for things that are done in no order: what it gives is called once for each."""
+    with _progress() as progress:
+        task = progress.add_task(doing, total=total)
+        yield lambda: progress.advance(task)
+
+
+def _progress() -> Progress:
+    return Progress(TextColumn("{task.description:<38}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), console=console)

@@ -9,7 +9,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
 LEVELS = [
-    {"errors", "arrays", "theory", "statistics", "rooflines", "columns", "plots", "jets", "linking", "foils"},
+    {"errors", "arrays", "theory", "statistics", "rooflines", "columns", "plots", "jets", "linking", "foils", "code"},
     {"files", "seeds", "progress", "plugins", "memory", "sentences", "preprocessing"},
     {"records"},
     {"backend"},
@@ -21,6 +21,7 @@ LEVELS = [
     {"multiphase", "codes", "bubblefit", "bubblefeature", "ellipses", "featurepeaks", "bubble_figures"},
     {"dataset"},
     {"tomography"},
+    {"recording"},
     {"generation", "solving", "scoring", "tracks", "pictures", "board"},
     {"suite"},
     {"run", "reproduce", "doctor", "calibrate", "export"},
