@@ -74,7 +74,7 @@ def _rank(case: Case, dataset: Dataset, suite: Suite, work: Path, leaderboard: P
     folder = leaderboard / "pictures" / case.folder(work).name if case.seed == suite.seeds[0] else None
     if folder:
         _picture_case(folder, dataset)
-    for entrant in suite.solvers:
+    for entrant in case.solvers:
         head = _describe(case, dataset, entrant) | {"pictures": folder.name if folder else None}
         record = head | _blank(head["track"])
         name = f"{entrant.name}-{record['run_hash'][:8]}"
