@@ -5,7 +5,6 @@ from __future__ import annotations
 import functools
 import hashlib
 import importlib.metadata
-import json
 import multiprocessing
 import multiprocessing.connection
 import os
@@ -26,6 +25,7 @@ from sabench.errors import DeclinedError, InputError
 from sabench.files import canonical_json, clear_abandoned, complete_or_nothing
 from sabench.generation import Renderer, generate
 from sabench.progress import console
+from sabench.records import append, latest, read_records
 from sabench.solving import OWN_TRACK, make_algorithm, score, solve
 from sabench.suite import Case, Entrant, Suite, load_suite
 
@@ -42,7 +42,7 @@ def run_suite(path: str | Path, work: Path, leaderboard: Path, *, fresh: bool = 
         console.print(f"data set {number} of {len(cases)}: {case.name}, seed {case.seed}", markup=False, highlight=False)
         dataset = _dataset(case, work, fresh)
         for record in _rank(case, dataset, suite, work, leaderboard):
-            _append(leaderboard / "records" / "local.jsonl", record)
+            append(leaderboard / "records" / "local.jsonl", record)
             records.append(record)
         if not suite.keep_data:
             shutil.rmtree(dataset.root)
@@ -53,7 +53,7 @@ def run_suite(path: str | Path, work: Path, leaderboard: Path, *, fresh: bool = 
 def build_board(leaderboard: Path) -> Path:
     """Records to page; returns the page's path."""
     page = leaderboard / "index.html"
-    board.build_page(board.latest(board.read_records(leaderboard / "records")), leaderboard / "pictures", page)
+    board.build_page(latest(read_records(leaderboard / "records")), leaderboard / "pictures", page)
     return page
 
 
@@ -179,17 +179,6 @@ def _solve_child(sender: multiprocessing.connection.Connection, name: str, param
         sender.send(error if isinstance(error, InputError) else InputError(f"{error}" or type(error).__name__))
     else:
         sender.send(None)
-
-
-def _append(path: Path, record: dict[str, Any]) -> None:
-    """Add one line and have the disk hold it; the torn last line of a killed run is cut off first."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with path.open("a+b") as file:
-        file.seek(0)
-        file.truncate(file.read().rfind(b"\n") + 1)
-        file.write(json.dumps(record, sort_keys=True, allow_nan=False).encode() + b"\n")
-        file.flush()
-        os.fsync(file.fileno())
 
 
 def _draw(path: Path, picture: bytes) -> None:

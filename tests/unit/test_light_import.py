@@ -11,6 +11,7 @@ ROOT = Path(__file__).resolve().parents[2]
 LEVELS = [
     {"errors", "arrays", "theory", "statistics", "rooflines", "columns", "plots", "jets", "linking", "foils"},
     {"files", "seeds", "progress", "plugins", "memory", "sentences", "preprocessing"},
+    {"records"},
     {"backend"},
     {"field"},
     {"optics", "world", "volume"},
