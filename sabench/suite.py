@@ -112,7 +112,7 @@ def load_suite(path: str | Path) -> tuple[Suite, list[Case]]:
         raise InputError(f"{file}: expected a TOML file, got {error}") from error
     suite = validate(Suite, values, str(file))
     specs = _specs(suite)
-    for entrant in (entrant for own in (suite, *specs) for entrant in own.solvers):
+    for entrant in (*suite.solvers, *(entrant for spec in specs for entrant in spec.solvers)):
         make_algorithm(entrant.name, entrant.parameters)
     renderers = [choose_renderer(spec.backend or suite.backend) for spec in specs]
     variants = [(variant, chosen, spec.solvers) for spec, chosen in zip(specs, renderers, strict=True) for variant in _variants(spec, file)]
