@@ -8,7 +8,7 @@ import os
 import sys
 import tomllib
 from pathlib import Path
-from typing import Annotated, Any, NoReturn, cast
+from typing import TYPE_CHECKING, Annotated, Any, NoReturn, cast
 
 import typer
 from rich.console import Console
@@ -17,6 +17,9 @@ from rich.table import Table
 from sabench import __version__, plugins
 from sabench.errors import InputError
 from sabench.parsing import find
+
+if TYPE_CHECKING:
+    from sabench.gate import Report
 
 app = typer.Typer(
     add_completion=False, no_args_is_help=True, help="Synthetic data with known truth for volumetric velocimetry, and benchmarks on it."
@@ -182,6 +185,32 @@ def run(
 
 
 @app.command()
+def check(
+    suite: Annotated[str, typer.Argument(help="A suite file, or the name of a bundled suite.")],
+    baseline: Annotated[Path | None, typer.Option(help="Figures to compare with; by default the bundled ones of the suite.")] = None,
+    update: Annotated[bool, typer.Option("--update", help="Write this run's figures as the baseline; tolerances stay.")] = False,
+    solver: Annotated[list[str] | None, typer.Option(help="In place of the suite's, on its cases of the same track; repeatable.")] = None,
+    junit: Annotated[Path | None, typer.Option(help="A JUnit XML file to make.")] = None,
+    as_json: AsJson = False,
+    work: Annotated[Path | None, typer.Option(help="Folder for data sets and results; by default a temporary one.")] = None,
+    exit_first: Annotated[bool, typer.Option("-x", "--exit-first", help="Stop after the first case with something worse.")] = False,
+) -> None:
+    """Run a suite and compare every figure with a baseline: exit code 1 and a table if something got worse."""
+    from sabench.gate import check_file
+    from sabench.junit import write_junit
+
+    report = check_file(suite, baseline, work, update=update, solvers=solver or (), exit_first=exit_first)
+    if junit:
+        write_junit(junit, report)
+    if as_json:
+        _say(json.dumps(report.to_dict(), allow_nan=False))
+    else:
+        _show_report(report)
+    if report.worse:
+        raise typer.Exit(1)
+
+
+@app.command()
 def reproduce(
     tables: Annotated[list[str], typer.Argument(help="table-2-1, fig-2-6 or others: an unknown name lists them.")],
     as_json: AsJson = False,
@@ -287,6 +316,19 @@ def _show_records(records: list[dict[str, Any]]) -> None:
             table.add_row(row["case"], row.get("label") or row["solver"], str(len(row["seeds"])), *figures)
         if own:
             _print(table)
+
+
+def _show_report(report: Report) -> None:
+    """What got worse as a table, what else has changed in lines, and one line for all of it."""
+    table = Table("case", "solver", "figure", "baseline", "now", "change", "tolerance")
+    for one in report.worse:
+        figures = ("-" if value is None else f"{value:.6g}" for value in (one.before, one.now, one.change, one.tolerance))
+        table.add_row(one.case, one.solver, one.text or one.figure, *figures)
+    if report.worse:
+        _print(table)
+    for one in report.news:
+        _say(f"news: {one.sentence}")
+    _say(report.summary)
 
 
 def _show_rows(rows: list[dict[str, Any]]) -> None:

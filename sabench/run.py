@@ -40,7 +40,7 @@ def run_suite(path: str | Path, work: Path, leaderboard: Path, *, fresh: bool = 
     records = []
     for number, case in enumerate(cases, 1):
         console.print(f"data set {number} of {len(cases)}: {case.name}, seed {case.seed}", markup=False, highlight=False)
-        dataset = _dataset(case, work, fresh)
+        dataset = dataset_of(case, work, fresh)
         for record in _rank(case, dataset, suite, work, leaderboard):
             append(leaderboard / "records" / "local.jsonl", record)
             records.append(record)
@@ -57,7 +57,7 @@ def build_board(leaderboard: Path) -> Path:
     return page
 
 
-def _dataset(case: Case, work: Path, fresh: bool) -> Dataset:
+def dataset_of(case: Case, work: Path, fresh: bool) -> Dataset:
     """The case's data set: an earlier one if it is whole and was made by this version, else a new one."""
     folder = case.folder(work)
     if folder.is_dir() and not fresh and not verify(folder):
@@ -74,13 +74,13 @@ def _rank(case: Case, dataset: Dataset, suite: Suite, work: Path, leaderboard: P
     folder = leaderboard / "pictures" / case.folder(work).name if case.seed == suite.seeds[0] else None
     if folder:
         _picture_case(folder, dataset)
-    for entrant in suite.solvers:
+    for entrant in case.solvers:
         head = _describe(case, dataset, entrant) | {"pictures": folder.name if folder else None}
         record = head | _blank(head["track"])
         name = f"{entrant.name}-{record['run_hash'][:8]}"
         out = work / "results" / f"{case.folder(work).name}-{name}.h5"
         try:
-            _solve_apart(entrant, dataset, out)
+            record["reference_s"] = solve_apart(entrant, dataset, out)
             record |= {key: value for key, value in score(dataset, out).items() if key not in head}
             if folder:
                 _draw(folder / f"{name}.png", tracks.of(record["track"]).picture(dataset, open_result(out, dataset)))
@@ -107,15 +107,19 @@ def _describe(case: Case, dataset: Dataset, entrant: Entrant) -> dict[str, Any]:
         "scene": case.base, "case": case.name, "axes": dict(case.axes), "scene_hash": case.scene.hash, "dataset": dataset.content_hash,
         "seed": case.seed, "renderer": case.renderer, "track": solver.track, "solver": entrant.name, "label": entrant.label, "parameters": parameters,
     }  # fmt: skip
-    versions = {name: _version(name) for name in ("mitsuba", "drjit", "numpy", "scipy")}
-    versions |= {"sabench": __version__, "python": platform.python_version()}
     run_hash = hashlib.sha256(canonical_json([head["dataset"], entrant.name, parameters]).encode()).hexdigest()
-    return {**head, "versions": versions, "machine": machine(), "run_hash": run_hash}
+    return {**head, "versions": versions(), "machine": machine(), "run_hash": run_hash}
+
+
+def versions() -> dict[str, str]:
+    """Of what shapes the figures."""
+    libraries = {name: _version(name) for name in ("mitsuba", "drjit", "numpy", "scipy")}
+    return libraries | {"sabench": __version__, "python": platform.python_version()}
 
 
 def _blank(track: str) -> dict[str, Any]:
     """A record's scores before any is known."""
-    return dict.fromkeys((*(column.key for column in COLUMNS[track]), "error")) | {"declined": False}
+    return dict.fromkeys((*(column.key for column in COLUMNS[track]), "error", "reference_s")) | {"declined": False}
 
 
 def machine() -> dict[str, Any]:
@@ -130,18 +134,23 @@ def machine() -> dict[str, Any]:
     return {"cpu": cpu, "cores": os.cpu_count(), "system": f"{platform.system()} {platform.machine()}", "backend": kind}
 
 
-def _solve_apart(entrant: Entrant, dataset: Dataset, out: Path) -> None:
-    """Solve in a process of its own, so that its memory is its own and its crash is only its own; its fault is an InputError here."""
+def solve_apart(entrant: Entrant, dataset: Dataset, out: Path) -> float:
+    """Solve in a process of its own, so that its memory is its own and its crash is only its own; its fault is an InputError here.
+
+    Returns
+    -------
+    Seconds of the reference kernel in that process, the mean of before and after.
+    """
     context = _context()
     receiver, sender = context.Pipe(duplex=False)
     child = context.Process(target=_solve_child, args=(sender, entrant.name, entrant.parameters, str(dataset.root), str(out)))
     _start_deaf(child)
     sender.close()
     try:
-        fault: InputError | None = receiver.recv()
+        answer: float | InputError = receiver.recv()
     except EOFError:  # it died without a word
         child.join()
-        fault = InputError(f"solver {entrant.name}: its process ended with exit code {child.exitcode}")
+        answer = InputError(f"solver {entrant.name}: its process ended with exit code {child.exitcode}")
     except KeyboardInterrupt:
         child.terminate()
         raise
@@ -149,8 +158,9 @@ def _solve_apart(entrant: Entrant, dataset: Dataset, out: Path) -> None:
         child.join()
         receiver.close()
         clear_abandoned(out)
-    if fault is not None:
-        raise fault
+    if isinstance(answer, InputError):
+        raise answer
+    return answer
 
 
 @functools.cache
@@ -159,7 +169,7 @@ def _context() -> Any:
     if "forkserver" not in multiprocessing.get_all_start_methods():
         return multiprocessing.get_context("spawn")
     context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload(["sabench.solving", "sabench.reproject", "sabench.tomography.problem"])
+    context.set_forkserver_preload(["sabench.solving", "sabench.reference_kernel", "sabench.reproject", "sabench.tomography.problem"])
     return context
 
 
@@ -173,12 +183,15 @@ def _start_deaf(child: BaseProcess) -> None:
 
 
 def _solve_child(sender: multiprocessing.connection.Connection, name: str, parameters: dict[str, Any], dataset: str, out: str) -> None:
+    from sabench.reference_kernel import reference_s  # the forkserver has loaded it
+
+    before = reference_s()
     try:
         solve(name, dataset, out, parameters=parameters, overwrite=True)
     except (InputError, OSError, MemoryError) as error:
         sender.send(error if isinstance(error, InputError) else InputError(f"{error}" or type(error).__name__))
     else:
-        sender.send(None)
+        sender.send((before + reference_s()) / 2.0)
 
 
 def _draw(path: Path, picture: bytes) -> None:

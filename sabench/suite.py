@@ -35,19 +35,21 @@ class Changes(_Table):
     vary: dict[str, Annotated[list[Any], Field(min_length=1)]] = Field({}, description="lists of values: one case for each, or for each combination")
 
 
-class CaseSpec(Changes):
-    """One scene, changed."""
-
-    scene: str = Field(description="name of a bundled scene, or a path beside the suite")
-    name: str | None = Field(None, pattern=f"^{_SAFE}$", description="by default the scene's; the varied values are appended")
-
-
 class Entrant(_Table):
     """One solver with its parameters."""
 
     name: str
     parameters: dict[str, Any] = {}
     label: str | None = Field(None, description="shown in place of the name")
+
+
+class CaseSpec(Changes):
+    """One scene, changed."""
+
+    scene: str = Field(description="name of a bundled scene, or a path beside the suite")
+    name: str | None = Field(None, pattern=f"^{_SAFE}$", description="by default the scene's; the varied values are appended")
+    backend: Renderer | None = Field(None, description="by default the suite's")
+    solvers: tuple[Entrant, ...] = Field((), description="by default the suite's")
 
 
 class Suite(Changes):
@@ -59,12 +61,14 @@ class Suite(Changes):
     seeds: tuple[Annotated[int, Field(ge=0, lt=2**63)], ...] = Field((1,), min_length=1)
     backend: Renderer = "auto"
     keep_data: bool = Field(True, description="false: a data set and its results are deleted when they are scored")
-    solvers: tuple[Entrant, ...] = Field(min_length=1)
+    solvers: tuple[Entrant, ...] = Field((), description="of all cases that do not have their own")
 
     @model_validator(mode="after")
     def _has_cases(self) -> Suite:
         if not self.scenes and not self.cases:
             raise ValueError("scenes, cases: expected at least one scene in either")
+        if not self.solvers and (self.scenes or not all(case.solvers for case in self.cases)):
+            raise ValueError("solvers: expected at least one for every case")
         return self
 
 
@@ -77,6 +81,7 @@ class Case:
     name : unique in its suite but for the seed, and safe as a file name.
     base : the name of the scene that was changed.
     axes : the varied keys of the scene with this case's values.
+    solvers : what runs on it.
     """
 
     name: str
@@ -85,6 +90,7 @@ class Case:
     scene: Scene
     seed: int
     renderer: str
+    solvers: tuple[Entrant, ...] = ()
 
     def folder(self, work: Path) -> Path:
         """Where its data set lies."""
@@ -105,12 +111,14 @@ def load_suite(path: str | Path) -> tuple[Suite, list[Case]]:
     except (OSError, ValueError) as error:
         raise InputError(f"{file}: expected a TOML file, got {error}") from error
     suite = validate(Suite, values, str(file))
-    for entrant in suite.solvers:
+    specs = _specs(suite)
+    for entrant in (*suite.solvers, *(entrant for spec in specs for entrant in spec.solvers)):
         make_algorithm(entrant.name, entrant.parameters)
-    renderer = choose_renderer(suite.backend)
-    variants = [variant for spec in _specs(suite) for variant in _variants(spec, file)]
-    _check_names([name for name, *_ in variants], file)
-    return suite, [Case(*variant, seed, renderer) for variant in variants for seed in dict.fromkeys(suite.seeds)]
+    renderers = [choose_renderer(spec.backend or suite.backend) for spec in specs]
+    variants = [(variant, chosen, spec.solvers) for spec, chosen in zip(specs, renderers, strict=True) for variant in _variants(spec, file)]
+    _check_names([name for (name, *_), *_ in variants], file)
+    seeds = dict.fromkeys(suite.seeds)
+    return suite, [Case(*variant, seed, chosen, solvers) for variant, chosen, solvers in variants for seed in seeds]
 
 
 def override(scene: Scene, values: Mapping[str, Any], source: str) -> Scene:
@@ -135,7 +143,8 @@ def _assign(table: dict[str, Any], key: str, value: Any, source: str) -> None:
 def _specs(suite: Suite) -> list[CaseSpec]:
     """All cases with the suite's own changes in front of theirs."""
     specs = (*(CaseSpec(scene=name) for name in suite.scenes), *suite.cases)
-    return [spec.model_copy(update={"set": suite.set | spec.set, "vary": suite.vary | spec.vary}) for spec in specs]
+    inherited = ({"set": suite.set | spec.set, "vary": suite.vary | spec.vary, "solvers": spec.solvers or suite.solvers} for spec in specs)
+    return [spec.model_copy(update=update) for spec, update in zip(specs, inherited, strict=True)]
 
 
 def _variants(spec: CaseSpec, suite: Path) -> Iterator[tuple[str, str, dict[str, Any], Scene]]:

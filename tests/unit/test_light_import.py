@@ -9,7 +9,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
 LEVELS = [
-    {"errors", "arrays", "theory", "statistics", "rooflines", "columns", "plots", "jets", "linking", "foils", "code"},
+    {"errors", "arrays", "theory", "statistics", "rooflines", "columns", "plots", "jets", "linking", "foils", "code", "reference_kernel"},
     {"files", "seeds", "progress", "plugins", "memory", "sentences", "preprocessing"},
     {"records"},
     {"backend"},
@@ -24,7 +24,9 @@ LEVELS = [
     {"recording"},
     {"generation", "solving", "scoring", "tracks", "pictures", "board"},
     {"suite"},
-    {"run", "reproduce", "doctor", "calibrate", "export"},
+    {"run", "reproduce", "doctor", "calibrate", "export", "retrace", "fingerprint", "probe", "baseline"},
+    {"gate"},
+    {"junit", "pytest_plugin"},
     {"cli"},
 ]
 
