@@ -77,17 +77,21 @@ def verify(dataset: Annotated[Path, typer.Argument(help="A data set folder.")]) 
 
 @app.command()
 def solve(
-    solver: Annotated[str, typer.Argument(help="Name of a solver.")],
+    solver: Annotated[str, typer.Argument(help="Name of a solver, or path of a program; see docs/participate.md.")],
     dataset: Annotated[Path, typer.Argument(help="A data set folder.")],
     output: Annotated[Path, typer.Option("-o", "--output", help="The result file to make.")],
     parameter: Annotated[list[str] | None, typer.Option("-p", "--parameter", help="name=value, as often as needed.")] = None,
+    time_limit: Annotated[float | None, typer.Option(help="Of a program: seconds; by default 3600.")] = None,
+    memory_limit: Annotated[float | None, typer.Option(help="Of a program's processes together: MB; by default nine tenths of what is free.")] = None,
     overwrite: Overwrite = False,
 ) -> None:
     """Reconstruct a data set."""
+    from sabench.confined import limits_of
     from sabench.solving import solve as run_solver
 
-    result = run_solver(solver, dataset, output, parameters=_parameters(parameter or []), overwrite=overwrite)
-    _say(f"{output}: {solver}, {result.seconds:.2f} s per frame, {result.peak_mb or float('nan'):.0f} MB at most")
+    limits = limits_of(time_limit, memory_limit)
+    result = run_solver(solver, dataset, output, parameters=_parameters(parameter or []), limits=limits, overwrite=overwrite)
+    _say(f"{output}: {result.solver}, {result.seconds:.2f} s per frame, {result.peak_mb or float('nan'):.0f} MB at most")
 
 
 @app.command()

@@ -10,9 +10,9 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[2]
 LEVELS = [
     {"errors", "arrays", "theory", "statistics", "rooflines", "columns", "plots", "jets", "linking", "foils"},
-    {"files", "seeds", "progress", "plugins", "memory", "sentences", "preprocessing"},
+    {"files", "seeds", "progress", "plugins", "memory", "sentences", "preprocessing", "apart"},
     {"records"},
-    {"backend"},
+    {"backend", "confined"},
     {"field"},
     {"optics", "world", "volume"},
     {"api", "scene", "swirl", "foreign", "dispersed", "placement", "implicit", "crossflow"},
@@ -21,7 +21,7 @@ LEVELS = [
     {"multiphase", "codes", "bubblefit", "bubblefeature", "ellipses", "featurepeaks", "bubble_figures"},
     {"dataset"},
     {"tomography"},
-    {"generation", "solving", "scoring", "tracks", "pictures", "board"},
+    {"generation", "programs", "solving", "scoring", "tracks", "pictures", "board"},
     {"suite"},
     {"run", "reproduce", "doctor", "calibrate", "export"},
     {"cli"},
