@@ -12,6 +12,7 @@ from typing import Annotated, Any, NoReturn, cast
 
 import typer
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
 from sabench import __version__, plugins
@@ -213,6 +214,33 @@ def reproduce(
         _say(json.dumps(rows, allow_nan=False))
     else:
         _show_rows(rows)
+
+
+@app.command()
+def submit(
+    result: Annotated[Path, typer.Argument(help="A result file, or a .zip, .tar, .tar.gz or folder of result files.")],
+    name: Annotated[str, typer.Option(help="Who submits: at most 80 characters.")],
+    data: Annotated[list[Path] | None, typer.Option(help="Folder of data sets, as often as needed; by default work/datasets.")] = None,
+    leaderboard: Leaderboard = Path("leaderboard"),
+    as_json: AsJson = False,
+) -> None:
+    """Check and score results from elsewhere and put them on the leaderboard."""
+    from sabench.columns import COLUMNS
+    from sabench.submission import submit as send
+
+    standings = send(result, name, data or [Path("work/datasets")], leaderboard)
+    if as_json:
+        _say(json.dumps([{**one.record, "rank": one.rank, "of": one.of} for one in standings], allow_nan=False))
+        return
+    table = Table("case", "seed", "solver", "first score", "rank", "best other")
+    for one in standings:
+        first = COLUMNS[one.record["track"]][0]
+        score = "-" if one.record[first.key] is None else f"{first.key} {one.record[first.key]:.{first.decimals}f}"
+        rival = f"{one.best[0]}: {one.best[1]:.{first.decimals}f}" if one.best else "-"
+        rank = f"{one.rank} of {one.of}" if one.rank else "-"
+        table.add_row(*(escape(str(text)) for text in (one.record["case"], one.record["seed"], one.record["solver"], score, rank, rival)))
+    _print(table)
+    _say(f"page: {(leaderboard / 'index.html').resolve()}")
 
 
 @app.command()

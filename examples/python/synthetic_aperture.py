@@ -23,11 +23,11 @@ def leaving(wall, pinhole, points):
     depths = [(outer - pinhole) @ normal, *solid, (points - outer) @ normal - sum(solid)]
     lateral = (points - pinhole) - ((points - pinhole) @ normal)[:, None] * normal
     radius, ratios = np.linalg.norm(lateral, axis=1), n / n.min()
-    t = radius / sum(d / r for d, r in zip(depths, ratios))
+    t = radius / sum(d / r for d, r in zip(depths, ratios, strict=True))
     for _ in range(8):  # t is the tangent of the path in the rarest medium
         roots = [np.sqrt(r**2 + (r**2 - 1) * t**2) for r in ratios]
-        reach = sum(d * t / s for d, s in zip(depths, roots))
-        t = t + (radius - reach) / sum(d * r**2 / s**3 for d, r, s in zip(depths, ratios, roots))
+        reach = sum(d * t / s for d, s in zip(depths, roots, strict=True))
+        t = t + (radius - reach) / sum(d * r**2 / s**3 for d, r, s in zip(depths, ratios, roots, strict=True))
     tangent = t / np.sqrt(ratios[0] ** 2 + (ratios[0] ** 2 - 1) * t**2)
     return normal + (tangent / np.maximum(radius, 1e-300))[:, None] * lateral
 
@@ -40,7 +40,7 @@ def project(camera, wall, points):
     radial = 1 + s * (d["k1"] + s * (d["k2"] + s * d["k3"]))
     u = x * radial + 2 * d["p1"] * x * y + d["p2"] * (s + 2 * x**2)
     v = y * radial + d["p1"] * (s + 2 * y**2) + 2 * d["p2"] * x * y
-    return (axis * camera["principal_distance_mm"] / camera["pixel_mm"] + p for axis, p in zip((u, v), camera["principal_point_px"]))
+    return (axis * camera["principal_distance_mm"] / camera["pixel_mm"] + p for axis, p in zip((u, v), camera["principal_point_px"], strict=True))
 
 
 def sample(image, column, row):
@@ -56,7 +56,7 @@ def sample(image, column, row):
 def refocus(rig, images, k):
     """Volume (z, y, x): the product of all cameras to the power 3 / N; what stands out of each plane by k standard deviations."""
     grid = rig["grid"]
-    x, y, z = (low + step * np.arange(n) for low, step, n in zip(grid["low_mm"], grid["voxel_mm"], grid["shape"][::-1]))
+    x, y, z = (low + step * np.arange(n) for low, step, n in zip(grid["low_mm"], grid["voxel_mm"], grid["shape"][::-1], strict=True))
     volume = np.empty(grid["shape"], np.float32)
     for number, depth in enumerate(z):
         points = np.stack([*(axis.ravel() for axis in np.meshgrid(x, y)), np.full(len(x) * len(y), depth)], axis=1)

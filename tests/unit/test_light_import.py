@@ -10,7 +10,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[2]
 LEVELS = [
     {"errors", "arrays", "theory", "statistics", "rooflines", "columns", "plots", "jets", "linking", "foils"},
-    {"files", "seeds", "progress", "plugins", "memory", "sentences", "preprocessing", "apart"},
+    {"files", "seeds", "progress", "plugins", "memory", "sentences", "preprocessing", "apart", "archives"},
     {"records"},
     {"backend", "confined"},
     {"field"},
@@ -23,7 +23,7 @@ LEVELS = [
     {"tomography"},
     {"generation", "programs", "solving", "scoring", "tracks", "pictures", "board"},
     {"suite"},
-    {"run", "reproduce", "doctor", "calibrate", "export"},
+    {"run", "reproduce", "doctor", "calibrate", "export", "submission"},
     {"cli"},
 ]
 
