@@ -61,7 +61,7 @@ def refocus(rig, images, k):
     for number, depth in enumerate(z):
         points = np.stack([*(axis.ravel() for axis in np.meshgrid(x, y)), np.full(len(x) * len(y), depth)], axis=1)
         plane = np.ones(len(points))
-        for camera, image in zip(rig["cameras"], images):
+        for camera, image in zip(rig["cameras"], images, strict=True):
             plane *= np.maximum(sample(image, *project(camera, rig["wall"], points)), 0.01)
         plane **= min(1.0, 3.0 / len(images))
         threshold = plane.mean() + k * plane.std()
