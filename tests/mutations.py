@@ -16,8 +16,8 @@ import h5py
 import numpy as np
 
 NUMBERS: tuple[Any, ...] = (
-    0, 1, -1, 2, 3, 7, 0.5, 1e-12, 1e-300, 1e6, 1e9, 1e15, 1e300, -1e300, 1.7e308, float("nan"), float("inf"), -float("inf"), 255, 65536, 10**6, 10**9,
-    2**31, 2**63 - 1, 2**63, 2**64, -(2**63), 10**40, True, False,
+    0, 1, -1, 2, 3, 7, 0.5, 1e-12, 1e-300, 1e6, 1e9, 1e15, 1e300, -1e300, 1.7e308, float("nan"), float("inf"), -float("inf"), 255, 65536, 10**6,
+    10**9, 2**31, 2**63 - 1, 2**63, 2**64, -(2**63), 10**40, True, False,
 )  # fmt: skip
 TEXTS = (
     "",
@@ -241,9 +241,9 @@ def _odd_attribute(file: Any, _: str, rng: random.Random) -> None:
     names = [*file.attrs, "parameters", "seconds", "solver", "track"]
     name = rng.choice(names)
     made: tuple[Any, ...] = (
-        "", "x" * 70_000, "\x00", b"\xff\xfe", 0, -1, 1.5, float("nan"), float("inf"), 2**63, np.zeros(3), np.zeros((1, 1)), np.array([1]), [b"a", b"b"],
-        h5py.Empty("f4"), np.bool_(True), np.complex64(1), "[1, 2]", '{"a": NaN}', '{"a": 1e999}', "[" * 3000, '{"k": {"k": [1, null]}}', "calibration",
-        "velocimetry", "bubbles", "see_through", "particles", np.str_("reconstruction").encode(), np.void(b"xx"), file.ref, '"\\ud800"', "no JSON",
+        "", "x" * 70_000, "\x00", b"\xff\xfe", 0, -1, 1.5, float("nan"), float("inf"), 2**63, np.zeros(3), np.zeros((1, 1)), np.array([1]),
+        [b"a", b"b"], h5py.Empty("f4"), np.bool_(True), np.complex64(1), "[1, 2]", '{"a": NaN}', '{"a": 1e999}', "[" * 3000, '{"k": {"k": [1, null]}}', 
+        "calibration", "velocimetry", "bubbles", "see_through", "particles", np.str_("reconstruction").encode(), np.void(b"xx"), file.ref, '"\\ud800"', "no JSON",
     )  # fmt: skip
     file.attrs.pop(name, None)
     if rng.random() < 0.9:

@@ -26,7 +26,7 @@ SCENE: dict[str, Any] = {
     "title": "tiny", "frames": 2,
     "volume": {"center_mm": [0.0, 0.0, 30.0], "size_mm": [3.0, 2.0, 1.0]},
     "grid": {"voxel_mm": [0.1, 0.1, 0.2], "crop_mm": [0.2, 0.1, 0.0]},
-    "wall": {"point_mm": [0.0, 0.0, 0.0], "normal": [0.0, 0.0, 1.0], "fluid_index": 1.333, "layers": [{"name": "glass", "index": 1.52, "thickness_mm": 5.0}]},
+    "wall": {"point_mm": [0.0, 0.0, 0.0], "normal": [0.0, 0.0, 1.0], "fluid_index": 1.333, "layers": [{"index": 1.52, "thickness_mm": 5.0}]},
     "cameras": {
         "rows": 24, "columns": 32, "pixel_mm": 0.02, "focal_length_mm": 85.0, "f_number": 16.0, "center_mm": [0.0, 0.0, -490.0],
         "layout": {"kind": "grid", "columns": 2, "rows": 1, "spacing_mm": [240.0, 240.0]},
@@ -49,7 +49,8 @@ TARGETS: dict[str, Any] = {
 }  # fmt: skip
 SUITE: dict[str, Any] = {
     "title": "tiny suite", "scenes": ["scene.toml"], "seeds": [1, 2], "backend": "splat", "set": {"frames": 1},
-    "vary": {"particles.count": [3, 5]}, "solvers": [{"name": "asa", "parameters": {"k": 3.0}}, {"name": "./program", "track": "reconstruction", "time_limit_s": 5.0}],
+    "vary": {"particles.count": [3, 5]}, 
+    "solvers": [{"name": "asa", "parameters": {"k": 3.0}}, {"name": "./program", "track": "reconstruction", "time_limit_s": 5.0}],
 }  # fmt: skip
 LARGEST_STEPS = 4e6  # pixels x frames x cameras, and particles, of scenes that are generated and not only checked
 
@@ -170,7 +171,7 @@ def dataset(base: Base, inputs: Path, out: Path, rng: random.Random) -> Feed:
     source = base.target if rng.random() < 0.2 else base.particles
     root = Path(shutil.copytree(source.root, inputs / "set"))
     name = rng.choice(
-        sorted(path.relative_to(root).as_posix() for path in root.rglob("*") if path.is_file() and path.suffix != ".exr" or rng.random() < 0.3)
+        sorted(path.relative_to(root).as_posix() for path in root.rglob("*") if (path.is_file() and path.suffix != ".exr") or rng.random() < 0.3)
     )
     path = root / name
     if path.is_dir():
