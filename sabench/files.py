@@ -16,6 +16,8 @@ from sabench.errors import InputError
 
 _ABANDONED = re.compile(r"^\.(?P<name>.+)\.(?P<what>partial|retired)-(?P<pid>\d+)$")
 
+_LARGEST_TEXT = 100_000_000  # bytes of a JSON file
+
 
 @contextlib.contextmanager
 def complete_or_nothing(target: Path, *, overwrite: bool = False) -> Iterator[Path]:
@@ -108,10 +110,12 @@ def digest(value: Any) -> str:
 
 
 def read_json(path: Path) -> Any:
-    """Parse a JSON file; a missing or broken one is an InputError that names it."""
+    """Parse a JSON file; a missing, broken or enormous one is an InputError that names it."""
     try:
+        if path.stat().st_size > _LARGEST_TEXT:
+            raise ValueError(f"{path.stat().st_size} bytes where {_LARGEST_TEXT} are allowed")
         return json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, RecursionError) as error:
         raise InputError(f"{path}: expected a JSON file, got {_short(error)}") from error
 
 

@@ -13,9 +13,12 @@ from typing import Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
+from sabench.columns import COLUMNS
+from sabench.confined import Limits, limits_of
 from sabench.errors import InputError
 from sabench.generation import Renderer, choose_renderer
 from sabench.parsing import find, parse_scene, validate
+from sabench.programs import find_program, is_program, solver_name
 from sabench.rig import build_rig, load_scene
 from sabench.scene import Scene
 from sabench.solving import make_algorithm
@@ -36,11 +39,31 @@ class Changes(_Table):
 
 
 class Entrant(_Table):
-    """One solver with its parameters."""
+    """One solver with its parameters, or a program with its limits."""
 
-    name: str
+    name: str = Field(description="of a solver, or the path of a program beside the suite")
     parameters: dict[str, Any] = {}
     label: str | None = Field(None, description="shown in place of the name")
+    track: str | None = Field(None, description="of a program: what its results are")
+    time_limit_s: float | None = Field(None, gt=0, description="of a program, for a data set")
+    memory_limit_mb: float | None = Field(None, gt=0, description="of a program's processes together")
+
+    @property
+    def is_program(self) -> bool:
+        """Whether the name is a program's path."""
+        return is_program(self.name)
+
+    @property
+    def limits(self) -> Limits | None:
+        """A program's limits."""
+        return limits_of(self.time_limit_s, self.memory_limit_mb)
+
+    def describe(self) -> tuple[str, str, dict[str, Any]]:
+        """Its name in tables, its track and all its parameters."""
+        if self.is_program:
+            return solver_name(self.name), str(self.track), self.parameters
+        algorithm = make_algorithm(self.name, self.parameters)
+        return self.name, algorithm.track, algorithm.parameters.model_dump(mode="json")
 
 
 class CaseSpec(Changes):
@@ -111,14 +134,25 @@ def load_suite(path: str | Path) -> tuple[Suite, list[Case]]:
     except (OSError, ValueError) as error:
         raise InputError(f"{file}: expected a TOML file, got {error}") from error
     suite = validate(Suite, values, str(file))
-    specs = _specs(suite)
-    for entrant in (*suite.solvers, *(entrant for spec in specs for entrant in spec.solvers)):
-        make_algorithm(entrant.name, entrant.parameters)
+    own = suite.model_copy(update={"solvers": tuple(_checked(entrant, file) for entrant in suite.solvers)})
+    specs = [spec.model_copy(update={"solvers": tuple(_checked(entrant, file) for entrant in spec.solvers)}) for spec in _specs(own)]
     renderers = [choose_renderer(spec.backend or suite.backend) for spec in specs]
     variants = [(variant, chosen, spec.solvers) for spec, chosen in zip(specs, renderers, strict=True) for variant in _variants(spec, file)]
     _check_names([name for (name, *_), *_ in variants], file)
     seeds = dict.fromkeys(suite.seeds)
-    return suite, [Case(*variant, seed, chosen, solvers) for variant, chosen, solvers in variants for seed in seeds]
+    return own, [Case(*variant, seed, chosen, solvers) for variant, chosen, solvers in variants for seed in seeds]
+
+
+def _checked(entrant: Entrant, file: Path) -> Entrant:
+    """A solver that there is with parameters that it takes, or a program with its whole path and its track."""
+    if not entrant.is_program:
+        if any(value is not None for value in (entrant.track, entrant.time_limit_s, entrant.memory_limit_mb)):
+            raise InputError(f"{file}: solver {entrant.name}: expected track, time_limit_s and memory_limit_mb for programs only")
+        make_algorithm(entrant.name, entrant.parameters)
+        return entrant
+    if entrant.track not in COLUMNS:
+        raise InputError(f"{file}: program {entrant.name}: track: expected one of {', '.join(COLUMNS)}, got {entrant.track!r}")
+    return entrant.model_copy(update={"name": str(find_program(entrant.name, file.parent))})
 
 
 def override(scene: Scene, values: Mapping[str, Any], source: str) -> Scene:

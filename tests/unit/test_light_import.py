@@ -10,9 +10,9 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[2]
 LEVELS = [
     {"errors", "arrays", "theory", "statistics", "rooflines", "columns", "plots", "jets", "linking", "foils", "code", "reference_kernel"},
-    {"files", "seeds", "progress", "plugins", "memory", "sentences", "preprocessing"},
+    {"files", "seeds", "progress", "plugins", "memory", "sentences", "preprocessing", "apart", "archives"},
     {"records"},
-    {"backend"},
+    {"backend", "confined"},
     {"field"},
     {"optics", "world", "volume"},
     {"api", "scene", "swirl", "foreign", "dispersed", "placement", "implicit", "crossflow"},
@@ -22,9 +22,9 @@ LEVELS = [
     {"dataset"},
     {"tomography"},
     {"recording"},
-    {"generation", "solving", "scoring", "tracks", "pictures", "board"},
+    {"generation", "programs", "solving", "scoring", "tracks", "pictures", "board"},
     {"suite"},
-    {"run", "reproduce", "doctor", "calibrate", "export", "retrace", "fingerprint", "probe", "baseline"},
+    {"run", "reproduce", "doctor", "calibrate", "export", "retrace", "fingerprint", "probe", "baseline", "submission"},
     {"gate"},
     {"junit", "pytest_plugin"},
     {"cli"},
