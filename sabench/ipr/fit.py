@@ -35,6 +35,13 @@ def widths(images: F32, pixels: list[F64]) -> F64:
     return np.array(out)
 
 
+def background(image: F32) -> float:
+    """Standard deviation of the dark part of an image, from the median distance to its median."""
+    middle = np.median(image)
+    dark = image[image <= 2.0 * middle] if middle > 0.0 else image
+    return float(1.4826 * np.median(np.abs(dark - middle)))
+
+
 @numba.njit(cache=True)
 def _profile(center: float, first: int, sigma: float, value: Any, slope: Any) -> None:
     """A Gaussian of area 1, averaged over each of some pixels, and its derivative by its centre."""

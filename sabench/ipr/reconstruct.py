@@ -12,7 +12,7 @@ from sabench.arrays import F32, F64, Bool
 from sabench.calibration.matching import Maps, Spots, maps_of, spots_of
 from sabench.extraction import normalised
 from sabench.ipr.candidates import Candidates, candidates, chosen
-from sabench.ipr.fit import in_mm, peak_of, remove, settle, widths
+from sabench.ipr.fit import background, in_mm, peak_of, remove, settle, widths
 
 _MARGIN = 1.0  # voxels around the grid's centres in which particles are looked for
 
@@ -77,13 +77,7 @@ def reconstructed(case: Observation, maps: Maps, settings: Settings) -> FoundPar
 
 def _spots(images: F32, settings: Settings) -> tuple[Spots, ...]:
     """Particle images above the background of every camera."""
-    return tuple(spots_of(image, max(settings.floor, settings.noise * _background(image))) for image in images)
-
-
-def _background(image: F32) -> float:
-    """Standard deviation of the dark part of an image, by the median of its darker half."""
-    dark = image[image <= np.median(image)]
-    return float(1.4826 * np.median(np.abs(image[image <= 2.0 * np.median(image)] - np.median(image)))) if dark.size else 0.0
+    return tuple(spots_of(image, max(settings.floor, settings.noise * background(image))) for image in images)
 
 
 def _agreed(maps: Maps, spots: tuple[Spots, ...], settings: Settings, missing: int, number: int, images: F32) -> Candidates:
