@@ -38,7 +38,8 @@ def export(dataset: Dataset | str | Path, out: str | Path, result: str | Path | 
 
     A data set gives what it shows: `particles` with `volume` (the synthesised field) and, where there is a flow, `flow`; `bubbles`; `bodies`.
     A result gives `volume` and, if it has some, `particles`, or `particles` alone with the ids of the true ones that they are, or `velocity` with
-    the exact field and the error of every vector, or `bubbles` with the errors of those that are matched to true ones. Lengths are mm, velocities mm/s.
+    the exact field and the error of every vector, or `bubbles` with the errors of those that are matched to true ones. Lengths are mm, velocities
+    mm/s.
 
     Raises
     ------

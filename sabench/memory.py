@@ -8,7 +8,6 @@ import os
 from collections.abc import Callable
 from pathlib import Path
 
-
 _children = [0.0]  # MB, the most that a process which this one started has held
 
 

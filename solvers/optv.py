@@ -53,7 +53,8 @@ class Optv(ParticleSolver):
         cameras = tuple(camera for camera in case.cameras if isinstance(camera, Camera))
         seen = seen_in(case[0])
         move = chosen.displacement_px * seen.mm_per_px
-        settings = Settings(max(2, round(160.0 * seen.floor)), chosen.discontinuity, chosen.tolerance_px, move, chosen.change * move, chosen.angle_gon)
+        threshold, change = max(2, round(160.0 * seen.floor)), chosen.change * move
+        settings = Settings(threshold, chosen.discontinuity, chosen.tolerance_px, move, change, chosen.angle_gon)
         with tempfile.TemporaryDirectory(prefix="optv-") as name:
             folder = Path(name)
             for number, frame in enumerate(track(case, "images for OpenPTV")):

@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-
 import tifffile
 
 from sabench.api import FoundParticles
@@ -22,7 +21,6 @@ from sabench.optics.camera import Camera
 from sabench.optics.wall import Wall
 from sabench.volume import Grid
 
-PROGRAM = "openlpt"
 LEAST_FRAMES = 5  # from whose images it estimates how it sees particles
 _TOLERANCE, _ITERATIONS, _RATE = 1e-9, 1000, 0.1  # of its projection through plates
 _SKIN_MM = 1e-3  # of fluid that stands for a plate where a wall has none
@@ -103,7 +101,7 @@ def _bends(wall: Wall) -> bool:
 
 def _plates(wall: Wall) -> list[str]:
     """Lines about the wall, from the fluid to the cameras."""
-    thick, indices = [layer.thickness_mm for layer in wall.layers], wall.indices
+    thick, indices = [layer.thickness_mm for layer in wall.layers], tuple(wall.indices)
     if not thick:  # a plate there must be: one of fluid is none
         thick, indices = [_SKIN_MM], (*indices, wall.fluid_index)
     normal = np.asarray(wall.normal)
@@ -165,12 +163,12 @@ def _tracer(settings: Settings, ends: F64) -> list[str]:
 
 def read_tracks(folder: Path, frames: int) -> list[FoundParticles]:
     """The particles of every frame out of its files of tracks."""
-    rows: list[tuple[int, int, float, float, float]] = []
+    rows: list[list[float]] = []
     for kind in _TRACKS:
         for path in sorted((folder / "results" / "ConvergeTrack").glob(f"{kind}_*.csv")):
-            before = max((row[0] for row in rows), default=-1) + 1
+            before = max((row[0] for row in rows), default=-1.0) + 1.0
             with path.open(encoding="utf-8", newline="") as file:
-                rows += [(before + int(one[0]), int(one[1]), *map(float, one[2:5])) for one in list(csv.reader(file))[1:] if one]
+                rows += [[before + float(one[0]), *map(float, one[1:5])] for one in list(csv.reader(file))[1:] if one]
     table = np.array(rows, dtype=np.float64).reshape(-1, 5)
     parts = [table[table[:, 1] == frame] for frame in range(frames)]
     return [FoundParticles(part[:, 2:].copy(), None, part[:, 0].astype(np.int64)) for part in parts]

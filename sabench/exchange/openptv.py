@@ -1,7 +1,8 @@
 """OpenPTV (http://www.openptv.net), the package optv: orientation files, images, settings, and the particles and links that it finds.
 
-Its world has Y up and Z towards the cameras, and its origin must lie in the fluid: the grid's middle. A wall is one plane-parallel layer ("glass"), said
-by the vector from the origin to its inner face; its first pixel's middle is (0.5, 0.5), and distortion is a polynomial of mm about the image's middle.
+Its world has Y up and Z towards the cameras, and its origin must lie in the fluid: the grid's middle. A wall is one plane-parallel layer ("glass"),
+said by the vector from the origin to its inner face; its first pixel's middle is (0.5, 0.5), and distortion is a polynomial of mm about the image's
+middle.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ import numpy as np
 import tifffile
 
 from sabench.api import FoundParticles
-from sabench.arrays import F32, F64
+from sabench.arrays import F32, F64, I64
 from sabench.exchange.child import run
 from sabench.files import read_json
 from sabench.optics.camera import Camera
@@ -71,7 +72,8 @@ def to_its(points_mm: F64, grid: Grid) -> F64:
 
 def from_its(points_mm: F64, grid: Grid) -> F64:
     """World points (n, 3) from its own world."""
-    return np.asarray(points_mm @ _TURN + origin_mm(grid))
+    turned: F64 = points_mm @ _TURN
+    return turned + origin_mm(grid)
 
 
 def orientation_text(camera: Camera, grid: Grid) -> str:
@@ -147,9 +149,9 @@ def solve(folder: Path, grid: Grid, frames: int) -> list[FoundParticles]:
     return [FoundParticles(from_its(one, grid), None, number) for one, number in zip(places, tracks, strict=True)]
 
 
-def joined(counts: list[int], links: list[list[int]]) -> list[np.ndarray[tuple[int, ...], np.dtype[np.int64]]]:
+def joined(counts: list[int], links: list[list[int]]) -> list[I64]:
     """Numbers (n,) of tracks from the rows that each frame's particles had in the frame before; below zero: none."""
-    out: list[np.ndarray[tuple[int, ...], np.dtype[np.int64]]] = []
+    out: list[I64] = []
     born = 0
     for frame, count in enumerate(counts):
         before = np.array(links[frame] if frame < len(links) and len(links[frame]) == count else [-1] * count, dtype=np.int64)

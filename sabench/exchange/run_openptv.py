@@ -77,7 +77,7 @@ def _frame(folder: Path, frame: int, project: dict[str, Any], cameras: list[Any]
         seen = np.array([one.get_by_pnrs(own) for one, own in zip(flat, row, strict=True)])
         places, _ = point_positions(np.ascontiguousarray(seen.transpose(1, 0, 2)), control, cameras, volume)
     for number, own in enumerate(targets):
-        own.write(f"img/cam{number}.", frame + 1)
+        own.write(f"img/cam{number}.".encode(), frame + 1)
     _write_places(folder, frame, places, row)
     print(f"sabench frame {frame}", flush=True)
     return len(places)
@@ -88,7 +88,8 @@ def _write_places(folder: Path, frame: int, places: Any, row: Any) -> None:
     (folder / f"found_{frame:05d}.json").write_text(json.dumps(places.tolist()), encoding="utf-8")
     four = np.full((4, len(places)), -1)
     four[: len(row)] = row
-    lines = [f"{n + 1:4d} {x:9.3f} {y:9.3f} {z:9.3f} {a:4d} {b:4d} {c:4d} {d:4d}" for n, ((x, y, z), (a, b, c, d)) in enumerate(zip(places, four.T, strict=True))]
+    both = enumerate(zip(places, four.T, strict=True), 1)
+    lines = [f"{n:4d} {x:9.3f} {y:9.3f} {z:9.3f} {a:4d} {b:4d} {c:4d} {d:4d}" for n, ((x, y, z), (a, b, c, d)) in both]
     (folder / "res" / f"rt_is.{frame + 1}").write_text("\n".join([str(len(places)), *lines]) + "\n", encoding="utf-8")
 
 
@@ -98,7 +99,8 @@ def _track(folder: Path, project: dict[str, Any], cameras: list[Any], control: A
     from optv.tracker import Tracker
 
     most = project["move_mm"]
-    chosen = TrackingParams(accel_lim=project["change_mm"], angle_lim=project["angle_gon"], velocity_lims=np.array([[-most, most]] * 3), add_particle=0)
+    limits = np.array([[-most, most]] * 3)
+    chosen = TrackingParams(accel_lim=project["change_mm"], angle_lim=project["angle_gon"], velocity_lims=limits, add_particle=0)
     frames = SequenceParams(image_base=[f"img/cam{number}." for number in range(project["cameras"])], frame_range=(1, project["frames"]))
     names = {"corres": "res/rt_is", "linkage": "res/ptv_is", "prio": "res/added"}
     Tracker(control, volume, chosen, frames, cameras, names).full_forward()

@@ -77,9 +77,7 @@ def chosen(found: Candidates, spots: tuple[Spots, ...]) -> I64:
 
 
 @numba.njit(cache=True)
-def _follow(
-    maps: Any, spots: Any, second: int, reach: float, missing: int, size: Any, steps: int, places: Any, hits: Any, errors: Any
-) -> int:
+def _follow(maps: Any, spots: Any, second: int, reach: float, missing: int, size: Any, steps: int, places: Any, hits: Any, errors: Any) -> int:
     """Fill in the candidates of all of the first camera's images; returns how many there are."""
     cameras, count = len(spots), 0
     place, start, here, slope = np.zeros(3), np.zeros(3), np.zeros(2), np.zeros((2, 3))

@@ -98,7 +98,7 @@ def settle(maps: Any, sigma: Any, left: Any, places: Any, light: Any, rounds: in
 def _set(maps: Any, c: int, place: Any, sigma: float, here: Any, slope: Any, corner: Any, x: Any, y: Any, dx: Any, dy: Any) -> None:
     """Where a camera sees a place, and the profiles of its image there."""
     locate(maps, c, place, here, slope)
-    corner[0], corner[1] = int(round(here[0])) - _HALF, int(round(here[1])) - _HALF
+    corner[0], corner[1] = round(here[0]) - _HALF, round(here[1]) - _HALF
     _profile(here[0], corner[0], sigma, x, dx)
     _profile(here[1], corner[1], sigma, y, dy)
 
