@@ -5,7 +5,7 @@ from __future__ import annotations
 import base64
 import itertools
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,19 +13,10 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from sabench import plugins
 from sabench.columns import COLUMNS, LARGER_IS_BETTER, Column
-from sabench.errors import InputError
 from sabench.files import complete_or_nothing, inside
+from sabench.records import Record, key_of
 from sabench.statistics import Mean, mean_of
 
-Record = dict[str, Any]
-
-# What a record must have to be placed on the page; scores and pictures may be missing or null.
-_NEEDED: dict[str, type] = {
-    "scene": str, "scene_hash": str, "dataset": str, "seed": int, "renderer": str,
-    "solver": str, "parameters": dict, "machine": dict, "versions": dict, "run_hash": str,
-}  # fmt: skip
-_MAY_HAVE: dict[str, type] = {"case": str, "axes": dict, "label": str, "track": str}
-_RUN = ("scene_hash", "seed", "renderer", "solver", "parameters", "machine")
 _ENTRY = ("track", "case", "scene_hash", "renderer", "solver", "parameters", "machine")
 _SECTION = ("track", "case", "scene_hash", "renderer")
 _PICTURED = {  # heading and text of a section's pictures
@@ -58,57 +49,6 @@ _PICTURED = {  # heading and text of a section's pictures
 _LARGEST = 1e15  # beyond it no score is meant, and digits would fill the page
 
 
-def read_records(folder: Path) -> list[Record]:
-    """All records of a folder's *.jsonl files, in the order of the files' names and of their lines.
-
-    A last line that a killed run left torn, without its newline, is left out.
-
-    Raises
-    ------
-    InputError
-        A line that is not a record; the text names file and line.
-    """
-    return [record for path in sorted(folder.glob("*.jsonl")) for record in _read_file(path)]
-
-
-def _read_file(path: Path) -> Iterator[Record]:
-    lines = path.read_bytes().split(b"\n")
-    for number, line in enumerate(lines, 1):
-        if not line.strip():
-            continue
-        try:
-            yield _parse(line)
-        except (ValueError, RecursionError) as error:
-            if number < len(lines):  # the last piece of the split is what follows the last newline
-                raise InputError(f"{path}: line {number}: expected a record as a JSON object, got {error}") from error
-
-
-def _parse(line: bytes) -> Record:
-    record = json.loads(line.decode("utf-8"), parse_constant=_refuse)
-    if not isinstance(record, dict):
-        raise ValueError(f"a {type(record).__name__}")
-    for key, kind in _NEEDED.items():
-        if not isinstance(record.get(key), kind):
-            raise ValueError(f"{key} = {record.get(key)!r} where a {kind.__name__} belongs")
-    for key, kind in _MAY_HAVE.items():
-        if not isinstance(record.get(key), (kind, type(None))):
-            raise ValueError(f"{key} = {record[key]!r} where a {kind.__name__} or null belongs")
-    return record
-
-
-def _refuse(constant: str) -> None:
-    raise ValueError(f"the number {constant}, which JSON does not have")
-
-
-def latest(records: list[Record]) -> list[Record]:
-    """Only the last record of each scene, seed, renderer, solver, parameters and machine, in the order in which they first came."""
-    return list({_key(record, _RUN): record for record in records}.values())
-
-
-def _key(record: Record, names: tuple[str, ...]) -> str:
-    return json.dumps([record[name] for name in names], sort_keys=True)
-
-
 def over_seeds(records: list[Record]) -> list[Record]:
     """One row for every case, solver and machine: the first seed's record with `seeds` and, in place of every score, its `Mean` over them.
 
@@ -116,12 +56,8 @@ def over_seeds(records: list[Record]) -> list[Record]:
     """
     groups: dict[str, list[Record]] = {}
     for record in sorted(records, key=lambda record: int(record["seed"])):
-        named = {
-            **record,
-            "case": record.get("case") or record["scene"],
-            "track": record.get("track") or "reconstruction",
-        }  # older records have neither
-        groups.setdefault(_key(named, _ENTRY), []).append(named)
+        named = {**record, "case": record.get("case") or record["scene"], "track": record.get("track") or "reconstruction"}
+        groups.setdefault(key_of(named, _ENTRY), []).append(named)
     return [_merged(group) for group in groups.values()]
 
 
@@ -154,7 +90,7 @@ def build_page(records: list[Record], pictures: Path, out: Path) -> None:
 def _sections(records: list[Record], pictures: Path) -> list[dict[str, Any]]:
     """One section per case, scene and renderer, in the order of their names."""
     ordered = sorted(over_seeds(records), key=lambda row: tuple(row[name] for name in _SECTION))
-    groups = itertools.groupby(ordered, key=lambda row: _key(row, _SECTION))
+    groups = itertools.groupby(ordered, key=lambda row: key_of(row, _SECTION))
     return [_section(sorted(group, key=_rank), pictures) for _, group in groups]
 
 

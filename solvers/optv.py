@@ -20,7 +20,7 @@ class OptvParameters(Parameters):
     """What OpenPTV is told besides what the images show."""
 
     displacement_px: float = Field(10.0, gt=0.0, description="largest displacement from frame to frame, in the images")
-    tolerance_px: float = Field(0.6, gt=0.0, description="half the width of the band about an epipolar line")
+    tolerance_px: float = Field(1.0, gt=0.0, description="half the width of the band about an epipolar line")
     discontinuity: int = Field(5, ge=0, le=255, description="rise of grey values, of 255, away from a peak that begins another particle image")
     change: float = Field(0.5, gt=0.0, description="largest change of a displacement, over the largest displacement")
     angle_gon: float = Field(100.0, gt=0.0, le=200.0, description="largest change of its direction")

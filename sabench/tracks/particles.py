@@ -86,6 +86,13 @@ def _numbers(rig: CamerasFile, found: Sequence[FoundParticles]) -> list[I64]:
     return out
 
 
+def copy(data: Dataset, result: Result, writer: ResultWriter) -> None:
+    """Write the particles of every frame of a foreign result anew, with its tracks or those that `link` makes; reading checks it."""
+    found = [result.particles(frame) for frame in range(data.rig.frames)]
+    for frame, (one, number) in enumerate(zip(found, _tracks(data, result, found), strict=True)):
+        writer.add_particles(frame, replace(one, track=number))
+
+
 def score_result(data: Dataset, result: Result | str) -> dict[str, float | None]:
     """All scores: means over the frames, and the figures of tracks from all frames together."""
     found = [estimate(data, result, frame) for frame in range(data.rig.frames)]

@@ -18,6 +18,7 @@ import pytest
 
 from sabench import board, pictures
 from sabench.errors import InputError
+from sabench.records import Record
 
 HOSTILE = "<script>alert(1)</script>"
 _FLAGS = [
@@ -26,7 +27,7 @@ _FLAGS = [
 ]  # fmt: skip
 
 
-def record(solver: str, q: float | None = None, **changes: Any) -> board.Record:
+def record(solver: str, q: float | None = None, **changes: Any) -> Record:
     """A record as a run writes it, with only the scores that are asked for."""
     scores = dict.fromkeys(("q", "true_percent", "ghost_percent", "precision", "recall", "rms_px", "seconds", "peak_mb"))
     return {
@@ -36,7 +37,7 @@ def record(solver: str, q: float | None = None, **changes: Any) -> board.Record:
     }  # fmt: skip
 
 
-def page_of(records: list[board.Record], folder: Path) -> str:
+def page_of(records: list[Record], folder: Path) -> str:
     """The page of these records as text."""
     board.build_page(records, folder / "pictures", folder / "index.html")
     return (folder / "index.html").read_text(encoding="utf-8")
@@ -50,42 +51,6 @@ def draw(folder: Path, names: list[str]) -> None:
     (folder / "images.png").write_bytes(pictures.montage(rng.integers(90, 3000, (6, 48, 64), dtype=np.uint16), 100.0, 4095.0))
     for name in names:
         (folder / name).write_bytes(pictures.slice_picture(volume, (slice(0, 9), slice(2, 28), slice(3, 37))))
-
-
-# Reading records
-
-
-def test_records_come_in_the_order_of_files_and_lines(tmp_path: Path) -> None:
-    (tmp_path / "b.jsonl").write_text(json.dumps(record("third")) + "\n")
-    (tmp_path / "a.jsonl").write_text(json.dumps(record("first")) + "\n\n" + json.dumps(record("second")) + "\n")
-    assert [found["solver"] for found in board.read_records(tmp_path)] == ["first", "second", "third"]
-
-
-def test_no_folder_holds_no_records(tmp_path: Path) -> None:
-    assert board.read_records(tmp_path / "absent") == []
-
-
-@pytest.mark.parametrize("kept", [1, 10, -1])
-def test_a_torn_last_line_is_left_out(tmp_path: Path, kept: int) -> None:
-    torn = json.dumps(record("pläne"), ensure_ascii=False).encode()[:kept]
-    (tmp_path / "a.jsonl").write_bytes(json.dumps(record("whole")).encode() + b"\n" + torn)
-    assert [found["solver"] for found in board.read_records(tmp_path)] == ["whole"]
-
-
-@pytest.mark.parametrize("broken", [b"{", b"[1]", b'{"scene": "tank"}', b"\xff\xfe", json.dumps(record("x", float("nan"))).encode(), b"[" * 200_000])
-def test_a_broken_line_is_named(tmp_path: Path, broken: bytes) -> None:
-    (tmp_path / "a.jsonl").write_bytes(json.dumps(record("whole")).encode() + b"\n" + broken + b"\n")
-    with pytest.raises(InputError, match=r"a\.jsonl: line 2: expected a record"):
-        board.read_records(tmp_path)
-
-
-def test_latest_keeps_the_last_of_each_run() -> None:
-    old, new = record("a", 0.5), record("a", 0.6)
-    others = [
-        record("b"), record("a", seed=2), record("a", parameters={"passes": 2}),
-        record("a", machine={"cpu": "another"}), record("a", renderer="mitsuba"),
-    ]  # fmt: skip
-    assert board.latest([old, *others, new]) == [new, *others]
 
 
 # The page as text
@@ -142,13 +107,6 @@ def test_a_score_that_some_seeds_lack_is_the_mean_of_the_others() -> None:
 def test_another_machine_or_renderer_is_another_row() -> None:
     records = [record("a", 0.5), record("a", 0.6, seed=2, machine={"cpu": "another"}), record("a", 0.7, seed=2, renderer="mitsuba")]
     assert [row["q"].mean for row in board.over_seeds(records)] == [0.5, 0.6, 0.7]
-
-
-@pytest.mark.parametrize("changes", [{"case": 1}, {"axes": []}, {"label": ["x"]}])
-def test_a_record_with_a_wrong_case_is_named(tmp_path: Path, changes: dict[str, Any]) -> None:
-    (tmp_path / "a.jsonl").write_text(json.dumps(record("x", **changes)) + "\n")
-    with pytest.raises(InputError, match="line 1: expected a record"):
-        board.read_records(tmp_path)
 
 
 def test_a_page_without_records_says_how_to_make_one(tmp_path: Path) -> None:
