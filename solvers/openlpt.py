@@ -22,6 +22,7 @@ class OpenLptParameters(Parameters):
 
     displacement_px: float = Field(10.0, gt=0.0, description="largest displacement from frame to frame, in the images")
     tolerance_px: float = Field(0.8, gt=0.0, description="largest distance of a particle image from where its camera sees the particle, first round")
+    floor: float = Field(0.2, gt=0.0, lt=1.0, description="smallest peak of a particle image, over a bright particle's; more if noise demands it")
     shake_px: float = Field(0.25, gt=0.0, description="by how much particles are moved at first to see whether they fit better")
     ghost: float = Field(0.01, gt=0.0, lt=1.0, description="its ghost threshold")
     rounds: int = Field(4, ge=1, description="of reconstruction with all cameras")
@@ -67,7 +68,7 @@ class OpenLpt(ParticleSolver):
         """From what the first frame shows."""
         chosen = self.parameters
         return Settings(
-            threshold=max(2, round(160.0 * seen.floor)),
+            threshold=round(160.0 * max(chosen.floor, seen.floor)),
             radius_px=2.5 * seen.sigma_px,
             move_mm=0.5 * chosen.displacement_px * seen.mm_per_px,
             spacing_mm=seen.spacing_mm,

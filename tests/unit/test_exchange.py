@@ -114,9 +114,10 @@ def test_openlpts_tracks_are_read(tmp_path: Path) -> None:
     assert (first.track.tolist(), second.track.tolist(), len(third.position_mm)) == ([0, 2], [0, 1], 0)
 
 
-@pytest.mark.parametrize(
-    ("code", "said"), [("import os; os.abort()", "signal 6"), ("raise SystemExit('no licence')", "exit code 1; its last words: no licence")]
-)
+CRASHES = [("import os; os.abort()", "signal 6"), ("raise SystemExit('no licence')", "exit code 1; its last words: no licence")]
+
+
+@pytest.mark.parametrize(("code", "said"), CRASHES)
 def test_a_crash_is_a_sentence(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, code: str, said: str) -> None:
     (tmp_path / "crashes.py").write_text(code, encoding="utf-8")
     monkeypatch.setattr(sys, "path", [str(tmp_path), *sys.path])
