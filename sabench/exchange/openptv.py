@@ -62,7 +62,7 @@ def unfit(camera: Camera) -> str | None:
 
 def origin_mm(grid: Grid) -> F64:
     """Where its world begins: the middle of the grid."""
-    return np.asarray(grid.low_mm) + np.asarray(grid.voxel_mm) * (np.asarray(grid.shape[::-1]) - 1) / 2.0
+    return np.asarray(np.asarray(grid.low_mm) + np.asarray(grid.voxel_mm) * (np.asarray(grid.shape[::-1]) - 1) / 2.0)
 
 
 def to_its(points_mm: F64, grid: Grid) -> F64:

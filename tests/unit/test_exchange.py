@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sabench.arrays import F64
+from sabench.arrays import F64, triple
 from sabench.errors import InputError
 from sabench.exchange import child, openlpt, openptv
 from sabench.exchange.run_openptv import parameters
@@ -42,7 +42,7 @@ def walls(wall: Wall | None) -> dict[str, Wall | None]:
         "none": None,
         "bare": dataclasses.replace(wall, layers=()),
         "two layers": dataclasses.replace(wall, layers=(Layer("glass", 1.52, 4.0), Layer("acrylic", 1.49, 2.0))),
-        "tilted": dataclasses.replace(wall, normal=tuple(float(value) for value in normal)),
+        "tilted": dataclasses.replace(wall, normal=triple(normal)),
     }
 
 
