@@ -24,6 +24,10 @@ _PICTURED = {  # heading and text of a section's pictures
         "Middle slice",
         "The same central window of the middle z plane of the scored volume, x to the right, y down; each picture has its own brightness scale.",
     ),
+    "particles": (
+        "Particles in the middle slice",
+        "Found particles as balls of light on the grid, in the same window of the middle z plane of the scored volume, x to the right, y down.",
+    ),
     "calibration": (
         "Errors in the images",
         "From where the target's points were found to where the calibration sees them; the number says how much longer.",

@@ -108,12 +108,13 @@ def solve(
 def score(
     dataset: Annotated[Path, typer.Argument(help="A data set folder.")],
     result: Annotated[str, typer.Argument(help="A result file, or truth or empty: the ends of every scale.")],
+    track: Annotated[str | None, typer.Option(help="By whose scores truth and empty are scored: reconstruction or particles.")] = None,
     as_json: AsJson = False,
 ) -> None:
     """Score a result against the truth."""
     from sabench.solving import score as scores_of
 
-    scores = scores_of(dataset, result)
+    scores = scores_of(dataset, result, track)
     if as_json:
         _say(json.dumps(scores, allow_nan=False))
     else:
