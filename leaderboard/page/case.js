@@ -24,7 +24,7 @@ function caseView() {
   const rows = byTrack[state.track].filter(row => caseOf(row) === own);
   const facts = [own.suite && `suite ${own.suite}`, `scene ${own.scene}`, own.difficulty, own.axis && `axis ${own.axis}`, own.axes, `renderer ${own.renderer}`, `scene hash ${own.hash.slice(0, 12)}`];
   return [
-    make("p", {}, make("a", { href: link({ view: "table", case: "", a: "", b: "" }) }, "Back to all cases")),
+    make("p", {}, make("a", { href: link({ view: "table", case: "", sort: "", page: "1", a: "", b: "" }) }, "Back to all cases")),
     make("h2", { tabindex: "-1" }, own.name), own.split === "hidden" ? make("p", {}, make("span", { class: "chip hidden" }, "hidden split"), " Its data sets are not published.") : null,
     make("p", { class: "quiet" }, listed(facts.filter(Boolean))),
     ...tableView(rows), ...comparison(rows, own), ...gallery(rows, own),
@@ -111,6 +111,7 @@ function sideBySide(a, b, own) {
   const estimates = both("row", title), maps = both("error", "Error");
   const grid = figures => make("div", { class: wide ? "pair wide" : "pair" }, figures);
   const out = [];
+  if (album.truth && estimates.length) estimates.push(figure(album.truth, `${title}: the truth`, make("b", {}, "truth")));
   if (estimates.length) out.push(make("h4", {}, title), make("p", { class: "quiet" }, told), grid(estimates));
   if (maps.length) out.push(make("h4", {}, "Errors"), make("p", { class: "quiet" }, errors), grid(maps));
   return out;

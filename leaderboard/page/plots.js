@@ -64,15 +64,17 @@ const LOOKS = {
 };
 const TOLD = { tooltip: { field: "text", type: "nominal" }, description: { field: "text", type: "nominal" } };
 
+const POINT = { type: "point", filled: true, size: 110, opacity: 1 };
+
 // Points with their intervals: x and y are encodings, `along` is the one ("x" or "y") that has fields low and high.
 function points(rows, x, y, along) {
   const value = along === "x" ? x : y;
-  const { axis, title, ...plain } = value;
-  const span = { ...LOOKS, [along]: { ...plain, field: "low", title: value.title ?? null, axis: value.axis }, [`${along}2`]: { field: "high" } };
+  if (!rows.some(row => row.low !== null)) return [{ data: { values: rows }, mark: POINT, encoding: { x, y, ...LOOKS, ...TOLD } }];
+  const span = { ...LOOKS, [along]: { ...value, field: "low" }, [`${along}2`]: { field: "high" } };
   delete span.shape;
   return [
     { data: { values: rows.filter(row => row.low !== null) }, mark: { type: "rule", strokeWidth: 1.5 }, encoding: { x, y, ...span } },
-    { data: { values: rows }, mark: { type: "point", filled: true, size: 110, opacity: 1 }, encoding: { x, y, ...LOOKS, ...TOLD } },
+    { data: { values: rows }, mark: POINT, encoding: { x, y, ...LOOKS, ...TOLD } },
   ];
 }
 
@@ -92,13 +94,21 @@ function scoreChoice(columns) {
 
 // Accuracy against time of one case.
 
+const TIMES = { seconds: "seconds", kernels: "reference kernels" };
+
 function timeView(rows) {
   const cases = [...new Set(rows.map(row => row.case))].map(place => data.cases[place]);
   if (!cases.length) return [nothing()];
   const own = cases.find(one => one.id === state.case) ?? mostSolved(rows);
   const select = selector("Case", own.id, cases.map(one => [one.id, nameOf(one, cases)]), id => change({ case: id }));
   const columns = accuracies(), { key, select: second } = scoreChoice(columns);
-  return [make("div", { class: "form" }, select, second), timePlot(rows.filter(row => caseOf(row) === own), columns.find(column => column.key === key), own)];
+  const clock = rows.some(row => row.reference) ? selector("Time", TIMES[state.x] ? state.x : "seconds", Object.entries(TIMES), x => change({ x })) : null;
+  return [make("div", { class: "form" }, select, second, clock), timePlot(rows.filter(row => caseOf(row) === own), columns.find(column => column.key === key), own)];
+}
+
+function meant(column) {
+  const { columns, larger } = data.tracks[state.track];
+  return `${column.heading}: ${column.meaning}${column.key === columns[0].key ? `; ${larger ? "larger" : "smaller"} is better` : ""}.`;
 }
 
 function accuracies() {
@@ -113,17 +123,19 @@ function mostSolved(rows) {
 }
 
 function timePlot(rows, column, own) {
-  const known = rows.filter(row => scoreOf(row, column.key) && scoreOf(row, "seconds")?.[0] > 0);
-  if (!known.length) return nothing("No solver of this case has both this score and a time.");
+  const inKernels = state.x === "kernels";
+  const known = rows.filter(row => scoreOf(row, column.key) && scoreOf(row, "seconds")?.[0] > 0 && (!inKernels || row.reference));
+  if (!known.length) return nothing(`No solver of this case has both this score and a time${inKernels ? " in reference kernels" : ""}.`);
   const points_ = known.map(row => {
     const seconds = scoreOf(row, "seconds");
-    return { ...plotted(row, scoreOf(row, column.key), column, `, ${shown(seconds, 2)} s, ${listed([textOf(row.machine)].filter(Boolean), "machine unknown")}`), seconds: seconds[0] };
+    return { ...plotted(row, scoreOf(row, column.key), column, `, ${shown(seconds, 2)} s, ${listed([textOf(row.machine)].filter(Boolean), "machine unknown")}`), time: seconds[0] / (inKernels ? row.reference : 1) };
   });
-  const x = { field: "seconds", type: "quantitative", scale: { type: "log" }, title: "seconds", axis: { labelOverlap: true } };
+  const x = { field: "time", type: "quantitative", scale: { type: "log" }, title: TIMES[state.x] ?? "seconds", axis: { labelOverlap: true, gridOpacity: 0.5 } };
   const y = { field: "value", type: "quantitative", scale: { zero: false }, title: column.heading };
-  const label = `${column.heading} against seconds of ${known.length} results of the case ${own.name}; the table says the same in numbers`;
+  const label = `${column.heading} against time of ${known.length} results of the case ${own.name}; the table says the same in numbers`;
   return make("figure", {}, plot({ height: 380, layer: points(points_, x, y, "y") }, label), legend(values(known, solverOf)),
-    make("figcaption", { class: "quiet" }, `${column.heading}: ${column.meaning}. Bars are 95 % confidence intervals over the seeds; time is of the solver alone, on the machine that a point's tip names.`));
+    make("figcaption", { class: "quiet" }, `${meant(column)} Bars are 95 % confidence intervals over the seeds; time is of the solver alone, on the machine that a point's tip names; `
+      + "in reference kernels it is over the time that a fixed piece of work took on the same machine in the same run."));
 }
 
 // Scores by difficulty, and what each axis costs against the standard case of the same suite.
@@ -215,7 +227,7 @@ function levelPlot(levels, column) {
   const offset = { xOffset: { field: "solver", type: "nominal" } };
   const layer = points(levels, x, y, "y").map(one => ({ ...one, encoding: { ...one.encoding, ...offset } }));
   return make("figure", {}, make("h3", {}, "By difficulty"), plot({ height: 320, layer }, `${column.heading} of easy, standard and hard cases`),
-    make("figcaption", { class: "quiet" }, `${column.heading}: ${column.meaning}. Bars are 95 % confidence intervals over the seeds.`));
+    make("figcaption", { class: "quiet" }, `${meant(column)} Bars are 95 % confidence intervals over the seeds.`));
 }
 
 function lossPlot(losses, column) {
@@ -227,7 +239,7 @@ function lossPlot(losses, column) {
   const steps = new Set(losses.map(one => one.axis)).size * Math.max(3, new Set(losses.map(one => one.solver)).size);
   return make("figure", {}, make("h3", {}, "What each axis costs"),
     plot({ height: Math.max(140, 16 * steps), layer: [zero, ...layer] }, `change of ${column.heading} by axis`),
-    make("figcaption", { class: "quiet" }, "Each axis changes one thing of the standard case. Left of the dashed line the score is smaller than there, right of it larger; "
+    make("figcaption", { class: "quiet" }, `Each axis changes one thing of the standard case. ${meant(column)} Left of the dashed line the score is smaller than there, right of it larger; `
       + "bars are 95 % confidence intervals of the difference of the two cases' means."));
 }
 

@@ -19,7 +19,7 @@ function heading(key, text, number, title) {
 
 function heads(columns) {
   return make("tr", {},
-    heading("solver", "solver"), heading("case", "case"), heading("difficulty", "difficulty"), heading("seeds", "seeds", true),
+    heading("solver", "solver"), oneCase() ? null : [heading("case", "case"), heading("difficulty", "difficulty")], heading("seeds", "seeds", true),
     columns.map(column => heading(column.key, column.heading, true, column.meaning)),
     heading("machine", "machine"), make("th", { scope: "col", class: "plain" }, "reproduce"), make("th", { scope: "col", class: "plain" }, "details"));
 }
@@ -35,7 +35,7 @@ function chips(row) {
 function solverCell(row) {
   const parameters = textOf(row.parameters);
   return make("th", { scope: "row" }, make("span", { class: "name" }, solverOf(row)), chips(row),
-    parameters && make("span", { class: "quiet few" }, parameters));
+    parameters && make("span", { class: "quiet few clamp", title: parameters }, parameters));
 }
 
 function scoreCells(row, columns) {
@@ -50,14 +50,24 @@ function lineOf(row, columns) {
   const own = caseOf(row);
   const line = make("tr", { class: row.error ? "failed" : null },
     solverCell(row),
-    make("td", { class: "words" }, make("a", { href: link({ view: "case", case: own.id, a: "", b: "" }) }, own.name)),
-    make("td", {}, own.difficulty ?? DASH, own.axis && make("span", { class: "quiet few" }, own.axis)),
+    oneCase() ? null : caseCells(own),
     make("td", { class: "number" }, String(row.seeds.length)),
     scoreCells(row, columns),
     make("td", { class: "words" }, textOf(row.machine) || DASH),
     make("td", { class: "commands" }, row.commands.length ? command(textOf(row.commands[0])) : DASH),
     make("td", {}, detailsButton(row)));
   return line;
+}
+
+function oneCase() {
+  return state.view === "case";
+}
+
+function caseCells(own) {
+  return [
+    make("td", { class: "words" }, make("a", { href: link({ view: "case", case: own.id, sort: "", page: "1", a: "", b: "" }) }, own.name)),
+    make("td", {}, own.difficulty ?? DASH, own.axis && make("span", { class: "quiet few" }, own.axis)),
+  ];
 }
 
 function detailsButton(row) {
@@ -108,6 +118,7 @@ function tableOf(rows, label, all = rows) {
 
 function pager(count) {
   const pages = Math.max(1, Math.ceil(count / PAGE)), page = pageOf(count);
+  if (pages === 1) return null;
   const turn = (text, to, name) => make("button", {
     type: "button", "data-turn": name, disabled: to < 1 || to > pages,
     click: () => { change({ page: String(to) }); document.querySelector(`[data-turn="${name}"]:not(:disabled)`)?.focus(); },
