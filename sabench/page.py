@@ -8,6 +8,7 @@ import json
 import re
 from collections.abc import Iterator, Sequence
 from functools import cache
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +28,7 @@ _DEGREES = 100  # of freedom for which the page knows Student's quantile; beyond
 _DIGITS = 9  # of every score on the page: more than any table shows, so that small differences of pairs are still right
 _PICTURES_BYTES = 80_000_000  # of the page; those beyond are left out, the best of every case come first
 
-_PICTURED = {  # heading and text of a case's pictures, and whether they are wide
+PICTURED = {  # heading and text of a case's pictures, and whether they are wide
     "reconstruction": (
         "Middle slice",
         "The same central window of the middle z plane of the scored volume, x to the right, y down; each picture has its own brightness scale.",
@@ -70,14 +71,13 @@ def render(rows: Sequence[Record], pictures: Path) -> str:
         A record whose pictures would lie outside `pictures`.
     """
     shown = sorted(rows, key=_order)
-    cases = list({key_of(row, _CASE): row for row in reversed(shown)}.values())[::-1]
-    place = {key_of(case, _CASE): number for number, case in enumerate(cases)}
-    places = [place[key_of(row, _CASE)] for row in shown]
+    cases = [list(group) for _, group in groupby(shown, lambda row: key_of(row, _CASE))]
+    places = [number for number, case in enumerate(cases) for _ in case]
     albums, left_out = _albums(shown, places, pictures)
     pool = _Pool()
     data = {
         "tracks": {track: _track(track) for track in COLUMNS if any(row["track"] == track for row in shown)},
-        "cases": [_case(case, number in albums) for number, case in enumerate(cases)],
+        "cases": [_case(case) for case in cases],
         "rows": [_row(row, case, pool) for row, case in zip(shown, places, strict=True)],
         "texts": pool.texts, "quantiles": _quantiles(), "leftOut": left_out,
     }  # fmt: skip
@@ -152,17 +152,20 @@ def _rank(row: Record) -> tuple[bool, bool, float]:
 
 
 def _track(track: str) -> dict[str, Any]:
-    heading, told, wide = _PICTURED.get(track, ("Pictures", "", True))
+    heading, told, wide = PICTURED[track]
     columns = [{"key": one.key, "heading": one.heading, "decimals": one.decimals, "meaning": one.meaning} for one in COLUMNS[track]]
     pictured = {"heading": heading, "told": told, "wide": wide, "errors": _ERRORS.get(track, "")}
     return {"columns": columns, "larger": LARGER_IS_BETTER[track], "pictured": pictured}
 
 
-def _case(row: Record, pictured: bool) -> dict[str, Any]:
-    hidden = "-hidden" if row["split"] == "hidden" else ""
-    head = {name: row.get(name) for name in ("track", "suite", "scene", "difficulty", "axis", "renderer", "split")}
-    name, tag = row["case"], f"{row['case']}-{row['scene_hash'][:8]}-{row['renderer']}{hidden}"
-    return {**head, "id": tag, "name": name, "hash": row["scene_hash"], "axes": text_of(row.get("axes") or {}), "pictured": pictured}
+def _case(rows: Sequence[Record]) -> dict[str, Any]:
+    """What its rows say of a case; older records do not say all of it."""
+    first = rows[0]
+    hidden = "-hidden" if first["split"] == "hidden" else ""
+    told = {name: next((row[name] for row in rows if row.get(name)), None) for name in ("suite", "difficulty", "axis", "axes")}
+    head = {name: first[name] for name in ("track", "scene", "renderer", "split")}
+    tag = f"{first['case']}-{first['scene_hash'][:8]}-{first['renderer']}{hidden}"
+    return {**head, **told, "axes": text_of(told["axes"] or {}), "id": tag, "name": first["case"], "hash": first["scene_hash"]}
 
 
 def _row(row: Record, case: int, pool: _Pool) -> dict[str, Any]:

@@ -100,7 +100,7 @@ function differences(a, b) {
   });
   const table = make("table", { class: "differences" }, make("caption", { class: "unseen" }, "Scores of the two and their differences"),
     make("thead", {}, make("tr", {}, head.map(text => make("th", { scope: "col", class: "plain" }, text)))), make("tbody", {}, lines));
-  return make("div", {}, make("div", { class: "box", role: "region", "aria-label": "Scores of the two and their differences", tabindex: "0" }, table),
+  return make("div", {}, make("div", { class: "box differences-box", role: "region", "aria-label": "Scores of the two and their differences", tabindex: "0" }, table),
     make("p", { class: "quiet" }, "The difference is the mean over the seeds that both have, of the first's score minus the second's on the same data, with half the width of its 95 % "
       + "confidence interval: “yes” where that interval does not hold zero."));
 }

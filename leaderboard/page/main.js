@@ -76,6 +76,7 @@ function start() {
   part.status.setAttribute("role", "status");
   main.append(part.views, part.filters, part.status, part.content);
   render();
+  performance.mark("first row");
   addEventListener("hashchange", moved);
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", render);
 }
