@@ -48,6 +48,7 @@ function render() {
   viewsBar();
   if (before.track !== state.track || before.moved) drawFilters();
   part.filters.hidden = state.view === "case";
+  part.filters.dataset.view = state.view;
   const rows = chosen();
   part.status.textContent = state.view === "case" ? "" : `${rows.length} of ${byTrack[state.track].length} results`;
   const views = { table: () => tableView(rows), time: () => timeView(rows), why: () => whyView(rows), case: caseView };
@@ -76,7 +77,7 @@ function start() {
   part.status.setAttribute("role", "status");
   main.append(part.views, part.filters, part.status, part.content);
   render();
-  performance.mark("first row");
+  requestAnimationFrame(() => setTimeout(() => performance.mark("first row")));  // when it is on the screen: benchmarks/page.py reads it
   addEventListener("hashchange", moved);
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", render);
 }

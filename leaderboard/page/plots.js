@@ -124,7 +124,7 @@ function mostSolved(rows) {
 
 function timePlot(rows, column, own) {
   const inKernels = state.x === "kernels";
-  const known = rows.filter(row => scoreOf(row, column.key) && scoreOf(row, "seconds")?.[0] > 0 && (!inKernels || row.reference));
+  const known = rows.filter(row => !row.error && scoreOf(row, column.key) && scoreOf(row, "seconds")?.[0] > 0 && (!inKernels || row.reference));
   if (!known.length) return nothing(`No solver of this case has both this score and a time${inKernels ? " in reference kernels" : ""}.`);
   const points_ = known.map(row => {
     const seconds = scoreOf(row, "seconds");
@@ -165,9 +165,9 @@ function whyPlots(rows, column) {
   const known = rows.filter(row => best.includes(solverOf(row)) && !row.error && scoreOf(row, column.key));
   const levels = levelsOf(known, column, best), losses = lossesOf(known, column, best);
   const note = all.length > MOST ? make("p", { class: "quiet" }, `The ${MOST} best of ${all.length} solvers; the filter chooses others.`) : null;
-  return [note, levels.length ? levelPlot(levels, column) : nothing("No solver has this score at any difficulty."),
-    losses.length ? lossPlot(losses, column) : nothing("No solver has this score in a case of an axis and in its standard case."),
-    legend(best.filter(solver => known.some(row => solverOf(row) === solver)))].filter(Boolean);
+  const solvers = best.filter(solver => known.some(row => solverOf(row) === solver));
+  return [note, legend(solvers), levels.length ? levelPlot(levels, column) : nothing("No solver has this score at any difficulty."),
+    losses.length ? lossPlot(losses, column) : nothing("No solver has this score in a case of an axis and in its standard case.")].filter(Boolean);
 }
 
 function rankOf(rows, solver) {

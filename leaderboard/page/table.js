@@ -1,11 +1,11 @@
 // The table: a page of rows at a time, so that ten thousand records make no more elements than fifty.
 const PAGE = 25;
-const MAIN = 4;  // scores that are shown before all are asked for, and the two of cost
+const MAIN = 3;  // scores that are shown before all are asked for, and the two of cost
 const open = new Set();  // ids of rows whose details are shown
 
 function columnsOf(rows) {
   const columns = data.tracks[state.track].columns.map((column, place) => ({ ...column, place }));
-  const wanted = state.all ? columns : columns.filter((column, place) => place < MAIN || place >= columns.length - 2);
+  const wanted = state.all || oneCase() ? columns : columns.filter((column, place) => place < MAIN || place >= columns.length - 2);
   return wanted.filter(column => column.place === 0 || rows.some(row => row.scores[column.place]));  // not every case has every figure
 }
 

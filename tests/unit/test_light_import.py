@@ -21,7 +21,7 @@ LEVELS = [
     {"multiphase", "codes", "bubblefit", "bubblefeature", "ellipses", "featurepeaks", "bubble_figures"},
     {"dataset"},
     {"tomography"},
-    {"generation", "solving", "scoring", "tracks", "pictures", "board"},
+    {"generation", "solving", "scoring", "tracks", "pictures", "page", "board"},
     {"suite"},
     {"run", "reproduce", "doctor", "calibrate", "export"},
     {"cli"},
