@@ -87,7 +87,8 @@ def render(rows: Sequence[Record], pictures: Path) -> str:
 def _assembled(data: dict[str, Any], albums: dict[int, dict[str, str]]) -> str:
     folder = plugins.bundled("leaderboard")
     style = _inline((folder / "page" / "page.css").read_text(encoding="utf-8"))
-    script = _inline("\n".join((folder / "page" / f"{name}.js").read_text(encoding="utf-8") for name in _SCRIPTS))
+    parts = "\n".join((folder / "page" / f"{name}.js").read_text(encoding="utf-8") for name in _SCRIPTS)
+    script = _inline(f"(() => {{\n{parts}}})();")  # a function of its own: the library's names are not its names
     texts = {"style": style, "script": script, "library": library()}
     environment = Environment(loader=FileSystemLoader(folder), autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
     blocks = {number: _data(album) for number, album in albums.items()}

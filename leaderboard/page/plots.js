@@ -13,9 +13,12 @@ function dark() {
   return matchMedia("(prefers-color-scheme: dark)").matches;
 }
 
+const solversOf = {};  // all of a track, by name
+
 // One colour and one marker for every solver of the track, the same in all plots.
 function lookOf(solver) {
-  const place = values(byTrack[state.track], solverOf).indexOf(solver), palette = PALETTES[dark() ? "dark" : "light"];
+  solversOf[state.track] ??= values(byTrack[state.track], solverOf);
+  const place = solversOf[state.track].indexOf(solver), palette = PALETTES[dark() ? "dark" : "light"];
   return { colour: palette[place % palette.length], shape: MARKERS[place % MARKERS.length] };
 }
 
@@ -155,7 +158,8 @@ function groupsOf(rows) {
     const own = caseOf(row);
     if (!own.difficulty && !own.axis) continue;
     const name = listed([own.suite ?? own.scene, own.renderer, own.split === "hidden" && "hidden split"].filter(Boolean));
-    groups.set(name, [...(groups.get(name) ?? []), row]);
+    if (!groups.has(name)) groups.set(name, []);
+    groups.get(name).push(row);
   }
   return groups;
 }

@@ -19,7 +19,7 @@ function heading(key, text, number, title) {
 
 function heads(columns) {
   return make("tr", {},
-    heading("solver", "solver"), oneCase() ? null : [heading("case", "case"), heading("difficulty", "difficulty")], heading("seeds", "seeds", true),
+    heading("solver", "solver"), oneCase() ? null : heading("case", "case"), graded() ? heading("difficulty", "difficulty") : null, heading("seeds", "seeds", true),
     columns.map(column => heading(column.key, column.heading, true, column.meaning)),
     heading("machine", "machine"), make("th", { scope: "col", class: "plain" }, "reproduce"), make("th", { scope: "col", class: "plain" }, "details"));
 }
@@ -32,9 +32,14 @@ function chips(row) {
   ];
 }
 
+// A name that may go to the next line after an underscore.
+function wrapped(name) {
+  return name.split(/(?<=_)/).flatMap((part, place) => (place ? [make("wbr"), part] : [part]));
+}
+
 function solverCell(row) {
   const parameters = textOf(row.parameters);
-  return make("th", { scope: "row" }, make("span", { class: "name" }, solverOf(row)), chips(row),
+  return make("th", { scope: "row" }, make("span", { class: "name" }, wrapped(solverOf(row))), chips(row),
     parameters && make("span", { class: "quiet few clamp", title: parameters }, parameters));
 }
 
@@ -50,7 +55,8 @@ function lineOf(row, columns) {
   const own = caseOf(row);
   const line = make("tr", { class: row.error ? "failed" : null },
     solverCell(row),
-    oneCase() ? null : caseCells(own),
+    oneCase() ? null : make("td", { class: "words" }, make("a", { href: link({ view: "case", case: own.id, sort: "", page: "1", a: "", b: "" }) }, own.name)),
+    graded() ? make("td", {}, own.difficulty ?? DASH, own.axis && make("span", { class: "quiet few" }, own.axis)) : null,
     make("td", { class: "number" }, String(row.seeds.length)),
     scoreCells(row, columns),
     make("td", { class: "words" }, textOf(row.machine) || DASH),
@@ -63,11 +69,9 @@ function oneCase() {
   return state.view === "case";
 }
 
-function caseCells(own) {
-  return [
-    make("td", { class: "words" }, make("a", { href: link({ view: "case", case: own.id, sort: "", page: "1", a: "", b: "" }) }, own.name)),
-    make("td", {}, own.difficulty ?? DASH, own.axis && make("span", { class: "quiet few" }, own.axis)),
-  ];
+// Whether there is a column of difficulties: a track need not have any, and all rows of a case have the same.
+function graded() {
+  return !oneCase() && data.cases.some(own => own.track === state.track && (own.difficulty || own.axis));
 }
 
 function detailsButton(row) {
