@@ -58,6 +58,7 @@ PICTURED = {  # heading and text of a case's pictures, and whether they are wide
 _ERRORS = {  # what the maps of errors show, of tracks that have them
     "reconstruction": "The estimate, scaled to fit best, minus the truth in the same window: blue is light that is missing, red is light too much. "
     "All maps of a case have one scale.",
+    "see_through": "The code in black and white; red cells are dark and read as bright, blue ones bright and read as dark.",
     "bubbles": "Green bubbles were found, blue ones were missed, orange ones were found where there are none.",
 }
 

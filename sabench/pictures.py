@@ -7,7 +7,7 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from sabench.arrays import F32, F64, U16
+from sabench.arrays import F32, F64, U16, Bool
 
 U8 = npt.NDArray[np.uint8]
 
@@ -94,6 +94,14 @@ def _enlarged(pixels: U8) -> U8:
     """Each voxel as a block of whole pixels."""
     block = max(1, _ENLARGED_PX // max(pixels.shape[:2]))
     return pixels.repeat(block, axis=0).repeat(block, axis=1)
+
+
+def read_picture(dark: Bool, right: Bool) -> bytes:
+    """A code (rows, columns) of dark and bright cells as a PNG: black and white where it is read right, red where dark is read as bright, blue where
+    bright is read as dark."""
+    truth = np.where(dark[..., None], 0.0, _RIGHT)
+    wrong = np.where(dark[..., None], _TOO_MUCH, _MISSING)
+    return _png(_enlarged(np.where(right[..., None], truth, wrong).astype(np.uint8)))
 
 
 def grey_picture(values: F64, size_px: int) -> bytes:

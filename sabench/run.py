@@ -52,8 +52,9 @@ def run_suite(path: str | Path, work: Path, leaderboard: Path, *, fresh: bool = 
 
 def build_board(leaderboard: Path) -> Path:
     """Records to page; returns the page's path."""
-    page = leaderboard / "index.html"
-    board.build_page(latest(read_records(leaderboard / "records")), leaderboard / "pictures", page)
+    page, records = leaderboard / "index.html", latest(read_records(leaderboard / "records"))
+    console.print(f"page of {len(records)} records", markup=False, highlight=False)
+    board.build_page(records, leaderboard / "pictures", page)
     return page
 
 

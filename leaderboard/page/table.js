@@ -34,7 +34,7 @@ function chips(row) {
 
 // A name that may go to the next line after an underscore.
 function wrapped(name) {
-  return name.split(/(?<=_)/).flatMap((part, place) => (place ? [make("wbr"), part] : [part]));
+  return (name.match(/[^_]*_|[^_]+/g) ?? []).flatMap((part, place) => (place ? [make("wbr"), part] : [part]));
 }
 
 function solverCell(row) {
