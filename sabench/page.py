@@ -55,6 +55,14 @@ PICTURED = {  # heading and text of a case's pictures, and whether they are wide
         False,
     ),
 }
+_PARTICLES = "First frame of every camera, one brightness scale for all; dim particles are raised."
+_CAMERAS = {  # what the pictures of the cameras show
+    "reconstruction": _PARTICLES,
+    "velocimetry": _PARTICLES,
+    "calibration": "Points of the target that every camera found, each frame in its own grey, or what it saw of the particles.",
+    "bubbles": "First frame of every camera.",
+    "see_through": "First frame of every camera.",
+}
 _ERRORS = {  # what the maps of errors show, of tracks that have them
     "reconstruction": "The estimate, scaled to fit best, minus the truth in the same window: blue is light that is missing, red is light too much. "
     "All maps of a case have one scale.",
@@ -156,7 +164,7 @@ def _rank(row: Record) -> tuple[bool, bool, float]:
 def _track(track: str) -> dict[str, Any]:
     heading, told, wide = PICTURED[track]
     columns = [{"key": one.key, "heading": one.heading, "decimals": one.decimals, "meaning": one.meaning} for one in COLUMNS[track]]
-    pictured = {"heading": heading, "told": told, "wide": wide, "errors": _ERRORS.get(track, "")}
+    pictured = {"heading": heading, "told": told, "wide": wide, "cameras": _CAMERAS[track], "errors": _ERRORS.get(track, "")}
     return {"columns": columns, "larger": LARGER_IS_BETTER[track], "pictured": pictured}
 
 

@@ -33,11 +33,11 @@ function caseView() {
 }
 
 function gallery(rows, own) {
-  const { heading: title, told, wide } = data.tracks[state.track].pictured, album = albumOf(own);
+  const { heading: title, told, wide, cameras } = data.tracks[state.track].pictured, album = albumOf(own);
   const first = data.tracks[state.track].columns[0];
   const out = [];
   if (album.images) out.push(make("h3", {}, "Camera images"), make("div", { class: "cameras" },
-    figure(album.images, `First frame of every camera: ${own.name}`, make("span", { class: "quiet" }, "First frame of every camera, one brightness scale for all; dim particles are raised."))));
+    figure(album.images, `Camera images: ${own.name}`, make("span", { class: "quiet" }, cameras))));
   const shots = rows.filter(row => album[`row${row.place}`]).map(row => figure(album[`row${row.place}`], `${title}: ${solverOf(row)}`,
     make("b", {}, solverOf(row)), row.scores[0] ? ` ${first.heading} ${shown(row.scores[0], first.decimals)}` : "", make("span", { class: "quiet few" }, textOf(row.parameters))));
   if (album.truth) shots.unshift(figure(album.truth, `${title}: the truth`, make("b", {}, "truth")));
