@@ -15,7 +15,7 @@ function tracksBar() {
 
 function viewsBar() {
   const shownView = state.view === "case" ? "" : state.view;
-  const links = Object.entries(VIEWS).map(([view, name]) => make("a", { href: link({ view, case: "", a: "", b: "" }), "aria-current": view === shownView ? "page" : null }, name));
+  const links = Object.entries(VIEWS).map(([view, name]) => make("a", { href: link({ view, case: view === "time" ? state.case : "", a: "", b: "" }), "aria-current": view === shownView ? "page" : null }, name));
   part.views.setAttribute("aria-label", "Views");
   part.views.replaceChildren(...links);
 }

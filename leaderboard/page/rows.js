@@ -15,7 +15,7 @@ function solverOf(row) {
 function searched(row) {
   if (row.searched === undefined) {
     const own = caseOf(row);
-    const texts = [own.name, own.scene, own.suite, own.axes, own.axis, solverOf(row), textOf(row.name), textOf(row.parameters), row.submission?.name];
+    const texts = [own.name, own.scene, own.suite, own.axes, own.axis, solverOf(row), textOf(row.name), textOf(row.parameters), row.submission?.name, textOf(row.machine)];
     row.searched = texts.filter(Boolean).join(" ").toLowerCase();
   }
   return row.searched;
