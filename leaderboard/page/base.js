@@ -71,7 +71,11 @@ async function copy(text, button) {
   setTimeout(() => { button.textContent = before; }, 1500);
 }
 
+function copyButton(text) {
+  const button = make("button", { type: "button", class: "copy", title: text, "aria-label": `copy the command ${text}`, click: () => copy(text, button) }, "copy");
+  return button;
+}
+
 function command(text) {
-  const button = make("button", { type: "button", class: "copy", "aria-label": `copy the command ${text}`, click: () => copy(text, button) }, "copy");
-  return make("div", { class: "command" }, make("code", {}, text), button);
+  return make("div", { class: "command" }, make("code", {}, text), copyButton(text));
 }

@@ -60,7 +60,7 @@ function lineOf(row, columns) {
     make("td", { class: "number" }, String(row.seeds.length)),
     scoreCells(row, columns),
     make("td", { class: "words" }, textOf(row.machine) || DASH),
-    make("td", { class: "commands" }, row.commands.length ? command(textOf(row.commands[0])) : DASH),
+    make("td", {}, row.commands.length ? copyButton(textOf(row.commands[0])) : DASH),
     make("td", {}, detailsButton(row)));
   return line;
 }
