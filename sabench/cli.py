@@ -8,15 +8,19 @@ import os
 import sys
 import tomllib
 from pathlib import Path
-from typing import Annotated, Any, NoReturn, cast
+from typing import TYPE_CHECKING, Annotated, Any, NoReturn, cast
 
 import typer
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
 from sabench import __version__, plugins
 from sabench.errors import InputError
 from sabench.parsing import find
+
+if TYPE_CHECKING:
+    from sabench.gate import Report
 
 app = typer.Typer(
     add_completion=False, no_args_is_help=True, help="Synthetic data with known truth for volumetric velocimetry, and benchmarks on it."
@@ -52,13 +56,19 @@ def generate(
     output: Annotated[Path, typer.Option("-o", "--output", help="The data set folder to make.")],
     seed: Annotated[int, typer.Option(help="Seed of all random numbers.")] = 0,
     backend: Annotated[str, typer.Option(help="auto, mitsuba or splat.")] = "auto",
+    frames: Annotated[int | None, typer.Option(min=1, help="How many, in place of what the scene says.")] = None,
+    jobs: Annotated[int, typer.Option(min=1, help="Processes that share the work.")] = 1,
+    scheduler: Annotated[str | None, typer.Option(help="Address of a Dask scheduler, tcp://..., whose workers do the work.")] = None,
     overwrite: Overwrite = False,
 ) -> None:
-    """Make a data set: pictures, cameras and truth."""
+    """Make a data set: pictures, cameras and truth. Interrupted, the same command goes on with it."""
     from sabench.generation import Renderer
     from sabench.generation import generate as make
+    from sabench.rig import load_scene
 
-    made = make(scene, output, seed=seed, backend=cast(Renderer, backend), overwrite=overwrite)  # `make` checks the word
+    loaded = load_scene(scene) if frames is None else load_scene(scene).with_frames(frames)
+    kind = cast(Renderer, backend)  # `make` checks the word
+    made = make(loaded, output, seed=seed, backend=kind, name=Path(scene).stem, overwrite=overwrite, jobs=jobs, scheduler=scheduler)
     _say(f"{made.root}: {made.rig.frames} frame(s) of {len(made.rig.cameras)} cameras, {made.manifest.renderer}, hash {made.content_hash[:12]}")
 
 
@@ -77,17 +87,21 @@ def verify(dataset: Annotated[Path, typer.Argument(help="A data set folder.")]) 
 
 @app.command()
 def solve(
-    solver: Annotated[str, typer.Argument(help="Name of a solver.")],
+    solver: Annotated[str, typer.Argument(help="Name of a solver, or path of a program; see docs/participate.md.")],
     dataset: Annotated[Path, typer.Argument(help="A data set folder.")],
     output: Annotated[Path, typer.Option("-o", "--output", help="The result file to make.")],
     parameter: Annotated[list[str] | None, typer.Option("-p", "--parameter", help="name=value, as often as needed.")] = None,
+    time_limit: Annotated[float | None, typer.Option(help="Of a program: seconds; by default 3600.")] = None,
+    memory_limit: Annotated[float | None, typer.Option(help="Of a program's processes together: MB; by default nine tenths of what is free.")] = None,
     overwrite: Overwrite = False,
 ) -> None:
     """Reconstruct a data set."""
+    from sabench.confined import limits_of
     from sabench.solving import solve as run_solver
 
-    result = run_solver(solver, dataset, output, parameters=_parameters(parameter or []), overwrite=overwrite)
-    _say(f"{output}: {solver}, {result.seconds:.2f} s per frame, {result.peak_mb or float('nan'):.0f} MB at most")
+    limits = limits_of(time_limit, memory_limit)
+    result = run_solver(solver, dataset, output, parameters=_parameters(parameter or []), limits=limits, overwrite=overwrite)
+    _say(f"{output}: {result.solver}, {result.seconds:.2f} s per frame, {result.peak_mb or float('nan'):.0f} MB at most")
 
 
 @app.command()
@@ -176,6 +190,32 @@ def run(
 
 
 @app.command()
+def check(
+    suite: Annotated[str, typer.Argument(help="A suite file, or the name of a bundled suite.")],
+    baseline: Annotated[Path | None, typer.Option(help="Figures to compare with; by default the bundled ones of the suite.")] = None,
+    update: Annotated[bool, typer.Option("--update", help="Write this run's figures as the baseline; tolerances stay.")] = False,
+    solver: Annotated[list[str] | None, typer.Option(help="In place of the suite's, on its cases of the same track; repeatable.")] = None,
+    junit: Annotated[Path | None, typer.Option(help="A JUnit XML file to make.")] = None,
+    as_json: AsJson = False,
+    work: Annotated[Path | None, typer.Option(help="Folder for data sets and results; by default a temporary one.")] = None,
+    exit_first: Annotated[bool, typer.Option("-x", "--exit-first", help="Stop after the first case with something worse.")] = False,
+) -> None:
+    """Run a suite and compare every figure with a baseline: exit code 1 and a table if something got worse."""
+    from sabench.gate import check_file
+    from sabench.junit import write_junit
+
+    report = check_file(suite, baseline, work, update=update, solvers=solver or (), exit_first=exit_first)
+    if junit:
+        write_junit(junit, report)
+    if as_json:
+        _say(json.dumps(report.to_dict(), allow_nan=False))
+    else:
+        _show_report(report)
+    if report.worse:
+        raise typer.Exit(1)
+
+
+@app.command()
 def reproduce(
     tables: Annotated[list[str], typer.Argument(help="table-2-1, fig-2-6 or others: an unknown name lists them.")],
     as_json: AsJson = False,
@@ -209,6 +249,33 @@ def reproduce(
         _say(json.dumps(rows, allow_nan=False))
     else:
         _show_rows(rows)
+
+
+@app.command()
+def submit(
+    result: Annotated[Path, typer.Argument(help="A result file, or a .zip, .tar, .tar.gz or folder of result files.")],
+    name: Annotated[str, typer.Option(help="Who submits: at most 80 characters.")],
+    data: Annotated[list[Path] | None, typer.Option(help="Folder of data sets, as often as needed; by default work/datasets.")] = None,
+    leaderboard: Leaderboard = Path("leaderboard"),
+    as_json: AsJson = False,
+) -> None:
+    """Check and score results from elsewhere and put them on the leaderboard."""
+    from sabench.columns import COLUMNS
+    from sabench.submission import submit as send
+
+    standings = send(result, name, data or [Path("work/datasets")], leaderboard)
+    if as_json:
+        _say(json.dumps([{**one.record, "rank": one.rank, "of": one.of} for one in standings], allow_nan=False))
+        return
+    table = Table("case", "seed", "solver", "first score", "rank", "best other")
+    for one in standings:
+        first = COLUMNS[one.record["track"]][0]
+        score = "-" if one.record[first.key] is None else f"{first.key} {one.record[first.key]:.{first.decimals}f}"
+        rival = f"{one.best[0]}: {one.best[1]:.{first.decimals}f}" if one.best else "-"
+        rank = f"{one.rank} of {one.of}" if one.rank else "-"
+        table.add_row(*(escape(str(text)) for text in (one.record["case"], one.record["seed"], one.record["solver"], score, rank, rival)))
+    _print(table)
+    _say(f"page: {(leaderboard / 'index.html').resolve()}")
 
 
 @app.command()
@@ -281,6 +348,19 @@ def _show_records(records: list[dict[str, Any]]) -> None:
             table.add_row(row["case"], row.get("label") or row["solver"], str(len(row["seeds"])), *figures)
         if own:
             _print(table)
+
+
+def _show_report(report: Report) -> None:
+    """What got worse as a table, what else has changed in lines, and one line for all of it."""
+    table = Table("case", "solver", "figure", "baseline", "now", "change", "tolerance")
+    for one in report.worse:
+        figures = ("-" if value is None else f"{value:.6g}" for value in (one.before, one.now, one.change, one.tolerance))
+        table.add_row(one.case, one.solver, one.text or one.figure, *figures)
+    if report.worse:
+        _print(table)
+    for one in report.news:
+        _say(f"news: {one.sentence}")
+    _say(report.summary)
 
 
 def _show_rows(rows: list[dict[str, Any]]) -> None:

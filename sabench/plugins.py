@@ -67,11 +67,12 @@ def summary(plugin: type[Any]) -> str:
     return (plugin.__doc__ or "").strip().split("\n")[0]
 
 
-def _mount() -> None:
+def mount() -> None:
+    """Make the packages whose modules the plug-ins are; again after SABENCH_PLUGINS has changed."""
     for kind in KINDS:
         module = ModuleType(f"{__name__}.{kind}", f"Plug-ins: {kind}.")
         module.__path__ = [str(folder) for folder in folders(kind)]
         sys.modules[module.__name__] = module
 
 
-_mount()
+mount()

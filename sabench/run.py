@@ -2,21 +2,17 @@
 
 from __future__ import annotations
 
-import functools
 import hashlib
 import importlib.metadata
-import multiprocessing
-import multiprocessing.connection
 import os
 import platform
 import shutil
-import signal
 from collections.abc import Iterator
-from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import Any
 
 from sabench import __version__, backend, board, tracks
+from sabench.apart import apart
 from sabench.columns import COLUMNS
 from sabench.dataset.read import Dataset, open_dataset
 from sabench.dataset.result import open_result
@@ -26,7 +22,8 @@ from sabench.files import canonical_json, clear_abandoned, complete_or_nothing
 from sabench.generation import Renderer, generate
 from sabench.progress import console
 from sabench.records import append, latest, read_records
-from sabench.solving import OWN_TRACK, make_algorithm, score, solve
+from sabench.reference_kernel import reference_s
+from sabench.solving import OWN_TRACK, score, solve
 from sabench.suite import Case, Entrant, Suite, load_suite
 
 
@@ -40,7 +37,7 @@ def run_suite(path: str | Path, work: Path, leaderboard: Path, *, fresh: bool = 
     records = []
     for number, case in enumerate(cases, 1):
         console.print(f"data set {number} of {len(cases)}: {case.name}, seed {case.seed}", markup=False, highlight=False)
-        dataset = _dataset(case, work, fresh)
+        dataset = dataset_of(case, work, fresh)
         for record in _rank(case, dataset, suite, work, leaderboard):
             append(leaderboard / "records" / "local.jsonl", record)
             records.append(record)
@@ -58,7 +55,7 @@ def build_board(leaderboard: Path) -> Path:
     return page
 
 
-def _dataset(case: Case, work: Path, fresh: bool) -> Dataset:
+def dataset_of(case: Case, work: Path, fresh: bool) -> Dataset:
     """The case's data set: an earlier one if it is whole and was made by this version, else a new one."""
     folder = case.folder(work)
     if folder.is_dir() and not fresh and not verify(folder):
@@ -75,13 +72,13 @@ def _rank(case: Case, dataset: Dataset, suite: Suite, work: Path, leaderboard: P
     folder = leaderboard / "pictures" / case.folder(work).name if case.seed == suite.seeds[0] else None
     if folder:
         _picture_case(folder, dataset)
-    for entrant in suite.solvers:
+    for entrant in case.solvers:
         head = _describe(case, dataset, entrant) | {"pictures": folder.name if folder else None}
         record = head | _blank(head["track"])
-        name = f"{entrant.name}-{record['run_hash'][:8]}"
+        name = f"{head['solver']}-{head['run_hash'][:8]}"
         out = work / "results" / f"{case.folder(work).name}-{name}.h5"
         try:
-            _solve_apart(entrant, dataset, out)
+            record["reference_s"] = solve_apart(entrant, dataset, out)
             record |= {key: value for key, value in score(dataset, out).items() if key not in head}
             if folder:
                 _picture_result(folder / name, record["track"], dataset, out)
@@ -110,21 +107,24 @@ def _picture_result(stem: Path, track: str, dataset: Dataset, out: Path) -> None
 
 def _describe(case: Case, dataset: Dataset, entrant: Entrant) -> dict[str, Any]:
     """All of a record but its scores and pictures."""
-    solver = make_algorithm(entrant.name, entrant.parameters)
-    parameters = solver.parameters.model_dump(mode="json")
+    solver, track, parameters = entrant.describe()
     head = {
         "scene": case.base, "case": case.name, "axes": dict(case.axes), "scene_hash": case.scene.hash, "dataset": dataset.content_hash,
-        "seed": case.seed, "renderer": case.renderer, "track": solver.track, "solver": entrant.name, "label": entrant.label, "parameters": parameters,
+        "seed": case.seed, "renderer": case.renderer, "track": track, "solver": solver, "label": entrant.label, "parameters": parameters,
     }  # fmt: skip
-    versions = {name: _version(name) for name in ("mitsuba", "drjit", "numpy", "scipy")}
-    versions |= {"sabench": __version__, "python": platform.python_version()}
-    run_hash = hashlib.sha256(canonical_json([head["dataset"], entrant.name, parameters]).encode()).hexdigest()
-    return {**head, "versions": versions, "machine": machine(), "run_hash": run_hash}
+    run_hash = hashlib.sha256(canonical_json([head["dataset"], solver, parameters]).encode()).hexdigest()
+    return {**head, "versions": versions(), "machine": machine(), "run_hash": run_hash}
+
+
+def versions() -> dict[str, str]:
+    """Of what shapes the figures."""
+    libraries = {name: _version(name) for name in ("mitsuba", "drjit", "numpy", "scipy")}
+    return libraries | {"sabench": __version__, "python": platform.python_version()}
 
 
 def _blank(track: str) -> dict[str, Any]:
     """A record's scores before any is known."""
-    return dict.fromkeys((*(column.key for column in COLUMNS[track]), "error")) | {"declined": False}
+    return dict.fromkeys((*(column.key for column in COLUMNS[track]), "error", "reference_s")) | {"declined": False}
 
 
 def machine() -> dict[str, Any]:
@@ -139,55 +139,27 @@ def machine() -> dict[str, Any]:
     return {"cpu": cpu, "cores": os.cpu_count(), "system": f"{platform.system()} {platform.machine()}", "backend": kind}
 
 
-def _solve_apart(entrant: Entrant, dataset: Dataset, out: Path) -> None:
-    """Solve in a process of its own, so that its memory is its own and its crash is only its own; its fault is an InputError here."""
-    context = _context()
-    receiver, sender = context.Pipe(duplex=False)
-    child = context.Process(target=_solve_child, args=(sender, entrant.name, entrant.parameters, str(dataset.root), str(out)))
-    _start_deaf(child)
-    sender.close()
+def solve_apart(entrant: Entrant, dataset: Dataset, out: Path) -> float:
+    """Solve in a process of its own, so that its memory is its own and its crash is only its own; its fault is an InputError here.
+
+    Returns
+    -------
+    Seconds of the reference kernel, the mean of before and after.
+    """
     try:
-        fault: InputError | None = receiver.recv()
-    except EOFError:  # it died without a word
-        child.join()
-        fault = InputError(f"solver {entrant.name}: its process ended with exit code {child.exitcode}")
-    except KeyboardInterrupt:
-        child.terminate()
-        raise
+        if not entrant.is_program:
+            return float(apart(_solve, entrant.name, entrant.parameters, str(dataset.root), str(out), doing=f"solver {entrant.name}"))
+        before = reference_s()
+        solve(entrant.name, dataset, out, parameters=entrant.parameters, limits=entrant.limits, overwrite=True)
+        return (before + reference_s()) / 2.0
     finally:
-        child.join()
-        receiver.close()
         clear_abandoned(out)
-    if fault is not None:
-        raise fault
 
 
-@functools.cache
-def _context() -> Any:
-    """Processes forked from one that has loaded what solvers need and nothing else, which saves each a second; spawned where there is no fork."""
-    if "forkserver" not in multiprocessing.get_all_start_methods():
-        return multiprocessing.get_context("spawn")
-    context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload(["sabench.solving", "sabench.reproject", "sabench.tomography.problem"])
-    return context
-
-
-def _start_deaf(child: BaseProcess) -> None:
-    """Start a process that does not hear Ctrl-C, which a terminal sends to all: the parent hears it and ends the child."""
-    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
-    try:
-        child.start()
-    finally:
-        signal.signal(signal.SIGINT, before)
-
-
-def _solve_child(sender: multiprocessing.connection.Connection, name: str, parameters: dict[str, Any], dataset: str, out: str) -> None:
-    try:
-        solve(name, dataset, out, parameters=parameters, overwrite=True)
-    except (InputError, OSError, MemoryError) as error:
-        sender.send(error if isinstance(error, InputError) else InputError(f"{error}" or type(error).__name__))
-    else:
-        sender.send(None)
+def _solve(name: str, parameters: dict[str, Any], dataset: str, out: str) -> float:
+    before = reference_s()
+    solve(name, dataset, out, parameters=parameters, overwrite=True)
+    return (before + reference_s()) / 2.0
 
 
 def _draw(path: Path, picture: bytes) -> None:

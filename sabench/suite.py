@@ -13,9 +13,12 @@ from typing import Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
+from sabench.columns import COLUMNS
+from sabench.confined import Limits, limits_of
 from sabench.errors import InputError
 from sabench.generation import Renderer, choose_renderer
 from sabench.parsing import find, parse_scene, validate
+from sabench.programs import find_program, is_program, solver_name
 from sabench.rig import build_rig, load_scene
 from sabench.scene import Scene
 from sabench.solving import make_algorithm
@@ -35,19 +38,41 @@ class Changes(_Table):
     vary: dict[str, Annotated[list[Any], Field(min_length=1)]] = Field({}, description="lists of values: one case for each, or for each combination")
 
 
+class Entrant(_Table):
+    """One solver with its parameters, or a program with its limits."""
+
+    name: str = Field(description="of a solver, or the path of a program beside the suite")
+    parameters: dict[str, Any] = {}
+    label: str | None = Field(None, description="shown in place of the name")
+    track: str | None = Field(None, description="of a program: what its results are")
+    time_limit_s: float | None = Field(None, gt=0, description="of a program, for a data set")
+    memory_limit_mb: float | None = Field(None, gt=0, description="of a program's processes together")
+
+    @property
+    def is_program(self) -> bool:
+        """Whether the name is a program's path."""
+        return is_program(self.name)
+
+    @property
+    def limits(self) -> Limits | None:
+        """A program's limits."""
+        return limits_of(self.time_limit_s, self.memory_limit_mb)
+
+    def describe(self) -> tuple[str, str, dict[str, Any]]:
+        """Its name in tables, its track and all its parameters."""
+        if self.is_program:
+            return solver_name(self.name), str(self.track), self.parameters
+        algorithm = make_algorithm(self.name, self.parameters)
+        return self.name, algorithm.track, algorithm.parameters.model_dump(mode="json")
+
+
 class CaseSpec(Changes):
     """One scene, changed."""
 
     scene: str = Field(description="name of a bundled scene, or a path beside the suite")
     name: str | None = Field(None, pattern=f"^{_SAFE}$", description="by default the scene's; the varied values are appended")
-
-
-class Entrant(_Table):
-    """One solver with its parameters."""
-
-    name: str
-    parameters: dict[str, Any] = {}
-    label: str | None = Field(None, description="shown in place of the name")
+    backend: Renderer | None = Field(None, description="by default the suite's")
+    solvers: tuple[Entrant, ...] = Field((), description="by default the suite's")
 
 
 class Suite(Changes):
@@ -59,12 +84,14 @@ class Suite(Changes):
     seeds: tuple[Annotated[int, Field(ge=0, lt=2**63)], ...] = Field((1,), min_length=1)
     backend: Renderer = "auto"
     keep_data: bool = Field(True, description="false: a data set and its results are deleted when they are scored")
-    solvers: tuple[Entrant, ...] = Field(min_length=1)
+    solvers: tuple[Entrant, ...] = Field((), description="of all cases that do not have their own")
 
     @model_validator(mode="after")
     def _has_cases(self) -> Suite:
         if not self.scenes and not self.cases:
             raise ValueError("scenes, cases: expected at least one scene in either")
+        if not self.solvers and (self.scenes or not all(case.solvers for case in self.cases)):
+            raise ValueError("solvers: expected at least one for every case")
         return self
 
 
@@ -77,6 +104,7 @@ class Case:
     name : unique in its suite but for the seed, and safe as a file name.
     base : the name of the scene that was changed.
     axes : the varied keys of the scene with this case's values.
+    solvers : what runs on it.
     """
 
     name: str
@@ -85,6 +113,7 @@ class Case:
     scene: Scene
     seed: int
     renderer: str
+    solvers: tuple[Entrant, ...] = ()
 
     def folder(self, work: Path) -> Path:
         """Where its data set lies."""
@@ -105,12 +134,25 @@ def load_suite(path: str | Path) -> tuple[Suite, list[Case]]:
     except (OSError, ValueError) as error:
         raise InputError(f"{file}: expected a TOML file, got {error}") from error
     suite = validate(Suite, values, str(file))
-    for entrant in suite.solvers:
+    own = suite.model_copy(update={"solvers": tuple(_checked(entrant, file) for entrant in suite.solvers)})
+    specs = [spec.model_copy(update={"solvers": tuple(_checked(entrant, file) for entrant in spec.solvers)}) for spec in _specs(own)]
+    renderers = [choose_renderer(spec.backend or suite.backend) for spec in specs]
+    variants = [(variant, chosen, spec.solvers) for spec, chosen in zip(specs, renderers, strict=True) for variant in _variants(spec, file)]
+    _check_names([name for (name, *_), *_ in variants], file)
+    seeds = dict.fromkeys(suite.seeds)
+    return own, [Case(*variant, seed, chosen, solvers) for variant, chosen, solvers in variants for seed in seeds]
+
+
+def _checked(entrant: Entrant, file: Path) -> Entrant:
+    """A solver that there is with parameters that it takes, or a program with its whole path and its track."""
+    if not entrant.is_program:
+        if any(value is not None for value in (entrant.track, entrant.time_limit_s, entrant.memory_limit_mb)):
+            raise InputError(f"{file}: solver {entrant.name}: expected track, time_limit_s and memory_limit_mb for programs only")
         make_algorithm(entrant.name, entrant.parameters)
-    renderer = choose_renderer(suite.backend)
-    variants = [variant for spec in _specs(suite) for variant in _variants(spec, file)]
-    _check_names([name for name, *_ in variants], file)
-    return suite, [Case(*variant, seed, renderer) for variant in variants for seed in dict.fromkeys(suite.seeds)]
+        return entrant
+    if entrant.track not in COLUMNS:
+        raise InputError(f"{file}: program {entrant.name}: track: expected one of {', '.join(COLUMNS)}, got {entrant.track!r}")
+    return entrant.model_copy(update={"name": str(find_program(entrant.name, file.parent))})
 
 
 def override(scene: Scene, values: Mapping[str, Any], source: str) -> Scene:
@@ -135,7 +177,8 @@ def _assign(table: dict[str, Any], key: str, value: Any, source: str) -> None:
 def _specs(suite: Suite) -> list[CaseSpec]:
     """All cases with the suite's own changes in front of theirs."""
     specs = (*(CaseSpec(scene=name) for name in suite.scenes), *suite.cases)
-    return [spec.model_copy(update={"set": suite.set | spec.set, "vary": suite.vary | spec.vary}) for spec in specs]
+    inherited = ({"set": suite.set | spec.set, "vary": suite.vary | spec.vary, "solvers": spec.solvers or suite.solvers} for spec in specs)
+    return [spec.model_copy(update=update) for spec, update in zip(specs, inherited, strict=True)]
 
 
 def _variants(spec: CaseSpec, suite: Path) -> Iterator[tuple[str, str, dict[str, Any], Scene]]:

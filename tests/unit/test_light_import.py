@@ -9,10 +9,10 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
 LEVELS = [
-    {"errors", "arrays", "theory", "statistics", "rooflines", "columns", "plots", "jets", "linking", "foils"},
-    {"files", "seeds", "progress", "plugins", "memory", "sentences", "preprocessing"},
+    {"errors", "arrays", "theory", "statistics", "rooflines", "columns", "plots", "jets", "linking", "foils", "code", "reference_kernel"},
+    {"files", "seeds", "progress", "plugins", "memory", "sentences", "preprocessing", "apart", "archives"},
     {"records"},
-    {"backend"},
+    {"backend", "confined"},
     {"field"},
     {"optics", "world", "volume"},
     {"api", "scene", "swirl", "foreign", "dispersed", "placement", "implicit", "crossflow"},
@@ -21,9 +21,12 @@ LEVELS = [
     {"multiphase", "codes", "bubblefit", "bubblefeature", "ellipses", "featurepeaks", "bubble_figures"},
     {"dataset"},
     {"tomography"},
-    {"generation", "solving", "scoring", "tracks", "pictures", "page", "board"},
+    {"recording"},
+    {"generation", "programs", "solving", "scoring", "tracks", "pictures", "page", "board"},
     {"suite"},
-    {"run", "reproduce", "doctor", "calibrate", "export"},
+    {"run", "reproduce", "doctor", "calibrate", "export", "retrace", "fingerprint", "probe", "baseline", "submission"},
+    {"gate"},
+    {"junit", "pytest_plugin"},
     {"cli"},
 ]
 
