@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import errno
 import hashlib
 import json
 import re
@@ -250,6 +251,17 @@ def _pictures(rows: Sequence[Record], places: Sequence[int], pictures: Path) -> 
         if not run.get("error"):  # a failed run may have left a picture when it once succeeded: it is not this record's
             wanted += [(rank, f"row{number}", f"{stem}.png"), (rank, f"error{number}", f"{stem}.error.png")]
         for order, name, file in wanted:
-            path = inside(pictures, f"{run['pictures']}/{file}")
-            if path.is_file():
+            path = _there(pictures, f"{run['pictures']}/{file}")
+            if path:
                 yield order, place, name, path
+
+
+def _there(pictures: Path, name: str) -> Path | None:
+    """The picture of that name, None where there is none."""
+    try:
+        path = inside(pictures, name)
+        return path if path.is_file() else None
+    except OSError as error:
+        if error.errno != errno.ENAMETOOLONG:  # a name that no disk can hold was never written
+            raise
+        return None

@@ -144,6 +144,13 @@ def test_pictures_outside_the_folder_are_refused(tmp_path: Path, name: str) -> N
         page_of([record("a", 0.5, pictures=name)], tmp_path)
 
 
+@pytest.mark.parametrize(
+    "changes", [{"pictures": "x" * 300}, {"pictures": "tank", "solver": "x" * 300}, {"pictures": "a\0b"}, {"pictures": "\ud800"}]
+)
+def test_names_that_no_file_can_have_are_no_pictures(tmp_path: Path, changes: dict[str, Any]) -> None:
+    assert solvers(page_of([record("a", 0.5) | changes], tmp_path)) == [changes.get("solver", "a")]
+
+
 def test_pictures_are_those_of_the_seed_that_has_them(tmp_path: Path) -> None:
     draw(tmp_path / "pictures" / "tank-2", ["truth.png", "a-22222222.png", "a-22222222.error.png"])
     seeds = [record("a", 0.5, run_hash="11111111aa"), record("a", 0.6, seed=2, run_hash="22222222bb", pictures="tank-2")]
