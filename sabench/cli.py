@@ -174,12 +174,19 @@ def run(
     as_json: AsJson = False,
     work: Annotated[Path, typer.Option(help="Folder for data sets and results.")] = Path("work"),
     leaderboard: Leaderboard = Path("leaderboard"),
-    fresh: Annotated[bool, typer.Option("--fresh", help="Generate data sets anew even if whole ones are there.")] = False,
+    fresh: Annotated[bool, typer.Option("--fresh", help="Compute again what is there: data sets, and results with a record.")] = False,
+    case: Annotated[list[str] | None, typer.Option(help="Only this case, as often as needed.")] = None,
+    seed: Annotated[list[int] | None, typer.Option(help="Only this seed, as often as needed.")] = None,
+    solver: Annotated[list[str] | None, typer.Option(help="Only this solver, by the name in tables, as often as needed.")] = None,
+    hidden: Annotated[Path | None, typer.Option(help="The organiser's secret file: run the hidden split in place of the public one.")] = None,
+    jobs: Annotated[int, typer.Option(min=1, help="Processes that generate a data set.")] = 1,
 ) -> None:
-    """Generate, solve and score a whole suite, then build the page."""
-    from sabench.run import run_suite
+    """Generate, solve and score a whole suite, then build the page; what has a record already is not computed again."""
+    from sabench.hidden import read_secret
+    from sabench.run import Only, run_suite
 
-    records = run_suite(suite, work, leaderboard, fresh=fresh)
+    only = Only(tuple(case or ()), tuple(seed or ()), tuple(solver or ()))
+    records = run_suite(suite, work, leaderboard, fresh=fresh, only=only, secret=read_secret(hidden) if hidden else None, jobs=jobs)
     if as_json:
         _say(json.dumps(records, allow_nan=False))
     else:

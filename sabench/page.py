@@ -190,7 +190,7 @@ def _row(row: Record, case: int, pool: _Pool) -> dict[str, Any]:
         "solver": pool(row.get("label") or row["solver"]), "name": pool(row["solver"]), "parameters": pool(text_of(row["parameters"])),
         "machine": pool(", ".join(str(row["machine"][key]) for key in ("cpu", "backend") if row["machine"].get(key))),
         "machineAll": pool(text_of(row["machine"])), "versions": pool(text_of(row["versions"])), "submission": row.get("submission"),
-        "commands": [pool(text) for text in dict.fromkeys(run["command"] for run in runs if run.get("command"))],
+        "commands": [pool(text) for text in commands(runs)],
         "seeds": [run["seed"] for run in runs], "datasets": [pool(run["dataset"]) for run in runs], "runs": [run["run_hash"] for run in runs],
         "codes": [pool(text) for text in dict.fromkeys(run["code_hash"] for run in runs if run.get("code_hash"))],
         "reference": short(sum(reference) / len(reference)) if reference else None,
@@ -198,6 +198,15 @@ def _row(row: Record, case: int, pool: _Pool) -> dict[str, Any]:
         "values": [[None if run[key] is None else short(run[key]) for run in runs] for key in keys] if several else None,
         "error": row["error"], "declined": bool(row["error"]) and all(run.get("declined") for run in runs if run.get("error")),
     }  # fmt: skip
+
+
+def commands(runs: Sequence[Record]) -> list[str]:
+    """What makes a row again: one command with all seeds where theirs differ in the seed alone, else those of each."""
+    known = [run for run in runs if run.get("command")]
+    plain = {re.sub(rf"--seed {run['seed']}(?= |$)", "--seed", run["command"], count=1) for run in known}
+    if len(plain) == 1:
+        return [re.sub(r"--seed(?= |$)", " ".join(f"--seed {run['seed']}" for run in known), plain.pop(), count=1)]
+    return list(dict.fromkeys(run["command"] for run in known))
 
 
 def _pair(score: Mean | None) -> list[float] | None:

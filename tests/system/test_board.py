@@ -166,6 +166,18 @@ def test_pictures_beyond_the_budget_are_left_out_worst_first(tmp_path: Path, mon
     assert block(text)["leftOut"] == 1
 
 
+@pytest.mark.parametrize(("told", "expected"), [
+    (["sabench run s --seed {} --solver a"] * 3, ["sabench run s --seed 1 --seed 2 --seed 12 --solver a"]),
+    (["sabench run s --seed {}"] * 3, ["sabench run s --seed 1 --seed 2 --seed 12"]),
+    (["sabench run s"] * 3, ["sabench run s"]),
+    (["sabench run s --seed {}", "sabench run t --seed {}", None], ["sabench run s --seed 1", "sabench run t --seed 2"]),
+    ([None] * 3, []),
+])  # fmt: skip
+def test_one_command_makes_all_seeds_of_a_row_again(told: list[str | None], expected: list[str]) -> None:
+    runs = [record("a", seed=seed, command=text and text.format(seed)) for seed, text in zip((1, 2, 12), told, strict=True)]
+    assert page.commands(runs) == expected
+
+
 # Colours: WCAG 2.1, success criteria 1.4.3 and 1.4.11
 
 

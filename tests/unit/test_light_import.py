@@ -16,7 +16,7 @@ LEVELS = [
     {"field"},
     {"optics", "world", "volume"},
     {"api", "scene", "swirl", "foreign", "dispersed", "placement", "implicit", "crossflow"},
-    {"parsing", "rig", "extraction", "targets", "detection", "calibration", "flows"},
+    {"parsing", "hidden", "rig", "extraction", "targets", "detection", "calibration", "flows"},
     {"imaging", "metrics", "reproject", "motion", "velocimetry", "velocity_figures", "phases"},
     {"multiphase", "codes", "bubblefit", "bubblefeature", "ellipses", "featurepeaks", "bubble_figures"},
     {"dataset"},
