@@ -64,6 +64,7 @@ PICTURED = {  # heading and text of a case's pictures, and whether they are wide
 _PARTICLES = "First frame of every camera, one brightness scale for all; dim particles are raised."
 _CAMERAS = {  # what the pictures of the cameras show
     "reconstruction": _PARTICLES,
+    "particles": _PARTICLES,
     "velocimetry": _PARTICLES,
     "calibration": "Points of the target that every camera found, each frame in its own grey, or what it saw of the particles.",
     "bubbles": "First frame of every camera.",
