@@ -235,6 +235,18 @@ def test_junit_has_a_case_for_the_data_and_each_solver(tmp_path: Path) -> None:
     assert suite[0].findtext("system-out") == better_.sentence
 
 
+def test_the_table_names_figure_change_and_tolerance(capsys: pytest.CaptureFixture[str]) -> None:
+    from sabench.cli import _show_report
+
+    bad = Finding("a", 1, "msa", "q", 0.8, 0.6, 0.008, worse=True)
+    news = Finding("a", 1, "asa", "q", 0.5, 0.7, 0.008, worse=False)
+    _show_report(report(bad, news=(news,)))
+    table, *rest = capsys.readouterr().out.rsplit("\n", 3)
+    for word in ("case", "solver", "figure", "baseline", "now", "change", "tolerance", "msa", "q", "0.8", "0.6", "-0.2", "0.008"):
+        assert f" {word} " in table
+    assert rest[:2] == [f"news: {news.sentence}", "tiny: 1 data sets, 1 results: 1 figures worse"]
+
+
 def test_a_silent_gate_has_no_failures() -> None:
     assert junit(report()).get("failures") == "0"
     assert report().summary == "tiny: 1 data sets, 1 results: nothing got worse"
