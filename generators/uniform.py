@@ -6,14 +6,17 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from sabench.api import Generator, Parameters
+from sabench.errors import InputError
 from sabench.seeds import stream
 from sabench.world import Domain, Particles
+
+_MOST = 50_000_000
 
 
 class UniformParameters(Parameters):
     """Exactly one of `count`, `per_mm3` and `per_pixel` says how many; diameters are log-normal (a spread of 0: all equal)."""
 
-    count: int | None = Field(None, ge=0, le=50_000_000, description="number of particles")
+    count: int | None = Field(None, ge=0, le=_MOST, description="number of particles")
     per_mm3: float | None = Field(None, ge=0.0, description="particles per mm3 of the volume")
     per_pixel: float | None = Field(None, ge=0.0, description="particles per pixel of one camera's image (ppp)")
     diameter_mm: float = Field(0.05, gt=0.0, description="median diameter")
@@ -50,6 +53,7 @@ class Uniform(Generator):
         chosen: UniformParameters = self.parameters
         if chosen.count is not None:
             return chosen.count
-        if chosen.per_mm3 is not None:
-            return round(chosen.per_mm3 * domain.volume_mm3)
-        return round((chosen.per_pixel or 0.0) * domain.pixels)
+        wanted = chosen.per_mm3 * domain.volume_mm3 if chosen.per_mm3 is not None else (chosen.per_pixel or 0.0) * domain.pixels
+        if wanted > _MOST:
+            raise InputError(f"particles: expected at most {_MOST} of them, but per_mm3 or per_pixel makes {wanted:.3g}")
+        return round(wanted)

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NoReturn, cast
 
 import typer
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
 from sabench import __version__, plugins
@@ -55,13 +56,19 @@ def generate(
     output: Annotated[Path, typer.Option("-o", "--output", help="The data set folder to make.")],
     seed: Annotated[int, typer.Option(help="Seed of all random numbers.")] = 0,
     backend: Annotated[str, typer.Option(help="auto, mitsuba or splat.")] = "auto",
+    frames: Annotated[int | None, typer.Option(min=1, help="How many, in place of what the scene says.")] = None,
+    jobs: Annotated[int, typer.Option(min=1, help="Processes that share the work.")] = 1,
+    scheduler: Annotated[str | None, typer.Option(help="Address of a Dask scheduler, tcp://..., whose workers do the work.")] = None,
     overwrite: Overwrite = False,
 ) -> None:
-    """Make a data set: pictures, cameras and truth."""
+    """Make a data set: pictures, cameras and truth. Interrupted, the same command goes on with it."""
     from sabench.generation import Renderer
     from sabench.generation import generate as make
+    from sabench.rig import load_scene
 
-    made = make(scene, output, seed=seed, backend=cast(Renderer, backend), overwrite=overwrite)  # `make` checks the word
+    loaded = load_scene(scene) if frames is None else load_scene(scene).with_frames(frames)
+    kind = cast(Renderer, backend)  # `make` checks the word
+    made = make(loaded, output, seed=seed, backend=kind, name=Path(scene).stem, overwrite=overwrite, jobs=jobs, scheduler=scheduler)
     _say(f"{made.root}: {made.rig.frames} frame(s) of {len(made.rig.cameras)} cameras, {made.manifest.renderer}, hash {made.content_hash[:12]}")
 
 
@@ -80,17 +87,21 @@ def verify(dataset: Annotated[Path, typer.Argument(help="A data set folder.")]) 
 
 @app.command()
 def solve(
-    solver: Annotated[str, typer.Argument(help="Name of a solver.")],
+    solver: Annotated[str, typer.Argument(help="Name of a solver, or path of a program; see docs/participate.md.")],
     dataset: Annotated[Path, typer.Argument(help="A data set folder.")],
     output: Annotated[Path, typer.Option("-o", "--output", help="The result file to make.")],
     parameter: Annotated[list[str] | None, typer.Option("-p", "--parameter", help="name=value, as often as needed.")] = None,
+    time_limit: Annotated[float | None, typer.Option(help="Of a program: seconds; by default 3600.")] = None,
+    memory_limit: Annotated[float | None, typer.Option(help="Of a program's processes together: MB; by default nine tenths of what is free.")] = None,
     overwrite: Overwrite = False,
 ) -> None:
     """Reconstruct a data set."""
+    from sabench.confined import limits_of
     from sabench.solving import solve as run_solver
 
-    result = run_solver(solver, dataset, output, parameters=_parameters(parameter or []), overwrite=overwrite)
-    _say(f"{output}: {solver}, {result.seconds:.2f} s per frame, {result.peak_mb or float('nan'):.0f} MB at most")
+    limits = limits_of(time_limit, memory_limit)
+    result = run_solver(solver, dataset, output, parameters=_parameters(parameter or []), limits=limits, overwrite=overwrite)
+    _say(f"{output}: {result.solver}, {result.seconds:.2f} s per frame, {result.peak_mb or float('nan'):.0f} MB at most")
 
 
 @app.command()
@@ -163,12 +174,19 @@ def run(
     as_json: AsJson = False,
     work: Annotated[Path, typer.Option(help="Folder for data sets and results.")] = Path("work"),
     leaderboard: Leaderboard = Path("leaderboard"),
-    fresh: Annotated[bool, typer.Option("--fresh", help="Generate data sets anew even if whole ones are there.")] = False,
+    fresh: Annotated[bool, typer.Option("--fresh", help="Compute again what is there: data sets, and results with a record.")] = False,
+    case: Annotated[list[str] | None, typer.Option(help="Only this case, as often as needed.")] = None,
+    seed: Annotated[list[int] | None, typer.Option(help="Only this seed, as often as needed.")] = None,
+    solver: Annotated[list[str] | None, typer.Option(help="Only this solver, by the name in tables, as often as needed.")] = None,
+    hidden: Annotated[Path | None, typer.Option(help="The organiser's secret file: run the hidden split in place of the public one.")] = None,
+    jobs: Annotated[int, typer.Option(min=1, help="Processes that generate a data set.")] = 1,
 ) -> None:
-    """Generate, solve and score a whole suite, then build the page."""
-    from sabench.run import run_suite
+    """Generate, solve and score a whole suite, then build the page; what has a record already is not computed again."""
+    from sabench.hidden import read_secret
+    from sabench.run import Only, run_suite
 
-    records = run_suite(suite, work, leaderboard, fresh=fresh)
+    only = Only(tuple(case or ()), tuple(seed or ()), tuple(solver or ()))
+    records = run_suite(suite, work, leaderboard, fresh=fresh, only=only, secret=read_secret(hidden) if hidden else None, jobs=jobs)
     if as_json:
         _say(json.dumps(records, allow_nan=False))
     else:
@@ -238,6 +256,33 @@ def reproduce(
         _say(json.dumps(rows, allow_nan=False))
     else:
         _show_rows(rows)
+
+
+@app.command()
+def submit(
+    result: Annotated[Path, typer.Argument(help="A result file, or a .zip, .tar, .tar.gz or folder of result files.")],
+    name: Annotated[str, typer.Option(help="Who submits: at most 80 characters.")],
+    data: Annotated[list[Path] | None, typer.Option(help="Folder of data sets, as often as needed; by default work/datasets.")] = None,
+    leaderboard: Leaderboard = Path("leaderboard"),
+    as_json: AsJson = False,
+) -> None:
+    """Check and score results from elsewhere and put them on the leaderboard."""
+    from sabench.columns import COLUMNS
+    from sabench.submission import submit as send
+
+    standings = send(result, name, data or [Path("work/datasets")], leaderboard)
+    if as_json:
+        _say(json.dumps([{**one.record, "rank": one.rank, "of": one.of} for one in standings], allow_nan=False))
+        return
+    table = Table("case", "seed", "solver", "first score", "rank", "best other")
+    for one in standings:
+        first = COLUMNS[one.record["track"]][0]
+        score = "-" if one.record[first.key] is None else f"{first.key} {one.record[first.key]:.{first.decimals}f}"
+        rival = f"{one.best[0]}: {one.best[1]:.{first.decimals}f}" if one.best else "-"
+        rank = f"{one.rank} of {one.of}" if one.rank else "-"
+        table.add_row(*(escape(str(text)) for text in (one.record["case"], one.record["seed"], one.record["solver"], score, rank, rival)))
+    _print(table)
+    _say(f"page: {(leaderboard / 'index.html').resolve()}")
 
 
 @app.command()

@@ -16,6 +16,8 @@ from sabench.errors import InputError
 
 _ABANDONED = re.compile(r"^\.(?P<name>.+)\.(?P<what>partial|retired)-(?P<pid>\d+)$")
 
+_LARGEST_TEXT = 100_000_000  # bytes of a JSON file
+
 
 @contextlib.contextmanager
 def complete_or_nothing(target: Path, *, overwrite: bool = False) -> Iterator[Path]:
@@ -27,8 +29,7 @@ def complete_or_nothing(target: Path, *, overwrite: bool = False) -> Iterator[Pa
     target = target.absolute()
     target.parent.mkdir(parents=True, exist_ok=True)
     clear_abandoned(target)
-    if target.exists() and not overwrite:
-        raise InputError(f"{target} exists already: choose another name, or say --overwrite")
+    refuse_existing(target, overwrite=overwrite)
     partial = target.parent / f".{target.name}.partial-{os.getpid()}"
     retired = target.parent / f".{target.name}.retired-{os.getpid()}"
     try:
@@ -48,6 +49,12 @@ def complete_or_nothing(target: Path, *, overwrite: bool = False) -> Iterator[Pa
         if retired.exists() and not target.exists():
             retired.rename(target)
         _remove(retired)
+
+
+def refuse_existing(target: Path, *, overwrite: bool) -> None:
+    """InputError if there is something that may not be replaced."""
+    if target.exists() and not overwrite:
+        raise InputError(f"{target} exists already: choose another name, or say --overwrite")
 
 
 def clear_abandoned(target: Path) -> None:
@@ -97,11 +104,18 @@ def canonical_json(value: Any) -> str:
     return json.dumps(value, sort_keys=True, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
 
 
+def digest(value: Any) -> str:
+    """SHA-256 of a value's canonical JSON: equal values have equal digests."""
+    return hashlib.sha256(canonical_json(value).encode()).hexdigest()
+
+
 def read_json(path: Path) -> Any:
-    """Parse a JSON file; a missing or broken one is an InputError that names it."""
+    """Parse a JSON file; a missing, broken or enormous one is an InputError that names it."""
     try:
+        if path.stat().st_size > _LARGEST_TEXT:
+            raise ValueError(f"{path.stat().st_size} bytes where {_LARGEST_TEXT} are allowed")
         return json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, RecursionError) as error:
         raise InputError(f"{path}: expected a JSON file, got {_short(error)}") from error
 
 

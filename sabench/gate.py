@@ -37,7 +37,7 @@ from sabench.parsing import find
 from sabench.probe import probe
 from sabench.progress import console
 from sabench.run import dataset_of, machine, solve_apart, versions
-from sabench.solving import make_algorithm, score
+from sabench.solving import score
 from sabench.suite import Case, Entrant, load_suite
 
 _AGAIN = 2  # times that a solver which seems to have become slower is run once more
@@ -149,7 +149,7 @@ def _chosen(cases: Sequence[Case], solvers: Sequence[Entrant]) -> list[Case]:
 
 
 def _track(entrant: Entrant) -> str:
-    return str(make_algorithm(entrant.name, entrant.parameters).track)
+    return entrant.describe()[1]
 
 
 def _run_case(case: Case, work: Path, old: CaseEntry | None, tolerances: Tolerances, exit_first: bool) -> CaseEntry:

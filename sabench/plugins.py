@@ -35,13 +35,22 @@ def folders(kind: str) -> list[Path]:
 
 def names(kind: str) -> list[str]:
     """Names of all plug-ins of a kind, sorted; two of one name are an InputError."""
+    return sorted(_files(kind))
+
+
+def file_of(kind: str, name: str) -> Path:
+    """The file of a plug-in that there is."""
+    return _files(kind)[name]
+
+
+def _files(kind: str) -> dict[str, Path]:
     found: dict[str, Path] = {}
     for folder in folders(kind):
         for file in sorted(folder.glob("[a-z]*.py")):
             if file.stem in found:
                 raise InputError(f"two {kind} are named {file.stem}: {found[file.stem]} and {file}")
             found[file.stem] = file
-    return sorted(found)
+    return found
 
 
 def load(kind: str, name: str) -> type[Any]:

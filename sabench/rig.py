@@ -24,6 +24,8 @@ from sabench.seeds import stream
 from sabench.volume import Grid
 from sabench.world import Domain
 
+_MOST_CAMERAS = 1000
+
 
 def load_scene(path: str | Path) -> Scene:
     """Read and check a scene file; `path` may also be the name of a bundled scene.
@@ -62,6 +64,9 @@ def build_rig(scene: Scene, source: str = "scene") -> Rig:
         A camera in the wall or the tank, a volume that is not wholly in the fluid, a grid that does not fit, no camera that sees the volume, or an
         occluder that is not between the cameras and the wall (or the volume).
     """
+    count = _camera_count(scene.cameras)
+    if count > _MOST_CAMERAS:
+        raise InputError(f"{source}: cameras.layout: expected at most {_MOST_CAMERAS} cameras, got {count}")
     wall = build_wall(scene.wall) if scene.wall else None
     corners = _corners(scene)
     if wall:
@@ -189,6 +194,21 @@ def _check_tank(wall: Wall, corners: F64, source: str) -> None:
             f"{source}: volume: expected it to lie in front of the back wall (wall.depth_mm = {wall.depth_mm:g}), "
             f"but it reaches {depth.max():.4g} mm deep"
         )
+
+
+def _camera_count(spec: Cameras) -> int:
+    """How many cameras a layout has, before any is made."""
+    chosen = spec.layout
+    if isinstance(chosen, ListLayout):
+        return len(chosen.places)
+    if isinstance(chosen, CrossLayout):
+        return 4 * chosen.arm + 1
+    if isinstance(chosen, GridLayout):
+        across, down = (
+            len(values) if values is not None else count or 1 for values, count in ((chosen.x_mm, chosen.columns), (chosen.y_mm, chosen.rows))
+        )
+        return across * down
+    return chosen.count
 
 
 def _places(spec: Cameras) -> list[Place]:

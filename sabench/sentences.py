@@ -10,6 +10,12 @@ from typing import Any
 from pydantic import BaseModel, ValidationError
 
 
+def printable(text: str, longest: int = 80) -> str:
+    """Foreign text on one line that any terminal shows: what cannot be printed as a question mark, and no more than `longest` characters."""
+    clean = "".join(mark if mark.isprintable() else "?" for mark in text[: longest + 1])
+    return clean if len(clean) <= longest else f"{clean[: longest - 3]}..."
+
+
 def sentence(model: type[BaseModel], error: ValidationError, prefix: str = "") -> str:
     """The first fault of values that are not a `model`: the key behind `prefix`, what was expected and what came."""
     faults = error.errors(include_url=False)

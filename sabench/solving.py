@@ -9,25 +9,34 @@ import numpy as np
 
 from sabench import memory, plugins, tracks
 from sabench.api import AnySolver, Solver
+from sabench.confined import Limits
 from sabench.dataset.read import Dataset, open_dataset
 from sabench.dataset.result import Result, open_result, result_writer
 from sabench.errors import InputError
 from sabench.parsing import validate
+from sabench.programs import is_program, run_program
 
 _SHOWN = {"particles": "particles", "target": "a calibration target", "bubbles": "bubbles", "code": "a code"}
 OWN_TRACK = {"particles": "reconstruction", "target": "calibration", "bubbles": "bubbles", "code": "see_through"}  # of what a data set shows
 
 
 def solve(
-    solver: str, dataset: Dataset | str | Path, out: str | Path, *, parameters: dict[str, Any] | None = None, overwrite: bool = False
+    solver: str,
+    dataset: Dataset | str | Path,
+    out: str | Path,
+    *,
+    parameters: dict[str, Any] | None = None,
+    limits: Limits | None = None,
+    overwrite: bool = False,
 ) -> Result:
     """Run a solver on every frame of a data set and write its result file.
 
     Parameters
     ----------
-    solver : its name.
+    solver : its name, or the path of a program (docs/participate.md).
     out : the result file to make.
     parameters : of the solver; the others keep their defaults.
+    limits : of a program's time, memory and output.
     overwrite : replace an existing result.
 
     Raises
@@ -36,6 +45,10 @@ def solve(
         An unknown solver or parameter, a broken data set or one of another track, and what the track's `run` refuses.
     """
     data = dataset if isinstance(dataset, Dataset) else open_dataset(dataset)
+    if is_program(solver):
+        return run_program(solver, data, Path(out), parameters=parameters, limits=limits, overwrite=overwrite)
+    if limits is not None:
+        raise InputError(f"solver {solver}: expected limits for programs only, not for a plug-in, which runs within sabench")
     algorithm = make_algorithm(solver, parameters or {})
     if algorithm.sees not in data.shows:
         shown = " and ".join(_SHOWN[one] for one in data.shows)

@@ -7,15 +7,23 @@ import re
 import tomllib
 from collections import Counter
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
+from sabench import plugins
+from sabench.code import code_hash
+from sabench.columns import COLUMNS
+from sabench.confined import Limits, limits_of
 from sabench.errors import InputError
+from sabench.files import digest
 from sabench.generation import Renderer, choose_renderer
+from sabench.hidden import Secret
 from sabench.parsing import find, parse_scene, validate
+from sabench.programs import find_program, is_program, solver_name
+from sabench.records import Difficulty
 from sabench.rig import build_rig, load_scene
 from sabench.scene import Scene
 from sabench.solving import make_algorithm
@@ -36,11 +44,41 @@ class Changes(_Table):
 
 
 class Entrant(_Table):
-    """One solver with its parameters."""
+    """One solver with its parameters, or a program with its limits."""
 
-    name: str
+    name: str = Field(description="of a solver, or the path of a program beside the suite")
     parameters: dict[str, Any] = {}
     label: str | None = Field(None, description="shown in place of the name")
+    track: str | None = Field(None, description="of a program: what its results are")
+    time_limit_s: float | None = Field(None, gt=0, description="of a program, for a data set")
+    memory_limit_mb: float | None = Field(None, gt=0, description="of a program's processes together")
+
+    @property
+    def is_program(self) -> bool:
+        """Whether the name is a program's path."""
+        return is_program(self.name)
+
+    @property
+    def limits(self) -> Limits | None:
+        """A program's limits."""
+        return limits_of(self.time_limit_s, self.memory_limit_mb)
+
+    @property
+    def shown(self) -> str:
+        """What tables call it."""
+        return self.label or (solver_name(self.name) if self.is_program else self.name)
+
+    @property
+    def code_hash(self) -> str:
+        """Of sabench and the solver's or program's file."""
+        return code_hash(Path(self.name) if self.is_program else plugins.file_of("solvers", self.name))
+
+    def describe(self) -> tuple[str, str, dict[str, Any]]:
+        """Its name in tables, its track and all its parameters."""
+        if self.is_program:
+            return solver_name(self.name), str(self.track), self.parameters
+        algorithm = make_algorithm(self.name, self.parameters)
+        return self.name, algorithm.track, algorithm.parameters.model_dump(mode="json")
 
 
 class CaseSpec(Changes):
@@ -50,12 +88,16 @@ class CaseSpec(Changes):
     name: str | None = Field(None, pattern=f"^{_SAFE}$", description="by default the scene's; the varied values are appended")
     backend: Renderer | None = Field(None, description="by default the suite's")
     solvers: tuple[Entrant, ...] = Field((), description="by default the suite's")
+    difficulty: Difficulty | None = None
+    axis: str | None = Field(None, pattern=r"^[a-z][a-z ]*$", description="what alone sets it apart from the standard case: density, ...")
 
 
 class Suite(Changes):
     """A suite file: cases x seeds x solvers. Its own `set` and `vary` hold for all cases, before the cases' own."""
 
     title: str
+    version: int = Field(1, ge=1)
+    frozen: str | None = Field(None, pattern="^[0-9a-f]{64}$", description="hash of its cases and seeds: with it, a change needs a new version")
     scenes: tuple[str, ...] = Field((), description="cases that change no more than the suite does")
     cases: tuple[CaseSpec, ...] = ()
     seeds: tuple[Annotated[int, Field(ge=0, lt=2**63)], ...] = Field((1,), min_length=1)
@@ -82,6 +124,8 @@ class Case:
     base : the name of the scene that was changed.
     axes : the varied keys of the scene with this case's values.
     solvers : what runs on it.
+    difficulty, axis : what the suite says of it.
+    number : its place among the hidden data sets of its case; None: it is public.
     """
 
     name: str
@@ -91,19 +135,36 @@ class Case:
     seed: int
     renderer: str
     solvers: tuple[Entrant, ...] = ()
+    difficulty: Difficulty | None = None
+    axis: str | None = None
+    number: int | None = None
+
+    @property
+    def told_seed(self) -> int:
+        """The seed, or the number of a hidden one."""
+        return self.seed if self.number is None else self.number
+
+    @property
+    def told(self) -> str:
+        """Which of its case's data sets it is, without a word about a hidden seed."""
+        return f"seed{self.seed}" if self.number is None else f"hidden{self.number}"
 
     def folder(self, work: Path) -> Path:
         """Where its data set lies."""
-        return work / "datasets" / f"{self.name}-{self.scene.hash[:8]}-{self.renderer}-seed{self.seed}"
+        return work / "datasets" / f"{self.name}-{self.scene.hash[:8]}-{self.renderer}-{self.told}"
 
 
-def load_suite(path: str | Path) -> tuple[Suite, list[Case]]:
+def load_suite(path: str | Path, secret: Secret | None = None) -> tuple[Suite, list[Case]]:
     """Read a suite and check all its cases and solvers before any work starts.
+
+    Parameters
+    ----------
+    secret : makes the hidden data sets of its cases, in place of the public ones.
 
     Raises
     ------
     InputError
-        Anything wrong in the suite, in one of its scenes or in what it changes, or two cases of one name.
+        Anything wrong in the suite, in one of its scenes or in what it changes, two cases of one name, or cases that are not those that were frozen.
     """
     file = find(path, "scenes/suites")
     try:
@@ -111,14 +172,48 @@ def load_suite(path: str | Path) -> tuple[Suite, list[Case]]:
     except (OSError, ValueError) as error:
         raise InputError(f"{file}: expected a TOML file, got {error}") from error
     suite = validate(Suite, values, str(file))
-    specs = _specs(suite)
-    for entrant in (*suite.solvers, *(entrant for spec in specs for entrant in spec.solvers)):
+    own = suite.model_copy(update={"solvers": tuple(_checked(entrant, file) for entrant in suite.solvers)})
+    specs = [spec.model_copy(update={"solvers": tuple(_checked(entrant, file) for entrant in spec.solvers)}) for spec in _specs(own)]
+    first = [case for spec in specs for case in _cases(spec, own, file)]
+    _check_names([case.name for case in first], file)
+    _check_frozen(own, first, file)
+    return own, [replace(case, seed=seed, number=number) for case in first for number, seed in _seeds(own, case, file.stem, secret)]
+
+
+def _cases(spec: CaseSpec, suite: Suite, file: Path) -> Iterator[Case]:
+    """All cases of a specification, with the suite's first seed."""
+    renderer = choose_renderer(spec.backend or suite.backend)
+    for name, base, axes, scene in _variants(spec, file):
+        yield Case(name, base, axes, scene, suite.seeds[0], renderer, spec.solvers, spec.difficulty, spec.axis)
+
+
+def _seeds(suite: Suite, case: Case, name: str, secret: Secret | None) -> list[tuple[int | None, int]]:
+    """Numbers and seeds of a case's data sets."""
+    if secret is None:
+        return [(None, seed) for seed in dict.fromkeys(suite.seeds)]
+    return list(enumerate(secret.seeds_of(name, suite.version, case.name)))
+
+
+def _check_frozen(suite: Suite, cases: list[Case], file: Path) -> None:
+    """What a frozen suite's data sets are made from must not change."""
+    found = digest([suite.version, list(suite.seeds), [[case.name, case.scene.hash, case.difficulty, case.axis] for case in cases]])
+    if suite.frozen not in (None, found):
+        raise InputError(
+            f"{file}: frozen: expected the cases and seeds of version {suite.version}, whose hash is {suite.frozen}, got others with {found}: "
+            "a change needs a new version and its hash"
+        )
+
+
+def _checked(entrant: Entrant, file: Path) -> Entrant:
+    """A solver that there is with parameters that it takes, or a program with its whole path and its track."""
+    if not entrant.is_program:
+        if any(value is not None for value in (entrant.track, entrant.time_limit_s, entrant.memory_limit_mb)):
+            raise InputError(f"{file}: solver {entrant.name}: expected track, time_limit_s and memory_limit_mb for programs only")
         make_algorithm(entrant.name, entrant.parameters)
-    renderers = [choose_renderer(spec.backend or suite.backend) for spec in specs]
-    variants = [(variant, chosen, spec.solvers) for spec, chosen in zip(specs, renderers, strict=True) for variant in _variants(spec, file)]
-    _check_names([name for (name, *_), *_ in variants], file)
-    seeds = dict.fromkeys(suite.seeds)
-    return suite, [Case(*variant, seed, chosen, solvers) for variant, chosen, solvers in variants for seed in seeds]
+        return entrant
+    if entrant.track not in COLUMNS:
+        raise InputError(f"{file}: program {entrant.name}: track: expected one of {', '.join(COLUMNS)}, got {entrant.track!r}")
+    return entrant.model_copy(update={"name": str(find_program(entrant.name, file.parent))})
 
 
 def override(scene: Scene, values: Mapping[str, Any], source: str) -> Scene:

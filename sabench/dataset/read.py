@@ -14,7 +14,7 @@ import numpy as np
 from sabench.api import CalibrationCase, Observation, Shown
 from sabench.arrays import F32, F64, U16, Bool
 from sabench.dataset import layout
-from sabench.dataset.hdf import finite, opened, read_array
+from sabench.dataset.hdf import finite, names_in, opened, read_array
 from sabench.dataset.images import read_exr, read_tiff
 from sabench.dataset.layout import CamerasFile, Manifest
 from sabench.errors import InputError
@@ -127,7 +127,7 @@ class Dataset:
         self._check_frame(frame)
         group = f"{layout.frame_group(frame)}/bodies"
         with opened(inside(self.root, layout.TRUTH)) as file:
-            count = len(file[group]) if group in file else 0
+            count = len(names_in(file, group))
             parts = [(f"{group}/{k}/vertices_mm", f"{group}/{k}/faces") for k in range(count)]
             return [Solid(read_array(file, vertices, (None, 3), "f"), read_array(file, faces, (None, 3), "i")) for vertices, faces in parts]
 

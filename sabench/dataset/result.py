@@ -16,16 +16,18 @@ from sabench.api import Calibration, Detections, Reconstruction, Velocity
 from sabench.arrays import I64, triple
 from sabench.columns import COLUMNS
 from sabench.dataset import layout
-from sabench.dataset.hdf import created, finite, opened, read_array, uninterrupted
+from sabench.dataset.hdf import created, finite, names_in, opened, read_array, read_attributes, uninterrupted
 from sabench.dataset.read import Dataset
 from sabench.errors import InputError
 from sabench.files import canonical_json, complete_or_nothing
 from sabench.optics.camera import Camera
 from sabench.optics.empirical import PlanePolynomials, Projective, Soloff
 from sabench.optics.model import CameraModel
+from sabench.sentences import printable
 from sabench.volume import Grid
 
 FORMAT, VERSION = "sabench-result", 1
+_ATTRIBUTES = ("format", "version", "dataset", "track", "solver", "parameters", "seconds", "peak_mb", "reconstruction_s")
 MODELS: dict[type[Any], str] = {
     Camera: "pinhole",
     Projective: "projective",
@@ -53,7 +55,7 @@ class Result:
         with opened(self.path) as file:
             volume = read_array(file, f"{group}/volume", self.grid.shape, "f").astype(np.float32)
             finite(volume, f"{self.path}: {group}/volume")
-            if "particles_mm" not in file[group]:
+            if "particles_mm" not in names_in(file, group):
                 return Reconstruction(volume)
             found = read_array(file, f"{group}/particles_mm", (None, 3), "f").astype(np.float64)
             return Reconstruction(volume, finite(found, f"{self.path}: {group}/particles_mm"))
@@ -84,7 +86,7 @@ class Result:
         """Numbers (n,) of the tracks that a frame's bubbles belong to, or None where the file has none."""
         group = f"{layout.frame_group(frame)}/bubbles"
         with opened(self.path) as file:
-            if "track" not in file[group]:
+            if "track" not in names_in(file, group):
                 return None
             count = len(read_array(file, f"{group}/center_mm", (None, 3), "f"))
             number = read_array(file, f"{group}/track", (count,), "iu").astype(np.int64)
@@ -98,12 +100,12 @@ class Result:
         where = f"{self.path}: calibration/cameras"
         with opened(self.path) as file:
             text = read_array(file, "calibration/cameras", (None,), "u").astype(np.uint8).tobytes()
-            names = set(file["calibration"])
+            names = names_in(file, "calibration")
             points = read_array(file, "calibration/points_mm", (None, None, 3), "f").astype(np.float64) if "points_mm" in names else None
             used = read_array(file, "calibration/used", (None, None, None), "u") > 0 if "used" in names else None
         try:
             records = json.loads(text)
-        except ValueError as error:
+        except (ValueError, RecursionError) as error:
             raise InputError(f"{where}: expected JSON, got {error}") from error
         if not isinstance(records, list):
             raise InputError(f"{where}: expected a list, got {type(records).__name__}")
@@ -225,28 +227,44 @@ def open_result(path: str | Path, dataset: Dataset) -> Result:
     """
     file_path = Path(path)
     with opened(file_path) as file:
-        head = {key: _plain(value) for key, value in file.attrs.items()}
-        if head.get("format") != FORMAT or head.get("version") != VERSION:
-            raise InputError(f"{path}: expected format {FORMAT!r} version {VERSION}, got {head.get('format')!r} version {head.get('version')}")
-        if head.get("dataset") != dataset.content_hash:
-            raise InputError(
-                f"{path}: expected a result of the data set {dataset.content_hash[:12]} ({dataset.root}), got one of {str(head.get('dataset'))[:12]}"
-            )
-        try:
-            parameters = json.loads(str(head.get("parameters", "{}")))
-        except ValueError as error:
-            raise InputError(f"{path}: attribute parameters: expected JSON, got {head['parameters']!r}") from error
-        seconds, peak_mb, before_s = (_cost(head.get(key), f"{path}: attribute {key}") for key in ("seconds", "peak_mb", "reconstruction_s"))
-        track = str(head.get("track", "reconstruction"))
-        if track not in COLUMNS:
-            raise InputError(f"{path}: attribute track: expected one of {', '.join(COLUMNS)}, got {track!r}")
-        return Result(file_path, track, str(head.get("solver", "unknown")), parameters, seconds, peak_mb, dataset.rig.grid, before_s)
+        head = _head(file)
+    if head.get("dataset") != dataset.content_hash:
+        raise InputError(
+            f"{path}: expected a result of the data set {dataset.content_hash[:12]} ({dataset.root}), got one of {str(head.get('dataset'))[:12]}"
+        )
+    parameters = _parameters(str(head.get("parameters", "{}")), path)
+    seconds, peak_mb, before_s = (_cost(head.get(key), f"{path}: attribute {key}") for key in ("seconds", "peak_mb", "reconstruction_s"))
+    track = str(head.get("track", "reconstruction"))
+    if track not in COLUMNS:
+        raise InputError(f"{path}: attribute track: expected one of {', '.join(COLUMNS)}, got {track!r}")
+    return Result(file_path, track, printable(str(head.get("solver", "unknown"))), parameters, seconds, peak_mb, dataset.rig.grid, before_s)
 
 
-def _plain(value: Any) -> Any:
-    """An attribute as a Python value: other languages write strings of fixed length, which arrive as bytes."""
-    value = value.item() if isinstance(value, np.generic) else value
-    return value.decode("utf-8", "replace") if isinstance(value, bytes) else value
+def dataset_of(path: Path) -> str:
+    """The content hash of the data set that a result file says it belongs to; raises as `open_result` does."""
+    with opened(path) as file:
+        return str(_head(file).get("dataset"))
+
+
+def _head(file: Any) -> dict[str, Any]:
+    """The attributes of a result file of this format."""
+    head = read_attributes(file, _ATTRIBUTES)
+    if head.get("format") != FORMAT or head.get("version") != VERSION:
+        got = f"{head.get('format')!r} version {head.get('version')}"
+        raise InputError(f"{file.filename}: expected format {FORMAT!r} version {VERSION}, got {got}")
+    return head
+
+
+def _parameters(text: str, path: str | Path) -> dict[str, Any]:
+    where = f"{path}: attribute parameters: expected a JSON object"
+    try:
+        value = json.loads(text)
+        json.dumps(value, allow_nan=False)
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"{where}, got {text[:80]!r}") from error
+    if not isinstance(value, dict):
+        raise InputError(f"{where}, got {text[:80]!r}")
+    return value
 
 
 def _cost(value: Any, where: str) -> float | None:

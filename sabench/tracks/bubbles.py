@@ -58,6 +58,14 @@ def linked(rig: CamerasFile, found: Sequence[AnyBubbles]) -> list[I64]:
     return out
 
 
+def copy(data: Dataset, result: Result, writer: ResultWriter) -> None:
+    """Write the bubbles of every frame of a foreign result anew, with its tracks or those that `linked` makes; reading checks it."""
+    found = [result.bubbles(frame) for frame in range(data.rig.frames)]
+    for frame, number in enumerate(tracks(data, result, found)):
+        writer.add_bubbles(frame, found[frame])
+        writer.add_tracks(frame, number)
+
+
 def score_result(data: Dataset, result: Result | str) -> dict[str, float | None]:
     """All scores: means over the frames, and the figures of a jet and of tracks from all frames together."""
     frames, found, every = [], [], []

@@ -76,6 +76,11 @@ def estimate(data: Dataset, result: Result | str) -> Calibration:
     return Calibration(data.rig.cameras)
 
 
+def copy(data: Dataset, result: Result, writer: ResultWriter) -> None:
+    """Write a foreign calibration anew; reading checks it."""
+    writer.add_calibration(estimate(data, result))
+
+
 def score_result(data: Dataset, result: Result | str) -> dict[str, float | None]:
     """All scores of a calibration."""
     if not data.shows_target:

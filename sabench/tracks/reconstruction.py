@@ -49,6 +49,13 @@ def reconstruct(algorithm: Solver, name: str, data: Dataset, frame: int) -> tupl
     return guess, time.perf_counter() - start
 
 
+def copy(data: Dataset, result: Result, writer: ResultWriter) -> None:
+    """Write every frame of a foreign result anew; reading checks it."""
+    for frame in range(data.rig.frames):
+        writer.add(frame, result.reconstruction(frame))
+        memory.trim()
+
+
 def score_result(data: Dataset, result: Result | str) -> dict[str, float | None]:
     """All scores: the means over the frames that have the figure."""
     frames = [

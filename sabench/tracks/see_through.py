@@ -47,6 +47,13 @@ def run(algorithm: SeeThroughSolver, name: str, data: Dataset, writer: ResultWri
     return seconds
 
 
+def copy(data: Dataset, result: Result, writer: ResultWriter) -> None:
+    """Write every frame of a foreign result anew; reading checks it."""
+    for frame in range(data.rig.frames):
+        writer.add(frame, result.reconstruction(frame))
+        memory.trim()
+
+
 def score_result(data: Dataset, result: Result | str) -> dict[str, float | None]:
     """All scores: means over the frames; what single cameras show is there to compare with."""
     frames = []

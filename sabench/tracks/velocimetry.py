@@ -70,6 +70,12 @@ def _attempt(algorithm: VelocimetrySolver, name: str, case: VolumePair, frame: i
     return field
 
 
+def copy(data: Dataset, result: Result, writer: ResultWriter) -> None:
+    """Write the field of every pair of a foreign result anew; reading checks it."""
+    for first, _ in data.rig.pairs():
+        writer.add_velocity(first, result.velocity(first))
+
+
 def score_result(data: Dataset, result: Result) -> dict[str, float | None]:
     """All scores: the means over the pairs."""
     pairs = [score_pair(data, pair, result.velocity(pair[0])) for pair in track(data.rig.pairs(), "score")]
