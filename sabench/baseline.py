@@ -157,7 +157,7 @@ def kind_of(track: str, figure: str) -> str:
 def _data_tolerance(kind: str) -> Tolerance:
     if kind == "probe":
         return Tolerance(relative=1e-3, absolute=1e-4)
-    if kind == "retraced_px":
+    if kind in ("retraced_px", "sightline_mm"):
         return Tolerance(relative=0.0, absolute=1e-6)
     if kind.startswith(("grey_", "found")):
         return Tolerance(relative=1e-3, absolute=2e-3)
