@@ -206,7 +206,7 @@ def check(
     junit: Annotated[Path | None, typer.Option(help="A JUnit XML file to make.")] = None,
     as_json: AsJson = False,
     work: Annotated[Path | None, typer.Option(help="Folder for data sets and results; by default a temporary one.")] = None,
-    exit_first: Annotated[bool, typer.Option("-x", "--exit-first", help="Stop after the first case with something worse.")] = False,
+    exit_first: Annotated[bool, typer.Option("-x", "--exit-first", help="Stop at the first data set or solver with something worse.")] = False,
 ) -> None:
     """Run a suite and compare every figure with a baseline: exit code 1 and a table if something got worse."""
     from sabench.gate import check_file
