@@ -49,7 +49,7 @@ TARGETS: dict[str, Any] = {
 }  # fmt: skip
 SUITE: dict[str, Any] = {
     "title": "tiny suite", "scenes": ["scene.toml"], "seeds": [1, 2], "backend": "splat", "set": {"frames": 1},
-    "vary": {"particles.count": [3, 5]}, 
+    "vary": {"particles.count": [3, 5]},
     "solvers": [{"name": "asa", "parameters": {"k": 3.0}}, {"name": "./program", "track": "reconstruction", "time_limit_s": 5.0}],
 }  # fmt: skip
 LARGEST_STEPS = 4e6  # pixels x frames x cameras, and particles, of scenes that are generated and not only checked
