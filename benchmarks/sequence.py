@@ -24,16 +24,16 @@ from sabench.scene import Scene
 _CHILD = """
 import json, pathlib, sys, time
 import sabench
-from sabench.dataset.write import DatasetWriter
+from sabench.recording.parts import Parts
 
 def memory(name):
     return [int(line.split()[1]) / 1024.0 for line in pathlib.Path("/proc/self/status").read_text().splitlines() if line.startswith(name)][0]
 
-seen, add = [], DatasetWriter.add_particles
-def noting(self, frame, particles):
+seen, put = [], Parts.put_frame
+def noting(self, frame, part):
     seen.append(memory("VmRSS"))
-    add(self, frame, particles)
-DatasetWriter.add_particles = noting
+    put(self, frame, part)
+Parts.put_frame = noting
 start = time.perf_counter()
 sabench.generate(sys.argv[1], sys.argv[2], seed=1, backend="splat")
 print(json.dumps([time.perf_counter() - start, memory("VmHWM"), seen]))

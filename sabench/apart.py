@@ -61,7 +61,7 @@ def _context() -> Any:
     if "forkserver" not in multiprocessing.get_all_start_methods():
         return multiprocessing.get_context("spawn")
     context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload(["sabench.solving", "sabench.reproject", "sabench.tomography.problem"])
+    context.set_forkserver_preload(["sabench.solving", "sabench.reference_kernel", "sabench.reproject", "sabench.tomography.problem"])
     return context
 
 

@@ -149,3 +149,8 @@ def drjit() -> tuple[Any, Any]:
     import drjit as dr
 
     return dr, importlib.import_module(f"drjit.{backend.kind}")
+
+
+def limit(threads: int) -> None:
+    """Have this process's Dr.Jit use so many threads."""
+    drjit()[0].set_thread_count(threads)

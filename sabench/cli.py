@@ -8,7 +8,7 @@ import os
 import sys
 import tomllib
 from pathlib import Path
-from typing import Annotated, Any, NoReturn, cast
+from typing import TYPE_CHECKING, Annotated, Any, NoReturn, cast
 
 import typer
 from rich.console import Console
@@ -18,6 +18,9 @@ from rich.table import Table
 from sabench import __version__, plugins
 from sabench.errors import InputError
 from sabench.parsing import find
+
+if TYPE_CHECKING:
+    from sabench.gate import Report
 
 app = typer.Typer(
     add_completion=False, no_args_is_help=True, help="Synthetic data with known truth for volumetric velocimetry, and benchmarks on it."
@@ -53,13 +56,19 @@ def generate(
     output: Annotated[Path, typer.Option("-o", "--output", help="The data set folder to make.")],
     seed: Annotated[int, typer.Option(help="Seed of all random numbers.")] = 0,
     backend: Annotated[str, typer.Option(help="auto, mitsuba or splat.")] = "auto",
+    frames: Annotated[int | None, typer.Option(min=1, help="How many, in place of what the scene says.")] = None,
+    jobs: Annotated[int, typer.Option(min=1, help="Processes that share the work.")] = 1,
+    scheduler: Annotated[str | None, typer.Option(help="Address of a Dask scheduler, tcp://..., whose workers do the work.")] = None,
     overwrite: Overwrite = False,
 ) -> None:
-    """Make a data set: pictures, cameras and truth."""
+    """Make a data set: pictures, cameras and truth. Interrupted, the same command goes on with it."""
     from sabench.generation import Renderer
     from sabench.generation import generate as make
+    from sabench.rig import load_scene
 
-    made = make(scene, output, seed=seed, backend=cast(Renderer, backend), overwrite=overwrite)  # `make` checks the word
+    loaded = load_scene(scene) if frames is None else load_scene(scene).with_frames(frames)
+    kind = cast(Renderer, backend)  # `make` checks the word
+    made = make(loaded, output, seed=seed, backend=kind, name=Path(scene).stem, overwrite=overwrite, jobs=jobs, scheduler=scheduler)
     _say(f"{made.root}: {made.rig.frames} frame(s) of {len(made.rig.cameras)} cameras, {made.manifest.renderer}, hash {made.content_hash[:12]}")
 
 
@@ -165,18 +174,51 @@ def run(
     as_json: AsJson = False,
     work: Annotated[Path, typer.Option(help="Folder for data sets and results.")] = Path("work"),
     leaderboard: Leaderboard = Path("leaderboard"),
-    fresh: Annotated[bool, typer.Option("--fresh", help="Generate data sets anew even if whole ones are there.")] = False,
+    fresh: Annotated[bool, typer.Option("--fresh", help="Compute again what is there: data sets, and results with a record.")] = False,
+    case: Annotated[list[str] | None, typer.Option(help="Only this case, as often as needed.")] = None,
+    seed: Annotated[list[int] | None, typer.Option(help="Only this seed, as often as needed.")] = None,
+    solver: Annotated[list[str] | None, typer.Option(help="Only this solver, by the name in tables, as often as needed.")] = None,
+    hidden: Annotated[Path | None, typer.Option(help="The organiser's secret file: run the hidden split in place of the public one.")] = None,
+    jobs: Annotated[int, typer.Option(min=1, help="Processes that generate a data set.")] = 1,
 ) -> None:
-    """Generate, solve and score a whole suite, then build the page."""
-    from sabench.run import run_suite
+    """Generate, solve and score a whole suite, then build the page; what has a record already is not computed again."""
+    from sabench.hidden import read_secret
+    from sabench.run import Only, run_suite
 
-    records = run_suite(suite, work, leaderboard, fresh=fresh)
+    only = Only(tuple(case or ()), tuple(seed or ()), tuple(solver or ()))
+    records = run_suite(suite, work, leaderboard, fresh=fresh, only=only, secret=read_secret(hidden) if hidden else None, jobs=jobs)
     if as_json:
         _say(json.dumps(records, allow_nan=False))
     else:
         _show_records(records)
         _say(f"page: {(leaderboard / 'index.html').resolve()}")
     if any(record["error"] and not record["declined"] for record in records):
+        raise typer.Exit(1)
+
+
+@app.command()
+def check(
+    suite: Annotated[str, typer.Argument(help="A suite file, or the name of a bundled suite.")],
+    baseline: Annotated[Path | None, typer.Option(help="Figures to compare with; by default the bundled ones of the suite.")] = None,
+    update: Annotated[bool, typer.Option("--update", help="Write this run's figures as the baseline; tolerances stay.")] = False,
+    solver: Annotated[list[str] | None, typer.Option(help="In place of the suite's, on its cases of the same track; repeatable.")] = None,
+    junit: Annotated[Path | None, typer.Option(help="A JUnit XML file to make.")] = None,
+    as_json: AsJson = False,
+    work: Annotated[Path | None, typer.Option(help="Folder for data sets and results; by default a temporary one.")] = None,
+    exit_first: Annotated[bool, typer.Option("-x", "--exit-first", help="Stop after the first case with something worse.")] = False,
+) -> None:
+    """Run a suite and compare every figure with a baseline: exit code 1 and a table if something got worse."""
+    from sabench.gate import check_file
+    from sabench.junit import write_junit
+
+    report = check_file(suite, baseline, work, update=update, solvers=solver or (), exit_first=exit_first)
+    if junit:
+        write_junit(junit, report)
+    if as_json:
+        _say(json.dumps(report.to_dict(), allow_nan=False))
+    else:
+        _show_report(report)
+    if report.worse:
         raise typer.Exit(1)
 
 
@@ -313,6 +355,19 @@ def _show_records(records: list[dict[str, Any]]) -> None:
             table.add_row(row["case"], row.get("label") or row["solver"], str(len(row["seeds"])), *figures)
         if own:
             _print(table)
+
+
+def _show_report(report: Report) -> None:
+    """What got worse as a table, what else has changed in lines, and one line for all of it."""
+    table = Table("case", "solver", "figure", "baseline", "now", "change", "tolerance")
+    for one in report.worse:
+        figures = ("-" if value is None else f"{value:.6g}" for value in (one.before, one.now, one.change, one.tolerance))
+        table.add_row(one.case, one.solver, one.text or one.figure, *figures)
+    if report.worse:
+        _print(table)
+    for one in report.news:
+        _say(f"news: {one.sentence}")
+    _say(report.summary)
 
 
 def _show_rows(rows: list[dict[str, Any]]) -> None:

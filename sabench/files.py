@@ -29,8 +29,7 @@ def complete_or_nothing(target: Path, *, overwrite: bool = False) -> Iterator[Pa
     target = target.absolute()
     target.parent.mkdir(parents=True, exist_ok=True)
     clear_abandoned(target)
-    if target.exists() and not overwrite:
-        raise InputError(f"{target} exists already: choose another name, or say --overwrite")
+    refuse_existing(target, overwrite=overwrite)
     partial = target.parent / f".{target.name}.partial-{os.getpid()}"
     retired = target.parent / f".{target.name}.retired-{os.getpid()}"
     try:
@@ -50,6 +49,12 @@ def complete_or_nothing(target: Path, *, overwrite: bool = False) -> Iterator[Pa
         if retired.exists() and not target.exists():
             retired.rename(target)
         _remove(retired)
+
+
+def refuse_existing(target: Path, *, overwrite: bool) -> None:
+    """InputError if there is something that may not be replaced."""
+    if target.exists() and not overwrite:
+        raise InputError(f"{target} exists already: choose another name, or say --overwrite")
 
 
 def clear_abandoned(target: Path) -> None:
@@ -97,6 +102,11 @@ def sha256(path: Path) -> str:
 def canonical_json(value: Any) -> str:
     """JSON with sorted keys and shortest round-trip numbers: equal values give equal text."""
     return json.dumps(value, sort_keys=True, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+
+
+def digest(value: Any) -> str:
+    """SHA-256 of a value's canonical JSON: equal values have equal digests."""
+    return hashlib.sha256(canonical_json(value).encode()).hexdigest()
 
 
 def read_json(path: Path) -> Any:

@@ -46,6 +46,20 @@ class Motion:
             self._flow.check(domain_of(scene))
         self._last: tuple[int, Particles] | None = None
 
+    @property
+    def chained(self) -> bool:
+        """Whether a frame is made from the one before it."""
+        return self._flow is not None
+
+    @property
+    def last(self) -> int | None:
+        """The frame that was made last, if the next can be made from it."""
+        return self._last[0] if self._last else None
+
+    def resume(self, frame: int, particles: Particles) -> None:
+        """Go on from a frame's particles that were made elsewhere."""
+        self._last = frame, particles
+
     def at(self, frame: int) -> Particles:
         """The particles of a frame.
 

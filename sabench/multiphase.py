@@ -73,21 +73,29 @@ class Worlds:
             raise InputError(f"{scene.title}: timing.duration_s: expected 0 for tracers among bubbles or solids, got {scene.timing.duration_s:g}")
         self.scene, self.rig, self.seed = scene, rig, seed
         self._phases = Phases(scene, seed)
-        self._motion = Motion(scene, seed) if scene.particles else None
+        self.motion = Motion(scene, seed) if scene.particles else None
 
     def at(self, frame: int) -> PhaseWorld:
         """A frame's world; tracers are in the fluid only. Raises as `Phases`."""
-        bubbles, bodies = self._phases.bubbles(frame), self._phases.bodies(frame)
-        world = PhaseWorld(self.scene, self.rig, self.seed, frame, bubbles, bodies)
-        if self._motion is None:
+        bubbles = self._phases.bubbles(frame)
+        world = self.recalled(frame, bubbles)
+        if self.motion is None:
             return world
-        every = self._motion.at(frame)
-        wet = ~_in_bubbles(bubbles, every.position_mm) & ~_in_bodies(bodies, every.position_mm)
+        every = self.motion.at(frame)
+        wet = ~_in_bubbles(bubbles, every.position_mm) & ~_in_bodies(world.bodies, every.position_mm)
         particles = Particles(every.id[wet], every.position_mm[wet], every.diameter_mm[wet], every.velocity_mm_s[wet])
-        scene = self.scene.model_copy(update={"illumination": pulse(self.scene, self.seed, frame)})
-        way = np.asarray(scene.light.direction) / np.linalg.norm(scene.light.direction)
+        way = np.asarray(self.scene.light.direction) / np.linalg.norm(self.scene.light.direction)
         lit = ~_stopped(world, particles.position_mm, np.tile(-way, (len(particles), 1)))
-        return replace(world, scene=scene, particles=particles, lit=lit, table=scattering_table(scene, self.rig.cameras, particles))
+        return self.recalled(frame, bubbles, particles, lit)
+
+    def recalled(self, frame: int, bubbles: Bubbles, particles: Particles | None = None, lit: Bool | None = None) -> PhaseWorld:
+        """A frame's world of bubbles, and of tracers of which some are lit, that `at` has found."""
+        bodies = self._phases.bodies(frame)
+        if particles is None:
+            return PhaseWorld(self.scene, self.rig, self.seed, frame, bubbles, bodies)
+        scene = self.scene.model_copy(update={"illumination": pulse(self.scene, self.seed, frame)})
+        table = scattering_table(scene, self.rig.cameras, particles)
+        return PhaseWorld(scene, self.rig, self.seed, frame, bubbles, bodies, particles, lit, table)
 
 
 def record(world: PhaseWorld, camera: Camera) -> PhaseView:

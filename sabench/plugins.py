@@ -35,13 +35,22 @@ def folders(kind: str) -> list[Path]:
 
 def names(kind: str) -> list[str]:
     """Names of all plug-ins of a kind, sorted; two of one name are an InputError."""
+    return sorted(_files(kind))
+
+
+def file_of(kind: str, name: str) -> Path:
+    """The file of a plug-in that there is."""
+    return _files(kind)[name]
+
+
+def _files(kind: str) -> dict[str, Path]:
     found: dict[str, Path] = {}
     for folder in folders(kind):
         for file in sorted(folder.glob("[a-z]*.py")):
             if file.stem in found:
                 raise InputError(f"two {kind} are named {file.stem}: {found[file.stem]} and {file}")
             found[file.stem] = file
-    return sorted(found)
+    return found
 
 
 def load(kind: str, name: str) -> type[Any]:
@@ -67,11 +76,12 @@ def summary(plugin: type[Any]) -> str:
     return (plugin.__doc__ or "").strip().split("\n")[0]
 
 
-def _mount() -> None:
+def mount() -> None:
+    """Make the packages whose modules the plug-ins are; again after SABENCH_PLUGINS has changed."""
     for kind in KINDS:
         module = ModuleType(f"{__name__}.{kind}", f"Plug-ins: {kind}.")
         module.__path__ = [str(folder) for folder in folders(kind)]
         sys.modules[module.__name__] = module
 
 
-_mount()
+mount()

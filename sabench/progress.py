@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import threading
-from collections.abc import Iterable, Iterator, Sized
+from collections.abc import Callable, Iterable, Iterator, Sized
 from typing import TypeVar
 
 from rich.console import Console
@@ -21,9 +22,8 @@ def track(items: Iterable[T], doing: str) -> Iterator[T]:
     keeps the clock running is told to end and never waited for; rich's own is joined, which from within that very thread never returns.
     """
     total = len(items) if isinstance(items, Sized) else None
-    columns = (TextColumn("{task.description:<38}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
     ended = threading.Event()
-    with Progress(*columns, console=console, auto_refresh=False) as progress:
+    with _progress(refresh=False) as progress:
         task = progress.add_task(doing, total=total)
         if console.is_terminal:
             threading.Thread(target=_keep_alive, args=(progress, ended), daemon=True).start()
@@ -38,3 +38,16 @@ def track(items: Iterable[T], doing: str) -> Iterator[T]:
 def _keep_alive(progress: Progress, ended: threading.Event) -> None:
     while not ended.wait(_REFRESH_S):
         progress.refresh()
+
+
+@contextlib.contextmanager
+def bar(doing: str, total: int) -> Iterator[Callable[[], None]]:
+    """The same for things that are done in no order: what it gives is called once for each."""
+    with _progress(refresh=True) as progress:
+        task = progress.add_task(doing, total=total)
+        yield lambda: progress.advance(task)
+
+
+def _progress(*, refresh: bool) -> Progress:
+    columns = (TextColumn("{task.description:<38}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
+    return Progress(*columns, console=console, auto_refresh=refresh)

@@ -386,6 +386,10 @@ class Scene(_Table):
         group, pulse = divmod(frame, len(self.timing.pulses_s))
         return group / self.timing.rate_hz + self.timing.pulses_s[pulse]
 
+    def with_frames(self, frames: int) -> Scene:
+        """The same scene, longer or shorter."""
+        return Scene.model_validate({**self.model_dump(exclude_none=True), "frames": frames})
+
     def to_dict(self) -> dict[str, Any]:
         """All keys with their values, defaults included, as TOML holds them."""
         values: dict[str, Any] = plain(self.model_dump(mode="json", exclude_none=True))

@@ -7,18 +7,23 @@ import re
 import tomllib
 from collections import Counter
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
+from sabench import plugins
+from sabench.code import code_hash
 from sabench.columns import COLUMNS
 from sabench.confined import Limits, limits_of
 from sabench.errors import InputError
+from sabench.files import digest
 from sabench.generation import Renderer, choose_renderer
+from sabench.hidden import Secret
 from sabench.parsing import find, parse_scene, validate
 from sabench.programs import find_program, is_program, solver_name
+from sabench.records import Difficulty
 from sabench.rig import build_rig, load_scene
 from sabench.scene import Scene
 from sabench.solving import make_algorithm
@@ -36,13 +41,6 @@ class Changes(_Table):
 
     set: dict[str, Any] = Field({}, description="values that replace the scene's")
     vary: dict[str, Annotated[list[Any], Field(min_length=1)]] = Field({}, description="lists of values: one case for each, or for each combination")
-
-
-class CaseSpec(Changes):
-    """One scene, changed."""
-
-    scene: str = Field(description="name of a bundled scene, or a path beside the suite")
-    name: str | None = Field(None, pattern=f"^{_SAFE}$", description="by default the scene's; the varied values are appended")
 
 
 class Entrant(_Table):
@@ -65,6 +63,16 @@ class Entrant(_Table):
         """A program's limits."""
         return limits_of(self.time_limit_s, self.memory_limit_mb)
 
+    @property
+    def shown(self) -> str:
+        """What tables call it."""
+        return self.label or (solver_name(self.name) if self.is_program else self.name)
+
+    @property
+    def code_hash(self) -> str:
+        """Of sabench and the solver's or program's file."""
+        return code_hash(Path(self.name) if self.is_program else plugins.file_of("solvers", self.name))
+
     def describe(self) -> tuple[str, str, dict[str, Any]]:
         """Its name in tables, its track and all its parameters."""
         if self.is_program:
@@ -73,21 +81,36 @@ class Entrant(_Table):
         return self.name, algorithm.track, algorithm.parameters.model_dump(mode="json")
 
 
+class CaseSpec(Changes):
+    """One scene, changed."""
+
+    scene: str = Field(description="name of a bundled scene, or a path beside the suite")
+    name: str | None = Field(None, pattern=f"^{_SAFE}$", description="by default the scene's; the varied values are appended")
+    backend: Renderer | None = Field(None, description="by default the suite's")
+    solvers: tuple[Entrant, ...] = Field((), description="by default the suite's")
+    difficulty: Difficulty | None = None
+    axis: str | None = Field(None, pattern=r"^[a-z][a-z ]*$", description="what alone sets it apart from the standard case: density, ...")
+
+
 class Suite(Changes):
     """A suite file: cases x seeds x solvers. Its own `set` and `vary` hold for all cases, before the cases' own."""
 
     title: str
+    version: int = Field(1, ge=1)
+    frozen: str | None = Field(None, pattern="^[0-9a-f]{64}$", description="hash of its cases and seeds: with it, a change needs a new version")
     scenes: tuple[str, ...] = Field((), description="cases that change no more than the suite does")
     cases: tuple[CaseSpec, ...] = ()
     seeds: tuple[Annotated[int, Field(ge=0, lt=2**63)], ...] = Field((1,), min_length=1)
     backend: Renderer = "auto"
     keep_data: bool = Field(True, description="false: a data set and its results are deleted when they are scored")
-    solvers: tuple[Entrant, ...] = Field(min_length=1)
+    solvers: tuple[Entrant, ...] = Field((), description="of all cases that do not have their own")
 
     @model_validator(mode="after")
     def _has_cases(self) -> Suite:
         if not self.scenes and not self.cases:
             raise ValueError("scenes, cases: expected at least one scene in either")
+        if not self.solvers and (self.scenes or not all(case.solvers for case in self.cases)):
+            raise ValueError("solvers: expected at least one for every case")
         return self
 
 
@@ -100,6 +123,9 @@ class Case:
     name : unique in its suite but for the seed, and safe as a file name.
     base : the name of the scene that was changed.
     axes : the varied keys of the scene with this case's values.
+    solvers : what runs on it.
+    difficulty, axis : what the suite says of it.
+    number : its place among the hidden data sets of its case; None: it is public.
     """
 
     name: str
@@ -108,19 +134,37 @@ class Case:
     scene: Scene
     seed: int
     renderer: str
+    solvers: tuple[Entrant, ...] = ()
+    difficulty: Difficulty | None = None
+    axis: str | None = None
+    number: int | None = None
+
+    @property
+    def told_seed(self) -> int:
+        """The seed, or the number of a hidden one."""
+        return self.seed if self.number is None else self.number
+
+    @property
+    def told(self) -> str:
+        """Which of its case's data sets it is, without a word about a hidden seed."""
+        return f"seed{self.seed}" if self.number is None else f"hidden{self.number}"
 
     def folder(self, work: Path) -> Path:
         """Where its data set lies."""
-        return work / "datasets" / f"{self.name}-{self.scene.hash[:8]}-{self.renderer}-seed{self.seed}"
+        return work / "datasets" / f"{self.name}-{self.scene.hash[:8]}-{self.renderer}-{self.told}"
 
 
-def load_suite(path: str | Path) -> tuple[Suite, list[Case]]:
+def load_suite(path: str | Path, secret: Secret | None = None) -> tuple[Suite, list[Case]]:
     """Read a suite and check all its cases and solvers before any work starts.
+
+    Parameters
+    ----------
+    secret : makes the hidden data sets of its cases, in place of the public ones.
 
     Raises
     ------
     InputError
-        Anything wrong in the suite, in one of its scenes or in what it changes, or two cases of one name.
+        Anything wrong in the suite, in one of its scenes or in what it changes, two cases of one name, or cases that are not those that were frozen.
     """
     file = find(path, "scenes/suites")
     try:
@@ -128,11 +172,36 @@ def load_suite(path: str | Path) -> tuple[Suite, list[Case]]:
     except (OSError, ValueError) as error:
         raise InputError(f"{file}: expected a TOML file, got {error}") from error
     suite = validate(Suite, values, str(file))
-    suite = suite.model_copy(update={"solvers": tuple(_checked(entrant, file) for entrant in suite.solvers)})
-    renderer = choose_renderer(suite.backend)
-    variants = [variant for spec in _specs(suite) for variant in _variants(spec, file)]
-    _check_names([name for name, *_ in variants], file)
-    return suite, [Case(*variant, seed, renderer) for variant in variants for seed in dict.fromkeys(suite.seeds)]
+    own = suite.model_copy(update={"solvers": tuple(_checked(entrant, file) for entrant in suite.solvers)})
+    specs = [spec.model_copy(update={"solvers": tuple(_checked(entrant, file) for entrant in spec.solvers)}) for spec in _specs(own)]
+    first = [case for spec in specs for case in _cases(spec, own, file)]
+    _check_names([case.name for case in first], file)
+    _check_frozen(own, first, file)
+    return own, [replace(case, seed=seed, number=number) for case in first for number, seed in _seeds(own, case, file.stem, secret)]
+
+
+def _cases(spec: CaseSpec, suite: Suite, file: Path) -> Iterator[Case]:
+    """All cases of a specification, with the suite's first seed."""
+    renderer = choose_renderer(spec.backend or suite.backend)
+    for name, base, axes, scene in _variants(spec, file):
+        yield Case(name, base, axes, scene, suite.seeds[0], renderer, spec.solvers, spec.difficulty, spec.axis)
+
+
+def _seeds(suite: Suite, case: Case, name: str, secret: Secret | None) -> list[tuple[int | None, int]]:
+    """Numbers and seeds of a case's data sets."""
+    if secret is None:
+        return [(None, seed) for seed in dict.fromkeys(suite.seeds)]
+    return list(enumerate(secret.seeds_of(name, suite.version, case.name)))
+
+
+def _check_frozen(suite: Suite, cases: list[Case], file: Path) -> None:
+    """What a frozen suite's data sets are made from must not change."""
+    found = digest([suite.version, list(suite.seeds), [[case.name, case.scene.hash, case.difficulty, case.axis] for case in cases]])
+    if suite.frozen not in (None, found):
+        raise InputError(
+            f"{file}: frozen: expected the cases and seeds of version {suite.version}, whose hash is {suite.frozen}, got others with {found}: "
+            "a change needs a new version and its hash"
+        )
 
 
 def _checked(entrant: Entrant, file: Path) -> Entrant:
@@ -169,7 +238,8 @@ def _assign(table: dict[str, Any], key: str, value: Any, source: str) -> None:
 def _specs(suite: Suite) -> list[CaseSpec]:
     """All cases with the suite's own changes in front of theirs."""
     specs = (*(CaseSpec(scene=name) for name in suite.scenes), *suite.cases)
-    return [spec.model_copy(update={"set": suite.set | spec.set, "vary": suite.vary | spec.vary}) for spec in specs]
+    inherited = ({"set": suite.set | spec.set, "vary": suite.vary | spec.vary, "solvers": spec.solvers or suite.solvers} for spec in specs)
+    return [spec.model_copy(update=update) for spec, update in zip(specs, inherited, strict=True)]
 
 
 def _variants(spec: CaseSpec, suite: Path) -> Iterator[tuple[str, str, dict[str, Any], Scene]]:

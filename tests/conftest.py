@@ -64,7 +64,7 @@ def command(tmp_path: Path) -> Command:
     return run
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def quick_toml() -> str:
     """Text of the quick scene, to be changed."""
     return (ROOT / "scenes" / "quick.toml").read_text(encoding="utf-8")

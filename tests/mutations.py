@@ -242,8 +242,9 @@ def _odd_attribute(file: Any, _: str, rng: random.Random) -> None:
     name = rng.choice(names)
     made: tuple[Any, ...] = (
         "", "x" * 70_000, "\x00", b"\xff\xfe", 0, -1, 1.5, float("nan"), float("inf"), 2**63, np.zeros(3), np.zeros((1, 1)), np.array([1]),
-        [b"a", b"b"], h5py.Empty("f4"), np.bool_(True), np.complex64(1), "[1, 2]", '{"a": NaN}', '{"a": 1e999}', "[" * 3000, '{"k": {"k": [1, null]}}',
-        "calibration", "velocimetry", "bubbles", "see_through", "particles", np.str_("reconstruction").encode(), np.void(b"xx"), file.ref, '"\\ud800"', "no JSON",
+        [b"a", b"b"], h5py.Empty("f4"), np.bool_(True), np.complex64(1), "[1, 2]", '{"a": NaN}', '{"a": 1e999}', "[" * 3000,
+        '{"k": {"k": [1, null]}}', "calibration", "velocimetry", "bubbles", "see_through", "particles", np.str_("reconstruction").encode(),
+        np.void(b"xx"), file.ref, '"\\ud800"', "no JSON",
     )  # fmt: skip
     file.attrs.pop(name, None)
     if rng.random() < 0.9:

@@ -6,7 +6,7 @@ import contextlib
 import importlib.metadata
 import platform
 import shutil
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -15,82 +15,57 @@ import numpy as np
 import numpy.typing as npt
 
 from sabench import __version__
-from sabench.api import Velocity
-from sabench.arrays import F32, F64, U16, Bool
+from sabench.arrays import F64, Bool
 from sabench.codes import has_code
 from sabench.dataset import layout
 from sabench.dataset.cost import check_affordable
 from sabench.dataset.hdf import created, uninterrupted
-from sabench.dataset.images import write_exr, write_tiff
 from sabench.files import canonical_json, complete_or_nothing, sha256
-from sabench.imaging.particle_images import ParticleImages
 from sabench.imaging.sensor import white_level
-from sabench.imaging.sightlines import Sight
 from sabench.optics.camera import Camera
 from sabench.rig import Rig
 from sabench.scene import Scene
-from sabench.targets import Placed, Prior
-from sabench.world import Bubbles, Particles, Solid
+from sabench.targets import Prior
+from sabench.world import Target
 
 _RECORDED = ("mitsuba", "drjit", "numpy", "scipy", "miepython", "h5py", "tifffile", "OpenEXR")
+_PACKED = ("number", "depth_mm", "path_mm")  # one number for each pixel, mostly the same
+_PACK = {"compression": "gzip", "compression_opts": 1, "shuffle": True}
 
 
 class DatasetWriter:
-    """Takes the frames of one data set; made by `dataset_writer`."""
+    """Takes the parts of one data set; made by `dataset_writer`."""
 
     def __init__(self, root: Path, truth: Any, check: Callable[[], None]) -> None:
         self.root, self._truth, self._check = root, truth, check
+        self.files: dict[str, layout.FileEntry] = {}
 
-    def add_image(self, camera: Camera, frame: int, grey: U16, radiance: F32) -> None:
-        """Store one camera's picture of a frame."""
-        path = self.root / layout.image_name(camera.name, frame, "tif")
+    def store(self, arrays: Mapping[str, npt.NDArray[Any]]) -> None:
+        """Store arrays by their names in the file of truth."""
+        with uninterrupted():
+            for name, value in arrays.items():
+                self._truth.create_dataset(name, data=value, **(_PACK if name.rpartition("/")[2] in _PACKED else {}))
+            self._truth.flush()
+        self._check()
+
+    def take(self, file: Path, name: str, entry: layout.FileEntry) -> None:
+        """Take a file that is known to be as its entry says; it also stays where it is."""
+        path = self.root / name
         path.parent.mkdir(parents=True, exist_ok=True)
-        write_tiff(path, grey)
-        write_exr(path.with_suffix(".exr"), radiance)
+        try:
+            path.hardlink_to(file)
+        except OSError:  # a file system without hard links
+            shutil.copyfile(file, path)
+        self.files[name] = entry
 
-    def add_particles(self, frame: int, particles: Particles) -> None:
-        """Store a frame's particles; `add_view` then stores what each camera receives of them."""
-        values = {name: getattr(particles, name) for name in ("id", "position_mm", "diameter_mm", "velocity_mm_s")}
-        self._store(layout.frame_group(frame), values)
-
-    def add_flow(self, frame: int, field: Velocity, gradient: F64) -> None:
-        """Store a frame's exact flow on a lattice."""
-        values = {
-            "velocity_mm_s": field.velocity_mm_s,
-            "gradient_1_s": gradient,
-            "low_mm": np.array(field.low_mm),
-            "step_mm": np.array(field.step_mm),
-        }
-        self._store(f"{layout.frame_group(frame)}/flow", values)
-
-    def add_view(self, frame: int, camera: Camera, images: ParticleImages) -> None:
-        """Store where and how bright one camera receives a frame's particles."""
-        small: dict[str, npt.NDArray[Any]] = {"sigma_px": images.sigma_px.astype(np.float32), "visible": images.visible.astype(np.uint8)}
-        self._store(f"{layout.frame_group(frame)}/cameras/{camera.name}", {"pixel": images.pixel, "photons": images.photons, **small})
-
-    def add_phases(self, frame: int, bubbles: Bubbles, solids: Sequence[Solid]) -> None:
-        """Store a frame's bubbles and bodies."""
-        values = {name: getattr(bubbles, name) for name in ("id", "center_mm", "semi_axes_mm", "turn", "velocity_mm_s")}
-        self._store(f"{layout.frame_group(frame)}/bubbles", {**values, "index": np.array([bubbles.index])})
-        for number, solid in enumerate(solids):
-            self._store(f"{layout.frame_group(frame)}/bodies/{number}", {"vertices_mm": solid.vertices_mm, "faces": solid.faces})
-
-    def add_sight(self, frame: int, camera: Camera, sight: Sight, error: float) -> None:
-        """Store what one camera truly sees of a frame's bubbles and bodies, and the relative standard error of its picture."""
-        group = f"{layout.frame_group(frame)}/sights/{camera.name}"
-        self._store(group, {"number": sight.number, "depth_mm": sight.depth_mm, "path_mm": sight.path_mm}, packed=True)
-        self._store(group, {"visible": sight.visible, "pixel": sight.pixel, "contour": sight.contour, "error": np.array([error])})
-
-    def add_target(self, placed: Placed) -> None:
-        """Store a calibration target and its true places."""
+    def add_target(self, target: Target) -> None:
+        """Store a calibration target."""
         head = {"format": layout.FORMAT, "version": layout.VERSION}
-        (self.root / layout.TARGET).write_text(canonical_json({**head, "target": asdict(placed.target)}), encoding="utf-8")
-        for frame, pose in enumerate(placed.poses):
-            self._store(layout.frame_group(frame), {"turn": pose.turn, "place_mm": pose.place_mm})
+        (self.root / layout.TARGET).write_text(canonical_json({**head, "target": asdict(target)}), encoding="utf-8")
 
     def add_sighting(self, camera: Camera, exact: F64, outliers: Bool) -> None:
         """Store where one camera truly sees the target's points (frame, point, 2), and which of those that it found are elsewhere (frame, point)."""
-        self._store(f"cameras/{camera.name}", {"pixel": exact, "outlier": outliers.astype(np.uint8)})
+        self.store({f"cameras/{camera.name}/pixel": exact, f"cameras/{camera.name}/outlier": outliers.astype(np.uint8)})
 
     def add_points(self, pixels: F64, prior: Prior) -> None:
         """Store what solvers see of the target: pixels (camera, frame, point, 2), and what is known of its places."""
@@ -99,14 +74,6 @@ class DatasetWriter:
             file.attrs["format"], file.attrs["version"] = layout.FORMAT, layout.VERSION
             for name, value in values.items():
                 file.create_dataset(name, data=value)
-
-    def _store(self, group: str, values: dict[str, npt.NDArray[Any]], *, packed: bool = False) -> None:
-        how = {"compression": "gzip", "compression_opts": 1, "shuffle": True} if packed else {}
-        with uninterrupted():
-            for name, value in values.items():
-                self._truth.create_dataset(f"{group}/{name}", data=value, **how)
-            self._truth.flush()
-        self._check()
 
 
 @contextlib.contextmanager
@@ -130,8 +97,9 @@ def dataset_writer(
         with created(root / layout.TRUTH) as (truth, check):
             with uninterrupted():
                 truth.attrs["format"], truth.attrs["version"] = layout.FORMAT, layout.VERSION
-            yield DatasetWriter(root, truth, check)
-        (root / layout.MANIFEST).write_text(_manifest(root, name, scene, seed, renderer), encoding="utf-8")
+            writer = DatasetWriter(root, truth, check)
+            yield writer
+        (root / layout.MANIFEST).write_text(_manifest(root, name, scene, seed, renderer, writer.files), encoding="utf-8")
 
 
 def _with_copies(scene: Scene, root: Path) -> Scene:
@@ -162,9 +130,10 @@ def _true_cameras(rig: Rig) -> dict[str, Any]:
     return {"format": layout.FORMAT, "version": layout.VERSION, "cameras": layout.camera_records(rig.cameras)}
 
 
-def _manifest(root: Path, name: str, scene: Scene, seed: int, renderer: str) -> str:
+def _manifest(root: Path, name: str, scene: Scene, seed: int, renderer: str, known: dict[str, layout.FileEntry]) -> str:
     paths = sorted(path for path in root.rglob("*") if path.is_file())
-    files = {path.relative_to(root).as_posix(): layout.FileEntry(bytes=path.stat().st_size, sha256=sha256(path)) for path in paths}
+    names = [path.relative_to(root).as_posix() for path in paths]
+    files = {name: known.get(name) or _entry(path) for name, path in zip(names, paths, strict=True)}
     versions = {"sabench": __version__, "python": platform.python_version()}
     versions |= {package: importlib.metadata.version(package) for package in _RECORDED}
     return layout.sealed({
@@ -172,3 +141,7 @@ def _manifest(root: Path, name: str, scene: Scene, seed: int, renderer: str) -> 
         "scene_hash": scene.hash, "seed": seed, "renderer": renderer, "versions": versions,
         "files": {key: entry.model_dump() for key, entry in files.items()},
     })  # fmt: skip
+
+
+def _entry(path: Path) -> layout.FileEntry:
+    return layout.FileEntry(bytes=path.stat().st_size, sha256=sha256(path))

@@ -247,8 +247,8 @@ def many_frames(quick_toml: str, folder: Path) -> Path:
     return file
 
 
-def start(tmp_path: Path, scene: Path, out: Path) -> subprocess.Popen[bytes]:
-    words = [sys.executable, "-m", "sabench", "generate", str(scene), "-o", str(out), "--backend", "splat"]
+def start(tmp_path: Path, scene: Path, out: Path, *more: str) -> subprocess.Popen[bytes]:
+    words = [sys.executable, "-m", "sabench", "generate", str(scene), "-o", str(out), "--backend", "splat", *more]
     environment = os.environ | {"PYTHONPATH": str(ROOT)}
     return subprocess.Popen(words, env=environment, cwd=tmp_path, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
 
@@ -256,42 +256,53 @@ def start(tmp_path: Path, scene: Path, out: Path) -> subprocess.Popen[bytes]:
 def wait_for_work(folder: Path) -> None:
     """Until the first files of a data set are being written."""
     end = time.monotonic() + 60.0
-    while not any(folder.glob(".*.partial-*/images/*")):
+    while not any(folder.glob(".*.parts-*/images/*")):
         assert time.monotonic() < end
         time.sleep(0.01)
 
 
-def test_kill_at_ten_moments_leaves_nothing_that_verifies(tmp_path: Path, quick_toml: str) -> None:
-    scene, rng = many_frames(quick_toml, tmp_path), np.random.default_rng(3)
+@pytest.fixture(scope="module")
+def undisturbed(tmp_path_factory: pytest.TempPathFactory, quick_toml: str) -> str:
+    """Content hash of the many frames when nobody disturbs their making."""
+    folder = tmp_path_factory.mktemp("undisturbed")
+    return sabench.generate(many_frames(quick_toml, folder), folder / "set", backend="splat").content_hash
+
+
+def test_killed_at_ten_moments_nothing_verifies_and_it_goes_on_to_the_same_bytes(tmp_path: Path, quick_toml: str, undisturbed: str) -> None:
+    scene, rng, folder = many_frames(quick_toml, tmp_path), np.random.default_rng(3), tmp_path / "k"
+    folder.mkdir()
     for number in range(10):
-        folder = tmp_path / str(number)
-        folder.mkdir()
         with start(tmp_path, scene, folder / "set") as process:
             if number:  # the first is killed while it starts up
                 wait_for_work(folder)
-            time.sleep(float(rng.uniform(0.0, 0.7)))
+            time.sleep(float(rng.uniform(0.0, 0.3)))
             process.kill()
         assert process.returncode == -signal.SIGKILL
         for left in folder.iterdir():
-            assert left.name.startswith(".set.partial-")
+            assert left.name.startswith((".set.parts-", ".set.partial-"))
             assert verify(left)
         with pytest.raises(InputError):
             verify(folder / "set")
+    assert sabench.generate(scene, folder / "set", backend="splat").content_hash == undisturbed
+    assert [entry.name for entry in folder.iterdir()] == ["set"]
 
 
-def test_ctrl_c_at_any_moment_ends_in_a_sentence_and_cleans_up(tmp_path: Path, quick_toml: str) -> None:
+@pytest.mark.parametrize("jobs", ["1", "2"])
+def test_ctrl_c_at_any_moment_ends_in_a_sentence_and_keeps_what_is_finished(tmp_path: Path, quick_toml: str, undisturbed: str, jobs: str) -> None:
     scene, folder, rng = many_frames(quick_toml, tmp_path), tmp_path / "c", np.random.default_rng(5)
     folder.mkdir()
-    for _ in range(4):
-        with start(tmp_path, scene, folder / "set") as process:
+    for _ in range(3):
+        with start(tmp_path, scene, folder / "set", "--jobs", jobs) as process:
             wait_for_work(folder)
-            time.sleep(float(rng.uniform(0.0, 0.3)))
+            time.sleep(float(rng.uniform(0.0, 0.2)))
             process.send_signal(signal.SIGINT)
             _, errors = process.communicate(timeout=60)
         assert process.returncode == 2, errors
         assert b"Traceback" not in errors
         assert b"sabench: interrupted" in errors
-        assert list(folder.iterdir()) == []
+        (left,) = folder.iterdir()
+        assert left.name.startswith(".set.parts-")
+    assert sabench.generate(scene, folder / "set", backend="splat").content_hash == undisturbed
 
 
 SLEEPER = '''"""Sleeps."""

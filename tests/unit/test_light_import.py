@@ -9,21 +9,24 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
 LEVELS = [
-    {"errors", "arrays", "theory", "statistics", "rooflines", "columns", "plots", "jets", "linking", "foils"},
+    {"errors", "arrays", "theory", "statistics", "rooflines", "columns", "plots", "jets", "linking", "foils", "code", "reference_kernel"},
     {"files", "seeds", "progress", "plugins", "memory", "sentences", "preprocessing", "apart", "archives"},
     {"records"},
     {"backend", "confined"},
     {"field"},
     {"optics", "world", "volume"},
     {"api", "scene", "swirl", "foreign", "dispersed", "placement", "implicit", "crossflow"},
-    {"parsing", "rig", "extraction", "targets", "detection", "calibration", "flows"},
+    {"parsing", "hidden", "rig", "extraction", "targets", "detection", "calibration", "flows"},
     {"imaging", "metrics", "reproject", "motion", "velocimetry", "velocity_figures", "phases"},
     {"multiphase", "codes", "bubblefit", "bubblefeature", "ellipses", "featurepeaks", "bubble_figures"},
     {"dataset"},
     {"tomography"},
+    {"recording"},
     {"generation", "programs", "solving", "scoring", "tracks", "pictures", "board"},
     {"suite"},
-    {"run", "reproduce", "doctor", "calibrate", "export", "submission"},
+    {"run", "reproduce", "doctor", "calibrate", "export", "retrace", "fingerprint", "probe", "baseline", "submission"},
+    {"gate"},
+    {"junit", "pytest_plugin"},
     {"cli"},
 ]
 

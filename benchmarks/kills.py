@@ -1,0 +1,106 @@
+"""Killed at random moments, does a data set become the same? `python benchmarks/kills.py [TIMES FRAMES]` prints JSON, and exits 1 if not.
+
+TIMES (50) runs of FRAMES (500) frames with two processes are killed by `kill -9` at a moment that is uniform over the time that an
+undisturbed run takes: in turn the scheduler, a worker, or the whole process group. The same command is then started again and must end
+with the content hash of the undisturbed run.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import random
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import sabench
+from sabench.parsing import parse_scene
+from sabench.progress import track
+from sabench.rig import load_scene
+
+_WHOM = ("scheduler", "worker", "group")
+
+
+def scene_file(folder: Path, frames: int) -> Path:
+    """Small pictures of few particles that a flow carries: many tasks in little time."""
+    values = load_scene("quick").to_dict()
+    values["particles"] = {"generator": "uniform", "count": 50}
+    values["flow"] = {"generator": "abc_flow", "wavelength_mm": 30.0, "a_mm_s": 40.0, "b_mm_s": 30.0, "c_mm_s": 20.0}
+    values["cameras"] |= {"rows": 48, "columns": 64, "layout": {"kind": "grid", "columns": 2, "rows": 1, "spacing_mm": [240.0, 240.0]}}
+    file = folder / "scene.toml"
+    file.write_text(parse_scene(values | {"frames": frames, "interval_s": 0.02}, "kills").to_toml(), encoding="utf-8")
+    return file
+
+
+def start(scene: Path, out: Path) -> subprocess.Popen[bytes]:
+    """Generate in a process group of its own."""
+    words = [sys.executable, "-m", "sabench", "generate", str(scene), "-o", str(out), "--backend", "splat", "--jobs", "2"]
+    return subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True)
+
+
+def workers(pid: int) -> list[int]:
+    """Processes that a process has started."""
+    text = Path(f"/proc/{pid}/task/{pid}/children").read_text()
+    return [int(word) for word in text.split()]
+
+
+def kill(process: subprocess.Popen[bytes], whom: str) -> bool:
+    """Kill one of them, or all; whether there was something to kill."""
+    if process.poll() is not None:
+        return False
+    if whom == "group":
+        os.killpg(process.pid, signal.SIGKILL)
+    elif whom == "scheduler":
+        process.kill()
+    else:
+        found = workers(process.pid)
+        if not found:
+            return False
+        os.kill(random.choice(found), signal.SIGKILL)
+    return True
+
+
+def finished(scene: Path, out: Path) -> str:
+    """The content hash after the command has been run to its end."""
+    with start(scene, out) as process:
+        process.wait()
+    return sabench.open_dataset(out).content_hash
+
+
+def disturbed(scene: Path, out: Path, whom: str, after_s: float) -> tuple[bool, str]:
+    """Kill once, then run to the end: whether something was killed, and the hash."""
+    with start(scene, out) as process:
+        time.sleep(after_s)
+        killed = kill(process, whom)
+        process.wait()
+    return killed, sabench.open_dataset(out).content_hash if out.is_dir() else finished(scene, out)
+
+
+def main() -> None:
+    """Print one JSON object."""
+    times, frames = (int(sys.argv[1]), int(sys.argv[2])) if len(sys.argv) == 3 else (50, 500)
+    random.seed(1)
+    with tempfile.TemporaryDirectory() as work:
+        folder = Path(work)
+        scene, begun = scene_file(folder, frames), time.perf_counter()
+        expected = finished(scene, folder / "undisturbed")
+        took = time.perf_counter() - begun
+        same, killed = 0, dict.fromkeys(_WHOM, 0)
+        for number in track(range(times), "kill and go on"):
+            whom, out = _WHOM[number % 3], folder / str(number)
+            hit, found = disturbed(scene, out, whom, random.uniform(0.0, took))
+            killed[whom] += hit
+            same += found == expected
+            left = [entry.name for entry in folder.glob(f".{number}.*")]
+            assert not left, left
+            subprocess.run(["rm", "-rf", str(out)], check=True)
+    print(json.dumps({"frames": frames, "seconds_undisturbed": round(took, 1), "times": times, "killed": killed, "same_hash": same}, indent=1))
+    sys.exit(same != times)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,41 @@
+"""A fixed piece of work whose time says how fast this machine is just now: times of solvers are compared as multiples of it."""
+
+from __future__ import annotations
+
+import math
+import time
+from typing import Any
+
+import numba
+import numpy as np
+
+_CELLS = 1 << 20  # 8 MB: more than the second-level cache, so that memory counts, too
+_ROUNDS = 3
+
+
+def reference_s() -> float:
+    """Seconds of the kernel on one thread, the median of a few rounds: some 15 ms each on a current processor.
+
+    What it computes must never change: times of old records are over it.
+    """
+    table = np.arange(_CELLS, dtype=np.float64)
+    _work(table[:64])  # compiles it, or loads what was compiled
+    return float(np.median([_timed(table) for _ in range(_ROUNDS)]))
+
+
+def _timed(table: Any) -> float:
+    start = time.perf_counter()
+    _work(table)
+    return time.perf_counter() - start
+
+
+@numba.njit(cache=True)
+def _work(table: Any) -> float:
+    """Arithmetic with square roots on neighbours, branches, and reads and writes far apart."""
+    total, last = 0.0, len(table) - 1
+    for i in range(len(table)):
+        value = table[i]
+        total += math.sqrt(value * value + 1.0) if i & 3 else value / (1.0 + total * 1e-9)
+        j = (i * 40503) & last  # an odd factor modulo a power of two reaches every cell once
+        table[j] = 0.5 * (table[j] + total % 7.0)
+    return total

@@ -1,0 +1,240 @@
+"""Recording by many: the same bytes, whoever does the work and dies over it."""
+
+from __future__ import annotations
+
+import os
+import signal
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import tomli_w
+from filelock import FileLock
+
+import sabench
+from sabench.errors import InputError
+from sabench.generation import generate
+from sabench.parsing import parse_scene
+from sabench.recording import crews, recorders, work
+from sabench.recording.crews import Pool
+from sabench.recording.shots import shoot
+from sabench.recording.work import Job
+from sabench.rig import load_scene
+from sabench.scene import Scene
+from tests.bubble_scenes import LASER, small
+from tests.conftest import Command
+
+ABC = {"generator": "abc_flow", "wavelength_mm": 30.0, "a_mm_s": 40.0, "b_mm_s": 30.0, "c_mm_s": 20.0}
+
+
+def moving(frames: int = 6) -> Scene:
+    """Particles that a flow carries from frame to frame."""
+    values = load_scene("quick").to_dict()
+    values["particles"] = {"generator": "uniform", "count": 150}
+    values |= {"frames": frames, "interval_s": 0.02, "flow": ABC, "flow_grid_mm": [4.0, 4.0, 4.0]}
+    return parse_scene(values, "moving")
+
+
+def bubbly() -> Scene:
+    """Bubbles, and tracers among them that a flow carries."""
+    flow = {"frames": 2, "interval_s": 0.01, "flow": ABC, "particles": {"generator": "uniform", "count": 30}, "illumination": LASER}
+    return small(**flow, render={"relative_error": 0.2})
+
+
+def made(scene: Scene, folder: Path, **how: Any) -> str:
+    return generate(scene, folder, seed=4, backend="auto" if scene.bubbles else "splat", name="s", **how).content_hash
+
+
+@pytest.mark.parametrize("scene", [moving(), bubbly(), load_scene("calibration")], ids=["moving", "bubbly", "target"])
+def test_two_processes_make_the_bytes_of_one(tmp_path: Path, scene: Scene) -> None:
+    assert made(scene, tmp_path / "two", jobs=2) == made(scene, tmp_path / "one")
+    assert sorted(entry.name for entry in tmp_path.iterdir()) == ["one", "two"]
+
+
+def kill_workers(pool: list[Pool], folder: Path, killed: list[int]) -> None:
+    """Kill one worker after another, as soon as some view has been recorded since the last."""
+    seen, end = 0, time.monotonic() + 60.0
+    while len(killed) < 3 and time.monotonic() < end:
+        count = len(list(folder.glob(".*.parts-*/views/*.npz")))
+        if pool and count > seen:
+            seen = count
+            os.kill(pid := pool[0].pids[0], signal.SIGKILL)
+            killed.append(pid)
+            seen += 3
+        time.sleep(0.02)
+
+
+def test_workers_that_are_killed_are_replaced(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    expected = made(moving(30), tmp_path / "one")
+    pools: list[Pool] = []
+    killed: list[int] = []
+    start = Pool.__init__
+
+    def noted(self: Pool, root: Path, jobs: int) -> None:
+        start(self, root, jobs)
+        pools.append(self)
+
+    monkeypatch.setattr(Pool, "__init__", noted)
+    killer = threading.Thread(target=kill_workers, args=(pools, tmp_path, killed))
+    killer.start()
+    assert made(moving(30), tmp_path / "two", jobs=2) == expected
+    killer.join()
+    assert len(set(killed)) == 3
+
+
+BROKEN = '''"""Particles of which one frame breaks whoever makes it."""
+
+import os
+import pathlib
+
+import numpy as np
+
+from sabench.api import Generator, Parameters
+from sabench.world import Domain, Particles
+
+
+class BreakerParameters(Parameters):
+    """When it breaks."""
+
+    until: str
+
+
+class Breaker(Generator):
+    """Breaks the process in frame 1 until a file is there."""
+
+    name = "breaker"
+    Parameters = BreakerParameters
+
+    def particles(self, domain: Domain, seed: int, frame: int, time_s: float) -> Particles:
+        if frame == 1 and not pathlib.Path(self.parameters.until).exists():
+            os._exit(11)
+        rng = np.random.default_rng(frame)
+        return Particles(np.arange(20), domain.low_mm + rng.random((20, 3)) * domain.size_mm, np.full(20, 0.02), np.zeros((20, 3)))
+'''
+
+
+def test_a_frame_that_always_breaks_is_told_and_the_rest_kept(tmp_path: Path, command: Command) -> None:
+    plugin, cure = tmp_path / "mine" / "generators" / "breaker.py", tmp_path / "cure"
+    plugin.parent.mkdir(parents=True)
+    plugin.write_text(BROKEN)
+    values = load_scene("quick").to_dict() | {"particles": {"generator": "breaker", "until": str(cure)}}
+    (tmp_path / "s.toml").write_text(tomli_w.dumps(values))
+    words = ("generate", "s.toml", "-o", "set", "--backend", "splat", "--frames", "3", "--jobs", "2")
+    environment = {"SABENCH_PLUGINS": str(tmp_path / "mine")}
+    done = command(*words, env=environment)
+    assert done.returncode == 2, done.stderr
+    assert "frame 1 failed 3 times: its process ended with exit code 11; what was finished is kept" in " ".join(done.stderr.split())
+    (left,) = tmp_path.glob(".set.parts-*")
+    assert len(list(left.glob("views/*.npz"))) == 8
+    cure.touch()
+    before = {path: path.stat().st_mtime_ns for path in left.glob("views/*.npz")}
+    assert len(before) == 8
+    assert command(*words, env=environment).returncode == 0
+    assert sabench.open_dataset(tmp_path / "set").rig.frames == 3
+    assert not list(tmp_path.glob(".set.*"))
+
+
+def test_what_is_there_is_not_made_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    scene, shots = moving(3), []
+
+    def interrupted(recorder: Any, parts: Any, task: Any) -> None:
+        if task.frame == 2:
+            raise KeyboardInterrupt
+        work.record(recorder, parts, task)
+
+    def counted(world: Any, camera: Any) -> Any:
+        shots.append((world.frame, camera.name))
+        return shoot(world, camera)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(crews, "record", interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            made(scene, tmp_path / "set")
+    monkeypatch.setattr(recorders, "shoot", counted)
+    again = made(scene, tmp_path / "set")
+    assert [frame for frame, _ in shots] == [2] * 4
+    assert again == made(scene, tmp_path / "anew")
+
+
+def test_another_scene_or_seed_takes_nothing_of_what_was_left(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    work_off = crews.work_off
+
+    def stop(*arguments: Any) -> None:
+        work_off(*arguments)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("sabench.generation.work_off", stop)
+    with pytest.raises(KeyboardInterrupt):
+        made(moving(2), tmp_path / "set")
+    monkeypatch.setattr("sabench.generation.work_off", work_off)
+    other = generate(moving(2), tmp_path / "set", seed=5, backend="splat", name="s").content_hash
+    assert other == generate(moving(2), tmp_path / "fresh", seed=5, backend="splat", name="s").content_hash
+    assert sorted(entry.name for entry in tmp_path.iterdir()) == ["fresh", "set"]
+
+
+def test_two_who_make_the_same_do_not_meet(tmp_path: Path) -> None:
+    scene = moving(2)
+    root = tmp_path / f".set.parts-{Job(scene, 4, 'splat', 's').key[:16]}"
+    root.mkdir()
+    with FileLock(root / "lock"), pytest.raises(InputError, match="another process is making this data set"):
+        made(scene, tmp_path / "set")
+    assert made(scene, tmp_path / "set")
+
+
+def test_bad_numbers_are_refused(tmp_path: Path, command: Command) -> None:
+    with pytest.raises(InputError, match="jobs: expected 1 or more, got 0"):
+        made(moving(1), tmp_path / "set", jobs=0)
+    done = command("generate", "quick", "-o", "set", "--backend", "splat", "--scheduler", "tcp://127.0.0.1:9")
+    assert done.returncode == 2
+    assert "scheduler: expected a Dask scheduler at tcp://127.0.0.1:9" in " ".join(done.stderr.split())
+    assert not list(tmp_path.iterdir())
+
+
+# On a cluster
+
+
+@pytest.fixture(scope="module")
+def cluster() -> Iterator[Any]:
+    distributed = pytest.importorskip("distributed")
+    with distributed.LocalCluster(
+        n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None, scheduler_port=0, silence_logs=50
+    ) as running:
+        yield running
+
+
+@pytest.mark.parametrize("scene", [moving(), load_scene("calibration")], ids=["moving", "target"])
+def test_a_cluster_makes_the_same_bytes(tmp_path: Path, cluster: Any, scene: Scene) -> None:
+    assert made(scene, tmp_path / "there", scheduler=cluster.scheduler_address) == made(scene, tmp_path / "here")
+    assert sorted(entry.name for entry in tmp_path.iterdir()) == ["here", "there"]
+
+
+def test_a_cluster_whose_workers_are_killed_makes_the_same_bytes(tmp_path: Path, cluster: Any) -> None:
+    killed: list[int] = []
+
+    def kill() -> None:
+        seen, end = 0, time.monotonic() + 60.0
+        while len(killed) < 2 and time.monotonic() < end:
+            count = len(list(tmp_path.glob(".*.parts-*/views/*.npz")))
+            pids = [nanny.pid for nanny in cluster.workers.values() if nanny.pid]
+            if count > seen and pids:
+                seen = count + 10
+                os.kill(pids[0], signal.SIGKILL)
+                killed.append(pids[0])
+            time.sleep(0.02)
+
+    killer = threading.Thread(target=kill)
+    killer.start()
+    there = made(moving(20), tmp_path / "there", scheduler=cluster.scheduler_address)
+    killer.join()
+    assert len(set(killed)) == 2
+    assert there == made(moving(20), tmp_path / "here")
+
+
+def test_bad_input_on_a_cluster_is_a_sentence(tmp_path: Path, cluster: Any) -> None:
+    scene = parse_scene(moving(2).to_dict() | {"particles": {"generator": "uniform", "count": 5, "velocity_mm_s": [1.0, 0.0, 0.0]}}, "m")
+    with pytest.raises(InputError, match="expected some that rest"):
+        made(scene, tmp_path / "set", scheduler=cluster.scheduler_address)
+    assert not list(tmp_path.iterdir())
