@@ -101,7 +101,8 @@ def sha256(path: Path) -> str:
 
 def canonical_json(value: Any) -> str:
     """JSON with sorted keys and shortest round-trip numbers: equal values give equal text."""
-    return json.dumps(value, sort_keys=True, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+    text = json.dumps(value, sort_keys=True, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+    return text.encode("utf-8", "replace").decode("utf-8")  # JSON can hold half a surrogate pair, UTF-8 can not
 
 
 def digest(value: Any) -> str:
