@@ -83,9 +83,8 @@ BAD = [
     (WHOLE.replace("[0.0, 0.0, 30.0]", "[0.0, np.nan, 30.0]"), "1 that are NaN or infinite"),
     (WHOLE.replace('["content_hash"]', '["content_hash"][::-1]'), "expected a result of the data set"),
     (
-        WHOLE.replace(
-            "= np.array([[0.0, 0.0, 30.0]])", ", file[f'frames/{frame:04d}'].create_dataset('particles_mm', (10**9, 3), 'f8', chunks=(1000, 3))"
-        ),
+        WHOLE.split('        file[f"frames/{frame:04d}/particles')[0]
+        + "        file.create_dataset(f'frames/{frame:04d}/particles_mm', (10**9, 3), 'f8', chunks=(1000, 3))",
         "MB",
     ),
     ("raise SystemExit('no cameras today')", "exit code 1; its last words: no cameras today"),
