@@ -2,9 +2,9 @@
 
     python benchmarks/fuzz.py 10000 [--seed 0] [--kind scene ...] [--limit 5] [--keep build/fuzz]
 
-Each must be refused by one sentence (an InputError) or end well, within the limit, without a crash, without another exception and without touching a file
-outside the output folder. Cases are made from the seed, the kind and a number alone. Prints a table; whatever faults is kept with the words of its
-fault, and the exit code is 1. Runs in one forked process at a time, which is replaced when it dies or hangs; a hang counts when it comes again.
+Each must be refused by one sentence (an InputError) or end well, within the limit, without a crash, without another exception and without touching a
+file outside the output folder. Cases are made from the seed, the kind and a number alone. Prints a table; whatever faults is kept with the words of
+its fault, and the exit code is 1. Runs in one forked process at a time, which is replaced when it dies or hangs; a hang counts when it comes again.
 """
 
 from __future__ import annotations

@@ -253,7 +253,8 @@ def test_a_data_set_that_was_changed_scores_nothing(quick: Dataset, quick_result
 def test_the_case_comes_from_a_record_of_the_same_data_set(quick: Dataset, quick_result: Path, tmp_path: Path) -> None:
     known = {
         "format": "sabench-record", "version": 1, "suite": "tank", "case": "dense", "scene": "quick", "difficulty": "hard", "axis": "density",
-        "axes": {"a": 1}, "scene_hash": quick.manifest.scene_hash, "dataset": quick.content_hash, "seed": 0, "split": "hidden", "renderer": "mitsuba", "solver": "asa",
+        "axes": {"a": 1}, "scene_hash": quick.manifest.scene_hash, "dataset": quick.content_hash, "seed": 0,
+        "split": "hidden", "renderer": "mitsuba", "solver": "asa",
         "parameters": {}, "run_hash": "ab", "versions": {}, "machine": {}, "q": 0.99,
     }  # fmt: skip
     (tmp_path / "board" / "records").mkdir(parents=True)
