@@ -112,8 +112,11 @@ def score(
     as_json: AsJson = False,
 ) -> None:
     """Score a result against the truth."""
+    from sabench.programs import probe
     from sabench.solving import score as scores_of
 
+    if result not in ("truth", "empty") and Path(result).is_file():
+        probe(Path(result))
     scores = scores_of(dataset, result, track)
     if as_json:
         _say(json.dumps(scores, allow_nan=False))

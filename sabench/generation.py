@@ -16,6 +16,7 @@ from filelock import FileLock, Timeout
 from sabench import backend as compute
 from sabench import memory
 from sabench.api import Observation
+from sabench.dataset.cost import check_affordable
 from sabench.dataset.read import Dataset, View, observed, open_dataset
 from sabench.dataset.write import dataset_writer
 from sabench.errors import InputError
@@ -66,6 +67,7 @@ def generate(
     label = name or (loaded.title if isinstance(scene, Scene) else Path(scene).stem)
     job = Job(loaded, seed, _renderer(loaded, backend, label), label)
     refuse_existing(target, overwrite=overwrite)
+    check_affordable(label, loaded, build_rig(loaded, label), target.parent)
     with _parts(target, job) as parts:
         recorder = recorder_of(loaded, seed, job.renderer, label)
         if scheduler:
