@@ -89,7 +89,7 @@ def run_suite(
         heads = [_describe(case, entrant, Path(path).stem) for entrant in case.solvers]
         missing = [(entrant, head) for entrant, head in zip(case.solvers, heads, strict=True) if key_of(head, _COMPUTED) not in old]
         records += [old[key] for head in heads if (key := key_of(head, _COMPUTED)) in old]
-        console.print(f"data set {number} of {len(wanted)}: {case.name}, {case.told}{'' if missing else ', known'}", markup=False, highlight=False)
+        console.print(f"data set {number} of {len(wanted)}: {case.name}, {_seed(case)}{'' if missing else ', known'}", markup=False, highlight=False)
         if not missing:
             continue
         dataset = dataset_of(case, work, fresh, jobs)
@@ -100,6 +100,10 @@ def run_suite(
             shutil.rmtree(dataset.root)
     build_board(leaderboard)
     return records
+
+
+def _seed(case: Case) -> str:
+    return f"seed {case.seed}" if case.number is None else f"hidden {case.number}"
 
 
 def build_board(leaderboard: Path) -> Path:
