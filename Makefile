@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 export PIP_DISABLE_PIP_VERSION_CHECK = 1
 
-.PHONY: demo test lint types wheel clean
+.PHONY: demo test lint types gate wheel clean
 
 demo: $(VENV)/.installed
 	$(BIN)/sabench run demo
@@ -18,6 +18,10 @@ lint: $(VENV)/.installed-dev
 
 types: $(VENV)/.installed-dev
 	$(BIN)/mypy
+
+# No figure of the suite ci may be worse than in its baseline.
+gate: $(VENV)/.installed
+	$(BIN)/sabench check ci
 
 # A wheel in a fresh environment must offer what the checkout offers.
 wheel: $(VENV)/.installed

@@ -1,10 +1,10 @@
 """Damaged scenes, suites, data sets, results, submissions and records, fed to the functions behind the commands that read them.
 
-    python benchmarks/fuzz.py 10000 [--seed 0] [--kind scene ...] [--keep build/fuzz]
+    python benchmarks/fuzz.py 10000 [--seed 0] [--kind scene ...] [--limit 5] [--keep build/fuzz]
 
-Each must be refused by one sentence (an InputError) or end well, within 5 s, without a crash, without another exception and without touching a file
-outside the output folder. Cases are made from the seed, the kind and a number alone. Prints a table; whatever faults is kept with the words of its
-fault, and the exit code is 1. Runs in one forked process at a time, which is replaced when it dies or hangs; a hang counts when it comes again.
+Each must be refused by one sentence (an InputError) or end well, within the limit, without a crash, without another exception and without touching a
+file outside the output folder. Cases are made from the seed, the kind and a number alone. Prints a table; whatever faults is kept with the words of
+its fault, and the exit code is 1. Runs in one forked process at a time, which is replaced when it dies or hangs; a hang counts when it comes again.
 """
 
 from __future__ import annotations
@@ -30,22 +30,23 @@ from typing import Any
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 os.environ.setdefault("NUMBA_NUM_THREADS", "1")
+from sabench import programs  # noqa: E402
 from sabench.errors import InputError  # noqa: E402
 from tests.untrusted import KINDS, Base, check_sentence, make_base  # noqa: E402
 
-LIMIT_S = 5.0
+_LIMIT_S = 5.0
 _WARM_S, _MAKE_S = 120.0, 60.0
 _ADDRESSES = 16_000_000_000  # bytes: what asks for more than this shall have been refused before
 _OUTCOMES = ("refused", "accepted", "fault")
 
 
-def fuzz(kinds: list[str], count: int, seed: int, root: Path, keep: Path) -> dict[str, Counter[str]]:
+def fuzz(kinds: list[str], count: int, seed: int, limit_s: float, root: Path, keep: Path) -> dict[str, Counter[str]]:
     """Outcomes by kind of `count` cases that take turns among the kinds."""
     with multiprocessing.get_context("fork").Pool(1) as elsewhere:  # once kernels have run in parallel, a process may not fork
         base = elsewhere.apply(make_base, (root / "base",))
     table = {kind: Counter[str]() for kind in kinds}
     with contextlib.ExitStack() as stack:
-        worker = Worker(base, root, seed)
+        worker = Worker(base, root, seed, limit_s)
         stack.callback(lambda: worker.stop())
         for number in range(count):
             kind = kinds[number % len(kinds)]
@@ -74,8 +75,8 @@ def _keep(folder: Path, place: Path, words: str) -> None:
 class Worker:
     """A forked process that makes and feeds one case after the other."""
 
-    def __init__(self, base: Base, root: Path, seed: int) -> None:
-        self._settings = (base, root, seed)
+    def __init__(self, base: Base, root: Path, seed: int, limit_s: float) -> None:
+        self._settings, self._limit_s = (base, root, seed, 0.6 * limit_s), limit_s
         self._process: BaseProcess | None = None
         self._pipe: Connection
 
@@ -85,7 +86,7 @@ class Worker:
             self._start()
         self._pipe.send((kind, number))
         made = self._answer(_MAKE_S)
-        return made if made[0] != "made" else self._answer(LIMIT_S)
+        return made if made[0] != "made" else self._answer(self._limit_s)
 
     def _start(self) -> None:
         context = multiprocessing.get_context("fork")
@@ -119,7 +120,7 @@ class Worker:
         self._process = None
 
 
-def _work(pipe: Connection, base: Base, root: Path, seed: int) -> None:
+def _work(pipe: Connection, base: Base, root: Path, seed: int, probe_s: float) -> None:
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     resource.setrlimit(resource.RLIMIT_AS, (_ADDRESSES, _ADDRESSES))
     silent = os.open(os.devnull, os.O_WRONLY)
@@ -127,6 +128,7 @@ def _work(pipe: Connection, base: Base, root: Path, seed: int) -> None:
         os.dup2(silent, number)
     (root / "tmp").mkdir(exist_ok=True)
     tempfile.tempdir = str(root / "tmp")
+    programs._PROBE_S = probe_s  # below the limit that is tested here
     try:
         _warm_up(base, root)
         pipe.send(("warm", ""))
@@ -207,11 +209,12 @@ def main() -> None:
     reader.add_argument("count", type=int)
     reader.add_argument("--seed", type=int, default=0)
     reader.add_argument("--kind", action="append", choices=sorted(KINDS))
+    reader.add_argument("--limit", type=float, default=_LIMIT_S, help="seconds for each case")
     reader.add_argument("--keep", type=Path, default=ROOT / "build" / "fuzz")
     asked = reader.parse_args()
     start = time.monotonic()
     with tempfile.TemporaryDirectory(prefix="fuzz-") as folder:
-        table = fuzz(asked.kind or sorted(KINDS), asked.count, asked.seed, Path(folder), asked.keep.absolute())
+        table = fuzz(asked.kind or sorted(KINDS), asked.count, asked.seed, asked.limit, Path(folder), asked.keep.absolute())
     print(f"{'kind':<12}{'count':>8}" + "".join(f"{name + ('s' if name == 'fault' else ''):>10}" for name in _OUTCOMES))
     for kind, row in [*table.items(), ("all", sum(table.values(), Counter()))]:
         print(f"{kind:<12}{sum(row.values()):>8}" + "".join(f"{row[name]:>10}" for name in _OUTCOMES))

@@ -147,10 +147,11 @@ def check(tree: Path, baseline: Path) -> tuple[int, float, dict[str, Any]]:
 
 
 def forget(tree: Path, changed: str) -> None:
-    """Remove the compiled kernels of a changed file and of all files that import it, directly or not."""
+    """Remove the compiled kernels of a changed file and of all files with kernels that import it, directly or through others with kernels."""
     files = {
         path: path.read_text(encoding="utf-8") for path in (*tree.rglob("sabench/**/*.py"), *tree.glob("solvers/*.py"), *tree.glob("generators/*.py"))
     }
+    files = {path: text for path, text in files.items() if "njit" in text or path.name == "__init__.py"}
     stale, waiting = {tree / changed}, [tree / changed]
     while waiting:
         one = waiting.pop()

@@ -144,7 +144,7 @@ def default_tolerance(track: str, figure: str) -> Tolerance:
     if figure.endswith("_percent") and figure.removeprefix("peak_") in ("true_percent", "ghost_percent", "yield_percent", "read_percent"):
         return Tolerance(relative=0.0, absolute=2.0)
     decimals = next((column.decimals for column in COLUMNS.get(track, ()) if column.key == figure), 4)
-    return Tolerance(relative=0.02, absolute=2.0 * 10.0**-decimals)
+    return Tolerance(relative=0.01, absolute=10.0**-decimals)
 
 
 def kind_of(track: str, figure: str) -> str:
@@ -157,7 +157,7 @@ def kind_of(track: str, figure: str) -> str:
 def _data_tolerance(kind: str) -> Tolerance:
     if kind == "probe":
         return Tolerance(relative=1e-3, absolute=1e-4)
-    if kind == "retraced_px":
+    if kind in ("retraced_px", "sightline_mm"):
         return Tolerance(relative=0.0, absolute=1e-6)
     if kind.startswith(("grey_", "found")):
         return Tolerance(relative=1e-3, absolute=2e-3)

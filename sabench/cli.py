@@ -112,8 +112,11 @@ def score(
     as_json: AsJson = False,
 ) -> None:
     """Score a result against the truth."""
+    from sabench.programs import probe
     from sabench.solving import score as scores_of
 
+    if result not in ("truth", "empty") and Path(result).is_file():
+        probe(Path(result))
     scores = scores_of(dataset, result, track)
     if as_json:
         _say(json.dumps(scores, allow_nan=False))
@@ -206,7 +209,7 @@ def check(
     junit: Annotated[Path | None, typer.Option(help="A JUnit XML file to make.")] = None,
     as_json: AsJson = False,
     work: Annotated[Path | None, typer.Option(help="Folder for data sets and results; by default a temporary one.")] = None,
-    exit_first: Annotated[bool, typer.Option("-x", "--exit-first", help="Stop after the first case with something worse.")] = False,
+    exit_first: Annotated[bool, typer.Option("-x", "--exit-first", help="Stop at the first data set or solver with something worse.")] = False,
 ) -> None:
     """Run a suite and compare every figure with a baseline: exit code 1 and a table if something got worse."""
     from sabench.gate import check_file

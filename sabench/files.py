@@ -16,6 +16,7 @@ from sabench.errors import InputError
 
 _ABANDONED = re.compile(r"^\.(?P<name>.+)\.(?P<what>partial|retired)-(?P<pid>\d+)$")
 
+_LONGEST_PART = 255  # bytes of a file's name, on every system in use
 _LARGEST_TEXT = 100_000_000  # bytes of a JSON file
 
 
@@ -101,7 +102,8 @@ def sha256(path: Path) -> str:
 
 def canonical_json(value: Any) -> str:
     """JSON with sorted keys and shortest round-trip numbers: equal values give equal text."""
-    return json.dumps(value, sort_keys=True, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+    text = json.dumps(value, sort_keys=True, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+    return text.encode("utf-8", "replace").decode("utf-8")  # JSON can hold half a surrogate pair, UTF-8 can not
 
 
 def digest(value: Any) -> str:
@@ -123,7 +125,8 @@ def inside(root: Path, name: str) -> Path:
     """The file `name` in the folder `root`; a name that leads outside, or through a link, is an InputError."""
     path = root / name
     parts = Path(name).parts
-    bad = not parts or Path(name).is_absolute() or ".." in parts or "\\" in name
+    bad = not parts or Path(name).is_absolute() or ".." in parts or "\\" in name or "\0" in name
+    bad = bad or any(len(part.encode("utf-8", "replace")) > _LONGEST_PART for part in parts)
     if bad or any((root / Path(*parts[: i + 1])).is_symlink() for i in range(len(parts))):
         raise InputError(f"{root}: expected a plain file inside the folder, got {name!r}")
     return path

@@ -9,6 +9,7 @@ import numpy as np
 from sabench.arrays import F64
 from sabench.codes import code_of
 from sabench.dataset.read import Dataset
+from sabench.optics.camera import Camera
 from sabench.retrace import retrace
 
 _TRACED = 40  # points that are projected a second time
@@ -29,9 +30,18 @@ def fingerprint(data: Dataset) -> dict[str, float]:
         figures |= dict(_light(data, number))
         again = retrace(data.scene, camera, points[:_TRACED])
         figures[f"{camera.name}.retraced_px"] = float(np.nanmax(np.linalg.norm(again - pixels[:_TRACED], axis=1), initial=0.0))
+        figures[f"{camera.name}.sightline_mm"] = _beside(camera, points[:_TRACED], pixels[:_TRACED])
         told = data.rig.cameras[number].project(np.asarray(data.scene.volume.center_mm)[None])[0]
         figures |= _spread(f"{camera.name}.told_", ("column", "row"), told)
     return {name: value for name, value in figures.items() if np.isfinite(value)}
+
+
+def _beside(camera: Camera, points: F64, pixels: F64) -> float:
+    """The largest distance (mm) of points from the lines of sight of their own pixels: the way back through the wall."""
+    rays = camera.back_project(pixels)
+    offset = points - rays.origins_mm
+    across = offset - np.sum(offset * rays.directions, axis=1, keepdims=True) * rays.directions
+    return float(np.max(np.linalg.norm(across, axis=1), initial=0.0))
 
 
 def _spread(prefix: str, names: Sequence[str], values: F64) -> dict[str, float]:

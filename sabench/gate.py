@@ -30,6 +30,7 @@ from sabench.baseline import (
     tolerance_of,
     write_baseline,
 )
+from sabench.dataset.read import Dataset
 from sabench.errors import InputError
 from sabench.fingerprint import fingerprint
 from sabench.parsing import find
@@ -99,7 +100,7 @@ def check(suite: str | Path, before: Baseline | None, work: Path, *, solvers: Se
     ----------
     work : folder for data sets and results; each data set is deleted when it has been compared.
     solvers : they run in place of the suite's own, each on the cases that have solvers of its track; the baseline is of them, too.
-    exit_first : stop after the first case with something worse.
+    exit_first : stop at the first data set or solver with something worse.
 
     Raises
     ------
@@ -116,7 +117,7 @@ def check(suite: str | Path, before: Baseline | None, work: Path, *, solvers: Se
             raise InputError(
                 f"case {case.name}: expected data sets by {old.renderer}, of which the baseline is, but here they are by {case.renderer}"
             )
-        entries.append(_run_case(case, work, old, before.tolerances if before else {}))
+        entries.append(_run_case(case, work, old, before.tolerances if before else {}, exit_first))
         found += _compared(case, old, entries[-1], before)
         if exit_first and any(finding.worse for finding in found):
             break
@@ -151,26 +152,42 @@ def _track(entrant: Entrant) -> str:
     return entrant.describe()[1]
 
 
-def _run_case(case: Case, work: Path, old: CaseEntry | None, tolerances: Tolerances) -> CaseEntry:
-    """Make the data set, measure it, solve and score it."""
+def _run_case(case: Case, work: Path, old: CaseEntry | None, tolerances: Tolerances, exit_first: bool) -> CaseEntry:
+    """Make the data set, measure it, solve and score it; with `exit_first` no further than to something worse."""
     data = dataset_of(case, work, fresh=True)
     out = work / "results" / f"{case.folder(work).name}.h5"
-    figures = fingerprint(data) | probe(data, out)
-    entries = {}
+    now = CaseEntry(case=case.name, seed=case.seed, renderer=case.renderer, scene_hash=case.scene.hash, data={}, solvers={})
+    now = now.model_copy(update={"data": {**fingerprint(data), **probe(data, out)}})
     for name, entrant in names_of(case.solvers, f"case {case.name}").items():
-        entry = _solved(data, entrant, out)
-        earlier = old.solvers.get(name) if old else None
-        for _ in range(_AGAIN):
-            if earlier is None or not _dear(earlier, entry, tolerances, _track(entrant)):
-                break
-            entry = _cheaper(entry, _solved(data, entrant, out))
-        entries[name] = entry
+        if exit_first and old and any(finding.worse for finding in compare(_ran(old, now), now, _tracks(case), tolerances)):
+            break
+        entry = _solved_again(data, entrant, out, old.solvers.get(name) if old else None, tolerances)
+        now = now.model_copy(update={"solvers": {**now.solvers, name: entry}})
     shutil.rmtree(data.root)
     out.unlink(missing_ok=True)
-    return CaseEntry(case=case.name, seed=case.seed, renderer=case.renderer, scene_hash=case.scene.hash, data=dict(figures), solvers=entries)
+    return now
 
 
-def _solved(data: Any, entrant: Entrant, out: Path) -> Entry:
+def _ran(old: CaseEntry, now: CaseEntry) -> CaseEntry:
+    """The old entry without the solvers that have not run now."""
+    return old.model_copy(update={"solvers": {name: entry for name, entry in old.solvers.items() if name in now.solvers}})
+
+
+def _tracks(case: Case) -> dict[str, str]:
+    return {name: _track(entrant) for name, entrant in names_of(case.solvers, f"case {case.name}").items()}
+
+
+def _solved_again(data: Dataset, entrant: Entrant, out: Path, earlier: Entry | None, tolerances: Tolerances) -> Entry:
+    """Solve and score; once more, and again, where time or memory seem to have grown."""
+    entry = _solved(data, entrant, out)
+    for _ in range(_AGAIN):
+        if earlier is None or not _dear(earlier, entry, tolerances, _track(entrant)):
+            break
+        entry = _cheaper(entry, _solved(data, entrant, out))
+    return entry
+
+
+def _solved(data: Dataset, entrant: Entrant, out: Path) -> Entry:
     try:
         reference_s = solve_apart(entrant, data, out)
         scores = score(data, out)
@@ -204,8 +221,8 @@ def _compared(case: Case, old: CaseEntry | None, now: CaseEntry, before: Baselin
         return
     if old.scene_hash != now.scene_hash:
         yield Finding(*now.key, DATA, "scene", None, None, None, worse=True, text="its scene is not the one of the baseline")
-    tracks = {name: _track(one) for name, one in names_of(case.solvers, case.name).items()}
-    yield from compare(old, now, tracks, before.tolerances)
+    cut_short = len(now.solvers) < len(case.solvers)
+    yield from compare(_ran(old, now) if cut_short else old, now, _tracks(case), before.tolerances)
 
 
 def _missing(before: Baseline | None, entries: Sequence[CaseEntry]) -> Iterator[Finding]:
@@ -219,8 +236,8 @@ def _tolerances(before: Baseline | None, cases: Sequence[Case], entries: Sequenc
     """Those of the earlier baseline, which somebody may have edited, and the rule's for whatever it does not name."""
     named: dict[str, set[str]] = {DATA: {kind_of(DATA, figure) for entry in entries for figure in entry.data}}
     for case, entry in zip(cases, entries, strict=False):
-        for name, entrant in names_of(case.solvers, case.name).items():
-            named.setdefault(_track(entrant), set()).update(entry.solvers[name].figures)
+        for name, track in _tracks(case).items():
+            named.setdefault(track, set()).update(entry.solvers[name].figures if name in entry.solvers else ())
     made = {track: {key: default_tolerance(track, key) for key in figures} for track, figures in named.items()}
     earlier = before.tolerances if before else {}
     return {track: made.get(track, {}) | earlier.get(track, {}) for track in {**made, **earlier}}

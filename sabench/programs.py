@@ -18,6 +18,7 @@ from sabench import plugins, tracks
 from sabench.apart import apart
 from sabench.confined import Limits, run_confined
 from sabench.dataset import layout
+from sabench.dataset.hdf import walk
 from sabench.dataset.read import Dataset, open_dataset
 from sabench.dataset.result import Result, open_result, result_writer
 from sabench.errors import InputError
@@ -25,7 +26,8 @@ from sabench.files import canonical_json, clear_abandoned, inside
 from sabench.progress import console
 from sabench.sentences import printable
 
-_CHECK_S = 1800.0  # for reading a result: a damaged HDF5 file can send the library round in circles
+_PROBE_S = 60.0  # for what a file says of itself: a damaged one can send the library round in circles, in which no Ctrl-C is heard
+_CHECK_S = 1800.0  # for reading all of a result
 
 
 def is_program(solver: str) -> bool:
@@ -75,6 +77,7 @@ def run_program(
         _check_file(result, path.name)
         told = (solver_name(program), parameters or {}, cost.seconds, cost.peak_mb)
         try:
+            probe(result)
             apart(adopt, result, dataset.root, out, told, overwrite, doing=f"result of {path.name}", time_s=_CHECK_S)
         finally:
             clear_abandoned(out.absolute())
@@ -106,6 +109,17 @@ def _check_file(result: Path, name: str) -> None:
         raise InputError(
             f"program {name}: expected the result at the path in its second argument, found {'no file' if not result.exists() else 'none'} there"
         )
+
+
+def probe(path: Path) -> None:
+    """Let another process find out whether HDF5 survives a foreign file.
+
+    Raises
+    ------
+    InputError
+        It does not, or takes too long.
+    """
+    apart(walk, path, doing=f"{path}: reading it", time_s=_PROBE_S)
 
 
 def adopt(path: Path, root: Path, out: Path, told: tuple[str, dict[str, Any], float, float | None] | None, overwrite: bool) -> None:

@@ -38,7 +38,7 @@ def load_scene(path: str | Path) -> Scene:
     file = find(path, "scenes")
     try:
         values = tomllib.loads(file.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, RecursionError) as error:
         raise InputError(f"{file}: expected a TOML file, got {error}") from error
     scene = parse_scene(values, str(file), file.parent)
     build_rig(scene, str(file))

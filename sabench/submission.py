@@ -20,7 +20,7 @@ from sabench.dataset.result import dataset_of
 from sabench.dataset.verify import verify
 from sabench.errors import InputError
 from sabench.files import canonical_json
-from sabench.programs import adopt
+from sabench.programs import adopt, probe
 from sabench.progress import track
 from sabench.records import Record, append, latest, read_records
 from sabench.run import build_board
@@ -89,7 +89,8 @@ def _datasets(files: list[tuple[str, Path]], folders: Sequence[Path]) -> dict[st
     """The data set of every result, by its content hash; each is verified once."""
     known, whole, found = dict(_by_hash(folders)), set(), {}
     for label, file in files:
-        wanted = apart(dataset_of, file, doing=label, time_s=_SCORE_S)
+        probe(file)
+        wanted = dataset_of(file)
         if wanted not in known:
             where = ", ".join(str(folder) for folder in folders)
             raise InputError(f"{printable(label)}: expected a result of a data set in {where}, but none there has the hash {printable(wanted, 12)!r}")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 import re
 import tomllib
 from collections import Counter
@@ -29,6 +30,7 @@ from sabench.scene import Scene
 from sabench.solving import make_algorithm
 
 _SAFE = r"[A-Za-z0-9][A-Za-z0-9._-]*"  # as a part of a file name on every system
+_MOST_CASES = 1000  # of one specification
 _UNSAFE = re.compile(r"[^A-Za-z0-9._-]+")
 
 
@@ -169,7 +171,7 @@ def load_suite(path: str | Path, secret: Secret | None = None) -> tuple[Suite, l
     file = find(path, "scenes/suites")
     try:
         values = tomllib.loads(file.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, RecursionError) as error:
         raise InputError(f"{file}: expected a TOML file, got {error}") from error
     suite = validate(Suite, values, str(file))
     own = suite.model_copy(update={"solvers": tuple(_checked(entrant, file) for entrant in suite.solvers)})
@@ -245,6 +247,9 @@ def _specs(suite: Suite) -> list[CaseSpec]:
 def _variants(spec: CaseSpec, suite: Path) -> Iterator[tuple[str, str, dict[str, Any], Scene]]:
     """Name, base, axes and scene for every combination of the varied values."""
     beside = suite.parent / spec.scene
+    count = math.prod(len(values) for values in spec.vary.values())
+    if count > _MOST_CASES:
+        raise InputError(f"{suite}: {spec.scene}: vary: expected at most {_MOST_CASES} cases, got {count}")
     base, scene = Path(spec.scene).stem, load_scene(beside if beside.is_file() else spec.scene)
     for choice in itertools.product(*(enumerate(values, 1) for values in spec.vary.values())):
         axes = {key: value for key, (_, value) in zip(spec.vary, choice, strict=True)}

@@ -15,7 +15,7 @@ _STORED_BYTES = 2  # per pixel of each picture on the disk: grey values are not 
 
 
 def check_affordable(name: str, scene: Scene, rig: Rig, folder: Path) -> None:
-    """Refuse a scene whose pictures cannot fit into memory, one at a time, or on the disk of an existing folder, all together.
+    """Refuse a scene whose pictures cannot fit into memory, one at a time, or on the disk of a folder, all together.
 
     Both are lower bounds: a scene that passes may still need too much, one that does not pass would have failed.
     """
@@ -28,7 +28,8 @@ def check_affordable(name: str, scene: Scene, rig: Rig, folder: Path) -> None:
         )
     if scene.targets is not None and scene.lighting is None:  # without pictures
         return
-    free, stored = shutil.disk_usage(folder).free / 1e6, pixels * pictures * _STORED_BYTES / 1e6
+    there_now = next(path for path in (folder, *folder.parents) if path.exists())
+    free, stored = shutil.disk_usage(there_now).free / 1e6, pixels * pictures * _STORED_BYTES / 1e6
     if stored > free:
         raise InputError(
             f"{name}: frames: expected a data set that fits on the disk, but {pictures} pictures need {stored:.0f} MB where {free:.0f} are free"

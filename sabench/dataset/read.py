@@ -69,7 +69,7 @@ class Dataset:
         path = inside(self.root, layout.SCENE)
         try:
             scene = validate(Scene, tomllib.loads(path.read_text(encoding="utf-8")), str(path))
-        except ValueError as error:
+        except (OSError, ValueError, RecursionError) as error:
             raise InputError(f"{path}: expected a TOML file, got {error}") from error
         return scene.with_files({table: inside(self.root, place.as_posix()) for table, place in scene.files.items()})
 

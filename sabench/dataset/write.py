@@ -18,7 +18,6 @@ from sabench import __version__
 from sabench.arrays import F64, Bool
 from sabench.codes import has_code
 from sabench.dataset import layout
-from sabench.dataset.cost import check_affordable
 from sabench.dataset.hdf import created, uninterrupted
 from sabench.files import canonical_json, complete_or_nothing, sha256
 from sabench.imaging.sensor import white_level
@@ -88,7 +87,6 @@ def dataset_writer(
     told : the cameras that solvers are told.
     """
     with complete_or_nothing(target, overwrite=overwrite) as root:
-        check_affordable(name, scene, rig, root.parent)
         root.mkdir()
         (root / layout.SCENE).write_text(_with_copies(scene, root).to_toml(), encoding="utf-8")
         (root / layout.CAMERAS).write_text(canonical_json(_observation(scene, rig, told)), encoding="utf-8")

@@ -13,6 +13,9 @@ def white_level(sensor: Sensor) -> int:
     return min((1 << sensor.bit_depth) - 1, round(sensor.black_level_dn + sensor.gain_dn_e * sensor.full_well_e))
 
 
+_MOST_E = 1e15  # electrons: more than any well holds, and fewer than the Poisson generator refuses
+
+
 def expose(sensor: Sensor, photons: F64, rng: np.random.Generator) -> U16:
     """Grey values (rows, columns) of a mean photon image, noise drawn from `rng`.
 
@@ -21,6 +24,7 @@ def expose(sensor: Sensor, photons: F64, rng: np.random.Generator) -> U16:
     """
     mean = sensor.quantum_efficiency * photons
     mean += sensor.dark_current_e_s * sensor.exposure_s
+    np.minimum(mean, _MOST_E, out=mean)
     electrons = rng.poisson(mean).astype(np.float64) if sensor.shot_noise else mean
     np.minimum(electrons, sensor.full_well_e, out=electrons)
     if sensor.read_noise_e > 0.0:

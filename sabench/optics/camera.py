@@ -69,8 +69,9 @@ class Camera:
 
     @property
     def focus_mm(self) -> float:
-        """Distance in the camera's medium at which points are sharp: the thin lens's conjugate of the principal distance."""
-        return 1.0 / (1.0 / self.focal_length_mm - 1.0 / self.principal_distance_mm)
+        """Distance in the camera's medium at which points are sharp: the thin lens's conjugate of the principal distance; it may be infinite."""
+        inverse = 1.0 / self.focal_length_mm - 1.0 / self.principal_distance_mm
+        return 1.0 / inverse if inverse else float("inf")
 
     def shifted(self, right_mm: float, down_mm: float) -> Camera:
         """The same camera with its pinhole moved in the plane of the lens (a point of the aperture)."""

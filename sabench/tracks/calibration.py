@@ -155,11 +155,15 @@ def _noise(case: CalibrationCase, exact: F64, outliers: Bool) -> float:
 
 
 def _bound(case: CalibrationCase, frame: Frame, truths: F64, good: Bool, noise: float) -> Limit | None:
-    """The Cramer-Rao bound; unknown are turn, centre, focal length of every camera, what else the case says, and all boards; None without noise."""
+    """The Cramer-Rao bound; unknown are turn, centre, focal length of every camera, what else the case says, and all boards; None without noise,
+    or where numbers fail."""
     if noise <= 0.0:
         return None
     seen = Seen(case.target.points_mm, np.nan_to_num(case.pixels), good.astype(np.float64), anchors_of(case, frame, noise))
-    return limit(frame.state(case.target.points_mm, truths), seen, Free.of(case.unknown), noise)
+    try:
+        return limit(frame.state(case.target.points_mm, truths), seen, Free.of(case.unknown), noise)
+    except np.linalg.LinAlgError:  # places and cameras so far from anything real that their bound has no number
+        return None
 
 
 def _intersected(cameras: tuple[CameraModel, ...], case: CalibrationCase, used: Bool | None) -> F64:

@@ -22,7 +22,7 @@ LEVELS = [
     {"dataset", "exchange"},
     {"tomography"},
     {"recording"},
-    {"generation", "programs", "solving", "scoring", "tracks", "pictures", "board"},
+    {"generation", "programs", "solving", "scoring", "tracks", "pictures", "page", "board"},
     {"suite"},
     {"run", "reproduce", "doctor", "calibrate", "export", "retrace", "fingerprint", "probe", "baseline", "submission"},
     {"gate"},

@@ -103,6 +103,22 @@ def test_lists_and_tables_go_by_number_in_names(tmp_path: Path) -> None:
     assert [case.name for case in cases] == ["quick-occluders_1", "quick-occluders_2"]
 
 
+def test_a_case_may_have_a_renderer_and_solvers_of_its_own(tmp_path: Path) -> None:
+    text = 'scenes = ["demo"]\n[[cases]]\nscene = "quick"\nbackend = "mitsuba"\nsolvers = [{ name = "msa", parameters = { k = 2.0 } }]\n'
+    demo, quick = load(tmp_path, text)
+    assert (demo.renderer, [one.name for one in demo.solvers]) == ("splat", ["asa"])
+    assert (quick.renderer, [(one.name, one.parameters) for one in quick.solvers]) == ("mitsuba", [("msa", {"k": 2.0})])
+
+
+def test_a_case_without_solvers_is_named(tmp_path: Path) -> None:
+    own = 'title = "t"\nbackend = "splat"\n[[cases]]\nscene = "quick"\nsolvers = [{ name = "msa" }]\n'
+    (tmp_path / "own.toml").write_text(own)
+    assert len(load_suite(tmp_path / "own.toml")[1]) == 1
+    (tmp_path / "none.toml").write_text(own + '[[cases]]\nscene = "demo"\n')
+    with pytest.raises(InputError, match="solvers: expected at least one for every case"):
+        load_suite(tmp_path / "none.toml")
+
+
 FAULTS = [
     ("", "scenes, cases: expected at least one scene"),
     ('scenes = ["quik"]\n', "did you mean quick?"),

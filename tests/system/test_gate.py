@@ -1,0 +1,117 @@
+"""A gate as users run it, from the command line and as a fixture of pytest: silent where nothing has changed, and with the figure where it has."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from xml.etree import ElementTree
+
+import pytest
+
+from tests.conftest import ROOT, Command
+
+pytest_plugins = "pytester"
+
+SUITE = """title = "tiny"
+backend = "splat"
+[[cases]]
+scene = "quick"
+name = "few"
+solvers = [{ name = "dimmest" }]
+[cases.set]
+"volume.size_mm" = [7.0, 5.0, 2.0]
+"particles.count" = 25
+"""
+SOLVER = '''"""The dimmest camera."""
+
+from sabench.api import Reconstruction, Solver
+from sabench.extraction import normalised
+from sabench.reproject import refocus_log2
+
+
+class Dimmest(Solver):
+    """A product of all cameras, less what is dark."""
+
+    name = "dimmest"
+    references = ("nobody",)
+
+    def solve(self, case):
+        volume = refocus_log2(normalised(case), case.cameras, case.grid, 0.01, outside=0.01)
+        volume[volume < -8.0] = -100.0
+        return Reconstruction(2.0 ** volume)
+'''
+PLANTED = SOLVER.replace("case.cameras, case.grid", "case.cameras[::-1], case.grid")
+
+
+@pytest.fixture
+def algorithms(tmp_path: Path) -> Path:
+    """A folder with a plug-in of somebody else and a suite."""
+    (tmp_path / "mine" / "solvers").mkdir(parents=True)
+    (tmp_path / "mine" / "solvers" / "dimmest.py").write_text(SOLVER)
+    (tmp_path / "tiny.toml").write_text(SUITE)
+    return tmp_path
+
+
+def plant(folder: Path) -> None:
+    (folder / "mine" / "solvers" / "dimmest.py").write_text(PLANTED)
+
+
+def test_a_check_is_silent_until_something_got_worse(algorithms: Path, command: Command) -> None:
+    words, env = ("check", "tiny.toml", "--baseline", "base.json"), {"SABENCH_PLUGINS": str(algorithms / "mine"), "PYTHONPATH": str(ROOT)}
+    missing = command(*words, env=env)
+    assert missing.returncode == 2
+    assert "--update makes one" in missing.stderr
+    made = command(*words, "--update", env=env)
+    assert made.returncode == 0, made.stderr
+    silent = command(*words, "--junit", "ok.xml", env=env)
+    assert silent.returncode == 0, silent.stdout + silent.stderr
+    assert silent.stdout == "tiny: 1 data sets, 1 results: nothing got worse\n"
+    assert ElementTree.parse(algorithms / "ok.xml").getroot().get("failures") == "0"
+    plant(algorithms)
+    worse = command(*words, "--junit", "bad.xml", "--json", env=env)
+    assert worse.returncode == 1
+    figures = {one["figure"]: one for one in json.loads(worse.stdout)["worse"]}
+    assert figures["q"]["solver"] == "dimmest"
+    assert figures["q"]["now"] < figures["q"]["before"] - figures["q"]["tolerance"]
+    assert ElementTree.parse(algorithms / "bad.xml").getroot().get("failures") == "1"
+
+
+def test_a_baseline_of_another_suite_is_bad_input(algorithms: Path, command: Command) -> None:
+    done = command("check", "tiny.toml", "--baseline", ROOT / "leaderboard/baselines/ci.json", env={"SABENCH_PLUGINS": str(algorithms / "mine")})
+    assert done.returncode == 2
+    assert "expected a baseline of the suite tiny, got one of ci" in done.stderr
+
+
+def test_solvers_that_no_case_is_for_are_bad_input(algorithms: Path, command: Command) -> None:
+    words = ("check", "tiny.toml", "--baseline", "base.json", "--update", "--solver", "piv3d")
+    done = command(*words, env={"SABENCH_PLUGINS": str(algorithms / "mine")})
+    assert done.returncode == 2
+    assert "got only some of the track velocimetry" in done.stderr
+
+
+def test_the_fixture_runs_a_plug_in_against_its_baseline(algorithms: Path, pytester: pytest.Pytester, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("SABENCH_PLUGINS", raising=False)
+    monkeypatch.setenv("PYTHONPATH", str(ROOT))
+    pytester.makeini(f"[pytest]\nsabench_plugins = {algorithms / 'mine'}\n")
+    (pytester.path / "tiny.toml").write_text(SUITE)
+    pytester.makepyfile(
+        "def test_quality(sabench_check):\n"
+        '    solvers = ["dimmest", {"name": "msa", "parameters": {"k": 2.0}}]\n'
+        '    found = sabench_check("tiny.toml", "base.json", solvers=solvers)\n'
+        '    assert list(found.now.cases[0].solvers) == ["dimmest", "msa k=2.0"]\n'
+    )
+    run = ("-p", "sabench.pytest_plugin", "-p", "no:cacheprovider")
+    pytester.runpytest_subprocess(*run, "--sabench-update").assert_outcomes(passed=1)
+    assert (pytester.path / "base.json").is_file()
+    pytester.runpytest_subprocess(*run).assert_outcomes(passed=1)
+    plant(algorithms)
+    failed = pytester.runpytest_subprocess(*run)
+    failed.assert_outcomes(failed=1)
+    failed.stdout.fnmatch_lines(["*few, seed 1: dimmest: q: * before, * now*is allowed*"])
+
+
+def test_pytest_starts_without_loading_sabench(pytester: pytest.Pytester, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PYTHONPATH", str(ROOT))
+    heavy = "{'mitsuba', 'drjit', 'numba', 'numpy', 'sabench.gate', 'sabench.plugins'}"
+    pytester.makepyfile(f"import sys\ndef test_light():\n    assert not {heavy} & set(sys.modules)\n")
+    pytester.runpytest_subprocess("-p", "sabench.pytest_plugin", "-p", "no:hypothesispytest").assert_outcomes(passed=1)

@@ -1,0 +1,278 @@
+"""Programs in other languages solve data sets, alone and in suites; results from elsewhere come onto the leaderboard."""
+
+from __future__ import annotations
+
+import functools
+import json
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import pytest
+
+import sabench
+from sabench.columns import COLUMNS
+from sabench.confined import Limits
+from sabench.dataset.read import Dataset
+from sabench.errors import InputError
+from sabench.programs import is_program, run_program, show
+from sabench.records import read_records
+from sabench.submission import submit
+from sabench.tracks import of
+from tests.conftest import ROOT, Command
+from tests.system.test_faults import check_sentence
+
+EXAMPLES = ROOT / "examples"
+HEADERS = next((path.parent for path in Path("/usr/include").rglob("hdf5.h")), None)
+
+
+def write(path: Path, body: str) -> Path:
+    """A Python program with the arguments `dataset`, `result` and `rest`, and numpy and h5py."""
+    head = "import json, os, sys\nfrom pathlib import Path\nimport h5py, numpy as np\ndataset, result, *rest = sys.argv[1:]\n"
+    path.write_text(f"#!{sys.executable}\n{head}{body}\n")
+    path.chmod(0o755)
+    return path
+
+
+WHOLE = """
+rig = json.loads(Path(dataset, "cameras.json").read_text())
+with h5py.File(result, "w") as file:
+    file.attrs.update({"format": "sabench-result", "version": 1, "seconds": 1e-6, "peak_mb": 1e-6, "solver": "liar"})
+    file.attrs["dataset"] = json.loads(Path(dataset, "manifest.json").read_text())["content_hash"]
+    for frame in range(rig["frames"]):
+        file[f"frames/{frame:04d}/volume"] = np.zeros(rig["grid"]["shape"], "f4")
+        file[f"frames/{frame:04d}/particles_mm"] = np.array([[0.0, 0.0, 30.0]])
+"""
+
+
+def test_a_program_sees_the_observation_side_only(quick: Dataset, tmp_path: Path) -> None:
+    show(quick, tmp_path / "view")
+    seen = sorted(path.relative_to(tmp_path / "view").as_posix() for path in (tmp_path / "view").rglob("*") if path.is_file())
+    assert seen == ["cameras.json", *(f"images/frame_0000/camera_0{number}.tif" for number in range(4)), "manifest.json"]
+    head = json.loads((tmp_path / "view/manifest.json").read_text())
+    assert head == {"format": "sabench-dataset", "version": 1, "content_hash": quick.content_hash}
+    for name in seen[:-1]:
+        assert (tmp_path / "view" / name).read_bytes() == (quick.root / name).read_bytes()
+        assert not (tmp_path / "view" / name).samefile(quick.root / name)  # a program that writes there spoils its own copy
+
+
+def test_a_result_is_taken_and_its_costs_are_measured(quick: Dataset, tmp_path: Path) -> None:
+    program = write(tmp_path / "mine.py", WHOLE + "assert rest == ['k=3.5', 'mode=fast', 'on=true'], rest")
+    made = run_program(str(program), quick, tmp_path / "r.h5", parameters={"k": 3.5, "mode": "fast", "on": True})
+    assert (made.solver, made.parameters) == ("mine", {"k": 3.5, "mode": "fast", "on": True})
+    assert made.seconds is not None
+    assert made.seconds > 0.05  # a Python that imports numpy takes longer; the file says 1e-6
+    assert made.peak_mb is not None
+    assert made.peak_mb > 10.0
+    scores = sabench.score(quick, tmp_path / "r.h5")
+    assert scores["q"] == 0.0
+    assert scores["recall"] < 0.01
+
+
+BAD = [
+    ("pass", "expected the result at the path in its second argument"),
+    ("os.symlink('/etc/passwd', result)", "expected the result at the path in its second argument"),
+    ("open(result, 'w').write('no HDF5')", "expected a whole HDF5 file"),
+    (WHOLE.replace('"f4")', '"i4")'), "expected shape (40, 200, 280) of kind f, got (40, 200, 280) of int32"),
+    (WHOLE.replace('np.zeros(rig["grid"]["shape"], "f4")', "np.zeros((4, 5, 6), 'f4')"), "expected shape (40, 200, 280) of kind f, got (4, 5, 6)"),
+    (WHOLE.replace("[0.0, 0.0, 30.0]", "[0.0, np.nan, 30.0]"), "1 that are NaN or infinite"),
+    (WHOLE.replace('["content_hash"]', '["content_hash"][::-1]'), "expected a result of the data set"),
+    (
+        WHOLE.split('        file[f"frames/{frame:04d}/particles')[0]
+        + "        file.create_dataset(f'frames/{frame:04d}/particles_mm', (10**9, 3), 'f8', chunks=(1000, 3))",
+        "MB",
+    ),
+    ("raise SystemExit('no cameras today')", "exit code 1; its last words: no cameras today"),
+]
+
+
+@pytest.mark.parametrize(("body", "words"), BAD, ids=[str(number) for number in range(len(BAD))])
+def test_what_is_no_result_is_refused_and_leaves_nothing(quick: Dataset, tmp_path: Path, body: str, words: str) -> None:
+    program = write(tmp_path / "bad.py", body)
+    with pytest.raises(InputError) as caught:
+        run_program(str(program), quick, tmp_path / "r.h5", limits=Limits(time_s=60.0))
+    assert words in str(caught.value)
+    assert list(tmp_path.iterdir()) == [program]
+
+
+def test_the_command(quick: Dataset, command: Command, tmp_path: Path) -> None:
+    write(tmp_path / "mine.py", WHOLE)
+    done = command("solve", "./mine.py", quick.root, "-o", "r.h5")
+    assert done.returncode == 0, done.stderr
+    assert "r.h5: mine," in done.stdout
+    check_sentence(command("solve", "./mine.py", quick.root, "-o", "r.h5"), "exists already")
+    check_sentence(command("solve", "./other.py", quick.root, "-o", "s.h5"), "expected an executable file, found none")
+    check_sentence(command("solve", "msa", quick.root, "-o", "s.h5", "--time-limit", 5), "limits for programs only")
+    write(tmp_path / "mine.py", "import time\ntime.sleep(60)")
+    check_sentence(command("solve", "./mine.py", quick.root, "-o", "s.h5", "--time-limit", 0.5), "within 0.5 s")
+    (tmp_path / "mine.py").chmod(0o644)
+    check_sentence(command("solve", "./mine.py", quick.root, "-o", "s.h5"), "may not be executed")
+
+
+def test_what_counts_as_a_program(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    write(tmp_path / "mine", "pass")
+    write(tmp_path / "msa", "pass")
+    assert is_program("mine")
+    assert is_program("./msa")
+    assert not is_program("msa")
+    assert not is_program("nothing")
+
+
+def test_every_track_can_take_foreign_results() -> None:
+    for track in COLUMNS:
+        assert callable(of(track).copy), f"track {track}: a foreign result must be read and written anew"
+
+
+SUITE = """
+title = "two programs and a solver"
+scenes = ["quick"]
+backend = "splat"
+solvers = [
+  { name = "./bin/mine.py", track = "reconstruction", parameters = { k = 2 }, time_limit_s = 60.0 },
+  { name = "./bin/slow.py", track = "reconstruction", label = "slow one", time_limit_s = 0.5, memory_limit_mb = 500.0 },
+  { name = "asa" },
+]
+"""
+
+
+def test_programs_in_a_suite(command: Command, tmp_path: Path) -> None:
+    (tmp_path / "suites" / "bin").mkdir(parents=True)
+    write(tmp_path / "suites" / "bin" / "mine.py", WHOLE)
+    write(tmp_path / "suites" / "bin" / "slow.py", "import time\ntime.sleep(60)")
+    suite = tmp_path / "suites" / "s.toml"
+    suite.write_text(SUITE)
+    done = command("run", suite, "--json")
+    assert done.returncode == 1, done.stderr
+    mine, slow, asa = json.loads(done.stdout)
+    assert (mine["solver"], mine["parameters"], mine["error"], mine["q"]) == ("mine", {"k": 2}, None, 0.0)
+    assert (slow["solver"], slow["label"], slow["declined"]) == ("slow", "slow one", False)
+    assert "within 0.5 s" in slow["error"]
+    assert asa["q"] > 0.4
+    assert str(tmp_path) not in json.dumps([mine["solver"], slow["solver"], slow["error"]])
+    suite.write_text(SUITE.replace('track = "reconstruction", l', "l"))
+    check_sentence(command("run", suite), "slow.py: track: expected one of reconstruction")
+    suite.write_text(SUITE.replace("slow.py", "none.py"))
+    check_sentence(command("run", suite), "none.py: expected an executable file")
+    suite.write_text(SUITE.replace('"asa"', '"asa", time_limit_s = 3.0'))
+    check_sentence(command("run", suite), "asa: expected track, time_limit_s and memory_limit_mb for programs only")
+
+
+@functools.cache
+def compiled(folder: Path) -> Path:
+    done = subprocess.run(["make", "-s", "-C", EXAMPLES / "cpp", f"BUILD={folder}"], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert not done.stderr, done.stderr  # it compiles without warnings
+    return folder / "synthetic_aperture"
+
+
+@pytest.fixture(scope="module")
+def python_scores(quick: Dataset, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
+    folder = tmp_path_factory.mktemp("python")
+    wrapper = folder / "run"
+    wrapper.write_text(f'#!/bin/sh\nexec "{sys.executable}" "{EXAMPLES / "python" / "synthetic_aperture.py"}" "$@"\n')
+    wrapper.chmod(0o755)
+    run_program(str(wrapper), quick, folder / "r.h5", parameters={"k": 3.0})
+    return sabench.score(quick, folder / "r.h5")
+
+
+def test_the_python_example_scores_as_the_bundled_solver_does(quick: Dataset, python_scores: dict[str, Any], tmp_path: Path) -> None:
+    """The same algorithm with linear instead of cubic interpolation."""
+    sabench.solve("msa", quick, tmp_path / "msa.h5", parameters={"k": 3.0})
+    bundled = sabench.score(quick, tmp_path / "msa.h5")
+    assert python_scores["q"] == pytest.approx(bundled["q"], abs=0.03)
+    assert python_scores["recall"] == pytest.approx(bundled["recall"], abs=0.02)
+    assert python_scores["precision"] == pytest.approx(bundled["precision"], abs=0.02)
+
+
+@pytest.mark.skipif(not (shutil.which("g++") and shutil.which("make") and HEADERS), reason="g++, make or the headers of libhdf5 are not there")
+def test_the_cpp_example_scores_as_the_python_example_does(quick: Dataset, python_scores: dict[str, Any], tmp_path: Path) -> None:
+    run_program(str(compiled(tmp_path)), quick, tmp_path / "r.h5", parameters={"k": 3.0})
+    scores = sabench.score(quick, tmp_path / "r.h5")
+    for column in COLUMNS["reconstruction"]:
+        if column.key not in ("seconds", "peak_mb"):
+            assert scores[column.key] == pytest.approx(python_scores[column.key], rel=1e-6), column.key
+
+
+def test_a_submission_is_ranked_beside_what_is_there(quick: Dataset, quick_result: Path, command: Command, tmp_path: Path) -> None:
+    sent = shutil.copy(quick_result, tmp_path / "mine.h5")
+    done = command("submit", sent, "--name", "Ann <b>", "--data", quick.root.parent, "--json")
+    assert done.returncode == 0, done.stderr
+    (first,) = json.loads(done.stdout)
+    assert (first["rank"], first["of"]) == (1, 1)
+    assert first["submission"]["name"] == "Ann <b>"
+    assert first["scene"] == "quick"
+    assert first["seconds"] is None  # another machine's
+    page = (tmp_path / "leaderboard" / "index.html").read_text()
+    assert "<b>" not in page.split("<table", 1)[-1].split("</table>")[0]
+    write(tmp_path / "zero.py", WHOLE)
+    run_program(str(tmp_path / "zero.py"), quick, tmp_path / "zero.h5")
+    done = command("submit", tmp_path / "zero.h5", "--name", "Bob", "--data", quick.root)
+    assert done.returncode == 0, done.stderr
+    assert "2 of 2" in done.stdout
+    assert "msa (Ann <b>)" in done.stdout
+    assert len(read_records(tmp_path / "leaderboard" / "records")) == 2
+
+
+def test_all_of_a_submission_or_nothing(quick: Dataset, quick_result: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "sent"
+    folder.mkdir()
+    shutil.copy(quick_result, folder / "a.h5")
+    (folder / "b.h5").write_bytes(b"no result")
+    with pytest.raises(InputError, match=r"b\.h5"):
+        submit(folder, "Ann", [quick.root], tmp_path / "board")
+    shutil.copy(quick_result, folder / "b.h5")
+    with pytest.raises(InputError, match="one result for each data set"):
+        submit(folder, "Ann", [quick.root], tmp_path / "board")
+    with h5py.File(folder / "b.h5", "r+") as file:
+        file.attrs["dataset"] = "0" * 64
+    with pytest.raises(InputError, match="none there has the hash '000000000"):
+        submit(folder, "Ann", [quick.root], tmp_path / "board")
+    assert not (tmp_path / "board").exists()
+
+
+@pytest.mark.parametrize("name", ["", " ", "x" * 81, "a\nb", "\x1b[2J", "\ud800"])
+def test_names_of_submissions(quick: Dataset, quick_result: Path, tmp_path: Path, name: str) -> None:
+    with pytest.raises(InputError, match="1 to 80 printable characters"):
+        submit(quick_result, name, [quick.root], tmp_path / "board")
+
+
+def test_a_data_set_that_was_changed_scores_nothing(quick: Dataset, quick_result: Path, tmp_path: Path) -> None:
+    copy = Path(shutil.copytree(quick.root, tmp_path / "copy"))
+    with h5py.File(copy / "truth.h5", "r+") as file:
+        file["frames/0000/position_mm"][...] = np.zeros_like(file["frames/0000/position_mm"])
+    with pytest.raises(InputError, match="a whole data set"):
+        submit(quick_result, "Ann", [copy], tmp_path / "board")
+
+
+def test_the_case_comes_from_a_record_of_the_same_data_set(quick: Dataset, quick_result: Path, tmp_path: Path) -> None:
+    known = {
+        "format": "sabench-record", "version": 1, "suite": "tank", "case": "dense", "scene": "quick", "difficulty": "hard", "axis": "density",
+        "axes": {"a": 1}, "scene_hash": quick.manifest.scene_hash, "dataset": quick.content_hash, "seed": 0,
+        "split": "hidden", "renderer": "mitsuba", "solver": "asa",
+        "parameters": {}, "run_hash": "ab", "versions": {}, "machine": {}, "q": 0.99,
+    }  # fmt: skip
+    (tmp_path / "board" / "records").mkdir(parents=True)
+    (tmp_path / "board" / "records" / "a.jsonl").write_text(json.dumps(known) + "\n")
+    (standing,) = submit(quick_result, "Ann", [quick.root], tmp_path / "board")
+    assert {key: standing.record[key] for key in ("case", "difficulty", "seed", "split")} == {
+        "case": "dense",
+        "difficulty": "hard",
+        "seed": 0,
+        "split": "hidden",
+    }
+    assert (standing.rank, standing.of, standing.best) == (2, 2, ("asa", 0.99))
+
+
+def test_a_leaderboard_of_two_folders_of_data(quick: Dataset, quick_result: Path, tmp_path: Path) -> None:
+    (tmp_path / "empty").mkdir()
+    (standing,) = submit(quick_result, "Ann", [tmp_path / "empty", quick.root], tmp_path / "board")
+    assert standing.rank == 1
+    with pytest.raises(InputError, match="expected a folder of data sets"):
+        submit(quick_result, "Ann", [tmp_path / "nowhere"], tmp_path / "board")
+    assert os.listdir(tmp_path / "empty") == []  # noqa: PTH208 (a name is enough)

@@ -1,0 +1,161 @@
+"""Some hundred damaged files of every kind: a part of what benchmarks/fuzz.py tries, and what it once found."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+import tifffile
+
+import sabench
+from sabench.dataset import hdf
+from sabench.dataset.hdf import opened, read_array
+from sabench.dataset.images import read_tiff
+from sabench.dataset.read import Dataset
+from sabench.errors import InputError
+from sabench.files import canonical_json, read_json
+from sabench.programs import probe
+from sabench.rig import load_scene
+from sabench.suite import load_suite
+from tests.conftest import ROOT
+
+
+def test_damaged_input_is_refused_by_one_sentence_or_taken(tmp_path: Path) -> None:
+    """Without submissions, each of which starts processes."""
+    kinds = [word for kind in ("scene", "suite", "dataset", "result", "records") for word in ("--kind", kind)]
+    words = [sys.executable, str(ROOT / "benchmarks" / "fuzz.py"), "200", "--seed", "7", "--limit", "60", "--keep", str(tmp_path / "kept"), *kinds]
+    done = subprocess.run(words, capture_output=True, text=True, check=False, cwd=tmp_path)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert re.search(r"^all +200 +\d+ +\d+ +0$", done.stdout, re.MULTILINE), done.stdout
+
+
+@pytest.fixture
+def file(tmp_path: Path) -> Path:
+    return tmp_path / "a.h5"
+
+
+def test_what_a_file_only_says_that_it_holds_is_not_read(file: Path) -> None:
+    with h5py.File(file, "w") as made:
+        made.create_dataset("empty", (10**8, 3), "f8", chunks=(1000, 3))
+        made.create_dataset("huge", (10**10, 3), "f8", chunks=(1000, 3))
+        made.create_dataset("chunk", (3, 3), "f8", chunks=(10**7, 3), maxshape=(None, 3))
+        made.create_dataset("null", data=h5py.Empty("f8"))
+        made.create_dataset("wide", (3, 3), np.longdouble)
+        made.create_dataset("fine", data=np.arange(6.0).reshape(2, 3), compression="gzip")
+    with opened(file) as again:
+        for name in ("empty", "huge"):
+            with pytest.raises(InputError, match=r"at most 2000 MB|fit into memory"):
+                read_array(again, name, (None, 3), "f")
+        with pytest.raises(InputError, match="chunks no larger than the data set"):
+            read_array(again, "chunk", (None, 3), "f")
+        for name in ("null", "wide"):
+            with pytest.raises(InputError, match="expected shape"):
+                read_array(again, name, (None, 3), "f")
+        np.testing.assert_array_equal(read_array(again, "fine", (None, 3), "f"), np.arange(6.0).reshape(2, 3))
+
+
+def test_a_deflated_bomb(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(hdf, "_SMALL", 1000)
+    with h5py.File(file, "w") as made:
+        made.create_dataset("zeros", (10**6, 3), "f8", chunks=(10**5, 3), compression="gzip", compression_opts=9)
+        del made["zeros"]
+        made.create_dataset("unwritten", (10**6, 3), "f8", chunks=(10**5, 3), compression="gzip")
+    with opened(file) as again, pytest.raises(InputError, match="expected values that the file stores"):
+        read_array(again, "unwritten", (None, 3), "f")
+
+
+def test_attributes_of_other_kinds(quick: Dataset, quick_result: Path, file: Path) -> None:
+    for name, value in {
+        "parameters": "[1]",
+        "seconds": np.zeros(3),
+        "solver": h5py.Empty("f4"),
+        "track": "x" * 60_000,
+        "peak_mb": float("inf"),
+    }.items():
+        shutil.copy(quick_result, file)
+        with h5py.File(file, "r+") as made:
+            made.attrs[name] = value
+        with pytest.raises(InputError, match=f"attribute {name}"):
+            sabench.score(quick, file)
+    shutil.copy(quick_result, file)
+    with h5py.File(file, "r+") as made:
+        made.attrs["version"], made.attrs["seconds"], made.attrs["solver"] = np.array([1]), np.array([2.5]), np.bytes_("\x1b[2Jmine")
+    scores = sabench.score(quick, file)
+    assert (scores["seconds"], scores["solver"]) == (2.5, "?[2Jmine")
+
+
+def test_parameters_that_json_cannot_hold(quick: Dataset, quick_result: Path, file: Path) -> None:
+    for text in ('{"a": NaN}', '{"a": 1e999}', "[" * 5000):
+        shutil.copy(quick_result, file)
+        with h5py.File(file, "r+") as made:
+            made.attrs["parameters"] = text
+        with pytest.raises(InputError, match="attribute parameters: expected a JSON object"):
+            sabench.score(quick, file)
+
+
+def test_a_file_that_sends_hdf5_round_in_circles(quick_result: Path, file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Stood in for by a reader that never ends: it is ended from outside, and a crash is a sentence."""
+    shutil.copy(quick_result, file)
+    probe(file)
+    monkeypatch.setattr("sabench.programs._PROBE_S", 0.0)
+    with pytest.raises(InputError, match="expected an end within 0 s"):
+        probe(file)
+
+
+def test_a_picture_that_says_that_it_is_huge(tmp_path: Path) -> None:
+    path = tmp_path / "a.tif"
+    tifffile.imwrite(path, np.zeros((2, 24, 32), np.uint16), photometric="minisblack", metadata=None)
+    with pytest.raises(InputError, match="and 1 more"):
+        read_tiff(path, (24, 32))
+    tifffile.imwrite(path, np.zeros((4000, 4000), np.uint16), compression="zlib")
+    with pytest.raises(InputError, match=r"got uint16 of shape \(4000, 4000\)"):
+        read_tiff(path, (24, 32))
+
+
+def test_errors_are_one_line_whatever_they_quote() -> None:
+    assert str(InputError("a\nb\x1b[2J")) == "a b?[2J"
+    long = str(InputError("x" * 10_000 + "end"))
+    assert len(long) < 1300
+    assert long.endswith("end")
+
+
+def test_deep_and_broken_text(tmp_path: Path) -> None:
+    deep = tmp_path / "deep.json"
+    deep.write_text("[" * 100_000)
+    with pytest.raises(InputError, match="expected a JSON file"):
+        read_json(deep)
+    for name, load in (("scene.toml", load_scene), ("suite.toml", load_suite)):
+        (tmp_path / name).write_text("x = " + "[" * 100_000)
+        with pytest.raises(InputError, match="expected a TOML file"):
+            load(tmp_path / name)
+    assert canonical_json({"a": json.loads('"\\ud800"')}) == '{\n "a": "?"\n}\n'
+
+
+def test_scenes_and_suites_that_ask_for_too_much(tmp_path: Path, quick_toml: str) -> None:
+    for old, new, words in (
+        ("columns = 2,", "columns = 1000000,", "at most 1000 cameras, got 2000000"),
+        ("count = 300", "count = 1000000000", "particles.count"),
+        ("count = 300", "per_mm3 = 1e12", "at most 50000000 of them"),
+        ("rows = 240\ncolumns = 320", "rows = 1000000\ncolumns = 1000000", "cameras.rows"),
+        ("frames = 1", "frames = 1000000000", "fits on the disk"),
+        ("direction = [1.0", 'scattering = "isotropic"\ndirection = [1.0', ""),
+    ):
+        assert old in quick_toml
+        (tmp_path / "s.toml").write_text(quick_toml.replace(old, new))
+        if words:
+            with pytest.raises(InputError, match=re.escape(words)):
+                sabench.generate(tmp_path / "s.toml", tmp_path / "out", backend="splat")
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["s.toml"]
+    values = ", ".join(map(str, range(2000)))
+    (tmp_path / "suite.toml").write_text(
+        f'title = "t"\nscenes = ["quick"]\nvary = {{ "particles.count" = [{values}] }}\nsolvers = [{{ name = "asa" }}]\n'
+    )
+    with pytest.raises(InputError, match="at most 1000 cases, got 2000"):
+        load_suite(tmp_path / "suite.toml")
