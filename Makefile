@@ -40,6 +40,8 @@ $(VENV)/.installed: $(VENV)/bin/pip pyproject.toml constraints.txt
 
 $(VENV)/.installed-dev: $(VENV)/.installed
 	$(BIN)/pip install --constraint constraints.txt --editable '.[dev]'
+	@# without its dependencies: its opencv-python would overwrite opencv-python-headless and need libraries of a desktop
+	$(BIN)/pip install --constraint constraints.txt --no-deps openlpt || echo "OpenLPT has no wheel for this machine: its tests are skipped"
 	@touch $@
 
 clean:

@@ -6,13 +6,14 @@ is what `sabench list` shows, its `Parameters` are what a scene or `-p name=valu
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any, ClassVar, Literal
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
-from sabench.arrays import F32, F64, U16, Bool
+from sabench.arrays import F32, F64, I64, U16, Bool
 from sabench.errors import InputError
 from sabench.optics.camera import Camera
 from sabench.optics.model import CameraModel
@@ -20,7 +21,7 @@ from sabench.scene import LensNumber, Vector
 from sabench.volume import Grid
 from sabench.world import Bubbles, Domain, Particles, Pose, Solid, Target
 
-Track = Literal["reconstruction", "calibration", "velocimetry", "bubbles", "see_through"]
+Track = Literal["reconstruction", "particles", "calibration", "velocimetry", "bubbles", "see_through"]
 Shown = Literal["particles", "target", "bubbles", "code"]  # what a data set's frames show
 
 
@@ -253,6 +254,92 @@ class Solver(PlugIn):
 
 
 @dataclass(frozen=True)
+class Film:
+    """Frames that follow each other, as an experimenter has them: each is read when it is asked for, and none is kept.
+
+    Attributes
+    ----------
+    cameras, grid : of all frames, as in `Observation`.
+    times_s : when each frame was taken.
+    load : reads a frame, counted from 0.
+    """
+
+    cameras: tuple[CameraModel, ...]
+    grid: Grid
+    times_s: tuple[float, ...]
+    load: Callable[[int], Observation]
+
+    @classmethod
+    def of(cls, frames: list[Observation], interval_s: float = 1.0) -> Film:
+        """A film of frames that are in memory."""
+        return cls(frames[0].cameras, frames[0].grid, tuple(interval_s * i for i in range(len(frames))), frames.__getitem__)
+
+    def __len__(self) -> int:
+        return len(self.times_s)
+
+    def __getitem__(self, frame: int) -> Observation:
+        if not 0 <= frame < len(self):
+            raise IndexError(f"frame {frame}: expected 0 to {len(self) - 1}")
+        return self.load(frame)
+
+    def __iter__(self) -> Iterator[Observation]:
+        return (self[frame] for frame in range(len(self)))
+
+
+@dataclass(frozen=True)
+class FoundParticles:
+    """Particles that were found in one frame.
+
+    Attributes
+    ----------
+    position_mm : (n, 3).
+    intensity : (n,), of any scale, if the algorithm knows it.
+    track : (n,) numbers of tracks, different within a frame: particles of one number in several frames are one. None: the harness links them.
+
+    Raises
+    ------
+    InputError
+        Arrays of other shapes or kinds, values that are not finite, or two particles of one track.
+    """
+
+    position_mm: F64
+    intensity: F64 | None = None
+    track: I64 | None = None
+
+    def __post_init__(self) -> None:
+        count = len(self.position_mm)
+        _check_numbers("position_mm", self.position_mm, (count, 3), np.float64)
+        if self.intensity is not None:
+            _check_numbers("intensity", self.intensity, (count,), np.float64)
+        if self.track is not None:
+            _check_numbers("track", self.track, (count,), np.int64)
+            values, times = np.unique(self.track, return_counts=True)
+            if len(values) < count:
+                raise InputError(f"track: expected different numbers, got {values[times.argmax()]} for {times.max()} particles")
+
+
+def _check_numbers(name: str, value: Any, shape: tuple[int, ...], kind: type[np.generic]) -> None:
+    if not isinstance(value, np.ndarray) or value.shape != shape or value.dtype != kind or not np.isfinite(value).all():
+        got = f"{value.dtype} of shape {value.shape}" if isinstance(value, np.ndarray) else type(value).__name__
+        raise InputError(f"{name}: expected finite {np.dtype(kind)} values of shape {shape}, got {got}")
+
+
+class ParticleSolver(PlugIn):
+    """Base of an algorithm that finds particles, or tracks them: `solve` turns a film into the particles of each of its frames."""
+
+    track: ClassVar[Track] = "particles"
+    sees: ClassVar[Shown] = "particles"
+
+    def skip(self, case: Film) -> str | None:
+        """Why this algorithm cannot take the case, or None if it can."""
+        return None
+
+    def solve(self, case: Film) -> list[FoundParticles]:
+        """Find the particles of every frame; all of them with track numbers, or none."""
+        raise NotImplementedError(f"solver {type(self).__name__} must implement solve()")
+
+
+@dataclass(frozen=True)
 class CalibrationCase:
     """A calibration as an experimenter has it.
 
@@ -445,10 +532,7 @@ class Detections:
     def __post_init__(self) -> None:
         count = len(self.center_mm)
         for name, expected in {"center_mm": (count, 3), "semi_axes_mm": (count, 3), "turn": (count, 3, 3)}.items():
-            value = getattr(self, name)
-            if not isinstance(value, np.ndarray) or value.shape != expected or value.dtype != np.float64 or not np.isfinite(value).all():
-                got = f"{value.dtype} of shape {value.shape}" if isinstance(value, np.ndarray) else type(value).__name__
-                raise InputError(f"{name}: expected finite float64 values of shape {expected}, got {got}")
+            _check_numbers(name, getattr(self, name), expected, np.float64)
         if count and self.semi_axes_mm.min() <= 0.0:
             raise InputError(f"semi_axes_mm: expected positive lengths, got {self.semi_axes_mm.min():g}")
         if count and np.abs(self.turn @ self.turn.transpose(0, 2, 1) - np.eye(3)).max() > 1e-6:
@@ -495,4 +579,4 @@ class SeeThroughSolver(PlugIn):
         raise NotImplementedError(f"solver {type(self).__name__} must implement solve()")
 
 
-AnySolver = BubbleSolver | SeeThroughSolver | Solver | CalibrationSolver | SelfCalibrationSolver | VelocimetrySolver
+AnySolver = ParticleSolver | BubbleSolver | SeeThroughSolver | Solver | CalibrationSolver | SelfCalibrationSolver | VelocimetrySolver

@@ -29,7 +29,7 @@ _ERRORS = (
     "ghost_percent", "rms_px", "true_px", "measured_px", "true_ratio", "held_out_mm", "spacing_mm", "index_error", "thickness_error_mm", "_p90_voxel",
     "bias_voxel", "rms_voxel", "divergence_1_s", "vorticity_percent", "radius_percent", "axes_percent", "tilt_deg", "plane_mm", "depth_mm",
     "sizes_percent", "void_percent", "penetration_percent", "angle_percent", "weight_percent", "width_percent", "velocity_mm_s", "velocity_percent",
-    "_std_mm", "_mean_mm", "_std_ratio", "retraced_px", *COSTS,
+    "_std_mm", "_mean_mm", "rms_mm", "_std_ratio", "retraced_px", *COSTS,
 )  # fmt: skip
 
 

@@ -108,6 +108,7 @@ def solve(
 def score(
     dataset: Annotated[Path, typer.Argument(help="A data set folder.")],
     result: Annotated[str, typer.Argument(help="A result file, or truth or empty: the ends of every scale.")],
+    track: Annotated[str | None, typer.Option(help="By whose scores truth and empty are scored: reconstruction or particles.")] = None,
     as_json: AsJson = False,
 ) -> None:
     """Score a result against the truth."""
@@ -116,7 +117,7 @@ def score(
 
     if result not in ("truth", "empty") and Path(result).is_file():
         probe(Path(result))
-    scores = scores_of(dataset, result)
+    scores = scores_of(dataset, result, track)
     if as_json:
         _say(json.dumps(scores, allow_nan=False))
     else:

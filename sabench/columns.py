@@ -31,6 +31,20 @@ COLUMNS: dict[str, tuple[Column, ...]] = {
         Column("peak_ghost_percent", "peak ghost %", 1, "ghost % of these"),
         *_COST,
     ),
+    "particles": (
+        Column("f1", "F1", 3, "harmonic mean of precision and recall"),
+        Column("precision", "precision", 3, "share of the detections that are true, closer than 1 voxel along every axis, one to one"),
+        Column("recall", "recall", 3, "share of the true particles that were found"),
+        Column("ghost_percent", "ghost %", 1, "detections that are no true particle, relative to those that are"),
+        Column("rms_px", "rms px", 3, "root mean square distance of found from true particles in the images, mean over cameras and pairs"),
+        Column("rms_mm", "rms mm", 4, "root mean square distance between them in space"),
+        Column("link_recall", "link recall", 3, "share of the particles found in two frames that follow each other that one track joins"),
+        Column("link_precision", "link precision", 3, "share of the links between such frames that join the same particle"),
+        Column("effectiveness", "effectiveness", 3, "share of a particle's frames in which its longest track has it, mean over the particles"),
+        Column("velocity_mm_s", "velocity mm/s", 3, "median error of the velocity of right links, against the true mean velocity between the frames"),
+        Column("velocity_percent", "velocity %", 2, "the same over that velocity"),
+        *_COST,
+    ),
     "velocimetry": (
         Column("u_p90_voxel", "u 90 % voxel", 3, "half width of the interval about zero that holds 90 % of the errors of the displacement along X"),
         Column("v_p90_voxel", "v 90 % voxel", 3, "the same along Y"),
@@ -97,4 +111,4 @@ COLUMNS: dict[str, tuple[Column, ...]] = {
     ),
 }
 # of the first column, by which tables are sorted
-LARGER_IS_BETTER = {"reconstruction": True, "calibration": False, "velocimetry": False, "bubbles": True, "see_through": True}
+LARGER_IS_BETTER = {"reconstruction": True, "particles": True, "calibration": False, "velocimetry": False, "bubbles": True, "see_through": True}

@@ -18,6 +18,7 @@ from sabench.errors import InputError
 from sabench.files import complete_or_nothing
 from sabench.flows import divergence, vorticity
 from sabench.metrics.bubbles import AnyBubbles, match
+from sabench.metrics.detection import challenge_pairs
 from sabench.metrics.velocity import gradient
 from sabench.motion import lattice
 from sabench.placement import shapes_of
@@ -36,8 +37,9 @@ def export(dataset: Dataset | str | Path, out: str | Path, result: str | Path | 
     """Write a data set's truth, or a result of it, into a folder; one file for each frame and kind.
 
     A data set gives what it shows: `particles` with `volume` (the synthesised field) and, where there is a flow, `flow`; `bubbles`; `bodies`.
-    A result gives `volume` and, if it has some, `particles`, or `velocity` with the exact field and the error of every vector, or `bubbles` with
-    the errors of those that are matched to true ones. Lengths are mm, velocities mm/s.
+    A result gives `volume` and, if it has some, `particles`, or `particles` alone with the ids of the true ones that they are, or `velocity` with
+    the exact field and the error of every vector, or `bubbles` with the errors of those that are matched to true ones. Lengths are mm, velocities
+    mm/s.
 
     Raises
     ------
@@ -60,8 +62,10 @@ def export(dataset: Dataset | str | Path, out: str | Path, result: str | Path | 
             _export_reconstructions(root, data, found)
         elif found.track == "bubbles":
             _export_detections(root, data, found)
+        elif found.track == "particles":
+            _export_found(root, data, found)
         else:
-            raise InputError(f"{found.path}: expected a result with volumes, velocities or bubbles, got one of the track {found.track}")
+            raise InputError(f"{found.path}: expected a result with volumes, particles, velocities or bubbles, got one of the track {found.track}")
     return Path(out)
 
 
@@ -113,6 +117,18 @@ def _export_detections(root: Path, data: Dataset, result: Result) -> None:
     for frame in track(range(data.rig.frames), "export"):
         found = result.bubbles(frame)
         write_points(root / f"bubbles_{frame:04d}.vtkhdf", found.center_mm, _shapes(found) | _errors(found, data.bubbles(frame)))
+
+
+def _export_found(root: Path, data: Dataset, result: Result) -> None:
+    for frame in track(range(data.rig.frames), "export"):
+        found, grid = result.particles(frame), data.rig.grid
+        known = data.particles(frame)
+        i, j = challenge_pairs(grid.to_voxels(found.position_mm), grid.to_voxels(known.position_mm))
+        identity = np.full(len(found.position_mm), -1)
+        identity[i] = known.id[j]
+        given = {"intensity": found.intensity, "track": found.track}
+        about = {"matched": (identity >= 0).astype(np.uint8), "true_id": identity} | {name: one for name, one in given.items() if one is not None}
+        write_points(root / f"particles_{frame:04d}.vtkhdf", found.position_mm, about)
 
 
 def _shapes(bubbles: AnyBubbles) -> Data:

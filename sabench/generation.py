@@ -76,7 +76,7 @@ def generate(
             crew = Here(recorder, parts) if jobs == 1 else Pool(parts.root, jobs)
         with contextlib.closing(crew):
             work_off(crew, Plan(loaded.frames, recorder.views, chained=recorder.chained, ahead=crew.ahead), f"render {label} with {job.renderer}")
-        _put_together(target, job, recorder, parts, overwrite)
+        put_together(target, job, recorder, parts, overwrite=overwrite)
     return open_dataset(target)
 
 
@@ -108,7 +108,8 @@ def _forget(target: Path) -> None:
         shutil.rmtree(folder, ignore_errors=True)
 
 
-def _put_together(target: Path, job: Job, recorder: Recorder, parts: Parts, overwrite: bool) -> None:
+def put_together(target: Path, job: Job, recorder: Recorder, parts: Parts, *, overwrite: bool) -> None:
+    """Make the data set of all its parts."""
     rig = build_rig(job.scene, job.label)
     told, cameras = told_cameras(job.scene, rig.cameras, job.seed), rig.cameras[: recorder.views]
     with dataset_writer(target, job.label, job.scene, rig, told, job.seed, job.renderer, overwrite=overwrite) as writer:

@@ -8,9 +8,17 @@ import os
 from collections.abc import Callable
 from pathlib import Path
 
+_children = [0.0]  # MB, the most that a process which this one started has held
+
+
+def add_child(mb: float) -> None:
+    """Count the peak of a process that this one started and waited for: both held memory at once."""
+    _children[0] = max(_children[0], mb)
+
 
 def forget_peak() -> None:
     """Start the process's memory high-water mark anew, where the system can (Linux)."""
+    _children[0] = 0.0
     marks = Path("/proc/self/clear_refs")
     if marks.exists():
         try:
@@ -20,16 +28,16 @@ def forget_peak() -> None:
 
 
 def peak_mb() -> float | None:
-    """Peak resident memory of this process in MB (10^6 bytes); None where the system does not say."""
+    """Peak resident memory of this process, and of the largest that it reported, in MB (10^6 bytes); None where the system does not say."""
     status = Path("/proc/self/status")
     if status.exists():
         line = next(line for line in status.read_text().splitlines() if line.startswith("VmHWM:"))
-        return int(line.split()[1]) * 1024 / 1e6
+        return int(line.split()[1]) * 1024 / 1e6 + _children[0]
     try:
         import resource
     except ImportError:  # Windows
         return None
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6  # macOS counts bytes
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6 + _children[0]  # macOS counts bytes
 
 
 def available_mb() -> float | None:

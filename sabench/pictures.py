@@ -7,7 +7,7 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from sabench.arrays import F32, F64, U16
+from sabench.arrays import F32, F64, U16, Bool
 
 U8 = npt.NDArray[np.uint8]
 
@@ -19,6 +19,8 @@ _BRIGHTEST = 99.9  # percentile shown as white
 _LEAST_RANGE = 0.01  # of black to white: below this, noise would be shown as light
 _WINDOW = 200  # voxels of a slice that are shown, per side
 _ENLARGED_PX = 400  # side of a slice's picture
+# Blue, green, red of errors, told apart by the colour-blind and as dark as each other: the ends and the middle of RdBu.
+_MISSING, _RIGHT, _TOO_MUCH = (np.array(colour, dtype=np.float64) for colour in ((172.0, 102.0, 33.0), (247.0, 247.0, 247.0), (43.0, 24.0, 178.0)))
 
 
 def montage(images: U16, black_dn: float, white_dn: float) -> bytes:
@@ -58,14 +60,48 @@ def slice_picture(volume: F32, scored: tuple[slice, slice, slice]) -> bytes:
     The window depends on the grid only, and a voxel is a block of whole pixels, so pictures of one grid can be compared particle by particle.
     Brightness is the square root of the intensity, up to the window's own 99.9th percentile: faint ghosts stay visible beside bright particles.
     """
-    part = volume[scored]
+    window = _window(volume[scored])
+    return _png(_enlarged(_grey(window, _top(window), 0.5)))
+
+
+def error_slice(volume: F32, truth: F32, scored: tuple[slice, slice, slice]) -> bytes:
+    """The same window of a volume (z, y, x) minus that of the truth: white is right, red is light too much, blue is light that is missing.
+
+    The volume is first scaled so that its squared difference to the truth in the scored part is least, as its scale means nothing. Colours follow the
+    square root of the difference, up to the 99.9th percentile of the truth's window: all errors on one truth have one scale.
+    """
+    guess, true = (one[scored].astype(np.float64) for one in (volume, truth))
+    window, power = _window(truth[scored]), float(np.vdot(guess, guess))
+    off = (float(np.vdot(guess, true)) / power if power else 0.0) * _window(volume[scored]) - window
+    strength = np.sqrt(np.clip(np.abs(off) / (_top(window) or 1.0), 0.0, 1.0))[..., None]
+    ends = np.where(off[..., None] > 0.0, _TOO_MUCH, _MISSING)
+    return _png(_enlarged(np.rint(_RIGHT + strength * (ends - _RIGHT)).astype(np.uint8)))
+
+
+def _window(part: F32) -> F64:
+    """The central window of the middle plane."""
     if part.ndim != 3 or not part.size:
         raise ValueError(f"slice_picture: expected a scored part (z, y, x) with voxels, got shape {part.shape}")
     plane = part[part.shape[0] // 2]
-    window = plane[_central(plane.shape[0]), _central(plane.shape[1])].astype(np.float64)
-    top = float(np.percentile(window, _BRIGHTEST)) or float(window.max())  # a few lone particles can fill less than 0.1 %
-    block = max(1, _ENLARGED_PX // max(window.shape))
-    return _png(_grey(window, top, 0.5).repeat(block, axis=0).repeat(block, axis=1))
+    return np.asarray(plane[_central(plane.shape[0]), _central(plane.shape[1])], dtype=np.float64)
+
+
+def _top(window: F64) -> float:
+    return float(np.percentile(window, _BRIGHTEST)) or float(window.max())  # a few lone particles can fill less than 0.1 %
+
+
+def _enlarged(pixels: U8) -> U8:
+    """Each voxel as a block of whole pixels."""
+    block = max(1, _ENLARGED_PX // max(pixels.shape[:2]))
+    return pixels.repeat(block, axis=0).repeat(block, axis=1)
+
+
+def read_picture(dark: Bool, right: Bool) -> bytes:
+    """A code (rows, columns) of dark and bright cells as a PNG: black and white where it is read right, red where dark is read as bright, blue where
+    bright is read as dark."""
+    truth = np.where(dark[..., None], 0.0, _RIGHT)
+    wrong = np.where(dark[..., None], _TOO_MUCH, _MISSING)
+    return _png(_enlarged(np.where(right[..., None], truth, wrong).astype(np.uint8)))
 
 
 def grey_picture(values: F64, size_px: int) -> bytes:

@@ -75,6 +75,16 @@ class Discs:
 
 
 @dataclass(frozen=True)
+class Circles:
+    """Circles (n,) of radii in the axes' own unit, all of one colour, y downwards; several kinds may share a panel."""
+
+    label: str
+    x: npt.NDArray[np.float64]
+    y: npt.NDArray[np.float64]
+    radius: npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
 class Picture:
     """Grey values (rows, columns) as they are seen, from the least to the largest, y downwards; alone in its panel.
 
@@ -99,7 +109,7 @@ class Space:
     radius: npt.NDArray[np.float64]
 
 
-Content = Curve | Histogram | Cloud | Slice | Discs | Picture | Space
+Content = Curve | Histogram | Cloud | Slice | Discs | Circles | Picture | Space
 
 
 @dataclass(frozen=True)
@@ -159,6 +169,8 @@ def _fill(axes: Any, panel: Panel) -> None:
             _colour(axes, one)
         elif isinstance(one, Discs):
             _discs(axes, one)
+        elif isinstance(one, Circles):
+            _circles(axes, one, colour)
         elif isinstance(one, Picture):
             _picture(axes, one)
         elif isinstance(one, Space):
@@ -209,6 +221,22 @@ def _discs(axes: Any, one: Discs) -> None:
         axes.set_xlim(one.x.min() - reach, one.x.max() + reach)
         axes.set_ylim(one.y.max() + reach, one.y.min() - reach)
     axes.grid(visible=False)
+
+
+def _circles(axes: Any, one: Circles, colour: str) -> None:
+    from matplotlib.collections import EllipseCollection
+
+    widths, places = 2.0 * one.radius, np.column_stack([one.x, one.y])
+    axes.add_collection(EllipseCollection(
+        widths, widths, np.zeros(len(widths)), units="xy", offsets=places, offset_transform=axes.transData,
+        facecolors=f"{colour}55", edgecolors=colour, linewidths=0.8,
+    ))  # fmt: skip
+    axes.plot([], [], linestyle="", marker="o", markersize=5, color=colour, label=f"{one.label}: {len(widths)}")  # what the legend shows
+    if len(widths):
+        axes.update_datalim(np.concatenate([places - one.radius[:, None], places + one.radius[:, None]]))
+    axes.autoscale_view()
+    axes.set_aspect("equal")
+    axes.yaxis.set_inverted(True)
 
 
 def _picture(axes: Any, one: Picture) -> None:

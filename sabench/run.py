@@ -104,8 +104,9 @@ def run_suite(
 
 def build_board(leaderboard: Path) -> Path:
     """Records to page; returns the page's path."""
-    page = leaderboard / "index.html"
-    board.build_page(latest(read_records(leaderboard / "records")), leaderboard / "pictures", page)
+    page, records = leaderboard / "index.html", latest(read_records(leaderboard / "records"))
+    console.print(f"page of {len(records)} records", markup=False, highlight=False)
+    board.build_page(records, leaderboard / "pictures", page)
     return page
 
 
@@ -135,7 +136,7 @@ def _rank(case: Case, dataset: Dataset, entrants: list[tuple[Entrant, Record]], 
             record["reference_s"] = solve_apart(entrant, dataset, out)
             record |= {key: value for key, value in score(dataset, out).items() if key not in head}
             if folder:
-                _draw(folder / f"{name}.png", tracks.of(record["track"]).picture(dataset, open_result(out, dataset)))
+                _picture_result(folder / name, record["track"], dataset, out)
         except InputError as error:
             console.print(f"error: {error}", style="red", markup=False, highlight=False)
             record["error"], record["declined"] = str(error), isinstance(error, DeclinedError)
@@ -149,6 +150,14 @@ def _picture_case(folder: Path, dataset: Dataset) -> None:
     track = tracks.of(OWN_TRACK[dataset.shows[-1]])
     _draw(folder / "images.png", track.images(dataset))
     _draw(folder / "truth.png", track.picture(dataset, "truth"))
+
+
+def _picture_result(stem: Path, track: str, dataset: Dataset, out: Path) -> None:
+    """What a solver made of it and, of tracks whose pictures do not show it yet, where that is wrong."""
+    module, result = tracks.of(track), open_result(out, dataset)
+    _draw(stem.with_name(f"{stem.name}.png"), module.picture(dataset, result))
+    if hasattr(module, "error_picture"):
+        _draw(stem.with_name(f"{stem.name}.error.png"), module.error_picture(dataset, result))
 
 
 def _describe(case: Case, entrant: Entrant, suite: str) -> Record:

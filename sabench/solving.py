@@ -18,6 +18,7 @@ from sabench.programs import is_program, run_program
 
 _SHOWN = {"particles": "particles", "target": "a calibration target", "bubbles": "bubbles", "code": "a code"}
 OWN_TRACK = {"particles": "reconstruction", "target": "calibration", "bubbles": "bubbles", "code": "see_through"}  # of what a data set shows
+ALSO = {"particles": ("particles",)}  # tracks that the words truth and empty may be scored by, too
 
 
 def solve(
@@ -61,8 +62,12 @@ def solve(
     return open_result(out, data)
 
 
-def score(dataset: Dataset | str | Path, result: str | Path) -> dict[str, Any]:
+def score(dataset: Dataset | str | Path, result: str | Path, track: str | None = None) -> dict[str, Any]:
     """Score a result file, or one of the words `truth` and `empty`, the two ends of every scale.
+
+    Parameters
+    ----------
+    track : by whose scores the words are scored, where a data set serves several: None for `OWN_TRACK`. A result says its own.
 
     Returns
     -------
@@ -75,11 +80,19 @@ def score(dataset: Dataset | str | Path, result: str | Path) -> dict[str, Any]:
     """
     data = dataset if isinstance(dataset, Dataset) else open_dataset(dataset)
     opened = None if str(result) in ("truth", "empty") else open_result(result, data)
-    track = opened.track if opened else OWN_TRACK[data.shows[-1]]
+    track = _track(data, opened, track)
     head: dict[str, Any] = {"dataset": data.content_hash, "track": track, "solver": opened.solver if opened else str(result)}
     head |= {"parameters": opened.parameters if opened else {}}
     figures = tracks.of(track).score_result(data, opened or str(result))
     return {**head, **figures, "seconds": opened.seconds if opened else None, "peak_mb": opened.peak_mb if opened else None}
+
+
+def _track(data: Dataset, opened: Result | None, asked: str | None) -> str:
+    """By whose scores a result or a word is scored."""
+    allowed = (opened.track,) if opened else tuple(dict.fromkeys((OWN_TRACK[data.shows[-1]], *ALSO.get(data.shows[-1], ()))))
+    if asked and asked not in allowed:
+        raise InputError(f"track: expected {' or '.join(allowed)} for {opened.path if opened else data.root}, got {asked!r}")
+    return asked or allowed[0]
 
 
 def make_algorithm(name: str, parameters: dict[str, Any]) -> AnySolver:

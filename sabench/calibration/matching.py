@@ -124,7 +124,7 @@ def _sorted(pixel: F64, shape: tuple[int, ...]) -> Spots:
 
 
 @numba.njit(cache=True)
-def _locate(maps: Any, camera: int, place: Any, pixel: Any, slope: Any) -> None:
+def locate(maps: Any, camera: int, place: Any, pixel: Any, slope: Any) -> None:
     """A camera's pixel (2,) of a place in the box, and its slope (2, 3)."""
     x, y, z = np.ones(_HIGHEST + 1), np.ones(_HIGHEST + 1), np.ones(_HIGHEST + 1)
     for i in range(_HIGHEST):
@@ -144,7 +144,7 @@ def _locate(maps: Any, camera: int, place: Any, pixel: Any, slope: Any) -> None:
 
 
 @numba.njit(cache=True)
-def _around(spots: Any, pixel: Any, reach: float, found: Any) -> int:
+def around(spots: Any, pixel: Any, reach: float, found: Any) -> int:
     """Numbers of the particle images within reach of a pixel; returns how many."""
     count = 0
     left, right = max(int((pixel[0] - reach) // _CELL_PX), 0), min(int((pixel[0] + reach) // _CELL_PX), spots.across - 1)
@@ -194,10 +194,10 @@ def _moved(gains: Any, misses: Any, cameras: int, step: Any) -> None:
 
 
 @numba.njit(cache=True)
-def _on_sight(maps: Any, pixel: Any, place: Any, here: Any, slope: Any) -> bool:
+def on_sight(maps: Any, pixel: Any, place: Any, here: Any, slope: Any) -> bool:
     """Move a place in x and y to where the first camera sees it at a pixel."""
     for _ in range(10):
-        _locate(maps, 0, place, here, slope)
+        locate(maps, 0, place, here, slope)
         du, dv = pixel[0] - here[0], pixel[1] - here[1]
         determinant = slope[0, 0] * slope[1, 1] - slope[0, 1] * slope[1, 0]
         place[0] += (slope[1, 1] * du - slope[0, 1] * dv) / determinant
@@ -236,11 +236,11 @@ def match(maps: Any, spots: Any, order: Any, reach: float, steps: int, places: A
         place[:] = 0.0
         for n in range(steps):
             place[2] = -1.0 + 2.0 * n / (steps - 1)
-            if not _on_sight(maps, spots[0].pixel[first], place, here, slope):
+            if not on_sight(maps, spots[0].pixel[first], place, here, slope):
                 place[:2] = 0.0
                 continue
-            _locate(maps, 1, place, here, slope)
-            for k in range(_around(spots[1], here, reach, second)):
+            locate(maps, 1, place, here, slope)
+            for k in range(around(spots[1], here, reach, second)):
                 chosen[1] = second[k]
                 if (tried[: min(left, _NEAR)] == second[k]).any():
                     continue
@@ -257,7 +257,7 @@ def _crossed(maps: Any, spots: Any, chosen: Any, place: Any, slopes: Any, misses
     """Move a place to where the first two cameras' lines of sight come nearest to each other, if that is in the box."""
     for _ in range(2):
         for c in range(2):
-            _locate(maps, c, place, here, slope)
+            locate(maps, c, place, here, slope)
             slopes[c] = slope
             misses[c] = spots[c].pixel[chosen[c]] - here
         if not _gains(slopes, 2, gains):
@@ -288,9 +288,9 @@ def _others(
     seen, found = np.zeros((cameras, 2)), np.zeros((2, _NEAR), dtype=np.int64)
     numbers = np.ones(2, dtype=np.int64)
     for c in range(cameras):
-        _locate(maps, c, start, seen[c], slopes[c])
+        locate(maps, c, start, seen[c], slopes[c])
         if c >= 2:
-            numbers[c - 2] = _around(spots[c], seen[c], reach, found[c - 2])
+            numbers[c - 2] = around(spots[c], seen[c], reach, found[c - 2])
     if numbers[0] * numbers[1] == 0 or not _gains(slopes, cameras, gains):
         return count
     for c in range(2):
@@ -338,7 +338,7 @@ def pair_up(spots: Any, pixels: Any, reach: float, out: Any) -> int:
     """Fill in pairs (number of a pixel, number of a particle image) within reach of each other, as long as there is room; returns how many."""
     found, count = np.zeros(len(spots.pixel), dtype=np.int64), 0
     for n in range(len(pixels)):
-        for k in range(_around(spots, pixels[n], reach, found)):
+        for k in range(around(spots, pixels[n], reach, found)):
             if count == len(out):
                 return count
             out[count, 0], out[count, 1] = n, found[k]

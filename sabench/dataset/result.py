@@ -12,7 +12,7 @@ from typing import Any, cast
 import numpy as np
 from pydantic import TypeAdapter, ValidationError
 
-from sabench.api import Calibration, Detections, Reconstruction, Velocity
+from sabench.api import Calibration, Detections, FoundParticles, Reconstruction, Velocity
 from sabench.arrays import I64, triple
 from sabench.columns import COLUMNS
 from sabench.dataset import layout
@@ -68,6 +68,19 @@ class Result:
             field = read_array(file, f"{group}/velocity_mm_s", (*valid.shape, 3), "f").astype(np.float64)
             low, step = (finite(read_array(file, f"{group}/{name}", (3,), "f"), f"{self.path}: {group}/{name}") for name in ("low_mm", "step_mm"))
         return Velocity(triple(low), triple(step), finite(field, f"{self.path}: {group}/velocity_mm_s"), valid)
+
+    def particles(self, frame: int) -> FoundParticles:
+        """The particles that were found in a frame, checked as `FoundParticles` are."""
+        group = f"{layout.frame_group(frame)}/particles"
+        with opened(self.path) as file:
+            position = read_array(file, f"{group}/position_mm", (None, 3), "f").astype(np.float64)
+            n, names = len(position), set(file[group])
+            intensity = read_array(file, f"{group}/intensity", (n,), "f").astype(np.float64) if "intensity" in names else None
+            number = read_array(file, f"{group}/track", (n,), "iu").astype(np.int64) if "track" in names else None
+        try:
+            return FoundParticles(position, intensity, number)
+        except InputError as error:
+            raise InputError(f"{self.path}: {group}: {error}") from error
 
     def bubbles(self, frame: int) -> Detections:
         """The bubbles that were found in a frame, checked as `Detections` are."""
@@ -159,6 +172,16 @@ class ResultWriter:
             group = self._file.create_group(f"{layout.frame_group(frame)}/velocity")
             for name, value in values.items():
                 group.create_dataset(name, data=value)
+            self._file.flush()
+        self._check()
+
+    def add_particles(self, frame: int, found: FoundParticles) -> None:
+        """Store the particles that were found in a frame."""
+        with uninterrupted():
+            group = self._file.create_group(f"{layout.frame_group(frame)}/particles")
+            for name in ("position_mm", "intensity", "track"):
+                if getattr(found, name) is not None:
+                    group.create_dataset(name, data=getattr(found, name))
             self._file.flush()
         self._check()
 

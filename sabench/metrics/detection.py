@@ -101,16 +101,21 @@ def count_challenge(detections: F64, truths: F64, scored_detections: Bool, score
 
     Pairs are taken from the closest on. Arguments as for `count_thesis`; source: Leclaire et al. (2021), first challenge on LPT and DA.
     """
+    a, b = challenge_pairs(detections, truths)
+    return _counts(a, b, detections, truths, scored_detections, scored_truths)
+
+
+def challenge_pairs(detections: F64, truths: F64) -> tuple[I64, I64]:
+    """Rows of detections (n, 3) and of truths (m, 3), in voxels, that the rule of the LPT challenge pairs."""
     if not len(detections) or not len(truths):
-        return Counts(int(scored_truths.sum()), int(scored_detections.sum()), 0, None)
+        return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)
     pairs = cKDTree(detections).query_ball_tree(cKDTree(truths), CHALLENGE_RADIUS, p=np.inf)
     left = np.repeat(np.arange(len(pairs)), [len(found) for found in pairs])
     right = np.fromiter((truth for found in pairs for truth in found), dtype=np.int64, count=len(left))
     offset = detections[left] - truths[right]
     near = np.abs(offset).max(axis=1) < CHALLENGE_RADIUS
     order = np.argsort(np.linalg.norm(offset[near], axis=1), kind="stable")
-    a, b = _one_to_one(left[near][order], right[near][order], len(detections), len(truths))
-    return _counts(a, b, detections, truths, scored_detections, scored_truths)
+    return _one_to_one(left[near][order], right[near][order], len(detections), len(truths))
 
 
 def _one_to_one(left: I64, right: I64, lefts: int, rights: int) -> tuple[I64, I64]:

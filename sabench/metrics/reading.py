@@ -25,7 +25,7 @@ def reading(cells: F64, dark: Bool) -> dict[str, float]:
     bright, black = cells[shown & ~dark], cells[shown & dark]
     if not len(bright) or not len(black):
         return {"read_percent": 0.0, "contrast": float("nan"), "separation": float("nan")}
-    right = shown & ((cells < otsu(cells[shown])) == dark)
+    right = read_right(cells, dark)
     high, low = float(bright.mean()), float(black.mean())
     spread = float(np.sqrt((bright.var() + black.var()) / 2.0))
     total = high + low
@@ -34,6 +34,12 @@ def reading(cells: F64, dark: Bool) -> dict[str, float]:
         "contrast": (high - low) / total if total else float("nan"),
         "separation": (high - low) / spread if spread else float("inf"),
     }
+
+
+def read_right(cells: F64, dark: Bool) -> Bool:
+    """Which cells (cell,) are on the right side of the threshold; none where fewer than two are shown."""
+    shown = np.isfinite(cells)
+    return shown & ((cells < otsu(cells[shown])) == dark) if shown.sum() > 1 else np.zeros(len(cells), dtype=np.bool_)
 
 
 def otsu(values: F64) -> float:

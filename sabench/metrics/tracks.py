@@ -32,27 +32,49 @@ def track_scores(
     sequences : the frames that follow each other; nothing is asked of tracks from one to the next.
     """
     matched = [match(guess.center_mm, known.center_mm, known.radius_mm) for guess, known in zip(found, true, strict=True)]
+    places = [[one.center_mm for one in frames] for frames in (found, true)]
+    return link_scores(places[0], track, places[1], [one.id for one in true], matched, times_s, sequences)
+
+
+def link_scores(
+    found_mm: Sequence[F64],
+    track: Sequence[I64],
+    true_mm: Sequence[F64],
+    identity: Sequence[I64],
+    matched: Sequence[tuple[I64, I64]],
+    times_s: Sequence[float],
+    sequences: Sequence[range],
+) -> dict[str, float]:
+    """The same of any things that move, whose pairs of found and true ones are known.
+
+    Parameters
+    ----------
+    found_mm, true_mm : (n, 3) and (m, 3), places in each frame.
+    track, identity : numbers (n,) of the found ones' tracks, and (m,) that name the true ones.
+    matched : rows of the found and of the true ones that belong together, for each frame.
+    times_s, sequences : as in `track_scores`.
+    """
     there, right, links = 0, 0, 0
     off, speed, cover = [np.zeros(0)], [np.zeros(0)], [np.zeros(0)]
     for frames in sequences:
         for one, other in itertools.pairwise(frames):
-            i, j, k, m = _same(true, matched, one, other)
+            i, j, k, m = _same(identity, matched, one, other)
             good = track[one][i] == track[other][k]
             there, right = there + len(good), right + int(good.sum())
             links += len(np.intersect1d(track[one], track[other]))
             duration = times_s[other] - times_s[one]
-            velocity = (true[other].center_mm[m] - true[one].center_mm[j])[good] / duration
-            off.append(np.linalg.norm((found[other].center_mm[k] - found[one].center_mm[i])[good] / duration - velocity, axis=1))
+            velocity = (true_mm[other][m] - true_mm[one][j])[good] / duration
+            off.append(np.linalg.norm((found_mm[other][k] - found_mm[one][i])[good] / duration - velocity, axis=1))
             speed.append(np.linalg.norm(velocity, axis=1))
-        cover.append(_covered([track[f][matched[f][0]] for f in frames], [true[f].id[matched[f][1]] for f in frames], [true[f].id for f in frames]))
+        cover.append(_covered([track[f][matched[f][0]] for f in frames], [identity[f][matched[f][1]] for f in frames], [identity[f] for f in frames]))
     figures = (_part(right, there), _part(right, links), _mean(np.concatenate(cover)), *_errors(np.concatenate(off), np.concatenate(speed)))
     return dict(zip(_KEYS, figures, strict=True))
 
 
-def _same(true: Sequence[Bubbles], matched: Sequence[tuple[I64, I64]], one: int, other: int) -> tuple[I64, I64, I64, I64]:
-    """Rows of the bubbles that were found in both frames: found and true ones in the first, found and true ones in the second."""
+def _same(identity: Sequence[I64], matched: Sequence[tuple[I64, I64]], one: int, other: int) -> tuple[I64, I64, I64, I64]:
+    """Rows of those that were found in both frames: found and true ones in the first, found and true ones in the second."""
     (i, j), (k, m) = matched[one], matched[other]
-    _, first, second = np.intersect1d(true[one].id[j], true[other].id[m], return_indices=True)
+    _, first, second = np.intersect1d(identity[one][j], identity[other][m], return_indices=True)
     return i[first], j[first], k[second], m[second]
 
 

@@ -117,8 +117,8 @@ class Here:
 class Pool:
     """Processes on this machine that share its cores; one that dies is replaced."""
 
-    def __init__(self, root: Path, jobs: int) -> None:
-        self._root, self._jobs, self._threads = root, jobs, max(1, (os.cpu_count() or 1) // jobs)
+    def __init__(self, root: Path, jobs: int, threads: int | None = None) -> None:
+        self._root, self._jobs, self._threads = root, jobs, threads or max(1, (os.cpu_count() or 1) // jobs)
         self._said: queue.SimpleQueue[tuple[int, str]] = queue.SimpleQueue()
         self._workers: dict[int, subprocess.Popen[str]] = {}
         self._busy: dict[int, Task] = {}

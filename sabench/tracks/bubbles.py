@@ -143,3 +143,11 @@ def picture(data: Dataset, result: Result | str) -> bytes:
     from sabench.plots import draw
 
     return draw(bubble_figure(estimate(data, result, 0), "bubbles"))
+
+
+def error_picture(data: Dataset, result: Result) -> bytes:
+    """Bubbles that were found, missed, and found where there are none, as a PNG."""
+    from sabench.bubble_figures import detection_figure
+    from sabench.plots import draw
+
+    return draw(detection_figure(result.bubbles(0), data.bubbles(0)))

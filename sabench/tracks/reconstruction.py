@@ -76,6 +76,11 @@ def picture(data: Dataset, result: Result | str) -> bytes:
     return pictures.slice_picture(estimate(data, result, 0).volume, data.rig.grid.scored)
 
 
+def error_picture(data: Dataset, result: Result) -> bytes:
+    """The same slice of an estimate minus the truth, as a PNG."""
+    return pictures.error_slice(estimate(data, result, 0).volume, estimate(data, "truth", 0).volume, data.rig.grid.scored)
+
+
 def _mean(values: list[float | None]) -> float | None:
     known = [value for value in values if value is not None]
     return float(np.mean(known)) if known else None

@@ -11,11 +11,11 @@ from scipy.spatial import cKDTree
 
 from sabench import memory, pictures
 from sabench.api import Code, Observation, Reconstruction, SeeThroughSolver
-from sabench.arrays import F32, F64
+from sabench.arrays import F32, F64, I64
 from sabench.codes import code_of
 from sabench.dataset.read import Dataset
 from sabench.dataset.result import Result, ResultWriter
-from sabench.metrics.reading import reading
+from sabench.metrics.reading import read_right, reading
 from sabench.optics.camera import Camera
 from sabench.progress import track
 from sabench.tracks.attempt import attempt
@@ -110,6 +110,13 @@ def picture(data: Dataset, result: Result | str) -> bytes:
     return pictures.grey_picture(code_plane(data.rig.grid, result.reconstruction(0).volume, code), _ENLARGED_PX)
 
 
+def error_picture(data: Dataset, result: Result) -> bytes:
+    """Which cells of the code are read wrong, as a PNG."""
+    code = code_of(data.scene, data.manifest.seed, 0)
+    right, where = read_right(_cells(data, result, 0, code), code.dark), _nearest(code)
+    return pictures.read_picture(code.dark[where], right[where])
+
+
 def code_plane(grid: Grid, volume: F32, code: Code) -> F64:
     """The plane (y, x) of a volume that is nearest to the code's middle, as far as the code reaches."""
     places, size = grid.to_voxels(code.points_mm.reshape(-1, 3)), np.asarray(volume.shape[::-1])
@@ -119,10 +126,14 @@ def code_plane(grid: Grid, volume: F32, code: Code) -> F64:
 
 
 def drawn(code: Code) -> F64:
-    """The code as it is, seen along Z: every pixel shows the cell that is nearest to it."""
+    """The code as it is, seen along Z."""
+    return np.where(code.dark[_nearest(code)], 0.0, 1.0)
+
+
+def _nearest(code: Code) -> I64:
+    """The cell (rows, columns) that is nearest to each pixel of a picture along Z."""
     middles = code.points_mm.mean(axis=1)[:, :2]
     low, high = (end(code.points_mm.reshape(-1, 3)[:, :2], axis=0) for end in (np.min, np.max))
     columns, rows = np.maximum(1, np.rint((high - low) / (high - low).max() * _DRAWN_PX)).astype(int)
     x, y = np.meshgrid(np.linspace(low[0], high[0], columns), np.linspace(low[1], high[1], rows))
-    nearest = cKDTree(middles).query(np.column_stack([x.ravel(), y.ravel()]))[1]
-    return np.where(code.dark[nearest], 0.0, 1.0).reshape(rows, columns)
+    return np.asarray(cKDTree(middles).query(np.column_stack([x.ravel(), y.ravel()]))[1]).reshape(rows, columns)

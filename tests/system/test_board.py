@@ -1,30 +1,21 @@
-"""The leaderboard: records are read safely, the page escapes them, and it works in a browser."""
+"""The leaderboard as a file: what a page holds, in which order, and that nothing of a record becomes markup."""
 
 from __future__ import annotations
 
-import contextlib
-import html
 import json
 import re
-import shutil
-import subprocess
-import urllib.request
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from sabench import board, pictures
+from sabench import board, page, pictures
+from sabench.columns import COLUMNS
 from sabench.errors import InputError
 from sabench.records import Record
 
-HOSTILE = "<script>alert(1)</script>"
-_FLAGS = [
-    "--headless", "--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage", "--disable-quic", "--no-proxy-server",
-    "--no-first-run", "--disable-background-networking", "--disable-component-update", "--disable-sync",
-]  # fmt: skip
+HOSTILE = "</script><script>alert(1)</script><!--<script>"
 
 
 def record(solver: str, q: float | None = None, **changes: Any) -> Record:
@@ -43,6 +34,19 @@ def page_of(records: list[Record], folder: Path) -> str:
     return (folder / "index.html").read_text(encoding="utf-8")
 
 
+def block(text: str, name: str = "data") -> Any:
+    """A block of JSON in a page."""
+    found = re.findall(rf'<script type="application/json" id="{name}">(.*?)</script>', text, re.DOTALL)
+    assert len(found) == 1
+    return json.loads(found[0])
+
+
+def solvers(text: str) -> list[str]:
+    """Names of all rows of a page, in its order."""
+    data = block(text)
+    return [data["texts"][row["solver"]] for row in data["rows"]]
+
+
 def draw(folder: Path, names: list[str]) -> None:
     """Pictures of six small cameras and of a small volume under these names."""
     rng = np.random.default_rng(1)
@@ -56,46 +60,52 @@ def draw(folder: Path, names: list[str]) -> None:
 # The page as text
 
 
-def test_text_of_a_record_is_escaped(tmp_path: Path) -> None:
-    hostile = record(HOSTILE, 0.5, scene="<img src=x onerror=alert(2)>", parameters={'"quoted"': "' onclick='alert(3)"})
-    page = page_of([hostile, record("b", error="<b>bad</b>")], tmp_path)
-    assert html.escape(HOSTILE) in page
-    assert HOSTILE not in page
-    assert "<img" not in page
-    assert "<b>bad" not in page
-    assert '"quoted"' not in page
-    assert "' onclick=" not in page
-    assert page.count("<script") == 1
-    assert "alert" not in page[page.index("<script") :]
+def test_no_text_of_a_record_is_markup(tmp_path: Path) -> None:
+    plain = page_of([record("plain", 0.5)], tmp_path)
+    hostile = record(HOSTILE, 0.5, scene="<img src=x onerror=alert(2)>", parameters={'"quoted"': "' onclick='alert(3)"}, label="<b>")
+    text = page_of([hostile, record("b", error="<b>bad</b>")], tmp_path)
+    assert solvers(text) == ["<b>", "b"]
+    outside = [re.sub(r'(?<=id="data">).*?(?=</script>)', "", one, count=1, flags=re.DOTALL) for one in (plain, text)]
+    assert outside[0] == outside[1]
 
 
 def test_half_a_surrogate_pair_does_not_stop_the_page(tmp_path: Path) -> None:
-    assert "solver?" in page_of([record("solver\ud800", 0.5)], tmp_path)
+    assert solvers(page_of([record("solver\ud800", 0.5)], tmp_path)) == ["solver\ud800"]
 
 
-def test_the_page_loads_nothing(tmp_path: Path) -> None:
-    page = page_of([record("a", 0.5)], tmp_path)
-    assert "default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-src 'unsafe-inline'" in page
-    assert not re.search(r"https?:|url\(|@import|src=\"(?!data:)", page)
+def test_the_page_loads_nothing_and_runs_two_scripts_only(tmp_path: Path) -> None:
+    text = page_of([record("a", 0.5)], tmp_path)
+    policy = re.findall(r'http-equiv="Content-Security-Policy" content="([^"]*)"', text)
+    assert len(policy) == 1
+    assert "default-src 'none'; img-src data:; style-src 'sha256-" in policy[0]
+    assert "unsafe" not in policy[0]
+    assert policy[0].count("sha256-") == 3
+    assert not re.search(r"<link(?! rel=\"icon\" href=\"data:,\")|@import|url\(|<[a-z]+ src=", text.replace(page.library(), ""))
 
 
-def test_rows_are_ranked_and_sections_kept_apart(tmp_path: Path) -> None:
+def test_rows_are_ranked_and_cases_kept_apart(tmp_path: Path) -> None:
     records = [record("low", 0.1), record("unknown"), record("failed", error="it broke"), record("high", 0.9), record("alone", 0.5, case="tank-2")]
-    page = page_of(records, tmp_path)
-    assert re.findall(r'<th scope="row">(\w+)', page) == ["high", "low", "unknown", "failed", "alone"]
-    assert page.count("<table>") == 2
-    assert page == page_of(records[::-1], tmp_path)
+    text = page_of(records, tmp_path)
+    assert solvers(text) == ["high", "low", "unknown", "failed", "alone"]
+    assert [case["name"] for case in block(text)["cases"]] == ["tank", "tank-2"]
+    assert text == page_of(records[::-1], tmp_path)
+
+
+def test_cases_come_in_the_order_of_the_numbers_in_their_names(tmp_path: Path) -> None:
+    names = ["tank-0.05", "tank-0.1", "tank-2", "tank-10"]
+    text = page_of([record("a", 0.5, case=name) for name in names[::-1]], tmp_path)
+    assert [case["name"] for case in block(text)["cases"]] == names
 
 
 def test_seeds_of_a_case_become_one_row(tmp_path: Path) -> None:
     seeds = [record("a", q, seed=seed, case="tank-0.1", axes={"particles.per_pixel": 0.1}) for seed, q in ((2, 0.6), (1, 0.5), (3, 0.7))]
-    page = page_of(
-        [*seeds, record("b", 0.4, seed=1, case="tank-0.1"), record("a", 0.9, seed=1, case="tank-0.1", label="tuned", parameters={"k": 2})], tmp_path
-    )
-    assert re.findall(r'<th scope="row">(\w+)', page) == ["tuned", "a", "b"]
-    assert re.findall(r'<td class="number" data-value="([^"]+)">(0\.[^<]+)<', page) == [("0.9", "0.900"), ("0.6", "0.600 ± 0.248"), ("0.4", "0.400")]
-    assert "seeds 1, 2, 3" in page
-    assert "particles.per_pixel 0.1" in page
+    others = [record("b", 0.4, seed=1, case="tank-0.1"), record("a", 0.9, seed=1, case="tank-0.1", label="tuned", parameters={"k": 2})]
+    data = block(page_of([*seeds, *others], tmp_path))
+    assert [data["texts"][row["solver"]] for row in data["rows"]] == ["tuned", "a", "b"]
+    assert [row["scores"][0] for row in data["rows"]] == [[0.9], [0.6, pytest.approx(0.248414, abs=1e-6)], [0.4]]
+    assert data["rows"][1]["seeds"] == [1, 2, 3]
+    assert data["rows"][1]["values"][0] == [0.5, 0.6, 0.7]
+    assert data["cases"][0]["axes"] == "particles.per_pixel 0.1"
 
 
 def test_a_score_that_some_seeds_lack_is_the_mean_of_the_others() -> None:
@@ -104,13 +114,27 @@ def test_a_score_that_some_seeds_lack_is_the_mean_of_the_others() -> None:
     assert (row["q"].mean, row["rms_px"].mean, row["rms_px"].half_width, row["recall"]) == (0.6, 0.25, None, None)
 
 
-def test_another_machine_or_renderer_is_another_row() -> None:
-    records = [record("a", 0.5), record("a", 0.6, seed=2, machine={"cpu": "another"}), record("a", 0.7, seed=2, renderer="mitsuba")]
-    assert [row["q"].mean for row in board.over_seeds(records)] == [0.5, 0.6, 0.7]
+@pytest.mark.parametrize("changes", [
+    {"machine": {"cpu": "another"}}, {"renderer": "mitsuba"}, {"split": "hidden"}, {"submission": {"name": "somebody", "date": "2026-01-02"}},
+])  # fmt: skip
+def test_what_is_not_the_same_entry_is_another_row(changes: dict[str, Any]) -> None:
+    assert [row["q"].mean for row in board.over_seeds([record("a", 0.5), record("a", 0.6, seed=2, **changes)])] == [0.5, 0.6]
 
 
-def test_a_page_without_records_says_how_to_make_one(tmp_path: Path) -> None:
-    assert "sabench run quick" in page_of([], tmp_path)
+@pytest.mark.parametrize("value", [float("nan"), 1e300, True, "0.5", [0.5]])
+def test_what_is_no_score_is_none(tmp_path: Path, value: Any) -> None:
+    data = block(page_of([record("a", value), record("a", value, seed=2)], tmp_path))
+    assert (data["rows"][0]["scores"][0], data["rows"][0]["values"][0]) == (None, [None, None])
+
+
+def test_a_track_without_columns_makes_no_rows() -> None:
+    assert board.over_seeds([record("a", 0.5, track="not one")]) == []
+
+
+def test_every_track_with_columns_has_a_page(tmp_path: Path) -> None:
+    data = block(page_of([record("a", track=track) for track in COLUMNS], tmp_path))
+    assert list(data["tracks"]) == list(COLUMNS)
+    assert all(track["pictured"]["heading"] for track in data["tracks"].values())
 
 
 @pytest.mark.parametrize("name", ["../secret", "/secret", "a/../../secret"])
@@ -118,6 +142,73 @@ def test_pictures_outside_the_folder_are_refused(tmp_path: Path, name: str) -> N
     (tmp_path / "secret").mkdir()
     with pytest.raises(InputError, match="inside the folder"):
         page_of([record("a", 0.5, pictures=name)], tmp_path)
+
+
+@pytest.mark.parametrize(
+    "changes", [{"pictures": "x" * 300}, {"pictures": "tank", "solver": "x" * 300}, {"pictures": "a\0b"}, {"pictures": "\ud800"}]
+)
+def test_names_that_no_file_can_have_are_no_pictures(tmp_path: Path, changes: dict[str, Any]) -> None:
+    assert solvers(page_of([record("a", 0.5) | changes], tmp_path)) == [changes.get("solver", "a")]
+
+
+def test_pictures_are_those_of_the_seed_that_has_them(tmp_path: Path) -> None:
+    draw(tmp_path / "pictures" / "tank-2", ["truth.png", "a-22222222.png", "a-22222222.error.png"])
+    seeds = [record("a", 0.5, run_hash="11111111aa"), record("a", 0.6, seed=2, run_hash="22222222bb", pictures="tank-2")]
+    assert set(block(page_of(seeds, tmp_path), "album0")) == {"images", "truth", "row0", "error0"}
+
+
+def test_pictures_beyond_the_budget_are_left_out_worst_first(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    draw(tmp_path / "pictures" / "tank-1", ["truth.png", "best-01234567.png", "worst-01234567.png"])
+    sizes = {path.name: path.stat().st_size for path in (tmp_path / "pictures" / "tank-1").iterdir()}
+    monkeypatch.setattr(page, "_PICTURES_BYTES", sum(sizes.values()) * 4 // 3 - 1)
+    text = page_of([record("worst", 0.1, pictures="tank-1"), record("best", 0.9, pictures="tank-1")], tmp_path)
+    assert set(block(text, "album0")) == {"images", "truth", "row0"}
+    assert block(text)["leftOut"] == 1
+
+
+@pytest.mark.parametrize(("told", "expected"), [
+    (["sabench run s --seed {} --solver a"] * 3, ["sabench run s --seed 1 --seed 2 --seed 12 --solver a"]),
+    (["sabench run s --seed {}"] * 3, ["sabench run s --seed 1 --seed 2 --seed 12"]),
+    (["sabench run s"] * 3, ["sabench run s"]),
+    (["sabench run s --seed {}", "sabench run t --seed {}", None], ["sabench run s --seed 1", "sabench run t --seed 2"]),
+    ([None] * 3, []),
+])  # fmt: skip
+def test_one_command_makes_all_seeds_of_a_row_again(told: list[str | None], expected: list[str]) -> None:
+    runs = [record("a", seed=seed, command=text and text.format(seed)) for seed, text in zip((1, 2, 12), told, strict=True)]
+    assert page.commands(runs) == expected
+
+
+# Colours: WCAG 2.1, success criteria 1.4.3 and 1.4.11
+
+
+def luminance(colour: str) -> float:
+    channels = [int(colour[i : i + 2], 16) / 255.0 for i in (1, 3, 5)]
+    linear = [value / 12.92 if value <= 0.04045 else ((value + 0.055) / 1.055) ** 2.4 for value in channels]
+    return float(np.dot(linear, (0.2126, 0.7152, 0.0722)))
+
+
+def contrast(one: str, other: str) -> float:
+    low, high = sorted((luminance(one), luminance(other)))
+    return (high + 0.05) / (low + 0.05)
+
+
+def source(name: str) -> str:
+    return (Path(page.__file__).resolve().parents[1] / "leaderboard" / "page" / name).read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("mode", [0, 1], ids=["light", "dark"])
+def test_colours_can_be_told_from_their_ground(mode: int) -> None:
+    colours = dict(re.findall(r"--([a-z-]+): (#[0-9a-f]{6})", re.findall(r":root \{(.*?)\}", source("page.css"), re.DOTALL)[mode]))
+    assert contrast(colours["on-hidden"], colours["hidden"]) >= 4.5
+    assert contrast(colours["page"], colours["link"]) >= 4.5
+    assert contrast(colours["text"], colours["chip"]) >= 4.5
+    assert contrast(colours["edge"], colours["page"]) >= 3.0
+    for name in ("text", "quiet", "error"):
+        assert contrast(colours[name], colours["page"]) >= 4.5
+        assert contrast(colours[name], colours["head"]) >= 4.5
+    palette = re.findall(r"#[0-9a-f]{6}", re.findall(r"(?:light|dark): \[(.*?)\]", source("plots.js"))[mode])
+    assert len(set(palette)) == 8
+    assert min(contrast(colour, colours["page"]) for colour in palette) >= 3.0
 
 
 # Pictures
@@ -161,140 +252,30 @@ def test_an_empty_volume_is_black_and_an_empty_scored_part_is_refused() -> None:
         pictures.slice_picture(volume, (slice(0, 0), slice(0, 30), slice(0, 50)))
 
 
-# The page in a browser
+def bgr(data: bytes) -> Any:
+    """The colour in the middle of each voxel of a picture of 10 x 10 voxels."""
+    return decoded(data)[20::40, 20::40].astype(int)
 
 
-class Browser:
-    """As much of WebDriver as these tests need; one session of a chromedriver on this machine."""
-
-    def __init__(self, port: int, binary: str, profile: Path) -> None:
-        self._opener = urllib.request.build_opener(urllib.request.ProxyHandler({}))
-        self._base = f"http://127.0.0.1:{port}/session"
-        options = {"binary": binary, "args": [*_FLAGS, f"--user-data-dir={profile}"]}
-        wanted = {"alwaysMatch": {"goog:chromeOptions": options, "goog:loggingPrefs": {"browser": "ALL"}}}
-        self._base += "/" + self._send("POST", "", {"capabilities": wanted})["sessionId"]
-
-    def _send(self, method: str, path: str, body: dict[str, Any] | None = None) -> Any:
-        data = None if body is None else json.dumps(body).encode()
-        request = urllib.request.Request(self._base + path, data, {"Content-Type": "application/json"}, method=method)
-        with self._opener.open(request, timeout=60) as answer:
-            return json.load(answer)["value"]
-
-    def open(self, page: Path, width: int = 1200) -> None:
-        metrics = {"width": width, "height": 900, "deviceScaleFactor": 1, "mobile": False}
-        self._send("POST", "/goog/cdp/execute", {"cmd": "Emulation.setDeviceMetricsOverride", "params": metrics})
-        self._send("POST", "/url", {"url": page.as_uri()})
-
-    def ask(self, script: str) -> Any:
-        return self._send("POST", "/execute/sync", {"script": f"return {script};", "args": []})
-
-    def press(self, heading: str, key: str | None = None) -> None:
-        """Click the button of that heading in the first table, or press a key on it."""
-        path = f"//th/button[text()='{heading}']"
-        element = next(iter(self._send("POST", "/element", {"using": "xpath", "value": path}).values()))
-        self._send("POST", f"/element/{element}/" + ("click" if key is None else "value"), {} if key is None else {"text": key})
-
-    def solvers(self) -> list[str]:
-        found: list[str] = self.ask("[...document.querySelector('tbody').rows].map(row => row.cells[0].textContent)")
-        return found
-
-    def complaints(self) -> list[str]:
-        return [entry["message"] for entry in self._send("POST", "/se/log", {"type": "browser"})]
-
-    def close(self) -> None:
-        self._send("DELETE", "")
+def test_errors_have_the_sign_of_the_difference_and_do_not_depend_on_the_estimate_s_scale() -> None:
+    scored = (slice(0, 3), slice(0, 10), slice(0, 10))
+    truth, guess = np.zeros((3, 10, 10), dtype=np.float32), np.zeros((3, 10, 10), dtype=np.float32)
+    truth[1, 2, 1:9] = guess[1, 2, 1:9] = 1.0  # found
+    truth[1, 7, 7] = guess[1, 5, 1] = 1.0  # missed, and a ghost
+    shown = bgr(pictures.error_slice(guess, truth, scored))
+    assert np.array_equal(shown, bgr(pictures.error_slice(7.0 * guess, truth, scored)))
+    blue, _, red = np.moveaxis(shown, -1, 0)
+    assert blue[7, 7] > red[7, 7] + 100
+    assert red[5, 1] > blue[5, 1] + 100
+    right = np.ones((10, 10), dtype=bool)
+    right[[7, 5], [7, 1]] = right[2] = False
+    assert (shown[right] == 247).all()
 
 
-@contextlib.contextmanager
-def driver(program: str) -> Iterator[int]:
-    """A chromedriver on a free port; it is gone when the block ends."""
-    with subprocess.Popen([program, "--port=0"], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True) as process:
-        try:
-            assert process.stdout is not None
-            started = (re.search(r"started successfully on port (\d+)", line) for line in process.stdout)
-            yield next(int(match[1]) for match in started if match)
-        finally:
-            process.terminate()
-
-
-@pytest.fixture(scope="module")
-def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
-    chromium, program = shutil.which("chromium"), shutil.which("chromedriver")
-    if chromium is None or program is None:
-        pytest.skip("chromium and chromedriver are not both on the PATH")
-    with driver(program) as port, contextlib.closing(Browser(port, chromium, tmp_path_factory.mktemp("profile"))) as session:
-        yield session
-
-
-@pytest.fixture(scope="module")
-def page(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Four solvers, one of them hostile by name and one failed, on one scene with pictures, and a second scene without."""
-    folder = tmp_path_factory.mktemp("page")
-    draw(folder / "pictures" / "tank-1", ["truth.png", "add-01234567.png", "ten-01234567.png"])
-    records = [
-        record("add", 0.5, seconds=9.0, peak_mb=100.0, pictures="tank-1", parameters={"a_very_long_parameter_name_without_a_space": "x" * 60}),
-        record("ten", 0.25, seconds=10.0, peak_mb=None, pictures="tank-1"),
-        record(HOSTILE, None, seconds=200.0, peak_mb=99.5, pictures="tank-1", parameters={"a": '"><img src=x onerror="document.title=1">'}),
-        record("broken", error="solver broken: its process ended with exit code -9"),
-        record("add", 0.7, scene="x" * 100),
-    ]
-    board.build_page(records, folder / "pictures", folder / "index.html")
-    return folder / "index.html"
-
-
-def test_a_click_sorts_numbers_as_numbers_and_nulls_last(browser: Browser, page: Path) -> None:
-    browser.open(page)
-    assert browser.solvers() == ["add", "ten", HOSTILE, "broken"]
-    browser.press("seconds")
-    assert browser.solvers() == ["add", "ten", HOSTILE, "broken"]
-    browser.press("seconds")
-    assert browser.solvers() == [HOSTILE, "ten", "add", "broken"]
-    browser.press("peak MB")
-    assert browser.solvers() == [HOSTILE, "add", "ten", "broken"]
-    browser.press("peak MB")
-    assert browser.solvers() == ["add", HOSTILE, "ten", "broken"]
-
-
-@pytest.mark.parametrize("key", ["\ue007", " "], ids=["enter", "space"])
-def test_a_key_sorts_and_aria_says_so(browser: Browser, page: Path, key: str) -> None:
-    sorted_by = "[...document.querySelectorAll('table')[0].querySelectorAll('[aria-sort]')].map(th => [th.textContent, th.ariaSort])"
-    browser.open(page)
-    assert browser.ask(sorted_by) == [["Q", "descending"]]
-    browser.press("solver", key)
-    assert browser.ask(sorted_by) == [["solver", "ascending"]]
-    browser.press("solver", key)
-    assert browser.ask(sorted_by) == [["solver", "descending"]]
-    assert browser.solvers() == ["ten", "add", HOSTILE, "broken"]
-
-
-def test_pictures_show_and_nothing_complains(browser: Browser, page: Path) -> None:
-    browser.open(page)
-    browser.press("Q")
-    widths = browser.ask("[...document.images].map(image => image.naturalWidth)")
-    assert len(widths) == 4
-    assert min(widths) > 0
-    assert browser.ask("[document.scripts.length, document.title]") == [1, "sabench leaderboard"]
-    assert browser.complaints() == []
-
-
-def test_the_policy_stops_what_comes_from_outside(browser: Browser, page: Path) -> None:
-    """The test above would see a complaint: this one provokes it."""
-    browser.open(page)
-    browser.ask("document.body.append(Object.assign(new Image(), {src: 'absent.png'}))")
-    assert any("Content Security Policy" in complaint for complaint in browser.complaints())
-
-
-@pytest.mark.parametrize("width", [400, 1200])
-def test_only_the_table_scrolls_sideways(browser: Browser, page: Path, width: int) -> None:
-    browser.open(page, width)
-    browser.ask("document.querySelectorAll('details').forEach(details => { details.open = true })")
-    assert browser.ask("innerWidth") == width
-    assert browser.ask("document.documentElement.scrollWidth") <= width
-    assert browser.ask("[...document.querySelectorAll('.box')].every(box => getComputedStyle(box).overflowX === 'auto')")
-
-
-def test_figures_that_no_solver_of_a_case_has_take_no_column(tmp_path: Path) -> None:
-    page = page_of([record("a", 0.5, recall=None), record("b", 0.4, recall=0.7), record("c", None, scene="other", error="no light")], tmp_path)
-    other, tank = (re.findall(">([^<>]+)</button>", head) for head in re.findall(r"<thead>(.*?)</thead>", page, re.S))
-    assert tank == ["solver", "parameters", "Q", "recall", "machine"]
-    assert other == ["solver", "parameters", "Q", "machine"]
+@pytest.mark.parametrize("scale", [1.0, 3.0])
+def test_the_truth_has_no_errors_and_nothing_misses_all(scale: float) -> None:
+    truth = np.random.default_rng(1).random((3, 10, 10)).astype(np.float32)
+    scored = (slice(0, 3), slice(0, 10), slice(0, 10))
+    assert (bgr(pictures.error_slice(scale * truth, truth, scored)) >= 245).all()
+    blue, _, red = np.moveaxis(bgr(pictures.error_slice(np.zeros_like(truth), truth, scored)), -1, 0)
+    assert (blue > red).all()

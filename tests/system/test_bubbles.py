@@ -201,10 +201,10 @@ def test_a_suite_of_bubbles_ends_in_a_page(tmp_path: Path) -> None:
 
 
 def test_every_track_has_its_place_on_the_page() -> None:
-    from sabench.board import _PICTURED
     from sabench.columns import COLUMNS, LARGER_IS_BETTER
+    from sabench.page import PICTURED
 
-    assert set(_PICTURED) == set(COLUMNS) == set(LARGER_IS_BETTER)
+    assert set(PICTURED) == set(COLUMNS) == set(LARGER_IS_BETTER)
 
 
 def test_splatting_renders_no_bubbles(tmp_path: Path) -> None:

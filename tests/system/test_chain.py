@@ -155,7 +155,7 @@ def test_suite_makes_records_and_page_and_survives_a_failing_solver(command: Com
     assert good["error"] is None
     assert good["q"] > 0.6
     page = (tmp_path / "leaderboard" / "index.html").read_text()
-    assert "no luck &lt;script&gt;" in page
+    assert "no luck \\u003cscript>" in page
     assert "no luck <script>" not in page
     again = command("board")
     assert again.returncode == 0

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 
@@ -18,7 +19,7 @@ from sabench.imaging.sightlines import NOTHING
 from sabench.plugins import load
 from sabench.scene import Scene
 from sabench.solving import score, solve
-from sabench.tracks.see_through import single_views
+from sabench.tracks.see_through import error_picture, single_views
 from tests.bubble_scenes import small
 
 PLATE = {"generator": "code_plate", "columns": 6, "rows": 5, "cell_mm": 2.0, "place_mm": [0.0, 0.0, 66.0], "material": {"reflectance": 0.0}}
@@ -40,6 +41,13 @@ def veiled(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
     return generate(behind(), tmp_path_factory.mktemp("veiled") / "data", seed=3)
 
 
+def coloured(png: bytes) -> float:
+    """Percentage of a picture's pixels that are not grey."""
+    image = cv2.imdecode(np.frombuffer(png, dtype=np.uint8), cv2.IMREAD_COLOR)
+    assert image is not None
+    return 100.0 * float((np.ptp(image, axis=2) > 0).mean())
+
+
 def test_a_refocused_plane_shows_what_single_views_do_not(veiled: Dataset, tmp_path: Path) -> None:
     assert verify(veiled.root) == []
     assert veiled.shows == ("bubbles", "code")
@@ -48,6 +56,7 @@ def test_a_refocused_plane_shows_what_single_views_do_not(veiled: Dataset, tmp_p
         result = solve("see_through", veiled, tmp_path / f"{method}.h5", parameters={"method": method})
         assert result.track == "see_through"
         scores[method] = score(veiled, tmp_path / f"{method}.h5")
+        assert coloured(error_picture(veiled, result)) == pytest.approx(100.0 - scores[method]["read_percent"], abs=3.0)
     export(veiled, tmp_path / "vtk", tmp_path / "dark.h5")
     assert [file.name for file in (tmp_path / "vtk").iterdir()] == ["volume_0000.vtkhdf"]
     for method in ("additive", "dark"):

@@ -8,9 +8,11 @@ from scipy.spatial.transform import Rotation
 
 from sabench.api import Detections
 from sabench.arrays import F64
+from sabench.bubble_figures import detection_figure
 from sabench.jets import LN2, JetLaw
 from sabench.metrics.bubbles import crowding, detection_scores, match
 from sabench.metrics.jets import analyse
+from sabench.plots import Circles, draw
 
 
 def field(count: int = 60, seed: int = 1) -> Detections:
@@ -129,3 +131,18 @@ def test_small_ones_and_those_among_many_are_counted_apart() -> None:
     assert scores["f1_small"] == 0.0
     assert scores["f1_large"] == pytest.approx(2.0 / 3.0)
     assert np.isnan(detection_scores(found, Detections.balls(places[3:4], np.ones(1)), np.ones(1))["recall_dense"])
+
+
+def test_a_picture_of_errors_parts_found_missed_and_invented_bubbles() -> None:
+    rng = np.random.default_rng(1)
+    places = rng.uniform(0.0, 100.0, (12, 3))
+    true = Detections.balls(places, rng.uniform(0.5, 1.5, 12))
+    found = Detections.balls(np.concatenate([places[:7] + 0.1, [[200.0, 0.0, 0.0]] * 2]), np.ones(9))
+    figure = detection_figure(found, true)
+    front, side = ([circles for circles in panel.content if isinstance(circles, Circles)] for panel in figure.panels)
+    assert [(circles.label, len(circles.x)) for circles in front] == [("missed", 5), ("not there", 2), ("found", 7)]
+    np.testing.assert_array_equal(np.sort(np.concatenate([front[0].x, front[2].x])), np.sort(places[:, 0]))
+    np.testing.assert_array_equal(np.sort(np.concatenate([side[0].x, side[2].x])), np.sort(places[:, 2]))
+    assert draw(figure).startswith(b"\x89PNG")
+    none = Detections.balls(np.zeros((0, 3)), np.zeros(0))
+    assert draw(detection_figure(none, none)).startswith(b"\x89PNG")

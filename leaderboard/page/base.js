@@ -1,0 +1,81 @@
+"use strict";
+// The page's script: its files are joined in the order base, state, rows, table, plots, case, main.
+// No text of a record becomes markup, a style or code: it is only ever a text node, an attribute of a fixed name, or a value in a plot's data.
+// Where the browser can, it holds everyone to that, the plotting library, too, which empties its element by way of markup.
+globalThis.trustedTypes?.createPolicy("default", { createHTML: text => (text === "" ? "" : null) });
+const data = JSON.parse(document.getElementById("data").textContent);
+const DASH = "–";
+const SVG = "http://www.w3.org/2000/svg";
+
+// An element with attributes (null, false and undefined are left out; functions listen to the event of that name) and children.
+function make(tag, attributes = {}, ...children) {
+  const element = document.createElement(tag);
+  for (const [name, value] of Object.entries(attributes)) {
+    if (typeof value === "function") element.addEventListener(name, value);
+    else if (value === true) element.setAttribute(name, "");
+    else if (value !== null && value !== false && value !== undefined) element.setAttribute(name, value);
+  }
+  element.append(...children.flat(2).filter(child => child !== null && child !== undefined && child !== false));
+  return element;
+}
+
+function textOf(place) {
+  return data.texts[place];
+}
+
+function fixed(value, decimals) {
+  return value.toFixed(decimals).replace(/^-(0(\.0*)?)$/, "$1");
+}
+
+// "0.750 ± 0.004" of [mean, half width], or the mean alone.
+function shown(score, decimals) {
+  if (!score) return DASH;
+  return fixed(score[0], decimals) + (score.length > 1 ? ` ± ${fixed(score[1], decimals)}` : "");
+}
+
+function listed(texts, empty = DASH) {
+  return texts.length ? texts.join(", ") : empty;
+}
+
+// Mean and half width of the 95 % confidence interval, as sabench/statistics.py has them: [mean] of one value, null of none.
+function meanOf(values) {
+  const count = values.length;
+  if (!count) return null;
+  const mean = values.reduce((sum, value) => sum + value, 0) / count;
+  if (count === 1) return [mean];
+  const squares = values.reduce((sum, value) => sum + (value - mean) ** 2, 0);
+  const quantile = data.quantiles[Math.min(count - 1, data.quantiles.length) - 1];
+  return [mean, quantile * Math.sqrt(squares / (count - 1) / count)];
+}
+
+function selector(label, value, options, change) {
+  const own = make("select", { change: event => change(event.target.value) });
+  for (const [key, text] of options) own.append(make("option", { value: key, selected: key === value }, text));
+  return make("label", {}, make("span", {}, label), own);
+}
+
+async function copy(text, button) {
+  try {
+    await navigator.clipboard.writeText(text);
+  } catch {
+    const field = make("textarea", { readonly: true, class: "unseen" });
+    field.value = text;
+    document.body.append(field);
+    field.select();
+    document.execCommand("copy");
+    field.remove();
+    button.focus();
+  }
+  const before = button.textContent;
+  button.textContent = "copied";
+  setTimeout(() => { button.textContent = before; }, 1500);
+}
+
+function copyButton(text) {
+  const button = make("button", { type: "button", class: "copy", title: text, "aria-label": `copy the command ${text}`, click: () => copy(text, button) }, "copy");
+  return button;
+}
+
+function command(text) {
+  return make("div", { class: "command" }, make("code", {}, text), copyButton(text));
+}

@@ -1,0 +1,118 @@
+// One case: its solvers, its pictures, and two solvers side by side.
+
+function nameOf(own, others) {
+  return others.filter(one => one.name === own.name).length > 1 ? `${own.name} (${own.id.slice(own.name.length + 1)})` : own.name;
+}
+
+function albumOf(own) {
+  const block = document.getElementById(`album${data.cases.indexOf(own)}`);
+  if (own.album === undefined) own.album = block ? JSON.parse(block.textContent) : {};
+  return own.album;
+}
+
+function image(text, alternative) {
+  return make("img", { src: `data:image/png;base64,${text}`, alt: alternative });
+}
+
+function figure(text, alternative, ...caption) {
+  return make("figure", {}, image(text, alternative), make("figcaption", {}, ...caption));
+}
+
+function caseView() {
+  const own = data.cases.find(one => one.track === state.track && one.id === state.case);
+  if (!own) return [nothing("This page has no such case in this track.")];
+  const rows = byTrack[state.track].filter(row => caseOf(row) === own);
+  const facts = [own.suite && `suite ${own.suite}`, `scene ${own.scene}`, own.difficulty, own.axis && `axis ${own.axis}`, own.axes, `renderer ${own.renderer}`, `scene hash ${own.hash.slice(0, 12)}`];
+  return [
+    make("p", {}, make("a", { href: link({ view: "table", case: "", sort: "", page: "1", a: "", b: "" }) }, "Back to all cases")),
+    make("h2", { tabindex: "-1" }, own.name), own.split === "hidden" ? make("p", {}, make("span", { class: "chip hidden" }, "hidden split"), " Its data sets are not published.") : null,
+    make("p", { class: "quiet" }, listed(facts.filter(Boolean))),
+    ...tableView(rows), ...comparison(rows, own), ...gallery(rows, own),
+    make("h3", {}, "Accuracy against time"), timePlot(rows, accuracies()[0], own),
+  ].filter(Boolean);
+}
+
+function gallery(rows, own) {
+  const { heading: title, told, wide, cameras } = data.tracks[state.track].pictured, album = albumOf(own);
+  const first = data.tracks[state.track].columns[0];
+  const out = [];
+  if (album.images) out.push(make("h3", {}, "Camera images"), make("div", { class: "cameras" },
+    figure(album.images, `Camera images: ${own.name}`, make("span", { class: "quiet" }, cameras))));
+  const shots = rows.filter(row => album[`row${row.place}`]).map(row => figure(album[`row${row.place}`], `${title}: ${solverOf(row)}`,
+    make("b", {}, solverOf(row)), row.scores[0] ? ` ${first.heading} ${shown(row.scores[0], first.decimals)}` : "", make("span", { class: "quiet few" }, textOf(row.parameters))));
+  if (album.truth) shots.unshift(figure(album.truth, `${title}: the truth`, make("b", {}, "truth")));
+  if (shots.length) out.push(make("h3", {}, title), make("p", { class: "quiet" }, told), make("div", { class: wide ? "row wide" : "row" }, shots));
+  const fewer = shots.length || album.images ? "" : "This page has no pictures of this case.";
+  if (fewer) out.push(make("p", { class: "quiet" }, fewer));
+  if (data.leftOut) out.push(make("p", { class: "quiet" }, `To keep the page small, ${data.leftOut} pictures of all cases are not in it: those of the lowest ranks.`));
+  return out;
+}
+
+// Two solvers of one case.
+
+function comparison(rows, own) {
+  if (rows.length < 2) return [];
+  const a = rows.find(row => row.id === state.a) ?? rows[0];
+  const b = rows.find(row => row.id === state.b && row !== a) ?? rows.find(row => row !== a);
+  const options = rows.map((row, place) => [row.id, `${place + 1}. ${titleOf(row, rows)}`]);
+  const form = make("div", { class: "form" },
+    selector("First", a.id, options, id => change({ a: id, b: id === b.id ? a.id : b.id })),
+    selector("Second", b.id, options, id => change({ b: id, a: id === a.id ? b.id : a.id })));
+  return [make("section", { id: "compare", "aria-label": "Two solvers compared" },
+    make("h3", {}, "Two solvers compared"), form, differences(a, b), ...sideBySide(a, b, own))];
+}
+
+function titleOf(row, rows) {
+  const twice = rows.filter(one => solverOf(one) === solverOf(row)).length > 1;
+  const more = twice ? [textOf(row.parameters), row.submission?.name, textOf(row.machine)].filter(Boolean) : [];
+  return more.length ? `${solverOf(row)} (${more.join("; ").slice(0, 80)})` : solverOf(row);
+}
+
+// Mean of the differences over the seeds that both have, with their number; null without one.
+function paired(a, b, place) {
+  const of = (row, i) => (row.values ? row.values[place][i] : row.scores[place]?.[0] ?? null);
+  const found = [];
+  a.seeds.forEach((seed, i) => {
+    const j = b.seeds.indexOf(seed);
+    if (j < 0) return;
+    const [first, second] = [of(a, i), of(b, j)];
+    if (first !== null && second !== null) found.push(first - second);
+  });
+  const mean = meanOf(found);
+  return mean && { mean, count: found.length };
+}
+
+function verdict(difference) {
+  if (!difference) return "no common seed";
+  if (difference.mean.length < 2) return "one common seed: no interval";
+  return Math.abs(difference.mean[0]) > difference.mean[1] ? "yes" : "no";
+}
+
+function differences(a, b) {
+  const columns = data.tracks[state.track].columns.map((column, place) => ({ ...column, place })).filter(column => a.scores[column.place] || b.scores[column.place]);
+  const head = ["score", "first", "second", "first − second", "common seeds", "differs from 0?"];
+  const lines = columns.map(column => {
+    const difference = paired(a, b, column.place);
+    return make("tr", { "data-key": column.key }, make("th", { scope: "row", title: column.meaning }, column.heading),
+      [a, b].map(row => make("td", { class: "number" }, shown(row.scores[column.place], column.decimals))),
+      make("td", { class: "number" }, shown(difference?.mean, column.decimals + 1)), make("td", { class: "number" }, String(difference?.count ?? 0)),
+      make("td", {}, verdict(difference)));
+  });
+  const table = make("table", { class: "differences" }, make("caption", { class: "unseen" }, "Scores of the two and their differences"),
+    make("thead", {}, make("tr", {}, head.map(text => make("th", { scope: "col", class: "plain" }, text)))), make("tbody", {}, lines));
+  return make("div", {}, make("div", { class: "box differences-box", role: "region", "aria-label": "Scores of the two and their differences", tabindex: "0" }, table),
+    make("p", { class: "quiet" }, "The difference is the mean over the seeds that both have, of the first's score minus the second's on the same data, with half the width of its 95 % "
+      + "confidence interval: “yes” where that interval does not hold zero."));
+}
+
+function sideBySide(a, b, own) {
+  const { heading: title, told, wide, errors } = data.tracks[state.track].pictured, album = albumOf(own);
+  const both = (kind, word) => [a, b].filter(row => album[kind + row.place]).map(row => figure(album[kind + row.place], `${word}: ${solverOf(row)}`, make("b", {}, titleOf(row, [a, b]))));
+  const estimates = both("row", title), maps = both("error", "Error");
+  const grid = figures => make("div", { class: wide ? "pair wide" : "pair" }, figures);
+  const out = [];
+  if (album.truth && estimates.length) estimates.push(figure(album.truth, `${title}: the truth`, make("b", {}, "truth")));
+  if (estimates.length) out.push(make("h4", {}, title), make("p", { class: "quiet" }, told), grid(estimates));
+  if (maps.length) out.push(make("h4", {}, "Errors"), make("p", { class: "quiet" }, errors), grid(maps));
+  return out;
+}

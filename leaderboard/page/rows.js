@@ -1,0 +1,61 @@
+// Which rows are shown, and in which order. The data's own order is by case, the best of each first.
+const words = new Intl.Collator("en", { numeric: true });
+const DIFFICULTIES = ["easy", "standard", "hard"];
+data.rows.forEach((row, place) => { row.place = place; });
+const byTrack = Object.fromEntries(Object.keys(data.tracks).map(track => [track, data.rows.filter(row => caseOf(row).track === track)]));
+
+function caseOf(row) {
+  return data.cases[row.case];
+}
+
+function solverOf(row) {
+  return textOf(row.solver);
+}
+
+function searched(row) {
+  if (row.searched === undefined) {
+    const own = caseOf(row);
+    const texts = [own.name, own.scene, own.suite, own.axes, own.axis, solverOf(row), textOf(row.name), textOf(row.parameters), row.submission?.name, textOf(row.machine)];
+    row.searched = texts.filter(Boolean).join(" ").toLowerCase();
+  }
+  return row.searched;
+}
+
+function chosen() {
+  const wanted = state.q.toLowerCase().split(/\s+/).filter(Boolean);
+  return byTrack[state.track].filter(row => {
+    const own = caseOf(row);
+    return (!state.difficulty || own.difficulty === state.difficulty)
+      && (!state.axis || (state.axis === "-" ? !own.axis : own.axis === state.axis))
+      && (!state.split || own.split === state.split)
+      && (!state.solver || solverOf(row) === state.solver)
+      && wanted.every(word => searched(row).includes(word));
+  });
+}
+
+function scoreOf(row, key) {
+  const place = data.tracks[caseOf(row).track].columns.findIndex(column => column.key === key);
+  return place < 0 ? null : row.scores[place];
+}
+
+const SORTED_BY = {
+  solver: solverOf, machine: row => textOf(row.machine), case: row => row.case, seeds: row => row.seeds.length,
+  difficulty: row => { const place = DIFFICULTIES.indexOf(caseOf(row).difficulty); return place < 0 ? null : place; },
+};
+
+function ordered(rows) {
+  const falling = state.sort.startsWith("-"), key = state.sort.replace(/^-/, "");
+  if (!key) return rows;
+  const score = !Object.hasOwn(SORTED_BY, key);
+  const place = data.tracks[state.track].columns.findIndex(column => column.key === key);
+  if (score && place < 0) return rows;
+  const valued = rows.map(row => ({ row, value: score ? row.scores[place]?.[0] ?? null : SORTED_BY[key](row) }));
+  const last = one => (score && one.row.error ? 2 : one.value === null ? 1 : 0);  // no number, then a failed run: at the end either way
+  const by = (a, b) => (typeof a === "string" ? words.compare(a, b) : a - b);
+  valued.sort((a, b) => last(a) - last(b) || (last(a) ? 0 : (falling ? -1 : 1) * by(a.value, b.value)) || a.row.place - b.row.place);
+  return valued.map(one => one.row);
+}
+
+function values(rows, of) {
+  return [...new Set(rows.map(of).filter(Boolean))].sort(words.compare);
+}

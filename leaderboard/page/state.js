@@ -1,0 +1,38 @@
+// What is shown, kept in the URL's fragment, so that a view can be linked.
+const DEFAULTS = {
+  track: Object.keys(data.tracks)[0] ?? "", view: "table", q: "", difficulty: "", axis: "", solver: "", split: "",
+  sort: "", page: "1", all: "", case: "", a: "", b: "", x: "seconds", y: "", group: "",
+};
+const OF_A_TRACK = ["axis", "solver", "sort", "page", "case", "a", "b", "y", "group"];  // what another track makes meaningless
+const VIEWS = { table: "Table", time: "Accuracy against time", why: "Difficulty and axes" };
+let state = read();
+
+function read() {
+  const found = new URLSearchParams(location.hash.slice(1));
+  const next = Object.fromEntries(Object.entries(DEFAULTS).map(([key, value]) => [key, found.get(key) ?? value]));
+  if (!Object.hasOwn(data.tracks, next.track)) next.track = DEFAULTS.track;
+  if (!Object.hasOwn(VIEWS, next.view) && next.view !== "case") next.view = "table";
+  return next;
+}
+
+// The fragment of this view with changes: defaults are left out.
+function link(changes) {
+  const next = { ...state, ...changes };
+  const parts = Object.entries(next).filter(([key, value]) => value !== DEFAULTS[key]);
+  return "#" + new URLSearchParams(parts);
+}
+
+function otherTrack(track) {
+  return link({ ...Object.fromEntries(OF_A_TRACK.map(key => [key, DEFAULTS[key]])), track, view: state.view === "case" ? "table" : state.view });
+}
+
+// Change the view: filters replace the history's entry, so that "back" leaves a view and not a letter.
+function change(changes) {
+  history.replaceState(null, "", link(changes));
+  state = read();
+  render();
+}
+
+function filter(changes) {
+  change({ page: "1", ...changes });
+}

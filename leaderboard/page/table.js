@@ -1,0 +1,152 @@
+// The table: a page of rows at a time, so that ten thousand records make no more elements than fifty.
+const PAGE = 25;
+const MAIN = 3;  // scores that are shown before all are asked for, and the two of cost
+const open = new Set();  // ids of rows whose details are shown
+
+function columnsOf(rows) {
+  const columns = data.tracks[state.track].columns.map((column, place) => ({ ...column, place }));
+  const wanted = state.all || oneCase() ? columns : columns.filter((column, place) => place < MAIN || place >= columns.length - 2);
+  return wanted.filter(column => column.place === 0 || rows.some(row => row.scores[column.place]));  // not every case has every figure
+}
+
+function heading(key, text, number, title) {
+  const falling = state.sort.startsWith("-"), own = state.sort.replace(/^-/, "") === key;
+  const order = own ? (falling ? "descending" : "ascending") : null;
+  const press = () => { filter({ sort: order === "ascending" ? `-${key}` : key }); document.querySelector(`th[data-key="${key}"] button`).focus(); };
+  return make("th", { scope: "col", "data-key": key, "aria-sort": order, class: number ? "number" : null },
+    make("button", { type: "button", title, click: press }, text));
+}
+
+function heads(columns) {
+  return make("tr", {},
+    heading("solver", "solver"), oneCase() ? null : heading("case", "case"), graded() ? heading("difficulty", "difficulty") : null, heading("seeds", "seeds", true),
+    columns.map(column => heading(column.key, column.heading, true, column.meaning)),
+    heading("machine", "machine"), make("th", { scope: "col", class: "plain" }, "reproduce"), make("th", { scope: "col", class: "plain" }, "details"));
+}
+
+function chips(row) {
+  const own = caseOf(row);
+  return [
+    own.split === "hidden" && make("span", { class: "chip hidden" }, "hidden split"),
+    row.submission && make("span", { class: "chip" }, `by ${row.submission.name}`),
+  ];
+}
+
+// A name that may go to the next line after an underscore.
+function wrapped(name) {
+  return (name.match(/[^_]*_|[^_]+/g) ?? []).flatMap((part, place) => (place ? [make("wbr"), part] : [part]));
+}
+
+function solverCell(row) {
+  const parameters = textOf(row.parameters);
+  return make("th", { scope: "row" }, make("span", { class: "name" }, wrapped(solverOf(row))), chips(row),
+    parameters && make("span", { class: "quiet few clamp", title: parameters }, parameters));
+}
+
+function scoreCells(row, columns) {
+  if (row.error) {
+    const word = row.declined ? "declined: " : "failed: ";
+    return [make("td", { class: row.declined ? "error quiet" : "error", colspan: columns.length }, word + row.error)];
+  }
+  return columns.map(column => make("td", { class: "number" }, shown(row.scores[column.place], column.decimals)));
+}
+
+function lineOf(row, columns) {
+  const own = caseOf(row);
+  const line = make("tr", { class: row.error ? "failed" : null },
+    solverCell(row),
+    oneCase() ? null : make("td", { class: "words" }, make("a", { href: link({ view: "case", case: own.id, sort: "", page: "1", a: "", b: "" }) }, own.name)),
+    graded() ? make("td", {}, own.difficulty ?? DASH, own.axis && make("span", { class: "quiet few" }, own.axis)) : null,
+    make("td", { class: "number" }, String(row.seeds.length)),
+    scoreCells(row, columns),
+    make("td", { class: "words" }, textOf(row.machine) || DASH),
+    make("td", {}, row.commands.length ? copyButton(textOf(row.commands[0])) : DASH),
+    make("td", {}, detailsButton(row)));
+  return line;
+}
+
+function oneCase() {
+  return state.view === "case";
+}
+
+// Whether there is a column of difficulties: a track need not have any, and all rows of a case have the same.
+function graded() {
+  return !oneCase() && data.cases.some(own => own.track === state.track && (own.difficulty || own.axis));
+}
+
+function detailsButton(row) {
+  const button = make("button", { type: "button", class: "small", "aria-expanded": String(open.has(row.id)), "aria-label": `details of ${solverOf(row)}` }, "details");
+  button.addEventListener("click", () => {
+    const line = button.closest("tr"), was = open.has(row.id);
+    if (was) line.nextElementSibling.remove();
+    else line.after(detailsOf(row, line));
+    open[was ? "delete" : "add"](row.id);
+    button.setAttribute("aria-expanded", String(!was));
+  });
+  return button;
+}
+
+function terms(pairs) {
+  const known = pairs.filter(([, value]) => value !== null && value !== undefined && value !== "");
+  return make("dl", {}, known.map(([name, value]) => [make("dt", {}, name), make("dd", {}, value)]));
+}
+
+function detailsOf(row, line) {
+  const own = caseOf(row);
+  const runs = row.seeds.map((seed, i) => make("li", {}, `seed ${seed}: data set ${textOf(row.datasets[i])}, run ${row.runs[i]}`));
+  const facts = terms([
+    ["reproduce", row.commands.length ? row.commands.map(place => command(textOf(place))) : "this record does not say by which command it was made"],
+    ["solver", textOf(row.name)], ["parameters", textOf(row.parameters) || "its defaults, unnamed"],
+    ["submission", row.submission && `${row.submission.name}, ${row.submission.date}`],
+    ["case", listed([own.suite && `suite ${own.suite}`, `scene ${own.scene}`, own.axes, `renderer ${own.renderer}`, `${own.split} split`].filter(Boolean))],
+    ["scene hash", own.hash], ["machine", textOf(row.machineAll)], ["versions", textOf(row.versions)],
+    ["code hash", listed(row.codes.map(textOf), "")],
+    ["reference kernel", row.reference && `${row.reference} s in the same run`], ["runs", make("ul", {}, runs)],
+  ]);
+  const across = [...line.cells].reduce((sum, cell) => sum + cell.colSpan, 0);
+  return make("tr", { class: "details" }, make("td", { colspan: across }, make("div", { class: "inner" }, facts)));
+}
+
+// The table of these rows in a box that scrolls sideways by itself.
+function tableOf(rows, label, all = rows) {
+  const columns = columnsOf(all);
+  const body = make("tbody");
+  for (const row of rows) {
+    const line = lineOf(row, columns);
+    body.append(line);
+    if (open.has(row.id)) body.append(detailsOf(row, line));
+  }
+  return make("div", { class: "box", role: "region", "aria-label": label, tabindex: "0" },
+    make("table", {}, make("caption", { class: "unseen" }, label), make("thead", {}, heads(columns)), body));
+}
+
+function pager(count) {
+  const pages = Math.max(1, Math.ceil(count / PAGE)), page = pageOf(count);
+  if (pages === 1) return null;
+  const turn = (text, to, name) => make("button", {
+    type: "button", "data-turn": name, disabled: to < 1 || to > pages,
+    click: () => { change({ page: String(to) }); document.querySelector(`[data-turn="${name}"]:not(:disabled)`)?.focus(); },
+  }, text);
+  return make("nav", { class: "pager", "aria-label": "Pages of the table" },
+    turn("first", page > 1 ? 1 : 0, "first"), turn("previous", page - 1, "previous"), make("span", {}, `page ${page} of ${pages}`),
+    turn("next", page + 1, "next"), turn("last", page < pages ? pages : pages + 1, "last"));
+}
+
+function pageOf(count) {
+  const asked = Math.floor(Number(state.page)) || 1;
+  return Math.min(Math.max(1, asked), Math.max(1, Math.ceil(count / PAGE)));
+}
+
+function tableView(rows) {
+  const sorted = ordered(rows), first = (pageOf(rows.length) - 1) * PAGE;
+  const label = `Results of the track ${trackName(state.track)}`;
+  return [tableOf(sorted.slice(first, first + PAGE), label, rows), pager(rows.length), legendOfColumns(rows)];
+}
+
+function legendOfColumns(rows) {
+  return make("details", { class: "meaning" }, make("summary", {}, "What the columns mean"),
+    terms(columnsOf(rows).map(column => [column.heading, column.meaning])),
+    make("p", { class: "quiet" }, "Over several seeds a score is the mean ± half the width of its 95 % confidence interval. "
+      + "Cases come in the order of their names and the best of each first, until a heading sorts them: once for rising, twice for falling. "
+      + `${DASH} stands for a score that does not apply.`));
+}

@@ -1,0 +1,1 @@
+"""Iterative particle reconstruction: particles as points with images, found by triangulation and fitted to what the cameras saw."""

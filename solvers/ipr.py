@@ -1,0 +1,40 @@
+"""Iterative particle reconstruction."""
+
+from __future__ import annotations
+
+from pydantic import Field
+
+from sabench.api import Film, FoundParticles, Parameters, ParticleSolver
+from sabench.ipr.reconstruct import Settings, box_of, reconstructed
+from sabench.progress import track
+
+
+class IprParameters(Parameters):
+    """How particles are found, and when they are taken for ghosts."""
+
+    floor: float = Field(0.05, gt=0.0, lt=1.0, description="smallest peak of a particle image, over that of a bright particle")
+    noise: float = Field(5.0, ge=0.0, description="the same in standard deviations of the background; the larger one holds")
+    reach_px: float = Field(0.8, gt=0.0, description="largest distance of a particle image from where its camera sees the particle")
+    rounds: int = Field(4, ge=1, description="rounds of triangulation with all cameras, on what is left of the images")
+    reduced: int = Field(4, ge=0, description="the same where one camera may show nothing")
+    fits: int = Field(8, ge=1, description="times that every particle is fitted in each of them")
+    faint: float = Field(0.15, ge=0.0, description="brightness in the second darkest camera below which a particle is a ghost, over the median")
+
+
+class Ipr(ParticleSolver):
+    """Iterative particle reconstruction: triangulate, fit to the images, take away, and look again; the harness links the frames."""
+
+    name = "ipr"
+    references = ("Wieneke, Meas. Sci. Technol. 24 (2013) 024008",)
+    Parameters = IprParameters
+
+    def skip(self, case: Film) -> str | None:
+        """Two lines of sight meet by chance too often."""
+        return "it needs three cameras" if len(case.cameras) < 3 else None
+
+    def solve(self, case: Film) -> list[FoundParticles]:
+        """Frame by frame."""
+        chosen = self.parameters
+        settings = Settings(chosen.floor, chosen.noise, chosen.reach_px, (chosen.rounds, chosen.reduced), chosen.fits, chosen.faint)
+        maps = box_of(case[0])
+        return [reconstructed(frame, maps, settings) for frame in track(case, "iterative reconstruction")]

@@ -1,0 +1,84 @@
+"""OpenLPT, an independent program for Lagrangian particle tracking."""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+
+import numpy as np
+from pydantic import Field
+
+from sabench.api import Film, FoundParticles, Parameters, ParticleSolver
+from sabench.exchange import child
+from sabench.exchange.openlpt import Settings, solve, unfit, write_frame, write_project
+from sabench.exchange.seen import Seen, seen_in
+from sabench.extraction import normalised
+from sabench.optics.camera import Camera
+from sabench.progress import track
+
+
+class OpenLptParameters(Parameters):
+    """What OpenLPT is told besides what the images show; the rest is derived from them or as its own window offers it."""
+
+    displacement_px: float = Field(10.0, gt=0.0, description="largest displacement from frame to frame, in the images")
+    tolerance_px: float = Field(0.8, gt=0.0, description="largest distance of a particle image from where its camera sees the particle, first round")
+    floor: float = Field(0.2, gt=0.0, lt=1.0, description="smallest peak of a particle image, over a bright particle's; more if noise demands it")
+    shake_px: float = Field(0.25, gt=0.0, description="by how much particles are moved at first to see whether they fit better")
+    ghost: float = Field(0.01, gt=0.0, lt=1.0, description="its ghost threshold")
+    rounds: int = Field(4, ge=1, description="of reconstruction with all cameras")
+    fits: int = Field(4, ge=1, description="of shaking in each")
+    threads: int = Field(1, ge=0, description="0: all")
+
+
+class OpenLpt(ParticleSolver):
+    """OpenLPT of the Ni lab: iterative particle reconstruction and Shake-the-Box, as PyPI has it; below five frames its reconstruction alone."""
+
+    name = "openlpt"
+    references = (
+        "Tan, Salibindla, Masuk and Ni, Exp. Fluids 61 (2020) 47",
+        "Schanz, Gesemann and Schroeder, Exp. Fluids 57 (2016) 70",
+        "https://pypi.org/project/openlpt",
+    )
+    Parameters = OpenLptParameters
+
+    def skip(self, case: Film) -> str | None:
+        """It must be installed and able to describe every camera."""
+        if len(case.cameras) < 2:
+            return "it needs two cameras"
+        odd = next((camera.name for camera in case.cameras if not isinstance(camera, Camera)), None)
+        if odd:
+            return f"{odd} is no pinhole"
+        unfits = (f"{camera.name}: {reason}" for camera in case.cameras if isinstance(camera, Camera) and (reason := unfit(camera)))
+        return child.missing("pyopenlpt", "openlpt") or next(unfits, None)
+
+    def solve(self, case: Film) -> list[FoundParticles]:
+        """Write its files, run it, read its tracks."""
+        cameras = tuple(camera for camera in case.cameras if isinstance(camera, Camera))
+        with tempfile.TemporaryDirectory(prefix="openlpt-") as name:
+            folder = Path(name)
+            for number, frame in enumerate(track(case, "images for OpenLPT")):
+                write_frame(folder, number, normalised(frame))
+            seen = seen_in(case[0])
+            if not seen.particles:
+                return [FoundParticles(np.zeros((0, 3))) for _ in range(len(case))]
+            write_project(folder, cameras, case.grid, len(case), self._settings(seen))
+            return solve(folder, len(case))
+
+    def _settings(self, seen: Seen) -> Settings:
+        """From what the first frame shows."""
+        chosen = self.parameters
+        return Settings(
+            threshold=round(160.0 * max(chosen.floor, seen.floor)),
+            radius_px=2.5 * seen.sigma_px,
+            move_mm=0.5 * chosen.displacement_px * seen.mm_per_px,
+            spacing_mm=seen.spacing_mm,
+            reach_mm=max(chosen.displacement_px * seen.mm_per_px, seen.spacing_mm),
+            tolerance_px=chosen.tolerance_px,
+            tolerance_mm=chosen.tolerance_px * seen.mm_per_px,
+            mm_per_px=seen.mm_per_px,
+            shake_px=chosen.shake_px,
+            ghost=chosen.ghost,
+            rounds=chosen.rounds,
+            fits=chosen.fits,
+            threads=chosen.threads,
+        )

@@ -1,0 +1,63 @@
+"""OpenPTV, an independent program for particle tracking velocimetry."""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+
+from pydantic import Field
+
+from sabench.api import Film, FoundParticles, Parameters, ParticleSolver
+from sabench.exchange import child
+from sabench.exchange.openptv import MOST_CAMERAS, Settings, solve, unfit, write_frame, write_project
+from sabench.exchange.seen import seen_in
+from sabench.extraction import normalised
+from sabench.optics.camera import Camera
+from sabench.progress import track
+
+
+class OptvParameters(Parameters):
+    """What OpenPTV is told besides what the images show."""
+
+    displacement_px: float = Field(10.0, gt=0.0, description="largest displacement from frame to frame, in the images")
+    tolerance_px: float = Field(1.0, gt=0.0, description="half the width of the band about an epipolar line")
+    discontinuity: int = Field(5, ge=0, le=255, description="rise of grey values, of 255, away from a peak that begins another particle image")
+    change: float = Field(0.5, gt=0.0, description="largest change of a displacement, over the largest displacement")
+    angle_gon: float = Field(100.0, gt=0.0, le=200.0, description="largest change of its direction")
+
+
+class Optv(ParticleSolver):
+    """OpenPTV's library: particle images by thresholds, correspondences along epipolar lines through the glass, tracking in images and space."""
+
+    name = "optv"
+    references = (
+        "Maas, Gruen and Papantoniou, Exp. Fluids 15 (1993) 133-146",
+        "Willneff, ETH Zurich, Dissertation 15276 (2003)",
+        "https://pypi.org/project/optv",
+    )
+    Parameters = OptvParameters
+
+    def skip(self, case: Film) -> str | None:
+        """It must be installed and able to describe every camera; its correspondences are between four at most."""
+        if not 2 <= len(case.cameras) <= MOST_CAMERAS:
+            return f"it needs two to {MOST_CAMERAS} cameras"
+        odd = next((camera.name for camera in case.cameras if not isinstance(camera, Camera)), None)
+        if odd:
+            return f"{odd} is no pinhole"
+        unfits = (f"{camera.name}: {reason}" for camera in case.cameras if isinstance(camera, Camera) and (reason := unfit(camera)))
+        return child.missing("optv", "optv") or next(unfits, None)
+
+    def solve(self, case: Film) -> list[FoundParticles]:
+        """Write its files, run it, read what it found."""
+        chosen = self.parameters
+        cameras = tuple(camera for camera in case.cameras if isinstance(camera, Camera))
+        seen = seen_in(case[0])
+        move = chosen.displacement_px * seen.mm_per_px
+        threshold, change = max(2, round(160.0 * seen.floor)), chosen.change * move
+        settings = Settings(threshold, chosen.discontinuity, chosen.tolerance_px, move, change, chosen.angle_gon)
+        with tempfile.TemporaryDirectory(prefix="optv-") as name:
+            folder = Path(name)
+            for number, frame in enumerate(track(case, "images for OpenPTV")):
+                write_frame(folder, number, normalised(frame))
+            write_project(folder, cameras, case.grid, len(case), settings)
+            return solve(folder, case.grid, len(case))

@@ -1,0 +1,36 @@
+"""Particles by triangulation."""
+
+from __future__ import annotations
+
+from pydantic import Field
+
+from sabench.api import Film, FoundParticles, Parameters, ParticleSolver
+from sabench.ipr.reconstruct import Settings, box_of, triangulated
+from sabench.progress import track
+
+
+class TriangulationParameters(Parameters):
+    """What counts as a particle image, and how well those of a particle must agree."""
+
+    floor: float = Field(0.05, gt=0.0, lt=1.0, description="smallest peak of a particle image, over that of a bright particle")
+    noise: float = Field(5.0, ge=0.0, description="the same in standard deviations of the background; the larger one holds")
+    reach_px: float = Field(0.8, gt=0.0, description="largest distance of a particle image from where its camera sees the particle")
+
+
+class RayTriangulation(ParticleSolver):
+    """Particle images that lines of sight bring together, every image used once, intersected; the harness links the frames."""
+
+    name = "ray_triangulation"
+    references = ("Maas, Gruen and Papantoniou, Exp. Fluids 15 (1993) 133-146",)
+    Parameters = TriangulationParameters
+
+    def skip(self, case: Film) -> str | None:
+        """Two lines of sight meet by chance too often."""
+        return "it needs three cameras" if len(case.cameras) < 3 else None
+
+    def solve(self, case: Film) -> list[FoundParticles]:
+        """Frame by frame."""
+        chosen = self.parameters
+        settings = Settings(floor=chosen.floor, noise=chosen.noise, reach_px=chosen.reach_px)
+        maps = box_of(case[0])
+        return [triangulated(frame, maps, settings) for frame in track(case, "triangulation")]

@@ -1,0 +1,181 @@
+"""The track particles: what every solver of it must do, bundled or not, and what scores and results of it are."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+
+from sabench import plugins
+from sabench.api import Film, FoundParticles, ParticleSolver
+from sabench.dataset.read import Dataset
+from sabench.dataset.result import open_result, result_writer
+from sabench.errors import InputError
+from sabench.export import export
+from sabench.generation import Shot, generate, simulate
+from sabench.parsing import parse_scene
+from sabench.rig import load_scene
+from sabench.solving import make_algorithm, score, solve
+from sabench.suite import override
+
+SOLVERS = [name for name in plugins.names("solvers") if plugins.load("solvers", name).track == "particles"]
+
+
+@pytest.fixture(scope="module")
+def shot() -> Shot:
+    """Four cameras in water behind glass, unequal sides everywhere, particles far apart."""
+    values = load_scene("quick").to_dict()
+    values["volume"]["size_mm"] = [9.0, 6.0, 3.0]
+    values["particles"]["count"] = 60
+    return simulate(parse_scene(values, "small"), seed=5)
+
+
+@pytest.fixture(scope="module")
+def film(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
+    """Six frames of a sparse flow."""
+    scene = override(load_scene("particle-tracking"), {"frames": 6, "particles.per_pixel": 0.004}, "small")
+    return generate(scene, tmp_path_factory.mktemp("film") / "data", seed=3, backend="splat")
+
+
+def ready(name: str, case: Film) -> ParticleSolver:
+    """The solver, if what it needs is installed."""
+    made = make_algorithm(name, {})
+    assert isinstance(made, ParticleSolver)
+    reason = made.skip(case)
+    if reason and "not installed" in reason:
+        pytest.skip(reason)
+    assert reason is None
+    return made
+
+
+@pytest.mark.parametrize("name", SOLVERS)
+def test_a_solver_says_what_it_is(name: str) -> None:
+    plugin = plugins.load("solvers", name)
+    assert plugin.references
+    assert plugins.summary(plugin).endswith(".")
+    for key, field in plugin.Parameters.model_fields.items():
+        assert field.description, f"{name}: parameter {key} has no description"
+        assert not field.is_required(), f"{name}: parameter {key} has no default"
+
+
+@pytest.mark.parametrize("name", SOLVERS)
+def test_a_solver_finds_particles_the_same_way_twice(name: str, shot: Shot) -> None:
+    case = Film.of([shot.observation])
+    first, second = (ready(name, case).solve(case) for _ in range(2))
+    assert len(first) == len(second) == 1
+    np.testing.assert_array_equal(first[0].position_mm, second[0].position_mm)
+    apart = np.linalg.norm(first[0].position_mm[:, None] - shot.particles.position_mm, axis=2)
+    assert (apart.min(axis=0) < 0.05).mean() > 0.8
+    assert (apart.min(axis=1) < 0.05).mean() > 0.9
+
+
+@pytest.mark.parametrize("name", SOLVERS)
+def test_no_light_is_no_particles(name: str, shot: Shot) -> None:
+    dark = Film.of([replace(shot.observation, images=np.full_like(shot.observation.images, int(shot.observation.black_dn)))])
+    assert [len(one.position_mm) for one in ready(name, dark).solve(dark)] == [0]
+
+
+@pytest.mark.parametrize("name", SOLVERS)
+def test_cameras_may_come_in_any_order(name: str, shot: Shot) -> None:
+    seen = shot.observation
+    turned = Film.of([replace(seen, images=seen.images[::-1].copy(), cameras=seen.cameras[::-1])])
+    one, other = (ready(name, case).solve(case)[0].position_mm for case in (Film.of([seen]), turned))
+    apart = np.linalg.norm(one[:, None] - other, axis=2)
+    assert (apart.min(axis=0) < 0.01).mean() > 0.9
+
+
+@pytest.mark.parametrize("name", SOLVERS)
+def test_a_film_is_tracked(name: str, film: Dataset, tmp_path: Path) -> None:
+    ready(name, Film.of([film.observation(0)]))
+    result = solve(name, film, tmp_path / "r.h5")
+    assert result.track == "particles"
+    scores = score(film, tmp_path / "r.h5")
+    assert scores["precision"] > 0.85
+    assert scores["recall"] > 0.75
+    assert scores["rms_px"] < 0.25
+    assert scores["link_precision"] > 0.85
+    assert scores["peak_mb"] > 50.0
+
+
+def test_the_truth_is_perfect_and_nothing_is_the_floor(film: Dataset) -> None:
+    true, nothing = (score(film, word, "particles") for word in ("truth", "empty"))
+    for key in ("f1", "precision", "recall", "link_recall", "link_precision", "effectiveness"):
+        assert true[key] == 1.0
+    for key in ("ghost_percent", "rms_px", "rms_mm", "velocity_mm_s", "velocity_percent"):
+        assert true[key] == 0.0
+    assert nothing["f1"] == nothing["precision"] == nothing["recall"] == nothing["effectiveness"] == 0.0
+    assert nothing["rms_px"] is None
+    assert score(film, "empty")["track"] == "reconstruction"
+    with pytest.raises(InputError, match=r"track: expected reconstruction or particles .* got 'bubbles'"):
+        score(film, "truth", "bubbles")
+
+
+def test_known_faults_have_known_scores(film: Dataset, tmp_path: Path) -> None:
+    """Every fourth particle is left out, all others lie 0.03 mm aside along X, and each has a ghost far away; no tracks are given."""
+    shift = np.array([0.03, 0.0, 0.0])
+    with result_writer(tmp_path / "r.h5", film, "faulty", "particles", {}) as writer:
+        for frame in range(film.rig.frames):
+            true = film.particles(frame)
+            kept = true.position_mm[true.id % 4 != 0] + shift
+            writer.add_particles(frame, FoundParticles(np.concatenate([kept, kept + np.array([0.0, 0.0, 1000.0])])))
+    scores = score(film, tmp_path / "r.h5")
+    assert scores["precision"] == 1.0  # what lies outside the scored part is nobody's fault
+    assert scores["recall"] == pytest.approx(0.75, abs=0.08)
+    assert scores["rms_mm"] == pytest.approx(0.03, rel=1e-9)
+    slope = [np.linalg.norm(camera.project(np.array([[0.0, 0.0, 30.0]]) + shift)[0] - camera.project(np.array([[0.0, 0.0, 30.0]]))[0])
+             for camera in film.true_cameras]  # fmt: skip
+    assert scores["rms_px"] == pytest.approx(np.mean(slope), rel=0.02)
+    assert scores["velocity_mm_s"] == pytest.approx(0.0, abs=1e-6)
+
+
+def test_faults_of_results_are_named(film: Dataset, tmp_path: Path) -> None:
+    place = tmp_path / "r.h5"
+    with result_writer(place, film, "faulty", "particles", {}) as writer:
+        for frame in range(film.rig.frames):
+            writer.add_particles(frame, FoundParticles(np.ones((2, 3)), np.ones(2), np.arange(2)))
+    with h5py.File(place, "r+") as file:
+        file["frames/0001/particles/track"][...] = [4, 4]
+        del file["frames/0002/particles/track"]
+    result = open_result(place, film)
+    with pytest.raises(InputError, match=r"frames/0001/particles: track: expected different numbers, got 4 for 2 particles"):
+        result.particles(1)
+    with h5py.File(place, "r+") as file:
+        file["frames/0001/particles/track"][...] = [4, 5]
+    with pytest.raises(InputError, match=r"frames/0002/particles/track: expected one in every frame or in none"):
+        score(film, place)
+
+
+def test_a_solver_that_returns_something_else_is_named(film: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    plugin = plugins.load("solvers", "ray_triangulation")
+    monkeypatch.setattr(plugin, "solve", lambda self, case: [FoundParticles(np.zeros((0, 3)))])
+    with pytest.raises(InputError, match=r"expected FoundParticles for each of 6 frames, got 1 of them"):
+        solve("ray_triangulation", film, tmp_path / "r.h5")
+
+
+def test_frames_are_read_when_they_are_asked_for(shot: Shot) -> None:
+    asked: list[int] = []
+
+    def load(frame: int) -> object:
+        asked.append(frame)
+        return shot.observation
+
+    case = Film(shot.observation.cameras, shot.observation.grid, (0.0, 0.1, 0.2), load)  # type: ignore[arg-type]
+    assert (len(case), asked) == (3, [])
+    assert len(list(case)) == 3
+    assert asked == [0, 1, 2]
+    with pytest.raises(IndexError):
+        case[3]
+
+
+def test_found_particles_are_exported(film: Dataset, tmp_path: Path) -> None:
+    with result_writer(tmp_path / "r.h5", film, "some", "particles", {}) as writer:
+        for frame in range(film.rig.frames):
+            true = film.particles(frame)
+            writer.add_particles(frame, FoundParticles(true.position_mm[5:], None, true.id[5:].astype(np.int64)))
+    export(film, tmp_path / "vtk", tmp_path / "r.h5")
+    with h5py.File(tmp_path / "vtk" / "particles_0002.vtkhdf") as file:
+        np.testing.assert_array_equal(file["VTKHDF/PointData/true_id"][:], film.particles(2).id[5:])
+        assert file["VTKHDF/PointData/matched"][:].all()
