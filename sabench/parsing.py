@@ -21,6 +21,8 @@ Model = typing.TypeVar("Model", bound=BaseModel)
 def find(name: str | Path, folder: str) -> Path:
     """`name` as a path, or as the stem of a TOML file in a bundled folder (scenes, scenes/suites)."""
     direct = Path(name)
+    if any(len(part.encode("utf-8", "replace")) > 255 for part in direct.parts) or "\0" in str(name):
+        raise InputError(f"{name}: expected a file's name")
     if direct.is_file():
         return direct
     inside = plugins.bundled("scenes").parent / folder

@@ -283,7 +283,8 @@ def apparent_distance_mm(camera: Camera, target_mm: F64) -> float:
         if not (valid[0] and valid_back[0]):
             return float("nan")
         moves.append(abs(there[0, axis] - back[0, axis]) / (2.0 * step * plain.focal_px))
-    return float(1.0 / np.mean(moves))
+    mean = float(np.mean(moves))
+    return 1.0 / mean if mean else float("inf")
 
 
 def _check_views(cameras: tuple[Camera, ...], corners: F64, source: str) -> None:

@@ -151,7 +151,7 @@ class Cameras(_Table):
 
     rows: int = Field(ge=8, le=20000)
     columns: int = Field(ge=8, le=20000)
-    pixel_mm: Positive = Field(description="pixel pitch")
+    pixel_mm: float = Field(gt=0.0, le=10.0, description="pixel pitch")
     focal_length_mm: Positive
     f_number: Positive
     focus_mm: Positive | None = Field(None, description="distance of sharp points in air; by default each camera's aim point is sharp")

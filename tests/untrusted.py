@@ -269,10 +269,8 @@ def result(base: Base, inputs: Path, out: Path, rng: random.Random) -> Feed:
     mutations.hdf5(path, rng)
 
     def scored(root: Path, out: Path) -> None:
-        from sabench.programs import probe
         from sabench.solving import score
 
-        probe(path)
         check_scores(score(root, path))
 
     def adopted(root: Path, out: Path) -> None:
@@ -281,6 +279,9 @@ def result(base: Base, inputs: Path, out: Path, rng: random.Random) -> Feed:
         adopt(path, root, out / "adopted.h5", ("program", {}, 1.0, 2.0), False)
 
     def feed() -> None:
+        from sabench.programs import probe
+
+        probe(path)  # as both commands do before anything else
         _all_of((scored, adopted), data.root, out)
 
     return feed

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from sabench.arrays import F64, U16
+from sabench.errors import InputError
 from sabench.scene import Sensor
 
 
@@ -24,6 +25,8 @@ def expose(sensor: Sensor, photons: F64, rng: np.random.Generator) -> U16:
     """
     mean = sensor.quantum_efficiency * photons
     mean += sensor.dark_current_e_s * sensor.exposure_s
+    if not np.isfinite(mean).all():
+        raise InputError("illumination: expected light that numbers can hold, got pixels of infinitely much or of none that is known")
     np.minimum(mean, _MOST_E, out=mean)
     electrons = rng.poisson(mean).astype(np.float64) if sensor.shot_noise else mean
     np.minimum(electrons, sensor.full_well_e, out=electrons)

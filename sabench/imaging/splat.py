@@ -13,6 +13,7 @@ from sabench.imaging.particle_images import ParticleImages
 from sabench.optics.camera import Camera
 
 _REACH = 4.5  # standard deviations from the centre to the window's edge: less than 2e-5 of the light is left out
+_SHARPEST = 1e-9  # px: whatever is sharper lights one pixel just the same
 _BAND = 64  # rows that one thread fills at a time, so that none writes where another does
 
 
@@ -25,7 +26,8 @@ def splat(camera: Camera, images: ParticleImages) -> F64:
     image = np.zeros((camera.rows, camera.columns))
     lit = images.photons > 0.0
     half = np.ceil(_REACH * images.sigma_px[lit] + 0.5).astype(np.int64)
-    _add_windows(image, images.pixel[lit], images.photons[lit], images.sigma_px[lit], half)
+    sigma = np.maximum(images.sigma_px[lit], _SHARPEST)
+    _add_windows(image, images.pixel[lit], images.photons[lit], sigma, half)
     return image
 
 

@@ -19,12 +19,15 @@ from sabench.dataset import hdf
 from sabench.dataset.hdf import opened, read_array
 from sabench.dataset.images import read_tiff
 from sabench.dataset.read import Dataset
+from sabench.dataset.verify import verify
 from sabench.errors import InputError
 from sabench.files import canonical_json, read_json
+from sabench.parsing import parse_scene
 from sabench.programs import probe
 from sabench.rig import load_scene
 from sabench.suite import load_suite
 from tests.conftest import ROOT
+from tests.untrusted import SCENE, check_sentence
 
 
 def test_damaged_input_is_refused_by_one_sentence_or_taken(tmp_path: Path) -> None:
@@ -159,3 +162,16 @@ def test_scenes_and_suites_that_ask_for_too_much(tmp_path: Path, quick_toml: str
     )
     with pytest.raises(InputError, match="at most 1000 cases, got 2000"):
         load_suite(tmp_path / "suite.toml")
+
+
+@pytest.mark.parametrize(
+    ("table", "key", "value"), [("cameras", "pixel_mm", 1e300), ("illumination", "pulse_energy_mj", 1e300), ("cameras", "focus_mm", 1e300)]
+)
+def test_extreme_numbers_end_well_or_in_a_sentence(tmp_path: Path, table: str, key: str, value: float) -> None:
+    try:
+        scene = parse_scene({**SCENE, table: {**SCENE[table], key: 1e300}}, "extreme")
+        made = sabench.generate(scene, tmp_path / "set", backend="splat")
+    except InputError as error:
+        check_sentence(str(error))
+    else:
+        assert verify(made.root) == []
