@@ -16,7 +16,7 @@ from sabench.errors import InputError
 
 _ABANDONED = re.compile(r"^\.(?P<name>.+)\.(?P<what>partial|retired)-(?P<pid>\d+)$")
 
-_LONGEST_PART = 255  # bytes of a file's name, on every system in use
+LONGEST_PART = 255  # bytes of a file's name, on every system in use
 _LARGEST_TEXT = 100_000_000  # bytes of a JSON file
 
 
@@ -126,7 +126,7 @@ def inside(root: Path, name: str) -> Path:
     path = root / name
     parts = Path(name).parts
     bad = not parts or Path(name).is_absolute() or ".." in parts or "\\" in name or "\0" in name
-    bad = bad or any(len(part.encode("utf-8", "replace")) > _LONGEST_PART for part in parts)
+    bad = bad or any(len(part.encode("utf-8", "replace")) > LONGEST_PART for part in parts)
     if bad or any((root / Path(*parts[: i + 1])).is_symlink() for i in range(len(parts))):
         raise InputError(f"{root}: expected a plain file inside the folder, got {name!r}")
     return path

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import base64
-import errno
 import hashlib
 import json
 import re
@@ -18,7 +17,7 @@ from scipy.special import stdtrit
 
 from sabench import plugins
 from sabench.columns import COLUMNS, LARGER_IS_BETTER
-from sabench.files import inside
+from sabench.files import LONGEST_PART, inside
 from sabench.records import Record, key_of
 from sabench.statistics import CONFIDENCE, Mean
 
@@ -272,11 +271,8 @@ def _pictures(rows: Sequence[Record], places: Sequence[int], pictures: Path) -> 
 
 
 def _there(pictures: Path, name: str) -> Path | None:
-    """The picture of that name, None where there is none."""
-    try:
-        path = inside(pictures, name)
-        return path if path.is_file() else None
-    except OSError as error:
-        if error.errno != errno.ENAMETOOLONG:  # a name that no disk can hold was never written
-            raise
+    """The picture of that name, None where there is none, or no disk could hold one."""
+    if "\0" in name or any(len(part.encode("utf-8", "replace")) > LONGEST_PART for part in Path(name).parts):
         return None
+    path = inside(pictures, name)
+    return path if path.is_file() else None

@@ -83,7 +83,8 @@ def _read_file(path: Path) -> Iterator[Record]:
             yield parse(line)
         except (ValueError, RecursionError) as error:
             if number < len(lines):  # the last piece of the split is what follows the last newline
-                console.print(f"{path}: line {number} is left out: expected a record, got {error}", style="red", markup=False, highlight=False)
+                text = f"{path}: line {number} is left out: expected a record, got {error}"
+                console.print(text, style="red", markup=False, highlight=False, soft_wrap=True)
 
 
 def parse(line: bytes) -> Record:
