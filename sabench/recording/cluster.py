@@ -15,7 +15,8 @@ from sabench.recording.crews import Outcome
 from sabench.recording.plan import Task
 from sabench.recording.work import do
 
-_PATIENCE_S = 20.0  # before it says that it waits, and how long an address may be silent at first
+_PATIENCE_S = 20.0  # before it says that it waits
+_SILENT_S = 8.0  # that an address may be at first
 
 
 class Cluster:
@@ -23,9 +24,9 @@ class Cluster:
 
     def __init__(self, address: str, root: Path) -> None:
         self._root = str(root)
-        with config.set({"distributed.comm.timeouts.connect": _PATIENCE_S, "distributed.scheduler.worker-ttl": None}):
+        with config.set({"distributed.comm.timeouts.connect": _SILENT_S}):
             try:
-                self._client = Client(address, timeout=_PATIENCE_S)
+                self._client = Client(address, timeout=_SILENT_S)
             except (OSError, ValueError, TimeoutError) as error:
                 raise InputError(f"scheduler: expected a Dask scheduler at {address}, got {type(error).__name__}: {error}") from error
         self._tasks: dict[Any, tuple[Hashable, Task]] = {}
