@@ -86,7 +86,7 @@ def run_suite(
     old = {} if fresh else {key_of(record, _COMPUTED): record for record in read_records(leaderboard / "records") if not record["error"]}
     records, wanted = [], only.of(cases)
     for number, case in enumerate(wanted, 1):
-        heads = [_describe(case, entrant, Path(path).stem) for entrant in case.solvers]
+        heads = [_describe(case, entrant, str(path)) for entrant in case.solvers]
         missing = [(entrant, head) for entrant, head in zip(case.solvers, heads, strict=True) if key_of(head, _COMPUTED) not in old]
         records += [old[key] for head in heads if (key := key_of(head, _COMPUTED)) in old]
         console.print(f"data set {number} of {len(wanted)}: {case.name}, {_seed(case)}{'' if missing else ', known'}", markup=False, highlight=False)
@@ -168,7 +168,7 @@ def _describe(case: Case, entrant: Entrant, suite: str) -> Record:
     """All of a record that is known before anything is computed."""
     solver, track, parameters = entrant.describe()
     head = {
-        "suite": suite, "scene": case.base, "case": case.name, "difficulty": case.difficulty, "axis": case.axis, "axes": dict(case.axes),
+        "suite": Path(suite).stem, "scene": case.base, "case": case.name, "difficulty": case.difficulty, "axis": case.axis, "axes": dict(case.axes),
         "scene_hash": case.scene.hash, "seed": case.told_seed, "split": "public" if case.number is None else "hidden", "renderer": case.renderer,
         "track": track, "solver": solver, "label": entrant.label, "parameters": parameters, "code_hash": entrant.code_hash,
     }  # fmt: skip

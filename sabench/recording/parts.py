@@ -54,6 +54,7 @@ class Parts:
 
     def put_frame(self, frame: int, part: Part) -> None:
         """Keep a frame's part."""
+        self._check()
         _save(self._frame(frame), part)
 
     def has_view(self, frame: int, camera: str) -> bool:
@@ -69,12 +70,18 @@ class Parts:
 
     def put_view(self, frame: int, camera: str, taken: Taken) -> None:
         """Keep a camera's part of a frame; it is there when its last file, that of the truth, is."""
+        self._check()
         files = {}
         for suffix, write in {"tif": lambda path: write_tiff(path, taken.grey), "exr": lambda path: write_exr(path, taken.radiance)}.items():
             name = layout.image_name(camera, frame, suffix)
             _replace(self.root / name, write)
             files[name] = layout.FileEntry(bytes=(self.root / name).stat().st_size, sha256=sha256(self.root / name)).model_dump()
         _save(self._view(frame, camera), taken.truth | {_FILES: np.frombuffer(json.dumps(files).encode(), dtype=np.uint8)})
+
+    def _check(self) -> None:
+        """Nothing is written for a data set that is complete, as by a process whose scheduler was killed and started again."""
+        if not self.root.is_dir():
+            raise InputError(f"{self.root}: expected a data set that is being made, but it is gone")
 
     def empty(self) -> bool:
         """Whether no camera has recorded anything."""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import functools
 import importlib.metadata
-import json
 import threading
 import tomllib
 from dataclasses import dataclass
@@ -14,7 +13,7 @@ from typing import Any
 from sabench import memory
 from sabench.code import code_hash
 from sabench.errors import InputError
-from sabench.files import digest, read_json
+from sabench.files import canonical_json, complete_or_nothing, digest, read_json
 from sabench.parsing import parse_scene
 from sabench.recording.parts import Parts
 from sabench.recording.plan import Task
@@ -44,8 +43,10 @@ class Job:
     def write(self, root: Path) -> None:
         """Put it into the folder in which its parts will lie."""
         root.mkdir(parents=True, exist_ok=True)
-        (root / _SCENE).write_text(self.scene.to_toml(), encoding="utf-8")
-        (root / JOB).write_text(json.dumps({"seed": self.seed, "renderer": self.renderer, "label": self.label, "key": self.key}), encoding="utf-8")
+        values = {"seed": self.seed, "renderer": self.renderer, "label": self.label, "key": self.key}
+        for name, text in ((_SCENE, self.scene.to_toml()), (JOB, canonical_json(values))):
+            with complete_or_nothing(root / name, overwrite=True) as partial:  # a worker may be reading it
+                partial.write_text(text, encoding="utf-8")
 
 
 def read_job(root: Path) -> Job:

@@ -43,8 +43,8 @@ def test_a_second_run_computes_nothing_and_a_record_is_made_again_by_its_command
     before = lines(tmp_path)
     assert [(record["seed"], record["solver"]) for record in before] == [(1, "asa"), (1, "msa"), (2, "asa"), (2, "msa")]
     words = shlex.split(before[3]["command"])
-    assert words == ["sabench", "run", "s", "--case", "few", "--seed", "2", "--solver", "sharp one"]
-    assert command("run", "s.toml", *words[3:], "--fresh").returncode == 0
+    assert words == ["sabench", "run", "s.toml", "--case", "few", "--seed", "2", "--solver", "sharp one"]
+    assert command(*words[1:], "--fresh").returncode == 0
     anew = lines(tmp_path)[4:]
     assert [(record["seed"], record["label"], record["run_hash"]) for record in anew] == [(2, "sharp one", before[3]["run_hash"])]
     assert anew[0]["q"] == before[3]["q"]

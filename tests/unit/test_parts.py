@@ -84,3 +84,12 @@ def test_a_job_is_read_as_it_was_written_and_only_by_the_same_code(tmp_path: Pat
         read_job(tmp_path)
     with pytest.raises(InputError, match="all workers must see this folder"):
         read_job(tmp_path / "elsewhere")
+
+
+def test_nothing_is_written_where_the_data_set_is_complete(tmp_path: Path) -> None:
+    parts = Parts(tmp_path / "gone")
+    with pytest.raises(InputError, match="but it is gone"):
+        parts.put_frame(0, {})
+    with pytest.raises(InputError, match="but it is gone"):
+        parts.put_view(0, "a", taken())
+    assert not list(tmp_path.iterdir())
