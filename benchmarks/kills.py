@@ -10,6 +10,7 @@ from __future__ import annotations
 import json
 import os
 import random
+import shutil
 import signal
 import subprocess
 import sys
@@ -71,13 +72,16 @@ def finished(scene: Path, out: Path) -> str:
     return sabench.open_dataset(out).content_hash
 
 
-def disturbed(scene: Path, out: Path, whom: str, after_s: float) -> tuple[bool, str]:
-    """Kill once, then run to the end: whether something was killed, and the hash."""
-    with start(scene, out) as process:
-        time.sleep(after_s)
-        killed = kill(process, whom)
-        process.wait()
-    return killed, sabench.open_dataset(out).content_hash if out.is_dir() else finished(scene, out)
+def disturbed(scene: Path, out: Path, whom: str, within_s: float) -> str:
+    """Kill once, at a moment at which there is something to kill, then run to the end; returns the hash."""
+    killed = False
+    while not killed:
+        shutil.rmtree(out, ignore_errors=True)
+        with start(scene, out) as process:
+            time.sleep(random.uniform(0.0, within_s))
+            killed = kill(process, whom)
+            process.wait()
+    return sabench.open_dataset(out).content_hash if out.is_dir() else finished(scene, out)
 
 
 def main() -> None:
@@ -92,12 +96,11 @@ def main() -> None:
         same, killed = 0, dict.fromkeys(_WHOM, 0)
         for number in track(range(times), "kill and go on"):
             whom, out = _WHOM[number % 3], folder / str(number)
-            hit, found = disturbed(scene, out, whom, random.uniform(0.0, took))
-            killed[whom] += hit
-            same += found == expected
+            same += disturbed(scene, out, whom, took) == expected
+            killed[whom] += 1
             left = [entry.name for entry in folder.glob(f".{number}.*")]
             assert not left, left
-            subprocess.run(["rm", "-rf", str(out)], check=True)
+            shutil.rmtree(out)
     print(json.dumps({"frames": frames, "seconds_undisturbed": round(took, 1), "times": times, "killed": killed, "same_hash": same}, indent=1))
     sys.exit(same != times)
 
