@@ -76,7 +76,9 @@ def generate(
 def verify(dataset: Annotated[Path, typer.Argument(help="A data set folder.")]) -> None:
     """Check every byte and every shape of a data set."""
     from sabench.dataset.verify import verify as faults_of
+    from sabench.programs import probe_dataset
 
+    probe_dataset(dataset)
     faults = faults_of(dataset)
     for fault in faults:
         _say(fault)
@@ -97,8 +99,10 @@ def solve(
 ) -> None:
     """Reconstruct a data set."""
     from sabench.confined import limits_of
+    from sabench.programs import probe_dataset
     from sabench.solving import solve as run_solver
 
+    probe_dataset(dataset)
     limits = limits_of(time_limit, memory_limit)
     result = run_solver(solver, dataset, output, parameters=_parameters(parameter or []), limits=limits, overwrite=overwrite)
     _say(f"{output}: {result.solver}, {result.seconds:.2f} s per frame, {result.peak_mb or float('nan'):.0f} MB at most")
@@ -112,9 +116,10 @@ def score(
     as_json: AsJson = False,
 ) -> None:
     """Score a result against the truth."""
-    from sabench.programs import probe
+    from sabench.programs import probe, probe_dataset
     from sabench.solving import score as scores_of
 
+    probe_dataset(dataset)
     if result not in ("truth", "empty") and Path(result).is_file():
         probe(Path(result))
     scores = scores_of(dataset, result, track)

@@ -94,6 +94,14 @@ def _flush(path: Path) -> None:
             os.fsync(handle.fileno())
 
 
+def is_file(path: Path) -> bool:
+    """Whether there is a file of this name; a name that no disk can hold has none."""
+    try:
+        return path.is_file()
+    except OSError:
+        return False
+
+
 def sha256(path: Path) -> str:
     """Hexadecimal SHA-256 of a file's bytes."""
     with path.open("rb") as handle:

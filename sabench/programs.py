@@ -22,11 +22,12 @@ from sabench.dataset.hdf import walk
 from sabench.dataset.read import Dataset, open_dataset
 from sabench.dataset.result import Result, open_result, result_writer
 from sabench.errors import InputError
-from sabench.files import canonical_json, clear_abandoned, inside
+from sabench.files import canonical_json, clear_abandoned, inside, is_file
 from sabench.progress import console
 from sabench.sentences import printable
 
-_PROBE_S = 60.0  # for what a file says of itself: a damaged one can send the library round in circles, in which no Ctrl-C is heard
+_PROBE_S = 4.0  # for what a file says of itself: a damaged one can send the library round in circles, in which no Ctrl-C is heard
+_PROBE_RATE = 2e7  # bytes of a file for each second more
 _CHECK_S = 1800.0  # for reading all of a result
 
 
@@ -34,7 +35,7 @@ def is_program(solver: str) -> bool:
     """Whether a solver's name is that of a file: it has a path separator, or there is an executable file of this name and no such plug-in."""
     if os.sep in solver or (os.altsep is not None and os.altsep in solver):
         return True
-    return Path(solver).is_file() and os.access(solver, os.X_OK) and solver not in plugins.names("solvers")
+    return is_file(Path(solver)) and os.access(solver, os.X_OK) and solver not in plugins.names("solvers")
 
 
 def solver_name(solver: str) -> str:
@@ -45,7 +46,7 @@ def solver_name(solver: str) -> str:
 def find_program(name: str, folder: Path = Path()) -> Path:
     """The whole path of an executable file; relative ones are looked for in `folder`."""
     path = (folder / name).absolute()
-    if not path.is_file():
+    if not is_file(path):
         raise InputError(f"program {name}: expected an executable file, found none at {path}")
     if not os.access(path, os.X_OK):
         raise InputError(f"program {name}: expected an executable file, but it may not be executed: chmod +x {name}")
@@ -119,7 +120,14 @@ def probe(path: Path) -> None:
     InputError
         It does not, or takes too long.
     """
-    apart(walk, path, doing=f"{path}: reading it", time_s=_PROBE_S)
+    apart(walk, path, doing=f"{path}: reading it", time_s=_PROBE_S + path.stat().st_size / _PROBE_RATE)
+
+
+def probe_dataset(root: Path) -> None:
+    """The same for the HDF5 files of a data set."""
+    for name in (layout.TRUTH, layout.POINTS):
+        if is_file(root / name):
+            probe(inside(root, name))
 
 
 def adopt(path: Path, root: Path, out: Path, told: tuple[str, dict[str, Any], float, float | None] | None, overwrite: bool) -> None:

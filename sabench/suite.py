@@ -19,7 +19,7 @@ from sabench.code import code_hash
 from sabench.columns import COLUMNS
 from sabench.confined import Limits, limits_of
 from sabench.errors import InputError
-from sabench.files import digest
+from sabench.files import digest, is_file
 from sabench.generation import Renderer, choose_renderer
 from sabench.hidden import Secret
 from sabench.parsing import find, parse_scene, validate
@@ -30,7 +30,7 @@ from sabench.scene import Scene
 from sabench.solving import make_algorithm
 
 _SAFE = r"[A-Za-z0-9][A-Za-z0-9._-]*"  # as a part of a file name on every system
-_MOST_CASES = 1000  # of one specification
+_MOST_CASES = 1000
 _UNSAFE = re.compile(r"[^A-Za-z0-9._-]+")
 
 
@@ -176,6 +176,8 @@ def load_suite(path: str | Path, secret: Secret | None = None) -> tuple[Suite, l
     suite = validate(Suite, values, str(file))
     own = suite.model_copy(update={"solvers": tuple(_checked(entrant, file) for entrant in suite.solvers)})
     specs = [spec.model_copy(update={"solvers": tuple(_checked(entrant, file) for entrant in spec.solvers)}) for spec in _specs(own)]
+    if len(specs) > _MOST_CASES:
+        raise InputError(f"{file}: scenes, cases: expected at most {_MOST_CASES}, got {len(specs)}")
     first = [case for spec in specs for case in _cases(spec, own, file)]
     _check_names([case.name for case in first], file)
     _check_frozen(own, first, file)
@@ -250,7 +252,7 @@ def _variants(spec: CaseSpec, suite: Path) -> Iterator[tuple[str, str, dict[str,
     count = math.prod(len(values) for values in spec.vary.values())
     if count > _MOST_CASES:
         raise InputError(f"{suite}: {spec.scene}: vary: expected at most {_MOST_CASES} cases, got {count}")
-    base, scene = Path(spec.scene).stem, load_scene(beside if beside.is_file() else spec.scene)
+    base, scene = Path(spec.scene).stem, load_scene(beside if is_file(beside) else spec.scene)
     for choice in itertools.product(*(enumerate(values, 1) for values in spec.vary.values())):
         axes = {key: value for key, (_, value) in zip(spec.vary, choice, strict=True)}
         tags = [_tag(key, value, number) for key, (number, value) in zip(spec.vary, choice, strict=True)]

@@ -232,13 +232,17 @@ def _all_of(steps: tuple[Callable[[Path, Path], None], ...], root: Path, out: Pa
         except InputError as error:
             check_sentence(str(error))
             refused = refused or error
+            if "reading it" in str(error):  # the commands probe before each of these
+                break
     if refused:
         raise refused
 
 
 def _verified(root: Path, out: Path) -> None:
     from sabench.dataset.verify import verify
+    from sabench.programs import probe_dataset
 
+    probe_dataset(root)
     faults = verify(root)
     for fault in faults:
         check_sentence(fault)

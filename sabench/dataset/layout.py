@@ -25,6 +25,7 @@ FORMAT = "sabench-dataset"
 VERSION = 1
 MANIFEST, CAMERAS, SCENE, TRUTH, TRUE_CAMERAS = "manifest.json", "cameras.json", "scene.toml", "truth.h5", "true_cameras.json"
 TARGET, POINTS = "target.json", "points.h5"
+MOST_POINTS = 1_000_000  # of a target
 GIVEN = "given"  # folder of what other programs wrote and the scene reads
 
 
@@ -173,8 +174,9 @@ def read_target(root: Path) -> Target:
         or target.columns * target.rows < 2
         or target.pitch_mm <= 0.0
         or not 0.0 <= target.mark_mm < target.pitch_mm
+        or target.columns * target.rows > MOST_POINTS
     ):
-        raise InputError(f"{path}: target: expected two points at least, a positive pitch_mm and a smaller mark_mm, got {target}")
+        raise InputError(f"{path}: target: expected 2 to {MOST_POINTS} points, a positive pitch_mm and a smaller mark_mm, got {target}")
     return target
 
 

@@ -18,6 +18,7 @@ import sabench
 from sabench.dataset import hdf
 from sabench.dataset.hdf import opened, read_array
 from sabench.dataset.images import read_tiff
+from sabench.dataset.layout import read_target
 from sabench.dataset.read import Dataset
 from sabench.dataset.verify import verify
 from sabench.errors import InputError
@@ -175,3 +176,24 @@ def test_extreme_numbers_end_well_or_in_a_sentence(tmp_path: Path, table: str, k
         check_sentence(str(error))
     else:
         assert verify(made.root) == []
+
+
+def test_names_that_no_disk_can_hold_are_refused_in_suites(tmp_path: Path) -> None:
+    text = 'title = "t"\nscenes = ["quick"]\nbackend = "splat"\nsolvers = [{ name = "asa" }]\n'
+    for old, words in (('"quick"', "expected a file or one of"), ('"asa"', "no solver is named")):
+        (tmp_path / "s.toml").write_text(text.replace(old, f'"{"x" * 5000}"'))
+        with pytest.raises(InputError, match=words):
+            load_suite(tmp_path / "s.toml")
+
+
+def test_a_suite_of_too_many_scenes_is_refused_before_any_is_read(tmp_path: Path) -> None:
+    (tmp_path / "s.toml").write_text(f'title = "t"\nscenes = {["quick"] * 1001}\nsolvers = [{{ name = "asa" }}]\n'.replace("'", '"'))
+    with pytest.raises(InputError, match="expected at most 1000, got 1001"):
+        load_suite(tmp_path / "s.toml")
+
+
+def test_a_target_of_too_many_points_is_refused(tmp_path: Path) -> None:
+    target = {"pattern": "circles", "columns": 4_000_000_000_001, "rows": 1, "pitch_mm": 1.0, "mark_mm": 0.5}
+    (tmp_path / "target.json").write_text(canonical_json({"format": "sabench-dataset", "version": 1, "target": target}))
+    with pytest.raises(InputError, match="expected 2 to 1000000 points"):
+        read_target(tmp_path)
