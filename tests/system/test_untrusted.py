@@ -28,7 +28,7 @@ from sabench.programs import probe
 from sabench.rig import load_scene
 from sabench.suite import load_suite
 from tests.conftest import ROOT
-from tests.untrusted import SCENE, check_sentence
+from tests.untrusted import SCENE, check_sentence, reseal
 
 
 def test_damaged_input_is_refused_by_one_sentence_or_taken(tmp_path: Path) -> None:
@@ -198,3 +198,13 @@ def test_a_target_of_too_many_points_is_refused(tmp_path: Path) -> None:
     (tmp_path / "target.json").write_text(canonical_json({"format": "sabench-dataset", "version": 1, "target": target}))
     with pytest.raises(InputError, match="expected 2 to 1000000 points"):
         read_target(tmp_path)
+
+
+def test_frames_beyond_counting_end_in_a_hundred_faults(quick: Dataset, tmp_path: Path) -> None:
+    root = Path(shutil.copytree(quick.root, tmp_path / "set"))
+    cameras = read_json(root / "cameras.json")
+    (root / "cameras.json").write_text(canonical_json({**cameras, "frames": 10**15}))
+    reseal(root)
+    faults = verify(root)
+    assert len(faults) == 100
+    assert "frame_0001" in faults[0]
