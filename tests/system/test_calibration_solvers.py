@@ -41,17 +41,6 @@ def level_case(**changes: Any) -> Any:
     return case_of(calibration_scene(targets=LEVEL, frames=7, calibration=rough, **changes))
 
 
-@pytest.mark.parametrize("name", SOLVERS)
-def test_a_solver_says_what_it_is(name: str) -> None:
-    plugin = plugins.load("solvers", name)
-    assert plugin.track == "calibration"
-    assert plugin.references
-    assert plugins.summary(plugin).endswith(".")
-    for key, field in plugin.Parameters.model_fields.items():
-        assert field.description, f"{name}: parameter {key} has no description"
-        assert not field.is_required(), f"{name}: parameter {key} has no default"
-
-
 # Mean true reprojection error, px, where points are found to 0.1 px and told to 0.01 mm (0.2 px); linear_autocal cannot know of the wall.
 MOST = {
     "refractive_autocal": 0.015, "refractive_autocal_alternating": 0.1, "refractive_autocal_randomised": 0.1,

@@ -9,6 +9,7 @@ import pytest
 
 from sabench import plugins
 from sabench.api import Observation, Reconstruction
+from sabench.columns import COLUMNS
 from sabench.generation import Shot, simulate
 from sabench.parsing import parse_scene
 from sabench.rig import load_scene
@@ -27,9 +28,11 @@ def shot() -> Shot:
     return simulate(parse_scene(values, "small"), seed=5)
 
 
-@pytest.mark.parametrize("name", SOLVERS)
+@pytest.mark.parametrize("name", plugins.names("solvers"))
 def test_a_solver_says_what_it_is(name: str) -> None:
     plugin = plugins.load("solvers", name)
+    assert plugin.track in COLUMNS
+    assert plugin.sees != "target" or plugin.track == "calibration"
     assert plugin.references
     assert plugins.summary(plugin).endswith(".")
     for key, field in plugin.Parameters.model_fields.items():

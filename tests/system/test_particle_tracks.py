@@ -52,16 +52,6 @@ def ready(name: str, case: Film) -> ParticleSolver:
 
 
 @pytest.mark.parametrize("name", SOLVERS)
-def test_a_solver_says_what_it_is(name: str) -> None:
-    plugin = plugins.load("solvers", name)
-    assert plugin.references
-    assert plugins.summary(plugin).endswith(".")
-    for key, field in plugin.Parameters.model_fields.items():
-        assert field.description, f"{name}: parameter {key} has no description"
-        assert not field.is_required(), f"{name}: parameter {key} has no default"
-
-
-@pytest.mark.parametrize("name", SOLVERS)
 def test_a_solver_finds_particles_the_same_way_twice(name: str, shot: Shot) -> None:
     case = Film.of([shot.observation])
     first, second = (ready(name, case).solve(case) for _ in range(2))
