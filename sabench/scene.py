@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import math
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -10,7 +9,7 @@ from typing import Annotated, Any, Literal
 import tomli_w
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
 
-from sabench.files import canonical_json
+from sabench.files import digest
 from sabench.preprocessing import Step
 
 Vector = tuple[float, float, float]
@@ -406,7 +405,7 @@ class Scene(_Table):
         for given in (*(values.get(table, {}) for table in WORLDS), *values.get("solids", ())):
             if "sha256" in given:
                 del given["file"]  # its content counts, not its name
-        return hashlib.sha256(canonical_json(values).encode()).hexdigest()
+        return digest(values)
 
     @property
     def files(self) -> dict[str, Path]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import datetime
-import hashlib
 import tempfile
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -19,7 +18,7 @@ from sabench.dataset.read import Dataset, open_dataset
 from sabench.dataset.result import dataset_of
 from sabench.dataset.verify import verify
 from sabench.errors import InputError
-from sabench.files import canonical_json
+from sabench.files import digest
 from sabench.programs import adopt, probe
 from sabench.progress import track
 from sabench.records import Record, append, latest, read_records
@@ -123,7 +122,7 @@ def _record(label: str, file: Path, data: Dataset, known: list[Record]) -> Recor
     """A record of one result, scored in a process of its own."""
     scores = apart(_score, file, data.root, doing=f"result {printable(label)}", time_s=_SCORE_S)
     head = _case(data, known) | {key: scores[key] for key in ("track", "solver", "parameters")}
-    run_hash = hashlib.sha256(canonical_json([data.content_hash, head["solver"], head["parameters"]]).encode()).hexdigest()
+    run_hash = digest([data.content_hash, head["solver"], head["parameters"]])
     costs = {"seconds": None, "peak_mb": None}  # of a machine that nobody here has seen
     figures = {column.key: scores[column.key] for column in COLUMNS[head["track"]]}
     rest = {"dataset": data.content_hash, "run_hash": run_hash, "versions": {"sabench": __version__}, "machine": {}, "error": None, "declined": False}

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import hashlib
 import itertools
 from pathlib import Path
 from typing import Any, Literal
@@ -12,7 +11,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from sabench.errors import InputError
-from sabench.files import canonical_json, inside, read_json
+from sabench.files import canonical_json, digest, inside, read_json
 from sabench.optics.camera import Camera
 from sabench.optics.wall import Wall
 from sabench.parsing import Model, validate
@@ -122,13 +121,13 @@ def frame_group(frame: int) -> str:
 
 def content_hash(files: dict[str, FileEntry]) -> str:
     """Names a data set: SHA-256 over the canonical JSON of path -> SHA-256."""
-    return hashlib.sha256(canonical_json({name: entry.sha256 for name, entry in files.items()}).encode()).hexdigest()
+    return digest({name: entry.sha256 for name, entry in files.items()})
 
 
 def sealed(manifest: dict[str, Any]) -> str:
     """The manifest's text, with the hash of all its other keys as `manifest_hash`."""
     rest = {key: value for key, value in manifest.items() if key != "manifest_hash"}
-    return canonical_json({**rest, "manifest_hash": hashlib.sha256(canonical_json(rest).encode()).hexdigest()})
+    return canonical_json({**rest, "manifest_hash": digest(rest)})
 
 
 def read_manifest(root: Path) -> Manifest:

@@ -74,7 +74,7 @@ class Result:
         group = f"{layout.frame_group(frame)}/particles"
         with opened(self.path) as file:
             position = read_array(file, f"{group}/position_mm", (None, 3), "f").astype(np.float64)
-            n, names = len(position), set(file[group])
+            n, names = len(position), names_in(file, group)
             intensity = read_array(file, f"{group}/intensity", (n,), "f").astype(np.float64) if "intensity" in names else None
             number = read_array(file, f"{group}/track", (n,), "iu").astype(np.int64) if "track" in names else None
         try:
