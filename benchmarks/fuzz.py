@@ -30,7 +30,7 @@ from typing import Any
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 os.environ.setdefault("NUMBA_NUM_THREADS", "1")
-from sabench import programs  # noqa: E402
+from sabench.dataset import foreign  # noqa: E402
 from sabench.errors import InputError  # noqa: E402
 from tests.untrusted import KINDS, Base, check_sentence, make_base  # noqa: E402
 
@@ -128,7 +128,7 @@ def _work(pipe: Connection, base: Base, root: Path, seed: int, probe_s: float) -
         os.dup2(silent, number)
     (root / "tmp").mkdir(exist_ok=True)
     tempfile.tempdir = str(root / "tmp")
-    programs._PROBE_S = probe_s  # below the limit that is tested here
+    foreign._PROBE_S = probe_s  # below the limit that is tested here
     try:
         _warm_up(base, root)
         pipe.send(("warm", ""))

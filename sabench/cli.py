@@ -76,9 +76,7 @@ def generate(
 def verify(dataset: Annotated[Path, typer.Argument(help="A data set folder.")]) -> None:
     """Check every byte and every shape of a data set."""
     from sabench.dataset.verify import verify as faults_of
-    from sabench.programs import probe_dataset
 
-    probe_dataset(dataset)
     faults = faults_of(dataset)
     for fault in faults:
         _say(fault)
@@ -99,7 +97,7 @@ def solve(
 ) -> None:
     """Reconstruct a data set."""
     from sabench.confined import limits_of
-    from sabench.programs import probe_dataset
+    from sabench.dataset.foreign import probe_dataset
     from sabench.solving import solve as run_solver
 
     probe_dataset(dataset)
@@ -116,7 +114,7 @@ def score(
     as_json: AsJson = False,
 ) -> None:
     """Score a result against the truth."""
-    from sabench.programs import probe, probe_dataset
+    from sabench.dataset.foreign import probe, probe_dataset
     from sabench.solving import score as scores_of
 
     probe_dataset(dataset)

@@ -18,7 +18,7 @@ from sabench import plugins, tracks
 from sabench.apart import apart
 from sabench.confined import Limits, run_confined
 from sabench.dataset import layout
-from sabench.dataset.hdf import walk
+from sabench.dataset.foreign import probe
 from sabench.dataset.read import Dataset, open_dataset
 from sabench.dataset.result import Result, open_result, result_writer
 from sabench.errors import InputError
@@ -26,8 +26,6 @@ from sabench.files import canonical_json, clear_abandoned, inside, is_file
 from sabench.progress import console
 from sabench.sentences import printable
 
-_PROBE_S = 4.0  # for what a file says of itself: a damaged one can send the library round in circles, in which no Ctrl-C is heard
-_PROBE_RATE = 2e7  # bytes of a file for each second more
 _CHECK_S = 1800.0  # for reading all of a result
 
 
@@ -110,24 +108,6 @@ def _check_file(result: Path, name: str) -> None:
         raise InputError(
             f"program {name}: expected the result at the path in its second argument, found {'no file' if not result.exists() else 'none'} there"
         )
-
-
-def probe(path: Path) -> None:
-    """Let another process find out whether HDF5 survives a foreign file.
-
-    Raises
-    ------
-    InputError
-        It does not, or takes too long.
-    """
-    apart(walk, path, doing=f"{path}: reading it", time_s=_PROBE_S + path.stat().st_size / _PROBE_RATE)
-
-
-def probe_dataset(root: Path) -> None:
-    """The same for the HDF5 files of a data set."""
-    for name in (layout.TRUTH, layout.POINTS):
-        if is_file(root / name):
-            probe(inside(root, name))
 
 
 def adopt(path: Path, root: Path, out: Path, told: tuple[str, dict[str, Any], float, float | None] | None, overwrite: bool) -> None:

@@ -13,13 +13,14 @@ from sabench import __version__
 from sabench.apart import apart
 from sabench.archives import result_files
 from sabench.columns import COLUMNS, LARGER_IS_BETTER
+from sabench.dataset.foreign import probe
 from sabench.dataset.layout import MANIFEST
 from sabench.dataset.read import Dataset, open_dataset
 from sabench.dataset.result import dataset_of
 from sabench.dataset.verify import verify
 from sabench.errors import InputError
 from sabench.files import digest
-from sabench.programs import adopt, probe
+from sabench.programs import adopt
 from sabench.progress import track
 from sabench.records import Record, append, latest, read_records
 from sabench.run import build_board

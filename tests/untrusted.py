@@ -185,7 +185,7 @@ def dataset(base: Base, inputs: Path, out: Path, rng: random.Random) -> Feed:
         reseal(root)
 
     def feed() -> None:
-        _all_of((_verified, _scored, _solved), root, out)
+        _all_of((_verified, _probed, _scored, _solved), root, out)
 
     return feed
 
@@ -232,7 +232,7 @@ def _all_of(steps: tuple[Callable[[Path, Path], None], ...], root: Path, out: Pa
         except InputError as error:
             check_sentence(str(error))
             refused = refused or error
-            if "reading it" in str(error):  # the commands probe before each of these
+            if "reading it" in str(error):  # the commands read no further then
                 break
     if refused:
         raise refused
@@ -240,14 +240,18 @@ def _all_of(steps: tuple[Callable[[Path, Path], None], ...], root: Path, out: Pa
 
 def _verified(root: Path, out: Path) -> None:
     from sabench.dataset.verify import verify
-    from sabench.programs import probe_dataset
 
-    probe_dataset(root)
     faults = verify(root)
     for fault in faults:
         check_sentence(fault)
     if faults:
         raise InputError(faults[0])
+
+
+def _probed(root: Path, out: Path) -> None:
+    from sabench.dataset.foreign import probe_dataset
+
+    probe_dataset(root)
 
 
 def _scored(root: Path, out: Path) -> None:
@@ -283,7 +287,7 @@ def result(base: Base, inputs: Path, out: Path, rng: random.Random) -> Feed:
         adopt(path, root, out / "adopted.h5", ("program", {}, 1.0, 2.0), False)
 
     def feed() -> None:
-        from sabench.programs import probe
+        from sabench.dataset.foreign import probe
 
         probe(path)  # as both commands do before anything else
         _all_of((scored, adopted), data.root, out)

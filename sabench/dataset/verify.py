@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from sabench.dataset import layout
+from sabench.dataset.foreign import probe_dataset
 from sabench.dataset.read import Dataset
 from sabench.errors import InputError
 from sabench.files import inside, sha256
@@ -49,6 +50,10 @@ def _byte_faults(root: Path, manifest: layout.Manifest) -> Iterator[str]:
 
 def _content_faults(dataset: Dataset) -> Iterator[str]:
     """Files that are as they were written, but do not fit together."""
+    deadly = list(_try(lambda: probe_dataset(dataset.root)))
+    if deadly:
+        yield from deadly
+        return
     yield from _try(lambda: _check_scene(dataset))
     broken = list(_try(lambda: dataset.rig))
     if broken:

@@ -16,6 +16,7 @@ import tifffile
 
 import sabench
 from sabench.dataset import hdf
+from sabench.dataset.foreign import probe
 from sabench.dataset.hdf import opened, read_array
 from sabench.dataset.images import read_tiff
 from sabench.dataset.layout import read_target
@@ -24,7 +25,6 @@ from sabench.dataset.verify import verify
 from sabench.errors import InputError
 from sabench.files import canonical_json, read_json
 from sabench.parsing import parse_scene
-from sabench.programs import probe
 from sabench.rig import load_scene
 from sabench.suite import load_suite
 from tests.conftest import ROOT
@@ -108,8 +108,8 @@ def test_a_file_that_sends_hdf5_round_in_circles(quick_result: Path, file: Path,
     """Stood in for by a reader that never ends: it is ended from outside, and a crash is a sentence."""
     shutil.copy(quick_result, file)
     probe(file)
-    monkeypatch.setattr("sabench.programs._PROBE_S", 0.0)
-    monkeypatch.setattr("sabench.programs._PROBE_RATE", float("inf"))
+    monkeypatch.setattr("sabench.dataset.foreign._PROBE_S", 0.0)
+    monkeypatch.setattr("sabench.dataset.foreign._PROBE_RATE", float("inf"))
     with pytest.raises(InputError, match="expected an end within 0 s"):
         probe(file)
 
