@@ -8,12 +8,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
-from sabench.arrays import F64
+from sabench.arrays import F64, I64
 from sabench.calibration.frame import Motion
 from sabench.calibration.kernels import equations, misses
 from sabench.calibration.state import Free, State, steps_of
@@ -43,6 +44,14 @@ class Seen:
     pixels: F64
     weights: F64
     anchors: tuple[Anchor, ...] = ()
+
+    @cached_property
+    def anchored(self) -> tuple[I64, I64, F64, F64, F64, F64]:
+        """The anchors' boards and points (n,), places and precisions (n, 3), and the turns (n, 3, 3) and shifts (n, 3) to the world's frame."""
+        boards, points = (np.array([getattr(anchor, name) for anchor in self.anchors], dtype=np.int64) for name in ("board", "point"))
+        places, precisions = (np.array([getattr(anchor, name) for anchor in self.anchors]) for name in ("place_mm", "precision"))
+        turns, shifts = (np.array([getattr(anchor.world, name) for anchor in self.anchors]) for name in ("turn", "shift"))
+        return boards, points, places, precisions, turns, shifts
 
 
 @dataclass(frozen=True)
@@ -90,13 +99,15 @@ def normal_equations(state: State, seen: Seen, free: Free, scale: float = 0.0) -
     """The equations of one Gauss-Newton step."""
     boards = state.board_turns, state.places, seen.board
     cost, aa, ab, bb, a, d = equations(state.array(), boards, (seen.pixels, seen.weights), free.columns(len(state.indices)), scale)
-    for anchor in seen.anchors:
-        arm = state.board_turns[anchor.board] @ seen.board[anchor.point]
-        miss = anchor.place_mm - anchor.world(arm + state.places[anchor.board])
-        slope = anchor.world.turn @ np.hstack([-skew(arm), np.eye(3)])
-        cost += float(anchor.precision @ miss**2)
-        bb[anchor.board] += slope.T * anchor.precision @ slope
-        d[anchor.board] += slope.T @ (anchor.precision * miss)
+    if seen.anchors:
+        board, point, place_mm, precision, turns, shifts = seen.anchored
+        arms = np.einsum("nij,nj->ni", state.board_turns[board], seen.board[point])
+        miss = place_mm - np.einsum("nij,nj->ni", turns, arms + state.places[board]) - shifts
+        slopes = turns @ np.concatenate([-skew(arms), np.broadcast_to(np.eye(3), (len(arms), 3, 3))], axis=2)
+        weighted = slopes * precision[:, :, None]
+        cost += float(np.sum(precision * miss**2))
+        np.add.at(bb, board, weighted.transpose(0, 2, 1) @ slopes)
+        np.add.at(d, board, np.einsum("nij,ni->nj", weighted, miss))
     return Normal(cost, aa, ab, bb, a, d)
 
 
