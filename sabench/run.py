@@ -12,6 +12,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import numba
+
 from sabench import __version__, backend, board, tracks
 from sabench.apart import apart
 from sabench.columns import COLUMNS
@@ -201,8 +203,12 @@ def machine() -> dict[str, Any]:
     return {"cpu": cpu, "cores": os.cpu_count(), "system": f"{platform.system()} {platform.machine()}", "backend": kind}
 
 
-def solve_apart(entrant: Entrant, dataset: Dataset, out: Path) -> float:
+def solve_apart(entrant: Entrant, dataset: Dataset, out: Path, *, threads: int | None = None) -> float:
     """Solve in a process of its own, so that its memory is its own and its crash is only its own; its fault is an InputError here.
+
+    Parameters
+    ----------
+    threads : of compiled kernels; None: as many as there are cores.
 
     Returns
     -------
@@ -210,7 +216,7 @@ def solve_apart(entrant: Entrant, dataset: Dataset, out: Path) -> float:
     """
     try:
         if not entrant.is_program:
-            return float(apart(_solve, entrant.name, entrant.parameters, str(dataset.root), str(out), doing=f"solver {entrant.name}"))
+            return float(apart(_solve, entrant.name, entrant.parameters, str(dataset.root), str(out), threads, doing=f"solver {entrant.name}"))
         before = reference_s()
         solve(entrant.name, dataset, out, parameters=entrant.parameters, limits=entrant.limits, overwrite=True)
         return (before + reference_s()) / 2.0
@@ -218,7 +224,9 @@ def solve_apart(entrant: Entrant, dataset: Dataset, out: Path) -> float:
         clear_abandoned(out)
 
 
-def _solve(name: str, parameters: dict[str, Any], dataset: str, out: str) -> float:
+def _solve(name: str, parameters: dict[str, Any], dataset: str, out: str, threads: int | None) -> float:
+    if threads is not None:
+        numba.set_num_threads(threads)
     before = reference_s()
     solve(name, dataset, out, parameters=parameters, overwrite=True)
     return (before + reference_s()) / 2.0

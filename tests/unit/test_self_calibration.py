@@ -22,14 +22,14 @@ from sabench.rig import build_rig, load_scene
 from sabench.scene import Scene
 
 
-def particle_scene(shift_px: float, wall: bool = True) -> Scene:
+def particle_scene(shift_px: float, wall: bool = True, per_pixel: float = 0.025) -> Scene:
     values = load_scene("array-9").to_dict()
     values["cameras"] |= {"rows": 240, "columns": 240, "particle_sigma_px": 0.8}
     values["cameras"]["center_mm"] = [0.0, 0.0, -510.0]
     values["cameras"]["layout"] = {"kind": "grid", "columns": 3, "rows": 2, "spacing_mm": [150.0, 200.0]}
     values["volume"] |= {"size_mm": [12.0, 12.0, 6.0]}
     values["grid"]["crop_mm"] = [1.0, 1.0, 0.0]
-    values["particles"] = {"generator": "uniform", "per_pixel": 0.025, "diameter_mm": 0.02}
+    values["particles"] = {"generator": "uniform", "per_pixel": per_pixel, "diameter_mm": 0.02}
     values["calibration"] = {"shift_px": shift_px}
     if wall:
         values["wall"] = {"fluid_index": 1.333, "point_mm": [0.0, 0.0, -30.0], "layers": [{"index": 1.5, "thickness_mm": 5.0}]}
@@ -62,7 +62,7 @@ def test_cameras_two_pixels_off_agree_again() -> None:
 
 
 def test_exact_cameras_stay_as_they_are() -> None:
-    scene = particle_scene(0.0)
+    scene = particle_scene(0.0, per_pixel=0.015)
     shot = simulate(scene, seed=4)
     assert disagreement_px(shot, corrected(shot.observation).cameras, scene) < 0.04
 
