@@ -136,7 +136,7 @@ def default_tolerance(track: str, figure: str) -> Tolerance:
     if figure == "peak_mb":
         return Tolerance(relative=1.0, absolute=200.0)
     if figure in TIMES:
-        return Tolerance(relative=4.0, absolute=1.0)
+        return Tolerance(relative=2.0, absolute=0.5)
     if track == DATA:
         return _data_tolerance(figure)
     if figure.removeprefix("peak_") in _COUNTED:

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import numba
+from threadpoolctl import threadpool_limits
 
 from sabench import __version__, backend, board, tracks
 from sabench.apart import apart
@@ -208,7 +209,7 @@ def solve_apart(entrant: Entrant, dataset: Dataset, out: Path, *, threads: int |
 
     Parameters
     ----------
-    threads : of compiled kernels; None: as many as there are cores.
+    threads : of compiled kernels and of linear algebra; None: as many as there are cores.
 
     Returns
     -------
@@ -227,9 +228,10 @@ def solve_apart(entrant: Entrant, dataset: Dataset, out: Path, *, threads: int |
 def _solve(name: str, parameters: dict[str, Any], dataset: str, out: str, threads: int | None) -> float:
     if threads is not None:
         numba.set_num_threads(threads)
-    before = reference_s()
-    solve(name, dataset, out, parameters=parameters, overwrite=True)
-    return (before + reference_s()) / 2.0
+    with threadpool_limits(threads):
+        before = reference_s()
+        solve(name, dataset, out, parameters=parameters, overwrite=True)
+        return (before + reference_s()) / 2.0
 
 
 def _draw(path: Path, picture: bytes) -> None:
