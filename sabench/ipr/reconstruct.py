@@ -9,7 +9,7 @@ from scipy.spatial import cKDTree
 
 from sabench.api import FoundParticles, Observation
 from sabench.arrays import F32, F64, Bool
-from sabench.calibration.matching import Maps, Spots, maps_of, spots_of
+from sabench.calibration.matching import Maps, Spots, maps_of, positions, spots_of
 from sabench.extraction import normalised
 from sabench.ipr.candidates import Candidates, candidates, chosen
 from sabench.ipr.fit import background, in_mm, peak_of, remove, settle, widths
@@ -26,7 +26,7 @@ class Settings:
     floor : smallest peak that counts as a particle image, over a bright particle's.
     noise : the same in standard deviations of the image's background; the larger one holds.
     reach_px : largest distance of a particle image from where its camera sees the particle.
-    rounds : of triangulation with all cameras, and then with one camera fewer, on what is left.
+    rounds : of triangulation with all cameras, and then with one camera fewer, on what is left; each is led by the next camera.
     fits : rounds of fitting after each.
     faint : brightness in its second darkest camera, over the median particle's, below which a particle is a ghost.
     apart_px : distance of two particles' images in every camera below which they are one.
@@ -115,7 +115,5 @@ def _real(maps: Maps, places: F64, light: F64, sigma: F64, settings: Settings) -
 
 def _mm_per_px(maps: Maps) -> float:
     """Size of a pixel in the middle of the box, along X."""
-    from sabench.calibration.matching import positions
-
     ends = np.array([[-0.01, 0.0, 0.0], [0.01, 0.0, 0.0]])
     return float(0.02 * maps.half_mm[0] / np.linalg.norm(np.diff(positions(maps, 0, ends), axis=0)))

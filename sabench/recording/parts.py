@@ -117,7 +117,7 @@ def _load(path: Path) -> Part | None:
 def _save(path: Path, part: Part) -> None:
     def write(partial: Path) -> None:
         with partial.open("wb") as file:
-            np.savez(file, **part)  # type: ignore[arg-type]
+            np.savez(file, allow_pickle=False, **part)
 
     _replace(path, write)
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from sabench import plugins
-from sabench.api import Film, FoundParticles, ParticleSolver
+from sabench.api import Film, FoundParticles, Observation, ParticleSolver
 from sabench.dataset.read import Dataset
 from sabench.dataset.result import open_result, result_writer
 from sabench.errors import InputError
@@ -148,11 +148,11 @@ def test_a_solver_that_returns_something_else_is_named(film: Dataset, tmp_path: 
 def test_frames_are_read_when_they_are_asked_for(shot: Shot) -> None:
     asked: list[int] = []
 
-    def load(frame: int) -> object:
+    def load(frame: int) -> Observation:
         asked.append(frame)
         return shot.observation
 
-    case = Film(shot.observation.cameras, shot.observation.grid, (0.0, 0.1, 0.2), load)  # type: ignore[arg-type]
+    case = Film(shot.observation.cameras, shot.observation.grid, (0.0, 0.1, 0.2), load)
     assert (len(case), asked) == (3, [])
     assert len(list(case)) == 3
     assert asked == [0, 1, 2]
