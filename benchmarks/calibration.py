@@ -16,18 +16,18 @@ from typing import Any
 
 import numpy as np
 
-from sabench.arrays import F64
-from sabench.calibration.bundle import Seen, normal_equations, refine, residuals
-from sabench.calibration.frame import lateral_fit
-from sabench.calibration.limit import limit
-from sabench.calibration.problem import Problem
-from sabench.calibration.robust import adjust
-from sabench.calibration.state import Frame, Free, State
-from sabench.parsing import parse_scene
-from sabench.progress import track
-from sabench.reproduce.chapter_4 import D_PIX, Board, board, draw, places_of, reprojection, scene_of, solved
-from sabench.rig import build_rig
-from sabench.targets import exact_pixels, place
+from sabench.algorithms.calibration.bundle_adjustment import Seen, normal_equations, refine, residuals
+from sabench.algorithms.calibration.cramer_rao import limit
+from sabench.algorithms.calibration.parameters import Frame, Free, State
+from sabench.algorithms.calibration.problem import Problem
+from sabench.algorithms.calibration.robust import adjust
+from sabench.evaluation.thesis.chapter_4 import D_PIX, Board, board, draw, places_of, reprojection, scene_of, solved
+from sabench.geometry.rigid_motion import lateral_fit
+from sabench.scenes.loading import parse_scene
+from sabench.scenes.rig import build_rig
+from sabench.utils.arrays import F64
+from sabench.utils.progress import track
+from sabench.worlds.calibration_targets import exact_pixels, place
 
 _NOISES = (0.1, 0.5, 1.0, 2.0)
 _CAMERAS = (3, 7, 9, 13)

@@ -12,8 +12,8 @@ import sys
 import tempfile
 from pathlib import Path
 
-from sabench.progress import track
-from sabench.rig import load_scene
+from sabench.scenes.rig import load_scene
+from sabench.utils.progress import track
 
 _FRAMES = (25, 50, 100)
 _PEAK = "from pathlib import Path; print([w.split()[1] for w in Path('/proc/self/status').read_text().splitlines() if w.startswith('VmHWM')][0])"

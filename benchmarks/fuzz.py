@@ -30,8 +30,8 @@ from typing import Any
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 os.environ.setdefault("NUMBA_NUM_THREADS", "1")
-from sabench.dataset import foreign  # noqa: E402
-from sabench.errors import InputError  # noqa: E402
+from sabench.dataset import hdf5_probe  # noqa: E402
+from sabench.utils.errors import InputError  # noqa: E402
 from tests.untrusted import KINDS, Base, check_sentence, make_base  # noqa: E402
 
 _LIMIT_S = 5.0
@@ -128,7 +128,7 @@ def _work(pipe: Connection, base: Base, root: Path, seed: int, probe_s: float) -
         os.dup2(silent, number)
     (root / "tmp").mkdir(exist_ok=True)
     tempfile.tempdir = str(root / "tmp")
-    foreign._PROBE_S = probe_s  # below the limit that is tested here
+    hdf5_probe._PROBE_S = probe_s  # below the limit that is tested here
     try:
         _warm_up(base, root)
         pipe.send(("warm", ""))
@@ -142,7 +142,7 @@ def _work(pipe: Connection, base: Base, root: Path, seed: int, probe_s: float) -
 
 def _warm_up(base: Base, root: Path) -> None:
     """Load and compile what the cases need, outside their limits."""
-    from sabench.solving import score, solve
+    from sabench.tasks.solve_and_score import score, solve
 
     out = root / "warm" / str(os.getpid())
     out.mkdir(parents=True)
@@ -152,7 +152,7 @@ def _warm_up(base: Base, root: Path) -> None:
         if track == "bubbles":
             continue  # its scores need bubbles; the case feeds the reading alone
         score(base.target if track == "calibration" else base.particles, path)
-    from sabench.submission import submit
+    from sabench.evaluation.leaderboard.submissions import submit
 
     submit(base.results["reconstruction"], "warm", [base.particles.root], out / "leaderboard")
 

@@ -26,16 +26,16 @@ from typing import Any
 
 import numpy as np
 
-from sabench.generation import put_together
-from sabench.parsing import parse_scene
-from sabench.progress import track
-from sabench.recording.crews import Pool, work_off
-from sabench.recording.parts import Parts
-from sabench.recording.plan import Plan, Task
-from sabench.recording.recorders import recorder_of
-from sabench.recording.work import Job, record
-from sabench.rig import load_scene
-from sabench.scene import Scene
+from sabench.scenes.loading import parse_scene
+from sabench.scenes.rig import load_scene
+from sabench.scenes.schema import Scene
+from sabench.simulation.pipeline import put_together
+from sabench.simulation.recording.job import Job, record
+from sabench.simulation.recording.parts import Parts
+from sabench.simulation.recording.recorders import recorder_of
+from sabench.simulation.recording.schedule import Plan, Task
+from sabench.simulation.recording.workers import Pool, work_off
+from sabench.utils.progress import track
 
 _FLOW = {"generator": "abc_flow", "wavelength_mm": 20.0, "a_mm_s": 100.0, "b_mm_s": 80.0, "c_mm_s": 60.0}
 _WORKERS = (1, 2, 4, 8, 16, 32, 64, 128, 256, 512, 1000)

@@ -19,9 +19,9 @@ import time
 from pathlib import Path
 
 import sabench
-from sabench.parsing import parse_scene
-from sabench.progress import track
-from sabench.rig import load_scene
+from sabench.scenes.loading import parse_scene
+from sabench.scenes.rig import load_scene
+from sabench.utils.progress import track
 
 _WHOM = ("scheduler", "worker", "group")
 

@@ -15,9 +15,9 @@ import time
 from pathlib import Path
 from typing import Any
 
-from sabench import board, page
-from sabench.columns import COLUMNS
-from sabench.records import Record
+from sabench.evaluation.leaderboard import page, rows
+from sabench.evaluation.records import Record
+from sabench.tasks.columns import COLUMNS
 from tests.browser import Browser, chromium
 
 _COUNTS, _SOLVERS = (100, 1_000, 10_000), 20
@@ -70,7 +70,7 @@ def measure(browser: Browser | None, count: int, seeds: int, folder: Path) -> di
     """Build one page and use it."""
     records, file = made_up(count, seeds), folder / "index.html"
     start = time.perf_counter()
-    board.build_page(records, folder, file)
+    rows.build_page(records, folder, file)
     built = {
         "records": count,
         "rows": count // seeds,

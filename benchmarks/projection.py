@@ -15,12 +15,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from sabench.arrays import F64, Bool
-from sabench.optics import kernels
-from sabench.optics.camera import Camera, Distortion, aimed_rotation
-from sabench.optics.wall import Layer, Wall, solve_slope, trace_to_points
-from sabench.progress import track
-from sabench.rig import build_rig, load_scene
+from sabench.geometry import projection_kernels
+from sabench.geometry.camera import Camera, Distortion, aimed_rotation
+from sabench.geometry.refraction import Layer, Wall, solve_slope, trace_to_points
+from sabench.scenes.rig import build_rig, load_scene
+from sabench.utils.arrays import F64, Bool
+from sabench.utils.progress import track
 
 _WALLS = 20
 _BEFORE_MM = 450.0  # from the pinhole to the outer face
@@ -113,9 +113,9 @@ def kernel_on_demo(count: int) -> dict[str, float]:
     x, y, z = np.ascontiguousarray(points.T)
     column, row = np.empty(count), np.empty(count)
     frame, lens = (*np.eye(3).ravel().tolist(),), (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0)
-    media = kernels.media_of(wall, center)
-    kernels.project(x, y, z, camera.center_mm, frame, media, lens, column, row)
-    seconds = fastest(lambda: kernels.project(x, y, z, camera.center_mm, frame, media, lens, column, row), 9)
+    media = projection_kernels.media_of(wall, center)
+    projection_kernels.project(x, y, z, camera.center_mm, frame, media, lens, column, row)
+    seconds = fastest(lambda: projection_kernels.project(x, y, z, camera.center_mm, frame, media, lens, column, row), 9)
     traced = fastest(lambda: trace_to_points(wall, center, points))
     tangent = np.hypot(column.astype(np.longdouble), row)
     sine = wall.air_index * tangent / np.sqrt(1 + tangent**2)

@@ -18,15 +18,16 @@ from typing import Any
 import cv2
 import numpy as np
 
-from sabench import backend
-from sabench.arrays import F32
-from sabench.parsing import parse_scene
-from sabench.progress import track
-from sabench.reproject import refocus_by_shifts, refocus_log2, refocus_sum
-from sabench.reproject.slabs import deviation_px, slabs
-from sabench.rig import Rig, build_rig, load_scene
-from sabench.rooflines import cached_gigaloads_s, fastest_s, gathered_gigaloads_s, triad_gb_s
-from sabench.volume import Grid
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+from benchmarks.rooflines import cached_gigaloads_s, fastest_s, gathered_gigaloads_s, triad_gb_s
+from sabench.algorithms.refocus import refocus_by_shifts, refocus_log2, refocus_sum
+from sabench.algorithms.refocus.slabs import deviation_px, slabs
+from sabench.geometry.grid import Grid
+from sabench.scenes.loading import parse_scene
+from sabench.scenes.rig import Rig, build_rig, load_scene
+from sabench.utils import backend
+from sabench.utils.arrays import F32
+from sabench.utils.progress import track
 
 
 def scattered_rig() -> Rig:

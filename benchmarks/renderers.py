@@ -14,16 +14,16 @@ from typing import Any
 
 import numpy as np
 
-from sabench import backend
-from sabench.arrays import F64, I64
-from sabench.imaging.particle_images import image_particles
-from sabench.imaging.pathtrace import render
-from sabench.imaging.splat import splat
-from sabench.optics.camera import Camera
-from sabench.progress import track
-from sabench.rig import Rig, build_rig, load_scene
-from sabench.scene import Scene
-from sabench.world import Particles
+from sabench.api.truth import Particles
+from sabench.geometry.camera import Camera
+from sabench.scenes.rig import Rig, build_rig, load_scene
+from sabench.scenes.schema import Scene
+from sabench.simulation.rendering.particle_images import image_particles
+from sabench.simulation.rendering.particles_splatted import splat
+from sabench.simulation.rendering.particles_traced import render
+from sabench.utils import backend
+from sabench.utils.arrays import F64, I64
+from sabench.utils.progress import track
 
 _PITCH, _JITTER, _HALF = 14, 1.0, 6  # px: lattice, shift of each particle, half the window; neighbours are at least 12 px apart
 

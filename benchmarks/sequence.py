@@ -17,14 +17,14 @@ from pathlib import Path
 import numpy as np
 from scipy.stats import linregress
 
-from sabench.parsing import parse_scene
-from sabench.rig import build_rig, load_scene
-from sabench.scene import Scene
+from sabench.scenes.loading import parse_scene
+from sabench.scenes.rig import build_rig, load_scene
+from sabench.scenes.schema import Scene
 
 _CHILD = """
 import json, pathlib, sys, time
 import sabench
-from sabench.recording.parts import Parts
+from sabench.simulation.recording.parts import Parts
 
 def memory(name):
     return [int(line.split()[1]) / 1024.0 for line in pathlib.Path("/proc/self/status").read_text().splitlines() if line.startswith(name)][0]

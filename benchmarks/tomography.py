@@ -22,17 +22,17 @@ import numba
 import numpy as np
 
 from sabench import plugins
+from sabench.algorithms.tomography.problem import Problem, SparseParameters
 from sabench.api import Observation
-from sabench.generation import simulate
-from sabench.memory import forget_peak, peak_mb
-from sabench.parsing import parse_scene
-from sabench.progress import track
-from sabench.rig import load_scene
-from sabench.scene import Scene
-from sabench.scoring import score_frame
-from sabench.solving import make_solver
-from sabench.statistics import mean_of
-from sabench.tomography.problem import Problem, SparseParameters
+from sabench.api.make import make_solver
+from sabench.scenes.loading import parse_scene
+from sabench.scenes.rig import load_scene
+from sabench.scenes.schema import Scene
+from sabench.simulation.in_memory import simulate
+from sabench.tasks.reconstruction_scores import score_frame
+from sabench.utils.confidence import mean_of
+from sabench.utils.memory import forget_peak, peak_mb
+from sabench.utils.progress import track
 
 ITERATIONS = 5
 _JUDGED = ("mart", "block_mart", "mlos_smart")

@@ -17,15 +17,15 @@ import numpy as np
 import scipy.fft
 from scipy.ndimage import map_coordinates
 
+from sabench.algorithms.velocimetry.windows import Windows, by_spectra
 from sabench.api import Velocity, VolumePair
-from sabench.arrays import F32, F64
-from sabench.flows import advect
-from sabench.metrics.velocity import response
-from sabench.motion import TOLERANCE
+from sabench.geometry.grid import Grid, synthesise
+from sabench.metrics.velocity_error import response
 from sabench.plugins import load
-from sabench.progress import track
-from sabench.velocimetry.windows import Windows, by_spectra
-from sabench.volume import Grid, synthesise
+from sabench.utils.arrays import F32, F64
+from sabench.utils.progress import track
+from sabench.worlds.advection import advect
+from sabench.worlds.tracers import TOLERANCE
 
 WINDOW = (16, 32, 32)
 _PER_WINDOW, _SIGMA_MM, _VOXEL_MM = 20.0, 0.034, (0.05, 0.05, 0.1)

@@ -8,9 +8,10 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from sabench.api import Parameters, TargetGenerator
-from sabench.optics.rotation import exponential
-from sabench.seeds import stream
-from sabench.world import Domain, Pose, Target
+from sabench.api.truth import Target
+from sabench.geometry.frames import Domain, Pose
+from sabench.geometry.rotations import exponential
+from sabench.utils.rng import stream
 
 
 class BoardsParameters(Parameters):

@@ -6,13 +6,14 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from sabench.api import BubbleGenerator, BubbleParameters
-from sabench.arrays import F64, I64, triple
-from sabench.dispersed import Spectrum, spheroids, within
-from sabench.errors import InputError
-from sabench.placement import place
-from sabench.scene import Vector
-from sabench.seeds import stream
-from sabench.world import Bubbles, Domain
+from sabench.api.truth import Bubbles
+from sabench.geometry.frames import Domain
+from sabench.utils.arrays import F64, I64, triple
+from sabench.utils.errors import InputError
+from sabench.utils.fields import Vector
+from sabench.utils.rng import stream
+from sabench.worlds.library.random_packing import place
+from sabench.worlds.library.size_distributions import Spectrum, spheroids, within
 
 
 class BubbleFieldParameters(BubbleParameters, Spectrum):

@@ -6,9 +6,10 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from sabench.api import BubbleGenerator, BubbleParameters
-from sabench.optics.rotation import exponential
-from sabench.scene import Vector
-from sabench.world import Bubbles, Domain
+from sabench.api.truth import Bubbles
+from sabench.geometry.frames import Domain
+from sabench.geometry.rotations import exponential
+from sabench.utils.fields import Vector
 
 
 class BubbleListParameters(BubbleParameters):

@@ -6,9 +6,9 @@ import numpy as np
 from pydantic import Field
 
 from sabench.api import Code, CodeGenerator, SolidParameters
-from sabench.arrays import F64, Bool
-from sabench.seeds import stream
-from sabench.world import Solid
+from sabench.api.truth import Solid
+from sabench.utils.arrays import F64, Bool
+from sabench.utils.rng import stream
 
 _FACES = np.array([
     [0, 2, 1], [0, 3, 2], [4, 5, 6], [4, 6, 7], [0, 1, 5], [0, 5, 4], [1, 2, 6], [1, 6, 5], [2, 3, 7], [2, 7, 6], [3, 0, 4], [3, 4, 7],

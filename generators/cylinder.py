@@ -6,7 +6,7 @@ import numpy as np
 from pydantic import Field
 
 from sabench.api import SolidGenerator, SolidParameters
-from sabench.world import Solid
+from sabench.api.truth import Solid
 
 
 class CylinderParameters(SolidParameters):

@@ -11,10 +11,10 @@ from pydantic import Field, model_validator
 from scipy.interpolate import NdBSpline, make_interp_spline
 
 from sabench.api import FileParameters, Flow
-from sabench.arrays import F64
-from sabench.errors import InputError
-from sabench.foreign import Array, length_mm, read_arrays, speed_mm_s, time_s
-from sabench.world import Domain
+from sabench.geometry.frames import Domain
+from sabench.utils.arrays import F64
+from sabench.utils.errors import InputError
+from sabench.worlds.library.field_files import Array, length_mm, read_arrays, speed_mm_s, time_s
 
 _DEGREE = 3
 _FEWEST = _DEGREE + 1  # points along an axis

@@ -10,10 +10,11 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from sabench.api import FileParameters, Generator
-from sabench.arrays import F64, I64
-from sabench.errors import InputError
-from sabench.foreign import length_mm, read_arrays, speed_mm_s, time_s
-from sabench.world import Domain, Particles
+from sabench.api.truth import Particles
+from sabench.geometry.frames import Domain
+from sabench.utils.arrays import F64, I64
+from sabench.utils.errors import InputError
+from sabench.worlds.library.field_files import length_mm, read_arrays, speed_mm_s, time_s
 
 
 class FromTracksParameters(FileParameters):

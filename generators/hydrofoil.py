@@ -6,9 +6,9 @@ import numpy as np
 from pydantic import Field, field_validator
 
 from sabench.api import SolidGenerator, SolidParameters
-from sabench.arrays import I64
-from sabench.foils import section
-from sabench.world import Solid
+from sabench.api.truth import Solid
+from sabench.utils.arrays import I64
+from sabench.worlds.library.naca import section
 
 
 class HydrofoilParameters(SolidParameters):

@@ -6,13 +6,14 @@ import numpy as np
 from pydantic import Field
 
 from sabench.api import BubbleGenerator, BubbleParameters
-from sabench.arrays import F64, I64, Bool
-from sabench.crossflow import Cones, Crossflow, Spray
-from sabench.dispersed import Spectrum, spheroids, within
-from sabench.implicit import capsules
-from sabench.placement import overlapping, place
-from sabench.seeds import stream
-from sabench.world import Bubbles, Domain
+from sabench.api.truth import Bubbles
+from sabench.geometry.frames import Domain
+from sabench.utils.arrays import F64, I64, Bool
+from sabench.utils.rng import stream
+from sabench.worlds.library.implicit_surfaces import capsules
+from sabench.worlds.library.jet_in_crossflow import Cones, Crossflow, Spray
+from sabench.worlds.library.random_packing import overlapping, place
+from sabench.worlds.library.size_distributions import Spectrum, spheroids, within
 
 _GAP = 0.1  # between drops and the column, in nozzle diameters: its surface is rippled
 

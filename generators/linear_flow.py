@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from sabench.api import Flow, Parameters
-from sabench.arrays import F64
+from sabench.utils.arrays import F64
 
 Row = tuple[float, float, float]
 

@@ -8,11 +8,11 @@ import numpy as np
 from pydantic import Field
 
 from sabench.api import Material, SolidGenerator, SolidParameters
-from sabench.arrays import F64
-from sabench.crossflow import Crossflow
-from sabench.implicit import capsules, largest_part, surface_of
-from sabench.seeds import stream
-from sabench.world import Solid
+from sabench.api.truth import Solid
+from sabench.utils.arrays import F64
+from sabench.utils.rng import stream
+from sabench.worlds.library.implicit_surfaces import capsules, largest_part, surface_of
+from sabench.worlds.library.jet_in_crossflow import Crossflow
 
 _BLEND = 0.04  # how round joints are, in nozzle diameters
 _ROUGH = 0.03  # amplitude of the surface's ripples, in the same

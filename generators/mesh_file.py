@@ -9,8 +9,8 @@ import numpy as np
 from pydantic import Field
 
 from sabench.api import FileParameters, SolidGenerator, SolidParameters
-from sabench.errors import InputError
-from sabench.world import Solid
+from sabench.api.truth import Solid
+from sabench.utils.errors import InputError
 
 _MM = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "inch": 25.4}
 

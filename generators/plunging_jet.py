@@ -8,12 +8,13 @@ import numpy as np
 from pydantic import Field
 
 from sabench.api import BubbleGenerator, BubbleParameters
-from sabench.arrays import F64, I64, Bool
-from sabench.dispersed import Spectrum, spheroids, within
-from sabench.jets import LN2, JetLaw
-from sabench.placement import overlapping, place
-from sabench.seeds import stream
-from sabench.world import Bubbles, Domain
+from sabench.api.truth import Bubbles
+from sabench.geometry.frames import Domain
+from sabench.utils.arrays import F64, I64, Bool
+from sabench.utils.rng import stream
+from sabench.worlds.library.plunging_jet import LN2, JetLaw
+from sabench.worlds.library.random_packing import overlapping, place
+from sabench.worlds.library.size_distributions import Spectrum, spheroids, within
 
 _NODES = 4001  # of the distribution over depth
 _CORE = 6.2  # a turbulent jet's speed on its axis: 6.2 diameters over the depth (Rajaratnam 1976)

@@ -6,10 +6,10 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from sabench.api import SolidGenerator, SolidParameters
-from sabench.arrays import F64
-from sabench.foils import half_thickness
-from sabench.implicit import capsules, surface_of
-from sabench.world import Solid
+from sabench.api.truth import Solid
+from sabench.utils.arrays import F64
+from sabench.worlds.library.implicit_surfaces import capsules, surface_of
+from sabench.worlds.library.naca import half_thickness
 
 
 class PropellerParameters(SolidParameters):

@@ -6,8 +6,8 @@ import numpy as np
 from pydantic import Field
 
 from sabench.api import Flow, Parameters
-from sabench.arrays import F64
-from sabench.swirl import lateral, turning, turning_gradient
+from sabench.utils.arrays import F64
+from sabench.worlds.library.vortices import lateral, turning, turning_gradient
 
 
 class RankineParameters(Parameters):

@@ -6,11 +6,11 @@ import numpy as np
 from pydantic import Field, field_validator
 
 from sabench.api import SolidGenerator, SolidParameters
-from sabench.arrays import F64
-from sabench.implicit import capsules, largest_part, smooth_minimum, surface_of
-from sabench.scene import Vector
-from sabench.seeds import stream
-from sabench.world import Solid
+from sabench.api.truth import Solid
+from sabench.utils.arrays import F64
+from sabench.utils.fields import Vector
+from sabench.utils.rng import stream
+from sabench.worlds.library.implicit_surfaces import capsules, largest_part, smooth_minimum, surface_of
 
 _THICK, _THIN = 0.25, 0.07  # radii of the first branches and of the thinnest ones, in the least of the half widths and the height
 _LENGTH = 0.35  # of the longest branches, in the same

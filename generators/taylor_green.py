@@ -6,7 +6,7 @@ import numpy as np
 from pydantic import Field
 
 from sabench.api import Flow, Parameters
-from sabench.arrays import F64
+from sabench.utils.arrays import F64
 
 
 class TaylorGreenParameters(Parameters):

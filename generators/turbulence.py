@@ -8,8 +8,8 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from sabench.api import Flow, Parameters
-from sabench.arrays import F64
-from sabench.seeds import stream
+from sabench.utils.arrays import F64
+from sabench.utils.rng import stream
 
 
 class TurbulenceParameters(Parameters):

@@ -6,9 +6,10 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from sabench.api import Generator, Parameters
-from sabench.errors import InputError
-from sabench.seeds import stream
-from sabench.world import Domain, Particles
+from sabench.api.truth import Particles
+from sabench.geometry.frames import Domain
+from sabench.utils.errors import InputError
+from sabench.utils.rng import stream
 
 _MOST = 50_000_000
 

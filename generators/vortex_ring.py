@@ -6,8 +6,8 @@ import numpy as np
 from pydantic import Field
 
 from sabench.api import Flow, Parameters
-from sabench.arrays import F64
-from sabench.optics.rotation import leading
+from sabench.geometry.rotations import leading
+from sabench.utils.arrays import F64
 
 _AXIS = 1e-9  # mm: nearer to the ring's axis there is no direction away from it
 

@@ -6,15 +6,21 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from sabench.dataset.read import open_dataset
-    from sabench.generation import generate
-    from sabench.rig import load_scene
-    from sabench.solving import score, solve
+    from sabench.dataset.reader import open_dataset
+    from sabench.scenes.rig import load_scene
+    from sabench.simulation.pipeline import generate
+    from sabench.tasks.solve_and_score import score, solve
 
 __version__ = "0.1.0"
 __all__ = ["generate", "load_scene", "open_dataset", "score", "solve"]
 
-_HOMES = {"generate": "generation", "load_scene": "rig", "open_dataset": "dataset.read", "score": "solving", "solve": "solving"}
+_HOMES = {
+    "generate": "simulation.pipeline",
+    "load_scene": "scenes.rig",
+    "open_dataset": "dataset.reader",
+    "score": "tasks.solve_and_score",
+    "solve": "tasks.solve_and_score",
+}
 
 
 def __getattr__(name: str) -> Any:

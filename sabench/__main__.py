@@ -1,6 +1,6 @@
 """`python -m sabench` is the command `sabench`."""
 
-from sabench.cli import main
+from sabench.cli.main import main
 
 if __name__ == "__main__":
     main()

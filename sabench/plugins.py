@@ -15,7 +15,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-from sabench.errors import InputError
+from sabench.utils.errors import InputError
 
 _PACKAGE = Path(__file__).resolve().parent
 KINDS = ("generators", "solvers")

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+from sabench.algorithms.tomography.art_updates import block_mart, iterate
+from sabench.algorithms.tomography.problem import Problem, SparseParameters
 from sabench.api import Observation, Reconstruction, Solver
-from sabench.tomography.problem import Problem, SparseParameters
-from sabench.tomography.updates import block_mart, iterate
 
 
 class BlockMart(Solver):

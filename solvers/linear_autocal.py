@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
+from sabench.algorithms.calibration.factorisation import adjusted, euclidean, factorise
+from sabench.algorithms.calibration.wall_frame import similarity_fit
 from sabench.api import Calibration, CalibrationCase, CalibrationSolver
-from sabench.arrays import F64
-from sabench.calibration.factorisation import adjusted, euclidean, factorise
-from sabench.calibration.frame import similarity_fit
-from sabench.errors import InputError
-from sabench.optics.empirical import Projective
+from sabench.geometry.polynomial_cameras import Projective
+from sabench.utils.arrays import F64
+from sabench.utils.errors import InputError
 
 
 class LinearAutocal(CalibrationSolver):

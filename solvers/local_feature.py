@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 from pydantic import Field
 
+from sabench.algorithms.bubbles.ellipse_detection import edges, ellipses
+from sabench.algorithms.bubbles.feature_peaks import PLANES, STEP, Peaks, depth_of, distinct
+from sabench.algorithms.bubbles.feature_potential import WINDOW, attenuate, blots, darkness, feature
 from sabench.api import BubbleSolver, Detections, Observation, Parameters
-from sabench.arrays import F32, F64, I64
-from sabench.bubblefeature import WINDOW, attenuate, blots, darkness, feature
-from sabench.ellipses import edges, ellipses
-from sabench.featurepeaks import PLANES, STEP, Peaks, depth_of, distinct
-from sabench.progress import track
-from sabench.volume import Grid
+from sabench.geometry.grid import Grid
+from sabench.utils.arrays import F32, F64, I64
+from sabench.utils.progress import track
 
 _FLAT = 0.01  # spread of a window in which nothing is: half as large as for minimum images
 _NEAR = 5  # planes from a bubble to a peak that speaks for it

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from sabench.algorithms.refocus import refocus_by_shifts
+from sabench.algorithms.refocus.thresholding import ExtractionParameters, extracted
 from sabench.api import Observation, Reconstruction, Solver
-from sabench.extraction import ExtractionParameters, extracted, normalised
-from sabench.reproject import refocus_by_shifts
+from sabench.images.brightness import normalised
 
 
 class MapShiftAverage(Solver):

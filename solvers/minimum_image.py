@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from pydantic import Field
 
+from sabench.algorithms.bubbles.feature_potential import WINDOW, attenuate, darkness, feature, minimum_images, outlines, validated
 from sabench.api import BubbleSolver, Detections, Observation, Parameters
-from sabench.bubblefeature import WINDOW, attenuate, darkness, feature, minimum_images, outlines, validated
-from sabench.progress import track
+from sabench.utils.progress import track
 
 
 class MinimumImageParameters(Parameters):

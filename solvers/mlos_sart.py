@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from pydantic import Field
 
+from sabench.algorithms.tomography.art_updates import iterate, sart
+from sabench.algorithms.tomography.problem import Problem, SparseParameters
 from sabench.api import Observation, Reconstruction, Solver
-from sabench.tomography.problem import Problem, SparseParameters
-from sabench.tomography.updates import iterate, sart
 
 
 class MlosSartParameters(SparseParameters):

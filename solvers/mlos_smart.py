@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from pydantic import Field
 
+from sabench.algorithms.tomography.art_updates import iterate, smart
+from sabench.algorithms.tomography.problem import Problem, SparseParameters
 from sabench.api import Observation, Reconstruction, Solver
-from sabench.tomography.problem import Problem, SparseParameters
-from sabench.tomography.updates import iterate, smart
 
 
 class MlosSmartParameters(SparseParameters):

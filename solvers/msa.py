@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 from pydantic import Field
 
+from sabench.algorithms.refocus import refocus_log2, refocus_sum
+from sabench.algorithms.refocus.thresholding import ExtractionParameters, extracted
 from sabench.api import Observation, Reconstruction, Solver
-from sabench.extraction import ExtractionParameters, extracted, normalised
-from sabench.reproject import refocus_log2, refocus_sum
+from sabench.images.brightness import normalised
 
 
 class MsaParameters(ExtractionParameters):

@@ -9,12 +9,12 @@ import numpy as np
 from pydantic import Field
 
 from sabench.api import Film, FoundParticles, Parameters, ParticleSolver
-from sabench.exchange import child
-from sabench.exchange.openlpt import Settings, solve, unfit, write_frame, write_project
-from sabench.exchange.seen import Seen, seen_in
-from sabench.extraction import normalised
-from sabench.optics.camera import Camera
-from sabench.progress import track
+from sabench.geometry.camera import Camera
+from sabench.images.brightness import normalised
+from sabench.interop.image_statistics import Seen, seen_in
+from sabench.interop.openlpt import Settings, solve, unfit, write_frame, write_project
+from sabench.utils.processes import child
+from sabench.utils.progress import track
 
 
 class OpenLptParameters(Parameters):

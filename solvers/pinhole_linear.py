@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+from sabench.algorithms.calibration.known_points import flat, known_points
 from sabench.api import Calibration, CalibrationCase, CalibrationSolver
-from sabench.calibration.known import flat, known_points
-from sabench.optics.empirical import fit_projective
+from sabench.geometry.polynomial_cameras import fit_projective
 
 
 class PinholeLinear(CalibrationSolver):

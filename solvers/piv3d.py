@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pydantic import Field
 
+from sabench.algorithms.velocimetry.multipass import Plan, evaluate
 from sabench.api import VelocimetryParameters, VelocimetrySolver, Velocity, VolumePair
-from sabench.velocimetry.multipass import Plan, evaluate
 
 Voxels = tuple[int, int, int]
 

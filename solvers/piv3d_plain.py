@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pydantic import Field
 
+from sabench.algorithms.velocimetry.multipass import evaluate_once
 from sabench.api import VelocimetryParameters, VelocimetrySolver, Velocity, VolumePair
-from sabench.velocimetry.multipass import evaluate_once
 
 Voxels = tuple[int, int, int]
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from pydantic import Field
 
+from sabench.algorithms.particles.ipr import Settings, box_of, triangulated
 from sabench.api import Film, FoundParticles, Parameters, ParticleSolver
-from sabench.ipr.reconstruct import Settings, box_of, triangulated
-from sabench.progress import track
+from sabench.utils.progress import track
 
 
 class TriangulationParameters(Parameters):

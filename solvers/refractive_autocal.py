@@ -7,11 +7,11 @@ from typing import Literal
 
 from pydantic import Field
 
+from sabench.algorithms.calibration.input_checks import check_fit
+from sabench.algorithms.calibration.parameters import Free
+from sabench.algorithms.calibration.problem import Problem, anchors_of
+from sabench.algorithms.calibration.robust import adjust
 from sabench.api import Calibration, CalibrationCase, CalibrationSolver, Parameters
-from sabench.calibration.diagnosis import check_fit
-from sabench.calibration.problem import Problem, anchors_of
-from sabench.calibration.robust import adjust
-from sabench.calibration.state import Free
 
 
 class RefractiveAutocalParameters(Parameters):

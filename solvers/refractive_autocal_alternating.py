@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from pydantic import Field
 
+from sabench.algorithms.calibration.alternating import alternate
+from sabench.algorithms.calibration.parameters import Free
+from sabench.algorithms.calibration.problem import Problem
 from sabench.api import Calibration, CalibrationCase, CalibrationSolver, Parameters
-from sabench.calibration.alternate import alternate
-from sabench.calibration.problem import Problem
-from sabench.calibration.state import Free
 
 
 class AlternatingParameters(Parameters):

@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 from pydantic import Field
 
+from sabench.algorithms.calibration.alternating import alternate, mean_turn, subset
+from sabench.algorithms.calibration.parameters import Free, State
+from sabench.algorithms.calibration.problem import Problem
 from sabench.api import Calibration, CalibrationCase, CalibrationSolver, Parameters
-from sabench.calibration.alternate import alternate, mean_turn, subset
-from sabench.calibration.problem import Problem
-from sabench.calibration.state import Free, State
-from sabench.seeds import stream
+from sabench.utils.rng import stream
 
 
 class RandomisedParameters(Parameters):

@@ -7,14 +7,14 @@ from functools import partial
 import numpy as np
 from pydantic import Field
 
+from sabench.algorithms.bubbles.backlit_profile import Profile
+from sabench.algorithms.bubbles.hough_circles import radii_between, vote
+from sabench.algorithms.bubbles.hypotheses import hypotheses, scales, together
+from sabench.algorithms.bubbles.search import search
+from sabench.algorithms.bubbles.transmission import transmission
 from sabench.api import BubbleSolver, Detections, Observation, Parameters
-from sabench.bubblefit.hypotheses import hypotheses, scales, together
-from sabench.bubblefit.profile import Profile
-from sabench.bubblefit.search import search
-from sabench.bubblefit.transmission import transmission
-from sabench.bubblefit.votes import radii_between, vote
-from sabench.optics.camera import Camera
-from sabench.progress import track
+from sabench.geometry.camera import Camera
+from sabench.utils.progress import track
 
 
 class RimFitParameters(Parameters):

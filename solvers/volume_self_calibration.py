@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from pydantic import Field
 
+from sabench.algorithms.calibration.self_calibration import Tracking, follow, match_all, refined
 from sabench.api import Calibration, Observation, Parameters, SelfCalibrationSolver
-from sabench.calibration.selfcal import Tracking, follow, match_all, refined
-from sabench.extraction import normalised
+from sabench.images.brightness import normalised
 
 
 class VolumeSelfCalibrationParameters(Parameters):

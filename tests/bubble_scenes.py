@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from sabench.parsing import parse_scene
-from sabench.scene import Scene
+from sabench.scenes.loading import parse_scene
+from sabench.scenes.schema import Scene
 
 
 def small(**changes: Any) -> Scene:

@@ -13,9 +13,9 @@ from typing import Any
 import pytest
 
 import sabench
-from sabench.dataset.read import Dataset
-from sabench.optics.camera import Camera
-from sabench.optics.model import CameraModel
+from sabench.dataset.reader import Dataset
+from sabench.geometry.camera import Camera
+from sabench.geometry.camera_model import CameraModel
 
 Command = Callable[..., "subprocess.CompletedProcess[str]"]
 ROOT = Path(__file__).resolve().parents[1]

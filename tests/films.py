@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.spatial import cKDTree
 
-from sabench.arrays import F64, I64
-from sabench.linking import link
+from sabench.algorithms.particles.linking import link
+from sabench.utils.arrays import F64, I64
 
 EDGE = 60.0
 

@@ -15,11 +15,11 @@ import tifffile
 import tomli_w
 
 from sabench.api import Detections, Velocity
-from sabench.dataset import layout
-from sabench.dataset.read import Dataset, open_dataset
-from sabench.dataset.result import result_writer
-from sabench.errors import InputError
-from sabench.parsing import parse_scene
+from sabench.dataset import schema
+from sabench.dataset.reader import Dataset, open_dataset
+from sabench.dataset.results import result_writer
+from sabench.scenes.loading import parse_scene
+from sabench.utils.errors import InputError
 from tests import mutations
 
 SCENE: dict[str, Any] = {
@@ -69,7 +69,7 @@ class Base:
 
 def make_base(root: Path) -> Base:
     """Make all of it below a folder."""
-    from sabench.generation import generate
+    from sabench.simulation.pipeline import generate
 
     made = [
         generate(parse_scene(scene, name), root / name, seed=1, backend="splat", name=name)
@@ -89,20 +89,20 @@ def make_base(root: Path) -> Base:
 
 
 def _result(track: str, data: Dataset, path: Path) -> Path:
-    from sabench import tracks
+    from sabench import tasks
 
     rng = np.random.default_rng(1)
     with result_writer(path, data, "made", track, {"k": 1}) as writer:
         for frame in range(data.rig.frames if track in ("reconstruction", "bubbles") else 0):
             if track == "reconstruction":
-                writer.add(frame, tracks.of(track).estimate(data, "truth", frame))
+                writer.add(frame, tasks.of(track).estimate(data, "truth", frame))
             else:
                 writer.add_bubbles(frame, Detections.balls(rng.random((5, 3)), rng.random(5) + 0.1))
                 writer.add_tracks(frame, np.arange(5))
         for first, _ in data.rig.pairs() if track == "velocimetry" else ():
             writer.add_velocity(first, Velocity((-1.0, -0.5, 29.8), (0.5, 0.5, 0.2), rng.random((2, 3, 4, 3)), np.ones((2, 3, 4), dtype=bool)))
         if track == "calibration":
-            writer.add_calibration(tracks.of(track).estimate(data, "truth"))
+            writer.add_calibration(tasks.of(track).estimate(data, "truth"))
         writer.set_cost(1.0, 2.0)
     return path
 
@@ -120,8 +120,8 @@ def scene(base: Base, inputs: Path, out: Path, rng: random.Random) -> Feed:
     _write_toml(path, whole, rng)
 
     def feed() -> None:
-        from sabench.generation import generate
-        from sabench.rig import load_scene
+        from sabench.scenes.rig import load_scene
+        from sabench.simulation.pipeline import generate
 
         loaded = load_scene(path)
         if loaded.illumination is not None and loaded.illumination.scattering == "mie":
@@ -163,7 +163,7 @@ def suite(base: Base, inputs: Path, out: Path, rng: random.Random) -> Feed:
     _write_toml(inputs / "suite.toml", SUITE, rng)
 
     def feed() -> None:
-        from sabench.suite import load_suite
+        from sabench.evaluation.suites import load_suite
 
         load_suite(inputs / "suite.toml")
 
@@ -179,7 +179,7 @@ def dataset(base: Base, inputs: Path, out: Path, rng: random.Random) -> Feed:
     )
     path = root / name
     if path.is_dir():
-        path = root / layout.CAMERAS
+        path = root / schema.CAMERAS
     _damage(path, rng)
     if rng.random() < 0.8:
         reseal(root)
@@ -210,17 +210,17 @@ def _damage(path: Path, rng: random.Random) -> None:
 
 def reseal(root: Path) -> None:
     """Let the manifest, if it can still be read, say of all files what they are now."""
-    from sabench.files import sha256
+    from sabench.utils.files import sha256
 
     try:
-        manifest = json.loads((root / layout.MANIFEST).read_text())
-        names = sorted(path.relative_to(root).as_posix() for path in root.rglob("*") if path.is_file() and path.name != layout.MANIFEST)
+        manifest = json.loads((root / schema.MANIFEST).read_text())
+        names = sorted(path.relative_to(root).as_posix() for path in root.rglob("*") if path.is_file() and path.name != schema.MANIFEST)
         files = {name: {"bytes": (root / name).stat().st_size, "sha256": sha256(root / name)} for name in names}
-        entries = {name: layout.FileEntry(**entry) for name, entry in files.items()}
-        sealed = layout.sealed({**manifest, "files": files, "content_hash": layout.content_hash(entries)})
+        entries = {name: schema.FileEntry(**entry) for name, entry in files.items()}
+        sealed = schema.sealed({**manifest, "files": files, "content_hash": schema.content_hash(entries)})
     except (ValueError, TypeError, AttributeError, OSError, RecursionError):
         return
-    (root / layout.MANIFEST).write_text(sealed, encoding="utf-8", errors="surrogatepass")
+    (root / schema.MANIFEST).write_text(sealed, encoding="utf-8", errors="surrogatepass")
 
 
 def _all_of(steps: tuple[Callable[[Path, Path], None], ...], root: Path, out: Path) -> None:
@@ -239,7 +239,7 @@ def _all_of(steps: tuple[Callable[[Path, Path], None], ...], root: Path, out: Pa
 
 
 def _verified(root: Path, out: Path) -> None:
-    from sabench.dataset.verify import verify
+    from sabench.dataset.verification import verify
 
     faults = verify(root)
     for fault in faults:
@@ -249,19 +249,19 @@ def _verified(root: Path, out: Path) -> None:
 
 
 def _probed(root: Path, out: Path) -> None:
-    from sabench.dataset.foreign import probe_dataset
+    from sabench.dataset.hdf5_probe import probe_dataset
 
     probe_dataset(root)
 
 
 def _scored(root: Path, out: Path) -> None:
-    from sabench.solving import score
+    from sabench.tasks.solve_and_score import score
 
     check_scores(score(root, "truth"))
 
 
 def _solved(root: Path, out: Path) -> None:
-    from sabench.solving import score, solve
+    from sabench.tasks.solve_and_score import score, solve
 
     data = open_dataset(root)
     solver = "linear_autocal" if data.shows_target else "asa"
@@ -277,17 +277,17 @@ def result(base: Base, inputs: Path, out: Path, rng: random.Random) -> Feed:
     mutations.hdf5(path, rng)
 
     def scored(root: Path, out: Path) -> None:
-        from sabench.solving import score
+        from sabench.tasks.solve_and_score import score
 
         check_scores(score(root, path))
 
     def adopted(root: Path, out: Path) -> None:
-        from sabench.programs import adopt
+        from sabench.tasks.external_programs import adopt
 
         adopt(path, root, out / "adopted.h5", ("program", {}, 1.0, 2.0), False)
 
     def feed() -> None:
-        from sabench.dataset.foreign import probe
+        from sabench.dataset.hdf5_probe import probe
 
         probe(path)  # as both commands do before anything else
         _all_of((scored, adopted), data.root, out)
@@ -311,7 +311,7 @@ def submission(base: Base, inputs: Path, out: Path, rng: random.Random) -> Feed:
     name = rng.choice(("Ann", "Ann", "Ann", "", "x" * 81, "a\nb", "<b>", "é", "\x1b[2J", "[red]", "\ud800"))
 
     def feed() -> None:
-        from sabench.submission import submit
+        from sabench.evaluation.leaderboard.submissions import submit
 
         submit(path, name, [base.particles.root, base.target.root], out / "leaderboard")
 
@@ -329,7 +329,7 @@ def records(base: Base, inputs: Path, out: Path, rng: random.Random) -> Feed:
     (folder / "a.jsonl").write_bytes("\n".join(lines).encode("latin-1") + rng.choice((b"\n", b"", b"\n{")))
 
     def feed() -> None:
-        from sabench.run import build_board
+        from sabench.evaluation.runner import build_board
 
         build_board(out / "leaderboard")
 

@@ -6,8 +6,8 @@ from typing import Literal
 
 import numpy as np
 
-from sabench.arrays import F64
-from sabench.calibration.frame import Motion, lateral_fit, rigid_fit
+from sabench.geometry.rigid_motion import Motion, lateral_fit, rigid_fit
+from sabench.utils.arrays import F64
 
 Alignment = Literal["raw", "shift", "lateral", "rigid"]
 ALIGNMENTS: tuple[Alignment, ...] = ("raw", "shift", "lateral", "rigid")

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import sabench
-from sabench.dataset.read import Dataset
+from sabench.dataset.reader import Dataset
 
 GOLDEN = Path(__file__).with_name("quick_statistics.json")
 

@@ -10,10 +10,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sabench import board, page, pictures
-from sabench.columns import COLUMNS
-from sabench.errors import InputError
-from sabench.records import Record
+from sabench.evaluation.leaderboard import page, rows
+from sabench.evaluation.records import Record
+from sabench.plotting import pictures
+from sabench.tasks.columns import COLUMNS
+from sabench.utils.errors import InputError
 
 HOSTILE = "</script><script>alert(1)</script><!--<script>"
 
@@ -30,7 +31,7 @@ def record(solver: str, q: float | None = None, **changes: Any) -> Record:
 
 def page_of(records: list[Record], folder: Path) -> str:
     """The page of these records as text."""
-    board.build_page(records, folder / "pictures", folder / "index.html")
+    rows.build_page(records, folder / "pictures", folder / "index.html")
     return (folder / "index.html").read_text(encoding="utf-8")
 
 
@@ -109,7 +110,7 @@ def test_seeds_of_a_case_become_one_row(tmp_path: Path) -> None:
 
 
 def test_a_score_that_some_seeds_lack_is_the_mean_of_the_others() -> None:
-    (row,) = board.over_seeds([record("a", 0.5, seed=1, rms_px=0.25), record("a", 0.7, seed=2, error="it broke")])
+    (row,) = rows.over_seeds([record("a", 0.5, seed=1, rms_px=0.25), record("a", 0.7, seed=2, error="it broke")])
     assert (row["case"], row["seeds"], row["error"]) == ("tank", [1, 2], "1 of 2 seeds: it broke")
     assert (row["q"].mean, row["rms_px"].mean, row["rms_px"].half_width, row["recall"]) == (0.6, 0.25, None, None)
 
@@ -118,7 +119,7 @@ def test_a_score_that_some_seeds_lack_is_the_mean_of_the_others() -> None:
     {"machine": {"cpu": "another"}}, {"renderer": "mitsuba"}, {"split": "hidden"}, {"submission": {"name": "somebody", "date": "2026-01-02"}},
 ])  # fmt: skip
 def test_what_is_not_the_same_entry_is_another_row(changes: dict[str, Any]) -> None:
-    assert [row["q"].mean for row in board.over_seeds([record("a", 0.5), record("a", 0.6, seed=2, **changes)])] == [0.5, 0.6]
+    assert [row["q"].mean for row in rows.over_seeds([record("a", 0.5), record("a", 0.6, seed=2, **changes)])] == [0.5, 0.6]
 
 
 @pytest.mark.parametrize("value", [float("nan"), 1e300, True, "0.5", [0.5]])
@@ -128,7 +129,7 @@ def test_what_is_no_score_is_none(tmp_path: Path, value: Any) -> None:
 
 
 def test_a_track_without_columns_makes_no_rows() -> None:
-    assert board.over_seeds([record("a", 0.5, track="not one")]) == []
+    assert rows.over_seeds([record("a", 0.5, track="not one")]) == []
 
 
 def test_every_track_with_columns_has_a_page(tmp_path: Path) -> None:
@@ -193,7 +194,7 @@ def contrast(one: str, other: str) -> float:
 
 
 def source(name: str) -> str:
-    return (Path(page.__file__).resolve().parents[1] / "leaderboard" / "page" / name).read_text(encoding="utf-8")
+    return (Path(page.__file__).resolve().parents[3] / "leaderboard" / "page" / name).read_text(encoding="utf-8")
 
 
 @pytest.mark.parametrize("mode", [0, 1], ids=["light", "dark"])

@@ -9,9 +9,9 @@ from typing import Any
 
 import pytest
 
-from sabench import board
-from sabench.records import Record
-from sabench.statistics import mean_of
+from sabench.evaluation.leaderboard import rows
+from sabench.evaluation.records import Record
+from sabench.utils.confidence import mean_of
 from tests.browser import Browser, chromium
 from tests.system.test_board import HOSTILE, draw, record
 
@@ -47,7 +47,7 @@ def page(tmp_path_factory: pytest.TempPathFactory) -> Path:
         record("add", 0.7, scene="x" * 100, split="hidden", submission={"name": EVIL, "date": "2026-01-02"}),
         record("sees", track="see_through", read_percent=90.0),
     ]
-    board.build_page(records, folder / "pictures", folder / "index.html")
+    rows.build_page(records, folder / "pictures", folder / "index.html")
     return folder / "index.html"
 
 
@@ -72,7 +72,7 @@ def graded(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A page of `levels`, and of one more solver that shares one seed only."""
     folder = tmp_path_factory.mktemp("graded")
     alone = [record("late", 0.6, seed=seed, case="standard", difficulty="standard", suite="volumes") for seed in (3, 4, 5)]
-    board.build_page([*levels(), *alone], folder / "pictures", folder / "index.html")
+    rows.build_page([*levels(), *alone], folder / "pictures", folder / "index.html")
     return folder / "index.html"
 
 
@@ -339,7 +339,7 @@ def large(tmp_path_factory: pytest.TempPathFactory) -> Path:
         for solver in range(20)
         for case in range(500)
     ]
-    board.build_page(records, folder / "pictures", folder / "index.html")
+    rows.build_page(records, folder / "pictures", folder / "index.html")
     return folder / "index.html"
 
 
@@ -370,7 +370,7 @@ def test_pages_follow_each_other_and_the_pager_keeps_the_focus(browser: Browser,
 
 
 def test_a_page_without_records_says_how_to_make_one(browser: Browser, tmp_path: Path) -> None:
-    board.build_page([], tmp_path, tmp_path / "index.html")
+    rows.build_page([], tmp_path, tmp_path / "index.html")
     browser.open(tmp_path / "index.html")
     assert "sabench run quick" in browser.ask("document.body.innerText")
     assert browser.complaints() == []

@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 
 from sabench.api import BubbleSolver, Detections, Observation
-from sabench.arrays import I64
-from sabench.dataset.read import Dataset
-from sabench.dataset.result import open_result, result_writer
-from sabench.errors import InputError
-from sabench.generation import generate
-from sabench.solving import score
-from sabench.tracks import bubbles
+from sabench.dataset.reader import Dataset
+from sabench.dataset.results import open_result, result_writer
+from sabench.simulation.pipeline import generate
+from sabench.tasks import bubbles
+from sabench.tasks.solve_and_score import score
+from sabench.utils.arrays import I64
+from sabench.utils.errors import InputError
 from tests.bubble_scenes import small
 
 TRACKS = ("link_recall", "link_precision", "effectiveness", "velocity_mm_s", "velocity_percent")

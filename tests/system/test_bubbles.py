@@ -9,16 +9,17 @@ import numpy as np
 import pytest
 
 from sabench.api import Detections, Observation
-from sabench.arrays import F64
-from sabench.dataset.read import Dataset
-from sabench.dataset.verify import verify
-from sabench.errors import InputError
-from sabench.generation import generate
-from sabench.imaging.sightlines import NOTHING
-from sabench.multiphase import Worlds
+from sabench.api.make import make_algorithm
+from sabench.api.truth import NOTHING
+from sabench.dataset.reader import Dataset
+from sabench.dataset.verification import verify
 from sabench.plugins import load, names
-from sabench.rig import build_rig
-from sabench.solving import make_algorithm, score, solve
+from sabench.scenes.rig import build_rig
+from sabench.simulation.frames_of_bubbles import Worlds
+from sabench.simulation.pipeline import generate
+from sabench.tasks.solve_and_score import score, solve
+from sabench.utils.arrays import F64
+from sabench.utils.errors import InputError
 from tests.bubble_scenes import LASER, small
 
 SOLVERS = [name for name in names("solvers") if load("solvers", name).track == "bubbles"]
@@ -187,7 +188,7 @@ def test_what_cannot_be_is_said(name: str, tmp_path: Path) -> None:
 
 
 def test_a_suite_of_bubbles_ends_in_a_page(tmp_path: Path) -> None:
-    from sabench.run import run_suite
+    from sabench.evaluation.runner import run_suite
 
     (tmp_path / "small.toml").write_text(small().to_toml(), encoding="utf-8")
     text = 'title = "bubbles"\nscenes = ["small.toml"]\nbackend = "mitsuba"\n[[solvers]]\nname = "minimum_image"\n'
@@ -201,8 +202,8 @@ def test_a_suite_of_bubbles_ends_in_a_page(tmp_path: Path) -> None:
 
 
 def test_every_track_has_its_place_on_the_page() -> None:
-    from sabench.columns import COLUMNS, LARGER_IS_BETTER
-    from sabench.page import PICTURED
+    from sabench.evaluation.leaderboard.page import PICTURED
+    from sabench.tasks.columns import COLUMNS, LARGER_IS_BETTER
 
     assert set(PICTURED) == set(COLUMNS) == set(LARGER_IS_BETTER)
 

@@ -13,12 +13,12 @@ import pytest
 import tomli_w
 from pydantic import TypeAdapter
 
-from sabench.arrays import F64
-from sabench.imaging.target_pictures import photograph
-from sabench.optics.camera import Camera
-from sabench.rig import build_rig
-from sabench.scene import Lighting, Scene
-from sabench.targets import place
+from sabench.geometry.camera import Camera
+from sabench.scenes.rig import build_rig
+from sabench.scenes.schema import Lighting, Scene
+from sabench.simulation.rendering.targets_traced import photograph
+from sabench.utils.arrays import F64
+from sabench.worlds.calibration_targets import place
 from tests.conftest import Command
 from tests.unit.calibration_cases import calibration_scene, case_of, true_error_px
 

@@ -13,11 +13,11 @@ import pytest
 import sabench
 from sabench import plugins
 from sabench.api import Calibration, CalibrationCase
-from sabench.dataset.read import Dataset
-from sabench.errors import InputError
-from sabench.parsing import parse_scene
-from sabench.solving import make_algorithm
-from sabench.tracks.calibration import score_result
+from sabench.api.make import make_algorithm
+from sabench.dataset.reader import Dataset
+from sabench.scenes.loading import parse_scene
+from sabench.tasks.calibration import score_result
+from sabench.utils.errors import InputError
 from tests.conftest import ROOT, Command
 from tests.system.test_board import solvers
 from tests.unit.calibration_cases import calibration_scene, case_of, true_error_px

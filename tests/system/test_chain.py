@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 
 import sabench
-from sabench.dataset.layout import image_name
-from sabench.dataset.read import Dataset
-from sabench.dataset.verify import verify
-from sabench.files import sha256
-from sabench.generation import simulate
-from sabench.parsing import parse_scene
-from sabench.rig import load_scene
-from sabench.scoring import SCORES
+from sabench.dataset.reader import Dataset
+from sabench.dataset.schema import image_name
+from sabench.dataset.verification import verify
+from sabench.scenes.loading import parse_scene
+from sabench.scenes.rig import load_scene
+from sabench.simulation.in_memory import simulate
+from sabench.tasks.reconstruction_scores import SCORES
+from sabench.utils.files import sha256
 from tests.conftest import Command, pinholes
 
 
@@ -100,8 +100,8 @@ def test_a_solver_without_the_wall_is_lost(quick: Dataset, tmp_path: Path) -> No
     """The point of the project: cameras that ignore the glass and the water reconstruct almost nothing."""
     from dataclasses import replace
 
-    from sabench.dataset.result import result_writer
-    from sabench.solving import make_solver
+    from sabench.api.make import make_solver
+    from sabench.dataset.results import result_writer
 
     case = quick.observation(0)
     blind = replace(case, cameras=tuple(replace(camera, wall=None) for camera in pinholes(case.cameras)))

@@ -9,12 +9,12 @@ import pytest
 
 from sabench import plugins
 from sabench.api import Observation, Reconstruction
-from sabench.columns import COLUMNS
-from sabench.generation import Shot, simulate
-from sabench.parsing import parse_scene
-from sabench.rig import load_scene
-from sabench.scoring import score_frame
-from sabench.solving import make_solver
+from sabench.api.make import make_solver
+from sabench.scenes.loading import parse_scene
+from sabench.scenes.rig import load_scene
+from sabench.simulation.in_memory import Shot, simulate
+from sabench.tasks.columns import COLUMNS
+from sabench.tasks.reconstruction_scores import score_frame
 
 SOLVERS = [name for name in plugins.names("solvers") if plugins.load("solvers", name).track == "reconstruction"]
 

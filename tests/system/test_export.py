@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 
 from sabench.api import Detections, Velocity
-from sabench.dataset.read import Dataset, open_dataset
-from sabench.dataset.result import open_result, result_writer
-from sabench.flows import vorticity
-from sabench.motion import flow_of
+from sabench.dataset.reader import Dataset, open_dataset
+from sabench.dataset.results import open_result, result_writer
+from sabench.geometry.vector_calculus import vorticity
 from sabench.plugins import load
-from sabench.scene import Scene
-from sabench.scoring import true_field
+from sabench.scenes.schema import Scene
+from sabench.tasks.reconstruction_scores import true_field
+from sabench.worlds.tracers import flow_of
 from tests.bubble_scenes import LASER, small
 from tests.conftest import Command
 
@@ -40,7 +40,7 @@ def opened(path: Path) -> tuple[Any, dict[str, Any]]:
 
 @pytest.fixture(scope="module")
 def moving(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
-    from sabench.generation import generate
+    from sabench.simulation.pipeline import generate
     from tests.system.test_velocimetry_chain import vortex_scene
 
     scene = vortex_scene(frames=2, flow_grid_mm=[1.0, 1.0, 0.5])
@@ -71,7 +71,7 @@ def test_truth_is_what_vtk_reads(moving: Dataset, tmp_path: Path, command: Comma
 
 
 def test_results_are_what_vtk_reads(moving: Dataset, tmp_path: Path) -> None:
-    from sabench.export import export
+    from sabench.interop.vtkhdf import export
 
     rng = np.random.default_rng(0)
     field = Velocity((-1.0, -2.0, -0.5), (0.5, 1.0, 0.25), rng.random((5, 5, 5, 3)), rng.random((5, 5, 5)) > 0.2)
@@ -88,7 +88,7 @@ def test_results_are_what_vtk_reads(moving: Dataset, tmp_path: Path) -> None:
 
 def test_an_exported_flow_carries_particles_again(moving: Dataset, tmp_path: Path) -> None:
     """What one run exports, `from_field` of another one reads."""
-    from sabench.export import export
+    from sabench.interop.vtkhdf import export
 
     export(moving, tmp_path / "vtk")
     plugin = load("generators", "from_field")
@@ -111,7 +111,7 @@ def tiny(**changes: Any) -> Scene:
 
 @pytest.fixture(scope="module")
 def bubbly(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
-    from sabench.generation import generate
+    from sabench.simulation.pipeline import generate
 
     field = {
         "generator": "bubble_field",
@@ -134,7 +134,7 @@ def test_bubbles_and_bodies_are_what_vtk_reads(bubbly: Dataset, tmp_path: Path) 
     from vtkmodules.vtkFiltersCore import vtkTensorGlyph
     from vtkmodules.vtkFiltersSources import vtkSphereSource
 
-    from sabench.export import export
+    from sabench.interop.vtkhdf import export
 
     export(bubbly, tmp_path / "vtk")
     assert sorted(path.name for path in (tmp_path / "vtk").iterdir()) == ["bodies_0000.vtkhdf", "bubbles_0000.vtkhdf"]
@@ -163,7 +163,7 @@ def test_bubbles_and_bodies_are_what_vtk_reads(bubbly: Dataset, tmp_path: Path) 
 
 
 def test_found_bubbles_say_what_they_are(bubbly: Dataset, tmp_path: Path) -> None:
-    from sabench.export import export
+    from sabench.interop.vtkhdf import export
 
     true = bubbly.bubbles(0)
     shift = np.array([0.05, 0.0, -0.1])
@@ -185,8 +185,8 @@ def test_found_bubbles_say_what_they_are(bubbly: Dataset, tmp_path: Path) -> Non
 
 
 def test_particles_among_bubbles_have_files_of_their_own(tmp_path: Path) -> None:
-    from sabench.export import export
-    from sabench.generation import generate
+    from sabench.interop.vtkhdf import export
+    from sabench.simulation.pipeline import generate
 
     tracers = {"generator": "uniform", "count": 20, "diameter_mm": 0.05}
     export(generate(tiny(illumination=LASER, particles=tracers), tmp_path / "data", seed=1), tmp_path / "vtk")

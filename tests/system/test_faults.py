@@ -21,12 +21,12 @@ import pytest
 import tifffile
 
 import sabench
-from sabench.dataset.hdf import created, uninterrupted
-from sabench.dataset.layout import sealed
-from sabench.dataset.read import Dataset
-from sabench.dataset.verify import verify
-from sabench.errors import InputError
-from sabench.files import complete_or_nothing
+from sabench.dataset.hdf5 import created, uninterrupted
+from sabench.dataset.reader import Dataset
+from sabench.dataset.schema import sealed
+from sabench.dataset.verification import verify
+from sabench.utils.errors import InputError
+from sabench.utils.files import complete_or_nothing
 from tests.conftest import ROOT, Command
 
 

@@ -25,8 +25,8 @@ solvers = [{ name = "dimmest" }]
 SOLVER = '''"""The dimmest camera."""
 
 from sabench.api import Reconstruction, Solver
-from sabench.extraction import normalised
-from sabench.reproject import refocus_log2
+from sabench.algorithms.refocus.thresholding import normalised
+from sabench.algorithms.refocus import refocus_log2
 
 
 class Dimmest(Solver):
@@ -100,7 +100,7 @@ def test_the_fixture_runs_a_plug_in_against_its_baseline(algorithms: Path, pytes
         '    found = sabench_check("tiny.toml", "base.json", solvers=solvers)\n'
         '    assert list(found.now.cases[0].solvers) == ["dimmest", "msa k=2.0"]\n'
     )
-    run = ("-p", "sabench.pytest_plugin", "-p", "no:cacheprovider")
+    run = ("-p", "sabench.evaluation.gates.pytest_plugin", "-p", "no:cacheprovider")
     pytester.runpytest_subprocess(*run, "--sabench-update").assert_outcomes(passed=1)
     assert (pytester.path / "base.json").is_file()
     pytester.runpytest_subprocess(*run).assert_outcomes(passed=1)
@@ -112,6 +112,6 @@ def test_the_fixture_runs_a_plug_in_against_its_baseline(algorithms: Path, pytes
 
 def test_pytest_starts_without_loading_sabench(pytester: pytest.Pytester, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PYTHONPATH", str(ROOT))
-    heavy = "{'mitsuba', 'drjit', 'numba', 'numpy', 'sabench.gate', 'sabench.plugins'}"
+    heavy = "{'mitsuba', 'drjit', 'numba', 'numpy', 'sabench.evaluation.gates.comparison', 'sabench.plugins'}"
     pytester.makepyfile(f"import sys\ndef test_light():\n    assert not {heavy} & set(sys.modules)\n")
-    pytester.runpytest_subprocess("-p", "sabench.pytest_plugin", "-p", "no:hypothesispytest").assert_outcomes(passed=1)
+    pytester.runpytest_subprocess("-p", "sabench.evaluation.gates.pytest_plugin", "-p", "no:hypothesispytest").assert_outcomes(passed=1)

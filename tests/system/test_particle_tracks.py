@@ -11,15 +11,17 @@ import pytest
 
 from sabench import plugins
 from sabench.api import Film, FoundParticles, Observation, ParticleSolver
-from sabench.dataset.read import Dataset
-from sabench.dataset.result import open_result, result_writer
-from sabench.errors import InputError
-from sabench.export import export
-from sabench.generation import Shot, generate, simulate
-from sabench.parsing import parse_scene
-from sabench.rig import load_scene
-from sabench.solving import make_algorithm, score, solve
-from sabench.suite import override
+from sabench.api.make import make_algorithm
+from sabench.dataset.reader import Dataset
+from sabench.dataset.results import open_result, result_writer
+from sabench.evaluation.suites import override
+from sabench.interop.vtkhdf import export
+from sabench.scenes.loading import parse_scene
+from sabench.scenes.rig import load_scene
+from sabench.simulation.in_memory import Shot, simulate
+from sabench.simulation.pipeline import generate
+from sabench.tasks.solve_and_score import score, solve
+from sabench.utils.errors import InputError
 
 SOLVERS = [name for name in plugins.names("solvers") if plugins.load("solvers", name).track == "particles"]
 

@@ -16,14 +16,14 @@ import numpy as np
 import pytest
 
 import sabench
-from sabench.columns import COLUMNS
-from sabench.confined import Limits
-from sabench.dataset.read import Dataset
-from sabench.errors import InputError
-from sabench.programs import is_program, run_program, show
-from sabench.records import read_records
-from sabench.submission import submit
-from sabench.tracks import of
+from sabench.dataset.reader import Dataset
+from sabench.evaluation.leaderboard.submissions import submit
+from sabench.evaluation.records import read_records
+from sabench.tasks import of
+from sabench.tasks.columns import COLUMNS
+from sabench.tasks.external_programs import is_program, run_program, show
+from sabench.utils.errors import InputError
+from sabench.utils.processes.limited import Limits
 from tests.conftest import ROOT, Command
 from tests.system.test_faults import check_sentence
 

@@ -15,15 +15,15 @@ import tomli_w
 from filelock import FileLock
 
 import sabench
-from sabench.errors import InputError
-from sabench.generation import generate
-from sabench.parsing import parse_scene
-from sabench.recording import crews, recorders, work
-from sabench.recording.crews import Pool
-from sabench.recording.shots import shoot
-from sabench.recording.work import Job
-from sabench.rig import load_scene
-from sabench.scene import Scene
+from sabench.scenes.loading import parse_scene
+from sabench.scenes.rig import load_scene
+from sabench.scenes.schema import Scene
+from sabench.simulation.frames_of_tracers import shoot
+from sabench.simulation.pipeline import generate
+from sabench.simulation.recording import job, recorders, workers
+from sabench.simulation.recording.job import Job
+from sabench.simulation.recording.workers import Pool
+from sabench.utils.errors import InputError
 from tests.bubble_scenes import LASER, small
 from tests.conftest import Command
 
@@ -93,7 +93,7 @@ import pathlib
 import numpy as np
 
 from sabench.api import Generator, Parameters
-from sabench.world import Domain, Particles
+from sabench.api.truth import Domain, Particles
 
 
 class BreakerParameters(Parameters):
@@ -143,14 +143,14 @@ def test_what_is_there_is_not_made_again(tmp_path: Path, monkeypatch: pytest.Mon
     def interrupted(recorder: Any, parts: Any, task: Any) -> None:
         if task.frame == 2:
             raise KeyboardInterrupt
-        work.record(recorder, parts, task)
+        job.record(recorder, parts, task)
 
     def counted(world: Any, camera: Any) -> Any:
         shots.append((world.frame, camera.name))
         return shoot(world, camera)
 
     with monkeypatch.context() as patch:
-        patch.setattr(crews, "record", interrupted)
+        patch.setattr(workers, "record", interrupted)
         with pytest.raises(KeyboardInterrupt):
             made(scene, tmp_path / "set")
     monkeypatch.setattr(recorders, "shoot", counted)
@@ -160,16 +160,16 @@ def test_what_is_there_is_not_made_again(tmp_path: Path, monkeypatch: pytest.Mon
 
 
 def test_another_scene_or_seed_takes_nothing_of_what_was_left(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    work_off = crews.work_off
+    work_off = workers.work_off
 
     def stop(*arguments: Any) -> None:
         work_off(*arguments)
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("sabench.generation.work_off", stop)
+    monkeypatch.setattr("sabench.simulation.pipeline.work_off", stop)
     with pytest.raises(KeyboardInterrupt):
         made(moving(2), tmp_path / "set")
-    monkeypatch.setattr("sabench.generation.work_off", work_off)
+    monkeypatch.setattr("sabench.simulation.pipeline.work_off", work_off)
     other = generate(moving(2), tmp_path / "set", seed=5, backend="splat", name="s").content_hash
     assert other == generate(moving(2), tmp_path / "fresh", seed=5, backend="splat", name="s").content_hash
     assert sorted(entry.name for entry in tmp_path.iterdir()) == ["fresh", "set"]

@@ -10,8 +10,8 @@ from typing import Any
 import cv2
 import pytest
 
-from sabench.reproduce import TABLES, reproduce, table_2_1_best
-from sabench.reproduce.common import Row
+from sabench.evaluation.thesis import TABLES, reproduce, table_2_1_best
+from sabench.evaluation.thesis.common import Row
 from tests.conftest import Command
 from tests.system.test_board import block
 
@@ -83,7 +83,7 @@ SHORTER: dict[str, dict[str, Any]] = {  # of what takes long, fewer kinds
 @pytest.mark.parametrize("table", [name for name in TABLES if name != "table-2-1-best"])
 def test_every_table_yields_rows(table: str, monkeypatch: pytest.MonkeyPatch) -> None:
     for name, value in SHORTER.get(table, {}).items():
-        monkeypatch.setattr(f"sabench.reproduce.{table.replace('-', '_')}.{name}", value)
+        monkeypatch.setattr(f"sabench.evaluation.thesis.{table.replace('-', '_')}.{name}", value)
     rows = (item for item in reproduce([table], 1 if table in SLOW else 2, 60) if isinstance(item, Row))
     found = list(itertools.islice(rows, 1 if table in SLOW else 4))
     assert found

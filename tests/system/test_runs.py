@@ -7,8 +7,8 @@ import shlex
 from pathlib import Path
 from typing import Any
 
-from sabench.hidden import read_secret
-from sabench.suite import load_suite
+from sabench.evaluation.hidden_split import read_secret
+from sabench.evaluation.suites import load_suite
 from tests.conftest import Command
 
 SUITE = """title = "t"

@@ -9,17 +9,17 @@ import cv2
 import numpy as np
 import pytest
 
-from sabench.codes import code_of
-from sabench.dataset.read import Dataset
-from sabench.dataset.verify import verify
-from sabench.errors import InputError
-from sabench.export import export
-from sabench.generation import generate
-from sabench.imaging.sightlines import NOTHING
+from sabench.api.truth import NOTHING
+from sabench.dataset.reader import Dataset
+from sabench.dataset.verification import verify
+from sabench.interop.vtkhdf import export
 from sabench.plugins import load
-from sabench.scene import Scene
-from sabench.solving import score, solve
-from sabench.tracks.see_through import error_picture, single_views
+from sabench.scenes.schema import Scene
+from sabench.simulation.pipeline import generate
+from sabench.tasks.see_through import error_picture, single_views
+from sabench.tasks.solve_and_score import score, solve
+from sabench.utils.errors import InputError
+from sabench.worlds.readable_codes import code_of
 from tests.bubble_scenes import small
 
 PLATE = {"generator": "code_plate", "columns": 6, "rows": 5, "cell_mm": 2.0, "place_mm": [0.0, 0.0, 66.0], "material": {"reflectance": 0.0}}

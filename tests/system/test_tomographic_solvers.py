@@ -11,13 +11,13 @@ from pydantic import ValidationError
 
 from sabench import plugins
 from sabench.api import Observation, Reconstruction
-from sabench.generation import Shot, simulate
-from sabench.metrics.quality import quality
-from sabench.parsing import parse_scene
-from sabench.rig import load_scene
-from sabench.scene import Scene
-from sabench.scoring import score_frame, true_field
-from sabench.volume import Grid, synthesise
+from sabench.geometry.grid import Grid, synthesise
+from sabench.metrics.quality_factor import quality
+from sabench.scenes.loading import parse_scene
+from sabench.scenes.rig import load_scene
+from sabench.scenes.schema import Scene
+from sabench.simulation.in_memory import Shot, simulate
+from sabench.tasks.reconstruction_scores import score_frame, true_field
 from tests.conftest import pinholes
 
 SOLVERS = {"mlos_sart": 0.82, "mlos_smart": 0.92, "smart": 0.90, "block_mart": 0.93, "mart": 0.93, "mfg_mart": 0.93}  # least Q in air

@@ -15,18 +15,18 @@ import pytest
 import tifffile
 
 import sabench
-from sabench.dataset import hdf
-from sabench.dataset.foreign import probe
-from sabench.dataset.hdf import opened, read_array
-from sabench.dataset.images import read_tiff
-from sabench.dataset.layout import read_target
-from sabench.dataset.read import Dataset
-from sabench.dataset.verify import verify
-from sabench.errors import InputError
-from sabench.files import canonical_json, read_json
-from sabench.parsing import parse_scene
-from sabench.rig import load_scene
-from sabench.suite import load_suite
+from sabench.dataset import hdf5
+from sabench.dataset.hdf5 import opened, read_array
+from sabench.dataset.hdf5_probe import probe
+from sabench.dataset.reader import Dataset
+from sabench.dataset.schema import read_target
+from sabench.dataset.verification import verify
+from sabench.evaluation.suites import load_suite
+from sabench.images.tiff_exr import read_tiff
+from sabench.scenes.loading import parse_scene
+from sabench.scenes.rig import load_scene
+from sabench.utils.errors import InputError
+from sabench.utils.files import canonical_json, read_json
 from tests.conftest import ROOT
 from tests.untrusted import SCENE, check_sentence, reseal
 
@@ -66,7 +66,7 @@ def test_what_a_file_only_says_that_it_holds_is_not_read(file: Path) -> None:
 
 
 def test_a_deflated_bomb(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(hdf, "_SMALL", 1000)
+    monkeypatch.setattr(hdf5, "_SMALL", 1000)
     with h5py.File(file, "w") as made:
         made.create_dataset("zeros", (10**6, 3), "f8", chunks=(10**5, 3), compression="gzip", compression_opts=9)
         del made["zeros"]
@@ -108,8 +108,8 @@ def test_a_file_that_sends_hdf5_round_in_circles(quick_result: Path, file: Path,
     """Stood in for by a reader that never ends: it is ended from outside, and a crash is a sentence."""
     shutil.copy(quick_result, file)
     probe(file)
-    monkeypatch.setattr("sabench.dataset.foreign._PROBE_S", 0.0)
-    monkeypatch.setattr("sabench.dataset.foreign._PROBE_RATE", float("inf"))
+    monkeypatch.setattr("sabench.dataset.hdf5_probe._PROBE_S", 0.0)
+    monkeypatch.setattr("sabench.dataset.hdf5_probe._PROBE_RATE", float("inf"))
     with pytest.raises(InputError, match="expected an end within 0 s"):
         probe(file)
 

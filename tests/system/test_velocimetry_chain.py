@@ -12,15 +12,15 @@ import pytest
 import tomli_w
 
 from sabench.api import Velocity
-from sabench.dataset.read import Dataset, open_dataset
-from sabench.dataset.result import open_result
-from sabench.generation import generate
-from sabench.motion import flow_of
-from sabench.parsing import parse_scene
-from sabench.rig import load_scene
-from sabench.scene import Scene
-from sabench.solving import score, solve
-from sabench.tracks.velocimetry import score_pair
+from sabench.dataset.reader import Dataset, open_dataset
+from sabench.dataset.results import open_result
+from sabench.scenes.loading import parse_scene
+from sabench.scenes.rig import load_scene
+from sabench.scenes.schema import Scene
+from sabench.simulation.pipeline import generate
+from sabench.tasks.solve_and_score import score, solve
+from sabench.tasks.velocimetry import score_pair
+from sabench.worlds.tracers import flow_of
 from tests.conftest import Command
 from tests.system.test_board import block
 

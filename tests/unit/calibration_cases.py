@@ -7,12 +7,12 @@ from typing import Any
 import numpy as np
 
 from sabench.api import CalibrationCase
-from sabench.arrays import F64
-from sabench.optics.camera import Camera
-from sabench.parsing import parse_scene
-from sabench.rig import build_rig, load_scene, told_cameras
-from sabench.scene import Scene
-from sabench.targets import exact_pixels, found_pixels, place, prior
+from sabench.geometry.camera import Camera
+from sabench.scenes.loading import parse_scene
+from sabench.scenes.rig import build_rig, load_scene, told_cameras
+from sabench.scenes.schema import Scene
+from sabench.utils.arrays import F64
+from sabench.worlds.calibration_targets import exact_pixels, found_pixels, place, prior
 
 
 def calibration_scene(**changes: Any) -> Scene:

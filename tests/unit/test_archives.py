@@ -11,8 +11,8 @@ from pathlib import Path
 
 import pytest
 
-from sabench.archives import result_files
-from sabench.errors import InputError
+from sabench.evaluation.leaderboard.archives import result_files
+from sabench.utils.errors import InputError
 
 Make = Callable[[Path], Path]
 

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from sabench import backend
-from sabench.errors import InputError
+from sabench.utils import backend
+from sabench.utils.errors import InputError
 
 CHOICE = "from sabench import backend; print(backend.choose().library)"
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sabench.bubblefeature import STACK, attenuate, feature, minimum_images
-from sabench.bubblefit.profile import Profile, sharp
-from sabench.bubblefit.votes import peaks, radii_between, vote
+from sabench.algorithms.bubbles.backlit_profile import Profile, sharp
+from sabench.algorithms.bubbles.feature_potential import STACK, attenuate, feature, minimum_images
+from sabench.algorithms.bubbles.hough_circles import peaks, radii_between, vote
 from tests.unit.test_light_paths import profile_by_hand
 
 

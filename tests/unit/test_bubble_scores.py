@@ -7,12 +7,12 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from sabench.api import Detections
-from sabench.arrays import F64
-from sabench.bubble_figures import detection_figure
-from sabench.jets import LN2, JetLaw
-from sabench.metrics.bubbles import crowding, detection_scores, match
-from sabench.metrics.jets import analyse
-from sabench.plots import Circles, draw
+from sabench.metrics.bubble_detection import crowding, detection_scores, match
+from sabench.metrics.plunging_jet import analyse
+from sabench.plotting.charts import Circles, draw
+from sabench.tasks.figures.bubbles import detection_figure
+from sabench.utils.arrays import F64
+from sabench.worlds.library.plunging_jet import LN2, JetLaw
 
 
 def field(count: int = 60, seed: int = 1) -> Detections:

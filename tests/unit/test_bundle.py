@@ -7,16 +7,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sabench.arrays import F64
-from sabench.calibration import kernels
-from sabench.calibration.bundle import Seen, normal_equations, refine, residuals
-from sabench.calibration.frame import Motion, lateral_fit
-from sabench.calibration.limit import limit
-from sabench.calibration.problem import Problem, anchors_of
-from sabench.calibration.robust import adjust
-from sabench.calibration.state import Frame, Free, State
-from sabench.errors import InputError
-from sabench.optics.rotation import exponential
+from sabench.algorithms.calibration import kernels
+from sabench.algorithms.calibration.bundle_adjustment import Seen, normal_equations, refine, residuals
+from sabench.algorithms.calibration.cramer_rao import limit
+from sabench.algorithms.calibration.parameters import Frame, Free, State
+from sabench.algorithms.calibration.problem import Problem, anchors_of
+from sabench.algorithms.calibration.robust import adjust
+from sabench.geometry.rigid_motion import Motion, lateral_fit
+from sabench.geometry.rotations import exponential
+from sabench.utils.arrays import F64
+from sabench.utils.errors import InputError
 from tests.unit.calibration_cases import calibration_scene, case_of, true_error_px
 
 ALL = Free(True, ("k1", "k2", "p1", "p2", "k3"), (0, 1, 2), (0,))

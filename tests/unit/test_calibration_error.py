@@ -10,17 +10,17 @@ import numpy as np
 import pytest
 
 import sabench
-from sabench.arrays import F64
-from sabench.dataset.layout import content_hash, sealed
-from sabench.dataset.read import Dataset, open_dataset
-from sabench.dataset.verify import verify
-from sabench.errors import InputError
-from sabench.files import canonical_json, sha256
-from sabench.generation import simulate
-from sabench.optics.camera import Camera
-from sabench.parsing import parse_scene
-from sabench.rig import build_rig, told_cameras
-from sabench.scene import Scene
+from sabench.dataset.reader import Dataset, open_dataset
+from sabench.dataset.schema import content_hash, sealed
+from sabench.dataset.verification import verify
+from sabench.geometry.camera import Camera
+from sabench.scenes.loading import parse_scene
+from sabench.scenes.rig import build_rig, told_cameras
+from sabench.scenes.schema import Scene
+from sabench.simulation.in_memory import simulate
+from sabench.utils.arrays import F64
+from sabench.utils.errors import InputError
+from sabench.utils.files import canonical_json, sha256
 from tests.conftest import pinholes
 from tests.unit.test_imaging import make_scene
 

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from sabench.api import CalibrationCase
-from sabench.errors import InputError
-from sabench.optics.camera import Camera
-from sabench.optics.wall import Layer, Wall
-from sabench.solving import make_algorithm
+from sabench.api.make import make_algorithm
+from sabench.geometry.camera import Camera
+from sabench.geometry.refraction import Layer, Wall
+from sabench.utils.errors import InputError
 from tests.unit.calibration_cases import calibration_scene, case_of
 
 Change = Callable[[CalibrationCase], CalibrationCase]

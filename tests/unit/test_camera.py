@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 from numpy.polynomial.legendre import leggauss
 
-from sabench.arrays import F64, Bool, triple
-from sabench.optics import layout
-from sabench.optics.camera import Camera, Distortion, aim, aimed_rotation
-from sabench.optics.wall import Layer, Wall, trace_to_points
-from sabench.rig import apparent_distance_mm
+from sabench.geometry import array_layouts
+from sabench.geometry.camera import Camera, Distortion, aim, aimed_rotation
+from sabench.geometry.refraction import Layer, Wall, trace_to_points
+from sabench.scenes.rig import apparent_distance_mm
+from sabench.utils.arrays import F64, Bool, triple
 
 BROWN = Distortion(-0.12, 0.03, 2e-3, -3e-3, 0.01)
 GLASS = Wall((0.0, 0.0, 0.0), (0.0, 0.0, 1.0), 1.0, (Layer("glass", 1.52, 5.0), Layer("gap", 1.1, 2.0)), 1.333)
@@ -239,14 +239,14 @@ def test_focus_is_the_thin_lens_conjugate() -> None:
 
 
 def test_grid_goes_row_by_row_with_its_own_offsets() -> None:
-    np.testing.assert_array_equal(layout.grid([-7.0, 0.0, 3.0], [1.0, 5.0]), [[-7, 1], [0, 1], [3, 1], [-7, 5], [0, 5], [3, 5]])
-    even = layout.grid(layout.even(3, 10.0), layout.even(2, 4.0))
+    np.testing.assert_array_equal(array_layouts.grid([-7.0, 0.0, 3.0], [1.0, 5.0]), [[-7, 1], [0, 1], [3, 1], [-7, 5], [0, 5], [3, 5]])
+    even = array_layouts.grid(array_layouts.even(3, 10.0), array_layouts.even(2, 4.0))
     np.testing.assert_array_equal(even, [[-10, -2], [0, -2], [10, -2], [-10, 2], [0, 2], [10, 2]])
 
 
 @pytest.mark.parametrize("count", [1, 2, 5])
 def test_even_offsets_are_centred(count: int) -> None:
-    offsets = layout.even(count, 2.5)
+    offsets = array_layouts.even(count, 2.5)
     assert offsets.shape == (count,)
     assert offsets.sum() == pytest.approx(0.0)
     np.testing.assert_allclose(np.diff(offsets), 2.5)
@@ -254,7 +254,7 @@ def test_even_offsets_are_centred(count: int) -> None:
 
 @pytest.mark.parametrize("count", [1, 3, 8])
 def test_ring_keeps_radius_and_chord(count: int) -> None:
-    offsets = layout.ring(count, 12.0, start_rad=0.3)
+    offsets = array_layouts.ring(count, 12.0, start_rad=0.3)
     assert offsets.shape == (count, 2)
     np.testing.assert_allclose(np.hypot(*offsets.T), 12.0)
     np.testing.assert_allclose(offsets[0], [12.0 * math.cos(0.3), 12.0 * math.sin(0.3)])
@@ -265,13 +265,13 @@ def test_ring_keeps_radius_and_chord(count: int) -> None:
 
 
 def test_line_has_a_spacing_and_an_angle() -> None:
-    offsets = layout.line(4, 6.0, math.radians(30.0))
+    offsets = array_layouts.line(4, 6.0, math.radians(30.0))
     np.testing.assert_allclose(np.diff(offsets, axis=0), np.tile([6.0 * math.sqrt(0.75), 3.0], (3, 1)))
     np.testing.assert_allclose(offsets.sum(axis=0), 0.0, atol=1e-12)
 
 
 def test_cross_has_a_centre_and_four_equal_arms() -> None:
-    offsets = layout.cross(2, 3.0)
+    offsets = array_layouts.cross(2, 3.0)
     expected = {(0.0, 0.0), (3.0, 0.0), (6.0, 0.0), (-3.0, 0.0), (-6.0, 0.0), (0.0, 3.0), (0.0, 6.0), (0.0, -3.0), (0.0, -6.0)}
     assert len(offsets) == 9
     assert {(float(x), float(y)) for x, y in offsets} == expected

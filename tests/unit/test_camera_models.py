@@ -7,15 +7,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sabench.arrays import F64
-from sabench.errors import InputError
-from sabench.generation import simulate
-from sabench.optics.camera import Camera
-from sabench.optics.empirical import PlanePolynomials, Projective, Soloff, fit_planes, fit_projective, fit_soloff
-from sabench.optics.model import CameraModel
-from sabench.optics.triangulation import intersect, triangulate
-from sabench.reproject.refocus import refocus_sum
-from sabench.rig import build_rig
+from sabench.algorithms.refocus.synthetic_aperture import refocus_sum
+from sabench.geometry.camera import Camera
+from sabench.geometry.camera_model import CameraModel
+from sabench.geometry.polynomial_cameras import PlanePolynomials, Projective, Soloff, fit_planes, fit_projective, fit_soloff
+from sabench.geometry.triangulation import intersect, triangulate
+from sabench.scenes.rig import build_rig
+from sabench.simulation.in_memory import simulate
+from sabench.utils.arrays import F64
+from sabench.utils.errors import InputError
 from tests.conftest import pinholes
 from tests.unit.calibration_cases import calibration_scene
 from tests.unit.test_imaging import make_scene

@@ -9,8 +9,8 @@ from pathlib import Path
 import psutil
 import pytest
 
-from sabench.confined import Limits, limits_of, run_confined
-from sabench.errors import InputError
+from sabench.utils.errors import InputError
+from sabench.utils.processes.limited import Limits, limits_of, run_confined
 
 
 def program(folder: Path, body: str, name: str = "program") -> list[str]:

@@ -7,10 +7,10 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.ndimage import gaussian_filter
 
-from sabench.arrays import F32, F64, Bool
-from sabench.bubblefeature import blots
-from sabench.ellipses import edges, ellipses
-from sabench.featurepeaks import PLANES, STEP, Peaks, depth_of, distinct
+from sabench.algorithms.bubbles.ellipse_detection import edges, ellipses
+from sabench.algorithms.bubbles.feature_peaks import PLANES, STEP, Peaks, depth_of, distinct
+from sabench.algorithms.bubbles.feature_potential import blots
+from sabench.utils.arrays import F32, F64, Bool
 
 FINE = 5
 

@@ -10,15 +10,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sabench.arrays import F64, triple
-from sabench.errors import InputError
-from sabench.exchange import child, openlpt, openptv
-from sabench.exchange.run_openptv import parameters
-from sabench.optics.camera import Camera, Distortion
-from sabench.optics.rotation import exponential
-from sabench.optics.wall import Layer, Wall
-from sabench.rig import build_rig, load_scene
-from sabench.volume import Grid
+from sabench.geometry.camera import Camera, Distortion
+from sabench.geometry.grid import Grid
+from sabench.geometry.refraction import Layer, Wall
+from sabench.geometry.rotations import exponential
+from sabench.interop import openlpt, openptv
+from sabench.interop.openptv_process import parameters
+from sabench.scenes.rig import build_rig, load_scene
+from sabench.utils.arrays import F64, triple
+from sabench.utils.errors import InputError
+from sabench.utils.processes import child
 from tests.conftest import pinholes
 
 NEAR_PX = 1e-3

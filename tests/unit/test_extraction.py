@@ -9,16 +9,17 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
+from sabench.algorithms.refocus import refocus_sum
+from sabench.algorithms.refocus.thresholding import ExtractionParameters, Keep, auto_k, effective_width, extract, extracted, occupancy
 from sabench.api import Observation
-from sabench.arrays import F32
-from sabench.extraction import ExtractionParameters, Keep, auto_k, bright_dn, effective_width, extract, extracted, normalised, occupancy
-from sabench.generation import Shot, simulate
-from sabench.metrics.quality import quality
-from sabench.metrics.threshold import best_k, quality_of_k
-from sabench.parsing import parse_scene
-from sabench.reproject import refocus_sum
-from sabench.scoring import true_field
-from sabench.volume import synthesise
+from sabench.evaluation.thesis.best_threshold import best_k, quality_of_k
+from sabench.geometry.grid import synthesise
+from sabench.images.brightness import bright_dn, normalised
+from sabench.metrics.quality_factor import quality
+from sabench.scenes.loading import parse_scene
+from sabench.simulation.in_memory import Shot, simulate
+from sabench.tasks.reconstruction_scores import true_field
+from sabench.utils.arrays import F32
 
 KEEPS: list[Keep] = ["reduced", "whole"]
 

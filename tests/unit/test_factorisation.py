@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from sabench.algorithms.calibration.factorisation import adjusted, euclidean, factorise
+from sabench.algorithms.calibration.wall_frame import similarity_fit
 from sabench.api import Calibration
-from sabench.arrays import F64
-from sabench.calibration.factorisation import adjusted, euclidean, factorise
-from sabench.calibration.frame import similarity_fit
-from sabench.optics.triangulation import triangulate
+from sabench.geometry.triangulation import triangulate
 from sabench.plugins import load
+from sabench.utils.arrays import F64
 from tests.unit.calibration_cases import calibration_scene, case_of
 
 IN_AIR = {"wall": None, "detection": None, "calibration": {"points": 0.0, "known": []}}

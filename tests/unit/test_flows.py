@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 
 from sabench.api import Flow
-from sabench.arrays import F64
-from sabench.errors import InputError
-from sabench.flows import advect, divergence, vorticity
-from sabench.parsing import validate
+from sabench.geometry.vector_calculus import divergence, vorticity
 from sabench.plugins import load
+from sabench.utils.arrays import F64
+from sabench.utils.errors import InputError
+from sabench.utils.validation import validate
+from sabench.worlds.advection import advect
 
 FLOWS: list[tuple[str, dict[str, Any]]] = [
     ("vortex_ring", {"axis": (1.0, 0.2, 0.4), "center_mm": (1.0, -2.0, 0.5)}),

@@ -13,16 +13,16 @@ import pytest
 from scipy.io import netcdf_file
 
 from sabench.api import Flow, Generator
-from sabench.arrays import F64
-from sabench.dataset.verify import verify
-from sabench.errors import InputError
-from sabench.foreign import Array, read_arrays, speed_mm_s
-from sabench.generation import generate
-from sabench.motion import Motion, flow_of
-from sabench.parsing import parse_scene
+from sabench.dataset.verification import verify
+from sabench.geometry.frames import Domain
 from sabench.plugins import load
-from sabench.scene import Scene
-from sabench.world import Domain
+from sabench.scenes.loading import parse_scene
+from sabench.scenes.schema import Scene
+from sabench.simulation.pipeline import generate
+from sabench.utils.arrays import F64
+from sabench.utils.errors import InputError
+from sabench.worlds.library.field_files import Array, read_arrays, speed_mm_s
+from sabench.worlds.tracers import Motion, flow_of
 from tests.unit.test_motion import moving_scene
 
 SIDE = 0.06  # m

@@ -10,7 +10,7 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
-from sabench.baseline import (
+from sabench.evaluation.gates.baseline import (
     DATA,
     FORMAT,
     Baseline,
@@ -26,18 +26,18 @@ from sabench.baseline import (
     read_baseline,
     write_baseline,
 )
-from sabench.columns import COLUMNS
-from sabench.errors import InputError
-from sabench.fingerprint import fingerprint
-from sabench.gate import Report, names_of
-from sabench.generation import generate
-from sabench.junit import junit, write_junit
-from sabench.parsing import parse_scene
-from sabench.probe import probe
-from sabench.retrace import retrace
-from sabench.rig import build_rig, load_scene
-from sabench.scene import Scene
-from sabench.suite import Entrant, load_suite
+from sabench.evaluation.gates.comparison import Report, names_of
+from sabench.evaluation.gates.dataset_statistics import fingerprint
+from sabench.evaluation.gates.independent_projection import retrace
+from sabench.evaluation.gates.junit import junit, write_junit
+from sabench.evaluation.gates.known_wrong_estimates import probe
+from sabench.evaluation.suites import Entrant, load_suite
+from sabench.scenes.loading import parse_scene
+from sabench.scenes.rig import build_rig, load_scene
+from sabench.scenes.schema import Scene
+from sabench.simulation.pipeline import generate
+from sabench.tasks.columns import COLUMNS
+from sabench.utils.errors import InputError
 
 TOLERANCES = {"reconstruction": {"q": Tolerance(relative=0.01, absolute=0.0)}}
 
@@ -236,7 +236,7 @@ def test_junit_has_a_case_for_the_data_and_each_solver(tmp_path: Path) -> None:
 
 
 def test_the_table_names_figure_change_and_tolerance(capsys: pytest.CaptureFixture[str]) -> None:
-    from sabench.cli import _show_report
+    from sabench.cli.main import _show_report
 
     bad = Finding("a", 1, "msa", "q", 0.8, 0.6, 0.008, worse=True)
     news = Finding("a", 1, "asa", "q", 0.5, 0.7, 0.008, worse=False)

@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from sabench.errors import InputError
-from sabench.hidden import read_secret
-from sabench.run import Only
-from sabench.suite import load_suite
+from sabench.evaluation.hidden_split import read_secret
+from sabench.evaluation.runner import Only
+from sabench.evaluation.suites import load_suite
+from sabench.utils.errors import InputError
 
 SUITE = 'title = "t"\nscenes = ["quick"]\nseeds = [1, 2]\nbackend = "splat"\nsolvers = [{ name = "msa" }, { name = "asa", label = "additive" }]\n'
 FROZEN = 'frozen = "' + 64 * "0" + '"\n'

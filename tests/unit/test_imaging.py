@@ -12,17 +12,17 @@ import miepython
 import numpy as np
 import pytest
 
-from sabench.arrays import F64, I64
-from sabench.imaging.light import LIGHT_M_S, PLANCK_J_S, fluence
-from sabench.imaging.particle_images import ParticleImages, image_particles, scattering_table
-from sabench.imaging.pathtrace import render
-from sabench.imaging.splat import splat
-from sabench.optics.camera import Camera, Distortion, aimed_rotation
-from sabench.optics.wall import trace_to_points, transmittance
-from sabench.parsing import find, parse_scene
-from sabench.rig import build_rig
-from sabench.scene import Scene
-from sabench.world import Particles
+from sabench.api.truth import Particles
+from sabench.geometry.camera import Camera, Distortion, aimed_rotation
+from sabench.geometry.refraction import trace_to_points, transmittance
+from sabench.scenes.loading import find, parse_scene
+from sabench.scenes.rig import build_rig
+from sabench.scenes.schema import Scene
+from sabench.simulation.rendering.laser_sheet import LIGHT_M_S, PLANCK_J_S, fluence
+from sabench.simulation.rendering.particle_images import ParticleImages, image_particles, scattering_table
+from sabench.simulation.rendering.particles_splatted import splat
+from sabench.simulation.rendering.particles_traced import render
+from sabench.utils.arrays import F64, I64
 
 WAVELENGTH_MM = 532e-6
 

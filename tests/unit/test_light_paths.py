@@ -8,15 +8,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sabench import backend
 from sabench.api import Material
-from sabench.arrays import F64
-from sabench.imaging.multiphase import Exposed, Lights, Tank, photograph
-from sabench.imaging.sightlines import NOTHING, see
-from sabench.optics.camera import Camera, Distortion
-from sabench.optics.wall import Layer, Wall
-from sabench.scene import Backlight, Lamp, Lighting
-from sabench.world import Bubbles, Solid
+from sabench.api.truth import NOTHING, Bubbles, Solid
+from sabench.geometry.camera import Camera, Distortion
+from sabench.geometry.refraction import Layer, Wall
+from sabench.scenes.schema import Backlight, Lamp, Lighting
+from sabench.simulation.rendering.bubbles_traced import Exposed, Lights, Tank, photograph
+from sabench.simulation.rendering.pixel_truth import see
+from sabench.utils import backend
+from sabench.utils.arrays import F64
 
 GLASS = Layer("glass", 1.52, 8.0)
 WALL = Wall((0.0, 0.0, 0.0), (0.0, 0.0, 1.0), 1.0, (GLASS,), 1.333, 100.0)

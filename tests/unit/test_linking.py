@@ -7,7 +7,7 @@ import itertools
 import numpy as np
 import pytest
 
-from sabench.linking import GATE, REACH, assign, link
+from sabench.algorithms.particles.linking import GATE, REACH, assign, link
 from tests.films import EDGE, Film, film, judged, linked
 
 

@@ -12,9 +12,9 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from scipy import ndimage
 
-from sabench.arrays import F32, F64, Bool
-from sabench.metrics.detection import Counts, count_challenge, count_thesis, detect
-from sabench.metrics.quality import quality
+from sabench.metrics.particle_detection import Counts, count_challenge, count_thesis, detect
+from sabench.metrics.quality_factor import quality
+from sabench.utils.arrays import F32, F64, Bool
 
 Rule = Callable[[F64, F64], Counts]
 Masked = Callable[[F64, F64, Bool, Bool], Counts]

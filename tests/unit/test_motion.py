@@ -11,13 +11,14 @@ import numpy as np
 import pytest
 from scipy.stats import kstest
 
-from sabench.errors import InputError
-from sabench.flows import advect
-from sabench.generation import generate, make_particles, simulate
-from sabench.motion import Motion, flow_of, pulse
-from sabench.parsing import parse_scene
-from sabench.rig import load_scene
-from sabench.scene import Scene
+from sabench.scenes.loading import parse_scene
+from sabench.scenes.rig import load_scene
+from sabench.scenes.schema import Scene
+from sabench.simulation.in_memory import make_particles, simulate
+from sabench.simulation.pipeline import generate
+from sabench.utils.errors import InputError
+from sabench.worlds.advection import advect
+from sabench.worlds.tracers import Motion, flow_of, pulse
 
 ABC = {"generator": "abc_flow", "wavelength_mm": 12.0}
 WIND = {"generator": "linear_flow", "velocity_mm_s": [40.0, -20.0, 10.0]}

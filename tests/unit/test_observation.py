@@ -12,14 +12,14 @@ import numpy as np
 import pytest
 
 import sabench
-from sabench import memory
 from sabench.api import Observation
-from sabench.dataset.images import write_tiff
-from sabench.dataset.read import Dataset
-from sabench.errors import InputError
-from sabench.generation import simulate
-from sabench.tracks.reconstruction import check_case
-from sabench.volume import Grid
+from sabench.dataset.reader import Dataset
+from sabench.geometry.grid import Grid
+from sabench.images.tiff_exr import write_tiff
+from sabench.simulation.in_memory import simulate
+from sabench.tasks.reconstruction import check_case
+from sabench.utils import memory
+from sabench.utils.errors import InputError
 from tests.conftest import pinholes
 from tests.unit.test_imaging import make_scene
 

@@ -12,18 +12,18 @@ import pytest
 from scipy.optimize import brentq
 
 import sabench
-from sabench.arrays import F64, Bool
-from sabench.errors import InputError
-from sabench.generation import Shot, simulate
-from sabench.imaging.particle_images import image_particles
-from sabench.imaging.pathtrace import render
-from sabench.imaging.splat import splat
-from sabench.optics.camera import Camera
-from sabench.optics.occluder import Disc
-from sabench.parsing import parse_scene
-from sabench.rig import build_rig
-from sabench.scene import Scene
-from sabench.scoring import true_field
+from sabench.geometry.camera import Camera
+from sabench.geometry.occluders import Disc
+from sabench.scenes.loading import parse_scene
+from sabench.scenes.rig import build_rig
+from sabench.scenes.schema import Scene
+from sabench.simulation.in_memory import Shot, simulate
+from sabench.simulation.rendering.particle_images import image_particles
+from sabench.simulation.rendering.particles_splatted import splat
+from sabench.simulation.rendering.particles_traced import render
+from sabench.tasks.reconstruction_scores import true_field
+from sabench.utils.arrays import F64, Bool
+from sabench.utils.errors import InputError
 from tests.unit.test_imaging import VARIANTS, cloud, isolated, make_scene, moments
 
 QUICK = build_rig(make_scene()).cameras[0]

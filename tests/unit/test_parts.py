@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sabench.errors import InputError
-from sabench.recording.parts import KEPT, Parts, Taken, files_of
-from sabench.recording.work import Job, read_job
-from sabench.rig import load_scene
+from sabench.scenes.rig import load_scene
+from sabench.simulation.recording.job import Job, read_job
+from sabench.simulation.recording.parts import KEPT, Parts, Taken, files_of
+from sabench.utils.errors import InputError
 
 
 def taken() -> Taken:

@@ -12,9 +12,9 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from scipy import ndimage
 
-from sabench.arrays import F32, F64
-from sabench.metrics.detection import detect, detect_peaks
-from sabench.metrics.maxima import fitted_maxima, three_point
+from sabench.metrics.local_maxima import fitted_maxima, three_point
+from sabench.metrics.particle_detection import detect, detect_peaks
+from sabench.utils.arrays import F32, F64
 
 NEIGHBOURS = [offset for offset in itertools.product((-1, 0, 1), repeat=3) if any(offset)]
 

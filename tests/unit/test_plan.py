@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sabench.recording.plan import TRIES, Plan, Task
+from sabench.simulation.recording.schedule import TRIES, Plan, Task
 
 
 def check_allowed(task: Task, finished: set[Task], *, chained: bool) -> None:

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from sabench.plots import Curve, Figure, Histogram, Panel, draw
+from sabench.plotting.charts import Curve, Figure, Histogram, Panel, draw
 
 _BLUE, _ORANGE = (0xB2, 0x72, 0x00), (0x00, 0x5E, 0xD5)  # as OpenCV orders them
 

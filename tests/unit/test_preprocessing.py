@@ -9,12 +9,13 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter, minimum_filter
 
-from sabench.arrays import F32
-from sabench.errors import InputError
-from sabench.generation import generate, simulate
-from sabench.parsing import parse_scene
-from sabench.preprocessing import WHITE, Gaussian, MatchHistograms, SlidingMinimum, Stretch, processed
-from sabench.solving import solve
+from sabench.images.preprocessing import WHITE, Gaussian, MatchHistograms, SlidingMinimum, Stretch, processed
+from sabench.scenes.loading import parse_scene
+from sabench.simulation.in_memory import simulate
+from sabench.simulation.pipeline import generate
+from sabench.tasks.solve_and_score import solve
+from sabench.utils.arrays import F32
+from sabench.utils.errors import InputError
 from tests.unit.test_motion import moving_scene
 
 THESIS: list[dict[str, Any]] = [

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sabench.metrics.reading import otsu, read_right, reading
-from sabench.pictures import read_picture
+from sabench.metrics.code_reading import otsu, read_right, reading
+from sabench.plotting.pictures import read_picture
 
 
 def test_a_clear_picture_is_read_whole() -> None:

@@ -10,13 +10,13 @@ from typing import Any
 
 import pytest
 
-from sabench.records import Head, append, latest, read_records
+from sabench.evaluation.records import Head, append, latest, read_records
 
 WRITERS, LINES = 16, 40
 WRITER = """
 import sys
 from pathlib import Path
-from sabench.records import append
+from sabench.evaluation.records import append
 head = {"scene": "tank", "scene_hash": "5c", "dataset": "da", "renderer": "splat", "parameters": {}, "run_hash": "0", "versions": {}, "machine": {}}
 print("ready", flush=True)
 sys.stdin.readline()

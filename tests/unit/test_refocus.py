@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter, map_coordinates, spline_filter
 
-from sabench.arrays import F32, F64
-from sabench.optics.camera import Camera, Distortion, aim, aimed_rotation
-from sabench.optics.wall import Layer, Wall
-from sabench.reproject import kernels, refocus, refocus_by_shifts, refocus_log2, refocus_sum
-from sabench.reproject.rectify import CUBIC, LINEAR, coefficients_of, resample
-from sabench.reproject.slabs import DEVIATION_PX, deviation_px, make_slab, rectifying_maps, slabs
-from sabench.volume import Grid
+from sabench.algorithms.refocus import cpu_kernels, refocus_by_shifts, refocus_log2, refocus_sum, synthetic_aperture
+from sabench.algorithms.refocus.rectification import CUBIC, LINEAR, coefficients_of, resample
+from sabench.algorithms.refocus.slabs import DEVIATION_PX, deviation_px, make_slab, rectifying_maps, slabs
+from sabench.geometry.camera import Camera, Distortion, aim, aimed_rotation
+from sabench.geometry.grid import Grid
+from sabench.geometry.refraction import Layer, Wall
+from sabench.utils.arrays import F32, F64
 
 FLOOR = 0.05
 FLAT = Wall((0.0, 0.0, 0.0), (0.0, 0.0, 1.0), 1.0, (Layer("glass", 1.52, 5.0),), 1.333)
@@ -109,10 +109,10 @@ def test_deviation_is_that_of_all_voxels() -> None:
     slab = make_slab(cameras, GRID, 0, 9)
     maps, worst = slab.tiles(GRID), 0.0
     z, y, x = (v.ravel() for v in np.meshgrid(np.arange(9), np.arange(151), np.arange(190), indexing="ij"))
-    tile = y // kernels.TILE_ROWS
+    tile = y // cpu_kernels.TILE_ROWS
     for number, camera in enumerate(cameras):
         q = maps[tile, z, number]
-        row = y % kernels.TILE_ROWS
+        row = y % cpu_kernels.TILE_ROWS
         spot = q[:, [0, 3]] + q[:, [1, 4]] * x[:, None] + q[:, [2, 5]] * row[:, None] + slab.corners[number]
         step, low = np.asarray(GRID.voxel_mm), np.asarray(GRID.low_mm)
         exact = camera.project(low + step * np.column_stack([x, y, z]))[0]
@@ -167,7 +167,7 @@ def test_grids_of_one_voxel_along_an_axis(shape: tuple[int, int, int]) -> None:
 def test_both_back_ends_make_the_same_volume(wall: Wall | None, monkeypatch: pytest.MonkeyPatch) -> None:
     cameras, images = array(wall), smooth_images(10)
     on_cpu = refocus_sum(images, cameras, GRID), refocus_log2(images, cameras, GRID, FLOOR)
-    monkeypatch.setattr(refocus, "_on_device", lambda: True)
+    monkeypatch.setattr(synthetic_aperture, "_on_device", lambda: True)
     elsewhere = refocus_sum(images, cameras, GRID), refocus_log2(images, cameras, GRID, FLOOR)
     for mine, other in zip(on_cpu, elsewhere, strict=True):
         assert np.quantile(np.abs(mine - other), 0.99) < 0.01  # the rest lies at the borders of images, where a sample is in or out

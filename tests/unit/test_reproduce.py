@@ -5,14 +5,26 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sabench.errors import InputError
-from sabench.generation import make_particles
-from sabench.reproduce import TABLES, reproduce
-from sabench.reproduce.common import METHODS, at_least, cases, claim, coarsened, compared, density, measured, per_pixel, verdict, with_density
-from sabench.reproduce.fig_2_7 import by_cameras, falls_to
-from sabench.reproduce.table_2_1 import crossings, plane_spacing_mm
-from sabench.rig import build_rig, load_scene
-from sabench.suite import Case
+from sabench.evaluation.suites import Case
+from sabench.evaluation.thesis import TABLES, reproduce
+from sabench.evaluation.thesis.common import (
+    METHODS,
+    at_least,
+    cases,
+    claim,
+    coarsened,
+    compared,
+    density,
+    measured,
+    per_pixel,
+    verdict,
+    with_density,
+)
+from sabench.evaluation.thesis.fig_2_7 import by_cameras, falls_to
+from sabench.evaluation.thesis.table_2_1 import crossings, plane_spacing_mm
+from sabench.scenes.rig import build_rig, load_scene
+from sabench.simulation.in_memory import make_particles
+from sabench.utils.errors import InputError
 
 
 @pytest.mark.parametrize(

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from sabench.api import Velocity
-from sabench.arrays import F64
-from sabench.metrics.rings import circulation, core, half_plane, sampled, spin_of
-from sabench.metrics.velocity import response
-from sabench.plots import Cloud, Curve, Figure, Panel, Picture, Slice, Space, draw
+from sabench.metrics.velocity_error import response
+from sabench.metrics.vortex_rings import circulation, core, half_plane, sampled, spin_of
+from sabench.plotting.charts import Cloud, Curve, Figure, Panel, Picture, Slice, Space, draw
 from sabench.plugins import load
-from sabench.velocity_figures import error_scatter, field_figure, profile_panel
+from sabench.tasks.figures.velocity import error_scatter, field_figure, profile_panel
+from sabench.utils.arrays import F64
 
 
 def flow_of(name: str, **parameters: Any) -> Any:

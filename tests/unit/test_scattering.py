@@ -8,9 +8,9 @@ import miepython
 import numpy as np
 import pytest
 
-from sabench.imaging.light import LIGHT_M_S, PLANCK_J_S, fluence
-from sabench.imaging.scattering import MieTable, mie_table
-from sabench.scene import Illumination
+from sabench.scenes.schema import Illumination
+from sabench.simulation.rendering.laser_sheet import LIGHT_M_S, PLANCK_J_S, fluence
+from sabench.simulation.rendering.mie import MieTable, mie_table
 
 WAVELENGTH_MM = 532e-6
 

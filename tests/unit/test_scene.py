@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sabench.errors import InputError
-from sabench.generation import make_particles
-from sabench.parsing import parse_scene, schema
-from sabench.rig import build_rig, load_scene
+from sabench.scenes.loading import parse_scene, schema
+from sabench.scenes.rig import build_rig, load_scene
+from sabench.simulation.in_memory import make_particles
+from sabench.utils.errors import InputError
 
 Edit = Callable[[str], str]
 

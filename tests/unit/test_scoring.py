@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 
 from sabench.api import Reconstruction
-from sabench.arrays import F64
-from sabench.dataset.read import View
-from sabench.generation import Shot, simulate
-from sabench.scoring import SCORES, brightness, score_frame, true_field
-from sabench.world import Particles
+from sabench.api.truth import Particles, View
+from sabench.simulation.in_memory import Shot, simulate
+from sabench.tasks.reconstruction_scores import SCORES, brightness, score_frame, true_field
+from sabench.utils.arrays import F64
 from tests.unit.test_imaging import make_scene
 
 

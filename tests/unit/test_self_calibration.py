@@ -7,19 +7,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from sabench.algorithms.calibration import disparity
+from sabench.algorithms.calibration.disparity import densest, find_sets
 from sabench.api import Calibration, Observation
-from sabench.calibration import disparity
-from sabench.calibration.disparity import densest, find_sets
-from sabench.calibration.frame import rigid_fit
-from sabench.calibration.matching import maps_of, positions, spots_of
-from sabench.errors import InputError
-from sabench.generation import Shot, simulate
-from sabench.optics.model import CameraModel
-from sabench.optics.triangulation import triangulate
-from sabench.parsing import parse_scene
+from sabench.geometry.camera_model import CameraModel
+from sabench.geometry.rigid_motion import rigid_fit
+from sabench.geometry.triangulation import triangulate
+from sabench.geometry.volume_polynomials import maps_of, positions
+from sabench.images.peaks import spots_of
 from sabench.plugins import load
-from sabench.rig import build_rig, load_scene
-from sabench.scene import Scene
+from sabench.scenes.loading import parse_scene
+from sabench.scenes.rig import build_rig, load_scene
+from sabench.scenes.schema import Scene
+from sabench.simulation.in_memory import Shot, simulate
+from sabench.utils.errors import InputError
 
 
 def particle_scene(shift_px: float, wall: bool = True, per_pixel: float = 0.025) -> Scene:

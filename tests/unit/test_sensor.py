@@ -7,8 +7,9 @@ import math
 import numpy as np
 import pytest
 
-from sabench.imaging.sensor import expose, white_level
-from sabench.scene import Sensor
+from sabench.scenes.rig import white_level
+from sabench.scenes.schema import Sensor
+from sabench.simulation.rendering.sensor import expose
 
 
 def test_photon_transfer() -> None:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from sabench.imaging.sightlines import NOTHING, meets, see
+from sabench.api.truth import NOTHING
+from sabench.simulation.rendering.pixel_truth import meets, see
 from tests.unit.test_light_paths import WALL, bubbles, camera
 
 

@@ -11,14 +11,14 @@ from scipy.integrate import quad
 from scipy.optimize import minimize_scalar
 from scipy.spatial import cKDTree
 
-from sabench.arrays import F64
-from sabench.errors import InputError
-from sabench.implicit import capsules, largest_part, smooth_minimum, surface_of
-from sabench.multiphase import Worlds
-from sabench.parsing import validate
+from sabench.api.truth import Solid
 from sabench.plugins import load
-from sabench.rig import build_rig
-from sabench.world import Solid
+from sabench.scenes.rig import build_rig
+from sabench.simulation.frames_of_bubbles import Worlds
+from sabench.utils.arrays import F64
+from sabench.utils.errors import InputError
+from sabench.utils.validation import validate
+from sabench.worlds.library.implicit_surfaces import capsules, largest_part, smooth_minimum, surface_of
 from tests.bubble_scenes import small
 
 BODIES: list[tuple[str, dict[str, Any]]] = [

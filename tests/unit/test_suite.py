@@ -9,13 +9,13 @@ import pytest
 from scipy import stats
 from scipy.special import erf
 
-from sabench.errors import InputError
-from sabench.imaging.particle_images import image_particles
+from sabench.api.truth import Particles
+from sabench.evaluation.suites import Case, load_suite, override
 from sabench.plugins import bundled
-from sabench.rig import build_rig, load_scene
-from sabench.statistics import mean_of
-from sabench.suite import Case, load_suite, override
-from sabench.world import Particles
+from sabench.scenes.rig import build_rig, load_scene
+from sabench.simulation.rendering.particle_images import image_particles
+from sabench.utils.confidence import mean_of
+from sabench.utils.errors import InputError
 
 SOLVER = '[[solvers]]\nname = "asa"\n'
 

@@ -10,17 +10,18 @@ import numpy as np
 import pytest
 
 import sabench
-from sabench.arrays import F64
-from sabench.dataset.verify import verify
-from sabench.detection import detect
-from sabench.errors import InputError
-from sabench.imaging.target_pictures import marker_bits, photograph
-from sabench.optics.camera import Camera
-from sabench.parsing import parse_scene
-from sabench.rig import build_rig
-from sabench.scene import Detection, Lighting
-from sabench.targets import exact_pixels, found_pixels, place, prior
-from sabench.world import Pose, Target
+from sabench.algorithms.calibration.target_detection import detect
+from sabench.api.truth import Target
+from sabench.dataset.verification import verify
+from sabench.geometry.camera import Camera
+from sabench.geometry.frames import Pose
+from sabench.scenes.loading import parse_scene
+from sabench.scenes.rig import build_rig
+from sabench.scenes.schema import Detection, Lighting
+from sabench.simulation.rendering.targets_traced import marker_bits, photograph
+from sabench.utils.arrays import F64
+from sabench.utils.errors import InputError
+from sabench.worlds.calibration_targets import exact_pixels, found_pixels, place, prior
 from tests.unit.calibration_cases import calibration_scene
 
 BOARDS = {

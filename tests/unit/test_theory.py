@@ -7,9 +7,9 @@ import math
 import numpy as np
 import pytest
 
-from sabench import theory
-from sabench.optics.camera import Camera, Distortion
-from sabench.theory import TABLE_3_1, Algorithm, ghost_ratio, normality, operations, plane_spacing_ratio
+from sabench.evaluation.thesis import theory
+from sabench.evaluation.thesis.theory import TABLE_3_1, Algorithm, ghost_ratio, normality, operations, plane_spacing_ratio
+from sabench.geometry.camera import Camera, Distortion
 
 S_O, S_I, PIXEL = 510.0, 102.0, 0.01  # mm: M(0) = -0.2
 

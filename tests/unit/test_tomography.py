@@ -9,17 +9,17 @@ import numpy as np
 import pytest
 from scipy.special import erf
 
+from sabench.algorithms.tomography import supersampling
+from sabench.algorithms.tomography.first_guess import every_voxel, product_guess
+from sabench.algorithms.tomography.footprint import BILINEAR, Footprint, gaussian, image_sigma_px
+from sabench.algorithms.tomography.kernels import exp2, multiply
+from sabench.algorithms.tomography.problem import Problem, TomographyParameters
+from sabench.algorithms.tomography.projection_operator import LinesOfSight, Support, sight_of
 from sabench.api import Observation
-from sabench.arrays import F32, F64
-from sabench.optics.camera import Camera, Distortion, aim, aimed_rotation
-from sabench.optics.wall import Layer, Wall
-from sabench.tomography import blobs
-from sabench.tomography.footprint import BILINEAR, Footprint, gaussian, image_sigma_px
-from sabench.tomography.guess import every_voxel, product_guess
-from sabench.tomography.kernels import exp2, multiply
-from sabench.tomography.operator import LinesOfSight, Support, sight_of
-from sabench.tomography.problem import Problem, TomographyParameters
-from sabench.volume import Grid
+from sabench.geometry.camera import Camera, Distortion, aim, aimed_rotation
+from sabench.geometry.grid import Grid
+from sabench.geometry.refraction import Layer, Wall
+from sabench.utils.arrays import F32, F64
 
 TILTED = Wall((0.0, 0.0, 0.0), (0.28, 0.0, 0.96), 1.0, (Layer("glass", 1.52, 5.0),), 1.333)
 GRID = Grid((-0.5, 0.7, 40.0), (0.05, 0.045, 0.06), (5, 12, 19))
@@ -200,12 +200,12 @@ def test_image_size_is_measured_in_a_crowd(sigma: float) -> None:
 
 def test_long_voxels_are_split_and_short_ones_are_not() -> None:
     cameras = [make_camera(240.0, 0.0, None), make_camera(0.0, 0.0, None)]
-    scale = blobs.scale_of(cameras, replace(GRID, voxel_mm=(0.05, 0.05, 0.2)))
+    scale = supersampling.scale_of(cameras, replace(GRID, voxel_mm=(0.05, 0.05, 0.2)))
     assert scale.px_per_mm == pytest.approx(np.mean([6800.0 / np.hypot(340.0, 240.0), 6800.0 / 340.0]), rel=0.02)
     assert scale.travel_px[0] == pytest.approx(1.0, rel=0.02)
     assert scale.travel_px[2] == pytest.approx(6800.0 * 0.2 * np.sin(np.arctan2(240.0, 340.0)) / np.hypot(340.0, 240.0), rel=0.02)
-    assert blobs.splits(scale) == (1, 1, 2)
-    fine = blobs.split(Grid((0.0, 1.0, 2.0), (0.1, 0.2, 0.3), (2, 3, 4)), (1, 2, 3))
+    assert supersampling.splits(scale) == (1, 1, 2)
+    fine = supersampling.split(Grid((0.0, 1.0, 2.0), (0.1, 0.2, 0.3), (2, 3, 4)), (1, 2, 3))
     assert fine.shape == (6, 6, 4)
     np.testing.assert_allclose(fine.low_mm, (0.0, 0.95, 1.9))
     np.testing.assert_allclose(fine.voxel_mm, (0.1, 0.1, 0.1))
@@ -214,11 +214,11 @@ def test_long_voxels_are_split_and_short_ones_are_not() -> None:
 @pytest.mark.parametrize(("count", "sigma"), [((1, 1, 1), 0.06), ((2, 1, 3), 0.05), ((2, 1, 3), 0.0)])
 def test_volume_is_the_sum_of_blobs(count: tuple[int, int, int], sigma: float) -> None:
     grid = Grid((0.0, 0.0, 0.0), (0.05, 0.05, 0.1), (6, 9, 11))
-    fine = blobs.split(grid, count)
+    fine = supersampling.split(grid, count)
     x, y, z = 6 * count[0] - 1, 5 * count[1] - 1, 4 * count[2] - 1
     start = np.zeros(fine.shape[0] * fine.shape[1] + 1, dtype=np.int64)
     start[z * fine.shape[1] + y + 1 :] = 1
-    volume = blobs.gather(Support(fine.shape, start, np.array([x], dtype=np.int16)), np.array([2.0], dtype=np.float32), grid, count, sigma)
+    volume = supersampling.gather(Support(fine.shape, start, np.array([x], dtype=np.int16)), np.array([2.0], dtype=np.float32), grid, count, sigma)
     centre = [float(axis[i]) for axis, i in zip(fine.axes_mm, (x, y, z), strict=True)]
     shares = [share_of(axis, step, c, sigma) for axis, step, c in zip(grid.axes_mm, grid.voxel_mm, centre, strict=True)]
     np.testing.assert_allclose(volume, 2.0 * np.einsum("k,j,i->kji", *shares[::-1]), rtol=0, atol=0.02)
@@ -234,10 +234,10 @@ def share_of(axis: F64, step: float, centre: float, sigma: float) -> F64:
 def test_dim_voxels_become_zero() -> None:
     volume = np.linspace(0.0, 1.0, 101, dtype=np.float32).reshape(1, 1, 101)
     bright = np.percentile(volume[volume > 0.1], 95.0)
-    kept = blobs.cleared(volume.copy(), 0.25)
+    kept = supersampling.cleared(volume.copy(), 0.25)
     np.testing.assert_array_equal(kept > 0.0, volume >= 0.25 * bright)
-    np.testing.assert_array_equal(blobs.cleared(volume.copy(), 0.0), volume)
-    assert not blobs.cleared(np.full((2, 3, 4), 1e-4, dtype=np.float32), 0.25).any()
+    np.testing.assert_array_equal(supersampling.cleared(volume.copy(), 0.0), volume)
+    assert not supersampling.cleared(np.full((2, 3, 4), 1e-4, dtype=np.float32), 0.25).any()
 
 
 def test_powers_of_two() -> None:
@@ -250,4 +250,4 @@ def test_powers_of_two() -> None:
 
 def test_a_grid_without_a_light_path_is_refused() -> None:
     with pytest.raises(ValueError, match="expected a light path to every voxel"):
-        blobs.scale_of(array(TILTED), replace(GRID, low_mm=(-0.5, 0.7, -40.0)))
+        supersampling.scale_of(array(TILTED), replace(GRID, low_mm=(-0.5, 0.7, -40.0)))

@@ -8,11 +8,11 @@ import numba
 import numpy as np
 import pytest
 
-from sabench.arrays import F32, F64
-from sabench.tomography.footprint import BILINEAR, Footprint
-from sabench.tomography.operator import LinesOfSight
-from sabench.tomography.pixelwise import STRIP
-from sabench.tomography.updates import DARKEST, Measured, State, block_mart, iterate, mart, sart, smart
+from sabench.algorithms.tomography.art_updates import DARKEST, Measured, State, block_mart, iterate, mart, sart, smart
+from sabench.algorithms.tomography.footprint import BILINEAR, Footprint
+from sabench.algorithms.tomography.mart_sweep import STRIP
+from sabench.algorithms.tomography.projection_operator import LinesOfSight
+from sabench.utils.arrays import F32, F64
 from tests.unit.test_tomography import BLOB, COLUMNS, ROWS, TILTED, array, lines_of
 
 Step = Callable[[State, Measured], float]

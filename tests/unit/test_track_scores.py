@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from sabench.api import Detections
-from sabench.arrays import I64
-from sabench.metrics.tracks import track_scores
-from sabench.world import Bubbles
+from sabench.api.truth import Bubbles
+from sabench.metrics.trajectories import track_scores
+from sabench.utils.arrays import I64
 
 TIMES = [0.0, 0.5, 1.5, 2.0]
 SPEED = np.array([2.0, 0.0, 1.0])

@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sabench.calibration.state import Free
-from sabench.generation import generate
-from sabench.optics.camera import Distortion
+from sabench.algorithms.calibration.parameters import Free
+from sabench.geometry.camera import Distortion
 from sabench.plugins import load
-from sabench.scene import Scene
-from sabench.solving import score, solve
+from sabench.scenes.schema import Scene
+from sabench.simulation.pipeline import generate
+from sabench.tasks.solve_and_score import score, solve
 from tests.unit.calibration_cases import calibration_scene, case_of, true_error_px
 
 _DISTORTION = {"k1": -0.5, "p1": 0.001}

@@ -8,18 +8,19 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter, map_coordinates, spline_filter
 
+from sabench.algorithms.velocimetry.blur import widened, widths
+from sabench.algorithms.velocimetry.correlation_kernels import block_sums
+from sabench.algorithms.velocimetry.deformation import met, spline_coefficients
+from sabench.algorithms.velocimetry.outliers import filled, medians, near_the_median, thesis_local, within_deviations
+from sabench.algorithms.velocimetry.windows import Windows, by_shifts, by_spectra
 from sabench.api import Velocity, VolumePair
-from sabench.arrays import F32, F64
-from sabench.errors import InputError
-from sabench.flows import advect
-from sabench.metrics.velocity import gradient, inner, precision_interval, response
+from sabench.geometry.grid import Grid, synthesise
+from sabench.geometry.vector_calculus import gradient, inner
+from sabench.metrics.velocity_error import precision_interval, response
 from sabench.plugins import load
-from sabench.velocimetry.blur import widened, widths
-from sabench.velocimetry.correlation import block_sums
-from sabench.velocimetry.moving import met, spline_coefficients
-from sabench.velocimetry.validation import filled, medians, near_the_median, thesis_local, within_deviations
-from sabench.velocimetry.windows import Windows, by_shifts, by_spectra
-from sabench.volume import Grid, synthesise
+from sabench.utils.arrays import F32, F64
+from sabench.utils.errors import InputError
+from sabench.worlds.advection import advect
 
 GRID = Grid((-4.0, -4.0, -2.0), (0.05, 0.05, 0.1), (40, 160, 160))
 WINDOW = (16, 32, 32)

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from scipy.integrate import quad
 
-from sabench.arrays import F64
-from sabench.optics.camera import Camera, Distortion, aim, aimed_rotation
-from sabench.optics.wall import Layer, Wall
-from sabench.reproject import TOLERANCE_PX, plane_map, plane_maps
-from sabench.volume import Grid, synthesise
+from sabench.algorithms.refocus import TOLERANCE_PX, plane_map, plane_maps
+from sabench.geometry.camera import Camera, Distortion, aim, aimed_rotation
+from sabench.geometry.grid import Grid, synthesise
+from sabench.geometry.refraction import Layer, Wall
+from sabench.utils.arrays import F64
 
 GRID = Grid((-4.0, 2.0, 40.0), (0.25, 0.2, 0.5), (12, 30, 41), crop=(3, 2, 1))
 

@@ -11,10 +11,10 @@ import pytest
 from scipy.optimize import brentq, minimize
 from scipy.spatial.transform import Rotation
 
-import sabench.optics.wall
-from sabench.arrays import F64
-from sabench.optics.camera import Camera, Distortion, aimed_rotation
-from sabench.optics.wall import Layer, Wall, solve_slope, trace_into_fluid, trace_to_points, transmittance
+import sabench.geometry.refraction
+from sabench.geometry.camera import Camera, Distortion, aimed_rotation
+from sabench.geometry.refraction import Layer, Wall, solve_slope, trace_into_fluid, trace_to_points, transmittance
+from sabench.utils.arrays import F64
 
 
 def unit(vector: Any) -> F64:
@@ -172,13 +172,13 @@ def test_lateral_distance_is_met(wall: Wall) -> None:
 @pytest.mark.parametrize("wall", WALLS)
 def test_the_iteration_ends_in_a_few_steps(wall: Wall, monkeypatch: pytest.MonkeyPatch) -> None:
     """Newton's iteration doubles its digits: a stopping rule that asks for more of them than a double has would go on to the limit."""
-    calls, lateral = [], sabench.optics.wall._lateral
+    calls, lateral = [], sabench.geometry.refraction._lateral
 
     def counted(*arguments: Any) -> Any:
         calls.append(arguments)
         return lateral(*arguments)
 
-    monkeypatch.setattr(sabench.optics.wall, "_lateral", counted)
+    monkeypatch.setattr(sabench.geometry.refraction, "_lateral", counted)
     thicknesses = [layer.thickness_mm for layer in wall.layers]
     solve_slope(wall.indices, [400.0, *thicknesses, 60.0], np.linspace(0.0, 2000.0, 4001))
     assert len(calls) <= 20

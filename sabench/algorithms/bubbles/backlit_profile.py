@@ -1,0 +1,88 @@
+"""What a backlit bubble looks like: transmission over the distance from its centre, by ray optics, blurred by lens and pixels.
+
+A ray that meets a ball at a part b of its radius is reflected, by pi - 2 asin(b), or goes through, by 2 (asin(b n) - asin(b)), n being the index of
+the fluid over that of the ball, or is reflected inside first. What it brings is the diffuser's light if it leaves within the diffuser's half
+angle of its direction, and nothing else. The rim is dark between where light that goes through is bent too far and where light that is
+reflected is not bent far enough.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import i0e
+
+from sabench.utils.arrays import F32, F64
+
+_INNER = 3  # reflections inside that are followed
+_SOFT = 0.15  # of the diffuser's half angle: it is not round, and not seen from its axis
+_FINE = 600  # distances at which the sharp profile is taken
+_RADII, _DISTANCES = 72, 96  # of the table
+SMALLEST, LARGEST = 0.4, 60.0  # px
+REACH = 4.0  # widths of the blur beyond the rim
+
+
+def sharp(b: F64, index: float, half_angle: float) -> F64:
+    """Transmission (n,) at parts b (n,) of a ball's radius.
+
+    Parameters
+    ----------
+    index : of the ball over that of the fluid.
+    half_angle : of the diffuser as seen from the ball in the fluid, rad.
+    """
+    b = np.asarray(b, dtype=np.float64)
+    inside = np.clip(b, 0.0, 1.0 - 1e-12)
+    incident = np.arcsin(inside)
+    sine = inside / index
+    total = sine >= 1.0
+    refracted = np.arcsin(np.where(total, 0.0, sine))
+    part = np.where(total, 1.0, reflectance(incident, refracted, index))
+    light = part * _seen(np.pi - 2.0 * incident, half_angle)
+    turn = 2.0 * (refracted - incident)
+    for bounce in range(_INNER + 1):
+        light = light + np.where(total, 0.0, (1.0 - part) ** 2 * part**bounce * _seen(turn + bounce * (np.pi - 2.0 * refracted), half_angle))
+    return np.where(b >= 1.0, 1.0, light)
+
+
+def reflectance(incident: F64, refracted: F64, index: float) -> F64:
+    """Fresnel's, for light without polarisation."""
+    a, c = np.cos(incident), np.cos(refracted)
+    across, along = (a - index * c) / (a + index * c), (c - index * a) / (c + index * a)
+    return np.asarray(0.5 * (across**2 + along**2))
+
+
+def _seen(angle: F64, half_angle: float) -> F64:
+    """Whether light turned by an angle comes from the diffuser; part of it near its edge."""
+    away = np.abs((angle + np.pi) % (2.0 * np.pi) - np.pi)
+    return np.asarray(np.clip((half_angle * (1.0 + _SOFT) - away) / (2.0 * _SOFT * half_angle), 0.0, 1.0))
+
+
+@dataclass(frozen=True)
+class Profile:
+    """Blurred transmission (radius, distance): radii are spread geometrically, distances evenly from the centre to `reach` radii."""
+
+    table: F32
+    blur_px: float
+
+    @classmethod
+    def of(cls, index: float, half_angle: float, blur_px: float) -> Profile:
+        """The table for balls of a relative index before a diffuser of a half angle, blurred by a Gaussian."""
+        radii = np.geomspace(SMALLEST, LARGEST, _RADII)
+        table = np.empty((_RADII, _DISTANCES), dtype=np.float32)
+        for row, radius in zip(table, radii, strict=True):
+            edges = np.linspace(0.0, radius, _FINE + 1)
+            middle, step = edges[:-1] + radius / _FINE / 2.0, radius / _FINE
+            missing = 1.0 - sharp(middle / radius, index, half_angle)
+            distance = np.linspace(0.0, 1.0, _DISTANCES)[:, None] * (radius + REACH * blur_px)
+            weight = np.exp(-((distance - middle) ** 2) / (2.0 * blur_px**2)) * i0e(distance * middle / blur_px**2) * middle / blur_px**2
+            row[:] = 1.0 - (weight * missing).sum(axis=1) * step
+        return cls(table, blur_px)
+
+    def __call__(self, distance: F64, radius_px: float) -> F64:
+        """Transmission at distances (n,) in px from the centre of a ball."""
+        place = np.log(radius_px / SMALLEST) / np.log(LARGEST / SMALLEST) * (_RADII - 1)
+        low = int(np.clip(np.floor(place), 0, _RADII - 2))
+        row = self.table[low] * (low + 1 - place) + self.table[low + 1] * (place - low)
+        part = distance / (radius_px + REACH * self.blur_px)
+        return np.asarray(np.interp(part, np.linspace(0.0, 1.0, _DISTANCES), row, right=1.0))

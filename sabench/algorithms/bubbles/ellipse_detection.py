@@ -1,0 +1,182 @@
+"""Ellipses in an image of something dark: edges to a fraction of a pixel, votes for axes, least squares on the edges that voted.
+
+Source: Y. Xie and Q. Ji, A new efficient ellipse detection method, ICPR 2002: every two edges may be the ends of a major axis, for whose minor axis
+all others vote. Here edges have directions too, which must be those of the ellipse's inward normals, so that few pairs are left and the inner edges
+of rings do not vote; and an outline is judged by the part of it that has edges.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import cv2
+import numba
+import numpy as np
+
+from sabench.utils.arrays import F32, F64
+
+_BIN = 0.5  # px: of minor axes in the accumulator
+_OFF = 0.75  # px: of an edge from the outline that it belongs to
+_ALONG = np.cos(np.deg2rad(25.0))  # of an edge's direction and the outline's normal
+_FLANK = 0.9  # of the major semi-axis: edges nearer to its ends say nothing about the minor one
+_LEAST_PX = 1.2  # semi-axis
+_FEWEST = 6  # edges of an outline
+_FITS = 2
+
+
+def edges(dark: F32, least: float) -> F64:
+    """Edges (n, 4) of an image of darkness: column and row to a fraction of a pixel, and unit vectors towards the dark.
+
+    They are the maxima of the gradient's length along its direction, placed by a parabola through it and its neighbours on both sides.
+
+    Parameters
+    ----------
+    least : gradient per pixel that makes an edge.
+    """
+    if min(dark.shape) < 3:
+        return np.zeros((0, 4))
+    right = cv2.Sobel(dark, cv2.CV_32F, 1, 0, ksize=3, scale=0.125, borderType=cv2.BORDER_REPLICATE)
+    down = cv2.Sobel(dark, cv2.CV_32F, 0, 1, ksize=3, scale=0.125, borderType=cv2.BORDER_REPLICATE)
+    strength = cv2.magnitude(right, down)
+    rows, columns = np.nonzero(strength > least)
+    here = strength[rows, columns]
+    gx, gy = right[rows, columns] / here, down[rows, columns] / here
+    before, after = (_between(strength, columns + side * gx, rows + side * gy) for side in (-1.0, 1.0))
+    peak = (here >= before) & (here > after)
+    offset = 0.5 * (before - after)[peak] / (before - 2.0 * here + after)[peak]
+    gx, gy = gx[peak], gy[peak]
+    return np.column_stack([columns[peak] + offset * gx, rows[peak] + offset * gy, gx, gy]).astype(np.float64)
+
+
+def _between(image: F32, x: F32, y: F32) -> F32:
+    """Values between pixels."""
+    if not len(x):
+        return np.zeros(0, dtype=np.float32)
+    found = cv2.remap(image, x.astype(np.float32)[None], y.astype(np.float32)[None], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    return np.asarray(found[0])
+
+
+def ellipses(points: F64, largest: float, least_aspect: float, least_part: float) -> F64:
+    """Outlines (n, 6) that edges (m, 4) make, the best one first: column, row, semi-axes, angle of the longer one from X, part that has edges.
+
+    An outline takes its edges away from the others, as the largest value of an accumulator is taken out before the next one is looked for.
+
+    Parameters
+    ----------
+    largest : semi-axis in px.
+    least_aspect : short over long axis.
+    least_part : of an outline that must have edges.
+    """
+    out = []
+    while len(points) >= _FEWEST:
+        one, part = _voted(points, largest, least_aspect)
+        if part < least_part:
+            break
+        for _ in range(_FITS):
+            one = _fitted(points[_belongs(points, one, _OFF)], one)
+        part = _covered(points, one)
+        if part >= least_part and one[3] >= least_aspect * one[2]:
+            out.append(np.append(one, part))
+        own = _belongs(points, one, 2.0 * _OFF)
+        if not own.any():
+            break
+        points = points[~own]
+    return np.array(out, dtype=np.float64).reshape(-1, 6)
+
+
+def _fitted(points: F64, first: F64) -> F64:
+    """The ellipse of least squares through edges; `first` if there are too few or they lie on none like it."""
+    if len(points) < _FEWEST:
+        return first
+    (x, y), (one, other), degrees = cv2.fitEllipseDirect(points[:, :2].astype(np.float32))
+    angle = np.deg2rad(degrees) + (0.0 if one >= other else np.pi / 2.0)
+    found = np.array([x, y, max(one, other) / 2.0, min(one, other) / 2.0, angle])
+    like = np.isfinite(found).all() and np.abs(found[:4] - first[:4]).max() <= max(1.0, 0.3 * first[2])
+    return found if like and found[3] >= _LEAST_PX else first
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _relation(points: Any, ellipse: Any) -> Any:
+    """Edges' distances from an ellipse to first order, cosines between their directions and its inward normals, and eccentric angles."""
+    x, y, a, b, angle = ellipse
+    cosine, sine = np.cos(angle), np.sin(angle)
+    out = np.empty((3, len(points)))
+    for k in range(len(points)):
+        dx, dy, gx, gy = points[k, 0] - x, points[k, 1] - y, points[k, 2], points[k, 3]
+        u, w = dx * cosine + dy * sine, dy * cosine - dx * sine
+        nu, nw = u / a**2, w / b**2
+        length = max(np.hypot(nu, nw), 1e-12)
+        part = np.hypot(u / a, w / b)
+        out[0, k] = (part - 1.0) * part / length
+        out[1, k] = -((gx * cosine + gy * sine) * nu + (gy * cosine - gx * sine) * nw) / length
+        out[2, k] = np.arctan2(w / b, u / a)
+    return out
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _belongs(points: Any, ellipse: Any, off: float) -> Any:
+    """Which edges are close to an ellipse and look inwards."""
+    relation = _relation(points, ellipse)
+    return (np.abs(relation[0]) <= off) & (relation[1] >= _ALONG)
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _covered(points: Any, ellipse: Any) -> float:
+    """Part of an outline, in steps of about a pixel, that has edges."""
+    a, b = ellipse[2], ellipse[3]
+    steps = max(8, int(np.rint(np.pi * (3.0 * (a + b) - np.sqrt((3.0 * a + b) * (a + 3.0 * b))))))  # Ramanujan's circumference
+    seen = np.zeros(steps, dtype=np.bool_)
+    relation = _relation(points, ellipse)
+    for k in range(len(points)):
+        if abs(relation[0, k]) <= _OFF and relation[1, k] >= _ALONG:
+            seen[int((relation[2, k] / (2.0 * np.pi) + 0.5) * steps) % steps] = True
+    return float(seen.sum()) / steps
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _voted(points: Any, largest: float, least_aspect: float) -> Any:
+    """The ellipse (5,) that edges vote for most, and the part of it that has edges; of equally whole ones the larger one."""
+    best, best_part, most = np.zeros(5), 0.0, 0.0
+    for i in range(len(points)):
+        for j in range(i):
+            dx, dy = points[i, 0] - points[j, 0], points[i, 1] - points[j, 1]
+            length = np.hypot(dx, dy)
+            if length < 2.0 * _LEAST_PX or length > 2.0 * largest:
+                continue
+            if points[j, 2] * dx + points[j, 3] * dy < _ALONG * length or points[i, 2] * dx + points[i, 3] * dy > -_ALONG * length:
+                continue
+            axis = np.array([0.5 * (points[i, 0] + points[j, 0]), 0.5 * (points[i, 1] + points[j, 1]), 0.5 * length, 0.0, np.arctan2(dy, dx)])
+            axis[3] = _minor(points, axis, least_aspect)
+            if axis[3] == 0.0:
+                continue
+            part = _covered(points, axis)
+            worth = part**2 * np.sqrt(axis[2] * axis[3])
+            if worth > most:
+                best, best_part, most = axis, part, worth
+    return best, best_part
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _minor(points: Any, axis: Any, least_aspect: float) -> float:
+    """The minor semi-axis with the most votes, the mean over it and its neighbours in the accumulator; 0 without votes."""
+    x, y, a, _, angle = axis
+    cosine, sine = np.cos(angle), np.sin(angle)
+    votes = np.zeros(int(a / _BIN) + 4)
+    for k in range(len(points)):
+        dx, dy = points[k, 0] - x, points[k, 1] - y
+        u, w = dx * cosine + dy * sine, dy * cosine - dx * sine
+        if abs(u) > _FLANK * a:
+            continue
+        b = abs(w) / np.sqrt(1.0 - (u / a) ** 2)
+        if b < max(least_aspect * a - _BIN, _LEAST_PX) or b > a + _BIN:
+            continue
+        nu, nw = u / a**2, w / b**2
+        inward = -((points[k, 2] * cosine + points[k, 3] * sine) * nu + (points[k, 3] * cosine - points[k, 2] * sine) * nw)
+        if inward >= _ALONG * np.hypot(nu, nw):
+            votes[int(b / _BIN)] += 1.0
+    three = votes[:-2] + votes[1:-1] + votes[2:]
+    top = three.argmax()
+    if three[top] < 3.0:
+        return 0.0
+    mean = (votes[top] * (top + 0.5) + votes[top + 1] * (top + 1.5) + votes[top + 2] * (top + 2.5)) / three[top]
+    return float(min(mean * _BIN, a))

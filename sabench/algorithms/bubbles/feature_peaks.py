@@ -1,0 +1,122 @@
+"""Peaks of the feature potential over depth, groups of them, and the depth of an outline.
+
+Source: J. Belden's thesis, section 5.4.3. There a group is whatever is connected, each peak within half a window and ten planes of another one.
+Among many bubbles such chains run from one to the next, and their mean depth is that of none; here a group is what is connected to its strongest
+peak within ten planes of that one, and as far sideways as the largest bubble.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.ndimage import label
+
+from sabench.algorithms.bubbles.feature_potential import WINDOW
+from sabench.utils.arrays import F32, F64, I64, Bool
+
+STEP = WINDOW // 2  # voxels between windows that overlap by half
+PLANES = 10  # from a group's strongest peak to the others
+_NEAR = 5  # planes on both sides of the darkest one that make a depth
+_OVERLAP = 0.8  # of the larger one's semi-axis: bubbles whose centres are nearer are one
+_LARGER = 1.5  # times: the smaller one of two is a part of the other
+
+
+@dataclass(frozen=True)
+class Peaks:
+    """Peaks of every window's potential over depth, the strongest first.
+
+    Attributes
+    ----------
+    place : (n, 3) plane, window row, window column.
+    weight : (n,) the potential.
+    """
+
+    place: I64
+    weight: F64
+
+    @classmethod
+    def of(cls, potential: F32, least: float) -> Peaks:
+        """Where a potential (z, window rows, window columns) is larger than one plane before and after, and than `least`."""
+        around = np.pad(potential, ((1, 1), (0, 0), (0, 0)))
+        place = np.argwhere((potential > least) & (potential >= around[:-2]) & (potential > around[2:]))
+        weight = potential[tuple(place.T)].astype(np.float64)
+        order = np.argsort(-weight, kind="stable")
+        return cls(place[order], weight[order])
+
+    def group(self, first: int, free: Bool, reach: int) -> I64:
+        """Indices of the free peaks that neighbouring windows connect with one, no farther from it than `reach` windows and `PLANES`."""
+        apart = self.place - self.place[first]
+        near = np.flatnonzero(free & (np.abs(apart[:, 0]) <= PLANES) & (np.abs(apart[:, 1:]).max(axis=1) <= reach))
+        row, column = (apart[near, 1:] + reach).T
+        taken = np.zeros((2 * reach + 1, 2 * reach + 1), dtype=np.bool_)
+        taken[row, column] = True
+        parts, _ = label(taken, np.ones((3, 3)))
+        return np.asarray(near[parts[row, column] == parts[reach, reach]])
+
+    def plane(self, group: I64) -> int:
+        """The plane of a group: the mean over its peaks, weighted with them."""
+        return round(float(np.average(self.place[group, 0], weights=self.weight[group])))
+
+    def within(self, bubble: F64, planes: int) -> Bool:
+        """Which peaks have some of their window inside the circle around a bubble (7,) and are at most so many planes from it."""
+        y, x = (self.place[:, axis] * STEP + (WINDOW - 1) / 2.0 for axis in (1, 2))
+        return np.asarray((np.hypot(x - bubble[0], y - bubble[1]) <= bubble[2] + WINDOW / 2.0) & (np.abs(self.place[:, 0] - bubble[6]) <= planes))
+
+
+def depth_of(volume: F32, outline: F64, plane: int) -> float:
+    """The plane, to a fraction, in which what is within a voxel of an outline and inside it is darkest.
+
+    It is the mean of the planes around the darkest one, weighted with the square of their mean darkness.
+
+    Parameters
+    ----------
+    volume : darkness (z, y, x).
+    outline : column, row, semi-axes, angle in voxels.
+    plane : from which at most `PLANES` are gone.
+    """
+    rows, columns, inside = _inside(volume.shape[1:], outline)
+    first = max(plane - PLANES, 0)
+    stack = volume[first : plane + PLANES + 1, rows, columns][:, inside]
+    if not stack.size:
+        return float(plane)
+    dark = stack.mean(axis=1, dtype=np.float64)
+    index = np.arange(len(dark))
+    weight = np.where(np.abs(index - dark.argmax()) <= _NEAR, dark**2, 0.0)
+    return first + float(np.average(index, weights=weight)) if weight.any() else float(plane)
+
+
+def _inside(shape: tuple[int, ...], outline: F64) -> tuple[slice, slice, Bool]:
+    """A box of a plane, and which of its voxels are inside an outline or within one of it."""
+    x, y, a, b, angle = outline[:5]
+    rows = slice(max(int(y - a) - 1, 0), max(min(int(y + a) + 3, shape[0]), 0))
+    columns = slice(max(int(x - a) - 1, 0), max(min(int(x + a) + 3, shape[1]), 0))
+    down, right = np.mgrid[rows, columns]
+    u = (right - x) * np.cos(angle) + (down - y) * np.sin(angle)
+    w = (down - y) * np.cos(angle) - (right - x) * np.sin(angle)
+    return rows, columns, np.asarray((u / (a + 1.0)) ** 2 + (w / (b + 1.0)) ** 2 <= 1.0)
+
+
+def distinct(bubbles: F64, depth: float) -> F64:
+    """Bubbles (n, 7) of which no two are at one place, the largest first: a much smaller one is left out, two alike are merged.
+
+    The merged one is their mean, weighted with the parts of their outlines that have edges, with the angle of the first.
+
+    Parameters
+    ----------
+    bubbles : column, row, semi-axes, angle, part of the outline that has edges, plane.
+    depth : distance of planes in voxels.
+    """
+    kept: list[F64] = []
+    for one in bubbles[np.argsort(-bubbles[:, 2], kind="stable")]:
+        for other in kept:
+            if np.linalg.norm((one - other)[[0, 1, 6]] * [1.0, 1.0, depth]) > _OVERLAP * other[2]:
+                continue
+            if _LARGER * one[2] >= other[2]:
+                share = one[5] / max(one[5] + other[5], 1e-9)
+                other[[0, 1, 2, 3, 6]] += share * (one - other)[[0, 1, 2, 3, 6]]
+                other[5] = max(one[5], other[5])
+            break
+        else:
+            kept.append(one.copy())
+    return np.array(kept, dtype=np.float64).reshape(-1, 7)

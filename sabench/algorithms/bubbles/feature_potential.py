@@ -1,0 +1,248 @@
+"""The thesis's way to bubbles: a refocused stack, its feature potential, minimum images, outlines.
+
+Source: J. Belden's thesis, sections 5.3 and 5.4. What is refocused, attenuated and looked at is darkness, one less the images' transmission: the
+thesis's minimum images are largest darkness here.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numba
+import numpy as np
+
+from sabench.algorithms.bubbles.transmission import transmission
+from sabench.algorithms.refocus import refocus_log2
+from sabench.api import Observation
+from sabench.geometry.grid import Grid
+from sabench.utils.arrays import F32, F64
+
+WINDOW = 7  # voxels: l_x = l_y
+STACK = 50  # planes of a minimum image
+_SHARP = 2.0  # v of equation 5.15 for a window whose variance is one
+_FLAT = 0.02  # spread of a window in which nothing is
+_CAP = 60.0  # of the exponent: single precision ends at 88
+_FLOOR = 0.02
+
+
+def darkness(case: Observation) -> F32:
+    """The multiplicative stack of equation 5.7, n = 1/3, of what is dark: (z, y, x) from 0 to 1.
+
+    It is the images' darkness that is multiplied. A product of bright images is dark wherever any one of them is; the thesis wants a camera whose
+    view is blocked not to prevent that an object comes into focus.
+    """
+    images = np.clip(1.0 - transmission(case), _FLOOR, 1.0)
+    volume = refocus_log2(images, case.cameras, case.grid, _FLOOR, outside=_FLOOR)
+    volume *= 1.0 / 3.0
+    return np.asarray(np.exp2(volume, out=volume))
+
+
+def feature(volume: F32, step: int, flat: float = _FLAT) -> F32:
+    """E (z, window rows, window columns) of equations 5.15 and 5.16, for windows `step` voxels apart; 0 where the spread is below `flat`."""
+    rows, columns = (max(1, (size - WINDOW) // step + 1) for size in volume.shape[1:])
+    out = np.zeros((volume.shape[0], rows, columns), dtype=np.float32)
+    _potential(volume, step, flat, out)
+    return out
+
+
+@numba.njit(cache=True, parallel=True, error_model="numpy")
+def _potential(volume: Any, step: int, flat: float, out: Any) -> None:
+    planes, height, width = volume.shape
+    for window in numba.prange(out.shape[1] * out.shape[2]):
+        i, j = window // out.shape[2], window % out.shape[2]
+        top, left = i * step, j * step
+        bottom, right = min(top + WINDOW, height), min(left + WINDOW, width)
+        total = square = 0.0
+        for z in range(planes):
+            for y in range(top, bottom):
+                for x in range(left, right):
+                    total += volume[z, y, x]
+                    square += volume[z, y, x] ** 2
+        count = planes * (bottom - top) * (right - left)
+        spread = np.sqrt(max(square / count - (total / count) ** 2, 0.0))
+        if spread < flat:
+            continue
+        for z in range(planes):
+            across = along = 0.0
+            for y in range(top, bottom):
+                for x in range(left, right):
+                    gx = abs(volume[z, y, min(x + 1, width - 1)] - volume[z, y, max(x - 1, 0)]) * 0.5 / spread
+                    gy = abs(volume[z, min(y + 1, height - 1), x] - volume[z, max(y - 1, 0), x]) * 0.5 / spread
+                    across += gx * np.exp(min(gx / _SHARP, _CAP))
+                    along += gy * np.exp(min(gy / _SHARP, _CAP))
+            out[z, i, j] = max(across, along)
+
+
+def attenuate(volume: F32, potential: F32, step: int) -> None:
+    """Multiply each window's planes by the cumulative distribution of E over depth, interpolated between the windows' middles; in place."""
+    order = np.argsort(np.argsort(potential, axis=0, kind="stable"), axis=0, kind="stable")
+    share = ((order + 1) / len(potential)).astype(np.float32)
+    share[:, potential.max(axis=0) == 0.0] = 0.0
+    offset = WINDOW / 2.0 - 0.5
+    x = ((np.arange(volume.shape[2], dtype=np.float32) - offset) / step).astype(np.float32)
+    y = ((np.arange(volume.shape[1], dtype=np.float32) - offset) / step).astype(np.float32)
+    columns, rows = np.meshgrid(x, y)
+    for plane, part in zip(volume, share, strict=True):
+        plane *= cv2.remap(np.ascontiguousarray(part), columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+
+
+@dataclass(frozen=True)
+class Outlines:
+    """Circles or ellipses in a plane: column, row, semi-axes across and down (n, 4) in voxels, and the depth index (n,)."""
+
+    shapes: F64
+    depth: F64
+
+
+def outlines(dark: F32, depth: F32, least: float, small: float) -> Outlines:
+    """Bubbles of one image of darkness (rows, columns) with its map of depths: edges, labels, circles of the large and thresholds of the small ones.
+
+    Parameters
+    ----------
+    least : gradient of darkness per voxel that makes an edge.
+    small : equivalent diameter in voxels below which a feature is thresholded.
+    """
+    right = cv2.Sobel(dark, cv2.CV_32F, 1, 0, ksize=3, scale=0.125)
+    down = cv2.Sobel(dark, cv2.CV_32F, 0, 1, ksize=3, scale=0.125)
+    strength = cv2.magnitude(right, down)
+    edges = (strength > least).astype(np.uint8)
+    count, labels, stats, _ = cv2.connectedComponentsWithStats(edges, connectivity=8)
+    found = []
+    for label in range(1, count):
+        left, top, width, height, area = stats[label]
+        if area <= 3:
+            continue
+        margin = 2
+        rows, columns = slice(max(top - margin, 0), top + height + margin), slice(max(left - margin, 0), left + width + margin)
+        filled = _filled(labels[rows, columns] == label)
+        shapes = []
+        if 2.0 * np.sqrt(filled.sum() / np.pi) >= small:
+            shapes = circles(right[rows, columns], down[rows, columns], labels[rows, columns] == label)
+        shapes = shapes or _thresholded(dark[rows, columns])  # a circle that nothing votes for is too small for votes
+        for x, y, a, b in shapes:
+            found.append((x + columns.start, y + rows.start, a, b))
+    every = np.array(found, dtype=np.float64).reshape(-1, 4)
+    return Outlines(every, np.array([_depth_of(one, dark, depth) for one in every]))
+
+
+def _filled(mask: Any) -> Any:
+    from scipy.ndimage import binary_fill_holes
+
+    return binary_fill_holes(mask)
+
+
+def _thresholded(dark: F32) -> list[tuple[float, float, float, float]]:
+    """Centroid and equivalent radius of what is darker than the mean of a region, as a circle; none where all is alike."""
+    inside = dark > dark.mean()
+    if not inside.any():
+        return []
+    rows, columns = np.nonzero(inside)
+    radius = float(np.sqrt(inside.sum() / np.pi))
+    return [(float(columns.mean()), float(rows.mean()), radius, radius)]
+
+
+def blots(dark: F32, least: float, small: float) -> list[tuple[float, float, float]]:
+    """Column, row and radius of features of a region that end within it and have an equivalent diameter below `small` voxels."""
+    right = cv2.Sobel(dark, cv2.CV_32F, 1, 0, ksize=3, scale=0.125)
+    down = cv2.Sobel(dark, cv2.CV_32F, 0, 1, ksize=3, scale=0.125)
+    count, _, stats, _ = cv2.connectedComponentsWithStats((cv2.magnitude(right, down) > least).astype(np.uint8), connectivity=8)
+    out = []
+    for left, top, width, height, area in stats[1:count]:
+        if area <= 3 or left == 0 or top == 0 or left + width == dark.shape[1] or top + height == dark.shape[0]:
+            continue
+        margin = 2
+        rows, columns = slice(max(top - margin, 0), top + height + margin), slice(max(left - margin, 0), left + width + margin)
+        out += [(x + columns.start, y + rows.start, r) for x, y, r, _ in _thresholded(dark[rows, columns]) if 2.0 * r < small]
+    return out
+
+
+def circles(right: F32, down: F32, own: Any) -> list[tuple[float, float, float, float]]:
+    """Circles of one feature by votes of its edge pixels along their gradients, towards the dark side; several if several are supported."""
+    rows, columns = np.nonzero(own)
+    gx, gy = right[rows, columns], down[rows, columns]
+    length = np.hypot(gx, gy)
+    largest = int(np.ceil(0.75 * max(own.shape))) + 1
+    votes = np.zeros((largest, own.shape[0], own.shape[1]), dtype=np.float32)
+    _vote(rows, columns, gx / length, gy / length, votes)
+    out = []
+    for _ in range(8):
+        smooth = cv2.GaussianBlur(votes.max(axis=0), (0, 0), 0.8)
+        row, column = np.unravel_index(int(smooth.argmax()), smooth.shape)
+        profile = votes[:, max(row - 1, 0) : row + 2, max(column - 1, 0) : column + 2].sum(axis=(1, 2))
+        expected = 2.0 * np.pi * np.arange(1, largest + 1)
+        score = profile / expected
+        radius = int(score.argmax()) + 1
+        if score[radius - 1] < 0.35 or radius < 2:
+            break
+        near = slice(max(radius - 2, 0), radius + 1)
+        weight = profile[near]
+        r = float(np.sum(weight * (np.arange(largest) + 1)[near]) / weight.sum())
+        ys, xs = np.mgrid[max(row - 1, 0) : min(row + 2, own.shape[0]), max(column - 1, 0) : min(column + 2, own.shape[1])]
+        there = votes[near, ys.min() : ys.max() + 1, xs.min() : xs.max() + 1].sum(axis=0)
+        out.append((float(np.sum(there * xs) / there.sum()), float(np.sum(there * ys) / there.sum()), r, r))
+        used = np.abs(np.hypot(columns - column, rows - row) - r) < 1.5
+        if used.all():
+            break
+        rows, columns, gx, gy, length = rows[~used], columns[~used], gx[~used], gy[~used], length[~used]
+        votes[:] = 0.0
+        if len(rows) < 6:
+            break
+        _vote(rows, columns, gx / length, gy / length, votes)
+    return out
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _vote(rows: Any, columns: Any, gx: Any, gy: Any, votes: Any) -> None:
+    """Each edge pixel votes for the centres of circles whose outline it is: darkness grows inwards."""
+    for n in range(len(rows)):
+        for r in range(1, votes.shape[0] + 1):
+            x, y = int(np.rint(columns[n] + r * gx[n])), int(np.rint(rows[n] + r * gy[n]))
+            if 0 <= x < votes.shape[2] and 0 <= y < votes.shape[1]:
+                votes[r - 1, y, x] += 1.0
+
+
+def _depth_of(shape: F64, dark: F32, depth: F32) -> float:
+    """Mean of the depths within a voxel of the outline and inside it, weighted with the darkness."""
+    x, y, a, b = shape
+    margin = 2
+    top, bottom = max(int(y - b) - margin, 0), min(int(y + b) + margin + 1, dark.shape[0])
+    left, right = max(int(x - a) - margin, 0), min(int(x + a) + margin + 1, dark.shape[1])
+    rows, columns = np.mgrid[top:bottom, left:right]
+    part = np.sqrt(((columns - x) / (a + 1.0)) ** 2 + ((rows - y) / (b + 1.0)) ** 2)
+    weight = np.where(part <= 1.0, dark[top:bottom, left:right], 0.0)
+    return float(np.sum(weight * depth[top:bottom, left:right]) / max(float(weight.sum()), 1e-9))
+
+
+def minimum_images(volume: F32) -> list[tuple[F32, F32]]:
+    """Largest darkness over every `STACK` planes, and where it is: index of the plane."""
+    out = []
+    for first in range(0, len(volume), STACK):
+        part = volume[first : first + STACK]
+        which = part.argmax(axis=0)
+        out.append((np.take_along_axis(part, which[None], axis=0)[0], (which + first).astype(np.float32)))
+    return out
+
+
+def validated(shapes: F64, grid: Grid) -> F64:
+    """Bubbles (n, 6: x, y, z, two semi-axes, weight) less those in larger ones; others that overlap are merged.
+
+    All in mm; two overlap if they do so in the plane and their depths differ by less than the larger one's radius and a stack.
+    """
+    order = np.argsort(-shapes[:, 3], kind="stable")
+    reach = STACK * grid.voxel_mm[2] * 0.5
+    kept: list[F64] = []
+    for one in shapes[order]:
+        for number, other in enumerate(kept):
+            apart = float(np.hypot(one[0] - other[0], one[1] - other[1]))
+            if abs(one[2] - other[2]) > max(other[3], reach) or apart > 0.8 * (one[3] + other[3]):
+                continue
+            if apart + one[3] <= 1.1 * other[3] or one[3] < other[3] / 1.5:
+                break
+            weight = other[5] + one[5]
+            kept[number] = np.append((other[:5] * other[5] + one[:5] * one[5]) / weight, weight)
+            break
+        else:
+            kept.append(one)
+    return np.array(kept).reshape(-1, 6)

@@ -1,0 +1,278 @@
+"""Bubbles fitted to all images at once: what lies behind several is dimmed by each of them.
+
+A bubble is a spheroid with its centre, two semi-axes (as logarithms) and two tilts of its short axis from the vertical. Its image in a camera is an
+ellipse: the camera is linear over so small a thing. All bubbles together make a model of the images, the product of their transmissions; one is
+fitted while the others stay, by Levenberg and Marquardt's method on the pixels around it in all views.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numba
+import numpy as np
+
+from sabench.algorithms.bubbles.backlit_profile import LARGEST, REACH, SMALLEST, Profile
+from sabench.geometry.camera import Camera
+from sabench.utils.arrays import F32, F64
+
+# Parameters: x, y, z, logarithms of the long and of the short semi-axis, tilts about z and about x.
+_STEPS = np.array([1e-3, 1e-3, 5e-3, 1e-3, 1e-3, 2e-3, 2e-3])  # of differences
+_PRIOR = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.15, 0.15])  # weight of the tilts: a ball has none
+_DIM = 0.02  # transmission of the darkest model
+_ROBUST = 0.12  # transmission by which a pixel may be off before it counts less
+_MARGIN = 2.5  # px around a bubble that are looked at
+
+
+@dataclass
+class Model:
+    """What the images show (camera, row, column) and the logarithm of what all bubbles so far make of them."""
+
+    images: F32
+    logs: F32
+    cameras: Sequence[Camera]
+    profile: Profile
+
+
+def start_of(center_mm: F64, radius_mm: float, aspect: float = 1.0) -> F64:
+    """Parameters of a ball, or of a spheroid that lies flat."""
+    return np.array([*center_mm, np.log(radius_mm), np.log(aspect * radius_mm), 0.0, 0.0])
+
+
+def turn_of(parameters: F64) -> F64:
+    """Rotation from the world to a bubble's axes: the second row is the short axis."""
+    a, b = parameters[5], parameters[6]
+    short = np.array([np.sin(a) * np.cos(b), -np.cos(a) * np.cos(b), np.sin(b)])
+    first = np.cross(short, [0.0, 0.0, 1.0])
+    first /= np.linalg.norm(first)
+    return np.stack([first, short, np.cross(first, short)])
+
+
+def semi_axes_of(parameters: F64) -> F64:
+    """Along the rows of `turn_of`."""
+    long, short = np.exp(parameters[3]), np.exp(parameters[4])
+    return np.array([long, short, long])
+
+
+def images_of(cameras: Sequence[Camera], linear: tuple[F64, F64, F64], parameters: F64) -> F64:
+    """Ellipses (camera, 5) of a bubble: centre column and row, and the inverse of its shape matrix as xx, xy, yy.
+
+    Parameters
+    ----------
+    linear : from `linearised`: a place, its pixels (camera, 2) and their derivatives (camera, 2, 3).
+    """
+    place, pixels, jacobians = linear
+    turn, axes = turn_of(parameters), semi_axes_of(parameters)
+    shape = turn.T @ (axes[:, None] ** 2 * turn)
+    out = np.empty((len(cameras), 5))
+    out[:, :2] = pixels + jacobians @ (parameters[:3] - place)
+    flat = jacobians @ shape @ jacobians.transpose(0, 2, 1)
+    determinant = flat[:, 0, 0] * flat[:, 1, 1] - flat[:, 0, 1] ** 2
+    out[:, 2], out[:, 3], out[:, 4] = flat[:, 1, 1] / determinant, -flat[:, 0, 1] / determinant, flat[:, 0, 0] / determinant
+    return out
+
+
+def linearised(cameras: Sequence[Camera], place: F64) -> tuple[F64, F64, F64]:
+    """Every camera as a linear map around a place."""
+    step = 0.05
+    points = np.concatenate([place[None], place + step * np.eye(3), place - step * np.eye(3)])
+    pixels = np.stack([camera.project(points)[0] for camera in cameras])
+    return place.copy(), pixels[:, 0], np.asarray((pixels[:, 1:4] - pixels[:, 4:7]).transpose(0, 2, 1) / (2.0 * step))
+
+
+def darken(model: Model, parameters: F64, sign: float) -> None:
+    """Put a bubble into the model (1) or take it out (-1)."""
+    ellipses = ellipses_of(model, parameters)
+    _darken(model.logs, ellipses, model.profile.table, model.profile.blur_px, np.float32(sign))
+
+
+def gain(model: Model, parameters: F64) -> F64:
+    """How much of what a bubble would darken is dark in the images, and not explained by others: (camera,) from below 0 to 1; NaN out of view."""
+    ellipses = ellipses_of(model, parameters)
+    out = np.full(len(model.cameras), np.nan)
+    _gains(model.images, model.logs, ellipses, model.profile.table, model.profile.blur_px, out)
+    return out
+
+
+def fit(model: Model, parameters: F64, steps: int) -> F64:
+    """Better parameters of a bubble that is not in the model now."""
+    linear = linearised(model.cameras, parameters[:3])
+    best, damping = parameters.copy(), 1e-2
+    value, normal, slope = _measured(model, linear, best)
+    for _ in range(steps):
+        try:
+            change = np.linalg.solve(normal + damping * np.diag(np.diag(normal) + 1e-9), -slope)
+        except np.linalg.LinAlgError:
+            break
+        tried = best + np.clip(change, -0.5, 0.5)
+        tried[3:5] = np.clip(tried[3:5], np.log(0.02), np.log(20.0))
+        tried[4] = min(tried[4], tried[3])
+        tried[5:] = np.clip(tried[5:], -1.3, 1.3)
+        there = _measured(model, linear, tried)
+        if there[0] < value:
+            moved = float(np.abs(tried - best).max())
+            best, (value, normal, slope), damping = tried, there, damping * 0.2
+            if moved < 1e-3:
+                break
+        else:
+            damping *= 8.0
+            if damping > 1e6:
+                break
+    return best
+
+
+def unexplained(model: Model, ellipses: F64) -> float:
+    """Robust sum of squares of what the model leaves around a bubble's images (camera, 5), as it is."""
+    return float(_left(model.images, model.logs, ellipses, model.profile.blur_px))
+
+
+def ellipses_of(model: Model, parameters: F64) -> F64:
+    """A bubble's images (camera, 5), as from `images_of`."""
+    return images_of(model.cameras, linearised(model.cameras, parameters[:3]), parameters)
+
+
+def misfit(model: Model, parameters: F64) -> float:
+    """Mean square of what a bubble leaves unexplained of the pixels around it, median over the views: others are in front of it in some."""
+    ellipses = ellipses_of(model, parameters)
+    out = np.full(len(model.cameras), np.nan)
+    _squares(model.images, model.logs, ellipses, model.profile.table, model.profile.blur_px, out)
+    return float(np.nanmedian(out)) if np.isfinite(out).any() else float("inf")
+
+
+def _measured(model: Model, linear: tuple[F64, F64, F64], parameters: F64) -> tuple[float, F64, F64]:
+    """Robust sum of squares, and its normal equations."""
+    moved = [parameters, *(parameters + np.diag(_STEPS))]
+    ellipses = np.stack([images_of(model.cameras, linear, one) for one in moved], axis=1)
+    normal, slope = np.zeros((len(parameters), len(parameters))), np.zeros(len(parameters))
+    value = _normal(model.images, model.logs, ellipses, model.profile.table, model.profile.blur_px, _STEPS, normal, slope)
+    weight = _PRIOR**2
+    return value + float(np.sum(weight * parameters**2)), normal + np.diag(weight), slope + weight * parameters
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _shade(table: Any, blur: float, distance: float, part: float) -> Any:
+    """Transmission at a distance in px from the centre that is a part of the radius there, bilinear in the profile's table."""
+    radius = distance / part if part > 1e-9 else 1e9
+    radius = min(max(radius, SMALLEST), LARGEST)
+    across = distance / (radius + REACH * blur) * (table.shape[1] - 1)
+    if across >= table.shape[1] - 1:
+        return 1.0
+    place = np.log(radius / SMALLEST) / np.log(LARGEST / SMALLEST) * (table.shape[0] - 1)
+    i, j = min(int(place), table.shape[0] - 2), int(across)
+    u, v = place - i, across - j
+    upper = table[i, j] * (1.0 - v) + table[i, j + 1] * v
+    lower = table[i + 1, j] * (1.0 - v) + table[i + 1, j + 1] * v
+    return upper * (1.0 - u) + lower * u
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _at(ellipse: Any, column: int, row: int, middle: float, table: Any, blur: float) -> Any:
+    x, y = column - ellipse[0], row - ellipse[1]
+    distance = np.sqrt(x * x + y * y)
+    part = np.sqrt(max(ellipse[2] * x * x + 2.0 * ellipse[3] * x * y + ellipse[4] * y * y, 0.0))
+    if distance < 1e-6:
+        return _shade(table, blur, 0.0, 0.0) if middle <= 0.0 else _shade(table, blur, 1e-6 * middle, 1e-6)
+    return _shade(table, blur, distance, part)
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _box(ellipse: Any, shape: Any, blur: float) -> Any:
+    """Rows and columns that an ellipse's image reaches, and its mean radius."""
+    determinant = ellipse[2] * ellipse[4] - ellipse[3] * ellipse[3]
+    width, height = np.sqrt(ellipse[4] / determinant), np.sqrt(ellipse[2] / determinant)
+    margin = REACH * blur + _MARGIN
+    top, bottom = int(max(np.floor(ellipse[1] - height - margin), 0)), int(min(np.ceil(ellipse[1] + height + margin) + 1, shape[0]))
+    left, right = int(max(np.floor(ellipse[0] - width - margin), 0)), int(min(np.ceil(ellipse[0] + width + margin) + 1, shape[1]))
+    return top, bottom, left, right, determinant**-0.25
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _darken(logs: Any, ellipses: Any, table: Any, blur: float, sign: Any) -> None:
+    for k in range(len(ellipses)):
+        if np.isnan(ellipses[k, 0]):
+            continue
+        top, bottom, left, right, middle = _box(ellipses[k], logs.shape[1:], blur)
+        for row in range(top, bottom):
+            for column in range(left, right):
+                logs[k, row, column] += sign * np.float32(np.log(max(_at(ellipses[k], column, row, middle, table, blur), _DIM)))
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _gains(images: Any, logs: Any, ellipses: Any, table: Any, blur: float, out: Any) -> None:
+    for k in range(len(ellipses)):
+        if np.isnan(ellipses[k, 0]):
+            continue
+        top, bottom, left, right, middle = _box(ellipses[k], logs.shape[1:], blur)
+        better = most = 0.0
+        for row in range(top, bottom):
+            for column in range(left, right):
+                shade = max(_at(ellipses[k], column, row, middle, table, blur), _DIM)
+                behind = np.exp(logs[k, row, column])
+                without = abs(images[k, row, column] - behind)
+                with_it = abs(images[k, row, column] - behind * shade)
+                better += without - with_it
+                most += 1.0 - shade
+        if most > 0.0 and bottom > top and right > left:
+            out[k] = better / most
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _left(images: Any, logs: Any, ellipses: Any, blur: float) -> Any:
+    total = 0.0
+    for k in range(len(ellipses)):
+        if np.isnan(ellipses[k, 0]):
+            continue
+        top, bottom, left, right, _ = _box(ellipses[k], logs.shape[1:], blur)
+        for row in range(top, bottom):
+            for column in range(left, right):
+                off = np.exp(logs[k, row, column]) - images[k, row, column]
+                total += off * off / (1.0 + (off / _ROBUST) ** 2)
+    return total
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _squares(images: Any, logs: Any, ellipses: Any, table: Any, blur: float, out: Any) -> None:
+    for k in range(len(ellipses)):
+        if np.isnan(ellipses[k, 0]):
+            continue
+        top, bottom, left, right, middle = _box(ellipses[k], logs.shape[1:], blur)
+        total = 0.0
+        for row in range(top, bottom):
+            for column in range(left, right):
+                here = np.exp(logs[k, row, column]) * max(_at(ellipses[k], column, row, middle, table, blur), _DIM)
+                total += (images[k, row, column] - here) ** 2
+        if bottom > top and right > left:
+            out[k] = total / ((bottom - top) * (right - left))
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _normal(images: Any, logs: Any, ellipses: Any, table: Any, blur: float, steps: Any, normal: Any, slope: Any) -> Any:
+    """Sum over views and pixels of Geman and McClure's function of the residuals; weights of the normal equations are its own."""
+    count = len(steps)
+    change = np.empty(count)
+    value = 0.0
+    for k in range(len(ellipses)):
+        if np.isnan(ellipses[k, 0, 0]):
+            continue
+        top, bottom, left, right, middle = _box(ellipses[k, 0], logs.shape[1:], blur)
+        for row in range(top, bottom):
+            for column in range(left, right):
+                behind = np.exp(logs[k, row, column])
+                here = behind * max(_at(ellipses[k, 0], column, row, middle, table, blur), _DIM)
+                off = here - images[k, row, column]
+                scale = 1.0 + (off / _ROBUST) ** 2
+                value += off * off / scale
+                weight = 1.0 / (scale * scale)
+                for i in range(count):
+                    there = behind * max(_at(ellipses[k, i + 1], column, row, middle, table, blur), _DIM)
+                    change[i] = (there - here) / steps[i]
+                for i in range(count):
+                    slope[i] += weight * change[i] * off
+                    for j in range(i + 1):
+                        normal[i, j] += weight * change[i] * change[j]
+    for i in range(count):
+        for j in range(i):
+            normal[j, i] = normal[i, j]
+    return value

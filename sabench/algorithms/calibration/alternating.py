@@ -1,0 +1,70 @@
+"""The thesis's auto-calibration: cameras against fixed boards, then boards against fixed cameras, in turn.
+
+Source: J. Belden, PhD thesis, MIT 2011, figure 4-1 and section 4.4.2.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from sabench.algorithms.calibration.bundle_adjustment import Seen, refine, residuals
+from sabench.algorithms.calibration.parameters import Free, State
+from sabench.utils.arrays import F64, I64
+
+
+@dataclass(frozen=True)
+class Rounds:
+    """Where the alternation ended, and the largest mean reprojection error of a camera (px) before it began and after every round."""
+
+    state: State
+    errors_px: tuple[float, ...]
+
+
+def alternate(state: State, seen: Seen, free: Free, tolerance_px: float, most: int) -> Rounds:
+    """Adjust in turn until the largest of the cameras' mean reprojection errors changes by less than the tolerance."""
+    errors = [_largest(state, seen)]
+    while len(errors) <= most:
+        state = _boards(_cameras(state, seen, free), seen, free)
+        errors.append(_largest(state, seen))
+        if abs(errors[-1] - errors[-2]) < tolerance_px:
+            break
+    return Rounds(state, tuple(errors))
+
+
+def subset(state: State, seen: Seen, cameras: I64) -> tuple[State, Seen]:
+    """Some of the cameras, and what they see."""
+    part = replace(state, turns=state.turns[cameras], centers=state.centers[cameras], lenses=state.lenses[cameras])
+    return part, replace(seen, pixels=np.ascontiguousarray(seen.pixels[cameras]), weights=np.ascontiguousarray(seen.weights[cameras]))
+
+
+def _cameras(state: State, seen: Seen, free: Free) -> State:
+    """Every camera on its own against the boards as they are."""
+    fits = [refine(*subset(state, seen, np.array([number])), free, moving="cameras").state for number in range(len(state.turns))]
+    turns, centers, lenses = (np.concatenate([getattr(fit, name) for fit in fits]) for name in ("turns", "centers", "lenses"))
+    return replace(state, turns=turns, centers=centers, lenses=lenses)
+
+
+def _boards(state: State, seen: Seen, free: Free) -> State:
+    """Every board on its own against the cameras as they are."""
+    turns, places = state.board_turns.copy(), state.places.copy()
+    for number in np.flatnonzero(seen.weights.sum(axis=(0, 2)) > 0.0).tolist():
+        own = slice(number, number + 1)
+        view = replace(seen, pixels=np.ascontiguousarray(seen.pixels[:, own]), weights=np.ascontiguousarray(seen.weights[:, own]), anchors=())
+        fit = refine(replace(state, board_turns=turns[own].copy(), places=places[own].copy()), view, free, moving="boards").state
+        turns[own], places[own] = fit.board_turns, fit.places
+    return replace(state, board_turns=turns, places=places)
+
+
+def _largest(state: State, seen: Seen) -> float:
+    lengths = np.where(seen.weights > 0.0, np.linalg.norm(residuals(state, seen), axis=-1), np.nan)
+    return float(np.nanmax(np.nanmean(lengths.reshape(len(lengths), -1), axis=1)))
+
+
+def mean_turn(turns: F64) -> F64:
+    """The rotation nearest to several (n, ..., 3, 3), in the least-squares sense of their entries: (..., 3, 3)."""
+    left, _, right = np.linalg.svd(turns.mean(axis=0))
+    sign = np.sign(np.linalg.det(left @ right))
+    left[..., :, 2] *= sign[..., None]
+    return np.asarray(left @ right)

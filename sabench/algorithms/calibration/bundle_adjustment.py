@@ -1,0 +1,176 @@
+"""Bundle adjustment: cameras, boards and what they share, all at once, by Levenberg and Marquardt's method.
+
+The boards' blocks are eliminated first (Schur's complement), so that a step costs a Cholesky factor of the cameras' unknowns only.
+Source: Triggs et al. (2000), Bundle adjustment - a modern synthesis.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Literal
+
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve
+
+from sabench.algorithms.calibration.kernels import equations, misses
+from sabench.algorithms.calibration.parameters import Free, State, steps_of
+from sabench.geometry.rigid_motion import Motion
+from sabench.geometry.rotations import skew
+from sabench.utils.arrays import F64, I64
+
+_STEPS = 200
+_GAIN = 1e-9  # a step that promises to lower the cost by less than this fraction is the last
+_EXACT = 1e-18  # square pixels per observation: nothing is left to gain below
+
+
+Moving = Literal["all", "cameras", "boards"]
+
+
+@dataclass(frozen=True)
+class Seen:
+    """What the cameras saw of the boards.
+
+    Attributes
+    ----------
+    board : (m, 3) points in a board's own frame, mm.
+    pixels : (M, K, m, 2) column and row; anything where the weight is 0.
+    weights : (M, K, m).
+    anchors : known places; empty for none.
+    """
+
+    board: F64
+    pixels: F64
+    weights: F64
+    anchors: tuple[Anchor, ...] = ()
+
+    @cached_property
+    def anchored(self) -> tuple[I64, I64, F64, F64, F64, F64]:
+        """The anchors' boards and points (n,), places and precisions (n, 3), and the turns (n, 3, 3) and shifts (n, 3) to the world's frame."""
+        boards, points = (np.array([getattr(anchor, name) for anchor in self.anchors], dtype=np.int64) for name in ("board", "point"))
+        places, precisions = (np.array([getattr(anchor, name) for anchor in self.anchors]) for name in ("place_mm", "precision"))
+        turns, shifts = (np.array([getattr(anchor.world, name) for anchor in self.anchors]) for name in ("turn", "shift"))
+        return boards, points, places, precisions, turns, shifts
+
+
+@dataclass(frozen=True)
+class Anchor:
+    """A point whose place in the world was measured.
+
+    Attributes
+    ----------
+    board, point : numbers.
+    place_mm : (3,) in the world's frame; anything along axes without precision.
+    precision : (3,) inverse variance along the world's axes, 1 / mm^2, times the variance of a pixel coordinate; 0 where the place is not known.
+    world : from the wall's frame to the world's.
+    """
+
+    board: int
+    point: int
+    place_mm: F64
+    precision: F64
+    world: Motion
+
+
+@dataclass(frozen=True)
+class Normal:
+    """Normal equations at a state, as `kernels.equations` gives them, with the anchors' part."""
+
+    cost: float
+    aa: F64
+    ab: F64
+    bb: F64
+    a: F64
+    d: F64
+
+
+@dataclass(frozen=True)
+class Fit:
+    """A state, its cost and the steps that led to it."""
+
+    state: State
+    cost: float
+    steps: int
+    converged: bool
+
+
+def normal_equations(state: State, seen: Seen, free: Free, scale: float = 0.0) -> Normal:
+    """The equations of one Gauss-Newton step."""
+    boards = state.board_turns, state.places, seen.board
+    cost, aa, ab, bb, a, d = equations(state.array(), boards, (seen.pixels, seen.weights), free.columns(len(state.indices)), scale)
+    if seen.anchors:
+        board, point, place_mm, precision, turns, shifts = seen.anchored
+        arms = np.einsum("nij,nj->ni", state.board_turns[board], seen.board[point])
+        miss = place_mm - np.einsum("nij,nj->ni", turns, arms + state.places[board]) - shifts
+        slopes = turns @ np.concatenate([-skew(arms), np.broadcast_to(np.eye(3), (len(arms), 3, 3))], axis=2)
+        weighted = slopes * precision[:, :, None]
+        cost += float(np.sum(precision * miss**2))
+        np.add.at(bb, board, weighted.transpose(0, 2, 1) @ slopes)
+        np.add.at(d, board, np.einsum("nij,ni->nj", weighted, miss))
+    return Normal(cost, aa, ab, bb, a, d)
+
+
+def refine(state: State, seen: Seen, free: Free, scale: float = 0.0, *, moving: Moving = "all") -> Fit:
+    """The state with the smallest cost near to this one.
+
+    Parameters
+    ----------
+    scale : of Cauchy's loss, px; 0 for least squares.
+    moving : what is adjusted: cameras (with what they share), boards, or both.
+
+    What the observations do not determine - for a plane wall a shift along it and a turn about its normal - stays near the start.
+    """
+    here, damping = normal_equations(state, seen, free, scale), 1e-3
+    enough = _EXACT * max(1.0, float(seen.weights.sum()))
+    for step in range(_STEPS):
+        if not math.isfinite(here.cost) or here.cost <= enough:
+            return Fit(state, here.cost, step, math.isfinite(here.cost))
+        while damping < 1e12:
+            cameras, boards, promise = _step(here, damping, moving)
+            if promise <= _GAIN * here.cost:
+                return Fit(state, here.cost, step, True)
+            tried = state.moved(*steps_of(cameras, len(state.turns), free, len(state.indices)), boards, free)
+            there = normal_equations(tried, seen, free, scale)
+            if there.cost < here.cost:
+                state, here, damping = tried, there, max(damping * 0.1, 1e-12)
+                break
+            damping *= 10.0
+        else:
+            return Fit(state, here.cost, step, False)
+    return Fit(state, here.cost, _STEPS, False)
+
+
+def _step(normal: Normal, damping: float, moving: Moving) -> tuple[F64, F64, float]:
+    """Steps of the cameras' unknowns and the boards' (K, 6), and by how much the cost falls if it is quadratic."""
+    aa, bb = normal.aa.copy(), normal.bb.copy()
+    aa.flat[:: len(aa) + 1] += damping * np.diagonal(aa) + 1e-30
+    corner = np.arange(bb.shape[1])
+    bb[:, corner, corner] += damping * bb[:, corner, corner] + 1e-12
+    if moving != "all":
+        cameras = _solved(aa, normal.a) if moving == "cameras" else np.zeros_like(normal.a)
+        boards = np.asarray(np.linalg.solve(bb, normal.d[:, :, None])[:, :, 0] if moving == "boards" else np.zeros_like(normal.d), dtype=np.float64)
+        return cameras, boards, float(cameras @ normal.a + np.sum(boards * normal.d))
+    right = np.concatenate([normal.ab.transpose(0, 2, 1), normal.d[:, :, None]], axis=2)
+    solved = np.linalg.solve(bb, right)  # bb^-1 ab^T and bb^-1 d
+    reduced = aa - np.tensordot(normal.ab, solved[:, :, :-1], axes=([0, 2], [0, 1]))
+    free = normal.a - np.tensordot(normal.ab, solved[:, :, -1], axes=([0, 2], [0, 1]))
+    cameras = _solved(reduced, free)
+    boards = solved[:, :, -1] - solved[:, :, :-1] @ cameras
+    promise = float(cameras @ normal.a + np.sum(boards * normal.d))
+    return cameras, boards, promise
+
+
+def _solved(matrix: F64, right: F64) -> F64:
+    """Solve a symmetric system that damping keeps positive, scaled to a unit diagonal first."""
+    scale = 1.0 / np.sqrt(np.maximum(np.diagonal(matrix), 1e-300))
+    try:
+        return np.asarray(scale * cho_solve(cho_factor(matrix * scale * scale[:, None], check_finite=False), scale * right, check_finite=False))
+    except np.linalg.LinAlgError:
+        return np.asarray(scale * np.linalg.lstsq(matrix * scale * scale[:, None], scale * right, rcond=None)[0])
+
+
+def residuals(state: State, seen: Seen) -> F64:
+    """Observed minus computed pixels (M, K, m, 2), NaN where a point is not seen."""
+    out: F64 = misses(state.array(), (state.board_turns, state.places, seen.board), (seen.pixels, seen.weights))
+    return out

@@ -1,0 +1,112 @@
+"""The best that a calibration can do: the Cramer-Rao bound of its observations."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import ellipe
+
+from sabench.algorithms.calibration.bundle_adjustment import Seen, normal_equations
+from sabench.algorithms.calibration.kernels import BOARD, spreads
+from sabench.algorithms.calibration.parameters import Free, State
+from sabench.geometry.rotations import skew
+from sabench.utils.arrays import F64
+
+_FREE = 1e-13  # eigenvalues below this fraction of the largest belong to what the observations leave open
+
+
+@dataclass(frozen=True)
+class Limit:
+    """Standard deviations that no unbiased estimate can undercut, in the wall's frame.
+
+    Attributes
+    ----------
+    reprojection_px : mean length of the true reprojection error over all observations.
+    reprojection_rms_px : its root mean square.
+    point_std_mm : (3,) scatter of the points' errors about their mean, after the points have been aligned by a shift in X and Y and a turn about Z.
+    point_mean_mm : (3,) of the mean error; along X and Y it is zero by that alignment.
+    unknowns, equations : their numbers, what is left open not counted.
+    """
+
+    reprojection_px: float
+    reprojection_rms_px: float
+    point_std_mm: F64
+    point_mean_mm: F64
+    unknowns: int
+    equations: int
+
+    @property
+    def efficiency(self) -> float:
+        """Ratio of the true to the measured reprojection error of a perfect estimate: sqrt(p / (N - p))."""
+        return float(np.sqrt(self.unknowns / max(self.equations - self.unknowns, 1)))
+
+
+def limit(state: State, seen: Seen, free: Free, noise_px: float) -> Limit:
+    """The bound at the true state for pixel coordinates with normal noise."""
+    information = _whole(state, seen, free)
+    covariance, rank = _inverse(information)
+    covariance *= noise_px**2
+    boards = state.board_turns, state.places, seen.board
+    pairs = spreads(state.array(), boards, (seen.pixels, seen.weights), free.columns(len(state.indices)), covariance)
+    known = np.isfinite(pairs[..., 0])
+    uu, vv, uv = pairs[known].T
+    std, mean = _points(state, seen, covariance)
+    return Limit(float(_mean_length(uu, vv, uv).mean()), float(np.sqrt((uu + vv).mean())), std, mean, rank, 2 * int(known.sum()))
+
+
+def _whole(state: State, seen: Seen, free: Free) -> F64:
+    """The information matrix of all unknowns: cameras, shared, boards; for a noise of 1 px."""
+    normal = normal_equations(state, seen, free)
+    size, boards = len(normal.aa), len(normal.bb)
+    whole = np.zeros((size + BOARD * boards, size + BOARD * boards))
+    whole[:size, :size] = normal.aa
+    for k in range(boards):
+        part = slice(size + BOARD * k, size + BOARD * (k + 1))
+        whole[:size, part], whole[part, :size], whole[part, part] = normal.ab[k], normal.ab[k].T, normal.bb[k]
+    return whole
+
+
+def _inverse(information: F64) -> tuple[F64, int]:
+    """A generalised inverse, and the rank; what does not notice the open directions has the same variance in any of these inverses."""
+    scale = 1.0 / np.sqrt(np.maximum(np.diagonal(information), 1e-300))
+    values, vectors = np.linalg.eigh(information * scale * scale[:, None])
+    there = values > _FREE * values[-1]
+    half = scale[:, None] * vectors[:, there] / np.sqrt(values[there])
+    return half @ half.T, int(there.sum())
+
+
+def _points(state: State, seen: Seen, covariance: F64) -> tuple[F64, F64]:
+    """Scatter and mean error of the points of all boards that are seen, after alignment."""
+    boards = np.flatnonzero(seen.weights.sum(axis=(0, 2)) > 0.0)
+    size = len(covariance) - BOARD * len(state.places)
+    own = (size + BOARD * boards[:, None] + np.arange(BOARD)).ravel()
+    root = np.linalg.cholesky(_positive(covariance[np.ix_(own, own)]))
+    points = state.points(seen.board)[boards]
+    slopes = np.zeros((*points.shape, len(own)))  # of every coordinate by the boards' unknowns
+    arms = points - state.places[boards, None]
+    for k in range(len(boards)):
+        slopes[k, :, :, BOARD * k : BOARD * k + 3] = -skew(arms[k])
+        slopes[k, :, :, BOARD * k + 3 : BOARD * (k + 1)] = np.eye(3)
+    errors = slopes.reshape(-1, len(own)) @ root  # of coordinates, by independent unit variables
+    flat = points.reshape(-1, 3)
+    motions = np.zeros((len(flat), 3, 3))
+    motions[:, 0, 0] = motions[:, 1, 1] = 1.0
+    motions[:, :, 2] = np.column_stack([-flat[:, 1], flat[:, 0], np.zeros(len(flat))])
+    basis, _ = np.linalg.qr(motions.reshape(-1, 3))
+    errors = (errors - basis @ (basis.T @ errors)).reshape(-1, 3, len(own))
+    mean = errors.mean(axis=0)
+    return np.sqrt(((errors - mean) ** 2).sum(axis=2).mean(axis=0)), np.sqrt((mean**2).sum(axis=1))
+
+
+def _positive(covariance: F64) -> F64:
+    """A covariance with what rounding has taken from its smallest eigenvalues put back."""
+    values, vectors = np.linalg.eigh(covariance)
+    return np.asarray((vectors * np.maximum(values, 1e-14 * values[-1])) @ vectors.T)
+
+
+def _mean_length(uu: F64, vv: F64, uv: F64) -> F64:
+    """Mean lengths of pairs of normal numbers with these variances and covariances: a complete elliptic integral."""
+    middle, spread = (uu + vv) / 2.0, np.hypot((uu - vv) / 2.0, uv)
+    large, small = middle + spread, np.maximum(middle - spread, 0.0)
+    return np.asarray(np.sqrt(2.0 * large / np.pi) * ellipe(1.0 - small / np.maximum(large, 1e-300)))

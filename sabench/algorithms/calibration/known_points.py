@@ -1,0 +1,34 @@
+"""A target's places taken as known: what classical calibrations fit each camera to."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from sabench.api import CalibrationCase
+from sabench.utils.arrays import F64
+
+_FLAT = 1e-6  # thickness over width of places in one plane
+
+
+def known_points(case: CalibrationCase, camera: int) -> tuple[F64, F64]:
+    """Places (n, 3) and pixels (n, 2) of everything that a camera found."""
+    points, pixels = known_frames(case, camera)
+    return np.vstack(points), np.vstack(pixels)
+
+
+def known_frames(case: CalibrationCase, camera: int) -> tuple[list[F64], list[F64]]:
+    """The same frame by frame, frames of which the camera found nothing left out."""
+    points, pixels = [], []
+    for rough, found in zip(case.rough_mm, case.pixels[camera], strict=True):
+        there = np.isfinite(rough).all(axis=1) & np.isfinite(found).all(axis=1)
+        if there.any():
+            points.append(rough[there])
+            pixels.append(found[there])
+    return points, pixels
+
+
+def flat(case: CalibrationCase) -> str | None:
+    """Why a classical calibration cannot take a case whose places are all told in one plane, or None if they are not."""
+    told = case.rough_mm[np.isfinite(case.rough_mm).all(axis=-1)]
+    spread = np.linalg.svd(told - told.mean(axis=0), compute_uv=False)
+    return "expected places that are told at different depths, got all of them in one plane" if spread[2] <= _FLAT * spread[0] else None

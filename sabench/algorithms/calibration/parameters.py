@@ -1,0 +1,165 @@
+"""The unknowns of a calibration as arrays, and how they become cameras and points."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from sabench.algorithms.calibration.kernels import CAMERA
+from sabench.algorithms.calibration.wall_frame import wall_frame
+from sabench.geometry.camera import Camera, Distortion
+from sabench.geometry.refraction import Layer, Wall
+from sabench.geometry.rigid_motion import Motion, rigid_fit
+from sabench.geometry.rotations import exponential
+from sabench.utils.arrays import F64, I64, triple
+
+_DISTORTION = ("k1", "k2", "p1", "p2", "k3")
+
+
+@dataclass(frozen=True)
+class Free:
+    """What is unknown of the optics, besides every camera's turn, centre and focal length.
+
+    Attributes
+    ----------
+    principal_point : of every camera.
+    distortion : names of coefficients.
+    indices : numbers of media along the way of light from a camera, 0 for the cameras' own.
+    thicknesses : numbers of layers.
+    """
+
+    principal_point: bool = False
+    distortion: tuple[str, ...] = ()
+    indices: tuple[int, ...] = ()
+    thicknesses: tuple[int, ...] = ()
+
+    @classmethod
+    def of(cls, unknown: Iterable[str]) -> Free:
+        """What a case calls unknown of its lenses."""
+        names = set(unknown)
+        return cls("principal_point" in names, tuple(name for name in _DISTORTION if name in names))
+
+    @property
+    def per_camera(self) -> int:
+        """Unknowns of one camera."""
+        return 7 + 2 * self.principal_point + len(self.distortion)
+
+    def columns(self, media: int) -> tuple[I64, I64]:
+        """Numbers of a camera's unknowns and of the shared ones, as `kernels.equations` counts them."""
+        own = [0, 1, 2, 3, 4, 5, 6] + [7, 8] * self.principal_point + [9 + _DISTORTION.index(name) for name in self.distortion]
+        shared = [*self.indices, *(media + layer for layer in self.thicknesses)]
+        return np.array(own, dtype=np.int64), np.array(shared, dtype=np.int64)
+
+
+@dataclass(frozen=True)
+class State:
+    """Cameras and boards in the wall's frame.
+
+    Attributes
+    ----------
+    turns, centers, lenses : (M, 3, 3), (M, 3), (M, 8) as in `kernels.observe`.
+    indices, thicknesses : of the media (m,) and layers (m - 2,).
+    board_turns, places : (K, 3, 3), (K, 3).
+    """
+
+    turns: F64
+    centers: F64
+    lenses: F64
+    indices: F64
+    thicknesses: F64
+    board_turns: F64
+    places: F64
+
+    def array(self) -> tuple[F64, F64, F64, tuple[F64, F64]]:
+        """What kernels want to know of the cameras."""
+        return self.turns, self.centers, self.lenses, (self.indices, self.thicknesses)
+
+    def points(self, board: F64) -> F64:
+        """World points (K, m, 3) of a board's points (m, 3), in the wall's frame."""
+        return np.asarray(np.einsum("kij,mj->kmi", self.board_turns, board) + self.places[:, None])
+
+    def moved(self, cameras: F64, shared: F64, boards: F64, free: Free) -> State:
+        """The state after steps of the cameras' unknowns (M, f), the shared ones (s,) and the boards' (K, 6)."""
+        own, common = free.columns(len(self.indices))
+        full = np.zeros((len(self.turns), CAMERA))
+        full[:, own] = cameras
+        media = np.concatenate([self.indices, self.thicknesses])
+        media[common] += shared
+        count = len(self.indices)
+        return State(
+            np.ascontiguousarray(exponential(full[:, :3]) @ self.turns), self.centers + full[:, 3:6], self.lenses + full[:, 6:],
+            media[:count].copy(), media[count:].copy(),
+            np.ascontiguousarray(exponential(boards[:, :3]) @ self.board_turns), self.places + boards[:, 3:],
+        )  # fmt: skip
+
+    def slid(self, motion: Motion) -> State:
+        """The state moved as a whole, by what the wall does not notice."""
+        return replace(
+            self,
+            turns=np.ascontiguousarray(self.turns @ motion.turn.T), centers=motion(self.centers),
+            board_turns=np.ascontiguousarray(motion.turn @ self.board_turns), places=motion(self.places),
+        )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Frame:
+    """What leads from states to cameras: the world's place in the wall's frame, and what a state does not hold."""
+
+    motion: Motion
+    cameras: tuple[Camera, ...]
+    wall: Wall | None
+
+    @classmethod
+    def of(cls, cameras: tuple[Camera, ...], points_mm: F64) -> Frame:
+        """The frame of the cameras' wall."""
+        wall = cameras[0].wall
+        return cls(wall_frame(wall, cameras, points_mm), cameras, wall)
+
+    def state(self, board: F64, points_mm: F64) -> State:
+        """Where the cameras are, and boards (m, 3) as near as they can be to rough points (K, m, 3), NaN where unknown."""
+        turns = np.stack([np.asarray(camera.rotation) @ self.motion.turn.T for camera in self.cameras])
+        centers = self.motion(np.array([camera.center_mm for camera in self.cameras]))
+        lenses = np.array([[c.focal_px, *c.principal_point_px, *(getattr(c.distortion, k) for k in _DISTORTION)] for c in self.cameras])
+        media = self.wall.indices if self.wall else np.ones(2)
+        thicknesses = np.array([layer.thickness_mm for layer in self.wall.layers]) if self.wall else np.zeros(0)
+        poses = [_pose(board, self.motion(points)) for points in points_mm]
+        return State(turns, centers, lenses, media, thicknesses, np.stack([p.turn for p in poses]), np.stack([p.shift for p in poses]))
+
+    def built(self, state: State) -> tuple[Camera, ...]:
+        """Cameras of a state, in the world's frame."""
+        wall = self._wall(state)
+        return tuple(self._camera(number, state, wall) for number in range(len(self.cameras)))
+
+    def points(self, state: State, board: F64) -> F64:
+        """World points (K, m, 3) of a state's boards."""
+        return self.motion.back()(state.points(board))
+
+    def _wall(self, state: State) -> Wall | None:
+        if self.wall is None:
+            return None
+        first, *inner, last = state.indices.tolist()
+        layers = tuple(Layer(layer.name, n, d) for layer, n, d in zip(self.wall.layers, inner, state.thicknesses.tolist(), strict=True))
+        return replace(self.wall, air_index=first, layers=layers, fluid_index=last)
+
+    def _camera(self, number: int, state: State, wall: Wall | None) -> Camera:
+        camera, lens = self.cameras[number], state.lenses[number].tolist()
+        turn, center = state.turns[number] @ self.motion.turn, self.motion.back()(state.centers[number])
+        return replace(
+            camera, center_mm=triple(center), rotation=(triple(turn[0]), triple(turn[1]), triple(turn[2])), wall=wall,
+            principal_distance_mm=lens[0] * camera.pixel_mm, principal_point_px=(lens[1], lens[2]),
+            distortion=Distortion(**dict(zip(_DISTORTION, lens[3:], strict=True))),
+        )  # fmt: skip
+
+
+def _pose(board: F64, points: F64) -> Motion:
+    known = np.isfinite(points).all(axis=1)
+    return rigid_fit(board[known], points[known])
+
+
+def steps_of(vector: F64, cameras: int, free: Free, media: int) -> tuple[F64, F64]:
+    """A vector of the cameras' and shared unknowns as (M, f) and (s,)."""
+    own, _ = free.columns(media)
+    split = cameras * len(own)
+    return vector[:split].reshape(cameras, len(own)), vector[split:]

@@ -1,0 +1,99 @@
+"""A calibration case as the refractive algorithms take it, and their answer."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from sabench.algorithms.calibration.bundle_adjustment import Anchor, Seen
+from sabench.algorithms.calibration.input_checks import check_case
+from sabench.algorithms.calibration.parameters import Frame, Free, State
+from sabench.api import Calibration, CalibrationCase
+from sabench.geometry.rigid_motion import Motion, lateral_fit, rigid_fit
+from sabench.utils.arrays import Bool
+from sabench.utils.errors import InputError
+
+
+@dataclass(frozen=True)
+class Problem:
+    """A case in the frame of its wall.
+
+    Attributes
+    ----------
+    frame : leads back to cameras.
+    start : rough cameras and boards.
+    seen : what was found.
+    case : the case itself.
+    """
+
+    frame: Frame
+    start: State
+    seen: Seen
+    case: CalibrationCase
+
+    @classmethod
+    def of(cls, case: CalibrationCase, free: Free) -> Problem:
+        """Check that there is enough to go on, and bring it into the wall's frame.
+
+        Raises
+        ------
+        InputError
+            What `diagnosis.check_case` refuses, fewer points than unknowns, or a frame of which nothing is known beforehand.
+        """
+        check_case(case)
+        check_count(case, free.per_camera)
+        for number, points in enumerate(case.rough_mm):
+            if np.isfinite(points).all(axis=1).sum() < 3 and case.found[:, number].any():
+                raise InputError(f"frame {number}: expected a rough place of its target to start from, got none")
+        frame = Frame.of(case.cameras, case.rough_mm)
+        found = case.found
+        seen = Seen(case.target.points_mm, np.nan_to_num(case.pixels), found.astype(np.float64))
+        return cls(frame, frame.state(case.target.points_mm, case.rough_mm), seen, case)
+
+    def settled(self, state: State) -> State:
+        """The state moved, by what neither the images nor the known coordinates notice, to where its boards were roughly known to be."""
+        points, rough = state.points(self.seen.board), self.frame.motion(self.case.rough_mm)
+        there = np.isfinite(rough).all(axis=-1) & (self.seen.weights.sum(axis=0) > 0.0)
+        known = np.isfinite(self.case.known_mm).all(axis=-1)
+        if known.sum() > (1 if self.frame.wall else 2):
+            return state
+        if self.frame.wall is None:
+            return state.slid(rigid_fit(points[there], rough[there]))
+        motion = lateral_fit(points[there], rough[there])
+        if known.any():  # the turn goes about the known point
+            pivot = points[known][0]
+            motion = Motion(motion.turn, pivot - motion.turn @ pivot)
+        return state.slid(motion)
+
+    def answer(self, state: State, used: Bool | None = None) -> Calibration:
+        """Cameras and points in the world's frame."""
+        return Calibration(self.frame.built(state), self.frame.points(state, self.seen.board), used)
+
+
+def anchors_of(case: CalibrationCase, frame: Frame, noise_px: float) -> tuple[Anchor, ...]:
+    """The known coordinates as observations beside pixels with this noise."""
+    world, anchors = frame.motion.back(), []
+    for board, point in np.argwhere(np.isfinite(case.known_mm).any(axis=-1)).tolist():
+        place, sigma = case.known_mm[board, point], case.known_sigma_mm[board, point]
+        there = np.isfinite(place)
+        precision = np.where(there, (noise_px / np.where(there, sigma, 1.0)) ** 2, 0.0)
+        anchors.append(Anchor(board, point, np.where(there, place, 0.0), precision, world))
+    return tuple(anchors)
+
+
+def check_count(case: CalibrationCase, unknowns: int) -> None:
+    """Refuse a case with fewer equations than unknowns.
+
+    With boards the thesis's equation 4.3 becomes 2 N >= b M + 6 K: N image points, M cameras with b unknowns each, K placed boards.
+    """
+    boards = int(case.found.any(axis=(0, 2)).sum())
+    needed = unknowns * len(case.cameras) + 6 * boards
+    if 2 * int(case.found.sum()) < needed:
+        raise InputError(
+            f"expected at least {-(-needed // 2)} image points for {len(case.cameras)} cameras of {unknowns} unknowns and {boards} boards of 6 "
+            f"(2 N >= b M + 6 K), got {int(case.found.sum())}"
+        )
+    for camera, found in zip(case.cameras, case.found.sum(axis=(1, 2)).tolist(), strict=True):
+        if 2 * found < unknowns:
+            raise InputError(f"{camera.name}: expected at least {-(-unknowns // 2)} image points for its {unknowns} unknowns, got {found}")

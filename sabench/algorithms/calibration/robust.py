@@ -1,0 +1,80 @@
+"""Bundle adjustment that finds outliers by itself."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from sabench.algorithms.calibration.bundle_adjustment import Fit, Seen, refine, residuals
+from sabench.algorithms.calibration.parameters import Free, State
+from sabench.utils.arrays import F64, Bool
+
+_NOTHING_ODD = 6.0  # standard deviations that no error of honest points exceeds: 3e-8 of them do
+_REJECT = 4.0  # standard deviations beyond which a point counts as an outlier
+_ROUNDS = 10
+_RAYLEIGH_MEDIAN = 1.17741  # median length of a pair of standard normal numbers
+_CAUCHY = 2.4  # standard deviations at which Cauchy's loss bends
+
+
+@dataclass(frozen=True)
+class Robust:
+    """A fit, the observations (camera, board, point) that it rests on, and their noise in px per coordinate."""
+
+    fit: Fit
+    used: Bool
+    noise_px: float
+
+
+def adjust(state: State, seen: Seen, free: Free, *, noise_px: float | None = None) -> Robust:
+    """Least squares, and if that leaves errors that normal noise does not: Cauchy's loss, rejection, least squares again.
+
+    Parameters
+    ----------
+    noise_px : of the pixel coordinates, if it is known; by default it is estimated from the median error.
+    """
+    start = np.asarray(seen.weights > 0.0)
+    fit, used = refine(state, seen, free), start
+    noise = noise_px or _noise(_lengths(fit.state, seen), used)
+    if _lengths(fit.state, seen)[used].max(initial=0.0) <= _NOTHING_ODD * max(noise, 1e-9):
+        return Robust(fit, used, noise)
+    fit = _bent(fit.state, seen, free)
+    for _ in range(_ROUNDS):
+        lengths = _lengths(fit.state, seen)
+        noise = _noise(lengths, used)
+        kept = start & (lengths <= _REJECT * max(noise, 1e-9))
+        if np.array_equal(kept, used):
+            break
+        used = kept
+        fit = refine(fit.state, replace(seen, weights=np.where(used, seen.weights, 0.0)), free)
+    return Robust(fit, used, noise)
+
+
+def _bent(state: State, seen: Seen, free: Free) -> Fit:
+    """Cauchy's loss, whose scale follows the errors down."""
+    used = np.asarray(seen.weights > 0.0)
+    scale = np.inf
+    for _ in range(_ROUNDS):
+        smaller = _CAUCHY * max(_noise(_lengths(state, seen), used), 1e-6)
+        if smaller > 0.9 * scale:
+            break
+        scale = smaller
+        fit = refine(state, seen, free, scale)
+        state = fit.state
+    return fit
+
+
+def _lengths(state: State, seen: Seen) -> F64:
+    """Reprojection errors (camera, board, point) in px; infinite where there is none."""
+    lengths = np.linalg.norm(residuals(state, seen), axis=-1)
+    return np.where(np.isfinite(lengths), lengths, np.inf)
+
+
+def median_noise(lengths: F64) -> float:
+    """Standard deviation per coordinate of pairs of normal numbers whose lengths have this median."""
+    return float(np.median(lengths)) / _RAYLEIGH_MEDIAN
+
+
+def _noise(lengths: F64, used: Bool) -> float:
+    """Standard deviation per coordinate that explains the median error."""
+    return median_noise(lengths[used])

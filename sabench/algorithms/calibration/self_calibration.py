@@ -1,0 +1,206 @@
+"""The steps of a volume self-calibration: follow the disparities down, collect particles that all agree on, adjust the cameras to them."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from sabench.algorithms.calibration.bundle_adjustment import Anchor, Seen, refine, residuals
+from sabench.algorithms.calibration.disparity import Sets, corrected, find_sets
+from sabench.algorithms.calibration.parameters import Frame, Free, State
+from sabench.algorithms.calibration.robust import median_noise
+from sabench.algorithms.particles.correspondence import pair_up
+from sabench.api import Observation
+from sabench.geometry.camera import Camera
+from sabench.geometry.volume_polynomials import Maps, maps_of, positions
+from sabench.images.peaks import Spots, spots_of
+from sabench.utils.arrays import F32, F64, I64
+from sabench.utils.errors import InputError
+
+_ROUNDS = 20
+_SETTLED_PX = 0.03
+_FARTHER = 3.0  # the core's common errors move all places, and so may another camera's disparity be larger than its own error
+_CORE = 4  # cameras whose particle images are matched all with all
+_PAIRS = 1_000_000
+_MOST = 3000  # particles that the cameras are adjusted to
+_LATTICE = (5, 5, 3)
+_TOLD_PX = 2.0  # how far the told cameras are believed, where particles say nothing
+_REJECT = 4.0
+_SURE = 20.0  # standard deviations by which right sets exceed chance: the most crowded of many spots of wrong ones has a dozen
+
+
+@dataclass(frozen=True)
+class Tracking:
+    """A case ready to be matched.
+
+    Attributes
+    ----------
+    cameras : as told, those of the core first.
+    order : their numbers in the case.
+    spots : their particle images.
+    maps : what they are told to see.
+    """
+
+    cameras: tuple[Camera, ...]
+    order: tuple[int, ...]
+    spots: tuple[Spots, ...]
+    maps: Maps
+
+    @classmethod
+    def of(cls, case: Observation, light: F32, bright: float) -> Tracking:
+        """Find particle images, and put those cameras first that look from the most different places."""
+        pinholes = tuple(camera for camera in case.cameras if isinstance(camera, Camera))
+        if len(pinholes) != len(case.cameras):
+            raise InputError("expected pinhole cameras, whose parameters can be adjusted, got others")
+        order = _spread(np.array([camera.center_mm for camera in pinholes]))
+        spots = tuple(spots_of(light[number], bright) for number in order)
+        for number, own in zip(order, spots, strict=True):
+            if not len(own.pixel):
+                raise InputError(f"{pinholes[number].name}: expected particle images, got none above {bright:g} of a bright one's peak")
+        low = np.asarray(case.grid.low_mm)
+        high = low + (np.asarray(case.grid.shape[::-1]) - 1) * np.asarray(case.grid.voxel_mm)
+        cameras = tuple(pinholes[number] for number in order)
+        return cls(cameras, tuple(order), spots, maps_of(cameras, low, high))
+
+
+def _spread(centers: F64) -> list[int]:
+    """All cameras, each the farthest from those before it; the first is the farthest from their mean."""
+    order = [int(np.linalg.norm(centers - centers.mean(axis=0), axis=1).argmax())]
+    while len(order) < len(centers):
+        away = np.linalg.norm(centers[:, None] - centers[order], axis=2).min(axis=1)
+        order.append(int(np.argmax(np.where(np.isin(np.arange(len(centers)), order), -1.0, away))))
+    return order
+
+
+def follow(tracking: Tracking, reach_px: float, least_px: float) -> Maps:
+    """Maps corrected by disparities, first of the core, then of every other camera against what the core agrees on."""
+    core = range(min(_CORE, len(tracking.cameras)))
+    maps, reach = tracking.maps, reach_px
+    for _ in range(_ROUNDS):
+        sets = find_sets(maps, tracking.spots[: len(core)], reach)
+        if not len(sets.places):
+            raise InputError(f"expected particle images that agree within {reach:g} px, got none: larger errors need a larger reach_px")
+        maps, moved = corrected(maps, sets, core)
+        if reach <= least_px and moved < _SETTLED_PX:
+            break
+        reach = max(least_px, 0.5 * reach)
+    sure = find_sets(maps, tracking.spots[: len(core)], least_px)
+    _check(tracking, maps, sure, reach_px, least_px)
+    for camera in range(len(core), len(tracking.cameras)):
+        maps = _follow_one(tracking, maps, sure, camera, reach_px, least_px)
+    return maps
+
+
+def _check(tracking: Tracking, maps: Maps, sure: Sets, reach_px: float, least_px: float) -> None:
+    """Refuse a spot of sets that agree by chance: such sets grow with the reach to the power of the dimensions in which they could disagree."""
+    core = min(_CORE, len(tracking.cameras))
+    wider = find_sets(maps, tracking.spots[:core], 2.0 * least_px)
+    chance = (len(wider.places) - len(sure.places)) / (2.0 ** (2 * core - 3) - 1.0)
+    if len(sure.places) - chance < _SURE * np.sqrt(max(chance, 1.0)):
+        raise InputError(
+            f"expected sets of particle images of {core} cameras that agree within {least_px:g} px, got {len(sure.places)} where chance makes "
+            f"{chance:.0f}: errors are larger than reach_px = {reach_px:g}, or particles too many"
+        )
+
+
+def _follow_one(tracking: Tracking, maps: Maps, sure: Sets, camera: int, reach_px: float, least_px: float) -> Maps:
+    reach = _FARTHER * reach_px
+    for _ in range(_ROUNDS):
+        pairs, errors = _pairs(maps, tracking.spots[camera], camera, sure.places, reach)
+        if not len(pairs):
+            raise InputError(
+                f"{tracking.cameras[camera].name}: expected particle images within {reach:g} px of where the other cameras' are, got none"
+            )
+        maps, moved = corrected(maps, Sets(sure.places[pairs[:, 0]], pairs, errors[:, None]), range(camera, camera + 1))
+        if reach <= least_px and moved < _SETTLED_PX:
+            break
+        reach = max(least_px, 0.5 * reach)
+    return maps
+
+
+def _pairs(maps: Maps, spots: Spots, camera: int, places: F64, reach: float) -> tuple[I64, F64]:
+    """Pairs (n, 2) of places and a camera's images within reach, and the images' errors (n, 2)."""
+    pixels = positions(maps, camera, places)
+    pairs = np.empty((_PAIRS, 2), dtype=np.int64)
+    pairs = pairs[: pair_up(spots, pixels, reach, pairs)]
+    return pairs, spots.pixel[pairs[:, 1]] - pixels[pairs[:, 0]]
+
+
+def match_all(tracking: Tracking, maps: Maps, least_px: float) -> tuple[F64, F64]:
+    """Particles that the cameras agree on: places (n, 3) from -1 to 1, and pixels (camera, n, 2), NaN where a camera has none.
+
+    A particle image belongs to the set that fits best of all that want it.
+    """
+    core = min(_CORE, len(tracking.cameras))
+    sets = find_sets(maps, tracking.spots[:core], least_px)
+    order = np.argsort(np.linalg.norm(sets.errors, axis=2).max(axis=1), kind="stable")
+    taken = [np.zeros(len(own.pixel), dtype=np.bool_) for own in tracking.spots]
+    chosen = []
+    for number in order.tolist():
+        if not any(taken[c][sets.hits[number, c]] for c in range(core)):
+            chosen.append(number)
+            for c in range(core):
+                taken[c][sets.hits[number, c]] = True
+    some = np.random.default_rng(0).permutation(np.array(chosen, dtype=np.int64))[:_MOST]  # the best alone would agree with the maps too much
+    places = sets.places[some]
+    pixels = np.full((len(tracking.cameras), len(some), 2), np.nan)
+    for c in range(core):
+        pixels[c] = tracking.spots[c].pixel[sets.hits[some, c]]
+    for c in range(core, len(tracking.cameras)):
+        pairs, errors = _pairs(maps, tracking.spots[c], c, places, least_px)
+        for row in np.argsort(-np.linalg.norm(errors, axis=1)).tolist():  # the nearest comes last and stays
+            pixels[c, pairs[row, 0]] = tracking.spots[c].pixel[pairs[row, 1]]
+    return places, pixels
+
+
+def refined(tracking: Tracking, matched: tuple[F64, F64]) -> tuple[Camera, ...]:
+    """The told cameras adjusted to particles, in the order of the case.
+
+    A lattice of places at which the told cameras are believed, to two pixels, holds what particles do not show.
+    """
+    (places, pixels), maps = matched, tracking.maps
+    particles = maps.middle_mm + maps.half_mm * places
+    axes = [np.linspace(-1.0, 1.0, count) for count in _LATTICE]
+    lattice = maps.middle_mm + maps.half_mm * np.array(list(itertools.product(*axes)))
+    points = np.vstack([particles, lattice])
+    told = np.stack([camera.project(lattice)[0] for camera in tracking.cameras])
+    both = np.concatenate([pixels, told], axis=1)
+    weights = np.isfinite(both).all(axis=2).astype(np.float64)
+    frame = Frame.of(tracking.cameras, points[:, None])
+    state = frame.state(np.zeros((1, 3)), points[:, None])
+    seen = Seen(np.zeros((1, 3)), np.nan_to_num(both)[:, :, None], weights[:, :, None], _held(frame, lattice, len(particles)))
+    state = _adjusted(state, seen, len(particles))
+    by_number = dict(zip(tracking.order, frame.built(state), strict=True))
+    return tuple(by_number[number] for number in range(len(by_number)))
+
+
+def _held(frame: Frame, lattice: F64, first: int) -> tuple[Anchor, ...]:
+    world = frame.motion.back()
+    return tuple(Anchor(first + number, 0, place, np.full(3, 1e6), world) for number, place in enumerate(lattice))
+
+
+def _adjusted(state: State, seen: Seen, particles: int) -> State:
+    """Cauchy's loss until the noise it leaves falls no more, then least squares without what is far off; the lattice weighs as its distrust says."""
+    noise = _noise(state, seen, particles)
+    for _ in range(_ROUNDS):
+        state = refine(state, replace(seen, weights=_weights(seen, particles, noise)), Free(), 3.0 * noise).state
+        before, noise = noise, _noise(state, seen, particles)
+        if noise > 0.9 * before:
+            break
+    weights = _weights(seen, particles, noise)
+    lengths = np.linalg.norm(residuals(state, seen), axis=-1)
+    weights[:, :particles] *= lengths[:, :particles] <= _REJECT * noise
+    return refine(state, replace(seen, weights=weights), Free(), 0.0).state
+
+
+def _weights(seen: Seen, particles: int, noise: float) -> F64:
+    weights = seen.weights.copy()
+    weights[:, particles:] *= (noise / _TOLD_PX) ** 2
+    return weights
+
+
+def _noise(state: State, seen: Seen, particles: int) -> float:
+    lengths = np.linalg.norm(residuals(state, seen), axis=-1)[:, :particles]
+    return max(median_noise(lengths[seen.weights[:, :particles] > 0.0]), 1e-3)

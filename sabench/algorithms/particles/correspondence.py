@@ -1,0 +1,199 @@
+"""Particle images that may belong to one particle: seen by several cameras whose calibration is a few pixels off.
+
+Source: B. Wieneke, Volume self-calibration for 3D particle image velocimetry, Exp. Fluids 45, 549-556, 2008.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numba
+import numpy as np
+
+from sabench.geometry.volume_polynomials import locate
+from sabench.images.peaks import around
+
+_NEAR = 64  # particle images looked at around one place
+
+
+@numba.njit(cache=True)
+def _gains(slopes: Any, cameras: int, gains: Any) -> bool:
+    """Fill in gains (camera, 2, 3): by how much a place moves for every pixel that a camera misses it by, in the least-squares sense."""
+    m = np.zeros((3, 3))
+    for c in range(cameras):
+        for a in range(2):
+            for p in range(3):
+                for q in range(3):
+                    m[p, q] += slopes[c, a, p] * slopes[c, a, q]
+    cross = np.empty((3, 3))
+    for p in range(3):
+        i, j = (p + 1) % 3, (p + 2) % 3
+        for q in range(3):
+            k, n = (q + 1) % 3, (q + 2) % 3
+            cross[p, q] = m[i, k] * m[j, n] - m[i, n] * m[j, k]
+    determinant = m[0, 0] * cross[0, 0] + m[0, 1] * cross[0, 1] + m[0, 2] * cross[0, 2]
+    if determinant <= 1e-9 * (m[0, 0] * m[1, 1] * m[2, 2]):
+        return False
+    for c in range(cameras):
+        for a in range(2):
+            for p in range(3):
+                sum_ = cross[p, 0] * slopes[c, a, 0] + cross[p, 1] * slopes[c, a, 1] + cross[p, 2] * slopes[c, a, 2]
+                gains[c, a, p] = sum_ / determinant
+    return True
+
+
+@numba.njit(cache=True)
+def _moved(gains: Any, misses: Any, cameras: int, step: Any) -> None:
+    """The step (3,) of a place that lowers the sum of squared misses most."""
+    for p in range(3):
+        step[p] = 0.0
+        for c in range(cameras):
+            step[p] += gains[c, 0, p] * misses[c, 0] + gains[c, 1, p] * misses[c, 1]
+
+
+@numba.njit(cache=True)
+def on_sight(maps: Any, pixel: Any, place: Any, here: Any, slope: Any) -> bool:
+    """Move a place in x and y to where the first camera sees it at a pixel."""
+    for _ in range(10):
+        locate(maps, 0, place, here, slope)
+        du, dv = pixel[0] - here[0], pixel[1] - here[1]
+        determinant = slope[0, 0] * slope[1, 1] - slope[0, 1] * slope[1, 0]
+        place[0] += (slope[1, 1] * du - slope[0, 1] * dv) / determinant
+        place[1] += (slope[0, 0] * dv - slope[1, 0] * du) / determinant
+        if abs(du) + abs(dv) < 1e-3:
+            break
+    return bool(abs(place[0]) <= 1.0 and abs(place[1]) <= 1.0)
+
+
+@numba.njit(cache=True)
+def match(maps: Any, spots: Any, order: Any, reach: float, steps: int, places: Any, hits: Any, errors: Any) -> int:
+    """Fill in sets of particle images, one of each of three or four cameras, that may be those of one particle; returns how many.
+
+    The first camera's line of sight is followed through the box; what the second shows within reach of it is intersected with it, and all that
+    the others show within reach of this place makes a set. A set counts if no camera misses the place that fits it best by more than `reach`.
+    When there is no more room, the rest of the first camera's images is left out.
+
+    Parameters
+    ----------
+    spots : one `Spots` of each camera.
+    order : numbers of the first camera's images, in the order in which they are taken.
+    steps : places on a line of sight, close enough for `reach`.
+    places : (sets, 3) room for the places, x, y, z from -1 to 1.
+    hits : (sets, cameras) room for the numbers of the images.
+    errors : (sets, cameras, 2) room for where the images lie against where the cameras see the place, px.
+    """
+    cameras, count = len(spots), 0
+    place, here, slope, step = np.zeros(3), np.zeros(2), np.zeros((2, 3)), np.zeros(3)
+    slopes, gains = np.zeros((cameras, 2, 3)), np.zeros((cameras, 2, 3))
+    misses, chosen = np.zeros((cameras, 2)), np.zeros(cameras, dtype=np.int64)
+    second, tried = np.zeros(_NEAR, dtype=np.int64), np.zeros(_NEAR, dtype=np.int64)
+    for first in order:
+        if count == len(places):
+            break
+        chosen[0], left = first, 0
+        place[:] = 0.0
+        for n in range(steps):
+            place[2] = -1.0 + 2.0 * n / (steps - 1)
+            if not on_sight(maps, spots[0].pixel[first], place, here, slope):
+                place[:2] = 0.0
+                continue
+            locate(maps, 1, place, here, slope)
+            for k in range(around(spots[1], here, reach, second)):
+                chosen[1] = second[k]
+                if (tried[: min(left, _NEAR)] == second[k]).any():
+                    continue
+                tried[left % _NEAR] = second[k]
+                left += 1
+                start = place.copy()
+                if _crossed(maps, spots, chosen, start, slopes, misses, gains, here, slope, step):
+                    count = _others(maps, spots, reach, chosen, start, slopes, misses, gains, step, places, hits, errors, count)
+    return count
+
+
+@numba.njit(cache=True)
+def _crossed(maps: Any, spots: Any, chosen: Any, place: Any, slopes: Any, misses: Any, gains: Any, here: Any, slope: Any, step: Any) -> bool:
+    """Move a place to where the first two cameras' lines of sight come nearest to each other, if that is in the box."""
+    for _ in range(2):
+        for c in range(2):
+            locate(maps, c, place, here, slope)
+            slopes[c] = slope
+            misses[c] = spots[c].pixel[chosen[c]] - here
+        if not _gains(slopes, 2, gains):
+            return False
+        _moved(gains, misses, 2, step)
+        place += step
+    return bool(np.abs(place).max() <= 1.0)
+
+
+@numba.njit(cache=True)
+def _others(
+    maps: Any,
+    spots: Any,
+    reach: float,
+    chosen: Any,
+    start: Any,
+    slopes: Any,
+    misses: Any,
+    gains: Any,
+    step: Any,
+    places: Any,
+    hits: Any,
+    errors: Any,
+    count: int,
+) -> int:
+    """Go through all that the cameras after the second show near to a place; returns the number of sets so far."""
+    cameras = len(spots)
+    seen, found = np.zeros((cameras, 2)), np.zeros((2, _NEAR), dtype=np.int64)
+    numbers = np.ones(2, dtype=np.int64)
+    for c in range(cameras):
+        locate(maps, c, start, seen[c], slopes[c])
+        if c >= 2:
+            numbers[c - 2] = around(spots[c], seen[c], reach, found[c - 2])
+    if numbers[0] * numbers[1] == 0 or not _gains(slopes, cameras, gains):
+        return count
+    for c in range(2):
+        misses[c] = spots[c].pixel[chosen[c]] - seen[c]
+    for both in range(numbers[0] * numbers[1]):
+        for c in range(2, cameras):
+            chosen[c] = found[0, both // numbers[1]] if c == 2 else found[1, both % numbers[1]]
+            misses[c, 0] = spots[c].pixel[chosen[c], 0] - seen[c, 0]
+            misses[c, 1] = spots[c].pixel[chosen[c], 1] - seen[c, 1]
+        _moved(gains, misses, cameras, step)
+        if _worst(slopes, misses, step, cameras) <= reach * reach:
+            if count == len(places):
+                return count
+            for p in range(3):
+                places[count, p] = start[p] + step[p]
+            for c in range(cameras):
+                hits[count, c] = chosen[c]
+                for a in range(2):
+                    bend = slopes[c, a, 0] * step[0] + slopes[c, a, 1] * step[1] + slopes[c, a, 2] * step[2]
+                    errors[count, c, a] = misses[c, a] - bend
+            count += 1
+    return count
+
+
+@numba.njit(cache=True)
+def _worst(slopes: Any, misses: Any, step: Any, cameras: int) -> float:
+    """The largest squared distance by which a camera still misses a place after a step."""
+    worst = 0.0
+    for c in range(cameras):
+        square = 0.0
+        for a in range(2):
+            off = misses[c, a] - slopes[c, a, 0] * step[0] - slopes[c, a, 1] * step[1] - slopes[c, a, 2] * step[2]
+            square += off * off
+        worst = max(worst, square)
+    return worst
+
+
+@numba.njit(cache=True)
+def pair_up(spots: Any, pixels: Any, reach: float, out: Any) -> int:
+    """Fill in pairs (number of a pixel, number of a particle image) within reach of each other, as long as there is room; returns how many."""
+    found, count = np.zeros(len(spots.pixel), dtype=np.int64), 0
+    for n in range(len(pixels)):
+        for k in range(around(spots, pixels[n], reach, found)):
+            if count == len(out):
+                return count
+            out[count, 0], out[count, 1] = n, found[k]
+            count += 1
+    return count

@@ -1,0 +1,120 @@
+"""One frame's particles, by triangulation alone or by rounds of it on what is left of the images."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from sabench.algorithms.particles.refinement import in_mm, peak_of, remove, settle, widths
+from sabench.algorithms.particles.triangulation import Candidates, candidates, chosen
+from sabench.api import FoundParticles, Observation
+from sabench.geometry.volume_polynomials import Maps, maps_of, positions
+from sabench.images.brightness import background, normalised
+from sabench.images.peaks import Spots, spots_of
+from sabench.utils.arrays import F32, F64, Bool
+
+_MARGIN = 1.0  # voxels around the grid's centres in which particles are looked for
+
+
+@dataclass(frozen=True)
+class Settings:
+    """How particles are looked for.
+
+    Attributes
+    ----------
+    floor : smallest peak that counts as a particle image, over a bright particle's.
+    noise : the same in standard deviations of the image's background; the larger one holds.
+    reach_px : largest distance of a particle image from where its camera sees the particle.
+    rounds : of triangulation with all cameras, and then with one camera fewer, on what is left; each is led by the next camera.
+    fits : rounds of fitting after each.
+    faint : brightness in its second darkest camera, over the median particle's, below which a particle is a ghost.
+    apart_px : distance of two particles' images in every camera below which they are one.
+    """
+
+    floor: float = 0.05
+    noise: float = 5.0
+    reach_px: float = 0.8
+    rounds: tuple[int, int] = (4, 4)
+    fits: int = 8
+    faint: float = 0.15
+    apart_px: float = 0.7
+
+
+def box_of(case: Observation) -> Maps:
+    """The cameras as polynomials over the grid and a margin."""
+    low, voxel = np.asarray(case.grid.low_mm), np.asarray(case.grid.voxel_mm)
+    high = low + voxel * (np.asarray(case.grid.shape[::-1]) - 1)
+    return maps_of(case.cameras, low - _MARGIN * voxel, high + _MARGIN * voxel)
+
+
+def triangulated(case: Observation, maps: Maps, settings: Settings) -> FoundParticles:
+    """The particles that particle images agree on, each image taken once."""
+    images = normalised(case)
+    spots = _spots(images, settings)
+    found = _agreed(maps, spots, settings, 0, 0, images)
+    return FoundParticles(in_mm(maps, found.place), _peaks(found, spots, images).mean(axis=1))
+
+
+def reconstructed(case: Observation, maps: Maps, settings: Settings) -> FoundParticles:
+    """The particles that explain the images: found and fitted, again and again, on what is left."""
+    images = normalised(case)
+    sigma = widths(images, [one.pixel for one in _spots(images, settings)])
+    left, places, light = images.copy(), np.zeros((0, 3)), np.zeros((0, len(images)))
+    full, reduced = settings.rounds
+    for number in range(full + reduced):
+        spots = _spots(left, settings)
+        found = _agreed(maps, spots, settings, int(number >= full), number, left)
+        places = np.concatenate([places, found.place])
+        light = np.concatenate([light, np.zeros((len(found.place), len(images)))])
+        settle(maps, sigma, left, places, light, settings.fits)
+        good = _real(maps, places, light, sigma, settings)
+        remove(maps, sigma, left, places[~good], light[~good])
+        places, light = places[good], light[good]
+    settle(maps, sigma, left, places, light, settings.fits)
+    return FoundParticles(in_mm(maps, places), peak_of(light, sigma).mean(axis=1))
+
+
+def _spots(images: F32, settings: Settings) -> tuple[Spots, ...]:
+    """Particle images above the background of every camera."""
+    return tuple(spots_of(image, max(settings.floor, settings.noise * background(image))) for image in images)
+
+
+def _agreed(maps: Maps, spots: tuple[Spots, ...], settings: Settings, missing: int, number: int, images: F32) -> Candidates:
+    """Candidates of which each particle image belongs to one; which cameras are followed changes from round to round."""
+    first = number % len(spots)
+    order = (first, (first + 1) % len(spots))
+    found = candidates(maps, spots, order, settings.reach_px, missing, (images.shape[1], images.shape[2]))
+    kept = chosen(found, spots)
+    return Candidates(found.place[kept], found.hit[kept], found.error_px[kept])
+
+
+def _peaks(found: Candidates, spots: tuple[Spots, ...], images: F32) -> F64:
+    """Brightest pixels (n, camera) of the particle images of candidates; 0 where a camera shows none."""
+    out = np.zeros(found.hit.shape)
+    for camera, (one, image) in enumerate(zip(spots, images, strict=True)):
+        there = found.hit[:, camera] >= 0
+        column, row = np.rint(one.pixel[found.hit[there, camera]]).astype(np.int64).T
+        out[there, camera] = image[row, column]
+    return out
+
+
+def _real(maps: Maps, places: F64, light: F64, sigma: F64, settings: Settings) -> Bool:
+    """Which particles are bright enough in enough cameras, and not another one's double."""
+    if not len(places):
+        return np.zeros(0, dtype=bool)
+    typical = np.maximum(np.median(light, axis=0), 1e-12)
+    second = np.sort(light / typical, axis=1)[:, min(1, light.shape[1] - 2)]
+    good = np.asarray(second >= settings.faint)
+    reach = settings.apart_px * _mm_per_px(maps)
+    for i, j in cKDTree(in_mm(maps, places)).query_pairs(reach):
+        if good[i] and good[j]:
+            good[i if light[i].sum() < light[j].sum() else j] = False
+    return good
+
+
+def _mm_per_px(maps: Maps) -> float:
+    """Size of a pixel in the middle of the box, along X."""
+    ends = np.array([[-0.01, 0.0, 0.0], [0.01, 0.0, 0.0]])
+    return float(0.02 * maps.half_mm[0] / np.linalg.norm(np.diff(positions(maps, 0, ends), axis=0)))

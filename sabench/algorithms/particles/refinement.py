@@ -1,0 +1,153 @@
+"""Particles fitted to the images: places and brightnesses that leave the least light unexplained.
+
+Where the first method moves particles by fixed amounts and keeps what is best ("shaking": Wieneke, Iterative reconstruction of volumetric particle
+distribution, Meas. Sci. Technol. 24, 024008, 2013), each takes steps of Gauss and Newton here, one particle after the other, against the images
+less what all others add to them. A particle's image is a Gaussian that pixels average; its brightness is free in every camera.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numba
+import numpy as np
+
+from sabench.geometry.volume_polynomials import Maps, locate
+from sabench.utils.arrays import F32, F64
+
+_HALF = 3  # pixels from the middle of a particle's image to the border of its window
+_WINDOW = 2 * _HALF + 1
+_FARTHEST_PX = 0.5  # that a particle moves in one step
+
+
+def widths(images: F32, pixels: list[F64]) -> F64:
+    """Standard deviations (camera,) of lone particles' images, px, from three values along either axis: the lower quartile, since overlaps widen."""
+    out = []
+    for image, places in zip(images, pixels, strict=True):
+        column, row = np.rint(places).astype(np.int64).T
+        high = np.log(np.maximum(image, 1e-6))
+        bends = np.concatenate([2.0 * high[row, column] - high[row, column - 1] - high[row, column + 1],
+                                2.0 * high[row, column] - high[row - 1, column] - high[row + 1, column]])  # fmt: skip
+        bends = bends[(bends > 0.05) & (bends < 20.0)]
+        square = float(np.quantile(1.0 / bends, 0.25)) - 1.0 / 12.0 if len(bends) else 0.0
+        out.append(math.sqrt(max(square, 0.09)))
+    return np.array(out)
+
+
+@numba.njit(cache=True)
+def _profile(center: float, first: int, sigma: float, value: Any, slope: Any) -> None:
+    """A Gaussian of area 1, averaged over each of some pixels, and its derivative by its centre."""
+    scale, peak = 1.0 / (math.sqrt(2.0) * sigma), 1.0 / (math.sqrt(2.0 * math.pi) * sigma)
+    before = math.erf((first - 0.5 - center) * scale)
+    low = peak * math.exp(-(((first - 0.5 - center) * scale) ** 2))
+    for i in range(_WINDOW):
+        behind = math.erf((first + i + 0.5 - center) * scale)
+        high = peak * math.exp(-(((first + i + 0.5 - center) * scale) ** 2))
+        value[i], slope[i] = 0.5 * (behind - before), low - high
+        before, low = behind, high
+
+
+@numba.njit(cache=True)
+def _paint(image: Any, column: int, row: int, x: Any, y: Any, amount: float) -> None:
+    """Add a particle's image, from its first column and row on."""
+    rows, columns = image.shape
+    for i in range(max(0, -row), min(_WINDOW, rows - row)):
+        for j in range(max(0, -column), min(_WINDOW, columns - column)):
+            image[row + i, column + j] += np.float32(amount * y[i] * x[j])
+
+
+@numba.njit(cache=True)
+def settle(maps: Any, sigma: Any, left: Any, places: Any, light: Any, rounds: int) -> None:
+    """Fit particles one after the other, some rounds.
+
+    Parameters
+    ----------
+    sigma : (camera,) widths of particle images, px.
+    left : (camera, row, column) float32, the images less all particles; kept up to date.
+    places : (n, 3) in the box of the maps.
+    light : (n, camera) of each particle, in units of the images times px2; not negative.
+    """
+    cameras = len(sigma)
+    x, y, dx, dy = np.zeros((cameras, _WINDOW)), np.zeros((cameras, _WINDOW)), np.zeros((cameras, _WINDOW)), np.zeros((cameras, _WINDOW))
+    corner, here, slope = np.zeros((cameras, 2), dtype=np.int64), np.zeros(2), np.zeros((2, 3))
+    matrix, right = np.zeros((3, 3)), np.zeros(3)
+    for _ in range(rounds):
+        for n in range(len(places)):
+            matrix[:], right[:], steepest = 0.0, 0.0, 0.0
+            for c in range(cameras):
+                _set(maps, c, places[n], sigma[c], here, slope, corner[c], x[c], y[c], dx[c], dy[c])
+                _paint(left[c], corner[c, 0], corner[c, 1], x[c], y[c], light[n, c])
+                _pull(left[c], corner[c], x[c], y[c], dx[c], dy[c], light[n, c], slope, matrix, right)
+                steepest = max(steepest, np.abs(slope).max())
+            _move(places[n], matrix, right, _FARTHEST_PX / steepest)
+            for c in range(cameras):
+                _set(maps, c, places[n], sigma[c], here, slope, corner[c], x[c], y[c], dx[c], dy[c])
+                light[n, c] = _brightness(left[c], corner[c], x[c], y[c])
+                _paint(left[c], corner[c, 0], corner[c, 1], x[c], y[c], -light[n, c])
+
+
+@numba.njit(cache=True)
+def _set(maps: Any, c: int, place: Any, sigma: float, here: Any, slope: Any, corner: Any, x: Any, y: Any, dx: Any, dy: Any) -> None:
+    """Where a camera sees a place, and the profiles of its image there."""
+    locate(maps, c, place, here, slope)
+    corner[0], corner[1] = round(here[0]) - _HALF, round(here[1]) - _HALF
+    _profile(here[0], corner[0], sigma, x, dx)
+    _profile(here[1], corner[1], sigma, y, dy)
+
+
+@numba.njit(cache=True)
+def _pull(image: Any, corner: Any, x: Any, y: Any, dx: Any, dy: Any, light: float, slope: Any, matrix: Any, right: Any) -> None:
+    """Add a camera's part to the normal equations of a particle's place."""
+    rows, columns = image.shape
+    for i in range(max(0, -corner[1]), min(_WINDOW, rows - corner[1])):
+        for j in range(max(0, -corner[0]), min(_WINDOW, columns - corner[0])):
+            by_column, by_row = light * y[i] * dx[j], light * dy[i] * x[j]
+            off = image[corner[1] + i, corner[0] + j] - light * y[i] * x[j]
+            for p in range(3):
+                first = by_column * slope[0, p] + by_row * slope[1, p]
+                right[p] += first * off
+                for q in range(3):
+                    matrix[p, q] += first * (by_column * slope[0, q] + by_row * slope[1, q])
+
+
+@numba.njit(cache=True)
+def _move(place: Any, matrix: Any, right: Any, farthest: float) -> None:
+    if np.linalg.det(matrix) > 1e-9 * matrix[0, 0] * matrix[1, 1] * matrix[2, 2] > 0.0:
+        step = np.linalg.solve(matrix, right)
+        place += step * min(1.0, farthest / max(np.abs(step).max(), 1e-300))
+        for p in range(3):
+            place[p] = min(max(place[p], -1.0), 1.0)
+
+
+@numba.njit(cache=True)
+def _brightness(image: Any, corner: Any, x: Any, y: Any) -> float:
+    """The light that leaves the least of a window unexplained."""
+    rows, columns = image.shape
+    both, own = 0.0, 0.0
+    for i in range(max(0, -corner[1]), min(_WINDOW, rows - corner[1])):
+        for j in range(max(0, -corner[0]), min(_WINDOW, columns - corner[0])):
+            both += image[corner[1] + i, corner[0] + j] * y[i] * x[j]
+            own += (y[i] * x[j]) ** 2
+    return max(both / own, 0.0) if own > 0.0 else 0.0
+
+
+@numba.njit(cache=True)
+def remove(maps: Any, sigma: Any, left: Any, places: Any, light: Any) -> None:
+    """Give the light of particles back to the images less all particles."""
+    x, y, d, corner, here, slope = np.zeros(_WINDOW), np.zeros(_WINDOW), np.zeros(_WINDOW), np.zeros(2, dtype=np.int64), np.zeros(2), np.zeros((2, 3))
+    for n in range(len(places)):
+        for c in range(len(sigma)):
+            _set(maps, c, places[n], sigma[c], here, slope, corner, x, y, d, d)
+            _paint(left[c], corner[0], corner[1], x, y, light[n, c])
+
+
+def peak_of(light: F64, sigma: F64) -> F64:
+    """Brightest pixel (n, camera) of particles whose images lie on a pixel's middle."""
+    share = np.array([math.erf(0.5 / (math.sqrt(2.0) * one)) ** 2 for one in sigma])
+    return np.asarray(light * share)
+
+
+def in_mm(maps: Maps, places: F64) -> F64:
+    """World points (n, 3) of places in the box of the maps."""
+    return np.asarray(maps.middle_mm + places * maps.half_mm)

@@ -1,0 +1,165 @@
+"""Places in space that particle images of several cameras agree on.
+
+The line of sight of a camera's particle image is followed through the volume; what a second camera shows beside it is intersected with it, and the
+others must show something where they see the intersection: Maas, Gruen and Papantoniou, Particle tracking velocimetry in three-dimensional flows,
+Part 1, Exp. Fluids 15, 133-146, 1993, but along polynomials that stand for the refracted lines of sight, and without pairs of candidate lists.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numba
+import numpy as np
+
+from sabench.algorithms.particles.correspondence import on_sight
+from sabench.geometry.volume_polynomials import Maps, locate, positions
+from sabench.images.peaks import Spots, around
+from sabench.utils.arrays import F64, I64
+
+_NEAR = 64  # particle images looked at around one place
+_ROOM = 50  # sets of each of the first camera's images that there is room for
+_STEPS = 2  # of the least-squares fit of a place
+
+
+class Candidates(NamedTuple):
+    """Sets of particle images that may be one particle's.
+
+    Attributes
+    ----------
+    place : (n, 3) in the box of the maps, from -1 to 1.
+    hit : (n, cameras) numbers of the images; -1 where a camera shows none.
+    error_px : (n,) root mean square distance of the images from where the cameras see the place.
+    """
+
+    place: F64
+    hit: I64
+    error_px: F64
+
+
+def candidates(maps: Maps, spots: tuple[Spots, ...], order: tuple[int, int], reach_px: float, missing: int, size: tuple[int, int]) -> Candidates:
+    """All sets whose images lie within `reach_px` of where their cameras see the place that fits them best.
+
+    Parameters
+    ----------
+    spots : of each camera.
+    order : the camera whose lines of sight are followed, and the one that they are intersected in.
+    missing : how many of the cameras that have the place on their sensor may show nothing there.
+    size : rows and columns of the images.
+    """
+    turned = (order[0], *(number for number in range(len(spots)) if number != order[0]))
+    own = Maps(np.ascontiguousarray(maps.coefficients[list(turned)]), *maps[1:])
+    seen = tuple(spots[number] for number in turned)
+    most = _ROOM * len(seen[0].pixel)
+    place, hit, error = np.zeros((most, 3)), np.full((most, len(spots)), -1), np.zeros(most)
+    steps = max(2, int(_travel(own, turned.index(order[1])) / reach_px) + 2)
+    count = _follow(own, seen, turned.index(order[1]), reach_px, missing, size, steps, place, hit, error)
+    back = np.argsort(turned)
+    return Candidates(place[:count], hit[:count][:, back], error[:count])
+
+
+def _travel(maps: Maps, second: int) -> float:
+    """How far the image of a line of sight of the first camera, from front to back of the box, reaches in the second, px."""
+    ends = np.array([[0.0, 0.0, -1.0], [0.0, 0.0, 1.0]])
+    here, there = positions(maps, 0, ends), positions(maps, second, ends)
+    return float(np.linalg.norm(np.diff(there, axis=0)) + np.linalg.norm(np.diff(here, axis=0)))
+
+
+def chosen(found: Candidates, spots: tuple[Spots, ...]) -> I64:
+    """Rows of the candidates that remain if each particle image belongs to one only, those that fit best first; complete sets before others."""
+    order = np.lexsort((found.error_px, (found.hit < 0).sum(axis=1)))
+    free = [np.ones(len(one.pixel) + 1, dtype=bool) for one in spots]  # the last one is that of a camera that shows none
+    kept = []
+    for row in order:
+        if all(flags[number] for flags, number in zip(free, found.hit[row], strict=True)):
+            kept.append(row)
+            for flags, number in zip(free, found.hit[row], strict=True):
+                flags[number] = number < 0
+    return np.array(kept, dtype=np.int64)
+
+
+@numba.njit(cache=True)
+def _follow(maps: Any, spots: Any, second: int, reach: float, missing: int, size: Any, steps: int, places: Any, hits: Any, errors: Any) -> int:
+    """Fill in the candidates of all of the first camera's images; returns how many there are."""
+    cameras, count = len(spots), 0
+    place, start, here, slope = np.zeros(3), np.zeros(3), np.zeros(2), np.zeros((2, 3))
+    near, tried, chosen = np.zeros(_NEAR, dtype=np.int64), np.zeros(512, dtype=np.int64), np.zeros(cameras, dtype=np.int64)
+    for first in range(len(spots[0].pixel)):
+        left = 0
+        place[:] = 0.0
+        for n in range(steps):
+            place[2] = -1.0 + 2.0 * n / (steps - 1)
+            if not on_sight(maps, spots[0].pixel[first], place, here, slope):
+                place[:2] = 0.0
+                continue
+            locate(maps, second, place, here, slope)
+            for k in range(around(spots[second], here, 1.5 * reach, near)):
+                if left == len(tried) or count == len(places) or (tried[:left] == near[k]).any():
+                    continue
+                tried[left] = near[k]
+                left += 1
+                chosen[:] = -1
+                chosen[0], chosen[second] = first, near[k]
+                start[:] = place
+                worst = _fitted(maps, spots, chosen, start)
+                if worst > reach or np.abs(start).max() > 1.0 or not _others(maps, spots, chosen, start, second, reach, missing, size):
+                    continue
+                worst = _fitted(maps, spots, chosen, start)
+                if worst <= reach and np.abs(start).max() <= 1.0:
+                    places[count], hits[count], errors[count] = start, chosen, _error(maps, spots, chosen, start)
+                    count += 1
+    return count
+
+
+@numba.njit(cache=True)
+def _others(maps: Any, spots: Any, chosen: Any, place: Any, second: int, reach: float, missing: int, size: Any) -> bool:
+    """Choose the image nearest to a place in each of the other cameras; false if too many have it on their sensor and show none."""
+    here, slope, near, absent = np.zeros(2), np.zeros((2, 3)), np.zeros(_NEAR, dtype=np.int64), 0
+    for c in range(1, len(spots)):
+        if c == second:
+            continue
+        locate(maps, c, place, here, slope)
+        nearest = reach * 1.5
+        for k in range(around(spots[c], here, nearest, near)):
+            apart = np.hypot(spots[c].pixel[near[k], 0] - here[0], spots[c].pixel[near[k], 1] - here[1])
+            if apart < nearest:
+                nearest, chosen[c] = apart, near[k]
+        if chosen[c] < 0 and 0.0 < here[0] < size[1] - 1.0 and 0.0 < here[1] < size[0] - 1.0:
+            absent += 1
+    return absent <= missing and (len(spots) == 2 or (chosen >= 0).sum() > 2)
+
+
+@numba.njit(cache=True)
+def _fitted(maps: Any, spots: Any, chosen: Any, place: Any) -> float:
+    """Move a place to where it fits the chosen images best; returns the largest distance that is left, px."""
+    here, slope, matrix, right, worst = np.zeros(2), np.zeros((2, 3)), np.zeros((3, 3)), np.zeros(3), 0.0
+    for step in range(_STEPS + 1):
+        matrix[:], right[:], worst = 0.0, 0.0, 0.0
+        for c in range(len(spots)):
+            if chosen[c] < 0:
+                continue
+            locate(maps, c, place, here, slope)
+            miss = spots[c].pixel[chosen[c]] - here
+            worst = max(worst, np.hypot(miss[0], miss[1]))
+            for a in range(2):
+                for i in range(3):
+                    right[i] += slope[a, i] * miss[a]
+                    for j in range(3):
+                        matrix[i, j] += slope[a, i] * slope[a, j]
+        if step == _STEPS or np.linalg.det(matrix) <= 1e-9 * matrix[0, 0] * matrix[1, 1] * matrix[2, 2]:
+            break
+        place += np.linalg.solve(matrix, right)
+        if np.abs(place).max() > 1.5:
+            return np.inf
+    return worst
+
+
+@numba.njit(cache=True)
+def _error(maps: Any, spots: Any, chosen: Any, place: Any) -> float:
+    here, slope, total, seen = np.zeros(2), np.zeros((2, 3)), 0.0, 0
+    for c in range(len(spots)):
+        if chosen[c] >= 0:
+            locate(maps, c, place, here, slope)
+            miss = spots[c].pixel[chosen[c]] - here
+            total, seen = total + miss[0] ** 2 + miss[1] ** 2, seen + 1
+    return float(np.sqrt(total / seen))

@@ -1,0 +1,230 @@
+"""Slabs of planes that share one set of rectified images, and how their voxels map onto these images.
+
+A voxel and the point where its line of sight meets the slab's middle plane have the same pixel. For a pinhole in air the way from one to the
+other is a scale and a shift, the same for a whole plane; refraction bends it a little. Inside a tile of voxels an affine map is enough.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from sabench.algorithms.refocus.cpu_kernels import TILE_COLUMNS, TILE_ROWS
+from sabench.geometry.camera_model import CameraModel
+from sabench.geometry.grid import Grid
+from sabench.geometry.plane_polynomials import Smooth, fit, lowest_degree, plane_points, slopes, terms
+from sabench.utils.arrays import F64, I64
+
+DEVIATION_PX = 0.01  # largest distance, in a camera's pixels, between the tiles' affine maps and the exact lines of sight
+_MARGIN = 2.0  # voxels that a rectified image reaches beyond what is asked for
+_PROBES = 2000  # places at which the deviation is measured
+_NODES = 7  # depths at which displacements are computed; between them they are interpolated
+
+
+@dataclass(frozen=True)
+class Slab:
+    """Planes `first` to `first + count - 1` of a grid, and the rectified images that serve them.
+
+    Attributes
+    ----------
+    first, count : planes.
+    z_mm : the plane of the rectified images.
+    corners : (camera, 2) x, y of the rectified images' first pixel, in voxels of the grid.
+    shape : (height, width) of the rectified images, whose pixels are as far apart as voxels.
+    displacement : (camera, plane, 2, terms) polynomials in u, v across the grid: the way in x, y from a voxel to its image on `z_mm`, in voxels.
+    degree : of these polynomials.
+    """
+
+    first: int
+    count: int
+    z_mm: float
+    corners: F64
+    shape: tuple[int, int]
+    displacement: F64
+    degree: int
+
+    def tiles(self, grid: Grid) -> F64:
+        """Affine maps (tile, plane, camera, 6) as `sum_planes` takes them, from the polynomials at the tiles' centres."""
+        top, left = tile_origins(grid)
+        origin = np.column_stack([left, top]).astype(np.float64)
+        middle = origin + (tile_sizes(grid) - 1) / 2.0
+        half = np.maximum(np.asarray(grid.shape[:0:-1]) - 1.0, 1.0) / 2.0
+        unit = (middle - (np.asarray(grid.shape[:0:-1]) - 1) / 2.0) / half
+        along_u, along_v = slopes(unit, self.degree)
+        value, along_x, along_y = (self._evaluate(basis) for basis in (terms(unit, self.degree), along_u / half[0], along_v / half[1]))
+        along_x[..., 0] += 1.0
+        along_y[..., 1] += 1.0
+        back = (origin - middle)[:, None, None]
+        start = value + middle[:, None, None] - self.corners + along_x * back[..., :1] + along_y * back[..., 1:]
+        return np.stack([start, along_x, along_y], axis=-1).reshape(*start.shape[:3], 6)
+
+    def positions(self, grid: Grid) -> F64:
+        """Polynomials (camera, plane, 2, terms) of positions in the rectified images: displacements plus the voxels' own places."""
+        maps = self.displacement.copy()
+        for axis, (count, linear) in enumerate(zip(grid.shape[:0:-1], (1, self.degree + 1), strict=True)):
+            half = (count - 1) / 2.0
+            maps[:, :, axis, linear] += half
+            maps[:, :, axis, 0] += half - self.corners[:, None, axis]
+        return maps
+
+    @property
+    def middle_shifts(self) -> F64:
+        """The displacement at the grid's middle: (camera, plane, 2)."""
+        return self.displacement[..., 0]  # the constant terms
+
+    def _evaluate(self, basis: F64) -> F64:
+        """Polynomials at n places: (n, plane, camera, 2)."""
+        cameras, planes = self.displacement.shape[:2]
+        flat = self.displacement.transpose(1, 0, 2, 3).reshape(-1, self.displacement.shape[3])
+        return np.asarray(basis @ flat.T).reshape(len(basis), planes, cameras, 2)
+
+
+def slabs(cameras: Sequence[CameraModel], grid: Grid) -> list[Slab]:
+    """As few slabs as keep the affine maps within `DEVIATION_PX` of the exact lines of sight.
+
+    Raises
+    ------
+    ValueError
+        Some of the grid has no light path to a camera, or a single plane cannot be mapped within tolerance.
+    """
+    done, waiting = [], [(0, grid.shape[0])]
+    while waiting:
+        first, count = waiting.pop()
+        slab = make_slab(cameras, grid, first, count)
+        if deviation_px(slab, cameras, grid) <= DEVIATION_PX or count == 1:  # a single plane is its own middle: nothing deviates
+            done.append(slab)
+        else:
+            waiting += [(first + count // 2, count - count // 2), (first, count // 2)]
+    return done
+
+
+def make_slab(cameras: Sequence[CameraModel], grid: Grid, first: int, count: int) -> Slab:
+    """A slab of the given planes, whatever its deviation is."""
+    depths = grid.axes_mm[2][first : first + count]
+    z_mm = float(depths[0] + depths[-1]) / 2.0
+    nodes, interpolation = _depth_nodes(depths)
+    functions = [_displacement(camera, grid, nodes, z_mm) for camera in cameras]
+    degree = max(lowest_degree(function) for function in functions)
+    at_nodes = np.stack([fit(function, degree)[0].reshape(len(nodes), 2, -1) for function in functions])
+    displacement = np.einsum("pn,cnik->cpik", interpolation, at_nodes)
+    corners, shape = _boxes(cameras, grid, z_mm, displacement, degree)
+    return Slab(first, count, z_mm, corners, shape, displacement, degree)
+
+
+def deviation_px(slab: Slab, cameras: Sequence[CameraModel], grid: Grid) -> float:
+    """Largest distance in pixels between where the tiles' affine maps and where the exact lines of sight lead, over voxels that a camera sees.
+
+    Random voxels are tried, every other one in a corner of its tile and most on the slab's outer planes: the deviation grows towards both.
+    """
+    rng = np.random.default_rng(0)
+    top, left = tile_origins(grid)
+    maps, tile = slab.tiles(grid), rng.integers(len(top), size=_PROBES)
+    plane = np.where(np.arange(_PROBES) % 4, rng.choice([0, slab.count - 1], size=_PROBES), rng.integers(slab.count, size=_PROBES))
+    share = np.where(np.arange(_PROBES)[:, None] % 2, rng.random((_PROBES, 2)), rng.integers(2, size=(_PROBES, 2)))
+    column, row = np.rint(share * (tile_sizes(grid)[tile] - 1)).astype(int).T
+    step, low = np.asarray(grid.voxel_mm), np.asarray(grid.low_mm)
+    exact = low + step * np.column_stack([left[tile] + column, top[tile] + row, slab.first + plane])
+    worst = 0.0
+    for number, camera in enumerate(cameras):
+        affine = maps[tile, plane, number]
+        mapped = affine[:, [0, 3]] + affine[:, [1, 4]] * column[:, None] + affine[:, [2, 5]] * row[:, None] + slab.corners[number]
+        pixel = camera.project(exact)[0]
+        there = camera.project(np.column_stack([low[:2] + step[:2] * mapped, np.full(_PROBES, slab.z_mm)]))[0]
+        seen = camera.contains(pixel)
+        worst = max(worst, float(np.linalg.norm(pixel - there, axis=1)[seen].max(initial=0.0)))
+    return worst
+
+
+def rectifying_maps(slab: Slab, cameras: Sequence[CameraModel], grid: Grid) -> tuple[F64, int]:
+    """Pixel positions over each camera's rectified image as polynomials (camera, 2, terms), and their degree."""
+    height, width = slab.shape
+    step, low = np.asarray(grid.voxel_mm), np.asarray(grid.low_mm)
+    functions = []
+    for camera, (left, top) in zip(cameras, slab.corners, strict=True):
+        box = Grid((low[0] + step[0] * left, low[1] + step[1] * top, slab.z_mm), grid.voxel_mm, (1, height, width))
+        functions.append(_pixels(camera, box, slab.z_mm))
+    degree = max(lowest_degree(function) for function in functions)
+    return np.stack([fit(function, degree)[0] for function in functions]), degree
+
+
+def tile_origins(grid: Grid) -> tuple[I64, I64]:
+    """First row and first column of every tile, in the order of the kernels."""
+    top, left = np.meshgrid(np.arange(0, grid.shape[1], TILE_ROWS), np.arange(0, grid.shape[2], TILE_COLUMNS), indexing="ij")
+    return top.ravel(), left.ravel()
+
+
+def tile_sizes(grid: Grid) -> I64:
+    """Columns and rows of every tile: (tile, 2)."""
+    top, left = tile_origins(grid)
+    return np.column_stack([np.minimum(TILE_COLUMNS, grid.shape[2] - left), np.minimum(TILE_ROWS, grid.shape[1] - top)])
+
+
+def _depth_nodes(depths: F64) -> tuple[F64, F64]:
+    """Depths at which displacements are computed, and the matrix (plane, node) that interpolates between them."""
+    count = min(_NODES, len(depths))
+    if count == 1:
+        return depths, np.ones((1, 1))
+    middle, half = (depths[0] + depths[-1]) / 2.0, (depths[-1] - depths[0]) / 2.0
+    nodes = np.cos(np.pi * (np.arange(count) + 0.5) / count)
+    matrix = np.polynomial.chebyshev.chebvander((depths - middle) / half, count - 1) @ np.linalg.inv(
+        np.polynomial.chebyshev.chebvander(nodes, count - 1)
+    )
+    return middle + half * nodes, np.asarray(matrix)
+
+
+def _displacement(camera: CameraModel, grid: Grid, depths: F64, z_mm: float) -> Smooth:
+    """The way along the line of sight from each plane to `z_mm`, in voxels: (n, 2 planes)."""
+
+    def ways(unit: F64) -> F64:
+        parts = []
+        for z in depths:
+            points = plane_points(grid, float(z), unit)
+            parts.append((_carried(camera, points, z_mm) - points[:, :2]) / np.asarray(grid.voxel_mm)[:2])
+        return np.column_stack(parts)
+
+    return ways
+
+
+def _carried(camera: CameraModel, points: F64, z_mm: float) -> F64:
+    there = camera.carry(points, z_mm)
+    if not np.isfinite(there).all():
+        raise ValueError(f"{camera.name}: expected a light path to every voxel, but the plane z = {points[0, 2]:g} mm has points without one")
+    return there
+
+
+def _pixels(camera: CameraModel, box: Grid, z_mm: float) -> Smooth:
+    def pixels(unit: F64) -> F64:
+        return camera.project(plane_points(box, z_mm, unit))[0]
+
+    return pixels
+
+
+def _boxes(cameras: Sequence[CameraModel], grid: Grid, z_mm: float, displacement: F64, degree: int) -> tuple[F64, tuple[int, int]]:
+    """First pixels (camera, 2) and common shape of the rectified images: what the slab's planes need of what each camera sees."""
+    axis = np.linspace(-1.0, 1.0, 9)
+    unit = np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2)
+    voxels = (unit + 1.0) / 2.0 * (np.asarray(grid.shape[:0:-1]) - 1)
+    ways = np.einsum("nk,cpik->cpni", terms(unit, degree), displacement[:, [0, -1]])
+    needed = (voxels + ways).reshape(len(cameras), -1, 2)
+    low, high = needed.min(axis=1), needed.max(axis=1)
+    for number, camera in enumerate(cameras):
+        seen = _border(camera, grid, z_mm)
+        low[number] = np.clip(seen.min(axis=0), low[number], high[number])
+        high[number] = np.clip(seen.max(axis=0), low[number], high[number])
+    corners = np.floor(low - _MARGIN)
+    width, height = (np.ceil(high + _MARGIN) - corners).max(axis=0).astype(int) + 1
+    return corners, (int(height), int(width))
+
+
+def _border(camera: CameraModel, grid: Grid, z_mm: float) -> F64:
+    """Where the border of an image looks to on a plane, in voxels (n, 2); everywhere, if some of it looks nowhere."""
+    along = np.linspace(-0.5, 0.5, 33)
+    sides = [np.column_stack(pair) for end in (-0.5, 0.5) for pair in ((along, np.full(33, end)), (np.full(33, end), along))]
+    pixels = np.vstack(sides) * [camera.columns, camera.rows] + np.asarray([camera.columns - 1, camera.rows - 1]) / 2.0
+    rays = camera.back_project(pixels)
+    if not rays.valid.all() or (rays.directions[:, 2] <= 0.0).any():
+        return np.array([[-np.inf, -np.inf], [np.inf, np.inf]])
+    way = (z_mm - rays.origins_mm[:, 2:]) / rays.directions[:, 2:]
+    return np.asarray((rays.origins_mm + way * rays.directions - np.asarray(grid.low_mm))[:, :2] / np.asarray(grid.voxel_mm)[:2])

@@ -1,0 +1,158 @@
+"""Synthetic aperture refocusing: all cameras' views of every voxel, added or multiplied; by numba on the CPU, by Dr.Jit on a GPU."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from sabench.algorithms.refocus import cpu_kernels, gpu_kernels
+from sabench.algorithms.refocus.cpu_kernels import TILE_COLUMNS, TILE_ROWS
+from sabench.algorithms.refocus.rectification import CUBIC, LINEAR, coefficients_of, resample
+from sabench.algorithms.refocus.slabs import Slab, make_slab, rectifying_maps, slabs, tile_origins
+from sabench.geometry.camera_model import CameraModel
+from sabench.geometry.grid import Grid
+from sabench.utils import backend
+from sabench.utils.arrays import F32, F64
+from sabench.utils.progress import track
+
+_AT_ONCE = 16  # planes that are shifted before they are resampled: bounds memory
+
+
+def refocus_sum(images: F32, cameras: Sequence[CameraModel], grid: Grid, *, outside: float = 0.0) -> F32:
+    """The sum over cameras of their images at every voxel: (z, y, x).
+
+    Parameters
+    ----------
+    images : (camera, row, column).
+    outside : value of a camera's image at voxels that it does not see.
+
+    Source: thesis, equation 3.3, times N. Images are resampled once per slab by cubic B-splines, then bilinearly: at most
+    `slabs.DEVIATION_PX` from exact positions.
+
+    Raises
+    ------
+    ValueError
+        Some of the grid has no light path to a camera.
+    """
+    volume = np.empty(grid.shape, dtype=np.float32)
+    for view, rectified, part in _parts(images, cameras, grid, outside, volume):
+        if _on_device():
+            gpu_kernels.sum_planes(rectified, view.slab, grid, outside, part)
+        else:
+            cpu_kernels.sum_planes(rectified, LINEAR, view.tiles, outside, part)
+    return volume
+
+
+def refocus_log2(images: F32, cameras: Sequence[CameraModel], grid: Grid, floor: float, *, outside: float = 0.0) -> F32:
+    """The sum over cameras of log2 of their images, raised to `floor` at least, at every voxel: (z, y, x); arguments as for `refocus_sum`.
+
+    Two to the power of n times it is the product of equation 3.4 of the thesis.
+    """
+    volume, largest = np.empty(grid.shape, dtype=np.float32), float(max(images.max(initial=0.0), outside, 1.0))
+    for view, rectified, part in _parts(images, cameras, grid, outside, volume):
+        if _on_device():
+            gpu_kernels.multiply_planes(rectified, view.slab, grid, outside, floor, part)
+        else:
+            cpu_kernels.multiply_planes(rectified, view.tiles, outside, floor, 2.0 * largest, part)
+    return volume
+
+
+def refocus_by_shifts(images: F32, cameras: Sequence[CameraModel], grid: Grid) -> F32:
+    """The mean over cameras by whole-pixel shifts of images mapped to the grid's middle plane: (z, y, x).
+
+    Source: thesis, equations 2.1 to 2.3, the map-shift-average of cameras on one plane. Images are mapped bilinearly. A plane is refocused as the
+    camera nearest to the array's centre sees it, which needs only shifts, and then resampled to the grid's voxels by a cubic spline. Its
+    coefficients are shifted instead of the pixels: filtering before or after a shift is the same. Beside bright particles the spline dips below
+    zero.
+    """
+    view = _whole(tuple(cameras), grid)
+    slab, mapped = view.slab, np.empty((len(images), *view.slab.shape), dtype=np.float32)
+    resample(coefficients_of(images, LINEAR), LINEAR, view.maps, view.degree, 0.0, mapped)
+    mapped /= len(cameras)
+    coefficients = coefficients_of(mapped, CUBIC)
+    nearest = _innermost(cameras)
+    shifts = np.rint(slab.middle_shifts - slab.middle_shifts[nearest]) - (slab.corners - slab.corners[nearest])[:, None]
+    maps = np.ascontiguousarray(view.tiles[:, :, nearest : nearest + 1])
+    low, shape = _reached(maps)
+    maps[..., [0, 3]] -= low
+    whole = (shifts + low).astype(np.int64).transpose(1, 0, 2)
+    volume, focused = np.empty(grid.shape, dtype=np.float32), np.empty((_AT_ONCE, *shape), dtype=np.float32)
+    for first in track(range(0, grid.shape[0], _AT_ONCE), f"shift {len(cameras)} cameras"):
+        cpu_kernels.sum_shifted(coefficients, whole[first : first + _AT_ONCE], focused[: grid.shape[0] - first])
+        for plane in range(first, min(first + _AT_ONCE, grid.shape[0])):
+            cpu_kernels.sum_planes(focused[plane - first][None], CUBIC, maps[:, plane : plane + 1], 0.0, volume[plane : plane + 1])
+    return volume
+
+
+def _reached(maps: F64) -> tuple[F64, tuple[int, int]]:
+    """First column and row of the part of the rectified images that tiles' maps (tile, plane, 1, 6) reach, and its padded shape."""
+    size = np.array([TILE_COLUMNS, TILE_ROWS])
+    starts = maps[..., [0, 3]]
+    ends = starts + maps[..., [1, 4]] * size[0] + maps[..., [2, 5]] * size[1]
+    low = np.floor(np.minimum(starts, ends).min(axis=(0, 1, 2))) - 1.0
+    width, height = (np.ceil(np.maximum(starts, ends).max(axis=(0, 1, 2))) - low).astype(int) + 5
+    return low, (int(height), int(width))
+
+
+def _innermost(cameras: Sequence[CameraModel]) -> int:
+    """The camera nearest to the array's centre; of several the one with the smallest coordinates, in whatever order they come."""
+    centers = np.asarray([camera.center_mm for camera in cameras])
+    distance = np.linalg.norm(centers - centers.mean(axis=0), axis=1).round(6)
+    return int(np.lexsort((*centers.T, distance))[0])
+
+
+def shift_maps(grid: Grid, shifts: F64) -> F64:
+    """Affine maps (tile, plane, camera, 6) for `kernels.sum_planes` that move whole planes by shifts (plane, camera, 2) of columns and rows."""
+    top, left = tile_origins(grid)
+    maps = np.zeros((len(top), *shifts.shape[:2], 6))
+    maps[..., 0], maps[..., 1] = left[:, None, None] + shifts[..., 0], 1.0
+    maps[..., 3], maps[..., 5] = top[:, None, None] + shifts[..., 1], 1.0
+    return maps
+
+
+@dataclass(frozen=True)
+class _View:
+    """How an array sees one slab: the same for all its frames.
+
+    Attributes
+    ----------
+    maps, degree : from `rectifying_maps`.
+    tiles : from `Slab.tiles`. They come from a matrix product, whose threads would go on spinning beside the kernels.
+    """
+
+    slab: Slab
+    maps: F64
+    degree: int
+    tiles: F64
+
+    @classmethod
+    def of(cls, slab: Slab, cameras: Sequence[CameraModel], grid: Grid) -> _View:
+        """The view of a slab of the grid."""
+        return cls(slab, *rectifying_maps(slab, cameras, grid), slab.tiles(grid))
+
+
+def _parts(images: F32, cameras: Sequence[CameraModel], grid: Grid, outside: float, volume: F32) -> Iterator[tuple[_View, F32, F32]]:
+    """Every slab with its rectified images (camera, height, width) and its part of the volume."""
+    for view in track(_views(tuple(cameras), grid), f"refocus, {len(cameras)} cameras"):
+        rectified = np.empty((len(images), *view.slab.shape), dtype=np.float32)
+        for number in range(len(images)):  # one at a time: its coefficients stay in the cache
+            this = slice(number, number + 1)
+            resample(coefficients_of(images[this], CUBIC), CUBIC, view.maps[this], view.degree, outside, rectified[this])
+        yield view, rectified, volume[view.slab.first : view.slab.first + view.slab.count]
+
+
+@functools.lru_cache(maxsize=2)
+def _views(cameras: tuple[CameraModel, ...], grid: Grid) -> list[_View]:
+    return [_View.of(slab, cameras, grid) for slab in slabs(cameras, grid)]
+
+
+@functools.lru_cache(maxsize=2)
+def _whole(cameras: tuple[CameraModel, ...], grid: Grid) -> _View:
+    return _View.of(make_slab(cameras, grid, 0, grid.shape[0]), cameras, grid)
+
+
+def _on_device() -> bool:
+    return backend.choose().kind == "cuda"

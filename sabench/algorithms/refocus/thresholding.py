@@ -1,0 +1,165 @@
+"""Before and after refocusing: images on one scale, and particles out of refocused planes."""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated, Any, Literal
+
+import numba
+import numpy as np
+from pydantic import BeforeValidator, Field
+
+from sabench.api import Observation, Parameters
+from sabench.geometry.grid import Grid
+from sabench.utils.arrays import F32, F64, U16
+
+_SHARE = {"reduced": 0.85, "whole": 0.65}  # of the particles' occupancy that a field should have: best for Q, see docs/scores.md
+_STEP, _BINS = 0.01, 4096  # levels of k that are tried, up to 41
+_FLAT = 1e-30
+
+Keep = Literal["reduced", "whole"]
+
+
+def _level(value: object) -> object:
+    if value == "auto" or (isinstance(value, float | int) and value >= 0):
+        return value
+    raise ValueError(f"expected auto or a number of at least 0, got {value!r}")
+
+
+class ExtractionParameters(Parameters):
+    """How particles are taken out of a refocused plane."""
+
+    k: Annotated[float | Literal["auto"], BeforeValidator(_level)] = Field(
+        "auto", description="threshold = mean + k standard deviations of the plane; auto: by the share of the volume that particles fill"
+    )
+    keep: Keep = Field("reduced", description="what stays of a value above the threshold: its excess, or all of it")
+
+
+def extracted(volume: F32, case: Observation, parameters: ExtractionParameters) -> F32:
+    """`extract` as the parameters say, with `auto_k` where they leave k to the images; works in place on (z, y, x) and returns it."""
+    k = auto_k(volume, occupancy(case), parameters.keep) if parameters.k == "auto" else parameters.k
+    return extract(volume, k, parameters.keep)
+
+
+def extract(volume: F32, k: float, keep: Keep) -> F32:
+    """Zero all that is below mean + k std of its plane; works in place on (z, y, x) and returns it.
+
+    Source: thesis section 2.2.3; whether the threshold is subtracted is not stated there, so both are offered.
+    """
+    means, spreads = plane_statistics(volume)
+    thresholds = (means + k * spreads).astype(np.float32)
+    _cut(volume, thresholds, thresholds if keep == "reduced" else np.zeros_like(thresholds))
+    return volume
+
+
+def occupancy(case: Observation) -> float:
+    """The share of the grid's voxels that particles should fill, from the images alone: (sum E)^2 / (n sum E^2) of a perfect reconstruction E.
+
+    n particles of relative brightness b, alike but for it, give images of (mean)^2 / variance = n A <b>^2 / (<b^2> pixels), however they overlap
+    (Campbell's theorem), with A the effective area of a particle's image; the volume's share follows with an effective volume A w in place
+    of A, w being a particle's effective depth in voxels. Assumed are a dark background, light from the grid's particles only, and voxels whose x
+    edge is a pixel's size or, if it is not, particles as wide in voxels as in pixels, as E_s has them. The median camera counts.
+    """
+    return float(np.median([_filled(image, float(case.black_dn), case.grid) for image in case.images]))
+
+
+def _filled(image: U16, black_dn: float, grid: Grid) -> float:
+    light = float(image.mean()) - black_dn
+    square, across, down = _products(image, light + black_dn)
+    variance = square / image.size
+    if not variance > 0.0:
+        return 0.0
+    rows, columns = image.shape
+    beside = (across / (rows * (columns - 1)) + down / ((rows - 1) * columns)) / (2.0 * variance)
+    sigma_px = math.sqrt(max(-0.25 / math.log(min(max(beside, 1e-3), 0.999)) - 1.0 / 12.0, 0.01))  # of a Gaussian averaged over pixels
+    depth = effective_width(sigma_px * grid.voxel_mm[0] / grid.voxel_mm[2])
+    return float(light**2 / variance * image.size * depth / math.prod(grid.shape))
+
+
+@numba.njit(cache=True)
+def _products(image: Any, mean: float) -> Any:
+    """Sums over an image less its mean: of squares, and of products with the pixel to the right and below."""
+    square = across = down = 0.0
+    for row in range(image.shape[0]):
+        line, below = image[row], image[min(row + 1, image.shape[0] - 1)]
+        for i in range(image.shape[1]):
+            value = line[i] - mean
+            square += value * value
+            if i + 1 < image.shape[1]:
+                across += value * (line[i + 1] - mean)
+            if row + 1 < image.shape[0]:
+                down += value * (below[i] - mean)
+    return square, across, down
+
+
+def effective_width(sigma: float) -> float:
+    """(integral)^2 / (sum of squares) of a Gaussian averaged over voxels, mean over its positions; sigma and width in voxels.
+
+    2 sqrt(pi) sigma for a wide one, 1 for a narrow one.
+    """
+    edge = 1.0 / (2.0 * sigma)
+    return 1.0 / (math.erf(edge) + (math.exp(-(edge**2)) - 1.0) / (edge * math.sqrt(math.pi)))
+
+
+def auto_k(volume: F32, share: float, keep: Keep) -> float:
+    """The k >= 0 at which what `extract` leaves fills the given share of the volume, to 0.01 and at most 41; the volume (z, y, x) is not changed.
+
+    Parameters
+    ----------
+    share : `occupancy`; the field aims at 0.85 (reduced) or 0.65 (whole) of it.
+    """
+    means, spreads = plane_statistics(volume)
+    sums = np.zeros((len(volume), _BINS, 3))
+    _sum_bins(volume, means, 1.0 / (_STEP * np.maximum(spreads, _FLAT)), sums)
+    count, light, square = np.moveaxis(np.cumsum(sums[:, ::-1], axis=1)[:, ::-1], 2, 0)  # of all that lies above each level
+    levels = _STEP * np.arange(_BINS)
+    base = means[:, None] + levels * spreads[:, None] if keep == "reduced" else np.zeros_like(light)
+    left = (light - base * count).sum(axis=0)
+    filled = left**2 / np.maximum((square - base * (2.0 * light - base * count)).sum(axis=0), _FLAT)
+    enough = np.flatnonzero(filled <= _SHARE[keep] * share * volume.size)
+    return float(levels[enough[0]]) if len(enough) else float(levels[-1])
+
+
+def plane_statistics(volume: F32) -> tuple[F64, F64]:
+    """Mean and standard deviation of every plane."""
+    sums = np.zeros((len(volume), 2))
+    _sum_squares(volume, sums)
+    means = sums[:, 0] / volume[0].size
+    return means, np.sqrt(np.maximum(sums[:, 1] / volume[0].size - means**2, 0.0))
+
+
+@numba.njit(cache=True, parallel=True)
+def _sum_squares(volume: Any, sums: Any) -> None:
+    for plane in numba.prange(len(volume)):
+        for row in volume[plane]:
+            light = square = 0.0
+            for value in row:
+                wide = np.float64(value)
+                light += wide
+                square += wide * wide
+            sums[plane, 0] += light
+            sums[plane, 1] += square
+
+
+@numba.njit(cache=True, parallel=True)
+def _cut(volume: Any, thresholds: Any, bases: Any) -> None:
+    """What lies above a plane's threshold loses its base, the rest is zero."""
+    for plane in numba.prange(len(volume)):
+        for row in volume[plane]:
+            for i in range(len(row)):
+                row[i] = row[i] - bases[plane] if row[i] > thresholds[plane] else np.float32(0.0)
+
+
+@numba.njit(cache=True, parallel=True)
+def _sum_bins(volume: Any, means: Any, scales: Any, sums: Any) -> None:
+    """sums[plane, i] = number, sum and sum of squares of the voxels that lie i to i + 1 steps of k above the mean, in the last bin all above."""
+    last = sums.shape[1] - 1
+    for plane in numba.prange(len(volume)):
+        for row in volume[plane]:
+            for value in row:
+                if value > means[plane]:
+                    entry = sums[plane, int(min((value - means[plane]) * scales[plane], last))]
+                    wide = np.float64(value)
+                    entry[0] += 1.0
+                    entry[1] += wide
+                    entry[2] += wide * wide

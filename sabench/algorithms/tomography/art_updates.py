@@ -1,0 +1,154 @@
+"""What corrects the voxels by comparing what cameras recorded with what the voxels cast.
+
+Every step corrects the values in place and returns the squared norm of what it found missing, P - W I, before it corrected.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numba
+import numpy as np
+
+from sabench.algorithms.tomography.kernels import multiply
+from sabench.algorithms.tomography.mart_sweep import mart_sweep
+from sabench.algorithms.tomography.projection_operator import LinesOfSight
+from sabench.utils.arrays import F32, Bool
+from sabench.utils.progress import track
+
+DARKEST = 1e-3  # of a bright particle's peak: darker pixels are raised to it, since the logarithm of zero is no correction
+_NOTHING = 1e-30
+
+
+@dataclass(frozen=True)
+class State:
+    """An iteration's voxels.
+
+    Attributes
+    ----------
+    lines : W on their support.
+    values : (n,) what they hold; steps change it in place.
+    seen : (n,) sum_i W_ij, the number of cameras that see each voxel; 1 where it is 0, and there the value is 0.
+    """
+
+    lines: LinesOfSight
+    values: F32
+    seen: F32
+
+
+@dataclass(frozen=True)
+class Measured:
+    """What the cameras recorded.
+
+    Attributes
+    ----------
+    light : (camera, row, column) P, at least DARKEST.
+    saturated : (camera, row, column) pixels that may have received more than they show: where the projection is brighter, nothing is missing.
+    """
+
+    light: F32
+    saturated: Bool
+
+    def of(self, camera: int) -> Measured:
+        """One camera alone."""
+        return Measured(self.light[camera : camera + 1], self.saturated[camera : camera + 1])
+
+    def missing(self, projection: F32) -> float:
+        """Turn a projection W I into P - W I, in place; returns the sum of squares."""
+        return self._compare(projection, _missing)
+
+    def log_ratio(self, projection: F32) -> float:
+        """Turn a projection W I into log2(P / W I), in place; returns the sum of squares of P - W I."""
+        return self._compare(projection, _log_ratio)
+
+    def _compare(self, projection: F32, kernel: Callable[..., None]) -> float:
+        rows = projection.shape[0] * projection.shape[1]
+        squares = np.empty(rows)
+        kernel(self.light.reshape(rows, -1), self.saturated.reshape(rows, -1), projection.reshape(rows, -1), squares)
+        return float(squares.sum())
+
+
+@numba.njit(cache=True, parallel=True)
+def _missing(light: Any, saturated: Any, projection: Any, squares: Any) -> None:
+    for row in numba.prange(len(light)):
+        total = 0.0
+        for i in range(light.shape[1]):
+            missing = light[row, i] - projection[row, i]
+            if saturated[row, i]:
+                missing = max(missing, np.float32(0.0))
+            projection[row, i] = missing
+            total += missing**2
+        squares[row] = total
+
+
+@numba.njit(cache=True, parallel=True)
+def _log_ratio(light: Any, saturated: Any, projection: Any, squares: Any) -> None:
+    for row in numba.prange(len(light)):
+        total = 0.0
+        for i in range(light.shape[1]):
+            cast = max(projection[row, i], np.float32(_NOTHING))
+            if saturated[row, i]:
+                cast = min(cast, light[row, i])
+            projection[row, i] = np.log2(light[row, i] / cast)
+            total += (light[row, i] - cast) ** 2
+        squares[row] = total
+
+
+def smart(state: State, measured: Measured, relaxation: float) -> float:
+    """I_j <- I_j prod_i (P_i / (W I)_i)^(mu W_ij / N_j): all pixels at once, the geometric mean over the N_j = seen_j cameras.
+
+    Source: simultaneous MART, Mishra et al. (1999); Atkinson and Soria (2009).
+    """
+    images = state.lines.forward(state.values)
+    missed = measured.log_ratio(images)
+    exponents = state.lines.adjoint(images)
+    exponents /= state.seen
+    multiply(state.values, exponents, np.float32(relaxation))
+    return missed
+
+
+def sart(state: State, measured: Measured, lengths: F32, relaxation: float) -> float:
+    """I_j <- max(0, I_j + mu sum_i W_ij (P_i - (W I)_i) / L_i / N_j) with L_i = sum_j W_ij = lengths_i and N_j = sum_i W_ij = seen_j.
+
+    Source: simultaneous algebraic reconstruction, Andersen and Kak (1984); Atkinson and Soria (2009).
+    """
+    images = state.lines.forward(state.values)
+    missed = measured.missing(images)
+    correction = state.lines.adjoint(np.divide(images, lengths, out=images, where=lengths > 0.0))
+    correction *= np.float32(relaxation) / state.seen
+    np.maximum(np.add(state.values, correction, out=state.values), np.float32(0.0), out=state.values)
+    return missed
+
+
+def block_mart(state: State, measured: Measured, relaxation: float) -> float:
+    """One camera after the other, all its pixels at once: I_j <- I_j prod_i (P_i / (W I)_i)^(mu W_ij).
+
+    Source: block-iterative MART, Byrne (1998), with a camera's pixels as the block.
+    """
+    missed = 0.0
+    for camera in state.lines.cameras:
+        image = state.lines.forward(state.values, [camera])
+        missed += measured.of(camera).log_ratio(image)
+        multiply(state.values, state.lines.adjoint(image, [camera]), np.float32(relaxation))
+    return missed
+
+
+def mart(state: State, measured: Measured, relaxation: float) -> float:
+    """One camera after the other, pixel by pixel: see `mart_sweep`."""
+    images = enumerate(zip(measured.light, measured.saturated, strict=True))
+    return sum(mart_sweep(state.lines, state.values, camera, light, saturated, relaxation) for camera, (light, saturated) in images)
+
+
+def iterate(step: Callable[[], float], measured: Measured, iterations: int, tolerance: float, doing: str) -> list[float]:
+    """Repeat a step; returns the relative residual ||P - W I|| / ||P|| that every iteration found.
+
+    Stops before `iterations` when the residual has changed by less than a fraction `tolerance` of its last value.
+    """
+    scale, residuals = float(np.vdot(measured.light, measured.light)), [float("inf")]
+    for _ in track(range(iterations), doing):
+        residuals.append(float(np.sqrt(step() / scale)))
+        if abs(residuals[-2] - residuals[-1]) < tolerance * residuals[-2]:
+            break
+    return residuals[1:]

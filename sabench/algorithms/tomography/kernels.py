@@ -1,0 +1,210 @@
+"""Loops over the voxels of a sparse volume and the four pixels around the projection of each.
+
+Two stages for every row of voxels and every camera: `locate` finds the pixels, without branches, so that it runs in vector registers; then light
+is moved. `locate` alone decides which pixels and which weights a voxel has, and it is compiled without fast-math: forward projection,
+adjoint and all else see the same W to the last bit.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numba
+import numpy as np
+
+from sabench.utils.arrays import F64
+
+_BITS = 10
+STEPS = 1 << _BITS  # places inside a pixel, along either axis, that are told apart
+_ONE = np.float32(STEPS)
+_LARGEST_EXPONENT = np.float32(60.0)
+
+
+class Sight(NamedTuple):
+    """What the kernels know of the cameras and the grid.
+
+    Attributes
+    ----------
+    maps : (camera, z, 2, terms) column and row on every plane, as polynomials in u and v (`reproject.PlaneMap`).
+    degree : of these polynomials.
+    height, width : voxels of a plane along y and x.
+    rows, columns : pixels of an image.
+    margin : pixels at an image's border that do not count as seen.
+    shift, mask : what is added to positions, in pixels, before they are cut into whole pixels and STEPS; bits of the steps that count. None count
+        for the nearest pixel.
+    """
+
+    maps: F64
+    degree: int
+    height: int
+    width: int
+    rows: int
+    columns: int
+    margin: int
+    shift: float = 0.5 / STEPS
+    mask: int = STEPS - 1
+
+
+@numba.njit(cache=True)
+def scratch(sight: Any) -> Any:
+    """Room for `locate` to work in."""
+    width, terms = sight.width, sight.degree + 1
+    return (
+        np.empty(terms), np.empty((2, terms), dtype=np.float32), np.empty((3, width), dtype=np.float32),
+        np.empty(width, dtype=np.int32), np.empty(width, dtype=np.uint16), np.empty(width, dtype=np.uint16),
+    )  # fmt: skip
+
+
+@numba.njit(cache=True)
+def locate(sight: Any, camera: int, row: int, x: Any, room: Any) -> Any:
+    """Where the voxels x of a row, counted over (z, y), lie in a camera's image.
+
+    Returns
+    -------
+    base : (n,) int32, the upper left of the four pixels around each; -1 where these, with the margin, are not inside the image: this camera
+        does not see the voxel.
+    across, down : (n,) uint16, position among these pixels in steps.
+    """
+    total, line, place, base, across, down = room
+    v = 2.0 * (row % sight.height) / (sight.height - 1) - 1.0 if sight.height > 1 else 0.0
+    for axis in range(2):
+        _collapse(sight.maps[camera, row // sight.height, axis], sight.degree, sight.shift, v, total)
+        line[axis] = total
+    _evaluate(line, x, sight.width, place)
+    _fix(place, len(x), sight, base, across, down)
+    return base[: len(x)], across[: len(x)], down[: len(x)]
+
+
+@numba.njit(cache=True)
+def _collapse(plane: Any, degree: int, shift: float, v: float, total: Any) -> None:
+    """A plane's polynomial in u and v becomes a polynomial in u at one v: the position plus `shift`, in steps."""
+    total[:] = 0.0
+    total[0] = STEPS * shift
+    first, power = 0, float(STEPS)
+    for j in range(degree + 1):
+        for i in range(degree + 1 - j):
+            total[i] += power * plane[first + i]
+        first += degree + 1 - j
+        power *= v
+
+
+@numba.njit(cache=True)
+def _evaluate(line: Any, x: Any, width: int, place: Any) -> None:
+    """Horner's rule with the voxels in the inner loop: u, column and row into `place`."""
+    u, column, row = place[0], place[1], place[2]
+    step, half = np.float32(2.0 / max(width - 1, 1)), np.float32(1.0 if width > 1 else 0.0)
+    last = line.shape[1] - 1
+    for i in range(len(x)):
+        u[i] = np.float32(x[i]) * step - half
+        column[i] = line[0, last]
+        row[i] = line[1, last]
+    for power in range(last - 1, -1, -1):
+        a, b = line[0, power], line[1, power]
+        for i in range(len(x)):
+            column[i] = column[i] * u[i] + a
+            row[i] = row[i] * u[i] + b
+
+
+@numba.njit(cache=True)
+def _fix(place: Any, count: int, sight: Any, base: Any, across: Any, down: Any) -> None:
+    """Positions become pixels and steps."""
+    column, row = place[1], place[2]
+    low, mask, stride = np.float32(sight.margin) * _ONE, np.int32(sight.mask), np.int32(sight.columns)
+    right, bottom = np.float32(sight.columns - 1 - sight.margin) * _ONE, np.float32(sight.rows - 1 - sight.margin) * _ONE
+    for i in range(count):
+        inside = (column[i] >= low) & (column[i] < right) & (row[i] >= low) & (row[i] < bottom)
+        p, q = np.int32(min(max(column[i], low), right)), np.int32(min(max(row[i], low), bottom))
+        base[i] = np.int32(np.int32(q >> _BITS) * stride) + np.int32(p >> _BITS) if inside else np.int32(-1)
+        across[i] = np.uint16(p & mask)
+        down[i] = np.uint16(q & mask)
+
+
+@numba.njit(cache=True, fastmath=True)
+def sample(image: Any, columns: int, base: Any, across: Any, down: Any) -> Any:
+    """Bilinear interpolation in an image (flat)."""
+    corner, below = np.uint32(base), np.uint32(base + columns)
+    right, lower = np.float32(across) / _ONE, np.float32(down) / _ONE
+    over = image[corner] + right * (image[corner + np.uint32(1)] - image[corner])
+    under = image[below] + right * (image[below + np.uint32(1)] - image[below])
+    return over + lower * (under - over)
+
+
+@numba.njit(cache=True, fastmath=True)
+def _scatter(value: Any, places: Any, columns: int, image: Any) -> None:
+    """Add voxels' light to an image (flat): the transpose of `sample`."""
+    base, across, down = places
+    for i in range(len(value)):
+        if base[i] >= 0:
+            corner, below = np.uint32(base[i]), np.uint32(base[i] + columns)
+            right = np.float32(across[i]) / _ONE
+            under = value[i] * (np.float32(down[i]) / _ONE)
+            over = value[i] - under
+            image[corner] += over - right * over
+            image[corner + np.uint32(1)] += right * over
+            image[below] += under - right * under
+            image[below + np.uint32(1)] += right * under
+
+
+@numba.njit(cache=True, parallel=True)
+def project(sight: Any, cameras: Any, parts: Any, start: Any, x: Any, values: Any, out: Any) -> None:
+    """Project parts of a volume, each into an image of its own: adding these up in order gives the same sum whatever threads do.
+
+    Parameters
+    ----------
+    cameras : (n,) which.
+    parts : (part + 1,) rows at which the parts begin.
+    start, x, values : the voxels, see `Support`.
+    out : (n, part, rows * columns) float32, zero on entry.
+    """
+    count = len(parts) - 1
+    for task in numba.prange(len(cameras) * count):
+        number, part = task // count, task % count
+        room = scratch(sight)
+        for row in range(parts[part], parts[part + 1]):
+            first, last = start[row], start[row + 1]
+            if last > first:
+                _scatter(values[first:last], locate(sight, cameras[number], row, x[first:last], room), sight.columns, out[number, part])
+
+
+@numba.njit(cache=True, parallel=True)
+def back_project(sight: Any, cameras: Any, parts: Any, start: Any, x: Any, images: Any, out: Any) -> None:
+    """Add the images (n, rows * columns), bilinearly interpolated, to voxels out (n,); other arguments as for `project`."""
+    for part in numba.prange(len(parts) - 1):
+        room = scratch(sight)
+        for number in range(len(cameras)):
+            for row in range(parts[part], parts[part + 1]):
+                first, last = start[row], start[row + 1]
+                if last > first:
+                    _collect(images[number], sight.columns, locate(sight, cameras[number], row, x[first:last], room), out[first:last])
+
+
+@numba.njit(cache=True, fastmath=True)
+def _collect(image: Any, columns: int, places: Any, out: Any) -> None:
+    """Add an image (flat), bilinearly interpolated, to voxels: the transpose of `_scatter`."""
+    base, across, down = places
+    for i in range(len(out)):
+        if base[i] >= 0:
+            out[i] += sample(image, columns, base[i], across[i], down[i])
+
+
+@numba.njit(cache=True, fastmath=True)
+def exp2(exponent: Any) -> Any:
+    """2^x within 2e-7 of its value, in vector registers where the caller's loop is simple; x is clipped to +-60."""
+    x = min(max(exponent, -_LARGEST_EXPONENT), _LARGEST_EXPONENT)
+    whole = np.int32(x + np.float32(256.5)) - np.int32(256)  # rounded
+    t = x - np.float32(whole)
+    p = np.float32(1.5403530e-4)
+    p = p * t + np.float32(1.3333558e-3)
+    p = p * t + np.float32(9.6181291e-3)
+    p = p * t + np.float32(5.5504109e-2)
+    p = p * t + np.float32(2.4022651e-1)
+    p = p * t + np.float32(6.9314718e-1)
+    p = p * t + np.float32(1.0)
+    return p * np.int32((whole + np.int32(127)) << 23).view(np.float32)
+
+
+@numba.njit(cache=True, parallel=True, fastmath=True)
+def multiply(values: Any, exponents: Any, factor: Any) -> None:
+    """values *= 2^(factor * exponents), in place."""
+    for j in numba.prange(len(values)):
+        values[j] *= exp2(factor * exponents[j])

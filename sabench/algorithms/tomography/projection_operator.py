@@ -1,0 +1,96 @@
+"""The operator W between a sparse volume and the images that it casts."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from sabench.algorithms.refocus import plane_maps
+from sabench.algorithms.tomography.footprint import Footprint
+from sabench.algorithms.tomography.kernels import Sight, back_project, project
+from sabench.geometry.camera_model import CameraModel
+from sabench.geometry.grid import Grid
+from sabench.utils.arrays import F32, I64
+
+_BLOCK = 1 << 16  # voxels whose values stay in the cache while one camera after the other is looked up
+_TASKS = 32  # images that are added up by themselves; a fixed number, so that sums do not depend on how many threads there are
+
+
+@dataclass(frozen=True)
+class Support:
+    """Which voxels of a grid exist: row by row over (z, y), the x indices in increasing order. What voxels hold are (n,) arrays in this order.
+
+    Attributes
+    ----------
+    shape : of the grid (z, y, x).
+    start : (z * y + 1,) where each row begins.
+    x : (n,) int16, or int32 on wide grids.
+    """
+
+    shape: tuple[int, int, int]
+    start: I64
+    x: npt.NDArray[np.signedinteger]
+
+    def __len__(self) -> int:
+        return len(self.x)
+
+    def parts(self, count: int) -> I64:
+        """Rows (count + 1,) that cut the voxels into parts of about the same size."""
+        cuts = np.searchsorted(self.start, np.linspace(0, len(self.x), count + 1))
+        cuts[[0, -1]] = 0, len(self.start) - 1
+        return np.asarray(cuts, dtype=np.int64)
+
+
+def sight_of(cameras: Sequence[CameraModel], grid: Grid, margin: int) -> Sight:
+    """Cameras and grid as the kernels take them; the images of all cameras are of one size.
+
+    Raises
+    ------
+    ValueError
+        Some of the grid has no light path to a camera.
+    """
+    planes = plane_maps(cameras, grid)
+    maps = np.stack([[plane[number].coefficients for plane in planes] for number in range(len(cameras))])
+    return Sight(maps, planes[0][0].degree, grid.shape[1], grid.shape[2], cameras[0].rows, cameras[0].columns, margin)
+
+
+@dataclass(frozen=True)
+class LinesOfSight:
+    """P_i = sum_j W_ij I_j over the voxels of a support, and the exact adjoint. Source: thesis, equation 3.8.
+
+    W is not stored: projections come from polynomials. A camera that does not see a voxel with its whole footprint takes no part for that voxel.
+
+    Attributes
+    ----------
+    sight : its margin is the footprint's.
+    """
+
+    sight: Sight
+    support: Support
+    footprint: Footprint
+
+    @property
+    def cameras(self) -> range:
+        """Their numbers."""
+        return range(len(self.sight.maps))
+
+    def forward(self, values: F32, cameras: Sequence[int] | None = None) -> F32:
+        """Images (camera, row, column) that voxels (n,) cast in all cameras, or in the given ones."""
+        chosen = self._numbers(cameras)
+        parts = self.support.parts(max(1, _TASKS // len(chosen)))
+        images = np.zeros((len(chosen), len(parts) - 1, self.sight.rows * self.sight.columns), dtype=np.float32)
+        project(self.sight, chosen, parts, self.support.start, self.support.x, values, images)
+        return self.footprint.smooth(images.sum(axis=1).reshape(-1, self.sight.rows, self.sight.columns))
+
+    def adjoint(self, images: F32, cameras: Sequence[int] | None = None) -> F32:
+        """sum_i W_ij images_i for every voxel (n,), from the images (camera, row, column) of all cameras, or of the given ones."""
+        flat, out = self.footprint.smooth(images).reshape(len(images), -1), np.zeros(len(self.support), dtype=np.float32)
+        parts = self.support.parts(len(out) // _BLOCK + 1)
+        back_project(self.sight, self._numbers(cameras), parts, self.support.start, self.support.x, flat, out)
+        return out
+
+    def _numbers(self, cameras: Sequence[int] | None) -> I64:
+        return np.asarray(self.cameras if cameras is None else cameras, dtype=np.int64)

@@ -1,0 +1,142 @@
+"""Between the grid that is asked for and the finer one on which lines of sight are followed.
+
+The footprint of a voxel is one of a point. Along an axis where one step moves the projection by more than about a pixel, voxels are split; in the
+end each of the fine voxels is a blob of light, whose projection is the footprint, and the volume is what all blobs put into each voxel.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numba
+import numpy as np
+from scipy.special import erf
+
+from sabench.algorithms.tomography.projection_operator import Support
+from sabench.geometry.camera_model import CameraModel
+from sabench.geometry.grid import Grid
+from sabench.utils.arrays import F32, F64, triple
+
+_TRAVEL_PX = 1.25  # largest distance between the projections of two neighbouring voxels
+_REACH = 3.0  # standard deviations at which a blob ends
+_BRIGHT, _LIT = 95.0, 0.1  # as `extraction.normalised` scales images
+_FAINTEST = 0.01
+
+
+Splits = tuple[int, int, int]  # fine voxels per voxel along x, y and z
+
+
+@dataclass(frozen=True)
+class Scale:
+    """How a grid looks in the cameras.
+
+    Attributes
+    ----------
+    travel_px : along x, y and z, by how much one step of the grid moves the projection, in the camera that sees it move most.
+    px_per_mm : magnification, mean over cameras.
+    """
+
+    travel_px: tuple[float, float, float]
+    px_per_mm: float
+
+
+def scale_of(cameras: Sequence[CameraModel], grid: Grid) -> Scale:
+    """Measured in the middle of the grid.
+
+    Raises
+    ------
+    ValueError
+        A camera has no light path to it.
+    """
+    middle = np.array([(axis[0] + axis[-1]) / 2.0 for axis in grid.axes_mm])
+    ends = middle + np.concatenate([np.eye(3), -np.eye(3)]) * np.asarray(grid.voxel_mm) / 2.0
+    pixels = np.stack([_visible(camera, ends) for camera in cameras])
+    steps = pixels[:, :3] - pixels[:, 3:]
+    across = steps[:, :2] / np.asarray(grid.voxel_mm)[:2, None]  # a camera that looks from the side sees one direction foreshortened: not the other
+    return Scale(triple(np.linalg.norm(steps, axis=2).max(axis=0)), float(np.linalg.svd(across, compute_uv=False)[:, 0].mean()))
+
+
+def _visible(camera: CameraModel, points: F64) -> F64:
+    pixels, valid = camera.project(points)
+    if not valid.all():
+        raise ValueError(f"{camera.name}: expected a light path to every voxel, but the middle of the grid has none")
+    return pixels
+
+
+def splits(scale: Scale) -> Splits:
+    """Into how many fine voxels a voxel is split along each axis."""
+    x, y, z = (max(1, int(np.ceil(travel / _TRAVEL_PX))) for travel in scale.travel_px)
+    return x, y, z
+
+
+def split(grid: Grid, count: Splits) -> Grid:
+    """The grid of the fine voxels: it fills the same box."""
+    step, parts = np.asarray(grid.voxel_mm), np.asarray(count)
+    low = np.asarray(grid.low_mm) - step / 2.0 + step / parts / 2.0
+    z, y, x = (int(n * k) for n, k in zip(grid.shape, count[::-1], strict=True))
+    return Grid(triple(low), triple(step / parts), (z, y, x))
+
+
+def gather(support: Support, values: F32, grid: Grid, count: Splits, sigma_mm: float) -> F32:
+    """The volume (z, y, x) on `grid`: light of all fine voxels, each a Gaussian blob of `sigma_mm`, or a point if that is zero."""
+    x, y, z = (_profile(k, sigma_mm / step) for k, step in zip(count, grid.voxel_mm, strict=True))
+    volume = np.zeros(grid.shape, dtype=np.float32)
+    _gather(support.start, support.x, values, support.shape[1], support.shape[2], x, y, z, volume)
+    return volume
+
+
+def _profile(count: int, sigma: float) -> F32:
+    """Shares (count, 2 reach + 1) of a blob's light in the voxels around its own, by the blob's place among the fine voxels there.
+
+    `sigma` is in voxels of the grid.
+    """
+    centre = (np.arange(count) + 0.5) / count - 0.5
+    if sigma == 0.0:
+        return np.ones((count, 1), dtype=np.float32)
+    reach = int(np.ceil(_REACH * sigma))
+    edges: F64 = np.arange(-reach, reach + 2)[None] - 0.5 - centre[:, None]
+    share = np.diff(erf(edges / (sigma * np.sqrt(2.0))), axis=1)
+    return np.asarray(share / share.sum(axis=1, keepdims=True), dtype=np.float32)
+
+
+@numba.njit(cache=True, parallel=True)
+def _gather(start: Any, x: Any, values: Any, height: int, width: int, along_x: Any, along_y: Any, along_z: Any, volume: Any) -> None:
+    """Rows of the volume: the fine rows in reach are added up, then every fine voxel of the sum is spread along x."""
+    planes, rows, _ = volume.shape
+    (count_y, reach_y), (count_z, reach_z) = along_y.shape, along_z.shape
+    for task in numba.prange(planes * rows):
+        plane, row = task // rows, task % rows
+        total = np.zeros(width, dtype=np.float32)
+        for a in range(reach_z * count_z):
+            z = (plane + reach_z // 2) * count_z - a + count_z - 1
+            for b in range(reach_y * count_y):
+                y = (row + reach_y // 2) * count_y - b + count_y - 1
+                if 0 <= z < planes * count_z and 0 <= y < height:
+                    share = along_z[z % count_z, plane - z // count_z + reach_z // 2] * along_y[y % count_y, row - y // count_y + reach_y // 2]
+                    for k in range(start[z * height + y], start[z * height + y + 1]):
+                        total[x[k]] += share * values[k]
+        _spread(total, along_x, volume[plane, row])
+
+
+@numba.njit(cache=True, fastmath=True)
+def _spread(total: Any, along: Any, out: Any) -> None:
+    count, reach = along.shape
+    for x in range(len(total)):
+        if total[x] > 0.0:
+            middle = x // count - reach // 2
+            for k in range(reach):
+                if 0 <= middle + k < len(out):
+                    out[middle + k] += total[x] * along[x % count, k]
+
+
+def cleared(volume: F32, floor: float) -> F32:
+    """Zero, in place, what is darker than `floor` times a bright voxel: the 95th percentile of those that reach a tenth of the brightest.
+
+    One is a bright particle's peak in the images, whose light fills dozens of voxels: what is bright here is at least `_FAINTEST`.
+    """
+    lit = volume[volume > _LIT * volume.max(initial=0.0)]
+    bright = max(float(np.percentile(lit, _BRIGHT)) if len(lit) else 0.0, _FAINTEST)
+    volume[volume < floor * bright] = 0.0
+    return volume

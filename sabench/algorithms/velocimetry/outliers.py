@@ -1,0 +1,125 @@
+"""Which vectors to believe, and what to put in place of the others."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numba
+import numpy as np
+from scipy.ndimage import gaussian_filter, median_filter
+
+from sabench.utils.arrays import F64, Bool
+
+_REACH = 3.0  # standard deviations that a Gaussian reaches
+_FLOOR = 0.1  # voxels: a fluctuation that any measurement has; Westerweel and Scarano (2005)
+
+
+def within_deviations(shift: F64, valid: Bool, deviations: float) -> Bool:
+    """Vectors (z, y, x, 3) within so many standard deviations of the mean of all valid ones, component by component."""
+    if not valid.any():
+        return valid
+    known = shift[valid]
+    return np.asarray(valid & (np.abs(shift - known.mean(axis=0)) <= deviations * known.std(axis=0) + _FLOOR).all(axis=-1))
+
+
+def near_the_median(shift: F64, valid: Bool, times: float) -> Bool:
+    """Vectors that are not further from the median of their 26 neighbours than `times` the median of these neighbours' own distances from it.
+
+    Beyond the edges fields go on along straight lines: else the median of an edge's neighbours would lie inwards of it.
+
+    Source: J. Westerweel and F. Scarano, Universal outlier detection for PIV data, Exp. Fluids 39, 1096-1100, 2005, in three dimensions.
+    """
+    around = np.where(valid[..., None], shift, np.nan)
+    room = [(min(1, count - 1),) * 2 for count in shift.shape[:3]]
+    padded = np.pad(around, [*room, (0, 0)], mode="reflect", reflect_type="odd")
+    padded = np.pad(padded, [(1 - before,) * 2 for before, _ in room] + [(0, 0)], constant_values=np.nan)
+    middle, spread = np.empty_like(shift), np.empty_like(shift)
+    medians(padded, middle, spread)
+    far = np.linalg.norm(shift - middle, axis=-1) > times * (np.linalg.norm(spread, axis=-1) + _FLOOR)  # never, where there are no neighbours
+    return np.asarray(valid & ~far)
+
+
+def filled(shift: F64, valid: Bool) -> F64:
+    """Vectors with the invalid ones replaced by means of their valid neighbours, from the edges of gaps inwards; zero if none is valid."""
+    out, known = np.where(valid[..., None], shift, 0.0), valid.copy()
+    if not known.any():
+        return out
+    while not known.all():
+        total, count = _around(out * known[..., None]), _around(known[..., None].astype(np.float64))
+        fresh = ~known & (count[..., 0] > 0.5)
+        out[fresh] = total[fresh] / count[fresh]
+        known |= fresh
+    return out
+
+
+def _around(values: F64) -> F64:
+    """Sums over the 3 x 3 x 3 nearest, zeros beyond the edges."""
+    for axis in range(3):
+        padded = np.pad(values, [(1, 1) if own == axis else (0, 0) for own in range(values.ndim)])
+        count = values.shape[axis]
+        values = sum(np.take(padded, range(n, n + count), axis=axis) for n in range(1, 3)) + np.take(padded, range(count), axis=axis)
+    return values
+
+
+def smoothed(shift: F64, sigma: tuple[float, float, float]) -> F64:
+    """Vectors after a Gaussian of standard deviations (z, y, x) in vectors; beyond the edges fields go on along straight lines."""
+    reach = [math.ceil(_REACH * own) for own in sigma]
+    room = [(min(own, count - 1),) * 2 for own, count in zip(reach, shift.shape[:3], strict=True)]
+    wide = np.pad(shift, [*room, (0, 0)], mode="reflect", reflect_type="odd")
+    inner = tuple(slice(before, before + count) for (before, _), count in zip(room, shift.shape[:3], strict=True))
+    return np.stack([gaussian_filter(wide[..., axis], sigma, mode="nearest", radius=reach)[inner] for axis in range(3)], axis=-1)
+
+
+def thesis_local(shift: F64, valid: Bool, deviations: float) -> Bool:
+    """Vectors within so many standard deviations of their 3 x 3 x 3 neighbourhood from its median; thesis, section 2.3.3."""
+    ok = valid.copy()
+    for axis in range(3):
+        own = shift[..., axis]
+        middle = median_filter(own, 3, mode="nearest")
+        mean, square = (_around(values[..., None])[..., 0] / _around(np.ones((*own.shape, 1)))[..., 0] for values in (own, own**2))
+        ok &= np.abs(own - middle) <= deviations * np.sqrt(np.maximum(square - mean**2, 0.0)) + 1e-12
+    return ok
+
+
+@numba.njit(cache=True, parallel=True)
+def medians(padded: Any, middle: Any, spread: Any) -> None:
+    """Fill in the medians of every vector's 26 neighbours, component by component, and the medians of these neighbours' distances from them.
+
+    Parameters
+    ----------
+    padded : (z + 2, y + 2, x + 2, 3) with NaN for vectors that do not count; where none does, both medians are NaN.
+    middle, spread : (z, y, x, 3).
+    """
+    deep, high, wide = middle.shape[:3]
+    for job in numba.prange(deep * high):
+        z, y = job // high, job % high
+        values = np.empty(26)
+        for x in range(wide):
+            for axis in range(3):
+                count = 0
+                for k in range(3):
+                    for j in range(3):
+                        for i in range(3):
+                            value = padded[z + k, y + j, x + i, axis]
+                            if (k != 1 or j != 1 or i != 1) and not np.isnan(value):
+                                values[count] = value
+                                count += 1
+                half = _median(values, count)
+                for n in range(count):
+                    values[n] = abs(values[n] - half)
+                middle[z, y, x, axis], spread[z, y, x, axis] = half, _median(values, count)
+
+
+@numba.njit(cache=True)
+def _median(values: Any, count: int) -> Any:
+    """Of the first values, which are left in order."""
+    if count == 0:
+        return np.nan
+    for n in range(1, count):
+        value, place = values[n], n
+        while place > 0 and values[place - 1] > value:
+            values[place] = values[place - 1]
+            place -= 1
+        values[place] = value
+    return 0.5 * (values[(count - 1) // 2] + values[count // 2])

@@ -1,0 +1,65 @@
+"""Public types of sabench: truth, observations, estimates and the base classes of plug-ins."""
+
+from sabench.api.estimates import Calibration, Detections, FoundParticles, Reconstruction, Velocity
+from sabench.api.generators import (
+    BubbleGenerator,
+    BubbleParameters,
+    Code,
+    CodeGenerator,
+    Flow,
+    Generator,
+    Material,
+    SolidGenerator,
+    SolidParameters,
+    TargetGenerator,
+)
+from sabench.api.observations import CalibrationCase, Film, Observation, Shown, VolumePair
+from sabench.api.parameters import FileParameters, Parameters, PlugIn
+from sabench.api.solvers import (
+    AnySolver,
+    BubbleSolver,
+    CalibrationSolver,
+    ParticleSolver,
+    SeeThroughSolver,
+    SelfCalibrationSolver,
+    Solver,
+    Track,
+    VelocimetryParameters,
+    VelocimetrySolver,
+)
+
+__all__ = [
+    "AnySolver",
+    "BubbleGenerator",
+    "BubbleParameters",
+    "BubbleSolver",
+    "Calibration",
+    "CalibrationCase",
+    "CalibrationSolver",
+    "Code",
+    "CodeGenerator",
+    "Detections",
+    "FileParameters",
+    "Film",
+    "Flow",
+    "FoundParticles",
+    "Generator",
+    "Material",
+    "Observation",
+    "Parameters",
+    "ParticleSolver",
+    "PlugIn",
+    "Reconstruction",
+    "SeeThroughSolver",
+    "SelfCalibrationSolver",
+    "Shown",
+    "SolidGenerator",
+    "SolidParameters",
+    "Solver",
+    "TargetGenerator",
+    "Track",
+    "VelocimetryParameters",
+    "VelocimetrySolver",
+    "Velocity",
+    "VolumePair",
+]

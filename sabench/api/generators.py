@@ -1,0 +1,130 @@
+"""Base classes of generators: each makes the truth of one frame."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar, Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from sabench.api.parameters import Parameters, PlugIn
+from sabench.api.truth import Bubbles, Particles, Solid, Target
+from sabench.geometry.frames import Domain, Pose
+from sabench.utils.arrays import F64, Bool
+from sabench.utils.fields import Vector
+
+
+class Generator(PlugIn):
+    """Base of a generator of particles: `particles` makes one frame of truth, the same for the same arguments whatever else is generated."""
+
+    makes: ClassVar[str] = "particles"
+
+    def particles(self, domain: Domain, seed: int, frame: int, time_s: float) -> Particles:
+        """Particles of a frame at a time; draw from `sabench.utils.rng.stream(seed, ...)` only."""
+        raise NotImplementedError(f"generator {type(self).__name__} must implement particles()")
+
+
+class Flow(PlugIn):
+    """Base of a velocity field that carries particles: `velocity`, and `gradient` where it is known exactly."""
+
+    makes: ClassVar[str] = "flow"
+
+    def check(self, domain: Domain) -> None:
+        """Raise an InputError if the field is not known in all of the volume."""
+
+    def velocity(self, points_mm: F64, time_s: float) -> F64:
+        """Velocities (n, 3) in mm/s at points (n, 3) of the world frame."""
+        raise NotImplementedError(f"flow {type(self).__name__} must implement velocity()")
+
+    def gradient(self, points_mm: F64, time_s: float) -> F64:
+        """Gradients (n, 3, 3) in 1/s, du_i / dx_j."""
+        raise NotImplementedError(f"flow {type(self).__name__} must implement gradient()")
+
+
+class BubbleParameters(Parameters):
+    """Base of a generator of bubbles: what is in them."""
+
+    index: float = Field(1.0, ge=1.0, le=4.0, description="refractive index of what is inside: 1 for air, 1.333 for drops of water")
+    overlap: bool = Field(False, description="true: bubbles may reach into each other, as if a thin film of the fluid were between them")
+
+
+class BubbleGenerator(PlugIn):
+    """Base of a generator of bubbles or droplets: `bubbles` makes one frame of truth, the same for the same arguments."""
+
+    makes: ClassVar[str] = "bubbles"
+    Parameters: ClassVar[type[BubbleParameters]] = BubbleParameters
+
+    def bubbles(self, domain: Domain, seed: int, frame: int, time_s: float) -> Bubbles:
+        """Bubbles of a frame at a time; draw from `sabench.utils.rng.stream(seed, ...)` only."""
+        raise NotImplementedError(f"generator {type(self).__name__} must implement bubbles()")
+
+
+class Material(BaseModel):
+    """What a solid is made of."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+    kind: Literal["matte", "principled", "measured", "liquid"] = Field("matte", description="how it reflects, or liquid: transparent")
+    reflectance: float = Field(0.5, ge=0.0, le=1.0, description="of matte and principled materials")
+    roughness: float = Field(0.5, ge=0.0, le=1.0, description="of principled materials")
+    metallic: float = Field(0.0, ge=0.0, le=1.0, description="of principled materials")
+    specular: float = Field(0.5, ge=0.0, le=1.0, description="of principled materials")
+    index: float = Field(1.333, ge=1.0, le=4.0, description="refractive index of a liquid")
+    measured: str | None = Field(None, description="whole path of a measured material in the RGL format (.bsdf), read when it is rendered")
+
+
+class SolidParameters(Parameters):
+    """Base of a generator of a body: where it is, how it moves, what it is made of."""
+
+    place_mm: Vector = Field((0.0, 0.0, 0.0), description="where its own origin is at the start")
+    turn_deg: Vector = Field((0.0, 0.0, 0.0), description="rotation vector, world frame: its direction is the axis, its length the angle")
+    velocity_mm_s: Vector = (0.0, 0.0, 0.0)
+    spin_deg_s: Vector = Field((0.0, 0.0, 0.0), description="rotation vector a second, about its own axes")
+    material: Material = Material()
+
+
+class SolidGenerator(PlugIn):
+    """Base of a generator of a body: `body` makes it in its own frame; `sabench.solids` brings it to its place."""
+
+    makes: ClassVar[str] = "solids"
+    Parameters: ClassVar[type[SolidParameters]] = SolidParameters
+
+    def body(self, seed: int) -> Solid:
+        """The closed surface in its own frame, mm."""
+        raise NotImplementedError(f"generator {type(self).__name__} must implement body()")
+
+
+@dataclass(frozen=True)
+class Code:
+    """What is written on a body, in its own frame.
+
+    Attributes
+    ----------
+    points_mm : (cell, point, 3) points spread over each cell.
+    dark : (cell,) which cells let no light through.
+    """
+
+    points_mm: F64
+    dark: Bool
+
+
+class CodeGenerator(SolidGenerator):
+    """Base of a generator of a body with a code that is to be read through what is in front of it."""
+
+    def code(self, seed: int) -> Code:
+        """What is written on it, in its own frame."""
+        raise NotImplementedError(f"generator {type(self).__name__} must implement code()")
+
+
+class TargetGenerator(PlugIn):
+    """Base of a generator of calibration targets: one target, which every frame shows at another place."""
+
+    makes: ClassVar[str] = "targets"
+
+    def target(self) -> Target:
+        """The target itself, in its own frame."""
+        raise NotImplementedError(f"generator {type(self).__name__} must implement target()")
+
+    def pose(self, domain: Domain, seed: int, frame: int, frames: int) -> Pose:
+        """Where a frame shows it; draw from `sabench.utils.rng.stream(seed, ...)` only."""
+        raise NotImplementedError(f"generator {type(self).__name__} must implement pose()")

@@ -1,0 +1,32 @@
+"""Plug-ins by name, with checked parameters."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from sabench import plugins
+from sabench.api.solvers import AnySolver, Solver
+from sabench.utils.errors import InputError
+from sabench.utils.validation import validate
+
+
+def generator_of(given: dict[str, Any]) -> Any:
+    """The generator that a table of a scene asks for."""
+    rest = dict(given)
+    plugin = plugins.load("generators", rest.pop("generator"))
+    return plugin(plugin.Parameters(**rest))
+
+
+def make_algorithm(name: str, parameters: dict[str, Any]) -> AnySolver:
+    """A solver of any track, with checked parameters."""
+    plugin = plugins.load("solvers", name)
+    made: AnySolver = plugin(validate(plugin.Parameters, parameters, f"solver {name}"))
+    return made
+
+
+def make_solver(name: str, parameters: dict[str, Any]) -> Solver:
+    """A reconstruction solver with checked parameters."""
+    made = make_algorithm(name, parameters)
+    if not isinstance(made, Solver):
+        raise InputError(f"solver {name}: expected one of the track reconstruction, got one of {made.track}")
+    return made

@@ -1,0 +1,189 @@
+"""Observations: one frame, a sequence, a calibration or a pair of volumes, as an experimenter has them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+
+from sabench.api.truth import Target
+from sabench.geometry.camera import Camera
+from sabench.geometry.camera_model import CameraModel
+from sabench.geometry.grid import Grid
+from sabench.utils.arrays import F32, F64, U16, Bool
+from sabench.utils.errors import InputError
+from sabench.utils.fields import LensNumber
+
+Shown = Literal["particles", "target", "bubbles", "code"]  # what a data set's frames show
+
+
+@dataclass(frozen=True)
+class Observation:
+    """One frame as an experimenter has it.
+
+    Attributes
+    ----------
+    images : (camera, row, column) uint16 grey values.
+    cameras : calibrated cameras in the order of the images; each knows its wall. What they say may be off: see `[calibration]` in a scene.
+    grid : the voxels to reconstruct.
+    black_dn, white_dn : grey values of no light and of saturation.
+
+    Raises
+    ------
+    InputError
+        Images of another kind, number or size than the cameras', or a black level that is not below the white one.
+    """
+
+    images: U16
+    cameras: tuple[CameraModel, ...]
+    grid: Grid
+    black_dn: float
+    white_dn: float
+
+    def __post_init__(self) -> None:
+        if not self.black_dn < self.white_dn:
+            raise InputError(f"black_dn: expected it below white_dn, got {self.black_dn:g} and {self.white_dn:g}")
+        _check_kind(self.images)
+        _check_sizes(self.images, self.cameras)
+
+
+def _check_kind(images: Any) -> None:
+    """Grey values are 16-bit numbers without sign, in one array."""
+    if not isinstance(images, np.ndarray):
+        raise InputError(f"images: expected one uint16 array (camera, row, column), got {type(images).__name__}")
+    if images.dtype != np.uint16:
+        raise InputError(f"images: expected uint16 grey values, got {images.dtype}{_oddities(images)}")
+    if images.ndim != 3:
+        raise InputError(f"images: expected the shape (camera, row, column), got {images.shape}")
+
+
+def _oddities(values: Any) -> str:
+    """What of other numbers cannot be a grey value."""
+    if values.dtype.kind not in "fi":
+        return ""
+    counts = {"NaN or infinite": int((~np.isfinite(values)).sum()), "negative": int((values < 0).sum())}
+    return "".join(f", {count} of them {what}" for what, count in counts.items() if count)
+
+
+def _check_sizes(images: U16, cameras: tuple[CameraModel, ...]) -> None:
+    """Every camera has an image, of its own size."""
+    if not cameras or len(images) != len(cameras):
+        without = ", ".join(camera.name for camera in cameras[len(images) :])
+        raise InputError(f"images: expected one for each of {len(cameras)} cameras, got {len(images)}{': none for ' + without if without else ''}")
+    rows, columns = images.shape[1:]
+    for camera in cameras:
+        if (camera.rows, camera.columns) != (rows, columns):
+            raise InputError(f"{camera.name}: expected an image of {camera.rows} x {camera.columns} pixels (rows x columns), got {rows} x {columns}")
+
+
+@dataclass(frozen=True)
+class Film:
+    """Frames that follow each other, as an experimenter has them: each is read when it is asked for, and none is kept.
+
+    Attributes
+    ----------
+    cameras, grid : of all frames, as in `Observation`.
+    times_s : when each frame was taken.
+    load : reads a frame, counted from 0.
+    """
+
+    cameras: tuple[CameraModel, ...]
+    grid: Grid
+    times_s: tuple[float, ...]
+    load: Callable[[int], Observation]
+
+    @classmethod
+    def of(cls, frames: list[Observation], interval_s: float = 1.0) -> Film:
+        """A film of frames that are in memory."""
+        return cls(frames[0].cameras, frames[0].grid, tuple(interval_s * i for i in range(len(frames))), frames.__getitem__)
+
+    def __len__(self) -> int:
+        return len(self.times_s)
+
+    def __getitem__(self, frame: int) -> Observation:
+        if not 0 <= frame < len(self):
+            raise IndexError(f"frame {frame}: expected 0 to {len(self) - 1}")
+        return self.load(frame)
+
+    def __iter__(self) -> Iterator[Observation]:
+        return (self[frame] for frame in range(len(self)))
+
+
+@dataclass(frozen=True)
+class CalibrationCase:
+    """A calibration as an experimenter has it.
+
+    Attributes
+    ----------
+    target : what was shown, in its own frame.
+    pixels : (camera, frame, point, 2) column and row of the target's m points; NaN where one was not found.
+    cameras : roughly known cameras; each knows its wall.
+    rough_mm : (frame, point, 3) roughly known places of the target's points, world frame; NaN where nothing is known.
+    known_mm : (frame, point, 3) coordinates that were measured by other means; NaN where they were not.
+    known_sigma_mm : the same shape, their standard deviations.
+    unknown : what nobody has measured of the lenses besides their focal lengths: "principal_point" and names of coefficients of distortion.
+
+    Raises
+    ------
+    InputError
+        Arrays of other shapes, or a camera that found nothing.
+    """
+
+    target: Target
+    pixels: F64
+    cameras: tuple[Camera, ...]
+    rough_mm: F64
+    known_mm: F64
+    known_sigma_mm: F64
+    unknown: tuple[LensNumber, ...] = ()
+
+    def __post_init__(self) -> None:
+        count = len(self.target.points_mm)
+        if self.pixels.ndim != 4 or self.pixels.shape[::2] != (len(self.cameras), count) or self.pixels.shape[3] != 2:
+            raise InputError(f"pixels: expected the shape ({len(self.cameras)}, frames, {count}, 2), got {self.pixels.shape}")
+        expected = (self.pixels.shape[1], count, 3)
+        for name in ("rough_mm", "known_mm", "known_sigma_mm"):
+            if getattr(self, name).shape != expected:
+                raise InputError(f"{name}: expected the shape {expected}, got {getattr(self, name).shape}")
+        for camera, found in zip(self.cameras, self.found, strict=True):
+            if not found.any():
+                raise InputError(f"{camera.name}: expected it to see some of the target, but not one of its points was found")
+
+    @property
+    def found(self) -> Bool:
+        """Which points were found: (camera, frame, point)."""
+        return np.asarray(np.isfinite(self.pixels).all(axis=-1))
+
+
+@dataclass(frozen=True)
+class VolumePair:
+    """Two reconstructed volumes of one grid, some time apart.
+
+    Attributes
+    ----------
+    first, second : (z, y, x) float32 intensities.
+    grid : their voxels.
+    interval_s : the time between them.
+
+    Raises
+    ------
+    InputError
+        Volumes of another shape than the grid's, or without any contrast.
+    """
+
+    first: F32
+    second: F32
+    grid: Grid
+    interval_s: float
+
+    def __post_init__(self) -> None:
+        for name in ("first", "second"):
+            volume = getattr(self, name)
+            if volume.shape != self.grid.shape:
+                raise InputError(f"{name} volume: expected {self.grid.shape} voxels (z, y, x) as its grid has, got {volume.shape}")
+            if not np.isfinite(volume).all():
+                raise InputError(f"{name} volume: expected finite intensities, got NaN or infinite ones")
+            if volume.min() == volume.max():
+                raise InputError(f"{name} volume: expected one that shows something, got {volume.flat[0]:g} everywhere")

@@ -1,0 +1,210 @@
+"""The truth that a generator makes: what is in the water, where and when."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from sabench.geometry.frames import Pose
+from sabench.utils.arrays import F32, F64, I32, I64, Bool
+
+Pattern = Literal["checkerboard", "circles", "charuco", "wand"]
+
+
+@dataclass(frozen=True)
+class Particles:
+    """Particles at one instant, world frame.
+
+    Attributes
+    ----------
+    id : (n,) int64, unique within the frame; the same id in two frames is the same particle.
+    position_mm : (n, 3).
+    diameter_mm : (n,).
+    velocity_mm_s : (n, 3).
+    """
+
+    id: I64
+    position_mm: F64
+    diameter_mm: F64
+    velocity_mm_s: F64
+
+    def __post_init__(self) -> None:
+        count = len(self.id)
+        shapes = {"position_mm": (count, 3), "diameter_mm": (count,), "velocity_mm_s": (count, 3)}
+        for name, expected in shapes.items():
+            value = getattr(self, name)
+            if value.shape != expected or not np.isfinite(value).all():
+                raise ValueError(f"Particles.{name}: expected finite values of shape {expected}, got shape {value.shape}")
+        if (np.diff(np.sort(self.id)) == 0).any():
+            raise ValueError("Particles.id: expected unique numbers, got duplicates")
+        if count and not (self.diameter_mm > 0.0).all():
+            raise ValueError("Particles.diameter_mm: expected positive values")
+
+    def __len__(self) -> int:
+        return len(self.id)
+
+
+@dataclass(frozen=True)
+class Bubbles:
+    """Bubbles or droplets at one instant, world frame: spheroids, or ellipsoids of any axes.
+
+    Attributes
+    ----------
+    id : (n,) int64, unique within the frame; the same id in two frames is the same bubble.
+    center_mm : (n, 3).
+    semi_axes_mm : (n, 3), along the rows of `turn`.
+    turn : (n, 3, 3) rotations from the world to the bubble's own axes.
+    velocity_mm_s : (n, 3).
+    index : refractive index of what is inside.
+    """
+
+    id: I64
+    center_mm: F64
+    semi_axes_mm: F64
+    turn: F64
+    velocity_mm_s: F64
+    index: float = 1.0
+
+    def __post_init__(self) -> None:
+        count = len(self.id)
+        shapes = {"center_mm": (count, 3), "semi_axes_mm": (count, 3), "turn": (count, 3, 3), "velocity_mm_s": (count, 3)}
+        for name, expected in shapes.items():
+            value = getattr(self, name)
+            if value.shape != expected or not np.isfinite(value).all():
+                raise ValueError(f"Bubbles.{name}: expected finite values of shape {expected}, got shape {value.shape}")
+        if (np.diff(np.sort(self.id)) == 0).any():
+            raise ValueError("Bubbles.id: expected unique numbers, got duplicates")
+        if count and not (self.semi_axes_mm > 0.0).all():
+            raise ValueError("Bubbles.semi_axes_mm: expected positive values")
+        if count and np.abs(self.turn @ self.turn.transpose(0, 2, 1) - np.eye(3)).max() > 1e-9:
+            raise ValueError("Bubbles.turn: expected rotations")
+        if self.index < 1.0:
+            raise ValueError(f"Bubbles.index: expected 1 or more, got {self.index:g}")
+
+    def __len__(self) -> int:
+        return len(self.id)
+
+    def __getitem__(self, chosen: Bool | I64) -> Bubbles:
+        """Some of them."""
+        return Bubbles(self.id[chosen], self.center_mm[chosen], self.semi_axes_mm[chosen], self.turn[chosen], self.velocity_mm_s[chosen], self.index)
+
+    @property
+    def radius_mm(self) -> F64:
+        """Radii (n,) of balls of the same volumes."""
+        return np.asarray(np.cbrt(self.semi_axes_mm.prod(axis=1)))
+
+    @property
+    def volume_mm3(self) -> F64:
+        """Volumes (n,)."""
+        return np.asarray(4.0 / 3.0 * np.pi * self.semi_axes_mm.prod(axis=1))
+
+    @property
+    def to_ball(self) -> F64:
+        """(n, 3, 3) matrices M: x is inside where |M (x - center)| < 1."""
+        return np.asarray(self.turn / self.semi_axes_mm[:, :, None])
+
+    def reach_mm(self, direction: npt.ArrayLike) -> F64:
+        """How far each extends from its centre along a unit vector (3,): (n,)."""
+        return np.asarray(np.linalg.norm(self.semi_axes_mm * (self.turn @ np.asarray(direction, dtype=np.float64)), axis=1))
+
+
+@dataclass(frozen=True)
+class Solid:
+    """A closed surface at one instant, world frame.
+
+    Attributes
+    ----------
+    vertices_mm : (v, 3).
+    faces : (f, 3) int64, counter-clockwise as seen from outside.
+    """
+
+    vertices_mm: F64
+    faces: I64
+
+
+@dataclass(frozen=True)
+class Target:
+    """A calibration target in its own frame.
+
+    Attributes
+    ----------
+    pattern : what it shows. The points of a checkerboard and of a ChArUco board are its inner corners, those of the others are centres.
+    columns, rows : of points; they are counted row by row.
+    pitch_mm : distance of neighbours.
+    mark_mm : diameter of a circle or a ball, edge of a ChArUco marker; 0 for a checkerboard.
+    points_mm : (columns x rows, 3), centred; a board lies in Z = 0, X along its rows, Y down its columns, and shows its pattern towards -Z.
+    """
+
+    pattern: Pattern
+    columns: int
+    rows: int
+    pitch_mm: float
+    mark_mm: float
+
+    @property
+    def points_mm(self) -> F64:
+        """The points, row by row."""
+        across, down = ((np.arange(count) - (count - 1) / 2.0) * self.pitch_mm for count in (self.columns, self.rows))
+        x, y = np.meshgrid(across, down)
+        return np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)])
+
+
+@dataclass(frozen=True)
+class Placed:
+    """A target and its place in every frame: truth."""
+
+    target: Target
+    poses: tuple[Pose, ...]
+
+    @property
+    def points_mm(self) -> F64:
+        """World points (frame, point, 3)."""
+        return np.stack([pose(self.target.points_mm) for pose in self.poses])
+
+
+@dataclass(frozen=True)
+class Prior:
+    """What is known of a target's places before a calibration: arrays as in `api.CalibrationCase`."""
+
+    rough_mm: F64
+    known_mm: F64
+    known_sigma_mm: F64
+
+
+NOTHING, BODY = -1, -2  # of `Sight.number`: BODY - k is the k-th body
+
+
+@dataclass(frozen=True)
+class Sight:
+    """What one camera sees of a frame's n bubbles and its bodies.
+
+    Attributes
+    ----------
+    number : (rows, columns) int32 of the bubble (its row in the frame's bubbles) or body that each pixel's middle sees first: see `NOTHING`, `BODY`.
+    depth_mm : (rows, columns) float32, of the surface there: along the wall's normal from its outer face, without a wall along the camera's axis
+        from its pinhole; NaN for nothing.
+    path_mm : (rows, columns) float32, length of the way of light from the pinhole to it; NaN for nothing.
+    visible : (n,) part of each bubble's outline that the camera sees: 1 for all of it, less where it is covered or outside the image.
+    pixel : (n, 2) column and row of the centre; NaN where it has none.
+    contour : (n, 48, 2) float32, column and row of the outline, whatever is in front of it; NaN where a line of sight does not reach it.
+    """
+
+    number: I32
+    depth_mm: F32
+    path_mm: F32
+    visible: F64
+    pixel: F64
+    contour: F32
+
+
+@dataclass(frozen=True)
+class View:
+    """What one camera receives of a frame's n particles: pixel (n, 2), photons (n,), sigma_px (n,), visible (n,)."""
+
+    pixel: F64
+    photons: F64
+    sigma_px: F64
+    visible: F64

@@ -1,0 +1,239 @@
+"""HDF5 that trusts nothing: no links out of a file, no surprises in shape or kind, no crash on a full disk."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import math
+import signal
+import threading
+from collections.abc import Callable, Iterable, Iterator
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import numpy.typing as npt
+
+from sabench.utils import memory
+from sabench.utils.errors import InputError
+
+_LONGEST = 1 << 20  # characters of an attribute
+_MOST_NAMES = 100_000  # members of a group
+_SMALL = 1 << 26  # bytes that may be read without a thought
+_OPEN_BYTES = 2_000_000_000  # of a data set whose length is the file's to choose: 80 million particles
+_DENSEST = 1100  # deflate makes at best 1 byte of 1032
+
+
+@contextlib.contextmanager
+def opened(path: Path) -> Iterator[Any]:
+    """An HDF5 file for reading; whatever goes wrong inside is an InputError that names it."""
+    if not path.is_file():
+        raise InputError(f"{path}: expected an HDF5 file, found none")
+    try:
+        with h5py.File(path, "r") as file:
+            yield file
+    except (OSError, RuntimeError, KeyError, ValueError) as error:
+        raise InputError(f"{path}: expected a whole HDF5 file, got {type(error).__name__}: {error}") from error
+
+
+class NewFile(io.RawIOBase):
+    """A file that HDF5 writes through; the first write that the system refuses is kept, and HDF5 told that all is well.
+
+    HDF5 does not survive a refused write: it crashes the process when it closes. `check` raises the refusal where Python can handle it.
+    """
+
+    def __init__(self, path: Path) -> None:
+        super().__init__()
+        self._file = path.open("w+b", buffering=0)
+        self._fault: OSError | None = None
+
+    def check(self) -> None:
+        """Raise what the system refused so far."""
+        if self._fault:
+            raise self._fault
+
+    def write(self, data: Any) -> int:
+        """Write all of `data`, or keep the fault."""
+        view = memoryview(data).cast("B")
+        done = 0
+        while not self._fault and done < len(view):
+            try:
+                done += self._file.write(view[done:])
+            except OSError as error:
+                self._fault = OSError(error.errno, error.strerror, self._file.name)
+        return len(view)
+
+    def readinto(self, buffer: Any) -> int:
+        """Read back; what was refused reads as zeros."""
+        view = memoryview(buffer).cast("B")
+        count = self._file.readinto(view) or 0
+        view[count:] = bytes(len(view) - count)
+        return len(view)
+
+    def seek(self, offset: int, whence: int = 0) -> int:
+        """Move."""
+        return self._file.seek(offset, whence)
+
+    def tell(self) -> int:
+        """Where."""
+        return self._file.tell()
+
+    def truncate(self, size: int | None = None) -> int:
+        """Set the length, or keep the fault."""
+        try:
+            return self._file.truncate(size)
+        except OSError as error:
+            self._fault = self._fault or OSError(error.errno, error.strerror, self._file.name)
+            return size or 0
+
+    def close(self) -> None:
+        """Close the file below."""
+        self._file.close()
+        super().close()
+
+
+@contextlib.contextmanager
+def created(path: Path) -> Iterator[tuple[Any, Callable[[], None]]]:
+    """A new HDF5 file, and a function that raises if the disk has refused a write; it is called at the end in any case.
+
+    Whoever writes into the file does so `uninterrupted`.
+    """
+    sink = NewFile(path)
+    try:
+        with uninterrupted():
+            file = h5py.File(sink, "w")
+        try:
+            yield file, sink.check
+        finally:
+            with uninterrupted():
+                file.close()
+        sink.check()
+    finally:
+        sink.close()
+
+
+@contextlib.contextmanager
+def uninterrupted() -> Iterator[None]:
+    """Hold Ctrl-C back until the block has ended: raised inside HDF5's calls to `NewFile` it would be lost, or leave the file in pieces."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    caught: list[int] = []
+    before = signal.signal(signal.SIGINT, lambda number, _: caught.append(number))
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+    if caught:
+        raise KeyboardInterrupt
+
+
+def read_array(file: Any, name: str, shape: tuple[int | None, ...], kind: str) -> npt.NDArray[Any]:
+    """A data set of that shape (None: any length) and numpy kind letters; it must lie inside this very file.
+
+    Shape, type and what reading will cost are checked before a value is read: a small file can say that it holds more than any memory.
+    """
+    where = f"{file.filename}: {name}"
+    node = _node(file, name, where)
+    if not isinstance(node, h5py.Dataset) or node.is_virtual or node.external:
+        raise InputError(f"{where}: expected a data set with its values in this file")
+    got, dtype = node.shape, _dtype(node, where)
+    fits = got is not None and len(got) == len(shape) and all(want in (None, have) for want, have in zip(shape, got, strict=True))
+    if not fits or dtype.kind not in kind or dtype.itemsize > 8:
+        expected = "(" + ", ".join("n" if want is None else str(want) for want in shape) + ")"
+        raise InputError(f"{where}: expected shape {expected} of kind {kind}, got {got} of {dtype}")
+    _check_cost(node, where, is_open=None in shape)
+    return np.asarray(node[...])
+
+
+def walk(path: Path) -> None:
+    """Read all that a file says of itself, and no values; where it is damaged so that the library goes round in circles, that is here."""
+
+    def look(_: str, node: Any) -> None:
+        if isinstance(node, h5py.Dataset) and node.shape is not None and node.chunks:
+            node.id.get_num_chunks()
+
+    with opened(path) as file:
+        for name in file.attrs:
+            identity = file.attrs.get_id(name)
+            if identity.shape == () and identity.get_storage_size() <= _LONGEST:
+                file.attrs[name]
+        file.visititems(look)
+
+
+def names_in(file: Any, group: str) -> set[str]:
+    """Names of what a group of this very file holds; none where there is no such group."""
+    node = file
+    for part in group.split("/"):
+        link = node.get(part, getlink=True)
+        node = node[part] if isinstance(link, h5py.HardLink) else None
+        if not isinstance(node, h5py.Group):
+            return set()
+    if len(node) > _MOST_NAMES:
+        raise InputError(f"{file.filename}: {group}: expected at most {_MOST_NAMES} members, got {len(node)}")
+    return set(node)
+
+
+def read_attributes(file: Any, names: Iterable[str]) -> dict[str, Any]:
+    """Those attributes of the file's root that are there, as single Python values: strings and numbers.
+
+    Other languages write strings of fixed length, and arrays of one element for single values: both are taken.
+    """
+    return {name: _attribute(file, name) for name in names if name in file.attrs}
+
+
+def _attribute(file: Any, name: str) -> Any:
+    where = f"{file.filename}: attribute {name}"
+    identity = file.attrs.get_id(name)
+    dtype = _dtype(identity, where)
+    if identity.shape is None or math.prod(identity.shape) != 1 or dtype.kind not in "iufbSO" or dtype.itemsize > _LONGEST:
+        raise InputError(f"{where}: expected one string or number, got {dtype} of shape {identity.shape}")
+    value = file.attrs[name]
+    value = np.asarray(value).reshape(-1)[0] if isinstance(value, np.ndarray) else value
+    value = value.item() if isinstance(value, np.generic) else value
+    value = value.decode("utf-8", "replace") if isinstance(value, bytes) else value
+    if not isinstance(value, str | int | float) or len(str(value)) > _LONGEST:
+        raise InputError(f"{where}: expected one string or number of at most {_LONGEST} characters, got {type(value).__name__}")
+    return value.encode("utf-8", "replace").decode() if isinstance(value, str) else value
+
+
+def _node(file: Any, name: str, where: str) -> Any:
+    """What has that name, reached by hard links alone."""
+    node = file
+    for part in name.split("/"):
+        link = node.get(part, getlink=True) if isinstance(node, h5py.Group) else None
+        if not isinstance(link, h5py.HardLink):
+            raise InputError(f"{where}: expected a data set in this file, found {'a link' if link else 'none'}")
+        node = node[part]
+    return node
+
+
+def _dtype(node: Any, where: str) -> np.dtype[Any]:
+    try:
+        dtype: np.dtype[Any] = np.dtype(node.dtype)
+    except TypeError as error:  # HDF5 has types that numpy has not
+        raise InputError(f"{where}: expected numbers or text, got a type that numpy does not have: {error}") from error
+    return dtype
+
+
+def _check_cost(node: Any, where: str, *, is_open: bool) -> None:
+    """Refuse what would not fit into memory when it is read; where the length is the file's to choose, also what it hardly stores."""
+    size, stored, there = int(node.nbytes), int(node.id.get_storage_size()), memory.available_mb()
+    if there is not None and 2.0 * size / 1e6 > there:
+        raise InputError(f"{where}: expected values that fit into memory, but {node.shape} of {node.dtype} need {2.0 * size / 1e6:.0f} MB")
+    if is_open and size > _OPEN_BYTES:
+        raise InputError(f"{where}: expected at most {_OPEN_BYTES / 1e6:.0f} MB of values, got {node.shape} of {node.dtype}")
+    if is_open and size > _SMALL and size > _DENSEST * stored:
+        raise InputError(f"{where}: expected values that the file stores, got {node.shape} of {node.dtype} in {stored} bytes")
+    piece = math.prod(node.chunks) * node.dtype.itemsize if node.chunks else 0
+    if piece > max(_SMALL, 2 * size):
+        raise InputError(f"{where}: expected chunks no larger than the data set, got {node.chunks} of {node.dtype} for shape {node.shape}")
+
+
+def finite(values: npt.NDArray[Any], where: str) -> npt.NDArray[Any]:
+    """`values`, or an InputError if any is NaN or infinite."""
+    bad = int(values.size - np.count_nonzero(np.isfinite(values)))
+    if bad:
+        raise InputError(f"{where}: expected finite values, got {bad} that are NaN or infinite")
+    return values

@@ -1,0 +1,32 @@
+"""HDF5 files of others: whether the library survives them is found out in a process of its own."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from sabench.dataset import schema
+from sabench.dataset.hdf5 import walk
+from sabench.utils.files import inside, is_file
+from sabench.utils.processes.isolated import apart
+
+_PROBE_S = 4.0  # for what a file says of itself: a damaged one can send the library round in circles, in which no Ctrl-C is heard
+_PROBE_RATE = 2e7  # bytes of a file for each second more
+
+
+def probe(path: Path) -> None:
+    """Let another process find out whether HDF5 survives a foreign file.
+
+    Raises
+    ------
+    InputError
+        It does not, or takes too long.
+    """
+    apart(walk, path, doing=f"{path}: reading it", time_s=_PROBE_S + path.stat().st_size / _PROBE_RATE)
+
+
+def probe_dataset(root: Path) -> None:
+    """The same for the HDF5 files of a data set, if it is one at all."""
+    schema.read_manifest(root)
+    for name in (schema.TRUTH, schema.POINTS):
+        if is_file(root / name):
+            probe(inside(root, name))

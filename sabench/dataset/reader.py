@@ -1,0 +1,210 @@
+"""Open a data set: its observation side for solvers, its truth for scores."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sabench.api import CalibrationCase, Observation, Shown
+from sabench.api.truth import Bubbles, Particles, Placed, Sight, Solid, Target, View
+from sabench.dataset import schema
+from sabench.dataset.hdf5 import finite, names_in, opened, read_array
+from sabench.dataset.schema import CamerasFile, Manifest
+from sabench.geometry.camera import Camera
+from sabench.geometry.frames import Pose
+from sabench.geometry.grid import Grid
+from sabench.images.preprocessing import WHITE, Step, processed
+from sabench.images.tiff_exr import read_exr, read_tiff
+from sabench.scenes.schema import Scene
+from sabench.utils.arrays import F32, F64, U16, Bool
+from sabench.utils.errors import InputError
+from sabench.utils.files import inside
+from sabench.utils.validation import validate
+
+
+@dataclass(frozen=True)
+class Dataset:
+    """A data set folder; frames are read when asked for."""
+
+    root: Path
+    manifest: Manifest
+
+    @property
+    def content_hash(self) -> str:
+        """The hash that names this data set."""
+        return self.manifest.content_hash
+
+    @cached_property
+    def rig(self) -> CamerasFile:
+        """What solvers are told: cameras, wall, grid and sensor levels."""
+        return schema.read_cameras(self.root)
+
+    @cached_property
+    def true_cameras(self) -> tuple[Camera, ...]:
+        """The cameras that took the pictures: truth, not for solvers. They are those of `rig`, unless the data set has a calibration error."""
+        if schema.TRUE_CAMERAS not in self.manifest.files:
+            return self.rig.cameras
+        return schema.read_true_cameras(self.root, self.rig)
+
+    @cached_property
+    def scene(self) -> Scene:
+        """The resolved scene: truth, not for solvers."""
+        path = inside(self.root, schema.SCENE)
+        try:
+            scene = validate(Scene, tomllib.loads(path.read_text(encoding="utf-8")), str(path))
+        except (OSError, ValueError, RecursionError) as error:
+            raise InputError(f"{path}: expected a TOML file, got {error}") from error
+        return scene.with_files({table: inside(self.root, place.as_posix()) for table, place in scene.files.items()})
+
+    def observation(self, frame: int) -> Observation:
+        """One frame as a solver may see it."""
+        self._check_frame(frame)
+        rig = self.rig
+        images = [read_tiff(self._image(camera.name, frame, "tif"), (camera.rows, camera.columns)) for camera in rig.cameras]
+        return observed(np.stack(images), rig.cameras, rig.grid, (rig.sensor.black_dn, rig.sensor.white_dn), rig.preprocessing)
+
+    def radiance(self, frame: int) -> list[F32]:
+        """Noise-free photon radiance of every camera, photons / (mm2 sr): truth, not for solvers."""
+        self._check_frame(frame)
+        return [read_exr(self._image(camera.name, frame, "exr"), (camera.rows, camera.columns)) for camera in self.rig.cameras]
+
+    def particles(self, frame: int) -> Particles:
+        """The true particles of a frame."""
+        self._check_frame(frame)
+        group = schema.frame_group(frame)
+        with opened(inside(self.root, schema.TRUTH)) as file:
+            identity = read_array(file, f"{group}/id", (None,), "i")
+            n = len(identity)
+            shapes = {"position_mm": (n, 3), "diameter_mm": (n,), "velocity_mm_s": (n, 3)}
+            values = {k: finite(read_array(file, f"{group}/{k}", shape, "f"), f"{file.filename}: {group}/{k}") for k, shape in shapes.items()}
+            return Particles(identity, **values)
+
+    def views(self, frame: int) -> list[View]:
+        """What every camera truly receives of a frame's particles, in the cameras' order."""
+        self._check_frame(frame)
+        with opened(inside(self.root, schema.TRUTH)) as file:
+            n = len(read_array(file, f"{schema.frame_group(frame)}/id", (None,), "i"))
+            views = []
+            for camera in self.rig.cameras:
+                base = f"{schema.frame_group(frame)}/cameras/{camera.name}"
+                fields = [("pixel", (n, 2), "f"), ("photons", (n,), "f"), ("sigma_px", (n,), "f"), ("visible", (n,), "u")]
+                view = View(*(read_array(file, f"{base}/{name}", shape, kind).astype(np.float64) for name, shape, kind in fields))
+                finite(view.photons, f"{file.filename}: {base}/photons")
+                finite(view.pixel[view.visible > 0], f"{file.filename}: {base}/pixel of visible particles")
+                views.append(view)
+            return views
+
+    def bubbles(self, frame: int) -> Bubbles:
+        """The true bubbles of a frame."""
+        self._check_frame(frame)
+        group = f"{schema.frame_group(frame)}/bubbles"
+        with opened(inside(self.root, schema.TRUTH)) as file:
+            identity = read_array(file, f"{group}/id", (None,), "i")
+            n = len(identity)
+            shapes: dict[str, tuple[int, ...]] = {"center_mm": (n, 3), "semi_axes_mm": (n, 3), "turn": (n, 3, 3), "velocity_mm_s": (n, 3)}
+            values = {k: finite(read_array(file, f"{group}/{k}", shape, "f"), f"{file.filename}: {group}/{k}") for k, shape in shapes.items()}
+            return Bubbles(identity, **values, index=float(read_array(file, f"{group}/index", (1,), "f")[0]))
+
+    def solids(self, frame: int) -> list[Solid]:
+        """The true bodies of a frame."""
+        self._check_frame(frame)
+        group = f"{schema.frame_group(frame)}/bodies"
+        with opened(inside(self.root, schema.TRUTH)) as file:
+            count = len(names_in(file, group))
+            parts = [(f"{group}/{k}/vertices_mm", f"{group}/{k}/faces") for k in range(count)]
+            return [Solid(read_array(file, vertices, (None, 3), "f"), read_array(file, faces, (None, 3), "i")) for vertices, faces in parts]
+
+    def sight(self, frame: int, camera: Camera) -> Sight:
+        """What one camera truly sees of a frame's bubbles and bodies."""
+        self._check_frame(frame)
+        group, image = f"{schema.frame_group(frame)}/sights/{camera.name}", (camera.rows, camera.columns)
+        with opened(inside(self.root, schema.TRUTH)) as file:
+            n = len(read_array(file, f"{schema.frame_group(frame)}/bubbles/id", (None,), "i"))
+            fields = [("number", image, "i"), ("depth_mm", image, "f"), ("path_mm", image, "f"), ("visible", (n,), "f"), ("pixel", (n, 2), "f")]
+            return Sight(*(read_array(file, f"{group}/{k}", shape, kind) for k, shape, kind in [*fields, ("contour", (n, None, 2), "f")]))
+
+    def render_error(self, frame: int, camera: Camera) -> float:
+        """Mean relative standard error of a picture of bubbles and bodies."""
+        with opened(inside(self.root, schema.TRUTH)) as file:
+            return float(read_array(file, f"{schema.frame_group(frame)}/sights/{camera.name}/error", (1,), "f")[0])
+
+    @property
+    def shows(self) -> tuple[Shown, ...]:
+        """What its frames show: a target, or particles, bubbles, or both; bodies may be there in any case."""
+        return ("target",) if self.shows_target else self.rig.shows
+
+    @property
+    def shows_target(self) -> bool:
+        """Whether its frames show a calibration target, and not particles."""
+        return schema.TARGET in self.manifest.files
+
+    def calibration_case(self) -> CalibrationCase:
+        """All frames of a target as a solver may see them."""
+        target, rig = self._target(), self.rig
+        count = len(target.points_mm)
+        shapes = {"pixels": (len(rig.cameras), rig.frames, count, 2)} | dict.fromkeys(
+            ("rough_mm", "known_mm", "known_sigma_mm"), (rig.frames, count, 3)
+        )
+        with opened(inside(self.root, schema.POINTS)) as file:
+            arrays = {name: read_array(file, name, shape, "f").astype(np.float64) for name, shape in shapes.items()}
+        return CalibrationCase(target=target, cameras=rig.cameras, unknown=rig.unknown, **arrays)
+
+    def placed(self) -> Placed:
+        """The target's true places: not for solvers."""
+        target = self._target()
+        with opened(inside(self.root, schema.TRUTH)) as file:
+            return Placed(target, tuple(_pose(file, schema.frame_group(frame)) for frame in range(self.rig.frames)))
+
+    def sightings(self) -> tuple[F64, Bool]:
+        """Where the cameras truly see the target's points (camera, frame, point, 2), NaN if they do not, and outliers (camera, frame, point).
+
+        Truth, not for solvers.
+        """
+        shape = (self.rig.frames, len(self._target().points_mm))
+        with opened(inside(self.root, schema.TRUTH)) as file:
+            groups = [f"cameras/{camera.name}" for camera in self.rig.cameras]
+            exact = [read_array(file, f"{group}/pixel", (*shape, 2), "f") for group in groups]
+            outliers = [read_array(file, f"{group}/outlier", shape, "u") > 0 for group in groups]
+        return np.stack(exact), np.stack(outliers)
+
+    def _target(self) -> Target:
+        if not self.shows_target:
+            raise InputError(f"{self.root}: expected a data set with a calibration target, got one with particles")
+        return schema.read_target(self.root)
+
+    def _image(self, camera: str, frame: int, suffix: str) -> Path:
+        return inside(self.root, schema.image_name(camera, frame, suffix))
+
+    def _check_frame(self, frame: int) -> None:
+        if not 0 <= frame < self.rig.frames:
+            raise InputError(f"{self.root}: frame {frame}: expected 0 to {self.rig.frames - 1}")
+
+
+def observed(images: U16, cameras: tuple[Camera, ...], grid: Grid, levels: tuple[float, float], steps: Sequence[Step]) -> Observation:
+    """Raw images with their grey values of no light and of saturation, as a solver sees them: after the steps of preprocessing."""
+    if not steps:
+        return Observation(images, cameras, grid, *levels)
+    return Observation(processed(images, *levels, steps), cameras, grid, 0.0, float(WHITE))
+
+
+def _pose(file: Any, group: str) -> Pose:
+    turn = finite(read_array(file, f"{group}/turn", (3, 3), "f"), f"{file.filename}: {group}/turn")
+    return Pose(turn, finite(read_array(file, f"{group}/place_mm", (3,), "f"), f"{file.filename}: {group}/place_mm"))
+
+
+def open_dataset(path: str | Path) -> Dataset:
+    """Open a data set folder.
+
+    Raises
+    ------
+    InputError
+        No data set there, or one of another format; checksums are `verify`'s business.
+    """
+    root = Path(path)
+    return Dataset(root, schema.read_manifest(root))

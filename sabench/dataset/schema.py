@@ -1,0 +1,223 @@
+"""Names, keys and their checks that writing, reading and verifying share."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field
+
+from sabench.api.truth import Target
+from sabench.geometry.camera import Camera
+from sabench.geometry.grid import Grid
+from sabench.geometry.refraction import Wall
+from sabench.images.preprocessing import Step
+from sabench.utils.errors import InputError
+from sabench.utils.fields import LensNumber
+from sabench.utils.files import canonical_json, digest, inside, read_json
+from sabench.utils.validation import Model, validate
+
+FORMAT = "sabench-dataset"
+VERSION = 1
+MANIFEST, CAMERAS, SCENE, TRUTH, TRUE_CAMERAS = "manifest.json", "cameras.json", "scene.toml", "truth.h5", "true_cameras.json"
+TARGET, POINTS = "target.json", "points.h5"
+MOST_POINTS = 1_000_000  # of a target
+GIVEN = "given"  # folder of what other programs wrote and the scene reads
+
+
+class _Record(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+class SensorLevels(_Record):
+    """What an experimenter knows of the sensor."""
+
+    black_dn: float
+    white_dn: float
+    bit_depth: int = Field(ge=1, le=16)
+
+
+class CamerasFile(_Record):
+    """cameras.json: the whole observation side but for the images."""
+
+    format: str
+    version: int
+    frames: int = Field(ge=1)
+    interval_s: float = Field(gt=0)
+    wall: Wall | None
+    cameras: tuple[Camera, ...] = Field(min_length=1)
+    grid: Grid
+    sensor: SensorLevels
+    unknown: tuple[LensNumber, ...] = ()
+    times_s: tuple[float, ...] | None = None
+    pulses: int = Field(1, ge=1)
+    preprocessing: tuple[Step, ...] = ()
+    shows: tuple[Literal["particles", "bubbles", "code"], ...] = ("particles",)
+
+    def time_s(self, frame: int) -> float:
+        """When a frame was taken."""
+        return frame * self.interval_s if self.times_s is None else self.times_s[frame]
+
+    def sequences(self) -> list[range]:
+        """Frames that belong together: each group of pulses, or all frames, where a group has but one."""
+        step = self.pulses if self.pulses > 1 else self.frames
+        return [range(first, min(first + step, self.frames)) for first in range(0, self.frames, step)]
+
+    def pairs(self) -> list[tuple[int, int]]:
+        """Frames that follow each other within a sequence."""
+        return [pair for frames in self.sequences() for pair in itertools.pairwise(frames)]
+
+
+class TrueCamerasFile(_Record):
+    """true_cameras.json: the cameras that took the pictures, where cameras.json tells others."""
+
+    format: str
+    version: int
+    cameras: tuple[Camera, ...]
+
+
+class TargetFile(_Record):
+    """target.json: the calibration target that the frames show."""
+
+    format: str
+    version: int
+    target: Target
+
+
+class FileEntry(_Record):
+    """One file's size and checksum."""
+
+    bytes: int = Field(ge=0)
+    sha256: str = Field(pattern="^[0-9a-f]{64}$")
+
+
+class Manifest(_Record):
+    """manifest.json: what the data set consists of and came from."""
+
+    format: str
+    version: int
+    content_hash: str = Field(pattern="^[0-9a-f]{64}$")
+    scene: str
+    scene_hash: str = Field(pattern="^[0-9a-f]{64}$")
+    seed: int = Field(ge=0)
+    renderer: str
+    versions: dict[str, str]
+    files: dict[str, FileEntry]
+    manifest_hash: str = Field(pattern="^[0-9a-f]{64}$")
+
+
+def image_name(camera: str, frame: int, suffix: str) -> str:
+    """Path of an image inside a data set; `suffix` is tif (grey values) or exr (radiance)."""
+    return f"images/frame_{frame:04d}/{camera}.{suffix}"
+
+
+def frame_group(frame: int) -> str:
+    """HDF5 group of a frame, in truth and result files."""
+    return f"frames/{frame:04d}"
+
+
+def content_hash(files: dict[str, FileEntry]) -> str:
+    """Names a data set: SHA-256 over the canonical JSON of path -> SHA-256."""
+    return digest({name: entry.sha256 for name, entry in files.items()})
+
+
+def sealed(manifest: dict[str, Any]) -> str:
+    """The manifest's text, with the hash of all its other keys as `manifest_hash`."""
+    rest = {key: value for key, value in manifest.items() if key != "manifest_hash"}
+    return canonical_json({**rest, "manifest_hash": digest(rest)})
+
+
+def read_manifest(root: Path) -> Manifest:
+    """The manifest of a data set; InputError if there is none, it is broken or of another format."""
+    path = inside(root, MANIFEST)
+    if not root.is_dir() or not path.is_file():
+        raise InputError(f"{path}: expected a data set's manifest, found none")
+    manifest = _checked(Manifest, path)
+    if path.read_text(encoding="utf-8") != sealed(manifest.model_dump(mode="json")):
+        raise InputError(f"{path}: its manifest_hash does not match its content")
+    return manifest
+
+
+def read_cameras(root: Path) -> CamerasFile:
+    """The rig of a data set, every camera with its wall."""
+    path = inside(root, CAMERAS)
+    loaded = _checked(CamerasFile, path)
+    names = [camera.name for camera in loaded.cameras]
+    if len(set(names)) != len(names) or not all(name.replace("_", "").isalnum() for name in names):
+        raise InputError(f"{path}: cameras: expected different names of letters, digits and _, got {names}")
+    _check_cameras(loaded.cameras, path)
+    _check_numbers(loaded, path)
+    return loaded.model_copy(update={"cameras": _behind(loaded.wall, loaded.cameras)})
+
+
+def read_true_cameras(root: Path, told: CamerasFile) -> tuple[Camera, ...]:
+    """The true cameras of a data set whose cameras.json tells others: the same names and image sizes, behind the same wall."""
+    path = inside(root, TRUE_CAMERAS)
+    cameras = _checked(TrueCamerasFile, path).cameras
+    expected, got = ([(c.name, c.rows, c.columns) for c in group] for group in (told.cameras, cameras))
+    if got != expected:
+        raise InputError(f"{path}: cameras: expected names and image sizes as in {CAMERAS}, {expected}, got {got}")
+    _check_cameras(cameras, path)
+    return _behind(told.wall, cameras)
+
+
+def read_target(root: Path) -> Target:
+    """The target of a data set for calibrations."""
+    path = inside(root, TARGET)
+    target = _checked(TargetFile, path).target
+    if (
+        min(target.columns, target.rows) < 1
+        or target.columns * target.rows < 2
+        or target.pitch_mm <= 0.0
+        or not 0.0 <= target.mark_mm < target.pitch_mm
+        or target.columns * target.rows > MOST_POINTS
+    ):
+        raise InputError(f"{path}: target: expected 2 to {MOST_POINTS} points, a positive pitch_mm and a smaller mark_mm, got {target}")
+    return target
+
+
+def _behind(wall: Wall | None, cameras: tuple[Camera, ...]) -> tuple[Camera, ...]:
+    return tuple(dataclasses.replace(camera, wall=wall) for camera in cameras)
+
+
+def _check_cameras(cameras: tuple[Camera, ...], path: Path) -> None:
+    """What the types cannot say of cameras."""
+    first = cameras[0]
+    for camera in cameras:
+        sizes = (camera.rows, camera.columns, camera.pixel_mm, camera.principal_distance_mm, camera.focal_length_mm, camera.f_number)
+        if min(sizes) <= 0:
+            raise InputError(f"{path}: {camera.name}: expected positive sizes, got {sizes}")
+        if (camera.rows, camera.columns) != (first.rows, first.columns):
+            got = f"{camera.rows} x {camera.columns}"
+            raise InputError(f"{path}: {camera.name}: expected {first.rows} x {first.columns} pixels (rows x columns) as {first.name} has, got {got}")
+        turn = np.asarray(camera.rotation)
+        if np.abs(turn @ turn.T - np.eye(3)).max() > 1e-9 or np.linalg.det(turn) < 0.0:
+            raise InputError(f"{path}: {camera.name}: rotation: expected a right-handed orthonormal matrix, got {turn.tolist()}")
+
+
+def _check_numbers(loaded: CamerasFile, path: Path) -> None:
+    """What the types cannot say of the rest."""
+    levels = loaded.sensor
+    if not levels.black_dn < levels.white_dn:
+        raise InputError(f"{path}: sensor: expected black_dn below white_dn, got {levels.black_dn:g} and {levels.white_dn:g}")
+    wall, grid = loaded.wall, loaded.grid
+    if wall and (abs(np.linalg.norm(wall.normal) - 1.0) > 1e-9 or min(*wall.indices, *(layer.thickness_mm for layer in wall.layers)) <= 0.0):
+        raise InputError(f"{path}: wall: expected a unit normal and positive indices and thicknesses, got {wall}")
+    if min(*grid.shape, *grid.voxel_mm) <= 0 or any(cut < 0 or 2 * cut >= n for cut, n in zip(grid.crop, grid.shape[::-1], strict=True)):
+        raise InputError(f"{path}: grid: expected positive shape and voxels and a crop that leaves some, got {grid}")
+
+
+def _checked(model: type[Model], path: Path) -> Model:
+    value = read_json(path)
+    if not isinstance(value, dict) or value.get("format") != FORMAT or value.get("version") != VERSION:
+        got = f"{value.get('format')!r} version {value.get('version')!r}" if isinstance(value, dict) else type(value).__name__
+        raise InputError(f"{path}: expected format {FORMAT!r} version {VERSION}, got {got}")
+    return validate(model, value, str(path))
+
+
+def camera_records(cameras: tuple[Camera, ...]) -> list[dict[str, Any]]:
+    """Cameras as JSON keeps them: their wall stands beside them."""
+    return [{k: v for k, v in dataclasses.asdict(camera).items() if k != "wall"} for camera in cameras]

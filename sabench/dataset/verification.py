@@ -1,0 +1,88 @@
+"""Prove a data set whole: every byte by its checksum, every array by its shape."""
+
+from __future__ import annotations
+
+import functools
+import itertools
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+from sabench.dataset import schema
+from sabench.dataset.hdf5_probe import probe_dataset
+from sabench.dataset.reader import Dataset
+from sabench.utils.errors import InputError
+from sabench.utils.files import inside, sha256
+from sabench.utils.progress import track
+
+_MOST_FAULTS = 100  # a file may say that there are any number of frames
+
+
+def verify(path: str | Path) -> list[str]:
+    """Faults of a data set, one sentence each that names the file, the first hundred; an empty list if it is whole."""
+    root = Path(path)
+    if not root.is_dir():
+        raise InputError(f"{root}: expected a data set folder, found none")
+    try:
+        manifest = schema.read_manifest(root)
+    except InputError as error:
+        return [str(error)]
+    faults = list(itertools.islice(_byte_faults(root, manifest), _MOST_FAULTS))
+    return faults or list(itertools.islice(_content_faults(Dataset(root, manifest)), _MOST_FAULTS))
+
+
+def _byte_faults(root: Path, manifest: schema.Manifest) -> Iterator[str]:
+    """Missing, changed and foreign files."""
+    if manifest.content_hash != schema.content_hash(manifest.files):
+        yield f"{root / schema.MANIFEST}: its content_hash does not match its files"
+    present = {entry.relative_to(root).as_posix() for entry in root.rglob("*") if entry.is_symlink() or not entry.is_dir()}
+    for name in sorted(present - set(manifest.files) - {schema.MANIFEST}):
+        yield f"{root / name}: a file that the manifest does not list"
+    for name, entry in track(manifest.files.items(), "verify checksums"):
+        try:
+            file = inside(root, name)
+            if not file.is_file():
+                yield f"{file}: missing"
+            elif file.stat().st_size != entry.bytes or sha256(file) != entry.sha256:
+                yield f"{file}: its bytes do not match the manifest"
+        except (InputError, OSError) as error:
+            yield str(error)
+
+
+def _content_faults(dataset: Dataset) -> Iterator[str]:
+    """Files that are as they were written, but do not fit together."""
+    deadly = list(_try(lambda: probe_dataset(dataset.root)))
+    if deadly:
+        yield from deadly
+        return
+    yield from _try(lambda: _check_scene(dataset))
+    broken = list(_try(lambda: dataset.rig))
+    if broken:
+        yield from broken
+        return
+    yield from _try(lambda: dataset.true_cameras)
+    if dataset.shows_target:
+        for whole in (dataset.calibration_case, dataset.placed, dataset.sightings):
+            yield from _try(whole)
+        return
+    for frame in track(range(dataset.rig.frames), "verify shapes"):
+        parts: list[Callable[[int], object]] = [dataset.observation, dataset.radiance]
+        parts += [dataset.particles, dataset.views] if "particles" in dataset.shows else []
+        parts += [dataset.bubbles, dataset.solids] if "bubbles" in dataset.shows else []
+        for part in parts:
+            yield from _try(functools.partial(part, frame))
+        for camera in dataset.rig.cameras if "bubbles" in dataset.shows else ():
+            yield from _try(functools.partial(dataset.sight, frame, camera))
+
+
+def _check_scene(dataset: Dataset) -> None:
+    """The resolved scene must be the one that the manifest names; its generator need not be installed."""
+    path, scene = inside(dataset.root, schema.SCENE), dataset.scene
+    if scene.hash != dataset.manifest.scene_hash:
+        raise InputError(f"{path}: its hash {scene.hash[:12]} is not the manifest's scene_hash {dataset.manifest.scene_hash[:12]}")
+
+
+def _try(read: Callable[[], object]) -> Iterator[str]:
+    try:
+        read()
+    except (InputError, ValueError) as error:
+        yield str(error)

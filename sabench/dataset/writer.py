@@ -1,0 +1,143 @@
+"""Write a data set frame by frame into a temporary folder that becomes the data set when it is complete."""
+
+from __future__ import annotations
+
+import contextlib
+import importlib.metadata
+import platform
+import shutil
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from sabench import __version__
+from sabench.api.truth import Prior, Target
+from sabench.dataset import schema
+from sabench.dataset.hdf5 import created, uninterrupted
+from sabench.geometry.camera import Camera
+from sabench.scenes.rig import Rig, white_level
+from sabench.scenes.schema import Scene
+from sabench.utils.arrays import F64, Bool
+from sabench.utils.files import canonical_json, complete_or_nothing, sha256
+from sabench.worlds.readable_codes import has_code
+
+_RECORDED = ("mitsuba", "drjit", "numpy", "scipy", "miepython", "h5py", "tifffile", "OpenEXR")
+_PACKED = ("number", "depth_mm", "path_mm")  # one number for each pixel, mostly the same
+_PACK = {"compression": "gzip", "compression_opts": 1, "shuffle": True}
+
+
+class DatasetWriter:
+    """Takes the parts of one data set; made by `dataset_writer`."""
+
+    def __init__(self, root: Path, truth: Any, check: Callable[[], None]) -> None:
+        self.root, self._truth, self._check = root, truth, check
+        self.files: dict[str, schema.FileEntry] = {}
+
+    def store(self, arrays: Mapping[str, npt.NDArray[Any]]) -> None:
+        """Store arrays by their names in the file of truth."""
+        with uninterrupted():
+            for name, value in arrays.items():
+                self._truth.create_dataset(name, data=value, **(_PACK if name.rpartition("/")[2] in _PACKED else {}))
+            self._truth.flush()
+        self._check()
+
+    def take(self, file: Path, name: str, entry: schema.FileEntry) -> None:
+        """Take a file that is known to be as its entry says; it also stays where it is."""
+        path = self.root / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        try:
+            path.hardlink_to(file)
+        except OSError:  # a file system without hard links
+            shutil.copyfile(file, path)
+        self.files[name] = entry
+
+    def add_target(self, target: Target) -> None:
+        """Store a calibration target."""
+        head = {"format": schema.FORMAT, "version": schema.VERSION}
+        (self.root / schema.TARGET).write_text(canonical_json({**head, "target": asdict(target)}), encoding="utf-8")
+
+    def add_sighting(self, camera: Camera, exact: F64, outliers: Bool) -> None:
+        """Store where one camera truly sees the target's points (frame, point, 2), and which of those that it found are elsewhere (frame, point)."""
+        self.store({f"cameras/{camera.name}/pixel": exact, f"cameras/{camera.name}/outlier": outliers.astype(np.uint8)})
+
+    def add_points(self, pixels: F64, prior: Prior) -> None:
+        """Store what solvers see of the target: pixels (camera, frame, point, 2), and what is known of its places."""
+        values = {"pixels": pixels, "rough_mm": prior.rough_mm, "known_mm": prior.known_mm, "known_sigma_mm": prior.known_sigma_mm}
+        with created(self.root / schema.POINTS) as (file, _), uninterrupted():
+            file.attrs["format"], file.attrs["version"] = schema.FORMAT, schema.VERSION
+            for name, value in values.items():
+                file.create_dataset(name, data=value)
+
+
+@contextlib.contextmanager
+def dataset_writer(
+    target: Path, name: str, scene: Scene, rig: Rig, told: tuple[Camera, ...], seed: int, renderer: str, *, overwrite: bool = False
+) -> Iterator[DatasetWriter]:
+    """A writer whose frames become the data set at `target` when the block ends well, and vanish otherwise.
+
+    Parameters
+    ----------
+    rig : the true optics.
+    told : the cameras that solvers are told.
+    """
+    with complete_or_nothing(target, overwrite=overwrite) as root:
+        root.mkdir()
+        (root / schema.SCENE).write_text(_with_copies(scene, root).to_toml(), encoding="utf-8")
+        (root / schema.CAMERAS).write_text(canonical_json(_observation(scene, rig, told)), encoding="utf-8")
+        if scene.calibration:
+            (root / schema.TRUE_CAMERAS).write_text(canonical_json(_true_cameras(rig)), encoding="utf-8")
+        with created(root / schema.TRUTH) as (truth, check):
+            with uninterrupted():
+                truth.attrs["format"], truth.attrs["version"] = schema.FORMAT, schema.VERSION
+            writer = DatasetWriter(root, truth, check)
+            yield writer
+        (root / schema.MANIFEST).write_text(_manifest(root, name, scene, seed, renderer, writer.files), encoding="utf-8")
+
+
+def _with_copies(scene: Scene, root: Path) -> Scene:
+    """The scene with copies of its files in the data set."""
+    places = {}
+    for table, path in scene.files.items():
+        places[table] = Path(schema.GIVEN) / f"{table}{path.suffix}"
+        (root / schema.GIVEN).mkdir(exist_ok=True)
+        shutil.copyfile(path, root / places[table])
+    return scene.with_files(places)
+
+
+def _observation(scene: Scene, rig: Rig, told: tuple[Camera, ...]) -> dict[str, Any]:
+    sensor = {"black_dn": scene.sensor.black_level_dn, "white_dn": white_level(scene.sensor), "bit_depth": scene.sensor.bit_depth}
+    head: dict[str, Any] = {"format": schema.FORMAT, "version": schema.VERSION, "frames": scene.frames, "interval_s": scene.interval_s}
+    if scene.timing is not None:
+        head |= {"times_s": [scene.time_s(frame) for frame in range(scene.frames)], "pulses": len(scene.timing.pulses_s)}
+    if scene.preprocessing:
+        head["preprocessing"] = [step.model_dump() for step in scene.preprocessing]
+    if scene.bubbles is not None or scene.solids:
+        head["shows"] = (["particles"] if scene.particles else []) + ["bubbles"] + (["code"] if has_code(scene) else [])
+    wall = asdict(rig.wall) if rig.wall else None
+    told_too = {"unknown": list(scene.unknown)} if scene.unknown else {}
+    return {**head, "wall": wall, "cameras": schema.camera_records(told), "grid": asdict(rig.grid), "sensor": sensor, **told_too}
+
+
+def _true_cameras(rig: Rig) -> dict[str, Any]:
+    return {"format": schema.FORMAT, "version": schema.VERSION, "cameras": schema.camera_records(rig.cameras)}
+
+
+def _manifest(root: Path, name: str, scene: Scene, seed: int, renderer: str, known: dict[str, schema.FileEntry]) -> str:
+    paths = sorted(path for path in root.rglob("*") if path.is_file())
+    names = [path.relative_to(root).as_posix() for path in paths]
+    files = {name: known.get(name) or _entry(path) for name, path in zip(names, paths, strict=True)}
+    versions = {"sabench": __version__, "python": platform.python_version()}
+    versions |= {package: importlib.metadata.version(package) for package in _RECORDED}
+    return schema.sealed({
+        "format": schema.FORMAT, "version": schema.VERSION, "content_hash": schema.content_hash(files), "scene": name,
+        "scene_hash": scene.hash, "seed": seed, "renderer": renderer, "versions": versions,
+        "files": {key: entry.model_dump() for key, entry in files.items()},
+    })  # fmt: skip
+
+
+def _entry(path: Path) -> schema.FileEntry:
+    return schema.FileEntry(bytes=path.stat().st_size, sha256=sha256(path))

@@ -1,0 +1,1 @@
+"""Suites, the runner, records and private test sets."""

@@ -1,0 +1,1 @@
+"""Regression gates: comparison of a suite's figures with a baseline."""

@@ -1,0 +1,62 @@
+"""A second implementation of what a camera sees of a point, by other equations, to compare the first one with.
+
+It takes nothing from `sabench.geometry`: the wall's numbers come from the scene as its author wrote them, the path from bisection for the invariant
+n sin(angle) that all its angles share, the lens from the formula in docs/dataset-format.md.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from sabench.scenes.schema import Scene
+from sabench.utils.arrays import F64
+
+_HALVINGS = 100
+
+
+def retrace(scene: Scene, camera: Any, points_mm: F64) -> F64:
+    """Pixels (n, 2) of points (n, 3) in the fluid.
+
+    Parameters
+    ----------
+    camera : anything with the pinhole's `center_mm`, `rotation`, `principal_distance_mm`, `pixel_mm`, `principal_point_px` and `distortion`.
+    """
+    pinhole, axes = np.array(camera.center_mm), np.array(camera.rotation)
+    offset = points_mm - pinhole
+    leaving = offset if scene.wall is None else _leaving(scene, pinhole, offset)
+    right, down, forward = (leaving @ axis for axis in axes)
+    x, y, lens = right / forward, down / forward, camera.distortion
+    square = x**2 + y**2
+    radial = 1.0 + lens.k1 * square + lens.k2 * square**2 + lens.k3 * square**3
+    u = x * radial + 2.0 * lens.p1 * x * y + lens.p2 * (square + 2.0 * x**2)
+    v = y * radial + 2.0 * lens.p2 * x * y + lens.p1 * (square + 2.0 * y**2)
+    focal_px = camera.principal_distance_mm / camera.pixel_mm
+    return np.asarray(np.column_stack([u, v]) * focal_px + np.array(camera.principal_point_px))
+
+
+def _leaving(scene: Scene, pinhole: F64, offset: F64) -> F64:
+    """Directions (n, 3) from a pinhole in which light leaves it for points at an offset (n, 3) from it."""
+    assert scene.wall is not None
+    wall, normal = scene.wall, np.array(scene.wall.normal) / np.linalg.norm(scene.wall.normal)
+    before = float((np.array(wall.point_mm) - pinhole) @ normal)
+    solid = sum(layer.thickness_mm for layer in wall.layers)
+    along = offset @ normal
+    sideways = offset - along[:, None] * normal
+    radius = np.linalg.norm(sideways, axis=1)
+    depths = [np.full(len(offset), before), *(np.full(len(offset), layer.thickness_mm) for layer in wall.layers), along - before - solid]
+    invariant = _invariant([wall.air_index, *(layer.index for layer in wall.layers), wall.fluid_index], depths, radius)
+    sine = invariant / wall.air_index
+    return np.asarray(np.sqrt(1.0 - sine**2)[:, None] * normal + (sine / np.maximum(radius, 1e-300))[:, None] * sideways)
+
+
+def _invariant(indices: list[float], depths: list[F64], radius: F64) -> F64:
+    """The n sin(angle) (n,) of the path that crosses the depths and ends at the radius, which grows with it from 0 to infinity."""
+    low, high = np.zeros_like(radius), np.full_like(radius, min(indices))
+    for _ in range(_HALVINGS):
+        middle = (low + high) / 2.0
+        with np.errstate(divide="ignore"):
+            reached = sum(depth * middle / np.sqrt(index**2 - middle**2) for index, depth in zip(indices, depths, strict=True))
+        low, high = np.where(reached < radius, middle, low), np.where(reached < radius, high, middle)
+    return np.asarray((low + high) / 2.0)

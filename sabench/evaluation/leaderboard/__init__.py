@@ -1,0 +1,1 @@
+"""The leaderboard: its rows, its page, and submissions to it."""

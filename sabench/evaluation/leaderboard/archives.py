@@ -1,0 +1,182 @@
+"""Result files out of what somebody sent: a file, a folder or an archive, none of it trusted."""
+
+from __future__ import annotations
+
+import contextlib
+import gzip
+import io
+import itertools
+import stat
+import tarfile
+import tempfile
+import zipfile
+import zlib
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import IO, Any
+
+from sabench.utils.errors import InputError
+from sabench.utils.validation import printable
+
+_MEMBERS = 1000
+_TOTAL_BYTES = 20_000_000_000
+_RATIO = 200  # unpacked over packed: result files are compressed already
+_SMALL_BYTES = 10_000_000  # below which no ratio is asked for
+_PIECE = 1 << 20
+_ENDING = ".h5"
+
+
+@dataclass(frozen=True)
+class Member:
+    """A result file inside an archive: its name there and what it says of its size."""
+
+    name: str
+    bytes: int
+    handle: Any
+
+
+@contextlib.contextmanager
+def result_files(path: Path) -> Iterator[list[tuple[str, Path]]]:
+    """Names and paths of the result files in a file, folder or archive (.zip, .tar, .tar.gz), sorted; what was unpacked vanishes with the block.
+
+    Raises
+    ------
+    InputError
+        Nothing there, or what no honest archive has: links, devices, absolute paths, `..`, two members of one name, or too much of anything.
+    """
+    if path.is_symlink() or not path.exists():
+        raise InputError(f"{path}: expected a result file, an archive or a folder of them, found {'a link' if path.is_symlink() else 'none'}")
+    if path.is_dir():
+        yield _found(_in_folder(path), path)
+    elif not path.is_file():
+        raise InputError(f"{path}: expected a file, an archive or a folder")
+    elif path.name.lower().endswith((".zip", ".tar", ".tar.gz", ".tgz")):
+        with tempfile.TemporaryDirectory(prefix="sabench-") as folder:
+            yield _found(_unpacked(path, Path(folder)), path)
+    else:
+        yield [(path.name, path)]
+
+
+def _found(files: list[tuple[str, Path]], path: Path) -> list[tuple[str, Path]]:
+    if not files:
+        raise InputError(f"{path}: expected result files, whose names end in {_ENDING}, found none")
+    return sorted(files)
+
+
+def _in_folder(root: Path) -> list[tuple[str, Path]]:
+    found = []
+    for number, entry in enumerate(root.rglob("*")):
+        if number >= _MEMBERS:
+            raise InputError(f"{root}: expected at most {_MEMBERS} files and folders")
+        if entry.is_symlink():
+            raise InputError(f"{root}: expected no links, got {printable(entry.relative_to(root).as_posix())}")
+        if entry.is_file() and _wanted(entry.name):
+            found.append((entry.relative_to(root).as_posix(), entry))
+    return found
+
+
+def _unpacked(path: Path, folder: Path) -> list[tuple[str, Path]]:
+    """The archive's result files as files of `folder`, by numbers: no name of the archive becomes one of the disk."""
+    try:
+        with _opened(path) as (archive, members):
+            wanted = _checked(path, members)
+            return [(member.name, _copied(archive, member, folder / f"{number}{_ENDING}", path)) for number, member in enumerate(wanted)]
+    except (OSError, EOFError, ValueError, RuntimeError, NotImplementedError, zlib.error, tarfile.TarError, zipfile.BadZipFile) as error:
+        raise InputError(f"{path}: expected a whole archive, got {type(error).__name__}: {printable(str(error), 200)}") from error
+
+
+@contextlib.contextmanager
+def _opened(path: Path) -> Iterator[tuple[Any, Iterator[Member]]]:
+    if path.name.lower().endswith(".zip"):
+        with zipfile.ZipFile(path) as whole:
+            yield whole, (_zip_member(path, info) for info in whole.infolist() if not info.is_dir())
+    else:
+        with path.open("rb") as packed, _plain(packed) as plain, tarfile.open(fileobj=_InPieces(plain), mode="r:") as tape:
+            yield tape, (_tar_member(path, info) for info in tape if not info.isdir())
+
+
+def _plain(packed: IO[bytes]) -> IO[bytes] | gzip.GzipFile:
+    compressed = packed.read(2) == b"\x1f\x8b"
+    packed.seek(0)
+    return gzip.GzipFile(fileobj=packed) if compressed else packed
+
+
+class _InPieces(io.RawIOBase):
+    """A file that refuses to be read in one large piece: the names of a tar's members may be as long as they say, and are read whole."""
+
+    def __init__(self, file: IO[bytes] | gzip.GzipFile) -> None:
+        super().__init__()
+        self._file = file
+
+    def read(self, size: int = -1) -> bytes:
+        """At most some pieces at once."""
+        if not 0 <= size <= 4 * _PIECE:
+            raise ValueError(f"a part of {size} bytes to be read at once")
+        return self._file.read(size)
+
+    def seek(self, offset: int, whence: int = 0) -> int:
+        """Move."""
+        return self._file.seek(offset, whence)
+
+    def tell(self) -> int:
+        """Where."""
+        return self._file.tell()
+
+
+def _zip_member(path: Path, info: zipfile.ZipInfo) -> Member:
+    kind = stat.S_IFMT(info.external_attr >> 16)
+    if kind not in (0, stat.S_IFREG):
+        raise InputError(f"{path}: {printable(info.filename)}: expected a plain file, got a link or device")
+    if info.flag_bits & 1 or info.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+        raise InputError(f"{path}: {printable(info.filename)}: expected a file stored or deflated, without a password")
+    return Member(info.filename, info.file_size, info)
+
+
+def _tar_member(path: Path, info: tarfile.TarInfo) -> Member:
+    if not info.isreg():
+        raise InputError(f"{path}: {printable(info.name)}: expected a plain file, got a link or device")
+    return Member(info.name, info.size, info)
+
+
+def _checked(path: Path, members: Iterator[Member]) -> list[Member]:
+    """The result files among the members, once all of them have been found harmless."""
+    packed, total, names, every = path.stat().st_size, 0, set(), []
+    for member in itertools.islice(members, _MEMBERS + 1):
+        total += member.bytes
+        _check_name(path, member.name)
+        if member.name in names:
+            raise InputError(f"{path}: expected different names, got {printable(member.name)} twice")
+        if total > _TOTAL_BYTES or (total > _SMALL_BYTES and total > _RATIO * packed):
+            raise InputError(
+                f"{path}: expected at most {_TOTAL_BYTES / 1e6:.0f} MB unpacked and {_RATIO} times its size, got {total / 1e6:.0f} MB or more"
+            )
+        names.add(member.name)
+        every.append(member)
+    if len(every) > _MEMBERS:
+        raise InputError(f"{path}: expected at most {_MEMBERS} files, got more")
+    return [member for member in every if _wanted(member.name.rpartition("/")[2])]
+
+
+def _wanted(name: str) -> bool:
+    return name.endswith(_ENDING) and not name.startswith(".")
+
+
+def _check_name(path: Path, name: str) -> None:
+    parts = name.replace("\\", "/").split("/")
+    if name.startswith(("/", "\\")) or ".." in parts or ":" in parts[0] or "\0" in name or not name:
+        raise InputError(f"{path}: expected names inside the archive, got {printable(name)!r}")
+
+
+def _copied(archive: Any, member: Member, target: Path, path: Path) -> Path:
+    """The member as a file of its own; one that is larger than it says ends here."""
+    source: IO[bytes] | None = archive.open(member.handle) if isinstance(archive, zipfile.ZipFile) else archive.extractfile(member.handle)
+    assert source is not None  # a plain file, as was checked
+    left = member.bytes
+    with source, target.open("wb") as file:
+        while piece := source.read(_PIECE):
+            left -= len(piece)
+            if left < 0:
+                raise InputError(f"{path}: {printable(member.name)}: expected {member.bytes} bytes as it says, got more")
+            file.write(piece)
+    return target

@@ -1,0 +1,278 @@
+"""Rows of the leaderboard to one self-contained HTML file: what users sort, filter, plot and compare in their browser."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import json
+import re
+from collections.abc import Iterator, Sequence
+from functools import cache
+from itertools import groupby
+from pathlib import Path
+from typing import Any
+
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
+from scipy.special import stdtrit
+
+from sabench import plugins
+from sabench.evaluation.records import Record, key_of
+from sabench.tasks.columns import COLUMNS, LARGER_IS_BETTER
+from sabench.utils.confidence import CONFIDENCE, Mean
+from sabench.utils.files import LONGEST_PART, inside
+
+_SCRIPTS = ("base", "state", "rows", "table", "plots", "case", "main")
+_CASE = ("track", "case", "scene_hash", "renderer", "split")
+_ENTRY = (*_CASE, "solver", "parameters", "machine", "submission")
+_DEGREES = 100  # of freedom for which the page knows Student's quantile; beyond them the last one is a little too wide
+_DIGITS = 9  # of every score on the page: more than any table shows, so that small differences of pairs are still right
+_PICTURES_BYTES = 80_000_000  # of the page; those beyond are left out, the best of every case come first
+
+PICTURED = {  # heading and text of a case's pictures, and whether they are wide
+    "reconstruction": (
+        "Middle slice",
+        "The same central window of the middle z plane of the scored volume, x to the right, y down; each picture has its own brightness scale.",
+        False,
+    ),
+    "particles": (
+        "Particles in the middle slice",
+        "Found particles as balls of light on the grid, in the same window of the middle z plane of the scored volume, x to the right, y down.",
+        False,
+    ),
+    "calibration": (
+        "Errors in the images",
+        "From where the target's points were found to where the calibration sees them; the number says how much longer.",
+        False,
+    ),
+    "velocimetry": (
+        "Fields",
+        "The first pair: vectors and vorticity of a middle plane, errors there, all errors against each other, a profile beside the exact one.",
+        True,
+    ),
+    "bubbles": (
+        "Bubbles from the front and from the side",
+        "Every bubble as a circle of its radius, which its colour gives, too; X to the right or Z, Y down.",
+        True,
+    ),
+    "see_through": (
+        "The code's plane",
+        "The plane of the stack in which the code behind the bubbles is, each with its own brightness scale.",
+        False,
+    ),
+}
+_PARTICLES = "First frame of every camera, one brightness scale for all; dim particles are raised."
+_CAMERAS = {  # what the pictures of the cameras show
+    "reconstruction": _PARTICLES,
+    "particles": _PARTICLES,
+    "velocimetry": _PARTICLES,
+    "calibration": "Points of the target that every camera found, each frame in its own grey, or what it saw of the particles.",
+    "bubbles": "First frame of every camera.",
+    "see_through": "First frame of every camera.",
+}
+_ERRORS = {  # what the maps of errors show, of tracks that have them
+    "reconstruction": "The estimate, scaled to fit best, minus the truth in the same window: blue is light that is missing, red is light too much. "
+    "All maps of a case have one scale.",
+    "see_through": "The code in black and white; red cells are dark and read as bright, blue ones bright and read as dark.",
+    "bubbles": "Green bubbles were found, blue ones were missed, orange ones were found where there are none.",
+}
+
+
+def render(rows: Sequence[Record], pictures: Path) -> str:
+    """The page of rows that `board.over_seeds` made; `pictures` holds the folders that their records name.
+
+    Raises
+    ------
+    InputError
+        A record whose pictures would lie outside `pictures`.
+    """
+    shown = sorted(rows, key=_order)
+    cases = [list(group) for _, group in groupby(shown, lambda row: key_of(row, _CASE))]
+    places = [number for number, case in enumerate(cases) for _ in case]
+    albums, left_out = _albums(shown, places, pictures)
+    pool = _Pool()
+    data = {
+        "tracks": {track: _track(track) for track in COLUMNS if any(row["track"] == track for row in shown)},
+        "cases": [_case(case) for case in cases],
+        "rows": [_row(row, case, pool) for row, case in zip(shown, places, strict=True)],
+        "texts": pool.texts, "quantiles": _quantiles(), "leftOut": left_out,
+    }  # fmt: skip
+    return _assembled(data, albums)
+
+
+def _assembled(data: dict[str, Any], albums: dict[int, dict[str, str]]) -> str:
+    folder = plugins.bundled("leaderboard")
+    style = _inline((folder / "page" / "page.css").read_text(encoding="utf-8"))
+    parts = "\n".join((folder / "page" / f"{name}.js").read_text(encoding="utf-8") for name in _SCRIPTS)
+    script = _inline(f"(() => {{\n{parts}}})();")  # a function of its own: the library's names are not its names
+    texts = {"style": style, "script": script, "library": library()}
+    environment = Environment(loader=FileSystemLoader(folder), autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
+    blocks = {number: _data(album) for number, album in albums.items()}
+    hashes = {name: _hash(text) for name, text in texts.items()}
+    return environment.get_template("page.html.j2").render(**texts, hashes=hashes, data=_data(data), albums=blocks)
+
+
+@cache
+def library() -> str:
+    """The plotting library, Vega-Embed with all it needs, as a script."""
+    import vl_convert  # it loads 90 MB, which no other command needs
+
+    return _inline(vl_convert.javascript_bundle("window.vegaEmbed = vegaEmbed;"))
+
+
+def _inline(text: str) -> str:
+    """Text that a script or style element can hold as it is."""
+    return re.sub(r"<(?=/script|/style|!--)", r"<\\", text.replace("\r\n", "\n"), flags=re.IGNORECASE)
+
+
+def _hash(text: str) -> str:
+    """How a content security policy names the one script or style that may run."""
+    return f"'sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()}'"
+
+
+def _data(value: Any) -> str:
+    """JSON in which no markup can begin."""
+    return json.dumps(value, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
+
+
+class _Pool:
+    """Texts that many rows share, named by their place."""
+
+    def __init__(self) -> None:
+        self._places: dict[str, int] = {}
+
+    def __call__(self, text: object) -> int:
+        return self._places.setdefault(str(text), len(self._places))
+
+    @property
+    def texts(self) -> list[str]:
+        return list(self._places)
+
+
+def _order(row: Record) -> tuple[Any, ...]:
+    """Tracks in the order of their columns, cases by name with numbers as numbers, then the rank within the case."""
+    tracks = list(COLUMNS)
+    rest = (row["case"], row["scene_hash"], row["renderer"], row["split"])
+    return tracks.index(row["track"]), _natural(row["case"]), rest, _rank(row), key_of(row, _ENTRY)
+
+
+def _natural(name: str) -> list[tuple[float, str]]:
+    parts = re.split(r"(\d+(?:\.\d+)?)", name)
+    return [(float(part), "") if number % 2 else (-1.0, part) for number, part in enumerate(parts)]
+
+
+def _rank(row: Record) -> tuple[bool, bool, float]:
+    """Best first column first, then those without, then errors."""
+    first: Mean | None = row[COLUMNS[row["track"]][0].key]
+    sign = -1.0 if LARGER_IS_BETTER[row["track"]] else 1.0
+    return bool(row["error"]), first is None, sign * first.mean if first else 0.0
+
+
+def _track(track: str) -> dict[str, Any]:
+    heading, told, wide = PICTURED[track]
+    columns = [{"key": one.key, "heading": one.heading, "decimals": one.decimals, "meaning": one.meaning} for one in COLUMNS[track]]
+    pictured = {"heading": heading, "told": told, "wide": wide, "cameras": _CAMERAS[track], "errors": _ERRORS.get(track, "")}
+    return {"columns": columns, "larger": LARGER_IS_BETTER[track], "pictured": pictured}
+
+
+def _case(rows: Sequence[Record]) -> dict[str, Any]:
+    """What its rows say of a case; older records do not say all of it."""
+    first = rows[0]
+    hidden = "-hidden" if first["split"] == "hidden" else ""
+    told = {name: next((row[name] for row in rows if row.get(name)), None) for name in ("suite", "difficulty", "axis", "axes")}
+    head = {name: first[name] for name in ("track", "scene", "renderer", "split")}
+    tag = f"{first['case']}-{first['scene_hash'][:8]}-{first['renderer']}{hidden}"
+    return {**head, **told, "axes": text_of(told["axes"] or {}), "id": tag, "name": first["case"], "hash": first["scene_hash"]}
+
+
+def _row(row: Record, case: int, pool: _Pool) -> dict[str, Any]:
+    """One line of the table; what many lines share is a place in the pool."""
+    runs: list[Record] = row["runs"]
+    keys = [column.key for column in COLUMNS[row["track"]]]
+    several = len(runs) > 1
+    reference = [run["reference_s"] for run in runs if run.get("reference_s")]
+    return {
+        "id": hashlib.sha256(key_of(row, _ENTRY).encode()).hexdigest()[:10], "case": case,
+        "solver": pool(row.get("label") or row["solver"]), "name": pool(row["solver"]), "parameters": pool(text_of(row["parameters"])),
+        "machine": pool(", ".join(str(row["machine"][key]) for key in ("cpu", "backend") if row["machine"].get(key))),
+        "machineAll": pool(text_of(row["machine"])), "versions": pool(text_of(row["versions"])), "submission": row.get("submission"),
+        "commands": [pool(text) for text in commands(runs)],
+        "seeds": [run["seed"] for run in runs], "datasets": [pool(run["dataset"]) for run in runs], "runs": [run["run_hash"] for run in runs],
+        "codes": [pool(text) for text in dict.fromkeys(run["code_hash"] for run in runs if run.get("code_hash"))],
+        "reference": short(sum(reference) / len(reference)) if reference else None,
+        "scores": [_pair(row[key]) for key in keys],
+        "values": [[None if run[key] is None else short(run[key]) for run in runs] for key in keys] if several else None,
+        "error": row["error"], "declined": bool(row["error"]) and all(run.get("declined") for run in runs if run.get("error")),
+    }  # fmt: skip
+
+
+def commands(runs: Sequence[Record]) -> list[str]:
+    """What makes a row again: one command with all seeds where theirs differ in the seed alone, else those of each."""
+    known = [run for run in runs if run.get("command")]
+    plain = {re.sub(rf"--seed {run['seed']}(?= |$)", "--seed", run["command"], count=1) for run in known}
+    if len(plain) == 1:
+        return [re.sub(r"--seed(?= |$)", " ".join(f"--seed {run['seed']}" for run in known), plain.pop(), count=1)]
+    return list(dict.fromkeys(run["command"] for run in known))
+
+
+def _pair(score: Mean | None) -> list[float] | None:
+    """A mean with its half width, if there is one."""
+    if score is None:
+        return None
+    return [short(score.mean)] if score.half_width is None else [short(score.mean), short(score.half_width)]
+
+
+def short(value: float) -> float:
+    """A number without the digits that no one can see."""
+    return float(f"{value:.{_DIGITS}g}")
+
+
+def text_of(values: Record) -> str:
+    """`key value, key value`, strings without quotes."""
+    return ", ".join(f"{key} {value if isinstance(value, str) else json.dumps(value)}" for key, value in values.items())
+
+
+def _quantiles() -> list[float]:
+    """Student's quantiles for 1, 2, ... degrees of freedom, by which the page makes intervals of differences as `statistics` does."""
+    return [short(float(stdtrit(degree, (1.0 + CONFIDENCE) / 2.0))) for degree in range(1, _DEGREES + 1)]
+
+
+def _albums(rows: Sequence[Record], places: Sequence[int], pictures: Path) -> tuple[dict[int, dict[str, str]], int]:
+    """Pictures of every case by their names, in base 64, and how many did not fit into the page."""
+    albums: dict[int, dict[str, str]] = {}
+    room, left_out = _PICTURES_BYTES, 0
+    for _, place, name, path in sorted(_pictures(rows, places, pictures)):
+        if name in albums.get(place, {}):
+            continue
+        size = path.stat().st_size * 4 // 3
+        if size > room:
+            left_out += 1
+            continue
+        room -= size
+        albums.setdefault(place, {})[name] = base64.b64encode(path.read_bytes()).decode()
+    return albums, left_out
+
+
+def _pictures(rows: Sequence[Record], places: Sequence[int], pictures: Path) -> Iterator[tuple[int, int, str, Path]]:
+    """Rank within its case, place of the case, name and path of every picture that is there."""
+    seen: dict[int, int] = {}
+    for number, (row, place) in enumerate(zip(rows, places, strict=True)):
+        run = next((run for run in row["runs"] if run.get("pictures")), None)
+        if run is None:
+            continue
+        rank = seen[place] = seen.get(place, 0) + 1
+        stem = f"{run['solver']}-{run['run_hash'][:8]}"
+        wanted = [(0, "images", "images.png")] + ([(0, "truth", "truth.png")] if row["track"] != "velocimetry" else [])
+        if not run.get("error"):  # a failed run may have left a picture when it once succeeded: it is not this record's
+            wanted += [(rank, f"row{number}", f"{stem}.png"), (rank, f"error{number}", f"{stem}.error.png")]
+        for order, name, file in wanted:
+            path = _there(pictures, f"{run['pictures']}/{file}")
+            if path:
+                yield order, place, name, path
+
+
+def _there(pictures: Path, name: str) -> Path | None:
+    """The picture of that name, None where there is none, or no disk could hold one."""
+    if "\0" in name or any(len(part.encode("utf-8", "replace")) > LONGEST_PART for part in Path(name).parts):
+        return None
+    path = inside(pictures, name)
+    return path if path.is_file() else None

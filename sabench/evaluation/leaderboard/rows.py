@@ -1,0 +1,58 @@
+"""Records to page: seeds become rows, and rows one static HTML file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from sabench.evaluation.leaderboard import page
+from sabench.evaluation.records import Record, key_of
+from sabench.tasks.columns import COLUMNS
+from sabench.utils.confidence import mean_of
+from sabench.utils.files import complete_or_nothing
+
+_ENTRY = ("track", "case", "scene_hash", "renderer", "split", "solver", "parameters", "machine", "submission")
+_LARGEST = 1e15  # beyond it no score is meant, and digits would fill the page
+
+
+def over_seeds(records: list[Record]) -> list[Record]:
+    """One row for every case, solver and machine: the first seed's record with `seeds`, `runs` and, in place of every score, its `Mean` over them.
+
+    A score that no seed has is None. `error` counts the seeds that failed and says why the first one did. `runs` are the records of the seeds.
+    Records of a track without columns make no rows.
+    """
+    groups: dict[str, list[Record]] = {}
+    for record in sorted(records, key=lambda record: int(record["seed"])):
+        track = record.get("track") or "reconstruction"
+        if track in COLUMNS:
+            named = {**record, "case": record.get("case") or record["scene"], "track": track, "split": record.get("split") or "public"}
+            groups.setdefault(key_of(named, _ENTRY), []).append(named)
+    return [_merged(group) for group in groups.values()]
+
+
+def _merged(group: list[Record]) -> Record:
+    keys = [column.key for column in COLUMNS[group[0]["track"]]]
+    runs = [{**record, **{key: _number(record.get(key)) for key in keys}} for record in group]
+    means = {key: mean_of([run[key] for run in runs if run[key] is not None]) for key in keys}
+    errors = [record["error"] for record in group if record.get("error")]
+    share = f"{len(errors)} of {len(group)} seeds: " if len(group) > 1 and errors else ""
+    error = share + errors[0] if errors else None
+    return {**group[0], **means, "seeds": [run["seed"] for run in runs], "runs": runs, "error": error}
+
+
+def _number(value: object) -> float | None:
+    if not isinstance(value, (int, float)) or isinstance(value, bool):
+        return None
+    return float(value) if -_LARGEST < value < _LARGEST else None
+
+
+def build_page(records: list[Record], pictures: Path, out: Path) -> None:
+    """Write the records as one self-contained page; `pictures` holds the folders that the records name.
+
+    Raises
+    ------
+    InputError
+        A record whose pictures would lie outside `pictures`.
+    """
+    text = page.render(over_seeds(records), pictures)
+    with complete_or_nothing(out, overwrite=True) as partial:
+        partial.write_text(text, encoding="utf-8")

@@ -1,0 +1,185 @@
+"""Results that somebody sends: checked, matched to their data sets, scored, recorded and ranked. Data only: nothing of theirs is executed."""
+
+from __future__ import annotations
+
+import datetime
+import tempfile
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from sabench import __version__
+from sabench.dataset.hdf5_probe import probe
+from sabench.dataset.reader import Dataset, open_dataset
+from sabench.dataset.results import dataset_of
+from sabench.dataset.schema import MANIFEST
+from sabench.dataset.verification import verify
+from sabench.evaluation.leaderboard.archives import result_files
+from sabench.evaluation.records import Record, append, latest, read_records
+from sabench.evaluation.runner import build_board
+from sabench.tasks.columns import COLUMNS, LARGER_IS_BETTER
+from sabench.tasks.external_programs import adopt
+from sabench.tasks.solve_and_score import score
+from sabench.utils.errors import InputError
+from sabench.utils.files import digest
+from sabench.utils.processes.isolated import apart
+from sabench.utils.progress import track
+from sabench.utils.validation import printable
+
+_LONGEST_NAME = 80
+_SCORE_S = 3600.0  # for one result
+_CASE = ("suite", "case", "scene", "difficulty", "axis", "axes", "scene_hash", "seed", "split", "renderer")  # what a record says of the data set
+
+
+@dataclass(frozen=True)
+class Standing:
+    """Where a submitted result ranks among the latest of its data set and track.
+
+    Attributes
+    ----------
+    record : as it was appended.
+    rank, of : 1 is the best; records without the first score do not count.
+    best : the best other entry's name and first score, or None where there is no other.
+    """
+
+    record: Record
+    rank: int | None
+    of: int
+    best: tuple[str, float] | None
+
+
+def submit(path: Path, name: str, data: Sequence[Path], leaderboard: Path, *, date: datetime.date | None = None) -> list[Standing]:
+    """Score submitted results and put them on the leaderboard; all of them, or none if one is refused.
+
+    Parameters
+    ----------
+    path : a result file, or an archive or a folder of some.
+    name : of who submits.
+    data : folders of data sets, or of folders of them.
+    leaderboard : folder of the records and the page.
+    date : by default today's.
+
+    Raises
+    ------
+    InputError
+        A bad name, archive or result, two results of one data set, solver and parameters, or a result whose data set is not in `data`.
+    """
+    check_name(name)
+    submission = {"name": name, "date": (date or datetime.datetime.now(datetime.UTC).date()).isoformat()}
+    known = read_records(leaderboard / "records")
+    with result_files(path) as files:
+        sets = _datasets(files, data)
+        made = [_record(label, file, sets[label], known) | {"submission": submission} for label, file in track(files, "check and score")]
+    _refuse_twins(path, [label for label, _ in files], made)
+    for record in made:
+        append(leaderboard / "records" / "submitted.jsonl", record)
+    build_board(leaderboard)
+    every = latest(read_records(leaderboard / "records"))
+    return [standing(record, every) for record in made]
+
+
+def check_name(name: str) -> None:
+    """Refuse a name that is empty, too long or cannot be printed."""
+    if not name.strip() or len(name) > _LONGEST_NAME or not name.isprintable():
+        raise InputError(f"name: expected 1 to {_LONGEST_NAME} printable characters, got {printable(name)!r}")
+
+
+def _datasets(files: list[tuple[str, Path]], folders: Sequence[Path]) -> dict[str, Dataset]:
+    """The data set of every result, by its content hash; each is verified once."""
+    known, whole, found = dict(_by_hash(folders)), set(), {}
+    for label, file in files:
+        probe(file)
+        wanted = dataset_of(file)
+        if wanted not in known:
+            where = ", ".join(str(folder) for folder in folders)
+            raise InputError(f"{printable(label)}: expected a result of a data set in {where}, but none there has the hash {printable(wanted, 12)!r}")
+        root = known[wanted]
+        if wanted not in whole and (faults := verify(root)):
+            raise InputError(f"{printable(label)}: expected a whole data set at {root}, but {faults[0]}")
+        whole.add(wanted)
+        found[label] = open_dataset(root)
+    return found
+
+
+def _by_hash(folders: Sequence[Path]) -> Iterator[tuple[str, Path]]:
+    """Content hash and root of every data set at or directly below the folders; what is none is passed over."""
+    for folder in folders:
+        if not folder.is_dir():
+            raise InputError(f"{folder}: expected a folder of data sets, found none")
+        for root in (folder, *sorted(folder.iterdir())):
+            if not root.name.startswith(".") and (root / MANIFEST).is_file():
+                yield _content_hash(root), root
+
+
+def _content_hash(root: Path) -> str:
+    try:
+        return open_dataset(root).content_hash
+    except InputError:
+        return ""  # a data set that cannot be read is nobody's
+
+
+def _record(label: str, file: Path, data: Dataset, known: list[Record]) -> Record:
+    """A record of one result, scored in a process of its own."""
+    scores = apart(_score, file, data.root, doing=f"result {printable(label)}", time_s=_SCORE_S)
+    head = _case(data, known) | {key: scores[key] for key in ("track", "solver", "parameters")}
+    run_hash = digest([data.content_hash, head["solver"], head["parameters"]])
+    costs = {"seconds": None, "peak_mb": None}  # of a machine that nobody here has seen
+    figures = {column.key: scores[column.key] for column in COLUMNS[head["track"]]}
+    rest = {"dataset": data.content_hash, "run_hash": run_hash, "versions": {"sabench": __version__}, "machine": {}, "error": None, "declined": False}
+    return head | rest | figures | costs
+
+
+def _score(file: Path, root: Path) -> dict[str, Any]:
+    """The scores of a submitted file: its values are read once, under all checks, and what is scored is a copy of ours."""
+    with tempfile.TemporaryDirectory(prefix="sabench-") as folder:
+        copy = Path(folder) / "result.h5"
+        adopt(file, root, copy, None, False)
+        return score(root, copy)
+
+
+def _case(data: Dataset, known: list[Record]) -> Record:
+    """What a record says of its data set: as another record of the same one does, else what the data set itself knows."""
+    twin = next((record for record in known if record["dataset"] == data.content_hash), None)
+    if twin:
+        return {key: twin.get(key) for key in _CASE if key in twin}
+    manifest = data.manifest
+    return {
+        "case": manifest.scene,
+        "scene": manifest.scene,
+        "axes": {},
+        "scene_hash": manifest.scene_hash,
+        "seed": manifest.seed,
+        "renderer": manifest.renderer,
+    }
+
+
+def _refuse_twins(path: Path, labels: list[str], made: list[Record]) -> None:
+    seen: dict[str, str] = {}
+    for label, record in zip(labels, made, strict=True):
+        if record["run_hash"] in seen:
+            first, second = printable(seen[record["run_hash"]]), printable(label)
+            raise InputError(f"{path}: expected one result for each data set, solver and parameters, got {first} and {second}")
+        seen[record["run_hash"]] = label
+
+
+def standing(record: Record, every: Sequence[Record]) -> Standing:
+    """Where a record ranks among the records of its data set and track, by the track's first column; equal scores share the better rank."""
+    key, sign = COLUMNS[record["track"]][0].key, 1.0 if LARGER_IS_BETTER[record["track"]] else -1.0
+    rivals = [one for one in every if (one["dataset"], one["track"]) == (record["dataset"], record["track"]) and _has(one, key)]
+    own = record.get(key)
+    rank = None if own is None else 1 + sum(sign * one[key] > sign * own for one in rivals)
+    others = [one for one in rivals if (one["run_hash"], one.get("submission")) != (record["run_hash"], record["submission"])]
+    best = max(others, key=lambda one: sign * one[key], default=None)
+    return Standing(record, rank, len(rivals), (entry_name(best), best[key]) if best else None)
+
+
+def _has(record: Record, key: str) -> bool:
+    value = record.get(key)
+    return isinstance(value, int | float) and not isinstance(value, bool) and not record.get("error")
+
+
+def entry_name(record: Record) -> str:
+    """A solver, and who submitted it."""
+    who = f" ({record['submission']['name']})" if record.get("submission") else ""
+    return printable(f"{record.get('label') or record['solver']}{who}", 200)

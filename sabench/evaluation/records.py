@@ -1,0 +1,142 @@
+"""What runs leave behind: JSON lines that many processes may append to, of which none is lost or torn, and that are read without trust."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, Literal
+
+from filelock import FileLock
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from sabench.utils.progress import console
+from sabench.utils.validation import sentence
+
+Record = dict[str, Any]
+FORMAT, VERSION = "sabench-record", 1
+Difficulty = Literal["easy", "standard", "hard"]
+
+_RUN = ("scene_hash", "seed", "split", "renderer", "solver", "parameters", "machine", "submission")
+
+
+class _Part(BaseModel):
+    model_config = ConfigDict(frozen=True, strict=True, allow_inf_nan=False)
+
+
+class Submission(_Part):
+    """Who sent a result, and when."""
+
+    name: str = Field(min_length=1, max_length=80)
+    date: str = Field(pattern=r"^\d{4}-\d{2}-\d{2}$")
+
+
+class Head(_Part):
+    """A record without its scores, which follow as further keys: one for each column of its track, numbers or null."""
+
+    model_config = ConfigDict(extra="allow")
+
+    format: Literal["sabench-record"] = "sabench-record"
+    version: Literal[1] = 1
+    suite: str | None = Field(None, description="the suite that made it")
+    case: str | None = Field(None, description="by default the scene's name")
+    scene: str
+    difficulty: Difficulty | None = None
+    axis: str | None = Field(None, description="what sets the case apart from the standard one: density, cameras, ...")
+    axes: dict[str, Any] = Field({}, description="dotted keys of the scene with this case's values")
+    scene_hash: str
+    dataset: str = Field(description="content hash of the data set")
+    seed: int = Field(description="of the data set; its place in the list of seeds in a hidden split")
+    split: Literal["public", "hidden"] = "public"
+    renderer: str
+    track: Literal["reconstruction", "particles", "calibration", "velocimetry", "bubbles", "see_through"] = "reconstruction"
+    solver: str
+    label: str | None = Field(None, description="shown in place of the solver's name")
+    parameters: dict[str, Any]
+    code_hash: str | None = Field(None, description="of the program that solved: sabench and the solver's file")
+    run_hash: str
+    submission: Submission | None = None
+    versions: dict[str, Any]
+    machine: dict[str, Any]
+    pictures: str | None = Field(None, description="folder of the case's pictures")
+    command: str | None = Field(None, description="what makes this record again")
+    reference_s: float | None = Field(None, description="seconds of the reference kernel, timed in the same run")
+    error: str | None = None
+    declined: bool = Field(False, description="the solver said that the case is none for it")
+
+
+def read_records(folder: Path) -> list[Record]:
+    """All records of a folder's *.jsonl files, in the order of the files' names and of their lines, with defaults filled in.
+
+    A line that is no record is named on standard error and left out; so is, without a word, the last line that a killed run left torn.
+    """
+    return [record for path in sorted(folder.glob("*.jsonl")) for record in _read_file(path)]
+
+
+def _read_file(path: Path) -> Iterator[Record]:
+    lines = path.read_bytes().split(b"\n")
+    for number, line in enumerate(lines, 1):
+        if not line.strip():
+            continue
+        try:
+            yield parse(line)
+        except (ValueError, RecursionError) as error:
+            if number < len(lines):  # the last piece of the split is what follows the last newline
+                text = f"{path}: line {number} is left out: expected a record, got {error}"
+                console.print(text, style="red", markup=False, highlight=False, soft_wrap=True)
+
+
+def parse(line: bytes) -> Record:
+    """One line as a record.
+
+    Raises
+    ------
+    ValueError
+        Something else than a record; the text says what.
+    """
+    value = json.loads(line.decode("utf-8"), parse_constant=_refuse)
+    if not isinstance(value, dict):
+        raise ValueError(f"a {type(value).__name__}")
+    try:
+        return Head.model_validate(value).model_dump()
+    except ValidationError as error:
+        raise ValueError(sentence(Head, error, "")) from error
+
+
+def _refuse(constant: str) -> None:
+    raise ValueError(f"the number {constant}, which JSON does not have")
+
+
+def append(path: Path, record: Record) -> None:
+    """Add one line and have the disk hold it; the torn last line of a killed run is cut off first. Many processes may do so at once."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    line = json.dumps({"format": FORMAT, "version": VERSION, **record}, sort_keys=True, allow_nan=False).encode() + b"\n"
+    with FileLock(path.with_name(f".{path.name}.lock")), path.open("a+b") as file:
+        file.truncate(_whole(file))
+        file.write(line)
+        file.flush()
+        os.fsync(file.fileno())
+
+
+def _whole(file: Any) -> int:
+    """How many bytes there are up to the last newline, looked for from the end."""
+    end, piece = file.seek(0, os.SEEK_END), 1 << 16
+    while end > 0:
+        start = max(0, end - piece)
+        file.seek(start)
+        newline = file.read(end - start).rfind(b"\n")
+        if newline >= 0:
+            return int(start + newline + 1)
+        end = start
+    return 0
+
+
+def latest(records: list[Record]) -> list[Record]:
+    """Only the last record of each scene, seed, renderer, solver, parameters, machine and submission, in the order in which they first came."""
+    return list({key_of(record, _RUN): record for record in records}.values())
+
+
+def key_of(record: Record, names: tuple[str, ...]) -> str:
+    """These values of a record as one text."""
+    return json.dumps([record.get(name) for name in names], sort_keys=True)

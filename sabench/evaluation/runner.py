@@ -1,0 +1,246 @@
+"""Run a suite: every case and seed, every solver on it, every score into a record, then the page."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import os
+import platform
+import shlex
+import shutil
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numba
+from threadpoolctl import threadpool_limits
+
+from sabench import __version__, tasks
+from sabench.dataset.reader import Dataset, open_dataset
+from sabench.dataset.results import open_result
+from sabench.dataset.verification import verify
+from sabench.evaluation.gates.reference_kernel import reference_s
+from sabench.evaluation.hidden_split import Secret
+from sabench.evaluation.leaderboard import rows
+from sabench.evaluation.records import Record, append, key_of, latest, read_records
+from sabench.evaluation.suites import Case, Entrant, Suite, load_suite
+from sabench.simulation.pipeline import generate
+from sabench.simulation.renderer_choice import Renderer
+from sabench.tasks.columns import COLUMNS
+from sabench.tasks.solve_and_score import OWN_TRACK, score, solve
+from sabench.utils import backend
+from sabench.utils.errors import DeclinedError, InputError
+from sabench.utils.files import clear_abandoned, complete_or_nothing, digest
+from sabench.utils.processes.isolated import apart
+from sabench.utils.progress import console
+
+_RUN = ("scene_hash", "seed", "split", "renderer", "solver", "parameters", "code_hash")
+_COMPUTED = ("run_hash", "case", "label", "machine", "versions")
+
+
+@dataclass(frozen=True)
+class Only:
+    """Which cases, seeds and solvers of a suite are wanted; none: all. Solvers go by what tables call them."""
+
+    cases: tuple[str, ...] = ()
+    seeds: tuple[int, ...] = ()
+    solvers: tuple[str, ...] = ()
+
+    def of(self, cases: list[Case]) -> list[Case]:
+        """The wanted ones, each with the wanted solvers.
+
+        Raises
+        ------
+        InputError
+            A case, seed or solver that the suite does not have.
+        """
+        _check_known("case", self.cases, {case.name for case in cases})
+        _check_known("seed", self.seeds, {case.told_seed for case in cases})
+        _check_known("solver", self.solvers, {entrant.shown for case in cases for entrant in case.solvers})
+        wanted = (case for case in cases if _among(case.name, self.cases) and _among(case.told_seed, self.seeds))
+        own = [replace(case, solvers=tuple(one for one in case.solvers if _among(one.shown, self.solvers))) for case in wanted]
+        return [case for case in own if case.solvers]
+
+
+def _among(value: Any, wanted: tuple[Any, ...]) -> bool:
+    return not wanted or value in wanted
+
+
+def _check_known(what: str, wanted: tuple[Any, ...], known: set[Any]) -> None:
+    for value in wanted:
+        if value not in known:
+            raise InputError(f"--{what} {value}: expected one of {', '.join(str(one) for one in sorted(known))}")
+
+
+def run_suite(
+    path: str | Path, work: Path, leaderboard: Path, *, fresh: bool = False, only: Only = Only(), secret: Secret | None = None, jobs: int = 1
+) -> list[Record]:
+    """Generate, solve, score and record a whole suite, then rebuild the page; returns the records.
+
+    A record is written as soon as its score is known, and what has a record already - of the same scene, seed, solver, code and machine - is not
+    computed again, so an interrupted run goes on where it was. A solver that fails gets a record that says why, and the run goes on; the next
+    run tries it again.
+
+    Parameters
+    ----------
+    fresh : compute everything again.
+    only : a part of the suite.
+    secret : run the hidden split.
+    jobs : processes that generate a data set.
+    """
+    suite, cases = load_suite(path, secret)
+    old = {} if fresh else {key_of(record, _COMPUTED): record for record in read_records(leaderboard / "records") if not record["error"]}
+    records, wanted = [], only.of(cases)
+    for number, case in enumerate(wanted, 1):
+        heads = [_describe(case, entrant, str(path)) for entrant in case.solvers]
+        missing = [(entrant, head) for entrant, head in zip(case.solvers, heads, strict=True) if key_of(head, _COMPUTED) not in old]
+        records += [old[key] for head in heads if (key := key_of(head, _COMPUTED)) in old]
+        console.print(f"data set {number} of {len(wanted)}: {case.name}, {_seed(case)}{'' if missing else ', known'}", markup=False, highlight=False)
+        if not missing:
+            continue
+        dataset = dataset_of(case, work, fresh, jobs)
+        for record in _rank(case, dataset, missing, suite, work, leaderboard):
+            append(leaderboard / "records" / "local.jsonl", record)
+            records.append(record)
+        if not suite.keep_data:
+            shutil.rmtree(dataset.root)
+    build_board(leaderboard)
+    return records
+
+
+def _seed(case: Case) -> str:
+    return f"seed {case.seed}" if case.number is None else f"hidden {case.number}"
+
+
+def build_board(leaderboard: Path) -> Path:
+    """Records to page; returns the page's path."""
+    page, records = leaderboard / "index.html", latest(read_records(leaderboard / "records"))
+    console.print(f"page of {len(records)} records", markup=False, highlight=False)
+    rows.build_page(records, leaderboard / "pictures", page)
+    return page
+
+
+def dataset_of(case: Case, work: Path, fresh: bool, jobs: int = 1) -> Dataset:
+    """The case's data set: an earlier one if it is whole and was made by this version, else a new one."""
+    folder = case.folder(work)
+    if folder.is_dir() and not fresh and not verify(folder):
+        dataset = open_dataset(folder)
+        if dataset.manifest.versions.get("sabench") == __version__ and dataset.manifest.versions.get("mitsuba") == _version("mitsuba"):
+            console.print(f"data set {folder} is whole: used again")
+            return dataset
+    renderer: Renderer = "mitsuba" if case.renderer == "mitsuba" else "splat"
+    return generate(case.scene, folder, seed=case.seed, backend=renderer, name=case.name, overwrite=True, jobs=jobs)
+
+
+def _rank(case: Case, dataset: Dataset, entrants: list[tuple[Entrant, Record]], suite: Suite, work: Path, leaderboard: Path) -> Iterator[Record]:
+    """Records of solvers on one data set; the first seed of a public case is pictured."""
+    pictured = case.number is None and case.seed == suite.seeds[0]
+    folder = leaderboard / "pictures" / case.folder(work).name if pictured else None
+    if folder:
+        _picture_case(folder, dataset)
+    for entrant, head in entrants:
+        record = head | _blank(head["track"]) | {"dataset": dataset.content_hash, "pictures": folder.name if folder else None}
+        name = f"{head['solver']}-{head['run_hash'][:8]}"
+        out = work / "results" / f"{case.folder(work).name}-{name}.h5"
+        try:
+            record["reference_s"] = solve_apart(entrant, dataset, out)
+            record |= {key: value for key, value in score(dataset, out).items() if key not in head}
+            if folder:
+                _picture_result(folder / name, record["track"], dataset, out)
+        except InputError as error:
+            console.print(f"error: {error}", style="red", markup=False, highlight=False)
+            record["error"], record["declined"] = str(error), isinstance(error, DeclinedError)
+        if not suite.keep_data:
+            out.unlink(missing_ok=True)
+        yield record
+
+
+def _picture_case(folder: Path, dataset: Dataset) -> None:
+    """What the cameras saw, and what was there."""
+    track = tasks.of(OWN_TRACK[dataset.shows[-1]])
+    _draw(folder / "images.png", track.images(dataset))
+    _draw(folder / "truth.png", track.picture(dataset, "truth"))
+
+
+def _picture_result(stem: Path, track: str, dataset: Dataset, out: Path) -> None:
+    """What a solver made of it and, of tracks whose pictures do not show it yet, where that is wrong."""
+    module, result = tasks.of(track), open_result(out, dataset)
+    _draw(stem.with_name(f"{stem.name}.png"), module.picture(dataset, result))
+    if hasattr(module, "error_picture"):
+        _draw(stem.with_name(f"{stem.name}.error.png"), module.error_picture(dataset, result))
+
+
+def _describe(case: Case, entrant: Entrant, suite: str) -> Record:
+    """All of a record that is known before anything is computed."""
+    solver, track, parameters = entrant.describe()
+    head = {
+        "suite": Path(suite).stem, "scene": case.base, "case": case.name, "difficulty": case.difficulty, "axis": case.axis, "axes": dict(case.axes),
+        "scene_hash": case.scene.hash, "seed": case.told_seed, "split": "public" if case.number is None else "hidden", "renderer": case.renderer,
+        "track": track, "solver": solver, "label": entrant.label, "parameters": parameters, "code_hash": entrant.code_hash,
+    }  # fmt: skip
+    words = ["sabench", "run", suite, "--case", case.name, "--seed", str(case.told_seed), "--solver", entrant.shown]
+    more = [] if case.number is None else ["--hidden", "SECRET_FILE"]
+    run_hash = digest([head[key] for key in _RUN])
+    return {**head, "versions": versions(), "machine": machine(), "run_hash": run_hash, "command": shlex.join([*words, *more])}
+
+
+def versions() -> dict[str, str]:
+    """Of what shapes the figures."""
+    libraries = {name: _version(name) for name in ("mitsuba", "drjit", "numpy", "scipy")}
+    return libraries | {"sabench": __version__, "python": platform.python_version()}
+
+
+def _blank(track: str) -> dict[str, Any]:
+    """A record's scores before any is known."""
+    return dict.fromkeys((*(column.key for column in COLUMNS[track]), "error", "reference_s")) | {"declined": False}
+
+
+def machine() -> dict[str, Any]:
+    """What this run computes on."""
+    info = Path("/proc/cpuinfo")
+    models = [line.split(":", 1)[1].strip() for line in info.read_text().splitlines() if line.startswith("model name")] if info.exists() else []
+    try:
+        kind = backend.choose().kind
+    except InputError:
+        kind = "none"
+    cpu = models[0] if models else platform.processor() or platform.machine()
+    return {"cpu": cpu, "cores": os.cpu_count(), "system": f"{platform.system()} {platform.machine()}", "backend": kind}
+
+
+def solve_apart(entrant: Entrant, dataset: Dataset, out: Path, *, threads: int | None = None) -> float:
+    """Solve in a process of its own, so that its memory is its own and its crash is only its own; its fault is an InputError here.
+
+    Parameters
+    ----------
+    threads : of compiled kernels and of linear algebra; None: as many as there are cores.
+
+    Returns
+    -------
+    Seconds of the reference kernel, the mean of before and after.
+    """
+    try:
+        if not entrant.is_program:
+            return float(apart(_solve, entrant.name, entrant.parameters, str(dataset.root), str(out), threads, doing=f"solver {entrant.name}"))
+        before = reference_s()
+        solve(entrant.name, dataset, out, parameters=entrant.parameters, limits=entrant.limits, overwrite=True)
+        return (before + reference_s()) / 2.0
+    finally:
+        clear_abandoned(out)
+
+
+def _solve(name: str, parameters: dict[str, Any], dataset: str, out: str, threads: int | None) -> float:
+    if threads is not None:
+        numba.set_num_threads(threads)
+    with threadpool_limits(threads):
+        before = reference_s()
+        solve(name, dataset, out, parameters=parameters, overwrite=True)
+        return (before + reference_s()) / 2.0
+
+
+def _draw(path: Path, picture: bytes) -> None:
+    with complete_or_nothing(path, overwrite=True) as partial:
+        partial.write_bytes(picture)
+
+
+def _version(package: str) -> str:
+    return importlib.metadata.version(package)

@@ -1,0 +1,241 @@
+"""What all tables share: rows with verdicts, and arrays that are simulated, refocused and judged in memory."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from sabench.algorithms.refocus import refocus_sum
+from sabench.algorithms.refocus.thresholding import auto_k, extract, occupancy
+from sabench.api import Observation
+from sabench.api.truth import Particles
+from sabench.evaluation.suites import Case, load_suite, override
+from sabench.evaluation.thesis.best_threshold import quality_of_k
+from sabench.evaluation.thesis.published import published_volume
+from sabench.geometry.grid import Grid
+from sabench.images.brightness import normalised
+from sabench.metrics.particle_detection import Counts, count_thesis, detect
+from sabench.plotting.charts import Figure
+from sabench.scenes.schema import Scene
+from sabench.simulation.in_memory import Shot, simulate
+from sabench.tasks.reconstruction_scores import true_field
+from sabench.utils.arrays import F32, F64
+from sabench.utils.confidence import mean_of
+from sabench.utils.progress import console
+
+ADEQUATE = 0.75  # the Q that the thesis asks for
+AGREES = 0.05  # a measured value this close to the thesis's reproduces it
+KS = np.linspace(0.0, 20.0, 401)
+
+
+@dataclass(frozen=True)
+class Row:
+    """One line of a table: what the thesis says beside what was measured.
+
+    Attributes
+    ----------
+    thesis : its value, or its claim in words; None where it says nothing.
+    measured : mean over the seeds; None where there is no such value.
+    verdict : in words.
+    ci95 : half width of the 95 % confidence interval of `measured`; None for a single seed.
+    seeds : how many values the mean is of.
+    note : what else was seen.
+    """
+
+    name: str
+    thesis: float | str | None
+    measured: float | None
+    verdict: str
+    ci95: float | None = None
+    seeds: int = 0
+    note: str = ""
+
+
+Item = Row | Figure  # what a table yields
+
+
+def compared(name: str, thesis: float | None, values: Sequence[float], note: str = "") -> Row:
+    """A row of a value that the thesis states, or does not."""
+    mean = mean_of(values)
+    if mean is None:
+        return Row(name, thesis, None, "not reached", note=note)
+    return Row(name, thesis, mean.mean, verdict(mean.mean, thesis), mean.half_width, mean.count, note)
+
+
+def verdict(measured: float, thesis: float | None) -> str:
+    """Whether a value is the thesis's to within `AGREES`, else on which side of it."""
+    if thesis is None:
+        return "not in the thesis"
+    if abs(measured - thesis) <= AGREES * abs(thesis):
+        return "reproduced"
+    return "exceeds" if measured > thesis else "below"
+
+
+def at_least(name: str, thesis: float, values: Sequence[float], note: str = "") -> Row:
+    """A row of a value for which the thesis gives a lower bound."""
+    row = compared(name, thesis, values, note)
+    reached = row.measured is not None and row.measured >= thesis
+    return replace(row, verdict="reproduced" if reached else "below")
+
+
+def claim(name: str, thesis: str, measured: float | None, holds: bool, note: str = "") -> Row:
+    """A row of a claim in words, with the figure that decides it."""
+    return Row(name, thesis, measured, "reproduced" if holds else "not reproduced", note=note)
+
+
+def cases(suite: str) -> list[Case]:
+    """The cases of a bundled suite, once each whatever its seeds are."""
+    return list({case.name: case for case in load_suite(suite)[1]}.values())
+
+
+def coarsened(scene: Scene, pixels: int | None) -> Scene:
+    """The same array and volume seen with `pixels` x `pixels` larger pixels, in larger voxels of the same shape, with as many particles per pixel."""
+    if pixels is None:
+        return scene
+    factor = scene.cameras.columns / pixels
+    values: dict[str, Any] = {
+        "cameras.rows": round(scene.cameras.rows / factor), "cameras.columns": pixels, "cameras.pixel_mm": scene.cameras.pixel_mm * factor,
+        "grid.voxel_mm": [edge * factor for edge in scene.grid.voxel_mm],
+    }  # fmt: skip
+    if "per_mm3" in (scene.particles or {}):
+        values["particles.per_mm3"] = density(scene) / factor**2
+    return override(scene, values, scene.title)
+
+
+def density(scene: Scene) -> float:
+    """Particles per mm3."""
+    return float((scene.particles or {})["per_mm3"])
+
+
+def with_density(scene: Scene, per_mm3: float) -> Scene:
+    """The scene with so many particles per mm3."""
+    return override(scene, {"particles.per_mm3": per_mm3}, scene.title)
+
+
+def per_pixel(scene: Scene) -> float:
+    """Particles per pixel of one camera (ppp)."""
+    return density(scene) * float(np.prod(scene.volume.size_mm)) / (scene.cameras.rows * scene.cameras.columns)
+
+
+def simulated(scene: Scene, seed: int) -> Shot:
+    """A frame of the scene, announced: a table takes many."""
+    shot = simulate(scene, seed=seed)
+    console.print(f"{scene.title}: {len(shot.particles)} particles, seed {seed}", markup=False, highlight=False)
+    return shot
+
+
+@dataclass(frozen=True)
+class Quality:
+    """Q of a refocused frame.
+
+    Attributes
+    ----------
+    best, best_k : at the threshold that makes it largest, as the thesis tunes it with the truth at hand.
+    blind, blind_k : at the threshold that the images alone suggest.
+    """
+
+    best: float
+    best_k: float
+    blind: float
+    blind_k: float
+
+
+@dataclass(frozen=True)
+class Judged:
+    """Q of a frame, and its true particles and ghosts by the thesis's rule."""
+
+    quality: Quality
+    counts: Counts
+
+
+@dataclass(frozen=True)
+class Refocused:
+    """A frame refocused but not yet thresholded, with the truth in the space of its voxels.
+
+    Attributes
+    ----------
+    case : the frame with the grid of the volume.
+    truths : true particles as fractional voxel indices (n, 3).
+    volume, field : what refocusing gave and the E_s that it should become, (z, y, x).
+    """
+
+    case: Observation
+    truths: F64
+    volume: F32
+    field: F32
+
+    @classmethod
+    def of(cls, shot: Shot, grid: Grid, particles: Particles, volume: F32) -> Refocused:
+        """A volume on its grid with the particles in the grid's space."""
+        field = true_field(grid, particles, shot.views)
+        return cls(replace(shot.observation, grid=grid), grid.to_voxels(particles.position_mm), volume, field)
+
+    def quality(self) -> Quality:
+        """Q (equation 2.13) with thresholds that are subtracted from what exceeds them."""
+        values = quality_of_k(self.volume, self.field, KS, "reduced", self.case.grid.scored)
+        top, blind = int(values.argmax()), auto_k(self.volume, occupancy(self.case), "reduced")
+        return Quality(float(values[top]), float(KS[top]), float(np.interp(blind, KS, values)), blind)
+
+    def judged(self) -> Judged:
+        """Q, and the particles at the threshold with the best Q as in the thesis; the volume is left thresholded."""
+        quality, grid = self.quality(), self.case.grid
+        found = detect(extract(self.volume, quality.best_k, "reduced"))
+        return Judged(quality, count_thesis(found, self.truths, grid.in_scored(found), grid.in_scored(self.truths)))
+
+
+def map_shift_average(shot: Shot) -> Refocused:
+    """The thesis's own algorithm in chapter 2, in its own voxels."""
+    return Refocused.of(shot, *published_volume(shot))
+
+
+def additive(shot: Shot) -> Refocused:
+    """The additive synthetic aperture of equation 3.3: the mean of all cameras at every voxel of the scene's grid, by exact projections."""
+    seen = shot.observation
+    volume = refocus_sum(normalised(seen), seen.cameras, seen.grid)
+    volume /= np.float32(len(seen.cameras))
+    return Refocused.of(shot, seen.grid, shot.particles, volume)
+
+
+METHODS: Mapping[str, Callable[[Shot], Refocused]] = {"map-shift-average": map_shift_average, "additive": additive}
+
+
+_seen: dict[tuple[str, int], Mapping[str, Judged]] = {}
+
+
+def judged(scene: Scene, seed: int) -> Mapping[str, Judged]:
+    """One frame by each method. Several tables look at the same frames: each is taken once."""
+    key = scene.hash, seed
+    if key not in _seen:
+        shot = simulated(scene, seed)
+        _seen[key] = {name: method(shot).judged() for name, method in METHODS.items()}
+    return _seen[key]
+
+
+def measured(scene: Scene, seed: int) -> dict[str, Quality]:
+    """Q of one frame by each method."""
+    return {name: frame.quality for name, frame in judged(scene, seed).items()}
+
+
+def counted(scene: Scene, seed: int) -> dict[str, Counts]:
+    """True particles and ghosts of one frame by each method."""
+    return {name: frame.counts for name, frame in judged(scene, seed).items()}
+
+
+def detection_rows(name: str, found: Sequence[Counts], note: str = "") -> list[Row]:
+    """True particles and ghosts of several seeds; the thesis shows such figures as curves without numbers."""
+    true = compared(f"{name}: true %", None, [counts.true_percent for counts in found], note)
+    ghosts = [counts.ghost_percent for counts in found]
+    return [true, compared(f"{name}: ghost %", None, [value for value in ghosts if value is not None], note)]
+
+
+def settings(solver: str, window: tuple[int, int, int], overlap: float, grid: Grid) -> dict[str, Any]:
+    """A PIV solver's parameters with the thesis's windows; the first ones of `piv3d` are twice as long and find larger displacements.
+
+    A coarse copy of an array has fewer voxels: windows are then as large as fit, in whole steps.
+    """
+    fitting = tuple(min(own, 4 * (there // 4)) for own, there in zip(window, grid.shape[::-1], strict=True))
+    same = {"window": fitting, "overlap": overlap}
+    return same | ({"first_window": tuple(2 * own for own in fitting)} if solver == "piv3d" else {})

@@ -1,0 +1,121 @@
+"""Table 2.1: the largest density that 25 cameras reconstruct with Q = 0.75, and how far apart the planes are."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+
+import numpy as np
+from scipy.optimize import brentq
+
+from sabench.evaluation.suites import Case
+from sabench.evaluation.thesis.common import (
+    ADEQUATE,
+    METHODS,
+    Quality,
+    Row,
+    at_least,
+    cases,
+    coarsened,
+    compared,
+    density,
+    measured,
+    per_pixel,
+    with_density,
+)
+from sabench.evaluation.thesis.theory import plane_spacing_ratio
+from sabench.geometry.camera import Camera
+from sabench.scenes.rig import build_rig
+from sabench.scenes.schema import Scene
+
+SEEDS = 5
+SUITE = "table-2-1"
+BOUNDED = {"50x50x10-D0.2": 15.0}  # the thesis gives this array's density as a lower bound: a look beyond it
+_RATIO = 1.25  # of two densities between which Q is taken for a straight line
+_FARTHEST = 100.0  # voxels: no planes are that far apart
+_STEPS = 12  # of that ratio, up or down, after which the search ends
+
+Trial = Callable[[float, int], Quality]  # of a density and a seed
+
+
+def rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Row]:
+    """Plane spacing and density of every array of the table."""
+    for case in cases(SUITE):
+        yield _spacing_row(case)
+        for method in METHODS:
+            trial, label = _trial(case.scene, pixels, method), f"{case.name}, {method}"
+            yield from _bound_rows(label, case, trial, seeds) if case.name in BOUNDED else _density_rows(label, case, trial, seeds)
+
+
+def _trial(scene: Scene, pixels: int | None, method: str) -> Trial:
+    return lambda per_mm3, seed: measured(coarsened(with_density(scene, per_mm3), pixels), seed)[method]
+
+
+def _bound_rows(label: str, case: Case, trial: Trial, seeds: Sequence[int]) -> Iterator[Row]:
+    for per_mm3 in (density(case.scene), BOUNDED[case.name]):
+        found = [trial(per_mm3, seed) for seed in seeds]
+        blind = f"k = {found[0].best_k:.3g}; automatic k = {found[0].blind_k:.3g}: Q = {np.mean([quality.blind for quality in found]):.3g}"
+        name, values = f"{label}: Q at {per_mm3:g} per mm3", [quality.best for quality in found]
+        yield at_least(name, ADEQUATE, values, blind) if per_mm3 == density(case.scene) else compared(name, None, values, blind)
+
+
+def _density_rows(label: str, case: Case, trial: Trial, seeds: Sequence[int]) -> Iterator[Row]:
+    """The largest density with the threshold tuned as in the thesis, with the truth at hand, and without it."""
+    thesis = density(case.scene)
+    tuned = crossings(lambda per_mm3, seed: trial(per_mm3, seed).best, thesis, seeds)
+    yield compared(f"{label}: particles per mm3", thesis, tuned, f"thesis: {per_pixel(case.scene):.2f} ppp")
+    blind = crossings(lambda per_mm3, seed: trial(per_mm3, seed).blind, thesis, seeds)
+    yield compared(f"{label}, automatic k: particles per mm3", None, blind, "the threshold does not know the truth")
+
+
+def crossings(quality: Callable[[float, int], float], start: float, seeds: Sequence[int]) -> list[float]:
+    """The density at which Q falls to 0.75, for every seed; empty if the first seed has none near `start`.
+
+    The first seed finds two densities on either side; between these, Q is a straight line for every seed. Source: thesis section 2.2.4, which
+    interpolates linearly.
+    """
+    low = high = start
+    for _ in range(_STEPS):
+        if quality(low, seeds[0]) < ADEQUATE:
+            low, high = low / _RATIO, low
+        elif quality(high, seeds[0]) >= ADEQUATE:
+            low, high = high, high * _RATIO
+    if not quality(low, seeds[0]) >= ADEQUATE > quality(high, seeds[0]):
+        return []
+    ends = [(quality(low, seed), quality(high, seed)) for seed in seeds]
+    return [low + (high - low) * (above - ADEQUATE) / (above - below) for above, below in ends]
+
+
+def _spacing_row(case: Case) -> Row:
+    """dZ / dX of the exact cameras against the table's, which is the voxels' shape."""
+    across, _, along = case.scene.grid.voxel_mm
+    center, neighbour = _inner_pair(build_rig(case.scene).cameras)
+    distance = -center.center_mm[2]
+    predicted = plane_spacing_ratio(float(np.linalg.norm(np.subtract(neighbour.center_mm, center.center_mm))) / distance, across, 0.0, distance)
+    spacing = plane_spacing_mm(center, neighbour, across)
+    return compared(f"{case.name}: dZ / dX", along / across, [spacing / across], f"equation 2.10 at Z = 0: {predicted:.4g}")
+
+
+def _inner_pair(cameras: Sequence[Camera]) -> tuple[Camera, Camera]:
+    """The central camera and its nearest neighbour."""
+    places = np.array([camera.center_mm for camera in cameras])
+    order = np.argsort(np.linalg.norm(places - places.mean(axis=0), axis=1))
+    return cameras[order[0]], cameras[order[1]]
+
+
+def plane_spacing_mm(center: Camera, neighbour: Camera, voxel_mm: float) -> float:
+    """Distance from Z = 0 of the plane whose point on the Z axis two cameras see one voxel apart on Z = 0.
+
+    Source: thesis section 2.2.2, where a plane is one pixel of shift from the next.
+    """
+
+    def apart(z_mm: float) -> float:
+        return float(np.linalg.norm(_seen_on_zero(center, z_mm) - _seen_on_zero(neighbour, z_mm))) - voxel_mm
+
+    return float(brentq(apart, 0.0, _FARTHEST * voxel_mm))
+
+
+def _seen_on_zero(camera: Camera, z_mm: float) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
+    """Where on the plane Z = 0 a camera sees the point (0, 0, z)."""
+    rays = camera.back_project(camera.project([[0.0, 0.0, z_mm]])[0])
+    origin, direction = rays.origins_mm[0], rays.directions[0]
+    return np.asarray(origin[:2] - origin[2] / direction[2] * direction[:2], dtype=np.float64)

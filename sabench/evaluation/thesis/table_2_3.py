@@ -1,0 +1,38 @@
+"""Table 2.3: how many particles per pixel of all cameras together, which is only efficient if the reconstruction is adequate."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from sabench.evaluation.thesis.common import (
+    ADEQUATE,
+    METHODS,
+    Row,
+    at_least,
+    cases,
+    coarsened,
+    compared,
+    density,
+    measured,
+    per_pixel,
+)
+from sabench.scenes.rig import build_rig
+
+SEEDS = 5
+_PER_PIXEL, _PER_TOTAL_PIXEL, _PARTICLES = 0.125, 0.01, 125_000
+
+
+def rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Row]:
+    """The table's simulated array: 13 cameras."""
+    for case in cases("table-2-3"):
+        cameras = len(build_rig(case.scene).cameras)
+        count = density(case.scene) * float(np.prod(case.scene.volume.size_mm))
+        yield compared("particles", _PARTICLES, [count])
+        yield compared("particles per pixel", _PER_PIXEL, [per_pixel(case.scene)])
+        yield compared("particles per pixel of all cameras", _PER_TOTAL_PIXEL, [per_pixel(case.scene) / cameras], "the thesis rounds")
+        found = [measured(coarsened(case.scene, pixels), seed) for seed in seeds]
+        for method in METHODS:
+            values = [frame[method].best for frame in found]
+            yield at_least(f"Q of {cameras} cameras, {method}", ADEQUATE, values, "the thesis calls 0.75 adequate and states no value")

@@ -1,0 +1,79 @@
+"""Table 3.1: operations of six algorithms, by the thesis's formulas with its numbers and with ours, and the seconds that they take."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Mapping, Sequence
+
+import numpy as np
+
+from sabench.algorithms.tomography.problem import Problem
+from sabench.api import Observation, Solver
+from sabench.api.make import make_solver
+from sabench.evaluation.thesis.common import Row, cases, coarsened, compared, simulated
+from sabench.evaluation.thesis.theory import TABLE_3_1, Algorithm, Setup, operations
+from sabench.scenes.schema import Scene
+
+SEEDS = 5
+_CASES: Mapping[Algorithm, str] = {
+    "asa": "9-cameras", "msa": "9-cameras",
+    "mart": "4-cameras", "mfg-mart": "4-cameras", "mlos-sart": "4-cameras", "mlos-smart": "4-cameras",
+}  # fmt: skip
+_STATED: Mapping[Algorithm, float] = {
+    "asa": 8.81e9, "msa": 9.11e9, "mart": 2.15e11, "mfg-mart": 8.00e10, "mlos-sart": 1.81e10, "mlos-smart": 1.81e10,
+}  # fmt: skip
+_FEWER: Mapping[Algorithm, float] = {"mart": 16.3, "mfg-mart": 6.1, "mlos-sart": 1.4, "mlos-smart": 1.4}  # over MSA's operations: section 3.3.1
+_WARM_PX = 50
+
+
+def rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Row]:
+    """Three rows for every algorithm, then what the thesis says of their ratios."""
+    scenes = {case.name: coarsened(case.scene, pixels) for case in cases("table-3-1")}
+    seconds: dict[Algorithm, list[float]] = {}
+    for algorithm, name in _CASES.items():
+        formula = sum(operations(algorithm, TABLE_3_1[algorithm]))
+        yield compared(f"{algorithm}: operations, the thesis's counts", _STATED[algorithm], [formula])
+        frames = [simulated(scenes[name], seed).observation for seed in seeds]
+        setups = [_setup(algorithm, frame) for frame in frames]
+        yield compared(f"{algorithm}: operations, our counts", None, [sum(operations(algorithm, setup)) for setup in setups], _told(setups[0]))
+        seconds[algorithm] = _timed(algorithm, scenes[name], frames)
+        yield compared(f"{algorithm}: seconds", None, seconds[algorithm])
+    for algorithm, fewer in _FEWER.items():
+        ratios = [slow / fast for slow, fast in zip(seconds[algorithm], seconds["msa"], strict=True)]
+        yield compared(f"{algorithm}: seconds over those of msa", fewer, ratios, "the thesis's is of operations")
+
+
+def _setup(algorithm: Algorithm, frame: Observation) -> Setup:
+    """What the solver visits of this frame, in the terms of the thesis's formulas."""
+    cameras, voxels = len(frame.cameras), float(np.prod(frame.grid.shape))
+    if algorithm in ("asa", "msa"):
+        return Setup(cameras, voxels)
+    chosen = _solver(algorithm).parameters
+    problem = Problem.of(frame, chosen)
+    start = problem.mfg if algorithm == "mfg-mart" else problem.mlos
+    lit_voxels = float(len(start(chosen.threshold).lines.support))
+    lit_pixels = float((problem.measured.light >= chosen.threshold).sum()) / cameras
+    return Setup(cameras, voxels, lit_voxels, lit_voxels, lit_voxels / max(lit_pixels, 1.0), chosen.iterations)
+
+
+def _told(setup: Setup) -> str:
+    lit = (
+        f", {setup.lit_voxels:.3g} of them lit, {setup.path_voxels:.3g} on a line of sight, {setup.iterations} iterations" if setup.iterations else ""
+    )
+    return f"{setup.cameras} cameras, {setup.voxels:.3g} voxels{lit}"
+
+
+def _solver(algorithm: Algorithm) -> Solver:
+    return make_solver(algorithm.replace("-", "_"), {})
+
+
+def _timed(algorithm: Algorithm, scene: Scene, frames: Sequence[Observation]) -> list[float]:
+    """Seconds of each frame; a small one before them has the kernels compiled."""
+    solver = _solver(algorithm)
+    solver.solve(simulated(coarsened(scene, _WARM_PX), 1).observation)
+    seconds = []
+    for frame in frames:
+        start = time.perf_counter()
+        solver.solve(frame)
+        seconds.append(time.perf_counter() - start)
+    return seconds

@@ -1,0 +1,241 @@
+"""A pinhole camera with radial-tangential distortion that looks through a wall, or through plain air."""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from sabench.geometry.camera_model import on_sensor
+from sabench.geometry.refraction import Rays, Wall, trace_into_fluid, trace_to_points, wall_axes
+from sabench.utils.arrays import F64, Bool, rows_of, triple
+
+_UNDISTORT_STEPS = 20
+
+
+@dataclass(frozen=True)
+class Distortion:
+    """Brown-Conrady coefficients (dimensionless, on ideal image coordinates x/z, y/z); all zero means none."""
+
+    k1: float = 0.0
+    k2: float = 0.0
+    p1: float = 0.0
+    p2: float = 0.0
+    k3: float = 0.0
+
+
+@dataclass(frozen=True)
+class Camera:
+    """One camera of an array.
+
+    Attributes
+    ----------
+    name : used in file names.
+    rows, columns : image size, px.
+    center_mm : pinhole, world frame.
+    rotation : 3x3 as nested tuples, world to camera: the rows are the camera's X (right), Y (down) and Z (forward) axes in the world.
+    principal_distance_mm : distance from the pinhole to the image plane.
+    pixel_mm : pixel pitch.
+    principal_point_px : (column, row) of the optical axis; (0, 0) is the CENTRE of the top-left pixel.
+    distortion : radial-tangential coefficients.
+    focal_length_mm, f_number : of the lens, for defocus and light gathering.
+    wall : what the camera looks through; None for plain air.
+    """
+
+    name: str
+    rows: int
+    columns: int
+    center_mm: tuple[float, float, float]
+    rotation: tuple[tuple[float, float, float], tuple[float, float, float], tuple[float, float, float]]
+    principal_distance_mm: float
+    pixel_mm: float
+    principal_point_px: tuple[float, float]
+    distortion: Distortion
+    focal_length_mm: float
+    f_number: float
+    wall: Wall | None = None
+
+    @property
+    def focal_px(self) -> float:
+        """Principal distance in pixels."""
+        return self.principal_distance_mm / self.pixel_mm
+
+    @property
+    def aperture_radius_mm(self) -> float:
+        """Radius of the entrance pupil."""
+        return self.focal_length_mm / self.f_number / 2.0
+
+    @property
+    def focus_mm(self) -> float:
+        """Distance in the camera's medium at which points are sharp: the thin lens's conjugate of the principal distance; it may be infinite."""
+        inverse = 1.0 / self.focal_length_mm - 1.0 / self.principal_distance_mm
+        return 1.0 / inverse if inverse else float("inf")
+
+    def shifted(self, right_mm: float, down_mm: float) -> Camera:
+        """The same camera with its pinhole moved in the plane of the lens (a point of the aperture)."""
+        axes = np.asarray(self.rotation)
+        center = np.asarray(self.center_mm) + right_mm * axes[0] + down_mm * axes[1]
+        return replace(self, center_mm=triple(center))
+
+    def project(self, points_mm: npt.ArrayLike) -> tuple[F64, Bool]:
+        """Pixels (n, 2) as (column, row) of world points (n, 3), and whether each has one.
+
+        Not `valid`: points outside the fluid, behind the camera's image plane, or where distortion folds the image over.
+        A valid pixel may lie outside the image: see `contains`.
+        """
+        points = rows_of(points_mm, 3, "points_mm")
+        if self.wall is None or self.wall.depth_of(np.asarray(self.center_mm)) >= 0.0:
+            paths = trace_to_points(self.wall, np.asarray(self.center_mm), points)
+            return self.pixels_of(paths.leaving, paths.valid)
+        pixels = self._ideal_pixels(self.wall, points)
+        valid = np.asarray(np.isfinite(pixels[:, 0]) & np.isfinite(pixels[:, 1]))
+        if self.distortion != Distortion():
+            middle = np.asarray(self.principal_point_px)
+            ideal, one_to_one, _ = _distort(self.distortion, np.where(valid[:, None], (pixels - middle) / self.focal_px, 0.0))
+            valid &= one_to_one
+            pixels = ideal * self.focal_px + middle
+        pixels[~valid] = np.nan
+        return pixels, valid
+
+    def _ideal_pixels(self, wall: Wall, points: F64) -> F64:
+        """Pixels without distortion (n, 2), NaN for points without a path."""
+        from sabench.geometry import projection_kernels  # numba is loaded at the first use
+
+        along, across, normal = wall_axes(wall)
+        local = np.asarray(self.rotation) @ np.stack([along, across, normal]).T
+        local[:2] *= self.focal_px
+        x, y, z = np.ascontiguousarray(points.T)
+        column, row = np.empty(len(points)), np.empty(len(points))
+        frame = (*along.tolist(), *across.tolist(), *normal.tolist())
+        lens = (*local.ravel().tolist(), *(float(v) for v in self.principal_point_px))
+        projection_kernels.project(x, y, z, self.center_mm, frame, projection_kernels.media_of(wall, np.asarray(self.center_mm)), lens, column, row)
+        return np.column_stack([column, row])
+
+    def pixels_of(self, leaving: F64, valid: Bool) -> tuple[F64, Bool]:
+        """Pixels (n, 2) of world directions (n, 3) that leave the pinhole."""
+        local = leaving @ np.asarray(self.rotation).T
+        valid = valid & (local[:, 2] > 1e-9)
+        ideal = local[:, :2] / np.where(valid, local[:, 2], 1.0)[:, None]
+        if self.distortion != Distortion():
+            ideal, one_to_one, _ = _distort(self.distortion, ideal)
+            valid &= one_to_one
+        pixels = ideal * self.focal_px + np.asarray(self.principal_point_px)
+        pixels[~valid] = np.nan
+        return pixels, valid
+
+    def directions(self, pixels: npt.ArrayLike) -> tuple[F64, Bool]:
+        """Unit world directions (n, 3) in the camera's medium of pixels (n, 2) given as (column, row)."""
+        ideal, valid = self.ideal(pixels)
+        local = np.column_stack([ideal, np.ones(len(ideal))])
+        local /= np.linalg.norm(local, axis=1, keepdims=True)
+        return local @ np.asarray(self.rotation), valid
+
+    def ideal(self, pixels: npt.ArrayLike) -> tuple[F64, Bool]:
+        """Undistorted image coordinates (n, 2), x/z and y/z, of pixels (n, 2)."""
+        distorted = (rows_of(pixels, 2, "pixels") - np.asarray(self.principal_point_px)) / self.focal_px
+        return _undistort(self.distortion, distorted)
+
+    def back_project(self, pixels: npt.ArrayLike) -> Rays:
+        """The rays in the fluid that pixels (n, 2) see; total reflection is not `valid`."""
+        directions, valid = self.directions(pixels)
+        rays = trace_into_fluid(self.wall, np.asarray(self.center_mm), directions)
+        return Rays(rays.origins_mm, rays.directions, rays.valid & valid)
+
+    def carry(self, points_mm: F64, z_mm: float) -> F64:
+        """Where the lines of sight through points (n, 3) of the fluid meet the plane at `z_mm`: (n, 2); NaN for points without one."""
+        arriving = trace_to_points(self.wall, np.asarray(self.center_mm), points_mm).arriving
+        return np.asarray(points_mm[:, :2] + arriving[:, :2] / arriving[:, 2:] * (z_mm - points_mm[:, 2:]))
+
+    def contains(self, pixels: F64, margin_px: float = 0.0) -> Bool:
+        """Whether pixels (n, 2) lie on the sensor, or at most `margin_px` outside."""
+        return on_sensor(self.rows, self.columns, pixels, margin_px)
+
+    def etendue(self) -> F64:
+        """mm^2 sr that each pixel collects: pupil area seen at its angle times its solid angle in front of the lens; (rows, columns).
+
+        0 where the distorted lens shows nothing.
+        """
+        return _etendue(self)
+
+
+@functools.lru_cache(maxsize=32)
+def _etendue(camera: Camera) -> F64:
+    """Once for all frames of a camera."""
+    column, row = np.meshgrid(np.arange(camera.columns), np.arange(camera.rows))
+    pixels = np.column_stack([column.ravel(), row.ravel()]).astype(np.float64)
+    right, down = np.array([0.5, 0.0]), np.array([0.0, 0.5])
+    around = [camera.ideal(pixels + step) for step in (right, -right, down, -down, 0.0 * right)]
+    seen = np.all([valid for _, valid in around], axis=0)
+    ends = [np.where(seen[:, None], ideal, 0.0) for ideal, _ in around]
+    across, along = ends[0] - ends[1], ends[2] - ends[3]
+    area = np.abs(across[:, 0] * along[:, 1] - across[:, 1] * along[:, 0])
+    square = 1.0 + np.sum(ends[4] ** 2, axis=1)
+    out = np.asarray(np.pi * camera.aperture_radius_mm**2 * area / square**2).reshape(camera.rows, camera.columns)
+    out.flags.writeable = False
+    return out
+
+
+@functools.cache
+def _fold_square(lens: Distortion) -> float:
+    """Squared ideal radius at which the radial part stops growing: beyond it two points share a pixel."""
+    roots = np.roots([7.0 * lens.k3, 5.0 * lens.k2, 3.0 * lens.k1, 1.0])
+    real = roots.real[(np.abs(roots.imag) < 1e-12) & (roots.real > 0.0)]
+    return float(real.min()) if len(real) else float("inf")
+
+
+def _distort(lens: Distortion, ideal: F64) -> tuple[F64, Bool, tuple[F64, F64, F64]]:
+    """Distorted image coordinates, whether the map is one to one there (inside the radial fold, with a positive determinant), and its Jacobian.
+
+    The Jacobian is symmetric: (du/dx, du/dy, dv/dy).
+    """
+    x, y = ideal[:, 0], ideal[:, 1]
+    s = x * x + y * y
+    radial = 1.0 + s * (lens.k1 + s * (lens.k2 + s * lens.k3))
+    slope = lens.k1 + s * (2.0 * lens.k2 + 3.0 * lens.k3 * s)
+    u = x * radial + 2.0 * lens.p1 * x * y + lens.p2 * (s + 2.0 * x * x)
+    v = y * radial + lens.p1 * (s + 2.0 * y * y) + 2.0 * lens.p2 * x * y
+    ux = radial + 2.0 * x * x * slope + 2.0 * lens.p1 * y + 6.0 * lens.p2 * x
+    uy = 2.0 * x * y * slope + 2.0 * lens.p1 * x + 2.0 * lens.p2 * y
+    vy = radial + 2.0 * y * y * slope + 6.0 * lens.p1 * y + 2.0 * lens.p2 * x
+    one_to_one = (ux * vy - uy * uy > 0.0) & (s < _fold_square(lens))
+    return np.column_stack([u, v]), np.asarray(one_to_one), (ux, uy, vy)
+
+
+def _undistort(lens: Distortion, distorted: F64) -> tuple[F64, Bool]:
+    """Invert `_distort` by Newton's iteration with the exact residual as its test."""
+    if lens == Distortion():
+        return distorted, np.asarray(np.isfinite(distorted).all(axis=1))
+    ideal, residual = distorted.copy(), np.zeros_like(distorted)
+    with np.errstate(all="ignore"):
+        for _ in range(_UNDISTORT_STEPS):
+            image, _, (ux, uy, vy) = _distort(lens, ideal)
+            residual = distorted - image
+            if np.all(np.abs(residual) < 1e-15):
+                break
+            a, b = residual.T
+            ideal = ideal + np.column_stack([vy * a - uy * b, ux * b - uy * a]) / (ux * vy - uy * uy)[:, None]
+        valid = (np.abs(residual).max(axis=1) < 1e-12) & _distort(lens, ideal)[1]
+    return ideal, np.asarray(valid)
+
+
+def aimed_rotation(
+    forward: F64, down: npt.ArrayLike = (0.0, 1.0, 0.0)
+) -> tuple[tuple[float, float, float], tuple[float, float, float], tuple[float, float, float]]:
+    """World-to-camera rotation whose Z axis is `forward` and whose Y axis is as near to `down` as it can be."""
+    z = forward / np.linalg.norm(forward)
+    x = np.cross(np.asarray(down, dtype=np.float64), z)
+    if np.linalg.norm(x) < 1e-9:  # looking along `down`: any right-hand side will do, so the world's X
+        x = np.cross(np.cross(z, [1.0, 0.0, 0.0]), z)
+    x = x / np.linalg.norm(x)
+    return triple(x), triple(np.cross(z, x)), triple(z)
+
+
+def aim(camera: Camera, target_mm: npt.ArrayLike) -> Camera:
+    """`camera` turned so that the light from `target_mm` runs along its optical axis, refraction included."""
+    target = np.asarray(target_mm, dtype=np.float64)[None]
+    paths = trace_to_points(camera.wall, np.asarray(camera.center_mm), target)
+    if not paths.valid[0]:
+        raise ValueError(f"camera {camera.name}: no light path to its aim point {target[0].tolist()}")
+    return replace(camera, rotation=aimed_rotation(paths.leaving[0]))

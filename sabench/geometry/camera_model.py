@@ -1,0 +1,52 @@
+"""What every camera model can do, whatever its equations."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from sabench.geometry.refraction import Rays
+from sabench.utils.arrays import F64, Bool
+
+
+def on_sensor(rows: int, columns: int, pixels: F64, margin_px: float) -> Bool:
+    """Whether pixels (n, 2) lie on a sensor of that size, or at most `margin_px` outside; the border belongs to it above and to the left only."""
+    low = -0.5 - margin_px
+    column, row = pixels[:, 0], pixels[:, 1]
+    with np.errstate(invalid="ignore"):
+        inside = (column >= low) & (row >= low)
+        return np.asarray(inside & (column < columns + margin_px - 0.5) & (row < rows + margin_px - 0.5))
+
+
+class CameraModel(Protocol):
+    """A map of points onto an image and of pixels onto lines of sight; `Camera` is one, the polynomials of `empirical` are others."""
+
+    @property
+    def name(self) -> str:
+        """Used in file names."""
+
+    @property
+    def rows(self) -> int:
+        """Image height, px."""
+
+    @property
+    def columns(self) -> int:
+        """Image width, px."""
+
+    def project(self, points_mm: npt.ArrayLike) -> tuple[F64, Bool]:
+        """Pixels (n, 2) as (column, row) of world points (n, 3), and whether each has one."""
+
+    @property
+    def center_mm(self) -> tuple[float, float, float]:
+        """Where it stands, roughly if the model does not say."""
+
+    def carry(self, points_mm: F64, z_mm: float) -> F64:
+        """Where the lines of sight through points (n, 3) of the fluid meet the plane at `z_mm`: (n, 2); NaN for points without one."""
+
+    def back_project(self, pixels: npt.ArrayLike) -> Rays:
+        """The lines of sight of pixels (n, 2) in the fluid."""
+
+    def contains(self, pixels: F64, margin_px: float = 0.0) -> Bool:
+        """Whether pixels (n, 2) lie on the sensor, or at most `margin_px` outside."""

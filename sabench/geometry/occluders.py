@@ -1,0 +1,49 @@
+"""Opaque discs on the cameras' side of the wall, where light still runs straight."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from sabench.utils.arrays import F64, Bool
+
+
+@dataclass(frozen=True)
+class Disc:
+    """A thin, opaque, black disc in the cameras' medium.
+
+    Attributes
+    ----------
+    center_mm : world frame.
+    normal : unit vector at right angles to the disc; its sign does not matter.
+    radius_mm : to the edge, which belongs to the disc.
+    """
+
+    center_mm: tuple[float, float, float]
+    normal: tuple[float, float, float]
+    radius_mm: float
+
+    def span_mm(self, along: F64) -> tuple[float, float]:
+        """Smallest and largest coordinate of the disc's points along a unit vector (3,)."""
+        middle, tilt = float(np.dot(self.center_mm, along)), float(np.dot(self.normal, along))
+        half = self.radius_mm * math.sqrt(max(0.0, 1.0 - tilt * tilt))
+        return middle - half, middle + half
+
+    def stops(self, pinhole_mm: F64, directions: F64) -> Bool:
+        """Whether rays from a pinhole (3,) along directions (n, 3) meet the disc; along its plane they pass, since it is thin."""
+        offset, normal = np.asarray(self.center_mm) - pinhole_mm, np.asarray(self.normal)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            way = (offset @ normal) / (directions @ normal)
+            miss = np.linalg.norm(way[:, None] * directions - offset, axis=1)
+            return np.asarray((way > 0.0) & (miss <= self.radius_mm))
+
+
+def in_shadow(occluders: Iterable[Disc], pinhole_mm: F64, directions: F64) -> Bool:
+    """Whether any disc stops the rays from a pinhole (3,) along directions (n, 3)."""
+    hidden = np.zeros(len(directions), dtype=np.bool_)
+    for disc in occluders:
+        hidden |= disc.stops(pinhole_mm, directions)
+    return hidden

@@ -1,0 +1,127 @@
+"""Maps of planes onto images as polynomials: the exact map, refraction included, needs an iteration per point, but it is smooth.
+
+A polynomial's degree is raised until its worst error, measured at other points than it was fitted to, is below `TOLERANCE_PX`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from sabench.geometry.camera_model import CameraModel
+from sabench.geometry.grid import Grid
+from sabench.utils.arrays import F64
+
+TOLERANCE_PX = 1e-3
+_DEGREES = range(2, 13)
+
+Smooth = Callable[[F64], F64]  # values (n, m) at points (n, 2), whose coordinates u, v run from -1 to 1
+
+
+@dataclass(frozen=True)
+class PlaneMap:
+    """Pixel coordinates over one plane as polynomials in u, v, which run from -1 to 1 across the grid's x and y.
+
+    Attributes
+    ----------
+    degree : total degree.
+    coefficients : (2, (degree + 1)(degree + 2) / 2) of column and row, terms ordered by the power of v, then of u.
+    error_px : largest distance from the exact projection, measured between the nodes of the fit.
+    """
+
+    degree: int
+    coefficients: F64
+    error_px: float
+
+
+def plane_map(camera: CameraModel, grid: Grid, z_mm: float, degree: int) -> PlaneMap:
+    """Fit the map of the plane at `z_mm` onto a camera's image.
+
+    Raises
+    ------
+    ValueError
+        Some of the plane has no light path to the camera.
+    """
+    (made,) = _maps_of_degree(camera, grid, np.array([z_mm]), degree)
+    return made
+
+
+def plane_maps(cameras: Sequence[CameraModel], grid: Grid) -> list[list[PlaneMap]]:
+    """Maps of all planes (outer list) onto all cameras (inner list), of the lowest common degree within `TOLERANCE_PX`."""
+    depths = grid.axes_mm[2]
+    degree = max(lowest_degree(_plane_function(camera, grid, depths[[0, -1]])) for camera in cameras)
+    by_camera = [_maps_of_degree(camera, grid, depths, degree) for camera in cameras]
+    worst = max(part.error_px for maps in by_camera for part in maps)
+    if worst > TOLERANCE_PX:
+        raise ValueError(f"plane maps of degree {degree}: expected an error below {TOLERANCE_PX} px, got {worst:.3g}")
+    return [list(plane) for plane in zip(*by_camera, strict=True)]
+
+
+def fit(function: Smooth, degree: int) -> tuple[F64, F64]:
+    """Polynomials of a total degree through a smooth function.
+
+    Returns
+    -------
+    coefficients : (m, terms).
+    errors : (m,) largest error of each, measured between the nodes.
+    """
+    nodes = np.cos(np.pi * (np.arange(degree + 3) + 0.5) / (degree + 3))
+    between = np.linspace(-1.0, 1.0, 2 * degree + 5)
+    known, check = (np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2) for axis in (nodes, between))
+    coefficients = np.asarray(np.linalg.lstsq(terms(known, degree), function(known), rcond=None)[0], dtype=np.float64)
+    errors = np.abs(terms(check, degree) @ coefficients - function(check)).max(axis=0)
+    return np.ascontiguousarray(coefficients.T), np.asarray(errors)
+
+
+def lowest_degree(function: Smooth) -> int:
+    """The lowest degree that fits a function, with room to spare, to `TOLERANCE_PX`."""
+    for degree in _DEGREES:
+        if fit(function, degree)[1].max() < 0.5 * TOLERANCE_PX:
+            return degree
+    raise ValueError(f"expected maps smooth enough for polynomials of degree {_DEGREES[-1]}: a camera, its wall or its distortion is too extreme")
+
+
+def terms(points: F64, degree: int) -> F64:
+    """Monomials u^i v^j (n, terms) with i + j <= degree at points (n, 2), ordered by j, then i."""
+    u, v = points[:, 0], points[:, 1]
+    return np.stack([u**i * v**j for j in range(degree + 1) for i in range(degree + 1 - j)], axis=1)
+
+
+def slopes(points: F64, degree: int) -> tuple[F64, F64]:
+    """Derivatives of `terms` along u and along v."""
+    u, v = points[:, 0], points[:, 1]
+    pairs = [(i, j) for j in range(degree + 1) for i in range(degree + 1 - j)]
+    along_u = np.stack([i * u ** max(i - 1, 0) * v**j for i, j in pairs], axis=1)
+    along_v = np.stack([j * u**i * v ** max(j - 1, 0) for i, j in pairs], axis=1)
+    return along_u, along_v
+
+
+def plane_points(grid: Grid, z_mm: float, unit: F64) -> F64:
+    """World points (n, 3) of a plane given in u, v."""
+    x, y, _ = grid.axes_mm
+    ends = np.array([[x[0], y[0]], [x[-1], y[-1]]])
+    return np.column_stack([(ends[0] + ends[1]) / 2 + unit * (ends[1] - ends[0]) / 2, np.full(len(unit), z_mm)])
+
+
+def _maps_of_degree(camera: CameraModel, grid: Grid, depths: F64, degree: int) -> list[PlaneMap]:
+    coefficients, errors = fit(_plane_function(camera, grid, depths), degree)
+    pairs = zip(coefficients.reshape(len(depths), 2, -1), errors.reshape(len(depths), 2), strict=True)
+    return [PlaneMap(degree, part, float(np.linalg.norm(error))) for part, error in pairs]
+
+
+def _plane_function(camera: CameraModel, grid: Grid, depths: F64) -> Smooth:
+    """Exact pixels of points on several planes: (n, 2 planes)."""
+
+    def pixels(unit: F64) -> F64:
+        return np.column_stack([_project_plane(camera, grid, float(z), unit) for z in depths])
+
+    return pixels
+
+
+def _project_plane(camera: CameraModel, grid: Grid, z_mm: float, unit: F64) -> F64:
+    pixels, valid = camera.project(plane_points(grid, z_mm, unit))
+    if not valid.all():
+        raise ValueError(f"{camera.name}: expected a light path to every voxel, but the plane z = {z_mm:g} mm has points without one")
+    return pixels

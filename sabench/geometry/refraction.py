@@ -1,0 +1,322 @@
+"""Refraction by a stack of parallel plane layers between a camera and a fluid.
+
+Light between a point of the camera's medium and a point of the fluid stays in the plane that holds both and the
+wall normal, so the path has one unknown. sabench takes t = tan of the ray's angle in the RAREST medium of the stack:
+every other medium then has a relative index r >= 1 and adds d t / sqrt(r^2 + (r^2 - 1) t^2) to the lateral distance, which
+increases and is concave in t and has no pole, for any order of indices. Newton's iteration on an increasing concave function
+climbs to the root from the left without overshooting; the bracket [t_low, R / d_rarest] guards it against rounding all the same.
+(The thesis solves the same path for two unknowns per layer pair, equations 4.14 and 4.15.)
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from sabench.utils.arrays import F64, Bool
+
+_CHUNK = 1 << 14  # points per pass: the working arrays of one pass stay in the second-level cache
+_HALLEY, _MAX_STEPS = 4, 100
+
+
+@dataclass(frozen=True)
+class Layer:
+    """One solid layer of a wall: its name, refractive index and thickness (mm)."""
+
+    name: str
+    index: float
+    thickness_mm: float
+
+
+@dataclass(frozen=True)
+class Wall:
+    """A stack of parallel layers between the cameras' medium and the fluid.
+
+    Attributes
+    ----------
+    point_mm : a point on the outer face (the face that the cameras see), world frame.
+    normal : unit vector from the cameras into the tank, world frame.
+    air_index, fluid_index : refractive indices on the cameras' side and in the tank.
+    layers : the solid layers, in the order in which light from a camera meets them; may be empty (a bare surface).
+    depth_mm : free distance from the inner face to the back wall, or None where there is none.
+    """
+
+    point_mm: tuple[float, float, float]
+    normal: tuple[float, float, float]
+    air_index: float
+    layers: tuple[Layer, ...]
+    fluid_index: float
+    depth_mm: float | None = None
+
+    @property
+    def thickness_mm(self) -> float:
+        """Distance from the outer to the inner face."""
+        return sum(layer.thickness_mm for layer in self.layers)
+
+    @property
+    def indices(self) -> F64:
+        """Indices of all media along the way of light from a camera: (2 + layers,)."""
+        return np.array([self.air_index, *(layer.index for layer in self.layers), self.fluid_index])
+
+    @property
+    def interface_depths_mm(self) -> F64:
+        """Depth of every interface behind the outer face: (1 + layers,)."""
+        return np.cumsum([0.0, *(layer.thickness_mm for layer in self.layers)])
+
+    def depth_of(self, points_mm: F64) -> F64:
+        """Signed distance of points (..., 3) behind the outer face, mm."""
+        return np.asarray((points_mm - np.asarray(self.point_mm)) @ np.asarray(self.normal))
+
+
+def wall_axes(wall: Wall) -> tuple[F64, F64, F64]:
+    """Two unit vectors along a wall and its normal, a right-handed frame; the first is as near to X as it can be."""
+    normal = np.asarray(wall.normal, dtype=np.float64)
+    x = np.array([1.0, 0.0, 0.0]) if abs(normal[0]) < 0.9 else np.array([0.0, 1.0, 0.0])
+    across = np.cross(normal, x)
+    across /= np.linalg.norm(across)
+    return np.cross(across, normal), across, normal
+
+
+@dataclass(frozen=True)
+class Paths:
+    """Light paths from a pinhole to points: unit directions (n, 3) away from the pinhole, in its medium and in the fluid."""
+
+    leaving: F64
+    arriving: F64
+    valid: Bool
+
+
+def trace_to_points(wall: Wall | None, pinhole_mm: F64, points_mm: F64) -> Paths:
+    """Paths of light from one pinhole (3,) to points (n, 3) through the wall.
+
+    `valid` is False for points that are not in the fluid, that are not finite, or when the pinhole itself lies in the wall or the fluid.
+    """
+    if wall is None:
+        offset = points_mm - pinhole_mm
+        with np.errstate(invalid="ignore", divide="ignore"):
+            direction = offset / np.linalg.norm(offset, axis=1, keepdims=True)
+        return Paths(direction, direction, np.isfinite(direction).all(axis=1))
+    normal = np.asarray(wall.normal)
+    leaving, arriving = np.empty_like(points_mm), np.empty_like(points_mm)
+    valid = np.empty(len(points_mm), dtype=np.bool_)
+    for part in _chunks(len(points_mm)):
+        towards, radius, depths, good = _cylindrical(wall, pinhole_mm, points_mm[part])
+        slope, _ = solve_slope(wall.indices, depths, radius)
+        _direct(normal, towards, *_angle_in(wall.indices, 0, slope), leaving[part])
+        _direct(normal, towards, *_angle_in(wall.indices, -1, slope), arriving[part])
+        valid[part] = good
+    if not valid.all():
+        leaving[~valid] = arriving[~valid] = np.nan
+    return Paths(leaving, arriving, valid)
+
+
+def solve_slope(indices: F64, depths_mm: list[F64 | float], radius_mm: F64) -> tuple[F64, F64]:
+    """Tangent t of the angle in the rarest medium for paths of a given lateral distance, and the residual in mm.
+
+    Parameters
+    ----------
+    indices : (m,) refractive indices.
+    depths_mm : for each medium the distance that the path crosses along the normal; scalars or arrays (n,), positive or zero.
+    radius_mm : (n,) lateral distance between the ends of the path.
+
+    Returns
+    -------
+    slope : (n,) t >= 0.
+    residual_mm : (n,) lateral distance of the traced path minus `radius_mm`.
+    """
+    relative = indices / indices.min()
+    quick = _halley(relative, depths_mm, radius_mm)
+    if quick is not None:
+        return quick
+    rare = np.asarray(sum(depth for depth, r in zip(depths_mm, relative, strict=True) if r == 1.0))
+    reach = radius_mm / np.maximum(rare, 1e-300)  # an upper bound: the rarest medium alone cannot bridge more than R
+    low = radius_mm / np.asarray(sum(depth / r for depth, r in zip(depths_mm, relative, strict=True)))  # paraxial root
+    slope = low
+    value, gradient = _lateral(relative, depths_mm, slope)
+    for _ in range(_MAX_STEPS):
+        low = np.where(value <= radius_mm, np.maximum(low, slope), low)
+        reach = np.where(value >= radius_mm, np.minimum(reach, slope), reach)
+        step = slope + (radius_mm - value) / gradient
+        better = np.where((step >= low) & (step <= reach), step, 0.5 * (low + reach))
+        moved = np.abs(better - slope)
+        slope = better
+        value, gradient = _lateral(relative, depths_mm, slope)
+        if np.all((moved <= 2e-16 * slope) | (np.abs(value - radius_mm) <= 2e-13 + 5e-16 * radius_mm)):
+            break
+    return slope, value - radius_mm
+
+
+def _halley(relative: F64, depths_mm: list[F64 | float], radius_mm: F64) -> tuple[F64, F64] | None:
+    """The same by a few of Halley's steps, which triple the right digits but have no bracket; None where one has not arrived."""
+    slope = _start(relative, depths_mm, radius_mm)
+    for _ in range(_HALLEY):
+        value, gradient, bow = _bowed(relative, depths_mm, slope)
+        miss = radius_mm - value
+        step = 2.0 * miss * gradient / (2.0 * gradient * gradient - 3.0 * miss * bow * slope)
+        slope = slope + step
+        if np.all(np.abs(step) <= 1e-5 * slope):
+            value, _ = _lateral(relative, depths_mm, slope)
+            left = value - radius_mm
+            return (slope, left) if np.all(np.abs(left) <= 2e-13 + 5e-16 * radius_mm) else None
+    return None
+
+
+def _start(relative: F64, depths_mm: list[F64 | float], radius_mm: F64) -> F64:
+    """A first tangent: right to the third power for steep paths and in the limit for flat ones, where the rarest medium bridges all."""
+    paraxial, rare, bow = (np.zeros(np.shape(radius_mm)) for _ in range(3))
+    for depth, r in zip(depths_mm, relative, strict=True):
+        paraxial += depth / r
+        if r == 1.0:
+            rare += depth
+        else:
+            bow += depth * (0.5 * (r * r - 1.0) / r**3)
+    slope = radius_mm / paraxial
+    square = slope * slope
+    square *= bow
+    return np.asarray(slope * (1.0 + square * (paraxial - rare) / (paraxial * (paraxial - rare) + rare * square + 1e-300)))
+
+
+def _bowed(relative: F64, depths_mm: list[F64 | float], slope: F64) -> tuple[F64, F64, F64]:
+    """Lateral distance of a path with slope t in the rarest medium, its derivative, and its second one over -3 t."""
+    square = slope * slope
+    value, gradient, bow = np.zeros_like(slope), np.zeros_like(slope), np.zeros_like(slope)
+    for depth, r in zip(depths_mm, relative, strict=True):
+        if r == 1.0:
+            value += depth
+            gradient += depth
+            continue
+        inverse_square = 1.0 / (r * r + (r * r - 1.0) * square)
+        part = depth * np.sqrt(inverse_square)
+        value += part
+        part *= inverse_square
+        part *= r * r
+        gradient += part
+        part *= inverse_square
+        part *= r * r - 1.0
+        bow += part
+    return value * slope, gradient, bow
+
+
+def _lateral(relative: F64, depths_mm: list[F64 | float], slope: F64) -> tuple[F64, F64]:
+    """Lateral distance of a path with slope t in the rarest medium, and its derivative."""
+    square = slope * slope
+    value, gradient = np.zeros_like(slope), np.zeros_like(slope)
+    for depth, r in zip(depths_mm, relative, strict=True):
+        if r == 1.0:
+            value += depth * slope
+            gradient += depth
+            continue
+        inverse = 1.0 / np.sqrt(r * r + (r * r - 1.0) * square)
+        part = depth * inverse
+        value += part * slope
+        gradient += (r * r) * part * inverse * inverse
+    return value, gradient
+
+
+def _angle_in(indices: F64, medium: int, slope: F64) -> tuple[F64, F64]:
+    """Sine and cosine of the path's angle in one medium, from the tangent in the rarest."""
+    r, square = indices[medium] / indices.min(), slope * slope
+    scale = 1.0 / np.sqrt(1.0 + square)
+    if r == 1.0:
+        return slope * scale, scale
+    scale /= r
+    square *= r * r - 1.0
+    square += r * r
+    return slope * scale, np.sqrt(square, out=square) * scale
+
+
+def _cylindrical(wall: Wall, pinhole_mm: F64, points_mm: F64) -> tuple[F64, F64, list[F64 | float], Bool]:
+    """Unit vectors (3, n) along the wall towards points, lateral distances, depths crossed per medium, validity; zeros where there is no path."""
+    normal = np.asarray(wall.normal)
+    before = -float(wall.depth_of(pinhole_mm))
+    lateral = np.array(points_mm.T, order="C")  # separate coordinates: numpy is slow on rows of three
+    lateral -= pinhole_mm[:, None]
+    with np.errstate(invalid="ignore"):  # infinite coordinates
+        along = normal @ lateral
+        behind = along - (before + wall.thickness_mm)
+        for axis in range(3):
+            lateral[axis] -= normal[axis] * along
+    valid: Bool = np.isfinite(behind) & (behind > 0.0) & (before > 0.0)  # a coordinate that is not finite makes the depth so, too
+    if not valid.all():
+        lateral[:, ~valid], behind[~valid] = 0.0, 1.0
+    radius = np.sqrt(lateral[0] ** 2 + lateral[1] ** 2 + lateral[2] ** 2)
+    lateral *= 1.0 / np.where(radius > 0.0, radius, 1.0)
+    return lateral, radius, [max(before, 1e-300), *(layer.thickness_mm for layer in wall.layers), behind], valid
+
+
+def _direct(normal: F64, towards: F64, sine: F64, cosine: F64, out: F64) -> None:
+    """Unit vectors (n, 3) at given angles from the normal, leaning towards unit vectors (3, n) along the wall."""
+    for axis in range(3):
+        out[:, axis] = sine * towards[axis] + cosine * normal[axis]
+
+
+def _chunks(count: int) -> Iterator[slice]:
+    for start in range(0, count, _CHUNK):
+        yield slice(start, min(start + _CHUNK, count))
+
+
+@dataclass(frozen=True)
+class Rays:
+    """Rays in the fluid: origins (n, 3) in mm on the wall's inner face (the pinhole without a wall), unit directions (n, 3)."""
+
+    origins_mm: F64
+    directions: F64
+    valid: Bool
+
+
+def trace_into_fluid(wall: Wall | None, pinhole_mm: F64, directions: F64) -> Rays:
+    """Follow unit directions (n, 3) from a pinhole (3,) through the wall; total reflection and misses are not `valid`."""
+    origins = np.broadcast_to(pinhole_mm, directions.shape).copy()
+    valid: Bool = np.asarray(np.isfinite(directions).all(axis=1))
+    if wall is None:
+        return Rays(origins, directions.copy(), valid)
+    normal, indices, current = np.asarray(wall.normal), wall.indices, directions
+    gaps = np.diff(wall.interface_depths_mm, prepend=wall.depth_of(pinhole_mm))
+    valid &= gaps[0] > 0.0
+    with np.errstate(invalid="ignore", divide="ignore"):
+        for gap, before, after in zip(gaps, indices[:-1], indices[1:], strict=True):
+            cosine = current @ normal
+            origins = origins + current * (gap / cosine)[:, None]
+            tangential = (current - cosine[:, None] * normal) * (before / after)
+            square = 1.0 - np.einsum("ij,ij->i", tangential, tangential)
+            valid &= (cosine > 0.0) & (square > 0.0)
+            current = tangential + np.sqrt(square)[:, None] * normal
+    origins[~valid] = current[~valid] = np.nan
+    return Rays(origins, current, valid)
+
+
+def length_to_fluid(wall: Wall | None, pinhole_mm: F64, leaving: F64) -> F64:
+    """Lengths (n,) of light's ways from a pinhole (3,) to the wall's inner face, for unit directions (n, 3) in the camera's medium.
+
+    0 without a wall.
+    """
+    if wall is None:
+        return np.zeros(len(leaving))
+    cosine = leaving @ np.asarray(wall.normal)
+    sine = np.sqrt(np.maximum(0.0, 1.0 - cosine**2))
+    total = -wall.depth_of(pinhole_mm) / cosine
+    for layer in wall.layers:
+        total = total + layer.thickness_mm / np.sqrt(1.0 - (sine * wall.air_index / layer.index) ** 2)
+    return np.asarray(total)
+
+
+def transmittance(wall: Wall | None, leaving: F64) -> F64:
+    """Fraction of unpolarised power that passes all interfaces, for unit directions (n, 3) in the camera's medium.
+
+    Fresnel's equations at every interface; light that is reflected twice inside a layer is not counted.
+    """
+    if wall is None:
+        return np.ones(len(leaving))
+    indices, cosine = wall.indices, leaving @ np.asarray(wall.normal)
+    result = np.ones(len(leaving))
+    for before, after in itertools.pairwise(indices):
+        sine = (before / after) * np.sqrt(np.maximum(0.0, 1.0 - cosine * cosine))
+        after_cosine = np.sqrt(np.maximum(0.0, 1.0 - sine * sine))
+        senkrecht = (before * cosine - after * after_cosine) / (before * cosine + after * after_cosine)
+        parallel = (after * cosine - before * after_cosine) / (after * cosine + before * after_cosine)
+        result *= 1.0 - 0.5 * (senkrecht**2 + parallel**2)
+        cosine = after_cosine
+    return result

@@ -1,0 +1,63 @@
+"""Points in space from their images in several cameras, whatever the cameras' model."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from sabench.geometry.camera_model import CameraModel
+from sabench.utils.arrays import F64
+
+_STEPS = 5
+_DELTA_MM = 1e-3  # over which a projection's slope is measured
+
+
+def triangulate(cameras: Sequence[CameraModel], pixels: F64) -> F64:
+    """Points (n, 3) whose projections lie nearest to pixels (camera, n, 2), in the least-squares sense; NaN where fewer than two cameras see one.
+
+    Lines of sight are intersected first; then Gauss and Newton's steps lower the sum of squared reprojection errors.
+    """
+    points = intersect(cameras, pixels)
+    for _ in range(_STEPS):
+        step = _step(cameras, pixels, points)
+        points = points + step
+        if np.nanmax(np.abs(step), initial=0.0) < 1e-9:
+            break
+    return points
+
+
+def intersect(cameras: Sequence[CameraModel], pixels: F64) -> F64:
+    """Points (n, 3) nearest to the lines of sight of pixels (camera, n, 2); NaN where fewer than two cameras see one."""
+    count = pixels.shape[1]
+    matrix, right, seen = np.zeros((count, 3, 3)), np.zeros((count, 3)), np.zeros(count)
+    for camera, own in zip(cameras, pixels, strict=True):
+        there = np.isfinite(own).all(axis=1)
+        rays = camera.back_project(own[there])
+        there[there] = rays.valid
+        direction = rays.directions[rays.valid]
+        across = np.eye(3) - direction[:, :, None] * direction[:, None, :]
+        matrix[there] += across
+        right[there] += np.einsum("nij,nj->ni", across, rays.origins_mm[rays.valid])
+        seen[there] += 1.0
+    points = np.full((count, 3), np.nan)
+    enough = (seen >= 2.0) & (np.abs(np.linalg.det(matrix)) > 1e-12)
+    points[enough] = np.linalg.solve(matrix[enough], right[enough][:, :, None])[:, :, 0]
+    return points
+
+
+def _step(cameras: Sequence[CameraModel], pixels: F64, points: F64) -> F64:
+    """One Gauss-Newton step of every point; zero where it cannot be made."""
+    matrix, right = np.zeros((len(points), 3, 3)), np.zeros((len(points), 3))
+    for camera, own in zip(cameras, pixels, strict=True):
+        here, valid = camera.project(points)
+        slope = np.stack(
+            [(camera.project(points + axis)[0] - camera.project(points - axis)[0]) / (2.0 * _DELTA_MM) for axis in _DELTA_MM * np.eye(3)], -1
+        )
+        good = valid & np.isfinite(own).all(axis=1) & np.isfinite(slope).all(axis=(1, 2))
+        matrix[good] += np.einsum("nki,nkj->nij", slope[good], slope[good])
+        right[good] += np.einsum("nki,nk->ni", slope[good], own[good] - here[good])
+    step = np.zeros_like(points)
+    enough = np.abs(np.linalg.det(matrix)) > 1e-12
+    step[enough] = np.linalg.solve(matrix[enough], right[enough][:, :, None])[:, :, 0]
+    return step

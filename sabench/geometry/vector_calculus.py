@@ -1,0 +1,37 @@
+"""Gradients of vector fields on lattices, their curl and divergence."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from sabench.utils.arrays import F64, Bool
+
+
+def vorticity(gradient: F64) -> F64:
+    """Curl (..., 3) of a field with gradients (..., 3, 3), du_i / dx_j."""
+    turns = [gradient[..., i, j] - gradient[..., j, i] for i, j in ((2, 1), (0, 2), (1, 0))]
+    return np.stack(turns, axis=-1)
+
+
+def divergence(gradient: F64) -> F64:
+    """Divergence (...) of a field with gradients (..., 3, 3)."""
+    return np.asarray(np.trace(gradient, axis1=-2, axis2=-1))
+
+
+def gradient(velocity: F64, step_mm: tuple[float, float, float]) -> F64:
+    """Gradients (z, y, x, 3, 3), du_i / dx_j, of a field on a lattice by central differences; NaN along axes of a single node."""
+    parts: list[F64] = []
+    for axis in range(3):
+        along = 2 - axis  # x varies along the last of the first three
+        if velocity.shape[along] < 2:
+            parts.append(np.full(velocity.shape, np.nan))
+        else:
+            parts.append(np.asarray(np.gradient(velocity, step_mm[axis], axis=along)))
+    return np.stack(parts, axis=-1)
+
+
+def inner(shape: tuple[int, int, int]) -> Bool:
+    """Nodes whose differences are central ones."""
+    out = np.zeros(shape, dtype=np.bool_)
+    out[1:-1, 1:-1, 1:-1] = True
+    return out

@@ -1,0 +1,1 @@
+"""Image files, preprocessing, brightness and peaks of camera images."""

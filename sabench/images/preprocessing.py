@@ -1,0 +1,90 @@
+"""Images made ready for reconstruction: background taken away, cameras made alike; the steps of the thesis's section 2.3.2, in any order."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Annotated, Literal
+
+import cv2
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field
+
+from sabench.utils.arrays import F32, U16
+
+WHITE = 65535  # of processed images; their black is 0
+
+
+class _Step(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+class SlidingMinimum(_Step):
+    """Subtract the least value of the pixels around each one."""
+
+    step: Literal["sliding_minimum"]
+    window_px: int = Field(10, ge=2, le=1000, description="edge of the square of pixels")
+
+    def apply(self, images: F32) -> F32:
+        """Images (camera, row, column), none below zero."""
+        kernel = np.ones((self.window_px, self.window_px), dtype=np.uint8)
+        return np.stack([image - cv2.erode(image, kernel, borderType=cv2.BORDER_REPLICATE) for image in images])
+
+
+class Gaussian(_Step):
+    """Convolve with a Gaussian."""
+
+    step: Literal["gaussian"]
+    reach_px: int = Field(1, ge=1, le=50, description="of the kernel to either side: 1 makes it 3 x 3")
+    sigma_px: float = Field(0.5, gt=0.0, description="standard deviation")
+
+    def apply(self, images: F32) -> F32:
+        """Images (camera, row, column); beyond the edges they are mirrored."""
+        size = 2 * self.reach_px + 1
+        return np.stack([cv2.GaussianBlur(image, (size, size), self.sigma_px) for image in images])
+
+
+class MatchHistograms(_Step):
+    """Give all cameras the grey values of the one with the highest contrast, rank by rank."""
+
+    step: Literal["match_histograms"]
+
+    def apply(self, images: F32) -> F32:
+        """Images (camera, row, column); pixels of one value keep one value, the mean over their ranks."""
+        best = np.sort(images[int(np.argmax(images.std(axis=(1, 2))))], axis=None)
+        return np.stack([_ranked(image, best) for image in images])
+
+
+class Stretch(_Step):
+    """Cut off the darkest and brightest pixels of each camera and stretch what is between to the whole range."""
+
+    step: Literal["stretch"]
+    percent: float = Field(0.1, ge=0.0, lt=50.0, description="of the pixels, at either end")
+
+    def apply(self, images: F32) -> F32:
+        """Images (camera, row, column) from 0 to 1; one without contrast becomes black."""
+        out = np.zeros_like(images)
+        for image, stretched in zip(images, out, strict=True):
+            low, high = np.percentile(image, [self.percent, 100.0 - self.percent])
+            if high > low:
+                np.clip((image - low) / (high - low), 0.0, 1.0, out=stretched)
+        return out
+
+
+Step = Annotated[SlidingMinimum | Gaussian | MatchHistograms | Stretch, Field(discriminator="step")]
+
+
+def processed(images: U16, black_dn: float, white_dn: float, steps: Sequence[Step]) -> U16:
+    """Images (camera, row, column) after all steps, from 0 to `WHITE`: finer than grey values, which blurring would else round."""
+    light = np.clip((images.astype(np.float32) - np.float32(black_dn)) / np.float32(white_dn - black_dn), 0.0, 1.0)
+    for step in steps:
+        light = step.apply(light)
+    return np.asarray(np.rint(np.clip(light, 0.0, 1.0) * WHITE), dtype=np.uint16)
+
+
+def _ranked(image: F32, values: F32) -> F32:
+    """The image with its grey values replaced by the sorted ones of the same ranks."""
+    levels, place, count = np.unique(image, return_inverse=True, return_counts=True)
+    ends = np.cumsum(count)
+    sums = np.concatenate([[0.0], np.cumsum(values, dtype=np.float64)])
+    means = (sums[ends] - sums[ends - count]) / count
+    return np.asarray(means[place].reshape(image.shape), dtype=np.float32) if len(levels) > 1 else image

@@ -1,0 +1,42 @@
+"""The process in which OpenLPT runs on a folder that `openlpt.write_project` made: python -m sabench.interop.openlpt_process FOLDER."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Any
+
+from sabench.interop.openlpt import LEAST_FRAMES
+
+
+def main(folder: Path) -> None:
+    """Track particles, or reconstruct them frame by frame where there are too few frames for tracks."""
+    import pyopenlpt as lpt
+
+    settings = lpt.BasicSetting()
+    settings.readConfig(str(folder / "config.txt"))
+    if settings._frame_end + 1 >= LEAST_FRAMES:
+        lpt.run(str(folder / "config.txt"))
+    else:
+        _reconstruct(lpt, folder, settings)
+
+
+def _reconstruct(lpt: Any, folder: Path, settings: Any) -> None:
+    config = lpt.TracerConfig()
+    lines, row = config.readCommonConfig(str(folder / "tracer.txt"), settings)
+    config._min_obj_int, config._radius_obj = int(lines[row]), float(lines[row + 1])
+    cameras = [lpt.loadCameraModel(str(folder / f"cam{number}.txt")) for number in range(settings._n_cam)]
+    config._otf.loadParam(settings._n_cam, 2, 2, 2, settings._axis_limit, cameras)
+    readers = [lpt.ImageIO("", path) for path in settings._image_file_paths]
+    films = [[reader.loadImg(frame) for frame in range(settings._frame_end + 1)] for reader in readers]
+    for camera, film in enumerate(films):
+        config._otf.estimateUniformOTFFromImage(camera, config, film)
+    for frame in range(settings._frame_end + 1):
+        found = lpt.IPR(cameras).runIPR(config, [film[frame] for film in films])
+        rows = [" ".join(repr(value[0]) for value in one._pt_center.to_list()) for one in found]
+        (folder / f"found_{frame:05d}.txt").write_text("\n".join(rows) + "\n", encoding="utf-8")
+        print(f"Total time for frame {frame}", flush=True)
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]))

@@ -1,0 +1,117 @@
+"""The process in which OpenPTV runs on a folder that `openptv.write_project` made: python -m sabench.interop.openptv_process FOLDER.
+
+The steps are those of its own window, pyptv: particle images, correspondences, positions, then tracking out of the files of these.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import tifffile
+
+from sabench.utils.files import read_json
+
+_SIMILAR = 0.01  # least ratio of sizes and brightnesses of a particle's images: overlaps must pass
+_LEAST = 3  # cameras that must see a particle, of three or more
+
+
+def parameters(folder: Path, project: dict[str, Any]) -> tuple[list[Any], Any, Any]:
+    """Its cameras, and its parameters of control and of the volume."""
+    from optv.calibration import Calibration
+    from optv.parameters import ControlParams, VolumeParams
+
+    media, size = project["media"], project["pixel_mm"]
+    control = ControlParams(project["cameras"], flags=[], image_size=project["image_size"], pixel_size=(size, size), cam_side_n=media["n1"],
+                            wall_ns=media["n2"], wall_thicks=media["d"], object_side_n=media["n3"])  # fmt: skip
+    volume = VolumeParams(x_span=np.array(project["x_mm"]), z_spans=np.array([project["z_mm"], project["z_mm"]]), pixels_tot=_SIMILAR,
+                          pixels_x=_SIMILAR, pixels_y=_SIMILAR, ref_gray=_SIMILAR, epipolar_band=project["tolerance_px"] * size,
+                          min_correlation=0.0)  # fmt: skip
+    cameras = []
+    for number in range(project["cameras"]):
+        camera = Calibration()
+        camera.from_file(f"{folder}/cam{number}.ori", f"{folder}/cam{number}.addpar")
+        cameras.append(camera)
+    return cameras, control, volume
+
+
+def main(folder: Path) -> None:
+    """Find, match and track."""
+    os.chdir(folder)
+    project = read_json(folder / "project.json")
+    cameras, control, volume = parameters(folder, project)
+    for number in range(project["cameras"]):
+        control.set_img_base_name(number, f"img/cam{number}.")
+    (folder / "img").mkdir(exist_ok=True)
+    (folder / "res").mkdir(exist_ok=True)
+    counts = [_frame(folder, frame, project, cameras, control, volume) for frame in range(project["frames"])]
+    links = _track(folder, project, cameras, control, volume) if project["frames"] > 1 and min(counts) else []
+    (folder / "links.json").write_text(json.dumps(links), encoding="utf-8")
+
+
+def _frame(folder: Path, frame: int, project: dict[str, Any], cameras: list[Any], control: Any, volume: Any) -> int:
+    """Particle images, correspondences and positions of a frame, and the files that tracking reads; returns how many particles there are."""
+    from optv.correspondences import MatchedCoords, correspondences
+    from optv.orientation import point_positions
+    from optv.parameters import TargetParams
+    from optv.segmentation import target_recognition
+
+    images = tifffile.imread(folder / f"frame_{frame:05d}.tif").reshape(project["cameras"], *project["image_size"][::-1])
+    chosen = TargetParams(discont=project["discontinuity"], gvthresh=[project["threshold"]] * 4, pixel_count_bounds=(2, 400), xsize_bounds=(1, 40),
+                          ysize_bounds=(1, 40), min_sum_grey=project["threshold"], cross_size=2)  # fmt: skip
+    targets, flat = [], []
+    for number, image in enumerate(images):
+        own = target_recognition(np.ascontiguousarray(image), chosen, number, control)
+        own.sort_y()
+        targets.append(own)
+        flat.append(MatchedCoords(own, control, cameras[number]))
+    pixels, rows, _ = correspondences(targets, flat, cameras, volume, control)
+    row = np.concatenate([part.reshape(len(cameras), -1) for part in rows], axis=1).astype(int) if len(pixels) else np.zeros((len(cameras), 0), int)
+    row = row[:, (row >= 0).sum(axis=0) >= min(_LEAST, len(cameras))]
+    places = np.zeros((0, 3))
+    if row.shape[1]:
+        seen = np.array([one.get_by_pnrs(own) for one, own in zip(flat, row, strict=True)])
+        places, _ = point_positions(np.ascontiguousarray(seen.transpose(1, 0, 2)), control, cameras, volume)
+    for number, own in enumerate(targets):
+        own.write(f"img/cam{number}.".encode(), frame + 1)
+    _write_places(folder, frame, places, row)
+    print(f"sabench frame {frame}", flush=True)
+    return len(places)
+
+
+def _write_places(folder: Path, frame: int, places: Any, row: Any) -> None:
+    """Positions in full for sabench, and with correspondences as tracking reads them."""
+    (folder / f"found_{frame:05d}.json").write_text(json.dumps(places.tolist()), encoding="utf-8")
+    four = np.full((4, len(places)), -1)
+    four[: len(row)] = row
+    both = enumerate(zip(places, four.T, strict=True), 1)
+    lines = [f"{n:4d} {x:9.3f} {y:9.3f} {z:9.3f} {a:4d} {b:4d} {c:4d} {d:4d}" for n, ((x, y, z), (a, b, c, d)) in both]
+    (folder / "res" / f"rt_is.{frame + 1}").write_text("\n".join([str(len(places)), *lines]) + "\n", encoding="utf-8")
+
+
+def _track(folder: Path, project: dict[str, Any], cameras: list[Any], control: Any, volume: Any) -> list[list[int]]:
+    """For each frame, the row that each particle had in the frame before."""
+    from optv.parameters import SequenceParams, TrackingParams
+    from optv.tracker import Tracker
+
+    most = project["move_mm"]
+    limits = np.array([[-most, most]] * 3)
+    chosen = TrackingParams(accel_lim=project["change_mm"], angle_lim=project["angle_gon"], velocity_lims=limits, add_particle=0)
+    frames = SequenceParams(image_base=[f"img/cam{number}." for number in range(project["cameras"])], frame_range=(1, project["frames"]))
+    names = {"corres": "res/rt_is", "linkage": "res/ptv_is", "prio": "res/added"}
+    Tracker(control, volume, chosen, frames, cameras, names).full_forward()
+    return [_before(folder / "res" / f"ptv_is.{frame + 1}") for frame in range(project["frames"])]
+
+
+def _before(path: Path) -> list[int]:
+    if not path.is_file():
+        return []
+    return [int(line.split()[0]) for line in path.read_text(encoding="utf-8").splitlines()[1:]]
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]))

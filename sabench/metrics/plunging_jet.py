@@ -1,0 +1,111 @@
+"""What a plunging jet's bubbles say of it: concentration over depth and radius, penetration depth, angle, and the scaling of equation 5.18.
+
+Source: thesis, section 5.5: bins of 20 mm along Y and 8 mm along R; Y_p is the mean of the depth where the concentration drops and the bin above;
+D_eq is where the concentration at the bin above falls to 5 % of its largest there; C_Y is a sum over R without a weight (equation 5.17).
+"""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import OptimizeWarning, curve_fit
+
+from sabench.utils.arrays import F64
+from sabench.worlds.library.plunging_jet import EDGE
+
+DEPTH_MM, RADIUS_MM = 20.0, 8.0  # bins
+_CLOUD = 0.2  # of the largest C_Y
+
+
+@dataclass(frozen=True)
+class JetFigures:
+    """Concentration (depth, radius) on bins, and what follows from it; NaN for what does not show.
+
+    Attributes
+    ----------
+    depth_mm, radius_mm : middles of the bins.
+    total : C_Y (depth,), mm.
+    largest : C_max (depth,).
+    half_radius_mm : R_.5 (depth,).
+    """
+
+    depth_mm: F64
+    radius_mm: F64
+    concentration: F64
+    total: F64
+    largest: F64
+    half_radius_mm: F64
+    penetration_mm: float
+    equivalent_mm: float
+    angle_deg: float
+    weight: float
+    width: float
+
+
+def analyse(center_mm: F64, radius_mm: F64, impact_mm: F64, depth_mm: float, frames: int = 1) -> JetFigures:
+    """Figures of bubbles (n, 3), (n,) of one or several frames below a jet that points along +Y from `impact_mm`, down to `depth_mm`."""
+    places = center_mm - impact_mm
+    depths = np.arange(0.0, depth_mm + 1e-9, DEPTH_MM)
+    outer = max(RADIUS_MM, float(np.hypot(places[:, 0], places[:, 2]).max(initial=0.0)))
+    radii = np.arange(0.0, outer + RADIUS_MM, RADIUS_MM)
+    volume = 4.0 / 3.0 * np.pi * radius_mm**3
+    air, *_ = np.histogram2d(places[:, 1], np.hypot(places[:, 0], places[:, 2]), bins=(depths, radii), weights=volume)
+    room = np.pi * np.diff(radii**2)[None] * DEPTH_MM
+    concentration = air / room / frames
+    y, r = (edges[:-1] + np.diff(edges) / 2.0 for edges in (depths, radii))
+    total, largest = 2.0 * np.pi * concentration.sum(axis=1) * RADIUS_MM, concentration.max(axis=1, initial=0.0)
+    half = np.array([_falls_to(r, row, 0.5) for row in concentration])
+    drop = _drop(total)
+    penetration = equivalent = float("nan")
+    if drop is not None:
+        penetration = float(y[drop] + y[drop - 1]) / 2.0
+        equivalent = 2.0 * _falls_to(r, concentration[drop - 1], EDGE)
+    angle = float(np.rad2deg(np.arctan2(equivalent / 2.0, y[drop - 1]))) if drop is not None else float("nan")
+    weight, width = _scaling(y, total, penetration)
+    return JetFigures(y, r, concentration, total, largest, half, penetration, equivalent, angle, weight, width)
+
+
+def _falls_to(r: F64, profile: F64, part: float) -> float:
+    """Radius where a profile has fallen to a part of its largest value, linearly between bins; NaN without any."""
+    if not len(profile) or profile.max() <= 0.0:
+        return float("nan")
+    start = int(profile.argmax())
+    level = part * profile[start]
+    below = np.flatnonzero(profile[start:] <= level)
+    if not len(below):
+        return float(r[-1])
+    k = start + int(below[0])
+    return float(np.interp(level, [profile[k], profile[k - 1]], [r[k], r[k - 1]]))
+
+
+def _drop(total: F64) -> int | None:
+    """The bin to which the concentration falls most sharply, to the smallest part of the bin above it; None if there is none.
+
+    Bins below a fifth of the peak are not asked: in the few bubbles below the cloud any may be empty.
+    """
+    top = int(total.argmax()) if len(total) else 0
+    if not len(total) or total[top] <= 0.0 or top + 1 >= len(total):
+        return None
+    part = total[top + 1 :] / np.maximum(total[top:-1], 1e-300)
+    part[total[top:-1] < _CLOUD * total[top]] = np.inf
+    return top + 1 + int(np.argmin(part))
+
+
+def _scaling(y: F64, total: F64, penetration: float) -> tuple[float, float]:
+    """A and s of equation 5.18."""
+    if not np.isfinite(penetration) or len(y) < 4:
+        return float("nan"), float("nan")
+    scaled = (y - y[total.argmax()]) / penetration
+
+    def law(x: F64, weight: float, width: float) -> F64:
+        return np.asarray(weight * np.exp(-(x**2) / (2.0 * width**2)) + (1.0 - weight))
+
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", OptimizeWarning)
+            (weight, width), _ = curve_fit(law, scaled, total / total.max(), p0=(0.9, 0.2), maxfev=4000)
+    except RuntimeError:
+        return float("nan"), float("nan")
+    return float(weight), abs(float(width))

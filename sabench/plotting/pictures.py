@@ -1,0 +1,218 @@
+"""Small PNG pictures for the page: what the cameras saw, and one slice of what a volume holds."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import numpy.typing as npt
+
+from sabench.utils.arrays import F32, F64, U16, Bool
+
+U8 = npt.NDArray[np.uint8]
+
+_MONTAGE_PX = 900  # widest mosaic
+_GAP_PX = 5  # between two cameras
+_GAP_GREY = 200  # stands out from sparse and from crowded images
+_GAMMA = 1.0 / 2.2  # a particle of 1 % of the brightest is shown at 12 %
+_BRIGHTEST = 99.9  # percentile shown as white
+_LEAST_RANGE = 0.01  # of black to white: below this, noise would be shown as light
+_WINDOW = 200  # voxels of a slice that are shown, per side
+_ENLARGED_PX = 400  # side of a slice's picture
+# Blue, green, red of errors, told apart by the colour-blind and as dark as each other: the ends and the middle of RdBu.
+_MISSING, _RIGHT, _TOO_MUCH = (np.array(colour, dtype=np.float64) for colour in ((172.0, 102.0, 33.0), (247.0, 247.0, 247.0), (43.0, 24.0, 178.0)))
+
+
+def montage(images: U16, black_dn: float, white_dn: float) -> bytes:
+    """All cameras' images of one moment in a near-square mosaic, as a PNG.
+
+    Parameters
+    ----------
+    images : (camera, row, column) grey values.
+    black_dn, white_dn : grey values of no light and of saturation. One scale holds for all cameras.
+
+    Notes
+    -----
+    Pixels are joined by their maximum and not their mean, so that particles of two or three pixels do not fade.
+    """
+    if images.ndim != 3 or not images.size:
+        raise ValueError(f"montage: expected images (camera, row, column), got shape {images.shape}")
+    across = _across(*images.shape)
+    small = _joined(images, math.ceil(across * images.shape[2] / (_MONTAGE_PX - _GAP_PX * (across - 1))))
+    least = black_dn + _LEAST_RANGE * (white_dn - black_dn)
+    top = min(white_dn, max(least, float(np.percentile(small, _BRIGHTEST))))
+    return _png(_mosaic(_grey(small.astype(np.float64) - black_dn, top - black_dn, _GAMMA), across))
+
+
+def backlit(images: U16, black_dn: float, white_dn: float) -> bytes:
+    """The same of bright images with dark things in them: pixels are joined by their minimum, and grey values are shown as they are."""
+    dark = np.clip(white_dn - images.astype(np.float64), 0.0, white_dn - black_dn).astype(np.uint16)
+    if dark.ndim != 3 or not dark.size:
+        raise ValueError(f"backlit: expected images (camera, row, column), got shape {dark.shape}")
+    across = _across(*dark.shape)
+    small = _joined(dark, math.ceil(across * dark.shape[2] / (_MONTAGE_PX - _GAP_PX * (across - 1))))
+    return _png(_mosaic(_grey((white_dn - black_dn) - small.astype(np.float64), white_dn - black_dn, 1.0), across))
+
+
+def slice_picture(volume: F32, scored: tuple[slice, slice, slice]) -> bytes:
+    """The central window of the middle z plane of the scored part of a volume (z, y, x), as a PNG with x to the right and y down.
+
+    The window depends on the grid only, and a voxel is a block of whole pixels, so pictures of one grid can be compared particle by particle.
+    Brightness is the square root of the intensity, up to the window's own 99.9th percentile: faint ghosts stay visible beside bright particles.
+    """
+    window = _window(volume[scored])
+    return _png(_enlarged(_grey(window, _top(window), 0.5)))
+
+
+def error_slice(volume: F32, truth: F32, scored: tuple[slice, slice, slice]) -> bytes:
+    """The same window of a volume (z, y, x) minus that of the truth: white is right, red is light too much, blue is light that is missing.
+
+    The volume is first scaled so that its squared difference to the truth in the scored part is least, as its scale means nothing. Colours follow the
+    square root of the difference, up to the 99.9th percentile of the truth's window: all errors on one truth have one scale.
+    """
+    guess, true = (one[scored].astype(np.float64) for one in (volume, truth))
+    window, power = _window(truth[scored]), float(np.vdot(guess, guess))
+    off = (float(np.vdot(guess, true)) / power if power else 0.0) * _window(volume[scored]) - window
+    strength = np.sqrt(np.clip(np.abs(off) / (_top(window) or 1.0), 0.0, 1.0))[..., None]
+    ends = np.where(off[..., None] > 0.0, _TOO_MUCH, _MISSING)
+    return _png(_enlarged(np.rint(_RIGHT + strength * (ends - _RIGHT)).astype(np.uint8)))
+
+
+def _window(part: F32) -> F64:
+    """The central window of the middle plane."""
+    if part.ndim != 3 or not part.size:
+        raise ValueError(f"slice_picture: expected a scored part (z, y, x) with voxels, got shape {part.shape}")
+    plane = part[part.shape[0] // 2]
+    return np.asarray(plane[_central(plane.shape[0]), _central(plane.shape[1])], dtype=np.float64)
+
+
+def _top(window: F64) -> float:
+    return float(np.percentile(window, _BRIGHTEST)) or float(window.max())  # a few lone particles can fill less than 0.1 %
+
+
+def _enlarged(pixels: U8) -> U8:
+    """Each voxel as a block of whole pixels."""
+    block = max(1, _ENLARGED_PX // max(pixels.shape[:2]))
+    return pixels.repeat(block, axis=0).repeat(block, axis=1)
+
+
+def read_picture(dark: Bool, right: Bool) -> bytes:
+    """A code (rows, columns) of dark and bright cells as a PNG: black and white where it is read right, red where dark is read as bright, blue where
+    bright is read as dark."""
+    truth = np.where(dark[..., None], 0.0, _RIGHT)
+    wrong = np.where(dark[..., None], _TOO_MUCH, _MISSING)
+    return _png(_enlarged(np.where(right[..., None], truth, wrong).astype(np.uint8)))
+
+
+def grey_picture(values: F64, size_px: int) -> bytes:
+    """A plane (rows, columns) from its 1st to its 99th percentile, enlarged by whole pixels to about `size_px`, as a PNG."""
+    low, high = np.percentile(values, [1.0, 99.0])
+    block = max(1, size_px // max(values.shape))
+    return _png(_grey(values - low, high - low, 1.0).repeat(block, axis=0).repeat(block, axis=1))
+
+
+def dots(pixels: F64, rows: int, columns: int) -> bytes:
+    """Points in every camera's image, a near-square mosaic as a PNG; each frame of a target has its own grey.
+
+    Parameters
+    ----------
+    pixels : (camera, frame, point, 2) columns and rows; NaN for none.
+    """
+    across, scale = _layout(len(pixels), rows, columns)
+    sheets = np.zeros((len(pixels), math.ceil(rows * scale), math.ceil(columns * scale)), dtype=np.uint8)
+    for sheet, frames in zip(sheets, pixels, strict=True):
+        for number, frame in enumerate(frames):
+            for x, y in frame[np.isfinite(frame).all(axis=1)] * scale:
+                _line(sheet, (x, y), (x, y), 255 - 130 * number // max(len(frames) - 1, 1), 2)
+    return _png(_mosaic(sheets, across))
+
+
+def arrows(places: F64, errors: F64, rows: int, columns: int) -> bytes:
+    """Errors as lines from their places in every camera's image, a near-square mosaic as a PNG.
+
+    Lines are longer than the errors by a power of ten, written into the picture, that makes the median one about as long as a thirtieth of the image.
+
+    Parameters
+    ----------
+    places, errors : (camera, frame, point, 2) in px; NaN for none.
+    """
+    across, scale = _layout(len(places), rows, columns)
+    lengths = np.linalg.norm(errors, axis=-1)
+    median = float(np.nanmedian(lengths)) if np.isfinite(lengths).any() else 0.0
+    longer = 10.0 ** math.floor(math.log10(columns / 30.0 / median)) if median > 1e-12 else 1.0
+    sheets = np.zeros((len(places), math.ceil(rows * scale), math.ceil(columns * scale)), dtype=np.uint8)
+    for sheet, at, off in zip(sheets, places, errors, strict=True):
+        good = np.isfinite(at).all(axis=-1) & np.isfinite(off).all(axis=-1)
+        for (x, y), (dx, dy) in zip(at[good] * scale, off[good] * scale * longer, strict=True):
+            _line(sheet, (x, y), (x + dx, y + dy), 170, 1)
+            _line(sheet, (x, y), (x, y), 255, 1)
+    _write(sheets[0], f"x {longer:g}")
+    return _png(_mosaic(sheets, across))
+
+
+def _layout(cameras: int, rows: int, columns: int) -> tuple[int, float]:
+    """Images per row of a mosaic, and by how much they shrink."""
+    across = _across(cameras, rows, columns)
+    return across, min(1.0, (_MONTAGE_PX - _GAP_PX * (across - 1)) / across / columns)
+
+
+def _line(sheet: U8, start: tuple[float, float], end: tuple[float, float], grey: int, width: int) -> None:
+    import cv2
+
+    finer = 16.0  # four fractional bits
+    ends = [tuple(int(np.clip(value * finer, -1e6, 1e6)) for value in point) for point in (start, end)]
+    cv2.line(sheet, ends[0], ends[1], grey, width, cv2.LINE_AA, 4)
+
+
+def _write(sheet: U8, text: str) -> None:
+    import cv2
+
+    cv2.putText(sheet, text, (6, 18), cv2.FONT_HERSHEY_SIMPLEX, 0.5, 255, 1, cv2.LINE_AA)
+
+
+def _across(cameras: int, rows: int, columns: int) -> int:
+    """Images per row that make the mosaic most nearly square with few empty places."""
+
+    def badness(across: int) -> float:
+        down = math.ceil(cameras / across)
+        return abs(math.log(across * columns / (down * rows))) + (across * down - cameras) / cameras
+
+    return min(range(cameras, 0, -1), key=badness)
+
+
+def _joined(images: U16, block: int) -> U16:
+    """Every block x block pixels joined by their maximum; the last row and column of blocks may be cut."""
+    _, rows, columns = images.shape
+    padded = np.pad(images, ((0, 0), (0, -rows % block), (0, -columns % block)))
+    shape = (len(images), padded.shape[1] // block, block, padded.shape[2] // block, block)
+    return np.asarray(padded.reshape(shape).max(axis=(2, 4)))
+
+
+def _grey(values: F64, top: float, gamma: float) -> U8:
+    """0 to `top` as 0 to 255."""
+    scaled = np.clip(values / top, 0.0, 1.0) if top > 0.0 else np.zeros_like(values)
+    return np.rint(255.0 * scaled**gamma).astype(np.uint8)
+
+
+def _mosaic(images: U8, across: int) -> U8:
+    count, rows, columns = images.shape
+    down = math.ceil(count / across)
+    sheet = np.full((down * (rows + _GAP_PX) - _GAP_PX, across * (columns + _GAP_PX) - _GAP_PX), _GAP_GREY, dtype=np.uint8)
+    for i, image in enumerate(images):
+        y, x = (i // across) * (rows + _GAP_PX), (i % across) * (columns + _GAP_PX)
+        sheet[y : y + rows, x : x + columns] = image
+    return sheet
+
+
+def _central(count: int) -> slice:
+    shown = min(count, _WINDOW)
+    return slice((count - shown) // 2, (count - shown) // 2 + shown)
+
+
+def _png(grey: U8) -> bytes:
+    import cv2
+
+    done, data = cv2.imencode(".png", grey, [cv2.IMWRITE_PNG_COMPRESSION, 9])
+    if not done:
+        raise ValueError(f"expected an image that can be a PNG, got shape {grey.shape}")
+    return bytes(data)

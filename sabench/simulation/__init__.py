@@ -1,0 +1,1 @@
+"""From a scene to a data set: rendering, recording and writing."""

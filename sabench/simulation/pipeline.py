@@ -1,0 +1,131 @@
+"""From a scene to a data set: generate the world, light it, record it, store it with its truth."""
+
+from __future__ import annotations
+
+import contextlib
+import glob
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+
+from filelock import FileLock, Timeout
+
+from sabench.dataset.reader import Dataset, open_dataset
+from sabench.dataset.writer import dataset_writer
+from sabench.scenes.rig import build_rig, load_scene, told_cameras
+from sabench.scenes.schema import Scene
+from sabench.simulation.recording.job import Job
+from sabench.simulation.recording.parts import KEPT, Part, Parts, files_of
+from sabench.simulation.recording.recorders import Recorder, recorder_of
+from sabench.simulation.recording.schedule import Plan
+from sabench.simulation.recording.workers import Crew, Here, Pool, UnfinishedError, cluster, work_off
+from sabench.simulation.renderer_choice import Renderer, choose_renderer
+from sabench.simulation.size_check import check_affordable
+from sabench.utils import memory
+from sabench.utils.errors import InputError
+from sabench.utils.files import refuse_existing
+from sabench.utils.progress import track
+
+
+def generate(
+    scene: Scene | str | Path, out: str | Path, *, seed: int = 0, backend: Renderer = "auto", name: str | None = None, overwrite: bool = False,
+    jobs: int = 1, scheduler: str | None = None,
+) -> Dataset:  # fmt: skip
+    """Make a data set, or go on with one whose making was interrupted: the same bytes whoever makes its parts, and in whatever order.
+
+    Parameters
+    ----------
+    scene : a scene, a scene file, or the name of a bundled one.
+    out : the folder to make.
+    seed : of all random numbers.
+    backend : the renderer: "mitsuba" (rays through the real wall), "splat" (analytic), or "auto": Mitsuba where it runs, else splat.
+    name : of the scene in the manifest; by default the file's stem.
+    overwrite : replace an existing data set.
+    jobs : processes that share the work on this machine.
+    scheduler : address of a Dask scheduler whose workers do the work, in place of `jobs`; they must see the folder of `out`.
+
+    Raises
+    ------
+    InputError
+        A bad scene or seed, an existing folder, no working Mitsuba when it was asked for, or frames that failed again and again.
+    """
+    if not 0 <= seed < 2**63:
+        raise InputError(f"seed: expected 0 to 2^63 - 1, got {seed}")
+    if jobs < 1:
+        raise InputError(f"jobs: expected 1 or more, got {jobs}")
+    loaded, target = scene if isinstance(scene, Scene) else load_scene(scene), Path(out).absolute()
+    label = name or (loaded.title if isinstance(scene, Scene) else Path(scene).stem)
+    job = Job(loaded, seed, _renderer(loaded, backend, label), label)
+    refuse_existing(target, overwrite=overwrite)
+    check_affordable(label, loaded, build_rig(loaded, label), target.parent)
+    with _parts(target, job) as parts:
+        recorder = recorder_of(loaded, seed, job.renderer, label)
+        if scheduler:
+            crew: Crew = cluster(scheduler, parts.root)
+        else:
+            crew = Here(recorder, parts) if jobs == 1 else Pool(parts.root, jobs)
+        with contextlib.closing(crew):
+            work_off(crew, Plan(loaded.frames, recorder.views, chained=recorder.chained, ahead=crew.ahead), f"render {label} with {job.renderer}")
+        put_together(target, job, recorder, parts, overwrite=overwrite)
+    return open_dataset(target)
+
+
+@contextlib.contextmanager
+def _parts(target: Path, job: Job) -> Iterator[Parts]:
+    """The folder of a data set's parts, beside it: it goes when the data set is there, and stays for the next try after an interruption."""
+    parts = Parts(target.parent / f".{target.name}.parts-{job.key[:16]}")
+    job.write(parts.root)
+    try:
+        with FileLock(parts.root / "lock", timeout=0):
+            yield parts
+    except Timeout as error:
+        raise InputError(f"{target}: expected nobody else at it, but another process is making this data set") from error
+    except UnfinishedError:
+        raise
+    except InputError:  # what no other try would mend
+        _forget(target)
+        raise
+    except BaseException:
+        if parts.empty():
+            _forget(target)
+        raise
+    _forget(target)
+
+
+def _forget(target: Path) -> None:
+    """Remove the parts of a data set, also those that were made for another scene or seed."""
+    for folder in target.parent.glob(f".{glob.escape(target.name)}.parts-*"):
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+def put_together(target: Path, job: Job, recorder: Recorder, parts: Parts, *, overwrite: bool) -> None:
+    """Make the data set of all its parts."""
+    rig = build_rig(job.scene, job.label)
+    told, cameras = told_cameras(job.scene, rig.cameras, job.seed), rig.cameras[: recorder.views]
+    with dataset_writer(target, job.label, job.scene, rig, told, job.seed, job.renderer, overwrite=overwrite) as writer:
+        for frame in track(range(job.scene.frames), f"store {job.label}"):
+            writer.store(_told(parts.frame(frame)))
+            for camera in cameras:
+                part = parts.view(frame, camera.name)
+                writer.store(_told(part))
+                for name, entry in files_of(part).items():
+                    writer.take(parts.root / name, name, entry)
+            memory.trim()
+        recorder.finish(writer, parts)
+
+
+def _told(part: Part) -> Part:
+    return {name: value for name, value in part.items() if not name.startswith(KEPT)}
+
+
+def _renderer(scene: Scene, asked: Renderer, label: str) -> str:
+    """What makes the data set: a target without lamps needs no pictures."""
+    if scene.bubbles is not None or scene.solids:
+        if asked == "splat":
+            raise InputError(f"{label}: backend: expected mitsuba for bubbles and solids, got splat, which renders particles only")
+        return choose_renderer("mitsuba")
+    if scene.targets is None or scene.lighting is not None:
+        return choose_renderer(asked)
+    if asked == "mitsuba":
+        raise InputError(f"{label}: lighting: expected lamps to render a target by, got none; the backend splat needs none")
+    return "splat"

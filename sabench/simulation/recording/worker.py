@@ -1,0 +1,57 @@
+"""A process that does tasks of a job: `python -m sabench.simulation.recording.worker FOLDER THREADS` reads [frame, camera] lines and answers each."""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+from pathlib import Path
+from typing import TextIO
+
+from sabench.simulation.recording.job import JOB, do
+from sabench.simulation.recording.schedule import Task
+from sabench.utils import backend
+from sabench.utils.errors import InputError
+from sabench.utils.files import read_json
+
+
+def _main() -> None:
+    root, threads = sys.argv[1], int(sys.argv[2])
+    with os.fdopen(os.dup(1), "w", encoding="utf-8") as answers:
+        os.dup2(2, 1)  # what a library prints is no answer
+        _limit(root, threads)
+        _serve(root, answers)
+
+
+def _serve(root: str, answers: TextIO) -> None:
+    """Until nobody asks any more, also because who asked has been killed."""
+    for line in sys.stdin:
+        try:
+            print(json.dumps(_tried(root, Task(*json.loads(line)))), file=answers, flush=True)
+        except BrokenPipeError:
+            return
+
+
+def _tried(root: str, task: Task) -> tuple[str, str | None]:
+    try:
+        do(root, task)
+    except InputError as error:
+        return "input", str(error)
+    except OSError as error:
+        return "system", f"{error.filename}: {error.strerror}" if error.filename else str(error)
+    except Exception as error:
+        return "other", f"{type(error).__name__}: {error}"
+    return "done", None
+
+
+def _limit(root: str, threads: int) -> None:
+    """Threads of those libraries that do not read their number in the environment."""
+    import cv2
+
+    cv2.setNumThreads(threads)
+    if read_json(Path(root) / JOB)["renderer"] == "mitsuba":
+        backend.limit(threads)
+
+
+if __name__ == "__main__":
+    _main()

@@ -1,0 +1,381 @@
+"""Follow light backwards from a camera through bubbles, drops, bodies and glowing particles, inside Mitsuba's scene.
+
+Import this module only after sabench.utils.backend.mitsuba(), as `glow`.
+
+Bubbles are primitives of one `ellipsoids` shape. Mitsuba says which one a ray enters; where it leaves again, and the normals, follow from
+the ellipsoid's equation, so that spheroids are exact and thousands need no triangles. At every surface a ray is either reflected or
+refracted, with Fresnel's probability. The tank's walls are plane: rays cross them by Snell's and Fresnel's laws without a search.
+Radiance is carried as L / n^2, which no interface changes but by what it reflects.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from sabench.geometry.camera import Camera
+from sabench.geometry.occluders import Disc
+from sabench.simulation.rendering.lamps import Lamps
+from sabench.simulation.rendering.particle_integrator import Cloud, opaque, undistorted, unstopped
+from sabench.utils.arrays import F32, F64, I64
+
+_WAVEFRONT = 1 << 22  # rays traced at once: bounds memory, not results
+_EVENTS, _GLOWING = 64, 4096  # surfaces, and glowing balls, that a ray meets at most
+_NONE = 0xFFFFFFFF
+_OFF = 2e-5  # mm: where a ray starts in front of the surface that it leaves; single precision at 100 mm
+_PRIMES = (2, 3, 5, 7, 11, 13, 17, 19, 23, 29, 31, 37, 41, 43, 47, 53, 59, 61, 67, 71, 73, 79, 83, 89)
+_FIRST = 4  # numbers that place a ray in its pixel and on the lens; what it does at surfaces takes those that follow
+
+
+@dataclass(frozen=True)
+class Stack:
+    """Plane layers between the fluid and the air, in the order in which light leaves.
+
+    Attributes
+    ----------
+    faces_mm : (m,) places of the interfaces along the wall's normal, in the frame of the render.
+    indices : (m + 1,) refractive indices, the fluid's first.
+    """
+
+    faces_mm: F64
+    indices: F64
+
+
+@dataclass(frozen=True)
+class Panel:
+    """A diffuser: its middle in the frame of the render, half its edges (2, 3), and its radiance."""
+
+    center: F64
+    edges: F64
+    radiance: float
+
+
+@dataclass(frozen=True)
+class Stage:
+    """What light meets, in the frame of the render.
+
+    Attributes
+    ----------
+    scene : Mitsuba's, with a shape for the bubbles (`bubbles`), one for glowing balls (`balls`) and the bodies; any may be missing.
+    opaque_scene : Mitsuba's, of the bodies that throw shadows alone; None without lamps.
+    centers, to_ball : of the bubbles (n, 3), (n, 3, 3), as in `world.Bubbles`.
+    eta : refractive index in the bubbles over the fluid's; fluid : the fluid's over the air's.
+    normal : of the walls, from the cameras into the tank; front, rear None: no wall there.
+    reach : radius of a ball around the frame's origin that holds all of it.
+    """
+
+    scene: Any
+    centers: F64
+    to_ball: F64
+    eta: float
+    fluid: float
+    normal: F64
+    front: Stack | None
+    rear: Stack | None
+    panel: Panel | None
+    reach: float
+    bubbles: Any = None
+    balls: Any = None
+    cloud: Cloud | None = None
+    lamps: Lamps | None = None
+    opaque_scene: Any = None
+    bodies: bool = False
+    occluders: tuple[Disc, ...] = ()
+
+
+def radiance(stage: Stage, camera: Camera, origin: F64, pixels: I64, samples: int, seed: int) -> F32:
+    """Mean radiance (n,) in front of the lens of some pixels (numbers row by row), each by `samples` rays that share one random shift of a lattice.
+
+    Means of the same pixel under other seeds are independent, and their scatter tells the error.
+    """
+    device = _Device(stage, camera, origin)
+    count = max(1, _WAVEFRONT // samples)
+    parts = []
+    for first in range(0, len(pixels), count):
+        chosen = mi.UInt32(pixels[first : first + count].astype(np.uint32))
+        lane = dr.arange(mi.UInt32, dr.width(chosen) * samples)
+        pixel = dr.gather(mi.UInt32, chosen, lane // samples)
+        draw = _Draw(pixel, lane % samples, dr.opaque(mi.UInt32, seed))
+        rays = _rays(camera, origin, pixel, draw, stage.cloud is not None)  # balls of glow are as wide as the lens blurs them
+        free = unstopped(rays, stage.occluders, origin)
+        parts.append(np.array(dr.block_sum(_trace(device, rays, draw, free), samples) * (1.0 / samples), dtype=np.float32))
+    return np.concatenate(parts)
+
+
+@dataclass
+class _Draw:
+    """Random numbers of rays: a Kronecker lattice over a pixel's rays for each of its dimensions, each with a shift of its own."""
+
+    pixel: Any
+    ray: Any
+    seed: Any
+
+    def table(self) -> Any:
+        return mi.Float(np.sqrt(np.array(_PRIMES, dtype=np.float64)) % 1.0)
+
+    def number(self, table: Any, dimension: Any) -> Any:
+        """Evenly in [0, 1), of a dimension."""
+        step = dr.gather(mi.Float, table, dimension % len(_PRIMES))
+        shift = mi.sample_tea_float32(self.pixel, self.seed * 1024 + dimension)
+        value = dr.fma(mi.Float(self.ray), step, shift)
+        return value - dr.floor(value)
+
+
+class _Device:
+    """A stage on the device."""
+
+    def __init__(self, stage: Stage, camera: Camera, origin: F64) -> None:
+        self.stage = stage
+        some = stage if len(stage.centers) else None
+        centers = some.centers if some else np.zeros((1, 3))
+        to_ball = some.to_ball if some else np.eye(3)[None]
+        self.centers = mi.Point3f(np.ascontiguousarray(centers.T, dtype=np.float32))
+        self.rows = [mi.Vector3f(np.ascontiguousarray(to_ball[:, row].T, dtype=np.float32)) for row in range(3)]
+        self.eta = dr.opaque(mi.Float, stage.eta)
+        self.normal = opaque(stage.normal)
+        self.front, self.rear = (_layers(stack) for stack in (stage.front, stage.rear))
+        self.panel = _panel(stage.panel)
+        self.bubbles = mi.ShapePtr(stage.bubbles) if stage.bubbles is not None else None
+        self.balls = mi.ShapePtr(stage.balls) if stage.balls is not None else None
+        self.cloud = _cloud(stage.cloud)
+        lamps = stage.lamps or Lamps(np.zeros((0, 3)), np.zeros(0), 0.0)
+        self.lamps = [(opaque(place), dr.opaque(mi.Float, power)) for place, power in zip(lamps.places, lamps.powers.tolist(), strict=True)]
+        self.even = dr.opaque(mi.Float, lamps.even)
+        self.inverse_square = dr.opaque(mi.Float, 1.0 / stage.fluid**2)
+        self.reach = dr.opaque(mi.Float, stage.reach)
+
+
+def _layers(stack: Stack | None) -> list[tuple[Any, Any, Any]] | None:
+    """Place, ratio of the indices before and after, and that of the faces of a stack."""
+    if stack is None:
+        return None
+    indices = stack.indices.tolist()
+    return [
+        (dr.opaque(mi.Float, face), dr.opaque(mi.Float, after / before), dr.opaque(mi.Float, before / after))
+        for face, before, after in zip(stack.faces_mm.tolist(), indices[:-1], indices[1:], strict=True)
+    ]
+
+
+def _panel(panel: Panel | None) -> tuple[Any, ...] | None:
+    if panel is None:
+        return None
+    across, along = panel.edges
+    lengths = [float(np.dot(edge, edge)) for edge in (across, along)]
+    normal = np.cross(across, along)
+    return (
+        opaque(panel.center), opaque(across / lengths[0]), opaque(along / lengths[1]), opaque(normal / np.linalg.norm(normal)),
+        dr.opaque(mi.Float, panel.radiance),
+    )  # fmt: skip
+
+
+def _cloud(cloud: Cloud | None) -> tuple[Any, ...] | None:
+    if cloud is None:
+        return None
+    vectors = [mi.Point3f(np.ascontiguousarray(v.T, dtype=np.float32)) for v in (cloud.centers, cloud.a, cloud.b)]
+    return (*vectors, mi.Float(cloud.radiance.astype(np.float32)), dr.opaque(mi.Float, 0.01 * float(np.median(cloud.radii))))
+
+
+def _rays(camera: Camera, origin: F64, pixel: Any, draw: _Draw, pinhole: bool) -> Any:
+    """Rays in front of the lens: from points all over the aperture, or its middle, to where the lens is focused."""
+    table = draw.table()
+    u = [draw.number(table, mi.UInt32(dimension)) for dimension in range(_FIRST)]
+    row, column = pixel // camera.columns, pixel % camera.columns
+    center, scale = camera.principal_point_px, dr.opaque(mi.Float, 1.0 / camera.focal_px)
+    across = (mi.Float(column) + u[0] - 0.5 - dr.opaque(mi.Float, center[0])) * scale
+    down = (mi.Float(row) + u[1] - 0.5 - dr.opaque(mi.Float, center[1])) * scale
+    x, y = undistorted(camera.distortion, across, down)
+    aperture = dr.opaque(mi.Float, 0.0 if pinhole else camera.aperture_radius_mm)
+    radius, (sine, cosine) = aperture * dr.sqrt(u[2]), dr.sincos(2.0 * np.pi * u[3])
+    a, b = radius * cosine, radius * sine
+    right, below, forward = (opaque(axis) for axis in camera.rotation)
+    focus = dr.opaque(mi.Float, camera.focus_mm)
+    start = mi.Point3f(opaque(np.asarray(camera.center_mm) - origin)) + a * right + b * below
+    return mi.Ray3f(start, dr.normalize((x * focus - a) * right + (y * focus - b) * below + focus * forward))
+
+
+def _crossed(place: Any, way: Any, normal: Any, layers: Any) -> tuple[Any, Any, Any]:
+    """Where and in which direction light has crossed plane layers, and the part of it that does."""
+    passed = mi.Float(1.0)
+    for face, after_over_before, before_over_after in layers:
+        along = dr.dot(way, normal)
+        place = dr.fma(way, (face - dr.dot(place, normal)) / along, place)
+        cosine = dr.abs(along)
+        reflected, _, _, _ = mi.fresnel(cosine, after_over_before)
+        passed *= 1.0 - reflected
+        across = (way - along * normal) * before_over_after
+        square = dr.maximum(1.0 - dr.squared_norm(across), 0.0)
+        way = across + dr.copysign(dr.sqrt(square), along) * normal
+    return place, way, passed
+
+
+def _entered(device: Any, ray: Any) -> tuple[Any, Any]:
+    """Rays from the camera behind the front wall, and the part of the light that gets through it."""
+    if device.front is None:
+        return ray, mi.Float(1.0)
+    inwards = [(face, before, after) for face, after, before in reversed(device.front)]
+    place, way, passed = _crossed(ray.o, ray.d, device.normal, inwards)
+    return mi.Ray3f(place, dr.normalize(way)), passed
+
+
+def _shown(device: Any, place: Any, way: Any) -> Any:
+    """Radiance of the diffuser along rays in the air."""
+    if device.panel is None:
+        return mi.Float(0.0)
+    center, across, along, normal, bright = device.panel
+    distance = dr.dot(center - place, normal) / dr.dot(way, normal)
+    offset = dr.fma(way, distance, place) - center
+    on = (distance > 0.0) & (dr.abs(dr.dot(offset, across)) <= 1.0) & (dr.abs(dr.dot(offset, along)) <= 1.0)
+    return dr.select(on, bright, 0.0)
+
+
+def _left(device: Any, ray: Any) -> tuple[Any, Any, Any]:
+    """For rays that meet nothing more in the fluid: the light that comes in along them, the part that a wall sends back, and where it does."""
+    if device.front is None:
+        return _shown(device, ray.o, ray.d), mi.Float(0.0), ray.o
+    along = dr.dot(ray.d, device.normal)
+    back = along > 0.0
+    _, _, out_in_front = _crossed(ray.o, ray.d, device.normal, device.front)
+    if device.rear is None:
+        place, way, out_behind, behind = ray.o, ray.d, mi.Float(1.0), mi.Float(device.front[0][0])
+    else:
+        place, way, out_behind = _crossed(ray.o, ray.d, device.normal, device.rear)
+        behind = device.rear[0][0]
+    face = dr.select(back, behind, device.front[0][0])
+    here = dr.fma(ray.d, (face - dr.dot(ray.o, device.normal)) / along, ray.o)
+    passed = dr.select(back, out_behind, out_in_front)
+    seen = dr.select(back & (out_behind > 0.0), out_behind * _shown(device, place, way), 0.0)
+    near = dr.squared_norm(here) < (50.0 * device.reach) * (50.0 * device.reach)
+    return seen, dr.select(near, 1.0 - passed, 0.0), here
+
+
+@dr.syntax
+def _trace(device: Any, ray: Any, draw: Any, free: Any) -> Any:
+    """Radiance along `free` rays from the lens."""
+    table = draw.table()
+    ray, weight = _entered(device, ray)
+    ahead = -dr.dot(ray.o, ray.d) - device.reach
+    ray.o = dr.select(ahead > 0.0, dr.fma(ray.d, ahead, ray.o), ray.o)
+    result = mi.Float(0.0)
+    events, glowed, last = mi.UInt32(0), mi.UInt32(0), mi.UInt32(_NONE)
+    number = mi.UInt32(0)
+    inside = mi.Bool(False)
+    active = mi.Bool(free & (weight > 0.0))
+    while active:
+        si, bubble, ball, body = _met(device, ray, active & ~inside)
+        # bubbles: where the ray enters, or leaves again
+        number = dr.select(bubble, si.prim_index, number)
+        surface = bubble | inside
+        place, normal = _on_bubble(device, ray, number, inside, surface)
+        way, refracted = _parted(device, ray.d, normal, draw.number(table, _FIRST + 2 * events), surface)
+        # glowing balls: they let the ray pass
+        result += dr.select(ball & (si.prim_index != last), weight * _glow(device, ray, si.prim_index, ball), 0.0)
+        last = dr.select(ball, si.prim_index, last)
+        # bodies
+        result += dr.select(body, weight * _lit(device, si, body), 0.0)
+        onward, worth = _turned(si, draw.number(table, _FIRST + 2 * events), draw.number(table, _FIRST + 1 + 2 * events), body, device)
+        # walls, and what is behind them
+        out = active & ~surface & ~ball & ~body
+        seen, sent_back, wall = _left(device, ray)
+        result += dr.select(out, weight * seen, 0.0)
+        mirrored = out & (draw.number(table, _FIRST + 2 * events) < sent_back)
+        along = dr.dot(ray.d, device.normal)
+        # the next part of the way
+        weight = dr.select(body, weight * worth, weight)
+        outwards = dr.select(dr.dot(way, normal) > 0.0, 1.0, -1.0)
+        beside = dr.fma(normal, outwards * _OFF, place)
+        beyond = dr.fma(ray.d, _pace(device), dr.fma(ray.d, si.t, ray.o))
+        start = dr.select(surface, beside, dr.select(ball, beyond, dr.select(mirrored, wall, ray.o)))
+        course = dr.select(surface, way, dr.select(mirrored, ray.d - 2.0 * along * device.normal, ray.d))
+        ray.o = dr.select(body, onward.o, start)
+        ray.d = dr.select(body, onward.d, course)
+        inside = surface & (inside != refracted)
+        glowed += dr.select(ball, mi.UInt32(1), mi.UInt32(0))
+        events += dr.select(ball, mi.UInt32(0), mi.UInt32(1))
+        active &= (surface | ball | body | mirrored) & (weight > 0.0) & (events < _EVENTS) & (glowed < _GLOWING)
+    return result
+
+
+def _met(device: Any, ray: Any, active: Any) -> tuple[Any, Any, Any, Any]:
+    """What rays meet first, and whether that is a bubble, a glowing ball or a body."""
+    if device.stage.bodies:
+        si = device.stage.scene.ray_intersect(ray, mi.RayFlags.All, active)
+        shape, valid = si.shape, active & si.is_valid()
+    else:
+        si = device.stage.scene.ray_intersect_preliminary(ray, False, active)
+        shape, valid = si.shape, active & si.is_valid()
+    bubble = valid & (shape == device.bubbles) if device.bubbles is not None else mi.Bool(False)
+    ball = valid & (shape == device.balls) if device.balls is not None else mi.Bool(False)
+    return si, bubble, ball, (valid & ~bubble & ~ball if device.stage.bodies else mi.Bool(False))
+
+
+def _on_bubble(device: Any, ray: Any, number: Any, inside: Any, active: Any) -> tuple[Any, Any]:
+    """Where rays cross the surface of their bubble, and its outward normal there.
+
+    Distances are taken from the point nearest to the bubble's centre: Mitsuba's own are of single precision from the ray's start.
+    """
+    center = dr.gather(mi.Point3f, device.centers, number, active)
+    rows = [dr.gather(mi.Vector3f, row, number, active) for row in device.rows]
+    near = dr.fma(ray.d, dr.dot(center - ray.o, ray.d), ray.o)
+    offset = mi.Vector3f(near - center)
+    p = mi.Vector3f(*(dr.dot(row, offset) for row in rows))
+    d = mi.Vector3f(*(dr.dot(row, ray.d) for row in rows))
+    a, b, c = dr.squared_norm(d), dr.dot(p, d), dr.squared_norm(p) - 1.0
+    root = dr.sqrt(dr.maximum(b * b - a * c, 0.0))
+    step = (dr.select(inside, root, -root) - b) / a
+    on = dr.fma(d, step, p)
+    normal = dr.normalize(on.x * rows[0] + on.y * rows[1] + on.z * rows[2])
+    return dr.fma(ray.d, step, near), dr.select(active, normal, mi.Vector3f(0.0, 0.0, 1.0))
+
+
+def _parted(device: Any, way: Any, normal: Any, chance: Any, active: Any) -> tuple[Any, Any]:
+    """The direction in which light goes on at a bubble's surface, and whether it crosses it."""
+    along = -dr.dot(way, normal)
+    reflected, cosine, _, ratio = mi.fresnel(along, device.eta)
+    refracted = active & (chance >= reflected)
+    bent = ratio * way + (ratio * along + cosine) * normal
+    return dr.normalize(dr.select(refracted, bent, way + 2.0 * along * normal)), refracted
+
+
+def _glow(device: Any, ray: Any, number: Any, active: Any) -> Any:
+    """L / n^2 of a glowing ball along a ray."""
+    if device.cloud is None:
+        return mi.Float(0.0)
+    centers, first, second, bright, _ = device.cloud
+    offset = ray.o - dr.gather(mi.Point3f, centers, number, active)
+    offset -= dr.dot(ray.d, offset) * ray.d
+    x, y = (dr.dot(dr.gather(mi.Point3f, covector, number, active), offset) for covector in (first, second))
+    return dr.exp(-0.5 * (x * x + y * y)) * dr.gather(mi.Float, bright, number, active) * device.inverse_square
+
+
+def _pace(device: Any) -> Any:
+    return mi.Float(0.0) if device.cloud is None else device.cloud[4]
+
+
+def _lit(device: Any, si: Any, active: Any) -> Any:
+    """What a body's surface shows by the lamps."""
+    total = mi.Float(0.0)
+    if not device.stage.bodies or not (device.lamps or device.stage.lamps):
+        return total
+    context, bsdf = mi.BSDFContext(), si.bsdf()
+    for lamp, power in device.lamps:
+        way = lamp - si.p
+        distance = dr.norm(way)
+        toward = way / distance
+        shadow = device.stage.opaque_scene.ray_test(si.spawn_ray_to(mi.Point3f(lamp)), active)
+        value = bsdf.eval(context, si, si.to_local(toward), active)
+        total += dr.select(shadow, 0.0, np.pi * value.x * power / (distance * distance))
+    smooth = mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth)
+    reflectance = bsdf.eval_diffuse_reflectance(si, active).x
+    return total + dr.select(smooth, device.even * reflectance, 0.0)
+
+
+def _turned(si: Any, chance: Any, other: Any, active: Any, device: Any) -> tuple[Any, Any]:
+    """How light goes on at a body, and the part of it that does."""
+    if not device.stage.bodies:
+        return mi.Ray3f(mi.Point3f(0.0), mi.Vector3f(0.0, 0.0, 1.0)), mi.Float(0.0)
+    sampled, value = si.bsdf().sample(mi.BSDFContext(), si, chance, mi.Point2f(other, dr.fma(chance, 7919.0, -dr.floor(chance * 7919.0))), active)
+    return si.spawn_ray(si.to_world(sampled.wo)), value.x

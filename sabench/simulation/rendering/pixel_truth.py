@@ -1,0 +1,208 @@
+"""What each pixel truly sees of bubbles and bodies, along its refracted line of sight.
+
+Lines of sight are the camera's own (`Camera.back_project`) and bubbles are met by their equation: nothing here comes from the renderer, whose
+depths and masks would be those of straight rays.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numba
+import numpy as np
+
+from sabench.api.truth import BODY, NOTHING, Bubbles, Sight, Solid
+from sabench.geometry.camera import Camera
+from sabench.geometry.refraction import length_to_fluid
+from sabench.simulation.rendering.mesh_intersection import BodySearch
+from sabench.utils.arrays import F32, F64, I32, Bool
+
+_FINER = 5  # lines of sight across a pixel, for shares of bubbles; odd, so that one is the pixel's own
+_AROUND, _STEPS = 48, 8  # points of a contour, and steps of the secant method to each
+
+
+def see(camera: Camera, bubbles: Bubbles, bodies: Sequence[Solid] = ()) -> Sight:
+    """The truth of one camera's picture, without its lens's blur."""
+    starts, ways, before = _lines(camera)
+    pixel, _ = camera.project(bubbles.center_mm) if len(bubbles) else (np.zeros((0, 2)), None)
+    contour = outlines(camera, bubbles, pixel)
+    shape = (camera.rows * _FINER, camera.columns * _FINER)
+    near, number = np.full(shape, np.inf, dtype=np.float32), np.full(shape, NOTHING, dtype=np.int32)
+    if bodies:
+        _bodies(starts, ways, bodies, near, number)
+    boxes = _boxes(contour, shape)
+    whole = np.zeros(len(bubbles), dtype=np.int64)
+    _cover(starts, ways, bubbles.center_mm, bubbles.to_ball, boxes, near, number, whole)
+    seen = np.bincount(number[number >= 0], minlength=len(bubbles))[: len(bubbles)]
+    middle = slice(_FINER // 2, None, _FINER)
+    first, distance = number[middle, middle].copy(), near[middle, middle].astype(np.float64)
+    distance[first == NOTHING] = np.nan
+    places = starts + ways * distance[..., None]
+    return Sight(
+        first, depth_of(camera, places).astype(np.float32), (before + distance).astype(np.float32), _shares(seen, whole, contour), pixel,
+        contour.astype(np.float32),
+    )  # fmt: skip
+
+
+def outlines(camera: Camera, bubbles: Bubbles, pixel: F64) -> F64:
+    """Outlines (n, 48, 2) of bubbles whose centres are imaged at `pixel` (n, 2): where lines of sight just touch them.
+
+    From the centre's image outwards, the distance of a line of sight from the centre (in radii of the ball that the bubble is an image of) grows
+    almost evenly, so that the secant method finds where it is one.
+    """
+    angles = 2.0 * np.pi * np.arange(_AROUND) / _AROUND
+    ways = np.column_stack([np.cos(angles), np.sin(angles)])
+    count = len(bubbles)
+    if not count:
+        return np.zeros((0, _AROUND, 2))
+    lengths = np.full((count, _AROUND), 1e-2)
+    shortest = np.zeros_like(lengths)
+    at_shortest = _distances(camera, bubbles, np.repeat(pixel[:, None], _AROUND, axis=1)) ** 2
+    with np.errstate(invalid="ignore", divide="ignore"):
+        for _ in range(_STEPS):
+            here = _distances(camera, bubbles, pixel[:, None] + lengths[..., None] * ways) ** 2
+            scale = (here - at_shortest) / (lengths**2 - shortest**2)
+            step = np.sqrt(np.maximum(lengths**2 + (1.0 - here) / scale, 1e-12))
+            shortest, at_shortest, lengths = lengths, here, np.where(np.abs(here - 1.0) < 1e-10, lengths, step)
+            lengths = np.where(lengths == shortest, shortest * (1.0 + 1e-13), lengths)
+    return np.asarray(pixel[:, None] + lengths[..., None] * ways)
+
+
+def _distances(camera: Camera, bubbles: Bubbles, pixels: F64) -> F64:
+    """How near lines of sight of pixels (n, m, 2) come to the centres, in radii of the ball: (n, m)."""
+    count, around = pixels.shape[:2]
+    rays = camera.back_project(np.nan_to_num(pixels.reshape(-1, 2), nan=-1e6))
+    offset = rays.origins_mm.reshape(count, around, 3) - bubbles.center_mm[:, None]
+    p = np.einsum("nij,nmj->nmi", bubbles.to_ball, offset)
+    d = np.einsum("nij,nmj->nmi", bubbles.to_ball, rays.directions.reshape(count, around, 3))
+    along = np.sum(p * d, axis=-1) / np.sum(d * d, axis=-1)
+    return np.asarray(np.linalg.norm(p - along[..., None] * d, axis=-1))
+
+
+def _lines(camera: Camera) -> tuple[F64, F64, F64]:
+    """Lines of sight of all pixels in the fluid: starts and unit directions (rows, columns, 3), lengths of light's way before (rows, columns)."""
+    column, row = np.meshgrid(np.arange(camera.columns, dtype=np.float64), np.arange(camera.rows, dtype=np.float64))
+    pixels, shape = np.column_stack([column.ravel(), row.ravel()]), (camera.rows, camera.columns)
+    rays = camera.back_project(pixels)
+    before = length_to_fluid(camera.wall, np.asarray(camera.center_mm), camera.directions(pixels)[0])
+    return rays.origins_mm.reshape(*shape, 3), rays.directions.reshape(*shape, 3), before.reshape(shape)
+
+
+def depth_of(camera: Camera, places_mm: F64) -> F64:
+    """Depths (...) of places (..., 3): along the wall's normal from its outer face, without a wall along the camera's axis from its pinhole."""
+    if camera.wall:
+        return camera.wall.depth_of(places_mm)
+    return np.asarray((places_mm - np.asarray(camera.center_mm)) @ np.asarray(camera.rotation)[2])
+
+
+def _boxes(contour: F64, shape: tuple[int, int]) -> I32:
+    """First and last rows and columns (n, 4) of the finer lines of sight that may meet each bubble; empty ones for those outside the image."""
+    boxes = np.zeros((len(contour), 4), dtype=np.int32)
+    known = np.isfinite(contour).all(axis=(1, 2))
+    low, high = ((np.asarray(edge) + 0.5) * _FINER for edge in (contour[known].min(axis=1), contour[known].max(axis=1)))
+    for side, (axis, limit) in enumerate(((1, shape[0]), (0, shape[1]))):
+        boxes[known, 2 * side] = np.clip(np.floor(low[:, axis]) - 2, 0, limit)
+        boxes[known, 2 * side + 1] = np.clip(np.ceil(high[:, axis]) + 2, 0, limit)
+    return boxes
+
+
+def _shares(seen: Any, whole: Any, contour: F64) -> F64:
+    """Parts of outlines that are seen: of the lines that meet a bubble those that meet it first, times the part of it that is in the image."""
+    x, y = contour[..., 0], contour[..., 1]
+    area = 0.5 * np.abs(np.sum(x * np.roll(y, -1, axis=1) - y * np.roll(x, -1, axis=1), axis=1)) if len(contour) else np.zeros(0)
+    area = area / (np.sin(2.0 * np.pi / _AROUND) / (2.0 * np.pi / _AROUND))  # of the curve, not of its chords
+    with np.errstate(invalid="ignore", divide="ignore"):
+        inside = np.minimum(whole / (area * _FINER**2), 1.0)
+        inside = np.where(whole > 20 * _FINER, inside, np.where(whole > 0, 1.0, 0.0))  # few lines tell the area badly
+        return np.where(whole > 0, np.nan_to_num(seen / np.maximum(whole, 1) * np.where(inside > 0.98, 1.0, inside)), 0.0)
+
+
+def _bodies(starts: F64, ways: F64, bodies: Sequence[Solid], near: F32, number: I32) -> None:
+    """The first bodies along all finer lines of sight."""
+    search = BodySearch(bodies)
+    for down in range(_FINER):
+        for across in range(_FINER):
+            part = np.ix_(*(range(start, size, _FINER) for start, size in zip((down, across), near.shape, strict=True)))
+            start, way = (_between(lines, (down - _FINER // 2) / _FINER, (across - _FINER // 2) / _FINER) for lines in (starts, ways))
+            distance, which = search.first(start.reshape(-1, 3), way.reshape(-1, 3))
+            near[part] = distance.reshape(starts.shape[:2])
+            number[part] = np.where(which < 0, NOTHING, BODY - which).reshape(starts.shape[:2])
+
+
+def _between(lines: F64, down: float, across: float) -> F64:
+    """Lines between those of the pixels, by differences: they bend by far less than a pixel's own angle."""
+    return np.asarray(lines + down * np.gradient(lines, axis=0) + across * np.gradient(lines, axis=1))
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _cover(starts: Any, ways: Any, centers: Any, to_ball: Any, boxes: Any, near: Any, number: Any, whole: Any) -> None:
+    """Enter every bubble where it is the first along a line of sight, and count the lines that meet it at all."""
+    rows, columns = starts.shape[:2]
+    p, d = np.empty(3), np.empty(3)
+    for n in range(len(centers)):
+        for i in range(boxes[n, 0], boxes[n, 1]):
+            v = (i + 0.5) / _FINER - 0.5
+            row = min(max(int(np.floor(v)), 0), rows - 2)
+            down = v - row
+            for j in range(boxes[n, 2], boxes[n, 3]):
+                u = (j + 0.5) / _FINER - 0.5
+                column = min(max(int(np.floor(u)), 0), columns - 2)
+                across = u - column
+                for k in range(3):
+                    p[k] = _bilinear(starts, row, column, down, across, k) - centers[n, k]
+                    d[k] = _bilinear(ways, row, column, down, across, k)
+                a = b = c = 0.0
+                for k in range(3):
+                    pk = to_ball[n, k, 0] * p[0] + to_ball[n, k, 1] * p[1] + to_ball[n, k, 2] * p[2]
+                    dk = to_ball[n, k, 0] * d[0] + to_ball[n, k, 1] * d[1] + to_ball[n, k, 2] * d[2]
+                    a += dk * dk
+                    b += pk * dk
+                    c += pk * pk
+                inside = b * b - a * (c - 1.0)
+                if inside >= 0.0:
+                    whole[n] += 1
+                    distance = (-b - np.sqrt(inside)) / a
+                    if 0.0 < distance < near[i, j]:
+                        near[i, j] = distance
+                        number[i, j] = n
+
+
+@numba.njit(cache=True, inline="always")
+def _bilinear(lines: Any, row: int, column: int, down: float, across: float, k: int) -> Any:
+    upper = lines[row, column, k] * (1.0 - across) + lines[row, column + 1, k] * across
+    lower = lines[row + 1, column, k] * (1.0 - across) + lines[row + 1, column + 1, k] * across
+    return upper * (1.0 - down) + lower * down
+
+
+def meets(bubbles: Bubbles, starts_mm: F64, ways: F64) -> Bool:
+    """Which lines from points (n, 3) along unit vectors (n, 3) meet a bubble."""
+    out = np.zeros(len(starts_mm), dtype=np.bool_)
+    if len(bubbles):
+        _meet(np.ascontiguousarray(starts_mm), np.ascontiguousarray(ways), bubbles.center_mm, bubbles.to_ball, bubbles.semi_axes_mm.max(axis=1), out)
+    return out
+
+
+@numba.njit(cache=True, parallel=True, error_model="numpy")
+def _meet(starts: Any, ways: Any, centers: Any, to_ball: Any, reach: Any, out: Any) -> None:
+    for i in numba.prange(len(starts)):
+        for n in range(len(centers)):
+            along = across = 0.0
+            for k in range(3):
+                along += (centers[n, k] - starts[i, k]) * ways[i, k]
+            for k in range(3):
+                across += (starts[i, k] + along * ways[i, k] - centers[n, k]) ** 2
+            if along <= 0.0 or across >= reach[n] * reach[n]:
+                continue
+            a = b = c = 0.0
+            for k in range(3):
+                pk = dk = 0.0
+                for m in range(3):
+                    pk += to_ball[n, k, m] * (starts[i, m] - centers[n, m])
+                    dk += to_ball[n, k, m] * ways[i, m]
+                a += dk * dk
+                b += pk * dk
+                c += pk * pk
+            if b * b >= a * (c - 1.0):
+                out[i] = True
+                break

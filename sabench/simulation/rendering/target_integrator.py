@@ -1,0 +1,182 @@
+"""Follow rays through dielectric planes to a calibration target, inside Mitsuba's scene.
+
+Import this module only after sabench.utils.backend.mitsuba(), as `glow`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from sabench.geometry.camera import Camera
+from sabench.simulation.rendering.lamps import Lamps
+from sabench.simulation.rendering.particle_integrator import opaque, undistorted
+from sabench.utils.arrays import F32, F64, Bool
+
+_WAVEFRONT = 1 << 22  # rays traced at once: bounds memory, not results
+_MOVES = ((0.7548777, 0.5698403), (0.5698403, 0.2451223), (0.2451223, 0.8191725))  # irrational steps along columns and rows: far apart in neighbours
+
+
+@dataclass(frozen=True)
+class Paint:
+    """What a target shows, in its own frame.
+
+    Attributes
+    ----------
+    pattern : as in `world.Target`.
+    squares : columns and rows of squares, or of circles.
+    pitch_mm, mark_mm : as in `world.Target`.
+    bits : (marker, 36) whether a cell of a ChArUco marker is white, for each marker in the order of the white squares; empty for other patterns.
+    turn : (3, 3) rows are the target's axes in the world.
+    """
+
+    pattern: str
+    squares: tuple[int, int]
+    pitch_mm: float
+    mark_mm: float
+    bits: Bool
+    turn: F64
+
+
+def picture(scene: Any, camera: Camera, origin: F64, paint: Paint, lamps: Lamps, interfaces: int, samples: int) -> F32:
+    """Relative radiance (rows, columns) in front of the lens: each pixel's mean over rays from all over the aperture.
+
+    Parameters
+    ----------
+    origin : world point that is the scene's (0, 0, 0): the target's own origin.
+    interfaces : dielectric planes that a ray crosses before it may meet the target.
+    """
+    rows = max(1, _WAVEFRONT // (camera.columns * samples))
+    where = _Target(paint, lamps, interfaces)
+    bands = []
+    for first in range(0, camera.rows, rows):
+        count = min(rows, camera.rows - first)
+        band = dr.block_sum(_trace(scene, _rays(camera, origin, first, count, samples), where), samples) * (1.0 / samples)
+        bands.append(np.array(band, dtype=np.float32).reshape(count, camera.columns))
+    return np.concatenate(bands)
+
+
+class _Target:
+    """A target and its lamps on the device."""
+
+    def __init__(self, paint: Paint, lamps: Lamps, interfaces: int) -> None:
+        self.paint, self.interfaces = paint, dr.opaque(mi.UInt32, interfaces)
+        self.axes = [opaque(axis) for axis in paint.turn]
+        self.bits = mi.Float(paint.bits.astype(np.float32).ravel()) if paint.bits.size else mi.Float(0.0)
+        self.lamps = [(opaque(place), dr.opaque(mi.Float, power)) for place, power in zip(lamps.places, lamps.powers.tolist(), strict=True)]
+        self.even = dr.opaque(mi.Float, lamps.even)
+
+
+def _rays(camera: Camera, origin: F64, first: int, count: int, samples: int) -> Any:
+    """Rays of `count` rows from row `first` on, pixel by pixel; a pixel's rays start all over the aperture and meet where the lens is focused.
+
+    A pixel is sampled on a lattice of which no two points share a column or a row, shifted from pixel to pixel, as the aperture's points are turned:
+    with one pattern for all an edge that runs along the pixels would move by whole steps of it, and corners with it.
+    """
+    index = dr.arange(mi.UInt32, count * camera.columns * samples)
+    pixel, sub = index // samples, index % samples
+    row, column = pixel // camera.columns, pixel % camera.columns
+    moves = [_even(c0 * mi.Float(column) + c1 * mi.Float(row)) for c0, c1 in _MOVES]
+    across = mi.Float(column) + _even((mi.Float(sub) + 0.5) / samples + moves[0]) - 0.5
+    down = mi.Float(row) + _even((mi.Float((sub * _stride(samples, 0.618)) % samples) + 0.5) / samples + moves[1]) - 0.5
+    center, scale = camera.principal_point_px, 1.0 / camera.focal_px
+    u = (across - dr.opaque(mi.Float, center[0])) * dr.opaque(mi.Float, scale)
+    v = (down + dr.opaque(mi.Float, first - center[1])) * dr.opaque(mi.Float, scale)
+    x, y = undistorted(camera.distortion, u, v)
+    right, below, forward = (opaque(axis) for axis in camera.rotation)
+    disc = camera.aperture_radius_mm * _spiral(samples)
+    sine, cosine = dr.sincos(2.0 * np.pi * moves[2])
+    a, b = (dr.gather(mi.Float, mi.Float(part.astype(np.float32)), sub) for part in disc.T)
+    a, b = cosine * a - sine * b, sine * a + cosine * b
+    focus = dr.opaque(mi.Float, camera.focus_mm)
+    start = mi.Point3f(opaque(np.asarray(camera.center_mm) - origin)) + a * right + b * below
+    return mi.Ray3f(start, dr.normalize((x * focus - a) * right + (y * focus - b) * below + focus * forward))
+
+
+def _spiral(count: int) -> F64:
+    """Points (count, 2) evenly over the unit disc, each with its opposite, in an order that is far from that of a pixel's lattice.
+
+    Their centroid is the pinhole: else everything out of focus would be shifted.
+    """
+    half = count // 2
+    number = np.arange(half)
+    radius, angle = np.sqrt((number + 0.5) / max(half, 1)), number * np.pi * (3.0 - np.sqrt(5.0))
+    part = np.column_stack([radius * np.cos(angle), radius * np.sin(angle)])
+    points = np.vstack([part, -part, np.zeros((count % 2, 2))])
+    return np.asarray(points[(np.arange(count) * _stride(count, 0.382)) % count])
+
+
+def _even(value: Any) -> Any:
+    """What is left beyond whole numbers."""
+    return value - dr.floor(value)
+
+
+def _stride(count: int, part: float) -> int:
+    """A step near a part of `count` that visits all numbers below it."""
+    return next(step for step in range(int(part * count) + 1, 2 * count + 2) if np.gcd(step, count) == 1)
+
+
+@dr.syntax
+def _trace(scene: Any, ray: Any, target: Any) -> Any:
+    """Radiance along rays: Mitsuba's transmission at dielectrics, and a matte surface under the lamps."""
+    ray = mi.Ray3f(ray)
+    result, weight = mi.Float(0.0), mi.Float(1.0)
+    crossed, active = mi.UInt32(0), mi.Bool(True)
+    context = mi.BSDFContext()
+    context.type_mask = mi.BSDFFlags.DeltaTransmission
+    while active:
+        si = scene.ray_intersect(ray, mi.RayFlags.All, active)
+        active &= si.is_valid()
+        bsdf = si.bsdf()
+        place = dr.fma(ray.d, si.t, ray.o)
+        matte = active & mi.has_flag(bsdf.flags(), mi.BSDFFlags.Diffuse)
+        normal = dr.select(dr.dot(si.n, ray.d) < 0.0, si.n, -si.n)
+        result += dr.select(matte & (crossed == target.interfaces), weight * _painted(target, place) * _lit(target, place, normal), 0.0)
+        wall = active & ~matte
+        sampled, value = bsdf.sample(context, si, mi.Float(0.5), mi.Point2f(0.5), wall)
+        weight = dr.select(wall, weight * value.x, weight)
+        crossed += dr.select(wall, mi.UInt32(1), mi.UInt32(0))
+        ray.d = dr.select(wall, si.to_world(sampled.wo), ray.d)
+        ray.o = dr.fma(ray.d, 1e-3, place)
+        active &= wall & (weight > 0.0)
+    return result
+
+
+def _lit(target: Any, place: Any, normal: Any) -> Any:
+    """Irradiance at a place; lamps are points."""
+    total = mi.Float(target.even)
+    for lamp, power in target.lamps:
+        way = lamp - place
+        square = dr.squared_norm(way)
+        total += power * dr.maximum(dr.dot(normal, way), 0.0) * dr.rsqrt(square) / square
+    return total
+
+
+def _painted(target: Any, place: Any) -> Any:
+    """Reflectance: 1 for white, 0.04 for black print."""
+    paint = target.paint
+    if paint.pattern == "wand":
+        return mi.Float(1.0)
+    columns, rows = paint.squares
+    x, y = (dr.dot(mi.Vector3f(place), axis) / paint.pitch_mm for axis in target.axes[:2])
+    if paint.pattern == "circles":
+        i, j = (dr.clip(dr.round(v + 0.5 * (n - 1)), 0.0, n - 1.0) - 0.5 * (n - 1) for v, n in ((x, columns), (y, rows)))
+        return dr.select((x - i) * (x - i) + (y - j) * (y - j) <= (0.5 * paint.mark_mm / paint.pitch_mm) ** 2, 0.04, 1.0)
+    x, y = x + 0.5 * columns, y + 0.5 * rows
+    i, j = dr.floor(x), dr.floor(y)
+    inside = (i >= 0.0) & (j >= 0.0) & (i < columns) & (j < rows)
+    black = inside & (mi.Int32(i + j) % 2 == 0)
+    if paint.bits.size:
+        part = paint.mark_mm / paint.pitch_mm
+        cell_x, cell_y = ((v - w - 0.5 * (1.0 - part)) / part * 6.0 for v, w in ((x, i), (y, j)))
+        within = (cell_x >= 0.0) & (cell_y >= 0.0) & (cell_x < 6.0) & (cell_y < 6.0)
+        marker = mi.UInt32(j * columns + i) // 2
+        cell = mi.UInt32(dr.clip(dr.floor(cell_y), 0, 5)) * 6 + mi.UInt32(dr.clip(dr.floor(cell_x), 0, 5))
+        on_marker = inside & ~black & within
+        white = dr.gather(mi.Float, target.bits, marker * 36 + cell, on_marker)
+        black |= on_marker & (white < 0.5)
+    return dr.select(black, 0.04, 1.0)

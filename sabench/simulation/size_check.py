@@ -1,0 +1,36 @@
+"""What a data set will need at least, so that one that can never be made is refused before work starts."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+from sabench.scenes.rig import Rig
+from sabench.scenes.schema import Scene
+from sabench.utils import memory
+from sabench.utils.errors import InputError
+
+_WORKING_BYTES = 40  # per pixel of the picture in work: photons, radiance and noise in double precision, then grey values
+_STORED_BYTES = 2  # per pixel of each picture on the disk: grey values are not compressed
+
+
+def check_affordable(name: str, scene: Scene, rig: Rig, folder: Path) -> None:
+    """Refuse a scene whose pictures cannot fit into memory, one at a time, or on the disk of a folder, all together.
+
+    Both are lower bounds: a scene that passes may still need too much, one that does not pass would have failed.
+    """
+    pixels, pictures = scene.cameras.rows * scene.cameras.columns, scene.frames * len(rig.cameras)
+    there, need = memory.available_mb(), pixels * _WORKING_BYTES / 1e6
+    if there is not None and need > there:
+        size = f"{scene.cameras.rows} x {scene.cameras.columns}"
+        raise InputError(
+            f"{name}: cameras: expected pictures that fit into memory, but one of {size} pixels needs {need:.0f} MB where {there:.0f} are there"
+        )
+    if scene.targets is not None and scene.lighting is None:  # without pictures
+        return
+    there_now = next(path for path in (folder, *folder.parents) if path.exists())
+    free, stored = shutil.disk_usage(there_now).free / 1e6, pixels * pictures * _STORED_BYTES / 1e6
+    if stored > free:
+        raise InputError(
+            f"{name}: frames: expected a data set that fits on the disk, but {pictures} pictures need {stored:.0f} MB where {free:.0f} are free"
+        )

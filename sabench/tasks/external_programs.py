@@ -1,0 +1,131 @@
+"""Programs in any language that take part: docs/participate.md is their contract.
+
+    program DATASET RESULT [name=value ...]
+
+DATASET is a folder with copies of what a solver may see, RESULT the file that the program must write.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import tempfile
+from pathlib import Path
+from typing import Any
+
+from sabench import plugins, tasks
+from sabench.dataset import schema
+from sabench.dataset.hdf5_probe import probe
+from sabench.dataset.reader import Dataset, open_dataset
+from sabench.dataset.results import Result, open_result, result_writer
+from sabench.utils.errors import InputError
+from sabench.utils.files import canonical_json, clear_abandoned, inside, is_file
+from sabench.utils.processes.isolated import apart
+from sabench.utils.processes.limited import Limits, run_confined
+from sabench.utils.progress import console
+from sabench.utils.validation import printable
+
+_CHECK_S = 1800.0  # for reading all of a result
+
+
+def is_program(solver: str) -> bool:
+    """Whether a solver's name is that of a file: it has a path separator, or there is an executable file of this name and no such plug-in."""
+    if os.sep in solver or (os.altsep is not None and os.altsep in solver):
+        return True
+    return is_file(Path(solver)) and os.access(solver, os.X_OK) and solver not in plugins.names("solvers")
+
+
+def solver_name(solver: str) -> str:
+    """What tables show of a solver's name: of a program's path the file's stem."""
+    return printable(Path(solver).stem) if is_program(solver) else solver
+
+
+def find_program(name: str, folder: Path = Path()) -> Path:
+    """The whole path of an executable file; relative ones are looked for in `folder`."""
+    path = (folder / name).absolute()
+    if not is_file(path):
+        raise InputError(f"program {name}: expected an executable file, found none at {path}")
+    if not os.access(path, os.X_OK):
+        raise InputError(f"program {name}: expected an executable file, but it may not be executed: chmod +x {name}")
+    return path
+
+
+def run_program(
+    program: str, dataset: Dataset, out: Path, *, parameters: dict[str, Any] | None = None, limits: Limits | None = None, overwrite: bool = False
+) -> Result:
+    """Let a program solve a data set and put its result, checked, in its place.
+
+    What it costs is measured here: wall seconds over the number of frames, or of pairs for velocities, and memory.
+
+    Raises
+    ------
+    InputError
+        No such program, a program that fails or breaks a limit, or a result that is not what docs/result-format.md says.
+    """
+    path, limits = find_program(program), limits or Limits()
+    if out.exists() and not overwrite:
+        raise InputError(f"{out} exists already: choose another name, or say --overwrite")
+    with tempfile.TemporaryDirectory(prefix="sabench-", ignore_cleanup_errors=True) as name:
+        view, scratch = Path(name) / "dataset", Path(name) / "work"
+        show(dataset, view)
+        scratch.mkdir()
+        result = scratch / "result.h5"
+        console.print(f"{path.name}: at most {limits.time_s:g} s", markup=False, highlight=False)
+        cost = run_confined([str(path), str(view), str(result), *_words(parameters or {})], scratch, limits, path.name)
+        _check_file(result, path.name)
+        told = (solver_name(program), parameters or {}, cost.seconds, cost.peak_mb)
+        try:
+            probe(result)
+            apart(adopt, result, dataset.root, out, told, overwrite, doing=f"result of {path.name}", time_s=_CHECK_S)
+        finally:
+            clear_abandoned(out.absolute())
+    return open_result(out, dataset)
+
+
+def show(dataset: Dataset, view: Path) -> None:
+    """A folder with copies of a data set's observation side; what a program does to them harms nothing."""
+    names = [name for name in dataset.manifest.files if name in (schema.CAMERAS, schema.TARGET, schema.POINTS) or _is_image(name)]
+    for name in names:
+        place = inside(view, name)
+        place.parent.mkdir(parents=True, exist_ok=True)
+        shutil.copyfile(inside(dataset.root, name), place)
+    head = {"format": schema.FORMAT, "version": schema.VERSION, "content_hash": dataset.content_hash}
+    (view / schema.MANIFEST).write_text(canonical_json(head), encoding="utf-8")
+
+
+def _is_image(name: str) -> bool:
+    return name.startswith("images/") and name.endswith(".tif")
+
+
+def _words(parameters: dict[str, Any]) -> list[str]:
+    """name=value, strings as they are, everything else as JSON."""
+    return [f"{name}={value if isinstance(value, str) else json.dumps(value)}" for name, value in parameters.items()]
+
+
+def _check_file(result: Path, name: str) -> None:
+    if result.is_symlink() or not result.is_file():
+        raise InputError(
+            f"program {name}: expected the result at the path in its second argument, found {'no file' if not result.exists() else 'none'} there"
+        )
+
+
+def adopt(path: Path, root: Path, out: Path, told: tuple[str, dict[str, Any], float, float | None] | None, overwrite: bool) -> None:
+    """Read every value of a foreign result under all checks and write a result of our own; nothing else of the file is kept.
+
+    Parameters
+    ----------
+    told : solver, parameters, seconds (wall time of all frames) and peak memory in MB; None: what the file says of the first two, and no costs.
+    """
+    data = open_dataset(root)
+    result = open_result(path, data)
+    solver, parameters, seconds, peak_mb = told or (result.solver, result.parameters, None, None)
+    with result_writer(out, data, solver, result.track, parameters, overwrite=overwrite) as writer:
+        tasks.of(result.track).copy(data, result, writer)
+        if seconds is not None:
+            writer.set_cost(seconds / max(1, steps(data, result.track)), peak_mb)
+
+
+def steps(data: Dataset, track: str) -> int:
+    """How many times a solver is called: once for each frame, or each pair of them, or once."""
+    return {"velocimetry": len(data.rig.pairs()), "calibration": 1}.get(track, data.rig.frames)

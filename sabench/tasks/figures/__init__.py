@@ -1,0 +1,1 @@
+"""Figures of results: bubbles and velocity fields."""

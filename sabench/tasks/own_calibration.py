@@ -1,0 +1,281 @@
+"""Calibrate an experimenter's own cameras: images or points of a target in a folder, without any truth, to cameras and a report.
+
+docs/calibration.md describes the folder.
+"""
+
+from __future__ import annotations
+
+import csv
+import math
+import tomllib
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import numpy.typing as npt
+from pydantic import BaseModel, ConfigDict, Field
+
+from sabench.algorithms.calibration.bundle_adjustment import Seen
+from sabench.algorithms.calibration.cramer_rao import limit
+from sabench.algorithms.calibration.parameters import Frame, Free
+from sabench.algorithms.calibration.problem import anchors_of
+from sabench.algorithms.calibration.target_detection import detect
+from sabench.api import Calibration, CalibrationCase
+from sabench.api.make import make_algorithm
+from sabench.api.truth import Pattern, Target
+from sabench.dataset.results import camera_record
+from sabench.geometry.camera import Camera, Distortion, aim, aimed_rotation
+from sabench.plotting import pictures
+from sabench.scenes.rig import build_wall
+from sabench.scenes.schema import WallSpec
+from sabench.utils.arrays import F64, triple
+from sabench.utils.errors import InputError
+from sabench.utils.fields import LensNumber, Positive, Vector
+from sabench.utils.files import canonical_json, complete_or_nothing
+from sabench.utils.progress import track
+from sabench.utils.validation import validate
+
+CONFIGURATION, IMAGES, POINTS = "calibration.toml", "images", "points.csv"
+_SUFFIXES = (".tif", ".tiff", ".png", ".bmp", ".jpg", ".jpeg")
+
+
+class _Table(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+class TargetSpec(_Table):
+    """What was shown."""
+
+    pattern: Pattern
+    columns: Annotated[int, Field(ge=1, le=200)]
+    rows: Annotated[int, Field(ge=1, le=200)]
+    pitch_mm: Positive
+    mark_mm: Annotated[float, Field(ge=0.0)] = 0.0
+
+
+class ArraySpec(_Table):
+    """What all cameras have in common, as far as it is known."""
+
+    rows: Annotated[int, Field(ge=8, le=20000)]
+    columns: Annotated[int, Field(ge=8, le=20000)]
+    pixel_mm: Positive
+    focal_length_mm: Positive
+    principal_distance_mm: Positive | None = Field(None, description="by default the focal length")
+
+
+class CameraSpec(_Table):
+    """Roughly where a camera is, and what it looks at."""
+
+    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9_]+$")]
+    center_mm: Vector
+    aim_mm: Vector
+
+
+class KnownSpec(_Table):
+    """A point of the target whose place was measured; coordinates that were not are left out."""
+
+    frame: Annotated[int, Field(ge=0)]
+    point: Annotated[int, Field(ge=0)]
+    x_mm: float | None = None
+    y_mm: float | None = None
+    z_mm: float | None = None
+    sigma_mm: Positive = 0.05
+
+
+class Configuration(_Table):
+    """calibration.toml."""
+
+    target: TargetSpec
+    array: ArraySpec
+    wall: WallSpec | None = None
+    cameras: Annotated[tuple[CameraSpec, ...], Field(min_length=2)]
+    target_mm: Vector = Field(description="roughly where the target was")
+    known: tuple[KnownSpec, ...] = ()
+    unknown: tuple[LensNumber, ...] = Field((), description="what is to be found of the lenses besides their focal lengths")
+
+
+@dataclass(frozen=True)
+class Report:
+    """A calibration's quality as far as its own data show it.
+
+    Attributes
+    ----------
+    noise_px : of a pixel coordinate, from what does not fit.
+    true_px : mean error of the calibrated cameras themselves that this noise lets expect.
+    std_mm : scatter of the target's points along X, Y, Z that it lets expect.
+    depth_mm : standard deviation of the depth of everything together.
+    cameras, frames : for each its name or number, points found and used, and mean and largest distance of the used from where they are computed, px.
+    """
+
+    noise_px: float
+    true_px: float
+    std_mm: tuple[float, float, float]
+    depth_mm: float
+    cameras: tuple[dict[str, Any], ...]
+    frames: tuple[dict[str, Any], ...]
+
+
+def calibrate(folder: Path, out: Path, solver: str, parameters: dict[str, Any], *, overwrite: bool = False) -> Report:
+    """Read a folder, calibrate, and write cameras.json, report.json and errors.png into the folder `out`.
+
+    Raises
+    ------
+    InputError
+        Anything missing or wrong in the folder, or a calibration that its data do not support.
+    """
+    case = read_case(folder)
+    algorithm: Any = make_algorithm(solver, parameters)
+    if getattr(algorithm, "sees", "") != "target":
+        raise InputError(f"solver {solver}: expected one that calibrates by a target")
+    reason = algorithm.skip(case)
+    if reason:
+        raise InputError(f"solver {solver} declines this case: {reason}")
+    answer: Calibration = algorithm.solve(case)
+    points = answer.points_mm
+    if points is None or not all(isinstance(camera, Camera) for camera in answer.cameras):
+        raise InputError(f"solver {solver}: expected one that returns pinhole cameras and the target's places, for the report")
+    report, errors = report_on(case, answer, points)
+    with complete_or_nothing(out, overwrite=overwrite) as partial:
+        partial.mkdir()
+        records = [camera_record(camera) for camera in answer.cameras]
+        (partial / "cameras.json").write_text(canonical_json({"format": "sabench-cameras", "version": 1, "cameras": records}), encoding="utf-8")
+        (partial / "report.json").write_text(canonical_json(asdict(report)), encoding="utf-8")
+        (partial / "errors.png").write_bytes(pictures.arrows(case.pixels, errors, case.cameras[0].rows, case.cameras[0].columns))
+    return report
+
+
+def read_case(folder: Path) -> CalibrationCase:
+    """A folder's calibration: its points.csv, or else what is found in its images."""
+    path = folder / CONFIGURATION
+    try:
+        values = tomllib.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise InputError(f"{path}: expected the description of a calibration, found none") from None
+    except (OSError, ValueError) as error:
+        raise InputError(f"{path}: expected a TOML file, got {error}") from error
+    told = validate(Configuration, values, str(path))
+    target = Target(**told.target.model_dump())
+    cameras = _cameras(told, str(path))
+    plain = target.points_mm + np.asarray(told.target_mm)
+    pixels = _read_points(folder / POINTS, target, cameras) if (folder / POINTS).is_file() else _read_images(folder / IMAGES, target, cameras, plain)
+    rough = np.tile(plain, (pixels.shape[1], 1, 1))
+    return CalibrationCase(target, pixels, cameras, rough, *_known(told, rough.shape, str(path)), told.unknown)
+
+
+def _cameras(told: Configuration, source: str) -> tuple[Camera, ...]:
+    wall = build_wall(told.wall) if told.wall else None
+    shared, cameras = told.array, []
+    names = [spec.name for spec in told.cameras]
+    if len(set(names)) != len(names):
+        raise InputError(f"{source}: cameras: expected different names, got {names}")
+    for spec in told.cameras:
+        camera = Camera(
+            name=spec.name, rows=shared.rows, columns=shared.columns, center_mm=spec.center_mm, rotation=aimed_rotation(np.array([0.0, 0.0, 1.0])),
+            principal_distance_mm=shared.principal_distance_mm or shared.focal_length_mm, pixel_mm=shared.pixel_mm,
+            principal_point_px=((shared.columns - 1) / 2.0, (shared.rows - 1) / 2.0), distortion=Distortion(),
+            focal_length_mm=shared.focal_length_mm, f_number=8.0, wall=wall,
+        )  # fmt: skip
+        try:
+            cameras.append(aim(camera, spec.aim_mm))
+        except ValueError as error:
+            raise InputError(f"{source}: {error}: is the wall behind the camera, or the target in front of the wall?") from error
+    return tuple(cameras)
+
+
+def _known(told: Configuration, shape: tuple[int, ...], source: str) -> tuple[F64, F64]:
+    places, sigmas = np.full(shape, np.nan), np.full(shape, np.nan)
+    for number, point in enumerate(told.known):
+        if point.frame >= shape[0] or point.point >= shape[1]:
+            raise InputError(
+                f"{source}: known.{number}: expected one of {shape[0]} frames and of {shape[1]} points, got {point.frame} and {point.point}"
+            )
+        for axis, value in enumerate((point.x_mm, point.y_mm, point.z_mm)):
+            if value is not None:
+                places[point.frame, point.point, axis], sigmas[point.frame, point.point, axis] = value, point.sigma_mm
+    return places, sigmas
+
+
+def _read_points(path: Path, target: Target, cameras: tuple[Camera, ...]) -> F64:
+    """points.csv: a line `camera,frame,point,column,row` for every point found, with these words as its first line."""
+    numbers, rows = {camera.name: i for i, camera in enumerate(cameras)}, list(_lines(path))
+    frames = 1 + max((row[1] for row in rows), default=-1)
+    count = len(target.points_mm)
+    pixels = np.full((len(cameras), max(frames, 1), count, 2), np.nan)
+    for camera, frame, point, column, row in rows:
+        if camera not in numbers or not 0 <= point < count or frame < 0:
+            raise InputError(f"{path}: expected cameras {', '.join(numbers)} and points 0 to {count - 1}, got {camera}, frame {frame}, point {point}")
+        if np.isfinite(pixels[numbers[camera], frame, point, 0]):
+            raise InputError(f"{path}: {camera}, frame {frame}: expected point {point} once, got it twice")
+        pixels[numbers[camera], frame, point] = column, row
+    return pixels
+
+
+def _lines(path: Path) -> Iterator[tuple[str, int, int, float, float]]:
+    expected = ["camera", "frame", "point", "column", "row"]
+    with path.open(newline="", encoding="utf-8") as file:
+        reader = csv.DictReader(file)
+        if reader.fieldnames != expected:
+            raise InputError(f"{path}: expected the first line {','.join(expected)}, got {','.join(reader.fieldnames or ())}")
+        for number, line in enumerate(reader, 2):
+            try:
+                values = line["camera"], int(line["frame"]), int(line["point"]), float(line["column"]), float(line["row"])
+            except (TypeError, ValueError) as error:
+                raise InputError(f"{path}: line {number}: expected a name, two whole numbers and two numbers, got {error}") from error
+            if not (math.isfinite(values[3]) and math.isfinite(values[4])):
+                raise InputError(f"{path}: line {number}: expected finite pixels, got {values[3]}, {values[4]}")
+            yield values
+
+
+def _read_images(folder: Path, target: Target, cameras: tuple[Camera, ...], plain: F64) -> F64:
+    """images/FRAME/CAMERA.tif (or png, bmp, jpg), frames in the order of their folders' names."""
+    frames = sorted(entry for entry in folder.iterdir() if entry.is_dir()) if folder.is_dir() else []
+    if not frames:
+        raise InputError(f"{folder}: expected folders with an image of each camera, or a {POINTS} beside it, found neither")
+    steps = [(c, k) for c in range(len(cameras)) for k in range(len(frames))]
+    pixels = np.full((len(cameras), len(frames), len(target.points_mm), 2), np.nan)
+    for c, k in track(steps, "find the target"):
+        image = _image(frames[k], cameras[c])
+        if image is not None:
+            pixels[c, k] = detect(image, target, cameras[c].project(plain)[0])
+    return pixels
+
+
+def _image(frame: Path, camera: Camera) -> npt.NDArray[np.uint16] | None:
+    """A camera's image of a frame; None if it took none."""
+    import cv2
+
+    path = next((frame / f"{camera.name}{suffix}" for suffix in _SUFFIXES if (frame / f"{camera.name}{suffix}").is_file()), None)
+    if path is None:
+        return None
+    image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH)
+    if image is None:
+        raise InputError(f"{path}: expected an image, got something else")
+    if image.shape != (camera.rows, camera.columns):
+        raise InputError(f"{path}: expected {camera.rows} x {camera.columns} pixels (rows x columns), got {image.shape[0]} x {image.shape[1]}")
+    return np.asarray(image, dtype=np.uint16)
+
+
+def report_on(case: CalibrationCase, answer: Calibration, points: F64) -> tuple[Report, F64]:
+    """What the data themselves say of a calibration, and the errors (camera, frame, point, 2) of all points found."""
+    cameras = tuple(camera for camera in answer.cameras if isinstance(camera, Camera))
+    flat = points.reshape(-1, 3)
+    errors = case.pixels - np.stack([camera.project(flat)[0] for camera in cameras]).reshape(case.pixels.shape)
+    used = case.found if answer.used is None else answer.used
+    frame = Frame.of(cameras, points)
+    free = Free.of(case.unknown)
+    size, boards = free.per_camera * len(cameras), 6 * int(used.any(axis=(0, 2)).sum())
+    noise = float(np.sqrt(np.sum(errors[used] ** 2) / max(2 * used.sum() - size - boards, 1)))
+    seen = Seen(case.target.points_mm, np.nan_to_num(case.pixels), used.astype(np.float64), anchors_of(case, frame, noise))
+    bound = limit(frame.state(case.target.points_mm, points), seen, free, noise)
+    lengths = np.linalg.norm(errors, axis=-1)
+    by_camera = tuple(_line(camera.name, lengths[i], case.found[i], used[i]) for i, camera in enumerate(cameras))
+    by_frame = tuple(_line(k, lengths[:, k], case.found[:, k], used[:, k]) for k in range(points.shape[0]))
+    return Report(noise, bound.reprojection_px, triple(bound.point_std_mm), float(bound.point_mean_mm[2]), by_camera, by_frame), errors
+
+
+def _line(name: str | int, lengths: F64, found: npt.NDArray[np.bool_], used: npt.NDArray[np.bool_]) -> dict[str, Any]:
+    own = lengths[used]
+    figures = (float(own.mean()), float(own.max())) if len(own) else (None, None)
+    return {"name": name, "found": int(found.sum()), "used": int(used.sum()), "mean_px": figures[0], "largest_px": figures[1]}

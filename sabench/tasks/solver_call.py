@@ -1,0 +1,29 @@
+"""One call of a solver, which may do anything."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from sabench.utils.errors import DeclinedError, InputError
+
+
+def attempt(algorithm: Any, name: str, case: Any, expected: type[Any], where: str = "") -> Any:
+    """What a solver makes of a case; `where` is said where it fails, as " on frame 0".
+
+    Raises
+    ------
+    InputError
+        A solver that declines, raises, or returns something else than an `expected`.
+    """
+    try:
+        reason = algorithm.skip(case)
+        answer = None if reason else algorithm.solve(case)
+    except InputError as error:
+        raise InputError(f"solver {name}: {error}") from error
+    except Exception as error:
+        raise InputError(f"solver {name} failed{where}: {type(error).__name__}: {error}") from error
+    if reason:
+        raise DeclinedError(f"solver {name} declines this case: {reason}")
+    if not isinstance(answer, expected):
+        raise InputError(f"solver {name}: expected a {expected.__name__}, got {type(answer).__name__}")
+    return answer

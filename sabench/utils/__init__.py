@@ -1,0 +1,1 @@
+"""Array types, errors, random streams, files, validation, processes and the compute back end."""

@@ -1,0 +1,26 @@
+"""Which code this is: a hash that changes with every line of it."""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+from pathlib import Path
+
+_PACKAGE = Path(__file__).resolve().parents[1]
+
+
+def code_hash(*files: Path) -> str:
+    """SHA-256 over the sources of sabench, without its page, and over further files."""
+    whole = hashlib.sha256(_own().encode())
+    for file in files:
+        whole.update(hashlib.sha256(file.read_bytes()).digest())
+    return whole.hexdigest()
+
+
+@functools.cache
+def _own() -> str:
+    whole = hashlib.sha256()
+    for file in sorted(_PACKAGE.rglob("*.py")):
+        if "_plugins" not in file.parts:
+            whole.update(f"{file.relative_to(_PACKAGE).as_posix()}\0".encode() + hashlib.sha256(file.read_bytes()).digest())
+    return whole.hexdigest()

@@ -1,0 +1,144 @@
+"""Writing so that nothing half-written is ever seen, and reading without being led astray."""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import json
+import os
+import re
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from sabench.utils.errors import InputError
+
+_ABANDONED = re.compile(r"^\.(?P<name>.+)\.(?P<what>partial|retired)-(?P<pid>\d+)$")
+
+LONGEST_PART = 255  # bytes of a file's name, on every system in use
+_LARGEST_TEXT = 100_000_000  # bytes of a JSON file
+
+
+@contextlib.contextmanager
+def complete_or_nothing(target: Path, *, overwrite: bool = False) -> Iterator[Path]:
+    """A temporary path beside `target` that takes its place only when the block has ended well.
+
+    The block makes a file or a folder at the path it gets. A killed process leaves a hidden `.NAME.partial-PID`,
+    which the next write to the same target removes.
+    """
+    target = target.absolute()
+    target.parent.mkdir(parents=True, exist_ok=True)
+    clear_abandoned(target)
+    refuse_existing(target, overwrite=overwrite)
+    partial = target.parent / f".{target.name}.partial-{os.getpid()}"
+    retired = target.parent / f".{target.name}.retired-{os.getpid()}"
+    try:
+        yield partial
+        _flush(partial)
+        if target.is_dir() or (target.exists() and partial.is_dir()):
+            target.rename(retired)  # folders cannot be replaced in one step; `clear_abandoned` mends a death between these two lines
+            partial.rename(target)
+        else:
+            partial.replace(target)
+    except OSError as error:
+        if error.errno and not error.filename:  # a refused write does not say where
+            error.filename = str(target)
+        raise
+    finally:
+        _remove(partial)
+        if retired.exists() and not target.exists():
+            retired.rename(target)
+        _remove(retired)
+
+
+def refuse_existing(target: Path, *, overwrite: bool) -> None:
+    """InputError if there is something that may not be replaced."""
+    if target.exists() and not overwrite:
+        raise InputError(f"{target} exists already: choose another name, or say --overwrite")
+
+
+def clear_abandoned(target: Path) -> None:
+    """Remove what killed processes left of writing `target`; what they had set aside comes back if nothing took its place."""
+    for entry in sorted(target.parent.iterdir()):
+        match = _ABANDONED.match(entry.name)
+        if not match or match["name"] != target.name or _alive(int(match["pid"])):
+            continue
+        if match["what"] == "retired" and not target.exists():
+            entry.rename(target)
+        else:
+            _remove(entry)
+
+
+def _alive(pid: int) -> bool:
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    except PermissionError:
+        return True
+    return True
+
+
+def _remove(path: Path) -> None:
+    if path.is_dir() and not path.is_symlink():
+        shutil.rmtree(path)
+    else:
+        path.unlink(missing_ok=True)
+
+
+def _flush(path: Path) -> None:
+    """Have the disk hold every byte before the rename says that it does."""
+    for file in [path] if path.is_file() else [entry for entry in path.rglob("*") if entry.is_file()]:
+        with file.open("rb") as handle:
+            os.fsync(handle.fileno())
+
+
+def is_file(path: Path) -> bool:
+    """Whether there is a file of this name; a name that no disk can hold has none."""
+    try:
+        return path.is_file()
+    except OSError:
+        return False
+
+
+def sha256(path: Path) -> str:
+    """Hexadecimal SHA-256 of a file's bytes."""
+    with path.open("rb") as handle:
+        return hashlib.file_digest(handle, "sha256").hexdigest()
+
+
+def canonical_json(value: Any) -> str:
+    """JSON with sorted keys and shortest round-trip numbers: equal values give equal text."""
+    text = json.dumps(value, sort_keys=True, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+    return text.encode("utf-8", "replace").decode("utf-8")  # JSON can hold half a surrogate pair, UTF-8 can not
+
+
+def digest(value: Any) -> str:
+    """SHA-256 of a value's canonical JSON: equal values have equal digests."""
+    return hashlib.sha256(canonical_json(value).encode()).hexdigest()
+
+
+def read_json(path: Path) -> Any:
+    """Parse a JSON file; a missing, broken or enormous one is an InputError that names it."""
+    try:
+        if path.stat().st_size > _LARGEST_TEXT:
+            raise ValueError(f"{path.stat().st_size} bytes where {_LARGEST_TEXT} are allowed")
+        return json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError) as error:
+        raise InputError(f"{path}: expected a JSON file, got {_short(error)}") from error
+
+
+def inside(root: Path, name: str) -> Path:
+    """The file `name` in the folder `root`; a name that leads outside, or through a link, is an InputError."""
+    path = root / name
+    parts = Path(name).parts
+    bad = not parts or Path(name).is_absolute() or ".." in parts or "\\" in name or "\0" in name
+    bad = bad or any(len(part.encode("utf-8", "replace")) > LONGEST_PART for part in parts)
+    if bad or any((root / Path(*parts[: i + 1])).is_symlink() for i in range(len(parts))):
+        raise InputError(f"{root}: expected a plain file inside the folder, got {name!r}")
+    return path
+
+
+def _short(error: Exception) -> str:
+    return f"{type(error).__name__}: {str(error).splitlines()[0] if str(error) else 'no detail'}"

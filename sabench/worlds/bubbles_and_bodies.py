@@ -1,0 +1,138 @@
+"""A scene's bubbles and bodies at a frame, and what cannot be: one that a wall cuts, two in one place, a body that is not closed."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from sabench.api import BubbleGenerator, Material, SolidGenerator, SolidParameters
+from sabench.api.make import generator_of
+from sabench.api.truth import Bubbles, Solid
+from sabench.geometry.frames import Pose
+from sabench.geometry.refraction import Wall
+from sabench.geometry.rotations import exponential
+from sabench.scenes.rig import build_wall, domain_of
+from sabench.scenes.schema import Scene
+from sabench.utils.arrays import I64
+from sabench.utils.errors import InputError
+from sabench.worlds.library.random_packing import overlapping, touching
+
+_SMALL, _LARGE = 0.01, 20.0  # of the volume's largest edge: a body beyond these is taken to be in another unit
+_NAMED = 3  # bubbles that an error names
+
+
+class Phases:
+    """All frames' bubbles and bodies of a scene and seed."""
+
+    def __init__(self, scene: Scene, seed: int) -> None:
+        self.scene, self.seed = scene, seed
+        self._bubbles: BubbleGenerator | None = generator_of(scene.bubbles) if scene.bubbles else None
+        self._solids: list[SolidGenerator] = [generator_of(given) for given in scene.solids or ()]
+        self._bodies = [_closed(generator.body(seed), f"{scene.title}: solids.{n}", scene) for n, generator in enumerate(self._solids)]
+
+    def bubbles(self, frame: int) -> Bubbles:
+        """The bubbles of a frame.
+
+        Raises
+        ------
+        InputError
+            One that a wall cuts, that reaches into a body, or into another one although the scene does not ask for that.
+        """
+        if self._bubbles is None:
+            return Bubbles(np.zeros(0, dtype=np.int64), np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 3, 3)), np.zeros((0, 3)))
+        made = self._bubbles.bubbles(domain_of(self.scene), self.seed, frame, self.scene.time_s(frame))
+        where = f"{self.scene.title}: bubbles of frame {frame}"
+        _check_walls(made, self.scene, where)
+        if not self._bubbles.parameters.overlap:
+            _check_apart(made, where)
+        for number, (solid, _) in enumerate(self.bodies(frame)):
+            _check_beside(made, solid, where, f"solids.{number}")
+        return made
+
+    def bodies(self, frame: int) -> list[tuple[Solid, Material]]:
+        """The bodies of a frame, each at its place.
+
+        Raises
+        ------
+        InputError
+            One that reaches out of the tank.
+        """
+        out = []
+        for number, (generator, body) in enumerate(zip(self._solids, self._bodies, strict=True)):
+            pose = pose_of(generator.parameters, self.scene.time_s(frame))
+            solid = Solid(pose(body.vertices_mm), body.faces)
+            _check_tank(solid, self.scene, f"{self.scene.title}: solids.{number} in frame {frame}")
+            out.append((solid, generator.parameters.material))
+        return out
+
+
+def pose_of(parameters: SolidParameters, time_s: float) -> Pose:
+    """Where a body is at a time."""
+    turn = exponential(np.deg2rad(parameters.turn_deg)) @ exponential(np.deg2rad(parameters.spin_deg_s) * time_s)
+    return Pose(turn, np.asarray(parameters.place_mm) + np.asarray(parameters.velocity_mm_s) * time_s)
+
+
+def _closed(body: Solid, where: str, scene: Scene) -> Solid:
+    """A body whose surface is closed, faces outwards and is of a size that its unit may be right."""
+    import trimesh
+
+    mesh = trimesh.Trimesh(body.vertices_mm, body.faces, process=False)
+    merged = trimesh.Trimesh(body.vertices_mm, body.faces, process=True)  # joins vertices that files list once for every face
+    if not merged.is_watertight or not merged.is_winding_consistent:
+        open_edges = int((np.bincount(merged.edges_unique_inverse) != 2).sum())
+        raise InputError(f"{where}: expected a closed surface, but {open_edges} of its edges do not have two faces")
+    largest, volume = float(np.ptp(body.vertices_mm, axis=0).max()), max(scene.volume.size_mm)
+    if not _SMALL * volume <= largest <= _LARGE * volume:
+        raise InputError(f"{where}: expected a body of a size like the volume's ({volume:g} mm), got {largest:.3g} mm: is its unit right?")
+    faces = mesh.faces if merged.volume > 0.0 else mesh.faces[:, ::-1]
+    return Solid(np.asarray(body.vertices_mm, dtype=np.float64), np.asarray(faces, dtype=np.int64))
+
+
+def _depths(wall: Wall) -> tuple[float, float]:
+    """Depths of the faces between which the fluid is."""
+    inner = wall.thickness_mm
+    return inner, inner + wall.depth_mm if wall.depth_mm is not None else np.inf
+
+
+def _check_walls(bubbles: Bubbles, scene: Scene, where: str) -> None:
+    wall = build_wall(scene.wall) if scene.wall else None
+    if wall is None or not len(bubbles):
+        return
+    depth, reach, (near, far) = wall.depth_of(bubbles.center_mm), bubbles.reach_mm(wall.normal), _depths(wall)
+    cut = np.flatnonzero((depth - reach < near) | (depth + reach > far))
+    if len(cut):
+        raise InputError(f"{where}: expected all of them in the fluid, but a wall cuts {len(cut)}: {_named(bubbles, cut)}")
+
+
+def _check_apart(bubbles: Bubbles, where: str) -> None:
+    pairs = overlapping(bubbles)
+    if len(pairs):
+        first, second = (_named(bubbles, pairs[:1, side]) for side in (0, 1))
+        raise InputError(f"{where}: expected none to reach into another (overlap = true allows it), but {len(pairs)} pairs do: {first} and {second}")
+
+
+def _check_beside(bubbles: Bubbles, solid: Solid, where: str, name: str) -> None:
+    """No bubble may cross a body's surface."""
+    if not len(bubbles):
+        return
+    bad = np.flatnonzero(touching(bubbles, solid))
+    if len(bad):
+        raise InputError(f"{where}: expected none to reach into a body, but {len(bad)} reach into {name}: {_named(bubbles, bad)}")
+
+
+def _check_tank(solid: Solid, scene: Scene, where: str) -> None:
+    wall = build_wall(scene.wall) if scene.wall else None
+    if wall is None:
+        return
+    depth, (near, far) = wall.depth_of(solid.vertices_mm), _depths(wall)
+    if depth.min() < near or depth.max() > far:
+        got = f"{depth.min():.4g} to {depth.max():.4g}"
+        raise InputError(f"{where}: expected it in the tank, {near:g} to {far:g} mm behind the wall's outer face, but it reaches from {got} mm")
+
+
+def _named(bubbles: Bubbles, which: I64) -> str:
+    """A few bubbles by number, place and size."""
+    shown = [
+        f"{bubbles.id[n]} at {np.round(bubbles.center_mm[n], 3).tolist()} mm with semi-axes {np.round(bubbles.semi_axes_mm[n], 3).tolist()} mm"
+        for n in which[:_NAMED]
+    ]
+    return "; ".join(shown) + (" ..." if len(which) > _NAMED else "")

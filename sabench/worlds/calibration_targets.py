@@ -1,0 +1,84 @@
+"""Calibration targets: where every frame shows one, what the cameras find of it, and what is known of it beforehand."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from sabench import plugins
+from sabench.api import TargetGenerator
+from sabench.api.truth import Placed, Prior
+from sabench.geometry.camera import Camera
+from sabench.scenes.rig import domain_of
+from sabench.scenes.schema import Detection, Scene
+from sabench.utils.arrays import F64, Bool
+from sabench.utils.errors import InputError
+from sabench.utils.rng import stream
+
+
+def place(scene: Scene, seed: int) -> Placed:
+    """Show a scene's target at its places."""
+    given = dict(scene.targets or {})
+    plugin = plugins.load("generators", given.pop("generator"))
+    maker: TargetGenerator = plugin(plugin.Parameters(**given))
+    domain = domain_of(scene)
+    return Placed(maker.target(), tuple(maker.pose(domain, seed, frame, scene.frames) for frame in range(scene.frames)))
+
+
+def exact_pixels(camera: Camera, points_mm: F64) -> F64:
+    """Where a camera truly sees points (frame, point, 3): pixels (frame, point, 2), NaN outside its image."""
+    pixels, valid = camera.project(points_mm.reshape(-1, 3))
+    pixels[~(valid & camera.contains(pixels))] = np.nan
+    return pixels.reshape(*points_mm.shape[:2], 2)
+
+
+def found_pixels(detection: Detection | None, exact: F64, seed: int, camera: int) -> tuple[F64, Bool]:
+    """Pixels (frame, point, 2) as they are found, NaN where they are not, and which are outliers (frame, point)."""
+    if detection is None:
+        return exact.copy(), np.zeros(exact.shape[:2], dtype=np.bool_)
+    rng = stream(seed, "detection", camera)
+    noise, elsewhere = rng.standard_normal(exact.shape), rng.standard_normal(exact.shape)
+    chance, half = rng.random((3, *exact.shape[:2])), rng.random((len(exact), 3))
+    outliers = np.asarray(chance[0] < detection.outliers)
+    pixels = exact + detection.noise_px * noise + np.where(outliers[..., None], detection.outlier_px * elsewhere, 0.0)
+    pixels[(chance[1] < detection.missing) | _hidden(detection, exact, half)] = np.nan
+    return pixels, outliers & np.isfinite(pixels).all(axis=-1)
+
+
+def _hidden(detection: Detection, exact: F64, half: F64) -> Bool:
+    """Points (frame, point) behind a straight edge across the view of the target; `half` are three random numbers per frame."""
+    hidden = np.zeros(exact.shape[:2], dtype=np.bool_)
+    for frame in np.flatnonzero(half[:, 0] < detection.hidden):
+        turn = 2.0 * np.pi * half[frame, 1]
+        along = exact[frame] @ np.array([np.cos(turn), np.sin(turn)])
+        if np.isfinite(along).any():
+            low, high = np.nanmin(along), np.nanmax(along)
+            hidden[frame] = along > low + (0.25 + 0.5 * half[frame, 2]) * (high - low)
+    return hidden
+
+
+def prior(scene: Scene, placed: Placed, seed: int) -> Prior:
+    """What the scene's calibration table lets be known of the places.
+
+    Raises
+    ------
+    InputError
+        A known point of a frame or number that the target does not have.
+    """
+    spec, exact = scene.calibration, placed.points_mm
+    rough, known, sigma = exact.copy(), np.full_like(exact, np.nan), np.full_like(exact, np.nan)
+    if spec is None:
+        return Prior(rough, known, sigma)
+    rough += spec.points * max(scene.volume.size_mm) * stream(seed, "rough points").standard_normal(exact.shape)
+    if spec.blank:
+        rough[:] = placed.target.points_mm + np.asarray(scene.volume.center_mm)
+    rng = stream(seed, "known points")
+    for number, point in enumerate(spec.known):
+        if point.frame >= exact.shape[0] or point.point >= exact.shape[1]:
+            raise InputError(
+                f"calibration.known.{number}: expected one of {exact.shape[0]} frames and of {exact.shape[1]} points, "
+                f"got {point.frame} and {point.point}"
+            )
+        axes = ["xyz".index(axis) for axis in point.axes]
+        drawn = exact[point.frame, point.point] + point.sigma_mm * rng.standard_normal(3)
+        known[point.frame, point.point, axes], sigma[point.frame, point.point, axes] = drawn[axes], point.sigma_mm
+    return Prior(rough, known, sigma)

@@ -1,0 +1,1 @@
+"""Building blocks of generators: vortices, size distributions, packings, jets and surfaces."""

@@ -1,0 +1,40 @@
+"""NACA's four-digit sections: Jacobs, Ward and Pinkerton, NACA report 460 (1933), with the last coefficient that closes the trailing edge."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from sabench.utils.arrays import F64
+
+_LAST = -0.1036  # of x^4: with the report's -0.1015 the trailing edge is 0.2 % of the chord thick
+
+
+def half_thickness(x: npt.ArrayLike, ratio: float) -> F64:
+    """Half the thickness at x, both in chords; `ratio` is the largest thickness over the chord."""
+    at = np.asarray(x, dtype=np.float64)
+    return np.asarray(5.0 * ratio * (0.2969 * np.sqrt(at) + at * (-0.1260 + at * (-0.3516 + at * (0.2843 + _LAST * at)))))
+
+
+def camber(x: npt.ArrayLike, height: float, place: float) -> tuple[F64, F64]:
+    """The mean line and its slope at x in chords, with its largest height at `place`; a height of 0 is a straight line."""
+    at = np.asarray(x, dtype=np.float64)
+    if not height:
+        return np.zeros_like(at), np.zeros_like(at)
+    part = np.where(at < place, place, 1.0 - place)  # each side is a parabola
+    off = (at - place) / part
+    return np.asarray(height * (1.0 - off**2)), np.asarray(-2.0 * height * off / part)
+
+
+def section(digits: str, stations: int) -> tuple[F64, F64]:
+    """Upper and lower side (stations + 1, 2) in chords from the leading edge at 0 to the trailing edge at 1, both of which they share.
+
+    Thickness is laid off at right angles to the mean line; stations are closest at the edges.
+    """
+    x = (1.0 - np.cos(np.linspace(0.0, np.pi, stations + 1))) / 2.0
+    mean, slope = camber(x, int(digits[0]) / 100.0, int(digits[1]) / 10.0)
+    thick = half_thickness(x, int(digits[2:]) / 100.0)
+    thick[-1] = 0.0  # of rounding
+    normal = np.column_stack([-slope, np.ones_like(x)]) / np.hypot(1.0, slope)[:, None]
+    line = np.column_stack([x, mean])
+    return line + thick[:, None] * normal, line - thick[:, None] * normal

@@ -1,0 +1,26 @@
+"""Codes on bodies: which cells of one are dark, and where they are in the world."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from sabench import plugins
+from sabench.api import Code, CodeGenerator
+from sabench.api.make import generator_of
+from sabench.scenes.schema import Scene
+from sabench.worlds.bubbles_and_bodies import pose_of
+
+
+def has_code(scene: Scene) -> bool:
+    """Whether one of a scene's bodies has a code."""
+    return any(issubclass(plugins.load("generators", given["generator"]), CodeGenerator) for given in scene.solids or ())
+
+
+def code_of(scene: Scene, seed: int, frame: int) -> Code:
+    """All cells of a frame's codes, world frame: truth, not for solvers."""
+    parts = []
+    for generator in (generator_of(given) for given in scene.solids or ()):
+        if isinstance(generator, CodeGenerator):
+            own, pose = generator.code(seed), pose_of(generator.parameters, scene.time_s(frame))
+            parts.append(Code(pose(own.points_mm.reshape(-1, 3)).reshape(own.points_mm.shape), own.dark))
+    return Code(np.concatenate([part.points_mm for part in parts]), np.concatenate([part.dark for part in parts]))

@@ -1,0 +1,157 @@
+"""Particles from frame to frame: carried by a flow, replaced where they leave, lit by pulses that are never quite alike."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+
+from sabench import plugins
+from sabench.api import Flow, Generator, Velocity
+from sabench.api.truth import Particles
+from sabench.geometry.frames import Domain
+from sabench.scenes.rig import domain_of
+from sabench.scenes.schema import Illumination, Scene
+from sabench.utils.arrays import F64, Bool, triple
+from sabench.utils.errors import InputError
+from sabench.utils.rng import stream
+from sabench.worlds.advection import advect
+
+TOLERANCE = 1e-9  # of the volume's largest edge, per step of a particle's path
+_NEWER = 1 << 32  # ids of particles that enter in a frame start at so many times its number
+
+
+def flow_of(scene: Scene) -> Flow | None:
+    """What carries the scene's particles."""
+    if scene.flow is None:
+        return None
+    given = dict(scene.flow)
+    plugin = plugins.load("generators", given.pop("generator"))
+    made: Flow = plugin(plugin.Parameters(**given))
+    return made
+
+
+class Motion:
+    """All frames' particles of a scene and seed.
+
+    A frame depends on the frames before it: one that comes next is made from the last, any other from the first on. Either way gives the same.
+    """
+
+    def __init__(self, scene: Scene, seed: int) -> None:
+        given = dict(scene.particles or {})
+        plugin = plugins.load("generators", given.pop("generator"))
+        self._generator: Generator = plugin(plugin.Parameters(**given))
+        self.scene, self.seed, self._flow = scene, seed, flow_of(scene)
+        if self._flow is not None:
+            self._flow.check(domain_of(scene))
+        self._last: tuple[int, Particles] | None = None
+
+    @property
+    def chained(self) -> bool:
+        """Whether a frame is made from the one before it."""
+        return self._flow is not None
+
+    @property
+    def last(self) -> int | None:
+        """The frame that was made last, if the next can be made from it."""
+        return self._last[0] if self._last else None
+
+    def resume(self, frame: int, particles: Particles) -> None:
+        """Go on from a frame's particles that were made elsewhere."""
+        self._last = frame, particles
+
+    def at(self, frame: int) -> Particles:
+        """The particles of a frame.
+
+        Raises
+        ------
+        InputError
+            Particles that move by themselves, beside a flow.
+        """
+        domain, time = domain_of(self.scene), self.scene.time_s(frame)
+        if self._flow is None:
+            return self._generator.particles(domain, self.seed, frame, time)
+        number, particles = self._last if self._last and self._last[0] <= frame else (0, self._first(domain))
+        while number < frame:
+            number += 1
+            particles = self._next(domain, particles, number)
+        self._last = number, particles
+        return particles
+
+    def moved(self, particles: Particles, frame: int, delay_s: float) -> F64:
+        """Where a frame's particles (n, 3) are some time later or earlier."""
+        if self._flow is None:
+            return particles.position_mm + delay_s * particles.velocity_mm_s
+        time = self.scene.time_s(frame)
+        return advect(self._flow, particles.position_mm, time, time + delay_s, self._tolerance)
+
+    @property
+    def _tolerance(self) -> float:
+        return TOLERANCE * max(self.scene.volume.size_mm)
+
+    def _first(self, domain: Domain) -> Particles:
+        made = self._generator.particles(domain, self.seed, 0, 0.0)
+        if np.any(made.velocity_mm_s):
+            raise InputError(f"{self.scene.title}: particles: expected some that rest, for the flow to carry them, got some that move by themselves")
+        return self._at_speed(made, self.scene.time_s(0))
+
+    def _next(self, domain: Domain, before: Particles, frame: int) -> Particles:
+        """Those that stay in the volume, and those that enter.
+
+        Who enters is found backwards: a volume full of other particles is traced back, and those of it that come from outside are the new ones. For
+        a flow without divergence this keeps the density exactly, whatever the flow does at the faces.
+        """
+        assert self._flow is not None
+        start, end = self.scene.time_s(frame - 1), self.scene.time_s(frame)
+        there = advect(self._flow, before.position_mm, start, end, self._tolerance)
+        stay = _inside(domain, there)
+        seed = int(stream(self.seed, "entering", frame).integers(1 << 62))
+        fresh = self._generator.particles(domain, seed, 0, 0.0)
+        enter = ~_inside(domain, advect(self._flow, fresh.position_mm, end, start, self._tolerance))
+        both = Particles(
+            np.concatenate([before.id[stay], frame * _NEWER + fresh.id[enter]]), np.concatenate([there[stay], fresh.position_mm[enter]]),
+            np.concatenate([before.diameter_mm[stay], fresh.diameter_mm[enter]]), np.zeros((int(stay.sum() + enter.sum()), 3)),
+        )  # fmt: skip
+        return self._at_speed(both, end)
+
+    def _at_speed(self, particles: Particles, time_s: float) -> Particles:
+        assert self._flow is not None
+        return replace(particles, velocity_mm_s=self._flow.velocity(particles.position_mm, time_s))
+
+
+def _inside(domain: Domain, points_mm: F64) -> Bool:
+    low = domain.low_mm
+    return np.asarray(((points_mm >= low) & (points_mm <= low + np.asarray(domain.size_mm))).all(axis=1))
+
+
+def lattice(scene: Scene, frame: int, step_mm: tuple[float, float, float]) -> tuple[Velocity, F64]:
+    """A frame's exact velocities on a lattice centred in the volume, and their gradients (z, y, x, 3, 3) in 1/s."""
+    flow = flow_of(scene)
+    assert flow is not None
+    counts = [int(size / step * (1.0 + 1e-12)) + 1 for size, step in zip(scene.volume.size_mm, step_mm, strict=True)]
+    low = np.asarray(scene.volume.center_mm) - (np.array(counts) - 1) / 2.0 * np.asarray(step_mm)
+    valid = np.ones(counts[::-1], dtype=np.bool_)
+    field = Velocity(triple(low), step_mm, np.zeros((*valid.shape, 3)), valid)
+    points, time = field.positions_mm.reshape(-1, 3), scene.time_s(frame)
+    field.velocity_mm_s[:] = flow.velocity(points, time).reshape(field.velocity_mm_s.shape)
+    return field, flow.gradient(points, time).reshape(*valid.shape, 3, 3)
+
+
+def pulse(scene: Scene, seed: int, frame: int) -> Illumination:
+    """The laser as it is in a frame."""
+    timing, light = scene.timing, scene.light
+    if timing is None:
+        return light
+    number = frame % len(timing.pulses_s)
+    energy = timing.energy[number] if timing.energy else 1.0
+    if timing.energy_spread:
+        energy *= max(0.0, 1.0 + timing.energy_spread * float(stream(seed, "pulse energy", frame).standard_normal()))
+    shift = (light.shift_mm or 0.0) + (timing.shift_mm[number] if timing.shift_mm else 0.0)
+    return light.model_copy(update={"pulse_energy_mj": light.pulse_energy_mj * energy, "shift_mm": shift})
+
+
+def moments(duration_s: float, steps: int) -> Iterator[float]:
+    """Middles of equal parts of a pulse, from its own middle."""
+    for number in range(steps):
+        yield duration_s * ((number + 0.5) / steps - 0.5)

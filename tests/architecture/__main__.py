@@ -1,0 +1,26 @@
+"""Print rooms, floors, arrows and circles of a checkout: python -m tests.architecture [CHECKOUT]."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+from tests.architecture.plan import ROOT, arrows, circles, height, lines, rooms
+
+
+def main() -> None:
+    """Measure this checkout, or the one at the path that is given."""
+    root = Path(sys.argv[1]) if len(sys.argv) > 1 else ROOT
+    package = root / "sabench"
+    found = arrows(package)
+    between = {(one, other) for one, other in found if one != other}
+    print(f"rooms in sabench/ {len(rooms(package))}")
+    print(f"floors            {height(between)}")
+    print(f"arrows            {len(between)} between rooms, {len(arrows(package, files=True))} between files")
+    print(f"circles           {[sorted(one) for one in circles(between)]}")
+    for part in ("sabench", "generators", "solvers", "tests", "benchmarks"):
+        print(f"lines of {part:10} {lines(root / part)}")
+
+
+if __name__ == "__main__":
+    main()

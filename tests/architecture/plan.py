@@ -1,0 +1,104 @@
+"""Seven floors, and a reader of the imports that cross them."""
+
+from __future__ import annotations
+
+import ast
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[2]
+Arrows = set[tuple[str, str]]
+
+# From the ground up: a room imports from its own floor and from those below, and no circle.
+FLOORS = (
+    {"utils"},
+    {"geometry", "images", "plotting", "plugins"},
+    {"api", "scenes"},
+    {"algorithms", "metrics", "dataset", "worlds"},
+    {"tasks", "simulation"},
+    {"evaluation", "interop"},
+    {"cli"},
+)
+
+
+def rooms(package: Path) -> set[str]:
+    """Names of the packages and modules that lie directly in a package."""
+    found = {file.relative_to(package).parts[0].removesuffix(".py") for file in package.rglob("*.py")}
+    return found - {"__init__", "__main__", "_plugins"}
+
+
+def arrows(package: Path, *, files: bool = False) -> Arrows:
+    """Pairs (importer, imported) of rooms, or of files; imports inside functions count, those for type checkers too."""
+    known = {_dotted(file, package.parent) for file in package.rglob("*.py")}
+    found = set()
+    for file in sorted(package.rglob("*.py")):
+        if file.parent == package and file.stem in ("__init__", "__main__"):
+            continue  # the public face and the door of the command
+        own = _dotted(file, package.parent)
+        for target in imports(file, known):
+            if target.count("."):
+                found.add((own, target) if files else (own.split(".")[1], target.split(".")[1]))
+    return {(one, other) for one, other in found if one != other}
+
+
+def imports(file: Path, known: set[str]) -> set[str]:
+    """Modules of the package that a file imports anywhere."""
+    package, found = file_package(known), set()
+    for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.ImportFrom) and node.module and node.module.split(".")[0] == package:
+            whole = [f"{node.module}.{alias.name}" for alias in node.names]
+            found |= {name if name in known else str(node.module) for name in whole}
+        elif isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names if alias.name in known}
+    return found
+
+
+def file_package(known: set[str]) -> str:
+    """Name of the package whose modules are known."""
+    return next(iter(known)).split(".")[0]
+
+
+def height(between: Arrows) -> int:
+    """Rooms on the longest way down; those of a circle stand on one floor."""
+    group = {room: frozenset({room}) for pair in between for room in pair}
+    group |= {room: circle for circle in circles(between) for room in circle}
+    down: dict[frozenset[str], set[frozenset[str]]] = {one: set() for one in group.values()}
+    for one, other in between:
+        if group[one] != group[other]:
+            down[group[one]].add(group[other])
+    heights: dict[frozenset[str], int] = {}
+
+    def of(one: frozenset[str]) -> int:
+        if one not in heights:
+            heights[one] = 1 + max((of(other) for other in down[one]), default=0)
+        return heights[one]
+
+    return max((of(one) for one in down), default=0)
+
+
+def circles(between: Arrows) -> set[frozenset[str]]:
+    """Sets of rooms that reach each other."""
+    below: dict[str, set[str]] = {}
+    for one, other in between:
+        below.setdefault(one, set()).add(other)
+
+    def reach(start: str) -> set[str]:
+        seen: set[str] = set()
+        left = [start]
+        while left:
+            for other in below.get(left.pop(), set()) - seen:
+                seen.add(other)
+                left.append(other)
+        return seen
+
+    reached = {room: reach(room) for room in below}
+    inside = {room for room in reached if room in reached[room]}
+    return {frozenset({one, *(other for other in reached[one] & inside if one in reached[other])}) for one in inside}
+
+
+def lines(folder: Path) -> int:
+    """Lines of Python in a folder."""
+    return sum(len(file.read_text(encoding="utf-8").splitlines()) for file in folder.rglob("*.py"))
+
+
+def _dotted(file: Path, root: Path) -> str:
+    return ".".join(file.relative_to(root).with_suffix("").parts).removesuffix(".__init__")
