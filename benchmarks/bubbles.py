@@ -2,8 +2,9 @@
 
     python benchmarks/bubbles.py [bubbles[@error] ...]
 
-By default 200, 2,000 and 10,000@0.05 bubbles of 0.6 mm median radius in 200 x 200 x 100 mm; the last ones hide each other, and dark pixels of many
-paths take long to a percent. Prints one JSON value: seconds, the largest error of the nine pictures, and how much of the middle camera's picture
+By default 200, 2,000 and 10,000@0.05 bubbles of 0.6 mm median radius in 200 x 200 x 100 mm; the
+last ones hide each other, and dark pixels of many paths take long to a percent. Prints one JSON
+value: seconds, the largest error of the nine pictures, and how much of the middle camera's picture
 bubbles cover.
 """
 
@@ -32,7 +33,12 @@ def scene_of(count: int) -> Scene:
     values: dict[str, Any] = load_scene("plunging-jet-21").to_dict()
     values["title"] = f"{count} bubbles"
     values["volume"] = {"center_mm": [0.0, 125.0, 150.0], "size_mm": [200.0, 200.0, 100.0]}
-    values["bubbles"] = {"generator": "bubble_field", "count": count, "radius_mm": 0.6, "radius_range_mm": [0.15, 2.5]}
+    values["bubbles"] = {
+        "generator": "bubble_field",
+        "count": count,
+        "radius_mm": 0.6,
+        "radius_range_mm": [0.15, 2.5],
+    }
     return parse_scene(values, "benchmark")
 
 
@@ -41,14 +47,27 @@ def rendered(count: int, error: float) -> dict[str, float]:
     scene = scene_of(count)
     rig = build_rig(scene)
     world = Worlds(scene, rig, 1).at(0)
-    lights = Lights(scene.backlight, None, np.asarray(scene.volume.center_mm), scene.sensor.full_well_e / scene.sensor.quantum_efficiency)
+    lights = Lights(
+        scene.backlight,
+        None,
+        np.asarray(scene.volume.center_mm),
+        scene.sensor.full_well_e / scene.sensor.quantum_efficiency,
+    )
     tank = tank_of(scene, rig)
     photograph(rig.cameras[0], tank, world.bubbles, (), lights, 1.0, 1)
     start = time.perf_counter()
-    shown = [photograph(camera, tank, world.bubbles, (), lights, error, 1000 * number) for number, camera in enumerate(rig.cameras)]
+    shown = [
+        photograph(camera, tank, world.bubbles, (), lights, error, 1000 * number)
+        for number, camera in enumerate(rig.cameras)
+    ]
     seconds = time.perf_counter() - start
     covered = float((shown[4].photons < 0.9 * np.median(shown[4].photons)).mean())
-    return {"bubbles": count, "seconds": round(seconds, 1), "error": round(max(one.error for one in shown), 4), "covered": round(covered, 3)}
+    return {
+        "bubbles": count,
+        "seconds": round(seconds, 1),
+        "error": round(max(one.error for one in shown), 4),
+        "covered": round(covered, 3),
+    }
 
 
 def main() -> None:

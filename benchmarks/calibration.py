@@ -1,8 +1,9 @@
 """Accuracy and speed of the joint refractive calibration: `NUMBA_NUM_THREADS=1 python benchmarks/calibration.py [draws]` prints JSON.
 
-Accuracy is a ratio to the Cramer-Rao bound of the same data: mean true reprojection error, and scatter of the points along each axis, over
-as many draws of noise and boards as asked for. Times are medians after a first run; beside them stands what a dense product of as many rows and
-columns as one step's normal equations takes in the same run.
+Accuracy is a ratio to the Cramer-Rao bound of the same data: mean true reprojection error, and
+scatter of the points along each axis, over as many draws of noise and boards as asked for. Times
+are medians after a first run; beside them stands what a dense product of as many rows and columns
+as one step's normal equations takes in the same run.
 """
 
 from __future__ import annotations
@@ -16,12 +17,26 @@ from typing import Any
 
 import numpy as np
 
-from sabench.algorithms.calibration.bundle_adjustment import Seen, normal_equations, refine, residuals
+from sabench.algorithms.calibration.bundle_adjustment import (
+    Seen,
+    normal_equations,
+    refine,
+    residuals,
+)
 from sabench.algorithms.calibration.cramer_rao import limit
 from sabench.algorithms.calibration.parameters import Frame, Free, State
 from sabench.algorithms.calibration.problem import Problem
 from sabench.algorithms.calibration.robust import adjust
-from sabench.evaluation.thesis.chapter_4 import D_PIX, Board, board, draw, places_of, reprojection, scene_of, solved
+from sabench.evaluation.thesis.chapter_4 import (
+    D_PIX,
+    Board,
+    board,
+    draw,
+    places_of,
+    reprojection,
+    scene_of,
+    solved,
+)
 from sabench.geometry.rigid_motion import lateral_fit
 from sabench.scenes.loading import parse_scene
 from sabench.scenes.rig import build_rig
@@ -51,13 +66,23 @@ def truth_of(given: Board) -> tuple[Frame, State, Seen]:
     frame = Frame.of(given.cameras, given.points_mm)
     board_mm = given.case.target.points_mm
     weights = np.asarray(np.isfinite(given.exact).all(axis=-1), dtype=np.float64)
-    return frame, frame.state(board_mm, given.points_mm), Seen(board_mm, np.nan_to_num(given.exact), weights)
+    return (
+        frame,
+        frame.state(board_mm, given.points_mm),
+        Seen(board_mm, np.nan_to_num(given.exact), weights),
+    )
 
 
 def ratios(cameras: int, noise: float, draws: int, unknown: tuple[str, ...] = ()) -> dict[str, Any]:
     """Errors over their bounds, and true over measured error over its own; `unknown` of the lenses besides their focal lengths."""
     free = Free.of(unknown)
-    found: dict[str, list[Any]] = {"reprojection": [], "scatter": [], "efficiency": [], "depth": [], "steps": []}
+    found: dict[str, list[Any]] = {
+        "reprojection": [],
+        "scatter": [],
+        "efficiency": [],
+        "depth": [],
+        "steps": [],
+    }
     for seed in range(1, draws + 1):
         _, state, seen = truth_of(board.__wrapped__(cameras, 0.3, 0.0, 0.0, seed))
         bound = limit(state, seen, free, noise)
@@ -65,7 +90,10 @@ def ratios(cameras: int, noise: float, draws: int, unknown: tuple[str, ...] = ()
         noisy = replace(seen, pixels=seen.pixels + noise * rng.standard_normal(seen.pixels.shape))
         fit = refine(state, noisy, free)
         there = seen.weights > 0.0
-        true, measured = (float(np.linalg.norm(residuals(fit.state, one)[there], axis=-1).mean()) for one in (seen, noisy))
+        true, measured = (
+            float(np.linalg.norm(residuals(fit.state, one)[there], axis=-1).mean())
+            for one in (seen, noisy)
+        )
         points = state.points(seen.board).reshape(-1, 3)
         made = fit.state.points(seen.board).reshape(-1, 3)
         errors = lateral_fit(made, points)(made) - points
@@ -75,14 +103,19 @@ def ratios(cameras: int, noise: float, draws: int, unknown: tuple[str, ...] = ()
         found["depth"].append(errors[:, 2].mean() / bound.point_mean_mm[2])
         found["steps"].append(fit.steps)
     return {
-        "cameras": cameras, "noise_px": noise, "unknown": list(unknown), "draws": draws,
+        "cameras": cameras,
+        "noise_px": noise,
+        "unknown": list(unknown),
+        "draws": draws,
         "true_over_bound": round(float(np.mean(found["reprojection"])), 4),
         "std_over_bound_xyz": np.mean(found["scatter"], axis=0).round(4).tolist(),
-        "rms_std_over_bound_xyz": np.sqrt(np.mean(np.square(found["scatter"]), axis=0)).round(4).tolist(),
+        "rms_std_over_bound_xyz": np.sqrt(np.mean(np.square(found["scatter"]), axis=0))
+        .round(4)
+        .tolist(),
         "true_over_measured_over_expected": round(float(np.mean(found["efficiency"])), 4),
         "depth_std_over_bound": round(float(np.std(found["depth"])), 3),
         "steps": float(np.mean(found["steps"])),
-    }  # fmt: skip
+    }
 
 
 def starts(cameras: int, noise: float, seeds: int) -> list[dict[str, Any]]:
@@ -97,9 +130,20 @@ def starts(cameras: int, noise: float, seeds: int) -> list[dict[str, Any]]:
             best = refine(state, problem.seen, Free())
             fit = refine(problem.start, problem.seen, Free())
             there = seen.weights > 0.0
-            both = [float(np.linalg.norm(residuals(one.state, seen)[there], axis=-1).mean()) for one in (best, fit)]
+            both = [
+                float(np.linalg.norm(residuals(one.state, seen)[there], axis=-1).mean())
+                for one in (best, fit)
+            ]
             differences.append(abs(both[1] - both[0]))
-        rows.append({"cameras": cameras, "noise_px": noise, "start": start, "largest_difference_px": max(differences), "draws": seeds})
+        rows.append(
+            {
+                "cameras": cameras,
+                "noise_px": noise,
+                "start": start,
+                "largest_difference_px": max(differences),
+                "draws": seeds,
+            }
+        )
     return rows
 
 
@@ -111,7 +155,12 @@ def anchored(noise: float, draws: int) -> dict[str, Any]:
         answer = solved("refractive_autocal", given)
         depths.append(float((places_of(answer, given) - given.points_mm)[..., 2].mean()))
     rms = float(np.sqrt(np.mean(np.square(depths))))
-    return {"noise_px": noise, "draws": draws, "rms_mean_depth_mm": round(rms, 4), "rms_in_pixels_of_the_middle": round(rms / D_PIX, 3)}
+    return {
+        "noise_px": noise,
+        "draws": draws,
+        "rms_mean_depth_mm": round(rms, 4),
+        "rms_in_pixels_of_the_middle": round(rms / D_PIX, 3),
+    }
 
 
 def with_outliers(share: float, draws: int) -> dict[str, Any]:
@@ -122,7 +171,12 @@ def with_outliers(share: float, draws: int) -> dict[str, Any]:
     for seed in range(1, draws + 1):
         given = draw(parse_scene(values, "outliers"), seed)
         errors.append(reprojection(solved("refractive_autocal", given), given)[0])
-    return {"outliers": share, "draws": draws, "true_px": round(float(np.mean(errors)), 4), "largest_px": round(max(errors), 4)}
+    return {
+        "outliers": share,
+        "draws": draws,
+        "true_px": round(float(np.mean(errors)), 4),
+        "largest_px": round(max(errors), 4),
+    }
 
 
 def timed(cameras: int, frames: int) -> dict[str, Any]:
@@ -133,7 +187,11 @@ def timed(cameras: int, frames: int) -> dict[str, Any]:
     exact = np.stack([exact_pixels(camera, placed.points_mm) for camera in rig.cameras])
     rng = np.random.default_rng(1)
     weights = np.asarray(np.isfinite(exact).all(axis=-1), dtype=np.float64)
-    seen = Seen(placed.target.points_mm, np.nan_to_num(exact) + 0.1 * rng.standard_normal(exact.shape), weights)
+    seen = Seen(
+        placed.target.points_mm,
+        np.nan_to_num(exact) + 0.1 * rng.standard_normal(exact.shape),
+        weights,
+    )
     rough = placed.points_mm + 5.0 * rng.standard_normal(placed.points_mm.shape)
     start = Frame.of(rig.cameras, rough).state(placed.target.points_mm, rough)
     fit = adjust(start, seen, Free()).fit
@@ -141,10 +199,15 @@ def timed(cameras: int, frames: int) -> dict[str, Any]:
     count, local = float(seen.weights.sum()), 13
     product = dense_product_s(int(count), local)
     return {
-        "cameras": cameras, "frames": frames, "points": int(count), "steps": fit.steps,
+        "cameras": cameras,
+        "frames": frames,
+        "points": int(count),
+        "steps": fit.steps,
         "seconds": round(median_s(lambda: adjust(start, seen, Free())), 4),
-        "equations_s": round(step, 5), "points_per_s": round(count / step), "equations_over_dense_product": round(step / product, 2),
-    }  # fmt: skip
+        "equations_s": round(step, 5),
+        "points_per_s": round(count / step),
+        "equations_over_dense_product": round(step / product, 2),
+    }
 
 
 def dense_product_s(points: int, unknowns: int) -> float:
@@ -158,11 +221,20 @@ def main() -> None:
     pairs = [(cameras, noise) for cameras in _CAMERAS for noise in _NOISES]
     report = {
         "times": [timed(9, 5), timed(13, 20)],
-        "lenses": [ratios(cameras, noise, draws, _LENSES) for cameras, noise in track(pairs, "draws with unknown lenses")],
+        "lenses": [
+            ratios(cameras, noise, draws, _LENSES)
+            for cameras, noise in track(pairs, "draws with unknown lenses")
+        ],
         "bound": [ratios(cameras, noise, draws) for cameras, noise in track(pairs, "draws")],
-        "anchor": [anchored(noise, max(4, 2 * draws // 5)) for noise in track((0.1, 2.0), "anchors")],
+        "anchor": [
+            anchored(noise, max(4, 2 * draws // 5)) for noise in track((0.1, 2.0), "anchors")
+        ],
         "outliers": with_outliers(0.3, max(4, draws // 5)),
-        "starts": [row for cameras in track(_CAMERAS, "starts") for row in starts(cameras, 0.1, max(5, draws // 10))],
+        "starts": [
+            row
+            for cameras in track(_CAMERAS, "starts")
+            for row in starts(cameras, 0.1, max(5, draws // 10))
+        ],
     }
     print(json.dumps(report, indent=2))
 

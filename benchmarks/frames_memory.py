@@ -1,7 +1,8 @@
 """Does memory grow with the number of frames? python benchmarks/frames_memory.py
 
-Generates (Mitsuba), solves and scores the quick scene with few and with many frames, each step in a process of its own, and prints the peak resident
-memory of each and the growth per added frame. Buffers of Mitsuba and Dr.Jit fill over the first dozens of renders and then stay.
+Generates (Mitsuba), solves and scores the quick scene with few and with many frames, each step in a
+process of its own, and prints the peak resident memory of each and the growth per added frame.
+Buffers of Mitsuba and Dr.Jit fill over the first dozens of renders and then stay.
 """
 
 from __future__ import annotations
@@ -26,7 +27,9 @@ _STEPS = {
 
 def peak_mib(code: str) -> float:
     """Peak resident memory of a process that runs `code`."""
-    done = subprocess.run([sys.executable, "-c", f"{code}\n{_PEAK}"], capture_output=True, text=True, check=True)
+    done = subprocess.run(
+        [sys.executable, "-c", f"{code}\n{_PEAK}"], capture_output=True, text=True, check=True
+    )
     return int(done.stdout.split()[-1]) / 1024.0
 
 
@@ -35,13 +38,22 @@ def main() -> None:
     scene = load_scene("quick")
     peaks: dict[str, list[float]] = {step: [] for step in _STEPS}
     with tempfile.TemporaryDirectory() as work:
-        for frames, (step, code) in track([(n, item) for n in _FRAMES for item in _STEPS.items()], "steps"):
+        for frames, (step, code) in track(
+            [(n, item) for n in _FRAMES for item in _STEPS.items()], "steps"
+        ):
             folder = Path(work, str(frames))
             folder.mkdir(exist_ok=True)
-            (folder / "scene.toml").write_text(scene.model_copy(update={"frames": frames}).to_toml(), encoding="utf-8")
+            (folder / "scene.toml").write_text(
+                scene.model_copy(update={"frames": frames}).to_toml(), encoding="utf-8"
+            )
             peaks[step].append(round(peak_mib(code.format(folder=folder)), 1))
-    growth = {step: round((values[-1] - values[-2]) / (_FRAMES[-1] - _FRAMES[-2]), 3) for step, values in peaks.items()}
-    print(json.dumps({"frames": _FRAMES, "peak_mib": peaks, "mib_per_added_frame": growth}, indent=1))
+    growth = {
+        step: round((values[-1] - values[-2]) / (_FRAMES[-1] - _FRAMES[-2]), 3)
+        for step, values in peaks.items()
+    }
+    print(
+        json.dumps({"frames": _FRAMES, "peak_mib": peaks, "mib_per_added_frame": growth}, indent=1)
+    )
 
 
 if __name__ == "__main__":

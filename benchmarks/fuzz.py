@@ -2,9 +2,11 @@
 
     python benchmarks/fuzz.py 10000 [--seed 0] [--kind scene ...] [--limit 5] [--keep build/fuzz]
 
-Each must be refused by one sentence (an InputError) or end well, within the limit, without a crash, without another exception and without touching a
-file outside the output folder. Cases are made from the seed, the kind and a number alone. Prints a table; whatever faults is kept with the words of
-its fault, and the exit code is 1. Runs in one forked process at a time, which is replaced when it dies or hangs; a hang counts when it comes again.
+Each must be refused by one sentence (an InputError) or end well, within the limit, without a crash,
+without another exception and without touching a file outside the output folder. Cases are made from
+the seed, the kind and a number alone. Prints a table; whatever faults is kept with the words of its
+fault, and the exit code is 1. Runs in one forked process at a time, which is replaced when it dies
+or hangs; a hang counts when it comes again.
 """
 
 from __future__ import annotations
@@ -40,9 +42,13 @@ _ADDRESSES = 16_000_000_000  # bytes: what asks for more than this shall have be
 _OUTCOMES = ("refused", "accepted", "fault")
 
 
-def fuzz(kinds: list[str], count: int, seed: int, limit_s: float, root: Path, keep: Path) -> dict[str, Counter[str]]:
+def fuzz(
+    kinds: list[str], count: int, seed: int, limit_s: float, root: Path, keep: Path
+) -> dict[str, Counter[str]]:
     """Outcomes by kind of `count` cases that take turns among the kinds."""
-    with multiprocessing.get_context("fork").Pool(1) as elsewhere:  # once kernels have run in parallel, a process may not fork
+    with multiprocessing.get_context("fork").Pool(
+        1
+    ) as elsewhere:  # once kernels have run in parallel, a process may not fork
         base = elsewhere.apply(make_base, (root / "base",))
     table = {kind: Counter[str]() for kind in kinds}
     with contextlib.ExitStack() as stack:
@@ -61,7 +67,12 @@ def fuzz(kinds: list[str], count: int, seed: int, limit_s: float, root: Path, ke
                 _keep(folder, keep / folder.name, words)
             shutil.rmtree(folder, ignore_errors=True)
             if sys.stderr.isatty() or number % 500 == 499:
-                print(f"{number + 1} of {count}", end="\r" if sys.stderr.isatty() else "\n", file=sys.stderr, flush=True)
+                print(
+                    f"{number + 1} of {count}",
+                    end="\r" if sys.stderr.isatty() else "\n",
+                    file=sys.stderr,
+                    flush=True,
+                )
     return table
 
 
@@ -137,7 +148,15 @@ def _work(pipe: Connection, base: Base, root: Path, seed: int, probe_s: float) -
         return
     while True:
         kind, number = pipe.recv()
-        pipe.send(_tried(pipe, base, root / "cases" / f"{kind}-{number}", kind, random.Random(f"{seed} {kind} {number}")))
+        pipe.send(
+            _tried(
+                pipe,
+                base,
+                root / "cases" / f"{kind}-{number}",
+                kind,
+                random.Random(f"{seed} {kind} {number}"),
+            )
+        )
 
 
 def _warm_up(base: Base, root: Path) -> None:
@@ -157,7 +176,9 @@ def _warm_up(base: Base, root: Path) -> None:
     submit(base.results["reconstruction"], "warm", [base.particles.root], out / "leaderboard")
 
 
-def _tried(pipe: Connection, base: Base, folder: Path, kind: str, rng: random.Random) -> tuple[str, str]:
+def _tried(
+    pipe: Connection, base: Base, folder: Path, kind: str, rng: random.Random
+) -> tuple[str, str]:
     inputs, out = folder / "in", folder / "out"
     shutil.rmtree(folder, ignore_errors=True)
     for path in (inputs, out):
@@ -174,7 +195,9 @@ def _tried(pipe: Connection, base: Base, folder: Path, kind: str, rng: random.Ra
         outcome, words = _outcome(feed)
         changed = dict(_tree(root, out)).items() ^ before.items()
         left = [str(path) for path in out.rglob(".*.partial-*")]
-        assert not changed, f"files outside the output folder changed: {sorted(name for name, _ in changed)[:3]}"
+        assert not changed, (
+            f"files outside the output folder changed: {sorted(name for name, _ in changed)[:3]}"
+        )
         assert not left, f"half-written files are left: {left}"
     except Exception:
         return "fault", traceback.format_exc()
@@ -200,7 +223,14 @@ def _tree(root: Path, out: Path) -> Iterator[tuple[str, tuple[int, int, int]]]:
             full = os.path.join(path, name)  # noqa: PTH118 (many files, many times)
             if full != str(out):
                 entry = os.lstat(full)
-                yield full, (entry.st_mode, entry.st_size if name in files else 0, entry.st_mtime_ns if name in files else 0)
+                yield (
+                    full,
+                    (
+                        entry.st_mode,
+                        entry.st_size if name in files else 0,
+                        entry.st_mtime_ns if name in files else 0,
+                    ),
+                )
 
 
 def main() -> None:
@@ -214,10 +244,22 @@ def main() -> None:
     asked = reader.parse_args()
     start = time.monotonic()
     with tempfile.TemporaryDirectory(prefix="fuzz-") as folder:
-        table = fuzz(asked.kind or sorted(KINDS), asked.count, asked.seed, asked.limit, Path(folder), asked.keep.absolute())
-    print(f"{'kind':<12}{'count':>8}" + "".join(f"{name + ('s' if name == 'fault' else ''):>10}" for name in _OUTCOMES))
+        table = fuzz(
+            asked.kind or sorted(KINDS),
+            asked.count,
+            asked.seed,
+            asked.limit,
+            Path(folder),
+            asked.keep.absolute(),
+        )
+    print(
+        f"{'kind':<12}{'count':>8}"
+        + "".join(f"{name + ('s' if name == 'fault' else ''):>10}" for name in _OUTCOMES)
+    )
     for kind, row in [*table.items(), ("all", sum(table.values(), Counter()))]:
-        print(f"{kind:<12}{sum(row.values()):>8}" + "".join(f"{row[name]:>10}" for name in _OUTCOMES))
+        print(
+            f"{kind:<12}{sum(row.values()):>8}" + "".join(f"{row[name]:>10}" for name in _OUTCOMES)
+        )
     print(f"seed {asked.seed}, {time.monotonic() - start:.0f} s")
     sys.exit(any(row["fault"] for row in table.values()))
 

@@ -1,11 +1,13 @@
 """Whether the gate of the suite ci sees bugs, and is silent where there are none.
 
-    python benchmarks/gate.py                       # 20 planted bugs, then 50 honest reruns: about an hour on two cores
-    python benchmarks/gate.py --bugs 3 --reruns 2
+    python benchmarks/gate.py                       # 20 planted bugs, then 50 honest reruns: about
+    an hour on two cores python benchmarks/gate.py --bugs 3 --reruns 2
 
-Each bug is one line changed in a copy of the source; `sabench check ci` there must end with exit code 1, and with 0 where nothing was changed.
-The copy's compiled kernels are kept, except those of the changed file and of all files that import it: numba looks for changes in a kernel's own
-file only. Prints a line for every run and a summary; exit code 1 if a bug was missed, a rerun was not silent, or a replacement does not fit.
+Each bug is one line changed in a copy of the source; `sabench check ci` there must end with exit
+code 1, and with 0 where nothing was changed. The copy's compiled kernels are kept, except those of
+the changed file and of all files that import it: numba looks for changes in a kernel's own file
+only. Prints a line for every run and a summary; exit code 1 if a bug was missed, a rerun was not
+silent, or a replacement does not fit.
 """
 
 from __future__ import annotations
@@ -38,47 +40,127 @@ class Bug:
 
 
 BUGS = (
-    Bug("light half a pixel to the right of where it belongs", "sabench/simulation/rendering/particles_splatted.py",
-        "_shares(pixel[i, 0], sigma[i], left, right)", "_shares(pixel[i, 0] + 0.5, sigma[i], left, right)"),
-    Bug("x and z of a velocity field's lattice swapped", "sabench/algorithms/velocimetry/multipass.py",
-        "(np.asarray(values[::-1]) for values in (self.windows.origin", "(np.asarray(values) for values in (self.windows.origin"),
-    Bug("light in the fluid at the angle that it has in the glass", "sabench/geometry/refraction.py",
-        "_angle_in(wall.indices, -1, slope)", "_angle_in(wall.indices, 1, slope)"),
-    Bug("a camera's rotation transposed", "sabench/geometry/camera.py",
-        "local = leaving @ np.asarray(self.rotation).T\n", "local = leaving @ np.asarray(self.rotation)\n"),
-    Bug("planes counted from one", "sabench/algorithms/refocus/slabs.py",
-        "depths = grid.axes_mm[2][first : first + count]", "depths = grid.axes_mm[2][first : first + count] + grid.voxel_mm[2]"),
-    Bug("sign of the distortion's p1", "sabench/geometry/camera.py",
-        "u = x * radial + 2.0 * lens.p1 * x * y", "u = x * radial - 2.0 * lens.p1 * x * y"),
-    Bug("thickness of the glass forgotten in fast projection", "sabench/geometry/projection_kernels.py",
-        "if ratios[0] > 1.0 else None, before + wall.thickness_mm", "if ratios[0] > 1.0 else None, before"),
-    Bug("black level not subtracted", "sabench/images/brightness.py",
-        "_scale(grey, float(case.black_dn), 1.0", "_scale(grey, 0.0, 1.0"),
-    Bug("SMART's exponents not over the number of cameras", "sabench/algorithms/tomography/art_updates.py",
-        "exponents /= state.seen", "exponents /= 1.0"),
-    Bug("SMART's relaxation left out", "sabench/algorithms/tomography/art_updates.py",
-        "multiply(state.values, exponents, np.float32(relaxation))", "multiply(state.values, exponents, np.float32(1.0))"),
-    Bug("no median test of vectors", "sabench/algorithms/velocimetry/multipass.py",
-        "    valid = near_the_median(peaks.shift, valid, plan.median)\n", ""),
-    Bug("bubbles' diameters for radii", "solvers/minimum_image.py",
-        "np.sqrt(kept[:, 3] * kept[:, 4])", "2.0 * np.sqrt(kept[:, 3] * kept[:, 4])"),
-    Bug("degrees taken for radians", "sabench/scenes/rig.py",
-        "exponential(np.deg2rad(spec.turn_deg) * rng", "exponential(spec.turn_deg * rng"),
-    Bug("the last camera left out where lines of sight are intersected", "sabench/geometry/triangulation.py",
-        "zip(cameras, pixels, strict=True):\n        here, valid", "zip(cameras[:-1], pixels, strict=False):\n        here, valid"),
-    Bug("Snell's law upside down on the way into the fluid", "sabench/geometry/refraction.py",
-        "normal) * (before / after)", "normal) * (after / before)"),
-    Bug("ghosts relative to all detections", "sabench/metrics/particle_detection.py",
-        "100.0 * ghosts / self.matched if", "100.0 * ghosts / self.detections if"),
-    Bug("bubbles match within their radius, not half of it", "sabench/metrics/bubble_detection.py",
-        "_NEAR * radius_mm", "2.0 * _NEAR * radius_mm"),
-    Bug("a factor 2 lost in the calibration's distortion", "sabench/algorithms/calibration/kernels.py",
-        "p1 * (s + 2.0 * v * v) + 2.0 * p2 * u * v\n    uu", "p1 * (s + v * v) + 2.0 * p2 * u * v\n    uu"),
-    Bug("quantum efficiency forgotten", "sabench/simulation/rendering/sensor.py",
-        "mean = sensor.quantum_efficiency * photons", "mean = 1.0 * photons"),
-    Bug("index of bubbles over that of the fluid upside down", "sabench/simulation/rendering/bubble_integrator.py",
-        "self.eta = dr.opaque(mi.Float, stage.eta)", "self.eta = dr.opaque(mi.Float, 1.0 / stage.eta)"),
-)  # fmt: skip
+    Bug(
+        "light half a pixel to the right of where it belongs",
+        "sabench/simulation/rendering/particles_splatted.py",
+        "_shares(pixel[i, 0], sigma[i], left, right)",
+        "_shares(pixel[i, 0] + 0.5, sigma[i], left, right)",
+    ),
+    Bug(
+        "x and z of a velocity field's lattice swapped",
+        "sabench/algorithms/velocimetry/multipass.py",
+        "(np.asarray(values[::-1]) for values in (self.windows.origin",
+        "(np.asarray(values) for values in (self.windows.origin",
+    ),
+    Bug(
+        "light in the fluid at the angle that it has in the glass",
+        "sabench/geometry/refraction.py",
+        "_angle_in(wall.indices, -1, slope)",
+        "_angle_in(wall.indices, 1, slope)",
+    ),
+    Bug(
+        "a camera's rotation transposed",
+        "sabench/geometry/camera.py",
+        "local = leaving @ np.asarray(self.rotation).T\n",
+        "local = leaving @ np.asarray(self.rotation)\n",
+    ),
+    Bug(
+        "planes counted from one",
+        "sabench/algorithms/refocus/slabs.py",
+        "depths = grid.axes_mm[2][first : first + count]",
+        "depths = grid.axes_mm[2][first : first + count] + grid.voxel_mm[2]",
+    ),
+    Bug(
+        "sign of the distortion's p1",
+        "sabench/geometry/camera.py",
+        "u = x * radial + 2.0 * lens.p1 * x * y",
+        "u = x * radial - 2.0 * lens.p1 * x * y",
+    ),
+    Bug(
+        "thickness of the glass forgotten in fast projection",
+        "sabench/geometry/projection_kernels.py",
+        "if ratios[0] > 1.0 else None, before + wall.thickness_mm",
+        "if ratios[0] > 1.0 else None, before",
+    ),
+    Bug(
+        "black level not subtracted",
+        "sabench/images/brightness.py",
+        "_scale(grey, float(case.black_dn), 1.0",
+        "_scale(grey, 0.0, 1.0",
+    ),
+    Bug(
+        "SMART's exponents not over the number of cameras",
+        "sabench/algorithms/tomography/art_updates.py",
+        "exponents /= state.seen",
+        "exponents /= 1.0",
+    ),
+    Bug(
+        "SMART's relaxation left out",
+        "sabench/algorithms/tomography/art_updates.py",
+        "multiply(state.values, exponents, np.float32(relaxation))",
+        "multiply(state.values, exponents, np.float32(1.0))",
+    ),
+    Bug(
+        "no median test of vectors",
+        "sabench/algorithms/velocimetry/multipass.py",
+        "    valid = near_the_median(peaks.shift, valid, plan.median)\n",
+        "",
+    ),
+    Bug(
+        "bubbles' diameters for radii",
+        "solvers/minimum_image.py",
+        "np.sqrt(kept[:, 3] * kept[:, 4])",
+        "2.0 * np.sqrt(kept[:, 3] * kept[:, 4])",
+    ),
+    Bug(
+        "degrees taken for radians",
+        "sabench/scenes/rig.py",
+        "exponential(np.deg2rad(spec.turn_deg) * rng",
+        "exponential(spec.turn_deg * rng",
+    ),
+    Bug(
+        "the last camera left out where lines of sight are intersected",
+        "sabench/geometry/triangulation.py",
+        "zip(cameras, pixels, strict=True):\n        here, valid",
+        "zip(cameras[:-1], pixels, strict=False):\n        here, valid",
+    ),
+    Bug(
+        "Snell's law upside down on the way into the fluid",
+        "sabench/geometry/refraction.py",
+        "normal) * (before / after)",
+        "normal) * (after / before)",
+    ),
+    Bug(
+        "ghosts relative to all detections",
+        "sabench/metrics/particle_detection.py",
+        "100.0 * ghosts / self.matched if",
+        "100.0 * ghosts / self.detections if",
+    ),
+    Bug(
+        "bubbles match within their radius, not half of it",
+        "sabench/metrics/bubble_detection.py",
+        "_NEAR * radius_mm",
+        "2.0 * _NEAR * radius_mm",
+    ),
+    Bug(
+        "a factor 2 lost in the calibration's distortion",
+        "sabench/algorithms/calibration/kernels.py",
+        "p1 * (s + 2.0 * v * v) + 2.0 * p2 * u * v\n    uu",
+        "p1 * (s + v * v) + 2.0 * p2 * u * v\n    uu",
+    ),
+    Bug(
+        "quantum efficiency forgotten",
+        "sabench/simulation/rendering/sensor.py",
+        "mean = sensor.quantum_efficiency * photons",
+        "mean = 1.0 * photons",
+    ),
+    Bug(
+        "index of bubbles over that of the fluid upside down",
+        "sabench/simulation/rendering/bubble_integrator.py",
+        "self.eta = dr.opaque(mi.Float, stage.eta)",
+        "self.eta = dr.opaque(mi.Float, 1.0 / stage.eta)",
+    ),
+)
 
 
 def main() -> None:
@@ -92,9 +174,15 @@ def main() -> None:
     chosen = BUGS[asked.skip :][: asked.bugs]
     with tempfile.TemporaryDirectory(prefix="sabench-gate-") as folder:
         pristine = copied(ROOT, Path(folder) / "pristine")
-        caught = [planted(bug, pristine, Path(folder) / "planted", asked.baseline) for bug in chosen]
-        silent = [honest(number, pristine, Path(folder), asked.baseline) for number in range(asked.reruns)]
-    print(f"{sum(caught)} of {len(caught)} planted bugs caught, {sum(silent)} of {len(silent)} honest reruns silent")
+        caught = [
+            planted(bug, pristine, Path(folder) / "planted", asked.baseline) for bug in chosen
+        ]
+        silent = [
+            honest(number, pristine, Path(folder), asked.baseline) for number in range(asked.reruns)
+        ]
+    print(
+        f"{sum(caught)} of {len(caught)} planted bugs caught, {sum(silent)} of {len(silent)} honest reruns silent"
+    )
     sys.exit(not all(caught + silent))
 
 
@@ -112,7 +200,10 @@ def planted(bug: Bug, pristine: Path, tree: Path, baseline: Path) -> bool:
     """Check a copy with the bug; whether it was caught."""
     text = (pristine / bug.file).read_text(encoding="utf-8")
     if text.count(bug.old) != 1:
-        print(f"{bug.title}: the text is {text.count(bug.old)} times in {bug.file}, expected once: {bug.old!r}", flush=True)
+        print(
+            f"{bug.title}: the text is {text.count(bug.old)} times in {bug.file}, expected once: {bug.old!r}",
+            flush=True,
+        )
         return False
     copied(pristine, tree)
     (tree / bug.file).write_text(text.replace(bug.old, bug.new), encoding="utf-8")
@@ -121,25 +212,59 @@ def planted(bug: Bug, pristine: Path, tree: Path, baseline: Path) -> bool:
     code, seconds, found = check(tree, baseline)
     shutil.rmtree(tree)
     first = found["worse"][0] if found["worse"] else {}
-    by = f"{first['case']}, {first['solver']}: {first['text'] or first['figure']}" if first else "nothing"
-    was = f" {first['before']:.5g} -> {first['now']:.5g}" if first and first["before"] is not None and first["now"] is not None else ""
-    print(f"{'caught' if code == 1 else 'MISSED'}  {seconds:4.0f} s  {bug.title} | {by}{was} | {len(found['worse'])} figures", flush=True)
+    by = (
+        f"{first['case']}, {first['solver']}: {first['text'] or first['figure']}"
+        if first
+        else "nothing"
+    )
+    was = (
+        f" {first['before']:.5g} -> {first['now']:.5g}"
+        if first and first["before"] is not None and first["now"] is not None
+        else ""
+    )
+    print(
+        f"{'caught' if code == 1 else 'MISSED'}  {seconds:4.0f} s  {bug.title} | {by}{was} | {len(found['worse'])} figures",
+        flush=True,
+    )
     return code == 1
 
 
 def honest(number: int, tree: Path, folder: Path, baseline: Path) -> bool:
     """Check the copy as it is; whether it was silent."""
     code, seconds, found = check(tree, baseline)
-    said = "; ".join(f"{one['case']}, {one['solver']}: {one['text'] or one['figure']} {one['before']} -> {one['now']}" for one in found["worse"])
-    print(f"{'silent' if code == 0 else 'FAILED'}  {seconds:4.0f} s  rerun {number + 1} {said}", flush=True)
+    said = "; ".join(
+        f"{one['case']}, {one['solver']}: {one['text'] or one['figure']} {one['before']} -> {one['now']}"
+        for one in found["worse"]
+    )
+    print(
+        f"{'silent' if code == 0 else 'FAILED'}  {seconds:4.0f} s  rerun {number + 1} {said}",
+        flush=True,
+    )
     return code == 0
 
 
 def check(tree: Path, baseline: Path) -> tuple[int, float, dict[str, Any]]:
     """Exit code, seconds and findings of `sabench check ci` in a source tree."""
     start = time.perf_counter()
-    words = [sys.executable, "-m", "sabench", "check", "ci", "--baseline", str(baseline.resolve()), "--json", "--exit-first"]
-    done = subprocess.run(words, cwd=tree, env=os.environ | {"PYTHONPATH": str(tree)}, capture_output=True, text=True, check=False)
+    words = [
+        sys.executable,
+        "-m",
+        "sabench",
+        "check",
+        "ci",
+        "--baseline",
+        str(baseline.resolve()),
+        "--json",
+        "--exit-first",
+    ]
+    done = subprocess.run(
+        words,
+        cwd=tree,
+        env=os.environ | {"PYTHONPATH": str(tree)},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
     if done.returncode not in (0, 1) or not done.stdout:
         print(f"exit code {done.returncode}: {done.stderr[-2000:]}", flush=True)
         return done.returncode if done.stdout else 2, time.perf_counter() - start, {"worse": []}
@@ -149,20 +274,38 @@ def check(tree: Path, baseline: Path) -> tuple[int, float, dict[str, Any]]:
 def forget(tree: Path, changed: str) -> None:
     """Remove the compiled kernels of a changed file and of all files with kernels that import it, directly or through others with kernels."""
     files = {
-        path: path.read_text(encoding="utf-8") for path in (*tree.rglob("sabench/**/*.py"), *tree.glob("solvers/*.py"), *tree.glob("generators/*.py"))
+        path: path.read_text(encoding="utf-8")
+        for path in (
+            *tree.rglob("sabench/**/*.py"),
+            *tree.glob("solvers/*.py"),
+            *tree.glob("generators/*.py"),
+        )
     }
-    files = {path: text for path, text in files.items() if "njit" in text or path.name == "__init__.py"}
+    files = {
+        path: text for path, text in files.items() if "njit" in text or path.name == "__init__.py"
+    }
     stale, waiting = {tree / changed}, [tree / changed]
     while waiting:
         one = waiting.pop()
-        module = one.relative_to(tree).with_suffix("").as_posix().removesuffix("/__init__").replace("/", ".")
+        module = (
+            one.relative_to(tree)
+            .with_suffix("")
+            .as_posix()
+            .removesuffix("/__init__")
+            .replace("/", ".")
+        )
         parent, _, name = module.rpartition(".")
-        imports = re.compile(rf"(from|import) {re.escape(module)}\b|from {re.escape(parent)} import [^\n]*\b{name}\b")
+        imports = re.compile(
+            rf"(from|import) {re.escape(module)}\b|from {re.escape(parent)} import [^\n]*\b{name}\b"
+        )
         fresh = [path for path, text in files.items() if path not in stale and imports.search(text)]
         stale.update(fresh)
         waiting += fresh
     for path in stale:
-        for entry in (*path.parent.glob(f"__pycache__/{path.stem}.*.nbi"), *path.parent.glob(f"__pycache__/{path.stem}.*.nbc")):
+        for entry in (
+            *path.parent.glob(f"__pycache__/{path.stem}.*.nbi"),
+            *path.parent.glob(f"__pycache__/{path.stem}.*.nbc"),
+        ):
             entry.unlink()
 
 

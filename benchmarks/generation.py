@@ -1,13 +1,17 @@
 """What processes gain in the making of a data set, and what the scheduler costs: `python benchmarks/generation.py [FRAMES]` prints JSON.
 
-- **throughput**: forty frames of the demo's nine cameras and 20,000 particles that a flow carries, with one process and with one for each core, each
-  of one thread, in turn three times; the gain is the median of the ratios. Beside it what independent processes gain here: cores may share more than
-  one thinks.
-- **overhead**: FRAMES (1,000) frames of two small cameras whose parts are all there, done once more by another process: what a task costs beside
+- **throughput**: forty frames of the demo's nine cameras and 20,000 particles that a flow carries,
+  with one process and with one for each core, each
+  of one thread, in turn three times; the gain is the median of the ratios. Beside it what
+  independent processes gain here: cores may share more than one thinks.
+- **overhead**: FRAMES (1,000) frames of two small cameras whose parts are all there, done once more
+  by another process: what a task costs beside
   looking whether its part is whole, over the mean time of the sequence's tasks.
-- **growth**: a plan of FRAMES frames worked off by 1 to 1,000 simulated workers in simulated time. Each task takes what one of its kind took in the
-  sequence, the scheduler deals with one task at a time and is busy for what that costs, and the parts are put together in the end. It says where
-  growth stops: at the chain of frames, each made from the one before, at the scheduler, or at the end.
+- **growth**: a plan of FRAMES frames worked off by 1 to 1,000 simulated workers in simulated time.
+  Each task takes what one of its kind took in the
+  sequence, the scheduler deals with one task at a time and is busy for what that costs, and the
+  parts are put together in the end. It says where growth stops: at the chain of frames, each made
+  from the one before, at the scheduler, or at the end.
 """
 
 from __future__ import annotations
@@ -37,7 +41,13 @@ from sabench.simulation.recording.schedule import Plan, Task
 from sabench.simulation.recording.workers import Pool, work_off
 from sabench.utils.progress import track
 
-_FLOW = {"generator": "abc_flow", "wavelength_mm": 20.0, "a_mm_s": 100.0, "b_mm_s": 80.0, "c_mm_s": 60.0}
+_FLOW = {
+    "generator": "abc_flow",
+    "wavelength_mm": 20.0,
+    "a_mm_s": 100.0,
+    "b_mm_s": 80.0,
+    "c_mm_s": 60.0,
+}
 _WORKERS = (1, 2, 4, 8, 16, 32, 64, 128, 256, 512, 1000)
 _ALONE = """
 import time
@@ -60,7 +70,11 @@ def sequence(frames: int) -> Scene:
 def small(frames: int) -> Scene:
     """Two cameras of few pixels and particles."""
     values = load_scene("quick").to_dict()
-    values["cameras"] |= {"rows": 48, "columns": 64, "layout": {"kind": "grid", "columns": 2, "rows": 1, "spacing_mm": [240.0, 240.0]}}
+    values["cameras"] |= {
+        "rows": 48,
+        "columns": 64,
+        "layout": {"kind": "grid", "columns": 2, "rows": 1, "spacing_mm": [240.0, 240.0]},
+    }
     values["particles"] = {"generator": "uniform", "count": 50}
     return parse_scene(values | {"frames": frames, "interval_s": 0.001, "flow": _FLOW}, "small")
 
@@ -74,7 +88,11 @@ def worked_off(scene: Scene, folder: Path, jobs: int) -> float:
     for _ in range(jobs):
         pool.wait()
     start = time.perf_counter()
-    work_off(pool, Plan(scene.frames, recorder.views, chained=recorder.chained, ahead=pool.ahead), f"processes: {jobs}")
+    work_off(
+        pool,
+        Plan(scene.frames, recorder.views, chained=recorder.chained, ahead=pool.ahead),
+        f"processes: {jobs}",
+    )
     seconds = time.perf_counter() - start
     pool.close()
     return seconds
@@ -83,16 +101,32 @@ def worked_off(scene: Scene, folder: Path, jobs: int) -> float:
 def throughput(folder: Path) -> dict[str, Any]:
     """One process against one for each core."""
     cores, scene = os.cpu_count() or 1, sequence(40)
-    gains = [worked_off(scene, folder / f"one{k}", 1) / worked_off(scene, folder / f"all{k}", cores) / cores for k in range(3)]
+    gains = [
+        worked_off(scene, folder / f"one{k}", 1)
+        / worked_off(scene, folder / f"all{k}", cores)
+        / cores
+        for k in range(3)
+    ]
     alone = statistics.median(independent(cores) / independent(1) for _ in range(3))
     gain = statistics.median(gains)
-    return {"cores": cores, "gain_over_cores": gain, "of": gains, "independent_processes": alone, "gain_over_independent": gain / alone}
+    return {
+        "cores": cores,
+        "gain_over_cores": gain,
+        "of": gains,
+        "independent_processes": alone,
+        "gain_over_independent": gain / alone,
+    }
 
 
 def independent(count: int) -> float:
     """Rounds of work that each of so many unrelated processes does at once."""
     environment = os.environ | {"OMP_NUM_THREADS": "1"}
-    running = [subprocess.Popen([sys.executable, "-c", _ALONE], stdout=subprocess.PIPE, text=True, env=environment) for _ in range(count)]
+    running = [
+        subprocess.Popen(
+            [sys.executable, "-c", _ALONE], stdout=subprocess.PIPE, text=True, env=environment
+        )
+        for _ in range(count)
+    ]
     return statistics.fmean(int(process.communicate()[0]) for process in running)
 
 
@@ -113,7 +147,9 @@ class Times:
     @property
     def frame(self) -> float:
         """Work of a frame."""
-        return statistics.fmean(self.truth) + len(self.view) / len(self.truth) * statistics.fmean(self.view)
+        return statistics.fmean(self.truth) + len(self.view) / len(self.truth) * statistics.fmean(
+            self.view
+        )
 
 
 def timed(scene: Scene, folder: Path) -> Times:
@@ -133,7 +169,10 @@ def timed(scene: Scene, folder: Path) -> Times:
     start = time.perf_counter()
     put_together(folder.with_name(f"{folder.name}-set"), job, recorder, parts, overwrite=False)
     end = (time.perf_counter() - start) / scene.frames
-    truths, views = ([seconds for task, seconds in took[11:] if (task.camera is None) == truth] for truth in (True, False))  # but for the first frame
+    truths, views = (
+        [seconds for task, seconds in took[11:] if (task.camera is None) == truth]
+        for truth in (True, False)
+    )  # but for the first frame
     return Times(truths, views, end)
 
 
@@ -152,7 +191,12 @@ def exchange(folder: Path, frames: int) -> float:
 
 def simulated(frames: int, cameras: int, workers: int, times: Times, *, chained: bool) -> float:
     """Seconds that so many workers need; the scheduler deals with one task at a time."""
-    plan, rng, now, free = Plan(frames, cameras, chained=chained, ahead=workers + 1), np.random.default_rng(1), 0.0, 0.0
+    plan, rng, now, free = (
+        Plan(frames, cameras, chained=chained, ahead=workers + 1),
+        np.random.default_rng(1),
+        0.0,
+        0.0,
+    )
     idle, last = list(range(workers)), dict.fromkeys(range(workers), -1)
     running: list[tuple[float, int, Task]] = []
     while not plan.finished:
@@ -170,11 +214,26 @@ def growth(times: Times, frames: int, cameras: int) -> dict[str, Any]:
     """Speed of so many workers over that of one, before and after the parts are put together; and the limits that stand in the way."""
     speed, end = {}, times.end * frames
     for chained in (True, False):
-        took = {n: simulated(frames, cameras, n, times, chained=chained) for n in track(_WORKERS, "simulate workers")}
+        took = {
+            n: simulated(frames, cameras, n, times, chained=chained)
+            for n in track(_WORKERS, "simulate workers")
+        }
         name = "frames from the one before" if chained else "frames by themselves"
-        speed[name] = {n: [took[1] / seconds, (took[1] + end) / (seconds + end)] for n, seconds in took.items()}
-    chain, scheduler = times.frame / statistics.fmean(times.truth), times.frame / ((1 + cameras) * times.scheduler)
-    return {"speed": speed, "limits": {"chain": chain, "scheduler": scheduler, "putting together": times.frame / times.end + 1.0}}
+        speed[name] = {
+            n: [took[1] / seconds, (took[1] + end) / (seconds + end)] for n, seconds in took.items()
+        }
+    chain, scheduler = (
+        times.frame / statistics.fmean(times.truth),
+        times.frame / ((1 + cameras) * times.scheduler),
+    )
+    return {
+        "speed": speed,
+        "limits": {
+            "chain": chain,
+            "scheduler": scheduler,
+            "putting together": times.frame / times.end + 1.0,
+        },
+    }
 
 
 def rounded(value: Any) -> Any:
@@ -194,10 +253,19 @@ def main() -> None:
         first = timed(sequence(20), folder / "timed")
         times = Times(first.truth, first.view, first.end, exchange(folder / "small", frames))
         report = {
-            "seconds": {"truth": statistics.fmean(times.truth), "view": statistics.fmean(times.view), "putting a frame together": times.end},
-            "overhead": {"frames": frames, "ms_per_task": 1e3 * times.scheduler, "percent_of_the_work": 100.0 * times.scheduler / times.mean},
-            "throughput": throughput(folder), "growth": growth(times, frames, 9),
-        }  # fmt: skip
+            "seconds": {
+                "truth": statistics.fmean(times.truth),
+                "view": statistics.fmean(times.view),
+                "putting a frame together": times.end,
+            },
+            "overhead": {
+                "frames": frames,
+                "ms_per_task": 1e3 * times.scheduler,
+                "percent_of_the_work": 100.0 * times.scheduler / times.mean,
+            },
+            "throughput": throughput(folder),
+            "growth": growth(times, frames, 9),
+        }
     print(json.dumps(rounded(report), indent=1))
 
 

@@ -1,8 +1,9 @@
 """Killed at random moments, does a data set become the same? `python benchmarks/kills.py [TIMES FRAMES]` prints JSON, and exits 1 if not.
 
-TIMES (50) runs of FRAMES (500) frames with two processes are killed by `kill -9` at a moment that is uniform over the time that an
-undisturbed run takes: in turn the scheduler, a worker, or the whole process group. The same command is then started again and must end
-with the content hash of the undisturbed run.
+TIMES (50) runs of FRAMES (500) frames with two processes are killed by `kill -9` at a moment that
+is uniform over the time that an undisturbed run takes: in turn the scheduler, a worker, or the
+whole process group. The same command is then started again and must end with the content hash of
+the undisturbed run.
 """
 
 from __future__ import annotations
@@ -30,17 +31,44 @@ def scene_file(folder: Path, frames: int) -> Path:
     """Small pictures of few particles that a flow carries: many tasks in little time."""
     values = load_scene("quick").to_dict()
     values["particles"] = {"generator": "uniform", "count": 50}
-    values["flow"] = {"generator": "abc_flow", "wavelength_mm": 30.0, "a_mm_s": 40.0, "b_mm_s": 30.0, "c_mm_s": 20.0}
-    values["cameras"] |= {"rows": 48, "columns": 64, "layout": {"kind": "grid", "columns": 2, "rows": 1, "spacing_mm": [240.0, 240.0]}}
+    values["flow"] = {
+        "generator": "abc_flow",
+        "wavelength_mm": 30.0,
+        "a_mm_s": 40.0,
+        "b_mm_s": 30.0,
+        "c_mm_s": 20.0,
+    }
+    values["cameras"] |= {
+        "rows": 48,
+        "columns": 64,
+        "layout": {"kind": "grid", "columns": 2, "rows": 1, "spacing_mm": [240.0, 240.0]},
+    }
     file = folder / "scene.toml"
-    file.write_text(parse_scene(values | {"frames": frames, "interval_s": 0.02}, "kills").to_toml(), encoding="utf-8")
+    file.write_text(
+        parse_scene(values | {"frames": frames, "interval_s": 0.02}, "kills").to_toml(),
+        encoding="utf-8",
+    )
     return file
 
 
 def start(scene: Path, out: Path) -> subprocess.Popen[bytes]:
     """Generate in a process group of its own."""
-    words = [sys.executable, "-m", "sabench", "generate", str(scene), "-o", str(out), "--backend", "splat", "--jobs", "2"]
-    return subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True)
+    words = [
+        sys.executable,
+        "-m",
+        "sabench",
+        "generate",
+        str(scene),
+        "-o",
+        str(out),
+        "--backend",
+        "splat",
+        "--jobs",
+        "2",
+    ]
+    return subprocess.Popen(
+        words, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True
+    )
 
 
 def workers(pid: int) -> list[int]:
@@ -101,7 +129,18 @@ def main() -> None:
             left = [entry.name for entry in folder.glob(f".{number}.*")]
             assert not left, left
             shutil.rmtree(out)
-    print(json.dumps({"frames": frames, "seconds_undisturbed": round(took, 1), "times": times, "killed": killed, "same_hash": same}, indent=1))
+    print(
+        json.dumps(
+            {
+                "frames": frames,
+                "seconds_undisturbed": round(took, 1),
+                "times": times,
+                "killed": killed,
+                "same_hash": same,
+            },
+            indent=1,
+        )
+    )
     sys.exit(same != times)
 
 

@@ -2,8 +2,9 @@
 
     python benchmarks/linking.py
 
-Prints one JSON value: for four motions, by mean displacement a frame in mean distances of nearest neighbours, recall and precision of links (300
-bubbles, 6 frames); and seconds for 2,000 bubbles in 50 frames.
+Prints one JSON value: for four motions, by mean displacement a frame in mean distances of nearest
+neighbours, recall and precision of links (300 bubbles, 6 frames); and seconds for 2,000 bubbles in
+50 frames.
 """
 
 from __future__ import annotations
@@ -19,8 +20,11 @@ from tests.films import film, judged, linked
 
 _FAULTS = {"missing": 0.2, "ghosts": 0.2, "noise": 0.03}
 _MOTIONS: dict[str, tuple[str, dict[str, float]]] = {
-    "sheared stream": ("stream", {}), "sheared stream, faults": ("stream", _FAULTS), "two streams": ("two streams", {}), "random": ("random", {}),
-}  # fmt: skip
+    "sheared stream": ("stream", {}),
+    "sheared stream, faults": ("stream", _FAULTS),
+    "two streams": ("two streams", {}),
+    "random": ("random", {}),
+}
 _STEPS = (0.2, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0)
 
 
@@ -40,8 +44,15 @@ def timed(kind: str, faults: Any) -> float:
 
 def main() -> None:
     """Print everything."""
-    links = {name: {str(step): followed(*how, step) for step in _STEPS} for name, how in _MOTIONS.items()}
-    print(json.dumps({"links": links, "seconds": {name: timed(*how) for name, how in _MOTIONS.items()}}, indent=1))
+    links = {
+        name: {str(step): followed(*how, step) for step in _STEPS} for name, how in _MOTIONS.items()
+    }
+    print(
+        json.dumps(
+            {"links": links, "seconds": {name: timed(*how) for name, how in _MOTIONS.items()}},
+            indent=1,
+        )
+    )
 
 
 if __name__ == "__main__":

@@ -1,8 +1,9 @@
 """How fast the page is with many records: `python -m benchmarks.page [records ...]` prints JSON; it needs chromium and chromedriver.
 
-The records are made up: as many cases as it takes for 20 solvers with five seeds each (`rows` of five records), and again with one seed each. In the
-browser, `first_row_ms` is from the start of the navigation to the first rows on the screen, `sorted_ms` and `filtered_ms` from the click or letter to
-the new rows on the screen: the middle of five.
+The records are made up: as many cases as it takes for 20 solvers with five seeds each (`rows` of
+five records), and again with one seed each. In the browser, `first_row_ms` is from the start of the
+navigation to the first rows on the screen, `sorted_ms` and `filtered_ms` from the click or letter
+to the new rows on the screen: the middle of five.
 """
 
 from __future__ import annotations
@@ -32,7 +33,10 @@ _OPENED = "(performance.getEntriesByName('first row')[0]?.startTime ?? null)"
 def made_up(count: int, seeds: int) -> list[Record]:
     """Records of the reconstruction track with all scores and hashes as long as real ones."""
     rng = random.Random(1)
-    return [_record(rng, number // (_SOLVERS * seeds), number // seeds % _SOLVERS, number % seeds) for number in range(count)]
+    return [
+        _record(rng, number // (_SOLVERS * seeds), number // seeds % _SOLVERS, number % seeds)
+        for number in range(count)
+    ]
 
 
 def _record(rng: random.Random, case: int, solver: int, seed: int) -> Record:
@@ -40,18 +44,35 @@ def _record(rng: random.Random, case: int, solver: int, seed: int) -> Record:
         return f"{rng.getrandbits(256):064x}"
 
     return {
-        "suite": "made up", "case": f"tank-{case}", "scene": "tank", "difficulty": ("easy", "standard", "hard")[case % 3], "axis": None,
-        "axes": {"particles.per_pixel": case / 1000.0}, "scene_hash": f"{case:064x}", "dataset": digest(), "seed": seed, "split": "public",
-        "renderer": "mitsuba", "track": "reconstruction", "solver": f"solver_{solver}", "parameters": {"k": "auto", "floor": 0.01, "passes": solver},
-        "code_hash": f"{solver:064x}", "run_hash": digest(), "versions": {"numpy": "2.4.6", "mitsuba": "3.9.1", "sabench": "0.1.0"},
-        "machine": {"cpu": "some processor", "cores": 8, "backend": "llvm"}, "pictures": None, "error": None,
+        "suite": "made up",
+        "case": f"tank-{case}",
+        "scene": "tank",
+        "difficulty": ("easy", "standard", "hard")[case % 3],
+        "axis": None,
+        "axes": {"particles.per_pixel": case / 1000.0},
+        "scene_hash": f"{case:064x}",
+        "dataset": digest(),
+        "seed": seed,
+        "split": "public",
+        "renderer": "mitsuba",
+        "track": "reconstruction",
+        "solver": f"solver_{solver}",
+        "parameters": {"k": "auto", "floor": 0.01, "passes": solver},
+        "code_hash": f"{solver:064x}",
+        "run_hash": digest(),
+        "versions": {"numpy": "2.4.6", "mitsuba": "3.9.1", "sabench": "0.1.0"},
+        "machine": {"cpu": "some processor", "cores": 8, "backend": "llvm"},
+        "pictures": None,
+        "error": None,
         "command": f"sabench run made-up --case tank-{case} --solver solver_{solver}",
         **{column.key: rng.random() for column in COLUMNS["reconstruction"]},
-    }  # fmt: skip
+    }
 
 
 def _middle(browser: Browser, acts: list[str]) -> float:
-    return round(sorted(float(browser.ask(_FRAME.format(act=act))) for act in acts)[len(acts) // 2], 1)
+    return round(
+        sorted(float(browser.ask(_FRAME.format(act=act))) for act in acts)[len(acts) // 2], 1
+    )
 
 
 def in_browser(browser: Browser, file: Path) -> dict[str, float]:
@@ -62,7 +83,10 @@ def in_browser(browser: Browser, file: Path) -> dict[str, float]:
         "elements": int(browser.ask("document.querySelectorAll('*').length")),
         "first_row_ms": round(float(browser.ask(_OPENED)), 1),
         "sorted_ms": _middle(browser, [_SORT.format(key=key) for key in _SORTED]),
-        "filtered_ms": _middle(browser, [_TYPE.format(text="tank-1 solver"[:length]) for length in range(4, 4 + len(_SORTED))]),
+        "filtered_ms": _middle(
+            browser,
+            [_TYPE.format(text="tank-1 solver"[:length]) for length in range(4, 4 + len(_SORTED))],
+        ),
     }
 
 
@@ -84,7 +108,14 @@ def main() -> None:
     """Print one line for every number of records and seeds."""
     counts = [int(word) for word in sys.argv[1:]] or list(_COUNTS)
     start = time.perf_counter()
-    print(json.dumps({"library_mb": round(len(page.library()) / 1e6, 2), "library_s": round(time.perf_counter() - start, 3)}))
+    print(
+        json.dumps(
+            {
+                "library_mb": round(len(page.library()) / 1e6, 2),
+                "library_s": round(time.perf_counter() - start, 3),
+            }
+        )
+    )
     with chromium() as browser, tempfile.TemporaryDirectory() as folder:
         for count in counts:
             for seeds in (5, 1):

@@ -1,7 +1,8 @@
 """The ray tracer against the formulas: `python benchmarks/renderers.py [scene]` prints JSON.
 
-For each camera thousands of particles are placed behind the wall so that their images lie on a jittered lattice, at least 12 px apart; centroids
-and light are taken in windows of their own. What a solver would get wrong that forgets the wall is reckoned with the same cameras in plain air.
+For each camera thousands of particles are placed behind the wall so that their images lie on a
+jittered lattice, at least 12 px apart; centroids and light are taken in windows of their own. What
+a solver would get wrong that forgets the wall is reckoned with the same cameras in plain air.
 """
 
 from __future__ import annotations
@@ -25,18 +26,28 @@ from sabench.utils import backend
 from sabench.utils.arrays import F64, I64
 from sabench.utils.progress import track
 
-_PITCH, _JITTER, _HALF = 14, 1.0, 6  # px: lattice, shift of each particle, half the window; neighbours are at least 12 px apart
+_PITCH, _JITTER, _HALF = (
+    14,
+    1.0,
+    6,
+)  # px: lattice, shift of each particle, half the window; neighbours are at least 12 px apart
 
 
 def lattice(scene: Scene, camera: Camera, seed: int) -> tuple[Particles, I64]:
     """Particles in the volume's depth whose images lie near the nodes of a lattice, and these nodes (column, row)."""
     rng = np.random.default_rng(seed)
-    column, row = np.meshgrid(np.arange(_PITCH, camera.columns - _PITCH, _PITCH), np.arange(_PITCH, camera.rows - _PITCH, _PITCH))
+    column, row = np.meshgrid(
+        np.arange(_PITCH, camera.columns - _PITCH, _PITCH),
+        np.arange(_PITCH, camera.rows - _PITCH, _PITCH),
+    )
     nodes = np.column_stack([column.ravel(), row.ravel()])
     rays = camera.back_project(nodes + rng.uniform(-_JITTER, _JITTER, nodes.shape))
     center, size = scene.volume.center_mm[2], scene.volume.size_mm[2]
     z = rng.uniform(center - size / 2.0, center + size / 2.0, len(nodes))
-    positions = rays.origins_mm + rays.directions * ((z - rays.origins_mm[:, 2]) / rays.directions[:, 2])[:, None]
+    positions = (
+        rays.origins_mm
+        + rays.directions * ((z - rays.origins_mm[:, 2]) / rays.directions[:, 2])[:, None]
+    )
     diameter = np.full(len(nodes), float((scene.particles or {}).get("diameter_mm", 0.02)))
     return Particles(np.arange(len(nodes)), positions, diameter, np.zeros((len(nodes), 3))), nodes
 
@@ -46,7 +57,9 @@ def moments(image: F64, nodes: I64) -> tuple[F64, F64]:
     offset = np.arange(-_HALF, _HALF + 1)
     windows = image[nodes[:, 1, None, None] + offset[:, None], nodes[:, 0, None, None] + offset]
     light = windows.sum(axis=(1, 2))
-    return light, np.stack([windows.sum(axis=1) @ offset, windows.sum(axis=2) @ offset], axis=1) / light[:, None]
+    return light, np.stack(
+        [windows.sum(axis=1) @ offset, windows.sum(axis=2) @ offset], axis=1
+    ) / light[:, None]
 
 
 def compared(scene: Scene, camera: Camera, seed: int) -> tuple[F64, F64, F64, float]:
@@ -54,7 +67,10 @@ def compared(scene: Scene, camera: Camera, seed: int) -> tuple[F64, F64, F64, fl
     particles, nodes = lattice(scene, camera, seed)
     images = image_particles(scene, camera, particles, None)
     start = time.perf_counter()
-    picture = render(camera, images, particles.position_mm, scene.render.samples_per_pixel) * camera.etendue()
+    picture = (
+        render(camera, images, particles.position_mm, scene.render.samples_per_pixel)
+        * camera.etendue()
+    )
     seconds = time.perf_counter() - start
     traced, formula = moments(picture, nodes), moments(splat(camera, images), nodes)
     return traced[1] - formula[1], traced[1] + nodes - images.pixel, traced[0] / formula[0], seconds
@@ -63,18 +79,24 @@ def compared(scene: Scene, camera: Camera, seed: int) -> tuple[F64, F64, F64, fl
 def without_wall(rig: Rig, scene: Scene, count: int) -> dict[str, float]:
     """Error of the same cameras in plain air at random points of the volume, px; also after each camera's best shift."""
     rng = np.random.default_rng(1)
-    points = np.asarray(scene.volume.center_mm) + rng.uniform(-0.5, 0.5, (count, 3)) * np.asarray(scene.volume.size_mm)
+    points = np.asarray(scene.volume.center_mm) + rng.uniform(-0.5, 0.5, (count, 3)) * np.asarray(
+        scene.volume.size_mm
+    )
     raw, shifted = [], []
     for camera in rig.cameras:
         through, valid = camera.project(points)
-        error = (replace(camera, wall=None).project(points)[0] - through)[valid & camera.contains(through)]
+        error = (replace(camera, wall=None).project(points)[0] - through)[
+            valid & camera.contains(through)
+        ]
         raw.append(np.linalg.norm(error, axis=1))
         shifted.append(np.linalg.norm(error - error.mean(axis=0), axis=1))
     everything, rest = np.concatenate(raw), np.concatenate(shifted)
     return {
-        "rms_px": _rms(everything), "largest_px": float(everything.max()),
-        "rms_after_best_shift_px": _rms(rest), "largest_after_best_shift_px": float(rest.max()),
-    }  # fmt: skip
+        "rms_px": _rms(everything),
+        "largest_px": float(everything.max()),
+        "rms_after_best_shift_px": _rms(rest),
+        "largest_after_best_shift_px": float(rest.max()),
+    }
 
 
 def _rms(values: F64) -> float:
@@ -83,17 +105,24 @@ def _rms(values: F64) -> float:
 
 def _spread(shift: F64) -> dict[str, Any]:
     return {
-        "bias_px": shift.mean(axis=0).tolist(), "standard_error_px": (shift.std(axis=0) / np.sqrt(len(shift))).tolist(),
-        "spread_px": shift.std(axis=0).tolist(), "largest_px": float(np.abs(shift).max()),
-    }  # fmt: skip
+        "bias_px": shift.mean(axis=0).tolist(),
+        "standard_error_px": (shift.std(axis=0) / np.sqrt(len(shift))).tolist(),
+        "spread_px": shift.std(axis=0).tolist(),
+        "largest_px": float(np.abs(shift).max()),
+    }
 
 
 def main() -> None:
     name = sys.argv[1] if len(sys.argv) > 1 else "demo"
     loaded = load_scene(name)
-    scene = loaded.model_copy(update={"illumination": loaded.light.model_copy(update={"scattering": "isotropic"})})
+    scene = loaded.model_copy(
+        update={"illumination": loaded.light.model_copy(update={"scattering": "isotropic"})}
+    )
     rig = build_rig(scene)
-    found = [compared(scene, camera, i) for i, camera in enumerate(track(rig.cameras, "render with Mitsuba"))]
+    found = [
+        compared(scene, camera, i)
+        for i, camera in enumerate(track(rig.cameras, "render with Mitsuba"))
+    ]
     formula, exact, ratio = (np.concatenate([part[i] for part in found]) for i in range(3))
     report = {
         "scene": name,
@@ -103,7 +132,12 @@ def main() -> None:
         "render_s_per_camera": round(float(np.median([part[3] for part in found])), 3),
         "mitsuba_minus_splat": _spread(formula),
         "mitsuba_minus_exact_projection": _spread(exact),
-        "flux_ratio": {"mean": float(ratio.mean()), "spread": float(ratio.std()), "lowest": float(ratio.min()), "highest": float(ratio.max())},
+        "flux_ratio": {
+            "mean": float(ratio.mean()),
+            "spread": float(ratio.std()),
+            "lowest": float(ratio.min()),
+            "highest": float(ratio.max()),
+        },
         "wall_removed": without_wall(rig, scene, 20_000),
     }
     print(json.dumps(report, indent=2))

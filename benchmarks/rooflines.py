@@ -10,7 +10,10 @@ import numba
 import numpy as np
 
 _TRIAD = 1 << 25  # float32 numbers in each of three arrays: 128 MiB, far beyond any cache
-_LINE, _ROUNDS = 2048, 20000  # float32 numbers in a line that stays in the first cache, and how often it is read
+_LINE, _ROUNDS = (
+    2048,
+    20000,
+)  # float32 numbers in a line that stays in the first cache, and how often it is read
 _TABLE = 1 << 20  # float32 numbers of a picture of 1024 x 1024 pixels
 
 
@@ -36,7 +39,11 @@ def gathered_gigaloads_s() -> float:
     """Numbers (float32) that all threads together can load from near places of a picture by computed index, 1e9/s."""
     table, out = np.ones(_TABLE, dtype=np.float32), np.empty(_TABLE, dtype=np.float32)
     rng = np.random.default_rng(0)
-    index = np.clip(np.arange(_TABLE) + rng.integers(-4, 5, _TABLE) + 1024 * rng.integers(-4, 5, _TABLE), 0, _TABLE - 1).astype(np.uint32)
+    index = np.clip(
+        np.arange(_TABLE) + rng.integers(-4, 5, _TABLE) + 1024 * rng.integers(-4, 5, _TABLE),
+        0,
+        _TABLE - 1,
+    ).astype(np.uint32)
     return 16.0 * _TABLE / fastest_s(lambda: [_gather(table, index, out) for _ in range(16)]) / 1e9
 
 

@@ -1,8 +1,10 @@
 """Speed and memory of a time-resolved sequence: `python benchmarks/sequence.py [FRAMES PARTICLES]` prints JSON.
 
-Nine cameras of 1000 x 1000 pixels look at PARTICLES (125,000) that a flow carries; the splat renderer writes FRAMES (100) frames and their truth in
-a process of its own, which notes its resident memory at every frame: its slope over all but the first tenth, with a standard error, is what a frame
-costs. A particle-image is one particle in one camera's image of one frame. Beside its rate stands the time that writing as many bytes takes.
+Nine cameras of 1000 x 1000 pixels look at PARTICLES (125,000) that a flow carries; the splat
+renderer writes FRAMES (100) frames and their truth in a process of its own, which notes its
+resident memory at every frame: its slope over all but the first tenth, with a standard error, is
+what a frame costs. A particle-image is one particle in one camera's image of one frame. Beside its
+rate stands the time that writing as many bytes takes.
 """
 
 from __future__ import annotations
@@ -44,7 +46,13 @@ def scene_of(frames: int, particles: int) -> Scene:
     """The demo's tank and cameras; a chaotic flow that moves particles by up to six pixels a frame."""
     values = load_scene("demo").to_dict()
     values["particles"] = {"generator": "uniform", "count": particles, "diameter_mm": 0.02}
-    values["flow"] = {"generator": "abc_flow", "wavelength_mm": 20.0, "a_mm_s": 100.0, "b_mm_s": 80.0, "c_mm_s": 60.0}
+    values["flow"] = {
+        "generator": "abc_flow",
+        "wavelength_mm": 20.0,
+        "a_mm_s": 100.0,
+        "b_mm_s": 80.0,
+        "c_mm_s": 60.0,
+    }
     return parse_scene(values | {"frames": frames, "interval_s": 0.001}, "sequence")
 
 
@@ -69,19 +77,34 @@ def write_rate(folder: Path) -> float:
 
 def main() -> None:
     """Print one JSON object."""
-    frames, particles = (int(sys.argv[1]), int(sys.argv[2])) if len(sys.argv) == 3 else (100, 125_000)
+    frames, particles = (
+        (int(sys.argv[1]), int(sys.argv[2])) if len(sys.argv) == 3 else (100, 125_000)
+    )
     with tempfile.TemporaryDirectory() as work:
         seconds, peak, seen = made(scene_of(frames, particles), Path(work))
         size = sum(path.stat().st_size for path in Path(work, "set").rglob("*") if path.is_file())
         rate = write_rate(Path(work))
     cameras, later = len(build_rig(load_scene("demo")).cameras), np.array(seen[frames // 10 :])
     fit = linregress(np.arange(len(later)), later)
-    print(json.dumps({
-        "frames": frames, "cameras": cameras, "particles": particles, "seconds": round(seconds, 1),
-        "million_particle_images_per_s": round(frames * cameras * particles / seconds / 1e6, 3), "gigabytes": round(size / 1e9, 2),
-        "seconds_to_write_as_much": round(size / rate, 1), "peak_mib": round(peak, 1), "mib_per_frame": round(fit.slope, 3),
-        "standard_error": round(fit.stderr, 3),
-    }, indent=1))  # fmt: skip
+    print(
+        json.dumps(
+            {
+                "frames": frames,
+                "cameras": cameras,
+                "particles": particles,
+                "seconds": round(seconds, 1),
+                "million_particle_images_per_s": round(
+                    frames * cameras * particles / seconds / 1e6, 3
+                ),
+                "gigabytes": round(size / 1e9, 2),
+                "seconds_to_write_as_much": round(size / rate, 1),
+                "peak_mib": round(peak, 1),
+                "mib_per_frame": round(fit.slope, 3),
+                "standard_error": round(fit.stderr, 3),
+            },
+            indent=1,
+        )
+    )
 
 
 if __name__ == "__main__":

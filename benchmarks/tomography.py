@@ -1,10 +1,12 @@
 """Speed of tomography: `python benchmarks/tomography.py [WIDTH DEPTH PPP]` prints JSON.
 
-Four cameras 27 degrees off the axis look at WIDTH x WIDTH x DEPTH voxels of a pixel's size (700 x 700 x 140: the volume of Elsinga et al. 2006) with
-PPP particles per pixel (0.05) of the volume's face. Everything is compiled on a small volume first. Rates are compared with what the machine can do,
-measured in the same run: a projection or back-projection reads or writes four pixels for every voxel and camera, so its roofline is a fourth
-of the rate of random reads from an image; the bandwidth is that of a + b c over large arrays. Beside the speed stands what the solvers' defaults find
-on a smaller volume of the same array.
+Four cameras 27 degrees off the axis look at WIDTH x WIDTH x DEPTH voxels of a pixel's size (700 x
+700 x 140: the volume of Elsinga et al. 2006) with PPP particles per pixel (0.05) of the volume's
+face. Everything is compiled on a small volume first. Rates are compared with what the machine can
+do, measured in the same run: a projection or back-projection reads or writes four pixels for every
+voxel and camera, so its roofline is a fourth of the rate of random reads from an image; the
+bandwidth is that of a + b c over large arrays. Beside the speed stands what the solvers' defaults
+find on a smaller volume of the same array.
 """
 
 from __future__ import annotations
@@ -45,17 +47,36 @@ def scene_of(width: int, depth: int, ppp: float, cameras: int = 4) -> Scene:
     size = [width * VOXEL_MM, width * VOXEL_MM, depth * VOXEL_MM]
     pixels = math.ceil((1.1 * width + 0.6 * depth) / 8) * 8
     tilt = math.radians(TILT_DEG)
-    layout = {"kind": "ring", "count": cameras, "radius_mm": DISTANCE_MM * math.sin(tilt), "start_deg": 45.0}
+    layout = {
+        "kind": "ring",
+        "count": cameras,
+        "radius_mm": DISTANCE_MM * math.sin(tilt),
+        "start_deg": 45.0,
+    }
     values: dict[str, Any] = load_scene("quick").to_dict() | {
         "volume": {"center_mm": [0.0, 0.0, 0.0], "size_mm": size},
         "grid": {"voxel_mm": [VOXEL_MM] * 3},
-        "particles": {"generator": "uniform", "count": max(1, round(ppp * width * width)), "diameter_mm": 0.02},
+        "particles": {
+            "generator": "uniform",
+            "count": max(1, round(ppp * width * width)),
+            "diameter_mm": 0.02,
+        },
         "sensor": {"full_well_e": 1e7, "gain_dn_e": 0.2, "bit_depth": 16, "shot_noise": False},
     }
     del values["wall"]
-    values["cameras"] |= {"rows": pixels, "columns": pixels, "particle_sigma_px": 0.85, "layout": layout}
+    values["cameras"] |= {
+        "rows": pixels,
+        "columns": pixels,
+        "particle_sigma_px": 0.85,
+        "layout": layout,
+    }
     values["cameras"]["center_mm"] = [0.0, 0.0, -DISTANCE_MM * math.cos(tilt)]
-    values["illumination"] |= {"scattering": "isotropic", "pulse_energy_mj": 10.0, "thickness_mm": 2.0 * size[2], "height_mm": 2.0 * size[1]}
+    values["illumination"] |= {
+        "scattering": "isotropic",
+        "pulse_energy_mj": 10.0,
+        "thickness_mm": 2.0 * size[2],
+        "height_mm": 2.0 * size[1],
+    }
     return parse_scene(values, "benchmark")
 
 
@@ -98,12 +119,22 @@ def operator_rates(case: Observation, reads: float) -> dict[str, float]:
     lines, images = state.lines, problem.measured.light
     pairs, most = len(state.values) * len(case.cameras) / 1e6, lines.support.shape
     rates = {
-        "first_guess": math.prod(most) * len(case.cameras) / 1e6 / fastest(lambda: problem.mlos(parameters.threshold)),
+        "first_guess": math.prod(most)
+        * len(case.cameras)
+        / 1e6
+        / fastest(lambda: problem.mlos(parameters.threshold)),
         "forward": pairs / fastest(lambda: lines.forward(state.values)),
         "adjoint": pairs / fastest(lambda: lines.adjoint(images)),
     }
-    against = {f"{name}_against_reads": rates[name] * 4.0 / reads for name in ("forward", "adjoint")}
-    return {"nonzero_millions": len(state.values) / 1e6, "nonzero_share": len(state.values) / math.prod(most), **rates, **against}
+    against = {
+        f"{name}_against_reads": rates[name] * 4.0 / reads for name in ("forward", "adjoint")
+    }
+    return {
+        "nonzero_millions": len(state.values) / 1e6,
+        "nonzero_share": len(state.values) / math.prod(most),
+        **rates,
+        **against,
+    }
 
 
 def timed(name: str, case: Observation, bandwidth: float) -> dict[str, float | None]:
@@ -114,9 +145,11 @@ def timed(name: str, case: Observation, bandwidth: float) -> dict[str, float | N
     seconds = timeit.timeit(work, number=1)
     steps = math.prod(case.grid.shape) * len(case.cameras) * ITERATIONS
     return {
-        "seconds": seconds, "mvoxel_cameras_per_s": steps / 1e6 / seconds,
-        "against_bandwidth": 4.0 * steps / 1e9 / bandwidth / seconds, "peak_mb": peak_mb(),
-    }  # fmt: skip
+        "seconds": seconds,
+        "mvoxel_cameras_per_s": steps / 1e6 / seconds,
+        "against_bandwidth": 4.0 * steps / 1e9 / bandwidth / seconds,
+        "peak_mb": peak_mb(),
+    }
 
 
 def rounded(value: Any) -> Any:
@@ -138,7 +171,10 @@ def accuracy(ppp: float) -> dict[str, Any]:
 
 def _summary(scores: list[Any]) -> dict[str, Any]:
     q = mean_of([score["q"] for score in scores])
-    means = {key: float(np.mean([score[key] for score in scores])) for key in ("peak_true_percent", "peak_ghost_percent")}
+    means = {
+        key: float(np.mean([score[key] for score in scores]))
+        for key in ("peak_true_percent", "peak_ghost_percent")
+    }
     return means | ({"q": q.mean, "ci95": q.half_width} if q else {})
 
 
@@ -156,16 +192,25 @@ def main() -> None:
         "ppp": {str(n): scene_of(width, depth, n) for n in (ppp / 2.0, ppp, 2.0 * ppp)},
     }
     report = {
-        "cores": os.cpu_count(), "threads": numba.get_num_threads(), "cameras": len(case.cameras), "images": case.images.shape[1:],
-        "grid_zyx": case.grid.shape, "ppp": ppp, "iterations": ITERATIONS, "machine": limits,
+        "cores": os.cpu_count(),
+        "threads": numba.get_num_threads(),
+        "cameras": len(case.cameras),
+        "images": case.images.shape[1:],
+        "grid_zyx": case.grid.shape,
+        "ppp": ppp,
+        "iterations": ITERATIONS,
+        "machine": limits,
         "solvers": {name: timed(name, case, bandwidth) for name in SOLVERS},
         "operator": operator_rates(case, reads),
         "accuracy_300x300x100": {str(own): accuracy(own) for own in (0.05, 0.1)},
         "mlos_smart_against": {
-            kind: {n: timed("mlos_smart", simulate(scene, seed=100).observation, bandwidth) for n, scene in cases.items()}
+            kind: {
+                n: timed("mlos_smart", simulate(scene, seed=100).observation, bandwidth)
+                for n, scene in cases.items()
+            }
             for kind, cases in scaling.items()
         },
-    }  # fmt: skip
+    }
     print(json.dumps(rounded(report), indent=2))
 
 

@@ -1,9 +1,11 @@
 """Speed and response of 3-D PIV: `python benchmarks/velocimetry.py [WIDTH DEPTH]` prints JSON.
 
-Two volumes of WIDTH x WIDTH x DEPTH voxels (1000 x 1000 x 100) with 20 particles per window of 32 x 32 x 16 voxels are evaluated; everything is
-compiled on a small pair first. The first pass is compared with its three Fourier transforms per window alone; a later pass (volumes moved by cubic
-splines, correlation, validation) with scipy's `map_coordinates` moving the same two volumes once. Then the response: the amplitude that is found of
-sinusoidal shears, over the wavelength, beside that of the mean over a window; and how well a particle closes its path about a ring's core.
+Two volumes of WIDTH x WIDTH x DEPTH voxels (1000 x 1000 x 100) with 20 particles per window of 32 x
+32 x 16 voxels are evaluated; everything is compiled on a small pair first. The first pass is
+compared with its three Fourier transforms per window alone; a later pass (volumes moved by cubic
+splines, correlation, validation) with scipy's `map_coordinates` moving the same two volumes once.
+Then the response: the amplitude that is found of sinusoidal shears, over the wavelength, beside
+that of the mean over a window; and how well a particle closes its path about a ring's core.
 """
 
 from __future__ import annotations
@@ -38,15 +40,24 @@ def pair_of(grid: Grid, flow: Any, seed: int = 0) -> tuple[F32, F32]:
     """Volumes of particles before and after a flow of one second has carried them."""
     size = np.asarray(grid.shape[::-1]) * np.asarray(grid.voxel_mm)
     low = np.asarray(grid.low_mm) - 0.5 * np.asarray(grid.voxel_mm) - 1.0  # some enter and leave
-    count = round(float(np.prod(size + 2.0)) * _PER_WINDOW / float(np.prod(np.asarray(WINDOW[::-1]) * np.asarray(grid.voxel_mm))))
+    count = round(
+        float(np.prod(size + 2.0))
+        * _PER_WINDOW
+        / float(np.prod(np.asarray(WINDOW[::-1]) * np.asarray(grid.voxel_mm)))
+    )
     start = np.random.default_rng(seed).uniform(low, low + size + 2.0, (count, 3))
     before, after = (advect(flow, start, 0.5, time, 1e-6) for time in (0.0, 1.0))
-    return synthesise(grid, before, np.ones(count), _SIGMA_MM), synthesise(grid, after, np.ones(count), _SIGMA_MM)
+    return synthesise(grid, before, np.ones(count), _SIGMA_MM), synthesise(
+        grid, after, np.ones(count), _SIGMA_MM
+    )
 
 
 def grid_of(width: int, height: int, depth: int) -> Grid:
     """Centred."""
-    x, y, z = (-(count - 1) / 2.0 * voxel for count, voxel in zip((width, height, depth), _VOXEL_MM, strict=True))
+    x, y, z = (
+        -(count - 1) / 2.0 * voxel
+        for count, voxel in zip((width, height, depth), _VOXEL_MM, strict=True)
+    )
     return Grid((x, y, z), _VOXEL_MM, (depth, height, width))
 
 
@@ -64,7 +75,9 @@ def best(work: Any, repeats: int = 3) -> float:
 def evaluated(pair: VolumePair, passes: int) -> Velocity:
     """By `piv3d` with its defaults, but for the first window and the passes after it."""
     plugin = load("solvers", "piv3d")
-    made: Velocity = plugin(plugin.Parameters(first_window=WINDOW[::-1], window=WINDOW[::-1], passes=passes)).solve(pair)
+    made: Velocity = plugin(
+        plugin.Parameters(first_window=WINDOW[::-1], window=WINDOW[::-1], passes=passes)
+    ).solve(pair)
     return made
 
 
@@ -85,22 +98,37 @@ def speed(width: int, depth: int) -> dict[str, float]:
     there = best(lambda: scipy.fft.rfftn(batch, axes=(1, 2, 3), workers=-1), 50)
     back = best(lambda: scipy.fft.irfftn(transformed, s=WINDOW, axes=(1, 2, 3), workers=-1), 50)
     places = np.random.default_rng(0).uniform(2.0, np.array(shape)[:, None] - 3.0, (3, _SAMPLE))
-    moved = best(lambda: map_coordinates(first, places, order=3, prefilter=False)) / _SAMPLE * 2.0 * first.size
+    moved = (
+        best(lambda: map_coordinates(first, places, order=3, prefilter=False))
+        / _SAMPLE
+        * 2.0
+        * first.size
+    )
     count, many = int(np.prod(coarse.counts)), int(np.prod(fine.counts))
     return {
-        "first_pass_vectors_per_s": round(count / spectra), "first_pass_over_its_transforms": round(spectra / (count / 64 * (2.0 * there + back)), 2),
-        "later_pass_vectors_per_s": round(many / later), "scipy_s_moving_volumes_over_a_later_pass": round(moved / later, 1),
-    }  # fmt: skip
+        "first_pass_vectors_per_s": round(count / spectra),
+        "first_pass_over_its_transforms": round(spectra / (count / 64 * (2.0 * there + back)), 2),
+        "later_pass_vectors_per_s": round(many / later),
+        "scipy_s_moving_volumes_over_a_later_pass": round(moved / later, 1),
+    }
 
 
 def amplitude(solver: str, across: tuple[float, float, float], wavelength_mm: float) -> float:
     """The part of a wave's amplitude that a solver finds."""
     along = (1.0, 0.0, 0.0) if across[0] == 0.0 else (0.0, 1.0, 0.0)
-    flow = flow_of("shear_wave", along=along, across=across, wavelength_mm=wavelength_mm, peak_mm_s=_SHIFT * _VOXEL_MM[0])
+    flow = flow_of(
+        "shear_wave",
+        along=along,
+        across=across,
+        wavelength_mm=wavelength_mm,
+        peak_mm_s=_SHIFT * _VOXEL_MM[0],
+    )
     grid = grid_of(288, 288, 112)
     plugin = load("solvers", solver)
     field = plugin(plugin.Parameters()).solve(VolumePair(*pair_of(grid, flow), grid, 1.0))
-    exact: F64 = flow.velocity(field.positions_mm.reshape(-1, 3), 0.5).reshape(field.velocity_mm_s.shape)
+    exact: F64 = flow.velocity(field.positions_mm.reshape(-1, 3), 0.5).reshape(
+        field.velocity_mm_s.shape
+    )
     return response(field.velocity_mm_s[field.valid], exact[field.valid])
 
 
@@ -111,7 +139,10 @@ def once_around() -> float:
     radii = np.hypot(start[:, 0] - 10.0, start[:, 2])
     periods = 2.0 * np.pi * radii / np.linalg.norm(ring.velocity(start, 0.0), axis=1)
     tolerance = TOLERANCE * 50.0
-    ends = [advect(ring, place[None], 0.0, float(period), tolerance)[0] for place, period in zip(start, periods, strict=True)]
+    ends = [
+        advect(ring, place[None], 0.0, float(period), tolerance)[0]
+        for place, period in zip(start, periods, strict=True)
+    ]
     return float(np.linalg.norm(np.array(ends) - start, axis=1).max() / 20.0)
 
 
@@ -128,7 +159,10 @@ def main() -> None:
     for size in track(_WAVES, "waves"):
         row = {"wavelength_over_window": size, "top_hat": round(float(np.sinc(1.0 / size)), 3)}
         for solver in ("piv3d_plain", "piv3d"):
-            for name, across, window in (("y", (0.0, 1.0, 0.0), WINDOW[1] * _VOXEL_MM[1]), ("z", (0.0, 0.0, 1.0), WINDOW[0] * _VOXEL_MM[2])):
+            for name, across, window in (
+                ("y", (0.0, 1.0, 0.0), WINDOW[1] * _VOXEL_MM[1]),
+                ("z", (0.0, 0.0, 1.0), WINDOW[0] * _VOXEL_MM[2]),
+            ):
                 row[f"{solver}, across {name}"] = round(amplitude(solver, across, size * window), 3)
         out["response"].append(row)
     print(json.dumps(out, indent=1))

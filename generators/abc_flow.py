@@ -30,7 +30,14 @@ class AbcFlow(Flow):
         """u = A sin kz + C cos ky, v = B sin kx + A cos kz, w = C sin ky + B cos kx."""
         a, b, c = self._amplitudes()
         x, y, z = self._phases(points_mm)
-        return np.stack([a * np.sin(z) + c * np.cos(y), b * np.sin(x) + a * np.cos(z), c * np.sin(y) + b * np.cos(x)], axis=1)
+        return np.stack(
+            [
+                a * np.sin(z) + c * np.cos(y),
+                b * np.sin(x) + a * np.cos(z),
+                c * np.sin(y) + b * np.cos(x),
+            ],
+            axis=1,
+        )
 
     def gradient(self, points_mm: F64, time_s: float) -> F64:
         """Its derivatives."""
@@ -46,4 +53,11 @@ class AbcFlow(Flow):
         return self.parameters.a_mm_s, self.parameters.b_mm_s, self.parameters.c_mm_s
 
     def _phases(self, points_mm: F64) -> F64:
-        return np.asarray((2.0 * np.pi / self.parameters.wavelength_mm * (points_mm - np.asarray(self.parameters.center_mm))).T)
+        return np.asarray(
+            (
+                2.0
+                * np.pi
+                / self.parameters.wavelength_mm
+                * (points_mm - np.asarray(self.parameters.center_mm))
+            ).T
+        )

@@ -21,15 +21,28 @@ class BoardsParameters(Parameters):
     columns: int = Field(11, ge=3, le=200, description="points along X")
     rows: int = Field(11, ge=3, le=200, description="points along Y")
     pitch_mm: float = Field(4.0, gt=0.0, description="distance of neighbouring points")
-    mark_mm: float | None = Field(None, gt=0.0, description="diameter of a circle (by default half a pitch), edge of a ChArUco marker (0.7 of it)")
+    mark_mm: float | None = Field(
+        None,
+        gt=0.0,
+        description="diameter of a circle (by default half a pitch), edge of a ChArUco marker (0.7 of it)",
+    )
     tilt_deg: float = Field(10.0, ge=0.0, le=60.0, description="largest turn about X and about Y")
-    roll_deg: float = Field(5.0, ge=0.0, le=180.0, description="largest turn about the board's own normal")
-    wander: float = Field(1.0, ge=0.0, le=1.0, description="how far it strays in X and Y, as a part of what the volume leaves it")
+    roll_deg: float = Field(
+        5.0, ge=0.0, le=180.0, description="largest turn about the board's own normal"
+    )
+    wander: float = Field(
+        1.0,
+        ge=0.0,
+        le=1.0,
+        description="how far it strays in X and Y, as a part of what the volume leaves it",
+    )
 
     @model_validator(mode="after")
     def _fits(self) -> BoardsParameters:
         if self.mark_mm is not None and self.mark_mm >= self.pitch_mm:
-            raise ValueError(f"mark_mm: expected less than pitch_mm = {self.pitch_mm:g}, got {self.mark_mm:g}")
+            raise ValueError(
+                f"mark_mm: expected less than pitch_mm = {self.pitch_mm:g}, got {self.mark_mm:g}"
+            )
         return self
 
 
@@ -43,14 +56,34 @@ class Boards(TargetGenerator):
     def target(self) -> Target:
         """The board."""
         chosen: BoardsParameters = self.parameters
-        usual = {"checkerboard": 0.0, "circles": 0.5 * chosen.pitch_mm, "charuco": 0.7 * chosen.pitch_mm}[chosen.pattern]
-        return Target(chosen.pattern, chosen.columns, chosen.rows, chosen.pitch_mm, usual if chosen.mark_mm is None else chosen.mark_mm)
+        usual = {
+            "checkerboard": 0.0,
+            "circles": 0.5 * chosen.pitch_mm,
+            "charuco": 0.7 * chosen.pitch_mm,
+        }[chosen.pattern]
+        return Target(
+            chosen.pattern,
+            chosen.columns,
+            chosen.rows,
+            chosen.pitch_mm,
+            usual if chosen.mark_mm is None else chosen.mark_mm,
+        )
 
     def pose(self, domain: Domain, seed: int, frame: int, frames: int) -> Pose:
         """Turned within the limits, then put where all its points are in the volume, if they can be."""
         chosen: BoardsParameters = self.parameters
-        rng, limits = stream(seed, "targets", frame), np.deg2rad([chosen.tilt_deg, chosen.tilt_deg, chosen.roll_deg])
+        rng, limits = (
+            stream(seed, "targets", frame),
+            np.deg2rad([chosen.tilt_deg, chosen.tilt_deg, chosen.roll_deg]),
+        )
         turn = exponential(rng.uniform(-limits, limits))
-        room = np.maximum(np.asarray(domain.size_mm) / 2.0 - np.abs(self.target().points_mm @ turn.T).max(axis=0), 0.0)
+        room = np.maximum(
+            np.asarray(domain.size_mm) / 2.0 - np.abs(self.target().points_mm @ turn.T).max(axis=0),
+            0.0,
+        )
         along = 2.0 * frame / (frames - 1) - 1.0 if frames > 1 else 0.0
-        return Pose(turn, np.asarray(domain.center_mm) + room * np.append(chosen.wander * rng.uniform(-1.0, 1.0, 2), along))
+        return Pose(
+            turn,
+            np.asarray(domain.center_mm)
+            + room * np.append(chosen.wander * rng.uniform(-1.0, 1.0, 2), along),
+        )

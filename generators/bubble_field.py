@@ -20,9 +20,13 @@ class BubbleFieldParameters(BubbleParameters, Spectrum):
     """Exactly one of `count` and `void_fraction` says how many."""
 
     count: int | None = Field(None, ge=0, le=1_000_000, description="number of bubbles")
-    void_fraction: float | None = Field(None, ge=0.0, le=0.3, description="volume of the bubbles over that of the box")
+    void_fraction: float | None = Field(
+        None, ge=0.0, le=0.3, description="volume of the bubbles over that of the box"
+    )
     velocity_mm_s: Vector = Field((0.0, 0.0, 0.0), description="velocity of all bubbles")
-    low_mm: Vector | None = Field(None, description="the box's corner with the smallest coordinates; by default the volume's")
+    low_mm: Vector | None = Field(
+        None, description="the box's corner with the smallest coordinates; by default the volume's"
+    )
     high_mm: Vector | None = Field(None, description="its opposite corner")
 
     @model_validator(mode="after")
@@ -38,8 +42,14 @@ class BubbleFieldParameters(BubbleParameters, Spectrum):
         if self.low_mm is None or self.high_mm is None:
             return domain
         low, high = np.asarray(self.low_mm), np.asarray(self.high_mm)
-        if (low < domain.low_mm - 1e-9).any() or (high > domain.low_mm + np.asarray(domain.size_mm) + 1e-9).any() or (low >= high).any():
-            raise InputError(f"bubbles: low_mm, high_mm: expected rising corners within the volume, got {list(self.low_mm)} and {list(self.high_mm)}")
+        if (
+            (low < domain.low_mm - 1e-9).any()
+            or (high > domain.low_mm + np.asarray(domain.size_mm) + 1e-9).any()
+            or (low >= high).any()
+        ):
+            raise InputError(
+                f"bubbles: low_mm, high_mm: expected rising corners within the volume, got {list(self.low_mm)} and {list(self.high_mm)}"
+            )
         return Domain(triple((low + high) / 2.0), triple(high - low), domain.pixels)
 
 
@@ -54,7 +64,9 @@ class BubbleField(BubbleGenerator):
         chosen: BubbleFieldParameters = self.parameters
         domain, rng = chosen.box(domain), stream(seed, "bubbles")
         velocity, size = np.asarray(chosen.velocity_mm_s), np.asarray(domain.size_mm)
-        beyond = np.where(velocity != 0.0, 2.0 * chosen.radius_range_mm[1] / chosen.aspect_range[0], 0.0)  # room to enter and leave
+        beyond = np.where(
+            velocity != 0.0, 2.0 * chosen.radius_range_mm[1] / chosen.aspect_range[0], 0.0
+        )  # room to enter and leave
         period = size + beyond
         semi_axes, turn = self._shapes(rng, float(period.prod()))
         reach = np.linalg.norm(semi_axes[:, None, :] * turn.transpose(0, 2, 1), axis=2)
@@ -63,12 +75,18 @@ class BubbleField(BubbleGenerator):
             room = np.maximum(period - 2.0 * reach[which], 0.0)[:, None]
             return np.asarray((period - room) / 2.0 + room * rng.random((len(which), tries, 3)))
 
-        there = propose(np.arange(len(semi_axes)), 1)[:, 0] if chosen.overlap else place(semi_axes, turn, propose, "bubble_field")
+        there = (
+            propose(np.arange(len(semi_axes)), 1)[:, 0]
+            if chosen.overlap
+            else place(semi_axes, turn, propose, "bubble_field")
+        )
         travelled = there + velocity * time_s
         turns = np.floor(travelled / period).astype(np.int64)
         identity = np.arange(len(there)) + len(there) * np.abs(turns).sum(axis=1)
         center = domain.low_mm - beyond / 2.0 + travelled - turns * period
-        made = Bubbles(identity, center, semi_axes, turn, np.tile(velocity, (len(there), 1)), chosen.index)
+        made = Bubbles(
+            identity, center, semi_axes, turn, np.tile(velocity, (len(there), 1)), chosen.index
+        )
         return made[within(domain, made)]
 
     def _shapes(self, rng: np.random.Generator, room_mm3: float) -> tuple[F64, F64]:
@@ -81,6 +99,8 @@ class BubbleField(BubbleGenerator):
             volume = np.cumsum(4.0 / 3.0 * np.pi * semi_axes.prod(axis=1))
             if volume[-1] >= wanted:
                 enough = int(np.searchsorted(volume, wanted))
-                enough += int(volume[enough] - wanted < wanted - (volume[enough - 1] if enough else 0.0))
+                enough += int(
+                    volume[enough] - wanted < wanted - (volume[enough - 1] if enough else 0.0)
+                )
                 return semi_axes[:enough], turn[:enough]
             count = int(count * max(1.2, 1.1 * wanted / volume[-1])) + 1

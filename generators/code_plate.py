@@ -10,9 +10,22 @@ from sabench.api.truth import Solid
 from sabench.utils.arrays import F64, Bool
 from sabench.utils.rng import stream
 
-_FACES = np.array([
-    [0, 2, 1], [0, 3, 2], [4, 5, 6], [4, 6, 7], [0, 1, 5], [0, 5, 4], [1, 2, 6], [1, 6, 5], [2, 3, 7], [2, 7, 6], [3, 0, 4], [3, 4, 7],
-])  # fmt: skip
+_FACES = np.array(
+    [
+        [0, 2, 1],
+        [0, 3, 2],
+        [4, 5, 6],
+        [4, 6, 7],
+        [0, 1, 5],
+        [0, 5, 4],
+        [1, 2, 6],
+        [1, 6, 5],
+        [2, 3, 7],
+        [2, 7, 6],
+        [3, 0, 4],
+        [3, 4, 7],
+    ]
+)
 _PRINTED = 0.96  # of a cell's edge: cells that touched would not be closed bodies
 _READ, _POINTS = 0.5, 5  # middle part of a cell's edges that is read, and points along each
 
@@ -35,22 +48,52 @@ class CodePlate(CodeGenerator):
     def body(self, seed: int) -> Solid:
         """A flat box for every dark cell."""
         chosen: CodePlateParameters = self.parameters
-        half = np.array([0.5 * _PRINTED * chosen.cell_mm, 0.5 * _PRINTED * chosen.cell_mm, 0.5 * chosen.thickness_mm])
-        corners = np.array([[-1, -1, -1], [1, -1, -1], [1, 1, -1], [-1, 1, -1], [-1, -1, 1], [1, -1, 1], [1, 1, 1], [-1, 1, 1]]) * half
+        half = np.array(
+            [
+                0.5 * _PRINTED * chosen.cell_mm,
+                0.5 * _PRINTED * chosen.cell_mm,
+                0.5 * chosen.thickness_mm,
+            ]
+        )
+        corners = (
+            np.array(
+                [
+                    [-1, -1, -1],
+                    [1, -1, -1],
+                    [1, 1, -1],
+                    [-1, 1, -1],
+                    [-1, -1, 1],
+                    [1, -1, 1],
+                    [1, 1, 1],
+                    [-1, 1, 1],
+                ]
+            )
+            * half
+        )
         middles = self._middles()[self._dark(seed)]
         faces = _FACES + 8 * np.arange(len(middles))[:, None, None]
-        return Solid((middles[:, None] + corners).reshape(-1, 3), faces.reshape(-1, 3).astype(np.int64))
+        return Solid(
+            (middles[:, None] + corners).reshape(-1, 3), faces.reshape(-1, 3).astype(np.int64)
+        )
 
     def code(self, seed: int) -> Code:
         """The middle quarter of every cell."""
         across = (np.arange(_POINTS) / (_POINTS - 1) - 0.5) * _READ * self.parameters.cell_mm
         x, y = np.meshgrid(across, across)
-        return Code(self._middles()[:, None] + np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)]), self._dark(seed))
+        return Code(
+            self._middles()[:, None] + np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)]),
+            self._dark(seed),
+        )
 
     def _middles(self) -> F64:
         """Cells' middles (n, 3), row by row."""
         chosen: CodePlateParameters = self.parameters
-        x, y = np.meshgrid(*((np.arange(count) - (count - 1) / 2.0) * chosen.cell_mm for count in (chosen.columns, chosen.rows)))
+        x, y = np.meshgrid(
+            *(
+                (np.arange(count) - (count - 1) / 2.0) * chosen.cell_mm
+                for count in (chosen.columns, chosen.rows)
+            )
+        )
         return np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)])
 
     def _dark(self, seed: int) -> Bool:

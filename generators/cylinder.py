@@ -28,6 +28,8 @@ class Cylinder(SolidGenerator):
         import trimesh
 
         chosen: CylinderParameters = self.parameters
-        made = trimesh.creation.cylinder(chosen.radius_mm, chosen.length_mm, sections=chosen.sections)
+        made = trimesh.creation.cylinder(
+            chosen.radius_mm, chosen.length_mm, sections=chosen.sections
+        )
         upright = np.asarray(made.vertices)[:, [0, 2, 1]] * [1.0, 1.0, -1.0]
         return Solid(upright, np.asarray(made.faces, dtype=np.int64))

@@ -24,20 +24,44 @@ _EVEN = 1e-6  # of a spacing: how far a box that repeats may be from even
 class FromFieldParameters(FileParameters):
     """What the file calls things, and how its box lies in the world."""
 
-    velocity: tuple[str, ...] = Field(("u", "v", "w"), description="three arrays, or one with the three components as its last axis")
-    axes: tuple[str, str, str] = Field(("x", "y", "z"), description="the lattice's coordinates: rising, not necessarily even")
-    time: str | None = Field(None, description="the times of a field that changes; arrays then have time as their first axis")
+    velocity: tuple[str, ...] = Field(
+        ("u", "v", "w"),
+        description="three arrays, or one with the three components as its last axis",
+    )
+    axes: tuple[str, str, str] = Field(
+        ("x", "y", "z"), description="the lattice's coordinates: rising, not necessarily even"
+    )
+    time: str | None = Field(
+        None,
+        description="the times of a field that changes; arrays then have time as their first axis",
+    )
     order: str = Field("zyx", description="of the arrays' axes, the slowest first")
-    length: str | float | None = Field(None, description="unit of the coordinates, or mm in one of them; by default as the file says")
-    speed: str | float | None = Field(None, description="unit of the velocities, or mm/s in one of them; by default as the file says")
-    seconds: str | float | None = Field(None, description="unit of the times, or s in one of them; by default as the file says")
-    center_mm: tuple[float, float, float] | None = Field(None, description="where the box's middle is put; by default the file's coordinates hold")
-    periodic: str = Field("", pattern="^x?y?z?$", description="axes along which the field repeats after one more spacing than the file has")
+    length: str | float | None = Field(
+        None,
+        description="unit of the coordinates, or mm in one of them; by default as the file says",
+    )
+    speed: str | float | None = Field(
+        None,
+        description="unit of the velocities, or mm/s in one of them; by default as the file says",
+    )
+    seconds: str | float | None = Field(
+        None, description="unit of the times, or s in one of them; by default as the file says"
+    )
+    center_mm: tuple[float, float, float] | None = Field(
+        None, description="where the box's middle is put; by default the file's coordinates hold"
+    )
+    periodic: str = Field(
+        "",
+        pattern="^x?y?z?$",
+        description="axes along which the field repeats after one more spacing than the file has",
+    )
 
     @model_validator(mode="after")
     def _named(self) -> FromFieldParameters:
         if len(self.velocity) not in (1, 3):
-            raise ValueError(f"velocity: expected the names of three arrays or of one, got {len(self.velocity)}")
+            raise ValueError(
+                f"velocity: expected the names of three arrays or of one, got {len(self.velocity)}"
+            )
         if sorted(self.order) != ["x", "y", "z"]:
             raise ValueError(f"order: expected x, y and z in some order, got {self.order!r}")
         return self
@@ -61,7 +85,10 @@ class FromField(Flow):
         wanted = domain.low_mm, domain.low_mm + np.asarray(domain.size_mm)
         slack = 1e-6 * max(domain.size_mm)
         if (wanted[0] < low - slack).any() or (wanted[1] > high + slack).any():
-            spans = [", ".join(f"{a:.4g} to {b:.4g}" for a, b in zip(*pair, strict=True)) for pair in (wanted, (low, high))]
+            spans = [
+                ", ".join(f"{a:.4g} to {b:.4g}" for a, b in zip(*pair, strict=True))
+                for pair in (wanted, (low, high))
+            ]
             raise InputError(
                 f"{self.parameters.file}: expected a field over the whole volume ({spans[0]} mm along x, y, z), got one over {spans[1]} mm"
             )
@@ -86,7 +113,12 @@ class _Spline:
             if repeats:
                 line = lines[number] = np.append(line, 2.0 * line[-1] - line[-2])
                 values = np.concatenate([values, np.take(values, [0], axis=number)], axis=number)
-            spline = make_interp_spline(line, np.moveaxis(values, number, 0), _DEGREE, bc_type="periodic" if repeats else None)
+            spline = make_interp_spline(
+                line,
+                np.moveaxis(values, number, 0),
+                _DEGREE,
+                bc_type="periodic" if repeats else None,
+            )
             values = np.moveaxis(spline.c, 0, number)
             knots.append(spline.t)
         self._spline = NdBSpline(tuple(knots), np.ascontiguousarray(values), _DEGREE)
@@ -99,12 +131,16 @@ class _Spline:
 
     def at(self, points_mm: F64, time_s: float, slope: int | None) -> F64:
         """Velocities (n, 3) at points (n, 3), or their derivatives along an axis."""
-        places = np.column_stack([*([np.full(len(points_mm), time_s)] * (len(self._lines) - 3)), points_mm[:, ::-1]])
+        places = np.column_stack(
+            [*([np.full(len(points_mm), time_s)] * (len(self._lines) - 3)), points_mm[:, ::-1]]
+        )
         held = np.empty_like(places)
         for number, (line, axis) in enumerate(zip(self._lines, _names(self._lines), strict=True)):
             length = line[-1] - line[0]
             around = line[0] + np.mod(places[:, number] - line[0], length)
-            held[:, number] = around if axis in self._periodic else np.clip(places[:, number], line[0], line[-1])
+            held[:, number] = (
+                around if axis in self._periodic else np.clip(places[:, number], line[0], line[-1])
+            )
         along = len(self._lines) - 1 - slope if slope is not None else None
         values = self._spline(held, nu=[int(number == along) for number in range(len(self._lines))])
         if along is not None and "xyz"[slope or 0] not in self._periodic:
@@ -128,42 +164,83 @@ def _read(text: str) -> _Spline:
     names = [*chosen.velocity, *chosen.axes, *([chosen.time] if chosen.time else [])]
     arrays = read_arrays(path, names)
     lines = [_line(path, name, arrays[name]) for name in chosen.axes[::-1]]
-    scales = [length_mm(chosen.length, arrays[name], f"{path}: {name}", "flow.length") for name in chosen.axes[::-1]]
+    scales = [
+        length_mm(chosen.length, arrays[name], f"{path}: {name}", "flow.length")
+        for name in chosen.axes[::-1]
+    ]
     lines = [line * scale for line, scale in zip(lines, scales, strict=True)]
     if chosen.center_mm is not None:
-        lines = [line - (line[0] + line[-1]) / 2.0 + middle for line, middle in zip(lines, chosen.center_mm[::-1], strict=True)]
+        lines = [
+            line - (line[0] + line[-1]) / 2.0 + middle
+            for line, middle in zip(lines, chosen.center_mm[::-1], strict=True)
+        ]
     if chosen.time:
-        scale = time_s(chosen.seconds, arrays[chosen.time], f"{path}: {chosen.time}", "flow.seconds")
+        scale = time_s(
+            chosen.seconds, arrays[chosen.time], f"{path}: {chosen.time}", "flow.seconds"
+        )
         lines.insert(0, _line(path, chosen.time, arrays[chosen.time]) * scale)
     for line, axis in zip(lines, _names(lines), strict=True):
         if axis in chosen.periodic and np.ptp(np.diff(line)) > _EVEN * np.diff(line).mean():
             got = f"{np.diff(line).min():g} to {np.diff(line).max():g} mm"
-            raise InputError(f"{path}: {axis}: expected even spacing along an axis that repeats, got {got}")
-    speed = [speed_mm_s(chosen.speed, arrays[name], f"{path}: {name}", "flow.speed") for name in chosen.velocity]
-    return _Spline(lines, _velocities(path, chosen, arrays, [len(line) for line in lines], speed), chosen.periodic)
+            raise InputError(
+                f"{path}: {axis}: expected even spacing along an axis that repeats, got {got}"
+            )
+    speed = [
+        speed_mm_s(chosen.speed, arrays[name], f"{path}: {name}", "flow.speed")
+        for name in chosen.velocity
+    ]
+    return _Spline(
+        lines,
+        _velocities(path, chosen, arrays, [len(line) for line in lines], speed),
+        chosen.periodic,
+    )
 
 
 def _line(path: Path, name: str, array: Array) -> F64:
     """One axis' coordinates."""
     values = array.values
     if values.ndim != 1 or len(values) < _FEWEST:
-        raise InputError(f"{path}: {name}: expected {_FEWEST} coordinates of a lattice or more in one line, got the shape {values.shape}")
+        raise InputError(
+            f"{path}: {name}: expected {_FEWEST} coordinates of a lattice or more in one line, got the shape {values.shape}"
+        )
     if not (np.diff(values) > 0.0).all():
-        raise InputError(f"{path}: {name}: expected rising coordinates, got {', '.join(f'{value:g}' for value in values[:4])} ...")
+        raise InputError(
+            f"{path}: {name}: expected rising coordinates, got {', '.join(f'{value:g}' for value in values[:4])} ..."
+        )
     return values
 
 
-def _velocities(path: Path, chosen: FromFieldParameters, arrays: dict[str, Array], counts: list[int], speed: list[float]) -> F64:
+def _velocities(
+    path: Path,
+    chosen: FromFieldParameters,
+    arrays: dict[str, Array],
+    counts: list[int],
+    speed: list[float],
+) -> F64:
     """(t, z, y, x, 3) or (z, y, x, 3) in mm/s."""
-    parts = [arrays[name].values * scale for name, scale in zip(chosen.velocity, speed, strict=True)]
+    parts = [
+        arrays[name].values * scale for name, scale in zip(chosen.velocity, speed, strict=True)
+    ]
     steady = len(counts) == 3
     turned = ["zyx".index(axis) for axis in chosen.order]  # the file's axes, as places in ours
-    expected = [*counts[:-3], *(counts[len(counts) - 3 + place] for place in turned), *([3] if len(parts) == 1 else [])]
+    expected = [
+        *counts[:-3],
+        *(counts[len(counts) - 3 + place] for place in turned),
+        *([3] if len(parts) == 1 else []),
+    ]
     for name, part in zip(chosen.velocity, parts, strict=True):
         if list(part.shape) != expected:
-            axes = ", ".join([*([] if steady else ["t"]), *chosen.order, *(["components"] if len(parts) == 1 else [])])
+            axes = ", ".join(
+                [
+                    *([] if steady else ["t"]),
+                    *chosen.order,
+                    *(["components"] if len(parts) == 1 else []),
+                ]
+            )
             got = f"{part.shape}{_hint(part, counts)}"
-            raise InputError(f"{path}: {name}: expected the shape {tuple(expected)} ({axes}) as the coordinates have it, got {got}")
+            raise InputError(
+                f"{path}: {name}: expected the shape {tuple(expected)} ({axes}) as the coordinates have it, got {got}"
+            )
     whole = np.stack(parts, axis=-1) if len(parts) == 3 else parts[0]
     first = 0 if steady else 1
     back = [first + turned.index(place) for place in range(3)]
@@ -173,5 +250,9 @@ def _velocities(path: Path, chosen: FromFieldParameters, arrays: dict[str, Array
 def _hint(part: F64, counts: list[int]) -> str:
     """Orders of axes that would fit."""
     lengths, first = dict(zip("zyx", counts[-3:], strict=True)), len(counts) - 3
-    fitting = ["".join(order) for order in itertools.permutations("zyx") if [lengths[a] for a in order] == list(part.shape[first : first + 3])]
+    fitting = [
+        "".join(order)
+        for order in itertools.permutations("zyx")
+        if [lengths[a] for a in order] == list(part.shape[first : first + 3])
+    ]
     return f": order would be {' or '.join(fitting)}" if fitting else ""

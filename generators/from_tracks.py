@@ -23,19 +23,39 @@ class FromTracksParameters(FileParameters):
     id: str = Field("particle", description="which track a point belongs to")
     time: str = Field("frame", description="when it was there: times, or numbers of frames")
     axes: tuple[str, str, str] = Field(("x", "y", "z"), description="where")
-    velocity: tuple[str, str, str] | None = Field(None, description="how fast; by default from the neighbours on the track")
+    velocity: tuple[str, str, str] | None = Field(
+        None, description="how fast; by default from the neighbours on the track"
+    )
     diameter: str | None = Field(None, description="of the particle, in the unit of length")
-    diameter_mm: float = Field(0.05, gt=0.0, description="of all particles, where the file has none")
-    length: str | float | None = Field(None, description="unit of the coordinates, or mm in one of them; by default as the file says")
-    speed: str | float | None = Field(None, description="unit of the velocities, or mm/s in one of them; by default as the file says")
-    seconds: str | float | None = Field(None, description="unit of the times, or s in one of them or in a frame; by default as the file says")
-    start_s: float | None = Field(None, description="time on the file's clock at which the first frame is taken; by default the first in the file")
-    center_mm: tuple[float, float, float] | None = Field(None, description="where the middle of all points is put; by default they stay")
+    diameter_mm: float = Field(
+        0.05, gt=0.0, description="of all particles, where the file has none"
+    )
+    length: str | float | None = Field(
+        None,
+        description="unit of the coordinates, or mm in one of them; by default as the file says",
+    )
+    speed: str | float | None = Field(
+        None,
+        description="unit of the velocities, or mm/s in one of them; by default as the file says",
+    )
+    seconds: str | float | None = Field(
+        None,
+        description="unit of the times, or s in one of them or in a frame; by default as the file says",
+    )
+    start_s: float | None = Field(
+        None,
+        description="time on the file's clock at which the first frame is taken; by default the first in the file",
+    )
+    center_mm: tuple[float, float, float] | None = Field(
+        None, description="where the middle of all points is put; by default they stay"
+    )
 
     @model_validator(mode="after")
     def _different(self) -> FromTracksParameters:
         if len({self.id, self.time, *self.axes}) < 5:
-            raise ValueError(f"expected five different arrays for id, time and axes, got {[self.id, self.time, *self.axes]}")
+            raise ValueError(
+                f"expected five different arrays for id, time and axes, got {[self.id, self.time, *self.axes]}"
+            )
         return self
 
 
@@ -57,7 +77,9 @@ class FromTracks(Generator):
         tracks = _read(chosen.model_dump_json())
         now = time_s + (tracks.time_s.min() if chosen.start_s is None else chosen.start_s)
         place, velocity, points = tracks.at(now)
-        inside = ((place >= domain.low_mm) & (place <= domain.low_mm + np.asarray(domain.size_mm))).all(axis=1)
+        inside = (
+            (place >= domain.low_mm) & (place <= domain.low_mm + np.asarray(domain.size_mm))
+        ).all(axis=1)
         if not inside.any():
             low, high = tracks.place_mm.min(axis=0), tracks.place_mm.max(axis=0)
             spans = ", ".join(f"{a:.4g} to {b:.4g}" for a, b in zip(low, high, strict=True))
@@ -66,7 +88,12 @@ class FromTracks(Generator):
                 f"{chosen.file}: expected a track in the volume in frame {frame}, at {now:.6g} s, got none of {len(place)}: "
                 f"they run over {spans} mm along x, y, z and {times} s"
             )
-        return Particles(tracks.id[points[inside]], place[inside], tracks.diameter_mm[points[inside]], velocity[inside])
+        return Particles(
+            tracks.id[points[inside]],
+            place[inside],
+            tracks.diameter_mm[points[inside]],
+            velocity[inside],
+        )
 
 
 @dataclass(frozen=True)
@@ -83,19 +110,35 @@ class _Tracks:
         """Places and velocities (n, 3) of all tracks that have begun and not ended, and the points (n,) from which they were taken."""
         slack = 1e-9 * max(abs(now), float(np.ptp(self.time_s)))
         same = self.id[1:] == self.id[:-1]
-        across = np.flatnonzero(same & (self.time_s[:-1] - slack <= now) & (now < self.time_s[1:] - slack))
+        across = np.flatnonzero(
+            same & (self.time_s[:-1] - slack <= now) & (now < self.time_s[1:] - slack)
+        )
         last = np.flatnonzero(~np.append(same, False) & (np.abs(self.time_s - now) <= slack))
         before, after = np.concatenate([across, last]), np.concatenate([across + 1, last])
         step = (self.time_s[after] - self.time_s[before])[:, None]
-        part = np.divide(now - self.time_s[before][:, None], step, out=np.zeros_like(step), where=step > 0.0)
+        part = np.divide(
+            now - self.time_s[before][:, None], step, out=np.zeros_like(step), where=step > 0.0
+        )
         return (*self._between(before, after, np.clip(part, 0.0, 1.0), step), before)
 
     def _between(self, before: I64, after: I64, t: F64, step: F64) -> tuple[F64, F64]:
         """Hermite's cubic, and its slope."""
-        p, q, u, v = self.place_mm[before], self.place_mm[after], self.velocity[before] * step, self.velocity[after] * step
-        place = (2 * t**3 - 3 * t**2 + 1) * p + (t**3 - 2 * t**2 + t) * u + (3 * t**2 - 2 * t**3) * q + (t**3 - t**2) * v
+        p, q, u, v = (
+            self.place_mm[before],
+            self.place_mm[after],
+            self.velocity[before] * step,
+            self.velocity[after] * step,
+        )
+        place = (
+            (2 * t**3 - 3 * t**2 + 1) * p
+            + (t**3 - 2 * t**2 + t) * u
+            + (3 * t**2 - 2 * t**3) * q
+            + (t**3 - t**2) * v
+        )
         slope = (6 * t**2 - 6 * t) * (p - q) + (3 * t**2 - 4 * t + 1) * u + (3 * t**2 - 2 * t) * v
-        return place, np.where(step > 0.0, slope / np.where(step > 0.0, step, 1.0), self.velocity[before])
+        return place, np.where(
+            step > 0.0, slope / np.where(step > 0.0, step, 1.0), self.velocity[before]
+        )
 
 
 @functools.lru_cache(maxsize=1)
@@ -103,31 +146,64 @@ def _read(text: str) -> _Tracks:
     """A file is read once for all frames."""
     chosen = FromTracksParameters.model_validate_json(text)
     path = Path(chosen.file)
-    names = [chosen.id, chosen.time, *chosen.axes, *(chosen.velocity or ()), *([chosen.diameter] if chosen.diameter else [])]
+    names = [
+        chosen.id,
+        chosen.time,
+        *chosen.axes,
+        *(chosen.velocity or ()),
+        *([chosen.diameter] if chosen.diameter else []),
+    ]
     arrays = read_arrays(path, names)
     count = arrays[chosen.id].values.size
     for name in names:
         if arrays[name].values.shape != (count,) or count < 1:
-            raise InputError(f"{path}: {name}: expected one value for each of {count} points, and one point or more, got {arrays[name].values.shape}")
+            raise InputError(
+                f"{path}: {name}: expected one value for each of {count} points, and one point or more, got {arrays[name].values.shape}"
+            )
     identity = arrays[chosen.id].values
     if (identity != np.rint(identity)).any():
-        raise InputError(f"{path}: {chosen.id}: expected whole numbers, got {identity[identity != np.rint(identity)][0]:g}")
-    time = arrays[chosen.time].values * time_s(chosen.seconds, arrays[chosen.time], f"{path}: {chosen.time}", "particles.seconds")
-    scales = {name: length_mm(chosen.length, arrays[name], f"{path}: {name}", "particles.length") for name in (*chosen.axes, chosen.diameter) if name}
+        raise InputError(
+            f"{path}: {chosen.id}: expected whole numbers, got {identity[identity != np.rint(identity)][0]:g}"
+        )
+    time = arrays[chosen.time].values * time_s(
+        chosen.seconds, arrays[chosen.time], f"{path}: {chosen.time}", "particles.seconds"
+    )
+    scales = {
+        name: length_mm(chosen.length, arrays[name], f"{path}: {name}", "particles.length")
+        for name in (*chosen.axes, chosen.diameter)
+        if name
+    }
     place = np.stack([arrays[name].values * scales[name] for name in chosen.axes], axis=1)
     if chosen.center_mm is not None:
         place += np.asarray(chosen.center_mm) - (place.min(axis=0) + place.max(axis=0)) / 2.0
-    diameter = arrays[chosen.diameter].values * scales[chosen.diameter] if chosen.diameter else np.full(count, chosen.diameter_mm)
+    diameter = (
+        arrays[chosen.diameter].values * scales[chosen.diameter]
+        if chosen.diameter
+        else np.full(count, chosen.diameter_mm)
+    )
     if not (diameter > 0.0).all():
-        raise InputError(f"{path}: {chosen.diameter}: expected positive diameters, got {diameter.min():g} mm")
+        raise InputError(
+            f"{path}: {chosen.diameter}: expected positive diameters, got {diameter.min():g} mm"
+        )
     order = np.lexsort((time, identity))
     number, time, place = identity[order].astype(np.int64), time[order], place[order]
     double = np.flatnonzero((number[1:] == number[:-1]) & (time[1:] == time[:-1]))
     if len(double):
-        raise InputError(f"{path}: expected one point of a track at a time, got two of track {number[double[0]]} at {time[double[0]]:g} s")
+        raise InputError(
+            f"{path}: expected one point of a track at a time, got two of track {number[double[0]]} at {time[double[0]]:g} s"
+        )
     if chosen.velocity:
-        speeds = [speed_mm_s(chosen.speed, arrays[name], f"{path}: {name}", "particles.speed") for name in chosen.velocity]
-        velocity = np.stack([arrays[name].values[order] * speed for name, speed in zip(chosen.velocity, speeds, strict=True)], axis=1)
+        speeds = [
+            speed_mm_s(chosen.speed, arrays[name], f"{path}: {name}", "particles.speed")
+            for name in chosen.velocity
+        ]
+        velocity = np.stack(
+            [
+                arrays[name].values[order] * speed
+                for name, speed in zip(chosen.velocity, speeds, strict=True)
+            ],
+            axis=1,
+        )
     else:
         velocity = _slopes(number, time, place)
     return _Tracks(number, time, place, velocity, diameter[order])
@@ -136,14 +212,21 @@ def _read(text: str) -> _Tracks:
 def _slopes(identity: I64, time: F64, place: F64) -> F64:
     """Velocities at points: of the parabola through each and its neighbours, at ends of the last three or two; zero of lone points."""
     out = np.zeros_like(place)
-    same = np.append(identity[1:] == identity[:-1], False)  # whether the next point is of the same track
+    same = np.append(
+        identity[1:] == identity[:-1], False
+    )  # whether the next point is of the same track
     step = np.append(np.diff(time), 1.0)[:, None]
-    pace = np.append(np.diff(place, axis=0), np.zeros((1, 3)), axis=0) / np.where(same[:, None], step, 1.0)
+    pace = np.append(np.diff(place, axis=0), np.zeros((1, 3)), axis=0) / np.where(
+        same[:, None], step, 1.0
+    )
     middle = np.flatnonzero(same & np.roll(same, 1))
     before, after = step[middle - 1], step[middle]
     out[middle] = (pace[middle - 1] * after + pace[middle] * before) / (before + after)
     begin, end = np.flatnonzero(same & ~np.roll(same, 1)), np.flatnonzero(~same & np.roll(same, 1))
     out[begin], out[end] = pace[begin], pace[end - 1]
     begin, end = begin[same[begin + 1]], end[np.isin(end - 1, middle)]
-    out[begin], out[end] = 2.0 * pace[begin] - out[begin + 1], 2.0 * pace[end - 1] - out[end - 1]  # a parabola's slope changes evenly
+    out[begin], out[end] = (
+        2.0 * pace[begin] - out[begin + 1],
+        2.0 * pace[end - 1] - out[end - 1],
+    )  # a parabola's slope changes evenly
     return out

@@ -14,7 +14,11 @@ from sabench.worlds.library.naca import section
 class HydrofoilParameters(SolidParameters):
     """Before it is turned, its chord runs along X from the leading edge on, its span along Y, and its upper side faces +Z."""
 
-    digits: str = Field("0012", pattern="^[0-9]{4}$", description="NACA's: 2412 is cambered by 2 % at 0.4 of the chord, and 12 % thick")
+    digits: str = Field(
+        "0012",
+        pattern="^[0-9]{4}$",
+        description="NACA's: 2412 is cambered by 2 % at 0.4 of the chord, and 12 % thick",
+    )
     chord_mm: float = Field(20.0, gt=0.0)
     span_mm: float = Field(40.0, gt=0.0)
     points: int = Field(200, ge=8, le=4096, multiple_of=2, description="around the section")
@@ -40,9 +44,14 @@ class Hydrofoil(SolidGenerator):
         """Around its quarter chord at the middle of its span: the axis of a pitching wing."""
         chosen: HydrofoilParameters = self.parameters
         upper, lower = section(chosen.digits, chosen.points // 2)
-        ring = np.concatenate([upper[:-1], lower[:0:-1]])  # from the leading edge over the upper side and back
+        ring = np.concatenate(
+            [upper[:-1], lower[:0:-1]]
+        )  # from the leading edge over the upper side and back
         x, z = chosen.chord_mm * (ring - [0.25, 0.0]).T
-        ends = [np.column_stack([x, np.full(len(x), y), z]) for y in (-chosen.span_mm / 2.0, chosen.span_mm / 2.0)]
+        ends = [
+            np.column_stack([x, np.full(len(x), y), z])
+            for y in (-chosen.span_mm / 2.0, chosen.span_mm / 2.0)
+        ]
         return Solid(np.concatenate(ends), _faces(len(ring)))
 
 
@@ -50,7 +59,12 @@ def _faces(around: int) -> I64:
     """Triangles between two rings of vertices: the sides, then strips between upper and lower side at both ends."""
     here = np.arange(around)
     there = (here + 1) % around
-    sides = np.concatenate([np.column_stack([here, there, there + around]), np.column_stack([here, there + around, here + around])])
+    sides = np.concatenate(
+        [
+            np.column_stack([here, there, there + around]),
+            np.column_stack([here, there + around, here + around]),
+        ]
+    )
     upper = np.arange(around // 2 + 1)
     lower = -upper % around  # the same stations of the other side; the edges are shared
     near = np.column_stack([upper[:-1], lower[1:], upper[1:]])[:-1]

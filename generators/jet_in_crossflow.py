@@ -23,18 +23,32 @@ class JetInCrossflowParameters(BubbleParameters, Spectrum, Crossflow):
 
     index: float = Field(1.333, ge=1.0, le=4.0, description="refractive index of the liquid")
     radius_mm: float = Field(0.35, gt=0.0, description="median radius of a ball of the same volume")
-    radius_range_mm: tuple[float, float] = Field((0.1, 1.2), description="radii beyond it are drawn again")
-    count: int = Field(400, ge=0, le=100_000, description="drops between where the column breaks and the volume's end")
-    lower_part: float = Field(0.4, ge=0.0, lt=1.0, description="the spray's lower edge over its upper one")
+    radius_range_mm: tuple[float, float] = Field(
+        (0.1, 1.2), description="radii beyond it are drawn again"
+    )
+    count: int = Field(
+        400,
+        ge=0,
+        le=100_000,
+        description="drops between where the column breaks and the volume's end",
+    )
+    lower_part: float = Field(
+        0.4, ge=0.0, lt=1.0, description="the spray's lower edge over its upper one"
+    )
     gas_mm_s: float = Field(40_000.0, gt=0.0, description="speed of the gas")
-    response_s: float = Field(5e-3, gt=0.0, description="time in which a drop takes on the gas's speed")
+    response_s: float = Field(
+        5e-3, gt=0.0, description="time in which a drop takes on the gas's speed"
+    )
 
 
 class JetInCrossflow(BubbleGenerator):
     """Drops that gas carries from a broken liquid column, faster and faster, between the edges that such sprays were measured to have."""
 
     name = "jet_in_crossflow"
-    references = ("Wu, Kirkendall, Fuller and Nejad, J. Propul. Power 14, 173 (1998)", "J. Belden, MIT thesis, chapter 6")
+    references = (
+        "Wu, Kirkendall, Fuller and Nejad, J. Propul. Power 14, 173 (1998)",
+        "J. Belden, MIT thesis, chapter 6",
+    )
     Parameters = JetInCrossflowParameters
 
     def bubbles(self, domain: Domain, seed: int, frame: int, time_s: float) -> Bubbles:
@@ -47,12 +61,23 @@ class JetInCrossflow(BubbleGenerator):
         def propose(which: I64, tries: int) -> F64:
             return self._places(rng, spray, reach[which], tries, cones)
 
-        first = propose(np.arange(chosen.count), 1)[:, 0] if chosen.overlap else place(semi_axes, turn, propose, "jet_in_crossflow")
+        first = (
+            propose(np.arange(chosen.count), 1)[:, 0]
+            if chosen.overlap
+            else place(semi_axes, turn, propose, "jet_in_crossflow")
+        )
         age, line = spray.known(first)
         rounds, age = np.divmod(age + time_s, spray.ages[0][-1])
         there = spray.places(age, line)
         identity = np.arange(chosen.count) + chosen.count * rounds.astype(np.int64)
-        made = Bubbles(identity, there + np.asarray(chosen.nozzle_mm), semi_axes, turn, spray.velocities(age, there), chosen.index)
+        made = Bubbles(
+            identity,
+            there + np.asarray(chosen.nozzle_mm),
+            semi_axes,
+            turn,
+            spray.velocities(age, there),
+            chosen.index,
+        )
         made = made[within(domain, made) & self._off(there, reach, cones)]
         if not chosen.overlap and time_s:
             made = made[np.setdiff1d(np.arange(len(made)), overlapping(made)[:, 1])]
@@ -61,14 +86,24 @@ class JetInCrossflow(BubbleGenerator):
     def _spray(self, domain: Domain) -> Spray:
         chosen: JetInCrossflowParameters = self.parameters
         end = float(domain.low_mm[0] + domain.size_mm[0]) - chosen.nozzle_mm[0]
-        return Spray(chosen, chosen.lower_part, chosen.gas_mm_s, chosen.response_s, max(end, chosen.break_mm[0] + chosen.diameter_mm))
+        return Spray(
+            chosen,
+            chosen.lower_part,
+            chosen.gas_mm_s,
+            chosen.response_s,
+            max(end, chosen.break_mm[0] + chosen.diameter_mm),
+        )
 
-    def _places(self, rng: np.random.Generator, spray: Spray, reach: F64, tries: int, cones: Cones) -> F64:
+    def _places(
+        self, rng: np.random.Generator, spray: Spray, reach: F64, tries: int, cones: Cones
+    ) -> F64:
         """Candidates (k, m, 3) from the nozzle, off the column: even over age and between the spray's edges."""
         out = np.empty((len(reach) * tries, 3))
         number = np.arange(len(out))
         while len(number):
-            places = spray.places(rng.random(len(number)) * spray.ages[0][-1], rng.random((len(number), 2)))
+            places = spray.places(
+                rng.random(len(number)) * spray.ages[0][-1], rng.random((len(number), 2))
+            )
             good = self._off(places, reach[number // tries], cones)
             out[number[good]] = places[good]
             number = number[~good]

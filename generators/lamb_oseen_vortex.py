@@ -19,24 +19,33 @@ class LambOseenParameters(Parameters):
     axis: tuple[float, float, float] = (0.0, 0.0, 1.0)
     core_mm: float = Field(4.0, gt=0.0, description="r_c of 1 - exp(-r^2 / r_c^2), at the start")
     circulation_mm2_s: float = Field(4000.0, description="far away")
-    viscosity_mm2_s: float = Field(0.0, ge=0.0, description="r_c^2 grows by four times that per second: 1 for water")
+    viscosity_mm2_s: float = Field(
+        0.0, ge=0.0, description="r_c^2 grows by four times that per second: 1 for water"
+    )
 
 
 class LambOseenVortex(Flow):
     """A vortex with a Gaussian core, which viscosity spreads: a solution of the Navier-Stokes equations."""
 
     name = "lamb_oseen_vortex"
-    references = ("C. W. Oseen, Ark. Mat. Astron. Fys. 7, 14, 1912", "H. Lamb, Hydrodynamics, 1932, section 334a")
+    references = (
+        "C. W. Oseen, Ark. Mat. Astron. Fys. 7, 14, 1912",
+        "H. Lamb, Hydrodynamics, 1932, section 334a",
+    )
     Parameters = LambOseenParameters
 
     def velocity(self, points_mm: F64, time_s: float) -> F64:
         """Speed Gamma / (2 pi r) (1 - exp(-r^2 / r_c^2))."""
-        offset, distance, along = lateral(points_mm, self.parameters.center_mm, self.parameters.axis)
+        offset, distance, along = lateral(
+            points_mm, self.parameters.center_mm, self.parameters.axis
+        )
         return turning(offset, along, self._rates(distance, time_s)[0])
 
     def gradient(self, points_mm: F64, time_s: float) -> F64:
         """Its derivatives."""
-        offset, distance, along = lateral(points_mm, self.parameters.center_mm, self.parameters.axis)
+        offset, distance, along = lateral(
+            points_mm, self.parameters.center_mm, self.parameters.axis
+        )
         return turning_gradient(offset, along, *self._rates(distance, time_s))
 
     def _rates(self, distance: F64, time_s: float) -> tuple[F64, F64]:

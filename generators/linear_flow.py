@@ -27,8 +27,13 @@ class LinearFlow(Flow):
     def velocity(self, points_mm: F64, time_s: float) -> F64:
         """u + G (x - c)."""
         chosen: LinearParameters = self.parameters
-        return np.asarray(np.asarray(chosen.velocity_mm_s) + (points_mm - np.asarray(chosen.center_mm)) @ np.asarray(chosen.gradient_1_s).T)
+        return np.asarray(
+            np.asarray(chosen.velocity_mm_s)
+            + (points_mm - np.asarray(chosen.center_mm)) @ np.asarray(chosen.gradient_1_s).T
+        )
 
     def gradient(self, points_mm: F64, time_s: float) -> F64:
         """G."""
-        return np.tile(np.asarray(self.parameters.gradient_1_s, dtype=np.float64), (len(points_mm), 1, 1))
+        return np.tile(
+            np.asarray(self.parameters.gradient_1_s, dtype=np.float64), (len(points_mm), 1, 1)
+        )

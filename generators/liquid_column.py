@@ -51,10 +51,17 @@ class LiquidColumn(SolidGenerator):
         """Plane waves of all directions, a third to one nozzle diameter long."""
         rng, diameter = stream(seed, "ripples"), self.parameters.diameter_mm
         way = rng.normal(size=(_RIPPLES, 3))
-        way *= (2.0 * np.pi / rng.uniform(0.33, 1.0, _RIPPLES) / diameter / np.linalg.norm(way, axis=1))[:, None]
+        way *= (
+            2.0 * np.pi / rng.uniform(0.33, 1.0, _RIPPLES) / diameter / np.linalg.norm(way, axis=1)
+        )[:, None]
         phase = rng.uniform(0.0, 2.0 * np.pi, _RIPPLES)
 
         def height(points_mm: F64) -> F64:
-            return np.asarray(_ROUGH * diameter * np.sqrt(2.0 / _RIPPLES) * np.sin(points_mm @ way.T + phase).sum(axis=1))
+            return np.asarray(
+                _ROUGH
+                * diameter
+                * np.sqrt(2.0 / _RIPPLES)
+                * np.sin(points_mm @ way.T + phase).sum(axis=1)
+            )
 
         return height

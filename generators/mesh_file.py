@@ -35,7 +35,12 @@ class MeshFile(SolidGenerator):
         try:
             mesh = trimesh.load(path, force="mesh")
         except Exception as error:  # trimesh's loaders raise whatever they like
-            raise InputError(f"{path}: expected a mesh as STL, PLY, OBJ or GLB, got {type(error).__name__}: {error}") from error
+            raise InputError(
+                f"{path}: expected a mesh as STL, PLY, OBJ or GLB, got {type(error).__name__}: {error}"
+            ) from error
         if not isinstance(mesh, trimesh.Trimesh) or not len(mesh.faces):
             raise InputError(f"{path}: expected a mesh with faces, got none")
-        return Solid(np.asarray(mesh.vertices, dtype=np.float64) * _MM[self.parameters.unit], np.asarray(mesh.faces, dtype=np.int64))
+        return Solid(
+            np.asarray(mesh.vertices, dtype=np.float64) * _MM[self.parameters.unit],
+            np.asarray(mesh.faces, dtype=np.int64),
+        )

@@ -23,14 +23,20 @@ _CORE = 6.2  # a turbulent jet's speed on its axis: 6.2 diameters over the depth
 class PlungingJetParameters(BubbleParameters, Spectrum):
     """Table 5.2 and equations 5.18 to 5.23; sizes above Y_p are those of the spectrum, below it none is larger than `cutoff_mm`."""
 
-    impact_mm: tuple[float, float, float] = Field((0.0, 0.0, 0.0), description="where the jet meets the surface; it points down, along +Y")
+    impact_mm: tuple[float, float, float] = Field(
+        (0.0, 0.0, 0.0), description="where the jet meets the surface; it points down, along +Y"
+    )
     penetration_mm: float = Field(120.0, gt=0.0, description="Y_p")
     equivalent_mm: float = Field(48.1, gt=0.0, description="D_eq, diameter of the cloud at Y_p")
-    total_percent: float = Field(0.34, gt=0.0, le=5.0, description="C_tot, mean void fraction of the cone down to Y_p")
+    total_percent: float = Field(
+        0.34, gt=0.0, le=5.0, description="C_tot, mean void fraction of the cone down to Y_p"
+    )
     weight: float = Field(0.903, gt=0.0, lt=1.0, description="A of equation 5.18")
     width: float = Field(0.1894, gt=0.0, description="s of equation 5.18")
     cutoff_mm: float = Field(1.05, gt=0.0, description="largest radius below Y_p")
-    speed_mm_s: float = Field(6010.0, ge=0.0, description="V_i of the jet at impact: bubbles sink with what is left of it")
+    speed_mm_s: float = Field(
+        6010.0, ge=0.0, description="V_i of the jet at impact: bubbles sink with what is left of it"
+    )
     jet_mm: float = Field(3.78, gt=0.0, description="D_i, the jet's diameter at impact")
     rise_mm_s: float = Field(250.0, ge=0.0, description="terminal velocity, upwards")
 
@@ -46,7 +52,13 @@ class PlungingJet(BubbleGenerator):
     def law(self) -> JetLaw:
         """What the bubbles are drawn from."""
         chosen: PlungingJetParameters = self.parameters
-        return JetLaw(chosen.penetration_mm, chosen.equivalent_mm, chosen.total_percent / 100.0, chosen.weight, chosen.width)
+        return JetLaw(
+            chosen.penetration_mm,
+            chosen.equivalent_mm,
+            chosen.total_percent / 100.0,
+            chosen.weight,
+            chosen.width,
+        )
 
     def bubbles(self, domain: Domain, seed: int, frame: int, time_s: float) -> Bubbles:
         """Those in the volume at a time: drawn at the first, moved until then; where two meet, the larger one is left."""
@@ -58,7 +70,11 @@ class PlungingJet(BubbleGenerator):
         def propose(which: I64, tries: int) -> F64:
             return self._places(rng, domain, deep[which], reach[which], tries)
 
-        center = propose(np.arange(len(deep)), 1)[:, 0] if chosen.overlap else place(semi_axes, turn, propose, "plunging_jet")
+        center = (
+            propose(np.arange(len(deep)), 1)[:, 0]
+            if chosen.overlap
+            else place(semi_axes, turn, propose, "plunging_jet")
+        )
         velocity = self._velocities(center - impact)
         moved = center + velocity * time_s
         made = Bubbles(np.arange(len(center)), moved, semi_axes, turn, velocity, chosen.index)
@@ -72,7 +88,10 @@ class PlungingJet(BubbleGenerator):
         chosen: PlungingJetParameters = self.parameters
         top, bottom = self._depths(domain)
         parts = []
-        for low, high, largest in ((top, min(bottom, chosen.penetration_mm), np.inf), (max(top, chosen.penetration_mm), bottom, chosen.cutoff_mm)):
+        for low, high, largest in (
+            (top, min(bottom, chosen.penetration_mm), np.inf),
+            (max(top, chosen.penetration_mm), bottom, chosen.cutoff_mm),
+        ):
             y = np.linspace(low, max(low, high), _NODES)
             wanted = float(np.trapezoid(self.law.air_mm2(y), y)) * self._share(domain, y)
             semi_axes, turn = spheroids(chosen, rng, 0)
@@ -80,12 +99,18 @@ class PlungingJet(BubbleGenerator):
                 if wanted <= 0.0:
                     break
                 more = spheroids(chosen, rng, 64, largest)
-                semi_axes, turn = (np.concatenate(pair) for pair in zip((semi_axes, turn), more, strict=True))
+                semi_axes, turn = (
+                    np.concatenate(pair) for pair in zip((semi_axes, turn), more, strict=True)
+                )
             volume = np.cumsum(4.0 / 3.0 * np.pi * semi_axes.prod(axis=1))
             enough = int(np.searchsorted(volume, wanted))
             parts.append((semi_axes[:enough], turn[:enough]))
         deep = np.repeat([False, True], [len(part[0]) for part in parts])
-        return np.concatenate([part[0] for part in parts]), np.concatenate([part[1] for part in parts]), deep
+        return (
+            np.concatenate([part[0] for part in parts]),
+            np.concatenate([part[1] for part in parts]),
+            deep,
+        )
 
     def _depths(self, domain: Domain) -> tuple[float, float]:
         """The volume's top and bottom, below the surface."""
@@ -106,13 +131,18 @@ class PlungingJet(BubbleGenerator):
         air = self.law.air_mm2(y)
         return float(np.trapezoid(air * inside, y) / np.trapezoid(air, y))
 
-    def _places(self, rng: np.random.Generator, domain: Domain, deep: Bool, reach: F64, tries: int) -> F64:
+    def _places(
+        self, rng: np.random.Generator, domain: Domain, deep: Bool, reach: F64, tries: int
+    ) -> F64:
         """Candidates (k, m, 3), wholly in the volume; depths from the law's distribution above or below Y_p, distances from equation 5.19."""
         chosen: PlungingJetParameters = self.parameters
         top, bottom = self._depths(domain)
         low, high = domain.low_mm, domain.low_mm + np.asarray(domain.size_mm)
         out = np.empty((len(deep), tries, 3))
-        for part, (start, end) in ((~deep, (top, min(bottom, chosen.penetration_mm))), (deep, (max(top, chosen.penetration_mm), bottom))):
+        for part, (start, end) in (
+            (~deep, (top, min(bottom, chosen.penetration_mm))),
+            (deep, (max(top, chosen.penetration_mm), bottom)),
+        ):
             number = np.flatnonzero(np.repeat(part, tries))
             y = np.linspace(start, end, _NODES)
             air = self.law.air_mm2(y)
@@ -133,7 +163,11 @@ class PlungingJet(BubbleGenerator):
         chosen: PlungingJetParameters = self.parameters
         depth = np.maximum(places[:, 1], 1e-3)
         radius = np.hypot(places[:, 0], places[:, 2])
-        left = chosen.speed_mm_s * np.minimum(1.0, _CORE * chosen.jet_mm / depth) * np.maximum(0.0, 1.0 - depth / chosen.penetration_mm)
+        left = (
+            chosen.speed_mm_s
+            * np.minimum(1.0, _CORE * chosen.jet_mm / depth)
+            * np.maximum(0.0, 1.0 - depth / chosen.penetration_mm)
+        )
         down = left * np.exp(-LN2 * radius**2 / self.law.half_radius_mm(depth) ** 2)
         velocity = down[:, None] * places / depth[:, None]
         velocity[:, 1] -= chosen.rise_mm_s

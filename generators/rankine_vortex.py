@@ -15,7 +15,9 @@ class RankineParameters(Parameters):
 
     center_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)
     axis: tuple[float, float, float] = (0.0, 0.0, 1.0)
-    core_mm: float = Field(4.0, gt=0.0, description="radius inside which the fluid turns like a solid")
+    core_mm: float = Field(
+        4.0, gt=0.0, description="radius inside which the fluid turns like a solid"
+    )
     peak_mm_s: float = Field(100.0, description="speed at that radius")
 
 
@@ -36,11 +38,20 @@ class RankineVortex(Flow):
         offset, distance, along = self._lateral(points_mm)
         rate = self._rate(distance)
         outside = distance > self.parameters.core_mm
-        return turning_gradient(offset, along, rate, np.where(outside, -2.0 * rate / np.maximum(distance, self.parameters.core_mm) ** 2, 0.0))
+        return turning_gradient(
+            offset,
+            along,
+            rate,
+            np.where(
+                outside, -2.0 * rate / np.maximum(distance, self.parameters.core_mm) ** 2, 0.0
+            ),
+        )
 
     def _lateral(self, points_mm: F64) -> tuple[F64, F64, F64]:
         return lateral(points_mm, self.parameters.center_mm, self.parameters.axis)
 
     def _rate(self, distance: F64) -> F64:
         chosen: RankineParameters = self.parameters
-        return np.asarray(chosen.peak_mm_s * chosen.core_mm / np.maximum(distance, chosen.core_mm) ** 2)
+        return np.asarray(
+            chosen.peak_mm_s * chosen.core_mm / np.maximum(distance, chosen.core_mm) ** 2
+        )

@@ -10,9 +10,19 @@ from sabench.api.truth import Solid
 from sabench.utils.arrays import F64
 from sabench.utils.fields import Vector
 from sabench.utils.rng import stream
-from sabench.worlds.library.implicit_surfaces import capsules, largest_part, smooth_minimum, surface_of
+from sabench.worlds.library.implicit_surfaces import (
+    capsules,
+    largest_part,
+    smooth_minimum,
+    surface_of,
+)
 
-_THICK, _THIN = 0.25, 0.07  # radii of the first branches and of the thinnest ones, in the least of the half widths and the height
+_THICK, _THIN = (
+    0.25,
+    0.07,
+    # radii of the first branches and of the thinnest ones, in the least of the half widths and the
+    # height
+)
 _LENGTH = 0.35  # of the longest branches, in the same
 _BLEND = 0.03  # how round joints are, in the same
 _JOINTS = 3.0  # blends by which twenty branches in one place grow: log(20)
@@ -22,10 +32,17 @@ Cones = tuple[F64, F64, F64, F64]
 class ReefParameters(SolidParameters):
     """Before it is turned it stands on the plane Y = 0 and grows towards -Y, which is up where +Y is down."""
 
-    size_mm: Vector = Field((36.0, 20.0, 28.0), description="of the box that holds it: width along X, height, depth along Z")
+    size_mm: Vector = Field(
+        (36.0, 20.0, 28.0),
+        description="of the box that holds it: width along X, height, depth along Z",
+    )
     branches: int = Field(120, ge=1, le=5000, description="that grow out of each other")
     tunnels: int = Field(20, ge=0, le=1000, description="bored through it, straight and round")
-    step_mm: float = Field(0.3, gt=0.0, description="of the lattice; a fifth of the thinnest branch's radius or less keeps all of them round")
+    step_mm: float = Field(
+        0.3,
+        gt=0.0,
+        description="of the lattice; a fifth of the thinnest branch's radius or less keeps all of them round",
+    )
 
     @field_validator("size_mm")
     @classmethod
@@ -46,28 +63,45 @@ class Reef(SolidGenerator):
         """Around the middle of its base."""
         half = np.asarray(self.parameters.size_mm) / [2.0, 1.0, 2.0]
         blend, step = _BLEND * half.min(), self.parameters.step_mm
-        branches, tunnels = self._branches(half, stream(seed, "reef", 0)), self._tunnels(half, stream(seed, "reef", 1))
+        branches, tunnels = (
+            self._branches(half, stream(seed, "reef", 0)),
+            self._tunnels(half, stream(seed, "reef", 1)),
+        )
 
         def body(points_mm: F64) -> F64:
             grown, bored = (capsules(points_mm, *cones, blend) for cones in (branches, tunnels))
             return np.maximum(-smooth_minimum([-grown, bored], blend), points_mm[:, 1])
 
         low = -(half + 2.0 * step)
-        low[1] = -(np.ceil(half[1] / step) + 1.5) * step  # so that the base lies between two planes of the lattice
+        low[1] = (
+            -(np.ceil(half[1] / step) + 1.5) * step
+        )  # so that the base lies between two planes of the lattice
         return largest_part(surface_of(body, low, [-low[0], 1.5 * step, -low[2]], step))
 
     def _branches(self, half: F64, rng: np.random.Generator) -> Cones:
         """Rounded cones towards random places in half an ellipsoid, each from the nearest end of another one (LaValle's random tree), and thinner."""
         least, count = half.min(), self.parameters.branches
         room = half - _JOINTS * _BLEND * least
-        ends, radii, parents = np.zeros((count + 1, 3)), np.full(count + 1, _THICK * least), np.zeros(count, dtype=np.int64)
+        ends, radii, parents = (
+            np.zeros((count + 1, 3)),
+            np.full(count + 1, _THICK * least),
+            np.zeros(count, dtype=np.int64),
+        )
         for n in range(count):
             way = rng.normal(size=3)
-            target = room * np.cbrt(rng.random()) * way / np.linalg.norm(way) * [1.0, -np.sign(way[1]), 1.0]
+            target = (
+                room
+                * np.cbrt(rng.random())
+                * way
+                / np.linalg.norm(way)
+                * [1.0, -np.sign(way[1]), 1.0]
+            )
             parents[n] = np.argmin(np.linalg.norm(ends[: n + 1] - target, axis=1))
             start = ends[parents[n]]
             radii[n + 1] = max(_THIN * least, radii[parents[n]] * rng.uniform(0.7, 0.98))
-            there = start + (target - start) * min(1.0, _LENGTH * least / float(np.linalg.norm(target - start)))
+            there = start + (target - start) * min(
+                1.0, _LENGTH * least / float(np.linalg.norm(target - start))
+            )
             ends[n + 1] = there / max(1.0, float(np.linalg.norm(there / (room - radii[n + 1]))))
         return ends[parents], ends[1:], radii[parents], radii[1:]
 

@@ -13,15 +13,23 @@ class ShearWaveParameters(Parameters):
     """The wave."""
 
     center_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    along: tuple[float, float, float] = Field((1.0, 0.0, 0.0), description="direction of the velocity")
-    across: tuple[float, float, float] = Field((0.0, 1.0, 0.0), description="direction in which it varies")
+    along: tuple[float, float, float] = Field(
+        (1.0, 0.0, 0.0), description="direction of the velocity"
+    )
+    across: tuple[float, float, float] = Field(
+        (0.0, 1.0, 0.0), description="direction in which it varies"
+    )
     wavelength_mm: float = Field(10.0, gt=0.0)
     peak_mm_s: float = 100.0
 
     @model_validator(mode="after")
     def _square(self) -> ShearWaveParameters:
-        if abs(np.dot(self.along, self.across)) > 1e-9 * np.linalg.norm(self.along) * np.linalg.norm(self.across):
-            raise ValueError(f"expected along and across at right angles, got {list(self.along)} and {list(self.across)}")
+        if abs(np.dot(self.along, self.across)) > 1e-9 * np.linalg.norm(
+            self.along
+        ) * np.linalg.norm(self.across):
+            raise ValueError(
+                f"expected along and across at right angles, got {list(self.along)} and {list(self.across)}"
+            )
         return self
 
 
@@ -39,10 +47,20 @@ class ShearWave(Flow):
     def gradient(self, points_mm: F64, time_s: float) -> F64:
         """A k cos(k y)."""
         along, across, phase = self._wave(points_mm)
-        slope = self.parameters.peak_mm_s * 2.0 * np.pi / self.parameters.wavelength_mm * np.cos(phase)
+        slope = (
+            self.parameters.peak_mm_s * 2.0 * np.pi / self.parameters.wavelength_mm * np.cos(phase)
+        )
         return np.asarray(slope[:, None, None] * np.outer(along, across))
 
     def _wave(self, points_mm: F64) -> tuple[F64, F64, F64]:
-        along, across = (np.asarray(v) / np.linalg.norm(v) for v in (self.parameters.along, self.parameters.across))
-        phase = 2.0 * np.pi / self.parameters.wavelength_mm * ((points_mm - np.asarray(self.parameters.center_mm)) @ across)
+        along, across = (
+            np.asarray(v) / np.linalg.norm(v)
+            for v in (self.parameters.along, self.parameters.across)
+        )
+        phase = (
+            2.0
+            * np.pi
+            / self.parameters.wavelength_mm
+            * ((points_mm - np.asarray(self.parameters.center_mm)) @ across)
+        )
         return along, across, phase

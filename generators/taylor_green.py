@@ -12,11 +12,14 @@ from sabench.utils.arrays import F64
 class TaylorGreenParameters(Parameters):
     """The cells and how they decay."""
 
-    center_mm: tuple[float, float, float] = Field((0.0, 0.0, 0.0), description="a corner where eight cells meet")
+    center_mm: tuple[float, float, float] = Field(
+        (0.0, 0.0, 0.0), description="a corner where eight cells meet"
+    )
     wavelength_mm: float = Field(20.0, gt=0.0, description="of two cells")
     peak_mm_s: float = Field(100.0, description="largest speed, at the start")
     deep: bool = Field(
-        True, description="cells along Z as well, with the start of Taylor and Green's own flow; else columns, which solve Navier-Stokes"
+        True,
+        description="cells along Z as well, with the start of Taylor and Green's own flow; else columns, which solve Navier-Stokes",
     )
     viscosity_mm2_s: float = Field(0.0, ge=0.0, description="columns decay by it: 1 for water")
 
@@ -32,7 +35,9 @@ class TaylorGreen(Flow):
         """u = A cos(kx) sin(ky) cos(kz), v = -A sin(kx) cos(ky) cos(kz), w = 0."""
         (sx, cx), (sy, cy), (_, cz) = self._waves(points_mm)
         speed = self._speed(time_s)
-        return np.stack([speed * cx * sy * cz, -speed * sx * cy * cz, np.zeros(len(points_mm))], axis=1)
+        return np.stack(
+            [speed * cx * sy * cz, -speed * sx * cy * cz, np.zeros(len(points_mm))], axis=1
+        )
 
     def gradient(self, points_mm: F64, time_s: float) -> F64:
         """Its derivatives."""
@@ -50,7 +55,12 @@ class TaylorGreen(Flow):
 
     def _waves(self, points_mm: F64) -> list[tuple[F64, F64]]:
         """Sine and cosine along each axis; 0 and 1 along Z for columns."""
-        phases = 2.0 * np.pi / self.parameters.wavelength_mm * (points_mm - np.asarray(self.parameters.center_mm))
+        phases = (
+            2.0
+            * np.pi
+            / self.parameters.wavelength_mm
+            * (points_mm - np.asarray(self.parameters.center_mm))
+        )
         if not self.parameters.deep:
             phases[:, 2] = 0.0
         return [(np.sin(phase), np.cos(phase)) for phase in phases.T]

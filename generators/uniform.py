@@ -19,16 +19,26 @@ class UniformParameters(Parameters):
 
     count: int | None = Field(None, ge=0, le=_MOST, description="number of particles")
     per_mm3: float | None = Field(None, ge=0.0, description="particles per mm3 of the volume")
-    per_pixel: float | None = Field(None, ge=0.0, description="particles per pixel of one camera's image (ppp)")
+    per_pixel: float | None = Field(
+        None, ge=0.0, description="particles per pixel of one camera's image (ppp)"
+    )
     diameter_mm: float = Field(0.05, gt=0.0, description="median diameter")
-    diameter_spread: float = Field(0.0, ge=0.0, le=1.0, description="standard deviation of the logarithm of the diameter")
-    velocity_mm_s: tuple[float, float, float] = Field((0.0, 0.0, 0.0), description="velocity of all particles")
+    diameter_spread: float = Field(
+        0.0, ge=0.0, le=1.0, description="standard deviation of the logarithm of the diameter"
+    )
+    velocity_mm_s: tuple[float, float, float] = Field(
+        (0.0, 0.0, 0.0), description="velocity of all particles"
+    )
 
     @model_validator(mode="after")
     def _one_density(self) -> UniformParameters:
-        given = [name for name in ("count", "per_mm3", "per_pixel") if getattr(self, name) is not None]
+        given = [
+            name for name in ("count", "per_mm3", "per_pixel") if getattr(self, name) is not None
+        ]
         if len(given) != 1:
-            raise ValueError(f"expected exactly one of count, per_mm3, per_pixel, got {', '.join(given) or 'none'}")
+            raise ValueError(
+                f"expected exactly one of count, per_mm3, per_pixel, got {', '.join(given) or 'none'}"
+            )
         return self
 
 
@@ -44,8 +54,12 @@ class Uniform(Generator):
         rng = stream(seed, "particles")
         size, velocity = np.asarray(domain.size_mm), np.asarray(self.parameters.velocity_mm_s)
         travelled = rng.random((count, 3)) * size + velocity * time_s
-        diameter = self.parameters.diameter_mm * np.exp(self.parameters.diameter_spread * rng.standard_normal(count))
-        turns = np.floor(travelled / size).astype(np.int64)  # a particle that re-enters is a new one, with a new id
+        diameter = self.parameters.diameter_mm * np.exp(
+            self.parameters.diameter_spread * rng.standard_normal(count)
+        )
+        turns = np.floor(travelled / size).astype(
+            np.int64
+        )  # a particle that re-enters is a new one, with a new id
         position = domain.low_mm + np.clip(travelled - turns * size, 0.0, size)
         identity = np.arange(count, dtype=np.int64) + count * np.abs(turns).sum(axis=1)
         return Particles(identity, position, diameter, np.tile(velocity, (count, 1)))
@@ -54,7 +68,13 @@ class Uniform(Generator):
         chosen: UniformParameters = self.parameters
         if chosen.count is not None:
             return chosen.count
-        wanted = chosen.per_mm3 * domain.volume_mm3 if chosen.per_mm3 is not None else (chosen.per_pixel or 0.0) * domain.pixels
+        wanted = (
+            chosen.per_mm3 * domain.volume_mm3
+            if chosen.per_mm3 is not None
+            else (chosen.per_pixel or 0.0) * domain.pixels
+        )
         if wanted > _MOST:
-            raise InputError(f"particles: expected at most {_MOST} of them, but per_mm3 or per_pixel makes {wanted:.3g}")
+            raise InputError(
+                f"particles: expected at most {_MOST} of them, but per_mm3 or per_pixel makes {wanted:.3g}"
+            )
         return round(wanted)

@@ -16,18 +16,26 @@ class VortexRingParameters(Parameters):
     """The ring and how fast it turns."""
 
     center_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    axis: tuple[float, float, float] = Field((0.0, 0.0, 1.0), description="through the ring's middle, the way it moves the fluid there")
+    axis: tuple[float, float, float] = Field(
+        (0.0, 0.0, 1.0), description="through the ring's middle, the way it moves the fluid there"
+    )
     diameter_mm: float = Field(20.0, gt=0.0, description="of the toroidal axis")
-    core_mm: float = Field(4.0, gt=0.0, description="distance from the toroidal axis at which the fluid is fastest, l")
+    core_mm: float = Field(
+        4.0, gt=0.0, description="distance from the toroidal axis at which the fluid is fastest, l"
+    )
     peak_mm_s: float = Field(100.0, description="speed there, 8 K / e")
-    fold_mm: float = Field(0.5, gt=0.0, description="distance from the ring's axis within which the component away from it is let go to zero")
+    fold_mm: float = Field(
+        0.5,
+        gt=0.0,
+        description="distance from the ring's axis within which the component away from it is let go to zero",
+    )
 
 
 class VortexRing(Flow):
     """The thesis's ring: the fluid turns about a circle, at a speed that depends on the distance from it only.
 
-    Such a field is not free of divergence. Along the ring's axis it would have a fold, where fluid of all sides meets and stays for ever: there, and
-    only there, it is smoothed.
+    Such a field is not free of divergence. Along the ring's axis it would have a fold, where fluid
+    of all sides meets and stays for ever: there, and only there, it is smoothed.
     """
 
     name = "vortex_ring"
@@ -40,7 +48,10 @@ class VortexRing(Flow):
         away = r - self.parameters.diameter_mm / 2.0
         rate = self._rate(np.hypot(away, z))
         turn = leading(self.parameters.axis)
-        return np.asarray((rate * z * r * self._opened(r)[0])[:, None] * outward - (rate * away)[:, None] * turn[2])
+        return np.asarray(
+            (rate * z * r * self._opened(r)[0])[:, None] * outward
+            - (rate * away)[:, None] * turn[2]
+        )
 
     def gradient(self, points_mm: F64, time_s: float) -> F64:
         """By the chain rule in cylindrical coordinates."""
@@ -53,15 +64,20 @@ class VortexRing(Flow):
         around = np.cross(along, outward)
         share, growth = self._opened(r)
         parts = (
-            (slope * away * z * r * share + rate * z * growth, outward, outward), ((rate + slope * z * z) * r * share, outward, along),
-            (-rate - slope * away * away, along, outward), (-slope * away * z, along, along),
+            (slope * away * z * r * share + rate * z * growth, outward, outward),
+            ((rate + slope * z * z) * r * share, outward, along),
+            (-rate - slope * away * away, along, outward),
+            (-slope * away * z, along, along),
             (rate * z * share, around, around),
-        )  # fmt: skip
+        )
         return np.asarray(sum(np.einsum("n,ni,nj->nij", value, i, j) for value, i, j in parts))
 
     def _cylindrical(self, points_mm: F64) -> tuple[F64, F64, F64]:
         """Distance from the ring's axis, height along it, and unit vectors (n, 3) away from it."""
-        offset, axis = points_mm - np.asarray(self.parameters.center_mm), leading(self.parameters.axis)[2]
+        offset, axis = (
+            points_mm - np.asarray(self.parameters.center_mm),
+            leading(self.parameters.axis)[2],
+        )
         z = offset @ axis
         lateral = offset - z[:, None] * axis
         r = np.linalg.norm(lateral, axis=1)
@@ -71,10 +87,14 @@ class VortexRing(Flow):
         """The part of the outward component that is left near the axis, over the distance from it, and its derivative."""
         fold = self.parameters.fold_mm
         t = np.minimum(r / fold, 1.0)
-        share = np.where(t < 1.0, (15.0 - 10.0 * t**2 + 3.0 * t**4) / (8.0 * fold), 1.0 / np.maximum(r, fold))
+        share = np.where(
+            t < 1.0, (15.0 - 10.0 * t**2 + 3.0 * t**4) / (8.0 * fold), 1.0 / np.maximum(r, fold)
+        )
         return share, 15.0 / 8.0 * (1.0 - t**2) ** 2 / fold
 
     def _rate(self, distance: F64) -> F64:
         """Speed over the distance from the circle."""
         chosen: VortexRingParameters = self.parameters
-        return np.asarray(chosen.peak_mm_s * np.e / chosen.core_mm * np.exp(-distance / chosen.core_mm))
+        return np.asarray(
+            chosen.peak_mm_s * np.e / chosen.core_mm * np.exp(-distance / chosen.core_mm)
+        )

@@ -1,8 +1,9 @@
 """Finds generators and solvers: one file each, in folders that are not part of the package.
 
-Importing this module mounts `sabench.plugins.generators` and `sabench.plugins.solvers`, whose search paths are, in this order,
-the folders beside the package (a checkout) or inside it (`sabench/_plugins/<kind>`, a wheel), and `<folder>/<kind>`
-for every folder in the variable SABENCH_PLUGINS (separated as in PATH). A plug-in's name is its file's stem.
+Importing this module mounts `sabench.plugins.generators` and `sabench.plugins.solvers`, whose
+search paths are, in this order, the folders beside the package (a checkout) or inside it
+(`sabench/_plugins/<kind>`, a wheel), and `<folder>/<kind>` for every folder in the variable
+SABENCH_PLUGINS (separated as in PATH). A plug-in's name is its file's stem.
 """
 
 from __future__ import annotations
@@ -24,12 +25,20 @@ KINDS = ("generators", "solvers")
 def bundled(kind: str) -> Path:
     """The folder of that kind (generators, solvers, scenes, leaderboard) that came with this installation."""
     beside = _PACKAGE.parent / kind
-    return beside if (_PACKAGE.parent / "pyproject.toml").is_file() and beside.is_dir() else _PACKAGE / "_plugins" / kind
+    return (
+        beside
+        if (_PACKAGE.parent / "pyproject.toml").is_file() and beside.is_dir()
+        else _PACKAGE / "_plugins" / kind
+    )
 
 
 def folders(kind: str) -> list[Path]:
     """All folders that are searched for that kind."""
-    extra = [Path(entry) / kind for entry in os.environ.get("SABENCH_PLUGINS", "").split(os.pathsep) if entry]
+    extra = [
+        Path(entry) / kind
+        for entry in os.environ.get("SABENCH_PLUGINS", "").split(os.pathsep)
+        if entry
+    ]
     return [folder for folder in (bundled(kind), *extra) if folder.is_dir()]
 
 
@@ -63,11 +72,19 @@ def load(kind: str, name: str) -> type[Any]:
     try:
         module = importlib.import_module(f"{__name__}.{kind}.{name}")
     except Exception as error:
-        raise InputError(f"{kind[:-1]} {name}: its file cannot be imported, {type(error).__name__}: {error}") from error
-    found = [value for value in vars(module).values() if isinstance(value, type) and value.__module__ == module.__name__]
+        raise InputError(
+            f"{kind[:-1]} {name}: its file cannot be imported, {type(error).__name__}: {error}"
+        ) from error
+    found = [
+        value
+        for value in vars(module).values()
+        if isinstance(value, type) and value.__module__ == module.__name__
+    ]
     classes = [value for value in found if getattr(value, "name", None) == name]
     if len(classes) != 1:
-        raise InputError(f"{module.__file__}: expected one class with name = {name!r}, got {len(classes)}")
+        raise InputError(
+            f"{module.__file__}: expected one class with name = {name!r}, got {len(classes)}"
+        )
     return classes[0]
 
 

@@ -14,21 +14,29 @@ from sabench.images.brightness import normalised
 class AsaParameters(ExtractionParameters):
     """Whether a camera that does not see a voxel counts as one that sees it dark."""
 
-    seen_only: bool = Field(False, description="average only the cameras that see a voxel (thesis section 2.2.4)")
+    seen_only: bool = Field(
+        False, description="average only the cameras that see a voxel (thesis section 2.2.4)"
+    )
 
 
 class Asa(Solver):
     """Additive synthetic aperture: the mean of all cameras at every voxel, then what stands out of each plane."""
 
     name = "asa"
-    references = ("Belden, MIT thesis, equation 3.3 and section 2.2.3", "Belden et al., Meas. Sci. Technol. 21 (2010) 125403")
+    references = (
+        "Belden, MIT thesis, equation 3.3 and section 2.2.3",
+        "Belden et al., Meas. Sci. Technol. 21 (2010) 125403",
+    )
     Parameters = AsaParameters
 
     def solve(self, case: Observation) -> Reconstruction:
         """I_k = (1 / N) sum_i I_ki, thresholded plane by plane."""
         volume = refocus_sum(normalised(case), case.cameras, case.grid)
         if self.parameters.seen_only:
-            volume /= np.maximum(refocus_sum(np.ones(case.images.shape, dtype=np.float32), case.cameras, case.grid), 1.0)
+            volume /= np.maximum(
+                refocus_sum(np.ones(case.images.shape, dtype=np.float32), case.cameras, case.grid),
+                1.0,
+            )
         else:
             volume /= len(case.cameras)
         return Reconstruction(extracted(volume, case, self.parameters))

@@ -11,7 +11,10 @@ class BlockMart(Solver):
     """Block MART: where all cameras see light, multiply by the ratio of recorded to projected light, one camera after the other."""
 
     name = "block_mart"
-    references = ("Byrne, IEEE Trans. Image Process. 7 (1998) 100-109", "Atkinson and Soria, Exp. Fluids 47 (2009) 553-568")
+    references = (
+        "Byrne, IEEE Trans. Image Process. 7 (1998) 100-109",
+        "Atkinson and Soria, Exp. Fluids 47 (2009) 553-568",
+    )
     Parameters = SparseParameters
 
     def solve(self, case: Observation) -> Reconstruction:
@@ -19,5 +22,11 @@ class BlockMart(Solver):
         chosen = self.parameters
         problem = Problem.of(case, chosen)
         state = problem.mlos(chosen.threshold)
-        iterate(lambda: block_mart(state, problem.measured, chosen.relaxation), problem.measured, chosen.iterations, chosen.tolerance, self.name)
+        iterate(
+            lambda: block_mart(state, problem.measured, chosen.relaxation),
+            problem.measured,
+            chosen.iterations,
+            chosen.tolerance,
+            self.name,
+        )
         return Reconstruction(problem.volume(state, chosen.floor))

@@ -12,13 +12,38 @@ from sabench.utils.progress import track
 class IprParameters(Parameters):
     """How particles are found, and when they are taken for ghosts."""
 
-    floor: float = Field(0.05, gt=0.0, lt=1.0, description="smallest peak of a particle image, over that of a bright particle")
-    noise: float = Field(5.0, ge=0.0, description="the same in standard deviations of the background; the larger one holds")
-    reach_px: float = Field(0.8, gt=0.0, description="largest distance of a particle image from where its camera sees the particle")
-    rounds: int = Field(4, ge=1, description="rounds of triangulation with all cameras, on what is left of the images")
-    reduced: int | None = Field(None, ge=0, description="the same where one camera may show nothing; None: each camera leads one, but four at least")
+    floor: float = Field(
+        0.05,
+        gt=0.0,
+        lt=1.0,
+        description="smallest peak of a particle image, over that of a bright particle",
+    )
+    noise: float = Field(
+        5.0,
+        ge=0.0,
+        description="the same in standard deviations of the background; the larger one holds",
+    )
+    reach_px: float = Field(
+        0.8,
+        gt=0.0,
+        description="largest distance of a particle image from where its camera sees the particle",
+    )
+    rounds: int = Field(
+        4,
+        ge=1,
+        description="rounds of triangulation with all cameras, on what is left of the images",
+    )
+    reduced: int | None = Field(
+        None,
+        ge=0,
+        description="the same where one camera may show nothing; None: each camera leads one, but four at least",
+    )
     fits: int = Field(8, ge=1, description="times that every particle is fitted in each of them")
-    faint: float = Field(0.15, ge=0.0, description="brightness in the second darkest camera below which a particle is a ghost, over the median")
+    faint: float = Field(
+        0.15,
+        ge=0.0,
+        description="brightness in the second darkest camera below which a particle is a ghost, over the median",
+    )
 
 
 class Ipr(ParticleSolver):
@@ -36,6 +61,16 @@ class Ipr(ParticleSolver):
         """Frame by frame."""
         chosen = self.parameters
         reduced = max(4, len(case.cameras)) if chosen.reduced is None else chosen.reduced
-        settings = Settings(chosen.floor, chosen.noise, chosen.reach_px, (chosen.rounds, reduced), chosen.fits, chosen.faint)
+        settings = Settings(
+            chosen.floor,
+            chosen.noise,
+            chosen.reach_px,
+            (chosen.rounds, reduced),
+            chosen.fits,
+            chosen.faint,
+        )
         maps = box_of(case[0])
-        return [reconstructed(frame, maps, settings) for frame in track(case, "iterative reconstruction")]
+        return [
+            reconstructed(frame, maps, settings)
+            for frame in track(case, "iterative reconstruction")
+        ]

@@ -15,12 +15,15 @@ from sabench.utils.errors import InputError
 class LinearAutocal(CalibrationSolver):
     """Factorisation and Euclidean upgrade for pinholes in a single medium, brought to the world by a similarity.
 
-    The principal points are believed, the cameras otherwise unknown. Scale, place and direction come from the target's roughly known places, of
-    which only this similarity is taken.
+    The principal points are believed, the cameras otherwise unknown. Scale, place and direction
+    come from the target's roughly known places, of which only this similarity is taken.
     """
 
     name = "linear_autocal"
-    references = ("T. Svoboda, D. Martinec and T. Pajdla, Presence 14, 2005", "J. Belden, PhD thesis, MIT 2011, figures 4-20 and 4-21")
+    references = (
+        "T. Svoboda, D. Martinec and T. Pajdla, Presence 14, 2005",
+        "J. Belden, PhD thesis, MIT 2011, figures 4-20 and 4-21",
+    )
 
     def solve(self, case: CalibrationCase) -> Calibration:
         """Points that two cameras found, and the cameras that follow from all of them."""
@@ -28,14 +31,23 @@ class LinearAutocal(CalibrationSolver):
         chosen = (seen.sum(axis=0) >= 2) & np.isfinite(case.rough_mm.reshape(-1, 3)).all(axis=1)
         if len(case.cameras) < 3:
             raise InputError(f"expected 3 cameras or more, got {len(case.cameras)}")
-        scales = np.array([_scale(camera.focal_px, camera.principal_point_px) for camera in case.cameras])
-        images = (case.pixels.reshape(len(scales), -1, 2)[:, chosen] - scales[:, None, :2]) / scales[:, None, 2:]
+        scales = np.array(
+            [_scale(camera.focal_px, camera.principal_point_px) for camera in case.cameras]
+        )
+        images = (
+            case.pixels.reshape(len(scales), -1, 2)[:, chosen] - scales[:, None, :2]
+        ) / scales[:, None, 2:]
         factors = euclidean(adjusted(factorise(images, seen[:, chosen]), images, seen[:, chosen]))
         points = factors.points[:, :3] / factors.points[:, 3:]
         world = similarity_fit(points, case.rough_mm.reshape(-1, 3)[chosen])
         matrices = factors.matrices @ np.linalg.inv(world)
         cameras = [
-            Projective(camera.name, camera.rows, camera.columns, tuple(tuple(row) for row in (_image(scale) @ matrix).tolist()))
+            Projective(
+                camera.name,
+                camera.rows,
+                camera.columns,
+                tuple(tuple(row) for row in (_image(scale) @ matrix).tolist()),
+            )
             for camera, scale, matrix in zip(case.cameras, scales, matrices, strict=True)
         ]
         return Calibration(tuple(cameras))

@@ -21,12 +21,27 @@ _MARGIN = 3  # voxels around what is looked at
 class LocalFeatureParameters(Parameters):
     """What counts as a peak, as an edge and as a bubble."""
 
-    least_peak: float = Field(4.5, gt=0.0, description="logarithm of the feature potential that makes a peak")
-    least_edge: float = Field(0.01, gt=0.0, lt=1.0, description="gradient of darkness per voxel that makes an edge")
-    least_part: float = Field(0.5, gt=0.0, le=1.0, description="part of an ellipse that must have edges")
-    least_aspect: float = Field(0.4, gt=0.0, le=1.0, description="short over long axis below which an ellipse is a part of an outline")
+    least_peak: float = Field(
+        4.5, gt=0.0, description="logarithm of the feature potential that makes a peak"
+    )
+    least_edge: float = Field(
+        0.01, gt=0.0, lt=1.0, description="gradient of darkness per voxel that makes an edge"
+    )
+    least_part: float = Field(
+        0.5, gt=0.0, le=1.0, description="part of an ellipse that must have edges"
+    )
+    least_aspect: float = Field(
+        0.4,
+        gt=0.0,
+        le=1.0,
+        description="short over long axis below which an ellipse is a part of an outline",
+    )
     largest_mm: float = Field(3.0, gt=0.0, description="largest semi-axis")
-    small_px: float = Field(4.0, gt=0.0, description="equivalent diameter in voxels below which a feature is thresholded")
+    small_px: float = Field(
+        4.0,
+        gt=0.0,
+        description="equivalent diameter in voxels below which a feature is thresholded",
+    )
 
 
 class LocalFeature(BubbleSolver):
@@ -43,7 +58,9 @@ class LocalFeature(BubbleSolver):
             attenuate(volume, feature(volume, STEP, _FLAT), STEP)
         peaks = Peaks.of(np.log1p(feature(volume, STEP, _FLAT)), self.parameters.least_peak)
         bubbles = self._bubbles(volume, peaks, case.grid)
-        return _detections(distinct(bubbles, case.grid.voxel_mm[2] / case.grid.voxel_mm[0]), case.grid)
+        return _detections(
+            distinct(bubbles, case.grid.voxel_mm[2] / case.grid.voxel_mm[0]), case.grid
+        )
 
     def _bubbles(self, volume: F32, peaks: Peaks, grid: Grid) -> F64:
         """Bubbles (n, 7) of all groups, each grown from the strongest peak that is left: outline, part of it that has edges, plane."""
@@ -65,8 +82,14 @@ class LocalFeature(BubbleSolver):
         """Ellipses of a group in its mean plane, each then in its own; without one, small features at its strongest peak."""
         windows = peaks.place[group, 1:] * STEP
         plane = peaks.plane(group)
-        shapes = self._ellipses(volume, plane, windows.min(axis=0), windows.max(axis=0) + WINDOW, largest)
-        bubbles = [bubble for one in shapes if (bubble := self._refocused(volume, one, plane, largest)) is not None]
+        shapes = self._ellipses(
+            volume, plane, windows.min(axis=0), windows.max(axis=0) + WINDOW, largest
+        )
+        bubbles = [
+            bubble
+            for one in shapes
+            if (bubble := self._refocused(volume, one, plane, largest)) is not None
+        ]
         return bubbles or self._small(volume, peaks.place[group[0]])
 
     def _ellipses(self, volume: F32, plane: int, low: I64, high: I64, largest: float) -> F64:
@@ -75,7 +98,9 @@ class LocalFeature(BubbleSolver):
         top, left = np.maximum(low - _MARGIN, 0)
         bottom, right = np.maximum(high + _MARGIN, 0)
         dark = np.ascontiguousarray(volume[plane, top:bottom, left:right])
-        out = ellipses(edges(dark, chosen.least_edge), largest, chosen.least_aspect, chosen.least_part)
+        out = ellipses(
+            edges(dark, chosen.least_edge), largest, chosen.least_aspect, chosen.least_part
+        )
         out[:, :2] += left, top
         return out
 
@@ -84,7 +109,9 @@ class LocalFeature(BubbleSolver):
         depth = float(plane)
         for _ in range(2):
             depth = depth_of(volume, one, round(depth))
-            low, high = (np.floor(one[1::-1] + side * one[2]).astype(np.int64) for side in (-1.0, 1.0))
+            low, high = (
+                np.floor(one[1::-1] + side * one[2]).astype(np.int64) for side in (-1.0, 1.0)
+            )
             again = self._ellipses(volume, round(depth), low, high + 1, largest)
             apart = np.hypot(*(again[:, :2] - one[:2]).T)
             if not len(again) or apart.min() > 0.5 * one[3]:
@@ -98,7 +125,10 @@ class LocalFeature(BubbleSolver):
         plane, (top, left) = int(peak[0]), np.maximum(peak[1:] * STEP - _MARGIN, 0)
         size = WINDOW + 2 * _MARGIN
         dark = np.ascontiguousarray(volume[plane, top : top + size, left : left + size])
-        circles = [np.array([x + left, y + top, r, r, 0.0, 0.0]) for x, y, r in blots(dark, chosen.least_edge, chosen.small_px)]
+        circles = [
+            np.array([x + left, y + top, r, r, 0.0, 0.0])
+            for x, y, r in blots(dark, chosen.least_edge, chosen.small_px)
+        ]
         return [np.append(one, depth_of(volume, one, plane)) for one in circles]
 
 

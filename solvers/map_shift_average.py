@@ -12,7 +12,10 @@ class MapShiftAverage(Solver):
     """Map-shift-average: images mapped to one plane, shifted by whole pixels and averaged; for cameras on one plane without refraction."""
 
     name = "map_shift_average"
-    references = ("Belden, MIT thesis, equations 2.1 to 2.3", "Vaish et al., Using plane + parallax for calibrating dense camera arrays, CVPR 2004")
+    references = (
+        "Belden, MIT thesis, equations 2.1 to 2.3",
+        "Vaish et al., Using plane + parallax for calibrating dense camera arrays, CVPR 2004",
+    )
     Parameters = ExtractionParameters
 
     def solve(self, case: Observation) -> Reconstruction:

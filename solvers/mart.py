@@ -26,5 +26,11 @@ class Mart(Solver):
         problem = Problem.of(case, chosen)
         state = problem.mlos(chosen.threshold)
         np.sign(state.values, out=state.values)
-        iterate(lambda: mart(state, problem.measured, chosen.relaxation), problem.measured, chosen.iterations, chosen.tolerance, self.name)
+        iterate(
+            lambda: mart(state, problem.measured, chosen.relaxation),
+            problem.measured,
+            chosen.iterations,
+            chosen.tolerance,
+            self.name,
+        )
         return Reconstruction(problem.volume(state, chosen.floor))

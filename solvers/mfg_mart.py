@@ -11,7 +11,10 @@ class MfgMart(Solver):
     """MFG-MART: the product of back-projected pixels, then MART on what remains."""
 
     name = "mfg_mart"
-    references = ("Worth and Nickels, Exp. Fluids 45 (2008) 847-856", "Belden, MIT thesis, equations 3.9 and 3.11")
+    references = (
+        "Worth and Nickels, Exp. Fluids 45 (2008) 847-856",
+        "Belden, MIT thesis, equations 3.9 and 3.11",
+    )
     Parameters = SparseParameters
 
     def solve(self, case: Observation) -> Reconstruction:
@@ -19,5 +22,11 @@ class MfgMart(Solver):
         chosen = self.parameters
         problem = Problem.of(case, chosen)
         state = problem.mfg(chosen.threshold)
-        iterate(lambda: mart(state, problem.measured, chosen.relaxation), problem.measured, chosen.iterations, chosen.tolerance, self.name)
+        iterate(
+            lambda: mart(state, problem.measured, chosen.relaxation),
+            problem.measured,
+            chosen.iterations,
+            chosen.tolerance,
+            self.name,
+        )
         return Reconstruction(problem.volume(state, chosen.floor))

@@ -5,7 +5,15 @@ from __future__ import annotations
 import numpy as np
 from pydantic import Field
 
-from sabench.algorithms.bubbles.feature_potential import WINDOW, attenuate, darkness, feature, minimum_images, outlines, validated
+from sabench.algorithms.bubbles.feature_potential import (
+    WINDOW,
+    attenuate,
+    darkness,
+    feature,
+    minimum_images,
+    outlines,
+    validated,
+)
 from sabench.api import BubbleSolver, Detections, Observation, Parameters
 from sabench.utils.progress import track
 
@@ -13,8 +21,14 @@ from sabench.utils.progress import track
 class MinimumImageParameters(Parameters):
     """What counts as an edge, and as small."""
 
-    least_edge: float = Field(0.05, gt=0.0, lt=1.0, description="gradient of darkness per voxel that makes an edge")
-    small_px: float = Field(4.0, gt=0.0, description="equivalent diameter in voxels below which a feature is thresholded")
+    least_edge: float = Field(
+        0.05, gt=0.0, lt=1.0, description="gradient of darkness per voxel that makes an edge"
+    )
+    small_px: float = Field(
+        4.0,
+        gt=0.0,
+        description="equivalent diameter in voxels below which a feature is thresholded",
+    )
 
 
 class MinimumImage(BubbleSolver):

@@ -13,7 +13,9 @@ from sabench.api import Observation, Reconstruction, Solver
 class MlosSartParameters(SparseParameters):
     """The iteration converges for relaxations below 2."""
 
-    relaxation: float = Field(1.0, gt=0.0, lt=2.0, description="mu, the part of what is missing that one iteration adds")
+    relaxation: float = Field(
+        1.0, gt=0.0, lt=2.0, description="mu, the part of what is missing that one iteration adds"
+    )
 
 
 class MlosSart(Solver):
@@ -33,5 +35,11 @@ class MlosSart(Solver):
         problem = Problem.of(case, chosen)
         state = problem.mlos(chosen.threshold)
         lengths = state.lines.forward(np.ones_like(state.values))
-        iterate(lambda: sart(state, problem.measured, lengths, chosen.relaxation), problem.measured, chosen.iterations, chosen.tolerance, self.name)
+        iterate(
+            lambda: sart(state, problem.measured, lengths, chosen.relaxation),
+            problem.measured,
+            chosen.iterations,
+            chosen.tolerance,
+            self.name,
+        )
         return Reconstruction(problem.volume(state, chosen.floor))

@@ -12,7 +12,9 @@ from sabench.api import Observation, Reconstruction, Solver
 class MlosSmartParameters(SparseParameters):
     """The geometric mean over cameras may be overdone."""
 
-    relaxation: float = Field(1.5, gt=0.0, le=2.0, description="mu, the power of the geometric mean over cameras")
+    relaxation: float = Field(
+        1.5, gt=0.0, le=2.0, description="mu, the power of the geometric mean over cameras"
+    )
 
 
 class MlosSmart(Solver):
@@ -31,5 +33,11 @@ class MlosSmart(Solver):
         chosen = self.parameters
         problem = Problem.of(case, chosen)
         state = problem.mlos(chosen.threshold)
-        iterate(lambda: smart(state, problem.measured, chosen.relaxation), problem.measured, chosen.iterations, chosen.tolerance, self.name)
+        iterate(
+            lambda: smart(state, problem.measured, chosen.relaxation),
+            problem.measured,
+            chosen.iterations,
+            chosen.tolerance,
+            self.name,
+        )
         return Reconstruction(problem.volume(state, chosen.floor))

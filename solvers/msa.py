@@ -14,16 +14,32 @@ from sabench.images.brightness import normalised
 class MsaParameters(ExtractionParameters):
     """The exponent n and the floor that lets an object survive a camera that does not see it."""
 
-    exponent: float | None = Field(None, gt=0.0, le=1.0, description="n of equation 3.4; by default 3 / N for N cameras (1/3 for 9)")
-    floor: float = Field(0.01, ge=1e-6, lt=1.0, description="smallest sample, as a fraction of a bright particle's peak")
-    seen_only: bool = Field(False, description="multiply only the cameras that see a voxel, and adapt n to their number (thesis section 2.2.4)")
+    exponent: float | None = Field(
+        None,
+        gt=0.0,
+        le=1.0,
+        description="n of equation 3.4; by default 3 / N for N cameras (1/3 for 9)",
+    )
+    floor: float = Field(
+        0.01,
+        ge=1e-6,
+        lt=1.0,
+        description="smallest sample, as a fraction of a bright particle's peak",
+    )
+    seen_only: bool = Field(
+        False,
+        description="multiply only the cameras that see a voxel, and adapt n to their number (thesis section 2.2.4)",
+    )
 
 
 class Msa(Solver):
     """Multiplicative synthetic aperture: the product of all cameras at every voxel, each raised to n and to a floor."""
 
     name = "msa"
-    references = ("Belden, MIT thesis, equation 3.4 and section 3.3.1", "Belden et al., Meas. Sci. Technol. 21 (2010) 125403")
+    references = (
+        "Belden, MIT thesis, equation 3.4 and section 3.3.1",
+        "Belden et al., Meas. Sci. Technol. 21 (2010) 125403",
+    )
     Parameters = MsaParameters
 
     def solve(self, case: Observation) -> Reconstruction:
@@ -33,7 +49,9 @@ class Msa(Solver):
         images = normalised(case)
         if self.parameters.seen_only:  # where a camera sees nothing its factor is 1
             volume = refocus_log2(images, case.cameras, case.grid, floor, outside=1.0)
-            volume *= count / np.maximum(refocus_sum(np.ones_like(images), case.cameras, case.grid), 1.0)
+            volume *= count / np.maximum(
+                refocus_sum(np.ones_like(images), case.cameras, case.grid), 1.0
+            )
         else:
             volume = refocus_log2(images, case.cameras, case.grid, floor)
         volume *= exponent

@@ -20,10 +20,25 @@ from sabench.utils.progress import track
 class OpenLptParameters(Parameters):
     """What OpenLPT is told besides what the images show; the rest is derived from them or as its own window offers it."""
 
-    displacement_px: float = Field(10.0, gt=0.0, description="largest displacement from frame to frame, in the images")
-    tolerance_px: float = Field(0.8, gt=0.0, description="largest distance of a particle image from where its camera sees the particle, first round")
-    floor: float = Field(0.2, gt=0.0, lt=1.0, description="smallest peak of a particle image, over a bright particle's; more if noise demands it")
-    shake_px: float = Field(0.25, gt=0.0, description="by how much particles are moved at first to see whether they fit better")
+    displacement_px: float = Field(
+        10.0, gt=0.0, description="largest displacement from frame to frame, in the images"
+    )
+    tolerance_px: float = Field(
+        0.8,
+        gt=0.0,
+        description="largest distance of a particle image from where its camera sees the particle, first round",
+    )
+    floor: float = Field(
+        0.2,
+        gt=0.0,
+        lt=1.0,
+        description="smallest peak of a particle image, over a bright particle's; more if noise demands it",
+    )
+    shake_px: float = Field(
+        0.25,
+        gt=0.0,
+        description="by how much particles are moved at first to see whether they fit better",
+    )
     ghost: float = Field(0.01, gt=0.0, lt=1.0, description="its ghost threshold")
     rounds: int = Field(4, ge=1, description="of reconstruction with all cameras")
     fits: int = Field(4, ge=1, description="of shaking in each")
@@ -48,7 +63,11 @@ class OpenLpt(ParticleSolver):
         odd = next((camera.name for camera in case.cameras if not isinstance(camera, Camera)), None)
         if odd:
             return f"{odd} is no pinhole"
-        unfits = (f"{camera.name}: {reason}" for camera in case.cameras if isinstance(camera, Camera) and (reason := unfit(camera)))
+        unfits = (
+            f"{camera.name}: {reason}"
+            for camera in case.cameras
+            if isinstance(camera, Camera) and (reason := unfit(camera))
+        )
         return child.missing("pyopenlpt", "openlpt") or next(unfits, None)
 
     def solve(self, case: Film) -> list[FoundParticles]:

@@ -19,10 +19,21 @@ from sabench.utils.progress import track
 class OptvParameters(Parameters):
     """What OpenPTV is told besides what the images show."""
 
-    displacement_px: float = Field(10.0, gt=0.0, description="largest displacement from frame to frame, in the images")
-    tolerance_px: float = Field(1.0, gt=0.0, description="half the width of the band about an epipolar line")
-    discontinuity: int = Field(5, ge=0, le=255, description="rise of grey values, of 255, away from a peak that begins another particle image")
-    change: float = Field(0.5, gt=0.0, description="largest change of a displacement, over the largest displacement")
+    displacement_px: float = Field(
+        10.0, gt=0.0, description="largest displacement from frame to frame, in the images"
+    )
+    tolerance_px: float = Field(
+        1.0, gt=0.0, description="half the width of the band about an epipolar line"
+    )
+    discontinuity: int = Field(
+        5,
+        ge=0,
+        le=255,
+        description="rise of grey values, of 255, away from a peak that begins another particle image",
+    )
+    change: float = Field(
+        0.5, gt=0.0, description="largest change of a displacement, over the largest displacement"
+    )
     angle_gon: float = Field(100.0, gt=0.0, le=200.0, description="largest change of its direction")
 
 
@@ -44,7 +55,11 @@ class Optv(ParticleSolver):
         odd = next((camera.name for camera in case.cameras if not isinstance(camera, Camera)), None)
         if odd:
             return f"{odd} is no pinhole"
-        unfits = (f"{camera.name}: {reason}" for camera in case.cameras if isinstance(camera, Camera) and (reason := unfit(camera)))
+        unfits = (
+            f"{camera.name}: {reason}"
+            for camera in case.cameras
+            if isinstance(camera, Camera) and (reason := unfit(camera))
+        )
         return child.missing("optv", "optv") or next(unfits, None)
 
     def solve(self, case: Film) -> list[FoundParticles]:
@@ -54,7 +69,9 @@ class Optv(ParticleSolver):
         seen = seen_in(case[0])
         move = chosen.displacement_px * seen.mm_per_px
         threshold, change = max(2, round(160.0 * seen.floor)), chosen.change * move
-        settings = Settings(threshold, chosen.discontinuity, chosen.tolerance_px, move, change, chosen.angle_gon)
+        settings = Settings(
+            threshold, chosen.discontinuity, chosen.tolerance_px, move, change, chosen.angle_gon
+        )
         with tempfile.TemporaryDirectory(prefix="optv-") as name:
             folder = Path(name)
             for number, frame in enumerate(track(case, "images for OpenPTV")):

@@ -14,7 +14,10 @@ class PinholeLinear(CalibrationSolver):
     """
 
     name = "pinhole_linear"
-    references = ("R. Hartley and A. Zisserman, Multiple View Geometry, chapter 7", "J. Belden, PhD thesis, MIT 2011, section 4.4 and figure 4-6")
+    references = (
+        "R. Hartley and A. Zisserman, Multiple View Geometry, chapter 7",
+        "J. Belden, PhD thesis, MIT 2011, section 4.4 and figure 4-6",
+    )
 
     def skip(self, case: CalibrationCase) -> str | None:
         """Places in one plane determine no camera."""
@@ -23,6 +26,7 @@ class PinholeLinear(CalibrationSolver):
     def solve(self, case: CalibrationCase) -> Calibration:
         """Fit every camera on its own."""
         cameras = [
-            fit_projective(camera.name, camera.rows, camera.columns, *known_points(case, number)) for number, camera in enumerate(case.cameras)
+            fit_projective(camera.name, camera.rows, camera.columns, *known_points(case, number))
+            for number, camera in enumerate(case.cameras)
         ]
         return Calibration(tuple(cameras))

@@ -13,8 +13,13 @@ Voxels = tuple[int, int, int]
 class PlainParameters(VelocimetryParameters):
     """The thesis's windows."""
 
-    window: Voxels = Field((32, 32, 16), description="voxels along x, y, z; displacements up to half of it could be found")
-    overlap: float = Field(0.75, ge=0.0, lt=1.0, description="of neighbouring windows, as a part of them")
+    window: Voxels = Field(
+        (32, 32, 16),
+        description="voxels along x, y, z; displacements up to half of it could be found",
+    )
+    overlap: float = Field(
+        0.75, ge=0.0, lt=1.0, description="of neighbouring windows, as a part of them"
+    )
     least_ratio: float = Field(1.2, ge=1.0, description="of the highest to the second highest peak")
 
 
@@ -22,10 +27,15 @@ class Piv3dPlain(VelocimetrySolver):
     """Correlation of windows that stay where they are, by Fourier transforms, then the thesis's filters, filling and smoothing."""
 
     name = "piv3d_plain"
-    references = ("J. Belden, PhD thesis, MIT 2011, sections 2.2.5 and 2.3.3", "J. K. Sveen, An introduction to MatPIV v. 1.6.1, 2004")
+    references = (
+        "J. Belden, PhD thesis, MIT 2011, sections 2.2.5 and 2.3.3",
+        "J. K. Sveen, An introduction to MatPIV v. 1.6.1, 2004",
+    )
     Parameters = PlainParameters
 
     def solve(self, case: VolumePair) -> Velocity:
         """Displacements over the time between the volumes, at the windows' middles."""
         chosen: PlainParameters = self.parameters
-        return evaluate_once(case.first, case.second, chosen.window[::-1], chosen.overlap, chosen.least_ratio).on_grid(case.grid, case.interval_s)
+        return evaluate_once(
+            case.first, case.second, chosen.window[::-1], chosen.overlap, chosen.least_ratio
+        ).on_grid(case.grid, case.interval_s)

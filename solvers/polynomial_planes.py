@@ -32,5 +32,8 @@ class PolynomialPlanes(CalibrationSolver):
 
     def solve(self, case: CalibrationCase) -> Calibration:
         """Fit every camera on its own."""
-        cameras = [fit_planes(camera.name, camera.rows, camera.columns, *known_frames(case, number)) for number, camera in enumerate(case.cameras)]
+        cameras = [
+            fit_planes(camera.name, camera.rows, camera.columns, *known_frames(case, number))
+            for number, camera in enumerate(case.cameras)
+        ]
         return Calibration(tuple(cameras))

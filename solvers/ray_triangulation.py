@@ -12,9 +12,22 @@ from sabench.utils.progress import track
 class TriangulationParameters(Parameters):
     """What counts as a particle image, and how well those of a particle must agree."""
 
-    floor: float = Field(0.05, gt=0.0, lt=1.0, description="smallest peak of a particle image, over that of a bright particle")
-    noise: float = Field(5.0, ge=0.0, description="the same in standard deviations of the background; the larger one holds")
-    reach_px: float = Field(0.8, gt=0.0, description="largest distance of a particle image from where its camera sees the particle")
+    floor: float = Field(
+        0.05,
+        gt=0.0,
+        lt=1.0,
+        description="smallest peak of a particle image, over that of a bright particle",
+    )
+    noise: float = Field(
+        5.0,
+        ge=0.0,
+        description="the same in standard deviations of the background; the larger one holds",
+    )
+    reach_px: float = Field(
+        0.8,
+        gt=0.0,
+        description="largest distance of a particle image from where its camera sees the particle",
+    )
 
 
 class RayTriangulation(ParticleSolver):

@@ -17,33 +17,49 @@ from sabench.api import Calibration, CalibrationCase, CalibrationSolver, Paramet
 class RefractiveAutocalParameters(Parameters):
     """What is free besides the turn, centre and focal length of every camera, what the case calls unknown, and the places of the boards."""
 
-    principal_point: bool = Field(False, description="of every camera, whether the case calls it unknown or not")
-    distortion: tuple[Literal["k1", "k2", "p1", "p2", "k3"], ...] = Field((), description="coefficients of every camera, in the same way")
-    indices: tuple[int, ...] = Field((), description="refractive indices of these media, the cameras' side first, starting with 0")
-    thicknesses: tuple[int, ...] = Field((), description="thicknesses of these layers of the wall, starting with 0")
+    principal_point: bool = Field(
+        False, description="of every camera, whether the case calls it unknown or not"
+    )
+    distortion: tuple[Literal["k1", "k2", "p1", "p2", "k3"], ...] = Field(
+        (), description="coefficients of every camera, in the same way"
+    )
+    indices: tuple[int, ...] = Field(
+        (),
+        description="refractive indices of these media, the cameras' side first, starting with 0",
+    )
+    thicknesses: tuple[int, ...] = Field(
+        (), description="thicknesses of these layers of the wall, starting with 0"
+    )
 
 
 class RefractiveAutocal(CalibrationSolver):
     """Joint bundle adjustment of refractive cameras and boards, robust against outliers, with the known points as observations.
 
-    A wall's place is not free: all that the images show is where the cameras and boards are against it, and where it is in the world the known
-    points say.
+    A wall's place is not free: all that the images show is where the cameras and boards are against
+    it, and where it is in the world the known points say.
     """
 
     name = "refractive_autocal"
-    references = ("J. Belden, PhD thesis, MIT 2011, chapter 4", "B. Triggs et al., Bundle adjustment - a modern synthesis, LNCS 1883, 2000")
+    references = (
+        "J. Belden, PhD thesis, MIT 2011, chapter 4",
+        "B. Triggs et al., Bundle adjustment - a modern synthesis, LNCS 1883, 2000",
+    )
     Parameters = RefractiveAutocalParameters
 
     def solve(self, case: CalibrationCase) -> Calibration:
         """Adjust, then again with the known coordinates weighed against the noise that was found."""
         chosen: RefractiveAutocalParameters = self.parameters
-        lenses = Free.of({*case.unknown, *chosen.distortion, *["principal_point"] * chosen.principal_point})
+        lenses = Free.of(
+            {*case.unknown, *chosen.distortion, *["principal_point"] * chosen.principal_point}
+        )
         free = replace(lenses, indices=chosen.indices, thicknesses=chosen.thicknesses)
         problem = Problem.of(case, free)
         found = adjust(problem.start, problem.seen, free)
         anchors = anchors_of(case, problem.frame, found.noise_px)
         if anchors:
-            found = adjust(problem.settled(found.fit.state), replace(problem.seen, anchors=anchors), free)
+            found = adjust(
+                problem.settled(found.fit.state), replace(problem.seen, anchors=anchors), free
+            )
         state = problem.settled(found.fit.state)
         check_fit(case, state, problem.frame, problem.seen, found.used, found.noise_px)
         return problem.answer(state, found.used)

@@ -13,14 +13,19 @@ from sabench.api import Calibration, CalibrationCase, CalibrationSolver, Paramet
 class AlternatingParameters(Parameters):
     """When it stops."""
 
-    tolerance_px: float = Field(0.001, gt=0.0, description="stop when the largest mean reprojection error of a camera changes by less in a round")
+    tolerance_px: float = Field(
+        0.001,
+        gt=0.0,
+        description="stop when the largest mean reprojection error of a camera changes by less in a round",
+    )
     rounds: int = Field(1000, ge=1, description="stop after as many rounds in any case")
 
 
 class RefractiveAutocalAlternating(CalibrationSolver):
     """Each camera against the boards, each board against the cameras, in turn until the errors hardly change.
 
-    The stop rule looks at a change and not at a gradient: it ends before the least-squares solution is reached.
+    The stop rule looks at a change and not at a gradient: it ends before the least-squares solution
+    is reached.
     """
 
     name = "refractive_autocal_alternating"
@@ -34,5 +39,7 @@ class RefractiveAutocalAlternating(CalibrationSolver):
         problem = Problem.of(case, free)
         state = problem.start
         for _ in range(2):
-            state = problem.settled(alternate(state, problem.seen, free, chosen.tolerance_px, chosen.rounds).state)
+            state = problem.settled(
+                alternate(state, problem.seen, free, chosen.tolerance_px, chosen.rounds).state
+            )
         return problem.answer(state)

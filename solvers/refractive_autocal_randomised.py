@@ -17,8 +17,14 @@ from sabench.utils.rng import stream
 class RandomisedParameters(Parameters):
     """The subsets, and when they agree."""
 
-    subset: int = Field(4, ge=2, description="cameras in a subset; two subsets are drawn in every iteration")
-    agreement_mm: float = Field(0.001, gt=0.0, description="stop when the points of two subsets differ by less, as a standard deviation")
+    subset: int = Field(
+        4, ge=2, description="cameras in a subset; two subsets are drawn in every iteration"
+    )
+    agreement_mm: float = Field(
+        0.001,
+        gt=0.0,
+        description="stop when the points of two subsets differ by less, as a standard deviation",
+    )
     iterations: int = Field(20, ge=1, description="stop after as many in any case")
     tolerance_px: float = Field(0.001, gt=0.0, description="of the alternation")
     rounds: int = Field(1000, ge=1, description="of the alternation, at most")
@@ -54,17 +60,27 @@ class RefractiveAutocalRandomised(CalibrationSolver):
             state, least = _averaged(state, pair), spread
             if spread < chosen.agreement_mm:
                 break
-        return problem.answer(problem.settled(alternate(state, problem.seen, free, chosen.tolerance_px, chosen.rounds).state))
+        return problem.answer(
+            problem.settled(
+                alternate(state, problem.seen, free, chosen.tolerance_px, chosen.rounds).state
+            )
+        )
 
-    def _subset(self, problem: Problem, state: State, rng: np.random.Generator, free: Free) -> State:
+    def _subset(
+        self, problem: Problem, state: State, rng: np.random.Generator, free: Free
+    ) -> State:
         """One subset's calibration, from the boards as they are known so far."""
         chosen: RandomisedParameters = self.parameters
         cameras = np.sort(rng.permutation(len(state.turns))[: chosen.subset])
         part, seen = subset(state, problem.seen, cameras)
-        return problem.settled(alternate(part, seen, free, chosen.tolerance_px, chosen.rounds).state)
+        return problem.settled(
+            alternate(part, seen, free, chosen.tolerance_px, chosen.rounds).state
+        )
 
 
 def _averaged(state: State, pair: list[State]) -> State:
     """The state with the mean of both subsets' boards."""
     places = np.mean([part.places for part in pair], axis=0)
-    return replace(state, board_turns=mean_turn(np.stack([part.board_turns for part in pair])), places=places)
+    return replace(
+        state, board_turns=mean_turn(np.stack([part.board_turns for part in pair])), places=places
+    )

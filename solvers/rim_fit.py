@@ -22,11 +22,25 @@ class RimFitParameters(Parameters):
 
     radius_mm: tuple[float, float] = Field((0.2, 4.5), description="radii that are looked for")
     index: float = Field(1.0, ge=1.0, le=4.0, description="refractive index in the bubbles")
-    diffuser_deg: float | None = Field(None, gt=1.0, le=85.0, description="half angle of the diffuser as bubbles see it; by default what fits best")
+    diffuser_deg: float | None = Field(
+        None,
+        gt=1.0,
+        le=85.0,
+        description="half angle of the diffuser as bubbles see it; by default what fits best",
+    )
     blur_px: float = Field(0.4, gt=0.1, le=5.0, description="standard deviation of lens and pixel")
-    aspects: tuple[float, ...] = Field((1.0, 0.6), min_length=1, description="short over long axes of the ellipses that are voted for")
+    aspects: tuple[float, ...] = Field(
+        (1.0, 0.6),
+        min_length=1,
+        description="short over long axes of the ellipses that are voted for",
+    )
     least_vote: float = Field(0.35, gt=0.0, lt=1.0, description="of an outline, mean over views")
-    least_gain: float = Field(0.4, gt=0.0, lt=1.0, description="part of a bubble's image that must be dark and not explained by others")
+    least_gain: float = Field(
+        0.4,
+        gt=0.0,
+        lt=1.0,
+        description="part of a bubble's image that must be dark and not explained by others",
+    )
     sweeps: int = Field(2, ge=0, le=10, description="times that all bubbles are fitted again")
 
 
@@ -48,13 +62,20 @@ class RimFit(BubbleSolver):
         chosen: RimFitParameters = self.parameters
         cameras = [camera for camera in case.cameras if isinstance(camera, Camera)]
         images = transmission(case)
-        middle = np.asarray(case.grid.low_mm) + (np.asarray(case.grid.shape[::-1]) - 1) / 2.0 * np.asarray(case.grid.voxel_mm)
+        middle = np.asarray(case.grid.low_mm) + (
+            np.asarray(case.grid.shape[::-1]) - 1
+        ) / 2.0 * np.asarray(case.grid.voxel_mm)
         scale = float(np.median([scales(camera, middle[None])[0] for camera in cameras]))
         radii = radii_between(max(1.0, chosen.radius_mm[0] * scale), chosen.radius_mm[1] * scale)
         found = []
         for aspect in chosen.aspects:
-            votes = [vote(image, radii, aspect) for image in track(images, f"vote for outlines, aspect {aspect:g}")]
-            found.append(hypotheses(cameras, votes, case.grid, 0.8 * chosen.least_vote, chosen.least_vote))
+            votes = [
+                vote(image, radii, aspect)
+                for image in track(images, f"vote for outlines, aspect {aspect:g}")
+            ]
+            found.append(
+                hypotheses(cameras, votes, case.grid, 0.8 * chosen.least_vote, chosen.least_vote)
+            )
         start = together(found)
         fluid = cameras[0].wall.fluid_index if cameras[0].wall else 1.0
         angle = None if chosen.diffuser_deg is None else float(np.deg2rad(chosen.diffuser_deg))

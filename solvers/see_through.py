@@ -23,7 +23,8 @@ class SeeThroughParameters(Parameters):
     """How the views are joined."""
 
     method: Literal["additive", "multiplicative", "dark", "mart"] = Field(
-        "dark", description="mean of the light; its product; product of the darkness, so that one open view is enough; optical depth by MART"
+        "dark",
+        description="mean of the light; its product; product of the darkness, so that one open view is enough; optical depth by MART",
     )
 
 
@@ -43,9 +44,16 @@ class SeeThrough(SeeThroughSolver):
         if method == "multiplicative":
             return Reconstruction(_product(light, case, count))
         if method == "dark":
-            return Reconstruction(np.float32(1.0) - _product(np.maximum(np.float32(1.0) - light, np.float32(_FLOOR)), case, count))
+            return Reconstruction(
+                np.float32(1.0)
+                - _product(np.maximum(np.float32(1.0) - light, np.float32(_FLOOR)), case, count)
+            )
         depth = np.rint(-np.log(light) / _DEEPEST * _LEVELS).astype(np.uint16)
-        volume = make_solver("mart", {"floor": 0.0}).solve(replace(case, images=depth, black_dn=0.0, white_dn=2.0 * _LEVELS)).volume
+        volume = (
+            make_solver("mart", {"floor": 0.0})
+            .solve(replace(case, images=depth, black_dn=0.0, white_dn=2.0 * _LEVELS))
+            .volume
+        )
         return Reconstruction(np.exp(-volume))
 
 

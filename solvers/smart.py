@@ -12,14 +12,19 @@ from sabench.api import Observation, Reconstruction, Solver
 class SmartParameters(TomographyParameters):
     """The geometric mean over cameras may be overdone."""
 
-    relaxation: float = Field(1.5, gt=0.0, le=2.0, description="mu, the power of the geometric mean over cameras")
+    relaxation: float = Field(
+        1.5, gt=0.0, le=2.0, description="mu, the power of the geometric mean over cameras"
+    )
 
 
 class Smart(Solver):
     """SMART: mlos_smart on all voxels from a uniform guess, the plain and slow reference."""
 
     name = "smart"
-    references = ("Mishra, Muralidhar and Munshi, Inverse Problems 15 (1999)", "Atkinson and Soria, Exp. Fluids 47 (2009) 553-568")
+    references = (
+        "Mishra, Muralidhar and Munshi, Inverse Problems 15 (1999)",
+        "Atkinson and Soria, Exp. Fluids 47 (2009) 553-568",
+    )
     Parameters = SmartParameters
 
     def solve(self, case: Observation) -> Reconstruction:
@@ -27,5 +32,11 @@ class Smart(Solver):
         chosen = self.parameters
         problem = Problem.of(case, chosen)
         state = problem.uniform()
-        iterate(lambda: smart(state, problem.measured, chosen.relaxation), problem.measured, chosen.iterations, chosen.tolerance, self.name)
+        iterate(
+            lambda: smart(state, problem.measured, chosen.relaxation),
+            problem.measured,
+            chosen.iterations,
+            chosen.tolerance,
+            self.name,
+        )
         return Reconstruction(problem.volume(state, chosen.floor))

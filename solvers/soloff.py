@@ -19,5 +19,8 @@ class SoloffCalibration(CalibrationSolver):
 
     def solve(self, case: CalibrationCase) -> Calibration:
         """Fit every camera on its own."""
-        cameras = [fit_soloff(camera.name, camera.rows, camera.columns, *known_points(case, number)) for number, camera in enumerate(case.cameras)]
+        cameras = [
+            fit_soloff(camera.name, camera.rows, camera.columns, *known_points(case, number))
+            for number, camera in enumerate(case.cameras)
+        ]
         return Calibration(tuple(cameras))

@@ -13,15 +13,26 @@ from sabench.images.brightness import normalised
 class VolumeSelfCalibrationParameters(Parameters):
     """How far off the cameras may be, and which particle images count."""
 
-    reach_px: float = Field(4.0, gt=0.5, le=20.0, description="largest error that is looked for; it is halved in every round")
+    reach_px: float = Field(
+        4.0,
+        gt=0.5,
+        le=20.0,
+        description="largest error that is looked for; it is halved in every round",
+    )
     least_px: float = Field(0.7, gt=0.1, description="reach at which the rounds end")
-    bright: float = Field(0.15, gt=0.0, lt=1.0, description="least peak of a particle image, as a fraction of a bright one's")
+    bright: float = Field(
+        0.15,
+        gt=0.0,
+        lt=1.0,
+        description="least peak of a particle image, as a fraction of a bright one's",
+    )
 
 
 class VolumeSelfCalibration(SelfCalibrationSolver):
     """Disparities of particle images between cameras that are a few pixels off, then all cameras adjusted to the particles that they agree on.
 
-    What particles cannot show - a motion of all cameras together, and what comes near to one - stays as it was.
+    What particles cannot show - a motion of all cameras together, and what comes near to one -
+    stays as it was.
     """
 
     name = "volume_self_calibration"
@@ -30,7 +41,11 @@ class VolumeSelfCalibration(SelfCalibrationSolver):
 
     def skip(self, case: Observation) -> str | None:
         """Two cameras agree on anything."""
-        return f"expected 3 cameras or more, got {len(case.cameras)}" if len(case.cameras) < 3 else None
+        return (
+            f"expected 3 cameras or more, got {len(case.cameras)}"
+            if len(case.cameras) < 3
+            else None
+        )
 
     def solve(self, case: Observation) -> Calibration:
         """Four cameras first, then the others against what these agree on."""

@@ -14,9 +14,17 @@ from pathlib import Path
 from typing import Any
 
 _FLAGS = [
-    "--headless", "--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage", "--disable-quic", "--no-proxy-server",
-    "--no-first-run", "--disable-background-networking", "--disable-component-update", "--disable-sync",
-]  # fmt: skip
+    "--headless",
+    "--no-sandbox",
+    "--disable-gpu",
+    "--disable-dev-shm-usage",
+    "--disable-quic",
+    "--no-proxy-server",
+    "--no-first-run",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+]
 
 
 class Browser:
@@ -26,13 +34,17 @@ class Browser:
         self._opener = urllib.request.build_opener(urllib.request.ProxyHandler({}))
         self._base = f"http://127.0.0.1:{port}/session"
         options = {"binary": binary, "args": [*_FLAGS, f"--user-data-dir={profile}"]}
-        wanted = {"alwaysMatch": {"goog:chromeOptions": options, "goog:loggingPrefs": {"browser": "ALL"}}}
+        wanted = {
+            "alwaysMatch": {"goog:chromeOptions": options, "goog:loggingPrefs": {"browser": "ALL"}}
+        }
         self._base += "/" + self.send("POST", "", {"capabilities": wanted})["sessionId"]
 
     def send(self, method: str, path: str, body: dict[str, Any] | None = None) -> Any:
         """One command of WebDriver; its value."""
         data = None if body is None else json.dumps(body).encode()
-        request = urllib.request.Request(self._base + path, data, {"Content-Type": "application/json"}, method=method)
+        request = urllib.request.Request(
+            self._base + path, data, {"Content-Type": "application/json"}, method=method
+        )
         with self._opener.open(request, timeout=60) as answer:
             return json.load(answer)["value"]
 
@@ -42,7 +54,13 @@ class Browser:
 
     def open(self, page: Path, fragment: str = "", width: int = 1200) -> None:
         """Open a page afresh, also if only the fragment is another one."""
-        self.devtools("Emulation.setDeviceMetricsOverride", width=width, height=900, deviceScaleFactor=1, mobile=False)
+        self.devtools(
+            "Emulation.setDeviceMetricsOverride",
+            width=width,
+            height=900,
+            deviceScaleFactor=1,
+            mobile=False,
+        )
         self.send("POST", "/url", {"url": "about:blank"})
         self.send("POST", "/url", {"url": page.as_uri() + fragment})
 
@@ -51,17 +69,36 @@ class Browser:
         return self.send("POST", "/execute/sync", {"script": f"return {script};", "args": []})
 
     def _find(self, path: str) -> str:
-        return str(next(iter(self.send("POST", "/element", {"using": "xpath", "value": path}).values())))
+        return str(
+            next(iter(self.send("POST", "/element", {"using": "xpath", "value": path}).values()))
+        )
 
     def press(self, path: str, key: str | None = None) -> None:
         """Click the first element at an XPath, or type keys into it."""
-        self.send("POST", f"/element/{self._find(path)}/" + ("click" if key is None else "value"), {} if key is None else {"text": key})
+        self.send(
+            "POST",
+            f"/element/{self._find(path)}/" + ("click" if key is None else "value"),
+            {} if key is None else {"text": key},
+        )
 
     def hover(self, path: str) -> None:
         """Move the pointer onto an element."""
         target = {"element-6066-11e4-a52e-4f735466cecf": self._find(path)}
         move = {"type": "pointerMove", "duration": 0, "x": 0, "y": 0, "origin": target}
-        self.send("POST", "/actions", {"actions": [{"type": "pointer", "id": "mouse", "parameters": {"pointerType": "mouse"}, "actions": [move]}]})
+        self.send(
+            "POST",
+            "/actions",
+            {
+                "actions": [
+                    {
+                        "type": "pointer",
+                        "id": "mouse",
+                        "parameters": {"pointerType": "mouse"},
+                        "actions": [move],
+                    }
+                ]
+            },
+        )
 
     def wait(self, script: str) -> None:
         """Until an expression is true, which is asked for once per frame; an error after 600 frames."""
@@ -80,10 +117,14 @@ class Browser:
 @contextlib.contextmanager
 def _driver(program: str) -> Iterator[int]:
     """A chromedriver on a free port; it is gone when the block ends."""
-    with subprocess.Popen([program, "--port=0"], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True) as process:
+    with subprocess.Popen(
+        [program, "--port=0"], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
+    ) as process:
         try:
             assert process.stdout is not None
-            started = (re.search(r"started successfully on port (\d+)", line) for line in process.stdout)
+            started = (
+                re.search(r"started successfully on port (\d+)", line) for line in process.stdout
+            )
             yield next(int(match[1]) for match in started if match)
         finally:
             process.terminate()

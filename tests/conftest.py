@@ -22,7 +22,9 @@ ROOT = Path(__file__).resolve().parents[1]
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    parser.addoption("--update-golden", action="store_true", help="store the figures of tests/regression anew")
+    parser.addoption(
+        "--update-golden", action="store_true", help="store the figures of tests/regression anew"
+    )
 
 
 @pytest.fixture(scope="session", autouse=True)
@@ -39,7 +41,9 @@ def pinholes(cameras: Iterable[CameraModel]) -> tuple[Camera, ...]:
 @pytest.fixture(scope="session")
 def quick(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
     """The quick scene, seed 1. Do not change it: copy it."""
-    return sabench.generate("quick", tmp_path_factory.mktemp("data") / "quick", seed=1, backend="mitsuba")
+    return sabench.generate(
+        "quick", tmp_path_factory.mktemp("data") / "quick", seed=1, backend="mitsuba"
+    )
 
 
 @pytest.fixture(scope="session")
@@ -57,7 +61,13 @@ def command(tmp_path: Path) -> Command:
     def run(*arguments: object, **options: Any) -> subprocess.CompletedProcess[str]:
         words = [sys.executable, "-m", "sabench", *(str(argument) for argument in arguments)]
         environment = os.environ | {"PYTHONPATH": str(ROOT)} | options.pop("env", {})
-        settings: dict[str, Any] = {"cwd": tmp_path, "capture_output": True, "text": True, "timeout": 300, "check": False} | options
+        settings: dict[str, Any] = {
+            "cwd": tmp_path,
+            "capture_output": True,
+            "text": True,
+            "timeout": 300,
+            "check": False,
+        } | options
         done: subprocess.CompletedProcess[str] = subprocess.run(words, env=environment, **settings)
         return done
 

@@ -29,11 +29,21 @@ class Film:
 
 
 def film(
-    relative: float, kind: str = "stream", count: int = 300, frames: int = 6, missing: float = 0.0, ghosts: float = 0.0, noise: float = 0.0
+    relative: float,
+    kind: str = "stream",
+    count: int = 300,
+    frames: int = 6,
+    missing: float = 0.0,
+    ghosts: float = 0.0,
+    noise: float = 0.0,
 ) -> Film:
     """Bubbles in a box; they move on average by `relative` mean distances of nearest neighbours a frame; who leaves is replaced by another."""
     rng = np.random.default_rng(5)
-    place, radius, identity = EDGE * rng.random((count, 3)), 0.8 * np.exp(0.3 * rng.standard_normal(count)), np.arange(count)
+    place, radius, identity = (
+        EDGE * rng.random((count, 3)),
+        0.8 * np.exp(0.3 * rng.standard_normal(count)),
+        np.arange(count),
+    )
     spacing = float(cKDTree(place).query(place, 2)[0][:, 1].mean())
     way, made = rng.standard_normal((count, 3)), Film()
     for frame in range(frames):
@@ -41,10 +51,23 @@ def film(
         seen = np.concatenate([place[there], EDGE * rng.random((extra, 3))])
         seen = seen + noise * spacing * np.array([1.0, 1.0, 3.0]) * rng.standard_normal(seen.shape)
         size = np.concatenate([radius[there], rng.choice(radius, extra)])
-        made.add(seen, size * np.exp(0.03 * rng.standard_normal(len(size))), np.concatenate([identity[there], -1 - np.arange(extra)]), rng)
+        made.add(
+            seen,
+            size * np.exp(0.03 * rng.standard_normal(len(size))),
+            np.concatenate([identity[there], -1 - np.arange(extra)]),
+            rng,
+        )
         shift = {
-            "stream": np.column_stack([0.7 + 0.6 * place[:, 1] / EDGE, 0.1 * np.sin(place[:, 0] / 10.0 + frame), np.zeros(count)]),
-            "two streams": np.where(np.arange(count)[:, None] % 2, [1.0, 0.0, 0.0], [-0.5, 0.8, 0.3]),
+            "stream": np.column_stack(
+                [
+                    0.7 + 0.6 * place[:, 1] / EDGE,
+                    0.1 * np.sin(place[:, 0] / 10.0 + frame),
+                    np.zeros(count),
+                ]
+            ),
+            "two streams": np.where(
+                np.arange(count)[:, None] % 2, [1.0, 0.0, 0.0], [-0.5, 0.8, 0.3]
+            ),
             "random": way / np.linalg.norm(way, axis=1)[:, None],
         }[kind]
         place = place + relative * spacing * shift

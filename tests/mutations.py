@@ -17,9 +17,37 @@ import h5py
 import numpy as np
 
 NUMBERS: tuple[Any, ...] = (
-    0, 1, -1, 2, 3, 7, 0.5, 1e-12, 1e-300, 1e6, 1e9, 1e15, 1e300, -1e300, 1.7e308, float("nan"), float("inf"), -float("inf"), 255, 65536, 10**6,
-    10**9, 2**31, 2**63 - 1, 2**63, 2**64, -(2**63), 10**40, True, False,
-)  # fmt: skip
+    0,
+    1,
+    -1,
+    2,
+    3,
+    7,
+    0.5,
+    1e-12,
+    1e-300,
+    1e6,
+    1e9,
+    1e15,
+    1e300,
+    -1e300,
+    1.7e308,
+    float("nan"),
+    float("inf"),
+    -float("inf"),
+    255,
+    65536,
+    10**6,
+    10**9,
+    2**31,
+    2**63 - 1,
+    2**63,
+    2**64,
+    -(2**63),
+    10**40,
+    True,
+    False,
+)
 TEXTS = (
     "",
     " ",
@@ -72,7 +100,13 @@ def _changed(root: Any, rng: random.Random) -> Any:
 
 
 def _places(value: Any, at: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
-    inner = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
+    inner = (
+        value.items()
+        if isinstance(value, dict)
+        else enumerate(value)
+        if isinstance(value, list)
+        else ()
+    )
     return [at, *(place for key, part in inner for place in _places(part, (*at, key)))]
 
 
@@ -91,11 +125,22 @@ def _other(value: Any, rng: random.Random) -> Any:
     if isinstance(value, int | float):
         if rng.random() < 0.5:
             return rng.choice(NUMBERS)
-        return value * rng.choice((0, -1, 2, 0.5, 1e-9, 1e-3, 1000, 10**6, 10**12)) + rng.choice((0, 0, 1, -1, 0.5))
+        return value * rng.choice((0, -1, 2, 0.5, 1e-9, 1e-3, 1000, 10**6, 10**12)) + rng.choice(
+            (0, 0, 1, -1, 0.5)
+        )
     if isinstance(value, str):
         return rng.choice(TEXTS) if rng.random() < 0.5 else _typo(value, rng)
     if isinstance(value, list):
-        return rng.choice(([], value[::-1], value * 2, value[:-1], value * 2000 if len(value) < 10 else value, [value]))
+        return rng.choice(
+            (
+                [],
+                value[::-1],
+                value * 2,
+                value[:-1],
+                value * 2000 if len(value) < 10 else value,
+                [value],
+            )
+        )
     return {} if isinstance(value, dict) else odd(rng)
 
 
@@ -104,12 +149,18 @@ def odd(rng: random.Random) -> Any:
     deep: Any = 1
     for _ in range(rng.choice((3, 3, 200))):
         deep = [deep]
-    return rng.choice((*NUMBERS, *TEXTS, None, [], {}, deep, {"a": {"b": 1}}, [1, "x", None], list(range(1000))))
+    return rng.choice(
+        (*NUMBERS, *TEXTS, None, [], {}, deep, {"a": {"b": 1}}, [1, "x", None], list(range(1000)))
+    )
 
 
 def _typo(text: str, rng: random.Random) -> str:
     at = rng.randrange(len(text) + 1)
-    return text[:at] + rng.choice(("", "x", "\n", ".", "é", '"', "_", "0")) + text[at + rng.randrange(2) :]
+    return (
+        text[:at]
+        + rng.choice(("", "x", "\n", ".", "é", '"', "_", "0"))
+        + text[at + rng.randrange(2) :]
+    )
 
 
 def data(whole: bytes, rng: random.Random, head: int = 4096) -> bytes:
@@ -123,9 +174,14 @@ def data(whole: bytes, rng: random.Random, head: int = 4096) -> bytes:
         if how < 0.4:
             made[at] ^= 1 << rng.randrange(8)
         elif how < 0.55:
-            made[at : at + 4] = struct.pack("<I", rng.choice((0, 1, 0x7FFFFFFF, 0xFFFFFFFF, 0x80000000, 65535, rng.randrange(2**32))))
+            made[at : at + 4] = struct.pack(
+                "<I",
+                rng.choice((0, 1, 0x7FFFFFFF, 0xFFFFFFFF, 0x80000000, 65535, rng.randrange(2**32))),
+            )
         elif how < 0.65:
-            made[at : at + 8] = struct.pack("<Q", rng.choice((0, 2**63, 2**64 - 1, 2**40, rng.randrange(len(made)))))
+            made[at : at + 8] = struct.pack(
+                "<Q", rng.choice((0, 2**63, 2**64 - 1, 2**40, rng.randrange(len(made))))
+            )
         elif how < 0.75:
             made[at:at] = rng.randbytes(rng.randrange(1, 40))
         elif how < 0.85:
@@ -160,9 +216,26 @@ def _other_type(file: Any, name: str, rng: random.Random) -> None:
     shape = old.shape
     del file[name]
     kinds: tuple[Any, ...] = (
-        "i1", "u1", "i4", "u8", "f2", "f4", "f8", ">f4", ">i2", "c8", "S3", "g", h5py.string_dtype(), h5py.enum_dtype({"a": 1}), h5py.ref_dtype,
-        np.dtype([("x", "f4"), ("y", "i2")]), np.dtype(("f4", (2,))), h5py.vlen_dtype(np.float32), np.bool_,
-    )  # fmt: skip
+        "i1",
+        "u1",
+        "i4",
+        "u8",
+        "f2",
+        "f4",
+        "f8",
+        ">f4",
+        ">i2",
+        "c8",
+        "S3",
+        "g",
+        h5py.string_dtype(),
+        h5py.enum_dtype({"a": 1}),
+        h5py.ref_dtype,
+        np.dtype([("x", "f4"), ("y", "i2")]),
+        np.dtype(("f4", (2,))),
+        h5py.vlen_dtype(np.float32),
+        np.bool_,
+    )
     file.create_dataset(name, shape, dtype=rng.choice(kinds))
 
 
@@ -172,7 +245,9 @@ def _bomb(file: Any, name: str, rng: random.Random) -> None:
     last = file[name].shape[-1] if rank > 1 else 10**9
     del file[name]
     shape = (rng.choice((10**6, 10**8, 10**10)), *(3,) * (rank - 2), last)[: max(rank, 1)]
-    file.create_dataset(name, shape, "f8", chunks=tuple(min(n, 1000) for n in shape), compression="gzip")
+    file.create_dataset(
+        name, shape, "f8", chunks=tuple(min(n, 1000) for n in shape), compression="gzip"
+    )
 
 
 def _large_chunk(file: Any, name: str, rng: random.Random) -> None:
@@ -192,7 +267,11 @@ def _odd_values(file: Any, name: str, rng: random.Random) -> None:
     if node.dtype.kind not in "iuf" or not node.size:
         return
     values = node[...].reshape(-1)
-    low, high = (np.iinfo(values.dtype).min, np.iinfo(values.dtype).max) if values.dtype.kind in "iu" else (-np.inf, np.inf)
+    low, high = (
+        (np.iinfo(values.dtype).min, np.iinfo(values.dtype).max)
+        if values.dtype.kind in "iu"
+        else (-np.inf, np.inf)
+    )
     chosen: tuple[Any, ...] = (0, 1, low, high, -1 if values.dtype.kind != "u" else 1)
     if values.dtype.kind == "f":
         chosen = (np.nan, np.inf, -np.inf, 0.0, -0.0, -1.0, 1e-40, 1e30, -1e30, 1e9, 3e38)
@@ -242,15 +321,45 @@ def _odd_attribute(file: Any, _: str, rng: random.Random) -> None:
     names = [*file.attrs, "parameters", "seconds", "solver", "track"]
     name = rng.choice(names)
     made: tuple[Any, ...] = (
-        "", "x" * 70_000, "\x00", b"\xff\xfe", 0, -1, 1.5, float("nan"), float("inf"), 2**63, np.zeros(3), np.zeros((1, 1)), np.array([1]),
-        [b"a", b"b"], h5py.Empty("f4"), np.bool_(True), np.complex64(1), "[1, 2]", '{"a": NaN}', '{"a": 1e999}', "[" * 3000,
-        '{"k": {"k": [1, null]}}', "calibration", "velocimetry", "bubbles", "see_through", "particles", np.str_("reconstruction").encode(),
-        np.void(b"xx"), file.ref, '"\\ud800"', "no JSON",
-    )  # fmt: skip
+        "",
+        "x" * 70_000,
+        "\x00",
+        b"\xff\xfe",
+        0,
+        -1,
+        1.5,
+        float("nan"),
+        float("inf"),
+        2**63,
+        np.zeros(3),
+        np.zeros((1, 1)),
+        np.array([1]),
+        [b"a", b"b"],
+        h5py.Empty("f4"),
+        np.bool_(True),
+        np.complex64(1),
+        "[1, 2]",
+        '{"a": NaN}',
+        '{"a": 1e999}',
+        "[" * 3000,
+        '{"k": {"k": [1, null]}}',
+        "calibration",
+        "velocimetry",
+        "bubbles",
+        "see_through",
+        "particles",
+        np.str_("reconstruction").encode(),
+        np.void(b"xx"),
+        file.ref,
+        '"\\ud800"',
+        "no JSON",
+    )
     file.attrs.pop(name, None)
     if rng.random() < 0.9:
         value = rng.choice(made)
-        file.attrs.create(name, value) if not isinstance(value, str) or "\x00" not in value else file.attrs.create(name, np.bytes_(value))
+        file.attrs.create(name, value) if not isinstance(
+            value, str
+        ) or "\x00" not in value else file.attrs.create(name, np.bytes_(value))
 
 
 def _new_attribute(file: Any, _: str, rng: random.Random) -> None:
@@ -258,9 +367,21 @@ def _new_attribute(file: Any, _: str, rng: random.Random) -> None:
 
 
 _CHANGES: tuple[Change, ...] = (
-    _no_data, _other_shape, _other_type, _bomb, _large_chunk, _odd_values, _odd_values, _odd_values, _a_link, _a_group, _virtual, _odd_attribute,
-    _odd_attribute, _new_attribute,
-)  # fmt: skip
+    _no_data,
+    _other_shape,
+    _other_type,
+    _bomb,
+    _large_chunk,
+    _odd_values,
+    _odd_values,
+    _odd_values,
+    _a_link,
+    _a_group,
+    _virtual,
+    _odd_attribute,
+    _odd_attribute,
+    _new_attribute,
+)
 
 
 def hdf5(path: Path, rng: random.Random) -> None:
@@ -271,8 +392,14 @@ def hdf5(path: Path, rng: random.Random) -> None:
     with h5py.File(path, "r+") as file:
         for _ in range(rng.choice((1, 1, 2))):
             names: list[str] = []
-            file.visititems(lambda name, node, into=names: into.append(name) if isinstance(node, h5py.Dataset) else None)
-            with contextlib.suppress(OSError):  # what the first change broke cannot be changed again
+            file.visititems(
+                lambda name, node, into=names: (
+                    into.append(name) if isinstance(node, h5py.Dataset) else None
+                )
+            )
+            with contextlib.suppress(
+                OSError
+            ):  # what the first change broke cannot be changed again
                 rng.choice(_CHANGES)(file, rng.choice(names), rng) if names else None
     if rng.random() < 0.05:
         path.write_bytes(data(path.read_bytes(), rng))
@@ -312,13 +439,26 @@ def _name(rng: random.Random) -> str:
 
 
 def _content(files: list[bytes], rng: random.Random) -> bytes:
-    return rng.choice((*files, *files, b"", b"\x89HDF\r\n\x1a\n" + b"\0" * 100, bytes(3_000_000 if rng.random() < 0.2 else 30)))
+    return rng.choice(
+        (
+            *files,
+            *files,
+            b"",
+            b"\x89HDF\r\n\x1a\n" + b"\0" * 100,
+            bytes(3_000_000 if rng.random() < 0.2 else 30),
+        )
+    )
 
 
 def _zip(path: Path, files: list[bytes], rng: random.Random) -> None:
     import warnings
 
-    with warnings.catch_warnings(), zipfile.ZipFile(path, "w", rng.choice((zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED, zipfile.ZIP_LZMA))) as made:
+    with (
+        warnings.catch_warnings(),
+        zipfile.ZipFile(
+            path, "w", rng.choice((zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED, zipfile.ZIP_LZMA))
+        ) as made,
+    ):
         warnings.simplefilter("ignore")  # of names that are there twice
         for _ in range(rng.choice((0, 1, 1, 2, 4))):
             info = zipfile.ZipInfo(_name(rng) or "x.h5")
@@ -334,8 +474,19 @@ def _tar(path: Path, files: list[bytes], rng: random.Random) -> None:
             info, content = tarfile.TarInfo(_name(rng) or "x.h5"), _content(files, rng)
             info.size = len(content)
             if rng.random() < 0.2:
-                info.type = rng.choice((tarfile.SYMTYPE, tarfile.LNKTYPE, tarfile.CHRTYPE, tarfile.FIFOTYPE, tarfile.DIRTYPE))
+                info.type = rng.choice(
+                    (
+                        tarfile.SYMTYPE,
+                        tarfile.LNKTYPE,
+                        tarfile.CHRTYPE,
+                        tarfile.FIFOTYPE,
+                        tarfile.DIRTYPE,
+                    )
+                )
                 info.linkname, info.size = rng.choice(("/etc/passwd", "../x", "a.h5")), 0
             if rng.random() < 0.05:
-                info.pax_headers = {"comment": "x" * rng.choice((10, 20_000_000)), "size": rng.choice(("1", "99999999999", "-5"))}
+                info.pax_headers = {
+                    "comment": "x" * rng.choice((10, 20_000_000)),
+                    "size": rng.choice(("1", "99999999999", "-5")),
+                }
             made.addfile(info, io.BytesIO(content))

@@ -23,38 +23,74 @@ from sabench.utils.errors import InputError
 from tests import mutations
 
 SCENE: dict[str, Any] = {
-    "title": "tiny", "frames": 2,
+    "title": "tiny",
+    "frames": 2,
     "volume": {"center_mm": [0.0, 0.0, 30.0], "size_mm": [3.0, 2.0, 1.0]},
     "grid": {"voxel_mm": [0.1, 0.1, 0.2], "crop_mm": [0.2, 0.1, 0.0]},
-    "wall": {"point_mm": [0.0, 0.0, 0.0], "normal": [0.0, 0.0, 1.0], "fluid_index": 1.333, "layers": [{"index": 1.52, "thickness_mm": 5.0}]},
+    "wall": {
+        "point_mm": [0.0, 0.0, 0.0],
+        "normal": [0.0, 0.0, 1.0],
+        "fluid_index": 1.333,
+        "layers": [{"index": 1.52, "thickness_mm": 5.0}],
+    },
     "cameras": {
-        "rows": 24, "columns": 32, "pixel_mm": 0.02, "focal_length_mm": 85.0, "f_number": 16.0, "center_mm": [0.0, 0.0, -490.0],
+        "rows": 24,
+        "columns": 32,
+        "pixel_mm": 0.02,
+        "focal_length_mm": 85.0,
+        "f_number": 16.0,
+        "center_mm": [0.0, 0.0, -490.0],
         "layout": {"kind": "grid", "columns": 2, "rows": 1, "spacing_mm": [240.0, 240.0]},
     },
-    "illumination": {"pulse_energy_mj": 60.0, "direction": [1.0, 0.0, 0.0], "sheet_normal": [0.0, 0.0, 1.0], "thickness_mm": 5.0, "height_mm": 20.0,
+    "illumination": {
+        "pulse_energy_mj": 60.0,
+        "direction": [1.0, 0.0, 0.0],
+        "sheet_normal": [0.0, 0.0, 1.0],
+        "thickness_mm": 5.0,
+        "height_mm": 20.0,
         "scattering": "isotropic",
     },
     "particles": {"generator": "uniform", "count": 8, "diameter_mm": 0.02, "diameter_spread": 0.1},
-    "sensor": {"read_noise_e": 6.0, "full_well_e": 18000.0, "gain_dn_e": 0.22, "black_level_dn": 64.0, "bit_depth": 12},
-}  # fmt: skip
+    "sensor": {
+        "read_noise_e": 6.0,
+        "full_well_e": 18000.0,
+        "gain_dn_e": 0.22,
+        "black_level_dn": 64.0,
+        "bit_depth": 12,
+    },
+}
 EXTRAS: dict[str, Any] = {
     "flow": {"generator": "shear_wave", "amplitude_mm_s": 5.0, "wavelength_mm": 8.0},
     "timing": {"rate_hz": 10.0, "pulses_s": [0.0, 0.001]},
     "occluders": [{"center_mm": [10.0, 0.0, -20.0], "radius_mm": 1.0}],
     "calibration": {"shift_px": 0.5, "unknown": ["k1", "principal_point"]},
-    "preprocessing": [{"step": "sliding_minimum", "window_px": 5}, {"step": "gaussian", "reach_px": 2, "sigma_px": 1.0}],
+    "preprocessing": [
+        {"step": "sliding_minimum", "window_px": 5},
+        {"step": "gaussian", "reach_px": 2, "sigma_px": 1.0},
+    ],
     "render": {"samples_per_pixel": 4},
 }
 TARGETS: dict[str, Any] = {
-    **{key: value for key, value in SCENE.items() if key not in ("particles", "illumination")}, "title": "board", "frames": 3,
-    "targets": {"generator": "boards", "columns": 4, "rows": 3, "pitch_mm": 0.5}, "detection": {"noise_px": 0.1},
-}  # fmt: skip
+    **{key: value for key, value in SCENE.items() if key not in ("particles", "illumination")},
+    "title": "board",
+    "frames": 3,
+    "targets": {"generator": "boards", "columns": 4, "rows": 3, "pitch_mm": 0.5},
+    "detection": {"noise_px": 0.1},
+}
 SUITE: dict[str, Any] = {
-    "title": "tiny suite", "scenes": ["scene.toml"], "seeds": [1, 2], "backend": "splat", "set": {"frames": 1},
+    "title": "tiny suite",
+    "scenes": ["scene.toml"],
+    "seeds": [1, 2],
+    "backend": "splat",
+    "set": {"frames": 1},
     "vary": {"particles.count": [3, 5]},
-    "solvers": [{"name": "asa", "parameters": {"k": 3.0}}, {"name": "./program", "track": "reconstruction", "time_limit_s": 5.0}],
-}  # fmt: skip
-LARGEST_STEPS = 4e6  # pixels x frames x cameras, and particles, of scenes that are generated and not only checked
+    "solvers": [
+        {"name": "asa", "parameters": {"k": 3.0}},
+        {"name": "./program", "track": "reconstruction", "time_limit_s": 5.0},
+    ],
+}
+# pixels x frames x cameras, and particles, of scenes that are generated and not only checked
+LARGEST_STEPS = 4e6
 
 
 @dataclass(frozen=True)
@@ -80,11 +116,29 @@ def make_base(root: Path) -> Base:
         for track in ("reconstruction", "velocimetry", "bubbles", "calibration")
     }
     record = {
-        "format": "sabench-record", "version": 1, "scene": "tiny", "case": "tiny", "axes": {"particles.count": 3}, "scene_hash": "a" * 64,
-        "dataset": made[0].content_hash, "seed": 1, "renderer": "splat", "track": "reconstruction", "solver": "asa", "label": None,
-        "parameters": {"k": 3.0}, "run_hash": "b" * 64, "submission": {"name": "Ann", "date": "2026-01-02"}, "versions": {"sabench": "1"},
-        "machine": {"cpu": "x", "cores": 2}, "pictures": "tiny", "error": None, "declined": False, "q": 0.5, "seconds": 1.0,
-    }  # fmt: skip
+        "format": "sabench-record",
+        "version": 1,
+        "scene": "tiny",
+        "case": "tiny",
+        "axes": {"particles.count": 3},
+        "scene_hash": "a" * 64,
+        "dataset": made[0].content_hash,
+        "seed": 1,
+        "renderer": "splat",
+        "track": "reconstruction",
+        "solver": "asa",
+        "label": None,
+        "parameters": {"k": 3.0},
+        "run_hash": "b" * 64,
+        "submission": {"name": "Ann", "date": "2026-01-02"},
+        "versions": {"sabench": "1"},
+        "machine": {"cpu": "x", "cores": 2},
+        "pictures": "tiny",
+        "error": None,
+        "declined": False,
+        "q": 0.5,
+        "seconds": 1.0,
+    }
     return Base(made[0], made[1], results, record)
 
 
@@ -100,7 +154,15 @@ def _result(track: str, data: Dataset, path: Path) -> Path:
                 writer.add_bubbles(frame, Detections.balls(rng.random((5, 3)), rng.random(5) + 0.1))
                 writer.add_tracks(frame, np.arange(5))
         for first, _ in data.rig.pairs() if track == "velocimetry" else ():
-            writer.add_velocity(first, Velocity((-1.0, -0.5, 29.8), (0.5, 0.5, 0.2), rng.random((2, 3, 4, 3)), np.ones((2, 3, 4), dtype=bool)))
+            writer.add_velocity(
+                first,
+                Velocity(
+                    (-1.0, -0.5, 29.8),
+                    (0.5, 0.5, 0.2),
+                    rng.random((2, 3, 4, 3)),
+                    np.ones((2, 3, 4), dtype=bool),
+                ),
+            )
         if track == "calibration":
             writer.add_calibration(tasks.of(track).estimate(data, "truth"))
         writer.set_cost(1.0, 2.0)
@@ -128,7 +190,9 @@ def scene(base: Base, inputs: Path, out: Path, rng: random.Random) -> Feed:
             return  # its table takes seconds
         count = (loaded.particles or {}).get("count") or 0
         if (
-            loaded.cameras.rows * loaded.cameras.columns * loaded.frames + 1000 * count * loaded.frames < LARGEST_STEPS
+            loaded.cameras.rows * loaded.cameras.columns * loaded.frames
+            + 1000 * count * loaded.frames
+            < LARGEST_STEPS
             and loaded.flow_grid_mm is None
         ):
             generate(path, out / "set", seed=1, backend="splat")
@@ -142,7 +206,9 @@ def _write_toml(path: Path, whole: dict[str, Any], rng: random.Random) -> None:
         return
     damaged = mutations.tree(whole, rng)
     try:
-        text = tomli_w.dumps(_without_none(damaged if isinstance(damaged, dict) else {"x": damaged}))
+        text = tomli_w.dumps(
+            _without_none(damaged if isinstance(damaged, dict) else {"x": damaged})
+        )
     except (TypeError, RecursionError):
         text = "x = " + "[" * 5000
     path.write_text(text, encoding="utf-8", errors="surrogatepass")
@@ -151,7 +217,11 @@ def _write_toml(path: Path, whole: dict[str, Any], rng: random.Random) -> None:
 def _without_none(value: Any) -> Any:
     if isinstance(value, dict):
         return {str(key): _without_none(part) for key, part in value.items() if part is not None}
-    return [_without_none(part) for part in value if part is not None] if isinstance(value, list) else value
+    return (
+        [_without_none(part) for part in value if part is not None]
+        if isinstance(value, list)
+        else value
+    )
 
 
 def suite(base: Base, inputs: Path, out: Path, rng: random.Random) -> Feed:
@@ -175,7 +245,11 @@ def dataset(base: Base, inputs: Path, out: Path, rng: random.Random) -> Feed:
     source = base.target if rng.random() < 0.2 else base.particles
     root = Path(shutil.copytree(source.root, inputs / "set"))
     name = rng.choice(
-        sorted(path.relative_to(root).as_posix() for path in root.rglob("*") if (path.is_file() and path.suffix != ".exr") or rng.random() < 0.3)
+        sorted(
+            path.relative_to(root).as_posix()
+            for path in root.rglob("*")
+            if (path.is_file() and path.suffix != ".exr") or rng.random() < 0.3
+        )
     )
     path = root / name
     if path.is_dir():
@@ -192,7 +266,9 @@ def dataset(base: Base, inputs: Path, out: Path, rng: random.Random) -> Feed:
 
 def _damage(path: Path, rng: random.Random) -> None:
     if path.suffix == ".json" and rng.random() < 0.8:
-        text = json.dumps(mutations.tree(json.loads(path.read_text()), rng), ensure_ascii=rng.random() < 0.9)
+        text = json.dumps(
+            mutations.tree(json.loads(path.read_text()), rng), ensure_ascii=rng.random() < 0.9
+        )
         path.write_text(text, encoding="utf-8", errors="surrogatepass")
     elif path.suffix == ".h5":
         mutations.hdf5(path, rng)
@@ -202,8 +278,16 @@ def _damage(path: Path, rng: random.Random) -> None:
         _write_toml(path, tomllib.loads(path.read_text()), rng)
     elif path.suffix == ".tif" and rng.random() < 0.3:
         shape = rng.choice(((24, 32), (32, 24), (24, 32, 3), (2, 24, 32), (1, 1), (3000, 3000)))
-        image = np.full(shape, rng.choice((0, 64, 4095, 65535))).astype(rng.choice(("u2", "u1", "f4", "i2")))
-        tifffile.imwrite(path, image, compression=rng.choice((None, "zlib")), photometric="minisblack", bigtiff=rng.random() < 0.5)
+        image = np.full(shape, rng.choice((0, 64, 4095, 65535))).astype(
+            rng.choice(("u2", "u1", "f4", "i2"))
+        )
+        tifffile.imwrite(
+            path,
+            image,
+            compression=rng.choice((None, "zlib")),
+            photometric="minisblack",
+            bigtiff=rng.random() < 0.5,
+        )
     else:
         path.write_bytes(mutations.data(path.read_bytes(), rng))
 
@@ -214,10 +298,19 @@ def reseal(root: Path) -> None:
 
     try:
         manifest = json.loads((root / schema.MANIFEST).read_text())
-        names = sorted(path.relative_to(root).as_posix() for path in root.rglob("*") if path.is_file() and path.name != schema.MANIFEST)
-        files = {name: {"bytes": (root / name).stat().st_size, "sha256": sha256(root / name)} for name in names}
+        names = sorted(
+            path.relative_to(root).as_posix()
+            for path in root.rglob("*")
+            if path.is_file() and path.name != schema.MANIFEST
+        )
+        files = {
+            name: {"bytes": (root / name).stat().st_size, "sha256": sha256(root / name)}
+            for name in names
+        }
         entries = {name: schema.FileEntry(**entry) for name, entry in files.items()}
-        sealed = schema.sealed({**manifest, "files": files, "content_hash": schema.content_hash(entries)})
+        sealed = schema.sealed(
+            {**manifest, "files": files, "content_hash": schema.content_hash(entries)}
+        )
     except (ValueError, TypeError, AttributeError, OSError, RecursionError):
         return
     (root / schema.MANIFEST).write_text(sealed, encoding="utf-8", errors="surrogatepass")
@@ -301,14 +394,18 @@ def submission(base: Base, inputs: Path, out: Path, rng: random.Random) -> Feed:
     path = inputs / rng.choice(("a.zip", "a.tar", "a.tar.gz", "a.tgz", "a.h5", "folder"))
     if path.name == "folder":
         path.mkdir()
-        (path / "a.h5").write_bytes(mutations.data(files[0], rng) if rng.random() < 0.5 else files[0])
+        (path / "a.h5").write_bytes(
+            mutations.data(files[0], rng) if rng.random() < 0.5 else files[0]
+        )
         if rng.random() < 0.3:
             (path / "b.h5").symlink_to(rng.choice(("/etc/passwd", "a.h5", "..")))
     elif path.suffix == ".h5":
         path.write_bytes(mutations.data(files[0], rng))
     else:
         mutations.archive(path, files, rng)
-    name = rng.choice(("Ann", "Ann", "Ann", "", "x" * 81, "a\nb", "<b>", "é", "\x1b[2J", "[red]", "\ud800"))
+    name = rng.choice(
+        ("Ann", "Ann", "Ann", "", "x" * 81, "a\nb", "<b>", "é", "\x1b[2J", "[red]", "\ud800")
+    )
 
     def feed() -> None:
         from sabench.evaluation.leaderboard.submissions import submit
@@ -324,9 +421,13 @@ def records(base: Base, inputs: Path, out: Path, rng: random.Random) -> Feed:
     folder.mkdir(parents=True)
     lines = [json.dumps(base.record)]
     for _ in range(rng.randrange(1, 4)):
-        line = json.dumps(mutations.tree(base.record, rng), ensure_ascii=rng.random() < 0.8).encode("utf-8", "surrogatepass")
+        line = json.dumps(mutations.tree(base.record, rng), ensure_ascii=rng.random() < 0.8).encode(
+            "utf-8", "surrogatepass"
+        )
         lines.append((mutations.data(line, rng) if rng.random() < 0.2 else line).decode("latin-1"))
-    (folder / "a.jsonl").write_bytes("\n".join(lines).encode("latin-1") + rng.choice((b"\n", b"", b"\n{")))
+    (folder / "a.jsonl").write_bytes(
+        "\n".join(lines).encode("latin-1") + rng.choice((b"\n", b"", b"\n{"))
+    )
 
     def feed() -> None:
         from sabench.evaluation.runner import build_board
@@ -336,7 +437,14 @@ def records(base: Base, inputs: Path, out: Path, rng: random.Random) -> Feed:
     return feed
 
 
-KINDS: dict[str, Case] = {"scene": scene, "suite": suite, "dataset": dataset, "result": result, "submission": submission, "records": records}
+KINDS: dict[str, Case] = {
+    "scene": scene,
+    "suite": suite,
+    "dataset": dataset,
+    "result": result,
+    "submission": submission,
+    "records": records,
+}
 
 
 def check_sentence(text: str) -> None:

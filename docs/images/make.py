@@ -17,10 +17,15 @@ def tile(path: Path, caption: str) -> npt.NDArray[np.uint8]:
     """A square picture with a line of text below it and a margin to the right."""
     grey = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
     assert grey is not None, path
-    picture = np.asarray(cv2.resize(grey, (_SIDE, _SIDE), interpolation=cv2.INTER_AREA), dtype=np.uint8)
+    picture = np.asarray(
+        cv2.resize(grey, (_SIDE, _SIDE), interpolation=cv2.INTER_AREA), dtype=np.uint8
+    )
     strip = np.full((34, _SIDE), 255, dtype=np.uint8)
     cv2.putText(strip, caption, (4, 24), cv2.FONT_HERSHEY_SIMPLEX, 0.6, 0, 1, cv2.LINE_AA)
-    return np.asarray(np.pad(np.vstack([picture, strip]), ((0, 0), (0, _GAP)), constant_values=255), dtype=np.uint8)
+    return np.asarray(
+        np.pad(np.vstack([picture, strip]), ((0, 0), (0, _GAP)), constant_values=255),
+        dtype=np.uint8,
+    )
 
 
 def main(folder: Path, sheet: Path) -> None:

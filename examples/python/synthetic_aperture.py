@@ -27,7 +27,9 @@ def leaving(wall, pinhole, points):
     for _ in range(8):  # t is the tangent of the path in the rarest medium
         roots = [np.sqrt(r**2 + (r**2 - 1) * t**2) for r in ratios]
         reach = sum(d * t / s for d, s in zip(depths, roots, strict=True))
-        t = t + (radius - reach) / sum(d * r**2 / s**3 for d, r, s in zip(depths, ratios, roots, strict=True))
+        t = t + (radius - reach) / sum(
+            d * r**2 / s**3 for d, r, s in zip(depths, ratios, roots, strict=True)
+        )
     tangent = t / np.sqrt(ratios[0] ** 2 + (ratios[0] ** 2 - 1) * t**2)
     return normal + (tangent / np.maximum(radius, 1e-300))[:, None] * lateral
 
@@ -40,7 +42,10 @@ def project(camera, wall, points):
     radial = 1 + s * (d["k1"] + s * (d["k2"] + s * d["k3"]))
     u = x * radial + 2 * d["p1"] * x * y + d["p2"] * (s + 2 * x**2)
     v = y * radial + d["p1"] * (s + 2 * y**2) + 2 * d["p2"] * x * y
-    return (axis * camera["principal_distance_mm"] / camera["pixel_mm"] + p for axis, p in zip((u, v), camera["principal_point_px"], strict=True))
+    return (
+        axis * camera["principal_distance_mm"] / camera["pixel_mm"] + p
+        for axis, p in zip((u, v), camera["principal_point_px"], strict=True)
+    )
 
 
 def sample(image, column, row):
@@ -49,17 +54,24 @@ def sample(image, column, row):
     c, r = np.where(inside, column, 0), np.where(inside, row, 0)
     i, j = r.astype(int), c.astype(int)
     a, b = r - i, c - j
-    value = (1 - a) * ((1 - b) * image[i, j] + b * image[i, j + 1]) + a * ((1 - b) * image[i + 1, j] + b * image[i + 1, j + 1])
+    value = (1 - a) * ((1 - b) * image[i, j] + b * image[i, j + 1]) + a * (
+        (1 - b) * image[i + 1, j] + b * image[i + 1, j + 1]
+    )
     return np.where(inside, value, 0.0)
 
 
 def refocus(rig, images, k):
     """Volume (z, y, x): the product of all cameras to the power 3 / N; what stands out of each plane by k standard deviations."""
     grid = rig["grid"]
-    x, y, z = (low + step * np.arange(n) for low, step, n in zip(grid["low_mm"], grid["voxel_mm"], grid["shape"][::-1], strict=True))
+    x, y, z = (
+        low + step * np.arange(n)
+        for low, step, n in zip(grid["low_mm"], grid["voxel_mm"], grid["shape"][::-1], strict=True)
+    )
     volume = np.empty(grid["shape"], np.float32)
     for number, depth in enumerate(z):
-        points = np.stack([*(axis.ravel() for axis in np.meshgrid(x, y)), np.full(len(x) * len(y), depth)], axis=1)
+        points = np.stack(
+            [*(axis.ravel() for axis in np.meshgrid(x, y)), np.full(len(x) * len(y), depth)], axis=1
+        )
         plane = np.ones(len(points))
         for camera, image in zip(rig["cameras"], images, strict=True):
             plane *= np.maximum(sample(image, *project(camera, rig["wall"], points)), 0.01)
@@ -84,11 +96,24 @@ def main(dataset, result, *parameters):
         sys.exit("preprocessing: this program takes raw images only")
     with h5py.File(result, "w") as file:
         content = json.loads((root / "manifest.json").read_text(encoding="utf-8"))["content_hash"]
-        file.attrs.update({"format": "sabench-result", "version": 1, "dataset": content, "solver": "python example"})
+        file.attrs.update(
+            {
+                "format": "sabench-result",
+                "version": 1,
+                "dataset": content,
+                "solver": "python example",
+            }
+        )
         for frame in range(rig["frames"]):
-            paths = [root / f"images/frame_{frame:04d}/{camera['name']}.tif" for camera in rig["cameras"]]
-            volume = refocus(rig, [normalised(path, rig["sensor"]["black_dn"]) for path in paths], k)
-            file.create_dataset(f"frames/{frame:04d}/volume", data=volume, compression="gzip", compression_opts=1)
+            paths = [
+                root / f"images/frame_{frame:04d}/{camera['name']}.tif" for camera in rig["cameras"]
+            ]
+            volume = refocus(
+                rig, [normalised(path, rig["sensor"]["black_dn"]) for path in paths], k
+            )
+            file.create_dataset(
+                f"frames/{frame:04d}/volume", data=volume, compression="gzip", compression_opts=1
+            )
 
 
 if __name__ == "__main__":

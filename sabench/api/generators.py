@@ -44,8 +44,16 @@ class Flow(PlugIn):
 class BubbleParameters(Parameters):
     """Base of a generator of bubbles: what is in them."""
 
-    index: float = Field(1.0, ge=1.0, le=4.0, description="refractive index of what is inside: 1 for air, 1.333 for drops of water")
-    overlap: bool = Field(False, description="true: bubbles may reach into each other, as if a thin film of the fluid were between them")
+    index: float = Field(
+        1.0,
+        ge=1.0,
+        le=4.0,
+        description="refractive index of what is inside: 1 for air, 1.333 for drops of water",
+    )
+    overlap: bool = Field(
+        False,
+        description="true: bubbles may reach into each other, as if a thin film of the fluid were between them",
+    )
 
 
 class BubbleGenerator(PlugIn):
@@ -64,22 +72,32 @@ class Material(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
-    kind: Literal["matte", "principled", "measured", "liquid"] = Field("matte", description="how it reflects, or liquid: transparent")
+    kind: Literal["matte", "principled", "measured", "liquid"] = Field(
+        "matte", description="how it reflects, or liquid: transparent"
+    )
     reflectance: float = Field(0.5, ge=0.0, le=1.0, description="of matte and principled materials")
     roughness: float = Field(0.5, ge=0.0, le=1.0, description="of principled materials")
     metallic: float = Field(0.0, ge=0.0, le=1.0, description="of principled materials")
     specular: float = Field(0.5, ge=0.0, le=1.0, description="of principled materials")
     index: float = Field(1.333, ge=1.0, le=4.0, description="refractive index of a liquid")
-    measured: str | None = Field(None, description="whole path of a measured material in the RGL format (.bsdf), read when it is rendered")
+    measured: str | None = Field(
+        None,
+        description="whole path of a measured material in the RGL format (.bsdf), read when it is rendered",
+    )
 
 
 class SolidParameters(Parameters):
     """Base of a generator of a body: where it is, how it moves, what it is made of."""
 
     place_mm: Vector = Field((0.0, 0.0, 0.0), description="where its own origin is at the start")
-    turn_deg: Vector = Field((0.0, 0.0, 0.0), description="rotation vector, world frame: its direction is the axis, its length the angle")
+    turn_deg: Vector = Field(
+        (0.0, 0.0, 0.0),
+        description="rotation vector, world frame: its direction is the axis, its length the angle",
+    )
     velocity_mm_s: Vector = (0.0, 0.0, 0.0)
-    spin_deg_s: Vector = Field((0.0, 0.0, 0.0), description="rotation vector a second, about its own axes")
+    spin_deg_s: Vector = Field(
+        (0.0, 0.0, 0.0), description="rotation vector a second, about its own axes"
+    )
     material: Material = Material()
 
 

@@ -28,5 +28,7 @@ def make_solver(name: str, parameters: dict[str, Any]) -> Solver:
     """A reconstruction solver with checked parameters."""
     made = make_algorithm(name, parameters)
     if not isinstance(made, Solver):
-        raise InputError(f"solver {name}: expected one of the track reconstruction, got one of {made.track}")
+        raise InputError(
+            f"solver {name}: expected one of the track reconstruction, got one of {made.track}"
+        )
     return made

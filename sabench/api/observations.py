@@ -26,14 +26,16 @@ class Observation:
     Attributes
     ----------
     images : (camera, row, column) uint16 grey values.
-    cameras : calibrated cameras in the order of the images; each knows its wall. What they say may be off: see `[calibration]` in a scene.
+    cameras : calibrated cameras in the order of the images; each knows its wall. What they say may
+        be off: see `[calibration]` in a scene.
     grid : the voxels to reconstruct.
     black_dn, white_dn : grey values of no light and of saturation.
 
     Raises
     ------
     InputError
-        Images of another kind, number or size than the cameras', or a black level that is not below the white one.
+        Images of another kind, number or size than the cameras', or a black level that is not below
+        the white one.
     """
 
     images: U16
@@ -44,7 +46,9 @@ class Observation:
 
     def __post_init__(self) -> None:
         if not self.black_dn < self.white_dn:
-            raise InputError(f"black_dn: expected it below white_dn, got {self.black_dn:g} and {self.white_dn:g}")
+            raise InputError(
+                f"black_dn: expected it below white_dn, got {self.black_dn:g} and {self.white_dn:g}"
+            )
         _check_kind(self.images)
         _check_sizes(self.images, self.cameras)
 
@@ -52,9 +56,13 @@ class Observation:
 def _check_kind(images: Any) -> None:
     """Grey values are 16-bit numbers without sign, in one array."""
     if not isinstance(images, np.ndarray):
-        raise InputError(f"images: expected one uint16 array (camera, row, column), got {type(images).__name__}")
+        raise InputError(
+            f"images: expected one uint16 array (camera, row, column), got {type(images).__name__}"
+        )
     if images.dtype != np.uint16:
-        raise InputError(f"images: expected uint16 grey values, got {images.dtype}{_oddities(images)}")
+        raise InputError(
+            f"images: expected uint16 grey values, got {images.dtype}{_oddities(images)}"
+        )
     if images.ndim != 3:
         raise InputError(f"images: expected the shape (camera, row, column), got {images.shape}")
 
@@ -63,7 +71,10 @@ def _oddities(values: Any) -> str:
     """What of other numbers cannot be a grey value."""
     if values.dtype.kind not in "fi":
         return ""
-    counts = {"NaN or infinite": int((~np.isfinite(values)).sum()), "negative": int((values < 0).sum())}
+    counts = {
+        "NaN or infinite": int((~np.isfinite(values)).sum()),
+        "negative": int((values < 0).sum()),
+    }
     return "".join(f", {count} of them {what}" for what, count in counts.items() if count)
 
 
@@ -71,11 +82,15 @@ def _check_sizes(images: U16, cameras: tuple[CameraModel, ...]) -> None:
     """Every camera has an image, of its own size."""
     if not cameras or len(images) != len(cameras):
         without = ", ".join(camera.name for camera in cameras[len(images) :])
-        raise InputError(f"images: expected one for each of {len(cameras)} cameras, got {len(images)}{': none for ' + without if without else ''}")
+        raise InputError(
+            f"images: expected one for each of {len(cameras)} cameras, got {len(images)}{': none for ' + without if without else ''}"
+        )
     rows, columns = images.shape[1:]
     for camera in cameras:
         if (camera.rows, camera.columns) != (rows, columns):
-            raise InputError(f"{camera.name}: expected an image of {camera.rows} x {camera.columns} pixels (rows x columns), got {rows} x {columns}")
+            raise InputError(
+                f"{camera.name}: expected an image of {camera.rows} x {camera.columns} pixels (rows x columns), got {rows} x {columns}"
+            )
 
 
 @dataclass(frozen=True)
@@ -97,7 +112,12 @@ class Film:
     @classmethod
     def of(cls, frames: list[Observation], interval_s: float = 1.0) -> Film:
         """A film of frames that are in memory."""
-        return cls(frames[0].cameras, frames[0].grid, tuple(interval_s * i for i in range(len(frames))), frames.__getitem__)
+        return cls(
+            frames[0].cameras,
+            frames[0].grid,
+            tuple(interval_s * i for i in range(len(frames))),
+            frames.__getitem__,
+        )
 
     def __len__(self) -> int:
         return len(self.times_s)
@@ -118,12 +138,16 @@ class CalibrationCase:
     Attributes
     ----------
     target : what was shown, in its own frame.
-    pixels : (camera, frame, point, 2) column and row of the target's m points; NaN where one was not found.
+    pixels : (camera, frame, point, 2) column and row of the target's m points; NaN where one was
+        not found.
     cameras : roughly known cameras; each knows its wall.
-    rough_mm : (frame, point, 3) roughly known places of the target's points, world frame; NaN where nothing is known.
-    known_mm : (frame, point, 3) coordinates that were measured by other means; NaN where they were not.
+    rough_mm : (frame, point, 3) roughly known places of the target's points, world frame; NaN where
+        nothing is known.
+    known_mm : (frame, point, 3) coordinates that were measured by other means; NaN where they were
+        not.
     known_sigma_mm : the same shape, their standard deviations.
-    unknown : what nobody has measured of the lenses besides their focal lengths: "principal_point" and names of coefficients of distortion.
+    unknown : what nobody has measured of the lenses besides their focal lengths: "principal_point"
+        and names of coefficients of distortion.
 
     Raises
     ------
@@ -141,15 +165,25 @@ class CalibrationCase:
 
     def __post_init__(self) -> None:
         count = len(self.target.points_mm)
-        if self.pixels.ndim != 4 or self.pixels.shape[::2] != (len(self.cameras), count) or self.pixels.shape[3] != 2:
-            raise InputError(f"pixels: expected the shape ({len(self.cameras)}, frames, {count}, 2), got {self.pixels.shape}")
+        if (
+            self.pixels.ndim != 4
+            or self.pixels.shape[::2] != (len(self.cameras), count)
+            or self.pixels.shape[3] != 2
+        ):
+            raise InputError(
+                f"pixels: expected the shape ({len(self.cameras)}, frames, {count}, 2), got {self.pixels.shape}"
+            )
         expected = (self.pixels.shape[1], count, 3)
         for name in ("rough_mm", "known_mm", "known_sigma_mm"):
             if getattr(self, name).shape != expected:
-                raise InputError(f"{name}: expected the shape {expected}, got {getattr(self, name).shape}")
+                raise InputError(
+                    f"{name}: expected the shape {expected}, got {getattr(self, name).shape}"
+                )
         for camera, found in zip(self.cameras, self.found, strict=True):
             if not found.any():
-                raise InputError(f"{camera.name}: expected it to see some of the target, but not one of its points was found")
+                raise InputError(
+                    f"{camera.name}: expected it to see some of the target, but not one of its points was found"
+                )
 
     @property
     def found(self) -> Bool:
@@ -182,8 +216,14 @@ class VolumePair:
         for name in ("first", "second"):
             volume = getattr(self, name)
             if volume.shape != self.grid.shape:
-                raise InputError(f"{name} volume: expected {self.grid.shape} voxels (z, y, x) as its grid has, got {volume.shape}")
+                raise InputError(
+                    f"{name} volume: expected {self.grid.shape} voxels (z, y, x) as its grid has, got {volume.shape}"
+                )
             if not np.isfinite(volume).all():
-                raise InputError(f"{name} volume: expected finite intensities, got NaN or infinite ones")
+                raise InputError(
+                    f"{name} volume: expected finite intensities, got NaN or infinite ones"
+                )
             if volume.min() == volume.max():
-                raise InputError(f"{name} volume: expected one that shows something, got {volume.flat[0]:g} everywhere")
+                raise InputError(
+                    f"{name} volume: expected one that shows something, got {volume.flat[0]:g} everywhere"
+                )

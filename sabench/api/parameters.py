@@ -17,7 +17,9 @@ class FileParameters(Parameters):
     """Base of the parameters of a generator that reads a file; a data set keeps a copy of it."""
 
     file: str = Field(description="its path, from the scene file's folder")
-    sha256: str | None = Field(None, pattern="^[0-9a-f]{64}$", description="of the file: filled in where it is not given")
+    sha256: str | None = Field(
+        None, pattern="^[0-9a-f]{64}$", description="of the file: filled in where it is not given"
+    )
 
 
 class PlugIn:

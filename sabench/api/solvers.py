@@ -1,7 +1,8 @@
 """What a plug-in implements: a generator makes truth, a solver makes an estimate from what an experimenter would see.
 
-A plug-in is a file in generators/ or solvers/ with one class; its `name` is the file's stem, the first line of its docstring
-is what `sabench list` shows, its `Parameters` are what a scene or `-p name=value` may set.
+A plug-in is a file in generators/ or solvers/ with one class; its `name` is the file's stem, the
+first line of its docstring is what `sabench list` shows, its `Parameters` are what a scene or `-p
+name=value` may set.
 """
 
 from __future__ import annotations
@@ -14,7 +15,9 @@ from sabench.api.estimates import Calibration, Detections, FoundParticles, Recon
 from sabench.api.observations import CalibrationCase, Film, Observation, Shown, VolumePair
 from sabench.api.parameters import Parameters, PlugIn
 
-Track = Literal["reconstruction", "particles", "calibration", "velocimetry", "bubbles", "see_through"]
+Track = Literal[
+    "reconstruction", "particles", "calibration", "velocimetry", "bubbles", "see_through"
+]
 
 
 class Solver(PlugIn):
@@ -80,7 +83,9 @@ class SelfCalibrationSolver(PlugIn):
 class VelocimetryParameters(Parameters):
     """Which solver reconstructs the volumes."""
 
-    reconstruction: str = Field("block_mart", description="name of a reconstruction solver, with its own defaults")
+    reconstruction: str = Field(
+        "block_mart", description="name of a reconstruction solver, with its own defaults"
+    )
 
 
 class VelocimetrySolver(PlugIn):
@@ -129,4 +134,12 @@ class SeeThroughSolver(PlugIn):
         raise NotImplementedError(f"solver {type(self).__name__} must implement solve()")
 
 
-AnySolver = ParticleSolver | BubbleSolver | SeeThroughSolver | Solver | CalibrationSolver | SelfCalibrationSolver | VelocimetrySolver
+AnySolver = (
+    ParticleSolver
+    | BubbleSolver
+    | SeeThroughSolver
+    | Solver
+    | CalibrationSolver
+    | SelfCalibrationSolver
+    | VelocimetrySolver
+)

@@ -37,7 +37,9 @@ class Particles:
         for name, expected in shapes.items():
             value = getattr(self, name)
             if value.shape != expected or not np.isfinite(value).all():
-                raise ValueError(f"Particles.{name}: expected finite values of shape {expected}, got shape {value.shape}")
+                raise ValueError(
+                    f"Particles.{name}: expected finite values of shape {expected}, got shape {value.shape}"
+                )
         if (np.diff(np.sort(self.id)) == 0).any():
             raise ValueError("Particles.id: expected unique numbers, got duplicates")
         if count and not (self.diameter_mm > 0.0).all():
@@ -70,11 +72,18 @@ class Bubbles:
 
     def __post_init__(self) -> None:
         count = len(self.id)
-        shapes = {"center_mm": (count, 3), "semi_axes_mm": (count, 3), "turn": (count, 3, 3), "velocity_mm_s": (count, 3)}
+        shapes = {
+            "center_mm": (count, 3),
+            "semi_axes_mm": (count, 3),
+            "turn": (count, 3, 3),
+            "velocity_mm_s": (count, 3),
+        }
         for name, expected in shapes.items():
             value = getattr(self, name)
             if value.shape != expected or not np.isfinite(value).all():
-                raise ValueError(f"Bubbles.{name}: expected finite values of shape {expected}, got shape {value.shape}")
+                raise ValueError(
+                    f"Bubbles.{name}: expected finite values of shape {expected}, got shape {value.shape}"
+                )
         if (np.diff(np.sort(self.id)) == 0).any():
             raise ValueError("Bubbles.id: expected unique numbers, got duplicates")
         if count and not (self.semi_axes_mm > 0.0).all():
@@ -89,7 +98,14 @@ class Bubbles:
 
     def __getitem__(self, chosen: Bool | I64) -> Bubbles:
         """Some of them."""
-        return Bubbles(self.id[chosen], self.center_mm[chosen], self.semi_axes_mm[chosen], self.turn[chosen], self.velocity_mm_s[chosen], self.index)
+        return Bubbles(
+            self.id[chosen],
+            self.center_mm[chosen],
+            self.semi_axes_mm[chosen],
+            self.turn[chosen],
+            self.velocity_mm_s[chosen],
+            self.index,
+        )
 
     @property
     def radius_mm(self) -> F64:
@@ -108,7 +124,11 @@ class Bubbles:
 
     def reach_mm(self, direction: npt.ArrayLike) -> F64:
         """How far each extends from its centre along a unit vector (3,): (n,)."""
-        return np.asarray(np.linalg.norm(self.semi_axes_mm * (self.turn @ np.asarray(direction, dtype=np.float64)), axis=1))
+        return np.asarray(
+            np.linalg.norm(
+                self.semi_axes_mm * (self.turn @ np.asarray(direction, dtype=np.float64)), axis=1
+            )
+        )
 
 
 @dataclass(frozen=True)
@@ -131,11 +151,13 @@ class Target:
 
     Attributes
     ----------
-    pattern : what it shows. The points of a checkerboard and of a ChArUco board are its inner corners, those of the others are centres.
+    pattern : what it shows. The points of a checkerboard and of a ChArUco board are its inner
+        corners, those of the others are centres.
     columns, rows : of points; they are counted row by row.
     pitch_mm : distance of neighbours.
     mark_mm : diameter of a circle or a ball, edge of a ChArUco marker; 0 for a checkerboard.
-    points_mm : (columns x rows, 3), centred; a board lies in Z = 0, X along its rows, Y down its columns, and shows its pattern towards -Z.
+    points_mm : (columns x rows, 3), centred; a board lies in Z = 0, X along its rows, Y down its
+        columns, and shows its pattern towards -Z.
     """
 
     pattern: Pattern
@@ -147,7 +169,10 @@ class Target:
     @property
     def points_mm(self) -> F64:
         """The points, row by row."""
-        across, down = ((np.arange(count) - (count - 1) / 2.0) * self.pitch_mm for count in (self.columns, self.rows))
+        across, down = (
+            (np.arange(count) - (count - 1) / 2.0) * self.pitch_mm
+            for count in (self.columns, self.rows)
+        )
         x, y = np.meshgrid(across, down)
         return np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)])
 
@@ -183,13 +208,18 @@ class Sight:
 
     Attributes
     ----------
-    number : (rows, columns) int32 of the bubble (its row in the frame's bubbles) or body that each pixel's middle sees first: see `NOTHING`, `BODY`.
-    depth_mm : (rows, columns) float32, of the surface there: along the wall's normal from its outer face, without a wall along the camera's axis
+    number : (rows, columns) int32 of the bubble (its row in the frame's bubbles) or body that each
+        pixel's middle sees first: see `NOTHING`, `BODY`.
+    depth_mm : (rows, columns) float32, of the surface there: along the wall's normal from its outer
+        face, without a wall along the camera's axis
         from its pinhole; NaN for nothing.
-    path_mm : (rows, columns) float32, length of the way of light from the pinhole to it; NaN for nothing.
-    visible : (n,) part of each bubble's outline that the camera sees: 1 for all of it, less where it is covered or outside the image.
+    path_mm : (rows, columns) float32, length of the way of light from the pinhole to it; NaN for
+        nothing.
+    visible : (n,) part of each bubble's outline that the camera sees: 1 for all of it, less where
+        it is covered or outside the image.
     pixel : (n, 2) column and row of the centre; NaN where it has none.
-    contour : (n, 48, 2) float32, column and row of the outline, whatever is in front of it; NaN where a line of sight does not reach it.
+    contour : (n, 48, 2) float32, column and row of the outline, whatever is in front of it; NaN
+        where a line of sight does not reach it.
     """
 
     number: I32

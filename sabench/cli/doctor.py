@@ -31,7 +31,9 @@ def examine() -> list[Finding]:
     """All findings; the trials run in processes of their own, since a bad library can abort one."""
     findings = [
         Finding(
-            "sabench", True, f"{__version__} on Python {platform.python_version()}, {platform.system()} {platform.machine()}, {os.cpu_count()} cores"
+            "sabench",
+            True,
+            f"{__version__} on Python {platform.python_version()}, {platform.system()} {platform.machine()}, {os.cpu_count()} cores",
         )
     ]
     try:
@@ -46,15 +48,23 @@ def examine() -> list[Finding]:
 
 
 def _trial(subject: str, name: str) -> Finding:
-    command = [sys.executable, "-c", f"from sabench.cli.doctor import try_{name}; print(try_{name}())"]
+    command = [
+        sys.executable,
+        "-c",
+        f"from sabench.cli.doctor import try_{name}; print(try_{name}())",
+    ]
     try:
-        done = subprocess.run(command, capture_output=True, text=True, timeout=_PATIENCE_S, check=False)
+        done = subprocess.run(
+            command, capture_output=True, text=True, timeout=_PATIENCE_S, check=False
+        )
     except subprocess.TimeoutExpired:
         return Finding(subject, False, f"no answer within {_PATIENCE_S} s", backend.REMEDY)
     if done.returncode == 0:
         return Finding(subject, True, done.stdout.strip())
     last = (done.stderr.strip().splitlines() or ["no message"])[-1]
-    return Finding(subject, False, f"ended with exit code {done.returncode}: {last}", backend.REMEDY)
+    return Finding(
+        subject, False, f"ended with exit code {done.returncode}: {last}", backend.REMEDY
+    )
 
 
 def try_compute() -> str:
@@ -76,8 +86,13 @@ def try_render() -> str:
 
     scene = load_scene("quick")
     camera, particles = build_rig(scene).cameras[0], make_particles(scene, 0, 0)
-    images = image_particles(scene, camera, particles, scattering_table(scene, (camera,), particles))
-    ratio = float((render(camera, images, particles.position_mm, 9) * camera.etendue()).sum() / images.photons[images.visible].sum())
+    images = image_particles(
+        scene, camera, particles, scattering_table(scene, (camera,), particles)
+    )
+    ratio = float(
+        (render(camera, images, particles.position_mm, 9) * camera.etendue()).sum()
+        / images.photons[images.visible].sum()
+    )
     if not abs(ratio - 1.0) < 0.05:
         raise SystemExit(f"expected as much light as the analytic sum, got {ratio:.3f} of it")
     return f"through glass into water, with {ratio:.4f} of the analytic light"
@@ -85,7 +100,12 @@ def try_render() -> str:
 
 def _space() -> Finding:
     free = shutil.disk_usage(Path.cwd()).free / 1e9
-    return Finding("disk", free > 2.0, f"{free:.1f} GB free here", "" if free > 2.0 else "free some space: the demo needs 2 GB")
+    return Finding(
+        "disk",
+        free > 2.0,
+        f"{free:.1f} GB free here",
+        "" if free > 2.0 else "free some space: the demo needs 2 GB",
+    )
 
 
 def _plugin_findings() -> list[Finding]:
@@ -95,5 +115,7 @@ def _plugin_findings() -> list[Finding]:
             try:
                 plugins.load(kind, name)
             except InputError as error:
-                findings.append(Finding(f"{kind[:-1]} {name}", False, str(error), "mend or remove its file"))
+                findings.append(
+                    Finding(f"{kind[:-1]} {name}", False, str(error), "mend or remove its file")
+                )
     return findings

@@ -23,7 +23,9 @@ if TYPE_CHECKING:
     from sabench.evaluation.gates.comparison import Report
 
 app = typer.Typer(
-    add_completion=False, no_args_is_help=True, help="Synthetic data with known truth for volumetric velocimetry, and benchmarks on it."
+    add_completion=False,
+    no_args_is_help=True,
+    help="Synthetic data with known truth for volumetric velocimetry, and benchmarks on it.",
 )
 
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace what is there.")]
@@ -39,7 +41,9 @@ def list_all() -> None:
             _say(f"{kind[:-1]:<10} {name:<20} {plugins.summary(plugins.load(kind, name))}")
     for kind, folder in (("scene", "scenes"), ("suite", "scenes/suites")):
         for file in sorted((plugins.bundled("scenes").parent / folder).glob("*.toml")):
-            _say(f"{kind:<10} {file.stem:<20} {tomllib.loads(find(file, folder).read_text(encoding='utf-8'))['title']}")
+            _say(
+                f"{kind:<10} {file.stem:<20} {tomllib.loads(find(file, folder).read_text(encoding='utf-8'))['title']}"
+            )
 
 
 @app.command()
@@ -56,9 +60,14 @@ def generate(
     output: Annotated[Path, typer.Option("-o", "--output", help="The data set folder to make.")],
     seed: Annotated[int, typer.Option(help="Seed of all random numbers.")] = 0,
     backend: Annotated[str, typer.Option(help="auto, mitsuba or splat.")] = "auto",
-    frames: Annotated[int | None, typer.Option(min=1, help="How many, in place of what the scene says.")] = None,
+    frames: Annotated[
+        int | None, typer.Option(min=1, help="How many, in place of what the scene says.")
+    ] = None,
     jobs: Annotated[int, typer.Option(min=1, help="Processes that share the work.")] = 1,
-    scheduler: Annotated[str | None, typer.Option(help="Address of a Dask scheduler, tcp://..., whose workers do the work.")] = None,
+    scheduler: Annotated[
+        str | None,
+        typer.Option(help="Address of a Dask scheduler, tcp://..., whose workers do the work."),
+    ] = None,
     overwrite: Overwrite = False,
 ) -> None:
     """Make a data set: pictures, cameras and truth. Interrupted, the same command goes on with it."""
@@ -68,8 +77,19 @@ def generate(
 
     loaded = load_scene(scene) if frames is None else load_scene(scene).with_frames(frames)
     kind = cast(Renderer, backend)  # `make` checks the word
-    made = make(loaded, output, seed=seed, backend=kind, name=Path(scene).stem, overwrite=overwrite, jobs=jobs, scheduler=scheduler)
-    _say(f"{made.root}: {made.rig.frames} frame(s) of {len(made.rig.cameras)} cameras, {made.manifest.renderer}, hash {made.content_hash[:12]}")
+    made = make(
+        loaded,
+        output,
+        seed=seed,
+        backend=kind,
+        name=Path(scene).stem,
+        overwrite=overwrite,
+        jobs=jobs,
+        scheduler=scheduler,
+    )
+    _say(
+        f"{made.root}: {made.rig.frames} frame(s) of {len(made.rig.cameras)} cameras, {made.manifest.renderer}, hash {made.content_hash[:12]}"
+    )
 
 
 @app.command()
@@ -87,12 +107,23 @@ def verify(dataset: Annotated[Path, typer.Argument(help="A data set folder.")]) 
 
 @app.command()
 def solve(
-    solver: Annotated[str, typer.Argument(help="Name of a solver, or path of a program; see docs/participate.md.")],
+    solver: Annotated[
+        str, typer.Argument(help="Name of a solver, or path of a program; see docs/participate.md.")
+    ],
     dataset: Annotated[Path, typer.Argument(help="A data set folder.")],
     output: Annotated[Path, typer.Option("-o", "--output", help="The result file to make.")],
-    parameter: Annotated[list[str] | None, typer.Option("-p", "--parameter", help="name=value, as often as needed.")] = None,
-    time_limit: Annotated[float | None, typer.Option(help="Of a program: seconds; by default 3600.")] = None,
-    memory_limit: Annotated[float | None, typer.Option(help="Of a program's processes together: MB; by default nine tenths of what is free.")] = None,
+    parameter: Annotated[
+        list[str] | None, typer.Option("-p", "--parameter", help="name=value, as often as needed.")
+    ] = None,
+    time_limit: Annotated[
+        float | None, typer.Option(help="Of a program: seconds; by default 3600.")
+    ] = None,
+    memory_limit: Annotated[
+        float | None,
+        typer.Option(
+            help="Of a program's processes together: MB; by default nine tenths of what is free."
+        ),
+    ] = None,
     overwrite: Overwrite = False,
 ) -> None:
     """Reconstruct a data set."""
@@ -102,15 +133,31 @@ def solve(
 
     probe_dataset(dataset)
     limits = limits_of(time_limit, memory_limit)
-    result = run_solver(solver, dataset, output, parameters=_parameters(parameter or []), limits=limits, overwrite=overwrite)
-    _say(f"{output}: {result.solver}, {result.seconds:.2f} s per frame, {result.peak_mb or float('nan'):.0f} MB at most")
+    result = run_solver(
+        solver,
+        dataset,
+        output,
+        parameters=_parameters(parameter or []),
+        limits=limits,
+        overwrite=overwrite,
+    )
+    _say(
+        f"{output}: {result.solver}, {result.seconds:.2f} s per frame, {result.peak_mb or float('nan'):.0f} MB at most"
+    )
 
 
 @app.command()
 def score(
     dataset: Annotated[Path, typer.Argument(help="A data set folder.")],
-    result: Annotated[str, typer.Argument(help="A result file, or truth or empty: the ends of every scale.")],
-    track: Annotated[str | None, typer.Option(help="By whose scores truth and empty are scored: reconstruction or particles.")] = None,
+    result: Annotated[
+        str, typer.Argument(help="A result file, or truth or empty: the ends of every scale.")
+    ],
+    track: Annotated[
+        str | None,
+        typer.Option(
+            help="By whose scores truth and empty are scored: reconstruction or particles."
+        ),
+    ] = None,
     as_json: AsJson = False,
 ) -> None:
     """Score a result against the truth."""
@@ -130,8 +177,13 @@ def score(
 @app.command()
 def export(
     dataset: Annotated[Path, typer.Argument(help="A data set folder.")],
-    result: Annotated[Path | None, typer.Argument(help="A result of it; without one, the data set's truth is exported.")] = None,
-    output: Annotated[Path, typer.Option("-o", "--output", help="The folder to make.")] = Path("vtk"),
+    result: Annotated[
+        Path | None,
+        typer.Argument(help="A result of it; without one, the data set's truth is exported."),
+    ] = None,
+    output: Annotated[Path, typer.Option("-o", "--output", help="The folder to make.")] = Path(
+        "vtk"
+    ),
     to: Annotated[str, typer.Option(help="vtk: files that ParaView opens.")] = "vtk",
     overwrite: Overwrite = False,
 ) -> None:
@@ -139,16 +191,32 @@ def export(
     from sabench.interop.vtkhdf import Format
     from sabench.interop.vtkhdf import export as write
 
-    out = write(dataset, output, result, to=cast(Format, to), overwrite=overwrite)  # `write` checks the word
+    out = write(
+        dataset, output, result, to=cast(Format, to), overwrite=overwrite
+    )  # `write` checks the word
     _say(f"{out}: {', '.join(sorted(path.name for path in out.iterdir()))}")
 
 
 @app.command()
 def calibrate(
-    folder: Annotated[Path, typer.Argument(help="A folder with calibration.toml and images or points.csv; see docs/calibration.md.")],
-    output: Annotated[Path | None, typer.Option("-o", "--output", help="The folder to make; by default `result` in that folder.")] = None,
-    solver: Annotated[str, typer.Option(help="Name of a calibration solver.")] = "refractive_autocal",
-    parameter: Annotated[list[str] | None, typer.Option("-p", "--parameter", help="name=value, as often as needed.")] = None,
+    folder: Annotated[
+        Path,
+        typer.Argument(
+            help="A folder with calibration.toml and images or points.csv; see docs/calibration.md."
+        ),
+    ],
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            "-o", "--output", help="The folder to make; by default `result` in that folder."
+        ),
+    ] = None,
+    solver: Annotated[
+        str, typer.Option(help="Name of a calibration solver.")
+    ] = "refractive_autocal",
+    parameter: Annotated[
+        list[str] | None, typer.Option("-p", "--parameter", help="name=value, as often as needed.")
+    ] = None,
     as_json: AsJson = False,
     overwrite: Overwrite = False,
 ) -> None:
@@ -166,12 +234,22 @@ def calibrate(
     for line in (*report.cameras, *report.frames):
         name = line["name"] if isinstance(line["name"], str) else f"frame {line['name']}"
         table.add_row(
-            name, str(line["found"]), str(line["used"]), *("-" if line[key] is None else f"{line[key]:.3f}" for key in ("mean_px", "largest_px"))
+            name,
+            str(line["found"]),
+            str(line["used"]),
+            *(
+                "-" if line[key] is None else f"{line[key]:.3f}"
+                for key in ("mean_px", "largest_px")
+            ),
         )
     _print(table)
-    _say(f"noise of a pixel coordinate {report.noise_px:.4f} px; to be expected: {report.true_px:.4f} px of true error, points scattered by")
+    _say(
+        f"noise of a pixel coordinate {report.noise_px:.4f} px; to be expected: {report.true_px:.4f} px of true error, points scattered by"
+    )
     x, y, z = report.std_mm
-    _say(f"{x:.4f}, {y:.4f}, {z:.4f} mm along X, Y, Z, and all of them together {report.depth_mm:.3f} mm too deep or not deep enough")
+    _say(
+        f"{x:.4f}, {y:.4f}, {z:.4f} mm along X, Y, Z, and all of them together {report.depth_mm:.3f} mm too deep or not deep enough"
+    )
     _say(f"{out}: cameras.json, report.json, errors.png")
 
 
@@ -181,11 +259,28 @@ def run(
     as_json: AsJson = False,
     work: Annotated[Path, typer.Option(help="Folder for data sets and results.")] = Path("work"),
     leaderboard: Leaderboard = Path("leaderboard"),
-    fresh: Annotated[bool, typer.Option("--fresh", help="Compute again what is there: data sets, and results with a record.")] = False,
-    case: Annotated[list[str] | None, typer.Option(help="Only this case, as often as needed.")] = None,
-    seed: Annotated[list[int] | None, typer.Option(help="Only this seed, as often as needed.")] = None,
-    solver: Annotated[list[str] | None, typer.Option(help="Only this solver, by the name in tables, as often as needed.")] = None,
-    hidden: Annotated[Path | None, typer.Option(help="The organiser's secret file: run the hidden split in place of the public one.")] = None,
+    fresh: Annotated[
+        bool,
+        typer.Option(
+            "--fresh", help="Compute again what is there: data sets, and results with a record."
+        ),
+    ] = False,
+    case: Annotated[
+        list[str] | None, typer.Option(help="Only this case, as often as needed.")
+    ] = None,
+    seed: Annotated[
+        list[int] | None, typer.Option(help="Only this seed, as often as needed.")
+    ] = None,
+    solver: Annotated[
+        list[str] | None,
+        typer.Option(help="Only this solver, by the name in tables, as often as needed."),
+    ] = None,
+    hidden: Annotated[
+        Path | None,
+        typer.Option(
+            help="The organiser's secret file: run the hidden split in place of the public one."
+        ),
+    ] = None,
     jobs: Annotated[int, typer.Option(min=1, help="Processes that generate a data set.")] = 1,
 ) -> None:
     """Generate, solve and score a whole suite, then build the page; what has a record already is not computed again."""
@@ -193,7 +288,15 @@ def run(
     from sabench.evaluation.runner import Only, run_suite
 
     only = Only(tuple(case or ()), tuple(seed or ()), tuple(solver or ()))
-    records = run_suite(suite, work, leaderboard, fresh=fresh, only=only, secret=read_secret(hidden) if hidden else None, jobs=jobs)
+    records = run_suite(
+        suite,
+        work,
+        leaderboard,
+        fresh=fresh,
+        only=only,
+        secret=read_secret(hidden) if hidden else None,
+        jobs=jobs,
+    )
     if as_json:
         _say(json.dumps(records, allow_nan=False))
     else:
@@ -206,19 +309,38 @@ def run(
 @app.command()
 def check(
     suite: Annotated[str, typer.Argument(help="A suite file, or the name of a bundled suite.")],
-    baseline: Annotated[Path | None, typer.Option(help="Figures to compare with; by default the bundled ones of the suite.")] = None,
-    update: Annotated[bool, typer.Option("--update", help="Write this run's figures as the baseline; tolerances stay.")] = False,
-    solver: Annotated[list[str] | None, typer.Option(help="In place of the suite's, on its cases of the same track; repeatable.")] = None,
+    baseline: Annotated[
+        Path | None,
+        typer.Option(help="Figures to compare with; by default the bundled ones of the suite."),
+    ] = None,
+    update: Annotated[
+        bool,
+        typer.Option("--update", help="Write this run's figures as the baseline; tolerances stay."),
+    ] = False,
+    solver: Annotated[
+        list[str] | None,
+        typer.Option(help="In place of the suite's, on its cases of the same track; repeatable."),
+    ] = None,
     junit: Annotated[Path | None, typer.Option(help="A JUnit XML file to make.")] = None,
     as_json: AsJson = False,
-    work: Annotated[Path | None, typer.Option(help="Folder for data sets and results; by default a temporary one.")] = None,
-    exit_first: Annotated[bool, typer.Option("-x", "--exit-first", help="Stop at the first data set or solver with something worse.")] = False,
+    work: Annotated[
+        Path | None,
+        typer.Option(help="Folder for data sets and results; by default a temporary one."),
+    ] = None,
+    exit_first: Annotated[
+        bool,
+        typer.Option(
+            "-x", "--exit-first", help="Stop at the first data set or solver with something worse."
+        ),
+    ] = False,
 ) -> None:
     """Run a suite and compare every figure with a baseline: exit code 1 and a table if something got worse."""
     from sabench.evaluation.gates.comparison import check_file
     from sabench.evaluation.gates.junit import write_junit
 
-    report = check_file(suite, baseline, work, update=update, solvers=solver or (), exit_first=exit_first)
+    report = check_file(
+        suite, baseline, work, update=update, solvers=solver or (), exit_first=exit_first
+    )
     if junit:
         write_junit(junit, report)
     if as_json:
@@ -231,12 +353,29 @@ def check(
 
 @app.command()
 def reproduce(
-    tables: Annotated[list[str], typer.Argument(help="table-2-1, fig-2-6 or others: an unknown name lists them.")],
+    tables: Annotated[
+        list[str], typer.Argument(help="table-2-1, fig-2-6 or others: an unknown name lists them.")
+    ],
     as_json: AsJson = False,
-    seeds: Annotated[int | None, typer.Option(min=1, help="How many seeds each figure is the mean of.")] = None,
-    pixels: Annotated[int | None, typer.Option(min=32, help="Side of the images in a coarse copy of each array: to try it, not to compare.")] = None,
-    output: Annotated[Path | None, typer.Option("-o", "--output", help="A JSON file for the rows, too, written after each of them.")] = None,
-    figures: Annotated[Path | None, typer.Option(help="A folder for pictures of the curves.")] = None,
+    seeds: Annotated[
+        int | None, typer.Option(min=1, help="How many seeds each figure is the mean of.")
+    ] = None,
+    pixels: Annotated[
+        int | None,
+        typer.Option(
+            min=32,
+            help="Side of the images in a coarse copy of each array: to try it, not to compare.",
+        ),
+    ] = None,
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            "-o", "--output", help="A JSON file for the rows, too, written after each of them."
+        ),
+    ] = None,
+    figures: Annotated[
+        Path | None, typer.Option(help="A folder for pictures of the curves.")
+    ] = None,
 ) -> None:
     """Measure tables and figures of Belden's thesis again, their values beside ours."""
     from dataclasses import asdict
@@ -254,7 +393,11 @@ def reproduce(
                 with complete_or_nothing(figures / f"{row.name}.png", overwrite=True) as partial:
                     partial.write_bytes(draw(row))
             continue
-        console.print(f"{row.name}: {_figure(row.measured)}, thesis {_figure(row.thesis)}: {row.verdict}", markup=False, highlight=False)
+        console.print(
+            f"{row.name}: {_figure(row.measured)}, thesis {_figure(row.thesis)}: {row.verdict}",
+            markup=False,
+            highlight=False,
+        )
         rows.append(asdict(row))
         if output:  # after every row: an interrupted run keeps what it has
             with complete_or_nothing(output, overwrite=True) as partial:
@@ -267,9 +410,15 @@ def reproduce(
 
 @app.command()
 def submit(
-    result: Annotated[Path, typer.Argument(help="A result file, or a .zip, .tar, .tar.gz or folder of result files.")],
+    result: Annotated[
+        Path,
+        typer.Argument(help="A result file, or a .zip, .tar, .tar.gz or folder of result files."),
+    ],
     name: Annotated[str, typer.Option(help="Who submits: at most 80 characters.")],
-    data: Annotated[list[Path] | None, typer.Option(help="Folder of data sets, as often as needed; by default work/datasets.")] = None,
+    data: Annotated[
+        list[Path] | None,
+        typer.Option(help="Folder of data sets, as often as needed; by default work/datasets."),
+    ] = None,
     leaderboard: Leaderboard = Path("leaderboard"),
     as_json: AsJson = False,
 ) -> None:
@@ -279,15 +428,36 @@ def submit(
 
     standings = send(result, name, data or [Path("work/datasets")], leaderboard)
     if as_json:
-        _say(json.dumps([{**one.record, "rank": one.rank, "of": one.of} for one in standings], allow_nan=False))
+        _say(
+            json.dumps(
+                [{**one.record, "rank": one.rank, "of": one.of} for one in standings],
+                allow_nan=False,
+            )
+        )
         return
     table = Table("case", "seed", "solver", "first score", "rank", "best other")
     for one in standings:
         first = COLUMNS[one.record["track"]][0]
-        score = "-" if one.record[first.key] is None else f"{first.key} {one.record[first.key]:.{first.decimals}f}"
+        score = (
+            "-"
+            if one.record[first.key] is None
+            else f"{first.key} {one.record[first.key]:.{first.decimals}f}"
+        )
         rival = f"{one.best[0]}: {one.best[1]:.{first.decimals}f}" if one.best else "-"
         rank = f"{one.rank} of {one.of}" if one.rank else "-"
-        table.add_row(*(escape(str(text)) for text in (one.record["case"], one.record["seed"], one.record["solver"], score, rank, rival)))
+        table.add_row(
+            *(
+                escape(str(text))
+                for text in (
+                    one.record["case"],
+                    one.record["seed"],
+                    one.record["solver"],
+                    score,
+                    rank,
+                    rival,
+                )
+            )
+        )
     _print(table)
     _say(f"page: {(leaderboard / 'index.html').resolve()}")
 
@@ -315,7 +485,9 @@ def doctor() -> None:
 
 
 @app.callback(invoke_without_command=True)
-def top(version: Annotated[bool, typer.Option("--version", help="Print the version.")] = False) -> None:
+def top(
+    version: Annotated[bool, typer.Option("--version", help="Print the version.")] = False,
+) -> None:
     """Synthetic data with known truth for volumetric velocimetry, and benchmarks on it."""
     if version:
         _say(f"sabench {__version__}")
@@ -341,7 +513,10 @@ def _show_scores(scores: dict[str, Any]) -> None:
 
     columns = COLUMNS[scores["track"]]
     table = Table("data set", "solver", *(column.key for column in columns))
-    figures = ["-" if scores[column.key] is None else f"{scores[column.key]:.{column.decimals}f}" for column in columns]
+    figures = [
+        "-" if scores[column.key] is None else f"{scores[column.key]:.{column.decimals}f}"
+        for column in columns
+    ]
     table.add_row(scores["dataset"][:12], scores["solver"], *figures)
     _print(table)
 
@@ -357,9 +532,20 @@ def _show_records(records: list[dict[str, Any]]) -> None:
         own = [row for row in rows if row["track"] == track]
         sign, first = -1.0 if LARGER_IS_BETTER[track] else 1.0, columns[0].key
         table = Table("case", "solver", "seeds", *(column.key for column in columns))
-        for row in sorted(own, key=lambda row: (order.index(row["case"]), sign * row[first].mean if row[first] else float("inf"))):
-            figures = ["-" if row[column.key] is None else row[column.key].text(column.decimals) for column in columns]
-            table.add_row(row["case"], row.get("label") or row["solver"], str(len(row["seeds"])), *figures)
+        for row in sorted(
+            own,
+            key=lambda row: (
+                order.index(row["case"]),
+                sign * row[first].mean if row[first] else float("inf"),
+            ),
+        ):
+            figures = [
+                "-" if row[column.key] is None else row[column.key].text(column.decimals)
+                for column in columns
+            ]
+            table.add_row(
+                row["case"], row.get("label") or row["solver"], str(len(row["seeds"])), *figures
+            )
         if own:
             _print(table)
 
@@ -368,7 +554,10 @@ def _show_report(report: Report) -> None:
     """What got worse as a table, what else has changed in lines, and one line for all of it."""
     table = Table("case", "solver", "figure", "baseline", "now", "change", "tolerance")
     for one in report.worse:
-        figures = ("-" if value is None else f"{value:.6g}" for value in (one.before, one.now, one.change, one.tolerance))
+        figures = (
+            "-" if value is None else f"{value:.6g}"
+            for value in (one.before, one.now, one.change, one.tolerance)
+        )
         table.add_row(one.case, one.solver, one.text or one.figure, *figures)
     if report.worse:
         _print(table)
@@ -382,7 +571,14 @@ def _show_rows(rows: list[dict[str, Any]]) -> None:
     table = Table("row", "thesis", "measured", "seeds", "verdict", "note")
     for row in rows:
         spread = "" if row["ci95"] is None else f" ± {row['ci95']:.2g}"
-        table.add_row(row["name"], _figure(row["thesis"]), _figure(row["measured"]) + spread, str(row["seeds"] or "-"), row["verdict"], row["note"])
+        table.add_row(
+            row["name"],
+            _figure(row["thesis"]),
+            _figure(row["measured"]) + spread,
+            str(row["seeds"] or "-"),
+            row["verdict"],
+            row["note"],
+        )
     _print(table)
 
 
@@ -414,7 +610,9 @@ def main() -> NoReturn:
     except KeyboardInterrupt:
         _fail(_INTERRUPTED)
     except BrokenPipeError:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # the reader has gone: no more output, and no complaint at exit
+        os.dup2(
+            os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno()
+        )  # the reader has gone: no more output, and no complaint at exit
         sys.exit(0)
     except OSError as error:
         _fail(f"{error.filename}: {error.strerror}" if error.filename else str(error))

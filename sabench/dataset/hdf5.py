@@ -21,7 +21,9 @@ from sabench.utils.errors import InputError
 _LONGEST = 1 << 20  # characters of an attribute
 _MOST_NAMES = 100_000  # members of a group
 _SMALL = 1 << 26  # bytes that may be read without a thought
-_OPEN_BYTES = 2_000_000_000  # of a data set whose length is the file's to choose: 80 million particles
+_OPEN_BYTES = (
+    2_000_000_000  # of a data set whose length is the file's to choose: 80 million particles
+)
 _DENSEST = 1100  # deflate makes at best 1 byte of 1032
 
 
@@ -34,13 +36,16 @@ def opened(path: Path) -> Iterator[Any]:
         with h5py.File(path, "r") as file:
             yield file
     except (OSError, RuntimeError, KeyError, ValueError) as error:
-        raise InputError(f"{path}: expected a whole HDF5 file, got {type(error).__name__}: {error}") from error
+        raise InputError(
+            f"{path}: expected a whole HDF5 file, got {type(error).__name__}: {error}"
+        ) from error
 
 
 class NewFile(io.RawIOBase):
     """A file that HDF5 writes through; the first write that the system refuses is kept, and HDF5 told that all is well.
 
-    HDF5 does not survive a refused write: it crashes the process when it closes. `check` raises the refusal where Python can handle it.
+    HDF5 does not survive a refused write: it crashes the process when it closes. `check` raises the
+    refusal where Python can handle it.
     """
 
     def __init__(self, path: Path) -> None:
@@ -132,14 +137,19 @@ def uninterrupted() -> Iterator[None]:
 def read_array(file: Any, name: str, shape: tuple[int | None, ...], kind: str) -> npt.NDArray[Any]:
     """A data set of that shape (None: any length) and numpy kind letters; it must lie inside this very file.
 
-    Shape, type and what reading will cost are checked before a value is read: a small file can say that it holds more than any memory.
+    Shape, type and what reading will cost are checked before a value is read: a small file can say
+    that it holds more than any memory.
     """
     where = f"{file.filename}: {name}"
     node = _node(file, name, where)
     if not isinstance(node, h5py.Dataset) or node.is_virtual or node.external:
         raise InputError(f"{where}: expected a data set with its values in this file")
     got, dtype = node.shape, _dtype(node, where)
-    fits = got is not None and len(got) == len(shape) and all(want in (None, have) for want, have in zip(shape, got, strict=True))
+    fits = (
+        got is not None
+        and len(got) == len(shape)
+        and all(want in (None, have) for want, have in zip(shape, got, strict=True))
+    )
     if not fits or dtype.kind not in kind or dtype.itemsize > 8:
         expected = "(" + ", ".join("n" if want is None else str(want) for want in shape) + ")"
         raise InputError(f"{where}: expected shape {expected} of kind {kind}, got {got} of {dtype}")
@@ -171,14 +181,17 @@ def names_in(file: Any, group: str) -> set[str]:
         if not isinstance(node, h5py.Group):
             return set()
     if len(node) > _MOST_NAMES:
-        raise InputError(f"{file.filename}: {group}: expected at most {_MOST_NAMES} members, got {len(node)}")
+        raise InputError(
+            f"{file.filename}: {group}: expected at most {_MOST_NAMES} members, got {len(node)}"
+        )
     return set(node)
 
 
 def read_attributes(file: Any, names: Iterable[str]) -> dict[str, Any]:
     """Those attributes of the file's root that are there, as single Python values: strings and numbers.
 
-    Other languages write strings of fixed length, and arrays of one element for single values: both are taken.
+    Other languages write strings of fixed length, and arrays of one element for single values: both
+    are taken.
     """
     return {name: _attribute(file, name) for name in names if name in file.attrs}
 
@@ -187,14 +200,23 @@ def _attribute(file: Any, name: str) -> Any:
     where = f"{file.filename}: attribute {name}"
     identity = file.attrs.get_id(name)
     dtype = _dtype(identity, where)
-    if identity.shape is None or math.prod(identity.shape) != 1 or dtype.kind not in "iufbSO" or dtype.itemsize > _LONGEST:
-        raise InputError(f"{where}: expected one string or number, got {dtype} of shape {identity.shape}")
+    if (
+        identity.shape is None
+        or math.prod(identity.shape) != 1
+        or dtype.kind not in "iufbSO"
+        or dtype.itemsize > _LONGEST
+    ):
+        raise InputError(
+            f"{where}: expected one string or number, got {dtype} of shape {identity.shape}"
+        )
     value = file.attrs[name]
     value = np.asarray(value).reshape(-1)[0] if isinstance(value, np.ndarray) else value
     value = value.item() if isinstance(value, np.generic) else value
     value = value.decode("utf-8", "replace") if isinstance(value, bytes) else value
     if not isinstance(value, str | int | float) or len(str(value)) > _LONGEST:
-        raise InputError(f"{where}: expected one string or number of at most {_LONGEST} characters, got {type(value).__name__}")
+        raise InputError(
+            f"{where}: expected one string or number of at most {_LONGEST} characters, got {type(value).__name__}"
+        )
     return value.encode("utf-8", "replace").decode() if isinstance(value, str) else value
 
 
@@ -204,7 +226,9 @@ def _node(file: Any, name: str, where: str) -> Any:
     for part in name.split("/"):
         link = node.get(part, getlink=True) if isinstance(node, h5py.Group) else None
         if not isinstance(link, h5py.HardLink):
-            raise InputError(f"{where}: expected a data set in this file, found {'a link' if link else 'none'}")
+            raise InputError(
+                f"{where}: expected a data set in this file, found {'a link' if link else 'none'}"
+            )
         node = node[part]
     return node
 
@@ -213,7 +237,9 @@ def _dtype(node: Any, where: str) -> np.dtype[Any]:
     try:
         dtype: np.dtype[Any] = np.dtype(node.dtype)
     except TypeError as error:  # HDF5 has types that numpy has not
-        raise InputError(f"{where}: expected numbers or text, got a type that numpy does not have: {error}") from error
+        raise InputError(
+            f"{where}: expected numbers or text, got a type that numpy does not have: {error}"
+        ) from error
     return dtype
 
 
@@ -221,14 +247,22 @@ def _check_cost(node: Any, where: str, *, is_open: bool) -> None:
     """Refuse what would not fit into memory when it is read; where the length is the file's to choose, also what it hardly stores."""
     size, stored, there = int(node.nbytes), int(node.id.get_storage_size()), memory.available_mb()
     if there is not None and 2.0 * size / 1e6 > there:
-        raise InputError(f"{where}: expected values that fit into memory, but {node.shape} of {node.dtype} need {2.0 * size / 1e6:.0f} MB")
+        raise InputError(
+            f"{where}: expected values that fit into memory, but {node.shape} of {node.dtype} need {2.0 * size / 1e6:.0f} MB"
+        )
     if is_open and size > _OPEN_BYTES:
-        raise InputError(f"{where}: expected at most {_OPEN_BYTES / 1e6:.0f} MB of values, got {node.shape} of {node.dtype}")
+        raise InputError(
+            f"{where}: expected at most {_OPEN_BYTES / 1e6:.0f} MB of values, got {node.shape} of {node.dtype}"
+        )
     if is_open and size > _SMALL and size > _DENSEST * stored:
-        raise InputError(f"{where}: expected values that the file stores, got {node.shape} of {node.dtype} in {stored} bytes")
+        raise InputError(
+            f"{where}: expected values that the file stores, got {node.shape} of {node.dtype} in {stored} bytes"
+        )
     piece = math.prod(node.chunks) * node.dtype.itemsize if node.chunks else 0
     if piece > max(_SMALL, 2 * size):
-        raise InputError(f"{where}: expected chunks no larger than the data set, got {node.chunks} of {node.dtype} for shape {node.shape}")
+        raise InputError(
+            f"{where}: expected chunks no larger than the data set, got {node.chunks} of {node.dtype} for shape {node.shape}"
+        )
 
 
 def finite(values: npt.NDArray[Any], where: str) -> npt.NDArray[Any]:

@@ -9,7 +9,9 @@ from sabench.dataset.hdf5 import walk
 from sabench.utils.files import inside, is_file
 from sabench.utils.processes.isolated import apart
 
-_PROBE_S = 4.0  # for what a file says of itself: a damaged one can send the library round in circles, in which no Ctrl-C is heard
+# for what a file says of itself: a damaged one can send the library round in circles, in which no
+# Ctrl-C is heard
+_PROBE_S = 4.0
 _PROBE_RATE = 2e7  # bytes of a file for each second more
 
 
@@ -21,7 +23,9 @@ def probe(path: Path) -> None:
     InputError
         It does not, or takes too long.
     """
-    apart(walk, path, doing=f"{path}: reading it", time_s=_PROBE_S + path.stat().st_size / _PROBE_RATE)
+    apart(
+        walk, path, doing=f"{path}: reading it", time_s=_PROBE_S + path.stat().st_size / _PROBE_RATE
+    )
 
 
 def probe_dataset(root: Path) -> None:

@@ -60,19 +60,33 @@ class Dataset:
             scene = validate(Scene, tomllib.loads(path.read_text(encoding="utf-8")), str(path))
         except (OSError, ValueError, RecursionError) as error:
             raise InputError(f"{path}: expected a TOML file, got {error}") from error
-        return scene.with_files({table: inside(self.root, place.as_posix()) for table, place in scene.files.items()})
+        return scene.with_files(
+            {table: inside(self.root, place.as_posix()) for table, place in scene.files.items()}
+        )
 
     def observation(self, frame: int) -> Observation:
         """One frame as a solver may see it."""
         self._check_frame(frame)
         rig = self.rig
-        images = [read_tiff(self._image(camera.name, frame, "tif"), (camera.rows, camera.columns)) for camera in rig.cameras]
-        return observed(np.stack(images), rig.cameras, rig.grid, (rig.sensor.black_dn, rig.sensor.white_dn), rig.preprocessing)
+        images = [
+            read_tiff(self._image(camera.name, frame, "tif"), (camera.rows, camera.columns))
+            for camera in rig.cameras
+        ]
+        return observed(
+            np.stack(images),
+            rig.cameras,
+            rig.grid,
+            (rig.sensor.black_dn, rig.sensor.white_dn),
+            rig.preprocessing,
+        )
 
     def radiance(self, frame: int) -> list[F32]:
         """Noise-free photon radiance of every camera, photons / (mm2 sr): truth, not for solvers."""
         self._check_frame(frame)
-        return [read_exr(self._image(camera.name, frame, "exr"), (camera.rows, camera.columns)) for camera in self.rig.cameras]
+        return [
+            read_exr(self._image(camera.name, frame, "exr"), (camera.rows, camera.columns))
+            for camera in self.rig.cameras
+        ]
 
     def particles(self, frame: int) -> Particles:
         """The true particles of a frame."""
@@ -82,7 +96,12 @@ class Dataset:
             identity = read_array(file, f"{group}/id", (None,), "i")
             n = len(identity)
             shapes = {"position_mm": (n, 3), "diameter_mm": (n,), "velocity_mm_s": (n, 3)}
-            values = {k: finite(read_array(file, f"{group}/{k}", shape, "f"), f"{file.filename}: {group}/{k}") for k, shape in shapes.items()}
+            values = {
+                k: finite(
+                    read_array(file, f"{group}/{k}", shape, "f"), f"{file.filename}: {group}/{k}"
+                )
+                for k, shape in shapes.items()
+            }
             return Particles(identity, **values)
 
     def views(self, frame: int) -> list[View]:
@@ -93,10 +112,23 @@ class Dataset:
             views = []
             for camera in self.rig.cameras:
                 base = f"{schema.frame_group(frame)}/cameras/{camera.name}"
-                fields = [("pixel", (n, 2), "f"), ("photons", (n,), "f"), ("sigma_px", (n,), "f"), ("visible", (n,), "u")]
-                view = View(*(read_array(file, f"{base}/{name}", shape, kind).astype(np.float64) for name, shape, kind in fields))
+                fields = [
+                    ("pixel", (n, 2), "f"),
+                    ("photons", (n,), "f"),
+                    ("sigma_px", (n,), "f"),
+                    ("visible", (n,), "u"),
+                ]
+                view = View(
+                    *(
+                        read_array(file, f"{base}/{name}", shape, kind).astype(np.float64)
+                        for name, shape, kind in fields
+                    )
+                )
                 finite(view.photons, f"{file.filename}: {base}/photons")
-                finite(view.pixel[view.visible > 0], f"{file.filename}: {base}/pixel of visible particles")
+                finite(
+                    view.pixel[view.visible > 0],
+                    f"{file.filename}: {base}/pixel of visible particles",
+                )
                 views.append(view)
             return views
 
@@ -107,9 +139,21 @@ class Dataset:
         with opened(inside(self.root, schema.TRUTH)) as file:
             identity = read_array(file, f"{group}/id", (None,), "i")
             n = len(identity)
-            shapes: dict[str, tuple[int, ...]] = {"center_mm": (n, 3), "semi_axes_mm": (n, 3), "turn": (n, 3, 3), "velocity_mm_s": (n, 3)}
-            values = {k: finite(read_array(file, f"{group}/{k}", shape, "f"), f"{file.filename}: {group}/{k}") for k, shape in shapes.items()}
-            return Bubbles(identity, **values, index=float(read_array(file, f"{group}/index", (1,), "f")[0]))
+            shapes: dict[str, tuple[int, ...]] = {
+                "center_mm": (n, 3),
+                "semi_axes_mm": (n, 3),
+                "turn": (n, 3, 3),
+                "velocity_mm_s": (n, 3),
+            }
+            values = {
+                k: finite(
+                    read_array(file, f"{group}/{k}", shape, "f"), f"{file.filename}: {group}/{k}"
+                )
+                for k, shape in shapes.items()
+            }
+            return Bubbles(
+                identity, **values, index=float(read_array(file, f"{group}/index", (1,), "f")[0])
+            )
 
     def solids(self, frame: int) -> list[Solid]:
         """The true bodies of a frame."""
@@ -118,21 +162,45 @@ class Dataset:
         with opened(inside(self.root, schema.TRUTH)) as file:
             count = len(names_in(file, group))
             parts = [(f"{group}/{k}/vertices_mm", f"{group}/{k}/faces") for k in range(count)]
-            return [Solid(read_array(file, vertices, (None, 3), "f"), read_array(file, faces, (None, 3), "i")) for vertices, faces in parts]
+            return [
+                Solid(
+                    read_array(file, vertices, (None, 3), "f"),
+                    read_array(file, faces, (None, 3), "i"),
+                )
+                for vertices, faces in parts
+            ]
 
     def sight(self, frame: int, camera: Camera) -> Sight:
         """What one camera truly sees of a frame's bubbles and bodies."""
         self._check_frame(frame)
-        group, image = f"{schema.frame_group(frame)}/sights/{camera.name}", (camera.rows, camera.columns)
+        group, image = (
+            f"{schema.frame_group(frame)}/sights/{camera.name}",
+            (camera.rows, camera.columns),
+        )
         with opened(inside(self.root, schema.TRUTH)) as file:
             n = len(read_array(file, f"{schema.frame_group(frame)}/bubbles/id", (None,), "i"))
-            fields = [("number", image, "i"), ("depth_mm", image, "f"), ("path_mm", image, "f"), ("visible", (n,), "f"), ("pixel", (n, 2), "f")]
-            return Sight(*(read_array(file, f"{group}/{k}", shape, kind) for k, shape, kind in [*fields, ("contour", (n, None, 2), "f")]))
+            fields = [
+                ("number", image, "i"),
+                ("depth_mm", image, "f"),
+                ("path_mm", image, "f"),
+                ("visible", (n,), "f"),
+                ("pixel", (n, 2), "f"),
+            ]
+            return Sight(
+                *(
+                    read_array(file, f"{group}/{k}", shape, kind)
+                    for k, shape, kind in [*fields, ("contour", (n, None, 2), "f")]
+                )
+            )
 
     def render_error(self, frame: int, camera: Camera) -> float:
         """Mean relative standard error of a picture of bubbles and bodies."""
         with opened(inside(self.root, schema.TRUTH)) as file:
-            return float(read_array(file, f"{schema.frame_group(frame)}/sights/{camera.name}/error", (1,), "f")[0])
+            return float(
+                read_array(
+                    file, f"{schema.frame_group(frame)}/sights/{camera.name}/error", (1,), "f"
+                )[0]
+            )
 
     @property
     def shows(self) -> tuple[Shown, ...]:
@@ -152,14 +220,20 @@ class Dataset:
             ("rough_mm", "known_mm", "known_sigma_mm"), (rig.frames, count, 3)
         )
         with opened(inside(self.root, schema.POINTS)) as file:
-            arrays = {name: read_array(file, name, shape, "f").astype(np.float64) for name, shape in shapes.items()}
+            arrays = {
+                name: read_array(file, name, shape, "f").astype(np.float64)
+                for name, shape in shapes.items()
+            }
         return CalibrationCase(target=target, cameras=rig.cameras, unknown=rig.unknown, **arrays)
 
     def placed(self) -> Placed:
         """The target's true places: not for solvers."""
         target = self._target()
         with opened(inside(self.root, schema.TRUTH)) as file:
-            return Placed(target, tuple(_pose(file, schema.frame_group(frame)) for frame in range(self.rig.frames)))
+            return Placed(
+                target,
+                tuple(_pose(file, schema.frame_group(frame)) for frame in range(self.rig.frames)),
+            )
 
     def sightings(self) -> tuple[F64, Bool]:
         """Where the cameras truly see the target's points (camera, frame, point, 2), NaN if they do not, and outliers (camera, frame, point).
@@ -175,7 +249,9 @@ class Dataset:
 
     def _target(self) -> Target:
         if not self.shows_target:
-            raise InputError(f"{self.root}: expected a data set with a calibration target, got one with particles")
+            raise InputError(
+                f"{self.root}: expected a data set with a calibration target, got one with particles"
+            )
         return schema.read_target(self.root)
 
     def _image(self, camera: str, frame: int, suffix: str) -> Path:
@@ -186,7 +262,13 @@ class Dataset:
             raise InputError(f"{self.root}: frame {frame}: expected 0 to {self.rig.frames - 1}")
 
 
-def observed(images: U16, cameras: tuple[Camera, ...], grid: Grid, levels: tuple[float, float], steps: Sequence[Step]) -> Observation:
+def observed(
+    images: U16,
+    cameras: tuple[Camera, ...],
+    grid: Grid,
+    levels: tuple[float, float],
+    steps: Sequence[Step],
+) -> Observation:
     """Raw images with their grey values of no light and of saturation, as a solver sees them: after the steps of preprocessing."""
     if not steps:
         return Observation(images, cameras, grid, *levels)
@@ -195,7 +277,12 @@ def observed(images: U16, cameras: tuple[Camera, ...], grid: Grid, levels: tuple
 
 def _pose(file: Any, group: str) -> Pose:
     turn = finite(read_array(file, f"{group}/turn", (3, 3), "f"), f"{file.filename}: {group}/turn")
-    return Pose(turn, finite(read_array(file, f"{group}/place_mm", (3,), "f"), f"{file.filename}: {group}/place_mm"))
+    return Pose(
+        turn,
+        finite(
+            read_array(file, f"{group}/place_mm", (3,), "f"), f"{file.filename}: {group}/place_mm"
+        ),
+    )
 
 
 def open_dataset(path: str | Path) -> Dataset:

@@ -14,7 +14,15 @@ from pydantic import TypeAdapter, ValidationError
 
 from sabench.api import Calibration, Detections, FoundParticles, Reconstruction, Velocity
 from sabench.dataset import schema
-from sabench.dataset.hdf5 import created, finite, names_in, opened, read_array, read_attributes, uninterrupted
+from sabench.dataset.hdf5 import (
+    created,
+    finite,
+    names_in,
+    opened,
+    read_array,
+    read_attributes,
+    uninterrupted,
+)
 from sabench.dataset.reader import Dataset
 from sabench.geometry.camera import Camera
 from sabench.geometry.camera_model import CameraModel
@@ -27,7 +35,17 @@ from sabench.utils.files import canonical_json, complete_or_nothing
 from sabench.utils.validation import printable
 
 FORMAT, VERSION = "sabench-result", 1
-_ATTRIBUTES = ("format", "version", "dataset", "track", "solver", "parameters", "seconds", "peak_mb", "reconstruction_s")
+_ATTRIBUTES = (
+    "format",
+    "version",
+    "dataset",
+    "track",
+    "solver",
+    "parameters",
+    "seconds",
+    "peak_mb",
+    "reconstruction_s",
+)
 MODELS: dict[type[Any], str] = {
     Camera: "pinhole",
     Projective: "projective",
@@ -65,9 +83,18 @@ class Result:
         group = f"{schema.frame_group(frame)}/velocity"
         with opened(self.path) as file:
             valid = read_array(file, f"{group}/valid", (None, None, None), "u") > 0
-            field = read_array(file, f"{group}/velocity_mm_s", (*valid.shape, 3), "f").astype(np.float64)
-            low, step = (finite(read_array(file, f"{group}/{name}", (3,), "f"), f"{self.path}: {group}/{name}") for name in ("low_mm", "step_mm"))
-        return Velocity(triple(low), triple(step), finite(field, f"{self.path}: {group}/velocity_mm_s"), valid)
+            field = read_array(file, f"{group}/velocity_mm_s", (*valid.shape, 3), "f").astype(
+                np.float64
+            )
+            low, step = (
+                finite(
+                    read_array(file, f"{group}/{name}", (3,), "f"), f"{self.path}: {group}/{name}"
+                )
+                for name in ("low_mm", "step_mm")
+            )
+        return Velocity(
+            triple(low), triple(step), finite(field, f"{self.path}: {group}/velocity_mm_s"), valid
+        )
 
     def particles(self, frame: int) -> FoundParticles:
         """The particles that were found in a frame, checked as `FoundParticles` are."""
@@ -75,8 +102,16 @@ class Result:
         with opened(self.path) as file:
             position = read_array(file, f"{group}/position_mm", (None, 3), "f").astype(np.float64)
             n, names = len(position), names_in(file, group)
-            intensity = read_array(file, f"{group}/intensity", (n,), "f").astype(np.float64) if "intensity" in names else None
-            number = read_array(file, f"{group}/track", (n,), "iu").astype(np.int64) if "track" in names else None
+            intensity = (
+                read_array(file, f"{group}/intensity", (n,), "f").astype(np.float64)
+                if "intensity" in names
+                else None
+            )
+            number = (
+                read_array(file, f"{group}/track", (n,), "iu").astype(np.int64)
+                if "track" in names
+                else None
+            )
         try:
             return FoundParticles(position, intensity, number)
         except InputError as error:
@@ -105,7 +140,9 @@ class Result:
             number = read_array(file, f"{group}/track", (count,), "iu").astype(np.int64)
         values, times = np.unique(number, return_counts=True)
         if len(values) < count:
-            raise InputError(f"{self.path}: {group}/track: expected different numbers, got {values[times.argmax()]} for {times.max()} bubbles")
+            raise InputError(
+                f"{self.path}: {group}/track: expected different numbers, got {values[times.argmax()]} for {times.max()} bubbles"
+            )
         return number
 
     def calibration(self) -> Calibration:
@@ -114,15 +151,27 @@ class Result:
         with opened(self.path) as file:
             text = read_array(file, "calibration/cameras", (None,), "u").astype(np.uint8).tobytes()
             names = names_in(file, "calibration")
-            points = read_array(file, "calibration/points_mm", (None, None, 3), "f").astype(np.float64) if "points_mm" in names else None
-            used = read_array(file, "calibration/used", (None, None, None), "u") > 0 if "used" in names else None
+            points = (
+                read_array(file, "calibration/points_mm", (None, None, 3), "f").astype(np.float64)
+                if "points_mm" in names
+                else None
+            )
+            used = (
+                read_array(file, "calibration/used", (None, None, None), "u") > 0
+                if "used" in names
+                else None
+            )
         try:
             records = json.loads(text)
         except (ValueError, RecursionError) as error:
             raise InputError(f"{where}: expected JSON, got {error}") from error
         if not isinstance(records, list):
             raise InputError(f"{where}: expected a list, got {type(records).__name__}")
-        return Calibration(tuple(_camera(record, f"{where}: {number}") for number, record in enumerate(records)), points, used)
+        return Calibration(
+            tuple(_camera(record, f"{where}: {number}") for number, record in enumerate(records)),
+            points,
+            used,
+        )
 
 
 def camera_record(camera: CameraModel) -> dict[str, Any]:
@@ -138,9 +187,13 @@ def _camera(record: Any, where: str) -> CameraModel:
             f"{where}: model: expected one of {', '.join(sorted(kinds))}, got {record.get('model') if isinstance(record, dict) else record!r}"
         )
     try:
-        made: CameraModel = TypeAdapter(kinds[record["model"]]).validate_python({k: v for k, v in record.items() if k != "model"})
+        made: CameraModel = TypeAdapter(kinds[record["model"]]).validate_python(
+            {k: v for k, v in record.items() if k != "model"}
+        )
     except ValidationError as error:
-        raise InputError(f"{where}: {error.errors()[0]['loc']}: {error.errors()[0]['msg']}") from error
+        raise InputError(
+            f"{where}: {error.errors()[0]['loc']}: {error.errors()[0]['msg']}"
+        ) from error
     return made
 
 
@@ -156,7 +209,9 @@ class ResultWriter:
         chunk = (1, min(256, volume.shape[1]), min(256, volume.shape[2]))
         with uninterrupted():
             group = self._file.create_group(schema.frame_group(frame))
-            group.create_dataset("volume", data=volume, chunks=chunk, compression="gzip", compression_opts=1)
+            group.create_dataset(
+                "volume", data=volume, chunks=chunk, compression="gzip", compression_opts=1
+            )
             if reconstruction.particles_mm is not None:
                 group.create_dataset("particles_mm", data=reconstruction.particles_mm)
             self._file.flush()
@@ -165,9 +220,11 @@ class ResultWriter:
     def add_velocity(self, frame: int, velocity: Velocity) -> None:
         """Store the field of the pair that starts with a frame."""
         values = {
-            "velocity_mm_s": velocity.velocity_mm_s, "valid": velocity.valid.astype(np.uint8), "low_mm": np.array(velocity.low_mm),
+            "velocity_mm_s": velocity.velocity_mm_s,
+            "valid": velocity.valid.astype(np.uint8),
+            "low_mm": np.array(velocity.low_mm),
             "step_mm": np.array(velocity.step_mm),
-        }  # fmt: skip
+        }
         with uninterrupted():
             group = self._file.create_group(f"{schema.frame_group(frame)}/velocity")
             for name, value in values.items():
@@ -229,13 +286,23 @@ class ResultWriter:
 
 @contextlib.contextmanager
 def result_writer(
-    target: Path, dataset: Dataset, solver: str, track: str, parameters: dict[str, Any], *, overwrite: bool = False
+    target: Path,
+    dataset: Dataset,
+    solver: str,
+    track: str,
+    parameters: dict[str, Any],
+    *,
+    overwrite: bool = False,
 ) -> Iterator[ResultWriter]:
     """A writer whose frames become the result file `target` when the block ends well, and vanish otherwise."""
     with complete_or_nothing(target, overwrite=overwrite) as path, created(path) as (file, check):
         with uninterrupted():
             file.attrs["format"], file.attrs["version"] = FORMAT, VERSION
-            file.attrs["dataset"], file.attrs["track"], file.attrs["solver"] = dataset.content_hash, track, solver
+            file.attrs["dataset"], file.attrs["track"], file.attrs["solver"] = (
+                dataset.content_hash,
+                track,
+                solver,
+            )
             file.attrs["parameters"] = json.dumps(parameters, sort_keys=True)
         yield ResultWriter(file, check)
 
@@ -256,11 +323,25 @@ def open_result(path: str | Path, dataset: Dataset) -> Result:
             f"{path}: expected a result of the data set {dataset.content_hash[:12]} ({dataset.root}), got one of {str(head.get('dataset'))[:12]}"
         )
     parameters = _parameters(str(head.get("parameters", "{}")), path)
-    seconds, peak_mb, before_s = (_cost(head.get(key), f"{path}: attribute {key}") for key in ("seconds", "peak_mb", "reconstruction_s"))
+    seconds, peak_mb, before_s = (
+        _cost(head.get(key), f"{path}: attribute {key}")
+        for key in ("seconds", "peak_mb", "reconstruction_s")
+    )
     track = str(head.get("track", "reconstruction"))
     if track not in COLUMNS:
-        raise InputError(f"{path}: attribute track: expected one of {', '.join(COLUMNS)}, got {track!r}")
-    return Result(file_path, track, printable(str(head.get("solver", "unknown"))), parameters, seconds, peak_mb, dataset.rig.grid, before_s)
+        raise InputError(
+            f"{path}: attribute track: expected one of {', '.join(COLUMNS)}, got {track!r}"
+        )
+    return Result(
+        file_path,
+        track,
+        printable(str(head.get("solver", "unknown"))),
+        parameters,
+        seconds,
+        peak_mb,
+        dataset.rig.grid,
+        before_s,
+    )
 
 
 def dataset_of(path: Path) -> str:
@@ -274,7 +355,9 @@ def _head(file: Any) -> dict[str, Any]:
     head = read_attributes(file, _ATTRIBUTES)
     if head.get("format") != FORMAT or head.get("version") != VERSION:
         got = f"{head.get('format')!r} version {head.get('version')}"
-        raise InputError(f"{file.filename}: expected format {FORMAT!r} version {VERSION}, got {got}")
+        raise InputError(
+            f"{file.filename}: expected format {FORMAT!r} version {VERSION}, got {got}"
+        )
     return head
 
 

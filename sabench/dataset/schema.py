@@ -22,7 +22,13 @@ from sabench.utils.validation import Model, validate
 
 FORMAT = "sabench-dataset"
 VERSION = 1
-MANIFEST, CAMERAS, SCENE, TRUTH, TRUE_CAMERAS = "manifest.json", "cameras.json", "scene.toml", "truth.h5", "true_cameras.json"
+MANIFEST, CAMERAS, SCENE, TRUTH, TRUE_CAMERAS = (
+    "manifest.json",
+    "cameras.json",
+    "scene.toml",
+    "truth.h5",
+    "true_cameras.json",
+)
 TARGET, POINTS = "target.json", "points.h5"
 MOST_POINTS = 1_000_000  # of a target
 GIVEN = "given"  # folder of what other programs wrote and the scene reads
@@ -64,7 +70,9 @@ class CamerasFile(_Record):
     def sequences(self) -> list[range]:
         """Frames that belong together: each group of pulses, or all frames, where a group has but one."""
         step = self.pulses if self.pulses > 1 else self.frames
-        return [range(first, min(first + step, self.frames)) for first in range(0, self.frames, step)]
+        return [
+            range(first, min(first + step, self.frames)) for first in range(0, self.frames, step)
+        ]
 
     def pairs(self) -> list[tuple[int, int]]:
         """Frames that follow each other within a sequence."""
@@ -147,7 +155,9 @@ def read_cameras(root: Path) -> CamerasFile:
     loaded = _checked(CamerasFile, path)
     names = [camera.name for camera in loaded.cameras]
     if len(set(names)) != len(names) or not all(name.replace("_", "").isalnum() for name in names):
-        raise InputError(f"{path}: cameras: expected different names of letters, digits and _, got {names}")
+        raise InputError(
+            f"{path}: cameras: expected different names of letters, digits and _, got {names}"
+        )
     _check_cameras(loaded.cameras, path)
     _check_numbers(loaded, path)
     return loaded.model_copy(update={"cameras": _behind(loaded.wall, loaded.cameras)})
@@ -157,9 +167,13 @@ def read_true_cameras(root: Path, told: CamerasFile) -> tuple[Camera, ...]:
     """The true cameras of a data set whose cameras.json tells others: the same names and image sizes, behind the same wall."""
     path = inside(root, TRUE_CAMERAS)
     cameras = _checked(TrueCamerasFile, path).cameras
-    expected, got = ([(c.name, c.rows, c.columns) for c in group] for group in (told.cameras, cameras))
+    expected, got = (
+        [(c.name, c.rows, c.columns) for c in group] for group in (told.cameras, cameras)
+    )
     if got != expected:
-        raise InputError(f"{path}: cameras: expected names and image sizes as in {CAMERAS}, {expected}, got {got}")
+        raise InputError(
+            f"{path}: cameras: expected names and image sizes as in {CAMERAS}, {expected}, got {got}"
+        )
     _check_cameras(cameras, path)
     return _behind(told.wall, cameras)
 
@@ -175,7 +189,9 @@ def read_target(root: Path) -> Target:
         or not 0.0 <= target.mark_mm < target.pitch_mm
         or target.columns * target.rows > MOST_POINTS
     ):
-        raise InputError(f"{path}: target: expected 2 to {MOST_POINTS} points, a positive pitch_mm and a smaller mark_mm, got {target}")
+        raise InputError(
+            f"{path}: target: expected 2 to {MOST_POINTS} points, a positive pitch_mm and a smaller mark_mm, got {target}"
+        )
     return target
 
 
@@ -187,37 +203,69 @@ def _check_cameras(cameras: tuple[Camera, ...], path: Path) -> None:
     """What the types cannot say of cameras."""
     first = cameras[0]
     for camera in cameras:
-        sizes = (camera.rows, camera.columns, camera.pixel_mm, camera.principal_distance_mm, camera.focal_length_mm, camera.f_number)
+        sizes = (
+            camera.rows,
+            camera.columns,
+            camera.pixel_mm,
+            camera.principal_distance_mm,
+            camera.focal_length_mm,
+            camera.f_number,
+        )
         if min(sizes) <= 0:
             raise InputError(f"{path}: {camera.name}: expected positive sizes, got {sizes}")
         if (camera.rows, camera.columns) != (first.rows, first.columns):
             got = f"{camera.rows} x {camera.columns}"
-            raise InputError(f"{path}: {camera.name}: expected {first.rows} x {first.columns} pixels (rows x columns) as {first.name} has, got {got}")
+            raise InputError(
+                f"{path}: {camera.name}: expected {first.rows} x {first.columns} pixels (rows x columns) as {first.name} has, got {got}"
+            )
         turn = np.asarray(camera.rotation)
         if np.abs(turn @ turn.T - np.eye(3)).max() > 1e-9 or np.linalg.det(turn) < 0.0:
-            raise InputError(f"{path}: {camera.name}: rotation: expected a right-handed orthonormal matrix, got {turn.tolist()}")
+            raise InputError(
+                f"{path}: {camera.name}: rotation: expected a right-handed orthonormal matrix, got {turn.tolist()}"
+            )
 
 
 def _check_numbers(loaded: CamerasFile, path: Path) -> None:
     """What the types cannot say of the rest."""
     levels = loaded.sensor
     if not levels.black_dn < levels.white_dn:
-        raise InputError(f"{path}: sensor: expected black_dn below white_dn, got {levels.black_dn:g} and {levels.white_dn:g}")
+        raise InputError(
+            f"{path}: sensor: expected black_dn below white_dn, got {levels.black_dn:g} and {levels.white_dn:g}"
+        )
     wall, grid = loaded.wall, loaded.grid
-    if wall and (abs(np.linalg.norm(wall.normal) - 1.0) > 1e-9 or min(*wall.indices, *(layer.thickness_mm for layer in wall.layers)) <= 0.0):
-        raise InputError(f"{path}: wall: expected a unit normal and positive indices and thicknesses, got {wall}")
-    if min(*grid.shape, *grid.voxel_mm) <= 0 or any(cut < 0 or 2 * cut >= n for cut, n in zip(grid.crop, grid.shape[::-1], strict=True)):
-        raise InputError(f"{path}: grid: expected positive shape and voxels and a crop that leaves some, got {grid}")
+    if wall and (
+        abs(np.linalg.norm(wall.normal) - 1.0) > 1e-9
+        or min(*wall.indices, *(layer.thickness_mm for layer in wall.layers)) <= 0.0
+    ):
+        raise InputError(
+            f"{path}: wall: expected a unit normal and positive indices and thicknesses, got {wall}"
+        )
+    if min(*grid.shape, *grid.voxel_mm) <= 0 or any(
+        cut < 0 or 2 * cut >= n for cut, n in zip(grid.crop, grid.shape[::-1], strict=True)
+    ):
+        raise InputError(
+            f"{path}: grid: expected positive shape and voxels and a crop that leaves some, got {grid}"
+        )
 
 
 def _checked(model: type[Model], path: Path) -> Model:
     value = read_json(path)
-    if not isinstance(value, dict) or value.get("format") != FORMAT or value.get("version") != VERSION:
-        got = f"{value.get('format')!r} version {value.get('version')!r}" if isinstance(value, dict) else type(value).__name__
+    if (
+        not isinstance(value, dict)
+        or value.get("format") != FORMAT
+        or value.get("version") != VERSION
+    ):
+        got = (
+            f"{value.get('format')!r} version {value.get('version')!r}"
+            if isinstance(value, dict)
+            else type(value).__name__
+        )
         raise InputError(f"{path}: expected format {FORMAT!r} version {VERSION}, got {got}")
     return validate(model, value, str(path))
 
 
 def camera_records(cameras: tuple[Camera, ...]) -> list[dict[str, Any]]:
     """Cameras as JSON keeps them: their wall stands beside them."""
-    return [{k: v for k, v in dataclasses.asdict(camera).items() if k != "wall"} for camera in cameras]
+    return [
+        {k: v for k, v in dataclasses.asdict(camera).items() if k != "wall"} for camera in cameras
+    ]

@@ -34,7 +34,11 @@ def _byte_faults(root: Path, manifest: schema.Manifest) -> Iterator[str]:
     """Missing, changed and foreign files."""
     if manifest.content_hash != schema.content_hash(manifest.files):
         yield f"{root / schema.MANIFEST}: its content_hash does not match its files"
-    present = {entry.relative_to(root).as_posix() for entry in root.rglob("*") if entry.is_symlink() or not entry.is_dir()}
+    present = {
+        entry.relative_to(root).as_posix()
+        for entry in root.rglob("*")
+        if entry.is_symlink() or not entry.is_dir()
+    }
     for name in sorted(present - set(manifest.files) - {schema.MANIFEST}):
         yield f"{root / name}: a file that the manifest does not list"
     for name, entry in track(manifest.files.items(), "verify checksums"):
@@ -78,7 +82,9 @@ def _check_scene(dataset: Dataset) -> None:
     """The resolved scene must be the one that the manifest names; its generator need not be installed."""
     path, scene = inside(dataset.root, schema.SCENE), dataset.scene
     if scene.hash != dataset.manifest.scene_hash:
-        raise InputError(f"{path}: its hash {scene.hash[:12]} is not the manifest's scene_hash {dataset.manifest.scene_hash[:12]}")
+        raise InputError(
+            f"{path}: its hash {scene.hash[:12]} is not the manifest's scene_hash {dataset.manifest.scene_hash[:12]}"
+        )
 
 
 def _try(read: Callable[[], object]) -> Iterator[str]:

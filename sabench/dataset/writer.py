@@ -41,7 +41,9 @@ class DatasetWriter:
         """Store arrays by their names in the file of truth."""
         with uninterrupted():
             for name, value in arrays.items():
-                self._truth.create_dataset(name, data=value, **(_PACK if name.rpartition("/")[2] in _PACKED else {}))
+                self._truth.create_dataset(
+                    name, data=value, **(_PACK if name.rpartition("/")[2] in _PACKED else {})
+                )
             self._truth.flush()
         self._check()
 
@@ -58,15 +60,27 @@ class DatasetWriter:
     def add_target(self, target: Target) -> None:
         """Store a calibration target."""
         head = {"format": schema.FORMAT, "version": schema.VERSION}
-        (self.root / schema.TARGET).write_text(canonical_json({**head, "target": asdict(target)}), encoding="utf-8")
+        (self.root / schema.TARGET).write_text(
+            canonical_json({**head, "target": asdict(target)}), encoding="utf-8"
+        )
 
     def add_sighting(self, camera: Camera, exact: F64, outliers: Bool) -> None:
         """Store where one camera truly sees the target's points (frame, point, 2), and which of those that it found are elsewhere (frame, point)."""
-        self.store({f"cameras/{camera.name}/pixel": exact, f"cameras/{camera.name}/outlier": outliers.astype(np.uint8)})
+        self.store(
+            {
+                f"cameras/{camera.name}/pixel": exact,
+                f"cameras/{camera.name}/outlier": outliers.astype(np.uint8),
+            }
+        )
 
     def add_points(self, pixels: F64, prior: Prior) -> None:
         """Store what solvers see of the target: pixels (camera, frame, point, 2), and what is known of its places."""
-        values = {"pixels": pixels, "rough_mm": prior.rough_mm, "known_mm": prior.known_mm, "known_sigma_mm": prior.known_sigma_mm}
+        values = {
+            "pixels": pixels,
+            "rough_mm": prior.rough_mm,
+            "known_mm": prior.known_mm,
+            "known_sigma_mm": prior.known_sigma_mm,
+        }
         with created(self.root / schema.POINTS) as (file, _), uninterrupted():
             file.attrs["format"], file.attrs["version"] = schema.FORMAT, schema.VERSION
             for name, value in values.items():
@@ -75,7 +89,15 @@ class DatasetWriter:
 
 @contextlib.contextmanager
 def dataset_writer(
-    target: Path, name: str, scene: Scene, rig: Rig, told: tuple[Camera, ...], seed: int, renderer: str, *, overwrite: bool = False
+    target: Path,
+    name: str,
+    scene: Scene,
+    rig: Rig,
+    told: tuple[Camera, ...],
+    seed: int,
+    renderer: str,
+    *,
+    overwrite: bool = False,
 ) -> Iterator[DatasetWriter]:
     """A writer whose frames become the data set at `target` when the block ends well, and vanish otherwise.
 
@@ -87,15 +109,21 @@ def dataset_writer(
     with complete_or_nothing(target, overwrite=overwrite) as root:
         root.mkdir()
         (root / schema.SCENE).write_text(_with_copies(scene, root).to_toml(), encoding="utf-8")
-        (root / schema.CAMERAS).write_text(canonical_json(_observation(scene, rig, told)), encoding="utf-8")
+        (root / schema.CAMERAS).write_text(
+            canonical_json(_observation(scene, rig, told)), encoding="utf-8"
+        )
         if scene.calibration:
-            (root / schema.TRUE_CAMERAS).write_text(canonical_json(_true_cameras(rig)), encoding="utf-8")
+            (root / schema.TRUE_CAMERAS).write_text(
+                canonical_json(_true_cameras(rig)), encoding="utf-8"
+            )
         with created(root / schema.TRUTH) as (truth, check):
             with uninterrupted():
                 truth.attrs["format"], truth.attrs["version"] = schema.FORMAT, schema.VERSION
             writer = DatasetWriter(root, truth, check)
             yield writer
-        (root / schema.MANIFEST).write_text(_manifest(root, name, scene, seed, renderer, writer.files), encoding="utf-8")
+        (root / schema.MANIFEST).write_text(
+            _manifest(root, name, scene, seed, renderer, writer.files), encoding="utf-8"
+        )
 
 
 def _with_copies(scene: Scene, root: Path) -> Scene:
@@ -109,34 +137,76 @@ def _with_copies(scene: Scene, root: Path) -> Scene:
 
 
 def _observation(scene: Scene, rig: Rig, told: tuple[Camera, ...]) -> dict[str, Any]:
-    sensor = {"black_dn": scene.sensor.black_level_dn, "white_dn": white_level(scene.sensor), "bit_depth": scene.sensor.bit_depth}
-    head: dict[str, Any] = {"format": schema.FORMAT, "version": schema.VERSION, "frames": scene.frames, "interval_s": scene.interval_s}
+    sensor = {
+        "black_dn": scene.sensor.black_level_dn,
+        "white_dn": white_level(scene.sensor),
+        "bit_depth": scene.sensor.bit_depth,
+    }
+    head: dict[str, Any] = {
+        "format": schema.FORMAT,
+        "version": schema.VERSION,
+        "frames": scene.frames,
+        "interval_s": scene.interval_s,
+    }
     if scene.timing is not None:
-        head |= {"times_s": [scene.time_s(frame) for frame in range(scene.frames)], "pulses": len(scene.timing.pulses_s)}
+        head |= {
+            "times_s": [scene.time_s(frame) for frame in range(scene.frames)],
+            "pulses": len(scene.timing.pulses_s),
+        }
     if scene.preprocessing:
         head["preprocessing"] = [step.model_dump() for step in scene.preprocessing]
     if scene.bubbles is not None or scene.solids:
-        head["shows"] = (["particles"] if scene.particles else []) + ["bubbles"] + (["code"] if has_code(scene) else [])
+        head["shows"] = (
+            (["particles"] if scene.particles else [])
+            + ["bubbles"]
+            + (["code"] if has_code(scene) else [])
+        )
     wall = asdict(rig.wall) if rig.wall else None
     told_too = {"unknown": list(scene.unknown)} if scene.unknown else {}
-    return {**head, "wall": wall, "cameras": schema.camera_records(told), "grid": asdict(rig.grid), "sensor": sensor, **told_too}
+    return {
+        **head,
+        "wall": wall,
+        "cameras": schema.camera_records(told),
+        "grid": asdict(rig.grid),
+        "sensor": sensor,
+        **told_too,
+    }
 
 
 def _true_cameras(rig: Rig) -> dict[str, Any]:
-    return {"format": schema.FORMAT, "version": schema.VERSION, "cameras": schema.camera_records(rig.cameras)}
+    return {
+        "format": schema.FORMAT,
+        "version": schema.VERSION,
+        "cameras": schema.camera_records(rig.cameras),
+    }
 
 
-def _manifest(root: Path, name: str, scene: Scene, seed: int, renderer: str, known: dict[str, schema.FileEntry]) -> str:
+def _manifest(
+    root: Path,
+    name: str,
+    scene: Scene,
+    seed: int,
+    renderer: str,
+    known: dict[str, schema.FileEntry],
+) -> str:
     paths = sorted(path for path in root.rglob("*") if path.is_file())
     names = [path.relative_to(root).as_posix() for path in paths]
     files = {name: known.get(name) or _entry(path) for name, path in zip(names, paths, strict=True)}
     versions = {"sabench": __version__, "python": platform.python_version()}
     versions |= {package: importlib.metadata.version(package) for package in _RECORDED}
-    return schema.sealed({
-        "format": schema.FORMAT, "version": schema.VERSION, "content_hash": schema.content_hash(files), "scene": name,
-        "scene_hash": scene.hash, "seed": seed, "renderer": renderer, "versions": versions,
-        "files": {key: entry.model_dump() for key, entry in files.items()},
-    })  # fmt: skip
+    return schema.sealed(
+        {
+            "format": schema.FORMAT,
+            "version": schema.VERSION,
+            "content_hash": schema.content_hash(files),
+            "scene": name,
+            "scene_hash": scene.hash,
+            "seed": seed,
+            "renderer": renderer,
+            "versions": versions,
+            "files": {key: entry.model_dump() for key, entry in files.items()},
+        }
+    )
 
 
 def _entry(path: Path) -> schema.FileEntry:

@@ -24,7 +24,10 @@ class Secret(BaseModel):
     def seeds_of(self, suite: str, version: int, case: str) -> tuple[int, ...]:
         """The seeds of a case, which say nothing of the secret nor of each other: HMAC-SHA256 (RFC 2104) of what they are for."""
         purposes = (f"{suite}\0{version}\0{case}\0{number}" for number in range(self.seeds))
-        drawn = (hmac.new(self.secret.encode(), purpose.encode(), hashlib.sha256).digest() for purpose in purposes)
+        drawn = (
+            hmac.new(self.secret.encode(), purpose.encode(), hashlib.sha256).digest()
+            for purpose in purposes
+        )
         return tuple(int.from_bytes(one[:8], "big") >> 1 for one in drawn)
 
 
@@ -34,12 +37,15 @@ def read_secret(path: Path) -> Secret:
     Raises
     ------
     InputError
-        No such file, no TOML, or a secret of fewer than 16 characters, which the error does not repeat.
+        No such file, no TOML, or a secret of fewer than 16 characters, which the error does not
+        repeat.
     """
     try:
         values = tomllib.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
         raise InputError(f"{path}: expected a TOML file, got {type(error).__name__}") from error
     if isinstance(values.get("secret"), str) and len(values["secret"]) < 16:
-        raise InputError(f"{path}: secret: expected 16 characters or more, got {len(values['secret'])}")
+        raise InputError(
+            f"{path}: secret: expected 16 characters or more, got {len(values['secret'])}"
+        )
     return validate(Secret, values, str(path))

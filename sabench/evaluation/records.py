@@ -43,25 +43,35 @@ class Head(_Part):
     case: str | None = Field(None, description="by default the scene's name")
     scene: str
     difficulty: Difficulty | None = None
-    axis: str | None = Field(None, description="what sets the case apart from the standard one: density, cameras, ...")
+    axis: str | None = Field(
+        None, description="what sets the case apart from the standard one: density, cameras, ..."
+    )
     axes: dict[str, Any] = Field({}, description="dotted keys of the scene with this case's values")
     scene_hash: str
     dataset: str = Field(description="content hash of the data set")
-    seed: int = Field(description="of the data set; its place in the list of seeds in a hidden split")
+    seed: int = Field(
+        description="of the data set; its place in the list of seeds in a hidden split"
+    )
     split: Literal["public", "hidden"] = "public"
     renderer: str
-    track: Literal["reconstruction", "particles", "calibration", "velocimetry", "bubbles", "see_through"] = "reconstruction"
+    track: Literal[
+        "reconstruction", "particles", "calibration", "velocimetry", "bubbles", "see_through"
+    ] = "reconstruction"
     solver: str
     label: str | None = Field(None, description="shown in place of the solver's name")
     parameters: dict[str, Any]
-    code_hash: str | None = Field(None, description="of the program that solved: sabench and the solver's file")
+    code_hash: str | None = Field(
+        None, description="of the program that solved: sabench and the solver's file"
+    )
     run_hash: str
     submission: Submission | None = None
     versions: dict[str, Any]
     machine: dict[str, Any]
     pictures: str | None = Field(None, description="folder of the case's pictures")
     command: str | None = Field(None, description="what makes this record again")
-    reference_s: float | None = Field(None, description="seconds of the reference kernel, timed in the same run")
+    reference_s: float | None = Field(
+        None, description="seconds of the reference kernel, timed in the same run"
+    )
     error: str | None = None
     declined: bool = Field(False, description="the solver said that the case is none for it")
 
@@ -69,7 +79,8 @@ class Head(_Part):
 def read_records(folder: Path) -> list[Record]:
     """All records of a folder's *.jsonl files, in the order of the files' names and of their lines, with defaults filled in.
 
-    A line that is no record is named on standard error and left out; so is, without a word, the last line that a killed run left torn.
+    A line that is no record is named on standard error and left out; so is, without a word, the
+    last line that a killed run left torn.
     """
     return [record for path in sorted(folder.glob("*.jsonl")) for record in _read_file(path)]
 
@@ -111,7 +122,12 @@ def _refuse(constant: str) -> None:
 def append(path: Path, record: Record) -> None:
     """Add one line and have the disk hold it; the torn last line of a killed run is cut off first. Many processes may do so at once."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    line = json.dumps({"format": FORMAT, "version": VERSION, **record}, sort_keys=True, allow_nan=False).encode() + b"\n"
+    line = (
+        json.dumps(
+            {"format": FORMAT, "version": VERSION, **record}, sort_keys=True, allow_nan=False
+        ).encode()
+        + b"\n"
+    )
     with FileLock(path.with_name(f".{path.name}.lock")), path.open("a+b") as file:
         file.truncate(_whole(file))
         file.write(line)

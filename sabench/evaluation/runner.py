@@ -56,9 +56,20 @@ class Only:
         """
         _check_known("case", self.cases, {case.name for case in cases})
         _check_known("seed", self.seeds, {case.told_seed for case in cases})
-        _check_known("solver", self.solvers, {entrant.shown for case in cases for entrant in case.solvers})
-        wanted = (case for case in cases if _among(case.name, self.cases) and _among(case.told_seed, self.seeds))
-        own = [replace(case, solvers=tuple(one for one in case.solvers if _among(one.shown, self.solvers))) for case in wanted]
+        _check_known(
+            "solver", self.solvers, {entrant.shown for case in cases for entrant in case.solvers}
+        )
+        wanted = (
+            case
+            for case in cases
+            if _among(case.name, self.cases) and _among(case.told_seed, self.seeds)
+        )
+        own = [
+            replace(
+                case, solvers=tuple(one for one in case.solvers if _among(one.shown, self.solvers))
+            )
+            for case in wanted
+        ]
         return [case for case in own if case.solvers]
 
 
@@ -69,17 +80,27 @@ def _among(value: Any, wanted: tuple[Any, ...]) -> bool:
 def _check_known(what: str, wanted: tuple[Any, ...], known: set[Any]) -> None:
     for value in wanted:
         if value not in known:
-            raise InputError(f"--{what} {value}: expected one of {', '.join(str(one) for one in sorted(known))}")
+            raise InputError(
+                f"--{what} {value}: expected one of {', '.join(str(one) for one in sorted(known))}"
+            )
 
 
 def run_suite(
-    path: str | Path, work: Path, leaderboard: Path, *, fresh: bool = False, only: Only = Only(), secret: Secret | None = None, jobs: int = 1
+    path: str | Path,
+    work: Path,
+    leaderboard: Path,
+    *,
+    fresh: bool = False,
+    only: Only = Only(),
+    secret: Secret | None = None,
+    jobs: int = 1,
 ) -> list[Record]:
     """Generate, solve, score and record a whole suite, then rebuild the page; returns the records.
 
-    A record is written as soon as its score is known, and what has a record already - of the same scene, seed, solver, code and machine - is not
-    computed again, so an interrupted run goes on where it was. A solver that fails gets a record that says why, and the run goes on; the next
-    run tries it again.
+    A record is written as soon as its score is known, and what has a record already - of the same
+    scene, seed, solver, code and machine - is not computed again, so an interrupted run goes on
+    where it was. A solver that fails gets a record that says why, and the run goes on; the next run
+    tries it again.
 
     Parameters
     ----------
@@ -89,13 +110,29 @@ def run_suite(
     jobs : processes that generate a data set.
     """
     suite, cases = load_suite(path, secret)
-    old = {} if fresh else {key_of(record, _COMPUTED): record for record in read_records(leaderboard / "records") if not record["error"]}
+    old = (
+        {}
+        if fresh
+        else {
+            key_of(record, _COMPUTED): record
+            for record in read_records(leaderboard / "records")
+            if not record["error"]
+        }
+    )
     records, wanted = [], only.of(cases)
     for number, case in enumerate(wanted, 1):
         heads = [_describe(case, entrant, str(path)) for entrant in case.solvers]
-        missing = [(entrant, head) for entrant, head in zip(case.solvers, heads, strict=True) if key_of(head, _COMPUTED) not in old]
+        missing = [
+            (entrant, head)
+            for entrant, head in zip(case.solvers, heads, strict=True)
+            if key_of(head, _COMPUTED) not in old
+        ]
         records += [old[key] for head in heads if (key := key_of(head, _COMPUTED)) in old]
-        console.print(f"data set {number} of {len(wanted)}: {case.name}, {_seed(case)}{'' if missing else ', known'}", markup=False, highlight=False)
+        console.print(
+            f"data set {number} of {len(wanted)}: {case.name}, {_seed(case)}{'' if missing else ', known'}",
+            markup=False,
+            highlight=False,
+        )
         if not missing:
             continue
         dataset = dataset_of(case, work, fresh, jobs)
@@ -125,21 +162,42 @@ def dataset_of(case: Case, work: Path, fresh: bool, jobs: int = 1) -> Dataset:
     folder = case.folder(work)
     if folder.is_dir() and not fresh and not verify(folder):
         dataset = open_dataset(folder)
-        if dataset.manifest.versions.get("sabench") == __version__ and dataset.manifest.versions.get("mitsuba") == _version("mitsuba"):
+        if dataset.manifest.versions.get(
+            "sabench"
+        ) == __version__ and dataset.manifest.versions.get("mitsuba") == _version("mitsuba"):
             console.print(f"data set {folder} is whole: used again")
             return dataset
     renderer: Renderer = "mitsuba" if case.renderer == "mitsuba" else "splat"
-    return generate(case.scene, folder, seed=case.seed, backend=renderer, name=case.name, overwrite=True, jobs=jobs)
+    return generate(
+        case.scene,
+        folder,
+        seed=case.seed,
+        backend=renderer,
+        name=case.name,
+        overwrite=True,
+        jobs=jobs,
+    )
 
 
-def _rank(case: Case, dataset: Dataset, entrants: list[tuple[Entrant, Record]], suite: Suite, work: Path, leaderboard: Path) -> Iterator[Record]:
+def _rank(
+    case: Case,
+    dataset: Dataset,
+    entrants: list[tuple[Entrant, Record]],
+    suite: Suite,
+    work: Path,
+    leaderboard: Path,
+) -> Iterator[Record]:
     """Records of solvers on one data set; the first seed of a public case is pictured."""
     pictured = case.number is None and case.seed == suite.seeds[0]
     folder = leaderboard / "pictures" / case.folder(work).name if pictured else None
     if folder:
         _picture_case(folder, dataset)
     for entrant, head in entrants:
-        record = head | _blank(head["track"]) | {"dataset": dataset.content_hash, "pictures": folder.name if folder else None}
+        record = (
+            head
+            | _blank(head["track"])
+            | {"dataset": dataset.content_hash, "pictures": folder.name if folder else None}
+        )
         name = f"{head['solver']}-{head['run_hash'][:8]}"
         out = work / "results" / f"{case.folder(work).name}-{name}.h5"
         try:
@@ -174,14 +232,42 @@ def _describe(case: Case, entrant: Entrant, suite: str) -> Record:
     """All of a record that is known before anything is computed."""
     solver, track, parameters = entrant.describe()
     head = {
-        "suite": Path(suite).stem, "scene": case.base, "case": case.name, "difficulty": case.difficulty, "axis": case.axis, "axes": dict(case.axes),
-        "scene_hash": case.scene.hash, "seed": case.told_seed, "split": "public" if case.number is None else "hidden", "renderer": case.renderer,
-        "track": track, "solver": solver, "label": entrant.label, "parameters": parameters, "code_hash": entrant.code_hash,
-    }  # fmt: skip
-    words = ["sabench", "run", suite, "--case", case.name, "--seed", str(case.told_seed), "--solver", entrant.shown]
+        "suite": Path(suite).stem,
+        "scene": case.base,
+        "case": case.name,
+        "difficulty": case.difficulty,
+        "axis": case.axis,
+        "axes": dict(case.axes),
+        "scene_hash": case.scene.hash,
+        "seed": case.told_seed,
+        "split": "public" if case.number is None else "hidden",
+        "renderer": case.renderer,
+        "track": track,
+        "solver": solver,
+        "label": entrant.label,
+        "parameters": parameters,
+        "code_hash": entrant.code_hash,
+    }
+    words = [
+        "sabench",
+        "run",
+        suite,
+        "--case",
+        case.name,
+        "--seed",
+        str(case.told_seed),
+        "--solver",
+        entrant.shown,
+    ]
     more = [] if case.number is None else ["--hidden", "SECRET_FILE"]
     run_hash = digest([head[key] for key in _RUN])
-    return {**head, "versions": versions(), "machine": machine(), "run_hash": run_hash, "command": shlex.join([*words, *more])}
+    return {
+        **head,
+        "versions": versions(),
+        "machine": machine(),
+        "run_hash": run_hash,
+        "command": shlex.join([*words, *more]),
+    }
 
 
 def versions() -> dict[str, str]:
@@ -192,22 +278,39 @@ def versions() -> dict[str, str]:
 
 def _blank(track: str) -> dict[str, Any]:
     """A record's scores before any is known."""
-    return dict.fromkeys((*(column.key for column in COLUMNS[track]), "error", "reference_s")) | {"declined": False}
+    return dict.fromkeys((*(column.key for column in COLUMNS[track]), "error", "reference_s")) | {
+        "declined": False
+    }
 
 
 def machine() -> dict[str, Any]:
     """What this run computes on."""
     info = Path("/proc/cpuinfo")
-    models = [line.split(":", 1)[1].strip() for line in info.read_text().splitlines() if line.startswith("model name")] if info.exists() else []
+    models = (
+        [
+            line.split(":", 1)[1].strip()
+            for line in info.read_text().splitlines()
+            if line.startswith("model name")
+        ]
+        if info.exists()
+        else []
+    )
     try:
         kind = backend.choose().kind
     except InputError:
         kind = "none"
     cpu = models[0] if models else platform.processor() or platform.machine()
-    return {"cpu": cpu, "cores": os.cpu_count(), "system": f"{platform.system()} {platform.machine()}", "backend": kind}
+    return {
+        "cpu": cpu,
+        "cores": os.cpu_count(),
+        "system": f"{platform.system()} {platform.machine()}",
+        "backend": kind,
+    }
 
 
-def solve_apart(entrant: Entrant, dataset: Dataset, out: Path, *, threads: int | None = None) -> float:
+def solve_apart(
+    entrant: Entrant, dataset: Dataset, out: Path, *, threads: int | None = None
+) -> float:
     """Solve in a process of its own, so that its memory is its own and its crash is only its own; its fault is an InputError here.
 
     Parameters
@@ -220,15 +323,34 @@ def solve_apart(entrant: Entrant, dataset: Dataset, out: Path, *, threads: int |
     """
     try:
         if not entrant.is_program:
-            return float(apart(_solve, entrant.name, entrant.parameters, str(dataset.root), str(out), threads, doing=f"solver {entrant.name}"))
+            return float(
+                apart(
+                    _solve,
+                    entrant.name,
+                    entrant.parameters,
+                    str(dataset.root),
+                    str(out),
+                    threads,
+                    doing=f"solver {entrant.name}",
+                )
+            )
         before = reference_s()
-        solve(entrant.name, dataset, out, parameters=entrant.parameters, limits=entrant.limits, overwrite=True)
+        solve(
+            entrant.name,
+            dataset,
+            out,
+            parameters=entrant.parameters,
+            limits=entrant.limits,
+            overwrite=True,
+        )
         return (before + reference_s()) / 2.0
     finally:
         clear_abandoned(out)
 
 
-def _solve(name: str, parameters: dict[str, Any], dataset: str, out: str, threads: int | None) -> float:
+def _solve(
+    name: str, parameters: dict[str, Any], dataset: str, out: str, threads: int | None
+) -> float:
     if threads is not None:
         numba.set_num_threads(threads)
     with threadpool_limits(threads):

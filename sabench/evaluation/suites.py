@@ -43,7 +43,9 @@ class Changes(_Table):
     """How a scene departs from its file; keys are the scene's, with dots between tables: "cameras.layout.x_mm"."""
 
     set: dict[str, Any] = Field({}, description="values that replace the scene's")
-    vary: dict[str, Annotated[list[Any], Field(min_length=1)]] = Field({}, description="lists of values: one case for each, or for each combination")
+    vary: dict[str, Annotated[list[Any], Field(min_length=1)]] = Field(
+        {}, description="lists of values: one case for each, or for each combination"
+    )
 
 
 class Entrant(_Table):
@@ -54,7 +56,9 @@ class Entrant(_Table):
     label: str | None = Field(None, description="shown in place of the name")
     track: str | None = Field(None, description="of a program: what its results are")
     time_limit_s: float | None = Field(None, gt=0, description="of a program, for a data set")
-    memory_limit_mb: float | None = Field(None, gt=0, description="of a program's processes together")
+    memory_limit_mb: float | None = Field(
+        None, gt=0, description="of a program's processes together"
+    )
 
     @property
     def is_program(self) -> bool:
@@ -74,7 +78,9 @@ class Entrant(_Table):
     @property
     def code_hash(self) -> str:
         """Of sabench and the solver's or program's file."""
-        return code_hash(Path(self.name) if self.is_program else plugins.file_of("solvers", self.name))
+        return code_hash(
+            Path(self.name) if self.is_program else plugins.file_of("solvers", self.name)
+        )
 
     def describe(self) -> tuple[str, str, dict[str, Any]]:
         """Its name in tables, its track and all its parameters."""
@@ -88,11 +94,19 @@ class CaseSpec(Changes):
     """One scene, changed."""
 
     scene: str = Field(description="name of a bundled scene, or a path beside the suite")
-    name: str | None = Field(None, pattern=f"^{_SAFE}$", description="by default the scene's; the varied values are appended")
+    name: str | None = Field(
+        None,
+        pattern=f"^{_SAFE}$",
+        description="by default the scene's; the varied values are appended",
+    )
     backend: Renderer | None = Field(None, description="by default the suite's")
     solvers: tuple[Entrant, ...] = Field((), description="by default the suite's")
     difficulty: Difficulty | None = None
-    axis: str | None = Field(None, pattern=r"^[a-z][a-z ]*$", description="what alone sets it apart from the standard case: density, ...")
+    axis: str | None = Field(
+        None,
+        pattern=r"^[a-z][a-z ]*$",
+        description="what alone sets it apart from the standard case: density, ...",
+    )
 
 
 class Suite(Changes):
@@ -100,12 +114,18 @@ class Suite(Changes):
 
     title: str
     version: int = Field(1, ge=1)
-    frozen: str | None = Field(None, pattern="^[0-9a-f]{64}$", description="hash of its cases and seeds: with it, a change needs a new version")
+    frozen: str | None = Field(
+        None,
+        pattern="^[0-9a-f]{64}$",
+        description="hash of its cases and seeds: with it, a change needs a new version",
+    )
     scenes: tuple[str, ...] = Field((), description="cases that change no more than the suite does")
     cases: tuple[CaseSpec, ...] = ()
     seeds: tuple[Annotated[int, Field(ge=0, lt=2**63)], ...] = Field((1,), min_length=1)
     backend: Renderer = "auto"
-    keep_data: bool = Field(True, description="false: a data set and its results are deleted when they are scored")
+    keep_data: bool = Field(
+        True, description="false: a data set and its results are deleted when they are scored"
+    )
     solvers: tuple[Entrant, ...] = Field((), description="of all cases that do not have their own")
 
     @model_validator(mode="after")
@@ -167,7 +187,8 @@ def load_suite(path: str | Path, secret: Secret | None = None) -> tuple[Suite, l
     Raises
     ------
     InputError
-        Anything wrong in the suite, in one of its scenes or in what it changes, two cases of one name, or cases that are not those that were frozen.
+        Anything wrong in the suite, in one of its scenes or in what it changes, two cases of one
+        name, or cases that are not those that were frozen.
     """
     file = find(path, "scenes/suites")
     try:
@@ -175,24 +196,47 @@ def load_suite(path: str | Path, secret: Secret | None = None) -> tuple[Suite, l
     except (OSError, ValueError, RecursionError) as error:
         raise InputError(f"{file}: expected a TOML file, got {error}") from error
     suite = validate(Suite, values, str(file))
-    own = suite.model_copy(update={"solvers": tuple(_checked(entrant, file) for entrant in suite.solvers)})
-    specs = [spec.model_copy(update={"solvers": tuple(_checked(entrant, file) for entrant in spec.solvers)}) for spec in _specs(own)]
+    own = suite.model_copy(
+        update={"solvers": tuple(_checked(entrant, file) for entrant in suite.solvers)}
+    )
+    specs = [
+        spec.model_copy(
+            update={"solvers": tuple(_checked(entrant, file) for entrant in spec.solvers)}
+        )
+        for spec in _specs(own)
+    ]
     if len(specs) > _MOST_CASES:
         raise InputError(f"{file}: scenes, cases: expected at most {_MOST_CASES}, got {len(specs)}")
     first = [case for spec in specs for case in _cases(spec, own, file)]
     _check_names([case.name for case in first], file)
     _check_frozen(own, first, file)
-    return own, [replace(case, seed=seed, number=number) for case in first for number, seed in _seeds(own, case, file.stem, secret)]
+    return own, [
+        replace(case, seed=seed, number=number)
+        for case in first
+        for number, seed in _seeds(own, case, file.stem, secret)
+    ]
 
 
 def _cases(spec: CaseSpec, suite: Suite, file: Path) -> Iterator[Case]:
     """All cases of a specification, with the suite's first seed."""
     renderer = choose_renderer(spec.backend or suite.backend)
     for name, base, axes, scene in _variants(spec, file):
-        yield Case(name, base, axes, scene, suite.seeds[0], renderer, spec.solvers, spec.difficulty, spec.axis)
+        yield Case(
+            name,
+            base,
+            axes,
+            scene,
+            suite.seeds[0],
+            renderer,
+            spec.solvers,
+            spec.difficulty,
+            spec.axis,
+        )
 
 
-def _seeds(suite: Suite, case: Case, name: str, secret: Secret | None) -> list[tuple[int | None, int]]:
+def _seeds(
+    suite: Suite, case: Case, name: str, secret: Secret | None
+) -> list[tuple[int | None, int]]:
     """Numbers and seeds of a case's data sets."""
     if secret is None:
         return [(None, seed) for seed in dict.fromkeys(suite.seeds)]
@@ -201,7 +245,13 @@ def _seeds(suite: Suite, case: Case, name: str, secret: Secret | None) -> list[t
 
 def _check_frozen(suite: Suite, cases: list[Case], file: Path) -> None:
     """What a frozen suite's data sets are made from must not change."""
-    found = digest([suite.version, list(suite.seeds), [[case.name, case.scene.hash, case.difficulty, case.axis] for case in cases]])
+    found = digest(
+        [
+            suite.version,
+            list(suite.seeds),
+            [[case.name, case.scene.hash, case.difficulty, case.axis] for case in cases],
+        ]
+    )
     if suite.frozen not in (None, found):
         raise InputError(
             f"{file}: frozen: expected the cases and seeds of version {suite.version}, whose hash is {suite.frozen}, got others with {found}: "
@@ -212,12 +262,19 @@ def _check_frozen(suite: Suite, cases: list[Case], file: Path) -> None:
 def _checked(entrant: Entrant, file: Path) -> Entrant:
     """A solver that there is with parameters that it takes, or a program with its whole path and its track."""
     if not entrant.is_program:
-        if any(value is not None for value in (entrant.track, entrant.time_limit_s, entrant.memory_limit_mb)):
-            raise InputError(f"{file}: solver {entrant.name}: expected track, time_limit_s and memory_limit_mb for programs only")
+        if any(
+            value is not None
+            for value in (entrant.track, entrant.time_limit_s, entrant.memory_limit_mb)
+        ):
+            raise InputError(
+                f"{file}: solver {entrant.name}: expected track, time_limit_s and memory_limit_mb for programs only"
+            )
         make_algorithm(entrant.name, entrant.parameters)
         return entrant
     if entrant.track not in COLUMNS:
-        raise InputError(f"{file}: program {entrant.name}: track: expected one of {', '.join(COLUMNS)}, got {entrant.track!r}")
+        raise InputError(
+            f"{file}: program {entrant.name}: track: expected one of {', '.join(COLUMNS)}, got {entrant.track!r}"
+        )
     return entrant.model_copy(update={"name": str(find_program(entrant.name, file.parent))})
 
 
@@ -243,7 +300,14 @@ def _assign(table: dict[str, Any], key: str, value: Any, source: str) -> None:
 def _specs(suite: Suite) -> list[CaseSpec]:
     """All cases with the suite's own changes in front of theirs."""
     specs = (*(CaseSpec(scene=name) for name in suite.scenes), *suite.cases)
-    inherited = ({"set": suite.set | spec.set, "vary": suite.vary | spec.vary, "solvers": spec.solvers or suite.solvers} for spec in specs)
+    inherited = (
+        {
+            "set": suite.set | spec.set,
+            "vary": suite.vary | spec.vary,
+            "solvers": spec.solvers or suite.solvers,
+        }
+        for spec in specs
+    )
     return [spec.model_copy(update=update) for spec, update in zip(specs, inherited, strict=True)]
 
 
@@ -252,11 +316,15 @@ def _variants(spec: CaseSpec, suite: Path) -> Iterator[tuple[str, str, dict[str,
     beside = suite.parent / spec.scene
     count = math.prod(len(values) for values in spec.vary.values())
     if count > _MOST_CASES:
-        raise InputError(f"{suite}: {spec.scene}: vary: expected at most {_MOST_CASES} cases, got {count}")
+        raise InputError(
+            f"{suite}: {spec.scene}: vary: expected at most {_MOST_CASES} cases, got {count}"
+        )
     base, scene = Path(spec.scene).stem, load_scene(beside if is_file(beside) else spec.scene)
     for choice in itertools.product(*(enumerate(values, 1) for values in spec.vary.values())):
         axes = {key: value for key, (_, value) in zip(spec.vary, choice, strict=True)}
-        tags = [_tag(key, value, number) for key, (number, value) in zip(spec.vary, choice, strict=True)]
+        tags = [
+            _tag(key, value, number) for key, (number, value) in zip(spec.vary, choice, strict=True)
+        ]
         name = "-".join([spec.name or _UNSAFE.sub("_", base), *tags])
         yield name, base, axes, override(scene, spec.set | axes, f"{suite}: case {name}")
 
@@ -268,6 +336,8 @@ def _tag(key: str, value: Any, number: int) -> str:
 
 
 def _check_names(names: list[str], file: Path) -> None:
-    name, count = Counter(name.casefold() for name in names).most_common(1)[0]  # some file systems do not tell a from A
+    name, count = Counter(name.casefold() for name in names).most_common(1)[
+        0
+    ]  # some file systems do not tell a from A
     if count > 1:
         raise InputError(f"{file}: {count} cases are named {name}: give them names of their own")

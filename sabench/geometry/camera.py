@@ -35,10 +35,12 @@ class Camera:
     name : used in file names.
     rows, columns : image size, px.
     center_mm : pinhole, world frame.
-    rotation : 3x3 as nested tuples, world to camera: the rows are the camera's X (right), Y (down) and Z (forward) axes in the world.
+    rotation : 3x3 as nested tuples, world to camera: the rows are the camera's X (right), Y (down)
+        and Z (forward) axes in the world.
     principal_distance_mm : distance from the pinhole to the image plane.
     pixel_mm : pixel pitch.
-    principal_point_px : (column, row) of the optical axis; (0, 0) is the CENTRE of the top-left pixel.
+    principal_point_px : (column, row) of the optical axis; (0, 0) is the CENTRE of the top-left
+        pixel.
     distortion : radial-tangential coefficients.
     focal_length_mm, f_number : of the lens, for defocus and light gathering.
     wall : what the camera looks through; None for plain air.
@@ -48,7 +50,9 @@ class Camera:
     rows: int
     columns: int
     center_mm: tuple[float, float, float]
-    rotation: tuple[tuple[float, float, float], tuple[float, float, float], tuple[float, float, float]]
+    rotation: tuple[
+        tuple[float, float, float], tuple[float, float, float], tuple[float, float, float]
+    ]
     principal_distance_mm: float
     pixel_mm: float
     principal_point_px: tuple[float, float]
@@ -82,8 +86,8 @@ class Camera:
     def project(self, points_mm: npt.ArrayLike) -> tuple[F64, Bool]:
         """Pixels (n, 2) as (column, row) of world points (n, 3), and whether each has one.
 
-        Not `valid`: points outside the fluid, behind the camera's image plane, or where distortion folds the image over.
-        A valid pixel may lie outside the image: see `contains`.
+        Not `valid`: points outside the fluid, behind the camera's image plane, or where distortion
+        folds the image over. A valid pixel may lie outside the image: see `contains`.
         """
         points = rows_of(points_mm, 3, "points_mm")
         if self.wall is None or self.wall.depth_of(np.asarray(self.center_mm)) >= 0.0:
@@ -93,7 +97,9 @@ class Camera:
         valid = np.asarray(np.isfinite(pixels[:, 0]) & np.isfinite(pixels[:, 1]))
         if self.distortion != Distortion():
             middle = np.asarray(self.principal_point_px)
-            ideal, one_to_one, _ = _distort(self.distortion, np.where(valid[:, None], (pixels - middle) / self.focal_px, 0.0))
+            ideal, one_to_one, _ = _distort(
+                self.distortion, np.where(valid[:, None], (pixels - middle) / self.focal_px, 0.0)
+            )
             valid &= one_to_one
             pixels = ideal * self.focal_px + middle
         pixels[~valid] = np.nan
@@ -110,7 +116,17 @@ class Camera:
         column, row = np.empty(len(points)), np.empty(len(points))
         frame = (*along.tolist(), *across.tolist(), *normal.tolist())
         lens = (*local.ravel().tolist(), *(float(v) for v in self.principal_point_px))
-        projection_kernels.project(x, y, z, self.center_mm, frame, projection_kernels.media_of(wall, np.asarray(self.center_mm)), lens, column, row)
+        projection_kernels.project(
+            x,
+            y,
+            z,
+            self.center_mm,
+            frame,
+            projection_kernels.media_of(wall, np.asarray(self.center_mm)),
+            lens,
+            column,
+            row,
+        )
         return np.column_stack([column, row])
 
     def pixels_of(self, leaving: F64, valid: Bool) -> tuple[F64, Bool]:
@@ -134,7 +150,9 @@ class Camera:
 
     def ideal(self, pixels: npt.ArrayLike) -> tuple[F64, Bool]:
         """Undistorted image coordinates (n, 2), x/z and y/z, of pixels (n, 2)."""
-        distorted = (rows_of(pixels, 2, "pixels") - np.asarray(self.principal_point_px)) / self.focal_px
+        distorted = (
+            rows_of(pixels, 2, "pixels") - np.asarray(self.principal_point_px)
+        ) / self.focal_px
         return _undistort(self.distortion, distorted)
 
     def back_project(self, pixels: npt.ArrayLike) -> Rays:
@@ -146,7 +164,9 @@ class Camera:
     def carry(self, points_mm: F64, z_mm: float) -> F64:
         """Where the lines of sight through points (n, 3) of the fluid meet the plane at `z_mm`: (n, 2); NaN for points without one."""
         arriving = trace_to_points(self.wall, np.asarray(self.center_mm), points_mm).arriving
-        return np.asarray(points_mm[:, :2] + arriving[:, :2] / arriving[:, 2:] * (z_mm - points_mm[:, 2:]))
+        return np.asarray(
+            points_mm[:, :2] + arriving[:, :2] / arriving[:, 2:] * (z_mm - points_mm[:, 2:])
+        )
 
     def contains(self, pixels: F64, margin_px: float = 0.0) -> Bool:
         """Whether pixels (n, 2) lie on the sensor, or at most `margin_px` outside."""
@@ -172,7 +192,9 @@ def _etendue(camera: Camera) -> F64:
     across, along = ends[0] - ends[1], ends[2] - ends[3]
     area = np.abs(across[:, 0] * along[:, 1] - across[:, 1] * along[:, 0])
     square = 1.0 + np.sum(ends[4] ** 2, axis=1)
-    out = np.asarray(np.pi * camera.aperture_radius_mm**2 * area / square**2).reshape(camera.rows, camera.columns)
+    out = np.asarray(np.pi * camera.aperture_radius_mm**2 * area / square**2).reshape(
+        camera.rows, camera.columns
+    )
     out.flags.writeable = False
     return out
 
@@ -215,7 +237,10 @@ def _undistort(lens: Distortion, distorted: F64) -> tuple[F64, Bool]:
             if np.all(np.abs(residual) < 1e-15):
                 break
             a, b = residual.T
-            ideal = ideal + np.column_stack([vy * a - uy * b, ux * b - uy * a]) / (ux * vy - uy * uy)[:, None]
+            ideal = (
+                ideal
+                + np.column_stack([vy * a - uy * b, ux * b - uy * a]) / (ux * vy - uy * uy)[:, None]
+            )
         valid = (np.abs(residual).max(axis=1) < 1e-12) & _distort(lens, ideal)[1]
     return ideal, np.asarray(valid)
 
@@ -226,7 +251,9 @@ def aimed_rotation(
     """World-to-camera rotation whose Z axis is `forward` and whose Y axis is as near to `down` as it can be."""
     z = forward / np.linalg.norm(forward)
     x = np.cross(np.asarray(down, dtype=np.float64), z)
-    if np.linalg.norm(x) < 1e-9:  # looking along `down`: any right-hand side will do, so the world's X
+    if (
+        np.linalg.norm(x) < 1e-9
+    ):  # looking along `down`: any right-hand side will do, so the world's X
         x = np.cross(np.cross(z, [1.0, 0.0, 0.0]), z)
     x = x / np.linalg.norm(x)
     return triple(x), triple(np.cross(z, x)), triple(z)
@@ -237,5 +264,7 @@ def aim(camera: Camera, target_mm: npt.ArrayLike) -> Camera:
     target = np.asarray(target_mm, dtype=np.float64)[None]
     paths = trace_to_points(camera.wall, np.asarray(camera.center_mm), target)
     if not paths.valid[0]:
-        raise ValueError(f"camera {camera.name}: no light path to its aim point {target[0].tolist()}")
+        raise ValueError(
+            f"camera {camera.name}: no light path to its aim point {target[0].tolist()}"
+        )
     return replace(camera, rotation=aimed_rotation(paths.leaving[0]))

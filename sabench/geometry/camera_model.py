@@ -17,7 +17,9 @@ def on_sensor(rows: int, columns: int, pixels: F64, margin_px: float) -> Bool:
     column, row = pixels[:, 0], pixels[:, 1]
     with np.errstate(invalid="ignore"):
         inside = (column >= low) & (row >= low)
-        return np.asarray(inside & (column < columns + margin_px - 0.5) & (row < rows + margin_px - 0.5))
+        return np.asarray(
+            inside & (column < columns + margin_px - 0.5) & (row < rows + margin_px - 0.5)
+        )
 
 
 class CameraModel(Protocol):

@@ -33,7 +33,10 @@ class Grid:
     def axes_mm(self) -> tuple[F64, F64, F64]:
         """Voxel centres along x, y and z."""
         counts = self.shape[::-1]
-        x, y, z = (np.asarray(low + step * np.arange(n), np.float64) for low, step, n in zip(self.low_mm, self.voxel_mm, counts, strict=True))
+        x, y, z = (
+            np.asarray(low + step * np.arange(n), np.float64)
+            for low, step, n in zip(self.low_mm, self.voxel_mm, counts, strict=True)
+        )
         return x, y, z
 
     def to_voxels(self, points_mm: F64) -> F64:
@@ -62,10 +65,13 @@ def synthesise(grid: Grid, positions_mm: F64, weights: F64, sigma_mm: float) -> 
     weights : (n,) peak value of each Gaussian.
     sigma_mm : its standard deviation, in mm along all axes.
 
-    Source: thesis section 2.2.3, the field that equation 2.13 compares with. The average over the voxel, as a pixel averages an image, keeps
-    the field's integral where a voxel is longer than the particle: values at voxel centres would miss particles between two planes.
+    Source: thesis section 2.2.3, the field that equation 2.13 compares with. The average over the
+    voxel, as a pixel averages an image, keeps the field's integral where a voxel is longer than the
+    particle: values at voxel centres would miss particles between two planes.
     """
-    from sabench.geometry.grid_kernels import add_particles  # numba is loaded at the first use, since most of the package needs none of it
+    from sabench.geometry.grid_kernels import (
+        add_particles,
+    )  # numba is loaded at the first use, since most of the package needs none of it
 
     voxels = grid.to_voxels(positions_mm)
     sigma = sigma_mm / np.asarray(grid.voxel_mm)
@@ -74,7 +80,9 @@ def synthesise(grid: Grid, positions_mm: F64, weights: F64, sigma_mm: float) -> 
     near = ((voxels >= -1.0 - reach) & (voxels <= size + reach)).all(axis=1) & (weights != 0.0)
     voxels = voxels[near]
     nearest = np.rint(voxels).astype(np.int64)
-    x, y, z = (_profile(voxels[:, i], nearest[:, i], int(reach[i]), float(sigma[i])) for i in range(3))
+    x, y, z = (
+        _profile(voxels[:, i], nearest[:, i], int(reach[i]), float(sigma[i])) for i in range(3)
+    )
     field: F32 = np.zeros(grid.shape, dtype=np.float32)
     add_particles(nearest - reach, weights[near].astype(np.float32), x, y, z, field)
     return field

@@ -10,7 +10,9 @@ _BAND = 16  # planes that one thread fills at a time, so that none writes where 
 
 
 @numba.njit(cache=True, parallel=True)
-def add_particles(first: Any, weights: Any, along_x: Any, along_y: Any, along_z: Any, field: Any) -> None:
+def add_particles(
+    first: Any, weights: Any, along_x: Any, along_y: Any, along_z: Any, field: Any
+) -> None:
     """Add w p(x) p(y) p(z) of every particle to the field (z, y, x), from the voxel `first` (x, y, z) on; what lies outside is dropped."""
     planes, rows, columns = field.shape
     for band in numba.prange((planes + _BAND - 1) // _BAND):

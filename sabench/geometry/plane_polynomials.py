@@ -1,6 +1,7 @@
 """Maps of planes onto images as polynomials: the exact map, refraction included, needs an iteration per point, but it is smooth.
 
-A polynomial's degree is raised until its worst error, measured at other points than it was fitted to, is below `TOLERANCE_PX`.
+A polynomial's degree is raised until its worst error, measured at other points than it was fitted
+to, is below `TOLERANCE_PX`.
 """
 
 from __future__ import annotations
@@ -17,7 +18,9 @@ from sabench.utils.arrays import F64
 TOLERANCE_PX = 1e-3
 _DEGREES = range(2, 13)
 
-Smooth = Callable[[F64], F64]  # values (n, m) at points (n, 2), whose coordinates u, v run from -1 to 1
+Smooth = Callable[
+    [F64], F64
+]  # values (n, m) at points (n, 2), whose coordinates u, v run from -1 to 1
 
 
 @dataclass(frozen=True)
@@ -27,7 +30,8 @@ class PlaneMap:
     Attributes
     ----------
     degree : total degree.
-    coefficients : (2, (degree + 1)(degree + 2) / 2) of column and row, terms ordered by the power of v, then of u.
+    coefficients : (2, (degree + 1)(degree + 2) / 2) of column and row, terms ordered by the power
+        of v, then of u.
     error_px : largest distance from the exact projection, measured between the nodes of the fit.
     """
 
@@ -51,11 +55,15 @@ def plane_map(camera: CameraModel, grid: Grid, z_mm: float, degree: int) -> Plan
 def plane_maps(cameras: Sequence[CameraModel], grid: Grid) -> list[list[PlaneMap]]:
     """Maps of all planes (outer list) onto all cameras (inner list), of the lowest common degree within `TOLERANCE_PX`."""
     depths = grid.axes_mm[2]
-    degree = max(lowest_degree(_plane_function(camera, grid, depths[[0, -1]])) for camera in cameras)
+    degree = max(
+        lowest_degree(_plane_function(camera, grid, depths[[0, -1]])) for camera in cameras
+    )
     by_camera = [_maps_of_degree(camera, grid, depths, degree) for camera in cameras]
     worst = max(part.error_px for maps in by_camera for part in maps)
     if worst > TOLERANCE_PX:
-        raise ValueError(f"plane maps of degree {degree}: expected an error below {TOLERANCE_PX} px, got {worst:.3g}")
+        raise ValueError(
+            f"plane maps of degree {degree}: expected an error below {TOLERANCE_PX} px, got {worst:.3g}"
+        )
     return [list(plane) for plane in zip(*by_camera, strict=True)]
 
 
@@ -69,8 +77,12 @@ def fit(function: Smooth, degree: int) -> tuple[F64, F64]:
     """
     nodes = np.cos(np.pi * (np.arange(degree + 3) + 0.5) / (degree + 3))
     between = np.linspace(-1.0, 1.0, 2 * degree + 5)
-    known, check = (np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2) for axis in (nodes, between))
-    coefficients = np.asarray(np.linalg.lstsq(terms(known, degree), function(known), rcond=None)[0], dtype=np.float64)
+    known, check = (
+        np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2) for axis in (nodes, between)
+    )
+    coefficients = np.asarray(
+        np.linalg.lstsq(terms(known, degree), function(known), rcond=None)[0], dtype=np.float64
+    )
     errors = np.abs(terms(check, degree) @ coefficients - function(check)).max(axis=0)
     return np.ascontiguousarray(coefficients.T), np.asarray(errors)
 
@@ -80,7 +92,9 @@ def lowest_degree(function: Smooth) -> int:
     for degree in _DEGREES:
         if fit(function, degree)[1].max() < 0.5 * TOLERANCE_PX:
             return degree
-    raise ValueError(f"expected maps smooth enough for polynomials of degree {_DEGREES[-1]}: a camera, its wall or its distortion is too extreme")
+    raise ValueError(
+        f"expected maps smooth enough for polynomials of degree {_DEGREES[-1]}: a camera, its wall or its distortion is too extreme"
+    )
 
 
 def terms(points: F64, degree: int) -> F64:
@@ -102,12 +116,16 @@ def plane_points(grid: Grid, z_mm: float, unit: F64) -> F64:
     """World points (n, 3) of a plane given in u, v."""
     x, y, _ = grid.axes_mm
     ends = np.array([[x[0], y[0]], [x[-1], y[-1]]])
-    return np.column_stack([(ends[0] + ends[1]) / 2 + unit * (ends[1] - ends[0]) / 2, np.full(len(unit), z_mm)])
+    return np.column_stack(
+        [(ends[0] + ends[1]) / 2 + unit * (ends[1] - ends[0]) / 2, np.full(len(unit), z_mm)]
+    )
 
 
 def _maps_of_degree(camera: CameraModel, grid: Grid, depths: F64, degree: int) -> list[PlaneMap]:
     coefficients, errors = fit(_plane_function(camera, grid, depths), degree)
-    pairs = zip(coefficients.reshape(len(depths), 2, -1), errors.reshape(len(depths), 2), strict=True)
+    pairs = zip(
+        coefficients.reshape(len(depths), 2, -1), errors.reshape(len(depths), 2), strict=True
+    )
     return [PlaneMap(degree, part, float(np.linalg.norm(error))) for part, error in pairs]
 
 
@@ -123,5 +141,7 @@ def _plane_function(camera: CameraModel, grid: Grid, depths: F64) -> Smooth:
 def _project_plane(camera: CameraModel, grid: Grid, z_mm: float, unit: F64) -> F64:
     pixels, valid = camera.project(plane_points(grid, z_mm, unit))
     if not valid.all():
-        raise ValueError(f"{camera.name}: expected a light path to every voxel, but the plane z = {z_mm:g} mm has points without one")
+        raise ValueError(
+            f"{camera.name}: expected a light path to every voxel, but the plane z = {z_mm:g} mm has points without one"
+        )
     return pixels

@@ -29,7 +29,8 @@ class Projective:
 
     Attributes
     ----------
-    matrix : (3, 4) as nested tuples, P of (column, row, 1) w = P (X, Y, Z, 1); w is positive in front of the camera.
+    matrix : (3, 4) as nested tuples, P of (column, row, 1) w = P (X, Y, Z, 1); w is positive in
+        front of the camera.
     """
 
     name: str
@@ -62,7 +63,11 @@ class Projective:
         inverse = np.linalg.inv(matrix[:, :3])
         directions = np.column_stack([image, np.ones(len(image))]) @ inverse.T
         directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-        return Rays(np.tile(-inverse @ matrix[:, 3], (len(image), 1)), directions, np.isfinite(directions).all(axis=1))
+        return Rays(
+            np.tile(-inverse @ matrix[:, 3], (len(image), 1)),
+            directions,
+            np.isfinite(directions).all(axis=1),
+        )
 
     def contains(self, pixels: F64, margin_px: float = 0.0) -> Bool:
         """Whether pixels (n, 2) lie on the sensor, or at most `margin_px` outside."""
@@ -100,11 +105,23 @@ class _Fitted:
 
     def carry(self, points_mm: F64, z_mm: float) -> F64:
         """Where what has the same pixels as points (n, 3) lies on the plane at `z_mm`: (n, 2)."""
-        return _on_plane(lambda points: self.project(points)[0], self.project(points_mm)[0], z_mm, points_mm[:, :2], self.half_mm)[:, :2]
+        return _on_plane(
+            lambda points: self.project(points)[0],
+            self.project(points_mm)[0],
+            z_mm,
+            points_mm[:, :2],
+            self.half_mm,
+        )[:, :2]
 
     def back_project(self, pixels: npt.ArrayLike) -> Rays:
         """Straight lines through the points of the box's front and back that a pixel sees."""
-        return _through(lambda points: self.project(points)[0], rows_of(pixels, 2, "pixels"), self._ends_mm, self.middle_mm, self.half_mm)
+        return _through(
+            lambda points: self.project(points)[0],
+            rows_of(pixels, 2, "pixels"),
+            self._ends_mm,
+            self.middle_mm,
+            self.half_mm,
+        )
 
     def contains(self, pixels: F64, margin_px: float = 0.0) -> Bool:
         """Whether pixels (n, 2) lie on the sensor, or at most `margin_px` outside."""
@@ -119,7 +136,8 @@ class Soloff(_Fitted):
 
     Attributes
     ----------
-    coefficients : two rows, for column and row, in the order of `_SOLOFF`: powers of X fastest, then Y, then Z.
+    coefficients : two rows, for column and row, in the order of `_SOLOFF`: powers of X fastest,
+        then Y, then Z.
     """
 
     coefficients: Rows
@@ -140,7 +158,8 @@ class PlanePolynomials(_Fitted):
     Attributes
     ----------
     planes_mm : Z of the planes, rising.
-    coefficients : for each plane the six of the column, then the six of the row: 1, X, X^2, Y, X Y, Y^2.
+    coefficients : for each plane the six of the column, then the six of the row: 1, X, X^2, Y, X Y,
+        Y^2.
     """
 
     planes_mm: tuple[float, ...]
@@ -149,11 +168,16 @@ class PlanePolynomials(_Fitted):
     def project(self, points_mm: npt.ArrayLike) -> tuple[F64, Bool]:
         """Pixels (n, 2) as (column, row) of world points (n, 3); beyond the outer planes the last two are continued."""
         points = rows_of(points_mm, 3, "points_mm")
-        planes, table = np.asarray(self.planes_mm), np.asarray(self.coefficients).reshape(len(self.planes_mm), 2, len(_QUADRATIC))
+        planes, table = (
+            np.asarray(self.planes_mm),
+            np.asarray(self.coefficients).reshape(len(self.planes_mm), 2, len(_QUADRATIC)),
+        )
         left = np.clip(np.searchsorted(planes, points[:, 2]) - 1, 0, len(planes) - 2)
         share = (points[:, 2] - planes[left]) / (planes[left + 1] - planes[left])
         terms = _quadratic(((points - self.middle_mm) / self.half_mm)[:, :2])
-        before, behind = (np.einsum("nt,nct->nc", terms, table[plane]) for plane in (left, left + 1))
+        before, behind = (
+            np.einsum("nt,nct->nc", terms, table[plane]) for plane in (left, left + 1)
+        )
         pixels = before + share[:, None] * (behind - before)
         return pixels, np.isfinite(pixels).all(axis=1)
 
@@ -169,10 +193,17 @@ def fit_projective(name: str, rows: int, columns: int, points_mm: F64, pixels: F
     (places, world), (images, image) = _normalised(points_mm), _normalised(pixels)
     full = np.column_stack([places, np.ones(len(places))])
     zero = np.zeros_like(full)
-    system = np.vstack([np.hstack([full, zero, -images[:, :1] * full]), np.hstack([zero, full, -images[:, 1:] * full])])
+    system = np.vstack(
+        [
+            np.hstack([full, zero, -images[:, :1] * full]),
+            np.hstack([zero, full, -images[:, 1:] * full]),
+        ]
+    )
     _, values, right = np.linalg.svd(system, full_matrices=False)
     if len(points_mm) < 6 or values[-2] < 1e-8 * values[0]:
-        raise InputError(f"{name}: expected 6 points or more that are not all in one plane, got {len(points_mm)} that do not determine a camera")
+        raise InputError(
+            f"{name}: expected 6 points or more that are not all in one plane, got {len(points_mm)} that do not determine a camera"
+        )
     start = right[-1] * np.sign(np.median(full @ right[-1][8:]))
     matrix = np.linalg.inv(image) @ _least_squares(start, full, images).reshape(3, 4) @ world
     return Projective(name, rows, columns, _rows(matrix / np.linalg.norm(matrix[2, :3])))
@@ -193,7 +224,12 @@ def _least_squares(start: F64, full: F64, images: F64) -> F64:
         u, v, w = (full @ entries.reshape(3, 4).T).T
         miss = (images - np.column_stack([u, v]) / w[:, None]).T.ravel()
         part, zero = full / w[:, None], np.zeros_like(full)
-        slope = np.vstack([np.hstack([part, zero, -(u / w)[:, None] * part]), np.hstack([zero, part, -(v / w)[:, None] * part])])
+        slope = np.vstack(
+            [
+                np.hstack([part, zero, -(u / w)[:, None] * part]),
+                np.hstack([zero, part, -(v / w)[:, None] * part]),
+            ]
+        )
         step = np.linalg.lstsq(slope, miss, rcond=1e-12)[0]
         entries = entries + step
         if np.abs(step).max() < 1e-13:
@@ -207,14 +243,19 @@ def fit_soloff(name: str, rows: int, columns: int, points_mm: F64, pixels: F64) 
     Raises
     ------
     InputError
-        Fewer points than its 19 terms, or points that do not determine them, e.g. on fewer than three planes.
+        Fewer points than its 19 terms, or points that do not determine them, e.g. on fewer than
+        three planes.
     """
     middle, half = _box(points_mm)
-    coefficients = _fitted(_cubic((points_mm - middle) / half), pixels, f"{name}: a polynomial of 19 terms")
+    coefficients = _fitted(
+        _cubic((points_mm - middle) / half), pixels, f"{name}: a polynomial of 19 terms"
+    )
     return Soloff(name, rows, columns, triple(middle), triple(half), _rows(coefficients.T))
 
 
-def fit_planes(name: str, rows: int, columns: int, points_mm: list[F64], pixels: list[F64]) -> PlanePolynomials:
+def fit_planes(
+    name: str, rows: int, columns: int, points_mm: list[F64], pixels: list[F64]
+) -> PlanePolynomials:
     """The least-squares quadratics of points (n, 3) and their pixels (n, 2) on each of several planes.
 
     Raises
@@ -230,8 +271,20 @@ def fit_planes(name: str, rows: int, columns: int, points_mm: list[F64], pixels:
     table = []
     for plane in order.tolist():
         terms = _quadratic(((points_mm[plane] - middle) / half)[:, :2])
-        table.append(_fitted(terms, pixels[plane], f"{name}: frame {plane}: a polynomial of 6 terms").T.ravel())
-    return PlanePolynomials(name, rows, columns, triple(middle), triple(half), tuple(depths[order].tolist()), _rows(np.stack(table)))
+        table.append(
+            _fitted(
+                terms, pixels[plane], f"{name}: frame {plane}: a polynomial of 6 terms"
+            ).T.ravel()
+        )
+    return PlanePolynomials(
+        name,
+        rows,
+        columns,
+        triple(middle),
+        triple(half),
+        tuple(depths[order].tolist()),
+        _rows(np.stack(table)),
+    )
 
 
 def _cubic(unit: F64) -> F64:
@@ -247,7 +300,9 @@ def _quadratic(unit: F64) -> F64:
 def _fitted(terms: F64, pixels: F64, what: str) -> F64:
     solution, _, rank, _ = np.linalg.lstsq(terms, pixels, rcond=None)
     if rank < terms.shape[1]:
-        raise InputError(f"{what}: expected points that determine it, got {len(terms)} that leave {terms.shape[1] - rank} terms open")
+        raise InputError(
+            f"{what}: expected points that determine it, got {len(terms)} that leave {terms.shape[1] - rank} terms open"
+        )
     return np.asarray(solution)
 
 
@@ -256,7 +311,13 @@ def _box(points_mm: F64) -> tuple[F64, F64]:
     return (low + high) / 2.0, np.maximum((high - low) / 2.0, 1e-9)
 
 
-def _through(project: Smooth, pixels: F64, ends: tuple[float, float], middle: tuple[float, float, float], half: tuple[float, float, float]) -> Rays:
+def _through(
+    project: Smooth,
+    pixels: F64,
+    ends: tuple[float, float],
+    middle: tuple[float, float, float],
+    half: tuple[float, float, float],
+) -> Rays:
     """Lines through the points of two planes that pixels (n, 2) see, found by Newton's iteration from the box's middle."""
     start = np.tile(np.asarray(middle[:2]), (len(pixels), 1))
     near, far = (_on_plane(project, pixels, z, start, half) for z in ends)
@@ -266,7 +327,9 @@ def _through(project: Smooth, pixels: F64, ends: tuple[float, float], middle: tu
     return Rays(near, direction / np.where(valid[:, None], length, 1.0), valid)
 
 
-def _on_plane(project: Smooth, pixels: F64, z_mm: float, start: F64, half: tuple[float, float, float]) -> F64:
+def _on_plane(
+    project: Smooth, pixels: F64, z_mm: float, start: F64, half: tuple[float, float, float]
+) -> F64:
     """Points (n, 3) of a plane whose pixels are given, by Newton's iteration from x, y (n, 2); NaN where it does not arrive."""
     points = np.column_stack([start, np.full(len(pixels), z_mm)])
     delta = 1e-4 * min(half[:2])
@@ -276,21 +339,35 @@ def _on_plane(project: Smooth, pixels: F64, z_mm: float, start: F64, half: tuple
             miss = pixels - project(points)
             if np.nanmax(np.abs(miss), initial=0.0) < 1e-10:
                 break
-            slope = np.stack([(project(points + step) - project(points - step)) / (2.0 * delta) for step in across], axis=-1)
+            slope = np.stack(
+                [
+                    (project(points + step) - project(points - step)) / (2.0 * delta)
+                    for step in across
+                ],
+                axis=-1,
+            )
             determinant = slope[:, 0, 0] * slope[:, 1, 1] - slope[:, 0, 1] * slope[:, 1, 0]
-            points[:, 0] += (slope[:, 1, 1] * miss[:, 0] - slope[:, 0, 1] * miss[:, 1]) / determinant
-            points[:, 1] += (slope[:, 0, 0] * miss[:, 1] - slope[:, 1, 0] * miss[:, 0]) / determinant
+            points[:, 0] += (
+                slope[:, 1, 1] * miss[:, 0] - slope[:, 0, 1] * miss[:, 1]
+            ) / determinant
+            points[:, 1] += (
+                slope[:, 0, 0] * miss[:, 1] - slope[:, 1, 0] * miss[:, 0]
+            ) / determinant
         points[~(np.abs(pixels - project(points)).max(axis=1) < 1e-6)] = np.nan
     return points
 
 
 def _meeting(camera: _Fitted) -> tuple[float, float, float]:
     """The point nearest to a few lines of sight."""
-    column, row = np.meshgrid(np.linspace(0.0, camera.columns - 1.0, 3), np.linspace(0.0, camera.rows - 1.0, 3))
+    column, row = np.meshgrid(
+        np.linspace(0.0, camera.columns - 1.0, 3), np.linspace(0.0, camera.rows - 1.0, 3)
+    )
     rays = camera.back_project(np.column_stack([column.ravel(), row.ravel()]))
     direction, origin = rays.directions[rays.valid], rays.origins_mm[rays.valid]
     across = np.eye(3) - direction[:, :, None] * direction[:, None, :]
-    return triple(np.linalg.lstsq(across.sum(axis=0), np.einsum("nij,nj->i", across, origin), rcond=None)[0])
+    return triple(
+        np.linalg.lstsq(across.sum(axis=0), np.einsum("nij,nj->i", across, origin), rcond=None)[0]
+    )
 
 
 def _rows(values: F64) -> Rows:

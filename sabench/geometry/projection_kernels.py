@@ -1,10 +1,12 @@
 """Refractive projection of many points in vector registers.
 
-Points come as separate x, y and z, block by block, and no loop over points branches. The path's unknown is q = t / R, the tangent in the rarest
-medium (as in `wall`) over the lateral distance: only R^2 is needed, and nothing is special on the axis. Halley's step from the paraxial path
-costs one square root and one division per medium, as Newton's does, and triples the right digits; a block is done when its last step was so
-small that the next one would be lost in rounding. Where that does not happen soon - grazing rays in thin rare layers - the block starts again with
-Newton's steps, which climb to the root whatever the indices are (see `wall`).
+Points come as separate x, y and z, block by block, and no loop over points branches. The path's
+unknown is q = t / R, the tangent in the rarest medium (as in `wall`) over the lateral distance:
+only R^2 is needed, and nothing is special on the axis. Halley's step from the paraxial path costs
+one square root and one division per medium, as Newton's does, and triples the right digits; a block
+is done when its last step was so small that the next one would be lost in rounding. Where that does
+not happen soon - grazing rays in thin rare layers - the block starts again with Newton's steps,
+which climb to the root whatever the indices are (see `wall`).
 """
 
 from __future__ import annotations
@@ -20,7 +22,9 @@ from sabench.utils.arrays import F64
 
 _BLOCK = 256
 _HALLEY, _NEWTON = 6, 100
-_SMALL = 1e-5  # relative change after which Halley's next would be below rounding; Newton's is asked for the square root of rounding
+# relative change after which Halley's next would be below rounding; Newton's is asked for the
+# square root of rounding
+_SMALL = 1e-5
 _SMALLER = 1e-8
 
 Media = tuple[float, tuple[tuple[float, float], ...], float, float | None, float]
@@ -30,14 +34,30 @@ def media_of(wall: Wall, center_mm: F64) -> Media:
     """What `project` wants to know of a wall before a pinhole (3,)."""
     ratios = (wall.indices / wall.indices.min()) ** 2
     before = -float(wall.depth_of(center_mm))
-    constant = [(float(ratios[0]), before), *((float(r), layer.thickness_mm) for r, layer in zip(ratios[1:-1], wall.layers, strict=True))]
+    constant = [
+        (float(ratios[0]), before),
+        *(
+            (float(r), layer.thickness_mm)
+            for r, layer in zip(ratios[1:-1], wall.layers, strict=True)
+        ),
+    ]
     rare = sum(depth for ratio, depth in constant if ratio == 1.0)
-    others = tuple(pair for pair in constant if pair[0] != 1.0) or ((1.0, 0.0),)  # numba cannot go through an empty one
-    return rare, others, float(ratios[-1]), float(ratios[0]) if ratios[0] > 1.0 else None, before + wall.thickness_mm
+    others = tuple(pair for pair in constant if pair[0] != 1.0) or (
+        (1.0, 0.0),
+    )  # numba cannot go through an empty one
+    return (
+        rare,
+        others,
+        float(ratios[-1]),
+        float(ratios[0]) if ratios[0] > 1.0 else None,
+        before + wall.thickness_mm,
+    )
 
 
 @numba.njit(cache=True, fastmath={"contract", "nsz", "arcp"}, error_model="numpy")
-def _step(slope: Any, square: Any, deep: Any, size: int, rare: float, others: Any, fluid: float) -> int:
+def _step(
+    slope: Any, square: Any, deep: Any, size: int, rare: float, others: Any, fluid: float
+) -> int:
     """One of Halley's steps for a block; returns how many unknowns still moved."""
     moving = 0
     for i in range(size):
@@ -63,7 +83,9 @@ def _step(slope: Any, square: Any, deep: Any, size: int, rare: float, others: An
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _climb(slope: Any, square: Any, deep: Any, size: int, rare: float, others: Any, fluid: float) -> None:
+def _climb(
+    slope: Any, square: Any, deep: Any, size: int, rare: float, others: Any, fluid: float
+) -> None:
     """Newton's steps for a block from where it is."""
     for _ in range(_NEWTON):
         moving = 0
@@ -102,7 +124,9 @@ def _tangents(slope: Any, square: Any, size: int, first: Any) -> None:
 
 
 @numba.njit(cache=True, fastmath={"contract", "nsz", "arcp"}, error_model="numpy")
-def project(x: Any, y: Any, z: Any, center: Any, frame: Any, media: Any, lens: Any, column: Any, row: Any) -> None:
+def project(
+    x: Any, y: Any, z: Any, center: Any, frame: Any, media: Any, lens: Any, column: Any, row: Any
+) -> None:
     """Ideal pixels of points through a wall, NaN for points that are not in the fluid or behind the camera.
 
     Parameters
@@ -111,14 +135,21 @@ def project(x: Any, y: Any, z: Any, center: Any, frame: Any, media: Any, lens: A
     center : the pinhole, as three numbers; it must be in front of the wall.
     frame : nine numbers: two unit vectors along the wall and its normal, world frame.
     media : as `media_of` gives them.
-    lens : nine numbers, the camera's rotation from that frame with its first two rows times the focal length, and the principal point.
+    lens : nine numbers, the camera's rotation from that frame with its first two rows times the
+        focal length, and the principal point.
     column, row : (n,) the result.
     """
     rare, others, fluid, first, gap = media
     cx, cy, cz = center
     ax, ay, az, bx, by, bz, nx, ny, nz = frame
     m00, m01, m02, m10, m11, m12, m20, m21, m22, pu, pv = lens
-    across, down, deep, square, slope = np.empty(_BLOCK), np.empty(_BLOCK), np.empty(_BLOCK), np.empty(_BLOCK), np.empty(_BLOCK)
+    across, down, deep, square, slope = (
+        np.empty(_BLOCK),
+        np.empty(_BLOCK),
+        np.empty(_BLOCK),
+        np.empty(_BLOCK),
+        np.empty(_BLOCK),
+    )
     for start in range(0, len(x), _BLOCK):
         size = min(_BLOCK, len(x) - start)
         for i in range(size):

@@ -1,11 +1,13 @@
 """Refraction by a stack of parallel plane layers between a camera and a fluid.
 
-Light between a point of the camera's medium and a point of the fluid stays in the plane that holds both and the
-wall normal, so the path has one unknown. sabench takes t = tan of the ray's angle in the RAREST medium of the stack:
-every other medium then has a relative index r >= 1 and adds d t / sqrt(r^2 + (r^2 - 1) t^2) to the lateral distance, which
-increases and is concave in t and has no pole, for any order of indices. Newton's iteration on an increasing concave function
-climbs to the root from the left without overshooting; the bracket [t_low, R / d_rarest] guards it against rounding all the same.
-(The thesis solves the same path for two unknowns per layer pair, equations 4.14 and 4.15.)
+Light between a point of the camera's medium and a point of the fluid stays in the plane that holds
+both and the wall normal, so the path has one unknown. sabench takes t = tan of the ray's angle in
+the RAREST medium of the stack: every other medium then has a relative index r >= 1 and adds d t /
+sqrt(r^2 + (r^2 - 1) t^2) to the lateral distance, which increases and is concave in t and has no
+pole, for any order of indices. Newton's iteration on an increasing concave function climbs to the
+root from the left without overshooting; the bracket [t_low, R / d_rarest] guards it against
+rounding all the same. (The thesis solves the same path for two unknowns per layer pair, equations
+4.14 and 4.15.)
 """
 
 from __future__ import annotations
@@ -40,7 +42,8 @@ class Wall:
     point_mm : a point on the outer face (the face that the cameras see), world frame.
     normal : unit vector from the cameras into the tank, world frame.
     air_index, fluid_index : refractive indices on the cameras' side and in the tank.
-    layers : the solid layers, in the order in which light from a camera meets them; may be empty (a bare surface).
+    layers : the solid layers, in the order in which light from a camera meets them; may be empty (a
+        bare surface).
     depth_mm : free distance from the inner face to the back wall, or None where there is none.
     """
 
@@ -92,7 +95,8 @@ class Paths:
 def trace_to_points(wall: Wall | None, pinhole_mm: F64, points_mm: F64) -> Paths:
     """Paths of light from one pinhole (3,) to points (n, 3) through the wall.
 
-    `valid` is False for points that are not in the fluid, that are not finite, or when the pinhole itself lies in the wall or the fluid.
+    `valid` is False for points that are not in the fluid, that are not finite, or when the pinhole
+    itself lies in the wall or the fluid.
     """
     if wall is None:
         offset = points_mm - pinhole_mm
@@ -119,7 +123,8 @@ def solve_slope(indices: F64, depths_mm: list[F64 | float], radius_mm: F64) -> t
     Parameters
     ----------
     indices : (m,) refractive indices.
-    depths_mm : for each medium the distance that the path crosses along the normal; scalars or arrays (n,), positive or zero.
+    depths_mm : for each medium the distance that the path crosses along the normal; scalars or
+        arrays (n,), positive or zero.
     radius_mm : (n,) lateral distance between the ends of the path.
 
     Returns
@@ -132,8 +137,12 @@ def solve_slope(indices: F64, depths_mm: list[F64 | float], radius_mm: F64) -> t
     if quick is not None:
         return quick
     rare = np.asarray(sum(depth for depth, r in zip(depths_mm, relative, strict=True) if r == 1.0))
-    reach = radius_mm / np.maximum(rare, 1e-300)  # an upper bound: the rarest medium alone cannot bridge more than R
-    low = radius_mm / np.asarray(sum(depth / r for depth, r in zip(depths_mm, relative, strict=True)))  # paraxial root
+    reach = radius_mm / np.maximum(
+        rare, 1e-300
+    )  # an upper bound: the rarest medium alone cannot bridge more than R
+    low = radius_mm / np.asarray(
+        sum(depth / r for depth, r in zip(depths_mm, relative, strict=True))
+    )  # paraxial root
     slope = low
     value, gradient = _lateral(relative, depths_mm, slope)
     for _ in range(_MAX_STEPS):
@@ -144,7 +153,9 @@ def solve_slope(indices: F64, depths_mm: list[F64 | float], radius_mm: F64) -> t
         moved = np.abs(better - slope)
         slope = better
         value, gradient = _lateral(relative, depths_mm, slope)
-        if np.all((moved <= 2e-16 * slope) | (np.abs(value - radius_mm) <= 2e-13 + 5e-16 * radius_mm)):
+        if np.all(
+            (moved <= 2e-16 * slope) | (np.abs(value - radius_mm) <= 2e-13 + 5e-16 * radius_mm)
+        ):
             break
     return slope, value - radius_mm
 
@@ -176,7 +187,13 @@ def _start(relative: F64, depths_mm: list[F64 | float], radius_mm: F64) -> F64:
     slope = radius_mm / paraxial
     square = slope * slope
     square *= bow
-    return np.asarray(slope * (1.0 + square * (paraxial - rare) / (paraxial * (paraxial - rare) + rare * square + 1e-300)))
+    return np.asarray(
+        slope
+        * (
+            1.0
+            + square * (paraxial - rare) / (paraxial * (paraxial - rare) + rare * square + 1e-300)
+        )
+    )
 
 
 def _bowed(relative: F64, depths_mm: list[F64 | float], slope: F64) -> tuple[F64, F64, F64]:
@@ -228,23 +245,34 @@ def _angle_in(indices: F64, medium: int, slope: F64) -> tuple[F64, F64]:
     return slope * scale, np.sqrt(square, out=square) * scale
 
 
-def _cylindrical(wall: Wall, pinhole_mm: F64, points_mm: F64) -> tuple[F64, F64, list[F64 | float], Bool]:
+def _cylindrical(
+    wall: Wall, pinhole_mm: F64, points_mm: F64
+) -> tuple[F64, F64, list[F64 | float], Bool]:
     """Unit vectors (3, n) along the wall towards points, lateral distances, depths crossed per medium, validity; zeros where there is no path."""
     normal = np.asarray(wall.normal)
     before = -float(wall.depth_of(pinhole_mm))
-    lateral = np.array(points_mm.T, order="C")  # separate coordinates: numpy is slow on rows of three
+    lateral = np.array(
+        points_mm.T, order="C"
+    )  # separate coordinates: numpy is slow on rows of three
     lateral -= pinhole_mm[:, None]
     with np.errstate(invalid="ignore"):  # infinite coordinates
         along = normal @ lateral
         behind = along - (before + wall.thickness_mm)
         for axis in range(3):
             lateral[axis] -= normal[axis] * along
-    valid: Bool = np.isfinite(behind) & (behind > 0.0) & (before > 0.0)  # a coordinate that is not finite makes the depth so, too
+    valid: Bool = (
+        np.isfinite(behind) & (behind > 0.0) & (before > 0.0)
+    )  # a coordinate that is not finite makes the depth so, too
     if not valid.all():
         lateral[:, ~valid], behind[~valid] = 0.0, 1.0
     radius = np.sqrt(lateral[0] ** 2 + lateral[1] ** 2 + lateral[2] ** 2)
     lateral *= 1.0 / np.where(radius > 0.0, radius, 1.0)
-    return lateral, radius, [max(before, 1e-300), *(layer.thickness_mm for layer in wall.layers), behind], valid
+    return (
+        lateral,
+        radius,
+        [max(before, 1e-300), *(layer.thickness_mm for layer in wall.layers), behind],
+        valid,
+    )
 
 
 def _direct(normal: F64, towards: F64, sine: F64, cosine: F64, out: F64) -> None:
@@ -299,14 +327,17 @@ def length_to_fluid(wall: Wall | None, pinhole_mm: F64, leaving: F64) -> F64:
     sine = np.sqrt(np.maximum(0.0, 1.0 - cosine**2))
     total = -wall.depth_of(pinhole_mm) / cosine
     for layer in wall.layers:
-        total = total + layer.thickness_mm / np.sqrt(1.0 - (sine * wall.air_index / layer.index) ** 2)
+        total = total + layer.thickness_mm / np.sqrt(
+            1.0 - (sine * wall.air_index / layer.index) ** 2
+        )
     return np.asarray(total)
 
 
 def transmittance(wall: Wall | None, leaving: F64) -> F64:
     """Fraction of unpolarised power that passes all interfaces, for unit directions (n, 3) in the camera's medium.
 
-    Fresnel's equations at every interface; light that is reflected twice inside a layer is not counted.
+    Fresnel's equations at every interface; light that is reflected twice inside a layer is not
+    counted.
     """
     if wall is None:
         return np.ones(len(leaving))
@@ -315,8 +346,12 @@ def transmittance(wall: Wall | None, leaving: F64) -> F64:
     for before, after in itertools.pairwise(indices):
         sine = (before / after) * np.sqrt(np.maximum(0.0, 1.0 - cosine * cosine))
         after_cosine = np.sqrt(np.maximum(0.0, 1.0 - sine * sine))
-        senkrecht = (before * cosine - after * after_cosine) / (before * cosine + after * after_cosine)
-        parallel = (after * cosine - before * after_cosine) / (after * cosine + before * after_cosine)
+        senkrecht = (before * cosine - after * after_cosine) / (
+            before * cosine + after * after_cosine
+        )
+        parallel = (after * cosine - before * after_cosine) / (
+            after * cosine + before * after_cosine
+        )
         result *= 1.0 - 0.5 * (senkrecht**2 + parallel**2)
         cosine = after_cosine
     return result

@@ -16,7 +16,8 @@ _DELTA_MM = 1e-3  # over which a projection's slope is measured
 def triangulate(cameras: Sequence[CameraModel], pixels: F64) -> F64:
     """Points (n, 3) whose projections lie nearest to pixels (camera, n, 2), in the least-squares sense; NaN where fewer than two cameras see one.
 
-    Lines of sight are intersected first; then Gauss and Newton's steps lower the sum of squared reprojection errors.
+    Lines of sight are intersected first; then Gauss and Newton's steps lower the sum of squared
+    reprojection errors.
     """
     points = intersect(cameras, pixels)
     for _ in range(_STEPS):
@@ -52,7 +53,12 @@ def _step(cameras: Sequence[CameraModel], pixels: F64, points: F64) -> F64:
     for camera, own in zip(cameras, pixels, strict=True):
         here, valid = camera.project(points)
         slope = np.stack(
-            [(camera.project(points + axis)[0] - camera.project(points - axis)[0]) / (2.0 * _DELTA_MM) for axis in _DELTA_MM * np.eye(3)], -1
+            [
+                (camera.project(points + axis)[0] - camera.project(points - axis)[0])
+                / (2.0 * _DELTA_MM)
+                for axis in _DELTA_MM * np.eye(3)
+            ],
+            -1,
         )
         good = valid & np.isfinite(own).all(axis=1) & np.isfinite(slope).all(axis=(1, 2))
         matrix[good] += np.einsum("nki,nkj->nij", slope[good], slope[good])

@@ -47,17 +47,35 @@ def maps_of(cameras: Sequence[CameraModel], low_mm: F64, high_mm: F64) -> Maps:
     middle, half = (low_mm + high_mm) / 2.0, (high_mm - low_mm) / 2.0
     axis = np.cos(np.pi * (np.arange(11) + 0.5) / 11)
     unit = np.stack(np.meshgrid(axis, axis, axis), axis=-1).reshape(-1, 3)
-    pixels = np.stack([camera.project(middle + half * unit)[0] for camera in cameras], axis=1).reshape(len(unit), -1)
+    pixels = np.stack(
+        [camera.project(middle + half * unit)[0] for camera in cameras], axis=1
+    ).reshape(len(unit), -1)
     if not np.isfinite(pixels).all():
-        raise ValueError("expected a light path from every camera to all of the volume, but some of it has none")
+        raise ValueError(
+            "expected a light path from every camera to all of the volume, but some of it has none"
+        )
     for degree in _DEGREES:
-        powers = np.array([(i, j, k) for k in range(degree + 1) for j in range(degree + 1 - k) for i in range(degree + 1 - k - j)])
+        powers = np.array(
+            [
+                (i, j, k)
+                for k in range(degree + 1)
+                for j in range(degree + 1 - k)
+                for i in range(degree + 1 - k - j)
+            ]
+        )
         terms = np.prod(unit[:, None] ** powers, axis=2)
         found = np.linalg.lstsq(terms, pixels, rcond=None)[0]
         if np.abs(terms @ found - pixels).max() < _TOLERANCE_PX:
             shaped = found.reshape(len(powers), len(cameras), 2).transpose(1, 0, 2)
-            return Maps(np.ascontiguousarray(shaped, dtype=np.float64), powers.astype(np.int64), middle, half)
-    raise ValueError(f"expected cameras smooth enough for polynomials of degree {_HIGHEST}: one of them, its wall or its distortion is too extreme")
+            return Maps(
+                np.ascontiguousarray(shaped, dtype=np.float64),
+                powers.astype(np.int64),
+                middle,
+                half,
+            )
+    raise ValueError(
+        f"expected cameras smooth enough for polynomials of degree {_HIGHEST}: one of them, its wall or its distortion is too extreme"
+    )
 
 
 @numba.njit(cache=True)

@@ -20,9 +20,10 @@ _LIT = 0.1  # of the image's maximum
 def normalised(case: Observation) -> F32:
     """Images as fractions of a bright particle's peak in the same camera, black level subtracted: (camera, row, column).
 
-    Cameras see particles at different scattering angles and so at very different brightness; a common scale makes them count alike
-    (the thesis matches histograms to the same end, section 2.3). The scale is the 95th percentile of the pixels that reach a tenth
-    of the image's maximum, which is the same kind of pixel in a sparse and in a dense image.
+    Cameras see particles at different scattering angles and so at very different brightness; a
+    common scale makes them count alike (the thesis matches histograms to the same end, section
+    2.3). The scale is the 95th percentile of the pixels that reach a tenth of the image's maximum,
+    which is the same kind of pixel in a sparse and in a dense image.
     """
     images: F32 = np.empty(case.images.shape, dtype=np.float32)
     for grey, image in zip(case.images, images, strict=True):
@@ -39,7 +40,10 @@ def bright_dn(grey: U16, black_dn: float) -> float:
     if upto[-1] == 0:
         return 0.0
     place = _BRIGHT / 100.0 * (upto[-1] - 1)
-    low, high = (levels[np.searchsorted(upto, math.floor(place) + step, side="right")] for step in (0, min(1, math.ceil(place) - math.floor(place))))
+    low, high = (
+        levels[np.searchsorted(upto, math.floor(place) + step, side="right")]
+        for step in (0, min(1, math.ceil(place) - math.floor(place)))
+    )
     return float(low + (place - math.floor(place)) * (high - low))
 
 

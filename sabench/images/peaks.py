@@ -69,21 +69,38 @@ def _vertex(before: F32, here: F32, behind: F32) -> F64:
 
 def _sorted(pixel: F64, shape: tuple[int, ...]) -> Spots:
     down, across = (math.ceil(size / _CELL_PX) for size in shape)
-    cell = (pixel[:, 1] // _CELL_PX).astype(np.int64) * across + (pixel[:, 0] // _CELL_PX).astype(np.int64)
+    cell = (pixel[:, 1] // _CELL_PX).astype(np.int64) * across + (pixel[:, 0] // _CELL_PX).astype(
+        np.int64
+    )
     order = np.argsort(cell, kind="stable")
-    return Spots(np.ascontiguousarray(pixel[order]), np.searchsorted(cell[order], np.arange(across * down + 1)).astype(np.int64), across, down)
+    return Spots(
+        np.ascontiguousarray(pixel[order]),
+        np.searchsorted(cell[order], np.arange(across * down + 1)).astype(np.int64),
+        across,
+        down,
+    )
 
 
 @numba.njit(cache=True)
 def around(spots: Any, pixel: Any, reach: float, found: Any) -> int:
     """Numbers of the particle images within reach of a pixel; returns how many."""
     count = 0
-    left, right = max(int((pixel[0] - reach) // _CELL_PX), 0), min(int((pixel[0] + reach) // _CELL_PX), spots.across - 1)
-    top, bottom = max(int((pixel[1] - reach) // _CELL_PX), 0), min(int((pixel[1] + reach) // _CELL_PX), spots.down - 1)
+    left, right = (
+        max(int((pixel[0] - reach) // _CELL_PX), 0),
+        min(int((pixel[0] + reach) // _CELL_PX), spots.across - 1),
+    )
+    top, bottom = (
+        max(int((pixel[1] - reach) // _CELL_PX), 0),
+        min(int((pixel[1] + reach) // _CELL_PX), spots.down - 1),
+    )
     for r in range(top, bottom + 1):
         for c in range(left, right + 1):
-            for n in range(spots.start[r * spots.across + c], spots.start[r * spots.across + c + 1]):
-                if math.hypot(spots.pixel[n, 0] - pixel[0], spots.pixel[n, 1] - pixel[1]) <= reach and count < len(found):
+            for n in range(
+                spots.start[r * spots.across + c], spots.start[r * spots.across + c + 1]
+            ):
+                if math.hypot(
+                    spots.pixel[n, 0] - pixel[0], spots.pixel[n, 1] - pixel[1]
+                ) <= reach and count < len(found):
                     found[count] = n
                     count += 1
     return count

@@ -27,14 +27,18 @@ class SlidingMinimum(_Step):
     def apply(self, images: F32) -> F32:
         """Images (camera, row, column), none below zero."""
         kernel = np.ones((self.window_px, self.window_px), dtype=np.uint8)
-        return np.stack([image - cv2.erode(image, kernel, borderType=cv2.BORDER_REPLICATE) for image in images])
+        return np.stack(
+            [image - cv2.erode(image, kernel, borderType=cv2.BORDER_REPLICATE) for image in images]
+        )
 
 
 class Gaussian(_Step):
     """Convolve with a Gaussian."""
 
     step: Literal["gaussian"]
-    reach_px: int = Field(1, ge=1, le=50, description="of the kernel to either side: 1 makes it 3 x 3")
+    reach_px: int = Field(
+        1, ge=1, le=50, description="of the kernel to either side: 1 makes it 3 x 3"
+    )
     sigma_px: float = Field(0.5, gt=0.0, description="standard deviation")
 
     def apply(self, images: F32) -> F32:
@@ -75,7 +79,11 @@ Step = Annotated[SlidingMinimum | Gaussian | MatchHistograms | Stretch, Field(di
 
 def processed(images: U16, black_dn: float, white_dn: float, steps: Sequence[Step]) -> U16:
     """Images (camera, row, column) after all steps, from 0 to `WHITE`: finer than grey values, which blurring would else round."""
-    light = np.clip((images.astype(np.float32) - np.float32(black_dn)) / np.float32(white_dn - black_dn), 0.0, 1.0)
+    light = np.clip(
+        (images.astype(np.float32) - np.float32(black_dn)) / np.float32(white_dn - black_dn),
+        0.0,
+        1.0,
+    )
     for step in steps:
         light = step.apply(light)
     return np.asarray(np.rint(np.clip(light, 0.0, 1.0) * WHITE), dtype=np.uint16)
@@ -87,4 +95,8 @@ def _ranked(image: F32, values: F32) -> F32:
     ends = np.cumsum(count)
     sums = np.concatenate([[0.0], np.cumsum(values, dtype=np.float64)])
     means = (sums[ends] - sums[ends - count]) / count
-    return np.asarray(means[place].reshape(image.shape), dtype=np.float32) if len(levels) > 1 else image
+    return (
+        np.asarray(means[place].reshape(image.shape), dtype=np.float32)
+        if len(levels) > 1
+        else image
+    )

@@ -16,7 +16,9 @@ def write_tiff(path: Path, image: U16) -> None:
     """Grey values (rows, columns) as an uncompressed 16-bit TIFF, the same bytes for the same image."""
     import tifffile
 
-    memory = io.BytesIO()  # written in one piece: a full disk is then the system's own error, with its reason
+    memory = (
+        io.BytesIO()
+    )  # written in one piece: a full disk is then the system's own error, with its reason
     tifffile.imwrite(memory, image, photometric="minisblack", metadata=None, software=False)
     path.write_bytes(memory.getvalue())
 
@@ -30,10 +32,18 @@ def read_tiff(path: Path, shape: tuple[int, int]) -> U16:
     try:
         with tifffile.TiffFile(path) as file:
             page = file.pages.first
-            image = page.asarray() if _fits(page, np.uint16, shape) and len(file.pages) == 1 else None
-            got = f"{page.dtype} of shape {page.shape}" + (f" and {len(file.pages) - 1} more" if len(file.pages) > 1 else "")
-    except Exception as error:  # tifffile raises what its parsers raise: struct, index, zlib, value errors
-        raise InputError(f"{path}: expected a whole TIFF file, got {type(error).__name__}: {error}") from error
+            image = (
+                page.asarray() if _fits(page, np.uint16, shape) and len(file.pages) == 1 else None
+            )
+            got = f"{page.dtype} of shape {page.shape}" + (
+                f" and {len(file.pages) - 1} more" if len(file.pages) > 1 else ""
+            )
+    except (
+        Exception
+    ) as error:  # tifffile raises what its parsers raise: struct, index, zlib, value errors
+        raise InputError(
+            f"{path}: expected a whole TIFF file, got {type(error).__name__}: {error}"
+        ) from error
     if image is None or not _fits(image, np.uint16, shape):
         raise InputError(f"{path}: expected 16-bit grey values of shape {shape}, got {got}")
     return np.asarray(image)
@@ -62,17 +72,25 @@ def read_exr(path: Path, shape: tuple[int, int]) -> F32:
     if not path.is_file():
         raise InputError(f"{path}: expected an image, found no such file")
     try:
-        with OpenEXR.File(str(path), header_only=True) as file:  # what the file says of its size comes before what it costs to believe it
+        with OpenEXR.File(
+            str(path), header_only=True
+        ) as file:  # what the file says of its size comes before what it costs to believe it
             low, high = file.header()["dataWindow"]
             size = (int(high[1]) - int(low[1]) + 1, int(high[0]) - int(low[0]) + 1)
         if size != shape:
-            raise InputError(f"{path}: expected 32-bit values of shape {shape}, got an image of shape {size}")
+            raise InputError(
+                f"{path}: expected 32-bit values of shape {shape}, got an image of shape {size}"
+            )
         with OpenEXR.File(str(path)) as file:
             image = file.channels()["Y"].pixels
     except InputError:
         raise
     except Exception as error:  # OpenEXR reports every fault as a RuntimeError or a KeyError
-        raise InputError(f"{path}: expected a whole EXR file with a channel Y, got {type(error).__name__}: {error}") from error
+        raise InputError(
+            f"{path}: expected a whole EXR file with a channel Y, got {type(error).__name__}: {error}"
+        ) from error
     if image.dtype != np.float32 or image.shape != shape:
-        raise InputError(f"{path}: expected 32-bit values of shape {shape}, got {image.dtype} of shape {image.shape}")
+        raise InputError(
+            f"{path}: expected 32-bit values of shape {shape}, got {image.dtype} of shape {image.shape}"
+        )
     return np.asarray(image)

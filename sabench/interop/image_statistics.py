@@ -11,7 +11,13 @@ from sabench.api import Observation
 from sabench.images.brightness import background, normalised
 from sabench.images.peaks import spots_of
 
-_FLOOR, _NOISE = 0.05, 5.0  # smallest peak over a bright particle's, and over the background's standard deviation: the larger one
+_FLOOR, _NOISE = (
+    0.05,
+    5.0,
+    # smallest peak over a bright particle's, and over the background's standard deviation: the
+    # larger
+    # one
+)
 
 
 @dataclass(frozen=True)
@@ -40,9 +46,22 @@ def seen_in(frame: Observation) -> Seen:
     floor = max(_FLOOR, *(_NOISE * background(image) for image in images))
     spots = [spots_of(image, floor).pixel for image in images]
     count = int(np.median([len(one) for one in spots]))
-    low, voxel, shape = np.asarray(frame.grid.low_mm), np.asarray(frame.grid.voxel_mm), np.asarray(frame.grid.shape[::-1])
+    low, voxel, shape = (
+        np.asarray(frame.grid.low_mm),
+        np.asarray(frame.grid.voxel_mm),
+        np.asarray(frame.grid.shape[::-1]),
+    )
     middle = low + voxel * (shape - 1) / 2.0
     step = np.array([voxel[0], 0.0, 0.0])
-    shift = [np.linalg.norm(np.diff(camera.project(np.stack([middle - step, middle + step]))[0], axis=0)) for camera in frame.cameras]
+    shift = [
+        np.linalg.norm(np.diff(camera.project(np.stack([middle - step, middle + step]))[0], axis=0))
+        for camera in frame.cameras
+    ]
     spacing = float(np.cbrt(np.prod(voxel * shape) / max(count, 1)))
-    return Seen(floor, count, float(np.median(widths(images, spots))), float(2.0 * voxel[0] / np.median(shift)), spacing)
+    return Seen(
+        floor,
+        count,
+        float(np.median(widths(images, spots))),
+        float(2.0 * voxel[0] / np.median(shift)),
+        spacing,
+    )

@@ -1,7 +1,8 @@
 """OpenLPT (https://github.com/JHU-NI-LAB/OpenLPT_GUI): camera files, images, settings, and the tracks that it writes.
 
-Its world is that of the data set, in mm. A camera in air is its PINHOLE, with OpenCV's distortion; one behind a wall is its PINPLATE: a pinhole and
-parallel plates of given thicknesses and indices, listed from the fluid to the camera, with a point on the face to the fluid and the normal into it.
+Its world is that of the data set, in mm. A camera in air is its PINHOLE, with OpenCV's distortion;
+one behind a wall is its PINPLATE: a pinhole and parallel plates of given thicknesses and indices,
+listed from the fluid to the camera, with a point on the face to the fluid and the normal into it.
 """
 
 from __future__ import annotations
@@ -24,8 +25,15 @@ from sabench.utils.processes.child import run
 LEAST_FRAMES = 5  # from whose images it estimates how it sees particles
 _TOLERANCE, _ITERATIONS, _RATE = 1e-9, 1000, 0.1  # of its projection through plates
 _SKIN_MM = 1e-3  # of fluid that stands for a plate where a wall has none
-_BRIGHT, _WHITE = 160.0, 255  # grey values of a bright particle's peak and of the brightest pixel: two may overlap
-_TRACKS = ("LongTrackActive", "LongTrackInactive", "ExitTrack")  # what its own programs read as the result
+_BRIGHT, _WHITE = (
+    160.0,
+    255,
+)  # grey values of a bright particle's peak and of the brightest pixel: two may overlap
+_TRACKS = (
+    "LongTrackActive",
+    "LongTrackInactive",
+    "ExitTrack",
+)  # what its own programs read as the result
 
 
 @dataclass(frozen=True)
@@ -72,16 +80,36 @@ def camera_text(camera: Camera) -> str:
         raise ValueError(f"{camera.name}: {reason}")
     turn = np.asarray(camera.rotation)
     center = np.asarray(camera.center_mm)
-    focal, (across, down), lens = camera.principal_distance_mm / camera.pixel_mm, camera.principal_point_px, camera.distortion
+    focal, (across, down), lens = (
+        camera.principal_distance_mm / camera.pixel_mm,
+        camera.principal_point_px,
+        camera.distortion,
+    )
     wall = camera.wall if camera.wall and _bends(camera.wall) else None
     parts = [
-        "# Camera Model", "PINPLATE" if wall else "PINHOLE", "# Camera Calibration Error", "None", "# Pose Calibration Error", "None",
-        "# Image Size: (n_row,n_col)", f"{camera.rows},{camera.columns}",
-        "# Camera Matrix", _rows(np.array([[focal, 0.0, across], [0.0, focal, down], [0.0, 0.0, 1.0]])),
-        "# Distortion Coefficients", _row([lens.k1, lens.k2, lens.p1, lens.p2, lens.k3]),
-        "# Rotation Vector", "0,0,0", "# Rotation Matrix", _rows(turn), "# Inverse of Rotation Matrix", _rows(turn.T),
-        "# Translation Vector", _row(-turn @ center), "# Inverse of Translation Vector", _row(center),
-    ]  # fmt: skip
+        "# Camera Model",
+        "PINPLATE" if wall else "PINHOLE",
+        "# Camera Calibration Error",
+        "None",
+        "# Pose Calibration Error",
+        "None",
+        "# Image Size: (n_row,n_col)",
+        f"{camera.rows},{camera.columns}",
+        "# Camera Matrix",
+        _rows(np.array([[focal, 0.0, across], [0.0, focal, down], [0.0, 0.0, 1.0]])),
+        "# Distortion Coefficients",
+        _row([lens.k1, lens.k2, lens.p1, lens.p2, lens.k3]),
+        "# Rotation Vector",
+        "0,0,0",
+        "# Rotation Matrix",
+        _rows(turn),
+        "# Inverse of Rotation Matrix",
+        _rows(turn.T),
+        "# Translation Vector",
+        _row(-turn @ center),
+        "# Inverse of Translation Vector",
+        _row(center),
+    ]
     return "\n".join([*parts, *(_plates(wall) if wall else ())]) + "\n"
 
 
@@ -107,10 +135,21 @@ def _plates(wall: Wall) -> list[str]:
     normal = np.asarray(wall.normal)
     inner = np.asarray(wall.point_mm) + normal * sum(thick)
     return [
-        "# Reference point of the refractive plate", _row(inner), "# Normal vector, from the cameras to the objects", _row(normal),
-        "# Refractive indices, from the objects to the cameras", _row(indices[::-1]), "# Widths", _row(thick[::-1]),
-        "# Tolerance of the projection", repr(_TOLERANCE), "# Its largest number of iterations", str(_ITERATIONS), "# Its rate", repr(_RATE),
-    ]  # fmt: skip
+        "# Reference point of the refractive plate",
+        _row(inner),
+        "# Normal vector, from the cameras to the objects",
+        _row(normal),
+        "# Refractive indices, from the objects to the cameras",
+        _row(indices[::-1]),
+        "# Widths",
+        _row(thick[::-1]),
+        "# Tolerance of the projection",
+        repr(_TOLERANCE),
+        "# Its largest number of iterations",
+        str(_ITERATIONS),
+        "# Its rate",
+        repr(_RATE),
+    ]
 
 
 def _row(values: Iterable[float]) -> str:
@@ -129,7 +168,9 @@ def write_frame(folder: Path, frame: int, images: F32) -> None:
         tifffile.imwrite(place, np.clip(np.rint(_BRIGHT * image), 0, _WHITE).astype(np.uint8))
 
 
-def write_project(folder: Path, cameras: tuple[Camera, ...], grid: Grid, frames: int, settings: Settings) -> None:
+def write_project(
+    folder: Path, cameras: tuple[Camera, ...], grid: Grid, frames: int, settings: Settings
+) -> None:
     """Store cameras, lists of images and settings beside the images; `config.txt` names them all."""
     for number, camera in enumerate(cameras):
         (folder / f"cam{number}.txt").write_text(camera_text(camera), encoding="utf-8")
@@ -139,10 +180,19 @@ def write_project(folder: Path, cameras: tuple[Camera, ...], grid: Grid, frames:
     ends = np.column_stack([low - voxel, low + voxel * np.asarray(grid.shape[::-1])])
     count = len(cameras)
     lines = [
-        f"0,{frames - 1}", "1", str(settings.threads), str(count),
-        *(f"{folder}/cam{number}.txt,{_WHITE}" for number in range(count)), *(f"{folder}/cam{number}ImageNames.txt" for number in range(count)),
-        _row(ends.ravel()), repr(settings.mm_per_px), f"{folder}/results/", "Tracer", f"{folder}/tracer.txt", "0,0",
-    ]  # fmt: skip
+        f"0,{frames - 1}",
+        "1",
+        str(settings.threads),
+        str(count),
+        *(f"{folder}/cam{number}.txt,{_WHITE}" for number in range(count)),
+        *(f"{folder}/cam{number}ImageNames.txt" for number in range(count)),
+        _row(ends.ravel()),
+        repr(settings.mm_per_px),
+        f"{folder}/results/",
+        "Tracer",
+        f"{folder}/tracer.txt",
+        "0,0",
+    ]
     (folder / "config.txt").write_text("\n".join(lines) + "\n", encoding="utf-8")
     (folder / "tracer.txt").write_text("\n".join(_tracer(settings, ends)) + "\n", encoding="utf-8")
 
@@ -152,13 +202,22 @@ def _tracer(settings: Settings, ends: F64) -> list[str]:
     nodes = np.clip(np.ceil(np.ptp(ends, axis=1) / settings.spacing_mm), 3, 51).astype(int)
     voxel = settings.mm_per_px
     return [
-        f"{settings.move_mm / voxel} # radius in which tracks look for particles at the start", "4 # frames of the start",
-        f"{settings.spacing_mm / voxel} # spacing of particles", f"{settings.shake_px} # shake width",
-        *(f"{node} # nodes of the field of displacements" for node in nodes), f"{settings.reach_mm / voxel} # radius around them",
-        f"{settings.rounds} # rounds of reconstruction", f"{settings.fits} # rounds of shaking", f"{settings.ghost} # ghost threshold",
-        f"{settings.tolerance_px} # px", f"{settings.tolerance_mm / voxel} # voxels", "1 # cameras that may be left out", "2 # rounds for each",
-        f"{settings.threshold} # smallest peak", f"{settings.radius_px} # px",
-    ]  # fmt: skip
+        f"{settings.move_mm / voxel} # radius in which tracks look for particles at the start",
+        "4 # frames of the start",
+        f"{settings.spacing_mm / voxel} # spacing of particles",
+        f"{settings.shake_px} # shake width",
+        *(f"{node} # nodes of the field of displacements" for node in nodes),
+        f"{settings.reach_mm / voxel} # radius around them",
+        f"{settings.rounds} # rounds of reconstruction",
+        f"{settings.fits} # rounds of shaking",
+        f"{settings.ghost} # ghost threshold",
+        f"{settings.tolerance_px} # px",
+        f"{settings.tolerance_mm / voxel} # voxels",
+        "1 # cameras that may be left out",
+        "2 # rounds for each",
+        f"{settings.threshold} # smallest peak",
+        f"{settings.radius_px} # px",
+    ]
 
 
 def read_tracks(folder: Path, frames: int) -> list[FoundParticles]:
@@ -168,7 +227,11 @@ def read_tracks(folder: Path, frames: int) -> list[FoundParticles]:
         for path in sorted((folder / "results" / "ConvergeTrack").glob(f"{kind}_*.csv")):
             before = max((row[0] for row in rows), default=-1.0) + 1.0
             with path.open(encoding="utf-8", newline="") as file:
-                rows += [[before + float(one[0]), *map(float, one[1:5])] for one in list(csv.reader(file))[1:] if one]
+                rows += [
+                    [before + float(one[0]), *map(float, one[1:5])]
+                    for one in list(csv.reader(file))[1:]
+                    if one
+                ]
     table = np.array(rows, dtype=np.float64).reshape(-1, 5)
     parts = [table[table[:, 1] == frame] for frame in range(frames)]
     return [FoundParticles(part[:, 2:].copy(), None, part[:, 0].astype(np.int64)) for part in parts]
@@ -176,7 +239,10 @@ def read_tracks(folder: Path, frames: int) -> list[FoundParticles]:
 
 def read_particles(folder: Path, frames: int) -> list[FoundParticles]:
     """The particles of every frame where it has only reconstructed them."""
-    tables = [np.loadtxt(folder / f"found_{frame:05d}.txt", ndmin=2).reshape(-1, 3) for frame in range(frames)]
+    tables = [
+        np.loadtxt(folder / f"found_{frame:05d}.txt", ndmin=2).reshape(-1, 3)
+        for frame in range(frames)
+    ]
     return [FoundParticles(table) for table in tables]
 
 

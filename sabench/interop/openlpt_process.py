@@ -25,10 +25,14 @@ def _reconstruct(lpt: Any, folder: Path, settings: Any) -> None:
     config = lpt.TracerConfig()
     lines, row = config.readCommonConfig(str(folder / "tracer.txt"), settings)
     config._min_obj_int, config._radius_obj = int(lines[row]), float(lines[row + 1])
-    cameras = [lpt.loadCameraModel(str(folder / f"cam{number}.txt")) for number in range(settings._n_cam)]
+    cameras = [
+        lpt.loadCameraModel(str(folder / f"cam{number}.txt")) for number in range(settings._n_cam)
+    ]
     config._otf.loadParam(settings._n_cam, 2, 2, 2, settings._axis_limit, cameras)
     readers = [lpt.ImageIO("", path) for path in settings._image_file_paths]
-    films = [[reader.loadImg(frame) for frame in range(settings._frame_end + 1)] for reader in readers]
+    films = [
+        [reader.loadImg(frame) for frame in range(settings._frame_end + 1)] for reader in readers
+    ]
     for camera, film in enumerate(films):
         config._otf.estimateUniformOTFFromImage(camera, config, film)
     for frame in range(settings._frame_end + 1):

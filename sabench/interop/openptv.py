@@ -1,8 +1,9 @@
 """OpenPTV (http://www.openptv.net), the package optv: orientation files, images, settings, and the particles and links that it finds.
 
-Its world has Y up and Z towards the cameras, and its origin must lie in the fluid: the grid's middle. A wall is one plane-parallel layer ("glass"),
-said by the vector from the origin to its inner face; its first pixel's middle is (0.5, 0.5), and distortion is a polynomial of mm about the image's
-middle.
+Its world has Y up and Z towards the cameras, and its origin must lie in the fluid: the grid's
+middle. A wall is one plane-parallel layer ("glass"), said by the vector from the origin to its
+inner face; its first pixel's middle is (0.5, 0.5), and distortion is a polynomial of mm about the
+image's middle.
 """
 
 from __future__ import annotations
@@ -55,14 +56,21 @@ def unfit(camera: Camera) -> str | None:
         return f"OpenPTV knows one layer of glass, and this wall has {len(camera.wall.layers)}"
     lens = camera.distortion
     middle = ((camera.columns - 1) / 2.0, (camera.rows - 1) / 2.0)
-    if np.array([lens.k1, lens.k2, lens.k3, lens.p1, lens.p2]).any() and not np.allclose(camera.principal_point_px, middle, atol=1e-3):
-        return "OpenPTV has distortion about the middle of the image, and this camera has it elsewhere"
+    if np.array([lens.k1, lens.k2, lens.k3, lens.p1, lens.p2]).any() and not np.allclose(
+        camera.principal_point_px, middle, atol=1e-3
+    ):
+        return (
+            "OpenPTV has distortion about the middle of the image, and this camera has it elsewhere"
+        )
     return None
 
 
 def origin_mm(grid: Grid) -> F64:
     """Where its world begins: the middle of the grid."""
-    return np.asarray(np.asarray(grid.low_mm) + np.asarray(grid.voxel_mm) * (np.asarray(grid.shape[::-1]) - 1) / 2.0)
+    return np.asarray(
+        np.asarray(grid.low_mm)
+        + np.asarray(grid.voxel_mm) * (np.asarray(grid.shape[::-1]) - 1) / 2.0
+    )
 
 
 def to_its(points_mm: F64, grid: Grid) -> F64:
@@ -88,10 +96,26 @@ def orientation_text(camera: Camera, grid: Grid) -> str:
         raise ValueError(f"{camera.name}: {reason}")
     right, down, forward = (_TURN @ row for row in np.asarray(camera.rotation))
     turn = np.column_stack([right, -down, -forward])
-    angles = [np.arctan2(-turn[1, 2], turn[2, 2]), np.arcsin(turn[0, 2]), np.arctan2(-turn[0, 1], turn[0, 0])]
+    angles = [
+        np.arctan2(-turn[1, 2], turn[2, 2]),
+        np.arcsin(turn[0, 2]),
+        np.arctan2(-turn[0, 1], turn[0, 0]),
+    ]
     place = to_its(np.asarray([camera.center_mm]), grid)[0]
-    across, above = (np.asarray(camera.principal_point_px) + 0.5) * camera.pixel_mm - np.array([camera.columns, camera.rows]) * camera.pixel_mm / 2.0
-    rows = [place, angles, [], *turn, [], [across, -above], [camera.principal_distance_mm], [], _glass(camera, grid, place)]
+    across, above = (np.asarray(camera.principal_point_px) + 0.5) * camera.pixel_mm - np.array(
+        [camera.columns, camera.rows]
+    ) * camera.pixel_mm / 2.0
+    rows = [
+        place,
+        angles,
+        [],
+        *turn,
+        [],
+        [across, -above],
+        [camera.principal_distance_mm],
+        [],
+        _glass(camera, grid, place),
+    ]
     return "\n".join(" ".join(repr(float(value)) for value in row) for row in rows) + "\n"
 
 
@@ -99,7 +123,10 @@ def _glass(camera: Camera, grid: Grid, place: F64) -> F64:
     """The vector from its origin to the glass's inner face, along its normal."""
     if camera.wall is None:
         return np.array([0.0, 0.0, _BETWEEN * place[2]])
-    normal, thick = np.asarray(camera.wall.normal), sum(layer.thickness_mm for layer in camera.wall.layers)
+    normal, thick = (
+        np.asarray(camera.wall.normal),
+        sum(layer.thickness_mm for layer in camera.wall.layers),
+    )
     depth = float((origin_mm(grid) - np.asarray(camera.wall.point_mm)) @ normal) - thick
     return np.asarray(-depth * (_TURN @ normal))
 
@@ -123,30 +150,50 @@ def media_of(camera: Camera) -> dict[str, object]:
 
 def write_frame(folder: Path, frame: int, images: F32) -> None:
     """Store a frame's images (camera, row, column), 1 for a bright particle's peak, as an 8-bit TIFF stack."""
-    tifffile.imwrite(folder / f"frame_{frame:05d}.tif", np.clip(np.rint(_BRIGHT * images), 0, _WHITE).astype(np.uint8), photometric="minisblack")
+    tifffile.imwrite(
+        folder / f"frame_{frame:05d}.tif",
+        np.clip(np.rint(_BRIGHT * images), 0, _WHITE).astype(np.uint8),
+        photometric="minisblack",
+    )
 
 
-def write_project(folder: Path, cameras: tuple[Camera, ...], grid: Grid, frames: int, settings: Settings) -> None:
+def write_project(
+    folder: Path, cameras: tuple[Camera, ...], grid: Grid, frames: int, settings: Settings
+) -> None:
     """Store orientations, distortions and settings beside the images."""
     for number, camera in enumerate(cameras):
         (folder / f"cam{number}.ori").write_text(orientation_text(camera, grid), encoding="utf-8")
         (folder / f"cam{number}.addpar").write_text(distortion_text(camera), encoding="utf-8")
     first = cameras[0]
-    low, high = np.asarray(grid.low_mm), np.asarray(grid.low_mm) + np.asarray(grid.voxel_mm) * np.asarray(grid.shape[::-1])
+    low, high = (
+        np.asarray(grid.low_mm),
+        np.asarray(grid.low_mm) + np.asarray(grid.voxel_mm) * np.asarray(grid.shape[::-1]),
+    )
     ends = np.sort(to_its(np.stack([low - np.asarray(grid.voxel_mm), high]), grid), axis=0)
     project = asdict(settings) | {
-        "cameras": len(cameras), "frames": frames, "image_size": [first.columns, first.rows], "pixel_mm": first.pixel_mm,
-        "media": media_of(first), "x_mm": ends[:, 0].tolist(), "z_mm": ends[:, 2].tolist(),
-    }  # fmt: skip
+        "cameras": len(cameras),
+        "frames": frames,
+        "image_size": [first.columns, first.rows],
+        "pixel_mm": first.pixel_mm,
+        "media": media_of(first),
+        "x_mm": ends[:, 0].tolist(),
+        "z_mm": ends[:, 2].tolist(),
+    }
     (folder / "project.json").write_text(json.dumps(project), encoding="utf-8")
 
 
 def solve(folder: Path, grid: Grid, frames: int) -> list[FoundParticles]:
     """Run it on a project folder; particles with the tracks that its links make."""
     run("sabench.interop.openptv_process", folder, "OpenPTV", "sabench frame", frames)
-    places = [np.array(read_json(folder / f"found_{frame:05d}.json"), dtype=np.float64).reshape(-1, 3) for frame in range(frames)]
+    places = [
+        np.array(read_json(folder / f"found_{frame:05d}.json"), dtype=np.float64).reshape(-1, 3)
+        for frame in range(frames)
+    ]
     tracks = joined([len(one) for one in places], read_json(folder / "links.json"))
-    return [FoundParticles(from_its(one, grid), None, number) for one, number in zip(places, tracks, strict=True)]
+    return [
+        FoundParticles(from_its(one, grid), None, number)
+        for one, number in zip(places, tracks, strict=True)
+    ]
 
 
 def joined(counts: list[int], links: list[list[int]]) -> list[I64]:
@@ -154,7 +201,10 @@ def joined(counts: list[int], links: list[list[int]]) -> list[I64]:
     out: list[I64] = []
     born = 0
     for frame, count in enumerate(counts):
-        before = np.array(links[frame] if frame < len(links) and len(links[frame]) == count else [-1] * count, dtype=np.int64)
+        before = np.array(
+            links[frame] if frame < len(links) and len(links[frame]) == count else [-1] * count,
+            dtype=np.int64,
+        )
         number = np.full(count, -1, dtype=np.int64)
         if frame:
             known = (before >= 0) & (before < counts[frame - 1])

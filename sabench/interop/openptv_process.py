@@ -1,6 +1,7 @@
 """The process in which OpenPTV runs on a folder that `openptv.write_project` made: python -m sabench.interop.openptv_process FOLDER.
 
-The steps are those of its own window, pyptv: particle images, correspondences, positions, then tracking out of the files of these.
+The steps are those of its own window, pyptv: particle images, correspondences, positions, then
+tracking out of the files of these.
 """
 
 from __future__ import annotations
@@ -26,11 +27,26 @@ def parameters(folder: Path, project: dict[str, Any]) -> tuple[list[Any], Any, A
     from optv.parameters import ControlParams, VolumeParams
 
     media, size = project["media"], project["pixel_mm"]
-    control = ControlParams(project["cameras"], flags=[], image_size=project["image_size"], pixel_size=(size, size), cam_side_n=media["n1"],
-                            wall_ns=media["n2"], wall_thicks=media["d"], object_side_n=media["n3"])  # fmt: skip
-    volume = VolumeParams(x_span=np.array(project["x_mm"]), z_spans=np.array([project["z_mm"], project["z_mm"]]), pixels_tot=_SIMILAR,
-                          pixels_x=_SIMILAR, pixels_y=_SIMILAR, ref_gray=_SIMILAR, epipolar_band=project["tolerance_px"] * size,
-                          min_correlation=0.0)  # fmt: skip
+    control = ControlParams(
+        project["cameras"],
+        flags=[],
+        image_size=project["image_size"],
+        pixel_size=(size, size),
+        cam_side_n=media["n1"],
+        wall_ns=media["n2"],
+        wall_thicks=media["d"],
+        object_side_n=media["n3"],
+    )
+    volume = VolumeParams(
+        x_span=np.array(project["x_mm"]),
+        z_spans=np.array([project["z_mm"], project["z_mm"]]),
+        pixels_tot=_SIMILAR,
+        pixels_x=_SIMILAR,
+        pixels_y=_SIMILAR,
+        ref_gray=_SIMILAR,
+        epipolar_band=project["tolerance_px"] * size,
+        min_correlation=0.0,
+    )
     cameras = []
     for number in range(project["cameras"]):
         camera = Calibration()
@@ -48,21 +64,39 @@ def main(folder: Path) -> None:
         control.set_img_base_name(number, f"img/cam{number}.")
     (folder / "img").mkdir(exist_ok=True)
     (folder / "res").mkdir(exist_ok=True)
-    counts = [_frame(folder, frame, project, cameras, control, volume) for frame in range(project["frames"])]
-    links = _track(folder, project, cameras, control, volume) if project["frames"] > 1 and min(counts) else []
+    counts = [
+        _frame(folder, frame, project, cameras, control, volume)
+        for frame in range(project["frames"])
+    ]
+    links = (
+        _track(folder, project, cameras, control, volume)
+        if project["frames"] > 1 and min(counts)
+        else []
+    )
     (folder / "links.json").write_text(json.dumps(links), encoding="utf-8")
 
 
-def _frame(folder: Path, frame: int, project: dict[str, Any], cameras: list[Any], control: Any, volume: Any) -> int:
+def _frame(
+    folder: Path, frame: int, project: dict[str, Any], cameras: list[Any], control: Any, volume: Any
+) -> int:
     """Particle images, correspondences and positions of a frame, and the files that tracking reads; returns how many particles there are."""
     from optv.correspondences import MatchedCoords, correspondences
     from optv.orientation import point_positions
     from optv.parameters import TargetParams
     from optv.segmentation import target_recognition
 
-    images = tifffile.imread(folder / f"frame_{frame:05d}.tif").reshape(project["cameras"], *project["image_size"][::-1])
-    chosen = TargetParams(discont=project["discontinuity"], gvthresh=[project["threshold"]] * 4, pixel_count_bounds=(2, 400), xsize_bounds=(1, 40),
-                          ysize_bounds=(1, 40), min_sum_grey=project["threshold"], cross_size=2)  # fmt: skip
+    images = tifffile.imread(folder / f"frame_{frame:05d}.tif").reshape(
+        project["cameras"], *project["image_size"][::-1]
+    )
+    chosen = TargetParams(
+        discont=project["discontinuity"],
+        gvthresh=[project["threshold"]] * 4,
+        pixel_count_bounds=(2, 400),
+        xsize_bounds=(1, 40),
+        ysize_bounds=(1, 40),
+        min_sum_grey=project["threshold"],
+        cross_size=2,
+    )
     targets, flat = [], []
     for number, image in enumerate(images):
         own = target_recognition(np.ascontiguousarray(image), chosen, number, control)
@@ -70,12 +104,18 @@ def _frame(folder: Path, frame: int, project: dict[str, Any], cameras: list[Any]
         targets.append(own)
         flat.append(MatchedCoords(own, control, cameras[number]))
     pixels, rows, _ = correspondences(targets, flat, cameras, volume, control)
-    row = np.concatenate([part.reshape(len(cameras), -1) for part in rows], axis=1).astype(int) if len(pixels) else np.zeros((len(cameras), 0), int)
+    row = (
+        np.concatenate([part.reshape(len(cameras), -1) for part in rows], axis=1).astype(int)
+        if len(pixels)
+        else np.zeros((len(cameras), 0), int)
+    )
     row = row[:, (row >= 0).sum(axis=0) >= min(_LEAST, len(cameras))]
     places = np.zeros((0, 3))
     if row.shape[1]:
         seen = np.array([one.get_by_pnrs(own) for one, own in zip(flat, row, strict=True)])
-        places, _ = point_positions(np.ascontiguousarray(seen.transpose(1, 0, 2)), control, cameras, volume)
+        places, _ = point_positions(
+            np.ascontiguousarray(seen.transpose(1, 0, 2)), control, cameras, volume
+        )
     for number, own in enumerate(targets):
         own.write(f"img/cam{number}.".encode(), frame + 1)
     _write_places(folder, frame, places, row)
@@ -89,19 +129,34 @@ def _write_places(folder: Path, frame: int, places: Any, row: Any) -> None:
     four = np.full((4, len(places)), -1)
     four[: len(row)] = row
     both = enumerate(zip(places, four.T, strict=True), 1)
-    lines = [f"{n:4d} {x:9.3f} {y:9.3f} {z:9.3f} {a:4d} {b:4d} {c:4d} {d:4d}" for n, ((x, y, z), (a, b, c, d)) in both]
-    (folder / "res" / f"rt_is.{frame + 1}").write_text("\n".join([str(len(places)), *lines]) + "\n", encoding="utf-8")
+    lines = [
+        f"{n:4d} {x:9.3f} {y:9.3f} {z:9.3f} {a:4d} {b:4d} {c:4d} {d:4d}"
+        for n, ((x, y, z), (a, b, c, d)) in both
+    ]
+    (folder / "res" / f"rt_is.{frame + 1}").write_text(
+        "\n".join([str(len(places)), *lines]) + "\n", encoding="utf-8"
+    )
 
 
-def _track(folder: Path, project: dict[str, Any], cameras: list[Any], control: Any, volume: Any) -> list[list[int]]:
+def _track(
+    folder: Path, project: dict[str, Any], cameras: list[Any], control: Any, volume: Any
+) -> list[list[int]]:
     """For each frame, the row that each particle had in the frame before."""
     from optv.parameters import SequenceParams, TrackingParams
     from optv.tracker import Tracker
 
     most = project["move_mm"]
     limits = np.array([[-most, most]] * 3)
-    chosen = TrackingParams(accel_lim=project["change_mm"], angle_lim=project["angle_gon"], velocity_lims=limits, add_particle=0)
-    frames = SequenceParams(image_base=[f"img/cam{number}." for number in range(project["cameras"])], frame_range=(1, project["frames"]))
+    chosen = TrackingParams(
+        accel_lim=project["change_mm"],
+        angle_lim=project["angle_gon"],
+        velocity_lims=limits,
+        add_particle=0,
+    )
+    frames = SequenceParams(
+        image_base=[f"img/cam{number}." for number in range(project["cameras"])],
+        frame_range=(1, project["frames"]),
+    )
     names = {"corres": "res/rt_is", "linkage": "res/ptv_is", "prio": "res/added"}
     Tracker(control, volume, chosen, frames, cameras, names).full_forward()
     return [_before(folder / "res" / f"ptv_is.{frame + 1}") for frame in range(project["frames"])]

@@ -28,17 +28,28 @@ from sabench.worlds.tracers import lattice
 
 Format = Literal["vtk"]
 _NODES = 50  # of the exact field along the volume's longest edge, where the scene names no lattice
-_VERSION = (2, 0)  # of VTKHDF: https://docs.vtk.org/en/latest/vtk_file_formats/vtkhdf_file_format/index.html
+_VERSION = (
+    2,
+    0,
+)  # of VTKHDF: https://docs.vtk.org/en/latest/vtk_file_formats/vtkhdf_file_format/index.html
 Data = dict[str, npt.NDArray[Any]]
 
 
-def export(dataset: Dataset | str | Path, out: str | Path, result: str | Path | None = None, *, to: Format = "vtk", overwrite: bool = False) -> Path:
+def export(
+    dataset: Dataset | str | Path,
+    out: str | Path,
+    result: str | Path | None = None,
+    *,
+    to: Format = "vtk",
+    overwrite: bool = False,
+) -> Path:
     """Write a data set's truth, or a result of it, into a folder; one file for each frame and kind.
 
-    A data set gives what it shows: `particles` with `volume` (the synthesised field) and, where there is a flow, `flow`; `bubbles`; `bodies`.
-    A result gives `volume` and, if it has some, `particles`, or `particles` alone with the ids of the true ones that they are, or `velocity` with
-    the exact field and the error of every vector, or `bubbles` with the errors of those that are matched to true ones. Lengths are mm, velocities
-    mm/s.
+    A data set gives what it shows: `particles` with `volume` (the synthesised field) and, where
+    there is a flow, `flow`; `bubbles`; `bodies`. A result gives `volume` and, if it has some,
+    `particles`, or `particles` alone with the ids of the true ones that they are, or `velocity`
+    with the exact field and the error of every vector, or `bubbles` with the errors of those that
+    are matched to true ones. Lengths are mm, velocities mm/s.
 
     Raises
     ------
@@ -49,7 +60,9 @@ def export(dataset: Dataset | str | Path, out: str | Path, result: str | Path | 
         raise InputError(f"to: expected vtk, got {to!r}")
     data = dataset if isinstance(dataset, Dataset) else open_dataset(dataset)
     if data.shows_target:
-        raise InputError(f"{data.root}: expected a data set with particles or bubbles, got one with a calibration target")
+        raise InputError(
+            f"{data.root}: expected a data set with particles or bubbles, got one with a calibration target"
+        )
     found = open_result(result, data) if result is not None else None
     with complete_or_nothing(Path(out), overwrite=overwrite) as root:
         root.mkdir()
@@ -64,7 +77,9 @@ def export(dataset: Dataset | str | Path, out: str | Path, result: str | Path | 
         elif found.track == "particles":
             _export_found(root, data, found)
         else:
-            raise InputError(f"{found.path}: expected a result with volumes, particles, velocities or bubbles, got one of the track {found.track}")
+            raise InputError(
+                f"{found.path}: expected a result with volumes, particles, velocities or bubbles, got one of the track {found.track}"
+            )
     return Path(out)
 
 
@@ -76,28 +91,46 @@ def _export_truth(root: Path, data: Dataset) -> None:
             _export_particles(root, data, frame)
         if scene.flow:
             field, slopes = lattice(scene, frame, step)
-            write_lattice(root / f"flow_{frame:04d}.vtkhdf", field.low_mm, field.step_mm, _field(field, slopes))
+            write_lattice(
+                root / f"flow_{frame:04d}.vtkhdf",
+                field.low_mm,
+                field.step_mm,
+                _field(field, slopes),
+            )
         if scene.bubbles:
             bubbles = data.bubbles(frame)
             about = {"id": bubbles.id, "velocity_mm_s": bubbles.velocity_mm_s}
-            write_points(root / f"bubbles_{frame:04d}.vtkhdf", bubbles.center_mm, _shapes(bubbles) | about)
+            write_points(
+                root / f"bubbles_{frame:04d}.vtkhdf", bubbles.center_mm, _shapes(bubbles) | about
+            )
         if scene.solids:
             write_surfaces(root / f"bodies_{frame:04d}.vtkhdf", data.solids(frame))
 
 
 def _export_particles(root: Path, data: Dataset, frame: int) -> None:
     particles, grid = data.particles(frame), data.rig.grid
-    about = {"id": particles.id, "diameter_mm": particles.diameter_mm, "velocity_mm_s": particles.velocity_mm_s}
+    about = {
+        "id": particles.id,
+        "diameter_mm": particles.diameter_mm,
+        "velocity_mm_s": particles.velocity_mm_s,
+    }
     write_points(root / f"particles_{frame:04d}.vtkhdf", particles.position_mm, about)
     volume = true_field(grid, particles, data.views(frame))
-    write_lattice(root / f"volume_{frame:04d}.vtkhdf", grid.low_mm, grid.voxel_mm, {"intensity": volume})
+    write_lattice(
+        root / f"volume_{frame:04d}.vtkhdf", grid.low_mm, grid.voxel_mm, {"intensity": volume}
+    )
 
 
 def _export_reconstructions(root: Path, data: Dataset, result: Result) -> None:
     grid = data.rig.grid
     for frame in track(range(data.rig.frames), "export"):
         found = result.reconstruction(frame)
-        write_lattice(root / f"volume_{frame:04d}.vtkhdf", grid.low_mm, grid.voxel_mm, {"intensity": found.volume})
+        write_lattice(
+            root / f"volume_{frame:04d}.vtkhdf",
+            grid.low_mm,
+            grid.voxel_mm,
+            {"intensity": found.volume},
+        )
         if found.particles_mm is not None:
             write_points(root / f"particles_{frame:04d}.vtkhdf", found.particles_mm, {})
 
@@ -105,17 +138,25 @@ def _export_reconstructions(root: Path, data: Dataset, result: Result) -> None:
 def _export_velocities(root: Path, data: Dataset, result: Result) -> None:
     for pair in track(data.rig.pairs(), "export"):
         field = result.velocity(pair[0])
-        exact = true_velocity(data, pair, field.positions_mm.reshape(-1, 3)).reshape(field.velocity_mm_s.shape)
+        exact = true_velocity(data, pair, field.positions_mm.reshape(-1, 3)).reshape(
+            field.velocity_mm_s.shape
+        )
         values = _field(field, gradient(field.velocity_mm_s, field.step_mm)) | {
-            "valid": field.valid.astype(np.uint8), "exact_mm_s": exact, "error_mm_s": field.velocity_mm_s - exact
-        }  # fmt: skip
+            "valid": field.valid.astype(np.uint8),
+            "exact_mm_s": exact,
+            "error_mm_s": field.velocity_mm_s - exact,
+        }
         write_lattice(root / f"velocity_{pair[0]:04d}.vtkhdf", field.low_mm, field.step_mm, values)
 
 
 def _export_detections(root: Path, data: Dataset, result: Result) -> None:
     for frame in track(range(data.rig.frames), "export"):
         found = result.bubbles(frame)
-        write_points(root / f"bubbles_{frame:04d}.vtkhdf", found.center_mm, _shapes(found) | _errors(found, data.bubbles(frame)))
+        write_points(
+            root / f"bubbles_{frame:04d}.vtkhdf",
+            found.center_mm,
+            _shapes(found) | _errors(found, data.bubbles(frame)),
+        )
 
 
 def _export_found(root: Path, data: Dataset, result: Result) -> None:
@@ -126,7 +167,9 @@ def _export_found(root: Path, data: Dataset, result: Result) -> None:
         identity = np.full(len(found.position_mm), -1)
         identity[i] = known.id[j]
         given = {"intensity": found.intensity, "track": found.track}
-        about = {"matched": (identity >= 0).astype(np.uint8), "true_id": identity} | {name: one for name, one in given.items() if one is not None}
+        about = {"matched": (identity >= 0).astype(np.uint8), "true_id": identity} | {
+            name: one for name, one in given.items() if one is not None
+        }
         write_points(root / f"particles_{frame:04d}.vtkhdf", found.position_mm, about)
 
 
@@ -134,8 +177,11 @@ def _shapes(bubbles: AnyBubbles) -> Data:
     """Sizes and directions; `shape_mm` is the matrix (as 9 numbers) that makes each out of a ball of radius 1, for ParaView's tensor glyphs."""
     shape = shapes_of(np.sqrt(bubbles.semi_axes_mm), bubbles.turn)
     return {
-        "radius_mm": bubbles.radius_mm, "semi_axes_mm": bubbles.semi_axes_mm, "turn": bubbles.turn.reshape(-1, 9), "shape_mm": shape.reshape(-1, 9)
-    }  # fmt: skip
+        "radius_mm": bubbles.radius_mm,
+        "semi_axes_mm": bubbles.semi_axes_mm,
+        "turn": bubbles.turn.reshape(-1, 9),
+        "shape_mm": shape.reshape(-1, 9),
+    }
 
 
 def _errors(found: Detections, true: Bubbles) -> Data:
@@ -145,40 +191,84 @@ def _errors(found: Detections, true: Bubbles) -> Data:
     which[i] = j
     hit = which >= 0
     known = true[which[hit]]
-    identity, place, radius = np.full(len(hit), -1), np.full((len(hit), 3), np.nan), np.full(len(hit), np.nan)
-    identity[hit], place[hit], radius[hit] = known.id, found.center_mm[hit] - known.center_mm, found.radius_mm[hit] - known.radius_mm
-    return {"matched": hit.astype(np.uint8), "true_id": identity, "error_mm": place, "radius_error_mm": radius}
+    identity, place, radius = (
+        np.full(len(hit), -1),
+        np.full((len(hit), 3), np.nan),
+        np.full(len(hit), np.nan),
+    )
+    identity[hit], place[hit], radius[hit] = (
+        known.id,
+        found.center_mm[hit] - known.center_mm,
+        found.radius_mm[hit] - known.radius_mm,
+    )
+    return {
+        "matched": hit.astype(np.uint8),
+        "true_id": identity,
+        "error_mm": place,
+        "radius_error_mm": radius,
+    }
 
 
 def _field(field: Velocity, slopes: F64) -> Data:
     """Velocities and what their gradients (z, y, x, 3, 3) say."""
-    return {"velocity_mm_s": field.velocity_mm_s, "vorticity_1_s": vorticity(slopes), "divergence_1_s": divergence(slopes)}
+    return {
+        "velocity_mm_s": field.velocity_mm_s,
+        "vorticity_1_s": vorticity(slopes),
+        "divergence_1_s": divergence(slopes),
+    }
 
 
-def write_lattice(path: Path, low_mm: tuple[float, float, float], step_mm: tuple[float, float, float], data: Data) -> None:
+def write_lattice(
+    path: Path, low_mm: tuple[float, float, float], step_mm: tuple[float, float, float], data: Data
+) -> None:
     """Arrays (z, y, x) or (z, y, x, 3) on a lattice along the axes, as VTK's image data."""
     shape = next(iter(data.values())).shape[:3]
     ends = [index for count in shape[::-1] for index in (0, count - 1)]
-    head = {"WholeExtent": np.array(ends), "Origin": np.array(low_mm), "Spacing": np.array(step_mm), "Direction": np.eye(3).ravel()}
+    head = {
+        "WholeExtent": np.array(ends),
+        "Origin": np.array(low_mm),
+        "Spacing": np.array(step_mm),
+        "Direction": np.eye(3).ravel(),
+    }
     with created(path) as (file, check), uninterrupted():
         _begin(file, "ImageData", head)
         for name, values in data.items():
             chunk = (1, *values.shape[1:])
-            file.create_dataset(f"VTKHDF/PointData/{name}", data=values, chunks=chunk, compression="gzip", compression_opts=1)
+            file.create_dataset(
+                f"VTKHDF/PointData/{name}",
+                data=values,
+                chunks=chunk,
+                compression="gzip",
+                compression_opts=1,
+            )
         check()
 
 
 def write_points(path: Path, points_mm: F64, data: Data) -> None:
     """Points (n, 3) with values of each, as VTK's poly data."""
-    _write_cells(path, points_mm, "Vertices", np.arange(len(points_mm))[:, None], {f"PointData/{name}": values for name, values in data.items()})
+    _write_cells(
+        path,
+        points_mm,
+        "Vertices",
+        np.arange(len(points_mm))[:, None],
+        {f"PointData/{name}": values for name, values in data.items()},
+    )
 
 
 def write_surfaces(path: Path, solids: Sequence[Solid]) -> None:
     """Triangles of bodies as VTK's poly data; `body` says of each triangle whose it is, counted as `solids` are in a scene."""
     before = np.cumsum([0, *(len(solid.vertices_mm) for solid in solids[:-1])])
-    faces = np.concatenate([solid.faces + first for solid, first in zip(solids, before, strict=True)])
+    faces = np.concatenate(
+        [solid.faces + first for solid, first in zip(solids, before, strict=True)]
+    )
     body = np.repeat(np.arange(len(solids)), [len(solid.faces) for solid in solids])
-    _write_cells(path, np.concatenate([solid.vertices_mm for solid in solids]), "Polygons", faces, {"CellData/body": body})
+    _write_cells(
+        path,
+        np.concatenate([solid.vertices_mm for solid in solids]),
+        "Polygons",
+        faces,
+        {"CellData/body": body},
+    )
 
 
 def _write_cells(path: Path, points_mm: F64, kind: str, cells: I64, data: Data) -> None:
@@ -189,8 +279,14 @@ def _write_cells(path: Path, points_mm: F64, kind: str, cells: I64, data: Data) 
         for name in ("Vertices", "Lines", "Polygons", "Strips"):
             own = cells if name == kind else cells[:0]
             group = root.create_group(name)
-            group["NumberOfConnectivityIds"], group["NumberOfCells"] = np.array([own.size]), np.array([len(own)])
-            group["Connectivity"], group["Offsets"] = own.ravel(), own.shape[1] * np.arange(len(own) + 1)
+            group["NumberOfConnectivityIds"], group["NumberOfCells"] = (
+                np.array([own.size]),
+                np.array([len(own)]),
+            )
+            group["Connectivity"], group["Offsets"] = (
+                own.ravel(),
+                own.shape[1] * np.arange(len(own) + 1),
+            )
         for name, values in data.items():
             root[name] = values
         check()

@@ -16,7 +16,8 @@ ALIGNMENTS: tuple[Alignment, ...] = ("raw", "shift", "lateral", "rigid")
 def alignment(how: Alignment, points: F64, truths: F64) -> Motion:
     """The motion of points (n, 3) that brings them nearest to their true places (n, 3), both in the wall's frame.
 
-    raw: none. shift: along X and Y, the thesis's (section 4.4.2). lateral: these and a turn about Z, all that a plane wall leaves open. rigid: any.
+    raw: none. shift: along X and Y, the thesis's (section 4.4.2). lateral: these and a turn about
+    Z, all that a plane wall leaves open. rigid: any.
     """
     if how == "raw":
         return Motion(np.eye(3), np.zeros(3))

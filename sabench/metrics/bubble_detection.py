@@ -15,7 +15,10 @@ from sabench.utils.arrays import F64, I64, Bool
 
 LARGE_MM = 0.5  # radius of what counts as a large bubble
 HIDDEN = 0.9  # seen part of a bubble, mean over the cameras, below which it counts as hidden
-AROUND_MM, DENSE = 6.0, 0.01  # radius in which others' volume is counted, and the part of it from which a bubble is among many
+AROUND_MM, DENSE = (
+    6.0,
+    0.01,
+)  # radius in which others' volume is counted, and the part of it from which a bubble is among many
 FLAT = 0.9  # short over long axis below which a direction has a meaning
 _NEAR = 0.5  # of a true bubble's radius
 
@@ -29,16 +32,30 @@ def match(found_mm: F64, true_mm: F64, radius_mm: F64) -> tuple[I64, I64]:
     -------
     Rows of the found and of the true ones, equally long.
     """
-    near = cKDTree(found_mm).query_ball_point(true_mm, _NEAR * radius_mm) if len(found_mm) and len(true_mm) else []
-    pairs = np.array([(i, j) for j, group in enumerate(near) for i in group], dtype=np.int64).reshape(-1, 2)
+    near = (
+        cKDTree(found_mm).query_ball_point(true_mm, _NEAR * radius_mm)
+        if len(found_mm) and len(true_mm)
+        else []
+    )
+    pairs = np.array(
+        [(i, j) for j, group in enumerate(near) for i in group], dtype=np.int64
+    ).reshape(-1, 2)
     if not len(pairs):
         return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)
     distance = np.linalg.norm(found_mm[pairs[:, 0]] - true_mm[pairs[:, 1]], axis=1)
     size = len(found_mm) + len(true_mm)
-    _, label = connected_components(coo_matrix((np.ones(len(pairs)), (pairs[:, 0], len(found_mm) + pairs[:, 1])), shape=(size, size)), directed=False)
+    _, label = connected_components(
+        coo_matrix(
+            (np.ones(len(pairs)), (pairs[:, 0], len(found_mm) + pairs[:, 1])), shape=(size, size)
+        ),
+        directed=False,
+    )
     which = label[pairs[:, 0]]
     order = np.argsort(which, kind="stable")
-    chosen = [_assigned(pairs[group], distance[group]) for group in np.split(order, np.flatnonzero(np.diff(which[order])) + 1)]
+    chosen = [
+        _assigned(pairs[group], distance[group])
+        for group in np.split(order, np.flatnonzero(np.diff(which[order])) + 1)
+    ]
     both = np.concatenate(chosen)
     return both[:, 0], both[:, 1]
 
@@ -64,7 +81,10 @@ def detection_scores(found: AnyBubbles, true: AnyBubbles, seen: F64) -> dict[str
     seen : (n,) part of each true bubble that the cameras see, mean over them.
     """
     i, j = match(found.center_mm, true.center_mm, true.radius_mm)
-    hit_true, hit_found = np.zeros(len(true.center_mm), dtype=np.bool_), np.zeros(len(found.center_mm), dtype=np.bool_)
+    hit_true, hit_found = (
+        np.zeros(len(true.center_mm), dtype=np.bool_),
+        np.zeros(len(found.center_mm), dtype=np.bool_),
+    )
     hit_true[j], hit_found[i] = True, True
     large = true.radius_mm >= LARGE_MM
     every = np.ones(len(large), dtype=np.bool_)
@@ -81,9 +101,15 @@ def detection_scores(found: AnyBubbles, true: AnyBubbles, seen: F64) -> dict[str
     big = large[j]
     scores |= _errors(found, true, i[big], j[big])
     both = len(found.radius_mm) and len(true.radius_mm)
-    apart = float(wasserstein_distance(found.radius_mm, true.radius_mm) / true.radius_mm.mean()) if both else np.nan
+    apart = (
+        float(wasserstein_distance(found.radius_mm, true.radius_mm) / true.radius_mm.mean())
+        if both
+        else np.nan
+    )
     scores["sizes_percent"] = 100.0 * apart
-    air, known = (4.0 / 3.0 * np.pi * float(one.semi_axes_mm.prod(axis=1).sum()) for one in (found, true))
+    air, known = (
+        4.0 / 3.0 * np.pi * float(one.semi_axes_mm.prod(axis=1).sum()) for one in (found, true)
+    )
     scores["void_percent"] = 100.0 * abs(air - known) / known if known else np.nan
     return scores
 
@@ -114,12 +140,20 @@ def _part(count: int, whole: int) -> float:
 def _errors(found: AnyBubbles, true: AnyBubbles, i: I64, j: I64) -> dict[str, float]:
     """Medians over pairs."""
     if not len(i):
-        return dict.fromkeys(("radius_percent", "axes_percent", "tilt_deg", "plane_mm", "depth_mm"), float("nan"))
+        return dict.fromkeys(
+            ("radius_percent", "axes_percent", "tilt_deg", "plane_mm", "depth_mm"), float("nan")
+        )
     off = found.center_mm[i] - true.center_mm[j]
     radius = np.abs(found.radius_mm[i] / true.radius_mm[j] - 1.0)
-    axes = np.abs(np.sort(found.semi_axes_mm[i], axis=1) / np.sort(true.semi_axes_mm[j], axis=1) - 1.0).mean(axis=1)
+    axes = np.abs(
+        np.sort(found.semi_axes_mm[i], axis=1) / np.sort(true.semi_axes_mm[j], axis=1) - 1.0
+    ).mean(axis=1)
     flat = true.semi_axes_mm[j].min(axis=1) < FLAT * true.semi_axes_mm[j].max(axis=1)
-    tilt = np.rad2deg(np.arccos(np.clip(np.abs(np.sum(short_axis(found, i) * short_axis(true, j), axis=1)), 0.0, 1.0)))[flat]
+    tilt = np.rad2deg(
+        np.arccos(
+            np.clip(np.abs(np.sum(short_axis(found, i) * short_axis(true, j), axis=1)), 0.0, 1.0)
+        )
+    )[flat]
     return {
         "radius_percent": 100.0 * float(np.median(radius)),
         "axes_percent": 100.0 * float(np.median(axes)),

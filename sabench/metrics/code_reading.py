@@ -12,14 +12,17 @@ def reading(cells: F64, dark: Bool) -> dict[str, float]:
 
     Parameters
     ----------
-    cells : (cell,) mean brightness of each; NaN where the picture does not show it: such a cell is not read.
+    cells : (cell,) mean brightness of each; NaN where the picture does not show it: such a cell is
+        not read.
     dark : (cell,) which are dark.
 
     Returns
     -------
-    read_percent : cells on the right side of Otsu's threshold (IEEE Trans. Syst. Man Cybern. 9, 62, 1979); guessing gives 50.
+    read_percent : cells on the right side of Otsu's threshold (IEEE Trans. Syst. Man Cybern. 9, 62,
+        1979); guessing gives 50.
     contrast : Michelson's, of the mean bright and the mean dark cell.
-    separation : difference of these means over the root mean square of the two standard deviations (d').
+    separation : difference of these means over the root mean square of the two standard deviations
+        (d').
     """
     shown = np.isfinite(cells)
     bright, black = cells[shown & ~dark], cells[shown & dark]
@@ -39,13 +42,21 @@ def reading(cells: F64, dark: Bool) -> dict[str, float]:
 def read_right(cells: F64, dark: Bool) -> Bool:
     """Which cells (cell,) are on the right side of the threshold; none where fewer than two are shown."""
     shown = np.isfinite(cells)
-    return shown & ((cells < otsu(cells[shown])) == dark) if shown.sum() > 1 else np.zeros(len(cells), dtype=np.bool_)
+    return (
+        shown & ((cells < otsu(cells[shown])) == dark)
+        if shown.sum() > 1
+        else np.zeros(len(cells), dtype=np.bool_)
+    )
 
 
 def otsu(values: F64) -> float:
     """The threshold that parts values into two groups with the largest variance between them."""
     ordered = np.sort(values)
     count, low = np.arange(1, len(ordered)), np.cumsum(ordered)[:-1]
-    between = (low / count - (ordered.sum() - low) / (len(ordered) - count)) ** 2 * count * (len(ordered) - count)
+    between = (
+        (low / count - (ordered.sum() - low) / (len(ordered) - count)) ** 2
+        * count
+        * (len(ordered) - count)
+    )
     best = int(between.argmax())
     return float(ordered[best] + ordered[best + 1]) / 2.0

@@ -68,7 +68,9 @@ def _join_runs(start: Any, stop: Any, first: Any, planes: int, rows: int) -> Any
                 for other in range(max(0, y - 1), min(rows, y + 2)):
                     _join_rows(parent, start, stop, first, row, (z - 1) * rows + other)
     count = 0
-    for run in range(len(parent)):  # a parent comes before its runs and is a component's number by then
+    for run in range(
+        len(parent)
+    ):  # a parent comes before its runs and is a component's number by then
         if parent[run] == run:
             parent[run] = count
             count += 1

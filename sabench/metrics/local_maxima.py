@@ -10,18 +10,24 @@ import numpy as np
 
 from sabench.utils.arrays import F32, F64
 
-_SINGLE, _TIED, _SEEN = 1, 2, 3  # marks of voxels that no neighbour exceeds: higher than all, equal to some, already counted
+_SINGLE, _TIED, _SEEN = (
+    1,
+    2,
+    3,
+)  # marks of voxels that no neighbour exceeds: higher than all, equal to some, already counted
 
 
 def fitted_maxima(volume: F32, floor: float) -> F64:
     """Positions (n, 3) of the maxima of E >= floor as fractional voxel indices (x, y, z), in the order of their first voxels.
 
-    A voxel higher than its 26 neighbours is a maximum; so is a plateau, connected voxels of one value, that no neighbour exceeds, at the
-    mean of its voxels.
+    A voxel higher than its 26 neighbours is a maximum; so is a plateau, connected voxels of one
+    value, that no neighbour exceeds, at the mean of its voxels.
     """
     mark = np.zeros(volume.shape, dtype=np.uint8)
     _mark_maxima(volume, floor, mark)
-    return np.asarray(_collect(volume, mark, np.empty((np.count_nonzero(mark), 3))), dtype=np.float64)
+    return np.asarray(
+        _collect(volume, mark, np.empty((np.count_nonzero(mark), 3))), dtype=np.float64
+    )
 
 
 @numba.njit(cache=True, parallel=True)
@@ -82,7 +88,9 @@ def _plateau(volume: Any, mark: Any, z: int, y: int, x: int) -> Any:
                     if volume[c, b, a] == value and mark[c, b, a] == _TIED:
                         mark[c, b, a] = _SEEN
                         waiting.append((c, b, a))
-                    highest &= volume[c, b, a] != value or mark[c, b, a] == _SEEN  # an unmarked equal has a higher neighbour
+                    highest &= (
+                        volume[c, b, a] != value or mark[c, b, a] == _SEEN
+                    )  # an unmarked equal has a higher neighbour
     return highest, total / size
 
 
@@ -102,8 +110,8 @@ def _fit(volume: Any, z: int, y: int, x: int) -> Any:
 def three_point(before: float, value: float, after: float) -> float:
     """Offset, -1/2 to 1/2, of the vertex of a Gaussian through three values of which the middle one is the highest.
 
-    Where a neighbour is 0 and has no logarithm it is the offset of the three values' centroid. Source: Willert and Gharib, Exp. Fluids 10
-    (1991) 181-193.
+    Where a neighbour is 0 and has no logarithm it is the offset of the three values' centroid.
+    Source: Willert and Gharib, Exp. Fluids 10 (1991) 181-193.
     """
     a, b, c = float(before), float(value), float(after)
     if a <= 0.0 or c <= 0.0:

@@ -19,8 +19,9 @@ _LOWEST = 0.10
 def detect(volume: F32) -> F64:
     """Intensity-weighted centroids (n, 3) of the components of a volume (z, y, x), as fractional voxel indices (x, y, z).
 
-    Non-zero intensities below their own 10 % quantile are removed, the rest is joined into 26-connected components: thesis section 3.3.2, after
-    Elsinga et al. (2006). The thesis takes the centroid of the binary component; weighting it with the intensity is more exact.
+    Non-zero intensities below their own 10 % quantile are removed, the rest is joined into
+    26-connected components: thesis section 3.3.2, after Elsinga et al. (2006). The thesis takes the
+    centroid of the binary component; weighting it with the intensity is more exact.
     """
     floor = _floor(volume)
     if floor is None:
@@ -32,8 +33,9 @@ def detect(volume: F32) -> F64:
 def detect_peaks(volume: F32) -> F64:
     """Local maxima (n, 3) of a volume (z, y, x), as fractional voxel indices (x, y, z): particles that touch are still told apart.
 
-    A maximum is a voxel that reaches the 10 % quantile of the non-zero intensities and exceeds its 26 neighbours, or a plateau of equal voxels
-    that does. A Gaussian through the voxel and its two neighbours gives its place along each axis.
+    A maximum is a voxel that reaches the 10 % quantile of the non-zero intensities and exceeds its
+    26 neighbours, or a plateau of equal voxels that does. A Gaussian through the voxel and its two
+    neighbours gives its place along each axis.
     """
     floor = _floor(volume)
     return np.empty((0, 3)) if floor is None else fitted_maxima(volume, floor)
@@ -76,7 +78,9 @@ class Counts:
         return 100.0 * ghosts / self.matched if self.matched else (None if ghosts else 0.0)
 
 
-def count_thesis(detections: F64, truths: F64, scored_detections: Bool, scored_truths: Bool) -> Counts:
+def count_thesis(
+    detections: F64, truths: F64, scored_detections: Bool, scored_truths: Bool
+) -> Counts:
     """The thesis's rule (section 3.3.2): a detection within 1.5 voxels of a truth is true, one per truth; duplicates and the rest are ghosts.
 
     Every detection goes to its nearest truth; the nearest detection of a truth is the true one.
@@ -84,22 +88,35 @@ def count_thesis(detections: F64, truths: F64, scored_detections: Bool, scored_t
     Parameters
     ----------
     detections, truths : (n, 3) and (m, 3) in voxels.
-    scored_detections, scored_truths : which of them lie in the scored part. Matches reach over its border, counts do not.
+    scored_detections, scored_truths : which of them lie in the scored part. Matches reach over its
+        border, counts do not.
     """
     if not len(detections) or not len(truths):
         return Counts(int(scored_truths.sum()), int(scored_detections.sum()), 0, None)
-    distance, nearest = cKDTree(truths).query(detections, distance_upper_bound=np.nextafter(THESIS_RADIUS, 2.0))
+    distance, nearest = cKDTree(truths).query(
+        detections, distance_upper_bound=np.nextafter(THESIS_RADIUS, 2.0)
+    )
     order = np.argsort(distance, kind="stable")
     order = order[np.isfinite(distance[order])]
     _, first = np.unique(nearest[order], return_index=True)
     chosen = order[first]
-    return _counts(chosen, nearest[chosen].astype(np.int64), detections, truths, scored_detections, scored_truths)
+    return _counts(
+        chosen,
+        nearest[chosen].astype(np.int64),
+        detections,
+        truths,
+        scored_detections,
+        scored_truths,
+    )
 
 
-def count_challenge(detections: F64, truths: F64, scored_detections: Bool, scored_truths: Bool) -> Counts:
+def count_challenge(
+    detections: F64, truths: F64, scored_detections: Bool, scored_truths: Bool
+) -> Counts:
     """The rule of the LPT challenge: a pair closer than 1 voxel in every component, each truth and each detection in one pair only.
 
-    Pairs are taken from the closest on. Arguments as for `count_thesis`; source: Leclaire et al. (2021), first challenge on LPT and DA.
+    Pairs are taken from the closest on. Arguments as for `count_thesis`; source: Leclaire et al.
+    (2021), first challenge on LPT and DA.
     """
     a, b = challenge_pairs(detections, truths)
     return _counts(a, b, detections, truths, scored_detections, scored_truths)
@@ -111,7 +128,9 @@ def challenge_pairs(detections: F64, truths: F64) -> tuple[I64, I64]:
         return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)
     pairs = cKDTree(detections).query_ball_tree(cKDTree(truths), CHALLENGE_RADIUS, p=np.inf)
     left = np.repeat(np.arange(len(pairs)), [len(found) for found in pairs])
-    right = np.fromiter((truth for found in pairs for truth in found), dtype=np.int64, count=len(left))
+    right = np.fromiter(
+        (truth for found in pairs for truth in found), dtype=np.int64, count=len(left)
+    )
     offset = detections[left] - truths[right]
     near = np.abs(offset).max(axis=1) < CHALLENGE_RADIUS
     order = np.argsort(np.linalg.norm(offset[near], axis=1), kind="stable")
@@ -129,7 +148,9 @@ def _one_to_one(left: I64, right: I64, lefts: int, rights: int) -> tuple[I64, I6
     return left[kept], right[kept]
 
 
-def _counts(a: I64, b: I64, detections: F64, truths: F64, scored_detections: Bool, scored_truths: Bool) -> Counts:
+def _counts(
+    a: I64, b: I64, detections: F64, truths: F64, scored_detections: Bool, scored_truths: Bool
+) -> Counts:
     """Counts over the scored part: an unmatched detection or truth counts where it lies, a pair where its truth lies."""
     inside = scored_truths[b]
     offset = detections[a[inside]] - truths[b[inside]]

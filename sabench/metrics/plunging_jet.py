@@ -1,7 +1,8 @@
 """What a plunging jet's bubbles say of it: concentration over depth and radius, penetration depth, angle, and the scaling of equation 5.18.
 
-Source: thesis, section 5.5: bins of 20 mm along Y and 8 mm along R; Y_p is the mean of the depth where the concentration drops and the bin above;
-D_eq is where the concentration at the bin above falls to 5 % of its largest there; C_Y is a sum over R without a weight (equation 5.17).
+Source: thesis, section 5.5: bins of 20 mm along Y and 8 mm along R; Y_p is the mean of the depth
+where the concentration drops and the bin above; D_eq is where the concentration at the bin above
+falls to 5 % of its largest there; C_Y is a sum over R without a weight (equation 5.17).
 """
 
 from __future__ import annotations
@@ -44,27 +45,40 @@ class JetFigures:
     width: float
 
 
-def analyse(center_mm: F64, radius_mm: F64, impact_mm: F64, depth_mm: float, frames: int = 1) -> JetFigures:
+def analyse(
+    center_mm: F64, radius_mm: F64, impact_mm: F64, depth_mm: float, frames: int = 1
+) -> JetFigures:
     """Figures of bubbles (n, 3), (n,) of one or several frames below a jet that points along +Y from `impact_mm`, down to `depth_mm`."""
     places = center_mm - impact_mm
     depths = np.arange(0.0, depth_mm + 1e-9, DEPTH_MM)
     outer = max(RADIUS_MM, float(np.hypot(places[:, 0], places[:, 2]).max(initial=0.0)))
     radii = np.arange(0.0, outer + RADIUS_MM, RADIUS_MM)
     volume = 4.0 / 3.0 * np.pi * radius_mm**3
-    air, *_ = np.histogram2d(places[:, 1], np.hypot(places[:, 0], places[:, 2]), bins=(depths, radii), weights=volume)
+    air, *_ = np.histogram2d(
+        places[:, 1], np.hypot(places[:, 0], places[:, 2]), bins=(depths, radii), weights=volume
+    )
     room = np.pi * np.diff(radii**2)[None] * DEPTH_MM
     concentration = air / room / frames
     y, r = (edges[:-1] + np.diff(edges) / 2.0 for edges in (depths, radii))
-    total, largest = 2.0 * np.pi * concentration.sum(axis=1) * RADIUS_MM, concentration.max(axis=1, initial=0.0)
+    total, largest = (
+        2.0 * np.pi * concentration.sum(axis=1) * RADIUS_MM,
+        concentration.max(axis=1, initial=0.0),
+    )
     half = np.array([_falls_to(r, row, 0.5) for row in concentration])
     drop = _drop(total)
     penetration = equivalent = float("nan")
     if drop is not None:
         penetration = float(y[drop] + y[drop - 1]) / 2.0
         equivalent = 2.0 * _falls_to(r, concentration[drop - 1], EDGE)
-    angle = float(np.rad2deg(np.arctan2(equivalent / 2.0, y[drop - 1]))) if drop is not None else float("nan")
+    angle = (
+        float(np.rad2deg(np.arctan2(equivalent / 2.0, y[drop - 1])))
+        if drop is not None
+        else float("nan")
+    )
     weight, width = _scaling(y, total, penetration)
-    return JetFigures(y, r, concentration, total, largest, half, penetration, equivalent, angle, weight, width)
+    return JetFigures(
+        y, r, concentration, total, largest, half, penetration, equivalent, angle, weight, width
+    )
 
 
 def _falls_to(r: F64, profile: F64, part: float) -> float:
@@ -83,7 +97,8 @@ def _falls_to(r: F64, profile: F64, part: float) -> float:
 def _drop(total: F64) -> int | None:
     """The bin to which the concentration falls most sharply, to the smallest part of the bin above it; None if there is none.
 
-    Bins below a fifth of the peak are not asked: in the few bubbles below the cloud any may be empty.
+    Bins below a fifth of the peak are not asked: in the few bubbles below the cloud any may be
+    empty.
     """
     top = int(total.argmax()) if len(total) else 0
     if not len(total) or total[top] <= 0.0 or top + 1 >= len(total):
@@ -105,7 +120,9 @@ def _scaling(y: F64, total: F64, penetration: float) -> tuple[float, float]:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", OptimizeWarning)
-            (weight, width), _ = curve_fit(law, scaled, total / total.max(), p0=(0.9, 0.2), maxfev=4000)
+            (weight, width), _ = curve_fit(
+                law, scaled, total / total.max(), p0=(0.9, 0.2), maxfev=4000
+            )
     except RuntimeError:
         return float("nan"), float("nan")
     return float(weight), abs(float(width))

@@ -1,7 +1,8 @@
 """Found tracks against true ones: which links are right, how far off velocities are, and how much of a true track one found track covers.
 
-Links are counted as the vectors of the first challenge on Lagrangian Particle Tracking are (Leclaire et al. 2021), but that its recall takes what
-was not detected for missed, too. The covered share of a track is the target effectiveness of Bise et al., "Reliable cell tracking by global data
+Links are counted as the vectors of the first challenge on Lagrangian Particle Tracking are
+(Leclaire et al. 2021), but that its recall takes what was not detected for missed, too. The covered
+share of a track is the target effectiveness of Bise et al., "Reliable cell tracking by global data
 association", ISBI 2011.
 """
 
@@ -20,7 +21,11 @@ _KEYS = ("link_recall", "link_precision", "effectiveness", "velocity_mm_s", "vel
 
 
 def track_scores(
-    found: Sequence[AnyBubbles], track: Sequence[I64], true: Sequence[Bubbles], times_s: Sequence[float], sequences: Sequence[range]
+    found: Sequence[AnyBubbles],
+    track: Sequence[I64],
+    true: Sequence[Bubbles],
+    times_s: Sequence[float],
+    sequences: Sequence[range],
 ) -> dict[str, float]:
     """All figures of tracks; NaN where there is nothing to count, as where no frame follows another.
 
@@ -31,9 +36,14 @@ def track_scores(
     times_s : when each frame was taken.
     sequences : the frames that follow each other; nothing is asked of tracks from one to the next.
     """
-    matched = [match(guess.center_mm, known.center_mm, known.radius_mm) for guess, known in zip(found, true, strict=True)]
+    matched = [
+        match(guess.center_mm, known.center_mm, known.radius_mm)
+        for guess, known in zip(found, true, strict=True)
+    ]
     places = [[one.center_mm for one in frames] for frames in (found, true)]
-    return link_scores(places[0], track, places[1], [one.id for one in true], matched, times_s, sequences)
+    return link_scores(
+        places[0], track, places[1], [one.id for one in true], matched, times_s, sequences
+    )
 
 
 def link_scores(
@@ -64,14 +74,31 @@ def link_scores(
             links += len(np.intersect1d(track[one], track[other]))
             duration = times_s[other] - times_s[one]
             velocity = (true_mm[other][m] - true_mm[one][j])[good] / duration
-            off.append(np.linalg.norm((found_mm[other][k] - found_mm[one][i])[good] / duration - velocity, axis=1))
+            off.append(
+                np.linalg.norm(
+                    (found_mm[other][k] - found_mm[one][i])[good] / duration - velocity, axis=1
+                )
+            )
             speed.append(np.linalg.norm(velocity, axis=1))
-        cover.append(_covered([track[f][matched[f][0]] for f in frames], [identity[f][matched[f][1]] for f in frames], [identity[f] for f in frames]))
-    figures = (_part(right, there), _part(right, links), _mean(np.concatenate(cover)), *_errors(np.concatenate(off), np.concatenate(speed)))
+        cover.append(
+            _covered(
+                [track[f][matched[f][0]] for f in frames],
+                [identity[f][matched[f][1]] for f in frames],
+                [identity[f] for f in frames],
+            )
+        )
+    figures = (
+        _part(right, there),
+        _part(right, links),
+        _mean(np.concatenate(cover)),
+        *_errors(np.concatenate(off), np.concatenate(speed)),
+    )
     return dict(zip(_KEYS, figures, strict=True))
 
 
-def _same(identity: Sequence[I64], matched: Sequence[tuple[I64, I64]], one: int, other: int) -> tuple[I64, I64, I64, I64]:
+def _same(
+    identity: Sequence[I64], matched: Sequence[tuple[I64, I64]], one: int, other: int
+) -> tuple[I64, I64, I64, I64]:
     """Rows of those that were found in both frames: found and true ones in the first, found and true ones in the second."""
     (i, j), (k, m) = matched[one], matched[other]
     _, first, second = np.intersect1d(identity[one][j], identity[other][m], return_indices=True)
@@ -87,7 +114,11 @@ def _covered(track: Sequence[I64], identity: Sequence[I64], every: Sequence[I64]
     every : ids of all true bubbles of each frame.
     """
     bubbles, frames = np.unique(np.concatenate(every), return_counts=True)
-    both, times = np.unique(np.column_stack([np.concatenate(identity), np.concatenate(track)]), axis=0, return_counts=True)
+    both, times = np.unique(
+        np.column_stack([np.concatenate(identity), np.concatenate(track)]),
+        axis=0,
+        return_counts=True,
+    )
     most = np.zeros(len(bubbles), dtype=np.int64)
     np.maximum.at(most, np.searchsorted(bubbles, both[:, 0]), times)
     return (most / frames)[frames > 1]

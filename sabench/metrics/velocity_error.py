@@ -16,6 +16,8 @@ def precision_interval(errors: F64) -> F64:
 
 def response(found: F64, true: F64) -> float:
     """The part of the true variation that is found: slope of found over true velocities (n, 3), each less its mean. For a wave: its amplitude."""
-    about = [values - values.mean(axis=0) for values in (found, true)] if len(true) else [found, true]
+    about = (
+        [values - values.mean(axis=0) for values in (found, true)] if len(true) else [found, true]
+    )
     power = float(np.sum(about[1] ** 2))
     return float(np.sum(about[0] * about[1])) / power if power > 0.0 else float("nan")

@@ -39,7 +39,8 @@ class HalfPlane:
     Attributes
     ----------
     center_mm : the ring's middle.
-    outward, axis, normal : unit vectors: away from the axis, along it, and across the plane, right-handed in this order.
+    outward, axis, normal : unit vectors: away from the axis, along it, and across the plane,
+        right-handed in this order.
     """
 
     center_mm: F64
@@ -62,10 +63,13 @@ def half_plane(center_mm: Vector, axis: Vector, start: Vector, degrees: float) -
     return HalfPlane(np.asarray(center_mm), outward, along, np.cross(outward, along))
 
 
-def core(spin: Sampled, half: HalfPlane, radius_mm: float, reach_mm: float) -> tuple[float, float, float]:
+def core(
+    spin: Sampled, half: HalfPlane, radius_mm: float, reach_mm: float
+) -> tuple[float, float, float]:
     """Distance from the axis and height of a core, and the strongest vorticity across a half plane, near a place (radius, 0).
 
-    The place is the centroid of the vorticity that exceeds half of the strongest: a maximum lies on a node of a coarse field. NaN if it is not known.
+    The place is the centroid of the vorticity that exceeds half of the strongest: a maximum lies on
+    a node of a coarse field. NaN if it is not known.
     """
     offsets = np.linspace(-reach_mm, reach_mm, _FINE)
     r, z = (part.ravel() for part in np.meshgrid(radius_mm + offsets, offsets))
@@ -77,10 +81,14 @@ def core(spin: Sampled, half: HalfPlane, radius_mm: float, reach_mm: float) -> t
     return float(np.average(r, weights=weight)), float(np.average(z, weights=weight)), top
 
 
-def circulation(velocity: Sampled, half: HalfPlane, r_mm: float, z_mm: float, width_mm: float, height_mm: float) -> float:
+def circulation(
+    velocity: Sampled, half: HalfPlane, r_mm: float, z_mm: float, width_mm: float, height_mm: float
+) -> float:
     """Line integral of the velocity around a rectangle about a place in a half plane, right-handed about its normal; NaN where it is not known all
     around. Source: thesis, section 2.3.3."""
-    corners = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1), (-1, -1)]) * 0.5 * np.array([width_mm, height_mm]) + np.array([r_mm, z_mm])
+    corners = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1), (-1, -1)]) * 0.5 * np.array(
+        [width_mm, height_mm]
+    ) + np.array([r_mm, z_mm])
     total = 0.0
     for start, end in itertools.pairwise(corners):
         parts = (np.arange(_SIDE) + 0.5)[:, None] / _SIDE

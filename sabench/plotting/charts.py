@@ -12,7 +12,15 @@ import numpy.typing as npt
 
 _PANEL_INCH, _DPI = (4.2, 3.2), 110
 _BINS = 40
-_COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")  # Okabe and Ito: told apart by the colour-blind
+_COLOURS = (
+    "#0072B2",
+    "#D55E00",
+    "#009E73",
+    "#CC79A7",
+    "#E69F00",
+    "#56B4E9",
+    "#000000",
+)  # Okabe and Ito: told apart by the colour-blind
 _MARKERS = "os^Dv*x"
 _FLAT = 2.0  # a slice so many times wider than high has its scale below it
 _ARROWS = 32  # along a slice's longer side at most
@@ -53,7 +61,8 @@ class Slice:
     ----------
     x, y : coordinates of the columns and of the rows.
     signed : whether zero is the middle of the colours.
-    arrows : (rows, columns, 2) vectors over them, if there are any; where they are NaN there is none.
+    arrows : (rows, columns, 2) vectors over them, if there are any; where they are NaN there is
+        none.
     """
 
     label: str
@@ -139,9 +148,15 @@ def draw(figure: Figure) -> bytes:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure as Sheet
 
-    across = figure.across or min(3 if len(figure.panels) % 4 else 4, len(figure.panels))  # no gap in the last row where four fit
+    across = figure.across or min(
+        3 if len(figure.panels) % 4 else 4, len(figure.panels)
+    )  # no gap in the last row where four fit
     down = -(-len(figure.panels) // across)
-    sheet = Sheet(figsize=(across * figure.inch[0], down * figure.inch[1] + 0.4), dpi=_DPI, layout="constrained")
+    sheet = Sheet(
+        figsize=(across * figure.inch[0], down * figure.inch[1] + 0.4),
+        dpi=_DPI,
+        layout="constrained",
+    )
     FigureCanvasAgg(sheet)
     sheet.suptitle(figure.title, fontsize=11)
     for number, panel in enumerate(figure.panels, 1):
@@ -162,9 +177,26 @@ def _fill(axes: Any, panel: Panel) -> None:
     for number, one in enumerate(panel.content):
         colour, marker = _COLOURS[number % len(_COLOURS)], _MARKERS[number % len(_MARKERS)]
         if isinstance(one, Histogram):
-            axes.hist(one.values, bins=edges, density=True, histtype="step", linewidth=1.5, color=colour, label=one.label)
+            axes.hist(
+                one.values,
+                bins=edges,
+                density=True,
+                histtype="step",
+                linewidth=1.5,
+                color=colour,
+                label=one.label,
+            )
         elif isinstance(one, Cloud):
-            axes.plot(one.x, one.y, linestyle="", marker=".", markersize=2, color=colour, label=one.label, rasterized=True)
+            axes.plot(
+                one.x,
+                one.y,
+                linestyle="",
+                marker=".",
+                markersize=2,
+                color=colour,
+                label=one.label,
+                rasterized=True,
+            )
         elif isinstance(one, Slice):
             _colour(axes, one)
         elif isinstance(one, Discs):
@@ -176,7 +208,17 @@ def _fill(axes: Any, panel: Panel) -> None:
         elif isinstance(one, Space):
             _space(axes, one)
         else:
-            axes.errorbar(one.x, one.y, yerr=one.spread, color=colour, marker=marker, markersize=4, linewidth=1, capsize=2, label=one.label)
+            axes.errorbar(
+                one.x,
+                one.y,
+                yerr=one.spread,
+                color=colour,
+                marker=marker,
+                markersize=4,
+                linewidth=1,
+                capsize=2,
+                label=one.label,
+            )
     if "x" in panel.log:
         axes.set_xscale("log")
     if "y" in panel.log:
@@ -188,16 +230,29 @@ def _fill(axes: Any, panel: Panel) -> None:
 def _colour(axes: Any, one: Slice) -> None:
     top = float(np.nanmax(np.abs(one.values))) or 1.0
     colours, low = ("RdBu_r", -top) if one.signed else ("viridis", float(np.nanmin(one.values)))
-    shown = axes.pcolormesh(one.x, one.y, one.values, cmap=colours, vmin=low, vmax=top if one.signed else None, shading="nearest", rasterized=True)
+    shown = axes.pcolormesh(
+        one.x,
+        one.y,
+        one.values,
+        cmap=colours,
+        vmin=low,
+        vmax=top if one.signed else None,
+        shading="nearest",
+        rasterized=True,
+    )
     flat = abs(one.x[-1] - one.x[0]) > _FLAT * abs(one.y[-1] - one.y[0])
-    axes.figure.colorbar(shown, ax=axes, orientation="horizontal" if flat else "vertical").set_label(one.label, fontsize=8)
+    axes.figure.colorbar(
+        shown, ax=axes, orientation="horizontal" if flat else "vertical"
+    ).set_label(one.label, fontsize=8)
     if one.arrows is not None:
         every = max(1, -(-max(one.values.shape) // _ARROWS))
         u, v = np.moveaxis(one.arrows[::every, ::every], -1, 0)
         x, y = np.meshgrid(one.x[::every], one.y[::every])
         known = np.isfinite(u) & np.isfinite(v)
         if known.any():
-            axes.quiver(x[known], y[known], u[known], v[known], angles="xy", width=0.003, color="#000000")
+            axes.quiver(
+                x[known], y[known], u[known], v[known], angles="xy", width=0.003, color="#000000"
+            )
     axes.set_aspect("equal")
     axes.set_ylim(one.y[-1], one.y[0])
     axes.grid(visible=False)
@@ -209,9 +264,16 @@ def _discs(axes: Any, one: Discs) -> None:
     order = np.argsort(-one.radius)  # small ones on top
     widths = 2.0 * one.radius[order]
     shown = EllipseCollection(
-        widths, widths, np.zeros(len(widths)), units="xy", offsets=np.column_stack([one.x, one.y])[order], offset_transform=axes.transData,
-        cmap="viridis", edgecolors="#00000066", linewidths=0.3,
-    )  # fmt: skip
+        widths,
+        widths,
+        np.zeros(len(widths)),
+        units="xy",
+        offsets=np.column_stack([one.x, one.y])[order],
+        offset_transform=axes.transData,
+        cmap="viridis",
+        edgecolors="#00000066",
+        linewidths=0.3,
+    )
     shown.set_array(one.radius[order])
     axes.add_collection(shown)
     axes.figure.colorbar(shown, ax=axes).set_label(one.label, fontsize=8)
@@ -227,13 +289,32 @@ def _circles(axes: Any, one: Circles, colour: str) -> None:
     from matplotlib.collections import EllipseCollection
 
     widths, places = 2.0 * one.radius, np.column_stack([one.x, one.y])
-    axes.add_collection(EllipseCollection(
-        widths, widths, np.zeros(len(widths)), units="xy", offsets=places, offset_transform=axes.transData,
-        facecolors=f"{colour}55", edgecolors=colour, linewidths=0.8,
-    ))  # fmt: skip
-    axes.plot([], [], linestyle="", marker="o", markersize=5, color=colour, label=f"{one.label}: {len(widths)}")  # what the legend shows
+    axes.add_collection(
+        EllipseCollection(
+            widths,
+            widths,
+            np.zeros(len(widths)),
+            units="xy",
+            offsets=places,
+            offset_transform=axes.transData,
+            facecolors=f"{colour}55",
+            edgecolors=colour,
+            linewidths=0.8,
+        )
+    )
+    axes.plot(
+        [],
+        [],
+        linestyle="",
+        marker="o",
+        markersize=5,
+        color=colour,
+        label=f"{one.label}: {len(widths)}",
+    )  # what the legend shows
     if len(widths):
-        axes.update_datalim(np.concatenate([places - one.radius[:, None], places + one.radius[:, None]]))
+        axes.update_datalim(
+            np.concatenate([places - one.radius[:, None], places + one.radius[:, None]])
+        )
     axes.autoscale_view()
     axes.set_aspect("equal")
     axes.yaxis.set_inverted(True)
@@ -243,16 +324,40 @@ def _picture(axes: Any, one: Picture) -> None:
     from matplotlib.collections import EllipseCollection
 
     rows, columns = one.values.shape
-    half = [(end - start) / max(count - 1, 1) / 2.0 for start, end, count in zip(one.low, one.high, (columns, rows), strict=True)]
-    extent = (one.low[0] - half[0], one.high[0] + half[0], one.high[1] + half[1], one.low[1] - half[1])
+    half = [
+        (end - start) / max(count - 1, 1) / 2.0
+        for start, end, count in zip(one.low, one.high, (columns, rows), strict=True)
+    ]
+    extent = (
+        one.low[0] - half[0],
+        one.high[0] + half[0],
+        one.high[1] + half[1],
+        one.low[1] - half[1],
+    )
     dark, bright = np.percentile(one.values, [0.0, 99.9])
-    axes.imshow(one.values, cmap="gray", vmin=dark, vmax=max(bright, dark + 1e-12), extent=extent, interpolation="nearest")
+    axes.imshow(
+        one.values,
+        cmap="gray",
+        vmin=dark,
+        vmax=max(bright, dark + 1e-12),
+        extent=extent,
+        interpolation="nearest",
+    )
     if one.rings is not None:
         widths = 2.0 * one.rings[:, 2]
-        axes.add_collection(EllipseCollection(
-            widths, widths, np.zeros(len(widths)), units="xy", offsets=one.rings[:, :2], offset_transform=axes.transData,
-            facecolors="none", edgecolors=_COLOURS[1], linewidths=0.7,
-        ))  # fmt: skip
+        axes.add_collection(
+            EllipseCollection(
+                widths,
+                widths,
+                np.zeros(len(widths)),
+                units="xy",
+                offsets=one.rings[:, :2],
+                offset_transform=axes.transData,
+                facecolors="none",
+                edgecolors=_COLOURS[1],
+                linewidths=0.7,
+            )
+        )
     axes.grid(visible=False)
 
 
@@ -263,7 +368,17 @@ def _space(axes: Any, one: Space) -> None:
     x, y, z = one.center.T
     spans = np.maximum(np.ptp(one.center, axis=0), 1e-9) if len(one.center) else np.ones(3)
     points = 2.0 * one.radius / spans.max() * 0.5 * 72.0 * axes.figure.get_figheight()
-    shown = axes.scatter(x, z, y, s=points**2, c=one.radius, cmap="viridis", depthshade=False, edgecolors="#00000066", linewidths=0.3)
+    shown = axes.scatter(
+        x,
+        z,
+        y,
+        s=points**2,
+        c=one.radius,
+        cmap="viridis",
+        depthshade=False,
+        edgecolors="#00000066",
+        linewidths=0.3,
+    )
     axes.figure.colorbar(shown, ax=axes, shrink=0.5).set_label(one.label, fontsize=8)
     axes.set_box_aspect(spans[[0, 2, 1]], zoom=1.3)
     axes.invert_zaxis()

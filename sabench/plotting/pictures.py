@@ -19,8 +19,12 @@ _BRIGHTEST = 99.9  # percentile shown as white
 _LEAST_RANGE = 0.01  # of black to white: below this, noise would be shown as light
 _WINDOW = 200  # voxels of a slice that are shown, per side
 _ENLARGED_PX = 400  # side of a slice's picture
-# Blue, green, red of errors, told apart by the colour-blind and as dark as each other: the ends and the middle of RdBu.
-_MISSING, _RIGHT, _TOO_MUCH = (np.array(colour, dtype=np.float64) for colour in ((172.0, 102.0, 33.0), (247.0, 247.0, 247.0), (43.0, 24.0, 178.0)))
+# Blue, green, red of errors, told apart by the colour-blind and as dark as each other: the ends and
+# the middle of RdBu.
+_MISSING, _RIGHT, _TOO_MUCH = (
+    np.array(colour, dtype=np.float64)
+    for colour in ((172.0, 102.0, 33.0), (247.0, 247.0, 247.0), (43.0, 24.0, 178.0))
+)
 
 
 def montage(images: U16, black_dn: float, white_dn: float) -> bytes:
@@ -33,12 +37,17 @@ def montage(images: U16, black_dn: float, white_dn: float) -> bytes:
 
     Notes
     -----
-    Pixels are joined by their maximum and not their mean, so that particles of two or three pixels do not fade.
+    Pixels are joined by their maximum and not their mean, so that particles of two or three pixels
+    do not fade.
     """
     if images.ndim != 3 or not images.size:
-        raise ValueError(f"montage: expected images (camera, row, column), got shape {images.shape}")
+        raise ValueError(
+            f"montage: expected images (camera, row, column), got shape {images.shape}"
+        )
     across = _across(*images.shape)
-    small = _joined(images, math.ceil(across * images.shape[2] / (_MONTAGE_PX - _GAP_PX * (across - 1))))
+    small = _joined(
+        images, math.ceil(across * images.shape[2] / (_MONTAGE_PX - _GAP_PX * (across - 1)))
+    )
     least = black_dn + _LEAST_RANGE * (white_dn - black_dn)
     top = min(white_dn, max(least, float(np.percentile(small, _BRIGHTEST))))
     return _png(_mosaic(_grey(small.astype(np.float64) - black_dn, top - black_dn, _GAMMA), across))
@@ -50,15 +59,23 @@ def backlit(images: U16, black_dn: float, white_dn: float) -> bytes:
     if dark.ndim != 3 or not dark.size:
         raise ValueError(f"backlit: expected images (camera, row, column), got shape {dark.shape}")
     across = _across(*dark.shape)
-    small = _joined(dark, math.ceil(across * dark.shape[2] / (_MONTAGE_PX - _GAP_PX * (across - 1))))
-    return _png(_mosaic(_grey((white_dn - black_dn) - small.astype(np.float64), white_dn - black_dn, 1.0), across))
+    small = _joined(
+        dark, math.ceil(across * dark.shape[2] / (_MONTAGE_PX - _GAP_PX * (across - 1)))
+    )
+    return _png(
+        _mosaic(
+            _grey((white_dn - black_dn) - small.astype(np.float64), white_dn - black_dn, 1.0),
+            across,
+        )
+    )
 
 
 def slice_picture(volume: F32, scored: tuple[slice, slice, slice]) -> bytes:
     """The central window of the middle z plane of the scored part of a volume (z, y, x), as a PNG with x to the right and y down.
 
-    The window depends on the grid only, and a voxel is a block of whole pixels, so pictures of one grid can be compared particle by particle.
-    Brightness is the square root of the intensity, up to the window's own 99.9th percentile: faint ghosts stay visible beside bright particles.
+    The window depends on the grid only, and a voxel is a block of whole pixels, so pictures of one
+    grid can be compared particle by particle. Brightness is the square root of the intensity, up to
+    the window's own 99.9th percentile: faint ghosts stay visible beside bright particles.
     """
     window = _window(volume[scored])
     return _png(_enlarged(_grey(window, _top(window), 0.5)))
@@ -67,8 +84,9 @@ def slice_picture(volume: F32, scored: tuple[slice, slice, slice]) -> bytes:
 def error_slice(volume: F32, truth: F32, scored: tuple[slice, slice, slice]) -> bytes:
     """The same window of a volume (z, y, x) minus that of the truth: white is right, red is light too much, blue is light that is missing.
 
-    The volume is first scaled so that its squared difference to the truth in the scored part is least, as its scale means nothing. Colours follow the
-    square root of the difference, up to the 99.9th percentile of the truth's window: all errors on one truth have one scale.
+    The volume is first scaled so that its squared difference to the truth in the scored part is
+    least, as its scale means nothing. Colours follow the square root of the difference, up to the
+    99.9th percentile of the truth's window: all errors on one truth have one scale.
     """
     guess, true = (one[scored].astype(np.float64) for one in (volume, truth))
     window, power = _window(truth[scored]), float(np.vdot(guess, guess))
@@ -81,13 +99,17 @@ def error_slice(volume: F32, truth: F32, scored: tuple[slice, slice, slice]) -> 
 def _window(part: F32) -> F64:
     """The central window of the middle plane."""
     if part.ndim != 3 or not part.size:
-        raise ValueError(f"slice_picture: expected a scored part (z, y, x) with voxels, got shape {part.shape}")
+        raise ValueError(
+            f"slice_picture: expected a scored part (z, y, x) with voxels, got shape {part.shape}"
+        )
     plane = part[part.shape[0] // 2]
     return np.asarray(plane[_central(plane.shape[0]), _central(plane.shape[1])], dtype=np.float64)
 
 
 def _top(window: F64) -> float:
-    return float(np.percentile(window, _BRIGHTEST)) or float(window.max())  # a few lone particles can fill less than 0.1 %
+    return float(np.percentile(window, _BRIGHTEST)) or float(
+        window.max()
+    )  # a few lone particles can fill less than 0.1 %
 
 
 def _enlarged(pixels: U8) -> U8:
@@ -119,7 +141,9 @@ def dots(pixels: F64, rows: int, columns: int) -> bytes:
     pixels : (camera, frame, point, 2) columns and rows; NaN for none.
     """
     across, scale = _layout(len(pixels), rows, columns)
-    sheets = np.zeros((len(pixels), math.ceil(rows * scale), math.ceil(columns * scale)), dtype=np.uint8)
+    sheets = np.zeros(
+        (len(pixels), math.ceil(rows * scale), math.ceil(columns * scale)), dtype=np.uint8
+    )
     for sheet, frames in zip(sheets, pixels, strict=True):
         for number, frame in enumerate(frames):
             for x, y in frame[np.isfinite(frame).all(axis=1)] * scale:
@@ -130,7 +154,8 @@ def dots(pixels: F64, rows: int, columns: int) -> bytes:
 def arrows(places: F64, errors: F64, rows: int, columns: int) -> bytes:
     """Errors as lines from their places in every camera's image, a near-square mosaic as a PNG.
 
-    Lines are longer than the errors by a power of ten, written into the picture, that makes the median one about as long as a thirtieth of the image.
+    Lines are longer than the errors by a power of ten, written into the picture, that makes the
+    median one about as long as a thirtieth of the image.
 
     Parameters
     ----------
@@ -140,7 +165,9 @@ def arrows(places: F64, errors: F64, rows: int, columns: int) -> bytes:
     lengths = np.linalg.norm(errors, axis=-1)
     median = float(np.nanmedian(lengths)) if np.isfinite(lengths).any() else 0.0
     longer = 10.0 ** math.floor(math.log10(columns / 30.0 / median)) if median > 1e-12 else 1.0
-    sheets = np.zeros((len(places), math.ceil(rows * scale), math.ceil(columns * scale)), dtype=np.uint8)
+    sheets = np.zeros(
+        (len(places), math.ceil(rows * scale), math.ceil(columns * scale)), dtype=np.uint8
+    )
     for sheet, at, off in zip(sheets, places, errors, strict=True):
         good = np.isfinite(at).all(axis=-1) & np.isfinite(off).all(axis=-1)
         for (x, y), (dx, dy) in zip(at[good] * scale, off[good] * scale * longer, strict=True):
@@ -156,11 +183,15 @@ def _layout(cameras: int, rows: int, columns: int) -> tuple[int, float]:
     return across, min(1.0, (_MONTAGE_PX - _GAP_PX * (across - 1)) / across / columns)
 
 
-def _line(sheet: U8, start: tuple[float, float], end: tuple[float, float], grey: int, width: int) -> None:
+def _line(
+    sheet: U8, start: tuple[float, float], end: tuple[float, float], grey: int, width: int
+) -> None:
     import cv2
 
     finer = 16.0  # four fractional bits
-    ends = [tuple(int(np.clip(value * finer, -1e6, 1e6)) for value in point) for point in (start, end)]
+    ends = [
+        tuple(int(np.clip(value * finer, -1e6, 1e6)) for value in point) for point in (start, end)
+    ]
     cv2.line(sheet, ends[0], ends[1], grey, width, cv2.LINE_AA, 4)
 
 
@@ -197,7 +228,11 @@ def _grey(values: F64, top: float, gamma: float) -> U8:
 def _mosaic(images: U8, across: int) -> U8:
     count, rows, columns = images.shape
     down = math.ceil(count / across)
-    sheet = np.full((down * (rows + _GAP_PX) - _GAP_PX, across * (columns + _GAP_PX) - _GAP_PX), _GAP_GREY, dtype=np.uint8)
+    sheet = np.full(
+        (down * (rows + _GAP_PX) - _GAP_PX, across * (columns + _GAP_PX) - _GAP_PX),
+        _GAP_GREY,
+        dtype=np.uint8,
+    )
     for i, image in enumerate(images):
         y, x = (i // across) * (rows + _GAP_PX), (i % across) * (columns + _GAP_PX)
         sheet[y : y + rows, x : x + columns] = image

@@ -45,7 +45,8 @@ def load_scene(path: str | Path) -> Scene:
     Raises
     ------
     InputError
-        No such file, not TOML, an unknown key (with the nearest valid one), a wrong value or an impossible geometry.
+        No such file, not TOML, an unknown key (with the nearest valid one), a wrong value or an
+        impossible geometry.
     """
     file = find(path, "scenes")
     try:
@@ -73,17 +74,23 @@ def build_rig(scene: Scene, source: str = "scene") -> Rig:
     Raises
     ------
     InputError
-        A camera in the wall or the tank, a volume that is not wholly in the fluid, a grid that does not fit, no camera that sees the volume, or an
-        occluder that is not between the cameras and the wall (or the volume).
+        A camera in the wall or the tank, a volume that is not wholly in the fluid, a grid that does
+        not fit, no camera that sees the volume, or an occluder that is not between the cameras and
+        the wall (or the volume).
     """
     count = _camera_count(scene.cameras)
     if count > _MOST_CAMERAS:
-        raise InputError(f"{source}: cameras.layout: expected at most {_MOST_CAMERAS} cameras, got {count}")
+        raise InputError(
+            f"{source}: cameras.layout: expected at most {_MOST_CAMERAS} cameras, got {count}"
+        )
     wall = build_wall(scene.wall) if scene.wall else None
     corners = _corners(scene)
     if wall:
         _check_tank(wall, corners, source)
-    cameras = tuple(_build_camera(scene, wall, i, place, source) for i, place in enumerate(_places(scene.cameras)))
+    cameras = tuple(
+        _build_camera(scene, wall, i, place, source)
+        for i, place in enumerate(_places(scene.cameras))
+    )
     _check_views(cameras, corners, source)
     occluders = tuple(_build_occluder(spec) for spec in scene.occluders or ())
     for number, disc in enumerate(occluders):
@@ -95,31 +102,43 @@ def build_rig(scene: Scene, source: str = "scene") -> Rig:
 
 def build_grid(scene: Scene, source: str = "scene") -> Grid:
     """Voxels that fill the volume; their number along each axis is rounded."""
-    size, voxel, crop = (np.asarray(v) for v in (scene.volume.size_mm, scene.grid.voxel_mm, scene.grid.crop_mm))
+    size, voxel, crop = (
+        np.asarray(v) for v in (scene.volume.size_mm, scene.grid.voxel_mm, scene.grid.crop_mm)
+    )
     counts = np.maximum(1, np.rint(size / voxel).astype(int))
     cut = np.rint(crop / voxel).astype(int)
     if np.any(2 * cut >= counts):
-        raise InputError(f"{source}: grid.crop_mm: expected less than half of volume.size_mm, got {list(scene.grid.crop_mm)}")
+        raise InputError(
+            f"{source}: grid.crop_mm: expected less than half of volume.size_mm, got {list(scene.grid.crop_mm)}"
+        )
     low = np.asarray(scene.volume.center_mm) - (counts - 1) / 2.0 * voxel
     x, y, z = (int(n) for n in counts)
-    return Grid(triple(low), scene.grid.voxel_mm, (z, y, x), (int(cut[0]), int(cut[1]), int(cut[2])))
+    return Grid(
+        triple(low), scene.grid.voxel_mm, (z, y, x), (int(cut[0]), int(cut[1]), int(cut[2]))
+    )
 
 
 def domain_of(scene: Scene) -> Domain:
     """What the scene's generators fill."""
-    return Domain(scene.volume.center_mm, scene.volume.size_mm, scene.cameras.rows * scene.cameras.columns)
+    return Domain(
+        scene.volume.center_mm, scene.volume.size_mm, scene.cameras.rows * scene.cameras.columns
+    )
 
 
 def told_cameras(scene: Scene, cameras: tuple[Camera, ...], seed: int) -> tuple[Camera, ...]:
     """The cameras as solvers are told them: off by the scene's calibration error.
 
-    A shift on the image moves the projections of all points alike. Source: thesis section 2.2.4, the error eps_RP of figure 2-7b, whose
-    length is the same for all cameras and whose direction is random.
+    A shift on the image moves the projections of all points alike. Source: thesis section 2.2.4,
+    the error eps_RP of figure 2-7b, whose length is the same for all cameras and whose direction is
+    random.
     """
     spec = scene.calibration
     if spec is None:
         return cameras
-    return tuple(_roughly(_shifted(_plainer(camera, spec), spec, seed, number), spec, seed, number) for number, camera in enumerate(cameras))
+    return tuple(
+        _roughly(_shifted(_plainer(camera, spec), spec, seed, number), spec, seed, number)
+        for number, camera in enumerate(cameras)
+    )
 
 
 def _plainer(camera: Camera, spec: Calibration) -> Camera:
@@ -130,21 +149,38 @@ def _plainer(camera: Camera, spec: Calibration) -> Camera:
 def _shifted(camera: Camera, spec: Calibration, seed: int, number: int) -> Camera:
     turn = stream(seed, "calibration", number).uniform(0.0, 2.0 * np.pi)
     column, row = camera.principal_point_px
-    return replace(camera, principal_point_px=(column + spec.shift_px * float(np.cos(turn)), row + spec.shift_px * float(np.sin(turn))))
+    return replace(
+        camera,
+        principal_point_px=(
+            column + spec.shift_px * float(np.cos(turn)),
+            row + spec.shift_px * float(np.sin(turn)),
+        ),
+    )
 
 
 def _roughly(camera: Camera, spec: Calibration, seed: int, number: int) -> Camera:
     rng = stream(seed, "rough cameras", number)
     center = np.asarray(camera.center_mm) + spec.center_mm * rng.standard_normal(3)
-    turn = exponential(np.deg2rad(spec.turn_deg) * rng.standard_normal(3)) @ np.asarray(camera.rotation)
-    distance = camera.principal_distance_mm * (1.0 + spec.focal_percent / 100.0 * float(rng.standard_normal()))
-    return replace(camera, center_mm=triple(center), rotation=(triple(turn[0]), triple(turn[1]), triple(turn[2])), principal_distance_mm=distance)
+    turn = exponential(np.deg2rad(spec.turn_deg) * rng.standard_normal(3)) @ np.asarray(
+        camera.rotation
+    )
+    distance = camera.principal_distance_mm * (
+        1.0 + spec.focal_percent / 100.0 * float(rng.standard_normal())
+    )
+    return replace(
+        camera,
+        center_mm=triple(center),
+        rotation=(triple(turn[0]), triple(turn[1]), triple(turn[2])),
+        principal_distance_mm=distance,
+    )
 
 
 def build_wall(spec: WallSpec) -> Wall:
     unit = _unit(spec.normal)
     layers = tuple(Layer(layer.name, layer.index, layer.thickness_mm) for layer in spec.layers)
-    return Wall(spec.point_mm, triple(unit), spec.air_index, layers, spec.fluid_index, spec.depth_mm)
+    return Wall(
+        spec.point_mm, triple(unit), spec.air_index, layers, spec.fluid_index, spec.depth_mm
+    )
 
 
 def _unit(vector: tuple[float, float, float]) -> F64:
@@ -155,17 +191,25 @@ def _build_occluder(spec: OccluderSpec) -> Disc:
     return Disc(spec.center_mm, triple(_unit(spec.normal)), spec.radius_mm)
 
 
-def _check_occluder(disc: Disc, wall: Wall | None, cameras: tuple[Camera, ...], corners: F64, where: str) -> None:
+def _check_occluder(
+    disc: Disc, wall: Wall | None, cameras: tuple[Camera, ...], corners: F64, where: str
+) -> None:
     """A disc must lie where all light on its way to the cameras still comes by, and runs straight."""
     if wall:
         depth = disc.span_mm(np.asarray(wall.normal))[1] - float(np.dot(wall.point_mm, wall.normal))
         if depth >= 0.0:
-            raise InputError(f"{where}: expected it wholly in front of the wall, but it reaches {depth:.4g} mm behind the wall's outer face")
+            raise InputError(
+                f"{where}: expected it wholly in front of the wall, but it reaches {depth:.4g} mm behind the wall's outer face"
+            )
     for camera in cameras:
         forward = np.asarray(camera.rotation[2])
-        near, far = (end - float(np.dot(camera.center_mm, forward)) for end in disc.span_mm(forward))
+        near, far = (
+            end - float(np.dot(camera.center_mm, forward)) for end in disc.span_mm(forward)
+        )
         if near <= 0.0:
-            raise InputError(f"{where}: expected it wholly in front of all cameras, but it reaches {-near:.4g} mm behind {camera.name}")
+            raise InputError(
+                f"{where}: expected it wholly in front of all cameras, but it reaches {-near:.4g} mm behind {camera.name}"
+            )
         excess = far - float(((corners - camera.center_mm) @ forward).min())
         if wall is None and excess >= 0.0:
             raise InputError(
@@ -173,23 +217,34 @@ def _check_occluder(disc: Disc, wall: Wall | None, cameras: tuple[Camera, ...], 
             )
 
 
-def _check_backlight(scene: Scene, wall: Wall | None, cameras: tuple[Camera, ...], corners: F64, where: str) -> None:
+def _check_backlight(
+    scene: Scene, wall: Wall | None, cameras: tuple[Camera, ...], corners: F64, where: str
+) -> None:
     """A diffuser must be behind the volume as all cameras see it and, where there is a tank, behind that."""
     assert scene.backlight is not None
     center = np.asarray(scene.backlight.center_mm)
     if wall:
         if wall.depth_mm is None:
-            raise InputError(f"{where}: expected wall.depth_mm, the back wall's place, for light from behind the tank")
+            raise InputError(
+                f"{where}: expected wall.depth_mm, the back wall's place, for light from behind the tank"
+            )
         rear = (scene.wall.rear or ()) if scene.wall else ()
         outer = wall.thickness_mm + wall.depth_mm + sum(layer.thickness_mm for layer in rear)
         depth = float(wall.depth_of(center))
         if depth <= outer:
-            raise InputError(f"{where}: expected it behind the back wall, {outer:g} mm behind the outer face, got {depth:.4g} mm")
+            raise InputError(
+                f"{where}: expected it behind the back wall, {outer:g} mm behind the outer face, got {depth:.4g} mm"
+            )
     for camera in cameras:
         forward = np.asarray(camera.rotation[2])
-        depth, far = float((center - camera.center_mm) @ forward), float(((corners - camera.center_mm) @ forward).max())
+        depth, far = (
+            float((center - camera.center_mm) @ forward),
+            float(((corners - camera.center_mm) @ forward).max()),
+        )
         if depth <= far:
-            raise InputError(f"{where}: expected it behind the volume, {far:.4g} mm before {camera.name}, got {depth:.4g} mm")
+            raise InputError(
+                f"{where}: expected it behind the volume, {far:.4g} mm before {camera.name}, got {depth:.4g} mm"
+            )
 
 
 def _corners(scene: Scene) -> F64:
@@ -200,7 +255,9 @@ def _corners(scene: Scene) -> F64:
 def _check_tank(wall: Wall, corners: F64, source: str) -> None:
     depth = wall.depth_of(corners) - wall.thickness_mm
     if depth.min() <= 0.0:
-        raise InputError(f"{source}: volume: expected it to lie behind the wall's inner face, but it reaches {-depth.min():.4g} mm in front of it")
+        raise InputError(
+            f"{source}: volume: expected it to lie behind the wall's inner face, but it reaches {-depth.min():.4g} mm in front of it"
+        )
     if wall.depth_mm is not None and depth.max() > wall.depth_mm:
         raise InputError(
             f"{source}: volume: expected it to lie in front of the back wall (wall.depth_mm = {wall.depth_mm:g}), "
@@ -217,7 +274,8 @@ def _camera_count(spec: Cameras) -> int:
         return 4 * chosen.arm + 1
     if isinstance(chosen, GridLayout):
         across, down = (
-            len(values) if values is not None else count or 1 for values, count in ((chosen.x_mm, chosen.columns), (chosen.y_mm, chosen.rows))
+            len(values) if values is not None else count or 1
+            for values, count in ((chosen.x_mm, chosen.columns), (chosen.y_mm, chosen.rows))
         )
         return across * down
     return chosen.count
@@ -240,11 +298,19 @@ def _offsets(spec: GridLayout | RingLayout | LineLayout | CrossLayout) -> F64:
         return array_layouts.cross(spec.arm, spec.spacing_mm)
     if spec.x_mm is not None and spec.y_mm is not None:
         return array_layouts.grid(spec.x_mm, spec.y_mm)
-    columns, rows, spacing = spec.columns or 1, spec.rows or 1, spec.spacing_mm or (1.0, 1.0)  # all given: the scene checks it
-    return array_layouts.grid(array_layouts.even(columns, spacing[0]), array_layouts.even(rows, spacing[1]))
+    columns, rows, spacing = (
+        spec.columns or 1,
+        spec.rows or 1,
+        spec.spacing_mm or (1.0, 1.0),
+    )  # all given: the scene checks it
+    return array_layouts.grid(
+        array_layouts.even(columns, spacing[0]), array_layouts.even(rows, spacing[1])
+    )
 
 
-def _build_camera(scene: Scene, wall: Wall | None, number: int, place: Place, source: str) -> Camera:
+def _build_camera(
+    scene: Scene, wall: Wall | None, number: int, place: Place, source: str
+) -> Camera:
     spec, name = scene.cameras, f"camera_{number:02d}"
     if wall and wall.depth_of(np.asarray(place.center_mm)) >= 0.0:
         raise InputError(
@@ -252,13 +318,19 @@ def _build_camera(scene: Scene, wall: Wall | None, number: int, place: Place, so
         )
     target = np.asarray(place.aim_mm or spec.aim_mm or scene.volume.center_mm)
     camera = Camera(
-        name=name, rows=spec.rows, columns=spec.columns, center_mm=place.center_mm,
+        name=name,
+        rows=spec.rows,
+        columns=spec.columns,
+        center_mm=place.center_mm,
         rotation=place.rotation or aimed_rotation(np.array([0.0, 0.0, 1.0])),
-        principal_distance_mm=spec.focal_length_mm, pixel_mm=spec.pixel_mm,
+        principal_distance_mm=spec.focal_length_mm,
+        pixel_mm=spec.pixel_mm,
         principal_point_px=((spec.columns - 1) / 2.0, (spec.rows - 1) / 2.0),
         distortion=Distortion(**spec.distortion.model_dump()),
-        focal_length_mm=spec.focal_length_mm, f_number=spec.f_number, wall=wall,
-    )  # fmt: skip
+        focal_length_mm=spec.focal_length_mm,
+        f_number=spec.f_number,
+        wall=wall,
+    )
     if place.rotation is None:
         try:
             camera = aim(camera, target)
@@ -267,7 +339,9 @@ def _build_camera(scene: Scene, wall: Wall | None, number: int, place: Place, so
     elif np.abs(np.asarray(place.rotation) @ np.asarray(place.rotation).T - np.eye(3)).max() > 1e-9:
         raise InputError(f"{source}: cameras: {name}: rotation: expected an orthonormal matrix")
     elif np.linalg.det(place.rotation) < 0.0:
-        raise InputError(f"{source}: cameras: {name}: rotation: expected a right-handed matrix, got a mirrored one")
+        raise InputError(
+            f"{source}: cameras: {name}: rotation: expected a right-handed matrix, got a mirrored one"
+        )
     return _focused(camera, target, spec.focus_mm, source)
 
 
@@ -302,11 +376,18 @@ def apparent_distance_mm(camera: Camera, target_mm: F64) -> float:
 def _check_views(cameras: tuple[Camera, ...], corners: F64, source: str) -> None:
     """At least one camera must see some of the volume: a lattice of points over it is tried."""
     steps = np.linspace(0.0, 1.0, 9)
-    lattice = corners[0] + np.array(list(itertools.product(steps, repeat=3))) * (corners[-1] - corners[0])
+    lattice = corners[0] + np.array(list(itertools.product(steps, repeat=3))) * (
+        corners[-1] - corners[0]
+    )
     if not any_in_view(cameras, lattice):
-        raise InputError(f"{source}: volume: expected it in view of at least one camera, but no camera of {len(cameras)} sees any of it")
+        raise InputError(
+            f"{source}: volume: expected it in view of at least one camera, but no camera of {len(cameras)} sees any of it"
+        )
 
 
 def white_level(sensor: Sensor) -> int:
     """Grey value of a saturated pixel: the full well's or the converter's limit, whichever comes first."""
-    return min((1 << sensor.bit_depth) - 1, round(sensor.black_level_dn + sensor.gain_dn_e * sensor.full_well_e))
+    return min(
+        (1 << sensor.bit_depth) - 1,
+        round(sensor.black_level_dn + sensor.gain_dn_e * sensor.full_well_e),
+    )

@@ -11,7 +11,11 @@ from sabench.geometry.camera import Camera
 from sabench.scenes.rig import Rig
 from sabench.scenes.schema import Scene
 from sabench.simulation.rendering.mie import MieTable
-from sabench.simulation.rendering.particle_images import ParticleImages, image_particles, scattering_table
+from sabench.simulation.rendering.particle_images import (
+    ParticleImages,
+    image_particles,
+    scattering_table,
+)
 from sabench.simulation.rendering.particles_splatted import splat
 from sabench.simulation.rendering.sensor import expose
 from sabench.utils.arrays import F64, U16
@@ -28,7 +32,8 @@ class World:
     Attributes
     ----------
     scene : with the laser as it is in this frame.
-    streaks : places of the particles in equal parts of the pulse; one, in its middle, for a short pulse.
+    streaks : places of the particles in equal parts of the pulse; one, in its middle, for a short
+        pulse.
     """
 
     scene: Scene
@@ -43,9 +48,20 @@ class World:
 
 def make_world(motion: Motion, rig: Rig, frame: int, renderer: str, particles: Particles) -> World:
     """What records a frame's particles."""
-    scene = motion.scene.model_copy(update={"illumination": pulse(motion.scene, motion.seed, frame)})
+    scene = motion.scene.model_copy(
+        update={"illumination": pulse(motion.scene, motion.seed, frame)}
+    )
     table = scattering_table(scene, rig.cameras, particles)
-    return World(scene, rig, motion.seed, frame, renderer, particles, table, _streaks(motion, rig, particles, frame))
+    return World(
+        scene,
+        rig,
+        motion.seed,
+        frame,
+        renderer,
+        particles,
+        table,
+        _streaks(motion, rig, particles, frame),
+    )
 
 
 def _streaks(motion: Motion, rig: Rig, particles: Particles, frame: int) -> tuple[F64, ...]:
@@ -72,10 +88,17 @@ def shoot(world: World, camera: Camera) -> tuple[ParticleImages, U16, F64, F64 |
 def _exposed(world: World, camera: Camera, images: ParticleImages) -> tuple[F64, F64 | None]:
     """Photons on the sensor, and the radiance if the renderer gives it: the mean over the parts of the pulse."""
     parts = len(world.streaks)
-    photons, radiance = np.zeros((camera.rows, camera.columns)), None if world.renderer == "splat" else np.zeros((camera.rows, camera.columns))
+    photons, radiance = (
+        np.zeros((camera.rows, camera.columns)),
+        None if world.renderer == "splat" else np.zeros((camera.rows, camera.columns)),
+    )
     for places in world.streaks:
         there = replace(world.particles, position_mm=places)
-        own = images if parts == 1 else image_particles(world.scene, camera, there, world.table, world.rig.occluders)
+        own = (
+            images
+            if parts == 1
+            else image_particles(world.scene, camera, there, world.table, world.rig.occluders)
+        )
         if radiance is None:
             photons += splat(camera, own) / parts
         else:
@@ -86,5 +109,7 @@ def _exposed(world: World, camera: Camera, images: ParticleImages) -> tuple[F64,
 def _render(world: World, camera: Camera, images: ParticleImages, places: F64) -> F64:
     from sabench.simulation.rendering.particles_traced import render
 
-    picture: F64 = render(camera, images, places, world.scene.render.samples_per_pixel, world.rig.occluders)
+    picture: F64 = render(
+        camera, images, places, world.scene.render.samples_per_pixel, world.rig.occluders
+    )
     return picture

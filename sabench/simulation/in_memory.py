@@ -40,7 +40,9 @@ def simulate(scene: Scene, *, seed: int = 0, frame: int = 0, backend: Renderer =
     for camera in rig.cameras:
         images, grey, _, _ = shoot(world, camera)
         pictures.append(grey)
-        views.append(View(images.pixel, images.photons, images.sigma_px, images.visible.astype(np.float64)))
+        views.append(
+            View(images.pixel, images.photons, images.sigma_px, images.visible.astype(np.float64))
+        )
     told = told_cameras(scene, rig.cameras, seed)
     levels = scene.sensor.black_level_dn, white_level(scene.sensor)
     observation = observed(np.stack(pictures), told, rig.grid, levels, scene.preprocessing or ())

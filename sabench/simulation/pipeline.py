@@ -18,7 +18,14 @@ from sabench.simulation.recording.job import Job
 from sabench.simulation.recording.parts import KEPT, Part, Parts, files_of
 from sabench.simulation.recording.recorders import Recorder, recorder_of
 from sabench.simulation.recording.schedule import Plan
-from sabench.simulation.recording.workers import Crew, Here, Pool, UnfinishedError, cluster, work_off
+from sabench.simulation.recording.workers import (
+    Crew,
+    Here,
+    Pool,
+    UnfinishedError,
+    cluster,
+    work_off,
+)
 from sabench.simulation.renderer_choice import Renderer, choose_renderer
 from sabench.simulation.size_check import check_affordable
 from sabench.utils import memory
@@ -28,9 +35,16 @@ from sabench.utils.progress import track
 
 
 def generate(
-    scene: Scene | str | Path, out: str | Path, *, seed: int = 0, backend: Renderer = "auto", name: str | None = None, overwrite: bool = False,
-    jobs: int = 1, scheduler: str | None = None,
-) -> Dataset:  # fmt: skip
+    scene: Scene | str | Path,
+    out: str | Path,
+    *,
+    seed: int = 0,
+    backend: Renderer = "auto",
+    name: str | None = None,
+    overwrite: bool = False,
+    jobs: int = 1,
+    scheduler: str | None = None,
+) -> Dataset:
     """Make a data set, or go on with one whose making was interrupted: the same bytes whoever makes its parts, and in whatever order.
 
     Parameters
@@ -38,16 +52,19 @@ def generate(
     scene : a scene, a scene file, or the name of a bundled one.
     out : the folder to make.
     seed : of all random numbers.
-    backend : the renderer: "mitsuba" (rays through the real wall), "splat" (analytic), or "auto": Mitsuba where it runs, else splat.
+    backend : the renderer: "mitsuba" (rays through the real wall), "splat" (analytic), or "auto":
+        Mitsuba where it runs, else splat.
     name : of the scene in the manifest; by default the file's stem.
     overwrite : replace an existing data set.
     jobs : processes that share the work on this machine.
-    scheduler : address of a Dask scheduler whose workers do the work, in place of `jobs`; they must see the folder of `out`.
+    scheduler : address of a Dask scheduler whose workers do the work, in place of `jobs`; they must
+        see the folder of `out`.
 
     Raises
     ------
     InputError
-        A bad scene or seed, an existing folder, no working Mitsuba when it was asked for, or frames that failed again and again.
+        A bad scene or seed, an existing folder, no working Mitsuba when it was asked for, or frames
+        that failed again and again.
     """
     if not 0 <= seed < 2**63:
         raise InputError(f"seed: expected 0 to 2^63 - 1, got {seed}")
@@ -65,7 +82,11 @@ def generate(
         else:
             crew = Here(recorder, parts) if jobs == 1 else Pool(parts.root, jobs)
         with contextlib.closing(crew):
-            work_off(crew, Plan(loaded.frames, recorder.views, chained=recorder.chained, ahead=crew.ahead), f"render {label} with {job.renderer}")
+            work_off(
+                crew,
+                Plan(loaded.frames, recorder.views, chained=recorder.chained, ahead=crew.ahead),
+                f"render {label} with {job.renderer}",
+            )
         put_together(target, job, recorder, parts, overwrite=overwrite)
     return open_dataset(target)
 
@@ -79,7 +100,9 @@ def _parts(target: Path, job: Job) -> Iterator[Parts]:
         with FileLock(parts.root / "lock", timeout=0):
             yield parts
     except Timeout as error:
-        raise InputError(f"{target}: expected nobody else at it, but another process is making this data set") from error
+        raise InputError(
+            f"{target}: expected nobody else at it, but another process is making this data set"
+        ) from error
     except UnfinishedError:
         raise
     except InputError:  # what no other try would mend
@@ -98,11 +121,15 @@ def _forget(target: Path) -> None:
         shutil.rmtree(folder, ignore_errors=True)
 
 
-def put_together(target: Path, job: Job, recorder: Recorder, parts: Parts, *, overwrite: bool) -> None:
+def put_together(
+    target: Path, job: Job, recorder: Recorder, parts: Parts, *, overwrite: bool
+) -> None:
     """Make the data set of all its parts."""
     rig = build_rig(job.scene, job.label)
     told, cameras = told_cameras(job.scene, rig.cameras, job.seed), rig.cameras[: recorder.views]
-    with dataset_writer(target, job.label, job.scene, rig, told, job.seed, job.renderer, overwrite=overwrite) as writer:
+    with dataset_writer(
+        target, job.label, job.scene, rig, told, job.seed, job.renderer, overwrite=overwrite
+    ) as writer:
         for frame in track(range(job.scene.frames), f"store {job.label}"):
             writer.store(_told(parts.frame(frame)))
             for camera in cameras:
@@ -122,10 +149,14 @@ def _renderer(scene: Scene, asked: Renderer, label: str) -> str:
     """What makes the data set: a target without lamps needs no pictures."""
     if scene.bubbles is not None or scene.solids:
         if asked == "splat":
-            raise InputError(f"{label}: backend: expected mitsuba for bubbles and solids, got splat, which renders particles only")
+            raise InputError(
+                f"{label}: backend: expected mitsuba for bubbles and solids, got splat, which renders particles only"
+            )
         return choose_renderer("mitsuba")
     if scene.targets is None or scene.lighting is not None:
         return choose_renderer(asked)
     if asked == "mitsuba":
-        raise InputError(f"{label}: lighting: expected lamps to render a target by, got none; the backend splat needs none")
+        raise InputError(
+            f"{label}: lighting: expected lamps to render a target by, got none; the backend splat needs none"
+        )
     return "splat"

@@ -10,14 +10,17 @@ from sabench.scenes.schema import Scene
 from sabench.utils import memory
 from sabench.utils.errors import InputError
 
-_WORKING_BYTES = 40  # per pixel of the picture in work: photons, radiance and noise in double precision, then grey values
+# per pixel of the picture in work: photons, radiance and noise in double precision, then grey
+# values
+_WORKING_BYTES = 40
 _STORED_BYTES = 2  # per pixel of each picture on the disk: grey values are not compressed
 
 
 def check_affordable(name: str, scene: Scene, rig: Rig, folder: Path) -> None:
     """Refuse a scene whose pictures cannot fit into memory, one at a time, or on the disk of a folder, all together.
 
-    Both are lower bounds: a scene that passes may still need too much, one that does not pass would have failed.
+    Both are lower bounds: a scene that passes may still need too much, one that does not pass would
+    have failed.
     """
     pixels, pictures = scene.cameras.rows * scene.cameras.columns, scene.frames * len(rig.cameras)
     there, need = memory.available_mb(), pixels * _WORKING_BYTES / 1e6

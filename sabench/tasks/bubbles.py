@@ -24,7 +24,12 @@ from sabench.utils.arrays import I64
 from sabench.utils.errors import InputError
 from sabench.utils.progress import track
 
-JET = {"penetration_percent": "penetration_mm", "angle_percent": "angle_deg", "weight_percent": "weight", "width_percent": "width"}
+JET = {
+    "penetration_percent": "penetration_mm",
+    "angle_percent": "angle_deg",
+    "weight_percent": "weight",
+    "width_percent": "width",
+}
 
 
 def run(algorithm: BubbleSolver, name: str, data: Dataset, writer: ResultWriter) -> list[float]:
@@ -53,7 +58,11 @@ def linked(rig: CamerasFile, found: Sequence[AnyBubbles]) -> list[I64]:
     """Numbers (n,) of the tracks of every frame's bubbles; no track goes from one group of pulses to the next."""
     out: list[I64] = []
     for frames in rig.sequences():
-        part = link([found[f].center_mm for f in frames], [found[f].radius_mm for f in frames], [rig.time_s(f) for f in frames])
+        part = link(
+            [found[f].center_mm for f in frames],
+            [found[f].radius_mm for f in frames],
+            [rig.time_s(f) for f in frames],
+        )
         first = max((int(one.max(initial=-1)) for one in out), default=-1) + 1
         out.extend(first + one for one in part)
     return out
@@ -76,16 +85,30 @@ def score_result(data: Dataset, result: Result | str) -> dict[str, float | None]
         frames.append(detection_scores(guess, true, seen))
         found.append(guess)
         every.append(true)
-    number, times = tracks(data, result, found), [data.rig.time_s(frame) for frame in range(data.rig.frames)]
-    over_time = {key: _known(value) for key, value in track_scores(found, number, every, times, data.rig.sequences()).items()}
-    return {key: _mean([frame[key] for frame in frames]) for key in frames[0]} | _jet_scores(data, found, every) | over_time
+    number, times = (
+        tracks(data, result, found),
+        [data.rig.time_s(frame) for frame in range(data.rig.frames)],
+    )
+    over_time = {
+        key: _known(value)
+        for key, value in track_scores(found, number, every, times, data.rig.sequences()).items()
+    }
+    return (
+        {key: _mean([frame[key] for frame in frames]) for key in frames[0]}
+        | _jet_scores(data, found, every)
+        | over_time
+    )
 
 
 def estimate(data: Dataset, result: Result | str, frame: int) -> AnyBubbles:
     """The estimate of a frame: a result's, or the one that the word `truth` or `empty` stands for."""
     if isinstance(result, Result):
         return result.bubbles(frame)
-    return data.bubbles(frame) if result == "truth" else Detections.balls(np.zeros((0, 3)), np.zeros(0))
+    return (
+        data.bubbles(frame)
+        if result == "truth"
+        else Detections.balls(np.zeros((0, 3)), np.zeros(0))
+    )
 
 
 def tracks(data: Dataset, result: Result | str, found: Sequence[AnyBubbles]) -> list[I64]:
@@ -97,22 +120,31 @@ def tracks(data: Dataset, result: Result | str, found: Sequence[AnyBubbles]) -> 
         A result that has tracks in some frames only.
     """
     if not isinstance(result, Result):
-        return [one.id if isinstance(one, Bubbles) else np.arange(len(one.center_mm)) for one in found]
+        return [
+            one.id if isinstance(one, Bubbles) else np.arange(len(one.center_mm)) for one in found
+        ]
     given = [result.tracks(frame) for frame in range(data.rig.frames)]
     own = [number for number in given if number is not None]
     if own and len(own) < len(given):
         missing = next(frame for frame, number in enumerate(given) if number is None)
-        raise InputError(f"{result.path}: {frame_group(missing)}/bubbles/track: expected one in every frame or in none, found none here")
+        raise InputError(
+            f"{result.path}: {frame_group(missing)}/bubbles/track: expected one in every frame or in none, found none here"
+        )
     return own if own else linked(data.rig, found)
 
 
-def _jet_scores(data: Dataset, found: Sequence[AnyBubbles], true: Sequence[AnyBubbles]) -> dict[str, float | None]:
+def _jet_scores(
+    data: Dataset, found: Sequence[AnyBubbles], true: Sequence[AnyBubbles]
+) -> dict[str, float | None]:
     """Errors of a jet's figures against the same analysis of the true bubbles; None where the scene has no jet."""
     if (data.scene.bubbles or {}).get("generator") != "plunging_jet":
         return dict.fromkeys(JET)
     guess, known = (jet_figures(data.scene, one) for one in (found, true))
     pairs = {key: (getattr(guess, name), getattr(known, name)) for key, name in JET.items()}
-    return {key: _known(100.0 * abs(one / other - 1.0)) if other else None for key, (one, other) in pairs.items()}
+    return {
+        key: _known(100.0 * abs(one / other - 1.0)) if other else None
+        for key, (one, other) in pairs.items()
+    }
 
 
 def jet_figures(scene: Scene, balls: Sequence[AnyBubbles]) -> JetFigures:
@@ -120,7 +152,13 @@ def jet_figures(scene: Scene, balls: Sequence[AnyBubbles]) -> JetFigures:
     assert scene.bubbles is not None
     impact, volume = np.asarray(scene.bubbles["impact_mm"]), scene.volume
     depth = volume.center_mm[1] + volume.size_mm[1] / 2.0 - impact[1]
-    return analyse(np.concatenate([one.center_mm for one in balls]), np.concatenate([one.radius_mm for one in balls]), impact, depth, len(balls))
+    return analyse(
+        np.concatenate([one.center_mm for one in balls]),
+        np.concatenate([one.radius_mm for one in balls]),
+        impact,
+        depth,
+        len(balls),
+    )
 
 
 def _mean(values: list[float]) -> float | None:

@@ -2,7 +2,8 @@
 
     program DATASET RESULT [name=value ...]
 
-DATASET is a folder with copies of what a solver may see, RESULT the file that the program must write.
+DATASET is a folder with copies of what a solver may see, RESULT the file that the program must
+write.
 """
 
 from __future__ import annotations
@@ -33,7 +34,11 @@ def is_program(solver: str) -> bool:
     """Whether a solver's name is that of a file: it has a path separator, or there is an executable file of this name and no such plug-in."""
     if os.sep in solver or (os.altsep is not None and os.altsep in solver):
         return True
-    return is_file(Path(solver)) and os.access(solver, os.X_OK) and solver not in plugins.names("solvers")
+    return (
+        is_file(Path(solver))
+        and os.access(solver, os.X_OK)
+        and solver not in plugins.names("solvers")
+    )
 
 
 def solver_name(solver: str) -> str:
@@ -47,21 +52,31 @@ def find_program(name: str, folder: Path = Path()) -> Path:
     if not is_file(path):
         raise InputError(f"program {name}: expected an executable file, found none at {path}")
     if not os.access(path, os.X_OK):
-        raise InputError(f"program {name}: expected an executable file, but it may not be executed: chmod +x {name}")
+        raise InputError(
+            f"program {name}: expected an executable file, but it may not be executed: chmod +x {name}"
+        )
     return path
 
 
 def run_program(
-    program: str, dataset: Dataset, out: Path, *, parameters: dict[str, Any] | None = None, limits: Limits | None = None, overwrite: bool = False
+    program: str,
+    dataset: Dataset,
+    out: Path,
+    *,
+    parameters: dict[str, Any] | None = None,
+    limits: Limits | None = None,
+    overwrite: bool = False,
 ) -> Result:
     """Let a program solve a data set and put its result, checked, in its place.
 
-    What it costs is measured here: wall seconds over the number of frames, or of pairs for velocities, and memory.
+    What it costs is measured here: wall seconds over the number of frames, or of pairs for
+    velocities, and memory.
 
     Raises
     ------
     InputError
-        No such program, a program that fails or breaks a limit, or a result that is not what docs/result-format.md says.
+        No such program, a program that fails or breaks a limit, or a result that is not what
+        docs/result-format.md says.
     """
     path, limits = find_program(program), limits or Limits()
     if out.exists() and not overwrite:
@@ -72,12 +87,26 @@ def run_program(
         scratch.mkdir()
         result = scratch / "result.h5"
         console.print(f"{path.name}: at most {limits.time_s:g} s", markup=False, highlight=False)
-        cost = run_confined([str(path), str(view), str(result), *_words(parameters or {})], scratch, limits, path.name)
+        cost = run_confined(
+            [str(path), str(view), str(result), *_words(parameters or {})],
+            scratch,
+            limits,
+            path.name,
+        )
         _check_file(result, path.name)
         told = (solver_name(program), parameters or {}, cost.seconds, cost.peak_mb)
         try:
             probe(result)
-            apart(adopt, result, dataset.root, out, told, overwrite, doing=f"result of {path.name}", time_s=_CHECK_S)
+            apart(
+                adopt,
+                result,
+                dataset.root,
+                out,
+                told,
+                overwrite,
+                doing=f"result of {path.name}",
+                time_s=_CHECK_S,
+            )
         finally:
             clear_abandoned(out.absolute())
     return open_result(out, dataset)
@@ -85,12 +114,20 @@ def run_program(
 
 def show(dataset: Dataset, view: Path) -> None:
     """A folder with copies of a data set's observation side; what a program does to them harms nothing."""
-    names = [name for name in dataset.manifest.files if name in (schema.CAMERAS, schema.TARGET, schema.POINTS) or _is_image(name)]
+    names = [
+        name
+        for name in dataset.manifest.files
+        if name in (schema.CAMERAS, schema.TARGET, schema.POINTS) or _is_image(name)
+    ]
     for name in names:
         place = inside(view, name)
         place.parent.mkdir(parents=True, exist_ok=True)
         shutil.copyfile(inside(dataset.root, name), place)
-    head = {"format": schema.FORMAT, "version": schema.VERSION, "content_hash": dataset.content_hash}
+    head = {
+        "format": schema.FORMAT,
+        "version": schema.VERSION,
+        "content_hash": dataset.content_hash,
+    }
     (view / schema.MANIFEST).write_text(canonical_json(head), encoding="utf-8")
 
 
@@ -100,7 +137,10 @@ def _is_image(name: str) -> bool:
 
 def _words(parameters: dict[str, Any]) -> list[str]:
     """name=value, strings as they are, everything else as JSON."""
-    return [f"{name}={value if isinstance(value, str) else json.dumps(value)}" for name, value in parameters.items()]
+    return [
+        f"{name}={value if isinstance(value, str) else json.dumps(value)}"
+        for name, value in parameters.items()
+    ]
 
 
 def _check_file(result: Path, name: str) -> None:
@@ -110,12 +150,19 @@ def _check_file(result: Path, name: str) -> None:
         )
 
 
-def adopt(path: Path, root: Path, out: Path, told: tuple[str, dict[str, Any], float, float | None] | None, overwrite: bool) -> None:
+def adopt(
+    path: Path,
+    root: Path,
+    out: Path,
+    told: tuple[str, dict[str, Any], float, float | None] | None,
+    overwrite: bool,
+) -> None:
     """Read every value of a foreign result under all checks and write a result of our own; nothing else of the file is kept.
 
     Parameters
     ----------
-    told : solver, parameters, seconds (wall time of all frames) and peak memory in MB; None: what the file says of the first two, and no costs.
+    told : solver, parameters, seconds (wall time of all frames) and peak memory in MB; None: what
+        the file says of the first two, and no costs.
     """
     data = open_dataset(root)
     result = open_result(path, data)

@@ -93,7 +93,9 @@ class Configuration(_Table):
     cameras: Annotated[tuple[CameraSpec, ...], Field(min_length=2)]
     target_mm: Vector = Field(description="roughly where the target was")
     known: tuple[KnownSpec, ...] = ()
-    unknown: tuple[LensNumber, ...] = Field((), description="what is to be found of the lenses besides their focal lengths")
+    unknown: tuple[LensNumber, ...] = Field(
+        (), description="what is to be found of the lenses besides their focal lengths"
+    )
 
 
 @dataclass(frozen=True)
@@ -106,7 +108,8 @@ class Report:
     true_px : mean error of the calibrated cameras themselves that this noise lets expect.
     std_mm : scatter of the target's points along X, Y, Z that it lets expect.
     depth_mm : standard deviation of the depth of everything together.
-    cameras, frames : for each its name or number, points found and used, and mean and largest distance of the used from where they are computed, px.
+    cameras, frames : for each its name or number, points found and used, and mean and largest
+        distance of the used from where they are computed, px.
     """
 
     noise_px: float
@@ -117,7 +120,9 @@ class Report:
     frames: tuple[dict[str, Any], ...]
 
 
-def calibrate(folder: Path, out: Path, solver: str, parameters: dict[str, Any], *, overwrite: bool = False) -> Report:
+def calibrate(
+    folder: Path, out: Path, solver: str, parameters: dict[str, Any], *, overwrite: bool = False
+) -> Report:
     """Read a folder, calibrate, and write cameras.json, report.json and errors.png into the folder `out`.
 
     Raises
@@ -135,14 +140,21 @@ def calibrate(folder: Path, out: Path, solver: str, parameters: dict[str, Any], 
     answer: Calibration = algorithm.solve(case)
     points = answer.points_mm
     if points is None or not all(isinstance(camera, Camera) for camera in answer.cameras):
-        raise InputError(f"solver {solver}: expected one that returns pinhole cameras and the target's places, for the report")
+        raise InputError(
+            f"solver {solver}: expected one that returns pinhole cameras and the target's places, for the report"
+        )
     report, errors = report_on(case, answer, points)
     with complete_or_nothing(out, overwrite=overwrite) as partial:
         partial.mkdir()
         records = [camera_record(camera) for camera in answer.cameras]
-        (partial / "cameras.json").write_text(canonical_json({"format": "sabench-cameras", "version": 1, "cameras": records}), encoding="utf-8")
+        (partial / "cameras.json").write_text(
+            canonical_json({"format": "sabench-cameras", "version": 1, "cameras": records}),
+            encoding="utf-8",
+        )
         (partial / "report.json").write_text(canonical_json(asdict(report)), encoding="utf-8")
-        (partial / "errors.png").write_bytes(pictures.arrows(case.pixels, errors, case.cameras[0].rows, case.cameras[0].columns))
+        (partial / "errors.png").write_bytes(
+            pictures.arrows(case.pixels, errors, case.cameras[0].rows, case.cameras[0].columns)
+        )
     return report
 
 
@@ -159,9 +171,15 @@ def read_case(folder: Path) -> CalibrationCase:
     target = Target(**told.target.model_dump())
     cameras = _cameras(told, str(path))
     plain = target.points_mm + np.asarray(told.target_mm)
-    pixels = _read_points(folder / POINTS, target, cameras) if (folder / POINTS).is_file() else _read_images(folder / IMAGES, target, cameras, plain)
+    pixels = (
+        _read_points(folder / POINTS, target, cameras)
+        if (folder / POINTS).is_file()
+        else _read_images(folder / IMAGES, target, cameras, plain)
+    )
     rough = np.tile(plain, (pixels.shape[1], 1, 1))
-    return CalibrationCase(target, pixels, cameras, rough, *_known(told, rough.shape, str(path)), told.unknown)
+    return CalibrationCase(
+        target, pixels, cameras, rough, *_known(told, rough.shape, str(path)), told.unknown
+    )
 
 
 def _cameras(told: Configuration, source: str) -> tuple[Camera, ...]:
@@ -172,15 +190,25 @@ def _cameras(told: Configuration, source: str) -> tuple[Camera, ...]:
         raise InputError(f"{source}: cameras: expected different names, got {names}")
     for spec in told.cameras:
         camera = Camera(
-            name=spec.name, rows=shared.rows, columns=shared.columns, center_mm=spec.center_mm, rotation=aimed_rotation(np.array([0.0, 0.0, 1.0])),
-            principal_distance_mm=shared.principal_distance_mm or shared.focal_length_mm, pixel_mm=shared.pixel_mm,
-            principal_point_px=((shared.columns - 1) / 2.0, (shared.rows - 1) / 2.0), distortion=Distortion(),
-            focal_length_mm=shared.focal_length_mm, f_number=8.0, wall=wall,
-        )  # fmt: skip
+            name=spec.name,
+            rows=shared.rows,
+            columns=shared.columns,
+            center_mm=spec.center_mm,
+            rotation=aimed_rotation(np.array([0.0, 0.0, 1.0])),
+            principal_distance_mm=shared.principal_distance_mm or shared.focal_length_mm,
+            pixel_mm=shared.pixel_mm,
+            principal_point_px=((shared.columns - 1) / 2.0, (shared.rows - 1) / 2.0),
+            distortion=Distortion(),
+            focal_length_mm=shared.focal_length_mm,
+            f_number=8.0,
+            wall=wall,
+        )
         try:
             cameras.append(aim(camera, spec.aim_mm))
         except ValueError as error:
-            raise InputError(f"{source}: {error}: is the wall behind the camera, or the target in front of the wall?") from error
+            raise InputError(
+                f"{source}: {error}: is the wall behind the camera, or the target in front of the wall?"
+            ) from error
     return tuple(cameras)
 
 
@@ -193,7 +221,10 @@ def _known(told: Configuration, shape: tuple[int, ...], source: str) -> tuple[F6
             )
         for axis, value in enumerate((point.x_mm, point.y_mm, point.z_mm)):
             if value is not None:
-                places[point.frame, point.point, axis], sigmas[point.frame, point.point, axis] = value, point.sigma_mm
+                places[point.frame, point.point, axis], sigmas[point.frame, point.point, axis] = (
+                    value,
+                    point.sigma_mm,
+                )
     return places, sigmas
 
 
@@ -205,9 +236,13 @@ def _read_points(path: Path, target: Target, cameras: tuple[Camera, ...]) -> F64
     pixels = np.full((len(cameras), max(frames, 1), count, 2), np.nan)
     for camera, frame, point, column, row in rows:
         if camera not in numbers or not 0 <= point < count or frame < 0:
-            raise InputError(f"{path}: expected cameras {', '.join(numbers)} and points 0 to {count - 1}, got {camera}, frame {frame}, point {point}")
+            raise InputError(
+                f"{path}: expected cameras {', '.join(numbers)} and points 0 to {count - 1}, got {camera}, frame {frame}, point {point}"
+            )
         if np.isfinite(pixels[numbers[camera], frame, point, 0]):
-            raise InputError(f"{path}: {camera}, frame {frame}: expected point {point} once, got it twice")
+            raise InputError(
+                f"{path}: {camera}, frame {frame}: expected point {point} once, got it twice"
+            )
         pixels[numbers[camera], frame, point] = column, row
     return pixels
 
@@ -217,22 +252,38 @@ def _lines(path: Path) -> Iterator[tuple[str, int, int, float, float]]:
     with path.open(newline="", encoding="utf-8") as file:
         reader = csv.DictReader(file)
         if reader.fieldnames != expected:
-            raise InputError(f"{path}: expected the first line {','.join(expected)}, got {','.join(reader.fieldnames or ())}")
+            raise InputError(
+                f"{path}: expected the first line {','.join(expected)}, got {','.join(reader.fieldnames or ())}"
+            )
         for number, line in enumerate(reader, 2):
             try:
-                values = line["camera"], int(line["frame"]), int(line["point"]), float(line["column"]), float(line["row"])
+                values = (
+                    line["camera"],
+                    int(line["frame"]),
+                    int(line["point"]),
+                    float(line["column"]),
+                    float(line["row"]),
+                )
             except (TypeError, ValueError) as error:
-                raise InputError(f"{path}: line {number}: expected a name, two whole numbers and two numbers, got {error}") from error
+                raise InputError(
+                    f"{path}: line {number}: expected a name, two whole numbers and two numbers, got {error}"
+                ) from error
             if not (math.isfinite(values[3]) and math.isfinite(values[4])):
-                raise InputError(f"{path}: line {number}: expected finite pixels, got {values[3]}, {values[4]}")
+                raise InputError(
+                    f"{path}: line {number}: expected finite pixels, got {values[3]}, {values[4]}"
+                )
             yield values
 
 
 def _read_images(folder: Path, target: Target, cameras: tuple[Camera, ...], plain: F64) -> F64:
     """images/FRAME/CAMERA.tif (or png, bmp, jpg), frames in the order of their folders' names."""
-    frames = sorted(entry for entry in folder.iterdir() if entry.is_dir()) if folder.is_dir() else []
+    frames = (
+        sorted(entry for entry in folder.iterdir() if entry.is_dir()) if folder.is_dir() else []
+    )
     if not frames:
-        raise InputError(f"{folder}: expected folders with an image of each camera, or a {POINTS} beside it, found neither")
+        raise InputError(
+            f"{folder}: expected folders with an image of each camera, or a {POINTS} beside it, found neither"
+        )
     steps = [(c, k) for c in range(len(cameras)) for k in range(len(frames))]
     pixels = np.full((len(cameras), len(frames), len(target.points_mm), 2), np.nan)
     for c, k in track(steps, "find the target"):
@@ -246,14 +297,23 @@ def _image(frame: Path, camera: Camera) -> npt.NDArray[np.uint16] | None:
     """A camera's image of a frame; None if it took none."""
     import cv2
 
-    path = next((frame / f"{camera.name}{suffix}" for suffix in _SUFFIXES if (frame / f"{camera.name}{suffix}").is_file()), None)
+    path = next(
+        (
+            frame / f"{camera.name}{suffix}"
+            for suffix in _SUFFIXES
+            if (frame / f"{camera.name}{suffix}").is_file()
+        ),
+        None,
+    )
     if path is None:
         return None
     image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH)
     if image is None:
         raise InputError(f"{path}: expected an image, got something else")
     if image.shape != (camera.rows, camera.columns):
-        raise InputError(f"{path}: expected {camera.rows} x {camera.columns} pixels (rows x columns), got {image.shape[0]} x {image.shape[1]}")
+        raise InputError(
+            f"{path}: expected {camera.rows} x {camera.columns} pixels (rows x columns), got {image.shape[0]} x {image.shape[1]}"
+        )
     return np.asarray(image, dtype=np.uint16)
 
 
@@ -261,21 +321,47 @@ def report_on(case: CalibrationCase, answer: Calibration, points: F64) -> tuple[
     """What the data themselves say of a calibration, and the errors (camera, frame, point, 2) of all points found."""
     cameras = tuple(camera for camera in answer.cameras if isinstance(camera, Camera))
     flat = points.reshape(-1, 3)
-    errors = case.pixels - np.stack([camera.project(flat)[0] for camera in cameras]).reshape(case.pixels.shape)
+    errors = case.pixels - np.stack([camera.project(flat)[0] for camera in cameras]).reshape(
+        case.pixels.shape
+    )
     used = case.found if answer.used is None else answer.used
     frame = Frame.of(cameras, points)
     free = Free.of(case.unknown)
     size, boards = free.per_camera * len(cameras), 6 * int(used.any(axis=(0, 2)).sum())
     noise = float(np.sqrt(np.sum(errors[used] ** 2) / max(2 * used.sum() - size - boards, 1)))
-    seen = Seen(case.target.points_mm, np.nan_to_num(case.pixels), used.astype(np.float64), anchors_of(case, frame, noise))
+    seen = Seen(
+        case.target.points_mm,
+        np.nan_to_num(case.pixels),
+        used.astype(np.float64),
+        anchors_of(case, frame, noise),
+    )
     bound = limit(frame.state(case.target.points_mm, points), seen, free, noise)
     lengths = np.linalg.norm(errors, axis=-1)
-    by_camera = tuple(_line(camera.name, lengths[i], case.found[i], used[i]) for i, camera in enumerate(cameras))
-    by_frame = tuple(_line(k, lengths[:, k], case.found[:, k], used[:, k]) for k in range(points.shape[0]))
-    return Report(noise, bound.reprojection_px, triple(bound.point_std_mm), float(bound.point_mean_mm[2]), by_camera, by_frame), errors
+    by_camera = tuple(
+        _line(camera.name, lengths[i], case.found[i], used[i]) for i, camera in enumerate(cameras)
+    )
+    by_frame = tuple(
+        _line(k, lengths[:, k], case.found[:, k], used[:, k]) for k in range(points.shape[0])
+    )
+    return Report(
+        noise,
+        bound.reprojection_px,
+        triple(bound.point_std_mm),
+        float(bound.point_mean_mm[2]),
+        by_camera,
+        by_frame,
+    ), errors
 
 
-def _line(name: str | int, lengths: F64, found: npt.NDArray[np.bool_], used: npt.NDArray[np.bool_]) -> dict[str, Any]:
+def _line(
+    name: str | int, lengths: F64, found: npt.NDArray[np.bool_], used: npt.NDArray[np.bool_]
+) -> dict[str, Any]:
     own = lengths[used]
     figures = (float(own.mean()), float(own.max())) if len(own) else (None, None)
-    return {"name": name, "found": int(found.sum()), "used": int(used.sum()), "mean_px": figures[0], "largest_px": figures[1]}
+    return {
+        "name": name,
+        "found": int(found.sum()),
+        "used": int(used.sum()),
+        "mean_px": figures[0],
+        "largest_px": figures[1],
+    }

@@ -53,7 +53,12 @@ def run(algorithm: ParticleSolver, name: str, data: Dataset, writer: ResultWrite
     seconds, every = [], []
     for frames in track(data.rig.sequences(), f"particles by {name}"):
         reader = _Reader(data, frames)
-        film = Film(data.rig.cameras, data.rig.grid, tuple(data.rig.time_s(frame) for frame in frames), reader)
+        film = Film(
+            data.rig.cameras,
+            data.rig.grid,
+            tuple(data.rig.time_s(frame) for frame in frames),
+            reader,
+        )
         start = time.perf_counter()
         found = _attempt(algorithm, name, film, frames)
         seconds += [(time.perf_counter() - start - reader.seconds) / len(frames)] * len(frames)
@@ -64,14 +69,22 @@ def run(algorithm: ParticleSolver, name: str, data: Dataset, writer: ResultWrite
     return seconds
 
 
-def _attempt(algorithm: ParticleSolver, name: str, film: Film, frames: range) -> list[FoundParticles]:
+def _attempt(
+    algorithm: ParticleSolver, name: str, film: Film, frames: range
+) -> list[FoundParticles]:
     """One call of a solver; what it returns is checked here."""
-    found: list[FoundParticles] = attempt(algorithm, name, film, list, f" on frames {frames[0]} to {frames[-1]}")
+    found: list[FoundParticles] = attempt(
+        algorithm, name, film, list, f" on frames {frames[0]} to {frames[-1]}"
+    )
     other = next((type(one).__name__ for one in found if not isinstance(one, FoundParticles)), "")
     if len(found) != len(frames) or other:
-        raise InputError(f"solver {name}: expected FoundParticles for each of {len(frames)} frames, got {len(found)} of {other or 'them'}")
+        raise InputError(
+            f"solver {name}: expected FoundParticles for each of {len(frames)} frames, got {len(found)} of {other or 'them'}"
+        )
     if len({one.track is None for one in found}) > 1:
-        raise InputError(f"solver {name}: expected track numbers in every frame or in none, got them in some")
+        raise InputError(
+            f"solver {name}: expected track numbers in every frame or in none, got them in some"
+        )
     return found
 
 
@@ -81,8 +94,20 @@ def _numbers(rig: CamerasFile, found: Sequence[FoundParticles]) -> list[I64]:
     for frames in rig.sequences():
         own = [number for frame in frames if (number := found[frame].track) is not None]
         places = [found[frame].position_mm for frame in frames]
-        part = own if len(own) == len(frames) else link(places, [np.ones(len(one)) for one in places], [rig.time_s(frame) for frame in frames])
-        first = max((int(one.max(initial=-1)) for one in out), default=-1) + 1 - min((int(one.min(initial=0)) for one in part), default=0)
+        part = (
+            own
+            if len(own) == len(frames)
+            else link(
+                places,
+                [np.ones(len(one)) for one in places],
+                [rig.time_s(frame) for frame in frames],
+            )
+        )
+        first = (
+            max((int(one.max(initial=-1)) for one in out), default=-1)
+            + 1
+            - min((int(one.min(initial=0)) for one in part), default=0)
+        )
         out.extend(first + one for one in part)
     return out
 
@@ -98,8 +123,13 @@ def score_result(data: Dataset, result: Result | str) -> dict[str, float | None]
     """All scores: means over the frames, and the figures of tracks from all frames together."""
     found = [estimate(data, result, frame) for frame in range(data.rig.frames)]
     true = [data.particles(frame) for frame in range(data.rig.frames)]
-    frames = [score_frame(data, guess, known) for guess, known in track(list(zip(found, true, strict=True)), "score")]
-    return {key: _mean([frame[key] for frame in frames]) for key in frames[0]} | _over_time(data, result, found, true)
+    frames = [
+        score_frame(data, guess, known)
+        for guess, known in track(list(zip(found, true, strict=True)), "score")
+    ]
+    return {key: _mean([frame[key] for frame in frames]) for key in frames[0]} | _over_time(
+        data, result, found, true
+    )
 
 
 def estimate(data: Dataset, result: Result | str, frame: int) -> FoundParticles:
@@ -137,16 +167,23 @@ def _scored_pairs(found: F64, truths: F64, scored: Bool) -> tuple[I64, I64]:
 
 def _apart_px(data: Dataset, found_mm: F64, true_mm: F64) -> float | None:
     """Root mean square distance of pairs of points in the true cameras' images."""
-    apart = [np.linalg.norm(camera.project(found_mm)[0] - camera.project(true_mm)[0], axis=1) for camera in data.true_cameras]
+    apart = [
+        np.linalg.norm(camera.project(found_mm)[0] - camera.project(true_mm)[0], axis=1)
+        for camera in data.true_cameras
+    ]
     return _rms(np.concatenate(apart))
 
 
-def _over_time(data: Dataset, result: Result | str, found: Sequence[FoundParticles], true: Sequence[Particles]) -> dict[str, float | None]:
+def _over_time(
+    data: Dataset, result: Result | str, found: Sequence[FoundParticles], true: Sequence[Particles]
+) -> dict[str, float | None]:
     """The figures of tracks, over what lies in the scored part or belongs to a particle that does."""
     grid, places, numbers, identities, truths, matched = data.rig.grid, [], [], [], [], []
     for guess, known, number in zip(found, true, _tracks(data, result, found), strict=True):
         there = grid.in_scored(grid.to_voxels(known.position_mm))
-        i, j = _scored_pairs(grid.to_voxels(guess.position_mm), grid.to_voxels(known.position_mm), there)
+        i, j = _scored_pairs(
+            grid.to_voxels(guess.position_mm), grid.to_voxels(known.position_mm), there
+        )
         kept = grid.in_scored(grid.to_voxels(guess.position_mm))
         kept[i] = True
         places.append(guess.position_mm[kept])
@@ -170,7 +207,9 @@ def _tracks(data: Dataset, result: Result | str, found: Sequence[FoundParticles]
     missing = [frame for frame, one in enumerate(found) if one.track is None]
     if missing and len(missing) < len(found):
         where = result.path if isinstance(result, Result) else result
-        raise InputError(f"{where}: {frame_group(missing[0])}/particles/track: expected one in every frame or in none, found none here")
+        raise InputError(
+            f"{where}: {frame_group(missing[0])}/particles/track: expected one in every frame or in none, found none here"
+        )
     return _numbers(data.rig, found)
 
 

@@ -19,7 +19,9 @@ from sabench.utils import memory
 from sabench.utils.errors import InputError
 from sabench.utils.progress import track
 
-_VOLUMES = 2.0  # float32 volumes that fit beside the images or the solver is not started: its own, and as much again for its work and the checks
+# float32 volumes that fit beside the images or the solver is not started: its own, and as much
+# again for its work and the checks
+_VOLUMES = 2.0
 _TRIED = 33  # voxels along each axis that are looked for in the images
 
 
@@ -29,7 +31,8 @@ def run(algorithm: Solver, name: str, data: Dataset, writer: ResultWriter) -> li
     Raises
     ------
     InputError
-        A frame that `check_case` refuses, or a solver that declines, raises, or returns a wrong shape or values that are not finite.
+        A frame that `check_case` refuses, or a solver that declines, raises, or returns a wrong
+        shape or values that are not finite.
     """
     seconds = []
     for frame in range(data.rig.frames):
@@ -41,7 +44,9 @@ def run(algorithm: Solver, name: str, data: Dataset, writer: ResultWriter) -> li
     return seconds
 
 
-def reconstruct(algorithm: Solver, name: str, data: Dataset, frame: int) -> tuple[Reconstruction, float]:
+def reconstruct(
+    algorithm: Solver, name: str, data: Dataset, frame: int
+) -> tuple[Reconstruction, float]:
     """One frame, and the seconds that it took; raises as `run` does."""
     case = data.observation(frame)
     check_case(case, f"{data.root}: frame {frame}")
@@ -60,7 +65,9 @@ def copy(data: Dataset, result: Result, writer: ResultWriter) -> None:
 def score_result(data: Dataset, result: Result | str) -> dict[str, float | None]:
     """All scores: the means over the frames that have the figure."""
     frames = [
-        score_frame(data.rig.grid, data.particles(frame), data.views(frame), estimate(data, result, frame))
+        score_frame(
+            data.rig.grid, data.particles(frame), data.views(frame), estimate(data, result, frame)
+        )
         for frame in track(range(data.rig.frames), "score")
     ]
     return {key: _mean([frame[key] for frame in frames]) for key in SCORES}
@@ -79,7 +86,9 @@ def picture(data: Dataset, result: Result | str) -> bytes:
 
 def error_picture(data: Dataset, result: Result) -> bytes:
     """The same slice of an estimate minus the truth, as a PNG."""
-    return pictures.error_slice(estimate(data, result, 0).volume, estimate(data, "truth", 0).volume, data.rig.grid.scored)
+    return pictures.error_slice(
+        estimate(data, result, 0).volume, estimate(data, "truth", 0).volume, data.rig.grid.scored
+    )
 
 
 def _mean(values: list[float | None]) -> float | None:
@@ -93,7 +102,8 @@ def check_case(case: Observation, source: str) -> None:
     Raises
     ------
     InputError
-        An image that is saturated all over, a grid that does not fit into memory, or one that no camera sees.
+        An image that is saturated all over, a grid that does not fit into memory, or one that no
+        camera sees.
     """
     for camera, image in zip(case.cameras, case.images, strict=True):
         if image.min() >= case.white_dn:
@@ -101,9 +111,14 @@ def check_case(case: Observation, source: str) -> None:
                 f"{source}: {camera.name}: expected an image that shows something, but every pixel is saturated ({case.white_dn:g} or more)"
             )
     _check_memory(case, source)
-    axes = [axis[np.unique(np.linspace(0, len(axis) - 1, _TRIED).astype(int))] for axis in case.grid.axes_mm]
+    axes = [
+        axis[np.unique(np.linspace(0, len(axis) - 1, _TRIED).astype(int))]
+        for axis in case.grid.axes_mm
+    ]
     if not any_in_view(case.cameras, np.array(list(itertools.product(*axes)))):
-        raise InputError(f"{source}: grid: expected it in view of at least one camera, but no camera of {len(case.cameras)} sees any of it")
+        raise InputError(
+            f"{source}: grid: expected it in view of at least one camera, but no camera of {len(case.cameras)} sees any of it"
+        )
 
 
 def _check_memory(case: Observation, source: str) -> None:
@@ -114,7 +129,11 @@ def _check_memory(case: Observation, source: str) -> None:
     if there is None or need <= there:
         return
     voxels = max(0, int((there - images) / voxel))
-    largest = f"{voxels // (rows * columns)} of its planes" if voxels >= rows * columns else f"{voxels} of its voxels"
+    largest = (
+        f"{voxels // (rows * columns)} of its planes"
+        if voxels >= rows * columns
+        else f"{voxels} of its voxels"
+    )
     raise InputError(
         f"{source}: grid: expected it to fit into memory, but its {planes} x {rows} x {columns} voxels (z, y, x) need {need:.0f} MB "
         f"where {there:.0f} MB are there: at most {largest} fit"
@@ -126,14 +145,29 @@ def _attempt(algorithm: Solver, name: str, case: Observation, frame: int) -> Rec
     guess: Reconstruction = attempt(algorithm, name, case, Reconstruction, f" on frame {frame}")
     check_array(name, frame, "volume", guess.volume, np.dtype(np.float32), case.grid.shape)
     if guess.particles_mm is not None:
-        check_array(name, frame, "particles_mm", guess.particles_mm, np.dtype(np.float64), (len(guess.particles_mm), 3))
+        check_array(
+            name,
+            frame,
+            "particles_mm",
+            guess.particles_mm,
+            np.dtype(np.float64),
+            (len(guess.particles_mm), 3),
+        )
     return guess
 
 
-def check_array(solver: str, frame: int, what: str, array: Any, kind: np.dtype[Any], shape: tuple[int, ...]) -> None:
+def check_array(
+    solver: str, frame: int, what: str, array: Any, kind: np.dtype[Any], shape: tuple[int, ...]
+) -> None:
     """Refuse an array of another kind or shape, or one with values that are not finite."""
     if not isinstance(array, np.ndarray) or array.shape != shape or array.dtype != kind:
-        got = f"{array.dtype} of shape {array.shape}" if isinstance(array, np.ndarray) else type(array).__name__
+        got = (
+            f"{array.dtype} of shape {array.shape}"
+            if isinstance(array, np.ndarray)
+            else type(array).__name__
+        )
         raise InputError(f"solver {solver}: {what}: expected {kind} of shape {shape}, got {got}")
     if not np.isfinite(array).all():
-        raise InputError(f"solver {solver}: {what}: expected finite values, got NaN or infinite ones in frame {frame}")
+        raise InputError(
+            f"solver {solver}: {what}: expected finite values, got NaN or infinite ones in frame {frame}"
+        )

@@ -23,8 +23,8 @@ SCORES = ("q", *_DETECTION, *(f"peak_{key}" for key in _DETECTION))
 def true_field(grid: Grid, particles: Particles, views: Sequence[View]) -> F32:
     """The synthesised field E_s (z, y, x) of a frame.
 
-    Every particle, seen or not, is a sphere in mm: peak = its `brightness`, standard deviation = the median image size, carried from
-    pixels to mm by the grid's x spacing.
+    Every particle, seen or not, is a sphere in mm: peak = its `brightness`, standard deviation =
+    the median image size, carried from pixels to mm by the grid's x spacing.
     """
     if not len(particles):
         return np.zeros(grid.shape, dtype=np.float32)
@@ -47,11 +47,15 @@ def estimate(dataset: Dataset, result: Result | str, frame: int) -> Reconstructi
         return result.reconstruction(frame)
     if result == "truth":
         particles = dataset.particles(frame)
-        return Reconstruction(true_field(dataset.rig.grid, particles, dataset.views(frame)), particles.position_mm)
+        return Reconstruction(
+            true_field(dataset.rig.grid, particles, dataset.views(frame)), particles.position_mm
+        )
     return Reconstruction(np.zeros(dataset.rig.grid.shape, dtype=np.float32))
 
 
-def score_frame(grid: Grid, particles: Particles, views: Sequence[View], guess: Reconstruction) -> dict[str, float | None]:
+def score_frame(
+    grid: Grid, particles: Particles, views: Sequence[View], guess: Reconstruction
+) -> dict[str, float | None]:
     """All scores of one frame's estimate, from truth in memory."""
     truths = grid.to_voxels(particles.position_mm)
     components, peaks = (_count(grid, found, truths) for found in _found(grid, guess))
@@ -72,5 +76,11 @@ def _count(grid: Grid, found: F64, truths: F64) -> dict[str, float | None]:
     """The five figures of detections against truths, both in voxels."""
     pair = (found, truths, grid.in_scored(found), grid.in_scored(truths))
     thesis, challenge = count_thesis(*pair), count_challenge(*pair)
-    figures = (thesis.true_percent, thesis.ghost_percent, challenge.precision, challenge.recall, challenge.rms)
+    figures = (
+        thesis.true_percent,
+        thesis.ghost_percent,
+        challenge.precision,
+        challenge.recall,
+        challenge.rms,
+    )
     return dict(zip(_DETECTION, figures, strict=True))

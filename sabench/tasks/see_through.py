@@ -33,7 +33,8 @@ def run(algorithm: SeeThroughSolver, name: str, data: Dataset, writer: ResultWri
     Raises
     ------
     InputError
-        A frame that shows nothing, or a solver that declines, raises, or returns a wrong shape or values that are not finite.
+        A frame that shows nothing, or a solver that declines, raises, or returns a wrong shape or
+        values that are not finite.
     """
     seconds = []
     for frame in range(data.rig.frames):
@@ -60,11 +61,21 @@ def score_result(data: Dataset, result: Result | str) -> dict[str, float | None]
     frames = []
     for frame in track(range(data.rig.frames), "score"):
         code = code_of(data.scene, data.manifest.seed, frame)
-        single = [reading(cells, code.dark) for cells in single_views(data.observation(frame), data.true_cameras, code)]
+        single = [
+            reading(cells, code.dark)
+            for cells in single_views(data.observation(frame), data.true_cameras, code)
+        ]
         own = reading(_cells(data, result, frame, code), code.dark)
         shown = [one["read_percent"] for one in single]
         apart = float(np.nanmean([one["separation"] for one in single]))
-        frames.append(own | {"single_percent": float(np.mean(shown)), "best_single_percent": max(shown), "single_separation": apart})
+        frames.append(
+            own
+            | {
+                "single_percent": float(np.mean(shown)),
+                "best_single_percent": max(shown),
+                "single_separation": apart,
+            }
+        )
     return {key: _mean([frame[key] for frame in frames]) for key in frames[0]}
 
 
@@ -78,7 +89,9 @@ def _cells(data: Dataset, result: Result | str, frame: int, code: Code) -> F64:
 def read_volume(grid: Grid, volume: F32, code: Code) -> F64:
     """Mean values (cell,) of the cells in a volume (z, y, x), linearly between its voxels; NaN outside of it."""
     x, y, z = grid.to_voxels(code.points_mm.reshape(-1, 3)).T
-    values = map_coordinates(volume.astype(np.float64), [z, y, x], order=1, mode="constant", cval=np.nan)
+    values = map_coordinates(
+        volume.astype(np.float64), [z, y, x], order=1, mode="constant", cval=np.nan
+    )
     return np.asarray(values.reshape(code.points_mm.shape[:2]).mean(axis=1))
 
 
@@ -87,7 +100,9 @@ def single_views(case: Observation, cameras: Sequence[Camera], code: Code) -> F6
     out, points = np.empty((len(cameras), len(code.dark))), code.points_mm.reshape(-1, 3)
     for cells, image, camera in zip(out, case.images, cameras, strict=True):
         column, row = camera.project(points)[0].T
-        values = map_coordinates(image.astype(np.float64), [row, column], order=1, mode="constant", cval=np.nan)
+        values = map_coordinates(
+            image.astype(np.float64), [row, column], order=1, mode="constant", cval=np.nan
+        )
         cells[:] = values.reshape(code.points_mm.shape[:2]).mean(axis=1)
     return out
 
@@ -108,7 +123,9 @@ def picture(data: Dataset, result: Result | str) -> bytes:
     code = code_of(data.scene, data.manifest.seed, 0)
     if not isinstance(result, Result):
         return pictures.grey_picture(drawn(code), _ENLARGED_PX)
-    return pictures.grey_picture(code_plane(data.rig.grid, result.reconstruction(0).volume, code), _ENLARGED_PX)
+    return pictures.grey_picture(
+        code_plane(data.rig.grid, result.reconstruction(0).volume, code), _ENLARGED_PX
+    )
 
 
 def error_picture(data: Dataset, result: Result) -> bytes:
@@ -121,7 +138,10 @@ def error_picture(data: Dataset, result: Result) -> bytes:
 def code_plane(grid: Grid, volume: F32, code: Code) -> F64:
     """The plane (y, x) of a volume that is nearest to the code's middle, as far as the code reaches."""
     places, size = grid.to_voxels(code.points_mm.reshape(-1, 3)), np.asarray(volume.shape[::-1])
-    low, high = (np.clip(np.rint(end), 0, size - 1).astype(int) for end in (places.min(axis=0) - _MARGIN, places.max(axis=0) + _MARGIN))
+    low, high = (
+        np.clip(np.rint(end), 0, size - 1).astype(int)
+        for end in (places.min(axis=0) - _MARGIN, places.max(axis=0) + _MARGIN)
+    )
     middle = int(np.clip(np.rint(places[:, 2].mean()), 0, size[2] - 1))
     return np.asarray(volume[middle, low[1] : high[1] + 1, low[0] : high[0] + 1], dtype=np.float64)
 
@@ -135,6 +155,10 @@ def _nearest(code: Code) -> I64:
     """The cell (rows, columns) that is nearest to each pixel of a picture along Z."""
     middles = code.points_mm.mean(axis=1)[:, :2]
     low, high = (end(code.points_mm.reshape(-1, 3)[:, :2], axis=0) for end in (np.min, np.max))
-    columns, rows = np.maximum(1, np.rint((high - low) / (high - low).max() * _DRAWN_PX)).astype(int)
+    columns, rows = np.maximum(1, np.rint((high - low) / (high - low).max() * _DRAWN_PX)).astype(
+        int
+    )
     x, y = np.meshgrid(np.linspace(low[0], high[0], columns), np.linspace(low[1], high[1], rows))
-    return np.asarray(cKDTree(middles).query(np.column_stack([x.ravel(), y.ravel()]))[1]).reshape(rows, columns)
+    return np.asarray(cKDTree(middles).query(np.column_stack([x.ravel(), y.ravel()]))[1]).reshape(
+        rows, columns
+    )

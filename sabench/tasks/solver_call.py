@@ -25,5 +25,7 @@ def attempt(algorithm: Any, name: str, case: Any, expected: type[Any], where: st
     if reason:
         raise DeclinedError(f"solver {name} declines this case: {reason}")
     if not isinstance(answer, expected):
-        raise InputError(f"solver {name}: expected a {expected.__name__}, got {type(answer).__name__}")
+        raise InputError(
+            f"solver {name}: expected a {expected.__name__}, got {type(answer).__name__}"
+        )
     return answer

@@ -27,17 +27,22 @@ _NEIGHBOURS = 8  # true particles whose mean stands for the flow where it is not
 _AXES = ("u", "v", "w")
 
 
-def run(algorithm: VelocimetrySolver, name: str, data: Dataset, writer: ResultWriter) -> list[float]:
+def run(
+    algorithm: VelocimetrySolver, name: str, data: Dataset, writer: ResultWriter
+) -> list[float]:
     """Reconstruct every pair of frames and measure its field; returns the seconds that each took, without the reconstruction.
 
     Raises
     ------
     InputError
-        A data set without pairs, what the reconstruction refuses, or a solver that declines, raises, or returns something else.
+        A data set without pairs, what the reconstruction refuses, or a solver that declines,
+        raises, or returns something else.
     """
     pairs = data.rig.pairs()
     if not pairs:
-        raise InputError(f"{data.root}: expected pairs of frames, got {data.rig.frames} that make none")
+        raise InputError(
+            f"{data.root}: expected pairs of frames, got {data.rig.frames} that make none"
+        )
     maker = _maker(algorithm.parameters.reconstruction)
     kept: dict[int, Reconstruction] = {}
     seconds, spent = [], []
@@ -46,7 +51,9 @@ def run(algorithm: VelocimetrySolver, name: str, data: Dataset, writer: ResultWr
             del kept[frame]
         for frame in pair:
             if frame not in kept:
-                kept[frame], took = reconstruct(maker, algorithm.parameters.reconstruction, data, frame)
+                kept[frame], took = reconstruct(
+                    maker, algorithm.parameters.reconstruction, data, frame
+                )
                 spent.append(took)
         interval = data.rig.time_s(pair[1]) - data.rig.time_s(pair[0])
         case = VolumePair(kept[pair[0]].volume, kept[pair[1]].volume, data.rig.grid, interval)
@@ -67,8 +74,13 @@ def _maker(name: str) -> Solver:
 
 def _attempt(algorithm: VelocimetrySolver, name: str, case: VolumePair, frame: int) -> Velocity:
     field: Velocity = attempt(algorithm, name, case, Velocity, f" on frame {frame}")
-    if field.velocity_mm_s.shape != (*field.valid.shape, 3) or not np.isfinite(field.velocity_mm_s).all():
-        raise InputError(f"solver {name}: expected finite velocities (z, y, x, 3) on {field.valid.shape} nodes, got {field.velocity_mm_s.shape}")
+    if (
+        field.velocity_mm_s.shape != (*field.valid.shape, 3)
+        or not np.isfinite(field.velocity_mm_s).all()
+    ):
+        raise InputError(
+            f"solver {name}: expected finite velocities (z, y, x, 3) on {field.valid.shape} nodes, got {field.velocity_mm_s.shape}"
+        )
     return field
 
 
@@ -80,9 +92,15 @@ def copy(data: Dataset, result: Result, writer: ResultWriter) -> None:
 
 def score_result(data: Dataset, result: Result) -> dict[str, float | None]:
     """All scores: the means over the pairs."""
-    pairs = [score_pair(data, pair, result.velocity(pair[0])) for pair in track(data.rig.pairs(), "score")]
+    pairs = [
+        score_pair(data, pair, result.velocity(pair[0]))
+        for pair in track(data.rig.pairs(), "score")
+    ]
     scores = {key: float(np.mean([one[key] for one in pairs])) for key in pairs[0]}
-    return {**{key: value if np.isfinite(value) else None for key, value in scores.items()}, "reconstruction_s": result.reconstruction_s}
+    return {
+        **{key: value if np.isfinite(value) else None for key, value in scores.items()},
+        "reconstruction_s": result.reconstruction_s,
+    }
 
 
 def score_pair(data: Dataset, pair: tuple[int, int], guess: Velocity) -> dict[str, float]:
@@ -90,17 +108,28 @@ def score_pair(data: Dataset, pair: tuple[int, int], guess: Velocity) -> dict[st
     points = guess.positions_mm
     interval = data.rig.time_s(pair[1]) - data.rig.time_s(pair[0])
     exact = true_velocity(data, pair, points.reshape(-1, 3)).reshape(points.shape)
-    errors = ((guess.velocity_mm_s - exact) * interval / np.asarray(data.rig.grid.voxel_mm))[guess.valid]
+    errors = ((guess.velocity_mm_s - exact) * interval / np.asarray(data.rig.grid.voxel_mm))[
+        guess.valid
+    ]
     errors = errors if len(errors) else np.full((1, 3), np.nan)  # nothing was measured: no figure
     widths = precision_interval(errors)
     scores = {f"{axis}_p90_voxel": float(width) for axis, width in zip(_AXES, widths, strict=True)}
-    scores |= {f"{axis}_bias_voxel": float(value) for axis, value in zip(_AXES, errors.mean(axis=0), strict=True)}
-    scores |= {f"{axis}_rms_voxel": float(value) for axis, value in zip(_AXES, np.sqrt((errors**2).mean(axis=0)), strict=True)}
+    scores |= {
+        f"{axis}_bias_voxel": float(value)
+        for axis, value in zip(_AXES, errors.mean(axis=0), strict=True)
+    }
+    scores |= {
+        f"{axis}_rms_voxel": float(value)
+        for axis, value in zip(_AXES, np.sqrt((errors**2).mean(axis=0)), strict=True)
+    }
     scores["bias_voxel"] = float(np.linalg.norm(errors.mean(axis=0)))
     scores["rms_voxel"] = float(np.sqrt((errors**2).sum(axis=1).mean()))
     scores["yield_percent"] = 100.0 * float(guess.valid.mean())
     scores["response"] = response(guess.velocity_mm_s[guess.valid], exact[guess.valid])
-    slopes, true = (gradient(field, guess.step_mm)[inner(guess.valid.shape)] for field in (guess.velocity_mm_s, exact))
+    slopes, true = (
+        gradient(field, guess.step_mm)[inner(guess.valid.shape)]
+        for field in (guess.velocity_mm_s, exact)
+    )
     scores["divergence_1_s"] = _rms(divergence(slopes) - divergence(true))
     curl, spin = vorticity(slopes), vorticity(true)
     scores["vorticity_percent"] = 100.0 * _rms(curl - spin) / max(_rms(spin), 1e-300)
@@ -130,9 +159,13 @@ def _among_particles(data: Dataset, pair: tuple[int, int], points_mm: F64) -> F6
     first, second = (data.particles(frame) for frame in pair)
     _, one, other = np.intersect1d(first.id, second.id, return_indices=True)
     if not len(one):
-        raise InputError(f"{data.root}: frames {pair[0]} and {pair[1]}: expected particles that are in both, got none")
+        raise InputError(
+            f"{data.root}: frames {pair[0]} and {pair[1]}: expected particles that are in both, got none"
+        )
     places = (first.position_mm[one] + second.position_mm[other]) / 2.0
-    moves = (second.position_mm[other] - first.position_mm[one]) / (data.rig.time_s(pair[1]) - data.rig.time_s(pair[0]))
+    moves = (second.position_mm[other] - first.position_mm[one]) / (
+        data.rig.time_s(pair[1]) - data.rig.time_s(pair[0])
+    )
     count = min(_NEIGHBOURS, len(places))
     near = cKDTree(places).query(points_mm, k=count)[1].reshape(len(points_mm), count)
     return np.asarray(moves[near].mean(axis=1))
@@ -148,5 +181,9 @@ def picture(data: Dataset, result: Result) -> bytes:
     """The first pair's field, its errors and a profile, as a PNG."""
     pair = data.rig.pairs()[0]
     field, interval = result.velocity(pair[0]), data.rig.time_s(pair[1]) - data.rig.time_s(pair[0])
-    exact = true_velocity(data, pair, field.positions_mm.reshape(-1, 3)).reshape(field.velocity_mm_s.shape)
-    return draw(field_figure(field, exact, np.asarray(data.rig.grid.voxel_mm) / interval, result.solver))
+    exact = true_velocity(data, pair, field.positions_mm.reshape(-1, 3)).reshape(
+        field.velocity_mm_s.shape
+    )
+    return draw(
+        field_figure(field, exact, np.asarray(data.rig.grid.voxel_mm) / interval, result.solver)
+    )

@@ -1,7 +1,8 @@
 """Chooses what Mitsuba and Dr.Jit run on; nothing else in sabench names a variant or a library path.
 
-CUDA where a driver answers, else LLVM. Dr.Jit loads libLLVM at run time and would take any that the system offers, also
-one that aborts the whole process in the middle of a render, so the library is chosen and its version asked before.
+CUDA where a driver answers, else LLVM. Dr.Jit loads libLLVM at run time and would take any that the
+system offers, also one that aborts the whole process in the middle of a render, so the library is
+chosen and its version asked before.
 """
 
 from __future__ import annotations
@@ -23,7 +24,12 @@ from sabench.utils.progress import console
 LLVM_VARIABLE = "DRJIT_LIBLLVM_PATH"
 CHOICE_VARIABLE = "SABENCH_BACKEND"
 OLDEST_LLVM = 19  # tried: 14 is refused by Dr.Jit, 15 and 16 abort in renders, 19 and 23 work
-_SYSTEM = ("usr/lib/llvm-*/lib/libLLVM*.so*", "usr/lib/*/libLLVM*.so*", "usr/lib*/libLLVM*.so*", "opt/homebrew/opt/llvm/lib/libLLVM*.dylib")
+_SYSTEM = (
+    "usr/lib/llvm-*/lib/libLLVM*.so*",
+    "usr/lib/*/libLLVM*.so*",
+    "usr/lib*/libLLVM*.so*",
+    "opt/homebrew/opt/llvm/lib/libLLVM*.dylib",
+)
 REMEDY = (
     f"install the wheel karellen-llvm-core (Linux x86-64) or an LLVM of version {OLDEST_LLVM} or later (Debian: libllvm19), "
     f"or set {LLVM_VARIABLE} to its libLLVM"
@@ -55,7 +61,9 @@ def choose() -> Backend:
     if devices:
         return Backend("cuda", None, f"CUDA driver with {devices} device(s)")
     if asked == "cuda":
-        raise InputError(f"{CHOICE_VARIABLE}=cuda: expected a CUDA driver with a device, found none")
+        raise InputError(
+            f"{CHOICE_VARIABLE}=cuda: expected a CUDA driver with a device, found none"
+        )
     return _choose_llvm()
 
 
@@ -65,7 +73,9 @@ def _choose_llvm() -> Backend:
         version = llvm_version(path)
         if version >= OLDEST_LLVM:
             return Backend("llvm", path, f"LLVM {version} from {origin}: {path}")
-        refused.append(f"{path} ({'LLVM 15 or older' if version == 0 else 'cannot be loaded' if version < 0 else f'LLVM {version}'})")
+        refused.append(
+            f"{path} ({'LLVM 15 or older' if version == 0 else 'cannot be loaded' if version < 0 else f'LLVM {version}'})"
+        )
         if origin == LLVM_VARIABLE:
             break
     found = f"refused {', '.join(refused)}" if refused else "found none"
@@ -79,7 +89,9 @@ def _llvm_candidates() -> list[tuple[str, str]]:
         return [(LLVM_VARIABLE, variable)]
     wheel = [("the wheel karellen-llvm-core", path) for path in _wheel_libraries()]
     paths = {os.path.realpath(path) for pattern in _SYSTEM for path in Path("/").glob(pattern)}
-    numbered = sorted(((llvm_version(path), path) for path in paths), reverse=True) if not wheel else []
+    numbered = (
+        sorted(((llvm_version(path), path) for path in paths), reverse=True) if not wheel else []
+    )
     return wheel + [("the system", path) for _, path in numbered]
 
 
@@ -88,7 +100,9 @@ def _wheel_libraries() -> list[str]:
         files = importlib.metadata.files("karellen-llvm-core") or []
     except importlib.metadata.PackageNotFoundError:
         return []
-    paths = {os.path.realpath(str(file.locate())) for file in files if file.name.startswith("libLLVM")}
+    paths = {
+        os.path.realpath(str(file.locate())) for file in files if file.name.startswith("libLLVM")
+    }
     return sorted(path for path in paths if Path(path).is_file())
 
 

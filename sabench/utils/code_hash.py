@@ -22,5 +22,8 @@ def _own() -> str:
     whole = hashlib.sha256()
     for file in sorted(_PACKAGE.rglob("*.py")):
         if "_plugins" not in file.parts:
-            whole.update(f"{file.relative_to(_PACKAGE).as_posix()}\0".encode() + hashlib.sha256(file.read_bytes()).digest())
+            whole.update(
+                f"{file.relative_to(_PACKAGE).as_posix()}\0".encode()
+                + hashlib.sha256(file.read_bytes()).digest()
+            )
     return whole.hexdigest()

@@ -34,4 +34,6 @@ def mean_of(values: Sequence[float]) -> Mean | None:
     if count == 1:
         return Mean(float(values[0]), None, 1)
     error = float(np.std(values, ddof=1)) / math.sqrt(count)
-    return Mean(float(np.mean(values)), float(stdtrit(count - 1, (1.0 + CONFIDENCE) / 2.0)) * error, count)
+    return Mean(
+        float(np.mean(values)), float(stdtrit(count - 1, (1.0 + CONFIDENCE) / 2.0)) * error, count
+    )

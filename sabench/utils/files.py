@@ -24,8 +24,8 @@ _LARGEST_TEXT = 100_000_000  # bytes of a JSON file
 def complete_or_nothing(target: Path, *, overwrite: bool = False) -> Iterator[Path]:
     """A temporary path beside `target` that takes its place only when the block has ended well.
 
-    The block makes a file or a folder at the path it gets. A killed process leaves a hidden `.NAME.partial-PID`,
-    which the next write to the same target removes.
+    The block makes a file or a folder at the path it gets. A killed process leaves a hidden
+    `.NAME.partial-PID`, which the next write to the same target removes.
     """
     target = target.absolute()
     target.parent.mkdir(parents=True, exist_ok=True)
@@ -37,7 +37,12 @@ def complete_or_nothing(target: Path, *, overwrite: bool = False) -> Iterator[Pa
         yield partial
         _flush(partial)
         if target.is_dir() or (target.exists() and partial.is_dir()):
-            target.rename(retired)  # folders cannot be replaced in one step; `clear_abandoned` mends a death between these two lines
+            target.rename(
+                retired
+                # folders cannot be replaced in one step; `clear_abandoned` mends a death between
+                # these
+                # two lines
+            )
             partial.rename(target)
         else:
             partial.replace(target)
@@ -89,7 +94,9 @@ def _remove(path: Path) -> None:
 
 def _flush(path: Path) -> None:
     """Have the disk hold every byte before the rename says that it does."""
-    for file in [path] if path.is_file() else [entry for entry in path.rglob("*") if entry.is_file()]:
+    for file in (
+        [path] if path.is_file() else [entry for entry in path.rglob("*") if entry.is_file()]
+    ):
         with file.open("rb") as handle:
             os.fsync(handle.fileno())
 
@@ -111,7 +118,9 @@ def sha256(path: Path) -> str:
 def canonical_json(value: Any) -> str:
     """JSON with sorted keys and shortest round-trip numbers: equal values give equal text."""
     text = json.dumps(value, sort_keys=True, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
-    return text.encode("utf-8", "replace").decode("utf-8")  # JSON can hold half a surrogate pair, UTF-8 can not
+    return text.encode("utf-8", "replace").decode(
+        "utf-8"
+    )  # JSON can hold half a surrogate pair, UTF-8 can not
 
 
 def digest(value: Any) -> str:

@@ -24,7 +24,9 @@ def forget_peak() -> None:
         try:
             marks.write_text("5")
         except OSError:
-            return  # not permitted in some containers: the peak then covers the whole process, which is an upper bound
+            # not permitted in some containers: the peak then covers the whole process, which is an
+            # upper bound
+            return
 
 
 def peak_mb() -> float | None:
@@ -37,17 +39,22 @@ def peak_mb() -> float | None:
         import resource
     except ImportError:  # Windows
         return None
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6 + _children[0]  # macOS counts bytes
+    return (
+        resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6 + _children[0]
+    )  # macOS counts bytes
 
 
 def available_mb() -> float | None:
     """Memory that a process can still take, in MB (10^6 bytes); None where the system does not say.
 
-    Where only the whole memory is known (macOS) it is that, an upper bound. A container's own limit is not seen.
+    Where only the whole memory is known (macOS) it is that, an upper bound. A container's own limit
+    is not seen.
     """
     info = Path("/proc/meminfo")
     if info.exists():
-        line = next(line for line in info.read_text().splitlines() if line.startswith("MemAvailable:"))
+        line = next(
+            line for line in info.read_text().splitlines() if line.startswith("MemAvailable:")
+        )
         return int(line.split()[1]) * 1024 / 1e6
     try:
         return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") / 1e6
@@ -58,8 +65,8 @@ def available_mb() -> float | None:
 def trim() -> None:
     """Give freed memory back to the system, where the C library keeps it (glibc).
 
-    Large blocks of one frame are freed below small ones that HDF5 keeps until its file is closed; glibc then holds on to all of them,
-    and a long data set would cost some 3 MB a frame.
+    Large blocks of one frame are freed below small ones that HDF5 keeps until its file is closed;
+    glibc then holds on to all of them, and a long data set would cost some 3 MB a frame.
     """
     _trimmer()(0)
 
@@ -68,5 +75,9 @@ def trim() -> None:
 def _trimmer() -> Callable[[int], object]:
     try:
         return ctypes.CDLL(None).malloc_trim
-    except (AttributeError, OSError, TypeError):  # another C library, which returns large blocks by itself
+    except (
+        AttributeError,
+        OSError,
+        TypeError,
+    ):  # another C library, which returns large blocks by itself
         return lambda _: None

@@ -18,8 +18,9 @@ _REFRESH_S = 0.2
 def track(items: Iterable[T], doing: str) -> Iterator[T]:
     """Pass `items` through and show how many are done; on a terminal as a bar, in a log as one line when finished.
 
-    Where the caller's loop raises, this generator ends when Python's garbage collector finds it, in whichever thread that runs. So the thread that
-    keeps the clock running is told to end and never waited for; rich's own is joined, which from within that very thread never returns.
+    Where the caller's loop raises, this generator ends when Python's garbage collector finds it, in
+    whichever thread that runs. So the thread that keeps the clock running is told to end and never
+    waited for; rich's own is joined, which from within that very thread never returns.
     """
     total = len(items) if isinstance(items, Sized) else None
     ended = threading.Event()
@@ -49,5 +50,10 @@ def bar(doing: str, total: int) -> Iterator[Callable[[], None]]:
 
 
 def _progress(*, refresh: bool) -> Progress:
-    columns = (TextColumn("{task.description:<38}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
+    columns = (
+        TextColumn("{task.description:<38}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+    )
     return Progress(*columns, console=console, auto_refresh=refresh)

@@ -21,7 +21,9 @@ def printable(text: str, longest: int = 80) -> str:
 def sentence(model: type[BaseModel], error: ValidationError, prefix: str = "") -> str:
     """The first fault of values that are not a `model`: the key behind `prefix`, what was expected and what came."""
     faults = error.errors(include_url=False)
-    fault = next((f for f in faults if f["type"] == "extra_forbidden"), faults[0])  # a typo explains the missing key
+    fault = next(
+        (f for f in faults if f["type"] == "extra_forbidden"), faults[0]
+    )  # a typo explains the missing key
     path = [str(part) for part in _key_path(fault["loc"])]
     key = prefix + ".".join(path)
     return f"{key + ': ' if key else ''}{_text(model, fault, path)}"
@@ -32,7 +34,11 @@ def _text(model: type[BaseModel], fault: Any, path: list[str]) -> str:
     if kind == "extra_forbidden":
         known = _keys_at(model, path[:-1])
         near = difflib.get_close_matches(path[-1], known, 1, 0.4)
-        return f"unknown key; did you mean {near[0]}?" if near else f"unknown key; expected one of {', '.join(known)}"
+        return (
+            f"unknown key; did you mean {near[0]}?"
+            if near
+            else f"unknown key; expected one of {', '.join(known)}"
+        )
     if kind == "missing":
         return "this key is missing"
     text = str(fault["msg"]).removeprefix("Value error, ")
@@ -44,7 +50,9 @@ def _text(model: type[BaseModel], fault: Any, path: list[str]) -> str:
 def _key_path(loc: tuple[Any, ...]) -> list[Any]:
     """The fault's place as TOML keys: without the tags that pydantic adds for the kinds of a union."""
     tags = {"grid", "ring", "line", "cross", "list"}
-    return [part for i, part in enumerate(loc) if not (i and loc[i - 1] == "layout" and part in tags)]
+    return [
+        part for i, part in enumerate(loc) if not (i and loc[i - 1] == "layout" and part in tags)
+    ]
 
 
 def _keys_at(model: type[BaseModel], path: list[str]) -> list[str]:
@@ -53,12 +61,21 @@ def _keys_at(model: type[BaseModel], path: list[str]) -> list[str]:
     for part in path:
         if part.isdigit():
             continue
-        models = [inner for outer in models if part in outer.model_fields for inner in _models_in(outer.model_fields[part].annotation)]
+        models = [
+            inner
+            for outer in models
+            if part in outer.model_fields
+            for inner in _models_in(outer.model_fields[part].annotation)
+        ]
     return sorted({name for table in models for name in table.model_fields})
 
 
 def _models_in(annotation: Any) -> list[type[BaseModel]]:
-    if isinstance(annotation, type) and issubclass(annotation, BaseModel) and not isinstance(annotation, types.GenericAlias):
+    if (
+        isinstance(annotation, type)
+        and issubclass(annotation, BaseModel)
+        and not isinstance(annotation, types.GenericAlias)
+    ):
         return [annotation]
     return [model for inner in typing.get_args(annotation) for model in _models_in(inner)]
 

@@ -13,7 +13,8 @@ from sabench.utils.errors import InputError
 
 _RELATIVE = 1e-13  # next to nothing: the least that scipy takes is 100 roundings
 _MOST = 50_000  # velocities of a particle's path
-_AT_ONCE = 20_000  # particles whose paths share their steps: one fast particle costs these no more than its own steps
+# particles whose paths share their steps: one fast particle costs these no more than its own steps
+_AT_ONCE = 20_000
 
 
 def advect(flow: Flow, points_mm: F64, start_s: float, end_s: float, tolerance_mm: float) -> F64:
@@ -21,7 +22,8 @@ def advect(flow: Flow, points_mm: F64, start_s: float, end_s: float, tolerance_m
 
     Parameters
     ----------
-    tolerance_mm : largest error of a step of any particle, as Dormand and Prince's eighth-order pair estimates it.
+    tolerance_mm : largest error of a step of any particle, as Dormand and Prince's eighth-order
+        pair estimates it.
     """
     out = np.array(points_mm, dtype=np.float64)
     if start_s == end_s:
@@ -44,5 +46,13 @@ def _carried(flow: Flow, points: F64, start_s: float, end_s: float, tolerance_mm
         return flow.velocity(flat.reshape(-1, 3), time).ravel()
 
     atol = tolerance_mm / np.sqrt(points.size)
-    done = solve_ivp(velocity, (start_s, end_s), points.ravel(), "DOP853", rtol=_RELATIVE, atol=atol, t_eval=(end_s,))
+    done = solve_ivp(
+        velocity,
+        (start_s, end_s),
+        points.ravel(),
+        "DOP853",
+        rtol=_RELATIVE,
+        atol=atol,
+        t_eval=(end_s,),
+    )
     return np.asarray(done.y[:, -1].reshape(-1, 3))

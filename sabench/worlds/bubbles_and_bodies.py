@@ -16,7 +16,10 @@ from sabench.utils.arrays import I64
 from sabench.utils.errors import InputError
 from sabench.worlds.library.random_packing import overlapping, touching
 
-_SMALL, _LARGE = 0.01, 20.0  # of the volume's largest edge: a body beyond these is taken to be in another unit
+_SMALL, _LARGE = (
+    0.01,
+    20.0,
+)  # of the volume's largest edge: a body beyond these is taken to be in another unit
 _NAMED = 3  # bubbles that an error names
 
 
@@ -25,9 +28,14 @@ class Phases:
 
     def __init__(self, scene: Scene, seed: int) -> None:
         self.scene, self.seed = scene, seed
-        self._bubbles: BubbleGenerator | None = generator_of(scene.bubbles) if scene.bubbles else None
+        self._bubbles: BubbleGenerator | None = (
+            generator_of(scene.bubbles) if scene.bubbles else None
+        )
         self._solids: list[SolidGenerator] = [generator_of(given) for given in scene.solids or ()]
-        self._bodies = [_closed(generator.body(seed), f"{scene.title}: solids.{n}", scene) for n, generator in enumerate(self._solids)]
+        self._bodies = [
+            _closed(generator.body(seed), f"{scene.title}: solids.{n}", scene)
+            for n, generator in enumerate(self._solids)
+        ]
 
     def bubbles(self, frame: int) -> Bubbles:
         """The bubbles of a frame.
@@ -35,11 +43,20 @@ class Phases:
         Raises
         ------
         InputError
-            One that a wall cuts, that reaches into a body, or into another one although the scene does not ask for that.
+            One that a wall cuts, that reaches into a body, or into another one although the scene
+            does not ask for that.
         """
         if self._bubbles is None:
-            return Bubbles(np.zeros(0, dtype=np.int64), np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 3, 3)), np.zeros((0, 3)))
-        made = self._bubbles.bubbles(domain_of(self.scene), self.seed, frame, self.scene.time_s(frame))
+            return Bubbles(
+                np.zeros(0, dtype=np.int64),
+                np.zeros((0, 3)),
+                np.zeros((0, 3)),
+                np.zeros((0, 3, 3)),
+                np.zeros((0, 3)),
+            )
+        made = self._bubbles.bubbles(
+            domain_of(self.scene), self.seed, frame, self.scene.time_s(frame)
+        )
         where = f"{self.scene.title}: bubbles of frame {frame}"
         _check_walls(made, self.scene, where)
         if not self._bubbles.parameters.overlap:
@@ -67,8 +84,12 @@ class Phases:
 
 def pose_of(parameters: SolidParameters, time_s: float) -> Pose:
     """Where a body is at a time."""
-    turn = exponential(np.deg2rad(parameters.turn_deg)) @ exponential(np.deg2rad(parameters.spin_deg_s) * time_s)
-    return Pose(turn, np.asarray(parameters.place_mm) + np.asarray(parameters.velocity_mm_s) * time_s)
+    turn = exponential(np.deg2rad(parameters.turn_deg)) @ exponential(
+        np.deg2rad(parameters.spin_deg_s) * time_s
+    )
+    return Pose(
+        turn, np.asarray(parameters.place_mm) + np.asarray(parameters.velocity_mm_s) * time_s
+    )
 
 
 def _closed(body: Solid, where: str, scene: Scene) -> Solid:
@@ -76,13 +97,19 @@ def _closed(body: Solid, where: str, scene: Scene) -> Solid:
     import trimesh
 
     mesh = trimesh.Trimesh(body.vertices_mm, body.faces, process=False)
-    merged = trimesh.Trimesh(body.vertices_mm, body.faces, process=True)  # joins vertices that files list once for every face
+    merged = trimesh.Trimesh(
+        body.vertices_mm, body.faces, process=True
+    )  # joins vertices that files list once for every face
     if not merged.is_watertight or not merged.is_winding_consistent:
         open_edges = int((np.bincount(merged.edges_unique_inverse) != 2).sum())
-        raise InputError(f"{where}: expected a closed surface, but {open_edges} of its edges do not have two faces")
+        raise InputError(
+            f"{where}: expected a closed surface, but {open_edges} of its edges do not have two faces"
+        )
     largest, volume = float(np.ptp(body.vertices_mm, axis=0).max()), max(scene.volume.size_mm)
     if not _SMALL * volume <= largest <= _LARGE * volume:
-        raise InputError(f"{where}: expected a body of a size like the volume's ({volume:g} mm), got {largest:.3g} mm: is its unit right?")
+        raise InputError(
+            f"{where}: expected a body of a size like the volume's ({volume:g} mm), got {largest:.3g} mm: is its unit right?"
+        )
     faces = mesh.faces if merged.volume > 0.0 else mesh.faces[:, ::-1]
     return Solid(np.asarray(body.vertices_mm, dtype=np.float64), np.asarray(faces, dtype=np.int64))
 
@@ -97,17 +124,25 @@ def _check_walls(bubbles: Bubbles, scene: Scene, where: str) -> None:
     wall = build_wall(scene.wall) if scene.wall else None
     if wall is None or not len(bubbles):
         return
-    depth, reach, (near, far) = wall.depth_of(bubbles.center_mm), bubbles.reach_mm(wall.normal), _depths(wall)
+    depth, reach, (near, far) = (
+        wall.depth_of(bubbles.center_mm),
+        bubbles.reach_mm(wall.normal),
+        _depths(wall),
+    )
     cut = np.flatnonzero((depth - reach < near) | (depth + reach > far))
     if len(cut):
-        raise InputError(f"{where}: expected all of them in the fluid, but a wall cuts {len(cut)}: {_named(bubbles, cut)}")
+        raise InputError(
+            f"{where}: expected all of them in the fluid, but a wall cuts {len(cut)}: {_named(bubbles, cut)}"
+        )
 
 
 def _check_apart(bubbles: Bubbles, where: str) -> None:
     pairs = overlapping(bubbles)
     if len(pairs):
         first, second = (_named(bubbles, pairs[:1, side]) for side in (0, 1))
-        raise InputError(f"{where}: expected none to reach into another (overlap = true allows it), but {len(pairs)} pairs do: {first} and {second}")
+        raise InputError(
+            f"{where}: expected none to reach into another (overlap = true allows it), but {len(pairs)} pairs do: {first} and {second}"
+        )
 
 
 def _check_beside(bubbles: Bubbles, solid: Solid, where: str, name: str) -> None:
@@ -116,7 +151,9 @@ def _check_beside(bubbles: Bubbles, solid: Solid, where: str, name: str) -> None
         return
     bad = np.flatnonzero(touching(bubbles, solid))
     if len(bad):
-        raise InputError(f"{where}: expected none to reach into a body, but {len(bad)} reach into {name}: {_named(bubbles, bad)}")
+        raise InputError(
+            f"{where}: expected none to reach into a body, but {len(bad)} reach into {name}: {_named(bubbles, bad)}"
+        )
 
 
 def _check_tank(solid: Solid, scene: Scene, where: str) -> None:
@@ -126,7 +163,9 @@ def _check_tank(solid: Solid, scene: Scene, where: str) -> None:
     depth, (near, far) = wall.depth_of(solid.vertices_mm), _depths(wall)
     if depth.min() < near or depth.max() > far:
         got = f"{depth.min():.4g} to {depth.max():.4g}"
-        raise InputError(f"{where}: expected it in the tank, {near:g} to {far:g} mm behind the wall's outer face, but it reaches from {got} mm")
+        raise InputError(
+            f"{where}: expected it in the tank, {near:g} to {far:g} mm behind the wall's outer face, but it reaches from {got} mm"
+        )
 
 
 def _named(bubbles: Bubbles, which: I64) -> str:

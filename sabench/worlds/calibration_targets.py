@@ -21,7 +21,10 @@ def place(scene: Scene, seed: int) -> Placed:
     plugin = plugins.load("generators", given.pop("generator"))
     maker: TargetGenerator = plugin(plugin.Parameters(**given))
     domain = domain_of(scene)
-    return Placed(maker.target(), tuple(maker.pose(domain, seed, frame, scene.frames) for frame in range(scene.frames)))
+    return Placed(
+        maker.target(),
+        tuple(maker.pose(domain, seed, frame, scene.frames) for frame in range(scene.frames)),
+    )
 
 
 def exact_pixels(camera: Camera, points_mm: F64) -> F64:
@@ -31,7 +34,9 @@ def exact_pixels(camera: Camera, points_mm: F64) -> F64:
     return pixels.reshape(*points_mm.shape[:2], 2)
 
 
-def found_pixels(detection: Detection | None, exact: F64, seed: int, camera: int) -> tuple[F64, Bool]:
+def found_pixels(
+    detection: Detection | None, exact: F64, seed: int, camera: int
+) -> tuple[F64, Bool]:
     """Pixels (frame, point, 2) as they are found, NaN where they are not, and which are outliers (frame, point)."""
     if detection is None:
         return exact.copy(), np.zeros(exact.shape[:2], dtype=np.bool_)
@@ -39,7 +44,11 @@ def found_pixels(detection: Detection | None, exact: F64, seed: int, camera: int
     noise, elsewhere = rng.standard_normal(exact.shape), rng.standard_normal(exact.shape)
     chance, half = rng.random((3, *exact.shape[:2])), rng.random((len(exact), 3))
     outliers = np.asarray(chance[0] < detection.outliers)
-    pixels = exact + detection.noise_px * noise + np.where(outliers[..., None], detection.outlier_px * elsewhere, 0.0)
+    pixels = (
+        exact
+        + detection.noise_px * noise
+        + np.where(outliers[..., None], detection.outlier_px * elsewhere, 0.0)
+    )
     pixels[(chance[1] < detection.missing) | _hidden(detection, exact, half)] = np.nan
     return pixels, outliers & np.isfinite(pixels).all(axis=-1)
 
@@ -68,7 +77,11 @@ def prior(scene: Scene, placed: Placed, seed: int) -> Prior:
     rough, known, sigma = exact.copy(), np.full_like(exact, np.nan), np.full_like(exact, np.nan)
     if spec is None:
         return Prior(rough, known, sigma)
-    rough += spec.points * max(scene.volume.size_mm) * stream(seed, "rough points").standard_normal(exact.shape)
+    rough += (
+        spec.points
+        * max(scene.volume.size_mm)
+        * stream(seed, "rough points").standard_normal(exact.shape)
+    )
     if spec.blank:
         rough[:] = placed.target.points_mm + np.asarray(scene.volume.center_mm)
     rng = stream(seed, "known points")
@@ -80,5 +93,8 @@ def prior(scene: Scene, placed: Placed, seed: int) -> Prior:
             )
         axes = ["xyz".index(axis) for axis in point.axes]
         drawn = exact[point.frame, point.point] + point.sigma_mm * rng.standard_normal(3)
-        known[point.frame, point.point, axes], sigma[point.frame, point.point, axes] = drawn[axes], point.sigma_mm
+        known[point.frame, point.point, axes], sigma[point.frame, point.point, axes] = (
+            drawn[axes],
+            point.sigma_mm,
+        )
     return Prior(rough, known, sigma)

@@ -13,7 +13,10 @@ from sabench.worlds.bubbles_and_bodies import pose_of
 
 def has_code(scene: Scene) -> bool:
     """Whether one of a scene's bodies has a code."""
-    return any(issubclass(plugins.load("generators", given["generator"]), CodeGenerator) for given in scene.solids or ())
+    return any(
+        issubclass(plugins.load("generators", given["generator"]), CodeGenerator)
+        for given in scene.solids or ()
+    )
 
 
 def code_of(scene: Scene, seed: int, frame: int) -> Code:
@@ -22,5 +25,10 @@ def code_of(scene: Scene, seed: int, frame: int) -> Code:
     for generator in (generator_of(given) for given in scene.solids or ()):
         if isinstance(generator, CodeGenerator):
             own, pose = generator.code(seed), pose_of(generator.parameters, scene.time_s(frame))
-            parts.append(Code(pose(own.points_mm.reshape(-1, 3)).reshape(own.points_mm.shape), own.dark))
-    return Code(np.concatenate([part.points_mm for part in parts]), np.concatenate([part.dark for part in parts]))
+            parts.append(
+                Code(pose(own.points_mm.reshape(-1, 3)).reshape(own.points_mm.shape), own.dark)
+            )
+    return Code(
+        np.concatenate([part.points_mm for part in parts]),
+        np.concatenate([part.dark for part in parts]),
+    )

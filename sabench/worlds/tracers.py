@@ -35,7 +35,8 @@ def flow_of(scene: Scene) -> Flow | None:
 class Motion:
     """All frames' particles of a scene and seed.
 
-    A frame depends on the frames before it: one that comes next is made from the last, any other from the first on. Either way gives the same.
+    A frame depends on the frames before it: one that comes next is made from the last, any other
+    from the first on. Either way gives the same.
     """
 
     def __init__(self, scene: Scene, seed: int) -> None:
@@ -72,7 +73,9 @@ class Motion:
         domain, time = domain_of(self.scene), self.scene.time_s(frame)
         if self._flow is None:
             return self._generator.particles(domain, self.seed, frame, time)
-        number, particles = self._last if self._last and self._last[0] <= frame else (0, self._first(domain))
+        number, particles = (
+            self._last if self._last and self._last[0] <= frame else (0, self._first(domain))
+        )
         while number < frame:
             number += 1
             particles = self._next(domain, particles, number)
@@ -93,14 +96,17 @@ class Motion:
     def _first(self, domain: Domain) -> Particles:
         made = self._generator.particles(domain, self.seed, 0, 0.0)
         if np.any(made.velocity_mm_s):
-            raise InputError(f"{self.scene.title}: particles: expected some that rest, for the flow to carry them, got some that move by themselves")
+            raise InputError(
+                f"{self.scene.title}: particles: expected some that rest, for the flow to carry them, got some that move by themselves"
+            )
         return self._at_speed(made, self.scene.time_s(0))
 
     def _next(self, domain: Domain, before: Particles, frame: int) -> Particles:
         """Those that stay in the volume, and those that enter.
 
-        Who enters is found backwards: a volume full of other particles is traced back, and those of it that come from outside are the new ones. For
-        a flow without divergence this keeps the density exactly, whatever the flow does at the faces.
+        Who enters is found backwards: a volume full of other particles is traced back, and those of
+        it that come from outside are the new ones. For a flow without divergence this keeps the
+        density exactly, whatever the flow does at the faces.
         """
         assert self._flow is not None
         start, end = self.scene.time_s(frame - 1), self.scene.time_s(frame)
@@ -110,9 +116,11 @@ class Motion:
         fresh = self._generator.particles(domain, seed, 0, 0.0)
         enter = ~_inside(domain, advect(self._flow, fresh.position_mm, end, start, self._tolerance))
         both = Particles(
-            np.concatenate([before.id[stay], frame * _NEWER + fresh.id[enter]]), np.concatenate([there[stay], fresh.position_mm[enter]]),
-            np.concatenate([before.diameter_mm[stay], fresh.diameter_mm[enter]]), np.zeros((int(stay.sum() + enter.sum()), 3)),
-        )  # fmt: skip
+            np.concatenate([before.id[stay], frame * _NEWER + fresh.id[enter]]),
+            np.concatenate([there[stay], fresh.position_mm[enter]]),
+            np.concatenate([before.diameter_mm[stay], fresh.diameter_mm[enter]]),
+            np.zeros((int(stay.sum() + enter.sum()), 3)),
+        )
         return self._at_speed(both, end)
 
     def _at_speed(self, particles: Particles, time_s: float) -> Particles:
@@ -122,14 +130,19 @@ class Motion:
 
 def _inside(domain: Domain, points_mm: F64) -> Bool:
     low = domain.low_mm
-    return np.asarray(((points_mm >= low) & (points_mm <= low + np.asarray(domain.size_mm))).all(axis=1))
+    return np.asarray(
+        ((points_mm >= low) & (points_mm <= low + np.asarray(domain.size_mm))).all(axis=1)
+    )
 
 
 def lattice(scene: Scene, frame: int, step_mm: tuple[float, float, float]) -> tuple[Velocity, F64]:
     """A frame's exact velocities on a lattice centred in the volume, and their gradients (z, y, x, 3, 3) in 1/s."""
     flow = flow_of(scene)
     assert flow is not None
-    counts = [int(size / step * (1.0 + 1e-12)) + 1 for size, step in zip(scene.volume.size_mm, step_mm, strict=True)]
+    counts = [
+        int(size / step * (1.0 + 1e-12)) + 1
+        for size, step in zip(scene.volume.size_mm, step_mm, strict=True)
+    ]
     low = np.asarray(scene.volume.center_mm) - (np.array(counts) - 1) / 2.0 * np.asarray(step_mm)
     valid = np.ones(counts[::-1], dtype=np.bool_)
     field = Velocity(triple(low), step_mm, np.zeros((*valid.shape, 3)), valid)
@@ -146,9 +159,15 @@ def pulse(scene: Scene, seed: int, frame: int) -> Illumination:
     number = frame % len(timing.pulses_s)
     energy = timing.energy[number] if timing.energy else 1.0
     if timing.energy_spread:
-        energy *= max(0.0, 1.0 + timing.energy_spread * float(stream(seed, "pulse energy", frame).standard_normal()))
+        energy *= max(
+            0.0,
+            1.0
+            + timing.energy_spread * float(stream(seed, "pulse energy", frame).standard_normal()),
+        )
     shift = (light.shift_mm or 0.0) + (timing.shift_mm[number] if timing.shift_mm else 0.0)
-    return light.model_copy(update={"pulse_energy_mj": light.pulse_energy_mj * energy, "shift_mm": shift})
+    return light.model_copy(
+        update={"pulse_energy_mj": light.pulse_energy_mj * energy, "shift_mm": shift}
+    )
 
 
 def moments(duration_s: float, steps: int) -> Iterator[float]:

@@ -16,7 +16,9 @@ def main() -> None:
     between = {(one, other) for one, other in found if one != other}
     print(f"rooms in sabench/ {len(rooms(package))}")
     print(f"floors            {height(between)}")
-    print(f"arrows            {len(between)} between rooms, {len(arrows(package, files=True))} between files")
+    print(
+        f"arrows            {len(between)} between rooms, {len(arrows(package, files=True))} between files"
+    )
     print(f"circles           {[sorted(one) for one in circles(between)]}")
     for part in ("sabench", "generators", "solvers", "tests", "benchmarks"):
         print(f"lines of {part:10} {lines(root / part)}")

@@ -22,7 +22,9 @@ FLOORS = (
 
 def rooms(package: Path) -> set[str]:
     """Names of the packages and modules that lie directly in a package."""
-    found = {file.relative_to(package).parts[0].removesuffix(".py") for file in package.rglob("*.py")}
+    found = {
+        file.relative_to(package).parts[0].removesuffix(".py") for file in package.rglob("*.py")
+    }
     return found - {"__init__", "__main__", "_plugins"}
 
 
@@ -44,7 +46,11 @@ def imports(file: Path, known: set[str]) -> set[str]:
     """Modules of the package that a file imports anywhere."""
     package, found = file_package(known), set()
     for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
-        if isinstance(node, ast.ImportFrom) and node.module and node.module.split(".")[0] == package:
+        if (
+            isinstance(node, ast.ImportFrom)
+            and node.module
+            and node.module.split(".")[0] == package
+        ):
             whole = [f"{node.module}.{alias.name}" for alias in node.names]
             found |= {name if name in known else str(node.module) for name in whole}
         elif isinstance(node, ast.Import):
@@ -92,7 +98,10 @@ def circles(between: Arrows) -> set[frozenset[str]]:
 
     reached = {room: reach(room) for room in below}
     inside = {room for room in reached if room in reached[room]}
-    return {frozenset({one, *(other for other in reached[one] & inside if one in reached[other])}) for one in inside}
+    return {
+        frozenset({one, *(other for other in reached[one] & inside if one in reached[other])})
+        for one in inside
+    }
 
 
 def lines(folder: Path) -> int:

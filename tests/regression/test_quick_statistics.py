@@ -17,13 +17,20 @@ GOLDEN = Path(__file__).with_name("quick_statistics.json")
 def measure(dataset: Dataset, result: Path) -> dict[str, float]:
     """Radiance (noise-free), grey values and scores."""
     figures: dict[str, float] = {}
-    for camera, radiance, grey in zip(dataset.rig.cameras, dataset.radiance(0), dataset.observation(0).images, strict=True):
-        figures |= {f"{camera.name} radiance": float(radiance.mean(dtype=np.float64)), f"{camera.name} grey": float(grey.mean())}
+    for camera, radiance, grey in zip(
+        dataset.rig.cameras, dataset.radiance(0), dataset.observation(0).images, strict=True
+    ):
+        figures |= {
+            f"{camera.name} radiance": float(radiance.mean(dtype=np.float64)),
+            f"{camera.name} grey": float(grey.mean()),
+        }
     scores = sabench.score(dataset, result)
     return figures | {key: float(scores[key]) for key in ("q", "precision", "recall", "rms_px")}
 
 
-def test_statistics_are_as_recorded(quick: Dataset, quick_result: Path, request: pytest.FixtureRequest) -> None:
+def test_statistics_are_as_recorded(
+    quick: Dataset, quick_result: Path, request: pytest.FixtureRequest
+) -> None:
     """Other processors round single precision otherwise: 1e-3 covers that in means; scores of 255 particles move in steps of 1/255."""
     figures = measure(quick, quick_result)
     if request.config.getoption("--update-golden"):

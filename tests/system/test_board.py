@@ -21,12 +21,35 @@ HOSTILE = "</script><script>alert(1)</script><!--<script>"
 
 def record(solver: str, q: float | None = None, **changes: Any) -> Record:
     """A record as a run writes it, with only the scores that are asked for."""
-    scores = dict.fromkeys(("q", "true_percent", "ghost_percent", "precision", "recall", "rms_px", "seconds", "peak_mb"))
+    scores = dict.fromkeys(
+        (
+            "q",
+            "true_percent",
+            "ghost_percent",
+            "precision",
+            "recall",
+            "rms_px",
+            "seconds",
+            "peak_mb",
+        )
+    )
     return {
-        "scene": "tank", "scene_hash": "5c" * 32, "dataset": "da" * 32, "seed": 1, "renderer": "splat", "solver": solver,
-        "parameters": {}, **scores, "q": q, "error": None, "versions": {"numpy": "2.0"}, "pictures": None, "run_hash": "0123456789abcdef",
-        "machine": {"cpu": "some processor", "cores": 8, "system": "Linux", "backend": "llvm"}, **changes,
-    }  # fmt: skip
+        "scene": "tank",
+        "scene_hash": "5c" * 32,
+        "dataset": "da" * 32,
+        "seed": 1,
+        "renderer": "splat",
+        "solver": solver,
+        "parameters": {},
+        **scores,
+        "q": q,
+        "error": None,
+        "versions": {"numpy": "2.0"},
+        "pictures": None,
+        "run_hash": "0123456789abcdef",
+        "machine": {"cpu": "some processor", "cores": 8, "system": "Linux", "backend": "llvm"},
+        **changes,
+    }
 
 
 def page_of(records: list[Record], folder: Path) -> str:
@@ -37,7 +60,9 @@ def page_of(records: list[Record], folder: Path) -> str:
 
 def block(text: str, name: str = "data") -> Any:
     """A block of JSON in a page."""
-    found = re.findall(rf'<script type="application/json" id="{name}">(.*?)</script>', text, re.DOTALL)
+    found = re.findall(
+        rf'<script type="application/json" id="{name}">(.*?)</script>', text, re.DOTALL
+    )
     assert len(found) == 1
     return json.loads(found[0])
 
@@ -53,9 +78,13 @@ def draw(folder: Path, names: list[str]) -> None:
     rng = np.random.default_rng(1)
     volume = rng.random((9, 30, 40)).astype(np.float32) ** 20
     folder.mkdir(parents=True)
-    (folder / "images.png").write_bytes(pictures.montage(rng.integers(90, 3000, (6, 48, 64), dtype=np.uint16), 100.0, 4095.0))
+    (folder / "images.png").write_bytes(
+        pictures.montage(rng.integers(90, 3000, (6, 48, 64), dtype=np.uint16), 100.0, 4095.0)
+    )
     for name in names:
-        (folder / name).write_bytes(pictures.slice_picture(volume, (slice(0, 9), slice(2, 28), slice(3, 37))))
+        (folder / name).write_bytes(
+            pictures.slice_picture(volume, (slice(0, 9), slice(2, 28), slice(3, 37)))
+        )
 
 
 # The page as text
@@ -63,10 +92,19 @@ def draw(folder: Path, names: list[str]) -> None:
 
 def test_no_text_of_a_record_is_markup(tmp_path: Path) -> None:
     plain = page_of([record("plain", 0.5)], tmp_path)
-    hostile = record(HOSTILE, 0.5, scene="<img src=x onerror=alert(2)>", parameters={'"quoted"': "' onclick='alert(3)"}, label="<b>")
+    hostile = record(
+        HOSTILE,
+        0.5,
+        scene="<img src=x onerror=alert(2)>",
+        parameters={'"quoted"': "' onclick='alert(3)"},
+        label="<b>",
+    )
     text = page_of([hostile, record("b", error="<b>bad</b>")], tmp_path)
     assert solvers(text) == ["<b>", "b"]
-    outside = [re.sub(r'(?<=id="data">).*?(?=</script>)', "", one, count=1, flags=re.DOTALL) for one in (plain, text)]
+    outside = [
+        re.sub(r'(?<=id="data">).*?(?=</script>)', "", one, count=1, flags=re.DOTALL)
+        for one in (plain, text)
+    ]
     assert outside[0] == outside[1]
 
 
@@ -81,11 +119,20 @@ def test_the_page_loads_nothing_and_runs_two_scripts_only(tmp_path: Path) -> Non
     assert "default-src 'none'; img-src data:; style-src 'sha256-" in policy[0]
     assert "unsafe" not in policy[0]
     assert policy[0].count("sha256-") == 3
-    assert not re.search(r"<link(?! rel=\"icon\" href=\"data:,\")|@import|url\(|<[a-z]+ src=", text.replace(page.library(), ""))
+    assert not re.search(
+        r"<link(?! rel=\"icon\" href=\"data:,\")|@import|url\(|<[a-z]+ src=",
+        text.replace(page.library(), ""),
+    )
 
 
 def test_rows_are_ranked_and_cases_kept_apart(tmp_path: Path) -> None:
-    records = [record("low", 0.1), record("unknown"), record("failed", error="it broke"), record("high", 0.9), record("alone", 0.5, case="tank-2")]
+    records = [
+        record("low", 0.1),
+        record("unknown"),
+        record("failed", error="it broke"),
+        record("high", 0.9),
+        record("alone", 0.5, case="tank-2"),
+    ]
     text = page_of(records, tmp_path)
     assert solvers(text) == ["high", "low", "unknown", "failed", "alone"]
     assert [case["name"] for case in block(text)["cases"]] == ["tank", "tank-2"]
@@ -99,27 +146,53 @@ def test_cases_come_in_the_order_of_the_numbers_in_their_names(tmp_path: Path) -
 
 
 def test_seeds_of_a_case_become_one_row(tmp_path: Path) -> None:
-    seeds = [record("a", q, seed=seed, case="tank-0.1", axes={"particles.per_pixel": 0.1}) for seed, q in ((2, 0.6), (1, 0.5), (3, 0.7))]
-    others = [record("b", 0.4, seed=1, case="tank-0.1"), record("a", 0.9, seed=1, case="tank-0.1", label="tuned", parameters={"k": 2})]
+    seeds = [
+        record("a", q, seed=seed, case="tank-0.1", axes={"particles.per_pixel": 0.1})
+        for seed, q in ((2, 0.6), (1, 0.5), (3, 0.7))
+    ]
+    others = [
+        record("b", 0.4, seed=1, case="tank-0.1"),
+        record("a", 0.9, seed=1, case="tank-0.1", label="tuned", parameters={"k": 2}),
+    ]
     data = block(page_of([*seeds, *others], tmp_path))
     assert [data["texts"][row["solver"]] for row in data["rows"]] == ["tuned", "a", "b"]
-    assert [row["scores"][0] for row in data["rows"]] == [[0.9], [0.6, pytest.approx(0.248414, abs=1e-6)], [0.4]]
+    assert [row["scores"][0] for row in data["rows"]] == [
+        [0.9],
+        [0.6, pytest.approx(0.248414, abs=1e-6)],
+        [0.4],
+    ]
     assert data["rows"][1]["seeds"] == [1, 2, 3]
     assert data["rows"][1]["values"][0] == [0.5, 0.6, 0.7]
     assert data["cases"][0]["axes"] == "particles.per_pixel 0.1"
 
 
 def test_a_score_that_some_seeds_lack_is_the_mean_of_the_others() -> None:
-    (row,) = rows.over_seeds([record("a", 0.5, seed=1, rms_px=0.25), record("a", 0.7, seed=2, error="it broke")])
+    (row,) = rows.over_seeds(
+        [record("a", 0.5, seed=1, rms_px=0.25), record("a", 0.7, seed=2, error="it broke")]
+    )
     assert (row["case"], row["seeds"], row["error"]) == ("tank", [1, 2], "1 of 2 seeds: it broke")
-    assert (row["q"].mean, row["rms_px"].mean, row["rms_px"].half_width, row["recall"]) == (0.6, 0.25, None, None)
+    assert (row["q"].mean, row["rms_px"].mean, row["rms_px"].half_width, row["recall"]) == (
+        0.6,
+        0.25,
+        None,
+        None,
+    )
 
 
-@pytest.mark.parametrize("changes", [
-    {"machine": {"cpu": "another"}}, {"renderer": "mitsuba"}, {"split": "hidden"}, {"submission": {"name": "somebody", "date": "2026-01-02"}},
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"machine": {"cpu": "another"}},
+        {"renderer": "mitsuba"},
+        {"split": "hidden"},
+        {"submission": {"name": "somebody", "date": "2026-01-02"}},
+    ],
+)
 def test_what_is_not_the_same_entry_is_another_row(changes: dict[str, Any]) -> None:
-    assert [row["q"].mean for row in rows.over_seeds([record("a", 0.5), record("a", 0.6, seed=2, **changes)])] == [0.5, 0.6]
+    assert [
+        row["q"].mean
+        for row in rows.over_seeds([record("a", 0.5), record("a", 0.6, seed=2, **changes)])
+    ] == [0.5, 0.6]
 
 
 @pytest.mark.parametrize("value", [float("nan"), 1e300, True, "0.5", [0.5]])
@@ -146,36 +219,67 @@ def test_pictures_outside_the_folder_are_refused(tmp_path: Path, name: str) -> N
 
 
 @pytest.mark.parametrize(
-    "changes", [{"pictures": "x" * 300}, {"pictures": "tank", "solver": "x" * 300}, {"pictures": "a\0b"}, {"pictures": "\ud800"}]
+    "changes",
+    [
+        {"pictures": "x" * 300},
+        {"pictures": "tank", "solver": "x" * 300},
+        {"pictures": "a\0b"},
+        {"pictures": "\ud800"},
+    ],
 )
-def test_names_that_no_file_can_have_are_no_pictures(tmp_path: Path, changes: dict[str, Any]) -> None:
+def test_names_that_no_file_can_have_are_no_pictures(
+    tmp_path: Path, changes: dict[str, Any]
+) -> None:
     assert solvers(page_of([record("a", 0.5) | changes], tmp_path)) == [changes.get("solver", "a")]
 
 
 def test_pictures_are_those_of_the_seed_that_has_them(tmp_path: Path) -> None:
     draw(tmp_path / "pictures" / "tank-2", ["truth.png", "a-22222222.png", "a-22222222.error.png"])
-    seeds = [record("a", 0.5, run_hash="11111111aa"), record("a", 0.6, seed=2, run_hash="22222222bb", pictures="tank-2")]
+    seeds = [
+        record("a", 0.5, run_hash="11111111aa"),
+        record("a", 0.6, seed=2, run_hash="22222222bb", pictures="tank-2"),
+    ]
     assert set(block(page_of(seeds, tmp_path), "album0")) == {"images", "truth", "row0", "error0"}
 
 
-def test_pictures_beyond_the_budget_are_left_out_worst_first(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_pictures_beyond_the_budget_are_left_out_worst_first(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     draw(tmp_path / "pictures" / "tank-1", ["truth.png", "best-01234567.png", "worst-01234567.png"])
-    sizes = {path.name: path.stat().st_size for path in (tmp_path / "pictures" / "tank-1").iterdir()}
+    sizes = {
+        path.name: path.stat().st_size for path in (tmp_path / "pictures" / "tank-1").iterdir()
+    }
     monkeypatch.setattr(page, "_PICTURES_BYTES", sum(sizes.values()) * 4 // 3 - 1)
-    text = page_of([record("worst", 0.1, pictures="tank-1"), record("best", 0.9, pictures="tank-1")], tmp_path)
+    text = page_of(
+        [record("worst", 0.1, pictures="tank-1"), record("best", 0.9, pictures="tank-1")], tmp_path
+    )
     assert set(block(text, "album0")) == {"images", "truth", "row0"}
     assert block(text)["leftOut"] == 1
 
 
-@pytest.mark.parametrize(("told", "expected"), [
-    (["sabench run s --seed {} --solver a"] * 3, ["sabench run s --seed 1 --seed 2 --seed 12 --solver a"]),
-    (["sabench run s --seed {}"] * 3, ["sabench run s --seed 1 --seed 2 --seed 12"]),
-    (["sabench run s"] * 3, ["sabench run s"]),
-    (["sabench run s --seed {}", "sabench run t --seed {}", None], ["sabench run s --seed 1", "sabench run t --seed 2"]),
-    ([None] * 3, []),
-])  # fmt: skip
-def test_one_command_makes_all_seeds_of_a_row_again(told: list[str | None], expected: list[str]) -> None:
-    runs = [record("a", seed=seed, command=text and text.format(seed)) for seed, text in zip((1, 2, 12), told, strict=True)]
+@pytest.mark.parametrize(
+    ("told", "expected"),
+    [
+        (
+            ["sabench run s --seed {} --solver a"] * 3,
+            ["sabench run s --seed 1 --seed 2 --seed 12 --solver a"],
+        ),
+        (["sabench run s --seed {}"] * 3, ["sabench run s --seed 1 --seed 2 --seed 12"]),
+        (["sabench run s"] * 3, ["sabench run s"]),
+        (
+            ["sabench run s --seed {}", "sabench run t --seed {}", None],
+            ["sabench run s --seed 1", "sabench run t --seed 2"],
+        ),
+        ([None] * 3, []),
+    ],
+)
+def test_one_command_makes_all_seeds_of_a_row_again(
+    told: list[str | None], expected: list[str]
+) -> None:
+    runs = [
+        record("a", seed=seed, command=text and text.format(seed))
+        for seed, text in zip((1, 2, 12), told, strict=True)
+    ]
     assert page.commands(runs) == expected
 
 
@@ -184,7 +288,10 @@ def test_one_command_makes_all_seeds_of_a_row_again(told: list[str | None], expe
 
 def luminance(colour: str) -> float:
     channels = [int(colour[i : i + 2], 16) / 255.0 for i in (1, 3, 5)]
-    linear = [value / 12.92 if value <= 0.04045 else ((value + 0.055) / 1.055) ** 2.4 for value in channels]
+    linear = [
+        value / 12.92 if value <= 0.04045 else ((value + 0.055) / 1.055) ** 2.4
+        for value in channels
+    ]
     return float(np.dot(linear, (0.2126, 0.7152, 0.0722)))
 
 
@@ -194,12 +301,19 @@ def contrast(one: str, other: str) -> float:
 
 
 def source(name: str) -> str:
-    return (Path(page.__file__).resolve().parents[3] / "leaderboard" / "page" / name).read_text(encoding="utf-8")
+    return (Path(page.__file__).resolve().parents[3] / "leaderboard" / "page" / name).read_text(
+        encoding="utf-8"
+    )
 
 
 @pytest.mark.parametrize("mode", [0, 1], ids=["light", "dark"])
 def test_colours_can_be_told_from_their_ground(mode: int) -> None:
-    colours = dict(re.findall(r"--([a-z-]+): (#[0-9a-f]{6})", re.findall(r":root \{(.*?)\}", source("page.css"), re.DOTALL)[mode]))
+    colours = dict(
+        re.findall(
+            r"--([a-z-]+): (#[0-9a-f]{6})",
+            re.findall(r":root \{(.*?)\}", source("page.css"), re.DOTALL)[mode],
+        )
+    )
     assert contrast(colours["on-hidden"], colours["hidden"]) >= 4.5
     assert contrast(colours["page"], colours["link"]) >= 4.5
     assert contrast(colours["text"], colours["chip"]) >= 4.5
@@ -207,7 +321,9 @@ def test_colours_can_be_told_from_their_ground(mode: int) -> None:
     for name in ("text", "quiet", "error"):
         assert contrast(colours[name], colours["page"]) >= 4.5
         assert contrast(colours[name], colours["head"]) >= 4.5
-    palette = re.findall(r"#[0-9a-f]{6}", re.findall(r"(?:light|dark): \[(.*?)\]", source("plots.js"))[mode])
+    palette = re.findall(
+        r"#[0-9a-f]{6}", re.findall(r"(?:light|dark): \[(.*?)\]", source("plots.js"))[mode]
+    )
     assert len(set(palette)) == 8
     assert min(contrast(colour, colours["page"]) for colour in palette) >= 3.0
 
@@ -229,9 +345,13 @@ def test_a_lone_pixel_survives_the_montage() -> None:
     assert (mosaic == 255).sum() == 1
 
 
-@pytest.mark.parametrize(("cameras", "shape"), [(1, (40, 60)), (3, (60, 40)), (10, (48, 64)), (16, (7, 900))])
+@pytest.mark.parametrize(
+    ("cameras", "shape"), [(1, (40, 60)), (3, (60, 40)), (10, (48, 64)), (16, (7, 900))]
+)
 def test_any_array_makes_a_montage(cameras: int, shape: tuple[int, int]) -> None:
-    mosaic = decoded(pictures.montage(np.full((cameras, *shape), 100, dtype=np.uint16), 100.0, 4095.0))
+    mosaic = decoded(
+        pictures.montage(np.full((cameras, *shape), 100, dtype=np.uint16), 100.0, 4095.0)
+    )
     assert mosaic.shape[1] <= 900
     assert set(np.unique(mosaic)) <= {0, 200}
 
@@ -239,7 +359,9 @@ def test_any_array_makes_a_montage(cameras: int, shape: tuple[int, int]) -> None
 def test_a_slice_shows_the_central_window_of_the_scored_part() -> None:
     volume = np.zeros((5, 320, 260), dtype=np.float32)
     scored = (slice(1, 4), slice(10, 310), slice(20, 240))
-    volume[2, 10 + 50, 20 + 10] = 1.0  # the window's first voxel: (300 - 200) / 2 down, (220 - 200) / 2 across
+    volume[2, 10 + 50, 20 + 10] = (
+        1.0  # the window's first voxel: (300 - 200) / 2 down, (220 - 200) / 2 across
+    )
     volume[1, 160, 130] = volume[2, 10 + 49, 130] = 5.0  # another plane, another row
     shown = decoded(pictures.slice_picture(volume, scored))
     assert shown.shape == (400, 400)
@@ -248,7 +370,9 @@ def test_a_slice_shows_the_central_window_of_the_scored_part() -> None:
 
 def test_an_empty_volume_is_black_and_an_empty_scored_part_is_refused() -> None:
     volume = np.zeros((3, 30, 50), dtype=np.float32)
-    assert not decoded(pictures.slice_picture(volume, (slice(0, 3), slice(0, 30), slice(0, 50)))).any()
+    assert not decoded(
+        pictures.slice_picture(volume, (slice(0, 3), slice(0, 30), slice(0, 50)))
+    ).any()
     with pytest.raises(ValueError, match="with voxels"):
         pictures.slice_picture(volume, (slice(0, 0), slice(0, 30), slice(0, 50)))
 
@@ -278,5 +402,7 @@ def test_the_truth_has_no_errors_and_nothing_misses_all(scale: float) -> None:
     truth = np.random.default_rng(1).random((3, 10, 10)).astype(np.float32)
     scored = (slice(0, 3), slice(0, 10), slice(0, 10))
     assert (bgr(pictures.error_slice(scale * truth, truth, scored)) >= 245).all()
-    blue, _, red = np.moveaxis(bgr(pictures.error_slice(np.zeros_like(truth), truth, scored)), -1, 0)
+    blue, _, red = np.moveaxis(
+        bgr(pictures.error_slice(np.zeros_like(truth), truth, scored)), -1, 0
+    )
     assert (blue > red).all()

@@ -19,7 +19,11 @@ SOLVERS = "[...document.querySelectorAll('#content tbody tr:not(.details) > th .
 STATUS = "document.getElementById('status').textContent"
 DRAWN = "document.querySelectorAll('.plot').length > 0 && [...document.querySelectorAll('.plot')].every(plot => plot.dataset.drawn)"
 EVIL = '"><img src=x onerror="document.title=1">'
-Q = {"a": (0.50, 0.55, 0.52), "b": (0.40, 0.43, 0.42), "c": (0.51, 0.53, 0.55)}  # over seeds 1 to 3 of the standard case
+Q = {
+    "a": (0.50, 0.55, 0.52),
+    "b": (0.40, 0.43, 0.42),
+    "c": (0.51, 0.53, 0.55),
+}  # over seeds 1 to 3 of the standard case
 
 
 def heading(text: str) -> str:
@@ -38,13 +42,52 @@ def browser() -> Iterator[Browser]:
 def page(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Four solvers, one of them hostile by name and one failed, on one scene with pictures, a second scene without, and a second track."""
     folder = tmp_path_factory.mktemp("page")
-    draw(folder / "pictures" / "tank-1", ["truth.png", "add-01234567.png", "add-01234567.error.png", "ten-01234567.png", "ten-01234567.error.png"])
+    draw(
+        folder / "pictures" / "tank-1",
+        [
+            "truth.png",
+            "add-01234567.png",
+            "add-01234567.error.png",
+            "ten-01234567.png",
+            "ten-01234567.error.png",
+        ],
+    )
     records = [
-        record("add", 0.5, seconds=9.0, peak_mb=100.0, pictures="tank-1", parameters={"a_very_long_parameter_name_without_a_space": "x" * 60}),
-        record("ten", 0.25, seconds=10.0, peak_mb=None, pictures="tank-1", command="sabench run quick --solver ten", code_hash="c0de" * 16),
-        record(HOSTILE, None, seconds=200.0, peak_mb=99.5, pictures="tank-1", parameters={"a": EVIL}, command=EVIL, machine={"cpu": EVIL}),
+        record(
+            "add",
+            0.5,
+            seconds=9.0,
+            peak_mb=100.0,
+            pictures="tank-1",
+            parameters={"a_very_long_parameter_name_without_a_space": "x" * 60},
+        ),
+        record(
+            "ten",
+            0.25,
+            seconds=10.0,
+            peak_mb=None,
+            pictures="tank-1",
+            command="sabench run quick --solver ten",
+            code_hash="c0de" * 16,
+        ),
+        record(
+            HOSTILE,
+            None,
+            seconds=200.0,
+            peak_mb=99.5,
+            pictures="tank-1",
+            parameters={"a": EVIL},
+            command=EVIL,
+            machine={"cpu": EVIL},
+        ),
         record("broken", error=f"solver broken: {EVIL}"),
-        record("add", 0.7, scene="x" * 100, split="hidden", submission={"name": EVIL, "date": "2026-01-02"}),
+        record(
+            "add",
+            0.7,
+            scene="x" * 100,
+            split="hidden",
+            submission={"name": EVIL, "date": "2026-01-02"},
+        ),
         record("sees", track="see_through", read_percent=90.0),
     ]
     rows.build_page(records, folder / "pictures", folder / "index.html")
@@ -60,18 +103,31 @@ def levels() -> list[Record]:
         "dim": ("standard", "light", -0.1),
     }
     return [
-        record(name, q + change, seed=seed, case=case, difficulty=difficulty, axis=axis, suite="volumes", seconds=10.0 ** number, reference_s=0.5)
+        record(
+            name,
+            q + change,
+            seed=seed,
+            case=case,
+            difficulty=difficulty,
+            axis=axis,
+            suite="volumes",
+            seconds=10.0**number,
+            reference_s=0.5,
+        )
         for number, (name, values) in enumerate(Q.items())
         for case, (difficulty, axis, change) in cases.items()
         for seed, q in enumerate(values, 1)
-    ]  # fmt: skip
+    ]
 
 
 @pytest.fixture(scope="module")
 def graded(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A page of `levels`, and of one more solver that shares one seed only."""
     folder = tmp_path_factory.mktemp("graded")
-    alone = [record("late", 0.6, seed=seed, case="standard", difficulty="standard", suite="volumes") for seed in (3, 4, 5)]
+    alone = [
+        record("late", 0.6, seed=seed, case="standard", difficulty="standard", suite="volumes")
+        for seed in (3, 4, 5)
+    ]
     rows.build_page([*levels(), *alone], folder / "pictures", folder / "index.html")
     return folder / "index.html"
 
@@ -93,8 +149,12 @@ def test_a_click_sorts_numbers_as_numbers_and_nulls_last(browser: Browser, page:
 
 
 @pytest.mark.parametrize("key", ["\ue007", " "], ids=["enter", "space"])
-def test_a_key_sorts_aria_says_so_and_the_heading_keeps_the_focus(browser: Browser, page: Path, key: str) -> None:
-    sorted_by = "[...document.querySelectorAll('[aria-sort]')].map(th => [th.textContent, th.ariaSort])"
+def test_a_key_sorts_aria_says_so_and_the_heading_keeps_the_focus(
+    browser: Browser, page: Path, key: str
+) -> None:
+    sorted_by = (
+        "[...document.querySelectorAll('[aria-sort]')].map(th => [th.textContent, th.ariaSort])"
+    )
     browser.open(page, "#q=tank")
     assert browser.ask(sorted_by) == []
     browser.press(heading("solver"), key)
@@ -108,7 +168,17 @@ def test_a_key_sorts_aria_says_so_and_the_heading_keeps_the_focus(browser: Brows
 def test_scores_that_no_shown_row_has_take_no_column(browser: Browser, page: Path) -> None:
     heads = "[...document.querySelectorAll('thead th')].map(th => th.textContent)"
     browser.open(page)
-    assert browser.ask(heads) == ["solver", "case", "seeds", "Q", "seconds", "peak MB", "machine", "reproduce", "details"]
+    assert browser.ask(heads) == [
+        "solver",
+        "case",
+        "seeds",
+        "Q",
+        "seconds",
+        "peak MB",
+        "machine",
+        "reproduce",
+        "details",
+    ]
     browser.open(page, "#split=hidden")
     assert browser.ask(heads) == ["solver", "case", "seeds", "Q", "machine", "reproduce", "details"]
 
@@ -117,11 +187,27 @@ def test_details_and_the_command_are_there_to_be_copied(browser: Browser, page: 
     browser.open(page, "#solver=ten")
     browser.press("//button[text()='details']")
     shown = browser.ask("document.querySelector('tr.details').textContent")
-    assert all(part in shown for part in ("sabench run quick --solver ten", "c0de" * 16, "da" * 32, "5c" * 32, "0123456789abcdef", "numpy 2.0"))
-    assert browser.ask("document.querySelector('tbody button[aria-expanded]').ariaExpanded") == "true"
-    browser.devtools("Browser.grantPermissions", permissions=["clipboardReadWrite", "clipboardSanitizedWrite"])
+    assert all(
+        part in shown
+        for part in (
+            "sabench run quick --solver ten",
+            "c0de" * 16,
+            "da" * 32,
+            "5c" * 32,
+            "0123456789abcdef",
+            "numpy 2.0",
+        )
+    )
+    assert (
+        browser.ask("document.querySelector('tbody button[aria-expanded]').ariaExpanded") == "true"
+    )
+    browser.devtools(
+        "Browser.grantPermissions", permissions=["clipboardReadWrite", "clipboardSanitizedWrite"]
+    )
     browser.press("//button[text()='copy']")
-    browser.wait("[...document.querySelectorAll('.copy')].some(button => button.textContent === 'copied')")
+    browser.wait(
+        "[...document.querySelectorAll('.copy')].some(button => button.textContent === 'copied')"
+    )
     assert browser.ask("navigator.clipboard.readText()") == "sabench run quick --solver ten"
     browser.press("//button[text()='details']")
     assert browser.ask("document.querySelectorAll('tr.details').length") == 0
@@ -138,7 +224,9 @@ def test_the_hidden_split_and_submissions_are_marked(browser: Browser, page: Pat
 # Filters and links
 
 
-def test_filters_are_kept_in_the_fragment_and_a_link_opens_the_same_view(browser: Browser, graded: Path) -> None:
+def test_filters_are_kept_in_the_fragment_and_a_link_opens_the_same_view(
+    browser: Browser, graded: Path
+) -> None:
     browser.open(graded)
     browser.press("//input[@type='search']", "standard a")
     browser.press("//select[option[text()='all axes']]/option[@value='density']")
@@ -158,23 +246,39 @@ def test_filters_are_kept_in_the_fragment_and_a_link_opens_the_same_view(browser
 
 
 @pytest.mark.parametrize(
-    "fragment", ["#track=nonsense", "#view=nonsense&page=-7&sort=nonsense", "#page=99", "#%%%", "#view=case&case=nonsense", "#sort=constructor"]
+    "fragment",
+    [
+        "#track=nonsense",
+        "#view=nonsense&page=-7&sort=nonsense",
+        "#page=99",
+        "#%%%",
+        "#view=case&case=nonsense",
+        "#sort=constructor",
+    ],
 )
-def test_a_fragment_that_says_nonsense_breaks_nothing(browser: Browser, graded: Path, fragment: str) -> None:
+def test_a_fragment_that_says_nonsense_breaks_nothing(
+    browser: Browser, graded: Path, fragment: str
+) -> None:
     browser.open(graded, fragment)
     assert browser.ask("document.getElementById('content').textContent.length > 0")
     assert browser.complaints() == []
 
 
-def test_back_leaves_a_view_and_another_track_keeps_the_search(browser: Browser, page: Path) -> None:
+def test_back_leaves_a_view_and_another_track_keeps_the_search(
+    browser: Browser, page: Path
+) -> None:
     browser.open(page)
     browser.press("//input[@type='search']", "a")
     browser.press("//nav[@id='tracks']/a[2]")
-    browser.wait("document.querySelector('#tracks [aria-current]').textContent.startsWith('see through')")
+    browser.wait(
+        "document.querySelector('#tracks [aria-current]').textContent.startsWith('see through')"
+    )
     assert browser.ask(SOLVERS) == ["sees"]
     assert browser.ask("document.querySelector('input[type=search]').value") == "a"
     browser.ask("history.back()")
-    browser.wait("document.querySelector('#tracks [aria-current]').textContent.startsWith('reconstruction')")
+    browser.wait(
+        "document.querySelector('#tracks [aria-current]').textContent.startsWith('reconstruction')"
+    )
     assert browser.ask("document.querySelector('input[type=search]').value") == "a"
 
 
@@ -182,21 +286,42 @@ def test_back_leaves_a_view_and_another_track_keeps_the_search(browser: Browser,
 
 
 @pytest.mark.parametrize(
-    "fragment", ["", "#view=time", "#view=case&case=tank-5c5c5c5c-splat", "#view=case&case=" + "x" * 100 + "-5c5c5c5c-splat-hidden"]
+    "fragment",
+    [
+        "",
+        "#view=time",
+        "#view=case&case=tank-5c5c5c5c-splat",
+        "#view=case&case=" + "x" * 100 + "-5c5c5c5c-splat-hidden",
+    ],
 )
 def test_hostile_texts_are_shown_as_text(browser: Browser, page: Path, fragment: str) -> None:
     browser.open(page, fragment)
-    browser.ask("[...document.querySelectorAll('tbody button[aria-expanded]')].forEach(button => button.click())")
-    assert browser.ask("[document.scripts.length, document.title, document.querySelectorAll('[onerror], b img').length]") == [
+    browser.ask(
+        "[...document.querySelectorAll('tbody button[aria-expanded]')].forEach(button => button.click())"
+    )
+    assert browser.ask(
+        "[document.scripts.length, document.title, document.querySelectorAll('[onerror], b img').length]"
+    ) == [
         4,
         "sabench leaderboard",
         0,
     ]
-    assert browser.ask("[...document.images].every(image => image.src.startsWith('data:image/png;base64,'))")
+    assert browser.ask(
+        "[...document.images].every(image => image.src.startsWith('data:image/png;base64,'))"
+    )
     assert browser.complaints() == []
     if fragment == "":
         text = browser.ask("document.body.innerText")
-        assert all(part in text for part in (HOSTILE, f"failed: solver broken: {EVIL}", f"a {EVIL}", f"by {EVIL}", f"cpu {EVIL}"))
+        assert all(
+            part in text
+            for part in (
+                HOSTILE,
+                f"failed: solver broken: {EVIL}",
+                f"a {EVIL}",
+                f"by {EVIL}",
+                f"cpu {EVIL}",
+            )
+        )
 
 
 def test_the_policy_stops_what_comes_from_outside(browser: Browser, page: Path) -> None:
@@ -204,9 +329,17 @@ def test_the_policy_stops_what_comes_from_outside(browser: Browser, page: Path) 
     browser.open(page)
     browser.ask("document.body.append(Object.assign(new Image(), {src: 'absent.png'}))")
     assert any("Content Security Policy" in complaint for complaint in browser.complaints())
-    for refused in ("document.body.insertAdjacentHTML('beforeend', '<b>x</b>')", "document.createElement('script').src = 'data:,1'"):
-        assert browser.ask(f"(() => {{ try {{ {refused}; return false; }} catch {{ return true; }} }})()")
-        assert any("Trusted" in complaint or "Content Security Policy" in complaint for complaint in browser.complaints())
+    for refused in (
+        "document.body.insertAdjacentHTML('beforeend', '<b>x</b>')",
+        "document.createElement('script').src = 'data:,1'",
+    ):
+        assert browser.ask(
+            f"(() => {{ try {{ {refused}; return false; }} catch {{ return true; }} }})()"
+        )
+        assert any(
+            "Trusted" in complaint or "Content Security Policy" in complaint
+            for complaint in browser.complaints()
+        )
 
 
 # Plots
@@ -220,43 +353,67 @@ def labels(browser: Browser, plot: int) -> list[str]:
     return sorted(found)
 
 
-def test_accuracy_against_time_has_a_point_for_every_solver_with_a_tip(browser: Browser, graded: Path) -> None:
+def test_accuracy_against_time_has_a_point_for_every_solver_with_a_tip(
+    browser: Browser, graded: Path
+) -> None:
     browser.open(graded)
     assert browser.ask("document.querySelectorAll('.plot').length") == 0
     browser.press("//a[text()='Accuracy against time']")
     browser.wait(DRAWN)
-    assert [label.split(",")[0] for label in labels(browser, 0)] == ["a: Q 0.523 ± 0.063", "b: Q 0.417 ± 0.038", "c: Q 0.530 ± 0.050"]
-    assert browser.ask("[...document.querySelectorAll('.legend li')].map(item => item.textContent)") == ["a", "b", "c"]
+    assert [label.split(",")[0] for label in labels(browser, 0)] == [
+        "a: Q 0.523 ± 0.063",
+        "b: Q 0.417 ± 0.038",
+        "c: Q 0.530 ± 0.050",
+    ]
+    assert browser.ask(
+        "[...document.querySelectorAll('.legend li')].map(item => item.textContent)"
+    ) == ["a", "b", "c"]
     assert (
-        browser.ask("new Set([...document.querySelectorAll('.legend path')].map(path => path.getAttribute('d') + path.getAttribute('fill'))).size")
+        browser.ask(
+            "new Set([...document.querySelectorAll('.legend path')].map(path => path.getAttribute('d') + path.getAttribute('fill'))).size"
+        )
         == 3
     )
     browser.hover("//*[name()='path' and starts-with(@aria-label, 'b: Q')]")
     browser.wait("document.getElementById('tip')")
-    assert browser.ask("document.getElementById('tip').textContent").startswith("b: Q 0.417 ± 0.038, 10.00 ± 0.00 s, some processor, llvm")
+    assert browser.ask("document.getElementById('tip').textContent").startswith(
+        "b: Q 0.417 ± 0.038, 10.00 ± 0.00 s, some processor, llvm"
+    )
     browser.press("//select/option[@value='kernels']")
     browser.wait(DRAWN)
     assert "reference kernels" in browser.ask("document.querySelector('.plot').textContent")
     assert browser.complaints() == []
 
 
-def test_difficulty_and_axes_show_scores_and_what_an_axis_costs(browser: Browser, graded: Path) -> None:
+def test_difficulty_and_axes_show_scores_and_what_an_axis_costs(
+    browser: Browser, graded: Path
+) -> None:
     browser.open(graded, "#view=why")
     browser.wait(DRAWN)
     by_level = labels(browser, 0)
-    assert [label for label in by_level if label.startswith("a: ")] == ["a: Q 0.523 ± 0.063, standard", "a: Q 0.623 ± 0.063, easy"]
+    assert [label for label in by_level if label.startswith("a: ")] == [
+        "a: Q 0.523 ± 0.063, standard",
+        "a: Q 0.623 ± 0.063, easy",
+    ]
     assert len(by_level) == 7  # `late` in the standard case alone
     lost = labels(browser, 1)
     half = 2.0**0.5 * mean_of(Q["a"]).half_width  # type: ignore[union-attr]
     assert len(lost) == 6
-    assert lost[:2] == [f"a: Q -0.{size}00 ± {half:.3f} against the standard case, in {case}" for size, case in ((1, "dim"), (2, "dense"))]
+    assert lost[:2] == [
+        f"a: Q -0.{size}00 ± {half:.3f} against the standard case, in {case}"
+        for size, case in ((1, "dim"), (2, "dense"))
+    ]
     browser.open(graded, "#view=why&difficulty=easy")
-    assert "No solver has this score in a case of an axis" in browser.ask("document.getElementById('content').textContent")
+    assert "No solver has this score in a case of an axis" in browser.ask(
+        "document.getElementById('content').textContent"
+    )
 
 
 def test_a_page_without_levels_says_so(browser: Browser, page: Path) -> None:
     browser.open(page, "#view=why")
-    assert "None of these results is of a case that is said to be easy" in browser.ask("document.getElementById('content').textContent")
+    assert "None of these results is of a case that is said to be easy" in browser.ask(
+        "document.getElementById('content').textContent"
+    )
 
 
 # One case
@@ -268,7 +425,9 @@ def test_pictures_come_with_their_case_only(browser: Browser, page: Path) -> Non
     browser.press("//a[text()='tank']")
     browser.wait("document.querySelector('h2')?.textContent === 'tank'")
     assert browser.ask("document.activeElement.textContent") == "tank"
-    assert browser.ask("[...document.querySelectorAll('#compare h4')].map(head => head.textContent)") == ["Middle slice", "Errors"]
+    assert browser.ask(
+        "[...document.querySelectorAll('#compare h4')].map(head => head.textContent)"
+    ) == ["Middle slice", "Errors"]
     browser.wait("[...document.images].every(image => image.complete)")
     assert (
         browser.ask("[...document.images].map(image => image.naturalWidth > 0)") == [True] * 9
@@ -290,7 +449,13 @@ def test_two_solvers_are_compared_over_their_common_seeds(browser: Browser, grad
     browser.press("//section[@id='compare']//label[span='Second']//option[contains(., '. b')]")
     exact = mean_of([one - other for one, other in zip(Q["a"], Q["b"], strict=True)])
     assert exact is not None
-    assert differences(browser)["q"] == ["0.523 ± 0.063", "0.417 ± 0.038", exact.text(4), "3", "yes"]
+    assert differences(browser)["q"] == [
+        "0.523 ± 0.063",
+        "0.417 ± 0.038",
+        exact.text(4),
+        "3",
+        "yes",
+    ]
     fragment = browser.ask("location.hash")
     browser.press("//section[@id='compare']//label[span='Second']//option[contains(., '. c')]")
     assert differences(browser)["q"][-1] == "no"
@@ -304,22 +469,54 @@ def test_two_solvers_are_compared_over_their_common_seeds(browser: Browser, grad
 
 
 @pytest.mark.parametrize("width", [320, 390, 1200])
-@pytest.mark.parametrize("fragment", ["#all=1", "#view=time", "#view=why", "#view=case&case=tank-5c5c5c5c-splat"])
-def test_only_tables_scroll_sideways(browser: Browser, page: Path, width: int, fragment: str) -> None:
+@pytest.mark.parametrize(
+    "fragment", ["#all=1", "#view=time", "#view=why", "#view=case&case=tank-5c5c5c5c-splat"]
+)
+def test_only_tables_scroll_sideways(
+    browser: Browser, page: Path, width: int, fragment: str
+) -> None:
     browser.open(page, fragment, width)
     browser.ask("document.querySelectorAll('details').forEach(details => { details.open = true })")
-    browser.ask("document.querySelectorAll('button[aria-expanded=false]').forEach(button => button.click())")
+    browser.ask(
+        "document.querySelectorAll('button[aria-expanded=false]').forEach(button => button.click())"
+    )
     assert browser.ask("innerWidth") == width
     assert browser.ask("document.documentElement.scrollWidth") <= width
-    assert browser.ask("[...document.querySelectorAll('.box')].every(box => getComputedStyle(box).overflowX === 'auto')")
+    assert browser.ask(
+        "[...document.querySelectorAll('.box')].every(box => getComputedStyle(box).overflowX === 'auto')"
+    )
 
 
-@pytest.mark.parametrize("fragment", ["", "#view=time", "#view=why", "#view=case&case=standard-5c5c5c5c-splat"])
-def test_what_can_be_pressed_or_read_has_a_name(browser: Browser, graded: Path, fragment: str) -> None:
-    roles = {"button", "link", "combobox", "searchbox", "checkbox", "image", "table", "columnheader", "rowheader", "region", "navigation"}
+@pytest.mark.parametrize(
+    "fragment", ["", "#view=time", "#view=why", "#view=case&case=standard-5c5c5c5c-splat"]
+)
+def test_what_can_be_pressed_or_read_has_a_name(
+    browser: Browser, graded: Path, fragment: str
+) -> None:
+    roles = {
+        "button",
+        "link",
+        "combobox",
+        "searchbox",
+        "checkbox",
+        "image",
+        "table",
+        "columnheader",
+        "rowheader",
+        "region",
+        "navigation",
+    }
     browser.open(graded, fragment)
-    nodes = [node for node in browser.devtools("Accessibility.getFullAXTree")["nodes"] if not node["ignored"]]
-    named = {node["role"]["value"]: node.get("name", {}).get("value", "") for node in nodes if node["role"]["value"] in roles}
+    nodes = [
+        node
+        for node in browser.devtools("Accessibility.getFullAXTree")["nodes"]
+        if not node["ignored"]
+    ]
+    named = {
+        node["role"]["value"]: node.get("name", {}).get("value", "")
+        for node in nodes
+        if node["role"]["value"] in roles
+    }
     assert {"button", "link", "navigation"} <= set(named)
     assert all(node["name"]["value"] for node in nodes if node["role"]["value"] in roles)
 
@@ -348,19 +545,30 @@ def test_ten_thousand_records_make_a_small_page_of_elements(browser: Browser, la
     assert browser.ask(STATUS) == "10000 of 10000 results"
     assert browser.ask("document.querySelectorAll('*').length") < 1500
     browser.press(heading("Q"))
-    first = browser.ask("[...document.querySelectorAll('tbody tr')].map(row => Number(row.querySelectorAll('.number')[1].textContent))")
-    assert first == [value / 1000.0 for value in sorted((solver * 37 + case * 11) % 1000 for solver in range(20) for case in range(500))[:25]]
+    first = browser.ask(
+        "[...document.querySelectorAll('tbody tr')].map(row => Number(row.querySelectorAll('.number')[1].textContent))"
+    )
+    assert first == [
+        value / 1000.0
+        for value in sorted(
+            (solver * 37 + case * 11) % 1000 for solver in range(20) for case in range(500)
+        )[:25]
+    ]
     browser.press("//button[text()='last']")
     assert browser.ask("document.querySelector('.pager span').textContent") == "page 400 of 400"
     browser.press("//input[@type='search']", "case-499 solver_1")
-    assert sorted(browser.ask(SOLVERS)) == sorted(["solver_1", *(f"solver_{number}" for number in range(10, 20))])
+    assert sorted(browser.ask(SOLVERS)) == sorted(
+        ["solver_1", *(f"solver_{number}" for number in range(10, 20))]
+    )
     assert browser.ask(STATUS) == "11 of 10000 results"
     assert re.fullmatch(r"#q=case-499\+solver_1&sort=q", browser.ask("location.hash"))
     assert browser.ask("document.querySelectorAll('*').length") < 1500
     assert browser.complaints() == []
 
 
-def test_pages_follow_each_other_and_the_pager_keeps_the_focus(browser: Browser, large: Path) -> None:
+def test_pages_follow_each_other_and_the_pager_keeps_the_focus(
+    browser: Browser, large: Path
+) -> None:
     cases = "[...document.querySelectorAll('tbody tr a')].map(link => link.textContent)"
     browser.open(large)
     assert browser.ask(cases) == ["case-0"] * 20 + ["case-1"] * 5
@@ -379,10 +587,16 @@ def test_a_page_without_records_says_how_to_make_one(browser: Browser, tmp_path:
 def test_colours_follow_the_reader_s_choice(browser: Browser, graded: Path) -> None:
     seen: list[Any] = []
     for mode in ("light", "dark"):
-        browser.devtools("Emulation.setEmulatedMedia", features=[{"name": "prefers-color-scheme", "value": mode}])
+        browser.devtools(
+            "Emulation.setEmulatedMedia", features=[{"name": "prefers-color-scheme", "value": mode}]
+        )
         browser.open(graded, "#view=time")
         browser.wait(DRAWN)
-        seen.append(browser.ask("[getComputedStyle(document.body).color, document.querySelector('.mark-symbol path').getAttribute('fill')]"))
+        seen.append(
+            browser.ask(
+                "[getComputedStyle(document.body).color, document.querySelector('.mark-symbol path').getAttribute('fill')]"
+            )
+        )
     browser.devtools("Emulation.setEmulatedMedia", features=[])
     assert seen[0][0] != seen[1][0]
     assert seen[0][1] != seen[1][1]

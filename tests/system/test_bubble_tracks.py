@@ -26,9 +26,13 @@ SPEED = np.array([300.0, -150.0, 100.0])  # 3.5 mm a frame, about as far as the 
 @pytest.fixture(scope="module")
 def moving(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
     field = {
-        "generator": "bubble_field", "count": 24, "radius_mm": 0.8, "radius_spread": 0.3, "radius_range_mm": [0.5, 1.6],
+        "generator": "bubble_field",
+        "count": 24,
+        "radius_mm": 0.8,
+        "radius_spread": 0.3,
+        "radius_range_mm": [0.5, 1.6],
         "velocity_mm_s": SPEED.tolist(),
-    }  # fmt: skip
+    }
     scene = small(frames=3, interval_s=0.01, bubbles=field, render={"relative_error": 0.2})
     return generate(scene, tmp_path_factory.mktemp("data") / "moving", seed=1)
 
@@ -40,8 +44,12 @@ def perturbed(data: Dataset) -> list[Detections]:
         true = data.bubbles(frame)
         keep = rng.permutation(len(true))[1:]
         center = true.center_mm[keep] + 0.03 * rng.standard_normal((len(keep), 3))
-        ghosts = np.array([0.0, 0.0, 60.0]) + rng.uniform(-0.5, 0.5, (2, 3)) * np.array([24.0, 18.0, 16.0])
-        radius = np.concatenate([true.radius_mm[keep] * (1.0 + 0.02 * rng.standard_normal(len(keep))), [0.6, 0.6]])
+        ghosts = np.array([0.0, 0.0, 60.0]) + rng.uniform(-0.5, 0.5, (2, 3)) * np.array(
+            [24.0, 18.0, 16.0]
+        )
+        radius = np.concatenate(
+            [true.radius_mm[keep] * (1.0 + 0.02 * rng.standard_normal(len(keep))), [0.6, 0.6]]
+        )
         out.append(Detections.balls(np.concatenate([center, ghosts]), radius))
     return out
 
@@ -83,9 +91,12 @@ def test_from_images_to_scores(moving: Dataset, tmp_path: Path) -> None:
     assert got["link_recall"] > 0.9
     assert got["link_precision"] > 0.85
     assert got["effectiveness"] > 0.8
-    # the difference of two places with 0.03 mm along each axis: the median of a Maxwell distribution is 1.538 standard deviations
+    # the difference of two places with 0.03 mm along each axis: the median of a Maxwell
+    # distribution is 1.538 standard deviations
     assert got["velocity_mm_s"] == pytest.approx(1.538 * np.sqrt(2.0) * 0.03 / 0.01, rel=0.3)
-    assert got["velocity_percent"] == pytest.approx(100.0 * got["velocity_mm_s"] / np.linalg.norm(SPEED), rel=1e-6)
+    assert got["velocity_percent"] == pytest.approx(
+        100.0 * got["velocity_mm_s"] / np.linalg.norm(SPEED), rel=1e-6
+    )
     other = score(moving, foreign(tmp_path / "other.h5", moving, found))
     assert {key: other[key] for key in TRACKS} == {key: got[key] for key in TRACKS}
 
@@ -100,10 +111,14 @@ def test_the_two_ends(moving: Dataset) -> None:
 def test_tracks_of_other_programs_count(moving: Dataset, tmp_path: Path) -> None:
     true = [moving.bubbles(frame) for frame in range(3)]
     found = [Detections(one.center_mm, one.semi_axes_mm, one.turn) for one in true]
-    own: dict[str, I64] = {f"f{frame:04d}": one.id.astype(np.uint32) for frame, one in enumerate(true)}
+    own: dict[str, I64] = {
+        f"f{frame:04d}": one.id.astype(np.uint32) for frame, one in enumerate(true)
+    }
     assert score(moving, foreign(tmp_path / "right.h5", moving, found, **own))["link_recall"] == 1.0
     wrong = own | {"f0001": true[1].id + 1000}
-    assert score(moving, foreign(tmp_path / "wrong.h5", moving, found, **wrong))["link_recall"] == 0.0
+    assert (
+        score(moving, foreign(tmp_path / "wrong.h5", moving, found, **wrong))["link_recall"] == 0.0
+    )
 
 
 def test_broken_tracks_are_said(moving: Dataset, tmp_path: Path) -> None:
@@ -113,9 +128,13 @@ def test_broken_tracks_are_said(moving: Dataset, tmp_path: Path) -> None:
     cases: dict[str, dict[str, Any]] = {
         r"0001/bubbles/track: expected different numbers, got 7 for 2 bubbles": good
         | {"f0001": np.where(np.arange(count) == 3, 7, np.arange(count))},
-        rf"0001/bubbles/track: expected shape \({count}\) of kind iu, got \({count},\) of float64": good | {"f0001": np.arange(count) * 1.0},
-        rf"0001/bubbles/track: expected shape \({count}\) of kind iu, got \({count - 1},\)": good | {"f0001": np.arange(count - 1)},
-        r"0002/bubbles/track: expected one in every frame or in none": {key: good[key] for key in ("f0000", "f0001")},
+        rf"0001/bubbles/track: expected shape \({count}\) of kind iu, got \({count},\) of float64": good
+        | {"f0001": np.arange(count) * 1.0},
+        rf"0001/bubbles/track: expected shape \({count}\) of kind iu, got \({count - 1},\)": good
+        | {"f0001": np.arange(count - 1)},
+        r"0002/bubbles/track: expected one in every frame or in none": {
+            key: good[key] for key in ("f0000", "f0001")
+        },
     }
     for number, (sentence, track) in enumerate(cases.items()):
         with pytest.raises(InputError, match=sentence):
@@ -124,7 +143,9 @@ def test_broken_tracks_are_said(moving: Dataset, tmp_path: Path) -> None:
 
 def test_no_track_goes_from_one_group_of_pulses_to_the_next(moving: Dataset) -> None:
     one = moving.bubbles(0)
-    rig = moving.rig.model_copy(update={"frames": 5, "pulses": 2, "times_s": (0.0, 1e-3, 1.0, 1.001, 2.0)})
+    rig = moving.rig.model_copy(
+        update={"frames": 5, "pulses": 2, "times_s": (0.0, 1e-3, 1.0, 1.001, 2.0)}
+    )
     track = bubbles.linked(rig, [one] * 5)
     assert rig.pairs() == [(0, 1), (2, 3)]
     np.testing.assert_array_equal(track[0], track[1])

@@ -66,7 +66,9 @@ def test_the_truth_scores_one_and_nothing_scores_nothing(bubbly: Dataset) -> Non
 
 
 @pytest.mark.parametrize("name", SOLVERS)
-def test_solvers_find_bubbles_that_nothing_hides(name: str, bubbly: Dataset, tmp_path: Path) -> None:
+def test_solvers_find_bubbles_that_nothing_hides(
+    name: str, bubbly: Dataset, tmp_path: Path
+) -> None:
     plugin = load("solvers", name)
     assert plugin.references
     assert all(field.description for field in plugin.Parameters.model_fields.values())
@@ -82,15 +84,21 @@ def test_solvers_find_bubbles_that_nothing_hides(name: str, bubbly: Dataset, tmp
 @pytest.mark.parametrize("level", ["black", "bright", "saturated"])
 def test_images_without_bubbles_have_none(name: str, level: str, bubbly: Dataset) -> None:
     case = bubbly.observation(0)
-    value = {"black": case.black_dn, "bright": 0.7 * case.white_dn, "saturated": case.white_dn}[level]
-    empty = Observation(np.full_like(case.images, int(value)), case.cameras, case.grid, case.black_dn, case.white_dn)
+    value = {"black": case.black_dn, "bright": 0.7 * case.white_dn, "saturated": case.white_dn}[
+        level
+    ]
+    empty = Observation(
+        np.full_like(case.images, int(value)), case.cameras, case.grid, case.black_dn, case.white_dn
+    )
     algorithm: Any = make_algorithm(name, {})
     found: Detections = algorithm.solve(empty)
     assert len(found.center_mm) == 0
 
 
 def test_no_bubbles_make_a_whole_data_set(tmp_path: Path) -> None:
-    data = generate(small(bubbles={"generator": "bubble_field", "count": 0}), tmp_path / "none", seed=1)
+    data = generate(
+        small(bubbles={"generator": "bubble_field", "count": 0}), tmp_path / "none", seed=1
+    )
     assert verify(data.root) == []
     assert len(data.bubbles(0)) == 0
     assert score(data, "truth")["f1"] is None
@@ -98,11 +106,24 @@ def test_no_bubbles_make_a_whole_data_set(tmp_path: Path) -> None:
 
 def test_three_phases_in_one_image(tmp_path: Path) -> None:
     """Tracers, bubbles and a cylinder: tracers are not in the others, and dark in their shadows."""
-    solid = {"generator": "cylinder", "radius_mm": 2.0, "length_mm": 17.0, "place_mm": [-6.0, 0.0, 60.0], "material": {"reflectance": 0.0}}
+    solid = {
+        "generator": "cylinder",
+        "radius_mm": 2.0,
+        "length_mm": 17.0,
+        "place_mm": [-6.0, 0.0, 60.0],
+        "material": {"reflectance": 0.0},
+    }
     field = {"generator": "bubble_list", "center_mm": [[4.0, 0.0, 60.0]], "radius_mm": [2.5]}
     tracers_too = {"generator": "uniform", "count": 2500, "diameter_mm": 0.05}
     light = {"center_mm": [0.0, 0.0, 400.0], "size_mm": [260.0, 260.0], "exposure": 0.05}
-    scene = small(render={"relative_error": 0.05}, bubbles=field, solids=[solid], illumination=LASER, particles=tracers_too, backlight=light)
+    scene = small(
+        render={"relative_error": 0.05},
+        bubbles=field,
+        solids=[solid],
+        illumination=LASER,
+        particles=tracers_too,
+        backlight=light,
+    )
     data = generate(scene, tmp_path / "three", seed=1)
     assert verify(data.root) == []
     assert data.shows == ("particles", "bubbles")
@@ -114,8 +135,16 @@ def test_three_phases_in_one_image(tmp_path: Path) -> None:
     view = data.views(0)[0]
     across = np.hypot(tracers[:, 1], tracers[:, 2] - 60.0)
     behind_bubble = (across < 2.3) & (tracers[:, 0] > 6.6)
-    behind_body = (np.abs(tracers[:, 2] - 60.0) < 1.9) & (np.abs(tracers[:, 1]) < 8.0) & (tracers[:, 0] > -4.0)
-    free = (np.abs(tracers[:, 2] - 60.0) > 3.0) & (np.abs(tracers[:, 2] - 60.0) < 7.0) & (np.abs(tracers[:, 1]) < 8.0)
+    behind_body = (
+        (np.abs(tracers[:, 2] - 60.0) < 1.9)
+        & (np.abs(tracers[:, 1]) < 8.0)
+        & (tracers[:, 0] > -4.0)
+    )
+    free = (
+        (np.abs(tracers[:, 2] - 60.0) > 3.0)
+        & (np.abs(tracers[:, 2] - 60.0) < 7.0)
+        & (np.abs(tracers[:, 1]) < 8.0)
+    )
     assert (view.photons[behind_bubble | behind_body] == 0.0).all()
     assert (view.photons[free] > 0.0).mean() > 0.99
     (body,) = data.solids(0)
@@ -124,13 +153,20 @@ def test_three_phases_in_one_image(tmp_path: Path) -> None:
     sight = data.sight(0, middle)
     assert (sight.number == NOTHING - 1).mean() > 0.05
     hidden = data.views(0)[data.rig.cameras.index(middle)]
-    back = (np.abs(tracers[:, 0] + 6.0) < 1.0) & (tracers[:, 2] > 64.0) & (np.abs(tracers[:, 1]) < 6.0)
+    back = (
+        (np.abs(tracers[:, 0] + 6.0) < 1.0) & (tracers[:, 2] > 64.0) & (np.abs(tracers[:, 1]) < 6.0)
+    )
     assert back.sum() > 10
     assert (hidden.visible[back] == 0.0).mean() > 0.95
 
 
 def places(*centers: list[float], radius: float = 1.0, **more: Any) -> dict[str, Any]:
-    return {"generator": "bubble_list", "center_mm": [list(c) for c in centers], "radius_mm": [radius] * len(centers), **more}
+    return {
+        "generator": "bubble_list",
+        "center_mm": [list(c) for c in centers],
+        "radius_mm": [radius] * len(centers),
+        **more,
+    }
 
 
 def cube(folder: Path, scale: float = 1.0, *, whole: bool = True) -> dict[str, Any]:
@@ -140,7 +176,12 @@ def cube(folder: Path, scale: float = 1.0, *, whole: bool = True) -> dict[str, A
     if not whole:
         mesh.update_faces(np.arange(len(mesh.faces)) > 0)
     mesh.export(folder / "body.stl")
-    return {"generator": "mesh_file", "file": str(folder / "body.stl"), "unit": "mm", "place_mm": [0.0, 0.0, 60.0]}
+    return {
+        "generator": "mesh_file",
+        "file": str(folder / "body.stl"),
+        "unit": "mm",
+        "place_mm": [0.0, 0.0, 60.0],
+    }
 
 
 def lit(z: float) -> dict[str, Any]:
@@ -148,35 +189,60 @@ def lit(z: float) -> dict[str, Any]:
 
 
 FAULTS: dict[str, tuple[Any, str]] = {
-    "overlap": (lambda _: {"bubbles": places([0, 0, 60], [1.5, 0, 60])},
-                   r"expected none to reach into another \(overlap = true allows it\), but 1 pairs do"),
-    "front wall": (lambda _: {"bubbles": places([0, 0, 8.5])},
-                   r"a wall cuts 1: 0 at \[0.0, 0.0, 8.5\] mm"),
-    "back wall": (lambda _: {"bubbles": places([0, 0, 127.5])},
-                   r"a wall cuts 1"),
-    "into a body": (lambda f: {"bubbles": places([2.5, 0, 60]), "solids": [cube(f)]},
-                   r"1 reach into solids.0: 0 at"),
-    "index": (lambda _: {"bubbles": places([0, 0, 60], index=0.9)},
-                   r"bubbles.index: .*greater than or equal to 1"),
-    "light in front": (lambda _: {"backlight": lit(-600.0)},
-                   r"backlight.center_mm: expected it behind the back wall, 136 mm behind the outer face, got -600"),
-    "light in the tank": (lambda _: {"backlight": lit(100.0)},
-                   r"backlight.center_mm: expected it behind the back wall"),
-    "no light": (lambda _: {"backlight": None},
-                   r"expected a backlight or a lighting for bubbles and solids"),
-    "open mesh": (lambda f: {"solids": [cube(f, whole=False)]},
-                   r"solids.0: expected a closed surface, but 3 of its edges do not have two faces"),
-    "metres": (lambda f: {"solids": [cube(f, 0.001)]},
-                   r"solids.0: expected a body of a size like the volume's \(24 mm\), got 0.004 mm: is its unit right"),
-    "outside": (lambda f: {"solids": [cube(f) | {"place_mm": [0, 0, 9.0]}]},
-                   r"solids.0 in frame 0: expected it in the tank, 8 to 128 mm .*from 7 to 11 mm"),
-    "no generator": (lambda _: {"solids": [{"generator": "uniform"}]},
-                   r"solids.0.generator: expected a generator of solids, got uniform, which makes particles"),
-    "no file": (lambda _: {"solids": [{"generator": "mesh_file", "file": "none.stl", "unit": "mm"}]},
-                   r"solids.0.file: expected a file, but there is none"),
-    "unequal lists": (lambda _: {"bubbles": places([0, 0, 60]) | {"radius_mm": [1.0, 2.0]}},
-                   r"expected one radius for each of 1 centres, got 2"),
-}  # fmt: skip
+    "overlap": (
+        lambda _: {"bubbles": places([0, 0, 60], [1.5, 0, 60])},
+        r"expected none to reach into another \(overlap = true allows it\), but 1 pairs do",
+    ),
+    "front wall": (
+        lambda _: {"bubbles": places([0, 0, 8.5])},
+        r"a wall cuts 1: 0 at \[0.0, 0.0, 8.5\] mm",
+    ),
+    "back wall": (lambda _: {"bubbles": places([0, 0, 127.5])}, r"a wall cuts 1"),
+    "into a body": (
+        lambda f: {"bubbles": places([2.5, 0, 60]), "solids": [cube(f)]},
+        r"1 reach into solids.0: 0 at",
+    ),
+    "index": (
+        lambda _: {"bubbles": places([0, 0, 60], index=0.9)},
+        r"bubbles.index: .*greater than or equal to 1",
+    ),
+    "light in front": (
+        lambda _: {"backlight": lit(-600.0)},
+        r"backlight.center_mm: expected it behind the back wall, 136 mm behind the outer face, got -600",
+    ),
+    "light in the tank": (
+        lambda _: {"backlight": lit(100.0)},
+        r"backlight.center_mm: expected it behind the back wall",
+    ),
+    "no light": (
+        lambda _: {"backlight": None},
+        r"expected a backlight or a lighting for bubbles and solids",
+    ),
+    "open mesh": (
+        lambda f: {"solids": [cube(f, whole=False)]},
+        r"solids.0: expected a closed surface, but 3 of its edges do not have two faces",
+    ),
+    "metres": (
+        lambda f: {"solids": [cube(f, 0.001)]},
+        r"solids.0: expected a body of a size like the volume's \(24 mm\), got 0.004 mm: is its unit right",
+    ),
+    "outside": (
+        lambda f: {"solids": [cube(f) | {"place_mm": [0, 0, 9.0]}]},
+        r"solids.0 in frame 0: expected it in the tank, 8 to 128 mm .*from 7 to 11 mm",
+    ),
+    "no generator": (
+        lambda _: {"solids": [{"generator": "uniform"}]},
+        r"solids.0.generator: expected a generator of solids, got uniform, which makes particles",
+    ),
+    "no file": (
+        lambda _: {"solids": [{"generator": "mesh_file", "file": "none.stl", "unit": "mm"}]},
+        r"solids.0.file: expected a file, but there is none",
+    ),
+    "unequal lists": (
+        lambda _: {"bubbles": places([0, 0, 60]) | {"radius_mm": [1.0, 2.0]}},
+        r"expected one radius for each of 1 centres, got 2",
+    ),
+}
 
 
 @pytest.mark.parametrize("name", FAULTS)
@@ -209,21 +275,36 @@ def test_every_track_has_its_place_on_the_page() -> None:
 
 
 def test_splatting_renders_no_bubbles(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="small: backend: expected mitsuba for bubbles and solids, got splat"):
+    with pytest.raises(
+        InputError, match="small: backend: expected mitsuba for bubbles and solids, got splat"
+    ):
         generate(small(), tmp_path / "data", seed=1, backend="splat")
 
 
 def test_a_solver_of_particles_is_refused(bubbly: Dataset, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"solver asa: expected a data set that shows particles, but .* shows bubbles"):
+    with pytest.raises(
+        InputError,
+        match=r"solver asa: expected a data set that shows particles, but .* shows bubbles",
+    ):
         solve("asa", bubbly, tmp_path / "r.h5")
 
 
-@pytest.mark.parametrize(("suffix", "unit", "scale"), [("stl", "mm", 1.0), ("ply", "m", 1e-3), ("obj", "cm", 0.1), ("glb", "m", 1e-3)])
+@pytest.mark.parametrize(
+    ("suffix", "unit", "scale"),
+    [("stl", "mm", 1.0), ("ply", "m", 1e-3), ("obj", "cm", 0.1), ("glb", "m", 1e-3)],
+)
 def test_bodies_come_from_files(suffix: str, unit: str, scale: float, tmp_path: Path) -> None:
     import trimesh
 
-    trimesh.creation.box(extents=scale * np.array([4.0, 3.0, 2.0])).export(tmp_path / f"body.{suffix}")
-    solid = {"generator": "mesh_file", "file": str(tmp_path / f"body.{suffix}"), "unit": unit, "place_mm": [0.0, 0.0, 60.0]}
+    trimesh.creation.box(extents=scale * np.array([4.0, 3.0, 2.0])).export(
+        tmp_path / f"body.{suffix}"
+    )
+    solid = {
+        "generator": "mesh_file",
+        "file": str(tmp_path / f"body.{suffix}"),
+        "unit": unit,
+        "place_mm": [0.0, 0.0, 60.0],
+    }
     data = generate(small(bubbles=None, solids=[solid]), tmp_path / "data", seed=1)
     assert np.ptp(data.solids(0)[0].vertices_mm, axis=0) == pytest.approx([4.0, 3.0, 2.0], abs=1e-5)
     (tmp_path / f"body.{suffix}").unlink()  # the data set has its own copy
@@ -245,4 +326,6 @@ def test_bodies_turn_and_move() -> None:
     sizes: list[F64] = [np.ptp(worlds.at(frame).solids[0].vertices_mm, axis=0) for frame in (0, 1)]
     assert sizes[0] == pytest.approx([2.0, 6.0, 2.0], abs=0.01)
     assert sizes[1] == pytest.approx([6.0, 2.0, 2.0], abs=0.01)
-    assert worlds.at(1).solids[0].vertices_mm.mean(axis=0) == pytest.approx([5.0, 0.0, 60.0], abs=1e-6)
+    assert worlds.at(1).solids[0].vertices_mm.mean(axis=0) == pytest.approx(
+        [5.0, 0.0, 60.0], abs=1e-6
+    )

@@ -30,12 +30,23 @@ def describe(scene: Scene, folder: Path, cameras: tuple[Camera, ...], **changes:
     values: dict[str, Any] = {
         "target_mm": [0.0, 0.0, 35.0],
         "target": {key: target[key] for key in ("pattern", "columns", "rows", "pitch_mm")},
-        "array": {"rows": spec.rows, "columns": spec.columns, "pixel_mm": spec.pixel_mm, "focal_length_mm": 85.0, "principal_distance_mm": 100.0},
+        "array": {
+            "rows": spec.rows,
+            "columns": spec.columns,
+            "pixel_mm": spec.pixel_mm,
+            "focal_length_mm": 85.0,
+            "principal_distance_mm": 100.0,
+        },
         "wall": {"fluid_index": 1.333, "layers": [{"index": 1.5, "thickness_mm": 5.0}]},
         "cameras": [
-            {"name": c.name, "center_mm": [round(v / 10.0) * 10.0 for v in c.center_mm], "aim_mm": [2.0, -2.0, 30.0]} for c in cameras
+            {
+                "name": c.name,
+                "center_mm": [round(v / 10.0) * 10.0 for v in c.center_mm],
+                "aim_mm": [2.0, -2.0, 30.0],
+            }
+            for c in cameras
         ],
-    } | changes  # fmt: skip
+    } | changes
     folder.mkdir(exist_ok=True)
     (folder / "calibration.toml").write_text(tomli_w.dumps(values))
 
@@ -51,14 +62,25 @@ def write_points(path: Path, pixels: F64, cameras: tuple[Camera, ...]) -> None:
 def cameras_in(path: Path) -> tuple[Camera, ...]:
     content = json.loads(path.read_text())
     assert content["format"] == "sabench-cameras"
-    records = [{key: value for key, value in record.items() if key != "model"} for record in content["cameras"]]
+    records = [
+        {key: value for key, value in record.items() if key != "model"}
+        for record in content["cameras"]
+    ]
     return tuple(TypeAdapter(Camera).validate_python(record) for record in records)
 
 
 def test_points_become_cameras(command: Command, tmp_path: Path) -> None:
     scene = calibration_scene(detection={"noise_px": 0.2, "missing": 0.05, "outliers": 0.02})
     case, cameras, points, exact = case_of(scene)
-    known = [{"frame": 2, "point": 60, "x_mm": points[2, 60, 0], "y_mm": points[2, 60, 1], "z_mm": points[2, 60, 2]}]
+    known = [
+        {
+            "frame": 2,
+            "point": 60,
+            "x_mm": points[2, 60, 0],
+            "y_mm": points[2, 60, 1],
+            "z_mm": points[2, 60, 2],
+        }
+    ]
     describe(scene, tmp_path / "mine", cameras, known=known)
     write_points(tmp_path / "mine" / "points.csv", case.pixels, cameras)
     done = command("calibrate", "mine", "--json")
@@ -67,11 +89,20 @@ def test_points_become_cameras(command: Command, tmp_path: Path) -> None:
     assert report["noise_px"] == pytest.approx(0.2, rel=0.05)
     assert report["depth_mm"] < 0.1
     assert len(report["cameras"]) == 9
-    assert 0.9 < sum(line["used"] for line in report["frames"]) / sum(line["found"] for line in report["frames"]) < 1.0
+    assert (
+        0.9
+        < sum(line["used"] for line in report["frames"])
+        / sum(line["found"] for line in report["frames"])
+        < 1.0
+    )
     made = cameras_in(tmp_path / "mine" / "result" / "cameras.json")
-    depth = np.mean([own.center_mm[2] - true.center_mm[2] for own, true in zip(made, cameras, strict=True)])
+    depth = np.mean(
+        [own.center_mm[2] - true.center_mm[2] for own, true in zip(made, cameras, strict=True)]
+    )
     assert abs(depth) < 0.5
-    assert true_error_px(made, points, exact) < 40.0  # turned about the normal, which one known point leaves open
+    assert (
+        true_error_px(made, points, exact) < 40.0
+    )  # turned about the normal, which one known point leaves open
     assert (tmp_path / "mine/result/errors.png").read_bytes().startswith(b"\x89PNG")
     assert command("calibrate", "mine").returncode == 2  # the result is there
     again = command("calibrate", "mine", "--overwrite")
@@ -80,9 +111,20 @@ def test_points_become_cameras(command: Command, tmp_path: Path) -> None:
 
 
 def test_images_become_cameras(command: Command, tmp_path: Path) -> None:
-    layout = {"kind": "list", "places": [{"center_mm": [x, y, -490.0]} for x, y in ((-150.0, -80.0), (150.0, -80.0), (0.0, 150.0))]}
-    scene = calibration_scene(cameras={"rows": 400, "columns": 400, "pixel_mm": 0.03, "layout": layout}, targets={"pitch_mm": 3.2})
-    lamps = Lighting.model_validate({"lamps": [{"center_mm": [-300.0, -100.0, -400.0]}, {"center_mm": [300.0, 100.0, -400.0]}]})
+    layout = {
+        "kind": "list",
+        "places": [
+            {"center_mm": [x, y, -490.0]}
+            for x, y in ((-150.0, -80.0), (150.0, -80.0), (0.0, 150.0))
+        ],
+    }
+    scene = calibration_scene(
+        cameras={"rows": 400, "columns": 400, "pixel_mm": 0.03, "layout": layout},
+        targets={"pitch_mm": 3.2},
+    )
+    lamps = Lighting.model_validate(
+        {"lamps": [{"center_mm": [-300.0, -100.0, -400.0]}, {"center_mm": [300.0, 100.0, -400.0]}]}
+    )
     cameras, placed = build_rig(scene).cameras, place(scene, 1)
     describe(scene, tmp_path / "mine", cameras)
     for frame, pose in enumerate(placed.poses):
@@ -90,14 +132,23 @@ def test_images_become_cameras(command: Command, tmp_path: Path) -> None:
         folder.mkdir(parents=True)
         for camera in cameras:
             picture = photograph(camera, placed.target, pose, lamps, np.array([0.0, 0.0, 35.0]), 9)
-            assert cv2.imwrite(str(folder / f"{camera.name}.png"), np.clip(200.0 * picture, 0.0, 255.0).astype(np.uint8))
+            assert cv2.imwrite(
+                str(folder / f"{camera.name}.png"),
+                np.clip(200.0 * picture, 0.0, 255.0).astype(np.uint8),
+            )
     done = command("calibrate", "mine", "-o", "out", "--json")
     assert done.returncode == 0, done.stderr
     report = json.loads(done.stdout)
     assert report["noise_px"] < 0.05
-    assert all(line["found"] >= 484 and line["used"] > 0.9 * line["found"] for line in report["cameras"]), report
-    focal = [camera.principal_distance_mm for camera in cameras_in(tmp_path / "out" / "cameras.json")]
-    np.testing.assert_allclose(focal, [camera.principal_distance_mm for camera in cameras], rtol=0.02)
+    assert all(
+        line["found"] >= 484 and line["used"] > 0.9 * line["found"] for line in report["cameras"]
+    ), report
+    focal = [
+        camera.principal_distance_mm for camera in cameras_in(tmp_path / "out" / "cameras.json")
+    ]
+    np.testing.assert_allclose(
+        focal, [camera.principal_distance_mm for camera in cameras], rtol=0.02
+    )
 
 
 def faulty(folder: Path, what: str) -> None:
@@ -111,7 +162,9 @@ def faulty(folder: Path, what: str) -> None:
     elif what == "key":
         (folder / "calibration.toml").write_text(text.replace("pitch_mm", "pich_mm"))
     elif what == "wall":
-        (folder / "calibration.toml").write_text(text.replace("[wall]", "[wall]\npoint_mm = [0.0, 0.0, -900.0]"))
+        (folder / "calibration.toml").write_text(
+            text.replace("[wall]", "[wall]\npoint_mm = [0.0, 0.0, -900.0]")
+        )
     elif what == "header":
         lines[0] = "camera,frame,point,x,y"
     elif what == "number":

@@ -23,7 +23,11 @@ from tests.system.test_board import solvers
 from tests.unit.calibration_cases import calibration_scene, case_of, true_error_px
 from tests.unit.test_self_calibration import particle_scene
 
-SOLVERS = [name for name in plugins.names("solvers") if getattr(plugins.load("solvers", name), "sees", "") == "target"]
+SOLVERS = [
+    name
+    for name in plugins.names("solvers")
+    if getattr(plugins.load("solvers", name), "sees", "") == "target"
+]
 LEVEL = {"tilt_deg": 0.0, "roll_deg": 0.0, "wander": 0.3}
 KNOWN = [{"frame": 3, "point": 60, "sigma_mm": 0.02}]
 
@@ -41,11 +45,17 @@ def level_case(**changes: Any) -> Any:
     return case_of(calibration_scene(targets=LEVEL, frames=7, calibration=rough, **changes))
 
 
-# Mean true reprojection error, px, where points are found to 0.1 px and told to 0.01 mm (0.2 px); linear_autocal cannot know of the wall.
+# Mean true reprojection error, px, where points are found to 0.1 px and told to 0.01 mm (0.2 px);
+# linear_autocal cannot know of the wall.
 MOST = {
-    "refractive_autocal": 0.015, "refractive_autocal_alternating": 0.1, "refractive_autocal_randomised": 0.1,
-    "soloff": 0.1, "polynomial_planes": 0.15, "pinhole_linear": 0.3, "linear_autocal": 60.0,
-}  # fmt: skip
+    "refractive_autocal": 0.015,
+    "refractive_autocal_alternating": 0.1,
+    "refractive_autocal_randomised": 0.1,
+    "soloff": 0.1,
+    "polynomial_planes": 0.15,
+    "pinhole_linear": 0.3,
+    "linear_autocal": 60.0,
+}
 
 
 @pytest.mark.parametrize("name", SOLVERS)
@@ -64,7 +74,9 @@ def test_missing_points_and_hidden_boards_are_normal(name: str) -> None:
     assert 0.6 < case.found.mean() < 0.9
     answer = solved(name, case)
     places = points if answer.points_mm is None else answer.points_mm
-    assert true_error_px(answer.cameras, places, exact) < 3.0 * MOST[name]  # polynomials go on into what is hidden
+    assert (
+        true_error_px(answer.cameras, places, exact) < 3.0 * MOST[name]
+    )  # polynomials go on into what is hidden
 
 
 @pytest.mark.parametrize("name", SOLVERS)
@@ -72,7 +84,10 @@ def test_a_camera_that_sees_nothing_is_named(name: str) -> None:
     case, *_ = level_case()
     pixels = case.pixels.copy()
     pixels[2] = np.nan
-    with pytest.raises(InputError, match="camera_02: expected it to see some of the target, but not one of its points was found"):
+    with pytest.raises(
+        InputError,
+        match="camera_02: expected it to see some of the target, but not one of its points was found",
+    ):
         solved(name, replace(case, pixels=pixels))
 
 
@@ -88,14 +103,24 @@ def test_polynomials_need_planes() -> None:
 def test_classical_calibrations_need_different_depths(name: str) -> None:
     case, *_ = case_of(calibration_scene(calibration={"blank": True, "known": []}))
     algorithm: Any = make_algorithm(name, {})
-    assert algorithm.skip(case) == "expected places that are told at different depths, got all of them in one plane"
+    assert (
+        algorithm.skip(case)
+        == "expected places that are told at different depths, got all of them in one plane"
+    )
     planes: Any = make_algorithm("polynomial_planes", {})
-    assert planes.skip(case) == "expected frames of one Z each, got one with a range of 0 mm where frames are 0 mm apart"
+    assert (
+        planes.skip(case)
+        == "expected frames of one Z each, got one with a range of 0 mm where frames are 0 mm apart"
+    )
 
 
 def test_alternation_ends_early_and_joint_adjustment_does_not() -> None:
     """The thesis's stop rule looks at a change of 0.001 px; the least-squares solution is further on."""
-    case, _, _, exact = case_of(calibration_scene(calibration={"points": 0.2, "center_mm": 30.0, "turn_deg": 3.0, "known": []}))
+    case, _, _, exact = case_of(
+        calibration_scene(
+            calibration={"points": 0.2, "center_mm": 30.0, "turn_deg": 3.0, "known": []}
+        )
+    )
     errors = {}
     for name in ("refractive_autocal", "refractive_autocal_alternating"):
         answer = solved(name, case)
@@ -108,7 +133,13 @@ def test_alternation_ends_early_and_joint_adjustment_does_not() -> None:
 @pytest.fixture(scope="module")
 def boards(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
     """A data set of points without pictures."""
-    return sabench.generate(calibration_scene(), tmp_path_factory.mktemp("calibration") / "boards", seed=2, backend="splat", name="boards")
+    return sabench.generate(
+        calibration_scene(),
+        tmp_path_factory.mktemp("calibration") / "boards",
+        seed=2,
+        backend="splat",
+        name="boards",
+    )
 
 
 def test_both_ends_of_the_scale(boards: Dataset) -> None:
@@ -117,7 +148,11 @@ def test_both_ends_of_the_scale(boards: Dataset) -> None:
     assert truth["measured_px"] == pytest.approx(0.1 * np.sqrt(np.pi / 2.0), rel=0.05)
     assert truth["held_out_mm"] == pytest.approx(truth["held_out_exact_mm"])
     for how in ("", "raw_", "shift_", "rigid_"):
-        assert all(abs(truth[f"{how}{axis}_{what}_mm"]) < 1e-9 for axis in "xyz" for what in ("mean", "std"))
+        assert all(
+            abs(truth[f"{how}{axis}_{what}_mm"]) < 1e-9
+            for axis in "xyz"
+            for what in ("mean", "std")
+        )
     assert told["true_px"] > 20.0
     assert told["held_out_mm"] > 10.0 * truth["held_out_mm"]
 
@@ -140,29 +175,43 @@ def test_a_calibration_s_scores(boards: Dataset, tmp_path: Path) -> None:
 
 def test_a_wrong_index_is_estimated_and_scored(boards: Dataset, tmp_path: Path) -> None:
     """Of the wall the fluid's index alone can be estimated, to some thousandths; what is not free stays exact."""
-    result = sabench.solve("refractive_autocal", boards, tmp_path / "r.h5", parameters={"indices": [2]})
+    result = sabench.solve(
+        "refractive_autocal", boards, tmp_path / "r.h5", parameters={"indices": [2]}
+    )
     scores = sabench.score(boards, result.path)
     assert 0.0 < scores["index_error"] < 0.01
     assert scores["thickness_error_mm"] == 0.0
 
 
 @pytest.mark.parametrize("name", ["soloff", "pinhole_linear"])
-def test_other_camera_models_come_back_from_their_file(boards: Dataset, tmp_path: Path, name: str) -> None:
+def test_other_camera_models_come_back_from_their_file(
+    boards: Dataset, tmp_path: Path, name: str
+) -> None:
     result = sabench.solve(name, boards, tmp_path / "r.h5")
     assert result.calibration().cameras == solved(name, boards.calibration_case()).cameras
     assert sabench.score(boards, result.path)["true_px"] is not None
 
 
-def test_a_solver_of_another_kind_is_refused(boards: Dataset, quick: Dataset, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"solver msa: expected a data set that shows particles, but .* shows a calibration target"):
+def test_a_solver_of_another_kind_is_refused(
+    boards: Dataset, quick: Dataset, tmp_path: Path
+) -> None:
+    with pytest.raises(
+        InputError,
+        match=r"solver msa: expected a data set that shows particles, but .* shows a calibration target",
+    ):
         sabench.solve("msa", boards, tmp_path / "r.h5")
-    with pytest.raises(InputError, match=r"solver soloff: expected a data set that shows a calibration target, but .* shows particles"):
+    with pytest.raises(
+        InputError,
+        match=r"solver soloff: expected a data set that shows a calibration target, but .* shows particles",
+    ):
         sabench.solve("soloff", quick, tmp_path / "r.h5")
     assert list(tmp_path.iterdir()) == []
 
 
 def test_self_calibration_is_scored_on_particles(tmp_path: Path) -> None:
-    data = sabench.generate(particle_scene(2.0), tmp_path / "set", seed=3, backend="splat", name="particles")
+    data = sabench.generate(
+        particle_scene(2.0), tmp_path / "set", seed=3, backend="splat", name="particles"
+    )
     result = sabench.solve("volume_self_calibration", data, tmp_path / "r.h5")
     assert score_result(data, "truth")["true_px"] == pytest.approx(0.0, abs=1e-6)
     told = score_result(data, "empty")["true_px"]
@@ -172,19 +221,31 @@ def test_self_calibration_is_scored_on_particles(tmp_path: Path) -> None:
 
 
 def test_a_suite_of_calibrations_leaves_a_page(command: Command, tmp_path: Path) -> None:
-    values = calibration_scene(targets={"columns": 7, "rows": 7}, calibration={"known": []}).to_dict()
+    values = calibration_scene(
+        targets={"columns": 7, "rows": 7}, calibration={"known": []}
+    ).to_dict()
     (tmp_path / "boards.toml").write_text(parse_scene(values, "s").to_toml())
     (tmp_path / "suite.toml").write_text(
         'title = "t"\nscenes = ["boards.toml"]\nseeds = [1, 2]\nbackend = "splat"\n'
         'solvers = [{ name = "refractive_autocal" }, { name = "soloff" }, { name = "polynomial_planes" }]\n'
     )
     done = command("run", "suite.toml", env={"PYTHONPATH": str(ROOT)})
-    assert done.returncode == 0, done.stderr  # polynomial_planes declines tilted boards, which is no fault
-    assert "polynomial_planes declines this case: expected frames of one Z each" in " ".join(done.stderr.split())
-    records = [json.loads(line) for line in (tmp_path / "leaderboard/records/local.jsonl").read_text().splitlines()]
+    assert done.returncode == 0, (
+        done.stderr
+    )  # polynomial_planes declines tilted boards, which is no fault
+    assert "polynomial_planes declines this case: expected frames of one Z each" in " ".join(
+        done.stderr.split()
+    )
+    records = [
+        json.loads(line)
+        for line in (tmp_path / "leaderboard/records/local.jsonl").read_text().splitlines()
+    ]
     assert [record["track"] for record in records] == ["calibration"] * 6
     assert [record["declined"] for record in records] == [False, False, True] * 2
-    assert all((record["true_px"] is None) == (record["solver"] == "polynomial_planes") for record in records)
+    assert all(
+        (record["true_px"] is None) == (record["solver"] == "polynomial_planes")
+        for record in records
+    )
     page = (tmp_path / "leaderboard/index.html").read_text(encoding="utf-8")
     assert "true / bound" in page
     assert solvers(page)[:2] == ["refractive_autocal", "soloff"]

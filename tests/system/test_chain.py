@@ -53,7 +53,11 @@ def test_a_shot_in_memory_is_the_frame_that_is_written(tmp_path: Path) -> None:
     written = sabench.generate("quick", tmp_path / "set", seed=3, backend="splat")
     shot, stored = simulate(scene, seed=3), written.observation(0)
     np.testing.assert_array_equal(shot.observation.images, stored.images)
-    assert (shot.observation.grid, shot.observation.black_dn, shot.observation.white_dn) == (stored.grid, stored.black_dn, stored.white_dn)
+    assert (shot.observation.grid, shot.observation.black_dn, shot.observation.white_dn) == (
+        stored.grid,
+        stored.black_dn,
+        stored.white_dn,
+    )
     assert shot.observation.cameras == stored.cameras
     np.testing.assert_array_equal(shot.particles.position_mm, written.particles(0).position_mm)
     for mine, theirs in zip(shot.views, written.views(0), strict=True):
@@ -70,7 +74,16 @@ def test_particles_can_be_given_one_image_size() -> None:
 
 def test_frames_do_not_depend_on_how_many_there_are(tmp_path: Path) -> None:
     values = load_scene("quick").to_dict()
-    few, many = (sabench.generate(parse_scene(values | {"frames": n}, "s"), tmp_path / str(n), seed=3, backend="splat", name="s") for n in (1, 3))
+    few, many = (
+        sabench.generate(
+            parse_scene(values | {"frames": n}, "s"),
+            tmp_path / str(n),
+            seed=3,
+            backend="splat",
+            name="s",
+        )
+        for n in (1, 3)
+    )
     for camera in few.rig.cameras:
         name = image_name(camera.name, 0, "tif")
         assert sha256(few.root / name) == sha256(many.root / name)
@@ -80,12 +93,23 @@ def test_frames_do_not_depend_on_how_many_there_are(tmp_path: Path) -> None:
 def test_truth_is_perfect_and_empty_is_the_floor(quick: Dataset) -> None:
     best = sabench.score(quick, "truth")
     assert best["q"] == pytest.approx(1.0, abs=1e-12)
-    assert (best["true_percent"], best["ghost_percent"], best["precision"], best["recall"], best["rms_px"]) == (100.0, 0.0, 1.0, 1.0, 0.0)
+    assert (
+        best["true_percent"],
+        best["ghost_percent"],
+        best["precision"],
+        best["recall"],
+        best["rms_px"],
+    ) == (100.0, 0.0, 1.0, 1.0, 0.0)
     floor = sabench.score(quick, "empty")
-    assert [floor[key] for key in ("q", "true_percent", "ghost_percent", "precision", "recall", "rms_px")] == [0.0, 0.0, 0.0, 0.0, 0.0, None]
+    assert [
+        floor[key]
+        for key in ("q", "true_percent", "ghost_percent", "precision", "recall", "rms_px")
+    ] == [0.0, 0.0, 0.0, 0.0, 0.0, None]
 
 
-def test_both_solvers_find_the_particles(quick: Dataset, quick_result: Path, tmp_path: Path) -> None:
+def test_both_solvers_find_the_particles(
+    quick: Dataset, quick_result: Path, tmp_path: Path
+) -> None:
     multiplicative = sabench.score(quick, quick_result)
     assert multiplicative["q"] > 0.65
     assert multiplicative["recall"] > 0.95
@@ -104,18 +128,24 @@ def test_a_solver_without_the_wall_is_lost(quick: Dataset, tmp_path: Path) -> No
     from sabench.dataset.results import result_writer
 
     case = quick.observation(0)
-    blind = replace(case, cameras=tuple(replace(camera, wall=None) for camera in pinholes(case.cameras)))
+    blind = replace(
+        case, cameras=tuple(replace(camera, wall=None) for camera in pinholes(case.cameras))
+    )
     with result_writer(tmp_path / "blind.h5", quick, "blind", "reconstruction", {}) as writer:
         writer.add(0, make_solver("msa", {}).solve(blind))
     assert sabench.score(quick, tmp_path / "blind.h5")["recall"] < 0.05
 
 
-def test_auto_renderer_falls_back_where_nothing_runs_mitsuba(command: Command, tmp_path: Path) -> None:
+def test_auto_renderer_falls_back_where_nothing_runs_mitsuba(
+    command: Command, tmp_path: Path
+) -> None:
     broken = {"DRJIT_LIBLLVM_PATH": "/nowhere/libLLVM.so", "SABENCH_BACKEND": "llvm"}
     done = command("generate", "quick", "-o", tmp_path / "fallback", env=broken)
     assert done.returncode == 0, done.stderr
     assert "splat" in done.stdout
-    refused = command("generate", "quick", "-o", tmp_path / "asked", "--backend", "mitsuba", env=broken)
+    refused = command(
+        "generate", "quick", "-o", tmp_path / "asked", "--backend", "mitsuba", env=broken
+    )
     assert refused.returncode == 2
     assert "/nowhere/libLLVM.so" in refused.stderr
     assert "karellen-llvm-core" in refused.stderr
@@ -123,17 +153,32 @@ def test_auto_renderer_falls_back_where_nothing_runs_mitsuba(command: Command, t
 
 def test_steps_at_the_command_line(command: Command, quick: Dataset, tmp_path: Path) -> None:
     assert command("verify", quick.root).returncode == 0
-    assert command("solve", "msa", quick.root, "-o", "r.h5", "-p", "k=2.5", "-p", "keep=whole").returncode == 0
+    assert (
+        command(
+            "solve", "msa", quick.root, "-o", "r.h5", "-p", "k=2.5", "-p", "keep=whole"
+        ).returncode
+        == 0
+    )
     done = command("score", quick.root, "r.h5", "--json")
     scores = json.loads(done.stdout)
-    assert set(scores) == {"dataset", "track", "solver", "parameters", *SCORES, "seconds", "peak_mb"}
+    assert set(scores) == {
+        "dataset",
+        "track",
+        "solver",
+        "parameters",
+        *SCORES,
+        "seconds",
+        "peak_mb",
+    }
     assert scores["dataset"] == quick.content_hash
     assert scores["parameters"]["k"] == 2.5
     assert scores["seconds"] > 0
     assert scores["peak_mb"] > 50
 
 
-def test_suite_makes_records_and_page_and_survives_a_failing_solver(command: Command, tmp_path: Path) -> None:
+def test_suite_makes_records_and_page_and_survives_a_failing_solver(
+    command: Command, tmp_path: Path
+) -> None:
     plugin = tmp_path / "mine" / "solvers" / "bad.py"
     plugin.parent.mkdir(parents=True)
     plugin.write_text(

@@ -16,7 +16,11 @@ from sabench.simulation.in_memory import Shot, simulate
 from sabench.tasks.columns import COLUMNS
 from sabench.tasks.reconstruction_scores import score_frame
 
-SOLVERS = [name for name in plugins.names("solvers") if plugins.load("solvers", name).track == "reconstruction"]
+SOLVERS = [
+    name
+    for name in plugins.names("solvers")
+    if plugins.load("solvers", name).track == "reconstruction"
+]
 
 
 @pytest.fixture(scope="module")
@@ -57,7 +61,10 @@ def test_a_solver_finds_particles_the_same_way_twice(name: str, shot: Shot) -> N
 
 @pytest.mark.parametrize("name", SOLVERS)
 def test_no_light_is_no_particles(name: str, shot: Shot) -> None:
-    dark = replace(shot.observation, images=np.full_like(shot.observation.images, int(shot.observation.black_dn)))
+    dark = replace(
+        shot.observation,
+        images=np.full_like(shot.observation.images, int(shot.observation.black_dn)),
+    )
     assert not solved(name, dark).volume.any()
 
 

@@ -35,7 +35,11 @@ def opened(path: Path) -> tuple[Any, dict[str, Any]]:
     assert not told
     data = reader.GetOutputDataObject(0)
     both = (data.GetPointData(), data.GetCellData())
-    return data, {one.GetArrayName(number): vtk_to_numpy(one.GetArray(number)) for one in both for number in range(one.GetNumberOfArrays())}
+    return data, {
+        one.GetArrayName(number): vtk_to_numpy(one.GetArray(number))
+        for one in both
+        for number in range(one.GetNumberOfArrays())
+    }
 
 
 @pytest.fixture(scope="module")
@@ -50,31 +54,50 @@ def moving(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
 def test_truth_is_what_vtk_reads(moving: Dataset, tmp_path: Path, command: Command) -> None:
     done = command("export", moving.root, "-o", tmp_path / "vtk", "--to", "vtk")
     assert done.returncode == 0, done.stderr
-    names = [f"{kind}_{frame:04d}.vtkhdf" for kind in ("flow", "particles", "volume") for frame in range(2)]
+    names = [
+        f"{kind}_{frame:04d}.vtkhdf"
+        for kind in ("flow", "particles", "volume")
+        for frame in range(2)
+    ]
     assert sorted(path.name for path in (tmp_path / "vtk").iterdir()) == names
     particles, grid = moving.particles(1), moving.rig.grid
     cloud, about = opened(tmp_path / "vtk/particles_0001.vtkhdf")
     assert cloud.GetNumberOfCells() == cloud.GetNumberOfPoints() == len(particles)
-    np.testing.assert_allclose([cloud.GetPoint(number) for number in range(5)], particles.position_mm[:5], rtol=1e-6)
+    np.testing.assert_allclose(
+        [cloud.GetPoint(number) for number in range(5)], particles.position_mm[:5], rtol=1e-6
+    )
     np.testing.assert_allclose(about["velocity_mm_s"], particles.velocity_mm_s)
     image, values = opened(tmp_path / "vtk/volume_0000.vtkhdf")
     assert image.GetDimensions() == grid.shape[::-1]
-    np.testing.assert_allclose((image.GetOrigin(), image.GetSpacing()), (grid.low_mm, grid.voxel_mm))
-    np.testing.assert_array_equal(values["intensity"].reshape(grid.shape), true_field(grid, moving.particles(0), moving.views(0)))
+    np.testing.assert_allclose(
+        (image.GetOrigin(), image.GetSpacing()), (grid.low_mm, grid.voxel_mm)
+    )
+    np.testing.assert_array_equal(
+        values["intensity"].reshape(grid.shape),
+        true_field(grid, moving.particles(0), moving.views(0)),
+    )
     image, values = opened(tmp_path / "vtk/flow_0001.vtkhdf")
     assert image.GetDimensions() == (9, 9, 9)
     flow, node = flow_of(moving.scene), image.ComputePointId((2, 7, 3))
     assert flow is not None
     place = np.array([image.GetPoint(node)])
-    np.testing.assert_allclose(values["velocity_mm_s"][node], flow.velocity(place, moving.rig.time_s(1))[0])
-    np.testing.assert_allclose(values["vorticity_1_s"][node], vorticity(flow.gradient(place, moving.rig.time_s(1)))[0], atol=1e-9)
+    np.testing.assert_allclose(
+        values["velocity_mm_s"][node], flow.velocity(place, moving.rig.time_s(1))[0]
+    )
+    np.testing.assert_allclose(
+        values["vorticity_1_s"][node],
+        vorticity(flow.gradient(place, moving.rig.time_s(1)))[0],
+        atol=1e-9,
+    )
 
 
 def test_results_are_what_vtk_reads(moving: Dataset, tmp_path: Path) -> None:
     from sabench.interop.vtkhdf import export
 
     rng = np.random.default_rng(0)
-    field = Velocity((-1.0, -2.0, -0.5), (0.5, 1.0, 0.25), rng.random((5, 5, 5, 3)), rng.random((5, 5, 5)) > 0.2)
+    field = Velocity(
+        (-1.0, -2.0, -0.5), (0.5, 1.0, 0.25), rng.random((5, 5, 5, 3)), rng.random((5, 5, 5)) > 0.2
+    )
     with result_writer(tmp_path / "piv.h5", moving, "piv3d", "velocimetry", {}) as writer:
         writer.add_velocity(0, field)
     export(moving, tmp_path / "vtk", tmp_path / "piv.h5")
@@ -92,10 +115,17 @@ def test_an_exported_flow_carries_particles_again(moving: Dataset, tmp_path: Pat
 
     export(moving, tmp_path / "vtk")
     plugin = load("generators", "from_field")
-    given = {"file": str(tmp_path / "vtk/flow_0000.vtkhdf"), "velocity": ["velocity_mm_s"], "length": "mm", "speed": "mm/s"}
+    given = {
+        "file": str(tmp_path / "vtk/flow_0000.vtkhdf"),
+        "velocity": ["velocity_mm_s"],
+        "length": "mm",
+        "speed": "mm/s",
+    }
     again, flow = plugin(plugin.Parameters(**given)), flow_of(moving.scene)
     assert flow is not None
-    places = np.random.default_rng(0).uniform(-1.5, 1.5, (50, 3)) + np.asarray(moving.scene.volume.center_mm)
+    places = np.random.default_rng(0).uniform(-1.5, 1.5, (50, 3)) + np.asarray(
+        moving.scene.volume.center_mm
+    )
     exact = flow.velocity(places, 0.0)
     np.testing.assert_allclose(again.velocity(places, 0.0), exact, atol=0.05 * np.abs(exact).max())
 
@@ -103,9 +133,14 @@ def test_an_exported_flow_carries_particles_again(moving: Dataset, tmp_path: Pat
 def tiny(**changes: Any) -> Scene:
     """A quick one: exports do not look at images."""
     cameras = {
-        "rows": 24, "columns": 30, "pixel_mm": 0.09, "focal_length_mm": 50.0, "f_number": 11.0, "center_mm": [0.0, 0.0, -520.0],
+        "rows": 24,
+        "columns": 30,
+        "pixel_mm": 0.09,
+        "focal_length_mm": 50.0,
+        "f_number": 11.0,
+        "center_mm": [0.0, 0.0, -520.0],
         "layout": {"kind": "line", "count": 2, "spacing_mm": 120.0},
-    }  # fmt: skip
+    }
     return small(cameras=cameras, render={"relative_error": 0.2}, **changes)
 
 
@@ -122,10 +157,24 @@ def bubbly(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
         "velocity_mm_s": [0.0, -2.0, 0.0],
     }
     bodies = [
-        {"generator": "hydrofoil", "points": 8, "chord_mm": 4.0, "span_mm": 3.0, "place_mm": [0.0, 0.0, 80.0]},
-        {"generator": "cylinder", "sections": 8, "radius_mm": 1.0, "length_mm": 2.0, "place_mm": [0.0, 0.0, 90.0]},
+        {
+            "generator": "hydrofoil",
+            "points": 8,
+            "chord_mm": 4.0,
+            "span_mm": 3.0,
+            "place_mm": [0.0, 0.0, 80.0],
+        },
+        {
+            "generator": "cylinder",
+            "sections": 8,
+            "radius_mm": 1.0,
+            "length_mm": 2.0,
+            "place_mm": [0.0, 0.0, 90.0],
+        },
     ]
-    return generate(tiny(bubbles=field, solids=bodies), tmp_path_factory.mktemp("bubbly") / "data", seed=1)
+    return generate(
+        tiny(bubbles=field, solids=bodies), tmp_path_factory.mktemp("bubbly") / "data", seed=1
+    )
 
 
 def test_bubbles_and_bodies_are_what_vtk_reads(bubbly: Dataset, tmp_path: Path) -> None:
@@ -137,7 +186,10 @@ def test_bubbles_and_bodies_are_what_vtk_reads(bubbly: Dataset, tmp_path: Path) 
     from sabench.interop.vtkhdf import export
 
     export(bubbly, tmp_path / "vtk")
-    assert sorted(path.name for path in (tmp_path / "vtk").iterdir()) == ["bodies_0000.vtkhdf", "bubbles_0000.vtkhdf"]
+    assert sorted(path.name for path in (tmp_path / "vtk").iterdir()) == [
+        "bodies_0000.vtkhdf",
+        "bubbles_0000.vtkhdf",
+    ]
     cloud, about = opened(tmp_path / "vtk/bubbles_0000.vtkhdf")
     true = bubbly.bubbles(0)
     assert cloud.GetNumberOfPoints() == cloud.GetNumberOfCells() == len(true) > 4
@@ -150,15 +202,23 @@ def test_bubbles_and_bodies_are_what_vtk_reads(bubbly: Dataset, tmp_path: Path) 
     glyphs.SetInputData(cloud)
     glyphs.SetSourceConnection(ball.GetOutputPort())
     glyphs.Update()
-    drawn = vtk_to_numpy(glyphs.GetOutput().GetPoints().GetData()).reshape(len(true), -1, 3) - true.center_mm[:, None]
-    np.testing.assert_allclose(np.linalg.norm(np.einsum("nij,nkj->nki", true.to_ball, drawn), axis=2), 1.0, atol=1e-4)
+    drawn = (
+        vtk_to_numpy(glyphs.GetOutput().GetPoints().GetData()).reshape(len(true), -1, 3)
+        - true.center_mm[:, None]
+    )
+    np.testing.assert_allclose(
+        np.linalg.norm(np.einsum("nij,nkj->nki", true.to_ball, drawn), axis=2), 1.0, atol=1e-4
+    )
     assert (np.ptp(np.linalg.norm(drawn, axis=2), axis=1) > 0.2).all()
     bodies, about = opened(tmp_path / "vtk/bodies_0000.vtkhdf")
     solids = bubbly.solids(0)
     assert bodies.GetNumberOfPolys() == bodies.GetNumberOfCells()
     for number, solid in enumerate(solids):
         (own,) = np.nonzero(about["body"] == number)
-        corners = [[bodies.GetPoint(bodies.GetCell(cell).GetPointId(corner)) for corner in range(3)] for cell in own]
+        corners = [
+            [bodies.GetPoint(bodies.GetCell(cell).GetPointId(corner)) for corner in range(3)]
+            for cell in own
+        ]
         np.testing.assert_allclose(corners, solid.vertices_mm[solid.faces], rtol=1e-6)
 
 
@@ -168,9 +228,14 @@ def test_found_bubbles_say_what_they_are(bubbly: Dataset, tmp_path: Path) -> Non
     true = bubbly.bubbles(0)
     shift = np.array([0.05, 0.0, -0.1])
     order = np.array([4, 0, 2])
-    center = np.concatenate([true.center_mm[order] + shift, [[0.0, 0.0, 20.0]]])  # three of them, and a ghost
+    center = np.concatenate(
+        [true.center_mm[order] + shift, [[0.0, 0.0, 20.0]]]
+    )  # three of them, and a ghost
     found = Detections.balls(center, np.append(true.radius_mm[order] * 1.1, 0.5))
-    for name, detections in {"some": found, "none": Detections.balls(np.zeros((0, 3)), np.zeros(0))}.items():
+    for name, detections in {
+        "some": found,
+        "none": Detections.balls(np.zeros((0, 3)), np.zeros(0)),
+    }.items():
         with result_writer(tmp_path / f"{name}.h5", bubbly, "rim_fit", "bubbles", {}) as writer:
             writer.add_bubbles(0, detections)
         export(bubbly, tmp_path / name, tmp_path / f"{name}.h5")
@@ -178,7 +243,9 @@ def test_found_bubbles_say_what_they_are(bubbly: Dataset, tmp_path: Path) -> Non
     np.testing.assert_allclose([cloud.GetPoint(number) for number in range(4)], found.center_mm)
     np.testing.assert_array_equal(about["matched"], [1, 1, 1, 0])
     np.testing.assert_array_equal(about["true_id"], [*true.id[order], -1])
-    np.testing.assert_allclose(about["error_mm"], np.array([shift, shift, shift, np.full(3, np.nan)]), atol=1e-12)
+    np.testing.assert_allclose(
+        about["error_mm"], np.array([shift, shift, shift, np.full(3, np.nan)]), atol=1e-12
+    )
     np.testing.assert_allclose(about["radius_error_mm"], [*(0.1 * true.radius_mm[order]), np.nan])
     np.testing.assert_array_equal(about["semi_axes_mm"], found.semi_axes_mm)
     assert opened(tmp_path / "none/bubbles_0000.vtkhdf")[0].GetNumberOfPoints() == 0
@@ -189,12 +256,17 @@ def test_particles_among_bubbles_have_files_of_their_own(tmp_path: Path) -> None
     from sabench.simulation.pipeline import generate
 
     tracers = {"generator": "uniform", "count": 20, "diameter_mm": 0.05}
-    export(generate(tiny(illumination=LASER, particles=tracers), tmp_path / "data", seed=1), tmp_path / "vtk")
+    export(
+        generate(tiny(illumination=LASER, particles=tracers), tmp_path / "data", seed=1),
+        tmp_path / "vtk",
+    )
     names = ["bubbles_0000.vtkhdf", "particles_0000.vtkhdf", "volume_0000.vtkhdf"]
     assert sorted(path.name for path in (tmp_path / "vtk").iterdir()) == names
 
 
-def test_what_cannot_be_exported_is_named(moving: Dataset, tmp_path: Path, command: Command) -> None:
+def test_what_cannot_be_exported_is_named(
+    moving: Dataset, tmp_path: Path, command: Command
+) -> None:
     done = command("export", moving.root, "--to", "tecplot")
     assert (done.returncode, done.stderr) == (2, "sabench: to: expected vtk, got 'tecplot'\n")
     done = command("export", moving.root, tmp_path / "none.h5")

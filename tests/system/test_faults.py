@@ -95,7 +95,9 @@ def test_no_path_is_followed_outside(copy: Path, tmp_path: Path) -> None:
 def test_hdf5_link_out_of_the_file_is_refused(quick: Dataset, copy: Path, tmp_path: Path) -> None:
     with h5py.File(copy / "truth.h5", "r+") as file:
         del file["frames/0000/position_mm"]
-        file["frames/0000/position_mm"] = h5py.ExternalLink(str(quick.root / "truth.h5"), "/frames/0000/position_mm")
+        file["frames/0000/position_mm"] = h5py.ExternalLink(
+            str(quick.root / "truth.h5"), "/frames/0000/position_mm"
+        )
     with pytest.raises(InputError, match="a link"):
         sabench.open_dataset(copy).particles(0)
 
@@ -124,34 +126,74 @@ def test_missing_and_truncated_images_and_truth(copy: Path, command: Command) ->
 def test_images_of_another_kind_or_size(copy: Path, command: Command, tmp_path: Path) -> None:
     image = copy / "images/frame_0000/camera_02.tif"
     tifffile.imwrite(image, np.full((240, 320), np.nan, dtype=np.float32))
-    check_sentence(command("solve", "msa", copy, "-o", "r.h5"), f"{image}: expected 16-bit grey values of shape (240, 320), got float32")
+    check_sentence(
+        command("solve", "msa", copy, "-o", "r.h5"),
+        f"{image}: expected 16-bit grey values of shape (240, 320), got float32",
+    )
     tifffile.imwrite(image, np.zeros((200, 320), dtype=np.uint16))
-    check_sentence(command("solve", "msa", copy, "-o", "r.h5"), f"{image}: expected 16-bit grey values of shape (240, 320)", "(200, 320)")
+    check_sentence(
+        command("solve", "msa", copy, "-o", "r.h5"),
+        f"{image}: expected 16-bit grey values of shape (240, 320)",
+        "(200, 320)",
+    )
     tifffile.imwrite(image, np.full((240, 320), 4095, dtype=np.uint16))
-    check_sentence(command("solve", "msa", copy, "-o", "r.h5"), f"{copy}: frame 0: camera_02: expected an image", "every pixel is saturated")
+    check_sentence(
+        command("solve", "msa", copy, "-o", "r.h5"),
+        f"{copy}: frame 0: camera_02: expected an image",
+        "every pixel is saturated",
+    )
     assert list(tmp_path.iterdir()) == [copy]
 
 
 def test_a_black_image_is_solved(copy: Path, command: Command) -> None:
-    tifffile.imwrite(copy / "images/frame_0000/camera_02.tif", np.zeros((240, 320), dtype=np.uint16))
+    tifffile.imwrite(
+        copy / "images/frame_0000/camera_02.tif", np.zeros((240, 320), dtype=np.uint16)
+    )
     assert command("solve", "asa", copy, "-o", "r.h5").returncode == 0
 
 
 @pytest.mark.parametrize(
     ("table", "damage", "words"),
     [
-        ("cameras", {"rows": 200}, ("cameras.json: camera_01: expected 240 x 320 pixels (rows x columns) as camera_00 has, got 200 x 320",)),
+        (
+            "cameras",
+            {"rows": 200},
+            (
+                "cameras.json: camera_01: expected 240 x 320 pixels (rows x columns) as camera_00 has, got 200 x 320",
+            ),
+        ),
         ("cameras", {"name": "left"}, ("left.tif: expected an image, found no such file",)),
-        ("sensor", {"white_dn": 64.0}, ("cameras.json: sensor: expected black_dn below white_dn, got 64 and 64",)),
-        ("grid", {"low_mm": [500.0, 0.0, 30.0]}, ("frame 0: grid: expected it in view of at least one camera, but no camera of 4 sees any of it",)),
+        (
+            "sensor",
+            {"white_dn": 64.0},
+            ("cameras.json: sensor: expected black_dn below white_dn, got 64 and 64",),
+        ),
+        (
+            "grid",
+            {"low_mm": [500.0, 0.0, 30.0]},
+            (
+                "frame 0: grid: expected it in view of at least one camera, but no camera of 4 sees any of it",
+            ),
+        ),
         (
             "grid",
             {"shape": [100_000] * 3},
-            ("grid: expected it to fit into memory, but its 100000 x 100000 x 100000 voxels", "8000000001 MB", "at most"),
+            (
+                "grid: expected it to fit into memory, but its 100000 x 100000 x 100000 voxels",
+                "8000000001 MB",
+                "at most",
+            ),
         ),
     ],
 )
-def test_rigs_that_cannot_be_solved(copy: Path, tmp_path: Path, command: Command, table: str, damage: dict[str, Any], words: tuple[str, ...]) -> None:
+def test_rigs_that_cannot_be_solved(
+    copy: Path,
+    tmp_path: Path,
+    command: Command,
+    table: str,
+    damage: dict[str, Any],
+    words: tuple[str, ...],
+) -> None:
     rig = json.loads((copy / "cameras.json").read_text())
     (rig["cameras"][1] if table == "cameras" else rig[table]).update(damage)
     (copy / "cameras.json").write_text(json.dumps(rig))
@@ -200,7 +242,12 @@ def other_format(file: h5py.File) -> None:
     ],
 )
 def test_bad_results_are_refused(
-    quick: Dataset, quick_result: Path, tmp_path: Path, command: Command, damage: Damage, words: tuple[str, ...]
+    quick: Dataset,
+    quick_result: Path,
+    tmp_path: Path,
+    command: Command,
+    damage: Damage,
+    words: tuple[str, ...],
 ) -> None:
     bad = tmp_path / "bad.h5"
     shutil.copy(quick_result, bad)
@@ -209,7 +256,9 @@ def test_bad_results_are_refused(
     check_sentence(command("score", quick.root, bad), "bad.h5", *words)
 
 
-def test_truncated_result(quick: Dataset, quick_result: Path, tmp_path: Path, command: Command) -> None:
+def test_truncated_result(
+    quick: Dataset, quick_result: Path, tmp_path: Path, command: Command
+) -> None:
     bad = tmp_path / "bad.h5"
     shutil.copy(quick_result, bad)
     truncate(bad)
@@ -219,18 +268,26 @@ def test_truncated_result(quick: Dataset, quick_result: Path, tmp_path: Path, co
     check_sentence(command("score", quick.root, "nowhere.h5"), "nowhere.h5")
 
 
-def test_bad_command_lines(quick: Dataset, command: Command, tmp_path: Path, quick_toml: str) -> None:
+def test_bad_command_lines(
+    quick: Dataset, command: Command, tmp_path: Path, quick_toml: str
+) -> None:
     check_sentence(command("solve", "masa", quick.root, "-o", "r.h5"), "did you mean msa?")
-    check_sentence(command("solve", "msa", quick.root, "-o", "r.h5", "-p", "kk=3"), "kk", "did you mean k?")
+    check_sentence(
+        command("solve", "msa", quick.root, "-o", "r.h5", "-p", "kk=3"), "kk", "did you mean k?"
+    )
     check_sentence(command("solve", "msa", quick.root, "-o", "r.h5", "-p", "k=lots"), "k", "lots")
     check_sentence(command("solve", "msa", quick.root, "-o", "r.h5", "-p", "k"), "name=value")
-    check_sentence(command("generate", "quick", "-o", "d", "--backend", "povray"), "auto, mitsuba or splat")
+    check_sentence(
+        command("generate", "quick", "-o", "d", "--backend", "povray"), "auto, mitsuba or splat"
+    )
     check_sentence(command("generate", "quick", "-o", "d", "--seed", "-1"), "seed")
     check_sentence(command("generate", "quick"), "--output")
     check_sentence(command("generate", "quick", "-o", quick.root), "exists already")
     check_sentence(command("run", "quik"), "did you mean quick?")
     (tmp_path / "typo.toml").write_text(quick_toml.replace("fluid_index", "fluid_indx"))
-    check_sentence(command("generate", "typo.toml", "-o", "d"), "fluid_indx", "did you mean fluid_index?")
+    check_sentence(
+        command("generate", "typo.toml", "-o", "d"), "fluid_indx", "did you mean fluid_index?"
+    )
     assert sorted(path.name for path in tmp_path.iterdir()) == ["typo.toml"]
 
 
@@ -241,21 +298,44 @@ def limit_files() -> None:
 
 def test_a_disk_that_takes_no_more(quick: Dataset, command: Command, tmp_path: Path) -> None:
     """A limit on the size of files stands in for a full disk: writes fail in the middle with the system's error."""
-    check_sentence(command("generate", "quick", "-o", "full", "--backend", "splat", preexec_fn=limit_files), "full", "File too large")
-    check_sentence(command("solve", "msa", quick.root, "-o", "full.h5", "-p", "k=0", preexec_fn=limit_files), "full.h5", "File too large")
+    check_sentence(
+        command("generate", "quick", "-o", "full", "--backend", "splat", preexec_fn=limit_files),
+        "full",
+        "File too large",
+    )
+    check_sentence(
+        command("solve", "msa", quick.root, "-o", "full.h5", "-p", "k=0", preexec_fn=limit_files),
+        "full.h5",
+        "File too large",
+    )
     assert list(tmp_path.iterdir()) == []
 
 
 def many_frames(quick_toml: str, folder: Path) -> Path:
     file = folder / "many.toml"
-    file.write_text(quick_toml.replace("frames = 1", "frames = 150").replace("diameter_spread = 0.1", ""))
+    file.write_text(
+        quick_toml.replace("frames = 1", "frames = 150").replace("diameter_spread = 0.1", "")
+    )
     return file
 
 
 def start(tmp_path: Path, scene: Path, out: Path, *more: str) -> subprocess.Popen[bytes]:
-    words = [sys.executable, "-m", "sabench", "generate", str(scene), "-o", str(out), "--backend", "splat", *more]
+    words = [
+        sys.executable,
+        "-m",
+        "sabench",
+        "generate",
+        str(scene),
+        "-o",
+        str(out),
+        "--backend",
+        "splat",
+        *more,
+    ]
     environment = os.environ | {"PYTHONPATH": str(ROOT)}
-    return subprocess.Popen(words, env=environment, cwd=tmp_path, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
+    return subprocess.Popen(
+        words, env=environment, cwd=tmp_path, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE
+    )
 
 
 def recorded(folder: Path) -> int:
@@ -275,10 +355,14 @@ def wait_for_work(folder: Path, before: int) -> None:
 def undisturbed(tmp_path_factory: pytest.TempPathFactory, quick_toml: str) -> str:
     """Content hash of the many frames when nobody disturbs their making."""
     folder = tmp_path_factory.mktemp("undisturbed")
-    return sabench.generate(many_frames(quick_toml, folder), folder / "set", backend="splat").content_hash
+    return sabench.generate(
+        many_frames(quick_toml, folder), folder / "set", backend="splat"
+    ).content_hash
 
 
-def test_killed_at_any_moment_nothing_verifies_and_it_goes_on_to_the_same_bytes(tmp_path: Path, quick_toml: str, undisturbed: str) -> None:
+def test_killed_at_any_moment_nothing_verifies_and_it_goes_on_to_the_same_bytes(
+    tmp_path: Path, quick_toml: str, undisturbed: str
+) -> None:
     scene, rng, folder = many_frames(quick_toml, tmp_path), np.random.default_rng(3), tmp_path / "k"
     folder.mkdir()
     for number in range(4):
@@ -299,7 +383,9 @@ def test_killed_at_any_moment_nothing_verifies_and_it_goes_on_to_the_same_bytes(
 
 
 @pytest.mark.parametrize("jobs", ["1", "2"])
-def test_ctrl_c_at_any_moment_ends_in_a_sentence_and_keeps_what_is_finished(tmp_path: Path, quick_toml: str, undisturbed: str, jobs: str) -> None:
+def test_ctrl_c_at_any_moment_ends_in_a_sentence_and_keeps_what_is_finished(
+    tmp_path: Path, quick_toml: str, undisturbed: str, jobs: str
+) -> None:
     scene, folder, rng = many_frames(quick_toml, tmp_path), tmp_path / "c", np.random.default_rng(5)
     folder.mkdir()
     for _ in range(2):
@@ -341,10 +427,14 @@ def test_ctrl_c_in_a_suite_keeps_what_is_finished(tmp_path: Path) -> None:
     plugin = tmp_path / "mine" / "solvers" / "sleeper.py"
     plugin.parent.mkdir(parents=True)
     plugin.write_text(SLEEPER)
-    (tmp_path / "s.toml").write_text('title = "t"\nscenes = ["quick"]\nbackend = "splat"\nsolvers = [{ name = "msa" }, { name = "sleeper" }]\n')
+    (tmp_path / "s.toml").write_text(
+        'title = "t"\nscenes = ["quick"]\nbackend = "splat"\nsolvers = [{ name = "msa" }, { name = "sleeper" }]\n'
+    )
     environment = os.environ | {"PYTHONPATH": str(ROOT), "SABENCH_PLUGINS": str(tmp_path / "mine")}
     words = [sys.executable, "-m", "sabench", "run", "s.toml"]
-    with subprocess.Popen(words, env=environment, cwd=tmp_path, stderr=subprocess.PIPE, start_new_session=True) as process:
+    with subprocess.Popen(
+        words, env=environment, cwd=tmp_path, stderr=subprocess.PIPE, start_new_session=True
+    ) as process:
         end = time.monotonic() + 60.0
         while not (tmp_path / "began").exists():
             assert time.monotonic() < end
@@ -354,7 +444,10 @@ def test_ctrl_c_in_a_suite_keeps_what_is_finished(tmp_path: Path) -> None:
     assert process.returncode == 2, errors
     assert b"Traceback" not in errors
     assert errors.count(b"sabench: interrupted") == 1
-    records = [json.loads(line) for line in (tmp_path / "leaderboard/records/local.jsonl").read_text().splitlines()]
+    records = [
+        json.loads(line)
+        for line in (tmp_path / "leaderboard/records/local.jsonl").read_text().splitlines()
+    ]
     assert [record["solver"] for record in records] == ["msa"]
     assert not list(tmp_path.rglob("*.partial-*"))
 

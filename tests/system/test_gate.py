@@ -57,7 +57,10 @@ def plant(folder: Path) -> None:
 
 
 def test_a_check_is_silent_until_something_got_worse(algorithms: Path, command: Command) -> None:
-    words, env = ("check", "tiny.toml", "--baseline", "base.json"), {"SABENCH_PLUGINS": str(algorithms / "mine"), "PYTHONPATH": str(ROOT)}
+    words, env = (
+        ("check", "tiny.toml", "--baseline", "base.json"),
+        {"SABENCH_PLUGINS": str(algorithms / "mine"), "PYTHONPATH": str(ROOT)},
+    )
     missing = command(*words, env=env)
     assert missing.returncode == 2
     assert "--update makes one" in missing.stderr
@@ -77,7 +80,13 @@ def test_a_check_is_silent_until_something_got_worse(algorithms: Path, command: 
 
 
 def test_a_baseline_of_another_suite_is_bad_input(algorithms: Path, command: Command) -> None:
-    done = command("check", "tiny.toml", "--baseline", ROOT / "leaderboard/baselines/ci.json", env={"SABENCH_PLUGINS": str(algorithms / "mine")})
+    done = command(
+        "check",
+        "tiny.toml",
+        "--baseline",
+        ROOT / "leaderboard/baselines/ci.json",
+        env={"SABENCH_PLUGINS": str(algorithms / "mine")},
+    )
     assert done.returncode == 2
     assert "expected a baseline of the suite tiny, got one of ci" in done.stderr
 
@@ -89,7 +98,9 @@ def test_solvers_that_no_case_is_for_are_bad_input(algorithms: Path, command: Co
     assert "got only some of the track velocimetry" in done.stderr
 
 
-def test_the_fixture_runs_a_plug_in_against_its_baseline(algorithms: Path, pytester: pytest.Pytester, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_fixture_runs_a_plug_in_against_its_baseline(
+    algorithms: Path, pytester: pytest.Pytester, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.delenv("SABENCH_PLUGINS", raising=False)
     monkeypatch.setenv("PYTHONPATH", str(ROOT))
     pytester.makeini(f"[pytest]\nsabench_plugins = {algorithms / 'mine'}\n")
@@ -110,8 +121,14 @@ def test_the_fixture_runs_a_plug_in_against_its_baseline(algorithms: Path, pytes
     failed.stdout.fnmatch_lines(["*few, seed 1: dimmest: q: * before, * now*is allowed*"])
 
 
-def test_pytest_starts_without_loading_sabench(pytester: pytest.Pytester, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_pytest_starts_without_loading_sabench(
+    pytester: pytest.Pytester, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setenv("PYTHONPATH", str(ROOT))
     heavy = "{'mitsuba', 'drjit', 'numba', 'numpy', 'sabench.evaluation.gates.comparison', 'sabench.plugins'}"
-    pytester.makepyfile(f"import sys\ndef test_light():\n    assert not {heavy} & set(sys.modules)\n")
-    pytester.runpytest_subprocess("-p", "sabench.evaluation.gates.pytest_plugin", "-p", "no:hypothesispytest").assert_outcomes(passed=1)
+    pytester.makepyfile(
+        f"import sys\ndef test_light():\n    assert not {heavy} & set(sys.modules)\n"
+    )
+    pytester.runpytest_subprocess(
+        "-p", "sabench.evaluation.gates.pytest_plugin", "-p", "no:hypothesispytest"
+    ).assert_outcomes(passed=1)

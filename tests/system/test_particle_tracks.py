@@ -23,7 +23,9 @@ from sabench.simulation.pipeline import generate
 from sabench.tasks.solve_and_score import score, solve
 from sabench.utils.errors import InputError
 
-SOLVERS = [name for name in plugins.names("solvers") if plugins.load("solvers", name).track == "particles"]
+SOLVERS = [
+    name for name in plugins.names("solvers") if plugins.load("solvers", name).track == "particles"
+]
 
 
 @pytest.fixture(scope="module")
@@ -38,7 +40,9 @@ def shot() -> Shot:
 @pytest.fixture(scope="module")
 def film(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
     """Six frames of a sparse flow."""
-    scene = override(load_scene("particle-tracking"), {"frames": 6, "particles.per_pixel": 0.004}, "small")
+    scene = override(
+        load_scene("particle-tracking"), {"frames": 6, "particles.per_pixel": 0.004}, "small"
+    )
     return generate(scene, tmp_path_factory.mktemp("film") / "data", seed=3, backend="splat")
 
 
@@ -66,7 +70,14 @@ def test_a_solver_finds_particles_the_same_way_twice(name: str, shot: Shot) -> N
 
 @pytest.mark.parametrize("name", SOLVERS)
 def test_no_light_is_no_particles(name: str, shot: Shot) -> None:
-    dark = Film.of([replace(shot.observation, images=np.full_like(shot.observation.images, int(shot.observation.black_dn)))])
+    dark = Film.of(
+        [
+            replace(
+                shot.observation,
+                images=np.full_like(shot.observation.images, int(shot.observation.black_dn)),
+            )
+        ]
+    )
     assert [len(one.position_mm) for one in ready(name, dark).solve(dark)] == [0]
 
 
@@ -74,7 +85,9 @@ def test_no_light_is_no_particles(name: str, shot: Shot) -> None:
 def test_cameras_may_come_in_any_order(name: str, shot: Shot) -> None:
     seen = shot.observation
     turned = Film.of([replace(seen, images=seen.images[::-1].copy(), cameras=seen.cameras[::-1])])
-    one, other = (ready(name, case).solve(case)[0].position_mm for case in (Film.of([seen]), turned))
+    one, other = (
+        ready(name, case).solve(case)[0].position_mm for case in (Film.of([seen]), turned)
+    )
     apart = np.linalg.norm(one[:, None] - other, axis=2)
     assert (apart.min(axis=0) < 0.01).mean() > 0.9
 
@@ -98,10 +111,18 @@ def test_the_truth_is_perfect_and_nothing_is_the_floor(film: Dataset) -> None:
         assert true[key] == 1.0
     for key in ("ghost_percent", "rms_px", "rms_mm", "velocity_mm_s", "velocity_percent"):
         assert true[key] == 0.0
-    assert nothing["f1"] == nothing["precision"] == nothing["recall"] == nothing["effectiveness"] == 0.0
+    assert (
+        nothing["f1"]
+        == nothing["precision"]
+        == nothing["recall"]
+        == nothing["effectiveness"]
+        == 0.0
+    )
     assert nothing["rms_px"] is None
     assert score(film, "empty")["track"] == "reconstruction"
-    with pytest.raises(InputError, match=r"track: expected reconstruction or particles .* got 'bubbles'"):
+    with pytest.raises(
+        InputError, match=r"track: expected reconstruction or particles .* got 'bubbles'"
+    ):
         score(film, "truth", "bubbles")
 
 
@@ -112,13 +133,20 @@ def test_known_faults_have_known_scores(film: Dataset, tmp_path: Path) -> None:
         for frame in range(film.rig.frames):
             true = film.particles(frame)
             kept = true.position_mm[true.id % 4 != 0] + shift
-            writer.add_particles(frame, FoundParticles(np.concatenate([kept, kept + np.array([0.0, 0.0, 1000.0])])))
+            writer.add_particles(
+                frame, FoundParticles(np.concatenate([kept, kept + np.array([0.0, 0.0, 1000.0])]))
+            )
     scores = score(film, tmp_path / "r.h5")
     assert scores["precision"] == 1.0  # what lies outside the scored part is nobody's fault
     assert scores["recall"] == pytest.approx(0.75, abs=0.08)
     assert scores["rms_mm"] == pytest.approx(0.03, rel=1e-9)
-    slope = [np.linalg.norm(camera.project(np.array([[0.0, 0.0, 30.0]]) + shift)[0] - camera.project(np.array([[0.0, 0.0, 30.0]]))[0])
-             for camera in film.true_cameras]  # fmt: skip
+    slope = [
+        np.linalg.norm(
+            camera.project(np.array([[0.0, 0.0, 30.0]]) + shift)[0]
+            - camera.project(np.array([[0.0, 0.0, 30.0]]))[0]
+        )
+        for camera in film.true_cameras
+    ]
     assert scores["rms_px"] == pytest.approx(np.mean(slope), rel=0.02)
     assert scores["velocity_mm_s"] == pytest.approx(0.0, abs=1e-6)
 
@@ -132,18 +160,27 @@ def test_faults_of_results_are_named(film: Dataset, tmp_path: Path) -> None:
         file["frames/0001/particles/track"][...] = [4, 4]
         del file["frames/0002/particles/track"]
     result = open_result(place, film)
-    with pytest.raises(InputError, match=r"frames/0001/particles: track: expected different numbers, got 4 for 2 particles"):
+    with pytest.raises(
+        InputError,
+        match=r"frames/0001/particles: track: expected different numbers, got 4 for 2 particles",
+    ):
         result.particles(1)
     with h5py.File(place, "r+") as file:
         file["frames/0001/particles/track"][...] = [4, 5]
-    with pytest.raises(InputError, match=r"frames/0002/particles/track: expected one in every frame or in none"):
+    with pytest.raises(
+        InputError, match=r"frames/0002/particles/track: expected one in every frame or in none"
+    ):
         score(film, place)
 
 
-def test_a_solver_that_returns_something_else_is_named(film: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_solver_that_returns_something_else_is_named(
+    film: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     plugin = plugins.load("solvers", "ray_triangulation")
     monkeypatch.setattr(plugin, "solve", lambda self, case: [FoundParticles(np.zeros((0, 3)))])
-    with pytest.raises(InputError, match=r"expected FoundParticles for each of 6 frames, got 1 of them"):
+    with pytest.raises(
+        InputError, match=r"expected FoundParticles for each of 6 frames, got 1 of them"
+    ):
         solve("ray_triangulation", film, tmp_path / "r.h5")
 
 
@@ -166,7 +203,9 @@ def test_found_particles_are_exported(film: Dataset, tmp_path: Path) -> None:
     with result_writer(tmp_path / "r.h5", film, "some", "particles", {}) as writer:
         for frame in range(film.rig.frames):
             true = film.particles(frame)
-            writer.add_particles(frame, FoundParticles(true.position_mm[5:], None, true.id[5:].astype(np.int64)))
+            writer.add_particles(
+                frame, FoundParticles(true.position_mm[5:], None, true.id[5:].astype(np.int64))
+            )
     export(film, tmp_path / "vtk", tmp_path / "r.h5")
     with h5py.File(tmp_path / "vtk" / "particles_0002.vtkhdf") as file:
         np.testing.assert_array_equal(file["VTKHDF/PointData/true_id"][:], film.particles(2).id[5:])

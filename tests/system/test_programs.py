@@ -52,18 +52,32 @@ with h5py.File(result, "w") as file:
 
 def test_a_program_sees_the_observation_side_only(quick: Dataset, tmp_path: Path) -> None:
     show(quick, tmp_path / "view")
-    seen = sorted(path.relative_to(tmp_path / "view").as_posix() for path in (tmp_path / "view").rglob("*") if path.is_file())
-    assert seen == ["cameras.json", *(f"images/frame_0000/camera_0{number}.tif" for number in range(4)), "manifest.json"]
+    seen = sorted(
+        path.relative_to(tmp_path / "view").as_posix()
+        for path in (tmp_path / "view").rglob("*")
+        if path.is_file()
+    )
+    assert seen == [
+        "cameras.json",
+        *(f"images/frame_0000/camera_0{number}.tif" for number in range(4)),
+        "manifest.json",
+    ]
     head = json.loads((tmp_path / "view/manifest.json").read_text())
     assert head == {"format": "sabench-dataset", "version": 1, "content_hash": quick.content_hash}
     for name in seen[:-1]:
         assert (tmp_path / "view" / name).read_bytes() == (quick.root / name).read_bytes()
-        assert not (tmp_path / "view" / name).samefile(quick.root / name)  # a program that writes there spoils its own copy
+        assert not (tmp_path / "view" / name).samefile(
+            quick.root / name
+        )  # a program that writes there spoils its own copy
 
 
 def test_a_result_is_taken_and_its_costs_are_measured(quick: Dataset, tmp_path: Path) -> None:
-    program = write(tmp_path / "mine.py", WHOLE + "assert rest == ['k=3.5', 'mode=fast', 'on=true'], rest")
-    made = run_program(str(program), quick, tmp_path / "r.h5", parameters={"k": 3.5, "mode": "fast", "on": True})
+    program = write(
+        tmp_path / "mine.py", WHOLE + "assert rest == ['k=3.5', 'mode=fast', 'on=true'], rest"
+    )
+    made = run_program(
+        str(program), quick, tmp_path / "r.h5", parameters={"k": 3.5, "mode": "fast", "on": True}
+    )
     assert (made.solver, made.parameters) == ("mine", {"k": 3.5, "mode": "fast", "on": True})
     assert made.seconds is not None
     assert made.seconds > 0.05  # a Python that imports numpy takes longer; the file says 1e-6
@@ -78,10 +92,19 @@ BAD = [
     ("pass", "expected the result at the path in its second argument"),
     ("os.symlink('/etc/passwd', result)", "expected the result at the path in its second argument"),
     ("open(result, 'w').write('no HDF5')", "expected a whole HDF5 file"),
-    (WHOLE.replace('"f4")', '"i4")'), "expected shape (40, 200, 280) of kind f, got (40, 200, 280) of int32"),
-    (WHOLE.replace('np.zeros(rig["grid"]["shape"], "f4")', "np.zeros((4, 5, 6), 'f4')"), "expected shape (40, 200, 280) of kind f, got (4, 5, 6)"),
+    (
+        WHOLE.replace('"f4")', '"i4")'),
+        "expected shape (40, 200, 280) of kind f, got (40, 200, 280) of int32",
+    ),
+    (
+        WHOLE.replace('np.zeros(rig["grid"]["shape"], "f4")', "np.zeros((4, 5, 6), 'f4')"),
+        "expected shape (40, 200, 280) of kind f, got (4, 5, 6)",
+    ),
     (WHOLE.replace("[0.0, 0.0, 30.0]", "[0.0, np.nan, 30.0]"), "1 that are NaN or infinite"),
-    (WHOLE.replace('["content_hash"]', '["content_hash"][::-1]'), "expected a result of the data set"),
+    (
+        WHOLE.replace('["content_hash"]', '["content_hash"][::-1]'),
+        "expected a result of the data set",
+    ),
     (
         WHOLE.split('        file[f"frames/{frame:04d}/particles')[0]
         + "        file.create_dataset(f'frames/{frame:04d}/particles_mm', (10**9, 3), 'f8', chunks=(1000, 3))",
@@ -92,7 +115,9 @@ BAD = [
 
 
 @pytest.mark.parametrize(("body", "words"), BAD, ids=[str(number) for number in range(len(BAD))])
-def test_what_is_no_result_is_refused_and_leaves_nothing(quick: Dataset, tmp_path: Path, body: str, words: str) -> None:
+def test_what_is_no_result_is_refused_and_leaves_nothing(
+    quick: Dataset, tmp_path: Path, body: str, words: str
+) -> None:
     program = write(tmp_path / "bad.py", body)
     with pytest.raises(InputError) as caught:
         run_program(str(program), quick, tmp_path / "r.h5", limits=Limits(time_s=60.0))
@@ -106,10 +131,18 @@ def test_the_command(quick: Dataset, command: Command, tmp_path: Path) -> None:
     assert done.returncode == 0, done.stderr
     assert "r.h5: mine," in done.stdout
     check_sentence(command("solve", "./mine.py", quick.root, "-o", "r.h5"), "exists already")
-    check_sentence(command("solve", "./other.py", quick.root, "-o", "s.h5"), "expected an executable file, found none")
-    check_sentence(command("solve", "msa", quick.root, "-o", "s.h5", "--time-limit", 5), "limits for programs only")
+    check_sentence(
+        command("solve", "./other.py", quick.root, "-o", "s.h5"),
+        "expected an executable file, found none",
+    )
+    check_sentence(
+        command("solve", "msa", quick.root, "-o", "s.h5", "--time-limit", 5),
+        "limits for programs only",
+    )
     write(tmp_path / "mine.py", "import time\ntime.sleep(60)")
-    check_sentence(command("solve", "./mine.py", quick.root, "-o", "s.h5", "--time-limit", 0.5), "within 0.5 s")
+    check_sentence(
+        command("solve", "./mine.py", quick.root, "-o", "s.h5", "--time-limit", 0.5), "within 0.5 s"
+    )
     (tmp_path / "mine.py").chmod(0o644)
     check_sentence(command("solve", "./mine.py", quick.root, "-o", "s.h5"), "may not be executed")
 
@@ -126,7 +159,9 @@ def test_what_counts_as_a_program(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
 
 def test_every_track_can_take_foreign_results() -> None:
     for track in COLUMNS:
-        assert callable(of(track).copy), f"track {track}: a foreign result must be read and written anew"
+        assert callable(of(track).copy), (
+            f"track {track}: a foreign result must be read and written anew"
+        )
 
 
 SUITE = """
@@ -150,7 +185,12 @@ def test_programs_in_a_suite(command: Command, tmp_path: Path) -> None:
     done = command("run", suite, "--json")
     assert done.returncode == 1, done.stderr
     mine, slow, asa = json.loads(done.stdout)
-    assert (mine["solver"], mine["parameters"], mine["error"], mine["q"]) == ("mine", {"k": 2}, None, 0.0)
+    assert (mine["solver"], mine["parameters"], mine["error"], mine["q"]) == (
+        "mine",
+        {"k": 2},
+        None,
+        0.0,
+    )
     assert (slow["solver"], slow["label"], slow["declined"]) == ("slow", "slow one", False)
     assert "within 0.5 s" in slow["error"]
     assert asa["q"] > 0.4
@@ -160,12 +200,20 @@ def test_programs_in_a_suite(command: Command, tmp_path: Path) -> None:
     suite.write_text(SUITE.replace("slow.py", "none.py"))
     check_sentence(command("run", suite), "none.py: expected an executable file")
     suite.write_text(SUITE.replace('"asa"', '"asa", time_limit_s = 3.0'))
-    check_sentence(command("run", suite), "asa: expected track, time_limit_s and memory_limit_mb for programs only")
+    check_sentence(
+        command("run", suite),
+        "asa: expected track, time_limit_s and memory_limit_mb for programs only",
+    )
 
 
 @functools.cache
 def compiled(folder: Path) -> Path:
-    done = subprocess.run(["make", "-s", "-C", EXAMPLES / "cpp", f"BUILD={folder}"], capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        ["make", "-s", "-C", EXAMPLES / "cpp", f"BUILD={folder}"],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
     assert done.returncode == 0, done.stderr
     assert not done.stderr, done.stderr  # it compiles without warnings
     return folder / "synthetic_aperture"
@@ -175,13 +223,17 @@ def compiled(folder: Path) -> Path:
 def python_scores(quick: Dataset, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     folder = tmp_path_factory.mktemp("python")
     wrapper = folder / "run"
-    wrapper.write_text(f'#!/bin/sh\nexec "{sys.executable}" "{EXAMPLES / "python" / "synthetic_aperture.py"}" "$@"\n')
+    wrapper.write_text(
+        f'#!/bin/sh\nexec "{sys.executable}" "{EXAMPLES / "python" / "synthetic_aperture.py"}" "$@"\n'
+    )
     wrapper.chmod(0o755)
     run_program(str(wrapper), quick, folder / "r.h5", parameters={"k": 3.0})
     return sabench.score(quick, folder / "r.h5")
 
 
-def test_the_python_example_scores_as_the_bundled_solver_does(quick: Dataset, python_scores: dict[str, Any], tmp_path: Path) -> None:
+def test_the_python_example_scores_as_the_bundled_solver_does(
+    quick: Dataset, python_scores: dict[str, Any], tmp_path: Path
+) -> None:
     """The same algorithm with linear instead of cubic interpolation."""
     sabench.solve("msa", quick, tmp_path / "msa.h5", parameters={"k": 3.0})
     bundled = sabench.score(quick, tmp_path / "msa.h5")
@@ -190,16 +242,25 @@ def test_the_python_example_scores_as_the_bundled_solver_does(quick: Dataset, py
     assert python_scores["precision"] == pytest.approx(bundled["precision"], abs=0.02)
 
 
-@pytest.mark.skipif(not (shutil.which("g++") and shutil.which("make") and HEADERS), reason="g++, make or the headers of libhdf5 are not there")
-def test_the_cpp_example_scores_as_the_python_example_does(quick: Dataset, python_scores: dict[str, Any], tmp_path: Path) -> None:
+@pytest.mark.skipif(
+    not (shutil.which("g++") and shutil.which("make") and HEADERS),
+    reason="g++, make or the headers of libhdf5 are not there",
+)
+def test_the_cpp_example_scores_as_the_python_example_does(
+    quick: Dataset, python_scores: dict[str, Any], tmp_path: Path
+) -> None:
     run_program(str(compiled(tmp_path)), quick, tmp_path / "r.h5", parameters={"k": 3.0})
     scores = sabench.score(quick, tmp_path / "r.h5")
     for column in COLUMNS["reconstruction"]:
         if column.key not in ("seconds", "peak_mb"):
-            assert scores[column.key] == pytest.approx(python_scores[column.key], rel=1e-6), column.key
+            assert scores[column.key] == pytest.approx(python_scores[column.key], rel=1e-6), (
+                column.key
+            )
 
 
-def test_a_submission_is_ranked_beside_what_is_there(quick: Dataset, quick_result: Path, command: Command, tmp_path: Path) -> None:
+def test_a_submission_is_ranked_beside_what_is_there(
+    quick: Dataset, quick_result: Path, command: Command, tmp_path: Path
+) -> None:
     sent = shutil.copy(quick_result, tmp_path / "mine.h5")
     done = command("submit", sent, "--name", "Ann <b>", "--data", quick.root.parent, "--json")
     assert done.returncode == 0, done.stderr
@@ -237,12 +298,16 @@ def test_all_of_a_submission_or_nothing(quick: Dataset, quick_result: Path, tmp_
 
 
 @pytest.mark.parametrize("name", ["", " ", "x" * 81, "a\nb", "\x1b[2J", "\ud800"])
-def test_names_of_submissions(quick: Dataset, quick_result: Path, tmp_path: Path, name: str) -> None:
+def test_names_of_submissions(
+    quick: Dataset, quick_result: Path, tmp_path: Path, name: str
+) -> None:
     with pytest.raises(InputError, match="1 to 80 printable characters"):
         submit(quick_result, name, [quick.root], tmp_path / "board")
 
 
-def test_a_data_set_that_was_changed_scores_nothing(quick: Dataset, quick_result: Path, tmp_path: Path) -> None:
+def test_a_data_set_that_was_changed_scores_nothing(
+    quick: Dataset, quick_result: Path, tmp_path: Path
+) -> None:
     copy = Path(shutil.copytree(quick.root, tmp_path / "copy"))
     with h5py.File(copy / "truth.h5", "r+") as file:
         file["frames/0000/position_mm"][...] = np.zeros_like(file["frames/0000/position_mm"])
@@ -250,13 +315,30 @@ def test_a_data_set_that_was_changed_scores_nothing(quick: Dataset, quick_result
         submit(quick_result, "Ann", [copy], tmp_path / "board")
 
 
-def test_the_case_comes_from_a_record_of_the_same_data_set(quick: Dataset, quick_result: Path, tmp_path: Path) -> None:
+def test_the_case_comes_from_a_record_of_the_same_data_set(
+    quick: Dataset, quick_result: Path, tmp_path: Path
+) -> None:
     known = {
-        "format": "sabench-record", "version": 1, "suite": "tank", "case": "dense", "scene": "quick", "difficulty": "hard", "axis": "density",
-        "axes": {"a": 1}, "scene_hash": quick.manifest.scene_hash, "dataset": quick.content_hash, "seed": 0,
-        "split": "hidden", "renderer": "mitsuba", "solver": "asa",
-        "parameters": {}, "run_hash": "ab", "versions": {}, "machine": {}, "q": 0.99,
-    }  # fmt: skip
+        "format": "sabench-record",
+        "version": 1,
+        "suite": "tank",
+        "case": "dense",
+        "scene": "quick",
+        "difficulty": "hard",
+        "axis": "density",
+        "axes": {"a": 1},
+        "scene_hash": quick.manifest.scene_hash,
+        "dataset": quick.content_hash,
+        "seed": 0,
+        "split": "hidden",
+        "renderer": "mitsuba",
+        "solver": "asa",
+        "parameters": {},
+        "run_hash": "ab",
+        "versions": {},
+        "machine": {},
+        "q": 0.99,
+    }
     (tmp_path / "board" / "records").mkdir(parents=True)
     (tmp_path / "board" / "records" / "a.jsonl").write_text(json.dumps(known) + "\n")
     (standing,) = submit(quick_result, "Ann", [quick.root], tmp_path / "board")
@@ -269,7 +351,9 @@ def test_the_case_comes_from_a_record_of_the_same_data_set(quick: Dataset, quick
     assert (standing.rank, standing.of, standing.best) == (2, 2, ("asa", 0.99))
 
 
-def test_a_leaderboard_of_two_folders_of_data(quick: Dataset, quick_result: Path, tmp_path: Path) -> None:
+def test_a_leaderboard_of_two_folders_of_data(
+    quick: Dataset, quick_result: Path, tmp_path: Path
+) -> None:
     (tmp_path / "empty").mkdir()
     (standing,) = submit(quick_result, "Ann", [tmp_path / "empty", quick.root], tmp_path / "board")
     assert standing.rank == 1

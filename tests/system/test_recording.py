@@ -27,7 +27,13 @@ from sabench.utils.errors import InputError
 from tests.bubble_scenes import LASER, small
 from tests.conftest import Command
 
-ABC = {"generator": "abc_flow", "wavelength_mm": 30.0, "a_mm_s": 40.0, "b_mm_s": 30.0, "c_mm_s": 20.0}
+ABC = {
+    "generator": "abc_flow",
+    "wavelength_mm": 30.0,
+    "a_mm_s": 40.0,
+    "b_mm_s": 30.0,
+    "c_mm_s": 20.0,
+}
 
 
 def moving(frames: int = 6) -> Scene:
@@ -40,15 +46,25 @@ def moving(frames: int = 6) -> Scene:
 
 def bubbly() -> Scene:
     """Bubbles, and tracers among them that a flow carries."""
-    flow = {"frames": 2, "interval_s": 0.01, "flow": ABC, "particles": {"generator": "uniform", "count": 30}, "illumination": LASER}
+    flow = {
+        "frames": 2,
+        "interval_s": 0.01,
+        "flow": ABC,
+        "particles": {"generator": "uniform", "count": 30},
+        "illumination": LASER,
+    }
     return small(**flow, render={"relative_error": 0.2})
 
 
 def made(scene: Scene, folder: Path, **how: Any) -> str:
-    return generate(scene, folder, seed=4, backend="auto" if scene.bubbles else "splat", name="s", **how).content_hash
+    return generate(
+        scene, folder, seed=4, backend="auto" if scene.bubbles else "splat", name="s", **how
+    ).content_hash
 
 
-@pytest.mark.parametrize("scene", [moving(), bubbly(), load_scene("calibration")], ids=["moving", "bubbly", "target"])
+@pytest.mark.parametrize(
+    "scene", [moving(), bubbly(), load_scene("calibration")], ids=["moving", "bubbly", "target"]
+)
 def test_two_processes_make_the_bytes_of_one(tmp_path: Path, scene: Scene) -> None:
     assert made(scene, tmp_path / "two", jobs=2) == made(scene, tmp_path / "one")
     assert sorted(entry.name for entry in tmp_path.iterdir()) == ["one", "two"]
@@ -67,7 +83,9 @@ def kill_workers(pool: list[Pool], folder: Path, killed: list[int]) -> None:
         time.sleep(0.02)
 
 
-def test_workers_that_are_killed_are_replaced(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_workers_that_are_killed_are_replaced(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     expected = made(moving(30), tmp_path / "one")
     pools: list[Pool] = []
     killed: list[int] = []
@@ -116,17 +134,35 @@ class Breaker(Generator):
 '''
 
 
-def test_a_frame_that_always_breaks_is_told_and_the_rest_kept(tmp_path: Path, command: Command) -> None:
+def test_a_frame_that_always_breaks_is_told_and_the_rest_kept(
+    tmp_path: Path, command: Command
+) -> None:
     plugin, cure = tmp_path / "mine" / "generators" / "breaker.py", tmp_path / "cure"
     plugin.parent.mkdir(parents=True)
     plugin.write_text(BROKEN)
-    values = load_scene("quick").to_dict() | {"particles": {"generator": "breaker", "until": str(cure)}}
+    values = load_scene("quick").to_dict() | {
+        "particles": {"generator": "breaker", "until": str(cure)}
+    }
     (tmp_path / "s.toml").write_text(tomli_w.dumps(values))
-    words = ("generate", "s.toml", "-o", "set", "--backend", "splat", "--frames", "3", "--jobs", "2")
+    words = (
+        "generate",
+        "s.toml",
+        "-o",
+        "set",
+        "--backend",
+        "splat",
+        "--frames",
+        "3",
+        "--jobs",
+        "2",
+    )
     environment = {"SABENCH_PLUGINS": str(tmp_path / "mine")}
     done = command(*words, env=environment)
     assert done.returncode == 2, done.stderr
-    assert "frame 1 failed 3 times: its process ended with exit code 11; what was finished is kept" in " ".join(done.stderr.split())
+    assert (
+        "frame 1 failed 3 times: its process ended with exit code 11; what was finished is kept"
+        in " ".join(done.stderr.split())
+    )
     (left,) = tmp_path.glob(".set.parts-*")
     assert len(list(left.glob("views/*.npz"))) == 8
     cure.touch()
@@ -159,7 +195,9 @@ def test_what_is_there_is_not_made_again(tmp_path: Path, monkeypatch: pytest.Mon
     assert again == made(scene, tmp_path / "anew")
 
 
-def test_another_scene_or_seed_takes_nothing_of_what_was_left(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_another_scene_or_seed_takes_nothing_of_what_was_left(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     work_off = workers.work_off
 
     def stop(*arguments: Any) -> None:
@@ -171,7 +209,10 @@ def test_another_scene_or_seed_takes_nothing_of_what_was_left(tmp_path: Path, mo
         made(moving(2), tmp_path / "set")
     monkeypatch.setattr("sabench.simulation.pipeline.work_off", work_off)
     other = generate(moving(2), tmp_path / "set", seed=5, backend="splat", name="s").content_hash
-    assert other == generate(moving(2), tmp_path / "fresh", seed=5, backend="splat", name="s").content_hash
+    assert (
+        other
+        == generate(moving(2), tmp_path / "fresh", seed=5, backend="splat", name="s").content_hash
+    )
     assert sorted(entry.name for entry in tmp_path.iterdir()) == ["fresh", "set"]
 
 
@@ -179,7 +220,10 @@ def test_two_who_make_the_same_do_not_meet(tmp_path: Path) -> None:
     scene = moving(2)
     root = tmp_path / f".set.parts-{Job(scene, 4, 'splat', 's').key[:16]}"
     root.mkdir()
-    with FileLock(root / "lock"), pytest.raises(InputError, match="another process is making this data set"):
+    with (
+        FileLock(root / "lock"),
+        pytest.raises(InputError, match="another process is making this data set"),
+    ):
         made(scene, tmp_path / "set")
     assert made(scene, tmp_path / "set")
 
@@ -187,9 +231,13 @@ def test_two_who_make_the_same_do_not_meet(tmp_path: Path) -> None:
 def test_bad_numbers_are_refused(tmp_path: Path, command: Command) -> None:
     with pytest.raises(InputError, match="jobs: expected 1 or more, got 0"):
         made(moving(1), tmp_path / "set", jobs=0)
-    done = command("generate", "quick", "-o", "set", "--backend", "splat", "--scheduler", "tcp://127.0.0.1:9")
+    done = command(
+        "generate", "quick", "-o", "set", "--backend", "splat", "--scheduler", "tcp://127.0.0.1:9"
+    )
     assert done.returncode == 2
-    assert "scheduler: expected a Dask scheduler at tcp://127.0.0.1:9" in " ".join(done.stderr.split())
+    assert "scheduler: expected a Dask scheduler at tcp://127.0.0.1:9" in " ".join(
+        done.stderr.split()
+    )
     assert not list(tmp_path.iterdir())
 
 
@@ -200,18 +248,27 @@ def test_bad_numbers_are_refused(tmp_path: Path, command: Command) -> None:
 def cluster() -> Iterator[Any]:
     distributed = pytest.importorskip("distributed")
     with distributed.LocalCluster(
-        n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None, scheduler_port=0, silence_logs=50
+        n_workers=2,
+        threads_per_worker=1,
+        processes=True,
+        dashboard_address=None,
+        scheduler_port=0,
+        silence_logs=50,
     ) as running:
         yield running
 
 
 @pytest.mark.parametrize("scene", [moving(), load_scene("calibration")], ids=["moving", "target"])
 def test_a_cluster_makes_the_same_bytes(tmp_path: Path, cluster: Any, scene: Scene) -> None:
-    assert made(scene, tmp_path / "there", scheduler=cluster.scheduler_address) == made(scene, tmp_path / "here")
+    assert made(scene, tmp_path / "there", scheduler=cluster.scheduler_address) == made(
+        scene, tmp_path / "here"
+    )
     assert sorted(entry.name for entry in tmp_path.iterdir()) == ["here", "there"]
 
 
-def test_a_cluster_whose_workers_are_killed_makes_the_same_bytes(tmp_path: Path, cluster: Any) -> None:
+def test_a_cluster_whose_workers_are_killed_makes_the_same_bytes(
+    tmp_path: Path, cluster: Any
+) -> None:
     killed: list[int] = []
 
     def kill() -> None:
@@ -234,7 +291,11 @@ def test_a_cluster_whose_workers_are_killed_makes_the_same_bytes(tmp_path: Path,
 
 
 def test_bad_input_on_a_cluster_is_a_sentence(tmp_path: Path, cluster: Any) -> None:
-    scene = parse_scene(moving(2).to_dict() | {"particles": {"generator": "uniform", "count": 5, "velocity_mm_s": [1.0, 0.0, 0.0]}}, "m")
+    scene = parse_scene(
+        moving(2).to_dict()
+        | {"particles": {"generator": "uniform", "count": 5, "velocity_mm_s": [1.0, 0.0, 0.0]}},
+        "m",
+    )
     with pytest.raises(InputError, match="expected some that rest"):
         made(scene, tmp_path / "set", scheduler=cluster.scheduler_address)
     assert not list(tmp_path.iterdir())

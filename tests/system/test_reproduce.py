@@ -68,7 +68,16 @@ def test_the_best_tomographic_solver_is_chosen(monkeypatch: pytest.MonkeyPatch) 
     assert row.verdict == ("reproduced" if row.measured >= 0.75 else "below")
 
 
-SLOW = ("fig-1-3", "fig-6-5", "table-5-2", "fig-2-18", "fig-4-16", "fig-4-18", "fig-4-25", "fig-2-7-cameras")
+SLOW = (
+    "fig-1-3",
+    "fig-6-5",
+    "table-5-2",
+    "fig-2-18",
+    "fig-4-16",
+    "fig-4-18",
+    "fig-4-25",
+    "fig-2-7-cameras",
+)
 SHORTER: dict[str, dict[str, Any]] = {  # of what takes long, fewer kinds
     "fig-2-7-cameras": {"_CALIBRATIONS": ("refractive_autocal",), "_RECONSTRUCTIONS": ("msa",)},
     "fig-2-18": {"_VOLUMES": ("asa",), "_PIV": ("piv3d_plain",)},
@@ -84,7 +93,9 @@ SHORTER: dict[str, dict[str, Any]] = {  # of what takes long, fewer kinds
 def test_every_table_yields_rows(table: str, monkeypatch: pytest.MonkeyPatch) -> None:
     for name, value in SHORTER.get(table, {}).items():
         monkeypatch.setattr(f"sabench.evaluation.thesis.{table.replace('-', '_')}.{name}", value)
-    rows = (item for item in reproduce([table], 1 if table in SLOW else 2, 60) if isinstance(item, Row))
+    rows = (
+        item for item in reproduce([table], 1 if table in SLOW else 2, 60) if isinstance(item, Row)
+    )
     found = list(itertools.islice(rows, 1 if table in SLOW else 4))
     assert found
     for row in found:
@@ -93,7 +104,9 @@ def test_every_table_yields_rows(table: str, monkeypatch: pytest.MonkeyPatch) ->
         assert row.measured is not None
 
 
-def test_a_suite_of_cases_and_seeds_ends_in_means_and_leaves_no_data(command: Command, tmp_path: Path) -> None:
+def test_a_suite_of_cases_and_seeds_ends_in_means_and_leaves_no_data(
+    command: Command, tmp_path: Path
+) -> None:
     (tmp_path / "suite.toml").write_text(
         'title = "t"\nbackend = "splat"\nseeds = [1, 2]\nkeep_data = false\n[[cases]]\nscene = "quick"\nname = "q"\n'
         '[cases.vary]\n"particles.count" = [100, 200]\n[[solvers]]\nname = "msa"\nlabel = "product"\n'
@@ -101,16 +114,26 @@ def test_a_suite_of_cases_and_seeds_ends_in_means_and_leaves_no_data(command: Co
     done = command("run", "suite.toml")
     assert done.returncode == 0, done.stderr
     assert "data set 4 of 4: q-count_200, seed 2" in done.stderr
-    assert [line.count("±") > 4 for line in done.stdout.splitlines() if "product" in line] == [True, True]
+    assert [line.count("±") > 4 for line in done.stdout.splitlines() if "product" in line] == [
+        True,
+        True,
+    ]
     lines = (tmp_path / "leaderboard" / "records" / "local.jsonl").read_text().splitlines()
     records = [json.loads(line) for line in lines]
     assert [(record["case"], record["axes"], record["seed"]) for record in records] == [
-        (f"q-count_{count}", {"particles.count": count}, seed) for count in (100, 200) for seed in (1, 2)
+        (f"q-count_{count}", {"particles.count": count}, seed)
+        for count in (100, 200)
+        for seed in (1, 2)
     ]
     assert [bool(record["pictures"]) for record in records] == [True, False, True, False]
     assert not list((tmp_path / "work" / "datasets").iterdir())
     assert not list((tmp_path / "work" / "results").iterdir())
     page = (tmp_path / "leaderboard" / "index.html").read_text()
     data = block(page)
-    assert [case["axes"] for case in data["cases"]] == ["particles.count 100", "particles.count 200"]
-    assert [len(row["scores"][0]) for row in data["rows"]] == [2] * len(data["rows"])  # a mean and its half width
+    assert [case["axes"] for case in data["cases"]] == [
+        "particles.count 100",
+        "particles.count 200",
+    ]
+    assert [len(row["scores"][0]) for row in data["rows"]] == [2] * len(
+        data["rows"]
+    )  # a mean and its half width

@@ -26,27 +26,56 @@ set = { "particles.count" = 40 }
 
 
 def lines(folder: Path) -> list[dict[str, Any]]:
-    return [json.loads(line) for line in (folder / "leaderboard/records/local.jsonl").read_text().splitlines()]
+    return [
+        json.loads(line)
+        for line in (folder / "leaderboard/records/local.jsonl").read_text().splitlines()
+    ]
 
 
-def test_a_second_run_computes_nothing_and_a_record_is_made_again_by_its_command(tmp_path: Path, command: Command) -> None:
+def test_a_second_run_computes_nothing_and_a_record_is_made_again_by_its_command(
+    tmp_path: Path, command: Command
+) -> None:
     (tmp_path / "s.toml").write_text(SUITE)
     first = command("run", "s.toml", "--case", "few", "--seed", "1")
     assert first.returncode == 0, first.stderr
-    assert [(r["seed"], r["solver"], r["difficulty"], r["axis"], r["split"]) for r in lines(tmp_path)] == [
+    assert [
+        (r["seed"], r["solver"], r["difficulty"], r["axis"], r["split"]) for r in lines(tmp_path)
+    ] == [
         (1, "asa", "easy", "density", "public"),
         (1, "msa", "easy", "density", "public"),
     ]
     again = command("run", "s.toml", "--json")
     assert "few, seed 1, known" in again.stderr
-    assert [(record["seed"], record["solver"]) for record in json.loads(again.stdout)] == [(1, "asa"), (1, "msa"), (2, "asa"), (2, "msa")]
+    assert [(record["seed"], record["solver"]) for record in json.loads(again.stdout)] == [
+        (1, "asa"),
+        (1, "msa"),
+        (2, "asa"),
+        (2, "msa"),
+    ]
     before = lines(tmp_path)
-    assert [(record["seed"], record["solver"]) for record in before] == [(1, "asa"), (1, "msa"), (2, "asa"), (2, "msa")]
+    assert [(record["seed"], record["solver"]) for record in before] == [
+        (1, "asa"),
+        (1, "msa"),
+        (2, "asa"),
+        (2, "msa"),
+    ]
     words = shlex.split(before[3]["command"])
-    assert words == ["sabench", "run", "s.toml", "--case", "few", "--seed", "2", "--solver", "sharp one"]
+    assert words == [
+        "sabench",
+        "run",
+        "s.toml",
+        "--case",
+        "few",
+        "--seed",
+        "2",
+        "--solver",
+        "sharp one",
+    ]
     assert command(*words[1:], "--fresh").returncode == 0
     anew = lines(tmp_path)[4:]
-    assert [(record["seed"], record["label"], record["run_hash"]) for record in anew] == [(2, "sharp one", before[3]["run_hash"])]
+    assert [(record["seed"], record["label"], record["run_hash"]) for record in anew] == [
+        (2, "sharp one", before[3]["run_hash"])
+    ]
     assert anew[0]["q"] == before[3]["q"]
 
 
@@ -56,9 +85,20 @@ def test_hidden_runs_tell_no_seed_and_show_no_picture(tmp_path: Path, command: C
     done = command("run", "s.toml", "--hidden", "secret.toml", "--solver", "asa")
     assert done.returncode == 0, done.stderr
     found = lines(tmp_path)
-    assert [(record["seed"], record["split"], record["pictures"]) for record in found] == [(0, "hidden", None), (1, "hidden", None)]
-    seeds = [case.seed for case in load_suite(tmp_path / "s.toml", read_secret(tmp_path / "secret.toml"))[1]]
-    told = (tmp_path / "leaderboard/index.html").read_text() + json.dumps(found) + done.stdout + done.stderr
+    assert [(record["seed"], record["split"], record["pictures"]) for record in found] == [
+        (0, "hidden", None),
+        (1, "hidden", None),
+    ]
+    seeds = [
+        case.seed
+        for case in load_suite(tmp_path / "s.toml", read_secret(tmp_path / "secret.toml"))[1]
+    ]
+    told = (
+        (tmp_path / "leaderboard/index.html").read_text()
+        + json.dumps(found)
+        + done.stdout
+        + done.stderr
+    )
     assert not any(str(seed) in told for seed in seeds)
     assert "own words" not in told
     assert not (tmp_path / "leaderboard/pictures").exists()

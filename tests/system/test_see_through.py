@@ -22,18 +22,36 @@ from sabench.utils.errors import InputError
 from sabench.worlds.readable_codes import code_of
 from tests.bubble_scenes import small
 
-PLATE = {"generator": "code_plate", "columns": 6, "rows": 5, "cell_mm": 2.0, "place_mm": [0.0, 0.0, 66.0], "material": {"reflectance": 0.0}}
+PLATE = {
+    "generator": "code_plate",
+    "columns": 6,
+    "rows": 5,
+    "cell_mm": 2.0,
+    "place_mm": [0.0, 0.0, 66.0],
+    "material": {"reflectance": 0.0},
+}
 CURTAIN = {
-    "generator": "bubble_field", "count": 14, "radius_mm": 1.2, "radius_spread": 0.1, "radius_range_mm": [0.9, 1.6],
-    "low_mm": [-9.0, -8.0, 28.0], "high_mm": [9.0, 8.0, 40.0],
-}  # fmt: skip
+    "generator": "bubble_field",
+    "count": 14,
+    "radius_mm": 1.2,
+    "radius_spread": 0.1,
+    "radius_range_mm": [0.9, 1.6],
+    "low_mm": [-9.0, -8.0, 28.0],
+    "high_mm": [9.0, 8.0, 40.0],
+}
 VOLUME = {"center_mm": [0.0, 0.0, 48.0], "size_mm": [24.0, 18.0, 40.0]}
 
 
 def behind(curtain: dict[str, Any] | None = CURTAIN, **plate: Any) -> Scene:
     """The small scene with a code."""
     grid = {"voxel_mm": [0.25, 0.25, 2.0]}
-    return small(volume=VOLUME, grid=grid, bubbles=curtain, solids=[PLATE | plate], render={"relative_error": 0.1})
+    return small(
+        volume=VOLUME,
+        grid=grid,
+        bubbles=curtain,
+        solids=[PLATE | plate],
+        render={"relative_error": 0.1},
+    )
 
 
 @pytest.fixture(scope="module")
@@ -53,10 +71,14 @@ def test_a_refocused_plane_shows_what_single_views_do_not(veiled: Dataset, tmp_p
     assert veiled.shows == ("bubbles", "code")
     scores = {}
     for method in ("additive", "multiplicative", "dark", "mart"):
-        result = solve("see_through", veiled, tmp_path / f"{method}.h5", parameters={"method": method})
+        result = solve(
+            "see_through", veiled, tmp_path / f"{method}.h5", parameters={"method": method}
+        )
         assert result.track == "see_through"
         scores[method] = score(veiled, tmp_path / f"{method}.h5")
-        assert coloured(error_picture(veiled, result)) == pytest.approx(100.0 - scores[method]["read_percent"], abs=3.0)
+        assert coloured(error_picture(veiled, result)) == pytest.approx(
+            100.0 - scores[method]["read_percent"], abs=3.0
+        )
     export(veiled, tmp_path / "vtk", tmp_path / "dark.h5")
     assert [file.name for file in (tmp_path / "vtk").iterdir()] == ["volume_0000.vtkhdf"]
     for method in ("additive", "dark"):
@@ -92,8 +114,17 @@ def test_the_code_comes_from_the_seed() -> None:
 
 
 def test_what_has_no_code_is_refused(veiled: Dataset, tmp_path: Path) -> None:
-    data = generate(small(bubbles={"generator": "bubble_field", "count": 0}, render={"relative_error": 0.2}), tmp_path / "data", seed=1)
-    with pytest.raises(InputError, match=r"solver see_through: expected a data set that shows a code, but .* shows bubbles"):
+    data = generate(
+        small(bubbles={"generator": "bubble_field", "count": 0}, render={"relative_error": 0.2}),
+        tmp_path / "data",
+        seed=1,
+    )
+    with pytest.raises(
+        InputError,
+        match=r"solver see_through: expected a data set that shows a code, but .* shows bubbles",
+    ):
         solve("see_through", data, tmp_path / "r.h5")
-    with pytest.raises(InputError, match="low_mm, high_mm: expected rising corners within the volume"):
+    with pytest.raises(
+        InputError, match="low_mm, high_mm: expected rising corners within the volume"
+    ):
         generate(behind(CURTAIN | {"high_mm": [9.0, 8.0, 80.0]}), tmp_path / "other", seed=1)

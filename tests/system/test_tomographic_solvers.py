@@ -20,7 +20,14 @@ from sabench.simulation.in_memory import Shot, simulate
 from sabench.tasks.reconstruction_scores import score_frame, true_field
 from tests.conftest import pinholes
 
-SOLVERS = {"mlos_sart": 0.82, "mlos_smart": 0.92, "smart": 0.90, "block_mart": 0.93, "mart": 0.93, "mfg_mart": 0.93}  # least Q in air
+SOLVERS = {
+    "mlos_sart": 0.82,
+    "mlos_smart": 0.92,
+    "smart": 0.90,
+    "block_mart": 0.93,
+    "mart": 0.93,
+    "mfg_mart": 0.93,
+}  # least Q in air
 
 
 def scene_of(wall: bool) -> Scene:
@@ -33,7 +40,13 @@ def scene_of(wall: bool) -> Scene:
     values["cameras"]["center_mm"] = [0.0, 0.0, -425.0 if wall else -450.0]
     values["illumination"] |= {"scattering": "isotropic", "pulse_energy_mj": 10.0}
     values["particles"] = {"generator": "uniform", "count": 80, "diameter_mm": 0.02}
-    values["sensor"] = {"full_well_e": 1e7, "gain_dn_e": 0.2, "bit_depth": 16, "black_level_dn": 100.0, "shot_noise": False}
+    values["sensor"] = {
+        "full_well_e": 1e7,
+        "gain_dn_e": 0.2,
+        "bit_depth": 16,
+        "black_level_dn": 100.0,
+        "shot_noise": False,
+    }
     if not wall:
         del values["wall"]
     return parse_scene(values, "test")
@@ -75,7 +88,10 @@ def test_particles_are_reconstructed(name: str, in_air: Shot, behind_glass: Shot
 
 @pytest.mark.parametrize("name", SOLVERS)
 def test_bilinear_points_do_nearly_as_well(name: str, in_air: Shot) -> None:
-    assert scores(in_air, solve(name, in_air.observation, footprint="bilinear", floor=0.02))["q"] > SOLVERS[name] - 0.1
+    assert (
+        scores(in_air, solve(name, in_air.observation, footprint="bilinear", floor=0.02))["q"]
+        > SOLVERS[name] - 0.1
+    )
 
 
 @pytest.mark.parametrize("name", SOLVERS)
@@ -102,9 +118,18 @@ def test_particles_beyond_one_cameras_border_are_kept(name: str, in_air: Shot) -
     column, row = pinholes(case.cameras)[0].principal_point_px
     moved = replace(pinholes(case.cameras)[0], principal_point_px=(column + aside, row))
     made = solve(name, replace(case, images=images, cameras=(moved, *case.cameras[1:])))
-    hidden = in_air.particles.position_mm[in_air.views[0].pixel[:, 0] > case.cameras[0].columns - aside + 2]
-    x, y, z = np.clip(np.rint(case.grid.to_voxels(hidden)).astype(int), 1, np.asarray(case.grid.shape[::-1]) - 2).T
-    brightest = np.asarray([made.volume[k - 1 : k + 2, j - 1 : j + 2, i - 1 : i + 2].max() for i, j, k in zip(x, y, z, strict=True)])
+    hidden = in_air.particles.position_mm[
+        in_air.views[0].pixel[:, 0] > case.cameras[0].columns - aside + 2
+    ]
+    x, y, z = np.clip(
+        np.rint(case.grid.to_voxels(hidden)).astype(int), 1, np.asarray(case.grid.shape[::-1]) - 2
+    ).T
+    brightest = np.asarray(
+        [
+            made.volume[k - 1 : k + 2, j - 1 : j + 2, i - 1 : i + 2].max()
+            for i, j, k in zip(x, y, z, strict=True)
+        ]
+    )
     assert 15 < len(hidden) < 60
     assert (brightest > 0.0).mean() > 0.9
 
@@ -125,7 +150,9 @@ def test_long_voxels_are_split(in_air: Shot) -> None:
     grid = in_air.observation.grid
     long = Grid((*grid.low_mm[:2], grid.low_mm[2] + 1.5 * 0.05), (0.05, 0.05, 0.2), (7, 72, 72))
     made = solve("block_mart", replace(in_air.observation, grid=long))
-    truth = synthesise(long, in_air.particles.position_mm, np.ones(len(in_air.particles)), 0.85 * 0.05)
+    truth = synthesise(
+        long, in_air.particles.position_mm, np.ones(len(in_air.particles)), 0.85 * 0.05
+    )
     assert made.volume.shape == long.shape
     assert quality(made.volume, truth) > 0.93
 
@@ -133,7 +160,8 @@ def test_long_voxels_are_split(in_air: Shot) -> None:
 def test_more_iterations_are_better_and_tolerance_ends_them(in_air: Shot) -> None:
     truth = true_field(in_air.observation.grid, in_air.particles, in_air.views)
     few, many, stopped = (
-        quality(solve("mlos_smart", in_air.observation, iterations=n, tolerance=t).volume, truth) for n, t in ((1, 0.0), (20, 0.0), (20, 0.9))
+        quality(solve("mlos_smart", in_air.observation, iterations=n, tolerance=t).volume, truth)
+        for n, t in ((1, 0.0), (20, 0.0), (20, 0.9))
     )
     assert few < many
     assert few <= stopped < many
@@ -142,7 +170,15 @@ def test_more_iterations_are_better_and_tolerance_ends_them(in_air: Shot) -> Non
 @pytest.mark.parametrize("name", SOLVERS)
 @pytest.mark.parametrize(
     "wrong",
-    [{"iterations": 0}, {"relaxation": 0.0}, {"relaxation": 2.5}, {"tolerance": 1.0}, {"footprint": "disc"}, {"sigma_px": 0.1}, {"floor": 1.0}],
+    [
+        {"iterations": 0},
+        {"relaxation": 0.0},
+        {"relaxation": 2.5},
+        {"tolerance": 1.0},
+        {"footprint": "disc"},
+        {"sigma_px": 0.1},
+        {"floor": 1.0},
+    ],
 )
 def test_nonsense_is_refused(name: str, wrong: dict[str, Any]) -> None:
     with pytest.raises(ValidationError):

@@ -33,8 +33,23 @@ from tests.untrusted import SCENE, check_sentence, reseal
 
 def test_damaged_input_is_refused_by_one_sentence_or_taken(tmp_path: Path) -> None:
     """Without submissions, each of which starts processes."""
-    kinds = [word for kind in ("scene", "suite", "dataset", "result", "records") for word in ("--kind", kind)]
-    words = [sys.executable, str(ROOT / "benchmarks" / "fuzz.py"), "200", "--seed", "7", "--limit", "60", "--keep", str(tmp_path / "kept"), *kinds]
+    kinds = [
+        word
+        for kind in ("scene", "suite", "dataset", "result", "records")
+        for word in ("--kind", kind)
+    ]
+    words = [
+        sys.executable,
+        str(ROOT / "benchmarks" / "fuzz.py"),
+        "200",
+        "--seed",
+        "7",
+        "--limit",
+        "60",
+        "--keep",
+        str(tmp_path / "kept"),
+        *kinds,
+    ]
     done = subprocess.run(words, capture_output=True, text=True, check=False, cwd=tmp_path)
     assert done.returncode == 0, done.stdout + done.stderr
     assert re.search(r"^all +200 +\d+ +\d+ +0$", done.stdout, re.MULTILINE), done.stdout
@@ -62,16 +77,23 @@ def test_what_a_file_only_says_that_it_holds_is_not_read(file: Path) -> None:
         for name in ("null", "wide"):
             with pytest.raises(InputError, match="expected shape"):
                 read_array(again, name, (None, 3), "f")
-        np.testing.assert_array_equal(read_array(again, "fine", (None, 3), "f"), np.arange(6.0).reshape(2, 3))
+        np.testing.assert_array_equal(
+            read_array(again, "fine", (None, 3), "f"), np.arange(6.0).reshape(2, 3)
+        )
 
 
 def test_a_deflated_bomb(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(hdf5, "_SMALL", 1000)
     with h5py.File(file, "w") as made:
-        made.create_dataset("zeros", (10**6, 3), "f8", chunks=(10**5, 3), compression="gzip", compression_opts=9)
+        made.create_dataset(
+            "zeros", (10**6, 3), "f8", chunks=(10**5, 3), compression="gzip", compression_opts=9
+        )
         del made["zeros"]
         made.create_dataset("unwritten", (10**6, 3), "f8", chunks=(10**5, 3), compression="gzip")
-    with opened(file) as again, pytest.raises(InputError, match="expected values that the file stores"):
+    with (
+        opened(file) as again,
+        pytest.raises(InputError, match="expected values that the file stores"),
+    ):
         read_array(again, "unwritten", (None, 3), "f")
 
 
@@ -90,7 +112,11 @@ def test_attributes_of_other_kinds(quick: Dataset, quick_result: Path, file: Pat
             sabench.score(quick, file)
     shutil.copy(quick_result, file)
     with h5py.File(file, "r+") as made:
-        made.attrs["version"], made.attrs["seconds"], made.attrs["solver"] = np.array([1]), np.array([2.5]), np.bytes_("\x1b[2Jmine")
+        made.attrs["version"], made.attrs["seconds"], made.attrs["solver"] = (
+            np.array([1]),
+            np.array([2.5]),
+            np.bytes_("\x1b[2Jmine"),
+        )
     scores = sabench.score(quick, file)
     assert (scores["seconds"], scores["solver"]) == (2.5, "?[2Jmine")
 
@@ -104,7 +130,9 @@ def test_parameters_that_json_cannot_hold(quick: Dataset, quick_result: Path, fi
             sabench.score(quick, file)
 
 
-def test_a_file_that_sends_hdf5_round_in_circles(quick_result: Path, file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_file_that_sends_hdf5_round_in_circles(
+    quick_result: Path, file: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Stood in for by a reader that never ends: it is ended from outside, and a crash is a sentence."""
     shutil.copy(quick_result, file)
     probe(file)
@@ -116,7 +144,9 @@ def test_a_file_that_sends_hdf5_round_in_circles(quick_result: Path, file: Path,
 
 def test_a_picture_that_says_that_it_is_huge(tmp_path: Path) -> None:
     path = tmp_path / "a.tif"
-    tifffile.imwrite(path, np.zeros((2, 24, 32), np.uint16), photometric="minisblack", metadata=None)
+    tifffile.imwrite(
+        path, np.zeros((2, 24, 32), np.uint16), photometric="minisblack", metadata=None
+    )
     with pytest.raises(InputError, match="and 1 more"):
         read_tiff(path, (24, 32))
     tifffile.imwrite(path, np.zeros((4000, 4000), np.uint16), compression="zlib")
@@ -167,9 +197,16 @@ def test_scenes_and_suites_that_ask_for_too_much(tmp_path: Path, quick_toml: str
 
 
 @pytest.mark.parametrize(
-    ("table", "key", "value"), [("cameras", "pixel_mm", 1e300), ("illumination", "pulse_energy_mj", 1e300), ("cameras", "focus_mm", 1e300)]
+    ("table", "key", "value"),
+    [
+        ("cameras", "pixel_mm", 1e300),
+        ("illumination", "pulse_energy_mj", 1e300),
+        ("cameras", "focus_mm", 1e300),
+    ],
 )
-def test_extreme_numbers_end_well_or_in_a_sentence(tmp_path: Path, table: str, key: str, value: float) -> None:
+def test_extreme_numbers_end_well_or_in_a_sentence(
+    tmp_path: Path, table: str, key: str, value: float
+) -> None:
     try:
         scene = parse_scene({**SCENE, table: {**SCENE[table], key: 1e300}}, "extreme")
         made = sabench.generate(scene, tmp_path / "set", backend="splat")
@@ -188,14 +225,26 @@ def test_names_that_no_disk_can_hold_are_refused_in_suites(tmp_path: Path) -> No
 
 
 def test_a_suite_of_too_many_scenes_is_refused_before_any_is_read(tmp_path: Path) -> None:
-    (tmp_path / "s.toml").write_text(f'title = "t"\nscenes = {["quick"] * 1001}\nsolvers = [{{ name = "asa" }}]\n'.replace("'", '"'))
+    (tmp_path / "s.toml").write_text(
+        f'title = "t"\nscenes = {["quick"] * 1001}\nsolvers = [{{ name = "asa" }}]\n'.replace(
+            "'", '"'
+        )
+    )
     with pytest.raises(InputError, match="expected at most 1000, got 1001"):
         load_suite(tmp_path / "s.toml")
 
 
 def test_a_target_of_too_many_points_is_refused(tmp_path: Path) -> None:
-    target = {"pattern": "circles", "columns": 4_000_000_000_001, "rows": 1, "pitch_mm": 1.0, "mark_mm": 0.5}
-    (tmp_path / "target.json").write_text(canonical_json({"format": "sabench-dataset", "version": 1, "target": target}))
+    target = {
+        "pattern": "circles",
+        "columns": 4_000_000_000_001,
+        "rows": 1,
+        "pitch_mm": 1.0,
+        "mark_mm": 0.5,
+    }
+    (tmp_path / "target.json").write_text(
+        canonical_json({"format": "sabench-dataset", "version": 1, "target": target})
+    )
     with pytest.raises(InputError, match="expected 2 to 1000000 points"):
         read_target(tmp_path)
 

@@ -41,7 +41,9 @@ def vortex_scene(**changes: Any) -> Scene:
 
 @pytest.fixture(scope="module")
 def vortex(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
-    return generate(vortex_scene(), tmp_path_factory.mktemp("vortex") / "data", seed=1, backend="splat")
+    return generate(
+        vortex_scene(), tmp_path_factory.mktemp("vortex") / "data", seed=1, backend="splat"
+    )
 
 
 def test_pairs_are_those_of_the_pulses(vortex: Dataset) -> None:
@@ -50,7 +52,12 @@ def test_pairs_are_those_of_the_pulses(vortex: Dataset) -> None:
 
 
 def test_a_pair_becomes_a_field_and_scores(vortex: Dataset, tmp_path: Path) -> None:
-    made = solve("piv3d", vortex, tmp_path / "result.h5", parameters={"reconstruction": "mlos_smart", **SETTINGS})
+    made = solve(
+        "piv3d",
+        vortex,
+        tmp_path / "result.h5",
+        parameters={"reconstruction": "mlos_smart", **SETTINGS},
+    )
     assert made.track == "velocimetry"
     assert made.reconstruction_s is not None
     field = open_result(tmp_path / "result.h5", vortex).velocity(2)
@@ -65,7 +72,12 @@ def test_a_pair_becomes_a_field_and_scores(vortex: Dataset, tmp_path: Path) -> N
 
 
 def test_a_field_without_vectors_has_no_figures(vortex: Dataset) -> None:
-    field = Velocity((0.0, 0.0, 0.0), (1.0, 1.0, 1.0), np.zeros((3, 3, 3, 3)), np.zeros((3, 3, 3), dtype=np.bool_))
+    field = Velocity(
+        (0.0, 0.0, 0.0),
+        (1.0, 1.0, 1.0),
+        np.zeros((3, 3, 3, 3)),
+        np.zeros((3, 3, 3), dtype=np.bool_),
+    )
     scores = score_pair(vortex, (0, 1), field)
     assert scores["yield_percent"] == 0.0
     assert np.isnan(scores["u_p90_voxel"])
@@ -86,7 +98,10 @@ def test_one_command_and_the_page(command: Command, tmp_path: Path) -> None:
     page = (tmp_path / "leaderboard" / "index.html").read_text(encoding="utf-8")
     assert block(page)["rows"][0]["scores"][0] == [pytest.approx(record["u_p90_voxel"], rel=1e-8)]
     assert block(page)["tracks"]["velocimetry"]["pictured"]["heading"] == "Fields"
-    assert set(block(page, "album0")) == {"images", "row0"}  # particles are no truth to show beside fields
+    assert set(block(page, "album0")) == {
+        "images",
+        "row0",
+    }  # particles are no truth to show beside fields
     data = open_dataset(next((tmp_path / "work" / "datasets").iterdir()))
     assert data.rig.times_s == (0.0, 0.001)
 
@@ -100,9 +115,22 @@ def test_single_frames_are_no_pairs(tmp_path: Path, command: Command) -> None:
 
 
 def test_volumes_smaller_than_a_window_are_named(vortex: Dataset, command: Command) -> None:
-    done = command("solve", "piv3d", str(vortex.root), "-o", "result.h5", "-p", "reconstruction=asa", "-p", "window=[320,32,16]")
+    done = command(
+        "solve",
+        "piv3d",
+        str(vortex.root),
+        "-o",
+        "result.h5",
+        "-p",
+        "reconstruction=asa",
+        "-p",
+        "window=[320,32,16]",
+    )
     assert done.returncode == 2
-    assert "window: expected one that fits into the volume of 160 x 160 x 80 voxels, got 320 x 32 x 16" in done.stderr
+    assert (
+        "window: expected one that fits into the volume of 160 x 160 x 80 voxels, got 320 x 32 x 16"
+        in done.stderr
+    )
 
 
 def test_a_flow_without_units_is_named_and_leaves_nothing(tmp_path: Path, command: Command) -> None:
@@ -112,7 +140,9 @@ def test_a_flow_without_units_is_named_and_leaves_nothing(tmp_path: Path, comman
             file[name] = axis
         for name in "uvw":
             file[name] = np.ones((8, 8, 8))
-    values = vortex_scene(frames=1).to_dict() | {"flow": {"generator": "from_field", "file": "dns.h5", "length": "mm"}}
+    values = vortex_scene(frames=1).to_dict() | {
+        "flow": {"generator": "from_field", "file": "dns.h5", "length": "mm"}
+    }
     (tmp_path / "scene.toml").write_text(tomli_w.dumps(values), encoding="utf-8")
     done = command("generate", "scene.toml", "-o", "data", "--backend", "splat")
     assert done.returncode == 2
@@ -121,7 +151,12 @@ def test_a_flow_without_units_is_named_and_leaves_nothing(tmp_path: Path, comman
 
 
 def test_volumes_that_show_nothing_are_named(tmp_path: Path, command: Command) -> None:
-    generate(vortex_scene(frames=2, particles={"generator": "uniform", "count": 0}), tmp_path / "data", seed=1, backend="splat")
+    generate(
+        vortex_scene(frames=2, particles={"generator": "uniform", "count": 0}),
+        tmp_path / "data",
+        seed=1,
+        backend="splat",
+    )
     done = command("solve", "piv3d", "data", "-o", "result.h5", "-p", "reconstruction=asa")
     assert done.returncode == 2
     assert "first volume: expected one that shows something, got 0 everywhere" in done.stderr

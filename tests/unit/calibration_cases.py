@@ -32,10 +32,20 @@ def case_of(scene: Scene, seed: int = 1) -> tuple[CalibrationCase, tuple[Camera,
     """What a solver sees; the true cameras, the true points (frame, point, 3) and where they truly are in the images (camera, frame, point, 2)."""
     cameras, placed = build_rig(scene).cameras, place(scene, seed)
     exact = np.stack([exact_pixels(camera, placed.points_mm) for camera in cameras])
-    pixels = np.stack([found_pixels(scene.detection, own, seed, number)[0] for number, own in enumerate(exact)])
+    pixels = np.stack(
+        [found_pixels(scene.detection, own, seed, number)[0] for number, own in enumerate(exact)]
+    )
     known = prior(scene, placed, seed)
     told = told_cameras(scene, cameras, seed)
-    case = CalibrationCase(placed.target, pixels, told, known.rough_mm, known.known_mm, known.known_sigma_mm, scene.unknown)
+    case = CalibrationCase(
+        placed.target,
+        pixels,
+        told,
+        known.rough_mm,
+        known.known_mm,
+        known.known_sigma_mm,
+        scene.unknown,
+    )
     return case, cameras, placed.points_mm, exact
 
 

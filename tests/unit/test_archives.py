@@ -17,7 +17,9 @@ from sabench.utils.errors import InputError
 Make = Callable[[Path], Path]
 
 
-def zipped(path: Path, members: dict[str, bytes], mode: int = 0, method: int = zipfile.ZIP_DEFLATED) -> Path:
+def zipped(
+    path: Path, members: dict[str, bytes], mode: int = 0, method: int = zipfile.ZIP_DEFLATED
+) -> Path:
     with zipfile.ZipFile(path, "w", method) as file:
         for name, content in members.items():
             info = zipfile.ZipInfo(name)
@@ -26,7 +28,9 @@ def zipped(path: Path, members: dict[str, bytes], mode: int = 0, method: int = z
     return path
 
 
-def taped(path: Path, name: str, content: bytes = b"", kind: bytes = tarfile.REGTYPE, target: str = "") -> Path:
+def taped(
+    path: Path, name: str, content: bytes = b"", kind: bytes = tarfile.REGTYPE, target: str = ""
+) -> Path:
     with tarfile.open(path, "w:gz" if path.suffix == ".gz" else "w") as file:
         info = tarfile.TarInfo(name)
         info.type, info.linkname, info.size = kind, target, len(content)
@@ -38,7 +42,10 @@ def taped(path: Path, name: str, content: bytes = b"", kind: bytes = tarfile.REG
 def test_result_files_come_out_as_they_went_in(tmp_path: Path, ending: str) -> None:
     path, content = tmp_path / f"a.{ending}", bytes(range(256)) * 50
     if ending == "zip":
-        zipped(path, {"b/two.h5": content, "notes.txt": b"no result", "__MACOSX/._two.h5": b"no result"})
+        zipped(
+            path,
+            {"b/two.h5": content, "notes.txt": b"no result", "__MACOSX/._two.h5": b"no result"},
+        )
     else:
         taped(path, "b/two.h5", content)
     with result_files(path) as found:
@@ -78,13 +85,25 @@ BAD: list[tuple[str, Make, str]] = [
     ("b.zip", lambda path: zipped(path, {"a/../../x.h5": b"x"}), "names inside the archive"),
     ("c.zip", lambda path: zipped(path, {"c:\\x.h5": b"x"}), "names inside the archive"),
     ("d.zip", lambda path: zipped(path, {"x.h5": b"/etc/passwd"}, 0o120777), "a link or device"),
-    ("e.zip", lambda path: zipped(path, {"x.h5": b"x"}, method=zipfile.ZIP_LZMA), "stored or deflated"),
+    (
+        "e.zip",
+        lambda path: zipped(path, {"x.h5": b"x"}, method=zipfile.ZIP_LZMA),
+        "stored or deflated",
+    ),
     ("f.zip", bomb, "times its size"),
     ("g.zip", many, "at most 1000 files"),
     ("h.zip", lambda path: zipped(path, {"notes.txt": b"x"}), "found none"),
     ("i.zip", lambda path: (path.write_bytes(b"PK no zip") and path) or path, "a whole archive"),
-    ("j.tar", lambda path: taped(path, "x.h5", kind=tarfile.SYMTYPE, target="/etc/passwd"), "a link or device"),
-    ("k.tar", lambda path: taped(path, "x.h5", kind=tarfile.LNKTYPE, target="../x"), "a link or device"),
+    (
+        "j.tar",
+        lambda path: taped(path, "x.h5", kind=tarfile.SYMTYPE, target="/etc/passwd"),
+        "a link or device",
+    ),
+    (
+        "k.tar",
+        lambda path: taped(path, "x.h5", kind=tarfile.LNKTYPE, target="../x"),
+        "a link or device",
+    ),
     ("l.tar", lambda path: taped(path, "x.h5", kind=tarfile.CHRTYPE), "a link or device"),
     ("m.tar", lambda path: taped(path, "../x.h5", b"x"), "names inside the archive"),
     ("n.tar.gz", lambda path: taped(path, "x.h5", bytes(50_000_000)), "times its size"),
@@ -93,7 +112,9 @@ BAD: list[tuple[str, Make, str]] = [
 
 
 @pytest.mark.parametrize(("name", "make", "words"), BAD, ids=[name for name, *_ in BAD])
-def test_what_no_honest_archive_has_is_refused(tmp_path: Path, name: str, make: Make, words: str) -> None:
+def test_what_no_honest_archive_has_is_refused(
+    tmp_path: Path, name: str, make: Make, words: str
+) -> None:
     path = make(tmp_path / name)
     with pytest.raises(InputError, match=words), result_files(path):
         pytest.fail("it was opened")

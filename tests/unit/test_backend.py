@@ -18,7 +18,13 @@ CHOICE = "from sabench import backend; print(backend.choose().library)"
 
 def choose(**environment: str) -> subprocess.CompletedProcess[str]:
     """The choice of a fresh process."""
-    return subprocess.run([sys.executable, "-c", CHOICE], env=os.environ | environment, capture_output=True, text=True, check=False)
+    return subprocess.run(
+        [sys.executable, "-c", CHOICE],
+        env=os.environ | environment,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
 
 
 def test_the_chosen_library_is_recent_and_was_asked_for_its_version() -> None:
@@ -52,7 +58,9 @@ def test_candidates_put_the_wheel_before_the_system(monkeypatch: pytest.MonkeyPa
 
 
 def test_an_old_system_library_is_refused_by_its_version(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(backend, "_llvm_candidates", lambda: [("the system", "/usr/lib/libLLVM-16.so")])
+    monkeypatch.setattr(
+        backend, "_llvm_candidates", lambda: [("the system", "/usr/lib/libLLVM-16.so")]
+    )
     monkeypatch.setattr(backend, "llvm_version", lambda path: 16)
     with pytest.raises(InputError, match="LLVM 16"):
         backend._choose_llvm()

@@ -32,7 +32,9 @@ def test_the_blurred_profile_is_a_blurred_disc() -> None:
         fine = 12
         grid = (np.arange(40 * fine * 2 + 1) - 40 * fine) / fine
         x, y = np.meshgrid(grid, grid)
-        picture = gaussian_filter(sharp((np.hypot(x, y) / radius).ravel(), 1.0 / 1.333, 0.4).reshape(x.shape), 0.8 * fine)
+        picture = gaussian_filter(
+            sharp((np.hypot(x, y) / radius).ravel(), 1.0 / 1.333, 0.4).reshape(x.shape), 0.8 * fine
+        )
         row = picture[40 * fine, 40 * fine :: fine]
         distance = np.arange(len(row), dtype=float)
         near = distance < radius + 3.0
@@ -49,7 +51,12 @@ def test_an_outline_gets_the_votes_of_its_own_radius(radius: float, aspect: floa
     assert best[:2] == pytest.approx([47.3, 33.6], abs=0.8)
     assert best[2] == pytest.approx(radius, rel=0.15)
     assert best[3] > 0.7
-    assert len(peaks(vote(np.ones((80, 100), dtype=np.float32), radii_between(1.5, 15.0), aspect), 0.1)) == 0
+    assert (
+        len(
+            peaks(vote(np.ones((80, 100), dtype=np.float32), radii_between(1.5, 15.0), aspect), 0.1)
+        )
+        == 0
+    )
 
 
 def test_attenuation_keeps_the_plane_with_edges() -> None:

@@ -19,23 +19,38 @@ def field(count: int = 60, seed: int = 1) -> Detections:
     """Bubbles on a lattice, 10 mm apart."""
     rng = np.random.default_rng(seed)
     places = 10.0 * np.stack(np.unravel_index(np.arange(count), (4, 5, 4)), axis=1)
-    return Detections(places.astype(float), rng.uniform(0.3, 2.0, (count, 3)), Rotation.random(count, random_state=seed).as_matrix())
+    return Detections(
+        places.astype(float),
+        rng.uniform(0.3, 2.0, (count, 3)),
+        Rotation.random(count, random_state=seed).as_matrix(),
+    )
 
 
 def test_the_truth_is_perfect() -> None:
     true = field()
     scores = detection_scores(true, true, np.full(60, 0.5))
-    assert all(scores[key] == 1.0 for key in ("f1", "f1_large", "precision", "recall", "recall_hidden"))
+    assert all(
+        scores[key] == 1.0 for key in ("f1", "f1_large", "precision", "recall", "recall_hidden")
+    )
     assert all(
         scores[key] == pytest.approx(0.0, abs=1e-6)
-        for key in ("radius_percent", "axes_percent", "plane_mm", "depth_mm", "sizes_percent", "void_percent")
+        for key in (
+            "radius_percent",
+            "axes_percent",
+            "plane_mm",
+            "depth_mm",
+            "sizes_percent",
+            "void_percent",
+        )
     )
     assert scores["tilt_deg"] == pytest.approx(0.0, abs=1e-5)
 
 
 def test_faults_are_told_apart() -> None:
     true = field()
-    found = Detections(true.center_mm + np.array([0.02, 0.0, -0.05]), 1.1 * true.semi_axes_mm, true.turn)
+    found = Detections(
+        true.center_mm + np.array([0.02, 0.0, -0.05]), 1.1 * true.semi_axes_mm, true.turn
+    )
     scores = detection_scores(found, true, np.ones(60))
     assert scores["plane_mm"] == pytest.approx(0.02)
     assert scores["depth_mm"] == pytest.approx(0.05)
@@ -56,12 +71,19 @@ def test_half_a_radius_is_the_limit() -> None:
     true = field()
     for part, expected in ((0.49, 1.0), (0.51, 0.0)):
         moved = true.center_mm + part * true.radius_mm[:, None] * np.array([0.6, 0.0, 0.8])
-        assert detection_scores(Detections(moved, true.semi_axes_mm, true.turn), true, np.ones(60))["f1"] == expected
+        assert (
+            detection_scores(Detections(moved, true.semi_axes_mm, true.turn), true, np.ones(60))[
+                "f1"
+            ]
+            == expected
+        )
 
 
 def test_matches_are_one_to_one_and_as_many_as_possible() -> None:
     true, radius = np.array([[0.0, 0.0, 0.0], [0.8, 0.0, 0.0]]), np.array([2.0, 2.0])
-    i, j = match(np.array([[0.5, 0.0, 0.0], [-0.6, 0.0, 0.0]]), true, radius)  # the first is near both, the second only near the first true one
+    i, j = match(
+        np.array([[0.5, 0.0, 0.0], [-0.6, 0.0, 0.0]]), true, radius
+    )  # the first is near both, the second only near the first true one
     assert sorted(zip(i.tolist(), j.tolist(), strict=True)) == [(0, 1), (1, 0)]
     i, j = match(np.zeros((3, 3)), true, radius)
     assert len(i) == 2
@@ -87,7 +109,9 @@ def fine_air(law: JetLaw, depth_mm: float) -> tuple[F64, F64]:
     depth = np.interp(rng.random(400_000), np.cumsum(air) / air.sum(), y)
     x, z = law.half_radius_mm(depth) / np.sqrt(2.0 * LN2) * rng.standard_normal((2, len(depth)))
     volume = np.trapezoid(air, y) / len(depth)
-    return np.column_stack([x, depth, z]) + np.array([3.0, -2.0, 50.0]), np.full(len(depth), np.cbrt(volume * 3.0 / (4.0 * np.pi)))
+    return np.column_stack([x, depth, z]) + np.array([3.0, -2.0, 50.0]), np.full(
+        len(depth), np.cbrt(volume * 3.0 / (4.0 * np.pi))
+    )
 
 
 def test_figures_of_a_jet_are_those_of_its_law() -> None:
@@ -102,14 +126,21 @@ def test_figures_of_a_jet_are_those_of_its_law() -> None:
     inside = [-np.expm1(-LN2 * r**2 / half**2) for r in rings]
     for ring in range(4):
         air = law.air_mm2(y) * (inside[ring + 1] - inside[ring])
-        expected = [np.trapezoid(air[(y >= low) & (y <= low + 20.0)], y[(y >= low) & (y <= low + 20.0)]) for low in edges[:-1]]
+        expected = [
+            np.trapezoid(air[(y >= low) & (y <= low + 20.0)], y[(y >= low) & (y <= low + 20.0)])
+            for low in edges[:-1]
+        ]
         room = np.pi * (rings[ring + 1] ** 2 - rings[ring] ** 2) * 20.0
-        np.testing.assert_allclose(figures.concentration[:, ring], np.array(expected) / room, rtol=0.1, atol=2e-5)
+        np.testing.assert_allclose(
+            figures.concentration[:, ring], np.array(expected) / room, rtol=0.1, atol=2e-5
+        )
     assert figures.penetration_mm == pytest.approx(120.0, rel=0.1)
     assert figures.angle_deg == pytest.approx(law.angle_deg, rel=0.25)
     assert figures.weight == pytest.approx(0.903, rel=0.1)
     assert figures.width == pytest.approx(0.1894, rel=0.25)
-    assert figures.half_radius_mm[4] == pytest.approx(float(law.half_radius_mm(np.array(90.0))), rel=0.2)
+    assert figures.half_radius_mm[4] == pytest.approx(
+        float(law.half_radius_mm(np.array(90.0))), rel=0.2
+    )
 
 
 def test_no_bubbles_have_no_figures() -> None:
@@ -121,28 +152,49 @@ def test_no_bubbles_have_no_figures() -> None:
 
 def test_small_ones_and_those_among_many_are_counted_apart() -> None:
     """Three of radius 1 mm close together, one alone, one small alone: the crowd fills 2 (1 / 6)^3 around each of its own."""
-    places = np.array([[0.0, 0.0, 0.0], [2.5, 0.0, 0.0], [0.0, 2.5, 0.0], [40.0, 0.0, 0.0], [80.0, 0.0, 0.0]])
+    places = np.array(
+        [[0.0, 0.0, 0.0], [2.5, 0.0, 0.0], [0.0, 2.5, 0.0], [40.0, 0.0, 0.0], [80.0, 0.0, 0.0]]
+    )
     true = Detections.balls(places, np.array([1.0, 1.0, 1.0, 1.0, 0.2]))
-    np.testing.assert_allclose(crowding(true), [2.0 / 216.0, 2.0 / 216.0, 2.0 / 216.0, 0.0, 0.0], atol=1e-15)
+    np.testing.assert_allclose(
+        crowding(true), [2.0 / 216.0, 2.0 / 216.0, 2.0 / 216.0, 0.0, 0.0], atol=1e-15
+    )
     larger = Detections.balls(places, np.array([1.1, 1.1, 1.1, 1.0, 0.2]))
     found = Detections.balls(places[[0, 3]], np.array([1.1, 1.0]))
     scores = detection_scores(found, larger, np.ones(5))
     assert scores["recall_dense"] == pytest.approx(1.0 / 3.0)
     assert scores["f1_small"] == 0.0
     assert scores["f1_large"] == pytest.approx(2.0 / 3.0)
-    assert np.isnan(detection_scores(found, Detections.balls(places[3:4], np.ones(1)), np.ones(1))["recall_dense"])
+    assert np.isnan(
+        detection_scores(found, Detections.balls(places[3:4], np.ones(1)), np.ones(1))[
+            "recall_dense"
+        ]
+    )
 
 
 def test_a_picture_of_errors_parts_found_missed_and_invented_bubbles() -> None:
     rng = np.random.default_rng(1)
     places = rng.uniform(0.0, 100.0, (12, 3))
     true = Detections.balls(places, rng.uniform(0.5, 1.5, 12))
-    found = Detections.balls(np.concatenate([places[:7] + 0.1, [[200.0, 0.0, 0.0]] * 2]), np.ones(9))
+    found = Detections.balls(
+        np.concatenate([places[:7] + 0.1, [[200.0, 0.0, 0.0]] * 2]), np.ones(9)
+    )
     figure = detection_figure(found, true)
-    front, side = ([circles for circles in panel.content if isinstance(circles, Circles)] for panel in figure.panels)
-    assert [(circles.label, len(circles.x)) for circles in front] == [("missed", 5), ("not there", 2), ("found", 7)]
-    np.testing.assert_array_equal(np.sort(np.concatenate([front[0].x, front[2].x])), np.sort(places[:, 0]))
-    np.testing.assert_array_equal(np.sort(np.concatenate([side[0].x, side[2].x])), np.sort(places[:, 2]))
+    front, side = (
+        [circles for circles in panel.content if isinstance(circles, Circles)]
+        for panel in figure.panels
+    )
+    assert [(circles.label, len(circles.x)) for circles in front] == [
+        ("missed", 5),
+        ("not there", 2),
+        ("found", 7),
+    ]
+    np.testing.assert_array_equal(
+        np.sort(np.concatenate([front[0].x, front[2].x])), np.sort(places[:, 0])
+    )
+    np.testing.assert_array_equal(
+        np.sort(np.concatenate([side[0].x, side[2].x])), np.sort(places[:, 2])
+    )
     assert draw(figure).startswith(b"\x89PNG")
     none = Detections.balls(np.zeros((0, 3)), np.zeros(0))
     assert draw(detection_figure(none, none)).startswith(b"\x89PNG")

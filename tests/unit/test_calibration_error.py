@@ -28,7 +28,11 @@ LENS = {"distortion": {"k1": -60.0, "k2": 2000.0, "p1": 0.3, "p2": -0.2, "k3": 0
 
 
 def shifted_scene(shift_px: float, **changes: Any) -> Scene:
-    return parse_scene(make_scene(particles={"count": 30}, **changes).to_dict() | {"calibration": {"shift_px": shift_px}}, "test")
+    return parse_scene(
+        make_scene(particles={"count": 30}, **changes).to_dict()
+        | {"calibration": {"shift_px": shift_px}},
+        "test",
+    )
 
 
 def moves(told: tuple[Camera, ...], true: tuple[Camera, ...]) -> F64:
@@ -49,9 +53,15 @@ def test_every_projection_is_off_by_the_given_length(shift: float) -> None:
 
 
 def test_directions_are_random_and_belong_to_the_seed_and_the_camera() -> None:
-    scene = shifted_scene(1.0, cameras={"layout": {"kind": "grid", "columns": 10, "rows": 10, "spacing_mm": [30.0, 30.0]}})
+    scene = shifted_scene(
+        1.0,
+        cameras={"layout": {"kind": "grid", "columns": 10, "rows": 10, "spacing_mm": [30.0, 30.0]}},
+    )
     true = build_rig(scene).cameras
-    first, again, other = (np.array([camera.principal_point_px for camera in told_cameras(scene, true, seed)]) for seed in (1, 1, 2))
+    first, again, other = (
+        np.array([camera.principal_point_px for camera in told_cameras(scene, true, seed)])
+        for seed in (1, 1, 2)
+    )
     np.testing.assert_array_equal(first, again)
     assert np.abs(first - other).min() > 0.0
     for drawn in (first, other):
@@ -59,7 +69,9 @@ def test_directions_are_random_and_belong_to_the_seed_and_the_camera() -> None:
         assert len(np.unique(ways, axis=0)) == 100
         assert np.linalg.norm(ways.mean(axis=0)) < 0.3  # 100 random unit vectors: 0.1 on average
     few = told_cameras(scene, true[:3], 1)
-    assert [camera.principal_point_px for camera in few] == [tuple(place) for place in first[:3].tolist()]
+    assert [camera.principal_point_px for camera in few] == [
+        tuple(place) for place in first[:3].tolist()
+    ]
 
 
 def test_a_solver_is_told_the_wrong_cameras_and_nothing_else_changes() -> None:
@@ -76,25 +88,43 @@ def test_a_solver_is_told_the_wrong_cameras_and_nothing_else_changes() -> None:
 
 @pytest.fixture
 def wrong(tmp_path: Path) -> Dataset:
-    return sabench.generate(shifted_scene(1.5), tmp_path / "wrong", seed=9, backend="splat", name="s")
+    return sabench.generate(
+        shifted_scene(1.5), tmp_path / "wrong", seed=9, backend="splat", name="s"
+    )
 
 
-def test_a_data_set_keeps_both_the_told_and_the_true_cameras(wrong: Dataset, tmp_path: Path) -> None:
-    exact = sabench.generate(make_scene(particles={"count": 30}), tmp_path / "exact", seed=9, backend="splat", name="s")
+def test_a_data_set_keeps_both_the_told_and_the_true_cameras(
+    wrong: Dataset, tmp_path: Path
+) -> None:
+    exact = sabench.generate(
+        make_scene(particles={"count": 30}), tmp_path / "exact", seed=9, backend="splat", name="s"
+    )
     rig = build_rig(shifted_scene(1.5))
     assert wrong.true_cameras == rig.cameras == exact.true_cameras == exact.rig.cameras
-    assert wrong.observation(0).cameras == wrong.rig.cameras == told_cameras(shifted_scene(1.5), rig.cameras, 9)
+    assert (
+        wrong.observation(0).cameras
+        == wrong.rig.cameras
+        == told_cameras(shifted_scene(1.5), rig.cameras, 9)
+    )
     assert simulate(shifted_scene(1.5), seed=9).observation.cameras == wrong.rig.cameras
-    np.testing.assert_allclose(np.linalg.norm(moves(wrong.rig.cameras, wrong.true_cameras), axis=2), 1.5)
+    np.testing.assert_allclose(
+        np.linalg.norm(moves(wrong.rig.cameras, wrong.true_cameras), axis=2), 1.5
+    )
     for view, camera in zip(wrong.views(0), wrong.true_cameras, strict=True):
-        np.testing.assert_allclose(view.pixel, camera.project(wrong.particles(0).position_mm)[0], atol=1e-9)
+        np.testing.assert_allclose(
+            view.pixel, camera.project(wrong.particles(0).position_mm)[0], atol=1e-9
+        )
     assert verify(wrong.root) == []
 
 
 def test_without_the_table_nothing_in_a_data_set_changes(wrong: Dataset, tmp_path: Path) -> None:
-    exact = sabench.generate(make_scene(particles={"count": 30}), tmp_path / "exact", seed=9, backend="splat", name="s")
+    exact = sabench.generate(
+        make_scene(particles={"count": 30}), tmp_path / "exact", seed=9, backend="splat", name="s"
+    )
     assert set(wrong.manifest.files) - set(exact.manifest.files) == {"true_cameras.json"}
-    changed = {name for name, entry in exact.manifest.files.items() if entry != wrong.manifest.files[name]}
+    changed = {
+        name for name, entry in exact.manifest.files.items() if entry != wrong.manifest.files[name]
+    }
     assert changed == {"cameras.json", "scene.toml"}
 
 
@@ -115,10 +145,14 @@ def test_true_cameras_must_be_those_that_are_told(wrong: Dataset) -> None:
     broken = rewrite(wrong, "true_cameras.json", {"cameras": cameras})
     faults = verify(broken.root)
     assert len(faults) == 1
-    assert "true_cameras.json: cameras: expected names and image sizes as in cameras.json" in faults[0]
+    assert (
+        "true_cameras.json: cameras: expected names and image sizes as in cameras.json" in faults[0]
+    )
     assert "camera_77" in faults[0]
     (broken.root / "true_cameras.json").unlink()
-    with pytest.raises(InputError, match=r"true_cameras.json: expected a JSON file, got FileNotFoundError"):
+    with pytest.raises(
+        InputError, match=r"true_cameras.json: expected a JSON file, got FileNotFoundError"
+    ):
         _ = open_dataset(broken.root).true_cameras
 
 

@@ -61,12 +61,30 @@ def copied_frame(pixels: Any) -> None:
 
 
 FAULTS: list[tuple[Change, str]] = [
-    (with_pixels(turned_everywhere), "frame 2: expected its points counted as in its rough place, but they are turned by 180 degrees against it"),
-    (with_pixels(turned_once), "camera_03: frame 2: expected its points counted as in the other cameras, but they are turned by 180 degrees"),
-    (with_pixels(swapped), "camera_01 and camera_05: expected each one's own images, but these two are swapped"),
-    (with_pixels(copied_camera), "camera_03 and camera_04: expected images of their own, but all their points are the same"),
-    (with_pixels(copied_frame), "camera_03: expected different images in frames 1 and 2, but all their points are the same"),
-    (with_wall(point_mm=(0.0, 0.0, -600.0)), "camera_00: expected it in front of the wall's outer face, but the wall is behind it"),
+    (
+        with_pixels(turned_everywhere),
+        "frame 2: expected its points counted as in its rough place, but they are turned by 180 degrees against it",
+    ),
+    (
+        with_pixels(turned_once),
+        "camera_03: frame 2: expected its points counted as in the other cameras, but they are turned by 180 degrees",
+    ),
+    (
+        with_pixels(swapped),
+        "camera_01 and camera_05: expected each one's own images, but these two are swapped",
+    ),
+    (
+        with_pixels(copied_camera),
+        "camera_03 and camera_04: expected images of their own, but all their points are the same",
+    ),
+    (
+        with_pixels(copied_frame),
+        "camera_03: expected different images in frames 1 and 2, but all their points are the same",
+    ),
+    (
+        with_wall(point_mm=(0.0, 0.0, -600.0)),
+        "camera_00: expected it in front of the wall's outer face, but the wall is behind it",
+    ),
     (
         with_wall(air_index=1.333, fluid_index=1.0),
         "wall: expected indices from the cameras' side on, air first, got air_index 1.333 above fluid_index 1",
@@ -78,7 +96,9 @@ FAULTS: list[tuple[Change, str]] = [
 ]
 
 
-@pytest.mark.parametrize(("change", "sentence"), FAULTS, ids=[sentence[:30] for _, sentence in FAULTS])
+@pytest.mark.parametrize(
+    ("change", "sentence"), FAULTS, ids=[sentence[:30] for _, sentence in FAULTS]
+)
 def test_a_fault_is_named(change: Change, sentence: str) -> None:
     algorithm: Any = make_algorithm("refractive_autocal", {})
     with pytest.raises(InputError) as caught:
@@ -88,7 +108,9 @@ def test_a_fault_is_named(change: Change, sentence: str) -> None:
 
 def test_one_plane_is_not_enough() -> None:
     algorithm: Any = make_algorithm("refractive_autocal", {})
-    with pytest.raises(InputError, match="all frames show it in one plane, which leaves focal lengths open"):
+    with pytest.raises(
+        InputError, match="all frames show it in one plane, which leaves focal lengths open"
+    ):
         algorithm.solve(case(frames=1, targets={"tilt_deg": 0.0}))
 
 
@@ -99,7 +121,10 @@ def test_points_in_no_order_are_named() -> None:
     for view in pixels.reshape(-1, *pixels.shape[2:]):
         view[:] = view[rng.permutation(len(view))]
     algorithm: Any = make_algorithm("refractive_autocal", {})
-    with pytest.raises(InputError, match=r"got some that miss by \d+ px at best: are they the target's, in its order\?"):
+    with pytest.raises(
+        InputError,
+        match=r"got some that miss by \d+ px at best: are they the target's, in its order\?",
+    ):
         algorithm.solve(replace(given, pixels=pixels))
 
 
@@ -115,7 +140,11 @@ def test_a_spoilt_image_is_left_out() -> None:
 
 def test_other_shapes_are_refused() -> None:
     given = case()
-    with pytest.raises(InputError, match=r"pixels: expected the shape \(9, frames, 121, 2\), got \(9, 5, 120, 2\)"):
+    with pytest.raises(
+        InputError, match=r"pixels: expected the shape \(9, frames, 121, 2\), got \(9, 5, 120, 2\)"
+    ):
         replace(given, pixels=given.pixels[:, :, 1:])
-    with pytest.raises(InputError, match=r"rough_mm: expected the shape \(5, 121, 3\), got \(4, 121, 3\)"):
+    with pytest.raises(
+        InputError, match=r"rough_mm: expected the shape \(5, 121, 3\), got \(4, 121, 3\)"
+    ):
         replace(given, rough_mm=given.rough_mm[1:])

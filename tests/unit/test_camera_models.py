@@ -10,7 +10,14 @@ import pytest
 from sabench.algorithms.refocus.synthetic_aperture import refocus_sum
 from sabench.geometry.camera import Camera
 from sabench.geometry.camera_model import CameraModel
-from sabench.geometry.polynomial_cameras import PlanePolynomials, Projective, Soloff, fit_planes, fit_projective, fit_soloff
+from sabench.geometry.polynomial_cameras import (
+    PlanePolynomials,
+    Projective,
+    Soloff,
+    fit_planes,
+    fit_projective,
+    fit_soloff,
+)
 from sabench.geometry.triangulation import intersect, triangulate
 from sabench.scenes.rig import build_rig
 from sabench.simulation.in_memory import simulate
@@ -35,7 +42,12 @@ def fitted(camera: Camera) -> list[CameraModel]:
     by_plane = [points[:, 2] == z for z in Z_PLANES]
     size = (camera.name, camera.rows, camera.columns)
     planes = fit_planes(*size, [points[own] for own in by_plane], [pixels[own] for own in by_plane])
-    return [camera, fit_projective(*size, points, pixels), fit_soloff(*size, points, pixels), planes]
+    return [
+        camera,
+        fit_projective(*size, points, pixels),
+        fit_soloff(*size, points, pixels),
+        planes,
+    ]
 
 
 @pytest.mark.parametrize(("kind", "most"), [(1, 0.35), (2, 0.01), (3, 0.1)])
@@ -44,7 +56,9 @@ def test_what_is_lost_without_refraction(kind: int, most: float) -> None:
     camera = build_rig(calibration_scene()).cameras[0]
     rng = np.random.default_rng(1)
     points = np.column_stack([rng.uniform(-20.0, 20.0, (1000, 2)), rng.uniform(15.0, 55.0, 1000)])
-    errors = np.linalg.norm(fitted(camera)[kind].project(points)[0] - camera.project(points)[0], axis=1)
+    errors = np.linalg.norm(
+        fitted(camera)[kind].project(points)[0] - camera.project(points)[0], axis=1
+    )
     assert 0.0005 < errors.mean() < most
 
 
@@ -69,7 +83,11 @@ def test_lines_of_sight_lead_back(kind: int) -> None:
     np.testing.assert_allclose(model.project(there)[0], pixels, atol=1e-6)
     rays = model.back_project(pixels)
     assert rays.valid.all()
-    near = rays.origins_mm + rays.directions * ((points[:, 2] - rays.origins_mm[:, 2]) / rays.directions[:, 2])[:, None]
+    near = (
+        rays.origins_mm
+        + rays.directions
+        * ((points[:, 2] - rays.origins_mm[:, 2]) / rays.directions[:, 2])[:, None]
+    )
     assert np.abs(near - points).max() < (0.02 if kind > 1 else 1e-6)
     inside = model.contains(np.array([[0.0, 0.0], [-1.0, 5.0], [5.0, 1e6], [np.nan, 0.0]]))
     assert inside.tolist() == [True, False, False, False]
@@ -93,14 +111,28 @@ def test_points_that_do_not_determine_a_model_are_refused() -> None:
     points, rng = lattice(), np.random.default_rng(0)
     flat = points[points[:, 2] == Z_PLANES[0]]
     pixels = rng.random((len(points), 2))
-    with pytest.raises(InputError, match="cam: expected 6 points or more that are not all in one plane, got 121"):
+    with pytest.raises(
+        InputError, match="cam: expected 6 points or more that are not all in one plane, got 121"
+    ):
         fit_projective("cam", 10, 10, flat, pixels[: len(flat)])
-    with pytest.raises(InputError, match="cam: a polynomial of 19 terms: expected points that determine it, got 121 that leave 9 terms open"):
+    with pytest.raises(
+        InputError,
+        match="cam: a polynomial of 19 terms: expected points that determine it, got 121 that leave 9 terms open",
+    ):
         fit_soloff("cam", 10, 10, flat, pixels[: len(flat)])
     with pytest.raises(InputError, match="cam: expected points on two planes at least, got 1"):
         fit_planes("cam", 10, 10, [flat], [pixels[: len(flat)]])
-    with pytest.raises(InputError, match="cam: frame 1: a polynomial of 6 terms: expected points that determine it, got 3"):
-        fit_planes("cam", 10, 10, [flat, flat[:3] + np.array([0.0, 0.0, 5.0])], [pixels[: len(flat)], pixels[:3]])
+    with pytest.raises(
+        InputError,
+        match="cam: frame 1: a polynomial of 6 terms: expected points that determine it, got 3",
+    ):
+        fit_planes(
+            "cam",
+            10,
+            10,
+            [flat, flat[:3] + np.array([0.0, 0.0, 5.0])],
+            [pixels[: len(flat)], pixels[:3]],
+        )
 
 
 def test_reconstruction_runs_on_polynomials() -> None:
@@ -111,7 +143,10 @@ def test_reconstruction_runs_on_polynomials() -> None:
     high = low + (np.asarray(seen.grid.shape[::-1]) - 1) * np.asarray(seen.grid.voxel_mm)
     axes = [np.linspace(a - 0.5, b + 0.5, 7) for a, b in zip(low, high, strict=True)]
     points = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 3)
-    models = tuple(fit_soloff(camera.name, camera.rows, camera.columns, points, camera.project(points)[0]) for camera in pinholes(seen.cameras))
+    models = tuple(
+        fit_soloff(camera.name, camera.rows, camera.columns, points, camera.project(points)[0])
+        for camera in pinholes(seen.cameras)
+    )
     light = seen.images.astype(np.float32)
     exact, other = (refocus_sum(light, cameras, seen.grid) for cameras in (seen.cameras, models))
     assert np.abs(exact - other).max() < 0.03 * exact.max()

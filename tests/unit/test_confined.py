@@ -29,7 +29,9 @@ def folder(tmp_path: Path) -> Path:
 
 
 def test_time_and_memory_are_measured_from_outside(folder: Path) -> None:
-    cost = run_confined(program(folder, "held = bytearray(150_000_000)\ntime.sleep(0.5)"), folder, Limits(), "p")
+    cost = run_confined(
+        program(folder, "held = bytearray(150_000_000)\ntime.sleep(0.5)"), folder, Limits(), "p"
+    )
     assert cost.seconds >= 0.5
     assert 150.0 < cost.peak_mb < 400.0
 
@@ -39,7 +41,9 @@ def test_memory_of_children_counts(folder: Path) -> None:
     assert run_confined(program(folder, body), folder, Limits(), "p").peak_mb > 120.0
 
 
-def test_it_gets_a_clean_environment_and_no_input(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_it_gets_a_clean_environment_and_no_input(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setenv("SECRET", "1")
     body = "print(sorted(os.environ), os.environ['HOME'] == os.getcwd(), sys.stdin.read() == '', os.getsid(0) == os.getpid(), file=open('seen', 'w'))"
     run_confined(program(folder, body), folder, Limits(), "p")
@@ -53,7 +57,11 @@ def test_it_gets_a_clean_environment_and_no_input(folder: Path, monkeypatch: pyt
     ("body", "limits", "words"),
     [
         ("time.sleep(60)", Limits(time_s=0.4), "within 0.4 s, but it was still running"),
-        ("held = bytearray(300_000_000)\ntime.sleep(60)", Limits(memory_mb=100.0), "at most 100 MB of memory"),
+        (
+            "held = bytearray(300_000_000)\ntime.sleep(60)",
+            Limits(memory_mb=100.0),
+            "at most 100 MB of memory",
+        ),
         ("sys.exit('no such camera')", Limits(), "exit code 1; its last words: no such camera"),
         ("print('only this')\nsys.exit(3)", Limits(), "exit code 3; its last words: only this"),
         ("os.kill(os.getpid(), signal.SIGSEGV)", Limits(), "signal SIGSEGV"),
@@ -62,9 +70,21 @@ def test_it_gets_a_clean_environment_and_no_input(folder: Path, monkeypatch: pyt
             Limits(output_mb=1.0),
             "no file larger than 1 MB",
         ),
-        ("for i in range(40): open(str(i), 'wb').write(bytes(500_000))\ntime.sleep(60)", Limits(output_mb=1.0), "at most 1 MB of files"),
-        ("while True: print('x' * 1000, file=sys.stderr)", Limits(time_s=0.5), "still running; its last words: xxx"),
-        (r"sys.stderr.write('\x1b[2J\x07evil ' + 'y' * 100_000)" + "\nsys.exit(1)", Limits(), "its last words: y"),
+        (
+            "for i in range(40): open(str(i), 'wb').write(bytes(500_000))\ntime.sleep(60)",
+            Limits(output_mb=1.0),
+            "at most 1 MB of files",
+        ),
+        (
+            "while True: print('x' * 1000, file=sys.stderr)",
+            Limits(time_s=0.5),
+            "still running; its last words: xxx",
+        ),
+        (
+            r"sys.stderr.write('\x1b[2J\x07evil ' + 'y' * 100_000)" + "\nsys.exit(1)",
+            Limits(),
+            "its last words: y",
+        ),
     ],
 )
 def test_breaches_end_in_one_sentence(folder: Path, body: str, limits: Limits, words: str) -> None:
@@ -76,7 +96,9 @@ def test_breaches_end_in_one_sentence(folder: Path, body: str, limits: Limits, w
 
 def alive(folder: Path) -> list[int]:
     return [
-        int(file.name) for file in folder.glob("[0-9]*") if psutil.pid_exists(int(file.name)) and psutil.Process(int(file.name)).status() != "zombie"
+        int(file.name)
+        for file in folder.glob("[0-9]*")
+        if psutil.pid_exists(int(file.name)) and psutil.Process(int(file.name)).status() != "zombie"
     ]
 
 

@@ -16,12 +16,19 @@ from sabench.worlds.library.random_packing import overlapping, touching
 
 NOZZLE = (5.0, 2.0, -1.0)
 DOMAIN = Domain((35.0, -28.0, 0.0), (70.0, 60.0, 60.0), 1000)
-JET: dict[str, Any] = {"nozzle_mm": NOZZLE, "diameter_mm": 2.0, "momentum_ratio": 12.0, "ligaments": 12}
+JET: dict[str, Any] = {
+    "nozzle_mm": NOZZLE,
+    "diameter_mm": 2.0,
+    "momentum_ratio": 12.0,
+    "ligaments": 12,
+}
 
 
 def drops(time_s: float = 0.0, seed: int = 1, **more: Any) -> Bubbles:
     plugin = load("generators", "jet_in_crossflow")
-    made: Bubbles = plugin(validate(plugin.Parameters, JET | more, "jet")).bubbles(DOMAIN, seed, 0, time_s)
+    made: Bubbles = plugin(validate(plugin.Parameters, JET | more, "jet")).bubbles(
+        DOMAIN, seed, 0, time_s
+    )
     return made
 
 
@@ -54,7 +61,10 @@ def test_drops_are_between_the_edges_and_off_the_column(column: Solid) -> None:
     assert len(overlapping(made)) == 0
     assert not touching(made, column).any()
     x, y, z = (made.center_mm - NOZZLE).T
-    upper, width = 4.3 * 12.0**0.33 * (x / 2.0) ** 0.33 * 2.0, 7.86 * 12.0**0.17 * (x / 2.0) ** 0.33 * 2.0
+    upper, width = (
+        4.3 * 12.0**0.33 * (x / 2.0) ** 0.33 * 2.0,
+        7.86 * 12.0**0.17 * (x / 2.0) ** 0.33 * 2.0,
+    )
     assert (-y <= upper).all()
     assert (-y >= 0.4 * upper).all()
     assert (np.abs(z) <= width / 2.0).all()
@@ -68,7 +78,9 @@ def test_drops_move_with_their_velocities_and_the_gas_takes_them_along() -> None
     every = [one for one in now.id if one in early.id and one in late.id]
     a, b, c = (made[np.flatnonzero(np.isin(made.id, every))] for made in (early, now, late))
     assert len(b) > 100
-    np.testing.assert_allclose((c.center_mm - a.center_mm) / (2.0 * step), b.velocity_mm_s, rtol=2e-3, atol=5.0)
+    np.testing.assert_allclose(
+        (c.center_mm - a.center_mm) / (2.0 * step), b.velocity_mm_s, rtol=2e-3, atol=5.0
+    )
     gain = (c.velocity_mm_s[:, 0] - a.velocity_mm_s[:, 0]) / (2.0 * step)
     np.testing.assert_allclose(gain, (40_000.0 - b.velocity_mm_s[:, 0]) / 5e-3, rtol=1e-3)
 

@@ -15,7 +15,12 @@ from sabench.utils.arrays import F32, F64, Bool
 FINE = 5
 
 
-def drawn(*shapes: tuple[float, ...], size: tuple[int, int] = (44, 60), hollow: float = 0.0, noise: float = 0.0) -> F32:
+def drawn(
+    *shapes: tuple[float, ...],
+    size: tuple[int, int] = (44, 60),
+    hollow: float = 0.0,
+    noise: float = 0.0,
+) -> F32:
     """Dark ellipses (column, row, semi-axes, angle), bright within a part `hollow` of them, as pixels and a blur of half a pixel make them."""
     y, x = ((np.mgrid[: size[0] * FINE, : size[1] * FINE] + 0.5) / FINE - 0.5).astype(np.float64)
     dark: Bool = np.zeros(y.shape, dtype=np.bool_)
@@ -24,8 +29,14 @@ def drawn(*shapes: tuple[float, ...], size: tuple[int, int] = (44, 60), hollow: 
         w = (y - row) * np.cos(angle) - (x - column) * np.sin(angle)
         part = np.hypot(u / a, w / b)
         dark |= (part <= 1.0) & (part >= hollow)
-    pixels = gaussian_filter(dark.astype(np.float64), 0.5 * FINE).reshape(size[0], FINE, size[1], FINE).mean(axis=(1, 3))
-    return np.asarray(0.8 * pixels + noise * np.random.default_rng(3).standard_normal(size), dtype=np.float32)
+    pixels = (
+        gaussian_filter(dark.astype(np.float64), 0.5 * FINE)
+        .reshape(size[0], FINE, size[1], FINE)
+        .mean(axis=(1, 3))
+    )
+    return np.asarray(
+        0.8 * pixels + noise * np.random.default_rng(3).standard_normal(size), dtype=np.float32
+    )
 
 
 def found(dark: F32, least: float = 0.02) -> F64:
@@ -40,11 +51,18 @@ def test_edges_lie_on_the_outline_and_look_inwards() -> None:
     assert_allclose(distance, 9.0, atol=0.25)
     assert abs(distance.mean() - 9.0) < 0.07  # blur moves edges of small discs inwards
     assert (-(out * points[:, 2:]).sum(axis=1) / distance).min() > 0.97
-    assert edges(np.full((20, 20), 0.7, dtype=np.float32), 0.02).shape == edges(np.ones((1, 9), dtype=np.float32), 0.02).shape == (0, 4)
+    assert (
+        edges(np.full((20, 20), 0.7, dtype=np.float32), 0.02).shape
+        == edges(np.ones((1, 9), dtype=np.float32), 0.02).shape
+        == (0, 4)
+    )
 
 
 @pytest.mark.parametrize("hollow", [0.0, 0.5])
-@pytest.mark.parametrize(("a", "b", "angle"), [(9.0, 9.0, 0.0), (10.0, 6.0, 0.4), (8.0, 4.0, 2.0), (4.0, 3.0, 1.0), (3.0, 3.0, 0.0)])
+@pytest.mark.parametrize(
+    ("a", "b", "angle"),
+    [(9.0, 9.0, 0.0), (10.0, 6.0, 0.4), (8.0, 4.0, 2.0), (4.0, 3.0, 1.0), (3.0, 3.0, 0.0)],
+)
 def test_an_ellipse_is_measured(a: float, b: float, angle: float, hollow: float) -> None:
     """The bright middle of a bubble has an outline too, whose gradients look the other way."""
     (one,) = found(drawn((28.3, 20.6, a, b, angle), hollow=hollow))
@@ -56,7 +74,12 @@ def test_an_ellipse_is_measured(a: float, b: float, angle: float, hollow: float)
 
 
 def test_touching_ones_are_told_apart_in_noise() -> None:
-    true = [(15.0, 18.0, 8.0, 5.0, 0.3), (29.4, 19.0, 6.0, 6.0, 0.0), (32.0, 31.2, 6.5, 5.0, 3.0), (47.0, 24.0, 3.0, 3.0, 0.0)]
+    true = [
+        (15.0, 18.0, 8.0, 5.0, 0.3),
+        (29.4, 19.0, 6.0, 6.0, 0.0),
+        (32.0, 31.2, 6.5, 5.0, 3.0),
+        (47.0, 24.0, 3.0, 3.0, 0.0),
+    ]
     for noise in (0.0, 0.03):
         some = found(drawn(*true, hollow=0.4, noise=noise), 0.05)
         assert len(some) == 4
@@ -96,7 +119,12 @@ def test_small_features_that_end_in_a_region_are_thresholded() -> None:
 
 def test_peaks_are_those_over_depth() -> None:
     potential = np.zeros((30, 2, 3), dtype=np.float32)
-    potential[8:11, 0, 1], potential[20, 0, 1], potential[0, 1, 2], potential[15, 1, 0] = [3.0, 7.0, 4.0], 9.0, 6.0, 1.0
+    potential[8:11, 0, 1], potential[20, 0, 1], potential[0, 1, 2], potential[15, 1, 0] = (
+        [3.0, 7.0, 4.0],
+        9.0,
+        6.0,
+        1.0,
+    )
     peaks = Peaks.of(potential, 2.0)
     assert peaks.place.tolist() == [[20, 0, 1], [9, 0, 1], [0, 1, 2]]
     assert peaks.weight.tolist() == [9.0, 7.0, 6.0]
@@ -135,10 +163,19 @@ def test_a_depth_is_that_of_what_is_inside() -> None:
     """A ring sharp at plane 20.3, beside a darker one at plane 12 that its outline does not hold."""
     planes = np.arange(40)[:, None, None]
     ring, other = drawn((15.0, 20.0, 7.0, 5.0, 0.5), hollow=0.6), drawn((30.0, 20.0, 6.0, 6.0, 0.0))
-    volume = ring * np.exp(-0.5 * ((planes - 20.3) / 3.0) ** 2) + other * np.exp(-0.5 * ((planes - 12.0) / 3.0) ** 2)
+    volume = ring * np.exp(-0.5 * ((planes - 20.3) / 3.0) ** 2) + other * np.exp(
+        -0.5 * ((planes - 12.0) / 3.0) ** 2
+    )
     for start in (14, 20, 26):
-        assert depth_of(volume.astype(np.float32), np.array([15.0, 20.0, 7.0, 5.0, 0.5]), start) == pytest.approx(20.3, abs=0.15)
-    assert depth_of(np.zeros((40, 44, 60), dtype=np.float32), np.array([58.0, -1.0, 4.0, 4.0, 0.0]), 39) == 39.0
+        assert depth_of(
+            volume.astype(np.float32), np.array([15.0, 20.0, 7.0, 5.0, 0.5]), start
+        ) == pytest.approx(20.3, abs=0.15)
+    assert (
+        depth_of(
+            np.zeros((40, 44, 60), dtype=np.float32), np.array([58.0, -1.0, 4.0, 4.0, 0.0]), 39
+        )
+        == 39.0
+    )
 
 
 def test_of_bubbles_at_one_place_one_is_left() -> None:

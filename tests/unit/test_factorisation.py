@@ -28,7 +28,9 @@ def test_pinholes_are_found_from_exact_images() -> None:
 
 
 def test_a_wall_spoils_it() -> None:
-    case, _, points, exact = case_of(calibration_scene(detection=None, calibration={"points": 0.0, "known": []}))
+    case, _, points, exact = case_of(
+        calibration_scene(detection=None, calibration={"points": 0.0, "known": []})
+    )
     plugin = load("solvers", "linear_autocal")
     found = points_by(plugin(plugin.Parameters()).solve(case), exact)
     assert np.abs(found - points.reshape(-1, 3)).max() > 0.3
@@ -37,7 +39,9 @@ def test_a_wall_spoils_it() -> None:
 @pytest.mark.parametrize("missing", [0.0, 0.2])
 def test_factors_make_the_images(missing: float) -> None:
     case, cameras, points, exact = case_of(calibration_scene(**IN_AIR))
-    images = (exact.reshape(9, -1, 2) - np.asarray(cameras[0].principal_point_px)) / cameras[0].focal_px
+    images = (exact.reshape(9, -1, 2) - np.asarray(cameras[0].principal_point_px)) / cameras[
+        0
+    ].focal_px
     seen = np.random.default_rng(0).random(images.shape[:2]) >= missing
     images[~seen] = np.nan
     factors = adjusted(factorise(images, seen), np.nan_to_num(images), seen)

@@ -22,7 +22,13 @@ FLOWS: list[tuple[str, dict[str, Any]]] = [
     ("abc_flow", {"center_mm": (0.3, 0.0, -1.0)}),
     ("rankine_vortex", {"axis": (0.3, -0.5, 1.0), "center_mm": (0.0, 1.0, 0.0)}),
     ("lamb_oseen_vortex", {"axis": (0.0, 1.0, 1.0), "viscosity_mm2_s": 1.0}),
-    ("linear_flow", {"gradient_1_s": ((1.0, 2.0, 3.0), (0.5, -2.0, 0.1), (0.0, 4.0, 1.0)), "velocity_mm_s": (1.0, 2.0, 3.0)}),
+    (
+        "linear_flow",
+        {
+            "gradient_1_s": ((1.0, 2.0, 3.0), (0.5, -2.0, 0.1), (0.0, 4.0, 1.0)),
+            "velocity_mm_s": (1.0, 2.0, 3.0),
+        },
+    ),
     ("shear_wave", {"along": (0.0, 1.0, 0.0), "across": (1.0, 0.0, 1.0)}),
     ("turbulence", {"modes": 60}),
 ]
@@ -46,7 +52,9 @@ def test_gradients_are_the_slopes_of_velocities(name: str, parameters: dict[str,
     assert exact.shape == (len(places), 3, 3)
     for axis in range(3):
         move = step * np.eye(3)[axis]
-        slope = (field.velocity(places + move, 0.3) - field.velocity(places - move, 0.3)) / (2.0 * step)
+        slope = (field.velocity(places + move, 0.3) - field.velocity(places - move, 0.3)) / (
+            2.0 * step
+        )
         np.testing.assert_allclose(exact[:, :, axis], slope, atol=1e-5 * np.abs(exact).max())
 
 
@@ -62,7 +70,11 @@ def test_the_ring_is_equation_2_14() -> None:
     distance = np.array([0.0, 1.0, 4.0, 9.0])
     places = np.column_stack([10.0 + distance, np.zeros(4), np.zeros(4)])
     expected = 100.0 * np.e * distance / 4.0 * np.exp(-distance / 4.0)
-    np.testing.assert_allclose(ring.velocity(places, 0.0), np.column_stack([np.zeros(4), np.zeros(4), -expected]), atol=1e-10)
+    np.testing.assert_allclose(
+        ring.velocity(places, 0.0),
+        np.column_stack([np.zeros(4), np.zeros(4), -expected]),
+        atol=1e-10,
+    )
     assert ring.velocity(np.zeros((1, 3)), 0.0)[0, 2] > 0.0
     assert np.linalg.norm(ring.velocity(points(5000), 0.0), axis=1).max() <= 100.0 + 1e-9
 
@@ -72,7 +84,9 @@ def test_fluid_crosses_the_ring_s_axis_or_stays_beside_it() -> None:
     ring = flow("vortex_ring", {"peak_mm_s": 100.0})
     there = advect(ring, points(3000), 0.0, 0.1, 1e-6)
     assert np.isfinite(there).all()
-    np.testing.assert_allclose(ring.velocity(np.array([[1e-6, 0.0, -5.0]]), 0.0)[0, :2], 0.0, atol=1e-3)
+    np.testing.assert_allclose(
+        ring.velocity(np.array([[1e-6, 0.0, -5.0]]), 0.0)[0, :2], 0.0, atol=1e-3
+    )
 
 
 def test_a_field_that_cannot_be_followed_is_named() -> None:
@@ -82,18 +96,28 @@ def test_a_field_that_cannot_be_followed_is_named() -> None:
         def velocity(self, points_mm: F64, time_s: float) -> F64:
             return np.asarray(-np.sign(points_mm))
 
-    with pytest.raises(InputError, match="flow trap: expected a field smooth enough to follow for 10 s"):
+    with pytest.raises(
+        InputError, match="flow trap: expected a field smooth enough to follow for 10 s"
+    ):
         advect(Trap(None), points(10), 0.0, 10.0, 1e-9)
 
 
 def test_rotation_has_twice_its_rate_as_vorticity() -> None:
-    turning = flow("linear_flow", {"gradient_1_s": ((0.0, -2.0, 0.0), (2.0, 0.0, 0.0), (0.0, 0.0, 0.0))})
-    np.testing.assert_allclose(vorticity(turning.gradient(points(3), 0.0)), np.tile([0.0, 0.0, 4.0], (3, 1)))
+    turning = flow(
+        "linear_flow", {"gradient_1_s": ((0.0, -2.0, 0.0), (2.0, 0.0, 0.0), (0.0, 0.0, 0.0))}
+    )
+    np.testing.assert_allclose(
+        vorticity(turning.gradient(points(3), 0.0)), np.tile([0.0, 0.0, 4.0], (3, 1))
+    )
 
 
 def test_abc_is_parallel_to_its_vorticity() -> None:
     field = flow("abc_flow", {"wavelength_mm": 20.0})
-    np.testing.assert_allclose(vorticity(field.gradient(points(), 0.0)), 2.0 * np.pi / 20.0 * field.velocity(points(), 0.0), atol=1e-10)
+    np.testing.assert_allclose(
+        vorticity(field.gradient(points(), 0.0)),
+        2.0 * np.pi / 20.0 * field.velocity(points(), 0.0),
+        atol=1e-10,
+    )
 
 
 def test_oseen_s_vortex_diffuses() -> None:
@@ -107,12 +131,21 @@ def test_oseen_s_vortex_diffuses() -> None:
     step = 1e-2
     rate = (spin(places, 1.0 + step) - spin(places, 1.0 - step)) / (2.0 * step)
     moves = step * np.eye(3)[:2]
-    laplacian = sum(spin(places + move, 1.0) + spin(places - move, 1.0) - 2.0 * spin(places, 1.0) for move in moves) / step**2
+    laplacian = (
+        sum(
+            spin(places + move, 1.0) + spin(places - move, 1.0) - 2.0 * spin(places, 1.0)
+            for move in moves
+        )
+        / step**2
+    )
     np.testing.assert_allclose(rate, laplacian, atol=1e-3 * np.abs(rate).max())
 
 
 def test_turbulence_has_its_rms_and_spectrum() -> None:
-    fields = [flow("turbulence", {"draw": draw, "modes": 300, "integral_mm": 10.0, "kolmogorov_mm": 0.5}) for draw in range(8)]
+    fields = [
+        flow("turbulence", {"draw": draw, "modes": 300, "integral_mm": 10.0, "kolmogorov_mm": 0.5})
+        for draw in range(8)
+    ]
     places = np.random.default_rng(1).uniform(-200.0, 200.0, (8000, 3))
     speeds = np.array([field.velocity(places, 0.0).std(axis=0) for field in fields])
     assert np.sqrt((speeds**2).mean()) == pytest.approx(50.0, rel=0.05)
@@ -120,12 +153,17 @@ def test_turbulence_has_its_rms_and_spectrum() -> None:
     assert dissipation > (50.0 * 2.0 * np.pi / 10.0 / 3.0) ** 2  # small scales are there
 
 
-@pytest.mark.parametrize(("name", "start", "period"), [
-    ("vortex_ring", (12.0, 0.0, 0.0), 2.0 * np.pi * 2.0 / (100.0 * np.e * 0.5 * np.exp(-0.5))),
-    ("rankine_vortex", (2.0, 0.0, 1.0), 2.0 * np.pi * 4.0 / 100.0),
-    ("rankine_vortex", (8.0, 0.0, 1.0), 2.0 * np.pi * 8.0 / 50.0),
-])  # fmt: skip
-def test_a_particle_carried_once_around_comes_back(name: str, start: tuple[float, float, float], period: float) -> None:
+@pytest.mark.parametrize(
+    ("name", "start", "period"),
+    [
+        ("vortex_ring", (12.0, 0.0, 0.0), 2.0 * np.pi * 2.0 / (100.0 * np.e * 0.5 * np.exp(-0.5))),
+        ("rankine_vortex", (2.0, 0.0, 1.0), 2.0 * np.pi * 4.0 / 100.0),
+        ("rankine_vortex", (8.0, 0.0, 1.0), 2.0 * np.pi * 8.0 / 50.0),
+    ],
+)
+def test_a_particle_carried_once_around_comes_back(
+    name: str, start: tuple[float, float, float], period: float
+) -> None:
     field, places = flow(name, {}), np.array([start])
     there = advect(field, places, 0.0, period, 2e-8)
     assert np.linalg.norm(there - places) < 1e-6 * 20.0

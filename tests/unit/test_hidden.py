@@ -29,16 +29,29 @@ def test_a_frozen_suite_says_its_hash_when_something_changed(tmp_path: Path) -> 
     assert found
     frozen = SUITE + FROZEN.replace(64 * "0", found[1])
     assert len(load_suite(write(tmp_path, frozen))[1]) == 2
-    assert load_suite(write(tmp_path, frozen.replace('{ name = "msa" }, ', "")))[1]  # solvers come and go
-    changes = [("[1, 2]", "[1, 3]"), ('"splat"', '"splat"\nversion = 2'), ('"splat"\n', '"splat"\nset = { "particles.count" = 299 }\n')]
+    assert load_suite(write(tmp_path, frozen.replace('{ name = "msa" }, ', "")))[
+        1
+    ]  # solvers come and go
+    changes = [
+        ("[1, 2]", "[1, 3]"),
+        ('"splat"', '"splat"\nversion = 2'),
+        ('"splat"\n', '"splat"\nset = { "particles.count" = 299 }\n'),
+    ]
     for old, new in changes:
         with pytest.raises(InputError, match="a change needs a new version"):
             load_suite(write(tmp_path, frozen.replace(old, new)))
 
 
 def test_hidden_seeds_come_of_the_secret_the_suite_and_the_case_only(tmp_path: Path) -> None:
-    secret, other = read_secret(write(tmp_path, SECRET)), read_secret(write(tmp_path, SECRET.replace("f", "e"), "other.toml"))
-    drawn = [one.seeds_of(*of) for one in (secret, other) for of in [("s", 1, "a"), ("s", 1, "b"), ("s", 2, "a"), ("t", 1, "a")]]
+    secret, other = (
+        read_secret(write(tmp_path, SECRET)),
+        read_secret(write(tmp_path, SECRET.replace("f", "e"), "other.toml")),
+    )
+    drawn = [
+        one.seeds_of(*of)
+        for one in (secret, other)
+        for of in [("s", 1, "a"), ("s", 1, "b"), ("s", 2, "a"), ("t", 1, "a")]
+    ]
     assert all(len(set(seeds)) == 3 and min(seeds) >= 0 and max(seeds) < 2**63 for seeds in drawn)
     assert len({seed for seeds in drawn for seed in seeds}) == 24
     assert secret.seeds_of("s", 1, "a") == read_secret(tmp_path / "s.toml").seeds_of("s", 1, "a")
@@ -47,12 +60,26 @@ def test_hidden_seeds_come_of_the_secret_the_suite_and_the_case_only(tmp_path: P
 def test_hidden_cases_are_told_by_their_number(tmp_path: Path) -> None:
     secret = read_secret(write(tmp_path, SECRET, "secret.toml"))
     _, cases = load_suite(write(tmp_path, SUITE), secret)
-    assert [(case.told, case.told_seed) for case in cases] == [("hidden0", 0), ("hidden1", 1), ("hidden2", 2)]
+    assert [(case.told, case.told_seed) for case in cases] == [
+        ("hidden0", 0),
+        ("hidden1", 1),
+        ("hidden2", 2),
+    ]
     assert [case.seed for case in cases] == list(secret.seeds_of("s", 1, "quick"))
     assert not any(str(case.seed) in str(case.folder(tmp_path)) for case in cases)
 
 
-@pytest.mark.parametrize("text", ["", 'secret = "short"', "secret = 5", "no TOML", SECRET + "count = 2", SECRET.replace("3", "0")])
+@pytest.mark.parametrize(
+    "text",
+    [
+        "",
+        'secret = "short"',
+        "secret = 5",
+        "no TOML",
+        SECRET + "count = 2",
+        SECRET.replace("3", "0"),
+    ],
+)
 def test_a_bad_secret_is_a_sentence_that_does_not_repeat_it(tmp_path: Path, text: str) -> None:
     with pytest.raises(InputError, match=r"s\.toml: ") as caught:
         read_secret(write(tmp_path, text))
@@ -63,7 +90,9 @@ def test_a_bad_secret_is_a_sentence_that_does_not_repeat_it(tmp_path: Path, text
 def test_parts_of_a_suite(tmp_path: Path) -> None:
     _, cases = load_suite(write(tmp_path, SUITE))
     chosen = Only(("quick",), (2,), ("additive",)).of(cases)
-    assert [(case.seed, [one.shown for one in case.solvers]) for case in chosen] == [(2, ["additive"])]
+    assert [(case.seed, [one.shown for one in case.solvers]) for case in chosen] == [
+        (2, ["additive"])
+    ]
     assert Only().of(cases) == cases
     with pytest.raises(InputError, match="--solver asa: expected one of additive, msa"):
         Only(solvers=("asa",)).of(cases)

@@ -47,27 +47,52 @@ def test_paths_that_cross_are_not_swapped() -> None:
     time = np.arange(-4.0, 5.0)
     made = Film()
     for t in time:
-        made.add(np.array([[t, 0.1, 0.0], [-t, -0.1, 0.0]]), np.array([1.0, 1.0]), np.arange(2), np.random.default_rng(int(t) + 9))
+        made.add(
+            np.array([[t, 0.1, 0.0], [-t, -0.1, 0.0]]),
+            np.array([1.0, 1.0]),
+            np.arange(2),
+            np.random.default_rng(int(t) + 9),
+        )
     track = linked(made)
     for bubble in range(2):
-        assert len({int(number[ids == bubble][0]) for number, ids in zip(track, made.id, strict=True)}) == 1
+        assert (
+            len({int(number[ids == bubble][0]) for number, ids in zip(track, made.id, strict=True)})
+            == 1
+        )
 
 
 def test_a_track_may_miss_as_many_frames_as_it_is_told() -> None:
-    for absent, gap, whole in (({3}, 1, True), ({3, 4}, 1, False), ({3, 4}, 2, True), ({3}, 0, False)):
+    for absent, gap, whole in (
+        ({3}, 1, True),
+        ({3, 4}, 1, False),
+        ({3, 4}, 2, True),
+        ({3}, 0, False),
+    ):
         made = film(0.8, count=60, frames=8)
         lost = int(np.intersect1d(made.id[0], made.id[-1])[0])
         for frame in absent:
             keep = made.id[frame] != lost
-            made.center[frame], made.radius[frame], made.id[frame] = made.center[frame][keep], made.radius[frame][keep], made.id[frame][keep]
+            made.center[frame], made.radius[frame], made.id[frame] = (
+                made.center[frame][keep],
+                made.radius[frame][keep],
+                made.id[frame][keep],
+            )
         track = linked(made, gap)
-        numbers = {int(track[frame][made.id[frame] == lost][0]) for frame in range(8) if frame not in absent}
+        numbers = {
+            int(track[frame][made.id[frame] == lost][0])
+            for frame in range(8)
+            if frame not in absent
+        }
         assert len(numbers) == (1 if whole else 2), (absent, gap)
 
 
 def test_frames_at_unequal_times() -> None:
     rng = np.random.default_rng(2)
-    place, radius, times = EDGE * rng.random((200, 3)), rng.uniform(0.5, 1.5, 200), [0.0, 1.0, 3.0, 3.5, 5.5]
+    place, radius, times = (
+        EDGE * rng.random((200, 3)),
+        rng.uniform(0.5, 1.5, 200),
+        [0.0, 1.0, 3.0, 3.5, 5.5],
+    )
     track = link([place + time * np.array([4.0, -2.0, 1.0]) for time in times], [radius] * 5, times)
     assert all(np.array_equal(track[0], one) for one in track)
 
@@ -96,10 +121,23 @@ def test_few_bubbles_or_none() -> None:
     assert link([], [], []) == []
     assert [len(track) for track in link([none, none], [np.zeros(0)] * 2, [0.0, 1.0])] == [0, 0]
     assert [track.tolist() for track in link([one], [np.ones(1)], [0.0])] == [[0]]
-    assert [track.tolist() for track in link([one, one + 5.0, one + 10.0], [np.ones(1)] * 3, [0.0, 1.0, 2.0])] == [[0], [0], [0]]
-    assert [track.tolist() for track in link([one, one], [np.ones(1), np.full(1, 3.0)], [0.0, 1.0])] == [[0], [1]]  # another size
-    assert [track.tolist() for track in link([one, none, one], [np.ones(1), np.zeros(0), np.ones(1)], [0.0, 1.0, 2.0])] == [[0], [], [0]]
-    assert [track.tolist() for track in link([one, none, one], [np.ones(1), np.zeros(0), np.ones(1)], [0.0, 1.0, 2.0], 0)] == [[0], [], [1]]
+    assert [
+        track.tolist()
+        for track in link([one, one + 5.0, one + 10.0], [np.ones(1)] * 3, [0.0, 1.0, 2.0])
+    ] == [[0], [0], [0]]
+    assert [
+        track.tolist() for track in link([one, one], [np.ones(1), np.full(1, 3.0)], [0.0, 1.0])
+    ] == [[0], [1]]  # another size
+    assert [
+        track.tolist()
+        for track in link([one, none, one], [np.ones(1), np.zeros(0), np.ones(1)], [0.0, 1.0, 2.0])
+    ] == [[0], [], [0]]
+    assert [
+        track.tolist()
+        for track in link(
+            [one, none, one], [np.ones(1), np.zeros(0), np.ones(1)], [0.0, 1.0, 2.0], 0
+        )
+    ] == [[0], [], [1]]
     twice = np.repeat(one, 2, axis=0)
     assert sorted(link([twice, twice], [np.ones(2)] * 2, [0.0, 1.0])[1].tolist()) == [0, 1]
 
@@ -122,8 +160,12 @@ def test_the_choice_is_the_best_of_all(seed: int) -> None:
     best = np.inf
     for ends in itertools.product(range(-1, shape[1]), repeat=shape[0]):
         used = [end for end in ends if end >= 0]
-        if len(set(used)) == len(used) and all(end < 0 or (start, end) in price for start, end in enumerate(ends)):
-            best = min(best, sum(price[start, end] if end >= 0 else GATE for start, end in enumerate(ends)))
+        if len(set(used)) == len(used) and all(
+            end < 0 or (start, end) in price for start, end in enumerate(ends)
+        ):
+            best = min(
+                best, sum(price[start, end] if end >= 0 else GATE for start, end in enumerate(ends))
+            )
     got = sum(price[int(a), int(b)] for a, b in zip(i, j, strict=True)) + GATE * (shape[0] - len(i))
     assert got == pytest.approx(best, abs=1e-9)
 

@@ -78,7 +78,9 @@ def test_quality_falls_with_what_is_added_elsewhere(a: F32, b: F32) -> None:
 
 
 def test_quality_of_unequal_shapes_is_refused() -> None:
-    with pytest.raises(ValueError, match=r"expected two volumes of one shape, got \(6, 7, 9\) and \(7, 6, 9\)"):
+    with pytest.raises(
+        ValueError, match=r"expected two volumes of one shape, got \(6, 7, 9\) and \(7, 6, 9\)"
+    ):
         quality(random_volume(7), random_volume(8).transpose(1, 0, 2))
 
 
@@ -112,7 +114,10 @@ def labelled_centroids(volume: F32) -> F64:
     labels, count = ndimage.label(lit, structure=np.ones((3, 3, 3)))
     z, y, x = np.nonzero(labels)
     weight, component = volume[z, y, x].astype(np.float64), labels[z, y, x]
-    sums = [np.bincount(component, weights=weight * axis, minlength=count + 1)[1:] for axis in (1, x, y, z)]
+    sums = [
+        np.bincount(component, weights=weight * axis, minlength=count + 1)[1:]
+        for axis in (1, x, y, z)
+    ]
     return np.stack(sums[1:], axis=1) / sums[0][:, None]
 
 
@@ -127,7 +132,9 @@ def test_detect_agrees_with_labels(shape: tuple[int, int, int], lit: float) -> N
 
 def test_detect_leaves_out_the_faintest_tenth() -> None:
     volume = np.zeros((3, 5, 41), dtype=np.float32)
-    volume[1, 2, ::2] = np.arange(1.0, 22.0)  # 21 lit voxels, none of which touch: two are below the tenth part
+    volume[1, 2, ::2] = np.arange(
+        1.0, 22.0
+    )  # 21 lit voxels, none of which touch: two are below the tenth part
     found = detect(volume)
     assert found[:, 0].min() >= 4.0
     assert 18 <= len(found) <= 19
@@ -173,7 +180,12 @@ TRUTH = points((10.0, 20.0, 30.0))
 def test_the_truth_itself_is_perfect(count: Rule) -> None:
     truths = np.random.default_rng(1).uniform(0.0, 50.0, (80, 3))
     counts = count(truths[np.random.default_rng(2).permutation(80)], truths)
-    assert (counts.recall, counts.precision, counts.ghost_percent, counts.rms) == (1.0, 1.0, 0.0, 0.0)
+    assert (counts.recall, counts.precision, counts.ghost_percent, counts.rms) == (
+        1.0,
+        1.0,
+        0.0,
+        0.0,
+    )
 
 
 @pytest.mark.parametrize("count", [thesis, challenge])
@@ -186,14 +198,18 @@ def test_nothing_found_and_nothing_there(count: Rule) -> None:
     assert count(nothing, nothing).ghost_percent == 0.0
 
 
-@pytest.mark.parametrize("offset", [(1.5, 0.0, 0.0), (0.0, -1.5, 0.0), (0.9, 0.0, 1.2), (0.0, 0.0, 0.0)])
+@pytest.mark.parametrize(
+    "offset", [(1.5, 0.0, 0.0), (0.0, -1.5, 0.0), (0.9, 0.0, 1.2), (0.0, 0.0, 0.0)]
+)
 def test_thesis_radius_includes_its_border(offset: tuple[float, float, float]) -> None:
     counts = thesis(points(offset), points((0.0, 0.0, 0.0)))
     assert counts.matched == 1
     assert counts.rms == pytest.approx(math.hypot(*offset))
 
 
-@pytest.mark.parametrize("offset", [(math.nextafter(1.5, 2.0), 0.0, 0.0), (1.0, 1.0, 0.6), (0.0, 0.0, -1.51)])
+@pytest.mark.parametrize(
+    "offset", [(math.nextafter(1.5, 2.0), 0.0, 0.0), (1.0, 1.0, 0.6), (0.0, 0.0, -1.51)]
+)
 def test_thesis_radius_is_euclidean(offset: tuple[float, float, float]) -> None:
     assert thesis(points(offset), points((0.0, 0.0, 0.0))).matched == 0
 
@@ -227,7 +243,9 @@ def test_a_pair_counts_where_its_truth_lies(count: Masked) -> None:
     inside, outside = points((5.0, 5.0, 5.0)), points((9.4, 5.0, 5.0))
     near_inside, near_outside = points((5.4, 5.0, 5.0)), points((9.0, 5.0, 5.0))
     yes, no = np.array([True]), np.array([False])
-    assert count(near_inside, inside, no, yes) == Counts(1, 1, 1, 5.4 - 5.0)  # the detection has slipped over the border
+    assert count(near_inside, inside, no, yes) == Counts(
+        1, 1, 1, 5.4 - 5.0
+    )  # the detection has slipped over the border
     assert count(near_outside, outside, yes, no) == Counts(0, 0, 0, None)
     assert count(near_outside, inside, yes, yes) == Counts(1, 1, 0, None)
     assert count(near_outside, inside, no, yes) == Counts(1, 0, 0, None)
@@ -238,7 +256,9 @@ def slow_thesis(detections: F64, truths: F64) -> list[tuple[int, int]]:
     pairs = []
     distance = [[math.dist(d, t) for t in truths] for d in detections]
     for j in range(len(truths)):
-        mine = [(row[j], i) for i, row in enumerate(distance) if row[j] <= 1.5 and row[j] == min(row)]
+        mine = [
+            (row[j], i) for i, row in enumerate(distance) if row[j] <= 1.5 and row[j] == min(row)
+        ]
         pairs += [(min(mine)[1], j)] if mine else []
     return pairs
 
@@ -255,7 +275,9 @@ def slow_challenge(detections: F64, truths: F64) -> list[tuple[int, int]]:
     return pairs
 
 
-@pytest.mark.parametrize(("count", "slow"), [(count_thesis, slow_thesis), (count_challenge, slow_challenge)])
+@pytest.mark.parametrize(
+    ("count", "slow"), [(count_thesis, slow_thesis), (count_challenge, slow_challenge)]
+)
 @pytest.mark.parametrize("seed", range(6))
 def test_counts_agree_with_all_pairs(count: Masked, slow: Slow, seed: int) -> None:
     rng = np.random.default_rng(seed)
@@ -268,6 +290,8 @@ def test_counts_agree_with_all_pairs(count: Masked, slow: Slow, seed: int) -> No
     alone = set(np.flatnonzero(scored_detections)) - {i for i, _ in pairs}
     rms = math.sqrt(np.mean([math.dist(detections[i], truths[j]) ** 2 for i, j in inside]))
     assert found.rms == pytest.approx(rms, rel=1e-12)
-    assert found == Counts(int(scored_truths.sum()), len(inside) + len(alone), len(inside), found.rms)
+    assert found == Counts(
+        int(scored_truths.sum()), len(inside) + len(alone), len(inside), found.rms
+    )
     assert len(inside) < len(pairs)
     assert 0 < len(inside) < scored_truths.sum()

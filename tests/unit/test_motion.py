@@ -29,7 +29,11 @@ def moving_scene(**changes: Any) -> Scene:
     values["particles"] = {"generator": "uniform", "count": 800}
     values |= {"frames": 4, "interval_s": 0.02, "flow": ABC}
     for key, value in changes.items():
-        values[key] = values[key] | value if isinstance(value, dict) and isinstance(values.get(key), dict) and key != "flow" else value
+        values[key] = (
+            values[key] | value
+            if isinstance(value, dict) and isinstance(values.get(key), dict) and key != "flow"
+            else value
+        )
     return parse_scene({key: value for key, value in values.items() if value is not None}, "moving")
 
 
@@ -41,7 +45,9 @@ def test_particles_follow_the_flow_and_keep_their_ids() -> None:
     for frame, (before, after) in enumerate(itertools.pairwise(frames)):
         _, first, second = np.intersect1d(before.id, after.id, return_indices=True)
         assert 0.5 * len(before) < len(first) < len(before)
-        carried = advect(flow, before.position_mm[first], scene.time_s(frame), scene.time_s(frame + 1), 1e-9)
+        carried = advect(
+            flow, before.position_mm[first], scene.time_s(frame), scene.time_s(frame + 1), 1e-9
+        )
         np.testing.assert_allclose(after.position_mm[second], carried, atol=1e-6)
         np.testing.assert_allclose(after.velocity_mm_s, flow.velocity(after.position_mm, 0.0))
         np.testing.assert_array_equal(after.diameter_mm[second], before.diameter_mm[first])
@@ -65,9 +71,15 @@ def test_the_density_stays_even(flow: dict[str, Any]) -> None:
     particles = [motion.at(frame) for frame in range(40)][-1]
     assert len(np.intersect1d(particles.id, motion.at(0).id)) < 100
     assert abs(len(particles) - 800) < 4.0 * np.sqrt(800.0)
-    low, size = np.asarray(scene.volume.center_mm) - np.asarray(scene.volume.size_mm) / 2.0, np.asarray(scene.volume.size_mm)
+    low, size = (
+        np.asarray(scene.volume.center_mm) - np.asarray(scene.volume.size_mm) / 2.0,
+        np.asarray(scene.volume.size_mm),
+    )
     for axis in range(3):
-        assert kstest((particles.position_mm[:, axis] - low[axis]) / size[axis], "uniform").pvalue > 1e-3
+        assert (
+            kstest((particles.position_mm[:, axis] - low[axis]) / size[axis], "uniform").pvalue
+            > 1e-3
+        )
 
 
 def test_a_flow_carries_only_what_rests() -> None:
@@ -83,11 +95,20 @@ def test_double_frames_and_four_pulses() -> None:
     assert four.time_s(6) == pytest.approx(0.203)
 
 
-@pytest.mark.parametrize(("timing", "sentence"), [
-    ({"rate_hz": 10.0, "pulses_s": [0.0, 0.2]}, "pulses_s: expected a group shorter than 1 / rate_hz = 0.1 s"),
-    ({"rate_hz": 10.0, "pulses_s": [0.002, 0.0]}, "pulses_s: expected rising times"),
-    ({"rate_hz": 10.0, "pulses_s": [0.0, 0.002], "energy": [1.0]}, "energy: expected one value for each of 2 pulses, got 1"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("timing", "sentence"),
+    [
+        (
+            {"rate_hz": 10.0, "pulses_s": [0.0, 0.2]},
+            "pulses_s: expected a group shorter than 1 / rate_hz = 0.1 s",
+        ),
+        ({"rate_hz": 10.0, "pulses_s": [0.002, 0.0]}, "pulses_s: expected rising times"),
+        (
+            {"rate_hz": 10.0, "pulses_s": [0.0, 0.002], "energy": [1.0]},
+            "energy: expected one value for each of 2 pulses, got 1",
+        ),
+    ],
+)
 def test_impossible_timing_is_named(timing: dict[str, Any], sentence: str) -> None:
     with pytest.raises(InputError) as caught:
         moving_scene(timing=timing)
@@ -95,13 +116,23 @@ def test_impossible_timing_is_named(timing: dict[str, Any], sentence: str) -> No
 
 
 def test_pulses_differ() -> None:
-    scene = moving_scene(timing={"rate_hz": 10.0, "pulses_s": [0.0, 0.002], "energy": [1.0, 0.5], "shift_mm": [0.0, 1.5]})
+    scene = moving_scene(
+        timing={
+            "rate_hz": 10.0,
+            "pulses_s": [0.0, 0.002],
+            "energy": [1.0, 0.5],
+            "shift_mm": [0.0, 1.5],
+        }
+    )
     first, second, third = (pulse(scene, 1, frame) for frame in (0, 1, 2))
     assert second.pulse_energy_mj == pytest.approx(0.5 * first.pulse_energy_mj)
     assert (first.shift_mm, second.shift_mm) == (0.0, 1.5)
     assert third == first
     spread = moving_scene(timing={"rate_hz": 10.0, "energy_spread": 0.1})
-    energies = np.array([pulse(spread, 1, frame).pulse_energy_mj for frame in range(400)]) / scene.light.pulse_energy_mj
+    energies = (
+        np.array([pulse(spread, 1, frame).pulse_energy_mj for frame in range(400)])
+        / scene.light.pulse_energy_mj
+    )
     assert energies.mean() == pytest.approx(1.0, abs=0.02)
     assert energies.std() == pytest.approx(0.1, rel=0.15)
 
@@ -109,7 +140,10 @@ def test_pulses_differ() -> None:
 def test_a_sheet_beside_another_lights_other_particles() -> None:
     """Two thin sheets: what the first frame shows bright is dark in the second."""
     light = {"thickness_mm": 1.0, "profile": "top-hat"}
-    scene = moving_scene(illumination=light, timing={"rate_hz": 10.0, "pulses_s": [0.0, 1e-6], "shift_mm": [-0.6, 0.6]})
+    scene = moving_scene(
+        illumination=light,
+        timing={"rate_hz": 10.0, "pulses_s": [0.0, 1e-6], "shift_mm": [-0.6, 0.6]},
+    )
     frames = [simulate(scene, seed=1, frame=frame) for frame in (0, 1)]
     lit = [set(shot.particles.id[shot.views[0].photons > 0.0].tolist()) for shot in frames]
     assert len(lit[0]) > 20
@@ -119,12 +153,24 @@ def test_a_sheet_beside_another_lights_other_particles() -> None:
 
 def test_long_pulses_leave_streaks() -> None:
     """A streak of length s has the variance s^2 / 12 along it on top of the image's own, and as much light."""
-    one = {"particles": {"generator": "uniform", "count": 1}, "flow": {"generator": "linear_flow", "velocity_mm_s": [100.0, 0.0, 0.0]}}
-    quiet = {"shot_noise": False, "read_noise_e": 0.0, "dark_current_e_s": 0.0, "full_well_e": 1e6, "gain_dn_e": 0.06, "bit_depth": 16}
+    one = {
+        "particles": {"generator": "uniform", "count": 1},
+        "flow": {"generator": "linear_flow", "velocity_mm_s": [100.0, 0.0, 0.0]},
+    }
+    quiet = {
+        "shot_noise": False,
+        "read_noise_e": 0.0,
+        "dark_current_e_s": 0.0,
+        "full_well_e": 1e6,
+        "gain_dn_e": 0.06,
+        "bit_depth": 16,
+    }
     values = {"sensor": quiet, **one}
     pictures = []
     for duration in (0.0, 0.01):
-        shot = simulate(moving_scene(timing={"rate_hz": 10.0, "duration_s": duration}, **values), seed=4)
+        shot = simulate(
+            moving_scene(timing={"rate_hz": 10.0, "duration_s": duration}, **values), seed=4
+        )
         pictures.append(shot.observation.images[0].astype(np.float64) - shot.observation.black_dn)
     scene = moving_scene(**values)
     camera = simulate(scene, seed=4).observation.cameras[0]
@@ -154,7 +200,9 @@ def test_a_data_set_tells_times_and_keeps_the_flow(tmp_path: Path) -> None:
     assert flow is not None
     for frame in range(2):
         particles = data.particles(frame)
-        np.testing.assert_allclose(particles.velocity_mm_s, flow.velocity(particles.position_mm, 0.0))
+        np.testing.assert_allclose(
+            particles.velocity_mm_s, flow.velocity(particles.position_mm, 0.0)
+        )
 
 
 def test_a_data_set_keeps_the_flow_on_a_lattice(tmp_path: Path) -> None:
@@ -164,7 +212,9 @@ def test_a_data_set_keeps_the_flow_on_a_lattice(tmp_path: Path) -> None:
     assert flow is not None
     with h5py.File(data.root / "truth.h5") as file:
         group = file["frames/0001/flow"]
-        low, step, velocity, gradient = (group[name][()] for name in ("low_mm", "step_mm", "velocity_mm_s", "gradient_1_s"))
+        low, step, velocity, gradient = (
+            group[name][()] for name in ("low_mm", "step_mm", "velocity_mm_s", "gradient_1_s")
+        )
     assert velocity.shape == (3, 5, 8, 3)  # 4, 10 and 14 mm along z, y, x
     np.testing.assert_allclose(low + step * (np.array([8, 5, 3]) - 1) / 2.0, scene.volume.center_mm)
     place = low + step * np.array([6, 2, 1])

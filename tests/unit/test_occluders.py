@@ -36,14 +36,20 @@ def with_discs(scene: Scene, *discs: dict[str, Any]) -> Scene:
 def before_camera(camera: Camera, share: float, radius_mm: float, **more: Any) -> dict[str, Any]:
     """A disc on the optical axis, at that share of the way to the wall of the quick scene (z = 0)."""
     start, forward = np.asarray(camera.center_mm), np.asarray(camera.rotation[2])
-    return {"center_mm": (start - forward * (share * start[2] / forward[2])).tolist(), "radius_mm": radius_mm, **more}
+    return {
+        "center_mm": (start - forward * (share * start[2] / forward[2])).tolist(),
+        "radius_mm": radius_mm,
+        **more,
+    }
 
 
 def crossing(camera: Camera, point: F64, z_mm: float) -> F64:
     """Where the light path from a point to a pinhole before the quick scene's wall (z = 0, normal z) passes z < 0: Snell's law and a root search."""
     wall, pinhole = camera.wall, np.asarray(camera.center_mm)
     assert wall is not None
-    depths = np.array([-pinhole[2], *(layer.thickness_mm for layer in wall.layers), point[2] - wall.thickness_mm])
+    depths = np.array(
+        [-pinhole[2], *(layer.thickness_mm for layer in wall.layers), point[2] - wall.thickness_mm]
+    )
     offset = (point - pinhole)[:2]
 
     def miss(sine: float) -> float:
@@ -74,16 +80,24 @@ def outline(camera: Camera, disc: Disc) -> F64:
     across = np.cross(disc.normal, np.eye(3)[int(np.argmin(np.abs(disc.normal)))])
     across /= np.linalg.norm(across)
     turn = np.linspace(0.0, 2.0 * np.pi, 721)[:-1, None]
-    edge = disc.center_mm + disc.radius_mm * (np.cos(turn) * across + np.sin(turn) * np.cross(disc.normal, across))
+    edge = disc.center_mm + disc.radius_mm * (
+        np.cos(turn) * across + np.sin(turn) * np.cross(disc.normal, across)
+    )
     ways = edge - camera.center_mm
-    return camera.pixels_of(ways / np.linalg.norm(ways, axis=1, keepdims=True), np.ones(len(edge), dtype=np.bool_))[0]
+    return camera.pixels_of(
+        ways / np.linalg.norm(ways, axis=1, keepdims=True), np.ones(len(edge), dtype=np.bool_)
+    )[0]
 
 
 def distance_inside(polygon: F64, pixels: F64) -> F64:
     """How far pixels (n, 2) lie inside a convex polygon, px; negative outside."""
     side = np.roll(polygon, -1, axis=0) - polygon
-    normal = np.stack([-side[:, 1], side[:, 0]], axis=1) / np.linalg.norm(side, axis=1, keepdims=True)
-    inward = normal * np.sign(np.sum(normal * (polygon.mean(axis=0) - polygon), axis=1, keepdims=True))
+    normal = np.stack([-side[:, 1], side[:, 0]], axis=1) / np.linalg.norm(
+        side, axis=1, keepdims=True
+    )
+    inward = normal * np.sign(
+        np.sum(normal * (polygon.mean(axis=0) - polygon), axis=1, keepdims=True)
+    )
     return np.asarray(np.min(np.sum((pixels[:, None] - polygon) * inward, axis=2), axis=1))
 
 
@@ -105,7 +119,9 @@ def test_both_renderers_agree_away_from_the_edge(variant: str) -> None:
     away = np.abs(inside) > 8.0
     assert min((away & (inside > 0.0)).sum(), (away & (inside < 0.0)).sum()) >= 5
     np.testing.assert_array_equal(images.visible, inside < 0.0)
-    traced = moments(render(camera, images, positions, 16, occluders) * camera.etendue() + 1e-12, pixels, 6)[0]
+    traced = moments(
+        render(camera, images, positions, 16, occluders) * camera.etendue() + 1e-12, pixels, 6
+    )[0]
     formula = moments(splat(camera, images) + 1e-12, pixels, 6)[0]
     np.testing.assert_allclose(traced[away], formula[away], rtol=0.02)
     assert (formula[away & (inside > 0.0)] < 1e-9).all()
@@ -113,13 +129,21 @@ def test_both_renderers_agree_away_from_the_edge(variant: str) -> None:
 
 def test_rays_cut_an_image_at_the_very_edge_of_a_disc() -> None:
     """Also the images of particles whose own path is stopped, where they reach beyond the edge."""
-    scene = with_discs(make_scene(cameras={"particle_sigma_px": 2.0}), before_camera(QUICK, 0.3, 0.5))
+    scene = with_discs(
+        make_scene(cameras={"particle_sigma_px": 2.0}), before_camera(QUICK, 0.3, 0.5)
+    )
     discs = build_rig(scene).occluders
     polygon = outline(QUICK, discs[0])
     edge = QUICK.back_project(polygon[::30] + np.random.default_rng(5).uniform(-2.0, 2.0, (24, 2)))
     positions = edge.origins_mm + edge.directions * 25.0
-    images, open_images = (image_particles(scene, QUICK, cloud(positions), None, occluders) for occluders in (discs, ()))
-    whole, cut = render(QUICK, open_images, positions, 9), render(QUICK, images, positions, 9, discs)
+    images, open_images = (
+        image_particles(scene, QUICK, cloud(positions), None, occluders)
+        for occluders in (discs, ())
+    )
+    whole, cut = (
+        render(QUICK, open_images, positions, 9),
+        render(QUICK, images, positions, 9, discs),
+    )
     inside = over_the_image(QUICK, polygon)
     assert 4 < images.visible.sum() < 20
     assert (whole > 0.0).sum() > 500
@@ -149,41 +173,94 @@ def test_the_true_field_keeps_particles_that_one_camera_misses() -> None:
     assert 20 < hidden.sum() < 180
     field = true_field(shot.observation.grid, shot.particles, shot.views)
     x, y, z = np.rint(shot.observation.grid.to_voxels(shot.particles.position_mm)).astype(int).T
-    inside = (x >= 0) & (y >= 0) & (z >= 0) & (x < field.shape[2]) & (y < field.shape[1]) & (z < field.shape[0])
+    inside = (
+        (x >= 0)
+        & (y >= 0)
+        & (z >= 0)
+        & (x < field.shape[2])
+        & (y < field.shape[1])
+        & (z < field.shape[0])
+    )
     values = field[z[inside], y[inside], x[inside]]
     assert np.isfinite(field).all()
     assert values.min() > 0.2 * np.median(values)
 
 
 def all_stopped(disc: Disc, *directions: tuple[float, float, float]) -> Bool:
-    return disc.stops(np.zeros(3), np.array(directions) / np.linalg.norm(directions, axis=1, keepdims=True))
+    return disc.stops(
+        np.zeros(3), np.array(directions) / np.linalg.norm(directions, axis=1, keepdims=True)
+    )
 
 
 def test_a_disc_stops_what_meets_it() -> None:
     flat = Disc((0.0, 0.0, 10.0), (0.0, 0.0, 1.0), 1.0)
-    met = all_stopped(flat, (0.0, 0.0, 1.0), (0.099, 0.0, 1.0), (0.101, 0.0, 1.0), (0.0, 0.0, -1.0), (1.0, 0.0, 0.0), (math.nan,) * 3)
+    met = all_stopped(
+        flat,
+        (0.0, 0.0, 1.0),
+        (0.099, 0.0, 1.0),
+        (0.101, 0.0, 1.0),
+        (0.0, 0.0, -1.0),
+        (1.0, 0.0, 0.0),
+        (math.nan,) * 3,
+    )
     np.testing.assert_array_equal(met, [True, True, False, False, False, False])
     edge_on = Disc((0.0, 0.0, 10.0), (1.0, 0.0, 0.0), 1.0)
-    np.testing.assert_array_equal(all_stopped(edge_on, (0.0, 0.0, 1.0), (1e-9, 0.0, 1.0)), [False, False])
+    np.testing.assert_array_equal(
+        all_stopped(edge_on, (0.0, 0.0, 1.0), (1e-9, 0.0, 1.0)), [False, False]
+    )
     assert flat.span_mm(np.array([0.0, 0.0, 1.0])) == (10.0, 10.0)
     assert edge_on.span_mm(np.array([0.0, 0.0, 1.0])) == (9.0, 11.0)
 
 
 FAULTS: list[tuple[dict[str, Any] | None, dict[str, Any], str]] = [
-    ({}, {"center_mm": [0.0, 0.0, 3.0], "radius_mm": 2.0}, "scene: occluders.0: expected it wholly in front of the wall, but it reaches 3 mm behind"),
-    ({}, {"center_mm": [0.0, 0.0, -3.0], "normal": [0.0, 1.0, 0.0], "radius_mm": 5.0}, "it reaches 2 mm behind the wall's outer face"),
-    ({}, {"center_mm": [0.0, 0.0, -600.0], "radius_mm": 1.0}, "occluders.0: expected it wholly in front of all cameras, but it reaches "),
+    (
+        {},
+        {"center_mm": [0.0, 0.0, 3.0], "radius_mm": 2.0},
+        "scene: occluders.0: expected it wholly in front of the wall, but it reaches 3 mm behind",
+    ),
+    (
+        {},
+        {"center_mm": [0.0, 0.0, -3.0], "normal": [0.0, 1.0, 0.0], "radius_mm": 5.0},
+        "it reaches 2 mm behind the wall's outer face",
+    ),
+    (
+        {},
+        {"center_mm": [0.0, 0.0, -600.0], "radius_mm": 1.0},
+        "occluders.0: expected it wholly in front of all cameras, but it reaches ",
+    ),
     ({}, {"center_mm": [0.0, 0.0, -600.0], "radius_mm": 1.0}, "behind camera_00"),
-    (None, {"center_mm": [0.0, 0.0, 31.0], "radius_mm": 2.0}, "wholly between the cameras and the volume, but for camera_00 it reaches"),
-    (None, {"center_mm": [0.0, 0.0, 10.0], "normal": [0.0, 1.0, 0.0], "radius_mm": 20.0}, "between the cameras and the volume"),
-    ({}, {"center_mm": [0.0, 0.0, -100.0], "radius_mm": -2.0}, "occluders.0.radius_mm: input should be greater than 0, got -2.0"),
-    ({}, {"center_mm": [0.0, 0.0, -100.0], "radius_cm": 2.0}, "occluders.0.radius_cm: unknown key; did you mean radius_mm?"),
-    ({}, {"center_mm": [0.0, 0.0, -100.0], "radius_mm": 2.0, "normal": [0.0, 0.0, 0.0]}, "occluders.0.normal: expected a vector of non-zero length"),
+    (
+        None,
+        {"center_mm": [0.0, 0.0, 31.0], "radius_mm": 2.0},
+        "wholly between the cameras and the volume, but for camera_00 it reaches",
+    ),
+    (
+        None,
+        {"center_mm": [0.0, 0.0, 10.0], "normal": [0.0, 1.0, 0.0], "radius_mm": 20.0},
+        "between the cameras and the volume",
+    ),
+    (
+        {},
+        {"center_mm": [0.0, 0.0, -100.0], "radius_mm": -2.0},
+        "occluders.0.radius_mm: input should be greater than 0, got -2.0",
+    ),
+    (
+        {},
+        {"center_mm": [0.0, 0.0, -100.0], "radius_cm": 2.0},
+        "occluders.0.radius_cm: unknown key; did you mean radius_mm?",
+    ),
+    (
+        {},
+        {"center_mm": [0.0, 0.0, -100.0], "radius_mm": 2.0, "normal": [0.0, 0.0, 0.0]},
+        "occluders.0.normal: expected a vector of non-zero length",
+    ),
 ]
 
 
 @pytest.mark.parametrize(("wall", "disc", "sentence"), FAULTS)
-def test_impossible_discs_are_refused(wall: dict[str, Any] | None, disc: dict[str, Any], sentence: str) -> None:
+def test_impossible_discs_are_refused(
+    wall: dict[str, Any] | None, disc: dict[str, Any], sentence: str
+) -> None:
     values = make_scene(wall=wall).to_dict() | {"occluders": [disc]}
     with pytest.raises(InputError) as caught:
         build_rig(parse_scene(values, "scene"))
@@ -191,15 +268,29 @@ def test_impossible_discs_are_refused(wall: dict[str, Any] | None, disc: dict[st
 
 
 def test_a_disc_in_plain_air_is_taken() -> None:
-    assert len(build_rig(with_discs(make_scene(wall=None), {"center_mm": [0.0, 0.0, -100.0], "radius_mm": 2.0})).occluders) == 1
+    assert (
+        len(
+            build_rig(
+                with_discs(
+                    make_scene(wall=None), {"center_mm": [0.0, 0.0, -100.0], "radius_mm": 2.0}
+                )
+            ).occluders
+        )
+        == 1
+    )
 
 
 def test_occluders_are_in_the_scene_file_and_solvers_are_not_told(tmp_path: Path) -> None:
     scene = with_discs(make_scene(particles={"count": 20}), before_camera(QUICK, 0.5, 0.7))
-    free = sabench.generate(make_scene(particles={"count": 20}), tmp_path / "free", backend="splat", name="s")
+    free = sabench.generate(
+        make_scene(particles={"count": 20}), tmp_path / "free", backend="splat", name="s"
+    )
     made = sabench.generate(scene, tmp_path / "made", backend="splat", name="s")
     assert (made.root / "cameras.json").read_bytes() == (free.root / "cameras.json").read_bytes()
-    assert tomllib.loads((made.root / "scene.toml").read_text())["occluders"] == scene.to_dict()["occluders"]
+    assert (
+        tomllib.loads((made.root / "scene.toml").read_text())["occluders"]
+        == scene.to_dict()["occluders"]
+    )
     assert "occluders" not in tomllib.loads((free.root / "scene.toml").read_text())
     (made.root / "scene.toml").unlink()
     (made.root / "truth.h5").unlink()

@@ -16,7 +16,9 @@ from sabench.utils.errors import InputError
 def taken() -> Taken:
     rng = np.random.default_rng(1)
     return Taken(
-        {"frames/0003/cameras/a/pixel": rng.random((5, 2))}, rng.integers(0, 4095, (6, 8), dtype=np.uint16), rng.random((6, 8), dtype=np.float32)
+        {"frames/0003/cameras/a/pixel": rng.random((5, 2))},
+        rng.integers(0, 4095, (6, 8), dtype=np.uint16),
+        rng.random((6, 8), dtype=np.float32),
     )
 
 
@@ -30,9 +32,19 @@ def test_what_is_put_is_there_and_nothing_beside_it(tmp_path: Path) -> None:
     assert parts.has_view(3, "a")
     assert not parts.empty()
     np.testing.assert_array_equal(parts.frame(3)["frames/0003/id"], np.arange(4))
-    np.testing.assert_array_equal(parts.view(3, "a")["frames/0003/cameras/a/pixel"], view.truth["frames/0003/cameras/a/pixel"])
-    assert sorted(files_of(parts.view(3, "a"))) == ["images/frame_0003/a.exr", "images/frame_0003/a.tif"]
-    assert sorted(path.name for path in tmp_path.rglob("*") if path.is_file()) == ["0003-a.npz", "0003.npz", "a.exr", "a.tif"]
+    np.testing.assert_array_equal(
+        parts.view(3, "a")["frames/0003/cameras/a/pixel"], view.truth["frames/0003/cameras/a/pixel"]
+    )
+    assert sorted(files_of(parts.view(3, "a"))) == [
+        "images/frame_0003/a.exr",
+        "images/frame_0003/a.tif",
+    ]
+    assert sorted(path.name for path in tmp_path.rglob("*") if path.is_file()) == [
+        "0003-a.npz",
+        "0003.npz",
+        "a.exr",
+        "a.tif",
+    ]
 
 
 @pytest.mark.parametrize("file", ["images/frame_0003/a.exr", "images/frame_0003/a.tif"])
@@ -47,8 +59,12 @@ def test_a_view_with_one_bit_wrong_in_a_picture_is_not_there(tmp_path: Path, fil
         assert not parts.has_view(3, "a")
 
 
-@pytest.mark.parametrize("file", ["views/0003-a.npz", "images/frame_0003/a.exr", "images/frame_0003/a.tif"])
-def test_a_view_of_which_a_file_is_torn_or_missing_is_not_there_and_can_be_made_again(tmp_path: Path, file: str) -> None:
+@pytest.mark.parametrize(
+    "file", ["views/0003-a.npz", "images/frame_0003/a.exr", "images/frame_0003/a.tif"]
+)
+def test_a_view_of_which_a_file_is_torn_or_missing_is_not_there_and_can_be_made_again(
+    tmp_path: Path, file: str
+) -> None:
     parts, path = Parts(tmp_path), tmp_path / file
     parts.put_view(3, "a", taken())
     path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
@@ -77,9 +93,26 @@ def test_a_job_is_read_as_it_was_written_and_only_by_the_same_code(tmp_path: Pat
     job = Job(load_scene("quick"), 7, "splat", "quick")
     job.write(tmp_path)
     again = read_job(tmp_path)
-    assert (again.scene.hash, again.seed, again.renderer, again.label, again.key) == (job.scene.hash, 7, "splat", "quick", job.key)
-    assert len({job.key, Job(job.scene, 8, "splat", "quick").key, Job(job.scene, 7, "mitsuba", "quick").key}) == 3
-    (tmp_path / "job.json").write_text((tmp_path / "job.json").read_text().replace(job.key, "0" * 64))
+    assert (again.scene.hash, again.seed, again.renderer, again.label, again.key) == (
+        job.scene.hash,
+        7,
+        "splat",
+        "quick",
+        job.key,
+    )
+    assert (
+        len(
+            {
+                job.key,
+                Job(job.scene, 8, "splat", "quick").key,
+                Job(job.scene, 7, "mitsuba", "quick").key,
+            }
+        )
+        == 3
+    )
+    (tmp_path / "job.json").write_text(
+        (tmp_path / "job.json").read_text().replace(job.key, "0" * 64)
+    )
     with pytest.raises(InputError, match="same versions of sabench"):
         read_job(tmp_path)
     with pytest.raises(InputError, match="all workers must see this folder"):

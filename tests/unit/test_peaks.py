@@ -53,10 +53,14 @@ def test_plateaus_are_maxima_once_each(volume: F32) -> None:
 
 def test_maxima_agree_with_all_neighbours() -> None:
     rng = np.random.default_rng(1)
-    volume = np.where(rng.random((9, 11, 13)) < 0.4, rng.exponential(size=(9, 11, 13)), 0.0).astype(np.float32)
+    volume = np.where(rng.random((9, 11, 13)) < 0.4, rng.exponential(size=(9, 11, 13)), 0.0).astype(
+        np.float32
+    )
     floor = float(np.quantile(volume[volume > 0.0], 0.1))
     padded = np.pad(volume, 1)
-    higher = [padded[1 + c : 10 + c, 1 + b : 12 + b, 1 + a : 14 + a] >= volume for c, b, a in NEIGHBOURS]
+    higher = [
+        padded[1 + c : 10 + c, 1 + b : 12 + b, 1 + a : 14 + a] >= volume for c, b, a in NEIGHBOURS
+    ]
     expected = np.argwhere((volume >= floor) & ~np.any(higher, axis=0))
     found = detect_peaks(volume)
     np.testing.assert_allclose(found[:, ::-1], expected, rtol=0, atol=0.5)
@@ -66,7 +70,9 @@ def test_maxima_agree_with_all_neighbours() -> None:
 @pytest.mark.parametrize("sigma", [0.6, 0.8, 1.5])
 def test_a_gaussian_is_found_where_it_is(sigma: float) -> None:
     for place in np.random.default_rng(2).uniform(3.0, 5.0, (20, 3)):
-        np.testing.assert_allclose(detect_peaks(gaussians((9, 9, 9), place[None], sigma)), place[None], rtol=0, atol=2e-3)
+        np.testing.assert_allclose(
+            detect_peaks(gaussians((9, 9, 9), place[None], sigma)), place[None], rtol=0, atol=2e-3
+        )
 
 
 def test_particles_that_touch_are_two_peaks_and_one_component() -> None:

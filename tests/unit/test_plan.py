@@ -16,7 +16,15 @@ def check_allowed(task: Task, finished: set[Task], *, chained: bool) -> None:
         assert Task(task.frame - 1) in finished
 
 
-def work(plan: Plan, workers: int, *, chained: bool, seed: int, dying: float = 0.0, before: tuple[Task, ...] = ()) -> tuple[list[Task], int]:
+def work(
+    plan: Plan,
+    workers: int,
+    *,
+    chained: bool,
+    seed: int,
+    dying: float = 0.0,
+    before: tuple[Task, ...] = (),
+) -> tuple[list[Task], int]:
     """Workers that take random times and now and then fail; returns the tasks in the order of their ends, and the most frames at a time."""
     rng, most = np.random.default_rng(seed), 0
     running: dict[int, Task] = {}
@@ -41,8 +49,13 @@ def work(plan: Plan, workers: int, *, chained: bool, seed: int, dying: float = 0
 
 
 @pytest.mark.parametrize("chained", [False, True])
-@pytest.mark.parametrize(("frames", "cameras", "workers"), [(1, 1, 1), (7, 3, 1), (7, 3, 2), (40, 4, 5), (5, 9, 30), (9, 0, 3)])
-def test_everything_is_done_once_in_an_order_that_it_allows(frames: int, cameras: int, workers: int, chained: bool) -> None:
+@pytest.mark.parametrize(
+    ("frames", "cameras", "workers"),
+    [(1, 1, 1), (7, 3, 1), (7, 3, 2), (40, 4, 5), (5, 9, 30), (9, 0, 3)],
+)
+def test_everything_is_done_once_in_an_order_that_it_allows(
+    frames: int, cameras: int, workers: int, chained: bool
+) -> None:
     for seed in range(5):
         plan = Plan(frames, cameras, chained=chained, ahead=workers + 1)
         ended, most = work(plan, workers, chained=chained, seed=seed)
@@ -102,7 +115,9 @@ def test_a_camera_that_always_fails_is_a_failure_and_the_rest_is_done() -> None:
     assert ended == [Task(0), Task(0, 1), Task(1), Task(1, 0), Task(1, 1)]
 
 
-@pytest.mark.parametrize(("chained", "rest"), [(False, [Task(1), Task(1, 0), Task(2), Task(2, 0)]), (True, [])])
+@pytest.mark.parametrize(
+    ("chained", "rest"), [(False, [Task(1), Task(1, 0), Task(2), Task(2, 0)]), (True, [])]
+)
 def test_a_truth_that_always_fails_stops_what_stands_on_it(chained: bool, rest: list[Task]) -> None:
     plan = Plan(3, 1, chained=chained, ahead=1)
     fail(plan, Task(0))

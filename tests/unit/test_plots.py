@@ -13,7 +13,9 @@ _BLUE, _ORANGE = (0xB2, 0x72, 0x00), (0x00, 0x5E, 0xD5)  # as OpenCV orders them
 
 def picture(*content: Curve | Histogram, log: str = "", panels: int = 1) -> npt.NDArray[np.uint8]:
     png = draw(Figure("f", "a figure", (Panel("a panel", "x", "y", content, log),) * panels))
-    return np.asarray(cv2.imdecode(np.frombuffer(png, dtype=np.uint8), cv2.IMREAD_COLOR), dtype=np.uint8)
+    return np.asarray(
+        cv2.imdecode(np.frombuffer(png, dtype=np.uint8), cv2.IMREAD_COLOR), dtype=np.uint8
+    )
 
 
 def where(image: npt.NDArray[np.uint8], colour: tuple[int, int, int]) -> npt.NDArray[np.int64]:
@@ -21,7 +23,10 @@ def where(image: npt.NDArray[np.uint8], colour: tuple[int, int, int]) -> npt.NDA
 
 
 def test_curves_have_colours_and_directions() -> None:
-    image = picture(Curve("rises", [0.0, 1.0, 2.0], [0.0, 1.0, 2.0]), Curve("falls", [0.0, 1.0, 2.0], [2.0, 1.0, 0.0], [0.1, 0.1, 0.1]))
+    image = picture(
+        Curve("rises", [0.0, 1.0, 2.0], [0.0, 1.0, 2.0]),
+        Curve("falls", [0.0, 1.0, 2.0], [2.0, 1.0, 0.0], [0.1, 0.1, 0.1]),
+    )
     for colour, sign in ((_BLUE, -1.0), (_ORANGE, 1.0)):
         row, column = where(image[:, :350], colour).T
         assert len(row) > 50
@@ -36,7 +41,10 @@ def test_powers_are_straight_on_logarithmic_axes() -> None:
 
 def test_histograms_are_densities_over_common_bins() -> None:
     rng = np.random.default_rng(1)
-    image = picture(Histogram("narrow", rng.normal(0.0, 1.0, 5000)), Histogram("wide", rng.normal(0.0, 3.0, 5000)))
+    image = picture(
+        Histogram("narrow", rng.normal(0.0, 1.0, 5000)),
+        Histogram("wide", rng.normal(0.0, 3.0, 5000)),
+    )
     tops = [where(image[60:], colour)[:, 0].min() for colour in (_BLUE, _ORANGE)]
     assert tops[0] < tops[1]
 

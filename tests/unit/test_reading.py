@@ -65,7 +65,9 @@ def test_a_picture_of_reading_shows_both_kinds_of_wrong_cells() -> None:
     dark = np.array([True, True, False, False])
     right = read_right(np.array([0.1, 0.9, 0.1, 0.9]), dark)
     np.testing.assert_array_equal(right, [True, False, False, True])
-    image = cv2.imdecode(np.frombuffer(read_picture(dark[None], right[None]), dtype=np.uint8), cv2.IMREAD_COLOR)
+    image = cv2.imdecode(
+        np.frombuffer(read_picture(dark[None], right[None]), dtype=np.uint8), cv2.IMREAD_COLOR
+    )
     assert image is not None
     black, red, blue, white = image[0, 50::100].astype(int)
     assert black.max() < 10 < 240 < white.min()

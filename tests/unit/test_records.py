@@ -28,9 +28,19 @@ for seed in range(int(sys.argv[3])):
 def record(solver: str, q: float | None = None, **changes: Any) -> dict[str, Any]:
     """A record as a run writes it."""
     return {
-        "scene": "tank", "scene_hash": "5c" * 32, "dataset": "da" * 32, "seed": 1, "renderer": "splat", "solver": solver, "parameters": {},
-        "q": q, "versions": {"numpy": "2.0"}, "run_hash": "01", "machine": {"cpu": "some processor"}, **changes,
-    }  # fmt: skip
+        "scene": "tank",
+        "scene_hash": "5c" * 32,
+        "dataset": "da" * 32,
+        "seed": 1,
+        "renderer": "splat",
+        "solver": solver,
+        "parameters": {},
+        "q": q,
+        "versions": {"numpy": "2.0"},
+        "run_hash": "01",
+        "machine": {"cpu": "some processor"},
+        **changes,
+    }
 
 
 def solvers(folder: Path) -> list[str]:
@@ -39,9 +49,14 @@ def solvers(folder: Path) -> list[str]:
 
 def test_records_come_in_the_order_of_files_and_lines_with_defaults(tmp_path: Path) -> None:
     (tmp_path / "b.jsonl").write_text(json.dumps(record("third", 0.5)) + "\n")
-    (tmp_path / "a.jsonl").write_text(json.dumps(record("first")) + "\n\n" + json.dumps(record("second")) + "\n")
+    (tmp_path / "a.jsonl").write_text(
+        json.dumps(record("first")) + "\n\n" + json.dumps(record("second")) + "\n"
+    )
     assert solvers(tmp_path) == ["first", "second", "third"]
-    assert read_records(tmp_path)[2] == {**Head.model_validate(record("third")).model_dump(), "q": 0.5}
+    assert read_records(tmp_path)[2] == {
+        **Head.model_validate(record("third")).model_dump(),
+        "q": 0.5,
+    }
 
 
 def test_no_folder_holds_no_records(tmp_path: Path) -> None:
@@ -49,7 +64,9 @@ def test_no_folder_holds_no_records(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("kept", [1, 10, -1])
-def test_a_torn_last_line_is_left_out_and_cut_off_before_the_next(tmp_path: Path, kept: int, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_torn_last_line_is_left_out_and_cut_off_before_the_next(
+    tmp_path: Path, kept: int, capsys: pytest.CaptureFixture[str]
+) -> None:
     torn = json.dumps(record("pläne", label="x" * 100_000), ensure_ascii=False).encode()[:kept]
     file = tmp_path / "a.jsonl"
     file.write_bytes(json.dumps(record("whole")).encode() + b"\n" + torn)
@@ -67,26 +84,48 @@ def test_a_file_that_is_one_torn_line_starts_anew(tmp_path: Path) -> None:
 
 
 WRONG: list[dict[str, Any]] = [
-    {"case": 1}, {"axes": []}, {"label": ["x"]}, {"seed": True}, {"version": 2}, {"track": "x"}, {"submission": {"name": "", "date": "x"}},
-]  # fmt: skip
-BROKEN = [b"{", b"[1]", b'{"scene": "tank"}', b"\xff\xfe", json.dumps(record("x", float("nan"))).encode(), b"[" * 200_000]
+    {"case": 1},
+    {"axes": []},
+    {"label": ["x"]},
+    {"seed": True},
+    {"version": 2},
+    {"track": "x"},
+    {"submission": {"name": "", "date": "x"}},
+]
+BROKEN = [
+    b"{",
+    b"[1]",
+    b'{"scene": "tank"}',
+    b"\xff\xfe",
+    json.dumps(record("x", float("nan"))).encode(),
+    b"[" * 200_000,
+]
 BROKEN += [json.dumps(record("x", **changes)).encode() for changes in WRONG]
 
 
 @pytest.mark.parametrize("broken", BROKEN)
-def test_a_broken_line_is_named_and_left_out(tmp_path: Path, broken: bytes, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_broken_line_is_named_and_left_out(
+    tmp_path: Path, broken: bytes, capsys: pytest.CaptureFixture[str]
+) -> None:
     whole = json.dumps(record("whole")).encode()
     (tmp_path / "a.jsonl").write_bytes(whole + b"\n" + broken + b"\n" + whole + b"\n")
     assert solvers(tmp_path) == ["whole", "whole"]
-    assert "a.jsonl: line 2 is left out: expected a record" in " ".join(capsys.readouterr().err.split())
+    assert "a.jsonl: line 2 is left out: expected a record" in " ".join(
+        capsys.readouterr().err.split()
+    )
 
 
 def test_latest_keeps_the_last_of_each_run() -> None:
     old, new = record("a", 0.5), record("a", 0.6)
     others = [
-        record("b"), record("a", seed=2), record("a", parameters={"passes": 2}), record("a", split="hidden"),
-        record("a", machine={"cpu": "another"}), record("a", renderer="mitsuba"), record("a", submission={"name": "x", "date": "2026-01-01"}),
-    ]  # fmt: skip
+        record("b"),
+        record("a", seed=2),
+        record("a", parameters={"passes": 2}),
+        record("a", split="hidden"),
+        record("a", machine={"cpu": "another"}),
+        record("a", renderer="mitsuba"),
+        record("a", submission={"name": "x", "date": "2026-01-01"}),
+    ]
     assert latest([old, *others, new]) == [new, *others]
 
 
@@ -94,7 +133,13 @@ def test_sixteen_writers_at_once_lose_and_tear_nothing(tmp_path: Path) -> None:
     file = tmp_path / "a.jsonl"
     command = [sys.executable, "-c", WRITER, str(file)]
     writers = [
-        subprocess.Popen([*command, f"w{number}", str(LINES)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) for number in range(WRITERS)
+        subprocess.Popen(
+            [*command, f"w{number}", str(LINES)],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+        )
+        for number in range(WRITERS)
     ]
     for writer in writers:
         assert writer.stdout is not None

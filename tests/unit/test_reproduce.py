@@ -30,10 +30,14 @@ from sabench.utils.errors import InputError
 @pytest.mark.parametrize(
     ("measured", "thesis", "expected"),
     [
-        (1.04, 1.0, "reproduced"), (0.96, 1.0, "reproduced"), (1.06, 1.0, "exceeds"), (0.94, 1.0, "below"),
-        (-1.04, -1.0, "reproduced"), (3.0, None, "not in the thesis"),
+        (1.04, 1.0, "reproduced"),
+        (0.96, 1.0, "reproduced"),
+        (1.06, 1.0, "exceeds"),
+        (0.94, 1.0, "below"),
+        (-1.04, -1.0, "reproduced"),
+        (3.0, None, "not in the thesis"),
     ],
-)  # fmt: skip
+)
 def test_verdicts(measured: float, thesis: float | None, expected: str) -> None:
     assert verdict(measured, thesis) == expected
 
@@ -57,7 +61,9 @@ def test_bounds_and_claims() -> None:
 @pytest.mark.parametrize("start", [0.5, 3.0, 20.0])
 def test_the_crossing_is_found_from_either_side(start: float) -> None:
     """Q that falls as a straight line through 0.75, at 3.0 for seed 1 and a little higher for seed 2."""
-    found = crossings(lambda per_mm3, seed: 0.75 - 0.05 * (per_mm3 - 3.0 - 0.1 * (seed - 1)), start, [1, 2])
+    found = crossings(
+        lambda per_mm3, seed: 0.75 - 0.05 * (per_mm3 - 3.0 - 0.1 * (seed - 1)), start, [1, 2]
+    )
     assert found == pytest.approx([3.0, 3.1])
 
 
@@ -78,7 +84,9 @@ def test_plane_spacing_is_that_of_equation_2_10(case: Case) -> None:
     distance = -rig.cameras[12].center_mm[2]
     baseline = (rig.cameras[13].center_mm[0] - rig.cameras[12].center_mm[0]) / distance
     expected = across / baseline / (1.0 - across / (baseline * distance))
-    assert plane_spacing_mm(rig.cameras[12], rig.cameras[13], across) == pytest.approx(expected, rel=1e-9)
+    assert plane_spacing_mm(rig.cameras[12], rig.cameras[13], across) == pytest.approx(
+        expected, rel=1e-9
+    )
     assert along == pytest.approx(expected, rel=0.01)
 
 
@@ -99,18 +107,25 @@ def test_a_coarse_copy_has_the_same_cameras_and_as_many_particles_per_pixel() ->
 def test_numbers_of_cameras_are_those_of_the_cases() -> None:
     found = by_cameras("fig-2-7a")
     assert [cameras for cameras, _ in found] == [5, 9, 13, 17, 21, 25] * 3
-    np.testing.assert_allclose([density(case.scene) for _, case in found], np.repeat([2.0, 3.0, 5.0], 6))
+    np.testing.assert_allclose(
+        [density(case.scene) for _, case in found], np.repeat([2.0, 3.0, 5.0], 6)
+    )
 
 
 def test_quality_falls_with_density_and_depends_on_the_threshold() -> None:
     scene = load_scene("array-9")
-    few, many = (measured(coarsened(with_density(scene, per_mm3), 100), 1) for per_mm3 in (1.0, 8.0))
+    few, many = (
+        measured(coarsened(with_density(scene, per_mm3), 100), 1) for per_mm3 in (1.0, 8.0)
+    )
     for method in METHODS:
         assert few[method].best > many[method].best > 0.5
         assert few[method].best >= few[method].blind > 0.9 * few[method].best
 
 
 def test_an_unknown_table_names_the_known_ones() -> None:
-    with pytest.raises(InputError, match=r"table-2-4: expected one of table-2-1, .*fig-4-27; did you mean table-2-\d\?"):
+    with pytest.raises(
+        InputError,
+        match=r"table-2-4: expected one of table-2-1, .*fig-4-27; did you mean table-2-\d\?",
+    ):
         reproduce(["table-2-4"])
     assert all(text for text in TABLES.values())

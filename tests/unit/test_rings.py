@@ -25,18 +25,31 @@ def flow_of(name: str, **parameters: Any) -> Any:
 def on_lattice(flow: Any, counts: tuple[int, int, int] = (31, 41, 51)) -> Velocity:
     """A flow at nodes 1 mm apart, other counts along each axis."""
     low = [-(count - 1) / 2.0 for count in counts[::-1]]
-    field = Velocity((low[0], low[1], low[2]), (1.0, 1.0, 1.0), np.zeros((*counts, 3)), np.ones(counts, dtype=np.bool_))
-    field.velocity_mm_s[:] = flow.velocity(field.positions_mm.reshape(-1, 3), 0.0).reshape(field.velocity_mm_s.shape)
+    field = Velocity(
+        (low[0], low[1], low[2]),
+        (1.0, 1.0, 1.0),
+        np.zeros((*counts, 3)),
+        np.ones(counts, dtype=np.bool_),
+    )
+    field.velocity_mm_s[:] = flow.velocity(field.positions_mm.reshape(-1, 3), 0.0).reshape(
+        field.velocity_mm_s.shape
+    )
     return field
 
 
 def test_a_rotation_s_circulation_is_its_vorticity_times_the_area() -> None:
-    rotation = flow_of("linear_flow", gradient_1_s=[[0.0, -3.0, 0.0], [3.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
+    rotation = flow_of(
+        "linear_flow", gradient_1_s=[[0.0, -3.0, 0.0], [3.0, 0.0, 0.0], [0.0, 0.0, 0.0]]
+    )
     velocity = sampled(on_lattice(rotation), on_lattice(rotation).velocity_mm_s)
     half = half_plane((0.0, 0.0, 0.0), (0.0, 1.0, 0.0), (1.0, 0.0, 0.0), 0.0)
     np.testing.assert_allclose(np.cross(half.outward, half.axis), half.normal)
-    np.testing.assert_allclose(circulation(velocity, half, 6.0, 1.0, 8.0, 5.0), 6.0 * 8.0 * 5.0 * half.normal[2], rtol=1e-9)
-    assert np.isnan(circulation(velocity, half, 20.0, 0.0, 12.0, 4.0))  # a part of it lies beyond the field
+    np.testing.assert_allclose(
+        circulation(velocity, half, 6.0, 1.0, 8.0, 5.0), 6.0 * 8.0 * 5.0 * half.normal[2], rtol=1e-9
+    )
+    assert np.isnan(
+        circulation(velocity, half, 20.0, 0.0, 12.0, 4.0)
+    )  # a part of it lies beyond the field
 
 
 @pytest.mark.parametrize("degrees", [0.0, 40.0, 90.0, 180.0])
@@ -46,7 +59,10 @@ def test_a_ring_is_found_at_every_angle(degrees: float, axis: tuple[float, float
     ring = flow_of("vortex_ring", axis=axis, diameter_mm=20.0, core_mm=4.0, peak_mm_s=50.0)
     half = half_plane((0.0, 0.0, 0.0), axis, (1.0, 0.0, 0.0), degrees)
     found = circulation(lambda points: ring.velocity(points, 0.0), half, 10.0, 0.0, 12.0, 12.0)
-    inner, outer = (2.0 * np.pi * np.e * 50.0 * radius**2 * np.exp(-radius / 4.0) / 4.0 for radius in (6.0, 6.0 * np.sqrt(2.0)))
+    inner, outer = (
+        2.0 * np.pi * np.e * 50.0 * radius**2 * np.exp(-radius / 4.0) / 4.0
+        for radius in (6.0, 6.0 * np.sqrt(2.0))
+    )
     assert inner < abs(found) < outer
     field = on_lattice(ring)
     r, z, spin = core(spin_of(field), half, 10.0, 4.0)
@@ -66,7 +82,9 @@ def test_the_response_is_the_slope() -> None:
 
 def picture(*panels: Panel) -> F64:
     png = draw(Figure("f", "a figure", panels))
-    return np.asarray(cv2.imdecode(np.frombuffer(png, dtype=np.uint8), cv2.IMREAD_COLOR), dtype=np.float64)
+    return np.asarray(
+        cv2.imdecode(np.frombuffer(png, dtype=np.uint8), cv2.IMREAD_COLOR), dtype=np.float64
+    )
 
 
 def test_slices_are_the_right_way_up() -> None:
@@ -75,23 +93,39 @@ def test_slices_are_the_right_way_up() -> None:
     values[:10, :10] = 1.0
     values[10:, 10:] = -1.0
     axis = np.arange(20.0)
-    image = picture(Panel("", "x", "y", (Slice("", axis, axis, values, signed=True, arrows=np.full((20, 20, 2), np.nan)),)))
+    image = picture(
+        Panel(
+            "",
+            "x",
+            "y",
+            (Slice("", axis, axis, values, signed=True, arrows=np.full((20, 20, 2), np.nan)),),
+        )
+    )
     red, blue = image[..., 2] - image[..., 0] > 60, image[..., 0] - image[..., 2] > 60
     left = slice(0, 330)  # without the scale
-    (red_row, red_column), (blue_row, blue_column) = (np.argwhere(part[:, left]).mean(axis=0) for part in (red, blue))
+    (red_row, red_column), (blue_row, blue_column) = (
+        np.argwhere(part[:, left]).mean(axis=0) for part in (red, blue)
+    )
     assert red_row < blue_row
     assert red_column < blue_column
 
 
 def test_clouds_have_their_points() -> None:
-    one, many = (picture(Panel("", "x", "y", (Cloud("", np.linspace(0.0, 1.0, n), np.linspace(0.0, 1.0, n)),))) for n in (2, 400))
+    one, many = (
+        picture(
+            Panel("", "x", "y", (Cloud("", np.linspace(0.0, 1.0, n), np.linspace(0.0, 1.0, n)),))
+        )
+        for n in (2, 400)
+    )
     blue = [(image[..., 0] - image[..., 2] > 60).sum() for image in (one, many)]
     assert 0 < blue[0] < 0.1 * blue[1]
 
 
 @pytest.mark.parametrize("normal", [0, 1, 2])
 def test_the_slice_with_the_vortex_is_shown(normal: int) -> None:
-    vortex = flow_of("lamb_oseen_vortex", axis=np.eye(3)[normal].tolist(), core_mm=5.0, circulation_mm2_s=500.0)
+    vortex = flow_of(
+        "lamb_oseen_vortex", axis=np.eye(3)[normal].tolist(), core_mm=5.0, circulation_mm2_s=500.0
+    )
     field = on_lattice(vortex)
     field.valid[0] = False
     exact = 0.9 * field.velocity_mm_s
@@ -106,7 +140,11 @@ def test_the_slice_with_the_vortex_is_shown(normal: int) -> None:
     assert content.arrows is not None
     assert np.isnan(content.arrows).any() == (normal != 2)
     assert draw(figure)[:4] == b"\x89PNG"
-    curves = [curve.label for curve in profile_panel(field, exact, normal).content if isinstance(curve, Curve)]
+    curves = [
+        curve.label
+        for curve in profile_panel(field, exact, normal).content
+        if isinstance(curve, Curve)
+    ]
     assert curves == ["u", "u exact", "v", "v exact", "w", "w exact"]
 
 
@@ -114,8 +152,17 @@ def test_pictures_are_the_right_way_up_and_rings_lie_where_they_should() -> None
     values = np.zeros((20, 40))
     values[:10, :10] = 1.0
     bare = picture(Panel("", "", "", (Picture(values, (0.0, 100.0), (39.0, 119.0)),)))
-    ringed = picture(Panel("", "", "", (Picture(values, (0.0, 100.0), (39.0, 119.0), np.array([[35.0, 115.0, 3.0]])),)))
-    row, column = np.argwhere(bare.max(axis=2) < 5.0).mean(axis=0)  # black: all but the upper left, and letters
+    ringed = picture(
+        Panel(
+            "",
+            "",
+            "",
+            (Picture(values, (0.0, 100.0), (39.0, 119.0), np.array([[35.0, 115.0, 3.0]])),),
+        )
+    )
+    row, column = np.argwhere(bare.max(axis=2) < 5.0).mean(
+        axis=0
+    )  # black: all but the upper left, and letters
     inside = np.argwhere((ringed[..., 2] - ringed[..., 0] > 100.0) & (bare.max(axis=2) < 60.0))
     assert len(inside) > 20
     assert inside[:, 0].mean() > row
@@ -125,7 +172,10 @@ def test_pictures_are_the_right_way_up_and_rings_lie_where_they_should() -> None
 def test_balls_in_space_have_their_sizes() -> None:
     """A ball of twice the radius covers four times the area; the smaller Y is above."""
     center = np.array([[0.0, 0.0, 0.0], [10.0, 40.0, 10.0]])
-    small, large = (picture(Panel("", "", "", (Space("mm", center, np.array([0.2, radius])),)))[:, :400] for radius in (1.5, 3.0))
+    small, large = (
+        picture(Panel("", "", "", (Space("mm", center, np.array([0.2, radius])),)))[:, :400]
+        for radius in (1.5, 3.0)
+    )
     yellow = [np.argwhere((one[..., 2] > 180.0) & (one[..., 0] < 90.0)) for one in (small, large)]
     assert len(yellow[1]) == pytest.approx(4.0 * len(yellow[0]), rel=0.25)
     assert yellow[1][:, 0].mean() > 0.55 * small.shape[0]

@@ -26,12 +26,24 @@ def change(old: str, new: str) -> Edit:
 
 
 FAULTS: list[tuple[Edit, str]] = [
-    (change("focal_length_mm", "focal_lenght_mm"), "cameras.focal_lenght_mm: unknown key; did you mean focal_length_mm?"),
-    (change("thickness_mm = 5.0 }", "thickness_cm = 0.5 }"), "wall.layers.0.thickness_cm: unknown key; did you mean thickness_mm?"),
+    (
+        change("focal_length_mm", "focal_lenght_mm"),
+        "cameras.focal_lenght_mm: unknown key; did you mean focal_length_mm?",
+    ),
+    (
+        change("thickness_mm = 5.0 }", "thickness_cm = 0.5 }"),
+        "wall.layers.0.thickness_cm: unknown key; did you mean thickness_mm?",
+    ),
     (change("[sensor]", "[sensr]"), "sensr: unknown key; did you mean sensor?"),
-    (change("spacing_mm = [240.0", "spacing_m = [0.24"), "cameras.layout.spacing_m: unknown key; did you mean spacing_mm?"),
+    (
+        change("spacing_mm = [240.0", "spacing_m = [0.24"),
+        "cameras.layout.spacing_m: unknown key; did you mean spacing_mm?",
+    ),
     (change("count = 300", "per_mm = 3.0"), "particles.per_mm: unknown key; did you mean per_mm3?"),
-    (change("count = 300", "count = 300\nper_mm3 = 1.0"), "expected exactly one of count, per_mm3, per_pixel"),
+    (
+        change("count = 300", "count = 300\nper_mm3 = 1.0"),
+        "expected exactly one of count, per_mm3, per_pixel",
+    ),
     (change('"uniform"', '"unifrom"'), "did you mean uniform?"),
     (change('kind = "grid"', 'kind = "gird"'), "cameras.layout"),
     (change("rows = 240", "rows = 2.5"), "cameras.rows"),
@@ -39,13 +51,22 @@ FAULTS: list[tuple[Edit, str]] = [
     (change("index = 1.52", "index = 0.5"), "wall.layers.0.index"),
     (change("pixel_mm = 0.01", "pixel_mm = nan"), "cameras.pixel_mm"),
     (change("bit_depth = 12", "bit_depth = 17"), "sensor.bit_depth"),
-    (change("normal = [0.0, 0.0, 1.0]\nair", "normal = [0.0, 0.0, 0.0]\nair"), "wall.normal: expected a vector of non-zero length"),
-    (change("center_mm = [0.0, 0.0, -490.0]", "x_axis = [0.0, 0.0, 0.0]"), "cameras.x_axis: expected a vector of non-zero length"),
+    (
+        change("normal = [0.0, 0.0, 1.0]\nair", "normal = [0.0, 0.0, 0.0]\nair"),
+        "wall.normal: expected a vector of non-zero length",
+    ),
+    (
+        change("center_mm = [0.0, 0.0, -490.0]", "x_axis = [0.0, 0.0, 0.0]"),
+        "cameras.x_axis: expected a vector of non-zero length",
+    ),
     (change("direction = [1.0, 0.0, 0.0]", "direction = [0.0, 0.0, 1.0]"), "right angles"),
     (change("-490.0]", "10.0]"), "camera_00"),
     (change("center_mm = [0.0, 0.0, 30.0]", "center_mm = [0.0, 0.0, 104.0]"), "back wall"),
     (change("center_mm = [0.0, 0.0, 30.0]", "center_mm = [0.0, 0.0, 5.0]"), "inner face"),
-    (change("focal_length_mm = 85.0", "focal_length_mm = 85.0\naim_mm = [400.0, 0.0, 30.0]"), "no camera of 4 sees any of it"),
+    (
+        change("focal_length_mm = 85.0", "focal_length_mm = 85.0\naim_mm = [400.0, 0.0, 30.0]"),
+        "no camera of 4 sees any of it",
+    ),
     (change("f_number = 16.0", "f_number = 16.0\nfocus_mm = 50.0"), "focus_mm"),
     (change("crop_mm = [0.5", "crop_mm = [7.0"), "crop_mm"),
     (change("title =", "title"), "expected a TOML file"),
@@ -53,7 +74,9 @@ FAULTS: list[tuple[Edit, str]] = [
 
 
 @pytest.mark.parametrize(("edit", "sentence"), FAULTS)
-def test_fault_names_key_and_expectation(tmp_path: Path, quick_toml: str, edit: Edit, sentence: str) -> None:
+def test_fault_names_key_and_expectation(
+    tmp_path: Path, quick_toml: str, edit: Edit, sentence: str
+) -> None:
     file = tmp_path / "bad.toml"
     file.write_text(edit(quick_toml))
     with pytest.raises(InputError) as caught:
@@ -79,9 +102,14 @@ def test_what_a_scene_does_not_have_is_not_in_its_hash() -> None:
     """Data sets of earlier versions hold the hash of scenes that knew nothing of these tables."""
     values = load_scene("quick").to_dict()
     assert not {"occluders", "calibration"} & set(values)
-    with_both = values | {"occluders": [{"center_mm": [0.0, 0.0, -100.0], "radius_mm": 5.0}], "calibration": {}}
+    with_both = values | {
+        "occluders": [{"center_mm": [0.0, 0.0, -100.0], "radius_mm": 5.0}],
+        "calibration": {},
+    }
     resolved = parse_scene(with_both, "s").to_dict()
-    assert resolved["occluders"] == [{"center_mm": [0.0, 0.0, -100.0], "normal": [0.0, 0.0, 1.0], "radius_mm": 5.0}]
+    assert resolved["occluders"] == [
+        {"center_mm": [0.0, 0.0, -100.0], "normal": [0.0, 0.0, 1.0], "radius_mm": 5.0}
+    ]
     assert resolved["calibration"]["shift_px"] == 0.0
 
 
@@ -97,7 +125,11 @@ def test_schema_covers_every_key_of_a_scene() -> None:
     assert set(load_scene("quick").to_dict()) <= set(whole["properties"])
     assert whole["additionalProperties"] is False
     for table, name in (("particles", "uniform"), ("targets", "boards")):
-        known = [choice["properties"]["generator"] for choice in whole["properties"][table]["oneOf"] if "properties" in choice]
+        known = [
+            choice["properties"]["generator"]
+            for choice in whole["properties"][table]["oneOf"]
+            if "properties" in choice
+        ]
         assert {"const": name} in known
         assert ({"const": "boards"} in known) == (table == "targets")
 
@@ -112,7 +144,9 @@ def test_particles_of_a_frame_do_not_depend_on_other_frames_or_cameras() -> None
         a, b = make_particles(one, 5, frame), make_particles(other, 5, frame)
         np.testing.assert_array_equal(a.position_mm, b.position_mm)
         np.testing.assert_array_equal(a.id, b.id)
-    assert not np.array_equal(make_particles(one, 5, 0).position_mm, make_particles(one, 6, 0).position_mm)
+    assert not np.array_equal(
+        make_particles(one, 5, 0).position_mm, make_particles(one, 6, 0).position_mm
+    )
 
 
 def test_particles_move_with_their_velocity_and_stay_in_the_volume() -> None:
@@ -146,7 +180,16 @@ def test_density_per_volume_and_per_pixel() -> None:
         ({"kind": "line", "count": 3, "spacing_mm": 120.0, "angle_deg": 90.0}, 3),
         ({"kind": "cross", "arm": 2, "spacing_mm": 80.0}, 9),
         ({"kind": "grid", "x_mm": [-300.0, -100.0, 50.0], "y_mm": [0.0, 90.0]}, 6),
-        ({"kind": "list", "places": [{"center_mm": [9.0, 8.0, -400.0]}, {"center_mm": [0.0, 0.0, -500.0], "aim_mm": [1.0, 0.0, 30.0]}]}, 2),
+        (
+            {
+                "kind": "list",
+                "places": [
+                    {"center_mm": [9.0, 8.0, -400.0]},
+                    {"center_mm": [0.0, 0.0, -500.0], "aim_mm": [1.0, 0.0, 30.0]},
+                ],
+            },
+            2,
+        ),
     ],
 )
 def test_every_layout_aims_its_cameras_at_the_volume(layout: dict[str, object], count: int) -> None:

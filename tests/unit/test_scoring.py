@@ -28,7 +28,9 @@ def test_truth_is_perfect_and_empty_is_the_floor_by_both_rules(shot: Shot) -> No
     floor = scores_of(shot, Reconstruction(np.zeros_like(field)))
     assert tuple(best) == tuple(floor) == SCORES
     for rule in ("", "peak_"):
-        keys = [rule + key for key in ("true_percent", "ghost_percent", "precision", "recall", "rms_px")]
+        keys = [
+            rule + key for key in ("true_percent", "ghost_percent", "precision", "recall", "rms_px")
+        ]
         assert [best[key] for key in keys] == [100.0, 0.0, 1.0, 1.0, 0.0]
         assert [floor[key] for key in keys] == [0.0, 0.0, 0.0, 0.0, None]
     assert best["q"] == pytest.approx(1.0, abs=1e-6)
@@ -38,7 +40,12 @@ def test_truth_is_perfect_and_empty_is_the_floor_by_both_rules(shot: Shot) -> No
 def test_peaks_tell_particles_apart_that_are_one_component(shot: Shot) -> None:
     grid = shot.observation.grid
     places = np.column_stack([np.arange(30.0, 60.0, 3.0), np.full(10, 50.0), np.full(10, 10.0)])
-    particles = Particles(np.arange(10), np.asarray(grid.low_mm) + places * grid.voxel_mm, np.full(10, 0.02), np.zeros((10, 3)))
+    particles = Particles(
+        np.arange(10),
+        np.asarray(grid.low_mm) + places * grid.voxel_mm,
+        np.full(10, 0.02),
+        np.zeros((10, 3)),
+    )
     views = [View(np.zeros((10, 2)), np.ones(10), np.full(10, 0.8), np.ones(10))]
     found = score_frame(grid, particles, views, Reconstruction(true_field(grid, particles, views)))
     assert found["recall"] == pytest.approx(0.0)
@@ -46,7 +53,12 @@ def test_peaks_tell_particles_apart_that_are_one_component(shot: Shot) -> None:
 
 
 def weights(*photons: list[float]) -> F64:
-    return brightness([View(np.zeros((len(row), 2)), np.array(row), np.ones(len(row)), np.ones(len(row))) for row in photons])
+    return brightness(
+        [
+            View(np.zeros((len(row), 2)), np.array(row), np.ones(len(row)), np.ones(len(row)))
+            for row in photons
+        ]
+    )
 
 
 def test_brightness_is_the_mean_over_the_cameras_relative_to_each() -> None:

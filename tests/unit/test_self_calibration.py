@@ -27,13 +27,22 @@ def particle_scene(shift_px: float, wall: bool = True, per_pixel: float = 0.025)
     values = load_scene("array-9").to_dict()
     values["cameras"] |= {"rows": 240, "columns": 240, "particle_sigma_px": 0.8}
     values["cameras"]["center_mm"] = [0.0, 0.0, -510.0]
-    values["cameras"]["layout"] = {"kind": "grid", "columns": 3, "rows": 2, "spacing_mm": [150.0, 200.0]}
+    values["cameras"]["layout"] = {
+        "kind": "grid",
+        "columns": 3,
+        "rows": 2,
+        "spacing_mm": [150.0, 200.0],
+    }
     values["volume"] |= {"size_mm": [12.0, 12.0, 6.0]}
     values["grid"]["crop_mm"] = [1.0, 1.0, 0.0]
     values["particles"] = {"generator": "uniform", "per_pixel": per_pixel, "diameter_mm": 0.02}
     values["calibration"] = {"shift_px": shift_px}
     if wall:
-        values["wall"] = {"fluid_index": 1.333, "point_mm": [0.0, 0.0, -30.0], "layers": [{"index": 1.5, "thickness_mm": 5.0}]}
+        values["wall"] = {
+            "fluid_index": 1.333,
+            "point_mm": [0.0, 0.0, -30.0],
+            "layers": [{"index": 1.5, "thickness_mm": 5.0}],
+        }
     return parse_scene(values, "particles")
 
 
@@ -58,7 +67,9 @@ def test_cameras_two_pixels_off_agree_again() -> None:
     shot = simulate(scene, seed=3)
     assert disagreement_px(shot, shot.observation.cameras, scene) > 1.0
     answer = corrected(shot.observation)
-    assert [camera.name for camera in answer.cameras] == [camera.name for camera in shot.observation.cameras]
+    assert [camera.name for camera in answer.cameras] == [
+        camera.name for camera in shot.observation.cameras
+    ]
     assert disagreement_px(shot, answer.cameras, scene) < 0.06
 
 
@@ -83,7 +94,9 @@ def test_sets_that_agree_by_chance_are_refused() -> None:
         corrected(seen)
 
 
-def test_where_there_is_no_room_for_all_sets_some_images_are_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_where_there_is_no_room_for_all_sets_some_images_are_left_out(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     scene = particle_scene(2.0)
     shot = simulate(scene, seed=3)
     monkeypatch.setattr(disparity, "_SETS", 20_000)
@@ -109,7 +122,9 @@ def test_maps_stand_for_cameras_behind_a_wall() -> None:
     maps = maps_of(cameras, low, high)
     unit = np.random.default_rng(0).uniform(-1.0, 1.0, (500, 3))
     for number, camera in enumerate(cameras):
-        errors = positions(maps, number, unit) - camera.project(maps.middle_mm + maps.half_mm * unit)[0]
+        errors = (
+            positions(maps, number, unit) - camera.project(maps.middle_mm + maps.half_mm * unit)[0]
+        )
         assert np.abs(errors).max() < 2e-3
 
 
@@ -122,10 +137,15 @@ def test_all_right_sets_are_among_those_found() -> None:
     shifts = rng.normal(0.0, 0.8, (4, 2))
     pictures = []
     for number in range(4):
-        light, pixels = np.zeros((240, 240), dtype=np.float32), positions(maps, number, unit) + shifts[number]
+        light, pixels = (
+            np.zeros((240, 240), dtype=np.float32),
+            positions(maps, number, unit) + shifts[number],
+        )
         row, column = np.mgrid[:240, :240]
         for x, y in pixels:
-            light += np.exp(-((column - x) ** 2 + (row - y) ** 2) / (2.0 * 0.8**2)).astype(np.float32)
+            light += np.exp(-((column - x) ** 2 + (row - y) ** 2) / (2.0 * 0.8**2)).astype(
+                np.float32
+            )
         pictures.append(spots_of(light, 0.3))
     sets = find_sets(maps, tuple(pictures), 4.0)
     right = [np.abs(sets.places - place).max(axis=1).min() for place in unit]
@@ -134,13 +154,21 @@ def test_all_right_sets_are_among_those_found() -> None:
 
 def test_the_densest_spot_is_found_among_noise() -> None:
     rng = np.random.default_rng(2)
-    values = np.vstack([rng.uniform(-4.0, 4.0, (20000, 5)), np.array([1.2, -0.7, 0.3, 2.0, -1.5]) + rng.normal(0.0, 0.1, (80, 5))])
+    values = np.vstack(
+        [
+            rng.uniform(-4.0, 4.0, (20000, 5)),
+            np.array([1.2, -0.7, 0.3, 2.0, -1.5]) + rng.normal(0.0, 0.1, (80, 5)),
+        ]
+    )
     np.testing.assert_allclose(densest(values), [1.2, -0.7, 0.3, 2.0, -1.5], atol=0.1)
 
 
 def test_nothing_to_go_by_is_said() -> None:
     seen = simulate(particle_scene(0.0), seed=1).observation
-    with pytest.raises(InputError, match=r"camera_00: expected particle images, got none above 0.15 of a bright one's peak"):
+    with pytest.raises(
+        InputError,
+        match=r"camera_00: expected particle images, got none above 0.15 of a bright one's peak",
+    ):
         corrected(replace(seen, images=np.full_like(seen.images, int(seen.black_dn))))
     plugin = load("solvers", "volume_self_calibration")
     two = replace(seen, images=seen.images[:2], cameras=seen.cameras[:2])

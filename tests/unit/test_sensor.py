@@ -29,7 +29,9 @@ def test_photon_transfer() -> None:
         grey = expose(sensor, np.full((300, 500), photons), rng).astype(np.float64)
         electrons = 0.5 * photons + 10.0
         variance = 0.8**2 * (electrons + 16.0) + 1.0 / 12.0
-        assert grey.mean() == pytest.approx(100.0 + 0.8 * electrons, abs=5.0 * math.sqrt(variance / grey.size))
+        assert grey.mean() == pytest.approx(
+            100.0 + 0.8 * electrons, abs=5.0 * math.sqrt(variance / grey.size)
+        )
         assert grey.var() == pytest.approx(variance, rel=5.0 * math.sqrt(2.0 / grey.size))
 
 
@@ -43,21 +45,37 @@ def test_a_full_well_and_the_converter_limit_the_grey_value() -> None:
 
 
 def test_without_noise_the_grey_value_is_rounded() -> None:
-    sensor = Sensor(shot_noise=False, quantum_efficiency=0.5, gain_dn_e=0.25, black_level_dn=10.0, full_well_e=400.0, bit_depth=10)
+    sensor = Sensor(
+        shot_noise=False,
+        quantum_efficiency=0.5,
+        gain_dn_e=0.25,
+        black_level_dn=10.0,
+        full_well_e=400.0,
+        bit_depth=10,
+    )
     photons = np.array([[0.0, 7.0, 9.0], [20.0, 100.0, 1e6]])
-    np.testing.assert_array_equal(expose(sensor, photons, np.random.default_rng(0)), [[10, 11, 11], [12, 22, 110]])
-    np.testing.assert_array_equal(expose(sensor, photons, np.random.default_rng(1)), expose(sensor, photons, np.random.default_rng(2)))
+    np.testing.assert_array_equal(
+        expose(sensor, photons, np.random.default_rng(0)), [[10, 11, 11], [12, 22, 110]]
+    )
+    np.testing.assert_array_equal(
+        expose(sensor, photons, np.random.default_rng(1)),
+        expose(sensor, photons, np.random.default_rng(2)),
+    )
 
 
 def test_noise_is_that_of_its_generator() -> None:
     sensor, photons = Sensor(read_noise_e=3.0), np.full((20, 30), 500.0)
-    first, again, other = (expose(sensor, photons, np.random.default_rng(seed)) for seed in (1, 1, 2))
+    first, again, other = (
+        expose(sensor, photons, np.random.default_rng(seed)) for seed in (1, 1, 2)
+    )
     np.testing.assert_array_equal(first, again)
     assert (first != other).any()
     assert first.dtype == np.uint16
 
 
 def test_read_noise_never_goes_below_zero() -> None:
-    grey = expose(Sensor(read_noise_e=50.0, black_level_dn=0.0), np.zeros((40, 60)), np.random.default_rng(3))
+    grey = expose(
+        Sensor(read_noise_e=50.0, black_level_dn=0.0), np.zeros((40, 60)), np.random.default_rng(3)
+    )
     assert grey.min() == 0
     assert 0.4 < (grey == 0).mean() < 0.6

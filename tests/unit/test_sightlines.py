@@ -17,10 +17,17 @@ def test_a_contour_is_where_lines_of_sight_touch() -> None:
         rays = lens.back_project(seen.contour[n].astype(np.float64))
         p = (rays.origins_mm - what.center_mm[n]) @ what.to_ball[n].T
         d = rays.directions @ what.to_ball[n].T
-        nearest = np.linalg.norm(p - (np.sum(p * d, axis=1) / np.sum(d * d, axis=1))[:, None] * d, axis=1)
-        np.testing.assert_allclose(nearest, 1.0, atol=2e-4)  # contours are stored in single precision
+        nearest = np.linalg.norm(
+            p - (np.sum(p * d, axis=1) / np.sum(d * d, axis=1))[:, None] * d, axis=1
+        )
+        np.testing.assert_allclose(
+            nearest, 1.0, atol=2e-4
+        )  # contours are stored in single precision
         inwards = seen.pixel[n] + 0.98 * (seen.contour[n] - seen.pixel[n])
-        assert meets(what[np.array([n])], *(lambda r: (r.origins_mm, r.directions))(lens.back_project(inwards))).all()
+        assert meets(
+            what[np.array([n])],
+            *(lambda r: (r.origins_mm, r.directions))(lens.back_project(inwards)),
+        ).all()
 
 
 def test_pixels_see_the_first_bubble_at_its_depth() -> None:
@@ -32,7 +39,10 @@ def test_pixels_see_the_first_bubble_at_its_depth() -> None:
     best, number = np.full(2400, np.inf), np.full(2400, NOTHING)
     for n in range(2):
         offset = rays.origins_mm - what.center_mm[n]
-        b, c = np.sum(offset * rays.directions, axis=1), np.sum(offset**2, axis=1) - what.semi_axes_mm[n, 0] ** 2
+        b, c = (
+            np.sum(offset * rays.directions, axis=1),
+            np.sum(offset**2, axis=1) - what.semi_axes_mm[n, 0] ** 2,
+        )
         with np.errstate(invalid="ignore"):
             distance = -b - np.sqrt(b * b - c)
         closer = np.isfinite(distance) & (distance < best)
@@ -52,7 +62,10 @@ def test_shares_are_those_of_discs() -> None:
     lens = camera(80, 100)
     (a, b), _ = lens.project(np.array([[0.0, 0.0, 40.0], [1.0, 0.0, 40.0]]))
     edge = (99.5 - a[0]) / (b[0] - a[0])
-    what = bubbles([[0.0, 0.0, 40.0], [0.0, 0.0, 55.0], [edge, 0.0, 40.0], [0.0, 6.0, 40.0]], [[3.0] * 3, [1.0] * 3, [1.0] * 3, [1.0] * 3])
+    what = bubbles(
+        [[0.0, 0.0, 40.0], [0.0, 0.0, 55.0], [edge, 0.0, 40.0], [0.0, 6.0, 40.0]],
+        [[3.0] * 3, [1.0] * 3, [1.0] * 3, [1.0] * 3],
+    )
     seen = see(lens, what)
     np.testing.assert_allclose(seen.visible, [1.0, 0.0, 0.5, 1.0], atol=0.03)
 

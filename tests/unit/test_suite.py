@@ -33,10 +33,14 @@ def load(folder: Path, text: str) -> list[Case]:
 def test_mean_and_interval_are_those_of_student() -> None:
     values = [0.71, 0.74, 0.69, 0.75, 0.72]
     found = mean_of(values)
-    low, high = stats.t.interval(0.95, len(values) - 1, loc=np.mean(values), scale=stats.sem(values))
+    low, high = stats.t.interval(
+        0.95, len(values) - 1, loc=np.mean(values), scale=stats.sem(values)
+    )
     assert found is not None
     assert found.half_width is not None
-    assert (found.mean - found.half_width, found.mean + found.half_width) == pytest.approx((low, high), rel=1e-12)
+    assert (found.mean - found.half_width, found.mean + found.half_width) == pytest.approx(
+        (low, high), rel=1e-12
+    )
     assert found.count == 5
     assert found.text(3) == "0.722 ± 0.030"
 
@@ -60,10 +64,14 @@ def test_the_interval_holds_the_true_mean_as_often_as_it_says() -> None:
 
 def test_scenes_times_seeds(tmp_path: Path) -> None:
     cases = load(tmp_path, 'scenes = ["quick", "demo"]\nseeds = [3, 4, 3]\n')
-    assert [(case.name, case.base, case.seed, case.renderer, dict(case.axes)) for case in cases] == [
-        ("quick", "quick", 3, "splat", {}), ("quick", "quick", 4, "splat", {}),
-        ("demo", "demo", 3, "splat", {}), ("demo", "demo", 4, "splat", {}),
-    ]  # fmt: skip
+    assert [
+        (case.name, case.base, case.seed, case.renderer, dict(case.axes)) for case in cases
+    ] == [
+        ("quick", "quick", 3, "splat", {}),
+        ("quick", "quick", 4, "splat", {}),
+        ("demo", "demo", 3, "splat", {}),
+        ("demo", "demo", 4, "splat", {}),
+    ]
     assert cases[0].scene == load_scene("quick")
 
 
@@ -85,14 +93,21 @@ def test_the_suites_changes_hold_for_all_cases_and_a_case_has_the_last_word(tmp_
         '[[cases]]\nscene = "quick"\nname = "few"\nset = { "particles.count" = 5 }\n'
     )
     found = {case.name: case.scene for case in load(tmp_path, text)}
-    assert list(found) == ["quick-bit_depth_8", "quick-bit_depth_10", "few-bit_depth_8", "few-bit_depth_10"]
+    assert list(found) == [
+        "quick-bit_depth_8",
+        "quick-bit_depth_10",
+        "few-bit_depth_8",
+        "few-bit_depth_10",
+    ]
     assert [(scene.particles or {})["count"] for scene in found.values()] == [7, 7, 5, 5]
     assert {scene.cameras.f_number for scene in found.values()} == {8.0}
 
 
 def test_a_value_replaces_the_whole_that_its_key_names() -> None:
     scene = load_scene("quick")
-    line = override(scene, {"cameras.layout": {"kind": "line", "count": 3, "spacing_mm": 50.0}}, "s")
+    line = override(
+        scene, {"cameras.layout": {"kind": "line", "count": 3, "spacing_mm": 50.0}}, "s"
+    )
     assert len(build_rig(line).cameras) == 3
     assert override(scene, {}, "s").hash == scene.hash
 
@@ -107,11 +122,16 @@ def test_a_case_may_have_a_renderer_and_solvers_of_its_own(tmp_path: Path) -> No
     text = 'scenes = ["demo"]\n[[cases]]\nscene = "quick"\nbackend = "mitsuba"\nsolvers = [{ name = "msa", parameters = { k = 2.0 } }]\n'
     demo, quick = load(tmp_path, text)
     assert (demo.renderer, [one.name for one in demo.solvers]) == ("splat", ["asa"])
-    assert (quick.renderer, [(one.name, one.parameters) for one in quick.solvers]) == ("mitsuba", [("msa", {"k": 2.0})])
+    assert (quick.renderer, [(one.name, one.parameters) for one in quick.solvers]) == (
+        "mitsuba",
+        [("msa", {"k": 2.0})],
+    )
 
 
 def test_a_case_without_solvers_is_named(tmp_path: Path) -> None:
-    own = 'title = "t"\nbackend = "splat"\n[[cases]]\nscene = "quick"\nsolvers = [{ name = "msa" }]\n'
+    own = (
+        'title = "t"\nbackend = "splat"\n[[cases]]\nscene = "quick"\nsolvers = [{ name = "msa" }]\n'
+    )
     (tmp_path / "own.toml").write_text(own)
     assert len(load_suite(tmp_path / "own.toml")[1]) == 1
     (tmp_path / "none.toml").write_text(own + '[[cases]]\nscene = "demo"\n')
@@ -127,15 +147,27 @@ FAULTS = [
     ('[[cases]]\nscene = "quick"\nnames = "x"\n', "cases.0.names: unknown key; did you mean name?"),
     ('[[cases]]\nscene = "quick"\nname = "a/b"\n', "cases.0.name"),
     ('[[cases]]\nscene = "quick"\nname = "../b"\n', "cases.0.name"),
-    ('[[cases]]\nscene = "quick"\n[cases.vary]\n"particles.count" = []\n', "cases.0.vary.particles.count"),
-    ('[[cases]]\nscene = "quick"\n[cases.vary]\n"particles.cuont" = [1]\n', "case quick-cuont_1: particles.cuont: unknown key; did you mean count?"),
-    ('[[cases]]\nscene = "quick"\n[cases.set]\n"title.x" = 1\n', "case quick: title.x: expected a table at title"),
-    ('[[cases]]\nscene = "quick"\n[cases.set]\n"volume.center_mm" = [0.0, 0.0, 1.0]\n', "case quick: volume: expected it to lie behind"),
+    (
+        '[[cases]]\nscene = "quick"\n[cases.vary]\n"particles.count" = []\n',
+        "cases.0.vary.particles.count",
+    ),
+    (
+        '[[cases]]\nscene = "quick"\n[cases.vary]\n"particles.cuont" = [1]\n',
+        "case quick-cuont_1: particles.cuont: unknown key; did you mean count?",
+    ),
+    (
+        '[[cases]]\nscene = "quick"\n[cases.set]\n"title.x" = 1\n',
+        "case quick: title.x: expected a table at title",
+    ),
+    (
+        '[[cases]]\nscene = "quick"\n[cases.set]\n"volume.center_mm" = [0.0, 0.0, 1.0]\n',
+        "case quick: volume: expected it to lie behind",
+    ),
     ('[[cases]]\nscene = "quick"\n[[cases]]\nscene = "quick"\n', "2 cases are named quick"),
     ('scenes = ["quick"]\n[[cases]]\nscene = "demo"\nname = "Quick"\n', "2 cases are named quick"),
     ('scenes = ["quick"]\n[[solvers]]\nname = "msaa"\n', "did you mean msa?"),
     ('scenes = ["quick"]\n[[solvers]]\nname = "msa"\nparameters = { kk = 1 }\n', "did you mean k?"),
-]  # fmt: skip
+]
 
 
 @pytest.mark.parametrize(("text", "sentence"), FAULTS)
@@ -159,14 +191,21 @@ def test_bundled_suites_are_sound(name: str) -> None:
 
 
 THESIS = [
-    ("thesis-50x50x10", 0.2, 25, 0.4, 0.05), ("thesis-40x40x30", 0.2, 25, 0.4, 0.05), ("thesis-50x50x50", 0.2, 25, 0.4, 0.05),
-    ("thesis-100x100x100", 0.1, 25, 0.32, 0.1), ("array-9", 0.2, 9, 0.4, 0.05), ("array-13", 0.2, 13, 0.4, 0.05),
-    ("array-17", 0.2, 17, 0.4, 0.05), ("array-21", 0.2, 21, 0.4, 0.05),
-]  # fmt: skip
+    ("thesis-50x50x10", 0.2, 25, 0.4, 0.05),
+    ("thesis-40x40x30", 0.2, 25, 0.4, 0.05),
+    ("thesis-50x50x50", 0.2, 25, 0.4, 0.05),
+    ("thesis-100x100x100", 0.1, 25, 0.32, 0.1),
+    ("array-9", 0.2, 9, 0.4, 0.05),
+    ("array-13", 0.2, 13, 0.4, 0.05),
+    ("array-17", 0.2, 17, 0.4, 0.05),
+    ("array-21", 0.2, 21, 0.4, 0.05),
+]
 
 
 @pytest.mark.parametrize(("name", "magnification", "count", "baseline", "voxel_mm"), THESIS)
-def test_the_thesis_arrays_are_as_it_says(name: str, magnification: float, count: int, baseline: float, voxel_mm: float) -> None:
+def test_the_thesis_arrays_are_as_it_says(
+    name: str, magnification: float, count: int, baseline: float, voxel_mm: float
+) -> None:
     scene = load_scene(name)
     rig = build_rig(scene)
     places = np.array([camera.center_mm for camera in rig.cameras])
@@ -177,17 +216,36 @@ def test_the_thesis_arrays_are_as_it_says(name: str, magnification: float, count
     assert distance == pytest.approx(85.0 * (1.0 + 1.0 / magnification))
     assert set(places[:, 2]) == {-distance}
     assert min(x for x in places[:, 0] if x > 0.0) / distance == pytest.approx(baseline, rel=0.02)
-    assert rig.grid.voxel_mm[0] == rig.grid.voxel_mm[1] == pytest.approx(0.01 / magnification) == voxel_mm
+    assert (
+        rig.grid.voxel_mm[0]
+        == rig.grid.voxel_mm[1]
+        == pytest.approx(0.01 / magnification)
+        == voxel_mm
+    )
     for camera in rig.cameras:
-        np.testing.assert_allclose(camera.project([[0.0, 0.0, 0.0]])[0], [[499.5, 499.5]], atol=1e-9)
+        np.testing.assert_allclose(
+            camera.project([[0.0, 0.0, 0.0]])[0], [[499.5, 499.5]], atol=1e-9
+        )
 
 
-@pytest.mark.parametrize(("name", "share"), [*((name, 1.0 / 16.0) for name, *_ in THESIS), ("elsinga-35x35x7", 0.25)])
+@pytest.mark.parametrize(
+    ("name", "share"), [*((name, 1.0 / 16.0) for name, *_ in THESIS), ("elsinga-35x35x7", 0.25)]
+)
 def test_a_lone_particle_is_as_bright_as_the_scene_says(name: str, share: float) -> None:
     """The brightest pixel of a particle whose image lies on a pixel's centre, as a share of the full well, in the camera that sees most light."""
     scene = load_scene(name)
-    lone = Particles(np.array([0]), np.zeros((1, 3)), np.array([(scene.particles or {})["diameter_mm"]]), np.zeros((1, 3)))
-    photons = max(image_particles(scene, camera, lone, None).photons[0] for camera in build_rig(scene).cameras)
+    lone = Particles(
+        np.array([0]),
+        np.zeros((1, 3)),
+        np.array([(scene.particles or {})["diameter_mm"]]),
+        np.zeros((1, 3)),
+    )
+    photons = max(
+        image_particles(scene, camera, lone, None).photons[0] for camera in build_rig(scene).cameras
+    )
     assert scene.cameras.particle_sigma_px is not None
     pixel = erf(0.5 / (scene.cameras.particle_sigma_px * np.sqrt(2.0))) ** 2
-    assert photons * scene.sensor.quantum_efficiency * pixel / scene.sensor.full_well_e == pytest.approx(share, rel=1e-4)
+    assert (
+        photons * scene.sensor.quantum_efficiency * pixel / scene.sensor.full_well_e
+        == pytest.approx(share, rel=1e-4)
+    )

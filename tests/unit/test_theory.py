@@ -8,7 +8,14 @@ import numpy as np
 import pytest
 
 from sabench.evaluation.thesis import theory
-from sabench.evaluation.thesis.theory import TABLE_3_1, Algorithm, ghost_ratio, normality, operations, plane_spacing_ratio
+from sabench.evaluation.thesis.theory import (
+    TABLE_3_1,
+    Algorithm,
+    ghost_ratio,
+    normality,
+    operations,
+    plane_spacing_ratio,
+)
 from sabench.geometry.camera import Camera, Distortion
 
 S_O, S_I, PIXEL = 510.0, 102.0, 0.01  # mm: M(0) = -0.2
@@ -17,10 +24,18 @@ S_O, S_I, PIXEL = 510.0, 102.0, 0.01  # mm: M(0) = -0.2
 def parallel_camera(x_mm: float) -> Camera:
     """A camera of an array in one plane whose sensors are in one plane, too; looking along Z from Z = -S_O."""
     return Camera(
-        name="camera_00", rows=1000, columns=1000, center_mm=(x_mm, 0.0, -S_O), rotation=((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)),
-        principal_distance_mm=S_I, pixel_mm=PIXEL, principal_point_px=(499.5, 499.5), distortion=Distortion(), focal_length_mm=85.0,
+        name="camera_00",
+        rows=1000,
+        columns=1000,
+        center_mm=(x_mm, 0.0, -S_O),
+        rotation=((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)),
+        principal_distance_mm=S_I,
+        pixel_mm=PIXEL,
+        principal_point_px=(499.5, 499.5),
+        distortion=Distortion(),
+        focal_length_mm=85.0,
         f_number=16.0,
-    )  # fmt: skip
+    )
 
 
 # Planes
@@ -36,7 +51,9 @@ def test_next_plane_is_where_the_image_moves_by_one_pixel(ratio: float, z_mm: fl
     seen = [parallel_camera(x).project(points)[0][:, 0] for x in (0.0, ratio * S_O)]
     disparity = seen[0] - seen[1]
     assert disparity[0] - disparity[1] == pytest.approx(1.0, abs=1e-9)
-    assert theory.image_shift_mm(ratio * S_O, z_mm, next_mm, S_I, S_O) == pytest.approx(PIXEL, rel=1e-9)
+    assert theory.image_shift_mm(ratio * S_O, z_mm, next_mm, S_I, S_O) == pytest.approx(
+        PIXEL, rel=1e-9
+    )
 
 
 def test_first_order_is_the_thesis_table_and_the_limit_of_the_exact_ratio() -> None:
@@ -44,15 +61,21 @@ def test_first_order_is_the_thesis_table_and_the_limit_of_the_exact_ratio() -> N
     for ratio, printed in ((0.2, 5.0), (0.4, 2.5), (0.5, 2.0)):
         assert theory.first_order_spacing_ratio(ratio, 0.0, S_O) == pytest.approx(printed)
         assert plane_spacing_ratio(ratio, 0.05, 0.0, S_O) == pytest.approx(printed, rel=1e-3)
-    assert plane_spacing_ratio(0.4, 1e-9, 30.0, S_O) == pytest.approx(theory.first_order_spacing_ratio(0.4, 30.0, S_O), rel=1e-9)
+    assert plane_spacing_ratio(0.4, 1e-9, 30.0, S_O) == pytest.approx(
+        theory.first_order_spacing_ratio(0.4, 30.0, S_O), rel=1e-9
+    )
     assert theory.planes(10.0, 0.05 * 2.5) == pytest.approx(80.0)
 
 
 # Ghosts
 
 
-@pytest.mark.parametrize(("cameras", "area", "ppp", "depth"), [(2, 4, 0.05, 12), (3, 9, 0.03, 20), (4, 9, 0.04, 15)])
-def test_ghosts_of_independent_images_follow_the_theory(cameras: int, area: int, ppp: float, depth: int) -> None:
+@pytest.mark.parametrize(
+    ("cameras", "area", "ppp", "depth"), [(2, 4, 0.05, 12), (3, 9, 0.03, 20), (4, 9, 0.04, 15)]
+)
+def test_ghosts_of_independent_images_follow_the_theory(
+    cameras: int, area: int, ppp: float, depth: int
+) -> None:
     """Square images of `area` pixels at random places; every plane shifts them, as refocusing does; a voxel counts the ways in which it is lit."""
     rng = np.random.default_rng(cameras)
     size, side = 300, math.isqrt(area)
@@ -63,18 +86,32 @@ def test_ghosts_of_independent_images_follow_the_theory(cameras: int, area: int,
         for a in range(side):
             for b in range(side):
                 np.add.at(image, ((row + a) % size, (column + b) % size), 1.0)
-    lit = sum(np.prod([np.roll(image, (i * z, -i * z), axis=(0, 1)) for i, image in enumerate(images)], axis=0).sum() for z in range(depth))
+    lit = sum(
+        np.prod(
+            [np.roll(image, (i * z, -i * z), axis=(0, 1)) for i, image in enumerate(images)], axis=0
+        ).sum()
+        for z in range(depth)
+    )
     assert lit / count == pytest.approx(ghost_ratio(count / size**2, cameras, area, depth), rel=0.1)
 
 
 # Operations
 
 
-@pytest.mark.parametrize(("algorithm", "initial", "total"), [
-    ("asa", 8.81e9, 8.81e9), ("msa", 9.11e9, 9.11e9), ("mart", 0.0, 2.15e11), ("mfg-mart", 1.238e9, 8.00e10),
-    ("mlos-sart", 1.80e10, 1.81e10), ("mlos-smart", 1.80e10, 1.81e10),
-])  # fmt: skip
-def test_operations_are_those_of_table_3_1(algorithm: Algorithm, initial: float, total: float) -> None:
+@pytest.mark.parametrize(
+    ("algorithm", "initial", "total"),
+    [
+        ("asa", 8.81e9, 8.81e9),
+        ("msa", 9.11e9, 9.11e9),
+        ("mart", 0.0, 2.15e11),
+        ("mfg-mart", 1.238e9, 8.00e10),
+        ("mlos-sart", 1.80e10, 1.81e10),
+        ("mlos-smart", 1.80e10, 1.81e10),
+    ],
+)
+def test_operations_are_those_of_table_3_1(
+    algorithm: Algorithm, initial: float, total: float
+) -> None:
     """To the printed digits; MLOS gives 1.817e10, which the table cuts to 1.81e10 and does not round."""
     first, rest = operations(algorithm, TABLE_3_1[algorithm])
     assert first == pytest.approx(initial, rel=1e-3)
@@ -85,12 +122,19 @@ def test_ratios_in_the_thesis_text_are_those_of_thirteen_cameras() -> None:
     """Its 16.3, 6.1 and 1.4 times fewer operations (section 3.3.1) do not follow from its table, which has nine cameras."""
     thirteen = sum(operations("msa", theory.Setup(13)))
     others = [sum(operations(name, TABLE_3_1[name])) for name in ("mart", "mfg-mart", "mlos-sart")]
-    np.testing.assert_allclose([other / thirteen for other in others], [16.3, 6.1, 1.4], rtol=0, atol=0.05)
+    np.testing.assert_allclose(
+        [other / thirteen for other in others], [16.3, 6.1, 1.4], rtol=0, atol=0.05
+    )
 
 
 def test_operations_grow_with_cameras_and_iterations() -> None:
-    assert operations("mart", theory.Setup(8, iterated_voxels=1e6, path_voxels=10.0, iterations=10)) == (0.0, 4 * 10 * 8 * 1e6 * 84)
-    assert operations("mlos-smart", theory.Setup(2, voxels=1e6, lit_voxels=1e4, iterations=3)) == (2.4e8, 3 * 51 * 1e4)
+    assert operations(
+        "mart", theory.Setup(8, iterated_voxels=1e6, path_voxels=10.0, iterations=10)
+    ) == (0.0, 4 * 10 * 8 * 1e6 * 84)
+    assert operations("mlos-smart", theory.Setup(2, voxels=1e6, lit_voxels=1e4, iterations=3)) == (
+        2.4e8,
+        3 * 51 * 1e4,
+    )
 
 
 # Histograms
@@ -114,10 +158,14 @@ def test_moments_and_distance_of_known_distributions() -> None:
     uniform = normality(quantiles)
     assert (uniform.skewness, uniform.excess_kurtosis) == pytest.approx((0.0, -1.2), abs=1e-3)
     u = math.sqrt(12.0) * (quantiles - 0.5)
-    expected = np.abs(quantiles - np.array([0.5 * math.erfc(-value / math.sqrt(2.0)) for value in u])).max()
+    expected = np.abs(
+        quantiles - np.array([0.5 * math.erfc(-value / math.sqrt(2.0)) for value in u])
+    ).max()
     assert uniform.distance == pytest.approx(expected, abs=1e-4)
     exponential = normality(-np.log(quantiles))
-    assert (exponential.skewness, exponential.excess_kurtosis) == pytest.approx((2.0, 6.0), abs=0.15)
+    assert (exponential.skewness, exponential.excess_kurtosis) == pytest.approx(
+        (2.0, 6.0), abs=0.15
+    )
 
 
 def test_the_mean_of_many_images_is_nearer_to_normal_than_one() -> None:

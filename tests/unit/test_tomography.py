@@ -27,23 +27,42 @@ BLOB = gaussian(0.6)
 ROWS, COLUMNS = 36, 44
 
 
-def make_camera(x: float, y: float, wall: Wall | None, shift_px: tuple[float, float] = (0.0, 0.0)) -> Camera:
+def make_camera(
+    x: float, y: float, wall: Wall | None, shift_px: tuple[float, float] = (0.0, 0.0)
+) -> Camera:
     camera = Camera(
-        name="camera_00", rows=ROWS, columns=COLUMNS, center_mm=(x, y, -300.0), rotation=aimed_rotation(np.array([0.0, 0.0, 1.0])),
-        principal_distance_mm=68.0, pixel_mm=0.01, principal_point_px=((COLUMNS - 1) / 2.0, (ROWS - 1) / 2.0),
-        distortion=Distortion(-0.4, 2.0), focal_length_mm=45.0, f_number=8.0, wall=wall,
-    )  # fmt: skip
+        name="camera_00",
+        rows=ROWS,
+        columns=COLUMNS,
+        center_mm=(x, y, -300.0),
+        rotation=aimed_rotation(np.array([0.0, 0.0, 1.0])),
+        principal_distance_mm=68.0,
+        pixel_mm=0.01,
+        principal_point_px=((COLUMNS - 1) / 2.0, (ROWS - 1) / 2.0),
+        distortion=Distortion(-0.4, 2.0),
+        focal_length_mm=45.0,
+        f_number=8.0,
+        wall=wall,
+    )
     middle = [float(axis.mean()) for axis in GRID.axes_mm]
     column, row = camera.principal_point_px
-    return replace(aim(camera, middle), principal_point_px=(column + shift_px[0], row + shift_px[1]))
+    return replace(
+        aim(camera, middle), principal_point_px=(column + shift_px[0], row + shift_px[1])
+    )
 
 
 def array(wall: Wall | None) -> list[Camera]:
     """The first camera sees the whole grid; the others look past some of it, to the upper left and to the lower right."""
-    return [make_camera(120.0, -80.0, wall), make_camera(-90.0, 130.0, wall, (-14.4, -11.5)), make_camera(0.0, 10.0, wall, (18.4, 13.7))]
+    return [
+        make_camera(120.0, -80.0, wall),
+        make_camera(-90.0, 130.0, wall, (-14.4, -11.5)),
+        make_camera(0.0, 10.0, wall, (18.4, 13.7)),
+    ]
 
 
-def lines_of(cameras: list[Camera], footprint: Footprint, grid: Grid = GRID, every: int = 1) -> LinesOfSight:
+def lines_of(
+    cameras: list[Camera], footprint: Footprint, grid: Grid = GRID, every: int = 1
+) -> LinesOfSight:
     """W on all voxels, or on every so many of them."""
     sight = sight_of(cameras, grid, footprint.margin)
     support, _ = every_voxel(sight)
@@ -66,7 +85,10 @@ def dense(camera: Camera, footprint: Footprint, grid: Grid = GRID) -> F64:
         left, top, m = int(np.floor(column)), int(np.floor(row)), footprint.margin
         if m <= left < COLUMNS - 1 - m and m <= top < ROWS - 1 - m:
             pair = [np.array([1.0 - share, share]) for share in (row - top, column - left)]
-            down, across = (np.convolve(p, [footprint.spread, 1.0 - 2.0 * footprint.spread, footprint.spread]) for p in pair)
+            down, across = (
+                np.convolve(p, [footprint.spread, 1.0 - 2.0 * footprint.spread, footprint.spread])
+                for p in pair
+            )
             patch = np.outer(down, across)[1 - m : 3 + m, 1 - m : 3 + m]
             matrix[top - m : top + 2 + m, left - m : left + 2 + m, voxel] = patch
     return matrix.reshape(ROWS * COLUMNS, -1)
@@ -77,16 +99,26 @@ def dense(camera: Camera, footprint: Footprint, grid: Grid = GRID) -> F64:
 def test_forward_and_adjoint_are_exact_projections(wall: Wall | None, footprint: Footprint) -> None:
     cameras = array(wall)
     lines, rng = lines_of(cameras, footprint), np.random.default_rng(1)
-    values, images = rng.random(len(lines.support), dtype=np.float32), rng.random((3, ROWS, COLUMNS), dtype=np.float32)
+    values, images = (
+        rng.random(len(lines.support), dtype=np.float32),
+        rng.random((3, ROWS, COLUMNS), dtype=np.float32),
+    )
     matrices = [dense(camera, footprint) for camera in cameras]
     seen = np.sum([matrix.sum(axis=0) for matrix in matrices], axis=0)
-    assert set(np.rint(seen)) >= {1.0, 2.0}  # some voxels lie beyond the borders of one camera or of two
+    assert set(np.rint(seen)) >= {
+        1.0,
+        2.0,
+    }  # some voxels lie beyond the borders of one camera or of two
     for number, (image, matrix) in enumerate(zip(lines.forward(values), matrices, strict=True)):
-        np.testing.assert_allclose(image.ravel(), matrix @ values, rtol=0, atol=4e-3)  # a voxel is within 1 / 2048 of its place, its map within 1e-3
+        np.testing.assert_allclose(
+            image.ravel(), matrix @ values, rtol=0, atol=4e-3
+        )  # a voxel is within 1 / 2048 of its place, its map within 1e-3
         np.testing.assert_allclose(lines.forward(values, [number])[0], image, rtol=0, atol=1e-6)
     back = sum(matrix.T @ image.ravel() for image, matrix in zip(images, matrices, strict=True))
     np.testing.assert_allclose(lines.adjoint(images), back, rtol=0, atol=4e-3)
-    np.testing.assert_allclose(lines.adjoint(images[2:], [2]), matrices[2].T @ images[2].ravel(), rtol=0, atol=2e-3)
+    np.testing.assert_allclose(
+        lines.adjoint(images[2:], [2]), matrices[2].T @ images[2].ravel(), rtol=0, atol=2e-3
+    )
     np.testing.assert_allclose(lines.adjoint(np.ones_like(images)), seen, rtol=0, atol=1e-5)
 
 
@@ -94,9 +126,14 @@ def test_forward_and_adjoint_are_exact_projections(wall: Wall | None, footprint:
 @pytest.mark.parametrize("wall", [None, TILTED])
 def test_adjoint_passes_the_dot_test(wall: Wall | None, footprint: Footprint) -> None:
     lines, rng = lines_of(array(wall), footprint, every=3), np.random.default_rng(2)
-    values, images = rng.random(len(lines.support), dtype=np.float32), rng.random((3, ROWS, COLUMNS), dtype=np.float32)
+    values, images = (
+        rng.random(len(lines.support), dtype=np.float32),
+        rng.random((3, ROWS, COLUMNS), dtype=np.float32),
+    )
     forward = np.vdot(lines.forward(values).astype(np.float64), images)
-    assert forward == pytest.approx(np.vdot(values.astype(np.float64), lines.adjoint(images)), rel=1e-6)
+    assert forward == pytest.approx(
+        np.vdot(values.astype(np.float64), lines.adjoint(images)), rel=1e-6
+    )
 
 
 def test_sums_do_not_depend_on_the_number_of_threads() -> None:
@@ -118,24 +155,40 @@ def test_parts_hold_every_voxel_once() -> None:
         parts = support.parts(count)
         assert (parts[0], parts[-1], len(parts)) == (0, 6, count + 1)
         assert (np.diff(parts) >= 0).all()
-    np.testing.assert_array_equal(Support((1, 2, 3), np.zeros(3, dtype=np.int64), np.zeros(0, dtype=np.int16)).parts(4)[[0, -1]], [0, 2])
+    np.testing.assert_array_equal(
+        Support((1, 2, 3), np.zeros(3, dtype=np.int64), np.zeros(0, dtype=np.int16)).parts(4)[
+            [0, -1]
+        ],
+        [0, 2],
+    )
 
 
 @pytest.mark.parametrize("wall", [None, TILTED])
 @pytest.mark.parametrize("nearest", [False, True])
-def test_first_guess_is_the_root_of_the_product_where_nothing_is_black(wall: Wall | None, nearest: bool) -> None:
+def test_first_guess_is_the_root_of_the_product_where_nothing_is_black(
+    wall: Wall | None, nearest: bool
+) -> None:
     cameras, threshold = array(wall), 0.45
     images = np.random.default_rng(4).random((3, ROWS, COLUMNS), dtype=np.float32) + np.float32(0.1)
     sight = sight_of(cameras, GRID, 0)
-    support, values = product_guess(sight._replace(shift=0.5, mask=0) if nearest else sight, images, threshold)
+    support, values = product_guess(
+        sight._replace(shift=0.5, mask=0) if nearest else sight, images, threshold
+    )
     rows = np.repeat(np.arange(len(support.start) - 1), np.diff(support.start))
     found = np.zeros(np.prod(GRID.shape))
     found[rows * GRID.shape[2] + support.x] = values
-    samples, sure = zip(*[sampled(camera, image, nearest) for camera, image in zip(cameras, images, strict=True)], strict=True)
+    samples, sure = zip(
+        *[sampled(camera, image, nearest) for camera, image in zip(cameras, images, strict=True)],
+        strict=True,
+    )
     sample = np.stack(samples)
     lit = np.nan_to_num(sample, nan=1.0).min(axis=0)
     clear = np.all(sure, axis=0) & (np.abs(lit - threshold) > 3e-3)
-    expected = np.where(lit > threshold, np.nanprod(sample, axis=0) ** (1.0 / np.maximum(np.isfinite(sample).sum(axis=0), 1)), 0.0)
+    expected = np.where(
+        lit > threshold,
+        np.nanprod(sample, axis=0) ** (1.0 / np.maximum(np.isfinite(sample).sum(axis=0), 1)),
+        0.0,
+    )
     assert 0.1 < (expected > 0.0).mean() < 0.9
     assert clear.mean() > 0.85
     np.testing.assert_allclose(found[clear], expected[clear], rtol=0, atol=6e-3)
@@ -145,17 +198,25 @@ def sampled(camera: Camera, image: F32, nearest: bool) -> tuple[F64, F64]:
     """Samples at all voxels, NaN where the camera does not see them; and whether each is well inside a pixel, so that rounding cannot matter."""
     if not nearest:
         matrix = dense(camera, BILINEAR)
-        return np.asarray(np.where(matrix.sum(axis=0) > 0.5, matrix.T @ image.ravel(), np.nan)), np.ones(matrix.shape[1])
+        return np.asarray(
+            np.where(matrix.sum(axis=0) > 0.5, matrix.T @ image.ravel(), np.nan)
+        ), np.ones(matrix.shape[1])
     pixel = positions(camera) + 0.5
     column, row = np.floor(pixel).astype(int).T
     inside = (column >= 0) & (row >= 0) & (column < COLUMNS - 1) & (row < ROWS - 1)
-    value = np.where(inside, image[np.clip(row, 0, ROWS - 1), np.clip(column, 0, COLUMNS - 1)], np.nan)
-    return np.asarray(value), np.asarray((np.abs(pixel - np.rint(pixel)) > 2e-3).all(axis=1), dtype=np.float64)
+    value = np.where(
+        inside, image[np.clip(row, 0, ROWS - 1), np.clip(column, 0, COLUMNS - 1)], np.nan
+    )
+    return np.asarray(value), np.asarray(
+        (np.abs(pixel - np.rint(pixel)) > 2e-3).all(axis=1), dtype=np.float64
+    )
 
 
 def test_voxels_that_no_camera_sees_are_left_out() -> None:
     camera = make_camera(0.0, 0.0, None, (23.2, 0.0))
-    support, values = product_guess(sight_of([camera], GRID, 1), np.ones((1, ROWS, COLUMNS), dtype=np.float32), 0.5)
+    support, values = product_guess(
+        sight_of([camera], GRID, 1), np.ones((1, ROWS, COLUMNS), dtype=np.float32), 0.5
+    )
     assert len(support) == len(values) == int((dense(camera, BLOB).sum(axis=0) > 0.5).sum())
     assert 0 < len(support) < np.prod(GRID.shape)
 
@@ -163,11 +224,15 @@ def test_voxels_that_no_camera_sees_are_left_out() -> None:
 def test_a_uniform_guess_is_as_bright_as_the_images_and_dark_where_no_camera_looks() -> None:
     camera = make_camera(0.0, 0.0, None, (23.2, 0.0))
     images = np.random.default_rng(6).integers(100, 200, (1, ROWS, COLUMNS), dtype=np.uint16)
-    problem = Problem.of(Observation(images, (camera,), GRID, 50.0, 255.0), TomographyParameters(sigma_px=0.6))
+    problem = Problem.of(
+        Observation(images, (camera,), GRID, 50.0, 255.0), TomographyParameters(sigma_px=0.6)
+    )
     state = problem.uniform()
     seen = dense(camera, BLOB).sum(axis=0) > 0.5
     np.testing.assert_array_equal(state.values > 0.0, seen)
-    assert state.lines.forward(state.values).sum() == pytest.approx(problem.measured.light.sum(), rel=1e-4)
+    assert state.lines.forward(state.values).sum() == pytest.approx(
+        problem.measured.light.sum(), rel=1e-4
+    )
     assert np.ptp(state.values[seen]) == 0.0
 
 
@@ -193,7 +258,9 @@ def test_image_size_is_measured_in_a_crowd(sigma: float) -> None:
     for x, y in rng.uniform(2.0, 117.0, (700, 2)):  # 0.05 per pixel
         across, down = (np.diff(erf((edges - c) / (sigma * np.sqrt(2.0)))) for c in (x, y))
         image += np.outer(down, across)
-    found = image_sigma_px((image / np.quantile(image[image > 0.1 * image.max()], 0.95))[None].astype(np.float32))
+    found = image_sigma_px(
+        (image / np.quantile(image[image > 0.1 * image.max()], 0.95))[None].astype(np.float32)
+    )
     assert found == pytest.approx(np.sqrt(sigma**2 + 1.0 / 12.0), rel=0.05)
     assert image_sigma_px(np.zeros((1, 20, 20), dtype=np.float32)) is None
 
@@ -201,9 +268,13 @@ def test_image_size_is_measured_in_a_crowd(sigma: float) -> None:
 def test_long_voxels_are_split_and_short_ones_are_not() -> None:
     cameras = [make_camera(240.0, 0.0, None), make_camera(0.0, 0.0, None)]
     scale = supersampling.scale_of(cameras, replace(GRID, voxel_mm=(0.05, 0.05, 0.2)))
-    assert scale.px_per_mm == pytest.approx(np.mean([6800.0 / np.hypot(340.0, 240.0), 6800.0 / 340.0]), rel=0.02)
+    assert scale.px_per_mm == pytest.approx(
+        np.mean([6800.0 / np.hypot(340.0, 240.0), 6800.0 / 340.0]), rel=0.02
+    )
     assert scale.travel_px[0] == pytest.approx(1.0, rel=0.02)
-    assert scale.travel_px[2] == pytest.approx(6800.0 * 0.2 * np.sin(np.arctan2(240.0, 340.0)) / np.hypot(340.0, 240.0), rel=0.02)
+    assert scale.travel_px[2] == pytest.approx(
+        6800.0 * 0.2 * np.sin(np.arctan2(240.0, 340.0)) / np.hypot(340.0, 240.0), rel=0.02
+    )
     assert supersampling.splits(scale) == (1, 1, 2)
     fine = supersampling.split(Grid((0.0, 1.0, 2.0), (0.1, 0.2, 0.3), (2, 3, 4)), (1, 2, 3))
     assert fine.shape == (6, 6, 4)
@@ -211,24 +282,41 @@ def test_long_voxels_are_split_and_short_ones_are_not() -> None:
     np.testing.assert_allclose(fine.voxel_mm, (0.1, 0.1, 0.1))
 
 
-@pytest.mark.parametrize(("count", "sigma"), [((1, 1, 1), 0.06), ((2, 1, 3), 0.05), ((2, 1, 3), 0.0)])
+@pytest.mark.parametrize(
+    ("count", "sigma"), [((1, 1, 1), 0.06), ((2, 1, 3), 0.05), ((2, 1, 3), 0.0)]
+)
 def test_volume_is_the_sum_of_blobs(count: tuple[int, int, int], sigma: float) -> None:
     grid = Grid((0.0, 0.0, 0.0), (0.05, 0.05, 0.1), (6, 9, 11))
     fine = supersampling.split(grid, count)
     x, y, z = 6 * count[0] - 1, 5 * count[1] - 1, 4 * count[2] - 1
     start = np.zeros(fine.shape[0] * fine.shape[1] + 1, dtype=np.int64)
     start[z * fine.shape[1] + y + 1 :] = 1
-    volume = supersampling.gather(Support(fine.shape, start, np.array([x], dtype=np.int16)), np.array([2.0], dtype=np.float32), grid, count, sigma)
+    volume = supersampling.gather(
+        Support(fine.shape, start, np.array([x], dtype=np.int16)),
+        np.array([2.0], dtype=np.float32),
+        grid,
+        count,
+        sigma,
+    )
     centre = [float(axis[i]) for axis, i in zip(fine.axes_mm, (x, y, z), strict=True)]
-    shares = [share_of(axis, step, c, sigma) for axis, step, c in zip(grid.axes_mm, grid.voxel_mm, centre, strict=True)]
-    np.testing.assert_allclose(volume, 2.0 * np.einsum("k,j,i->kji", *shares[::-1]), rtol=0, atol=0.02)
+    shares = [
+        share_of(axis, step, c, sigma)
+        for axis, step, c in zip(grid.axes_mm, grid.voxel_mm, centre, strict=True)
+    ]
+    np.testing.assert_allclose(
+        volume, 2.0 * np.einsum("k,j,i->kji", *shares[::-1]), rtol=0, atol=0.02
+    )
     assert volume.sum() == pytest.approx(2.0, rel=1e-5)
 
 
 def share_of(axis: F64, step: float, centre: float, sigma: float) -> F64:
     """The part of a Gaussian's light in each voxel along one axis."""
     edges = np.append(axis - step / 2.0, axis[-1] + step / 2.0)
-    return np.diff(erf((edges - centre) / (sigma * np.sqrt(2.0))) / 2.0 if sigma else (edges > centre).astype(np.float64))
+    return np.diff(
+        erf((edges - centre) / (sigma * np.sqrt(2.0))) / 2.0
+        if sigma
+        else (edges > centre).astype(np.float64)
+    )
 
 
 def test_dim_voxels_become_zero() -> None:

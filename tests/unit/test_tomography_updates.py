@@ -8,7 +8,16 @@ import numba
 import numpy as np
 import pytest
 
-from sabench.algorithms.tomography.art_updates import DARKEST, Measured, State, block_mart, iterate, mart, sart, smart
+from sabench.algorithms.tomography.art_updates import (
+    DARKEST,
+    Measured,
+    State,
+    block_mart,
+    iterate,
+    mart,
+    sart,
+    smart,
+)
 from sabench.algorithms.tomography.footprint import BILINEAR, Footprint
 from sabench.algorithms.tomography.mart_sweep import STRIP
 from sabench.algorithms.tomography.projection_operator import LinesOfSight
@@ -18,7 +27,9 @@ from tests.unit.test_tomography import BLOB, COLUMNS, ROWS, TILTED, array, lines
 Step = Callable[[State, Measured], float]
 STEPS: dict[str, Step] = {
     "smart": lambda state, measured: smart(state, measured, 0.9),
-    "sart": lambda state, measured: sart(state, measured, state.lines.forward(np.ones_like(state.values)), 0.8),
+    "sart": lambda state, measured: sart(
+        state, measured, state.lines.forward(np.ones_like(state.values)), 0.8
+    ),
     "block_mart": lambda state, measured: block_mart(state, measured, 0.7),
     "mart": lambda state, measured: mart(state, measured, 0.9),
 }
@@ -35,13 +46,21 @@ def matrices(lines: LinesOfSight) -> F64:
 
 def make_state(footprint: Footprint = BLOB, every: int = 4) -> State:
     lines = lines_of(array(TILTED), footprint, every=every)
-    seen = np.maximum(np.rint(lines.adjoint(np.ones((3, ROWS, COLUMNS), dtype=np.float32))), np.float32(1.0))
-    return State(lines, np.random.default_rng(1).random(len(lines.support), dtype=np.float32) + np.float32(0.5), seen)
+    seen = np.maximum(
+        np.rint(lines.adjoint(np.ones((3, ROWS, COLUMNS), dtype=np.float32))), np.float32(1.0)
+    )
+    return State(
+        lines,
+        np.random.default_rng(1).random(len(lines.support), dtype=np.float32) + np.float32(0.5),
+        seen,
+    )
 
 
 def recorded(state: State, seed: int) -> Measured:
     """What other values than the state's would cast."""
-    light = state.lines.forward(np.random.default_rng(seed).random(len(state.values), dtype=np.float32) * np.float32(2.0))
+    light = state.lines.forward(
+        np.random.default_rng(seed).random(len(state.values), dtype=np.float32) * np.float32(2.0)
+    )
     return Measured(np.maximum(light, np.float32(1e-6)), np.zeros(light.shape, dtype=np.bool_))
 
 
@@ -57,13 +76,20 @@ def by_formula(name: str, w: F64, p: F64, values: F64) -> F64:
         missing = np.divide(p - cast, lengths, out=np.zeros_like(p), where=lengths > 0.0)
         return np.asarray(np.maximum(values + 0.8 * np.tensordot(missing, w, 2) / seen, 0.0))
     for camera, image in zip(w, p, strict=True):
-        values = block_by_formula(camera, image, values) if name == "block_mart" else mart_by_formula(camera, image, values)
+        values = (
+            block_by_formula(camera, image, values)
+            if name == "block_mart"
+            else mart_by_formula(camera, image, values)
+        )
     return values
 
 
 def block_by_formula(w: F64, p: F64, values: F64) -> F64:
     cast = w @ values
-    return np.asarray(values * np.exp(0.7 * w.T @ np.log(np.divide(p, cast, out=np.ones_like(p), where=cast > 0.0))))
+    return np.asarray(
+        values
+        * np.exp(0.7 * w.T @ np.log(np.divide(p, cast, out=np.ones_like(p), where=cast > 0.0)))
+    )
 
 
 def mart_by_formula(w: F64, p: F64, values: F64) -> F64:
@@ -94,9 +120,14 @@ def test_steps_follow_their_formulas(name: str, footprint: Footprint) -> None:
 def test_saturated_pixels_only_make_voxels_brighter(name: str) -> None:
     state = make_state()
     measured = recorded(state, 2)
-    everywhere, before = Measured(measured.light, np.ones_like(measured.saturated)), state.values.copy()
+    everywhere, before = (
+        Measured(measured.light, np.ones_like(measured.saturated)),
+        state.values.copy(),
+    )
     bright = State(state.lines, before * np.float32(50.0), state.seen)
-    assert STEPS[name](bright, everywhere) == pytest.approx(residual_of_dark_pixels(bright, everywhere), rel=1e-4)
+    assert STEPS[name](bright, everywhere) == pytest.approx(
+        residual_of_dark_pixels(bright, everywhere), rel=1e-4
+    )
     np.testing.assert_allclose(bright.values, before * 50.0, rtol=1e-6)
     assert STEPS[name](bright, measured) > 0.0
     assert (bright.values < before * 40.0).mean() > 0.8
@@ -104,13 +135,21 @@ def test_saturated_pixels_only_make_voxels_brighter(name: str) -> None:
     for one, what in zip(dark, (measured, everywhere), strict=True):
         STEPS[name](one, what)
     assert (dark[1].values > before * 0.03).mean() > 0.8
-    if name in ("smart", "sart"):  # the others turn to other cameras in between, which may then see too much
+    if name in (
+        "smart",
+        "sart",
+    ):  # the others turn to other cameras in between, which may then see too much
         np.testing.assert_allclose(dark[0].values, dark[1].values, rtol=5e-3)
 
 
 def residual_of_dark_pixels(state: State, measured: Measured) -> float:
     """Saturated pixels miss only what was not projected."""
-    return float((np.maximum(measured.light - state.lines.forward(state.values), 0.0).astype(np.float64) ** 2).sum())
+    return float(
+        (
+            np.maximum(measured.light - state.lines.forward(state.values), 0.0).astype(np.float64)
+            ** 2
+        ).sum()
+    )
 
 
 @pytest.mark.parametrize("name", STEPS)
@@ -154,7 +193,9 @@ def recorded_values(state: State) -> F32:
 
 
 def test_iteration_stops_when_little_changes() -> None:
-    measured = Measured(np.full((1, 2, 2), 2.0, dtype=np.float32), np.zeros((1, 2, 2), dtype=np.bool_))
+    measured = Measured(
+        np.full((1, 2, 2), 2.0, dtype=np.float32), np.zeros((1, 2, 2), dtype=np.bool_)
+    )
     squares = iter([16.0, 4.0, 3.24, 3.0, 1.0])
     found = iterate(lambda: next(squares), measured, 5, 0.15, "test")
     np.testing.assert_allclose(found, [1.0, 0.5, 0.45])
@@ -162,7 +203,10 @@ def test_iteration_stops_when_little_changes() -> None:
 
 def test_black_pixels_leave_no_light_but_finite_values() -> None:
     state = make_state()
-    measured = Measured(np.full((3, ROWS, COLUMNS), DARKEST, dtype=np.float32), np.zeros((3, ROWS, COLUMNS), dtype=np.bool_))
+    measured = Measured(
+        np.full((3, ROWS, COLUMNS), DARKEST, dtype=np.float32),
+        np.zeros((3, ROWS, COLUMNS), dtype=np.bool_),
+    )
     for name in STEPS:
         fresh = State(state.lines, state.values.copy(), state.seen)
         for _ in range(5):
@@ -189,4 +233,6 @@ def test_a_voxel_that_one_camera_sees_is_led_by_that_camera() -> None:
         smart(fresh, what, 1.0)
         results.append(fresh.values)
     np.testing.assert_array_equal(results[0][~last], results[1][~last])
-    np.testing.assert_allclose(results[1][last], results[0][last] * 3.0 ** (1.0 / counts[last]), rtol=1e-4)
+    np.testing.assert_allclose(
+        results[1][last], results[0][last] * 3.0 ** (1.0 / counts[last]), rtol=1e-4
+    )

@@ -20,12 +20,18 @@ def true_bubbles(count: int = 40) -> list[Bubbles]:
     out = []
     for time in TIMES:
         order = np.random.default_rng(int(10 * time)).permutation(count)
-        axes, turn, velocity = np.ones((count, 3)), np.tile(np.eye(3), (count, 1, 1)), np.tile(SPEED, (count, 1))
+        axes, turn, velocity = (
+            np.ones((count, 3)),
+            np.tile(np.eye(3), (count, 1, 1)),
+            np.tile(SPEED, (count, 1)),
+        )
         out.append(Bubbles(order, places[order] + SPEED * time, axes, turn, velocity))
     return out
 
 
-def scores(found: list[Detections] | list[Bubbles], track: list[I64], sequences: list[range] | None = None) -> dict[str, float]:
+def scores(
+    found: list[Detections] | list[Bubbles], track: list[I64], sequences: list[range] | None = None
+) -> dict[str, float]:
     return track_scores(found, track, true_bubbles(), TIMES, sequences or [range(4)])
 
 
@@ -39,11 +45,16 @@ def test_the_truth_is_perfect() -> None:
 def test_errors_of_velocity_are_those_of_displacements() -> None:
     """An offset that grows by 0.1 mm along Y from frame to frame, over 0.5, 1 and 0.5 s: 0.2, 0.1 and 0.2 mm/s."""
     true = true_bubbles()
-    found = [Detections.balls(one.center_mm + np.array([0.0, 0.1 * frame, 0.0]), one.radius_mm) for frame, one in enumerate(true)]
+    found = [
+        Detections.balls(one.center_mm + np.array([0.0, 0.1 * frame, 0.0]), one.radius_mm)
+        for frame, one in enumerate(true)
+    ]
     got = scores(found, [one.id for one in true])
     assert got["velocity_mm_s"] == pytest.approx(0.2)
     assert got["velocity_percent"] == pytest.approx(100.0 * 0.2 / np.sqrt(5.0))
-    assert scores(found, [one.id for one in true], [range(1, 3)])["velocity_mm_s"] == pytest.approx(0.1)
+    assert scores(found, [one.id for one in true], [range(1, 3)])["velocity_mm_s"] == pytest.approx(
+        0.1
+    )
 
 
 def test_tracks_that_break_and_that_swap() -> None:
@@ -53,7 +64,10 @@ def test_tracks_that_break_and_that_swap() -> None:
     assert got["link_recall"] == pytest.approx(2.0 / 3.0)
     assert got["link_precision"] == 1.0
     assert got["effectiveness"] == pytest.approx(0.75)
-    swapped = [np.where(one.id < 10, (one.id + 5 * (frame >= 2)) % 10, one.id) for frame, one in enumerate(true)]
+    swapped = [
+        np.where(one.id < 10, (one.id + 5 * (frame >= 2)) % 10, one.id)
+        for frame, one in enumerate(true)
+    ]
     got = scores(true, swapped)
     assert got["link_recall"] == got["link_precision"] == pytest.approx(110.0 / 120.0)
     assert got["effectiveness"] == pytest.approx(1.0 - 0.5 * 10.0 / 40.0)
@@ -67,7 +81,10 @@ def test_ghosts_and_what_is_missing() -> None:
     got = scores(some, [one.id for one in some])
     assert (got["link_recall"], got["link_precision"]) == (1.0, 1.0)
     assert got["effectiveness"] == pytest.approx(1.0 - 0.25 * 10.0 / 40.0)
-    ghosts = [Detections.balls(np.concatenate([one.center_mm, one.center_mm[:20] + 5.0]), np.ones(60)) for one in true]
+    ghosts = [
+        Detections.balls(np.concatenate([one.center_mm, one.center_mm[:20] + 5.0]), np.ones(60))
+        for one in true
+    ]
     got = scores(ghosts, [np.concatenate([one.id, 100 + np.arange(20)]) for one in true])
     assert got["link_recall"] == 1.0
     assert got["link_precision"] == pytest.approx(2.0 / 3.0)
@@ -87,8 +104,16 @@ def test_where_there_is_nothing_to_count() -> None:
     empty = scores([nothing] * 4, [np.zeros(0, dtype=np.int64)] * 4)
     assert empty.pop("effectiveness") == 0.0
     assert all(np.isnan(value) for value in empty.values())
-    rest = [Bubbles(one.id, one.center_mm - SPEED * time, one.semi_axes_mm, one.turn, 0.0 * one.velocity_mm_s)
-            for one, time in zip(true, TIMES, strict=True)]  # fmt: skip
+    rest = [
+        Bubbles(
+            one.id,
+            one.center_mm - SPEED * time,
+            one.semi_axes_mm,
+            one.turn,
+            0.0 * one.velocity_mm_s,
+        )
+        for one, time in zip(true, TIMES, strict=True)
+    ]
     still = track_scores(rest, [one.id for one in rest], rest, TIMES, [range(4)])
     assert still["velocity_mm_s"] == pytest.approx(0.0, abs=1e-12)
 
@@ -106,10 +131,15 @@ def test_as_counted_one_by_one(seed: int) -> None:
         owner.append({int(a): int(b) for a, b in zip(one.id[keep], number, strict=False)})
         found.append(Detections.balls(center, np.ones(len(center))))
         track.append(number)
-    true_links = [(f, b) for f in range(3) for b in range(40) if b in owner[f] and b in owner[f + 1]]
+    true_links = [
+        (f, b) for f in range(3) for b in range(40) if b in owner[f] and b in owner[f + 1]
+    ]
     right = sum(owner[f][b] == owner[f + 1][b] for f, b in true_links)
     links = sum(len(set(track[f].tolist()) & set(track[f + 1].tolist())) for f in range(3))
-    longest = [max([sum(frame.get(b) == number for frame in owner) for number in range(50)]) / 4.0 for b in range(40)]
+    longest = [
+        max([sum(frame.get(b) == number for frame in owner) for number in range(50)]) / 4.0
+        for b in range(40)
+    ]
     got = scores(found, track)
     assert got["link_recall"] == pytest.approx(right / len(true_links))
     assert got["link_precision"] == pytest.approx(right / links)

@@ -24,7 +24,8 @@ def lens_scene(unknown: list[str] | None) -> Scene:
     return calibration_scene(
         cameras=values["cameras"] | {"distortion": _DISTORTION},
         detection={"noise_px": 0.1},
-        calibration={"shift_px": 10.0, "points": 0.02} | ({} if unknown is None else {"unknown": unknown}),
+        calibration={"shift_px": 10.0, "points": 0.02}
+        | ({} if unknown is None else {"unknown": unknown}),
     )
 
 

@@ -11,7 +11,13 @@ from scipy.ndimage import gaussian_filter, map_coordinates, spline_filter
 from sabench.algorithms.velocimetry.blur import widened, widths
 from sabench.algorithms.velocimetry.correlation_kernels import block_sums
 from sabench.algorithms.velocimetry.deformation import met, spline_coefficients
-from sabench.algorithms.velocimetry.outliers import filled, medians, near_the_median, thesis_local, within_deviations
+from sabench.algorithms.velocimetry.outliers import (
+    filled,
+    medians,
+    near_the_median,
+    thesis_local,
+    within_deviations,
+)
 from sabench.algorithms.velocimetry.windows import Windows, by_shifts, by_spectra
 from sabench.api import Velocity, VolumePair
 from sabench.geometry.grid import Grid, synthesise
@@ -28,7 +34,9 @@ WINDOW = (16, 32, 32)
 
 def particles(per_mm3: float = 5.0) -> F64:
     """More than the grid holds, so that some enter and leave."""
-    return np.random.default_rng(0).uniform([-5.0, -5.0, -3.0], [5.0, 5.0, 3.0], (round(600.0 * per_mm3), 3))
+    return np.random.default_rng(0).uniform(
+        [-5.0, -5.0, -3.0], [5.0, 5.0, 3.0], (round(600.0 * per_mm3), 3)
+    )
 
 
 def volume(points: F64) -> F32:
@@ -45,7 +53,11 @@ def errors(field: Velocity, flow: Any) -> F64:
     """Of valid vectors, in voxels, against the displacement about the middle of the interval."""
     points = field.positions_mm.reshape(-1, 3)
     exact = advect(flow, points, 0.5, 1.0, 1e-7) - advect(flow, points, 0.5, 0.0, 1e-7)
-    return np.asarray(((field.velocity_mm_s.reshape(-1, 3) - exact) / np.asarray(GRID.voxel_mm))[field.valid.ravel()])
+    return np.asarray(
+        ((field.velocity_mm_s.reshape(-1, 3) - exact) / np.asarray(GRID.voxel_mm))[
+            field.valid.ravel()
+        ]
+    )
 
 
 def solved(case: VolumePair, name: str = "piv3d", **parameters: Any) -> Velocity:
@@ -57,16 +69,32 @@ def solved(case: VolumePair, name: str = "piv3d", **parameters: Any) -> Velocity
 def test_spline_coefficients_are_scipy_s() -> None:
     for shape in ((20, 40, 50), (3, 9, 2)):
         values = np.random.default_rng(1).random(shape).astype(np.float32)
-        np.testing.assert_allclose(spline_coefficients(values), spline_filter(values.astype(np.float64), 3, mode="mirror"), atol=2e-5)
+        np.testing.assert_allclose(
+            spline_coefficients(values),
+            spline_filter(values.astype(np.float64), 3, mode="mirror"),
+            atol=2e-5,
+        )
 
 
 def test_moved_volumes_are_scipy_s() -> None:
     rng = np.random.default_rng(2)
-    volumes, field = rng.random((2, 20, 40, 50)).astype(np.float32), rng.normal(0.0, 1.5, (4, 5, 6, 3))
+    volumes, field = (
+        rng.random((2, 20, 40, 50)).astype(np.float32),
+        rng.normal(0.0, 1.5, (4, 5, 6, 3)),
+    )
     out, other = np.empty((2, 20, 40, 50), dtype=np.float32)
-    met(*(spline_coefficients(values) for values in volumes), field, (2.0, 3.0, 4.0), (4.0, 8.0, 8.0), out, other)
+    met(
+        *(spline_coefficients(values) for values in volumes),
+        field,
+        (2.0, 3.0, 4.0),
+        (4.0, 8.0, 8.0),
+        out,
+        other,
+    )
     place = np.mgrid[:20, :40, :50].astype(np.float64)
-    shift = _continued(field, [(place[i] - (2.0, 3.0, 4.0)[i]) / (4.0, 8.0, 8.0)[i] for i in range(3)])
+    shift = _continued(
+        field, [(place[i] - (2.0, 3.0, 4.0)[i]) / (4.0, 8.0, 8.0)[i] for i in range(3)]
+    )
     found, both = [], np.ones((20, 40, 50), dtype=np.bool_)
     for values, share in zip(volumes, (-0.5, 0.5), strict=True):
         there = place + share * shift
@@ -83,10 +111,17 @@ def _continued(field: F64, at: list[F64]) -> F64:
     room = 4
     for axis in range(3):
         before, after = (np.take(field, [n], axis=axis) for n in (0, -1))
-        first, last = before - np.take(field, [1], axis=axis), after - np.take(field, [-2], axis=axis)
+        first, last = (
+            before - np.take(field, [1], axis=axis),
+            after - np.take(field, [-2], axis=axis),
+        )
         low = [before + n * first for n in range(room, 0, -1)]
-        field = np.concatenate([*low, field, *[after + n * last for n in range(1, room + 1)]], axis=axis)
-    return np.stack([map_coordinates(field[..., 2 - i], [own + room for own in at], order=1) for i in range(3)])
+        field = np.concatenate(
+            [*low, field, *[after + n * last for n in range(1, room + 1)]], axis=axis
+        )
+    return np.stack(
+        [map_coordinates(field[..., 2 - i], [own + room for own in at], order=1) for i in range(3)]
+    )
 
 
 def test_block_sums_are_sums() -> None:
@@ -105,7 +140,9 @@ def test_block_sums_are_sums() -> None:
 def test_small_shifts_are_found_to_parts_of_a_voxel() -> None:
     start, shift = particles(), np.array([0.3, -0.45, 0.2])
     windows = Windows.over(GRID.shape, WINDOW, 0.5)
-    peaks = by_shifts(volume(start), volume(start + shift * np.asarray(GRID.voxel_mm)), windows, (1, 1, 1))
+    peaks = by_shifts(
+        volume(start), volume(start + shift * np.asarray(GRID.voxel_mm)), windows, (1, 1, 1)
+    )
     assert np.abs(peaks.shift.mean(axis=(0, 1, 2)) - shift).max() < 0.04
     assert peaks.height.min() > 0.7
 
@@ -120,24 +157,31 @@ def test_large_shifts_are_found_by_spectra() -> None:
     assert np.median(peaks.ratio[good]) > 1.3
 
 
-@pytest.mark.parametrize(("name", "parameters"), [
-    ("linear_flow", {"velocity_mm_s": (0.21, -0.13, 0.17)}),
-    ("linear_flow", {"gradient_1_s": ((0.0, -0.05, 0.0), (0.05, 0.0, 0.0), (0.0, 0.0, 0.0))}),
-    ("linear_flow", {"gradient_1_s": ((0.0, 0.06, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))}),
-    ("lamb_oseen_vortex", {"core_mm": 2.0, "circulation_mm2_s": 3.0}),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("name", "parameters"),
+    [
+        ("linear_flow", {"velocity_mm_s": (0.21, -0.13, 0.17)}),
+        ("linear_flow", {"gradient_1_s": ((0.0, -0.05, 0.0), (0.05, 0.0, 0.0), (0.0, 0.0, 0.0))}),
+        ("linear_flow", {"gradient_1_s": ((0.0, 0.06, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))}),
+        ("lamb_oseen_vortex", {"core_mm": 2.0, "circulation_mm2_s": 3.0}),
+    ],
+)
 def test_known_flows_are_measured(name: str, parameters: dict[str, Any]) -> None:
     case, flow = pair_of(name, **parameters)
     field = solved(case)
     off = errors(field, flow)
     assert field.valid.mean() > 0.98
     assert (precision_interval(off) < [0.06, 0.06, 0.1]).all()
-    assert (np.abs(off.mean(axis=0)) < [0.01, 0.01, 0.03]).all()  # along Z a particle is half a voxel wide: no interpolation is right there
+    assert (
+        np.abs(off.mean(axis=0)) < [0.01, 0.01, 0.03]
+    ).all()  # along Z a particle is half a voxel wide: no interpolation is right there
 
 
 def test_the_plain_method_is_worse_and_still_right() -> None:
     case, flow = pair_of("lamb_oseen_vortex", core_mm=2.0, circulation_mm2_s=3.0)
-    plain, better = (precision_interval(errors(solved(case, name), flow)) for name in ("piv3d_plain", "piv3d"))
+    plain, better = (
+        precision_interval(errors(solved(case, name), flow)) for name in ("piv3d_plain", "piv3d")
+    )
     assert (better[:2] < plain[:2]).all()
     assert plain.max() < 0.6
 
@@ -146,7 +190,10 @@ def test_vectors_lie_at_the_middles_of_their_windows() -> None:
     case, _ = pair_of("linear_flow", velocity_mm_s=(0.1, 0.0, 0.0))
     field = solved(case, overlap=0.5)
     assert field.valid.shape == (4, 9, 9)
-    np.testing.assert_allclose(field.positions_mm[0, 0, 0], np.asarray(GRID.low_mm) + np.asarray(GRID.voxel_mm) * [15.5, 15.5, 7.5])
+    np.testing.assert_allclose(
+        field.positions_mm[0, 0, 0],
+        np.asarray(GRID.low_mm) + np.asarray(GRID.voxel_mm) * [15.5, 15.5, 7.5],
+    )
     np.testing.assert_allclose(field.step_mm, [0.8, 0.8, 0.8])
 
 
@@ -161,10 +208,19 @@ def test_windows_without_signal_are_invalid_and_finite() -> None:
     assert np.isfinite(field.velocity_mm_s).all()
 
 
-@pytest.mark.parametrize(("parameters", "sentence"), [
-    ({"window": (320, 32, 16)}, "window: expected one that fits into the volume of 160 x 160 x 40 voxels, got 320 x 32 x 16"),
-    ({"overlap": 0.7}, "overlap: expected a part of 32 x 32 x 16 voxels that leaves whole steps which divide it, got 0.7"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("parameters", "sentence"),
+    [
+        (
+            {"window": (320, 32, 16)},
+            "window: expected one that fits into the volume of 160 x 160 x 40 voxels, got 320 x 32 x 16",
+        ),
+        (
+            {"overlap": 0.7},
+            "overlap: expected a part of 32 x 32 x 16 voxels that leaves whole steps which divide it, got 0.7",
+        ),
+    ],
+)
 def test_impossible_windows_are_named(parameters: dict[str, Any], sentence: str) -> None:
     case, _ = pair_of("linear_flow")
     with pytest.raises(InputError) as caught:
@@ -175,9 +231,21 @@ def test_impossible_windows_are_named(parameters: dict[str, Any], sentence: str)
 def test_impossible_pairs_are_named() -> None:
     good = volume(particles())
     for first, second, sentence in (
-        (good, good[:-1], r"second volume: expected \(40, 160, 160\) voxels \(z, y, x\) as its grid has, got \(39, 160, 160\)"),
-        (np.zeros_like(good), good, "first volume: expected one that shows something, got 0 everywhere"),
-        (good, np.where(good > 0.5, np.float32(np.nan), good), "second volume: expected finite intensities"),
+        (
+            good,
+            good[:-1],
+            r"second volume: expected \(40, 160, 160\) voxels \(z, y, x\) as its grid has, got \(39, 160, 160\)",
+        ),
+        (
+            np.zeros_like(good),
+            good,
+            "first volume: expected one that shows something, got 0 everywhere",
+        ),
+        (
+            good,
+            np.where(good > 0.5, np.float32(np.nan), good),
+            "second volume: expected finite intensities",
+        ),
     ):
         with pytest.raises(InputError, match=sentence):
             VolumePair(first, second, GRID, 1.0)
@@ -203,9 +271,13 @@ def test_outliers_are_found_and_filled() -> None:
 
 def test_gradients_are_those_of_linear_fields() -> None:
     slope = np.array([[1.0, 2.0, 3.0], [0.0, -1.0, 0.5], [4.0, 0.0, 0.0]])
-    field = Velocity((0.0, 0.0, 0.0), (0.5, 0.4, 0.8), np.zeros((4, 5, 6, 3)), np.ones((4, 5, 6), dtype=np.bool_))
+    field = Velocity(
+        (0.0, 0.0, 0.0), (0.5, 0.4, 0.8), np.zeros((4, 5, 6, 3)), np.ones((4, 5, 6), dtype=np.bool_)
+    )
     values = field.positions_mm @ slope.T
-    np.testing.assert_allclose(gradient(values, field.step_mm)[inner((4, 5, 6))], np.tile(slope, (24, 1, 1)), atol=1e-12)
+    np.testing.assert_allclose(
+        gradient(values, field.step_mm)[inner((4, 5, 6))], np.tile(slope, (24, 1, 1)), atol=1e-12
+    )
 
 
 def test_medians_are_those_of_the_neighbours() -> None:
@@ -220,7 +292,9 @@ def test_medians_are_those_of_the_neighbours() -> None:
         known = around[np.isfinite(around[:, 0])]
         if len(known):
             np.testing.assert_allclose(middle[z, y, x], np.median(known, axis=0))
-            np.testing.assert_allclose(spread[z, y, x], np.median(np.abs(known - np.median(known, axis=0)), axis=0))
+            np.testing.assert_allclose(
+                spread[z, y, x], np.median(np.abs(known - np.median(known, axis=0)), axis=0)
+            )
         else:
             assert np.isnan(middle[z, y, x]).all()
 
@@ -230,7 +304,9 @@ def test_widths_are_those_of_the_particles() -> None:
     for sigma in (0.05, 0.1):
         z, y, x = widths(synthesise(GRID, places, np.ones(len(places)), sigma))
         for found, voxel in ((z, 0.1), (y, 0.05), (x, 0.05)):
-            mean = np.hypot(sigma / voxel, np.sqrt(1.0 / 12.0))  # a voxel's value is the mean over it
+            mean = np.hypot(
+                sigma / voxel, np.sqrt(1.0 / 12.0)
+            )  # a voxel's value is the mean over it
             assert found == pytest.approx(mean, rel=0.1)
     assert widths(np.ones((4, 5, 6), dtype=np.float32)) == (np.inf, np.inf, np.inf)
 
@@ -238,18 +314,27 @@ def test_widths_are_those_of_the_particles() -> None:
 def test_narrow_particles_are_widened_by_a_gaussian() -> None:
     values = np.random.default_rng(0).random((20, 30, 40)).astype(np.float32)
     sigma = [np.sqrt(1.2**2 - 0.4**2), 0.0, np.sqrt(1.2**2 - 0.9**2)]
-    expected = gaussian_filter(values, sigma, mode="mirror", radius=[int(np.ceil(3.0 * own)) for own in sigma])
+    expected = gaussian_filter(
+        values, sigma, mode="mirror", radius=[int(np.ceil(3.0 * own)) for own in sigma]
+    )
     np.testing.assert_allclose(widened(values, (0.4, 1.3, 0.9), 1.2), expected, atol=1e-5)
     assert widened(values, (0.8, 0.9, 1.0), 0.8) is values
 
 
 def test_weighted_windows_resolve_more() -> None:
     """Of a wave twice as long as the window, a Gaussian's weights see more than equal ones."""
-    parameters = {"along": (1.0, 0.0, 0.0), "across": (0.0, 1.0, 0.0), "wavelength_mm": 3.2, "peak_mm_s": 0.05}
+    parameters = {
+        "along": (1.0, 0.0, 0.0),
+        "across": (0.0, 1.0, 0.0),
+        "wavelength_mm": 3.2,
+        "peak_mm_s": 0.05,
+    }
     case, flow = pair_of("shear_wave", **parameters)
     found = []
     for taper in (None, 0.25):
         field = solved(case, first_window=(32, 32, 16), passes=1, taper=taper)
-        exact = flow.velocity(field.positions_mm.reshape(-1, 3), 0.5).reshape(field.velocity_mm_s.shape)
+        exact = flow.velocity(field.positions_mm.reshape(-1, 3), 0.5).reshape(
+            field.velocity_mm_s.shape
+        )
         found.append(response(field.velocity_mm_s[field.valid], exact[field.valid]))
     assert 0.5 < found[0] < found[1] < 1.05

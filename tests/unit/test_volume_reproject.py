@@ -25,7 +25,9 @@ def peak_integral(sigma_mm: float) -> float:
 def inner_points(count: int, margin_mm: float, seed: int) -> F64:
     axes = GRID.axes_mm
     rng = np.random.default_rng(seed)
-    return rng.uniform([axis[0] + margin_mm for axis in axes], [axis[-1] - margin_mm for axis in axes], (count, 3))
+    return rng.uniform(
+        [axis[0] + margin_mm for axis in axes], [axis[-1] - margin_mm for axis in axes], (count, 3)
+    )
 
 
 # Grids
@@ -34,8 +36,13 @@ def inner_points(count: int, margin_mm: float, seed: int) -> F64:
 def test_axes_are_x_y_z_and_volumes_z_y_x() -> None:
     x, y, z = GRID.axes_mm
     assert (len(x), len(y), len(z)) == (41, 30, 12)
-    np.testing.assert_allclose([x[0], x[-1], y[0], y[-1], z[0], z[-1]], [-4.0, 6.0, 2.0, 7.8, 40.0, 45.5])
-    np.testing.assert_allclose(GRID.to_voxels(np.array([[-4.0 + 0.25 * 7, 2.0 + 0.2 * 5, 40.0 + 0.5 * 3]])), [[7.0, 5.0, 3.0]])
+    np.testing.assert_allclose(
+        [x[0], x[-1], y[0], y[-1], z[0], z[-1]], [-4.0, 6.0, 2.0, 7.8, 40.0, 45.5]
+    )
+    np.testing.assert_allclose(
+        GRID.to_voxels(np.array([[-4.0 + 0.25 * 7, 2.0 + 0.2 * 5, 40.0 + 0.5 * 3]])),
+        [[7.0, 5.0, 3.0]],
+    )
     volume = np.zeros(GRID.shape)
     assert volume[GRID.scored].shape == (10, 26, 35)
 
@@ -57,9 +64,14 @@ def test_field_keeps_integral_and_place(sigma_mm: float) -> None:
     for place, weight in zip(inner_points(12, 2.2, 1), (0.5, 1.0, 3.0) * 4, strict=True):
         field = synthesise(GRID, place[None], np.array([weight]), sigma_mm).astype(np.float64)
         assert field.dtype == np.float64
-        assert field.sum() * math.prod(GRID.voxel_mm) == pytest.approx(weight * peak_integral(sigma_mm), rel=3e-4)
+        assert field.sum() * math.prod(GRID.voxel_mm) == pytest.approx(
+            weight * peak_integral(sigma_mm), rel=3e-4
+        )
         if sigma_mm >= 0.5:  # at least one voxel along each axis: the voxels' own shape is not seen
-            centroid = [np.average(axis, weights=field.sum(axis=other)) for axis, other in zip(GRID.axes_mm, ((0, 1), (0, 2), (1, 2)), strict=True)]
+            centroid = [
+                np.average(axis, weights=field.sum(axis=other))
+                for axis, other in zip(GRID.axes_mm, ((0, 1), (0, 2), (1, 2)), strict=True)
+            ]
             np.testing.assert_allclose(centroid, place, rtol=0, atol=1e-3)
 
 
@@ -68,8 +80,20 @@ def test_voxel_is_the_mean_of_the_gaussian_over_it() -> None:
     field = synthesise(GRID, place[None], np.array([2.0]), sigma)
     for k, j, i in ((5, 14, 16), (6, 15, 17), (4, 12, 18)):
         value = 2.0
-        for center, step, x in zip((GRID.axes_mm[0][i], GRID.axes_mm[1][j], GRID.axes_mm[2][k]), GRID.voxel_mm, place, strict=True):
-            value *= quad(lambda s, x=x: math.exp(-((s - x) ** 2) / (2 * sigma**2)), center - step / 2, center + step / 2)[0] / step
+        for center, step, x in zip(
+            (GRID.axes_mm[0][i], GRID.axes_mm[1][j], GRID.axes_mm[2][k]),
+            GRID.voxel_mm,
+            place,
+            strict=True,
+        ):
+            value *= (
+                quad(
+                    lambda s, x=x: math.exp(-((s - x) ** 2) / (2 * sigma**2)),
+                    center - step / 2,
+                    center + step / 2,
+                )[0]
+                / step
+            )
         assert field[k, j, i] == pytest.approx(value, rel=1e-5)
 
 
@@ -78,7 +102,9 @@ def test_field_is_symmetric_and_additive() -> None:
     offsets = np.random.default_rng(2).uniform(-0.7, 0.7, (3, 3)) * [5.0, 3.0, 2.5]
     weights = np.array([1.0, 2.0, 0.5])
     field = synthesise(GRID, middle + offsets, weights, 0.4)
-    np.testing.assert_allclose(synthesise(GRID, middle - offsets, weights, 0.4)[::-1, ::-1, ::-1], field, rtol=0, atol=1e-6)
+    np.testing.assert_allclose(
+        synthesise(GRID, middle - offsets, weights, 0.4)[::-1, ::-1, ::-1], field, rtol=0, atol=1e-6
+    )
     singly = sum(synthesise(GRID, middle + offsets[[i]], weights[[i]], 0.4) for i in range(3))
     np.testing.assert_allclose(field, singly, rtol=0, atol=1e-6)
 
@@ -91,12 +117,16 @@ def test_field_at_the_border_is_cut_out_of_a_larger_one() -> None:
     places = rng.uniform([-5.5, 0.6, 36.5], [7.5, 9.2, 49.0], (300, 3))
     weights = rng.uniform(0.1, 2.0, 300)
     field = synthesise(larger, places, weights, 0.35)
-    np.testing.assert_allclose(synthesise(GRID, places, weights, 0.35), field[8:20, 7:37, 6:47], rtol=0, atol=1e-5)
+    np.testing.assert_allclose(
+        synthesise(GRID, places, weights, 0.35), field[8:20, 7:37, 6:47], rtol=0, atol=1e-5
+    )
 
 
 def test_field_of_nothing_and_of_particles_far_away_is_empty() -> None:
     assert not synthesise(GRID, np.empty((0, 3)), np.empty(0), 0.3).any()
-    assert not synthesise(GRID, np.array([[100.0, 5.0, 42.0], [0.0, 5.0, -1e6]]), np.ones(2), 0.3).any()
+    assert not synthesise(
+        GRID, np.array([[100.0, 5.0, 42.0], [0.0, 5.0, -1e6]]), np.ones(2), 0.3
+    ).any()
 
 
 # Plane maps
@@ -108,9 +138,19 @@ BROWN = Distortion(-0.4, 2.0, 2e-3, -3e-3, 0.0)
 
 def make_camera(x: float, y: float, wall: Wall | None, lens: Distortion = BROWN) -> Camera:
     camera = Camera(
-        name="camera_00", rows=90, columns=140, center_mm=(x, y, -300.0), rotation=aimed_rotation(np.array([0.0, 0.0, 1.0])),
-        principal_distance_mm=50.0, pixel_mm=0.01, principal_point_px=(66.0, 47.0), distortion=lens, focal_length_mm=45.0, f_number=8.0, wall=wall,
-    )  # fmt: skip
+        name="camera_00",
+        rows=90,
+        columns=140,
+        center_mm=(x, y, -300.0),
+        rotation=aimed_rotation(np.array([0.0, 0.0, 1.0])),
+        principal_distance_mm=50.0,
+        pixel_mm=0.01,
+        principal_point_px=(66.0, 47.0),
+        distortion=lens,
+        focal_length_mm=45.0,
+        f_number=8.0,
+        wall=wall,
+    )
     return aim(camera, (1.0, 5.0, 43.0))
 
 
@@ -124,7 +164,15 @@ def on_plane(z_mm: float, unit: F64) -> F64:
 def evaluated(coefficients: F64, degree: int, unit: F64) -> F64:
     """The documented polynomial: terms ordered by the power of v, then of u, up to a total degree."""
     powers = [(i, j) for j in range(degree + 1) for i in range(degree + 1 - j)]
-    return np.stack([sum(c * unit[:, 0] ** i * unit[:, 1] ** j for c, (i, j) in zip(row, powers, strict=True)) for row in coefficients], axis=1)
+    return np.stack(
+        [
+            sum(
+                c * unit[:, 0] ** i * unit[:, 1] ** j for c, (i, j) in zip(row, powers, strict=True)
+            )
+            for row in coefficients
+        ],
+        axis=1,
+    )
 
 
 @pytest.mark.parametrize("wall", [None, FLAT, TILTED])
@@ -135,10 +183,14 @@ def test_plane_maps_stay_within_their_tolerance(wall: Wall | None, lens: Distort
     for z, plane in zip(GRID.axes_mm[2], plane_maps(cameras, GRID), strict=True):
         for camera, part in zip(cameras, plane, strict=True):
             exact = camera.project(on_plane(z, unit))[0]
-            error = np.linalg.norm(evaluated(part.coefficients, part.degree, unit) - exact, axis=1).max()
+            error = np.linalg.norm(
+                evaluated(part.coefficients, part.degree, unit) - exact, axis=1
+            ).max()
             assert part.error_px <= TOLERANCE_PX
             assert error <= TOLERANCE_PX
-            assert error <= 1.2 * part.error_px + 1e-9  # measured between the nodes, so about the largest there is
+            assert (
+                error <= 1.2 * part.error_px + 1e-9
+            )  # measured between the nodes, so about the largest there is
 
 
 def test_plane_map_converges_with_its_degree() -> None:
@@ -148,5 +200,7 @@ def test_plane_map_converges_with_its_degree() -> None:
 
 
 def test_plane_without_a_light_path_is_refused() -> None:
-    with pytest.raises(ValueError, match="expected a light path to every voxel, but the plane z = 3 mm"):
+    with pytest.raises(
+        ValueError, match="expected a light path to every voxel, but the plane z = 3 mm"
+    ):
         plane_map(make_camera(0.0, 0.0, FLAT), GRID, 3.0, 3)

@@ -13,7 +13,14 @@ from scipy.spatial.transform import Rotation
 
 import sabench.geometry.refraction
 from sabench.geometry.camera import Camera, Distortion, aimed_rotation
-from sabench.geometry.refraction import Layer, Wall, solve_slope, trace_into_fluid, trace_to_points, transmittance
+from sabench.geometry.refraction import (
+    Layer,
+    Wall,
+    solve_slope,
+    trace_into_fluid,
+    trace_to_points,
+    transmittance,
+)
 from sabench.utils.arrays import F64
 
 
@@ -27,8 +34,16 @@ def triple(vector: Any) -> tuple[float, float, float]:
     return x, y, z
 
 
-def make_wall(indices: list[float], thicknesses: list[float], normal: Any = (0.0, 0.0, 1.0), point: Any = (0.0, 0.0, 0.0)) -> Wall:
-    layers = tuple(Layer(f"layer {i}", n, d) for i, (n, d) in enumerate(zip(indices[1:-1], thicknesses, strict=True)))
+def make_wall(
+    indices: list[float],
+    thicknesses: list[float],
+    normal: Any = (0.0, 0.0, 1.0),
+    point: Any = (0.0, 0.0, 0.0),
+) -> Wall:
+    layers = tuple(
+        Layer(f"layer {i}", n, d)
+        for i, (n, d) in enumerate(zip(indices[1:-1], thicknesses, strict=True))
+    )
     return Wall(triple(point), triple(unit(normal)), indices[0], layers, indices[-1])
 
 
@@ -42,7 +57,9 @@ def random_walls() -> list[Wall]:
             indices[[0, 2, -1]] = 1.5, 1.0, 1.7  # an air gap in glass
         thicknesses = 10.0 ** rng.uniform(-2.0, math.log10(50.0), k % 5)
         normal = [*rng.uniform(-0.5, 0.5, 2), 1.0]
-        walls.append(make_wall(indices.tolist(), thicknesses.tolist(), normal, rng.uniform(-40.0, 40.0, 3)))
+        walls.append(
+            make_wall(indices.tolist(), thicknesses.tolist(), normal, rng.uniform(-40.0, 40.0, 3))
+        )
     return walls
 
 
@@ -53,12 +70,19 @@ def hand_path(wall: Wall, before: float, behind: float, sine: float) -> tuple[F6
     """Lateral positions and depths of a path's corners (pinhole, crossings, end); `sine` is that in the rarest medium."""
     depths = [before, *(layer.thickness_mm for layer in wall.layers), behind]
     invariant = min(wall.indices) * sine
-    lateral = [depth * math.tan(math.asin(invariant / n)) for depth, n in zip(depths, wall.indices, strict=True)]
+    lateral = [
+        depth * math.tan(math.asin(invariant / n))
+        for depth, n in zip(depths, wall.indices, strict=True)
+    ]
     return np.cumsum([0.0, *lateral]), np.cumsum([-before, *depths])
 
 
 def in_world(wall: Wall, across: F64, lateral: F64, depth: F64) -> F64:
-    return np.asarray(np.asarray(wall.point_mm) + lateral[:, None] * across + depth[:, None] * np.asarray(wall.normal))
+    return np.asarray(
+        np.asarray(wall.point_mm)
+        + lateral[:, None] * across
+        + depth[:, None] * np.asarray(wall.normal)
+    )
 
 
 def hand_paths(wall: Wall, count: int, seed: int) -> list[F64]:
@@ -70,14 +94,22 @@ def hand_paths(wall: Wall, count: int, seed: int) -> list[F64]:
     for _ in range(count):
         turn = rng.uniform(0.0, 2.0 * np.pi)
         across = math.cos(turn) * basis[0] + math.sin(turn) * basis[1]
-        paths.append(in_world(wall, across, *hand_path(wall, before, rng.uniform(0.1, 200.0), rng.uniform(0.0, 0.98))))
+        paths.append(
+            in_world(
+                wall,
+                across,
+                *hand_path(wall, before, rng.uniform(0.1, 200.0), rng.uniform(0.0, 0.98)),
+            )
+        )
     return paths
 
 
 def crossings(wall: Wall, start: F64, leaving: F64) -> list[F64]:
     """Where a ray meets the interfaces: planes intersected by hand, turned in the plane of incidence by angles."""
     normal, here, direction, met = np.asarray(wall.normal), start, leaving, []
-    for depth, n1, n2 in zip(wall.interface_depths_mm, wall.indices[:-1], wall.indices[1:], strict=True):
+    for depth, n1, n2 in zip(
+        wall.interface_depths_mm, wall.indices[:-1], wall.indices[1:], strict=True
+    ):
         plane = np.asarray(wall.point_mm) + depth * normal
         here = here + direction * ((plane - here) @ normal) / (direction @ normal)
         met.append(here)
@@ -93,15 +125,28 @@ def sine_of(segment: F64, normal: Any) -> float:
 
 def straight_camera(wall: Wall | None, **changes: Any) -> Camera:
     camera = Camera(
-        name="camera_00", rows=300, columns=500, center_mm=(13.0, -27.0, -400.0), rotation=aimed_rotation(np.array([0.1, -0.05, 1.0])),
-        principal_distance_mm=60.0, pixel_mm=0.01, principal_point_px=(260.0, 140.0), distortion=Distortion(),
-        focal_length_mm=50.0, f_number=8.0, wall=wall,
-    )  # fmt: skip
+        name="camera_00",
+        rows=300,
+        columns=500,
+        center_mm=(13.0, -27.0, -400.0),
+        rotation=aimed_rotation(np.array([0.1, -0.05, 1.0])),
+        principal_distance_mm=60.0,
+        pixel_mm=0.01,
+        principal_point_px=(260.0, 140.0),
+        distortion=Distortion(),
+        focal_length_mm=50.0,
+        f_number=8.0,
+        wall=wall,
+    )
     return replace(camera, **changes)
 
 
 def test_sample_holds_layers_rarer_than_both_sides() -> None:
-    inner_rarest = [wall for wall in WALLS if len(wall.layers) and min(wall.indices[1:-1]) < min(wall.indices[0], wall.indices[-1])]
+    inner_rarest = [
+        wall
+        for wall in WALLS
+        if len(wall.layers) and min(wall.indices[1:-1]) < min(wall.indices[0], wall.indices[-1])
+    ]
     assert len(inner_rarest) >= 4
     assert {len(wall.layers) for wall in WALLS} == {0, 1, 2, 3, 4}
 
@@ -111,8 +156,12 @@ def test_finds_the_path_that_was_built_by_hand(wall: Wall) -> None:
     paths = hand_paths(wall, 30, 1)
     found = trace_to_points(wall, paths[0][0], np.stack([path[-1] for path in paths]))
     assert found.valid.all()
-    np.testing.assert_allclose(found.leaving, [unit(path[1] - path[0]) for path in paths], rtol=0, atol=1e-11)
-    np.testing.assert_allclose(found.arriving, [unit(path[-1] - path[-2]) for path in paths], rtol=0, atol=1e-10)
+    np.testing.assert_allclose(
+        found.leaving, [unit(path[1] - path[0]) for path in paths], rtol=0, atol=1e-11
+    )
+    np.testing.assert_allclose(
+        found.arriving, [unit(path[-1] - path[-2]) for path in paths], rtol=0, atol=1e-10
+    )
 
 
 @pytest.mark.parametrize("wall", WALLS)
@@ -121,8 +170,13 @@ def test_snells_law_holds_at_every_interface(wall: Wall) -> None:
     found = trace_to_points(wall, paths[0][0], np.stack([path[-1] for path in paths]))
     for path, leaving in zip(paths, found.leaving, strict=True):
         corners = [path[0], *crossings(wall, path[0], leaving), path[-1]]
-        invariants = [n * sine_of(b - a, wall.normal) for n, a, b in zip(wall.indices, corners[:-1], corners[1:], strict=True)]
-        np.testing.assert_allclose(invariants, invariants[0], rtol=0, atol=1e-9)  # the last segment ends at the point itself
+        invariants = [
+            n * sine_of(b - a, wall.normal)
+            for n, a, b in zip(wall.indices, corners[:-1], corners[1:], strict=True)
+        ]
+        np.testing.assert_allclose(
+            invariants, invariants[0], rtol=0, atol=1e-9
+        )  # the last segment ends at the point itself
 
 
 @pytest.mark.parametrize("wall", WALLS)
@@ -140,15 +194,28 @@ def test_fermat_no_neighbouring_path_is_shorter(wall: Wall) -> None:
             return np.asarray(-np.diff(wall.indices * steps / np.hypot(steps, depths)))
 
         def curvature(crossing: F64, radius: float = radius) -> F64:
-            c = wall.indices * np.square(depths) / np.hypot(np.diff([0.0, *crossing, radius]), depths) ** 3
+            c = (
+                wall.indices
+                * np.square(depths)
+                / np.hypot(np.diff([0.0, *crossing, radius]), depths) ** 3
+            )
             return np.asarray(np.diag(c[:-1] + c[1:]) - np.diag(c[1:-1], 1) - np.diag(c[1:-1], -1))
 
         sine = t / math.hypot(1.0, t)
         found = hand_path(wall, depths[0], depths[-1], sine)[0][1:-1]
         start = np.linspace(0.0, radius, len(depths) + 1)[1:-1]
-        best = minimize(length, start, jac=gradient, hess=curvature, method="trust-exact", options={"gtol": 1e-10}).fun
+        best = minimize(
+            length,
+            start,
+            jac=gradient,
+            hess=curvature,
+            method="trust-exact",
+            options={"gtol": 1e-10},
+        ).fun
         assert length(found) == pytest.approx(best, rel=1e-11)
-        assert length(found) <= best * (1.0 + 1e-14)  # the path is the minimum of a convex function, the search may only come near
+        assert length(found) <= best * (
+            1.0 + 1e-14
+        )  # the path is the minimum of a convex function, the search may only come near
 
 
 @pytest.mark.parametrize("wall", WALLS)
@@ -188,7 +255,9 @@ def test_the_iteration_ends_in_a_few_steps(wall: Wall, monkeypatch: pytest.Monke
 def test_back_projection_returns_to_the_point(wall: Wall) -> None:
     paths = hand_paths(wall, 60, 5)
     points = np.stack([path[-1] for path in paths])
-    camera = straight_camera(wall, center_mm=triple(paths[0][0]), rotation=aimed_rotation(np.asarray(wall.normal)))
+    camera = straight_camera(
+        wall, center_mm=triple(paths[0][0]), rotation=aimed_rotation(np.asarray(wall.normal))
+    )
     pixels, valid = camera.project(points)
     rays = camera.back_project(pixels)
     assert valid.all()
@@ -200,18 +269,28 @@ def test_back_projection_returns_to_the_point(wall: Wall) -> None:
 
 
 @pytest.mark.parametrize(("n1", "n2"), [(1.0, 1.333), (1.5, 1.0), (1.7, 1.69), (2.2, 2.2)])
-def test_single_interface_agrees_with_a_bracketed_root_and_the_quartic(n1: float, n2: float) -> None:
+def test_single_interface_agrees_with_a_bracketed_root_and_the_quartic(
+    n1: float, n2: float
+) -> None:
     before, behind = 310.0, 47.0
     for radius in (1e-3, 8.0, 150.0, 2000.0):
 
         def mismatch(x: float, radius: float = radius) -> float:
-            return n1 * x / math.hypot(x, before) - n2 * (radius - x) / math.hypot(radius - x, behind)
+            return n1 * x / math.hypot(x, before) - n2 * (radius - x) / math.hypot(
+                radius - x, behind
+            )
 
         x = brentq(mismatch, 0.0, radius, xtol=1e-14, rtol=1e-15)
-        leaving = trace_to_points(make_wall([n1, n2], []), np.array([0.0, 0.0, -before]), np.array([[radius, 0.0, behind]])).leaving[0]
+        leaving = trace_to_points(
+            make_wall([n1, n2], []),
+            np.array([0.0, 0.0, -before]),
+            np.array([[radius, 0.0, behind]]),
+        ).leaving[0]
         found = before * leaving[0] / leaving[2]
         assert found == pytest.approx(x, rel=1e-11)
-        quartic = n1**2 * found**2 * ((radius - found) ** 2 + behind**2) - n2**2 * (radius - found) ** 2 * (found**2 + before**2)
+        quartic = n1**2 * found**2 * ((radius - found) ** 2 + behind**2) - n2**2 * (
+            radius - found
+        ) ** 2 * (found**2 + before**2)
         assert abs(quartic) < 1e-10 * n1**2 * found**2 * (radius**2 + behind**2 + before**2)
 
 
@@ -226,7 +305,11 @@ def test_equal_indices_are_a_plain_pinhole() -> None:
 def test_no_lateral_distance_is_a_straight_line() -> None:
     for wall in WALLS:
         pinhole = np.asarray(wall.point_mm) - 200.0 * np.asarray(wall.normal)
-        paths = trace_to_points(wall, pinhole, (pinhole + (200.0 + wall.thickness_mm + 50.0) * np.asarray(wall.normal))[None])
+        paths = trace_to_points(
+            wall,
+            pinhole,
+            (pinhole + (200.0 + wall.thickness_mm + 50.0) * np.asarray(wall.normal))[None],
+        )
         assert paths.valid.all()
         np.testing.assert_allclose(paths.leaving[0], wall.normal, rtol=0, atol=1e-14)
         np.testing.assert_allclose(paths.arriving[0], wall.normal, rtol=0, atol=1e-14)
@@ -235,9 +318,20 @@ def test_no_lateral_distance_is_a_straight_line() -> None:
 @pytest.mark.parametrize("behind", [1e-3, 0.1, 10.0])
 def test_grazing_points_end_near_the_critical_angle(behind: float) -> None:
     wall = make_wall([1.0, 1.5, 1.333], [5.0])
-    paths = trace_to_points(wall, np.array([0.0, 0.0, -300.0]), np.array([[1e4, 0.0, 5.0 + behind]]))
-    corners = np.array([[0.0, 0.0, -300.0], *crossings(wall, np.array([0.0, 0.0, -300.0]), paths.leaving[0]), [1e4, 0.0, 5.0 + behind]])
-    invariants = [n * sine_of(step, wall.normal) for n, step in zip(wall.indices, np.diff(corners, axis=0), strict=True)]
+    paths = trace_to_points(
+        wall, np.array([0.0, 0.0, -300.0]), np.array([[1e4, 0.0, 5.0 + behind]])
+    )
+    corners = np.array(
+        [
+            [0.0, 0.0, -300.0],
+            *crossings(wall, np.array([0.0, 0.0, -300.0]), paths.leaving[0]),
+            [1e4, 0.0, 5.0 + behind],
+        ]
+    )
+    invariants = [
+        n * sine_of(step, wall.normal)
+        for n, step in zip(wall.indices, np.diff(corners, axis=0), strict=True)
+    ]
     np.testing.assert_allclose(invariants, invariants[0], rtol=0, atol=1e-7)
     assert 0.999 < invariants[0] < 1.0
 
@@ -247,7 +341,9 @@ def test_total_reflection_is_not_valid(indices: list[float]) -> None:
     wall = make_wall(indices, [3.0] * (len(indices) - 2), normal=(0.1, 0.2, 1.0))
     across = np.asarray(aimed_rotation(np.asarray(wall.normal)))[0]
     sines = (1.0 / 1.5) * np.array([0.5, 1.0 - 1e-9, 1.0 + 1e-9, 1.2, 1.49])
-    directions = np.sqrt(1.0 - sines**2)[:, None] * np.asarray(wall.normal) + sines[:, None] * across
+    directions = (
+        np.sqrt(1.0 - sines**2)[:, None] * np.asarray(wall.normal) + sines[:, None] * across
+    )
     rays = trace_into_fluid(wall, np.array([0.0, 0.0, -100.0]), directions)
     assert rays.valid.tolist() == [True, True, False, False, False]
     assert np.isnan(rays.directions[2:]).all()
@@ -255,7 +351,11 @@ def test_total_reflection_is_not_valid(indices: list[float]) -> None:
 
 
 def test_camera_in_the_dense_medium_marks_reflected_pixels() -> None:
-    camera = straight_camera(make_wall([1.5, 1.0], []), principal_distance_mm=2.0, rotation=aimed_rotation(np.array([0.0, 0.0, 1.0])))
+    camera = straight_camera(
+        make_wall([1.5, 1.0], []),
+        principal_distance_mm=2.0,
+        rotation=aimed_rotation(np.array([0.0, 0.0, 1.0])),
+    )
     pixels = np.stack([np.linspace(0.0, 499.0, 41), np.full(41, 140.0)], axis=1)
     tangent = np.abs(pixels[:, 0] - 260.0) / 200.0
     expected = tangent / np.hypot(1.0, tangent) < 1.0 / 1.5
@@ -263,7 +363,17 @@ def test_camera_in_the_dense_medium_marks_reflected_pixels() -> None:
     np.testing.assert_array_equal(camera.back_project(pixels).valid, expected)
 
 
-@pytest.mark.parametrize("bad", [(0.0, 0.0, -50.0), (3.0, 1.0, 0.0), (0.0, 5.0, 2.0), (1.0, 0.0, 5.0), (math.nan, 0.0, 30.0), (0.0, math.inf, 30.0)])
+@pytest.mark.parametrize(
+    "bad",
+    [
+        (0.0, 0.0, -50.0),
+        (3.0, 1.0, 0.0),
+        (0.0, 5.0, 2.0),
+        (1.0, 0.0, 5.0),
+        (math.nan, 0.0, 30.0),
+        (0.0, math.inf, 30.0),
+    ],
+)
 def test_points_without_a_path_are_not_valid(bad: tuple[float, float, float]) -> None:
     wall = make_wall([1.0, 1.5, 1.333], [5.0])
     good = (4.0, -3.0, 30.0)
@@ -284,22 +394,35 @@ def test_a_pinhole_behind_the_face_sees_nothing(depth: float) -> None:
 
 def test_rays_that_leave_the_wall_are_not_valid() -> None:
     wall = make_wall([1.0, 1.5, 1.333], [5.0])
-    directions = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.6, 0.0, -0.8], [math.nan, 0.0, 1.0]])
-    assert trace_into_fluid(wall, np.array([0.0, 0.0, -100.0]), directions).valid.tolist() == [True, False, False, False]
+    directions = np.array(
+        [[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.6, 0.0, -0.8], [math.nan, 0.0, 1.0]]
+    )
+    assert trace_into_fluid(wall, np.array([0.0, 0.0, -100.0]), directions).valid.tolist() == [
+        True,
+        False,
+        False,
+        False,
+    ]
 
 
 def test_transmittance_at_normal_incidence() -> None:
     for wall in WALLS:
         n = wall.indices
         expected = np.prod(4.0 * n[:-1] * n[1:] / (n[:-1] + n[1:]) ** 2)
-        assert transmittance(wall, np.asarray(wall.normal)[None])[0] == pytest.approx(expected, rel=1e-13)
+        assert transmittance(wall, np.asarray(wall.normal)[None])[0] == pytest.approx(
+            expected, rel=1e-13
+        )
 
 
 def test_brewsters_angle_passes_all_of_the_parallel_part() -> None:
     n1, n2 = 1.0, 1.52
     angle = math.atan2(n2, n1)
-    across_only = ((n1**2 - n2**2) / (n1**2 + n2**2)) ** 2  # the reflected share of the other part, at this angle
-    found = transmittance(make_wall([n1, n2], []), np.array([[math.sin(angle), 0.0, math.cos(angle)]]))[0]
+    across_only = (
+        (n1**2 - n2**2) / (n1**2 + n2**2)
+    ) ** 2  # the reflected share of the other part, at this angle
+    found = transmittance(
+        make_wall([n1, n2], []), np.array([[math.sin(angle), 0.0, math.cos(angle)]])
+    )[0]
     assert found == pytest.approx(1.0 - across_only / 2.0, rel=1e-13)
 
 
@@ -307,43 +430,66 @@ def test_brewsters_angle_passes_all_of_the_parallel_part() -> None:
 def test_transmittance_is_the_transmitted_power(wall: Wall) -> None:
     """n2 cos2 |t|^2 / (n1 cos1), averaged over the two polarisations at each interface, from the amplitudes t."""
     for path in hand_paths(wall, 10, 7):
-        cosines = [math.sqrt(1.0 - sine_of(step, wall.normal) ** 2) for step in np.diff(path, axis=0)]
+        cosines = [
+            math.sqrt(1.0 - sine_of(step, wall.normal) ** 2) for step in np.diff(path, axis=0)
+        ]
         expected = 1.0
         for i, (n1, n2) in enumerate(zip(wall.indices[:-1], wall.indices[1:], strict=True)):
             c1, c2 = cosines[i], cosines[i + 1]
             across, along = 2.0 * n1 * c1 / (n1 * c1 + n2 * c2), 2.0 * n1 * c1 / (n2 * c1 + n1 * c2)
             expected *= n2 * c2 / (n1 * c1) * (across**2 + along**2) / 2.0
-        assert transmittance(wall, unit(path[1] - path[0])[None])[0] == pytest.approx(expected, rel=1e-10)
+        assert transmittance(wall, unit(path[1] - path[0])[None])[0] == pytest.approx(
+            expected, rel=1e-10
+        )
 
 
 @pytest.mark.parametrize("wall", WALLS)
 def test_transmittance_is_the_same_in_both_directions(wall: Wall) -> None:
     paths = hand_paths(wall, 20, 8)
     found = trace_to_points(wall, paths[0][0], np.stack([path[-1] for path in paths]))
-    back = make_wall(wall.indices[::-1].tolist(), [layer.thickness_mm for layer in wall.layers][::-1], normal=-np.asarray(wall.normal))
-    np.testing.assert_allclose(transmittance(wall, found.leaving), transmittance(back, -found.arriving), rtol=0, atol=1e-11)
+    back = make_wall(
+        wall.indices[::-1].tolist(),
+        [layer.thickness_mm for layer in wall.layers][::-1],
+        normal=-np.asarray(wall.normal),
+    )
+    np.testing.assert_allclose(
+        transmittance(wall, found.leaving), transmittance(back, -found.arriving), rtol=0, atol=1e-11
+    )
 
 
 def test_moving_the_whole_world_moves_no_pixel() -> None:
     rng = np.random.default_rng(9)
-    wall = make_wall([1.0, 1.52, 1.1, 1.333], [5.0, 0.4], normal=(0.1, 0.05, 1.0), point=(3.0, 4.0, 5.0))
+    wall = make_wall(
+        [1.0, 1.52, 1.1, 1.333], [5.0, 0.4], normal=(0.1, 0.05, 1.0), point=(3.0, 4.0, 5.0)
+    )
     camera = straight_camera(wall, distortion=Distortion(-0.1, 0.02, 1e-3, -2e-3, 0.01))
     points = rng.uniform([-30.0, -20.0, 40.0], [30.0, 20.0, 90.0], (40, 3))
     pixels, valid = camera.project(points)
     assert valid.all()
     for turn in Rotation.random(5, rng=rng).as_matrix():
         shift = rng.uniform(-500.0, 500.0, 3)
-        moved_wall = replace(wall, point_mm=triple(turn @ wall.point_mm + shift), normal=triple(turn @ wall.normal))
+        moved_wall = replace(
+            wall, point_mm=triple(turn @ wall.point_mm + shift), normal=triple(turn @ wall.normal)
+        )
         axes = np.asarray(camera.rotation) @ turn.T
         moved = replace(
-            camera, center_mm=triple(turn @ camera.center_mm + shift), rotation=(triple(axes[0]), triple(axes[1]), triple(axes[2])), wall=moved_wall
+            camera,
+            center_mm=triple(turn @ camera.center_mm + shift),
+            rotation=(triple(axes[0]), triple(axes[1]), triple(axes[2])),
+            wall=moved_wall,
         )
-        np.testing.assert_allclose(moved.project(points @ turn.T + shift)[0], pixels, rtol=0, atol=1e-8)
+        np.testing.assert_allclose(
+            moved.project(points @ turn.T + shift)[0], pixels, rtol=0, atol=1e-8
+        )
 
 
 def test_order_and_splitting_of_layers_do_not_matter() -> None:
     points = np.random.default_rng(10).uniform([-80.0, -50.0, 40.0], [80.0, 50.0, 90.0], (40, 3))
-    stacks = [([1.5, 1.2, 1.8], [5.0, 2.0, 0.5]), ([1.8, 1.5, 1.2], [0.5, 5.0, 2.0]), ([1.5, 1.5, 1.2, 1.8], [1.0, 4.0, 2.0, 0.5])]
+    stacks = [
+        ([1.5, 1.2, 1.8], [5.0, 2.0, 0.5]),
+        ([1.8, 1.5, 1.2], [0.5, 5.0, 2.0]),
+        ([1.5, 1.5, 1.2, 1.8], [1.0, 4.0, 2.0, 0.5]),
+    ]
     images = [straight_camera(make_wall([1.0, *n, 1.333], d)).project(points)[0] for n, d in stacks]
     np.testing.assert_allclose(images[1], images[0], rtol=0, atol=1e-9)
     np.testing.assert_allclose(images[2], images[0], rtol=0, atol=1e-9)
@@ -362,7 +508,9 @@ def test_scaling_all_lengths_or_all_indices_changes_no_direction() -> None:
 
 def test_more_points_than_one_pass_holds() -> None:
     wall = make_wall([1.0, 1.5, 1.333], [5.0])
-    points = np.random.default_rng(12).uniform([-80.0, -50.0, 40.0], [80.0, 50.0, 90.0], (40_001, 3))
+    points = np.random.default_rng(12).uniform(
+        [-80.0, -50.0, 40.0], [80.0, 50.0, 90.0], (40_001, 3)
+    )
     camera = straight_camera(wall)
     whole = camera.project(points)[0]
     np.testing.assert_allclose(whole[::997], camera.project(points[::997])[0], rtol=0, atol=1e-10)

@@ -1,9 +1,10 @@
 """What a backlit bubble looks like: transmission over the distance from its centre, by ray optics, blurred by lens and pixels.
 
-A ray that meets a ball at a part b of its radius is reflected, by pi - 2 asin(b), or goes through, by 2 (asin(b n) - asin(b)), n being the index of
-the fluid over that of the ball, or is reflected inside first. What it brings is the diffuser's light if it leaves within the diffuser's half
-angle of its direction, and nothing else. The rim is dark between where light that goes through is bent too far and where light that is
-reflected is not bent far enough.
+A ray that meets a ball at a part b of its radius is reflected, by pi - 2 asin(b), or goes through,
+by 2 (asin(b n) - asin(b)), n being the index of the fluid over that of the ball, or is reflected
+inside first. What it brings is the diffuser's light if it leaves within the diffuser's half angle
+of its direction, and nothing else. The rim is dark between where light that goes through is bent
+too far and where light that is reflected is not bent far enough.
 """
 
 from __future__ import annotations
@@ -41,7 +42,13 @@ def sharp(b: F64, index: float, half_angle: float) -> F64:
     light = part * _seen(np.pi - 2.0 * incident, half_angle)
     turn = 2.0 * (refracted - incident)
     for bounce in range(_INNER + 1):
-        light = light + np.where(total, 0.0, (1.0 - part) ** 2 * part**bounce * _seen(turn + bounce * (np.pi - 2.0 * refracted), half_angle))
+        light = light + np.where(
+            total,
+            0.0,
+            (1.0 - part) ** 2
+            * part**bounce
+            * _seen(turn + bounce * (np.pi - 2.0 * refracted), half_angle),
+        )
     return np.where(b >= 1.0, 1.0, light)
 
 
@@ -55,7 +62,9 @@ def reflectance(incident: F64, refracted: F64, index: float) -> F64:
 def _seen(angle: F64, half_angle: float) -> F64:
     """Whether light turned by an angle comes from the diffuser; part of it near its edge."""
     away = np.abs((angle + np.pi) % (2.0 * np.pi) - np.pi)
-    return np.asarray(np.clip((half_angle * (1.0 + _SOFT) - away) / (2.0 * _SOFT * half_angle), 0.0, 1.0))
+    return np.asarray(
+        np.clip((half_angle * (1.0 + _SOFT) - away) / (2.0 * _SOFT * half_angle), 0.0, 1.0)
+    )
 
 
 @dataclass(frozen=True)
@@ -75,7 +84,12 @@ class Profile:
             middle, step = edges[:-1] + radius / _FINE / 2.0, radius / _FINE
             missing = 1.0 - sharp(middle / radius, index, half_angle)
             distance = np.linspace(0.0, 1.0, _DISTANCES)[:, None] * (radius + REACH * blur_px)
-            weight = np.exp(-((distance - middle) ** 2) / (2.0 * blur_px**2)) * i0e(distance * middle / blur_px**2) * middle / blur_px**2
+            weight = (
+                np.exp(-((distance - middle) ** 2) / (2.0 * blur_px**2))
+                * i0e(distance * middle / blur_px**2)
+                * middle
+                / blur_px**2
+            )
             row[:] = 1.0 - (weight * missing).sum(axis=1) * step
         return cls(table, blur_px)
 

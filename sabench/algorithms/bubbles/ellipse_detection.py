@@ -1,7 +1,8 @@
 """Ellipses in an image of something dark: edges to a fraction of a pixel, votes for axes, least squares on the edges that voted.
 
-Source: Y. Xie and Q. Ji, A new efficient ellipse detection method, ICPR 2002: every two edges may be the ends of a major axis, for whose minor axis
-all others vote. Here edges have directions too, which must be those of the ellipse's inward normals, so that few pairs are left and the inner edges
+Source: Y. Xie and Q. Ji, A new efficient ellipse detection method, ICPR 2002: every two edges may
+be the ends of a major axis, for whose minor axis all others vote. Here edges have directions too,
+which must be those of the ellipse's inward normals, so that few pairs are left and the inner edges
 of rings do not vote; and an outline is judged by the part of it that has edges.
 """
 
@@ -27,7 +28,8 @@ _FITS = 2
 def edges(dark: F32, least: float) -> F64:
     """Edges (n, 4) of an image of darkness: column and row to a fraction of a pixel, and unit vectors towards the dark.
 
-    They are the maxima of the gradient's length along its direction, placed by a parabola through it and its neighbours on both sides.
+    They are the maxima of the gradient's length along its direction, placed by a parabola through
+    it and its neighbours on both sides.
 
     Parameters
     ----------
@@ -41,25 +43,36 @@ def edges(dark: F32, least: float) -> F64:
     rows, columns = np.nonzero(strength > least)
     here = strength[rows, columns]
     gx, gy = right[rows, columns] / here, down[rows, columns] / here
-    before, after = (_between(strength, columns + side * gx, rows + side * gy) for side in (-1.0, 1.0))
+    before, after = (
+        _between(strength, columns + side * gx, rows + side * gy) for side in (-1.0, 1.0)
+    )
     peak = (here >= before) & (here > after)
     offset = 0.5 * (before - after)[peak] / (before - 2.0 * here + after)[peak]
     gx, gy = gx[peak], gy[peak]
-    return np.column_stack([columns[peak] + offset * gx, rows[peak] + offset * gy, gx, gy]).astype(np.float64)
+    return np.column_stack([columns[peak] + offset * gx, rows[peak] + offset * gy, gx, gy]).astype(
+        np.float64
+    )
 
 
 def _between(image: F32, x: F32, y: F32) -> F32:
     """Values between pixels."""
     if not len(x):
         return np.zeros(0, dtype=np.float32)
-    found = cv2.remap(image, x.astype(np.float32)[None], y.astype(np.float32)[None], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    found = cv2.remap(
+        image,
+        x.astype(np.float32)[None],
+        y.astype(np.float32)[None],
+        cv2.INTER_LINEAR,
+        borderMode=cv2.BORDER_REPLICATE,
+    )
     return np.asarray(found[0])
 
 
 def ellipses(points: F64, largest: float, least_aspect: float, least_part: float) -> F64:
     """Outlines (n, 6) that edges (m, 4) make, the best one first: column, row, semi-axes, angle of the longer one from X, part that has edges.
 
-    An outline takes its edges away from the others, as the largest value of an accumulator is taken out before the next one is looked for.
+    An outline takes its edges away from the others, as the largest value of an accumulator is taken
+    out before the next one is looked for.
 
     Parameters
     ----------
@@ -91,7 +104,9 @@ def _fitted(points: F64, first: F64) -> F64:
     (x, y), (one, other), degrees = cv2.fitEllipseDirect(points[:, :2].astype(np.float32))
     angle = np.deg2rad(degrees) + (0.0 if one >= other else np.pi / 2.0)
     found = np.array([x, y, max(one, other) / 2.0, min(one, other) / 2.0, angle])
-    like = np.isfinite(found).all() and np.abs(found[:4] - first[:4]).max() <= max(1.0, 0.3 * first[2])
+    like = np.isfinite(found).all() and np.abs(found[:4] - first[:4]).max() <= max(
+        1.0, 0.3 * first[2]
+    )
     return found if like and found[3] >= _LEAST_PX else first
 
 
@@ -124,7 +139,9 @@ def _belongs(points: Any, ellipse: Any, off: float) -> Any:
 def _covered(points: Any, ellipse: Any) -> float:
     """Part of an outline, in steps of about a pixel, that has edges."""
     a, b = ellipse[2], ellipse[3]
-    steps = max(8, int(np.rint(np.pi * (3.0 * (a + b) - np.sqrt((3.0 * a + b) * (a + 3.0 * b))))))  # Ramanujan's circumference
+    steps = max(
+        8, int(np.rint(np.pi * (3.0 * (a + b) - np.sqrt((3.0 * a + b) * (a + 3.0 * b)))))
+    )  # Ramanujan's circumference
     seen = np.zeros(steps, dtype=np.bool_)
     relation = _relation(points, ellipse)
     for k in range(len(points)):
@@ -143,9 +160,20 @@ def _voted(points: Any, largest: float, least_aspect: float) -> Any:
             length = np.hypot(dx, dy)
             if length < 2.0 * _LEAST_PX or length > 2.0 * largest:
                 continue
-            if points[j, 2] * dx + points[j, 3] * dy < _ALONG * length or points[i, 2] * dx + points[i, 3] * dy > -_ALONG * length:
+            if (
+                points[j, 2] * dx + points[j, 3] * dy < _ALONG * length
+                or points[i, 2] * dx + points[i, 3] * dy > -_ALONG * length
+            ):
                 continue
-            axis = np.array([0.5 * (points[i, 0] + points[j, 0]), 0.5 * (points[i, 1] + points[j, 1]), 0.5 * length, 0.0, np.arctan2(dy, dx)])
+            axis = np.array(
+                [
+                    0.5 * (points[i, 0] + points[j, 0]),
+                    0.5 * (points[i, 1] + points[j, 1]),
+                    0.5 * length,
+                    0.0,
+                    np.arctan2(dy, dx),
+                ]
+            )
             axis[3] = _minor(points, axis, least_aspect)
             if axis[3] == 0.0:
                 continue
@@ -171,12 +199,17 @@ def _minor(points: Any, axis: Any, least_aspect: float) -> float:
         if b < max(least_aspect * a - _BIN, _LEAST_PX) or b > a + _BIN:
             continue
         nu, nw = u / a**2, w / b**2
-        inward = -((points[k, 2] * cosine + points[k, 3] * sine) * nu + (points[k, 3] * cosine - points[k, 2] * sine) * nw)
+        inward = -(
+            (points[k, 2] * cosine + points[k, 3] * sine) * nu
+            + (points[k, 3] * cosine - points[k, 2] * sine) * nw
+        )
         if inward >= _ALONG * np.hypot(nu, nw):
             votes[int(b / _BIN)] += 1.0
     three = votes[:-2] + votes[1:-1] + votes[2:]
     top = three.argmax()
     if three[top] < 3.0:
         return 0.0
-    mean = (votes[top] * (top + 0.5) + votes[top + 1] * (top + 1.5) + votes[top + 2] * (top + 2.5)) / three[top]
+    mean = (
+        votes[top] * (top + 0.5) + votes[top + 1] * (top + 1.5) + votes[top + 2] * (top + 2.5)
+    ) / three[top]
     return float(min(mean * _BIN, a))

@@ -1,8 +1,9 @@
 """Peaks of the feature potential over depth, groups of them, and the depth of an outline.
 
-Source: J. Belden's thesis, section 5.4.3. There a group is whatever is connected, each peak within half a window and ten planes of another one.
-Among many bubbles such chains run from one to the next, and their mean depth is that of none; here a group is what is connected to its strongest
-peak within ten planes of that one, and as far sideways as the largest bubble.
+Source: J. Belden's thesis, section 5.4.3. There a group is whatever is connected, each peak within
+half a window and ten planes of another one. Among many bubbles such chains run from one to the
+next, and their mean depth is that of none; here a group is what is connected to its strongest peak
+within ten planes of that one, and as far sideways as the largest bubble.
 """
 
 from __future__ import annotations
@@ -39,7 +40,9 @@ class Peaks:
     def of(cls, potential: F32, least: float) -> Peaks:
         """Where a potential (z, window rows, window columns) is larger than one plane before and after, and than `least`."""
         around = np.pad(potential, ((1, 1), (0, 0), (0, 0)))
-        place = np.argwhere((potential > least) & (potential >= around[:-2]) & (potential > around[2:]))
+        place = np.argwhere(
+            (potential > least) & (potential >= around[:-2]) & (potential > around[2:])
+        )
         weight = potential[tuple(place.T)].astype(np.float64)
         order = np.argsort(-weight, kind="stable")
         return cls(place[order], weight[order])
@@ -47,7 +50,9 @@ class Peaks:
     def group(self, first: int, free: Bool, reach: int) -> I64:
         """Indices of the free peaks that neighbouring windows connect with one, no farther from it than `reach` windows and `PLANES`."""
         apart = self.place - self.place[first]
-        near = np.flatnonzero(free & (np.abs(apart[:, 0]) <= PLANES) & (np.abs(apart[:, 1:]).max(axis=1) <= reach))
+        near = np.flatnonzero(
+            free & (np.abs(apart[:, 0]) <= PLANES) & (np.abs(apart[:, 1:]).max(axis=1) <= reach)
+        )
         row, column = (apart[near, 1:] + reach).T
         taken = np.zeros((2 * reach + 1, 2 * reach + 1), dtype=np.bool_)
         taken[row, column] = True
@@ -61,13 +66,17 @@ class Peaks:
     def within(self, bubble: F64, planes: int) -> Bool:
         """Which peaks have some of their window inside the circle around a bubble (7,) and are at most so many planes from it."""
         y, x = (self.place[:, axis] * STEP + (WINDOW - 1) / 2.0 for axis in (1, 2))
-        return np.asarray((np.hypot(x - bubble[0], y - bubble[1]) <= bubble[2] + WINDOW / 2.0) & (np.abs(self.place[:, 0] - bubble[6]) <= planes))
+        return np.asarray(
+            (np.hypot(x - bubble[0], y - bubble[1]) <= bubble[2] + WINDOW / 2.0)
+            & (np.abs(self.place[:, 0] - bubble[6]) <= planes)
+        )
 
 
 def depth_of(volume: F32, outline: F64, plane: int) -> float:
     """The plane, to a fraction, in which what is within a voxel of an outline and inside it is darkest.
 
-    It is the mean of the planes around the darkest one, weighted with the square of their mean darkness.
+    It is the mean of the planes around the darkest one, weighted with the square of their mean
+    darkness.
 
     Parameters
     ----------
@@ -100,7 +109,8 @@ def _inside(shape: tuple[int, ...], outline: F64) -> tuple[slice, slice, Bool]:
 def distinct(bubbles: F64, depth: float) -> F64:
     """Bubbles (n, 7) of which no two are at one place, the largest first: a much smaller one is left out, two alike are merged.
 
-    The merged one is their mean, weighted with the parts of their outlines that have edges, with the angle of the first.
+    The merged one is their mean, weighted with the parts of their outlines that have edges, with
+    the angle of the first.
 
     Parameters
     ----------

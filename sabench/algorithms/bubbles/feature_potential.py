@@ -1,7 +1,7 @@
 """The thesis's way to bubbles: a refocused stack, its feature potential, minimum images, outlines.
 
-Source: J. Belden's thesis, sections 5.3 and 5.4. What is refocused, attenuated and looked at is darkness, one less the images' transmission: the
-thesis's minimum images are largest darkness here.
+Source: J. Belden's thesis, sections 5.3 and 5.4. What is refocused, attenuated and looked at is
+darkness, one less the images' transmission: the thesis's minimum images are largest darkness here.
 """
 
 from __future__ import annotations
@@ -30,8 +30,9 @@ _FLOOR = 0.02
 def darkness(case: Observation) -> F32:
     """The multiplicative stack of equation 5.7, n = 1/3, of what is dark: (z, y, x) from 0 to 1.
 
-    It is the images' darkness that is multiplied. A product of bright images is dark wherever any one of them is; the thesis wants a camera whose
-    view is blocked not to prevent that an object comes into focus.
+    It is the images' darkness that is multiplied. A product of bright images is dark wherever any
+    one of them is; the thesis wants a camera whose view is blocked not to prevent that an object
+    comes into focus.
     """
     images = np.clip(1.0 - transmission(case), _FLOOR, 1.0)
     volume = refocus_log2(images, case.cameras, case.grid, _FLOOR, outside=_FLOOR)
@@ -68,8 +69,16 @@ def _potential(volume: Any, step: int, flat: float, out: Any) -> None:
             across = along = 0.0
             for y in range(top, bottom):
                 for x in range(left, right):
-                    gx = abs(volume[z, y, min(x + 1, width - 1)] - volume[z, y, max(x - 1, 0)]) * 0.5 / spread
-                    gy = abs(volume[z, min(y + 1, height - 1), x] - volume[z, max(y - 1, 0), x]) * 0.5 / spread
+                    gx = (
+                        abs(volume[z, y, min(x + 1, width - 1)] - volume[z, y, max(x - 1, 0)])
+                        * 0.5
+                        / spread
+                    )
+                    gy = (
+                        abs(volume[z, min(y + 1, height - 1), x] - volume[z, max(y - 1, 0), x])
+                        * 0.5
+                        / spread
+                    )
                     across += gx * np.exp(min(gx / _SHARP, _CAP))
                     along += gy * np.exp(min(gy / _SHARP, _CAP))
             out[z, i, j] = max(across, along)
@@ -85,7 +94,13 @@ def attenuate(volume: F32, potential: F32, step: int) -> None:
     y = ((np.arange(volume.shape[1], dtype=np.float32) - offset) / step).astype(np.float32)
     columns, rows = np.meshgrid(x, y)
     for plane, part in zip(volume, share, strict=True):
-        plane *= cv2.remap(np.ascontiguousarray(part), columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        plane *= cv2.remap(
+            np.ascontiguousarray(part),
+            columns,
+            rows,
+            cv2.INTER_LINEAR,
+            borderMode=cv2.BORDER_REPLICATE,
+        )
 
 
 @dataclass(frozen=True)
@@ -115,12 +130,19 @@ def outlines(dark: F32, depth: F32, least: float, small: float) -> Outlines:
         if area <= 3:
             continue
         margin = 2
-        rows, columns = slice(max(top - margin, 0), top + height + margin), slice(max(left - margin, 0), left + width + margin)
+        rows, columns = (
+            slice(max(top - margin, 0), top + height + margin),
+            slice(max(left - margin, 0), left + width + margin),
+        )
         filled = _filled(labels[rows, columns] == label)
         shapes = []
         if 2.0 * np.sqrt(filled.sum() / np.pi) >= small:
-            shapes = circles(right[rows, columns], down[rows, columns], labels[rows, columns] == label)
-        shapes = shapes or _thresholded(dark[rows, columns])  # a circle that nothing votes for is too small for votes
+            shapes = circles(
+                right[rows, columns], down[rows, columns], labels[rows, columns] == label
+            )
+        shapes = shapes or _thresholded(
+            dark[rows, columns]
+        )  # a circle that nothing votes for is too small for votes
         for x, y, a, b in shapes:
             found.append((x + columns.start, y + rows.start, a, b))
     every = np.array(found, dtype=np.float64).reshape(-1, 4)
@@ -147,14 +169,29 @@ def blots(dark: F32, least: float, small: float) -> list[tuple[float, float, flo
     """Column, row and radius of features of a region that end within it and have an equivalent diameter below `small` voxels."""
     right = cv2.Sobel(dark, cv2.CV_32F, 1, 0, ksize=3, scale=0.125)
     down = cv2.Sobel(dark, cv2.CV_32F, 0, 1, ksize=3, scale=0.125)
-    count, _, stats, _ = cv2.connectedComponentsWithStats((cv2.magnitude(right, down) > least).astype(np.uint8), connectivity=8)
+    count, _, stats, _ = cv2.connectedComponentsWithStats(
+        (cv2.magnitude(right, down) > least).astype(np.uint8), connectivity=8
+    )
     out = []
     for left, top, width, height, area in stats[1:count]:
-        if area <= 3 or left == 0 or top == 0 or left + width == dark.shape[1] or top + height == dark.shape[0]:
+        if (
+            area <= 3
+            or left == 0
+            or top == 0
+            or left + width == dark.shape[1]
+            or top + height == dark.shape[0]
+        ):
             continue
         margin = 2
-        rows, columns = slice(max(top - margin, 0), top + height + margin), slice(max(left - margin, 0), left + width + margin)
-        out += [(x + columns.start, y + rows.start, r) for x, y, r, _ in _thresholded(dark[rows, columns]) if 2.0 * r < small]
+        rows, columns = (
+            slice(max(top - margin, 0), top + height + margin),
+            slice(max(left - margin, 0), left + width + margin),
+        )
+        out += [
+            (x + columns.start, y + rows.start, r)
+            for x, y, r, _ in _thresholded(dark[rows, columns])
+            if 2.0 * r < small
+        ]
     return out
 
 
@@ -170,7 +207,9 @@ def circles(right: F32, down: F32, own: Any) -> list[tuple[float, float, float, 
     for _ in range(8):
         smooth = cv2.GaussianBlur(votes.max(axis=0), (0, 0), 0.8)
         row, column = np.unravel_index(int(smooth.argmax()), smooth.shape)
-        profile = votes[:, max(row - 1, 0) : row + 2, max(column - 1, 0) : column + 2].sum(axis=(1, 2))
+        profile = votes[:, max(row - 1, 0) : row + 2, max(column - 1, 0) : column + 2].sum(
+            axis=(1, 2)
+        )
         expected = 2.0 * np.pi * np.arange(1, largest + 1)
         score = profile / expected
         radius = int(score.argmax()) + 1
@@ -179,13 +218,24 @@ def circles(right: F32, down: F32, own: Any) -> list[tuple[float, float, float, 
         near = slice(max(radius - 2, 0), radius + 1)
         weight = profile[near]
         r = float(np.sum(weight * (np.arange(largest) + 1)[near]) / weight.sum())
-        ys, xs = np.mgrid[max(row - 1, 0) : min(row + 2, own.shape[0]), max(column - 1, 0) : min(column + 2, own.shape[1])]
+        ys, xs = np.mgrid[
+            max(row - 1, 0) : min(row + 2, own.shape[0]),
+            max(column - 1, 0) : min(column + 2, own.shape[1]),
+        ]
         there = votes[near, ys.min() : ys.max() + 1, xs.min() : xs.max() + 1].sum(axis=0)
-        out.append((float(np.sum(there * xs) / there.sum()), float(np.sum(there * ys) / there.sum()), r, r))
+        out.append(
+            (float(np.sum(there * xs) / there.sum()), float(np.sum(there * ys) / there.sum()), r, r)
+        )
         used = np.abs(np.hypot(columns - column, rows - row) - r) < 1.5
         if used.all():
             break
-        rows, columns, gx, gy, length = rows[~used], columns[~used], gx[~used], gy[~used], length[~used]
+        rows, columns, gx, gy, length = (
+            rows[~used],
+            columns[~used],
+            gx[~used],
+            gy[~used],
+            length[~used],
+        )
         votes[:] = 0.0
         if len(rows) < 6:
             break
@@ -221,14 +271,17 @@ def minimum_images(volume: F32) -> list[tuple[F32, F32]]:
     for first in range(0, len(volume), STACK):
         part = volume[first : first + STACK]
         which = part.argmax(axis=0)
-        out.append((np.take_along_axis(part, which[None], axis=0)[0], (which + first).astype(np.float32)))
+        out.append(
+            (np.take_along_axis(part, which[None], axis=0)[0], (which + first).astype(np.float32))
+        )
     return out
 
 
 def validated(shapes: F64, grid: Grid) -> F64:
     """Bubbles (n, 6: x, y, z, two semi-axes, weight) less those in larger ones; others that overlap are merged.
 
-    All in mm; two overlap if they do so in the plane and their depths differ by less than the larger one's radius and a stack.
+    All in mm; two overlap if they do so in the plane and their depths differ by less than the
+    larger one's radius and a stack.
     """
     order = np.argsort(-shapes[:, 3], kind="stable")
     reach = STACK * grid.voxel_mm[2] * 0.5

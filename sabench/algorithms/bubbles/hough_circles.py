@@ -1,7 +1,8 @@
 """Votes for outlines: how much of a circle of a radius around each pixel is an edge from dark within to bright outside.
 
-The direction of the gradient counts and its strength hardly does, as in Loy and Zelinsky's radial symmetry (IEEE PAMI 25, 2003): a faint bubble whose
-whole outline shows is worth more than one strong edge.
+The direction of the gradient counts and its strength hardly does, as in Loy and Zelinsky's radial
+symmetry (IEEE PAMI 25, 2003): a faint bubble whose whole outline shows is worth more than one
+strong edge.
 """
 
 from __future__ import annotations
@@ -41,10 +42,16 @@ def radii_between(smallest_px: float, largest_px: float) -> F64:
 def vote(image: F32, radii_px: F64, aspect: float = 1.0) -> Votes:
     """Votes of one image of transmission for circles, or for ellipses of an aspect (short over long axis) that lie flat."""
     if aspect != 1.0:
-        image = cv2.resize(image, (image.shape[1], round(image.shape[0] / aspect)), interpolation=cv2.INTER_CUBIC)
+        image = cv2.resize(
+            image, (image.shape[1], round(image.shape[0] / aspect)), interpolation=cv2.INTER_CUBIC
+        )
     smooth = cv2.GaussianBlur(image, (0, 0), _SMOOTH)
-    right = cv2.Sobel(smooth, cv2.CV_32F, 1, 0, ksize=3, scale=0.125, borderType=cv2.BORDER_REPLICATE)
-    down = cv2.Sobel(smooth, cv2.CV_32F, 0, 1, ksize=3, scale=0.125, borderType=cv2.BORDER_REPLICATE)
+    right = cv2.Sobel(
+        smooth, cv2.CV_32F, 1, 0, ksize=3, scale=0.125, borderType=cv2.BORDER_REPLICATE
+    )
+    down = cv2.Sobel(
+        smooth, cv2.CV_32F, 0, 1, ksize=3, scale=0.125, borderType=cv2.BORDER_REPLICATE
+    )
     strength = cv2.magnitude(right, down) + np.float32(_WEAK)
     right /= strength
     down /= strength
@@ -59,7 +66,9 @@ def vote(image: F32, radii_px: F64, aspect: float = 1.0) -> Votes:
 def _ring(radius: float) -> tuple[F32, F32]:
     """Kernels that add up the outward parts of a field on a ring."""
     half = int(np.ceil(radius + 3.0 * _WIDTH))
-    x, y = np.meshgrid(np.arange(-half, half + 1, dtype=np.float64), np.arange(-half, half + 1, dtype=np.float64))
+    x, y = np.meshgrid(
+        np.arange(-half, half + 1, dtype=np.float64), np.arange(-half, half + 1, dtype=np.float64)
+    )
     distance = np.hypot(x, y)
     weight = np.exp(-((distance - radius) ** 2) / (2.0 * _WIDTH**2))
     weight[half, half] = 0.0
@@ -71,10 +80,14 @@ def _ring(radius: float) -> tuple[F32, F32]:
 def peaks(votes: Votes, least: float, margin: int = 1) -> F64:
     """Local maxima over place and radius: (n, 4) columns of column, row, radius in px, vote."""
     maps = votes.maps
-    spatial = np.stack([cv2.dilate(one, np.ones((2 * margin + 1, 2 * margin + 1), dtype=np.uint8)) for one in maps])
+    spatial = np.stack(
+        [cv2.dilate(one, np.ones((2 * margin + 1, 2 * margin + 1), dtype=np.uint8)) for one in maps]
+    )
     around = spatial.copy()
     around[1:] = np.maximum(around[1:], spatial[:-1])
     around[:-1] = np.maximum(around[:-1], spatial[1:])
     scale, row, column = np.nonzero((maps >= around) & (maps > least))
     there = (row + 0.5) * votes.aspect - 0.5
-    return np.column_stack([column, there, votes.radii_px[scale], maps[scale, row, column]]).astype(np.float64)
+    return np.column_stack([column, there, votes.radii_px[scale], maps[scale, row, column]]).astype(
+        np.float64
+    )

@@ -18,7 +18,8 @@ from sabench.utils.arrays import F32, F64
 _PLANE_MM = 0.25  # between places along a line of sight, at most
 _AGREE = 0.75  # of the cameras that see a place count: those with the most votes
 _SPREAD = 0.8  # px
-_INWARD = 0.93  # of the radius with the most votes: a blurred edge is steepest outside the rim of a small bubble
+# of the radius with the most votes: a blurred edge is steepest outside the rim of a small bubble
+_INWARD = 0.93
 _PER_LINE = 3  # places along each line that are kept
 _BEYOND = 0.02  # of the volume's depth: how far outside it lines are followed
 
@@ -33,24 +34,33 @@ class Hypotheses:
     aspect: F64
 
 
-def hypotheses(cameras: Sequence[Camera], votes: Sequence[Votes], grid: Grid, least_2d: float, least_3d: float) -> Hypotheses:
+def hypotheses(
+    cameras: Sequence[Camera], votes: Sequence[Votes], grid: Grid, least_2d: float, least_3d: float
+) -> Hypotheses:
     """Balls whose outlines are voted for in most views.
 
     Parameters
     ----------
-    least_2d, least_3d : votes in one view that make it worth to look in the others; mean votes that make a hypothesis.
+    least_2d, least_3d : votes in one view that make it worth to look in the others; mean votes that
+        make a hypothesis.
     """
     maps = np.empty((len(votes), *votes[0].maps.shape), dtype=np.float32)
     for out, one in zip(maps, votes, strict=True):
         _spread(one.maps, out)
-    made = [_along_lines(number, cameras, votes, maps, grid, least_2d, least_3d) for number in range(len(cameras))]
+    made = [
+        _along_lines(number, cameras, votes, maps, grid, least_2d, least_3d)
+        for number in range(len(cameras))
+    ]
     center, radius, vote = (np.concatenate([part[k] for part in made]) for k in range(3))
     return distinct(Hypotheses(center, radius, vote, np.full(len(vote), votes[0].aspect)))
 
 
 def together(parts: Sequence[Hypotheses]) -> Hypotheses:
     """Hypotheses of several aspects."""
-    center, radius, vote, aspect = (np.concatenate([getattr(part, name) for part in parts]) for name in ("center_mm", "radius_mm", "vote", "aspect"))
+    center, radius, vote, aspect = (
+        np.concatenate([getattr(part, name) for part in parts])
+        for name in ("center_mm", "radius_mm", "vote", "aspect")
+    )
     return distinct(Hypotheses(center, radius, vote, aspect))
 
 
@@ -63,7 +73,13 @@ def _spread(maps: F32, out: F32) -> None:
 
 
 def _along_lines(
-    number: int, cameras: Sequence[Camera], votes: Sequence[Votes], maps: F32, grid: Grid, least_2d: float, least_3d: float
+    number: int,
+    cameras: Sequence[Camera],
+    votes: Sequence[Votes],
+    maps: F32,
+    grid: Grid,
+    least_2d: float,
+    least_3d: float,
 ) -> tuple[F64, F64, F64]:
     """Best places of one view's outlines."""
     seen = peaks(votes[number], least_2d)
@@ -74,20 +90,38 @@ def _along_lines(
     z = grid.axes_mm[2]
     margin = _BEYOND * (z[-1] - z[0]) + 1.0
     depths = np.arange(z[0] - margin, z[-1] + margin, min(_PLANE_MM, grid.voxel_mm[2] * 1.25))
-    places = starts[:, None] + ways[:, None] * ((depths[None] - starts[:, None, 2]) / ways[:, None, 2])[..., None]
+    places = (
+        starts[:, None]
+        + ways[:, None] * ((depths[None] - starts[:, None, 2]) / ways[:, None, 2])[..., None]
+    )
     own = scales(cameras[number], places.reshape(-1, 3)).reshape(places.shape[:2])
     radius = _INWARD * seen[:, 2:3] / own
     total = np.full((len(cameras), *places.shape[:2]), np.nan, dtype=np.float32)
-    first, step = float(np.log(votes[0].radii_px[0])), float(np.log(votes[0].radii_px[1] / votes[0].radii_px[0]))
+    first, step = (
+        float(np.log(votes[0].radii_px[0])),
+        float(np.log(votes[0].radii_px[1] / votes[0].radii_px[0])),
+    )
     for other, camera in enumerate(cameras):
         pixels, valid = camera.project(places.reshape(-1, 3))
         good = valid & camera.contains(pixels)
         size = radius.ravel() / _INWARD * scales(camera, places.reshape(-1, 3))
-        _sample(maps[other], votes[other].stretched(pixels), good, size, first, step, total[other].reshape(-1))
+        _sample(
+            maps[other],
+            votes[other].stretched(pixels),
+            good,
+            size,
+            first,
+            step,
+            total[other].reshape(-1),
+        )
     low, high = np.asarray(grid.low_mm), np.array([axis[-1] for axis in grid.axes_mm])
     inside = ((places[..., :2] >= low[:2] - 1.0) & (places[..., :2] <= high[:2] + 1.0)).all(axis=-1)
     score = np.where(inside, _agreed(total), 0.0)
-    peak = (score >= least_3d) & (score >= np.roll(score, 1, axis=1)) & (score > np.roll(score, -1, axis=1))
+    peak = (
+        (score >= least_3d)
+        & (score >= np.roll(score, 1, axis=1))
+        & (score > np.roll(score, -1, axis=1))
+    )
     ranked = np.sort(np.where(peak, score, 0.0), axis=1)[:, -_PER_LINE]
     i, j = np.nonzero(peak & (score >= ranked[:, None]))
     return places[i, j], radius[i, j], score[i, j].astype(np.float64)
@@ -113,7 +147,9 @@ def _agreed(total: F32) -> F32:
 
 
 @numba.njit(cache=True, parallel=True, error_model="numpy")
-def _sample(maps: Any, pixels: Any, good: Any, size: Any, first: float, step: float, out: Any) -> None:
+def _sample(
+    maps: Any, pixels: Any, good: Any, size: Any, first: float, step: float, out: Any
+) -> None:
     """Votes at pixels and radii: bilinear over the radius, the nearest pixel's over the image."""
     count, rows, columns = maps.shape
     for n in numba.prange(len(out)):
@@ -124,7 +160,9 @@ def _sample(maps: Any, pixels: Any, good: Any, size: Any, first: float, step: fl
             continue
         place = min(max((np.log(size[n]) - first) / step, 0.0), count - 1.001)
         low = int(place)
-        out[n] = maps[low, row, column] * (low + 1.0 - place) + maps[low + 1, row, column] * (place - low)
+        out[n] = maps[low, row, column] * (low + 1.0 - place) + maps[low + 1, row, column] * (
+            place - low
+        )
 
 
 def distinct(all_of_them: Hypotheses) -> Hypotheses:

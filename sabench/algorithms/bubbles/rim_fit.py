@@ -1,8 +1,10 @@
 """Bubbles fitted to all images at once: what lies behind several is dimmed by each of them.
 
-A bubble is a spheroid with its centre, two semi-axes (as logarithms) and two tilts of its short axis from the vertical. Its image in a camera is an
-ellipse: the camera is linear over so small a thing. All bubbles together make a model of the images, the product of their transmissions; one is
-fitted while the others stay, by Levenberg and Marquardt's method on the pixels around it in all views.
+A bubble is a spheroid with its centre, two semi-axes (as logarithms) and two tilts of its short
+axis from the vertical. Its image in a camera is an ellipse: the camera is linear over so small a
+thing. All bubbles together make a model of the images, the product of their transmissions; one is
+fitted while the others stay, by Levenberg and Marquardt's method on the pixels around it in all
+views.
 """
 
 from __future__ import annotations
@@ -61,7 +63,8 @@ def images_of(cameras: Sequence[Camera], linear: tuple[F64, F64, F64], parameter
 
     Parameters
     ----------
-    linear : from `linearised`: a place, its pixels (camera, 2) and their derivatives (camera, 2, 3).
+    linear : from `linearised`: a place, its pixels (camera, 2) and their derivatives (camera, 2,
+        3).
     """
     place, pixels, jacobians = linear
     turn, axes = turn_of(parameters), semi_axes_of(parameters)
@@ -70,7 +73,11 @@ def images_of(cameras: Sequence[Camera], linear: tuple[F64, F64, F64], parameter
     out[:, :2] = pixels + jacobians @ (parameters[:3] - place)
     flat = jacobians @ shape @ jacobians.transpose(0, 2, 1)
     determinant = flat[:, 0, 0] * flat[:, 1, 1] - flat[:, 0, 1] ** 2
-    out[:, 2], out[:, 3], out[:, 4] = flat[:, 1, 1] / determinant, -flat[:, 0, 1] / determinant, flat[:, 0, 0] / determinant
+    out[:, 2], out[:, 3], out[:, 4] = (
+        flat[:, 1, 1] / determinant,
+        -flat[:, 0, 1] / determinant,
+        flat[:, 0, 0] / determinant,
+    )
     return out
 
 
@@ -79,7 +86,11 @@ def linearised(cameras: Sequence[Camera], place: F64) -> tuple[F64, F64, F64]:
     step = 0.05
     points = np.concatenate([place[None], place + step * np.eye(3), place - step * np.eye(3)])
     pixels = np.stack([camera.project(points)[0] for camera in cameras])
-    return place.copy(), pixels[:, 0], np.asarray((pixels[:, 1:4] - pixels[:, 4:7]).transpose(0, 2, 1) / (2.0 * step))
+    return (
+        place.copy(),
+        pixels[:, 0],
+        np.asarray((pixels[:, 1:4] - pixels[:, 4:7]).transpose(0, 2, 1) / (2.0 * step)),
+    )
 
 
 def darken(model: Model, parameters: F64, sign: float) -> None:
@@ -141,14 +152,29 @@ def misfit(model: Model, parameters: F64) -> float:
     return float(np.nanmedian(out)) if np.isfinite(out).any() else float("inf")
 
 
-def _measured(model: Model, linear: tuple[F64, F64, F64], parameters: F64) -> tuple[float, F64, F64]:
+def _measured(
+    model: Model, linear: tuple[F64, F64, F64], parameters: F64
+) -> tuple[float, F64, F64]:
     """Robust sum of squares, and its normal equations."""
     moved = [parameters, *(parameters + np.diag(_STEPS))]
     ellipses = np.stack([images_of(model.cameras, linear, one) for one in moved], axis=1)
     normal, slope = np.zeros((len(parameters), len(parameters))), np.zeros(len(parameters))
-    value = _normal(model.images, model.logs, ellipses, model.profile.table, model.profile.blur_px, _STEPS, normal, slope)
+    value = _normal(
+        model.images,
+        model.logs,
+        ellipses,
+        model.profile.table,
+        model.profile.blur_px,
+        _STEPS,
+        normal,
+        slope,
+    )
     weight = _PRIOR**2
-    return value + float(np.sum(weight * parameters**2)), normal + np.diag(weight), slope + weight * parameters
+    return (
+        value + float(np.sum(weight * parameters**2)),
+        normal + np.diag(weight),
+        slope + weight * parameters,
+    )
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -173,7 +199,11 @@ def _at(ellipse: Any, column: int, row: int, middle: float, table: Any, blur: fl
     distance = np.sqrt(x * x + y * y)
     part = np.sqrt(max(ellipse[2] * x * x + 2.0 * ellipse[3] * x * y + ellipse[4] * y * y, 0.0))
     if distance < 1e-6:
-        return _shade(table, blur, 0.0, 0.0) if middle <= 0.0 else _shade(table, blur, 1e-6 * middle, 1e-6)
+        return (
+            _shade(table, blur, 0.0, 0.0)
+            if middle <= 0.0
+            else _shade(table, blur, 1e-6 * middle, 1e-6)
+        )
     return _shade(table, blur, distance, part)
 
 
@@ -183,8 +213,14 @@ def _box(ellipse: Any, shape: Any, blur: float) -> Any:
     determinant = ellipse[2] * ellipse[4] - ellipse[3] * ellipse[3]
     width, height = np.sqrt(ellipse[4] / determinant), np.sqrt(ellipse[2] / determinant)
     margin = REACH * blur + _MARGIN
-    top, bottom = int(max(np.floor(ellipse[1] - height - margin), 0)), int(min(np.ceil(ellipse[1] + height + margin) + 1, shape[0]))
-    left, right = int(max(np.floor(ellipse[0] - width - margin), 0)), int(min(np.ceil(ellipse[0] + width + margin) + 1, shape[1]))
+    top, bottom = (
+        int(max(np.floor(ellipse[1] - height - margin), 0)),
+        int(min(np.ceil(ellipse[1] + height + margin) + 1, shape[0])),
+    )
+    left, right = (
+        int(max(np.floor(ellipse[0] - width - margin), 0)),
+        int(min(np.ceil(ellipse[0] + width + margin) + 1, shape[1])),
+    )
     return top, bottom, left, right, determinant**-0.25
 
 
@@ -196,7 +232,9 @@ def _darken(logs: Any, ellipses: Any, table: Any, blur: float, sign: Any) -> Non
         top, bottom, left, right, middle = _box(ellipses[k], logs.shape[1:], blur)
         for row in range(top, bottom):
             for column in range(left, right):
-                logs[k, row, column] += sign * np.float32(np.log(max(_at(ellipses[k], column, row, middle, table, blur), _DIM)))
+                logs[k, row, column] += sign * np.float32(
+                    np.log(max(_at(ellipses[k], column, row, middle, table, blur), _DIM))
+                )
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -241,14 +279,25 @@ def _squares(images: Any, logs: Any, ellipses: Any, table: Any, blur: float, out
         total = 0.0
         for row in range(top, bottom):
             for column in range(left, right):
-                here = np.exp(logs[k, row, column]) * max(_at(ellipses[k], column, row, middle, table, blur), _DIM)
+                here = np.exp(logs[k, row, column]) * max(
+                    _at(ellipses[k], column, row, middle, table, blur), _DIM
+                )
                 total += (images[k, row, column] - here) ** 2
         if bottom > top and right > left:
             out[k] = total / ((bottom - top) * (right - left))
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _normal(images: Any, logs: Any, ellipses: Any, table: Any, blur: float, steps: Any, normal: Any, slope: Any) -> Any:
+def _normal(
+    images: Any,
+    logs: Any,
+    ellipses: Any,
+    table: Any,
+    blur: float,
+    steps: Any,
+    normal: Any,
+    slope: Any,
+) -> Any:
     """Sum over views and pixels of Geman and McClure's function of the residuals; weights of the normal equations are its own."""
     count = len(steps)
     change = np.empty(count)
@@ -266,7 +315,9 @@ def _normal(images: Any, logs: Any, ellipses: Any, table: Any, blur: float, step
                 value += off * off / scale
                 weight = 1.0 / (scale * scale)
                 for i in range(count):
-                    there = behind * max(_at(ellipses[k, i + 1], column, row, middle, table, blur), _DIM)
+                    there = behind * max(
+                        _at(ellipses[k, i + 1], column, row, middle, table, blur), _DIM
+                    )
                     change[i] = (there - here) / steps[i]
                 for i in range(count):
                     slope[i] += weight * change[i] * off

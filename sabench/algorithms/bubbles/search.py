@@ -27,22 +27,41 @@ from sabench.utils.progress import track
 
 _FIRST, _MORE = 8, 6  # steps of a fit
 _ANGLES = np.deg2rad(np.geomspace(6.0, 70.0, 26))
-_LIKELY, _LARGEST, _CLEAN = 0.7, 32, 12  # part of the most votes; bubbles that may tell the diffuser, and those that do: nothing else is there
-_SURE, _WORTH = 0.75, 0.25  # gain of what goes first; part of the least gain that makes a fit worth while
-_VOTED, _SMALLER, _SIMPLER = 0.5, 0.75, 0.1  # votes of what may replace others; their radius over its; misfit that each of them is worth
+_LIKELY, _LARGEST, _CLEAN = (
+    0.7,
+    32,
+    12,
+    # part of the most votes; bubbles that may tell the diffuser, and those that do: nothing else is
+    # there
+)
+_SURE, _WORTH = (
+    0.75,
+    0.25,
+)  # gain of what goes first; part of the least gain that makes a fit worth while
+_VOTED, _SMALLER, _SIMPLER = (
+    0.5,
+    0.75,
+    0.1,
+)  # votes of what may replace others; their radius over its; misfit that each of them is worth
 
 
 def search(
-    images: F32, cameras: Sequence[Camera], profile_of: Callable[[float], Profile], half_angle: float | None, start: Hypotheses, least_gain: float,
+    images: F32,
+    cameras: Sequence[Camera],
+    profile_of: Callable[[float], Profile],
+    half_angle: float | None,
+    start: Hypotheses,
+    least_gain: float,
     sweeps: int,
-) -> Detections:  # fmt: skip
+) -> Detections:
     """Bubbles that explain what is dark in the images (camera, row, column).
 
     Parameters
     ----------
     profile_of : what a bubble looks like before a diffuser of a half angle (rad).
     half_angle : of the diffuser as bubbles see it; None: whichever fits the largest bubbles best.
-    least_gain : the part of what a bubble would darken that must be dark, and not explained by others, median over the views.
+    least_gain : the part of what a bubble would darken that must be dark, and not explained by
+        others, median over the views.
     sweeps : times that all are fitted again, each with the others in place.
     """
     if half_angle is None:
@@ -54,7 +73,12 @@ def search(
     return _detections(kept)
 
 
-def _lit_from(images: F32, cameras: Sequence[Camera], profile_of: Callable[[float], Profile], start: Hypotheses) -> float:
+def _lit_from(
+    images: F32,
+    cameras: Sequence[Camera],
+    profile_of: Callable[[float], Profile],
+    start: Hypotheses,
+) -> float:
     """The diffuser's half angle at which the largest of the likeliest bubbles are fitted best."""
     likely = np.flatnonzero(start.vote >= _LIKELY * start.vote.max(initial=0.0))
     chosen = likely[np.argsort(-start.radius_mm[likely], kind="stable")][:_LARGEST]
@@ -63,14 +87,21 @@ def _lit_from(images: F32, cameras: Sequence[Camera], profile_of: Callable[[floa
         model = Model(images, np.zeros_like(images), cameras, profile_of(angle))
         row[:] = [misfit(model, fit(model, _start(start, n), _FIRST)) for n in chosen]
     clean = np.argsort(costs.min(axis=0), kind="stable")[:_CLEAN]
-    return float(_ANGLES[costs[:, clean].sum(axis=1).argmin()]) if len(chosen) else float(_ANGLES[len(_ANGLES) // 2])
+    return (
+        float(_ANGLES[costs[:, clean].sum(axis=1).argmin()])
+        if len(chosen)
+        else float(_ANGLES[len(_ANGLES) // 2])
+    )
 
 
 def _accepted(model: Model, start: Hypotheses, least_gain: float) -> list[F64]:
     """Hypotheses in the order of what they explain, each fitted before it is judged."""
     order = np.argsort(-start.vote * start.radius_mm, kind="stable")
     kept: list[F64] = []
-    for least in (max(_SURE, least_gain), least_gain):  # what is sure goes first: a large bubble before the small ones that its rim could be
+    for least in (
+        max(_SURE, least_gain),
+        least_gain,
+    ):  # what is sure goes first: a large bubble before the small ones that its rim could be
         for n in track(order.tolist(), "fit bubbles"):
             first = _start(start, n)
             if _judged(model, first) < _WORTH * least:
@@ -84,7 +115,11 @@ def _accepted(model: Model, start: Hypotheses, least_gain: float) -> list[F64]:
 
 def _united(model: Model, kept: list[F64], start: Hypotheses, least_gain: float) -> list[F64]:
     """One bubble in place of the small ones that its rim was taken for, where that explains the images as well."""
-    order = [n for n in np.argsort(-start.radius_mm * start.aspect, kind="stable").tolist() if start.vote[n] >= _VOTED]
+    order = [
+        n
+        for n in np.argsort(-start.radius_mm * start.aspect, kind="stable").tolist()
+        if start.vote[n] >= _VOTED
+    ]
     for n in track(order, "unite bubbles"):
         first = _start(start, n)
         parts = _parts(kept, first)
@@ -97,7 +132,9 @@ def _united(model: Model, kept: list[F64], start: Hypotheses, least_gain: float)
         good = _judged(model, whole) >= least_gain and set(_parts(kept, whole)) >= set(parts)
         if good:
             darken(model, whole, 1.0)
-            good = unexplained(model, ellipses_of(model, first)) < before * (1.0 + _SIMPLER * (len(parts) - 1))
+            good = unexplained(model, ellipses_of(model, first)) < before * (
+                1.0 + _SIMPLER * (len(parts) - 1)
+            )
             if not good:
                 darken(model, whole, -1.0)
         if good:
@@ -117,7 +154,9 @@ def _parts(kept: list[F64], whole: F64) -> list[int]:
     across, along = np.linalg.norm(every[:, :2] - whole[:2], axis=1), np.abs(every[:, 2] - whole[2])
     if ((across < 0.5 * own) & (along < 1.5 * own) & (radius > _SMALLER * own)).any():
         return []
-    return np.flatnonzero((across < 1.05 * own) & (along < 2.0 * own) & (radius <= _SMALLER * own)).tolist()
+    return np.flatnonzero(
+        (across < 1.05 * own) & (along < 2.0 * own) & (radius <= _SMALLER * own)
+    ).tolist()
 
 
 def _start(start: Hypotheses, n: int) -> F64:
@@ -146,4 +185,8 @@ def _refined(model: Model, kept: list[F64], least_gain: float) -> list[F64]:
 def _detections(kept: list[F64]) -> Detections:
     if not kept:
         return Detections(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 3, 3)))
-    return Detections(np.stack([p[:3] for p in kept]), np.stack([semi_axes_of(p) for p in kept]), np.stack([turn_of(p) for p in kept]))
+    return Detections(
+        np.stack([p[:3] for p in kept]),
+        np.stack([semi_axes_of(p) for p in kept]),
+        np.stack([turn_of(p) for p in kept]),
+    )

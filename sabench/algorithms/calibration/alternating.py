@@ -35,14 +35,29 @@ def alternate(state: State, seen: Seen, free: Free, tolerance_px: float, most: i
 
 def subset(state: State, seen: Seen, cameras: I64) -> tuple[State, Seen]:
     """Some of the cameras, and what they see."""
-    part = replace(state, turns=state.turns[cameras], centers=state.centers[cameras], lenses=state.lenses[cameras])
-    return part, replace(seen, pixels=np.ascontiguousarray(seen.pixels[cameras]), weights=np.ascontiguousarray(seen.weights[cameras]))
+    part = replace(
+        state,
+        turns=state.turns[cameras],
+        centers=state.centers[cameras],
+        lenses=state.lenses[cameras],
+    )
+    return part, replace(
+        seen,
+        pixels=np.ascontiguousarray(seen.pixels[cameras]),
+        weights=np.ascontiguousarray(seen.weights[cameras]),
+    )
 
 
 def _cameras(state: State, seen: Seen, free: Free) -> State:
     """Every camera on its own against the boards as they are."""
-    fits = [refine(*subset(state, seen, np.array([number])), free, moving="cameras").state for number in range(len(state.turns))]
-    turns, centers, lenses = (np.concatenate([getattr(fit, name) for fit in fits]) for name in ("turns", "centers", "lenses"))
+    fits = [
+        refine(*subset(state, seen, np.array([number])), free, moving="cameras").state
+        for number in range(len(state.turns))
+    ]
+    turns, centers, lenses = (
+        np.concatenate([getattr(fit, name) for fit in fits])
+        for name in ("turns", "centers", "lenses")
+    )
     return replace(state, turns=turns, centers=centers, lenses=lenses)
 
 
@@ -51,8 +66,18 @@ def _boards(state: State, seen: Seen, free: Free) -> State:
     turns, places = state.board_turns.copy(), state.places.copy()
     for number in np.flatnonzero(seen.weights.sum(axis=(0, 2)) > 0.0).tolist():
         own = slice(number, number + 1)
-        view = replace(seen, pixels=np.ascontiguousarray(seen.pixels[:, own]), weights=np.ascontiguousarray(seen.weights[:, own]), anchors=())
-        fit = refine(replace(state, board_turns=turns[own].copy(), places=places[own].copy()), view, free, moving="boards").state
+        view = replace(
+            seen,
+            pixels=np.ascontiguousarray(seen.pixels[:, own]),
+            weights=np.ascontiguousarray(seen.weights[:, own]),
+            anchors=(),
+        )
+        fit = refine(
+            replace(state, board_turns=turns[own].copy(), places=places[own].copy()),
+            view,
+            free,
+            moving="boards",
+        ).state
         turns[own], places[own] = fit.board_turns, fit.places
     return replace(state, board_turns=turns, places=places)
 

@@ -1,7 +1,7 @@
 """Bundle adjustment: cameras, boards and what they share, all at once, by Levenberg and Marquardt's method.
 
-The boards' blocks are eliminated first (Schur's complement), so that a step costs a Cholesky factor of the cameras' unknowns only.
-Source: Triggs et al. (2000), Bundle adjustment - a modern synthesis.
+The boards' blocks are eliminated first (Schur's complement), so that a step costs a Cholesky factor
+of the cameras' unknowns only. Source: Triggs et al. (2000), Bundle adjustment - a modern synthesis.
 """
 
 from __future__ import annotations
@@ -48,9 +48,18 @@ class Seen:
     @cached_property
     def anchored(self) -> tuple[I64, I64, F64, F64, F64, F64]:
         """The anchors' boards and points (n,), places and precisions (n, 3), and the turns (n, 3, 3) and shifts (n, 3) to the world's frame."""
-        boards, points = (np.array([getattr(anchor, name) for anchor in self.anchors], dtype=np.int64) for name in ("board", "point"))
-        places, precisions = (np.array([getattr(anchor, name) for anchor in self.anchors]) for name in ("place_mm", "precision"))
-        turns, shifts = (np.array([getattr(anchor.world, name) for anchor in self.anchors]) for name in ("turn", "shift"))
+        boards, points = (
+            np.array([getattr(anchor, name) for anchor in self.anchors], dtype=np.int64)
+            for name in ("board", "point")
+        )
+        places, precisions = (
+            np.array([getattr(anchor, name) for anchor in self.anchors])
+            for name in ("place_mm", "precision")
+        )
+        turns, shifts = (
+            np.array([getattr(anchor.world, name) for anchor in self.anchors])
+            for name in ("turn", "shift")
+        )
         return boards, points, places, precisions, turns, shifts
 
 
@@ -62,7 +71,8 @@ class Anchor:
     ----------
     board, point : numbers.
     place_mm : (3,) in the world's frame; anything along axes without precision.
-    precision : (3,) inverse variance along the world's axes, 1 / mm^2, times the variance of a pixel coordinate; 0 where the place is not known.
+    precision : (3,) inverse variance along the world's axes, 1 / mm^2, times the variance of a
+        pixel coordinate; 0 where the place is not known.
     world : from the wall's frame to the world's.
     """
 
@@ -98,12 +108,16 @@ class Fit:
 def normal_equations(state: State, seen: Seen, free: Free, scale: float = 0.0) -> Normal:
     """The equations of one Gauss-Newton step."""
     boards = state.board_turns, state.places, seen.board
-    cost, aa, ab, bb, a, d = equations(state.array(), boards, (seen.pixels, seen.weights), free.columns(len(state.indices)), scale)
+    cost, aa, ab, bb, a, d = equations(
+        state.array(), boards, (seen.pixels, seen.weights), free.columns(len(state.indices)), scale
+    )
     if seen.anchors:
         board, point, place_mm, precision, turns, shifts = seen.anchored
         arms = np.einsum("nij,nj->ni", state.board_turns[board], seen.board[point])
         miss = place_mm - np.einsum("nij,nj->ni", turns, arms + state.places[board]) - shifts
-        slopes = turns @ np.concatenate([-skew(arms), np.broadcast_to(np.eye(3), (len(arms), 3, 3))], axis=2)
+        slopes = turns @ np.concatenate(
+            [-skew(arms), np.broadcast_to(np.eye(3), (len(arms), 3, 3))], axis=2
+        )
         weighted = slopes * precision[:, :, None]
         cost += float(np.sum(precision * miss**2))
         np.add.at(bb, board, weighted.transpose(0, 2, 1) @ slopes)
@@ -111,7 +125,9 @@ def normal_equations(state: State, seen: Seen, free: Free, scale: float = 0.0) -
     return Normal(cost, aa, ab, bb, a, d)
 
 
-def refine(state: State, seen: Seen, free: Free, scale: float = 0.0, *, moving: Moving = "all") -> Fit:
+def refine(
+    state: State, seen: Seen, free: Free, scale: float = 0.0, *, moving: Moving = "all"
+) -> Fit:
     """The state with the smallest cost near to this one.
 
     Parameters
@@ -119,7 +135,8 @@ def refine(state: State, seen: Seen, free: Free, scale: float = 0.0, *, moving: 
     scale : of Cauchy's loss, px; 0 for least squares.
     moving : what is adjusted: cameras (with what they share), boards, or both.
 
-    What the observations do not determine - for a plane wall a shift along it and a turn about its normal - stays near the start.
+    What the observations do not determine - for a plane wall a shift along it and a turn about its
+    normal - stays near the start.
     """
     here, damping = normal_equations(state, seen, free, scale), 1e-3
     enough = _EXACT * max(1.0, float(seen.weights.sum()))
@@ -130,7 +147,9 @@ def refine(state: State, seen: Seen, free: Free, scale: float = 0.0, *, moving: 
             cameras, boards, promise = _step(here, damping, moving)
             if promise <= _GAIN * here.cost:
                 return Fit(state, here.cost, step, True)
-            tried = state.moved(*steps_of(cameras, len(state.turns), free, len(state.indices)), boards, free)
+            tried = state.moved(
+                *steps_of(cameras, len(state.turns), free, len(state.indices)), boards, free
+            )
             there = normal_equations(tried, seen, free, scale)
             if there.cost < here.cost:
                 state, here, damping = tried, there, max(damping * 0.1, 1e-12)
@@ -149,7 +168,12 @@ def _step(normal: Normal, damping: float, moving: Moving) -> tuple[F64, F64, flo
     bb[:, corner, corner] += damping * bb[:, corner, corner] + 1e-12
     if moving != "all":
         cameras = _solved(aa, normal.a) if moving == "cameras" else np.zeros_like(normal.a)
-        boards = np.asarray(np.linalg.solve(bb, normal.d[:, :, None])[:, :, 0] if moving == "boards" else np.zeros_like(normal.d), dtype=np.float64)
+        boards = np.asarray(
+            np.linalg.solve(bb, normal.d[:, :, None])[:, :, 0]
+            if moving == "boards"
+            else np.zeros_like(normal.d),
+            dtype=np.float64,
+        )
         return cameras, boards, float(cameras @ normal.a + np.sum(boards * normal.d))
     right = np.concatenate([normal.ab.transpose(0, 2, 1), normal.d[:, :, None]], axis=2)
     solved = np.linalg.solve(bb, right)  # bb^-1 ab^T and bb^-1 d
@@ -165,12 +189,23 @@ def _solved(matrix: F64, right: F64) -> F64:
     """Solve a symmetric system that damping keeps positive, scaled to a unit diagonal first."""
     scale = 1.0 / np.sqrt(np.maximum(np.diagonal(matrix), 1e-300))
     try:
-        return np.asarray(scale * cho_solve(cho_factor(matrix * scale * scale[:, None], check_finite=False), scale * right, check_finite=False))
+        return np.asarray(
+            scale
+            * cho_solve(
+                cho_factor(matrix * scale * scale[:, None], check_finite=False),
+                scale * right,
+                check_finite=False,
+            )
+        )
     except np.linalg.LinAlgError:
-        return np.asarray(scale * np.linalg.lstsq(matrix * scale * scale[:, None], scale * right, rcond=None)[0])
+        return np.asarray(
+            scale * np.linalg.lstsq(matrix * scale * scale[:, None], scale * right, rcond=None)[0]
+        )
 
 
 def residuals(state: State, seen: Seen) -> F64:
     """Observed minus computed pixels (M, K, m, 2), NaN where a point is not seen."""
-    out: F64 = misses(state.array(), (state.board_turns, state.places, seen.board), (seen.pixels, seen.weights))
+    out: F64 = misses(
+        state.array(), (state.board_turns, state.places, seen.board), (seen.pixels, seen.weights)
+    )
     return out

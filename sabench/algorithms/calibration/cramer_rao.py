@@ -13,7 +13,8 @@ from sabench.algorithms.calibration.parameters import Free, State
 from sabench.geometry.rotations import skew
 from sabench.utils.arrays import F64
 
-_FREE = 1e-13  # eigenvalues below this fraction of the largest belong to what the observations leave open
+# eigenvalues below this fraction of the largest belong to what the observations leave open
+_FREE = 1e-13
 
 
 @dataclass(frozen=True)
@@ -24,7 +25,8 @@ class Limit:
     ----------
     reprojection_px : mean length of the true reprojection error over all observations.
     reprojection_rms_px : its root mean square.
-    point_std_mm : (3,) scatter of the points' errors about their mean, after the points have been aligned by a shift in X and Y and a turn about Z.
+    point_std_mm : (3,) scatter of the points' errors about their mean, after the points have been
+        aligned by a shift in X and Y and a turn about Z.
     point_mean_mm : (3,) of the mean error; along X and Y it is zero by that alignment.
     unknowns, equations : their numbers, what is left open not counted.
     """
@@ -48,11 +50,24 @@ def limit(state: State, seen: Seen, free: Free, noise_px: float) -> Limit:
     covariance, rank = _inverse(information)
     covariance *= noise_px**2
     boards = state.board_turns, state.places, seen.board
-    pairs = spreads(state.array(), boards, (seen.pixels, seen.weights), free.columns(len(state.indices)), covariance)
+    pairs = spreads(
+        state.array(),
+        boards,
+        (seen.pixels, seen.weights),
+        free.columns(len(state.indices)),
+        covariance,
+    )
     known = np.isfinite(pairs[..., 0])
     uu, vv, uv = pairs[known].T
     std, mean = _points(state, seen, covariance)
-    return Limit(float(_mean_length(uu, vv, uv).mean()), float(np.sqrt((uu + vv).mean())), std, mean, rank, 2 * int(known.sum()))
+    return Limit(
+        float(_mean_length(uu, vv, uv).mean()),
+        float(np.sqrt((uu + vv).mean())),
+        std,
+        mean,
+        rank,
+        2 * int(known.sum()),
+    )
 
 
 def _whole(state: State, seen: Seen, free: Free) -> F64:
@@ -63,7 +78,11 @@ def _whole(state: State, seen: Seen, free: Free) -> F64:
     whole[:size, :size] = normal.aa
     for k in range(boards):
         part = slice(size + BOARD * k, size + BOARD * (k + 1))
-        whole[:size, part], whole[part, :size], whole[part, part] = normal.ab[k], normal.ab[k].T, normal.bb[k]
+        whole[:size, part], whole[part, :size], whole[part, part] = (
+            normal.ab[k],
+            normal.ab[k].T,
+            normal.bb[k],
+        )
     return whole
 
 
@@ -109,4 +128,6 @@ def _mean_length(uu: F64, vv: F64, uv: F64) -> F64:
     """Mean lengths of pairs of normal numbers with these variances and covariances: a complete elliptic integral."""
     middle, spread = (uu + vv) / 2.0, np.hypot((uu - vv) / 2.0, uv)
     large, small = middle + spread, np.maximum(middle - spread, 0.0)
-    return np.asarray(np.sqrt(2.0 * large / np.pi) * ellipe(1.0 - small / np.maximum(large, 1e-300)))
+    return np.asarray(
+        np.sqrt(2.0 * large / np.pi) * ellipe(1.0 - small / np.maximum(large, 1e-300))
+    )

@@ -36,21 +36,38 @@ class Sets:
 def find_sets(maps: Maps, spots: tuple[Spots, ...], reach_px: float) -> Sets:
     """Sets within reach, and how far their images lie from where the cameras see the place that fits best.
 
-    Where there is no room for all, they are those of a random part of the first camera's images: right and wrong ones become fewer alike.
+    Where there is no room for all, they are those of a random part of the first camera's images:
+    right and wrong ones become fewer alike.
     """
-    pixels = np.stack([positions(maps, c, np.array([[0.0, 0.0, -1.0], [0.0, 0.0, 1.0]])) for c in range(len(spots))])
-    travel = float(np.linalg.norm((pixels[1:, 1] - pixels[1:, 0]) - (pixels[0, 1] - pixels[0, 0]), axis=1).max())
-    places, hits, errors = np.empty((_SETS, 3)), np.empty((_SETS, len(spots)), dtype=np.int32), np.empty((_SETS, len(spots), 2))
+    pixels = np.stack(
+        [
+            positions(maps, c, np.array([[0.0, 0.0, -1.0], [0.0, 0.0, 1.0]]))
+            for c in range(len(spots))
+        ]
+    )
+    travel = float(
+        np.linalg.norm(
+            (pixels[1:, 1] - pixels[1:, 0]) - (pixels[0, 1] - pixels[0, 0]), axis=1
+        ).max()
+    )
+    places, hits, errors = (
+        np.empty((_SETS, 3)),
+        np.empty((_SETS, len(spots)), dtype=np.int32),
+        np.empty((_SETS, len(spots), 2)),
+    )
     order = np.random.default_rng(0).permutation(len(spots[0].pixel))
-    count = match(maps, spots, order, reach_px, max(2, int(travel / _STEP_PX) + 2), places, hits, errors)
+    count = match(
+        maps, spots, order, reach_px, max(2, int(travel / _STEP_PX) + 2), places, hits, errors
+    )
     return Sets(places[:count].copy(), hits[:count].astype(np.int64), errors[:count].copy())
 
 
 def corrected(maps: Maps, sets: Sets, cameras: range) -> tuple[Maps, float]:
     """Maps of these cameras moved by their common disparity, and the largest move in px.
 
-    All cameras' errors together are one vector; what a place can take up of it is gone, and in the few dimensions that are left the right sets lie
-    in one spot and the wrong ones all over. Every part of the box that has enough sets near to that spot has a disparity of its own; a plane is
+    All cameras' errors together are one vector; what a place can take up of it is gone, and in the
+    few dimensions that are left the right sets lie in one spot and the wrong ones all over. Every
+    part of the box that has enough sets near to that spot has a disparity of its own; a plane is
     laid through them.
     """
     basis = _unmoved(maps, cameras)
@@ -59,7 +76,10 @@ def corrected(maps: Maps, sets: Sets, cameras: range) -> tuple[Maps, float]:
     rows, spots = _by_parts(sets.places, errors, whole)
     shifts = (spots @ basis.T).reshape(len(spots), len(cameras), 2)
     coefficients, most = maps.coefficients.copy(), 0.0
-    terms = [int(np.flatnonzero((maps.powers == powers).all(axis=1))[0]) for powers in ((0, 0, 0), (1, 0, 0), (0, 1, 0))]
+    terms = [
+        int(np.flatnonzero((maps.powers == powers).all(axis=1))[0])
+        for powers in ((0, 0, 0), (1, 0, 0), (0, 1, 0))
+    ]
     for number, camera in enumerate(cameras):
         plane = np.linalg.lstsq(rows, shifts[:, number], rcond=None)[0]
         for term, move in zip(terms, plane, strict=False):
@@ -113,4 +133,6 @@ def _by_parts(places: F64, errors: F64, whole: F64) -> tuple[F64, F64]:
     if min(len(own) for own in chosen) < _FEW:
         return np.ones((1, 1)), whole[None]
     middles = np.array([places[own, :2].mean(axis=0) for own in chosen])
-    return np.column_stack([np.ones(len(chosen)), middles]), np.stack([_shifted(errors[own], whole)[0] for own in chosen])
+    return np.column_stack([np.ones(len(chosen)), middles]), np.stack(
+        [_shifted(errors[own], whole)[0] for own in chosen]
+    )

@@ -1,7 +1,7 @@
 """Cameras and points from images alone, for pinholes without refraction: projective factorisation, then a Euclidean frame.
 
-Sources: P. Sturm and B. Triggs, ECCV 1996; R. Hartley and A. Zisserman, Multiple View Geometry, section 19.3; T. Svoboda, D. Martinec and
-T. Pajdla, Presence 14, 2005.
+Sources: P. Sturm and B. Triggs, ECCV 1996; R. Hartley and A. Zisserman, Multiple View Geometry,
+section 19.3; T. Svoboda, D. Martinec and T. Pajdla, Presence 14, 2005.
 """
 
 from __future__ import annotations
@@ -29,16 +29,22 @@ class Factors:
 
     def changed(self, frame: F64) -> Factors:
         """The same images in another frame: (4, 4)."""
-        return Factors(self.matrices @ frame, np.asarray(np.linalg.solve(frame, self.points.T).T, dtype=np.float64))
+        return Factors(
+            self.matrices @ frame,
+            np.asarray(np.linalg.solve(frame, self.points.T).T, dtype=np.float64),
+        )
 
 
 def factorise(images: F64, seen: Bool) -> Factors:
     """Matrices and points for images (camera, n, 2), of which those not `seen` (camera, n) are filled in as the rest demands.
 
-    Images should be scaled to about 1. The depths of all points start equal and follow from the product of rank 4 that is nearest.
+    Images should be scaled to about 1. The depths of all points start equal and follow from the
+    product of rank 4 that is nearest.
     """
     cameras, count = seen.shape
-    homogeneous = np.concatenate([np.where(seen[..., None], images, 0.0), np.ones((cameras, count, 1))], axis=2)
+    homogeneous = np.concatenate(
+        [np.where(seen[..., None], images, 0.0), np.ones((cameras, count, 1))], axis=2
+    )
     if not seen.all():
         homogeneous[..., :2] = _filled(homogeneous[..., :2], seen)
     depths = np.ones((cameras, count))
@@ -46,23 +52,35 @@ def factorise(images: F64, seen: Bool) -> Factors:
         depths = _balanced(depths, homogeneous)
         table = (depths[..., None] * homogeneous).transpose(0, 2, 1).reshape(3 * cameras, count)
         left, values, right = np.linalg.svd(table, full_matrices=False)
-        product = ((left[:, :4] * values[:4]) @ right[:4]).reshape(cameras, 3, count).transpose(0, 2, 1)
+        product = (
+            ((left[:, :4] * values[:4]) @ right[:4]).reshape(cameras, 3, count).transpose(0, 2, 1)
+        )
         new = product[..., 2]
-        homogeneous = np.where(seen[..., None], homogeneous, product / np.where(np.abs(new) > 1e-12, new, 1.0)[..., None])
+        homogeneous = np.where(
+            seen[..., None],
+            homogeneous,
+            product / np.where(np.abs(new) > 1e-12, new, 1.0)[..., None],
+        )
         done = np.abs(new - depths).max() < _SETTLED * np.abs(depths).max()
         depths = new
         if done:
             break
-    return Factors(np.asarray((left[:, :4] * values[:4]).reshape(cameras, 3, 4), dtype=np.float64), np.asarray(right[:4].T, dtype=np.float64))
+    return Factors(
+        np.asarray((left[:, :4] * values[:4]).reshape(cameras, 3, 4), dtype=np.float64),
+        np.asarray(right[:4].T, dtype=np.float64),
+    )
 
 
 def adjusted(factors: Factors, images: F64, seen: Bool) -> Factors:
     """The matrices and points nearby whose images have the least sum of squared errors: a projective bundle adjustment.
 
-    Factorisation leaves an algebraic error, and creeps; Levenberg and Marquardt's steps, points eliminated, go on from there.
+    Factorisation leaves an algebraic error, and creeps; Levenberg and Marquardt's steps, points
+    eliminated, go on from there.
     """
     frame = np.eye(4)
-    frame[:, 3] = np.linalg.lstsq(factors.points, np.ones(len(factors.points)), rcond=None)[0]  # of about 1 becomes the last coordinate
+    frame[:, 3] = np.linalg.lstsq(factors.points, np.ones(len(factors.points)), rcond=None)[
+        0
+    ]  # of about 1 becomes the last coordinate
     frame[:, :3] = np.linalg.svd(frame[None, :, 3])[2][1:].T
     matrices, points = _shaped(factors.matrices, factors.points, frame)
     cost, damping = _cost(matrices, points, images, seen), 1e-3
@@ -72,7 +90,11 @@ def adjusted(factors: Factors, images: F64, seen: Bool) -> Factors:
         there = _cost(*tried, images, seen)
         gain, better = cost - there, there < cost
         if better:
-            matrices, points, cost = tried[0] / np.linalg.norm(tried[0], axis=(1, 2), keepdims=True), tried[1], there
+            matrices, points, cost = (
+                tried[0] / np.linalg.norm(tried[0], axis=(1, 2), keepdims=True),
+                tried[1],
+                there,
+            )
         damping *= 0.1 if better else 10.0
         if (better and gain < 1e-10 * cost) or cost < _NOTHING or damping > 1e9:
             break
@@ -101,13 +123,23 @@ def _images(matrices: F64, points: F64) -> tuple[F64, F64]:
     return projected[..., :2] / projected[..., 2:], projected[..., 2]
 
 
-def _projective_step(matrices: F64, points: F64, images: F64, seen: Bool, damping: float) -> tuple[F64, F64]:
+def _projective_step(
+    matrices: F64, points: F64, images: F64, seen: Bool, damping: float
+) -> tuple[F64, F64]:
     cameras, count = seen.shape
     found, depth = _images(matrices, points)
     miss = np.where(seen[..., None], images - found, 0.0)
-    rows = np.stack([np.eye(3)[None, None, 0] - 0.0 * found[..., :1], np.eye(3)[None, None, 1] - 0.0 * found[..., :1]], axis=2)
+    rows = np.stack(
+        [
+            np.eye(3)[None, None, 0] - 0.0 * found[..., :1],
+            np.eye(3)[None, None, 1] - 0.0 * found[..., :1],
+        ],
+        axis=2,
+    )
     rows[..., 2] = -found
-    rows = np.where(seen[..., None, None], rows / depth[..., None, None], 0.0)  # of the image by the projected vector: (camera, n, 2, 3)
+    rows = np.where(
+        seen[..., None, None], rows / depth[..., None, None], 0.0
+    )  # of the image by the projected vector: (camera, n, 2, 3)
     full = np.column_stack([points, np.ones(count)])
     by_matrix = np.einsum("cnki,nj->cnkij", rows, full).reshape(cameras, count, 2, 12)
     by_point = np.einsum("cnki,cij->cnkj", rows, matrices[:, :, :3])
@@ -120,7 +152,9 @@ def _projective_step(matrices: F64, points: F64, images: F64, seen: Bool, dampin
     a, d = np.einsum("cnkp,cnk->cp", by_matrix, miss), np.einsum("cnkp,cnk->np", by_point, miss)
     inverse = np.linalg.inv(bb)
     eliminated = np.einsum("cnpq,nqr->cnpr", ab, inverse)
-    whole = -np.einsum("cnpr,enqr->cpeq", eliminated, ab, optimize=True).reshape(12 * cameras, 12 * cameras)
+    whole = -np.einsum("cnpr,enqr->cpeq", eliminated, ab, optimize=True).reshape(
+        12 * cameras, 12 * cameras
+    )
     for number in range(cameras):
         part = slice(12 * number, 12 * number + 12)
         whole[part, part] += aa[number]
@@ -133,37 +167,51 @@ def _projective_step(matrices: F64, points: F64, images: F64, seen: Bool, dampin
 def euclidean(factors: Factors) -> Factors:
     """The frame, up to a similarity, in which all cameras have square pixels, their principal point at zero and a focal length of about 1.
 
-    Sources: the dual absolute quadric (Hartley and Zisserman, section 19.3.1), with rough focal lengths as M. Pollefeys et al. (IJCV 59, 2004) use
-    them: cameras whose axes all meet in one point, as arrays do that look at a volume, leave a family of quadrics open otherwise.
+    Sources: the dual absolute quadric (Hartley and Zisserman, section 19.3.1), with rough focal
+    lengths as M. Pollefeys et al. (IJCV 59, 2004) use them: cameras whose axes all meet in one
+    point, as arrays do that look at a volume, leave a family of quadrics open otherwise.
 
     Raises
     ------
     InputError
-        Images from which no such frame follows: of refraction or noise too strong, or of cameras too much alike.
+        Images from which no such frame follows: of refraction or noise too strong, or of cameras
+        too much alike.
     """
     rows = []
     for matrix in factors.matrices:
         square = [_product(matrix[i], matrix[i]) for i in range(3)]
-        rows += [_product(matrix[0], matrix[1]), _product(matrix[0], matrix[2]), _product(matrix[1], matrix[2]), square[0] - square[1]]
+        rows += [
+            _product(matrix[0], matrix[1]),
+            _product(matrix[0], matrix[2]),
+            _product(matrix[1], matrix[2]),
+            square[0] - square[1],
+        ]
         rows += [_FOCAL * (square[0] - square[2]), _FOCAL * (square[1] - square[2])]
     quadric = _symmetric(np.linalg.svd(np.stack(rows))[2][-1])
     values, vectors = np.linalg.eigh(quadric)
     if np.sum(values) < 0.0:
         values, vectors = -values[::-1], vectors[:, ::-1]
     if values[1] <= 0.0:
-        raise InputError("expected images from which a Euclidean frame follows, got some that no pinholes with square pixels can have")
+        raise InputError(
+            "expected images from which a Euclidean frame follows, got some that no pinholes with square pixels can have"
+        )
     frame = np.column_stack([vectors[:, 1:] * np.sqrt(values[1:]), vectors[:, 0]])
     return _forward(factors.changed(frame))
 
 
 def _filled(images: F64, seen: Bool) -> F64:
     """A first guess of unseen images: an affine product of rank 3 about the cameras' means, filled in again and again."""
-    means = np.nansum(images * seen[..., None], axis=1, keepdims=True) / np.maximum(seen.sum(axis=1), 1)[:, None, None]
+    means = (
+        np.nansum(images * seen[..., None], axis=1, keepdims=True)
+        / np.maximum(seen.sum(axis=1), 1)[:, None, None]
+    )
     filled = np.where(seen[..., None], images, means)
     for _ in range(_ROUNDS):
         table = (filled - means).transpose(0, 2, 1).reshape(-1, filled.shape[1])
         left, values, right = np.linalg.svd(table, full_matrices=False)
-        guess = ((left[:, :3] * values[:3]) @ right[:3]).reshape(len(filled), 2, -1).transpose(0, 2, 1) + means
+        guess = ((left[:, :3] * values[:3]) @ right[:3]).reshape(len(filled), 2, -1).transpose(
+            0, 2, 1
+        ) + means
         filled = np.where(seen[..., None], images, guess)
     return np.asarray(filled)
 
@@ -180,7 +228,9 @@ def _balanced(depths: F64, homogeneous: F64) -> F64:
 def _product(a: F64, b: F64) -> F64:
     """Coefficients of a^T Q b in the ten entries of a symmetric Q."""
     full = np.outer(a, b)
-    return np.array([full[i, j] + (full[j, i] if i != j else 0.0) for i in range(4) for j in range(i, 4)])
+    return np.array(
+        [full[i, j] + (full[j, i] if i != j else 0.0) for i in range(4) for j in range(i, 4)]
+    )
 
 
 def _symmetric(entries: F64) -> F64:

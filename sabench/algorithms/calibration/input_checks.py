@@ -31,7 +31,9 @@ def check_case(case: CalibrationCase) -> None:
     """
     for camera in case.cameras:
         if camera.wall and camera.wall.depth_of(np.asarray(camera.center_mm)) >= 0.0:
-            raise InputError(f"{camera.name}: expected it in front of the wall's outer face, but the wall is behind it")
+            raise InputError(
+                f"{camera.name}: expected it in front of the wall's outer face, but the wall is behind it"
+            )
     if case.cameras[0].wall:
         _check_indices(case.cameras[0].wall)
     _check_duplicates(case)
@@ -40,31 +42,42 @@ def check_case(case: CalibrationCase) -> None:
 def _check_indices(wall: Wall) -> None:
     first, *solids, last = wall.indices.tolist()
     if first > last:
-        raise InputError(f"wall: expected indices from the cameras' side on, air first, got air_index {first:g} above fluid_index {last:g}")
+        raise InputError(
+            f"wall: expected indices from the cameras' side on, air first, got air_index {first:g} above fluid_index {last:g}"
+        )
     if solids and max(solids) < _GLASS <= last:
-        raise InputError(f"wall: expected layers of glass and a fluid behind them, got layers of index {max(solids):g} before a fluid of {last:g}")
+        raise InputError(
+            f"wall: expected layers of glass and a fluid behind them, got layers of index {max(solids):g} before a fluid of {last:g}"
+        )
 
 
 def _check_duplicates(case: CalibrationCase) -> None:
     """Noise never repeats: equal pixels are one image under two names."""
     for i, j in itertools.combinations(range(len(case.cameras)), 2):
         if _same(case.pixels[i], case.pixels[j]):
-            raise InputError(f"{case.cameras[i].name} and {case.cameras[j].name}: expected images of their own, but all their points are the same")
+            raise InputError(
+                f"{case.cameras[i].name} and {case.cameras[j].name}: expected images of their own, but all their points are the same"
+            )
     for camera, frames in zip(case.cameras, case.pixels, strict=True):
         for i, j in itertools.combinations(range(len(frames)), 2):
             if _same(frames[i], frames[j]):
-                raise InputError(f"{camera.name}: expected different images in frames {i} and {j}, but all their points are the same")
+                raise InputError(
+                    f"{camera.name}: expected different images in frames {i} and {j}, but all their points are the same"
+                )
 
 
 def _same(one: F64, other: F64) -> bool:
     return bool(np.isfinite(one).any() and np.array_equal(one, other, equal_nan=True))
 
 
-def check_fit(case: CalibrationCase, state: State, frame: Frame, seen: Seen, used: Bool, noise_px: float) -> None:
+def check_fit(
+    case: CalibrationCase, state: State, frame: Frame, seen: Seen, used: Bool, noise_px: float
+) -> None:
     """Refuse a fit that contradicts what was told, that leaves out an image because of its order, or that rests on one plane.
 
-    Images through a wall tell neither which of a board's corners is the first nor which camera is which: that a board has been counted from
-    another corner in all cameras, or that two cameras are swapped, shows only against the rough places.
+    Images through a wall tell neither which of a board's corners is the first nor which camera is
+    which: that a board has been counted from another corner in all cameras, or that two cameras are
+    swapped, shows only against the rough places.
 
     Raises
     ------
@@ -79,23 +92,33 @@ def check_fit(case: CalibrationCase, state: State, frame: Frame, seen: Seen, use
     _check_views(case, state, seen, used, there, noise_px)
     points = state.points(seen.board)
     _check_corners(case, points, frame.motion(case.rough_mm), there)
-    _check_names(case, state.centers, frame.motion(np.array([camera.center_mm for camera in case.cameras])))
+    _check_names(
+        case, state.centers, frame.motion(np.array([camera.center_mm for camera in case.cameras]))
+    )
     found = points[there.any(axis=0)]
     spread = np.linalg.svd(found - found.mean(axis=0), compute_uv=False)
     if spread[2] < _FLAT * spread[0] and case.target.pattern != "wand":
-        raise InputError("expected a target at different depths or tilts, but all frames show it in one plane, which leaves focal lengths open")
+        raise InputError(
+            "expected a target at different depths or tilts, but all frames show it in one plane, which leaves focal lengths open"
+        )
 
 
-def _check_views(case: CalibrationCase, state: State, seen: Seen, used: Bool, there: Bool, noise_px: float) -> None:
+def _check_views(
+    case: CalibrationCase, state: State, seen: Seen, used: Bool, there: Bool, noise_px: float
+) -> None:
     """A camera's view of a frame that does not fit to all the others, but would, counted from another corner; what never fits is just not used."""
     shares = used.sum(axis=2) / np.maximum(there.sum(axis=2), 1)
     computed = seen.pixels - residuals(state, seen)
     for camera, number in np.argwhere((shares < _SUSPECT) & there.any(axis=2)).tolist():
         name = f"{case.cameras[camera].name}: frame {number}"
         for degrees, order in relabelled(case.target):
-            misses = np.linalg.norm(seen.pixels[camera, number] - computed[camera, number, order], axis=-1)[there[camera, number]]
+            misses = np.linalg.norm(
+                seen.pixels[camera, number] - computed[camera, number, order], axis=-1
+            )[there[camera, number]]
             if np.nanmedian(misses) < _FITS * noise_px:
-                raise InputError(f"{name}: expected its points counted as in the other cameras, but they are turned by {degrees} degrees")
+                raise InputError(
+                    f"{name}: expected its points counted as in the other cameras, but they are turned by {degrees} degrees"
+                )
 
 
 def relabelled(target: Target) -> list[tuple[int, I64]]:
@@ -108,7 +131,10 @@ def relabelled(target: Target) -> list[tuple[int, I64]]:
 def _check_corners(case: CalibrationCase, points: F64, rough: F64, there: Bool) -> None:
     """A frame whose points lie where it was told, but in another order."""
     for number in np.flatnonzero(there.any(axis=(0, 2))).tolist():
-        own, told = points[number] - points[number].mean(axis=0), rough[number] - np.nanmean(rough[number], axis=0)
+        own, told = (
+            points[number] - points[number].mean(axis=0),
+            rough[number] - np.nanmean(rough[number], axis=0),
+        )
         apart = _rms(own - told)
         for degrees, order in relabelled(case.target):
             if _rms(own[order] - told) < 0.5 * apart:
@@ -123,7 +149,9 @@ def _check_names(case: CalibrationCase, centers: F64, rough: F64) -> None:
         own = np.linalg.norm(centers[i] - rough[i]) + np.linalg.norm(centers[j] - rough[j])
         other = np.linalg.norm(centers[i] - rough[j]) + np.linalg.norm(centers[j] - rough[i])
         if other < 0.25 * own:
-            raise InputError(f"{case.cameras[i].name} and {case.cameras[j].name}: expected each one's own images, but these two are swapped")
+            raise InputError(
+                f"{case.cameras[i].name} and {case.cameras[j].name}: expected each one's own images, but these two are swapped"
+            )
 
 
 def _rms(errors: F64) -> float:

@@ -1,9 +1,10 @@
 """Projections through a wall with all their derivatives, and the normal equations of a bundle of them.
 
-Everything happens in the wall's own frame: its outer face is Z = 0, its normal +Z, media are numbered along the way of light from a camera.
-For a pinhole C and a point P the direction in which light leaves the pinhole is w = (G L, 1), where L is the lateral part of P - C and G the
-tangent of its angle divided by |L|. G follows from the invariant p = n sin(angle) of the path, for which sum d_i p / sqrt(n_i^2 - p^2) = |L|;
-the derivatives of p are those of an implicit function.
+Everything happens in the wall's own frame: its outer face is Z = 0, its normal +Z, media are
+numbered along the way of light from a camera. For a pinhole C and a point P the direction in which
+light leaves the pinhole is w = (G L, 1), where L is the lateral part of P - C and G the tangent of
+its angle divided by |L|. G follows from the invariant p = n sin(angle) of the path, for which sum
+d_i p / sqrt(n_i^2 - p^2) = |L|; the derivatives of p are those of an implicit function.
 """
 
 from __future__ import annotations
@@ -42,7 +43,9 @@ def bend(indices: Any, depths: Any, radius: float) -> float:
 
 
 @numba.njit(cache=True)
-def leave(indices: Any, depths: Any, radius: float, by_depth: Any, by_index: Any) -> tuple[float, float]:
+def leave(
+    indices: Any, depths: Any, radius: float, by_depth: Any, by_index: Any
+) -> tuple[float, float]:
     """G = tan(angle in the first medium) / radius, and (dG/d radius) / radius; fills in dG by depths and by indices.
 
     Derivatives at a radius of zero are those of the paraxial path.
@@ -53,7 +56,9 @@ def leave(indices: Any, depths: Any, radius: float, by_depth: Any, by_index: Any
     stretch = 0.0  # sum of depth / sqrt(n^2 - p^2) = radius / p
     for i in range(len(indices)):
         n = indices[i]
-        cosine = math.sqrt((n * n + (n * n - rarest * rarest) * slope * slope) / (1.0 + slope * slope))
+        cosine = math.sqrt(
+            (n * n + (n * n - rarest * rarest) * slope * slope) / (1.0 + slope * slope)
+        )
         stretch += depths[i] / cosine
         gain += depths[i] * n * n / (cosine * cosine * cosine)
         by_depth[i] = 1.0 / cosine
@@ -65,13 +70,17 @@ def leave(indices: Any, depths: Any, radius: float, by_depth: Any, by_index: Any
     for i in range(len(indices)):
         by_depth[i] *= -turning / stretch
         by_index[i] *= turning / stretch
-    by_index[0] -= n * first * first * first / stretch  # the cameras' own index also turns p into another tangent
+    by_index[0] -= (
+        n * first * first * first / stretch
+    )  # the cameras' own index also turns p into another tangent
     curved = (turning - tangent) / (radius * radius) if radius > 0.0 else 0.0
     return tangent, curved
 
 
 @numba.njit(cache=True)
-def observe(turn: Any, center: Any, lens: Any, media: Any, arm: Any, place: Any, row: Any, room: Any) -> tuple[float, float, bool]:
+def observe(
+    turn: Any, center: Any, lens: Any, media: Any, arm: Any, place: Any, row: Any, room: Any
+) -> tuple[float, float, bool]:
     """Pixel (column, row) of the point place + arm, and in `row` (2, CAMERA + BOARD + shared) its derivatives.
 
     Parameters
@@ -82,7 +91,8 @@ def observe(turn: Any, center: Any, lens: Any, media: Any, arm: Any, place: Any,
     media : indices (m,) and thicknesses (m - 2,).
     arm : (3,) the turned point of the board; a small turn d acts as exp(d) arm.
     place : (3,) the board's origin.
-    row : columns in the order of `lens` after turn and centre, then the board's turn and place, then indices and thicknesses.
+    row : columns in the order of `lens` after turn and centre, then the board's turn and place,
+        then indices and thicknesses.
     room : depths, by_depth and by_index (3, m).
 
     Not ok: the path would not reach forward, or the point is behind the camera.
@@ -142,13 +152,29 @@ def _distorted(u: float, v: float, lens: Any) -> tuple[float, float, float, floa
 
 
 @numba.njit(cache=True)
-def _fill(row: Any, first: float, second: float, seen: Any, turn: Any, swing: Any, arm: Any, room: Any, count: int) -> None:
+def _fill(
+    row: Any,
+    first: float,
+    second: float,
+    seen: Any,
+    turn: Any,
+    swing: Any,
+    arm: Any,
+    room: Any,
+    count: int,
+) -> None:
     """Derivatives of one pixel coordinate by turn, centre, board and media, from those by the camera frame's x and y."""
     (u, v, w), (x, y, tangent, curved) = seen, swing
     by_depth, by_index = room[1], room[2]
     third = -(first * u + second * v)  # by the camera frame's z; its vector is (u, v, 1) w
-    row[0], row[1], row[2] = w * (third * v - second), w * (first - third * u), w * (second * u - first * v)
-    left = first * turn[0, 0] + second * turn[1, 0] + third * turn[2, 0]  # by the lateral parts of the direction of light
+    row[0], row[1], row[2] = (
+        w * (third * v - second),
+        w * (first - third * u),
+        w * (second * u - first * v),
+    )
+    left = (
+        first * turn[0, 0] + second * turn[1, 0] + third * turn[2, 0]
+    )  # by the lateral parts of the direction of light
     down = first * turn[0, 1] + second * turn[1, 1] + third * turn[2, 1]
     along = left * x + down * y
     by_x, by_y = tangent * left + along * curved * x, tangent * down + along * curved * y
@@ -192,13 +218,15 @@ def equations(array: Any, boards: Any, seen: Any, free: Any, scale: float) -> An
     array : turns (M, 3, 3), centres (M, 3), lenses (M, 8), media.
     boards : turns (K, 3, 3), places (K, 3), points on a board (m, 3).
     seen : pixels (M, K, m, 2) and weights (M, K, m); what has no weight is not looked at.
-    free : columns of a camera (f,) that are unknowns, and of what all cameras share, counted from 0 (s,).
+    free : columns of a camera (f,) that are unknowns, and of what all cameras share, counted from 0
+        (s,).
     scale : of Cauchy's loss scale^2 log(1 + e^2 / scale^2), px; 0 for e^2.
 
     Returns
     -------
     cost : sum of weighted losses; infinite if a weighted point has no path.
-    aa : (M f + s, M f + s) of cameras and what they share; ab : (K, M f + s, BOARD); bb : (K, BOARD, BOARD).
+    aa : (M f + s, M f + s) of cameras and what they share; ab : (K, M f + s, BOARD); bb : (K,
+        BOARD, BOARD).
     a, d : (M f + s,) and (K, BOARD), minus the gradients.
     """
     turns, centers, lenses, media = array
@@ -208,7 +236,11 @@ def equations(array: Any, boards: Any, seen: Any, free: Any, scale: float) -> An
     cameras, count, dots = weights.shape
     f, s, m = len(own), len(shared), len(media[0])
     size, local = cameras * f + s, f + s + BOARD
-    aa, ab, bb = np.zeros((size, size)), np.zeros((count, size, BOARD)), np.zeros((count, BOARD, BOARD))
+    aa, ab, bb = (
+        np.zeros((size, size)),
+        np.zeros((count, size, BOARD)),
+        np.zeros((count, BOARD, BOARD)),
+    )
     a, d = np.zeros(size), np.zeros((count, BOARD))
     row, room, arm = np.zeros((2, CAMERA + BOARD + 2 * m - 2)), np.zeros((3, m)), np.zeros(3)
     pick = _columns(own, shared)
@@ -222,7 +254,9 @@ def equations(array: Any, boards: Any, seen: Any, free: Any, scale: float) -> An
                 if weight == 0.0:
                     continue
                 _turned(board_turns[k], points[i], arm)
-                u, v, ok = observe(turns[c], centers[c], lenses[c], media, arm, places[k], row, room)
+                u, v, ok = observe(
+                    turns[c], centers[c], lenses[c], media, arm, places[k], row, room
+                )
                 if not ok:
                     return math.inf, aa, ab, bb, a, d
                 eu, ev = pixels[c, k, i, 0] - u, pixels[c, k, i, 1] - v
@@ -244,7 +278,20 @@ def equations(array: Any, boards: Any, seen: Any, free: Any, scale: float) -> An
 
 
 @numba.njit(cache=True)
-def _scatter(part: Any, slope: Any, c: int, k: int, f: int, s: int, cameras: int, aa: Any, ab: Any, bb: Any, a: Any, d: Any) -> None:
+def _scatter(
+    part: Any,
+    slope: Any,
+    c: int,
+    k: int,
+    f: int,
+    s: int,
+    cameras: int,
+    aa: Any,
+    ab: Any,
+    bb: Any,
+    a: Any,
+    d: Any,
+) -> None:
     """Add the lower triangle of one camera's and one board's equations to their places."""
     for p in range(f + s):
         here = c * f + p if p < f else cameras * f + p - f
@@ -272,9 +319,14 @@ def misses(array: Any, boards: Any, seen: Any) -> Any:
         for k in range(pixels.shape[1]):
             for i in range(pixels.shape[2]):
                 _turned(board_turns[k], points[i], arm)
-                u, v, ok = observe(turns[c], centers[c], lenses[c], media, arm, places[k], row, room)
+                u, v, ok = observe(
+                    turns[c], centers[c], lenses[c], media, arm, places[k], row, room
+                )
                 if ok:
-                    out[c, k, i, 0], out[c, k, i, 1] = pixels[c, k, i, 0] - u, pixels[c, k, i, 1] - v
+                    out[c, k, i, 0], out[c, k, i, 1] = (
+                        pixels[c, k, i, 0] - u,
+                        pixels[c, k, i, 1] - v,
+                    )
     return out
 
 
@@ -290,11 +342,21 @@ def spreads(array: Any, boards: Any, seen: Any, free: Any, covariance: Any) -> A
     local, base = f + s + BOARD, cameras * f + s
     row, room, arm = np.zeros((2, CAMERA + BOARD + 2 * m - 2)), np.zeros((3, m)), np.zeros(3)
     out = np.full((cameras, count, dots, 3), math.nan)
-    part, pick, there = np.zeros((local, local)), _columns(own, shared), np.empty(local, dtype=np.int64)
+    part, pick, there = (
+        np.zeros((local, local)),
+        _columns(own, shared),
+        np.empty(local, dtype=np.int64),
+    )
     for c in range(cameras):
         for k in range(count):
             for p in range(local):
-                there[p] = c * f + p if p < f else cameras * f + p - f if p < f + s else base + k * BOARD + p - f - s
+                there[p] = (
+                    c * f + p
+                    if p < f
+                    else cameras * f + p - f
+                    if p < f + s
+                    else base + k * BOARD + p - f - s
+                )
             for p in range(local):
                 for q in range(local):
                     part[p, q] = covariance[there[p], there[q]]
@@ -302,7 +364,9 @@ def spreads(array: Any, boards: Any, seen: Any, free: Any, covariance: Any) -> A
                 if weights[c, k, i] == 0.0:
                     continue
                 _turned(board_turns[k], points[i], arm)
-                _, _, ok = observe(turns[c], centers[c], lenses[c], media, arm, places[k], row, room)
+                _, _, ok = observe(
+                    turns[c], centers[c], lenses[c], media, arm, places[k], row, room
+                )
                 if not ok:
                     continue
                 uu, vv, uv = 0.0, 0.0, 0.0

@@ -31,4 +31,8 @@ def flat(case: CalibrationCase) -> str | None:
     """Why a classical calibration cannot take a case whose places are all told in one plane, or None if they are not."""
     told = case.rough_mm[np.isfinite(case.rough_mm).all(axis=-1)]
     spread = np.linalg.svd(told - told.mean(axis=0), compute_uv=False)
-    return "expected places that are told at different depths, got all of them in one plane" if spread[2] <= _FLAT * spread[0] else None
+    return (
+        "expected places that are told at different depths, got all of them in one plane"
+        if spread[2] <= _FLAT * spread[0]
+        else None
+    )

@@ -48,7 +48,11 @@ class Free:
 
     def columns(self, media: int) -> tuple[I64, I64]:
         """Numbers of a camera's unknowns and of the shared ones, as `kernels.equations` counts them."""
-        own = [0, 1, 2, 3, 4, 5, 6] + [7, 8] * self.principal_point + [9 + _DISTORTION.index(name) for name in self.distortion]
+        own = (
+            [0, 1, 2, 3, 4, 5, 6]
+            + [7, 8] * self.principal_point
+            + [9 + _DISTORTION.index(name) for name in self.distortion]
+        )
         shared = [*self.indices, *(media + layer for layer in self.thicknesses)]
         return np.array(own, dtype=np.int64), np.array(shared, dtype=np.int64)
 
@@ -89,18 +93,24 @@ class State:
         media[common] += shared
         count = len(self.indices)
         return State(
-            np.ascontiguousarray(exponential(full[:, :3]) @ self.turns), self.centers + full[:, 3:6], self.lenses + full[:, 6:],
-            media[:count].copy(), media[count:].copy(),
-            np.ascontiguousarray(exponential(boards[:, :3]) @ self.board_turns), self.places + boards[:, 3:],
-        )  # fmt: skip
+            np.ascontiguousarray(exponential(full[:, :3]) @ self.turns),
+            self.centers + full[:, 3:6],
+            self.lenses + full[:, 6:],
+            media[:count].copy(),
+            media[count:].copy(),
+            np.ascontiguousarray(exponential(boards[:, :3]) @ self.board_turns),
+            self.places + boards[:, 3:],
+        )
 
     def slid(self, motion: Motion) -> State:
         """The state moved as a whole, by what the wall does not notice."""
         return replace(
             self,
-            turns=np.ascontiguousarray(self.turns @ motion.turn.T), centers=motion(self.centers),
-            board_turns=np.ascontiguousarray(motion.turn @ self.board_turns), places=motion(self.places),
-        )  # fmt: skip
+            turns=np.ascontiguousarray(self.turns @ motion.turn.T),
+            centers=motion(self.centers),
+            board_turns=np.ascontiguousarray(motion.turn @ self.board_turns),
+            places=motion(self.places),
+        )
 
 
 @dataclass(frozen=True)
@@ -119,13 +129,36 @@ class Frame:
 
     def state(self, board: F64, points_mm: F64) -> State:
         """Where the cameras are, and boards (m, 3) as near as they can be to rough points (K, m, 3), NaN where unknown."""
-        turns = np.stack([np.asarray(camera.rotation) @ self.motion.turn.T for camera in self.cameras])
+        turns = np.stack(
+            [np.asarray(camera.rotation) @ self.motion.turn.T for camera in self.cameras]
+        )
         centers = self.motion(np.array([camera.center_mm for camera in self.cameras]))
-        lenses = np.array([[c.focal_px, *c.principal_point_px, *(getattr(c.distortion, k) for k in _DISTORTION)] for c in self.cameras])
+        lenses = np.array(
+            [
+                [
+                    c.focal_px,
+                    *c.principal_point_px,
+                    *(getattr(c.distortion, k) for k in _DISTORTION),
+                ]
+                for c in self.cameras
+            ]
+        )
         media = self.wall.indices if self.wall else np.ones(2)
-        thicknesses = np.array([layer.thickness_mm for layer in self.wall.layers]) if self.wall else np.zeros(0)
+        thicknesses = (
+            np.array([layer.thickness_mm for layer in self.wall.layers])
+            if self.wall
+            else np.zeros(0)
+        )
         poses = [_pose(board, self.motion(points)) for points in points_mm]
-        return State(turns, centers, lenses, media, thicknesses, np.stack([p.turn for p in poses]), np.stack([p.shift for p in poses]))
+        return State(
+            turns,
+            centers,
+            lenses,
+            media,
+            thicknesses,
+            np.stack([p.turn for p in poses]),
+            np.stack([p.shift for p in poses]),
+        )
 
     def built(self, state: State) -> tuple[Camera, ...]:
         """Cameras of a state, in the world's frame."""
@@ -140,17 +173,27 @@ class Frame:
         if self.wall is None:
             return None
         first, *inner, last = state.indices.tolist()
-        layers = tuple(Layer(layer.name, n, d) for layer, n, d in zip(self.wall.layers, inner, state.thicknesses.tolist(), strict=True))
+        layers = tuple(
+            Layer(layer.name, n, d)
+            for layer, n, d in zip(self.wall.layers, inner, state.thicknesses.tolist(), strict=True)
+        )
         return replace(self.wall, air_index=first, layers=layers, fluid_index=last)
 
     def _camera(self, number: int, state: State, wall: Wall | None) -> Camera:
         camera, lens = self.cameras[number], state.lenses[number].tolist()
-        turn, center = state.turns[number] @ self.motion.turn, self.motion.back()(state.centers[number])
+        turn, center = (
+            state.turns[number] @ self.motion.turn,
+            self.motion.back()(state.centers[number]),
+        )
         return replace(
-            camera, center_mm=triple(center), rotation=(triple(turn[0]), triple(turn[1]), triple(turn[2])), wall=wall,
-            principal_distance_mm=lens[0] * camera.pixel_mm, principal_point_px=(lens[1], lens[2]),
+            camera,
+            center_mm=triple(center),
+            rotation=(triple(turn[0]), triple(turn[1]), triple(turn[2])),
+            wall=wall,
+            principal_distance_mm=lens[0] * camera.pixel_mm,
+            principal_point_px=(lens[1], lens[2]),
             distortion=Distortion(**dict(zip(_DISTORTION, lens[3:], strict=True))),
-        )  # fmt: skip
+        )
 
 
 def _pose(board: F64, points: F64) -> Motion:

@@ -39,13 +39,16 @@ class Problem:
         Raises
         ------
         InputError
-            What `diagnosis.check_case` refuses, fewer points than unknowns, or a frame of which nothing is known beforehand.
+            What `diagnosis.check_case` refuses, fewer points than unknowns, or a frame of which
+            nothing is known beforehand.
         """
         check_case(case)
         check_count(case, free.per_camera)
         for number, points in enumerate(case.rough_mm):
             if np.isfinite(points).all(axis=1).sum() < 3 and case.found[:, number].any():
-                raise InputError(f"frame {number}: expected a rough place of its target to start from, got none")
+                raise InputError(
+                    f"frame {number}: expected a rough place of its target to start from, got none"
+                )
         frame = Frame.of(case.cameras, case.rough_mm)
         found = case.found
         seen = Seen(case.target.points_mm, np.nan_to_num(case.pixels), found.astype(np.float64))
@@ -85,7 +88,8 @@ def anchors_of(case: CalibrationCase, frame: Frame, noise_px: float) -> tuple[An
 def check_count(case: CalibrationCase, unknowns: int) -> None:
     """Refuse a case with fewer equations than unknowns.
 
-    With boards the thesis's equation 4.3 becomes 2 N >= b M + 6 K: N image points, M cameras with b unknowns each, K placed boards.
+    With boards the thesis's equation 4.3 becomes 2 N >= b M + 6 K: N image points, M cameras with b
+    unknowns each, K placed boards.
     """
     boards = int(case.found.any(axis=(0, 2)).sum())
     needed = unknowns * len(case.cameras) + 6 * boards
@@ -96,4 +100,6 @@ def check_count(case: CalibrationCase, unknowns: int) -> None:
         )
     for camera, found in zip(case.cameras, case.found.sum(axis=(1, 2)).tolist(), strict=True):
         if 2 * found < unknowns:
-            raise InputError(f"{camera.name}: expected at least {-(-unknowns // 2)} image points for its {unknowns} unknowns, got {found}")
+            raise InputError(
+                f"{camera.name}: expected at least {-(-unknowns // 2)} image points for its {unknowns} unknowns, got {found}"
+            )

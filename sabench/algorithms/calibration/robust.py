@@ -31,7 +31,8 @@ def adjust(state: State, seen: Seen, free: Free, *, noise_px: float | None = Non
 
     Parameters
     ----------
-    noise_px : of the pixel coordinates, if it is known; by default it is estimated from the median error.
+    noise_px : of the pixel coordinates, if it is known; by default it is estimated from the median
+        error.
     """
     start = np.asarray(seen.weights > 0.0)
     fit, used = refine(state, seen, free), start

@@ -21,14 +21,18 @@ from sabench.utils.errors import InputError
 
 _ROUNDS = 20
 _SETTLED_PX = 0.03
-_FARTHER = 3.0  # the core's common errors move all places, and so may another camera's disparity be larger than its own error
+# the core's common errors move all places, and so may another camera's disparity be larger than its
+# own error
+_FARTHER = 3.0
 _CORE = 4  # cameras whose particle images are matched all with all
 _PAIRS = 1_000_000
 _MOST = 3000  # particles that the cameras are adjusted to
 _LATTICE = (5, 5, 3)
 _TOLD_PX = 2.0  # how far the told cameras are believed, where particles say nothing
 _REJECT = 4.0
-_SURE = 20.0  # standard deviations by which right sets exceed chance: the most crowded of many spots of wrong ones has a dozen
+# standard deviations by which right sets exceed chance: the most crowded of many spots of wrong
+# ones has a dozen
+_SURE = 20.0
 
 
 @dataclass(frozen=True)
@@ -53,12 +57,16 @@ class Tracking:
         """Find particle images, and put those cameras first that look from the most different places."""
         pinholes = tuple(camera for camera in case.cameras if isinstance(camera, Camera))
         if len(pinholes) != len(case.cameras):
-            raise InputError("expected pinhole cameras, whose parameters can be adjusted, got others")
+            raise InputError(
+                "expected pinhole cameras, whose parameters can be adjusted, got others"
+            )
         order = _spread(np.array([camera.center_mm for camera in pinholes]))
         spots = tuple(spots_of(light[number], bright) for number in order)
         for number, own in zip(order, spots, strict=True):
             if not len(own.pixel):
-                raise InputError(f"{pinholes[number].name}: expected particle images, got none above {bright:g} of a bright one's peak")
+                raise InputError(
+                    f"{pinholes[number].name}: expected particle images, got none above {bright:g} of a bright one's peak"
+                )
         low = np.asarray(case.grid.low_mm)
         high = low + (np.asarray(case.grid.shape[::-1]) - 1) * np.asarray(case.grid.voxel_mm)
         cameras = tuple(pinholes[number] for number in order)
@@ -81,7 +89,9 @@ def follow(tracking: Tracking, reach_px: float, least_px: float) -> Maps:
     for _ in range(_ROUNDS):
         sets = find_sets(maps, tracking.spots[: len(core)], reach)
         if not len(sets.places):
-            raise InputError(f"expected particle images that agree within {reach:g} px, got none: larger errors need a larger reach_px")
+            raise InputError(
+                f"expected particle images that agree within {reach:g} px, got none: larger errors need a larger reach_px"
+            )
         maps, moved = corrected(maps, sets, core)
         if reach <= least_px and moved < _SETTLED_PX:
             break
@@ -105,7 +115,9 @@ def _check(tracking: Tracking, maps: Maps, sure: Sets, reach_px: float, least_px
         )
 
 
-def _follow_one(tracking: Tracking, maps: Maps, sure: Sets, camera: int, reach_px: float, least_px: float) -> Maps:
+def _follow_one(
+    tracking: Tracking, maps: Maps, sure: Sets, camera: int, reach_px: float, least_px: float
+) -> Maps:
     reach = _FARTHER * reach_px
     for _ in range(_ROUNDS):
         pairs, errors = _pairs(maps, tracking.spots[camera], camera, sure.places, reach)
@@ -113,7 +125,9 @@ def _follow_one(tracking: Tracking, maps: Maps, sure: Sets, camera: int, reach_p
             raise InputError(
                 f"{tracking.cameras[camera].name}: expected particle images within {reach:g} px of where the other cameras' are, got none"
             )
-        maps, moved = corrected(maps, Sets(sure.places[pairs[:, 0]], pairs, errors[:, None]), range(camera, camera + 1))
+        maps, moved = corrected(
+            maps, Sets(sure.places[pairs[:, 0]], pairs, errors[:, None]), range(camera, camera + 1)
+        )
         if reach <= least_px and moved < _SETTLED_PX:
             break
         reach = max(least_px, 0.5 * reach)
@@ -143,14 +157,18 @@ def match_all(tracking: Tracking, maps: Maps, least_px: float) -> tuple[F64, F64
             chosen.append(number)
             for c in range(core):
                 taken[c][sets.hits[number, c]] = True
-    some = np.random.default_rng(0).permutation(np.array(chosen, dtype=np.int64))[:_MOST]  # the best alone would agree with the maps too much
+    some = np.random.default_rng(0).permutation(np.array(chosen, dtype=np.int64))[
+        :_MOST
+    ]  # the best alone would agree with the maps too much
     places = sets.places[some]
     pixels = np.full((len(tracking.cameras), len(some), 2), np.nan)
     for c in range(core):
         pixels[c] = tracking.spots[c].pixel[sets.hits[some, c]]
     for c in range(core, len(tracking.cameras)):
         pairs, errors = _pairs(maps, tracking.spots[c], c, places, least_px)
-        for row in np.argsort(-np.linalg.norm(errors, axis=1)).tolist():  # the nearest comes last and stays
+        for row in np.argsort(
+            -np.linalg.norm(errors, axis=1)
+        ).tolist():  # the nearest comes last and stays
             pixels[c, pairs[row, 0]] = tracking.spots[c].pixel[pairs[row, 1]]
     return places, pixels
 
@@ -158,7 +176,8 @@ def match_all(tracking: Tracking, maps: Maps, least_px: float) -> tuple[F64, F64
 def refined(tracking: Tracking, matched: tuple[F64, F64]) -> tuple[Camera, ...]:
     """The told cameras adjusted to particles, in the order of the case.
 
-    A lattice of places at which the told cameras are believed, to two pixels, holds what particles do not show.
+    A lattice of places at which the told cameras are believed, to two pixels, holds what particles
+    do not show.
     """
     (places, pixels), maps = matched, tracking.maps
     particles = maps.middle_mm + maps.half_mm * places
@@ -170,7 +189,12 @@ def refined(tracking: Tracking, matched: tuple[F64, F64]) -> tuple[Camera, ...]:
     weights = np.isfinite(both).all(axis=2).astype(np.float64)
     frame = Frame.of(tracking.cameras, points[:, None])
     state = frame.state(np.zeros((1, 3)), points[:, None])
-    seen = Seen(np.zeros((1, 3)), np.nan_to_num(both)[:, :, None], weights[:, :, None], _held(frame, lattice, len(particles)))
+    seen = Seen(
+        np.zeros((1, 3)),
+        np.nan_to_num(both)[:, :, None],
+        weights[:, :, None],
+        _held(frame, lattice, len(particles)),
+    )
     state = _adjusted(state, seen, len(particles))
     by_number = dict(zip(tracking.order, frame.built(state), strict=True))
     return tuple(by_number[number] for number in range(len(by_number)))
@@ -178,14 +202,19 @@ def refined(tracking: Tracking, matched: tuple[F64, F64]) -> tuple[Camera, ...]:
 
 def _held(frame: Frame, lattice: F64, first: int) -> tuple[Anchor, ...]:
     world = frame.motion.back()
-    return tuple(Anchor(first + number, 0, place, np.full(3, 1e6), world) for number, place in enumerate(lattice))
+    return tuple(
+        Anchor(first + number, 0, place, np.full(3, 1e6), world)
+        for number, place in enumerate(lattice)
+    )
 
 
 def _adjusted(state: State, seen: Seen, particles: int) -> State:
     """Cauchy's loss until the noise it leaves falls no more, then least squares without what is far off; the lattice weighs as its distrust says."""
     noise = _noise(state, seen, particles)
     for _ in range(_ROUNDS):
-        state = refine(state, replace(seen, weights=_weights(seen, particles, noise)), Free(), 3.0 * noise).state
+        state = refine(
+            state, replace(seen, weights=_weights(seen, particles, noise)), Free(), 3.0 * noise
+        ).state
         before, noise = noise, _noise(state, seen, particles)
         if noise > 0.9 * before:
             break

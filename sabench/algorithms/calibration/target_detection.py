@@ -14,7 +14,13 @@ U8 = npt.NDArray[np.uint8]
 
 _BLUR_PX = 1.5  # against noise, where lights are few
 _FAINT = 0.1  # of a blob's peak: below there is none
-_BALL = 0.05, 0.15  # the same of a ball's, and where its light is cut: its shading would draw its centroid to the lit side
+_BALL = (
+    0.05,
+    0.15,
+    # the same of a ball's, and where its light is cut: its shading would draw its centroid to the
+    # lit
+    # side
+)
 _LIT = 0.35  # of the brightest ball: what belongs to one
 _DARKEST, _BRIGHTEST = 0.5, 99.5  # percentiles that become black and white for the detectors
 
@@ -25,11 +31,21 @@ def detect(image: U16, target: Target, expected: F64 | None = None) -> F64:
     Parameters
     ----------
     image : (rows, columns) grey values.
-    expected : rough pixels (point, 2), which tell a board that looks the same after a half or a quarter turn which way it lies; by default it is
+    expected : rough pixels (point, 2), which tell a board that looks the same after a half or a
+        quarter turn which way it lies; by default it is
         taken to lie upright. Shift, scale and a turn of less than half of that do not matter.
     """
-    grey = _eight_bits(image, *(_small_lights(image) if target.pattern == "wand" else np.percentile(image, [_DARKEST, _BRIGHTEST])))
-    found = {"checkerboard": _corners, "circles": _circles, "charuco": _charuco, "wand": _balls}[target.pattern](grey, target)
+    grey = _eight_bits(
+        image,
+        *(
+            _small_lights(image)
+            if target.pattern == "wand"
+            else np.percentile(image, [_DARKEST, _BRIGHTEST])
+        ),
+    )
+    found = {"checkerboard": _corners, "circles": _circles, "charuco": _charuco, "wand": _balls}[
+        target.pattern
+    ](grey, target)
     if found is None:
         return np.full((len(target.points_mm), 2), np.nan)
     return found if target.pattern == "charuco" else _turned(found, target, expected)
@@ -39,18 +55,24 @@ def _small_lights(image: U16) -> tuple[float, float]:
     """Grey values of the dark around lights and of the brightest, however small a part of the image they are."""
     import cv2
 
-    return float(np.median(image)), float(cv2.GaussianBlur(image.astype(np.float32), (0, 0), _BLUR_PX).max())
+    return float(np.median(image)), float(
+        cv2.GaussianBlur(image.astype(np.float32), (0, 0), _BLUR_PX).max()
+    )
 
 
 def _eight_bits(image: U16, low: float, high: float) -> U8:
-    return np.asarray(np.clip((image - low) * (255.0 / max(high - low, 1.0)), 0.0, 255.0), dtype=np.uint8)
+    return np.asarray(
+        np.clip((image - low) * (255.0 / max(high - low, 1.0)), 0.0, 255.0), dtype=np.uint8
+    )
 
 
 def _corners(grey: U8, target: Target) -> F64 | None:
     """Saddle points of the intensity. Source: A. Duda and U. Frese, BMVC 2018."""
     import cv2
 
-    found, corners = cv2.findChessboardCornersSB(grey, (target.columns, target.rows), flags=cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY)
+    found, corners = cv2.findChessboardCornersSB(
+        grey, (target.columns, target.rows), flags=cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY
+    )
     return corners.reshape(-1, 2).astype(np.float64) if found else None
 
 
@@ -58,7 +80,9 @@ def _circles(grey: U8, target: Target) -> F64 | None:
     """Centres of the dark ellipses that circles become."""
     import cv2
 
-    found, centers = cv2.findCirclesGrid(grey, (target.columns, target.rows), flags=cv2.CALIB_CB_SYMMETRIC_GRID)
+    found, centers = cv2.findCirclesGrid(
+        grey, (target.columns, target.rows), flags=cv2.CALIB_CB_SYMMETRIC_GRID
+    )
     return _centroids(255 - grey, centers.reshape(-1, 2).astype(np.float64)) if found else None
 
 
@@ -67,22 +91,35 @@ def _charuco(grey: U8, target: Target) -> F64 | None:
     import cv2
 
     dictionary: Any = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_1000)
-    board = cv2.aruco.CharucoBoard((target.columns + 1, target.rows + 1), target.pitch_mm, target.mark_mm, dictionary)
+    board = cv2.aruco.CharucoBoard(
+        (target.columns + 1, target.rows + 1), target.pitch_mm, target.mark_mm, dictionary
+    )
     corners, numbers, _, _ = cv2.aruco.CharucoDetector(board).detectBoard(grey)
     if numbers is None or not len(numbers):
         return None
-    found, order = np.asarray(corners, dtype=np.float32).reshape(-1, 1, 2), np.asarray(numbers).ravel()
+    found, order = (
+        np.asarray(corners, dtype=np.float32).reshape(-1, 1, 2),
+        np.asarray(numbers).ravel(),
+    )
     pixels = np.full((len(target.points_mm), 2), np.nan)
-    pixels[order] = cv2.cornerSubPix(cv2.GaussianBlur(grey, (0, 0), 1.0), found, *_window(found[:, 0], order, target)).reshape(-1, 2)
+    pixels[order] = cv2.cornerSubPix(
+        cv2.GaussianBlur(grey, (0, 0), 1.0), found, *_window(found[:, 0], order, target)
+    ).reshape(-1, 2)
     return pixels
 
 
-def _window(found: npt.NDArray[np.float32], order: npt.NDArray[Any], target: Target) -> tuple[Any, ...]:
+def _window(
+    found: npt.NDArray[np.float32], order: npt.NDArray[Any], target: Target
+) -> tuple[Any, ...]:
     """What `cornerSubPix` may look at around a corner - no marker, which would draw it away - and when it stops."""
     import cv2
 
     places = target.points_mm[order, :2]
-    scale = float(np.std(found, axis=0).sum() / max(np.std(places, axis=0).sum(), 1e-9)) if len(order) > 1 else 0.0
+    scale = (
+        float(np.std(found, axis=0).sum() / max(np.std(places, axis=0).sum(), 1e-9))
+        if len(order) > 1
+        else 0.0
+    )
     side = max(2, int(0.7 * scale * (target.pitch_mm - target.mark_mm) / 2.0))
     return (side, side), (-1, -1), (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 100, 1e-4)
 
@@ -92,7 +129,9 @@ def _balls(grey: U8, target: Target) -> F64 | None:
     import cv2
 
     smooth = cv2.GaussianBlur(grey, (0, 0), _BLUR_PX)
-    count, _, stats, centers = cv2.connectedComponentsWithStats((smooth > 255.0 * _LIT).astype(np.uint8))
+    count, _, stats, centers = cv2.connectedComponentsWithStats(
+        (smooth > 255.0 * _LIT).astype(np.uint8)
+    )
     largest = 1 + np.argsort(stats[1:, cv2.CC_STAT_AREA])[::-1][: target.columns]
     if count - 1 < target.columns:
         return None
@@ -103,7 +142,9 @@ def _balls(grey: U8, target: Target) -> F64 | None:
 
 def _centroids(light: U8, centers: F64, faint: float = _FAINT, full: float = 1.0) -> F64:
     """Intensity-weighted centroids of blobs around rough centres, as far as half the way to the next; more light than `full` of the peak is cut."""
-    gaps = np.linalg.norm(centers[:, None] - centers[None], axis=2) + np.diag(np.full(len(centers), np.inf))
+    gaps = np.linalg.norm(centers[:, None] - centers[None], axis=2) + np.diag(
+        np.full(len(centers), np.inf)
+    )
     out = centers.copy()
     for number, (center, gap) in enumerate(zip(centers, gaps.min(axis=1), strict=True)):
         reach = max(3, int(min(0.45 * gap, 60.0)))
@@ -126,5 +167,10 @@ def _turned(found: F64, target: Target, expected: F64 | None) -> F64:
     grid = np.arange(len(found)).reshape(target.rows, target.columns)
     turns = [np.rot90(grid, quarter) for quarter in range(4)]
     orders = [turn.ravel() for turn in turns if turn.shape == grid.shape]
-    orders += [turn.T.ravel() for turn in turns if turn.T.shape == grid.shape] if target.rows > 1 else []
-    return max((found[order] for order in orders), key=lambda ordered: float(np.sum((ordered[known] - ordered[known].mean(axis=0)) * goal)))
+    orders += (
+        [turn.T.ravel() for turn in turns if turn.T.shape == grid.shape] if target.rows > 1 else []
+    )
+    return max(
+        (found[order] for order in orders),
+        key=lambda ordered: float(np.sum((ordered[known] - ordered[known].mean(axis=0)) * goal)),
+    )

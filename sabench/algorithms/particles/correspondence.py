@@ -1,6 +1,7 @@
 """Particle images that may belong to one particle: seen by several cameras whose calibration is a few pixels off.
 
-Source: B. Wieneke, Volume self-calibration for 3D particle image velocimetry, Exp. Fluids 45, 549-556, 2008.
+Source: B. Wieneke, Volume self-calibration for 3D particle image velocimetry, Exp. Fluids 45,
+549-556, 2008.
 """
 
 from __future__ import annotations
@@ -37,7 +38,11 @@ def _gains(slopes: Any, cameras: int, gains: Any) -> bool:
     for c in range(cameras):
         for a in range(2):
             for p in range(3):
-                sum_ = cross[p, 0] * slopes[c, a, 0] + cross[p, 1] * slopes[c, a, 1] + cross[p, 2] * slopes[c, a, 2]
+                sum_ = (
+                    cross[p, 0] * slopes[c, a, 0]
+                    + cross[p, 1] * slopes[c, a, 1]
+                    + cross[p, 2] * slopes[c, a, 2]
+                )
                 gains[c, a, p] = sum_ / determinant
     return True
 
@@ -66,12 +71,15 @@ def on_sight(maps: Any, pixel: Any, place: Any, here: Any, slope: Any) -> bool:
 
 
 @numba.njit(cache=True)
-def match(maps: Any, spots: Any, order: Any, reach: float, steps: int, places: Any, hits: Any, errors: Any) -> int:
+def match(
+    maps: Any, spots: Any, order: Any, reach: float, steps: int, places: Any, hits: Any, errors: Any
+) -> int:
     """Fill in sets of particle images, one of each of three or four cameras, that may be those of one particle; returns how many.
 
-    The first camera's line of sight is followed through the box; what the second shows within reach of it is intersected with it, and all that
-    the others show within reach of this place makes a set. A set counts if no camera misses the place that fits it best by more than `reach`.
-    When there is no more room, the rest of the first camera's images is left out.
+    The first camera's line of sight is followed through the box; what the second shows within reach
+    of it is intersected with it, and all that the others show within reach of this place makes a
+    set. A set counts if no camera misses the place that fits it best by more than `reach`. When
+    there is no more room, the rest of the first camera's images is left out.
 
     Parameters
     ----------
@@ -80,7 +88,8 @@ def match(maps: Any, spots: Any, order: Any, reach: float, steps: int, places: A
     steps : places on a line of sight, close enough for `reach`.
     places : (sets, 3) room for the places, x, y, z from -1 to 1.
     hits : (sets, cameras) room for the numbers of the images.
-    errors : (sets, cameras, 2) room for where the images lie against where the cameras see the place, px.
+    errors : (sets, cameras, 2) room for where the images lie against where the cameras see the
+        place, px.
     """
     cameras, count = len(spots), 0
     place, here, slope, step = np.zeros(3), np.zeros(2), np.zeros((2, 3)), np.zeros(3)
@@ -106,12 +115,37 @@ def match(maps: Any, spots: Any, order: Any, reach: float, steps: int, places: A
                 left += 1
                 start = place.copy()
                 if _crossed(maps, spots, chosen, start, slopes, misses, gains, here, slope, step):
-                    count = _others(maps, spots, reach, chosen, start, slopes, misses, gains, step, places, hits, errors, count)
+                    count = _others(
+                        maps,
+                        spots,
+                        reach,
+                        chosen,
+                        start,
+                        slopes,
+                        misses,
+                        gains,
+                        step,
+                        places,
+                        hits,
+                        errors,
+                        count,
+                    )
     return count
 
 
 @numba.njit(cache=True)
-def _crossed(maps: Any, spots: Any, chosen: Any, place: Any, slopes: Any, misses: Any, gains: Any, here: Any, slope: Any, step: Any) -> bool:
+def _crossed(
+    maps: Any,
+    spots: Any,
+    chosen: Any,
+    place: Any,
+    slopes: Any,
+    misses: Any,
+    gains: Any,
+    here: Any,
+    slope: Any,
+    step: Any,
+) -> bool:
     """Move a place to where the first two cameras' lines of sight come nearest to each other, if that is in the box."""
     for _ in range(2):
         for c in range(2):
@@ -167,7 +201,11 @@ def _others(
             for c in range(cameras):
                 hits[count, c] = chosen[c]
                 for a in range(2):
-                    bend = slopes[c, a, 0] * step[0] + slopes[c, a, 1] * step[1] + slopes[c, a, 2] * step[2]
+                    bend = (
+                        slopes[c, a, 0] * step[0]
+                        + slopes[c, a, 1] * step[1]
+                        + slopes[c, a, 2] * step[2]
+                    )
                     errors[count, c, a] = misses[c, a] - bend
             count += 1
     return count
@@ -180,7 +218,12 @@ def _worst(slopes: Any, misses: Any, step: Any, cameras: int) -> float:
     for c in range(cameras):
         square = 0.0
         for a in range(2):
-            off = misses[c, a] - slopes[c, a, 0] * step[0] - slopes[c, a, 1] * step[1] - slopes[c, a, 2] * step[2]
+            off = (
+                misses[c, a]
+                - slopes[c, a, 0] * step[0]
+                - slopes[c, a, 1] * step[1]
+                - slopes[c, a, 2] * step[2]
+            )
             square += off * off
         worst = max(worst, square)
     return worst

@@ -27,9 +27,11 @@ class Settings:
     floor : smallest peak that counts as a particle image, over a bright particle's.
     noise : the same in standard deviations of the image's background; the larger one holds.
     reach_px : largest distance of a particle image from where its camera sees the particle.
-    rounds : of triangulation with all cameras, and then with one camera fewer, on what is left; each is led by the next camera.
+    rounds : of triangulation with all cameras, and then with one camera fewer, on what is left;
+        each is led by the next camera.
     fits : rounds of fitting after each.
-    faint : brightness in its second darkest camera, over the median particle's, below which a particle is a ghost.
+    faint : brightness in its second darkest camera, over the median particle's, below which a
+        particle is a ghost.
     apart_px : distance of two particles' images in every camera below which they are one.
     """
 
@@ -78,14 +80,20 @@ def reconstructed(case: Observation, maps: Maps, settings: Settings) -> FoundPar
 
 def _spots(images: F32, settings: Settings) -> tuple[Spots, ...]:
     """Particle images above the background of every camera."""
-    return tuple(spots_of(image, max(settings.floor, settings.noise * background(image))) for image in images)
+    return tuple(
+        spots_of(image, max(settings.floor, settings.noise * background(image))) for image in images
+    )
 
 
-def _agreed(maps: Maps, spots: tuple[Spots, ...], settings: Settings, missing: int, number: int, images: F32) -> Candidates:
+def _agreed(
+    maps: Maps, spots: tuple[Spots, ...], settings: Settings, missing: int, number: int, images: F32
+) -> Candidates:
     """Candidates of which each particle image belongs to one; which cameras are followed changes from round to round."""
     first = number % len(spots)
     order = (first, (first + 1) % len(spots))
-    found = candidates(maps, spots, order, settings.reach_px, missing, (images.shape[1], images.shape[2]))
+    found = candidates(
+        maps, spots, order, settings.reach_px, missing, (images.shape[1], images.shape[2])
+    )
     kept = chosen(found, spots)
     return Candidates(found.place[kept], found.hit[kept], found.error_px[kept])
 

@@ -1,10 +1,12 @@
 """Tracks of bubbles out of what was found frame by frame: a prediction for each track, and the best one-to-one choice of what lies near it.
 
-The choice is that of Jaqaman et al. (Nature Methods 5, 695, 2008): links cost something, and so does a track that finds none; the sum is least. A
-track of two detections or more goes on with its last velocity. One of a single detection goes as its neighbours go: the more of them find a
-detection after the same displacement, or are known to move so, the less its link costs (relaxation, after Baek and Lee, Exp. Fluids 22, 23, 1996).
-Two streams through each other are told apart so, while bubbles that move at random, and not as their neighbours do, are followed only while they
-move by less than a third of the distance between them.
+The choice is that of Jaqaman et al. (Nature Methods 5, 695, 2008): links cost something, and so
+does a track that finds none; the sum is least. A track of two detections or more goes on with its
+last velocity. One of a single detection goes as its neighbours go: the more of them find a
+detection after the same displacement, or are known to move so, the less its link costs (relaxation,
+after Baek and Lee, Exp. Fluids 22, 23, 1996). Two streams through each other are told apart so,
+while bubbles that move at random, and not as their neighbours do, are followed only while they move
+by less than a third of the distance between them.
 """
 
 from __future__ import annotations
@@ -19,12 +21,22 @@ from scipy.spatial import cKDTree
 
 from sabench.utils.arrays import F64, I64, Bool
 
-GATE = 20.0  # largest cost of a link, and cost of none: four normal errors have a larger square sum once in 2000 times
-REACH = 3.0  # farthest displacement of a track whose velocity is not known, in distances between neighbours
-_ALIKE = 0.4  # difference of neighbours' displacements, in the same unit, beyond which they say nothing of each other
+# largest cost of a link, and cost of none: four normal errors have a larger square sum once in 2000
+# times
+GATE = 20.0
+# farthest displacement of a track whose velocity is not known, in distances between neighbours
+REACH = 3.0
+# difference of neighbours' displacements, in the same unit, beyond which they say nothing of each
+# other
+_ALIKE = 0.4
 _NEIGHBOURS = 8
-_MOST = 100  # candidates of one track: several times what is within the reach where bubbles are evenly spread, and a bound where they are not
-_PLACE_ERROR, _SIZE_ERROR = (0.05, 0.2), (0.03, 0.15)  # least and largest of predictions: in the same unit, and of the logarithm of radii
+# candidates of one track: several times what is within the reach where bubbles are evenly spread,
+# and a bound where they are not
+_MOST = 100
+_PLACE_ERROR, _SIZE_ERROR = (
+    (0.05, 0.2),
+    (0.03, 0.15),
+)  # least and largest of predictions: in the same unit, and of the logarithm of radii
 _ENOUGH = 8  # links by which these errors are measured
 
 
@@ -50,7 +62,9 @@ class _Tracks(_Points):
         return np.isnan(self.velocity[:, 0])
 
     def __getitem__(self, chosen: Bool | I64) -> _Tracks:
-        place, size, time, velocity = (value[chosen] for value in (self.place, self.size, self.time, self.velocity))
+        place, size, time, velocity = (
+            value[chosen] for value in (self.place, self.size, self.time, self.velocity)
+        )
         return _Tracks(place, size, time, self.frame[chosen], self.number[chosen], velocity)
 
 
@@ -63,7 +77,9 @@ class _Scale:
     size: float
 
 
-def link(center_mm: Sequence[F64], radius_mm: Sequence[F64], times_s: Sequence[float], gap: int = 1) -> list[I64]:
+def link(
+    center_mm: Sequence[F64], radius_mm: Sequence[F64], times_s: Sequence[float], gap: int = 1
+) -> list[I64]:
     """Tracks of the detections of some frames.
 
     Parameters
@@ -74,7 +90,8 @@ def link(center_mm: Sequence[F64], radius_mm: Sequence[F64], times_s: Sequence[f
 
     Returns
     -------
-    Numbers (n,) of each frame's tracks, counted from 0 in the order in which they begin; a detection that joins no other is a track of its own.
+    Numbers (n,) of each frame's tracks, counted from 0 in the order in which they begin; a
+    detection that joins no other is a track of its own.
 
     Raises
     ------
@@ -87,7 +104,9 @@ def link(center_mm: Sequence[F64], radius_mm: Sequence[F64], times_s: Sequence[f
     scale = _Scale(spacing, np.full(3, _PLACE_ERROR[1] * spacing), _SIZE_ERROR[1])
     live, born, out = _none(), 0, []
     for frame, (place, radius, time) in enumerate(zip(center_mm, radius_mm, times_s, strict=True)):
-        found = _Points(place, np.log(radius), np.full(len(place), time), np.full(len(place), frame))
+        found = _Points(
+            place, np.log(radius), np.full(len(place), time), np.full(len(place), frame)
+        )
         live = live[frame - live.frame <= gap + 1]
         i, j = assign(*_candidates(live, found, time, frame, scale), (len(live.place), len(place)))
         scale = _measured(scale, live[i], found, j)
@@ -115,7 +134,9 @@ def assign(row: I64, column: I64, cost: F64, shape: tuple[int, int]) -> tuple[I6
     weights = 1.0 + np.concatenate([cost, np.full(rows, GATE)])  # zero would be no edge
     if not rows:
         return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)
-    i, j = min_weight_full_bipartite_matching(coo_array((weights, edges), shape=(rows, columns + rows)).tocsr())
+    i, j = min_weight_full_bipartite_matching(
+        coo_array((weights, edges), shape=(rows, columns + rows)).tocsr()
+    )
     linked = j < columns
     return i[linked].astype(np.int64), j[linked].astype(np.int64)
 
@@ -128,9 +149,19 @@ def _none() -> _Tracks:
 def _spacing(center_mm: Sequence[F64]) -> float:
     """Median distance of nearest neighbours in all frames; where nobody has one, far more than the extent of all places."""
     several = [places for places in center_mm if len(places) > 1]
-    near = float(np.median(np.concatenate([cKDTree(places).query(places, 2)[0][:, 1] for places in several]))) if several else 0.0
+    near = (
+        float(
+            np.median(
+                np.concatenate([cKDTree(places).query(places, 2)[0][:, 1] for places in several])
+            )
+        )
+        if several
+        else 0.0
+    )
     every = np.concatenate([np.zeros((0, 3)), *center_mm])
-    return near or (10.0 * float(np.linalg.norm(np.ptp(every, axis=0))) if len(every) else 0.0) or 1.0
+    return (
+        near or (10.0 * float(np.linalg.norm(np.ptp(every, axis=0))) if len(every) else 0.0) or 1.0
+    )
 
 
 def _continued(live: _Tracks, found: _Points, number: I64, i: I64, j: I64) -> _Tracks:
@@ -139,10 +170,17 @@ def _continued(live: _Tracks, found: _Points, number: I64, i: I64, j: I64) -> _T
     velocity[j] = (found.place[j] - live.place[i]) / (found.time[j] - live.time[i])[:, None]
     lost = live[np.setdiff1d(np.arange(len(live.place)), i)]
     seen = _Tracks(found.place, found.size, found.time, found.frame, number, velocity)
-    return _Tracks(*(np.concatenate([getattr(one, name) for one in (lost, seen)]) for name in _Tracks.__dataclass_fields__))
+    return _Tracks(
+        *(
+            np.concatenate([getattr(one, name) for one in (lost, seen)])
+            for name in _Tracks.__dataclass_fields__
+        )
+    )
 
 
-def _candidates(live: _Tracks, found: _Points, time: float, frame: int, scale: _Scale) -> tuple[I64, I64, F64]:
+def _candidates(
+    live: _Tracks, found: _Points, time: float, frame: int, scale: _Scale
+) -> tuple[I64, I64, F64]:
     """Rows of tracks and of detections that may belong together, and the costs of saying so."""
     parts = [part(live, found, time, frame, scale) for part in (_by_velocity, _by_neighbours)]
     row, column, cost = (np.concatenate(values) for values in zip(*parts, strict=True))
@@ -150,17 +188,25 @@ def _candidates(live: _Tracks, found: _Points, time: float, frame: int, scale: _
     return row[good], column[good], cost[good]
 
 
-def _by_velocity(live: _Tracks, found: _Points, time: float, frame: int, scale: _Scale) -> tuple[I64, I64, F64]:
+def _by_velocity(
+    live: _Tracks, found: _Points, time: float, frame: int, scale: _Scale
+) -> tuple[I64, I64, F64]:
     """Tracks that go on as they went: square sum of the errors of place and size over what is expected, which grows with the frames missed."""
     old = np.flatnonzero(~live.young)
     steps = (frame - live.frame[old]).astype(np.float64)
     there = live.place[old] + live.velocity[old] * (time - live.time[old])[:, None]
-    row, column = _near(there / scale.place, found.place / scale.place, float(np.sqrt(GATE)) * steps)
-    error = np.sum(((there[row] - found.place[column]) / scale.place) ** 2, axis=1) / steps[row] ** 2
+    row, column = _near(
+        there / scale.place, found.place / scale.place, float(np.sqrt(GATE)) * steps
+    )
+    error = (
+        np.sum(((there[row] - found.place[column]) / scale.place) ** 2, axis=1) / steps[row] ** 2
+    )
     return old[row], column, error + _unlike(live, found, old[row], column, scale)
 
 
-def _by_neighbours(live: _Tracks, found: _Points, time: float, frame: int, scale: _Scale) -> tuple[I64, I64, F64]:
+def _by_neighbours(
+    live: _Tracks, found: _Points, time: float, frame: int, scale: _Scale
+) -> tuple[I64, I64, F64]:
     """Tracks of one detection: the mean over their neighbours of how badly a displacement is theirs, too, and a little for its length."""
     young = np.flatnonzero(live.young)
     reach = REACH * scale.spacing * (frame - live.frame[young]).astype(np.float64)
@@ -175,8 +221,12 @@ def _by_neighbours(live: _Tracks, found: _Points, time: float, frame: int, scale
     else:
         apart = _from_places(live, found, young[row], velocity, time, scale)
     length = np.linalg.norm(shift, axis=1)
-    nobody = np.repeat(length[:, None], _NEIGHBOURS - apart.shape[1], axis=1)  # where there are few, the others are taken to rest
-    alone = np.minimum((np.concatenate([apart, nobody], axis=1) / (_ALIKE * scale.spacing)) ** 2, 1.0).mean(axis=1)
+    nobody = np.repeat(
+        length[:, None], _NEIGHBOURS - apart.shape[1], axis=1
+    )  # where there are few, the others are taken to rest
+    alone = np.minimum(
+        (np.concatenate([apart, nobody], axis=1) / (_ALIKE * scale.spacing)) ** 2, 1.0
+    ).mean(axis=1)
     return young[row], column, GATE * alone + (length / reach[row]) ** 2 + size
 
 
@@ -187,16 +237,23 @@ def _from_known(live: _Tracks, which: I64, velocity: F64) -> F64:
     return np.asarray(np.linalg.norm(live.velocity[old[near]] - velocity[:, None], axis=2))
 
 
-def _from_places(live: _Tracks, found: _Points, which: I64, velocity: F64, time: float, scale: _Scale) -> F64:
+def _from_places(
+    live: _Tracks, found: _Points, which: I64, velocity: F64, time: float, scale: _Scale
+) -> F64:
     """Distances (n, k) from where the nearest neighbours of tracks (n,) were now, had they velocities (n, 3), to the next detection of their size."""
     count = min(_NEIGHBOURS, len(live.place) - 1)
     if count <= 0 or not len(which):
         return np.zeros((len(which), 0))
     near = cKDTree(live.place).query(live.place, count + 1)[1][which, 1:]
     there = live.place[near] + velocity[:, None] * (time - live.time[near])[..., None]
-    size = _ALIKE * scale.spacing / (3.0 * scale.size)  # three standard errors are as bad as places that say nothing
+    size = (
+        _ALIKE * scale.spacing / (3.0 * scale.size)
+    )  # three standard errors are as bad as places that say nothing
     tree = cKDTree(np.column_stack([found.place, size * found.size]))
-    distance, _ = tree.query(np.concatenate([there, size * live.size[near][..., None]], axis=2), distance_upper_bound=_ALIKE * scale.spacing)
+    distance, _ = tree.query(
+        np.concatenate([there, size * live.size[near][..., None]], axis=2),
+        distance_upper_bound=_ALIKE * scale.spacing,
+    )
     return np.asarray(distance)
 
 
@@ -205,7 +262,9 @@ def _near(from_places: F64, to_places: F64, reach: F64) -> tuple[I64, I64]:
     if not len(from_places) or not len(to_places):
         return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)
     count = min(_MOST, len(to_places))
-    distance, column = cKDTree(to_places).query(from_places, np.arange(1, count + 1), distance_upper_bound=1.001 * float(reach.max()))
+    distance, column = cKDTree(to_places).query(
+        from_places, np.arange(1, count + 1), distance_upper_bound=1.001 * float(reach.max())
+    )
     row, place = np.nonzero(distance <= reach[:, None])
     return row, column[row, place]
 

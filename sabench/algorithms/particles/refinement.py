@@ -1,8 +1,10 @@
 """Particles fitted to the images: places and brightnesses that leave the least light unexplained.
 
-Where the first method moves particles by fixed amounts and keeps what is best ("shaking": Wieneke, Iterative reconstruction of volumetric particle
-distribution, Meas. Sci. Technol. 24, 024008, 2013), each takes steps of Gauss and Newton here, one particle after the other, against the images
-less what all others add to them. A particle's image is a Gaussian that pixels average; its brightness is free in every camera.
+Where the first method moves particles by fixed amounts and keeps what is best ("shaking": Wieneke,
+Iterative reconstruction of volumetric particle distribution, Meas. Sci. Technol. 24, 024008, 2013),
+each takes steps of Gauss and Newton here, one particle after the other, against the images less
+what all others add to them. A particle's image is a Gaussian that pixels average; its brightness is
+free in every camera.
 """
 
 from __future__ import annotations
@@ -27,8 +29,12 @@ def widths(images: F32, pixels: list[F64]) -> F64:
     for image, places in zip(images, pixels, strict=True):
         column, row = np.rint(places).astype(np.int64).T
         high = np.log(np.maximum(image, 1e-6))
-        bends = np.concatenate([2.0 * high[row, column] - high[row, column - 1] - high[row, column + 1],
-                                2.0 * high[row, column] - high[row - 1, column] - high[row + 1, column]])  # fmt: skip
+        bends = np.concatenate(
+            [
+                2.0 * high[row, column] - high[row, column - 1] - high[row, column + 1],
+                2.0 * high[row, column] - high[row - 1, column] - high[row + 1, column],
+            ]
+        )
         bends = bends[(bends > 0.05) & (bends < 20.0)]
         square = float(np.quantile(1.0 / bends, 0.25)) - 1.0 / 12.0 if len(bends) else 0.0
         out.append(math.sqrt(max(square, 0.09)))
@@ -69,7 +75,12 @@ def settle(maps: Any, sigma: Any, left: Any, places: Any, light: Any, rounds: in
     light : (n, camera) of each particle, in units of the images times px2; not negative.
     """
     cameras = len(sigma)
-    x, y, dx, dy = np.zeros((cameras, _WINDOW)), np.zeros((cameras, _WINDOW)), np.zeros((cameras, _WINDOW)), np.zeros((cameras, _WINDOW))
+    x, y, dx, dy = (
+        np.zeros((cameras, _WINDOW)),
+        np.zeros((cameras, _WINDOW)),
+        np.zeros((cameras, _WINDOW)),
+        np.zeros((cameras, _WINDOW)),
+    )
     corner, here, slope = np.zeros((cameras, 2), dtype=np.int64), np.zeros(2), np.zeros((2, 3))
     matrix, right = np.zeros((3, 3)), np.zeros(3)
     for _ in range(rounds):
@@ -78,7 +89,9 @@ def settle(maps: Any, sigma: Any, left: Any, places: Any, light: Any, rounds: in
             for c in range(cameras):
                 _set(maps, c, places[n], sigma[c], here, slope, corner[c], x[c], y[c], dx[c], dy[c])
                 _paint(left[c], corner[c, 0], corner[c, 1], x[c], y[c], light[n, c])
-                _pull(left[c], corner[c], x[c], y[c], dx[c], dy[c], light[n, c], slope, matrix, right)
+                _pull(
+                    left[c], corner[c], x[c], y[c], dx[c], dy[c], light[n, c], slope, matrix, right
+                )
                 steepest = max(steepest, np.abs(slope).max())
             _move(places[n], matrix, right, _FARTHEST_PX / steepest)
             for c in range(cameras):
@@ -88,7 +101,19 @@ def settle(maps: Any, sigma: Any, left: Any, places: Any, light: Any, rounds: in
 
 
 @numba.njit(cache=True)
-def _set(maps: Any, c: int, place: Any, sigma: float, here: Any, slope: Any, corner: Any, x: Any, y: Any, dx: Any, dy: Any) -> None:
+def _set(
+    maps: Any,
+    c: int,
+    place: Any,
+    sigma: float,
+    here: Any,
+    slope: Any,
+    corner: Any,
+    x: Any,
+    y: Any,
+    dx: Any,
+    dy: Any,
+) -> None:
     """Where a camera sees a place, and the profiles of its image there."""
     locate(maps, c, place, here, slope)
     corner[0], corner[1] = round(here[0]) - _HALF, round(here[1]) - _HALF
@@ -97,7 +122,18 @@ def _set(maps: Any, c: int, place: Any, sigma: float, here: Any, slope: Any, cor
 
 
 @numba.njit(cache=True)
-def _pull(image: Any, corner: Any, x: Any, y: Any, dx: Any, dy: Any, light: float, slope: Any, matrix: Any, right: Any) -> None:
+def _pull(
+    image: Any,
+    corner: Any,
+    x: Any,
+    y: Any,
+    dx: Any,
+    dy: Any,
+    light: float,
+    slope: Any,
+    matrix: Any,
+    right: Any,
+) -> None:
     """Add a camera's part to the normal equations of a particle's place."""
     rows, columns = image.shape
     for i in range(max(0, -corner[1]), min(_WINDOW, rows - corner[1])):
@@ -135,7 +171,14 @@ def _brightness(image: Any, corner: Any, x: Any, y: Any) -> float:
 @numba.njit(cache=True)
 def remove(maps: Any, sigma: Any, left: Any, places: Any, light: Any) -> None:
     """Give the light of particles back to the images less all particles."""
-    x, y, d, corner, here, slope = np.zeros(_WINDOW), np.zeros(_WINDOW), np.zeros(_WINDOW), np.zeros(2, dtype=np.int64), np.zeros(2), np.zeros((2, 3))
+    x, y, d, corner, here, slope = (
+        np.zeros(_WINDOW),
+        np.zeros(_WINDOW),
+        np.zeros(_WINDOW),
+        np.zeros(2, dtype=np.int64),
+        np.zeros(2),
+        np.zeros((2, 3)),
+    )
     for n in range(len(places)):
         for c in range(len(sigma)):
             _set(maps, c, places[n], sigma[c], here, slope, corner, x, y, d, d)

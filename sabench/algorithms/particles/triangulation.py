@@ -1,8 +1,10 @@
 """Places in space that particle images of several cameras agree on.
 
-The line of sight of a camera's particle image is followed through the volume; what a second camera shows beside it is intersected with it, and the
-others must show something where they see the intersection: Maas, Gruen and Papantoniou, Particle tracking velocimetry in three-dimensional flows,
-Part 1, Exp. Fluids 15, 133-146, 1993, but along polynomials that stand for the refracted lines of sight, and without pairs of candidate lists.
+The line of sight of a camera's particle image is followed through the volume; what a second camera
+shows beside it is intersected with it, and the others must show something where they see the
+intersection: Maas, Gruen and Papantoniou, Particle tracking velocimetry in three-dimensional flows,
+Part 1, Exp. Fluids 15, 133-146, 1993, but along polynomials that stand for the refracted lines of
+sight, and without pairs of candidate lists.
 """
 
 from __future__ import annotations
@@ -37,7 +39,14 @@ class Candidates(NamedTuple):
     error_px: F64
 
 
-def candidates(maps: Maps, spots: tuple[Spots, ...], order: tuple[int, int], reach_px: float, missing: int, size: tuple[int, int]) -> Candidates:
+def candidates(
+    maps: Maps,
+    spots: tuple[Spots, ...],
+    order: tuple[int, int],
+    reach_px: float,
+    missing: int,
+    size: tuple[int, int],
+) -> Candidates:
     """All sets whose images lie within `reach_px` of where their cameras see the place that fits them best.
 
     Parameters
@@ -53,7 +62,9 @@ def candidates(maps: Maps, spots: tuple[Spots, ...], order: tuple[int, int], rea
     most = _ROOM * len(seen[0].pixel)
     place, hit, error = np.zeros((most, 3)), np.full((most, len(spots)), -1), np.zeros(most)
     steps = max(2, int(_travel(own, turned.index(order[1])) / reach_px) + 2)
-    count = _follow(own, seen, turned.index(order[1]), reach_px, missing, size, steps, place, hit, error)
+    count = _follow(
+        own, seen, turned.index(order[1]), reach_px, missing, size, steps, place, hit, error
+    )
     back = np.argsort(turned)
     return Candidates(place[:count], hit[:count][:, back], error[:count])
 
@@ -68,7 +79,9 @@ def _travel(maps: Maps, second: int) -> float:
 def chosen(found: Candidates, spots: tuple[Spots, ...]) -> I64:
     """Rows of the candidates that remain if each particle image belongs to one only, those that fit best first; complete sets before others."""
     order = np.lexsort((found.error_px, (found.hit < 0).sum(axis=1)))
-    free = [np.ones(len(one.pixel) + 1, dtype=bool) for one in spots]  # the last one is that of a camera that shows none
+    free = [
+        np.ones(len(one.pixel) + 1, dtype=bool) for one in spots
+    ]  # the last one is that of a camera that shows none
     kept = []
     for row in order:
         if all(flags[number] for flags, number in zip(free, found.hit[row], strict=True)):
@@ -79,11 +92,26 @@ def chosen(found: Candidates, spots: tuple[Spots, ...]) -> I64:
 
 
 @numba.njit(cache=True)
-def _follow(maps: Any, spots: Any, second: int, reach: float, missing: int, size: Any, steps: int, places: Any, hits: Any, errors: Any) -> int:
+def _follow(
+    maps: Any,
+    spots: Any,
+    second: int,
+    reach: float,
+    missing: int,
+    size: Any,
+    steps: int,
+    places: Any,
+    hits: Any,
+    errors: Any,
+) -> int:
     """Fill in the candidates of all of the first camera's images; returns how many there are."""
     cameras, count = len(spots), 0
     place, start, here, slope = np.zeros(3), np.zeros(3), np.zeros(2), np.zeros((2, 3))
-    near, tried, chosen = np.zeros(_NEAR, dtype=np.int64), np.zeros(512, dtype=np.int64), np.zeros(cameras, dtype=np.int64)
+    near, tried, chosen = (
+        np.zeros(_NEAR, dtype=np.int64),
+        np.zeros(512, dtype=np.int64),
+        np.zeros(cameras, dtype=np.int64),
+    )
     for first in range(len(spots[0].pixel)):
         left = 0
         place[:] = 0.0
@@ -102,17 +130,34 @@ def _follow(maps: Any, spots: Any, second: int, reach: float, missing: int, size
                 chosen[0], chosen[second] = first, near[k]
                 start[:] = place
                 worst = _fitted(maps, spots, chosen, start)
-                if worst > reach or np.abs(start).max() > 1.0 or not _others(maps, spots, chosen, start, second, reach, missing, size):
+                if (
+                    worst > reach
+                    or np.abs(start).max() > 1.0
+                    or not _others(maps, spots, chosen, start, second, reach, missing, size)
+                ):
                     continue
                 worst = _fitted(maps, spots, chosen, start)
                 if worst <= reach and np.abs(start).max() <= 1.0:
-                    places[count], hits[count], errors[count] = start, chosen, _error(maps, spots, chosen, start)
+                    places[count], hits[count], errors[count] = (
+                        start,
+                        chosen,
+                        _error(maps, spots, chosen, start),
+                    )
                     count += 1
     return count
 
 
 @numba.njit(cache=True)
-def _others(maps: Any, spots: Any, chosen: Any, place: Any, second: int, reach: float, missing: int, size: Any) -> bool:
+def _others(
+    maps: Any,
+    spots: Any,
+    chosen: Any,
+    place: Any,
+    second: int,
+    reach: float,
+    missing: int,
+    size: Any,
+) -> bool:
     """Choose the image nearest to a place in each of the other cameras; false if too many have it on their sensor and show none."""
     here, slope, near, absent = np.zeros(2), np.zeros((2, 3)), np.zeros(_NEAR, dtype=np.int64), 0
     for c in range(1, len(spots)):
@@ -121,7 +166,9 @@ def _others(maps: Any, spots: Any, chosen: Any, place: Any, second: int, reach: 
         locate(maps, c, place, here, slope)
         nearest = reach * 1.5
         for k in range(around(spots[c], here, nearest, near)):
-            apart = np.hypot(spots[c].pixel[near[k], 0] - here[0], spots[c].pixel[near[k], 1] - here[1])
+            apart = np.hypot(
+                spots[c].pixel[near[k], 0] - here[0], spots[c].pixel[near[k], 1] - here[1]
+            )
             if apart < nearest:
                 nearest, chosen[c] = apart, near[k]
         if chosen[c] < 0 and 0.0 < here[0] < size[1] - 1.0 and 0.0 < here[1] < size[0] - 1.0:
@@ -132,7 +179,13 @@ def _others(maps: Any, spots: Any, chosen: Any, place: Any, second: int, reach: 
 @numba.njit(cache=True)
 def _fitted(maps: Any, spots: Any, chosen: Any, place: Any) -> float:
     """Move a place to where it fits the chosen images best; returns the largest distance that is left, px."""
-    here, slope, matrix, right, worst = np.zeros(2), np.zeros((2, 3)), np.zeros((3, 3)), np.zeros(3), 0.0
+    here, slope, matrix, right, worst = (
+        np.zeros(2),
+        np.zeros((2, 3)),
+        np.zeros((3, 3)),
+        np.zeros(3),
+        0.0,
+    )
     for step in range(_STEPS + 1):
         matrix[:], right[:], worst = 0.0, 0.0, 0.0
         for c in range(len(spots)):
@@ -146,7 +199,10 @@ def _fitted(maps: Any, spots: Any, chosen: Any, place: Any) -> float:
                     right[i] += slope[a, i] * miss[a]
                     for j in range(3):
                         matrix[i, j] += slope[a, i] * slope[a, j]
-        if step == _STEPS or np.linalg.det(matrix) <= 1e-9 * matrix[0, 0] * matrix[1, 1] * matrix[2, 2]:
+        if (
+            step == _STEPS
+            or np.linalg.det(matrix) <= 1e-9 * matrix[0, 0] * matrix[1, 1] * matrix[2, 2]
+        ):
             break
         place += np.linalg.solve(matrix, right)
         if np.abs(place).max() > 1.5:

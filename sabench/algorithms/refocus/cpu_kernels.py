@@ -1,7 +1,8 @@
 """Refocusing on the CPU: contiguous reads of rectified images, tile by tile, all planes of a slab inside the tile.
 
-A gather of four pixels per sample costs ten times as much as reading along a row. Inside a tile the map onto a rectified image is affine and
-close to a shift, so that whole stretches of a row of voxels fall between the same two rows of pixels, one pixel further per voxel.
+A gather of four pixels per sample costs ten times as much as reading along a row. Inside a tile the
+map onto a rectified image is affine and close to a shift, so that whole stretches of a row of
+voxels fall between the same two rows of pixels, one pixel further per voxel.
 """
 
 from __future__ import annotations
@@ -14,15 +15,24 @@ import numpy as np
 
 from sabench.algorithms.refocus.rectification import LINEAR, weights
 
-TILE_ROWS, TILE_COLUMNS = 16, 512  # a tile's accumulators and the pixels that it reads stay in the first two caches
-_SHEAR = 3e-4  # columns per row: four rows whose columns drift by less are taken for in line, which misses by 1.5 times this at most
+TILE_ROWS, TILE_COLUMNS = (
+    16,
+    512,
+)  # a tile's accumulators and the pixels that it reads stay in the first two caches
+# columns per row: four rows whose columns drift by less are taken for in line, which misses by 1.5
+# times this at most
+_SHEAR = 3e-4
 _DECADES = 30.0  # a product's range before its logarithm is taken: inside float32's
 
 
 def _log2_rest() -> tuple[np.float32, ...]:
     """Coefficients of (log2(1 + t) - t) / (t (1 - t)) in powers of t, 0 < t < 1."""
     t = 0.5 - 0.5 * np.cos(np.pi * (np.arange(64) + 0.5) / 64)
-    return tuple(np.polynomial.polynomial.polyfit(t, (np.log2(1.0 + t) - t) / (t * (1.0 - t)), 5).astype(np.float32))
+    return tuple(
+        np.polynomial.polynomial.polyfit(t, (np.log2(1.0 + t) - t) / (t * (1.0 - t)), 5).astype(
+            np.float32
+        )
+    )
 
 
 _LOG2_REST = _log2_rest()
@@ -45,7 +55,9 @@ def _folded(total: Any, sample: Any, fold: Any) -> Any:
 
 
 @numba.njit(cache=True, fastmath=True)
-def _fold_row(image: Any, spline: Any, affine: Any, row: int, begin: int, outside: Any, fold: Any, target: Any) -> None:
+def _fold_row(
+    image: Any, spline: Any, affine: Any, row: int, begin: int, outside: Any, fold: Any, target: Any
+) -> None:
     """Fold samples into the target, a part of one row of a tile that begins at column `begin`."""
     padding = 0 if len(spline) == 1 else 2
     height, width = image.shape[0] - padding, image.shape[1] - padding
@@ -53,9 +65,15 @@ def _fold_row(image: Any, spline: Any, affine: Any, row: int, begin: int, outsid
     row_start, row_step = affine[3] + affine[5] * row + affine[4] * begin, affine[4]
     first, count = 0, len(target)
     while first < count:
-        x, y = column_start + column_step * first, row_start + row_step * first  # x less the shift of one pixel per voxel
+        x, y = (
+            column_start + column_step * first,
+            row_start + row_step * first,
+        )  # x less the shift of one pixel per voxel
         shift, above = math.floor(x), math.floor(y)
-        end = min(_stretch(x - shift, column_step, first, count), _stretch(y - above, row_step, first, count))
+        end = min(
+            _stretch(x - shift, column_step, first, count),
+            _stretch(y - above, row_step, first, count),
+        )
         low, high = min(max(first, -shift), end), max(min(end, width - 1 - shift), first)
         if above < 0 or above >= height - 1 or high <= low:
             low = high = end
@@ -64,20 +82,28 @@ def _fold_row(image: Any, spline: Any, affine: Any, row: int, begin: int, outsid
         for i in range(high, end):
             target[i] = _folded(target[i], outside, fold)
         if high > low:
-            start = np.float32(x - shift + column_step * (low - first)), np.float32(y - above + row_step * (low - first))
+            start = (
+                np.float32(x - shift + column_step * (low - first)),
+                np.float32(y - above + row_step * (low - first)),
+            )
             step = np.float32(column_step), np.float32(row_step)
             _interpolate(image, spline, (low + shift, above), start, step, fold, target[low:high])
         first = end
 
 
 @numba.njit(cache=True, fastmath=True, forceinline=True)
-def _interpolate(image: Any, spline: Any, corner: Any, start: Any, step: Any, fold: Any, target: Any) -> None:
+def _interpolate(
+    image: Any, spline: Any, corner: Any, start: Any, step: Any, fold: Any, target: Any
+) -> None:
     """Fold samples between the same rows of an image, from `corner` on, into the target; the place inside a pixel moves by `step`."""
     (left, top), (right, down), (right_step, down_step) = corner, start, step
     upper, lower = image[top, left:], image[top + 1, left:]
     if len(spline) == 1:
         for i in range(len(target)):
-            share, below = right + right_step * np.float32(np.int32(i)), down + down_step * np.float32(np.int32(i))
+            share, below = (
+                right + right_step * np.float32(np.int32(i)),
+                down + down_step * np.float32(np.int32(i)),
+            )
             over = upper[i] + share * (upper[i + 1] - upper[i])
             under = lower[i] + share * (lower[i + 1] - lower[i])
             target[i] = _folded(target[i], over + below * (under - over), fold)
@@ -86,7 +112,9 @@ def _interpolate(image: Any, spline: Any, corner: Any, start: Any, step: Any, fo
         for i in range(len(target)):
             a0, a1, a2, a3 = weights(spline, right + right_step * np.float32(np.int32(i)))
             b0, b1, b2, b3 = weights(spline, down + down_step * np.float32(np.int32(i)))
-            over = b0 * (a0 * p[i] + a1 * p[i + 1] + a2 * p[i + 2] + a3 * p[i + 3]) + b1 * (a0 * q[i] + a1 * q[i + 1] + a2 * q[i + 2] + a3 * q[i + 3])
+            over = b0 * (a0 * p[i] + a1 * p[i + 1] + a2 * p[i + 2] + a3 * p[i + 3]) + b1 * (
+                a0 * q[i] + a1 * q[i + 1] + a2 * q[i + 2] + a3 * q[i + 3]
+            )
             under = b2 * (a0 * r[i] + a1 * r[i + 1] + a2 * r[i + 2] + a3 * r[i + 3]) + b3 * (
                 a0 * s[i] + a1 * s[i + 1] + a2 * s[i + 2] + a3 * s[i + 3]
             )
@@ -94,7 +122,9 @@ def _interpolate(image: Any, spline: Any, corner: Any, start: Any, step: Any, fo
 
 
 @numba.njit(cache=True, fastmath=True, forceinline=True)
-def _fold_tile(image: Any, spline: Any, affine: Any, outside: Any, fold: Any, total: Any, size: Any) -> None:
+def _fold_tile(
+    image: Any, spline: Any, affine: Any, outside: Any, fold: Any, total: Any, size: Any
+) -> None:
     """Fold one camera's samples into a tile, whose rows lie TILE_COLUMNS apart in `total`; `size` is its rows and columns."""
     rows, columns = size
     row, flat = 0, image.ravel()
@@ -109,18 +139,46 @@ def _fold_tile(image: Any, spline: Any, affine: Any, outside: Any, fold: Any, to
 
 
 @numba.njit(cache=True, fastmath=True, forceinline=True)
-def _fold_four(image: Any, flat: Any, spline: Any, affine: Any, row: int, outside: Any, fold: Any, total: Any, columns: int) -> None:
+def _fold_four(
+    image: Any,
+    flat: Any,
+    spline: Any,
+    affine: Any,
+    row: int,
+    outside: Any,
+    fold: Any,
+    total: Any,
+    columns: int,
+) -> None:
     """Fold samples into four rows of a tile at once: they share five rows of pixels and the places between columns."""
     column_step, row_step = affine[1] - 1.0, affine[4]
     first = 0
     while first < columns:
-        x, y = affine[0] + affine[2] * row + column_step * first, affine[3] + affine[5] * row + row_step * first
-        x_last, y_last = x + 3.0 * affine[2], y + 3.0 * (affine[5] - 1.0)  # less the shift of one pixel per row
+        x, y = (
+            affine[0] + affine[2] * row + column_step * first,
+            affine[3] + affine[5] * row + row_step * first,
+        )
+        x_last, y_last = (
+            x + 3.0 * affine[2],
+            y + 3.0 * (affine[5] - 1.0),
+        )  # less the shift of one pixel per row
         shift, above = math.floor(x), math.floor(y)
         shift_last, above_last = math.floor(x_last), math.floor(y_last)
-        end = min(_stretch(x - shift, column_step, first, columns), _stretch(y - above, row_step, first, columns))
-        end = min(end, _stretch(x_last - shift_last, column_step, first, columns), _stretch(y_last - above_last, row_step, first, columns))
-        seen = first + shift >= 0 and end + shift < image.shape[1] and above >= 0 and above + 4 < image.shape[0]
+        end = min(
+            _stretch(x - shift, column_step, first, columns),
+            _stretch(y - above, row_step, first, columns),
+        )
+        end = min(
+            end,
+            _stretch(x_last - shift_last, column_step, first, columns),
+            _stretch(y_last - above_last, row_step, first, columns),
+        )
+        seen = (
+            first + shift >= 0
+            and end + shift < image.shape[1]
+            and above >= 0
+            and above + 4 < image.shape[0]
+        )
         if seen and shift == shift_last and above == above_last:
             corner = np.uint32(above * image.shape[1] + shift + first)
             start = np.float32(x - shift + 1.5 * affine[2]), np.float32(y - above)
@@ -138,35 +196,66 @@ def _fold_four(image: Any, flat: Any, spline: Any, affine: Any, row: int, outsid
         else:
             for one in range(row, row + 4):
                 place = one * TILE_COLUMNS
-                _fold_row(image, spline, affine, one, first, outside, fold, total[place + first : place + end])
+                _fold_row(
+                    image,
+                    spline,
+                    affine,
+                    one,
+                    first,
+                    outside,
+                    fold,
+                    total[place + first : place + end],
+                )
         first = end
 
 
 @numba.njit(cache=True, fastmath=True, forceinline=True)
-def _interpolate_four(flat: Any, pitch: Any, corner: Any, start: Any, step: Any, fold: Any, target: Any, count: int) -> None:
+def _interpolate_four(
+    flat: Any, pitch: Any, corner: Any, start: Any, step: Any, fold: Any, target: Any, count: int
+) -> None:
     """Fold samples between five rows of an image into four rows of a tile; `step` is per column, then per row."""
     (right, below), (right_step, down_step, row_step) = start, step
     width = count + 1
-    k1, k2, k3, k4 = corner + pitch, corner + pitch * np.uint32(2), corner + pitch * np.uint32(3), corner + pitch * np.uint32(4)
+    k1, k2, k3, k4 = (
+        corner + pitch,
+        corner + pitch * np.uint32(2),
+        corner + pitch * np.uint32(3),
+        corner + pitch * np.uint32(4),
+    )
     p, q, r = flat[corner : corner + width], flat[k1 : k1 + width], flat[k2 : k2 + width]
     s, t = flat[k3 : k3 + width], flat[k4 : k4 + width]
-    below_1, below_2, below_3 = below + row_step, below + np.float32(2.0) * row_step, below + np.float32(3.0) * row_step
+    below_1, below_2, below_3 = (
+        below + row_step,
+        below + np.float32(2.0) * row_step,
+        below + np.float32(3.0) * row_step,
+    )
     for i in range(count):
         along = np.float32(np.int32(i))
         share, down = right + right_step * along, down_step * along
-        row_0, row_1, row_2 = p[i] + share * (p[i + 1] - p[i]), q[i] + share * (q[i + 1] - q[i]), r[i] + share * (r[i + 1] - r[i])
+        row_0, row_1, row_2 = (
+            p[i] + share * (p[i + 1] - p[i]),
+            q[i] + share * (q[i + 1] - q[i]),
+            r[i] + share * (r[i + 1] - r[i]),
+        )
         row_3, row_4 = s[i] + share * (s[i + 1] - s[i]), t[i] + share * (t[i + 1] - t[i])
         target[i] = _folded(target[i], row_0 + (below + down) * (row_1 - row_0), fold)
-        target[i + TILE_COLUMNS] = _folded(target[i + TILE_COLUMNS], row_1 + (below_1 + down) * (row_2 - row_1), fold)
-        target[i + 2 * TILE_COLUMNS] = _folded(target[i + 2 * TILE_COLUMNS], row_2 + (below_2 + down) * (row_3 - row_2), fold)
-        target[i + 3 * TILE_COLUMNS] = _folded(target[i + 3 * TILE_COLUMNS], row_3 + (below_3 + down) * (row_4 - row_3), fold)
+        target[i + TILE_COLUMNS] = _folded(
+            target[i + TILE_COLUMNS], row_1 + (below_1 + down) * (row_2 - row_1), fold
+        )
+        target[i + 2 * TILE_COLUMNS] = _folded(
+            target[i + 2 * TILE_COLUMNS], row_2 + (below_2 + down) * (row_3 - row_2), fold
+        )
+        target[i + 3 * TILE_COLUMNS] = _folded(
+            target[i + 3 * TILE_COLUMNS], row_3 + (below_3 + down) * (row_4 - row_3), fold
+        )
 
 
 @numba.njit(cache=True, fastmath=True)
 def _add_log2(product: Any, total: Any) -> None:
     """total += log2(product), product = 1; within 5e-6.
 
-    Read as an integer, a float is its exponent and, linear in between, its mantissa 1 + t: 2^23 (127 + e + t). What is missing is log2(1 + t) - t.
+    Read as an integer, a float is its exponent and, linear in between, its mantissa 1 + t: 2^23
+    (127 + e + t). What is missing is log2(1 + t) - t.
     """
     bits = product.view(np.int32)
     mantissa = np.empty(len(product), dtype=np.float32)
@@ -177,7 +266,9 @@ def _add_log2(product: Any, total: Any) -> None:
     c0, c1, c2, c3, c4, c5 = _LOG2_REST
     for i in range(len(mantissa)):
         t = mantissa[i] - np.float32(1.0)
-        total[i] += t * (np.float32(1.0) - t) * (c0 + t * (c1 + t * (c2 + t * (c3 + t * (c4 + t * c5)))))
+        total[i] += (
+            t * (np.float32(1.0) - t) * (c0 + t * (c1 + t * (c2 + t * (c3 + t * (c4 + t * c5)))))
+        )
         product[i] = 1.0
 
 
@@ -189,7 +280,8 @@ def sum_planes(rectified: Any, spline: Any, maps: Any, outside: float, out: Any)
     ----------
     rectified : (camera, height, width) float32, or `rectify.coefficients_of` such.
     spline : LINEAR or CUBIC, which tells one from the other.
-    maps : (tile, plane, camera, 6): column at the tile's first voxel, its steps along x and y; row, its steps along x and y.
+    maps : (tile, plane, camera, 6): column at the tile's first voxel, its steps along x and y; row,
+        its steps along x and y.
     outside : sample where a map leaves the rectified image.
     out : (plane, y, x) float32, written.
     """
@@ -203,16 +295,29 @@ def sum_planes(rectified: Any, spline: Any, maps: Any, outside: float, out: Any)
         for plane in range(planes):
             total[:] = 0.0
             for camera in range(len(rectified)):
-                _fold_tile(rectified[camera], spline, maps[tile, plane, camera], value, (value,), total, (height, width))
+                _fold_tile(
+                    rectified[camera],
+                    spline,
+                    maps[tile, plane, camera],
+                    value,
+                    (value,),
+                    total,
+                    (height, width),
+                )
             for row in range(height):
-                out[plane, top + row, left : left + width] = total[row * TILE_COLUMNS : row * TILE_COLUMNS + width]
+                out[plane, top + row, left : left + width] = total[
+                    row * TILE_COLUMNS : row * TILE_COLUMNS + width
+                ]
 
 
 @numba.njit(cache=True, parallel=True, fastmath=True)
-def multiply_planes(rectified: Any, maps: Any, outside: float, floor: float, largest: float, out: Any) -> None:
+def multiply_planes(
+    rectified: Any, maps: Any, outside: float, floor: float, largest: float, out: Any
+) -> None:
     """out[k] = the sum over cameras of log2 of their samples on plane k, each raised to `floor` at least; arguments as in `sum_planes`, linear.
 
-    `largest` is the largest sample. Samples are multiplied, and the logarithm is taken of the product just before it could leave float32's range.
+    `largest` is the largest sample. Samples are multiplied, and the logarithm is taken of the
+    product just before it could leave float32's range.
     """
     planes, rows, columns = out.shape
     across = (columns + TILE_COLUMNS - 1) // TILE_COLUMNS
@@ -221,16 +326,29 @@ def multiply_planes(rectified: Any, maps: Any, outside: float, floor: float, lar
     for tile in numba.prange(maps.shape[0]):
         top, left = tile // across * TILE_ROWS, tile % across * TILE_COLUMNS
         height, width = min(TILE_ROWS, rows - top), min(TILE_COLUMNS, columns - left)
-        product, total = np.empty(TILE_ROWS * TILE_COLUMNS, dtype=np.float32), np.empty(TILE_ROWS * TILE_COLUMNS, dtype=np.float32)
+        product, total = (
+            np.empty(TILE_ROWS * TILE_COLUMNS, dtype=np.float32),
+            np.empty(TILE_ROWS * TILE_COLUMNS, dtype=np.float32),
+        )
         for plane in range(planes):
             total[:] = 0.0
             product[:] = 1.0
             for camera in range(len(rectified)):
-                _fold_tile(rectified[camera], LINEAR, maps[tile, plane, camera], value, (smallest, smallest), product, (height, width))
+                _fold_tile(
+                    rectified[camera],
+                    LINEAR,
+                    maps[tile, plane, camera],
+                    value,
+                    (smallest, smallest),
+                    product,
+                    (height, width),
+                )
                 if camera % group == group - 1 or camera == len(rectified) - 1:
                     _add_log2(product, total)
             for row in range(height):
-                out[plane, top + row, left : left + width] = total[row * TILE_COLUMNS : row * TILE_COLUMNS + width]
+                out[plane, top + row, left : left + width] = total[
+                    row * TILE_COLUMNS : row * TILE_COLUMNS + width
+                ]
 
 
 @numba.njit(cache=True, parallel=True, fastmath=True)
@@ -240,7 +358,8 @@ def sum_shifted(images: Any, shifts: Any, out: Any) -> None:
     Parameters
     ----------
     images : (camera, height, width) float32.
-    shifts : (plane, camera, 2) integers: column and row of an image that come to the output's first.
+    shifts : (plane, camera, 2) integers: column and row of an image that come to the output's
+        first.
     out : (plane, rows, columns) float32, written.
     """
     planes, rows, columns = out.shape
@@ -253,6 +372,9 @@ def sum_shifted(images: Any, shifts: Any, out: Any) -> None:
                     column, line = shifts[plane, camera, 0], row + shifts[plane, camera, 1]
                     low, high = max(0, -column), min(columns, images.shape[2] - column)
                     if 0 <= line < images.shape[1] and low < high:
-                        source, inner = images[camera, line, low + column : high + column], target[low:high]
+                        source, inner = (
+                            images[camera, line, low + column : high + column],
+                            target[low:high],
+                        )
                         for i in range(len(inner)):
                             inner[i] += source[i]

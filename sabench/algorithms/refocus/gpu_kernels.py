@@ -12,7 +12,9 @@ from sabench.geometry.grid import Grid
 from sabench.utils import backend
 from sabench.utils.arrays import F32, F64
 
-Fold = Callable[[Any, Sequence[Any]], Any]  # (drjit, one array of samples per camera) -> the plane's voxels
+Fold = Callable[
+    [Any, Sequence[Any]], Any
+]  # (drjit, one array of samples per camera) -> the plane's voxels
 
 
 def sum_planes(rectified: F32, slab: Slab, grid: Grid, outside: float, out: F32) -> None:
@@ -20,9 +22,18 @@ def sum_planes(rectified: F32, slab: Slab, grid: Grid, outside: float, out: F32)
     _sweep(rectified, slab, grid, outside, lambda dr, samples: sum(samples), out)
 
 
-def multiply_planes(rectified: F32, slab: Slab, grid: Grid, outside: float, floor: float, out: F32) -> None:
+def multiply_planes(
+    rectified: F32, slab: Slab, grid: Grid, outside: float, floor: float, out: F32
+) -> None:
     """As `kernels.multiply_planes`, with exact maps in place of the tiles' affine ones."""
-    _sweep(rectified, slab, grid, outside, lambda dr, samples: sum(dr.log2(dr.maximum(sample, floor)) for sample in samples), out)
+    _sweep(
+        rectified,
+        slab,
+        grid,
+        outside,
+        lambda dr, samples: sum(dr.log2(dr.maximum(sample, floor)) for sample in samples),
+        out,
+    )
 
 
 def _sweep(rectified: F32, slab: Slab, grid: Grid, outside: float, fold: Fold, out: F32) -> None:
@@ -36,7 +47,14 @@ def _sweep(rectified: F32, slab: Slab, grid: Grid, outside: float, fold: Fold, o
     maps = slab.positions(grid)
     for plane, target in enumerate(out):
         samples = [
-            _sample(dr, types, image, slab.shape, [_horner(dr, types, c, slab.degree, u, v) for c in maps[camera, plane]], outside)
+            _sample(
+                dr,
+                types,
+                image,
+                slab.shape,
+                [_horner(dr, types, c, slab.degree, u, v) for c in maps[camera, plane]],
+                outside,
+            )
             for camera, image in enumerate(flat)
         ]
         target[:] = np.asarray(fold(dr, samples)).reshape(height, width)
@@ -46,15 +64,23 @@ def _unit(index: Any, count: int) -> Any:
     return index * (2.0 / max(count - 1, 1)) - (1.0 if count > 1 else 0.0)
 
 
-def _sample(dr: Any, types: Any, image: Any, shape: tuple[int, int], position: Sequence[Any], outside: float) -> Any:
+def _sample(
+    dr: Any, types: Any, image: Any, shape: tuple[int, int], position: Sequence[Any], outside: float
+) -> Any:
     """Bilinear samples of one image at positions (column, row); `outside` beyond its pixel centres."""
     rows, columns = shape
     column, row = position
     inside = (column >= 0.0) & (row >= 0.0) & (column <= columns - 1.0) & (row <= rows - 1.0)
-    left, top = dr.minimum(types.Int32(dr.floor(column)), columns - 2), dr.minimum(types.Int32(dr.floor(row)), rows - 2)
+    left, top = (
+        dr.minimum(types.Int32(dr.floor(column)), columns - 2),
+        dr.minimum(types.Int32(dr.floor(row)), rows - 2),
+    )
     right_share, bottom_share = column - types.Float(left), row - types.Float(top)
     corner = types.UInt32(top * columns + left)
-    values = [dr.gather(types.Float, image, corner + offset, inside) for offset in (0, 1, columns, columns + 1)]
+    values = [
+        dr.gather(types.Float, image, corner + offset, inside)
+        for offset in (0, 1, columns, columns + 1)
+    ]
     upper = dr.fma(right_share, values[1] - values[0], values[0])
     lower = dr.fma(right_share, values[3] - values[2], values[2])
     return dr.select(inside, dr.fma(bottom_share, lower - upper, upper), outside)

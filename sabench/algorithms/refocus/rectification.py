@@ -11,8 +11,15 @@ import numpy.typing as npt
 
 from sabench.utils.arrays import F32
 
-LINEAR, CUBIC = (1,), (1, 1, 1)  # the degree of a spline as a tuple's length: part of its type, so that kernels are compiled for each
-_POLE = math.sqrt(3.0) - 2.0  # of the cubic B-spline's inverse filter: Unser, IEEE Signal Process. Mag. 16 (1999) 22-38
+LINEAR, CUBIC = (
+    (1,),
+    (1, 1, 1),
+    # the degree of a spline as a tuple's length: part of its type, so that kernels are compiled for
+    # each
+)
+_POLE = (
+    math.sqrt(3.0) - 2.0
+)  # of the cubic B-spline's inverse filter: Unser, IEEE Signal Process. Mag. 16 (1999) 22-38
 _SETTLED = 12  # terms after which the pole's powers are below single precision
 _LINES = 64  # lines filtered side by side, so that the recursion runs over contiguous numbers
 
@@ -86,17 +93,21 @@ def _filter(lines: Any) -> None:
 
 
 @numba.njit(cache=True, parallel=True, fastmath=True)
-def resample(coefficients: Any, spline: Any, maps: Any, degree: int, outside: float, out: Any) -> None:
+def resample(
+    coefficients: Any, spline: Any, maps: Any, degree: int, outside: float, out: Any
+) -> None:
     """Evaluate each image's spline at its mapped positions.
 
     Parameters
     ----------
     coefficients : from `coefficients_of`.
     spline : LINEAR or CUBIC.
-    maps : (n, 2, terms) polynomials of column and row in u, v from -1 to 1 across the output, ordered as in `PlaneMap`.
+    maps : (n, 2, terms) polynomials of column and row in u, v from -1 to 1 across the output,
+        ordered as in `PlaneMap`.
     degree : of the polynomials.
     outside : value of output pixels that lie outside an image's pixel centres.
-    out : (n, height, width), written; never below zero, where a spline would undershoot beside bright pixels.
+    out : (n, height, width), written; never below zero, where a spline would undershoot beside
+        bright pixels.
     """
     count, height, width = out.shape
     for job in numba.prange(count * height):
@@ -107,7 +118,9 @@ def resample(coefficients: Any, spline: Any, maps: Any, degree: int, outside: fl
         columns, rows = np.empty(width, dtype=np.float32), np.empty(width, dtype=np.float32)
         _evaluate(column, columns)
         _evaluate(row, rows)
-        _interpolate(coefficients[number], spline, columns, rows, np.float32(outside), out[number, line])
+        _interpolate(
+            coefficients[number], spline, columns, rows, np.float32(outside), out[number, line]
+        )
 
 
 @numba.njit(cache=True, fastmath=True)
@@ -139,13 +152,23 @@ def _evaluate(line: Any, out: Any) -> None:
 @numba.njit(cache=True, fastmath=True)
 def _interpolate(padded: Any, spline: Any, columns: Any, rows: Any, outside: Any, out: Any) -> None:
     """Four by four weights around every position. Weights and sums are loops of their own: the weights then run on vectors, loads cannot."""
-    last_row, last_column, pitch = np.float32(padded.shape[0] - 4), np.float32(padded.shape[1] - 4), np.uint32(padded.shape[1])
+    last_row, last_column, pitch = (
+        np.float32(padded.shape[0] - 4),
+        np.float32(padded.shape[1] - 4),
+        np.uint32(padded.shape[1]),
+    )
     zero, flat, count = np.float32(0.0), padded.ravel(), len(out)
-    corner, across, down = np.empty(count, dtype=np.uint32), np.empty((4, count), dtype=np.float32), np.empty((4, count), dtype=np.float32)
+    corner, across, down = (
+        np.empty(count, dtype=np.uint32),
+        np.empty((4, count), dtype=np.float32),
+        np.empty((4, count), dtype=np.float32),
+    )
     for i in range(count):
         column, row = min(max(columns[i], zero), last_column), min(max(rows[i], zero), last_row)
         left, top = np.int32(column), np.int32(row)
-        across[0, i], across[1, i], across[2, i], across[3, i] = weights(spline, column - np.float32(left))
+        across[0, i], across[1, i], across[2, i], across[3, i] = weights(
+            spline, column - np.float32(left)
+        )
         down[0, i], down[1, i], down[2, i], down[3, i] = weights(spline, row - np.float32(top))
         corner[i] = np.uint32(top) * pitch + np.uint32(left)
     for i in range(count):
@@ -159,7 +182,12 @@ def _interpolate(padded: Any, spline: Any, columns: Any, rows: Any, outside: Any
             k += pitch
         out[i] = max(total, zero)
     for i in range(count):
-        seen = (columns[i] >= zero) & (rows[i] >= zero) & (columns[i] <= last_column) & (rows[i] <= last_row)
+        seen = (
+            (columns[i] >= zero)
+            & (rows[i] >= zero)
+            & (columns[i] <= last_column)
+            & (rows[i] <= last_row)
+        )
         out[i] = out[i] if seen else outside
 
 
@@ -171,4 +199,9 @@ def weights(spline: Any, t: Any) -> Any:
     if len(spline) == 1:
         return np.float32(0.0), s, t, np.float32(0.0)
     before, after = sixth * s * s * s, sixth * t * t * t
-    return before, np.float32(4.0 / 6.0) - t * t * (one - np.float32(0.5) * t), np.float32(4.0 / 6.0) - s * s * (one - np.float32(0.5) * s), after
+    return (
+        before,
+        np.float32(4.0 / 6.0) - t * t * (one - np.float32(0.5) * t),
+        np.float32(4.0 / 6.0) - s * s * (one - np.float32(0.5) * s),
+        after,
+    )

@@ -1,7 +1,8 @@
 """Slabs of planes that share one set of rectified images, and how their voxels map onto these images.
 
-A voxel and the point where its line of sight meets the slab's middle plane have the same pixel. For a pinhole in air the way from one to the
-other is a scale and a shift, the same for a whole plane; refraction bends it a little. Inside a tile of voxels an affine map is enough.
+A voxel and the point where its line of sight meets the slab's middle plane have the same pixel. For
+a pinhole in air the way from one to the other is a scale and a shift, the same for a whole plane;
+refraction bends it a little. Inside a tile of voxels an affine map is enough.
 """
 
 from __future__ import annotations
@@ -14,10 +15,19 @@ import numpy as np
 from sabench.algorithms.refocus.cpu_kernels import TILE_COLUMNS, TILE_ROWS
 from sabench.geometry.camera_model import CameraModel
 from sabench.geometry.grid import Grid
-from sabench.geometry.plane_polynomials import Smooth, fit, lowest_degree, plane_points, slopes, terms
+from sabench.geometry.plane_polynomials import (
+    Smooth,
+    fit,
+    lowest_degree,
+    plane_points,
+    slopes,
+    terms,
+)
 from sabench.utils.arrays import F64, I64
 
-DEVIATION_PX = 0.01  # largest distance, in a camera's pixels, between the tiles' affine maps and the exact lines of sight
+# largest distance, in a camera's pixels, between the tiles' affine maps and the exact lines of
+# sight
+DEVIATION_PX = 0.01
 _MARGIN = 2.0  # voxels that a rectified image reaches beyond what is asked for
 _PROBES = 2000  # places at which the deviation is measured
 _NODES = 7  # depths at which displacements are computed; between them they are interpolated
@@ -33,7 +43,8 @@ class Slab:
     z_mm : the plane of the rectified images.
     corners : (camera, 2) x, y of the rectified images' first pixel, in voxels of the grid.
     shape : (height, width) of the rectified images, whose pixels are as far apart as voxels.
-    displacement : (camera, plane, 2, terms) polynomials in u, v across the grid: the way in x, y from a voxel to its image on `z_mm`, in voxels.
+    displacement : (camera, plane, 2, terms) polynomials in u, v across the grid: the way in x, y
+        from a voxel to its image on `z_mm`, in voxels.
     degree : of these polynomials.
     """
 
@@ -53,17 +64,28 @@ class Slab:
         half = np.maximum(np.asarray(grid.shape[:0:-1]) - 1.0, 1.0) / 2.0
         unit = (middle - (np.asarray(grid.shape[:0:-1]) - 1) / 2.0) / half
         along_u, along_v = slopes(unit, self.degree)
-        value, along_x, along_y = (self._evaluate(basis) for basis in (terms(unit, self.degree), along_u / half[0], along_v / half[1]))
+        value, along_x, along_y = (
+            self._evaluate(basis)
+            for basis in (terms(unit, self.degree), along_u / half[0], along_v / half[1])
+        )
         along_x[..., 0] += 1.0
         along_y[..., 1] += 1.0
         back = (origin - middle)[:, None, None]
-        start = value + middle[:, None, None] - self.corners + along_x * back[..., :1] + along_y * back[..., 1:]
+        start = (
+            value
+            + middle[:, None, None]
+            - self.corners
+            + along_x * back[..., :1]
+            + along_y * back[..., 1:]
+        )
         return np.stack([start, along_x, along_y], axis=-1).reshape(*start.shape[:3], 6)
 
     def positions(self, grid: Grid) -> F64:
         """Polynomials (camera, plane, 2, terms) of positions in the rectified images: displacements plus the voxels' own places."""
         maps = self.displacement.copy()
-        for axis, (count, linear) in enumerate(zip(grid.shape[:0:-1], (1, self.degree + 1), strict=True)):
+        for axis, (count, linear) in enumerate(
+            zip(grid.shape[:0:-1], (1, self.degree + 1), strict=True)
+        ):
             half = (count - 1) / 2.0
             maps[:, :, axis, linear] += half
             maps[:, :, axis, 0] += half - self.corners[:, None, axis]
@@ -87,13 +109,16 @@ def slabs(cameras: Sequence[CameraModel], grid: Grid) -> list[Slab]:
     Raises
     ------
     ValueError
-        Some of the grid has no light path to a camera, or a single plane cannot be mapped within tolerance.
+        Some of the grid has no light path to a camera, or a single plane cannot be mapped within
+        tolerance.
     """
     done, waiting = [], [(0, grid.shape[0])]
     while waiting:
         first, count = waiting.pop()
         slab = make_slab(cameras, grid, first, count)
-        if deviation_px(slab, cameras, grid) <= DEVIATION_PX or count == 1:  # a single plane is its own middle: nothing deviates
+        if (
+            deviation_px(slab, cameras, grid) <= DEVIATION_PX or count == 1
+        ):  # a single plane is its own middle: nothing deviates
             done.append(slab)
         else:
             waiting += [(first + count // 2, count - count // 2), (first, count // 2)]
@@ -107,7 +132,9 @@ def make_slab(cameras: Sequence[CameraModel], grid: Grid, first: int, count: int
     nodes, interpolation = _depth_nodes(depths)
     functions = [_displacement(camera, grid, nodes, z_mm) for camera in cameras]
     degree = max(lowest_degree(function) for function in functions)
-    at_nodes = np.stack([fit(function, degree)[0].reshape(len(nodes), 2, -1) for function in functions])
+    at_nodes = np.stack(
+        [fit(function, degree)[0].reshape(len(nodes), 2, -1) for function in functions]
+    )
     displacement = np.einsum("pn,cnik->cpik", interpolation, at_nodes)
     corners, shape = _boxes(cameras, grid, z_mm, displacement, degree)
     return Slab(first, count, z_mm, corners, shape, displacement, degree)
@@ -116,22 +143,38 @@ def make_slab(cameras: Sequence[CameraModel], grid: Grid, first: int, count: int
 def deviation_px(slab: Slab, cameras: Sequence[CameraModel], grid: Grid) -> float:
     """Largest distance in pixels between where the tiles' affine maps and where the exact lines of sight lead, over voxels that a camera sees.
 
-    Random voxels are tried, every other one in a corner of its tile and most on the slab's outer planes: the deviation grows towards both.
+    Random voxels are tried, every other one in a corner of its tile and most on the slab's outer
+    planes: the deviation grows towards both.
     """
     rng = np.random.default_rng(0)
     top, left = tile_origins(grid)
     maps, tile = slab.tiles(grid), rng.integers(len(top), size=_PROBES)
-    plane = np.where(np.arange(_PROBES) % 4, rng.choice([0, slab.count - 1], size=_PROBES), rng.integers(slab.count, size=_PROBES))
-    share = np.where(np.arange(_PROBES)[:, None] % 2, rng.random((_PROBES, 2)), rng.integers(2, size=(_PROBES, 2)))
+    plane = np.where(
+        np.arange(_PROBES) % 4,
+        rng.choice([0, slab.count - 1], size=_PROBES),
+        rng.integers(slab.count, size=_PROBES),
+    )
+    share = np.where(
+        np.arange(_PROBES)[:, None] % 2,
+        rng.random((_PROBES, 2)),
+        rng.integers(2, size=(_PROBES, 2)),
+    )
     column, row = np.rint(share * (tile_sizes(grid)[tile] - 1)).astype(int).T
     step, low = np.asarray(grid.voxel_mm), np.asarray(grid.low_mm)
     exact = low + step * np.column_stack([left[tile] + column, top[tile] + row, slab.first + plane])
     worst = 0.0
     for number, camera in enumerate(cameras):
         affine = maps[tile, plane, number]
-        mapped = affine[:, [0, 3]] + affine[:, [1, 4]] * column[:, None] + affine[:, [2, 5]] * row[:, None] + slab.corners[number]
+        mapped = (
+            affine[:, [0, 3]]
+            + affine[:, [1, 4]] * column[:, None]
+            + affine[:, [2, 5]] * row[:, None]
+            + slab.corners[number]
+        )
         pixel = camera.project(exact)[0]
-        there = camera.project(np.column_stack([low[:2] + step[:2] * mapped, np.full(_PROBES, slab.z_mm)]))[0]
+        there = camera.project(
+            np.column_stack([low[:2] + step[:2] * mapped, np.full(_PROBES, slab.z_mm)])
+        )[0]
         seen = camera.contains(pixel)
         worst = max(worst, float(np.linalg.norm(pixel - there, axis=1)[seen].max(initial=0.0)))
     return worst
@@ -143,7 +186,11 @@ def rectifying_maps(slab: Slab, cameras: Sequence[CameraModel], grid: Grid) -> t
     step, low = np.asarray(grid.voxel_mm), np.asarray(grid.low_mm)
     functions = []
     for camera, (left, top) in zip(cameras, slab.corners, strict=True):
-        box = Grid((low[0] + step[0] * left, low[1] + step[1] * top, slab.z_mm), grid.voxel_mm, (1, height, width))
+        box = Grid(
+            (low[0] + step[0] * left, low[1] + step[1] * top, slab.z_mm),
+            grid.voxel_mm,
+            (1, height, width),
+        )
         functions.append(_pixels(camera, box, slab.z_mm))
     degree = max(lowest_degree(function) for function in functions)
     return np.stack([fit(function, degree)[0] for function in functions]), degree
@@ -151,14 +198,20 @@ def rectifying_maps(slab: Slab, cameras: Sequence[CameraModel], grid: Grid) -> t
 
 def tile_origins(grid: Grid) -> tuple[I64, I64]:
     """First row and first column of every tile, in the order of the kernels."""
-    top, left = np.meshgrid(np.arange(0, grid.shape[1], TILE_ROWS), np.arange(0, grid.shape[2], TILE_COLUMNS), indexing="ij")
+    top, left = np.meshgrid(
+        np.arange(0, grid.shape[1], TILE_ROWS),
+        np.arange(0, grid.shape[2], TILE_COLUMNS),
+        indexing="ij",
+    )
     return top.ravel(), left.ravel()
 
 
 def tile_sizes(grid: Grid) -> I64:
     """Columns and rows of every tile: (tile, 2)."""
     top, left = tile_origins(grid)
-    return np.column_stack([np.minimum(TILE_COLUMNS, grid.shape[2] - left), np.minimum(TILE_ROWS, grid.shape[1] - top)])
+    return np.column_stack(
+        [np.minimum(TILE_COLUMNS, grid.shape[2] - left), np.minimum(TILE_ROWS, grid.shape[1] - top)]
+    )
 
 
 def _depth_nodes(depths: F64) -> tuple[F64, F64]:
@@ -168,9 +221,9 @@ def _depth_nodes(depths: F64) -> tuple[F64, F64]:
         return depths, np.ones((1, 1))
     middle, half = (depths[0] + depths[-1]) / 2.0, (depths[-1] - depths[0]) / 2.0
     nodes = np.cos(np.pi * (np.arange(count) + 0.5) / count)
-    matrix = np.polynomial.chebyshev.chebvander((depths - middle) / half, count - 1) @ np.linalg.inv(
-        np.polynomial.chebyshev.chebvander(nodes, count - 1)
-    )
+    matrix = np.polynomial.chebyshev.chebvander(
+        (depths - middle) / half, count - 1
+    ) @ np.linalg.inv(np.polynomial.chebyshev.chebvander(nodes, count - 1))
     return middle + half * nodes, np.asarray(matrix)
 
 
@@ -181,7 +234,9 @@ def _displacement(camera: CameraModel, grid: Grid, depths: F64, z_mm: float) -> 
         parts = []
         for z in depths:
             points = plane_points(grid, float(z), unit)
-            parts.append((_carried(camera, points, z_mm) - points[:, :2]) / np.asarray(grid.voxel_mm)[:2])
+            parts.append(
+                (_carried(camera, points, z_mm) - points[:, :2]) / np.asarray(grid.voxel_mm)[:2]
+            )
         return np.column_stack(parts)
 
     return ways
@@ -190,7 +245,9 @@ def _displacement(camera: CameraModel, grid: Grid, depths: F64, z_mm: float) -> 
 def _carried(camera: CameraModel, points: F64, z_mm: float) -> F64:
     there = camera.carry(points, z_mm)
     if not np.isfinite(there).all():
-        raise ValueError(f"{camera.name}: expected a light path to every voxel, but the plane z = {points[0, 2]:g} mm has points without one")
+        raise ValueError(
+            f"{camera.name}: expected a light path to every voxel, but the plane z = {points[0, 2]:g} mm has points without one"
+        )
     return there
 
 
@@ -201,7 +258,9 @@ def _pixels(camera: CameraModel, box: Grid, z_mm: float) -> Smooth:
     return pixels
 
 
-def _boxes(cameras: Sequence[CameraModel], grid: Grid, z_mm: float, displacement: F64, degree: int) -> tuple[F64, tuple[int, int]]:
+def _boxes(
+    cameras: Sequence[CameraModel], grid: Grid, z_mm: float, displacement: F64, degree: int
+) -> tuple[F64, tuple[int, int]]:
     """First pixels (camera, 2) and common shape of the rectified images: what the slab's planes need of what each camera sees."""
     axis = np.linspace(-1.0, 1.0, 9)
     unit = np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2)
@@ -221,10 +280,20 @@ def _boxes(cameras: Sequence[CameraModel], grid: Grid, z_mm: float, displacement
 def _border(camera: CameraModel, grid: Grid, z_mm: float) -> F64:
     """Where the border of an image looks to on a plane, in voxels (n, 2); everywhere, if some of it looks nowhere."""
     along = np.linspace(-0.5, 0.5, 33)
-    sides = [np.column_stack(pair) for end in (-0.5, 0.5) for pair in ((along, np.full(33, end)), (np.full(33, end), along))]
-    pixels = np.vstack(sides) * [camera.columns, camera.rows] + np.asarray([camera.columns - 1, camera.rows - 1]) / 2.0
+    sides = [
+        np.column_stack(pair)
+        for end in (-0.5, 0.5)
+        for pair in ((along, np.full(33, end)), (np.full(33, end), along))
+    ]
+    pixels = (
+        np.vstack(sides) * [camera.columns, camera.rows]
+        + np.asarray([camera.columns - 1, camera.rows - 1]) / 2.0
+    )
     rays = camera.back_project(pixels)
     if not rays.valid.all() or (rays.directions[:, 2] <= 0.0).any():
         return np.array([[-np.inf, -np.inf], [np.inf, np.inf]])
     way = (z_mm - rays.origins_mm[:, 2:]) / rays.directions[:, 2:]
-    return np.asarray((rays.origins_mm + way * rays.directions - np.asarray(grid.low_mm))[:, :2] / np.asarray(grid.voxel_mm)[:2])
+    return np.asarray(
+        (rays.origins_mm + way * rays.directions - np.asarray(grid.low_mm))[:, :2]
+        / np.asarray(grid.voxel_mm)[:2]
+    )

@@ -21,7 +21,9 @@ from sabench.utils.progress import track
 _AT_ONCE = 16  # planes that are shifted before they are resampled: bounds memory
 
 
-def refocus_sum(images: F32, cameras: Sequence[CameraModel], grid: Grid, *, outside: float = 0.0) -> F32:
+def refocus_sum(
+    images: F32, cameras: Sequence[CameraModel], grid: Grid, *, outside: float = 0.0
+) -> F32:
     """The sum over cameras of their images at every voxel: (z, y, x).
 
     Parameters
@@ -29,8 +31,8 @@ def refocus_sum(images: F32, cameras: Sequence[CameraModel], grid: Grid, *, outs
     images : (camera, row, column).
     outside : value of a camera's image at voxels that it does not see.
 
-    Source: thesis, equation 3.3, times N. Images are resampled once per slab by cubic B-splines, then bilinearly: at most
-    `slabs.DEVIATION_PX` from exact positions.
+    Source: thesis, equation 3.3, times N. Images are resampled once per slab by cubic B-splines,
+    then bilinearly: at most `slabs.DEVIATION_PX` from exact positions.
 
     Raises
     ------
@@ -46,12 +48,17 @@ def refocus_sum(images: F32, cameras: Sequence[CameraModel], grid: Grid, *, outs
     return volume
 
 
-def refocus_log2(images: F32, cameras: Sequence[CameraModel], grid: Grid, floor: float, *, outside: float = 0.0) -> F32:
+def refocus_log2(
+    images: F32, cameras: Sequence[CameraModel], grid: Grid, floor: float, *, outside: float = 0.0
+) -> F32:
     """The sum over cameras of log2 of their images, raised to `floor` at least, at every voxel: (z, y, x); arguments as for `refocus_sum`.
 
     Two to the power of n times it is the product of equation 3.4 of the thesis.
     """
-    volume, largest = np.empty(grid.shape, dtype=np.float32), float(max(images.max(initial=0.0), outside, 1.0))
+    volume, largest = (
+        np.empty(grid.shape, dtype=np.float32),
+        float(max(images.max(initial=0.0), outside, 1.0)),
+    )
     for view, rectified, part in _parts(images, cameras, grid, outside, volume):
         if _on_device():
             gpu_kernels.multiply_planes(rectified, view.slab, grid, outside, floor, part)
@@ -63,10 +70,11 @@ def refocus_log2(images: F32, cameras: Sequence[CameraModel], grid: Grid, floor:
 def refocus_by_shifts(images: F32, cameras: Sequence[CameraModel], grid: Grid) -> F32:
     """The mean over cameras by whole-pixel shifts of images mapped to the grid's middle plane: (z, y, x).
 
-    Source: thesis, equations 2.1 to 2.3, the map-shift-average of cameras on one plane. Images are mapped bilinearly. A plane is refocused as the
-    camera nearest to the array's centre sees it, which needs only shifts, and then resampled to the grid's voxels by a cubic spline. Its
-    coefficients are shifted instead of the pixels: filtering before or after a shift is the same. Beside bright particles the spline dips below
-    zero.
+    Source: thesis, equations 2.1 to 2.3, the map-shift-average of cameras on one plane. Images are
+    mapped bilinearly. A plane is refocused as the camera nearest to the array's centre sees it,
+    which needs only shifts, and then resampled to the grid's voxels by a cubic spline. Its
+    coefficients are shifted instead of the pixels: filtering before or after a shift is the same.
+    Beside bright particles the spline dips below zero.
     """
     view = _whole(tuple(cameras), grid)
     slab, mapped = view.slab, np.empty((len(images), *view.slab.shape), dtype=np.float32)
@@ -74,16 +82,30 @@ def refocus_by_shifts(images: F32, cameras: Sequence[CameraModel], grid: Grid) -
     mapped /= len(cameras)
     coefficients = coefficients_of(mapped, CUBIC)
     nearest = _innermost(cameras)
-    shifts = np.rint(slab.middle_shifts - slab.middle_shifts[nearest]) - (slab.corners - slab.corners[nearest])[:, None]
+    shifts = (
+        np.rint(slab.middle_shifts - slab.middle_shifts[nearest])
+        - (slab.corners - slab.corners[nearest])[:, None]
+    )
     maps = np.ascontiguousarray(view.tiles[:, :, nearest : nearest + 1])
     low, shape = _reached(maps)
     maps[..., [0, 3]] -= low
     whole = (shifts + low).astype(np.int64).transpose(1, 0, 2)
-    volume, focused = np.empty(grid.shape, dtype=np.float32), np.empty((_AT_ONCE, *shape), dtype=np.float32)
+    volume, focused = (
+        np.empty(grid.shape, dtype=np.float32),
+        np.empty((_AT_ONCE, *shape), dtype=np.float32),
+    )
     for first in track(range(0, grid.shape[0], _AT_ONCE), f"shift {len(cameras)} cameras"):
-        cpu_kernels.sum_shifted(coefficients, whole[first : first + _AT_ONCE], focused[: grid.shape[0] - first])
+        cpu_kernels.sum_shifted(
+            coefficients, whole[first : first + _AT_ONCE], focused[: grid.shape[0] - first]
+        )
         for plane in range(first, min(first + _AT_ONCE, grid.shape[0])):
-            cpu_kernels.sum_planes(focused[plane - first][None], CUBIC, maps[:, plane : plane + 1], 0.0, volume[plane : plane + 1])
+            cpu_kernels.sum_planes(
+                focused[plane - first][None],
+                CUBIC,
+                maps[:, plane : plane + 1],
+                0.0,
+                volume[plane : plane + 1],
+            )
     return volume
 
 
@@ -120,7 +142,8 @@ class _View:
     Attributes
     ----------
     maps, degree : from `rectifying_maps`.
-    tiles : from `Slab.tiles`. They come from a matrix product, whose threads would go on spinning beside the kernels.
+    tiles : from `Slab.tiles`. They come from a matrix product, whose threads would go on spinning
+        beside the kernels.
     """
 
     slab: Slab
@@ -134,13 +157,22 @@ class _View:
         return cls(slab, *rectifying_maps(slab, cameras, grid), slab.tiles(grid))
 
 
-def _parts(images: F32, cameras: Sequence[CameraModel], grid: Grid, outside: float, volume: F32) -> Iterator[tuple[_View, F32, F32]]:
+def _parts(
+    images: F32, cameras: Sequence[CameraModel], grid: Grid, outside: float, volume: F32
+) -> Iterator[tuple[_View, F32, F32]]:
     """Every slab with its rectified images (camera, height, width) and its part of the volume."""
     for view in track(_views(tuple(cameras), grid), f"refocus, {len(cameras)} cameras"):
         rectified = np.empty((len(images), *view.slab.shape), dtype=np.float32)
         for number in range(len(images)):  # one at a time: its coefficients stay in the cache
             this = slice(number, number + 1)
-            resample(coefficients_of(images[this], CUBIC), CUBIC, view.maps[this], view.degree, outside, rectified[this])
+            resample(
+                coefficients_of(images[this], CUBIC),
+                CUBIC,
+                view.maps[this],
+                view.degree,
+                outside,
+                rectified[this],
+            )
         yield view, rectified, volume[view.slab.first : view.slab.first + view.slab.count]
 
 

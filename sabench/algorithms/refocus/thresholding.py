@@ -13,7 +13,10 @@ from sabench.api import Observation, Parameters
 from sabench.geometry.grid import Grid
 from sabench.utils.arrays import F32, F64, U16
 
-_SHARE = {"reduced": 0.85, "whole": 0.65}  # of the particles' occupancy that a field should have: best for Q, see docs/scores.md
+_SHARE = {
+    "reduced": 0.85,
+    "whole": 0.65,
+}  # of the particles' occupancy that a field should have: best for Q, see docs/scores.md
 _STEP, _BINS = 0.01, 4096  # levels of k that are tried, up to 41
 _FLAT = 1e-30
 
@@ -30,9 +33,12 @@ class ExtractionParameters(Parameters):
     """How particles are taken out of a refocused plane."""
 
     k: Annotated[float | Literal["auto"], BeforeValidator(_level)] = Field(
-        "auto", description="threshold = mean + k standard deviations of the plane; auto: by the share of the volume that particles fill"
+        "auto",
+        description="threshold = mean + k standard deviations of the plane; auto: by the share of the volume that particles fill",
     )
-    keep: Keep = Field("reduced", description="what stays of a value above the threshold: its excess, or all of it")
+    keep: Keep = Field(
+        "reduced", description="what stays of a value above the threshold: its excess, or all of it"
+    )
 
 
 def extracted(volume: F32, case: Observation, parameters: ExtractionParameters) -> F32:
@@ -44,7 +50,8 @@ def extracted(volume: F32, case: Observation, parameters: ExtractionParameters) 
 def extract(volume: F32, k: float, keep: Keep) -> F32:
     """Zero all that is below mean + k std of its plane; works in place on (z, y, x) and returns it.
 
-    Source: thesis section 2.2.3; whether the threshold is subtracted is not stated there, so both are offered.
+    Source: thesis section 2.2.3; whether the threshold is subtracted is not stated there, so both
+    are offered.
     """
     means, spreads = plane_statistics(volume)
     thresholds = (means + k * spreads).astype(np.float32)
@@ -55,12 +62,16 @@ def extract(volume: F32, k: float, keep: Keep) -> F32:
 def occupancy(case: Observation) -> float:
     """The share of the grid's voxels that particles should fill, from the images alone: (sum E)^2 / (n sum E^2) of a perfect reconstruction E.
 
-    n particles of relative brightness b, alike but for it, give images of (mean)^2 / variance = n A <b>^2 / (<b^2> pixels), however they overlap
-    (Campbell's theorem), with A the effective area of a particle's image; the volume's share follows with an effective volume A w in place
-    of A, w being a particle's effective depth in voxels. Assumed are a dark background, light from the grid's particles only, and voxels whose x
-    edge is a pixel's size or, if it is not, particles as wide in voxels as in pixels, as E_s has them. The median camera counts.
+    n particles of relative brightness b, alike but for it, give images of (mean)^2 / variance = n A
+    <b>^2 / (<b^2> pixels), however they overlap (Campbell's theorem), with A the effective area of
+    a particle's image; the volume's share follows with an effective volume A w in place of A, w
+    being a particle's effective depth in voxels. Assumed are a dark background, light from the
+    grid's particles only, and voxels whose x edge is a pixel's size or, if it is not, particles as
+    wide in voxels as in pixels, as E_s has them. The median camera counts.
     """
-    return float(np.median([_filled(image, float(case.black_dn), case.grid) for image in case.images]))
+    return float(
+        np.median([_filled(image, float(case.black_dn), case.grid) for image in case.images])
+    )
 
 
 def _filled(image: U16, black_dn: float, grid: Grid) -> float:
@@ -71,7 +82,9 @@ def _filled(image: U16, black_dn: float, grid: Grid) -> float:
         return 0.0
     rows, columns = image.shape
     beside = (across / (rows * (columns - 1)) + down / ((rows - 1) * columns)) / (2.0 * variance)
-    sigma_px = math.sqrt(max(-0.25 / math.log(min(max(beside, 1e-3), 0.999)) - 1.0 / 12.0, 0.01))  # of a Gaussian averaged over pixels
+    sigma_px = math.sqrt(
+        max(-0.25 / math.log(min(max(beside, 1e-3), 0.999)) - 1.0 / 12.0, 0.01)
+    )  # of a Gaussian averaged over pixels
     depth = effective_width(sigma_px * grid.voxel_mm[0] / grid.voxel_mm[2])
     return float(light**2 / variance * image.size * depth / math.prod(grid.shape))
 
@@ -111,7 +124,9 @@ def auto_k(volume: F32, share: float, keep: Keep) -> float:
     means, spreads = plane_statistics(volume)
     sums = np.zeros((len(volume), _BINS, 3))
     _sum_bins(volume, means, 1.0 / (_STEP * np.maximum(spreads, _FLAT)), sums)
-    count, light, square = np.moveaxis(np.cumsum(sums[:, ::-1], axis=1)[:, ::-1], 2, 0)  # of all that lies above each level
+    count, light, square = np.moveaxis(
+        np.cumsum(sums[:, ::-1], axis=1)[:, ::-1], 2, 0
+    )  # of all that lies above each level
     levels = _STEP * np.arange(_BINS)
     base = means[:, None] + levels * spreads[:, None] if keep == "reduced" else np.zeros_like(light)
     left = (light - base * count).sum(axis=0)

@@ -1,6 +1,7 @@
 """What corrects the voxels by comparing what cameras recorded with what the voxels cast.
 
-Every step corrects the values in place and returns the squared norm of what it found missing, P - W I, before it corrected.
+Every step corrects the values in place and returns the squared norm of what it found missing, P - W
+I, before it corrected.
 """
 
 from __future__ import annotations
@@ -18,7 +19,9 @@ from sabench.algorithms.tomography.projection_operator import LinesOfSight
 from sabench.utils.arrays import F32, Bool
 from sabench.utils.progress import track
 
-DARKEST = 1e-3  # of a bright particle's peak: darker pixels are raised to it, since the logarithm of zero is no correction
+# of a bright particle's peak: darker pixels are raised to it, since the logarithm of zero is no
+# correction
+DARKEST = 1e-3
 _NOTHING = 1e-30
 
 
@@ -30,7 +33,8 @@ class State:
     ----------
     lines : W on their support.
     values : (n,) what they hold; steps change it in place.
-    seen : (n,) sum_i W_ij, the number of cameras that see each voxel; 1 where it is 0, and there the value is 0.
+    seen : (n,) sum_i W_ij, the number of cameras that see each voxel; 1 where it is 0, and there
+        the value is 0.
     """
 
     lines: LinesOfSight
@@ -45,7 +49,8 @@ class Measured:
     Attributes
     ----------
     light : (camera, row, column) P, at least DARKEST.
-    saturated : (camera, row, column) pixels that may have received more than they show: where the projection is brighter, nothing is missing.
+    saturated : (camera, row, column) pixels that may have received more than they show: where the
+        projection is brighter, nothing is missing.
     """
 
     light: F32
@@ -66,7 +71,12 @@ class Measured:
     def _compare(self, projection: F32, kernel: Callable[..., None]) -> float:
         rows = projection.shape[0] * projection.shape[1]
         squares = np.empty(rows)
-        kernel(self.light.reshape(rows, -1), self.saturated.reshape(rows, -1), projection.reshape(rows, -1), squares)
+        kernel(
+            self.light.reshape(rows, -1),
+            self.saturated.reshape(rows, -1),
+            projection.reshape(rows, -1),
+            squares,
+        )
         return float(squares.sum())
 
 
@@ -112,13 +122,16 @@ def smart(state: State, measured: Measured, relaxation: float) -> float:
 def sart(state: State, measured: Measured, lengths: F32, relaxation: float) -> float:
     """I_j <- max(0, I_j + mu sum_i W_ij (P_i - (W I)_i) / L_i / N_j) with L_i = sum_j W_ij = lengths_i and N_j = sum_i W_ij = seen_j.
 
-    Source: simultaneous algebraic reconstruction, Andersen and Kak (1984); Atkinson and Soria (2009).
+    Source: simultaneous algebraic reconstruction, Andersen and Kak (1984); Atkinson and Soria
+    (2009).
     """
     images = state.lines.forward(state.values)
     missed = measured.missing(images)
     correction = state.lines.adjoint(np.divide(images, lengths, out=images, where=lengths > 0.0))
     correction *= np.float32(relaxation) / state.seen
-    np.maximum(np.add(state.values, correction, out=state.values), np.float32(0.0), out=state.values)
+    np.maximum(
+        np.add(state.values, correction, out=state.values), np.float32(0.0), out=state.values
+    )
     return missed
 
 
@@ -138,13 +151,19 @@ def block_mart(state: State, measured: Measured, relaxation: float) -> float:
 def mart(state: State, measured: Measured, relaxation: float) -> float:
     """One camera after the other, pixel by pixel: see `mart_sweep`."""
     images = enumerate(zip(measured.light, measured.saturated, strict=True))
-    return sum(mart_sweep(state.lines, state.values, camera, light, saturated, relaxation) for camera, (light, saturated) in images)
+    return sum(
+        mart_sweep(state.lines, state.values, camera, light, saturated, relaxation)
+        for camera, (light, saturated) in images
+    )
 
 
-def iterate(step: Callable[[], float], measured: Measured, iterations: int, tolerance: float, doing: str) -> list[float]:
+def iterate(
+    step: Callable[[], float], measured: Measured, iterations: int, tolerance: float, doing: str
+) -> list[float]:
     """Repeat a step; returns the relative residual ||P - W I|| / ||P|| that every iteration found.
 
-    Stops before `iterations` when the residual has changed by less than a fraction `tolerance` of its last value.
+    Stops before `iterations` when the residual has changed by less than a fraction `tolerance` of
+    its last value.
     """
     scale, residuals = float(np.vdot(measured.light, measured.light)), [float("inf")]
     for _ in track(range(iterations), doing):

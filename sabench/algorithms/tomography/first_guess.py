@@ -14,7 +14,9 @@ from sabench.utils.arrays import F32, I64
 from sabench.utils.progress import track
 
 _SLAB = 8_000_000  # voxels whose room is taken at a time
-_ROWS = 32  # of voxels, in which one camera after the other is looked up: its part of the image stays in the cache
+# of voxels, in which one camera after the other is looked up: its part of the image stays in the
+# cache
+_ROWS = 32
 
 
 def product_guess(sight: Sight, images: F32, threshold: float) -> tuple[Support, F32]:
@@ -26,12 +28,16 @@ def product_guess(sight: Sight, images: F32, threshold: float) -> tuple[Support,
     images : (camera, row, column).
     threshold : what is darker is black.
 
-    Sources: Atkinson and Soria (2009) for MLOS, Worth and Nickels (2008) for MFG; thesis section 3.2. Voxels that no camera sees are left out.
+    Sources: Atkinson and Soria (2009) for MLOS, Worth and Nickels (2008) for MFG; thesis section
+    3.2. Voxels that no camera sees are left out.
     """
     planes, shape = sight.maps.shape[1], (sight.height, sight.width)
     step = max(1, _SLAB // (shape[0] * shape[1]))
     flat = images.reshape(len(images), -1)
-    kept = [_slab(sight, flat, threshold, first, min(step, planes - first)) for first in track(range(0, planes, step), "first guess")]
+    kept = [
+        _slab(sight, flat, threshold, first, min(step, planes - first))
+        for first in track(range(0, planes, step), "first guess")
+    ]
     counts, x, values = (np.concatenate(part) for part in zip(*kept, strict=True))
     return Support((planes, *shape), np.concatenate([[0], np.cumsum(counts)]), x), values
 
@@ -40,17 +46,24 @@ def every_voxel(sight: Sight) -> tuple[Support, F32]:
     """All voxels, all equally bright."""
     rows = sight.maps.shape[1] * sight.height
     x = np.tile(np.arange(sight.width, dtype=_index_type(sight.width)), rows)
-    return Support((sight.maps.shape[1], sight.height, sight.width), np.arange(rows + 1) * sight.width, x), np.ones(len(x), dtype=np.float32)
+    return Support(
+        (sight.maps.shape[1], sight.height, sight.width), np.arange(rows + 1) * sight.width, x
+    ), np.ones(len(x), dtype=np.float32)
 
 
 def _index_type(width: int) -> type[np.signedinteger]:
     return np.int16 if width < 1 << 15 else np.int32
 
 
-def _slab(sight: Sight, images: F32, threshold: float, first: int, planes: int) -> tuple[I64, npt.NDArray[np.signedinteger], F32]:
+def _slab(
+    sight: Sight, images: F32, threshold: float, first: int, planes: int
+) -> tuple[I64, npt.NDArray[np.signedinteger], F32]:
     """Voxels of some planes: their number in each row, their x indices and their values."""
     rows = planes * sight.height
-    x, values = np.empty((rows, sight.width), dtype=_index_type(sight.width)), np.empty((rows, sight.width), dtype=np.float32)
+    x, values = (
+        np.empty((rows, sight.width), dtype=_index_type(sight.width)),
+        np.empty((rows, sight.width), dtype=np.float32),
+    )
     counts = np.empty(rows, dtype=np.int64)
     _multiply_rows(sight, images, threshold, first * sight.height, x, values, counts)
     start = np.concatenate([[0], np.cumsum(counts)])
@@ -68,15 +81,21 @@ def _pack(start: Any, x: Any, values: Any, packed_x: Any, packed_values: Any) ->
 
 
 @numba.njit(cache=True, parallel=True)
-def _multiply_rows(sight: Any, images: Any, threshold: float, first: int, x: Any, values: Any, counts: Any) -> None:
+def _multiply_rows(
+    sight: Any, images: Any, threshold: float, first: int, x: Any, values: Any, counts: Any
+) -> None:
     """Survivors of every row, at its beginning, and their number."""
     for block in numba.prange((len(x) + _ROWS - 1) // _ROWS):
         top, end = block * _ROWS, min((block + 1) * _ROWS, len(x))
-        _multiply_block(sight, images, threshold, first + top, x[top:end], values[top:end], counts[top:end])
+        _multiply_block(
+            sight, images, threshold, first + top, x[top:end], values[top:end], counts[top:end]
+        )
 
 
 @numba.njit(cache=True)
-def _multiply_block(sight: Any, images: Any, threshold: float, first: int, x: Any, values: Any, counts: Any) -> None:
+def _multiply_block(
+    sight: Any, images: Any, threshold: float, first: int, x: Any, values: Any, counts: Any
+) -> None:
     """Rows of voxels look up one camera after the other."""
     room, product, seen = scratch(sight), np.ones(x.shape), np.zeros(x.shape, dtype=np.int32)
     for row in range(len(x)):
@@ -84,13 +103,35 @@ def _multiply_block(sight: Any, images: Any, threshold: float, first: int, x: An
     for camera in range(len(images)):
         for row in range(len(x)):
             left = counts[row]
-            counts[row] = _multiply_camera(sight, images[camera], threshold, camera, first + row, left, room, x[row], product[row], seen[row])
+            counts[row] = _multiply_camera(
+                sight,
+                images[camera],
+                threshold,
+                camera,
+                first + row,
+                left,
+                room,
+                x[row],
+                product[row],
+                seen[row],
+            )
     for row in range(len(x)):
         counts[row] = _take_root(counts[row], x[row], product[row], seen[row], values[row])
 
 
 @numba.njit(cache=True)
-def _multiply_camera(sight: Any, image: Any, threshold: float, camera: int, row: int, left: int, room: Any, x: Any, product: Any, seen: Any) -> int:
+def _multiply_camera(
+    sight: Any,
+    image: Any,
+    threshold: float,
+    camera: int,
+    row: int,
+    left: int,
+    room: Any,
+    x: Any,
+    product: Any,
+    seen: Any,
+) -> int:
     """Multiply one camera's samples to the first `left` voxels; those that it sees black drop out, the others close up. Returns their number."""
     base, across, down = locate(sight, camera, row, x[:left], room)
     kept = 0
@@ -99,7 +140,12 @@ def _multiply_camera(sight: Any, image: Any, threshold: float, camera: int, row:
         if base[i] >= 0:
             light, counts = sample(image, sight.columns, base[i], across[i], down[i]), 1
         x[kept], product[kept], seen[kept] = x[i], product[i] * light, seen[i] + counts
-        kept += int(light >= threshold)  # whatever comes next is written over what was black: cheaper than a branch that cannot be foreseen
+        kept += int(
+            light >= threshold
+            # whatever comes next is written over what was black: cheaper than a branch that cannot
+            # be
+            # foreseen
+        )
     return kept
 
 

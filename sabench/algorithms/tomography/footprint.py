@@ -18,7 +18,8 @@ _BRIGHT = 0.3  # of a bright particle's peak: dimmer local maxima are not measur
 class Footprint:
     """Weights W_ij of a voxel: bilinear in the four pixels around its projection; then, along either axis, pixels give `spread` to both neighbours.
 
-    The weights of a voxel add up to 1. Voxels should be about as large as pixels: those of a coarse grid would leave pixels between them dark.
+    The weights of a voxel add up to 1. Voxels should be about as large as pixels: those of a coarse
+    grid would leave pixels between them dark.
 
     Attributes
     ----------
@@ -37,7 +38,12 @@ class Footprint:
         if not self.spread:
             return images
         kernel = np.array([self.spread, 1.0 - 2.0 * self.spread, self.spread])
-        return np.stack([cv2.sepFilter2D(image, -1, kernel, kernel, borderType=cv2.BORDER_CONSTANT) for image in images])
+        return np.stack(
+            [
+                cv2.sepFilter2D(image, -1, kernel, kernel, borderType=cv2.BORDER_CONSTANT)
+                for image in images
+            ]
+        )
 
 
 BILINEAR = Footprint(0.0)
@@ -51,8 +57,8 @@ def gaussian(sigma_px: float) -> Footprint:
 def image_sigma_px(images: F32) -> float | None:
     """Standard deviation of the particles' images, pixel included, from images (camera, row, column) scaled by `normalised`; None without any.
 
-    A Gaussian through three pixels of a local maximum has sigma^2 = 1 / (2 ln m - ln l - ln r). Particles that overlap look larger, none looks
-    smaller: the lower quartile is taken.
+    A Gaussian through three pixels of a local maximum has sigma^2 = 1 / (2 ln m - ln l - ln r).
+    Particles that overlap look larger, none looks smaller: the lower quartile is taken.
     """
     found = np.concatenate([sigma for image in images for sigma in _peak_sigmas(image)])
     return float(np.percentile(found, 25.0)) if len(found) else None

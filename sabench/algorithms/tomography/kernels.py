@@ -1,8 +1,9 @@
 """Loops over the voxels of a sparse volume and the four pixels around the projection of each.
 
-Two stages for every row of voxels and every camera: `locate` finds the pixels, without branches, so that it runs in vector registers; then light
-is moved. `locate` alone decides which pixels and which weights a voxel has, and it is compiled without fast-math: forward projection,
-adjoint and all else see the same W to the last bit.
+Two stages for every row of voxels and every camera: `locate` finds the pixels, without branches, so
+that it runs in vector registers; then light is moved. `locate` alone decides which pixels and which
+weights a voxel has, and it is compiled without fast-math: forward projection, adjoint and all else
+see the same W to the last bit.
 """
 
 from __future__ import annotations
@@ -25,12 +26,14 @@ class Sight(NamedTuple):
 
     Attributes
     ----------
-    maps : (camera, z, 2, terms) column and row on every plane, as polynomials in u and v (`reproject.PlaneMap`).
+    maps : (camera, z, 2, terms) column and row on every plane, as polynomials in u and v
+        (`reproject.PlaneMap`).
     degree : of these polynomials.
     height, width : voxels of a plane along y and x.
     rows, columns : pixels of an image.
     margin : pixels at an image's border that do not count as seen.
-    shift, mask : what is added to positions, in pixels, before they are cut into whole pixels and STEPS; bits of the steps that count. None count
+    shift, mask : what is added to positions, in pixels, before they are cut into whole pixels and
+        STEPS; bits of the steps that count. None count
         for the nearest pixel.
     """
 
@@ -50,9 +53,13 @@ def scratch(sight: Any) -> Any:
     """Room for `locate` to work in."""
     width, terms = sight.width, sight.degree + 1
     return (
-        np.empty(terms), np.empty((2, terms), dtype=np.float32), np.empty((3, width), dtype=np.float32),
-        np.empty(width, dtype=np.int32), np.empty(width, dtype=np.uint16), np.empty(width, dtype=np.uint16),
-    )  # fmt: skip
+        np.empty(terms),
+        np.empty((2, terms), dtype=np.float32),
+        np.empty((3, width), dtype=np.float32),
+        np.empty(width, dtype=np.int32),
+        np.empty(width, dtype=np.uint16),
+        np.empty(width, dtype=np.uint16),
+    )
 
 
 @numba.njit(cache=True)
@@ -61,14 +68,17 @@ def locate(sight: Any, camera: int, row: int, x: Any, room: Any) -> Any:
 
     Returns
     -------
-    base : (n,) int32, the upper left of the four pixels around each; -1 where these, with the margin, are not inside the image: this camera
+    base : (n,) int32, the upper left of the four pixels around each; -1 where these, with the
+        margin, are not inside the image: this camera
         does not see the voxel.
     across, down : (n,) uint16, position among these pixels in steps.
     """
     total, line, place, base, across, down = room
     v = 2.0 * (row % sight.height) / (sight.height - 1) - 1.0 if sight.height > 1 else 0.0
     for axis in range(2):
-        _collapse(sight.maps[camera, row // sight.height, axis], sight.degree, sight.shift, v, total)
+        _collapse(
+            sight.maps[camera, row // sight.height, axis], sight.degree, sight.shift, v, total
+        )
         line[axis] = total
     _evaluate(line, x, sight.width, place)
     _fix(place, len(x), sight, base, across, down)
@@ -109,12 +119,23 @@ def _evaluate(line: Any, x: Any, width: int, place: Any) -> None:
 def _fix(place: Any, count: int, sight: Any, base: Any, across: Any, down: Any) -> None:
     """Positions become pixels and steps."""
     column, row = place[1], place[2]
-    low, mask, stride = np.float32(sight.margin) * _ONE, np.int32(sight.mask), np.int32(sight.columns)
-    right, bottom = np.float32(sight.columns - 1 - sight.margin) * _ONE, np.float32(sight.rows - 1 - sight.margin) * _ONE
+    low, mask, stride = (
+        np.float32(sight.margin) * _ONE,
+        np.int32(sight.mask),
+        np.int32(sight.columns),
+    )
+    right, bottom = (
+        np.float32(sight.columns - 1 - sight.margin) * _ONE,
+        np.float32(sight.rows - 1 - sight.margin) * _ONE,
+    )
     for i in range(count):
         inside = (column[i] >= low) & (column[i] < right) & (row[i] >= low) & (row[i] < bottom)
         p, q = np.int32(min(max(column[i], low), right)), np.int32(min(max(row[i], low), bottom))
-        base[i] = np.int32(np.int32(q >> _BITS) * stride) + np.int32(p >> _BITS) if inside else np.int32(-1)
+        base[i] = (
+            np.int32(np.int32(q >> _BITS) * stride) + np.int32(p >> _BITS)
+            if inside
+            else np.int32(-1)
+        )
         across[i] = np.uint16(p & mask)
         down[i] = np.uint16(q & mask)
 
@@ -146,7 +167,9 @@ def _scatter(value: Any, places: Any, columns: int, image: Any) -> None:
 
 
 @numba.njit(cache=True, parallel=True)
-def project(sight: Any, cameras: Any, parts: Any, start: Any, x: Any, values: Any, out: Any) -> None:
+def project(
+    sight: Any, cameras: Any, parts: Any, start: Any, x: Any, values: Any, out: Any
+) -> None:
     """Project parts of a volume, each into an image of its own: adding these up in order gives the same sum whatever threads do.
 
     Parameters
@@ -163,11 +186,18 @@ def project(sight: Any, cameras: Any, parts: Any, start: Any, x: Any, values: An
         for row in range(parts[part], parts[part + 1]):
             first, last = start[row], start[row + 1]
             if last > first:
-                _scatter(values[first:last], locate(sight, cameras[number], row, x[first:last], room), sight.columns, out[number, part])
+                _scatter(
+                    values[first:last],
+                    locate(sight, cameras[number], row, x[first:last], room),
+                    sight.columns,
+                    out[number, part],
+                )
 
 
 @numba.njit(cache=True, parallel=True)
-def back_project(sight: Any, cameras: Any, parts: Any, start: Any, x: Any, images: Any, out: Any) -> None:
+def back_project(
+    sight: Any, cameras: Any, parts: Any, start: Any, x: Any, images: Any, out: Any
+) -> None:
     """Add the images (n, rows * columns), bilinearly interpolated, to voxels out (n,); other arguments as for `project`."""
     for part in numba.prange(len(parts) - 1):
         room = scratch(sight)
@@ -175,7 +205,12 @@ def back_project(sight: Any, cameras: Any, parts: Any, start: Any, x: Any, image
             for row in range(parts[part], parts[part + 1]):
                 first, last = start[row], start[row + 1]
                 if last > first:
-                    _collect(images[number], sight.columns, locate(sight, cameras[number], row, x[first:last], room), out[first:last])
+                    _collect(
+                        images[number],
+                        sight.columns,
+                        locate(sight, cameras[number], row, x[first:last], room),
+                        out[first:last],
+                    )
 
 
 @numba.njit(cache=True, fastmath=True)

@@ -1,8 +1,9 @@
 """MART pixel by pixel: every pixel corrects the voxels on its line of sight and finds them as the pixels before it left them.
 
-For one camera at a time the voxels are sorted by the first pixel of their footprints. A pixel then finds its voxels in a few stretches of
-memory, one for every row that its footprints can begin in, and W is never stored. Strips of pixels that share no voxel are independent: first
-all even strips are done, then all odd ones, and in each strip the pixels row by row.
+For one camera at a time the voxels are sorted by the first pixel of their footprints. A pixel then
+finds its voxels in a few stretches of memory, one for every row that its footprints can begin in,
+and W is never stored. Strips of pixels that share no voxel are independent: first all even strips
+are done, then all odd ones, and in each strip the pixels row by row.
 """
 
 from __future__ import annotations
@@ -18,8 +19,12 @@ from sabench.algorithms.tomography.kernels import STEPS, exp2, locate, scratch
 from sabench.algorithms.tomography.projection_operator import LinesOfSight
 from sabench.utils.arrays import F32, I64, Bool
 
-STRIP = 16  # rows of pixels, more than a footprint has: every other strip shares no voxel with this one
-_PARTS = 16  # of the volume, sorted by themselves; a fixed number, so that the order does not depend on how many threads there are
+STRIP = (
+    16  # rows of pixels, more than a footprint has: every other strip shares no voxel with this one
+)
+# of the volume, sorted by themselves; a fixed number, so that the order does not depend on how many
+# threads there are
+_PARTS = 16
 
 
 class Buckets(NamedTuple):
@@ -45,7 +50,9 @@ class Buckets(NamedTuple):
     light: F32
 
 
-def mart_sweep(lines: LinesOfSight, values: F32, camera: int, image: F32, saturated: Bool, relaxation: float) -> float:
+def mart_sweep(
+    lines: LinesOfSight, values: F32, camera: int, image: F32, saturated: Bool, relaxation: float
+) -> float:
     """Correct the voxels (n,) in place by all pixels of one camera; returns the sum of the squares of what the pixels found missing.
 
     Parameters
@@ -54,7 +61,8 @@ def mart_sweep(lines: LinesOfSight, values: F32, camera: int, image: F32, satura
     saturated : (row, column) pixels that only correct voxels that are too dark.
     relaxation : mu.
 
-    Source: thesis, equation 3.9: I_j <- I_j (P_i / sum_j W_ij I_j)^(mu W_ij) for one pixel i after the other.
+    Source: thesis, equation 3.9: I_j <- I_j (P_i / sum_j W_ij I_j)^(mu W_ij) for one pixel i after
+    the other.
     """
     buckets = _sorted(lines, values, camera)
     missed = np.zeros(math.ceil(len(image) / STRIP))
@@ -67,13 +75,18 @@ def _sorted(lines: LinesOfSight, values: F32, camera: int) -> Buckets:
     """A counting sort, stable and in parallel."""
     sight, support = lines.sight, lines.support
     parts = support.parts(_PARTS)
-    slots, first = np.zeros((_PARTS, sight.rows * sight.columns), dtype=np.int32), np.empty(sight.rows * sight.columns + 1, dtype=np.int64)
+    slots, first = (
+        np.zeros((_PARTS, sight.rows * sight.columns), dtype=np.int32),
+        np.empty(sight.rows * sight.columns + 1, dtype=np.int64),
+    )
     _count(sight, camera, parts, support.start, support.x, slots)
     _number(slots, first)
     seen = int(first[-1])
     across, down, light = (np.empty(seen, dtype=np.float32) for _ in range(3))
     spread, taps = np.float32(lines.footprint.spread), 2 + 2 * sight.margin
-    buckets = Buckets(spread, taps, sight.columns, first, np.empty(seen, dtype=np.int32), across, down, light)
+    buckets = Buckets(
+        spread, taps, sight.columns, first, np.empty(seen, dtype=np.int32), across, down, light
+    )
     _fill(sight, camera, parts, support.start, support.x, values, slots, buckets)
     return buckets
 
@@ -104,13 +117,27 @@ def _number(slots: Any, first: Any) -> None:
 
 
 @numba.njit(cache=True, parallel=True)
-def _fill(sight: Any, camera: int, parts: Any, start: Any, x: Any, values: Any, slots: Any, buckets: Any) -> None:
+def _fill(
+    sight: Any, camera: int, parts: Any, start: Any, x: Any, values: Any, slots: Any, buckets: Any
+) -> None:
     for part in numba.prange(len(parts) - 1):
-        _fill_part(sight, camera, parts[part], parts[part + 1], start, x, values, slots[part], buckets)
+        _fill_part(
+            sight, camera, parts[part], parts[part + 1], start, x, values, slots[part], buckets
+        )
 
 
 @numba.njit(cache=True)
-def _fill_part(sight: Any, camera: int, begin: int, end: int, start: Any, x: Any, values: Any, slots: Any, buckets: Any) -> None:
+def _fill_part(
+    sight: Any,
+    camera: int,
+    begin: int,
+    end: int,
+    start: Any,
+    x: Any,
+    values: Any,
+    slots: Any,
+    buckets: Any,
+) -> None:
     """Put the voxels of some rows into their pixels; `slots` moves on with every voxel."""
     room, corner = scratch(sight), sight.margin * (sight.columns + 1)
     for row in range(begin, end):
@@ -120,8 +147,12 @@ def _fill_part(sight: Any, camera: int, begin: int, end: int, start: Any, x: Any
                 slot = slots[base[i] - corner]
                 slots[base[i] - corner] += 1
                 buckets.voxel[slot] = start[row] + i
-                buckets.across[slot] = np.float32(base[i] % sight.columns) + np.float32(across[i]) / np.float32(STEPS)
-                buckets.down[slot] = np.float32(base[i] // sight.columns) + np.float32(down[i]) / np.float32(STEPS)
+                buckets.across[slot] = np.float32(base[i] % sight.columns) + np.float32(
+                    across[i]
+                ) / np.float32(STEPS)
+                buckets.down[slot] = np.float32(base[i] // sight.columns) + np.float32(
+                    down[i]
+                ) / np.float32(STEPS)
                 buckets.light[slot] = values[start[row] + i]
 
 
@@ -136,7 +167,9 @@ def _sweep(buckets: Any, image: Any, saturated: Any, relaxation: Any, missed: An
     """All pixels of one camera; missed (strip,) becomes the sums of the squares of P_i - sum_j W_ij I_j."""
     for parity in range(2):
         for pair in numba.prange((len(missed) - parity + 1) // 2):
-            missed[2 * pair + parity] = _sweep_strip(buckets, image, saturated, relaxation, 2 * pair + parity)
+            missed[2 * pair + parity] = _sweep_strip(
+                buckets, image, saturated, relaxation, 2 * pair + parity
+            )
 
 
 @numba.njit(cache=True)
@@ -144,12 +177,16 @@ def _sweep_strip(buckets: Any, image: Any, saturated: Any, relaxation: Any, stri
     total = 0.0
     for row in range(strip * STRIP, min((strip + 1) * STRIP, len(image))):
         for column in range(image.shape[1]):
-            total += _correct(buckets, row, column, image[row, column], saturated[row, column], relaxation)
+            total += _correct(
+                buckets, row, column, image[row, column], saturated[row, column], relaxation
+            )
     return total
 
 
 @numba.njit(cache=True)
-def _correct(buckets: Any, row: int, column: int, light: Any, saturated: Any, relaxation: Any) -> Any:
+def _correct(
+    buckets: Any, row: int, column: int, light: Any, saturated: Any, relaxation: Any
+) -> Any:
     """Let one pixel correct its voxels; returns the square of what it found missing."""
     seen = _line_of_sight(buckets, row, column)
     if saturated and seen >= light:
@@ -164,7 +201,12 @@ def _line_of_sight(buckets: Any, row: int, column: int) -> Any:
     """sum_j W_ij I_j of one pixel."""
     total = np.float32(0.0)
     for above in range(min(buckets.taps, row + 1)):
-        total += _sum(*_stretch(buckets, row - above, column), np.float32(row), np.float32(column), buckets.spread)
+        total += _sum(
+            *_stretch(buckets, row - above, column),
+            np.float32(row),
+            np.float32(column),
+            buckets.spread,
+        )
     return total
 
 
@@ -172,7 +214,13 @@ def _line_of_sight(buckets: Any, row: int, column: int) -> Any:
 def _raise(buckets: Any, row: int, column: int, exponent: Any) -> None:
     """I_j <- I_j 2^(exponent W_ij) for the voxels of one pixel."""
     for above in range(min(buckets.taps, row + 1)):
-        _multiply(*_stretch(buckets, row - above, column), np.float32(row), np.float32(column), buckets.spread, exponent)
+        _multiply(
+            *_stretch(buckets, row - above, column),
+            np.float32(row),
+            np.float32(column),
+            buckets.spread,
+            exponent,
+        )
 
 
 @numba.njit(cache=True)
@@ -192,9 +240,13 @@ def _sum(down: Any, across: Any, light: Any, row: Any, column: Any, spread: Any)
 
 
 @numba.njit(cache=True, fastmath=True)
-def _multiply(down: Any, across: Any, light: Any, row: Any, column: Any, spread: Any, exponent: Any) -> None:
+def _multiply(
+    down: Any, across: Any, light: Any, row: Any, column: Any, spread: Any, exponent: Any
+) -> None:
     for k in range(len(light)):
-        light[k] *= exp2(exponent * _share(down[k] - row, spread) * _share(across[k] - column, spread))
+        light[k] *= exp2(
+            exponent * _share(down[k] - row, spread) * _share(across[k] - column, spread)
+        )
 
 
 @numba.njit(cache=True, fastmath=True)

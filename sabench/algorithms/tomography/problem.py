@@ -19,27 +19,52 @@ from sabench.geometry.grid import Grid
 from sabench.images.brightness import normalised
 from sabench.utils.arrays import F32
 
-_BLOB = 0.75  # standard deviation of a blob against that of the particles' images: best Q of .6 to 1 (seeds from 100 on)
+# standard deviation of a blob against that of the particles' images: best Q of .6 to 1 (seeds from
+# 100 on)
+_BLOB = 0.75
 _SIGMA_PX = (0.3, 0.8)  # what a footprint of four pixels holds
 
 
 class TomographyParameters(Parameters):
     """What the algorithms on all voxels have in common."""
 
-    iterations: int = Field(10, ge=1, le=1000, description="how often all cameras correct the volume")
-    relaxation: float = Field(1.0, gt=0.0, le=1.0, description="mu of equation 3.9")
-    tolerance: float = Field(0.0, ge=0.0, lt=1.0, description="stop when the residual |P - W I| changes by less than this fraction in an iteration")
-    footprint: Literal["gaussian", "bilinear"] = Field("gaussian", description="a voxel's projection: of a Gaussian blob, or a share of four pixels")
-    sigma_px: float | None = Field(
-        None, ge=_SIGMA_PX[0], le=_SIGMA_PX[1], description="standard deviation of the blobs; by default three quarters of the particle images'"
+    iterations: int = Field(
+        10, ge=1, le=1000, description="how often all cameras correct the volume"
     )
-    floor: float = Field(0.25, ge=0.0, lt=1.0, description="voxels darker than this fraction of a bright one become zero")
+    relaxation: float = Field(1.0, gt=0.0, le=1.0, description="mu of equation 3.9")
+    tolerance: float = Field(
+        0.0,
+        ge=0.0,
+        lt=1.0,
+        description="stop when the residual |P - W I| changes by less than this fraction in an iteration",
+    )
+    footprint: Literal["gaussian", "bilinear"] = Field(
+        "gaussian",
+        description="a voxel's projection: of a Gaussian blob, or a share of four pixels",
+    )
+    sigma_px: float | None = Field(
+        None,
+        ge=_SIGMA_PX[0],
+        le=_SIGMA_PX[1],
+        description="standard deviation of the blobs; by default three quarters of the particle images'",
+    )
+    floor: float = Field(
+        0.25,
+        ge=0.0,
+        lt=1.0,
+        description="voxels darker than this fraction of a bright one become zero",
+    )
 
 
 class SparseParameters(TomographyParameters):
     """The same on the voxels that no camera sees black."""
 
-    threshold: float = Field(0.1, gt=0.0, lt=1.0, description="darker pixels are black, as a fraction of a bright particle's peak")
+    threshold: float = Field(
+        0.1,
+        gt=0.0,
+        lt=1.0,
+        description="darker pixels are black, as a fraction of a bright particle's peak",
+    )
 
 
 @dataclass(frozen=True)
@@ -76,17 +101,26 @@ class Problem:
 
     def mfg(self, threshold: float) -> State:
         """Multiplicative first guess: the cameras' nearest pixels."""
-        return self._start(*product_guess(self.sight._replace(shift=0.5, mask=0), self.measured.light, threshold))
+        return self._start(
+            *product_guess(self.sight._replace(shift=0.5, mask=0), self.measured.light, threshold)
+        )
 
     def uniform(self) -> State:
         """All voxels alike, as bright as the images on the mean."""
         state = self._start(*every_voxel(self.sight))
-        state.values[:] *= self.measured.light.sum() / max(float(state.lines.forward(state.values).sum()), 1e-30)
+        state.values[:] *= self.measured.light.sum() / max(
+            float(state.lines.forward(state.values).sum()), 1e-30
+        )
         return state
 
     def volume(self, state: State, floor: float) -> F32:
         """The volume (z, y, x) on the grid that was asked for."""
-        return supersampling.cleared(supersampling.gather(state.lines.support, state.values, self.grid, self.splits, self.sigma_mm), floor)
+        return supersampling.cleared(
+            supersampling.gather(
+                state.lines.support, state.values, self.grid, self.splits, self.sigma_mm
+            ),
+            floor,
+        )
 
     def _start(self, support: Support, values: F32) -> State:
         lines = LinesOfSight(self.sight, support, self.footprint)
@@ -98,5 +132,7 @@ class Problem:
 def _footprint(light: F32, parameters: TomographyParameters) -> tuple[Footprint, float]:
     if parameters.footprint == "bilinear":
         return BILINEAR, 0.0
-    sigma = parameters.sigma_px or float(np.clip(_BLOB * (image_sigma_px(light) or 0.0), *_SIGMA_PX))
+    sigma = parameters.sigma_px or float(
+        np.clip(_BLOB * (image_sigma_px(light) or 0.0), *_SIGMA_PX)
+    )
     return gaussian(sigma), sigma

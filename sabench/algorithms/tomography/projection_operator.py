@@ -15,8 +15,12 @@ from sabench.geometry.camera_model import CameraModel
 from sabench.geometry.grid import Grid
 from sabench.utils.arrays import F32, I64
 
-_BLOCK = 1 << 16  # voxels whose values stay in the cache while one camera after the other is looked up
-_TASKS = 32  # images that are added up by themselves; a fixed number, so that sums do not depend on how many threads there are
+_BLOCK = (
+    1 << 16
+)  # voxels whose values stay in the cache while one camera after the other is looked up
+# images that are added up by themselves; a fixed number, so that sums do not depend on how many
+# threads there are
+_TASKS = 32
 
 
 @dataclass(frozen=True)
@@ -53,15 +57,26 @@ def sight_of(cameras: Sequence[CameraModel], grid: Grid, margin: int) -> Sight:
         Some of the grid has no light path to a camera.
     """
     planes = plane_maps(cameras, grid)
-    maps = np.stack([[plane[number].coefficients for plane in planes] for number in range(len(cameras))])
-    return Sight(maps, planes[0][0].degree, grid.shape[1], grid.shape[2], cameras[0].rows, cameras[0].columns, margin)
+    maps = np.stack(
+        [[plane[number].coefficients for plane in planes] for number in range(len(cameras))]
+    )
+    return Sight(
+        maps,
+        planes[0][0].degree,
+        grid.shape[1],
+        grid.shape[2],
+        cameras[0].rows,
+        cameras[0].columns,
+        margin,
+    )
 
 
 @dataclass(frozen=True)
 class LinesOfSight:
     """P_i = sum_j W_ij I_j over the voxels of a support, and the exact adjoint. Source: thesis, equation 3.8.
 
-    W is not stored: projections come from polynomials. A camera that does not see a voxel with its whole footprint takes no part for that voxel.
+    W is not stored: projections come from polynomials. A camera that does not see a voxel with its
+    whole footprint takes no part for that voxel.
 
     Attributes
     ----------
@@ -81,15 +96,24 @@ class LinesOfSight:
         """Images (camera, row, column) that voxels (n,) cast in all cameras, or in the given ones."""
         chosen = self._numbers(cameras)
         parts = self.support.parts(max(1, _TASKS // len(chosen)))
-        images = np.zeros((len(chosen), len(parts) - 1, self.sight.rows * self.sight.columns), dtype=np.float32)
+        images = np.zeros(
+            (len(chosen), len(parts) - 1, self.sight.rows * self.sight.columns), dtype=np.float32
+        )
         project(self.sight, chosen, parts, self.support.start, self.support.x, values, images)
-        return self.footprint.smooth(images.sum(axis=1).reshape(-1, self.sight.rows, self.sight.columns))
+        return self.footprint.smooth(
+            images.sum(axis=1).reshape(-1, self.sight.rows, self.sight.columns)
+        )
 
     def adjoint(self, images: F32, cameras: Sequence[int] | None = None) -> F32:
         """sum_i W_ij images_i for every voxel (n,), from the images (camera, row, column) of all cameras, or of the given ones."""
-        flat, out = self.footprint.smooth(images).reshape(len(images), -1), np.zeros(len(self.support), dtype=np.float32)
+        flat, out = (
+            self.footprint.smooth(images).reshape(len(images), -1),
+            np.zeros(len(self.support), dtype=np.float32),
+        )
         parts = self.support.parts(len(out) // _BLOCK + 1)
-        back_project(self.sight, self._numbers(cameras), parts, self.support.start, self.support.x, flat, out)
+        back_project(
+            self.sight, self._numbers(cameras), parts, self.support.start, self.support.x, flat, out
+        )
         return out
 
     def _numbers(self, cameras: Sequence[int] | None) -> I64:

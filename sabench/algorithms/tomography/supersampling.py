@@ -1,7 +1,8 @@
 """Between the grid that is asked for and the finer one on which lines of sight are followed.
 
-The footprint of a voxel is one of a point. Along an axis where one step moves the projection by more than about a pixel, voxels are split; in the
-end each of the fine voxels is a blob of light, whose projection is the footprint, and the volume is what all blobs put into each voxel.
+The footprint of a voxel is one of a point. Along an axis where one step moves the projection by
+more than about a pixel, voxels are split; in the end each of the fine voxels is a blob of light,
+whose projection is the footprint, and the volume is what all blobs put into each voxel.
 """
 
 from __future__ import annotations
@@ -34,7 +35,8 @@ class Scale:
 
     Attributes
     ----------
-    travel_px : along x, y and z, by how much one step of the grid moves the projection, in the camera that sees it move most.
+    travel_px : along x, y and z, by how much one step of the grid moves the projection, in the
+        camera that sees it move most.
     px_per_mm : magnification, mean over cameras.
     """
 
@@ -54,14 +56,21 @@ def scale_of(cameras: Sequence[CameraModel], grid: Grid) -> Scale:
     ends = middle + np.concatenate([np.eye(3), -np.eye(3)]) * np.asarray(grid.voxel_mm) / 2.0
     pixels = np.stack([_visible(camera, ends) for camera in cameras])
     steps = pixels[:, :3] - pixels[:, 3:]
-    across = steps[:, :2] / np.asarray(grid.voxel_mm)[:2, None]  # a camera that looks from the side sees one direction foreshortened: not the other
-    return Scale(triple(np.linalg.norm(steps, axis=2).max(axis=0)), float(np.linalg.svd(across, compute_uv=False)[:, 0].mean()))
+    across = (
+        steps[:, :2] / np.asarray(grid.voxel_mm)[:2, None]
+    )  # a camera that looks from the side sees one direction foreshortened: not the other
+    return Scale(
+        triple(np.linalg.norm(steps, axis=2).max(axis=0)),
+        float(np.linalg.svd(across, compute_uv=False)[:, 0].mean()),
+    )
 
 
 def _visible(camera: CameraModel, points: F64) -> F64:
     pixels, valid = camera.project(points)
     if not valid.all():
-        raise ValueError(f"{camera.name}: expected a light path to every voxel, but the middle of the grid has none")
+        raise ValueError(
+            f"{camera.name}: expected a light path to every voxel, but the middle of the grid has none"
+        )
     return pixels
 
 
@@ -102,7 +111,17 @@ def _profile(count: int, sigma: float) -> F32:
 
 
 @numba.njit(cache=True, parallel=True)
-def _gather(start: Any, x: Any, values: Any, height: int, width: int, along_x: Any, along_y: Any, along_z: Any, volume: Any) -> None:
+def _gather(
+    start: Any,
+    x: Any,
+    values: Any,
+    height: int,
+    width: int,
+    along_x: Any,
+    along_y: Any,
+    along_z: Any,
+    volume: Any,
+) -> None:
     """Rows of the volume: the fine rows in reach are added up, then every fine voxel of the sum is spread along x."""
     planes, rows, _ = volume.shape
     (count_y, reach_y), (count_z, reach_z) = along_y.shape, along_z.shape
@@ -114,7 +133,10 @@ def _gather(start: Any, x: Any, values: Any, height: int, width: int, along_x: A
             for b in range(reach_y * count_y):
                 y = (row + reach_y // 2) * count_y - b + count_y - 1
                 if 0 <= z < planes * count_z and 0 <= y < height:
-                    share = along_z[z % count_z, plane - z // count_z + reach_z // 2] * along_y[y % count_y, row - y // count_y + reach_y // 2]
+                    share = (
+                        along_z[z % count_z, plane - z // count_z + reach_z // 2]
+                        * along_y[y % count_y, row - y // count_y + reach_y // 2]
+                    )
                     for k in range(start[z * height + y], start[z * height + y + 1]):
                         total[x[k]] += share * values[k]
         _spread(total, along_x, volume[plane, row])
@@ -134,7 +156,8 @@ def _spread(total: Any, along: Any, out: Any) -> None:
 def cleared(volume: F32, floor: float) -> F32:
     """Zero, in place, what is darker than `floor` times a bright voxel: the 95th percentile of those that reach a tenth of the brightest.
 
-    One is a bright particle's peak in the images, whose light fills dozens of voxels: what is bright here is at least `_FAINTEST`.
+    One is a bright particle's peak in the images, whose light fills dozens of voxels: what is
+    bright here is at least `_FAINTEST`.
     """
     lit = volume[volume > _LIT * volume.max(initial=0.0)]
     bright = max(float(np.percentile(lit, _BRIGHT)) if len(lit) else 0.0, _FAINTEST)

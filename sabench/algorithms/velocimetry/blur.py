@@ -21,7 +21,11 @@ def widths(volume: F32) -> Widths:
     mean, total = float(volume.mean(dtype=np.float64)), _inner(volume, volume)
     z, y, x = (
         _width(_inner(one, other) / one.size - mean**2, total / volume.size - mean**2)
-        for one, other in ((volume[1:], volume[:-1]), (volume[:, 1:], volume[:, :-1]), (volume[..., 1:], volume[..., :-1]))
+        for one, other in (
+            (volume[1:], volume[:-1]),
+            (volume[:, 1:], volume[:, :-1]),
+            (volume[..., 1:], volume[..., :-1]),
+        )
     )
     return z, y, x
 
@@ -48,7 +52,11 @@ def widened(volume: F32, given: Widths, least: float) -> F32:
 def _blurred(plane: F32, down: float, across: float) -> F32:
     """A plane after a Gaussian down its columns and across its rows."""
     kernels = [_kernel(sigma) for sigma in (across, down)]
-    return np.asarray(cv2.sepFilter2D(plane, cv2.CV_32F, kernels[0], kernels[1], borderType=cv2.BORDER_REFLECT_101))
+    return np.asarray(
+        cv2.sepFilter2D(
+            plane, cv2.CV_32F, kernels[0], kernels[1], borderType=cv2.BORDER_REFLECT_101
+        )
+    )
 
 
 def _kernel(sigma: float) -> F32:

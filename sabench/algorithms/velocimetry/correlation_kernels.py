@@ -1,7 +1,8 @@
 """Correlation of windows and its peaks, on the CPU.
 
-Overlapping windows share their voxels. A volume is cut into blocks as long as windows are apart; the products of one volume with the other, shifted,
-are summed over each block once, and a window is a sum of blocks: its cost does not depend on the overlap.
+Overlapping windows share their voxels. A volume is cut into blocks as long as windows are apart;
+the products of one volume with the other, shifted, are summed over each block once, and a window is
+a sum of blocks: its cost does not depend on the overlap.
 """
 
 from __future__ import annotations
@@ -14,7 +15,9 @@ import numpy as np
 
 
 @numba.njit(cache=True, fastmath=True, parallel=True)
-def block_sums(first: Any, second: Any, block: Any, reach: Any, products: Any, squares: Any) -> None:
+def block_sums(
+    first: Any, second: Any, block: Any, reach: Any, products: Any, squares: Any
+) -> None:
     """Fill in sums over blocks of first x shifted second, and of the square of the latter, for every shift.
 
     Parameters
@@ -22,7 +25,8 @@ def block_sums(first: Any, second: Any, block: Any, reach: Any, products: Any, s
     first, second : (z, y, x) float32.
     block : voxels (z, y, x) of a block.
     reach : largest shift (z, y, x).
-    products, squares : (block z, block y, block x, shifts), the shifts in the order of z, y, x from -reach to reach. Voxels beyond the volume count
+    products, squares : (block z, block y, block x, shifts), the shifts in the order of z, y, x from
+        -reach to reach. Voxels beyond the volume count
         as zero.
     """
     deep, high, wide = products.shape[:3]
@@ -30,7 +34,9 @@ def block_sums(first: Any, second: Any, block: Any, reach: Any, products: Any, s
     across = 2 * rx + 1
     for job in numba.prange(deep * high):
         bz, by = job // high, job % high
-        rows = np.zeros((across + 1, second.shape[2] + 2 * rx), dtype=np.float32)  # products for every shift along x, and squares
+        rows = np.zeros(
+            (across + 1, second.shape[2] + 2 * rx), dtype=np.float32
+        )  # products for every shift along x, and squares
         for dz in range(-rz, rz + 1):
             for dy in range(-ry, ry + 1):
                 rows[:] = 0.0
@@ -65,16 +71,20 @@ def _add_rows(one: Any, other: Any, reach: int, rows: Any) -> None:
 
 
 @numba.njit(cache=True, fastmath=True, parallel=True)
-def small_peaks(products: Any, squares: Any, weights: Any, reach: Any, floor: float, shift: Any, height: Any) -> None:
+def small_peaks(
+    products: Any, squares: Any, weights: Any, reach: Any, floor: float, shift: Any, height: Any
+) -> None:
     """Fill in the peaks of the normalised correlation of windows that are weighted sums of blocks.
 
     Parameters
     ----------
-    products, squares : two each of what `block_sums` fills in, of the second volume shifted and of the first one.
+    products, squares : two each of what `block_sums` fills in, of the second volume shifted and of
+        the first one.
     weights : three lines of the blocks of a window, along z, y and x.
     reach : largest shift (z, y, x).
     floor : mean of both volumes' squares over a window below which there is no signal.
-    shift, height : (z, y, x, 3) displacements (x, y, z), and (z, y, x) the correlation there, 0 without signal.
+    shift, height : (z, y, x, 3) displacements (x, y, z), and (z, y, x) the correlation there, 0
+        without signal.
     """
     deep, high, wide = height.shape
     count = products[0].shape[3]
@@ -107,7 +117,9 @@ def _normalise(sums: Any, floor: float, curve: Any) -> None:
     count = len(curve)
     rest = sums[2, count // 2], sums[3, count // 2]
     for n in range(count):
-        scale = np.sqrt(max((sums[2, n] + rest[0]) * (sums[3, count - 1 - n] + rest[1]), np.float32(0.0)))
+        scale = np.sqrt(
+            max((sums[2, n] + rest[0]) * (sums[3, count - 1 - n] + rest[1]), np.float32(0.0))
+        )
         curve[n] = (sums[0, n] + sums[1, count - 1 - n]) / scale if scale > 2.0 * floor else 0.0
 
 
@@ -123,8 +135,12 @@ def _highest(curve: Any, reach: Any, shift: Any) -> Any:
     strides, ends = (1, across, along), (reach[2], reach[1], reach[0])
     for axis in range(3):
         shift[axis] = place[axis]
-        if abs(place[axis]) < ends[axis]:  # at the edge of the search: the whole step, no more is known
-            shift[axis] += _vertex(curve[top - strides[axis]], curve[top], curve[top + strides[axis]])
+        if (
+            abs(place[axis]) < ends[axis]
+        ):  # at the edge of the search: the whole step, no more is known
+            shift[axis] += _vertex(
+                curve[top - strides[axis]], curve[top], curve[top + strides[axis]]
+            )
         if curve[top] <= 0.0:
             shift[axis] = 0.0
     return curve[top]
@@ -170,9 +186,15 @@ def circular_peaks(planes: Any, shift: Any, height: Any, ratio: Any) -> None:
         top = _largest(flat)
         z, y, x = top // (high * wide), top // wide % high, top % wide
         here = flat[top]
-        shift[n, 0] = _signed(x, wide) + _vertex(plane[z, y, x - 1], here, plane[z, y, (x + 1) % wide])
-        shift[n, 1] = _signed(y, high) + _vertex(plane[z, y - 1, x], here, plane[z, (y + 1) % high, x])
-        shift[n, 2] = _signed(z, deep) + _vertex(plane[z - 1, y, x], here, plane[(z + 1) % deep, y, x])
+        shift[n, 0] = _signed(x, wide) + _vertex(
+            plane[z, y, x - 1], here, plane[z, y, (x + 1) % wide]
+        )
+        shift[n, 1] = _signed(y, high) + _vertex(
+            plane[z, y - 1, x], here, plane[z, (y + 1) % high, x]
+        )
+        shift[n, 2] = _signed(z, deep) + _vertex(
+            plane[z - 1, y, x], here, plane[(z + 1) % deep, y, x]
+        )
         for k in range(-1, 2):
             for j in range(-1, 2):
                 for i in range(-1, 2):

@@ -98,12 +98,14 @@ def _cubic(part: Any) -> Any:
 def met(first: Any, second: Any, field: Any, origin: Any, step: Any, out: Any, other: Any) -> None:
     """Fill in two volumes moved towards each other, by half of a field each, so that what it carries meets in the middle.
 
-    Where one of them is read beyond its faces both are zero: what only one of them shows would look like motion.
+    Where one of them is read beyond its faces both are zero: what only one of them shows would look
+    like motion.
 
     Parameters
     ----------
     first, second : (z, y, x) `spline_coefficients` of the volumes.
-    field : (z, y, x, 3) displacements in voxels (x, y, z) on a lattice, continued beyond it along straight lines.
+    field : (z, y, x, 3) displacements in voxels (x, y, z) on a lattice, continued beyond it along
+        straight lines.
     origin, step : place (z, y, x) of the lattice's first node and its spacing, voxels.
     out, other : (z, y, x).
     """
@@ -111,7 +113,10 @@ def met(first: Any, second: Any, field: Any, origin: Any, step: Any, out: Any, o
     for job in numba.prange(depth * height):
         z, y = job // height, job % height
         row = _row_field(field, (z - origin[0]) / step[0], (y - origin[1]) / step[1])
-        places, corners = np.empty((3, width), dtype=np.float32), np.empty((3, width), dtype=np.int32)
+        places, corners = (
+            np.empty((3, width), dtype=np.float32),
+            np.empty((3, width), dtype=np.int32),
+        )
         beyond = np.zeros(width, dtype=np.bool_)
         _aim(row, origin[2], step[2], -0.5, y, z, places, corners)
         _read_row(first, places, corners, z, y, out, beyond)
@@ -123,7 +128,9 @@ def met(first: Any, second: Any, field: Any, origin: Any, step: Any, out: Any, o
 
 
 @numba.njit(cache=True, fastmath=True)
-def _read_row(coefficients: Any, places: Any, corners: Any, z: int, y: int, out: Any, beyond: Any) -> None:
+def _read_row(
+    coefficients: Any, places: Any, corners: Any, z: int, y: int, out: Any, beyond: Any
+) -> None:
     """Read one row, and mark what lies beyond the volume."""
     depth, height, width = out.shape
     first = 0
@@ -134,14 +141,25 @@ def _read_row(coefficients: Any, places: Any, corners: Any, z: int, y: int, out:
         if 1 <= j < height - 2 and 1 <= k < depth - 2:
             low = min(max(first, 1 - i), end)
             high = max(low, min(end, width - 2 - i))
-            _stretch(coefficients.ravel(), (k * height + j) * width + i, width, height * width, places, low, high, out[z, y])
+            _stretch(
+                coefficients.ravel(),
+                (k * height + j) * width + i,
+                width,
+                height * width,
+                places,
+                low,
+                high,
+                out[z, y],
+            )
         _read_edge(coefficients, places, corners, first, low, out[z, y], beyond)
         _read_edge(coefficients, places, corners, high, end, out[z, y], beyond)
         first = end
 
 
 @numba.njit(cache=True, fastmath=True)
-def _read_edge(coefficients: Any, places: Any, corners: Any, first: int, end: int, out: Any, beyond: Any) -> None:
+def _read_edge(
+    coefficients: Any, places: Any, corners: Any, first: int, end: int, out: Any, beyond: Any
+) -> None:
     """Read voxels near a face of the volume."""
     depth, height, width = coefficients.shape
     for x in range(first, end):
@@ -153,7 +171,9 @@ def _read_edge(coefficients: Any, places: Any, corners: Any, first: int, end: in
 
 
 @numba.njit(cache=True, fastmath=True)
-def _aim(row: Any, origin: float, step: float, share: float, y: int, z: int, places: Any, corners: Any) -> None:
+def _aim(
+    row: Any, origin: float, step: float, share: float, y: int, z: int, places: Any, corners: Any
+) -> None:
     """Where each voxel of a row is read: the voxel before it (x relative to its own, y, z), and the part of the way to the next."""
     last = len(row) - 1
     for x in range(places.shape[1]):
@@ -161,7 +181,9 @@ def _aim(row: Any, origin: float, step: float, share: float, y: int, z: int, pla
         cell = min(max(int(at), 0), max(last - 1, 0))
         part, after = at - cell, min(cell + 1, last)
         for axis in range(3):
-            move = share * (row[cell, axis] + part * (row[after, axis] - row[cell, axis])) + (y if axis == 1 else z if axis == 2 else 0)
+            move = share * (row[cell, axis] + part * (row[after, axis] - row[cell, axis])) + (
+                y if axis == 1 else z if axis == 2 else 0
+            )
             whole = math.floor(move)
             corners[axis, x], places[axis, x] = whole, move - whole
 
@@ -171,7 +193,9 @@ def _alike(corners: Any, first: int) -> int:
     """The first voxel after this one that is read from elsewhere than beside its neighbour's place."""
     end = first + 1
     while end < corners.shape[1] and (
-        corners[0, end] == corners[0, first] and corners[1, end] == corners[1, first] and corners[2, end] == corners[2, first]
+        corners[0, end] == corners[0, first]
+        and corners[1, end] == corners[1, first]
+        and corners[2, end] == corners[2, first]
     ):
         end += 1
     return end
@@ -180,15 +204,22 @@ def _alike(corners: Any, first: int) -> int:
 @numba.njit(cache=True, fastmath=True, forceinline=True)
 def _along(flat: Any, at: Any, w: Any) -> Any:
     one = np.uint64(1)
-    return w[0] * flat[at - one] + w[1] * flat[at] + w[2] * flat[at + one] + w[3] * flat[at + one + one]
+    return (
+        w[0] * flat[at - one]
+        + w[1] * flat[at]
+        + w[2] * flat[at + one]
+        + w[3] * flat[at + one + one]
+    )
 
 
 @numba.njit(cache=True, fastmath=True, forceinline=True)
 def _across(flat: Any, at: Any, width: Any, w: Any, v: Any) -> Any:
     return (
-        v[0] * _along(flat, at - width, w) + v[1] * _along(flat, at, w)
-        + v[2] * _along(flat, at + width, w) + v[3] * _along(flat, at + width + width, w)
-    )  # fmt: skip
+        v[0] * _along(flat, at - width, w)
+        + v[1] * _along(flat, at, w)
+        + v[2] * _along(flat, at + width, w)
+        + v[3] * _along(flat, at + width + width, w)
+    )
 
 
 @numba.njit(cache=True, fastmath=True, forceinline=True)
@@ -197,13 +228,17 @@ def _value(flat: Any, at: Any, width: Any, plane: Any, x: Any, y: Any, z: Any) -
     looked at twice, and loops over it would not be vectorised."""
     w, v, u = _cubic(x), _cubic(y), _cubic(z)
     return (
-        u[0] * _across(flat, at - plane, width, w, v) + u[1] * _across(flat, at, width, w, v)
-        + u[2] * _across(flat, at + plane, width, w, v) + u[3] * _across(flat, at + plane + plane, width, w, v)
-    )  # fmt: skip
+        u[0] * _across(flat, at - plane, width, w, v)
+        + u[1] * _across(flat, at, width, w, v)
+        + u[2] * _across(flat, at + plane, width, w, v)
+        + u[3] * _across(flat, at + plane + plane, width, w, v)
+    )
 
 
 @numba.njit(cache=True, fastmath=True)
-def _stretch(flat: Any, at: int, width: int, plane: int, places: Any, first: int, end: int, out: Any) -> None:
+def _stretch(
+    flat: Any, at: int, width: int, plane: int, places: Any, first: int, end: int, out: Any
+) -> None:
     """Read voxels of a row that lie beside each other, `at` + x for each of them. All rows are parts of one array: so the loop is vectorised."""
     row, deep, start = np.uint64(width), np.uint64(plane), np.uint64(at + first)
     for n in range(np.uint64(end - first)):
@@ -214,10 +249,15 @@ def _stretch(flat: Any, at: int, width: int, plane: int, places: Any, first: int
 @numba.njit(cache=True, fastmath=True)
 def _row_field(field: Any, z: float, y: float) -> Any:
     """The displacements of one row, interpolated in z and y: (x, 3)."""
-    above, back = min(max(int(z), 0), max(field.shape[0] - 2, 0)), min(max(int(y), 0), max(field.shape[1] - 2, 0))
+    above, back = (
+        min(max(int(z), 0), max(field.shape[0] - 2, 0)),
+        min(max(int(y), 0), max(field.shape[1] - 2, 0)),
+    )
     below, front = min(above + 1, field.shape[0] - 1), min(back + 1, field.shape[1] - 1)
     p, q = z - above, y - back
-    return (1.0 - p) * ((1.0 - q) * field[above, back] + q * field[above, front]) + p * ((1.0 - q) * field[below, back] + q * field[below, front])
+    return (1.0 - p) * ((1.0 - q) * field[above, back] + q * field[above, front]) + p * (
+        (1.0 - q) * field[below, back] + q * field[below, front]
+    )
 
 
 @numba.njit(cache=True, fastmath=True)
@@ -230,6 +270,8 @@ def _sample(c: Any, corner: Any, parts: Any) -> Any:
     for n in range(4):
         for m in range(4):
             for o in range(4):
-                value = c[_mirror(k + n - 1, depth), _mirror(j + m - 1, height), _mirror(i + o - 1, width)]
+                value = c[
+                    _mirror(k + n - 1, depth), _mirror(j + m - 1, height), _mirror(i + o - 1, width)
+                ]
                 total += wz[n] * wy[m] * wx[o] * value
     return total

@@ -8,14 +8,21 @@ import numpy as np
 
 from sabench.algorithms.velocimetry.blur import widened, widths
 from sabench.algorithms.velocimetry.deformation import met, spline_coefficients
-from sabench.algorithms.velocimetry.outliers import filled, near_the_median, smoothed, thesis_local, within_deviations
+from sabench.algorithms.velocimetry.outliers import (
+    filled,
+    near_the_median,
+    smoothed,
+    thesis_local,
+    within_deviations,
+)
 from sabench.algorithms.velocimetry.windows import Peaks, Size, Windows, by_shifts, by_spectra
 from sabench.api import Velocity
 from sabench.geometry.grid import Grid
 from sabench.utils.arrays import F32, F64, Bool, triple
 from sabench.utils.progress import track
 
-_KERNEL = 0.65  # vectors: the Gaussian of matPIV's 3 x 3 x 3 kernel; what it weighs beyond that is under 1 %
+# vectors: the Gaussian of matPIV's 3 x 3 x 3 kernel; what it weighs beyond that is under 1 %
+_KERNEL = 0.65
 
 
 @dataclass(frozen=True)
@@ -28,11 +35,15 @@ class Plan:
     overlap : of the windows, as a part of them; the first pass overlaps by half.
     passes : after the first.
     reach : largest shift (z, y, x) that a later pass looks for.
-    ratio, height : least peak ratio of the first pass, and least normalised correlation of the last one.
+    ratio, height : least peak ratio of the first pass, and least normalised correlation of the last
+        one.
     median : of the test against neighbours.
-    smoothing : standard deviation of the Gaussian on the field that moves the volumes, as a part of the later windows.
-    width : least standard deviation in voxels of particles, to which narrower ones are blurred: splines cannot follow these between voxels.
-    taper : standard deviation of the Gaussian that weights the later windows, as a part of them; None: no weights.
+    smoothing : standard deviation of the Gaussian on the field that moves the volumes, as a part of
+        the later windows.
+    width : least standard deviation in voxels of particles, to which narrower ones are blurred:
+        splines cannot follow these between voxels.
+    taper : standard deviation of the Gaussian that weights the later windows, as a part of them;
+        None: no weights.
     """
 
     first: Size
@@ -59,15 +70,24 @@ class Field:
     def on_grid(self, grid: Grid, interval_s: float) -> Velocity:
         """The same as velocities in the world."""
         voxel = np.asarray(grid.voxel_mm)
-        start, step = (np.asarray(values[::-1]) for values in (self.windows.origin, self.windows.step))
-        return Velocity(triple(np.asarray(grid.low_mm) + voxel * start), triple(voxel * step), self.shift * voxel / interval_s, self.valid)
+        start, step = (
+            np.asarray(values[::-1]) for values in (self.windows.origin, self.windows.step)
+        )
+        return Velocity(
+            triple(np.asarray(grid.low_mm) + voxel * start),
+            triple(voxel * step),
+            self.shift * voxel / interval_s,
+            self.valid,
+        )
 
 
 def evaluate(first: F32, second: F32, plan: Plan) -> Field:
     """Displacements between two volumes (z, y, x)."""
     own = widths(first), widths(second)
     mean = tuple(0.5 * (one + other) for one, other in zip(*own, strict=True))
-    first, second = (widened(volume, (mean[0], mean[1], mean[2]), plan.width) for volume in (first, second))
+    first, second = (
+        widened(volume, (mean[0], mean[1], mean[2]), plan.width) for volume in (first, second)
+    )
     coarse = Windows.over(_shape(first), plan.first, 0.5)
     peaks = by_spectra(first, second, coarse)
     assert peaks.ratio is not None
@@ -76,9 +96,18 @@ def evaluate(first: F32, second: F32, plan: Plan) -> Field:
     coefficients = spline_coefficients(first), spline_coefficients(second)
     warped = np.empty_like(first), np.empty_like(second)
     for _ in track(range(plan.passes), "move and correlate"):
-        z, y, x = (plan.smoothing * own / step for own, step in zip(plan.last, field.windows.step, strict=True))
+        z, y, x = (
+            plan.smoothing * own / step
+            for own, step in zip(plan.last, field.windows.step, strict=True)
+        )
         lead = smoothed(field.shift, (z, y, x)) if plan.smoothing else field.shift
-        met(*coefficients, lead, field.windows.origin, tuple(float(part) for part in field.windows.step), *warped)
+        met(
+            *coefficients,
+            lead,
+            field.windows.origin,
+            tuple(float(part) for part in field.windows.step),
+            *warped,
+        )
         peaks = by_shifts(warped[0], warped[1], windows, plan.reach, plan.taper)
         peaks.shift[:] += _at(lead, field.windows, windows)
         field = _checked(windows, peaks, peaks.height >= plan.height, plan)
@@ -95,7 +124,9 @@ def evaluate_once(first: F32, second: F32, size: Size, overlap: float, ratio: fl
     windows = Windows.over(_shape(first), size, overlap)
     peaks = by_spectra(first, second, windows)
     assert peaks.ratio is not None
-    valid = within_deviations(peaks.shift, np.asarray((peaks.ratio >= ratio) & (peaks.height > 0.0)), 5.0)
+    valid = within_deviations(
+        peaks.shift, np.asarray((peaks.ratio >= ratio) & (peaks.height > 0.0)), 5.0
+    )
     valid = thesis_local(filled(peaks.shift, valid), valid, 3.0)
     return Field(windows, smoothed(filled(peaks.shift, valid), (_KERNEL,) * 3), valid)
 
@@ -109,9 +140,13 @@ def _checked(windows: Windows, peaks: Peaks, valid: Bool, plan: Plan) -> Field:
 def _at(values: F64, there: Windows, here: Windows) -> F64:
     """A field on some windows' middles, interpolated to others', and continued along straight lines."""
     for axis in range(3):
-        place = (here.origin[axis] + here.step[axis] * np.arange(here.counts[axis]) - there.origin[axis]) / there.step[axis]
+        place = (
+            here.origin[axis] + here.step[axis] * np.arange(here.counts[axis]) - there.origin[axis]
+        ) / there.step[axis]
         low = np.clip(place.astype(int), 0, max(there.counts[axis] - 2, 0))
         part = np.expand_dims(place - low, tuple(n for n in range(values.ndim) if n != axis))
         high = np.minimum(low + 1, there.counts[axis] - 1)
-        values = np.take(values, low, axis=axis) * (1.0 - part) + np.take(values, high, axis=axis) * part
+        values = (
+            np.take(values, low, axis=axis) * (1.0 - part) + np.take(values, high, axis=axis) * part
+        )
     return values

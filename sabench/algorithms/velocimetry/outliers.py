@@ -20,23 +20,34 @@ def within_deviations(shift: F64, valid: Bool, deviations: float) -> Bool:
     if not valid.any():
         return valid
     known = shift[valid]
-    return np.asarray(valid & (np.abs(shift - known.mean(axis=0)) <= deviations * known.std(axis=0) + _FLOOR).all(axis=-1))
+    return np.asarray(
+        valid
+        & (np.abs(shift - known.mean(axis=0)) <= deviations * known.std(axis=0) + _FLOOR).all(
+            axis=-1
+        )
+    )
 
 
 def near_the_median(shift: F64, valid: Bool, times: float) -> Bool:
     """Vectors that are not further from the median of their 26 neighbours than `times` the median of these neighbours' own distances from it.
 
-    Beyond the edges fields go on along straight lines: else the median of an edge's neighbours would lie inwards of it.
+    Beyond the edges fields go on along straight lines: else the median of an edge's neighbours
+    would lie inwards of it.
 
-    Source: J. Westerweel and F. Scarano, Universal outlier detection for PIV data, Exp. Fluids 39, 1096-1100, 2005, in three dimensions.
+    Source: J. Westerweel and F. Scarano, Universal outlier detection for PIV data, Exp. Fluids 39,
+    1096-1100, 2005, in three dimensions.
     """
     around = np.where(valid[..., None], shift, np.nan)
     room = [(min(1, count - 1),) * 2 for count in shift.shape[:3]]
     padded = np.pad(around, [*room, (0, 0)], mode="reflect", reflect_type="odd")
-    padded = np.pad(padded, [(1 - before,) * 2 for before, _ in room] + [(0, 0)], constant_values=np.nan)
+    padded = np.pad(
+        padded, [(1 - before,) * 2 for before, _ in room] + [(0, 0)], constant_values=np.nan
+    )
     middle, spread = np.empty_like(shift), np.empty_like(shift)
     medians(padded, middle, spread)
-    far = np.linalg.norm(shift - middle, axis=-1) > times * (np.linalg.norm(spread, axis=-1) + _FLOOR)  # never, where there are no neighbours
+    far = np.linalg.norm(shift - middle, axis=-1) > times * (
+        np.linalg.norm(spread, axis=-1) + _FLOOR
+    )  # never, where there are no neighbours
     return np.asarray(valid & ~far)
 
 
@@ -58,7 +69,9 @@ def _around(values: F64) -> F64:
     for axis in range(3):
         padded = np.pad(values, [(1, 1) if own == axis else (0, 0) for own in range(values.ndim)])
         count = values.shape[axis]
-        values = sum(np.take(padded, range(n, n + count), axis=axis) for n in range(1, 3)) + np.take(padded, range(count), axis=axis)
+        values = sum(
+            np.take(padded, range(n, n + count), axis=axis) for n in range(1, 3)
+        ) + np.take(padded, range(count), axis=axis)
     return values
 
 
@@ -67,8 +80,17 @@ def smoothed(shift: F64, sigma: tuple[float, float, float]) -> F64:
     reach = [math.ceil(_REACH * own) for own in sigma]
     room = [(min(own, count - 1),) * 2 for own, count in zip(reach, shift.shape[:3], strict=True)]
     wide = np.pad(shift, [*room, (0, 0)], mode="reflect", reflect_type="odd")
-    inner = tuple(slice(before, before + count) for (before, _), count in zip(room, shift.shape[:3], strict=True))
-    return np.stack([gaussian_filter(wide[..., axis], sigma, mode="nearest", radius=reach)[inner] for axis in range(3)], axis=-1)
+    inner = tuple(
+        slice(before, before + count)
+        for (before, _), count in zip(room, shift.shape[:3], strict=True)
+    )
+    return np.stack(
+        [
+            gaussian_filter(wide[..., axis], sigma, mode="nearest", radius=reach)[inner]
+            for axis in range(3)
+        ],
+        axis=-1,
+    )
 
 
 def thesis_local(shift: F64, valid: Bool, deviations: float) -> Bool:
@@ -77,8 +99,13 @@ def thesis_local(shift: F64, valid: Bool, deviations: float) -> Bool:
     for axis in range(3):
         own = shift[..., axis]
         middle = median_filter(own, 3, mode="nearest")
-        mean, square = (_around(values[..., None])[..., 0] / _around(np.ones((*own.shape, 1)))[..., 0] for values in (own, own**2))
-        ok &= np.abs(own - middle) <= deviations * np.sqrt(np.maximum(square - mean**2, 0.0)) + 1e-12
+        mean, square = (
+            _around(values[..., None])[..., 0] / _around(np.ones((*own.shape, 1)))[..., 0]
+            for values in (own, own**2)
+        )
+        ok &= (
+            np.abs(own - middle) <= deviations * np.sqrt(np.maximum(square - mean**2, 0.0)) + 1e-12
+        )
     return ok
 
 
@@ -88,7 +115,8 @@ def medians(padded: Any, middle: Any, spread: Any) -> None:
 
     Parameters
     ----------
-    padded : (z + 2, y + 2, x + 2, 3) with NaN for vectors that do not count; where none does, both medians are NaN.
+    padded : (z + 2, y + 2, x + 2, 3) with NaN for vectors that do not count; where none does, both
+        medians are NaN.
     middle, spread : (z, y, x, 3).
     """
     deep, high, wide = middle.shape[:3]

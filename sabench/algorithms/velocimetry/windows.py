@@ -11,14 +11,21 @@ import numba
 import numpy as np
 import scipy.fft
 
-from sabench.algorithms.velocimetry.correlation_kernels import block_sums, circular_peaks, cut_windows, small_peaks
+from sabench.algorithms.velocimetry.correlation_kernels import (
+    block_sums,
+    circular_peaks,
+    cut_windows,
+    small_peaks,
+)
 from sabench.utils.arrays import F32, F64, I64
 from sabench.utils.errors import InputError
 from sabench.utils.progress import track
 
 Size = tuple[int, int, int]
 _AT_ONCE = 1 << 20  # voxels of the windows that a thread transforms at once
-_EMPTY = 1e-3  # of the windows' mean square: one with less has no signal; what a spline's ringing leaves of bright neighbours is less
+# of the windows' mean square: one with less has no signal; what a spline's ringing leaves of bright
+# neighbours is less
+_EMPTY = 1e-3
 
 
 @dataclass(frozen=True)
@@ -43,14 +50,21 @@ class Windows:
         Raises
         ------
         InputError
-            A window larger than the volume, or an overlap that leaves no whole number of steps in a window.
+            A window larger than the volume, or an overlap that leaves no whole number of steps in a
+            window.
         """
         if any(own > there for own, there in zip(size, shape, strict=True)):
-            raise InputError(f"window: expected one that fits into the volume of {_xyz(shape)} voxels, got {_xyz(size)}")
+            raise InputError(
+                f"window: expected one that fits into the volume of {_xyz(shape)} voxels, got {_xyz(size)}"
+            )
         parts = [round(own * (1.0 - overlap)) for own in size]
         if any(part < 1 or own % part for own, part in zip(size, parts, strict=True)):
-            raise InputError(f"overlap: expected a part of {_xyz(size)} voxels that leaves whole steps which divide it, got {overlap:g}")
-        counts = [(there - own) // part + 1 for there, own, part in zip(shape, size, parts, strict=True)]
+            raise InputError(
+                f"overlap: expected a part of {_xyz(size)} voxels that leaves whole steps which divide it, got {overlap:g}"
+            )
+        counts = [
+            (there - own) // part + 1 for there, own, part in zip(shape, size, parts, strict=True)
+        ]
         return cls(size, (parts[0], parts[1], parts[2]), (counts[0], counts[1], counts[2]))
 
     @property
@@ -62,7 +76,10 @@ class Windows:
     @property
     def blocks(self) -> Size:
         """Blocks (z, y, x) of one step each that the windows cover."""
-        z, y, x = (n - 1 + own // part for n, own, part in zip(self.counts, self.size, self.step, strict=True))
+        z, y, x = (
+            n - 1 + own // part
+            for n, own, part in zip(self.counts, self.size, self.step, strict=True)
+        )
         return z, y, x
 
 
@@ -78,7 +95,8 @@ class Peaks:
     ----------
     shift : (z, y, x, 3) displacement (x, y, z) in voxels of the second volume against the first.
     height : (z, y, x) normalised correlation there, from -1 to 1; 0 where there is no signal.
-    ratio : (z, y, x) of the highest to the second highest peak, or None where only small shifts were looked at.
+    ratio : (z, y, x) of the highest to the second highest peak, or None where only small shifts
+        were looked at.
     """
 
     shift: F64
@@ -86,23 +104,36 @@ class Peaks:
     ratio: F64 | None
 
 
-def by_shifts(first: F32, second: F32, windows: Windows, reach: Size, taper: float | None = None) -> Peaks:
+def by_shifts(
+    first: F32, second: F32, windows: Windows, reach: Size, taper: float | None = None
+) -> Peaks:
     """Normalised correlation at all shifts within reach (z, y, x), through sums over blocks.
 
-    The second volume is shifted against the window, and the first one the other way, and the mean is taken: two equal volumes then correlate alike at
-    opposite shifts, whatever is cut by the window's faces.
+    The second volume is shifted against the window, and the first one the other way, and the mean
+    is taken: two equal volumes then correlate alike at opposite shifts, whatever is cut by the
+    window's faces.
 
     Parameters
     ----------
-    taper : standard deviation of the Gaussian that weights a window's blocks, as a part of the window; None: all count alike.
+    taper : standard deviation of the Gaussian that weights a window's blocks, as a part of the
+        window; None: all count alike.
     """
     shape = (*windows.blocks, math.prod(2 * r + 1 for r in reach))
-    products, squares = ((np.empty(shape, dtype=np.float32), np.empty(shape, dtype=np.float32)) for _ in range(2))
+    products, squares = (
+        (np.empty(shape, dtype=np.float32), np.empty(shape, dtype=np.float32)) for _ in range(2)
+    )
     block_sums(first, second, windows.step, reach, products[0], squares[0])
     block_sums(second, first, windows.step, reach, products[1], squares[1])
-    weights = tuple(_weights(own // part, taper) for own, part in zip(windows.size, windows.step, strict=True))
+    weights = tuple(
+        _weights(own // part, taper) for own, part in zip(windows.size, windows.step, strict=True)
+    )
     energies = [float(np.mean(part[..., shape[3] // 2])) for part in squares]
-    floor = _EMPTY * math.sqrt(energies[0] * energies[1]) * math.prod(float(line.sum()) for line in weights) + 1e-30
+    floor = (
+        _EMPTY
+        * math.sqrt(energies[0] * energies[1])
+        * math.prod(float(line.sum()) for line in weights)
+        + 1e-30
+    )
     shift, height = np.empty((*windows.counts, 3)), np.empty(windows.counts)
     small_peaks(products, squares, weights, reach, floor, shift, height)
     return Peaks(shift, height, None)
@@ -111,13 +142,29 @@ def by_shifts(first: F32, second: F32, windows: Windows, reach: Size, taper: flo
 def _weights(blocks: int, taper: float | None) -> F32:
     """Of a window's blocks along one axis."""
     middles = (np.arange(blocks) + 0.5) / blocks - 0.5
-    return np.asarray(np.ones(blocks) if taper is None else np.exp(-0.5 * (middles / taper) ** 2), dtype=np.float32)
+    return np.asarray(
+        np.ones(blocks) if taper is None else np.exp(-0.5 * (middles / taper) ** 2),
+        dtype=np.float32,
+    )
 
 
 def by_spectra(first: F32, second: F32, windows: Windows) -> Peaks:
     """Circular correlation of whole windows by their Fourier transforms, for displacements up to half a window."""
-    corners = np.array(list(itertools.product(*(part * np.arange(count) for part, count in zip(windows.step, windows.counts, strict=True)))))
-    shift, height, ratio = np.zeros((len(corners), 3)), np.zeros(len(corners)), np.zeros(len(corners))
+    corners = np.array(
+        list(
+            itertools.product(
+                *(
+                    part * np.arange(count)
+                    for part, count in zip(windows.step, windows.counts, strict=True)
+                )
+            )
+        )
+    )
+    shift, height, ratio = (
+        np.zeros((len(corners), 3)),
+        np.zeros(len(corners)),
+        np.zeros(len(corners)),
+    )
     batch = max(1, _AT_ONCE // math.prod(windows.size))
 
     def correlate(start: int) -> None:
@@ -127,10 +174,17 @@ def by_spectra(first: F32, second: F32, windows: Windows) -> Peaks:
         height[part] /= np.where(scale > 0.0, scale, np.inf)
 
     with ThreadPoolExecutor(numba.get_num_threads()) as pool:
-        for done in track([pool.submit(correlate, start) for start in range(0, len(corners), batch)], "correlate by spectra"):
+        for done in track(
+            [pool.submit(correlate, start) for start in range(0, len(corners), batch)],
+            "correlate by spectra",
+        ):
             done.result()
     lit = height > 0.0
-    return Peaks((shift * lit[:, None]).reshape(*windows.counts, 3), height.reshape(windows.counts), (ratio * lit).reshape(windows.counts))
+    return Peaks(
+        (shift * lit[:, None]).reshape(*windows.counts, 3),
+        height.reshape(windows.counts),
+        (ratio * lit).reshape(windows.counts),
+    )
 
 
 def _correlated(first: F32, second: F32, corners: I64, size: Size) -> tuple[F32, F64]:
@@ -143,4 +197,6 @@ def _correlated(first: F32, second: F32, corners: I64, size: Size) -> tuple[F32,
         energies.append(energy)
     product = np.conjugate(spectra[0], out=spectra[0])
     product *= spectra[1]
-    return scipy.fft.irfftn(product, s=size, axes=(1, 2, 3), overwrite_x=True), np.sqrt(energies[0] * energies[1])
+    return scipy.fft.irfftn(product, s=size, axes=(1, 2, 3), overwrite_x=True), np.sqrt(
+        energies[0] * energies[1]
+    )

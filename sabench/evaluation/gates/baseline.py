@@ -22,15 +22,63 @@ COSTS = ("seconds", "reconstruction_s", "peak_mb")
 TIMES = COSTS[:2]
 Figures = dict[str, float | None]
 
-_COUNTED = {"precision", "recall", "f1", "f1_large", "f1_small", "recall_hidden", "recall_dense", "link_recall", "link_precision", "effectiveness"}
-LARGER = _COUNTED | {"q", "true_percent", "yield_percent", "read_percent", "separation", "contrast", "used_percent"}
+_COUNTED = {
+    "precision",
+    "recall",
+    "f1",
+    "f1_large",
+    "f1_small",
+    "recall_hidden",
+    "recall_dense",
+    "link_recall",
+    "link_precision",
+    "effectiveness",
+}
+LARGER = _COUNTED | {
+    "q",
+    "true_percent",
+    "yield_percent",
+    "read_percent",
+    "separation",
+    "contrast",
+    "used_percent",
+}
 UNITY = {"response", "efficiency_ratio"}  # best at 1
 _ERRORS = (
-    "ghost_percent", "rms_px", "true_px", "measured_px", "true_ratio", "held_out_mm", "spacing_mm", "index_error", "thickness_error_mm", "_p90_voxel",
-    "bias_voxel", "rms_voxel", "divergence_1_s", "vorticity_percent", "radius_percent", "axes_percent", "tilt_deg", "plane_mm", "depth_mm",
-    "sizes_percent", "void_percent", "penetration_percent", "angle_percent", "weight_percent", "width_percent", "velocity_mm_s", "velocity_percent",
-    "_std_mm", "_mean_mm", "rms_mm", "_std_ratio", "retraced_px", *COSTS,
-)  # fmt: skip
+    "ghost_percent",
+    "rms_px",
+    "true_px",
+    "measured_px",
+    "true_ratio",
+    "held_out_mm",
+    "spacing_mm",
+    "index_error",
+    "thickness_error_mm",
+    "_p90_voxel",
+    "bias_voxel",
+    "rms_voxel",
+    "divergence_1_s",
+    "vorticity_percent",
+    "radius_percent",
+    "axes_percent",
+    "tilt_deg",
+    "plane_mm",
+    "depth_mm",
+    "sizes_percent",
+    "void_percent",
+    "penetration_percent",
+    "angle_percent",
+    "weight_percent",
+    "width_percent",
+    "velocity_mm_s",
+    "velocity_percent",
+    "_std_mm",
+    "_mean_mm",
+    "rms_mm",
+    "_std_ratio",
+    "retraced_px",
+    *COSTS,
+)
 
 
 class _Part(BaseModel):
@@ -53,7 +101,9 @@ class Entry(_Part):
 
     figures: Figures = {}
     error: str | None = None
-    reference_s: float | None = Field(None, gt=0.0, description="seconds of the reference kernel in the same process")
+    reference_s: float | None = Field(
+        None, gt=0.0, description="seconds of the reference kernel in the same process"
+    )
 
 
 class CaseEntry(_Part):
@@ -99,7 +149,8 @@ class Finding:
     Attributes
     ----------
     worse : it fails the gate; else it is news.
-    before, now : the figure; None where there is none. Times are as the baseline's machine would have them.
+    before, now : the figure; None where there is none. Times are as the baseline's machine would
+        have them.
     tolerance : how far it may move, None where that does not apply.
     text : what happened, where there is no figure.
     """
@@ -125,7 +176,9 @@ class Finding:
         where = f"{self.case}, seed {self.seed}: {self.solver}"
         if self.text:
             return f"{where}: {self.text}"
-        was, is_ = ("none" if value is None else f"{value:.6g}" for value in (self.before, self.now))
+        was, is_ = (
+            "none" if value is None else f"{value:.6g}" for value in (self.before, self.now)
+        )
         moved = "" if self.change is None else f", {self.change:+.3g}"
         beyond = "" if self.tolerance is None else f" where {self.tolerance:.3g} is allowed"
         return f"{where}: {self.figure}: {was} before, {is_} now{moved}{beyond}"
@@ -141,9 +194,16 @@ def default_tolerance(track: str, figure: str) -> Tolerance:
         return _data_tolerance(figure)
     if figure.removeprefix("peak_") in _COUNTED:
         return Tolerance(relative=0.0, absolute=0.02)
-    if figure.endswith("_percent") and figure.removeprefix("peak_") in ("true_percent", "ghost_percent", "yield_percent", "read_percent"):
+    if figure.endswith("_percent") and figure.removeprefix("peak_") in (
+        "true_percent",
+        "ghost_percent",
+        "yield_percent",
+        "read_percent",
+    ):
         return Tolerance(relative=0.0, absolute=2.0)
-    decimals = next((column.decimals for column in COLUMNS.get(track, ()) if column.key == figure), 4)
+    decimals = next(
+        (column.decimals for column in COLUMNS.get(track, ()) if column.key == figure), 4
+    )
     return Tolerance(relative=0.01, absolute=10.0**-decimals)
 
 
@@ -175,18 +235,27 @@ def read_baseline(path: Path, suite: str) -> Baseline:
     Raises
     ------
     InputError
-        No such file, not a baseline, one of another version or of another suite, or one with missing entries.
+        No such file, not a baseline, one of another version or of another suite, or one with
+        missing entries.
     """
     if not path.exists():
-        raise InputError(f"{path}: expected a baseline of the suite {suite}, but there is no file: --update makes one (in pytest --sabench-update)")
+        raise InputError(
+            f"{path}: expected a baseline of the suite {suite}, but there is no file: --update makes one (in pytest --sabench-update)"
+        )
     values = read_json(path)
     if not isinstance(values, dict) or values.get("format") != FORMAT:
-        raise InputError(f"{path}: expected a baseline, that is a JSON object of the format {FORMAT!r}")
+        raise InputError(
+            f"{path}: expected a baseline, that is a JSON object of the format {FORMAT!r}"
+        )
     if values.get("version") != VERSION:
-        raise InputError(f"{path}: expected version {VERSION}, got {values.get('version')!r}: make it anew with --update")
+        raise InputError(
+            f"{path}: expected version {VERSION}, got {values.get('version')!r}: make it anew with --update"
+        )
     found = validate(Baseline, values, str(path))
     if found.suite != suite:
-        raise InputError(f"{path}: expected a baseline of the suite {suite}, got one of {found.suite}")
+        raise InputError(
+            f"{path}: expected a baseline of the suite {suite}, got one of {found.suite}"
+        )
     return found
 
 
@@ -225,14 +294,25 @@ def loss(figure: str, before: float, now: float) -> float:
     return abs(now) - abs(before)
 
 
-def compare(before: CaseEntry, now: CaseEntry, tracks: Mapping[str, str], tolerances: Tolerances) -> Iterator[Finding]:
+def compare(
+    before: CaseEntry, now: CaseEntry, tracks: Mapping[str, str], tolerances: Tolerances
+) -> Iterator[Finding]:
     """What has moved too far in one case; `tracks` says which one each solver is of.
 
     Solvers of the baseline that did not run now are worse, those that are new are news.
     """
     case, seed = now.key
     for figure, allowed, change in _moved(before.data, now.data, tolerances, DATA):
-        yield Finding(case, seed, DATA, figure, before.data.get(figure), now.data.get(figure), allowed, worse=change > 0.0)
+        yield Finding(
+            case,
+            seed,
+            DATA,
+            figure,
+            before.data.get(figure),
+            now.data.get(figure),
+            allowed,
+            worse=change > 0.0,
+        )
     for solver in {**before.solvers, **now.solvers}:
         old, new = before.solvers.get(solver), now.solvers.get(solver)
         said = _standing(old, new)
@@ -256,20 +336,36 @@ def _standing(old: Entry | None, new: Entry | None) -> tuple[bool, str] | None:
     return None
 
 
-def _of_solver(case: CaseEntry, solver: str, track: str, old: Entry, new: Entry, tolerances: Tolerances) -> Iterator[Finding]:
+def _of_solver(
+    case: CaseEntry, solver: str, track: str, old: Entry, new: Entry, tolerances: Tolerances
+) -> Iterator[Finding]:
     for figure, allowed, change in _moved(old.figures, new.figures, tolerances, track):
-        yield Finding(*case.key, solver, figure, old.figures.get(figure), new.figures.get(figure), allowed, worse=change > 0.0)
+        yield Finding(
+            *case.key,
+            solver,
+            figure,
+            old.figures.get(figure),
+            new.figures.get(figure),
+            allowed,
+            worse=change > 0.0,
+        )
 
 
 def scaled(new: Entry, old: Entry) -> Entry:
     """Times as the machine and moment of the old entry would have them: by the reference kernel's."""
     if not new.reference_s or not old.reference_s:
         return new
-    times = {key: value * old.reference_s / new.reference_s for key in TIMES if (value := new.figures.get(key)) is not None}
+    times = {
+        key: value * old.reference_s / new.reference_s
+        for key in TIMES
+        if (value := new.figures.get(key)) is not None
+    }
     return new.model_copy(update={"figures": new.figures | times, "reference_s": old.reference_s})
 
 
-def _moved(before: Figures, now: Figures, tolerances: Tolerances, track: str) -> Iterator[tuple[str, float | None, float]]:
+def _moved(
+    before: Figures, now: Figures, tolerances: Tolerances, track: str
+) -> Iterator[tuple[str, float | None, float]]:
     """Figures beyond tolerance, what is allowed, and by how much they got worse: infinitely if they are lost, minus that if they are new."""
     for figure in sorted({**before, **now}):
         old, new = before.get(figure), now.get(figure)

@@ -57,16 +57,27 @@ class Report:
         """One line."""
         solved = sum(len(case.solvers) for case in self.now.cases)
         ran = f"{self.suite}: {len(self.now.cases)} data sets, {solved} results"
-        return f"{ran}: {len(self.worse)} figures worse" if self.worse else f"{ran}: nothing got worse"
+        return (
+            f"{ran}: {len(self.worse)} figures worse" if self.worse else f"{ran}: nothing got worse"
+        )
 
     def to_dict(self) -> dict[str, Any]:
         """As JSON holds it."""
-        findings = {name: [asdict(one) | {"change": one.change} for one in getattr(self, name)] for name in ("worse", "news")}
+        findings = {
+            name: [asdict(one) | {"change": one.change} for one in getattr(self, name)]
+            for name in ("worse", "news")
+        }
         return {"suite": self.suite, **findings, "figures": self.now.model_dump(mode="json")}
 
 
 def check_file(
-    suite: str | Path, path: Path | None, work: Path | None, *, update: bool = False, solvers: Sequence[str | Entrant] = (), exit_first: bool = False
+    suite: str | Path,
+    path: Path | None,
+    work: Path | None,
+    *,
+    update: bool = False,
+    solvers: Sequence[str | Entrant] = (),
+    exit_first: bool = False,
 ) -> Report:
     """`check` against a baseline file, by default the suite's bundled one; with `update` its figures are written there and nothing is worse.
 
@@ -85,33 +96,50 @@ def check_file(
     before = read_baseline(file, name) if file.exists() or not update else None
     entrants = [Entrant(name=one) if isinstance(one, str) else one for one in solvers]
     with contextlib.ExitStack() as stack:
-        folder = work or Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="sabench-check-")))
-        report = check(suite, before, folder, solvers=entrants, exit_first=exit_first and not update)
+        folder = work or Path(
+            stack.enter_context(tempfile.TemporaryDirectory(prefix="sabench-check-"))
+        )
+        report = check(
+            suite, before, folder, solvers=entrants, exit_first=exit_first and not update
+        )
     if not update:
         return report
     write_baseline(file, report.now)
     return replace(report, worse=(), news=report.worse + report.news)
 
 
-def check(suite: str | Path, before: Baseline | None, work: Path, *, solvers: Sequence[Entrant] = (), exit_first: bool = False) -> Report:
+def check(
+    suite: str | Path,
+    before: Baseline | None,
+    work: Path,
+    *,
+    solvers: Sequence[Entrant] = (),
+    exit_first: bool = False,
+) -> Report:
     """Run a suite on data sets made anew and compare it with a baseline, or only run it.
 
     Parameters
     ----------
     work : folder for data sets and results; each data set is deleted when it has been compared.
-    solvers : they run in place of the suite's own, each on the cases that have solvers of its track; the baseline is of them, too.
+    solvers : they run in place of the suite's own, each on the cases that have solvers of its
+        track; the baseline is of them, too.
     exit_first : stop at the first data set or solver with something worse.
 
     Raises
     ------
     InputError
-        A bad suite, an unknown solver, solvers that no case is for, or a baseline whose data sets another renderer made.
+        A bad suite, an unknown solver, solvers that no case is for, or a baseline whose data sets
+        another renderer made.
     """
     name, cases = find(suite, "scenes/suites").stem, _chosen(load_suite(suite)[1], solvers)
     found: list[Finding] = []
     entries = []
     for number, case in enumerate(cases, 1):
-        console.print(f"data set {number} of {len(cases)}: {case.name}, seed {case.seed}", markup=False, highlight=False)
+        console.print(
+            f"data set {number} of {len(cases)}: {case.name}, seed {case.seed}",
+            markup=False,
+            highlight=False,
+        )
         old = before.case((case.name, case.seed)) if before else None
         if old is not None and old.renderer != case.renderer:
             raise InputError(
@@ -124,16 +152,34 @@ def check(suite: str | Path, before: Baseline | None, work: Path, *, solvers: Se
     else:
         found += _missing(before, entries)
     now = Baseline(
-        suite=name, sabench=__version__, machine=machine(), versions=versions(), tolerances=_tolerances(before, cases, entries), cases=tuple(entries)
+        suite=name,
+        sabench=__version__,
+        machine=machine(),
+        versions=versions(),
+        tolerances=_tolerances(before, cases, entries),
+        cases=tuple(entries),
     )
-    return Report(name, tuple(one for one in found if one.worse), tuple(one for one in found if not one.worse), now)
+    return Report(
+        name,
+        tuple(one for one in found if one.worse),
+        tuple(one for one in found if not one.worse),
+        now,
+    )
 
 
 def names_of(entrants: Sequence[Entrant], where: str) -> dict[str, Entrant]:
     """What each solver of a case is known by: its label, or its name and parameters."""
-    named = {(one.label or " ".join([one.name, *(f"{k}={json.dumps(v)}" for k, v in one.parameters.items())])): one for one in entrants}
+    named = {
+        (
+            one.label
+            or " ".join([one.name, *(f"{k}={json.dumps(v)}" for k, v in one.parameters.items())])
+        ): one
+        for one in entrants
+    }
     if len(named) < len(entrants):
-        raise InputError(f"{where}: solvers: expected names, parameters or labels that differ, got {len(entrants)} of which {len(named)} do")
+        raise InputError(
+            f"{where}: solvers: expected names, parameters or labels that differ, got {len(entrants)} of which {len(named)} do"
+        )
     return named
 
 
@@ -141,10 +187,20 @@ def _chosen(cases: Sequence[Case], solvers: Sequence[Entrant]) -> list[Case]:
     """The cases that are for some of the given solvers, with these; all cases as they are where none are given."""
     if not solvers:
         return list(cases)
-    own = [replace(case, solvers=tuple(one for one in solvers if _track(one) in {_track(other) for other in case.solvers})) for case in cases]
+    own = [
+        replace(
+            case,
+            solvers=tuple(
+                one for one in solvers if _track(one) in {_track(other) for other in case.solvers}
+            ),
+        )
+        for case in cases
+    ]
     if not any(case.solvers for case in own):
         tracks = ", ".join(sorted({_track(one) for one in solvers}))
-        raise InputError(f"solvers: expected some that the suite has cases for, got only some of the track {tracks}, of which it has none")
+        raise InputError(
+            f"solvers: expected some that the suite has cases for, got only some of the track {tracks}, of which it has none"
+        )
     return [case for case in own if case.solvers]
 
 
@@ -152,16 +208,33 @@ def _track(entrant: Entrant) -> str:
     return entrant.describe()[1]
 
 
-def _run_case(case: Case, work: Path, old: CaseEntry | None, tolerances: Tolerances, exit_first: bool) -> CaseEntry:
+def _run_case(
+    case: Case, work: Path, old: CaseEntry | None, tolerances: Tolerances, exit_first: bool
+) -> CaseEntry:
     """Make the data set, measure it, solve and score it; with `exit_first` no further than to something worse."""
     data = dataset_of(case, work, fresh=True)
     out = work / "results" / f"{case.folder(work).name}.h5"
-    now = CaseEntry(case=case.name, seed=case.seed, renderer=case.renderer, scene_hash=case.scene.hash, data={}, solvers={})
+    now = CaseEntry(
+        case=case.name,
+        seed=case.seed,
+        renderer=case.renderer,
+        scene_hash=case.scene.hash,
+        data={},
+        solvers={},
+    )
     now = now.model_copy(update={"data": {**fingerprint(data), **probe(data, out)}})
     for name, entrant in names_of(case.solvers, f"case {case.name}").items():
-        if exit_first and old and any(finding.worse for finding in compare(_ran(old, now), now, _tracks(case), tolerances)):
+        if (
+            exit_first
+            and old
+            and any(
+                finding.worse for finding in compare(_ran(old, now), now, _tracks(case), tolerances)
+            )
+        ):
             break
-        entry = _solved_again(data, entrant, out, old.solvers.get(name) if old else None, tolerances)
+        entry = _solved_again(
+            data, entrant, out, old.solvers.get(name) if old else None, tolerances
+        )
         now = now.model_copy(update={"solvers": {**now.solvers, name: entry}})
     shutil.rmtree(data.root)
     out.unlink(missing_ok=True)
@@ -170,14 +243,23 @@ def _run_case(case: Case, work: Path, old: CaseEntry | None, tolerances: Toleran
 
 def _ran(old: CaseEntry, now: CaseEntry) -> CaseEntry:
     """The old entry without the solvers that have not run now."""
-    return old.model_copy(update={"solvers": {name: entry for name, entry in old.solvers.items() if name in now.solvers}})
+    return old.model_copy(
+        update={
+            "solvers": {name: entry for name, entry in old.solvers.items() if name in now.solvers}
+        }
+    )
 
 
 def _tracks(case: Case) -> dict[str, str]:
-    return {name: _track(entrant) for name, entrant in names_of(case.solvers, f"case {case.name}").items()}
+    return {
+        name: _track(entrant)
+        for name, entrant in names_of(case.solvers, f"case {case.name}").items()
+    }
 
 
-def _solved_again(data: Dataset, entrant: Entrant, out: Path, earlier: Entry | None, tolerances: Tolerances) -> Entry:
+def _solved_again(
+    data: Dataset, entrant: Entrant, out: Path, earlier: Entry | None, tolerances: Tolerances
+) -> Entry:
     """Solve and score; once more, and again, where time or memory seem to have grown."""
     entry = _solved(data, entrant, out)
     for _ in range(_AGAIN):
@@ -189,18 +271,28 @@ def _solved_again(data: Dataset, entrant: Entrant, out: Path, earlier: Entry | N
 
 def _solved(data: Dataset, entrant: Entrant, out: Path) -> Entry:
     try:
-        reference_s = solve_apart(entrant, data, out, threads=1)  # as the reference kernel; and threads suffer most where others work
+        reference_s = solve_apart(
+            entrant, data, out, threads=1
+        )  # as the reference kernel; and threads suffer most where others work
         scores = score(data, out)
     except InputError as error:
         return Entry(error=str(error))
-    kept = {key: value for key, value in scores.items() if value is None or (isinstance(value, int | float) and not isinstance(value, bool))}
+    kept = {
+        key: value
+        for key, value in scores.items()
+        if value is None or (isinstance(value, int | float) and not isinstance(value, bool))
+    }
     return Entry(figures=kept, reference_s=reference_s)
 
 
 def _dear(earlier: Entry, entry: Entry, tolerances: Tolerances, track: str) -> bool:
     """Whether time or memory would fail the gate: another process may have been in the way, or machine code was compiled for the first time."""
     now = scaled(entry, earlier).figures
-    pairs = [(key, old, new) for key in COSTS if (old := earlier.figures.get(key)) is not None and (new := now.get(key)) is not None]
+    pairs = [
+        (key, old, new)
+        for key in COSTS
+        if (old := earlier.figures.get(key)) is not None and (new := now.get(key)) is not None
+    ]
     return any(new - old > tolerance_of(tolerances, track, key).of(old) for key, old, new in pairs)
 
 
@@ -209,18 +301,42 @@ def _cheaper(one: Entry, other: Entry) -> Entry:
     if other.error or one.error:
         return other if other.error else one
     here = scaled(one, other)
-    least = {key: min(a, b) for key in COSTS if (a := here.figures.get(key)) is not None and (b := other.figures.get(key)) is not None}
+    least = {
+        key: min(a, b)
+        for key in COSTS
+        if (a := here.figures.get(key)) is not None and (b := other.figures.get(key)) is not None
+    }
     return other.model_copy(update={"figures": other.figures | least})
 
 
-def _compared(case: Case, old: CaseEntry | None, now: CaseEntry, before: Baseline | None) -> Iterator[Finding]:
+def _compared(
+    case: Case, old: CaseEntry | None, now: CaseEntry, before: Baseline | None
+) -> Iterator[Finding]:
     if before is None:
         return
     if old is None:
-        yield Finding(*now.key, DATA, "", None, None, None, worse=False, text="a case that is not in the baseline")
+        yield Finding(
+            *now.key,
+            DATA,
+            "",
+            None,
+            None,
+            None,
+            worse=False,
+            text="a case that is not in the baseline",
+        )
         return
     if old.scene_hash != now.scene_hash:
-        yield Finding(*now.key, DATA, "scene", None, None, None, worse=True, text="its scene is not the one of the baseline")
+        yield Finding(
+            *now.key,
+            DATA,
+            "scene",
+            None,
+            None,
+            None,
+            worse=True,
+            text="its scene is not the one of the baseline",
+        )
     cut_short = len(now.solvers) < len(case.solvers)
     yield from compare(_ran(old, now) if cut_short else old, now, _tracks(case), before.tolerances)
 
@@ -229,15 +345,33 @@ def _missing(before: Baseline | None, entries: Sequence[CaseEntry]) -> Iterator[
     there = {entry.key for entry in entries}
     for case in before.cases if before else ():
         if case.key not in there:
-            yield Finding(*case.key, DATA, "", None, None, None, worse=True, text="a case of the baseline that did not run")
+            yield Finding(
+                *case.key,
+                DATA,
+                "",
+                None,
+                None,
+                None,
+                worse=True,
+                text="a case of the baseline that did not run",
+            )
 
 
-def _tolerances(before: Baseline | None, cases: Sequence[Case], entries: Sequence[CaseEntry]) -> dict[str, dict[str, Tolerance]]:
+def _tolerances(
+    before: Baseline | None, cases: Sequence[Case], entries: Sequence[CaseEntry]
+) -> dict[str, dict[str, Tolerance]]:
     """Those of the earlier baseline, which somebody may have edited, and the rule's for whatever it does not name."""
-    named: dict[str, set[str]] = {DATA: {kind_of(DATA, figure) for entry in entries for figure in entry.data}}
+    named: dict[str, set[str]] = {
+        DATA: {kind_of(DATA, figure) for entry in entries for figure in entry.data}
+    }
     for case, entry in zip(cases, entries, strict=False):
         for name, track in _tracks(case).items():
-            named.setdefault(track, set()).update(entry.solvers[name].figures if name in entry.solvers else ())
-    made = {track: {key: default_tolerance(track, key) for key in figures} for track, figures in named.items()}
+            named.setdefault(track, set()).update(
+                entry.solvers[name].figures if name in entry.solvers else ()
+            )
+    made = {
+        track: {key: default_tolerance(track, key) for key in figures}
+        for track, figures in named.items()
+    }
     earlier = before.tolerances if before else {}
     return {track: made.get(track, {}) | earlier.get(track, {}) for track in {**made, **earlier}}

@@ -20,8 +20,9 @@ def fingerprint(data: Dataset) -> dict[str, float]:
 
     Returns
     -------
-    Figures by names like `camera_00.column_mean`. `retraced_px` is the largest distance of true pixels from those of a second implementation
-    of refraction (`retrace`), which reads the scene's own numbers.
+    Figures by names like `camera_00.column_mean`. `retraced_px` is the largest distance of true
+    pixels from those of a second implementation of refraction (`retrace`), which reads the scene's
+    own numbers.
     """
     figures = dict(_truth(data)) | dict(_pictures(data))
     for number, camera in enumerate(data.true_cameras):
@@ -29,7 +30,9 @@ def fingerprint(data: Dataset) -> dict[str, float]:
         figures |= _spread(f"{camera.name}.", ("column", "row"), pixels)
         figures |= dict(_light(data, number))
         again = retrace(data.scene, camera, points[:_TRACED])
-        figures[f"{camera.name}.retraced_px"] = float(np.nanmax(np.linalg.norm(again - pixels[:_TRACED], axis=1), initial=0.0))
+        figures[f"{camera.name}.retraced_px"] = float(
+            np.nanmax(np.linalg.norm(again - pixels[:_TRACED], axis=1), initial=0.0)
+        )
         figures[f"{camera.name}.sightline_mm"] = _beside(camera, points[:_TRACED], pixels[:_TRACED])
         told = data.rig.cameras[number].project(np.asarray(data.scene.volume.center_mm)[None])[0]
         figures |= _spread(f"{camera.name}.told_", ("column", "row"), told)
@@ -49,8 +52,15 @@ def _spread(prefix: str, names: Sequence[str], values: F64) -> dict[str, float]:
     known = values[np.isfinite(values).all(axis=1)]
     if not len(known):
         return {}
-    means = {f"{prefix}{name}_mean": float(value) for name, value in zip(names, known.mean(axis=0), strict=True)}
-    return means | {f"{prefix}{name}_std": float(value) for name, value in zip(names, known.std(axis=0), strict=True) if len(known) > 1}
+    means = {
+        f"{prefix}{name}_mean": float(value)
+        for name, value in zip(names, known.mean(axis=0), strict=True)
+    }
+    return means | {
+        f"{prefix}{name}_std": float(value)
+        for name, value in zip(names, known.std(axis=0), strict=True)
+        if len(known) > 1
+    }
 
 
 def _truth(data: Dataset) -> Iterator[tuple[str, float]]:
@@ -58,19 +68,31 @@ def _truth(data: Dataset) -> Iterator[tuple[str, float]]:
     frames, axes = range(data.rig.frames), ("x", "y", "z")
     if data.shows_target:
         yield from _spread("target.", axes, data.placed().points_mm.reshape(-1, 3)).items()
-        yield from _spread("target.told_", axes, data.calibration_case().rough_mm.reshape(-1, 3)).items()
+        yield from _spread(
+            "target.told_", axes, data.calibration_case().rough_mm.reshape(-1, 3)
+        ).items()
         return
     if "particles" in data.shows:
         every = [data.particles(frame) for frame in frames]
         yield "particles.count", float(sum(map(len, every)))
-        yield from _spread("particles.", axes, np.concatenate([one.position_mm for one in every])).items()
-        yield from _spread("particles.velocity_", axes, np.concatenate([one.velocity_mm_s for one in every])).items()
-        yield from _spread("particles.", ("diameter",), np.concatenate([one.diameter_mm for one in every])[:, None]).items()
+        yield from _spread(
+            "particles.", axes, np.concatenate([one.position_mm for one in every])
+        ).items()
+        yield from _spread(
+            "particles.velocity_", axes, np.concatenate([one.velocity_mm_s for one in every])
+        ).items()
+        yield from _spread(
+            "particles.", ("diameter",), np.concatenate([one.diameter_mm for one in every])[:, None]
+        ).items()
     if "bubbles" in data.shows:
         balls = [data.bubbles(frame) for frame in frames]
         yield "bubbles.count", float(sum(map(len, balls)))
-        yield from _spread("bubbles.", axes, np.concatenate([one.center_mm for one in balls])).items()
-        yield from _spread("bubbles.axis_", ("0", "1", "2"), np.concatenate([one.semi_axes_mm for one in balls])).items()
+        yield from _spread(
+            "bubbles.", axes, np.concatenate([one.center_mm for one in balls])
+        ).items()
+        yield from _spread(
+            "bubbles.axis_", ("0", "1", "2"), np.concatenate([one.semi_axes_mm for one in balls])
+        ).items()
     if "code" in data.shows:
         code = code_of(data.scene, data.manifest.seed, 0)
         yield from _spread("code.", axes, code.points_mm[code.dark].reshape(-1, 3)).items()
@@ -80,14 +102,21 @@ def _seen(data: Dataset, number: int) -> tuple[F64, F64]:
     """True points (n, 3) of all frames, and where one camera sees them (n, 2); those that it does not see are left out."""
     frames = range(data.rig.frames)
     if data.shows_target:
-        points, pixels = data.placed().points_mm.reshape(-1, 3), data.sightings()[0][number].reshape(-1, 2)
+        points, pixels = (
+            data.placed().points_mm.reshape(-1, 3),
+            data.sightings()[0][number].reshape(-1, 2),
+        )
     elif "particles" in data.shows:
         points = np.concatenate([data.particles(frame).position_mm for frame in frames])
         views = [data.views(frame)[number] for frame in frames]
-        pixels = np.concatenate([np.where(view.visible[:, None] > 0.0, view.pixel, np.nan) for view in views])
+        pixels = np.concatenate(
+            [np.where(view.visible[:, None] > 0.0, view.pixel, np.nan) for view in views]
+        )
     else:
         points = np.concatenate([data.bubbles(frame).center_mm for frame in frames])
-        pixels = np.concatenate([data.sight(frame, data.true_cameras[number]).pixel for frame in frames])
+        pixels = np.concatenate(
+            [data.sight(frame, data.true_cameras[number]).pixel for frame in frames]
+        )
     known = np.isfinite(pixels).all(axis=1)
     return points[known], pixels[known]
 
@@ -97,20 +126,35 @@ def _light(data: Dataset, number: int) -> Iterator[tuple[str, float]]:
     name, frames = data.true_cameras[number].name, range(data.rig.frames)
     if data.shows_target:
         exact, case = data.sightings()[0][number], data.calibration_case()
-        yield from _spread(f"{name}.found_off_", ("column", "row"), (case.pixels[number] - exact).reshape(-1, 2)).items()
+        yield from _spread(
+            f"{name}.found_off_", ("column", "row"), (case.pixels[number] - exact).reshape(-1, 2)
+        ).items()
         yield f"{name}.found", float(case.found[number].sum())
         return
     if "particles" in data.shows:
         views = [data.views(frame)[number] for frame in frames]
-        photons, sigma = np.concatenate([view.photons for view in views]), np.concatenate([view.sigma_px for view in views])
-        yield from _spread(f"{name}.", ("photons", "sigma_px"), np.column_stack([photons, sigma])).items()
+        photons, sigma = (
+            np.concatenate([view.photons for view in views]),
+            np.concatenate([view.sigma_px for view in views]),
+        )
+        yield from _spread(
+            f"{name}.", ("photons", "sigma_px"), np.column_stack([photons, sigma])
+        ).items()
         yield f"{name}.visible", float(sum(view.visible.sum() for view in views))
     if "bubbles" in data.shows:
         sights = [data.sight(frame, data.true_cameras[number]) for frame in frames]
-        outlines = np.concatenate([np.ptp(sight.contour.astype(np.float64), axis=1) for sight in sights])
+        outlines = np.concatenate(
+            [np.ptp(sight.contour.astype(np.float64), axis=1) for sight in sights]
+        )
         yield from _spread(f"{name}.outline_", ("width", "height"), outlines).items()
-        yield f"{name}.outline_seen", float(np.concatenate([sight.visible for sight in sights]).mean())
-        yield f"{name}.surface_depth_mean", float(np.nanmean([np.nanmean(sight.depth_mm) for sight in sights]))
+        yield (
+            f"{name}.outline_seen",
+            float(np.concatenate([sight.visible for sight in sights]).mean()),
+        )
+        yield (
+            f"{name}.surface_depth_mean",
+            float(np.nanmean([np.nanmean(sight.depth_mm) for sight in sights])),
+        )
 
 
 def _pictures(data: Dataset) -> Iterator[tuple[str, float]]:
@@ -125,4 +169,7 @@ def _pictures(data: Dataset) -> Iterator[tuple[str, float]]:
             contrast = np.abs(grey - np.median(grey))
             for axis, name in ((1, "column"), (0, "row")):
                 weight = contrast.sum(axis=1 - axis)
-                yield f"{where}grey_{name}", float(weight @ np.arange(len(weight)) / max(float(weight.sum()), 1e-300))
+                yield (
+                    f"{where}grey_{name}",
+                    float(weight @ np.arange(len(weight)) / max(float(weight.sum()), 1e-300)),
+                )

@@ -1,7 +1,8 @@
 """A second implementation of what a camera sees of a point, by other equations, to compare the first one with.
 
-It takes nothing from `sabench.geometry`: the wall's numbers come from the scene as its author wrote them, the path from bisection for the invariant
-n sin(angle) that all its angles share, the lens from the formula in docs/dataset-format.md.
+It takes nothing from `sabench.geometry`: the wall's numbers come from the scene as its author wrote
+them, the path from bisection for the invariant n sin(angle) that all its angles share, the lens
+from the formula in docs/dataset-format.md.
 """
 
 from __future__ import annotations
@@ -21,7 +22,8 @@ def retrace(scene: Scene, camera: Any, points_mm: F64) -> F64:
 
     Parameters
     ----------
-    camera : anything with the pinhole's `center_mm`, `rotation`, `principal_distance_mm`, `pixel_mm`, `principal_point_px` and `distortion`.
+    camera : anything with the pinhole's `center_mm`, `rotation`, `principal_distance_mm`,
+        `pixel_mm`, `principal_point_px` and `distortion`.
     """
     pinhole, axes = np.array(camera.center_mm), np.array(camera.rotation)
     offset = points_mm - pinhole
@@ -45,10 +47,19 @@ def _leaving(scene: Scene, pinhole: F64, offset: F64) -> F64:
     along = offset @ normal
     sideways = offset - along[:, None] * normal
     radius = np.linalg.norm(sideways, axis=1)
-    depths = [np.full(len(offset), before), *(np.full(len(offset), layer.thickness_mm) for layer in wall.layers), along - before - solid]
-    invariant = _invariant([wall.air_index, *(layer.index for layer in wall.layers), wall.fluid_index], depths, radius)
+    depths = [
+        np.full(len(offset), before),
+        *(np.full(len(offset), layer.thickness_mm) for layer in wall.layers),
+        along - before - solid,
+    ]
+    invariant = _invariant(
+        [wall.air_index, *(layer.index for layer in wall.layers), wall.fluid_index], depths, radius
+    )
     sine = invariant / wall.air_index
-    return np.asarray(np.sqrt(1.0 - sine**2)[:, None] * normal + (sine / np.maximum(radius, 1e-300))[:, None] * sideways)
+    return np.asarray(
+        np.sqrt(1.0 - sine**2)[:, None] * normal
+        + (sine / np.maximum(radius, 1e-300))[:, None] * sideways
+    )
 
 
 def _invariant(indices: list[float], depths: list[F64], radius: F64) -> F64:
@@ -57,6 +68,12 @@ def _invariant(indices: list[float], depths: list[F64], radius: F64) -> F64:
     for _ in range(_HALVINGS):
         middle = (low + high) / 2.0
         with np.errstate(divide="ignore"):
-            reached = sum(depth * middle / np.sqrt(index**2 - middle**2) for index, depth in zip(indices, depths, strict=True))
-        low, high = np.where(reached < radius, middle, low), np.where(reached < radius, high, middle)
+            reached = sum(
+                depth * middle / np.sqrt(index**2 - middle**2)
+                for index, depth in zip(indices, depths, strict=True)
+            )
+        low, high = (
+            np.where(reached < radius, middle, low),
+            np.where(reached < radius, high, middle),
+        )
     return np.asarray((low + high) / 2.0)

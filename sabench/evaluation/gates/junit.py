@@ -13,24 +13,39 @@ from sabench.utils.files import complete_or_nothing
 if TYPE_CHECKING:
     from sabench.evaluation.gates.comparison import Report
 
-_NOT_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")  # what no XML file can hold
+_NOT_XML = re.compile(
+    "[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]"
+)  # what no XML file can hold
 
 
 def write_junit(path: Path, report: Report) -> None:
     """One test case for each data set and each solver on it, in the suite's order; what got worse is its failure, news its output."""
     with complete_or_nothing(path, overwrite=True) as partial:
-        partial.write_bytes(ElementTree.tostring(junit(report), encoding="utf-8", xml_declaration=True))
+        partial.write_bytes(
+            ElementTree.tostring(junit(report), encoding="utf-8", xml_declaration=True)
+        )
 
 
 def junit(report: Report) -> ElementTree.Element:
     """The XML's root."""
     suite = ElementTree.Element("testsuite", name=f"sabench check {report.suite}")
-    places = [(case.case, case.seed, solver) for case in report.now.cases for solver in (DATA, *case.solvers)]
+    places = [
+        (case.case, case.seed, solver)
+        for case in report.now.cases
+        for solver in (DATA, *case.solvers)
+    ]
     lost = [place for one in report.worse if (place := _place(one)) not in places]
-    seconds = {place: _seconds(case, place[2]) for case in report.now.cases for place in places if place[:2] == case.key}
+    seconds = {
+        place: _seconds(case, place[2])
+        for case in report.now.cases
+        for place in places
+        if place[:2] == case.key
+    }
     for place in dict.fromkeys(places + lost):
         name, seed, solver = place
-        case = ElementTree.SubElement(suite, "testcase", classname=f"{report.suite}.{name}.seed{seed}", name=_clean(solver))
+        case = ElementTree.SubElement(
+            suite, "testcase", classname=f"{report.suite}.{name}.seed{seed}", name=_clean(solver)
+        )
         case.set("time", f"{seconds.get(place, 0.0):.3f}")
         worse = [_clean(one.sentence) for one in report.worse if _place(one) == place]
         if worse:
@@ -40,7 +55,13 @@ def junit(report: Report) -> ElementTree.Element:
         if news:
             ElementTree.SubElement(case, "system-out").text = "\n".join(news)
     failures = sum(case.find("failure") is not None for case in suite)
-    counts = {"tests": str(len(suite)), "failures": str(failures), "errors": "0", "skipped": "0", "time": f"{sum(seconds.values()):.3f}"}
+    counts = {
+        "tests": str(len(suite)),
+        "failures": str(failures),
+        "errors": "0",
+        "skipped": "0",
+        "time": f"{sum(seconds.values()):.3f}",
+    }
     suite.attrib.update(counts)
     root = ElementTree.Element("testsuites", counts | {"name": "sabench"})
     root.append(suite)

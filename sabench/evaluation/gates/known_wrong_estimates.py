@@ -31,7 +31,11 @@ def probe(data: Dataset, out: Path) -> dict[str, float]:
         with result_writer(out, data, "probe", track, {}, overwrite=True) as writer:
             _WRONG[track](data, writer)
         scores = score(data, out)
-        known = {key: value for key, value in scores.items() if isinstance(value, float | int) and not isinstance(value, bool)}
+        known = {
+            key: value
+            for key, value in scores.items()
+            if isinstance(value, float | int) and not isinstance(value, bool)
+        }
         figures |= {f"probe.{track}.{key}": float(value) for key, value in known.items()}
     return figures
 
@@ -40,7 +44,9 @@ def _tracks(data: Dataset) -> list[str]:
     if data.shows_target:
         return ["calibration"]
     own = {"particles": "reconstruction", "bubbles": "bubbles", "code": "see_through"}
-    return [own[one] for one in data.shows] + (["velocimetry"] if data.shows == ("particles",) and data.rig.pairs() else [])
+    return [own[one] for one in data.shows] + (
+        ["velocimetry"] if data.shows == ("particles",) and data.rig.pairs() else []
+    )
 
 
 def _volume(data: Dataset, writer: ResultWriter) -> None:
@@ -49,7 +55,14 @@ def _volume(data: Dataset, writer: ResultWriter) -> None:
         true = true_field(data.rig.grid, data.particles(frame), data.views(frame))
         ghosts = np.roll(true, (3, 11, 17), axis=(0, 1, 2))
         ghosts[:, :, : true.shape[2] // 2] = 0.0
-        writer.add(frame, Reconstruction(np.asarray(0.6 * true + 0.4 * np.roll(true, 1, axis=2) + 0.5 * ghosts, dtype=np.float32)))
+        writer.add(
+            frame,
+            Reconstruction(
+                np.asarray(
+                    0.6 * true + 0.4 * np.roll(true, 1, axis=2) + 0.5 * ghosts, dtype=np.float32
+                )
+            ),
+        )
 
 
 def _cameras(data: Dataset, writer: ResultWriter) -> None:
@@ -62,7 +75,10 @@ def _cameras(data: Dataset, writer: ResultWriter) -> None:
 
 def _aside(camera: Camera, number: int) -> Camera:
     column, row = camera.principal_point_px
-    return replace(camera, principal_point_px=(column + 0.3 * math.cos(number), row + 0.2 * math.sin(2.0 * number)))
+    return replace(
+        camera,
+        principal_point_px=(column + 0.3 * math.cos(number), row + 0.2 * math.sin(2.0 * number)),
+    )
 
 
 def _field(data: Dataset, writer: ResultWriter) -> None:
@@ -71,10 +87,19 @@ def _field(data: Dataset, writer: ResultWriter) -> None:
     low, size = np.asarray(grid.low_mm), np.asarray(grid.voxel_mm) * grid.shape[::-1]
     counts = np.array([9, 8, 7])
     for pair in data.rig.pairs():
-        empty = Velocity(triple(low + 0.1 * size), triple(0.8 * size / (counts - 1)), np.zeros((7, 8, 9, 3)), np.ones((7, 8, 9), dtype=np.bool_))
+        empty = Velocity(
+            triple(low + 0.1 * size),
+            triple(0.8 * size / (counts - 1)),
+            np.zeros((7, 8, 9, 3)),
+            np.ones((7, 8, 9), dtype=np.bool_),
+        )
         points = empty.positions_mm
         true = true_velocity(data, pair, points.reshape(-1, 3)).reshape(points.shape)
-        wave = 0.05 * np.abs(true).max() * np.sin(2.0 * np.pi * (points - low) / size * [1.0, 2.0, 1.5])
+        wave = (
+            0.05
+            * np.abs(true).max()
+            * np.sin(2.0 * np.pi * (points - low) / size * [1.0, 2.0, 1.5])
+        )
         valid = (points - low < 0.7 * size).any(axis=-1)
         writer.add_velocity(pair[0], replace(empty, velocity_mm_s=0.9 * true + wave, valid=valid))
 
@@ -84,10 +109,16 @@ def _balls(data: Dataset, writer: ResultWriter) -> None:
     for frame in range(data.rig.frames):
         true = data.bubbles(frame)
         kept = np.flatnonzero(np.arange(len(true)) % 5 != 3)
-        aside = np.array([0.08, -0.05, 0.2]) * true.radius_mm[kept, None] * (1.5 + np.sin(kept + frame)[:, None])
+        aside = (
+            np.array([0.08, -0.05, 0.2])
+            * true.radius_mm[kept, None]
+            * (1.5 + np.sin(kept + frame)[:, None])
+        )
         ghosts = np.asarray(true.center_mm)[::6] + 2.5 * true.radius_mm[::6, None]
         centers = np.concatenate([true.center_mm[kept] + aside, ghosts])
-        sizes = np.concatenate([true.semi_axes_mm[kept] * [1.05, 0.97, 1.02], true.semi_axes_mm[::6]])
+        sizes = np.concatenate(
+            [true.semi_axes_mm[kept] * [1.05, 0.97, 1.02], true.semi_axes_mm[::6]]
+        )
         turns = np.concatenate([true.turn[kept] @ _TURN, true.turn[::6]])
         writer.add_bubbles(frame, Detections(centers, sizes, turns))
 
@@ -96,7 +127,10 @@ def _planes(data: Dataset, writer: ResultWriter) -> None:
     """Noise, darker where the code is dark."""
     grid = data.rig.grid
     for frame in range(data.rig.frames):
-        volume, code = np.random.default_rng(frame).random(grid.shape, dtype=np.float32), code_of(data.scene, data.manifest.seed, frame)
+        volume, code = (
+            np.random.default_rng(frame).random(grid.shape, dtype=np.float32),
+            code_of(data.scene, data.manifest.seed, frame),
+        )
         places = np.rint(grid.to_voxels(code.points_mm[~code.dark].reshape(-1, 3))).astype(np.int64)
         x, y, z = places[((places >= 0) & (places < grid.shape[::-1])).all(axis=1)].T
         volume[z, y, x] += np.float32(0.5)
@@ -104,5 +138,9 @@ def _planes(data: Dataset, writer: ResultWriter) -> None:
 
 
 _WRONG: dict[str, Callable[[Dataset, ResultWriter], Any]] = {
-    "reconstruction": _volume, "calibration": _cameras, "velocimetry": _field, "bubbles": _balls, "see_through": _planes,
-}  # fmt: skip
+    "reconstruction": _volume,
+    "calibration": _cameras,
+    "velocimetry": _field,
+    "bubbles": _balls,
+    "see_through": _planes,
+}

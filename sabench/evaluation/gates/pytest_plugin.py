@@ -22,14 +22,26 @@ Check = Callable[..., "Report"]
 def pytest_addoption(parser: pytest.Parser) -> None:
     """The option and the setting that this adds."""
     group = parser.getgroup("sabench")
-    group.addoption("--sabench-update", action="store_true", help="write the figures of sabench_check as new baselines instead of comparing")
-    parser.addini("sabench_plugins", "folders with solvers/ or generators/ that sabench finds, beside those of SABENCH_PLUGINS", type="paths")
+    group.addoption(
+        "--sabench-update",
+        action="store_true",
+        help="write the figures of sabench_check as new baselines instead of comparing",
+    )
+    parser.addini(
+        "sabench_plugins",
+        "folders with solvers/ or generators/ that sabench finds, beside those of SABENCH_PLUGINS",
+        type="paths",
+    )
 
 
 def pytest_configure(config: pytest.Config) -> None:
     """Tell sabench, and the processes in which solvers run, where the plug-ins are."""
     folders = [str(folder) for folder in config.getini("sabench_plugins")]
-    given = [entry for entry in os.environ.get("SABENCH_PLUGINS", "").split(os.pathsep) if entry and entry not in folders]
+    given = [
+        entry
+        for entry in os.environ.get("SABENCH_PLUGINS", "").split(os.pathsep)
+        if entry and entry not in folders
+    ]
     if not folders:
         return
     os.environ["SABENCH_PLUGINS"] = os.pathsep.join([*folders, *given])
@@ -41,21 +53,30 @@ def pytest_configure(config: pytest.Config) -> None:
 def sabench_check(request: pytest.FixtureRequest, tmp_path: Path) -> Check:
     """`sabench_check(suite, baseline, solvers=...)` fails the test if a figure is worse than in the baseline, and returns what it found.
 
-    `suite` is a bundled suite's name or a file, `baseline` a JSON file, both from the test's folder; `solvers` are names, or dicts of name,
-    parameters and label, that run in place of the suite's own on its cases of their track. With --sabench-update the baseline is written.
+    `suite` is a bundled suite's name or a file, `baseline` a JSON file, both from the test's
+    folder; `solvers` are names, or dicts of name, parameters and label, that run in place of the
+    suite's own on its cases of their track. With --sabench-update the baseline is written.
     """
 
-    def run(suite: str, baseline: str | Path, solvers: Sequence[str | Mapping[str, Any]] = ()) -> Report:
+    def run(
+        suite: str, baseline: str | Path, solvers: Sequence[str | Mapping[str, Any]] = ()
+    ) -> Report:
         from sabench.evaluation.gates.comparison import check_file
         from sabench.evaluation.suites import Entrant
 
         here = request.path.parent
-        entrants = [Entrant(name=one) if isinstance(one, str) else Entrant(**one) for one in solvers]
+        entrants = [
+            Entrant(name=one) if isinstance(one, str) else Entrant(**one) for one in solvers
+        ]
         where = here / suite if (here / suite).is_file() else suite
         update = bool(request.config.getoption("--sabench-update"))
-        report = check_file(where, here / baseline, tmp_path / "sabench", update=update, solvers=entrants)
+        report = check_file(
+            where, here / baseline, tmp_path / "sabench", update=update, solvers=entrants
+        )
         if report.worse:
-            pytest.fail("\n".join([report.summary, *(one.sentence for one in report.worse)]), pytrace=False)
+            pytest.fail(
+                "\n".join([report.summary, *(one.sentence for one in report.worse)]), pytrace=False
+            )
         return report
 
     return run

@@ -43,10 +43,13 @@ def result_files(path: Path) -> Iterator[list[tuple[str, Path]]]:
     Raises
     ------
     InputError
-        Nothing there, or what no honest archive has: links, devices, absolute paths, `..`, two members of one name, or too much of anything.
+        Nothing there, or what no honest archive has: links, devices, absolute paths, `..`, two
+        members of one name, or too much of anything.
     """
     if path.is_symlink() or not path.exists():
-        raise InputError(f"{path}: expected a result file, an archive or a folder of them, found {'a link' if path.is_symlink() else 'none'}")
+        raise InputError(
+            f"{path}: expected a result file, an archive or a folder of them, found {'a link' if path.is_symlink() else 'none'}"
+        )
     if path.is_dir():
         yield _found(_in_folder(path), path)
     elif not path.is_file():
@@ -70,7 +73,9 @@ def _in_folder(root: Path) -> list[tuple[str, Path]]:
         if number >= _MEMBERS:
             raise InputError(f"{root}: expected at most {_MEMBERS} files and folders")
         if entry.is_symlink():
-            raise InputError(f"{root}: expected no links, got {printable(entry.relative_to(root).as_posix())}")
+            raise InputError(
+                f"{root}: expected no links, got {printable(entry.relative_to(root).as_posix())}"
+            )
         if entry.is_file() and _wanted(entry.name):
             found.append((entry.relative_to(root).as_posix(), entry))
     return found
@@ -81,9 +86,23 @@ def _unpacked(path: Path, folder: Path) -> list[tuple[str, Path]]:
     try:
         with _opened(path) as (archive, members):
             wanted = _checked(path, members)
-            return [(member.name, _copied(archive, member, folder / f"{number}{_ENDING}", path)) for number, member in enumerate(wanted)]
-    except (OSError, EOFError, ValueError, RuntimeError, NotImplementedError, zlib.error, tarfile.TarError, zipfile.BadZipFile) as error:
-        raise InputError(f"{path}: expected a whole archive, got {type(error).__name__}: {printable(str(error), 200)}") from error
+            return [
+                (member.name, _copied(archive, member, folder / f"{number}{_ENDING}", path))
+                for number, member in enumerate(wanted)
+            ]
+    except (
+        OSError,
+        EOFError,
+        ValueError,
+        RuntimeError,
+        NotImplementedError,
+        zlib.error,
+        tarfile.TarError,
+        zipfile.BadZipFile,
+    ) as error:
+        raise InputError(
+            f"{path}: expected a whole archive, got {type(error).__name__}: {printable(str(error), 200)}"
+        ) from error
 
 
 @contextlib.contextmanager
@@ -92,7 +111,11 @@ def _opened(path: Path) -> Iterator[tuple[Any, Iterator[Member]]]:
         with zipfile.ZipFile(path) as whole:
             yield whole, (_zip_member(path, info) for info in whole.infolist() if not info.is_dir())
     else:
-        with path.open("rb") as packed, _plain(packed) as plain, tarfile.open(fileobj=_InPieces(plain), mode="r:") as tape:
+        with (
+            path.open("rb") as packed,
+            _plain(packed) as plain,
+            tarfile.open(fileobj=_InPieces(plain), mode="r:") as tape,
+        ):
             yield tape, (_tar_member(path, info) for info in tape if not info.isdir())
 
 
@@ -127,15 +150,21 @@ class _InPieces(io.RawIOBase):
 def _zip_member(path: Path, info: zipfile.ZipInfo) -> Member:
     kind = stat.S_IFMT(info.external_attr >> 16)
     if kind not in (0, stat.S_IFREG):
-        raise InputError(f"{path}: {printable(info.filename)}: expected a plain file, got a link or device")
+        raise InputError(
+            f"{path}: {printable(info.filename)}: expected a plain file, got a link or device"
+        )
     if info.flag_bits & 1 or info.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
-        raise InputError(f"{path}: {printable(info.filename)}: expected a file stored or deflated, without a password")
+        raise InputError(
+            f"{path}: {printable(info.filename)}: expected a file stored or deflated, without a password"
+        )
     return Member(info.filename, info.file_size, info)
 
 
 def _tar_member(path: Path, info: tarfile.TarInfo) -> Member:
     if not info.isreg():
-        raise InputError(f"{path}: {printable(info.name)}: expected a plain file, got a link or device")
+        raise InputError(
+            f"{path}: {printable(info.name)}: expected a plain file, got a link or device"
+        )
     return Member(info.name, info.size, info)
 
 
@@ -146,7 +175,9 @@ def _checked(path: Path, members: Iterator[Member]) -> list[Member]:
         total += member.bytes
         _check_name(path, member.name)
         if member.name in names:
-            raise InputError(f"{path}: expected different names, got {printable(member.name)} twice")
+            raise InputError(
+                f"{path}: expected different names, got {printable(member.name)} twice"
+            )
         if total > _TOTAL_BYTES or (total > _SMALL_BYTES and total > _RATIO * packed):
             raise InputError(
                 f"{path}: expected at most {_TOTAL_BYTES / 1e6:.0f} MB unpacked and {_RATIO} times its size, got {total / 1e6:.0f} MB or more"
@@ -170,13 +201,19 @@ def _check_name(path: Path, name: str) -> None:
 
 def _copied(archive: Any, member: Member, target: Path, path: Path) -> Path:
     """The member as a file of its own; one that is larger than it says ends here."""
-    source: IO[bytes] | None = archive.open(member.handle) if isinstance(archive, zipfile.ZipFile) else archive.extractfile(member.handle)
+    source: IO[bytes] | None = (
+        archive.open(member.handle)
+        if isinstance(archive, zipfile.ZipFile)
+        else archive.extractfile(member.handle)
+    )
     assert source is not None  # a plain file, as was checked
     left = member.bytes
     with source, target.open("wb") as file:
         while piece := source.read(_PIECE):
             left -= len(piece)
             if left < 0:
-                raise InputError(f"{path}: {printable(member.name)}: expected {member.bytes} bytes as it says, got more")
+                raise InputError(
+                    f"{path}: {printable(member.name)}: expected {member.bytes} bytes as it says, got more"
+                )
             file.write(piece)
     return target

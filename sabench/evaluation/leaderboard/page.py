@@ -24,9 +24,15 @@ from sabench.utils.files import LONGEST_PART, inside
 _SCRIPTS = ("base", "state", "rows", "table", "plots", "case", "main")
 _CASE = ("track", "case", "scene_hash", "renderer", "split")
 _ENTRY = (*_CASE, "solver", "parameters", "machine", "submission")
-_DEGREES = 100  # of freedom for which the page knows Student's quantile; beyond them the last one is a little too wide
-_DIGITS = 9  # of every score on the page: more than any table shows, so that small differences of pairs are still right
-_PICTURES_BYTES = 80_000_000  # of the page; those beyond are left out, the best of every case come first
+# of freedom for which the page knows Student's quantile; beyond them the last one is a little too
+# wide
+_DEGREES = 100
+# of every score on the page: more than any table shows, so that small differences of pairs are
+# still right
+_DIGITS = 9
+_PICTURES_BYTES = (
+    80_000_000  # of the page; those beyond are left out, the best of every case come first
+)
 
 PICTURED = {  # heading and text of a case's pictures, and whether they are wide
     "reconstruction": (
@@ -91,24 +97,40 @@ def render(rows: Sequence[Record], pictures: Path) -> str:
     albums, left_out = _albums(shown, places, pictures)
     pool = _Pool()
     data = {
-        "tracks": {track: _track(track) for track in COLUMNS if any(row["track"] == track for row in shown)},
+        "tracks": {
+            track: _track(track) for track in COLUMNS if any(row["track"] == track for row in shown)
+        },
         "cases": [_case(case) for case in cases],
         "rows": [_row(row, case, pool) for row, case in zip(shown, places, strict=True)],
-        "texts": pool.texts, "quantiles": _quantiles(), "leftOut": left_out,
-    }  # fmt: skip
+        "texts": pool.texts,
+        "quantiles": _quantiles(),
+        "leftOut": left_out,
+    }
     return _assembled(data, albums)
 
 
 def _assembled(data: dict[str, Any], albums: dict[int, dict[str, str]]) -> str:
     folder = plugins.bundled("leaderboard")
     style = _inline((folder / "page" / "page.css").read_text(encoding="utf-8"))
-    parts = "\n".join((folder / "page" / f"{name}.js").read_text(encoding="utf-8") for name in _SCRIPTS)
-    script = _inline(f"(() => {{\n{parts}}})();")  # a function of its own: the library's names are not its names
+    parts = "\n".join(
+        (folder / "page" / f"{name}.js").read_text(encoding="utf-8") for name in _SCRIPTS
+    )
+    script = _inline(
+        f"(() => {{\n{parts}}})();"
+    )  # a function of its own: the library's names are not its names
     texts = {"style": style, "script": script, "library": library()}
-    environment = Environment(loader=FileSystemLoader(folder), autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
+    environment = Environment(
+        loader=FileSystemLoader(folder),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
     blocks = {number: _data(album) for number, album in albums.items()}
     hashes = {name: _hash(text) for name, text in texts.items()}
-    return environment.get_template("page.html.j2").render(**texts, hashes=hashes, data=_data(data), albums=blocks)
+    return environment.get_template("page.html.j2").render(
+        **texts, hashes=hashes, data=_data(data), albums=blocks
+    )
 
 
 @cache
@@ -121,7 +143,9 @@ def library() -> str:
 
 def _inline(text: str) -> str:
     """Text that a script or style element can hold as it is."""
-    return re.sub(r"<(?=/script|/style|!--)", r"<\\", text.replace("\r\n", "\n"), flags=re.IGNORECASE)
+    return re.sub(
+        r"<(?=/script|/style|!--)", r"<\\", text.replace("\r\n", "\n"), flags=re.IGNORECASE
+    )
 
 
 def _hash(text: str) -> str:
@@ -169,8 +193,17 @@ def _rank(row: Record) -> tuple[bool, bool, float]:
 
 def _track(track: str) -> dict[str, Any]:
     heading, told, wide = PICTURED[track]
-    columns = [{"key": one.key, "heading": one.heading, "decimals": one.decimals, "meaning": one.meaning} for one in COLUMNS[track]]
-    pictured = {"heading": heading, "told": told, "wide": wide, "cameras": _CAMERAS[track], "errors": _ERRORS.get(track, "")}
+    columns = [
+        {"key": one.key, "heading": one.heading, "decimals": one.decimals, "meaning": one.meaning}
+        for one in COLUMNS[track]
+    ]
+    pictured = {
+        "heading": heading,
+        "told": told,
+        "wide": wide,
+        "cameras": _CAMERAS[track],
+        "errors": _ERRORS.get(track, ""),
+    }
     return {"columns": columns, "larger": LARGER_IS_BETTER[track], "pictured": pictured}
 
 
@@ -178,10 +211,20 @@ def _case(rows: Sequence[Record]) -> dict[str, Any]:
     """What its rows say of a case; older records do not say all of it."""
     first = rows[0]
     hidden = "-hidden" if first["split"] == "hidden" else ""
-    told = {name: next((row[name] for row in rows if row.get(name)), None) for name in ("suite", "difficulty", "axis", "axes")}
+    told = {
+        name: next((row[name] for row in rows if row.get(name)), None)
+        for name in ("suite", "difficulty", "axis", "axes")
+    }
     head = {name: first[name] for name in ("track", "scene", "renderer", "split")}
     tag = f"{first['case']}-{first['scene_hash'][:8]}-{first['renderer']}{hidden}"
-    return {**head, **told, "axes": text_of(told["axes"] or {}), "id": tag, "name": first["case"], "hash": first["scene_hash"]}
+    return {
+        **head,
+        **told,
+        "axes": text_of(told["axes"] or {}),
+        "id": tag,
+        "name": first["case"],
+        "hash": first["scene_hash"],
+    }
 
 
 def _row(row: Record, case: int, pool: _Pool) -> dict[str, Any]:
@@ -191,26 +234,53 @@ def _row(row: Record, case: int, pool: _Pool) -> dict[str, Any]:
     several = len(runs) > 1
     reference = [run["reference_s"] for run in runs if run.get("reference_s")]
     return {
-        "id": hashlib.sha256(key_of(row, _ENTRY).encode()).hexdigest()[:10], "case": case,
-        "solver": pool(row.get("label") or row["solver"]), "name": pool(row["solver"]), "parameters": pool(text_of(row["parameters"])),
-        "machine": pool(", ".join(str(row["machine"][key]) for key in ("cpu", "backend") if row["machine"].get(key))),
-        "machineAll": pool(text_of(row["machine"])), "versions": pool(text_of(row["versions"])), "submission": row.get("submission"),
+        "id": hashlib.sha256(key_of(row, _ENTRY).encode()).hexdigest()[:10],
+        "case": case,
+        "solver": pool(row.get("label") or row["solver"]),
+        "name": pool(row["solver"]),
+        "parameters": pool(text_of(row["parameters"])),
+        "machine": pool(
+            ", ".join(
+                str(row["machine"][key]) for key in ("cpu", "backend") if row["machine"].get(key)
+            )
+        ),
+        "machineAll": pool(text_of(row["machine"])),
+        "versions": pool(text_of(row["versions"])),
+        "submission": row.get("submission"),
         "commands": [pool(text) for text in commands(runs)],
-        "seeds": [run["seed"] for run in runs], "datasets": [pool(run["dataset"]) for run in runs], "runs": [run["run_hash"] for run in runs],
-        "codes": [pool(text) for text in dict.fromkeys(run["code_hash"] for run in runs if run.get("code_hash"))],
+        "seeds": [run["seed"] for run in runs],
+        "datasets": [pool(run["dataset"]) for run in runs],
+        "runs": [run["run_hash"] for run in runs],
+        "codes": [
+            pool(text)
+            for text in dict.fromkeys(run["code_hash"] for run in runs if run.get("code_hash"))
+        ],
         "reference": short(sum(reference) / len(reference)) if reference else None,
         "scores": [_pair(row[key]) for key in keys],
-        "values": [[None if run[key] is None else short(run[key]) for run in runs] for key in keys] if several else None,
-        "error": row["error"], "declined": bool(row["error"]) and all(run.get("declined") for run in runs if run.get("error")),
-    }  # fmt: skip
+        "values": [[None if run[key] is None else short(run[key]) for run in runs] for key in keys]
+        if several
+        else None,
+        "error": row["error"],
+        "declined": bool(row["error"])
+        and all(run.get("declined") for run in runs if run.get("error")),
+    }
 
 
 def commands(runs: Sequence[Record]) -> list[str]:
     """What makes a row again: one command with all seeds where theirs differ in the seed alone, else those of each."""
     known = [run for run in runs if run.get("command")]
-    plain = {re.sub(rf"--seed {run['seed']}(?= |$)", "--seed", run["command"], count=1) for run in known}
+    plain = {
+        re.sub(rf"--seed {run['seed']}(?= |$)", "--seed", run["command"], count=1) for run in known
+    }
     if len(plain) == 1:
-        return [re.sub(r"--seed(?= |$)", " ".join(f"--seed {run['seed']}" for run in known), plain.pop(), count=1)]
+        return [
+            re.sub(
+                r"--seed(?= |$)",
+                " ".join(f"--seed {run['seed']}" for run in known),
+                plain.pop(),
+                count=1,
+            )
+        ]
     return list(dict.fromkeys(run["command"] for run in known))
 
 
@@ -218,7 +288,11 @@ def _pair(score: Mean | None) -> list[float] | None:
     """A mean with its half width, if there is one."""
     if score is None:
         return None
-    return [short(score.mean)] if score.half_width is None else [short(score.mean), short(score.half_width)]
+    return (
+        [short(score.mean)]
+        if score.half_width is None
+        else [short(score.mean), short(score.half_width)]
+    )
 
 
 def short(value: float) -> float:
@@ -228,15 +302,22 @@ def short(value: float) -> float:
 
 def text_of(values: Record) -> str:
     """`key value, key value`, strings without quotes."""
-    return ", ".join(f"{key} {value if isinstance(value, str) else json.dumps(value)}" for key, value in values.items())
+    return ", ".join(
+        f"{key} {value if isinstance(value, str) else json.dumps(value)}"
+        for key, value in values.items()
+    )
 
 
 def _quantiles() -> list[float]:
     """Student's quantiles for 1, 2, ... degrees of freedom, by which the page makes intervals of differences as `statistics` does."""
-    return [short(float(stdtrit(degree, (1.0 + CONFIDENCE) / 2.0))) for degree in range(1, _DEGREES + 1)]
+    return [
+        short(float(stdtrit(degree, (1.0 + CONFIDENCE) / 2.0))) for degree in range(1, _DEGREES + 1)
+    ]
 
 
-def _albums(rows: Sequence[Record], places: Sequence[int], pictures: Path) -> tuple[dict[int, dict[str, str]], int]:
+def _albums(
+    rows: Sequence[Record], places: Sequence[int], pictures: Path
+) -> tuple[dict[int, dict[str, str]], int]:
     """Pictures of every case by their names, in base 64, and how many did not fit into the page."""
     albums: dict[int, dict[str, str]] = {}
     room, left_out = _PICTURES_BYTES, 0
@@ -252,7 +333,9 @@ def _albums(rows: Sequence[Record], places: Sequence[int], pictures: Path) -> tu
     return albums, left_out
 
 
-def _pictures(rows: Sequence[Record], places: Sequence[int], pictures: Path) -> Iterator[tuple[int, int, str, Path]]:
+def _pictures(
+    rows: Sequence[Record], places: Sequence[int], pictures: Path
+) -> Iterator[tuple[int, int, str, Path]]:
     """Rank within its case, place of the case, name and path of every picture that is there."""
     seen: dict[int, int] = {}
     for number, (row, place) in enumerate(zip(rows, places, strict=True)):
@@ -261,9 +344,16 @@ def _pictures(rows: Sequence[Record], places: Sequence[int], pictures: Path) -> 
             continue
         rank = seen[place] = seen.get(place, 0) + 1
         stem = f"{run['solver']}-{run['run_hash'][:8]}"
-        wanted = [(0, "images", "images.png")] + ([(0, "truth", "truth.png")] if row["track"] != "velocimetry" else [])
-        if not run.get("error"):  # a failed run may have left a picture when it once succeeded: it is not this record's
-            wanted += [(rank, f"row{number}", f"{stem}.png"), (rank, f"error{number}", f"{stem}.error.png")]
+        wanted = [(0, "images", "images.png")] + (
+            [(0, "truth", "truth.png")] if row["track"] != "velocimetry" else []
+        )
+        if not run.get(
+            "error"
+        ):  # a failed run may have left a picture when it once succeeded: it is not this record's
+            wanted += [
+                (rank, f"row{number}", f"{stem}.png"),
+                (rank, f"error{number}", f"{stem}.error.png"),
+            ]
         for order, name, file in wanted:
             path = _there(pictures, f"{run['pictures']}/{file}")
             if path:
@@ -272,7 +362,9 @@ def _pictures(rows: Sequence[Record], places: Sequence[int], pictures: Path) -> 
 
 def _there(pictures: Path, name: str) -> Path | None:
     """The picture of that name, None where there is none, or no disk could hold one."""
-    if "\0" in name or any(len(part.encode("utf-8", "replace")) > LONGEST_PART for part in Path(name).parts):
+    if "\0" in name or any(
+        len(part.encode("utf-8", "replace")) > LONGEST_PART for part in Path(name).parts
+    ):
         return None
     path = inside(pictures, name)
     return path if path.is_file() else None

@@ -10,21 +10,36 @@ from sabench.tasks.columns import COLUMNS
 from sabench.utils.confidence import mean_of
 from sabench.utils.files import complete_or_nothing
 
-_ENTRY = ("track", "case", "scene_hash", "renderer", "split", "solver", "parameters", "machine", "submission")
+_ENTRY = (
+    "track",
+    "case",
+    "scene_hash",
+    "renderer",
+    "split",
+    "solver",
+    "parameters",
+    "machine",
+    "submission",
+)
 _LARGEST = 1e15  # beyond it no score is meant, and digits would fill the page
 
 
 def over_seeds(records: list[Record]) -> list[Record]:
     """One row for every case, solver and machine: the first seed's record with `seeds`, `runs` and, in place of every score, its `Mean` over them.
 
-    A score that no seed has is None. `error` counts the seeds that failed and says why the first one did. `runs` are the records of the seeds.
-    Records of a track without columns make no rows.
+    A score that no seed has is None. `error` counts the seeds that failed and says why the first
+    one did. `runs` are the records of the seeds. Records of a track without columns make no rows.
     """
     groups: dict[str, list[Record]] = {}
     for record in sorted(records, key=lambda record: int(record["seed"])):
         track = record.get("track") or "reconstruction"
         if track in COLUMNS:
-            named = {**record, "case": record.get("case") or record["scene"], "track": track, "split": record.get("split") or "public"}
+            named = {
+                **record,
+                "case": record.get("case") or record["scene"],
+                "track": track,
+                "split": record.get("split") or "public",
+            }
             groups.setdefault(key_of(named, _ENTRY), []).append(named)
     return [_merged(group) for group in groups.values()]
 
@@ -36,7 +51,13 @@ def _merged(group: list[Record]) -> Record:
     errors = [record["error"] for record in group if record.get("error")]
     share = f"{len(errors)} of {len(group)} seeds: " if len(group) > 1 and errors else ""
     error = share + errors[0] if errors else None
-    return {**group[0], **means, "seeds": [run["seed"] for run in runs], "runs": runs, "error": error}
+    return {
+        **group[0],
+        **means,
+        "seeds": [run["seed"] for run in runs],
+        "runs": runs,
+        "error": error,
+    }
 
 
 def _number(value: object) -> float | None:

@@ -29,7 +29,18 @@ from sabench.utils.validation import printable
 
 _LONGEST_NAME = 80
 _SCORE_S = 3600.0  # for one result
-_CASE = ("suite", "case", "scene", "difficulty", "axis", "axes", "scene_hash", "seed", "split", "renderer")  # what a record says of the data set
+_CASE = (
+    "suite",
+    "case",
+    "scene",
+    "difficulty",
+    "axis",
+    "axes",
+    "scene_hash",
+    "seed",
+    "split",
+    "renderer",
+)  # what a record says of the data set
 
 
 @dataclass(frozen=True)
@@ -49,7 +60,14 @@ class Standing:
     best: tuple[str, float] | None
 
 
-def submit(path: Path, name: str, data: Sequence[Path], leaderboard: Path, *, date: datetime.date | None = None) -> list[Standing]:
+def submit(
+    path: Path,
+    name: str,
+    data: Sequence[Path],
+    leaderboard: Path,
+    *,
+    date: datetime.date | None = None,
+) -> list[Standing]:
     """Score submitted results and put them on the leaderboard; all of them, or none if one is refused.
 
     Parameters
@@ -63,14 +81,21 @@ def submit(path: Path, name: str, data: Sequence[Path], leaderboard: Path, *, da
     Raises
     ------
     InputError
-        A bad name, archive or result, two results of one data set, solver and parameters, or a result whose data set is not in `data`.
+        A bad name, archive or result, two results of one data set, solver and parameters, or a
+        result whose data set is not in `data`.
     """
     check_name(name)
-    submission = {"name": name, "date": (date or datetime.datetime.now(datetime.UTC).date()).isoformat()}
+    submission = {
+        "name": name,
+        "date": (date or datetime.datetime.now(datetime.UTC).date()).isoformat(),
+    }
     known = read_records(leaderboard / "records")
     with result_files(path) as files:
         sets = _datasets(files, data)
-        made = [_record(label, file, sets[label], known) | {"submission": submission} for label, file in track(files, "check and score")]
+        made = [
+            _record(label, file, sets[label], known) | {"submission": submission}
+            for label, file in track(files, "check and score")
+        ]
     _refuse_twins(path, [label for label, _ in files], made)
     for record in made:
         append(leaderboard / "records" / "submitted.jsonl", record)
@@ -82,7 +107,9 @@ def submit(path: Path, name: str, data: Sequence[Path], leaderboard: Path, *, da
 def check_name(name: str) -> None:
     """Refuse a name that is empty, too long or cannot be printed."""
     if not name.strip() or len(name) > _LONGEST_NAME or not name.isprintable():
-        raise InputError(f"name: expected 1 to {_LONGEST_NAME} printable characters, got {printable(name)!r}")
+        raise InputError(
+            f"name: expected 1 to {_LONGEST_NAME} printable characters, got {printable(name)!r}"
+        )
 
 
 def _datasets(files: list[tuple[str, Path]], folders: Sequence[Path]) -> dict[str, Dataset]:
@@ -93,10 +120,14 @@ def _datasets(files: list[tuple[str, Path]], folders: Sequence[Path]) -> dict[st
         wanted = dataset_of(file)
         if wanted not in known:
             where = ", ".join(str(folder) for folder in folders)
-            raise InputError(f"{printable(label)}: expected a result of a data set in {where}, but none there has the hash {printable(wanted, 12)!r}")
+            raise InputError(
+                f"{printable(label)}: expected a result of a data set in {where}, but none there has the hash {printable(wanted, 12)!r}"
+            )
         root = known[wanted]
         if wanted not in whole and (faults := verify(root)):
-            raise InputError(f"{printable(label)}: expected a whole data set at {root}, but {faults[0]}")
+            raise InputError(
+                f"{printable(label)}: expected a whole data set at {root}, but {faults[0]}"
+            )
         whole.add(wanted)
         found[label] = open_dataset(root)
     return found
@@ -126,7 +157,14 @@ def _record(label: str, file: Path, data: Dataset, known: list[Record]) -> Recor
     run_hash = digest([data.content_hash, head["solver"], head["parameters"]])
     costs = {"seconds": None, "peak_mb": None}  # of a machine that nobody here has seen
     figures = {column.key: scores[column.key] for column in COLUMNS[head["track"]]}
-    rest = {"dataset": data.content_hash, "run_hash": run_hash, "versions": {"sabench": __version__}, "machine": {}, "error": None, "declined": False}
+    rest = {
+        "dataset": data.content_hash,
+        "run_hash": run_hash,
+        "versions": {"sabench": __version__},
+        "machine": {},
+        "error": None,
+        "declined": False,
+    }
     return head | rest | figures | costs
 
 
@@ -159,24 +197,36 @@ def _refuse_twins(path: Path, labels: list[str], made: list[Record]) -> None:
     for label, record in zip(labels, made, strict=True):
         if record["run_hash"] in seen:
             first, second = printable(seen[record["run_hash"]]), printable(label)
-            raise InputError(f"{path}: expected one result for each data set, solver and parameters, got {first} and {second}")
+            raise InputError(
+                f"{path}: expected one result for each data set, solver and parameters, got {first} and {second}"
+            )
         seen[record["run_hash"]] = label
 
 
 def standing(record: Record, every: Sequence[Record]) -> Standing:
     """Where a record ranks among the records of its data set and track, by the track's first column; equal scores share the better rank."""
     key, sign = COLUMNS[record["track"]][0].key, 1.0 if LARGER_IS_BETTER[record["track"]] else -1.0
-    rivals = [one for one in every if (one["dataset"], one["track"]) == (record["dataset"], record["track"]) and _has(one, key)]
+    rivals = [
+        one
+        for one in every
+        if (one["dataset"], one["track"]) == (record["dataset"], record["track"]) and _has(one, key)
+    ]
     own = record.get(key)
     rank = None if own is None else 1 + sum(sign * one[key] > sign * own for one in rivals)
-    others = [one for one in rivals if (one["run_hash"], one.get("submission")) != (record["run_hash"], record["submission"])]
+    others = [
+        one
+        for one in rivals
+        if (one["run_hash"], one.get("submission")) != (record["run_hash"], record["submission"])
+    ]
     best = max(others, key=lambda one: sign * one[key], default=None)
     return Standing(record, rank, len(rivals), (entry_name(best), best[key]) if best else None)
 
 
 def _has(record: Record, key: str) -> bool:
     value = record.get(key)
-    return isinstance(value, int | float) and not isinstance(value, bool) and not record.get("error")
+    return (
+        isinstance(value, int | float) and not isinstance(value, bool) and not record.get("error")
+    )
 
 
 def entry_name(record: Record) -> str:

@@ -36,14 +36,17 @@ TABLES = {
 }
 
 
-def reproduce(tables: Sequence[str], seeds: int | None = None, pixels: int | None = None) -> Iterator[Item]:
+def reproduce(
+    tables: Sequence[str], seeds: int | None = None, pixels: int | None = None
+) -> Iterator[Item]:
     """The rows of tables and figures, and pictures of curves, each as soon as it is measured; frames that several of them look at are taken once.
 
     Parameters
     ----------
     tables : some of `TABLES`.
     seeds : how many; by default as many as each table's module says.
-    pixels : side of the images; by default the scene's. Fewer make a coarse copy of each array, for a quick look.
+    pixels : side of the images; by default the scene's. Fewer make a coarse copy of each array, for
+        a quick look.
 
     Raises
     ------
@@ -53,6 +56,13 @@ def reproduce(tables: Sequence[str], seeds: int | None = None, pixels: int | Non
     for table in tables:
         if table not in TABLES:
             near = difflib.get_close_matches(table, TABLES, 1)
-            raise InputError(f"{table}: expected one of {', '.join(TABLES)}" + (f"; did you mean {near[0]}?" if near else ""))
-    modules: list[Any] = [importlib.import_module(f"{__name__}.{table.replace('-', '_')}") for table in tables]
-    return itertools.chain.from_iterable(module.rows(range(1, (seeds or module.SEEDS) + 1), pixels) for module in modules)
+            raise InputError(
+                f"{table}: expected one of {', '.join(TABLES)}"
+                + (f"; did you mean {near[0]}?" if near else "")
+            )
+    modules: list[Any] = [
+        importlib.import_module(f"{__name__}.{table.replace('-', '_')}") for table in tables
+    ]
+    return itertools.chain.from_iterable(
+        module.rows(range(1, (seeds or module.SEEDS) + 1), pixels) for module in modules
+    )

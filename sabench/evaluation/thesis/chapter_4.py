@@ -21,12 +21,19 @@ from sabench.utils.arrays import F64
 from sabench.utils.rng import stream
 from sabench.worlds.calibration_targets import exact_pixels, found_pixels, place, prior
 
-D_PIX = 0.052  # mm of the volume's middle that a pixel of the central camera sees, as the thesis gives it
+# mm of the volume's middle that a pixel of the central camera sees, as the thesis gives it
+D_PIX = 0.052
 NOISES = (0.1, 0.5, 1.0, 2.0)
 STARTS = (0.001, 0.005, 0.01, 0.1, 0.2)
 _INNER = ((-1, -1), (0, -1), (1, -1), (-1, 0), (0, 0), (1, 0), (-1, 1), (0, 1), (1, 1))
 _OUTER = ((-2, 0), (2, 0), (0, -2), (0, 2))
-_CHOSEN = {3: (3, 4, 8), 7: (0, 2, 3, 4, 5, 6, 8), 8: (0, 1, 2, 3, 5, 6, 7, 8), 9: tuple(range(9)), 13: tuple(range(13))}
+_CHOSEN = {
+    3: (3, 4, 8),
+    7: (0, 2, 3, 4, 5, 6, 8),
+    8: (0, 1, 2, 3, 5, 6, 7, 8),
+    9: tuple(range(9)),
+    13: tuple(range(13)),
+}
 
 
 @dataclass(frozen=True)
@@ -36,7 +43,8 @@ class Board:
     Attributes
     ----------
     case : what a solver sees.
-    cameras, points_mm, exact : true cameras, true points (frame, point, 3), and where these truly are in the images (camera, frame, point, 2).
+    cameras, points_mm, exact : true cameras, true points (frame, point, 3), and where these truly
+        are in the images (camera, frame, point, 2).
     """
 
     case: CalibrationCase
@@ -45,18 +53,27 @@ class Board:
     exact: F64
 
 
-def scene_of(cameras: int, baseline: float, noise_px: float, start: float, *, wall: bool = True) -> Scene:
+def scene_of(
+    cameras: int, baseline: float, noise_px: float, start: float, *, wall: bool = True
+) -> Scene:
     """Cameras D s_o apart, five boards of 11 x 11 points in 50 x 50 x 50 mm behind 5 mm of glass; section 4.4.2.
 
     Parameters
     ----------
-    start : standard deviation of the rough points over the volume's edge; cameras start as wrong as that.
+    start : standard deviation of the rough points over the volume's edge; cameras start as wrong as
+        that.
     """
-    values: dict[str, Any] = scene_at([(_INNER + _OUTER)[number] for number in _CHOSEN[cameras]], baseline).to_dict()
+    values: dict[str, Any] = scene_at(
+        [(_INNER + _OUTER)[number] for number in _CHOSEN[cameras]], baseline
+    ).to_dict()
     values["detection"] = {"noise_px": noise_px}
     values["calibration"] = {
-        "points": start, "center_mm": 200.0 * start, "turn_deg": 20.0 * start, "focal_percent": 30.0 * start, "known": [{"frame": 2, "point": 60}],
-    }  # fmt: skip
+        "points": start,
+        "center_mm": 200.0 * start,
+        "turn_deg": 20.0 * start,
+        "focal_percent": 30.0 * start,
+        "known": [{"frame": 2, "point": 60}],
+    }
     if not wall:
         del values["wall"]
     return parse_scene(values, f"{cameras} cameras, D = {baseline:g}")
@@ -66,13 +83,24 @@ def scene_at(steps: Sequence[tuple[int, int]], baseline: float) -> Scene:
     """The bundled scene with cameras so many baselines from the array's middle."""
     values: dict[str, Any] = load_scene("calibration").to_dict()
     middle = values["volume"]["center_mm"][2] - values["cameras"]["center_mm"][2]
-    places = [{"center_mm": [x * baseline * middle, y * baseline * middle, values["cameras"]["center_mm"][2]]} for x, y in steps]
+    places = [
+        {
+            "center_mm": [
+                x * baseline * middle,
+                y * baseline * middle,
+                values["cameras"]["center_mm"][2],
+            ]
+        }
+        for x, y in steps
+    ]
     values["cameras"]["layout"] = {"kind": "list", "places": places}
     return parse_scene(values, f"D = {baseline:g}")
 
 
 @functools.cache
-def board(cameras: int, baseline: float, noise_px: float, start: float, seed: int, wall: bool = True) -> Board:
+def board(
+    cameras: int, baseline: float, noise_px: float, start: float, seed: int, wall: bool = True
+) -> Board:
     """One draw of boards, noise and start."""
     return draw(scene_of(cameras, baseline, noise_px, start, wall=wall), seed)
 
@@ -81,10 +109,18 @@ def draw(scene: Scene, seed: int) -> Board:
     """What a scene's cameras see of its target, with the truth beside it."""
     true, placed = build_rig(scene).cameras, place(scene, seed)
     exact = np.stack([exact_pixels(camera, placed.points_mm) for camera in true])
-    pixels = np.stack([found_pixels(scene.detection, own, seed, number)[0] for number, own in enumerate(exact)])
+    pixels = np.stack(
+        [found_pixels(scene.detection, own, seed, number)[0] for number, own in enumerate(exact)]
+    )
     known = prior(scene, placed, seed)
     case = CalibrationCase(
-        placed.target, pixels, told_cameras(scene, true, seed), known.rough_mm, known.known_mm, known.known_sigma_mm, scene.unknown
+        placed.target,
+        pixels,
+        told_cameras(scene, true, seed),
+        known.rough_mm,
+        known.known_mm,
+        known.known_sigma_mm,
+        scene.unknown,
     )
     return Board(case, true, placed.points_mm, exact)
 
@@ -107,8 +143,13 @@ def places_of(answer: Calibration, given: Board) -> F64:
 def reprojection(answer: Calibration, given: Board) -> tuple[float, float]:
     """Mean true and measured reprojection error, px."""
     flat = places_of(answer, given).reshape(-1, 3)
-    again = np.stack([camera.project(flat)[0] for camera in answer.cameras]).reshape(given.exact.shape)
-    true, measured = (float(np.nanmean(np.linalg.norm(again - other, axis=-1))) for other in (given.exact, given.case.pixels))
+    again = np.stack([camera.project(flat)[0] for camera in answer.cameras]).reshape(
+        given.exact.shape
+    )
+    true, measured = (
+        float(np.nanmean(np.linalg.norm(again - other, axis=-1)))
+        for other in (given.exact, given.case.pixels)
+    )
     return true, measured
 
 
@@ -118,14 +159,20 @@ def point_errors(answer: Calibration, given: Board, how: Any = "lateral") -> F64
     return np.asarray(alignment(how, found, truths)(found) - truths)
 
 
-def held_out(answer: Calibration, given: Board, noise_px: float, seed: int, count: int = 500) -> tuple[F64, F64]:
+def held_out(
+    answer: Calibration, given: Board, noise_px: float, seed: int, count: int = 500
+) -> tuple[F64, F64]:
     """Errors (n, 3) of other points of the volume, seen with noise, by the estimated cameras - in the boards' alignment - and by the true ones."""
     rng = stream(seed, "held out")
     places = np.array([0.0, 0.0, 35.0]) + 45.0 * (rng.random((count, 3)) - 0.5)
     pixels = np.stack([camera.project(places)[0] for camera in given.cameras])
     pixels = pixels + noise_px * rng.standard_normal(pixels.shape)
-    motion = alignment("lateral", places_of(answer, given).reshape(-1, 3), given.points_mm.reshape(-1, 3))
-    return motion(triangulate(answer.cameras, pixels)) - places, triangulate(given.cameras, pixels) - places
+    motion = alignment(
+        "lateral", places_of(answer, given).reshape(-1, 3), given.points_mm.reshape(-1, 3)
+    )
+    return motion(triangulate(answer.cameras, pixels)) - places, triangulate(
+        given.cameras, pixels
+    ) - places
 
 
 def with_points(given: Board, points_mm: F64) -> Board:

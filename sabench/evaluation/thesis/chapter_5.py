@@ -6,7 +6,15 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from sabench.algorithms.bubbles.feature_potential import STACK, WINDOW, attenuate, darkness, feature, minimum_images, outlines
+from sabench.algorithms.bubbles.feature_potential import (
+    STACK,
+    WINDOW,
+    attenuate,
+    darkness,
+    feature,
+    minimum_images,
+    outlines,
+)
 from sabench.api import Observation
 from sabench.dataset.reader import observed
 from sabench.geometry.grid import Grid
@@ -25,31 +33,63 @@ def photographed(scene: Scene, seed: int) -> tuple[PhaseWorld, Observation]:
     """The first frame of the data set that `generate` would make, in memory: what is there, and what a solver may see of it."""
     rig = build_rig(scene, scene.title)
     world = Worlds(scene, rig, seed).at(0)
-    images = [record(world, camera).grey for camera in track(rig.cameras, f"render {scene.title}, seed {seed}")]
+    images = [
+        record(world, camera).grey
+        for camera in track(rig.cameras, f"render {scene.title}, seed {seed}")
+    ]
     levels = scene.sensor.black_level_dn, white_level(scene.sensor)
-    return world, observed(np.stack(images), told_cameras(scene, rig.cameras, seed), rig.grid, levels, scene.preprocessing or ())
+    return world, observed(
+        np.stack(images),
+        told_cameras(scene, rig.cameras, seed),
+        rig.grid,
+        levels,
+        scene.preprocessing or (),
+    )
 
 
 def pictures(case: Observation) -> Iterator[Figure]:
     """Figures 5-5, 5-6 and 5-11: a view; the middle third of three refocused planes, and of a minimum image with the outlines found in it."""
     grid, view = case.grid, case.images[len(case.images) // 2].astype(np.float64)
     ends = (0.0, 0.0), (view.shape[1] - 1.0, view.shape[0] - 1.0)
-    yield Figure("fig-5-5", "a backlit view", (Panel("", "px", "px", (Picture(view, *ends),)),), inch=(5.5, 5.5))
+    yield Figure(
+        "fig-5-5",
+        "a backlit view",
+        (Panel("", "px", "px", (Picture(view, *ends),)),),
+        inch=(5.5, 5.5),
+    )
     volume = darkness(case)
     middle, step = len(volume) // 2, round(_OFF_MM / grid.voxel_mm[2])
     planes = [int(np.clip(middle + off, 0, len(volume) - 1)) for off in (-step, 0, step)]
-    panels = [_plane(grid, f"Z = {grid.axes_mm[2][plane]:.1f} mm", 1.0 - volume[plane].astype(np.float64)) for plane in planes]
+    panels = [
+        _plane(grid, f"Z = {grid.axes_mm[2][plane]:.1f} mm", 1.0 - volume[plane].astype(np.float64))
+        for plane in planes
+    ]
     yield Figure("fig-5-6", "refocused planes", tuple(panels), inch=(4.6, 4.2))
     attenuate(volume, feature(volume, WINDOW), WINDOW)
     dark, depth = minimum_images(volume)[middle // STACK]
     found = outlines(dark, depth, _EDGE, _SMALL_PX).shapes
-    rings = np.column_stack([found[:, :2] * grid.voxel_mm[:2] + np.asarray(grid.low_mm[:2]), np.sqrt(found[:, 2] * found[:, 3]) * grid.voxel_mm[0]])
+    rings = np.column_stack(
+        [
+            found[:, :2] * grid.voxel_mm[:2] + np.asarray(grid.low_mm[:2]),
+            np.sqrt(found[:, 2] * found[:, 3]) * grid.voxel_mm[0],
+        ]
+    )
     seen = 1.0 - dark.astype(np.float64)
-    yield Figure("fig-5-11", "minimum image of 50 planes", (_plane(grid, "", seen), _plane(grid, "outlines", seen, rings)), inch=(5.4, 4.8))
+    yield Figure(
+        "fig-5-11",
+        "minimum image of 50 planes",
+        (_plane(grid, "", seen), _plane(grid, "outlines", seen, rings)),
+        inch=(5.4, 4.8),
+    )
 
 
 def _plane(grid: Grid, title: str, values: F64, rings: F64 | None = None) -> Panel:
     third = slice(len(values) // 3, 2 * len(values) // 3)
     x, y, values = grid.axes_mm[0], grid.axes_mm[1][third], values[third]
     rings = rings[(rings[:, 1] >= y[0]) & (rings[:, 1] <= y[-1])] if rings is not None else None
-    return Panel(title, "X, mm", "Y, mm", (Picture(values, (float(x[0]), float(y[0])), (float(x[-1]), float(y[-1])), rings),))
+    return Panel(
+        title,
+        "X, mm",
+        "Y, mm",
+        (Picture(values, (float(x[0]), float(y[0])), (float(x[-1]), float(y[-1])), rings),),
+    )

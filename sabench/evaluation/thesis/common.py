@@ -62,7 +62,9 @@ def compared(name: str, thesis: float | None, values: Sequence[float], note: str
     mean = mean_of(values)
     if mean is None:
         return Row(name, thesis, None, "not reached", note=note)
-    return Row(name, thesis, mean.mean, verdict(mean.mean, thesis), mean.half_width, mean.count, note)
+    return Row(
+        name, thesis, mean.mean, verdict(mean.mean, thesis), mean.half_width, mean.count, note
+    )
 
 
 def verdict(measured: float, thesis: float | None) -> str:
@@ -97,9 +99,11 @@ def coarsened(scene: Scene, pixels: int | None) -> Scene:
         return scene
     factor = scene.cameras.columns / pixels
     values: dict[str, Any] = {
-        "cameras.rows": round(scene.cameras.rows / factor), "cameras.columns": pixels, "cameras.pixel_mm": scene.cameras.pixel_mm * factor,
+        "cameras.rows": round(scene.cameras.rows / factor),
+        "cameras.columns": pixels,
+        "cameras.pixel_mm": scene.cameras.pixel_mm * factor,
         "grid.voxel_mm": [edge * factor for edge in scene.grid.voxel_mm],
-    }  # fmt: skip
+    }
     if "per_mm3" in (scene.particles or {}):
         values["particles.per_mm3"] = density(scene) / factor**2
     return override(scene, values, scene.title)
@@ -117,13 +121,21 @@ def with_density(scene: Scene, per_mm3: float) -> Scene:
 
 def per_pixel(scene: Scene) -> float:
     """Particles per pixel of one camera (ppp)."""
-    return density(scene) * float(np.prod(scene.volume.size_mm)) / (scene.cameras.rows * scene.cameras.columns)
+    return (
+        density(scene)
+        * float(np.prod(scene.volume.size_mm))
+        / (scene.cameras.rows * scene.cameras.columns)
+    )
 
 
 def simulated(scene: Scene, seed: int) -> Shot:
     """A frame of the scene, announced: a table takes many."""
     shot = simulate(scene, seed=seed)
-    console.print(f"{scene.title}: {len(shot.particles)} particles, seed {seed}", markup=False, highlight=False)
+    console.print(
+        f"{scene.title}: {len(shot.particles)} particles, seed {seed}",
+        markup=False,
+        highlight=False,
+    )
     return shot
 
 
@@ -133,7 +145,8 @@ class Quality:
 
     Attributes
     ----------
-    best, best_k : at the threshold that makes it largest, as the thesis tunes it with the truth at hand.
+    best, best_k : at the threshold that makes it largest, as the thesis tunes it with the truth at
+        hand.
     blind, blind_k : at the threshold that the images alone suggest.
     """
 
@@ -171,19 +184,29 @@ class Refocused:
     def of(cls, shot: Shot, grid: Grid, particles: Particles, volume: F32) -> Refocused:
         """A volume on its grid with the particles in the grid's space."""
         field = true_field(grid, particles, shot.views)
-        return cls(replace(shot.observation, grid=grid), grid.to_voxels(particles.position_mm), volume, field)
+        return cls(
+            replace(shot.observation, grid=grid),
+            grid.to_voxels(particles.position_mm),
+            volume,
+            field,
+        )
 
     def quality(self) -> Quality:
         """Q (equation 2.13) with thresholds that are subtracted from what exceeds them."""
         values = quality_of_k(self.volume, self.field, KS, "reduced", self.case.grid.scored)
         top, blind = int(values.argmax()), auto_k(self.volume, occupancy(self.case), "reduced")
-        return Quality(float(values[top]), float(KS[top]), float(np.interp(blind, KS, values)), blind)
+        return Quality(
+            float(values[top]), float(KS[top]), float(np.interp(blind, KS, values)), blind
+        )
 
     def judged(self) -> Judged:
         """Q, and the particles at the threshold with the best Q as in the thesis; the volume is left thresholded."""
         quality, grid = self.quality(), self.case.grid
         found = detect(extract(self.volume, quality.best_k, "reduced"))
-        return Judged(quality, count_thesis(found, self.truths, grid.in_scored(found), grid.in_scored(self.truths)))
+        return Judged(
+            quality,
+            count_thesis(found, self.truths, grid.in_scored(found), grid.in_scored(self.truths)),
+        )
 
 
 def map_shift_average(shot: Shot) -> Refocused:
@@ -199,7 +222,10 @@ def additive(shot: Shot) -> Refocused:
     return Refocused.of(shot, seen.grid, shot.particles, volume)
 
 
-METHODS: Mapping[str, Callable[[Shot], Refocused]] = {"map-shift-average": map_shift_average, "additive": additive}
+METHODS: Mapping[str, Callable[[Shot], Refocused]] = {
+    "map-shift-average": map_shift_average,
+    "additive": additive,
+}
 
 
 _seen: dict[tuple[str, int], Mapping[str, Judged]] = {}
@@ -228,14 +254,21 @@ def detection_rows(name: str, found: Sequence[Counts], note: str = "") -> list[R
     """True particles and ghosts of several seeds; the thesis shows such figures as curves without numbers."""
     true = compared(f"{name}: true %", None, [counts.true_percent for counts in found], note)
     ghosts = [counts.ghost_percent for counts in found]
-    return [true, compared(f"{name}: ghost %", None, [value for value in ghosts if value is not None], note)]
+    return [
+        true,
+        compared(f"{name}: ghost %", None, [value for value in ghosts if value is not None], note),
+    ]
 
 
-def settings(solver: str, window: tuple[int, int, int], overlap: float, grid: Grid) -> dict[str, Any]:
+def settings(
+    solver: str, window: tuple[int, int, int], overlap: float, grid: Grid
+) -> dict[str, Any]:
     """A PIV solver's parameters with the thesis's windows; the first ones of `piv3d` are twice as long and find larger displacements.
 
     A coarse copy of an array has fewer voxels: windows are then as large as fit, in whole steps.
     """
-    fitting = tuple(min(own, 4 * (there // 4)) for own, there in zip(window, grid.shape[::-1], strict=True))
+    fitting = tuple(
+        min(own, 4 * (there // 4)) for own, there in zip(window, grid.shape[::-1], strict=True)
+    )
     same = {"window": fitting, "overlap": overlap}
     return same | ({"first_window": tuple(2 * own for own in fitting)} if solver == "piv3d" else {})

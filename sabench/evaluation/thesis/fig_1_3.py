@@ -33,24 +33,46 @@ def rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
     for seed in seeds:
         world, case = photographed(scene, seed)
         code = code_of(scene, seed, 0)
-        single = [reading(cells, code.dark) for cells in single_views(case, world.rig.cameras, code)]
-        found.setdefault("single views, mean", []).append({key: float(np.nanmean([one[key] for one in single])) for key in single[0]})
-        found.setdefault("best single view", []).append(max(single, key=lambda one: one["read_percent"]))
+        single = [
+            reading(cells, code.dark) for cells in single_views(case, world.rig.cameras, code)
+        ]
+        found.setdefault("single views, mean", []).append(
+            {key: float(np.nanmean([one[key] for one in single])) for key in single[0]}
+        )
+        found.setdefault("best single view", []).append(
+            max(single, key=lambda one: one["read_percent"])
+        )
         for method in _METHODS:
             algorithm: Any = make_algorithm("see_through", {"method": method})
             volume = algorithm.solve(case).volume
-            found.setdefault(method, []).append(reading(read_volume(case.grid, volume, code), code.dark))
+            found.setdefault(method, []).append(
+                reading(read_volume(case.grid, volume, code), code.dark)
+            )
             if seed == seeds[0]:
                 panels.append(_panel(method, code_plane(case.grid, volume, code)))
         if seed == seeds[0]:
             panels = [*_views(scene, seed, case, code), *panels]
     yield Figure("fig-1-3", "a code behind bubbles", tuple(panels), across=3)
     for name, every in found.items():
-        yield compared(f"{name}: cells read, %", None, [one["read_percent"] for one in every], "guessing gives 50")
+        yield compared(
+            f"{name}: cells read, %",
+            None,
+            [one["read_percent"] for one in every],
+            "guessing gives 50",
+        )
         yield compared(f"{name}: d'", None, [one["separation"] for one in every])
         yield compared(f"{name}: contrast", None, [one["contrast"] for one in every])
-    best, blind = (np.array([one["read_percent"] for one in found[name]]) for name in ("additive", "best single view"))
-    yield claim("refocusing shows what no single view shows", "figure 1-3", float((best - blind).min()), bool((best > blind).all()), "least gain, %")
+    best, blind = (
+        np.array([one["read_percent"] for one in found[name]])
+        for name in ("additive", "best single view")
+    )
+    yield claim(
+        "refocusing shows what no single view shows",
+        "figure 1-3",
+        float((best - blind).min()),
+        bool((best > blind).all()),
+        "least gain, %",
+    )
 
 
 def _views(scene: Scene, seed: int, case: Observation, code: Code) -> list[Panel]:
@@ -59,8 +81,16 @@ def _views(scene: Scene, seed: int, case: Observation, code: Code) -> list[Panel
     middle = len(case.images) // 2
     world = Worlds(bare, build_rig(bare, bare.title), seed).at(0)
     clear = record(world, world.rig.cameras[middle]).grey
-    return [_panel("(a) without bubbles", clear.astype(np.float64)), _panel("(b) one view", case.images[middle].astype(np.float64))]
+    return [
+        _panel("(a) without bubbles", clear.astype(np.float64)),
+        _panel("(b) one view", case.images[middle].astype(np.float64)),
+    ]
 
 
 def _panel(title: str, values: F64) -> Panel:
-    return Panel(title, "px", "", (Picture(values, (0.0, 0.0), (float(values.shape[1] - 1), float(values.shape[0] - 1))),))
+    return Panel(
+        title,
+        "px",
+        "",
+        (Picture(values, (0.0, 0.0), (float(values.shape[1] - 1), float(values.shape[0] - 1))),),
+    )

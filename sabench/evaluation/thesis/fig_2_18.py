@@ -12,7 +12,15 @@ import numpy as np
 from sabench.api import Velocity, VolumePair
 from sabench.api.make import make_algorithm, make_solver
 from sabench.evaluation.thesis.common import Item, coarsened, compared, settings
-from sabench.metrics.vortex_rings import HalfPlane, Sampled, circulation, core, half_plane, sampled, spin_of
+from sabench.metrics.vortex_rings import (
+    HalfPlane,
+    Sampled,
+    circulation,
+    core,
+    half_plane,
+    sampled,
+    spin_of,
+)
 from sabench.plotting.charts import Curve, Figure, Panel
 from sabench.scenes.rig import load_scene
 from sabench.scenes.schema import Scene
@@ -54,14 +62,20 @@ def rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
             start = time.perf_counter()
             made = [make_solver(volumes, {}).solve(shot.observation).volume for shot in shots]
             spent = time.perf_counter() - start
-            pair = VolumePair(made[0], made[1], shots[0].observation.grid, scene.time_s(1) - scene.time_s(0))
+            pair = VolumePair(
+                made[0], made[1], shots[0].observation.grid, scene.time_s(1) - scene.time_s(0)
+            )
             for solver in _PIV:
                 start = time.perf_counter()
                 measured = _measure(solver, pair)
                 own = found.setdefault((volumes, solver), _Seen())
                 own.seconds.append((spent, time.perf_counter() - start))
                 _look(own, scene, measured)
-                console.print(f"seed {seed}, {volumes}, {solver}: {own.distance[-1]:.3f}, {own.spread[-1]:.1f} %", markup=False, highlight=False)
+                console.print(
+                    f"seed {seed}, {volumes}, {solver}: {own.distance[-1]:.3f}, {own.spread[-1]:.1f} %",
+                    markup=False,
+                    highlight=False,
+                )
                 if seed == seeds[-1] and (volumes, solver) == (_VOLUMES[-1], _PIV[-1]):
                     yield from _figures(scene, measured)
     for (volumes, solver), own in found.items():
@@ -83,7 +97,10 @@ def _planes(scene: Scene) -> list[HalfPlane]:
     """From X to -X by way of the side on which the whole ring is lit."""
     ring = _ring(scene)
     axis = tuple(-float(part) for part in ring["axis"])
-    return [half_plane(tuple(ring["center_mm"]), (axis[0], axis[1], axis[2]), (1.0, 0.0, 0.0), angle) for angle in _ANGLES]
+    return [
+        half_plane(tuple(ring["center_mm"]), (axis[0], axis[1], axis[2]), (1.0, 0.0, 0.0), angle)
+        for angle in _ANGLES
+    ]
 
 
 def _exact(scene: Scene) -> Sampled:
@@ -103,19 +120,36 @@ def _circulations(scene: Scene, velocity: Sampled, spin: Sampled) -> F64:
     ring, out = _ring(scene), []
     for half in _planes(scene):
         r, z, _ = core(spin, half, ring["diameter_mm"] / 2.0, ring["core_mm"])
-        out.append([abs(circulation(velocity, half, r, z, width, width * _ASPECT)) for width in _sizes(scene)])
+        out.append(
+            [
+                abs(circulation(velocity, half, r, z, width, width * _ASPECT))
+                for width in _sizes(scene)
+            ]
+        )
     return np.array(out)
 
 
 def _exact_circulations(scene: Scene) -> F64:
     """Of the rectangles of all sizes about the exact core; the same at all angles."""
     half, radius = _planes(scene)[0], _ring(scene)["diameter_mm"] / 2.0
-    return np.array([abs(circulation(_exact(scene), half, radius, 0.0, width, width * _ASPECT)) for width in _sizes(scene)])
+    return np.array(
+        [
+            abs(circulation(_exact(scene), half, radius, 0.0, width, width * _ASPECT))
+            for width in _sizes(scene)
+        ]
+    )
 
 
 def _look(own: _Seen, scene: Scene, measured: Velocity) -> None:
-    ring, spin, velocity = _ring(scene), spin_of(measured), sampled(measured, measured.velocity_mm_s)
-    cores = [core(spin, half, ring["diameter_mm"] / 2.0, ring["core_mm"]) for half in (_planes(scene)[0], _planes(scene)[-1])]
+    ring, spin, velocity = (
+        _ring(scene),
+        spin_of(measured),
+        sampled(measured, measured.velocity_mm_s),
+    )
+    cores = [
+        core(spin, half, ring["diameter_mm"] / 2.0, ring["core_mm"])
+        for half in (_planes(scene)[0], _planes(scene)[-1])
+    ]
     own.distance.append((cores[0][0] + cores[1][0]) / _ORIFICE_MM)
     around, true = _circulations(scene, velocity, spin), _exact_circulations(scene)
     known = ~np.isnan(around).any(axis=0)
@@ -124,9 +158,13 @@ def _look(own: _Seen, scene: Scene, measured: Velocity) -> None:
     own.peak.append(float(peaks.mean() / true[known].max()) if known.any() else np.nan)
     r = np.linspace(0.0, ring["diameter_mm"], 400)
     points = _planes(scene)[0].points(r, np.zeros_like(r))
-    speeds = [np.abs(values(points) @ np.asarray(ring["axis"])) for values in (velocity, _exact(scene))]
+    speeds = [
+        np.abs(values(points) @ np.asarray(ring["axis"])) for values in (velocity, _exact(scene))
+    ]
     measured_there = ~np.isnan(speeds[0])
-    own.speed.append(float(speeds[0][measured_there].max() / speeds[1].max()) if measured_there.any() else np.nan)
+    own.speed.append(
+        float(speeds[0][measured_there].max() / speeds[1].max()) if measured_there.any() else np.nan
+    )
     exact = [
         core(spin_of(_at_nodes(scene, measured)), half, ring["diameter_mm"] / 2.0, ring["core_mm"])
         for half in (_planes(scene)[0], _planes(scene)[-1])
@@ -137,17 +175,32 @@ def _look(own: _Seen, scene: Scene, measured: Velocity) -> None:
 
 def _at_nodes(scene: Scene, measured: Velocity) -> Velocity:
     """The exact field where the measured one has its nodes."""
-    values = _exact(scene)(measured.positions_mm.reshape(-1, 3)).reshape(measured.velocity_mm_s.shape)
+    values = _exact(scene)(measured.positions_mm.reshape(-1, 3)).reshape(
+        measured.velocity_mm_s.shape
+    )
     return replace(measured, velocity_mm_s=values)
 
 
 def _rows(scene: Scene, name: str, own: _Seen) -> Iterator[Item]:
     before, after = np.mean(own.seconds, axis=0)
     note = f"exact {_ring(scene)['diameter_mm'] / _ORIFICE_MM:.3f}; of the exact field at the same nodes {np.mean(own.known):.3f}"
-    yield compared(f"{name}: distance of the cores over the orifice", _THESIS["core"], own.distance, note)
-    yield compared(f"{name}: spread of the circulation over angles, %", _THESIS["spread"], own.spread, "exact 0")
-    yield compared(f"{name}: largest circulation over the exact one of the same rectangles, mean over angles", None, own.peak)
-    yield compared(f"{name}: largest speed on a line through both cores over the exact one", None, own.speed)
+    yield compared(
+        f"{name}: distance of the cores over the orifice", _THESIS["core"], own.distance, note
+    )
+    yield compared(
+        f"{name}: spread of the circulation over angles, %",
+        _THESIS["spread"],
+        own.spread,
+        "exact 0",
+    )
+    yield compared(
+        f"{name}: largest circulation over the exact one of the same rectangles, mean over angles",
+        None,
+        own.peak,
+    )
+    yield compared(
+        f"{name}: largest speed on a line through both cores over the exact one", None, own.speed
+    )
     yield compared(f"{name}: largest vorticity over the exact one", None, own.spin)
     yield compared(
         f"{name}: seconds of reconstruction over those of PIV",
@@ -158,9 +211,17 @@ def _rows(scene: Scene, name: str, own: _Seen) -> Iterator[Item]:
 
 
 def _figures(scene: Scene, measured: Velocity) -> Iterator[Item]:
-    velocity, spin, half = sampled(measured, measured.velocity_mm_s), spin_of(measured), _planes(scene)[0]
+    velocity, spin, half = (
+        sampled(measured, measured.velocity_mm_s),
+        spin_of(measured),
+        _planes(scene)[0],
+    )
     exact = _at_nodes(scene, measured)
-    yield Figure("fig-2-16", "vortex ring, block_mart and piv3d", (slice_panel(measured, 2), slice_panel(measured, 0)))
+    yield Figure(
+        "fig-2-16",
+        "vortex ring, block_mart and piv3d",
+        (slice_panel(measured, 2), slice_panel(measured, 0)),
+    )
     r = np.linspace(-1.4, 1.4, 141) * _ring(scene)["diameter_mm"]
     points = half.points(r, np.zeros_like(r))
     speeds = [
@@ -169,14 +230,25 @@ def _figures(scene: Scene, measured: Velocity) -> Iterator[Item]:
         for note, values in (("", velocity), (" exact", _exact(scene)))
     ]
     turns = [
-        Curve(name, list(r), list(values(points) @ half.normal)) for name, values in (("measured", spin), ("exact at the nodes", spin_of(exact)))
+        Curve(name, list(r), list(values(points) @ half.normal))
+        for name, values in (("measured", spin), ("exact at the nodes", spin_of(exact)))
     ]
     yield Figure(
-        "fig-2-18", "profiles through the cores", (Panel("velocity", "mm", "mm/s", tuple(speeds)), Panel("vorticity", "mm", "1/s", tuple(turns)))
+        "fig-2-18",
+        "profiles through the cores",
+        (
+            Panel("velocity", "mm", "mm/s", tuple(speeds)),
+            Panel("vorticity", "mm", "1/s", tuple(turns)),
+        ),
     )
     areas = list(_sizes(scene) ** 2 * _ASPECT / 100.0)
     curves = [
-        Curve(f"{angle:g} degrees", areas, list(line / 100.0)) for angle, line in zip(_ANGLES, _circulations(scene, velocity, spin), strict=True)
+        Curve(f"{angle:g} degrees", areas, list(line / 100.0))
+        for angle, line in zip(_ANGLES, _circulations(scene, velocity, spin), strict=True)
     ]
     true = _exact_circulations(scene) / 100.0
-    yield Figure("fig-2-19", "circulation", (Panel("", "area, cm2", "cm2/s", (*curves, Curve("exact", areas, list(true)))),))
+    yield Figure(
+        "fig-2-19",
+        "circulation",
+        (Panel("", "area, cm2", "cm2/s", (*curves, Curve("exact", areas, list(true)))),),
+    )

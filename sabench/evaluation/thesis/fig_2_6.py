@@ -33,7 +33,12 @@ def rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Row]:
             thesis = ADEQUATE if part == 1.0 and case.name not in BOUNDED else None
             for method in METHODS:
                 name = f"{case.name}, {method}: Q at {density(scene):.4g} per mm3"
-                yield compared(name, thesis, [frame[method].best for frame in found], f"{per_pixel(scene):.3f} ppp")
+                yield compared(
+                    name,
+                    thesis,
+                    [frame[method].best for frame in found],
+                    f"{per_pixel(scene):.3f} ppp",
+                )
 
 
 def curves() -> list[Case]:

@@ -50,7 +50,12 @@ def _camera_rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Row]:
         for method in METHODS:
             values = [frame[method].best for frame in found]
             curves.setdefault((method, per_mm3), {})[cameras] = float(np.mean(values))
-            yield compared(f"Q of {cameras} cameras at {per_mm3:g} per mm3, {method}", _STATED.get((cameras, per_mm3)), values, note)
+            yield compared(
+                f"Q of {cameras} cameras at {per_mm3:g} per mm3, {method}",
+                _STATED.get((cameras, per_mm3)),
+                values,
+                note,
+            )
     for (method, per_mm3), curve in curves.items():
         yield _saturation(f"Q at {per_mm3:g} per mm3 saturates, {method}", curve)
 
@@ -59,7 +64,13 @@ def _saturation(name: str, curve: Mapping[int, float]) -> Row:
     most = max(curve)
     share = (curve[most] - curve[_ENOUGH]) / (curve[_ENOUGH] - curve[_FEW])
     said = f"beyond 10 to 15 cameras, taken as: from {_ENOUGH} on it gains less than half of before"
-    return claim(name, said, share, share < _FLAT, f"gain from {_ENOUGH} to {most} cameras over gain from {_FEW} to {_ENOUGH}")
+    return claim(
+        name,
+        said,
+        share,
+        share < _FLAT,
+        f"gain from {_ENOUGH} to {most} cameras over gain from {_FEW} to {_ENOUGH}",
+    )
 
 
 def _error_rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Row]:
@@ -71,7 +82,11 @@ def _error_rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Row]:
         for method, curve in curves.items():
             curve.append([frame[method].best for frame in found])
             thesis = ADEQUATE if errors[-1] == _LIMIT_PX else None
-            yield compared(f"Q of 13 cameras with a mapping error of {errors[-1]:g} px, {method}", thesis, curve[-1])
+            yield compared(
+                f"Q of 13 cameras with a mapping error of {errors[-1]:g} px, {method}",
+                thesis,
+                curve[-1],
+            )
     for method, curve in curves.items():
         limits = [falls_to(ADEQUATE, errors, values) for values in zip(*curve, strict=True)]
         known = [limit for limit in limits if limit is not None]

@@ -27,7 +27,14 @@ from sabench.tasks.reconstruction_scores import score_frame
 
 SEEDS = 5
 _NOISE_PX = 0.1
-_CALIBRATIONS = ("refractive_autocal", "refractive_autocal_alternating", "soloff", "polynomial_planes", "pinhole_linear", "linear_autocal")
+_CALIBRATIONS = (
+    "refractive_autocal",
+    "refractive_autocal_alternating",
+    "soloff",
+    "polynomial_planes",
+    "pinhole_linear",
+    "linear_autocal",
+)
 _RECONSTRUCTIONS = ("block_mart", "msa")
 _SHIFT_PX = 2.0  # of the cameras that self-calibration starts from
 _TRAVERSED = {"tilt_deg": 0.0, "roll_deg": 0.0, "wander": 0.5}
@@ -54,7 +61,12 @@ def rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Row]:
             for solver in _RECONSTRUCTIONS:
                 found.setdefault((solver, name), []).append(_q(solver, shot, told))
     for (solver, name), values in found.items():
-        yield compared(f"{solver}: Q with the cameras of {name}", None, values, f"true error {np.mean(errors[name]):.3g} px")
+        yield compared(
+            f"{solver}: Q with the cameras of {name}",
+            None,
+            values,
+            f"true error {np.mean(errors[name]):.3g} px",
+        )
     for solver in _RECONSTRUCTIONS:
         for name in ("refractive_autocal", "volume_self_calibration"):
             lost = float(np.mean(found[solver, "exact"]) - np.mean(found[solver, name]))
@@ -63,12 +75,17 @@ def rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Row]:
 
 def particles_behind_glass(pixels: int | None) -> Scene:
     """The case with a wall of suites/left-out, at 0.05 particles per pixel."""
-    (case,) = {case.name: case for case in load_suite("left-out")[1] if case.name == "wall"}.values()
+    (case,) = {
+        case.name: case for case in load_suite("left-out")[1] if case.name == "wall"
+    }.values()
     values = case.scene.to_dict()
     if pixels is not None:
         scale = pixels / case.scene.cameras.columns
         values["cameras"] |= {"rows": pixels, "columns": pixels}
-        values["volume"]["size_mm"] = [edge * scale if axis < 2 else edge for axis, edge in enumerate(values["volume"]["size_mm"])]
+        values["volume"]["size_mm"] = [
+            edge * scale if axis < 2 else edge
+            for axis, edge in enumerate(values["volume"]["size_mm"])
+        ]
         values["grid"]["crop_mm"] = [0.5, 0.5, 0.0]
     return parse_scene(values, "particles behind glass")
 
@@ -82,7 +99,16 @@ def boards_behind_glass(scene: Scene, level: bool) -> Scene:
     targets = {"generator": "boards", "pitch_mm": 0.075 * edge, **(_TRAVERSED if level else {})}
     known = [{"frame": 3, "point": point, "sigma_mm": 0.01} for point in (0, 10, 110)]
     calibration = {"points": 0.01 / max(scene.volume.size_mm), "known": known}
-    return parse_scene(values | {"frames": 7, "targets": targets, "detection": {"noise_px": _NOISE_PX}, "calibration": calibration}, "boards")
+    return parse_scene(
+        values
+        | {
+            "frames": 7,
+            "targets": targets,
+            "detection": {"noise_px": _NOISE_PX},
+            "calibration": calibration,
+        },
+        "boards",
+    )
 
 
 def _cameras(scene: Scene, shot: Shot, seed: int) -> dict[str, Told]:
@@ -107,7 +133,12 @@ def _by_boards(answer: Calibration, given: Board) -> Motion:
     return rigid_fit(given.points_mm.reshape(-1, 3), places_of(answer, given).reshape(-1, 3))
 
 
-def _told(cameras: tuple[CameraModel, ...], shot: Shot, true: tuple[CameraModel, ...], motion: Motion | None) -> Told:
+def _told(
+    cameras: tuple[CameraModel, ...],
+    shot: Shot,
+    true: tuple[CameraModel, ...],
+    motion: Motion | None,
+) -> Told:
     """With the motion that brings true particles to where these cameras see them, if none is given."""
     truths = shot.particles.position_mm
     exact = np.stack([camera.project(truths)[0] for camera in true])

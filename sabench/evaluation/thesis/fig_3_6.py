@@ -39,8 +39,12 @@ def rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Row]:
             where = f"at {per_pixel(case.scene):.3f} ppp, {method}"
             predicted = predicted_percent(case.scene)
             note = f"equation 3.14: {predicted:.3g} ghosts per 100 particles"
-            true, ghosts = detection_rows(f"{cameras} cameras {where}", [frame[method] for frame in found], note)
-            curves.setdefault(where, []).append(_Point(cameras, true.measured, ghosts.measured, predicted))
+            true, ghosts = detection_rows(
+                f"{cameras} cameras {where}", [frame[method] for frame in found], note
+            )
+            curves.setdefault(where, []).append(
+                _Point(cameras, true.measured, ghosts.measured, predicted)
+            )
             yield from (true, ghosts)
     for where, curve in curves.items():
         yield from _claims(where, curve)
@@ -69,16 +73,32 @@ def _claims(where: str, curve: Sequence[_Point]) -> Iterator[Row]:
     fewest, most = min(ghosts, default=0), max(ghosts, default=0)
     ratio = ghosts[most] / ghosts[fewest] if ghosts else None
     note = f"ghosts with {most} over ghosts with {fewest} cameras"
-    yield claim(f"ghosts {where}", "fall with the number of cameras", ratio, ratio is not None and ratio < 1.0, note)
+    yield claim(
+        f"ghosts {where}",
+        "fall with the number of cameras",
+        ratio,
+        ratio is not None and ratio < 1.0,
+        note,
+    )
     true = {point.cameras: point.true or 0.0 for point in curve}
     peak = max(true, key=lambda cameras: true[cameras])
     level = true[peak] - max(true[cameras] for cameras in _MOST)
     yield claim(
-        f"true particles {where}", "peak or level off at 9 to 13 cameras", level, level <= _LEVEL, f"percent below the peak, at {peak} cameras"
+        f"true particles {where}",
+        "peak or level off at 9 to 13 cameras",
+        level,
+        level <= _LEVEL,
+        f"percent below the peak, at {peak} cameras",
     )
     off = [abs(np.log10(point.predicted / point.ghosts)) for point in curve if point.ghosts]
     wrong = float(max(off, default=0.0))
-    yield claim(f"equation 3.14 {where}", "does not predict the ghosts", wrong, wrong > 1.0, "powers of ten between them at most")
+    yield claim(
+        f"equation 3.14 {where}",
+        "does not predict the ghosts",
+        wrong,
+        wrong > 1.0,
+        "powers of ten between them at most",
+    )
 
 
 def _elsinga_rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Row]:
@@ -90,4 +110,6 @@ def _elsinga_rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Row]:
         scores.append(score_frame(shot.observation.grid, shot.particles, shot.views, guess))
     for key, heading in (("true_percent", "true %"), ("ghost_percent", "ghost %"), ("q", "Q")):
         values = [value for score in scores if (value := score[key]) is not None]
-        yield compared(f"4 cameras at 0.050 ppp after Elsinga et al., MART: {heading}", None, values)
+        yield compared(
+            f"4 cameras at 0.050 ppp after Elsinga et al., MART: {heading}", None, values
+        )

@@ -6,7 +6,16 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from sabench.evaluation.thesis.common import METHODS, Row, claim, coarsened, counted, density, detection_rows, with_density
+from sabench.evaluation.thesis.common import (
+    METHODS,
+    Row,
+    claim,
+    coarsened,
+    counted,
+    density,
+    detection_rows,
+    with_density,
+)
 from sabench.evaluation.thesis.fig_2_6 import PARTS, curves
 from sabench.utils.arrays import F64
 
@@ -23,7 +32,12 @@ def rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Row]:
             found = [counted(coarsened(scene, pixels), seed) for seed in seeds]
             count = round(density(scene) * float(np.prod(scene.volume.size_mm)))
             for method, curve in points.items():
-                curve.append(detection_rows(f"{case.name}, {method}, {count} particles", [frame[method] for frame in found]))
+                curve.append(
+                    detection_rows(
+                        f"{case.name}, {method}, {count} particles",
+                        [frame[method] for frame in found],
+                    )
+                )
                 yield from curve[-1]
         for method, curve in points.items():
             yield from _claims(f"{case.name}, {method}", *zip(*curve, strict=True))
@@ -32,10 +46,22 @@ def rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Row]:
 def _claims(where: str, true: Sequence[Row], ghosts: Sequence[Row]) -> Iterator[Row]:
     slope, straight = _line(np.array(PARTS), np.array([row.measured or 0.0 for row in true]))
     falls = slope < 0.0 and straight >= _LINEAR
-    yield claim(f"{where}: true %", "falls linearly", straight, falls, "share of the variance that a straight line explains")
+    yield claim(
+        f"{where}: true %",
+        "falls linearly",
+        straight,
+        falls,
+        "share of the variance that a straight line explains",
+    )
     known = [(part, row.measured) for part, row in zip(PARTS, ghosts, strict=True) if row.measured]
     power = _line(*np.log(np.transpose(known)))[0] if len(known) > 1 else None
-    yield claim(f"{where}: ghost %", "grows faster than linearly", power, power is not None and power > 1.0, "power of the number of particles")
+    yield claim(
+        f"{where}: ghost %",
+        "grows faster than linearly",
+        power,
+        power is not None and power > 1.0,
+        "power of the number of particles",
+    )
 
 
 def _line(x: F64, y: F64) -> tuple[float, float]:

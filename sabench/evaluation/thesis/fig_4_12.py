@@ -64,13 +64,24 @@ def rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
 def _errors_panel(cameras: int, found: dict[float, Draws]) -> Panel:
     """Figure 4-12: errors against the imposed noise, the true ones by start."""
     imposed = [noise * float(np.sqrt(np.pi / 2.0)) for noise in NOISES]
-    joint = [np.mean([one.measured_px for start in STARTS for one in found[noise]["joint", start]]) for noise in NOISES]
-    curves = [Curve("imposed", NOISES, imposed), Curve("measured, joint", NOISES, [float(value) for value in joint])]
+    joint = [
+        np.mean([one.measured_px for start in STARTS for one in found[noise]["joint", start]])
+        for noise in NOISES
+    ]
+    curves = [
+        Curve("imposed", NOISES, imposed),
+        Curve("measured, joint", NOISES, [float(value) for value in joint]),
+    ]
     for name, starts in (("joint", (0.2,)), ("alternating", (0.001, 0.01, 0.1, 0.2))):
         for start in starts:
-            true = [float(np.mean([one.true_px for one in found[noise][name, start]])) for noise in NOISES]
+            true = [
+                float(np.mean([one.true_px for one in found[noise][name, start]]))
+                for noise in NOISES
+            ]
             curves.append(Curve(f"true, {name}, start {start:g}", NOISES, true))
-    return Panel(f"{cameras} cameras", "noise of a coordinate, px", "mean error, px", tuple(curves), "xy")
+    return Panel(
+        f"{cameras} cameras", "noise of a coordinate, px", "mean error, px", tuple(curves), "xy"
+    )
 
 
 def _points_figure(found: dict[float, Draws]) -> Figure:
@@ -80,13 +91,20 @@ def _points_figure(found: dict[float, Draws]) -> Figure:
         means, scatters = [], []
         for name in _SOLVERS:
             errors = [[one.errors_mm for one in draws[name, start]] for start in STARTS]
-            mean = np.array([np.mean([np.abs(one.mean(axis=0)) for one in own], axis=0) for own in errors])
+            mean = np.array(
+                [np.mean([np.abs(one.mean(axis=0)) for one in own], axis=0) for own in errors]
+            )
             scatter = np.array([stds(own) for own in errors])
             means.append(Curve(f"Z, {name}", STARTS, mean[:, 2].tolist()))
-            scatters += [Curve(f"{axis}, {name}", STARTS, scatter[:, number].tolist()) for number, axis in enumerate("XYZ")]
+            scatters += [
+                Curve(f"{axis}, {name}", STARTS, scatter[:, number].tolist())
+                for number, axis in enumerate("XYZ")
+            ]
         upper.append(Panel(f"{noise:g} px: mean along Z", "start", "mm", tuple(means), "xy"))
         lower.append(Panel(f"{noise:g} px: scatter", "start", "mm", tuple(scatters), "xy"))
-    return Figure("fig-4-14", "Figures 4-14 and 4-15: errors of the points, 7 cameras", (*upper, *lower))
+    return Figure(
+        "fig-4-14", "Figures 4-14 and 4-15: errors of the points, 7 cameras", (*upper, *lower)
+    )
 
 
 def _measured(cameras: int, noise: float, seeds: Sequence[int]) -> Draws:
@@ -96,7 +114,9 @@ def _measured(cameras: int, noise: float, seeds: Sequence[int]) -> Draws:
         given = board(cameras, _BASELINE, noise, start, seed)
         for name, solver in _SOLVERS.items():
             answer = solved(solver, given)
-            found.setdefault((name, start), []).append(Found(*reprojection(answer, given), point_errors(answer, given)))
+            found.setdefault((name, start), []).append(
+                Found(*reprojection(answer, given), point_errors(answer, given))
+            )
     return found
 
 
@@ -104,11 +124,22 @@ def _noise_rows(cameras: int, noise: float, name: str, found: Draws) -> Iterator
     every = [one for (own, _), draws in found.items() if own == name for one in draws]
     head = f"{cameras} cameras, {noise:g} px, {name}"
     imposed = noise * float(np.sqrt(np.pi / 2.0))
-    yield compared(f"{head}: mean measured error, px", imposed, [one.measured_px for one in every], "thesis: equal to the imposed error")
+    yield compared(
+        f"{head}: mean measured error, px",
+        imposed,
+        [one.measured_px for one in every],
+        "thesis: equal to the imposed error",
+    )
     ratios = [one.true_px / one.measured_px for one in every]
-    by_start = ", ".join(f"{start:g}: {np.mean([one.true_px for one in found[name, start]]):.3g}" for start in STARTS)
+    by_start = ", ".join(
+        f"{start:g}: {np.mean([one.true_px for one in found[name, start]]):.3g}" for start in STARTS
+    )
     yield claim(
-        f"{head}: true / measured", "about 10 %", float(np.mean(ratios)), 0.05 <= float(np.mean(ratios)) <= 0.15, f"true px by start: {by_start}"
+        f"{head}: true / measured",
+        "about 10 %",
+        float(np.mean(ratios)),
+        0.05 <= float(np.mean(ratios)) <= 0.15,
+        f"true px by start: {by_start}",
     )
 
 
@@ -119,8 +150,18 @@ def _point_rows(found: Draws) -> Iterator[Row]:
         scatter = stds(every) / D_PIX
         means = np.abs([errors.mean(axis=0) for errors in every]).max(axis=0) / D_PIX
         note = f"X, Y, Z: {', '.join(f'{value:.3g}' for value in scatter)}"
-        yield compared(f"7 cameras, 2 px, {name}: scatter along Z, pixels of the middle", _STD, [float(scatter[2])], note)
-        yield compared(f"7 cameras, 2 px, {name}: largest mean along Z, the same unit", _MEAN, [float(means[2])], "one point known to 0.05 mm")
+        yield compared(
+            f"7 cameras, 2 px, {name}: scatter along Z, pixels of the middle",
+            _STD,
+            [float(scatter[2])],
+            note,
+        )
+        yield compared(
+            f"7 cameras, 2 px, {name}: largest mean along Z, the same unit",
+            _MEAN,
+            [float(means[2])],
+            "one point known to 0.05 mm",
+        )
         yield claim(
             f"7 cameras, 2 px, {name}: the error is largest along Z",
             "yes",
@@ -135,9 +176,20 @@ def _rounds(seeds: Sequence[int]) -> Iterator[Item]:
     for start in STARTS:
         errors = [_alternated(board(7, _BASELINE, 0.5, start, seed)) for seed in seeds]
         note = f"largest mean error {np.mean([own[0] for own in errors]):.3g} px before, {np.mean([own[-1] for own in errors]):.3g} px after"
-        yield compared(f"rounds of the alternation, 7 cameras, 0.5 px, start {start:g}", None, [float(len(own) - 1) for own in errors], note)
+        yield compared(
+            f"rounds of the alternation, 7 cameras, 0.5 px, start {start:g}",
+            None,
+            [float(len(own) - 1) for own in errors],
+            note,
+        )
         curves.append(Curve(f"start {start:g}", range(len(errors[0])), errors[0]))
-    panel = Panel("7 cameras, 0.5 px, first seed", "round", "largest mean error of a camera, px", tuple(curves), "y")
+    panel = Panel(
+        "7 cameras, 0.5 px, first seed",
+        "round",
+        "largest mean error of a camera, px",
+        tuple(curves),
+        "y",
+    )
     yield Figure("fig-4-11", "Figure 4-11: convergence of the alternation", (panel,))
 
 

@@ -6,7 +6,15 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from sabench.evaluation.thesis.chapter_4 import D_PIX, NOISES, STARTS, board, point_errors, solved, stds
+from sabench.evaluation.thesis.chapter_4 import (
+    D_PIX,
+    NOISES,
+    STARTS,
+    board,
+    point_errors,
+    solved,
+    stds,
+)
 from sabench.evaluation.thesis.common import Item, claim, compared
 from sabench.plotting.charts import Curve, Figure, Panel
 from sabench.utils.arrays import F64
@@ -14,8 +22,10 @@ from sabench.utils.progress import track
 
 SEEDS = 5
 _SOLVERS = {
-    "alternating": "refractive_autocal_alternating", "randomised": "refractive_autocal_randomised", "joint": "refractive_autocal",
-}  # fmt: skip
+    "alternating": "refractive_autocal_alternating",
+    "randomised": "refractive_autocal_randomised",
+    "joint": "refractive_autocal",
+}
 
 
 def rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
@@ -24,7 +34,9 @@ def rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
     for noise in NOISES:
         scatter = {}
         steps = [(start, seed) for start in STARTS for seed in seeds]
-        errors: dict[str, dict[float, list[F64]]] = {name: {start: [] for start in STARTS} for name in _SOLVERS}
+        errors: dict[str, dict[float, list[F64]]] = {
+            name: {start: [] for start in STARTS} for name in _SOLVERS
+        }
         for start, seed in track(steps, f"8 cameras, {noise:g} px"):
             given = board(8, 0.3, noise, start, seed)
             for name, solver in _SOLVERS.items():
@@ -32,9 +44,25 @@ def rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
         for name, own in errors.items():
             scatter[name] = stds([one for draws in own.values() for one in draws]) / D_PIX
             note = f"X, Y, Z: {', '.join(f'{value:.3g}' for value in scatter[name])}"
-            yield compared(f"8 cameras, {noise:g} px, {name}: scatter along Z, pixels of the middle", None, [float(scatter[name][2])], note)
-        curves = [Curve(name, STARTS, [float(stds(draws)[2]) / D_PIX for draws in own.values()]) for name, own in errors.items()]
-        panels.append(Panel(f"{noise:g} px", "start", "scatter along Z, pixels of the middle", tuple(curves), "xy"))
+            yield compared(
+                f"8 cameras, {noise:g} px, {name}: scatter along Z, pixels of the middle",
+                None,
+                [float(scatter[name][2])],
+                note,
+            )
+        curves = [
+            Curve(name, STARTS, [float(stds(draws)[2]) / D_PIX for draws in own.values()])
+            for name, own in errors.items()
+        ]
+        panels.append(
+            Panel(
+                f"{noise:g} px",
+                "start",
+                "scatter along Z, pixels of the middle",
+                tuple(curves),
+                "xy",
+            )
+        )
         better.append(float(scatter["randomised"][2] / scatter["alternating"][2]))
     yield claim(
         "randomised over alternating, scatter along Z",

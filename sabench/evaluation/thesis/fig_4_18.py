@@ -30,23 +30,49 @@ def rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
         pairs = [_pair("refractive_autocal", noise, 0.2, seed) for seed in seeds]
         estimated, exact = (float(stds([pair[i] for pair in pairs])[2]) for i in (0, 1))
         note = f"with the exact cameras {exact:.4g} mm"
-        yield claim(f"{noise:g} px: scatter along Z by estimated over exact cameras", "the same", estimated / exact, estimated < 1.2 * exact, note)
+        yield claim(
+            f"{noise:g} px: scatter along Z by estimated over exact cameras",
+            "the same",
+            estimated / exact,
+            estimated < 1.2 * exact,
+            note,
+        )
         free = [_pair("linear_autocal", noise, 0.001, seed, wall=False) for seed in seeds]
         linear[noise] = float(stds([pair[0] for pair in free])[2])
         yield claim(
-            f"{noise:g} px: linear auto-calibration without refraction over refractive auto-calibration with it", "at least as large",
-            linear[noise] / estimated, linear[noise] > estimated, f"{linear[noise]:.4g} mm against {estimated:.4g}",
-        )  # fmt: skip
-        both = _depths("refractive", [pair[0] for pair in pairs]), _depths("exact cameras", [pair[1] for pair in pairs])
+            f"{noise:g} px: linear auto-calibration without refraction over refractive auto-calibration with it",
+            "at least as large",
+            linear[noise] / estimated,
+            linear[noise] > estimated,
+            f"{linear[noise]:.4g} mm against {estimated:.4g}",
+        )
+        both = (
+            _depths("refractive", [pair[0] for pair in pairs]),
+            _depths("exact cameras", [pair[1] for pair in pairs]),
+        )
         panels["fig-4-18"].append(_panel(f"{noise:g} px", *both))
-        panels["fig-4-20"].append(_panel(f"{noise:g} px", _depths("linear, without refraction", [pair[0] for pair in free]), both[0]))
+        panels["fig-4-20"].append(
+            _panel(
+                f"{noise:g} px",
+                _depths("linear, without refraction", [pair[0] for pair in free]),
+                both[0],
+            )
+        )
         if noise == 0.5:
-            panels["fig-4-21"] = [_panel(f"seed {seed}", _depths("linear", [pair[0]])) for seed, pair in zip(seeds, free, strict=True)]
+            panels["fig-4-21"] = [
+                _panel(f"seed {seed}", _depths("linear", [pair[0]]))
+                for seed, pair in zip(seeds, free, strict=True)
+            ]
     for start in STARTS:
         errors = [_pair("refractive_autocal", 0.5, start, seed)[0] for seed in seeds]
         values = [float(stds([own])[2]) for own in errors]
         panels["fig-4-19"].append(_panel(f"start {start:g}", _depths("refractive", errors)))
-        yield compared(f"0.5 px, start {start:g}: scatter along Z, mm", None, values, "thesis, figure 4-19: the same for every start")
+        yield compared(
+            f"0.5 px, start {start:g}: scatter along Z, mm",
+            None,
+            values,
+            "thesis, figure 4-19: the same for every start",
+        )
     for name, words in _TITLES.items():
         yield Figure(name, words, tuple(panels[name]))
 
@@ -59,6 +85,8 @@ def _panel(title: str, *content: Histogram) -> Panel:
     return Panel(title, "error along Z without its mean, mm", "density, 1/mm", content)
 
 
-def _pair(solver: str, noise: float, start: float, seed: int, *, wall: bool = True) -> tuple[F64, F64]:
+def _pair(
+    solver: str, noise: float, start: float, seed: int, *, wall: bool = True
+) -> tuple[F64, F64]:
     given = board(_CAMERAS, _BASELINE, noise, start, seed, wall)
     return held_out(solved(solver, given), given, noise, seed)

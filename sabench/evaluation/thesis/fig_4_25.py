@@ -1,6 +1,7 @@
 """Figures 4-25 and 4-26: spacing of the planes of a traversed grid, calibrated from ever poorer starts, in the array of the vortex ring's experiment.
 
-The experiment's traverse moved the grid by 4 mm, to 0.01 mm; here it does so exactly, so that all that is left is the calibration's own.
+The experiment's traverse moved the grid by 4 mm, to 0.01 mm; here it does so exactly, so that all
+that is left is the calibration's own.
 """
 
 from __future__ import annotations
@@ -26,7 +27,9 @@ _SOLVERS = {"randomised": "refractive_autocal_randomised", "joint": "refractive_
 _STEPS = {"test 1": 4.0, "test 2": 2.0, "test 3": 1.0}  # mm between planes, as each test is told
 _PLANES, _STEP_MM, _MIDDLE_MM = 11, 4.0, 132.0
 _DISTANCE_MM, _SPACING_MM = 760.0, 150.0
-_PLACES = [(x, y) for y in (-1, 0, 1) for x in (-1, 0, 1) if (x, y) != (-1, -1)]  # the ninth camera's firmware was too old
+_PLACES = [
+    (x, y) for y in (-1, 0, 1) for x in (-1, 0, 1) if (x, y) != (-1, -1)
+]  # the ninth camera's firmware was too old
 _FLUCTUATION_MM = 0.02
 
 
@@ -41,18 +44,38 @@ def rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
             for test, step in _STEPS.items():
                 places = _planes(solver, given, step)
                 first = places if first is None else first
-                found.setdefault((name, test), []).append(np.stack([np.diff(places[..., 2], axis=0).mean(axis=1), _scatter(places)]))
+                found.setdefault((name, test), []).append(
+                    np.stack([np.diff(places[..., 2], axis=0).mean(axis=1), _scatter(places)])
+                )
                 turns.setdefault((name, test), []).append(_turn_deg(places, first))
     for (name, test), draws in found.items():
         off = [float(np.abs(own[0] - _STEP_MM).max()) for own in draws]
         head = f"{name}, {test} (told {_STEPS[test]:g} mm)"
-        yield compared(f"{head}: largest error of a mean spacing, mm", None, off, f"points scatter by {np.mean([own[1] for own in draws]):.3g} mm")
+        yield compared(
+            f"{head}: largest error of a mean spacing, mm",
+            None,
+            off,
+            f"points scatter by {np.mean([own[1] for own in draws]):.3g} mm",
+        )
         if test == "test 1":
             continue
-        between = [float(np.abs(own[0] - ref[0]).max()) for own, ref in zip(draws, found[name, "test 1"], strict=True)]
+        between = [
+            float(np.abs(own[0] - ref[0]).max())
+            for own, ref in zip(draws, found[name, "test 1"], strict=True)
+        ]
         mean = float(np.mean(between))
-        yield claim(f"{head}: largest difference of a spacing to test 1, mm", "all tests alike to 0.02 mm", mean, mean <= _FLUCTUATION_MM)
-        yield compared(f"{head}: turn of all points against test 1, degrees", None, turns[name, test], "thesis, figure 4-26: seen, without a number")
+        yield claim(
+            f"{head}: largest difference of a spacing to test 1, mm",
+            "all tests alike to 0.02 mm",
+            mean,
+            mean <= _FLUCTUATION_MM,
+        )
+        yield compared(
+            f"{head}: turn of all points against test 1, degrees",
+            None,
+            turns[name, test],
+            "thesis, figure 4-26: seen, without a number",
+        )
     yield _figure(found)
 
 
@@ -61,12 +84,30 @@ def traversed() -> Scene:
     values: dict[str, Any] = load_scene("calibration").to_dict()
     array = _MIDDLE_MM - _DISTANCE_MM
     places = [{"center_mm": [x * _SPACING_MM, y * _SPACING_MM, array]} for x, y in _PLACES]
-    values["cameras"] |= {"rows": 768, "columns": 1024, "pixel_mm": 0.00465, "focal_length_mm": 50.0, "layout": {"kind": "list", "places": places}}
+    values["cameras"] |= {
+        "rows": 768,
+        "columns": 1024,
+        "pixel_mm": 0.00465,
+        "focal_length_mm": 50.0,
+        "layout": {"kind": "list", "places": places},
+    }
     depth = _STEP_MM * (_PLANES - 1)
     values["volume"] = {"center_mm": [0.0, 0.0, _MIDDLE_MM], "size_mm": [55.0, 40.0, depth]}
-    values["targets"] |= {"columns": 11, "rows": 9, "pitch_mm": 4.5, "tilt_deg": 0.0, "roll_deg": 0.0, "wander": 0.0}
+    values["targets"] |= {
+        "columns": 11,
+        "rows": 9,
+        "pitch_mm": 4.5,
+        "tilt_deg": 0.0,
+        "roll_deg": 0.0,
+        "wander": 0.0,
+    }
     known = [{"frame": 5, "point": 49}]
-    values["calibration"] = {"center_mm": 5.0, "turn_deg": 0.5, "focal_percent": 2.0, "known": known}
+    values["calibration"] = {
+        "center_mm": 5.0,
+        "turn_deg": 0.5,
+        "focal_percent": 2.0,
+        "known": known,
+    }
     return parse_scene(values | {"frames": _PLANES}, "traversed grid")
 
 
@@ -92,6 +133,9 @@ def _figure(found: dict[tuple[str, str], list[F64]]) -> Figure:
     numbers = range(1, _PLANES)
     panels = []
     for name in _SOLVERS:
-        curves = tuple(Curve(test, numbers, found[name, test][0][0], found[name, test][0][1]) for test in _STEPS)
+        curves = tuple(
+            Curve(test, numbers, found[name, test][0][0], found[name, test][0][1])
+            for test in _STEPS
+        )
         panels.append(Panel(name, "k", "spacing of planes k and k + 1, mm", curves))
     return Figure("fig-4-25", "Figure 4-25: spacing of the planes, 0.1 px", tuple(panels))

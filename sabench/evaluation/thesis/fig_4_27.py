@@ -32,7 +32,11 @@ def rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
         still = float(errors[int(np.flatnonzero(moves == 0.0)[0])])
         least = min(error for error, move in zip(errors, moves, strict=True) if move != 0.0)
         yield claim(
-            f"{name}: moved points cannot be fitted", "errors above zero", float(least), bool(still < 1e-4 < least), f"unmoved {still:.2g} px"
+            f"{name}: moved points cannot be fitted",
+            "errors above zero",
+            float(least),
+            bool(still < 1e-4 < least),
+            f"unmoved {still:.2g} px",
         )
     yield Figure("fig-4-27", "Figure 4-27: cameras refitted to moved boards", tuple(panels))
 
@@ -47,4 +51,8 @@ def _moved(points: F64, name: str, move: float) -> F64:
 def _refitted(given: Board, points: F64) -> float:
     problem = Problem.of(with_points(given, points).case, Free())
     fit = refine(problem.start, problem.seen, Free(), moving="cameras")
-    return float(np.nanmean(np.linalg.norm(residuals(fit.state, problem.seen), axis=-1)[problem.seen.weights > 0.0]))
+    return float(
+        np.nanmean(
+            np.linalg.norm(residuals(fit.state, problem.seen), axis=-1)[problem.seen.weights > 0.0]
+        )
+    )

@@ -29,10 +29,19 @@ def rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Row]:
             for name, errors in _errors(camera).items():
                 mean, std = float(errors.mean()), float(errors.std())
                 yield compared(
-                    f"{head}: mean error of {name}, px", _MEAN if name == "projective" else None, [mean], f"std {std:.3g} px (thesis {_STD})"
+                    f"{head}: mean error of {name}, px",
+                    _MEAN if name == "projective" else None,
+                    [mean],
+                    f"std {std:.3g} px (thesis {_STD})",
                 )
                 means.append(mean if name == "projective" else 0.0)
-    yield claim("a model without refraction is not enough", "above 0.4 px", max(means), max(means) > 0.4, "the outermost cameras of the 5 x 5 array")
+    yield claim(
+        "a model without refraction is not enough",
+        "above 0.4 px",
+        max(means),
+        max(means) > 0.4,
+        "the outermost cameras of the 5 x 5 array",
+    )
 
 
 def _errors(camera: CameraModel) -> dict[str, F64]:
@@ -47,9 +56,14 @@ def _errors(camera: CameraModel) -> dict[str, F64]:
     models: dict[str, CameraModel] = {
         "projective": fit_projective(*size, points, images),
         "soloff": fit_soloff(*size, points, images),
-        "planes": fit_planes(*size, [points[own] for own in by_plane], [images[own] for own in by_plane]),
+        "planes": fit_planes(
+            *size, [points[own] for own in by_plane], [images[own] for own in by_plane]
+        ),
     }
     rng = np.random.default_rng(1)
     tried = np.column_stack([rng.uniform(-23.0, 23.0, (2000, 2)), rng.uniform(12.0, 58.0, 2000)])
     exact = camera.project(tried)[0]
-    return {name: np.linalg.norm(model.project(tried)[0] - exact, axis=1) for name, model in models.items()}
+    return {
+        name: np.linalg.norm(model.project(tried)[0] - exact, axis=1)
+        for name, model in models.items()
+    }

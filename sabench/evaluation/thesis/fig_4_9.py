@@ -37,7 +37,10 @@ def rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Row]:
     leaving = trace_to_points(wall, center, points).leaving
     ours = np.linalg.norm(leaving[:, :2], axis=1) / leaving[:, 2] * depths[0]
     yield compared(
-        "largest difference of the two ways on the wall's face, mm", None, [float(np.abs(ours - outer).max())], "two derivations of one path"
+        "largest difference of the two ways on the wall's face, mm",
+        None,
+        [float(np.abs(ours - outer).max())],
+        "two derivations of one path",
     )
 
 
@@ -48,14 +51,20 @@ def two_unknowns(indices: F64, depths: tuple[float, float, F64], radius: F64) ->
     a, b = straight * depths[0], straight * (depths[0] + depths[1])
     steps, open_ = np.zeros(len(radius)), np.ones(len(radius), dtype=np.bool_)
     for _ in range(50):
-        (sa, da), (sb, db), (sp, dp) = (_sine(x, depth) for x, depth in ((a, depths[0]), (b - a, depths[1]), (radius - b, depths[2])))
+        (sa, da), (sb, db), (sp, dp) = (
+            _sine(x, depth)
+            for x, depth in ((a, depths[0]), (b - a, depths[1]), (radius - b, depths[2]))
+        )
         f, g = sa - first * sb, sb - second * sp
         open_ &= np.maximum(np.abs(f), np.abs(g)) > _TOLERANCE
         if not open_.any():
             break
         fa, fb, ga, gb = da + first * db, -first * db, -db, db + second * dp
         determinant = fa * gb - fb * ga
-        a, b = a - np.where(open_, (f * gb - g * fb) / determinant, 0.0), b - np.where(open_, (g * fa - f * ga) / determinant, 0.0)
+        a, b = (
+            a - np.where(open_, (f * gb - g * fb) / determinant, 0.0),
+            b - np.where(open_, (g * fa - f * ga) / determinant, 0.0),
+        )
         steps += open_
     return a, steps
 

@@ -31,19 +31,42 @@ def rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
             yield _figure(case)
         for name in _SOLVERS:
             algorithm: Any = make_algorithm(name, {})
-            found[name].append(detection_scores(algorithm.solve(case), world.bubbles, np.ones(len(world.bubbles))))
+            found[name].append(
+                detection_scores(algorithm.solve(case), world.bubbles, np.ones(len(world.bubbles)))
+            )
     for name, every in found.items():
-        for key, what in {"f1_large": "F1 of drops of 0.5 mm radius and more", "f1": "F1 of all drops", "depth_mm": "depth error, mm"}.items():
+        for key, what in {
+            "f1_large": "F1 of drops of 0.5 mm radius and more",
+            "f1": "F1 of all drops",
+            "depth_mm": "depth error, mm",
+        }.items():
             yield compared(f"{name}: {what}", None, [one[key] for one in every])
 
 
 def _figure(case: Observation) -> Figure:
     """One view, and the refocused planes."""
-    view, grid, volume = case.images[len(case.images) // 2].astype(np.float64), case.grid, darkness(case)
+    view, grid, volume = (
+        case.images[len(case.images) // 2].astype(np.float64),
+        case.grid,
+        darkness(case),
+    )
     x, y, z = grid.axes_mm
-    panels = [Panel("one view", "px", "px", (Picture(view, (0.0, 0.0), (view.shape[1] - 1.0, view.shape[0] - 1.0)),))]
+    panels = [
+        Panel(
+            "one view",
+            "px",
+            "px",
+            (Picture(view, (0.0, 0.0), (view.shape[1] - 1.0, view.shape[0] - 1.0)),),
+        )
+    ]
     for depth in _DEPTHS_MM:
         plane = int(np.abs(z - depth).argmin())
-        seen = Picture(1.0 - volume[plane].astype(np.float64), (float(x[0]), float(y[0])), (float(x[-1]), float(y[-1])))
+        seen = Picture(
+            1.0 - volume[plane].astype(np.float64),
+            (float(x[0]), float(y[0])),
+            (float(x[-1]), float(y[-1])),
+        )
         panels.append(Panel(f"Z = {z[plane]:.1f} mm", "X, mm", "Y, mm", (seen,)))
-    return Figure("fig-6-5", "a liquid jet in a cross-flow", tuple(panels), across=2, inch=(5.0, 4.4))
+    return Figure(
+        "fig-6-5", "a liquid jet in a cross-flow", tuple(panels), across=2, inch=(5.0, 4.4)
+    )

@@ -1,7 +1,8 @@
 """Map-shift-average in the thesis's own voxels: planes one pixel of shift apart, as the central camera sees them.
 
-On such planes whole-pixel shifts are exact and nothing is resampled after the first mapping. Voxels are pixels of the middle plane along x and y and
-numbers of shifts along z (thesis section 2.2.4), so particles are carried into that space before they are compared.
+On such planes whole-pixel shifts are exact and nothing is resampled after the first mapping. Voxels
+are pixels of the middle plane along x and y and numbers of shifts along z (thesis section 2.2.4),
+so particles are carried into that space before they are compared.
 """
 
 from __future__ import annotations
@@ -28,8 +29,9 @@ _LOOKUPS = 2001  # depths between which the number of shifts is interpolated
 def published_volume(shot: Shot) -> tuple[Grid, Particles, F32]:
     """The mean of shifted images (z, y, x) of a shot, its voxels, and the particles in the space of these voxels.
 
-    Equations 2.1 to 2.3. Cameras whose shifts are no whole numbers, as in unevenly spaced arrays, are interpolated bilinearly, as the thesis says.
-    Mapped images are as large as the images, so that a shifted one adds zeros to one side of a plane (section 2.2.4): what a tilted camera sees
+    Equations 2.1 to 2.3. Cameras whose shifts are no whole numbers, as in unevenly spaced arrays,
+    are interpolated bilinearly, as the thesis says. Mapped images are as large as the images, so
+    that a shifted one adds zeros to one side of a plane (section 2.2.4): what a tilted camera sees
     beyond is lost.
     """
     seen, cameras = shot.observation, shot.observation.cameras
@@ -40,21 +42,42 @@ def published_volume(shot: Shot) -> tuple[Grid, Particles, F32]:
     space = _space(grid, numbers)
     slab = _as_large_as_images(make_slab(cameras, grid, 0, grid.shape[0]), center, grid)
     mapped = np.empty((len(cameras), *slab.shape), dtype=np.float32)
-    resample(coefficients_of(normalised(seen), LINEAR), LINEAR, *rectifying_maps(slab, cameras, grid), 0.0, mapped)
+    resample(
+        coefficients_of(normalised(seen), LINEAR),
+        LINEAR,
+        *rectifying_maps(slab, cameras, grid),
+        0.0,
+        mapped,
+    )
     across = np.asarray(grid.voxel_mm)[:2]
-    shifts = np.stack([(_on_middle(camera, planes, grid) - _on_middle(center, planes, grid)) / across for camera in cameras], axis=1)
+    shifts = np.stack(
+        [
+            (_on_middle(camera, planes, grid) - _on_middle(center, planes, grid)) / across
+            for camera in cameras
+        ],
+        axis=1,
+    )
     volume = np.empty(space.shape, dtype=np.float32)
-    cpu_kernels.sum_planes(mapped, LINEAR, shift_maps(space, shifts.round(6) - slab.corners), 0.0, volume)
+    cpu_kernels.sum_planes(
+        mapped, LINEAR, shift_maps(space, shifts.round(6) - slab.corners), 0.0, volume
+    )
     volume /= np.float32(len(cameras))
     position = shot.particles.position_mm
-    carried = np.column_stack([_on_middle(center, position, grid), np.interp(position[:, 2], depths, shift) * grid.voxel_mm[2]])
+    carried = np.column_stack(
+        [
+            _on_middle(center, position, grid),
+            np.interp(position[:, 2], depths, shift) * grid.voxel_mm[2],
+        ]
+    )
     return space, replace(shot.particles, position_mm=carried), volume
 
 
 def _as_large_as_images(slab: Slab, camera: CameraModel, grid: Grid) -> Slab:
     size = np.array([camera.columns, camera.rows])
     corner = (np.asarray(grid.shape[:0:-1]) - size) / 2.0
-    return replace(slab, corners=np.tile(corner, (len(slab.corners), 1)), shape=(camera.rows, camera.columns))
+    return replace(
+        slab, corners=np.tile(corner, (len(slab.corners), 1)), shape=(camera.rows, camera.columns)
+    )
 
 
 def _space(grid: Grid, numbers: F64) -> Grid:
@@ -75,7 +98,9 @@ def _shift_of_depth(center: CameraModel, neighbour: CameraModel, grid: Grid) -> 
     x, y, z = grid.axes_mm
     depths = np.linspace(z[0] - grid.voxel_mm[2] / 2.0, z[-1] + grid.voxel_mm[2] / 2.0, _LOOKUPS)
     axis = np.column_stack([np.full(_LOOKUPS, x.mean()), np.full(_LOOKUPS, y.mean()), depths])
-    apart = (_on_middle(neighbour, axis, grid) - _on_middle(center, axis, grid)) / np.asarray(grid.voxel_mm)[:2]
+    apart = (_on_middle(neighbour, axis, grid) - _on_middle(center, axis, grid)) / np.asarray(
+        grid.voxel_mm
+    )[:2]
     along = apart[-1] - apart[0]
     return depths, np.asarray(apart @ (along / np.linalg.norm(along)))
 

@@ -29,7 +29,9 @@ from sabench.scenes.schema import Scene
 
 SEEDS = 5
 SUITE = "table-2-1"
-BOUNDED = {"50x50x10-D0.2": 15.0}  # the thesis gives this array's density as a lower bound: a look beyond it
+BOUNDED = {
+    "50x50x10-D0.2": 15.0
+}  # the thesis gives this array's density as a lower bound: a look beyond it
 _RATIO = 1.25  # of two densities between which Q is taken for a straight line
 _FARTHEST = 100.0  # voxels: no planes are that far apart
 _STEPS = 12  # of that ratio, up or down, after which the search ends
@@ -43,11 +45,17 @@ def rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Row]:
         yield _spacing_row(case)
         for method in METHODS:
             trial, label = _trial(case.scene, pixels, method), f"{case.name}, {method}"
-            yield from _bound_rows(label, case, trial, seeds) if case.name in BOUNDED else _density_rows(label, case, trial, seeds)
+            yield from (
+                _bound_rows(label, case, trial, seeds)
+                if case.name in BOUNDED
+                else _density_rows(label, case, trial, seeds)
+            )
 
 
 def _trial(scene: Scene, pixels: int | None, method: str) -> Trial:
-    return lambda per_mm3, seed: measured(coarsened(with_density(scene, per_mm3), pixels), seed)[method]
+    return lambda per_mm3, seed: measured(coarsened(with_density(scene, per_mm3), pixels), seed)[
+        method
+    ]
 
 
 def _bound_rows(label: str, case: Case, trial: Trial, seeds: Sequence[int]) -> Iterator[Row]:
@@ -55,23 +63,36 @@ def _bound_rows(label: str, case: Case, trial: Trial, seeds: Sequence[int]) -> I
         found = [trial(per_mm3, seed) for seed in seeds]
         blind = f"k = {found[0].best_k:.3g}; automatic k = {found[0].blind_k:.3g}: Q = {np.mean([quality.blind for quality in found]):.3g}"
         name, values = f"{label}: Q at {per_mm3:g} per mm3", [quality.best for quality in found]
-        yield at_least(name, ADEQUATE, values, blind) if per_mm3 == density(case.scene) else compared(name, None, values, blind)
+        yield (
+            at_least(name, ADEQUATE, values, blind)
+            if per_mm3 == density(case.scene)
+            else compared(name, None, values, blind)
+        )
 
 
 def _density_rows(label: str, case: Case, trial: Trial, seeds: Sequence[int]) -> Iterator[Row]:
     """The largest density with the threshold tuned as in the thesis, with the truth at hand, and without it."""
     thesis = density(case.scene)
     tuned = crossings(lambda per_mm3, seed: trial(per_mm3, seed).best, thesis, seeds)
-    yield compared(f"{label}: particles per mm3", thesis, tuned, f"thesis: {per_pixel(case.scene):.2f} ppp")
+    yield compared(
+        f"{label}: particles per mm3", thesis, tuned, f"thesis: {per_pixel(case.scene):.2f} ppp"
+    )
     blind = crossings(lambda per_mm3, seed: trial(per_mm3, seed).blind, thesis, seeds)
-    yield compared(f"{label}, automatic k: particles per mm3", None, blind, "the threshold does not know the truth")
+    yield compared(
+        f"{label}, automatic k: particles per mm3",
+        None,
+        blind,
+        "the threshold does not know the truth",
+    )
 
 
-def crossings(quality: Callable[[float, int], float], start: float, seeds: Sequence[int]) -> list[float]:
+def crossings(
+    quality: Callable[[float, int], float], start: float, seeds: Sequence[int]
+) -> list[float]:
     """The density at which Q falls to 0.75, for every seed; empty if the first seed has none near `start`.
 
-    The first seed finds two densities on either side; between these, Q is a straight line for every seed. Source: thesis section 2.2.4, which
-    interpolates linearly.
+    The first seed finds two densities on either side; between these, Q is a straight line for every
+    seed. Source: thesis section 2.2.4, which interpolates linearly.
     """
     low = high = start
     for _ in range(_STEPS):
@@ -90,9 +111,19 @@ def _spacing_row(case: Case) -> Row:
     across, _, along = case.scene.grid.voxel_mm
     center, neighbour = _inner_pair(build_rig(case.scene).cameras)
     distance = -center.center_mm[2]
-    predicted = plane_spacing_ratio(float(np.linalg.norm(np.subtract(neighbour.center_mm, center.center_mm))) / distance, across, 0.0, distance)
+    predicted = plane_spacing_ratio(
+        float(np.linalg.norm(np.subtract(neighbour.center_mm, center.center_mm))) / distance,
+        across,
+        0.0,
+        distance,
+    )
     spacing = plane_spacing_mm(center, neighbour, across)
-    return compared(f"{case.name}: dZ / dX", along / across, [spacing / across], f"equation 2.10 at Z = 0: {predicted:.4g}")
+    return compared(
+        f"{case.name}: dZ / dX",
+        along / across,
+        [spacing / across],
+        f"equation 2.10 at Z = 0: {predicted:.4g}",
+    )
 
 
 def _inner_pair(cameras: Sequence[Camera]) -> tuple[Camera, Camera]:
@@ -109,7 +140,10 @@ def plane_spacing_mm(center: Camera, neighbour: Camera, voxel_mm: float) -> floa
     """
 
     def apart(z_mm: float) -> float:
-        return float(np.linalg.norm(_seen_on_zero(center, z_mm) - _seen_on_zero(neighbour, z_mm))) - voxel_mm
+        return (
+            float(np.linalg.norm(_seen_on_zero(center, z_mm) - _seen_on_zero(neighbour, z_mm)))
+            - voxel_mm
+        )
 
     return float(brentq(apart, 0.0, _FARTHEST * voxel_mm))
 

@@ -5,14 +5,30 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 from sabench.api.make import make_solver
-from sabench.evaluation.thesis.common import ADEQUATE, Row, at_least, cases, coarsened, density, simulated, with_density
+from sabench.evaluation.thesis.common import (
+    ADEQUATE,
+    Row,
+    at_least,
+    cases,
+    coarsened,
+    density,
+    simulated,
+    with_density,
+)
 from sabench.evaluation.thesis.table_2_1 import SUITE
 from sabench.metrics.quality_factor import quality
 from sabench.scenes.schema import Scene
 from sabench.tasks.reconstruction_scores import true_field
 
 SEEDS = 5
-SOLVERS = ("mlos_smart", "mlos_sart", "block_mart", "smart", "mfg_mart", "mart")  # the quickest first
+SOLVERS = (
+    "mlos_smart",
+    "mlos_sart",
+    "block_mart",
+    "smart",
+    "mfg_mart",
+    "mart",
+)  # the quickest first
 _DENSER = 1.5
 _TRIAL_PX = 100  # side of the images on which the solver is chosen: at full size each takes minutes
 _AS_GOOD = 0.01  # in Q
@@ -28,7 +44,12 @@ def rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Row]:
         best = next(name for name in SOLVERS if tried[name] >= max(tried.values()) - _AS_GOOD)
         values = [solved_quality(best, coarsened(scene, pixels), seed) for seed in seeds]
         others = ", ".join(f"{name} {value:.3f}" for name, value in tried.items())
-        yield at_least(f"{case.name}: Q at {per_mm3:.4g} per mm3", ADEQUATE, values, f"{best}; coarse: {others}")
+        yield at_least(
+            f"{case.name}: Q at {per_mm3:.4g} per mm3",
+            ADEQUATE,
+            values,
+            f"{best}; coarse: {others}",
+        )
 
 
 def solved_quality(solver: str, scene: Scene, seed: int) -> float:

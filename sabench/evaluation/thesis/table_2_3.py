@@ -31,8 +31,18 @@ def rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Row]:
         count = density(case.scene) * float(np.prod(case.scene.volume.size_mm))
         yield compared("particles", _PARTICLES, [count])
         yield compared("particles per pixel", _PER_PIXEL, [per_pixel(case.scene)])
-        yield compared("particles per pixel of all cameras", _PER_TOTAL_PIXEL, [per_pixel(case.scene) / cameras], "the thesis rounds")
+        yield compared(
+            "particles per pixel of all cameras",
+            _PER_TOTAL_PIXEL,
+            [per_pixel(case.scene) / cameras],
+            "the thesis rounds",
+        )
         found = [measured(coarsened(case.scene, pixels), seed) for seed in seeds]
         for method in METHODS:
             values = [frame[method].best for frame in found]
-            yield at_least(f"Q of {cameras} cameras, {method}", ADEQUATE, values, "the thesis calls 0.75 adequate and states no value")
+            yield at_least(
+                f"Q of {cameras} cameras, {method}",
+                ADEQUATE,
+                values,
+                "the thesis calls 0.75 adequate and states no value",
+            )

@@ -16,13 +16,27 @@ from sabench.scenes.schema import Scene
 
 SEEDS = 5
 _CASES: Mapping[Algorithm, str] = {
-    "asa": "9-cameras", "msa": "9-cameras",
-    "mart": "4-cameras", "mfg-mart": "4-cameras", "mlos-sart": "4-cameras", "mlos-smart": "4-cameras",
-}  # fmt: skip
+    "asa": "9-cameras",
+    "msa": "9-cameras",
+    "mart": "4-cameras",
+    "mfg-mart": "4-cameras",
+    "mlos-sart": "4-cameras",
+    "mlos-smart": "4-cameras",
+}
 _STATED: Mapping[Algorithm, float] = {
-    "asa": 8.81e9, "msa": 9.11e9, "mart": 2.15e11, "mfg-mart": 8.00e10, "mlos-sart": 1.81e10, "mlos-smart": 1.81e10,
-}  # fmt: skip
-_FEWER: Mapping[Algorithm, float] = {"mart": 16.3, "mfg-mart": 6.1, "mlos-sart": 1.4, "mlos-smart": 1.4}  # over MSA's operations: section 3.3.1
+    "asa": 8.81e9,
+    "msa": 9.11e9,
+    "mart": 2.15e11,
+    "mfg-mart": 8.00e10,
+    "mlos-sart": 1.81e10,
+    "mlos-smart": 1.81e10,
+}
+_FEWER: Mapping[Algorithm, float] = {
+    "mart": 16.3,
+    "mfg-mart": 6.1,
+    "mlos-sart": 1.4,
+    "mlos-smart": 1.4,
+}  # over MSA's operations: section 3.3.1
 _WARM_PX = 50
 
 
@@ -32,15 +46,29 @@ def rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Row]:
     seconds: dict[Algorithm, list[float]] = {}
     for algorithm, name in _CASES.items():
         formula = sum(operations(algorithm, TABLE_3_1[algorithm]))
-        yield compared(f"{algorithm}: operations, the thesis's counts", _STATED[algorithm], [formula])
+        yield compared(
+            f"{algorithm}: operations, the thesis's counts", _STATED[algorithm], [formula]
+        )
         frames = [simulated(scenes[name], seed).observation for seed in seeds]
         setups = [_setup(algorithm, frame) for frame in frames]
-        yield compared(f"{algorithm}: operations, our counts", None, [sum(operations(algorithm, setup)) for setup in setups], _told(setups[0]))
+        yield compared(
+            f"{algorithm}: operations, our counts",
+            None,
+            [sum(operations(algorithm, setup)) for setup in setups],
+            _told(setups[0]),
+        )
         seconds[algorithm] = _timed(algorithm, scenes[name], frames)
         yield compared(f"{algorithm}: seconds", None, seconds[algorithm])
     for algorithm, fewer in _FEWER.items():
-        ratios = [slow / fast for slow, fast in zip(seconds[algorithm], seconds["msa"], strict=True)]
-        yield compared(f"{algorithm}: seconds over those of msa", fewer, ratios, "the thesis's is of operations")
+        ratios = [
+            slow / fast for slow, fast in zip(seconds[algorithm], seconds["msa"], strict=True)
+        ]
+        yield compared(
+            f"{algorithm}: seconds over those of msa",
+            fewer,
+            ratios,
+            "the thesis's is of operations",
+        )
 
 
 def _setup(algorithm: Algorithm, frame: Observation) -> Setup:
@@ -53,12 +81,21 @@ def _setup(algorithm: Algorithm, frame: Observation) -> Setup:
     start = problem.mfg if algorithm == "mfg-mart" else problem.mlos
     lit_voxels = float(len(start(chosen.threshold).lines.support))
     lit_pixels = float((problem.measured.light >= chosen.threshold).sum()) / cameras
-    return Setup(cameras, voxels, lit_voxels, lit_voxels, lit_voxels / max(lit_pixels, 1.0), chosen.iterations)
+    return Setup(
+        cameras,
+        voxels,
+        lit_voxels,
+        lit_voxels,
+        lit_voxels / max(lit_pixels, 1.0),
+        chosen.iterations,
+    )
 
 
 def _told(setup: Setup) -> str:
     lit = (
-        f", {setup.lit_voxels:.3g} of them lit, {setup.path_voxels:.3g} on a line of sight, {setup.iterations} iterations" if setup.iterations else ""
+        f", {setup.lit_voxels:.3g} of them lit, {setup.path_voxels:.3g} on a line of sight, {setup.iterations} iterations"
+        if setup.iterations
+        else ""
     )
     return f"{setup.cameras} cameras, {setup.voxels:.3g} voxels{lit}"
 

@@ -23,11 +23,22 @@ from sabench.utils.progress import console
 from sabench.worlds.library.plunging_jet import JetLaw
 
 SEEDS = 10
-_HEIGHTS, _PICTURED = (7, 21, 43), 21  # mm of the nozzle above the surface; that of figures 5-5 to 5-11
+_HEIGHTS, _PICTURED = (
+    (7, 21, 43),
+    21,
+)  # mm of the nozzle above the surface; that of figures 5-5 to 5-11
 _SOLVER = "rim_fit"
-_THESIS = {7: (211.5, 11.6), 21: (160.0, 10.9), 43: (120.0, 11.3)}  # table 5.2: Y_p in mm, angle in degrees
+_THESIS = {
+    7: (211.5, 11.6),
+    21: (160.0, 10.9),
+    43: (120.0, 11.3),
+}  # table 5.2: Y_p in mm, angle in degrees
 _SCALING = {"weight": 0.903, "width": 0.1894}  # of equation 5.18
-_LARGE = {"f1_large": "F1 of bubbles of 0.5 mm radius and more", "radius_percent": "radius error, %", "depth_mm": "depth error, mm"}
+_LARGE = {
+    "f1_large": "F1 of bubbles of 0.5 mm radius and more",
+    "radius_percent": "radius error, %",
+    "depth_mm": "depth error, mm",
+}
 
 
 def rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
@@ -45,7 +56,11 @@ def rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
             guess = _solved(case)
             spent = time.perf_counter() - start
             scores.append(detection_scores(guess, world.bubbles, _seen(world)))
-            console.print(f"h = {height} mm, seed {seed}: F1 {scores[-1]['f1_large']:.3f}, {spent:.0f} s", markup=False, highlight=False)
+            console.print(
+                f"h = {height} mm, seed {seed}: F1 {scores[-1]['f1_large']:.3f}, {spent:.0f} s",
+                markup=False,
+                highlight=False,
+            )
             true.append(world.bubbles)
             found.append(guess)
         yield from _figures(scene, height, true, found)
@@ -59,10 +74,18 @@ def _solved(case: Observation) -> Detections:
 
 
 def _seen(world: PhaseWorld) -> Any:
-    return np.mean([see(camera, world.bubbles, world.solids).visible for camera in world.rig.cameras], axis=0)
+    return np.mean(
+        [see(camera, world.bubbles, world.solids).visible for camera in world.rig.cameras], axis=0
+    )
 
 
-def _rows(scene: Scene, height: int, scores: list[dict[str, float]], true: list[AnyBubbles], found: list[AnyBubbles]) -> Iterator[Item]:
+def _rows(
+    scene: Scene,
+    height: int,
+    scores: list[dict[str, float]],
+    true: list[AnyBubbles],
+    found: list[AnyBubbles],
+) -> Iterator[Item]:
     for key, name in _LARGE.items():
         yield compared(f"h = {height} mm, {_SOLVER}: {name}", None, [one[key] for one in scores])
     known, guess = jet_figures(scene, true), jet_figures(scene, found)
@@ -70,14 +93,22 @@ def _rows(scene: Scene, height: int, scores: list[dict[str, float]], true: list[
     for name in JET.values():
         exact, measured = getattr(known, name), getattr(guess, name)
         note = f"{len(true)} frames together; of the true bubbles {exact:.4g}: {100.0 * (measured / exact - 1.0):+.1f} %"
-        yield compared(f"h = {height} mm: {name}", stated[name], [measured] if np.isfinite(measured) else [], note)
+        yield compared(
+            f"h = {height} mm: {name}",
+            stated[name],
+            [measured] if np.isfinite(measured) else [],
+            note,
+        )
 
 
-def _figures(scene: Scene, height: int, true: list[AnyBubbles], found: list[AnyBubbles]) -> Iterator[Item]:
+def _figures(
+    scene: Scene, height: int, true: list[AnyBubbles], found: list[AnyBubbles]
+) -> Iterator[Item]:
     """Figures 5-18 to 5-20 of the first frame, and C_Y over depth beside equation 5.18."""
     number = {7: "5-18", 21: "5-19", 43: "5-20"}[height]
     panels = tuple(
-        Panel(title, "X, mm", "", (Space("radius, mm", one.center_mm, one.radius_mm),)) for title, one in (("true", true[0]), ("found", found[0]))
+        Panel(title, "X, mm", "", (Space("radius, mm", one.center_mm, one.radius_mm),))
+        for title, one in (("true", true[0]), ("found", found[0]))
     )
     yield Figure(f"fig-{number}", f"bubbles, h = {height} mm", panels, inch=(4.6, 6.4))
     given = scene.bubbles or {}
@@ -85,7 +116,13 @@ def _figures(scene: Scene, height: int, true: list[AnyBubbles], found: list[AnyB
     curves = []
     for name, balls in (("true bubbles", true), ("found", found)):
         jet = jet_figures(scene, balls)
-        curves.append(Curve(name, list(jet.depth_mm), list(jet.total / max(float(jet.total.max()), 1e-12))))
+        curves.append(
+            Curve(name, list(jet.depth_mm), list(jet.total / max(float(jet.total.max()), 1e-12)))
+        )
     y = np.linspace(0.0, curves[0].x[-1], 100)
     curves.append(Curve("equation 5.18", list(y), list(law.total_over_peak(y))))
-    yield Figure(f"fig-5-30-{height}", f"concentration over depth, h = {height} mm", (Panel("", "Y, mm", "C_Y over its largest", tuple(curves)),))
+    yield Figure(
+        f"fig-5-30-{height}",
+        f"concentration over depth, h = {height} mm",
+        (Panel("", "Y, mm", "C_Y over its largest", tuple(curves)),),
+    )

@@ -1,6 +1,7 @@
 """What the thesis predicts: spacing of focal planes, ghosts, operation counts, the shape of intensity histograms. Functions of numbers only.
 
-Equation and table numbers are those of J. Belden, "Synthetic Aperture Imaging for Three Dimensional Resolution of Fluid Flows", MIT.
+Equation and table numbers are those of J. Belden, "Synthetic Aperture Imaging for Three Dimensional
+Resolution of Fluid Flows", MIT.
 """
 
 from __future__ import annotations
@@ -25,12 +26,18 @@ def pixel_in_volume_mm(pixel_mm: float, magnification: float) -> float:
     return -pixel_mm / magnification
 
 
-def image_shift_mm(baseline_mm: float, z_a_mm: float, z_b_mm: float, s_i_mm: float, s_o_mm: float) -> float:
+def image_shift_mm(
+    baseline_mm: float, z_a_mm: float, z_b_mm: float, s_i_mm: float, s_o_mm: float
+) -> float:
     """Equation 2.6: how far the image of a camera must be shifted on its sensor to refocus from plane Z_A to Z_B; baseline: from the first camera."""
-    return baseline_mm * (magnification(z_b_mm, s_i_mm, s_o_mm) - magnification(z_a_mm, s_i_mm, s_o_mm))
+    return baseline_mm * (
+        magnification(z_b_mm, s_i_mm, s_o_mm) - magnification(z_a_mm, s_i_mm, s_o_mm)
+    )
 
 
-def plane_spacing_ratio(baseline_ratio: float, pixel_mm: float, z_mm: float, s_o_mm: float) -> float:
+def plane_spacing_ratio(
+    baseline_ratio: float, pixel_mm: float, z_mm: float, s_o_mm: float
+) -> float:
     """Equation 2.10: dZ / dX = (1 / D + Z / (D s_o)) / (1 - dX / (D s_o)), where a shift by one pixel leads to the next focal plane.
 
     Parameters
@@ -40,7 +47,9 @@ def plane_spacing_ratio(baseline_ratio: float, pixel_mm: float, z_mm: float, s_o
     z_mm : Z, from the front of the volume.
     s_o_mm : distance of the cameras from the front of the volume.
     """
-    return first_order_spacing_ratio(baseline_ratio, z_mm, s_o_mm) / (1.0 - pixel_mm / (baseline_ratio * s_o_mm))
+    return first_order_spacing_ratio(baseline_ratio, z_mm, s_o_mm) / (
+        1.0 - pixel_mm / (baseline_ratio * s_o_mm)
+    )
 
 
 def first_order_spacing_ratio(baseline_ratio: float, z_mm: float, s_o_mm: float) -> float:
@@ -56,8 +65,9 @@ def planes(depth_mm: float, spacing_mm: float) -> float:
 def ghost_ratio(ppp: float, cameras: int, area_px: float, depth_voxels: float) -> float:
     """Equation 3.14: ghosts per particle, N_g / N_p = ppp^(N - 1) A_p^N l_z.
 
-    A voxel is lit by chance in N independent images that particles of area A_p cover to the share ppp A_p: (ppp A_p)^N of all voxels, of
-    which there are l_z / ppp for each particle. It counts voxels, where a ghost has several, and any overlap of lines of sight.
+    A voxel is lit by chance in N independent images that particles of area A_p cover to the share
+    ppp A_p: (ppp A_p)^N of all voxels, of which there are l_z / ppp for each particle. It counts
+    voxels, where a ghost has several, and any overlap of lines of sight.
 
     Parameters
     ----------
@@ -104,16 +114,27 @@ TABLE_3_1: dict[Algorithm, Setup] = {
 def operations(algorithm: Algorithm, setup: Setup) -> tuple[float, float]:
     """Operations of the first pass over the volume, and of all iterations after it: equations 3.6, 3.7, 3.10 to 3.13.
 
-    Equations 3.12 and 3.13 are those of one iteration; Table 3.1 has five. See docs/theory.md for where the table departs from the equations.
+    Equations 3.12 and 3.13 are those of one iteration; Table 3.1 has five. See docs/theory.md for
+    where the table departs from the equations.
     """
-    n, mart = setup.cameras, 4.0 * setup.iterations * setup.cameras * setup.iterated_voxels * (8.0 * setup.path_voxels + 4.0)
+    n, mart = (
+        setup.cameras,
+        4.0
+        * setup.iterations
+        * setup.cameras
+        * setup.iterated_voxels
+        * (8.0 * setup.path_voxels + 4.0),
+    )
     counts = {
         "asa": (setup.voxels * (26 * n + 1), 0.0),
         "msa": (27.0 * n * setup.voxels, 0.0),
         "mart": (0.0, mart),
         "mfg-mart": (setup.voxels * (8 * n + 1), mart),
         "mlos-sart": (120.0 * n * setup.voxels, setup.iterations * (24 * n + 4) * setup.lit_voxels),
-        "mlos-smart": (120.0 * n * setup.voxels, setup.iterations * (24 * n + 3) * setup.lit_voxels),
+        "mlos-smart": (
+            120.0 * n * setup.voxels,
+            setup.iterations * (24 * n + 3) * setup.lit_voxels,
+        ),
     }
     return counts[algorithm]
 
@@ -125,8 +146,10 @@ class Normality:
     Attributes
     ----------
     skewness, excess_kurtosis : of all values; particles, which are bright outliers, raise both.
-    distance : Kolmogorov's, the largest difference of two cumulative distributions: of the core, the values below mean + 3 standard
-        deviations, and of the normal distribution with the core's mean and standard deviation; 1/2 for a core of one value.
+    distance : Kolmogorov's, the largest difference of two cumulative distributions: of the core,
+        the values below mean + 3 standard
+        deviations, and of the normal distribution with the core's mean and standard deviation; 1/2
+        for a core of one value.
     """
 
     skewness: float
@@ -144,7 +167,9 @@ def normality(values: npt.ArrayLike) -> Normality:
     """
     flat = np.asarray(values, dtype=np.float64).ravel()
     if not flat.size or flat.min() == flat.max():
-        raise ValueError(f"normality: expected at least two different values, got {len(np.unique(flat))}")
+        raise ValueError(
+            f"normality: expected at least two different values, got {len(np.unique(flat))}"
+        )
     standard = _standardised(flat)
     core = _standardised(np.sort(standard[standard < 3.0]))
     expected, steps = ndtr(core), np.arange(len(core) + 1) / len(core)

@@ -28,7 +28,9 @@ class Cluster:
             try:
                 self._client = Client(address, timeout=_SILENT_S)
             except (OSError, ValueError, TimeoutError) as error:
-                raise InputError(f"scheduler: expected a Dask scheduler at {address}, got {type(error).__name__}: {error}") from error
+                raise InputError(
+                    f"scheduler: expected a Dask scheduler at {address}, got {type(error).__name__}: {error}"
+                ) from error
         self._tasks: dict[Any, tuple[Hashable, Task]] = {}
 
     @property
@@ -43,7 +45,15 @@ class Cluster:
 
     def give(self, worker: Hashable, task: Task) -> None:
         """Have a worker do a task; another one does it if that worker dies."""
-        future = self._client.submit(_do, self._root, task.frame, task.camera, workers=[worker], allow_other_workers=True, pure=False)
+        future = self._client.submit(
+            _do,
+            self._root,
+            task.frame,
+            task.camera,
+            workers=[worker],
+            allow_other_workers=True,
+            pure=False,
+        )
         self._tasks[future] = worker, task
 
     def wait(self) -> list[Outcome]:
@@ -55,7 +65,9 @@ class Cluster:
             ended = wait(list(self._tasks), timeout=_PATIENCE_S, return_when="FIRST_COMPLETED").done
         except TimeoutError:
             if not self._addresses():
-                console.print("waiting for workers: the scheduler has none", style="dim", highlight=False)
+                console.print(
+                    "waiting for workers: the scheduler has none", style="dim", highlight=False
+                )
             return []
         return [self._outcome(future) for future in ended]
 

@@ -43,9 +43,16 @@ class Job:
     def write(self, root: Path) -> None:
         """Put it into the folder in which its parts will lie."""
         root.mkdir(parents=True, exist_ok=True)
-        values = {"seed": self.seed, "renderer": self.renderer, "label": self.label, "key": self.key}
+        values = {
+            "seed": self.seed,
+            "renderer": self.renderer,
+            "label": self.label,
+            "key": self.key,
+        }
         for name, text in ((_SCENE, self.scene.to_toml()), (JOB, canonical_json(values))):
-            with complete_or_nothing(root / name, overwrite=True) as partial:  # a worker may be reading it
+            with complete_or_nothing(
+                root / name, overwrite=True
+            ) as partial:  # a worker may be reading it
                 partial.write_text(text, encoding="utf-8")
 
 
@@ -55,15 +62,22 @@ def read_job(root: Path) -> Job:
     Raises
     ------
     InputError
-        A folder that this machine does not see, or another version of sabench than the one that wrote it.
+        A folder that this machine does not see, or another version of sabench than the one that
+        wrote it.
     """
     if not (root / JOB).is_file():
-        raise InputError(f"{root}: expected a data set that is being made, found none: all workers must see this folder")
+        raise InputError(
+            f"{root}: expected a data set that is being made, found none: all workers must see this folder"
+        )
     values: dict[str, Any] = read_json(root / JOB)
-    scene = parse_scene(tomllib.loads((root / _SCENE).read_text(encoding="utf-8")), values["label"], root)
+    scene = parse_scene(
+        tomllib.loads((root / _SCENE).read_text(encoding="utf-8")), values["label"], root
+    )
     job = Job(scene, values["seed"], values["renderer"], values["label"])
     if job.key != values["key"]:
-        raise InputError(f"{root}: expected the same versions of sabench and of what it renders with on all machines, got others here")
+        raise InputError(
+            f"{root}: expected the same versions of sabench and of what it renders with on all machines, got others here"
+        )
     return job
 
 

@@ -1,6 +1,7 @@
 """What has been recorded of a data set so far: a file of truth for each frame, and for each camera of it one more beside its pictures.
 
-Each appears whole or not at all, so that whoever writes them may be killed at any time, and what is there need not be made again.
+Each appears whole or not at all, so that whoever writes them may be killed at any time, and what is
+there need not be made again.
 """
 
 from __future__ import annotations
@@ -23,7 +24,9 @@ from sabench.utils.arrays import F32, U16
 from sabench.utils.errors import InputError
 from sabench.utils.files import sha256
 
-Part = dict[str, npt.NDArray[Any]]  # arrays by their names in the file of truth; those in `KEPT` serve the recording only
+Part = dict[
+    str, npt.NDArray[Any]
+]  # arrays by their names in the file of truth; those in `KEPT` serve the recording only
 Recall = Callable[[int], Part]  # a frame's part
 KEPT = "kept/"
 _FILES = f"{KEPT}files"
@@ -62,7 +65,10 @@ class Parts:
         part = _load(self._view(frame, camera))
         if part is None or _FILES not in part:
             return False
-        return all((self.root / name).is_file() and sha256(self.root / name) == entry.sha256 for name, entry in files_of(part).items())
+        return all(
+            (self.root / name).is_file() and sha256(self.root / name) == entry.sha256
+            for name, entry in files_of(part).items()
+        )
 
     def view(self, frame: int, camera: str) -> Part:
         """A camera's part of a frame; InputError if it is not there."""
@@ -72,11 +78,19 @@ class Parts:
         """Keep a camera's part of a frame; it is there when its last file, that of the truth, is."""
         self._check()
         files = {}
-        for suffix, write in {"tif": lambda path: write_tiff(path, taken.grey), "exr": lambda path: write_exr(path, taken.radiance)}.items():
+        for suffix, write in {
+            "tif": lambda path: write_tiff(path, taken.grey),
+            "exr": lambda path: write_exr(path, taken.radiance),
+        }.items():
             name = schema.image_name(camera, frame, suffix)
             _replace(self.root / name, write)
-            files[name] = schema.FileEntry(bytes=(self.root / name).stat().st_size, sha256=sha256(self.root / name)).model_dump()
-        _save(self._view(frame, camera), taken.truth | {_FILES: np.frombuffer(json.dumps(files).encode(), dtype=np.uint8)})
+            files[name] = schema.FileEntry(
+                bytes=(self.root / name).stat().st_size, sha256=sha256(self.root / name)
+            ).model_dump()
+        _save(
+            self._view(frame, camera),
+            taken.truth | {_FILES: np.frombuffer(json.dumps(files).encode(), dtype=np.uint8)},
+        )
 
     def _check(self) -> None:
         """Nothing is written for a data set that is complete, as by a process whose scheduler was killed and started again."""
@@ -96,20 +110,27 @@ class Parts:
 
 def files_of(part: Part) -> dict[str, schema.FileEntry]:
     """The pictures of a camera's part: their paths in the data set, sizes and checksums."""
-    return {name: schema.FileEntry(**entry) for name, entry in json.loads(part[_FILES].tobytes()).items()}
+    return {
+        name: schema.FileEntry(**entry)
+        for name, entry in json.loads(part[_FILES].tobytes()).items()
+    }
 
 
 def _needed(path: Path) -> Part:
     part = _load(path)
     if part is None:
-        raise InputError(f"{path}: expected a whole part of a data set that is being made, found none")
+        raise InputError(
+            f"{path}: expected a whole part of a data set that is being made, found none"
+        )
     return part
 
 
 def _load(path: Path) -> Part | None:
     try:
         with path.open("rb") as file, np.load(file, allow_pickle=False) as arrays:
-            return {name: arrays[name] for name in arrays.files}  # the archive's checksums are tested here
+            return {
+                name: arrays[name] for name in arrays.files
+            }  # the archive's checksums are tested here
     except (OSError, EOFError, ValueError, zipfile.BadZipFile):
         return None
 

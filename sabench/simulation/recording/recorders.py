@@ -64,12 +64,20 @@ class ParticleRecorder:
     def __init__(self, scene: Scene, seed: int, renderer: str, label: str) -> None:
         self._rig, self._scene, self._renderer = build_rig(scene, label), scene, renderer
         self._motion = Motion(scene, seed)
-        self.cameras, self.chained, self.views = self._rig.cameras, self._motion.chained, len(self._rig.cameras)
+        self.cameras, self.chained, self.views = (
+            self._rig.cameras,
+            self._motion.chained,
+            len(self._rig.cameras),
+        )
         self._world: World | None = None
 
     def frame(self, number: int, recall: Recall) -> Part:
         """Particles, and the exact flow where the scene asks for it."""
-        _go_on(self._motion, number, lambda: _particles(recall(number - 1), schema.frame_group(number - 1)))
+        _go_on(
+            self._motion,
+            number,
+            lambda: _particles(recall(number - 1), schema.frame_group(number - 1)),
+        )
         return _tracers(self._motion.at(number), number) | _flow(self._scene, number)
 
     def view(self, number: int, camera: int, recall: Recall) -> Taken:
@@ -79,7 +87,11 @@ class ParticleRecorder:
             self._world = make_world(self._motion, self._rig, number, self._renderer, particles)
         seen = self.cameras[camera]
         images, grey, photons, radiance = shoot(self._world, seen)
-        return Taken(_seen(number, seen, images), grey, (_radiance(seen, photons) if radiance is None else radiance).astype(np.float32))
+        return Taken(
+            _seen(number, seen, images),
+            grey,
+            (_radiance(seen, photons) if radiance is None else radiance).astype(np.float32),
+        )
 
     def finish(self, writer: DatasetWriter, parts: Parts) -> None:
         """Nothing is left."""
@@ -103,8 +115,18 @@ class PhaseRecorder:
         part = _phases(world, number)
         if motion is None or world.particles is None or world.lit is None:
             return part | _flow(self._scene, number)
-        kept = {f"{_STATE}/{name}": getattr(motion.at(number), name) for name in _PARTICLES} if self.chained else {}
-        return part | _tracers(world.particles, number) | _flow(self._scene, number) | kept | {f"{KEPT}lit": world.lit}
+        kept = (
+            {f"{_STATE}/{name}": getattr(motion.at(number), name) for name in _PARTICLES}
+            if self.chained
+            else {}
+        )
+        return (
+            part
+            | _tracers(world.particles, number)
+            | _flow(self._scene, number)
+            | kept
+            | {f"{KEPT}lit": world.lit}
+        )
 
     def view(self, number: int, camera: int, recall: Recall) -> Taken:
         """A picture, and what each pixel sees."""
@@ -112,8 +134,13 @@ class PhaseRecorder:
             self._world = self._recalled(number, recall(number))
         seen = self.cameras[camera]
         view, group = record(self._world, seen), f"{schema.frame_group(number)}/sights/{seen.name}"
-        sight = {name: getattr(view.sight, name) for name in ("number", "depth_mm", "path_mm", "visible", "pixel", "contour")}
-        truth: Part = {f"{group}/{name}": value for name, value in sight.items()} | {f"{group}/error": np.array([view.error])}
+        sight = {
+            name: getattr(view.sight, name)
+            for name in ("number", "depth_mm", "path_mm", "visible", "pixel", "contour")
+        }
+        truth: Part = {f"{group}/{name}": value for name, value in sight.items()} | {
+            f"{group}/error": np.array([view.error])
+        }
         images = {} if view.images is None else _seen(number, seen, view.images)
         return Taken(truth | images, view.grey, _radiance(seen, view.photons).astype(np.float32))
 
@@ -135,13 +162,19 @@ class TargetRecorder:
     def __init__(self, scene: Scene, seed: int, renderer: str, label: str) -> None:
         rig = build_rig(scene, label)
         self._scene, self._seed, self.cameras, self.chained = scene, seed, rig.cameras, False
-        self._told, self._placed = told_cameras(scene, rig.cameras, seed), calibration_targets.place(scene, seed)
+        self._told, self._placed = (
+            told_cameras(scene, rig.cameras, seed),
+            calibration_targets.place(scene, seed),
+        )
         self._known = calibration_targets.prior(scene, self._placed, seed)
         self.views = len(rig.cameras) if renderer == "mitsuba" else 0
 
     def frame(self, number: int, recall: Recall) -> Part:
         """Where the target is."""
-        return {f"{schema.frame_group(number)}/{name}": value for name, value in asdict(self._placed.poses[number]).items()}
+        return {
+            f"{schema.frame_group(number)}/{name}": value
+            for name, value in asdict(self._placed.poses[number]).items()
+        }
 
     def view(self, number: int, camera: int, recall: Recall) -> Taken:
         """A picture, and the target's points as they are found in it."""
@@ -149,10 +182,16 @@ class TargetRecorder:
         from sabench.simulation.rendering.targets_traced import photograph
 
         scene, seen = self._scene, self.cameras[camera]
-        lighting, center, pose = scene.lighting, np.asarray(scene.volume.center_mm), self._placed.poses[number]
+        lighting, center, pose = (
+            scene.lighting,
+            np.asarray(scene.volume.center_mm),
+            self._placed.poses[number],
+        )
         assert lighting is not None  # who chose the renderer has checked it
         full = scene.sensor.full_well_e / scene.sensor.quantum_efficiency
-        photons = full * photograph(seen, self._placed.target, pose, lighting, center, scene.render.samples_per_pixel)
+        photons = full * photograph(
+            seen, self._placed.target, pose, lighting, center, scene.render.samples_per_pixel
+        )
         grey = expose(scene.sensor, photons.copy(), stream(self._seed, "sensor", number, camera))
         found = detect(grey, self._placed.target, self._expected(camera)[number])
         return Taken({f"{KEPT}found": found}, grey, _radiance(seen, photons).astype(np.float32))
@@ -160,7 +199,9 @@ class TargetRecorder:
     def _expected(self, camera: int) -> F64:
         """Roughly known pixels (frame, point, 2)."""
         rough = self._known.rough_mm
-        return np.asarray(self._told[camera].project(rough.reshape(-1, 3))[0].reshape(*rough.shape[:2], 2))
+        return np.asarray(
+            self._told[camera].project(rough.reshape(-1, 3))[0].reshape(*rough.shape[:2], 2)
+        )
 
     def finish(self, writer: DatasetWriter, parts: Parts) -> None:
         """The target, what each camera found of it, and what is known of its places."""
@@ -175,9 +216,13 @@ class TargetRecorder:
 
     def _found(self, parts: Parts, camera: int, exact: F64) -> tuple[F64, Bool]:
         if not self.views:
-            return calibration_targets.found_pixels(self._scene.detection, exact, self._seed, camera)
+            return calibration_targets.found_pixels(
+                self._scene.detection, exact, self._seed, camera
+            )
         name = self.cameras[camera].name
-        return np.stack([parts.view(frame, name)[f"{KEPT}found"] for frame in range(self._scene.frames)]), np.zeros(exact.shape[:2], dtype=np.bool_)
+        return np.stack(
+            [parts.view(frame, name)[f"{KEPT}found"] for frame in range(self._scene.frames)]
+        ), np.zeros(exact.shape[:2], dtype=np.bool_)
 
 
 def _go_on(motion: Motion, number: int, before: Callable[[], Particles]) -> None:
@@ -198,7 +243,12 @@ def _flow(scene: Scene, number: int) -> Part:
     if not scene.flow_grid_mm:
         return {}
     field, gradient = lattice(scene, number, scene.flow_grid_mm)
-    values = {"velocity_mm_s": field.velocity_mm_s, "gradient_1_s": gradient, "low_mm": np.array(field.low_mm), "step_mm": np.array(field.step_mm)}
+    values = {
+        "velocity_mm_s": field.velocity_mm_s,
+        "gradient_1_s": gradient,
+        "low_mm": np.array(field.low_mm),
+        "step_mm": np.array(field.step_mm),
+    }
     return {f"{schema.frame_group(number)}/flow/{name}": value for name, value in values.items()}
 
 
@@ -207,14 +257,20 @@ def _phases(world: PhaseWorld, number: int) -> Part:
     bubbles = {f"{group}/bubbles/{name}": getattr(world.bubbles, name) for name in _BUBBLES}
     part: Part = bubbles | {f"{group}/bubbles/index": np.array([world.bubbles.index])}
     for place, solid in enumerate(world.solids):
-        part |= {f"{group}/bodies/{place}/vertices_mm": solid.vertices_mm, f"{group}/bodies/{place}/faces": solid.faces}
+        part |= {
+            f"{group}/bodies/{place}/vertices_mm": solid.vertices_mm,
+            f"{group}/bodies/{place}/faces": solid.faces,
+        }
     return part
 
 
 def _seen(number: int, camera: Camera, images: ParticleImages) -> Part:
     """Where and how bright one camera receives a frame's particles."""
     group = f"{schema.frame_group(number)}/cameras/{camera.name}"
-    small: Part = {f"{group}/sigma_px": images.sigma_px.astype(np.float32), f"{group}/visible": images.visible.astype(np.uint8)}
+    small: Part = {
+        f"{group}/sigma_px": images.sigma_px.astype(np.float32),
+        f"{group}/visible": images.visible.astype(np.uint8),
+    }
     return {f"{group}/pixel": images.pixel, f"{group}/photons": images.photons} | small
 
 

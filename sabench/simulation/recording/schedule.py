@@ -66,7 +66,11 @@ class Plan:
         self._tries.pop(task, None)
         state = self._open[task.frame]
         if task.camera is None:
-            state.made, state.left, self._reached = True, self._cameras, max(self._reached, task.frame)
+            state.made, state.left, self._reached = (
+                True,
+                self._cameras,
+                max(self._reached, task.frame),
+            )
             state.views.extend(Task(task.frame, camera) for camera in range(self._cameras))
         else:
             state.left -= 1
@@ -109,7 +113,14 @@ class Plan:
 
     def _untouched(self) -> Task | None:
         """A camera of a frame that nobody is at."""
-        return next((self._view(state) for state in self._open.values() if state.views and not state.touched), None)
+        return next(
+            (
+                self._view(state)
+                for state in self._open.values()
+                if state.views and not state.touched
+            ),
+            None,
+        )
 
     def _help(self) -> Task | None:
         """A camera of the frame that has most left."""

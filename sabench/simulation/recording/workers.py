@@ -80,7 +80,9 @@ def work_off(crew: Crew, plan: Plan, doing: str) -> None:
     if plan.failures:
         task, why = plan.failures[0]
         more = f", and {len(plan.failures) - 1} more" if len(plan.failures) > 1 else ""
-        raise UnfinishedError(f"{doing}: {task} failed {TRIES} times{more}: {why}; what was finished is kept, the same command goes on with it")
+        raise UnfinishedError(
+            f"{doing}: {task} failed {TRIES} times{more}: {why}; what was finished is kept, the same command goes on with it"
+        )
 
 
 class UnfinishedError(InputError):
@@ -118,7 +120,11 @@ class Pool:
     """Processes on this machine that share its cores; one that dies is replaced."""
 
     def __init__(self, root: Path, jobs: int, threads: int | None = None) -> None:
-        self._root, self._jobs, self._threads = root, jobs, threads or max(1, (os.cpu_count() or 1) // jobs)
+        self._root, self._jobs, self._threads = (
+            root,
+            jobs,
+            threads or max(1, (os.cpu_count() or 1) // jobs),
+        )
         self._said: queue.SimpleQueue[tuple[int, str]] = queue.SimpleQueue()
         self._workers: dict[int, subprocess.Popen[str]] = {}
         self._busy: dict[int, Task] = {}
@@ -156,7 +162,11 @@ class Pool:
         task = self._busy.pop(number, None)
         if not line:
             code = _dismiss(self._workers.pop(number))
-            return [] if task is None else [Outcome(number, task, f"its process ended with exit code {code}")]
+            return (
+                []
+                if task is None
+                else [Outcome(number, task, f"its process ended with exit code {code}")]
+            )
         assert task is not None
         kind, why = json.loads(line)
         if kind == "input":
@@ -176,11 +186,23 @@ class Pool:
         number, self._count = self._count, self._count + 1
         with _deaf():
             process = subprocess.Popen(
-                [sys.executable, "-P", "-m", "sabench.simulation.recording.worker", str(self._root), str(self._threads)],
-                stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env=_environment(self._threads),
-            )  # fmt: skip
+                [
+                    sys.executable,
+                    "-P",
+                    "-m",
+                    "sabench.simulation.recording.worker",
+                    str(self._root),
+                    str(self._threads),
+                ],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                text=True,
+                env=_environment(self._threads),
+            )
         self._workers[number] = process
-        threading.Thread(target=_listen, args=(process.stdout, number, self._said), daemon=True).start()
+        threading.Thread(
+            target=_listen, args=(process.stdout, number, self._said), daemon=True
+        ).start()
 
 
 def _dismiss(process: subprocess.Popen[str]) -> int:
@@ -203,7 +225,10 @@ def _listen(pipe: Any, number: int, said: queue.SimpleQueue[tuple[int, str]]) ->
 
 def _environment(threads: int) -> dict[str, str]:
     """This process's own, with sabench in reach, and fewer threads for whoever reads their number here."""
-    limits = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"), str(threads))
+    limits = dict.fromkeys(
+        ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"),
+        str(threads),
+    )
     path = os.pathsep.join(filter(None, (str(_ROOT), os.environ.get("PYTHONPATH"))))
     return os.environ | limits | {"PYTHONPATH": path}
 
@@ -232,5 +257,7 @@ def cluster(address: str, root: Path) -> Crew:
     try:
         from sabench.simulation.recording.dask_workers import Cluster
     except ImportError as error:
-        raise InputError(f"scheduler: expected the package distributed, which pip install 'sabench[dask]' brings, got {error}") from error
+        raise InputError(
+            f"scheduler: expected the package distributed, which pip install 'sabench[dask]' brings, got {error}"
+        ) from error
     return Cluster(address, root)

@@ -2,10 +2,11 @@
 
 Import this module only after sabench.utils.backend.mitsuba(), as `glow`.
 
-Bubbles are primitives of one `ellipsoids` shape. Mitsuba says which one a ray enters; where it leaves again, and the normals, follow from
-the ellipsoid's equation, so that spheroids are exact and thousands need no triangles. At every surface a ray is either reflected or
-refracted, with Fresnel's probability. The tank's walls are plane: rays cross them by Snell's and Fresnel's laws without a search.
-Radiance is carried as L / n^2, which no interface changes but by what it reflects.
+Bubbles are primitives of one `ellipsoids` shape. Mitsuba says which one a ray enters; where it
+leaves again, and the normals, follow from the ellipsoid's equation, so that spheroids are exact and
+thousands need no triangles. At every surface a ray is either reflected or refracted, with Fresnel's
+probability. The tank's walls are plane: rays cross them by Snell's and Fresnel's laws without a
+search. Radiance is carried as L / n^2, which no interface changes but by what it reflects.
 """
 
 from __future__ import annotations
@@ -26,9 +27,37 @@ from sabench.utils.arrays import F32, F64, I64
 _WAVEFRONT = 1 << 22  # rays traced at once: bounds memory, not results
 _EVENTS, _GLOWING = 64, 4096  # surfaces, and glowing balls, that a ray meets at most
 _NONE = 0xFFFFFFFF
-_OFF = 2e-5  # mm: where a ray starts in front of the surface that it leaves; single precision at 100 mm
-_PRIMES = (2, 3, 5, 7, 11, 13, 17, 19, 23, 29, 31, 37, 41, 43, 47, 53, 59, 61, 67, 71, 73, 79, 83, 89)
-_FIRST = 4  # numbers that place a ray in its pixel and on the lens; what it does at surfaces takes those that follow
+# mm: where a ray starts in front of the surface that it leaves; single precision at 100 mm
+_OFF = 2e-5
+_PRIMES = (
+    2,
+    3,
+    5,
+    7,
+    11,
+    13,
+    17,
+    19,
+    23,
+    29,
+    31,
+    37,
+    41,
+    43,
+    47,
+    53,
+    59,
+    61,
+    67,
+    71,
+    73,
+    79,
+    83,
+    89,
+)
+# numbers that place a ray in its pixel and on the lens; what it does at surfaces takes those that
+# follow
+_FIRST = 4
 
 
 @dataclass(frozen=True)
@@ -60,7 +89,8 @@ class Stage:
 
     Attributes
     ----------
-    scene : Mitsuba's, with a shape for the bubbles (`bubbles`), one for glowing balls (`balls`) and the bodies; any may be missing.
+    scene : Mitsuba's, with a shape for the bubbles (`bubbles`), one for glowing balls (`balls`) and
+        the bodies; any may be missing.
     opaque_scene : Mitsuba's, of the bodies that throw shadows alone; None without lamps.
     centers, to_ball : of the bubbles (n, 3), (n, 3, 3), as in `world.Bubbles`.
     eta : refractive index in the bubbles over the fluid's; fluid : the fluid's over the air's.
@@ -87,7 +117,9 @@ class Stage:
     occluders: tuple[Disc, ...] = ()
 
 
-def radiance(stage: Stage, camera: Camera, origin: F64, pixels: I64, samples: int, seed: int) -> F32:
+def radiance(
+    stage: Stage, camera: Camera, origin: F64, pixels: I64, samples: int, seed: int
+) -> F32:
     """Mean radiance (n,) in front of the lens of some pixels (numbers row by row), each by `samples` rays that share one random shift of a lattice.
 
     Means of the same pixel under other seeds are independent, and their scatter tells the error.
@@ -100,9 +132,16 @@ def radiance(stage: Stage, camera: Camera, origin: F64, pixels: I64, samples: in
         lane = dr.arange(mi.UInt32, dr.width(chosen) * samples)
         pixel = dr.gather(mi.UInt32, chosen, lane // samples)
         draw = _Draw(pixel, lane % samples, dr.opaque(mi.UInt32, seed))
-        rays = _rays(camera, origin, pixel, draw, stage.cloud is not None)  # balls of glow are as wide as the lens blurs them
+        rays = _rays(
+            camera, origin, pixel, draw, stage.cloud is not None
+        )  # balls of glow are as wide as the lens blurs them
         free = unstopped(rays, stage.occluders, origin)
-        parts.append(np.array(dr.block_sum(_trace(device, rays, draw, free), samples) * (1.0 / samples), dtype=np.float32))
+        parts.append(
+            np.array(
+                dr.block_sum(_trace(device, rays, draw, free), samples) * (1.0 / samples),
+                dtype=np.float32,
+            )
+        )
     return np.concatenate(parts)
 
 
@@ -134,7 +173,10 @@ class _Device:
         centers = some.centers if some else np.zeros((1, 3))
         to_ball = some.to_ball if some else np.eye(3)[None]
         self.centers = mi.Point3f(np.ascontiguousarray(centers.T, dtype=np.float32))
-        self.rows = [mi.Vector3f(np.ascontiguousarray(to_ball[:, row].T, dtype=np.float32)) for row in range(3)]
+        self.rows = [
+            mi.Vector3f(np.ascontiguousarray(to_ball[:, row].T, dtype=np.float32))
+            for row in range(3)
+        ]
         self.eta = dr.opaque(mi.Float, stage.eta)
         self.normal = opaque(stage.normal)
         self.front, self.rear = (_layers(stack) for stack in (stage.front, stage.rear))
@@ -143,7 +185,10 @@ class _Device:
         self.balls = mi.ShapePtr(stage.balls) if stage.balls is not None else None
         self.cloud = _cloud(stage.cloud)
         lamps = stage.lamps or Lamps(np.zeros((0, 3)), np.zeros(0), 0.0)
-        self.lamps = [(opaque(place), dr.opaque(mi.Float, power)) for place, power in zip(lamps.places, lamps.powers.tolist(), strict=True)]
+        self.lamps = [
+            (opaque(place), dr.opaque(mi.Float, power))
+            for place, power in zip(lamps.places, lamps.powers.tolist(), strict=True)
+        ]
         self.even = dr.opaque(mi.Float, lamps.even)
         self.inverse_square = dr.opaque(mi.Float, 1.0 / stage.fluid**2)
         self.reach = dr.opaque(mi.Float, stage.reach)
@@ -155,8 +200,14 @@ def _layers(stack: Stack | None) -> list[tuple[Any, Any, Any]] | None:
         return None
     indices = stack.indices.tolist()
     return [
-        (dr.opaque(mi.Float, face), dr.opaque(mi.Float, after / before), dr.opaque(mi.Float, before / after))
-        for face, before, after in zip(stack.faces_mm.tolist(), indices[:-1], indices[1:], strict=True)
+        (
+            dr.opaque(mi.Float, face),
+            dr.opaque(mi.Float, after / before),
+            dr.opaque(mi.Float, before / after),
+        )
+        for face, before, after in zip(
+            stack.faces_mm.tolist(), indices[:-1], indices[1:], strict=True
+        )
     ]
 
 
@@ -167,16 +218,26 @@ def _panel(panel: Panel | None) -> tuple[Any, ...] | None:
     lengths = [float(np.dot(edge, edge)) for edge in (across, along)]
     normal = np.cross(across, along)
     return (
-        opaque(panel.center), opaque(across / lengths[0]), opaque(along / lengths[1]), opaque(normal / np.linalg.norm(normal)),
+        opaque(panel.center),
+        opaque(across / lengths[0]),
+        opaque(along / lengths[1]),
+        opaque(normal / np.linalg.norm(normal)),
         dr.opaque(mi.Float, panel.radiance),
-    )  # fmt: skip
+    )
 
 
 def _cloud(cloud: Cloud | None) -> tuple[Any, ...] | None:
     if cloud is None:
         return None
-    vectors = [mi.Point3f(np.ascontiguousarray(v.T, dtype=np.float32)) for v in (cloud.centers, cloud.a, cloud.b)]
-    return (*vectors, mi.Float(cloud.radiance.astype(np.float32)), dr.opaque(mi.Float, 0.01 * float(np.median(cloud.radii))))
+    vectors = [
+        mi.Point3f(np.ascontiguousarray(v.T, dtype=np.float32))
+        for v in (cloud.centers, cloud.a, cloud.b)
+    ]
+    return (
+        *vectors,
+        mi.Float(cloud.radiance.astype(np.float32)),
+        dr.opaque(mi.Float, 0.01 * float(np.median(cloud.radii))),
+    )
 
 
 def _rays(camera: Camera, origin: F64, pixel: Any, draw: _Draw, pinhole: bool) -> Any:
@@ -194,7 +255,9 @@ def _rays(camera: Camera, origin: F64, pixel: Any, draw: _Draw, pinhole: bool) -
     right, below, forward = (opaque(axis) for axis in camera.rotation)
     focus = dr.opaque(mi.Float, camera.focus_mm)
     start = mi.Point3f(opaque(np.asarray(camera.center_mm) - origin)) + a * right + b * below
-    return mi.Ray3f(start, dr.normalize((x * focus - a) * right + (y * focus - b) * below + focus * forward))
+    return mi.Ray3f(
+        start, dr.normalize((x * focus - a) * right + (y * focus - b) * below + focus * forward)
+    )
 
 
 def _crossed(place: Any, way: Any, normal: Any, layers: Any) -> tuple[Any, Any, Any]:
@@ -228,7 +291,11 @@ def _shown(device: Any, place: Any, way: Any) -> Any:
     center, across, along, normal, bright = device.panel
     distance = dr.dot(center - place, normal) / dr.dot(way, normal)
     offset = dr.fma(way, distance, place) - center
-    on = (distance > 0.0) & (dr.abs(dr.dot(offset, across)) <= 1.0) & (dr.abs(dr.dot(offset, along)) <= 1.0)
+    on = (
+        (distance > 0.0)
+        & (dr.abs(dr.dot(offset, across)) <= 1.0)
+        & (dr.abs(dr.dot(offset, along)) <= 1.0)
+    )
     return dr.select(on, bright, 0.0)
 
 
@@ -270,13 +337,23 @@ def _trace(device: Any, ray: Any, draw: Any, free: Any) -> Any:
         number = dr.select(bubble, si.prim_index, number)
         surface = bubble | inside
         place, normal = _on_bubble(device, ray, number, inside, surface)
-        way, refracted = _parted(device, ray.d, normal, draw.number(table, _FIRST + 2 * events), surface)
+        way, refracted = _parted(
+            device, ray.d, normal, draw.number(table, _FIRST + 2 * events), surface
+        )
         # glowing balls: they let the ray pass
-        result += dr.select(ball & (si.prim_index != last), weight * _glow(device, ray, si.prim_index, ball), 0.0)
+        result += dr.select(
+            ball & (si.prim_index != last), weight * _glow(device, ray, si.prim_index, ball), 0.0
+        )
         last = dr.select(ball, si.prim_index, last)
         # bodies
         result += dr.select(body, weight * _lit(device, si, body), 0.0)
-        onward, worth = _turned(si, draw.number(table, _FIRST + 2 * events), draw.number(table, _FIRST + 1 + 2 * events), body, device)
+        onward, worth = _turned(
+            si,
+            draw.number(table, _FIRST + 2 * events),
+            draw.number(table, _FIRST + 1 + 2 * events),
+            body,
+            device,
+        )
         # walls, and what is behind them
         out = active & ~surface & ~ball & ~body
         seen, sent_back, wall = _left(device, ray)
@@ -288,14 +365,23 @@ def _trace(device: Any, ray: Any, draw: Any, free: Any) -> Any:
         outwards = dr.select(dr.dot(way, normal) > 0.0, 1.0, -1.0)
         beside = dr.fma(normal, outwards * _OFF, place)
         beyond = dr.fma(ray.d, _pace(device), dr.fma(ray.d, si.t, ray.o))
-        start = dr.select(surface, beside, dr.select(ball, beyond, dr.select(mirrored, wall, ray.o)))
-        course = dr.select(surface, way, dr.select(mirrored, ray.d - 2.0 * along * device.normal, ray.d))
+        start = dr.select(
+            surface, beside, dr.select(ball, beyond, dr.select(mirrored, wall, ray.o))
+        )
+        course = dr.select(
+            surface, way, dr.select(mirrored, ray.d - 2.0 * along * device.normal, ray.d)
+        )
         ray.o = dr.select(body, onward.o, start)
         ray.d = dr.select(body, onward.d, course)
         inside = surface & (inside != refracted)
         glowed += dr.select(ball, mi.UInt32(1), mi.UInt32(0))
         events += dr.select(ball, mi.UInt32(0), mi.UInt32(1))
-        active &= (surface | ball | body | mirrored) & (weight > 0.0) & (events < _EVENTS) & (glowed < _GLOWING)
+        active &= (
+            (surface | ball | body | mirrored)
+            & (weight > 0.0)
+            & (events < _EVENTS)
+            & (glowed < _GLOWING)
+        )
     return result
 
 
@@ -315,7 +401,8 @@ def _met(device: Any, ray: Any, active: Any) -> tuple[Any, Any, Any, Any]:
 def _on_bubble(device: Any, ray: Any, number: Any, inside: Any, active: Any) -> tuple[Any, Any]:
     """Where rays cross the surface of their bubble, and its outward normal there.
 
-    Distances are taken from the point nearest to the bubble's centre: Mitsuba's own are of single precision from the ray's start.
+    Distances are taken from the point nearest to the bubble's centre: Mitsuba's own are of single
+    precision from the ray's start.
     """
     center = dr.gather(mi.Point3f, device.centers, number, active)
     rows = [dr.gather(mi.Vector3f, row, number, active) for row in device.rows]
@@ -347,8 +434,15 @@ def _glow(device: Any, ray: Any, number: Any, active: Any) -> Any:
     centers, first, second, bright, _ = device.cloud
     offset = ray.o - dr.gather(mi.Point3f, centers, number, active)
     offset -= dr.dot(ray.d, offset) * ray.d
-    x, y = (dr.dot(dr.gather(mi.Point3f, covector, number, active), offset) for covector in (first, second))
-    return dr.exp(-0.5 * (x * x + y * y)) * dr.gather(mi.Float, bright, number, active) * device.inverse_square
+    x, y = (
+        dr.dot(dr.gather(mi.Point3f, covector, number, active), offset)
+        for covector in (first, second)
+    )
+    return (
+        dr.exp(-0.5 * (x * x + y * y))
+        * dr.gather(mi.Float, bright, number, active)
+        * device.inverse_square
+    )
 
 
 def _pace(device: Any) -> Any:
@@ -377,5 +471,11 @@ def _turned(si: Any, chance: Any, other: Any, active: Any, device: Any) -> tuple
     """How light goes on at a body, and the part of it that does."""
     if not device.stage.bodies:
         return mi.Ray3f(mi.Point3f(0.0), mi.Vector3f(0.0, 0.0, 1.0)), mi.Float(0.0)
-    sampled, value = si.bsdf().sample(mi.BSDFContext(), si, chance, mi.Point2f(other, dr.fma(chance, 7919.0, -dr.floor(chance * 7919.0))), active)
+    sampled, value = si.bsdf().sample(
+        mi.BSDFContext(),
+        si,
+        chance,
+        mi.Point2f(other, dr.fma(chance, 7919.0, -dr.floor(chance * 7919.0))),
+        active,
+    )
     return si.spawn_ray(si.to_world(sampled.wo)), value.x

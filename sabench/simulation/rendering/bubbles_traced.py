@@ -29,7 +29,8 @@ _RAYS = 16  # of a pixel in one pass
 _PASSES = 4  # at least: their scatter is the error
 _MOST = 1 << 16  # rays per pixel at most: a guard
 _SEEDS = 1 << 22
-_DARK = 0.02  # of the diffuser: below this the error of a pixel is taken relative to it, not to the pixel
+# of the diffuser: below this the error of a pixel is taken relative to it, not to the pixel
+_DARK = 0.02
 
 
 @dataclass(frozen=True)
@@ -77,16 +78,28 @@ class Exposed:
 
 
 def photograph(
-    camera: Camera, tank: Tank, bubbles: Bubbles, bodies: Sequence[tuple[Solid, Material]], lights: Lights, error: float, seed: int,
-    *, occluders: tuple[Disc, ...] = (), images: ParticleImages | None = None, particles_mm: F64 | None = None, exposure_s: float = 0.0,
-) -> Exposed:  # fmt: skip
+    camera: Camera,
+    tank: Tank,
+    bubbles: Bubbles,
+    bodies: Sequence[tuple[Solid, Material]],
+    lights: Lights,
+    error: float,
+    seed: int,
+    *,
+    occluders: tuple[Disc, ...] = (),
+    images: ParticleImages | None = None,
+    particles_mm: F64 | None = None,
+    exposure_s: float = 0.0,
+) -> Exposed:
     """Render until the mean over all pixels of their relative standard errors is no more than `error`.
 
-    All pixels get some rays, those with a larger error than asked for get more. Bubbles that move during the exposure are moved from pass to pass.
+    All pixels get some rays, those with a larger error than asked for get more. Bubbles that move
+    during the exposure are moved from pass to pass.
 
     Parameters
     ----------
-    images, particles_mm : glowing particles among them, as `image_particles` gives them, and where they are.
+    images, particles_mm : glowing particles among them, as `image_particles` gives them, and where
+        they are.
     exposure_s : for how long the bubbles move.
     """
     scale = camera.etendue()
@@ -102,13 +115,22 @@ def photograph(
         if number < _PASSES:
             continue
         off = tally.errors(floor)
-        rough = maximum_filter((off > error).reshape(scale.shape), 3).ravel()  # a pixel's error is that of its neighbours, too
+        rough = maximum_filter(
+            (off > error).reshape(scale.shape), 3
+        ).ravel()  # a pixel's error is that of its neighbours, too
         chosen = np.flatnonzero(rough & (tally.count * _RAYS < _MOST))
         if off.mean() <= error or not chosen.size:
             break
     photons = tally.mean.reshape(scale.shape) * scale
-    wavelength = next((light.wavelength_nm for light in (lights.backlight, lights.lighting) if light is not None), None)
-    blurred = photons if wavelength is None else np.asarray(gaussian_filter(photons, diffraction_px(camera, wavelength)))
+    wavelength = next(
+        (light.wavelength_nm for light in (lights.backlight, lights.lighting) if light is not None),
+        None,
+    )
+    blurred = (
+        photons
+        if wavelength is None
+        else np.asarray(gaussian_filter(photons, diffraction_px(camera, wavelength)))
+    )
     return Exposed(blurred, float(off.mean()))
 
 
@@ -118,7 +140,14 @@ def _pass(stage_of: _Stager, camera: Camera, chosen: I64, delays: F64, seed: int
 
     rays, total = -(-_RAYS // len(delays)), np.zeros(len(chosen))
     for number, delay in enumerate(delays.tolist()):
-        total += bubble_integrator.radiance(stage_of(delay), camera, stage_of.origin, chosen, rays, (seed * len(delays) + number) % _SEEDS)
+        total += bubble_integrator.radiance(
+            stage_of(delay),
+            camera,
+            stage_of.origin,
+            chosen,
+            rays,
+            (seed * len(delays) + number) % _SEEDS,
+        )
     return np.asarray(total / len(delays))
 
 
@@ -126,7 +155,10 @@ def _moments(camera: Camera, bubbles: Bubbles, exposure_s: float) -> int:
     """Moments of the exposure that are rendered: one for each half pixel of the longest way."""
     if not len(bubbles) or exposure_s == 0.0 or not np.any(bubbles.velocity_mm_s):
         return 1
-    ends = [camera.project(bubbles.center_mm + sign * 0.5 * exposure_s * bubbles.velocity_mm_s)[0] for sign in (-1.0, 1.0)]
+    ends = [
+        camera.project(bubbles.center_mm + sign * 0.5 * exposure_s * bubbles.velocity_mm_s)[0]
+        for sign in (-1.0, 1.0)
+    ]
     ways = np.linalg.norm(ends[1] - ends[0], axis=1)
     return int(np.ceil(2.0 * np.nanmax(ways))) if np.isfinite(ways).any() else 1
 
@@ -148,50 +180,95 @@ class _Tally:
     def errors(self, floor: float) -> F64:
         """Standard errors over values, or over `floor` where they are darker.
 
-        A few rays that have found a pixel dark may have missed what its neighbours show: variances start from the mean over nine pixels, which
-        counts as `_PASSES` passes.
+        A few rays that have found a pixel dark may have missed what its neighbours show: variances
+        start from the mean over nine pixels, which counts as `_PASSES` passes.
         """
         variance = self._squares / (self.count * np.maximum(self.count - 1.0, 1.0))
         around = uniform_filter(variance.reshape(self._shape), 3).ravel()
         mixed = (self.count * variance + _PASSES * around) / (self.count + _PASSES)
-        return np.asarray(np.sqrt(np.maximum(mixed, 0.0)) / np.maximum(self.mean, max(floor, 1e-300)))
+        return np.asarray(
+            np.sqrt(np.maximum(mixed, 0.0)) / np.maximum(self.mean, max(floor, 1e-300))
+        )
 
 
 class _Stager:
     """Builds what Mitsuba needs, anew for every moment of the exposure if bubbles move."""
 
     def __init__(
-        self, camera: Camera, tank: Tank, bubbles: Bubbles, bodies: Sequence[tuple[Solid, Material]], lights: Lights,
-        occluders: tuple[Disc, ...], images: ParticleImages | None, particles_mm: F64 | None,
-    ) -> None:  # fmt: skip
+        self,
+        camera: Camera,
+        tank: Tank,
+        bubbles: Bubbles,
+        bodies: Sequence[tuple[Solid, Material]],
+        lights: Lights,
+        occluders: tuple[Disc, ...],
+        images: ParticleImages | None,
+        particles_mm: F64 | None,
+    ) -> None:
         self._mi = backend.mitsuba()
 
         self._paths = bubble_integrator
         self.origin = lights.center_mm
-        self._camera, self._tank, self._bubbles, self._lights, self._occluders = camera, tank, bubbles, lights, occluders
-        self._bodies = {f"body_{i}": _mesh(self._mi, solid, material, self.origin, tank) for i, (solid, material) in enumerate(bodies)}
-        shadows = {name: self._bodies[name] for name, (_, material) in zip(self._bodies, bodies, strict=True) if material.kind != "liquid"}
-        self._shadows = self._mi.load_dict({"type": "scene", **shadows}) if lights.lighting and shadows else None
+        self._camera, self._tank, self._bubbles, self._lights, self._occluders = (
+            camera,
+            tank,
+            bubbles,
+            lights,
+            occluders,
+        )
+        self._bodies = {
+            f"body_{i}": _mesh(self._mi, solid, material, self.origin, tank)
+            for i, (solid, material) in enumerate(bodies)
+        }
+        shadows = {
+            name: self._bodies[name]
+            for name, (_, material) in zip(self._bodies, bodies, strict=True)
+            if material.kind != "liquid"
+        }
+        self._shadows = (
+            self._mi.load_dict({"type": "scene", **shadows})
+            if lights.lighting and shadows
+            else None
+        )
         self._cloud = _cloud(self._paths, camera, images, particles_mm, self.origin)
         full = lights.full_photons / float(camera.etendue().max())  # radiance
         self._panel = _panel(self._paths, lights.backlight, self.origin, full / tank.straight())
         facing = np.asarray(camera.wall.normal if camera.wall else camera.rotation[2])
         behind = full / float(transmittance(camera.wall, facing[None])[0])
-        self._lamps = placed(lights.lighting, camera, self.origin, self.origin, behind) if lights.lighting else None
-        shining = [light.exposure for light in (lights.backlight, lights.lighting) if light is not None]
+        self._lamps = (
+            placed(lights.lighting, camera, self.origin, self.origin, behind)
+            if lights.lighting
+            else None
+        )
+        shining = [
+            light.exposure for light in (lights.backlight, lights.lighting) if light is not None
+        ]
         self.brightest = max(shining, default=1.0) * full
-        corners = [np.linalg.norm(bubbles.center_mm - self.origin, axis=1) + bubbles.semi_axes_mm.max(axis=1, initial=0.0)]
+        corners = [
+            np.linalg.norm(bubbles.center_mm - self.origin, axis=1)
+            + bubbles.semi_axes_mm.max(axis=1, initial=0.0)
+        ]
         corners += [np.linalg.norm(solid.vertices_mm - self.origin, axis=1) for solid, _ in bodies]
         if self._cloud is not None:
             corners.append(np.linalg.norm(self._cloud.centers, axis=1) + self._cloud.radii)
-        self._reach = 1.01 * max((float(part.max(initial=0.0)) for part in corners), default=0.0) + 1.0
+        self._reach = (
+            1.01 * max((float(part.max(initial=0.0)) for part in corners), default=0.0) + 1.0
+        )
         self._made: tuple[float, bubble_integrator.Stage] | None = None
 
     def __call__(self, delay_s: float) -> bubble_integrator.Stage:
         moving = bool(np.any(self._bubbles.velocity_mm_s)) and delay_s != 0.0
         moment = delay_s if moving else 0.0
         if self._made is None or self._made[0] != moment:
-            self._made = moment, self._stage(replace(self._bubbles, center_mm=self._bubbles.center_mm + moment * self._bubbles.velocity_mm_s))
+            self._made = (
+                moment,
+                self._stage(
+                    replace(
+                        self._bubbles,
+                        center_mm=self._bubbles.center_mm + moment * self._bubbles.velocity_mm_s,
+                    )
+                ),
+            )
         return self._made[1]
 
     def _stage(self, bubbles: Bubbles) -> bubble_integrator.Stage:
@@ -207,9 +284,24 @@ class _Stager:
         front, rear = _stacks(self._paths, tank, self.origin)
         normal = np.asarray(tank.wall.normal) if tank.wall else np.asarray(self._camera.rotation[2])
         return self._paths.Stage(
-            scene, centers, bubbles.to_ball, bubbles.index / tank.fluid_index, tank.fluid_over_air, normal, front, rear, self._panel,
-            self._reach, named.get("bubbles"), named.get("balls"), self._cloud, self._lamps, self._shadows, bool(self._bodies), self._occluders,
-        )  # fmt: skip
+            scene,
+            centers,
+            bubbles.to_ball,
+            bubbles.index / tank.fluid_index,
+            tank.fluid_over_air,
+            normal,
+            front,
+            rear,
+            self._panel,
+            self._reach,
+            named.get("bubbles"),
+            named.get("balls"),
+            self._cloud,
+            self._lamps,
+            self._shadows,
+            bool(self._bodies),
+            self._occluders,
+        )
 
 
 def _ellipsoids(mi: Any, centers: F64, bubbles: Bubbles) -> dict[str, Any]:
@@ -218,14 +310,21 @@ def _ellipsoids(mi: Any, centers: F64, bubbles: Bubbles) -> dict[str, Any]:
 
     turns = Rotation.from_matrix(bubbles.turn.transpose(0, 2, 1)).as_quat()
     data = np.hstack([centers, bubbles.semi_axes_mm, turns]).astype(np.float32)
-    return {"type": "ellipsoids", "data": mi.TensorXf(data), "extent": 1.0, "bsdf": {"type": "diffuse"}}
+    return {
+        "type": "ellipsoids",
+        "data": mi.TensorXf(data),
+        "extent": 1.0,
+        "bsdf": {"type": "diffuse"},
+    }
 
 
 def _mesh(mi: Any, solid: Solid, material: Material, origin: F64, tank: Tank) -> Any:
     """A body as a mesh of Mitsuba's."""
     properties = mi.Properties()
     properties["mesh_bsdf"] = mi.load_dict(_bsdf(material, tank))
-    return mesh_of(mi, solid, origin, has_vertex_normals=material.kind == "liquid", props=properties)
+    return mesh_of(
+        mi, solid, origin, has_vertex_normals=material.kind == "liquid", props=properties
+    )
 
 
 def _bsdf(material: Material, tank: Tank) -> dict[str, Any]:
@@ -236,17 +335,25 @@ def _bsdf(material: Material, tank: Tank) -> dict[str, Any]:
     color = {"type": "uniform", "value": material.reflectance}
     if material.kind == "matte":
         return {"type": "twosided", "bsdf": {"type": "diffuse", "reflectance": color}}
-    rest = {"roughness": material.roughness, "metallic": material.metallic, "specular": material.specular}
+    rest = {
+        "roughness": material.roughness,
+        "metallic": material.metallic,
+        "specular": material.specular,
+    }
     return {"type": "twosided", "bsdf": {"type": "principled", "base_color": color, **rest}}
 
 
-def _cloud(paths: Any, camera: Camera, images: ParticleImages | None, positions_mm: F64 | None, origin: F64) -> Any:
+def _cloud(
+    paths: Any, camera: Camera, images: ParticleImages | None, positions_mm: F64 | None, origin: F64
+) -> Any:
     if images is None or positions_mm is None:
         return None
     lit = (images.intensity > 0.0) & np.isfinite(images.sigma_px)
     if not lit.any():
         return None
-    return paths.Cloud(positions_mm[lit] - origin, *glow_of(images, images.shape_mm(camera, positions_mm), lit))
+    return paths.Cloud(
+        positions_mm[lit] - origin, *glow_of(images, images.shape_mm(camera, positions_mm), lit)
+    )
 
 
 def _stacks(paths: Any, tank: Tank, origin: F64) -> tuple[Any, Any]:
@@ -254,13 +361,17 @@ def _stacks(paths: Any, tank: Tank, origin: F64) -> tuple[Any, Any]:
     wall = tank.wall
     if wall is None:
         return None, None
-    start = -float(wall.depth_of(origin))  # of the outer face, along the normal, in the frame of the render
+    start = -float(
+        wall.depth_of(origin)
+    )  # of the outer face, along the normal, in the frame of the render
     front = paths.Stack(start + wall.interface_depths_mm[::-1], wall.indices[::-1])
     if wall.depth_mm is None:
         return front, None
     inner = start + wall.thickness_mm + wall.depth_mm
     faces = inner + np.cumsum([0.0, *(layer.thickness_mm for layer in tank.rear)])
-    return front, paths.Stack(faces, np.array([wall.fluid_index, *(layer.index for layer in tank.rear), wall.air_index]))
+    return front, paths.Stack(
+        faces, np.array([wall.fluid_index, *(layer.index for layer in tank.rear), wall.air_index])
+    )
 
 
 def _panel(paths: Any, light: Backlight | None, origin: F64, full: float) -> Any:
@@ -269,5 +380,7 @@ def _panel(paths: Any, light: Backlight | None, origin: F64, full: float) -> Any
     normal = np.asarray(light.normal) / np.linalg.norm(light.normal)
     across = np.asarray(light.x_axis) - np.dot(light.x_axis, normal) * normal
     across /= np.linalg.norm(across)
-    edges = np.stack([across * light.size_mm[0] / 2.0, np.cross(normal, across) * light.size_mm[1] / 2.0])
+    edges = np.stack(
+        [across * light.size_mm[0] / 2.0, np.cross(normal, across) * light.size_mm[1] / 2.0]
+    )
     return paths.Panel(np.asarray(light.center_mm) - origin, edges, light.exposure * full)

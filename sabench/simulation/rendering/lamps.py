@@ -22,16 +22,24 @@ class Lamps:
     even: float
 
 
-def placed(lighting: Lighting, camera: Camera, center_mm: F64, origin: F64, scale: float = 1.0) -> Lamps:
+def placed(
+    lighting: Lighting, camera: Camera, center_mm: F64, origin: F64, scale: float = 1.0
+) -> Lamps:
     """Lamps whose powers add up to the exposure, times `scale`, of a white surface at the centre that faces the wall, even light included."""
     facing = np.asarray(camera.wall.normal if camera.wall else camera.rotation[2])
-    places = np.array([_apparent(camera.wall, np.asarray(lamp.center_mm)) for lamp in lighting.lamps])
+    places = np.array(
+        [_apparent(camera.wall, np.asarray(lamp.center_mm)) for lamp in lighting.lamps]
+    )
     powers = np.array([lamp.power for lamp in lighting.lamps])
     ways = places - center_mm
     lengths = np.linalg.norm(ways, axis=1)
     there = float(np.sum(powers * np.maximum(-(ways @ facing), 0.0) / lengths**3))
     even = lighting.even or 0.0
-    return Lamps(places - origin, (1.0 - even) * lighting.exposure * scale * powers / max(there, 1e-300), even * lighting.exposure * scale)
+    return Lamps(
+        places - origin,
+        (1.0 - even) * lighting.exposure * scale * powers / max(there, 1e-300),
+        even * lighting.exposure * scale,
+    )
 
 
 def _apparent(wall: Wall | None, lamp_mm: F64) -> F64:
@@ -41,4 +49,6 @@ def _apparent(wall: Wall | None, lamp_mm: F64) -> F64:
         return lamp_mm
     indices = wall.indices
     optical = before / indices[0] + sum(layer.thickness_mm / layer.index for layer in wall.layers)
-    return np.asarray(lamp_mm + (before + wall.thickness_mm - optical * indices[-1]) * np.asarray(wall.normal))
+    return np.asarray(
+        lamp_mm + (before + wall.thickness_mm - optical * indices[-1]) * np.asarray(wall.normal)
+    )

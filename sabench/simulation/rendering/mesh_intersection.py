@@ -29,8 +29,13 @@ class BodySearch:
 
     def __init__(self, bodies: Sequence[Solid]) -> None:
         self._mi = mi = backend.mitsuba()
-        self._origin = np.asarray(np.mean([solid.vertices_mm.mean(axis=0) for solid in bodies], axis=0))  # single precision: small numbers near them
-        self._reach = max(float(np.linalg.norm(solid.vertices_mm - self._origin, axis=1).max()) for solid in bodies)
+        self._origin = np.asarray(
+            np.mean([solid.vertices_mm.mean(axis=0) for solid in bodies], axis=0)
+        )  # single precision: small numbers near them
+        self._reach = max(
+            float(np.linalg.norm(solid.vertices_mm - self._origin, axis=1).max())
+            for solid in bodies
+        )
         meshes = {}
         for number, solid in enumerate(bodies):
             meshes[f"body_{number}"] = mesh_of(mi, solid, self._origin)
@@ -57,7 +62,10 @@ class BodySearch:
         mi = self._mi
         place = mi.Point3f((points_mm - self._origin).T.astype(np.float32))
         way = mi.Vector3f(*(float(v) for v in _ODD))
-        balance, active = np.zeros(len(points_mm), dtype=np.int64), np.ones(len(points_mm), dtype=np.bool_)
+        balance, active = (
+            np.zeros(len(points_mm), dtype=np.int64),
+            np.ones(len(points_mm), dtype=np.bool_),
+        )
         while active.any():
             met = self._scene.ray_intersect(mi.Ray3f(place, way), mi.Bool(active))
             active &= np.array(met.is_valid())

@@ -1,7 +1,8 @@
 """What one camera receives from each particle: where, how many photons, how large. Both renderers start from these figures.
 
-The lens is a round aperture. Moving the pinhole over it gives, through the wall, the directions in which light must leave a particle
-to pass it: the spread of these directions is the solid angle of the lens, the spread of the pixels is the defocus.
+The lens is a round aperture. Moving the pinhole over it gives, through the wall, the directions in
+which light must leave a particle to pass it: the spread of these directions is the solid angle of
+the lens, the spread of the pixels is the defocus.
 """
 
 from __future__ import annotations
@@ -21,7 +22,9 @@ from sabench.simulation.rendering.laser_sheet import fluence
 from sabench.simulation.rendering.mie import MieTable, mie_table
 from sabench.utils.arrays import F64, Bool
 
-_AIRY = 2.44 / np.sqrt(8 * 3.67)  # sigma of the Gaussian nearest to Airy's disc / (lambda N (1 + M)): Adrian and Yao (1985)
+_AIRY = 2.44 / np.sqrt(
+    8 * 3.67
+)  # sigma of the Gaussian nearest to Airy's disc / (lambda N (1 + M)): Adrian and Yao (1985)
 _CHUNK = 8192  # points at a time
 
 
@@ -32,11 +35,14 @@ class ParticleImages:
     Attributes
     ----------
     pixel : (n, 2) column, row of the centre; NaN where there is none.
-    photons : (n,) mean number that reaches the whole sensor plane in one exposure; 0 where an occluder stops the chief ray.
+    photons : (n,) mean number that reaches the whole sensor plane in one exposure; 0 where an
+        occluder stops the chief ray.
     sigma_px : (n,) standard deviation of the Gaussian image.
-    intensity : (n,) photons per steradian that leave the particle towards the camera, whatever stands in their way.
+    intensity : (n,) photons per steradian that leave the particle towards the camera, whatever
+        stands in their way.
     direction : (n, 3) unit direction of the light path at the particle, away from the camera.
-    visible : (n,) whether the centre has a light path that no occluder stops, and lies on the sensor.
+    visible : (n,) whether the centre has a light path that no occluder stops, and lies on the
+        sensor.
     """
 
     pixel: F64
@@ -48,16 +54,23 @@ class ParticleImages:
 
     def shape_mm(self, camera: Camera, position_mm: F64) -> F64:
         """Two vectors across `direction` (n, 2, 3): moving the particle by one moves its image by sigma_px along the columns or the rows."""
-        return np.asarray(_chunked(_object_shape, camera, position_mm, self.direction)[1] * self.sigma_px[:, None, None])
+        return np.asarray(
+            _chunked(_object_shape, camera, position_mm, self.direction)[1]
+            * self.sigma_px[:, None, None]
+        )
 
 
-def scattering_table(scene: Scene, cameras: tuple[Camera, ...], particles: Particles) -> MieTable | None:
+def scattering_table(
+    scene: Scene, cameras: tuple[Camera, ...], particles: Particles
+) -> MieTable | None:
     """The Mie table of these particles over all directions from the volume to the cameras; None for isotropic scattering or no particles."""
     if scene.light.scattering == "isotropic" or not len(particles):
         return None
     index = complex(scene.tracer.index, -scene.tracer.absorption)
     fluid = scene.wall.fluid_index if scene.wall else 1.0
-    return mie_table(particles.diameter_mm, index, fluid, scene.light.wavelength_nm, _angle_range(scene, cameras))
+    return mie_table(
+        particles.diameter_mm, index, fluid, scene.light.wavelength_nm, _angle_range(scene, cameras)
+    )
 
 
 def _angle_range(scene: Scene, cameras: tuple[Camera, ...]) -> tuple[float, float]:
@@ -73,22 +86,35 @@ def _angle_range(scene: Scene, cameras: tuple[Camera, ...]) -> tuple[float, floa
     return float(every.min() - margin), float(every.max() + margin)
 
 
-def image_particles(scene: Scene, camera: Camera, particles: Particles, table: MieTable | None, occluders: tuple[Disc, ...] = ()) -> ParticleImages:
+def image_particles(
+    scene: Scene,
+    camera: Camera,
+    particles: Particles,
+    table: MieTable | None,
+    occluders: tuple[Disc, ...] = (),
+) -> ParticleImages:
     """Position, brightness and size of every particle's image in one camera.
 
-    Photons = intensity x solid angle of the lens x Fresnel transmission of the wall; intensity = fluence x dC/dOmega averaged over the lens.
-    The image is Gaussian with the summed variances of the particle's disc (M d / 4), of diffraction (Airy, `_AIRY`) and of
-    defocus (a disc, diameter / 4): Adrian and Yao (1985), Olsen and Adrian (2000).
+    Photons = intensity x solid angle of the lens x Fresnel transmission of the wall; intensity =
+    fluence x dC/dOmega averaged over the lens. The image is Gaussian with the summed variances of
+    the particle's disc (M d / 4), of diffraction (Airy, `_AIRY`) and of defocus (a disc, diameter /
+    4): Adrian and Yao (1985), Olsen and Adrian (2000).
     """
     seen = _Sight(*_chunked(_see, camera, particles.position_mm))
     lit = seen.valid & ~in_shadow(occluders, np.asarray(camera.center_mm), seen.leaving)
     half_angle = float(np.nanmedian(seen.half_angle)) if len(particles) else 0.0
-    intensity = fluence(scene.light, np.asarray(scene.volume.center_mm), particles.position_mm) * _cross_section(
-        scene, particles, seen.arriving, table, half_angle
+    intensity = fluence(
+        scene.light, np.asarray(scene.volume.center_mm), particles.position_mm
+    ) * _cross_section(scene, particles, seen.arriving, table, half_angle)
+    photons = np.where(
+        lit, intensity * seen.solid_angle * transmittance(camera.wall, seen.leaving), 0.0
     )
-    photons = np.where(lit, intensity * seen.solid_angle * transmittance(camera.wall, seen.leaving), 0.0)
     given = scene.cameras.particle_sigma_px
-    sigma = _sigma_px(scene, camera, particles, seen) if given is None else np.full(len(particles), given)
+    sigma = (
+        _sigma_px(scene, camera, particles, seen)
+        if given is None
+        else np.full(len(particles), given)
+    )
     visible = lit & camera.contains(seen.pixel)
     return ParticleImages(seen.pixel, photons, sigma, intensity, seen.arriving, visible)
 
@@ -96,13 +122,25 @@ def image_particles(scene: Scene, camera: Camera, particles: Particles, table: M
 def _sigma_px(scene: Scene, camera: Camera, particles: Particles, seen: _Sight) -> F64:
     """The spread of a Gaussian with the variances of diffraction, of the particle's disc and of defocus."""
     magnification = _chunked(_object_shape, camera, particles.position_mm, seen.arriving)[0]
-    variance = diffraction_px(camera, scene.light.wavelength_nm) ** 2 + (magnification * particles.diameter_mm / 4.0) ** 2 + (seen.blur / 4.0) ** 2
+    variance = (
+        diffraction_px(camera, scene.light.wavelength_nm) ** 2
+        + (magnification * particles.diameter_mm / 4.0) ** 2
+        + (seen.blur / 4.0) ** 2
+    )
     return np.asarray(np.sqrt(variance))
 
 
 def diffraction_px(camera: Camera, wavelength_nm: float) -> float:
     """Standard deviation of the Gaussian that stands for the lens's Airy disc."""
-    return float(_AIRY * wavelength_nm * 1e-6 * camera.f_number * camera.principal_distance_mm / camera.focal_length_mm / camera.pixel_mm)
+    return float(
+        _AIRY
+        * wavelength_nm
+        * 1e-6
+        * camera.f_number
+        * camera.principal_distance_mm
+        / camera.focal_length_mm
+        / camera.pixel_mm
+    )
 
 
 class _Sight(NamedTuple):
@@ -117,16 +155,27 @@ class _Sight(NamedTuple):
     solid_angle: F64
 
 
-def _chunked(function: Callable[..., tuple[F64 | Bool, ...]], camera: Camera, *points: F64) -> list[Any]:
+def _chunked(
+    function: Callable[..., tuple[F64 | Bool, ...]], camera: Camera, *points: F64
+) -> list[Any]:
     """A function of points (n, 3) chunk by chunk, so that what lies between its steps stays in the cache: three times as fast for many points."""
-    chunks = [function(camera, *(each[first : first + _CHUNK] for each in points)) for first in range(0, max(len(points[0]), 1), _CHUNK)]
+    chunks = [
+        function(camera, *(each[first : first + _CHUNK] for each in points))
+        for first in range(0, max(len(points[0]), 1), _CHUNK)
+    ]
     return [np.concatenate(parts) for parts in zip(*chunks, strict=True)]
 
 
 def _see(camera: Camera, points: F64) -> tuple[F64 | Bool, ...]:
     paths = trace_to_points(camera.wall, np.asarray(camera.center_mm), points)
     pixel, valid = camera.pixels_of(paths.leaving, paths.valid)
-    return paths.leaving, paths.arriving, pixel, valid, *_through_aperture(camera, points, paths.arriving)
+    return (
+        paths.leaving,
+        paths.arriving,
+        pixel,
+        valid,
+        *_through_aperture(camera, points, paths.arriving),
+    )
 
 
 def _through_aperture(camera: Camera, points: F64, chief: F64) -> tuple[F64, F64, F64]:
@@ -141,28 +190,44 @@ def _through_aperture(camera: Camera, points: F64, chief: F64) -> tuple[F64, F64
             ends.append((paths.arriving, moved.pixels_of(paths.leaving, paths.valid)[0]))
         turns.append((ends[0][0] - ends[1][0]) / 2.0)
         smear = ends[0][1] - ends[1][1]
-        smear[:, axis] += 2.0 * radius * camera.focal_px / camera.focus_mm  # a point in focus would shift by this, and is at rest on the sensor
+        smear[:, axis] += (
+            2.0 * radius * camera.focal_px / camera.focus_mm
+        )  # a point in focus would shift by this, and is at rest on the sensor
         smears.append(np.linalg.norm(smear, axis=1))
     solid_angle = np.pi * np.abs(np.einsum("ij,ij->i", np.cross(turns[0], turns[1]), chief))
-    return np.linalg.norm(turns[0], axis=1), np.sqrt((smears[0] ** 2 + smears[1] ** 2) / 2.0), solid_angle
+    return (
+        np.linalg.norm(turns[0], axis=1),
+        np.sqrt((smears[0] ** 2 + smears[1] ** 2) / 2.0),
+        solid_angle,
+    )
 
 
 def _object_shape(camera: Camera, points: F64, direction: F64) -> tuple[F64, F64]:
     """Magnification (px/mm, mean over directions) and the moves across the light path that shift the image by one pixel: (n, 2, 3)."""
     step = 1e-3  # mm: far above float64's noise, far below any change of magnification
-    first = np.cross(direction, camera.rotation[1])  # never along the path: a path in view is near the camera's Z axis
+    first = np.cross(
+        direction, camera.rotation[1]
+    )  # never along the path: a path in view is near the camera's Z axis
     first /= np.linalg.norm(first, axis=1, keepdims=True)
     basis = np.stack([first, np.cross(direction, first)], axis=1)
-    ends = [camera.project(points + sign * step * basis[:, i])[0] for i in (0, 1) for sign in (1.0, -1.0)]
+    ends = [
+        camera.project(points + sign * step * basis[:, i])[0]
+        for i in (0, 1)
+        for sign in (1.0, -1.0)
+    ]
     jacobian = np.stack([ends[0] - ends[1], ends[2] - ends[3]], axis=2) / (2.0 * step)
     determinant = jacobian[:, 0, 0] * jacobian[:, 1, 1] - jacobian[:, 0, 1] * jacobian[:, 1, 0]
     with np.errstate(invalid="ignore", divide="ignore"):
-        adjugate = np.stack([jacobian[:, 1, 1], -jacobian[:, 0, 1], -jacobian[:, 1, 0], jacobian[:, 0, 0]], axis=1).reshape(-1, 2, 2)
+        adjugate = np.stack(
+            [jacobian[:, 1, 1], -jacobian[:, 0, 1], -jacobian[:, 1, 0], jacobian[:, 0, 0]], axis=1
+        ).reshape(-1, 2, 2)
         inverse = adjugate / determinant[:, None, None]
     return np.sqrt(np.abs(determinant)), np.einsum("nba,nbk->nak", inverse, basis)
 
 
-def _cross_section(scene: Scene, particles: Particles, arriving: F64, table: MieTable | None, half_angle: float) -> F64:
+def _cross_section(
+    scene: Scene, particles: Particles, arriving: F64, table: MieTable | None, half_angle: float
+) -> F64:
     """dC/dOmega towards the camera, mm2/sr; isotropic: the geometric cross-section spread over the sphere."""
     if table is None:
         return np.asarray(particles.diameter_mm**2 / 16.0)

@@ -12,7 +12,8 @@ from sabench.geometry.camera import Camera
 from sabench.simulation.rendering.particle_images import ParticleImages
 from sabench.utils.arrays import F64
 
-_REACH = 4.5  # standard deviations from the centre to the window's edge: less than 2e-5 of the light is left out
+# standard deviations from the centre to the window's edge: less than 2e-5 of the light is left out
+_REACH = 4.5
 _SHARPEST = 1e-9  # px: whatever is sharper lights one pixel just the same
 _BAND = 64  # rows that one thread fills at a time, so that none writes where another does
 
@@ -20,8 +21,8 @@ _BAND = 64  # rows that one thread fills at a time, so that none writes where an
 def splat(camera: Camera, images: ParticleImages) -> F64:
     """Photon image (rows, columns) of one exposure.
 
-    Light outside a particle's window of `_REACH` standard deviations is left out; particles whose centre lies outside
-    the sensor still light the pixels that their window reaches.
+    Light outside a particle's window of `_REACH` standard deviations is left out; particles whose
+    centre lies outside the sensor still light the pixels that their window reaches.
     """
     image = np.zeros((camera.rows, camera.columns))
     lit = images.photons > 0.0

@@ -1,9 +1,11 @@
 """Mitsuba renderer: rays from each pixel through real dielectric interfaces into a cloud of glowing particles.
 
-Each particle is one primitive of an `ellipsoids` shape: a ball around a Gaussian glow whose width is the one that the camera's
-diffraction, defocus and the particle's disc give it. Every ray is followed through the dielectric planes (the transmitted
-direction, its Fresnel weight and the n^2 law of radiance are Mitsuba's own) and collects the glow of all balls on its way.
-Pixels take a regular grid of rays, so the pictures have no Monte Carlo noise: for Gaussians the midpoint rule is nearly exact.
+Each particle is one primitive of an `ellipsoids` shape: a ball around a Gaussian glow whose width
+is the one that the camera's diffraction, defocus and the particle's disc give it. Every ray is
+followed through the dielectric planes (the transmitted direction, its Fresnel weight and the n^2
+law of radiance are Mitsuba's own) and collects the glow of all balls on its way. Pixels take a
+regular grid of rays, so the pictures have no Monte Carlo noise: for Gaussians the midpoint rule is
+nearly exact.
 """
 
 from __future__ import annotations
@@ -20,35 +22,58 @@ from sabench.simulation.rendering.particle_images import ParticleImages
 from sabench.utils import backend
 from sabench.utils.arrays import F64, Bool
 
-_REACH = 4.0  # standard deviations from a particle's centre to its ball's surface; 3e-4 of the light lies outside
+# standard deviations from a particle's centre to its ball's surface; 3e-4 of the light lies outside
+_REACH = 4.0
 
 
-def render(camera: Camera, images: ParticleImages, positions_mm: F64, samples: int, occluders: tuple[Disc, ...] = ()) -> F64:
+def render(
+    camera: Camera,
+    images: ParticleImages,
+    positions_mm: F64,
+    samples: int,
+    occluders: tuple[Disc, ...] = (),
+) -> F64:
     """Photon radiance image (rows, columns), photons / (mm2 sr) in front of the lens, of one exposure.
 
     Parameters
     ----------
     samples : rays per pixel, a square number.
-    occluders : discs that stop rays before they reach the wall; a particle behind the edge of one is cut there, so all that glow are traced.
+    occluders : discs that stop rays before they reach the wall; a particle behind the edge of one
+        is cut there, so all that glow are traced.
     """
-    lit = (images.intensity > 0.0) & camera.contains(images.pixel, 8.0 * float(np.nanmax(images.sigma_px, initial=0.0)) + 8.0)
+    lit = (images.intensity > 0.0) & camera.contains(
+        images.pixel, 8.0 * float(np.nanmax(images.sigma_px, initial=0.0)) + 8.0
+    )
     if not lit.any():
         return np.zeros((camera.rows, camera.columns))
     mi = backend.mitsuba()
     from sabench.simulation.rendering import particle_integrator  # needs the variant
 
-    origin = positions_mm[lit].mean(axis=0)  # single precision: the numbers are small where the particles are
-    cloud = particle_integrator.Cloud(positions_mm[lit] - origin, *glow_of(images, images.shape_mm(camera, positions_mm), lit))
-    scene = mi.load_dict({"type": "scene", **interfaces(mi, camera.wall, origin, camera), "cloud": balls(mi, cloud.centers, cloud.radii)})
+    origin = positions_mm[lit].mean(
+        axis=0
+    )  # single precision: the numbers are small where the particles are
+    cloud = particle_integrator.Cloud(
+        positions_mm[lit] - origin, *glow_of(images, images.shape_mm(camera, positions_mm), lit)
+    )
+    scene = mi.load_dict(
+        {
+            "type": "scene",
+            **interfaces(mi, camera.wall, origin, camera),
+            "cloud": balls(mi, cloud.centers, cloud.radii),
+        }
+    )
     planes = len(camera.wall.layers) + 1 if camera.wall else 0
-    radiance = particle_integrator.picture(scene, camera, origin, cloud, planes, math.isqrt(samples), occluders)
+    radiance = particle_integrator.picture(
+        scene, camera, origin, cloud, planes, math.isqrt(samples), occluders
+    )
     return radiance.astype(np.float64)
 
 
 def glow_of(images: ParticleImages, shape_mm: F64, lit: Bool) -> tuple[F64, F64, F64, F64]:
     """Per particle the radius of its ball, two covectors a, b of its Gaussian across the light path, and its peak radiance.
 
-    The radiance integrates to the radiant intensity: I = L 2 pi |s x t| for a Gaussian with the half axes s, t.
+    The radiance integrates to the radiant intensity: I = L 2 pi |s x t| for a Gaussian with the
+    half axes s, t.
     """
     s, t = shape_mm[lit, 0], shape_mm[lit, 1]
     normal = np.cross(s, t)
@@ -56,15 +81,24 @@ def glow_of(images: ParticleImages, shape_mm: F64, lit: Bool) -> tuple[F64, F64,
     unit = normal / area[:, None]
     a = np.cross(t, unit) / area[:, None]
     b = np.cross(unit, s) / area[:, None]
-    radii = _REACH * np.linalg.norm(shape_mm[lit], axis=(1, 2))  # Frobenius norm: at least the largest half axis
+    radii = _REACH * np.linalg.norm(
+        shape_mm[lit], axis=(1, 2)
+    )  # Frobenius norm: at least the largest half axis
     return radii, a, b, images.intensity[lit] / (2.0 * np.pi * area)
 
 
 def balls(mi: Any, centers: F64, radii: F64) -> dict[str, Any]:
     """Balls that hold the glow, whatever its axes."""
     quaternion = np.tile([0.0, 0.0, 0.0, 1.0], (len(centers), 1))
-    data = np.hstack([centers, np.repeat(radii[:, None] / _REACH, 3, axis=1), quaternion]).astype(np.float32)
-    return {"type": "ellipsoids", "data": mi.TensorXf(data), "extent": _REACH, "bsdf": {"type": "diffuse"}}
+    data = np.hstack([centers, np.repeat(radii[:, None] / _REACH, 3, axis=1), quaternion]).astype(
+        np.float32
+    )
+    return {
+        "type": "ellipsoids",
+        "data": mi.TensorXf(data),
+        "extent": _REACH,
+        "bsdf": {"type": "diffuse"},
+    }
 
 
 def interfaces(mi: Any, wall: Wall | None, origin: F64, camera: Camera) -> dict[str, Any]:
@@ -77,9 +111,19 @@ def interfaces(mi: Any, wall: Wall | None, origin: F64, camera: Camera) -> dict[
     shapes = {}
     for i, depth in enumerate(wall.interface_depths_mm):
         place = foot + depth * normal - origin
-        frame = mi.ScalarTransform4f().look_at(origin=place.tolist(), target=(place - normal).tolist(), up=_any_across(normal).tolist())
-        optics = {"type": "dielectric", "ext_ior": float(wall.indices[i]), "int_ior": float(wall.indices[i + 1])}
-        shapes[f"interface_{i}"] = {"type": "rectangle", "to_world": frame @ mi.ScalarTransform4f().scale([half, half, 1.0]), "bsdf": optics}
+        frame = mi.ScalarTransform4f().look_at(
+            origin=place.tolist(), target=(place - normal).tolist(), up=_any_across(normal).tolist()
+        )
+        optics = {
+            "type": "dielectric",
+            "ext_ior": float(wall.indices[i]),
+            "int_ior": float(wall.indices[i + 1]),
+        }
+        shapes[f"interface_{i}"] = {
+            "type": "rectangle",
+            "to_world": frame @ mi.ScalarTransform4f().scale([half, half, 1.0]),
+            "bsdf": optics,
+        }
     return shapes
 
 

@@ -1,7 +1,7 @@
 """What each pixel truly sees of bubbles and bodies, along its refracted line of sight.
 
-Lines of sight are the camera's own (`Camera.back_project`) and bubbles are met by their equation: nothing here comes from the renderer, whose
-depths and masks would be those of straight rays.
+Lines of sight are the camera's own (`Camera.back_project`) and bubbles are met by their equation:
+nothing here comes from the renderer, whose depths and masks would be those of straight rays.
 """
 
 from __future__ import annotations
@@ -18,7 +18,9 @@ from sabench.geometry.refraction import length_to_fluid
 from sabench.simulation.rendering.mesh_intersection import BodySearch
 from sabench.utils.arrays import F32, F64, I32, Bool
 
-_FINER = 5  # lines of sight across a pixel, for shares of bubbles; odd, so that one is the pixel's own
+_FINER = (
+    5  # lines of sight across a pixel, for shares of bubbles; odd, so that one is the pixel's own
+)
 _AROUND, _STEPS = 48, 8  # points of a contour, and steps of the secant method to each
 
 
@@ -40,16 +42,21 @@ def see(camera: Camera, bubbles: Bubbles, bodies: Sequence[Solid] = ()) -> Sight
     distance[first == NOTHING] = np.nan
     places = starts + ways * distance[..., None]
     return Sight(
-        first, depth_of(camera, places).astype(np.float32), (before + distance).astype(np.float32), _shares(seen, whole, contour), pixel,
+        first,
+        depth_of(camera, places).astype(np.float32),
+        (before + distance).astype(np.float32),
+        _shares(seen, whole, contour),
+        pixel,
         contour.astype(np.float32),
-    )  # fmt: skip
+    )
 
 
 def outlines(camera: Camera, bubbles: Bubbles, pixel: F64) -> F64:
     """Outlines (n, 48, 2) of bubbles whose centres are imaged at `pixel` (n, 2): where lines of sight just touch them.
 
-    From the centre's image outwards, the distance of a line of sight from the centre (in radii of the ball that the bubble is an image of) grows
-    almost evenly, so that the secant method finds where it is one.
+    From the centre's image outwards, the distance of a line of sight from the centre (in radii of
+    the ball that the bubble is an image of) grows almost evenly, so that the secant method finds
+    where it is one.
     """
     angles = 2.0 * np.pi * np.arange(_AROUND) / _AROUND
     ways = np.column_stack([np.cos(angles), np.sin(angles)])
@@ -64,7 +71,11 @@ def outlines(camera: Camera, bubbles: Bubbles, pixel: F64) -> F64:
             here = _distances(camera, bubbles, pixel[:, None] + lengths[..., None] * ways) ** 2
             scale = (here - at_shortest) / (lengths**2 - shortest**2)
             step = np.sqrt(np.maximum(lengths**2 + (1.0 - here) / scale, 1e-12))
-            shortest, at_shortest, lengths = lengths, here, np.where(np.abs(here - 1.0) < 1e-10, lengths, step)
+            shortest, at_shortest, lengths = (
+                lengths,
+                here,
+                np.where(np.abs(here - 1.0) < 1e-10, lengths, step),
+            )
             lengths = np.where(lengths == shortest, shortest * (1.0 + 1e-13), lengths)
     return np.asarray(pixel[:, None] + lengths[..., None] * ways)
 
@@ -82,11 +93,19 @@ def _distances(camera: Camera, bubbles: Bubbles, pixels: F64) -> F64:
 
 def _lines(camera: Camera) -> tuple[F64, F64, F64]:
     """Lines of sight of all pixels in the fluid: starts and unit directions (rows, columns, 3), lengths of light's way before (rows, columns)."""
-    column, row = np.meshgrid(np.arange(camera.columns, dtype=np.float64), np.arange(camera.rows, dtype=np.float64))
+    column, row = np.meshgrid(
+        np.arange(camera.columns, dtype=np.float64), np.arange(camera.rows, dtype=np.float64)
+    )
     pixels, shape = np.column_stack([column.ravel(), row.ravel()]), (camera.rows, camera.columns)
     rays = camera.back_project(pixels)
-    before = length_to_fluid(camera.wall, np.asarray(camera.center_mm), camera.directions(pixels)[0])
-    return rays.origins_mm.reshape(*shape, 3), rays.directions.reshape(*shape, 3), before.reshape(shape)
+    before = length_to_fluid(
+        camera.wall, np.asarray(camera.center_mm), camera.directions(pixels)[0]
+    )
+    return (
+        rays.origins_mm.reshape(*shape, 3),
+        rays.directions.reshape(*shape, 3),
+        before.reshape(shape),
+    )
 
 
 def depth_of(camera: Camera, places_mm: F64) -> F64:
@@ -100,7 +119,10 @@ def _boxes(contour: F64, shape: tuple[int, int]) -> I32:
     """First and last rows and columns (n, 4) of the finer lines of sight that may meet each bubble; empty ones for those outside the image."""
     boxes = np.zeros((len(contour), 4), dtype=np.int32)
     known = np.isfinite(contour).all(axis=(1, 2))
-    low, high = ((np.asarray(edge) + 0.5) * _FINER for edge in (contour[known].min(axis=1), contour[known].max(axis=1)))
+    low, high = (
+        (np.asarray(edge) + 0.5) * _FINER
+        for edge in (contour[known].min(axis=1), contour[known].max(axis=1))
+    )
     for side, (axis, limit) in enumerate(((1, shape[0]), (0, shape[1]))):
         boxes[known, 2 * side] = np.clip(np.floor(low[:, axis]) - 2, 0, limit)
         boxes[known, 2 * side + 1] = np.clip(np.ceil(high[:, axis]) + 2, 0, limit)
@@ -110,12 +132,24 @@ def _boxes(contour: F64, shape: tuple[int, int]) -> I32:
 def _shares(seen: Any, whole: Any, contour: F64) -> F64:
     """Parts of outlines that are seen: of the lines that meet a bubble those that meet it first, times the part of it that is in the image."""
     x, y = contour[..., 0], contour[..., 1]
-    area = 0.5 * np.abs(np.sum(x * np.roll(y, -1, axis=1) - y * np.roll(x, -1, axis=1), axis=1)) if len(contour) else np.zeros(0)
-    area = area / (np.sin(2.0 * np.pi / _AROUND) / (2.0 * np.pi / _AROUND))  # of the curve, not of its chords
+    area = (
+        0.5 * np.abs(np.sum(x * np.roll(y, -1, axis=1) - y * np.roll(x, -1, axis=1), axis=1))
+        if len(contour)
+        else np.zeros(0)
+    )
+    area = area / (
+        np.sin(2.0 * np.pi / _AROUND) / (2.0 * np.pi / _AROUND)
+    )  # of the curve, not of its chords
     with np.errstate(invalid="ignore", divide="ignore"):
         inside = np.minimum(whole / (area * _FINER**2), 1.0)
-        inside = np.where(whole > 20 * _FINER, inside, np.where(whole > 0, 1.0, 0.0))  # few lines tell the area badly
-        return np.where(whole > 0, np.nan_to_num(seen / np.maximum(whole, 1) * np.where(inside > 0.98, 1.0, inside)), 0.0)
+        inside = np.where(
+            whole > 20 * _FINER, inside, np.where(whole > 0, 1.0, 0.0)
+        )  # few lines tell the area badly
+        return np.where(
+            whole > 0,
+            np.nan_to_num(seen / np.maximum(whole, 1) * np.where(inside > 0.98, 1.0, inside)),
+            0.0,
+        )
 
 
 def _bodies(starts: F64, ways: F64, bodies: Sequence[Solid], near: F32, number: I32) -> None:
@@ -123,8 +157,16 @@ def _bodies(starts: F64, ways: F64, bodies: Sequence[Solid], near: F32, number: 
     search = BodySearch(bodies)
     for down in range(_FINER):
         for across in range(_FINER):
-            part = np.ix_(*(range(start, size, _FINER) for start, size in zip((down, across), near.shape, strict=True)))
-            start, way = (_between(lines, (down - _FINER // 2) / _FINER, (across - _FINER // 2) / _FINER) for lines in (starts, ways))
+            part = np.ix_(
+                *(
+                    range(start, size, _FINER)
+                    for start, size in zip((down, across), near.shape, strict=True)
+                )
+            )
+            start, way = (
+                _between(lines, (down - _FINER // 2) / _FINER, (across - _FINER // 2) / _FINER)
+                for lines in (starts, ways)
+            )
             distance, which = search.first(start.reshape(-1, 3), way.reshape(-1, 3))
             near[part] = distance.reshape(starts.shape[:2])
             number[part] = np.where(which < 0, NOTHING, BODY - which).reshape(starts.shape[:2])
@@ -132,11 +174,22 @@ def _bodies(starts: F64, ways: F64, bodies: Sequence[Solid], near: F32, number: 
 
 def _between(lines: F64, down: float, across: float) -> F64:
     """Lines between those of the pixels, by differences: they bend by far less than a pixel's own angle."""
-    return np.asarray(lines + down * np.gradient(lines, axis=0) + across * np.gradient(lines, axis=1))
+    return np.asarray(
+        lines + down * np.gradient(lines, axis=0) + across * np.gradient(lines, axis=1)
+    )
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _cover(starts: Any, ways: Any, centers: Any, to_ball: Any, boxes: Any, near: Any, number: Any, whole: Any) -> None:
+def _cover(
+    starts: Any,
+    ways: Any,
+    centers: Any,
+    to_ball: Any,
+    boxes: Any,
+    near: Any,
+    number: Any,
+    whole: Any,
+) -> None:
     """Enter every bubble where it is the first along a line of sight, and count the lines that meet it at all."""
     rows, columns = starts.shape[:2]
     p, d = np.empty(3), np.empty(3)
@@ -179,7 +232,14 @@ def meets(bubbles: Bubbles, starts_mm: F64, ways: F64) -> Bool:
     """Which lines from points (n, 3) along unit vectors (n, 3) meet a bubble."""
     out = np.zeros(len(starts_mm), dtype=np.bool_)
     if len(bubbles):
-        _meet(np.ascontiguousarray(starts_mm), np.ascontiguousarray(ways), bubbles.center_mm, bubbles.to_ball, bubbles.semi_axes_mm.max(axis=1), out)
+        _meet(
+            np.ascontiguousarray(starts_mm),
+            np.ascontiguousarray(ways),
+            bubbles.center_mm,
+            bubbles.to_ball,
+            bubbles.semi_axes_mm.max(axis=1),
+            out,
+        )
     return out
 
 

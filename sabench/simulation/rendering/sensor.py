@@ -14,13 +14,16 @@ _MOST_E = 1e15  # electrons: more than any well holds, and fewer than the Poisso
 def expose(sensor: Sensor, photons: F64, rng: np.random.Generator) -> U16:
     """Grey values (rows, columns) of a mean photon image, noise drawn from `rng`.
 
-    Electrons: Poisson (QE photons + dark current x exposure) if shot noise is on, its mean if not, plus Gaussian read noise, clipped to the full well
-    before the read noise; grey value: black level + gain x electrons, rounded, clipped to the bit depth (EMVA 1288's linear model).
+    Electrons: Poisson (QE photons + dark current x exposure) if shot noise is on, its mean if not,
+    plus Gaussian read noise, clipped to the full well before the read noise; grey value: black
+    level + gain x electrons, rounded, clipped to the bit depth (EMVA 1288's linear model).
     """
     mean = sensor.quantum_efficiency * photons
     mean += sensor.dark_current_e_s * sensor.exposure_s
     if not np.isfinite(mean).all():
-        raise InputError("illumination: expected light that numbers can hold, got pixels of infinitely much or of none that is known")
+        raise InputError(
+            "illumination: expected light that numbers can hold, got pixels of infinitely much or of none that is known"
+        )
     np.minimum(mean, _MOST_E, out=mean)
     electrons = rng.poisson(mean).astype(np.float64) if sensor.shot_noise else mean
     np.minimum(electrons, sensor.full_well_e, out=electrons)

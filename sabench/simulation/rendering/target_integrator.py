@@ -18,7 +18,11 @@ from sabench.simulation.rendering.particle_integrator import opaque, undistorted
 from sabench.utils.arrays import F32, F64, Bool
 
 _WAVEFRONT = 1 << 22  # rays traced at once: bounds memory, not results
-_MOVES = ((0.7548777, 0.5698403), (0.5698403, 0.2451223), (0.2451223, 0.8191725))  # irrational steps along columns and rows: far apart in neighbours
+_MOVES = (
+    (0.7548777, 0.5698403),
+    (0.5698403, 0.2451223),
+    (0.2451223, 0.8191725),
+)  # irrational steps along columns and rows: far apart in neighbours
 
 
 @dataclass(frozen=True)
@@ -30,7 +34,8 @@ class Paint:
     pattern : as in `world.Target`.
     squares : columns and rows of squares, or of circles.
     pitch_mm, mark_mm : as in `world.Target`.
-    bits : (marker, 36) whether a cell of a ChArUco marker is white, for each marker in the order of the white squares; empty for other patterns.
+    bits : (marker, 36) whether a cell of a ChArUco marker is white, for each marker in the order of
+        the white squares; empty for other patterns.
     turn : (3, 3) rows are the target's axes in the world.
     """
 
@@ -42,7 +47,15 @@ class Paint:
     turn: F64
 
 
-def picture(scene: Any, camera: Camera, origin: F64, paint: Paint, lamps: Lamps, interfaces: int, samples: int) -> F32:
+def picture(
+    scene: Any,
+    camera: Camera,
+    origin: F64,
+    paint: Paint,
+    lamps: Lamps,
+    interfaces: int,
+    samples: int,
+) -> F32:
     """Relative radiance (rows, columns) in front of the lens: each pixel's mean over rays from all over the aperture.
 
     Parameters
@@ -55,7 +68,9 @@ def picture(scene: Any, camera: Camera, origin: F64, paint: Paint, lamps: Lamps,
     bands = []
     for first in range(0, camera.rows, rows):
         count = min(rows, camera.rows - first)
-        band = dr.block_sum(_trace(scene, _rays(camera, origin, first, count, samples), where), samples) * (1.0 / samples)
+        band = dr.block_sum(
+            _trace(scene, _rays(camera, origin, first, count, samples), where), samples
+        ) * (1.0 / samples)
         bands.append(np.array(band, dtype=np.float32).reshape(count, camera.columns))
     return np.concatenate(bands)
 
@@ -66,23 +81,33 @@ class _Target:
     def __init__(self, paint: Paint, lamps: Lamps, interfaces: int) -> None:
         self.paint, self.interfaces = paint, dr.opaque(mi.UInt32, interfaces)
         self.axes = [opaque(axis) for axis in paint.turn]
-        self.bits = mi.Float(paint.bits.astype(np.float32).ravel()) if paint.bits.size else mi.Float(0.0)
-        self.lamps = [(opaque(place), dr.opaque(mi.Float, power)) for place, power in zip(lamps.places, lamps.powers.tolist(), strict=True)]
+        self.bits = (
+            mi.Float(paint.bits.astype(np.float32).ravel()) if paint.bits.size else mi.Float(0.0)
+        )
+        self.lamps = [
+            (opaque(place), dr.opaque(mi.Float, power))
+            for place, power in zip(lamps.places, lamps.powers.tolist(), strict=True)
+        ]
         self.even = dr.opaque(mi.Float, lamps.even)
 
 
 def _rays(camera: Camera, origin: F64, first: int, count: int, samples: int) -> Any:
     """Rays of `count` rows from row `first` on, pixel by pixel; a pixel's rays start all over the aperture and meet where the lens is focused.
 
-    A pixel is sampled on a lattice of which no two points share a column or a row, shifted from pixel to pixel, as the aperture's points are turned:
-    with one pattern for all an edge that runs along the pixels would move by whole steps of it, and corners with it.
+    A pixel is sampled on a lattice of which no two points share a column or a row, shifted from
+    pixel to pixel, as the aperture's points are turned: with one pattern for all an edge that runs
+    along the pixels would move by whole steps of it, and corners with it.
     """
     index = dr.arange(mi.UInt32, count * camera.columns * samples)
     pixel, sub = index // samples, index % samples
     row, column = pixel // camera.columns, pixel % camera.columns
     moves = [_even(c0 * mi.Float(column) + c1 * mi.Float(row)) for c0, c1 in _MOVES]
     across = mi.Float(column) + _even((mi.Float(sub) + 0.5) / samples + moves[0]) - 0.5
-    down = mi.Float(row) + _even((mi.Float((sub * _stride(samples, 0.618)) % samples) + 0.5) / samples + moves[1]) - 0.5
+    down = (
+        mi.Float(row)
+        + _even((mi.Float((sub * _stride(samples, 0.618)) % samples) + 0.5) / samples + moves[1])
+        - 0.5
+    )
     center, scale = camera.principal_point_px, 1.0 / camera.focal_px
     u = (across - dr.opaque(mi.Float, center[0])) * dr.opaque(mi.Float, scale)
     v = (down + dr.opaque(mi.Float, first - center[1])) * dr.opaque(mi.Float, scale)
@@ -94,7 +119,9 @@ def _rays(camera: Camera, origin: F64, first: int, count: int, samples: int) -> 
     a, b = cosine * a - sine * b, sine * a + cosine * b
     focus = dr.opaque(mi.Float, camera.focus_mm)
     start = mi.Point3f(opaque(np.asarray(camera.center_mm) - origin)) + a * right + b * below
-    return mi.Ray3f(start, dr.normalize((x * focus - a) * right + (y * focus - b) * below + focus * forward))
+    return mi.Ray3f(
+        start, dr.normalize((x * focus - a) * right + (y * focus - b) * below + focus * forward)
+    )
 
 
 def _spiral(count: int) -> F64:
@@ -117,7 +144,9 @@ def _even(value: Any) -> Any:
 
 def _stride(count: int, part: float) -> int:
     """A step near a part of `count` that visits all numbers below it."""
-    return next(step for step in range(int(part * count) + 1, 2 * count + 2) if np.gcd(step, count) == 1)
+    return next(
+        step for step in range(int(part * count) + 1, 2 * count + 2) if np.gcd(step, count) == 1
+    )
 
 
 @dr.syntax
@@ -135,7 +164,11 @@ def _trace(scene: Any, ray: Any, target: Any) -> Any:
         place = dr.fma(ray.d, si.t, ray.o)
         matte = active & mi.has_flag(bsdf.flags(), mi.BSDFFlags.Diffuse)
         normal = dr.select(dr.dot(si.n, ray.d) < 0.0, si.n, -si.n)
-        result += dr.select(matte & (crossed == target.interfaces), weight * _painted(target, place) * _lit(target, place, normal), 0.0)
+        result += dr.select(
+            matte & (crossed == target.interfaces),
+            weight * _painted(target, place) * _lit(target, place, normal),
+            0.0,
+        )
         wall = active & ~matte
         sampled, value = bsdf.sample(context, si, mi.Float(0.5), mi.Point2f(0.5), wall)
         weight = dr.select(wall, weight * value.x, weight)
@@ -164,8 +197,15 @@ def _painted(target: Any, place: Any) -> Any:
     columns, rows = paint.squares
     x, y = (dr.dot(mi.Vector3f(place), axis) / paint.pitch_mm for axis in target.axes[:2])
     if paint.pattern == "circles":
-        i, j = (dr.clip(dr.round(v + 0.5 * (n - 1)), 0.0, n - 1.0) - 0.5 * (n - 1) for v, n in ((x, columns), (y, rows)))
-        return dr.select((x - i) * (x - i) + (y - j) * (y - j) <= (0.5 * paint.mark_mm / paint.pitch_mm) ** 2, 0.04, 1.0)
+        i, j = (
+            dr.clip(dr.round(v + 0.5 * (n - 1)), 0.0, n - 1.0) - 0.5 * (n - 1)
+            for v, n in ((x, columns), (y, rows))
+        )
+        return dr.select(
+            (x - i) * (x - i) + (y - j) * (y - j) <= (0.5 * paint.mark_mm / paint.pitch_mm) ** 2,
+            0.04,
+            1.0,
+        )
     x, y = x + 0.5 * columns, y + 0.5 * rows
     i, j = dr.floor(x), dr.floor(y)
     inside = (i >= 0.0) & (j >= 0.0) & (i < columns) & (j < rows)
@@ -175,7 +215,9 @@ def _painted(target: Any, place: Any) -> Any:
         cell_x, cell_y = ((v - w - 0.5 * (1.0 - part)) / part * 6.0 for v, w in ((x, i), (y, j)))
         within = (cell_x >= 0.0) & (cell_y >= 0.0) & (cell_x < 6.0) & (cell_y < 6.0)
         marker = mi.UInt32(j * columns + i) // 2
-        cell = mi.UInt32(dr.clip(dr.floor(cell_y), 0, 5)) * 6 + mi.UInt32(dr.clip(dr.floor(cell_x), 0, 5))
+        cell = mi.UInt32(dr.clip(dr.floor(cell_y), 0, 5)) * 6 + mi.UInt32(
+            dr.clip(dr.floor(cell_x), 0, 5)
+        )
         on_marker = inside & ~black & within
         white = dr.gather(mi.Float, target.bits, marker * 36 + cell, on_marker)
         black |= on_marker & (white < 0.5)

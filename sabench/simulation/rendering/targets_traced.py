@@ -21,7 +21,9 @@ _CELLS = 6  # of a ChArUco marker and its black frame, along each side
 _QUIET = 0.75  # white around a board's pattern, in pitches
 
 
-def photograph(camera: Camera, target: Target, pose: Pose, lighting: Lighting, center_mm: F64, samples: int) -> F64:
+def photograph(
+    camera: Camera, target: Target, pose: Pose, lighting: Lighting, center_mm: F64, samples: int
+) -> F64:
     """Photons (rows, columns) that reach the pixels, as a part of what saturates one at `lighting.exposure` 1.
 
     Parameters
@@ -33,14 +35,33 @@ def photograph(camera: Camera, target: Target, pose: Pose, lighting: Lighting, c
     from sabench.simulation.rendering import target_integrator  # needs the variant
 
     origin = pose.place_mm
-    scene = mi.load_dict({"type": "scene", **interfaces(mi, camera.wall, origin, camera), **_shapes(mi, target, pose)})
-    squares = (target.columns, target.rows) if target.pattern in ("circles", "wand") else (target.columns + 1, target.rows + 1)
-    paint = target_integrator.Paint(target.pattern, squares, target.pitch_mm, target.mark_mm, marker_bits(target), pose.turn.T)
+    scene = mi.load_dict(
+        {
+            "type": "scene",
+            **interfaces(mi, camera.wall, origin, camera),
+            **_shapes(mi, target, pose),
+        }
+    )
+    squares = (
+        (target.columns, target.rows)
+        if target.pattern in ("circles", "wand")
+        else (target.columns + 1, target.rows + 1)
+    )
+    paint = target_integrator.Paint(
+        target.pattern, squares, target.pitch_mm, target.mark_mm, marker_bits(target), pose.turn.T
+    )
     facing = np.asarray(camera.wall.normal if camera.wall else camera.rotation[2])
     lamps = placed(lighting, camera, center_mm, origin)
     planes = len(camera.wall.layers) + 1 if camera.wall else 0
-    radiance = target_integrator.picture(scene, camera, origin, paint, lamps, planes, samples).astype(np.float64)
-    radiance /= float(transmittance(camera.wall, facing[None])[0]) * (camera.wall.air_index / camera.wall.fluid_index) ** 2 if camera.wall else 1.0
+    radiance = target_integrator.picture(
+        scene, camera, origin, paint, lamps, planes, samples
+    ).astype(np.float64)
+    radiance /= (
+        float(transmittance(camera.wall, facing[None])[0])
+        * (camera.wall.air_index / camera.wall.fluid_index) ** 2
+        if camera.wall
+        else 1.0
+    )
     return _diffracted(camera, radiance * camera.etendue() / camera.etendue().max(), lighting)
 
 
@@ -52,7 +73,12 @@ def marker_bits(target: Target) -> Bool:
 
     dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_1000)
     count = (target.columns + 1) * (target.rows + 1) // 2
-    return np.stack([cv2.aruco.generateImageMarker(dictionary, number, _CELLS).ravel() > 0 for number in range(count)])
+    return np.stack(
+        [
+            cv2.aruco.generateImageMarker(dictionary, number, _CELLS).ravel() > 0
+            for number in range(count)
+        ]
+    )
 
 
 def _shapes(mi: Any, target: Target, pose: Pose) -> dict[str, Any]:
@@ -61,9 +87,18 @@ def _shapes(mi: Any, target: Target, pose: Pose) -> dict[str, Any]:
     if target.pattern == "wand":
         balls = pose(target.points_mm) - pose.place_mm
         return {
-            f"ball_{i}": {"type": "sphere", "center": ball.tolist(), "radius": target.mark_mm / 2.0, "bsdf": matte} for i, ball in enumerate(balls)
+            f"ball_{i}": {
+                "type": "sphere",
+                "center": ball.tolist(),
+                "radius": target.mark_mm / 2.0,
+                "bsdf": matte,
+            }
+            for i, ball in enumerate(balls)
         }
-    half = [(count + 1) / 2.0 * target.pitch_mm + _QUIET * target.pitch_mm for count in (target.columns, target.rows)]
+    half = [
+        (count + 1) / 2.0 * target.pitch_mm + _QUIET * target.pitch_mm
+        for count in (target.columns, target.rows)
+    ]
     frame = np.eye(4)
     frame[:3, :3] = pose.turn * [half[0], half[1], 1.0]
     return {"board": {"type": "rectangle", "to_world": mi.ScalarTransform4f(frame), "bsdf": matte}}

@@ -15,7 +15,10 @@ def bubble_figure(bubbles: AnyBubbles, name: str, title: str = "") -> Figure:
     """Places and sizes across X-Y and Z-Y."""
     x, y, z = bubbles.center_mm.T
     views = (("front", "X, mm", x), ("side", "Z, mm", z))
-    panels = [Panel(view, label, "Y, mm", (Discs("radius, mm", across, y, bubbles.radius_mm),)) for view, label, across in views]
+    panels = [
+        Panel(view, label, "Y, mm", (Discs("radius, mm", across, y, bubbles.radius_mm),))
+        for view, label, across in views
+    ]
     return Figure(name, title or f"{len(x)} bubbles", tuple(panels), inch=_inch(bubbles.center_mm))
 
 
@@ -28,13 +31,25 @@ def _inch(center_mm: F64) -> tuple[float, float]:
 def detection_figure(found: AnyBubbles, true: AnyBubbles) -> Figure:
     """True bubbles that were missed and that were found, and those found where there are none, across X-Y and Z-Y."""
     i, j = match(found.center_mm, true.center_mm, true.radius_mm)
-    ghosts, missed = (np.setdiff1d(np.arange(len(one.radius_mm)), hit) for one, hit in ((found, i), (true, j)))
+    ghosts, missed = (
+        np.setdiff1d(np.arange(len(one.radius_mm)), hit) for one, hit in ((found, i), (true, j))
+    )
     kinds = (("missed", true, missed), ("not there", found, ghosts), ("found", true, j))
     panels = tuple(
-        Panel(view, label, "Y, mm", tuple(
-            Circles(kind, one.center_mm[which, axis], one.center_mm[which, 1], one.radius_mm[which]) for kind, one, which in kinds
-        ))
+        Panel(
+            view,
+            label,
+            "Y, mm",
+            tuple(
+                Circles(
+                    kind, one.center_mm[which, axis], one.center_mm[which, 1], one.radius_mm[which]
+                )
+                for kind, one, which in kinds
+            ),
+        )
         for view, label, axis in (("front", "X, mm", 0), ("side", "Z, mm", 2))
-    )  # fmt: skip
+    )
     title = f"{len(j)} found, {len(missed)} missed, {len(ghosts)} not there"
-    return Figure("errors", title, panels, inch=_inch(np.concatenate([true.center_mm, found.center_mm])))
+    return Figure(
+        "errors", title, panels, inch=_inch(np.concatenate([true.center_mm, found.center_mm]))
+    )

@@ -27,9 +27,11 @@ def field_figure(field: Velocity, exact_mm_s: F64, unit_mm_s: F64, solver: str) 
     normal = _liveliest(field)
     off = Slice("voxels", *_axes(field, normal), np.linalg.norm(_middle(errors, normal), axis=-1))
     panels = (
-        slice_panel(field, normal), Panel("length of the error there", *_labels(normal), (off,)), error_scatter("errors", errors[field.valid]),
+        slice_panel(field, normal),
+        Panel("length of the error there", *_labels(normal), (off,)),
+        error_scatter("errors", errors[field.valid]),
         profile_panel(field, exact_mm_s, normal),
-    )  # fmt: skip
+    )
     return Figure("velocity", solver, panels, across=2)
 
 
@@ -57,7 +59,10 @@ def _across(normal: int) -> tuple[int, int]:
 
 def _axes(field: Velocity, normal: int) -> tuple[F64, F64]:
     """Coordinates of a plane's columns and rows."""
-    columns, rows = (field.low_mm[axis] + field.step_mm[axis] * np.arange(field.valid.shape[2 - axis]) for axis in _across(normal))
+    columns, rows = (
+        field.low_mm[axis] + field.step_mm[axis] * np.arange(field.valid.shape[2 - axis])
+        for axis in _across(normal)
+    )
     return np.asarray(columns, dtype=np.float64), np.asarray(rows, dtype=np.float64)
 
 
@@ -68,9 +73,19 @@ def _labels(normal: int) -> tuple[str, str]:
 
 def slice_panel(field: Velocity, normal: int) -> Panel:
     """Vectors of the middle plane across an axis (0 to 2), and the vorticity about that axis; invalid vectors are left out."""
-    arrows = np.where(_middle(field.valid, normal)[..., None], _middle(field.velocity_mm_s, normal)[..., list(_across(normal))], np.nan)
+    arrows = np.where(
+        _middle(field.valid, normal)[..., None],
+        _middle(field.velocity_mm_s, normal)[..., list(_across(normal))],
+        np.nan,
+    )
     place = field.low_mm[normal] + field.step_mm[normal] * (field.valid.shape[2 - normal] // 2)
-    spin = Slice(f"vorticity about {'xyz'[normal]}, 1/s", *_axes(field, normal), _middle(_vorticity(field), normal)[..., normal], True, arrows)
+    spin = Slice(
+        f"vorticity about {'xyz'[normal]}, 1/s",
+        *_axes(field, normal),
+        _middle(_vorticity(field), normal)[..., normal],
+        True,
+        arrows,
+    )
     return Panel(f"measured, {'xyz'[normal]} = {place:.4g} mm", *_labels(normal), (spin,))
 
 
@@ -78,14 +93,20 @@ def error_scatter(title: str, errors: F64) -> Panel:
     """Errors (n, 3) in voxels of v and w over those of u; thesis, figure 2-9."""
     some = np.random.default_rng(0).permutation(len(errors))[:_POINTS]
     u, v, w = errors[some].T
-    return Panel(title, "error of u, voxels", "error of v or w, voxels", (Cloud("v", u, v), Cloud("w", u, w)))
+    return Panel(
+        title, "error of u, voxels", "error of v or w, voxels", (Cloud("v", u, v), Cloud("w", u, w))
+    )
 
 
 def profile_panel(field: Velocity, exact_mm_s: F64, normal: int) -> Panel:
     """All components along the columns' axis through the middle of a plane, measured and exact."""
     columns, _ = _axes(field, normal)
     curves = [
-        Curve(f"{name}{note}", list(columns), list(_middle(values, normal)[len(_middle(values, normal)) // 2, :, number]))
+        Curve(
+            f"{name}{note}",
+            list(columns),
+            list(_middle(values, normal)[len(_middle(values, normal)) // 2, :, number]),
+        )
         for number, name in enumerate("uvw")
         for note, values in (("", field.velocity_mm_s), (" exact", exact_mm_s))
     ]

@@ -32,7 +32,13 @@ def run(module: str, folder: Path, what: str, mark: str, steps: int) -> None:
     """
     log = folder / "log.txt"
     with log.open("wb") as errors:
-        process = subprocess.Popen([sys.executable, "-m", module, str(folder)], stdout=subprocess.PIPE, stderr=errors, cwd=folder, env=_paths())
+        process = subprocess.Popen(
+            [sys.executable, "-m", module, str(folder)],
+            stdout=subprocess.PIPE,
+            stderr=errors,
+            cwd=folder,
+            env=_paths(),
+        )
         assert process.stdout is not None
         with process.stdout as out, log.open("ab") as kept:
             bar = iter(track(range(steps), what))
@@ -47,8 +53,14 @@ def run(module: str, folder: Path, what: str, mark: str, steps: int) -> None:
     memory.add_child(used.ru_maxrss * (1024 if sys.platform != "darwin" else 1) / 1e6)
     if process.returncode:
         last = " ".join(log.read_text(encoding="utf-8", errors="replace").split())[-_SAID:]
-        how = f"signal {-process.returncode}" if process.returncode < 0 else f"exit code {process.returncode}"
-        raise InputError(f"{what}: expected it to end well, but it ended with {how}; its last words: {last or 'none'}")
+        how = (
+            f"signal {-process.returncode}"
+            if process.returncode < 0
+            else f"exit code {process.returncode}"
+        )
+        raise InputError(
+            f"{what}: expected it to end well, but it ended with {how}; its last words: {last or 'none'}"
+        )
 
 
 def _paths() -> dict[str, str]:

@@ -13,7 +13,9 @@ from typing import Any
 from sabench.utils.errors import InputError
 
 
-def apart(function: Callable[..., Any], *arguments: Any, doing: str, time_s: float | None = None) -> Any:
+def apart(
+    function: Callable[..., Any], *arguments: Any, doing: str, time_s: float | None = None
+) -> Any:
     """What a module's function returns for picklable arguments, called in a process of its own.
 
     Parameters
@@ -24,7 +26,8 @@ def apart(function: Callable[..., Any], *arguments: Any, doing: str, time_s: flo
     Raises
     ------
     InputError
-        What the function raises as such, or as an OSError or MemoryError; a process that dies or takes too long.
+        What the function raises as such, or as an OSError or MemoryError; a process that dies or
+        takes too long.
     """
     context = _context()
     receiver, sender = context.Pipe(duplex=False)
@@ -44,7 +47,12 @@ def apart(function: Callable[..., Any], *arguments: Any, doing: str, time_s: flo
     return value
 
 
-def _answer(receiver: multiprocessing.connection.Connection, child: BaseProcess, doing: str, time_s: float | None) -> tuple[InputError | None, Any]:
+def _answer(
+    receiver: multiprocessing.connection.Connection,
+    child: BaseProcess,
+    doing: str,
+    time_s: float | None,
+) -> tuple[InputError | None, Any]:
     if not receiver.poll(time_s):
         raise InputError(f"{doing}: expected an end within {time_s:g} s, but it was still running")
     try:
@@ -81,10 +89,21 @@ def _start_deaf(child: BaseProcess) -> None:
         signal.signal(signal.SIGINT, before)
 
 
-def _call(sender: multiprocessing.connection.Connection, function: Callable[..., Any], arguments: tuple[Any, ...]) -> None:
+def _call(
+    sender: multiprocessing.connection.Connection,
+    function: Callable[..., Any],
+    arguments: tuple[Any, ...],
+) -> None:
     try:
         value = function(*arguments)
     except (InputError, OSError, MemoryError) as error:
-        sender.send((error if isinstance(error, InputError) else InputError(f"{error}" or type(error).__name__), None))
+        sender.send(
+            (
+                error
+                if isinstance(error, InputError)
+                else InputError(f"{error}" or type(error).__name__),
+                None,
+            )
+        )
     else:
         sender.send((None, value))

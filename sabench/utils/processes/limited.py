@@ -22,13 +22,22 @@ from sabench.utils import memory
 from sabench.utils.errors import InputError
 from sabench.utils.validation import printable
 
-_KEPT = ("PATH", "LD_LIBRARY_PATH", "LANG", "LC_ALL", "TZ", "OMP_NUM_THREADS", "CUDA_VISIBLE_DEVICES")
+_KEPT = (
+    "PATH",
+    "LD_LIBRARY_PATH",
+    "LANG",
+    "LC_ALL",
+    "TZ",
+    "OMP_NUM_THREADS",
+    "CUDA_VISIBLE_DEVICES",
+)
 _TOKEN = "SABENCH_PROGRAM"  # marks every process that a program starts, wherever it hides
 _TAIL = 1 << 14  # bytes of output that are kept
 _WAITS = (0.01, 0.25)  # s between two looks, the shortest and the longest
 _MEMORY_SHARE = 0.9  # of what is there, where no limit is given
 
-# Run by a fresh interpreter that becomes the program: limits of files and cores, signals as a program expects them, death with its parent.
+# Run by a fresh interpreter that becomes the program: limits of files and cores, signals as a
+# program expects them, death with its parent.
 _START = """
 import os, resource, signal, sys
 for number in (signal.SIGXFSZ, signal.SIGPIPE, signal.SIGINT):
@@ -52,7 +61,8 @@ class Limits:
     Attributes
     ----------
     time_s : wall time.
-    memory_mb : resident memory of all its processes together (10^6 bytes); None: nine tenths of what is free when it starts.
+    memory_mb : resident memory of all its processes together (10^6 bytes); None: nine tenths of
+        what is free when it starts.
     output_mb : size of each file that it writes, and of all that it leaves in its folder.
     """
 
@@ -61,7 +71,11 @@ class Limits:
     output_mb: float = 20_000.0
 
     def __post_init__(self) -> None:
-        for name, value in (("time limit", self.time_s), ("memory limit", self.memory_mb), ("output limit", self.output_mb)):
+        for name, value in (
+            ("time limit", self.time_s),
+            ("memory limit", self.memory_mb),
+            ("output limit", self.output_mb),
+        ):
             if value is not None and not 0.0 < value < float("inf"):
                 raise InputError(f"{name}: expected a positive number, got {value:g}")
 
@@ -84,15 +98,19 @@ class Cost:
 def run_confined(words: Sequence[str], folder: Path, limits: Limits, name: str) -> Cost:
     """Run a program in `folder` and wait for its end; nothing that it started is left then.
 
-    It gets a session of its own, no standard input and a clean environment with `folder` as its home.
+    It gets a session of its own, no standard input and a clean environment with `folder` as its
+    home.
 
     Raises
     ------
     InputError
-        It cannot be started, ends with another exit code than 0 or by a signal, or breaks a limit; the text holds its last words.
+        It cannot be started, ends with another exit code than 0 or by a signal, or breaks a limit;
+        the text holds its last words.
     """
     if os.name != "posix":
-        raise InputError(f"program {name}: expected Linux or macOS, which can confine a program, got {os.name}")
+        raise InputError(
+            f"program {name}: expected Linux or macOS, which can confine a program, got {os.name}"
+        )
     token = secrets.token_hex(16)
     start = time.monotonic()
     with _started(words, folder, limits, token) as (process, tails):
@@ -111,7 +129,9 @@ def _refuse_bad_end(name: str, code: int, breach: str, last: str, limit_mb: floa
     if breach:
         raise InputError(f"program {name}: {breach}{words}")
     if code == -signal.SIGXFSZ:
-        raise InputError(f"program {name}: expected no file larger than {limit_mb:.0f} MB, but it went on writing one{words}")
+        raise InputError(
+            f"program {name}: expected no file larger than {limit_mb:.0f} MB, but it went on writing one{words}"
+        )
     if code:
         end = f"exit code {code}" if code > 0 else f"signal {_signal_name(-code)}"
         raise InputError(f"program {name}: expected exit code 0, but it ended with {end}{words}")
@@ -145,12 +165,19 @@ class _Tail(threading.Thread):
 
 
 @contextlib.contextmanager
-def _started(words: Sequence[str], folder: Path, limits: Limits, token: str) -> Iterator[tuple[subprocess.Popen[bytes], list[_Tail]]]:
+def _started(
+    words: Sequence[str], folder: Path, limits: Limits, token: str
+) -> Iterator[tuple[subprocess.Popen[bytes], list[_Tail]]]:
     size = str(int(limits.output_mb * 1e6))
     process = subprocess.Popen(
-        [sys.executable, "-I", "-S", "-c", _START, size, *words], cwd=folder, env=_environment(folder, token), stdin=subprocess.DEVNULL,
-        stdout=subprocess.PIPE, stderr=subprocess.PIPE, start_new_session=True,
-    )  # fmt: skip
+        [sys.executable, "-I", "-S", "-c", _START, size, *words],
+        cwd=folder,
+        env=_environment(folder, token),
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        start_new_session=True,
+    )
     assert process.stderr is not None
     assert process.stdout is not None
     tails = [_Tail(process.stderr), _Tail(process.stdout)]
@@ -159,7 +186,9 @@ def _started(words: Sequence[str], folder: Path, limits: Limits, token: str) -> 
     finally:
         for tail, pipe in zip(tails, (process.stderr, process.stdout), strict=True):
             tail.join(1.0)
-            if not tail.is_alive():  # else something that escaped holds the pipe: closing it would wait for the reader
+            if (
+                not tail.is_alive()
+            ):  # else something that escaped holds the pipe: closing it would wait for the reader
                 pipe.close()
 
 
@@ -168,7 +197,9 @@ def _environment(folder: Path, token: str) -> Mapping[str, str]:
     return kept | {"HOME": str(folder), "TMPDIR": str(folder), _TOKEN: token}
 
 
-def _watch(process: subprocess.Popen[bytes], folder: Path, limits: Limits, start: float) -> tuple[float, str]:
+def _watch(
+    process: subprocess.Popen[bytes], folder: Path, limits: Limits, start: float
+) -> tuple[float, str]:
     """Peak memory (MB) at the program's end or first breach, and what the breach was."""
     allowed, peak_mb, looked = limits.memory_mb or _free_mb(), 0.0, start
     while True:
@@ -178,15 +209,28 @@ def _watch(process: subprocess.Popen[bytes], folder: Path, limits: Limits, start
         if process.poll() is not None:
             return peak_mb, ""
         if held > allowed:
-            return peak_mb, f"expected at most {allowed:.0f} MB of memory, but its processes held {held:.0f} MB"
+            return (
+                peak_mb,
+                f"expected at most {allowed:.0f} MB of memory, but its processes held {held:.0f} MB",
+            )
         if now - start > limits.time_s:
             return peak_mb, f"expected an end within {limits.time_s:g} s, but it was still running"
         if now - looked > 1.0:
             looked = now
             written = _size_mb(folder)
             if written > limits.output_mb:
-                return peak_mb, f"expected at most {limits.output_mb:.0f} MB of files, but it wrote {written:.0f} MB"
-        _wait(process, min(max((now - start) / 20.0, _WAITS[0]), _WAITS[1], max(start + limits.time_s - now, 0.001)))
+                return (
+                    peak_mb,
+                    f"expected at most {limits.output_mb:.0f} MB of files, but it wrote {written:.0f} MB",
+                )
+        _wait(
+            process,
+            min(
+                max((now - start) / 20.0, _WAITS[0]),
+                _WAITS[1],
+                max(start + limits.time_s - now, 0.001),
+            ),
+        )
 
 
 def _free_mb() -> float:
@@ -212,7 +256,9 @@ def _held_mb(process: subprocess.Popen[bytes]) -> float:
 def _family(process: subprocess.Popen[bytes]) -> list[psutil.Process]:
     """The program's process, all below it, and all of its session."""
     found = {}
-    if process.returncode is None:  # once it is known, the system may give the number to another process
+    if (
+        process.returncode is None
+    ):  # once it is known, the system may give the number to another process
         with contextlib.suppress(psutil.Error):
             head = psutil.Process(process.pid)
             found = {one.pid: one for one in (head, *head.children(recursive=True))}
@@ -239,7 +285,11 @@ def _end(process: subprocess.Popen[bytes], token: str) -> None:
     for _ in range(20):
         with contextlib.suppress(ProcessLookupError, PermissionError):
             os.killpg(process.pid, signal.SIGKILL)
-        left = [one for one in (*_family(process), *_marked(token)) if one.pid != os.getpid() and _runs(one)]
+        left = [
+            one
+            for one in (*_family(process), *_marked(token))
+            if one.pid != os.getpid() and _runs(one)
+        ]
         for one in left:
             with contextlib.suppress(psutil.Error):
                 one.kill()

@@ -14,9 +14,30 @@ import numpy as np
 from sabench.utils.arrays import F64
 from sabench.utils.errors import InputError
 
-_LENGTHS = {"km": 1e6, "m": 1e3, "dm": 1e2, "cm": 10.0, "mm": 1.0, "um": 1e-3, "µm": 1e-3, "μm": 1e-3, "micron": 1e-3, "nm": 1e-6}
+_LENGTHS = {
+    "km": 1e6,
+    "m": 1e3,
+    "dm": 1e2,
+    "cm": 10.0,
+    "mm": 1.0,
+    "um": 1e-3,
+    "µm": 1e-3,
+    "μm": 1e-3,
+    "micron": 1e-3,
+    "nm": 1e-6,
+}
 _TIMES = {"min": 60.0, "s": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "μs": 1e-6, "ns": 1e-9}
-_WORDS = {"meter": "m", "metre": "m", "meters": "m", "metres": "m", "millimeter": "mm", "millimetre": "mm", "second": "s", "seconds": "s", "sec": "s"}
+_WORDS = {
+    "meter": "m",
+    "metre": "m",
+    "meters": "m",
+    "metres": "m",
+    "millimeter": "mm",
+    "millimetre": "mm",
+    "second": "s",
+    "seconds": "s",
+    "sec": "s",
+}
 _HEADER = re.compile(r"^(?P<name>.*?)\s*[\[(](?P<unit>[^\])]*)[\])]$")  # x [mm], x (mm)
 
 Unit = str | float | None
@@ -33,8 +54,10 @@ class Array:
 def read_arrays(path: Path, names: Sequence[str]) -> dict[str, Array]:
     """Arrays of a file by their names.
 
-    CSV: columns under a header line; the unit may stand behind a name, as in `x [mm]`. HDF5 and NetCDF: datasets, with the attribute `units`. VTK
-    (vti, vtr, vtk, vtkhdf; with the package vtk): `x`, `y`, `z` are the lattice's coordinates, other names its point data, (z, y, x) or (z, y, x, 3).
+    CSV: columns under a header line; the unit may stand behind a name, as in `x [mm]`. HDF5 and
+    NetCDF: datasets, with the attribute `units`. VTK (vti, vtr, vtk, vtkhdf; with the package vtk):
+    `x`, `y`, `z` are the lattice's coordinates, other names its point data, (z, y, x) or (z, y, x,
+    3).
 
     Raises
     ------
@@ -44,16 +67,24 @@ def read_arrays(path: Path, names: Sequence[str]) -> dict[str, Array]:
     if not path.is_file():
         raise InputError(f"{path}: expected a file, found none")
     suffix = path.suffix.lower()
-    readers = dict.fromkeys((".csv", ".txt"), _from_csv) | dict.fromkeys((".vti", ".vtr", ".vtk", ".vtkhdf"), _from_vtk) | {".nc": _from_netcdf}
+    readers = (
+        dict.fromkeys((".csv", ".txt"), _from_csv)
+        | dict.fromkeys((".vti", ".vtr", ".vtk", ".vtkhdf"), _from_vtk)
+        | {".nc": _from_netcdf}
+    )
     readers |= dict.fromkeys((".h5", ".hdf5", ".hdf", ".nc4", ".mat"), _from_hdf5)
     if suffix not in readers:
-        raise InputError(f"{path}: expected a file that ends in {', '.join(sorted(readers))}, got {suffix or 'no ending'}")
+        raise InputError(
+            f"{path}: expected a file that ends in {', '.join(sorted(readers))}, got {suffix or 'no ending'}"
+        )
     found = readers[suffix](path, names)
     for name in names:
         values = found[name].values
         wrong = int(values.size - np.isfinite(values).sum())
         if wrong:
-            raise InputError(f"{path}: {name}: expected finite numbers, but {wrong} of {values.size} are NaN or infinite")
+            raise InputError(
+                f"{path}: {name}: expected finite numbers, but {wrong} of {values.size} are NaN or infinite"
+            )
     return found
 
 
@@ -75,19 +106,27 @@ def time_s(given: Unit, array: Array, where: str, key: str) -> float:
 
 def speed_mm_s(given: Unit, array: Array, where: str, key: str) -> float:
     """Millimetres a second of an array's unit; raises as `length_mm` does."""
-    speeds = {f"{one}/{other}": mm / s for one, mm in _LENGTHS.items() for other, s in _TIMES.items()}
+    speeds = {
+        f"{one}/{other}": mm / s for one, mm in _LENGTHS.items() for other, s in _TIMES.items()
+    }
     return _factor(given, array, speeds, where, key, "mm/s")
 
 
-def _factor(given: Unit, array: Array, known: dict[str, float], where: str, key: str, base: str) -> float:
+def _factor(
+    given: Unit, array: Array, known: dict[str, float], where: str, key: str, base: str
+) -> float:
     if isinstance(given, int | float):
         return float(given)
     word = given if given is not None else array.unit
     if word is None:
-        raise InputError(f"{where}: expected a unit, but the file names none: give {key} as one of {', '.join(list(known)[:8])} ... or in {base}")
+        raise InputError(
+            f"{where}: expected a unit, but the file names none: give {key} as one of {', '.join(list(known)[:8])} ... or in {base}"
+        )
     plain = _normalised(word)
     if plain not in known:
-        raise InputError(f"{where}: expected a unit like {', '.join(list(known)[:8])}, got {word!r}: give {key} as one of them or in {base}")
+        raise InputError(
+            f"{where}: expected a unit like {', '.join(list(known)[:8])}, got {word!r}: give {key} as one of them or in {base}"
+        )
     return known[plain]
 
 
@@ -106,13 +145,27 @@ def _from_csv(path: Path, names: Sequence[str]) -> dict[str, Array]:
     places = _places(path, names, [name for name, _ in columns])
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore", UserWarning)  # of a file without data, which is said below
-            values = np.loadtxt(path, delimiter=separator, skiprows=1, usecols=list(places.values()), ndmin=2, encoding="utf-8-sig")
+            warnings.simplefilter(
+                "ignore", UserWarning
+            )  # of a file without data, which is said below
+            values = np.loadtxt(
+                path,
+                delimiter=separator,
+                skiprows=1,
+                usecols=list(places.values()),
+                ndmin=2,
+                encoding="utf-8-sig",
+            )
     except ValueError as error:
-        raise InputError(f"{path}: expected numbers below a line of names, got {str(error).split(';')[0]}") from error
+        raise InputError(
+            f"{path}: expected numbers below a line of names, got {str(error).split(';')[0]}"
+        ) from error
     if not len(values):
         raise InputError(f"{path}: expected numbers below a line of names, got none")
-    return {name: Array(values[:, number], columns[places[name]][1]) for number, name in enumerate(places)}
+    return {
+        name: Array(values[:, number], columns[places[name]][1])
+        for number, name in enumerate(places)
+    }
 
 
 def _named(text: str) -> tuple[str, str | None]:
@@ -123,7 +176,9 @@ def _named(text: str) -> tuple[str, str | None]:
 def _places(path: Path, names: Sequence[str], there: Sequence[str]) -> dict[str, int]:
     for name in names:
         if name not in there:
-            raise InputError(f"{path}: expected {name!r} in it, got {', '.join(map(repr, there)) or 'nothing'}")
+            raise InputError(
+                f"{path}: expected {name!r} in it, got {', '.join(map(repr, there)) or 'nothing'}"
+            )
     return {name: list(there).index(name) for name in names}
 
 
@@ -133,9 +188,16 @@ def _from_hdf5(path: Path, names: Sequence[str]) -> dict[str, Array]:
     try:
         with h5py.File(path) as file:
             there: list[str] = []
-            file.visititems(lambda name, item: there.append(name) if isinstance(item, h5py.Dataset) else None)
+            file.visititems(
+                lambda name, item: there.append(name) if isinstance(item, h5py.Dataset) else None
+            )
             _places(path, names, there)
-            return {name: Array(_numbers(path, name, file[name][()]), _text(file[name].attrs.get("units"))) for name in names}
+            return {
+                name: Array(
+                    _numbers(path, name, file[name][()]), _text(file[name].attrs.get("units"))
+                )
+                for name in names
+            }
     except OSError as error:
         raise InputError(f"{path}: expected an HDF5 file, got {error}") from error
 
@@ -156,7 +218,9 @@ def _from_netcdf(path: Path, names: Sequence[str]) -> dict[str, Array]:
 
 
 def _classic(path: Path, name: str, variable: Any) -> Array:
-    return Array(_numbers(path, name, np.array(variable[()])), _text(getattr(variable, "units", None)))
+    return Array(
+        _numbers(path, name, np.array(variable[()])), _text(getattr(variable, "units", None))
+    )
 
 
 def _numbers(path: Path, name: str, values: Any) -> F64:
@@ -169,7 +233,13 @@ def _numbers(path: Path, name: str, values: Any) -> F64:
 def _text(value: Any) -> str | None:
     if isinstance(value, np.ndarray) and value.size == 1:
         value = value.item()
-    return value.decode("utf-8", "replace") if isinstance(value, bytes) else None if value is None else str(value)
+    return (
+        value.decode("utf-8", "replace")
+        if isinstance(value, bytes)
+        else None
+        if value is None
+        else str(value)
+    )
 
 
 def _from_vtk(path: Path, names: Sequence[str]) -> dict[str, Array]:
@@ -177,17 +247,24 @@ def _from_vtk(path: Path, names: Sequence[str]) -> dict[str, Array]:
     try:
         from vtkmodules.util.numpy_support import vtk_to_numpy
     except ImportError as error:
-        raise InputError(f"{path}: expected the package vtk to read it: pip install 'sabench[vtk]'") from error
+        raise InputError(
+            f"{path}: expected the package vtk to read it: pip install 'sabench[vtk]'"
+        ) from error
     data = _vtk_lattice(path)
     counts = data.GetDimensions()
-    axes = {axis: np.array([_vtk_coordinate(data, number, place) for place in range(counts[number])]) for number, axis in enumerate("xyz")}
+    axes = {
+        axis: np.array([_vtk_coordinate(data, number, place) for place in range(counts[number])])
+        for number, axis in enumerate("xyz")
+    }
     points = data.GetPointData()
     there = [points.GetArrayName(number) for number in range(points.GetNumberOfArrays())]
     _places(path, names, [*axes, *there])
     out = {name: Array(axes[name], None) for name in names if name in axes}
     for name in set(names) - set(axes):
         values = vtk_to_numpy(points.GetArray(name))
-        out[name] = Array(_numbers(path, name, values.reshape(*counts[::-1], *values.shape[1:])), None)
+        out[name] = Array(
+            _numbers(path, name, values.reshape(*counts[::-1], *values.shape[1:])), None
+        )
     return out
 
 
@@ -210,7 +287,15 @@ def _vtk_lattice(path: Path) -> Any:
     reader.SetFileName(str(path))
     reader.Update()
     data = reader.GetOutputDataObject(0)
-    if told or not isinstance(data, vtkImageData | vtkRectilinearGrid) or not data.GetNumberOfPoints():
-        got = data.GetClassName() if data is not None and not told else "something that VTK cannot read"
+    if (
+        told
+        or not isinstance(data, vtkImageData | vtkRectilinearGrid)
+        or not data.GetNumberOfPoints()
+    ):
+        got = (
+            data.GetClassName()
+            if data is not None and not told
+            else "something that VTK cannot read"
+        )
         raise InputError(f"{path}: expected image data or a rectilinear grid, got {got}")
     return data

@@ -13,34 +13,48 @@ from sabench.api.truth import Solid
 from sabench.utils.arrays import F32, F64
 from sabench.utils.errors import InputError
 
-_NODES = 64_000_000  # of a lattice: a quarter of a gigabyte, and about twice that while its surface is taken
-_OFF = 1e-3  # steps: nodes closer to the surface count as outside by this much, lest triangles there have no area
+# of a lattice: a quarter of a gigabyte, and about twice that while its surface is taken
+_NODES = 64_000_000
+# steps: nodes closer to the surface count as outside by this much, lest triangles there have no
+# area
+_OFF = 1e-3
 _BAND = 10.0  # blends: what is that much farther than the nearest body adds 5e-5 of a blend
 
 Points = Sequence[float] | F64
 
 
-def surface_of(function: Callable[[F64], F64], low_mm: Points, high_mm: Points, step_mm: float) -> Solid:
+def surface_of(
+    function: Callable[[F64], F64], low_mm: Points, high_mm: Points, step_mm: float
+) -> Solid:
     """The closed surface on which a function is zero, by marching cubes (Lewiner et al. 2003) on a lattice.
 
     Parameters
     ----------
-    function : of points (n, 3) in mm to (n,), negative inside; like a distance in mm near the surface. One call takes one plane of the lattice.
-    low_mm, high_mm : corners (3,) of a box that the body does not reach; the lattice begins at the first and covers the second.
-    step_mm : of the lattice. Where the body is smooth the surface is off by the order of its square; what is thinner than a step may be lost.
+    function : of points (n, 3) in mm to (n,), negative inside; like a distance in mm near the
+        surface. One call takes one plane of the lattice.
+    low_mm, high_mm : corners (3,) of a box that the body does not reach; the lattice begins at the
+        first and covers the second.
+    step_mm : of the lattice. Where the body is smooth the surface is off by the order of its
+        square; what is thinner than a step may be lost.
 
     Raises
     ------
     InputError
-        Too many nodes, nothing inside, or a body that reaches the edge of the lattice, where its surface would be open.
+        Too many nodes, nothing inside, or a body that reaches the edge of the lattice, where its
+        surface would be open.
     """
     from skimage.measure import marching_cubes
 
     low = np.asarray(low_mm, dtype=np.float64)
     counts = np.ceil((np.asarray(high_mm) - low) / step_mm - 1e-9).astype(np.int64) + 1
     if counts.prod(dtype=np.float64) > _NODES:
-        raise InputError(f"step_mm: expected a lattice of at most {_NODES} nodes, got {' x '.join(map(str, counts))} with {step_mm:g} mm")
-    values = _sampled(function, [start + step_mm * np.arange(count) for start, count in zip(low, counts, strict=True)])
+        raise InputError(
+            f"step_mm: expected a lattice of at most {_NODES} nodes, got {' x '.join(map(str, counts))} with {step_mm:g} mm"
+        )
+    values = _sampled(
+        function,
+        [start + step_mm * np.arange(count) for start, count in zip(low, counts, strict=True)],
+    )
     _check_inside(values, low, step_mm)
     values[np.abs(values) < _OFF * step_mm] = _OFF * step_mm
     vertices, faces, _, _ = marching_cubes(values, 0.0, gradient_direction="descent")
@@ -52,7 +66,9 @@ def _sampled(function: Callable[[F64], F64], axes: list[F64]) -> F32:
     y, z = (one.ravel() for one in np.meshgrid(axes[1], axes[2], indexing="ij"))
     values = np.empty([len(axis) for axis in axes], dtype=np.float32)
     for row, x in enumerate(axes[0]):
-        values[row] = function(np.column_stack([np.full(len(y), x), y, z])).reshape(values.shape[1:])
+        values[row] = function(np.column_stack([np.full(len(y), x), y, z])).reshape(
+            values.shape[1:]
+        )
     return values
 
 
@@ -61,11 +77,19 @@ def _check_inside(values: F32, low_mm: F64, step_mm: float) -> None:
     high = low_mm + step_mm * (np.array(values.shape) - 1)
     where = f"{np.round(low_mm, 3).tolist()} to {np.round(high, 3).tolist()} mm"
     if not values.min() < 0.0:
-        raise InputError(f"expected a body in the lattice from {where}, got nothing: it may be thinner than the step, {step_mm:g} mm")
-    sides = {f"{sign}{'XYZ'[axis]}": values.take(end, axis) for axis in range(3) for sign, end in (("-", 0), ("+", -1))}
+        raise InputError(
+            f"expected a body in the lattice from {where}, got nothing: it may be thinner than the step, {step_mm:g} mm"
+        )
+    sides = {
+        f"{sign}{'XYZ'[axis]}": values.take(end, axis)
+        for axis in range(3)
+        for sign, end in (("-", 0), ("+", -1))
+    }
     cut = [name for name, side in sides.items() if side.min() < _OFF * step_mm]
     if cut:
-        raise InputError(f"expected a body that ends within the lattice from {where}, but it reaches its edge at {', '.join(cut)}")
+        raise InputError(
+            f"expected a body that ends within the lattice from {where}, but it reaches its edge at {', '.join(cut)}"
+        )
 
 
 def largest_part(solid: Solid) -> Solid:
@@ -75,9 +99,14 @@ def largest_part(solid: Solid) -> Solid:
 
     corners, faces = solid.vertices_mm[solid.faces], solid.faces
     count = len(solid.vertices_mm)
-    joined = coo_matrix((np.ones(2 * len(faces)), (faces[:, [0, 1]].ravel(), faces[:, [1, 2]].ravel())), shape=(count, count))
+    joined = coo_matrix(
+        (np.ones(2 * len(faces)), (faces[:, [0, 1]].ravel(), faces[:, [1, 2]].ravel())),
+        shape=(count, count),
+    )
     number, part = connected_components(joined, directed=False)
-    volumes = np.bincount(part[faces[:, 0]], np.linalg.det(corners - solid.vertices_mm.mean(axis=0)) / 6.0, number)
+    volumes = np.bincount(
+        part[faces[:, 0]], np.linalg.det(corners - solid.vertices_mm.mean(axis=0)) / 6.0, number
+    )
     chosen = part == volumes.argmax()
     return Solid(solid.vertices_mm[chosen], (np.cumsum(chosen) - 1)[faces[chosen[faces[:, 0]]]])
 
@@ -85,7 +114,8 @@ def largest_part(solid: Solid) -> Solid:
 def smooth_minimum(values: npt.ArrayLike, blend_mm: float) -> F64:
     """The least of values (k, ...) over the first axis, rounded where they are alike: -b log(sum(exp(-v / b))), at most b log(k) below it.
 
-    The same whatever their order, and in whatever groups it is taken; with a blend of 0 the minimum itself.
+    The same whatever their order, and in whatever groups it is taken; with a blend of 0 the minimum
+    itself.
     """
     every = np.asarray(values, dtype=np.float64)
     least = every.min(axis=0)
@@ -94,15 +124,24 @@ def smooth_minimum(values: npt.ArrayLike, blend_mm: float) -> F64:
     return np.asarray(least - blend_mm * np.log(np.exp((least - every) / blend_mm).sum(axis=0)))
 
 
-def capsules(points_mm: F64, starts_mm: F64, ends_mm: F64, start_radii_mm: F64, end_radii_mm: F64, blend_mm: float = 0.0) -> F64:
+def capsules(
+    points_mm: F64,
+    starts_mm: F64,
+    ends_mm: F64,
+    start_radii_mm: F64,
+    end_radii_mm: F64,
+    blend_mm: float = 0.0,
+) -> F64:
     """Signed distances (n,) of points (n, 3) to the smooth union of k rounded cones: balls whose radius goes linearly from one end to the other.
 
-    Outside, and with a blend of 0, it is the distance; inside it is the largest depth in any one of them. A ball has both ends in one place.
+    Outside, and with a blend of 0, it is the distance; inside it is the largest depth in any one of
+    them. A ball has both ends in one place.
 
     Parameters
     ----------
     starts_mm, ends_mm, start_radii_mm, end_radii_mm : (k, 3), (k, 3), (k,), (k,).
-    blend_mm : as of `smooth_minimum`: joints of two are filled, and what lies twice in one place grows by 0.69 of it.
+    blend_mm : as of `smooth_minimum`: joints of two are filled, and what lies twice in one place
+        grows by 0.69 of it.
     """
     ways = ends_mm - starts_mm
     lengths = np.linalg.norm(ways, axis=1)
@@ -119,19 +158,43 @@ def capsules(points_mm: F64, starts_mm: F64, ends_mm: F64, start_radii_mm: F64, 
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _union(points: Any, starts: Any, ways: Any, lengths: Any, radii: Any, sines: Any, reach: Any, blend: float, out: Any) -> None:
+def _union(
+    points: Any,
+    starts: Any,
+    ways: Any,
+    lengths: Any,
+    radii: Any,
+    sines: Any,
+    reach: Any,
+    blend: float,
+    out: Any,
+) -> None:
     """Distances to rounded cones, added as `smooth_minimum` does, the sum taken relative to the least so far."""
     nearest = 0
     for n in range(len(points)):
-        least, total, first = np.inf, 0.0, nearest  # the neighbour's nearest one first: what is far beyond it needs no distance
+        least, total, first = (
+            np.inf,
+            0.0,
+            nearest,
+        )  # the neighbour's nearest one first: what is far beyond it needs no distance
         for rank in range(len(starts)):
             k = first if rank == 0 else rank - 1 if rank <= first else rank
-            x, y, z = points[n, 0] - starts[k, 0], points[n, 1] - starts[k, 1], points[n, 2] - starts[k, 2]
+            x, y, z = (
+                points[n, 0] - starts[k, 0],
+                points[n, 1] - starts[k, 1],
+                points[n, 2] - starts[k, 2],
+            )
             square = x * x + y * y + z * z
             far = least + _BAND * blend + reach[k]
             if square > far * abs(far):
                 continue
-            value = _distance(square, x * ways[k, 0] + y * ways[k, 1] + z * ways[k, 2], lengths[k], radii[k], sines[k])
+            value = _distance(
+                square,
+                x * ways[k, 0] + y * ways[k, 1] + z * ways[k, 2],
+                lengths[k],
+                radii[k],
+                sines[k],
+            )
             if value < least:
                 total = total * np.exp((value - least) / blend) + 1.0
                 least, nearest = value, k

@@ -1,8 +1,10 @@
 """A liquid jet that a stream of gas bends and breaks up: where its column goes, and where its drops are.
 
-Sources: Wu, Kirkendall, Fuller and Nejad, J. Propul. Power 13, 64 (1997): the column's path y / d = 1.37 (q x / d)^0.5 up to y / d = 3.44 q^0.5,
-where it breaks; the same, J. Propul. Power 14, 173 (1998): the spray's upper edge y / d = 4.3 q^0.33 (x / d)^0.33 and its width
-z / d = 7.86 q^0.17 (x / d)^0.33. x is along the gas, y along the nozzle, d its diameter, q the ratio of the momentum fluxes of liquid and gas.
+Sources: Wu, Kirkendall, Fuller and Nejad, J. Propul. Power 13, 64 (1997): the column's path y / d =
+1.37 (q x / d)^0.5 up to y / d = 3.44 q^0.5, where it breaks; the same, J. Propul. Power 14, 173
+(1998): the spray's upper edge y / d = 4.3 q^0.33 (x / d)^0.33 and its width z / d = 7.86 q^0.17 (x
+/ d)^0.33. x is along the gas, y along the nozzle, d its diameter, q the ratio of the momentum
+fluxes of liquid and gas.
 """
 
 from __future__ import annotations
@@ -22,8 +24,15 @@ _PATH, _BREAK = 1.37, 3.44
 _UPPER, _WIDTH, _POWER = (4.3, 0.33), (7.86, 0.17), 0.33
 _PIECES = 48  # of the column
 _NODES = 4001  # of a table over time
-_WAVE, _GROWN = 1.6, 0.25  # wavelength of the column's waves in nozzle diameters, and their amplitude at its end in radii
-_THICK, _THIN, _BULB = 0.28, 0.07, 0.11  # radii of ligaments where they begin and end, and of the balls there, in nozzle diameters
+_WAVE, _GROWN = (
+    1.6,
+    0.25,
+)  # wavelength of the column's waves in nozzle diameters, and their amplitude at its end in radii
+_THICK, _THIN, _BULB = (
+    0.28,
+    0.07,
+    0.11,
+)  # radii of ligaments where they begin and end, and of the balls there, in nozzle diameters
 _LONG = (1.0, 3.5)  # ligaments' lengths, in the same
 _BEND = np.array([0.35, 0.0, 0.0])  # into the gas, for each of their three pieces
 
@@ -35,22 +44,36 @@ class Crossflow(BaseModel):
 
     nozzle_mm: Vector = Field((0.0, 0.0, 0.0), description="middle of the nozzle's mouth")
     diameter_mm: float = Field(3.0, gt=0.0, description="of the nozzle")
-    momentum_ratio: float = Field(10.0, gt=0.0, le=200.0, description="momentum flux of the liquid over that of the gas")
+    momentum_ratio: float = Field(
+        10.0, gt=0.0, le=200.0, description="momentum flux of the liquid over that of the gas"
+    )
     ligaments: int = Field(40, ge=0, le=400, description="that leave the column")
 
     @property
     def break_mm(self) -> tuple[float, float]:
         """How far along the gas and along the nozzle the column breaks."""
         rise = _BREAK * np.sqrt(self.momentum_ratio)
-        return float((rise / _PATH) ** 2 / self.momentum_ratio * self.diameter_mm), float(rise * self.diameter_mm)
+        return float((rise / _PATH) ** 2 / self.momentum_ratio * self.diameter_mm), float(
+            rise * self.diameter_mm
+        )
 
     def upper_mm(self, x: F64) -> F64:
         """The spray's upper edge above the nozzle at distances x > 0 along the gas."""
-        return np.asarray(_UPPER[0] * self.momentum_ratio ** _UPPER[1] * (x / self.diameter_mm) ** _POWER * self.diameter_mm)
+        return np.asarray(
+            _UPPER[0]
+            * self.momentum_ratio ** _UPPER[1]
+            * (x / self.diameter_mm) ** _POWER
+            * self.diameter_mm
+        )
 
     def width_mm(self, x: F64) -> F64:
         """The spray's width there."""
-        return np.asarray(_WIDTH[0] * self.momentum_ratio ** _WIDTH[1] * (x / self.diameter_mm) ** _POWER * self.diameter_mm)
+        return np.asarray(
+            _WIDTH[0]
+            * self.momentum_ratio ** _WIDTH[1]
+            * (x / self.diameter_mm) ** _POWER
+            * self.diameter_mm
+        )
 
     def cones(self, seed: int) -> Cones:
         """The column and its ligaments as rounded cones: starts (k, 3), ends (k, 3) from the nozzle, world's axes, and their radii."""
@@ -67,7 +90,11 @@ class Crossflow(BaseModel):
         x = (y / self.diameter_mm / _PATH) ** 2 / self.momentum_ratio * self.diameter_mm
         path = np.column_stack([x, -y, np.zeros_like(y)])
         length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))])
-        waves = _GROWN * along * np.sin(2.0 * np.pi * (length / (_WAVE * self.diameter_mm) + rng.random()))
+        waves = (
+            _GROWN
+            * along
+            * np.sin(2.0 * np.pi * (length / (_WAVE * self.diameter_mm) + rng.random()))
+        )
         radii = self.diameter_mm / 2.0 * (1.0 - 0.35 * along) * (1.0 + waves)
         return path[:-1], path[1:], radii[:-1], radii[1:]
 
@@ -76,7 +103,13 @@ class Crossflow(BaseModel):
         starts, _, radii, _ = column
         where = int(rng.integers(_PIECES // 3, _PIECES))
         root, least = starts[where], radii[where]
-        way = np.array([rng.uniform(0.2, 1.0), rng.uniform(-0.7, 0.7), rng.choice([-1.0, 1.0]) * rng.uniform(0.3, 1.0)])
+        way = np.array(
+            [
+                rng.uniform(0.2, 1.0),
+                rng.uniform(-0.7, 0.7),
+                rng.choice([-1.0, 1.0]) * rng.uniform(0.3, 1.0),
+            ]
+        )
         length = rng.uniform(*_LONG) * self.diameter_mm
         places = [root]
         for _ in range(3):
@@ -86,9 +119,11 @@ class Crossflow(BaseModel):
         thickness = np.linspace(min(_THICK * self.diameter_mm, least), _THIN * self.diameter_mm, 4)
         bulb = np.array([_BULB * self.diameter_mm])
         return (
-            np.concatenate([ends[:-1], ends[-1:]]), np.concatenate([ends[1:], ends[-1:]]),
-            np.concatenate([thickness[:-1], bulb]), np.concatenate([thickness[1:], bulb]),
-        )  # fmt: skip
+            np.concatenate([ends[:-1], ends[-1:]]),
+            np.concatenate([ends[1:], ends[-1:]]),
+            np.concatenate([thickness[:-1], bulb]),
+            np.concatenate([thickness[1:], bulb]),
+        )
 
 
 @dataclass(frozen=True)
@@ -98,7 +133,8 @@ class Spray:
     Attributes
     ----------
     lower : the spray's lower edge over its upper one.
-    gas_mm_s, response_s : the gas's speed, and the time in which a drop takes it on: x'' = (gas - x') / response, from rest.
+    gas_mm_s, response_s : the gas's speed, and the time in which a drop takes it on: x'' = (gas -
+        x') / response, from rest.
     end_mm : where drops are no longer followed, along the gas from the nozzle.
     """
 
@@ -117,12 +153,18 @@ class Spray:
     def ages(self) -> tuple[F64, F64]:
         """Times since the column broke up to the one at which `end_mm` is reached, and how far along the gas a drop is then."""
         way = self.end_mm - self.start_mm
-        last = brentq(lambda time: float(self._way(np.array(time))) - way, 0.0, way / self.gas_mm_s + self.response_s)
+        last = brentq(
+            lambda time: float(self._way(np.array(time))) - way,
+            0.0,
+            way / self.gas_mm_s + self.response_s,
+        )
         time = np.linspace(0.0, last, _NODES)
         return time, self.start_mm + self._way(time)
 
     def _way(self, time: F64) -> F64:
-        return np.asarray(self.gas_mm_s * (time + self.response_s * np.expm1(-time / self.response_s)))
+        return np.asarray(
+            self.gas_mm_s * (time + self.response_s * np.expm1(-time / self.response_s))
+        )
 
     def places(self, age: F64, line: F64) -> F64:
         """Places (n, 3) from the nozzle at ages (n,), of lines (n, 2): parts of height and of width, both from 0 to 1."""
@@ -142,4 +184,6 @@ class Spray:
         x = places[:, 0]
         height = (-places[:, 1] / self.jet.upper_mm(x) - self.lower) / (1.0 - self.lower)
         time, ways = self.ages
-        return np.interp(x, ways, time), np.column_stack([height, places[:, 2] / self.jet.width_mm(x) + 0.5])
+        return np.interp(x, ways, time), np.column_stack(
+            [height, places[:, 2] / self.jet.width_mm(x) + 0.5]
+        )

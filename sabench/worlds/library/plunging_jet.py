@@ -1,7 +1,8 @@
 """The laws of bubbles below a plunging jet, as functions of depth Y below the surface and radius R from the jet's axis.
 
-Source: J. Belden's thesis, section 5.5.3: equations 5.17 (total concentration C_Y = 2 pi times the integral of C over R), 5.18 (C_Y), 5.19 (C over
-R), 5.22 (which ties R_.5 to both) and 5.23 (C_max), figure 5-30c (its slopes), table 5.2 (penetration depth, diameter, total).
+Source: J. Belden's thesis, section 5.5.3: equations 5.17 (total concentration C_Y = 2 pi times the
+integral of C over R), 5.18 (C_Y), 5.19 (C over R), 5.22 (which ties R_.5 to both) and 5.23 (C_max),
+figure 5-30c (its slopes), table 5.2 (penetration depth, diameter, total).
 """
 
 from __future__ import annotations
@@ -54,23 +55,33 @@ class JetLaw:
 
     def total_over_peak(self, y: F64) -> F64:
         """C_Y over its maximum, equation 5.18."""
-        return np.asarray(self.weight * np.exp(-(self.scaled_depth(y) ** 2) / (2.0 * self.width**2)) + (1.0 - self.weight))
+        return np.asarray(
+            self.weight * np.exp(-(self.scaled_depth(y) ** 2) / (2.0 * self.width**2))
+            + (1.0 - self.weight)
+        )
 
     def axis_over_peak(self, y: F64) -> F64:
         """C_max over its maximum.
 
-        How far it falls follows from what table 5.2 says of the angle: the cloud is a cone between Y_m and Y_p.
+        How far it falls follows from what table 5.2 says of the angle: the cloud is a cone between
+        Y_m and Y_p.
         """
         scaled = self.scaled_depth(y)
         line = np.clip(np.where(scaled < 0.0, 1.0 + RISE * scaled, 1.0 + FALL * scaled), 0.0, 1.0)
-        least = float(self.total_over_peak(np.array(self.penetration_mm))) * self.peak_mm / self.penetration_mm
+        least = (
+            float(self.total_over_peak(np.array(self.penetration_mm)))
+            * self.peak_mm
+            / self.penetration_mm
+        )
         return np.asarray(least + (1.0 - least) * line)
 
     def half_radius_mm(self, y: F64) -> F64:
         """R_.5, equation 5.22."""
         there = self.equivalent_mm / 2.0 / np.sqrt(np.log(1.0 / EDGE) / LN2)  # at Y_p
         shape = self.total_over_peak(y) / self.axis_over_peak(y)
-        at_end = self.total_over_peak(np.array(self.penetration_mm)) / self.axis_over_peak(np.array(self.penetration_mm))
+        at_end = self.total_over_peak(np.array(self.penetration_mm)) / self.axis_over_peak(
+            np.array(self.penetration_mm)
+        )
         return np.asarray(there * shape / at_end)
 
     @cached_property
@@ -80,15 +91,27 @@ class JetLaw:
 
         def inside(y: float) -> float:
             half, edge = float(self.half_radius_mm(np.array(y))), slope * y
-            return float(self.axis_over_peak(np.array(y))) * np.pi * half**2 / LN2 * -float(np.expm1(-LN2 * edge**2 / half**2))
+            return (
+                float(self.axis_over_peak(np.array(y)))
+                * np.pi
+                * half**2
+                / LN2
+                * -float(np.expm1(-LN2 * edge**2 / half**2))
+            )
 
         air, _ = quad(inside, 0.0, self.penetration_mm, limit=200, points=[self.peak_mm])
         return float(self.total * np.pi * slope**2 * self.penetration_mm**3 / 3.0 / air)
 
     def concentration(self, y: F64, r: F64) -> F64:
         """Void fraction C(Y, R), equation 5.19."""
-        return np.asarray(self.largest * self.axis_over_peak(y) * np.exp(-LN2 * np.asarray(r) ** 2 / self.half_radius_mm(y) ** 2))
+        return np.asarray(
+            self.largest
+            * self.axis_over_peak(y)
+            * np.exp(-LN2 * np.asarray(r) ** 2 / self.half_radius_mm(y) ** 2)
+        )
 
     def air_mm2(self, y: F64) -> F64:
         """Volume of air per depth: the integral of 2 pi R C over R."""
-        return np.asarray(self.largest * self.axis_over_peak(y) * np.pi * self.half_radius_mm(y) ** 2 / LN2)
+        return np.asarray(
+            self.largest * self.axis_over_peak(y) * np.pi * self.half_radius_mm(y) ** 2 / LN2
+        )

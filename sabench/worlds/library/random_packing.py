@@ -1,7 +1,8 @@
 """Bodies of many sizes put into a volume at random so that none reaches into another, and the search for those that do.
 
-A grid whose cells are as wide as the largest bubble holds the bubbles that are already there; a new one is tried against those of 27 cells. Two
-ellipsoids are told apart exactly, by the contact function of Perram and Wertheim (J. Comput. Phys. 58, 409, 1985).
+A grid whose cells are as wide as the largest bubble holds the bubbles that are already there; a new
+one is tried against those of 27 cells. Two ellipsoids are told apart exactly, by the contact
+function of Perram and Wertheim (J. Comput. Phys. 58, 409, 1985).
 """
 
 from __future__ import annotations
@@ -31,7 +32,8 @@ def place(semi_axes_mm: F64, turn: F64, propose: Callable[[I64, int], F64], what
     Parameters
     ----------
     semi_axes_mm, turn : (n, 3), (n, 3, 3) as in `Bubbles`.
-    propose : for k bubbles (their numbers) and m places of each: candidates (k, m, 3) from wherever they may be.
+    propose : for k bubbles (their numbers) and m places of each: candidates (k, m, 3) from wherever
+        they may be.
     what : named in errors.
 
     Raises
@@ -41,7 +43,11 @@ def place(semi_axes_mm: F64, turn: F64, propose: Callable[[I64, int], F64], what
     """
     count = len(semi_axes_mm)
     order = np.argsort(-semi_axes_mm.max(axis=1), kind="stable")
-    shapes, largest, smallest = shapes_of(semi_axes_mm, turn), semi_axes_mm.max(axis=1), semi_axes_mm.min(axis=1)
+    shapes, largest, smallest = (
+        shapes_of(semi_axes_mm, turn),
+        semi_axes_mm.max(axis=1),
+        semi_axes_mm.min(axis=1),
+    )
     centers = np.full((count, 3), np.nan)
     left = order
     for _ in range(_ROUNDS):
@@ -49,9 +55,21 @@ def place(semi_axes_mm: F64, turn: F64, propose: Callable[[I64, int], F64], what
             return centers
         tried = propose(left, _TRIES)
         cells, low = _grid(centers, tried, float(largest.max(initial=1e-9)) * 2.0)
-        placed = _place(left, tried, centers, shapes, largest, smallest, cells, low, float(largest.max(initial=1e-9)) * 2.0)
+        placed = _place(
+            left,
+            tried,
+            centers,
+            shapes,
+            largest,
+            smallest,
+            cells,
+            low,
+            float(largest.max(initial=1e-9)) * 2.0,
+        )
         left = left[~placed]
-    raise InputError(f"{what}: expected room for {count} bubbles, but for {len(left)} of them none was found: ask for fewer, smaller ones or overlap")
+    raise InputError(
+        f"{what}: expected room for {count} bubbles, but for {len(left)} of them none was found: ask for fewer, smaller ones or overlap"
+    )
 
 
 def overlapping(bubbles: Bubbles) -> I64:
@@ -63,11 +81,22 @@ def overlapping(bubbles: Bubbles) -> I64:
     largest = bubbles.semi_axes_mm.max(axis=1)
     tree = cKDTree(bubbles.center_mm)
     pairs = tree.query_pairs(2.0 * float(np.median(largest)), output_type="ndarray").tolist()
-    for i in np.flatnonzero(largest > np.median(largest)):  # large ones reach further than the median's pairs
-        pairs.extend((i, j) for j in tree.query_ball_point(bubbles.center_mm[i], largest[i] + largest.max()) if j != i)
+    for i in np.flatnonzero(
+        largest > np.median(largest)
+    ):  # large ones reach further than the median's pairs
+        pairs.extend(
+            (i, j)
+            for j in tree.query_ball_point(bubbles.center_mm[i], largest[i] + largest.max())
+            if j != i
+        )
     both = np.unique(np.sort(np.array(pairs, dtype=np.int64).reshape(-1, 2), axis=1), axis=0)
     shapes = shapes_of(bubbles.semi_axes_mm, bubbles.turn)
-    apart = contact(bubbles.center_mm[both[:, 0]], shapes[both[:, 0]], bubbles.center_mm[both[:, 1]], shapes[both[:, 1]])
+    apart = contact(
+        bubbles.center_mm[both[:, 0]],
+        shapes[both[:, 0]],
+        bubbles.center_mm[both[:, 1]],
+        shapes[both[:, 1]],
+    )
     close = both[apart < 1.0 - 1e-9]
     return np.where((largest[close[:, 0]] >= largest[close[:, 1]])[:, None], close, close[:, ::-1])
 
@@ -75,7 +104,14 @@ def overlapping(bubbles: Bubbles) -> I64:
 def touching(bubbles: Bubbles, solid: Solid) -> Bool:
     """Which bubbles (n,) a body's surface crosses; one that is wholly inside is not among them."""
     out = np.zeros(len(bubbles), dtype=np.bool_)
-    _touch(bubbles.center_mm, bubbles.to_ball, bubbles.semi_axes_mm.max(axis=1), solid.vertices_mm, solid.faces, out)
+    _touch(
+        bubbles.center_mm,
+        bubbles.to_ball,
+        bubbles.semi_axes_mm.max(axis=1),
+        solid.vertices_mm,
+        solid.faces,
+        out,
+    )
     return out
 
 
@@ -87,15 +123,24 @@ def _touch(centers: Any, to_ball: Any, reach: Any, vertices: Any, faces: Any, ou
         for f in range(len(faces)):
             away = False
             for axis in range(3):
-                a, b, c = vertices[faces[f, 0], axis], vertices[faces[f, 1], axis], vertices[faces[f, 2], axis]
-                away |= max(a, b, c) < centers[n, axis] - reach[n] or min(a, b, c) > centers[n, axis] + reach[n]
+                a, b, c = (
+                    vertices[faces[f, 0], axis],
+                    vertices[faces[f, 1], axis],
+                    vertices[faces[f, 2], axis],
+                )
+                away |= (
+                    max(a, b, c) < centers[n, axis] - reach[n]
+                    or min(a, b, c) > centers[n, axis] + reach[n]
+                )
             if away:
                 continue
             for k in range(3):
                 for i in range(3):
                     corners[k, i] = 0.0
                     for j in range(3):
-                        corners[k, i] += to_ball[n, i, j] * (vertices[faces[f, k], j] - centers[n, j])
+                        corners[k, i] += to_ball[n, i, j] * (
+                            vertices[faces[f, k], j] - centers[n, j]
+                        )
             if _nearest(corners) < 1.0:
                 out[n] = True
                 break
@@ -174,12 +219,27 @@ def _at(x: float, one: Any, first: Any, other: Any, second: Any) -> Any:
     c00, c11, c22 = m[1] * m[2] - m[5] * m[5], m[0] * m[2] - m[4] * m[4], m[0] * m[1] - m[3] * m[3]
     c01, c02, c12 = m[4] * m[5] - m[3] * m[2], m[3] * m[5] - m[4] * m[1], m[3] * m[4] - m[0] * m[5]
     determinant = m[0] * c00 + m[3] * c01 + m[4] * c02
-    form = r0 * r0 * c00 + r1 * r1 * c11 + r2 * r2 * c22 + 2.0 * (r0 * r1 * c01 + r0 * r2 * c02 + r1 * r2 * c12)
+    form = (
+        r0 * r0 * c00
+        + r1 * r1 * c11
+        + r2 * r2 * c22
+        + 2.0 * (r0 * r1 * c01 + r0 * r2 * c02 + r1 * r2 * c12)
+    )
     return x * (1.0 - x) * form / determinant
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _place(left: Any, tried: Any, centers: Any, shapes: Any, largest: Any, smallest: Any, cells: Any, low: Any, width: float) -> Any:
+def _place(
+    left: Any,
+    tried: Any,
+    centers: Any,
+    shapes: Any,
+    largest: Any,
+    smallest: Any,
+    cells: Any,
+    low: Any,
+    width: float,
+) -> Any:
     """Put each bubble at the first of its candidates where it fits; returns which were placed."""
     heads = np.full(cells[0] * cells[1] * cells[2], -1, dtype=np.int64)
     chain = np.full(len(centers), -1, dtype=np.int64)
@@ -190,7 +250,9 @@ def _place(left: Any, tried: Any, centers: Any, shapes: Any, largest: Any, small
     for k in range(len(left)):
         n = left[k]
         for m in range(tried.shape[1]):
-            if _fits(n, tried[k, m], centers, shapes, largest, smallest, heads, chain, cells, low, width):
+            if _fits(
+                n, tried[k, m], centers, shapes, largest, smallest, heads, chain, cells, low, width
+            ):
                 centers[n] = tried[k, m]
                 _enter(n, centers[n], heads, chain, cells, low, width)
                 placed[k] = True
@@ -205,16 +267,32 @@ def _cell(point: Any, axis: int, cells: Any, low: Any, width: float) -> Any:
 
 @numba.njit(cache=True, error_model="numpy")
 def _enter(n: int, point: Any, heads: Any, chain: Any, cells: Any, low: Any, width: float) -> None:
-    where = (_cell(point, 2, cells, low, width) * cells[1] + _cell(point, 1, cells, low, width)) * cells[0] + _cell(point, 0, cells, low, width)
+    where = (
+        _cell(point, 2, cells, low, width) * cells[1] + _cell(point, 1, cells, low, width)
+    ) * cells[0] + _cell(point, 0, cells, low, width)
     chain[n] = heads[where]
     heads[where] = n
 
 
 @numba.njit(cache=True, error_model="numpy")
 def _fits(
-    n: int, point: Any, centers: Any, shapes: Any, largest: Any, smallest: Any, heads: Any, chain: Any, cells: Any, low: Any, width: float
+    n: int,
+    point: Any,
+    centers: Any,
+    shapes: Any,
+    largest: Any,
+    smallest: Any,
+    heads: Any,
+    chain: Any,
+    cells: Any,
+    low: Any,
+    width: float,
 ) -> bool:
-    i, j, k = _cell(point, 0, cells, low, width), _cell(point, 1, cells, low, width), _cell(point, 2, cells, low, width)
+    i, j, k = (
+        _cell(point, 0, cells, low, width),
+        _cell(point, 1, cells, low, width),
+        _cell(point, 2, cells, low, width),
+    )
     for z in range(max(k - 1, 0), min(k + 2, cells[2])):
         for y in range(max(j - 1, 0), min(j + 2, cells[1])):
             for x in range(max(i - 1, 0), min(i + 2, cells[0])):
@@ -224,7 +302,8 @@ def _fits(
                     for axis in range(3):
                         square += (centers[other, axis] - point[axis]) ** 2
                     if square < (largest[n] + largest[other]) ** 2 and (
-                        square < (smallest[n] + smallest[other]) ** 2 or _contact(point, shapes[n], centers[other], shapes[other]) < 1.0
+                        square < (smallest[n] + smallest[other]) ** 2
+                        or _contact(point, shapes[n], centers[other], shapes[other]) < 1.0
                     ):
                         return False
                     other = chain[other]

@@ -16,38 +16,61 @@ class Spectrum(BaseModel):
     """Sizes: radii of balls of the same volume are log-normal within a range; shapes: oblate, with the short axis near the vertical."""
 
     radius_mm: float = Field(0.6, gt=0.0, description="median radius of a ball of the same volume")
-    radius_spread: float = Field(0.5, ge=0.0, le=2.0, description="standard deviation of the logarithm of the radius")
-    radius_range_mm: tuple[float, float] = Field((0.1, 4.0), description="radii beyond it are drawn again")
-    aspect_range: tuple[float, float] = Field((1.0, 1.0), description="short over long axis, uniformly between these")
-    tilt_deg: float = Field(0.0, ge=0.0, le=90.0, description="standard deviation of the short axis's angle to the vertical, in both directions")
+    radius_spread: float = Field(
+        0.5, ge=0.0, le=2.0, description="standard deviation of the logarithm of the radius"
+    )
+    radius_range_mm: tuple[float, float] = Field(
+        (0.1, 4.0), description="radii beyond it are drawn again"
+    )
+    aspect_range: tuple[float, float] = Field(
+        (1.0, 1.0), description="short over long axis, uniformly between these"
+    )
+    tilt_deg: float = Field(
+        0.0,
+        ge=0.0,
+        le=90.0,
+        description="standard deviation of the short axis's angle to the vertical, in both directions",
+    )
 
     @model_validator(mode="after")
     def _ordered(self) -> Spectrum:
         low, high = self.radius_range_mm
         if not 0.0 < low <= high or not low <= self.radius_mm <= high:
-            raise ValueError(f"radius_range_mm: expected positive, rising values around radius_mm = {self.radius_mm:g}, got {[low, high]}")
+            raise ValueError(
+                f"radius_range_mm: expected positive, rising values around radius_mm = {self.radius_mm:g}, got {[low, high]}"
+            )
         if not 0.0 < self.aspect_range[0] <= self.aspect_range[1] <= 1.0:
-            raise ValueError(f"aspect_range: expected rising values between 0 and 1, got {list(self.aspect_range)}")
+            raise ValueError(
+                f"aspect_range: expected rising values between 0 and 1, got {list(self.aspect_range)}"
+            )
         return self
 
 
-def radii(spectrum: Spectrum, rng: np.random.Generator, count: int, largest_mm: float = np.inf) -> F64:
+def radii(
+    spectrum: Spectrum, rng: np.random.Generator, count: int, largest_mm: float = np.inf
+) -> F64:
     """Radii (count,) drawn from a spectrum, none above `largest_mm`."""
     low, high = spectrum.radius_range_mm
     out = np.full(count, spectrum.radius_mm)
     left = np.ones(count, dtype=np.bool_)
     while spectrum.radius_spread > 0.0 and left.any():
-        out[left] = spectrum.radius_mm * np.exp(spectrum.radius_spread * rng.standard_normal(int(left.sum())))
+        out[left] = spectrum.radius_mm * np.exp(
+            spectrum.radius_spread * rng.standard_normal(int(left.sum()))
+        )
         left = (out < low) | (out > min(high, largest_mm))
     return out
 
 
-def spheroids(spectrum: Spectrum, rng: np.random.Generator, count: int, largest_mm: float = np.inf) -> tuple[F64, F64]:
+def spheroids(
+    spectrum: Spectrum, rng: np.random.Generator, count: int, largest_mm: float = np.inf
+) -> tuple[F64, F64]:
     """Semi-axes (count, 3), the short one second, and turns (count, 3, 3) of oblate spheroids."""
     radius = radii(spectrum, rng, count, largest_mm)
     aspect = rng.uniform(*spectrum.aspect_range, count)
     long = radius * aspect ** (-1.0 / 3.0)
-    return np.column_stack([long, long * aspect, long]), upright(rng, count, np.deg2rad(spectrum.tilt_deg))
+    return np.column_stack([long, long * aspect, long]), upright(
+        rng, count, np.deg2rad(spectrum.tilt_deg)
+    )
 
 
 def upright(rng: np.random.Generator, count: int, tilt: float) -> F64:
@@ -64,5 +87,7 @@ def within(domain: Domain, bubbles: Bubbles) -> Bool:
     """Which are wholly in the box."""
     reach = np.stack([bubbles.reach_mm(axis) for axis in np.eye(3)], axis=1)
     low = domain.low_mm
-    inside = (bubbles.center_mm - reach >= low - 1e-9) & (bubbles.center_mm + reach <= low + np.asarray(domain.size_mm) + 1e-9)
+    inside = (bubbles.center_mm - reach >= low - 1e-9) & (
+        bubbles.center_mm + reach <= low + np.asarray(domain.size_mm) + 1e-9
+    )
     return np.asarray(inside.all(axis=1))

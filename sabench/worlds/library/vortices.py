@@ -8,7 +8,9 @@ from sabench.geometry.rotations import leading, skew
 from sabench.utils.arrays import F64
 
 
-def lateral(points_mm: F64, center_mm: tuple[float, float, float], axis: tuple[float, float, float]) -> tuple[F64, F64, F64]:
+def lateral(
+    points_mm: F64, center_mm: tuple[float, float, float], axis: tuple[float, float, float]
+) -> tuple[F64, F64, F64]:
     """Offsets (n, 3) of points from an axis, their lengths (n,), and the axis as a unit vector."""
     along = leading(axis)[2]
     offset = points_mm - np.asarray(center_mm)
@@ -23,4 +25,7 @@ def turning(offset: F64, along: F64, rate: F64) -> F64:
 
 def turning_gradient(offset: F64, along: F64, rate: F64, slope: F64) -> F64:
     """Gradients (n, 3, 3); `slope` (n,) is the rate's derivative by the distance, over the distance."""
-    return np.asarray(rate[:, None, None] * skew(along) + np.einsum("n,ni,nj->nij", slope, np.cross(along, offset), offset))
+    return np.asarray(
+        rate[:, None, None] * skew(along)
+        + np.einsum("n,ni,nj->nij", slope, np.cross(along, offset), offset)
+    )
