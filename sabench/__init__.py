@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from sabench.dataset.reader import open_dataset
-    from sabench.scenes.rig import load_scene
+    from sabench.scenes import load_scene
     from sabench.simulation.pipeline import generate
     from sabench.tasks.solve_and_score import score, solve
 
@@ -16,7 +16,7 @@ __all__ = ["generate", "load_scene", "open_dataset", "score", "solve"]
 
 _HOMES = {
     "generate": "simulation.pipeline",
-    "load_scene": "scenes.rig",
+    "load_scene": "scenes",
     "open_dataset": "dataset.reader",
     "score": "tasks.solve_and_score",
     "solve": "tasks.solve_and_score",
