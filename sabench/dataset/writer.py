@@ -19,7 +19,7 @@ from sabench.api.truth import Prior, Target
 from sabench.dataset import schema
 from sabench.dataset.hdf5 import created, uninterrupted
 from sabench.geometry.camera import Camera
-from sabench.scenes import Rig, Scene
+from sabench.scenes import BubbleWorld, Rig, Scene
 from sabench.scenes.sensor import white_level
 from sabench.utils.arrays import F64, Bool
 from sabench.utils.files import canonical_json, complete_or_nothing, sha256
@@ -155,9 +155,9 @@ def _observation(scene: Scene, rig: Rig, told: tuple[Camera, ...]) -> dict[str, 
         }
     if scene.preprocessing:
         head["preprocessing"] = [step.model_dump() for step in scene.preprocessing]
-    if scene.bubbles is not None or scene.solids:
+    if isinstance(world := scene.world, BubbleWorld):
         head["shows"] = (
-            (["particles"] if scene.particles else [])
+            (["particles"] if world.tracers else [])
             + ["bubbles"]
             + (["code"] if has_code(scene) else [])
         )

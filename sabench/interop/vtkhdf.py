@@ -17,6 +17,7 @@ from sabench.dataset.results import Result, open_result
 from sabench.geometry.vector_calculus import divergence, gradient, vorticity
 from sabench.metrics.bubble_detection import AnyBubbles, match
 from sabench.metrics.particle_detection import challenge_pairs
+from sabench.scenes import BubbleWorld
 from sabench.tasks.reconstruction_scores import true_field
 from sabench.tasks.velocimetry import true_velocity
 from sabench.utils.arrays import F64, I64
@@ -84,12 +85,12 @@ def export(
 
 
 def _export_truth(root: Path, data: Dataset) -> None:
-    scene = data.scene
+    scene, world = data.scene, data.scene.world
     step = scene.flow_grid_mm or (max(scene.volume.size_mm) / _NODES,) * 3
     for frame in track(range(data.rig.frames), "export"):
         if "particles" in data.shows:
             _export_particles(root, data, frame)
-        if scene.flow:
+        if scene.tracers is not None and scene.tracers.flow is not None:
             field, slopes = lattice(scene, frame, step)
             write_lattice(
                 root / f"flow_{frame:04d}.vtkhdf",
@@ -97,13 +98,13 @@ def _export_truth(root: Path, data: Dataset) -> None:
                 field.step_mm,
                 _field(field, slopes),
             )
-        if scene.bubbles:
+        if isinstance(world, BubbleWorld) and world.bubbles is not None:
             bubbles = data.bubbles(frame)
             about = {"id": bubbles.id, "velocity_mm_s": bubbles.velocity_mm_s}
             write_points(
                 root / f"bubbles_{frame:04d}.vtkhdf", bubbles.center_mm, _shapes(bubbles) | about
             )
-        if scene.solids:
+        if isinstance(world, BubbleWorld) and world.solids:
             write_surfaces(root / f"bodies_{frame:04d}.vtkhdf", data.solids(frame))
 
 

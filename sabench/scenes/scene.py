@@ -15,6 +15,8 @@ from sabench.scenes.illumination import Backlight, Illumination, Lighting, Timin
 from sabench.scenes.sensor import Render, Sensor
 from sabench.scenes.volume import GridSpec, Volume
 from sabench.scenes.wall import OccluderSpec, WallSpec
+from sabench.scenes.world import BubbleWorld, ParticleWorld, TargetWorld, World
+from sabench.utils.errors import InputError
 from sabench.utils.fields import LensNumber, Positive, Table
 from sabench.utils.files import digest
 
@@ -89,11 +91,39 @@ class Scene(Table):
         return self
 
     @property
+    def world(self) -> World:
+        """The kind of world that the tables describe, with what that kind needs."""
+        if self.targets is not None:
+            return TargetWorld(self.targets, self.lighting, self.detection)
+        tracers = self.tracers
+        if tracers is not None and self.bubbles is None and not self.solids:
+            return tracers
+        return BubbleWorld(self.bubbles, self.solids or (), self.backlight, self.lighting, tracers)
+
+    @property
+    def tracers(self) -> ParticleWorld | None:
+        """The tracer particles, alone or between bubbles; None where there are none."""
+        if self.particles is None or self.illumination is None:
+            return None
+        return ParticleWorld(self.particles, self.illumination, self.tracer, self.flow)
+
+    @property
+    def particle_world(self) -> ParticleWorld:
+        """The tracer particles of a scene that has some.
+
+        Raises
+        ------
+        InputError
+            A scene without particles.
+        """
+        if (tracers := self.tracers) is None:
+            raise InputError(f"{self.title}: particles: expected a scene with particles, got none")
+        return tracers
+
+    @property
     def light(self) -> Illumination:
         """The laser of a scene with particles."""
-        if self.illumination is None:
-            raise ValueError(f"{self.title}: expected a scene with an illumination")
-        return self.illumination
+        return self.particle_world.illumination
 
     @property
     def unknown(self) -> tuple[LensNumber, ...]:

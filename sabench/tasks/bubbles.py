@@ -17,7 +17,8 @@ from sabench.metrics.bubble_detection import AnyBubbles, detection_scores
 from sabench.metrics.plunging_jet import JetFigures, analyse
 from sabench.metrics.trajectories import track_scores
 from sabench.plotting import pictures
-from sabench.scenes import Scene
+from sabench.scenes import BubbleWorld, Scene
+from sabench.scenes.world import GeneratorTable
 from sabench.tasks.solver_call import attempt
 from sabench.utils import memory
 from sabench.utils.arrays import I64
@@ -137,7 +138,7 @@ def _jet_scores(
     data: Dataset, found: Sequence[AnyBubbles], true: Sequence[AnyBubbles]
 ) -> dict[str, float | None]:
     """Errors of a jet's figures against the same analysis of the true bubbles; None where the scene has no jet."""
-    if (data.scene.bubbles or {}).get("generator") != "plunging_jet":
+    if jet_of(data.scene) is None:
         return dict.fromkeys(JET)
     guess, known = (jet_figures(data.scene, one) for one in (found, true))
     pairs = {key: (getattr(guess, name), getattr(known, name)) for key, name in JET.items()}
@@ -147,10 +148,19 @@ def _jet_scores(
     }
 
 
+def jet_of(scene: Scene) -> GeneratorTable | None:
+    """Parameters of a scene's plunging jet; None without one."""
+    world = scene.world
+    if not isinstance(world, BubbleWorld) or world.bubbles is None:
+        return None
+    return world.bubbles if world.bubbles["generator"] == "plunging_jet" else None
+
+
 def jet_figures(scene: Scene, balls: Sequence[AnyBubbles]) -> JetFigures:
     """What the bubbles of some frames say of a scene's jet."""
-    assert scene.bubbles is not None
-    impact, volume = np.asarray(scene.bubbles["impact_mm"]), scene.volume
+    if (jet := jet_of(scene)) is None:
+        raise InputError(f"{scene.title}: bubbles.generator: expected plunging_jet, got no jet")
+    impact, volume = np.asarray(jet["impact_mm"]), scene.volume
     depth = volume.center_mm[1] + volume.size_mm[1] / 2.0 - impact[1]
     return analyse(
         np.concatenate([one.center_mm for one in balls]),
