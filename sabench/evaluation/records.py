@@ -12,7 +12,7 @@ from filelock import FileLock
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from sabench.utils.progress import console
-from sabench.utils.validation import sentence
+from sabench.utils.validation import sentences
 
 Record = dict[str, Any]
 FORMAT, VERSION = "sabench-record", 1
@@ -112,7 +112,7 @@ def parse(line: bytes) -> Record:
     try:
         return Head.model_validate(value).model_dump()
     except ValidationError as error:
-        raise ValueError(sentence(Head, error, "")) from error
+        raise ValueError("; ".join(sentences(Head, error))) from error
 
 
 def _refuse(constant: str) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Set
 from dataclasses import dataclass
 from typing import Any
 
@@ -65,3 +66,24 @@ class TargetWorld:
 
 
 World = ParticleWorld | BubbleWorld | TargetWorld
+
+
+def world_faults(given: Set[str]) -> Iterator[tuple[str, str]]:
+    """Find tables that are missing beside those that are given, or that exclude one another.
+
+    Yields pairs of a key and a sentence.
+    """
+    bodies = bool({"bubbles", "solids"} & given)
+    if (bodies or "particles" in given) == ("targets" in given):
+        got = "both" if bodies or "particles" in given else "none of these tables"
+        yield "", f"expected either particles, bubbles or solids, or targets, got {got}"
+    if bodies and not {"backlight", "lighting"} & given:
+        yield "", "expected a backlight or a lighting for bubbles and solids, got neither"
+    if "backlight" in given and not bodies:
+        yield "backlight", "expected bubbles or solids in front of it, got neither"
+    if "flow" in given and "particles" not in given:
+        yield "flow", "expected particles that it carries, got none"
+    if "flow_grid_mm" in given and "flow" not in given:
+        yield "flow_grid_mm", "expected a flow, got none"
+    if "particles" in given and "illumination" not in given:
+        yield "illumination", "this key is missing; particles need a laser"
