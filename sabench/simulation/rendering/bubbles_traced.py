@@ -206,6 +206,7 @@ class _Stager:
         particles_mm: F64 | None,
     ) -> None:
         self._mi = backend.mitsuba()
+        from sabench.simulation.rendering import bubble_integrator  # needs the variant
 
         self._paths = bubble_integrator
         self.origin = lights.center_mm
