@@ -15,9 +15,10 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from sabench import __version__, plugins
+from sabench import plugins
 from sabench.scenes.loading import find
 from sabench.utils.errors import InputError
+from sabench.utils.version import __version__
 
 if TYPE_CHECKING:
     from sabench.evaluation.gates.comparison import Report
