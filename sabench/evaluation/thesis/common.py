@@ -217,7 +217,7 @@ def map_shift_average(shot: Shot) -> Refocused:
 def additive(shot: Shot) -> Refocused:
     """The additive synthetic aperture of equation 3.3: the mean of all cameras at every voxel of the scene's grid, by exact projections."""
     seen = shot.observation
-    volume = refocus_sum(normalised(seen), seen.cameras, seen.grid)
+    volume = refocus_sum(normalised(seen.images, seen.black_dn), seen.cameras, seen.grid)
     volume /= np.float32(len(seen.cameras))
     return Refocused.of(shot, seen.grid, shot.particles, volume)
 
