@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import re
 from collections import Counter
 from collections.abc import Iterator
@@ -20,20 +21,39 @@ PAGES = tuple(
 
 _FENCE = re.compile(r"( *)(`{3,})(\w*)\s*$")
 _LINK = re.compile(r"\[[^\]]*\]\(([^()\s]+)\)")
-_REASON = re.compile(r"<!-- not run: (.+?) -->\s*$")
+_MARKER = re.compile(r"<!-- (not run|file): (.+?) -->$")
 
 
 class Block(NamedTuple):
-    """A fenced code block: its page, line, language, text, and why it is not run, if it is not."""
+    """A fenced code block.
+
+    The marker before it, an HTML comment, may say why it is not run (`not run: REASON`), or the
+    name under which it is saved for later blocks (`file: NAME`).
+    """
 
     page: str
     line: int
     language: str
     text: str
     reason: str | None
+    file: str | None
 
     def __str__(self) -> str:
         return f"{self.page}:{self.line}"
+
+    @property
+    def marked(self) -> bool:
+        """Whether a comment before the block says what to do with it."""
+        return self.reason is not None or self.file is not None
+
+    @property
+    def kind(self) -> str:
+        """What is done with the block."""
+        if self.reason is not None:
+            return "not run"
+        if self.file is not None:
+            return "saved"
+        return "text" if self.language == "text" else "run"
 
 
 def read(page: str) -> str:
@@ -54,29 +74,30 @@ def prose(page: str) -> list[tuple[int, str]]:
 def _parts(page: str) -> Iterator[Block | tuple[int, str]]:
     """Yield lines of prose and code blocks in their order."""
     lines = iter(enumerate(read(page).splitlines(), start=1))
-    reason = None
+    marker: dict[str, str] = {}
     for number, line in lines:
         fence = _FENCE.match(line)
         if fence is None:
             yield number, line
-            reason = _next_reason(line, reason)
+            marker = _marker(line) if line.strip() else marker
             continue
         indent, ticks, language = fence.groups()
-        text = []
-        for _, inside in lines:
-            if inside.strip() == ticks:
-                break
-            text.append(inside.removeprefix(indent) + "\n")
-        yield Block(page, number, language, "".join(text), reason)
-        reason = None
+        text = _until(ticks, lines, indent)
+        yield Block(page, number, language, text, marker.get("not run"), marker.get("file"))
+        marker = {}
 
 
-def _next_reason(line: str, reason: str | None) -> str | None:
-    """Return the reason of a marker, which lasts over empty lines."""
-    marker = _REASON.match(line.strip())
-    if marker is not None:
-        return marker[1]
-    return None if line.strip() else reason
+def _until(ticks: str, lines: Iterator[tuple[int, str]], indent: str) -> str:
+    """Return the lines before the end of a fence."""
+    inside = (line for _, line in lines)
+    block = itertools.takewhile(lambda line: line.strip() != ticks, inside)
+    return "".join(line.removeprefix(indent) + "\n" for line in block)
+
+
+def _marker(line: str) -> dict[str, str]:
+    """Return what the comment before a block says of it."""
+    found = _MARKER.match(line.strip())
+    return {found[1]: found[2]} if found else {}
 
 
 def links(page: str) -> list[tuple[int, str]]:
