@@ -15,9 +15,7 @@ import tomli_w
 from filelock import FileLock
 
 import sabench
-from sabench.scenes.loading import parse_scene
-from sabench.scenes.rig import load_scene
-from sabench.scenes.schema import Scene
+from sabench.scenes import Scene, load_scene, parse_scene
 from sabench.simulation.frames_of_tracers import shoot
 from sabench.simulation.pipeline import generate
 from sabench.simulation.recording import job, recorders, workers
