@@ -10,9 +10,10 @@ import sys
 from dataclasses import dataclass
 from pathlib import Path
 
-from sabench import __version__, plugins
+from sabench import plugins
 from sabench.utils import backend
 from sabench.utils.errors import InputError
+from sabench.utils.version import __version__
 
 _PATIENCE_S = 180
 

@@ -15,9 +15,10 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from sabench import __version__, plugins
+from sabench import plugins
 from sabench.scenes import find
 from sabench.utils.errors import InputError
+from sabench.utils.version import __version__
 
 if TYPE_CHECKING:
     from sabench.evaluation.gates.comparison import Report
@@ -108,7 +109,10 @@ def verify(dataset: Annotated[Path, typer.Argument(help="A data set folder.")]) 
 @app.command()
 def solve(
     solver: Annotated[
-        str, typer.Argument(help="Name of a solver, or path of a program; see docs/participate.md.")
+        str,
+        typer.Argument(
+            help="Name of a solver, or path of a program (see docs/developing/participate.md)."
+        ),
     ],
     dataset: Annotated[Path, typer.Argument(help="A data set folder.")],
     output: Annotated[Path, typer.Option("-o", "--output", help="The result file to make.")],
@@ -202,7 +206,7 @@ def calibrate(
     folder: Annotated[
         Path,
         typer.Argument(
-            help="A folder with calibration.toml and images or points.csv; see docs/calibration.md."
+            help="Folder of calibration.toml and images or points.csv (see docs/using/calibrating.md)."
         ),
     ],
     output: Annotated[

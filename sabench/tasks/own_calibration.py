@@ -1,6 +1,6 @@
 """Calibrate an experimenter's own cameras: images or points of a target in a folder, without any truth, to cameras and a report.
 
-docs/calibration.md describes the folder.
+docs/using/calibrating.md describes the folder.
 """
 
 from __future__ import annotations

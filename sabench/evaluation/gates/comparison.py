@@ -11,7 +11,6 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from sabench import __version__
 from sabench.dataset.reader import Dataset
 from sabench.evaluation.gates.baseline import (
     COSTS,
@@ -39,6 +38,7 @@ from sabench.scenes import find
 from sabench.tasks.solve_and_score import score
 from sabench.utils.errors import InputError
 from sabench.utils.progress import console
+from sabench.utils.version import __version__
 
 _AGAIN = 2  # times that a solver which seems to have become slower is run once more
 
