@@ -29,7 +29,6 @@ from sabench.scenes.schema import (
     Place,
     RingLayout,
     Scene,
-    Sensor,
     WallSpec,
 )
 from sabench.utils.arrays import F64, triple
@@ -383,11 +382,3 @@ def _check_views(cameras: tuple[Camera, ...], corners: F64, source: str) -> None
         raise InputError(
             f"{source}: volume: expected it in view of at least one camera, but no camera of {len(cameras)} sees any of it"
         )
-
-
-def white_level(sensor: Sensor) -> int:
-    """Grey value of a saturated pixel: the full well's or the converter's limit, whichever comes first."""
-    return min(
-        (1 << sensor.bit_depth) - 1,
-        round(sensor.black_level_dn + sensor.gain_dn_e * sensor.full_well_e),
-    )

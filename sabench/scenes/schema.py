@@ -374,6 +374,12 @@ class Sensor(_Table):
     bit_depth: int = Field(12, ge=1, le=16)
     shot_noise: bool = True
 
+    @property
+    def white_dn(self) -> int:
+        """Grey value of a saturated pixel: the lower limit of full well and converter."""
+        full = round(self.black_level_dn + self.gain_dn_e * self.full_well_e)
+        return min((1 << self.bit_depth) - 1, full)
+
 
 class Render(_Table):
     """How the images are computed."""
