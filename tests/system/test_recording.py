@@ -111,7 +111,8 @@ import pathlib
 import numpy as np
 
 from sabench.api import Generator, Parameters
-from sabench.api.truth import Domain, Particles
+from sabench.api.truth import Particles
+from sabench.geometry.frames import Domain
 
 
 class BreakerParameters(Parameters):
