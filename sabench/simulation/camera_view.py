@@ -9,8 +9,7 @@ import numpy as np
 from sabench.api.truth import Bubbles, Sight
 from sabench.geometry.camera import Camera
 from sabench.geometry.refraction import Layer
-from sabench.scenes.rig import Rig
-from sabench.scenes.schema import Scene
+from sabench.scenes import Rig, Scene
 from sabench.simulation.frame_content import FrameContent, Tracers
 from sabench.simulation.obstacles import hidden
 from sabench.simulation.rendering import (

@@ -9,8 +9,7 @@ import numpy as np
 from sabench.api import Material
 from sabench.api.truth import Bubbles, Particles, Solid, Target
 from sabench.geometry.frames import Pose
-from sabench.scenes.rig import Rig
-from sabench.scenes.schema import Scene
+from sabench.scenes import Rig, Scene
 from sabench.simulation.rendering.mie import MieTable
 from sabench.utils.arrays import F64, Bool
 from sabench.utils.rng import stream

@@ -6,8 +6,7 @@ import numpy as np
 
 from sabench.api.truth import Bubbles, Particles
 from sabench.geometry.camera import Camera
-from sabench.scenes.rig import Rig
-from sabench.scenes.schema import Scene
+from sabench.scenes import Rig, Scene
 from sabench.simulation.frame_content import FrameContent, Tracers
 from sabench.simulation.obstacles import inside, obstructed
 from sabench.simulation.rendering.particle_images import scattering_table

@@ -9,8 +9,8 @@ import numpy as np
 from sabench.api import Observation
 from sabench.api.truth import Particles, View
 from sabench.dataset.reader import observed
-from sabench.scenes.rig import build_rig, told_cameras
-from sabench.scenes.schema import Scene
+from sabench.scenes import Scene, build_rig
+from sabench.scenes.nominal_cameras import nominal_cameras
 from sabench.simulation.camera_view import render
 from sabench.simulation.frame_content import FrameContent
 from sabench.simulation.frames import Frames
@@ -55,7 +55,7 @@ def observation_of(frame: FrameContent, images: list[U16]) -> Observation:
     scene, rig = frame.scene, frame.rig
     return observed(
         np.stack(images),
-        told_cameras(scene, rig.cameras, frame.seed),
+        nominal_cameras(scene, rig.cameras, frame.seed),
         rig.grid,
         (scene.sensor.black_level_dn, scene.sensor.white_dn),
         scene.preprocessing or (),

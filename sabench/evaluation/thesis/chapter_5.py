@@ -19,8 +19,7 @@ from sabench.api import Observation
 from sabench.api.truth import Bubbles
 from sabench.geometry.grid import Grid
 from sabench.plotting.charts import Figure, Panel, Picture
-from sabench.scenes.rig import build_rig
-from sabench.scenes.schema import Scene
+from sabench.scenes import Scene, build_rig
 from sabench.simulation.camera_view import render
 from sabench.simulation.frame_content import FrameContent
 from sabench.simulation.frames import Frames

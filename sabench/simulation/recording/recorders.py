@@ -10,8 +10,8 @@ from sabench.algorithms.calibration.target_detection import detect
 from sabench.api.truth import Bubbles, Particles
 from sabench.dataset import schema
 from sabench.dataset.writer import DatasetWriter
-from sabench.scenes.rig import build_rig, told_cameras
-from sabench.scenes.schema import Scene
+from sabench.scenes import Scene, build_rig
+from sabench.scenes.nominal_cameras import nominal_cameras
 from sabench.simulation.camera_view import CameraView, render
 from sabench.simulation.frame_content import FrameContent
 from sabench.simulation.frames import Frames
@@ -95,7 +95,7 @@ class TargetRecorder(Recorder):
 
     def __init__(self, scene: Scene, seed: int, renderer: str, label: str) -> None:
         super().__init__(scene, seed, renderer, label)
-        self._nominal = told_cameras(scene, self.cameras, seed)
+        self._nominal = nominal_cameras(scene, self.cameras, seed)
         placed = self._frames.placed
         if placed is None:
             raise ValueError(f"{label}: expected a scene with a target")
