@@ -264,8 +264,23 @@ def _checked(model: type[Model], path: Path) -> Model:
     return validate(model, value, str(path))
 
 
-def camera_records(cameras: tuple[Camera, ...]) -> list[dict[str, Any]]:
-    """Cameras as JSON keeps them: their wall stands beside them."""
-    return [
-        {k: v for k, v in dataclasses.asdict(camera).items() if k != "wall"} for camera in cameras
-    ]
+def write_cameras(path: Path, cameras: tuple[Camera, ...], **keys: Any) -> None:
+    """Write cameras and what belongs to them, as `cameras.json` of a data set holds them.
+
+    Parameters
+    ----------
+    keys : further keys of the file, such as the wall of all cameras.
+    """
+    records = [_plain(camera) for camera in cameras]
+    for record in records:
+        del record["wall"]
+    values = {key: _plain(value) for key, value in keys.items()}
+    head = {"format": FORMAT, "version": VERSION}
+    path.write_text(canonical_json({**head, **values, "cameras": records}), encoding="utf-8")
+
+
+def _plain(value: Any) -> Any:
+    """A dataclass as JSON holds it; anything else as it is."""
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        return dataclasses.asdict(value)
+    return value

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from sabench import plugins
 from sabench.api import TargetGenerator
+from sabench.api.make import generator_of
 from sabench.api.truth import Placed, Prior
 from sabench.geometry.camera import Camera
 from sabench.scenes import Scene
@@ -18,9 +18,7 @@ from sabench.utils.rng import stream
 
 def place(scene: Scene, seed: int) -> Placed:
     """Show a scene's target at its places."""
-    given = dict(scene.targets or {})
-    plugin = plugins.load("generators", given.pop("generator"))
-    maker: TargetGenerator = plugin(plugin.Parameters(**given))
+    maker: TargetGenerator = generator_of(scene.targets or {})
     domain = domain_of(scene)
     return Placed(
         maker.target(),

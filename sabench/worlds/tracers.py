@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from sabench import plugins
 from sabench.api import Flow, Generator, Velocity
+from sabench.api.make import generator_of
 from sabench.api.truth import Particles
 from sabench.geometry.frames import Domain
 from sabench.scenes import Scene
@@ -27,9 +27,7 @@ def flow_of(scene: Scene) -> Flow | None:
     """What carries the scene's particles."""
     if scene.flow is None:
         return None
-    given = dict(scene.flow)
-    plugin = plugins.load("generators", given.pop("generator"))
-    made: Flow = plugin(plugin.Parameters(**given))
+    made: Flow = generator_of(scene.flow)
     return made
 
 
@@ -41,9 +39,7 @@ class Motion:
     """
 
     def __init__(self, scene: Scene, seed: int) -> None:
-        given = dict(scene.particles or {})
-        plugin = plugins.load("generators", given.pop("generator"))
-        self._generator: Generator = plugin(plugin.Parameters(**given))
+        self._generator: Generator = generator_of(scene.particles or {})
         self.scene, self.seed, self._flow = scene, seed, flow_of(scene)
         if self._flow is not None:
             self._flow.check(domain_of(scene))
