@@ -20,7 +20,7 @@ from sabench.simulation.pipeline import generate
 from sabench.tasks.solve_and_score import score, solve
 from sabench.utils.arrays import F64
 from sabench.utils.errors import InputError
-from tests.bubble_scenes import LASER, small
+from tests.helpers.bubble_scenes import LASER, small
 
 SOLVERS = [name for name in names("solvers") if load("solvers", name).track == "bubbles"]
 

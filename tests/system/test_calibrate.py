@@ -20,7 +20,7 @@ from sabench.simulation.rendering.targets_traced import photograph
 from sabench.utils.arrays import F64
 from sabench.worlds.calibration_targets import place
 from tests.conftest import Command
-from tests.unit.calibration_cases import calibration_scene, case_of, true_error_px
+from tests.helpers.calibration_cases import calibration_scene, case_of, true_error_px
 
 
 def describe(scene: Scene, folder: Path, cameras: tuple[Camera, ...], **changes: Any) -> None:

@@ -16,8 +16,8 @@ from sabench.plugins import load
 from sabench.scenes.schema import Scene
 from sabench.tasks.reconstruction_scores import true_field
 from sabench.worlds.tracers import flow_of
-from tests.bubble_scenes import LASER, small
 from tests.conftest import Command
+from tests.helpers.bubble_scenes import LASER, small
 
 vtk = pytest.importorskip("vtkmodules.vtkIOHDF", reason="needs the package vtk")
 

@@ -24,8 +24,8 @@ from sabench.simulation.recording import job, recorders, workers
 from sabench.simulation.recording.job import Job
 from sabench.simulation.recording.workers import Pool
 from sabench.utils.errors import InputError
-from tests.bubble_scenes import LASER, small
 from tests.conftest import Command
+from tests.helpers.bubble_scenes import LASER, small
 
 ABC = {
     "generator": "abc_flow",

@@ -20,7 +20,7 @@ from sabench.tasks.see_through import error_picture, single_views
 from sabench.tasks.solve_and_score import score, solve
 from sabench.utils.errors import InputError
 from sabench.worlds.readable_codes import code_of
-from tests.bubble_scenes import small
+from tests.helpers.bubble_scenes import small
 
 PLATE = {
     "generator": "code_plate",
