@@ -22,6 +22,7 @@ from sabench.dataset.results import Result, ResultWriter
 from sabench.plotting import pictures
 from sabench.tasks.solver_call import call_solver
 from sabench.utils import memory
+from sabench.utils.errors import InputError
 
 Better = Literal["larger", "smaller", "unity", "steady"]
 Source = Result | Literal["truth", "empty"]
@@ -110,11 +111,7 @@ class Task(ABC):
 
     def score_of(self, key: str) -> Score:
         """Look a score up by its key; a KeyError names one that the task does not have."""
-        return next(score for score in self.all_scores if score.key == key) if self.has(key) else _miss(key)
-
-    def has(self, key: str) -> bool:
-        """Say whether the task has a score of this key."""
-        return any(score.key == key for score in self.all_scores)
+        return {score.key: score for score in self.all_scores}[key]
 
     def accepts(self, data: Dataset) -> bool:
         """Say whether a data set has what the task's solvers and scores need."""
@@ -180,10 +177,6 @@ class Task(ABC):
         return None
 
 
-def _miss(key: str) -> Score:
-    raise KeyError(key)
-
-
 class FrameByFrame(Task):
     """Base of tasks whose solvers receive one observation at a time."""
 
@@ -214,8 +207,6 @@ class FrameByFrame(Task):
 
 def check_estimate(found: Estimate, solver: str, data: Dataset, frame: int) -> None:
     """Raise an InputError if an array of a solver's estimate is not as its class declares it."""
-    from sabench.utils.errors import InputError
-
     try:
         found.check(**dict(zip("zyx", data.rig.grid.shape, strict=True)))
     except InputError as error:
