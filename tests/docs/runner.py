@@ -19,7 +19,7 @@ import tomli_w
 
 import sabench
 from sabench.evaluation.suites import Suite, load_suite
-from sabench.scenes.loading import schema
+from sabench.scenes import scene_schema
 from sabench.tasks.own_calibration import Configuration
 from tests.docs.pages import ROOT, Block
 
@@ -74,7 +74,7 @@ class Page:
         values = tomllib.loads(block.text)
         if "target_mm" in values:
             Configuration.model_validate(values)
-        elif values.keys() <= schema()["properties"].keys():
+        elif values.keys() <= scene_schema()["properties"].keys():
             sabench.load_scene(self._completed("scenes/quick.toml", values))
         elif values.keys() <= Suite.model_fields.keys():
             load_suite(self._completed("scenes/suites/quick.toml", values))
