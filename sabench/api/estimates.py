@@ -30,6 +30,7 @@ class Array:
         estimate uses it, and for the grid's where it is "z", "y" or "x".
     dtype : of the attribute. Bool is stored as uint8.
     optional : whether the attribute may be None and the array missing.
+    unique : whether all values must differ.
     encode, decode : between an attribute that is no array and its array.
     """
 
@@ -37,6 +38,7 @@ class Array:
     shape: tuple[str | int, ...]
     dtype: type[np.generic] = np.float64
     optional: bool = False
+    unique: bool = False
     stored: str = ""
     encode: Callable[[Any], Any] | None = None
     decode: Callable[[Any], Any] | None = None
@@ -54,6 +56,22 @@ class Array:
         """Add the sizes of an array of this declaration to the known ones."""
         pairs = zip(self.shape, shape, strict=True)
         known.update({name: size for name, size in pairs if isinstance(name, str)})
+
+    def check_values(self, value: npt.NDArray[Any], where: str) -> None:
+        """Raise an InputError for values that are not finite, or not unique; `where` opens it."""
+        if value.dtype.kind == "f":
+            bad = int(value.size - np.count_nonzero(np.isfinite(value)))
+            if bad:
+                raise InputError(
+                    f"{where}: expected finite values, got {bad} that are NaN or infinite"
+                )
+        if self.unique:
+            numbers, times = np.unique(value, return_counts=True)
+            if len(numbers) < value.size:
+                raise InputError(
+                    f"{where}: expected different numbers, "
+                    f"got {numbers[times.argmax()]} {times.max()} times"
+                )
 
 
 class Estimate:
@@ -96,25 +114,16 @@ def _check_array(declared: Array, value: Any, known: dict[str, int]) -> None:
     )
     if not fits or value.dtype != kind:
         raise InputError(f"{text}, got {value.dtype} of shape {value.shape}")
-    if kind.kind == "f" and not np.isfinite(value).all():
-        raise InputError(f"{declared.name}: expected finite values, got NaN or infinite ones")
+    declared.check_values(value, declared.name)
 
 
 def _shape_text(declared: Array, known: dict[str, int]) -> str:
     """Sizes that are known as numbers, the others by their names, as a tuple prints."""
-    sizes = [str(known.get(size, size)) if isinstance(size, str) else str(size) for size in declared.shape]
+    sizes = [
+        str(known.get(size, size)) if isinstance(size, str) else str(size)
+        for size in declared.shape
+    ]
     return f"({', '.join(sizes)}{',' if len(sizes) == 1 else ''})"
-
-
-def _check_different(name: str, numbers: I64 | None) -> None:
-    """Raise an InputError if a trajectory's number occurs twice in a frame."""
-    if numbers is None:
-        return
-    values, times = np.unique(numbers, return_counts=True)
-    if len(values) < len(numbers):
-        raise InputError(
-            f"{name}: expected different numbers, got {values[times.argmax()]} {times.max()} times"
-        )
 
 
 @dataclass(frozen=True)
@@ -160,7 +169,7 @@ class FoundParticles(Estimate):
     ARRAYS = (
         Array("position_mm", ("n", 3)),
         Array("intensity", ("n",), optional=True),
-        Array("trajectory", ("n",), np.int64, optional=True, stored="track"),
+        Array("trajectory", ("n",), np.int64, optional=True, unique=True, stored="track"),
     )
 
     position_mm: F64
@@ -172,7 +181,6 @@ class FoundParticles(Estimate):
         if self.trajectory is None and track is not None:
             object.__setattr__(self, "trajectory", track)
         self.check()
-        _check_different("trajectory", self.trajectory)
 
 
 @dataclass(frozen=True)
@@ -259,7 +267,7 @@ class Detections(Estimate):
         Array("center_mm", ("n", 3)),
         Array("semi_axes_mm", ("n", 3)),
         Array("turn", ("n", 3, 3)),
-        Array("trajectory", ("n",), np.int64, optional=True, stored="track"),
+        Array("trajectory", ("n",), np.int64, optional=True, unique=True, stored="track"),
     )
 
     center_mm: F64
@@ -269,7 +277,6 @@ class Detections(Estimate):
 
     def __post_init__(self) -> None:
         self.check()
-        _check_different("trajectory", self.trajectory)
         if not len(self.center_mm):
             return
         if self.semi_axes_mm.min() <= 0.0:

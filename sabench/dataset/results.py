@@ -17,7 +17,6 @@ from sabench.api.solvers import TaskName
 from sabench.dataset import schema
 from sabench.dataset.hdf5 import (
     created,
-    finite,
     names_in,
     opened,
     read_array,
@@ -106,7 +105,8 @@ def _read(file: Any, group: str, declared: Array, sizes: dict[str, int]) -> npt.
     if dtype.kind == "b":
         return np.asarray(stored > 0)
     value = stored.astype(dtype, copy=False)
-    return finite(value, f"{file.filename}: {name}") if dtype.kind == "f" else value
+    declared.check_values(value, f"{file.filename}: {name}")
+    return value
 
 
 class ResultWriter:

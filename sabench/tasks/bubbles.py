@@ -147,9 +147,7 @@ class BubblesTask(FrameByFrame):
         ghosts = np.asarray(true.center_mm)[::6] + 2.5 * true.radius_mm[::6, None]
         return Detections(
             np.concatenate([true.center_mm[kept] + aside, ghosts]),
-            np.concatenate(
-                [true.semi_axes_mm[kept] * [1.05, 0.97, 1.02], true.semi_axes_mm[::6]]
-            ),
+            np.concatenate([true.semi_axes_mm[kept] * [1.05, 0.97, 1.02], true.semi_axes_mm[::6]]),
             np.concatenate([true.turn[kept] @ _WRONG_ROTATION, true.turn[::6]]),
         )
 
@@ -221,9 +219,7 @@ def _check_all_or_none(result: Result, found: Sequence[Detections]) -> None:
         )
 
 
-def _jet_scores(
-    data: Dataset, found: Sequence[AnyBubbles], truth: Sequence[AnyBubbles]
-) -> Figures:
+def _jet_scores(data: Dataset, found: Sequence[AnyBubbles], truth: Sequence[AnyBubbles]) -> Figures:
     """Score a jet's figures against the same analysis of the true bubbles; None without a jet."""
     if (data.scene.bubbles or {}).get("generator") != "plunging_jet":
         return dict.fromkeys(JET)

@@ -23,7 +23,9 @@ from sabench.utils.progress import track
 # work and the checks
 _VOLUMES = 2.0
 _TRIED = 33  # voxels along each axis that are looked for in the images
-PARTICLE_IMAGES = "First frame of every camera, one brightness scale for all; dim particles are raised."
+PARTICLE_IMAGES = (
+    "First frame of every camera, one brightness scale for all; dim particles are raised."
+)
 
 
 class ReconstructionTask(FrameByFrame):
@@ -96,15 +98,17 @@ class ReconstructionTask(FrameByFrame):
 
     def score(self, data: Dataset, source: Source) -> Figures:
         """Average the scores of the frames that have them."""
-        return mean_of_each([
-            score_frame(
-                data.rig.grid,
-                data.particles(frame),
-                data.views(frame),
-                self.read(data, source, frame),
-            )
-            for frame in track(self.frames(data), "score")
-        ])
+        return mean_of_each(
+            [
+                score_frame(
+                    data.rig.grid,
+                    data.particles(frame),
+                    data.views(frame),
+                    self.read(data, source, frame),
+                )
+                for frame in track(self.frames(data), "score")
+            ]
+        )
 
     def picture(self, data: Dataset, source: Source) -> bytes:
         """Draw a slice of the first frame's volume as a PNG."""

@@ -97,7 +97,9 @@ def score(
         finite.
     """
     data = dataset if isinstance(dataset, Dataset) else open_dataset(dataset)
-    word: Literal["truth", "empty"] | None = next((one for one in WORDS if one == str(result)), None)
+    word: Literal["truth", "empty"] | None = next(
+        (one for one in WORDS if one == str(result)), None
+    )
     opened = None if word else open_result(result, data)
     if opened and task not in (None, opened.task):
         raise InputError(f"task: expected {opened.task} for {opened.path}, got {task!r}")

@@ -95,9 +95,7 @@ class VelocimetryTask(Task):
         pairs = data.rig.pairs()
         if not pairs:
             frames = data.rig.frames
-            raise InputError(
-                f"{data.root}: expected pairs of frames, got {frames} that make none"
-            )
+            raise InputError(f"{data.root}: expected pairs of frames, got {frames} that make none")
         volumes = _Volumes(data, algorithm.parameters.reconstruction)
         seconds = []
         for pair in track(pairs, f"velocity by {name}"):
@@ -174,9 +172,7 @@ class _Volumes:
         self._kept = {frame: one for frame, one in self._kept.items() if frame in pair}
         for frame in pair:
             if frame not in self._kept:
-                found, took = reconstruction.TASK.call(
-                    self._solver, self._name, self._data, frame
-                )
+                found, took = reconstruction.TASK.call(self._solver, self._name, self._data, frame)
                 self._kept[frame] = found
                 self.seconds.append(took)
         return self._kept[pair[0]].volume, self._kept[pair[1]].volume

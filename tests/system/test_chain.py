@@ -131,7 +131,7 @@ def test_a_solver_without_the_wall_is_lost(quick: Dataset, tmp_path: Path) -> No
         case, cameras=tuple(replace(camera, wall=None) for camera in pinholes(case.cameras))
     )
     with result_writer(tmp_path / "blind.h5", quick, "blind", "reconstruction", {}) as writer:
-        writer.add(0, make_solver("msa", {}).solve(blind))
+        writer.add(make_solver("msa", {}).solve(blind))
     assert sabench.score(quick, tmp_path / "blind.h5")["recall"] < 0.05
 
 

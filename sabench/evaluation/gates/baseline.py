@@ -19,7 +19,9 @@ from sabench.utils.validation import validate
 FORMAT, VERSION = "sabench-baseline", 1
 DATA = "data set"  # stands in a solver's place where figures are of the data set itself
 TIMES = ("seconds", "reconstruction_s")
+COSTS = (*TIMES, "peak_mb")
 Figures = dict[str, float | None]
+
 
 class _Part(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)

@@ -191,7 +191,9 @@ def _chosen(cases: Sequence[Case], solvers: Sequence[Entrant]) -> list[Case]:
         replace(
             case,
             solvers=tuple(
-                one for one in solvers if _task_of(one) in {_task_of(other) for other in case.solvers}
+                one
+                for one in solvers
+                if _task_of(one) in {_task_of(other) for other in case.solvers}
             ),
         )
         for case in cases
@@ -228,7 +230,8 @@ def _run_case(
             exit_first
             and old
             and any(
-                finding.worse for finding in compare(_ran(old, now), now, _tasks_of(case), tolerances)
+                finding.worse
+                for finding in compare(_ran(old, now), now, _tasks_of(case), tolerances)
             )
         ):
             break
@@ -338,7 +341,9 @@ def _compared(
             text="its scene is not the one of the baseline",
         )
     cut_short = len(now.solvers) < len(case.solvers)
-    yield from compare(_ran(old, now) if cut_short else old, now, _tasks_of(case), before.tolerances)
+    yield from compare(
+        _ran(old, now) if cut_short else old, now, _tasks_of(case), before.tolerances
+    )
 
 
 def _missing(before: Baseline | None, entries: Sequence[CaseEntry]) -> Iterator[Finding]:

@@ -28,6 +28,10 @@ def score_known_wrong(data: Dataset, out: Path) -> dict[str, float]:
             for frame in task.frames(data):
                 writer.add(task.wrong(data, frame), frame)
         scores = score(data, out)
-        known = {key: scores[key] for key in scores if task.has(key) and scores[key] is not None}
-        figures |= {f"probe.{task.name}.{key}": float(value) for key, value in known.items()}
+        known = {one.key: scores.get(one.key) for one in task.all_scores}
+        figures |= {
+            f"probe.{task.name}.{key}": float(value)
+            for key, value in known.items()
+            if value is not None
+        }
     return figures

@@ -129,7 +129,13 @@ class _Pool:
 def _order(row: Record) -> tuple[Any, ...]:
     """Tracks in the order of their columns, cases by name with numbers as numbers, then the rank within the case."""
     rest = (row["case"], row["scene_hash"], row["renderer"], row["split"])
-    return tasks.NAMES.index(row["task"]), _natural(row["case"]), rest, _rank(row), key_of(row, _ENTRY)
+    return (
+        tasks.NAMES.index(row["task"]),
+        _natural(row["case"]),
+        rest,
+        _rank(row),
+        key_of(row, _ENTRY),
+    )
 
 
 def _natural(name: str) -> list[tuple[float, str]]:
