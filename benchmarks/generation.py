@@ -34,7 +34,7 @@ from sabench.scenes.loading import parse_scene
 from sabench.scenes.rig import load_scene
 from sabench.scenes.schema import Scene
 from sabench.simulation.pipeline import put_together
-from sabench.simulation.recording.job import Job, record
+from sabench.simulation.recording.job import Job, record_task
 from sabench.simulation.recording.parts import Parts
 from sabench.simulation.recording.recorders import recorder_of
 from sabench.simulation.recording.schedule import Schedule, Task
@@ -166,7 +166,7 @@ def timed(scene: Scene, folder: Path) -> Times:
         task = schedule.take(took[-1][0].frame if took else None)
         assert task is not None
         start = time.perf_counter()
-        record(recorder, parts, task)
+        record_task(recorder, parts, task)
         took.append((task, time.perf_counter() - start))
         schedule.complete(task)
     start = time.perf_counter()
