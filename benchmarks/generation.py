@@ -30,9 +30,7 @@ from typing import Any
 
 import numpy as np
 
-from sabench.scenes.loading import parse_scene
-from sabench.scenes.rig import load_scene
-from sabench.scenes.schema import Scene
+from sabench.scenes import Scene, load_scene, parse_scene
 from sabench.simulation.pipeline import put_together
 from sabench.simulation.recording.job import Job, record_task
 from sabench.simulation.recording.parts import Parts

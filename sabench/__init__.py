@@ -9,7 +9,7 @@ from sabench.utils.version import __version__
 
 if TYPE_CHECKING:
     from sabench.dataset.reader import open_dataset
-    from sabench.scenes.rig import load_scene
+    from sabench.scenes import load_scene
     from sabench.simulation.pipeline import generate
     from sabench.tasks.solve_and_score import score, solve
 
@@ -17,7 +17,7 @@ __all__ = ["__version__", "generate", "load_scene", "open_dataset", "score", "so
 
 _HOMES = {
     "generate": "simulation.pipeline",
-    "load_scene": "scenes.rig",
+    "load_scene": "scenes",
     "open_dataset": "dataset.reader",
     "score": "tasks.solve_and_score",
     "solve": "tasks.solve_and_score",

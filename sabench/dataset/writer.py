@@ -18,8 +18,8 @@ from sabench.api.truth import Prior, Target
 from sabench.dataset import schema
 from sabench.dataset.hdf5 import created, uninterrupted
 from sabench.geometry.camera import Camera
-from sabench.scenes.rig import Rig, white_level
-from sabench.scenes.schema import Scene
+from sabench.scenes import Rig, Scene
+from sabench.scenes.sensor import white_level
 from sabench.utils.arrays import F64, Bool
 from sabench.utils.files import canonical_json, complete_or_nothing, sha256
 from sabench.utils.version import __version__

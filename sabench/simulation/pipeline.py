@@ -12,8 +12,8 @@ from filelock import FileLock, Timeout
 
 from sabench.dataset.reader import Dataset, open_dataset
 from sabench.dataset.writer import dataset_writer
-from sabench.scenes.rig import build_rig, load_scene, told_cameras
-from sabench.scenes.schema import Scene
+from sabench.scenes import Scene, build_rig, load_scene
+from sabench.scenes.nominal_cameras import nominal_cameras
 from sabench.simulation.recording.job import Job
 from sabench.simulation.recording.parts import KEPT, Part, Parts, files_of
 from sabench.simulation.recording.recorders import Recorder, recorder_of
@@ -127,7 +127,7 @@ def put_together(
 ) -> None:
     """Make the data set of all its parts."""
     rig = build_rig(job.scene, job.label)
-    told, cameras = told_cameras(job.scene, rig.cameras, job.seed), rig.cameras[: recorder.views]
+    told, cameras = nominal_cameras(job.scene, rig.cameras, job.seed), rig.cameras[: recorder.views]
     with dataset_writer(
         target, job.label, job.scene, rig, told, job.seed, job.renderer, overwrite=overwrite
     ) as writer:

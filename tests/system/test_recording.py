@@ -15,17 +15,15 @@ import tomli_w
 from filelock import FileLock
 
 import sabench
-from sabench.scenes.loading import parse_scene
-from sabench.scenes.rig import load_scene
-from sabench.scenes.schema import Scene
+from sabench.scenes import Scene, load_scene, parse_scene
 from sabench.simulation.frames_of_tracers import shoot
 from sabench.simulation.pipeline import generate
 from sabench.simulation.recording import job, recorders, workers
 from sabench.simulation.recording.job import Job
 from sabench.simulation.recording.workers import ProcessPool
 from sabench.utils.errors import InputError
-from tests.bubble_scenes import LASER, small
 from tests.conftest import Command
+from tests.helpers.bubble_scenes import LASER, small
 
 ABC = {
     "generator": "abc_flow",

@@ -34,7 +34,7 @@ from sabench.evaluation.gates.dataset_statistics import fingerprint
 from sabench.evaluation.gates.known_wrong_estimates import probe
 from sabench.evaluation.runner import dataset_of, machine, solve_apart, versions
 from sabench.evaluation.suites import Case, Entrant, load_suite
-from sabench.scenes.loading import find
+from sabench.scenes import find
 from sabench.tasks.solve_and_score import score
 from sabench.utils.errors import InputError
 from sabench.utils.progress import console
