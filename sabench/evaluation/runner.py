@@ -30,7 +30,7 @@ from sabench.tasks.solve_and_score import score, solve
 from sabench.utils import backend
 from sabench.utils.errors import DeclinedError, InputError
 from sabench.utils.files import clear_abandoned, complete_or_nothing, digest
-from sabench.utils.processes.isolated import apart
+from sabench.utils.processes.isolated import call_isolated
 from sabench.utils.progress import console
 from sabench.utils.version import __version__
 
@@ -324,7 +324,7 @@ def solve_apart(
     try:
         if not entrant.is_program:
             return float(
-                apart(
+                call_isolated(
                     _solve,
                     entrant.name,
                     entrant.parameters,

@@ -22,8 +22,8 @@ from sabench.dataset.reader import Dataset, open_dataset
 from sabench.dataset.results import Result, open_result, result_writer
 from sabench.utils.errors import InputError
 from sabench.utils.files import canonical_json, clear_abandoned, inside, is_file
-from sabench.utils.processes.isolated import apart
-from sabench.utils.processes.limited import Limits, run_confined
+from sabench.utils.processes.isolated import call_isolated
+from sabench.utils.processes.limited import Limits, run_limited
 from sabench.utils.progress import console
 from sabench.utils.validation import printable
 
@@ -87,7 +87,7 @@ def run_program(
         scratch.mkdir()
         result = scratch / "result.h5"
         console.print(f"{path.name}: at most {limits.time_s:g} s", markup=False, highlight=False)
-        cost = run_confined(
+        cost = run_limited(
             [str(path), str(view), str(result), *_words(parameters or {})],
             scratch,
             limits,
@@ -97,7 +97,7 @@ def run_program(
         told = (solver_name(program), parameters or {}, cost.seconds, cost.peak_mb)
         try:
             probe(result)
-            apart(
+            call_isolated(
                 adopt,
                 result,
                 dataset.root,

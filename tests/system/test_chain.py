@@ -196,7 +196,7 @@ def test_suite_makes_records_and_page_and_survives_a_failing_solver(
     assert done.returncode == 1, done.stderr
     raised, died, good = json.loads(done.stdout)
     assert "RuntimeError: no luck" in raised["error"]
-    assert "exit code -6" in died["error"]
+    assert "signal SIGABRT" in died["error"]
     assert good["error"] is None
     assert good["q"] > 0.6
     page = (tmp_path / "leaderboard" / "index.html").read_text()

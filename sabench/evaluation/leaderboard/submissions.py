@@ -22,7 +22,7 @@ from sabench.tasks.external_programs import adopt
 from sabench.tasks.solve_and_score import score
 from sabench.utils.errors import InputError
 from sabench.utils.files import digest
-from sabench.utils.processes.isolated import apart
+from sabench.utils.processes.isolated import call_isolated
 from sabench.utils.progress import track
 from sabench.utils.validation import printable
 from sabench.utils.version import __version__
@@ -152,7 +152,9 @@ def _content_hash(root: Path) -> str:
 
 def _record(label: str, file: Path, data: Dataset, known: list[Record]) -> Record:
     """A record of one result, scored in a process of its own."""
-    scores = apart(_score, file, data.root, doing=f"result {printable(label)}", time_s=_SCORE_S)
+    scores = call_isolated(
+        _score, file, data.root, doing=f"result {printable(label)}", time_s=_SCORE_S
+    )
     head = _case(data, known) | {key: scores[key] for key in ("task", "solver", "parameters")}
     run_hash = digest([data.content_hash, head["solver"], head["parameters"]])
     costs = {"seconds": None, "peak_mb": None}  # of a machine that nobody here has seen
