@@ -37,7 +37,7 @@ from sabench.evaluation.thesis.chapter_4 import (
     scene_of,
     solved,
 )
-from sabench.geometry.rigid_motion import lateral_fit
+from sabench.geometry.rigid_motion import fit_lateral_motion
 from sabench.scenes.loading import parse_scene
 from sabench.scenes.rig import build_rig
 from sabench.utils.arrays import F64
@@ -96,7 +96,7 @@ def ratios(cameras: int, noise: float, draws: int, unknown: tuple[str, ...] = ()
         )
         points = state.points(seen.board).reshape(-1, 3)
         made = fit.state.points(seen.board).reshape(-1, 3)
-        errors = lateral_fit(made, points)(made) - points
+        errors = fit_lateral_motion(made, points)(made) - points
         found["reprojection"].append(true / bound.reprojection_px)
         found["scatter"].append(errors.std(axis=0) / bound.point_std_mm)
         found["efficiency"].append(true / measured / bound.efficiency)

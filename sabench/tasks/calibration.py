@@ -23,7 +23,7 @@ from sabench.dataset.results import Result, ResultWriter
 from sabench.geometry.camera import Camera
 from sabench.geometry.camera_model import CameraModel
 from sabench.geometry.refraction import Wall
-from sabench.geometry.rigid_motion import rigid_fit
+from sabench.geometry.rigid_motion import fit_rigid_motion
 from sabench.geometry.triangulation import triangulate
 from sabench.metrics.alignment import ALIGNMENTS, alignment
 from sabench.plotting import pictures
@@ -179,7 +179,7 @@ def _seen_particles(data: Dataset, cameras: tuple[CameraModel, ...]) -> tuple[F6
     known = np.isfinite(found).all(axis=1)
     if known.sum() < 3:
         return truths, exact, np.full_like(exact, np.nan), found
-    moved = rigid_fit(truths[known], found[known])(truths)
+    moved = fit_rigid_motion(truths[known], found[known])(truths)
     return moved, exact, np.stack([camera.project(moved)[0] for camera in cameras]), found
 
 

@@ -18,7 +18,7 @@ from sabench.algorithms.calibration.cramer_rao import limit
 from sabench.algorithms.calibration.parameters import Frame, Free, State
 from sabench.algorithms.calibration.problem import Problem, anchors_of
 from sabench.algorithms.calibration.robust import adjust
-from sabench.geometry.rigid_motion import Motion, lateral_fit
+from sabench.geometry.rigid_motion import RigidMotion, fit_lateral_motion
 from sabench.geometry.rotations import exponential
 from sabench.utils.arrays import F64
 from sabench.utils.errors import InputError
@@ -169,7 +169,9 @@ def test_exact_points_give_exact_cameras_from_any_start(cameras: int, blank: boo
     answer = problem.answer(problem.settled(fit.state))
     assert answer.points_mm is not None
     assert true_error_px(answer.cameras, answer.points_mm, exact) < 1e-5
-    found = lateral_fit(answer.points_mm.reshape(-1, 3), points.reshape(-1, 3))(answer.points_mm)
+    found = fit_lateral_motion(answer.points_mm.reshape(-1, 3), points.reshape(-1, 3))(
+        answer.points_mm
+    )
     assert np.abs(found - points).max() < 1e-3
 
 
@@ -189,7 +191,7 @@ def test_noise_comes_out_at_the_bound() -> None:
         assert fit.converged
         true.append(np.linalg.norm(residuals(fit.state, seen)[seen.weights > 0.0], axis=-1).mean())
         found = fit.state.points(seen.board).reshape(-1, 3)
-        errors = lateral_fit(found, points)(found) - points
+        errors = fit_lateral_motion(found, points)(found) - points
         scatter.append(errors.std(axis=0))
         depth.append(errors[:, 2].mean())
     assert np.mean(true) == pytest.approx(bound.reprojection_px, rel=0.05)
@@ -275,9 +277,9 @@ def test_the_fluid_s_index_can_be_estimated() -> None:
 def test_what_a_wall_does_not_notice_changes_no_image() -> None:
     _, state, seen = truth()
     turn = exponential(np.array([0.0, 0.0, 0.3]))
-    moved = state.slid(Motion(turn, np.array([5.0, -7.0, 0.0])))
+    moved = state.slid(RigidMotion(turn, np.array([5.0, -7.0, 0.0])))
     assert np.nanmax(np.abs(residuals(moved, seen)[seen.weights > 0.0])) < 1e-9
-    sunk = state.slid(Motion(np.eye(3), np.array([0.0, 0.0, 1.0])))
+    sunk = state.slid(RigidMotion(np.eye(3), np.array([0.0, 0.0, 1.0])))
     assert np.nanmax(np.abs(residuals(sunk, seen)[seen.weights > 0.0])) > 1e-3
 
 

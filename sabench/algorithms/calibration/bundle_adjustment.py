@@ -16,7 +16,7 @@ from scipy.linalg import cho_factor, cho_solve
 
 from sabench.algorithms.calibration.kernels import equations, misses
 from sabench.algorithms.calibration.parameters import Free, State, steps_of
-from sabench.geometry.rigid_motion import Motion
+from sabench.geometry.rigid_motion import RigidMotion
 from sabench.geometry.rotations import skew
 from sabench.utils.arrays import F64, I64
 
@@ -58,7 +58,7 @@ class Seen:
         )
         turns, shifts = (
             np.array([getattr(anchor.world, name) for anchor in self.anchors])
-            for name in ("turn", "shift")
+            for name in ("rotation", "shift")
         )
         return boards, points, places, precisions, turns, shifts
 
@@ -80,7 +80,7 @@ class Anchor:
     point: int
     place_mm: F64
     precision: F64
-    world: Motion
+    world: RigidMotion
 
 
 @dataclass(frozen=True)

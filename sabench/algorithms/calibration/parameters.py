@@ -11,7 +11,7 @@ from sabench.algorithms.calibration.kernels import CAMERA
 from sabench.algorithms.calibration.wall_frame import wall_frame
 from sabench.geometry.camera import Camera, Distortion
 from sabench.geometry.refraction import Layer, Wall
-from sabench.geometry.rigid_motion import Motion, rigid_fit
+from sabench.geometry.rigid_motion import RigidMotion, fit_rigid_motion
 from sabench.geometry.rotations import exponential
 from sabench.utils.arrays import F64, I64, triple
 
@@ -102,13 +102,13 @@ class State:
             self.places + boards[:, 3:],
         )
 
-    def slid(self, motion: Motion) -> State:
+    def slid(self, motion: RigidMotion) -> State:
         """The state moved as a whole, by what the wall does not notice."""
         return replace(
             self,
-            turns=np.ascontiguousarray(self.turns @ motion.turn.T),
+            turns=np.ascontiguousarray(self.turns @ motion.rotation.T),
             centers=motion(self.centers),
-            board_turns=np.ascontiguousarray(motion.turn @ self.board_turns),
+            board_turns=np.ascontiguousarray(motion.rotation @ self.board_turns),
             places=motion(self.places),
         )
 
@@ -117,7 +117,7 @@ class State:
 class Frame:
     """What leads from states to cameras: the world's place in the wall's frame, and what a state does not hold."""
 
-    motion: Motion
+    motion: RigidMotion
     cameras: tuple[Camera, ...]
     wall: Wall | None
 
@@ -130,7 +130,7 @@ class Frame:
     def state(self, board: F64, points_mm: F64) -> State:
         """Where the cameras are, and boards (m, 3) as near as they can be to rough points (K, m, 3), NaN where unknown."""
         turns = np.stack(
-            [np.asarray(camera.rotation) @ self.motion.turn.T for camera in self.cameras]
+            [np.asarray(camera.rotation) @ self.motion.rotation.T for camera in self.cameras]
         )
         centers = self.motion(np.array([camera.center_mm for camera in self.cameras]))
         lenses = np.array(
@@ -156,7 +156,7 @@ class Frame:
             lenses,
             media,
             thicknesses,
-            np.stack([p.turn for p in poses]),
+            np.stack([p.rotation for p in poses]),
             np.stack([p.shift for p in poses]),
         )
 
@@ -167,7 +167,7 @@ class Frame:
 
     def points(self, state: State, board: F64) -> F64:
         """World points (K, m, 3) of a state's boards."""
-        return self.motion.back()(state.points(board))
+        return self.motion.inverse()(state.points(board))
 
     def _wall(self, state: State) -> Wall | None:
         if self.wall is None:
@@ -182,8 +182,8 @@ class Frame:
     def _camera(self, number: int, state: State, wall: Wall | None) -> Camera:
         camera, lens = self.cameras[number], state.lenses[number].tolist()
         turn, center = (
-            state.turns[number] @ self.motion.turn,
-            self.motion.back()(state.centers[number]),
+            state.turns[number] @ self.motion.rotation,
+            self.motion.inverse()(state.centers[number]),
         )
         return replace(
             camera,
@@ -196,9 +196,9 @@ class Frame:
         )
 
 
-def _pose(board: F64, points: F64) -> Motion:
+def _pose(board: F64, points: F64) -> RigidMotion:
     known = np.isfinite(points).all(axis=1)
-    return rigid_fit(board[known], points[known])
+    return fit_rigid_motion(board[known], points[known])
 
 
 def steps_of(vector: F64, cameras: int, free: Free, media: int) -> tuple[F64, F64]:

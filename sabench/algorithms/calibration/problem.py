@@ -10,7 +10,7 @@ from sabench.algorithms.calibration.bundle_adjustment import Anchor, Seen
 from sabench.algorithms.calibration.input_checks import check_case
 from sabench.algorithms.calibration.parameters import Frame, Free, State
 from sabench.api import Calibration, CalibrationCase
-from sabench.geometry.rigid_motion import Motion, lateral_fit, rigid_fit
+from sabench.geometry.rigid_motion import RigidMotion, fit_lateral_motion, fit_rigid_motion
 from sabench.utils.arrays import Bool
 from sabench.utils.errors import InputError
 
@@ -62,11 +62,11 @@ class Problem:
         if known.sum() > (1 if self.frame.wall else 2):
             return state
         if self.frame.wall is None:
-            return state.slid(rigid_fit(points[there], rough[there]))
-        motion = lateral_fit(points[there], rough[there])
+            return state.slid(fit_rigid_motion(points[there], rough[there]))
+        motion = fit_lateral_motion(points[there], rough[there])
         if known.any():  # the turn goes about the known point
             pivot = points[known][0]
-            motion = Motion(motion.turn, pivot - motion.turn @ pivot)
+            motion = RigidMotion(motion.rotation, pivot - motion.rotation @ pivot)
         return state.slid(motion)
 
     def answer(self, state: State, used: Bool | None = None) -> Calibration:
@@ -76,7 +76,7 @@ class Problem:
 
 def anchors_of(case: CalibrationCase, frame: Frame, noise_px: float) -> tuple[Anchor, ...]:
     """The known coordinates as observations beside pixels with this noise."""
-    world, anchors = frame.motion.back(), []
+    world, anchors = frame.motion.inverse(), []
     for board, point in np.argwhere(np.isfinite(case.known_mm).any(axis=-1)).tolist():
         place, sigma = case.known_mm[board, point], case.known_sigma_mm[board, point]
         there = np.isfinite(place)

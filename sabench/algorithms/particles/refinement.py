@@ -15,7 +15,7 @@ from typing import Any
 import numba
 import numpy as np
 
-from sabench.geometry.volume_polynomials import Maps, locate
+from sabench.geometry.volume_polynomials import VolumePolynomials, project_point
 from sabench.utils.arrays import F32, F64
 
 _HALF = 3  # pixels from the middle of a particle's image to the border of its window
@@ -115,7 +115,7 @@ def _set(
     dy: Any,
 ) -> None:
     """Where a camera sees a place, and the profiles of its image there."""
-    locate(maps, c, place, here, slope)
+    project_point(maps, c, place, here, slope)
     corner[0], corner[1] = round(here[0]) - _HALF, round(here[1]) - _HALF
     _profile(here[0], corner[0], sigma, x, dx)
     _profile(here[1], corner[1], sigma, y, dy)
@@ -191,6 +191,6 @@ def peak_of(light: F64, sigma: F64) -> F64:
     return np.asarray(light * share)
 
 
-def in_mm(maps: Maps, places: F64) -> F64:
+def in_mm(maps: VolumePolynomials, places: F64) -> F64:
     """World points (n, 3) of places in the box of the maps."""
     return np.asarray(maps.middle_mm + places * maps.half_mm)
