@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sabench.geometry.rotations import exponential
+from sabench.geometry.rotations import rotation_matrices
 from sabench.utils.arrays import F64
 
 
@@ -51,5 +51,5 @@ def fit_lateral_motion(points: F64, targets: F64) -> RigidMotion:
     middle, goal = points.mean(axis=0), targets.mean(axis=0)
     (x, y), (p, q) = (points - middle).T[:2], (targets - goal).T[:2]
     angle = np.arctan2(np.sum(x * q - y * p), np.sum(x * p + y * q))
-    rotation = exponential(np.array([0.0, 0.0, angle]))
+    rotation = rotation_matrices(np.array([0.0, 0.0, angle]))
     return RigidMotion(rotation, np.append((goal - rotation @ middle)[:2], 0.0))

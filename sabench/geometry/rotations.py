@@ -5,7 +5,7 @@ import numpy as np
 from sabench.utils.arrays import F64
 
 
-def exponential(vectors: F64) -> F64:
+def rotation_matrices(vectors: F64) -> F64:
     """Rotation matrices (..., 3, 3) of rotation vectors (..., 3), by Rodrigues' formula."""
     angle = np.linalg.norm(vectors, axis=-1)[..., None, None]
     cross = skew(vectors)
@@ -25,7 +25,7 @@ def skew(vectors: F64) -> F64:
     )
 
 
-def leading(axis: tuple[float, float, float]) -> F64:
+def frame_along(axis: tuple[float, float, float]) -> F64:
     """A right-handed frame (3, 3) whose third row points along an axis of any length; the first is as near to X as it can be."""
     third = np.asarray(axis, dtype=np.float64)
     third = third / np.linalg.norm(third)

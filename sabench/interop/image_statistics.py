@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sabench.algorithms.particles.refinement import widths
+from sabench.algorithms.particles.refinement import image_widths
 from sabench.api import Observation
 from sabench.images.brightness import background_noise, normalised
 from sabench.images.peaks import find_peaks
@@ -61,7 +61,7 @@ def seen_in(frame: Observation) -> Seen:
     return Seen(
         floor,
         count,
-        float(np.median(widths(images, peaks))),
+        float(np.median(image_widths(images, peaks))),
         float(2.0 * voxel[0] / np.median(shift)),
         spacing,
     )

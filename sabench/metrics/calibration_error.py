@@ -8,8 +8,8 @@ import numpy as np
 
 from sabench.algorithms.calibration.bundle_adjustment import Seen
 from sabench.algorithms.calibration.cramer_rao import Limit, limit
-from sabench.algorithms.calibration.parameters import Frame, Free
-from sabench.algorithms.calibration.problem import anchors_of
+from sabench.algorithms.calibration.parameters import Frame, FreeParameters
+from sabench.algorithms.calibration.problem import make_anchors
 from sabench.api import Calibration, CalibrationCase
 from sabench.geometry.camera import Camera
 from sabench.geometry.camera_model import CameraModel
@@ -39,7 +39,7 @@ def calibration_scores(
     true_pixels : (camera, frame, point, 2) their exact images.
     good : (camera, frame, point) which points were detected and are no outliers.
     """
-    frame = Frame.of(true_cameras, truth_mm)
+    frame = Frame.from_cameras(true_cameras, truth_mm)
     bound = lower_bound(
         case, frame, truth_mm, good, detection_noise(case.pixels, true_pixels, good)
     )
@@ -118,10 +118,12 @@ def lower_bound(
     if noise_px <= 0.0:
         return None
     board = case.target.points_mm
-    anchors = anchors_of(case, frame, noise_px)
+    anchors = make_anchors(case, frame, noise_px)
     seen = Seen(board, np.nan_to_num(case.pixels), good.astype(np.float64), anchors)
     try:
-        return limit(frame.state(board, truth_mm), seen, Free.of(case.unknown), noise_px)
+        return limit(
+            frame.state(board, truth_mm), seen, FreeParameters.from_names(case.unknown), noise_px
+        )
     except np.linalg.LinAlgError:  # positions and cameras far from anything real
         return None
 

@@ -12,14 +12,14 @@ from sabench.algorithms.calibration.wall_frame import wall_frame
 from sabench.geometry.camera import Camera, Distortion
 from sabench.geometry.refraction import Layer, Wall
 from sabench.geometry.rigid_motion import RigidMotion, fit_rigid_motion
-from sabench.geometry.rotations import exponential
+from sabench.geometry.rotations import rotation_matrices
 from sabench.utils.arrays import F64, I64, triple
 
 _DISTORTION = ("k1", "k2", "p1", "p2", "k3")
 
 
 @dataclass(frozen=True)
-class Free:
+class FreeParameters:
     """What is unknown of the optics, besides every camera's turn, centre and focal length.
 
     Attributes
@@ -36,7 +36,7 @@ class Free:
     thicknesses: tuple[int, ...] = ()
 
     @classmethod
-    def of(cls, unknown: Iterable[str]) -> Free:
+    def from_names(cls, unknown: Iterable[str]) -> FreeParameters:
         """What a case calls unknown of its lenses."""
         names = set(unknown)
         return cls("principal_point" in names, tuple(name for name in _DISTORTION if name in names))
@@ -84,7 +84,7 @@ class State:
         """World points (K, m, 3) of a board's points (m, 3), in the wall's frame."""
         return np.asarray(np.einsum("kij,mj->kmi", self.board_turns, board) + self.places[:, None])
 
-    def moved(self, cameras: F64, shared: F64, boards: F64, free: Free) -> State:
+    def moved(self, cameras: F64, shared: F64, boards: F64, free: FreeParameters) -> State:
         """The state after steps of the cameras' unknowns (M, f), the shared ones (s,) and the boards' (K, 6)."""
         own, common = free.columns(len(self.indices))
         full = np.zeros((len(self.turns), CAMERA))
@@ -93,12 +93,12 @@ class State:
         media[common] += shared
         count = len(self.indices)
         return State(
-            np.ascontiguousarray(exponential(full[:, :3]) @ self.turns),
+            np.ascontiguousarray(rotation_matrices(full[:, :3]) @ self.turns),
             self.centers + full[:, 3:6],
             self.lenses + full[:, 6:],
             media[:count].copy(),
             media[count:].copy(),
-            np.ascontiguousarray(exponential(boards[:, :3]) @ self.board_turns),
+            np.ascontiguousarray(rotation_matrices(boards[:, :3]) @ self.board_turns),
             self.places + boards[:, 3:],
         )
 
@@ -122,7 +122,7 @@ class Frame:
     wall: Wall | None
 
     @classmethod
-    def of(cls, cameras: tuple[Camera, ...], points_mm: F64) -> Frame:
+    def from_cameras(cls, cameras: tuple[Camera, ...], points_mm: F64) -> Frame:
         """The frame of the cameras' wall."""
         wall = cameras[0].wall
         return cls(wall_frame(wall, cameras, points_mm), cameras, wall)
@@ -201,7 +201,7 @@ def _pose(board: F64, points: F64) -> RigidMotion:
     return fit_rigid_motion(board[known], points[known])
 
 
-def steps_of(vector: F64, cameras: int, free: Free, media: int) -> tuple[F64, F64]:
+def steps_of(vector: F64, cameras: int, free: FreeParameters, media: int) -> tuple[F64, F64]:
     """A vector of the cameras' and shared unknowns as (M, f) and (s,)."""
     own, _ = free.columns(media)
     split = cameras * len(own)

@@ -9,7 +9,7 @@ import numpy as np
 
 from sabench.algorithms.calibration.bundle_adjustment import Anchor, Seen, refine, residuals
 from sabench.algorithms.calibration.disparity import Sets, corrected, find_sets
-from sabench.algorithms.calibration.parameters import Frame, Free, State
+from sabench.algorithms.calibration.parameters import Frame, FreeParameters, State
 from sabench.algorithms.calibration.robust import median_noise
 from sabench.algorithms.particles.correspondence import pair_up
 from sabench.api import Observation
@@ -57,7 +57,7 @@ class Tracking:
     maps: VolumePolynomials
 
     @classmethod
-    def of(cls, case: Observation, light: F32, bright: float) -> Tracking:
+    def from_case(cls, case: Observation, light: F32, bright: float) -> Tracking:
         """Find particle images, and put those cameras first that look from the most different places."""
         pinholes = tuple(camera for camera in case.cameras if isinstance(camera, Camera))
         if len(pinholes) != len(case.cameras):
@@ -86,7 +86,7 @@ def _spread(centers: F64) -> list[int]:
     return order
 
 
-def follow(tracking: Tracking, reach_px: float, least_px: float) -> VolumePolynomials:
+def follow_disparities(tracking: Tracking, reach_px: float, least_px: float) -> VolumePolynomials:
     """VolumePolynomials corrected by disparities, first of the core, then of every other camera against what the core agrees on."""
     core = range(min(_CORE, len(tracking.cameras)))
     maps, reach = tracking.maps, reach_px
@@ -155,7 +155,9 @@ def _pairs(
     return pairs, peaks.pixels[pairs[:, 1]] - pixels[pairs[:, 0]]
 
 
-def match_all(tracking: Tracking, maps: VolumePolynomials, least_px: float) -> tuple[F64, F64]:
+def match_particles(
+    tracking: Tracking, maps: VolumePolynomials, least_px: float
+) -> tuple[F64, F64]:
     """Particles that the cameras agree on: places (n, 3) from -1 to 1, and pixels (camera, n, 2), NaN where a camera has none.
 
     A particle image belongs to the set that fits best of all that want it.
@@ -186,7 +188,7 @@ def match_all(tracking: Tracking, maps: VolumePolynomials, least_px: float) -> t
     return places, pixels
 
 
-def refined(tracking: Tracking, matched: tuple[F64, F64]) -> tuple[Camera, ...]:
+def adjust_cameras(tracking: Tracking, matched: tuple[F64, F64]) -> tuple[Camera, ...]:
     """The told cameras adjusted to particles, in the order of the case.
 
     A lattice of places at which the told cameras are believed, to two pixels, holds what particles
@@ -200,7 +202,7 @@ def refined(tracking: Tracking, matched: tuple[F64, F64]) -> tuple[Camera, ...]:
     told = np.stack([camera.project(lattice)[0] for camera in tracking.cameras])
     both = np.concatenate([pixels, told], axis=1)
     weights = np.isfinite(both).all(axis=2).astype(np.float64)
-    frame = Frame.of(tracking.cameras, points[:, None])
+    frame = Frame.from_cameras(tracking.cameras, points[:, None])
     state = frame.state(np.zeros((1, 3)), points[:, None])
     seen = Seen(
         np.zeros((1, 3)),
@@ -226,7 +228,10 @@ def _adjusted(state: State, seen: Seen, particles: int) -> State:
     noise = _noise(state, seen, particles)
     for _ in range(_ROUNDS):
         state = refine(
-            state, replace(seen, weights=_weights(seen, particles, noise)), Free(), 3.0 * noise
+            state,
+            replace(seen, weights=_weights(seen, particles, noise)),
+            FreeParameters(),
+            3.0 * noise,
         ).state
         before, noise = noise, _noise(state, seen, particles)
         if noise > 0.9 * before:
@@ -234,7 +239,7 @@ def _adjusted(state: State, seen: Seen, particles: int) -> State:
     weights = _weights(seen, particles, noise)
     lengths = np.linalg.norm(residuals(state, seen), axis=-1)
     weights[:, :particles] *= lengths[:, :particles] <= _REJECT * noise
-    return refine(state, replace(seen, weights=weights), Free(), 0.0).state
+    return refine(state, replace(seen, weights=weights), FreeParameters(), 0.0).state
 
 
 def _weights(seen: Seen, particles: int, noise: float) -> F64:

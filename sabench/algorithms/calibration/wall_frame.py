@@ -26,7 +26,7 @@ def wall_frame(wall: Wall | None, cameras: tuple[Camera, ...], points_mm: F64) -
     return RigidMotion(turn, np.array([0.0, 0.0, -middle]))
 
 
-def similarity_fit(points: F64, targets: F64) -> F64:
+def fit_similarity(points: F64, targets: F64) -> F64:
     """The homogeneous matrix (4, 4) of the turn, scale and shift of points (n, 3) that bring them nearest to targets (n, 3)."""
     motion = fit_rigid_motion(points, targets)
     turned = (points - points.mean(axis=0)) @ motion.rotation.T

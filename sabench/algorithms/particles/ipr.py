@@ -7,8 +7,14 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
-from sabench.algorithms.particles.refinement import in_mm, peak_of, remove, settle, widths
-from sabench.algorithms.particles.triangulation import Candidates, candidates, chosen
+from sabench.algorithms.particles.refinement import (
+    image_widths,
+    in_mm,
+    peak_brightness,
+    refine_particles,
+    subtract_images,
+)
+from sabench.algorithms.particles.triangulation import Candidates, find_candidates, select_best
 from sabench.api import FoundParticles, Observation
 from sabench.geometry.volume_polynomials import (
     VolumePolynomials,
@@ -23,7 +29,7 @@ _MARGIN = 1.0  # voxels around the grid's centres in which particles are looked 
 
 
 @dataclass(frozen=True)
-class Settings:
+class IprSettings:
     """How particles are looked for.
 
     Attributes
@@ -48,14 +54,16 @@ class Settings:
     apart_px: float = 0.7
 
 
-def box_of(case: Observation) -> VolumePolynomials:
+def fit_cameras(case: Observation) -> VolumePolynomials:
     """The cameras as polynomials over the grid and a margin."""
     low, voxel = np.asarray(case.grid.low_mm), np.asarray(case.grid.voxel_mm)
     high = low + voxel * (np.asarray(case.grid.shape[::-1]) - 1)
     return fit_volume_polynomials(case.cameras, low - _MARGIN * voxel, high + _MARGIN * voxel)
 
 
-def triangulated(case: Observation, maps: VolumePolynomials, settings: Settings) -> FoundParticles:
+def triangulate_particles(
+    case: Observation, maps: VolumePolynomials, settings: IprSettings
+) -> FoundParticles:
     """The particles that particle images agree on, each image taken once."""
     images = normalised(case.images, case.black_dn)
     peaks = _find_peaks(images, settings)
@@ -63,10 +71,12 @@ def triangulated(case: Observation, maps: VolumePolynomials, settings: Settings)
     return FoundParticles(in_mm(maps, found.place), _peak_values(found, peaks, images).mean(axis=1))
 
 
-def reconstructed(case: Observation, maps: VolumePolynomials, settings: Settings) -> FoundParticles:
+def reconstruct_particles(
+    case: Observation, maps: VolumePolynomials, settings: IprSettings
+) -> FoundParticles:
     """The particles that explain the images: found and fitted, again and again, on what is left."""
     images = normalised(case.images, case.black_dn)
-    sigma = widths(images, [one.pixels for one in _find_peaks(images, settings)])
+    sigma = image_widths(images, [one.pixels for one in _find_peaks(images, settings)])
     left, places, light = images.copy(), np.zeros((0, 3)), np.zeros((0, len(images)))
     full, reduced = settings.rounds
     for number in range(full + reduced):
@@ -74,15 +84,15 @@ def reconstructed(case: Observation, maps: VolumePolynomials, settings: Settings
         found = _agreed(maps, peaks, settings, int(number >= full), number, left)
         places = np.concatenate([places, found.place])
         light = np.concatenate([light, np.zeros((len(found.place), len(images)))])
-        settle(maps, sigma, left, places, light, settings.fits)
+        refine_particles(maps, sigma, left, places, light, settings.fits)
         good = _real(maps, places, light, sigma, settings)
-        remove(maps, sigma, left, places[~good], light[~good])
+        subtract_images(maps, sigma, left, places[~good], light[~good])
         places, light = places[good], light[good]
-    settle(maps, sigma, left, places, light, settings.fits)
-    return FoundParticles(in_mm(maps, places), peak_of(light, sigma).mean(axis=1))
+    refine_particles(maps, sigma, left, places, light, settings.fits)
+    return FoundParticles(in_mm(maps, places), peak_brightness(light, sigma).mean(axis=1))
 
 
-def _find_peaks(images: F32, settings: Settings) -> tuple[Peaks, ...]:
+def _find_peaks(images: F32, settings: IprSettings) -> tuple[Peaks, ...]:
     """Particle images above the background of every camera."""
     return tuple(
         find_peaks(image, max(settings.floor, settings.noise * background_noise(image)))
@@ -93,7 +103,7 @@ def _find_peaks(images: F32, settings: Settings) -> tuple[Peaks, ...]:
 def _agreed(
     maps: VolumePolynomials,
     peaks: tuple[Peaks, ...],
-    settings: Settings,
+    settings: IprSettings,
     missing: int,
     number: int,
     images: F32,
@@ -101,10 +111,10 @@ def _agreed(
     """Candidates of which each particle image belongs to one; which cameras are followed changes from round to round."""
     first = number % len(peaks)
     order = (first, (first + 1) % len(peaks))
-    found = candidates(
+    found = find_candidates(
         maps, peaks, order, settings.reach_px, missing, (images.shape[1], images.shape[2])
     )
-    kept = chosen(found, peaks)
+    kept = select_best(found, peaks)
     return Candidates(found.place[kept], found.hit[kept], found.error_px[kept])
 
 
@@ -118,7 +128,9 @@ def _peak_values(found: Candidates, peaks: tuple[Peaks, ...], images: F32) -> F6
     return out
 
 
-def _real(maps: VolumePolynomials, places: F64, light: F64, sigma: F64, settings: Settings) -> Bool:
+def _real(
+    maps: VolumePolynomials, places: F64, light: F64, sigma: F64, settings: IprSettings
+) -> Bool:
     """Which particles are bright enough in enough cameras, and not another one's double."""
     if not len(places):
         return np.zeros(0, dtype=bool)

@@ -23,7 +23,7 @@ _WINDOW = 2 * _HALF + 1
 _FARTHEST_PX = 0.5  # that a particle moves in one step
 
 
-def widths(images: F32, pixels: list[F64]) -> F64:
+def image_widths(images: F32, pixels: list[F64]) -> F64:
     """Standard deviations (camera,) of lone particles' images, px, from three values along either axis: the lower quartile, since overlaps widen."""
     out = []
     for image, places in zip(images, pixels, strict=True):
@@ -64,7 +64,9 @@ def _paint(image: Any, column: int, row: int, x: Any, y: Any, amount: float) -> 
 
 
 @numba.njit(cache=True)
-def settle(maps: Any, sigma: Any, left: Any, places: Any, light: Any, rounds: int) -> None:
+def refine_particles(
+    maps: Any, sigma: Any, left: Any, places: Any, light: Any, rounds: int
+) -> None:
     """Fit particles one after the other, some rounds.
 
     Parameters
@@ -169,7 +171,7 @@ def _brightness(image: Any, corner: Any, x: Any, y: Any) -> float:
 
 
 @numba.njit(cache=True)
-def remove(maps: Any, sigma: Any, left: Any, places: Any, light: Any) -> None:
+def subtract_images(maps: Any, sigma: Any, left: Any, places: Any, light: Any) -> None:
     """Give the light of particles back to the images less all particles."""
     x, y, d, corner, here, slope = (
         np.zeros(_WINDOW),
@@ -185,7 +187,7 @@ def remove(maps: Any, sigma: Any, left: Any, places: Any, light: Any) -> None:
             _paint(left[c], corner[0], corner[1], x, y, light[n, c])
 
 
-def peak_of(light: F64, sigma: F64) -> F64:
+def peak_brightness(light: F64, sigma: F64) -> F64:
     """Brightest pixel (n, camera) of particles whose images lie on a pixel's middle."""
     share = np.array([math.erf(0.5 / (math.sqrt(2.0) * one)) ** 2 for one in sigma])
     return np.asarray(light * share)

@@ -39,7 +39,7 @@ class Candidates(NamedTuple):
     error_px: F64
 
 
-def candidates(
+def find_candidates(
     maps: VolumePolynomials,
     peaks: tuple[Peaks, ...],
     order: tuple[int, int],
@@ -76,7 +76,7 @@ def _travel(maps: VolumePolynomials, second: int) -> float:
     return float(np.linalg.norm(np.diff(there, axis=0)) + np.linalg.norm(np.diff(here, axis=0)))
 
 
-def chosen(found: Candidates, peaks: tuple[Peaks, ...]) -> I64:
+def select_best(found: Candidates, peaks: tuple[Peaks, ...]) -> I64:
     """Rows of the candidates that remain if each particle image belongs to one only, those that fit best first; complete sets before others."""
     order = np.lexsort((found.error_px, (found.hit < 0).sum(axis=1)))
     free = [

@@ -14,14 +14,14 @@ from sabench.api import Calibration, Detections, Reconstruction, Velocity
 from sabench.dataset.reader import Dataset
 from sabench.dataset.results import ResultWriter, result_writer
 from sabench.geometry.camera import Camera
-from sabench.geometry.rotations import exponential
+from sabench.geometry.rotations import rotation_matrices
 from sabench.metrics.synthesised_field import true_field
 from sabench.tasks.solve_and_score import score
 from sabench.tasks.velocimetry import true_velocity
 from sabench.utils.arrays import triple
 from sabench.worlds.readable_codes import code_of
 
-_TURN = exponential(np.array([0.1, -0.2, 0.05]))  # of bubbles
+_TURN = rotation_matrices(np.array([0.1, -0.2, 0.05]))  # of bubbles
 
 
 def probe(data: Dataset, out: Path) -> dict[str, float]:
