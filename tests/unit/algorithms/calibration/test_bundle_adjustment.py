@@ -44,7 +44,12 @@ def truth(
 
 @pytest.mark.parametrize(
     "wall",
-    [{}, {"wall": None}, {"wall": {"normal": [0.04, -0.05, 1.0], "point_mm": [3.0, 4.0, 1.0]}}],
+    [
+        {},
+        {"wall": None},
+        {"wall": {"normal": [0.04, -0.05, 1.0], "point_mm": [3.0, 4.0, 1.0]}},
+        {"cameras": {"distortion": {"k1": -0.4, "k2": 3.0, "k3": 20.0, "p1": 4e-3, "p2": -3e-3}}},
+    ],
 )
 def test_the_kernel_projects_as_cameras_do(wall: dict[str, object]) -> None:
     """Two derivations: one unknown in the rarest medium by numpy, and the bundle's own in the wall's frame."""
