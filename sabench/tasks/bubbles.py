@@ -14,7 +14,7 @@ from sabench.api.truth import Bubbles
 from sabench.dataset.reader import Dataset
 from sabench.dataset.results import Result, ResultWriter
 from sabench.dataset.schema import CamerasFile, frame_group
-from sabench.geometry.rotations import exponential
+from sabench.geometry.rotations import rotation_matrices
 from sabench.metrics.averages import finite_or_none, mean_of_each
 from sabench.metrics.bubble_detection import AnyBubbles, detection_scores
 from sabench.metrics.plunging_jet import JetFigures, analyse
@@ -33,7 +33,7 @@ JET = {
     "weight_percent": "weight",
     "width_percent": "width",
 }
-_WRONG_ROTATION = exponential(np.array([0.1, -0.2, 0.05]))
+_WRONG_ROTATION = rotation_matrices(np.array([0.1, -0.2, 0.05]))
 
 
 class BubblesTask(FrameByFrame):
