@@ -133,7 +133,7 @@ class Breaker(Generator):
 
 
 def test_a_frame_that_always_breaks_is_told_and_the_rest_kept(
-    tmp_path: Path, command: Command
+    tmp_path: Path, own_process: Command
 ) -> None:
     plugin, cure = tmp_path / "mine" / "generators" / "breaker.py", tmp_path / "cure"
     plugin.parent.mkdir(parents=True)
@@ -155,7 +155,7 @@ def test_a_frame_that_always_breaks_is_told_and_the_rest_kept(
         "2",
     )
     environment = {"SABENCH_PLUGINS": str(tmp_path / "mine")}
-    done = command(*words, env=environment)
+    done = own_process(*words, env=environment)
     assert done.returncode == 2, done.stderr
     assert (
         "frame 1 failed 3 times: its process ended with exit code 11; what was finished is kept"
@@ -166,7 +166,7 @@ def test_a_frame_that_always_breaks_is_told_and_the_rest_kept(
     cure.touch()
     before = {path: path.stat().st_mtime_ns for path in left.glob("views/*.npz")}
     assert len(before) == 8
-    assert command(*words, env=environment).returncode == 0
+    assert own_process(*words, env=environment).returncode == 0
     assert sabench.open_dataset(tmp_path / "set").rig.frames == 3
     assert not list(tmp_path.glob(".set.*"))
 
