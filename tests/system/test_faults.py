@@ -318,7 +318,7 @@ def test_a_disk_that_takes_no_more(quick: Dataset, own_process: Command, tmp_pat
 def many_frames(quick_toml: str, folder: Path) -> Path:
     file = folder / "many.toml"
     file.write_text(
-        quick_toml.replace("frames = 1", "frames = 150").replace("diameter_spread = 0.1", "")
+        quick_toml.replace("frames = 1", "frames = 80").replace("diameter_spread = 0.1", "")
     )
     return file
 

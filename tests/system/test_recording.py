@@ -21,6 +21,7 @@ from sabench.simulation.pipeline import generate
 from sabench.simulation.recording import job, recorders, workers
 from sabench.simulation.recording.job import Job
 from sabench.simulation.recording.workers import ProcessPool
+from sabench.utils import backend
 from sabench.utils.errors import InputError
 from tests.conftest import Command
 from tests.helpers.bubble_scenes import LASER, small
@@ -60,10 +61,20 @@ def made(scene: Scene, folder: Path, **how: Any) -> str:
     ).content_hash
 
 
+@pytest.fixture
+def two_rendering_threads() -> Iterator[None]:
+    """As many here as the two processes have together."""
+    backend.limit(2)
+    yield
+    backend.limit(1)
+
+
 @pytest.mark.parametrize(
     "scene", [moving(), bubbly(), load_scene("calibration")], ids=["moving", "bubbly", "target"]
 )
-def test_two_processes_make_the_bytes_of_one(tmp_path: Path, scene: Scene) -> None:
+def test_two_processes_make_the_bytes_of_one(
+    tmp_path: Path, scene: Scene, two_rendering_threads: None
+) -> None:
     assert made(scene, tmp_path / "two", jobs=2) == made(scene, tmp_path / "one")
     assert sorted(entry.name for entry in tmp_path.iterdir()) == ["one", "two"]
 
