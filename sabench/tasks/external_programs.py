@@ -167,12 +167,8 @@ def adopt(
     data = open_dataset(root)
     result = open_result(path, data)
     solver, parameters, seconds, peak_mb = told or (result.solver, result.parameters, None, None)
-    with result_writer(out, data, solver, result.track, parameters, overwrite=overwrite) as writer:
-        tasks.of(result.track).copy(data, result, writer)
+    task = tasks.of(result.task)
+    with result_writer(out, data, solver, task.name, parameters, overwrite=overwrite) as writer:
+        task.copy(data, result, writer)
         if seconds is not None:
-            writer.set_cost(seconds / max(1, steps(data, result.track)), peak_mb)
-
-
-def steps(data: Dataset, track: str) -> int:
-    """How many times a solver is called: once for each frame, or each pair of them, or once."""
-    return {"velocimetry": len(data.rig.pairs()), "calibration": 1}.get(track, data.rig.frames)
+            writer.set_cost(seconds / max(1, len(task.frames(data))), peak_mb)

@@ -139,9 +139,9 @@ def test_openlpts_tracks_are_read(tmp_path: Path) -> None:
     (folder / "ExitTrack_2.csv").write_text(head + "0,0,4.0,5.0,6.0,9,9\n", encoding="utf-8")
     first, second, third = openlpt.read_tracks(tmp_path, 3)
     np.testing.assert_array_equal(first.position_mm, [[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]])
-    assert first.track is not None
-    assert second.track is not None
-    assert (first.track.tolist(), second.track.tolist(), len(third.position_mm)) == (
+    assert first.trajectory is not None
+    assert second.trajectory is not None
+    assert (first.trajectory.tolist(), second.trajectory.tolist(), len(third.position_mm)) == (
         [0, 2],
         [0, 1],
         0,
