@@ -27,9 +27,7 @@ from sabench import plugins
 from sabench.algorithms.tomography.problem import Problem, SparseParameters
 from sabench.api import Observation
 from sabench.api.make import make_solver
-from sabench.scenes.loading import parse_scene
-from sabench.scenes.rig import load_scene
-from sabench.scenes.schema import Scene
+from sabench.scenes import Scene, load_scene, parse_scene
 from sabench.simulation.in_memory import simulate
 from sabench.tasks.reconstruction_scores import score_frame
 from sabench.utils.confidence import mean_of

@@ -13,7 +13,7 @@ from sabench.dataset.reader import Dataset, open_dataset
 from sabench.dataset.results import open_result, result_writer
 from sabench.geometry.vector_calculus import vorticity
 from sabench.plugins import load
-from sabench.scenes.schema import Scene
+from sabench.scenes import Scene
 from sabench.tasks.reconstruction_scores import true_field
 from sabench.worlds.tracers import flow_of
 from tests.conftest import Command

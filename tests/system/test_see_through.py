@@ -14,7 +14,7 @@ from sabench.dataset.reader import Dataset
 from sabench.dataset.verification import verify
 from sabench.interop.vtkhdf import export
 from sabench.plugins import load
-from sabench.scenes.schema import Scene
+from sabench.scenes import Scene
 from sabench.simulation.pipeline import generate
 from sabench.tasks.see_through import error_picture, single_views
 from sabench.tasks.solve_and_score import score, solve

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from sabench.scenes.schema import Scene
+from sabench.scenes import Scene
 from sabench.utils.arrays import F64
 
 _HALVINGS = 100

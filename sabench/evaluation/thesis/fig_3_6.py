@@ -21,8 +21,7 @@ from sabench.evaluation.thesis.common import (
 )
 from sabench.evaluation.thesis.fig_2_7 import CAMERAS, by_cameras
 from sabench.evaluation.thesis.theory import ghost_ratio
-from sabench.scenes.rig import build_rig, load_scene
-from sabench.scenes.schema import Scene
+from sabench.scenes import Scene, build_rig, load_scene
 from sabench.tasks.reconstruction_scores import score_frame
 
 SEEDS = 5

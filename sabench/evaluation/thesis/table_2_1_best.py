@@ -17,7 +17,7 @@ from sabench.evaluation.thesis.common import (
 )
 from sabench.evaluation.thesis.table_2_1 import SUITE
 from sabench.metrics.quality_factor import quality
-from sabench.scenes.schema import Scene
+from sabench.scenes import Scene
 from sabench.tasks.reconstruction_scores import true_field
 
 SEEDS = 5

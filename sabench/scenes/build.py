@@ -1,11 +1,9 @@
-"""From a scene to its optics: the wall, the aimed and focused cameras, the voxel grid; impossible geometry ends here."""
+"""Build a scene's rig: the wall, the aimed and focused cameras, the voxel grid, occluders."""
 
 from __future__ import annotations
 
 import itertools
-import tomllib
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 
@@ -15,47 +13,22 @@ from sabench.geometry.frames import Domain
 from sabench.geometry.grid import Grid
 from sabench.geometry.occluders import Disc
 from sabench.geometry.refraction import Layer, Wall
-from sabench.geometry.rotations import exponential
-from sabench.geometry.visibility import any_in_view
-from sabench.scenes.loading import find, parse_scene
-from sabench.scenes.schema import (
-    Calibration,
+from sabench.scenes import checks
+from sabench.scenes.cameras import (
     Cameras,
     CrossLayout,
     GridLayout,
     LineLayout,
     ListLayout,
-    OccluderSpec,
     Place,
     RingLayout,
-    Scene,
-    Sensor,
-    WallSpec,
 )
+from sabench.scenes.scene import Scene
+from sabench.scenes.wall import OccluderSpec, WallSpec
 from sabench.utils.arrays import F64, triple
 from sabench.utils.errors import InputError
-from sabench.utils.rng import stream
 
 _MOST_CAMERAS = 1000
-
-
-def load_scene(path: str | Path) -> Scene:
-    """Read and check a scene file; `path` may also be the name of a bundled scene.
-
-    Raises
-    ------
-    InputError
-        No such file, not TOML, an unknown key (with the nearest valid one), a wrong value or an
-        impossible geometry.
-    """
-    file = find(path, "scenes")
-    try:
-        values = tomllib.loads(file.read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError) as error:
-        raise InputError(f"{file}: expected a TOML file, got {error}") from error
-    scene = parse_scene(values, str(file), file.parent)
-    build_rig(scene, str(file))
-    return scene
 
 
 @dataclass(frozen=True)
@@ -86,17 +59,17 @@ def build_rig(scene: Scene, source: str = "scene") -> Rig:
     wall = build_wall(scene.wall) if scene.wall else None
     corners = _corners(scene)
     if wall:
-        _check_tank(wall, corners, source)
+        checks.check_tank(wall, corners, source)
     cameras = tuple(
         _build_camera(scene, wall, i, place, source)
         for i, place in enumerate(_places(scene.cameras))
     )
-    _check_views(cameras, corners, source)
+    checks.check_views(cameras, corners, source)
     occluders = tuple(_build_occluder(spec) for spec in scene.occluders or ())
     for number, disc in enumerate(occluders):
-        _check_occluder(disc, wall, cameras, corners, f"{source}: occluders.{number}")
+        checks.check_occluder(disc, wall, cameras, corners, f"{source}: occluders.{number}")
     if scene.backlight:
-        _check_backlight(scene, wall, cameras, corners, f"{source}: backlight.center_mm")
+        checks.check_backlight(scene, wall, cameras, corners, f"{source}: backlight.center_mm")
     return Rig(cameras, wall, build_grid(scene, source), occluders)
 
 
@@ -125,56 +98,6 @@ def domain_of(scene: Scene) -> Domain:
     )
 
 
-def told_cameras(scene: Scene, cameras: tuple[Camera, ...], seed: int) -> tuple[Camera, ...]:
-    """The cameras as solvers are told them: off by the scene's calibration error.
-
-    A shift on the image moves the projections of all points alike. Source: thesis section 2.2.4,
-    the error eps_RP of figure 2-7b, whose length is the same for all cameras and whose direction is
-    random.
-    """
-    spec = scene.calibration
-    if spec is None:
-        return cameras
-    return tuple(
-        _roughly(_shifted(_plainer(camera, spec), spec, seed, number), spec, seed, number)
-        for number, camera in enumerate(cameras)
-    )
-
-
-def _plainer(camera: Camera, spec: Calibration) -> Camera:
-    unmeasured = {name: 0.0 for name in spec.unknown or () if name != "principal_point"}
-    return replace(camera, distortion=replace(camera.distortion, **unmeasured))
-
-
-def _shifted(camera: Camera, spec: Calibration, seed: int, number: int) -> Camera:
-    turn = stream(seed, "calibration", number).uniform(0.0, 2.0 * np.pi)
-    column, row = camera.principal_point_px
-    return replace(
-        camera,
-        principal_point_px=(
-            column + spec.shift_px * float(np.cos(turn)),
-            row + spec.shift_px * float(np.sin(turn)),
-        ),
-    )
-
-
-def _roughly(camera: Camera, spec: Calibration, seed: int, number: int) -> Camera:
-    rng = stream(seed, "rough cameras", number)
-    center = np.asarray(camera.center_mm) + spec.center_mm * rng.standard_normal(3)
-    turn = exponential(np.deg2rad(spec.turn_deg) * rng.standard_normal(3)) @ np.asarray(
-        camera.rotation
-    )
-    distance = camera.principal_distance_mm * (
-        1.0 + spec.focal_percent / 100.0 * float(rng.standard_normal())
-    )
-    return replace(
-        camera,
-        center_mm=triple(center),
-        rotation=(triple(turn[0]), triple(turn[1]), triple(turn[2])),
-        principal_distance_mm=distance,
-    )
-
-
 def build_wall(spec: WallSpec) -> Wall:
     unit = _unit(spec.normal)
     layers = tuple(Layer(layer.name, layer.index, layer.thickness_mm) for layer in spec.layers)
@@ -191,78 +114,9 @@ def _build_occluder(spec: OccluderSpec) -> Disc:
     return Disc(spec.center_mm, triple(_unit(spec.normal)), spec.radius_mm)
 
 
-def _check_occluder(
-    disc: Disc, wall: Wall | None, cameras: tuple[Camera, ...], corners: F64, where: str
-) -> None:
-    """A disc must lie where all light on its way to the cameras still comes by, and runs straight."""
-    if wall:
-        depth = disc.span_mm(np.asarray(wall.normal))[1] - float(np.dot(wall.point_mm, wall.normal))
-        if depth >= 0.0:
-            raise InputError(
-                f"{where}: expected it wholly in front of the wall, but it reaches {depth:.4g} mm behind the wall's outer face"
-            )
-    for camera in cameras:
-        forward = np.asarray(camera.rotation[2])
-        near, far = (
-            end - float(np.dot(camera.center_mm, forward)) for end in disc.span_mm(forward)
-        )
-        if near <= 0.0:
-            raise InputError(
-                f"{where}: expected it wholly in front of all cameras, but it reaches {-near:.4g} mm behind {camera.name}"
-            )
-        excess = far - float(((corners - camera.center_mm) @ forward).min())
-        if wall is None and excess >= 0.0:
-            raise InputError(
-                f"{where}: expected it wholly between the cameras and the volume, but for {camera.name} it reaches {excess:.4g} mm into the volume"
-            )
-
-
-def _check_backlight(
-    scene: Scene, wall: Wall | None, cameras: tuple[Camera, ...], corners: F64, where: str
-) -> None:
-    """A diffuser must be behind the volume as all cameras see it and, where there is a tank, behind that."""
-    assert scene.backlight is not None
-    center = np.asarray(scene.backlight.center_mm)
-    if wall:
-        if wall.depth_mm is None:
-            raise InputError(
-                f"{where}: expected wall.depth_mm, the back wall's place, for light from behind the tank"
-            )
-        rear = (scene.wall.rear or ()) if scene.wall else ()
-        outer = wall.thickness_mm + wall.depth_mm + sum(layer.thickness_mm for layer in rear)
-        depth = float(wall.depth_of(center))
-        if depth <= outer:
-            raise InputError(
-                f"{where}: expected it behind the back wall, {outer:g} mm behind the outer face, got {depth:.4g} mm"
-            )
-    for camera in cameras:
-        forward = np.asarray(camera.rotation[2])
-        depth, far = (
-            float((center - camera.center_mm) @ forward),
-            float(((corners - camera.center_mm) @ forward).max()),
-        )
-        if depth <= far:
-            raise InputError(
-                f"{where}: expected it behind the volume, {far:.4g} mm before {camera.name}, got {depth:.4g} mm"
-            )
-
-
 def _corners(scene: Scene) -> F64:
     signs = np.array(list(itertools.product((-0.5, 0.5), repeat=3)))
     return np.asarray(scene.volume.center_mm + signs * np.asarray(scene.volume.size_mm))
-
-
-def _check_tank(wall: Wall, corners: F64, source: str) -> None:
-    depth = wall.depth_of(corners) - wall.thickness_mm
-    if depth.min() <= 0.0:
-        raise InputError(
-            f"{source}: volume: expected it to lie behind the wall's inner face, but it reaches {-depth.min():.4g} mm in front of it"
-        )
-    if wall.depth_mm is not None and depth.max() > wall.depth_mm:
-        raise InputError(
-            f"{source}: volume: expected it to lie in front of the back wall (wall.depth_mm = {wall.depth_mm:g}), "
-            f"but it reaches {depth.max():.4g} mm deep"
-        )
 
 
 def _camera_count(spec: Cameras) -> int:
@@ -371,23 +225,3 @@ def apparent_distance_mm(camera: Camera, target_mm: F64) -> float:
         moves.append(abs(there[0, axis] - back[0, axis]) / (2.0 * step * plain.focal_px))
     mean = float(np.mean(moves))
     return 1.0 / mean if mean else float("inf")
-
-
-def _check_views(cameras: tuple[Camera, ...], corners: F64, source: str) -> None:
-    """At least one camera must see some of the volume: a lattice of points over it is tried."""
-    steps = np.linspace(0.0, 1.0, 9)
-    lattice = corners[0] + np.array(list(itertools.product(steps, repeat=3))) * (
-        corners[-1] - corners[0]
-    )
-    if not any_in_view(cameras, lattice):
-        raise InputError(
-            f"{source}: volume: expected it in view of at least one camera, but no camera of {len(cameras)} sees any of it"
-        )
-
-
-def white_level(sensor: Sensor) -> int:
-    """Grey value of a saturated pixel: the full well's or the converter's limit, whichever comes first."""
-    return min(
-        (1 << sensor.bit_depth) - 1,
-        round(sensor.black_level_dn + sensor.gain_dn_e * sensor.full_well_e),
-    )
