@@ -20,7 +20,7 @@ import tomli_w
 import sabench
 from sabench.evaluation.hidden_split import read_secret
 from sabench.evaluation.suites import Suite, load_suite
-from sabench.scenes.loading import schema
+from sabench.scenes import scene_schema
 from sabench.tasks.own_calibration import Configuration
 from tests.docs.pages import ROOT, Block
 
@@ -77,7 +77,7 @@ class Page:
             Configuration.model_validate(values)
         elif "secret" in values:
             read_secret(self._written(block.text))
-        elif values.keys() <= schema()["properties"].keys():
+        elif values.keys() <= scene_schema()["properties"].keys():
             sabench.load_scene(self._completed("scenes/quick.toml", values))
         elif values.keys() <= Suite.model_fields.keys():
             load_suite(self._completed("scenes/suites/quick.toml", values))
