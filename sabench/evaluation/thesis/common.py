@@ -18,10 +18,10 @@ from sabench.evaluation.thesis.published import published_volume
 from sabench.geometry.grid import Grid
 from sabench.images.brightness import normalised
 from sabench.metrics.particle_detection import Counts, count_thesis, detect
+from sabench.metrics.synthesised_field import true_field
 from sabench.plotting.charts import Figure
 from sabench.scenes import Scene
 from sabench.simulation.in_memory import Shot, simulate
-from sabench.tasks.reconstruction_scores import true_field
 from sabench.utils.arrays import F32, F64
 from sabench.utils.confidence import mean_of
 from sabench.utils.progress import console

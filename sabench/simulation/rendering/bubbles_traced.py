@@ -206,9 +206,9 @@ class _Stager:
         particles_mm: F64 | None,
     ) -> None:
         self._mi = backend.mitsuba()
-        from sabench.simulation.rendering import bubble_integrator  # needs the variant
+        from sabench.simulation.rendering import bubble_integrator as paths  # needs the variant
 
-        self._paths = bubble_integrator
+        self._paths = paths
         self.origin = lights.center_mm
         self._camera, self._tank, self._bubbles, self._lights, self._occluders = (
             camera,

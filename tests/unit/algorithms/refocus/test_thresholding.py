@@ -24,9 +24,9 @@ from sabench.evaluation.thesis.best_threshold import best_k, quality_of_k
 from sabench.geometry.grid import synthesise
 from sabench.images.brightness import bright_dn, normalised
 from sabench.metrics.quality_factor import quality
+from sabench.metrics.synthesised_field import true_field
 from sabench.scenes import parse_scene
 from sabench.simulation.in_memory import Shot, simulate
-from sabench.tasks.reconstruction_scores import true_field
 from sabench.utils.arrays import F32
 
 KEEPS: list[Keep] = ["reduced", "whole"]
