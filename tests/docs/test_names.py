@@ -32,7 +32,10 @@ def test_named_modules_files_and_suites_exist(page: str) -> None:
 
 
 def _words(page: str) -> Iterator[tuple[int, str]]:
-    """Yield what stands in backquotes outside of code blocks, word by word."""
+    """Yield what stands in backquotes, and in reasons not to run a block, word by word."""
+    for block in blocks(page):
+        for word in (block.reason or "").split():
+            yield block.line, word.strip(",;")
     for line, text in prose(page):
         for code in _CODE.findall(text):
             for word in code.split():
