@@ -20,7 +20,7 @@ from sabench.geometry.camera import Camera
 from sabench.geometry.grid import Grid
 from sabench.geometry.refraction import Wall
 from sabench.utils.arrays import F32, F64
-from sabench.utils.processes.child import run
+from sabench.utils.processes.child import run_module
 
 LEAST_FRAMES = 5  # from whose images it estimates how it sees particles
 _TOLERANCE, _ITERATIONS, _RATE = 1e-9, 1000, 0.1  # of its projection through plates
@@ -248,5 +248,5 @@ def read_particles(folder: Path, frames: int) -> list[FoundParticles]:
 
 def solve(folder: Path, frames: int) -> list[FoundParticles]:
     """Run it on a project folder: all of it where there are `LEAST_FRAMES`, and its reconstruction alone where there are fewer."""
-    run("sabench.interop.openlpt_process", folder, "OpenLPT", "Total time for frame", frames)
+    run_module("sabench.interop.openlpt_process", folder, "OpenLPT", "Total time for frame", frames)
     return read_tracks(folder, frames) if frames >= LEAST_FRAMES else read_particles(folder, frames)
