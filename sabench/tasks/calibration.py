@@ -46,22 +46,22 @@ class CalibrationTask(Task):
     # fmt: off
     scores = (
         Score("true_px", "true px", "px", "smaller", 4,
-              "mean distance of reprojected points from where they truly are in the images"),
+              "mean distance of reprojected points from their true pixels"),
         Score("bound_px", "bound px", "px", "steady", 4,
-              "the least of these that the data allow (Cramer-Rao)"),
+              "smallest true px that the data allow (Cramer-Rao bound)"),
         Score("true_ratio", "true / bound", "", "smaller", 3,
               "true px over bound px"),
         Score("measured_px", "measured px", "px", "smaller", 4,
-              "mean distance of reprojected points from where they were found"),
+              "mean distance of reprojected points from their detected pixels"),
         Score("x_std_mm", "x std mm", "mm", "smaller", 4,
-              "scatter of the points' errors along X, after a shift in X and Y and a turn "
-              "about the wall's normal"),
+              "scatter of the points' errors along X, after a shift in X and Y and a "
+              "rotation about the wall's normal"),
         Score("y_std_mm", "y std mm", "mm", "smaller", 4,
               "the same along Y"),
         Score("z_std_mm", "z std mm", "mm", "smaller", 4,
               "the same along Z"),
         Score("z_mean_mm", "z mean mm", "mm", "smaller", 3,
-              "mean error along Z, which images through a plane wall hardly show"),
+              "mean error along Z, which images through a plane wall hardly determine"),
         Score("z_std_ratio", "z std / bound", "", "smaller", 3,
               "scatter along Z over its bound"),
         Score("held_out_mm", "held out mm", "mm", "smaller", 4,
@@ -70,7 +70,7 @@ class CalibrationTask(Task):
         Score("held_out_exact_mm", "with exact cameras", "mm", "steady", 4,
               "the same with the true cameras"),
         Score("bound_z_mean_mm", "bound z mean mm", "mm", "steady", 4,
-              "the least z mean mm that the data allow (Cramer-Rao)", hidden=True),
+              "smallest z mean mm that the data allow (Cramer-Rao bound)", hidden=True),
         Score("efficiency_ratio", "efficiency ratio", "", "unity", 4,
               "true over measured px, over the same ratio of an efficient estimate", hidden=True),
         Score("used_percent", "used percent", "%", "larger", 4,
@@ -188,7 +188,7 @@ class CalibrationTask(Task):
         good = case.found & ~outliers
         scores = calibration_scores(answer, case, data.true_cameras, truth_mm, exact, good)
         noise_px = detection_noise(case.pixels, exact, good)
-        motion = Frame.of(data.true_cameras, truth_mm).motion
+        motion = Frame.from_cameras(data.true_cameras, truth_mm).motion
         aligned = target_alignment(target_points(answer, case), truth_mm, motion)
         held_out = _held_out(data, noise_px)
         others = held_out_scores(answer.cameras, data.true_cameras, *held_out, motion, aligned)
