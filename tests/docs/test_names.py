@@ -49,6 +49,9 @@ def _exists(word: str) -> bool:
     suite = re.fullmatch(r"suites/([\w-]+)", word)
     if suite is not None:
         return suite[1].isupper() or (ROOT / "scenes" / "suites" / f"{suite[1]}.toml").is_file()
+    file, _, test = word.partition("::")
+    if test:
+        return _exists(file) and f"def {test}(" in (ROOT / file).read_text(encoding="utf-8")
     if "/" in word and (word.endswith(".py") or word.split("/")[0] in _FOLDERS):
         pattern = re.sub(r"[A-Z]{3,}|\.\.\.", "*", word).rstrip("/")
         return any(True for _ in ROOT.glob(pattern))
