@@ -146,8 +146,8 @@ def calibrate(
     report, errors = report_on(case, answer, points)
     with complete_or_nothing(out, overwrite=overwrite) as partial:
         partial.mkdir()
-        cameras = tuple(camera for camera in answer.cameras if isinstance(camera, Camera))
-        write_cameras(partial / CAMERAS, cameras, wall=cameras[0].wall)
+        walls = [camera.wall for camera in answer.cameras if isinstance(camera, Camera)]
+        write_cameras(partial / CAMERAS, answer.cameras, wall=walls[0] if walls else None)
         (partial / "report.json").write_text(canonical_json(asdict(report)), encoding="utf-8")
         (partial / "errors.png").write_bytes(
             pictures.arrows(case.pixels, errors, case.cameras[0].rows, case.cameras[0].columns)

@@ -58,7 +58,7 @@ def render(
     facing = np.asarray(camera.wall.normal if camera.wall else camera.rotation[2])
     lamps = placed(lighting, camera, center_mm, origin)
     planes = len(camera.wall.layers) + 1 if camera.wall else 0
-    radiance = target_integrator.picture(
+    radiance = target_integrator.render(
         scene, camera, origin, paint, lamps, planes, samples
     ).astype(np.float64)
     radiance /= (
