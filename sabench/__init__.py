@@ -5,6 +5,8 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING, Any
 
+from sabench.utils.version import __version__
+
 if TYPE_CHECKING:
     from sabench import (
         algorithms,
@@ -29,14 +31,12 @@ if TYPE_CHECKING:
     from sabench.geometry.refraction import Layer, Wall
     from sabench.interop.vtkhdf import export
     from sabench.plugins import list_generators, list_scenes, list_solvers, list_suites
-    from sabench.scenes.rig import load_scene
-    from sabench.scenes.schema import Scene
+    from sabench.scenes import Scene, load_scene
     from sabench.simulation.in_memory import simulate
     from sabench.simulation.pipeline import generate
     from sabench.tasks.own_calibration import calibrate
     from sabench.tasks.solve_and_score import score, solve
 
-__version__ = "0.1.0"
 
 # Names of the public face and the modules that define them; the imports above are the same for
 # type checkers.
@@ -48,7 +48,7 @@ _HOMES = {
     "Layer": "geometry.refraction",
     "Particles": "api.truth",
     "Result": "dataset.results",
-    "Scene": "scenes.schema",
+    "Scene": "scenes",
     "Wall": "geometry.refraction",
     "calibrate": "tasks.own_calibration",
     "check": "evaluation.gates.comparison:check_file",
@@ -58,7 +58,7 @@ _HOMES = {
     "list_scenes": "plugins",
     "list_solvers": "plugins",
     "list_suites": "plugins",
-    "load_scene": "scenes.rig",
+    "load_scene": "scenes",
     "open_dataset": "dataset.reader",
     "open_result": "dataset.results",
     "reproduce": "evaluation.thesis",

@@ -111,7 +111,7 @@ def _show_groups(entries: list[Entry]) -> None:
 
 def schema() -> None:
     """Print the JSON schema of a scene file, for editors."""
-    from sabench.scenes.loading import schema as scene_schema
+    from sabench.scenes import scene_schema
 
     say(json.dumps(scene_schema(), indent=1))
 
@@ -144,7 +144,7 @@ def generate(
 
     If interrupted, run the same command again to resume.
     """
-    from sabench.scenes.rig import load_scene
+    from sabench.scenes import load_scene
     from sabench.simulation.pipeline import generate as make
     from sabench.utils.progress import announce_compiling
 

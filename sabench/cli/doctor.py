@@ -12,9 +12,10 @@ from pathlib import Path
 
 import typer
 
-from sabench import __version__, plugins
+from sabench import plugins
 from sabench.cli.options import say
 from sabench.utils.errors import InputError
+from sabench.utils.version import __version__
 
 _PATIENCE_S = 180
 _LEAST_GB = 2.0  # what the suite demo needs
@@ -91,7 +92,7 @@ def try_compute() -> str:
 
 def try_render() -> str:
     """Render the first camera of the scene `quick` and compare with the analytic light."""
-    from sabench.scenes.rig import build_rig, load_scene
+    from sabench.scenes import build_rig, load_scene
     from sabench.simulation.in_memory import make_particles
     from sabench.simulation.rendering.particle_images import image_particles, scattering_table
     from sabench.simulation.rendering.particles_traced import render

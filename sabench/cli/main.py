@@ -9,12 +9,12 @@ from typing import Annotated, Any, NoReturn
 
 import typer
 
-from sabench import __version__
 from sabench.cli import data, evaluate, solve
 from sabench.cli.doctor import doctor
 from sabench.cli.help_pages import Command, Group
 from sabench.cli.options import say
 from sabench.utils.errors import InputError
+from sabench.utils.version import __version__
 
 app = typer.Typer(cls=Group)
 app.command("list", cls=Command)(data.list_all)

@@ -30,7 +30,7 @@ def solve(
         str,
         typer.Argument(
             metavar="SOLVER",
-            help="Name of a solver, or path of a program (see docs/participate.md).",
+            help="Name of a solver, or path of a program (see docs/developing/participate.md).",
             autocompletion=complete_solver,
         ),
     ],
@@ -126,7 +126,7 @@ def calibrate(
         typer.Argument(
             metavar="FOLDER",
             help="A folder with calibration.toml and images or points.csv "
-            "(see docs/calibration.md).",
+            "(see docs/using/calibrating.md).",
         ),
     ],
     output: Annotated[

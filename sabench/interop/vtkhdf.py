@@ -17,7 +17,7 @@ from sabench.dataset.results import Result, open_result
 from sabench.geometry.vector_calculus import divergence, gradient, vorticity
 from sabench.metrics.bubble_detection import AnyBubbles, match
 from sabench.metrics.particle_detection import challenge_pairs
-from sabench.tasks.reconstruction_scores import true_field
+from sabench.metrics.synthesised_field import true_field
 from sabench.tasks.velocimetry import true_velocity
 from sabench.utils.arrays import F64, I64
 from sabench.utils.errors import InputError

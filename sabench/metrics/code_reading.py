@@ -1,18 +1,23 @@
-"""How well a code of dark and bright cells is seen: contrast, separation, and the part of it that is read."""
+"""Reading of a code of dark and bright cells: brightness, contrast, separation, cells read."""
 
 from __future__ import annotations
 
-import numpy as np
+from collections.abc import Sequence
 
-from sabench.utils.arrays import F64, Bool
+import numpy as np
+from scipy.ndimage import map_coordinates
+
+from sabench.geometry.camera_model import CameraModel
+from sabench.geometry.grid import Grid
+from sabench.utils.arrays import F32, F64, U16, Bool
 
 
 def reading(cells: F64, dark: Bool) -> dict[str, float]:
-    """Figures of one picture of a code.
+    """Figures of one image of a code.
 
     Parameters
     ----------
-    cells : (cell,) mean brightness of each; NaN where the picture does not show it: such a cell is
+    cells : (cell,) mean brightness of each; NaN where the image does not show it: such a cell is
         not read.
     dark : (cell,) which are dark.
 
@@ -39,8 +44,70 @@ def reading(cells: F64, dark: Bool) -> dict[str, float]:
     }
 
 
+def compare_with_single_views(cells: F64, single_cells: F64, dark: Bool) -> dict[str, float]:
+    """Figures of an estimate's picture of a code, and those of the cameras' own images.
+
+    Parameters
+    ----------
+    cells : (cell,) mean brightness of each cell in the estimate.
+    single_cells : (camera, cell) mean brightness of each cell in each camera's image.
+    dark : (cell,) which are dark.
+
+    Returns
+    -------
+    The figures of `reading`, and single_percent, best_single_percent, single_separation: mean and
+    largest part that one image shows, and the mean separation.
+    """
+    single = [reading(one, dark) for one in single_cells]
+    percent = [one["read_percent"] for one in single]
+    return reading(cells, dark) | {
+        "single_percent": float(np.mean(percent)),
+        "best_single_percent": max(percent),
+        "single_separation": float(np.nanmean([one["separation"] for one in single])),
+    }
+
+
+def read_volume(grid: Grid, volume: F32, points_mm: F64) -> F64:
+    """Mean values (cell,) of a volume (z, y, x) at the points (cell, point, 3) of each cell.
+
+    Values are interpolated linearly between voxels; NaN outside of the volume.
+    """
+    x, y, z = grid.to_voxels(points_mm.reshape(-1, 3)).T
+    return _mean_of_cells(volume, [z, y, x], points_mm.shape[:2])
+
+
+def single_views(
+    images: Sequence[U16 | F32] | U16 | F32, cameras: Sequence[CameraModel], points_mm: F64
+) -> F64:
+    """Mean grey values (camera, cell) of each camera's image at the points of each cell.
+
+    Parameters
+    ----------
+    images : (camera, row, column).
+    cameras : the true cameras.
+    points_mm : (cell, point, 3) points spread over each cell, world frame.
+
+    Returns
+    -------
+    NaN for a cell that is not completely inside a camera's image.
+    """
+    out = np.empty((len(cameras), len(points_mm)))
+    for cells, image, camera in zip(out, images, cameras, strict=True):
+        column, row = camera.project(points_mm.reshape(-1, 3))[0].T
+        cells[:] = _mean_of_cells(image, [row, column], points_mm.shape[:2])
+    return out
+
+
+def _mean_of_cells(array: F32 | U16, indices: list[F64], shape: tuple[int, ...]) -> F64:
+    """Mean (cell,) of an array at fractional indices, which are (cell, point) when reshaped."""
+    values = map_coordinates(
+        array.astype(np.float64), indices, order=1, mode="constant", cval=np.nan
+    )
+    return np.asarray(values.reshape(shape).mean(axis=1))
+
+
 def read_right(cells: F64, dark: Bool) -> Bool:
-    """Which cells (cell,) are on the right side of the threshold; none where fewer than two are shown."""
+    """Which cells (cell,) are on the right side of the threshold; none with fewer than two shown."""
     shown = np.isfinite(cells)
     return (
         shown & ((cells < otsu(cells[shown])) == dark)
@@ -50,7 +117,7 @@ def read_right(cells: F64, dark: Bool) -> Bool:
 
 
 def otsu(values: F64) -> float:
-    """The threshold that parts values into two groups with the largest variance between them."""
+    """Threshold that divides values into two groups with the largest variance between them."""
     ordered = np.sort(values)
     count, low = np.arange(1, len(ordered)), np.cumsum(ordered)[:-1]
     between = (

@@ -1,23 +1,93 @@
-"""How far a velocity field is from the true one."""
+"""Errors of a velocity field against the true one."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from sabench.utils.arrays import F64
+from sabench.geometry.vector_calculus import divergence, gradient, inner, vorticity
+from sabench.metrics.averages import root_mean_square
+from sabench.utils.arrays import F64, Bool
 
 _PRECISION = 90.0  # percent; thesis, table 2.2
+_AXES = ("u", "v", "w")
+
+
+def velocity_scores(
+    estimate: F64,
+    truth: F64,
+    valid: Bool,
+    step_mm: tuple[float, float, float],
+    interval_s: float,
+    voxel_mm: tuple[float, float, float],
+) -> dict[str, float]:
+    """Score a velocity field on a lattice; NaN where nothing was measured.
+
+    Derivatives are compared at nodes whose neighbours are in the lattice, too.
+
+    Parameters
+    ----------
+    estimate, truth : (z, y, x, 3) velocities, mm/s.
+    valid : (z, y, x) where the estimate was measured.
+    step_mm : spacing of the nodes, as (x, y, z).
+    interval_s : time between the two frames, which turns velocities into displacements.
+    voxel_mm : spacing of the voxels in which displacements are counted, as (x, y, z).
+    """
+    errors = ((estimate - truth) * interval_s / np.asarray(voxel_mm))[valid]
+    scores = _displacement_figures(errors if len(errors) else np.full((1, 3), np.nan))
+    scores["yield_percent"] = 100.0 * float(valid.mean())
+    scores["response"] = response(estimate[valid], truth[valid])
+    return scores | _derivative_figures(estimate, truth, step_mm)
+
+
+def _displacement_figures(errors: F64) -> dict[str, float]:
+    """Precision, bias and root mean square of displacement errors (n, 3), per axis and in total."""
+    bias = errors.mean(axis=0)
+    figures = {
+        "p90": precision_interval(errors),
+        "bias": bias,
+        "rms": np.sqrt((errors**2).mean(axis=0)),
+    }
+    scores = {
+        f"{axis}_{name}_voxel": float(value)
+        for name, values in figures.items()
+        for axis, value in zip(_AXES, values, strict=True)
+    }
+    scores["bias_voxel"] = float(np.linalg.norm(bias))
+    scores["rms_voxel"] = float(np.sqrt((errors**2).sum(axis=1).mean()))
+    return scores
+
+
+def _derivative_figures(
+    estimate: F64, truth: F64, step_mm: tuple[float, float, float]
+) -> dict[str, float]:
+    """Root mean square errors of the divergence, 1/s, and of the vorticity, % of the true one."""
+    slopes, true = (gradient(field, step_mm)[inner(field.shape[:3])] for field in (estimate, truth))
+    spin, true_spin = vorticity(slopes), vorticity(true)
+    return {
+        "divergence_1_s": root_mean_square(divergence(slopes) - divergence(true)),
+        "vorticity_percent": 100.0
+        * root_mean_square(spin - true_spin)
+        / max(root_mean_square(true_spin), 1e-300),
+    }
 
 
 def precision_interval(errors: F64) -> F64:
-    """Half widths (3,) of the intervals about zero that hold 90 % of errors (n, 3); thesis, section 2.3.3."""
+    """Half widths (3,) of the intervals about zero that hold 90 % of the errors (n, 3).
+
+    Source: thesis, section 2.3.3.
+    """
     return np.asarray(np.percentile(np.abs(errors), _PRECISION, axis=0))
 
 
-def response(found: F64, true: F64) -> float:
-    """The part of the true variation that is found: slope of found over true velocities (n, 3), each less its mean. For a wave: its amplitude."""
+def response(estimate: F64, truth: F64) -> float:
+    """Fraction of the true variation in an estimate; of a wave, the ratio of the amplitudes.
+
+    It is the slope of the estimated over the true velocities (n, 3), each less its mean.
+    """
     about = (
-        [values - values.mean(axis=0) for values in (found, true)] if len(true) else [found, true]
+        [values - values.mean(axis=0) for values in (estimate, truth)]
+        if len(truth)
+        else [estimate, truth]
     )
     power = float(np.sum(about[1] ** 2))
     return float(np.sum(about[0] * about[1])) / power if power > 0.0 else float("nan")

@@ -13,11 +13,12 @@ from sabench.api.truth import Bubbles
 from sabench.dataset.reader import Dataset
 from sabench.dataset.results import Result, ResultWriter
 from sabench.dataset.schema import CamerasFile, frame_group
+from sabench.metrics.averages import finite_or_none, mean_of_each
 from sabench.metrics.bubble_detection import AnyBubbles, detection_scores
 from sabench.metrics.plunging_jet import JetFigures, analyse
 from sabench.metrics.trajectories import track_scores
 from sabench.plotting import pictures
-from sabench.scenes.schema import Scene
+from sabench.scenes import Scene
 from sabench.tasks.solver_call import attempt
 from sabench.utils import memory
 from sabench.utils.arrays import I64
@@ -90,14 +91,10 @@ def score_result(data: Dataset, result: Result | str) -> dict[str, float | None]
         [data.rig.time_s(frame) for frame in range(data.rig.frames)],
     )
     over_time = {
-        key: _known(value)
+        key: finite_or_none(value)
         for key, value in track_scores(found, number, every, times, data.rig.sequences()).items()
     }
-    return (
-        {key: _mean([frame[key] for frame in frames]) for key in frames[0]}
-        | _jet_scores(data, found, every)
-        | over_time
-    )
+    return mean_of_each(frames) | _jet_scores(data, found, every) | over_time
 
 
 def estimate(data: Dataset, result: Result | str, frame: int) -> AnyBubbles:
@@ -142,7 +139,7 @@ def _jet_scores(
     guess, known = (jet_figures(data.scene, one) for one in (found, true))
     pairs = {key: (getattr(guess, name), getattr(known, name)) for key, name in JET.items()}
     return {
-        key: _known(100.0 * abs(one / other - 1.0)) if other else None
+        key: finite_or_none(100.0 * abs(one / other - 1.0)) if other else None
         for key, (one, other) in pairs.items()
     }
 
@@ -159,15 +156,6 @@ def jet_figures(scene: Scene, balls: Sequence[AnyBubbles]) -> JetFigures:
         depth,
         len(balls),
     )
-
-
-def _mean(values: list[float]) -> float | None:
-    known = [value for value in values if np.isfinite(value)]
-    return float(np.mean(known)) if known else None
-
-
-def _known(value: float) -> float | None:
-    return value if np.isfinite(value) else None
 
 
 def images(data: Dataset) -> bytes:

@@ -15,6 +15,7 @@ from sabench.dataset.reader import Dataset
 from sabench.dataset.results import Result, ResultWriter
 from sabench.dataset.schema import CamerasFile, frame_group
 from sabench.geometry.grid import synthesise
+from sabench.metrics.averages import finite_or_none, mean_of_each, root_mean_square
 from sabench.metrics.particle_detection import challenge_pairs, count_challenge
 from sabench.metrics.trajectories import link_scores
 from sabench.plotting import pictures
@@ -127,9 +128,7 @@ def score_result(data: Dataset, result: Result | str) -> dict[str, float | None]
         score_frame(data, guess, known)
         for guess, known in track(list(zip(found, true, strict=True)), "score")
     ]
-    return {key: _mean([frame[key] for frame in frames]) for key in frames[0]} | _over_time(
-        data, result, found, true
-    )
+    return mean_of_each(frames) | _over_time(data, result, found, true)
 
 
 def estimate(data: Dataset, result: Result | str, frame: int) -> FoundParticles:
@@ -155,7 +154,9 @@ def score_frame(data: Dataset, guess: FoundParticles, known: Particles) -> dict[
         "recall": counts.recall,
         "ghost_percent": counts.ghost_percent,
         "rms_px": _apart_px(data, guess.position_mm[i], known.position_mm[j]),
-        "rms_mm": _rms(np.linalg.norm(guess.position_mm[i] - known.position_mm[j], axis=1)),
+        "rms_mm": finite_or_none(
+            root_mean_square(np.linalg.norm(guess.position_mm[i] - known.position_mm[j], axis=1))
+        ),
     }
 
 
@@ -171,7 +172,7 @@ def _apart_px(data: Dataset, found_mm: F64, true_mm: F64) -> float | None:
         np.linalg.norm(camera.project(found_mm)[0] - camera.project(true_mm)[0], axis=1)
         for camera in data.true_cameras
     ]
-    return _rms(np.concatenate(apart))
+    return finite_or_none(root_mean_square(np.concatenate(apart)))
 
 
 def _over_time(
@@ -193,7 +194,7 @@ def _over_time(
         matched.append(((np.cumsum(kept) - 1)[i], (np.cumsum(there) - 1)[j]))
     times = [data.rig.time_s(frame) for frame in range(data.rig.frames)]
     scores = link_scores(places, numbers, truths, identities, matched, times, data.rig.sequences())
-    return {key: value if np.isfinite(value) else None for key, value in scores.items()}
+    return {key: finite_or_none(value) for key, value in scores.items()}
 
 
 def _tracks(data: Dataset, result: Result | str, found: Sequence[FoundParticles]) -> list[I64]:
@@ -211,15 +212,6 @@ def _tracks(data: Dataset, result: Result | str, found: Sequence[FoundParticles]
             f"{where}: {frame_group(missing[0])}/particles/track: expected one in every frame or in none, found none here"
         )
     return _numbers(data.rig, found)
-
-
-def _rms(values: F64) -> float | None:
-    return float(np.sqrt(np.mean(values**2))) if len(values) else None
-
-
-def _mean(values: list[float | None]) -> float | None:
-    known = [value for value in values if value is not None]
-    return float(np.mean(known)) if known else None
 
 
 def images(data: Dataset) -> bytes:

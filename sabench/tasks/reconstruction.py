@@ -12,8 +12,10 @@ from sabench.api import Observation, Reconstruction, Solver
 from sabench.dataset.reader import Dataset
 from sabench.dataset.results import Result, ResultWriter
 from sabench.geometry.visibility import any_in_view
+from sabench.metrics.averages import mean_of_each
+from sabench.metrics.reconstruction_error import score_frame
 from sabench.plotting import pictures
-from sabench.tasks.reconstruction_scores import SCORES, estimate, score_frame
+from sabench.tasks.reconstruction_scores import estimate
 from sabench.tasks.solver_call import attempt
 from sabench.utils import memory
 from sabench.utils.errors import InputError
@@ -70,7 +72,7 @@ def score_result(data: Dataset, result: Result | str) -> dict[str, float | None]
         )
         for frame in track(range(data.rig.frames), "score")
     ]
-    return {key: _mean([frame[key] for frame in frames]) for key in SCORES}
+    return mean_of_each(frames)
 
 
 def images(data: Dataset) -> bytes:
@@ -89,11 +91,6 @@ def error_picture(data: Dataset, result: Result) -> bytes:
     return pictures.error_slice(
         estimate(data, result, 0).volume, estimate(data, "truth", 0).volume, data.rig.grid.scored
     )
-
-
-def _mean(values: list[float | None]) -> float | None:
-    known = [value for value in values if value is not None]
-    return float(np.mean(known)) if known else None
 
 
 def check_case(case: Observation, source: str) -> None:

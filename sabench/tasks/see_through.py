@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
 
 import numpy as np
-from scipy.ndimage import map_coordinates
 from scipy.spatial import cKDTree
 
-from sabench.api import Code, Observation, Reconstruction, SeeThroughSolver
+from sabench.api import Code, Reconstruction, SeeThroughSolver
 from sabench.dataset.reader import Dataset
 from sabench.dataset.results import Result, ResultWriter
-from sabench.geometry.camera import Camera
 from sabench.geometry.grid import Grid
-from sabench.metrics.code_reading import read_right, reading
+from sabench.metrics.averages import mean_of_each
+from sabench.metrics.code_reading import (
+    compare_with_single_views,
+    read_right,
+    read_volume,
+    single_views,
+)
 from sabench.plotting import pictures
 from sabench.tasks.reconstruction import check_array, check_case
 from sabench.tasks.solver_call import attempt
@@ -58,58 +61,22 @@ def copy(data: Dataset, result: Result, writer: ResultWriter) -> None:
 
 def score_result(data: Dataset, result: Result | str) -> dict[str, float | None]:
     """All scores: means over the frames; what single cameras show is there to compare with."""
-    frames = []
-    for frame in track(range(data.rig.frames), "score"):
-        code = code_of(data.scene, data.manifest.seed, frame)
-        single = [
-            reading(cells, code.dark)
-            for cells in single_views(data.observation(frame), data.true_cameras, code)
-        ]
-        own = reading(_cells(data, result, frame, code), code.dark)
-        shown = [one["read_percent"] for one in single]
-        apart = float(np.nanmean([one["separation"] for one in single]))
-        frames.append(
-            own
-            | {
-                "single_percent": float(np.mean(shown)),
-                "best_single_percent": max(shown),
-                "single_separation": apart,
-            }
-        )
-    return {key: _mean([frame[key] for frame in frames]) for key in frames[0]}
+    return mean_of_each(
+        [_score_frame(data, result, frame) for frame in track(range(data.rig.frames), "score")]
+    )
+
+
+def _score_frame(data: Dataset, result: Result | str, frame: int) -> dict[str, float]:
+    code = code_of(data.scene, data.manifest.seed, frame)
+    single = single_views(data.observation(frame).images, data.true_cameras, code.points_mm)
+    return compare_with_single_views(_cells(data, result, frame, code), single, code.dark)
 
 
 def _cells(data: Dataset, result: Result | str, frame: int, code: Code) -> F64:
     """Mean brightness (cell,) of each cell: in a result's planes, or what the word `truth` or `empty` stands for."""
     if not isinstance(result, Result):
         return np.where(code.dark, 0.0, 1.0) if result == "truth" else np.zeros(len(code.dark))
-    return read_volume(data.rig.grid, result.reconstruction(frame).volume, code)
-
-
-def read_volume(grid: Grid, volume: F32, code: Code) -> F64:
-    """Mean values (cell,) of the cells in a volume (z, y, x), linearly between its voxels; NaN outside of it."""
-    x, y, z = grid.to_voxels(code.points_mm.reshape(-1, 3)).T
-    values = map_coordinates(
-        volume.astype(np.float64), [z, y, x], order=1, mode="constant", cval=np.nan
-    )
-    return np.asarray(values.reshape(code.points_mm.shape[:2]).mean(axis=1))
-
-
-def single_views(case: Observation, cameras: Sequence[Camera], code: Code) -> F64:
-    """Mean grey values (camera, cell) of the cells in every camera's image, where the true cameras see them; NaN outside of it."""
-    out, points = np.empty((len(cameras), len(code.dark))), code.points_mm.reshape(-1, 3)
-    for cells, image, camera in zip(out, case.images, cameras, strict=True):
-        column, row = camera.project(points)[0].T
-        values = map_coordinates(
-            image.astype(np.float64), [row, column], order=1, mode="constant", cval=np.nan
-        )
-        cells[:] = values.reshape(code.points_mm.shape[:2]).mean(axis=1)
-    return out
-
-
-def _mean(values: list[float]) -> float | None:
-    known = [value for value in values if np.isfinite(value)]
-    return float(np.mean(known)) if known else None
+    return read_volume(data.rig.grid, result.reconstruction(frame).volume, code.points_mm)
 
 
 def images(data: Dataset) -> bytes:

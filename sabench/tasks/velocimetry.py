@@ -9,8 +9,8 @@ import numpy as np
 from sabench.api import Reconstruction, Solver, VelocimetrySolver, Velocity, VolumePair
 from sabench.dataset.reader import Dataset
 from sabench.dataset.results import Result, ResultWriter
-from sabench.geometry.vector_calculus import divergence, gradient, inner, vorticity
-from sabench.metrics.velocity_error import precision_interval, response
+from sabench.metrics.averages import finite_or_none
+from sabench.metrics.velocity_error import velocity_scores
 from sabench.plotting import pictures
 from sabench.plotting.charts import draw
 from sabench.tasks.figures.velocity import field_figure
@@ -24,7 +24,6 @@ from sabench.worlds.advection import advect
 from sabench.worlds.tracers import TOLERANCE, flow_of
 
 _NEIGHBOURS = 8  # true particles whose mean stands for the flow where it is not known otherwise
-_AXES = ("u", "v", "w")
 
 
 def run(
@@ -98,46 +97,23 @@ def score_result(data: Dataset, result: Result) -> dict[str, float | None]:
     ]
     scores = {key: float(np.mean([one[key] for one in pairs])) for key in pairs[0]}
     return {
-        **{key: value if np.isfinite(value) else None for key, value in scores.items()},
+        **{key: finite_or_none(value) for key, value in scores.items()},
         "reconstruction_s": result.reconstruction_s,
     }
 
 
-def score_pair(data: Dataset, pair: tuple[int, int], guess: Velocity) -> dict[str, float]:
-    """Scores of one pair's field, over the vectors that were measured; differences over those whose neighbours are in the lattice."""
-    points = guess.positions_mm
-    interval = data.rig.time_s(pair[1]) - data.rig.time_s(pair[0])
-    exact = true_velocity(data, pair, points.reshape(-1, 3)).reshape(points.shape)
-    errors = ((guess.velocity_mm_s - exact) * interval / np.asarray(data.rig.grid.voxel_mm))[
-        guess.valid
-    ]
-    errors = errors if len(errors) else np.full((1, 3), np.nan)  # nothing was measured: no figure
-    widths = precision_interval(errors)
-    scores = {f"{axis}_p90_voxel": float(width) for axis, width in zip(_AXES, widths, strict=True)}
-    scores |= {
-        f"{axis}_bias_voxel": float(value)
-        for axis, value in zip(_AXES, errors.mean(axis=0), strict=True)
-    }
-    scores |= {
-        f"{axis}_rms_voxel": float(value)
-        for axis, value in zip(_AXES, np.sqrt((errors**2).mean(axis=0)), strict=True)
-    }
-    scores["bias_voxel"] = float(np.linalg.norm(errors.mean(axis=0)))
-    scores["rms_voxel"] = float(np.sqrt((errors**2).sum(axis=1).mean()))
-    scores["yield_percent"] = 100.0 * float(guess.valid.mean())
-    scores["response"] = response(guess.velocity_mm_s[guess.valid], exact[guess.valid])
-    slopes, true = (
-        gradient(field, guess.step_mm)[inner(guess.valid.shape)]
-        for field in (guess.velocity_mm_s, exact)
+def score_pair(data: Dataset, pair: tuple[int, int], field: Velocity) -> dict[str, float]:
+    """Score one pair's field."""
+    points = field.positions_mm
+    truth = true_velocity(data, pair, points.reshape(-1, 3)).reshape(points.shape)
+    return velocity_scores(
+        field.velocity_mm_s,
+        truth,
+        field.valid,
+        field.step_mm,
+        data.rig.time_s(pair[1]) - data.rig.time_s(pair[0]),
+        data.rig.grid.voxel_mm,
     )
-    scores["divergence_1_s"] = _rms(divergence(slopes) - divergence(true))
-    curl, spin = vorticity(slopes), vorticity(true)
-    scores["vorticity_percent"] = 100.0 * _rms(curl - spin) / max(_rms(spin), 1e-300)
-    return scores
-
-
-def _rms(values: F64) -> float:
-    return float(np.sqrt(np.mean(np.square(values)))) if values.size else np.nan
 
 
 def true_velocity(data: Dataset, pair: tuple[int, int], points_mm: F64) -> F64:

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from sabench.scenes.loading import parse_scene
-from sabench.scenes.schema import Scene
+from sabench.scenes import Scene, parse_scene
 
 
 def small(**changes: Any) -> Scene:

@@ -8,9 +8,8 @@ import numpy as np
 
 from sabench.api import CalibrationCase
 from sabench.geometry.camera import Camera
-from sabench.scenes.loading import parse_scene
-from sabench.scenes.rig import build_rig, load_scene, told_cameras
-from sabench.scenes.schema import Scene
+from sabench.scenes import Scene, build_rig, load_scene, parse_scene
+from sabench.scenes.nominal_cameras import nominal_cameras
 from sabench.utils.arrays import F64
 from sabench.worlds.calibration_targets import exact_pixels, found_pixels, place, prior
 
@@ -36,7 +35,7 @@ def case_of(scene: Scene, seed: int = 1) -> tuple[CalibrationCase, tuple[Camera,
         [found_pixels(scene.detection, own, seed, number)[0] for number, own in enumerate(exact)]
     )
     known = prior(scene, placed, seed)
-    told = told_cameras(scene, cameras, seed)
+    told = nominal_cameras(scene, cameras, seed)
     case = CalibrationCase(
         placed.target,
         pixels,

@@ -18,7 +18,7 @@ from sabench.api import Detections, Velocity
 from sabench.dataset import schema
 from sabench.dataset.reader import Dataset, open_dataset
 from sabench.dataset.results import result_writer
-from sabench.scenes.loading import parse_scene
+from sabench.scenes import parse_scene
 from sabench.utils.errors import InputError
 from tests.helpers import mutations
 
@@ -182,7 +182,7 @@ def scene(base: Base, inputs: Path, out: Path, rng: random.Random) -> Feed:
     _write_toml(path, whole, rng)
 
     def feed() -> None:
-        from sabench.scenes.rig import load_scene
+        from sabench.scenes import load_scene
         from sabench.simulation.pipeline import generate
 
         loaded = load_scene(path)

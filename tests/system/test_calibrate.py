@@ -14,8 +14,8 @@ import tomli_w
 from pydantic import TypeAdapter
 
 from sabench.geometry.camera import Camera
-from sabench.scenes.rig import build_rig
-from sabench.scenes.schema import Lighting, Scene
+from sabench.scenes import Scene, build_rig
+from sabench.scenes.illumination import Lighting
 from sabench.simulation.rendering.targets_traced import photograph
 from sabench.utils.arrays import F64
 from sabench.worlds.calibration_targets import place

@@ -15,7 +15,7 @@ from sabench import plugins
 from sabench.api import Calibration, CalibrationCase
 from sabench.api.make import make_algorithm
 from sabench.dataset.reader import Dataset
-from sabench.scenes.loading import parse_scene
+from sabench.scenes import parse_scene
 from sabench.tasks.calibration import score_result
 from sabench.utils.errors import InputError
 from tests.conftest import ROOT, Command

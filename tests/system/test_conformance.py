@@ -10,11 +10,10 @@ import pytest
 from sabench import plugins
 from sabench.api import Observation, Reconstruction
 from sabench.api.make import make_solver
-from sabench.scenes.loading import parse_scene
-from sabench.scenes.rig import load_scene
+from sabench.metrics.reconstruction_error import score_frame
+from sabench.scenes import load_scene, parse_scene
 from sabench.simulation.in_memory import Shot, simulate
 from sabench.tasks.columns import COLUMNS
-from sabench.tasks.reconstruction_scores import score_frame
 
 SOLVERS = [
     name

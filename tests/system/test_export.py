@@ -12,9 +12,9 @@ from sabench.api import Detections, Velocity
 from sabench.dataset.reader import Dataset, open_dataset
 from sabench.dataset.results import open_result, result_writer
 from sabench.geometry.vector_calculus import vorticity
+from sabench.metrics.synthesised_field import true_field
 from sabench.plugins import load
-from sabench.scenes.schema import Scene
-from sabench.tasks.reconstruction_scores import true_field
+from sabench.scenes import Scene
 from sabench.worlds.tracers import flow_of
 from tests.conftest import Command
 from tests.helpers.bubble_scenes import LASER, small

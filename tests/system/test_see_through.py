@@ -13,10 +13,11 @@ from sabench.api.truth import NOTHING
 from sabench.dataset.reader import Dataset
 from sabench.dataset.verification import verify
 from sabench.interop.vtkhdf import export
+from sabench.metrics.code_reading import single_views
 from sabench.plugins import load
-from sabench.scenes.schema import Scene
+from sabench.scenes import Scene
 from sabench.simulation.pipeline import generate
-from sabench.tasks.see_through import error_picture, single_views
+from sabench.tasks.see_through import error_picture
 from sabench.tasks.solve_and_score import score, solve
 from sabench.utils.errors import InputError
 from sabench.worlds.readable_codes import code_of
@@ -92,7 +93,7 @@ def test_without_bubbles_every_view_shows_the_code(tmp_path: Path) -> None:
     data = generate(behind(None, turn_deg=[0.0, 30.0, 10.0]), tmp_path / "data", seed=4)
     code = code_of(data.scene, 4, 0)
     assert code.dark.sum() == 15
-    cells = single_views(data.observation(0), data.true_cameras, code)
+    cells = single_views(data.observation(0).images, data.true_cameras, code.points_mm)
     assert cells[:, code.dark].max() < 0.2 * cells[:, ~code.dark].min()
     seen = data.sight(0, data.true_cameras[0]).number
     assert (seen[seen != NOTHING] == NOTHING - 1).all()

@@ -15,7 +15,7 @@ from sabench.dataset.reader import Dataset
 from sabench.dataset.results import ResultWriter, result_writer
 from sabench.geometry.camera import Camera
 from sabench.geometry.rotations import exponential
-from sabench.tasks.reconstruction_scores import true_field
+from sabench.metrics.synthesised_field import true_field
 from sabench.tasks.solve_and_score import score
 from sabench.tasks.velocimetry import true_velocity
 from sabench.utils.arrays import triple

@@ -12,12 +12,11 @@ from sabench.api.make import make_algorithm
 from sabench.evaluation.suites import override
 from sabench.evaluation.thesis.chapter_5 import photographed
 from sabench.evaluation.thesis.common import Item, claim, coarsened, compared
-from sabench.metrics.code_reading import reading
+from sabench.metrics.code_reading import read_volume, reading, single_views
 from sabench.plotting.charts import Figure, Panel, Picture
-from sabench.scenes.rig import build_rig, load_scene
-from sabench.scenes.schema import Scene
+from sabench.scenes import Scene, build_rig, load_scene
 from sabench.simulation.frames_of_bubbles import Worlds, record
-from sabench.tasks.see_through import code_plane, read_volume, single_views
+from sabench.tasks.see_through import code_plane
 from sabench.utils.arrays import F64
 from sabench.worlds.readable_codes import code_of
 
@@ -34,7 +33,8 @@ def rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
         world, case = photographed(scene, seed)
         code = code_of(scene, seed, 0)
         single = [
-            reading(cells, code.dark) for cells in single_views(case, world.rig.cameras, code)
+            reading(cells, code.dark)
+            for cells in single_views(case.images, world.rig.cameras, code.points_mm)
         ]
         found.setdefault("single views, mean", []).append(
             {key: float(np.nanmean([one[key] for one in single])) for key in single[0]}
@@ -46,7 +46,7 @@ def rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
             algorithm: Any = make_algorithm("see_through", {"method": method})
             volume = algorithm.solve(case).volume
             found.setdefault(method, []).append(
-                reading(read_volume(case.grid, volume, code), code.dark)
+                reading(read_volume(case.grid, volume, code.points_mm), code.dark)
             )
             if seed == seeds[0]:
                 panels.append(_panel(method, code_plane(case.grid, volume, code)))

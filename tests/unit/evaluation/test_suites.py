@@ -12,7 +12,7 @@ from scipy.special import erf
 from sabench.api.truth import Particles
 from sabench.evaluation.suites import Case, load_suite, override
 from sabench.plugins import bundled
-from sabench.scenes.rig import build_rig, load_scene
+from sabench.scenes import build_rig, load_scene
 from sabench.simulation.rendering.particle_images import image_particles
 from sabench.utils.confidence import mean_of
 from sabench.utils.errors import InputError

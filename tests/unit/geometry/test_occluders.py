@@ -14,14 +14,12 @@ from scipy.optimize import brentq
 import sabench
 from sabench.geometry.camera import Camera
 from sabench.geometry.occluders import Disc
-from sabench.scenes.loading import parse_scene
-from sabench.scenes.rig import build_rig
-from sabench.scenes.schema import Scene
+from sabench.metrics.synthesised_field import true_field
+from sabench.scenes import Scene, build_rig, parse_scene
 from sabench.simulation.in_memory import Shot, simulate
 from sabench.simulation.rendering.particle_images import image_particles
 from sabench.simulation.rendering.particles_splatted import splat
 from sabench.simulation.rendering.particles_traced import render
-from sabench.tasks.reconstruction_scores import true_field
 from sabench.utils.arrays import F64, Bool
 from sabench.utils.errors import InputError
 from tests.unit.simulation.rendering.test_particle_images import (

@@ -19,7 +19,7 @@ from sabench.geometry.polynomial_cameras import (
     fit_soloff,
 )
 from sabench.geometry.triangulation import intersect, triangulate
-from sabench.scenes.rig import build_rig
+from sabench.scenes import build_rig
 from sabench.simulation.in_memory import simulate
 from sabench.utils.arrays import F64
 from sabench.utils.errors import InputError

@@ -17,7 +17,7 @@ from sabench.images.preprocessing import (
     Stretch,
     processed,
 )
-from sabench.scenes.loading import parse_scene
+from sabench.scenes import parse_scene
 from sabench.simulation.in_memory import simulate
 from sabench.simulation.pipeline import generate
 from sabench.tasks.solve_and_score import solve

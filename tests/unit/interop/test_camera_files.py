@@ -16,7 +16,7 @@ from sabench.geometry.refraction import Layer, Wall
 from sabench.geometry.rotations import exponential
 from sabench.interop import openlpt, openptv
 from sabench.interop.openptv_process import parameters
-from sabench.scenes.rig import build_rig, load_scene
+from sabench.scenes import build_rig, load_scene
 from sabench.utils.arrays import F64, triple
 from sabench.utils.errors import InputError
 from sabench.utils.processes import child

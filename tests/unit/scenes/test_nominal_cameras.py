@@ -14,9 +14,8 @@ from sabench.dataset.reader import Dataset, open_dataset
 from sabench.dataset.schema import content_hash, sealed
 from sabench.dataset.verification import verify
 from sabench.geometry.camera import Camera
-from sabench.scenes.loading import parse_scene
-from sabench.scenes.rig import build_rig, told_cameras
-from sabench.scenes.schema import Scene
+from sabench.scenes import Scene, build_rig, parse_scene
+from sabench.scenes.nominal_cameras import nominal_cameras
 from sabench.simulation.in_memory import simulate
 from sabench.utils.arrays import F64
 from sabench.utils.errors import InputError
@@ -47,7 +46,7 @@ def moves(told: tuple[Camera, ...], true: tuple[Camera, ...]) -> F64:
 def test_every_projection_is_off_by_the_given_length(shift: float) -> None:
     scene = shifted_scene(shift, cameras=LENS)
     true = build_rig(scene).cameras
-    found = moves(told_cameras(scene, true, 7), true)
+    found = moves(nominal_cameras(scene, true, 7), true)
     np.testing.assert_allclose(np.linalg.norm(found, axis=2), shift, rtol=1e-10)
     np.testing.assert_allclose(found, np.broadcast_to(found[:, :1], found.shape), atol=1e-10)
 
@@ -59,7 +58,7 @@ def test_directions_are_random_and_belong_to_the_seed_and_the_camera() -> None:
     )
     true = build_rig(scene).cameras
     first, again, other = (
-        np.array([camera.principal_point_px for camera in told_cameras(scene, true, seed)])
+        np.array([camera.principal_point_px for camera in nominal_cameras(scene, true, seed)])
         for seed in (1, 1, 2)
     )
     np.testing.assert_array_equal(first, again)
@@ -68,7 +67,7 @@ def test_directions_are_random_and_belong_to_the_seed_and_the_camera() -> None:
         ways = drawn - true[0].principal_point_px
         assert len(np.unique(ways, axis=0)) == 100
         assert np.linalg.norm(ways.mean(axis=0)) < 0.3  # 100 random unit vectors: 0.1 on average
-    few = told_cameras(scene, true[:3], 1)
+    few = nominal_cameras(scene, true[:3], 1)
     assert [camera.principal_point_px for camera in few] == [
         tuple(place) for place in first[:3].tolist()
     ]
@@ -104,7 +103,7 @@ def test_a_data_set_keeps_both_the_told_and_the_true_cameras(
     assert (
         wrong.observation(0).cameras
         == wrong.rig.cameras
-        == told_cameras(shifted_scene(1.5), rig.cameras, 9)
+        == nominal_cameras(shifted_scene(1.5), rig.cameras, 9)
     )
     assert simulate(shifted_scene(1.5), seed=9).observation.cameras == wrong.rig.cameras
     np.testing.assert_allclose(

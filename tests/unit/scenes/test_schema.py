@@ -9,8 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sabench.scenes.loading import parse_scene, schema
-from sabench.scenes.rig import build_rig, load_scene
+from sabench.scenes import build_rig, load_scene, parse_scene, scene_schema
 from sabench.simulation.in_memory import make_particles
 from sabench.utils.errors import InputError
 
@@ -121,7 +120,7 @@ def test_hash_depends_on_every_value() -> None:
 
 
 def test_schema_covers_every_key_of_a_scene() -> None:
-    whole = schema()
+    whole = scene_schema()
     assert set(load_scene("quick").to_dict()) <= set(whole["properties"])
     assert whole["additionalProperties"] is False
     for table, name in (("particles", "uniform"), ("targets", "boards")):

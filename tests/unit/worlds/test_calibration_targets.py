@@ -15,9 +15,9 @@ from sabench.api.truth import Target
 from sabench.dataset.verification import verify
 from sabench.geometry.camera import Camera
 from sabench.geometry.frames import Pose
-from sabench.scenes.loading import parse_scene
-from sabench.scenes.rig import build_rig
-from sabench.scenes.schema import Detection, Lighting
+from sabench.scenes import build_rig, parse_scene
+from sabench.scenes.calibration import Detection
+from sabench.scenes.illumination import Lighting
 from sabench.simulation.rendering.targets_traced import marker_bits, photograph
 from sabench.utils.arrays import F64
 from sabench.utils.errors import InputError

@@ -11,9 +11,7 @@ import numpy as np
 import pytest
 from scipy.stats import kstest
 
-from sabench.scenes.loading import parse_scene
-from sabench.scenes.rig import load_scene
-from sabench.scenes.schema import Scene
+from sabench.scenes import Scene, load_scene, parse_scene
 from sabench.simulation.in_memory import make_particles, simulate
 from sabench.simulation.pipeline import generate
 from sabench.utils.errors import InputError

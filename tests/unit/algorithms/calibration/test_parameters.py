@@ -11,7 +11,7 @@ import pytest
 from sabench.algorithms.calibration.parameters import Free
 from sabench.geometry.camera import Distortion
 from sabench.plugins import load
-from sabench.scenes.schema import Scene
+from sabench.scenes import Scene
 from sabench.simulation.pipeline import generate
 from sabench.tasks.solve_and_score import score, solve
 from tests.helpers.calibration_cases import calibration_scene, case_of, true_error_px

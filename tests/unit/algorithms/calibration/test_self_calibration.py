@@ -16,9 +16,7 @@ from sabench.geometry.triangulation import triangulate
 from sabench.geometry.volume_polynomials import maps_of, positions
 from sabench.images.peaks import spots_of
 from sabench.plugins import load
-from sabench.scenes.loading import parse_scene
-from sabench.scenes.rig import build_rig, load_scene
-from sabench.scenes.schema import Scene
+from sabench.scenes import Scene, build_rig, load_scene, parse_scene
 from sabench.simulation.in_memory import Shot, simulate
 from sabench.utils.errors import InputError
 

@@ -24,9 +24,9 @@ from sabench.evaluation.thesis.best_threshold import best_k, quality_of_k
 from sabench.geometry.grid import synthesise
 from sabench.images.brightness import bright_dn, normalised
 from sabench.metrics.quality_factor import quality
-from sabench.scenes.loading import parse_scene
+from sabench.metrics.synthesised_field import true_field
+from sabench.scenes import parse_scene
 from sabench.simulation.in_memory import Shot, simulate
-from sabench.tasks.reconstruction_scores import true_field
 from sabench.utils.arrays import F32
 
 KEEPS: list[Keep] = ["reduced", "whole"]
@@ -68,7 +68,9 @@ def shot() -> Shot:
 
 
 def refocused(case: Observation) -> F32:
-    return refocus_sum(normalised(case), case.cameras, case.grid) / np.float32(len(case.cameras))
+    return refocus_sum(
+        normalised(case.images, case.black_dn), case.cameras, case.grid
+    ) / np.float32(len(case.cameras))
 
 
 def random_volumes() -> tuple[F32, F32]:
@@ -237,6 +239,6 @@ def test_bright_level_is_numpys_percentile_of_lit_pixels(seed: int) -> None:
 
 def test_images_are_scaled_to_their_bright_level() -> None:
     case = simulate(array_scene(0.05, sensor={"black_level_dn": 20.0}), seed=3).observation
-    for grey, scaled in zip(case.images, normalised(case), strict=True):
+    for grey, scaled in zip(case.images, normalised(case.images, case.black_dn), strict=True):
         expected = np.maximum(grey - 20.0, 0.0) / bright_dn(grey, 20.0)
         np.testing.assert_allclose(scaled, expected, rtol=1e-6, atol=1e-7)

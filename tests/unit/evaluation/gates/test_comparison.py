@@ -32,9 +32,7 @@ from sabench.evaluation.gates.independent_projection import retrace
 from sabench.evaluation.gates.junit import junit, write_junit
 from sabench.evaluation.gates.known_wrong_estimates import probe
 from sabench.evaluation.suites import Entrant, load_suite
-from sabench.scenes.loading import parse_scene
-from sabench.scenes.rig import build_rig, load_scene
-from sabench.scenes.schema import Scene
+from sabench.scenes import Scene, build_rig, load_scene, parse_scene
 from sabench.simulation.pipeline import generate
 from sabench.tasks.columns import COLUMNS
 from sabench.utils.errors import InputError

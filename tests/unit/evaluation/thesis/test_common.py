@@ -22,7 +22,7 @@ from sabench.evaluation.thesis.common import (
 )
 from sabench.evaluation.thesis.fig_2_7 import by_cameras, falls_to
 from sabench.evaluation.thesis.table_2_1 import crossings, plane_spacing_mm
-from sabench.scenes.rig import build_rig, load_scene
+from sabench.scenes import build_rig, load_scene
 from sabench.simulation.in_memory import make_particles
 from sabench.utils.errors import InputError
 

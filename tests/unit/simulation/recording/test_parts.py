@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sabench.scenes.rig import load_scene
+from sabench.scenes import load_scene
 from sabench.simulation.recording.job import Job, read_job
 from sabench.simulation.recording.parts import KEPT, Parts, Taken, files_of
 from sabench.utils.errors import InputError

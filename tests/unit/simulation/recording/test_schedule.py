@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sabench.simulation.recording.schedule import TRIES, Plan, Task
+from sabench.simulation.recording.schedule import TRIES, Schedule, Task
 
 
 def check_allowed(task: Task, finished: set[Task], *, chained: bool) -> None:
@@ -17,7 +17,7 @@ def check_allowed(task: Task, finished: set[Task], *, chained: bool) -> None:
 
 
 def work(
-    plan: Plan,
+    schedule: Schedule,
     workers: int,
     *,
     chained: bool,
@@ -30,9 +30,9 @@ def work(
     running: dict[int, Task] = {}
     last: dict[int, int] = {}
     ended = list(before)
-    while not plan.finished:
+    while not schedule.finished:
         for worker in range(workers):
-            if worker not in running and (task := plan.take(last.get(worker))) is not None:
+            if worker not in running and (task := schedule.take(last.get(worker))) is not None:
                 check_allowed(task, set(ended), chained=chained)
                 running[worker], last[worker] = task, task.frame
         most = max(most, len({task.frame for task in running.values()}))
@@ -40,9 +40,9 @@ def work(
         worker = int(rng.choice(list(running)))
         task = running.pop(worker)
         if rng.random() < dying:
-            plan.failed(task, "died")
+            schedule.fail(task, "died")
             continue
-        plan.done(task)
+        schedule.complete(task)
         ended.append(task)
     assert not running
     return ended, most
@@ -57,61 +57,61 @@ def test_everything_is_done_once_in_an_order_that_it_allows(
     frames: int, cameras: int, workers: int, chained: bool
 ) -> None:
     for seed in range(5):
-        plan = Plan(frames, cameras, chained=chained, ahead=workers + 1)
-        ended, most = work(plan, workers, chained=chained, seed=seed)
-        assert len(ended) == len(set(ended)) == plan.tasks == frames * (1 + cameras)
+        schedule = Schedule(frames, cameras, chained=chained, ahead=workers + 1)
+        ended, most = work(schedule, workers, chained=chained, seed=seed)
+        assert len(ended) == len(set(ended)) == schedule.tasks == frames * (1 + cameras)
         assert most <= workers + 1
-        assert plan.failures == []
+        assert schedule.failures == []
 
 
 def test_a_task_that_fails_now_and_then_is_done_in_the_end() -> None:
-    plan = Plan(60, 3, chained=True, ahead=4)
-    ended, _ = work(plan, 3, chained=True, seed=1, dying=0.05)
-    assert len(set(ended)) == len(ended) == plan.tasks
-    assert plan.failures == []
+    schedule = Schedule(60, 3, chained=True, ahead=4)
+    ended, _ = work(schedule, 3, chained=True, seed=1, dying=0.05)
+    assert len(set(ended)) == len(ended) == schedule.tasks
+    assert schedule.failures == []
 
 
 def test_one_worker_stays_with_a_frame() -> None:
-    ended, _ = work(Plan(4, 3, chained=False, ahead=1), 1, chained=False, seed=0)
+    ended, _ = work(Schedule(4, 3, chained=False, ahead=1), 1, chained=False, seed=0)
     assert ended == [Task(frame, camera) for frame in range(4) for camera in (None, 0, 1, 2)]
 
 
 def test_two_workers_take_a_frame_each_and_share_the_last() -> None:
-    plan = Plan(3, 2, chained=False, ahead=3)
-    assert [plan.take(None), plan.take(None)] == [Task(0), Task(1)]
-    plan.done(Task(0))
-    plan.done(Task(1))
-    assert [plan.take(1), plan.take(0)] == [Task(1, 0), Task(0, 0)]
-    plan.done(Task(1, 0))
-    assert plan.take(1) == Task(1, 1)
-    plan.done(Task(1, 1))
-    assert plan.take(1) == Task(2)
-    plan.done(Task(2))
-    assert plan.take(1) == Task(2, 0)
-    plan.done(Task(0, 0))
-    assert plan.take(0) == Task(0, 1)
-    plan.done(Task(0, 1))
-    assert plan.take(0) == Task(2, 1)
+    schedule = Schedule(3, 2, chained=False, ahead=3)
+    assert [schedule.take(None), schedule.take(None)] == [Task(0), Task(1)]
+    schedule.complete(Task(0))
+    schedule.complete(Task(1))
+    assert [schedule.take(1), schedule.take(0)] == [Task(1, 0), Task(0, 0)]
+    schedule.complete(Task(1, 0))
+    assert schedule.take(1) == Task(1, 1)
+    schedule.complete(Task(1, 1))
+    assert schedule.take(1) == Task(2)
+    schedule.complete(Task(2))
+    assert schedule.take(1) == Task(2, 0)
+    schedule.complete(Task(0, 0))
+    assert schedule.take(0) == Task(0, 1)
+    schedule.complete(Task(0, 1))
+    assert schedule.take(0) == Task(2, 1)
 
 
-def fail(plan: Plan, task: Task) -> None:
+def fail(schedule: Schedule, task: Task) -> None:
     for _ in range(TRIES):
-        while plan.take(None) != task:
+        while schedule.take(None) != task:
             pass
-        plan.failed(task, "broken")
+        schedule.fail(task, "broken")
 
 
 def test_a_camera_that_always_fails_is_a_failure_and_the_rest_is_done() -> None:
-    plan = Plan(2, 2, chained=True, ahead=1)
-    assert plan.take(None) == Task(0)
-    plan.done(Task(0))
-    assert plan.take(0) == Task(0, 0)
+    schedule = Schedule(2, 2, chained=True, ahead=1)
+    assert schedule.take(None) == Task(0)
+    schedule.complete(Task(0))
+    assert schedule.take(0) == Task(0, 0)
     for _ in range(TRIES):
-        plan.failed(Task(0, 0), "broken")
-        if not plan.failures:
-            assert plan.take(0) == Task(0, 0)
-    assert plan.failures == [(Task(0, 0), "broken")]
-    ended, _ = work(plan, 1, chained=True, seed=0, before=(Task(0),))
+        schedule.fail(Task(0, 0), "broken")
+        if not schedule.failures:
+            assert schedule.take(0) == Task(0, 0)
+    assert schedule.failures == [(Task(0, 0), "broken")]
+    ended, _ = work(schedule, 1, chained=True, seed=0, before=(Task(0),))
     assert ended == [Task(0), Task(0, 1), Task(1), Task(1, 0), Task(1, 1)]
 
 
@@ -119,8 +119,8 @@ def test_a_camera_that_always_fails_is_a_failure_and_the_rest_is_done() -> None:
     ("chained", "rest"), [(False, [Task(1), Task(1, 0), Task(2), Task(2, 0)]), (True, [])]
 )
 def test_a_truth_that_always_fails_stops_what_stands_on_it(chained: bool, rest: list[Task]) -> None:
-    plan = Plan(3, 1, chained=chained, ahead=1)
-    fail(plan, Task(0))
-    ended, _ = work(plan, 1, chained=chained and bool(rest), seed=0)
+    schedule = Schedule(3, 1, chained=chained, ahead=1)
+    fail(schedule, Task(0))
+    ended, _ = work(schedule, 1, chained=chained and bool(rest), seed=0)
     assert ended == rest
-    assert plan.failures == [(Task(0), "broken")]
+    assert schedule.failures == [(Task(0), "broken")]

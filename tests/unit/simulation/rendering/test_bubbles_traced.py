@@ -12,7 +12,7 @@ from sabench.api import Material
 from sabench.api.truth import NOTHING, Bubbles, Solid
 from sabench.geometry.camera import Camera, Distortion
 from sabench.geometry.refraction import Layer, Wall
-from sabench.scenes.schema import Backlight, Lamp, Lighting
+from sabench.scenes.illumination import Backlight, Lamp, Lighting
 from sabench.simulation.rendering.bubbles_traced import Exposed, Lights, Tank, photograph
 from sabench.simulation.rendering.pixel_truth import see
 from sabench.utils import backend

@@ -8,7 +8,7 @@ import miepython
 import numpy as np
 import pytest
 
-from sabench.scenes.schema import Illumination
+from sabench.scenes.illumination import Illumination
 from sabench.simulation.rendering.laser_sheet import LIGHT_M_S, PLANCK_J_S, fluence
 from sabench.simulation.rendering.mie import MieTable, mie_table
 

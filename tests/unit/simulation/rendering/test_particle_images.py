@@ -15,9 +15,7 @@ import pytest
 from sabench.api.truth import Particles
 from sabench.geometry.camera import Camera, Distortion, aimed_rotation
 from sabench.geometry.refraction import trace_to_points, transmittance
-from sabench.scenes.loading import find, parse_scene
-from sabench.scenes.rig import build_rig
-from sabench.scenes.schema import Scene
+from sabench.scenes import Scene, build_rig, find, parse_scene
 from sabench.simulation.rendering.laser_sheet import LIGHT_M_S, PLANCK_J_S, fluence
 from sabench.simulation.rendering.particle_images import (
     ParticleImages,

@@ -7,8 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from sabench.scenes.rig import white_level
-from sabench.scenes.schema import Sensor
+from sabench.scenes.sensor import Sensor, white_level
 from sabench.simulation.rendering.sensor import expose
 
 

@@ -16,8 +16,7 @@ from sabench.api import Flow, Generator
 from sabench.dataset.verification import verify
 from sabench.geometry.frames import Domain
 from sabench.plugins import load
-from sabench.scenes.loading import parse_scene
-from sabench.scenes.schema import Scene
+from sabench.scenes import Scene, parse_scene
 from sabench.simulation.pipeline import generate
 from sabench.utils.arrays import F64
 from sabench.utils.errors import InputError

@@ -13,7 +13,7 @@ from scipy.spatial import cKDTree
 
 from sabench.api.truth import Solid
 from sabench.plugins import load
-from sabench.scenes.rig import build_rig
+from sabench.scenes import build_rig
 from sabench.simulation.frames_of_bubbles import Worlds
 from sabench.utils.arrays import F64
 from sabench.utils.errors import InputError

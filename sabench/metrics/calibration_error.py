@@ -1,0 +1,291 @@
+"""Errors of a calibration: reprojection, points of the target, held-out points, and the wall."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from sabench.algorithms.calibration.bundle_adjustment import Seen
+from sabench.algorithms.calibration.cramer_rao import Limit, limit
+from sabench.algorithms.calibration.parameters import Frame, Free
+from sabench.algorithms.calibration.problem import anchors_of
+from sabench.api import Calibration, CalibrationCase
+from sabench.geometry.camera import Camera
+from sabench.geometry.camera_model import CameraModel
+from sabench.geometry.refraction import Wall
+from sabench.geometry.rigid_motion import Motion, rigid_fit
+from sabench.geometry.triangulation import triangulate
+from sabench.metrics.alignment import ALIGNMENTS, alignment
+from sabench.metrics.averages import finite_or_none, root_mean_square
+from sabench.utils.arrays import F64, Bool
+
+Scores = dict[str, float | None]
+
+
+def calibration_scores(
+    estimate: Calibration,
+    case: CalibrationCase,
+    true_cameras: tuple[Camera, ...],
+    truth_mm: F64,
+    true_pixels: F64,
+    good: Bool,
+) -> Scores:
+    """Score a calibration by a target, without its held-out points.
+
+    Parameters
+    ----------
+    truth_mm : (frame, point, 3) true positions of the target's points, world frame.
+    true_pixels : (camera, frame, point, 2) their exact images.
+    good : (camera, frame, point) which points were detected and are no outliers.
+    """
+    frame = Frame.of(true_cameras, truth_mm)
+    bound = lower_bound(
+        case, frame, truth_mm, good, detection_noise(case.pixels, true_pixels, good)
+    )
+    points, seen = target_points(estimate, case), np.asarray(good.any(axis=0))
+    wall = estimate.cameras[0].wall if isinstance(estimate.cameras[0], Camera) else None
+    return (
+        _reprojection_scores(estimate, points, case, true_pixels, good, bound)
+        | _point_scores(points, truth_mm, seen, frame.motion, bound)
+        | detection_scores(case.pixels, true_pixels, good)
+        | wall_scores(wall, true_cameras[0].wall)
+    )
+
+
+def target_points(estimate: Calibration, case: CalibrationCase) -> F64:
+    """Positions (frame, point, 3) of the target's points: the estimate's own, or triangulated.
+
+    Triangulated are the observations that the estimate used; NaN where fewer than two cameras have
+    one.
+    """
+    if estimate.points_mm is not None:
+        return estimate.points_mm
+    used = estimate.used
+    pixels = case.pixels if used is None else np.where(used[..., None], case.pixels, np.nan)
+    flat = pixels.reshape(len(estimate.cameras), -1, 2)
+    return triangulate(estimate.cameras, flat).reshape(case.rough_mm.shape)
+
+
+def reproject(cameras: Sequence[CameraModel], points_mm: F64) -> F64:
+    """Project points (..., 3) into every camera: pixels (camera, ..., 2)."""
+    flat = points_mm.reshape(-1, 3)
+    pixels = np.stack([camera.project(flat)[0] for camera in cameras])
+    return pixels.reshape(len(cameras), *points_mm.shape[:-1], 2)
+
+
+def mean_length(errors: F64, selected: Bool) -> float | None:
+    """Mean length of the selected vectors (..., n) that are finite; None without any."""
+    lengths = np.linalg.norm(errors[selected], axis=-1)
+    lengths = lengths[np.isfinite(lengths)]
+    return float(lengths.mean()) if len(lengths) else None
+
+
+def scatter(errors: F64) -> float | None:
+    """Root mean square distance of the finite errors (n, 3) from their mean; None without any."""
+    finite = errors[np.isfinite(errors).all(axis=-1)]
+    if not len(finite):
+        return None
+    return float(np.sqrt(((finite - finite.mean(axis=0)) ** 2).sum(axis=1).mean()))
+
+
+def detection_noise(pixels: F64, truth: F64, good: Bool) -> float:
+    """Root mean square error of the good pixel coordinates (..., 2); 0 without any."""
+    errors = (pixels - truth)[good]
+    return root_mean_square(errors) if len(errors) else 0.0
+
+
+def detection_scores(pixels: F64, truth: F64, good: Bool) -> Scores:
+    """Mean error along columns and rows of the good pixel coordinates (..., 2), and its scatter."""
+    errors = (pixels - truth)[good]
+    column, row = errors.mean(axis=0) if len(errors) else (np.nan, np.nan)
+    spread = float(errors.std(axis=0).mean()) if len(errors) else np.nan
+    return {
+        "found_bias_column_px": finite_or_none(column),
+        "found_bias_row_px": finite_or_none(row),
+        "found_std_px": finite_or_none(spread),
+    }
+
+
+def lower_bound(
+    case: CalibrationCase, frame: Frame, truth_mm: F64, good: Bool, noise_px: float
+) -> Limit | None:
+    """Cramer-Rao bound of a case; None without noise, or where it cannot be computed.
+
+    Unknown are the rotation, centre and focal length of every camera, what else the case names, and
+    all boards.
+    """
+    if noise_px <= 0.0:
+        return None
+    board = case.target.points_mm
+    anchors = anchors_of(case, frame, noise_px)
+    seen = Seen(board, np.nan_to_num(case.pixels), good.astype(np.float64), anchors)
+    try:
+        return limit(frame.state(board, truth_mm), seen, Free.of(case.unknown), noise_px)
+    except np.linalg.LinAlgError:  # positions and cameras far from anything real
+        return None
+
+
+def _reprojection_scores(
+    estimate: Calibration,
+    points_mm: F64,
+    case: CalibrationCase,
+    true_pixels: F64,
+    good: Bool,
+    bound: Limit | None,
+) -> Scores:
+    """Mean distances of reprojected points from their detected and from their true pixels."""
+    pixels = reproject(estimate.cameras, points_mm)
+    used = case.found if estimate.used is None else estimate.used
+    measured, true = (
+        mean_length(pixels - case.pixels, used),
+        mean_length(pixels - true_pixels, good),
+    )
+    ratio = true / bound.reprojection_px if bound and true is not None else None
+    efficiency = true / measured / bound.efficiency if true and measured and bound else None
+    return {
+        "true_px": true,
+        "measured_px": measured,
+        "true_ratio": ratio,
+        "bound_px": bound.reprojection_px if bound else None,
+        "efficiency_ratio": efficiency,
+        "used_percent": 100.0 * float(used.sum()) / max(int(case.found.sum()), 1),
+    }
+
+
+def wall_scores(estimate: Wall | None, truth: Wall | None) -> Scores:
+    """Largest errors of the refractive indices and of the layers' thicknesses.
+
+    None where one of the walls is missing or they have different numbers of layers.
+    """
+    if truth is None or estimate is None or len(estimate.layers) != len(truth.layers):
+        return {"index_error": None, "thickness_error_mm": None}
+    thickness = [
+        abs(one.thickness_mm - true.thickness_mm)
+        for one, true in zip(estimate.layers, truth.layers, strict=True)
+    ]
+    return {
+        "index_error": float(np.abs(estimate.indices - truth.indices).max()),
+        "thickness_error_mm": max(thickness, default=0.0),
+    }
+
+
+def _point_scores(
+    estimate: F64, truth: F64, seen: Bool, motion: Motion, bound: Limit | None
+) -> Scores:
+    """Errors of the target's points in the wall's frame, absolute and relative to the bound."""
+    scores = point_scores(estimate, truth, seen, motion)
+    for number, axis in enumerate("xyz"):
+        std = scores[f"{axis}_std_mm"]
+        scores[f"{axis}_std_ratio"] = (
+            std / float(bound.point_std_mm[number]) if bound and std is not None else None
+        )
+    scores["bound_z_mean_mm"] = float(bound.point_mean_mm[2]) if bound else None
+    return scores | {"spacing_mm": spacing_error(estimate, truth, seen, motion)}
+
+
+def point_scores(estimate: F64, truth: F64, seen: Bool, motion: Motion) -> Scores:
+    """Mean and scatter of the errors of points along each axis, after every alignment.
+
+    Parameters
+    ----------
+    estimate, truth : (frame, point, 3), world frame; NaN where the estimate has none.
+    seen : (frame, point) which points count.
+    motion : from the world to the frame of the wall, in which errors are counted.
+    """
+    there = seen & np.isfinite(estimate).all(axis=-1)
+    own, true = motion(estimate[there]), motion(truth[there])
+    scores: Scores = {}
+    for how in ALIGNMENTS:
+        errors = alignment(how, own, true)(own) - true if len(own) >= 3 else np.full((1, 3), np.nan)
+        prefix = "" if how == "lateral" else f"{how}_"
+        for axis, mean, std in zip("xyz", errors.mean(axis=0), errors.std(axis=0), strict=True):
+            scores[f"{prefix}{axis}_mean_mm"] = finite_or_none(mean)
+            scores[f"{prefix}{axis}_std_mm"] = finite_or_none(std)
+    return scores
+
+
+def spacing_error(estimate: F64, truth: F64, seen: Bool, motion: Motion) -> float | None:
+    """Root mean square error of the mean distance along Z from each frame to the next.
+
+    Arguments as for `point_scores`. Source: thesis, figure 4-25.
+    """
+    depth = [np.where(seen, motion(value)[..., 2], np.nan) for value in (estimate, truth)]
+    errors = np.diff(depth[0] - depth[1], axis=0)
+    finite = [row[np.isfinite(row)] for row in errors]
+    means = [float(row.mean()) for row in finite if len(row)]
+    return root_mean_square(np.array(means)) if means else None
+
+
+def held_out_scores(
+    cameras: Sequence[CameraModel],
+    true_cameras: Sequence[Camera],
+    points_mm: F64,
+    pixels: F64,
+    motion: Motion,
+    aligned: Motion | None,
+) -> Scores:
+    """Scatter of points that no calibration saw, triangulated by estimated and by true cameras.
+
+    Parameters
+    ----------
+    points_mm : (n, 3) true positions, world frame.
+    pixels : (camera, n, 2) their measured images; NaN where a camera does not see one.
+    motion : from the world to the frame of the wall.
+    aligned : alignment of the estimate in that frame, None: the estimate has no score.
+    """
+    goal = motion(points_mm)
+    own = motion(triangulate(cameras, pixels))
+    return {
+        "held_out_mm": scatter(aligned(own) - goal) if aligned else None,
+        "held_out_exact_mm": scatter(motion(triangulate(true_cameras, pixels)) - goal),
+    }
+
+
+def target_alignment(estimate: F64, truth: F64, motion: Motion) -> Motion | None:
+    """Lateral alignment of a target's points (frame, point, 3); None with fewer than three.
+
+    Parameters
+    ----------
+    motion : from the world to the frame of the wall, in which the alignment applies.
+    """
+    known = np.isfinite(estimate).all(axis=-1) & np.isfinite(truth).all(axis=-1)
+    if known.sum() < 3:
+        return None
+    return alignment("lateral", motion(estimate[known]), motion(truth[known]))
+
+
+def self_calibration_scores(
+    cameras: Sequence[CameraModel], truth_mm: F64, true_pixels: F64
+) -> Scores:
+    """Score cameras by true particles, up to a rigid motion of all cameras together.
+
+    Images of particles do not show such a motion.
+
+    Parameters
+    ----------
+    truth_mm : (n, 3) true positions of particles.
+    true_pixels : (camera, n, 2) their exact images; NaN outside of an image.
+    """
+    moved, pixels, own = align_particles(cameras, truth_mm, true_pixels)
+    seen = np.asarray(np.isfinite(true_pixels).all(axis=-1))
+    return {"true_px": mean_length(pixels - true_pixels, seen), "held_out_mm": scatter(own - moved)}
+
+
+def align_particles(
+    cameras: Sequence[CameraModel], truth_mm: F64, true_pixels: F64
+) -> tuple[F64, F64, F64]:
+    """Move true particles (n, 3) into the estimated cameras' frame by a rigid fit.
+
+    Returns
+    -------
+    The moved particles (n, 3), their images by the estimated cameras (camera, n, 2), and the
+    positions (n, 3) where these cameras triangulate the exact images. With fewer than three
+    triangulated particles nothing is moved and the images are NaN.
+    """
+    own = triangulate(cameras, true_pixels)
+    known = np.isfinite(own).all(axis=1)
+    if known.sum() < 3:
+        return truth_mm, np.full_like(true_pixels, np.nan), own
+    moved = rigid_fit(truth_mm[known], own[known])(truth_mm)
+    return moved, reproject(cameras, moved), own
