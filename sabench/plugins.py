@@ -108,6 +108,7 @@ def load(kind: str, name: str) -> type[Any]:
         No plug-in or two have this name, or the file cannot be imported or has no such class.
     """
     file = file_of(kind, name)
+    sys.modules[f"{__name__}.{kind}"].__path__ = [str(folder) for folder in folders(kind)]
     try:
         module = importlib.import_module(f"{__name__}.{kind}.{name}")
     except Exception as error:
@@ -227,7 +228,7 @@ def _tables(kind: Literal["scene", "suite"]) -> list[Path]:
 
 
 def mount() -> None:
-    """Create the packages that hold the plug-ins; call it again if SABENCH_PLUGINS changed."""
+    """Create the packages that hold the plug-ins."""
     for kind in KINDS:
         module = ModuleType(f"{__name__}.{kind}", f"Plug-ins: {kind}.")
         module.__path__ = [str(folder) for folder in folders(kind)]
