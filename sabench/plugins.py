@@ -26,10 +26,8 @@ from sabench.utils.errors import InputError
 
 _PACKAGE = Path(__file__).resolve().parent
 KINDS = ("generators", "solvers")
-_GROUP = {
-    "solvers": ("task", "track"),
-    "generators": ("makes",),
-}  # class attributes, the first found
+# Class attribute that groups the entries of a kind.
+_GROUP = {"solvers": "task", "generators": "makes"}
 
 Kind = Literal["generator", "solver", "scene", "suite"]
 
@@ -61,7 +59,7 @@ def bundled(kind: str) -> Path:
 def folders(kind: str) -> list[Path]:
     """List all folders that are searched for plug-ins of a kind."""
     variable = os.environ.get("SABENCH_PLUGINS", "")
-    extra = [Path(entry) / kind for entry in variable.split(os.pathsep) if entry]
+    extra = [(Path(entry) / kind).absolute() for entry in variable.split(os.pathsep) if entry]
     return [folder for folder in (bundled(kind), *extra) if folder.is_dir()]
 
 
@@ -149,8 +147,7 @@ def describe(kind: str, name: str) -> Entry:
 
 def _from_source(kind: str, name: str, source: Source) -> Entry | None:
     found = find_class(source, name)
-    groups = (constant(source, found, key) for key in _GROUP[kind]) if found else iter(())
-    group = next((one for one in groups if one), None)
+    group = constant(source, found, _GROUP[kind]) if found else None
     if found is None or group is None:
         return None
     return Entry(_singular(kind), name, group, found.summary, source.file)
@@ -158,7 +155,7 @@ def _from_source(kind: str, name: str, source: Source) -> Entry | None:
 
 def _from_class(kind: str, name: str, file: Path) -> Entry:
     plugin = load(kind, name)
-    group = next((getattr(plugin, key) for key in _GROUP[kind] if hasattr(plugin, key)), "")
+    group = getattr(plugin, _GROUP[kind], "")
     return Entry(_singular(kind), name, group, summary(plugin), file)
 
 

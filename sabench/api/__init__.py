@@ -1,6 +1,8 @@
-"""Public types of plug-ins: base classes, observations, estimates and truth.
+"""Everything that a plug-in needs besides its algorithm: base classes, data, cameras and helpers.
 
-A solver needs nothing else from sabench, unless it builds on `sabench.algorithms`.
+A plug-in imports from `sabench.api` and `sabench.algorithms` only (adapters of other programs also
+from `sabench.interop`, generators also from `sabench.worlds.library`); what these two do not name
+may move.
 """
 
 from sabench.api.estimates import Calibration, Detections, FoundParticles, Reconstruction, Velocity
@@ -16,6 +18,7 @@ from sabench.api.generators import (
     SolidParameters,
     TargetGenerator,
 )
+from sabench.api.make import make_solver
 from sabench.api.observations import CalibrationCase, Film, Observation, Shown, VolumePair
 from sabench.api.parameters import FileParameters, Parameters, PlugIn
 from sabench.api.solvers import (
@@ -26,19 +29,21 @@ from sabench.api.solvers import (
     SeeThroughSolver,
     SelfCalibrationSolver,
     Solver,
-    Track,
+    TaskName,
     VelocimetryParameters,
     VelocimetrySolver,
 )
 from sabench.api.truth import Bubbles, Particles, Solid, Target
-from sabench.geometry.camera import Camera
+from sabench.geometry.camera import Camera, Distortion
 from sabench.geometry.camera_model import CameraModel
 from sabench.geometry.frames import Domain, Pose
 from sabench.geometry.grid import Grid
 from sabench.geometry.refraction import Layer, Rays, Wall
-from sabench.utils.arrays import F32, F64, I32, I64, U16, Bool
+from sabench.geometry.rotations import frame_along, rotation_matrices
+from sabench.utils.arrays import F32, F64, I32, I64, U16, Bool, triple
 from sabench.utils.errors import DeclinedError, InputError
 from sabench.utils.fields import Vector
+from sabench.utils.progress import track as progress_bar
 from sabench.utils.rng import stream
 
 __all__ = [
@@ -62,6 +67,7 @@ __all__ = [
     "CodeGenerator",
     "DeclinedError",
     "Detections",
+    "Distortion",
     "Domain",
     "FileParameters",
     "Film",
@@ -89,12 +95,17 @@ __all__ = [
     "Solver",
     "Target",
     "TargetGenerator",
-    "Track",
+    "TaskName",
     "Vector",
     "VelocimetryParameters",
     "VelocimetrySolver",
     "Velocity",
     "VolumePair",
     "Wall",
+    "frame_along",
+    "make_solver",
+    "progress_bar",
+    "rotation_matrices",
     "stream",
+    "triple",
 ]

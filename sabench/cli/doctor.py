@@ -5,8 +5,6 @@ from __future__ import annotations
 import os
 import platform
 import shutil
-import subprocess
-import sys
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -61,21 +59,13 @@ def examine() -> list[Finding]:
 
 def _try(subject: str, name: str, remedy: str) -> Finding:
     """Call `try_<name>` in a child process."""
-    script = f"from sabench.cli.doctor import try_{name}; print(try_{name}())"
+    from sabench.utils.processes.child import run_code
+
+    code = f"from sabench.cli.doctor import try_{name}; print(try_{name}())"
     try:
-        done = subprocess.run(
-            [sys.executable, "-c", script],
-            capture_output=True,
-            text=True,
-            timeout=_PATIENCE_S,
-            check=False,
-        )
-    except subprocess.TimeoutExpired:
-        return Finding(subject, False, f"no answer within {_PATIENCE_S} s", remedy)
-    if done.returncode == 0:
-        return Finding(subject, True, done.stdout.strip())
-    last = (done.stderr.strip().splitlines() or ["no message"])[-1]
-    return Finding(subject, False, f"ended with exit code {done.returncode}: {last}", remedy)
+        return Finding(subject, True, run_code(code, "the trial", _PATIENCE_S))
+    except InputError as error:
+        return Finding(subject, False, str(error), remedy)
 
 
 def try_compute() -> str:

@@ -21,6 +21,7 @@ from sabench.cli.options import (
 if TYPE_CHECKING:
     from sabench.evaluation.gates.comparison import Report
     from sabench.evaluation.leaderboard.submissions import Standing
+    from sabench.tasks.task import Score
 
 
 def run(
@@ -84,24 +85,25 @@ def run(
 
 def _show_records(records: list[dict[str, Any]]) -> None:
     """Print mean and 95 % confidence interval over seeds, a table for each task, best first."""
+    from sabench import tasks
     from sabench.evaluation.leaderboard.rows import over_seeds
-    from sabench.tasks.columns import COLUMNS, LARGER_IS_BETTER
 
     rows = over_seeds(records)
     cases = list(dict.fromkeys(row["case"] for row in rows))
-    for task, columns in COLUMNS.items():
-        sign, first = -1.0 if LARGER_IS_BETTER[task] else 1.0, columns[0].key
+    for task in tasks.every():
+        columns = task.columns
+        sign, first = -1.0 if columns[0].better == "larger" else 1.0, columns[0].key
 
         def rank(row: dict[str, Any], sign: float = sign, first: str = first) -> tuple[int, float]:
             return cases.index(row["case"]), sign * row[first].mean if row[first] else float("inf")
 
-        own = sorted((row for row in rows if row["track"] == task), key=rank)
+        own = sorted((row for row in rows if row["task"] == task.name), key=rank)
         if own:
             headings = ["case", "solver", "seeds", *(column.key for column in columns)]
             tables.show(headings, [_record_cells(row, columns) for row in own], keys=3)
 
 
-def _record_cells(row: dict[str, Any], columns: Any) -> list[str]:
+def _record_cells(row: dict[str, Any], columns: tuple[Score, ...]) -> list[str]:
     figures = ["-" if row[one.key] is None else row[one.key].text(one.decimals) for one in columns]
     return [row["case"], row.get("label") or row["solver"], str(len(row["seeds"])), *figures]
 
@@ -311,9 +313,9 @@ def submit(
 
 
 def _standing_cells(one: Standing) -> list[str]:
-    from sabench.tasks.columns import COLUMNS
+    from sabench import tasks
 
-    first = COLUMNS[one.record["track"]][0]
+    first = tasks.of(one.record["task"]).columns[0]
     value = one.record[first.key]
     score = "-" if value is None else f"{first.key} {value:.{first.decimals}f}"
     rival = f"{one.best[0]}: {one.best[1]:.{first.decimals}f}" if one.best else "-"

@@ -112,9 +112,9 @@ def score(
 
 
 def _show_scores(scores: dict[str, Any]) -> None:
-    from sabench.tasks.columns import COLUMNS
+    from sabench import tasks
 
-    columns = COLUMNS[scores["track"]]
+    columns = tasks.of(scores["task"]).columns
     figures = [tables.fixed(scores[column.key], column.decimals) for column in columns]
     headings = ["data set", "solver", *(column.key for column in columns)]
     tables.show(headings, [[scores["dataset"][:12], scores["solver"], *figures]])

@@ -61,6 +61,7 @@ def _progress(*, refresh: bool) -> Progress:
     return Progress(*columns, console=console, auto_refresh=refresh)
 
 
+@functools.cache
 def announce_compiling() -> None:
     """Have this process print a notice, once, if compiling kernels takes longer than a second."""
     from numba.core import event

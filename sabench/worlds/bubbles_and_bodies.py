@@ -9,7 +9,7 @@ from sabench.api.make import generator_of
 from sabench.api.truth import Bubbles, Solid
 from sabench.geometry.frames import Pose
 from sabench.geometry.refraction import Wall
-from sabench.geometry.rotations import exponential
+from sabench.geometry.rotations import rotation_matrices
 from sabench.scenes import Scene
 from sabench.scenes.build import build_wall, domain_of
 from sabench.utils.arrays import I64
@@ -84,7 +84,7 @@ class Phases:
 
 def pose_of(parameters: SolidParameters, time_s: float) -> Pose:
     """Where a body is at a time."""
-    turn = exponential(np.deg2rad(parameters.turn_deg)) @ exponential(
+    turn = rotation_matrices(np.deg2rad(parameters.turn_deg)) @ rotation_matrices(
         np.deg2rad(parameters.spin_deg_s) * time_s
     )
     return Pose(

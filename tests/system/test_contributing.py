@@ -39,21 +39,21 @@ def test_a_plug_in_imports_public_names_only(name: str) -> None:
 
 
 def test_copied_plug_ins_are_listed_run_and_scored(
-    tmp_path: Path, command: Command, quick_toml: str
+    tmp_path: Path, command: Command, quick_toml: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setenv("SABENCH_PLUGINS", str(tmp_path / "mine"))
     shutil.copytree(EXAMPLES, tmp_path / "mine")
     text = quick_toml.replace('generator = "uniform"\ncount = 300', 'generator = "lattice"')
     text = text.replace("diameter_spread = 0.1", "pitch_mm = 1.5\njitter_mm = 0.2")
     (tmp_path / "lattice.toml").write_text(text, encoding="utf-8")
-    environment = {"SABENCH_PLUGINS": "mine"}
-    listed = command("list", env=environment)
+    listed = command("list")
     assert not listed.stderr
     assert {"min_los", "lattice"} <= {line.split()[1] for line in listed.stdout.splitlines()}
     for words in (
         "generate lattice.toml -o data --seed 1 --backend splat",
         "solve min_los data -o found.h5 -p floor=0.1",
     ):
-        done = command(*words.split(), env=environment)
+        done = command(*words.split())
         assert done.returncode == 0, done.stderr
     assert command("verify", "data").returncode == 0
     scores = json.loads(command("score", "data", "found.h5", "--json").stdout)

@@ -1,4 +1,7 @@
-"""A second implementation of what a camera sees of a point, by other equations, to compare the first one with.
+"""Independent projection of points by other equations, to find errors in the first one.
+
+A copy of `geometry.camera` and `geometry.refraction` for the sake of independence; tied to them by
+test_comparison.py::test_two_implementations_of_a_camera_agree.
 
 It takes nothing from `sabench.geometry`: the wall's numbers come from the scene as its author wrote
 them, the path from bisection for the invariant n sin(angle) that all its angles share, the lens

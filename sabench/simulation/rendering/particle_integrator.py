@@ -131,7 +131,11 @@ def unstopped(rays: Any, occluders: tuple[Disc, ...], origin: F64) -> Any:
 
 
 def undistorted(lens: Distortion, u: Any, v: Any) -> tuple[Any, Any]:
-    """Fixed-point inverse of the distortion; single precision is reached in a dozen steps."""
+    """Invert the distortion by a fixed point; single precision is reached in a dozen steps.
+
+    A copy of `Camera.ideal`, the reference, for arrays of Dr.Jit; tied to it by
+    test_projection_copies.py::test_renderers_undistort_as_cameras_do.
+    """
     x, y = u, v
     for _ in range(0 if lens == Distortion() else 12):
         s = x * x + y * y
