@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import tomli_w
-from pydantic import Field, model_validator
+from pydantic import Field, ModelWrapValidatorHandler, ValidationError, model_validator
 
 from sabench.images.preprocessing import Step
 from sabench.scenes.calibration import Calibration, Detection
@@ -15,14 +15,17 @@ from sabench.scenes.illumination import Backlight, Illumination, Lighting, Timin
 from sabench.scenes.sensor import Render, Sensor
 from sabench.scenes.volume import GridSpec, Volume
 from sabench.scenes.wall import OccluderSpec, WallSpec
+from sabench.scenes.world import BubbleWorld, ParticleWorld, TargetWorld, World, world_faults
+from sabench.utils.errors import InputError
 from sabench.utils.fields import LensNumber, Positive, Table
 from sabench.utils.files import digest
+from sabench.utils.validation import joined, nearest, refuse
 
 WORLDS = ("particles", "targets", "flow", "bubbles")  # tables whose `generator` is a plug-in
 
 
 class Scene(Table):
-    """A whole scene: the world, what lights it, who looks at it through what."""
+    """Whole scene: the world, its light, the wall and the cameras."""
 
     title: str
     frames: int = Field(1, ge=1)
@@ -32,7 +35,7 @@ class Scene(Table):
     grid: GridSpec
     wall: WallSpec | None = None
     occluders: tuple[OccluderSpec, ...] | None = Field(
-        None, description="discs that hide some of the volume from some cameras"
+        None, description="discs that hide a part of the volume from some cameras"
     )
     cameras: Cameras
     calibration: Calibration | None = None
@@ -44,15 +47,17 @@ class Scene(Table):
         None, description="`generator` names a generator; the other keys are its parameters"
     )
     flow: dict[str, Any] | None = Field(
-        None, description="what carries the particles: `generator` and its parameters"
+        None, description="flow that carries the particles: `generator` and its parameters"
     )
     flow_grid_mm: tuple[Positive, Positive, Positive] | None = Field(
         None,
-        description="spacing along x, y, z of a lattice over the volume on which the data set stores the exact flow of every frame",
+        description="spacing along x, y, z of a lattice over the volume; the data set stores the "
+        "exact flow of every frame on it",
     )
     targets: dict[str, Any] | None = Field(
         None,
-        description="instead of particles, a calibration target that each frame shows at another place: `generator` and its parameters",
+        description="instead of particles, a calibration target at another position in each "
+        "frame: `generator` and its parameters",
     )
     bubbles: dict[str, Any] | None = Field(
         None, description="bubbles or droplets: `generator` and its parameters"
@@ -63,66 +68,91 @@ class Scene(Table):
     backlight: Backlight | None = Field(None, description="a diffuser behind the volume")
     lighting: Lighting | None = Field(None, description="lamps; needed to render a target")
     detection: Detection | None = Field(
-        None, description="by default every point of a target is found where it is"
+        None, description="by default every point of a target is detected exactly"
     )
     sensor: Sensor = Sensor()
     preprocessing: tuple[Step, ...] | None = Field(
-        None, description="what is done to the images before solvers see them; those stored are raw"
+        None,
+        description="steps applied to the images before solvers receive them; "
+        "stored images are raw",
     )
     render: Render = Render()
 
-    @model_validator(mode="after")
-    def _one_world(self) -> Scene:
-        bodies = self.bubbles is not None or bool(self.solids)
-        if (self.particles is None and not bodies) == (self.targets is None):
-            raise ValueError("expected either particles, bubbles or solids, or targets")
-        if bodies and self.backlight is None and self.lighting is None:
-            raise ValueError("expected a backlight or a lighting for bubbles and solids")
-        if self.backlight is not None and not bodies:
-            raise ValueError("backlight: expected bubbles or solids in front of it")
-        if self.flow is not None and self.particles is None:
-            raise ValueError("flow: expected particles that it carries")
-        if self.flow_grid_mm is not None and self.flow is None:
-            raise ValueError("flow_grid_mm: expected a flow")
-        if self.particles is not None and self.illumination is None:
-            raise ValueError("expected an illumination for the particles")
-        return self
+    @model_validator(mode="wrap")
+    @classmethod
+    def _one_world(cls, values: Any, handler: ModelWrapValidatorHandler[Self]) -> Self:
+        """Check which tables are there, also where some of them have faults of their own."""
+        faults = list(world_faults(_given(values))) if isinstance(values, dict) else []
+        try:
+            scene = handler(values)
+        except ValidationError as error:
+            raise joined(error, faults) from None
+        refuse(faults)
+        return scene
+
+    @property
+    def world(self) -> World:
+        """World that the tables describe, with the fields that its kind needs."""
+        if self.targets is not None:
+            return TargetWorld(self.targets, self.lighting, self.detection)
+        tracers = self.tracers
+        if tracers is not None and self.bubbles is None and not self.solids:
+            return tracers
+        return BubbleWorld(self.bubbles, self.solids or (), self.backlight, self.lighting, tracers)
+
+    @property
+    def tracers(self) -> ParticleWorld | None:
+        """Tracer particles, alone or between bubbles; None where there are none."""
+        if self.particles is None or self.illumination is None:
+            return None
+        return ParticleWorld(self.particles, self.illumination, self.tracer, self.flow)
+
+    @property
+    def particle_world(self) -> ParticleWorld:
+        """Tracer particles of a scene that has some.
+
+        Raises
+        ------
+        InputError
+            A scene without particles.
+        """
+        if (tracers := self.tracers) is None:
+            raise InputError(f"{self.title}: particles: expected a scene with particles, got none")
+        return tracers
 
     @property
     def light(self) -> Illumination:
-        """The laser of a scene with particles."""
-        if self.illumination is None:
-            raise ValueError(f"{self.title}: expected a scene with an illumination")
-        return self.illumination
+        """Laser of a scene with particles."""
+        return self.particle_world.illumination
 
     @property
     def unknown(self) -> tuple[LensNumber, ...]:
-        """What nobody has measured of the lenses."""
+        """Unmeasured numbers of the lenses."""
         return (self.calibration.unknown if self.calibration else None) or ()
 
     def time_s(self, frame: int) -> float:
-        """When a frame is taken, from the first group's start."""
+        """Give the time of a frame, from the start of the first group."""
         if self.timing is None:
             return frame * self.interval_s
         group, pulse = divmod(frame, len(self.timing.pulses_s))
         return group / self.timing.rate_hz + self.timing.pulses_s[pulse]
 
     def with_frames(self, frames: int) -> Scene:
-        """The same scene, longer or shorter."""
+        """Copy the scene with another number of frames."""
         return Scene.model_validate({**self.model_dump(exclude_none=True), "frames": frames})
 
     def to_dict(self) -> dict[str, Any]:
-        """All keys with their values, defaults included, as TOML holds them."""
+        """Give all keys with their values, defaults included, as TOML holds them."""
         values: dict[str, Any] = plain(self.model_dump(mode="json", exclude_none=True))
         return values
 
     def to_toml(self) -> str:
-        """The resolved scene as TOML; loading it gives an equal scene."""
+        """Write the resolved scene as TOML; loading it gives an equal scene."""
         return tomli_w.dumps(self.to_dict())
 
     @property
     def hash(self) -> str:
-        """SHA-256 of the resolved scene: equal scenes have equal hashes, however they were written."""
+        """SHA-256 of the resolved scene; it does not depend on how the file was written."""
         values = self.to_dict()
         for given in (*(values.get(table, {}) for table in WORLDS), *values.get("solids", ())):
             if "sha256" in given:
@@ -138,7 +168,7 @@ class Scene(Table):
         return {table: Path(given["file"]) for table, given in tables.items() if "sha256" in given}
 
     def with_files(self, places: dict[str, Path]) -> Scene:
-        """The same scene, its files elsewhere."""
+        """Copy the scene with other paths of its files, by table."""
         worlds = {
             table: {**getattr(self, table), "file": str(place)}
             for table, place in places.items()
@@ -151,8 +181,15 @@ class Scene(Table):
         return self.model_copy(update=worlds | ({"solids": solids} if solids else {}))
 
 
+def _given(values: dict[str, Any]) -> set[str]:
+    """Name the tables that a file gives; a misspelt one counts as its nearest match."""
+    known = Scene.model_fields
+    keys = {str(key) for key, value in values.items() if value not in (None, [], ())}
+    return {key if key in known else nearest(key, known) or key for key in keys}
+
+
 def plain(value: Any) -> Any:
-    """Nested tuples as lists, as TOML and JSON give them back."""
+    """Turn nested tuples into lists, as TOML and JSON give them back."""
     if isinstance(value, dict):
         return {key: plain(inner) for key, inner in value.items()}
     return [plain(inner) for inner in value] if isinstance(value, list | tuple) else value

@@ -20,7 +20,8 @@ from sabench.metrics.bubble_detection import AnyBubbles, detection_scores
 from sabench.metrics.plunging_jet import JetFigures, analyse
 from sabench.metrics.trajectories import track_scores
 from sabench.plotting import pictures
-from sabench.scenes import Scene
+from sabench.scenes import BubbleWorld, Scene
+from sabench.scenes.world import GeneratorTable
 from sabench.tasks.task import Captions, Figures, FrameByFrame, Score, Source
 from sabench.utils import memory
 from sabench.utils.arrays import I64
@@ -45,7 +46,7 @@ class BubblesTask(FrameByFrame):
     # fmt: off
     scores = (
         Score("f1_large", "F1, large", "", "larger", 3,
-              "harmonic mean of precision and recall of bubbles from 0.5 mm radius on; found: "
+              "harmonic mean of precision and recall, bubbles of 0.5 mm radius and more; found: "
               "closer than half a radius", counted=True),
         Score("f1", "F1", "", "larger", 3,
               "the same, all bubbles", counted=True),
@@ -56,11 +57,10 @@ class BubblesTask(FrameByFrame):
         Score("recall", "recall", "", "larger", 3,
               "share of the bubbles that were found", counted=True),
         Score("recall_hidden", "recall, hidden", "", "larger", 3,
-              "share found of bubbles of which the cameras see less than nine tenths, mean "
-              "over cameras", counted=True),
+              "recall of bubbles of which the cameras see less than nine tenths, mean over "
+              "cameras", counted=True),
         Score("recall_dense", "recall, dense", "", "larger", 3,
-              "share found of bubbles around which, within 6 mm, others fill a hundredth or "
-              "more", counted=True),
+              "recall of bubbles around which, within 6 mm, others fill a hundredth or more", counted=True),
         Score("radius_percent", "radius %", "%", "smaller", 2,
               "median error of the radius of found bubbles of 0.5 mm and more"),
         Score("axes_percent", "axes %", "%", "smaller", 2,
@@ -85,15 +85,14 @@ class BubblesTask(FrameByFrame):
         Score("width_percent", "s %", "%", "smaller", 1,
               "error of s of equation 5.18"),
         Score("link_recall", "link recall", "", "larger", 3,
-              "share of the bubbles found in two frames that follow each other that one track "
-              "joins", counted=True),
+              "share of the bubbles found in two consecutive frames that one trajectory joins", counted=True),
         Score("link_precision", "link precision", "", "larger", 3,
               "share of the links between such frames that join the same bubble", counted=True),
         Score("effectiveness", "effectiveness", "", "larger", 3,
-              "share of a bubble's frames in which its longest track has it, mean over the "
+              "share of a bubble's frames in which its longest trajectory has it, mean over the "
               "bubbles", counted=True),
         Score("velocity_mm_s", "velocity mm/s", "mm/s", "smaller", 2,
-              "median error of the velocity of right links, against the true mean velocity "
+              "median error of the velocity of correct links, against the true mean velocity "
               "between the frames"),
         Score("velocity_percent", "velocity %", "%", "smaller", 2,
               "the same over that velocity"),
@@ -221,7 +220,7 @@ def _check_all_or_none(result: Result, found: Sequence[Detections]) -> None:
 
 def _jet_scores(data: Dataset, found: Sequence[AnyBubbles], truth: Sequence[AnyBubbles]) -> Figures:
     """Score a jet's figures against the same analysis of the true bubbles; None without a jet."""
-    if (data.scene.bubbles or {}).get("generator") != "plunging_jet":
+    if jet_of(data.scene) is None:
         return dict.fromkeys(JET)
     estimate, true = (jet_figures(data.scene, one) for one in (found, truth))
     pairs = {key: (getattr(estimate, name), getattr(true, name)) for key, name in JET.items()}
@@ -231,10 +230,19 @@ def _jet_scores(data: Dataset, found: Sequence[AnyBubbles], truth: Sequence[AnyB
     }
 
 
+def jet_of(scene: Scene) -> GeneratorTable | None:
+    """Find the parameters of a scene's plunging jet; None without one."""
+    world = scene.world
+    if not isinstance(world, BubbleWorld) or world.bubbles is None:
+        return None
+    return world.bubbles if world.bubbles["generator"] == "plunging_jet" else None
+
+
 def jet_figures(scene: Scene, every: Sequence[AnyBubbles]) -> JetFigures:
     """Analyse the bubbles of some frames as those of a scene's plunging jet."""
-    assert scene.bubbles is not None
-    impact, volume = np.asarray(scene.bubbles["impact_mm"]), scene.volume
+    if (jet := jet_of(scene)) is None:
+        raise InputError(f"{scene.title}: bubbles.generator: expected plunging_jet, got no jet")
+    impact, volume = np.asarray(jet["impact_mm"]), scene.volume
     return analyse(
         np.concatenate([one.center_mm for one in every]),
         np.concatenate([one.radius_mm for one in every]),

@@ -16,7 +16,7 @@ from filelock import FileLock
 
 import sabench
 from sabench.scenes import Scene, load_scene, parse_scene
-from sabench.simulation.frames_of_tracers import shoot
+from sabench.simulation.camera_view import render
 from sabench.simulation.pipeline import generate
 from sabench.simulation.recording import job, recorders, workers
 from sabench.simulation.recording.job import Job
@@ -191,15 +191,15 @@ def test_what_is_there_is_not_made_again(tmp_path: Path, monkeypatch: pytest.Mon
             raise KeyboardInterrupt
         job.record_task(recorder, parts, task)
 
-    def counted(world: Any, camera: Any) -> Any:
-        shots.append((world.frame, camera.name))
-        return shoot(world, camera)
+    def counted(frame: Any, camera: int) -> Any:
+        shots.append((frame.number, camera))
+        return render(frame, camera)
 
     with monkeypatch.context() as patch:
         patch.setattr(workers, "record_task", interrupted)
         with pytest.raises(KeyboardInterrupt):
             made(scene, tmp_path / "set")
-    monkeypatch.setattr(recorders, "shoot", counted)
+    monkeypatch.setattr(recorders, "render", counted)
     again = made(scene, tmp_path / "set")
     assert [frame for frame, _ in shots] == [2] * 4
     assert again == made(scene, tmp_path / "anew")
