@@ -17,9 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from sabench.scenes.loading import parse_scene
-from sabench.scenes.rig import build_rig
-from sabench.scenes.schema import Scene
+from sabench.scenes import Scene, build_rig, parse_scene
 from sabench.simulation.frames_of_bubbles import Worlds, tank_of
 from sabench.simulation.rendering.bubbles_traced import Lights, photograph
 
@@ -28,7 +26,7 @@ _ERROR = 0.01
 
 def scene_of(count: int) -> Scene:
     """The array of `plunging-jet-21` before a box full of bubbles."""
-    from sabench.scenes.rig import load_scene
+    from sabench.scenes import load_scene
 
     values: dict[str, Any] = load_scene("plunging-jet-21").to_dict()
     values["title"] = f"{count} bubbles"

@@ -38,8 +38,7 @@ from sabench.evaluation.thesis.chapter_4 import (
     solved,
 )
 from sabench.geometry.rigid_motion import lateral_fit
-from sabench.scenes.loading import parse_scene
-from sabench.scenes.rig import build_rig
+from sabench.scenes import build_rig, parse_scene
 from sabench.utils.arrays import F64
 from sabench.utils.progress import track
 from sabench.worlds.calibration_targets import exact_pixels, place

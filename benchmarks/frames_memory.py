@@ -13,7 +13,7 @@ import sys
 import tempfile
 from pathlib import Path
 
-from sabench.scenes.rig import load_scene
+from sabench.scenes import load_scene
 from sabench.utils.progress import track
 
 _FRAMES = (25, 50, 100)

@@ -34,7 +34,7 @@ sys.path.insert(0, str(ROOT))
 os.environ.setdefault("NUMBA_NUM_THREADS", "1")
 from sabench.dataset import hdf5_probe  # noqa: E402
 from sabench.utils.errors import InputError  # noqa: E402
-from tests.untrusted import KINDS, Base, check_sentence, make_base  # noqa: E402
+from tests.helpers.untrusted import KINDS, Base, check_sentence, make_base  # noqa: E402
 
 _LIMIT_S = 5.0
 _WARM_S, _MAKE_S = 120.0, 60.0

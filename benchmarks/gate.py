@@ -114,7 +114,7 @@ BUGS = (
     ),
     Bug(
         "degrees taken for radians",
-        "sabench/scenes/rig.py",
+        "sabench/scenes/nominal_cameras.py",
         "exponential(np.deg2rad(spec.turn_deg) * rng",
         "exponential(spec.turn_deg * rng",
     ),

@@ -7,7 +7,7 @@
 - **overhead**: FRAMES (1,000) frames of two small cameras whose parts are all there, done once more
   by another process: what a task costs beside
   looking whether its part is whole, over the mean time of the sequence's tasks.
-- **growth**: a plan of FRAMES frames worked off by 1 to 1,000 simulated workers in simulated time.
+- **growth**: a schedule of FRAMES frames worked off by 1 to 1,000 simulated workers in simulated time.
   Each task takes what one of its kind took in the
   sequence, the scheduler deals with one task at a time and is busy for what that costs, and the
   parts are put together in the end. It says where growth stops: at the chain of frames, each made
@@ -30,15 +30,13 @@ from typing import Any
 
 import numpy as np
 
-from sabench.scenes.loading import parse_scene
-from sabench.scenes.rig import load_scene
-from sabench.scenes.schema import Scene
+from sabench.scenes import Scene, load_scene, parse_scene
 from sabench.simulation.pipeline import put_together
 from sabench.simulation.recording.job import Job, record
 from sabench.simulation.recording.parts import Parts
 from sabench.simulation.recording.recorders import recorder_of
-from sabench.simulation.recording.schedule import Plan, Task
-from sabench.simulation.recording.workers import Pool, work_off
+from sabench.simulation.recording.schedule import Schedule, Task
+from sabench.simulation.recording.workers import ProcessPool, run_schedule
 from sabench.utils.progress import track
 
 _FLOW = {
@@ -82,15 +80,18 @@ def small(frames: int) -> Scene:
 def worked_off(scene: Scene, folder: Path, jobs: int) -> float:
     """Seconds that so many processes of one thread need once they are up."""
     Job(scene, 1, "splat", "benchmark").write(folder)
-    recorder, pool = recorder_of(scene, 1, "splat", "benchmark"), Pool(folder, jobs, threads=1)
+    recorder, pool = (
+        recorder_of(scene, 1, "splat", "benchmark"),
+        ProcessPool(folder, jobs, threads=1),
+    )
     for number in pool.idle():
         pool.give(number, Task(0))
     for _ in range(jobs):
         pool.wait()
     start = time.perf_counter()
-    work_off(
+    run_schedule(
         pool,
-        Plan(scene.frames, recorder.views, chained=recorder.chained, ahead=pool.ahead),
+        Schedule(scene.frames, recorder.views, chained=recorder.chained, ahead=pool.ahead),
         f"processes: {jobs}",
     )
     seconds = time.perf_counter() - start
@@ -157,15 +158,15 @@ def timed(scene: Scene, folder: Path) -> Times:
     job, parts = Job(scene, 1, "splat", "benchmark"), Parts(folder)
     job.write(folder)
     recorder = recorder_of(scene, 1, "splat", "benchmark")
-    plan = Plan(scene.frames, recorder.views, chained=recorder.chained, ahead=1)
+    schedule = Schedule(scene.frames, recorder.views, chained=recorder.chained, ahead=1)
     took: list[tuple[Task, float]] = []
-    for _ in track(range(plan.tasks), "time tasks"):
-        task = plan.take(took[-1][0].frame if took else None)
+    for _ in track(range(schedule.tasks), "time tasks"):
+        task = schedule.take(took[-1][0].frame if took else None)
         assert task is not None
         start = time.perf_counter()
         record(recorder, parts, task)
         took.append((task, time.perf_counter() - start))
-        plan.done(task)
+        schedule.complete(task)
     start = time.perf_counter()
     put_together(folder.with_name(f"{folder.name}-set"), job, recorder, parts, overwrite=False)
     end = (time.perf_counter() - start) / scene.frames
@@ -191,21 +192,21 @@ def exchange(folder: Path, frames: int) -> float:
 
 def simulated(frames: int, cameras: int, workers: int, times: Times, *, chained: bool) -> float:
     """Seconds that so many workers need; the scheduler deals with one task at a time."""
-    plan, rng, now, free = (
-        Plan(frames, cameras, chained=chained, ahead=workers + 1),
+    schedule, rng, now, free = (
+        Schedule(frames, cameras, chained=chained, ahead=workers + 1),
         np.random.default_rng(1),
         0.0,
         0.0,
     )
     idle, last = list(range(workers)), dict.fromkeys(range(workers), -1)
     running: list[tuple[float, int, Task]] = []
-    while not plan.finished:
-        while idle and (task := plan.take(last[idle[-1]])) is not None:
+    while not schedule.finished:
+        while idle and (task := schedule.take(last[idle[-1]])) is not None:
             worker, kind = idle.pop(), times.truth if task.camera is None else times.view
             last[worker], free = task.frame, max(free, now) + times.scheduler
             heapq.heappush(running, (free + float(rng.choice(kind)), worker, task))
         now, worker, task = heapq.heappop(running)
-        plan.done(task)
+        schedule.complete(task)
         idle.append(worker)
     return now
 

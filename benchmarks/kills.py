@@ -20,8 +20,7 @@ import time
 from pathlib import Path
 
 import sabench
-from sabench.scenes.loading import parse_scene
-from sabench.scenes.rig import load_scene
+from sabench.scenes import load_scene, parse_scene
 from sabench.utils.progress import track
 
 _WHOM = ("scheduler", "worker", "group")

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-from tests.films import film, judged, linked
+from tests.helpers.films import film, judged, linked
 
 _FAULTS = {"missing": 0.2, "ghosts": 0.2, "noise": 0.03}
 _MOTIONS: dict[str, tuple[str, dict[str, float]]] = {

@@ -19,7 +19,7 @@ from typing import Any
 from sabench.evaluation.leaderboard import page, rows
 from sabench.evaluation.records import Record
 from sabench.tasks.columns import COLUMNS
-from tests.browser import Browser, chromium
+from tests.helpers.browser import Browser, chromium
 
 _COUNTS, _SOLVERS = (100, 1_000, 10_000), 20
 _SORTED = ("solver", "q", "true_percent", "ghost_percent", "seconds")

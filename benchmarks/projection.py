@@ -19,7 +19,7 @@ import numpy as np
 from sabench.geometry import projection_kernels
 from sabench.geometry.camera import Camera, Distortion, aimed_rotation
 from sabench.geometry.refraction import Layer, Wall, solve_slope, trace_to_points
-from sabench.scenes.rig import build_rig, load_scene
+from sabench.scenes import build_rig, load_scene
 from sabench.utils.arrays import F64, Bool
 from sabench.utils.progress import track
 

@@ -24,8 +24,7 @@ from benchmarks.rooflines import cached_gigaloads_s, fastest_s, gathered_gigaloa
 from sabench.algorithms.refocus import refocus_by_shifts, refocus_log2, refocus_sum
 from sabench.algorithms.refocus.slabs import deviation_px, slabs
 from sabench.geometry.grid import Grid
-from sabench.scenes.loading import parse_scene
-from sabench.scenes.rig import Rig, build_rig, load_scene
+from sabench.scenes import Rig, build_rig, load_scene, parse_scene
 from sabench.utils import backend
 from sabench.utils.arrays import F32
 from sabench.utils.progress import track

@@ -17,8 +17,7 @@ import numpy as np
 
 from sabench.api.truth import Particles
 from sabench.geometry.camera import Camera
-from sabench.scenes.rig import Rig, build_rig, load_scene
-from sabench.scenes.schema import Scene
+from sabench.scenes import Rig, Scene, build_rig, load_scene
 from sabench.simulation.rendering.particle_images import image_particles
 from sabench.simulation.rendering.particles_splatted import splat
 from sabench.simulation.rendering.particles_traced import render

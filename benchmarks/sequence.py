@@ -19,9 +19,7 @@ from pathlib import Path
 import numpy as np
 from scipy.stats import linregress
 
-from sabench.scenes.loading import parse_scene
-from sabench.scenes.rig import build_rig, load_scene
-from sabench.scenes.schema import Scene
+from sabench.scenes import Scene, build_rig, load_scene, parse_scene
 
 _CHILD = """
 import json, pathlib, sys, time

@@ -28,9 +28,7 @@ from sabench.algorithms.tomography.problem import Problem, SparseParameters
 from sabench.api import Observation
 from sabench.api.make import make_solver
 from sabench.metrics.reconstruction_error import score_frame
-from sabench.scenes.loading import parse_scene
-from sabench.scenes.rig import load_scene
-from sabench.scenes.schema import Scene
+from sabench.scenes import Scene, load_scene, parse_scene
 from sabench.simulation.in_memory import simulate
 from sabench.utils.confidence import mean_of
 from sabench.utils.memory import forget_peak, peak_mb

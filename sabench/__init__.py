@@ -5,18 +5,19 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING, Any
 
+from sabench.utils.version import __version__
+
 if TYPE_CHECKING:
     from sabench.dataset.reader import open_dataset
-    from sabench.scenes.rig import load_scene
+    from sabench.scenes import load_scene
     from sabench.simulation.pipeline import generate
     from sabench.tasks.solve_and_score import score, solve
 
-__version__ = "0.1.0"
-__all__ = ["generate", "load_scene", "open_dataset", "score", "solve"]
+__all__ = ["__version__", "generate", "load_scene", "open_dataset", "score", "solve"]
 
 _HOMES = {
     "generate": "simulation.pipeline",
-    "load_scene": "scenes.rig",
+    "load_scene": "scenes",
     "open_dataset": "dataset.reader",
     "score": "tasks.solve_and_score",
     "solve": "tasks.solve_and_score",

@@ -31,7 +31,7 @@ class Asa(Solver):
 
     def solve(self, case: Observation) -> Reconstruction:
         """I_k = (1 / N) sum_i I_ki, thresholded plane by plane."""
-        volume = refocus_sum(normalised(case), case.cameras, case.grid)
+        volume = refocus_sum(normalised(case.images, case.black_dn), case.cameras, case.grid)
         if self.parameters.seen_only:
             volume /= np.maximum(
                 refocus_sum(np.ones(case.images.shape, dtype=np.float32), case.cameras, case.grid),

@@ -20,5 +20,5 @@ class MapShiftAverage(Solver):
 
     def solve(self, case: Observation) -> Reconstruction:
         """I_k = (1 / N) sum_i of image i mapped to the reference plane and shifted by mu_k (dX_i, dY_i), thresholded plane by plane."""
-        volume = refocus_by_shifts(normalised(case), case.cameras, case.grid)
+        volume = refocus_by_shifts(normalised(case.images, case.black_dn), case.cameras, case.grid)
         return Reconstruction(extracted(volume, case, self.parameters))

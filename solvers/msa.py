@@ -46,7 +46,7 @@ class Msa(Solver):
         """I_k = prod_i max(I_ki, floor)^n, thresholded plane by plane."""
         count, floor = len(case.cameras), self.parameters.floor
         exponent = self.parameters.exponent or min(1.0, 3.0 / count)
-        images = normalised(case)
+        images = normalised(case.images, case.black_dn)
         if self.parameters.seen_only:  # where a camera sees nothing its factor is 1
             volume = refocus_log2(images, case.cameras, case.grid, floor, outside=1.0)
             volume *= count / np.maximum(

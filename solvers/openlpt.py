@@ -76,7 +76,7 @@ class OpenLpt(ParticleSolver):
         with tempfile.TemporaryDirectory(prefix="openlpt-") as name:
             folder = Path(name)
             for number, frame in enumerate(track(case, "images for OpenLPT")):
-                write_frame(folder, number, normalised(frame))
+                write_frame(folder, number, normalised(frame.images, frame.black_dn))
             seen = seen_in(case[0])
             if not seen.particles:
                 return [FoundParticles(np.zeros((0, 3))) for _ in range(len(case))]

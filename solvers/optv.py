@@ -75,6 +75,6 @@ class Optv(ParticleSolver):
         with tempfile.TemporaryDirectory(prefix="optv-") as name:
             folder = Path(name)
             for number, frame in enumerate(track(case, "images for OpenPTV")):
-                write_frame(folder, number, normalised(frame))
+                write_frame(folder, number, normalised(frame.images, frame.black_dn))
             write_project(folder, cameras, case.grid, len(case), settings)
             return solve(folder, case.grid, len(case))

@@ -50,6 +50,8 @@ class VolumeSelfCalibration(SelfCalibrationSolver):
     def solve(self, case: Observation) -> Calibration:
         """Four cameras first, then the others against what these agree on."""
         chosen: VolumeSelfCalibrationParameters = self.parameters
-        tracking = Tracking.of(case, np.asarray(normalised(case)), chosen.bright)
+        tracking = Tracking.of(
+            case, np.asarray(normalised(case.images, case.black_dn)), chosen.bright
+        )
         maps = follow(tracking, chosen.reach_px, chosen.least_px)
         return Calibration(refined(tracking, match_all(tracking, maps, chosen.least_px)))

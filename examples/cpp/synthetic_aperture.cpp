@@ -2,7 +2,7 @@
 //
 //   synthetic_aperture DATASET RESULT [k=3]
 //
-// It reads cameras.json, manifest.json and the uncompressed 16-bit TIFF images by itself; docs/participate.md is the contract. The algorithm
+// It reads cameras.json, manifest.json and the uncompressed 16-bit TIFF images by itself; docs/developing/participate.md is the contract. The algorithm
 // is that of ../python/synthetic_aperture.py, line by line.
 
 #include <algorithm>

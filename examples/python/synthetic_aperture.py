@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """Multiplicative synthetic aperture refocusing through a plane wall: a program that takes part in sabench without sabench.
 
-synthetic_aperture.py DATASET RESULT [k=3]. It needs numpy, h5py and tifffile; docs/participate.md is the contract.
+synthetic_aperture.py DATASET RESULT [k=3]. It needs numpy, h5py and tifffile; docs/developing/participate.md is the contract.
 """
 
 import json

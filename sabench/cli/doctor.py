@@ -10,9 +10,10 @@ import sys
 from dataclasses import dataclass
 from pathlib import Path
 
-from sabench import __version__, plugins
+from sabench import plugins
 from sabench.utils import backend
 from sabench.utils.errors import InputError
+from sabench.utils.version import __version__
 
 _PATIENCE_S = 180
 
@@ -79,7 +80,7 @@ def try_compute() -> str:
 
 def try_render() -> str:
     """Render the quick scene's first camera through its wall and compare the light with the analytic sum."""
-    from sabench.scenes.rig import build_rig, load_scene
+    from sabench.scenes import build_rig, load_scene
     from sabench.simulation.in_memory import make_particles
     from sabench.simulation.rendering.particle_images import image_particles, scattering_table
     from sabench.simulation.rendering.particles_traced import render

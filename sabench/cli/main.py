@@ -15,9 +15,10 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from sabench import __version__, plugins
-from sabench.scenes.loading import find
+from sabench import plugins
+from sabench.scenes import find
 from sabench.utils.errors import InputError
+from sabench.utils.version import __version__
 
 if TYPE_CHECKING:
     from sabench.evaluation.gates.comparison import Report
@@ -49,7 +50,7 @@ def list_all() -> None:
 @app.command()
 def schema() -> None:
     """The JSON schema of a scene file, for editors."""
-    from sabench.scenes.loading import schema as scene_schema
+    from sabench.scenes import scene_schema
 
     _say(json.dumps(scene_schema(), indent=1))
 
@@ -71,7 +72,7 @@ def generate(
     overwrite: Overwrite = False,
 ) -> None:
     """Make a data set: pictures, cameras and truth. Interrupted, the same command goes on with it."""
-    from sabench.scenes.rig import load_scene
+    from sabench.scenes import load_scene
     from sabench.simulation.pipeline import generate as make
     from sabench.simulation.renderer_choice import Renderer
 
@@ -108,7 +109,10 @@ def verify(dataset: Annotated[Path, typer.Argument(help="A data set folder.")]) 
 @app.command()
 def solve(
     solver: Annotated[
-        str, typer.Argument(help="Name of a solver, or path of a program; see docs/participate.md.")
+        str,
+        typer.Argument(
+            help="Name of a solver, or path of a program (see docs/developing/participate.md)."
+        ),
     ],
     dataset: Annotated[Path, typer.Argument(help="A data set folder.")],
     output: Annotated[Path, typer.Option("-o", "--output", help="The result file to make.")],
@@ -202,7 +206,7 @@ def calibrate(
     folder: Annotated[
         Path,
         typer.Argument(
-            help="A folder with calibration.toml and images or points.csv; see docs/calibration.md."
+            help="Folder of calibration.toml and images or points.csv (see docs/using/calibrating.md)."
         ),
     ],
     output: Annotated[

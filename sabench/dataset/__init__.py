@@ -1,1 +1,1 @@
-"""The data set on disk: docs/dataset-format.md is its contract."""
+"""The data set on disk: docs/formats/dataset.md is its contract."""

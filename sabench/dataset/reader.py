@@ -21,7 +21,7 @@ from sabench.geometry.frames import Pose
 from sabench.geometry.grid import Grid
 from sabench.images.preprocessing import WHITE, Step, processed
 from sabench.images.tiff_exr import read_exr, read_tiff
-from sabench.scenes.schema import Scene
+from sabench.scenes import Scene
 from sabench.utils.arrays import F32, F64, U16, Bool
 from sabench.utils.errors import InputError
 from sabench.utils.files import inside

@@ -1,4 +1,4 @@
-"""A solver's estimate on disk: docs/result-format.md is its contract."""
+"""A solver's estimate on disk: docs/formats/result.md is its contract."""
 
 from __future__ import annotations
 

@@ -14,15 +14,15 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from sabench import __version__
 from sabench.api.truth import Prior, Target
 from sabench.dataset import schema
 from sabench.dataset.hdf5 import created, uninterrupted
 from sabench.geometry.camera import Camera
-from sabench.scenes.rig import Rig, white_level
-from sabench.scenes.schema import Scene
+from sabench.scenes import Rig, Scene
+from sabench.scenes.sensor import white_level
 from sabench.utils.arrays import F64, Bool
 from sabench.utils.files import canonical_json, complete_or_nothing, sha256
+from sabench.utils.version import __version__
 from sabench.worlds.readable_codes import has_code
 
 _RECORDED = ("mitsuba", "drjit", "numpy", "scipy", "miepython", "h5py", "tifffile", "OpenEXR")

@@ -15,7 +15,7 @@ from typing import Any
 import numba
 from threadpoolctl import threadpool_limits
 
-from sabench import __version__, tasks
+from sabench import tasks
 from sabench.dataset.reader import Dataset, open_dataset
 from sabench.dataset.results import open_result
 from sabench.dataset.verification import verify
@@ -33,6 +33,7 @@ from sabench.utils.errors import DeclinedError, InputError
 from sabench.utils.files import clear_abandoned, complete_or_nothing, digest
 from sabench.utils.processes.isolated import apart
 from sabench.utils.progress import console
+from sabench.utils.version import __version__
 
 _RUN = ("scene_hash", "seed", "split", "renderer", "solver", "parameters", "code_hash")
 _COMPUTED = ("run_hash", "case", "label", "machine", "versions")

@@ -18,9 +18,7 @@ from sabench import plugins
 from sabench.api.make import make_algorithm
 from sabench.evaluation.hidden_split import Secret
 from sabench.evaluation.records import Difficulty
-from sabench.scenes.loading import find, parse_scene
-from sabench.scenes.rig import build_rig, load_scene
-from sabench.scenes.schema import Scene
+from sabench.scenes import Scene, build_rig, find, load_scene, parse_scene
 from sabench.simulation.renderer_choice import Renderer, choose_renderer
 from sabench.tasks.columns import COLUMNS
 from sabench.tasks.external_programs import find_program, is_program, solver_name

@@ -1,4 +1,4 @@
-"""Brightness of images: scale and background."""
+"""Brightness of images: one scale for all cameras, and the noise of the background."""
 
 from __future__ import annotations
 
@@ -8,43 +8,53 @@ from typing import Any
 import numba
 import numpy as np
 
-from sabench.api import Observation
 from sabench.utils.arrays import F32, U16
 
-_BRIGHT = 95.0  # percentile of the lit pixels that becomes 1
+_BRIGHT = 95.0  # percentile of the illuminated pixels that becomes 1
+_ILLUMINATED = 0.1  # of the image's maximum
 
 
-_LIT = 0.1  # of the image's maximum
+def normalised(images: U16, black_dn: float) -> F32:
+    """Scale images to a bright particle's peak in the same camera.
 
-
-def normalised(case: Observation) -> F32:
-    """Images as fractions of a bright particle's peak in the same camera, black level subtracted: (camera, row, column).
-
-    Cameras see particles at different scattering angles and so at very different brightness; a
+    Cameras record particles at different scattering angles and so at very different brightness; a
     common scale makes them count alike (the thesis matches histograms to the same end, section
-    2.3). The scale is the 95th percentile of the pixels that reach a tenth of the image's maximum,
-    which is the same kind of pixel in a sparse and in a dense image.
+    2.3). The scale is `bright_dn`, which is the same kind of pixel in a sparse and in a dense
+    image.
+
+    Parameters
+    ----------
+    images : (camera, row, column) grey values.
+    black_dn : grey value without light.
+
+    Returns
+    -------
+    (camera, row, column) fractions of the bright level, black level subtracted.
     """
-    images: F32 = np.empty(case.images.shape, dtype=np.float32)
-    for grey, image in zip(case.images, images, strict=True):
-        _scale(grey, float(case.black_dn), 1.0 / max(bright_dn(grey, case.black_dn), 1.0), image)
-    return images
+    scaled: F32 = np.empty(images.shape, dtype=np.float32)
+    for grey, image in zip(images, scaled, strict=True):
+        _scale(grey, float(black_dn), 1.0 / max(bright_dn(grey, black_dn), 1.0), image)
+    return scaled
 
 
 def bright_dn(grey: U16, black_dn: float) -> float:
-    """The 95th percentile, interpolated linearly, of grey values less black of the pixels that exceed a tenth of the brightest; 0 without any."""
+    """Compute the bright level of an image: a percentile of its illuminated pixels.
+
+    It is the 95th percentile, interpolated linearly, of grey values less black of the pixels that
+    exceed a tenth of the brightest; 0 without any.
+    """
     counts = np.bincount(grey.ravel(), minlength=1)
     levels = np.maximum(np.arange(len(counts)) - black_dn, 0.0)
-    counts[levels <= _LIT * levels[-1]] = 0
-    upto = np.cumsum(counts)
-    if upto[-1] == 0:
+    counts[levels <= _ILLUMINATED * levels[-1]] = 0
+    up_to = np.cumsum(counts)
+    if up_to[-1] == 0:
         return 0.0
-    place = _BRIGHT / 100.0 * (upto[-1] - 1)
+    rank = _BRIGHT / 100.0 * (up_to[-1] - 1)
     low, high = (
-        levels[np.searchsorted(upto, math.floor(place) + step, side="right")]
-        for step in (0, min(1, math.ceil(place) - math.floor(place)))
+        levels[np.searchsorted(up_to, math.floor(rank) + step, side="right")]
+        for step in (0, min(1, math.ceil(rank) - math.floor(rank)))
     )
-    return float(low + (place - math.floor(place)) * (high - low))
+    return float(low + (rank - math.floor(rank)) * (high - low))
 
 
 @numba.njit(cache=True, parallel=True)
@@ -55,8 +65,11 @@ def _scale(grey: Any, black: float, factor: float, image: Any) -> None:
             image[row, i] = np.float32(max(grey[row, i] - black, 0.0) * factor)
 
 
-def background(image: F32) -> float:
-    """Standard deviation of the dark part of an image, from the median distance to its median."""
+def background_noise(image: F32) -> float:
+    """Estimate the standard deviation of an image's dark part.
+
+    It follows from the median distance of the dark pixels to the image's median.
+    """
     middle = np.median(image)
     dark = image[image <= 2.0 * middle] if middle > 0.0 else image
     return float(1.4826 * np.median(np.abs(dark - middle)))

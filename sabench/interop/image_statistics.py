@@ -8,7 +8,7 @@ import numpy as np
 
 from sabench.algorithms.particles.refinement import widths
 from sabench.api import Observation
-from sabench.images.brightness import background, normalised
+from sabench.images.brightness import background_noise, normalised
 from sabench.images.peaks import spots_of
 
 _FLOOR, _NOISE = (
@@ -42,8 +42,8 @@ class Seen:
 
 def seen_in(frame: Observation) -> Seen:
     """What a frame shows."""
-    images = normalised(frame)
-    floor = max(_FLOOR, *(_NOISE * background(image) for image in images))
+    images = normalised(frame.images, frame.black_dn)
+    floor = max(_FLOOR, *(_NOISE * background_noise(image) for image in images))
     spots = [spots_of(image, floor).pixel for image in images]
     count = int(np.median([len(one) for one in spots]))
     low, voxel, shape = (

@@ -1,38 +1,37 @@
-"""Scenes and other tables from what users write, and sentences for whatever is wrong with it."""
+"""Read scene files and fill in the parameters of their generators."""
 
 from __future__ import annotations
 
-import difflib
+import tomllib
 from pathlib import Path
 from typing import Any
 
 from sabench import plugins
-from sabench.scenes.schema import WORLDS, Scene, plain
+from sabench.scenes.build import build_rig
+from sabench.scenes.bundled import find
+from sabench.scenes.scene import WORLDS, Scene, plain
 from sabench.utils.errors import InputError
 from sabench.utils.files import sha256
 from sabench.utils.validation import validate
 
 
-def find(name: str | Path, folder: str) -> Path:
-    """`name` as a path, or as the stem of a TOML file in a bundled folder (scenes, scenes/suites)."""
-    direct = Path(name)
-    if any(len(part.encode("utf-8", "replace")) > 255 for part in direct.parts) or "\0" in str(
-        name
-    ):
-        raise InputError(f"{name}: expected a file's name")
-    if direct.is_file():
-        return direct
-    inside = plugins.bundled("scenes").parent / folder
-    stem = direct.name.removesuffix(".toml")
-    bundled = inside / f"{stem}.toml"
-    if direct.parent in (Path(), Path(folder), Path("suites")) and bundled.is_file():
-        return bundled
-    known = sorted(file.stem for file in inside.glob("*.toml"))
-    near = difflib.get_close_matches(stem, known, 1)
-    raise InputError(
-        f"{name}: expected a file or one of {', '.join(known)}"
-        + (f"; did you mean {near[0]}?" if near else "")
-    )
+def load_scene(path: str | Path) -> Scene:
+    """Read and check a scene file; `path` may also be the name of a bundled scene.
+
+    Raises
+    ------
+    InputError
+        No such file, not TOML, an unknown key (with the nearest valid one), a wrong value or an
+        impossible geometry.
+    """
+    file = find(path, "scenes")
+    try:
+        values = tomllib.loads(file.read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError) as error:
+        raise InputError(f"{file}: expected a TOML file, got {error}") from error
+    scene = parse_scene(values, str(file), file.parent)
+    build_rig(scene, str(file))
+    return scene
 
 
 def parse_scene(values: dict[str, Any], source: str, folder: Path | None = None) -> Scene:
@@ -89,25 +88,3 @@ def _found(made: dict[str, Any], where: str, folder: Path) -> dict[str, str]:
             f"{where}.sha256: expected {made['sha256'][:12]}... of {path}, got {content[:12]}...: the file has changed"
         )
     return {"file": str(path), "sha256": content}
-
-
-def schema() -> dict[str, Any]:
-    """The JSON schema of a scene, with the parameters of every installed generator under the table that it fills."""
-    whole = Scene.model_json_schema()
-    choices: dict[str, list[Any]] = {table: [{"type": "null"}] for table in WORLDS} | {"solids": []}
-    for name in plugins.names("generators"):
-        plugin = plugins.load("generators", name)
-        table = plugin.Parameters.model_json_schema(ref_template=f"#/$defs/{name}.{{model}}")
-        whole["$defs"].update(
-            {f"{name}.{key}": value for key, value in table.pop("$defs", {}).items()}
-        )
-        table["properties"] = {"generator": {"const": name}, **table.get("properties", {})}
-        table["required"] = ["generator", *table.get("required", [])]
-        choices[plugin.makes].append(table)
-    solids = {
-        "oneOf": [{"type": "null"}, {"type": "array", "items": {"oneOf": choices.pop("solids")}}]
-    }
-    whole["properties"] |= {table: {"oneOf": options} for table, options in choices.items()} | {
-        "solids": solids
-    }
-    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **whole}

@@ -10,8 +10,7 @@ from sabench.api import Material
 from sabench.api.truth import NOTHING, Bubbles, Particles, Sight, Solid
 from sabench.geometry.camera import Camera
 from sabench.geometry.refraction import Layer
-from sabench.scenes.rig import Rig
-from sabench.scenes.schema import Scene
+from sabench.scenes import Rig, Scene
 from sabench.simulation.rendering.bubbles_traced import Lights, Tank, photograph
 from sabench.simulation.rendering.mesh_intersection import BodySearch
 from sabench.simulation.rendering.mie import MieTable

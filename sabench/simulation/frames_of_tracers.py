@@ -8,8 +8,7 @@ import numpy as np
 
 from sabench.api.truth import Particles
 from sabench.geometry.camera import Camera
-from sabench.scenes.rig import Rig
-from sabench.scenes.schema import Scene
+from sabench.scenes import Rig, Scene
 from sabench.simulation.rendering.mie import MieTable
 from sabench.simulation.rendering.particle_images import (
     ParticleImages,

@@ -9,8 +9,9 @@ import numpy as np
 from sabench.api import Observation
 from sabench.api.truth import Particles, View
 from sabench.dataset.reader import observed
-from sabench.scenes.rig import build_rig, told_cameras, white_level
-from sabench.scenes.schema import Scene
+from sabench.scenes import Scene, build_rig
+from sabench.scenes.nominal_cameras import nominal_cameras
+from sabench.scenes.sensor import white_level
 from sabench.simulation.frames_of_tracers import make_world, shoot
 from sabench.simulation.renderer_choice import Renderer, choose_renderer
 from sabench.worlds.tracers import Motion
@@ -43,7 +44,7 @@ def simulate(scene: Scene, *, seed: int = 0, frame: int = 0, backend: Renderer =
         views.append(
             View(images.pixel, images.photons, images.sigma_px, images.visible.astype(np.float64))
         )
-    told = told_cameras(scene, rig.cameras, seed)
+    told = nominal_cameras(scene, rig.cameras, seed)
     levels = scene.sensor.black_level_dn, white_level(scene.sensor)
     observation = observed(np.stack(pictures), told, rig.grid, levels, scene.preprocessing or ())
     return Shot(observation, world.particles, views)

@@ -12,19 +12,18 @@ from filelock import FileLock, Timeout
 
 from sabench.dataset.reader import Dataset, open_dataset
 from sabench.dataset.writer import dataset_writer
-from sabench.scenes.rig import build_rig, load_scene, told_cameras
-from sabench.scenes.schema import Scene
+from sabench.scenes import Scene, build_rig, load_scene
+from sabench.scenes.nominal_cameras import nominal_cameras
 from sabench.simulation.recording.job import Job
 from sabench.simulation.recording.parts import KEPT, Part, Parts, files_of
 from sabench.simulation.recording.recorders import Recorder, recorder_of
-from sabench.simulation.recording.schedule import Plan
+from sabench.simulation.recording.schedule import Schedule, WorkerPool
 from sabench.simulation.recording.workers import (
-    Crew,
-    Here,
-    Pool,
+    InProcess,
+    ProcessPool,
     UnfinishedError,
-    cluster,
-    work_off,
+    dask_pool,
+    run_schedule,
 )
 from sabench.simulation.renderer_choice import Renderer, choose_renderer
 from sabench.simulation.size_check import check_affordable
@@ -78,13 +77,15 @@ def generate(
     with _parts(target, job) as parts:
         recorder = recorder_of(loaded, seed, job.renderer, label)
         if scheduler:
-            crew: Crew = cluster(scheduler, parts.root)
+            workers: WorkerPool = dask_pool(scheduler, parts.root)
         else:
-            crew = Here(recorder, parts) if jobs == 1 else Pool(parts.root, jobs)
-        with contextlib.closing(crew):
-            work_off(
-                crew,
-                Plan(loaded.frames, recorder.views, chained=recorder.chained, ahead=crew.ahead),
+            workers = InProcess(recorder, parts) if jobs == 1 else ProcessPool(parts.root, jobs)
+        with contextlib.closing(workers):
+            run_schedule(
+                workers,
+                Schedule(
+                    loaded.frames, recorder.views, chained=recorder.chained, ahead=workers.ahead
+                ),
                 f"render {label} with {job.renderer}",
             )
         put_together(target, job, recorder, parts, overwrite=overwrite)
@@ -126,7 +127,7 @@ def put_together(
 ) -> None:
     """Make the data set of all its parts."""
     rig = build_rig(job.scene, job.label)
-    told, cameras = told_cameras(job.scene, rig.cameras, job.seed), rig.cameras[: recorder.views]
+    told, cameras = nominal_cameras(job.scene, rig.cameras, job.seed), rig.cameras[: recorder.views]
     with dataset_writer(
         target, job.label, job.scene, rig, told, job.seed, job.renderer, overwrite=overwrite
     ) as writer:

@@ -5,8 +5,7 @@ from __future__ import annotations
 import shutil
 from pathlib import Path
 
-from sabench.scenes.rig import Rig
-from sabench.scenes.schema import Scene
+from sabench.scenes import Rig, Scene
 from sabench.utils import memory
 from sabench.utils.errors import InputError
 

@@ -18,7 +18,7 @@ from sabench.metrics.bubble_detection import AnyBubbles, detection_scores
 from sabench.metrics.plunging_jet import JetFigures, analyse
 from sabench.metrics.trajectories import track_scores
 from sabench.plotting import pictures
-from sabench.scenes.schema import Scene
+from sabench.scenes import Scene
 from sabench.tasks.solver_call import attempt
 from sabench.utils import memory
 from sabench.utils.arrays import I64

@@ -1,4 +1,4 @@
-"""Programs in any language that take part: docs/participate.md is their contract.
+"""Programs in any language that take part: docs/developing/participate.md is their contract.
 
     program DATASET RESULT [name=value ...]
 
@@ -76,7 +76,7 @@ def run_program(
     ------
     InputError
         No such program, a program that fails or breaks a limit, or a result that is not what
-        docs/result-format.md says.
+        docs/formats/result.md says.
     """
     path, limits = find_program(program), limits or Limits()
     if out.exists() and not overwrite:

@@ -1,6 +1,6 @@
 """Calibrate an experimenter's own cameras: images or points of a target in a folder, without any truth, to cameras and a report.
 
-docs/calibration.md describes the folder.
+docs/using/calibrating.md describes the folder.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ from sabench.api.truth import Pattern, Target
 from sabench.dataset.results import camera_record
 from sabench.geometry.camera import Camera, Distortion, aim, aimed_rotation
 from sabench.plotting import pictures
-from sabench.scenes.rig import build_wall
-from sabench.scenes.schema import WallSpec
+from sabench.scenes.build import build_wall
+from sabench.scenes.wall import WallSpec
 from sabench.utils.arrays import F64, triple
 from sabench.utils.errors import InputError
 from sabench.utils.fields import LensNumber, Positive, Vector

@@ -44,7 +44,7 @@ def solve(
 
     Parameters
     ----------
-    solver : its name, or the path of a program (docs/participate.md).
+    solver : its name, or the path of a program (docs/developing/participate.md).
     out : the result file to make.
     parameters : of the solver; the others keep their defaults.
     limits : of a program's time, memory and output.

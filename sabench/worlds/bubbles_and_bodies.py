@@ -10,8 +10,8 @@ from sabench.api.truth import Bubbles, Solid
 from sabench.geometry.frames import Pose
 from sabench.geometry.refraction import Wall
 from sabench.geometry.rotations import exponential
-from sabench.scenes.rig import build_wall, domain_of
-from sabench.scenes.schema import Scene
+from sabench.scenes import Scene
+from sabench.scenes.build import build_wall, domain_of
 from sabench.utils.arrays import I64
 from sabench.utils.errors import InputError
 from sabench.worlds.library.random_packing import overlapping, touching

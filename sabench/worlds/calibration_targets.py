@@ -8,8 +8,9 @@ from sabench import plugins
 from sabench.api import TargetGenerator
 from sabench.api.truth import Placed, Prior
 from sabench.geometry.camera import Camera
-from sabench.scenes.rig import domain_of
-from sabench.scenes.schema import Detection, Scene
+from sabench.scenes import Scene
+from sabench.scenes.build import domain_of
+from sabench.scenes.calibration import Detection
 from sabench.utils.arrays import F64, Bool
 from sabench.utils.errors import InputError
 from sabench.utils.rng import stream

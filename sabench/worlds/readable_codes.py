@@ -7,7 +7,7 @@ import numpy as np
 from sabench import plugins
 from sabench.api import Code, CodeGenerator
 from sabench.api.make import generator_of
-from sabench.scenes.schema import Scene
+from sabench.scenes import Scene
 from sabench.worlds.bubbles_and_bodies import pose_of
 
 

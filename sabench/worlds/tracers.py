@@ -11,8 +11,9 @@ from sabench import plugins
 from sabench.api import Flow, Generator, Velocity
 from sabench.api.truth import Particles
 from sabench.geometry.frames import Domain
-from sabench.scenes.rig import domain_of
-from sabench.scenes.schema import Illumination, Scene
+from sabench.scenes import Scene
+from sabench.scenes.build import domain_of
+from sabench.scenes.illumination import Illumination
 from sabench.utils.arrays import F64, Bool, triple
 from sabench.utils.errors import InputError
 from sabench.utils.rng import stream

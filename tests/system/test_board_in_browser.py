@@ -12,7 +12,7 @@ import pytest
 from sabench.evaluation.leaderboard import rows
 from sabench.evaluation.records import Record
 from sabench.utils.confidence import mean_of
-from tests.browser import Browser, chromium
+from tests.helpers.browser import Browser, chromium
 from tests.system.test_board import HOSTILE, draw, record
 
 SOLVERS = "[...document.querySelectorAll('#content tbody tr:not(.details) > th .name')].map(cell => cell.textContent)"

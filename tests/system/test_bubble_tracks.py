@@ -17,7 +17,7 @@ from sabench.tasks import bubbles
 from sabench.tasks.solve_and_score import score
 from sabench.utils.arrays import I64
 from sabench.utils.errors import InputError
-from tests.bubble_scenes import small
+from tests.helpers.bubble_scenes import small
 
 TRACKS = ("link_recall", "link_precision", "effectiveness", "velocity_mm_s", "velocity_percent")
 SPEED = np.array([300.0, -150.0, 100.0])  # 3.5 mm a frame, about as far as the nearest neighbour is

@@ -14,13 +14,13 @@ from sabench.api.truth import NOTHING
 from sabench.dataset.reader import Dataset
 from sabench.dataset.verification import verify
 from sabench.plugins import load, names
-from sabench.scenes.rig import build_rig
+from sabench.scenes import build_rig
 from sabench.simulation.frames_of_bubbles import Worlds
 from sabench.simulation.pipeline import generate
 from sabench.tasks.solve_and_score import score, solve
 from sabench.utils.arrays import F64
 from sabench.utils.errors import InputError
-from tests.bubble_scenes import LASER, small
+from tests.helpers.bubble_scenes import LASER, small
 
 SOLVERS = [name for name in names("solvers") if load("solvers", name).track == "bubbles"]
 

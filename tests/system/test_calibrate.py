@@ -14,13 +14,13 @@ import tomli_w
 from pydantic import TypeAdapter
 
 from sabench.geometry.camera import Camera
-from sabench.scenes.rig import build_rig
-from sabench.scenes.schema import Lighting, Scene
+from sabench.scenes import Scene, build_rig
+from sabench.scenes.illumination import Lighting
 from sabench.simulation.rendering.targets_traced import photograph
 from sabench.utils.arrays import F64
 from sabench.worlds.calibration_targets import place
 from tests.conftest import Command
-from tests.unit.calibration_cases import calibration_scene, case_of, true_error_px
+from tests.helpers.calibration_cases import calibration_scene, case_of, true_error_px
 
 
 def describe(scene: Scene, folder: Path, cameras: tuple[Camera, ...], **changes: Any) -> None:

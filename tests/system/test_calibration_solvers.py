@@ -15,13 +15,13 @@ from sabench import plugins
 from sabench.api import Calibration, CalibrationCase
 from sabench.api.make import make_algorithm
 from sabench.dataset.reader import Dataset
-from sabench.scenes.loading import parse_scene
+from sabench.scenes import parse_scene
 from sabench.tasks.calibration import score_result
 from sabench.utils.errors import InputError
 from tests.conftest import ROOT, Command
+from tests.helpers.calibration_cases import calibration_scene, case_of, true_error_px
 from tests.system.test_board import solvers
-from tests.unit.calibration_cases import calibration_scene, case_of, true_error_px
-from tests.unit.test_self_calibration import particle_scene
+from tests.unit.algorithms.calibration.test_self_calibration import particle_scene
 
 SOLVERS = [
     name

@@ -13,8 +13,7 @@ from sabench.dataset.reader import Dataset
 from sabench.dataset.schema import image_name
 from sabench.dataset.verification import verify
 from sabench.metrics.reconstruction_error import SCORES
-from sabench.scenes.loading import parse_scene
-from sabench.scenes.rig import load_scene
+from sabench.scenes import load_scene, parse_scene
 from sabench.simulation.in_memory import simulate
 from sabench.utils.files import sha256
 from tests.conftest import Command, pinholes

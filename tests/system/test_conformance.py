@@ -11,8 +11,7 @@ from sabench import plugins
 from sabench.api import Observation, Reconstruction
 from sabench.api.make import make_solver
 from sabench.metrics.reconstruction_error import score_frame
-from sabench.scenes.loading import parse_scene
-from sabench.scenes.rig import load_scene
+from sabench.scenes import load_scene, parse_scene
 from sabench.simulation.in_memory import Shot, simulate
 from sabench.tasks.columns import COLUMNS
 

@@ -14,10 +14,10 @@ from sabench.dataset.results import open_result, result_writer
 from sabench.geometry.vector_calculus import vorticity
 from sabench.metrics.synthesised_field import true_field
 from sabench.plugins import load
-from sabench.scenes.schema import Scene
+from sabench.scenes import Scene
 from sabench.worlds.tracers import flow_of
-from tests.bubble_scenes import LASER, small
 from tests.conftest import Command
+from tests.helpers.bubble_scenes import LASER, small
 
 vtk = pytest.importorskip("vtkmodules.vtkIOHDF", reason="needs the package vtk")
 

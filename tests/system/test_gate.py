@@ -25,7 +25,7 @@ solvers = [{ name = "dimmest" }]
 SOLVER = '''"""The dimmest camera."""
 
 from sabench.api import Reconstruction, Solver
-from sabench.algorithms.refocus.thresholding import normalised
+from sabench.images.brightness import normalised
 from sabench.algorithms.refocus import refocus_log2
 
 
@@ -36,7 +36,7 @@ class Dimmest(Solver):
     references = ("nobody",)
 
     def solve(self, case):
-        volume = refocus_log2(normalised(case), case.cameras, case.grid, 0.01, outside=0.01)
+        volume = refocus_log2(normalised(case.images, case.black_dn), case.cameras, case.grid, 0.01, outside=0.01)
         volume[volume < -8.0] = -100.0
         return Reconstruction(2.0 ** volume)
 '''

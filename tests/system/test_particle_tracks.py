@@ -16,8 +16,7 @@ from sabench.dataset.reader import Dataset
 from sabench.dataset.results import open_result, result_writer
 from sabench.evaluation.suites import override
 from sabench.interop.vtkhdf import export
-from sabench.scenes.loading import parse_scene
-from sabench.scenes.rig import load_scene
+from sabench.scenes import load_scene, parse_scene
 from sabench.simulation.in_memory import Shot, simulate
 from sabench.simulation.pipeline import generate
 from sabench.tasks.solve_and_score import score, solve

@@ -15,17 +15,15 @@ import tomli_w
 from filelock import FileLock
 
 import sabench
-from sabench.scenes.loading import parse_scene
-from sabench.scenes.rig import load_scene
-from sabench.scenes.schema import Scene
+from sabench.scenes import Scene, load_scene, parse_scene
 from sabench.simulation.frames_of_tracers import shoot
 from sabench.simulation.pipeline import generate
 from sabench.simulation.recording import job, recorders, workers
 from sabench.simulation.recording.job import Job
-from sabench.simulation.recording.workers import Pool
+from sabench.simulation.recording.workers import ProcessPool
 from sabench.utils.errors import InputError
-from tests.bubble_scenes import LASER, small
 from tests.conftest import Command
+from tests.helpers.bubble_scenes import LASER, small
 
 ABC = {
     "generator": "abc_flow",
@@ -70,7 +68,7 @@ def test_two_processes_make_the_bytes_of_one(tmp_path: Path, scene: Scene) -> No
     assert sorted(entry.name for entry in tmp_path.iterdir()) == ["one", "two"]
 
 
-def kill_workers(pool: list[Pool], folder: Path, killed: list[int]) -> None:
+def kill_workers(pool: list[ProcessPool], folder: Path, killed: list[int]) -> None:
     """Kill one worker after another, as soon as some view has been recorded since the last."""
     seen, end = 0, time.monotonic() + 60.0
     while len(killed) < 3 and time.monotonic() < end:
@@ -87,15 +85,15 @@ def test_workers_that_are_killed_are_replaced(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     expected = made(moving(30), tmp_path / "one")
-    pools: list[Pool] = []
+    pools: list[ProcessPool] = []
     killed: list[int] = []
-    start = Pool.__init__
+    start = ProcessPool.__init__
 
-    def noted(self: Pool, *how: Any) -> None:
+    def noted(self: ProcessPool, *how: Any) -> None:
         start(self, *how)
         pools.append(self)
 
-    monkeypatch.setattr(Pool, "__init__", noted)
+    monkeypatch.setattr(ProcessPool, "__init__", noted)
     killer = threading.Thread(target=kill_workers, args=(pools, tmp_path, killed))
     killer.start()
     assert made(moving(30), tmp_path / "two", jobs=2) == expected
@@ -198,16 +196,16 @@ def test_what_is_there_is_not_made_again(tmp_path: Path, monkeypatch: pytest.Mon
 def test_another_scene_or_seed_takes_nothing_of_what_was_left(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    work_off = workers.work_off
+    run_schedule = workers.run_schedule
 
     def stop(*arguments: Any) -> None:
-        work_off(*arguments)
+        run_schedule(*arguments)
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("sabench.simulation.pipeline.work_off", stop)
+    monkeypatch.setattr("sabench.simulation.pipeline.run_schedule", stop)
     with pytest.raises(KeyboardInterrupt):
         made(moving(2), tmp_path / "set")
-    monkeypatch.setattr("sabench.simulation.pipeline.work_off", work_off)
+    monkeypatch.setattr("sabench.simulation.pipeline.run_schedule", run_schedule)
     other = generate(moving(2), tmp_path / "set", seed=5, backend="splat", name="s").content_hash
     assert (
         other

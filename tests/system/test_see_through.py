@@ -15,13 +15,13 @@ from sabench.dataset.verification import verify
 from sabench.interop.vtkhdf import export
 from sabench.metrics.code_reading import single_views
 from sabench.plugins import load
-from sabench.scenes.schema import Scene
+from sabench.scenes import Scene
 from sabench.simulation.pipeline import generate
 from sabench.tasks.see_through import error_picture
 from sabench.tasks.solve_and_score import score, solve
 from sabench.utils.errors import InputError
 from sabench.worlds.readable_codes import code_of
-from tests.bubble_scenes import small
+from tests.helpers.bubble_scenes import small
 
 PLATE = {
     "generator": "code_plate",

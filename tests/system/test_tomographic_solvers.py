@@ -15,9 +15,7 @@ from sabench.geometry.grid import Grid, synthesise
 from sabench.metrics.quality_factor import quality
 from sabench.metrics.reconstruction_error import score_frame
 from sabench.metrics.synthesised_field import true_field
-from sabench.scenes.loading import parse_scene
-from sabench.scenes.rig import load_scene
-from sabench.scenes.schema import Scene
+from sabench.scenes import Scene, load_scene, parse_scene
 from sabench.simulation.in_memory import Shot, simulate
 from tests.conftest import pinholes
 

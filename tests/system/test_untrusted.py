@@ -23,12 +23,11 @@ from sabench.dataset.schema import read_target
 from sabench.dataset.verification import verify
 from sabench.evaluation.suites import load_suite
 from sabench.images.tiff_exr import read_tiff
-from sabench.scenes.loading import parse_scene
-from sabench.scenes.rig import load_scene
+from sabench.scenes import load_scene, parse_scene
 from sabench.utils.errors import InputError
 from sabench.utils.files import canonical_json, read_json
 from tests.conftest import ROOT
-from tests.untrusted import SCENE, check_sentence, reseal
+from tests.helpers.untrusted import SCENE, check_sentence, reseal
 
 
 def test_damaged_input_is_refused_by_one_sentence_or_taken(tmp_path: Path) -> None:

@@ -14,9 +14,7 @@ import tomli_w
 from sabench.api import Velocity
 from sabench.dataset.reader import Dataset, open_dataset
 from sabench.dataset.results import open_result
-from sabench.scenes.loading import parse_scene
-from sabench.scenes.rig import load_scene
-from sabench.scenes.schema import Scene
+from sabench.scenes import Scene, load_scene, parse_scene
 from sabench.simulation.pipeline import generate
 from sabench.tasks.solve_and_score import score, solve
 from sabench.tasks.velocimetry import score_pair

@@ -11,7 +11,7 @@ from sabench.algorithms.particles.refinement import in_mm, peak_of, remove, sett
 from sabench.algorithms.particles.triangulation import Candidates, candidates, chosen
 from sabench.api import FoundParticles, Observation
 from sabench.geometry.volume_polynomials import Maps, maps_of, positions
-from sabench.images.brightness import background, normalised
+from sabench.images.brightness import background_noise, normalised
 from sabench.images.peaks import Spots, spots_of
 from sabench.utils.arrays import F32, F64, Bool
 
@@ -53,7 +53,7 @@ def box_of(case: Observation) -> Maps:
 
 def triangulated(case: Observation, maps: Maps, settings: Settings) -> FoundParticles:
     """The particles that particle images agree on, each image taken once."""
-    images = normalised(case)
+    images = normalised(case.images, case.black_dn)
     spots = _spots(images, settings)
     found = _agreed(maps, spots, settings, 0, 0, images)
     return FoundParticles(in_mm(maps, found.place), _peaks(found, spots, images).mean(axis=1))
@@ -61,7 +61,7 @@ def triangulated(case: Observation, maps: Maps, settings: Settings) -> FoundPart
 
 def reconstructed(case: Observation, maps: Maps, settings: Settings) -> FoundParticles:
     """The particles that explain the images: found and fitted, again and again, on what is left."""
-    images = normalised(case)
+    images = normalised(case.images, case.black_dn)
     sigma = widths(images, [one.pixel for one in _spots(images, settings)])
     left, places, light = images.copy(), np.zeros((0, 3)), np.zeros((0, len(images)))
     full, reduced = settings.rounds
@@ -81,7 +81,8 @@ def reconstructed(case: Observation, maps: Maps, settings: Settings) -> FoundPar
 def _spots(images: F32, settings: Settings) -> tuple[Spots, ...]:
     """Particle images above the background of every camera."""
     return tuple(
-        spots_of(image, max(settings.floor, settings.noise * background(image))) for image in images
+        spots_of(image, max(settings.floor, settings.noise * background_noise(image)))
+        for image in images
     )
 
 

@@ -89,7 +89,10 @@ class Problem:
     @classmethod
     def of(cls, case: Observation, parameters: TomographyParameters) -> Problem:
         """Scale the images, split the grid's voxels where needed, choose the footprint."""
-        light, scale = normalised(case), supersampling.scale_of(case.cameras, case.grid)
+        light, scale = (
+            normalised(case.images, case.black_dn),
+            supersampling.scale_of(case.cameras, case.grid),
+        )
         splits, (footprint, sigma_px) = supersampling.splits(scale), _footprint(light, parameters)
         sight = sight_of(case.cameras, supersampling.split(case.grid, splits), footprint.margin)
         measured = Measured(np.maximum(light, np.float32(DARKEST)), case.images >= case.white_dn)

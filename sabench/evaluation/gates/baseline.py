@@ -185,7 +185,7 @@ class Finding:
 
 
 def default_tolerance(track: str, figure: str) -> Tolerance:
-    """The rule behind tolerances that nobody has edited; docs/gates.md says where its numbers come from."""
+    """The rule behind tolerances that nobody has edited; its numbers: docs/developing/gates.md."""
     if figure == "peak_mb":
         return Tolerance(relative=1.0, absolute=200.0)
     if figure in TIMES:

@@ -11,7 +11,6 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from sabench import __version__
 from sabench.dataset.reader import Dataset
 from sabench.evaluation.gates.baseline import (
     COSTS,
@@ -35,10 +34,11 @@ from sabench.evaluation.gates.dataset_statistics import fingerprint
 from sabench.evaluation.gates.known_wrong_estimates import probe
 from sabench.evaluation.runner import dataset_of, machine, solve_apart, versions
 from sabench.evaluation.suites import Case, Entrant, load_suite
-from sabench.scenes.loading import find
+from sabench.scenes import find
 from sabench.tasks.solve_and_score import score
 from sabench.utils.errors import InputError
 from sabench.utils.progress import console
+from sabench.utils.version import __version__
 
 _AGAIN = 2  # times that a solver which seems to have become slower is run once more
 

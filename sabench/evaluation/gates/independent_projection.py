@@ -2,7 +2,7 @@
 
 It takes nothing from `sabench.geometry`: the wall's numbers come from the scene as its author wrote
 them, the path from bisection for the invariant n sin(angle) that all its angles share, the lens
-from the formula in docs/dataset-format.md.
+from the formula in docs/formats/dataset.md.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from sabench.scenes.schema import Scene
+from sabench.scenes import Scene
 from sabench.utils.arrays import F64
 
 _HALVINGS = 100

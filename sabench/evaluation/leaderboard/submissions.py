@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from sabench import __version__
 from sabench.dataset.hdf5_probe import probe
 from sabench.dataset.reader import Dataset, open_dataset
 from sabench.dataset.results import dataset_of
@@ -26,6 +25,7 @@ from sabench.utils.files import digest
 from sabench.utils.processes.isolated import apart
 from sabench.utils.progress import track
 from sabench.utils.validation import printable
+from sabench.utils.version import __version__
 
 _LONGEST_NAME = 80
 _SCORE_S = 3600.0  # for one result

@@ -14,9 +14,8 @@ from sabench.api.make import make_algorithm
 from sabench.geometry.camera import Camera
 from sabench.geometry.triangulation import triangulate
 from sabench.metrics.alignment import alignment
-from sabench.scenes.loading import parse_scene
-from sabench.scenes.rig import build_rig, load_scene, told_cameras
-from sabench.scenes.schema import Scene
+from sabench.scenes import Scene, build_rig, load_scene, parse_scene
+from sabench.scenes.nominal_cameras import nominal_cameras
 from sabench.utils.arrays import F64
 from sabench.utils.rng import stream
 from sabench.worlds.calibration_targets import exact_pixels, found_pixels, place, prior
@@ -116,7 +115,7 @@ def draw(scene: Scene, seed: int) -> Board:
     case = CalibrationCase(
         placed.target,
         pixels,
-        told_cameras(scene, true, seed),
+        nominal_cameras(scene, true, seed),
         known.rough_mm,
         known.known_mm,
         known.known_sigma_mm,

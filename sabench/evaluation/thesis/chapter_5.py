@@ -19,8 +19,9 @@ from sabench.api import Observation
 from sabench.dataset.reader import observed
 from sabench.geometry.grid import Grid
 from sabench.plotting.charts import Figure, Panel, Picture
-from sabench.scenes.rig import build_rig, told_cameras, white_level
-from sabench.scenes.schema import Scene
+from sabench.scenes import Scene, build_rig
+from sabench.scenes.nominal_cameras import nominal_cameras
+from sabench.scenes.sensor import white_level
 from sabench.simulation.frames_of_bubbles import PhaseWorld, Worlds, record
 from sabench.utils.arrays import F64
 from sabench.utils.progress import track
@@ -40,7 +41,7 @@ def photographed(scene: Scene, seed: int) -> tuple[PhaseWorld, Observation]:
     levels = scene.sensor.black_level_dn, white_level(scene.sensor)
     return world, observed(
         np.stack(images),
-        told_cameras(scene, rig.cameras, seed),
+        nominal_cameras(scene, rig.cameras, seed),
         rig.grid,
         levels,
         scene.preprocessing or (),

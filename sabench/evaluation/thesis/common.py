@@ -20,7 +20,7 @@ from sabench.images.brightness import normalised
 from sabench.metrics.particle_detection import Counts, count_thesis, detect
 from sabench.metrics.synthesised_field import true_field
 from sabench.plotting.charts import Figure
-from sabench.scenes.schema import Scene
+from sabench.scenes import Scene
 from sabench.simulation.in_memory import Shot, simulate
 from sabench.utils.arrays import F32, F64
 from sabench.utils.confidence import mean_of
@@ -217,7 +217,7 @@ def map_shift_average(shot: Shot) -> Refocused:
 def additive(shot: Shot) -> Refocused:
     """The additive synthetic aperture of equation 3.3: the mean of all cameras at every voxel of the scene's grid, by exact projections."""
     seen = shot.observation
-    volume = refocus_sum(normalised(seen), seen.cameras, seen.grid)
+    volume = refocus_sum(normalised(seen.images, seen.black_dn), seen.cameras, seen.grid)
     volume /= np.float32(len(seen.cameras))
     return Refocused.of(shot, seen.grid, shot.particles, volume)
 

@@ -14,8 +14,7 @@ from sabench.evaluation.thesis.chapter_5 import photographed
 from sabench.evaluation.thesis.common import Item, claim, coarsened, compared
 from sabench.metrics.code_reading import read_volume, reading, single_views
 from sabench.plotting.charts import Figure, Panel, Picture
-from sabench.scenes.rig import build_rig, load_scene
-from sabench.scenes.schema import Scene
+from sabench.scenes import Scene, build_rig, load_scene
 from sabench.simulation.frames_of_bubbles import Worlds, record
 from sabench.tasks.see_through import code_plane
 from sabench.utils.arrays import F64

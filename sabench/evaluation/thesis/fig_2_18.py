@@ -22,8 +22,7 @@ from sabench.metrics.vortex_rings import (
     spin_of,
 )
 from sabench.plotting.charts import Curve, Figure, Panel
-from sabench.scenes.rig import load_scene
-from sabench.scenes.schema import Scene
+from sabench.scenes import Scene, load_scene
 from sabench.simulation.in_memory import simulate
 from sabench.tasks.figures.velocity import slice_panel
 from sabench.utils.arrays import F64

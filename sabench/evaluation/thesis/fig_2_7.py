@@ -20,7 +20,7 @@ from sabench.evaluation.thesis.common import (
     measured,
     per_pixel,
 )
-from sabench.scenes.rig import build_rig
+from sabench.scenes import build_rig
 
 SEEDS = 10  # the thesis makes ten draws of every mapping error
 CAMERAS, ERRORS = "fig-2-7a", "fig-2-7b"

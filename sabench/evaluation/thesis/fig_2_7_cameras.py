@@ -20,9 +20,7 @@ from sabench.geometry.camera_model import CameraModel
 from sabench.geometry.rigid_motion import Motion, rigid_fit
 from sabench.geometry.triangulation import triangulate
 from sabench.metrics.reconstruction_error import score_frame
-from sabench.scenes.loading import parse_scene
-from sabench.scenes.rig import build_rig
-from sabench.scenes.schema import Scene
+from sabench.scenes import Scene, build_rig, parse_scene
 from sabench.simulation.in_memory import Shot, simulate
 
 SEEDS = 5

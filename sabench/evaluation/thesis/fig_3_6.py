@@ -22,8 +22,7 @@ from sabench.evaluation.thesis.common import (
 from sabench.evaluation.thesis.fig_2_7 import CAMERAS, by_cameras
 from sabench.evaluation.thesis.theory import ghost_ratio
 from sabench.metrics.reconstruction_error import score_frame
-from sabench.scenes.rig import build_rig, load_scene
-from sabench.scenes.schema import Scene
+from sabench.scenes import Scene, build_rig, load_scene
 
 SEEDS = 5
 _MOST = (9, 13)  # numbers of cameras at which the thesis finds most true particles

@@ -16,9 +16,7 @@ from sabench.evaluation.thesis.chapter_4 import Board, draw, places_of, solved
 from sabench.evaluation.thesis.common import Item, claim, compared
 from sabench.geometry.rigid_motion import rigid_fit
 from sabench.plotting.charts import Curve, Figure, Panel
-from sabench.scenes.loading import parse_scene
-from sabench.scenes.rig import load_scene
-from sabench.scenes.schema import Scene
+from sabench.scenes import Scene, load_scene, parse_scene
 from sabench.utils.arrays import F64
 from sabench.utils.progress import track
 

@@ -10,7 +10,7 @@ from sabench.evaluation.thesis.chapter_4 import scene_at
 from sabench.evaluation.thesis.common import Row, claim, compared
 from sabench.geometry.camera_model import CameraModel
 from sabench.geometry.polynomial_cameras import fit_planes, fit_projective, fit_soloff
-from sabench.scenes.rig import build_rig
+from sabench.scenes import build_rig
 from sabench.utils.arrays import F64
 
 SEEDS = 1

@@ -9,7 +9,7 @@ import numpy as np
 from sabench.evaluation.thesis.chapter_4 import scene_of
 from sabench.evaluation.thesis.common import Row, claim, compared
 from sabench.geometry.refraction import trace_to_points
-from sabench.scenes.rig import build_rig
+from sabench.scenes import build_rig
 from sabench.utils.arrays import F64
 
 SEEDS = 1

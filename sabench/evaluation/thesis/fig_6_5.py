@@ -14,7 +14,7 @@ from sabench.evaluation.thesis.chapter_5 import photographed
 from sabench.evaluation.thesis.common import Item, coarsened, compared
 from sabench.metrics.bubble_detection import detection_scores
 from sabench.plotting.charts import Figure, Panel, Picture
-from sabench.scenes.rig import load_scene
+from sabench.scenes import load_scene
 
 SEEDS = 3
 _DEPTHS_MM = (-8.0, 0.0, 8.0)

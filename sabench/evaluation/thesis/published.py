@@ -43,7 +43,7 @@ def published_volume(shot: Shot) -> tuple[Grid, Particles, F32]:
     slab = _as_large_as_images(make_slab(cameras, grid, 0, grid.shape[0]), center, grid)
     mapped = np.empty((len(cameras), *slab.shape), dtype=np.float32)
     resample(
-        coefficients_of(normalised(seen), LINEAR),
+        coefficients_of(normalised(seen.images, seen.black_dn), LINEAR),
         LINEAR,
         *rectifying_maps(slab, cameras, grid),
         0.0,

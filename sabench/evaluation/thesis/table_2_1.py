@@ -24,8 +24,7 @@ from sabench.evaluation.thesis.common import (
 )
 from sabench.evaluation.thesis.theory import plane_spacing_ratio
 from sabench.geometry.camera import Camera
-from sabench.scenes.rig import build_rig
-from sabench.scenes.schema import Scene
+from sabench.scenes import Scene, build_rig
 
 SEEDS = 5
 SUITE = "table-2-1"

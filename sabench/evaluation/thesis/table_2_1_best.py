@@ -18,7 +18,7 @@ from sabench.evaluation.thesis.common import (
 from sabench.evaluation.thesis.table_2_1 import SUITE
 from sabench.metrics.quality_factor import quality
 from sabench.metrics.synthesised_field import true_field
-from sabench.scenes.schema import Scene
+from sabench.scenes import Scene
 
 SEEDS = 5
 SOLVERS = (

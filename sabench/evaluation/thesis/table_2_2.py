@@ -15,8 +15,7 @@ from sabench.evaluation.thesis.common import Item, cases, coarsened, compared, s
 from sabench.metrics.synthesised_field import true_field
 from sabench.metrics.velocity_error import precision_interval
 from sabench.plotting.charts import Figure, Panel
-from sabench.scenes.loading import parse_scene
-from sabench.scenes.schema import Scene
+from sabench.scenes import Scene, parse_scene
 from sabench.simulation.in_memory import Shot, simulate
 from sabench.tasks.figures.velocity import error_scatter, slice_panel
 from sabench.utils.arrays import F32, F64

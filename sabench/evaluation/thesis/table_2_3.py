@@ -18,7 +18,7 @@ from sabench.evaluation.thesis.common import (
     measured,
     per_pixel,
 )
-from sabench.scenes.rig import build_rig
+from sabench.scenes import build_rig
 
 SEEDS = 5
 _PER_PIXEL, _PER_TOTAL_PIXEL, _PARTICLES = 0.125, 0.01, 125_000

@@ -12,7 +12,7 @@ from sabench.api import Observation, Solver
 from sabench.api.make import make_solver
 from sabench.evaluation.thesis.common import Row, cases, coarsened, compared, simulated
 from sabench.evaluation.thesis.theory import TABLE_3_1, Algorithm, Setup, operations
-from sabench.scenes.schema import Scene
+from sabench.scenes import Scene
 
 SEEDS = 5
 _CASES: Mapping[Algorithm, str] = {

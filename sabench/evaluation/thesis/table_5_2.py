@@ -14,8 +14,7 @@ from sabench.evaluation.thesis.chapter_5 import photographed, pictures
 from sabench.evaluation.thesis.common import Item, coarsened, compared
 from sabench.metrics.bubble_detection import AnyBubbles, detection_scores
 from sabench.plotting.charts import Curve, Figure, Panel, Space
-from sabench.scenes.rig import load_scene
-from sabench.scenes.schema import Scene
+from sabench.scenes import Scene, load_scene
 from sabench.simulation.frames_of_bubbles import PhaseWorld
 from sabench.simulation.rendering.pixel_truth import see
 from sabench.tasks.bubbles import JET, jet_figures

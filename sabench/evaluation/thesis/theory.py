@@ -114,7 +114,7 @@ TABLE_3_1: dict[Algorithm, Setup] = {
 def operations(algorithm: Algorithm, setup: Setup) -> tuple[float, float]:
     """Operations of the first pass over the volume, and of all iterations after it: equations 3.6, 3.7, 3.10 to 3.13.
 
-    Equations 3.12 and 3.13 are those of one iteration; Table 3.1 has five. See docs/theory.md for
+    Equations 3.12 and 3.13 are those of one iteration; Table 3.1 has five. See docs/physics/theory.md
     where the table departs from the equations.
     """
     n, mart = (

@@ -10,8 +10,7 @@ from dask import config
 from distributed import Client, wait
 
 from sabench.simulation.recording.job import do
-from sabench.simulation.recording.schedule import Task
-from sabench.simulation.recording.workers import Outcome
+from sabench.simulation.recording.schedule import Outcome, Task
 from sabench.utils.errors import InputError
 from sabench.utils.progress import console
 
@@ -19,7 +18,7 @@ _PATIENCE_S = 20.0  # before it says that it waits
 _SILENT_S = 8.0  # that an address may be at first
 
 
-class Cluster:
+class DaskPool:
     """All workers of a Dask scheduler, those that come later as well, one task each at a time."""
 
     def __init__(self, address: str, root: Path) -> None:

@@ -10,8 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from sabench.scenes.loading import parse_scene
-from sabench.scenes.schema import Scene
+from sabench.scenes import Scene, parse_scene
 from sabench.simulation.recording.parts import Parts
 from sabench.simulation.recording.recorders import Recorder, recorder_of
 from sabench.simulation.recording.schedule import Task

@@ -12,8 +12,8 @@ from sabench.api.truth import Bubbles, Particles
 from sabench.dataset import schema
 from sabench.dataset.writer import DatasetWriter
 from sabench.geometry.camera import Camera
-from sabench.scenes.rig import build_rig, told_cameras
-from sabench.scenes.schema import Scene
+from sabench.scenes import Scene, build_rig
+from sabench.scenes.nominal_cameras import nominal_cameras
 from sabench.simulation.frames_of_bubbles import PhaseWorld, Worlds, record
 from sabench.simulation.frames_of_tracers import World, make_world, shoot
 from sabench.simulation.recording.parts import KEPT, Part, Parts, Recall, Taken
@@ -163,7 +163,7 @@ class TargetRecorder:
         rig = build_rig(scene, label)
         self._scene, self._seed, self.cameras, self.chained = scene, seed, rig.cameras, False
         self._told, self._placed = (
-            told_cameras(scene, rig.cameras, seed),
+            nominal_cameras(scene, rig.cameras, seed),
             calibration_targets.place(scene, seed),
         )
         self._known = calibration_targets.prior(scene, self._placed, seed)

@@ -11,51 +11,21 @@ import subprocess
 import sys
 import threading
 from collections.abc import Hashable, Iterator, Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 from sabench.simulation.recording.job import record
 from sabench.simulation.recording.parts import Parts
 from sabench.simulation.recording.recorders import Recorder
-from sabench.simulation.recording.schedule import TRIES, Plan, Task
+from sabench.simulation.recording.schedule import TRIES, Outcome, Schedule, Task, WorkerPool
 from sabench.utils.errors import InputError
 from sabench.utils.progress import bar
 
 _ROOT = Path(__file__).resolve().parents[3]
 
 
-@dataclass(frozen=True)
-class Outcome:
-    """How a worker's task ended: `why` it failed, or None."""
-
-    worker: Hashable
-    task: Task
-    why: str | None = None
-
-
-class Crew(Protocol):
-    """Workers that do one task at a time."""
-
-    @property
-    def ahead(self) -> int:
-        """How many frames are worth beginning at a time."""
-
-    def idle(self) -> Sequence[Hashable]:
-        """Workers that have nothing to do."""
-
-    def give(self, worker: Hashable, task: Task) -> None:
-        """Have an idle worker do a task."""
-
-    def wait(self) -> list[Outcome]:
-        """What has ended since the last call, at least one thing; raises what no other try would mend."""
-
-    def close(self) -> None:
-        """Send the workers home."""
-
-
-def work_off(crew: Crew, plan: Plan, doing: str) -> None:
-    """Have a crew do a plan.
+def run_schedule(pool: WorkerPool, schedule: Schedule, doing: str) -> None:
+    """Have workers do all tasks of a schedule.
 
     Raises
     ------
@@ -63,23 +33,23 @@ def work_off(crew: Crew, plan: Plan, doing: str) -> None:
         Tasks that failed `TRIES` times; all others have been done then, and their parts stay.
     """
     last: dict[Hashable, int] = {}
-    with bar(doing, plan.tasks) as advance:
-        while not plan.finished:
-            for worker in crew.idle():
-                task = plan.take(last.get(worker))
+    with bar(doing, schedule.tasks) as advance:
+        while not schedule.finished:
+            for worker in pool.idle():
+                task = schedule.take(last.get(worker))
                 if task is None:
                     break
                 last[worker] = task.frame
-                crew.give(worker, task)
-            for outcome in crew.wait():
-                if outcome.why is None:
-                    plan.done(outcome.task)
+                pool.give(worker, task)
+            for outcome in pool.wait():
+                if outcome.failure is None:
+                    schedule.complete(outcome.task)
                     advance()
                 else:
-                    plan.failed(outcome.task, outcome.why)
-    if plan.failures:
-        task, why = plan.failures[0]
-        more = f", and {len(plan.failures) - 1} more" if len(plan.failures) > 1 else ""
+                    schedule.fail(outcome.task, outcome.failure)
+    if schedule.failures:
+        task, why = schedule.failures[0]
+        more = f", and {len(schedule.failures) - 1} more" if len(schedule.failures) > 1 else ""
         raise UnfinishedError(
             f"{doing}: {task} failed {TRIES} times{more}: {why}; what was finished is kept, the same command goes on with it"
         )
@@ -89,7 +59,7 @@ class UnfinishedError(InputError):
     """Some tasks failed; the parts of the others are kept."""
 
 
-class Here:
+class InProcess:
     """This process."""
 
     ahead = 1
@@ -116,7 +86,7 @@ class Here:
         """Nobody to send home."""
 
 
-class Pool:
+class ProcessPool:
     """Processes on this machine that share its cores; one that dies is replaced."""
 
     def __init__(self, root: Path, jobs: int, threads: int | None = None) -> None:
@@ -246,7 +216,7 @@ def _deaf() -> Iterator[None]:
         signal.signal(signal.SIGINT, before)
 
 
-def cluster(address: str, root: Path) -> Crew:
+def dask_pool(address: str, root: Path) -> WorkerPool:
     """The workers of a Dask scheduler.
 
     Raises
@@ -255,9 +225,9 @@ def cluster(address: str, root: Path) -> Crew:
         Dask is not installed, or nobody answers at the address.
     """
     try:
-        from sabench.simulation.recording.dask_workers import Cluster
+        from sabench.simulation.recording.dask_workers import DaskPool
     except ImportError as error:
         raise InputError(
             f"scheduler: expected the package distributed, which pip install 'sabench[dask]' brings, got {error}"
         ) from error
-    return Cluster(address, root)
+    return DaskPool(address, root)

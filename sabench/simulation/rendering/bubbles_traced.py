@@ -14,7 +14,7 @@ from sabench.api.truth import Bubbles, Solid
 from sabench.geometry.camera import Camera
 from sabench.geometry.occluders import Disc
 from sabench.geometry.refraction import Layer, Wall, transmittance
-from sabench.scenes.schema import Backlight, Lighting
+from sabench.scenes.illumination import Backlight, Lighting
 from sabench.simulation.rendering.lamps import placed
 from sabench.simulation.rendering.mesh_intersection import mesh_of
 from sabench.simulation.rendering.particle_images import ParticleImages, diffraction_px
@@ -206,8 +206,9 @@ class _Stager:
         particles_mm: F64 | None,
     ) -> None:
         self._mi = backend.mitsuba()
+        from sabench.simulation.rendering import bubble_integrator as paths  # needs the variant
 
-        self._paths = bubble_integrator
+        self._paths = paths
         self.origin = lights.center_mm
         self._camera, self._tank, self._bubbles, self._lights, self._occluders = (
             camera,

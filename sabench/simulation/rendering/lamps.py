@@ -8,7 +8,7 @@ import numpy as np
 
 from sabench.geometry.camera import Camera
 from sabench.geometry.refraction import Wall
-from sabench.scenes.schema import Lighting
+from sabench.scenes.illumination import Lighting
 from sabench.utils.arrays import F64
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from sabench.scenes.schema import Illumination
+from sabench.scenes.illumination import Illumination
 from sabench.utils.arrays import F64
 
 PLANCK_J_S = 6.62607015e-34

@@ -17,7 +17,7 @@ from sabench.api.truth import Particles
 from sabench.geometry.camera import Camera
 from sabench.geometry.occluders import Disc, in_shadow
 from sabench.geometry.refraction import trace_to_points, transmittance
-from sabench.scenes.schema import Scene
+from sabench.scenes import Scene
 from sabench.simulation.rendering.laser_sheet import fluence
 from sabench.simulation.rendering.mie import MieTable, mie_table
 from sabench.utils.arrays import F64, Bool

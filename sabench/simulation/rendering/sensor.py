@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from sabench.scenes.schema import Sensor
+from sabench.scenes.sensor import Sensor
 from sabench.utils.arrays import F64, U16
 from sabench.utils.errors import InputError
 

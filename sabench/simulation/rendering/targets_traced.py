@@ -10,7 +10,7 @@ from sabench.api.truth import Target
 from sabench.geometry.camera import Camera
 from sabench.geometry.frames import Pose
 from sabench.geometry.refraction import transmittance
-from sabench.scenes.schema import Lighting
+from sabench.scenes.illumination import Lighting
 from sabench.simulation.rendering.lamps import placed
 from sabench.simulation.rendering.particle_images import diffraction_px
 from sabench.simulation.rendering.particles_traced import interfaces

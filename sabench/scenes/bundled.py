@@ -1,0 +1,31 @@
+"""Scenes and suites that come with this installation, found by name."""
+
+from __future__ import annotations
+
+import difflib
+from pathlib import Path
+
+from sabench import plugins
+from sabench.utils.errors import InputError
+
+
+def find(name: str | Path, folder: str) -> Path:
+    """`name` as a path, or as the stem of a TOML file in a bundled folder (scenes, scenes/suites)."""
+    direct = Path(name)
+    if any(len(part.encode("utf-8", "replace")) > 255 for part in direct.parts) or "\0" in str(
+        name
+    ):
+        raise InputError(f"{name}: expected a file's name")
+    if direct.is_file():
+        return direct
+    inside = plugins.bundled("scenes").parent / folder
+    stem = direct.name.removesuffix(".toml")
+    bundled = inside / f"{stem}.toml"
+    if direct.parent in (Path(), Path(folder), Path("suites")) and bundled.is_file():
+        return bundled
+    known = sorted(file.stem for file in inside.glob("*.toml"))
+    near = difflib.get_close_matches(stem, known, 1)
+    raise InputError(
+        f"{name}: expected a file or one of {', '.join(known)}"
+        + (f"; did you mean {near[0]}?" if near else "")
+    )

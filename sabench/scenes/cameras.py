@@ -1,0 +1,113 @@
+"""Tables of a scene: the camera array and its layouts."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from pydantic import Field, model_validator
+
+from sabench.utils.fields import Direction, Positive, Table, Vector
+
+
+class GridLayout(Table):
+    """Cameras in columns and rows; evenly by count and spacing, or unevenly by lists of offsets."""
+
+    kind: Literal["grid"]
+    columns: int | None = Field(None, ge=1)
+    rows: int | None = Field(None, ge=1)
+    spacing_mm: tuple[Positive, Positive] | None = Field(
+        None, description="between columns, between rows"
+    )
+    x_mm: tuple[float, ...] | None = Field(None, min_length=1, description="offsets of the columns")
+    y_mm: tuple[float, ...] | None = Field(None, min_length=1, description="offsets of the rows")
+
+    @model_validator(mode="after")
+    def _even_or_uneven(self) -> GridLayout:
+        even = [self.columns, self.rows, self.spacing_mm]
+        uneven = [self.x_mm, self.y_mm]
+        if (None in even) == (None in uneven) or any(
+            v is not None for v in (even if None in even else uneven)
+        ):
+            raise ValueError("expected either columns, rows and spacing_mm or x_mm and y_mm")
+        return self
+
+
+class RingLayout(Table):
+    """Cameras on a circle."""
+
+    kind: Literal["ring"]
+    count: int = Field(ge=1)
+    radius_mm: Positive
+    start_deg: float = 0.0
+
+
+class LineLayout(Table):
+    """Cameras on a straight line."""
+
+    kind: Literal["line"]
+    count: int = Field(ge=1)
+    spacing_mm: Positive
+    angle_deg: float = 0.0
+
+
+class CrossLayout(Table):
+    """A camera in the centre and four arms."""
+
+    kind: Literal["cross"]
+    arm: int = Field(ge=1, description="cameras per arm")
+    spacing_mm: Positive
+
+
+class Place(Table):
+    """One camera of an explicit list, aimed at a point (by default the array's) or turned by a rotation matrix."""
+
+    center_mm: Vector
+    aim_mm: Vector | None = None
+    rotation: tuple[Vector, Vector, Vector] | None = Field(
+        None, description="world to camera; rows are its X, Y, Z axes"
+    )
+
+
+class ListLayout(Table):
+    """Cameras one by one."""
+
+    kind: Literal["list"]
+    places: tuple[Place, ...] = Field(min_length=1)
+
+
+class DistortionSpec(Table):
+    """Radial-tangential (Brown-Conrady) coefficients."""
+
+    k1: float = 0.0
+    k2: float = 0.0
+    p1: float = 0.0
+    p2: float = 0.0
+    k3: float = 0.0
+
+
+class Cameras(Table):
+    """An array of equal cameras."""
+
+    rows: int = Field(ge=8, le=20000)
+    columns: int = Field(ge=8, le=20000)
+    pixel_mm: float = Field(gt=0.0, le=10.0, description="pixel pitch")
+    focal_length_mm: Positive
+    f_number: Positive
+    focus_mm: Positive | None = Field(
+        None,
+        description="distance of sharp points in air; by default each camera's aim point is sharp",
+    )
+    distortion: DistortionSpec = DistortionSpec()
+    particle_sigma_px: Positive | None = Field(
+        None,
+        description="standard deviation of every particle's image; by default it follows from diffraction, size and defocus",
+    )
+    center_mm: Vector = Field((0.0, 0.0, 0.0), description="centre of the array (not for lists)")
+    x_axis: Direction = Field((1.0, 0.0, 0.0), description="direction of the array's columns")
+    y_axis: Direction = Field((0.0, 1.0, 0.0), description="direction of the array's rows")
+    aim_mm: Vector | None = Field(
+        None, description="point that images at every image centre; by default the volume's centre"
+    )
+    layout: GridLayout | RingLayout | LineLayout | CrossLayout | ListLayout = Field(
+        discriminator="kind"
+    )

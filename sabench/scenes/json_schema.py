@@ -1,0 +1,30 @@
+"""The JSON schema of scene files, for editors."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from sabench import plugins
+from sabench.scenes.scene import WORLDS, Scene
+
+
+def scene_schema() -> dict[str, Any]:
+    """The JSON schema of a scene, with the parameters of every installed generator under the table that it fills."""
+    whole = Scene.model_json_schema()
+    choices: dict[str, list[Any]] = {table: [{"type": "null"}] for table in WORLDS} | {"solids": []}
+    for name in plugins.names("generators"):
+        plugin = plugins.load("generators", name)
+        table = plugin.Parameters.model_json_schema(ref_template=f"#/$defs/{name}.{{model}}")
+        whole["$defs"].update(
+            {f"{name}.{key}": value for key, value in table.pop("$defs", {}).items()}
+        )
+        table["properties"] = {"generator": {"const": name}, **table.get("properties", {})}
+        table["required"] = ["generator", *table.get("required", [])]
+        choices[plugin.makes].append(table)
+    solids = {
+        "oneOf": [{"type": "null"}, {"type": "array", "items": {"oneOf": choices.pop("solids")}}]
+    }
+    whole["properties"] |= {table: {"oneOf": options} for table, options in choices.items()} | {
+        "solids": solids
+    }
+    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **whole}

@@ -1,0 +1,64 @@
+"""Nominal cameras: the true ones perturbed by the scene's calibration error."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from sabench.geometry.camera import Camera
+from sabench.geometry.rotations import exponential
+from sabench.scenes.calibration import Calibration
+from sabench.scenes.scene import Scene
+from sabench.utils.arrays import triple
+from sabench.utils.rng import stream
+
+
+def nominal_cameras(scene: Scene, cameras: tuple[Camera, ...], seed: int) -> tuple[Camera, ...]:
+    """The cameras as solvers are told them: off by the scene's calibration error.
+
+    A shift on the image moves the projections of all points alike. Source: thesis section 2.2.4,
+    the error eps_RP of figure 2-7b, whose length is the same for all cameras and whose direction is
+    random.
+    """
+    spec = scene.calibration
+    if spec is None:
+        return cameras
+    return tuple(
+        _roughly(_shifted(_plainer(camera, spec), spec, seed, number), spec, seed, number)
+        for number, camera in enumerate(cameras)
+    )
+
+
+def _plainer(camera: Camera, spec: Calibration) -> Camera:
+    unmeasured = {name: 0.0 for name in spec.unknown or () if name != "principal_point"}
+    return replace(camera, distortion=replace(camera.distortion, **unmeasured))
+
+
+def _shifted(camera: Camera, spec: Calibration, seed: int, number: int) -> Camera:
+    turn = stream(seed, "calibration", number).uniform(0.0, 2.0 * np.pi)
+    column, row = camera.principal_point_px
+    return replace(
+        camera,
+        principal_point_px=(
+            column + spec.shift_px * float(np.cos(turn)),
+            row + spec.shift_px * float(np.sin(turn)),
+        ),
+    )
+
+
+def _roughly(camera: Camera, spec: Calibration, seed: int, number: int) -> Camera:
+    rng = stream(seed, "rough cameras", number)
+    center = np.asarray(camera.center_mm) + spec.center_mm * rng.standard_normal(3)
+    turn = exponential(np.deg2rad(spec.turn_deg) * rng.standard_normal(3)) @ np.asarray(
+        camera.rotation
+    )
+    distance = camera.principal_distance_mm * (
+        1.0 + spec.focal_percent / 100.0 * float(rng.standard_normal())
+    )
+    return replace(
+        camera,
+        center_mm=triple(center),
+        rotation=(triple(turn[0]), triple(turn[1]), triple(turn[2])),
+        principal_distance_mm=distance,
+    )

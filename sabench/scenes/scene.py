@@ -1,0 +1,158 @@
+"""The whole scene: the world, its light, the cameras and the wall between them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import tomli_w
+from pydantic import Field, model_validator
+
+from sabench.images.preprocessing import Step
+from sabench.scenes.calibration import Calibration, Detection
+from sabench.scenes.cameras import Cameras
+from sabench.scenes.illumination import Backlight, Illumination, Lighting, Timing, Tracer
+from sabench.scenes.sensor import Render, Sensor
+from sabench.scenes.volume import GridSpec, Volume
+from sabench.scenes.wall import OccluderSpec, WallSpec
+from sabench.utils.fields import LensNumber, Positive, Table
+from sabench.utils.files import digest
+
+WORLDS = ("particles", "targets", "flow", "bubbles")  # tables whose `generator` is a plug-in
+
+
+class Scene(Table):
+    """A whole scene: the world, what lights it, who looks at it through what."""
+
+    title: str
+    frames: int = Field(1, ge=1)
+    interval_s: Positive = Field(1e-3, description="time between frames")
+    timing: Timing | None = Field(None, description="instead of frames at equal intervals")
+    volume: Volume
+    grid: GridSpec
+    wall: WallSpec | None = None
+    occluders: tuple[OccluderSpec, ...] | None = Field(
+        None, description="discs that hide some of the volume from some cameras"
+    )
+    cameras: Cameras
+    calibration: Calibration | None = None
+    illumination: Illumination | None = Field(
+        None, description="the laser; needed where there are particles"
+    )
+    tracer: Tracer = Tracer()
+    particles: dict[str, Any] | None = Field(
+        None, description="`generator` names a generator; the other keys are its parameters"
+    )
+    flow: dict[str, Any] | None = Field(
+        None, description="what carries the particles: `generator` and its parameters"
+    )
+    flow_grid_mm: tuple[Positive, Positive, Positive] | None = Field(
+        None,
+        description="spacing along x, y, z of a lattice over the volume on which the data set stores the exact flow of every frame",
+    )
+    targets: dict[str, Any] | None = Field(
+        None,
+        description="instead of particles, a calibration target that each frame shows at another place: `generator` and its parameters",
+    )
+    bubbles: dict[str, Any] | None = Field(
+        None, description="bubbles or droplets: `generator` and its parameters"
+    )
+    solids: tuple[dict[str, Any], ...] | None = Field(
+        None, description="bodies in the fluid: `generator` and its parameters for each"
+    )
+    backlight: Backlight | None = Field(None, description="a diffuser behind the volume")
+    lighting: Lighting | None = Field(None, description="lamps; needed to render a target")
+    detection: Detection | None = Field(
+        None, description="by default every point of a target is found where it is"
+    )
+    sensor: Sensor = Sensor()
+    preprocessing: tuple[Step, ...] | None = Field(
+        None, description="what is done to the images before solvers see them; those stored are raw"
+    )
+    render: Render = Render()
+
+    @model_validator(mode="after")
+    def _one_world(self) -> Scene:
+        bodies = self.bubbles is not None or bool(self.solids)
+        if (self.particles is None and not bodies) == (self.targets is None):
+            raise ValueError("expected either particles, bubbles or solids, or targets")
+        if bodies and self.backlight is None and self.lighting is None:
+            raise ValueError("expected a backlight or a lighting for bubbles and solids")
+        if self.backlight is not None and not bodies:
+            raise ValueError("backlight: expected bubbles or solids in front of it")
+        if self.flow is not None and self.particles is None:
+            raise ValueError("flow: expected particles that it carries")
+        if self.flow_grid_mm is not None and self.flow is None:
+            raise ValueError("flow_grid_mm: expected a flow")
+        if self.particles is not None and self.illumination is None:
+            raise ValueError("expected an illumination for the particles")
+        return self
+
+    @property
+    def light(self) -> Illumination:
+        """The laser of a scene with particles."""
+        if self.illumination is None:
+            raise ValueError(f"{self.title}: expected a scene with an illumination")
+        return self.illumination
+
+    @property
+    def unknown(self) -> tuple[LensNumber, ...]:
+        """What nobody has measured of the lenses."""
+        return (self.calibration.unknown if self.calibration else None) or ()
+
+    def time_s(self, frame: int) -> float:
+        """When a frame is taken, from the first group's start."""
+        if self.timing is None:
+            return frame * self.interval_s
+        group, pulse = divmod(frame, len(self.timing.pulses_s))
+        return group / self.timing.rate_hz + self.timing.pulses_s[pulse]
+
+    def with_frames(self, frames: int) -> Scene:
+        """The same scene, longer or shorter."""
+        return Scene.model_validate({**self.model_dump(exclude_none=True), "frames": frames})
+
+    def to_dict(self) -> dict[str, Any]:
+        """All keys with their values, defaults included, as TOML holds them."""
+        values: dict[str, Any] = plain(self.model_dump(mode="json", exclude_none=True))
+        return values
+
+    def to_toml(self) -> str:
+        """The resolved scene as TOML; loading it gives an equal scene."""
+        return tomli_w.dumps(self.to_dict())
+
+    @property
+    def hash(self) -> str:
+        """SHA-256 of the resolved scene: equal scenes have equal hashes, however they were written."""
+        values = self.to_dict()
+        for given in (*(values.get(table, {}) for table in WORLDS), *values.get("solids", ())):
+            if "sha256" in given:
+                del given["file"]  # its content counts, not its name
+        return digest(values)
+
+    @property
+    def files(self) -> dict[str, Path]:
+        """Files of other programs that the generators read, by the table that names them."""
+        tables = {table: getattr(self, table) or {} for table in WORLDS} | {
+            f"solids.{number}": given for number, given in enumerate(self.solids or ())
+        }
+        return {table: Path(given["file"]) for table, given in tables.items() if "sha256" in given}
+
+    def with_files(self, places: dict[str, Path]) -> Scene:
+        """The same scene, its files elsewhere."""
+        worlds = {
+            table: {**getattr(self, table), "file": str(place)}
+            for table, place in places.items()
+            if table in WORLDS
+        }
+        solids = tuple(
+            {**given, "file": str(places[key])} if (key := f"solids.{number}") in places else given
+            for number, given in enumerate(self.solids or ())
+        )
+        return self.model_copy(update=worlds | ({"solids": solids} if solids else {}))
+
+
+def plain(value: Any) -> Any:
+    """Nested tuples as lists, as TOML and JSON give them back."""
+    if isinstance(value, dict):
+        return {key: plain(inner) for key, inner in value.items()}
+    return [plain(inner) for inner in value] if isinstance(value, list | tuple) else value

@@ -1,0 +1,3 @@
+"""Version of sabench."""
+
+__version__ = "0.1.0"

@@ -1,0 +1,27 @@
+"""Imports go down the seven floors, and in no circle."""
+
+from __future__ import annotations
+
+from tests.architecture.plan import FLOORS, ROOT, arrows, circles, rooms
+
+
+def test_every_room_has_a_floor() -> None:
+    assert rooms(ROOT / "sabench") == set().union(*FLOORS)
+
+
+def test_imports_go_down() -> None:
+    floor = {room: number for number, names in enumerate(FLOORS, 1) for room in names}
+    up = [
+        f"{one} (floor {floor[one.split('.')[1]]}) imports {other} (floor {floor[other.split('.')[1]]})"
+        for one, other in sorted(arrows(ROOT / "sabench", files=True))
+        if floor[other.split(".")[1]] > floor[one.split(".")[1]]
+    ]
+    assert not up, "\n".join(up)
+
+
+def test_no_circle_of_rooms() -> None:
+    assert not circles(arrows(ROOT / "sabench"))
+
+
+def test_no_circle_of_files() -> None:
+    assert not circles(arrows(ROOT / "sabench", files=True))

@@ -1,0 +1,125 @@
+"""Pages of the documentation: their headings, links and code blocks."""
+
+from __future__ import annotations
+
+import itertools
+import re
+from collections import Counter
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+ROOT = Path(__file__).resolve().parents[2]
+PAGES = tuple(
+    path.relative_to(ROOT).as_posix()
+    for path in (
+        ROOT / "README.md",
+        ROOT / "CONTRIBUTING.md",
+        *sorted((ROOT / "docs").rglob("*.md")),
+    )
+)
+
+_FENCE = re.compile(r"( *)(`{3,})(\w*)\s*$")
+_LINK = re.compile(r"\[[^\]]*\]\(([^()\s]+)\)")
+_MARKER = re.compile(r"<!-- (not run|file): (.+?) -->$")
+
+
+class Block(NamedTuple):
+    """A fenced code block.
+
+    The marker before it, an HTML comment, may say why it is not run (`not run: REASON`), or the
+    name under which it is saved for later blocks (`file: NAME`).
+    """
+
+    page: str
+    line: int
+    language: str
+    text: str
+    reason: str | None
+    file: str | None
+
+    def __str__(self) -> str:
+        return f"{self.page}:{self.line}"
+
+    @property
+    def marked(self) -> bool:
+        """Whether a comment before the block says what to do with it."""
+        return self.reason is not None or self.file is not None
+
+    @property
+    def kind(self) -> str:
+        """What is done with the block."""
+        if self.reason is not None:
+            return "not run"
+        if self.file is not None:
+            return "saved"
+        return "text" if self.language == "text" else "run"
+
+
+def read(page: str) -> str:
+    """Return the text of a page."""
+    return (ROOT / page).read_text(encoding="utf-8")
+
+
+def blocks(page: str) -> list[Block]:
+    """Return the fenced code blocks of a page in their order."""
+    return [part for part in _parts(page) if isinstance(part, Block)]
+
+
+def prose(page: str) -> list[tuple[int, str]]:
+    """Return the lines outside code blocks, each with its number."""
+    return [part for part in _parts(page) if not isinstance(part, Block)]
+
+
+def _parts(page: str) -> Iterator[Block | tuple[int, str]]:
+    """Yield lines of prose and code blocks in their order."""
+    lines = iter(enumerate(read(page).splitlines(), start=1))
+    marker: dict[str, str] = {}
+    for number, line in lines:
+        fence = _FENCE.match(line)
+        if fence is None:
+            yield number, line
+            marker = _marker(line) if line.strip() else marker
+            continue
+        indent, ticks, language = fence.groups()
+        text = _until(ticks, lines, indent)
+        yield Block(page, number, language, text, marker.get("not run"), marker.get("file"))
+        marker = {}
+
+
+def _until(ticks: str, lines: Iterator[tuple[int, str]], indent: str) -> str:
+    """Return the lines before the end of a fence."""
+    inside = (line for _, line in lines)
+    block = itertools.takewhile(lambda line: line.strip() != ticks, inside)
+    return "".join(line.removeprefix(indent) + "\n" for line in block)
+
+
+def _marker(line: str) -> dict[str, str]:
+    """Return what the comment before a block says of it."""
+    found = _MARKER.match(line.strip())
+    return {found[1]: found[2]} if found else {}
+
+
+def links(page: str) -> list[tuple[int, str]]:
+    """Return the targets of a page's links outside code blocks, each with its line."""
+    return [(number, target) for number, line in prose(page) for target in _LINK.findall(line)]
+
+
+def anchors(page: str) -> set[str]:
+    """Return the anchors of a page's headings, as GitHub makes them."""
+    found: Counter[str] = Counter()
+    names = set()
+    for _, line in prose(page):
+        heading = re.match(r"#+ (.*)", line)
+        if heading is None:
+            continue
+        name = _anchor(heading[1])
+        names.add(f"{name}-{found[name]}" if found[name] else name)
+        found[name] += 1
+    return names
+
+
+def _anchor(heading: str) -> str:
+    """Return the anchor of one heading: lower case, hyphens for blanks, no other punctuation."""
+    text = re.sub(r"\[([^\]]*)\]\([^)]*\)", r"\1", heading).strip().lower()
+    return re.sub(r"[^\w\- ]", "", text).replace(" ", "-")

@@ -1,0 +1,55 @@
+"""Arrays and boards that the tests of calibrations share."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from sabench.api import CalibrationCase
+from sabench.geometry.camera import Camera
+from sabench.scenes import Scene, build_rig, load_scene, parse_scene
+from sabench.scenes.nominal_cameras import nominal_cameras
+from sabench.utils.arrays import F64
+from sabench.worlds.calibration_targets import exact_pixels, found_pixels, place, prior
+
+
+def calibration_scene(**changes: Any) -> Scene:
+    """The bundled scene with some tables changed; a table of None is left out."""
+    values = load_scene("calibration").to_dict()
+    for key, value in changes.items():
+        if value is None:
+            values.pop(key, None)
+        elif isinstance(value, dict):
+            values[key] = values.get(key, {}) | value
+        else:
+            values[key] = value
+    return parse_scene(values, "test")
+
+
+def case_of(scene: Scene, seed: int = 1) -> tuple[CalibrationCase, tuple[Camera, ...], F64, F64]:
+    """What a solver sees; the true cameras, the true points (frame, point, 3) and where they truly are in the images (camera, frame, point, 2)."""
+    cameras, placed = build_rig(scene).cameras, place(scene, seed)
+    exact = np.stack([exact_pixels(camera, placed.points_mm) for camera in cameras])
+    pixels = np.stack(
+        [found_pixels(scene.detection, own, seed, number)[0] for number, own in enumerate(exact)]
+    )
+    known = prior(scene, placed, seed)
+    told = nominal_cameras(scene, cameras, seed)
+    case = CalibrationCase(
+        placed.target,
+        pixels,
+        told,
+        known.rough_mm,
+        known.known_mm,
+        known.known_sigma_mm,
+        scene.unknown,
+    )
+    return case, cameras, placed.points_mm, exact
+
+
+def true_error_px(cameras: Any, points_mm: F64, exact: F64) -> float:
+    """Mean distance of points' projections from where they truly are."""
+    flat = points_mm.reshape(-1, 3)
+    again = np.stack([camera.project(flat)[0] for camera in cameras]).reshape(exact.shape)
+    return float(np.nanmean(np.linalg.norm(again - exact, axis=-1)))

@@ -1,0 +1,461 @@
+"""What comes from outside, made and damaged, and fed to the functions behind the commands that read it."""
+
+from __future__ import annotations
+
+import json
+import random
+import shutil
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import tifffile
+import tomli_w
+
+from sabench.api import Detections, Velocity
+from sabench.dataset import schema
+from sabench.dataset.reader import Dataset, open_dataset
+from sabench.dataset.results import result_writer
+from sabench.scenes import parse_scene
+from sabench.utils.errors import InputError
+from tests.helpers import mutations
+
+SCENE: dict[str, Any] = {
+    "title": "tiny",
+    "frames": 2,
+    "volume": {"center_mm": [0.0, 0.0, 30.0], "size_mm": [3.0, 2.0, 1.0]},
+    "grid": {"voxel_mm": [0.1, 0.1, 0.2], "crop_mm": [0.2, 0.1, 0.0]},
+    "wall": {
+        "point_mm": [0.0, 0.0, 0.0],
+        "normal": [0.0, 0.0, 1.0],
+        "fluid_index": 1.333,
+        "layers": [{"index": 1.52, "thickness_mm": 5.0}],
+    },
+    "cameras": {
+        "rows": 24,
+        "columns": 32,
+        "pixel_mm": 0.02,
+        "focal_length_mm": 85.0,
+        "f_number": 16.0,
+        "center_mm": [0.0, 0.0, -490.0],
+        "layout": {"kind": "grid", "columns": 2, "rows": 1, "spacing_mm": [240.0, 240.0]},
+    },
+    "illumination": {
+        "pulse_energy_mj": 60.0,
+        "direction": [1.0, 0.0, 0.0],
+        "sheet_normal": [0.0, 0.0, 1.0],
+        "thickness_mm": 5.0,
+        "height_mm": 20.0,
+        "scattering": "isotropic",
+    },
+    "particles": {"generator": "uniform", "count": 8, "diameter_mm": 0.02, "diameter_spread": 0.1},
+    "sensor": {
+        "read_noise_e": 6.0,
+        "full_well_e": 18000.0,
+        "gain_dn_e": 0.22,
+        "black_level_dn": 64.0,
+        "bit_depth": 12,
+    },
+}
+EXTRAS: dict[str, Any] = {
+    "flow": {"generator": "shear_wave", "amplitude_mm_s": 5.0, "wavelength_mm": 8.0},
+    "timing": {"rate_hz": 10.0, "pulses_s": [0.0, 0.001]},
+    "occluders": [{"center_mm": [10.0, 0.0, -20.0], "radius_mm": 1.0}],
+    "calibration": {"shift_px": 0.5, "unknown": ["k1", "principal_point"]},
+    "preprocessing": [
+        {"step": "sliding_minimum", "window_px": 5},
+        {"step": "gaussian", "reach_px": 2, "sigma_px": 1.0},
+    ],
+    "render": {"samples_per_pixel": 4},
+}
+TARGETS: dict[str, Any] = {
+    **{key: value for key, value in SCENE.items() if key not in ("particles", "illumination")},
+    "title": "board",
+    "frames": 3,
+    "targets": {"generator": "boards", "columns": 4, "rows": 3, "pitch_mm": 0.5},
+    "detection": {"noise_px": 0.1},
+}
+SUITE: dict[str, Any] = {
+    "title": "tiny suite",
+    "scenes": ["scene.toml"],
+    "seeds": [1, 2],
+    "backend": "splat",
+    "set": {"frames": 1},
+    "vary": {"particles.count": [3, 5]},
+    "solvers": [
+        {"name": "asa", "parameters": {"k": 3.0}},
+        {"name": "./program", "track": "reconstruction", "time_limit_s": 5.0},
+    ],
+}
+# pixels x frames x cameras, and particles, of scenes that are generated and not only checked
+LARGEST_STEPS = 4e6
+
+
+@dataclass(frozen=True)
+class Base:
+    """Good data that cases damage: a data set of particles and one of a target, results of every track, a leaderboard's line."""
+
+    particles: Dataset
+    target: Dataset
+    results: dict[str, Path]
+    record: dict[str, Any]
+
+
+def make_base(root: Path) -> Base:
+    """Make all of it below a folder."""
+    from sabench.simulation.pipeline import generate
+
+    made = [
+        generate(parse_scene(scene, name), root / name, seed=1, backend="splat", name=name)
+        for scene, name in ((SCENE, "particles"), (TARGETS, "target"))
+    ]
+    results = {
+        track: _result(track, made[track == "calibration"], root / f"{track}.h5")
+        for track in ("reconstruction", "velocimetry", "bubbles", "calibration")
+    }
+    record = {
+        "format": "sabench-record",
+        "version": 1,
+        "scene": "tiny",
+        "case": "tiny",
+        "axes": {"particles.count": 3},
+        "scene_hash": "a" * 64,
+        "dataset": made[0].content_hash,
+        "seed": 1,
+        "renderer": "splat",
+        "track": "reconstruction",
+        "solver": "asa",
+        "label": None,
+        "parameters": {"k": 3.0},
+        "run_hash": "b" * 64,
+        "submission": {"name": "Ann", "date": "2026-01-02"},
+        "versions": {"sabench": "1"},
+        "machine": {"cpu": "x", "cores": 2},
+        "pictures": "tiny",
+        "error": None,
+        "declined": False,
+        "q": 0.5,
+        "seconds": 1.0,
+    }
+    return Base(made[0], made[1], results, record)
+
+
+def _result(track: str, data: Dataset, path: Path) -> Path:
+    from sabench import tasks
+
+    rng = np.random.default_rng(1)
+    with result_writer(path, data, "made", track, {"k": 1}) as writer:
+        for frame in range(data.rig.frames if track in ("reconstruction", "bubbles") else 0):
+            if track == "reconstruction":
+                writer.add(frame, tasks.of(track).estimate(data, "truth", frame))
+            else:
+                writer.add_bubbles(frame, Detections.balls(rng.random((5, 3)), rng.random(5) + 0.1))
+                writer.add_tracks(frame, np.arange(5))
+        for first, _ in data.rig.pairs() if track == "velocimetry" else ():
+            writer.add_velocity(
+                first,
+                Velocity(
+                    (-1.0, -0.5, 29.8),
+                    (0.5, 0.5, 0.2),
+                    rng.random((2, 3, 4, 3)),
+                    np.ones((2, 3, 4), dtype=bool),
+                ),
+            )
+        if track == "calibration":
+            writer.add_calibration(tasks.of(track).estimate(data, "truth"))
+        writer.set_cost(1.0, 2.0)
+    return path
+
+
+Feed = Callable[[], None]
+Case = Callable[[Base, Path, Path, random.Random], Feed]
+
+
+def scene(base: Base, inputs: Path, out: Path, rng: random.Random) -> Feed:
+    """`sabench generate` of a damaged scene; one that is accepted and would take long is only checked."""
+    whole = dict(TARGETS if rng.random() < 0.15 else SCENE)
+    if "particles" in whole:
+        whole |= {key: value for key, value in EXTRAS.items() if rng.random() < 0.2}
+    path = inputs / "scene.toml"
+    _write_toml(path, whole, rng)
+
+    def feed() -> None:
+        from sabench.scenes import load_scene
+        from sabench.simulation.pipeline import generate
+
+        loaded = load_scene(path)
+        if loaded.illumination is not None and loaded.illumination.scattering == "mie":
+            return  # its table takes seconds
+        count = (loaded.particles or {}).get("count") or 0
+        if (
+            loaded.cameras.rows * loaded.cameras.columns * loaded.frames
+            + 1000 * count * loaded.frames
+            < LARGEST_STEPS
+            and loaded.flow_grid_mm is None
+        ):
+            generate(path, out / "set", seed=1, backend="splat")
+
+    return feed
+
+
+def _write_toml(path: Path, whole: dict[str, Any], rng: random.Random) -> None:
+    if rng.random() < 0.2:
+        path.write_bytes(mutations.data(tomli_w.dumps(whole).encode(), rng))
+        return
+    damaged = mutations.tree(whole, rng)
+    try:
+        text = tomli_w.dumps(
+            _without_none(damaged if isinstance(damaged, dict) else {"x": damaged})
+        )
+    except (TypeError, RecursionError):
+        text = "x = " + "[" * 5000
+    path.write_text(text, encoding="utf-8", errors="surrogatepass")
+
+
+def _without_none(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {str(key): _without_none(part) for key, part in value.items() if part is not None}
+    return (
+        [_without_none(part) for part in value if part is not None]
+        if isinstance(value, list)
+        else value
+    )
+
+
+def suite(base: Base, inputs: Path, out: Path, rng: random.Random) -> Feed:
+    """What `sabench run` checks before it works."""
+    (inputs / "scene.toml").write_text(tomli_w.dumps(SCENE))
+    program = inputs / "program"
+    program.write_text("#!/bin/sh\nexit 3\n")
+    program.chmod(0o755)
+    _write_toml(inputs / "suite.toml", SUITE, rng)
+
+    def feed() -> None:
+        from sabench.evaluation.suites import load_suite
+
+        load_suite(inputs / "suite.toml")
+
+    return feed
+
+
+def dataset(base: Base, inputs: Path, out: Path, rng: random.Random) -> Feed:
+    """`sabench verify`, `score` and `solve` of a data set with one damaged file and, mostly, a manifest that knows it as it is."""
+    source = base.target if rng.random() < 0.2 else base.particles
+    root = Path(shutil.copytree(source.root, inputs / "set"))
+    name = rng.choice(
+        sorted(
+            path.relative_to(root).as_posix()
+            for path in root.rglob("*")
+            if (path.is_file() and path.suffix != ".exr") or rng.random() < 0.3
+        )
+    )
+    path = root / name
+    if path.is_dir():
+        path = root / schema.CAMERAS
+    _damage(path, rng)
+    if rng.random() < 0.8:
+        reseal(root)
+
+    def feed() -> None:
+        _all_of((_verified, _probed, _scored, _solved), root, out)
+
+    return feed
+
+
+def _damage(path: Path, rng: random.Random) -> None:
+    if path.suffix == ".json" and rng.random() < 0.8:
+        text = json.dumps(
+            mutations.tree(json.loads(path.read_text()), rng), ensure_ascii=rng.random() < 0.9
+        )
+        path.write_text(text, encoding="utf-8", errors="surrogatepass")
+    elif path.suffix == ".h5":
+        mutations.hdf5(path, rng)
+    elif path.suffix == ".toml":
+        import tomllib
+
+        _write_toml(path, tomllib.loads(path.read_text()), rng)
+    elif path.suffix == ".tif" and rng.random() < 0.3:
+        shape = rng.choice(((24, 32), (32, 24), (24, 32, 3), (2, 24, 32), (1, 1), (3000, 3000)))
+        image = np.full(shape, rng.choice((0, 64, 4095, 65535))).astype(
+            rng.choice(("u2", "u1", "f4", "i2"))
+        )
+        tifffile.imwrite(
+            path,
+            image,
+            compression=rng.choice((None, "zlib")),
+            photometric="minisblack",
+            bigtiff=rng.random() < 0.5,
+        )
+    else:
+        path.write_bytes(mutations.data(path.read_bytes(), rng))
+
+
+def reseal(root: Path) -> None:
+    """Let the manifest, if it can still be read, say of all files what they are now."""
+    from sabench.utils.files import sha256
+
+    try:
+        manifest = json.loads((root / schema.MANIFEST).read_text())
+        names = sorted(
+            path.relative_to(root).as_posix()
+            for path in root.rglob("*")
+            if path.is_file() and path.name != schema.MANIFEST
+        )
+        files = {
+            name: {"bytes": (root / name).stat().st_size, "sha256": sha256(root / name)}
+            for name in names
+        }
+        entries = {name: schema.FileEntry(**entry) for name, entry in files.items()}
+        sealed = schema.sealed(
+            {**manifest, "files": files, "content_hash": schema.content_hash(entries)}
+        )
+    except (ValueError, TypeError, AttributeError, OSError, RecursionError):
+        return
+    (root / schema.MANIFEST).write_text(sealed, encoding="utf-8", errors="surrogatepass")
+
+
+def _all_of(steps: tuple[Callable[[Path, Path], None], ...], root: Path, out: Path) -> None:
+    """Every step is tried; the first refusal counts when all have ended well."""
+    refused = None
+    for step in steps:
+        try:
+            step(root, out)
+        except InputError as error:
+            check_sentence(str(error))
+            refused = refused or error
+            if "reading it" in str(error):  # the commands read no further then
+                break
+    if refused:
+        raise refused
+
+
+def _verified(root: Path, out: Path) -> None:
+    from sabench.dataset.verification import verify
+
+    faults = verify(root)
+    for fault in faults:
+        check_sentence(fault)
+    if faults:
+        raise InputError(faults[0])
+
+
+def _probed(root: Path, out: Path) -> None:
+    from sabench.dataset.hdf5_probe import probe_dataset
+
+    probe_dataset(root)
+
+
+def _scored(root: Path, out: Path) -> None:
+    from sabench.tasks.solve_and_score import score
+
+    check_scores(score(root, "truth"))
+
+
+def _solved(root: Path, out: Path) -> None:
+    from sabench.tasks.solve_and_score import score, solve
+
+    data = open_dataset(root)
+    solver = "linear_autocal" if data.shows_target else "asa"
+    solve(solver, data, out / "result.h5", parameters={} if data.shows_target else {"k": 3.0})
+    check_scores(score(data, out / "result.h5"))
+
+
+def result(base: Base, inputs: Path, out: Path, rng: random.Random) -> Feed:
+    """`sabench score` of a damaged result, and what `sabench solve ./program` makes of it."""
+    track = rng.choice(sorted(base.results))
+    data = base.target if track == "calibration" else base.particles
+    path = Path(shutil.copy(base.results[track], inputs / "result.h5"))
+    mutations.hdf5(path, rng)
+
+    def scored(root: Path, out: Path) -> None:
+        from sabench.tasks.solve_and_score import score
+
+        check_scores(score(root, path))
+
+    def adopted(root: Path, out: Path) -> None:
+        from sabench.tasks.external_programs import adopt
+
+        adopt(path, root, out / "adopted.h5", ("program", {}, 1.0, 2.0), False)
+
+    def feed() -> None:
+        from sabench.dataset.hdf5_probe import probe
+
+        probe(path)  # as both commands do before anything else
+        _all_of((scored, adopted), data.root, out)
+
+    return feed
+
+
+def submission(base: Base, inputs: Path, out: Path, rng: random.Random) -> Feed:
+    """`sabench submit` of an archive, folder or file."""
+    files = [base.results[track].read_bytes() for track in ("reconstruction", "calibration")]
+    path = inputs / rng.choice(("a.zip", "a.tar", "a.tar.gz", "a.tgz", "a.h5", "folder"))
+    if path.name == "folder":
+        path.mkdir()
+        (path / "a.h5").write_bytes(
+            mutations.data(files[0], rng) if rng.random() < 0.5 else files[0]
+        )
+        if rng.random() < 0.3:
+            (path / "b.h5").symlink_to(rng.choice(("/etc/passwd", "a.h5", "..")))
+    elif path.suffix == ".h5":
+        path.write_bytes(mutations.data(files[0], rng))
+    else:
+        mutations.archive(path, files, rng)
+    name = rng.choice(
+        ("Ann", "Ann", "Ann", "", "x" * 81, "a\nb", "<b>", "é", "\x1b[2J", "[red]", "\ud800")
+    )
+
+    def feed() -> None:
+        from sabench.evaluation.leaderboard.submissions import submit
+
+        submit(path, name, [base.particles.root, base.target.root], out / "leaderboard")
+
+    return feed
+
+
+def records(base: Base, inputs: Path, out: Path, rng: random.Random) -> Feed:
+    """`sabench board` of damaged records."""
+    folder = out / "leaderboard" / "records"
+    folder.mkdir(parents=True)
+    lines = [json.dumps(base.record)]
+    for _ in range(rng.randrange(1, 4)):
+        line = json.dumps(mutations.tree(base.record, rng), ensure_ascii=rng.random() < 0.8).encode(
+            "utf-8", "surrogatepass"
+        )
+        lines.append((mutations.data(line, rng) if rng.random() < 0.2 else line).decode("latin-1"))
+    (folder / "a.jsonl").write_bytes(
+        "\n".join(lines).encode("latin-1") + rng.choice((b"\n", b"", b"\n{"))
+    )
+
+    def feed() -> None:
+        from sabench.evaluation.runner import build_board
+
+        build_board(out / "leaderboard")
+
+    return feed
+
+
+KINDS: dict[str, Case] = {
+    "scene": scene,
+    "suite": suite,
+    "dataset": dataset,
+    "result": result,
+    "submission": submission,
+    "records": records,
+}
+
+
+def check_sentence(text: str) -> None:
+    """One sentence, on one line, that a person reads."""
+    assert text, "an error without words"
+    assert "\n" not in text, f"an error of several lines: {text[:300]!r}"
+    assert len(text) <= 1500, f"an error of {len(text)} characters: {text[:300]!r}"
+
+
+def check_scores(scores: dict[str, Any]) -> None:
+    """Scores are numbers that JSON has, and none is better than perfect."""
+    json.dumps(scores, allow_nan=False)
+    q = scores.get("q")
+    assert q is None or -1.000001 <= q <= 1.000001, f"q = {q}"

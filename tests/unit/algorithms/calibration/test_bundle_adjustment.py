@@ -1,0 +1,293 @@
+"""Bundle adjustment: derivatives, exactness, the bound, outliers, anchors, and what a wall leaves open."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from sabench.algorithms.calibration import kernels
+from sabench.algorithms.calibration.bundle_adjustment import (
+    Seen,
+    normal_equations,
+    refine,
+    residuals,
+)
+from sabench.algorithms.calibration.cramer_rao import limit
+from sabench.algorithms.calibration.parameters import Frame, Free, State
+from sabench.algorithms.calibration.problem import Problem, anchors_of
+from sabench.algorithms.calibration.robust import adjust
+from sabench.geometry.rigid_motion import Motion, lateral_fit
+from sabench.geometry.rotations import exponential
+from sabench.utils.arrays import F64
+from sabench.utils.errors import InputError
+from tests.helpers.calibration_cases import calibration_scene, case_of, true_error_px
+
+ALL = Free(True, ("k1", "k2", "p1", "p2", "k3"), (0, 1, 2), (0,))
+NOISELESS = {"detection": None, "calibration": {"points": 0.0}}
+
+
+def truth(
+    scene_changes: dict[str, object] | None = None, seed: int = 1
+) -> tuple[Frame, State, Seen]:
+    scene = calibration_scene(**(NOISELESS | (scene_changes or {})))
+    case, cameras, points, exact = case_of(scene, seed)
+    frame = Frame.of(cameras, points)
+    seen = Seen(
+        case.target.points_mm,
+        np.nan_to_num(exact),
+        np.asarray(np.isfinite(exact).all(axis=-1), dtype=np.float64),
+    )
+    return frame, frame.state(case.target.points_mm, points), seen
+
+
+@pytest.mark.parametrize(
+    "wall",
+    [{}, {"wall": None}, {"wall": {"normal": [0.04, -0.05, 1.0], "point_mm": [3.0, 4.0, 1.0]}}],
+)
+def test_the_kernel_projects_as_cameras_do(wall: dict[str, object]) -> None:
+    """Two derivations: one unknown in the rarest medium by numpy, and the bundle's own in the wall's frame."""
+    _, state, seen = truth(wall)
+    errors = residuals(state, seen)[seen.weights > 0.0]
+    assert len(errors) > 4000
+    assert np.abs(errors).max() < 1e-9
+
+
+def test_all_derivatives_are_those_of_finite_differences() -> None:
+    _, state, seen = truth()
+    rng = np.random.default_rng(3)
+    state = replace(
+        state, lenses=state.lenses + np.pad(rng.normal(0.0, 0.02, (9, 5)), ((0, 0), (3, 0)))
+    )
+    row, room = np.zeros((2, kernels.CAMERA + kernels.BOARD + 4)), np.zeros((3, 3))
+
+    def pixel(at: State) -> F64:
+        arm = at.board_turns[2] @ seen.board[17]
+        media = (at.indices, at.thicknesses)
+        u, v, ok = kernels.observe(
+            at.turns[3], at.centers[3], at.lenses[3], media, arm, at.places[2], row, room
+        )
+        assert ok
+        return np.array([u, v])
+
+    pixel(state)
+    exact, numeric = row.copy(), np.zeros_like(row)
+    for column in range(row.shape[1]):
+        ends = []
+        for step in (1e-6, -1e-6):
+            cameras, shared, boards = np.zeros((9, 14)), np.zeros(4), np.zeros((5, 6))
+            if column < kernels.CAMERA:
+                cameras[3, column] = step
+            elif column < kernels.CAMERA + kernels.BOARD:
+                boards[2, column - kernels.CAMERA] = step
+            else:
+                shared[column - kernels.CAMERA - kernels.BOARD] = step
+            ends.append(pixel(state.moved(cameras, shared, boards, ALL)))
+        numeric[:, column] = (ends[0] - ends[1]) / 2e-6
+    np.testing.assert_allclose(
+        exact, numeric, rtol=1e-6, atol=2e-6
+    )  # rounding of 500 px over a step of 1e-6
+
+
+def test_the_equations_are_those_of_a_dense_jacobian() -> None:
+    _, state, seen = truth()
+    rng = np.random.default_rng(0)
+    seen = replace(seen, pixels=seen.pixels + rng.normal(0.0, 0.5, seen.pixels.shape))
+    free = Free(True, ("k1",), (2,), (0,))
+    normal = normal_equations(state, seen, free)
+    own, shared = free.columns(3)
+    size = 9 * len(own) + len(shared) + 5 * kernels.BOARD
+    jacobian, rhs = [], []
+    row, room = np.zeros((2, kernels.CAMERA + kernels.BOARD + 4)), np.zeros((3, 3))
+    misses = residuals(state, seen)
+    for c, k, i in np.argwhere(seen.weights > 0.0).tolist():
+        arm = state.board_turns[k] @ seen.board[i]
+        kernels.observe(
+            state.turns[c],
+            state.centers[c],
+            state.lenses[c],
+            (state.indices, state.thicknesses),
+            arm,
+            state.places[k],
+            row,
+            room,
+        )
+        full = np.zeros((2, size))
+        full[:, c * len(own) : (c + 1) * len(own)] = row[:, own]
+        full[:, 9 * len(own) : 9 * len(own) + len(shared)] = row[
+            :, kernels.CAMERA + kernels.BOARD + shared
+        ]
+        start = 9 * len(own) + len(shared) + k * kernels.BOARD
+        full[:, start : start + kernels.BOARD] = row[
+            :, kernels.CAMERA : kernels.CAMERA + kernels.BOARD
+        ]
+        jacobian.append(full)
+        rhs.append(misses[c, k, i])
+    dense, right = np.vstack(jacobian), np.concatenate(rhs)
+    whole, split = dense.T @ dense, 9 * len(own) + len(shared)
+    np.testing.assert_allclose(normal.aa, whole[:split, :split], rtol=1e-9, atol=1e-6)
+    for k in range(5):
+        part = slice(split + k * kernels.BOARD, split + (k + 1) * kernels.BOARD)
+        np.testing.assert_allclose(normal.ab[k], whole[:split, part], rtol=1e-9, atol=1e-6)
+        np.testing.assert_allclose(normal.bb[k], whole[part, part], rtol=1e-9, atol=1e-6)
+    np.testing.assert_allclose(
+        np.concatenate([normal.a, normal.d.ravel()]), dense.T @ right, rtol=1e-7, atol=1e-5
+    )
+    assert normal.cost == pytest.approx(right @ right)
+
+
+@pytest.mark.parametrize("cameras", [3, 7, 9, 13])
+@pytest.mark.parametrize("blank", [False, True])
+def test_exact_points_give_exact_cameras_from_any_start(cameras: int, blank: bool) -> None:
+    x, y = np.meshgrid([-150.0, 0.0, 150.0], [-150.0, 0.0, 150.0])
+    centers = [
+        *zip(x.ravel().tolist(), y.ravel().tolist(), strict=True),
+        (-300.0, 0.0),
+        (300.0, 0.0),
+        (0.0, -300.0),
+        (0.0, 300.0),
+    ]
+    places = [
+        {"center_mm": [a, b, -490.0]}
+        for a, b in ([centers[3], centers[4], centers[8]] if cameras == 3 else centers[:cameras])
+    ]
+    rough = {
+        "points": 0.0 if blank else 0.3,
+        "blank": blank,
+        "center_mm": 58.0,
+        "turn_deg": 5.8,
+        "focal_percent": 11.0,
+        "known": [],
+    }
+    scene = calibration_scene(
+        detection=None, calibration=rough, cameras={"layout": {"kind": "list", "places": places}}
+    )
+    case, _, points, exact = case_of(scene)
+    problem = Problem.of(case, Free())
+    fit = refine(problem.start, problem.seen, Free())
+    answer = problem.answer(problem.settled(fit.state))
+    assert answer.points_mm is not None
+    assert true_error_px(answer.cameras, answer.points_mm, exact) < 1e-5
+    found = lateral_fit(answer.points_mm.reshape(-1, 3), points.reshape(-1, 3))(answer.points_mm)
+    assert np.abs(found - points).max() < 1e-3
+
+
+def test_noise_comes_out_at_the_bound() -> None:
+    """Sixteen draws: the true reprojection error, the points' scatter and their mean depth are what the Cramer-Rao bound says."""
+    _, state, seen = truth()
+    free, noise, rng = Free(), 0.5, np.random.default_rng(5)
+    bound = limit(state, seen, free, noise)
+    true, scatter, depth = [], [], []
+    points = state.points(seen.board).reshape(-1, 3)
+    for _ in range(16):
+        fit = refine(
+            state,
+            replace(seen, pixels=seen.pixels + rng.normal(0.0, noise, seen.pixels.shape)),
+            free,
+        )
+        assert fit.converged
+        true.append(np.linalg.norm(residuals(fit.state, seen)[seen.weights > 0.0], axis=-1).mean())
+        found = fit.state.points(seen.board).reshape(-1, 3)
+        errors = lateral_fit(found, points)(found) - points
+        scatter.append(errors.std(axis=0))
+        depth.append(errors[:, 2].mean())
+    assert np.mean(true) == pytest.approx(bound.reprojection_px, rel=0.05)
+    np.testing.assert_allclose(
+        np.sqrt(np.mean(np.square(scatter), axis=0)), bound.point_std_mm, rtol=0.35
+    )
+    assert 0.5 < np.std(depth) / bound.point_mean_mm[2] < 1.6
+    assert bound.unknowns == 9 * 7 + 5 * 6 - 3
+
+
+def test_the_measured_error_tells_the_true_one() -> None:
+    """True over measured is sqrt(p / (N - p)) for p unknowns and N equations."""
+    _, state, seen = truth()
+    rng = np.random.default_rng(8)
+    bound, ratios = limit(state, seen, Free(), 0.3), []
+    for _ in range(6):
+        noisy = replace(seen, pixels=seen.pixels + rng.normal(0.0, 0.3, seen.pixels.shape))
+        fit = refine(state, noisy, Free())
+        lengths = [
+            np.linalg.norm(residuals(fit.state, one)[seen.weights > 0.0], axis=-1).mean()
+            for one in (seen, noisy)
+        ]
+        ratios.append(lengths[0] / lengths[1])
+    assert np.mean(ratios) == pytest.approx(bound.efficiency, rel=0.06)
+
+
+def test_outliers_are_found_and_left_out() -> None:
+    _, state, seen = truth()
+    rng = np.random.default_rng(2)
+    wrong = rng.random(seen.weights.shape) < 0.3
+    pixels = (
+        seen.pixels
+        + rng.normal(0.0, 0.1, seen.pixels.shape)
+        + np.where(wrong[..., None], rng.normal(0.0, 20.0, seen.pixels.shape), 0.0)
+    )
+    found = adjust(state, replace(seen, pixels=pixels), Free())
+    assert (
+        np.linalg.norm(residuals(found.fit.state, seen)[seen.weights > 0.0], axis=-1).mean() < 0.02
+    )
+    assert found.noise_px == pytest.approx(0.1, rel=0.1)
+    far = wrong & (np.linalg.norm(pixels - seen.pixels, axis=-1) > 1.0)
+    assert not (found.used & far).any()
+    assert (found.used & ~wrong).sum() > 0.99 * (~wrong & (seen.weights > 0.0)).sum()
+
+
+def test_an_anchor_settles_the_depth() -> None:
+    """Images through a plane wall hardly show how deep everything is; one known point does."""
+    errors = []
+    for known in ([], [{"frame": 2, "point": 60, "axes": "z", "sigma_mm": 0.05}]):
+        scene = calibration_scene(
+            detection={"noise_px": 2.0}, calibration={"points": 0.02, "known": known}
+        )
+        case, _, points, _ = case_of(scene, 4)
+        problem = Problem.of(case, Free())
+        first = adjust(problem.start, problem.seen, Free())
+        anchors = anchors_of(case, problem.frame, first.noise_px)
+        found = adjust(first.fit.state, replace(problem.seen, anchors=anchors), Free())
+        errors.append(
+            abs(
+                float(
+                    (problem.frame.points(found.fit.state, problem.seen.board) - points)[
+                        ..., 2
+                    ].mean()
+                )
+            )
+        )
+    assert errors[0] > 0.3
+    assert errors[1] < 0.2
+
+
+def test_the_fluid_s_index_can_be_estimated() -> None:
+    _, state, seen = truth()
+    rng = np.random.default_rng(6)
+    wrong = replace(state, indices=state.indices + np.array([0.0, 0.0, 0.003]))
+    fit = refine(
+        wrong,
+        replace(seen, pixels=seen.pixels + rng.normal(0.0, 0.1, seen.pixels.shape)),
+        Free(indices=(2,)),
+    )
+    assert abs(fit.state.indices[2] - state.indices[2]) < 0.0025
+
+
+def test_what_a_wall_does_not_notice_changes_no_image() -> None:
+    _, state, seen = truth()
+    turn = exponential(np.array([0.0, 0.0, 0.3]))
+    moved = state.slid(Motion(turn, np.array([5.0, -7.0, 0.0])))
+    assert np.nanmax(np.abs(residuals(moved, seen)[seen.weights > 0.0])) < 1e-9
+    sunk = state.slid(Motion(np.eye(3), np.array([0.0, 0.0, 1.0])))
+    assert np.nanmax(np.abs(residuals(sunk, seen)[seen.weights > 0.0])) > 1e-3
+
+
+def test_too_few_points_are_counted() -> None:
+    case, *_ = case_of(
+        calibration_scene(targets={"columns": 3, "rows": 3}, frames=1, calibration={"known": []})
+    )
+    few = np.where(np.arange(9)[:, None] < 3, case.pixels, np.nan)
+    with pytest.raises(
+        InputError,
+        match=r"at least 35 image points for 9 cameras of 7 unknowns and 1 boards of 6 \(2 N >= b M \+ 6 K\), got 27",
+    ):
+        Problem.of(replace(case, pixels=few), Free())

@@ -1,0 +1,150 @@
+"""Bad input to a calibration: one sentence that names the camera or the frame."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from sabench.api import CalibrationCase
+from sabench.api.make import make_algorithm
+from sabench.geometry.camera import Camera
+from sabench.geometry.refraction import Layer, Wall
+from sabench.utils.errors import InputError
+from tests.helpers.calibration_cases import calibration_scene, case_of
+
+Change = Callable[[CalibrationCase], CalibrationCase]
+
+
+def case(**changes: Any) -> CalibrationCase:
+    return case_of(calibration_scene(calibration={"points": 0.02, "known": []}, **changes))[0]
+
+
+def with_pixels(change: Callable[[Any], None]) -> Change:
+    def changed(given: CalibrationCase) -> CalibrationCase:
+        pixels = given.pixels.copy()
+        change(pixels)
+        return replace(given, pixels=pixels)
+
+    return changed
+
+
+def with_wall(**values: Any) -> Change:
+    def other(camera: Camera) -> Camera:
+        assert isinstance(camera.wall, Wall)
+        return replace(camera, wall=replace(camera.wall, **values))
+
+    return lambda given: replace(given, cameras=tuple(other(camera) for camera in given.cameras))
+
+
+def turned_everywhere(pixels: Any) -> None:
+    pixels[:, 2] = pixels[:, 2, ::-1].copy()
+
+
+def turned_once(pixels: Any) -> None:
+    pixels[3, 2] = pixels[3, 2, ::-1].copy()
+
+
+def swapped(pixels: Any) -> None:
+    pixels[[1, 5]] = pixels[[5, 1]]
+
+
+def copied_camera(pixels: Any) -> None:
+    pixels[3] = pixels[4]
+
+
+def copied_frame(pixels: Any) -> None:
+    pixels[3, 1] = pixels[3, 2]
+
+
+FAULTS: list[tuple[Change, str]] = [
+    (
+        with_pixels(turned_everywhere),
+        "frame 2: expected its points counted as in its rough place, but they are turned by 180 degrees against it",
+    ),
+    (
+        with_pixels(turned_once),
+        "camera_03: frame 2: expected its points counted as in the other cameras, but they are turned by 180 degrees",
+    ),
+    (
+        with_pixels(swapped),
+        "camera_01 and camera_05: expected each one's own images, but these two are swapped",
+    ),
+    (
+        with_pixels(copied_camera),
+        "camera_03 and camera_04: expected images of their own, but all their points are the same",
+    ),
+    (
+        with_pixels(copied_frame),
+        "camera_03: expected different images in frames 1 and 2, but all their points are the same",
+    ),
+    (
+        with_wall(point_mm=(0.0, 0.0, -600.0)),
+        "camera_00: expected it in front of the wall's outer face, but the wall is behind it",
+    ),
+    (
+        with_wall(air_index=1.333, fluid_index=1.0),
+        "wall: expected indices from the cameras' side on, air first, got air_index 1.333 above fluid_index 1",
+    ),
+    (
+        with_wall(layers=(Layer("glass", 1.333, 5.0),), fluid_index=1.5),
+        "wall: expected layers of glass and a fluid behind them, got layers of index 1.333 before a fluid of 1.5",
+    ),
+]
+
+
+@pytest.mark.parametrize(
+    ("change", "sentence"), FAULTS, ids=[sentence[:30] for _, sentence in FAULTS]
+)
+def test_a_fault_is_named(change: Change, sentence: str) -> None:
+    algorithm: Any = make_algorithm("refractive_autocal", {})
+    with pytest.raises(InputError) as caught:
+        algorithm.solve(change(case()))
+    assert str(caught.value) == sentence
+
+
+def test_one_plane_is_not_enough() -> None:
+    algorithm: Any = make_algorithm("refractive_autocal", {})
+    with pytest.raises(
+        InputError, match="all frames show it in one plane, which leaves focal lengths open"
+    ):
+        algorithm.solve(case(frames=1, targets={"tilt_deg": 0.0}))
+
+
+def test_points_in_no_order_are_named() -> None:
+    """Every image counts the target's points in an order of its own: whatever comes out, it is no calibration."""
+    given, rng = case(), np.random.default_rng(0)
+    pixels = given.pixels.copy()
+    for view in pixels.reshape(-1, *pixels.shape[2:]):
+        view[:] = view[rng.permutation(len(view))]
+    algorithm: Any = make_algorithm("refractive_autocal", {})
+    with pytest.raises(
+        InputError,
+        match=r"got some that miss by \d+ px at best: are they the target's, in its order\?",
+    ):
+        algorithm.solve(replace(given, pixels=pixels))
+
+
+def test_a_spoilt_image_is_left_out() -> None:
+    given = case()
+    pixels = given.pixels.copy()
+    pixels[3, 2] += np.random.default_rng(0).normal(0.0, 50.0, pixels[3, 2].shape)
+    algorithm: Any = make_algorithm("refractive_autocal", {})
+    answer = algorithm.solve(replace(given, pixels=pixels))
+    assert answer.used[3, 2].mean() < 0.05
+    assert answer.used.mean() > 0.97
+
+
+def test_other_shapes_are_refused() -> None:
+    given = case()
+    with pytest.raises(
+        InputError, match=r"pixels: expected the shape \(9, frames, 121, 2\), got \(9, 5, 120, 2\)"
+    ):
+        replace(given, pixels=given.pixels[:, :, 1:])
+    with pytest.raises(
+        InputError, match=r"rough_mm: expected the shape \(5, 121, 3\), got \(4, 121, 3\)"
+    ):
+        replace(given, rough_mm=given.rough_mm[1:])

@@ -1,0 +1,173 @@
+"""Volume self-calibration: particle images, sets of them, the spot where the right ones lie, and cameras that agree in the end."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from sabench.algorithms.calibration import disparity
+from sabench.algorithms.calibration.disparity import densest, find_sets
+from sabench.api import Calibration, Observation
+from sabench.geometry.camera_model import CameraModel
+from sabench.geometry.rigid_motion import rigid_fit
+from sabench.geometry.triangulation import triangulate
+from sabench.geometry.volume_polynomials import maps_of, positions
+from sabench.images.peaks import spots_of
+from sabench.plugins import load
+from sabench.scenes import Scene, build_rig, load_scene, parse_scene
+from sabench.simulation.in_memory import Shot, simulate
+from sabench.utils.errors import InputError
+
+
+def particle_scene(shift_px: float, wall: bool = True, per_pixel: float = 0.025) -> Scene:
+    values = load_scene("array-9").to_dict()
+    values["cameras"] |= {"rows": 240, "columns": 240, "particle_sigma_px": 0.8}
+    values["cameras"]["center_mm"] = [0.0, 0.0, -510.0]
+    values["cameras"]["layout"] = {
+        "kind": "grid",
+        "columns": 3,
+        "rows": 2,
+        "spacing_mm": [150.0, 200.0],
+    }
+    values["volume"] |= {"size_mm": [12.0, 12.0, 6.0]}
+    values["grid"]["crop_mm"] = [1.0, 1.0, 0.0]
+    values["particles"] = {"generator": "uniform", "per_pixel": per_pixel, "diameter_mm": 0.02}
+    values["calibration"] = {"shift_px": shift_px}
+    if wall:
+        values["wall"] = {
+            "fluid_index": 1.333,
+            "point_mm": [0.0, 0.0, -30.0],
+            "layers": [{"index": 1.5, "thickness_mm": 5.0}],
+        }
+    return parse_scene(values, "particles")
+
+
+def corrected(case: Observation, **parameters: float) -> Calibration:
+    plugin = load("solvers", "volume_self_calibration")
+    made: Calibration = plugin(plugin.Parameters(**parameters)).solve(case)
+    return made
+
+
+def disagreement_px(shot: Shot, cameras: tuple[CameraModel, ...], scene: Scene) -> float:
+    """Mean error of the cameras' pixels of true particles, after the motion of all cameras together that images do not show."""
+    truths = shot.particles.position_mm
+    exact = np.stack([camera.project(truths)[0] for camera in build_rig(scene).cameras])
+    found = triangulate(cameras, exact)
+    moved = rigid_fit(truths, found)(truths)
+    again = np.stack([camera.project(moved)[0] for camera in cameras])
+    return float(np.linalg.norm(again - exact, axis=-1).mean())
+
+
+def test_cameras_two_pixels_off_agree_again() -> None:
+    scene = particle_scene(2.0)
+    shot = simulate(scene, seed=3)
+    assert disagreement_px(shot, shot.observation.cameras, scene) > 1.0
+    answer = corrected(shot.observation)
+    assert [camera.name for camera in answer.cameras] == [
+        camera.name for camera in shot.observation.cameras
+    ]
+    assert disagreement_px(shot, answer.cameras, scene) < 0.06
+
+
+def test_exact_cameras_stay_as_they_are() -> None:
+    scene = particle_scene(0.0, per_pixel=0.015)
+    shot = simulate(scene, seed=4)
+    assert disagreement_px(shot, corrected(shot.observation).cameras, scene) < 0.04
+
+
+def test_larger_errors_need_a_larger_reach() -> None:
+    scene = particle_scene(8.0)
+    shot = simulate(scene, seed=4)
+    assert disagreement_px(shot, corrected(shot.observation, reach_px=10.0).cameras, scene) < 0.06
+
+
+def test_sets_that_agree_by_chance_are_refused() -> None:
+    seen = simulate(particle_scene(8.0), seed=3).observation
+    with pytest.raises(
+        InputError,
+        match=r"4 cameras that agree within 0.7 px, got \d+ where chance makes \d+: .* larger than reach_px = 4",
+    ):
+        corrected(seen)
+
+
+def test_where_there_is_no_room_for_all_sets_some_images_are_left_out(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    scene = particle_scene(2.0)
+    shot = simulate(scene, seed=3)
+    monkeypatch.setattr(disparity, "_SETS", 20_000)
+    assert disagreement_px(shot, corrected(shot.observation).cameras, scene) < 0.06
+
+
+def test_particle_images_are_found_to_parts_of_a_pixel() -> None:
+    scene = particle_scene(0.0)
+    shot = simulate(scene, seed=5)
+    light = shot.observation.images[0].astype(np.float32)
+    spots = spots_of(light / light.max(), 0.2)
+    assert len(spots.pixel) == spots.start[-1]
+    gaps = np.linalg.norm(spots.pixel[:, None] - shot.views[0].pixel[None], axis=2)
+    assert (gaps.min(axis=1) < 0.6).mean() > 0.9
+    lone = gaps.min(axis=1)[np.sort(gaps, axis=1)[:, 1] > 6.0]
+    assert len(lone) > 50
+    assert lone.mean() < 0.06
+
+
+def test_maps_stand_for_cameras_behind_a_wall() -> None:
+    cameras = build_rig(particle_scene(0.0)).cameras
+    low, high = np.array([-6.0, -6.0, -3.0]), np.array([6.0, 6.0, 3.0])
+    maps = maps_of(cameras, low, high)
+    unit = np.random.default_rng(0).uniform(-1.0, 1.0, (500, 3))
+    for number, camera in enumerate(cameras):
+        errors = (
+            positions(maps, number, unit) - camera.project(maps.middle_mm + maps.half_mm * unit)[0]
+        )
+        assert np.abs(errors).max() < 2e-3
+
+
+def test_all_right_sets_are_among_those_found() -> None:
+    """Particles placed by hand: every one whose images are near to where the cameras are told makes a set."""
+    cameras = build_rig(particle_scene(0.0)).cameras[:4]
+    maps = maps_of(cameras, np.array([-6.0, -6.0, -3.0]), np.array([6.0, 6.0, 3.0]))
+    rng = np.random.default_rng(1)
+    unit = rng.uniform(-0.8, 0.8, (60, 3))
+    shifts = rng.normal(0.0, 0.8, (4, 2))
+    pictures = []
+    for number in range(4):
+        light, pixels = (
+            np.zeros((240, 240), dtype=np.float32),
+            positions(maps, number, unit) + shifts[number],
+        )
+        row, column = np.mgrid[:240, :240]
+        for x, y in pixels:
+            light += np.exp(-((column - x) ** 2 + (row - y) ** 2) / (2.0 * 0.8**2)).astype(
+                np.float32
+            )
+        pictures.append(spots_of(light, 0.3))
+    sets = find_sets(maps, tuple(pictures), 4.0)
+    right = [np.abs(sets.places - place).max(axis=1).min() for place in unit]
+    assert np.mean(np.array(right) < 0.05) > 0.85
+
+
+def test_the_densest_spot_is_found_among_noise() -> None:
+    rng = np.random.default_rng(2)
+    values = np.vstack(
+        [
+            rng.uniform(-4.0, 4.0, (20000, 5)),
+            np.array([1.2, -0.7, 0.3, 2.0, -1.5]) + rng.normal(0.0, 0.1, (80, 5)),
+        ]
+    )
+    np.testing.assert_allclose(densest(values), [1.2, -0.7, 0.3, 2.0, -1.5], atol=0.1)
+
+
+def test_nothing_to_go_by_is_said() -> None:
+    seen = simulate(particle_scene(0.0), seed=1).observation
+    with pytest.raises(
+        InputError,
+        match=r"camera_00: expected particle images, got none above 0.15 of a bright one's peak",
+    ):
+        corrected(replace(seen, images=np.full_like(seen.images, int(seen.black_dn))))
+    plugin = load("solvers", "volume_self_calibration")
+    two = replace(seen, images=seen.images[:2], cameras=seen.cameras[:2])
+    assert plugin(plugin.Parameters()).skip(two) == "expected 3 cameras or more, got 2"

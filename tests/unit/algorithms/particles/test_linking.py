@@ -1,0 +1,176 @@
+"""Tracks of bubbles whose ids are known: crossing paths, streams, what is missing and what is not there; and where it ends."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pytest
+
+from sabench.algorithms.particles.linking import GATE, REACH, assign, link
+from tests.helpers.films import EDGE, Film, film, judged, linked
+
+
+@pytest.mark.parametrize("relative", [0.2, 0.5, 1.0, 1.5, 2.0])
+def test_a_stream_is_followed_beyond_the_distance_of_neighbours(relative: float) -> None:
+    made = film(relative)
+    recall, precision = judged(made, linked(made))
+    assert recall > 0.98
+    assert precision > 0.99
+
+
+@pytest.mark.parametrize("relative", [0.2, 0.5, 1.0, 1.5, 2.0])
+def test_a_fifth_missing_and_as_many_ghosts(relative: float) -> None:
+    made = film(relative, missing=0.2, ghosts=0.2, noise=0.03)
+    recall, precision = judged(made, linked(made))
+    assert recall > 0.94
+    assert precision > 0.94
+
+
+@pytest.mark.parametrize("relative", [0.2, 0.5, 1.0, 1.5])
+def test_two_streams_through_each_other(relative: float) -> None:
+    made = film(relative, "two streams")
+    recall, precision = judged(made, linked(made))
+    assert recall > 0.95
+    assert precision > 0.98
+
+
+def test_where_it_ends() -> None:
+    """No displacement beyond the reach, and no motion at random beyond a fraction of the distance between neighbours."""
+    assert judged(made := film(1.4 * REACH), linked(made))[0] < 0.1
+    assert judged(made := film(0.2, "random"), linked(made))[0] > 0.97
+    assert judged(made := film(1.0, "random"), linked(made))[0] < 0.6
+
+
+def test_paths_that_cross_are_not_swapped() -> None:
+    """Where two meet, either is nearest to the other's next place; each goes on as it went."""
+    time = np.arange(-4.0, 5.0)
+    made = Film()
+    for t in time:
+        made.add(
+            np.array([[t, 0.1, 0.0], [-t, -0.1, 0.0]]),
+            np.array([1.0, 1.0]),
+            np.arange(2),
+            np.random.default_rng(int(t) + 9),
+        )
+    track = linked(made)
+    for bubble in range(2):
+        assert (
+            len({int(number[ids == bubble][0]) for number, ids in zip(track, made.id, strict=True)})
+            == 1
+        )
+
+
+def test_a_track_may_miss_as_many_frames_as_it_is_told() -> None:
+    for absent, gap, whole in (
+        ({3}, 1, True),
+        ({3, 4}, 1, False),
+        ({3, 4}, 2, True),
+        ({3}, 0, False),
+    ):
+        made = film(0.8, count=60, frames=8)
+        lost = int(np.intersect1d(made.id[0], made.id[-1])[0])
+        for frame in absent:
+            keep = made.id[frame] != lost
+            made.center[frame], made.radius[frame], made.id[frame] = (
+                made.center[frame][keep],
+                made.radius[frame][keep],
+                made.id[frame][keep],
+            )
+        track = linked(made, gap)
+        numbers = {
+            int(track[frame][made.id[frame] == lost][0])
+            for frame in range(8)
+            if frame not in absent
+        }
+        assert len(numbers) == (1 if whole else 2), (absent, gap)
+
+
+def test_frames_at_unequal_times() -> None:
+    rng = np.random.default_rng(2)
+    place, radius, times = (
+        EDGE * rng.random((200, 3)),
+        rng.uniform(0.5, 1.5, 200),
+        [0.0, 1.0, 3.0, 3.5, 5.5],
+    )
+    track = link([place + time * np.array([4.0, -2.0, 1.0]) for time in times], [radius] * 5, times)
+    assert all(np.array_equal(track[0], one) for one in track)
+
+
+def test_neither_order_nor_units_matter() -> None:
+    made = film(1.0, missing=0.1, ghosts=0.1, noise=0.02)
+    track, rng = linked(made), np.random.default_rng(0)
+    turned = [rng.permutation(len(one)) for one in made.center]
+    metres = [1e-3 * one[order] for one, order in zip(made.center, turned, strict=True)]
+    radii = [1e-3 * one[order] for one, order in zip(made.radius, turned, strict=True)]
+    other = link(metres, radii, [100.0 + 5.0 * frame for frame in range(len(metres))])
+    for frame in range(len(track) - 1):
+        joined = track[frame][turned[frame]][:, None] == track[frame + 1][turned[frame + 1]]
+        np.testing.assert_array_equal(joined, other[frame][:, None] == other[frame + 1])
+
+
+def test_numbers_are_different_in_a_frame_and_count_up() -> None:
+    track = linked(film(1.0, missing=0.2, ghosts=0.2))
+    assert all(len(np.unique(one)) == len(one) for one in track)
+    every = np.unique(np.concatenate(track))
+    np.testing.assert_array_equal(every, np.arange(len(every)))
+
+
+def test_few_bubbles_or_none() -> None:
+    none, one = np.zeros((0, 3)), np.array([[1.0, 2.0, 3.0]])
+    assert link([], [], []) == []
+    assert [len(track) for track in link([none, none], [np.zeros(0)] * 2, [0.0, 1.0])] == [0, 0]
+    assert [track.tolist() for track in link([one], [np.ones(1)], [0.0])] == [[0]]
+    assert [
+        track.tolist()
+        for track in link([one, one + 5.0, one + 10.0], [np.ones(1)] * 3, [0.0, 1.0, 2.0])
+    ] == [[0], [0], [0]]
+    assert [
+        track.tolist() for track in link([one, one], [np.ones(1), np.full(1, 3.0)], [0.0, 1.0])
+    ] == [[0], [1]]  # another size
+    assert [
+        track.tolist()
+        for track in link([one, none, one], [np.ones(1), np.zeros(0), np.ones(1)], [0.0, 1.0, 2.0])
+    ] == [[0], [], [0]]
+    assert [
+        track.tolist()
+        for track in link(
+            [one, none, one], [np.ones(1), np.zeros(0), np.ones(1)], [0.0, 1.0, 2.0], 0
+        )
+    ] == [[0], [], [1]]
+    twice = np.repeat(one, 2, axis=0)
+    assert sorted(link([twice, twice], [np.ones(2)] * 2, [0.0, 1.0])[1].tolist()) == [0, 1]
+
+
+def test_times_must_increase() -> None:
+    with pytest.raises(ValueError, match="times_s: expected increasing times"):
+        link([np.zeros((0, 3))] * 2, [np.zeros(0)] * 2, [1.0, 1.0])
+
+
+@pytest.mark.parametrize("seed", range(30))
+def test_the_choice_is_the_best_of_all(seed: int) -> None:
+    """Against every possible choice of small cases."""
+    rng = np.random.default_rng(seed)
+    shape = (int(rng.integers(1, 5)), int(rng.integers(1, 5)))
+    row, column = np.nonzero(rng.random(shape) < 0.7)
+    cost = np.where(rng.random(len(row)) < 0.1, 0.0, 1.4 * GATE * rng.random(len(row)))
+    i, j = assign(row, column, cost, shape)
+    assert len(set(i.tolist())) == len(i) == len(set(j.tolist())) == len(j)
+    price = {(int(a), int(b)): float(c) for a, b, c in zip(row, column, cost, strict=True)}
+    best = np.inf
+    for ends in itertools.product(range(-1, shape[1]), repeat=shape[0]):
+        used = [end for end in ends if end >= 0]
+        if len(set(used)) == len(used) and all(
+            end < 0 or (start, end) in price for start, end in enumerate(ends)
+        ):
+            best = min(
+                best, sum(price[start, end] if end >= 0 else GATE for start, end in enumerate(ends))
+            )
+    got = sum(price[int(a), int(b)] for a, b in zip(i, j, strict=True)) + GATE * (shape[0] - len(i))
+    assert got == pytest.approx(best, abs=1e-9)
+
+
+def test_nothing_to_choose_from() -> None:
+    nothing = np.zeros(0, dtype=np.int64)
+    for shape in ((0, 0), (0, 3), (3, 0), (2, 2)):
+        assert len(assign(nothing, nothing, np.zeros(0), shape)[0]) == 0

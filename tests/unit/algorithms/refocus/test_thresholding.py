@@ -1,0 +1,244 @@
+"""Thresholds: Q of many k in one pass against one extraction each; the k that the images give against the best one."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from pydantic import ValidationError
+
+from sabench.algorithms.refocus import refocus_sum
+from sabench.algorithms.refocus.thresholding import (
+    ExtractionParameters,
+    Keep,
+    auto_k,
+    effective_width,
+    extract,
+    extracted,
+    occupancy,
+)
+from sabench.api import Observation
+from sabench.evaluation.thesis.best_threshold import best_k, quality_of_k
+from sabench.geometry.grid import synthesise
+from sabench.images.brightness import bright_dn, normalised
+from sabench.metrics.quality_factor import quality
+from sabench.metrics.synthesised_field import true_field
+from sabench.scenes import parse_scene
+from sabench.simulation.in_memory import Shot, simulate
+from sabench.utils.arrays import F32
+
+KEEPS: list[Keep] = ["reduced", "whole"]
+
+
+def array_scene(per_pixel: float, **changes: Any) -> Any:
+    """Nine cameras in plain air, 12 x 12 x 8 mm, as in the thesis's simulations but smaller."""
+    values: dict[str, Any] = {
+        "title": "array",
+        "volume": {"center_mm": [0.0, 0.0, 0.0], "size_mm": [12.0, 12.0, 8.0]},
+        "grid": {"voxel_mm": [0.05, 0.05, 0.125], "crop_mm": [3.0, 3.0, 0.0]},
+        "cameras": {
+            "rows": 240,
+            "columns": 240,
+            "pixel_mm": 0.01,
+            "focal_length_mm": 85.0,
+            "f_number": 16.0,
+            "particle_sigma_px": 0.6,
+            "center_mm": [0.0, 0.0, -510.0],
+            "layout": {"kind": "grid", "columns": 3, "rows": 3, "spacing_mm": [204.0, 204.0]},
+        },
+        "illumination": {
+            "pulse_energy_mj": 25.0,
+            "thickness_mm": 60.0,
+            "height_mm": 60.0,
+            "scattering": "isotropic",
+        },
+        "particles": {"generator": "uniform", "per_pixel": per_pixel, "diameter_mm": 0.02},
+        "sensor": {"full_well_e": 10200.0, "gain_dn_e": 0.025, "bit_depth": 8, "shot_noise": False},
+    }
+    for table, entries in changes.items():
+        values[table] |= entries
+    return parse_scene(values, "array")
+
+
+@pytest.fixture(scope="module")
+def shot() -> Shot:
+    return simulate(array_scene(0.05), seed=101)
+
+
+def refocused(case: Observation) -> F32:
+    return refocus_sum(
+        normalised(case.images, case.black_dn), case.cameras, case.grid
+    ) / np.float32(len(case.cameras))
+
+
+def random_volumes() -> tuple[F32, F32]:
+    rng = np.random.default_rng(3)
+    volume = rng.gamma(2.0, size=(6, 23, 31)).astype(np.float32)
+    return volume, (volume**2 * rng.random(volume.shape)).astype(np.float32)
+
+
+# Q of many thresholds
+
+
+@pytest.mark.parametrize("keep", KEEPS)
+@pytest.mark.parametrize("scored", [(slice(None),) * 3, (slice(1, -1), slice(4, -3), slice(2, -5))])
+def test_one_pass_gives_the_q_of_every_extraction(
+    keep: Keep, scored: tuple[slice, slice, slice]
+) -> None:
+    volume, truth = random_volumes()
+    ks = np.array([0.0, 0.3, 1.0, 2.2, 3.0, 5.0, 50.0])
+    expected = [quality(extract(volume.copy(), k, keep)[scored], truth[scored]) for k in ks]
+    np.testing.assert_allclose(
+        quality_of_k(volume, truth, ks, keep, scored), expected, rtol=0, atol=1e-6
+    )
+    assert expected[0] > expected[4] > expected[-1] == 0.0
+
+
+def test_a_value_at_the_threshold_is_left_out() -> None:
+    volume = np.zeros((1, 2, 2), dtype=np.float32)
+    volume[0, 0, 0] = 2.0  # mean 1/2, standard deviation sqrt(3) / 2
+    ks = np.array([1.0, math.sqrt(3.0), 2.0])
+    np.testing.assert_allclose(
+        quality_of_k(volume, volume, ks, "whole"),
+        [quality(extract(volume.copy(), k, "whole"), volume) for k in ks],
+    )
+
+
+@pytest.mark.parametrize("keep", KEEPS)
+def test_the_best_k_has_the_highest_q(shot: Shot, keep: Keep) -> None:
+    volume, truth = (
+        refocused(shot.observation),
+        true_field(shot.observation.grid, shot.particles, shot.views),
+    )
+    k, q = best_k(volume, truth, keep)
+    around = quality_of_k(volume, truth, np.array([k - 0.3, k, k + 0.3]), keep)
+    assert around[1] == pytest.approx(q)
+    assert around.argmax() == 1
+
+
+def test_q_of_dark_volumes_is_zero() -> None:
+    dark = np.zeros((2, 3, 4), dtype=np.float32)
+    np.testing.assert_array_equal(quality_of_k(dark, dark, np.array([0.0, 1.0]), "whole"), 0.0)
+
+
+# k without truth
+
+
+def test_widths_of_narrow_and_wide_particles() -> None:
+    assert effective_width(0.01) == pytest.approx(1.0, abs=0.02)
+    assert effective_width(20.0) == pytest.approx(2.0 * math.sqrt(math.pi) * 20.0, rel=1e-3)
+    profile = [
+        math.erf((i + 0.5 - shift) / math.sqrt(2.0) / 0.7)
+        - math.erf((i - 0.5 - shift) / math.sqrt(2.0) / 0.7)
+        for shift in np.linspace(0.0, 1.0, 50, endpoint=False)
+        for i in range(-6, 8)
+    ]
+    squares = np.sum(np.square(profile)) / 50.0
+    assert effective_width(0.7) == pytest.approx(4.0 / squares, rel=1e-6)
+
+
+@pytest.mark.parametrize("per_pixel", [0.02, 0.1])
+def test_images_tell_the_share_of_the_volume_that_particles_fill(per_pixel: float) -> None:
+    """Brightness spreads, so that it is not a count of particles."""
+    shot = simulate(
+        array_scene(
+            per_pixel,
+            particles={"diameter_spread": 0.2},
+            sensor={"full_well_e": 1e6, "bit_depth": 16},
+        ),
+        seed=102,
+    )
+    grid = shot.observation.grid
+    weights = shot.views[4].photons
+    field = synthesise(grid, shot.particles.position_mm, weights, 0.6 * grid.voxel_mm[0]).astype(
+        np.float64
+    )
+    assert occupancy(shot.observation) == pytest.approx(
+        field.sum() ** 2 / (field.size * np.sum(field**2)), rel=0.1
+    )
+
+
+@pytest.mark.parametrize(("keep", "gap"), [("reduced", 0.01), ("whole", 0.03)])
+@pytest.mark.parametrize(("per_pixel", "k_from", "k_to"), [(0.02, 4.0, 8.0), (0.1, 1.5, 4.0)])
+def test_auto_k_comes_near_the_best_q(
+    per_pixel: float, k_from: float, k_to: float, keep: Keep, gap: float
+) -> None:
+    shot = simulate(array_scene(per_pixel), seed=1)
+    case, volume = shot.observation, refocused(shot.observation)
+    truth = true_field(case.grid, shot.particles, shot.views)
+    k = auto_k(volume, occupancy(case), keep)
+    assert k_from < k < k_to
+    assert (
+        quality_of_k(volume, truth, np.array([k]), keep, case.grid.scored)[0]
+        > best_k(volume, truth, keep, case.grid.scored)[1] - gap
+    )
+
+
+@pytest.mark.parametrize("keep", KEEPS)
+def test_auto_k_fills_the_share_that_it_aims_at(keep: Keep) -> None:
+    volume, _ = random_volumes()
+    left = extract(volume.copy(), auto_k(volume, 0.1, keep), keep).astype(np.float64)
+    assert left.sum() ** 2 / (left.size * np.sum(left**2)) == pytest.approx(
+        0.1 * {"reduced": 0.85, "whole": 0.65}[keep], rel=0.02
+    )
+
+
+def test_auto_k_of_a_field_that_is_sparser_than_its_images_keeps_all_above_the_mean() -> None:
+    volume = np.zeros((2, 20, 20), dtype=np.float32)
+    volume[:, 4, 5] = 1.0
+    assert auto_k(volume, 0.5, "whole") == 0.0
+
+
+def test_a_black_camera_and_black_images(shot: Shot) -> None:
+    case = shot.observation
+    covered = case.images.copy()
+    covered[3] = 0
+    blocked = Observation(covered, case.cameras, case.grid, case.black_dn, case.white_dn)
+    assert occupancy(blocked) == pytest.approx(occupancy(case), rel=0.1)
+    dark = Observation(
+        np.zeros_like(covered), case.cameras, case.grid, case.black_dn, case.white_dn
+    )
+    assert occupancy(dark) == 0.0
+    assert not extracted(
+        np.zeros(case.grid.shape, dtype=np.float32), dark, ExtractionParameters(k="auto")
+    ).any()
+
+
+@pytest.mark.parametrize("keep", KEEPS)
+def test_parameters_choose_the_k(shot: Shot, keep: Keep) -> None:
+    volume = refocused(shot.observation)
+    fixed = extracted(volume.copy(), shot.observation, ExtractionParameters(k=2.0, keep=keep))
+    np.testing.assert_array_equal(fixed, extract(volume.copy(), 2.0, keep))
+    chosen = extracted(volume.copy(), shot.observation, ExtractionParameters(k="auto", keep=keep))
+    np.testing.assert_array_equal(
+        chosen, extract(volume.copy(), auto_k(volume, occupancy(shot.observation), keep), keep)
+    )
+
+
+@pytest.mark.parametrize("k", [-1.0, "lots", None, math.nan])
+def test_other_values_of_k_are_refused(k: object) -> None:
+    with pytest.raises(ValidationError, match="expected auto or a number of at least 0, got"):
+        ExtractionParameters.model_validate({"k": k})
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_bright_level_is_numpys_percentile_of_lit_pixels(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    grey, black = (
+        rng.poisson(rng.uniform(0.1, 300.0), (31, 47)).astype(np.uint16),
+        float(rng.uniform(0.0, 64.0)),
+    )
+    light = np.maximum(grey.astype(np.float64) - black, 0.0)
+    lit = light[light > 0.1 * light.max()]
+    assert bright_dn(grey, black) == pytest.approx(
+        np.percentile(lit, 95.0) if len(lit) else 0.0, abs=1e-9
+    )
+
+
+def test_images_are_scaled_to_their_bright_level() -> None:
+    case = simulate(array_scene(0.05, sensor={"black_level_dn": 20.0}), seed=3).observation
+    for grey, scaled in zip(case.images, normalised(case.images, case.black_dn), strict=True):
+        expected = np.maximum(grey - 20.0, 0.0) / bright_dn(grey, 20.0)
+        np.testing.assert_allclose(scaled, expected, rtol=1e-6, atol=1e-7)

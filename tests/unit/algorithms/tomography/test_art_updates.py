@@ -1,0 +1,245 @@
+"""Each correction against its formula with a dense W, and what they have in common: saturation, residuals, when to stop."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numba
+import numpy as np
+import pytest
+
+from sabench.algorithms.tomography.art_updates import (
+    DARKEST,
+    Measured,
+    State,
+    block_mart,
+    iterate,
+    mart,
+    sart,
+    smart,
+)
+from sabench.algorithms.tomography.footprint import BILINEAR, Footprint
+from sabench.algorithms.tomography.mart_sweep import STRIP
+from sabench.algorithms.tomography.projection_operator import LinesOfSight
+from sabench.utils.arrays import F32, F64
+from tests.unit.algorithms.tomography.test_projection_operator import (
+    BLOB,
+    COLUMNS,
+    ROWS,
+    TILTED,
+    array,
+    lines_of,
+)
+
+Step = Callable[[State, Measured], float]
+STEPS: dict[str, Step] = {
+    "smart": lambda state, measured: smart(state, measured, 0.9),
+    "sart": lambda state, measured: sart(
+        state, measured, state.lines.forward(np.ones_like(state.values)), 0.8
+    ),
+    "block_mart": lambda state, measured: block_mart(state, measured, 0.7),
+    "mart": lambda state, measured: mart(state, measured, 0.9),
+}
+
+
+def matrices(lines: LinesOfSight) -> F64:
+    """W (camera, pixel, voxel), column by column; by one thread, since for one voxel waiting for the others takes longer."""
+    unit, most = np.eye(len(lines.support), dtype=np.float32), numba.get_num_threads()
+    numba.set_num_threads(1)
+    columns = [lines.forward(row).reshape(len(lines.cameras), -1) for row in unit]
+    numba.set_num_threads(most)
+    return np.stack(columns, axis=-1).astype(np.float64)
+
+
+def make_state(footprint: Footprint = BLOB, every: int = 4) -> State:
+    lines = lines_of(array(TILTED), footprint, every=every)
+    seen = np.maximum(
+        np.rint(lines.adjoint(np.ones((3, ROWS, COLUMNS), dtype=np.float32))), np.float32(1.0)
+    )
+    return State(
+        lines,
+        np.random.default_rng(1).random(len(lines.support), dtype=np.float32) + np.float32(0.5),
+        seen,
+    )
+
+
+def recorded(state: State, seed: int) -> Measured:
+    """What other values than the state's would cast."""
+    light = state.lines.forward(
+        np.random.default_rng(seed).random(len(state.values), dtype=np.float32) * np.float32(2.0)
+    )
+    return Measured(np.maximum(light, np.float32(1e-6)), np.zeros(light.shape, dtype=np.bool_))
+
+
+def by_formula(name: str, w: F64, p: F64, values: F64) -> F64:
+    """One iteration with a dense W (camera, pixel, voxel) and P (camera, pixel)."""
+    seen = np.maximum(w.sum(axis=(0, 1)), 1.0)
+    cast = w @ values
+    if name == "smart":
+        ratio = np.divide(p, cast, out=np.ones_like(p), where=cast > 0.0)
+        return np.asarray(values * np.exp(0.9 * np.tensordot(np.log(ratio), w, 2) / seen))
+    if name == "sart":
+        lengths = w.sum(axis=2)
+        missing = np.divide(p - cast, lengths, out=np.zeros_like(p), where=lengths > 0.0)
+        return np.asarray(np.maximum(values + 0.8 * np.tensordot(missing, w, 2) / seen, 0.0))
+    for camera, image in zip(w, p, strict=True):
+        values = (
+            block_by_formula(camera, image, values)
+            if name == "block_mart"
+            else mart_by_formula(camera, image, values)
+        )
+    return values
+
+
+def block_by_formula(w: F64, p: F64, values: F64) -> F64:
+    cast = w @ values
+    return np.asarray(
+        values
+        * np.exp(0.7 * w.T @ np.log(np.divide(p, cast, out=np.ones_like(p), where=cast > 0.0)))
+    )
+
+
+def mart_by_formula(w: F64, p: F64, values: F64) -> F64:
+    """Pixel after pixel: even strips of rows, then odd ones."""
+    rows = [row for parity in (0, 1) for row in range(ROWS) if row // STRIP % 2 == parity]
+    for pixel in (row * COLUMNS + column for row in rows for column in range(COLUMNS)):
+        cast = float(w[pixel] @ values)
+        if cast > 0.0:
+            values = values * (p[pixel] / cast) ** (0.9 * w[pixel])
+    return values
+
+
+@pytest.mark.parametrize("footprint", [BILINEAR, BLOB])
+@pytest.mark.parametrize("name", STEPS)
+def test_steps_follow_their_formulas(name: str, footprint: Footprint) -> None:
+    state = make_state(footprint)
+    measured = recorded(state, 2)
+    w, p = matrices(state.lines), measured.light.reshape(3, -1).astype(np.float64)
+    expected = state.values.astype(np.float64)
+    for _ in range(3):
+        STEPS[name](state, measured)
+        expected = by_formula(name, w, p, expected)
+    np.testing.assert_allclose(state.values, expected, rtol=2e-4, atol=1e-4)
+    assert np.ptp(state.values) > 0.5
+
+
+@pytest.mark.parametrize("name", STEPS)
+def test_saturated_pixels_only_make_voxels_brighter(name: str) -> None:
+    state = make_state()
+    measured = recorded(state, 2)
+    everywhere, before = (
+        Measured(measured.light, np.ones_like(measured.saturated)),
+        state.values.copy(),
+    )
+    bright = State(state.lines, before * np.float32(50.0), state.seen)
+    assert STEPS[name](bright, everywhere) == pytest.approx(
+        residual_of_dark_pixels(bright, everywhere), rel=1e-4
+    )
+    np.testing.assert_allclose(bright.values, before * 50.0, rtol=1e-6)
+    assert STEPS[name](bright, measured) > 0.0
+    assert (bright.values < before * 40.0).mean() > 0.8
+    dark = [State(state.lines, before * np.float32(0.02), state.seen) for _ in range(2)]
+    for one, what in zip(dark, (measured, everywhere), strict=True):
+        STEPS[name](one, what)
+    assert (dark[1].values > before * 0.03).mean() > 0.8
+    if name in (
+        "smart",
+        "sart",
+    ):  # the others turn to other cameras in between, which may then see too much
+        np.testing.assert_allclose(dark[0].values, dark[1].values, rtol=5e-3)
+
+
+def residual_of_dark_pixels(state: State, measured: Measured) -> float:
+    """Saturated pixels miss only what was not projected."""
+    return float(
+        (
+            np.maximum(measured.light - state.lines.forward(state.values), 0.0).astype(np.float64)
+            ** 2
+        ).sum()
+    )
+
+
+@pytest.mark.parametrize("name", STEPS)
+def test_steps_do_not_depend_on_the_number_of_threads(name: str) -> None:
+    most, found = numba.get_num_threads(), []
+    for threads in (1, most, most):
+        numba.set_num_threads(threads)
+        state = make_state()
+        found.append((STEPS[name](state, recorded(state, 3)), state.values))
+    for missed, values in found[1:]:
+        assert missed == found[0][0]
+        np.testing.assert_array_equal(values, found[0][1])
+
+
+@pytest.mark.parametrize("name", STEPS)
+def test_first_residual_is_what_the_first_values_miss(name: str) -> None:
+    state = make_state()
+    measured = recorded(state, 4)
+    missing = measured.light.astype(np.float64) - state.lines.forward(state.values)
+    found = STEPS[name](state, measured)
+    if name in ("smart", "sart"):
+        assert found == pytest.approx((missing**2).sum(), rel=1e-4)
+    else:  # later cameras, or pixels, find voxels that are corrected already
+        assert 0.05 * (missing**2).sum() < found < (missing**2).sum()
+
+
+@pytest.mark.parametrize("name", STEPS)
+def test_residual_falls_until_the_images_are_explained(name: str) -> None:
+    state = make_state(every=9)
+    light = np.maximum(state.lines.forward(recorded_values(state)), np.float32(DARKEST))
+    measured = Measured(light, np.zeros(light.shape, dtype=np.bool_))
+    residuals = iterate(lambda: STEPS[name](state, measured), measured, 40, 0.0, name)
+    assert len(residuals) == 40
+    assert (np.diff(residuals[:10]) < 0.0).all()
+    assert residuals[-1] < 0.1 * residuals[0]
+
+
+def recorded_values(state: State) -> F32:
+    """Values that cast what is recorded: a few bright voxels in the dark."""
+    return np.where(np.arange(len(state.values)) % 7 == 0, np.float32(1.0), np.float32(1e-3))
+
+
+def test_iteration_stops_when_little_changes() -> None:
+    measured = Measured(
+        np.full((1, 2, 2), 2.0, dtype=np.float32), np.zeros((1, 2, 2), dtype=np.bool_)
+    )
+    squares = iter([16.0, 4.0, 3.24, 3.0, 1.0])
+    found = iterate(lambda: next(squares), measured, 5, 0.15, "test")
+    np.testing.assert_allclose(found, [1.0, 0.5, 0.45])
+
+
+def test_black_pixels_leave_no_light_but_finite_values() -> None:
+    state = make_state()
+    measured = Measured(
+        np.full((3, ROWS, COLUMNS), DARKEST, dtype=np.float32),
+        np.zeros((3, ROWS, COLUMNS), dtype=np.bool_),
+    )
+    for name in STEPS:
+        fresh = State(state.lines, state.values.copy(), state.seen)
+        for _ in range(5):
+            STEPS[name](fresh, measured)
+        inside = state.lines.adjoint(np.ones((3, ROWS, COLUMNS), dtype=np.float32)) > 0.5
+        assert np.isfinite(fresh.values).all()
+        assert fresh.values[inside].max() < 0.5
+
+
+def test_a_voxel_that_one_camera_sees_is_led_by_that_camera() -> None:
+    """What the last camera records does not matter to voxels that it does not see, and to others the less, the more cameras see them."""
+    state = make_state(every=1)
+    lines = state.lines
+    ones = np.ones((3, ROWS, COLUMNS), dtype=np.float32)
+    counts, last = np.rint(lines.adjoint(ones)), np.rint(lines.adjoint(ones[2:], [2])) > 0.0
+    assert set(np.unique(counts[last])) == {2.0, 3.0}
+    assert set(np.unique(counts[~last])) == {1.0, 2.0}
+    measured = recorded(state, 5)
+    other = Measured(measured.light.copy(), measured.saturated)
+    other.light[2] *= np.float32(3.0)
+    results = []
+    for what in (measured, other):
+        fresh = State(lines, state.values.copy(), state.seen)
+        smart(fresh, what, 1.0)
+        results.append(fresh.values)
+    np.testing.assert_array_equal(results[0][~last], results[1][~last])
+    np.testing.assert_allclose(
+        results[1][last], results[0][last] * 3.0 ** (1.0 / counts[last]), rtol=1e-4
+    )

@@ -1,0 +1,457 @@
+"""The pinhole with distortion against OpenCV and closed forms, arrays of cameras, and what focusing through a wall means."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from numpy.polynomial.legendre import leggauss
+
+from sabench.geometry import array_layouts
+from sabench.geometry.camera import Camera, Distortion, aim, aimed_rotation
+from sabench.geometry.refraction import Layer, Wall, trace_to_points
+from sabench.scenes.build import apparent_distance_mm
+from sabench.utils.arrays import F64, Bool, triple
+
+BROWN = Distortion(-0.12, 0.03, 2e-3, -3e-3, 0.01)
+GLASS = Wall(
+    (0.0, 0.0, 0.0),
+    (0.0, 0.0, 1.0),
+    1.0,
+    (Layer("glass", 1.52, 5.0), Layer("gap", 1.1, 2.0)),
+    1.333,
+)
+TILTED = replace(GLASS, normal=(0.28, 0.0, 0.96))
+
+
+def make_camera(**changes: Any) -> Camera:
+    camera = Camera(
+        name="camera_00",
+        rows=300,
+        columns=500,
+        center_mm=(13.0, -27.0, -400.0),
+        rotation=aimed_rotation(np.array([0.1, -0.05, 1.0])),
+        principal_distance_mm=6.0,
+        pixel_mm=0.01,
+        principal_point_px=(260.0, 140.0),
+        distortion=Distortion(),
+        focal_length_mm=5.0,
+        f_number=8.0,
+    )
+    return replace(camera, **changes)
+
+
+def seen_by_opencv(camera: Camera, points: F64) -> F64:
+    lens, rotation = camera.distortion, np.asarray(camera.rotation)
+    matrix = np.array(
+        [
+            [camera.focal_px, 0.0, camera.principal_point_px[0]],
+            [0.0, camera.focal_px, camera.principal_point_px[1]],
+            [0.0, 0.0, 1.0],
+        ]
+    )
+    coefficients = np.array([lens.k1, lens.k2, lens.p1, lens.p2, lens.k3])
+    turn, shift = cv2.Rodrigues(rotation)[0], -rotation @ np.asarray(camera.center_mm)
+    return np.asarray(cv2.projectPoints(points, turn, shift, matrix, coefficients)[0]).reshape(
+        -1, 2
+    )
+
+
+@pytest.mark.parametrize(
+    "lens",
+    [
+        Distortion(),
+        BROWN,
+        Distortion(k1=0.2),
+        Distortion(p1=0.01),
+        Distortion(p2=0.01),
+        Distortion(k3=-0.05),
+    ],
+)
+def test_projection_is_that_of_opencv(lens: Distortion) -> None:
+    camera = make_camera(distortion=lens)
+    points = np.random.default_rng(1).uniform([-100.0, -60.0, 0.0], [100.0, 60.0, 90.0], (200, 3))
+    pixels, valid = camera.project(points)
+    assert valid.all()
+    np.testing.assert_allclose(pixels, seen_by_opencv(camera, points), rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    "lens", [BROWN, Distortion(k1=0.2), Distortion(k1=-0.25), Distortion(p1=0.02, p2=-0.03)]
+)
+def test_undistorting_inverts_distorting(lens: Distortion) -> None:
+    camera = make_camera(distortion=lens)
+    ideal = np.random.default_rng(2).uniform([-0.45, -0.3], [0.45, 0.3], (300, 2))
+    axes, center = np.asarray(camera.rotation), np.asarray(camera.center_mm)
+    pixels, valid = camera.project(center + 50.0 * (np.column_stack([ideal, np.ones(300)]) @ axes))
+    back, valid_back = camera.ideal(pixels)
+    assert valid.all()
+    assert valid_back.all()
+    np.testing.assert_allclose(back, ideal, rtol=0, atol=1e-11)
+
+
+@pytest.mark.parametrize("share", [0.5, 0.8, 0.95, 0.99])
+def test_undistorting_works_up_to_the_fold(share: float) -> None:
+    camera, turn = make_camera(distortion=Distortion(k1=-0.3)), np.linspace(0.0, 6.0, 25)
+    radius = share / math.sqrt(3.0 * 0.3)
+    ideal = radius * np.stack([np.cos(turn), np.sin(turn)], axis=1)
+    pixels = 600.0 * ideal * (1.0 - 0.3 * radius**2) + np.array(camera.principal_point_px)
+    found, valid = camera.ideal(pixels)
+    assert valid.all()
+    np.testing.assert_allclose(found, ideal, rtol=0, atol=1e-11)
+
+
+def along_radius(camera: Camera, radii: F64) -> tuple[F64, Bool]:
+    local = np.stack([0.6 * radii, 0.8 * radii, np.ones_like(radii)], axis=1)
+    return camera.project(np.asarray(camera.center_mm) + 30.0 * local @ np.asarray(camera.rotation))
+
+
+@pytest.mark.parametrize("radius", [0.99, 1.01, 1.3, 1.6, 1.8, 2.5])
+def test_points_past_the_fold_of_the_lens_are_not_valid(radius: float) -> None:
+    fold = 1.0 / math.sqrt(3.0 * 0.3)  # where r (1 - 0.3 r^2) turns back
+    _, valid = along_radius(make_camera(distortion=Distortion(k1=-0.3)), np.array([radius * fold]))
+    assert valid[0] == (radius < 1.0)
+
+
+def test_pixel_without_an_ideal_point_is_not_valid() -> None:
+    camera = make_camera(distortion=Distortion(k1=-0.3))
+    top = (
+        2.0 / 3.0 / math.sqrt(0.9) * camera.focal_px
+    )  # the largest distance from the principal point that the lens reaches
+    pixels = np.array(
+        [
+            [260.0 + 0.9 * top, 140.0],
+            [260.0 + 1.01 * top, 140.0],
+            [260.0, 140.0 - 1.5 * top],
+            [math.nan, 0.0],
+        ]
+    )
+    assert camera.ideal(pixels)[1].tolist() == [True, False, False, False]
+    assert camera.back_project(pixels).valid.tolist() == [True, False, False, False]
+
+
+def test_points_behind_the_camera_are_not_valid() -> None:
+    camera = make_camera()
+    forward, center = np.asarray(camera.rotation)[2], np.asarray(camera.center_mm)
+    assert camera.project(center + np.array([[1.0], [-1.0], [0.0]]) * forward)[1].tolist() == [
+        True,
+        False,
+        False,
+    ]
+
+
+def test_pixel_zero_is_the_centre_of_the_top_left_pixel() -> None:
+    camera = make_camera(principal_point_px=(0.0, 0.0))
+    np.testing.assert_allclose(
+        camera.directions([[0.0, 0.0]])[0][0], camera.rotation[2], rtol=0, atol=1e-15
+    )
+    border = np.array(
+        [
+            [-0.5, -0.5],
+            [-0.501, 0.0],
+            [0.0, -0.501],
+            [499.499, 299.499],
+            [499.5, 0.0],
+            [0.0, 299.5],
+            [299.9, 299.4],
+            [math.nan, 0.0],
+        ]
+    )
+    assert camera.contains(border).tolist() == [True, False, False, True, False, False, True, False]
+    assert camera.contains(border, 0.01).tolist() == [
+        True,
+        True,
+        True,
+        True,
+        True,
+        True,
+        True,
+        False,
+    ]
+
+
+def test_columns_run_right_and_rows_run_down() -> None:
+    camera = make_camera(
+        rotation=aimed_rotation(np.array([0.0, 0.0, 1.0])), center_mm=(0.0, 0.0, -100.0)
+    )
+    pixels = camera.project([[1.0, 0.0, 0.0], [0.0, 2.0, 0.0]])[0] - np.asarray(
+        camera.principal_point_px
+    )
+    np.testing.assert_allclose(
+        pixels, [[6.0, 0.0], [0.0, 12.0]], rtol=0, atol=1e-12
+    )  # 600 px of principal distance over 100 mm
+
+
+@pytest.mark.parametrize(
+    "forward",
+    [(0.0, 0.0, 1.0), (0.3, -0.2, 0.9), (0.0, 1.0, 0.0), (0.0, -1.0, 0.0), (1.0, 1e-3, 0.0)],
+)
+def test_aimed_rotation_is_a_rotation(forward: tuple[float, float, float]) -> None:
+    axes = np.asarray(aimed_rotation(np.asarray(forward)))
+    np.testing.assert_allclose(axes @ axes.T, np.eye(3), rtol=0, atol=1e-14)
+    assert np.linalg.det(axes) == pytest.approx(1.0)
+    np.testing.assert_allclose(
+        axes[2], np.asarray(forward) / np.linalg.norm(forward), rtol=0, atol=1e-15
+    )
+    assert axes[0] @ [0.0, 1.0, 0.0] == pytest.approx(0.0, abs=1e-14)
+    assert axes[1] @ [0.0, 1.0, 0.0] >= 0.0
+
+
+@pytest.mark.parametrize("wall", [None, GLASS, TILTED])
+@pytest.mark.parametrize("lens", [Distortion(), BROWN])
+def test_aiming_puts_the_target_on_the_principal_point(wall: Wall | None, lens: Distortion) -> None:
+    camera = aim(
+        make_camera(wall=wall, distortion=lens, center_mm=(150.0, -90.0, -300.0)), (3.0, 4.0, 40.0)
+    )
+    np.testing.assert_allclose(
+        camera.project([[3.0, 4.0, 40.0]])[0][0], camera.principal_point_px, rtol=0, atol=1e-9
+    )
+
+
+def test_aiming_at_the_wall_is_refused() -> None:
+    with pytest.raises(ValueError, match="camera_00: no light path to its aim point"):
+        aim(make_camera(wall=GLASS), (0.0, 0.0, 3.0))
+
+
+def test_shifting_moves_the_pinhole_in_the_plane_of_the_lens() -> None:
+    camera = make_camera(center_mm=(1.0, 2.0, 3.0))
+    moved = np.asarray(camera.shifted(0.7, -0.4).center_mm) - camera.center_mm
+    np.testing.assert_allclose(
+        np.asarray(camera.rotation) @ moved, [0.7, -0.4, 0.0], rtol=0, atol=1e-14
+    )
+    assert camera.shifted(0.7, -0.4).rotation == camera.rotation
+
+
+def corner_integral(a: float, b: float) -> float:
+    """Integral of (1 + x^2 + y^2)^-2 over 0..a, 0..b: pi times the view factor of a plate from a point below its corner."""
+    p, q = math.hypot(1.0, a), math.hypot(1.0, b)
+    return 0.5 * (a / p * math.atan(b / p) + b / q * math.atan(a / q))
+
+
+def test_etendue_adds_up_to_the_view_of_the_sensor() -> None:
+    camera = make_camera()
+    found = camera.etendue()
+    left, right, top, bottom = 260.5 / 600.0, 239.5 / 600.0, 140.5 / 600.0, 159.5 / 600.0
+    total = sum(corner_integral(a, b) for a in (left, right) for b in (top, bottom))
+    assert found.shape == (300, 500)
+    assert found.sum() == pytest.approx(math.pi * (5.0 / 16.0) ** 2 * total, rel=1e-6)
+    assert found.argmax() == 140 * 500 + 260
+    assert found[140, 260] == pytest.approx(math.pi * (5.0 / 16.0) ** 2 / 600.0**2, rel=1e-6)
+
+
+def test_etendue_falls_with_the_fourth_power_of_the_cosine() -> None:
+    found = make_camera().etendue()
+    cosine = 600.0 / np.sqrt(600.0**2 + (np.arange(500) - 260.0) ** 2)
+    np.testing.assert_allclose(found[140] / found[140, 260], cosine**4, rtol=2e-6)
+
+
+def test_etendue_with_distortion_counts_directions() -> None:
+    """Ideal points, one at random in each of 1500 x 1000 cells, weighted with what a pupil sees of them, land in pixels through OpenCV's lens."""
+    camera = make_camera(distortion=BROWN)
+    place = np.stack(
+        np.meshgrid(np.arange(1500), np.arange(1000)), axis=-1
+    ) + np.random.default_rng(3).random((1000, 1500, 2))
+    ideal = place.reshape(-1, 2) * [1.2 / 1500, 0.8 / 1000] - [0.6, 0.4]
+    upright = replace(
+        camera,
+        center_mm=(0.0, 0.0, 0.0),
+        rotation=((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)),
+    )
+    pixels = np.rint(seen_by_opencv(upright, np.column_stack([ideal, np.ones(len(ideal))]))).astype(
+        np.int64
+    )
+    weight = (
+        math.pi
+        * camera.aperture_radius_mm**2
+        * (1.2 / 1500)
+        * (0.8 / 1000)
+        / (1.0 + np.sum(ideal**2, axis=1)) ** 2
+    )
+    inside = (pixels >= 0).all(axis=1) & (pixels < [500, 300]).all(axis=1)
+    block = pixels[inside, 1] // 60 * 10 + pixels[inside, 0] // 50
+    blocks = np.bincount(block, weights=weight[inside], minlength=50).reshape(5, 10)
+    etendue = camera.etendue()
+    np.testing.assert_allclose(
+        etendue.reshape(5, 60, 10, 50).sum(axis=(1, 3)), blocks, rtol=7e-3
+    )  # 5 deviations of the count at a block's border
+    assert etendue.sum() == pytest.approx(blocks.sum(), rel=6e-4)
+
+
+def test_pixels_that_the_lens_does_not_reach_collect_nothing() -> None:
+    camera = make_camera(
+        distortion=Distortion(k1=-0.3), rows=800, columns=1200, principal_point_px=(620.0, 380.0)
+    )
+    found = camera.etendue()
+    row, column = np.mgrid[0:800, 0:1200]
+    reached = (
+        np.hypot(column - 620.0, row - 380.0) / 600.0 / (2.0 / 3.0 / math.sqrt(0.9))
+    )  # 1 at the fold of r (1 - 0.3 r^2)
+    assert np.isfinite(found).all()
+    assert (found[reached < 0.98] > 0.0).all()
+    assert not found[reached > 1.01].any()
+
+
+def test_etendue_of_one_pixel_is_an_integral_over_it() -> None:
+    """The ideal coordinates' Jacobian by Gauss-Legendre over the pixel and differences far inside it."""
+    camera = make_camera(distortion=BROWN)
+    etendue, (nodes, weights) = camera.etendue(), leggauss(3)
+    for row, column in ((0, 0), (299, 499), (17, 480)):
+        total = 0.0
+        for u, wu in zip(nodes / 2.0, weights / 2.0, strict=True):
+            for v, wv in zip(nodes / 2.0, weights / 2.0, strict=True):
+                place = np.array([column + u, row + v])
+                corners = camera.ideal(
+                    place
+                    + 1e-3
+                    * np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0], [0.0, 0.0]])
+                )[0]
+                jacobian = np.stack([corners[0] - corners[1], corners[2] - corners[3]]) / 2e-3
+                total += (
+                    wu * wv * abs(np.linalg.det(jacobian)) / (1.0 + corners[4] @ corners[4]) ** 2
+                )
+        assert etendue[row, column] == pytest.approx(
+            math.pi * camera.aperture_radius_mm**2 * total, rel=1e-5
+        )
+
+
+def coddington(wall: Wall, before: float, behind: float, sine: float) -> float:
+    """Mean apparent distance of a point seen through the wall at an angle: the tangential and the sagittal image of its pencil."""
+    depths = [before, *(layer.thickness_mm for layer in wall.layers), behind]
+    n0, cosine = wall.air_index, math.sqrt(1.0 - sine**2)
+    roots = [math.sqrt(n * n - (n0 * sine) ** 2) for n in wall.indices]
+    sagittal = sum(d * n0 / root for d, root in zip(depths, roots, strict=True))
+    tangential = (
+        sum(
+            d * n0 * n * n / root**3 for d, root, n in zip(depths, roots, wall.indices, strict=True)
+        )
+        * cosine**2
+    )
+    return float(2.0 / (1.0 / sagittal + 1.0 / tangential))
+
+
+@pytest.mark.parametrize("sine", [0.0, 0.2, 0.45, 0.6])
+def test_apparent_distance_is_that_of_the_pencil(sine: float) -> None:
+    before, behind = 350.0, 45.0
+    reach = sum(
+        d * sine / math.sqrt(n * n - sine**2)
+        for d, n in zip([before, 5.0, 2.0, behind], GLASS.indices, strict=True)
+    )
+    target = np.array([reach, 0.0, 7.0 + behind])
+    camera = aim(make_camera(wall=GLASS, center_mm=(0.0, 0.0, -before), f_number=200.0), target)
+    assert apparent_distance_mm(camera, target) == pytest.approx(
+        coddington(GLASS, before, behind, sine), rel=1e-6
+    )
+
+
+def test_apparent_distance_is_paraxial_at_normal_incidence_and_plain_in_air() -> None:
+    target = np.array([0.0, 0.0, 52.0])
+    camera = aim(make_camera(wall=GLASS, center_mm=(0.0, 0.0, -350.0), f_number=200.0), target)
+    assert apparent_distance_mm(camera, target) == pytest.approx(
+        350.0 + 5.0 / 1.52 + 2.0 / 1.1 + 45.0 / 1.333, rel=1e-8
+    )
+    plain = aim(make_camera(center_mm=(40.0, 30.0, -350.0), distortion=BROWN), target)
+    assert apparent_distance_mm(plain, target) == pytest.approx(
+        math.hypot(40.0, 30.0, 402.0), rel=1e-12
+    )
+
+
+def test_focus_is_the_thin_lens_conjugate() -> None:
+    camera = make_camera(principal_distance_mm=60.0, focal_length_mm=50.0)
+    assert camera.focus_mm == pytest.approx(300.0)  # 1/50 = 1/60 + 1/300
+    assert camera.aperture_radius_mm == 50.0 / 16.0
+    assert camera.focal_px == pytest.approx(6000.0)
+
+
+def test_grid_goes_row_by_row_with_its_own_offsets() -> None:
+    np.testing.assert_array_equal(
+        array_layouts.grid([-7.0, 0.0, 3.0], [1.0, 5.0]),
+        [[-7, 1], [0, 1], [3, 1], [-7, 5], [0, 5], [3, 5]],
+    )
+    even = array_layouts.grid(array_layouts.even(3, 10.0), array_layouts.even(2, 4.0))
+    np.testing.assert_array_equal(even, [[-10, -2], [0, -2], [10, -2], [-10, 2], [0, 2], [10, 2]])
+
+
+@pytest.mark.parametrize("count", [1, 2, 5])
+def test_even_offsets_are_centred(count: int) -> None:
+    offsets = array_layouts.even(count, 2.5)
+    assert offsets.shape == (count,)
+    assert offsets.sum() == pytest.approx(0.0)
+    np.testing.assert_allclose(np.diff(offsets), 2.5)
+
+
+@pytest.mark.parametrize("count", [1, 3, 8])
+def test_ring_keeps_radius_and_chord(count: int) -> None:
+    offsets = array_layouts.ring(count, 12.0, start_rad=0.3)
+    assert offsets.shape == (count, 2)
+    np.testing.assert_allclose(np.hypot(*offsets.T), 12.0)
+    np.testing.assert_allclose(offsets[0], [12.0 * math.cos(0.3), 12.0 * math.sin(0.3)])
+    chords = np.linalg.norm(offsets - np.roll(offsets, 1, axis=0), axis=1)
+    np.testing.assert_allclose(chords, 24.0 * math.sin(math.pi / count), atol=1e-12)
+    turn = offsets[0, 0] * offsets[-1, 1] - offsets[0, 1] * offsets[-1, 0]
+    assert count < 3 or turn < 0.0  # the last one lies before the first: from +X towards +Y
+
+
+def test_line_has_a_spacing_and_an_angle() -> None:
+    offsets = array_layouts.line(4, 6.0, math.radians(30.0))
+    np.testing.assert_allclose(
+        np.diff(offsets, axis=0), np.tile([6.0 * math.sqrt(0.75), 3.0], (3, 1))
+    )
+    np.testing.assert_allclose(offsets.sum(axis=0), 0.0, atol=1e-12)
+
+
+def test_cross_has_a_centre_and_four_equal_arms() -> None:
+    offsets = array_layouts.cross(2, 3.0)
+    expected = {
+        (0.0, 0.0),
+        (3.0, 0.0),
+        (6.0, 0.0),
+        (-3.0, 0.0),
+        (-6.0, 0.0),
+        (0.0, 3.0),
+        (0.0, 6.0),
+        (0.0, -3.0),
+        (0.0, -6.0),
+    }
+    assert len(offsets) == 9
+    assert {(float(x), float(y)) for x, y in offsets} == expected
+
+
+@pytest.mark.parametrize("layers", range(4))
+def test_the_projection_kernel_and_the_traced_path_agree(layers: int) -> None:
+    """Two programs: one unknown in vector registers, and the path with its bracket by numpy; any order of indices, points outside the fluid too."""
+    rng = np.random.default_rng(layers)
+    normal = np.array([0.2, -0.3, 1.0]) / np.linalg.norm([0.2, -0.3, 1.0])
+    indices = rng.uniform(1.0, 2.4, layers + 2).tolist()
+    stack = tuple(
+        Layer(f"layer {i}", index, float(rng.uniform(0.01, 20.0)))
+        for i, index in enumerate(indices[1:-1])
+    )
+    wall = Wall((3.0, -4.0, 5.0), triple(normal), indices[0], stack, indices[-1])
+    camera = Camera(
+        "camera",
+        100,
+        100,
+        (1.0, 2.0, -400.0),
+        aimed_rotation(normal),
+        85.0,
+        0.01,
+        (49.0, 51.0),
+        Distortion(k1=0.02, p2=-0.01),
+        80.0,
+        8.0,
+        wall,
+    )
+    points = rng.uniform(-150.0, 150.0, (3000, 3)) + np.array([0.0, 0.0, 100.0])
+    points[7] = np.nan
+    paths = trace_to_points(wall, np.asarray(camera.center_mm), points)
+    expected, valid = camera.pixels_of(paths.leaving, paths.valid)
+    pixels, also = camera.project(points)
+    np.testing.assert_array_equal(also, valid)
+    assert 0.1 < valid.mean() < 1.0
+    np.testing.assert_allclose(pixels[valid], expected[valid], rtol=0.0, atol=1e-8)
+    inside = replace(camera, center_mm=(1.0, 2.0, 80.0))
+    assert not inside.project(points)[1].any()

@@ -1,0 +1,301 @@
+"""Discs in front of the wall: where their shadow lies, in truth and in both renderers, and who may know of them."""
+
+from __future__ import annotations
+
+import math
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.optimize import brentq
+
+import sabench
+from sabench.geometry.camera import Camera
+from sabench.geometry.occluders import Disc
+from sabench.metrics.synthesised_field import true_field
+from sabench.scenes import Scene, build_rig, parse_scene
+from sabench.simulation.in_memory import Shot, simulate
+from sabench.simulation.rendering.particle_images import image_particles
+from sabench.simulation.rendering.particles_splatted import splat
+from sabench.simulation.rendering.particles_traced import render
+from sabench.utils.arrays import F64, Bool
+from sabench.utils.errors import InputError
+from tests.unit.simulation.rendering.test_particle_images import (
+    VARIANTS,
+    cloud,
+    isolated,
+    make_scene,
+    moments,
+)
+
+QUICK = build_rig(make_scene()).cameras[0]
+
+
+def with_discs(scene: Scene, *discs: dict[str, Any]) -> Scene:
+    return parse_scene(scene.to_dict() | {"occluders": list(discs)}, "test")
+
+
+def before_camera(camera: Camera, share: float, radius_mm: float, **more: Any) -> dict[str, Any]:
+    """A disc on the optical axis, at that share of the way to the wall of the quick scene (z = 0)."""
+    start, forward = np.asarray(camera.center_mm), np.asarray(camera.rotation[2])
+    return {
+        "center_mm": (start - forward * (share * start[2] / forward[2])).tolist(),
+        "radius_mm": radius_mm,
+        **more,
+    }
+
+
+def crossing(camera: Camera, point: F64, z_mm: float) -> F64:
+    """Where the light path from a point to a pinhole before the quick scene's wall (z = 0, normal z) passes z < 0: Snell's law and a root search."""
+    wall, pinhole = camera.wall, np.asarray(camera.center_mm)
+    assert wall is not None
+    depths = np.array(
+        [-pinhole[2], *(layer.thickness_mm for layer in wall.layers), point[2] - wall.thickness_mm]
+    )
+    offset = (point - pinhole)[:2]
+
+    def miss(sine: float) -> float:
+        return float(np.sum(depths * np.tan(np.arcsin(sine / wall.indices))) - np.hypot(*offset))
+
+    sine = brentq(miss, 0.0, 0.999, xtol=1e-15)
+    lateral = (z_mm - pinhole[2]) * math.tan(math.asin(sine / wall.indices[0]))
+    return np.append(pinhole[:2] + lateral * offset / np.hypot(*offset), z_mm)
+
+
+def test_truth_lies_in_the_shadow_that_snell_gives() -> None:
+    disc = before_camera(QUICK, 0.6, 2.0)
+    scene = with_discs(make_scene(), disc)
+    positions = np.random.default_rng(1).uniform([-7.0, -5.0, 28.0], [7.0, 5.0, 32.0], (400, 3))
+    images = image_particles(scene, QUICK, cloud(positions), None, build_rig(scene).occluders)
+    open_images = image_particles(scene, QUICK, cloud(positions), None)
+    met = np.array([crossing(QUICK, point, disc["center_mm"][2]) for point in positions])
+    hidden = np.linalg.norm(met - disc["center_mm"], axis=1) <= 2.0
+    assert 50 < hidden.sum() < 350
+    np.testing.assert_array_equal(images.photons == 0.0, hidden)
+    np.testing.assert_array_equal(images.visible, open_images.visible & ~hidden)
+    np.testing.assert_array_equal(images.photons[~hidden], open_images.photons[~hidden])
+    np.testing.assert_array_equal(images.pixel, open_images.pixel)
+
+
+def outline(camera: Camera, disc: Disc) -> F64:
+    """The disc's edge on the image, as a polygon (n, 2)."""
+    across = np.cross(disc.normal, np.eye(3)[int(np.argmin(np.abs(disc.normal)))])
+    across /= np.linalg.norm(across)
+    turn = np.linspace(0.0, 2.0 * np.pi, 721)[:-1, None]
+    edge = disc.center_mm + disc.radius_mm * (
+        np.cos(turn) * across + np.sin(turn) * np.cross(disc.normal, across)
+    )
+    ways = edge - camera.center_mm
+    return camera.pixels_of(
+        ways / np.linalg.norm(ways, axis=1, keepdims=True), np.ones(len(edge), dtype=np.bool_)
+    )[0]
+
+
+def distance_inside(polygon: F64, pixels: F64) -> F64:
+    """How far pixels (n, 2) lie inside a convex polygon, px; negative outside."""
+    side = np.roll(polygon, -1, axis=0) - polygon
+    normal = np.stack([-side[:, 1], side[:, 0]], axis=1) / np.linalg.norm(
+        side, axis=1, keepdims=True
+    )
+    inward = normal * np.sign(
+        np.sum(normal * (polygon.mean(axis=0) - polygon), axis=1, keepdims=True)
+    )
+    return np.asarray(np.min(np.sum((pixels[:, None] - polygon) * inward, axis=2), axis=1))
+
+
+def over_the_image(camera: Camera, polygon: F64) -> F64:
+    row, column = np.mgrid[: camera.rows, : camera.columns]
+    pixels = np.column_stack([column.ravel(), row.ravel()]).astype(np.float64)
+    return distance_inside(polygon, pixels).reshape(camera.rows, camera.columns)
+
+
+@pytest.mark.parametrize("variant", VARIANTS)
+def test_both_renderers_agree_away_from_the_edge(variant: str) -> None:
+    plain = make_scene(**VARIANTS[variant])
+    camera = build_rig(plain).cameras[1]
+    scene = with_discs(plain, before_camera(camera, 0.4, 0.9, normal=[0.4, -0.3, 1.0]))
+    occluders = build_rig(scene).occluders
+    positions, pixels = isolated(camera, (29.0, 31.0), 13, 2)
+    images = image_particles(scene, camera, cloud(positions), None, occluders)
+    inside = distance_inside(outline(camera, occluders[0]), images.pixel)
+    away = np.abs(inside) > 8.0
+    assert min((away & (inside > 0.0)).sum(), (away & (inside < 0.0)).sum()) >= 5
+    np.testing.assert_array_equal(images.visible, inside < 0.0)
+    traced = moments(
+        render(camera, images, positions, 16, occluders) * camera.etendue() + 1e-12, pixels, 6
+    )[0]
+    formula = moments(splat(camera, images) + 1e-12, pixels, 6)[0]
+    np.testing.assert_allclose(traced[away], formula[away], rtol=0.02)
+    assert (formula[away & (inside > 0.0)] < 1e-9).all()
+
+
+def test_rays_cut_an_image_at_the_very_edge_of_a_disc() -> None:
+    """Also the images of particles whose own path is stopped, where they reach beyond the edge."""
+    scene = with_discs(
+        make_scene(cameras={"particle_sigma_px": 2.0}), before_camera(QUICK, 0.3, 0.5)
+    )
+    discs = build_rig(scene).occluders
+    polygon = outline(QUICK, discs[0])
+    edge = QUICK.back_project(polygon[::30] + np.random.default_rng(5).uniform(-2.0, 2.0, (24, 2)))
+    positions = edge.origins_mm + edge.directions * 25.0
+    images, open_images = (
+        image_particles(scene, QUICK, cloud(positions), None, occluders)
+        for occluders in (discs, ())
+    )
+    whole, cut = (
+        render(QUICK, open_images, positions, 9),
+        render(QUICK, images, positions, 9, discs),
+    )
+    inside = over_the_image(QUICK, polygon)
+    assert 4 < images.visible.sum() < 20
+    assert (whole > 0.0).sum() > 500
+    np.testing.assert_array_equal(cut[inside < -1.0], whole[inside < -1.0])
+    assert not cut[inside > 1.0].any()
+    assert whole[inside > 1.0].max() > 0.2 * whole.max()
+
+
+def shot_of(*discs: dict[str, Any]) -> Shot:
+    scene = make_scene(particles={"count": 200})
+    return simulate(with_discs(scene, *discs) if discs else scene, seed=4)
+
+
+def test_a_covered_camera_is_black_and_the_others_see_what_they_saw() -> None:
+    free, covered = shot_of(), shot_of(before_camera(QUICK, 0.5, 30.0))
+    assert not covered.views[0].photons.any()
+    assert not covered.views[0].visible.any()
+    assert covered.observation.images[0].max() < free.observation.images[0].max() / 10
+    np.testing.assert_array_equal(covered.observation.images[1:], free.observation.images[1:])
+    for mine, theirs in zip(covered.views[1:], free.views[1:], strict=True):
+        np.testing.assert_array_equal(mine.photons, theirs.photons)
+
+
+def test_the_true_field_keeps_particles_that_one_camera_misses() -> None:
+    shot = shot_of(before_camera(QUICK, 0.5, 1.2))
+    hidden = shot.views[0].photons == 0.0
+    assert 20 < hidden.sum() < 180
+    field = true_field(shot.observation.grid, shot.particles, shot.views)
+    x, y, z = np.rint(shot.observation.grid.to_voxels(shot.particles.position_mm)).astype(int).T
+    inside = (
+        (x >= 0)
+        & (y >= 0)
+        & (z >= 0)
+        & (x < field.shape[2])
+        & (y < field.shape[1])
+        & (z < field.shape[0])
+    )
+    values = field[z[inside], y[inside], x[inside]]
+    assert np.isfinite(field).all()
+    assert values.min() > 0.2 * np.median(values)
+
+
+def all_stopped(disc: Disc, *directions: tuple[float, float, float]) -> Bool:
+    return disc.stops(
+        np.zeros(3), np.array(directions) / np.linalg.norm(directions, axis=1, keepdims=True)
+    )
+
+
+def test_a_disc_stops_what_meets_it() -> None:
+    flat = Disc((0.0, 0.0, 10.0), (0.0, 0.0, 1.0), 1.0)
+    met = all_stopped(
+        flat,
+        (0.0, 0.0, 1.0),
+        (0.099, 0.0, 1.0),
+        (0.101, 0.0, 1.0),
+        (0.0, 0.0, -1.0),
+        (1.0, 0.0, 0.0),
+        (math.nan,) * 3,
+    )
+    np.testing.assert_array_equal(met, [True, True, False, False, False, False])
+    edge_on = Disc((0.0, 0.0, 10.0), (1.0, 0.0, 0.0), 1.0)
+    np.testing.assert_array_equal(
+        all_stopped(edge_on, (0.0, 0.0, 1.0), (1e-9, 0.0, 1.0)), [False, False]
+    )
+    assert flat.span_mm(np.array([0.0, 0.0, 1.0])) == (10.0, 10.0)
+    assert edge_on.span_mm(np.array([0.0, 0.0, 1.0])) == (9.0, 11.0)
+
+
+FAULTS: list[tuple[dict[str, Any] | None, dict[str, Any], str]] = [
+    (
+        {},
+        {"center_mm": [0.0, 0.0, 3.0], "radius_mm": 2.0},
+        "scene: occluders.0: expected it wholly in front of the wall, but it reaches 3 mm behind",
+    ),
+    (
+        {},
+        {"center_mm": [0.0, 0.0, -3.0], "normal": [0.0, 1.0, 0.0], "radius_mm": 5.0},
+        "it reaches 2 mm behind the wall's outer face",
+    ),
+    (
+        {},
+        {"center_mm": [0.0, 0.0, -600.0], "radius_mm": 1.0},
+        "occluders.0: expected it wholly in front of all cameras, but it reaches ",
+    ),
+    ({}, {"center_mm": [0.0, 0.0, -600.0], "radius_mm": 1.0}, "behind camera_00"),
+    (
+        None,
+        {"center_mm": [0.0, 0.0, 31.0], "radius_mm": 2.0},
+        "wholly between the cameras and the volume, but for camera_00 it reaches",
+    ),
+    (
+        None,
+        {"center_mm": [0.0, 0.0, 10.0], "normal": [0.0, 1.0, 0.0], "radius_mm": 20.0},
+        "between the cameras and the volume",
+    ),
+    (
+        {},
+        {"center_mm": [0.0, 0.0, -100.0], "radius_mm": -2.0},
+        "occluders.0.radius_mm: input should be greater than 0, got -2.0",
+    ),
+    (
+        {},
+        {"center_mm": [0.0, 0.0, -100.0], "radius_cm": 2.0},
+        "occluders.0.radius_cm: unknown key; did you mean radius_mm?",
+    ),
+    (
+        {},
+        {"center_mm": [0.0, 0.0, -100.0], "radius_mm": 2.0, "normal": [0.0, 0.0, 0.0]},
+        "occluders.0.normal: expected a vector of non-zero length",
+    ),
+]
+
+
+@pytest.mark.parametrize(("wall", "disc", "sentence"), FAULTS)
+def test_impossible_discs_are_refused(
+    wall: dict[str, Any] | None, disc: dict[str, Any], sentence: str
+) -> None:
+    values = make_scene(wall=wall).to_dict() | {"occluders": [disc]}
+    with pytest.raises(InputError) as caught:
+        build_rig(parse_scene(values, "scene"))
+    assert sentence in str(caught.value)
+
+
+def test_a_disc_in_plain_air_is_taken() -> None:
+    assert (
+        len(
+            build_rig(
+                with_discs(
+                    make_scene(wall=None), {"center_mm": [0.0, 0.0, -100.0], "radius_mm": 2.0}
+                )
+            ).occluders
+        )
+        == 1
+    )
+
+
+def test_occluders_are_in_the_scene_file_and_solvers_are_not_told(tmp_path: Path) -> None:
+    scene = with_discs(make_scene(particles={"count": 20}), before_camera(QUICK, 0.5, 0.7))
+    free = sabench.generate(
+        make_scene(particles={"count": 20}), tmp_path / "free", backend="splat", name="s"
+    )
+    made = sabench.generate(scene, tmp_path / "made", backend="splat", name="s")
+    assert (made.root / "cameras.json").read_bytes() == (free.root / "cameras.json").read_bytes()
+    assert (
+        tomllib.loads((made.root / "scene.toml").read_text())["occluders"]
+        == scene.to_dict()["occluders"]
+    )
+    assert "occluders" not in tomllib.loads((free.root / "scene.toml").read_text())
+    (made.root / "scene.toml").unlink()
+    (made.root / "truth.h5").unlink()
+    sabench.solve("msa", made, tmp_path / "r.h5")

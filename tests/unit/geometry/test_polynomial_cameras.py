@@ -1,0 +1,162 @@
+"""Camera models other than the refractive pinhole: fits, inverses, and what reconstruction makes of them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from sabench.algorithms.refocus.synthetic_aperture import refocus_sum
+from sabench.geometry.camera import Camera
+from sabench.geometry.camera_model import CameraModel
+from sabench.geometry.polynomial_cameras import (
+    PlanePolynomials,
+    Projective,
+    Soloff,
+    fit_planes,
+    fit_projective,
+    fit_soloff,
+)
+from sabench.geometry.triangulation import intersect, triangulate
+from sabench.scenes import build_rig
+from sabench.simulation.in_memory import simulate
+from sabench.utils.arrays import F64
+from sabench.utils.errors import InputError
+from tests.conftest import pinholes
+from tests.helpers.calibration_cases import calibration_scene
+from tests.unit.simulation.rendering.test_particle_images import make_scene
+
+Z_PLANES = np.linspace(15.0, 55.0, 6)
+
+
+def lattice(step: float = 4.0) -> F64:
+    axis = np.arange(-20.0, 20.1, step)
+    x, y, z = np.meshgrid(axis, axis, Z_PLANES)
+    return np.column_stack([x.ravel(), y.ravel(), z.ravel()])
+
+
+def fitted(camera: Camera) -> list[CameraModel]:
+    points = lattice()
+    pixels = camera.project(points)[0]
+    by_plane = [points[:, 2] == z for z in Z_PLANES]
+    size = (camera.name, camera.rows, camera.columns)
+    planes = fit_planes(*size, [points[own] for own in by_plane], [pixels[own] for own in by_plane])
+    return [
+        camera,
+        fit_projective(*size, points, pixels),
+        fit_soloff(*size, points, pixels),
+        planes,
+    ]
+
+
+@pytest.mark.parametrize(("kind", "most"), [(1, 0.35), (2, 0.01), (3, 0.1)])
+def test_what_is_lost_without_refraction(kind: int, most: float) -> None:
+    """Mean errors of exact points of a corner camera at D = 0.3: a projective map .16 px, Soloff's polynomial below .01, planes 8 mm apart .06."""
+    camera = build_rig(calibration_scene()).cameras[0]
+    rng = np.random.default_rng(1)
+    points = np.column_stack([rng.uniform(-20.0, 20.0, (1000, 2)), rng.uniform(15.0, 55.0, 1000)])
+    errors = np.linalg.norm(
+        fitted(camera)[kind].project(points)[0] - camera.project(points)[0], axis=1
+    )
+    assert 0.0005 < errors.mean() < most
+
+
+def test_a_camera_in_air_is_projective() -> None:
+    camera = build_rig(calibration_scene(wall=None)).cameras[1]
+    model = fitted(camera)[1]
+    points = lattice(3.0)
+    np.testing.assert_allclose(model.project(points)[0], camera.project(points)[0], atol=1e-8)
+    np.testing.assert_allclose(model.center_mm, camera.center_mm, atol=1e-5)
+    rays, true = model.back_project([[100.0, 900.0]]), camera.back_project([[100.0, 900.0]])
+    np.testing.assert_allclose(rays.directions, true.directions, atol=1e-9)
+
+
+@pytest.mark.parametrize("kind", [0, 1, 2, 3])
+def test_lines_of_sight_lead_back(kind: int) -> None:
+    """`carry` keeps the pixel; so does `back_project`, up to the bend of a polynomial's lines between its ends."""
+    model = fitted(build_rig(calibration_scene()).cameras[3])[kind]
+    points = lattice(10.0)
+    pixels, valid = model.project(points)
+    assert valid.all()
+    there = np.column_stack([model.carry(points, 33.0), np.full(len(points), 33.0)])
+    np.testing.assert_allclose(model.project(there)[0], pixels, atol=1e-6)
+    rays = model.back_project(pixels)
+    assert rays.valid.all()
+    near = (
+        rays.origins_mm
+        + rays.directions
+        * ((points[:, 2] - rays.origins_mm[:, 2]) / rays.directions[:, 2])[:, None]
+    )
+    assert np.abs(near - points).max() < (0.02 if kind > 1 else 1e-6)
+    inside = model.contains(np.array([[0.0, 0.0], [-1.0, 5.0], [5.0, 1e6], [np.nan, 0.0]]))
+    assert inside.tolist() == [True, False, False, False]
+
+
+@pytest.mark.parametrize("kind", [0, 2])
+def test_points_come_back_from_their_images(kind: int) -> None:
+    models = [fitted(camera)[kind] for camera in build_rig(calibration_scene()).cameras[:4]]
+    points = lattice(10.0)
+    pixels = np.stack([model.project(points)[0] for model in models])
+    pixels[2:, 5] = np.nan
+    pixels[1:, 7] = np.nan
+    found = triangulate(models, pixels)
+    assert np.isnan(found[7]).all()
+    known = np.arange(len(points)) != 7
+    assert np.abs(found[known] - points[known]).max() < 1e-6
+    assert np.abs(intersect(models, pixels)[known] - points[known]).max() < (0.02 if kind else 1e-6)
+
+
+def test_points_that_do_not_determine_a_model_are_refused() -> None:
+    points, rng = lattice(), np.random.default_rng(0)
+    flat = points[points[:, 2] == Z_PLANES[0]]
+    pixels = rng.random((len(points), 2))
+    with pytest.raises(
+        InputError, match="cam: expected 6 points or more that are not all in one plane, got 121"
+    ):
+        fit_projective("cam", 10, 10, flat, pixels[: len(flat)])
+    with pytest.raises(
+        InputError,
+        match="cam: a polynomial of 19 terms: expected points that determine it, got 121 that leave 9 terms open",
+    ):
+        fit_soloff("cam", 10, 10, flat, pixels[: len(flat)])
+    with pytest.raises(InputError, match="cam: expected points on two planes at least, got 1"):
+        fit_planes("cam", 10, 10, [flat], [pixels[: len(flat)]])
+    with pytest.raises(
+        InputError,
+        match="cam: frame 1: a polynomial of 6 terms: expected points that determine it, got 3",
+    ):
+        fit_planes(
+            "cam",
+            10,
+            10,
+            [flat, flat[:3] + np.array([0.0, 0.0, 5.0])],
+            [pixels[: len(flat)], pixels[:3]],
+        )
+
+
+def test_reconstruction_runs_on_polynomials() -> None:
+    """Refocusing by Soloff's polynomials is that by the exact cameras, as far as they agree."""
+    shot = simulate(make_scene(particles={"count": 40}), seed=2)
+    seen = shot.observation
+    low = np.asarray(seen.grid.low_mm)
+    high = low + (np.asarray(seen.grid.shape[::-1]) - 1) * np.asarray(seen.grid.voxel_mm)
+    axes = [np.linspace(a - 0.5, b + 0.5, 7) for a, b in zip(low, high, strict=True)]
+    points = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 3)
+    models = tuple(
+        fit_soloff(camera.name, camera.rows, camera.columns, points, camera.project(points)[0])
+        for camera in pinholes(seen.cameras)
+    )
+    light = seen.images.astype(np.float32)
+    exact, other = (refocus_sum(light, cameras, seen.grid) for cameras in (seen.cameras, models))
+    assert np.abs(exact - other).max() < 0.03 * exact.max()
+    assert replace(seen, cameras=models).cameras == models
+
+
+def test_models_are_values() -> None:
+    """Equal models are equal, hash alike and come back from their own text."""
+    for model in fitted(build_rig(calibration_scene()).cameras[0])[1:]:
+        names = {"Projective": Projective, "Soloff": Soloff, "PlanePolynomials": PlanePolynomials}
+        again = eval(repr(model), names)
+        assert again == model
+        assert hash(again) == hash(model)

@@ -1,0 +1,161 @@
+"""Solvers are told cameras that are off by a given length; pictures and truth come from the true ones."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import sabench
+from sabench.dataset.reader import Dataset, open_dataset
+from sabench.dataset.schema import content_hash, sealed
+from sabench.dataset.verification import verify
+from sabench.geometry.camera import Camera
+from sabench.scenes import Scene, build_rig, parse_scene
+from sabench.scenes.nominal_cameras import nominal_cameras
+from sabench.simulation.in_memory import simulate
+from sabench.utils.arrays import F64
+from sabench.utils.errors import InputError
+from sabench.utils.files import canonical_json, sha256
+from tests.conftest import pinholes
+from tests.unit.simulation.rendering.test_particle_images import make_scene
+
+LENS = {"distortion": {"k1": -60.0, "k2": 2000.0, "p1": 0.3, "p2": -0.2, "k3": 0.0}}
+
+
+def shifted_scene(shift_px: float, **changes: Any) -> Scene:
+    return parse_scene(
+        make_scene(particles={"count": 30}, **changes).to_dict()
+        | {"calibration": {"shift_px": shift_px}},
+        "test",
+    )
+
+
+def moves(told: tuple[Camera, ...], true: tuple[Camera, ...]) -> F64:
+    """Told minus true projection of points in the volume: (camera, point, 2)."""
+    points = np.random.default_rng(3).uniform([-2.0, -1.5, 28.0], [2.0, 1.5, 32.0], (50, 3))
+    both = [[camera.project(points) for camera in cameras] for cameras in (told, true)]
+    assert all(valid.all() for group in both for _, valid in group)
+    return np.array([a[0] - b[0] for a, b in zip(*both, strict=True)])
+
+
+@pytest.mark.parametrize("shift", [0.45, 3.0])
+def test_every_projection_is_off_by_the_given_length(shift: float) -> None:
+    scene = shifted_scene(shift, cameras=LENS)
+    true = build_rig(scene).cameras
+    found = moves(nominal_cameras(scene, true, 7), true)
+    np.testing.assert_allclose(np.linalg.norm(found, axis=2), shift, rtol=1e-10)
+    np.testing.assert_allclose(found, np.broadcast_to(found[:, :1], found.shape), atol=1e-10)
+
+
+def test_directions_are_random_and_belong_to_the_seed_and_the_camera() -> None:
+    scene = shifted_scene(
+        1.0,
+        cameras={"layout": {"kind": "grid", "columns": 10, "rows": 10, "spacing_mm": [30.0, 30.0]}},
+    )
+    true = build_rig(scene).cameras
+    first, again, other = (
+        np.array([camera.principal_point_px for camera in nominal_cameras(scene, true, seed)])
+        for seed in (1, 1, 2)
+    )
+    np.testing.assert_array_equal(first, again)
+    assert np.abs(first - other).min() > 0.0
+    for drawn in (first, other):
+        ways = drawn - true[0].principal_point_px
+        assert len(np.unique(ways, axis=0)) == 100
+        assert np.linalg.norm(ways.mean(axis=0)) < 0.3  # 100 random unit vectors: 0.1 on average
+    few = nominal_cameras(scene, true[:3], 1)
+    assert [camera.principal_point_px for camera in few] == [
+        tuple(place) for place in first[:3].tolist()
+    ]
+
+
+def test_a_solver_is_told_the_wrong_cameras_and_nothing_else_changes() -> None:
+    shots = [simulate(shifted_scene(shift), seed=5) for shift in (0.0, 2.0)]
+    exact, off = (shot.observation for shot in shots)
+    true = build_rig(shifted_scene(2.0)).cameras
+    assert exact.cameras == true
+    np.testing.assert_allclose(np.linalg.norm(moves(pinholes(off.cameras), true), axis=2), 2.0)
+    np.testing.assert_array_equal(exact.images, off.images)
+    for mine, theirs in zip(shots[0].views, shots[1].views, strict=True):
+        np.testing.assert_array_equal(mine.pixel, theirs.pixel)
+        np.testing.assert_array_equal(mine.photons, theirs.photons)
+
+
+@pytest.fixture
+def wrong(tmp_path: Path) -> Dataset:
+    return sabench.generate(
+        shifted_scene(1.5), tmp_path / "wrong", seed=9, backend="splat", name="s"
+    )
+
+
+def test_a_data_set_keeps_both_the_told_and_the_true_cameras(
+    wrong: Dataset, tmp_path: Path
+) -> None:
+    exact = sabench.generate(
+        make_scene(particles={"count": 30}), tmp_path / "exact", seed=9, backend="splat", name="s"
+    )
+    rig = build_rig(shifted_scene(1.5))
+    assert wrong.true_cameras == rig.cameras == exact.true_cameras == exact.rig.cameras
+    assert (
+        wrong.observation(0).cameras
+        == wrong.rig.cameras
+        == nominal_cameras(shifted_scene(1.5), rig.cameras, 9)
+    )
+    assert simulate(shifted_scene(1.5), seed=9).observation.cameras == wrong.rig.cameras
+    np.testing.assert_allclose(
+        np.linalg.norm(moves(wrong.rig.cameras, wrong.true_cameras), axis=2), 1.5
+    )
+    for view, camera in zip(wrong.views(0), wrong.true_cameras, strict=True):
+        np.testing.assert_allclose(
+            view.pixel, camera.project(wrong.particles(0).position_mm)[0], atol=1e-9
+        )
+    assert verify(wrong.root) == []
+
+
+def test_without_the_table_nothing_in_a_data_set_changes(wrong: Dataset, tmp_path: Path) -> None:
+    exact = sabench.generate(
+        make_scene(particles={"count": 30}), tmp_path / "exact", seed=9, backend="splat", name="s"
+    )
+    assert set(wrong.manifest.files) - set(exact.manifest.files) == {"true_cameras.json"}
+    changed = {
+        name for name, entry in exact.manifest.files.items() if entry != wrong.manifest.files[name]
+    }
+    assert changed == {"cameras.json", "scene.toml"}
+
+
+def rewrite(data: Dataset, name: str, change: dict[str, Any]) -> Dataset:
+    """The data set with one JSON file changed and its manifest made to match."""
+    path = data.root / name
+    path.write_text(canonical_json(json.loads(path.read_text()) | change))
+    manifest = data.manifest.model_dump(mode="json")
+    manifest["files"][name] = {"bytes": path.stat().st_size, "sha256": sha256(path)}
+    manifest["content_hash"] = content_hash(type(data.manifest).model_validate(manifest).files)
+    (data.root / "manifest.json").write_text(sealed(manifest))
+    return open_dataset(data.root)
+
+
+def test_true_cameras_must_be_those_that_are_told(wrong: Dataset) -> None:
+    cameras = json.loads((wrong.root / "true_cameras.json").read_text())["cameras"]
+    cameras[1]["name"] = "camera_77"
+    broken = rewrite(wrong, "true_cameras.json", {"cameras": cameras})
+    faults = verify(broken.root)
+    assert len(faults) == 1
+    assert (
+        "true_cameras.json: cameras: expected names and image sizes as in cameras.json" in faults[0]
+    )
+    assert "camera_77" in faults[0]
+    (broken.root / "true_cameras.json").unlink()
+    with pytest.raises(
+        InputError, match=r"true_cameras.json: expected a JSON file, got FileNotFoundError"
+    ):
+        _ = open_dataset(broken.root).true_cameras
+
+
+@pytest.mark.parametrize("shift", [-0.1, float("nan"), "much"])
+def test_a_shift_is_a_length(shift: Any) -> None:
+    with pytest.raises(InputError, match=r"^test: calibration.shift_px: input should be .*, got"):
+        shifted_scene(shift)

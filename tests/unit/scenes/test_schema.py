@@ -1,0 +1,203 @@
+"""A scene says what it means, or one sentence says what it does not."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sabench.scenes import build_rig, load_scene, parse_scene, scene_schema
+from sabench.simulation.in_memory import make_particles
+from sabench.utils.errors import InputError
+
+Edit = Callable[[str], str]
+
+
+def change(old: str, new: str) -> Edit:
+    def edit(text: str) -> str:
+        assert old in text
+        return text.replace(old, new)
+
+    return edit
+
+
+FAULTS: list[tuple[Edit, str]] = [
+    (
+        change("focal_length_mm", "focal_lenght_mm"),
+        "cameras.focal_lenght_mm: unknown key; did you mean focal_length_mm?",
+    ),
+    (
+        change("thickness_mm = 5.0 }", "thickness_cm = 0.5 }"),
+        "wall.layers.0.thickness_cm: unknown key; did you mean thickness_mm?",
+    ),
+    (change("[sensor]", "[sensr]"), "sensr: unknown key; did you mean sensor?"),
+    (
+        change("spacing_mm = [240.0", "spacing_m = [0.24"),
+        "cameras.layout.spacing_m: unknown key; did you mean spacing_mm?",
+    ),
+    (change("count = 300", "per_mm = 3.0"), "particles.per_mm: unknown key; did you mean per_mm3?"),
+    (
+        change("count = 300", "count = 300\nper_mm3 = 1.0"),
+        "expected exactly one of count, per_mm3, per_pixel",
+    ),
+    (change('"uniform"', '"unifrom"'), "did you mean uniform?"),
+    (change('kind = "grid"', 'kind = "gird"'), "cameras.layout"),
+    (change("rows = 240", "rows = 2.5"), "cameras.rows"),
+    (change("rows = 240", "rows = -240"), "cameras.rows"),
+    (change("index = 1.52", "index = 0.5"), "wall.layers.0.index"),
+    (change("pixel_mm = 0.01", "pixel_mm = nan"), "cameras.pixel_mm"),
+    (change("bit_depth = 12", "bit_depth = 17"), "sensor.bit_depth"),
+    (
+        change("normal = [0.0, 0.0, 1.0]\nair", "normal = [0.0, 0.0, 0.0]\nair"),
+        "wall.normal: expected a vector of non-zero length",
+    ),
+    (
+        change("center_mm = [0.0, 0.0, -490.0]", "x_axis = [0.0, 0.0, 0.0]"),
+        "cameras.x_axis: expected a vector of non-zero length",
+    ),
+    (change("direction = [1.0, 0.0, 0.0]", "direction = [0.0, 0.0, 1.0]"), "right angles"),
+    (change("-490.0]", "10.0]"), "camera_00"),
+    (change("center_mm = [0.0, 0.0, 30.0]", "center_mm = [0.0, 0.0, 104.0]"), "back wall"),
+    (change("center_mm = [0.0, 0.0, 30.0]", "center_mm = [0.0, 0.0, 5.0]"), "inner face"),
+    (
+        change("focal_length_mm = 85.0", "focal_length_mm = 85.0\naim_mm = [400.0, 0.0, 30.0]"),
+        "no camera of 4 sees any of it",
+    ),
+    (change("f_number = 16.0", "f_number = 16.0\nfocus_mm = 50.0"), "focus_mm"),
+    (change("crop_mm = [0.5", "crop_mm = [7.0"), "crop_mm"),
+    (change("title =", "title"), "expected a TOML file"),
+]
+
+
+@pytest.mark.parametrize(("edit", "sentence"), FAULTS)
+def test_fault_names_key_and_expectation(
+    tmp_path: Path, quick_toml: str, edit: Edit, sentence: str
+) -> None:
+    file = tmp_path / "bad.toml"
+    file.write_text(edit(quick_toml))
+    with pytest.raises(InputError) as caught:
+        load_scene(file)
+    assert sentence in str(caught.value)
+    assert str(file) in str(caught.value)
+
+
+def test_missing_scene_suggests_the_nearest() -> None:
+    with pytest.raises(InputError, match="did you mean quick"):
+        load_scene("quik")
+
+
+def test_resolved_scene_is_the_same_scene(tmp_path: Path) -> None:
+    scene = load_scene("quick")
+    (tmp_path / "again.toml").write_text(scene.to_toml())
+    again = load_scene(tmp_path / "again.toml")
+    assert again == scene
+    assert again.hash == scene.hash
+
+
+def test_what_a_scene_does_not_have_is_not_in_its_hash() -> None:
+    """Data sets of earlier versions hold the hash of scenes that knew nothing of these tables."""
+    values = load_scene("quick").to_dict()
+    assert not {"occluders", "calibration"} & set(values)
+    with_both = values | {
+        "occluders": [{"center_mm": [0.0, 0.0, -100.0], "radius_mm": 5.0}],
+        "calibration": {},
+    }
+    resolved = parse_scene(with_both, "s").to_dict()
+    assert resolved["occluders"] == [
+        {"center_mm": [0.0, 0.0, -100.0], "normal": [0.0, 0.0, 1.0], "radius_mm": 5.0}
+    ]
+    assert resolved["calibration"]["shift_px"] == 0.0
+
+
+def test_hash_depends_on_every_value() -> None:
+    values = load_scene("quick").to_dict()
+    changed = json.loads(json.dumps(values))
+    changed["sensor"]["read_noise_e"] = 6.5
+    assert parse_scene(values, "a").hash != parse_scene(changed, "b").hash
+
+
+def test_schema_covers_every_key_of_a_scene() -> None:
+    whole = scene_schema()
+    assert set(load_scene("quick").to_dict()) <= set(whole["properties"])
+    assert whole["additionalProperties"] is False
+    for table, name in (("particles", "uniform"), ("targets", "boards")):
+        known = [
+            choice["properties"]["generator"]
+            for choice in whole["properties"][table]["oneOf"]
+            if "properties" in choice
+        ]
+        assert {"const": name} in known
+        assert ({"const": "boards"} in known) == (table == "targets")
+
+
+def test_particles_of_a_frame_do_not_depend_on_other_frames_or_cameras() -> None:
+    values = load_scene("quick").to_dict()
+    values["particles"] |= {"velocity_mm_s": [3000.0, -100.0, 250.0]}
+    one = parse_scene(values | {"frames": 3}, "one")
+    values["cameras"]["layout"]["columns"] = 1
+    other = parse_scene(values | {"frames": 9}, "other")
+    for frame in (2, 0, 1):
+        a, b = make_particles(one, 5, frame), make_particles(other, 5, frame)
+        np.testing.assert_array_equal(a.position_mm, b.position_mm)
+        np.testing.assert_array_equal(a.id, b.id)
+    assert not np.array_equal(
+        make_particles(one, 5, 0).position_mm, make_particles(one, 6, 0).position_mm
+    )
+
+
+def test_particles_move_with_their_velocity_and_stay_in_the_volume() -> None:
+    values = load_scene("quick").to_dict()
+    values["particles"] |= {"velocity_mm_s": [900.0, -100.0, 250.0]}
+    scene = parse_scene(values | {"frames": 4}, "moving")
+    first, last = make_particles(scene, 1, 0), make_particles(scene, 1, 3)
+    stayed, at_first, at_last = np.intersect1d(first.id, last.id, return_indices=True)
+    assert 100 < len(stayed) < 300
+    moved = last.position_mm[at_last] - first.position_mm[at_first]
+    np.testing.assert_allclose(moved, np.tile([2.7, -0.3, 0.75], (len(stayed), 1)), atol=1e-9)
+    low = np.asarray(scene.volume.center_mm) - np.asarray(scene.volume.size_mm) / 2
+    assert (last.position_mm >= low).all()
+    assert (last.position_mm <= low + scene.volume.size_mm).all()
+
+
+def test_density_per_volume_and_per_pixel() -> None:
+    values = load_scene("quick").to_dict()
+    del values["particles"]["count"]
+    values["particles"]["per_mm3"] = 0.5
+    assert len(make_particles(parse_scene(values, "a"), 1, 0)) == round(0.5 * 14 * 10 * 4)
+    del values["particles"]["per_mm3"]
+    values["particles"]["per_pixel"] = 0.01
+    assert len(make_particles(parse_scene(values, "a"), 1, 0)) == round(0.01 * 240 * 320)
+
+
+@pytest.mark.parametrize(
+    ("layout", "count"),
+    [
+        ({"kind": "ring", "count": 5, "radius_mm": 150.0, "start_deg": 10.0}, 5),
+        ({"kind": "line", "count": 3, "spacing_mm": 120.0, "angle_deg": 90.0}, 3),
+        ({"kind": "cross", "arm": 2, "spacing_mm": 80.0}, 9),
+        ({"kind": "grid", "x_mm": [-300.0, -100.0, 50.0], "y_mm": [0.0, 90.0]}, 6),
+        (
+            {
+                "kind": "list",
+                "places": [
+                    {"center_mm": [9.0, 8.0, -400.0]},
+                    {"center_mm": [0.0, 0.0, -500.0], "aim_mm": [1.0, 0.0, 30.0]},
+                ],
+            },
+            2,
+        ),
+    ],
+)
+def test_every_layout_aims_its_cameras_at_the_volume(layout: dict[str, object], count: int) -> None:
+    values = load_scene("quick").to_dict()
+    values["cameras"]["layout"] = layout
+    scene = parse_scene(values, "layout")
+    rig = build_rig(scene)
+    assert len(rig.cameras) == count
+    for camera in rig.cameras[:1]:
+        pixel, valid = camera.project([scene.volume.center_mm])
+        assert valid.all()
+        np.testing.assert_allclose(pixel[0], camera.principal_point_px, atol=1e-9)

@@ -1,0 +1,417 @@
+"""Bubbles, drops and bodies before a diffuser: against ray optics by hand, against Mitsuba's own path tracer, and the errors that are promised."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import pytest
+
+from sabench.api import Material
+from sabench.api.truth import NOTHING, Bubbles, Solid
+from sabench.geometry.camera import Camera, Distortion
+from sabench.geometry.refraction import Layer, Wall
+from sabench.scenes.illumination import Backlight, Lamp, Lighting
+from sabench.simulation.rendering.bubbles_traced import Exposed, Lights, Tank, photograph
+from sabench.simulation.rendering.pixel_truth import see
+from sabench.utils import backend
+from sabench.utils.arrays import F64
+
+GLASS = Layer("glass", 1.52, 8.0)
+WALL = Wall((0.0, 0.0, 0.0), (0.0, 0.0, 1.0), 1.0, (GLASS,), 1.333, 100.0)
+TANK = Tank(WALL, (GLASS,))
+CENTER = np.array([0.0, 0.0, 50.0])
+FULL = 1000.0
+
+
+def camera(
+    rows: int = 48,
+    columns: int = 64,
+    *,
+    wall: Wall | None = WALL,
+    focal: float = 3000.0,
+    x: float = 0.0,
+) -> Camera:
+    """About 5 px a millimetre in the middle of the tank; a small aperture."""
+    place, eye = (x, 0.0, -550.0), ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+    middle = ((columns - 1) / 2.0, (rows - 1) / 2.0)
+    lens = 1.0 / (100.0 / focal + 1.0 / 588.0)  # sharp in the middle of the tank
+    return Camera(
+        "camera_00",
+        rows,
+        columns,
+        place,
+        eye,
+        focal * 0.01,
+        0.01,
+        middle,
+        Distortion(),
+        lens,
+        64.0,
+        wall,
+    )
+
+
+def bubbles(
+    centers: Sequence[Sequence[float]],
+    axes: Sequence[Sequence[float]],
+    index: float = 1.0,
+    turn: F64 | None = None,
+) -> Bubbles:
+    count = len(centers)
+    turns = np.tile(np.eye(3), (count, 1, 1)) if turn is None else turn
+    return Bubbles(
+        np.arange(count),
+        np.array(centers).reshape(-1, 3),
+        np.array(axes).reshape(-1, 3),
+        turns,
+        np.zeros((count, 3)),
+        index,
+    )
+
+
+NONE = bubbles([], [])
+
+
+def diffuser(half: float = 60.0, z: float = 130.0) -> Backlight:
+    return Backlight(
+        center_mm=(0.0, 0.0, z), size_mm=(2.0 * half, 2.0 * half), exposure=0.5, wavelength_nm=1.0
+    )  # no diffraction
+
+
+def shot(
+    lens: Camera,
+    what: Bubbles,
+    light: Backlight | None = None,
+    *,
+    tank: Tank = TANK,
+    error: float = 0.003,
+    seed: int = 1,
+    **more: Any,
+) -> Exposed:
+    lights = Lights(light or diffuser(), None, CENTER, FULL)
+    return photograph(lens, tank, what, more.pop("bodies", ()), lights, error, seed, **more)
+
+
+def test_nothing_in_the_way_is_the_exposure_that_was_asked_for() -> None:
+    seen = shot(camera(), NONE)
+    middle = seen.photons[20:28, 28:36].mean()
+    assert middle / FULL == pytest.approx(0.5, rel=0.004)  # besides what both walls send to and fro
+    assert seen.error < 0.003
+
+
+def profile_by_hand(b: F64, half_angle: float) -> F64:
+    """What a ball of air in water shows at parts b of its radius before a round diffuser, ray by ray with vectors: an independent derivation.
+
+    A ray comes along +Z and meets the ball at (b, 0); its directions are followed by Snell's law in
+    vector form, all orders up to ten.
+    """
+
+    def turned(way: F64, normal: F64, ratio: float) -> F64 | None:
+        cosine = -float(way @ normal)
+        square = 1.0 - ratio**2 * (1.0 - cosine**2)
+        return None if square < 0.0 else ratio * way + (ratio * cosine - np.sqrt(square)) * normal
+
+    def fresnel(way: F64, normal: F64, ratio: float) -> float:
+        bent = turned(way, normal, ratio)
+        if bent is None:
+            return 1.0
+        ci, ct = -float(way @ normal), -float(bent @ normal)
+        s, p = (ratio * ci - ct) / (ratio * ci + ct), (ci - ratio * ct) / (ci + ratio * ct)
+        return 0.5 * (s * s + p * p)
+
+    out = []
+    for part in b:
+        place, way = np.array([part, -np.sqrt(1.0 - part**2)]), np.array([0.0, 1.0])
+        reflected = way - 2.0 * float(way @ place) * place
+        share = fresnel(way, place, 1.333)
+        light = share * (np.arctan2(abs(reflected[0]), reflected[1]) < half_angle)
+        inside, left = turned(way, place, 1.333), 1.0 - share
+        for _ in range(10):
+            if inside is None:
+                break
+            place = place - 2.0 * float(inside @ place) * inside
+            share = fresnel(inside, -place, 1.0 / 1.333)
+            leaving = turned(inside, -place, 1.0 / 1.333)
+            if leaving is not None:
+                light += (
+                    left * (1.0 - share) * (np.arctan2(abs(leaving[0]), leaving[1]) < half_angle)
+                )
+            left *= share
+            inside = inside - 2.0 * float(inside @ place) * place
+        out.append(light)
+    return np.array(out)
+
+
+def crossings(values: F64, places: F64, level: float) -> F64:
+    """Where a curve crosses a level, linearly between its points."""
+    k = np.flatnonzero((values[:-1] - level) * (values[1:] - level) < 0.0)
+    return np.asarray(
+        places[k] + (level - values[k]) / (values[k + 1] - values[k]) * (places[k + 1] - places[k])
+    )
+
+
+def test_rim_and_bright_spot_of_a_bubble_are_where_ray_optics_has_them() -> None:
+    """The dark ring's outer and inner edge, and the brightness on either side of them, in the rows and columns through the centre.
+
+    The diffuser is far behind, so that its half angle is the same for all of the bubble. Nearly all
+    of the way to it is water.
+    """
+    deep, radius, half, z = (
+        Wall((0.0, 0.0, 0.0), (0.0, 0.0, 1.0), 1.0, (GLASS,), 1.333, 3000.0),
+        8.0,
+        1000.0,
+        3030.0,
+    )
+    lens, ball = camera(120, 120, wall=deep), bubbles([[0.0, 0.0, 50.0]], [[radius] * 3])
+    seen = shot(lens, ball, diffuser(half, z), tank=Tank(deep, (GLASS,)), error=0.002)
+    truth = see(lens, ball)
+    edge = float(np.linalg.norm(truth.contour[0] - truth.pixel[0], axis=1).mean())
+    fine = (np.arange(960) + 0.5) / 8.0 - 0.5
+    part = np.linspace(0.0, 0.999999, 4000)
+    sharp = profile_by_hand(part, float(np.arctan(half / (z - 50.0))))
+    x, y = np.meshgrid((fine - truth.pixel[0, 0]) / edge, (fine - truth.pixel[0, 1]) / edge)
+    by_hand = (
+        np.interp(np.hypot(x, y), part, sharp, right=1.0).reshape(120, 8, 120, 8).mean(axis=(1, 3))
+    )
+    row, column = np.mgrid[0:120, 0:120]
+    away = np.hypot(column - truth.pixel[0, 0], row - truth.pixel[0, 1])
+    rendered = seen.photons / np.median(seen.photons[away > 1.3 * edge])
+    near = (np.minimum(abs(column - truth.pixel[0, 0]), abs(row - truth.pixel[0, 1])) < 3.0) & (
+        away < 1.25 * edge
+    )  # the diffuser is square
+    bins = np.arange(0.5, 1.2 * edge, 0.5)
+    curves = [
+        np.array([image[near & (np.abs(away - q) < 0.75)].mean() for q in bins])
+        for image in (rendered, by_hand)
+    ]
+    places = [crossings(curve, bins, 0.5) for curve in curves]
+    assert len(places[0]) == len(places[1]) == 2
+    np.testing.assert_allclose(places[0], places[1], atol=0.25)
+    assert places[1][1] - places[1][0] > 15.0
+    flat = (
+        (bins < places[1][0] - 3.0)
+        | ((bins > places[1][0] + 3.0) & (bins < places[1][1] - 3.0))
+        | (bins > places[1][1] + 3.0)
+    )
+    np.testing.assert_allclose(curves[0][flat], curves[1][flat], atol=0.02)
+
+
+def by_path_tracer(lens: Camera, what: Bubbles, light: Backlight, samples: int) -> tuple[F64, F64]:
+    """The same picture, and its standard error, by Mitsuba's `path` integrator: walls are dielectric planes, bubbles spheres or meshes."""
+    import trimesh
+
+    mi = backend.mitsuba()
+    shapes: dict[str, Any] = {}
+
+    def plane(name: str, z: float, before: float, after: float) -> None:
+        to = mi.ScalarTransform4f().look_at(
+            origin=[0.0, 0.0, z], target=[0.0, 0.0, z - 1.0], up=[0.0, 1.0, 0.0]
+        )
+        surface = {"type": "dielectric", "ext_ior": before, "int_ior": after}
+        shapes[name] = {
+            "type": "rectangle",
+            "to_world": to @ mi.ScalarTransform4f().scale([400.0, 400.0, 1.0]),
+            "bsdf": surface,
+        }
+
+    plane("a", 0.0, 1.0, 1.52)
+    plane("b", 8.0, 1.52, 1.333)
+    plane("c", 108.0, 1.333, 1.52)
+    plane("d", 116.0, 1.52, 1.0)
+    for n in range(len(what)):
+        surface = {"type": "dielectric", "ext_ior": 1.333, "int_ior": what.index}
+        if np.ptp(what.semi_axes_mm[n]) < 1e-9:
+            shapes[f"ball_{n}"] = {
+                "type": "sphere",
+                "center": what.center_mm[n].tolist(),
+                "radius": float(what.semi_axes_mm[n, 0]),
+                "bsdf": surface,
+            }
+            continue
+        ball = trimesh.creation.icosphere(subdivisions=6)
+        points = ball.vertices @ np.linalg.inv(what.to_ball[n]).T + what.center_mm[n]
+        normals = ball.vertices @ what.to_ball[n]
+        properties = mi.Properties()
+        properties["mesh_bsdf"] = mi.load_dict(surface)
+        mesh = mi.Mesh(
+            f"ball_{n}", len(points), len(ball.faces), has_vertex_normals=True, props=properties
+        )
+        values = mi.traverse(mesh)
+        values["vertex_positions"] = points.astype(np.float32).ravel()
+        values["faces"] = ball.faces.astype(np.uint32).ravel()
+        values["vertex_normals"] = (
+            (normals / np.linalg.norm(normals, axis=1, keepdims=True)).astype(np.float32).ravel()
+        )
+        values.update()
+        shapes[f"ball_{n}"] = mesh
+    half = light.size_mm[0] / 2.0
+    to = mi.ScalarTransform4f().look_at(
+        origin=list(light.center_mm), target=[0.0, 0.0, 0.0], up=[0.0, 1.0, 0.0]
+    )
+    glow = {"type": "area", "radiance": {"type": "uniform", "value": 1.0}}
+    shapes["light"] = {
+        "type": "rectangle",
+        "to_world": to @ mi.ScalarTransform4f().scale([half, half, 1.0]),
+        "emitter": glow,
+    }
+    eye = mi.ScalarTransform4f().look_at(
+        origin=list(lens.center_mm), target=[lens.center_mm[0], 0.0, 0.0], up=[0.0, -1.0, 0.0]
+    )
+    angle = float(2.0 * np.degrees(np.arctan(lens.columns / 2.0 / lens.focal_px)))
+    film = {
+        "type": "hdrfilm",
+        "width": lens.columns,
+        "height": lens.rows,
+        "rfilter": {"type": "box"},
+        "pixel_format": "luminance",
+    }
+    sensor = {
+        "type": "perspective",
+        "to_world": eye,
+        "fov": angle,
+        "fov_axis": "x",
+        "film": film,
+        "sampler": {"type": "independent"},
+    }
+    scene = mi.load_dict(
+        {
+            "type": "scene",
+            "integrator": {"type": "path", "max_depth": 48, "rr_depth": 100},
+            "sensor": sensor,
+            **shapes,
+        }
+    )
+    parts = [
+        np.array(mi.render(scene, spp=samples // 8, seed=seed))[..., 0].astype(np.float64)
+        for seed in range(8)
+    ]
+    return np.mean(parts, axis=0), np.asarray(np.std(parts, axis=0, ddof=1) / np.sqrt(8.0))
+
+
+CASES = {
+    "bubbles": bubbles(
+        [[-2.0, 0.0, 45.0], [1.5, 1.0, 60.0], [1.0, -1.0, 40.0]], [[2.0] * 3, [1.5] * 3, [0.7] * 3]
+    ),
+    "drop of oil": bubbles([[0.0, 0.0, 50.0]], [[3.0] * 3], 1.47),
+    "spheroid": bubbles(
+        [[0.5, 0.0, 50.0]],
+        [[3.5, 2.0, 3.5]],
+        turn=np.array([[[0.8, 0.6, 0.0], [-0.6, 0.8, 0.0], [0.0, 0.0, 1.0]]]),
+    ),
+}
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_another_integrator_makes_the_same_picture(name: str) -> None:
+    """Pixel by pixel, by its standard errors."""
+    lens = camera(32, 48, focal=1800.0, x=3.0)
+    seen = shot(lens, CASES[name], error=0.002)
+    radiance, error = by_path_tracer(lens, CASES[name], diffuser(), 4096)
+    scale = FULL * 0.5 / TANK.straight() / float(lens.etendue().max())
+    expected, sigma = radiance * scale * lens.etendue(), error * scale * lens.etendue()
+    score = (seen.photons - expected) / np.hypot(
+        np.maximum(sigma, 1e-3 * expected.max()), 0.004 * seen.photons
+    )
+    assert abs(float((seen.photons - expected).mean())) < 0.004 * expected.mean()
+    assert np.median(np.abs(score)) < 1.0
+    assert np.quantile(np.abs(score), 0.98) < 4.0
+
+
+def test_errors_are_as_large_as_they_are_said_to_be() -> None:
+    """Two renders of other seeds differ by their errors, and neither exceeds what was asked for."""
+    what = CASES["bubbles"]
+    one, other = (shot(camera(), what, error=0.01, seed=seed) for seed in (1, 5000))
+    again = shot(camera(), what, error=0.01, seed=1)
+    np.testing.assert_array_equal(one.photons, again.photons)
+    assert one.error <= 0.01
+    off = np.abs(one.photons - other.photons) / np.maximum(
+        0.5 * (one.photons + other.photons), 0.02 * 0.5 * FULL
+    )
+    expected = (
+        np.sqrt(2.0) * np.sqrt(2.0 / np.pi) * 0.5 * (one.error + other.error)
+    )  # of the mean modulus of a normal difference
+    assert 0.5 < off.mean() / expected < 2.0
+    finer = shot(camera(), what, error=0.005)
+    assert finer.error <= 0.005 < one.error
+
+
+def test_a_drop_in_air_needs_no_walls() -> None:
+    lens = camera(wall=None)
+    drop = bubbles([[0.0, 0.0, 50.0]], [[2.0] * 3], 1.333)
+    seen = shot(lens, drop, tank=Tank(None))
+    (center,), _ = lens.project(np.array([[0.0, 0.0, 50.0]]))
+    middle = (
+        seen.photons[
+            int(center[1]) - 1 : int(center[1]) + 2, int(center[0]) - 1 : int(center[0]) + 2
+        ].mean()
+        / FULL
+    )
+    assert seen.photons[2:6, 2:6].mean() / FULL == pytest.approx(0.5, rel=1e-3)
+    assert middle == pytest.approx(
+        0.5 * (1.0 - ((1.333 - 1.0) / (1.333 + 1.0)) ** 2) ** 2, rel=0.02
+    )  # straight through
+    assert seen.photons.min() / FULL < 0.1
+
+
+def test_a_black_body_hides_what_is_behind_it_and_a_lamp_shows_it() -> None:
+    import trimesh
+
+    cylinder = trimesh.creation.cylinder(
+        2.0,
+        60.0,
+        sections=256,
+        transform=trimesh.transformations.rotation_matrix(np.pi / 2.0, [1.0, 0.0, 0.0]),
+    )
+    solid = Solid(
+        np.asarray(cylinder.vertices) + CENTER, np.asarray(cylinder.faces, dtype=np.int64)
+    )
+    lens = camera()
+    dark = shot(lens, NONE, bodies=[(solid, Material(reflectance=0.0))])
+    truth = see(lens, NONE, [solid])
+    on = truth.number < NOTHING
+    assert 0.2 < on.mean() < 0.5
+    inner = np.roll(on, 2, axis=1) & np.roll(on, -2, axis=1) & on
+    assert dark.photons[inner].max() < 1e-6 * FULL
+    assert dark.photons[~(np.roll(on, 2, axis=1) | np.roll(on, -2, axis=1))].min() > 0.45 * FULL
+    middle = truth.depth_mm[24, 32]
+    assert middle == pytest.approx(48.0, abs=5e-3)  # half a pixel beside its axis
+    assert truth.path_mm[24, 32] == pytest.approx(550.0 + 48.0, abs=0.01)
+    lamp = Lighting(lamps=(Lamp(center_mm=(0.0, 0.0, -500.0)),), exposure=0.6, wavelength_nm=1.0)
+    lit = photograph(
+        lens,
+        TANK,
+        NONE,
+        [(solid, Material(reflectance=1.0))],
+        Lights(None, lamp, CENTER, FULL),
+        0.003,
+        1,
+    )
+    assert lit.photons[24, 31:33].mean() / FULL == pytest.approx(
+        0.6, rel=0.02
+    )  # 2 mm before the volume's centre, facing the lamp
+    assert lit.photons[~(np.roll(on, 2, axis=1) | np.roll(on, -2, axis=1))].max() == 0.0
+
+
+def test_a_moving_bubble_is_smeared() -> None:
+    lens = camera()
+    still = bubbles([[0.0, 0.0, 50.0]], [[0.6] * 3])
+    moving = Bubbles(
+        still.id, still.center_mm, still.semi_axes_mm, still.turn, np.array([[1000.0, 0.0, 0.0]])
+    )
+    sharp, smeared = (shot(lens, one, exposure_s=2e-3, error=0.001) for one in (still, moving))
+    dark = [(0.5 * FULL - image.photons)[18:30, 18:46].sum(axis=0) for image in (sharp, smeared)]
+    assert dark[1].sum() == pytest.approx(
+        dark[0].sum(), rel=0.06
+    )  # the same shadow, further spread
+    column = np.arange(18, 46)
+    middle = [np.sum(column * one) / one.sum() for one in dark]
+    spread = [
+        np.sum((column - m) ** 2 * one) / one.sum() for m, one in zip(middle, dark, strict=True)
+    ]
+    (left, right), _ = lens.project(np.array([[-1.0, 0.0, 50.0], [1.0, 0.0, 50.0]]))
+    assert spread[1] - spread[0] == pytest.approx(
+        (right[0] - left[0]) ** 2 / 12.0, rel=0.08
+    )  # that of 2 mm of way
+    assert middle[1] == pytest.approx(middle[0], abs=0.15)

@@ -1,0 +1,503 @@
+"""From a particle to its picture: the lens, and both renderers, each against its own law and against the other."""
+
+from __future__ import annotations
+
+import itertools
+import math
+import tomllib
+from dataclasses import replace
+from typing import Any
+
+import miepython
+import numpy as np
+import pytest
+
+from sabench.api.truth import Particles
+from sabench.geometry.camera import Camera, Distortion, aimed_rotation
+from sabench.geometry.refraction import trace_to_points, transmittance
+from sabench.scenes import Scene, build_rig, find, parse_scene
+from sabench.simulation.rendering.laser_sheet import LIGHT_M_S, PLANCK_J_S, fluence
+from sabench.simulation.rendering.particle_images import (
+    ParticleImages,
+    image_particles,
+    scattering_table,
+)
+from sabench.simulation.rendering.particles_splatted import splat
+from sabench.simulation.rendering.particles_traced import render
+from sabench.utils.arrays import F64, I64
+
+WAVELENGTH_MM = 532e-6
+
+
+def make_scene(**changes: dict[str, Any] | None) -> Scene:
+    """The quick scene with unequal, small images; each table is updated with the given keys, or left out."""
+    values = tomllib.loads(find("quick", "scenes").read_text(encoding="utf-8"))
+    values["cameras"] |= {"rows": 110, "columns": 170}
+    values["illumination"] |= {
+        "pulse_energy_mj": 20.0,
+        "thickness_mm": 30.0,
+        "height_mm": 20.0,
+        "scattering": "isotropic",
+    }
+    for table, update in changes.items():
+        if update is None:
+            del values[table]
+        else:
+            values[table] |= update
+    return parse_scene(values, "test")
+
+
+def cloud(positions: F64, diameter_mm: float = 0.02) -> Particles:
+    count = len(positions)
+    return Particles(np.arange(count), positions, np.full(count, diameter_mm), np.zeros((count, 3)))
+
+
+# The lens
+
+
+def solid_angle_of(a: F64, b: F64, c: F64) -> F64:
+    """Van Oosterom and Strackee's triangle of unit vectors (n, 3)."""
+    triple = np.abs(np.einsum("ij,ij->i", a, np.cross(b, c)))
+    pairs = sum(np.einsum("ij,ij->i", p, q) for p, q in ((a, b), (b, c), (c, a)))
+    return np.asarray(2.0 * np.arctan2(triple, 1.0 + pairs))
+
+
+def caught_light(camera: Camera, points: F64, rings: int = 6, sectors: int = 24) -> F64:
+    """Solid angle of the pupil at each point, weighted with the wall's transmission: the pupil cut into small cells, each traced by itself."""
+
+    def paths(radius: float, turn: float) -> tuple[F64, F64]:
+        moved = camera.shifted(radius * math.cos(turn), radius * math.sin(turn))
+        found = trace_to_points(camera.wall, np.asarray(moved.center_mm), points)
+        return found.arriving, transmittance(camera.wall, found.leaving)
+
+    radii = np.linspace(0.0, camera.aperture_radius_mm, rings + 1)
+    turns = np.linspace(0.0, 2.0 * np.pi, sectors + 1)
+    total = np.zeros(len(points))
+    for inner, outer in itertools.pairwise(radii):
+        for first, last in itertools.pairwise(turns):
+            a, b, c, d = (
+                paths(r, t)[0]
+                for r, t in ((inner, first), (outer, first), (outer, last), (inner, last))
+            )
+            passed = paths((inner + outer) / 2.0, (first + last) / 2.0)[1]
+            total += passed * (solid_angle_of(a, b, c) + solid_angle_of(a, c, d))
+    return (
+        total * (2.0 * np.pi / sectors) / math.sin(2.0 * np.pi / sectors)
+    )  # chords leave out a share of the disc
+
+
+TILT = {
+    "normal": [0.3, -0.2, 1.0],
+    "layers": [
+        {"name": "glass", "index": 1.52, "thickness_mm": 5.0},
+        {"name": "gel", "index": 1.4, "thickness_mm": 3.0},
+    ],
+}
+VARIANTS: dict[str, dict[str, dict[str, Any] | None]] = {
+    "flat": {},
+    "tilted": {"wall": TILT},
+    "distorted": {
+        "cameras": {"distortion": {"k1": -60.0, "k2": 2000.0, "p1": 0.3, "p2": -0.2, "k3": 0.0}}
+    },
+    "air": {"wall": None},
+    "wide-open": {"cameras": {"f_number": 2.0}},
+}
+
+
+@pytest.mark.parametrize("variant", VARIANTS)
+def test_photons_are_those_that_a_round_aperture_catches(variant: str) -> None:
+    scene = make_scene(**VARIANTS[variant])
+    particles = cloud(
+        np.random.default_rng(2).uniform([-6.0, -4.0, 26.0], [6.0, 4.0, 34.0], (5, 3))
+    )
+    for camera in build_rig(scene).cameras[::3]:
+        images = image_particles(scene, camera, particles, None)
+        np.testing.assert_allclose(
+            images.photons,
+            images.intensity * caught_light(camera, particles.position_mm),
+            rtol=0.01,
+        )
+
+
+def test_isotropic_particles_scatter_what_falls_on_them() -> None:
+    scene, diameter = make_scene(), 0.03
+    images = image_particles(
+        scene, build_rig(scene).cameras[0], cloud(np.array([[1.0, 2.0, 30.0]]), diameter), None
+    )
+    fallen = (
+        20.0 / (PLANCK_J_S * LIGHT_M_S / 532e-9 * 1e3) / (30.0 * 20.0) * np.pi * diameter**2 / 4.0
+    )
+    assert images.intensity[0] * 4.0 * np.pi == pytest.approx(fallen, rel=1e-12)
+
+
+@pytest.mark.parametrize("f_number", [4.0, 16.0])
+def test_mie_intensity_is_the_mean_over_the_lens(f_number: float) -> None:
+    """Every point of the lens asks Mie's theory at its own angle; the mean is what the table must give at the lens's centre."""
+    scene, diameter = (
+        make_scene(illumination={"scattering": "mie"}, cameras={"f_number": f_number}),
+        0.02,
+    )
+    rig, particles = build_rig(scene), cloud(np.array([[0.5, -0.4, 30.5]]), diameter)
+    table = scattering_table(scene, rig.cameras, particles)
+    disc = np.random.default_rng(7).uniform(-1.0, 1.0, (1500, 2))
+    disc = disc[np.hypot(*disc.T) < 1.0]
+    light = fluence(scene.light, np.array([0.0, 0.0, 30.0]), particles.position_mm)[0]
+    for camera in rig.cameras:
+        angles = []
+        for right, down in disc * camera.aperture_radius_mm:
+            moved = camera.shifted(right, down)
+            arriving = trace_to_points(
+                moved.wall, np.asarray(moved.center_mm), particles.position_mm
+            ).arriving[0]
+            angles.append(
+                math.acos(-arriving[0])
+            )  # the laser runs along +X, the light towards the camera
+        amplitudes = miepython.S1_S2(
+            1.59 / 1.333, np.pi * 1.333 * diameter / WAVELENGTH_MM, np.cos(angles), norm="wiscombe"
+        )
+        raw = sum(np.abs(a) ** 2 for a in amplitudes) / (
+            2.0 * (2.0 * np.pi * 1.333 / WAVELENGTH_MM) ** 2
+        )
+        found = image_particles(scene, camera, particles, table).intensity[0]
+        assert found == pytest.approx(raw.mean() * light, rel=0.02)
+
+
+@pytest.mark.parametrize("z_mm", [-200.0, 0.0, 100.0, 400.0, 1500.0])
+def test_width_in_air_is_that_of_the_thin_lens(z_mm: float) -> None:
+    f, number, distance, pitch, diameter = 85.0, 4.0, 103.0, 0.01, 0.05
+    camera = Camera(
+        name="camera_00",
+        rows=90,
+        columns=120,
+        center_mm=(0.0, 0.0, -400.0),
+        rotation=aimed_rotation(np.array([0.0, 0.0, 1.0])),
+        principal_distance_mm=distance,
+        pixel_mm=pitch,
+        principal_point_px=(59.5, 44.5),
+        distortion=Distortion(),
+        focal_length_mm=f,
+        f_number=number,
+    )
+    light = make_scene(wall=None, illumination={"thickness_mm": 1e4})
+    sigma = image_particles(
+        light, camera, cloud(np.array([[0.0, 0.0, z_mm]]), diameter), None
+    ).sigma_px[0]
+    far = z_mm + 400.0
+    image_at = 1.0 / (1.0 / f - 1.0 / far)  # where the point is sharp
+    blur = f / number * abs(image_at - distance) / image_at
+    airy = 2.44 * (distance / f) * number * WAVELENGTH_MM  # (1 + M) N lambda with 1 + M = v / f
+    expected = math.sqrt(
+        (diameter * distance / far / 4.0) ** 2 + airy**2 / (8 * 3.67) + (blur / 4.0) ** 2
+    )
+    assert sigma * pitch == pytest.approx(expected, rel=2e-4)
+
+
+def test_shape_moves_the_image_by_its_width() -> None:
+    scene = make_scene(wall=TILT)
+    camera = build_rig(scene).cameras[1]
+    particles = cloud(
+        np.random.default_rng(3).uniform([-1.5, -1.0, 28.0], [1.5, 1.0, 32.0], (20, 3))
+    )
+    images = image_particles(scene, camera, particles, None)
+    shape_mm = images.shape_mm(camera, particles.position_mm)
+    for axis in (0, 1):
+        step = 1e-2 * shape_mm[:, axis]
+        moved = (
+            camera.project(particles.position_mm + step)[0]
+            - camera.project(particles.position_mm - step)[0]
+        )
+        np.testing.assert_allclose(
+            moved / 2e-2, images.sigma_px[:, None] * np.eye(2)[axis], rtol=0, atol=1e-5
+        )
+        np.testing.assert_allclose(
+            np.einsum("ij,ij->i", shape_mm[:, axis], images.direction), 0.0, atol=1e-12
+        )
+
+
+@pytest.mark.parametrize(
+    "forward", [(0.0, 1.0, 0.0), (0.0, -1.0, 0.0), (1.0, 0.0, 0.0), (0.0, 0.0, -1.0)]
+)
+def test_width_does_not_depend_on_where_the_world_points(
+    forward: tuple[float, float, float],
+) -> None:
+    scene = make_scene(wall=None, illumination={"thickness_mm": 1e4})
+    camera = replace(
+        build_rig(scene).cameras[0],
+        center_mm=(0.0, 0.0, 0.0),
+        rotation=aimed_rotation(np.array(forward)),
+    )
+    upright = replace(camera, rotation=aimed_rotation(np.array([0.0, 0.0, 1.0])))
+    turned, plain = (
+        image_particles(scene, c, cloud(540.0 * np.asarray(c.rotation)[2:]), None)
+        for c in (camera, upright)
+    )
+    assert turned.sigma_px[0] == pytest.approx(plain.sigma_px[0], rel=1e-9)
+    assert np.isfinite(turned.shape_mm(camera, 540.0 * np.asarray(camera.rotation)[2:])).all()
+
+
+# Splatting
+
+
+def spots(pixels: F64, photons: F64, sigma: F64) -> ParticleImages:
+    count = len(pixels)
+    zero = np.zeros((count, 3))
+    return ParticleImages(
+        pixels, photons, sigma, np.zeros(count), zero, np.ones(count, dtype=np.bool_)
+    )
+
+
+SMALL = Camera(
+    name="camera_00",
+    rows=40,
+    columns=60,
+    center_mm=(0.0, 0.0, 0.0),
+    rotation=aimed_rotation(np.array([0.0, 0.0, 1.0])),
+    principal_distance_mm=50.0,
+    pixel_mm=0.01,
+    principal_point_px=(29.5, 19.5),
+    distortion=Distortion(),
+    focal_length_mm=50.0,
+    f_number=8.0,
+)
+
+
+def centre_of_rounded(place: F64, sigma: float) -> F64:
+    """Mean of a normal variable rounded to whole numbers, by the Fourier series of the saw tooth: narrow images are drawn to their pixel's centre."""
+    k = np.arange(1, 30)[:, None]
+    return np.asarray(
+        place
+        - np.sum(
+            (-1.0) ** (k + 1)
+            * np.sin(2 * np.pi * k * place)
+            * np.exp(-2 * (np.pi * k * sigma) ** 2)
+            / (np.pi * k),
+            axis=0,
+        )
+    )
+
+
+@pytest.mark.parametrize("sigma", [0.15, 0.5, 1.0, 2.3])
+def test_splat_keeps_light_and_place(sigma: float) -> None:
+    for place in np.random.default_rng(4).uniform([15.0, 15.0], [45.0, 25.0], (20, 2)):
+        image = splat(SMALL, spots(place[None], np.array([1000.0]), np.array([sigma])))
+        assert image.sum() == pytest.approx(1000.0, rel=2e-5)
+        centroid = [
+            (image.sum(axis=0) @ np.arange(60)) / image.sum(),
+            (image.sum(axis=1) @ np.arange(40)) / image.sum(),
+        ]
+        np.testing.assert_allclose(centroid, centre_of_rounded(place, sigma), rtol=0, atol=1e-4)
+        if sigma >= 1.0:
+            np.testing.assert_allclose(centroid, place, rtol=0, atol=1e-4)
+
+
+def test_splat_pixel_is_the_integral_of_a_gaussian_over_it() -> None:
+    place, sigma = np.array([20.37, 11.81]), 0.8
+    image = splat(SMALL, spots(place[None], np.array([500.0]), np.array([sigma])))
+    fine = (np.arange(200) + 0.5) / 200 - 0.5
+    for row, column in ((12, 20), (11, 22), (10, 19)):
+        x, y = np.meshgrid(column + fine, row + fine)
+        value = (
+            np.mean(np.exp(-((x - place[0]) ** 2 + (y - place[1]) ** 2) / (2 * sigma**2)))
+            * 500.0
+            / (2 * np.pi * sigma**2)
+        )
+        assert image[row, column] == pytest.approx(value, rel=1e-5)
+
+
+def test_splat_moves_with_its_particle() -> None:
+    sigma, photons = np.array([0.7]), np.array([300.0])
+    first = splat(SMALL, spots(np.array([[20.3, 14.6]]), photons, sigma))
+    moved = splat(SMALL, spots(np.array([[27.3, 18.6]]), photons, sigma))
+    np.testing.assert_allclose(moved[8:36, 12:50], first[4:32, 5:43], rtol=0, atol=1e-9)
+    mirrored = splat(SMALL, spots(np.array([[59.0 - 20.3, 39.0 - 14.6]]), photons, sigma))
+    np.testing.assert_allclose(mirrored[::-1, ::-1], first, rtol=0, atol=1e-9)
+
+
+def test_splat_is_additive_and_cut_at_the_border() -> None:
+    rng = np.random.default_rng(5)
+    places, photons, sigma = (
+        rng.uniform(-6.0, 66.0, (400, 2)),
+        rng.uniform(0.0, 9.0, 400),
+        rng.uniform(0.3, 2.0, 400),
+    )
+    whole = splat(SMALL, spots(places, photons, sigma))
+    parts = [splat(SMALL, spots(places[i::3], photons[i::3], sigma[i::3])) for i in range(3)]
+    np.testing.assert_allclose(sum(parts), whole, rtol=0, atol=1e-9)
+    larger = splat(
+        replace(SMALL, rows=80, columns=110), spots(places + np.array([20.0, 30.0]), photons, sigma)
+    )
+    np.testing.assert_allclose(whole, larger[30:70, 20:80], rtol=0, atol=1e-9)
+
+
+def test_splat_of_nothing_is_dark() -> None:
+    nowhere = spots(
+        np.array([[math.nan, math.nan], [500.0, 3.0]]),
+        np.array([0.0, 9.0]),
+        np.array([math.nan, 0.5]),
+    )
+    assert not splat(SMALL, nowhere).any()
+    assert not splat(SMALL, spots(np.empty((0, 2)), np.empty(0), np.empty(0))).any()
+
+
+def test_brightest_pixel_is_where_the_particle_projects() -> None:
+    camera = replace(SMALL, principal_point_px=(0.0, 0.0))
+    image = splat(
+        camera, spots(camera.project([[0.0, 0.0, 100.0]])[0], np.array([100.0]), np.array([0.5]))
+    )
+    assert image.argmax() == 0
+
+
+# Mitsuba against splatting
+
+
+def isolated(
+    camera: Camera, depth_mm: tuple[float, float], pitch: int, seed: int
+) -> tuple[F64, I64]:
+    """Particles behind the wall whose images lie on a jittered lattice, and the lattice's nearest pixels (column, row)."""
+    rng = np.random.default_rng(seed)
+    column, row = np.meshgrid(
+        np.arange(pitch, camera.columns - pitch, pitch),
+        np.arange(pitch, camera.rows - pitch, pitch),
+    )
+    pixels = np.column_stack([column.ravel(), row.ravel()])
+    rays = camera.back_project(pixels + rng.uniform(-1.0, 1.0, pixels.shape))
+    z = rng.uniform(*depth_mm, len(pixels))
+    return rays.origins_mm + rays.directions * (
+        (z - rays.origins_mm[:, 2]) / rays.directions[:, 2]
+    )[:, None], pixels
+
+
+def moments(image: F64, pixels: I64, half: int) -> tuple[F64, F64]:
+    """Light and centroid offset (n, 2) in windows around pixels (column, row)."""
+    offset = np.arange(-half, half + 1)
+    windows = image[pixels[:, 1, None, None] + offset[:, None], pixels[:, 0, None, None] + offset]
+    light = windows.sum(axis=(1, 2))
+    return light, np.stack(
+        [windows.sum(axis=1) @ offset, windows.sum(axis=2) @ offset], axis=1
+    ) / light[:, None]
+
+
+@pytest.mark.parametrize("number", [0, 3])
+@pytest.mark.parametrize("variant", VARIANTS)
+def test_rays_and_formulas_make_the_same_picture(variant: str, number: int) -> None:
+    scene = make_scene(**VARIANTS[variant])
+    camera = build_rig(scene).cameras[number]
+    positions, pixels = isolated(
+        camera, (27.0, 33.0) if variant != "wide-open" else (29.5, 30.5), 13, number
+    )
+    images = image_particles(scene, camera, cloud(positions), None)
+    traced = moments(render(camera, images, positions, 16) * camera.etendue(), pixels, 6)
+    formula = moments(splat(camera, images), pixels, 6)
+    assert len(positions) >= 70
+    shift = traced[1] - formula[1]
+    assert np.abs(shift.mean(axis=0)).max() < 0.01
+    assert np.abs(shift).max() < 0.02
+    np.testing.assert_allclose(traced[0], formula[0], rtol=0.02)
+    assert traced[0].sum() == pytest.approx(formula[0].sum(), rel=5e-3)
+
+
+def test_rays_carry_the_light_of_near_and_large_particles() -> None:
+    """A ball of glow reaches far in front of its centre here (0.7 of 40 mm): the place where a ray meets it must not count as its distance."""
+    camera = replace(
+        SMALL,
+        rows=70,
+        columns=110,
+        principal_distance_mm=1.7,
+        focal_length_mm=1.65,
+        principal_point_px=(54.5, 34.5),
+    )
+    positions, pixels = isolated(camera, (39.0, 41.0), 16, 4)
+    images = image_particles(
+        make_scene(wall=None, illumination={"thickness_mm": 1e4}),
+        camera,
+        cloud(positions, 0.8),
+        None,
+    )
+    traced, formula = (
+        moments(picture, pixels, 6)[0]
+        for picture in (
+            render(camera, images, positions, 16) * camera.etendue(),
+            splat(camera, images),
+        )
+    )
+    assert traced.sum() == pytest.approx(formula.sum(), rel=2e-3)
+
+
+def test_rays_of_a_strongly_distorted_lens_meet_the_formulas() -> None:
+    camera = replace(
+        SMALL,
+        rows=110,
+        columns=215,
+        principal_distance_mm=1.7,
+        focal_length_mm=1.65,
+        principal_point_px=(107.0, 55.0),
+    )
+    camera = replace(camera, distortion=Distortion(k1=-0.3))
+    plain = isolated(
+        replace(camera, distortion=Distortion(), columns=300, principal_point_px=(149.5, 55.0)),
+        (50.0, 60.0),
+        16,
+        3,
+    )[0]
+    nodes = np.rint(camera.project(plain)[0])
+    inside = camera.project(plain)[1] & camera.contains(nodes, -7.0)
+    positions, pixels = plain[inside], nodes[inside].astype(np.int64)
+    images = image_particles(
+        make_scene(wall=None, illumination={"thickness_mm": 1e4}),
+        camera,
+        cloud(positions, 0.8),
+        None,
+    )
+    traced, formula = (
+        moments(picture, pixels, 5)
+        for picture in (
+            render(camera, images, positions, 16) * camera.etendue(),
+            splat(camera, images),
+        )
+    )
+    assert len(positions) > 50
+    assert np.abs(pixels[:, 0] - 107).max() > 90
+    assert np.abs(traced[1] - formula[1]).max() < 0.02
+    np.testing.assert_allclose(traced[0], formula[0], rtol=0.02)
+
+
+def test_corners_that_the_lens_does_not_reach_are_dark() -> None:
+    lens = Distortion(k1=-0.3)
+    camera = replace(
+        SMALL,
+        rows=90,
+        columns=130,
+        principal_distance_mm=0.4,
+        focal_length_mm=0.39,
+        principal_point_px=(66.0, 44.0),
+        distortion=lens,
+    )
+    positions = np.random.default_rng(8).uniform([-40.0, -40.0, 40.0], [40.0, 40.0, 60.0], (60, 3))
+    scene = make_scene(wall=None, illumination={"thickness_mm": 1e4})
+    images = image_particles(scene, camera, cloud(positions, 3.0), None)
+    picture, corner = (
+        render(camera, images, positions, 4),
+        np.hypot(*np.mgrid[-44:46, -66:64]) > 32.0,
+    )
+    assert np.isfinite(picture).all()
+    assert picture.max() > 0.0
+    assert not picture[corner].any()
+
+
+def test_render_of_nothing_is_dark() -> None:
+    scene = make_scene()
+    camera = build_rig(scene).cameras[0]
+    empty = cloud(np.empty((0, 3)))
+    picture = render(camera, image_particles(scene, camera, empty, None), empty.position_mm, 4)
+    assert picture.shape == (110, 170)
+    assert not picture.any()
+
+
+def test_the_same_render_twice_gives_the_same_bytes() -> None:
+    scene = make_scene()
+    camera = build_rig(scene).cameras[2]
+    positions = isolated(camera, (27.0, 33.0), 20, 1)[0]
+    images = image_particles(scene, camera, cloud(positions), None)
+    np.testing.assert_array_equal(
+        render(camera, images, positions, 4), render(camera, images, positions, 4)
+    )

@@ -1,0 +1,79 @@
+"""Scores of one frame in memory: the ends of every scale, both rules of detection, and the weights of particles that cameras miss."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from sabench.api import Reconstruction
+from sabench.api.truth import Particles, View
+from sabench.metrics.reconstruction_error import SCORES, score_frame
+from sabench.metrics.synthesised_field import brightness, true_field
+from sabench.simulation.in_memory import Shot, simulate
+from sabench.utils.arrays import F64
+from tests.unit.simulation.rendering.test_particle_images import make_scene
+
+
+@pytest.fixture(scope="module")
+def shot() -> Shot:
+    return simulate(make_scene(particles={"count": 150}), seed=7)
+
+
+def scores_of(shot: Shot, guess: Reconstruction) -> dict[str, float | None]:
+    return score_frame(shot.observation.grid, shot.particles, shot.views, guess)
+
+
+def test_truth_is_perfect_and_empty_is_the_floor_by_both_rules(shot: Shot) -> None:
+    field = true_field(shot.observation.grid, shot.particles, shot.views)
+    best = scores_of(shot, Reconstruction(field, shot.particles.position_mm))
+    floor = scores_of(shot, Reconstruction(np.zeros_like(field)))
+    assert tuple(best) == tuple(floor) == SCORES
+    for rule in ("", "peak_"):
+        keys = [
+            rule + key for key in ("true_percent", "ghost_percent", "precision", "recall", "rms_px")
+        ]
+        assert [best[key] for key in keys] == [100.0, 0.0, 1.0, 1.0, 0.0]
+        assert [floor[key] for key in keys] == [0.0, 0.0, 0.0, 0.0, None]
+    assert best["q"] == pytest.approx(1.0, abs=1e-6)
+    assert floor["q"] == 0.0
+
+
+def test_peaks_tell_particles_apart_that_are_one_component(shot: Shot) -> None:
+    grid = shot.observation.grid
+    places = np.column_stack([np.arange(30.0, 60.0, 3.0), np.full(10, 50.0), np.full(10, 10.0)])
+    particles = Particles(
+        np.arange(10),
+        np.asarray(grid.low_mm) + places * grid.voxel_mm,
+        np.full(10, 0.02),
+        np.zeros((10, 3)),
+    )
+    views = [View(np.zeros((10, 2)), np.ones(10), np.full(10, 0.8), np.ones(10))]
+    found = score_frame(grid, particles, views, Reconstruction(true_field(grid, particles, views)))
+    assert found["recall"] == pytest.approx(0.0)
+    assert found["peak_recall"] == found["peak_precision"] == pytest.approx(1.0)
+
+
+def weights(*photons: list[float]) -> F64:
+    return brightness(
+        [
+            View(np.zeros((len(row), 2)), np.array(row), np.ones(len(row)), np.ones(len(row)))
+            for row in photons
+        ]
+    )
+
+
+def test_brightness_is_the_mean_over_the_cameras_relative_to_each() -> None:
+    np.testing.assert_allclose(weights([1.0, 2.0, 3.0], [30.0, 20.0, 10.0]), [1.0, 1.0, 1.0])
+    np.testing.assert_allclose(weights([1.0, 3.0], [1.0, 3.0]), [0.5, 1.5])
+
+
+def test_a_particle_outside_the_light_has_no_weight_and_the_others_keep_theirs() -> None:
+    np.testing.assert_allclose(weights([1.0, 0.0, 3.0], [2.0, 0.0, 6.0]), [0.5, 0.0, 1.5])
+
+
+def test_a_covered_camera_takes_no_weight_away() -> None:
+    """Hidden from one camera, or from all of it: the others say how bright a particle is."""
+    free = weights([1.0, 3.0, 2.0], [1.0, 3.0, 2.0])
+    np.testing.assert_allclose(weights([1.0, 3.0, 2.0], [0.0, 0.0, 0.0]), free)
+    np.testing.assert_allclose(weights([2.0, 2.0, 2.0], [0.0, 2.0, 2.0]), np.ones(3))
+    np.testing.assert_allclose(weights([0.0, 0.0], [0.0, 0.0]), 0.0)

@@ -1,0 +1,470 @@
+"""Files of other programs: read in every format, in any unit, and refused with a sentence."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import pytest
+from scipy.io import netcdf_file
+
+from sabench.api import Flow, Generator
+from sabench.dataset.verification import verify
+from sabench.geometry.frames import Domain
+from sabench.plugins import load
+from sabench.scenes import Scene, parse_scene
+from sabench.simulation.pipeline import generate
+from sabench.utils.arrays import F64
+from sabench.utils.errors import InputError
+from sabench.worlds.library.field_files import Array, read_arrays, speed_mm_s
+from sabench.worlds.tracers import Motion, flow_of
+from tests.conftest import ROOT
+from tests.unit.worlds.test_tracers import moving_scene
+
+SIDE = 0.06  # m
+DOMAIN = Domain((0.0, 0.0, 0.0), (40.0, 40.0, 40.0), 100)
+Arrays = dict[str, tuple[F64, str | None]]
+
+
+def cellular(points: F64) -> F64:
+    """A field in m/s at points in m."""
+    x, y, z = 2.0 * np.pi / SIDE * points.T
+    return np.stack([np.sin(x) * np.cos(y), -np.cos(x) * np.sin(y), 0.5 * np.cos(z)], axis=1)
+
+
+def lattice(count: int = 40) -> Arrays:
+    """The field on a lattice that goes a little further than it repeats, as (z, y, x) with other spacings along each axis."""
+    axes = [np.linspace(-0.6 * SIDE, 0.6 * SIDE, count + extra) for extra in (0, 3, 6)]
+    z, y, x = np.meshgrid(axes[2], axes[1], axes[0], indexing="ij")
+    values = cellular(np.stack([x, y, z], axis=-1).reshape(-1, 3)).reshape(*x.shape, 3)
+    arrays: Arrays = {name: (axis, "m") for name, axis in zip("xyz", axes, strict=True)}
+    return arrays | {name: (values[..., number], "m s-1") for number, name in enumerate("uvw")}
+
+
+def as_hdf5(path: Path, arrays: Arrays) -> Path:
+    with h5py.File(path, "w") as file:
+        for name, (values, unit) in arrays.items():
+            file[name] = values
+            if unit is not None:
+                file[name].attrs["units"] = unit
+    return path
+
+
+def as_netcdf(path: Path, arrays: Arrays) -> Path:
+    with netcdf_file(path, "w") as file:
+        for name, (values, unit) in arrays.items():
+            for number, count in enumerate(values.shape):
+                file.createDimension(f"{name}_{number}", count)
+            variable = file.createVariable(
+                name, "f8", tuple(f"{name}_{number}" for number in range(values.ndim))
+            )
+            variable[:] = values
+            variable.units = unit
+    return path
+
+
+def as_vtk(path: Path, arrays: Arrays) -> Path:
+    """By VTK's own writer."""
+    from vtkmodules.util.numpy_support import numpy_to_vtk
+    from vtkmodules.vtkCommonDataModel import vtkRectilinearGrid
+    from vtkmodules.vtkIOXML import vtkXMLRectilinearGridWriter
+
+    grid: Any = vtkRectilinearGrid()
+    grid.SetDimensions(*(len(arrays[name][0]) for name in "xyz"))
+    for name, setter in zip(
+        "xyz", (grid.SetXCoordinates, grid.SetYCoordinates, grid.SetZCoordinates), strict=True
+    ):
+        setter(numpy_to_vtk(arrays[name][0], deep=1))
+    velocity = numpy_to_vtk(
+        np.stack([arrays[name][0] for name in "uvw"], axis=-1).reshape(-1, 3), deep=1
+    )
+    velocity.SetName("velocity")
+    grid.GetPointData().AddArray(velocity)
+    writer: Any = vtkXMLRectilinearGridWriter()
+    writer.SetFileName(str(path))
+    writer.SetInputData(grid)
+    assert writer.Write()
+    return path
+
+
+def field_of(path: Path, **parameters: Any) -> Flow:
+    plugin = load("generators", "from_field")
+    made: Flow = plugin(plugin.Parameters(file=str(path), **parameters))
+    return made
+
+
+def points(count: int = 500) -> F64:
+    return np.random.default_rng(2).uniform(-20.0, 20.0, (count, 3))
+
+
+WRITERS: list[tuple[str, Callable[[Path, Arrays], Path], dict[str, Any]]] = [
+    ("field.h5", as_hdf5, {}),
+    ("field.nc", as_hdf5, {}),  # NetCDF 4 is HDF5
+    ("field.nc", as_netcdf, {}),
+    ("field.vtr", as_vtk, {"velocity": ["velocity"], "length": "m", "speed": "m/s"}),
+]
+
+
+@pytest.mark.parametrize(("name", "write", "parameters"), WRITERS)
+def test_a_field_is_the_same_from_every_format(
+    name: str, write: Callable[[Path, Arrays], Path], parameters: dict[str, Any], tmp_path: Path
+) -> None:
+    field = field_of(write(tmp_path / name, lattice()), **parameters)
+    field.check(DOMAIN)
+    np.testing.assert_allclose(
+        field.velocity(points(), 0.0), 1e3 * cellular(points() / 1e3), atol=0.3
+    )
+    slopes, step = field.gradient(points(), 0.0), 1e-4
+    for axis in range(3):
+        move = step * np.eye(3)[axis]
+        difference = (
+            field.velocity(points() + move, 0.0) - field.velocity(points() - move, 0.0)
+        ) / (2.0 * step)
+        np.testing.assert_allclose(slopes[..., axis], difference, atol=1e-3)
+
+
+@pytest.mark.parametrize(
+    "word", ["m/s", "m s-1", "m s^-1", "m.s^-1", "m*s**-1", " m / s ", "metres per second", "mm/ms"]
+)
+def test_speeds_are_written_in_many_ways(word: str) -> None:
+    assert speed_mm_s(None, Array(np.zeros(1), word), "u", "flow.speed") == pytest.approx(1e3)
+
+
+def test_a_number_is_no_unit_of_a_file() -> None:
+    with pytest.raises(
+        InputError, match=r"u: expected a unit like .*got '1000 m/s': give flow.speed"
+    ):
+        speed_mm_s(None, Array(np.zeros(1), "1000 m/s"), "u", "flow.speed")
+
+
+def test_axes_may_stand_in_any_order_and_units_be_given(tmp_path: Path) -> None:
+    arrays = lattice()
+    turned = arrays | {name: (np.transpose(arrays[name][0], (2, 1, 0)), None) for name in "uvw"}
+    field = field_of(
+        as_hdf5(tmp_path / "field.h5", turned),
+        order="xyz",
+        speed=500.0,
+        length="cm",
+        center_mm=[1.0, 2.0, 3.0],
+    )
+    there = 10.0 * points() / 1e3 + np.array([1.0, 2.0, 3.0])  # a metre is taken for a centimetre
+    np.testing.assert_allclose(
+        field.velocity(there, 0.0), 500.0 * cellular(points() / 1e3), atol=0.3
+    )
+
+
+def test_a_box_repeats_and_time_goes_on(tmp_path: Path) -> None:
+    count, times = 24, np.linspace(0.0, 1.0, 9)
+    axis = np.arange(count) * SIDE / count
+    z, y, x = np.meshgrid(axis, axis, axis, indexing="ij")
+    values = cellular(np.stack([x, y, z], axis=-1).reshape(-1, 3)).reshape(*x.shape, 3)
+    arrays: Arrays = {"x": (axis, "m"), "y": (axis, "m"), "z": (axis, "m"), "t": (times, "s")}
+    arrays |= {
+        name: (times[:, None, None, None] ** 2 * values[..., number], "m/s")
+        for number, name in enumerate("uvw")
+    }
+    field = field_of(as_hdf5(tmp_path / "field.h5", arrays), periodic="xyz", time="t")
+    far = points() + np.array([600.0, -1200.0, 60.0])
+    np.testing.assert_allclose(field.velocity(far, 0.7), 0.49 * 1e3 * cellular(far / 1e3), atol=0.3)
+    np.testing.assert_allclose(
+        np.trace(field.gradient(far, 0.7), axis1=1, axis2=2),
+        -0.49e3 * np.pi / SIDE / 1e3 * np.sin(far[:, 2] / 30.0 * np.pi),
+        atol=0.1,
+    )
+
+
+def broken(change: Callable[[Arrays], Arrays], **parameters: Any) -> Callable[[Path], Flow]:
+    return lambda folder: field_of(as_hdf5(folder / "field.h5", change(lattice())), **parameters)
+
+
+def without_unit(arrays: Arrays, name: str) -> Arrays:
+    return arrays | {name: (arrays[name][0], None)}
+
+
+def with_nan(arrays: Arrays) -> Arrays:
+    arrays["v"][0][3, 4, 5] = np.nan
+    return arrays
+
+
+def swapped(arrays: Arrays) -> Arrays:
+    return arrays | {name: (np.transpose(arrays[name][0], (1, 0, 2)), "m/s") for name in "uvw"}
+
+
+@pytest.mark.parametrize(
+    ("make", "sentence"),
+    [
+        (
+            broken(lambda arrays: without_unit(arrays, "y")),
+            r"field.h5: y: expected a unit, but the file names none: give flow.length",
+        ),
+        (
+            broken(lambda arrays: without_unit(arrays, "w")),
+            r"field.h5: w: expected a unit, but the file names none: give flow.speed",
+        ),
+        (
+            broken(lambda arrays: arrays | {"x": (arrays["x"][0], "furlong")}),
+            r"x: expected a unit like km, m, .*got 'furlong'",
+        ),
+        (
+            broken(with_nan),
+            r"field.h5: v: expected finite numbers, but 1 of 79120 are NaN or infinite",
+        ),
+        (
+            broken(swapped),
+            r"u: expected the shape \(46, 43, 40\) \(z, y, x\) as the coordinates have it, got \(43, 46, 40\): order would be yzx",
+        ),
+        (
+            broken(lambda arrays: lattice(3) | {"x": (arrays["x"][0][:3], "m")}),
+            r"x: expected 4 coordinates of a lattice or more",
+        ),
+        (
+            broken(lambda arrays: arrays | {"x": (arrays["x"][0][::-1], "m")}),
+            r"x: expected rising coordinates",
+        ),
+        (
+            broken(lambda arrays: arrays, axes=("x", "y", "depth")),
+            r"field.h5: expected 'depth' in it, got 'u', 'v', 'w', 'x', 'y', 'z'",
+        ),
+        (
+            broken(lambda arrays: arrays | {"x": (arrays["x"][0] ** 3, "m")}, periodic="x"),
+            r"x: expected even spacing along an axis that repeats",
+        ),
+        (lambda folder: field_of(folder / "none.h5"), r"none.h5: expected a file, found none"),
+        (
+            lambda folder: field_of(Path(shutil.copy(__file__, folder / "field.h5"))),
+            r"field.h5: expected an HDF5 file",
+        ),
+        (
+            lambda folder: field_of(Path(shutil.copy(__file__, folder / "field.vti"))),
+            r"field.vti: expected image data or a rectilinear grid, got something",
+        ),
+        (
+            lambda folder: field_of(Path(shutil.copy(__file__, folder / "field.py"))),
+            r"field.py: expected a file that ends in",
+        ),
+    ],
+)
+def test_bad_fields_are_named(make: Callable[[Path], Flow], sentence: str, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=sentence):
+        make(tmp_path).velocity(points(), 0.0)
+
+
+def test_a_field_must_cover_the_volume(tmp_path: Path) -> None:
+    field = field_of(as_hdf5(tmp_path / "field.h5", lattice()))
+    with pytest.raises(
+        InputError,
+        match=r"expected a field over the whole volume \(-50 to 50, .*got one over -36 to 36",
+    ):
+        field.check(Domain((0.0, 0.0, 0.0), (100.0, 10.0, 10.0), 100))
+
+
+def test_broken_netcdf_is_named(tmp_path: Path) -> None:
+    (tmp_path / "field.nc").write_bytes(b"CDF\x01" + b"\xff" * 40)
+    with pytest.raises(InputError, match=r"field.nc: expected a NetCDF file, got a broken one"):
+        read_arrays(tmp_path / "field.nc", ["x"])
+
+
+def path_of(number: float, time: F64) -> F64:
+    """A parabola in mm over seconds."""
+    return np.stack([number + 10.0 * time, 2.0 * number - 5.0 * time**2, 3.0 + 0.0 * time], axis=-1)
+
+
+def as_csv(path: Path, header: str, rows: Any) -> Path:
+    path.write_text(
+        "\n".join([header, *(",".join(f"{value:.17g}" for value in row) for row in rows)]),
+        encoding="utf-8",
+    )
+    return path
+
+
+def tracks_file(folder: Path, unit: str = " [mm]") -> Path:
+    """Three tracks at 20 frames a second, of which the last one begins later and ends earlier, in no order."""
+    rows = [
+        (number, frame, *path_of(number, np.array(frame / 20.0)))
+        for number in range(3)
+        for frame in range(2 * (number == 2), 9 - 3 * (number == 2))
+    ]
+    np.random.default_rng(0).shuffle(rows)
+    return as_csv(folder / "tracks.csv", f"particle,frame,x{unit},y{unit},z{unit}", rows)
+
+
+def tracks_of(path: Path, **parameters: Any) -> Generator:
+    plugin = load("generators", "from_tracks")
+    made: Generator = plugin(plugin.Parameters(file=str(path), **parameters))
+    return made
+
+
+def test_particles_stay_on_their_tracks(tmp_path: Path) -> None:
+    tracks = tracks_of(tracks_file(tmp_path), seconds=0.05)
+    for time, there in (
+        (0.0, [0, 1]),
+        (0.05, [0, 1]),
+        (0.13, [0, 1, 2]),
+        (0.25, [0, 1, 2]),
+        (0.4, [0, 1]),
+    ):
+        seen = tracks.particles(DOMAIN, 0, 0, time)
+        np.testing.assert_array_equal(np.sort(seen.id), there)
+        for number, place, speed in zip(seen.id, seen.position_mm, seen.velocity_mm_s, strict=True):
+            np.testing.assert_allclose(place, path_of(float(number), np.array(time)), atol=1e-12)
+            np.testing.assert_allclose(speed, [10.0, -10.0 * time, 0.0], atol=1e-10)
+    with pytest.raises(
+        InputError,
+        match=r"tracks.csv: expected a track in the volume in frame 7, at 0.5 s, got none of 0: .* 0 to 0.4 s",
+    ):
+        tracks.particles(DOMAIN, 0, 7, 0.5)
+
+
+def test_tracks_with_velocities_and_diameters(tmp_path: Path) -> None:
+    rows = [
+        (5, time, *path_of(1.0, np.array(time)) / 1e3, 0.01, -0.01 * time, 0.0, 2e-5)
+        for time in (0.0, 0.3)
+    ]
+    path = as_csv(
+        tmp_path / "tracks.csv",
+        "id;t [s];x (m);y (m);z (m);u [m/s];v [m/s];w [m/s];d [m]".replace(";", ","),
+        rows,
+    )
+    tracks = tracks_of(path, id="id", time="t", velocity=("u", "v", "w"), diameter="d", start_s=0.1)
+    seen = tracks.particles(DOMAIN, 0, 0, 0.1)
+    np.testing.assert_allclose(seen.position_mm, path_of(1.0, np.array([0.2])), atol=1e-12)
+    np.testing.assert_allclose(seen.diameter_mm, 0.02)
+
+
+@pytest.mark.parametrize(
+    ("header", "rows", "parameters", "sentence"),
+    [
+        (
+            "particle,frame,x,y,z",
+            [(1, 0, 0, 0, 0)],
+            {"seconds": 1.0},
+            "tracks.csv: x: expected a unit, but the file names none: give particles.length",
+        ),
+        (
+            "particle,frame,x,y,z",
+            [(1, 0, 0, 0, 0)],
+            {"length": "mm"},
+            "frame: expected a unit, but the file names none: give particles.seconds",
+        ),
+        (
+            "particle,frame,x,y",
+            [(1, 0, 0, 0)],
+            {},
+            "tracks.csv: expected 'z' in it, got 'particle', 'frame', 'x', 'y'",
+        ),
+        (
+            "particle,frame,x,y,z",
+            [(1, 0, 0, 0, np.nan)],
+            {},
+            "z: expected finite numbers, but 1 of 1 are NaN or infinite",
+        ),
+        (
+            "particle,frame,x,y,z",
+            [(1.5, 0, 0, 0, 0)],
+            {"length": 1.0, "seconds": 1.0},
+            "particle: expected whole numbers, got 1.5",
+        ),
+        (
+            "particle,frame,x,y,z",
+            [(1, 0, 0, 0, 0)] * 2,
+            {"length": 1.0, "seconds": 1.0},
+            "one point of a track at a time, got two of track 1 at 0 s",
+        ),
+        (
+            "particle,frame,x,y,z",
+            [],
+            {"length": 1.0, "seconds": 1.0},
+            "tracks.csv: expected numbers below a line of names, got none",
+        ),
+    ],
+)
+def test_bad_tracks_are_named(
+    header: str, rows: Any, parameters: dict[str, Any], sentence: str, tmp_path: Path
+) -> None:
+    tracks = tracks_of(as_csv(tmp_path / "tracks.csv", header, rows), **parameters)
+    with pytest.raises(InputError, match=sentence):
+        tracks.particles(DOMAIN, 0, 0, 0.0)
+
+
+def field_scene(path: Path, **flow: Any) -> Scene:
+    return moving_scene(
+        frames=2, interval_s=0.001, flow={"generator": "from_field", "file": str(path), **flow}
+    )
+
+
+def test_a_data_set_keeps_its_field(tmp_path: Path) -> None:
+    original = as_hdf5(tmp_path / "field.h5", lattice())
+    scene = field_scene(original)
+    data = generate(scene, tmp_path / "data", seed=1, backend="splat")
+    other = as_hdf5(tmp_path / "same.h5", lattice())
+    assert field_scene(Path(shutil.copy(original, tmp_path / "copy.h5"))).hash == scene.hash
+    for path in (original, other):
+        path.unlink()
+    flow, particles = flow_of(data.scene), data.particles(1)
+    assert flow is not None
+    np.testing.assert_allclose(flow.velocity(particles.position_mm, 0.0), particles.velocity_mm_s)
+    assert not verify(data.root)
+    assert (
+        generate(
+            data.root / "scene.toml",
+            tmp_path / "again",
+            seed=1,
+            backend="splat",
+            name=data.manifest.scene,
+        ).content_hash
+        == data.content_hash
+    )
+
+
+def test_a_changed_file_is_named(tmp_path: Path) -> None:
+    path = as_hdf5(tmp_path / "field.h5", lattice())
+    told = field_scene(path).to_dict()
+    as_hdf5(path, lattice(30))
+    with pytest.raises(
+        InputError,
+        match=r"flow.sha256: expected [0-9a-f]{12}\.\.\. of .*field.h5, got .*: the file has changed",
+    ):
+        parse_scene(told, "moving")
+
+
+def test_tracks_become_frames(tmp_path: Path) -> None:
+    given = {
+        "generator": "from_tracks",
+        "file": str(tracks_file(tmp_path)),
+        "seconds": 0.05,
+        "center_mm": [0.0, 0.0, 30.0],
+    }
+    values = moving_scene(frames=3, interval_s=0.05).to_dict()
+    scene = parse_scene(
+        {key: value for key, value in values.items() if key not in ("flow", "particles")}
+        | {"particles": given},
+        "tracks",
+    )
+    motion = Motion(scene, 0)
+    frames = [motion.at(frame) for frame in range(3)]
+    assert [len(frame) for frame in frames] == [2, 2, 3]
+    np.testing.assert_allclose(
+        frames[1].position_mm[0] - frames[0].position_mm[0], [0.5, -0.0125, 0.0], atol=1e-12
+    )
+
+
+def test_what_trackpy_linked_is_read() -> None:
+    """25 particles in five frames 0.1 s apart that all move by 0.2 mm along X, and ever faster along Y, as trackpy 0.7 wrote them: rows of a frame in
+    no order, and a column without a name."""
+    path = ROOT / "tests/data/trackpy-0.7.csv"
+    tracks = tracks_of(path, length="mm", seconds=0.1)
+    domain = Domain((0.0, 0.0, 30.0), (30.0, 30.0, 10.0), 100)
+    frames = [tracks.particles(domain, 0, frame, 0.1 * frame) for frame in range(5)]
+    for frame, particles in enumerate(frames):
+        order, first = np.argsort(particles.id), np.argsort(frames[0].id)
+        moved = particles.position_mm[order] - frames[0].position_mm[first]
+        np.testing.assert_allclose(
+            moved, np.tile([0.2 * frame, 0.05 * frame * (frame - 1), 0.0], (25, 1)), atol=2e-5
+        )
+        np.testing.assert_allclose(
+            particles.velocity_mm_s, np.tile([2.0, frame - 0.5, 0.0], (25, 1)), atol=1e-3
+        )

@@ -1,0 +1,355 @@
+"""Bodies as they are made: closed, of the right size, and what the lattice may not do to them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.integrate import quad
+from scipy.optimize import minimize_scalar
+from scipy.spatial import cKDTree
+
+from sabench.api.truth import Solid
+from sabench.plugins import load
+from sabench.scenes import build_rig
+from sabench.simulation.frames_of_bubbles import Worlds
+from sabench.utils.arrays import F64
+from sabench.utils.errors import InputError
+from sabench.utils.validation import validate
+from sabench.worlds.library.implicit_surfaces import (
+    capsules,
+    largest_part,
+    smooth_minimum,
+    surface_of,
+)
+from tests.helpers.bubble_scenes import small
+
+BODIES: list[tuple[str, dict[str, Any]]] = [
+    ("hydrofoil", {"digits": "2412", "points": 40}),
+    ("hydrofoil", {"digits": "0030", "points": 8}),
+    ("propeller", {"step_mm": 0.5}),
+    ("propeller", {"step_mm": 0.5, "blades": 3, "pitch_mm": -20.0, "diameter_mm": 25.0}),
+    ("reef", {"step_mm": 0.6}),
+    ("reef", {"step_mm": 0.6, "tunnels": 0, "size_mm": [20.0, 30.0, 24.0]}),
+]
+
+
+def body(name: str, seed: int = 1, **parameters: object) -> Solid:
+    plugin = load("generators", name)
+    made: Solid = plugin(validate(plugin.Parameters, parameters, name)).body(seed)
+    return made
+
+
+def volume(solid: Solid) -> float:
+    """What a closed surface encloses, by Gauss's theorem; negative if it faces inwards."""
+    corners = solid.vertices_mm[solid.faces]
+    return float(np.linalg.det(corners).sum() / 6.0)
+
+
+def area(solid: Solid) -> float:
+    a, b, c = np.moveaxis(solid.vertices_mm[solid.faces], 1, 0)
+    return float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2.0)
+
+
+def characteristic(solid: Solid) -> int:
+    """Euler's: 2 for a ball, 2 less for each handle."""
+    return len(np.unique(solid.faces)) - len(solid.faces) // 2
+
+
+@pytest.mark.parametrize(("name", "parameters"), BODIES)
+def test_bodies_are_one_closed_surface_that_scenes_take(
+    name: str, parameters: dict[str, Any]
+) -> None:
+    made = body(name, **parameters)
+    edges = np.concatenate([made.faces[:, pair] for pair in ([0, 1], [1, 2], [2, 0])])
+    assert len(np.unique(edges, axis=0)) == len(edges)  # every edge once ...
+    assert {tuple(edge) for edge in edges.tolist()} == {
+        tuple(edge) for edge in edges[:, ::-1].tolist()
+    }  # ... and once the other way round
+    assert volume(made) > 0.0
+    assert len(largest_part(made).faces) == len(made.faces)
+    scene = small(
+        bubbles=None, solids=[{"generator": name, "place_mm": [0.0, 0.0, 60.0], **parameters}]
+    )
+    (placed,) = Worlds(scene, build_rig(scene), 1).at(0).solids
+    np.testing.assert_array_equal(placed.faces, made.faces)
+    np.testing.assert_allclose(placed.vertices_mm, made.vertices_mm + np.array([0.0, 0.0, 60.0]))
+
+
+@pytest.mark.parametrize(
+    ("digits", "height", "place", "ratio"),
+    [("0012", 0.0, 0.5, 0.12), ("2412", 0.02, 0.4, 0.12), ("6721", 0.06, 0.7, 0.21)],
+)
+def test_a_wing_has_its_section(digits: str, height: float, place: float, ratio: float) -> None:
+    """Thickness at right angles to a line fills twice the integral of its half along that line, whatever the curvature."""
+
+    def strip(x: float) -> float:
+        half = (
+            5.0
+            * ratio
+            * (0.2969 * np.sqrt(x) - 0.126 * x - 0.3516 * x**2 + 0.2843 * x**3 - 0.1036 * x**4)
+        )
+        slope = (
+            2.0 * height / place**2 * (place - x)
+            if x < place
+            else 2.0 * height / (1.0 - place) ** 2 * (place - x)
+        )
+        return float(2.0 * half * np.hypot(1.0, slope))
+
+    exact = 20.0**2 * 40.0 * (quad(strip, 0.0, place)[0] + quad(strip, place, 1.0)[0])
+    off = [
+        volume(body("hydrofoil", digits=digits, points=points)) / exact - 1.0
+        for points in (100, 200, 400)
+    ]
+    assert abs(off[-1]) < 2e-4
+    assert abs(off[1]) < abs(off[0]) / 3.5
+    made = body("hydrofoil", digits=digits)
+    np.testing.assert_allclose(np.unique(made.vertices_mm[:, 1]), [-20.0, 20.0])
+    tail = made.vertices_mm[
+        made.vertices_mm[:, 0] > 15.0 - 1e-9
+    ]  # the chord is 20 mm long, a quarter of it in front of the origin
+    np.testing.assert_allclose(tail, [[15.0, -20.0, 0.0], [15.0, 20.0, 0.0]], atol=1e-9)  # closed
+    assert (
+        made.vertices_mm[:, 2].max() >= -made.vertices_mm[:, 2].min() - 1e-9
+    )  # the upper side is +Z
+
+
+@pytest.mark.parametrize(
+    ("function", "radius", "inside", "outside"),
+    [
+        (
+            lambda p: np.linalg.norm(p - [0.1, 0.2, -0.3], axis=1) - 2.0,
+            2.0,
+            4.0 / 3.0 * np.pi * 8.0,
+            4.0 * np.pi * 4.0,
+        ),
+        (
+            lambda p: capsules(
+                p, np.array([[-2.0, 0.3, 0.1]]), np.array([[1.5, 0.3, 0.1]]), np.ones(1), np.ones(1)
+            ),
+            1.0,
+            4.0 / 3.0 * np.pi + 3.5 * np.pi,
+            4.0 * np.pi + 7.0 * np.pi,
+        ),
+    ],
+    ids=["ball", "capsule"],
+)
+def test_surfaces_are_exact_to_the_second_order(
+    function: Callable[[F64], F64], radius: float, inside: float, outside: float
+) -> None:
+    """Triangles are off by 3/8 step^2 / radius at most, the height of an arc over a cell's diagonal."""
+    made = [surface_of(function, [-4.0, -3.0, -3.0], [4.0, 3.0, 3.0], step) for step in (0.3, 0.15)]
+    for measure, exact in ((volume, inside), (area, outside)):
+        coarse, fine = (abs(measure(one) / exact - 1.0) for one in made)
+        assert coarse < 3.0 * 3.0 / 8.0 * (0.3 / radius) ** 2
+        assert coarse / 4.5 < fine < coarse / 3.5
+
+
+def test_distances_to_cones_are_those_of_all_their_balls() -> None:
+    rng = np.random.default_rng(5)
+    starts, ends = rng.uniform(-1.0, 1.0, (2, 6, 3))
+    first, last = rng.uniform(0.1, 0.9, (2, 6))
+    ends[0], last[1] = starts[0], first[1] + 9.0  # a ball, and one that holds the other
+    points = rng.uniform(-3.0, 3.0, (40, 3))
+
+    def least(point: F64, k: int) -> float:
+        def ball(t: float) -> float:
+            return float(
+                np.linalg.norm(point - starts[k] - t * (ends[k] - starts[k]))
+                - first[k]
+                - t * (last[k] - first[k])
+            )
+
+        inner = minimize_scalar(ball, bounds=(0.0, 1.0), method="bounded", options={"xatol": 1e-10})
+        return min(ball(0.0), ball(1.0), float(inner.fun))
+
+    alone = np.array(
+        [
+            capsules(points, starts[k : k + 1], ends[k : k + 1], first[k : k + 1], last[k : k + 1])
+            for k in range(6)
+        ]
+    )
+    np.testing.assert_allclose(
+        alone, [[least(point, k) for point in points] for k in range(6)], atol=1e-7
+    )
+    some = [0, 2, 3, 4, 5]
+    every = capsules(points, starts[some], ends[some], first[some], last[some])
+    np.testing.assert_allclose(every, alone[some].min(axis=0), atol=1e-12)
+    blended = capsules(points, starts[some], ends[some], first[some], last[some], 0.2)
+    np.testing.assert_allclose(blended, smooth_minimum(alone[some], 0.2), atol=1e-4)
+    assert (blended < every).all()
+    assert (capsules(points, starts[:0], ends[:0], first[:0], last[:0]) == np.inf).all()
+
+
+def test_a_smooth_minimum_is_between_its_bounds_in_any_order() -> None:
+    values = np.random.default_rng(2).normal(size=(5, 200))
+    soft = smooth_minimum(values, 0.3)
+    assert (soft <= values.min(axis=0)).all()
+    assert (soft >= values.min(axis=0) - 0.3 * np.log(5.0)).all()
+    np.testing.assert_allclose(
+        smooth_minimum([smooth_minimum(values[3:], 0.3), *values[:3]], 0.3), soft
+    )
+    np.testing.assert_array_equal(smooth_minimum(values, 0.0), values.min(axis=0))
+    np.testing.assert_allclose(
+        smooth_minimum(np.full((4, 1), 100.0), 1e-3), 100.0 - 1e-3 * np.log(4.0)
+    )
+
+
+def test_hollows_are_filled_and_islands_gone() -> None:
+    def shell_and_island(points: F64) -> F64:
+        radius = np.linalg.norm(points, axis=1)
+        return np.asarray(
+            np.minimum(
+                np.abs(radius - 1.5) - 0.4, np.linalg.norm(points - [2.8, 0.0, 0.0], axis=1) - 0.5
+            )
+        )
+
+    every = surface_of(shell_and_island, [-4.0] * 3, [4.0] * 3, 0.1)
+    assert volume(every) == pytest.approx(4.0 / 3.0 * np.pi * (1.9**3 - 1.1**3 + 0.5**3), rel=0.01)
+    whole = largest_part(every)
+    assert volume(whole) == pytest.approx(4.0 / 3.0 * np.pi * 1.9**3, rel=0.01)
+    assert characteristic(whole) == 2
+    assert np.array_equal(np.unique(whole.faces), np.arange(len(whole.vertices_mm)))
+
+
+def test_planes_through_nodes_leave_no_flat_triangles() -> None:
+    box = surface_of(lambda p: np.abs(p).max(axis=1) - 1.0, [-2.0] * 3, [2.0] * 3, 0.25)
+    a, b, c = np.moveaxis(box.vertices_mm[box.faces], 1, 0)
+    assert np.linalg.norm(np.cross(b - a, c - a), axis=1).min() > 0.0
+    assert volume(box) == pytest.approx(
+        8.0 - 12.0 * 1.5 * 0.25**2 / 2.0 - 8.0 * 0.25**3 * 5.0 / 6.0, rel=1e-3
+    )  # edges and corners are cut
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "step", "sentence"),
+    [
+        (
+            -2.0,
+            2.0,
+            1e-3,
+            "step_mm: expected a lattice of at most 64000000 nodes, got 4001 x 4001 x 4001",
+        ),
+        (
+            2.0,
+            4.0,
+            0.1,
+            r"expected a body in the lattice from \[2.0, 2.0, 2.0\] to \[4.0, 4.0, 4.0\] mm, got nothing",
+        ),
+        (-2.0, 0.9, 0.1, r"it reaches its edge at \+X, \+Y, \+Z"),
+        (-1.0, 2.0, 0.1, "it reaches its edge at -X, -Y, -Z"),
+    ],
+)
+def test_a_body_must_be_in_its_lattice(low: float, high: float, step: float, sentence: str) -> None:
+    with pytest.raises(InputError, match=sentence):
+        surface_of(lambda p: np.linalg.norm(p, axis=1) - 1.0, [low] * 3, [high] * 3, step)
+
+
+def turned(points_mm: F64, angle: float) -> F64:
+    """About X."""
+    c, s = np.cos(angle), np.sin(angle)
+    return np.asarray(points_mm @ np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]]).T)
+
+
+@pytest.mark.parametrize(("blades", "pitch"), [(3, 25.0), (5, -40.0)])
+def test_a_propeller_has_its_blades_and_its_pitch(blades: int, pitch: float) -> None:
+    step = 0.3
+    made = body("propeller", blades=blades, pitch_mm=pitch, chord_mm=7.0, step_mm=step)
+    points = made.vertices_mm
+    radius = np.hypot(points[:, 1], points[:, 2])
+    assert 2.0 * radius.max() == pytest.approx(30.0, abs=0.5 * step)
+    tree = cKDTree(points)
+    assert tree.query(turned(points, 2.0 * np.pi / blades))[0].max() < step
+    assert tree.query(turned(points, np.pi / blades))[0].max() > 5.0 * step
+    for at in (8.0, 12.0):
+        angle = np.arctan2(points[:, 2], points[:, 1])
+        ring = (np.abs(radius - at) < 0.4) & (
+            np.abs(angle) < np.pi / blades
+        )  # one section, unrolled
+        outline = np.column_stack([points[ring, 0], at * angle[ring]])
+        _, lengths, axes = np.linalg.svd(outline - outline.mean(axis=0), full_matrices=False)
+        assert lengths[0] > 4.0 * lengths[1]
+        assert 2.0 * np.pi * at * axes[0, 0] / axes[0, 1] == pytest.approx(
+            pitch, rel=0.03
+        )  # its long axis climbs as the helix does
+        assert np.ptp(outline @ axes[0]) == pytest.approx(7.0, abs=step)
+        assert np.ptp(outline @ axes[1]) == pytest.approx(0.15 * 7.0, abs=step / 3.0)
+        thick = np.abs(outline @ axes[1]) > 0.9 * np.abs(outline @ axes[1]).max()
+        assert outline[thick, 0].mean() < -0.1 * np.ptp(
+            outline[:, 0]
+        )  # sections are thickest at 0.3 of the chord, where +X comes from
+
+
+def test_a_propeller_s_volume_is_that_of_its_parts() -> None:
+    """A hub, and sections over the blades' length; the lattice rounds edges, the more so the coarser it is."""
+    section = (
+        2.0 * 5.0 * 0.2 * (0.2969 / 1.5 - 0.126 / 2.0 - 0.3516 / 3.0 + 0.2843 / 4.0 - 0.1036 / 5.0)
+    )
+    hub = np.pi * 3.0**2 * 9.0 * 1.2 + 4.0 / 3.0 * np.pi * 3.0**3
+    exact = hub + 3.0 * section * 9.0**2 * 12.0
+    coarse, fine = (
+        volume(body("propeller", blades=3, thickness=0.2, step_mm=step)) / exact - 1.0
+        for step in (0.5, 0.25)
+    )
+    assert abs(fine) < 0.02
+    assert abs(fine) < abs(coarse)
+
+
+def test_a_reef_is_the_seed_s_stands_and_hides_itself() -> None:
+    one, again, other = (body("reef", seed, step_mm=0.6) for seed in (1, 1, 2))
+    np.testing.assert_array_equal(one.vertices_mm, again.vertices_mm)
+    assert one.vertices_mm.shape != other.vertices_mm.shape
+    for made in (one, other):
+        low, high = made.vertices_mm.min(axis=0), made.vertices_mm.max(axis=0)
+        assert (low >= [-18.0, -20.0, -14.0]).all()
+        assert (high <= [18.0, 1e-6, 14.0]).all()
+        assert (high - low > 0.6 * np.array([36.0, 20.0, 28.0])).all()
+        a, b, c = np.moveaxis(made.vertices_mm[made.faces], 1, 0)
+        normals = np.cross(b - a, c - a) / 2.0
+        ground = np.abs(made.vertices_mm[made.faces][:, :, 1]).max(axis=1) < 1e-6
+        assert normals[ground, 1].sum() > 40.0
+        overhangs = normals[~ground & (normals[:, 1] > 0.0), 1].sum()
+        assert (
+            overhangs > normals[ground, 1].sum()
+        )  # seen from below there is more of it than its base
+        assert characteristic(made) <= 0  # at least one hole goes through
+
+
+@pytest.mark.parametrize(
+    ("name", "parameters", "sentence"),
+    [
+        ("hydrofoil", {"digits": "012"}, "digits: "),
+        (
+            "hydrofoil",
+            {"digits": "0000"},
+            "digits: expected a thickness of 01 to 40 percent, got 00",
+        ),
+        (
+            "hydrofoil",
+            {"digits": "2012"},
+            "digits: expected a camber and its place, or 00 for none, got 20",
+        ),
+        ("hydrofoil", {"points": 9}, "points: "),
+        ("propeller", {"hub_mm": 40.0}, "hub_mm: expected less than diameter_mm, 30, got 40"),
+        ("propeller", {"pitch_mm": 0.0}, "pitch_mm: expected another value than 0"),
+        (
+            "propeller",
+            {"step_mm": 0.7},
+            "step_mm: expected at most half of the blades' thickness, 1.35 mm, got 0.7",
+        ),
+        (
+            "propeller",
+            {"blades": 12},
+            "blades: expected sections thinner than their distance at the hub, 1.33 mm, got 1.35 mm",
+        ),
+        ("reef", {"size_mm": [10.0, 0.0, 10.0]}, "size_mm: expected positive"),
+        ("reef", {"step_mm": 0.01}, "step_mm: expected a lattice of at most 64000000 nodes"),
+    ],
+)
+def test_bodies_that_cannot_be_are_named(
+    name: str, parameters: dict[str, Any], sentence: str
+) -> None:
+    with pytest.raises(InputError, match=sentence):
+        body(name, **parameters)

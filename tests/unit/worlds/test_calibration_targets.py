@@ -1,0 +1,252 @@
+"""Calibration targets: where they are, what is found of them, in pictures and without, and what is known beforehand."""
+
+from __future__ import annotations
+
+import itertools
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+import sabench
+from sabench.algorithms.calibration.target_detection import detect
+from sabench.api.truth import Target
+from sabench.dataset.verification import verify
+from sabench.geometry.camera import Camera
+from sabench.geometry.frames import Pose
+from sabench.scenes import build_rig, parse_scene
+from sabench.scenes.calibration import Detection
+from sabench.scenes.illumination import Lighting
+from sabench.simulation.rendering.targets_traced import marker_bits, photograph
+from sabench.utils.arrays import F64
+from sabench.utils.errors import InputError
+from sabench.worlds.calibration_targets import exact_pixels, found_pixels, place, prior
+from tests.helpers.calibration_cases import calibration_scene
+
+BOARDS = {
+    "checkerboard": Target("checkerboard", 9, 7, 4.0, 0.0),
+    "circles": Target("circles", 9, 7, 4.0, 2.0),
+    "charuco": Target("charuco", 9, 7, 4.0, 3.0),
+    "wand": Target("wand", 3, 1, 12.0, 3.0),
+}
+LAMPS = Lighting.model_validate(
+    {"lamps": [{"center_mm": [-300.0, -100.0, -400.0]}, {"center_mm": [300.0, 100.0, -400.0]}]}
+)
+POSE = Pose(
+    np.array([[0.98, -0.1, 0.0], [0.1, 0.98, 0.0], [0.0, 0.0, 1.0]]) / np.hypot(0.98, 0.1),
+    np.array([1.0, -2.0, 40.0]),
+)
+
+
+def small_camera() -> Camera:
+    """A corner camera behind the wall with images of 400 x 400 pixels."""
+    scene = calibration_scene(cameras={"rows": 400, "columns": 400, "pixel_mm": 0.03})
+    return build_rig(scene).cameras[0]
+
+
+@pytest.mark.parametrize(
+    ("pattern", "spread", "bias"),
+    [("checkerboard", 0.04, 0.03), ("circles", 0.05, 0.04), ("charuco", 0.1, 0.05)],
+)
+def test_a_rendered_board_is_found_where_it_is(pattern: str, spread: float, bias: float) -> None:
+    """Mitsuba's rays, our projection and OpenCV's detectors are three programs: points agree to hundredths of a pixel."""
+    camera, target = small_camera(), BOARDS[pattern]
+    picture = photograph(camera, target, POSE, LAMPS, np.array([0.0, 0.0, 35.0]), 16)
+    grey = np.clip(np.random.default_rng(0).normal(2800.0 * picture, 3.0), 0.0, 4095.0).astype(
+        np.uint16
+    )
+    errors = detect(grey, target) - camera.project(POSE(target.points_mm))[0]
+    assert np.isfinite(errors).all()
+    assert np.abs(errors.mean(axis=0)).max() < bias
+    assert errors.std(axis=0).max() < spread
+
+
+def test_a_rendered_wand_is_found_on_its_lit_side() -> None:
+    camera, target = small_camera(), BOARDS["wand"]
+    grey = (
+        2800.0 * photograph(camera, target, POSE, LAMPS, np.array([0.0, 0.0, 35.0]), 16)
+    ).astype(np.uint16)
+    assert np.abs(detect(grey, target) - camera.project(POSE(target.points_mm))[0]).max() < 0.5
+
+
+def test_small_glowing_balls_are_found_where_they_are() -> None:
+    """They are less than a thousandth of a noisy image, and evenly bright: nothing draws a centroid aside."""
+    camera, target = small_camera(), Target("wand", 3, 1, 12.0, 1.0)
+    glow = LAMPS.model_copy(update={"even": 1.0})
+    picture = photograph(camera, target, POSE, glow, np.array([0.0, 0.0, 35.0]), 16)
+    assert picture.max() == pytest.approx(0.7, rel=0.05)
+    grey = np.clip(
+        np.random.default_rng(0).normal(50.0 + 2800.0 * picture, 5.0), 0.0, 4095.0
+    ).astype(np.uint16)
+    errors = detect(grey, target) - camera.project(POSE(target.points_mm))[0]
+    assert np.abs(errors).max() < 0.15
+
+
+def test_exposure_is_what_was_asked_for() -> None:
+    """White in the middle of the volume reaches it; black print 4 % of that."""
+    camera = small_camera()
+    facing = Pose(np.eye(3), np.array([0.0, 0.0, 35.0]))
+    picture = photograph(
+        camera,
+        BOARDS["circles"],
+        facing,
+        LAMPS.model_copy(update={"exposure": 0.5}),
+        np.array([0.0, 0.0, 35.0]),
+        16,
+    )
+    assert picture.max() == pytest.approx(0.5, rel=0.05)
+    centers = camera.project(facing(BOARDS["circles"].points_mm))[0].round().astype(int)
+    middle = picture[centers[31, 1], centers[31, 0]]
+    assert middle == pytest.approx(0.04 * 0.5, rel=0.1)
+
+
+def test_our_charuco_board_is_opencv_s() -> None:
+    """The board that OpenCV draws has the markers that we paint, square by square."""
+    target, cell = BOARDS["charuco"], 16
+    dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_1000)
+    board = cv2.aruco.CharucoBoard((10, 8), target.pitch_mm, target.mark_mm, dictionary)
+    drawn = board.generateImage((10 * 8 * cell, 8 * 8 * cell))
+    bits, number = marker_bits(target), 0
+    for row, column in itertools.product(range(8), range(10)):
+        square = drawn[
+            row * 8 * cell : (row + 1) * 8 * cell, column * 8 * cell : (column + 1) * 8 * cell
+        ]
+        if (row + column) % 2 == 0:
+            assert square.max() == 0
+            continue
+        cells = square[cell:-cell, cell:-cell].reshape(6, cell, 6, cell)[:, cell // 2, :, cell // 2]
+        np.testing.assert_array_equal(cells.ravel() > 0, bits[number])
+        number += 1
+    assert number == len(bits) == 40
+
+
+@pytest.mark.parametrize("quarters", [0, 1, 2, 3])
+def test_a_board_s_points_keep_their_names_however_it_lies(quarters: int) -> None:
+    """Circles look the same after a turn: the rough calibration says which way they lie."""
+    target = Target("circles", 5, 4, 4.0, 2.0)
+    angle = np.deg2rad(90.0 * quarters + 12.0)
+    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    pixels = target.points_mm[:, :2] @ turn.T * 20.0 + 300.0
+    image = np.full((600, 600), 200, dtype=np.uint8)
+    for x, y in pixels:
+        cv2.circle(
+            image, (round(float(x) * 16), round(float(y) * 16)), 20 * 16, 20, -1, cv2.LINE_AA, 4
+        )
+    rough = target.points_mm[:, :2] @ turn.T * 17.0 + [120.0, 410.0]
+    found = detect(image.astype(np.uint16) * 10, target, rough)
+    np.testing.assert_allclose(found, pixels, atol=0.3)
+
+
+def test_an_empty_image_has_no_points() -> None:
+    for target in BOARDS.values():
+        assert np.isnan(detect(np.full((300, 300), 100, dtype=np.uint16), target)).all()
+
+
+def test_boards_stay_in_the_volume_and_move_through_it() -> None:
+    scene = calibration_scene(targets={"pitch_mm": 3.0, "tilt_deg": 20.0}, frames=7)
+    points = place(scene, 3).points_mm
+    low = np.asarray(scene.volume.center_mm) - np.asarray(scene.volume.size_mm) / 2.0
+    assert (points >= low - 1e-9).all()
+    assert (points <= low + np.asarray(scene.volume.size_mm) + 1e-9).all()
+    assert (np.diff(points[..., 2].mean(axis=1)) > 3.0).all()
+    np.testing.assert_array_equal(
+        place(
+            calibration_scene(targets={"pitch_mm": 3.0, "tilt_deg": 20.0}, frames=7), 3
+        ).points_mm,
+        points,
+    )
+
+
+def test_what_detection_does_to_points() -> None:
+    scene = calibration_scene()
+    exact = exact_pixels(build_rig(scene).cameras[0], place(scene, 1).points_mm)
+    found, outliers = found_pixels(Detection(noise_px=0.2), exact, 1, 0)
+    assert (found - exact).std() == pytest.approx(0.2, rel=0.05)
+    assert not outliers.any()
+    found, _ = found_pixels(Detection(missing=0.3), exact, 1, 0)
+    assert np.isnan(found[..., 0]).mean() == pytest.approx(0.3, abs=0.05)
+    np.testing.assert_array_equal(found[np.isfinite(found)], exact[np.isfinite(found)])
+    found, outliers = found_pixels(Detection(outliers=0.2, outlier_px=50.0), exact, 1, 0)
+    assert outliers.mean() == pytest.approx(0.2, abs=0.05)
+    np.testing.assert_array_equal(found[~outliers], exact[~outliers])
+    assert np.linalg.norm(found - exact, axis=-1)[outliers].mean() == pytest.approx(
+        50.0 * np.sqrt(np.pi / 2.0), rel=0.2
+    )
+
+
+def test_something_may_hide_a_part_of_a_board() -> None:
+    scene = calibration_scene()
+    exact = exact_pixels(build_rig(scene).cameras[0], place(scene, 1).points_mm)
+    found, _ = found_pixels(Detection(hidden=0.99), exact, 2, 0)
+    shares = np.isfinite(found[..., 0]).mean(axis=1)
+    assert shares.min() > 0.1
+    assert shares.max() < 0.95
+    for own, whole in zip(
+        found, exact, strict=True
+    ):  # a straight edge parts what is seen from what is not
+        there = np.isfinite(own[:, 0])
+        inside = cv2.convexHull(whole[there].astype(np.float32))
+        assert all(
+            cv2.pointPolygonTest(inside, (float(x), float(y)), False) <= 0.0
+            for x, y in whole[~there]
+        )
+
+
+def test_known_points_are_told_along_their_axes_only() -> None:
+    scene = calibration_scene(
+        calibration={"known": [{"frame": 1, "point": 5, "axes": "xz", "sigma_mm": 0.02}]}
+    )
+    placed = place(scene, 1)
+    told = prior(scene, placed, 1)
+    assert np.isfinite(told.known_mm).sum() == 2
+    np.testing.assert_allclose(
+        told.known_mm[1, 5, [0, 2]], placed.points_mm[1, 5, [0, 2]], atol=0.1
+    )
+    wrong = calibration_scene(calibration={"known": [{"frame": 9, "point": 5}]})
+    with pytest.raises(
+        InputError,
+        match=r"calibration\.known\.0: expected one of 5 frames and of 121 points, got 9 and 5",
+    ):
+        prior(wrong, place(wrong, 1), 1)
+
+
+def test_a_target_s_data_set_is_whole_and_holds_what_was_shown(tmp_path: Path) -> None:
+    data = sabench.generate(
+        calibration_scene(), tmp_path / "set", seed=4, backend="splat", name="boards"
+    )
+    assert verify(data.root) == []
+    case, placed = data.calibration_case(), data.placed()
+    exact, outliers = data.sightings()
+    np.testing.assert_array_equal(placed.points_mm, place(calibration_scene(), 4).points_mm)
+    assert case.target == placed.target
+    errors: F64 = case.pixels - exact
+    assert np.nanstd(errors) == pytest.approx(0.1, rel=0.05)
+    assert not outliers.any()
+    assert data.true_cameras != data.rig.cameras
+    with pytest.raises(InputError, match="expected an image, found no such file"):
+        data.observation(0)
+    (data.root / "points.h5").unlink()
+    assert verify(data.root)
+
+
+def test_a_target_without_lamps_is_not_rendered(tmp_path: Path) -> None:
+    with pytest.raises(
+        InputError,
+        match="boards: lighting: expected lamps to render a target by, got none; the backend splat needs none",
+    ):
+        sabench.generate(calibration_scene(), tmp_path / "set", backend="mitsuba", name="boards")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_scene_shows_particles_or_a_target() -> None:
+    values = calibration_scene().to_dict()
+    with pytest.raises(
+        InputError, match="expected either particles, bubbles or solids, or targets"
+    ):
+        parse_scene(values | {"particles": {"generator": "uniform", "count": 3}}, "s")
+    with pytest.raises(
+        InputError,
+        match=r"s: targets.generator: expected a generator of targets, got uniform, which makes particles",
+    ):
+        parse_scene(values | {"targets": {"generator": "uniform", "count": 3}}, "s")

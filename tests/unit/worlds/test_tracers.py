@@ -1,0 +1,220 @@
+"""Particles from frame to frame: carried exactly, replaced where they leave, seen when the laser flashes."""
+
+from __future__ import annotations
+
+import itertools
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import pytest
+from scipy.stats import kstest
+
+from sabench.scenes import Scene, load_scene, parse_scene
+from sabench.simulation.in_memory import make_particles, simulate
+from sabench.simulation.pipeline import generate
+from sabench.utils.errors import InputError
+from sabench.worlds.advection import advect
+from sabench.worlds.tracers import Motion, flow_of, pulse
+
+ABC = {"generator": "abc_flow", "wavelength_mm": 12.0}
+WIND = {"generator": "linear_flow", "velocity_mm_s": [40.0, -20.0, 10.0]}
+
+
+def moving_scene(**changes: Any) -> Scene:
+    values = load_scene("quick").to_dict()
+    values["particles"] = {"generator": "uniform", "count": 800}
+    values |= {"frames": 4, "interval_s": 0.02, "flow": ABC}
+    for key, value in changes.items():
+        values[key] = (
+            values[key] | value
+            if isinstance(value, dict) and isinstance(values.get(key), dict) and key != "flow"
+            else value
+        )
+    return parse_scene({key: value for key, value in values.items() if value is not None}, "moving")
+
+
+def test_particles_follow_the_flow_and_keep_their_ids() -> None:
+    scene = moving_scene()
+    frames = [make_particles(scene, 3, frame) for frame in range(3)]
+    flow = flow_of(scene)
+    assert flow is not None
+    for frame, (before, after) in enumerate(itertools.pairwise(frames)):
+        _, first, second = np.intersect1d(before.id, after.id, return_indices=True)
+        assert 0.5 * len(before) < len(first) < len(before)
+        carried = advect(
+            flow, before.position_mm[first], scene.time_s(frame), scene.time_s(frame + 1), 1e-9
+        )
+        np.testing.assert_allclose(after.position_mm[second], carried, atol=1e-6)
+        np.testing.assert_allclose(after.velocity_mm_s, flow.velocity(after.position_mm, 0.0))
+        np.testing.assert_array_equal(after.diameter_mm[second], before.diameter_mm[first])
+
+
+def test_any_frame_is_the_same_by_itself() -> None:
+    motion, scene = Motion(moving_scene(), 5), moving_scene()
+    ordered = [motion.at(frame) for frame in range(4)]
+    for frame in (3, 1):
+        alone = make_particles(scene, 5, frame)
+        np.testing.assert_array_equal(alone.id, ordered[frame].id)
+        np.testing.assert_array_equal(alone.position_mm, ordered[frame].position_mm)
+    np.testing.assert_array_equal(motion.at(1).position_mm, ordered[1].position_mm)
+
+
+@pytest.mark.parametrize("flow", [ABC, WIND])
+def test_the_density_stays_even(flow: dict[str, Any]) -> None:
+    """After many frames the volume is as full as at the start, and evenly so up to its faces."""
+    scene = moving_scene(flow=flow, frames=40)
+    motion = Motion(scene, 1)
+    particles = [motion.at(frame) for frame in range(40)][-1]
+    assert len(np.intersect1d(particles.id, motion.at(0).id)) < 100
+    assert abs(len(particles) - 800) < 4.0 * np.sqrt(800.0)
+    low, size = (
+        np.asarray(scene.volume.center_mm) - np.asarray(scene.volume.size_mm) / 2.0,
+        np.asarray(scene.volume.size_mm),
+    )
+    for axis in range(3):
+        assert (
+            kstest((particles.position_mm[:, axis] - low[axis]) / size[axis], "uniform").pvalue
+            > 1e-3
+        )
+
+
+def test_a_flow_carries_only_what_rests() -> None:
+    scene = moving_scene(particles={"velocity_mm_s": [1.0, 0.0, 0.0]})
+    with pytest.raises(InputError, match="expected some that rest, for the flow to carry them"):
+        make_particles(scene, 1, 0)
+
+
+def test_double_frames_and_four_pulses() -> None:
+    double = moving_scene(timing={"rate_hz": 10.0, "pulses_s": [0.0, 0.002]})
+    assert [double.time_s(frame) for frame in range(4)] == pytest.approx([0.0, 0.002, 0.1, 0.102])
+    four = moving_scene(timing={"rate_hz": 5.0, "pulses_s": [0.0, 0.001, 0.003, 0.004]})
+    assert four.time_s(6) == pytest.approx(0.203)
+
+
+@pytest.mark.parametrize(
+    ("timing", "sentence"),
+    [
+        (
+            {"rate_hz": 10.0, "pulses_s": [0.0, 0.2]},
+            "pulses_s: expected a group shorter than 1 / rate_hz = 0.1 s",
+        ),
+        ({"rate_hz": 10.0, "pulses_s": [0.002, 0.0]}, "pulses_s: expected rising times"),
+        (
+            {"rate_hz": 10.0, "pulses_s": [0.0, 0.002], "energy": [1.0]},
+            "energy: expected one value for each of 2 pulses, got 1",
+        ),
+    ],
+)
+def test_impossible_timing_is_named(timing: dict[str, Any], sentence: str) -> None:
+    with pytest.raises(InputError) as caught:
+        moving_scene(timing=timing)
+    assert sentence in str(caught.value)
+
+
+def test_pulses_differ() -> None:
+    scene = moving_scene(
+        timing={
+            "rate_hz": 10.0,
+            "pulses_s": [0.0, 0.002],
+            "energy": [1.0, 0.5],
+            "shift_mm": [0.0, 1.5],
+        }
+    )
+    first, second, third = (pulse(scene, 1, frame) for frame in (0, 1, 2))
+    assert second.pulse_energy_mj == pytest.approx(0.5 * first.pulse_energy_mj)
+    assert (first.shift_mm, second.shift_mm) == (0.0, 1.5)
+    assert third == first
+    spread = moving_scene(timing={"rate_hz": 10.0, "energy_spread": 0.1})
+    energies = (
+        np.array([pulse(spread, 1, frame).pulse_energy_mj for frame in range(400)])
+        / scene.light.pulse_energy_mj
+    )
+    assert energies.mean() == pytest.approx(1.0, abs=0.02)
+    assert energies.std() == pytest.approx(0.1, rel=0.15)
+
+
+def test_a_sheet_beside_another_lights_other_particles() -> None:
+    """Two thin sheets: what the first frame shows bright is dark in the second."""
+    light = {"thickness_mm": 1.0, "profile": "top-hat"}
+    scene = moving_scene(
+        illumination=light,
+        timing={"rate_hz": 10.0, "pulses_s": [0.0, 1e-6], "shift_mm": [-0.6, 0.6]},
+    )
+    frames = [simulate(scene, seed=1, frame=frame) for frame in (0, 1)]
+    lit = [set(shot.particles.id[shot.views[0].photons > 0.0].tolist()) for shot in frames]
+    assert len(lit[0]) > 20
+    assert len(lit[1]) > 20
+    assert not lit[0] & lit[1]
+
+
+def test_long_pulses_leave_streaks() -> None:
+    """A streak of length s has the variance s^2 / 12 along it on top of the image's own, and as much light."""
+    one = {
+        "particles": {"generator": "uniform", "count": 1},
+        "flow": {"generator": "linear_flow", "velocity_mm_s": [100.0, 0.0, 0.0]},
+    }
+    quiet = {
+        "shot_noise": False,
+        "read_noise_e": 0.0,
+        "dark_current_e_s": 0.0,
+        "full_well_e": 1e6,
+        "gain_dn_e": 0.06,
+        "bit_depth": 16,
+    }
+    values = {"sensor": quiet, **one}
+    pictures = []
+    for duration in (0.0, 0.01):
+        shot = simulate(
+            moving_scene(timing={"rate_hz": 10.0, "duration_s": duration}, **values), seed=4
+        )
+        pictures.append(shot.observation.images[0].astype(np.float64) - shot.observation.black_dn)
+    scene = moving_scene(**values)
+    camera = simulate(scene, seed=4).observation.cameras[0]
+    place = make_particles(scene, 4, 0).position_mm
+    ends = [camera.project(place + np.array([move, 0.0, 0.0]))[0][0] for move in (-0.5, 0.5)]
+    length = float(np.linalg.norm(np.subtract(*ends)))
+    assert length > 5.0
+    still, moving = (_variance(picture) for picture in pictures)
+    assert moving - still == pytest.approx(length**2 / 12.0, rel=0.05)
+    assert pictures[1].sum() == pytest.approx(pictures[0].sum(), rel=0.05)
+
+
+def _variance(picture: np.ndarray[tuple[int, ...], np.dtype[np.float64]]) -> float:
+    """Of light along columns and rows together."""
+    row, column = np.mgrid[: picture.shape[0], : picture.shape[1]]
+    weight = np.clip(picture, 0.0, None)
+    weight /= weight.sum()
+    return float(sum((weight * (x - (weight * x).sum()) ** 2).sum() for x in (row, column)))
+
+
+def test_a_data_set_tells_times_and_keeps_the_flow(tmp_path: Path) -> None:
+    scene = moving_scene(timing={"rate_hz": 10.0, "pulses_s": [0.0, 0.002]}, frames=2)
+    data = generate(scene, tmp_path / "data", seed=2, backend="splat")
+    assert [data.rig.time_s(frame) for frame in range(2)] == [0.0, 0.002]
+    assert data.scene.flow == scene.flow
+    flow = flow_of(data.scene)
+    assert flow is not None
+    for frame in range(2):
+        particles = data.particles(frame)
+        np.testing.assert_allclose(
+            particles.velocity_mm_s, flow.velocity(particles.position_mm, 0.0)
+        )
+
+
+def test_a_data_set_keeps_the_flow_on_a_lattice(tmp_path: Path) -> None:
+    scene = moving_scene(frames=2, flow_grid_mm=[2.0, 2.5, 1.5])
+    data = generate(scene, tmp_path / "data", seed=2, backend="splat")
+    flow = flow_of(scene)
+    assert flow is not None
+    with h5py.File(data.root / "truth.h5") as file:
+        group = file["frames/0001/flow"]
+        low, step, velocity, gradient = (
+            group[name][()] for name in ("low_mm", "step_mm", "velocity_mm_s", "gradient_1_s")
+        )
+    assert velocity.shape == (3, 5, 8, 3)  # 4, 10 and 14 mm along z, y, x
+    np.testing.assert_allclose(low + step * (np.array([8, 5, 3]) - 1) / 2.0, scene.volume.center_mm)
+    place = low + step * np.array([6, 2, 1])
+    np.testing.assert_allclose(velocity[1, 2, 6], flow.velocity(place[None], scene.time_s(1))[0])
+    np.testing.assert_allclose(gradient[1, 2, 6], flow.gradient(place[None], scene.time_s(1))[0])
