@@ -16,7 +16,7 @@ from sabench.dataset.schema import CamerasFile, frame_group
 from sabench.metrics.averages import finite_or_none, mean_of_each
 from sabench.metrics.bubble_detection import AnyBubbles, detection_scores
 from sabench.metrics.plunging_jet import JetFigures, analyse
-from sabench.metrics.trajectories import track_scores
+from sabench.metrics.trajectories import trajectory_scores
 from sabench.plotting import pictures
 from sabench.scenes import Scene
 from sabench.tasks.solver_call import attempt
@@ -24,6 +24,7 @@ from sabench.utils import memory
 from sabench.utils.arrays import I64
 from sabench.utils.errors import InputError
 from sabench.utils.progress import track
+from sabench.worlds.library.plunging_jet import EDGE
 
 JET = {
     "penetration_percent": "penetration_mm",
@@ -92,7 +93,9 @@ def score_result(data: Dataset, result: Result | str) -> dict[str, float | None]
     )
     over_time = {
         key: finite_or_none(value)
-        for key, value in track_scores(found, number, every, times, data.rig.sequences()).items()
+        for key, value in trajectory_scores(
+            found, number, every, times, data.rig.sequences()
+        ).items()
     }
     return mean_of_each(frames) | _jet_scores(data, found, every) | over_time
 
@@ -154,6 +157,7 @@ def jet_figures(scene: Scene, balls: Sequence[AnyBubbles]) -> JetFigures:
         np.concatenate([one.radius_mm for one in balls]),
         impact,
         depth,
+        EDGE,
         len(balls),
     )
 

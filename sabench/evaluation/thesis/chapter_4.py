@@ -13,7 +13,7 @@ from sabench.api import Calibration, CalibrationCase
 from sabench.api.make import make_algorithm
 from sabench.geometry.camera import Camera
 from sabench.geometry.triangulation import triangulate
-from sabench.metrics.alignment import alignment
+from sabench.metrics.alignment import fit_alignment
 from sabench.scenes import Scene, build_rig, load_scene, parse_scene
 from sabench.scenes.nominal_cameras import nominal_cameras
 from sabench.utils.arrays import F64
@@ -155,7 +155,7 @@ def reprojection(answer: Calibration, given: Board) -> tuple[float, float]:
 def point_errors(answer: Calibration, given: Board, how: Any = "lateral") -> F64:
     """Errors (n, 3) of the boards' points in mm after an alignment."""
     found, truths = places_of(answer, given).reshape(-1, 3), given.points_mm.reshape(-1, 3)
-    return np.asarray(alignment(how, found, truths)(found) - truths)
+    return np.asarray(fit_alignment(how, found, truths)(found) - truths)
 
 
 def held_out(
@@ -166,7 +166,7 @@ def held_out(
     places = np.array([0.0, 0.0, 35.0]) + 45.0 * (rng.random((count, 3)) - 0.5)
     pixels = np.stack([camera.project(places)[0] for camera in given.cameras])
     pixels = pixels + noise_px * rng.standard_normal(pixels.shape)
-    motion = alignment(
+    motion = fit_alignment(
         "lateral", places_of(answer, given).reshape(-1, 3), given.points_mm.reshape(-1, 3)
     )
     return motion(triangulate(answer.cameras, pixels)) - places, triangulate(
