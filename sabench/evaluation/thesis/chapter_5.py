@@ -31,7 +31,7 @@ _EDGE, _SMALL_PX = 0.05, 4.0  # as `minimum_image` takes them
 
 
 def photographed(scene: Scene, seed: int) -> tuple[PhaseWorld, Observation]:
-    """The first frame of the data set that `generate` would make, in memory: what is there, and what a solver may see of it."""
+    """Simulate the first frame of a data set in memory: its truth and observation."""
     rig = build_rig(scene, scene.title)
     world = Worlds(scene, rig, seed).at(0)
     images = [
@@ -49,7 +49,11 @@ def photographed(scene: Scene, seed: int) -> tuple[PhaseWorld, Observation]:
 
 
 def pictures(case: Observation) -> Iterator[Figure]:
-    """Figures 5-5, 5-6 and 5-11: a view; the middle third of three refocused planes, and of a minimum image with the outlines found in it."""
+    """Draw figures 5-5, 5-6 and 5-11.
+
+    They show a view, the middle third of three refocused planes, and that of a minimum image with
+    the outlines detected in it.
+    """
     grid, view = case.grid, case.images[len(case.images) // 2].astype(np.float64)
     ends = (0.0, 0.0), (view.shape[1] - 1.0, view.shape[0] - 1.0)
     yield Figure(
