@@ -23,7 +23,7 @@ from sabench.api.solvers import (
     SeeThroughSolver,
     SelfCalibrationSolver,
     Solver,
-    Track,
+    TaskName,
     VelocimetryParameters,
     VelocimetrySolver,
 )
@@ -57,7 +57,7 @@ __all__ = [
     "SolidParameters",
     "Solver",
     "TargetGenerator",
-    "Track",
+    "TaskName",
     "VelocimetryParameters",
     "VelocimetrySolver",
     "Velocity",

@@ -22,7 +22,7 @@ from sabench.geometry.camera import Camera
 from sabench.geometry.grid import Grid
 from sabench.geometry.refraction import Wall
 from sabench.utils.arrays import F32, F64
-from sabench.utils.processes.child import run
+from sabench.utils.processes.child import run_module
 
 LEAST_FRAMES = 5  # needed to estimate the optical transfer function
 _TOLERANCE, _ITERATIONS, _RATE = 1e-9, 1000, 0.1  # of its projection through plates
@@ -254,5 +254,5 @@ def solve(folder: Path, frames: int) -> list[FoundParticles]:
 
     With fewer frames than `LEAST_FRAMES` it reconstructs without tracking.
     """
-    run("sabench.interop.openlpt_process", folder, "OpenLPT", "Total time for frame", frames)
+    run_module("sabench.interop.openlpt_process", folder, "OpenLPT", "Total time for frame", frames)
     return read_tracks(folder, frames) if frames >= LEAST_FRAMES else read_particles(folder, frames)
