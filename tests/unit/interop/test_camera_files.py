@@ -112,7 +112,7 @@ def test_what_a_format_cannot_say_is_said() -> None:
     with pytest.raises(ValueError, match="camera_00: OpenPTV supports one layer of glass"):
         openptv.orientation_text(two, grid)
     barrel = dataclasses.replace(cameras[0], distortion=Distortion(k1=-0.1))
-    assert "no coefficient is positive" in str(openlpt.unfit(barrel))
+    assert "without a positive coefficient" in str(openlpt.unfit(barrel))
 
 
 def test_points_come_back_from_openptvs_world() -> None:
