@@ -22,7 +22,7 @@ from sabench.geometry.camera import Camera
 from sabench.geometry.grid import Grid
 from sabench.utils.arrays import F32, F64, I64
 from sabench.utils.files import read_json
-from sabench.utils.processes.child import run_module
+from sabench.utils.processes import child
 
 MOST_CAMERAS = 4
 _AXES = np.diag([1.0, -1.0, -1.0])  # rotation from our axes to OpenPTV's
@@ -50,6 +50,11 @@ class Settings:
     move_mm: float
     change_mm: float
     angle_gon: float
+
+
+def missing() -> str | None:
+    """Say how to install the program, or return None if it is installed."""
+    return child.missing("optv", "optv")
 
 
 def unfit(camera: Camera) -> str | None:
@@ -192,7 +197,7 @@ def write_project(
 
 def solve(folder: Path, grid: Grid, frames: int) -> list[FoundParticles]:
     """Run OpenPTV on a project folder; read particles and their trajectories."""
-    run_module("sabench.interop.openptv_process", folder, "OpenPTV", "sabench frame", frames)
+    child.run_module("sabench.interop.openptv_process", folder, "OpenPTV", "sabench frame", frames)
     places = [
         np.array(read_json(folder / f"found_{frame:05d}.json"), dtype=np.float64).reshape(-1, 3)
         for frame in range(frames)

@@ -1,4 +1,4 @@
-"""Metrics: functions of an estimate and the truth as arrays, usable without a data set.
+"""Metrics: functions of an estimate and the truth, usable without a data set.
 
 A name is imported from its module when it is first used, so that `import sabench.metrics` needs no
 heavy library.

@@ -188,7 +188,7 @@ class CalibrationTask(Task):
         good = case.found & ~outliers
         scores = calibration_scores(answer, case, data.true_cameras, truth_mm, exact, good)
         noise_px = detection_noise(case.pixels, exact, good)
-        motion = Frame.of(data.true_cameras, truth_mm).motion
+        motion = Frame.from_cameras(data.true_cameras, truth_mm).motion
         aligned = target_alignment(target_points(answer, case), truth_mm, motion)
         held_out = _held_out(data, noise_px)
         others = held_out_scores(answer.cameras, data.true_cameras, *held_out, motion, aligned)

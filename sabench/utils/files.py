@@ -8,6 +8,7 @@ import json
 import os
 import re
 import shutil
+import threading
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -22,36 +23,62 @@ _LARGEST_TEXT = 100_000_000  # bytes of a JSON file
 
 @contextlib.contextmanager
 def complete_or_nothing(target: Path, *, overwrite: bool = False) -> Iterator[Path]:
-    """A temporary path beside `target` that takes its place only when the block has ended well.
+    """Give a temporary path that replaces `target` only when the block has ended well.
 
-    The block makes a file or a folder at the path it gets. A killed process leaves a hidden
-    `.NAME.partial-PID`, which the next write to the same target removes.
+    The block makes a file or a folder at the path it gets, which is on the disk when it appears at
+    `target`. A killed process leaves a hidden `.NAME.partial-PID`, which the next write to the same
+    target removes.
     """
     target = target.absolute()
     target.parent.mkdir(parents=True, exist_ok=True)
     clear_abandoned(target)
     refuse_existing(target, overwrite=overwrite)
-    partial = target.parent / f".{target.name}.partial-{os.getpid()}"
-    retired = target.parent / f".{target.name}.retired-{os.getpid()}"
-    try:
+    with _temporary(target, f".{target.name}.partial-{os.getpid()}") as partial:
         yield partial
         _flush(partial)
-        if target.is_dir() or (target.exists() and partial.is_dir()):
-            target.rename(
-                retired
-                # folders cannot be replaced in one step; `clear_abandoned` mends a death between
-                # these
-                # two lines
-            )
-            partial.rename(target)
-        else:
-            partial.replace(target)
+        _replace(target, partial)
+
+
+@contextlib.contextmanager
+def atomic_file(target: Path) -> Iterator[Path]:
+    """Give a temporary path that replaces the file `target` when the block has ended well.
+
+    For many files that can be made again: several threads, processes and machines may write the
+    same one simultaneously, and none waits for the disk.
+    """
+    target.parent.mkdir(parents=True, exist_ok=True)
+    with _temporary(target, f".{os.getpid()}-{threading.get_ident()}-{target.name}") as partial:
+        yield partial
+        partial.replace(target)
+
+
+@contextlib.contextmanager
+def _temporary(target: Path, name: str) -> Iterator[Path]:
+    """Give a path next to `target`; whatever is left there is removed."""
+    partial = target.with_name(name)
+    try:
+        yield partial
     except OSError as error:
         if error.errno and not error.filename:  # a refused write does not say where
             error.filename = str(target)
         raise
     finally:
         _remove(partial)
+
+
+def _replace(target: Path, partial: Path) -> None:
+    """Put `partial` in the place of `target`.
+
+    A folder takes two steps; `clear_abandoned` repairs a death between them.
+    """
+    if not target.is_dir() and not (target.exists() and partial.is_dir()):
+        partial.replace(target)
+        return
+    retired = target.parent / f".{target.name}.retired-{os.getpid()}"
+    try:
+        target.rename(retired)
+        partial.rename(target)
+    finally:
         if retired.exists() and not target.exists():
             retired.rename(target)
         _remove(retired)

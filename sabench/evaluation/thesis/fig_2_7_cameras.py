@@ -17,7 +17,7 @@ from sabench.evaluation.suites import load_suite
 from sabench.evaluation.thesis.chapter_4 import Board, draw, places_of, solved
 from sabench.evaluation.thesis.common import Row, claim, compared
 from sabench.geometry.camera_model import CameraModel
-from sabench.geometry.rigid_motion import Motion, rigid_fit
+from sabench.geometry.rigid_motion import RigidMotion, fit_rigid_motion
 from sabench.geometry.triangulation import triangulate
 from sabench.metrics.reconstruction_error import score_frame
 from sabench.scenes import Scene, build_rig, parse_scene
@@ -43,7 +43,7 @@ class Judged:
     """Cameras, true particles in their frame, and mean reprojection error, px."""
 
     cameras: tuple[CameraModel, ...]
-    motion: Motion
+    motion: RigidMotion
     error_px: float
 
 
@@ -119,7 +119,7 @@ def _cameras(scene: Scene, shot: Shot, seed: int) -> dict[str, Judged]:
     self-calibration starts from them.
     """
     true = build_rig(scene).cameras
-    still = Motion(np.eye(3), np.zeros(3))
+    still = RigidMotion(np.eye(3), np.zeros(3))
     judged = {"exact": Judged(true, still, 0.0)}
     for name in _CALIBRATIONS:
         given = draw(boards_behind_glass(scene, name == "polynomial_planes"), seed)
@@ -134,15 +134,15 @@ def _cameras(scene: Scene, shot: Shot, seed: int) -> dict[str, Judged]:
     return judged
 
 
-def _by_boards(answer: Calibration, given: Board) -> Motion:
-    return rigid_fit(given.points_mm.reshape(-1, 3), places_of(answer, given).reshape(-1, 3))
+def _by_boards(answer: Calibration, given: Board) -> RigidMotion:
+    return fit_rigid_motion(given.points_mm.reshape(-1, 3), places_of(answer, given).reshape(-1, 3))
 
 
 def _judge(
     cameras: tuple[CameraModel, ...],
     shot: Shot,
     true: tuple[CameraModel, ...],
-    motion: Motion | None,
+    motion: RigidMotion | None,
 ) -> Judged:
     """Fit the motion from the true particles to these cameras' frame.
 
@@ -153,7 +153,7 @@ def _judge(
     if motion is None:
         found = triangulate(cameras, exact)
         known = np.isfinite(found).all(axis=1)
-        motion = rigid_fit(truths[known], found[known])
+        motion = fit_rigid_motion(truths[known], found[known])
     again = np.stack([camera.project(motion(truths))[0] for camera in cameras])
     return Judged(cameras, motion, float(np.nanmean(np.linalg.norm(again - exact, axis=-1))))
 

@@ -24,7 +24,7 @@ from sabench.tasks.figures.velocity import error_scatter, slice_panel
 from sabench.utils.arrays import F32, F64
 from sabench.utils.progress import console
 from sabench.worlds.advection import advect
-from sabench.worlds.tracers import TOLERANCE, flow_of
+from sabench.worlds.tracers import TOLERANCE, require_flow
 
 SEEDS = 3
 _INTERVAL_S = 1e-3
@@ -221,8 +221,7 @@ def errors(scene: Scene, field: Velocity) -> F64:
 
     As in the thesis, vectors that were filled in count, too.
     """
-    flow, points = flow_of(scene), field.positions_mm.reshape(-1, 3)
-    assert flow is not None
+    flow, points = require_flow(scene), field.positions_mm.reshape(-1, 3)
     tolerance = TOLERANCE * max(scene.volume.size_mm)
     exact = advect(flow, points, _INTERVAL_S / 2.0, _INTERVAL_S, tolerance) - advect(
         flow, points, _INTERVAL_S / 2.0, 0.0, tolerance

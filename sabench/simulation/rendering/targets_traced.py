@@ -21,7 +21,7 @@ _CELLS = 6  # of a ChArUco marker and its black frame, along each side
 _QUIET = 0.75  # white around a board's pattern, in pitches
 
 
-def photograph(
+def render(
     camera: Camera, target: Target, pose: Pose, lighting: Lighting, center_mm: F64, samples: int
 ) -> F64:
     """Photons (rows, columns) that reach the pixels, as a part of what saturates one at `lighting.exposure` 1.
@@ -34,7 +34,7 @@ def photograph(
     mi = backend.mitsuba()
     from sabench.simulation.rendering import target_integrator  # needs the variant
 
-    origin = pose.place_mm
+    origin = pose.position_mm
     scene = mi.load_dict(
         {
             "type": "scene",
@@ -48,12 +48,17 @@ def photograph(
         else (target.columns + 1, target.rows + 1)
     )
     paint = target_integrator.Paint(
-        target.pattern, squares, target.pitch_mm, target.mark_mm, marker_bits(target), pose.turn.T
+        target.pattern,
+        squares,
+        target.pitch_mm,
+        target.mark_mm,
+        marker_bits(target),
+        pose.rotation.T,
     )
     facing = np.asarray(camera.wall.normal if camera.wall else camera.rotation[2])
     lamps = placed(lighting, camera, center_mm, origin)
     planes = len(camera.wall.layers) + 1 if camera.wall else 0
-    radiance = target_integrator.picture(
+    radiance = target_integrator.render(
         scene, camera, origin, paint, lamps, planes, samples
     ).astype(np.float64)
     radiance /= (
@@ -85,7 +90,7 @@ def _shapes(mi: Any, target: Target, pose: Pose) -> dict[str, Any]:
     """A rectangle for a board, with white around its pattern; balls for a wand."""
     matte = {"type": "diffuse"}
     if target.pattern == "wand":
-        balls = pose(target.points_mm) - pose.place_mm
+        balls = pose(target.points_mm) - pose.position_mm
         return {
             f"ball_{i}": {
                 "type": "sphere",
@@ -100,7 +105,7 @@ def _shapes(mi: Any, target: Target, pose: Pose) -> dict[str, Any]:
         for count in (target.columns, target.rows)
     ]
     frame = np.eye(4)
-    frame[:3, :3] = pose.turn * [half[0], half[1], 1.0]
+    frame[:3, :3] = pose.rotation * [half[0], half[1], 1.0]
     return {"board": {"type": "rectangle", "to_world": mi.ScalarTransform4f(frame), "bsdf": matte}}
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from sabench.geometry.rotations import leading, skew
+from sabench.geometry.rotations import frame_along, skew
 from sabench.utils.arrays import F64
 
 
@@ -12,7 +12,7 @@ def lateral(
     points_mm: F64, center_mm: tuple[float, float, float], axis: tuple[float, float, float]
 ) -> tuple[F64, F64, F64]:
     """Offsets (n, 3) of points from an axis, their lengths (n,), and the axis as a unit vector."""
-    along = leading(axis)[2]
+    along = frame_along(axis)[2]
     offset = points_mm - np.asarray(center_mm)
     offset -= (offset @ along)[:, None] * along
     return offset, np.linalg.norm(offset, axis=1), along

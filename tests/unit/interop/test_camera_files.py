@@ -13,7 +13,7 @@ import pytest
 from sabench.geometry.camera import Camera, Distortion
 from sabench.geometry.grid import Grid
 from sabench.geometry.refraction import Layer, Wall
-from sabench.geometry.rotations import exponential
+from sabench.geometry.rotations import rotation_matrices
 from sabench.interop import openlpt, openptv
 from sabench.interop.openptv_process import parameters
 from sabench.scenes import build_rig, load_scene
@@ -41,7 +41,7 @@ def rig(scene: str) -> tuple[tuple[Camera, ...], Grid, F64]:
 def walls(wall: Wall | None) -> dict[str, Wall | None]:
     """Walls that differ in what a format may get wrong."""
     assert wall is not None
-    normal = exponential(np.array([0.06, -0.04, 0.0])) @ np.array([0.0, 0.0, 1.0])
+    normal = rotation_matrices(np.array([0.06, -0.04, 0.0])) @ np.array([0.0, 0.0, 1.0])
     return {
         "glass": wall,
         "none": None,
