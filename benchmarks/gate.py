@@ -115,8 +115,8 @@ BUGS = (
     Bug(
         "degrees taken for radians",
         "sabench/scenes/nominal_cameras.py",
-        "exponential(np.deg2rad(spec.turn_deg) * rng",
-        "exponential(spec.turn_deg * rng",
+        "rotation_matrices(np.deg2rad(spec.turn_deg) * rng",
+        "rotation_matrices(spec.turn_deg * rng",
     ),
     Bug(
         "the last camera left out where lines of sight are intersected",
