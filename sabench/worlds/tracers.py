@@ -1,4 +1,4 @@
-"""Particles from frame to frame: carried by a flow, replaced where they leave, lit by pulses that are never quite alike."""
+"""Tracers from frame to frame, and the laser pulses that illuminate them."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _NEWER = 1 << 32  # ids of particles that enter in a frame start at so many time
 
 
 def flow_of(scene: Scene) -> Flow | None:
-    """What carries the scene's particles."""
+    """Make the flow that carries the scene's particles; None without one."""
     if scene.flow is None:
         return None
     made: Flow = generator_of(scene.flow)
@@ -32,7 +32,7 @@ def flow_of(scene: Scene) -> Flow | None:
 
 
 class Motion:
-    """All frames' particles of a scene and seed.
+    """Tracers of all frames of a scene and seed.
 
     A frame depends on the frames before it: one that comes next is made from the last, any other
     from the first on. Either way gives the same.
@@ -56,11 +56,11 @@ class Motion:
         return self._last[0] if self._last else None
 
     def resume(self, frame: int, particles: Particles) -> None:
-        """Go on from a frame's particles that were made elsewhere."""
+        """Continue from a frame's particles that were made elsewhere."""
         self._last = frame, particles
 
     def at(self, frame: int) -> Particles:
-        """The particles of a frame.
+        """Make the particles of a frame.
 
         Raises
         ------
@@ -80,7 +80,7 @@ class Motion:
         return particles
 
     def moved(self, particles: Particles, frame: int, delay_s: float) -> F64:
-        """Where a frame's particles (n, 3) are some time later or earlier."""
+        """Positions (n, 3) of a frame's particles some time later or earlier."""
         if self._flow is None:
             return particles.position_mm + delay_s * particles.velocity_mm_s
         time = self.scene.time_s(frame)
@@ -94,12 +94,13 @@ class Motion:
         made = self._generator.particles(domain, self.seed, 0, 0.0)
         if np.any(made.velocity_mm_s):
             raise InputError(
-                f"{self.scene.title}: particles: expected some that rest, for the flow to carry them, got some that move by themselves"
+                f"{self.scene.title}: particles: expected some that rest, for the flow to carry "
+                "them, got some that move by themselves"
             )
         return self._at_speed(made, self.scene.time_s(0))
 
     def _next(self, domain: Domain, before: Particles, frame: int) -> Particles:
-        """Those that stay in the volume, and those that enter.
+        """Advect particles by one frame, dropping and replacing those that leave.
 
         Who enters is found backwards: a volume full of other particles is traced back, and those of
         it that come from outside are the new ones. For a flow without divergence this keeps the
@@ -133,7 +134,10 @@ def _inside(domain: Domain, points_mm: F64) -> Bool:
 
 
 def lattice(scene: Scene, frame: int, step_mm: tuple[float, float, float]) -> tuple[Velocity, F64]:
-    """A frame's exact velocities on a lattice centred in the volume, and their gradients (z, y, x, 3, 3) in 1/s."""
+    """Sample a frame's exact velocities and gradients on a centred lattice.
+
+    Gradients are (z, y, x, 3, 3) in 1/s.
+    """
     flow = flow_of(scene)
     assert flow is not None
     counts = [
@@ -149,7 +153,7 @@ def lattice(scene: Scene, frame: int, step_mm: tuple[float, float, float]) -> tu
 
 
 def pulse(scene: Scene, seed: int, frame: int) -> Illumination:
-    """The laser as it is in a frame."""
+    """Laser of one frame, with the pulse's energy and shift."""
     timing, light = scene.timing, scene.light
     if timing is None:
         return light
@@ -168,6 +172,6 @@ def pulse(scene: Scene, seed: int, frame: int) -> Illumination:
 
 
 def moments(duration_s: float, steps: int) -> Iterator[float]:
-    """Middles of equal parts of a pulse, from its own middle."""
+    """Yield the middles of equal parts of a pulse, relative to its own middle."""
     for number in range(steps):
         yield duration_s * ((number + 0.5) / steps - 0.5)
