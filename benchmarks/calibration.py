@@ -24,8 +24,8 @@ from sabench.algorithms.calibration.bundle_adjustment import (
     residuals,
 )
 from sabench.algorithms.calibration.cramer_rao import limit
-from sabench.algorithms.calibration.parameters import Frame, Free, State
-from sabench.algorithms.calibration.problem import Problem
+from sabench.algorithms.calibration.parameters import Frame, FreeParameters, State
+from sabench.algorithms.calibration.problem import CalibrationProblem
 from sabench.algorithms.calibration.robust import adjust
 from sabench.evaluation.thesis.chapter_4 import (
     D_PIX,
@@ -37,7 +37,7 @@ from sabench.evaluation.thesis.chapter_4 import (
     scene_of,
     solved,
 )
-from sabench.geometry.rigid_motion import lateral_fit
+from sabench.geometry.rigid_motion import fit_lateral_motion
 from sabench.scenes import build_rig, parse_scene
 from sabench.utils.arrays import F64
 from sabench.utils.progress import track
@@ -62,7 +62,7 @@ def median_s(work: Callable[[], object], repeats: int = 15) -> float:
 
 def truth_of(given: Board) -> tuple[Frame, State, Seen]:
     """The true state and exact images of a draw."""
-    frame = Frame.of(given.cameras, given.points_mm)
+    frame = Frame.from_cameras(given.cameras, given.points_mm)
     board_mm = given.case.target.points_mm
     weights = np.asarray(np.isfinite(given.exact).all(axis=-1), dtype=np.float64)
     return (
@@ -74,7 +74,7 @@ def truth_of(given: Board) -> tuple[Frame, State, Seen]:
 
 def ratios(cameras: int, noise: float, draws: int, unknown: tuple[str, ...] = ()) -> dict[str, Any]:
     """Errors over their bounds, and true over measured error over its own; `unknown` of the lenses besides their focal lengths."""
-    free = Free.of(unknown)
+    free = FreeParameters.from_names(unknown)
     found: dict[str, list[Any]] = {
         "reprojection": [],
         "scatter": [],
@@ -95,7 +95,7 @@ def ratios(cameras: int, noise: float, draws: int, unknown: tuple[str, ...] = ()
         )
         points = state.points(seen.board).reshape(-1, 3)
         made = fit.state.points(seen.board).reshape(-1, 3)
-        errors = lateral_fit(made, points)(made) - points
+        errors = fit_lateral_motion(made, points)(made) - points
         found["reprojection"].append(true / bound.reprojection_px)
         found["scatter"].append(errors.std(axis=0) / bound.point_std_mm)
         found["efficiency"].append(true / measured / bound.efficiency)
@@ -125,9 +125,9 @@ def starts(cameras: int, noise: float, seeds: int) -> list[dict[str, Any]]:
         for seed in range(1, seeds + 1):
             given = board.__wrapped__(cameras, 0.3, noise, start, seed)
             _, state, seen = truth_of(given)
-            problem = Problem.of(given.case, Free())
-            best = refine(state, problem.seen, Free())
-            fit = refine(problem.start, problem.seen, Free())
+            problem = CalibrationProblem.from_case(given.case, FreeParameters())
+            best = refine(state, problem.seen, FreeParameters())
+            fit = refine(problem.start, problem.seen, FreeParameters())
             there = seen.weights > 0.0
             both = [
                 float(np.linalg.norm(residuals(one.state, seen)[there], axis=-1).mean())
@@ -192,9 +192,9 @@ def timed(cameras: int, frames: int) -> dict[str, Any]:
         weights,
     )
     rough = placed.points_mm + 5.0 * rng.standard_normal(placed.points_mm.shape)
-    start = Frame.of(rig.cameras, rough).state(placed.target.points_mm, rough)
-    fit = adjust(start, seen, Free()).fit
-    step = median_s(lambda: normal_equations(start, seen, Free()))
+    start = Frame.from_cameras(rig.cameras, rough).state(placed.target.points_mm, rough)
+    fit = adjust(start, seen, FreeParameters()).fit
+    step = median_s(lambda: normal_equations(start, seen, FreeParameters()))
     count, local = float(seen.weights.sum()), 13
     product = dense_product_s(int(count), local)
     return {
@@ -202,7 +202,7 @@ def timed(cameras: int, frames: int) -> dict[str, Any]:
         "frames": frames,
         "points": int(count),
         "steps": fit.steps,
-        "seconds": round(median_s(lambda: adjust(start, seen, Free())), 4),
+        "seconds": round(median_s(lambda: adjust(start, seen, FreeParameters())), 4),
         "equations_s": round(step, 5),
         "points_per_s": round(count / step),
         "equations_over_dense_product": round(step / product, 2),

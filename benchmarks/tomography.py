@@ -24,7 +24,7 @@ import numba
 import numpy as np
 
 from sabench import plugins
-from sabench.algorithms.tomography.problem import Problem, SparseParameters
+from sabench.algorithms.tomography.problem import SparseParameters, TomographyProblem
 from sabench.api import Observation
 from sabench.api.make import make_solver
 from sabench.metrics.reconstruction_error import score_frame
@@ -112,7 +112,7 @@ def machine(pixels: int) -> dict[str, float]:
 def operator_rates(case: Observation, reads: float) -> dict[str, float]:
     """First guess, projection and back-projection in millions of voxels times cameras per second, and the latter two against the roofline."""
     parameters = SparseParameters()
-    problem = Problem.of(case, parameters)
+    problem = TomographyProblem.from_case(case, parameters)
     state = problem.mlos(parameters.threshold)
     lines, images = state.lines, problem.measured.light
     pairs, most = len(state.values) * len(case.cameras) / 1e6, lines.support.shape

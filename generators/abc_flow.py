@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 from pydantic import Field
 
-from sabench.api import Flow, Parameters
-from sabench.utils.arrays import F64
+from sabench.api import F64, Flow, Parameters
 
 
 class AbcParameters(Parameters):

@@ -7,11 +7,7 @@ from typing import Literal
 import numpy as np
 from pydantic import Field, model_validator
 
-from sabench.api import Parameters, TargetGenerator
-from sabench.api.truth import Target
-from sabench.geometry.frames import Domain, Pose
-from sabench.geometry.rotations import exponential
-from sabench.utils.rng import stream
+from sabench.api import Domain, Parameters, Pose, Target, TargetGenerator, rotation_matrices, stream
 
 
 class BoardsParameters(Parameters):
@@ -76,7 +72,7 @@ class Boards(TargetGenerator):
             stream(seed, "targets", frame),
             np.deg2rad([chosen.tilt_deg, chosen.tilt_deg, chosen.roll_deg]),
         )
-        turn = exponential(rng.uniform(-limits, limits))
+        turn = rotation_matrices(rng.uniform(-limits, limits))
         room = np.maximum(
             np.asarray(domain.size_mm) / 2.0 - np.abs(self.target().points_mm @ turn.T).max(axis=0),
             0.0,

@@ -5,13 +5,18 @@ from __future__ import annotations
 import numpy as np
 from pydantic import Field, model_validator
 
-from sabench.api import BubbleGenerator, BubbleParameters
-from sabench.api.truth import Bubbles
-from sabench.geometry.frames import Domain
-from sabench.utils.arrays import F64, I64, triple
-from sabench.utils.errors import InputError
-from sabench.utils.fields import Vector
-from sabench.utils.rng import stream
+from sabench.api import (
+    F64,
+    I64,
+    BubbleGenerator,
+    BubbleParameters,
+    Bubbles,
+    Domain,
+    InputError,
+    Vector,
+    stream,
+    triple,
+)
 from sabench.worlds.library.random_packing import place
 from sabench.worlds.library.size_distributions import Spectrum, spheroids, within
 

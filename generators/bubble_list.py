@@ -5,11 +5,14 @@ from __future__ import annotations
 import numpy as np
 from pydantic import Field, model_validator
 
-from sabench.api import BubbleGenerator, BubbleParameters
-from sabench.api.truth import Bubbles
-from sabench.geometry.frames import Domain
-from sabench.geometry.rotations import exponential
-from sabench.utils.fields import Vector
+from sabench.api import (
+    BubbleGenerator,
+    BubbleParameters,
+    Bubbles,
+    Domain,
+    Vector,
+    rotation_matrices,
+)
 
 
 class BubbleListParameters(BubbleParameters):
@@ -65,5 +68,5 @@ class BubbleList(BubbleGenerator):
         turns = np.deg2rad(
             np.array(chosen.turn_deg or np.zeros((count, 3)), dtype=np.float64)
         ).reshape(count, 3)
-        turn = np.array([exponential(vector).T for vector in turns]).reshape(count, 3, 3)
+        turn = np.array([rotation_matrices(vector).T for vector in turns]).reshape(count, 3, 3)
         return Bubbles(np.arange(count), center, semi_axes, turn, velocity, chosen.index)

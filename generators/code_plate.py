@@ -5,10 +5,7 @@ from __future__ import annotations
 import numpy as np
 from pydantic import Field
 
-from sabench.api import Code, CodeGenerator, SolidParameters
-from sabench.api.truth import Solid
-from sabench.utils.arrays import F64, Bool
-from sabench.utils.rng import stream
+from sabench.api import F64, Bool, Code, CodeGenerator, Solid, SolidParameters, stream
 
 _FACES = np.array(
     [

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 from pydantic import Field
 
-from sabench.api import SolidGenerator, SolidParameters
-from sabench.api.truth import Solid
+from sabench.api import Solid, SolidGenerator, SolidParameters
 
 
 class CylinderParameters(SolidParameters):

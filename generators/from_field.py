@@ -10,10 +10,7 @@ import numpy as np
 from pydantic import Field, model_validator
 from scipy.interpolate import NdBSpline, make_interp_spline
 
-from sabench.api import FileParameters, Flow
-from sabench.geometry.frames import Domain
-from sabench.utils.arrays import F64
-from sabench.utils.errors import InputError
+from sabench.api import F64, Domain, FileParameters, Flow, InputError
 from sabench.worlds.library.field_files import Array, length_mm, read_arrays, speed_mm_s, time_s
 
 _DEGREE = 3

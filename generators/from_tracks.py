@@ -9,11 +9,7 @@ from pathlib import Path
 import numpy as np
 from pydantic import Field, model_validator
 
-from sabench.api import FileParameters, Generator
-from sabench.api.truth import Particles
-from sabench.geometry.frames import Domain
-from sabench.utils.arrays import F64, I64
-from sabench.utils.errors import InputError
+from sabench.api import F64, I64, Domain, FileParameters, Generator, InputError, Particles
 from sabench.worlds.library.field_files import length_mm, read_arrays, speed_mm_s, time_s
 
 

@@ -5,9 +5,7 @@ from __future__ import annotations
 import numpy as np
 from pydantic import Field, field_validator
 
-from sabench.api import SolidGenerator, SolidParameters
-from sabench.api.truth import Solid
-from sabench.utils.arrays import I64
+from sabench.api import I64, Solid, SolidGenerator, SolidParameters
 from sabench.worlds.library.naca import section
 
 

@@ -5,11 +5,7 @@ from __future__ import annotations
 import numpy as np
 from pydantic import Field
 
-from sabench.api import BubbleGenerator, BubbleParameters
-from sabench.api.truth import Bubbles
-from sabench.geometry.frames import Domain
-from sabench.utils.arrays import F64, I64, Bool
-from sabench.utils.rng import stream
+from sabench.api import F64, I64, Bool, BubbleGenerator, BubbleParameters, Bubbles, Domain, stream
 from sabench.worlds.library.implicit_surfaces import capsules
 from sabench.worlds.library.jet_in_crossflow import Cones, Crossflow, Spray
 from sabench.worlds.library.random_packing import overlapping, place

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from sabench.api import Flow, Parameters
-from sabench.utils.arrays import F64
+from sabench.api import F64, Flow, Parameters
 
 Row = tuple[float, float, float]
 

@@ -7,10 +7,7 @@ from collections.abc import Callable
 import numpy as np
 from pydantic import Field
 
-from sabench.api import Material, SolidGenerator, SolidParameters
-from sabench.api.truth import Solid
-from sabench.utils.arrays import F64
-from sabench.utils.rng import stream
+from sabench.api import F64, Material, Solid, SolidGenerator, SolidParameters, stream
 from sabench.worlds.library.implicit_surfaces import capsules, largest_part, surface_of
 from sabench.worlds.library.jet_in_crossflow import Crossflow
 

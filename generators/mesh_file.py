@@ -8,9 +8,7 @@ from typing import Literal
 import numpy as np
 from pydantic import Field
 
-from sabench.api import FileParameters, SolidGenerator, SolidParameters
-from sabench.api.truth import Solid
-from sabench.utils.errors import InputError
+from sabench.api import FileParameters, InputError, Solid, SolidGenerator, SolidParameters
 
 _MM = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "inch": 25.4}
 

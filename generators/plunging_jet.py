@@ -7,11 +7,7 @@ from functools import cached_property
 import numpy as np
 from pydantic import Field
 
-from sabench.api import BubbleGenerator, BubbleParameters
-from sabench.api.truth import Bubbles
-from sabench.geometry.frames import Domain
-from sabench.utils.arrays import F64, I64, Bool
-from sabench.utils.rng import stream
+from sabench.api import F64, I64, Bool, BubbleGenerator, BubbleParameters, Bubbles, Domain, stream
 from sabench.worlds.library.plunging_jet import LN2, JetLaw
 from sabench.worlds.library.random_packing import overlapping, place
 from sabench.worlds.library.size_distributions import Spectrum, spheroids, within

@@ -5,9 +5,7 @@ from __future__ import annotations
 import numpy as np
 from pydantic import Field, model_validator
 
-from sabench.api import SolidGenerator, SolidParameters
-from sabench.api.truth import Solid
-from sabench.utils.arrays import F64
+from sabench.api import F64, Solid, SolidGenerator, SolidParameters
 from sabench.worlds.library.implicit_surfaces import capsules, surface_of
 from sabench.worlds.library.naca import half_thickness
 

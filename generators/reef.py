@@ -5,11 +5,7 @@ from __future__ import annotations
 import numpy as np
 from pydantic import Field, field_validator
 
-from sabench.api import SolidGenerator, SolidParameters
-from sabench.api.truth import Solid
-from sabench.utils.arrays import F64
-from sabench.utils.fields import Vector
-from sabench.utils.rng import stream
+from sabench.api import F64, Solid, SolidGenerator, SolidParameters, Vector, stream
 from sabench.worlds.library.implicit_surfaces import (
     capsules,
     largest_part,

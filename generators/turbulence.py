@@ -7,9 +7,7 @@ import functools
 import numpy as np
 from pydantic import Field, model_validator
 
-from sabench.api import Flow, Parameters
-from sabench.utils.arrays import F64
-from sabench.utils.rng import stream
+from sabench.api import F64, Flow, Parameters, stream
 
 
 class TurbulenceParameters(Parameters):

@@ -5,11 +5,7 @@ from __future__ import annotations
 import numpy as np
 from pydantic import Field, model_validator
 
-from sabench.api import Generator, Parameters
-from sabench.api.truth import Particles
-from sabench.geometry.frames import Domain
-from sabench.utils.errors import InputError
-from sabench.utils.rng import stream
+from sabench.api import Domain, Generator, InputError, Parameters, Particles, stream
 
 _MOST = 50_000_000
 

@@ -5,9 +5,7 @@ from __future__ import annotations
 import numpy as np
 from pydantic import Field
 
-from sabench.api import Flow, Parameters
-from sabench.geometry.rotations import leading
-from sabench.utils.arrays import F64
+from sabench.api import F64, Flow, Parameters, frame_along
 
 _AXIS = 1e-9  # mm: nearer to the ring's axis there is no direction away from it
 
@@ -47,7 +45,7 @@ class VortexRing(Flow):
         r, z, outward = self._cylindrical(points_mm)
         away = r - self.parameters.diameter_mm / 2.0
         rate = self._rate(np.hypot(away, z))
-        turn = leading(self.parameters.axis)
+        turn = frame_along(self.parameters.axis)
         return np.asarray(
             (rate * z * r * self._opened(r)[0])[:, None] * outward
             - (rate * away)[:, None] * turn[2]
@@ -56,7 +54,7 @@ class VortexRing(Flow):
     def gradient(self, points_mm: F64, time_s: float) -> F64:
         """By the chain rule in cylindrical coordinates."""
         r, z, outward = self._cylindrical(points_mm)
-        away, axis = r - self.parameters.diameter_mm / 2.0, leading(self.parameters.axis)[2]
+        away, axis = r - self.parameters.diameter_mm / 2.0, frame_along(self.parameters.axis)[2]
         distance = np.maximum(np.hypot(away, z), 1e-300)
         rate = self._rate(distance)
         slope = -rate / self.parameters.core_mm / distance  # of the rate, over the distance
@@ -76,7 +74,7 @@ class VortexRing(Flow):
         """Distance from the ring's axis, height along it, and unit vectors (n, 3) away from it."""
         offset, axis = (
             points_mm - np.asarray(self.parameters.center_mm),
-            leading(self.parameters.axis)[2],
+            frame_along(self.parameters.axis)[2],
         )
         z = offset @ axis
         lateral = offset - z[:, None] * axis

@@ -5,11 +5,7 @@ from __future__ import annotations
 import numpy as np
 from pydantic import Field
 
-from sabench.api import Parameters, TargetGenerator
-from sabench.api.truth import Target
-from sabench.geometry.frames import Domain, Pose
-from sabench.geometry.rotations import exponential
-from sabench.utils.rng import stream
+from sabench.api import Domain, Parameters, Pose, Target, TargetGenerator, rotation_matrices, stream
 
 
 class WandParameters(Parameters):
@@ -38,7 +34,11 @@ class Wand(TargetGenerator):
         axis /= np.linalg.norm(axis)
         across = np.cross([1.0, 0.0, 0.0], axis)
         sine = float(np.linalg.norm(across))
-        turn = exponential(across / sine * np.arctan2(sine, axis[0])) if sine > 1e-12 else np.eye(3)
+        turn = (
+            rotation_matrices(across / sine * np.arctan2(sine, axis[0]))
+            if sine > 1e-12
+            else np.eye(3)
+        )
         room = np.maximum(
             np.asarray(domain.size_mm) / 2.0 - np.abs(self.target().points_mm @ turn.T).max(axis=0),
             0.0,

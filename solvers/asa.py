@@ -5,10 +5,8 @@ from __future__ import annotations
 import numpy as np
 from pydantic import Field
 
-from sabench.algorithms.refocus import refocus_sum
-from sabench.algorithms.refocus.thresholding import ExtractionParameters, extracted
+from sabench.algorithms.refocus import ExtractionParameters, extract_particles, refocus_sum
 from sabench.api import Observation, Reconstruction, Solver
-from sabench.images.brightness import normalised
 
 
 class AsaParameters(ExtractionParameters):
@@ -31,7 +29,7 @@ class Asa(Solver):
 
     def solve(self, case: Observation) -> Reconstruction:
         """I_k = (1 / N) sum_i I_ki, thresholded plane by plane."""
-        volume = refocus_sum(normalised(case.images, case.black_dn), case.cameras, case.grid)
+        volume = refocus_sum(case.normalised_images(), case.cameras, case.grid)
         if self.parameters.seen_only:
             volume /= np.maximum(
                 refocus_sum(np.ones(case.images.shape, dtype=np.float32), case.cameras, case.grid),
@@ -39,4 +37,4 @@ class Asa(Solver):
             )
         else:
             volume /= len(case.cameras)
-        return Reconstruction(extracted(volume, case, self.parameters))
+        return Reconstruction(extract_particles(volume, case, self.parameters))

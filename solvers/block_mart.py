@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from sabench.algorithms.tomography.art_updates import block_mart, iterate
-from sabench.algorithms.tomography.problem import Problem, SparseParameters
+from sabench.algorithms.tomography import SparseParameters, TomographyProblem, block_mart, iterate
 from sabench.api import Observation, Reconstruction, Solver
 
 
@@ -20,7 +19,7 @@ class BlockMart(Solver):
     def solve(self, case: Observation) -> Reconstruction:
         """I_j <- I_j prod_i (P_i / sum_k W_ik I_k)^(mu W_ij) over the pixels i of one camera, on the voxels that MLOS leaves."""
         chosen = self.parameters
-        problem = Problem.of(case, chosen)
+        problem = TomographyProblem.from_case(case, chosen)
         state = problem.mlos(chosen.threshold)
         iterate(
             lambda: block_mart(state, problem.measured, chosen.relaxation),

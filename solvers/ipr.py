@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from pydantic import Field
 
-from sabench.algorithms.particles.ipr import Settings, box_of, reconstructed
-from sabench.api import Film, FoundParticles, Parameters, ParticleSolver
-from sabench.utils.progress import track
+from sabench.algorithms.particles import IprSettings, fit_cameras, reconstruct_particles
+from sabench.api import Film, FoundParticles, Parameters, ParticleSolver, progress_bar
 
 
 class IprParameters(Parameters):
@@ -61,7 +60,7 @@ class Ipr(ParticleSolver):
         """Frame by frame."""
         chosen = self.parameters
         reduced = max(4, len(case.cameras)) if chosen.reduced is None else chosen.reduced
-        settings = Settings(
+        settings = IprSettings(
             chosen.floor,
             chosen.noise,
             chosen.reach_px,
@@ -69,8 +68,8 @@ class Ipr(ParticleSolver):
             chosen.fits,
             chosen.faint,
         )
-        maps = box_of(case[0])
+        maps = fit_cameras(case[0])
         return [
-            reconstructed(frame, maps, settings)
-            for frame in track(case, "iterative reconstruction")
+            reconstruct_particles(frame, maps, settings)
+            for frame in progress_bar(case, "iterative reconstruction")
         ]

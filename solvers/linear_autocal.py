@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from sabench.algorithms.calibration.factorisation import adjusted, euclidean, factorise
-from sabench.algorithms.calibration.wall_frame import similarity_fit
-from sabench.api import Calibration, CalibrationCase, CalibrationSolver
-from sabench.geometry.polynomial_cameras import Projective
-from sabench.utils.arrays import F64
-from sabench.utils.errors import InputError
+from sabench.algorithms.calibration import (
+    Projective,
+    adjust_factors,
+    factorise,
+    fit_similarity,
+    upgrade_to_euclidean,
+)
+from sabench.api import F64, Calibration, CalibrationCase, CalibrationSolver, InputError
 
 
 class LinearAutocal(CalibrationSolver):
@@ -37,9 +39,11 @@ class LinearAutocal(CalibrationSolver):
         images = (
             case.pixels.reshape(len(scales), -1, 2)[:, chosen] - scales[:, None, :2]
         ) / scales[:, None, 2:]
-        factors = euclidean(adjusted(factorise(images, seen[:, chosen]), images, seen[:, chosen]))
+        factors = upgrade_to_euclidean(
+            adjust_factors(factorise(images, seen[:, chosen]), images, seen[:, chosen])
+        )
         points = factors.points[:, :3] / factors.points[:, 3:]
-        world = similarity_fit(points, case.rough_mm.reshape(-1, 3)[chosen])
+        world = fit_similarity(points, case.rough_mm.reshape(-1, 3)[chosen])
         matrices = factors.matrices @ np.linalg.inv(world)
         cameras = [
             Projective(

@@ -5,13 +5,31 @@ from __future__ import annotations
 import numpy as np
 from pydantic import Field
 
-from sabench.algorithms.bubbles.ellipse_detection import edges, ellipses
-from sabench.algorithms.bubbles.feature_peaks import PLANES, STEP, Peaks, depth_of, distinct
-from sabench.algorithms.bubbles.feature_potential import WINDOW, attenuate, blots, darkness, feature
-from sabench.api import BubbleSolver, Detections, Observation, Parameters
-from sabench.geometry.grid import Grid
-from sabench.utils.arrays import F32, F64, I64
-from sabench.utils.progress import track
+from sabench.algorithms.bubbles import (
+    PLANES,
+    STEP,
+    WINDOW,
+    FeaturePeaks,
+    attenuate,
+    darkness,
+    drop_duplicates,
+    feature_potential,
+    find_blots,
+    find_depth,
+    find_edges,
+    find_ellipses,
+)
+from sabench.api import (
+    F32,
+    F64,
+    I64,
+    BubbleSolver,
+    Detections,
+    Grid,
+    Observation,
+    Parameters,
+    progress_bar,
+)
 
 _FLAT = 0.01  # spread of a window in which nothing is: half as large as for minimum images
 _NEAR = 5  # planes from a bubble to a peak that speaks for it
@@ -55,19 +73,21 @@ class LocalFeature(BubbleSolver):
         """Steps 1 to 4 of the section."""
         volume = darkness(case)
         for _ in range(2):
-            attenuate(volume, feature(volume, STEP, _FLAT), STEP)
-        peaks = Peaks.of(np.log1p(feature(volume, STEP, _FLAT)), self.parameters.least_peak)
+            attenuate(volume, feature_potential(volume, STEP, _FLAT), STEP)
+        peaks = FeaturePeaks.find(
+            np.log1p(feature_potential(volume, STEP, _FLAT)), self.parameters.least_peak
+        )
         bubbles = self._bubbles(volume, peaks, case.grid)
         return _detections(
-            distinct(bubbles, case.grid.voxel_mm[2] / case.grid.voxel_mm[0]), case.grid
+            drop_duplicates(bubbles, case.grid.voxel_mm[2] / case.grid.voxel_mm[0]), case.grid
         )
 
-    def _bubbles(self, volume: F32, peaks: Peaks, grid: Grid) -> F64:
+    def _bubbles(self, volume: F32, peaks: FeaturePeaks, grid: Grid) -> F64:
         """Bubbles (n, 7) of all groups, each grown from the strongest peak that is left: outline, part of it that has edges, plane."""
         largest = self.parameters.largest_mm / grid.voxel_mm[0]
         free = np.ones(len(peaks.weight), dtype=np.bool_)
         found = []
-        for first in track(range(len(free)), "peaks"):
+        for first in progress_bar(range(len(free)), "peaks"):
             if not free[first]:
                 continue
             group = peaks.group(first, free, int(np.ceil(largest / STEP)))
@@ -78,7 +98,7 @@ class LocalFeature(BubbleSolver):
                     found.append(one)
         return np.array(found, dtype=np.float64).reshape(-1, 7)
 
-    def _features(self, volume: F32, peaks: Peaks, group: I64, largest: float) -> list[F64]:
+    def _features(self, volume: F32, peaks: FeaturePeaks, group: I64, largest: float) -> list[F64]:
         """Ellipses of a group in its mean plane, each then in its own; without one, small features at its strongest peak."""
         windows = peaks.place[group, 1:] * STEP
         plane = peaks.plane(group)
@@ -98,8 +118,8 @@ class LocalFeature(BubbleSolver):
         top, left = np.maximum(low - _MARGIN, 0)
         bottom, right = np.maximum(high + _MARGIN, 0)
         dark = np.ascontiguousarray(volume[plane, top:bottom, left:right])
-        out = ellipses(
-            edges(dark, chosen.least_edge), largest, chosen.least_aspect, chosen.least_part
+        out = find_ellipses(
+            find_edges(dark, chosen.least_edge), largest, chosen.least_aspect, chosen.least_part
         )
         out[:, :2] += left, top
         return out
@@ -108,7 +128,7 @@ class LocalFeature(BubbleSolver):
         """An outline in the plane where it is darkest, and that plane; none if it is not there any more."""
         depth = float(plane)
         for _ in range(2):
-            depth = depth_of(volume, one, round(depth))
+            depth = find_depth(volume, one, round(depth))
             low, high = (
                 np.floor(one[1::-1] + side * one[2]).astype(np.int64) for side in (-1.0, 1.0)
             )
@@ -127,9 +147,9 @@ class LocalFeature(BubbleSolver):
         dark = np.ascontiguousarray(volume[plane, top : top + size, left : left + size])
         circles = [
             np.array([x + left, y + top, r, r, 0.0, 0.0])
-            for x, y, r in blots(dark, chosen.least_edge, chosen.small_px)
+            for x, y, r in find_blots(dark, chosen.least_edge, chosen.small_px)
         ]
-        return [np.append(one, depth_of(volume, one, plane)) for one in circles]
+        return [np.append(one, find_depth(volume, one, plane)) for one in circles]
 
 
 def _detections(bubbles: F64, grid: Grid) -> Detections:

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from sabench.algorithms.refocus import refocus_by_shifts
-from sabench.algorithms.refocus.thresholding import ExtractionParameters, extracted
+from sabench.algorithms.refocus import ExtractionParameters, extract_particles, refocus_by_shifts
 from sabench.api import Observation, Reconstruction, Solver
-from sabench.images.brightness import normalised
 
 
 class MapShiftAverage(Solver):
@@ -20,5 +18,5 @@ class MapShiftAverage(Solver):
 
     def solve(self, case: Observation) -> Reconstruction:
         """I_k = (1 / N) sum_i of image i mapped to the reference plane and shifted by mu_k (dX_i, dY_i), thresholded plane by plane."""
-        volume = refocus_by_shifts(normalised(case.images, case.black_dn), case.cameras, case.grid)
-        return Reconstruction(extracted(volume, case, self.parameters))
+        volume = refocus_by_shifts(case.normalised_images(), case.cameras, case.grid)
+        return Reconstruction(extract_particles(volume, case, self.parameters))

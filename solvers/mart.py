@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from sabench.algorithms.tomography.art_updates import iterate, mart
-from sabench.algorithms.tomography.problem import Problem, SparseParameters
+from sabench.algorithms.tomography import SparseParameters, TomographyProblem, iterate, mart
 from sabench.api import Observation, Reconstruction, Solver
 
 
@@ -23,7 +22,7 @@ class Mart(Solver):
     def solve(self, case: Observation) -> Reconstruction:
         """I_j <- I_j (P_i / sum_k W_ik I_k)^(mu W_ij), pixel i by pixel; voxels that a camera sees black are zero from the start."""
         chosen = self.parameters
-        problem = Problem.of(case, chosen)
+        problem = TomographyProblem.from_case(case, chosen)
         state = problem.mlos(chosen.threshold)
         np.sign(state.values, out=state.values)
         iterate(

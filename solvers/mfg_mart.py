@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from sabench.algorithms.tomography.art_updates import iterate, mart
-from sabench.algorithms.tomography.problem import Problem, SparseParameters
+from sabench.algorithms.tomography import SparseParameters, TomographyProblem, iterate, mart
 from sabench.api import Observation, Reconstruction, Solver
 
 
@@ -20,7 +19,7 @@ class MfgMart(Solver):
     def solve(self, case: Observation) -> Reconstruction:
         """I_j = (prod_c P_c)^(1/N), then I_j <- I_j (P_i / sum_k W_ik I_k)^(mu W_ij), pixel i by pixel."""
         chosen = self.parameters
-        problem = Problem.of(case, chosen)
+        problem = TomographyProblem.from_case(case, chosen)
         state = problem.mfg(chosen.threshold)
         iterate(
             lambda: mart(state, problem.measured, chosen.relaxation),

@@ -5,17 +5,16 @@ from __future__ import annotations
 import numpy as np
 from pydantic import Field
 
-from sabench.algorithms.bubbles.feature_potential import (
+from sabench.algorithms.bubbles import (
     WINDOW,
     attenuate,
     darkness,
-    feature,
+    feature_potential,
+    find_outlines,
+    merge_overlaps,
     minimum_images,
-    outlines,
-    validated,
 )
-from sabench.api import BubbleSolver, Detections, Observation, Parameters
-from sabench.utils.progress import track
+from sabench.api import BubbleSolver, Detections, Observation, Parameters, progress_bar
 
 
 class MinimumImageParameters(Parameters):
@@ -41,15 +40,15 @@ class MinimumImage(BubbleSolver):
     def solve(self, case: Observation) -> Detections:
         """Steps 1 to 5 of the section."""
         volume, grid = darkness(case), case.grid
-        attenuate(volume, feature(volume, WINDOW), WINDOW)
+        attenuate(volume, feature_potential(volume, WINDOW), WINDOW)
         found = []
-        for dark, depth in track(minimum_images(volume), "minimum images"):
-            made = outlines(dark, depth, self.parameters.least_edge, self.parameters.small_px)
+        for dark, depth in progress_bar(minimum_images(volume), "minimum images"):
+            made = find_outlines(dark, depth, self.parameters.least_edge, self.parameters.small_px)
             for (x, y, a, b), z in zip(made.shapes, made.depth, strict=True):
                 found.append((x, y, z, a, b, a * b))
         shapes = np.array(found, dtype=np.float64).reshape(-1, 6)
         voxel, low = np.asarray(grid.voxel_mm), np.asarray(grid.low_mm)
         shapes[:, :3] = shapes[:, :3] * voxel + low
         shapes[:, 3:5] *= voxel[:2]
-        kept = validated(shapes, grid)
+        kept = merge_overlaps(shapes, grid)
         return Detections.balls(kept[:, :3].copy(), np.sqrt(kept[:, 3] * kept[:, 4]))

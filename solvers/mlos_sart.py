@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 from pydantic import Field
 
-from sabench.algorithms.tomography.art_updates import iterate, sart
-from sabench.algorithms.tomography.problem import Problem, SparseParameters
+from sabench.algorithms.tomography import SparseParameters, TomographyProblem, iterate, sart
 from sabench.api import Observation, Reconstruction, Solver
 
 
@@ -32,7 +31,7 @@ class MlosSart(Solver):
     def solve(self, case: Observation) -> Reconstruction:
         """I_j <- max(0, I_j + mu sum_i W_ij (P_i - sum_k W_ik I_k) / L_i / N_j) on the voxels that MLOS leaves."""
         chosen = self.parameters
-        problem = Problem.of(case, chosen)
+        problem = TomographyProblem.from_case(case, chosen)
         state = problem.mlos(chosen.threshold)
         lengths = state.lines.forward(np.ones_like(state.values))
         iterate(

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from pydantic import Field
 
-from sabench.algorithms.tomography.art_updates import iterate, smart
-from sabench.algorithms.tomography.problem import Problem, SparseParameters
+from sabench.algorithms.tomography import SparseParameters, TomographyProblem, iterate, smart
 from sabench.api import Observation, Reconstruction, Solver
 
 
@@ -31,7 +30,7 @@ class MlosSmart(Solver):
     def solve(self, case: Observation) -> Reconstruction:
         """I_j <- I_j prod_i (P_i / sum_k W_ik I_k)^(mu W_ij / N_j) on the voxels that MLOS leaves."""
         chosen = self.parameters
-        problem = Problem.of(case, chosen)
+        problem = TomographyProblem.from_case(case, chosen)
         state = problem.mlos(chosen.threshold)
         iterate(
             lambda: smart(state, problem.measured, chosen.relaxation),

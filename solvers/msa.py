@@ -5,10 +5,13 @@ from __future__ import annotations
 import numpy as np
 from pydantic import Field
 
-from sabench.algorithms.refocus import refocus_log2, refocus_sum
-from sabench.algorithms.refocus.thresholding import ExtractionParameters, extracted
+from sabench.algorithms.refocus import (
+    ExtractionParameters,
+    extract_particles,
+    refocus_log2,
+    refocus_sum,
+)
 from sabench.api import Observation, Reconstruction, Solver
-from sabench.images.brightness import normalised
 
 
 class MsaParameters(ExtractionParameters):
@@ -46,7 +49,7 @@ class Msa(Solver):
         """I_k = prod_i max(I_ki, floor)^n, thresholded plane by plane."""
         count, floor = len(case.cameras), self.parameters.floor
         exponent = self.parameters.exponent or min(1.0, 3.0 / count)
-        images = normalised(case.images, case.black_dn)
+        images = case.normalised_images()
         if self.parameters.seen_only:  # where a camera sees nothing its factor is 1
             volume = refocus_log2(images, case.cameras, case.grid, floor, outside=1.0)
             volume *= count / np.maximum(
@@ -55,4 +58,4 @@ class Msa(Solver):
         else:
             volume = refocus_log2(images, case.cameras, case.grid, floor)
         volume *= exponent
-        return Reconstruction(extracted(np.exp2(volume, out=volume), case, self.parameters))
+        return Reconstruction(extract_particles(np.exp2(volume, out=volume), case, self.parameters))

@@ -8,13 +8,9 @@ from pathlib import Path
 import numpy as np
 from pydantic import Field
 
-from sabench.api import Film, FoundParticles, Parameters, ParticleSolver
-from sabench.geometry.camera import Camera
-from sabench.images.brightness import normalised
+from sabench.api import Camera, Film, FoundParticles, Parameters, ParticleSolver, progress_bar
 from sabench.interop.image_statistics import Seen, seen_in
-from sabench.interop.openlpt import Settings, solve, unfit, write_frame, write_project
-from sabench.utils.processes import child
-from sabench.utils.progress import track
+from sabench.interop.openlpt import Settings, missing, solve, unfit, write_frame, write_project
 
 
 class OpenLptParameters(Parameters):
@@ -68,15 +64,15 @@ class OpenLpt(ParticleSolver):
             for camera in case.cameras
             if isinstance(camera, Camera) and (reason := unfit(camera))
         )
-        return child.missing("pyopenlpt", "openlpt") or next(unfits, None)
+        return missing() or next(unfits, None)
 
     def solve(self, case: Film) -> list[FoundParticles]:
         """Write its files, run it, read its tracks."""
         cameras = tuple(camera for camera in case.cameras if isinstance(camera, Camera))
         with tempfile.TemporaryDirectory(prefix="openlpt-") as name:
             folder = Path(name)
-            for number, frame in enumerate(track(case, "images for OpenLPT")):
-                write_frame(folder, number, normalised(frame.images, frame.black_dn))
+            for number, frame in enumerate(progress_bar(case, "images for OpenLPT")):
+                write_frame(folder, number, frame.normalised_images())
             seen = seen_in(case[0])
             if not seen.particles:
                 return [FoundParticles(np.zeros((0, 3))) for _ in range(len(case))]

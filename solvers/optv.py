@@ -7,13 +7,17 @@ from pathlib import Path
 
 from pydantic import Field
 
-from sabench.api import Film, FoundParticles, Parameters, ParticleSolver
-from sabench.geometry.camera import Camera
-from sabench.images.brightness import normalised
+from sabench.api import Camera, Film, FoundParticles, Parameters, ParticleSolver, progress_bar
 from sabench.interop.image_statistics import seen_in
-from sabench.interop.openptv import MOST_CAMERAS, Settings, solve, unfit, write_frame, write_project
-from sabench.utils.processes import child
-from sabench.utils.progress import track
+from sabench.interop.openptv import (
+    MOST_CAMERAS,
+    Settings,
+    missing,
+    solve,
+    unfit,
+    write_frame,
+    write_project,
+)
 
 
 class OptvParameters(Parameters):
@@ -60,7 +64,7 @@ class Optv(ParticleSolver):
             for camera in case.cameras
             if isinstance(camera, Camera) and (reason := unfit(camera))
         )
-        return child.missing("optv", "optv") or next(unfits, None)
+        return missing() or next(unfits, None)
 
     def solve(self, case: Film) -> list[FoundParticles]:
         """Write its files, run it, read what it found."""
@@ -74,7 +78,7 @@ class Optv(ParticleSolver):
         )
         with tempfile.TemporaryDirectory(prefix="optv-") as name:
             folder = Path(name)
-            for number, frame in enumerate(track(case, "images for OpenPTV")):
-                write_frame(folder, number, normalised(frame.images, frame.black_dn))
+            for number, frame in enumerate(progress_bar(case, "images for OpenPTV")):
+                write_frame(folder, number, frame.normalised_images())
             write_project(folder, cameras, case.grid, len(case), settings)
             return solve(folder, case.grid, len(case))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pydantic import Field
 
-from sabench.algorithms.velocimetry.multipass import Plan, evaluate
+from sabench.algorithms.velocimetry import Plan, evaluate
 from sabench.api import VelocimetryParameters, VelocimetrySolver, Velocity, VolumePair
 
 Voxels = tuple[int, int, int]

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from sabench.algorithms.calibration.known_points import known_frames
+from sabench.algorithms.calibration import fit_planes, known_frames
 from sabench.api import Calibration, CalibrationCase, CalibrationSolver
-from sabench.geometry.polynomial_cameras import fit_planes
 
 _FLAT = 0.1  # largest range of Z in a frame, as a part of the distance of the frames
 

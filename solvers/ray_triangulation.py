@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from pydantic import Field
 
-from sabench.algorithms.particles.ipr import Settings, box_of, triangulated
-from sabench.api import Film, FoundParticles, Parameters, ParticleSolver
-from sabench.utils.progress import track
+from sabench.algorithms.particles import IprSettings, fit_cameras, triangulate_particles
+from sabench.api import Film, FoundParticles, Parameters, ParticleSolver, progress_bar
 
 
 class TriangulationParameters(Parameters):
@@ -44,6 +43,9 @@ class RayTriangulation(ParticleSolver):
     def solve(self, case: Film) -> list[FoundParticles]:
         """Frame by frame."""
         chosen = self.parameters
-        settings = Settings(floor=chosen.floor, noise=chosen.noise, reach_px=chosen.reach_px)
-        maps = box_of(case[0])
-        return [triangulated(frame, maps, settings) for frame in track(case, "triangulation")]
+        settings = IprSettings(floor=chosen.floor, noise=chosen.noise, reach_px=chosen.reach_px)
+        maps = fit_cameras(case[0])
+        return [
+            triangulate_particles(frame, maps, settings)
+            for frame in progress_bar(case, "triangulation")
+        ]

@@ -7,10 +7,13 @@ from typing import Literal
 
 from pydantic import Field
 
-from sabench.algorithms.calibration.input_checks import check_fit
-from sabench.algorithms.calibration.parameters import Free
-from sabench.algorithms.calibration.problem import Problem, anchors_of
-from sabench.algorithms.calibration.robust import adjust
+from sabench.algorithms.calibration import (
+    CalibrationProblem,
+    FreeParameters,
+    adjust,
+    check_fit,
+    make_anchors,
+)
 from sabench.api import Calibration, CalibrationCase, CalibrationSolver, Parameters
 
 
@@ -49,13 +52,13 @@ class RefractiveAutocal(CalibrationSolver):
     def solve(self, case: CalibrationCase) -> Calibration:
         """Adjust, then again with the known coordinates weighed against the noise that was found."""
         chosen: RefractiveAutocalParameters = self.parameters
-        lenses = Free.of(
+        lenses = FreeParameters.from_names(
             {*case.unknown, *chosen.distortion, *["principal_point"] * chosen.principal_point}
         )
         free = replace(lenses, indices=chosen.indices, thicknesses=chosen.thicknesses)
-        problem = Problem.of(case, free)
+        problem = CalibrationProblem.from_case(case, free)
         found = adjust(problem.start, problem.seen, free)
-        anchors = anchors_of(case, problem.frame, found.noise_px)
+        anchors = make_anchors(case, problem.frame, found.noise_px)
         if anchors:
             found = adjust(
                 problem.settled(found.fit.state), replace(problem.seen, anchors=anchors), free

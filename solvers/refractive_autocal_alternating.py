@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from pydantic import Field
 
-from sabench.algorithms.calibration.alternating import alternate
-from sabench.algorithms.calibration.parameters import Free
-from sabench.algorithms.calibration.problem import Problem
+from sabench.algorithms.calibration import CalibrationProblem, FreeParameters, alternate
 from sabench.api import Calibration, CalibrationCase, CalibrationSolver, Parameters
 
 
@@ -35,8 +33,8 @@ class RefractiveAutocalAlternating(CalibrationSolver):
     def solve(self, case: CalibrationCase) -> Calibration:
         """Alternate, bring the points to the known reference points, and alternate again."""
         chosen: AlternatingParameters = self.parameters
-        free = Free.of(case.unknown)
-        problem = Problem.of(case, free)
+        free = FreeParameters.from_names(case.unknown)
+        problem = CalibrationProblem.from_case(case, free)
         state = problem.start
         for _ in range(2):
             state = problem.settled(

@@ -7,11 +7,15 @@ from dataclasses import replace
 import numpy as np
 from pydantic import Field
 
-from sabench.algorithms.calibration.alternating import alternate, mean_turn, subset
-from sabench.algorithms.calibration.parameters import Free, State
-from sabench.algorithms.calibration.problem import Problem
-from sabench.api import Calibration, CalibrationCase, CalibrationSolver, Parameters
-from sabench.utils.rng import stream
+from sabench.algorithms.calibration import (
+    CalibrationProblem,
+    FreeParameters,
+    State,
+    alternate,
+    mean_rotation,
+    select_cameras,
+)
+from sabench.api import Calibration, CalibrationCase, CalibrationSolver, Parameters, stream
 
 
 class RandomisedParameters(Parameters):
@@ -48,8 +52,8 @@ class RefractiveAutocalRandomised(CalibrationSolver):
     def solve(self, case: CalibrationCase) -> Calibration:
         """Draw and average until the subsets agree, or agree less than before."""
         chosen: RandomisedParameters = self.parameters
-        free, rng = Free.of(case.unknown), stream(self.parameters.seed, "subsets")
-        problem = Problem.of(case, free)
+        free, rng = FreeParameters.from_names(case.unknown), stream(self.parameters.seed, "subsets")
+        problem = CalibrationProblem.from_case(case, free)
         state, least = problem.start, np.inf
         for _ in range(chosen.iterations):
             pair = [self._subset(problem, state, rng, free) for _ in range(2)]
@@ -67,12 +71,16 @@ class RefractiveAutocalRandomised(CalibrationSolver):
         )
 
     def _subset(
-        self, problem: Problem, state: State, rng: np.random.Generator, free: Free
+        self,
+        problem: CalibrationProblem,
+        state: State,
+        rng: np.random.Generator,
+        free: FreeParameters,
     ) -> State:
         """One subset's calibration, from the boards as they are known so far."""
         chosen: RandomisedParameters = self.parameters
         cameras = np.sort(rng.permutation(len(state.turns))[: chosen.subset])
-        part, seen = subset(state, problem.seen, cameras)
+        part, seen = select_cameras(state, problem.seen, cameras)
         return problem.settled(
             alternate(part, seen, free, chosen.tolerance_px, chosen.rounds).state
         )
@@ -82,5 +90,7 @@ def _averaged(state: State, pair: list[State]) -> State:
     """The state with the mean of both subsets' boards."""
     places = np.mean([part.places for part in pair], axis=0)
     return replace(
-        state, board_turns=mean_turn(np.stack([part.board_turns for part in pair])), places=places
+        state,
+        board_turns=mean_rotation(np.stack([part.board_turns for part in pair])),
+        places=places,
     )

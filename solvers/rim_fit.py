@@ -7,14 +7,17 @@ from functools import partial
 import numpy as np
 from pydantic import Field
 
-from sabench.algorithms.bubbles.backlit_profile import Profile
-from sabench.algorithms.bubbles.hough_circles import radii_between, vote
-from sabench.algorithms.bubbles.hypotheses import hypotheses, scales, together
-from sabench.algorithms.bubbles.search import search
-from sabench.algorithms.bubbles.transmission import transmission
-from sabench.api import BubbleSolver, Detections, Observation, Parameters
-from sabench.geometry.camera import Camera
-from sabench.utils.progress import track
+from sabench.algorithms.bubbles import (
+    Profile,
+    find_hypotheses,
+    join_hypotheses,
+    px_per_mm,
+    radii_between,
+    search_bubbles,
+    transmission,
+    vote,
+)
+from sabench.api import BubbleSolver, Camera, Detections, Observation, Parameters, progress_bar
 
 
 class RimFitParameters(Parameters):
@@ -65,19 +68,23 @@ class RimFit(BubbleSolver):
         middle = np.asarray(case.grid.low_mm) + (
             np.asarray(case.grid.shape[::-1]) - 1
         ) / 2.0 * np.asarray(case.grid.voxel_mm)
-        scale = float(np.median([scales(camera, middle[None])[0] for camera in cameras]))
+        scale = float(np.median([px_per_mm(camera, middle[None])[0] for camera in cameras]))
         radii = radii_between(max(1.0, chosen.radius_mm[0] * scale), chosen.radius_mm[1] * scale)
         found = []
         for aspect in chosen.aspects:
             votes = [
                 vote(image, radii, aspect)
-                for image in track(images, f"vote for outlines, aspect {aspect:g}")
+                for image in progress_bar(images, f"vote for outlines, aspect {aspect:g}")
             ]
             found.append(
-                hypotheses(cameras, votes, case.grid, 0.8 * chosen.least_vote, chosen.least_vote)
+                find_hypotheses(
+                    cameras, votes, case.grid, 0.8 * chosen.least_vote, chosen.least_vote
+                )
             )
-        start = together(found)
+        start = join_hypotheses(found)
         fluid = cameras[0].wall.fluid_index if cameras[0].wall else 1.0
         angle = None if chosen.diffuser_deg is None else float(np.deg2rad(chosen.diffuser_deg))
         profile = partial(Profile.of, chosen.index / fluid, blur_px=chosen.blur_px)
-        return search(images, cameras, profile, angle, start, chosen.least_gain, chosen.sweeps)
+        return search_bubbles(
+            images, cameras, profile, angle, start, chosen.least_gain, chosen.sweeps
+        )

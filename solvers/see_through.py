@@ -8,11 +8,9 @@ from typing import Literal
 import numpy as np
 from pydantic import Field
 
-from sabench.algorithms.bubbles.transmission import transmission
+from sabench.algorithms.bubbles import transmission
 from sabench.algorithms.refocus import refocus_log2, refocus_sum
-from sabench.api import Observation, Parameters, Reconstruction, SeeThroughSolver
-from sabench.api.make import make_solver
-from sabench.utils.arrays import F32
+from sabench.api import F32, Observation, Parameters, Reconstruction, SeeThroughSolver, make_solver
 
 _FLOOR = 0.02  # of transmission and of darkness: one camera cannot erase a point
 _LEVELS = 4000.0  # grey values of the largest optical depth that the tomography is given

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from sabench.algorithms.calibration.known_points import flat, known_points
+from sabench.algorithms.calibration import fit_soloff, known_points, reason_if_flat
 from sabench.api import Calibration, CalibrationCase, CalibrationSolver
-from sabench.geometry.polynomial_cameras import fit_soloff
 
 
 class SoloffCalibration(CalibrationSolver):
@@ -15,7 +14,7 @@ class SoloffCalibration(CalibrationSolver):
 
     def skip(self, case: CalibrationCase) -> str | None:
         """Places in one plane determine no camera."""
-        return flat(case)
+        return reason_if_flat(case)
 
     def solve(self, case: CalibrationCase) -> Calibration:
         """Fit every camera on its own."""

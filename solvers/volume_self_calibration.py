@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-import numpy as np
 from pydantic import Field
 
-from sabench.algorithms.calibration.self_calibration import Tracking, follow, match_all, refined
+from sabench.algorithms.calibration import (
+    Tracking,
+    adjust_cameras,
+    follow_disparities,
+    match_particles,
+)
 from sabench.api import Calibration, Observation, Parameters, SelfCalibrationSolver
-from sabench.images.brightness import normalised
 
 
 class VolumeSelfCalibrationParameters(Parameters):
@@ -50,8 +53,8 @@ class VolumeSelfCalibration(SelfCalibrationSolver):
     def solve(self, case: Observation) -> Calibration:
         """Four cameras first, then the others against what these agree on."""
         chosen: VolumeSelfCalibrationParameters = self.parameters
-        tracking = Tracking.of(
-            case, np.asarray(normalised(case.images, case.black_dn)), chosen.bright
+        tracking = Tracking.from_case(case, case.normalised_images(), chosen.bright)
+        maps = follow_disparities(tracking, chosen.reach_px, chosen.least_px)
+        return Calibration(
+            adjust_cameras(tracking, match_particles(tracking, maps, chosen.least_px))
         )
-        maps = follow(tracking, chosen.reach_px, chosen.least_px)
-        return Calibration(refined(tracking, match_all(tracking, maps, chosen.least_px)))

@@ -1,4 +1,9 @@
-"""Public types of sabench: truth, observations, estimates and the base classes of plug-ins."""
+"""Everything that a plug-in needs besides its algorithm: base classes, data, cameras and helpers.
+
+A plug-in imports from `sabench.api` and `sabench.algorithms` only (adapters of other programs also
+from `sabench.interop`, generators also from `sabench.worlds.library`); what these two do not name
+may move.
+"""
 
 from sabench.api.estimates import Calibration, Detections, FoundParticles, Reconstruction, Velocity
 from sabench.api.generators import (
@@ -13,6 +18,7 @@ from sabench.api.generators import (
     SolidParameters,
     TargetGenerator,
 )
+from sabench.api.make import make_solver
 from sabench.api.observations import CalibrationCase, Film, Observation, Shown, VolumePair
 from sabench.api.parameters import FileParameters, Parameters, PlugIn
 from sabench.api.solvers import (
@@ -23,43 +29,81 @@ from sabench.api.solvers import (
     SeeThroughSolver,
     SelfCalibrationSolver,
     Solver,
-    Track,
+    TaskName,
     VelocimetryParameters,
     VelocimetrySolver,
 )
+from sabench.api.truth import Bubbles, Particles, Solid, Target
+from sabench.geometry.camera import Camera, Distortion
+from sabench.geometry.camera_model import CameraModel
+from sabench.geometry.frames import Domain, Pose
+from sabench.geometry.grid import Grid
+from sabench.geometry.refraction import Layer, Rays, Wall
+from sabench.geometry.rotations import frame_along, rotation_matrices
+from sabench.utils.arrays import F32, F64, I64, U16, Bool, triple
+from sabench.utils.errors import InputError
+from sabench.utils.fields import Vector
+from sabench.utils.progress import track as progress_bar
+from sabench.utils.rng import stream
 
 __all__ = [
+    "F32",
+    "F64",
+    "I64",
+    "U16",
     "AnySolver",
+    "Bool",
     "BubbleGenerator",
     "BubbleParameters",
     "BubbleSolver",
+    "Bubbles",
     "Calibration",
     "CalibrationCase",
     "CalibrationSolver",
+    "Camera",
+    "CameraModel",
     "Code",
     "CodeGenerator",
     "Detections",
+    "Distortion",
+    "Domain",
     "FileParameters",
     "Film",
     "Flow",
     "FoundParticles",
     "Generator",
+    "Grid",
+    "InputError",
+    "Layer",
     "Material",
     "Observation",
     "Parameters",
     "ParticleSolver",
+    "Particles",
     "PlugIn",
+    "Pose",
+    "Rays",
     "Reconstruction",
     "SeeThroughSolver",
     "SelfCalibrationSolver",
     "Shown",
+    "Solid",
     "SolidGenerator",
     "SolidParameters",
     "Solver",
+    "Target",
     "TargetGenerator",
-    "Track",
+    "TaskName",
+    "Vector",
     "VelocimetryParameters",
     "VelocimetrySolver",
     "Velocity",
     "VolumePair",
+    "Wall",
+    "frame_along",
+    "make_solver",
+    "progress_bar",
+    "rotation_matrices",
+    "stream",
+    "triple",
 ]

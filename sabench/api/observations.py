@@ -52,6 +52,15 @@ class Observation:
         _check_kind(self.images)
         _check_sizes(self.images, self.cameras)
 
+    def normalised_images(self) -> F32:
+        """Scale the images to a bright particle's peak in the same camera; black becomes 0.
+
+        See `sabench.images.brightness.normalised`.
+        """
+        from sabench.images.brightness import normalised  # numba is loaded at the first use
+
+        return normalised(self.images, self.black_dn)
+
 
 def _check_kind(images: Any) -> None:
     """Grey values are 16-bit numbers without sign, in one array."""

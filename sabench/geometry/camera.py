@@ -1,4 +1,8 @@
-"""A pinhole camera with radial-tangential distortion that looks through a wall, or through plain air."""
+"""Pinhole cameras with radial-tangential distortion that look through a wall, or through air.
+
+`Camera.pixels_of` of paths by `refraction.trace_to_points` is the reference of the projection; its
+copies, their reasons and the tests that tie them to it: docs/developing/copies-of-the-projection.md.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +13,8 @@ import numpy as np
 import numpy.typing as npt
 
 from sabench.geometry.camera_model import on_sensor
-from sabench.geometry.refraction import Rays, Wall, trace_into_fluid, trace_to_points, wall_axes
+from sabench.geometry.refraction import Rays, Wall, trace_into_fluid, trace_to_points
+from sabench.geometry.rotations import frame_of_normal
 from sabench.utils.arrays import F64, Bool, rows_of, triple
 
 _UNDISTORT_STEPS = 20
@@ -109,12 +114,12 @@ class Camera:
         """Pixels without distortion (n, 2), NaN for points without a path."""
         from sabench.geometry import projection_kernels  # numba is loaded at the first use
 
-        along, across, normal = wall_axes(wall)
-        local = np.asarray(self.rotation) @ np.stack([along, across, normal]).T
+        axes = frame_of_normal(np.asarray(wall.normal, dtype=np.float64))
+        local = np.asarray(self.rotation) @ axes.T
         local[:2] *= self.focal_px
         x, y, z = np.ascontiguousarray(points.T)
         column, row = np.empty(len(points)), np.empty(len(points))
-        frame = (*along.tolist(), *across.tolist(), *normal.tolist())
+        frame = tuple(axes.ravel().tolist())
         lens = (*local.ravel().tolist(), *(float(v) for v in self.principal_point_px))
         projection_kernels.project(
             x,

@@ -11,11 +11,11 @@ from sabench.utils.arrays import F64
 
 @dataclass(frozen=True)
 class Domain:
-    """What a generator fills.
+    """Box that a generator fills, along the world's axes.
 
     Attributes
     ----------
-    center_mm, size_mm : the seeded box in the world frame, axis-aligned.
+    center_mm, size_mm : centre and edges of the box in the world frame.
     pixels : pixels of one camera's image, for densities per pixel.
     """
 
@@ -25,7 +25,7 @@ class Domain:
 
     @property
     def low_mm(self) -> F64:
-        """The corner with the smallest coordinates."""
+        """Corner (3,) with the smallest coordinates."""
         return np.asarray(self.center_mm) - np.asarray(self.size_mm) / 2.0
 
     @property
@@ -36,11 +36,17 @@ class Domain:
 
 @dataclass(frozen=True)
 class Pose:
-    """Where a target stands: its points are turn x + place_mm in the world frame; turn (3, 3), place_mm (3,)."""
+    """Rotation and position of a target: the map x -> rotation x + position_mm.
 
-    turn: F64
-    place_mm: F64
+    Attributes
+    ----------
+    rotation : (3, 3) from the target's frame to the world's.
+    position_mm : (3,) the target's own origin in the world frame.
+    """
+
+    rotation: F64
+    position_mm: F64
 
     def __call__(self, points_mm: F64) -> F64:
-        """World points (n, 3) of the target's."""
-        return np.asarray(points_mm @ self.turn.T + self.place_mm)
+        """Compute world points (n, 3) of points in the target's frame."""
+        return np.asarray(points_mm @ self.rotation.T + self.position_mm)

@@ -1,12 +1,15 @@
 """Refractive projection of many points in vector registers.
 
+A copy of `camera.pixels_of` and `refraction.trace_to_points` for speed; tied to them by
+tests/unit/geometry/test_camera.py::test_the_projection_kernel_and_the_traced_path_agree.
+
 Points come as separate x, y and z, block by block, and no loop over points branches. The path's
-unknown is q = t / R, the tangent in the rarest medium (as in `wall`) over the lateral distance:
+unknown is q = t / R, the tangent in the rarest medium (as in `refraction`) over the lateral distance:
 only R^2 is needed, and nothing is special on the axis. Halley's step from the paraxial path costs
 one square root and one division per medium, as Newton's does, and triples the right digits; a block
 is done when its last step was so small that the next one would be lost in rounding. Where that does
 not happen soon - grazing rays in thin rare layers - the block starts again with Newton's steps,
-which climb to the root whatever the indices are (see `wall`).
+which climb to the root whatever the indices are (see `refraction`).
 """
 
 from __future__ import annotations
@@ -31,7 +34,7 @@ Media = tuple[float, tuple[tuple[float, float], ...], float, float | None, float
 
 
 def media_of(wall: Wall, center_mm: F64) -> Media:
-    """What `project` wants to know of a wall before a pinhole (3,)."""
+    """Collect what `project` needs of a wall in front of a pinhole (3,)."""
     ratios = (wall.indices / wall.indices.min()) ** 2
     before = -float(wall.depth_of(center_mm))
     constant = [

@@ -1,5 +1,7 @@
 """Refraction by a stack of parallel plane layers between a camera and a fluid.
 
+The reference of the light path; for its copies see docs/developing/copies-of-the-projection.md.
+
 Light between a point of the camera's medium and a point of the fluid stays in the plane that holds
 both and the wall normal, so the path has one unknown. sabench takes t = tan of the ray's angle in
 the RAREST medium of the stack: every other medium then has a relative index r >= 1 and adds d t /
@@ -72,15 +74,6 @@ class Wall:
     def depth_of(self, points_mm: F64) -> F64:
         """Signed distance of points (..., 3) behind the outer face, mm."""
         return np.asarray((points_mm - np.asarray(self.point_mm)) @ np.asarray(self.normal))
-
-
-def wall_axes(wall: Wall) -> tuple[F64, F64, F64]:
-    """Two unit vectors along a wall and its normal, a right-handed frame; the first is as near to X as it can be."""
-    normal = np.asarray(wall.normal, dtype=np.float64)
-    x = np.array([1.0, 0.0, 0.0]) if abs(normal[0]) < 0.9 else np.array([0.0, 1.0, 0.0])
-    across = np.cross(normal, x)
-    across /= np.linalg.norm(across)
-    return np.cross(across, normal), across, normal
 
 
 @dataclass(frozen=True)
@@ -346,12 +339,12 @@ def transmittance(wall: Wall | None, leaving: F64) -> F64:
     for before, after in itertools.pairwise(indices):
         sine = (before / after) * np.sqrt(np.maximum(0.0, 1.0 - cosine * cosine))
         after_cosine = np.sqrt(np.maximum(0.0, 1.0 - sine * sine))
-        senkrecht = (before * cosine - after * after_cosine) / (
+        reflect_s = (before * cosine - after * after_cosine) / (
             before * cosine + after * after_cosine
         )
-        parallel = (after * cosine - before * after_cosine) / (
+        reflect_p = (after * cosine - before * after_cosine) / (
             after * cosine + before * after_cosine
         )
-        result *= 1.0 - 0.5 * (senkrecht**2 + parallel**2)
+        result *= 1.0 - 0.5 * (reflect_s**2 + reflect_p**2)
         cosine = after_cosine
     return result

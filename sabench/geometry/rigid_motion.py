@@ -6,47 +6,50 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sabench.geometry.rotations import exponential
+from sabench.geometry.rotations import rotation_matrices
 from sabench.utils.arrays import F64
 
 
 @dataclass(frozen=True)
-class Motion:
-    """x -> turn x + shift.
+class RigidMotion:
+    """The map x -> rotation x + shift.
 
     Attributes
     ----------
-    turn : (3, 3) rotation.
+    rotation : (3, 3).
     shift : (3,) mm.
     """
 
-    turn: F64
+    rotation: F64
     shift: F64
 
     def __call__(self, points_mm: F64) -> F64:
-        """Points (..., 3), moved."""
-        return np.asarray(points_mm @ self.turn.T + self.shift)
+        """Move points (..., 3)."""
+        return np.asarray(points_mm @ self.rotation.T + self.shift)
 
-    def back(self) -> Motion:
-        """The opposite motion."""
-        return Motion(self.turn.T, -self.turn.T @ self.shift)
+    def inverse(self) -> RigidMotion:
+        """Invert the motion."""
+        return RigidMotion(self.rotation.T, -self.rotation.T @ self.shift)
 
 
-def rigid_fit(points: F64, targets: F64) -> Motion:
-    """The motion of points (n, 3) that brings them nearest to targets (n, 3), in the least-squares sense.
+def fit_rigid_motion(points: F64, targets: F64) -> RigidMotion:
+    """Fit the motion that brings points (n, 3) nearest to targets (n, 3), by least squares.
 
     Source: Kabsch (1976), by the singular value decomposition.
     """
     middle, goal = points.mean(axis=0), targets.mean(axis=0)
     left, _, right = np.linalg.svd((targets - goal).T @ (points - middle))
-    turn = left @ np.diag([1.0, 1.0, np.sign(np.linalg.det(left @ right))]) @ right
-    return Motion(turn, goal - turn @ middle)
+    rotation = left @ np.diag([1.0, 1.0, np.sign(np.linalg.det(left @ right))]) @ right
+    return RigidMotion(rotation, goal - rotation @ middle)
 
 
-def lateral_fit(points: F64, targets: F64) -> Motion:
-    """The turn about Z and shift in X and Y of points (n, 3) that bring them nearest to targets (n, 3)."""
+def fit_lateral_motion(points: F64, targets: F64) -> RigidMotion:
+    """Fit the rotation about Z and shift in X and Y of points (n, 3) to targets (n, 3).
+
+    It is what a plane wall at constant Z does not notice; the fit is one of least squares.
+    """
     middle, goal = points.mean(axis=0), targets.mean(axis=0)
     (x, y), (p, q) = (points - middle).T[:2], (targets - goal).T[:2]
     angle = np.arctan2(np.sum(x * q - y * p), np.sum(x * p + y * q))
-    turn = exponential(np.array([0.0, 0.0, angle]))
-    return Motion(turn, np.append((goal - turn @ middle)[:2], 0.0))
+    rotation = rotation_matrices(np.array([0.0, 0.0, angle]))
+    return RigidMotion(rotation, np.append((goal - rotation @ middle)[:2], 0.0))

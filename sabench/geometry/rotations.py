@@ -1,12 +1,16 @@
-"""Rotations from small vectors."""
+"""Rotation matrices of rotation vectors, and frames along an axis."""
 
 import numpy as np
 
 from sabench.utils.arrays import F64
 
 
-def exponential(vectors: F64) -> F64:
-    """Rotation matrices (..., 3, 3) of rotation vectors (..., 3), by Rodrigues' formula."""
+def rotation_matrices(vectors: F64) -> F64:
+    """Compute rotation matrices (..., 3, 3) of rotation vectors (..., 3), by Rodrigues' formula.
+
+    scipy's `Rotation.from_rotvec` goes by quaternions and differs in the last digit, by which every
+    data set with a rotation in it would change.
+    """
     angle = np.linalg.norm(vectors, axis=-1)[..., None, None]
     cross = skew(vectors)
     small = angle < 1e-8
@@ -17,19 +21,28 @@ def exponential(vectors: F64) -> F64:
 
 
 def skew(vectors: F64) -> F64:
-    """Matrices (..., 3, 3) of the cross product with vectors (..., 3)."""
+    """Compute the matrices (..., 3, 3) of the cross product with vectors (..., 3)."""
     x, y, z = np.moveaxis(vectors, -1, 0)
     zero = np.zeros_like(x)
-    return np.stack(
-        [np.stack([zero, -z, y], -1), np.stack([z, zero, -x], -1), np.stack([-y, x, zero], -1)], -2
-    )
+    rows = [[zero, -z, y], [z, zero, -x], [-y, x, zero]]
+    return np.stack([np.stack(row, -1) for row in rows], -2)
 
 
-def leading(axis: tuple[float, float, float]) -> F64:
-    """A right-handed frame (3, 3) whose third row points along an axis of any length; the first is as near to X as it can be."""
+def frame_along(axis: tuple[float, float, float]) -> F64:
+    """Make a right-handed frame (3, 3) whose third row points along an axis of any length.
+
+    The first row is as near to X as it can be.
+    """
     third = np.asarray(axis, dtype=np.float64)
-    third = third / np.linalg.norm(third)
-    x = np.array([1.0, 0.0, 0.0]) if abs(third[0]) < 0.9 else np.array([0.0, 1.0, 0.0])
-    second = np.cross(third, x)
+    return frame_of_normal(third / np.linalg.norm(third))
+
+
+def frame_of_normal(normal: F64) -> F64:
+    """Make a right-handed frame (3, 3) whose third row is a unit vector.
+
+    The first row is as near to X as it can be.
+    """
+    x = np.array([1.0, 0.0, 0.0]) if abs(normal[0]) < 0.9 else np.array([0.0, 1.0, 0.0])
+    second = np.cross(normal, x)
     second /= np.linalg.norm(second)
-    return np.stack([np.cross(second, third), second, third])
+    return np.stack([np.cross(second, normal), second, normal])

@@ -1,4 +1,4 @@
-"""Peaks of images and their neighbours."""
+"""Peaks of images to fractions of a pixel, and a quick search for those near a pixel."""
 
 from __future__ import annotations
 
@@ -10,37 +10,41 @@ import numpy as np
 
 from sabench.utils.arrays import F32, F64, I64
 
-_CELL_PX = 4.0
+_CELL_PX = 4.0  # edge of the square cells into which peaks are sorted
 
 
-class Spots(NamedTuple):
-    """One camera's particle images, sorted into square cells.
+class Peaks(NamedTuple):
+    """Peaks of one image, sorted into square cells.
 
     Attributes
     ----------
-    pixel : (n, 2).
-    start : (cells + 1,) where each cell's images begin.
-    across, down : cells.
+    pixels : (n, 2) column and row.
+    starts : (cells + 1,) number of each cell's first peak; cells run row by row.
+    columns, rows : numbers of cells.
     """
 
-    pixel: F64
-    start: I64
-    across: int
-    down: int
+    pixels: F64
+    starts: I64
+    columns: int
+    rows: int
 
 
-def spots_of(light: F32, least: float) -> Spots:
-    """Local maxima above `least` of an image (rows, columns), to parts of a pixel by Gaussians through three values along either axis."""
-    row, column = _maxima(np.ascontiguousarray(light), np.float32(least))
-    height = np.log(np.maximum(light, np.float32(1e-6 + 0.01 * least)))
+def find_peaks(image: F32, least: float) -> Peaks:
+    """Find the local maxima above `least` of an image (rows, columns).
+
+    A parabola through the logarithms of three values along either axis, which is a Gaussian
+    through the values, gives their positions to fractions of a pixel.
+    """
+    row, column = _maxima(np.ascontiguousarray(image), np.float32(least))
+    height = np.log(np.maximum(image, np.float32(1e-6 + 0.01 * least)))
     across = _vertex(height[row, column - 1], height[row, column], height[row, column + 1])
     along = _vertex(height[row - 1, column], height[row, column], height[row + 1, column])
-    return _sorted(np.column_stack([column + across, row + along]).astype(np.float64), light.shape)
+    return _sort(np.column_stack([column + across, row + along]).astype(np.float64), image.shape)
 
 
 @numba.njit(cache=True)
 def _maxima(light: Any, least: Any) -> Any:
-    """Rows and columns of pixels that no neighbour outshines, borders left out."""
+    """Rows and columns (2, n) of pixels that no neighbour exceeds, borders left out."""
     rows, columns = light.shape
     found = []
     for r in range(1, rows - 1):
@@ -63,44 +67,37 @@ def _maxima(light: Any, least: Any) -> Any:
 
 
 def _vertex(before: F32, here: F32, behind: F32) -> F64:
-    bend = 2.0 * (before - 2.0 * here + behind).astype(np.float64)
-    return np.clip((before - behind) / np.where(bend < -1e-6, bend, -np.inf), -0.5, 0.5)
+    """Offsets (n,) of parabolas' vertices from the middle one of three values, at most 0.5."""
+    curvature = 2.0 * (before - 2.0 * here + behind).astype(np.float64)
+    return np.clip((before - behind) / np.where(curvature < -1e-6, curvature, -np.inf), -0.5, 0.5)
 
 
-def _sorted(pixel: F64, shape: tuple[int, ...]) -> Spots:
-    down, across = (math.ceil(size / _CELL_PX) for size in shape)
-    cell = (pixel[:, 1] // _CELL_PX).astype(np.int64) * across + (pixel[:, 0] // _CELL_PX).astype(
-        np.int64
-    )
+def _sort(pixels: F64, shape: tuple[int, ...]) -> Peaks:
+    rows, columns = (math.ceil(size / _CELL_PX) for size in shape)
+    column, row = (pixels // _CELL_PX).astype(np.int64).T
+    cell = row * columns + column
     order = np.argsort(cell, kind="stable")
-    return Spots(
-        np.ascontiguousarray(pixel[order]),
-        np.searchsorted(cell[order], np.arange(across * down + 1)).astype(np.int64),
-        across,
-        down,
-    )
+    starts = np.searchsorted(cell[order], np.arange(columns * rows + 1)).astype(np.int64)
+    return Peaks(np.ascontiguousarray(pixels[order]), starts, columns, rows)
 
 
 @numba.njit(cache=True)
-def around(spots: Any, pixel: Any, reach: float, found: Any) -> int:
-    """Numbers of the particle images within reach of a pixel; returns how many."""
+def find_near(peaks: Any, pixel: Any, radius: float, found: Any) -> int:
+    """Fill in the numbers of the peaks within a radius of a pixel; return how many there are.
+
+    Those for which `found` has no room are left out.
+    """
     count = 0
-    left, right = (
-        max(int((pixel[0] - reach) // _CELL_PX), 0),
-        min(int((pixel[0] + reach) // _CELL_PX), spots.across - 1),
-    )
-    top, bottom = (
-        max(int((pixel[1] - reach) // _CELL_PX), 0),
-        min(int((pixel[1] + reach) // _CELL_PX), spots.down - 1),
-    )
+    left = max(int((pixel[0] - radius) // _CELL_PX), 0)
+    right = min(int((pixel[0] + radius) // _CELL_PX), peaks.columns - 1)
+    top = max(int((pixel[1] - radius) // _CELL_PX), 0)
+    bottom = min(int((pixel[1] + radius) // _CELL_PX), peaks.rows - 1)
     for r in range(top, bottom + 1):
         for c in range(left, right + 1):
-            for n in range(
-                spots.start[r * spots.across + c], spots.start[r * spots.across + c + 1]
-            ):
-                if math.hypot(
-                    spots.pixel[n, 0] - pixel[0], spots.pixel[n, 1] - pixel[1]
-                ) <= reach and count < len(found):
+            cell = r * peaks.columns + c
+            for n in range(peaks.starts[cell], peaks.starts[cell + 1]):
+                across, down = peaks.pixels[n, 0] - pixel[0], peaks.pixels[n, 1] - pixel[1]
+                if math.hypot(across, down) <= radius and count < len(found):
                     found[count] = n
                     count += 1
     return count

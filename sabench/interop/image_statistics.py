@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sabench.algorithms.particles.refinement import widths
+from sabench.algorithms.particles.refinement import image_widths
 from sabench.api import Observation
 from sabench.images.brightness import background_noise, normalised
-from sabench.images.peaks import spots_of
+from sabench.images.peaks import find_peaks
 
 _FLOOR, _NOISE = (
     0.05,
@@ -44,8 +44,8 @@ def seen_in(frame: Observation) -> Seen:
     """What a frame shows."""
     images = normalised(frame.images, frame.black_dn)
     floor = max(_FLOOR, *(_NOISE * background_noise(image) for image in images))
-    spots = [spots_of(image, floor).pixel for image in images]
-    count = int(np.median([len(one) for one in spots]))
+    peaks = [find_peaks(image, floor).pixels for image in images]
+    count = int(np.median([len(one) for one in peaks]))
     low, voxel, shape = (
         np.asarray(frame.grid.low_mm),
         np.asarray(frame.grid.voxel_mm),
@@ -61,7 +61,7 @@ def seen_in(frame: Observation) -> Seen:
     return Seen(
         floor,
         count,
-        float(np.median(widths(images, spots))),
+        float(np.median(image_widths(images, peaks))),
         float(2.0 * voxel[0] / np.median(shift)),
         spacing,
     )

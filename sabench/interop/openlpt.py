@@ -20,7 +20,7 @@ from sabench.geometry.camera import Camera
 from sabench.geometry.grid import Grid
 from sabench.geometry.refraction import Wall
 from sabench.utils.arrays import F32, F64
-from sabench.utils.processes.child import run
+from sabench.utils.processes import child
 
 LEAST_FRAMES = 5  # from whose images it estimates how it sees particles
 _TOLERANCE, _ITERATIONS, _RATE = 1e-9, 1000, 0.1  # of its projection through plates
@@ -111,6 +111,11 @@ def camera_text(camera: Camera) -> str:
         _row(center),
     ]
     return "\n".join([*parts, *(_plates(wall) if wall else ())]) + "\n"
+
+
+def missing() -> str | None:
+    """Say how to install the program, or return None if it is installed."""
+    return child.missing("pyopenlpt", "openlpt")
 
 
 def unfit(camera: Camera) -> str | None:
@@ -248,5 +253,7 @@ def read_particles(folder: Path, frames: int) -> list[FoundParticles]:
 
 def solve(folder: Path, frames: int) -> list[FoundParticles]:
     """Run it on a project folder: all of it where there are `LEAST_FRAMES`, and its reconstruction alone where there are fewer."""
-    run("sabench.interop.openlpt_process", folder, "OpenLPT", "Total time for frame", frames)
+    child.run_module(
+        "sabench.interop.openlpt_process", folder, "OpenLPT", "Total time for frame", frames
+    )
     return read_tracks(folder, frames) if frames >= LEAST_FRAMES else read_particles(folder, frames)

@@ -20,7 +20,7 @@ from sabench.geometry.camera import Camera
 from sabench.geometry.grid import Grid
 from sabench.utils.arrays import F32, F64, I64
 from sabench.utils.files import read_json
-from sabench.utils.processes.child import run
+from sabench.utils.processes import child
 
 MOST_CAMERAS = 4
 _TURN = np.diag([1.0, -1.0, -1.0])  # from our axes to its own
@@ -48,6 +48,11 @@ class Settings:
     move_mm: float
     change_mm: float
     angle_gon: float
+
+
+def missing() -> str | None:
+    """Say how to install the program, or return None if it is installed."""
+    return child.missing("optv", "optv")
 
 
 def unfit(camera: Camera) -> str | None:
@@ -184,7 +189,7 @@ def write_project(
 
 def solve(folder: Path, grid: Grid, frames: int) -> list[FoundParticles]:
     """Run it on a project folder; particles with the tracks that its links make."""
-    run("sabench.interop.openptv_process", folder, "OpenPTV", "sabench frame", frames)
+    child.run_module("sabench.interop.openptv_process", folder, "OpenPTV", "sabench frame", frames)
     places = [
         np.array(read_json(folder / f"found_{frame:05d}.json"), dtype=np.float64).reshape(-1, 3)
         for frame in range(frames)

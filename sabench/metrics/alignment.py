@@ -6,21 +6,21 @@ from typing import Literal
 
 import numpy as np
 
-from sabench.geometry.rigid_motion import Motion, lateral_fit, rigid_fit
+from sabench.geometry.rigid_motion import RigidMotion, fit_lateral_motion, fit_rigid_motion
 from sabench.utils.arrays import F64
 
 Alignment = Literal["raw", "shift", "lateral", "rigid"]
 ALIGNMENTS: tuple[Alignment, ...] = ("raw", "shift", "lateral", "rigid")
 
 
-def alignment(how: Alignment, points: F64, truths: F64) -> Motion:
+def alignment(how: Alignment, points: F64, truths: F64) -> RigidMotion:
     """The motion of points (n, 3) that brings them nearest to their true places (n, 3), both in the wall's frame.
 
     raw: none. shift: along X and Y, the thesis's (section 4.4.2). lateral: these and a turn about
     Z, all that a plane wall leaves open. rigid: any.
     """
     if how == "raw":
-        return Motion(np.eye(3), np.zeros(3))
+        return RigidMotion(np.eye(3), np.zeros(3))
     if how == "shift":
-        return Motion(np.eye(3), np.append((truths - points).mean(axis=0)[:2], 0.0))
-    return (lateral_fit if how == "lateral" else rigid_fit)(points, truths)
+        return RigidMotion(np.eye(3), np.append((truths - points).mean(axis=0)[:2], 0.0))
+    return (fit_lateral_motion if how == "lateral" else fit_rigid_motion)(points, truths)

@@ -8,13 +8,13 @@ import numpy as np
 
 from sabench.algorithms.calibration.bundle_adjustment import Seen
 from sabench.algorithms.calibration.cramer_rao import Limit, limit
-from sabench.algorithms.calibration.parameters import Frame, Free
-from sabench.algorithms.calibration.problem import anchors_of
+from sabench.algorithms.calibration.parameters import Frame, FreeParameters
+from sabench.algorithms.calibration.problem import make_anchors
 from sabench.api import Calibration, CalibrationCase
 from sabench.geometry.camera import Camera
 from sabench.geometry.camera_model import CameraModel
 from sabench.geometry.refraction import Wall
-from sabench.geometry.rigid_motion import Motion, rigid_fit
+from sabench.geometry.rigid_motion import RigidMotion, fit_rigid_motion
 from sabench.geometry.triangulation import triangulate
 from sabench.metrics.alignment import ALIGNMENTS, alignment
 from sabench.metrics.averages import finite_or_none, root_mean_square
@@ -39,7 +39,7 @@ def calibration_scores(
     true_pixels : (camera, frame, point, 2) their exact images.
     good : (camera, frame, point) which points were detected and are no outliers.
     """
-    frame = Frame.of(true_cameras, truth_mm)
+    frame = Frame.from_cameras(true_cameras, truth_mm)
     bound = lower_bound(
         case, frame, truth_mm, good, detection_noise(case.pixels, true_pixels, good)
     )
@@ -118,10 +118,12 @@ def lower_bound(
     if noise_px <= 0.0:
         return None
     board = case.target.points_mm
-    anchors = anchors_of(case, frame, noise_px)
+    anchors = make_anchors(case, frame, noise_px)
     seen = Seen(board, np.nan_to_num(case.pixels), good.astype(np.float64), anchors)
     try:
-        return limit(frame.state(board, truth_mm), seen, Free.of(case.unknown), noise_px)
+        return limit(
+            frame.state(board, truth_mm), seen, FreeParameters.from_names(case.unknown), noise_px
+        )
     except np.linalg.LinAlgError:  # positions and cameras far from anything real
         return None
 
@@ -171,7 +173,7 @@ def wall_scores(estimate: Wall | None, truth: Wall | None) -> Scores:
 
 
 def _point_scores(
-    estimate: F64, truth: F64, seen: Bool, motion: Motion, bound: Limit | None
+    estimate: F64, truth: F64, seen: Bool, motion: RigidMotion, bound: Limit | None
 ) -> Scores:
     """Errors of the target's points in the wall's frame, absolute and relative to the bound."""
     scores = point_scores(estimate, truth, seen, motion)
@@ -184,7 +186,7 @@ def _point_scores(
     return scores | {"spacing_mm": spacing_error(estimate, truth, seen, motion)}
 
 
-def point_scores(estimate: F64, truth: F64, seen: Bool, motion: Motion) -> Scores:
+def point_scores(estimate: F64, truth: F64, seen: Bool, motion: RigidMotion) -> Scores:
     """Mean and scatter of the errors of points along each axis, after every alignment.
 
     Parameters
@@ -205,7 +207,7 @@ def point_scores(estimate: F64, truth: F64, seen: Bool, motion: Motion) -> Score
     return scores
 
 
-def spacing_error(estimate: F64, truth: F64, seen: Bool, motion: Motion) -> float | None:
+def spacing_error(estimate: F64, truth: F64, seen: Bool, motion: RigidMotion) -> float | None:
     """Root mean square error of the mean distance along Z from each frame to the next.
 
     Arguments as for `point_scores`. Source: thesis, figure 4-25.
@@ -222,8 +224,8 @@ def held_out_scores(
     true_cameras: Sequence[Camera],
     points_mm: F64,
     pixels: F64,
-    motion: Motion,
-    aligned: Motion | None,
+    motion: RigidMotion,
+    aligned: RigidMotion | None,
 ) -> Scores:
     """Scatter of points that no calibration saw, triangulated by estimated and by true cameras.
 
@@ -242,7 +244,7 @@ def held_out_scores(
     }
 
 
-def target_alignment(estimate: F64, truth: F64, motion: Motion) -> Motion | None:
+def target_alignment(estimate: F64, truth: F64, motion: RigidMotion) -> RigidMotion | None:
     """Lateral alignment of a target's points (frame, point, 3); None with fewer than three.
 
     Parameters
@@ -287,5 +289,5 @@ def align_particles(
     known = np.isfinite(own).all(axis=1)
     if known.sum() < 3:
         return truth_mm, np.full_like(true_pixels, np.nan), own
-    moved = rigid_fit(truth_mm[known], own[known])(truth_mm)
+    moved = fit_rigid_motion(truth_mm[known], own[known])(truth_mm)
     return moved, reproject(cameras, moved), own

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from sabench.geometry.camera import Camera
-from sabench.geometry.rotations import exponential
+from sabench.geometry.rotations import rotation_matrices
 from sabench.scenes.calibration import Calibration
 from sabench.scenes.scene import Scene
 from sabench.utils.arrays import triple
@@ -50,7 +50,7 @@ def _shifted(camera: Camera, spec: Calibration, seed: int, number: int) -> Camer
 def _roughly(camera: Camera, spec: Calibration, seed: int, number: int) -> Camera:
     rng = stream(seed, "rough cameras", number)
     center = np.asarray(camera.center_mm) + spec.center_mm * rng.standard_normal(3)
-    turn = exponential(np.deg2rad(spec.turn_deg) * rng.standard_normal(3)) @ np.asarray(
+    turn = rotation_matrices(np.deg2rad(spec.turn_deg) * rng.standard_normal(3)) @ np.asarray(
         camera.rotation
     )
     distance = camera.principal_distance_mm * (

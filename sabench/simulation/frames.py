@@ -6,7 +6,7 @@ import numpy as np
 
 from sabench.api.truth import Bubbles, Particles
 from sabench.geometry.camera import Camera
-from sabench.scenes import Rig, Scene
+from sabench.scenes import BubbleWorld, Rig, Scene, TargetWorld
 from sabench.simulation.frame_content import FrameContent, Tracers
 from sabench.simulation.obstacles import inside, obstructed
 from sabench.simulation.rendering.particle_images import scattering_table
@@ -35,15 +35,17 @@ class Frames:
 
     def __init__(self, scene: Scene, rig: Rig, seed: int, renderer: str = "mitsuba") -> None:
         self.scene, self.rig, self.seed, self.renderer = scene, rig, seed, renderer
-        multiphase = scene.bubbles is not None or bool(scene.solids)
-        if multiphase and scene.particles and scene.timing and scene.timing.duration_s:
+        world, timing = scene.world, scene.timing
+        among = isinstance(world, BubbleWorld) and world.tracers is not None
+        if among and timing is not None and timing.duration_s:
             raise InputError(
                 f"{scene.title}: timing.duration_s: expected 0 for tracers among bubbles or "
-                f"solids, got {scene.timing.duration_s:g}"
+                f"solids, got {timing.duration_s:g}"
             )
-        self._phases = Phases(scene, seed) if multiphase else None
-        self.motion = Motion(scene, seed) if scene.particles else None
-        self.placed = calibration_targets.place(scene, seed) if scene.targets else None
+        self._phases = Phases(scene, seed) if isinstance(world, BubbleWorld) else None
+        self.motion = Motion(scene, seed) if scene.tracers else None
+        is_target = isinstance(world, TargetWorld)
+        self.placed = calibration_targets.place(scene, seed) if is_target else None
 
     @property
     def chained(self) -> bool:
@@ -61,7 +63,7 @@ class Frames:
             return self.assemble(number, bubbles, particles)
         solids = [solid for solid, _ in self._phases.bodies(number)]
         particles = _select(particles, ~inside(bubbles, solids, particles.position_mm))
-        direction = np.asarray(self.scene.light.direction)
+        direction = np.asarray(self.scene.particle_world.illumination.direction)
         back = np.tile(-direction / np.linalg.norm(direction), (len(particles), 1))
         dark = obstructed(bubbles, solids, particles.position_mm, back)
         return self.assemble(number, bubbles, particles, ~dark)

@@ -13,7 +13,7 @@ from filelock import FileLock, Timeout
 from sabench.api import Shown
 from sabench.dataset.reader import Dataset, open_dataset
 from sabench.dataset.writer import dataset_writer
-from sabench.scenes import Scene, build_rig, load_scene
+from sabench.scenes import BubbleWorld, Scene, TargetWorld, build_rig, load_scene
 from sabench.scenes.nominal_cameras import nominal_cameras
 from sabench.simulation.recording.job import Job
 from sabench.simulation.recording.parts import KEPT, Part, Parts, files_of
@@ -164,23 +164,25 @@ def _truth(part: Part) -> Part:
 
 def _shows(scene: Scene) -> tuple[Shown, ...]:
     """Kinds of objects in frames of bubbles and bodies; none for other scenes."""
-    if scene.bubbles is None and not scene.solids:
+    world = scene.world
+    if not isinstance(world, BubbleWorld):
         return ()
-    particles: tuple[Shown, ...] = ("particles",) if scene.particles else ()
+    particles: tuple[Shown, ...] = ("particles",) if world.tracers else ()
     code: tuple[Shown, ...] = ("code",) if has_code(scene) else ()
     return (*particles, "bubbles", *code)
 
 
 def _renderer(scene: Scene, asked: Renderer, label: str) -> str:
     """Choose the renderer of a scene; a target without lamps has no images."""
-    if scene.bubbles is not None or scene.solids:
+    world = scene.world
+    if isinstance(world, BubbleWorld):
         if asked == "splat":
             raise InputError(
                 f"{label}: backend: expected mitsuba for bubbles and solids, got splat, which "
                 "renders particles only"
             )
         return choose_renderer("mitsuba")
-    if scene.targets is None or scene.lighting is not None:
+    if not isinstance(world, TargetWorld) or world.lighting is not None:
         return choose_renderer(asked)
     if asked == "mitsuba":
         raise InputError(

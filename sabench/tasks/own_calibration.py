@@ -19,8 +19,8 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from sabench.algorithms.calibration.bundle_adjustment import Seen
 from sabench.algorithms.calibration.cramer_rao import limit
-from sabench.algorithms.calibration.parameters import Frame, Free
-from sabench.algorithms.calibration.problem import anchors_of
+from sabench.algorithms.calibration.parameters import Frame, FreeParameters
+from sabench.algorithms.calibration.problem import make_anchors
 from sabench.algorithms.calibration.target_detection import detect
 from sabench.api import Calibration, CalibrationCase
 from sabench.api.make import make_algorithm
@@ -146,8 +146,8 @@ def calibrate(
     report, errors = report_on(case, answer, points)
     with complete_or_nothing(out, overwrite=overwrite) as partial:
         partial.mkdir()
-        cameras = tuple(camera for camera in answer.cameras if isinstance(camera, Camera))
-        write_cameras(partial / CAMERAS, cameras, wall=cameras[0].wall)
+        walls = [camera.wall for camera in answer.cameras if isinstance(camera, Camera)]
+        write_cameras(partial / CAMERAS, answer.cameras, wall=walls[0] if walls else None)
         (partial / "report.json").write_text(canonical_json(asdict(report)), encoding="utf-8")
         (partial / "errors.png").write_bytes(
             pictures.arrows(case.pixels, errors, case.cameras[0].rows, case.cameras[0].columns)
@@ -322,15 +322,15 @@ def report_on(case: CalibrationCase, answer: Calibration, points: F64) -> tuple[
         case.pixels.shape
     )
     used = case.found if answer.used is None else answer.used
-    frame = Frame.of(cameras, points)
-    free = Free.of(case.unknown)
+    frame = Frame.from_cameras(cameras, points)
+    free = FreeParameters.from_names(case.unknown)
     size, boards = free.per_camera * len(cameras), 6 * int(used.any(axis=(0, 2)).sum())
     noise = float(np.sqrt(np.sum(errors[used] ** 2) / max(2 * used.sum() - size - boards, 1)))
     seen = Seen(
         case.target.points_mm,
         np.nan_to_num(case.pixels),
         used.astype(np.float64),
-        anchors_of(case, frame, noise),
+        make_anchors(case, frame, noise),
     )
     bound = limit(frame.state(case.target.points_mm, points), seen, free, noise)
     lengths = np.linalg.norm(errors, axis=-1)

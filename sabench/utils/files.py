@@ -1,4 +1,4 @@
-"""Writing so that nothing half-written is ever seen, and reading without being led astray."""
+"""Atomic writing of files and folders, and safe reading of JSON and of paths."""
 
 from __future__ import annotations
 
@@ -85,13 +85,16 @@ def _replace(target: Path, partial: Path) -> None:
 
 
 def refuse_existing(target: Path, *, overwrite: bool) -> None:
-    """InputError if there is something that may not be replaced."""
+    """Raise an InputError if there is a file that may not be replaced."""
     if target.exists() and not overwrite:
         raise InputError(f"{target} exists already: choose another name, or say --overwrite")
 
 
 def clear_abandoned(target: Path) -> None:
-    """Remove what killed processes left of writing `target`; what they had set aside comes back if nothing took its place."""
+    """Remove what killed processes left of writing `target`.
+
+    A folder that they had set aside returns if nothing took its place.
+    """
     for entry in sorted(target.parent.iterdir()):
         match = _ABANDONED.match(entry.name)
         if not match or match["name"] != target.name or _alive(int(match["pid"])):
@@ -120,7 +123,7 @@ def _remove(path: Path) -> None:
 
 
 def _flush(path: Path) -> None:
-    """Have the disk hold every byte before the rename says that it does."""
+    """Write every byte to the disk before the rename."""
     for file in (
         [path] if path.is_file() else [entry for entry in path.rglob("*") if entry.is_file()]
     ):
@@ -129,7 +132,7 @@ def _flush(path: Path) -> None:
 
 
 def is_file(path: Path) -> bool:
-    """Whether there is a file of this name; a name that no disk can hold has none."""
+    """Return whether there is a file of this name; False for a name that no disk can hold."""
     try:
         return path.is_file()
     except OSError:
@@ -137,13 +140,13 @@ def is_file(path: Path) -> bool:
 
 
 def sha256(path: Path) -> str:
-    """Hexadecimal SHA-256 of a file's bytes."""
+    """Compute the hexadecimal SHA-256 of a file's bytes."""
     with path.open("rb") as handle:
         return hashlib.file_digest(handle, "sha256").hexdigest()
 
 
 def canonical_json(value: Any) -> str:
-    """JSON with sorted keys and shortest round-trip numbers: equal values give equal text."""
+    """Format as JSON with sorted keys and shortest numbers: equal values give equal text."""
     text = json.dumps(value, sort_keys=True, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
     return text.encode("utf-8", "replace").decode(
         "utf-8"
@@ -151,12 +154,12 @@ def canonical_json(value: Any) -> str:
 
 
 def digest(value: Any) -> str:
-    """SHA-256 of a value's canonical JSON: equal values have equal digests."""
+    """Compute the SHA-256 of a value's canonical JSON: equal values have equal digests."""
     return hashlib.sha256(canonical_json(value).encode()).hexdigest()
 
 
 def read_json(path: Path) -> Any:
-    """Parse a JSON file; a missing, broken or enormous one is an InputError that names it."""
+    """Parse a JSON file; raise an InputError if it is missing, broken or enormous."""
     try:
         if path.stat().st_size > _LARGEST_TEXT:
             raise ValueError(f"{path.stat().st_size} bytes where {_LARGEST_TEXT} are allowed")
@@ -166,7 +169,13 @@ def read_json(path: Path) -> Any:
 
 
 def inside(root: Path, name: str) -> Path:
-    """The file `name` in the folder `root`; a name that leads outside, or through a link, is an InputError."""
+    """Return the path of the file `name` in the folder `root`.
+
+    Raises
+    ------
+    InputError
+        The name leads outside, or through a link.
+    """
     path = root / name
     parts = Path(name).parts
     bad = not parts or Path(name).is_absolute() or ".." in parts or "\\" in name or "\0" in name

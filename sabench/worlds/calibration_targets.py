@@ -8,7 +8,7 @@ from sabench.api import TargetGenerator
 from sabench.api.make import generator_of
 from sabench.api.truth import Placed, Prior
 from sabench.geometry.camera import Camera
-from sabench.scenes import Scene
+from sabench.scenes import Scene, TargetWorld
 from sabench.scenes.build import domain_of
 from sabench.scenes.calibration import Detection
 from sabench.utils.arrays import F64, Bool
@@ -17,8 +17,17 @@ from sabench.utils.rng import stream
 
 
 def place(scene: Scene, seed: int) -> Placed:
-    """Make a scene's target and its pose in every frame."""
-    maker: TargetGenerator = generator_of(scene.targets or {})
+    """Put a scene's target at its position in every frame.
+
+    Raises
+    ------
+    InputError
+        A scene without a calibration target.
+    """
+    world = scene.world
+    if not isinstance(world, TargetWorld):
+        raise InputError(f"{scene.title}: targets: expected a scene with a target, got none")
+    maker: TargetGenerator = generator_of(world.target)
     domain = domain_of(scene)
     return Placed(
         maker.target(),

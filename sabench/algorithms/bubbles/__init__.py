@@ -1,1 +1,51 @@
-"""Bubbles found and fitted in all views at once: votes for outlines, hypotheses in space, and a model of what a backlit bubble looks like."""
+"""Bubbles: outlines, feature potentials and fits of backlit images."""
+
+from sabench.algorithms.bubbles.backlit_profile import Profile
+from sabench.algorithms.bubbles.ellipse_detection import find_edges, find_ellipses
+from sabench.algorithms.bubbles.feature_peaks import (
+    PLANES,
+    STEP,
+    FeaturePeaks,
+    drop_duplicates,
+    find_depth,
+)
+from sabench.algorithms.bubbles.feature_potential import (
+    WINDOW,
+    attenuate,
+    darkness,
+    feature_potential,
+    find_blots,
+    find_outlines,
+    merge_overlaps,
+    minimum_images,
+)
+from sabench.algorithms.bubbles.hough_circles import radii_between, vote
+from sabench.algorithms.bubbles.hypotheses import find_hypotheses, join_hypotheses, px_per_mm
+from sabench.algorithms.bubbles.search import search_bubbles
+from sabench.algorithms.bubbles.transmission import transmission
+
+__all__ = [
+    "PLANES",
+    "STEP",
+    "WINDOW",
+    "FeaturePeaks",
+    "Profile",
+    "attenuate",
+    "darkness",
+    "drop_duplicates",
+    "feature_potential",
+    "find_blots",
+    "find_depth",
+    "find_edges",
+    "find_ellipses",
+    "find_hypotheses",
+    "find_outlines",
+    "join_hypotheses",
+    "merge_overlaps",
+    "minimum_images",
+    "px_per_mm",
+    "radii_between",
+    "search_bubbles",
+    "transmission",
+    "vote",
+]

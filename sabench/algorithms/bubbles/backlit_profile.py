@@ -53,7 +53,11 @@ def sharp(b: F64, index: float, half_angle: float) -> F64:
 
 
 def reflectance(incident: F64, refracted: F64, index: float) -> F64:
-    """Fresnel's, for light without polarisation."""
+    """Compute Fresnel's reflectance of light without polarisation, from the angles.
+
+    The same law as `geometry.refraction.transmittance`, tied to it by
+    test_projection_copies.py::test_bubbles_reflect_as_walls_do.
+    """
     a, c = np.cos(incident), np.cos(refracted)
     across, along = (a - index * c) / (a + index * c), (c - index * a) / (c + index * a)
     return np.asarray(0.5 * (across**2 + along**2))

@@ -25,7 +25,7 @@ _FEWEST = 6  # edges of an outline
 _FITS = 2
 
 
-def edges(dark: F32, least: float) -> F64:
+def find_edges(dark: F32, least: float) -> F64:
     """Edges (n, 4) of an image of darkness: column and row to a fraction of a pixel, and unit vectors towards the dark.
 
     They are the maxima of the gradient's length along its direction, placed by a parabola through
@@ -68,7 +68,7 @@ def _between(image: F32, x: F32, y: F32) -> F32:
     return np.asarray(found[0])
 
 
-def ellipses(points: F64, largest: float, least_aspect: float, least_part: float) -> F64:
+def find_ellipses(points: F64, largest: float, least_aspect: float, least_part: float) -> F64:
     """Outlines (n, 6) that edges (m, 4) make, the best one first: column, row, semi-axes, angle of the longer one from X, part that has edges.
 
     An outline takes its edges away from the others, as the largest value of an accumulator is taken

@@ -24,7 +24,7 @@ _LARGER = 1.5  # times: the smaller one of two is a part of the other
 
 
 @dataclass(frozen=True)
-class Peaks:
+class FeaturePeaks:
     """Peaks of every window's potential over depth, the strongest first.
 
     Attributes
@@ -37,7 +37,7 @@ class Peaks:
     weight: F64
 
     @classmethod
-    def of(cls, potential: F32, least: float) -> Peaks:
+    def find(cls, potential: F32, least: float) -> FeaturePeaks:
         """Where a potential (z, window rows, window columns) is larger than one plane before and after, and than `least`."""
         around = np.pad(potential, ((1, 1), (0, 0), (0, 0)))
         place = np.argwhere(
@@ -72,7 +72,7 @@ class Peaks:
         )
 
 
-def depth_of(volume: F32, outline: F64, plane: int) -> float:
+def find_depth(volume: F32, outline: F64, plane: int) -> float:
     """The plane, to a fraction, in which what is within a voxel of an outline and inside it is darkest.
 
     It is the mean of the planes around the darkest one, weighted with the square of their mean
@@ -106,7 +106,7 @@ def _inside(shape: tuple[int, ...], outline: F64) -> tuple[slice, slice, Bool]:
     return rows, columns, np.asarray((u / (a + 1.0)) ** 2 + (w / (b + 1.0)) ** 2 <= 1.0)
 
 
-def distinct(bubbles: F64, depth: float) -> F64:
+def drop_duplicates(bubbles: F64, depth: float) -> F64:
     """Bubbles (n, 7) of which no two are at one place, the largest first: a much smaller one is left out, two alike are merged.
 
     The merged one is their mean, weighted with the parts of their outlines that have edges, with

@@ -40,7 +40,7 @@ def darkness(case: Observation) -> F32:
     return np.asarray(np.exp2(volume, out=volume))
 
 
-def feature(volume: F32, step: int, flat: float = _FLAT) -> F32:
+def feature_potential(volume: F32, step: int, flat: float = _FLAT) -> F32:
     """E (z, window rows, window columns) of equations 5.15 and 5.16, for windows `step` voxels apart; 0 where the spread is below `flat`."""
     rows, columns = (max(1, (size - WINDOW) // step + 1) for size in volume.shape[1:])
     out = np.zeros((volume.shape[0], rows, columns), dtype=np.float32)
@@ -111,7 +111,7 @@ class Outlines:
     depth: F64
 
 
-def outlines(dark: F32, depth: F32, least: float, small: float) -> Outlines:
+def find_outlines(dark: F32, depth: F32, least: float, small: float) -> Outlines:
     """Bubbles of one image of darkness (rows, columns) with its map of depths: edges, labels, circles of the large and thresholds of the small ones.
 
     Parameters
@@ -137,7 +137,7 @@ def outlines(dark: F32, depth: F32, least: float, small: float) -> Outlines:
         filled = _filled(labels[rows, columns] == label)
         shapes = []
         if 2.0 * np.sqrt(filled.sum() / np.pi) >= small:
-            shapes = circles(
+            shapes = find_circles(
                 right[rows, columns], down[rows, columns], labels[rows, columns] == label
             )
         shapes = shapes or _thresholded(
@@ -165,7 +165,7 @@ def _thresholded(dark: F32) -> list[tuple[float, float, float, float]]:
     return [(float(columns.mean()), float(rows.mean()), radius, radius)]
 
 
-def blots(dark: F32, least: float, small: float) -> list[tuple[float, float, float]]:
+def find_blots(dark: F32, least: float, small: float) -> list[tuple[float, float, float]]:
     """Column, row and radius of features of a region that end within it and have an equivalent diameter below `small` voxels."""
     right = cv2.Sobel(dark, cv2.CV_32F, 1, 0, ksize=3, scale=0.125)
     down = cv2.Sobel(dark, cv2.CV_32F, 0, 1, ksize=3, scale=0.125)
@@ -195,7 +195,7 @@ def blots(dark: F32, least: float, small: float) -> list[tuple[float, float, flo
     return out
 
 
-def circles(right: F32, down: F32, own: Any) -> list[tuple[float, float, float, float]]:
+def find_circles(right: F32, down: F32, own: Any) -> list[tuple[float, float, float, float]]:
     """Circles of one feature by votes of its edge pixels along their gradients, towards the dark side; several if several are supported."""
     rows, columns = np.nonzero(own)
     gx, gy = right[rows, columns], down[rows, columns]
@@ -277,7 +277,7 @@ def minimum_images(volume: F32) -> list[tuple[F32, F32]]:
     return out
 
 
-def validated(shapes: F64, grid: Grid) -> F64:
+def merge_overlaps(shapes: F64, grid: Grid) -> F64:
     """Bubbles (n, 6: x, y, z, two semi-axes, weight) less those in larger ones; others that overlap are merged.
 
     All in mm; two overlap if they do so in the plane and their depths differ by less than the

@@ -34,7 +34,7 @@ class Hypotheses:
     aspect: F64
 
 
-def hypotheses(
+def find_hypotheses(
     cameras: Sequence[Camera], votes: Sequence[Votes], grid: Grid, least_2d: float, least_3d: float
 ) -> Hypotheses:
     """Balls whose outlines are voted for in most views.
@@ -52,16 +52,16 @@ def hypotheses(
         for number in range(len(cameras))
     ]
     center, radius, vote = (np.concatenate([part[k] for part in made]) for k in range(3))
-    return distinct(Hypotheses(center, radius, vote, np.full(len(vote), votes[0].aspect)))
+    return drop_duplicates(Hypotheses(center, radius, vote, np.full(len(vote), votes[0].aspect)))
 
 
-def together(parts: Sequence[Hypotheses]) -> Hypotheses:
+def join_hypotheses(parts: Sequence[Hypotheses]) -> Hypotheses:
     """Hypotheses of several aspects."""
     center, radius, vote, aspect = (
         np.concatenate([getattr(part, name) for part in parts])
         for name in ("center_mm", "radius_mm", "vote", "aspect")
     )
-    return distinct(Hypotheses(center, radius, vote, aspect))
+    return drop_duplicates(Hypotheses(center, radius, vote, aspect))
 
 
 def _spread(maps: F32, out: F32) -> None:
@@ -94,7 +94,7 @@ def _along_lines(
         starts[:, None]
         + ways[:, None] * ((depths[None] - starts[:, None, 2]) / ways[:, None, 2])[..., None]
     )
-    own = scales(cameras[number], places.reshape(-1, 3)).reshape(places.shape[:2])
+    own = px_per_mm(cameras[number], places.reshape(-1, 3)).reshape(places.shape[:2])
     radius = _INWARD * seen[:, 2:3] / own
     total = np.full((len(cameras), *places.shape[:2]), np.nan, dtype=np.float32)
     first, step = (
@@ -104,7 +104,7 @@ def _along_lines(
     for other, camera in enumerate(cameras):
         pixels, valid = camera.project(places.reshape(-1, 3))
         good = valid & camera.contains(pixels)
-        size = radius.ravel() / _INWARD * scales(camera, places.reshape(-1, 3))
+        size = radius.ravel() / _INWARD * px_per_mm(camera, places.reshape(-1, 3))
         _sample(
             maps[other],
             votes[other].stretched(pixels),
@@ -127,7 +127,7 @@ def _along_lines(
     return places[i, j], radius[i, j], score[i, j].astype(np.float64)
 
 
-def scales(camera: Camera, points_mm: F64) -> F64:
+def px_per_mm(camera: Camera, points_mm: F64) -> F64:
     """Pixels per mm across the line of sight at points (n, 3), from the length of the light's way: exact enough to choose a radius."""
     step = 0.5
     across = step * np.array([1.0, 0.0, 0.0])
@@ -165,7 +165,7 @@ def _sample(
         )
 
 
-def distinct(all_of_them: Hypotheses) -> Hypotheses:
+def drop_duplicates(all_of_them: Hypotheses) -> Hypotheses:
     """The best of hypotheses that mean the same bubble: closer than half a radius across and two along, of a similar radius."""
     center, radius, vote = all_of_them.center_mm, all_of_them.radius_mm, all_of_them.vote
     if not len(vote):

@@ -45,7 +45,7 @@ _VOTED, _SMALLER, _SIMPLER = (
 )  # votes of what may replace others; their radius over its; misfit that each of them is worth
 
 
-def search(
+def search_bubbles(
     images: F32,
     cameras: Sequence[Camera],
     profile_of: Callable[[float], Profile],

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sabench.algorithms.calibration.bundle_adjustment import Seen, refine, residuals
-from sabench.algorithms.calibration.parameters import Free, State
+from sabench.algorithms.calibration.parameters import FreeParameters, State
 from sabench.utils.arrays import F64, I64
 
 
@@ -22,7 +22,9 @@ class Rounds:
     errors_px: tuple[float, ...]
 
 
-def alternate(state: State, seen: Seen, free: Free, tolerance_px: float, most: int) -> Rounds:
+def alternate(
+    state: State, seen: Seen, free: FreeParameters, tolerance_px: float, most: int
+) -> Rounds:
     """Adjust in turn until the largest of the cameras' mean reprojection errors changes by less than the tolerance."""
     errors = [_largest(state, seen)]
     while len(errors) <= most:
@@ -33,7 +35,7 @@ def alternate(state: State, seen: Seen, free: Free, tolerance_px: float, most: i
     return Rounds(state, tuple(errors))
 
 
-def subset(state: State, seen: Seen, cameras: I64) -> tuple[State, Seen]:
+def select_cameras(state: State, seen: Seen, cameras: I64) -> tuple[State, Seen]:
     """Some of the cameras, and what they see."""
     part = replace(
         state,
@@ -48,10 +50,10 @@ def subset(state: State, seen: Seen, cameras: I64) -> tuple[State, Seen]:
     )
 
 
-def _cameras(state: State, seen: Seen, free: Free) -> State:
+def _cameras(state: State, seen: Seen, free: FreeParameters) -> State:
     """Every camera on its own against the boards as they are."""
     fits = [
-        refine(*subset(state, seen, np.array([number])), free, moving="cameras").state
+        refine(*select_cameras(state, seen, np.array([number])), free, moving="cameras").state
         for number in range(len(state.turns))
     ]
     turns, centers, lenses = (
@@ -61,7 +63,7 @@ def _cameras(state: State, seen: Seen, free: Free) -> State:
     return replace(state, turns=turns, centers=centers, lenses=lenses)
 
 
-def _boards(state: State, seen: Seen, free: Free) -> State:
+def _boards(state: State, seen: Seen, free: FreeParameters) -> State:
     """Every board on its own against the cameras as they are."""
     turns, places = state.board_turns.copy(), state.places.copy()
     for number in np.flatnonzero(seen.weights.sum(axis=(0, 2)) > 0.0).tolist():
@@ -87,7 +89,7 @@ def _largest(state: State, seen: Seen) -> float:
     return float(np.nanmax(np.nanmean(lengths.reshape(len(lengths), -1), axis=1)))
 
 
-def mean_turn(turns: F64) -> F64:
+def mean_rotation(turns: F64) -> F64:
     """The rotation nearest to several (n, ..., 3, 3), in the least-squares sense of their entries: (..., 3, 3)."""
     left, _, right = np.linalg.svd(turns.mean(axis=0))
     sign = np.sign(np.linalg.det(left @ right))

@@ -15,8 +15,8 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
 from sabench.algorithms.calibration.kernels import equations, misses
-from sabench.algorithms.calibration.parameters import Free, State, steps_of
-from sabench.geometry.rigid_motion import Motion
+from sabench.algorithms.calibration.parameters import FreeParameters, State, steps_of
+from sabench.geometry.rigid_motion import RigidMotion
 from sabench.geometry.rotations import skew
 from sabench.utils.arrays import F64, I64
 
@@ -58,7 +58,7 @@ class Seen:
         )
         turns, shifts = (
             np.array([getattr(anchor.world, name) for anchor in self.anchors])
-            for name in ("turn", "shift")
+            for name in ("rotation", "shift")
         )
         return boards, points, places, precisions, turns, shifts
 
@@ -80,7 +80,7 @@ class Anchor:
     point: int
     place_mm: F64
     precision: F64
-    world: Motion
+    world: RigidMotion
 
 
 @dataclass(frozen=True)
@@ -105,7 +105,7 @@ class Fit:
     converged: bool
 
 
-def normal_equations(state: State, seen: Seen, free: Free, scale: float = 0.0) -> Normal:
+def normal_equations(state: State, seen: Seen, free: FreeParameters, scale: float = 0.0) -> Normal:
     """The equations of one Gauss-Newton step."""
     boards = state.board_turns, state.places, seen.board
     cost, aa, ab, bb, a, d = equations(
@@ -126,7 +126,7 @@ def normal_equations(state: State, seen: Seen, free: Free, scale: float = 0.0) -
 
 
 def refine(
-    state: State, seen: Seen, free: Free, scale: float = 0.0, *, moving: Moving = "all"
+    state: State, seen: Seen, free: FreeParameters, scale: float = 0.0, *, moving: Moving = "all"
 ) -> Fit:
     """The state with the smallest cost near to this one.
 

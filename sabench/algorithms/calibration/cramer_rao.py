@@ -9,7 +9,7 @@ from scipy.special import ellipe
 
 from sabench.algorithms.calibration.bundle_adjustment import Seen, normal_equations
 from sabench.algorithms.calibration.kernels import BOARD, spreads
-from sabench.algorithms.calibration.parameters import Free, State
+from sabench.algorithms.calibration.parameters import FreeParameters, State
 from sabench.geometry.rotations import skew
 from sabench.utils.arrays import F64
 
@@ -44,7 +44,7 @@ class Limit:
         return float(np.sqrt(self.unknowns / max(self.equations - self.unknowns, 1)))
 
 
-def limit(state: State, seen: Seen, free: Free, noise_px: float) -> Limit:
+def limit(state: State, seen: Seen, free: FreeParameters, noise_px: float) -> Limit:
     """The bound at the true state for pixel coordinates with normal noise."""
     information = _whole(state, seen, free)
     covariance, rank = _inverse(information)
@@ -70,7 +70,7 @@ def limit(state: State, seen: Seen, free: Free, noise_px: float) -> Limit:
     )
 
 
-def _whole(state: State, seen: Seen, free: Free) -> F64:
+def _whole(state: State, seen: Seen, free: FreeParameters) -> F64:
     """The information matrix of all unknowns: cameras, shared, boards; for a noise of 1 px."""
     normal = normal_equations(state, seen, free)
     size, boards = len(normal.aa), len(normal.bb)

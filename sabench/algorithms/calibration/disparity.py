@@ -10,8 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from sabench.algorithms.particles.correspondence import match
-from sabench.geometry.volume_polynomials import Maps, positions
-from sabench.images.peaks import Spots
+from sabench.geometry.volume_polynomials import VolumePolynomials, project_points
+from sabench.images.peaks import Peaks
 from sabench.utils.arrays import F64, I64
 
 _CELL_PX = 1.0  # in which sets are counted
@@ -33,7 +33,7 @@ class Sets:
     errors: F64
 
 
-def find_sets(maps: Maps, spots: tuple[Spots, ...], reach_px: float) -> Sets:
+def find_sets(maps: VolumePolynomials, peaks: tuple[Peaks, ...], reach_px: float) -> Sets:
     """Sets within reach, and how far their images lie from where the cameras see the place that fits best.
 
     Where there is no room for all, they are those of a random part of the first camera's images:
@@ -41,8 +41,8 @@ def find_sets(maps: Maps, spots: tuple[Spots, ...], reach_px: float) -> Sets:
     """
     pixels = np.stack(
         [
-            positions(maps, c, np.array([[0.0, 0.0, -1.0], [0.0, 0.0, 1.0]]))
-            for c in range(len(spots))
+            project_points(maps, c, np.array([[0.0, 0.0, -1.0], [0.0, 0.0, 1.0]]))
+            for c in range(len(peaks))
         ]
     )
     travel = float(
@@ -52,18 +52,20 @@ def find_sets(maps: Maps, spots: tuple[Spots, ...], reach_px: float) -> Sets:
     )
     places, hits, errors = (
         np.empty((_SETS, 3)),
-        np.empty((_SETS, len(spots)), dtype=np.int32),
-        np.empty((_SETS, len(spots), 2)),
+        np.empty((_SETS, len(peaks)), dtype=np.int32),
+        np.empty((_SETS, len(peaks), 2)),
     )
-    order = np.random.default_rng(0).permutation(len(spots[0].pixel))
+    order = np.random.default_rng(0).permutation(len(peaks[0].pixels))
     count = match(
-        maps, spots, order, reach_px, max(2, int(travel / _STEP_PX) + 2), places, hits, errors
+        maps, peaks, order, reach_px, max(2, int(travel / _STEP_PX) + 2), places, hits, errors
     )
     return Sets(places[:count].copy(), hits[:count].astype(np.int64), errors[:count].copy())
 
 
-def corrected(maps: Maps, sets: Sets, cameras: range) -> tuple[Maps, float]:
-    """Maps of these cameras moved by their common disparity, and the largest move in px.
+def corrected(
+    maps: VolumePolynomials, sets: Sets, cameras: range
+) -> tuple[VolumePolynomials, float]:
+    """VolumePolynomials of these cameras moved by their common disparity, and the largest move in px.
 
     All cameras' errors together are one vector; what a place can take up of it is gone, and in the
     few dimensions that are left the right sets lie in one spot and the wrong ones all over. Every
@@ -115,12 +117,12 @@ def _shifted(values: F64, middle: F64) -> tuple[F64, int]:
     return middle, int(near.sum())
 
 
-def _unmoved(maps: Maps, cameras: range) -> F64:
+def _unmoved(maps: VolumePolynomials, cameras: range) -> F64:
     """Orthonormal columns (2 cameras, d): what of the cameras' pixels does not change with a place, at the middle of the box; all, for one camera."""
     if len(cameras) < 2:
         return np.eye(2)
     nearby = 1e-3 * np.vstack([np.eye(3), -np.eye(3)])
-    pixels = np.stack([positions(maps, camera, nearby) for camera in cameras])
+    pixels = np.stack([project_points(maps, camera, nearby) for camera in cameras])
     slopes = (pixels[:, :3] - pixels[:, 3:]).transpose(0, 2, 1).reshape(-1, 3)
     return np.asarray(np.linalg.svd(slopes)[0][:, 3:])
 

@@ -71,7 +71,7 @@ def factorise(images: F64, seen: Bool) -> Factors:
     )
 
 
-def adjusted(factors: Factors, images: F64, seen: Bool) -> Factors:
+def adjust_factors(factors: Factors, images: F64, seen: Bool) -> Factors:
     """The matrices and points nearby whose images have the least sum of squared errors: a projective bundle adjustment.
 
     Factorisation leaves an algebraic error, and creeps; Levenberg and Marquardt's steps, points
@@ -164,7 +164,7 @@ def _projective_step(
     return change.reshape(cameras, 3, 4), moved
 
 
-def euclidean(factors: Factors) -> Factors:
+def upgrade_to_euclidean(factors: Factors) -> Factors:
     """The frame, up to a similarity, in which all cameras have square pixels, their principal point at zero and a focal length of about 1.
 
     Sources: the dual absolute quadric (Hartley and Zisserman, section 19.3.1), with rough focal

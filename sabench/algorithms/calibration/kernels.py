@@ -1,4 +1,7 @@
-"""Projections through a wall with all their derivatives, and the normal equations of a bundle of them.
+"""Projections through a wall with all derivatives, and the normal equations of a bundle of them.
+
+A copy of `geometry.camera` and `geometry.refraction` for the sake of the derivatives; tied to them
+by test_bundle_adjustment.py::test_the_kernel_projects_as_cameras_do.
 
 Everything happens in the wall's own frame: its outer face is Z = 0, its normal +Z, media are
 numbered along the way of light from a camera. For a pinhole C and a point P the direction in which

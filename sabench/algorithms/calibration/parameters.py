@@ -11,15 +11,15 @@ from sabench.algorithms.calibration.kernels import CAMERA
 from sabench.algorithms.calibration.wall_frame import wall_frame
 from sabench.geometry.camera import Camera, Distortion
 from sabench.geometry.refraction import Layer, Wall
-from sabench.geometry.rigid_motion import Motion, rigid_fit
-from sabench.geometry.rotations import exponential
+from sabench.geometry.rigid_motion import RigidMotion, fit_rigid_motion
+from sabench.geometry.rotations import rotation_matrices
 from sabench.utils.arrays import F64, I64, triple
 
 _DISTORTION = ("k1", "k2", "p1", "p2", "k3")
 
 
 @dataclass(frozen=True)
-class Free:
+class FreeParameters:
     """What is unknown of the optics, besides every camera's turn, centre and focal length.
 
     Attributes
@@ -36,7 +36,7 @@ class Free:
     thicknesses: tuple[int, ...] = ()
 
     @classmethod
-    def of(cls, unknown: Iterable[str]) -> Free:
+    def from_names(cls, unknown: Iterable[str]) -> FreeParameters:
         """What a case calls unknown of its lenses."""
         names = set(unknown)
         return cls("principal_point" in names, tuple(name for name in _DISTORTION if name in names))
@@ -84,7 +84,7 @@ class State:
         """World points (K, m, 3) of a board's points (m, 3), in the wall's frame."""
         return np.asarray(np.einsum("kij,mj->kmi", self.board_turns, board) + self.places[:, None])
 
-    def moved(self, cameras: F64, shared: F64, boards: F64, free: Free) -> State:
+    def moved(self, cameras: F64, shared: F64, boards: F64, free: FreeParameters) -> State:
         """The state after steps of the cameras' unknowns (M, f), the shared ones (s,) and the boards' (K, 6)."""
         own, common = free.columns(len(self.indices))
         full = np.zeros((len(self.turns), CAMERA))
@@ -93,22 +93,22 @@ class State:
         media[common] += shared
         count = len(self.indices)
         return State(
-            np.ascontiguousarray(exponential(full[:, :3]) @ self.turns),
+            np.ascontiguousarray(rotation_matrices(full[:, :3]) @ self.turns),
             self.centers + full[:, 3:6],
             self.lenses + full[:, 6:],
             media[:count].copy(),
             media[count:].copy(),
-            np.ascontiguousarray(exponential(boards[:, :3]) @ self.board_turns),
+            np.ascontiguousarray(rotation_matrices(boards[:, :3]) @ self.board_turns),
             self.places + boards[:, 3:],
         )
 
-    def slid(self, motion: Motion) -> State:
+    def slid(self, motion: RigidMotion) -> State:
         """The state moved as a whole, by what the wall does not notice."""
         return replace(
             self,
-            turns=np.ascontiguousarray(self.turns @ motion.turn.T),
+            turns=np.ascontiguousarray(self.turns @ motion.rotation.T),
             centers=motion(self.centers),
-            board_turns=np.ascontiguousarray(motion.turn @ self.board_turns),
+            board_turns=np.ascontiguousarray(motion.rotation @ self.board_turns),
             places=motion(self.places),
         )
 
@@ -117,12 +117,12 @@ class State:
 class Frame:
     """What leads from states to cameras: the world's place in the wall's frame, and what a state does not hold."""
 
-    motion: Motion
+    motion: RigidMotion
     cameras: tuple[Camera, ...]
     wall: Wall | None
 
     @classmethod
-    def of(cls, cameras: tuple[Camera, ...], points_mm: F64) -> Frame:
+    def from_cameras(cls, cameras: tuple[Camera, ...], points_mm: F64) -> Frame:
         """The frame of the cameras' wall."""
         wall = cameras[0].wall
         return cls(wall_frame(wall, cameras, points_mm), cameras, wall)
@@ -130,7 +130,7 @@ class Frame:
     def state(self, board: F64, points_mm: F64) -> State:
         """Where the cameras are, and boards (m, 3) as near as they can be to rough points (K, m, 3), NaN where unknown."""
         turns = np.stack(
-            [np.asarray(camera.rotation) @ self.motion.turn.T for camera in self.cameras]
+            [np.asarray(camera.rotation) @ self.motion.rotation.T for camera in self.cameras]
         )
         centers = self.motion(np.array([camera.center_mm for camera in self.cameras]))
         lenses = np.array(
@@ -156,7 +156,7 @@ class Frame:
             lenses,
             media,
             thicknesses,
-            np.stack([p.turn for p in poses]),
+            np.stack([p.rotation for p in poses]),
             np.stack([p.shift for p in poses]),
         )
 
@@ -167,7 +167,7 @@ class Frame:
 
     def points(self, state: State, board: F64) -> F64:
         """World points (K, m, 3) of a state's boards."""
-        return self.motion.back()(state.points(board))
+        return self.motion.inverse()(state.points(board))
 
     def _wall(self, state: State) -> Wall | None:
         if self.wall is None:
@@ -182,8 +182,8 @@ class Frame:
     def _camera(self, number: int, state: State, wall: Wall | None) -> Camera:
         camera, lens = self.cameras[number], state.lenses[number].tolist()
         turn, center = (
-            state.turns[number] @ self.motion.turn,
-            self.motion.back()(state.centers[number]),
+            state.turns[number] @ self.motion.rotation,
+            self.motion.inverse()(state.centers[number]),
         )
         return replace(
             camera,
@@ -196,12 +196,12 @@ class Frame:
         )
 
 
-def _pose(board: F64, points: F64) -> Motion:
+def _pose(board: F64, points: F64) -> RigidMotion:
     known = np.isfinite(points).all(axis=1)
-    return rigid_fit(board[known], points[known])
+    return fit_rigid_motion(board[known], points[known])
 
 
-def steps_of(vector: F64, cameras: int, free: Free, media: int) -> tuple[F64, F64]:
+def steps_of(vector: F64, cameras: int, free: FreeParameters, media: int) -> tuple[F64, F64]:
     """A vector of the cameras' and shared unknowns as (M, f) and (s,)."""
     own, _ = free.columns(media)
     split = cameras * len(own)

@@ -8,15 +8,15 @@ import numpy as np
 
 from sabench.algorithms.calibration.bundle_adjustment import Anchor, Seen
 from sabench.algorithms.calibration.input_checks import check_case
-from sabench.algorithms.calibration.parameters import Frame, Free, State
+from sabench.algorithms.calibration.parameters import Frame, FreeParameters, State
 from sabench.api import Calibration, CalibrationCase
-from sabench.geometry.rigid_motion import Motion, lateral_fit, rigid_fit
+from sabench.geometry.rigid_motion import RigidMotion, fit_lateral_motion, fit_rigid_motion
 from sabench.utils.arrays import Bool
 from sabench.utils.errors import InputError
 
 
 @dataclass(frozen=True)
-class Problem:
+class CalibrationProblem:
     """A case in the frame of its wall.
 
     Attributes
@@ -33,7 +33,7 @@ class Problem:
     case: CalibrationCase
 
     @classmethod
-    def of(cls, case: CalibrationCase, free: Free) -> Problem:
+    def from_case(cls, case: CalibrationCase, free: FreeParameters) -> CalibrationProblem:
         """Check that there is enough to go on, and bring it into the wall's frame.
 
         Raises
@@ -49,7 +49,7 @@ class Problem:
                 raise InputError(
                     f"frame {number}: expected a rough place of its target to start from, got none"
                 )
-        frame = Frame.of(case.cameras, case.rough_mm)
+        frame = Frame.from_cameras(case.cameras, case.rough_mm)
         found = case.found
         seen = Seen(case.target.points_mm, np.nan_to_num(case.pixels), found.astype(np.float64))
         return cls(frame, frame.state(case.target.points_mm, case.rough_mm), seen, case)
@@ -62,11 +62,11 @@ class Problem:
         if known.sum() > (1 if self.frame.wall else 2):
             return state
         if self.frame.wall is None:
-            return state.slid(rigid_fit(points[there], rough[there]))
-        motion = lateral_fit(points[there], rough[there])
+            return state.slid(fit_rigid_motion(points[there], rough[there]))
+        motion = fit_lateral_motion(points[there], rough[there])
         if known.any():  # the turn goes about the known point
             pivot = points[known][0]
-            motion = Motion(motion.turn, pivot - motion.turn @ pivot)
+            motion = RigidMotion(motion.rotation, pivot - motion.rotation @ pivot)
         return state.slid(motion)
 
     def answer(self, state: State, used: Bool | None = None) -> Calibration:
@@ -74,9 +74,9 @@ class Problem:
         return Calibration(self.frame.built(state), self.frame.points(state, self.seen.board), used)
 
 
-def anchors_of(case: CalibrationCase, frame: Frame, noise_px: float) -> tuple[Anchor, ...]:
+def make_anchors(case: CalibrationCase, frame: Frame, noise_px: float) -> tuple[Anchor, ...]:
     """The known coordinates as observations beside pixels with this noise."""
-    world, anchors = frame.motion.back(), []
+    world, anchors = frame.motion.inverse(), []
     for board, point in np.argwhere(np.isfinite(case.known_mm).any(axis=-1)).tolist():
         place, sigma = case.known_mm[board, point], case.known_sigma_mm[board, point]
         there = np.isfinite(place)

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sabench.algorithms.calibration.bundle_adjustment import Fit, Seen, refine, residuals
-from sabench.algorithms.calibration.parameters import Free, State
+from sabench.algorithms.calibration.parameters import FreeParameters, State
 from sabench.utils.arrays import F64, Bool
 
 _NOTHING_ODD = 6.0  # standard deviations that no error of honest points exceeds: 3e-8 of them do
@@ -26,7 +26,9 @@ class Robust:
     noise_px: float
 
 
-def adjust(state: State, seen: Seen, free: Free, *, noise_px: float | None = None) -> Robust:
+def adjust(
+    state: State, seen: Seen, free: FreeParameters, *, noise_px: float | None = None
+) -> Robust:
     """Least squares, and if that leaves errors that normal noise does not: Cauchy's loss, rejection, least squares again.
 
     Parameters
@@ -51,7 +53,7 @@ def adjust(state: State, seen: Seen, free: Free, *, noise_px: float | None = Non
     return Robust(fit, used, noise)
 
 
-def _bent(state: State, seen: Seen, free: Free) -> Fit:
+def _bent(state: State, seen: Seen, free: FreeParameters) -> Fit:
     """Cauchy's loss, whose scale follows the errors down."""
     used = np.asarray(seen.weights > 0.0)
     scale = np.inf

@@ -9,13 +9,17 @@ import numpy as np
 
 from sabench.algorithms.calibration.bundle_adjustment import Anchor, Seen, refine, residuals
 from sabench.algorithms.calibration.disparity import Sets, corrected, find_sets
-from sabench.algorithms.calibration.parameters import Frame, Free, State
+from sabench.algorithms.calibration.parameters import Frame, FreeParameters, State
 from sabench.algorithms.calibration.robust import median_noise
 from sabench.algorithms.particles.correspondence import pair_up
 from sabench.api import Observation
 from sabench.geometry.camera import Camera
-from sabench.geometry.volume_polynomials import Maps, maps_of, positions
-from sabench.images.peaks import Spots, spots_of
+from sabench.geometry.volume_polynomials import (
+    VolumePolynomials,
+    fit_volume_polynomials,
+    project_points,
+)
+from sabench.images.peaks import Peaks, find_peaks
 from sabench.utils.arrays import F32, F64, I64
 from sabench.utils.errors import InputError
 
@@ -43,17 +47,17 @@ class Tracking:
     ----------
     cameras : as told, those of the core first.
     order : their numbers in the case.
-    spots : their particle images.
+    peaks : their particle images.
     maps : what they are told to see.
     """
 
     cameras: tuple[Camera, ...]
     order: tuple[int, ...]
-    spots: tuple[Spots, ...]
-    maps: Maps
+    peaks: tuple[Peaks, ...]
+    maps: VolumePolynomials
 
     @classmethod
-    def of(cls, case: Observation, light: F32, bright: float) -> Tracking:
+    def from_case(cls, case: Observation, light: F32, bright: float) -> Tracking:
         """Find particle images, and put those cameras first that look from the most different places."""
         pinholes = tuple(camera for camera in case.cameras if isinstance(camera, Camera))
         if len(pinholes) != len(case.cameras):
@@ -61,16 +65,16 @@ class Tracking:
                 "expected pinhole cameras, whose parameters can be adjusted, got others"
             )
         order = _spread(np.array([camera.center_mm for camera in pinholes]))
-        spots = tuple(spots_of(light[number], bright) for number in order)
-        for number, own in zip(order, spots, strict=True):
-            if not len(own.pixel):
+        peaks = tuple(find_peaks(light[number], bright) for number in order)
+        for number, own in zip(order, peaks, strict=True):
+            if not len(own.pixels):
                 raise InputError(
                     f"{pinholes[number].name}: expected particle images, got none above {bright:g} of a bright one's peak"
                 )
         low = np.asarray(case.grid.low_mm)
         high = low + (np.asarray(case.grid.shape[::-1]) - 1) * np.asarray(case.grid.voxel_mm)
         cameras = tuple(pinholes[number] for number in order)
-        return cls(cameras, tuple(order), spots, maps_of(cameras, low, high))
+        return cls(cameras, tuple(order), peaks, fit_volume_polynomials(cameras, low, high))
 
 
 def _spread(centers: F64) -> list[int]:
@@ -82,12 +86,12 @@ def _spread(centers: F64) -> list[int]:
     return order
 
 
-def follow(tracking: Tracking, reach_px: float, least_px: float) -> Maps:
-    """Maps corrected by disparities, first of the core, then of every other camera against what the core agrees on."""
+def follow_disparities(tracking: Tracking, reach_px: float, least_px: float) -> VolumePolynomials:
+    """VolumePolynomials corrected by disparities, first of the core, then of every other camera against what the core agrees on."""
     core = range(min(_CORE, len(tracking.cameras)))
     maps, reach = tracking.maps, reach_px
     for _ in range(_ROUNDS):
-        sets = find_sets(maps, tracking.spots[: len(core)], reach)
+        sets = find_sets(maps, tracking.peaks[: len(core)], reach)
         if not len(sets.places):
             raise InputError(
                 f"expected particle images that agree within {reach:g} px, got none: larger errors need a larger reach_px"
@@ -96,17 +100,19 @@ def follow(tracking: Tracking, reach_px: float, least_px: float) -> Maps:
         if reach <= least_px and moved < _SETTLED_PX:
             break
         reach = max(least_px, 0.5 * reach)
-    sure = find_sets(maps, tracking.spots[: len(core)], least_px)
+    sure = find_sets(maps, tracking.peaks[: len(core)], least_px)
     _check(tracking, maps, sure, reach_px, least_px)
     for camera in range(len(core), len(tracking.cameras)):
         maps = _follow_one(tracking, maps, sure, camera, reach_px, least_px)
     return maps
 
 
-def _check(tracking: Tracking, maps: Maps, sure: Sets, reach_px: float, least_px: float) -> None:
+def _check(
+    tracking: Tracking, maps: VolumePolynomials, sure: Sets, reach_px: float, least_px: float
+) -> None:
     """Refuse a spot of sets that agree by chance: such sets grow with the reach to the power of the dimensions in which they could disagree."""
     core = min(_CORE, len(tracking.cameras))
-    wider = find_sets(maps, tracking.spots[:core], 2.0 * least_px)
+    wider = find_sets(maps, tracking.peaks[:core], 2.0 * least_px)
     chance = (len(wider.places) - len(sure.places)) / (2.0 ** (2 * core - 3) - 1.0)
     if len(sure.places) - chance < _SURE * np.sqrt(max(chance, 1.0)):
         raise InputError(
@@ -116,11 +122,16 @@ def _check(tracking: Tracking, maps: Maps, sure: Sets, reach_px: float, least_px
 
 
 def _follow_one(
-    tracking: Tracking, maps: Maps, sure: Sets, camera: int, reach_px: float, least_px: float
-) -> Maps:
+    tracking: Tracking,
+    maps: VolumePolynomials,
+    sure: Sets,
+    camera: int,
+    reach_px: float,
+    least_px: float,
+) -> VolumePolynomials:
     reach = _FARTHER * reach_px
     for _ in range(_ROUNDS):
-        pairs, errors = _pairs(maps, tracking.spots[camera], camera, sure.places, reach)
+        pairs, errors = _pairs(maps, tracking.peaks[camera], camera, sure.places, reach)
         if not len(pairs):
             raise InputError(
                 f"{tracking.cameras[camera].name}: expected particle images within {reach:g} px of where the other cameras' are, got none"
@@ -134,23 +145,27 @@ def _follow_one(
     return maps
 
 
-def _pairs(maps: Maps, spots: Spots, camera: int, places: F64, reach: float) -> tuple[I64, F64]:
+def _pairs(
+    maps: VolumePolynomials, peaks: Peaks, camera: int, places: F64, reach: float
+) -> tuple[I64, F64]:
     """Pairs (n, 2) of places and a camera's images within reach, and the images' errors (n, 2)."""
-    pixels = positions(maps, camera, places)
+    pixels = project_points(maps, camera, places)
     pairs = np.empty((_PAIRS, 2), dtype=np.int64)
-    pairs = pairs[: pair_up(spots, pixels, reach, pairs)]
-    return pairs, spots.pixel[pairs[:, 1]] - pixels[pairs[:, 0]]
+    pairs = pairs[: pair_up(peaks, pixels, reach, pairs)]
+    return pairs, peaks.pixels[pairs[:, 1]] - pixels[pairs[:, 0]]
 
 
-def match_all(tracking: Tracking, maps: Maps, least_px: float) -> tuple[F64, F64]:
+def match_particles(
+    tracking: Tracking, maps: VolumePolynomials, least_px: float
+) -> tuple[F64, F64]:
     """Particles that the cameras agree on: places (n, 3) from -1 to 1, and pixels (camera, n, 2), NaN where a camera has none.
 
     A particle image belongs to the set that fits best of all that want it.
     """
     core = min(_CORE, len(tracking.cameras))
-    sets = find_sets(maps, tracking.spots[:core], least_px)
+    sets = find_sets(maps, tracking.peaks[:core], least_px)
     order = np.argsort(np.linalg.norm(sets.errors, axis=2).max(axis=1), kind="stable")
-    taken = [np.zeros(len(own.pixel), dtype=np.bool_) for own in tracking.spots]
+    taken = [np.zeros(len(own.pixels), dtype=np.bool_) for own in tracking.peaks]
     chosen = []
     for number in order.tolist():
         if not any(taken[c][sets.hits[number, c]] for c in range(core)):
@@ -163,17 +178,17 @@ def match_all(tracking: Tracking, maps: Maps, least_px: float) -> tuple[F64, F64
     places = sets.places[some]
     pixels = np.full((len(tracking.cameras), len(some), 2), np.nan)
     for c in range(core):
-        pixels[c] = tracking.spots[c].pixel[sets.hits[some, c]]
+        pixels[c] = tracking.peaks[c].pixels[sets.hits[some, c]]
     for c in range(core, len(tracking.cameras)):
-        pairs, errors = _pairs(maps, tracking.spots[c], c, places, least_px)
+        pairs, errors = _pairs(maps, tracking.peaks[c], c, places, least_px)
         for row in np.argsort(
             -np.linalg.norm(errors, axis=1)
         ).tolist():  # the nearest comes last and stays
-            pixels[c, pairs[row, 0]] = tracking.spots[c].pixel[pairs[row, 1]]
+            pixels[c, pairs[row, 0]] = tracking.peaks[c].pixels[pairs[row, 1]]
     return places, pixels
 
 
-def refined(tracking: Tracking, matched: tuple[F64, F64]) -> tuple[Camera, ...]:
+def adjust_cameras(tracking: Tracking, matched: tuple[F64, F64]) -> tuple[Camera, ...]:
     """The told cameras adjusted to particles, in the order of the case.
 
     A lattice of places at which the told cameras are believed, to two pixels, holds what particles
@@ -187,7 +202,7 @@ def refined(tracking: Tracking, matched: tuple[F64, F64]) -> tuple[Camera, ...]:
     told = np.stack([camera.project(lattice)[0] for camera in tracking.cameras])
     both = np.concatenate([pixels, told], axis=1)
     weights = np.isfinite(both).all(axis=2).astype(np.float64)
-    frame = Frame.of(tracking.cameras, points[:, None])
+    frame = Frame.from_cameras(tracking.cameras, points[:, None])
     state = frame.state(np.zeros((1, 3)), points[:, None])
     seen = Seen(
         np.zeros((1, 3)),
@@ -201,7 +216,7 @@ def refined(tracking: Tracking, matched: tuple[F64, F64]) -> tuple[Camera, ...]:
 
 
 def _held(frame: Frame, lattice: F64, first: int) -> tuple[Anchor, ...]:
-    world = frame.motion.back()
+    world = frame.motion.inverse()
     return tuple(
         Anchor(first + number, 0, place, np.full(3, 1e6), world)
         for number, place in enumerate(lattice)
@@ -213,7 +228,10 @@ def _adjusted(state: State, seen: Seen, particles: int) -> State:
     noise = _noise(state, seen, particles)
     for _ in range(_ROUNDS):
         state = refine(
-            state, replace(seen, weights=_weights(seen, particles, noise)), Free(), 3.0 * noise
+            state,
+            replace(seen, weights=_weights(seen, particles, noise)),
+            FreeParameters(),
+            3.0 * noise,
         ).state
         before, noise = noise, _noise(state, seen, particles)
         if noise > 0.9 * before:
@@ -221,7 +239,7 @@ def _adjusted(state: State, seen: Seen, particles: int) -> State:
     weights = _weights(seen, particles, noise)
     lengths = np.linalg.norm(residuals(state, seen), axis=-1)
     weights[:, :particles] *= lengths[:, :particles] <= _REJECT * noise
-    return refine(state, replace(seen, weights=weights), Free(), 0.0).state
+    return refine(state, replace(seen, weights=weights), FreeParameters(), 0.0).state
 
 
 def _weights(seen: Seen, particles: int, noise: float) -> F64:

@@ -1,1 +1,17 @@
-"""Iterative particle reconstruction: particles as points with images, found by triangulation and fitted to what the cameras saw."""
+"""Particles: triangulation of image peaks, iterative reconstruction (IPR), and linking."""
+
+from sabench.algorithms.particles.ipr import (
+    IprSettings,
+    fit_cameras,
+    reconstruct_particles,
+    triangulate_particles,
+)
+from sabench.algorithms.particles.linking import link
+
+__all__ = [
+    "IprSettings",
+    "fit_cameras",
+    "link",
+    "reconstruct_particles",
+    "triangulate_particles",
+]

@@ -11,8 +11,8 @@ from typing import Any
 import numba
 import numpy as np
 
-from sabench.geometry.volume_polynomials import locate
-from sabench.images.peaks import around
+from sabench.geometry.volume_polynomials import project_point
+from sabench.images.peaks import find_near
 
 _NEAR = 64  # particle images looked at around one place
 
@@ -57,10 +57,10 @@ def _moved(gains: Any, misses: Any, cameras: int, step: Any) -> None:
 
 
 @numba.njit(cache=True)
-def on_sight(maps: Any, pixel: Any, place: Any, here: Any, slope: Any) -> bool:
+def move_to_pixel(maps: Any, pixel: Any, place: Any, here: Any, slope: Any) -> bool:
     """Move a place in x and y to where the first camera sees it at a pixel."""
     for _ in range(10):
-        locate(maps, 0, place, here, slope)
+        project_point(maps, 0, place, here, slope)
         du, dv = pixel[0] - here[0], pixel[1] - here[1]
         determinant = slope[0, 0] * slope[1, 1] - slope[0, 1] * slope[1, 0]
         place[0] += (slope[1, 1] * du - slope[0, 1] * dv) / determinant
@@ -72,7 +72,7 @@ def on_sight(maps: Any, pixel: Any, place: Any, here: Any, slope: Any) -> bool:
 
 @numba.njit(cache=True)
 def match(
-    maps: Any, spots: Any, order: Any, reach: float, steps: int, places: Any, hits: Any, errors: Any
+    maps: Any, peaks: Any, order: Any, reach: float, steps: int, places: Any, hits: Any, errors: Any
 ) -> int:
     """Fill in sets of particle images, one of each of three or four cameras, that may be those of one particle; returns how many.
 
@@ -83,7 +83,7 @@ def match(
 
     Parameters
     ----------
-    spots : one `Spots` of each camera.
+    peaks : one `Peaks` of each camera.
     order : numbers of the first camera's images, in the order in which they are taken.
     steps : places on a line of sight, close enough for `reach`.
     places : (sets, 3) room for the places, x, y, z from -1 to 1.
@@ -91,7 +91,7 @@ def match(
     errors : (sets, cameras, 2) room for where the images lie against where the cameras see the
         place, px.
     """
-    cameras, count = len(spots), 0
+    cameras, count = len(peaks), 0
     place, here, slope, step = np.zeros(3), np.zeros(2), np.zeros((2, 3)), np.zeros(3)
     slopes, gains = np.zeros((cameras, 2, 3)), np.zeros((cameras, 2, 3))
     misses, chosen = np.zeros((cameras, 2)), np.zeros(cameras, dtype=np.int64)
@@ -103,21 +103,21 @@ def match(
         place[:] = 0.0
         for n in range(steps):
             place[2] = -1.0 + 2.0 * n / (steps - 1)
-            if not on_sight(maps, spots[0].pixel[first], place, here, slope):
+            if not move_to_pixel(maps, peaks[0].pixels[first], place, here, slope):
                 place[:2] = 0.0
                 continue
-            locate(maps, 1, place, here, slope)
-            for k in range(around(spots[1], here, reach, second)):
+            project_point(maps, 1, place, here, slope)
+            for k in range(find_near(peaks[1], here, reach, second)):
                 chosen[1] = second[k]
                 if (tried[: min(left, _NEAR)] == second[k]).any():
                     continue
                 tried[left % _NEAR] = second[k]
                 left += 1
                 start = place.copy()
-                if _crossed(maps, spots, chosen, start, slopes, misses, gains, here, slope, step):
+                if _crossed(maps, peaks, chosen, start, slopes, misses, gains, here, slope, step):
                     count = _others(
                         maps,
-                        spots,
+                        peaks,
                         reach,
                         chosen,
                         start,
@@ -136,7 +136,7 @@ def match(
 @numba.njit(cache=True)
 def _crossed(
     maps: Any,
-    spots: Any,
+    peaks: Any,
     chosen: Any,
     place: Any,
     slopes: Any,
@@ -149,9 +149,9 @@ def _crossed(
     """Move a place to where the first two cameras' lines of sight come nearest to each other, if that is in the box."""
     for _ in range(2):
         for c in range(2):
-            locate(maps, c, place, here, slope)
+            project_point(maps, c, place, here, slope)
             slopes[c] = slope
-            misses[c] = spots[c].pixel[chosen[c]] - here
+            misses[c] = peaks[c].pixels[chosen[c]] - here
         if not _gains(slopes, 2, gains):
             return False
         _moved(gains, misses, 2, step)
@@ -162,7 +162,7 @@ def _crossed(
 @numba.njit(cache=True)
 def _others(
     maps: Any,
-    spots: Any,
+    peaks: Any,
     reach: float,
     chosen: Any,
     start: Any,
@@ -176,22 +176,22 @@ def _others(
     count: int,
 ) -> int:
     """Go through all that the cameras after the second show near to a place; returns the number of sets so far."""
-    cameras = len(spots)
+    cameras = len(peaks)
     seen, found = np.zeros((cameras, 2)), np.zeros((2, _NEAR), dtype=np.int64)
     numbers = np.ones(2, dtype=np.int64)
     for c in range(cameras):
-        locate(maps, c, start, seen[c], slopes[c])
+        project_point(maps, c, start, seen[c], slopes[c])
         if c >= 2:
-            numbers[c - 2] = around(spots[c], seen[c], reach, found[c - 2])
+            numbers[c - 2] = find_near(peaks[c], seen[c], reach, found[c - 2])
     if numbers[0] * numbers[1] == 0 or not _gains(slopes, cameras, gains):
         return count
     for c in range(2):
-        misses[c] = spots[c].pixel[chosen[c]] - seen[c]
+        misses[c] = peaks[c].pixels[chosen[c]] - seen[c]
     for both in range(numbers[0] * numbers[1]):
         for c in range(2, cameras):
             chosen[c] = found[0, both // numbers[1]] if c == 2 else found[1, both % numbers[1]]
-            misses[c, 0] = spots[c].pixel[chosen[c], 0] - seen[c, 0]
-            misses[c, 1] = spots[c].pixel[chosen[c], 1] - seen[c, 1]
+            misses[c, 0] = peaks[c].pixels[chosen[c], 0] - seen[c, 0]
+            misses[c, 1] = peaks[c].pixels[chosen[c], 1] - seen[c, 1]
         _moved(gains, misses, cameras, step)
         if _worst(slopes, misses, step, cameras) <= reach * reach:
             if count == len(places):
@@ -230,11 +230,11 @@ def _worst(slopes: Any, misses: Any, step: Any, cameras: int) -> float:
 
 
 @numba.njit(cache=True)
-def pair_up(spots: Any, pixels: Any, reach: float, out: Any) -> int:
+def pair_up(peaks: Any, pixels: Any, reach: float, out: Any) -> int:
     """Fill in pairs (number of a pixel, number of a particle image) within reach of each other, as long as there is room; returns how many."""
-    found, count = np.zeros(len(spots.pixel), dtype=np.int64), 0
+    found, count = np.zeros(len(peaks.pixels), dtype=np.int64), 0
     for n in range(len(pixels)):
-        for k in range(around(spots, pixels[n], reach, found)):
+        for k in range(find_near(peaks, pixels[n], reach, found)):
             if count == len(out):
                 return count
             out[count, 0], out[count, 1] = n, found[k]

@@ -7,19 +7,29 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
-from sabench.algorithms.particles.refinement import in_mm, peak_of, remove, settle, widths
-from sabench.algorithms.particles.triangulation import Candidates, candidates, chosen
+from sabench.algorithms.particles.refinement import (
+    image_widths,
+    in_mm,
+    peak_brightness,
+    refine_particles,
+    subtract_images,
+)
+from sabench.algorithms.particles.triangulation import Candidates, find_candidates, select_best
 from sabench.api import FoundParticles, Observation
-from sabench.geometry.volume_polynomials import Maps, maps_of, positions
+from sabench.geometry.volume_polynomials import (
+    VolumePolynomials,
+    fit_volume_polynomials,
+    project_points,
+)
 from sabench.images.brightness import background_noise, normalised
-from sabench.images.peaks import Spots, spots_of
+from sabench.images.peaks import Peaks, find_peaks
 from sabench.utils.arrays import F32, F64, Bool
 
 _MARGIN = 1.0  # voxels around the grid's centres in which particles are looked for
 
 
 @dataclass(frozen=True)
-class Settings:
+class IprSettings:
     """How particles are looked for.
 
     Attributes
@@ -44,72 +54,83 @@ class Settings:
     apart_px: float = 0.7
 
 
-def box_of(case: Observation) -> Maps:
+def fit_cameras(case: Observation) -> VolumePolynomials:
     """The cameras as polynomials over the grid and a margin."""
     low, voxel = np.asarray(case.grid.low_mm), np.asarray(case.grid.voxel_mm)
     high = low + voxel * (np.asarray(case.grid.shape[::-1]) - 1)
-    return maps_of(case.cameras, low - _MARGIN * voxel, high + _MARGIN * voxel)
+    return fit_volume_polynomials(case.cameras, low - _MARGIN * voxel, high + _MARGIN * voxel)
 
 
-def triangulated(case: Observation, maps: Maps, settings: Settings) -> FoundParticles:
+def triangulate_particles(
+    case: Observation, maps: VolumePolynomials, settings: IprSettings
+) -> FoundParticles:
     """The particles that particle images agree on, each image taken once."""
     images = normalised(case.images, case.black_dn)
-    spots = _spots(images, settings)
-    found = _agreed(maps, spots, settings, 0, 0, images)
-    return FoundParticles(in_mm(maps, found.place), _peaks(found, spots, images).mean(axis=1))
+    peaks = _find_peaks(images, settings)
+    found = _agreed(maps, peaks, settings, 0, 0, images)
+    return FoundParticles(in_mm(maps, found.place), _peak_values(found, peaks, images).mean(axis=1))
 
 
-def reconstructed(case: Observation, maps: Maps, settings: Settings) -> FoundParticles:
+def reconstruct_particles(
+    case: Observation, maps: VolumePolynomials, settings: IprSettings
+) -> FoundParticles:
     """The particles that explain the images: found and fitted, again and again, on what is left."""
     images = normalised(case.images, case.black_dn)
-    sigma = widths(images, [one.pixel for one in _spots(images, settings)])
+    sigma = image_widths(images, [one.pixels for one in _find_peaks(images, settings)])
     left, places, light = images.copy(), np.zeros((0, 3)), np.zeros((0, len(images)))
     full, reduced = settings.rounds
     for number in range(full + reduced):
-        spots = _spots(left, settings)
-        found = _agreed(maps, spots, settings, int(number >= full), number, left)
+        peaks = _find_peaks(left, settings)
+        found = _agreed(maps, peaks, settings, int(number >= full), number, left)
         places = np.concatenate([places, found.place])
         light = np.concatenate([light, np.zeros((len(found.place), len(images)))])
-        settle(maps, sigma, left, places, light, settings.fits)
+        refine_particles(maps, sigma, left, places, light, settings.fits)
         good = _real(maps, places, light, sigma, settings)
-        remove(maps, sigma, left, places[~good], light[~good])
+        subtract_images(maps, sigma, left, places[~good], light[~good])
         places, light = places[good], light[good]
-    settle(maps, sigma, left, places, light, settings.fits)
-    return FoundParticles(in_mm(maps, places), peak_of(light, sigma).mean(axis=1))
+    refine_particles(maps, sigma, left, places, light, settings.fits)
+    return FoundParticles(in_mm(maps, places), peak_brightness(light, sigma).mean(axis=1))
 
 
-def _spots(images: F32, settings: Settings) -> tuple[Spots, ...]:
+def _find_peaks(images: F32, settings: IprSettings) -> tuple[Peaks, ...]:
     """Particle images above the background of every camera."""
     return tuple(
-        spots_of(image, max(settings.floor, settings.noise * background_noise(image)))
+        find_peaks(image, max(settings.floor, settings.noise * background_noise(image)))
         for image in images
     )
 
 
 def _agreed(
-    maps: Maps, spots: tuple[Spots, ...], settings: Settings, missing: int, number: int, images: F32
+    maps: VolumePolynomials,
+    peaks: tuple[Peaks, ...],
+    settings: IprSettings,
+    missing: int,
+    number: int,
+    images: F32,
 ) -> Candidates:
     """Candidates of which each particle image belongs to one; which cameras are followed changes from round to round."""
-    first = number % len(spots)
-    order = (first, (first + 1) % len(spots))
-    found = candidates(
-        maps, spots, order, settings.reach_px, missing, (images.shape[1], images.shape[2])
+    first = number % len(peaks)
+    order = (first, (first + 1) % len(peaks))
+    found = find_candidates(
+        maps, peaks, order, settings.reach_px, missing, (images.shape[1], images.shape[2])
     )
-    kept = chosen(found, spots)
+    kept = select_best(found, peaks)
     return Candidates(found.place[kept], found.hit[kept], found.error_px[kept])
 
 
-def _peaks(found: Candidates, spots: tuple[Spots, ...], images: F32) -> F64:
+def _peak_values(found: Candidates, peaks: tuple[Peaks, ...], images: F32) -> F64:
     """Brightest pixels (n, camera) of the particle images of candidates; 0 where a camera shows none."""
     out = np.zeros(found.hit.shape)
-    for camera, (one, image) in enumerate(zip(spots, images, strict=True)):
+    for camera, (one, image) in enumerate(zip(peaks, images, strict=True)):
         there = found.hit[:, camera] >= 0
-        column, row = np.rint(one.pixel[found.hit[there, camera]]).astype(np.int64).T
+        column, row = np.rint(one.pixels[found.hit[there, camera]]).astype(np.int64).T
         out[there, camera] = image[row, column]
     return out
 
 
-def _real(maps: Maps, places: F64, light: F64, sigma: F64, settings: Settings) -> Bool:
+def _real(
+    maps: VolumePolynomials, places: F64, light: F64, sigma: F64, settings: IprSettings
+) -> Bool:
     """Which particles are bright enough in enough cameras, and not another one's double."""
     if not len(places):
         return np.zeros(0, dtype=bool)
@@ -123,7 +144,9 @@ def _real(maps: Maps, places: F64, light: F64, sigma: F64, settings: Settings) -
     return good
 
 
-def _mm_per_px(maps: Maps) -> float:
+def _mm_per_px(maps: VolumePolynomials) -> float:
     """Size of a pixel in the middle of the box, along X."""
     ends = np.array([[-0.01, 0.0, 0.0], [0.01, 0.0, 0.0]])
-    return float(0.02 * maps.half_mm[0] / np.linalg.norm(np.diff(positions(maps, 0, ends), axis=0)))
+    return float(
+        0.02 * maps.half_mm[0] / np.linalg.norm(np.diff(project_points(maps, 0, ends), axis=0))
+    )

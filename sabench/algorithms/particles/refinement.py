@@ -15,7 +15,7 @@ from typing import Any
 import numba
 import numpy as np
 
-from sabench.geometry.volume_polynomials import Maps, locate
+from sabench.geometry.volume_polynomials import VolumePolynomials, project_point
 from sabench.utils.arrays import F32, F64
 
 _HALF = 3  # pixels from the middle of a particle's image to the border of its window
@@ -23,7 +23,7 @@ _WINDOW = 2 * _HALF + 1
 _FARTHEST_PX = 0.5  # that a particle moves in one step
 
 
-def widths(images: F32, pixels: list[F64]) -> F64:
+def image_widths(images: F32, pixels: list[F64]) -> F64:
     """Standard deviations (camera,) of lone particles' images, px, from three values along either axis: the lower quartile, since overlaps widen."""
     out = []
     for image, places in zip(images, pixels, strict=True):
@@ -64,7 +64,9 @@ def _paint(image: Any, column: int, row: int, x: Any, y: Any, amount: float) -> 
 
 
 @numba.njit(cache=True)
-def settle(maps: Any, sigma: Any, left: Any, places: Any, light: Any, rounds: int) -> None:
+def refine_particles(
+    maps: Any, sigma: Any, left: Any, places: Any, light: Any, rounds: int
+) -> None:
     """Fit particles one after the other, some rounds.
 
     Parameters
@@ -115,7 +117,7 @@ def _set(
     dy: Any,
 ) -> None:
     """Where a camera sees a place, and the profiles of its image there."""
-    locate(maps, c, place, here, slope)
+    project_point(maps, c, place, here, slope)
     corner[0], corner[1] = round(here[0]) - _HALF, round(here[1]) - _HALF
     _profile(here[0], corner[0], sigma, x, dx)
     _profile(here[1], corner[1], sigma, y, dy)
@@ -169,7 +171,7 @@ def _brightness(image: Any, corner: Any, x: Any, y: Any) -> float:
 
 
 @numba.njit(cache=True)
-def remove(maps: Any, sigma: Any, left: Any, places: Any, light: Any) -> None:
+def subtract_images(maps: Any, sigma: Any, left: Any, places: Any, light: Any) -> None:
     """Give the light of particles back to the images less all particles."""
     x, y, d, corner, here, slope = (
         np.zeros(_WINDOW),
@@ -185,12 +187,12 @@ def remove(maps: Any, sigma: Any, left: Any, places: Any, light: Any) -> None:
             _paint(left[c], corner[0], corner[1], x, y, light[n, c])
 
 
-def peak_of(light: F64, sigma: F64) -> F64:
+def peak_brightness(light: F64, sigma: F64) -> F64:
     """Brightest pixel (n, camera) of particles whose images lie on a pixel's middle."""
     share = np.array([math.erf(0.5 / (math.sqrt(2.0) * one)) ** 2 for one in sigma])
     return np.asarray(light * share)
 
 
-def in_mm(maps: Maps, places: F64) -> F64:
+def in_mm(maps: VolumePolynomials, places: F64) -> F64:
     """World points (n, 3) of places in the box of the maps."""
     return np.asarray(maps.middle_mm + places * maps.half_mm)

@@ -14,9 +14,9 @@ from typing import Any, NamedTuple
 import numba
 import numpy as np
 
-from sabench.algorithms.particles.correspondence import on_sight
-from sabench.geometry.volume_polynomials import Maps, locate, positions
-from sabench.images.peaks import Spots, around
+from sabench.algorithms.particles.correspondence import move_to_pixel
+from sabench.geometry.volume_polynomials import VolumePolynomials, project_point, project_points
+from sabench.images.peaks import Peaks, find_near
 from sabench.utils.arrays import F64, I64
 
 _NEAR = 64  # particle images looked at around one place
@@ -39,9 +39,9 @@ class Candidates(NamedTuple):
     error_px: F64
 
 
-def candidates(
-    maps: Maps,
-    spots: tuple[Spots, ...],
+def find_candidates(
+    maps: VolumePolynomials,
+    peaks: tuple[Peaks, ...],
     order: tuple[int, int],
     reach_px: float,
     missing: int,
@@ -51,16 +51,16 @@ def candidates(
 
     Parameters
     ----------
-    spots : of each camera.
+    peaks : of each camera.
     order : the camera whose lines of sight are followed, and the one that they are intersected in.
     missing : how many of the cameras that have the place on their sensor may show nothing there.
     size : rows and columns of the images.
     """
-    turned = (order[0], *(number for number in range(len(spots)) if number != order[0]))
-    own = Maps(np.ascontiguousarray(maps.coefficients[list(turned)]), *maps[1:])
-    seen = tuple(spots[number] for number in turned)
-    most = _ROOM * len(seen[0].pixel)
-    place, hit, error = np.zeros((most, 3)), np.full((most, len(spots)), -1), np.zeros(most)
+    turned = (order[0], *(number for number in range(len(peaks)) if number != order[0]))
+    own = VolumePolynomials(np.ascontiguousarray(maps.coefficients[list(turned)]), *maps[1:])
+    seen = tuple(peaks[number] for number in turned)
+    most = _ROOM * len(seen[0].pixels)
+    place, hit, error = np.zeros((most, 3)), np.full((most, len(peaks)), -1), np.zeros(most)
     steps = max(2, int(_travel(own, turned.index(order[1])) / reach_px) + 2)
     count = _follow(
         own, seen, turned.index(order[1]), reach_px, missing, size, steps, place, hit, error
@@ -69,18 +69,18 @@ def candidates(
     return Candidates(place[:count], hit[:count][:, back], error[:count])
 
 
-def _travel(maps: Maps, second: int) -> float:
+def _travel(maps: VolumePolynomials, second: int) -> float:
     """How far the image of a line of sight of the first camera, from front to back of the box, reaches in the second, px."""
     ends = np.array([[0.0, 0.0, -1.0], [0.0, 0.0, 1.0]])
-    here, there = positions(maps, 0, ends), positions(maps, second, ends)
+    here, there = project_points(maps, 0, ends), project_points(maps, second, ends)
     return float(np.linalg.norm(np.diff(there, axis=0)) + np.linalg.norm(np.diff(here, axis=0)))
 
 
-def chosen(found: Candidates, spots: tuple[Spots, ...]) -> I64:
+def select_best(found: Candidates, peaks: tuple[Peaks, ...]) -> I64:
     """Rows of the candidates that remain if each particle image belongs to one only, those that fit best first; complete sets before others."""
     order = np.lexsort((found.error_px, (found.hit < 0).sum(axis=1)))
     free = [
-        np.ones(len(one.pixel) + 1, dtype=bool) for one in spots
+        np.ones(len(one.pixels) + 1, dtype=bool) for one in peaks
     ]  # the last one is that of a camera that shows none
     kept = []
     for row in order:
@@ -94,7 +94,7 @@ def chosen(found: Candidates, spots: tuple[Spots, ...]) -> I64:
 @numba.njit(cache=True)
 def _follow(
     maps: Any,
-    spots: Any,
+    peaks: Any,
     second: int,
     reach: float,
     missing: int,
@@ -105,23 +105,23 @@ def _follow(
     errors: Any,
 ) -> int:
     """Fill in the candidates of all of the first camera's images; returns how many there are."""
-    cameras, count = len(spots), 0
+    cameras, count = len(peaks), 0
     place, start, here, slope = np.zeros(3), np.zeros(3), np.zeros(2), np.zeros((2, 3))
     near, tried, chosen = (
         np.zeros(_NEAR, dtype=np.int64),
         np.zeros(512, dtype=np.int64),
         np.zeros(cameras, dtype=np.int64),
     )
-    for first in range(len(spots[0].pixel)):
+    for first in range(len(peaks[0].pixels)):
         left = 0
         place[:] = 0.0
         for n in range(steps):
             place[2] = -1.0 + 2.0 * n / (steps - 1)
-            if not on_sight(maps, spots[0].pixel[first], place, here, slope):
+            if not move_to_pixel(maps, peaks[0].pixels[first], place, here, slope):
                 place[:2] = 0.0
                 continue
-            locate(maps, second, place, here, slope)
-            for k in range(around(spots[second], here, 1.5 * reach, near)):
+            project_point(maps, second, place, here, slope)
+            for k in range(find_near(peaks[second], here, 1.5 * reach, near)):
                 if left == len(tried) or count == len(places) or (tried[:left] == near[k]).any():
                     continue
                 tried[left] = near[k]
@@ -129,19 +129,19 @@ def _follow(
                 chosen[:] = -1
                 chosen[0], chosen[second] = first, near[k]
                 start[:] = place
-                worst = _fitted(maps, spots, chosen, start)
+                worst = _fitted(maps, peaks, chosen, start)
                 if (
                     worst > reach
                     or np.abs(start).max() > 1.0
-                    or not _others(maps, spots, chosen, start, second, reach, missing, size)
+                    or not _others(maps, peaks, chosen, start, second, reach, missing, size)
                 ):
                     continue
-                worst = _fitted(maps, spots, chosen, start)
+                worst = _fitted(maps, peaks, chosen, start)
                 if worst <= reach and np.abs(start).max() <= 1.0:
                     places[count], hits[count], errors[count] = (
                         start,
                         chosen,
-                        _error(maps, spots, chosen, start),
+                        _error(maps, peaks, chosen, start),
                     )
                     count += 1
     return count
@@ -150,7 +150,7 @@ def _follow(
 @numba.njit(cache=True)
 def _others(
     maps: Any,
-    spots: Any,
+    peaks: Any,
     chosen: Any,
     place: Any,
     second: int,
@@ -160,24 +160,24 @@ def _others(
 ) -> bool:
     """Choose the image nearest to a place in each of the other cameras; false if too many have it on their sensor and show none."""
     here, slope, near, absent = np.zeros(2), np.zeros((2, 3)), np.zeros(_NEAR, dtype=np.int64), 0
-    for c in range(1, len(spots)):
+    for c in range(1, len(peaks)):
         if c == second:
             continue
-        locate(maps, c, place, here, slope)
+        project_point(maps, c, place, here, slope)
         nearest = reach * 1.5
-        for k in range(around(spots[c], here, nearest, near)):
+        for k in range(find_near(peaks[c], here, nearest, near)):
             apart = np.hypot(
-                spots[c].pixel[near[k], 0] - here[0], spots[c].pixel[near[k], 1] - here[1]
+                peaks[c].pixels[near[k], 0] - here[0], peaks[c].pixels[near[k], 1] - here[1]
             )
             if apart < nearest:
                 nearest, chosen[c] = apart, near[k]
         if chosen[c] < 0 and 0.0 < here[0] < size[1] - 1.0 and 0.0 < here[1] < size[0] - 1.0:
             absent += 1
-    return absent <= missing and (len(spots) == 2 or (chosen >= 0).sum() > 2)
+    return absent <= missing and (len(peaks) == 2 or (chosen >= 0).sum() > 2)
 
 
 @numba.njit(cache=True)
-def _fitted(maps: Any, spots: Any, chosen: Any, place: Any) -> float:
+def _fitted(maps: Any, peaks: Any, chosen: Any, place: Any) -> float:
     """Move a place to where it fits the chosen images best; returns the largest distance that is left, px."""
     here, slope, matrix, right, worst = (
         np.zeros(2),
@@ -188,11 +188,11 @@ def _fitted(maps: Any, spots: Any, chosen: Any, place: Any) -> float:
     )
     for step in range(_STEPS + 1):
         matrix[:], right[:], worst = 0.0, 0.0, 0.0
-        for c in range(len(spots)):
+        for c in range(len(peaks)):
             if chosen[c] < 0:
                 continue
-            locate(maps, c, place, here, slope)
-            miss = spots[c].pixel[chosen[c]] - here
+            project_point(maps, c, place, here, slope)
+            miss = peaks[c].pixels[chosen[c]] - here
             worst = max(worst, np.hypot(miss[0], miss[1]))
             for a in range(2):
                 for i in range(3):
@@ -211,11 +211,11 @@ def _fitted(maps: Any, spots: Any, chosen: Any, place: Any) -> float:
 
 
 @numba.njit(cache=True)
-def _error(maps: Any, spots: Any, chosen: Any, place: Any) -> float:
+def _error(maps: Any, peaks: Any, chosen: Any, place: Any) -> float:
     here, slope, total, seen = np.zeros(2), np.zeros((2, 3)), 0.0, 0
-    for c in range(len(spots)):
+    for c in range(len(peaks)):
         if chosen[c] >= 0:
-            locate(maps, c, place, here, slope)
-            miss = spots[c].pixel[chosen[c]] - here
+            project_point(maps, c, place, here, slope)
+            miss = peaks[c].pixels[chosen[c]] - here
             total, seen = total + miss[0] ** 2 + miss[1] ** 2, seen + 1
     return float(np.sqrt(total / seen))

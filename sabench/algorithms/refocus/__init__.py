@@ -1,17 +1,24 @@
-"""From images to planes of the world: exact maps of planes onto images, and refocusing along them."""
+"""Synthetic aperture refocusing: sums and products of all cameras over planes of the world."""
 
 from sabench.algorithms.refocus.synthetic_aperture import (
     refocus_by_shifts,
     refocus_log2,
     refocus_sum,
 )
-from sabench.geometry.plane_polynomials import TOLERANCE_PX, PlaneMap, plane_map, plane_maps
+from sabench.algorithms.refocus.thresholding import (
+    ExtractionParameters,
+    auto_k,
+    extract,
+    extract_particles,
+    occupancy,
+)
 
 __all__ = [
-    "TOLERANCE_PX",
-    "PlaneMap",
-    "plane_map",
-    "plane_maps",
+    "ExtractionParameters",
+    "auto_k",
+    "extract",
+    "extract_particles",
+    "occupancy",
     "refocus_by_shifts",
     "refocus_log2",
     "refocus_sum",

@@ -41,7 +41,7 @@ class ExtractionParameters(Parameters):
     )
 
 
-def extracted(volume: F32, case: Observation, parameters: ExtractionParameters) -> F32:
+def extract_particles(volume: F32, case: Observation, parameters: ExtractionParameters) -> F32:
     """`extract` as the parameters say, with `auto_k` where they leave k to the images; works in place on (z, y, x) and returns it."""
     k = auto_k(volume, occupancy(case), parameters.keep) if parameters.k == "auto" else parameters.k
     return extract(volume, k, parameters.keep)

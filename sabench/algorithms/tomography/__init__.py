@@ -1,1 +1,29 @@
-"""Tomographic reconstruction by lines of sight: a sparse volume, its projections onto the images, and what updates it from their ratio."""
+"""Tomographic reconstruction: first guesses and algebraic (ART) updates of a volume."""
+
+from sabench.algorithms.tomography.art_updates import (
+    Measured,
+    State,
+    block_mart,
+    iterate,
+    mart,
+    sart,
+    smart,
+)
+from sabench.algorithms.tomography.problem import (
+    SparseParameters,
+    TomographyParameters,
+    TomographyProblem,
+)
+
+__all__ = [
+    "Measured",
+    "SparseParameters",
+    "State",
+    "TomographyParameters",
+    "TomographyProblem",
+    "block_mart",
+    "iterate",
+    "mart",
+    "sart",
+    "smart",
+]

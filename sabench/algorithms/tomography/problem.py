@@ -68,7 +68,7 @@ class SparseParameters(TomographyParameters):
 
 
 @dataclass(frozen=True)
-class Problem:
+class TomographyProblem:
     """A case as the algorithms take it.
 
     Attributes
@@ -87,7 +87,7 @@ class Problem:
     footprint: Footprint
 
     @classmethod
-    def of(cls, case: Observation, parameters: TomographyParameters) -> Problem:
+    def from_case(cls, case: Observation, parameters: TomographyParameters) -> TomographyProblem:
         """Scale the images, split the grid's voxels where needed, choose the footprint."""
         light, scale = (
             normalised(case.images, case.black_dn),

@@ -8,11 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from sabench.algorithms.refocus import plane_maps
 from sabench.algorithms.tomography.footprint import Footprint
 from sabench.algorithms.tomography.kernels import Sight, back_project, project
 from sabench.geometry.camera_model import CameraModel
 from sabench.geometry.grid import Grid
+from sabench.geometry.plane_polynomials import plane_maps
 from sabench.utils.arrays import F32, I64
 
 _BLOCK = (

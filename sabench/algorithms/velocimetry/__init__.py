@@ -1,1 +1,5 @@
-"""Velocity from pairs of volumes: window correlation with volume deformation."""
+"""Velocimetry: three-dimensional correlation of pairs of volumes."""
+
+from sabench.algorithms.velocimetry.multipass import Plan, evaluate, evaluate_once
+
+__all__ = ["Plan", "evaluate", "evaluate_once"]

@@ -11,9 +11,9 @@ from sabench.algorithms.bubbles.feature_potential import (
     WINDOW,
     attenuate,
     darkness,
-    feature,
+    feature_potential,
+    find_outlines,
     minimum_images,
-    outlines,
 )
 from sabench.api import Observation
 from sabench.api.truth import Bubbles
@@ -66,9 +66,9 @@ def pictures(case: Observation) -> Iterator[Figure]:
         for plane in planes
     ]
     yield Figure("fig-5-6", "refocused planes", tuple(panels), inch=(4.6, 4.2))
-    attenuate(volume, feature(volume, WINDOW), WINDOW)
+    attenuate(volume, feature_potential(volume, WINDOW), WINDOW)
     dark, depth = minimum_images(volume)[middle // STACK]
-    found = outlines(dark, depth, _EDGE, _SMALL_PX).shapes
+    found = find_outlines(dark, depth, _EDGE, _SMALL_PX).shapes
     rings = np.column_stack(
         [
             found[:, :2] * grid.voxel_mm[:2] + np.asarray(grid.low_mm[:2]),

@@ -17,7 +17,7 @@ from sabench.evaluation.suites import load_suite
 from sabench.evaluation.thesis.chapter_4 import Board, draw, places_of, solved
 from sabench.evaluation.thesis.common import Row, claim, compared
 from sabench.geometry.camera_model import CameraModel
-from sabench.geometry.rigid_motion import Motion, rigid_fit
+from sabench.geometry.rigid_motion import RigidMotion, fit_rigid_motion
 from sabench.geometry.triangulation import triangulate
 from sabench.metrics.reconstruction_error import score_frame
 from sabench.scenes import Scene, build_rig, parse_scene
@@ -43,7 +43,7 @@ class Told:
     """Cameras, where they put the true particles, and by how many pixels they are wrong about them."""
 
     cameras: tuple[CameraModel, ...]
-    motion: Motion
+    motion: RigidMotion
     error_px: float
 
 
@@ -112,7 +112,7 @@ def boards_behind_glass(scene: Scene, level: bool) -> Scene:
 def _cameras(scene: Scene, shot: Shot, seed: int) -> dict[str, Told]:
     """Exact cameras, those of every calibration by boards, those that are told two pixels wrong, and what self-calibration makes of these."""
     true = build_rig(scene).cameras
-    still = Motion(np.eye(3), np.zeros(3))
+    still = RigidMotion(np.eye(3), np.zeros(3))
     told = {"exact": Told(true, still, 0.0)}
     for name in _CALIBRATIONS:
         given = draw(boards_behind_glass(scene, name == "polynomial_planes"), seed)
@@ -127,15 +127,15 @@ def _cameras(scene: Scene, shot: Shot, seed: int) -> dict[str, Told]:
     return told
 
 
-def _by_boards(answer: Calibration, given: Board) -> Motion:
-    return rigid_fit(given.points_mm.reshape(-1, 3), places_of(answer, given).reshape(-1, 3))
+def _by_boards(answer: Calibration, given: Board) -> RigidMotion:
+    return fit_rigid_motion(given.points_mm.reshape(-1, 3), places_of(answer, given).reshape(-1, 3))
 
 
 def _told(
     cameras: tuple[CameraModel, ...],
     shot: Shot,
     true: tuple[CameraModel, ...],
-    motion: Motion | None,
+    motion: RigidMotion | None,
 ) -> Told:
     """With the motion that brings true particles to where these cameras see them, if none is given."""
     truths = shot.particles.position_mm
@@ -143,7 +143,7 @@ def _told(
     if motion is None:
         found = triangulate(cameras, exact)
         known = np.isfinite(found).all(axis=1)
-        motion = rigid_fit(truths[known], found[known])
+        motion = fit_rigid_motion(truths[known], found[known])
     again = np.stack([camera.project(motion(truths))[0] for camera in cameras])
     return Told(cameras, motion, float(np.nanmean(np.linalg.norm(again - exact, axis=-1))))
 

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from sabench.algorithms.calibration.alternating import alternate
-from sabench.algorithms.calibration.parameters import Free
-from sabench.algorithms.calibration.problem import Problem
+from sabench.algorithms.calibration.parameters import FreeParameters
+from sabench.algorithms.calibration.problem import CalibrationProblem
 from sabench.evaluation.thesis.chapter_4 import (
     D_PIX,
     NOISES,
@@ -194,5 +194,5 @@ def _rounds(seeds: Sequence[int]) -> Iterator[Item]:
 
 
 def _alternated(given: Board) -> tuple[float, ...]:
-    problem = Problem.of(given.case, Free())
-    return alternate(problem.start, problem.seen, Free(), 0.001, 1000).errors_px
+    problem = CalibrationProblem.from_case(given.case, FreeParameters())
+    return alternate(problem.start, problem.seen, FreeParameters(), 0.001, 1000).errors_px

@@ -14,7 +14,7 @@ import numpy as np
 
 from sabench.evaluation.thesis.chapter_4 import Board, draw, places_of, solved
 from sabench.evaluation.thesis.common import Item, claim, compared
-from sabench.geometry.rigid_motion import rigid_fit
+from sabench.geometry.rigid_motion import fit_rigid_motion
 from sabench.plotting.charts import Curve, Figure, Panel
 from sabench.scenes import Scene, load_scene, parse_scene
 from sabench.utils.arrays import F64
@@ -122,7 +122,7 @@ def _scatter(places: F64) -> F64:
 
 
 def _turn_deg(places: F64, reference: F64) -> float:
-    turn = rigid_fit(places.reshape(-1, 3), reference.reshape(-1, 3)).turn
+    turn = fit_rigid_motion(places.reshape(-1, 3), reference.reshape(-1, 3)).rotation
     return float(np.rad2deg(np.arccos(np.clip((np.trace(turn) - 1.0) / 2.0, -1.0, 1.0))))
 
 

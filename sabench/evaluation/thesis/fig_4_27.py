@@ -7,11 +7,11 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from sabench.algorithms.calibration.bundle_adjustment import refine, residuals
-from sabench.algorithms.calibration.parameters import Free
-from sabench.algorithms.calibration.problem import Problem
+from sabench.algorithms.calibration.parameters import FreeParameters
+from sabench.algorithms.calibration.problem import CalibrationProblem
 from sabench.evaluation.thesis.chapter_4 import Board, board, with_points
 from sabench.evaluation.thesis.common import Item, claim, compared
-from sabench.geometry.rotations import exponential
+from sabench.geometry.rotations import rotation_matrices
 from sabench.plotting.charts import Curve, Figure, Panel
 from sabench.utils.arrays import F64
 
@@ -44,13 +44,15 @@ def rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
 def _moved(points: F64, name: str, move: float) -> F64:
     middle = points.mean(axis=(0, 1))
     if name.startswith("turn"):
-        return np.asarray((points - middle) @ exponential(np.deg2rad([0.0, move, 0.0])).T + middle)
+        return np.asarray(
+            (points - middle) @ rotation_matrices(np.deg2rad([0.0, move, 0.0])).T + middle
+        )
     return np.asarray(points + np.array([0.0, 0.0, move]))
 
 
 def _refitted(given: Board, points: F64) -> float:
-    problem = Problem.of(with_points(given, points).case, Free())
-    fit = refine(problem.start, problem.seen, Free(), moving="cameras")
+    problem = CalibrationProblem.from_case(with_points(given, points).case, FreeParameters())
+    fit = refine(problem.start, problem.seen, FreeParameters(), moving="cameras")
     return float(
         np.nanmean(
             np.linalg.norm(residuals(fit.state, problem.seen), axis=-1)[problem.seen.weights > 0.0]

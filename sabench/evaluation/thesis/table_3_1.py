@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
-from sabench.algorithms.tomography.problem import Problem
+from sabench.algorithms.tomography.problem import TomographyProblem
 from sabench.api import Observation, Solver
 from sabench.api.make import make_solver
 from sabench.evaluation.thesis.common import Row, cases, coarsened, compared, simulated
@@ -77,7 +77,7 @@ def _setup(algorithm: Algorithm, frame: Observation) -> Setup:
     if algorithm in ("asa", "msa"):
         return Setup(cameras, voxels)
     chosen = _solver(algorithm).parameters
-    problem = Problem.of(frame, chosen)
+    problem = TomographyProblem.from_case(frame, chosen)
     start = problem.mfg if algorithm == "mfg-mart" else problem.mlos
     lit_voxels = float(len(start(chosen.threshold).lines.support))
     lit_pixels = float((problem.measured.light >= chosen.threshold).sum()) / cameras

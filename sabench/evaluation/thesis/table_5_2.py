@@ -18,7 +18,7 @@ from sabench.plotting.charts import Curve, Figure, Panel, Space
 from sabench.scenes import Scene, load_scene
 from sabench.simulation.frame_content import FrameContent
 from sabench.simulation.rendering.pixel_truth import see
-from sabench.tasks.bubbles import JET, jet_figures
+from sabench.tasks.bubbles import JET, jet_figures, jet_of
 from sabench.utils.progress import console
 from sabench.worlds.library.plunging_jet import JetLaw
 
@@ -111,16 +111,15 @@ def _figures(
         for title, one in (("true", true[0]), ("found", found[0]))
     )
     yield Figure(f"fig-{number}", f"bubbles, h = {height} mm", panels, inch=(4.6, 6.4))
-    given = scene.bubbles or {}
-    law = JetLaw(given["penetration_mm"], given["equivalent_mm"], given["total_percent"] / 100.0)
     curves = []
     for name, balls in (("true bubbles", true), ("found", found)):
-        jet = jet_figures(scene, balls)
-        curves.append(
-            Curve(name, list(jet.depth_mm), list(jet.total / max(float(jet.total.max()), 1e-12)))
-        )
-    y = np.linspace(0.0, curves[0].x[-1], 100)
-    curves.append(Curve("equation 5.18", list(y), list(law.total_over_peak(y))))
+        found_jet = jet_figures(scene, balls)
+        share = found_jet.total / max(float(found_jet.total.max()), 1e-12)
+        curves.append(Curve(name, list(found_jet.depth_mm), list(share)))
+    if (jet := jet_of(scene)) is not None:
+        law = JetLaw(jet["penetration_mm"], jet["equivalent_mm"], jet["total_percent"] / 100.0)
+        y = np.linspace(0.0, curves[0].x[-1], 100)
+        curves.append(Curve("equation 5.18", list(y), list(law.total_over_peak(y))))
     yield Figure(
         f"fig-5-30-{height}",
         f"concentration over depth, h = {height} mm",

@@ -10,7 +10,7 @@ from sabench.algorithms.calibration.target_detection import detect
 from sabench.api.truth import Bubbles, Particles
 from sabench.dataset import schema
 from sabench.dataset.writer import DatasetWriter
-from sabench.scenes import Scene, build_rig
+from sabench.scenes import Scene, TargetWorld, build_rig
 from sabench.scenes.nominal_cameras import nominal_cameras
 from sabench.simulation.camera_view import CameraView, render
 from sabench.simulation.frame_content import FrameContent
@@ -145,7 +145,7 @@ class TargetRecorder(Recorder):
 
 def recorder_of(scene: Scene, seed: int, renderer: str, label: str) -> Recorder:
     """Choose the recorder of a scene."""
-    kind = TargetRecorder if scene.targets else Recorder
+    kind = TargetRecorder if isinstance(scene.world, TargetWorld) else Recorder
     return kind(scene, seed, renderer, label)
 
 

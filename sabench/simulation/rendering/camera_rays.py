@@ -84,11 +84,15 @@ def _ideal(camera: Camera, column: Any, row: Any, first: int) -> tuple[Any, Any]
     center, scale = camera.principal_point_px, dr.opaque(mi.Float, 1.0 / camera.focal_px)
     u = (column - dr.opaque(mi.Float, center[0])) * scale
     v = (row + dr.opaque(mi.Float, first - center[1])) * scale
-    return _undistorted(camera.distortion, u, v)
+    return undistorted(camera.distortion, u, v)
 
 
-def _undistorted(lens: Distortion, u: Any, v: Any) -> tuple[Any, Any]:
-    """Invert the distortion by a fixed point; a dozen steps reach single precision."""
+def undistorted(lens: Distortion, u: Any, v: Any) -> tuple[Any, Any]:
+    """Invert the distortion by a fixed point; a dozen steps reach single precision.
+
+    A copy of `Camera.ideal`, the reference, for arrays of Dr.Jit; tied to it by
+    test_projection_copies.py::test_renderers_undistort_as_cameras_do.
+    """
     x, y = u, v
     for _ in range(0 if lens == Distortion() else 12):
         s = x * x + y * y

@@ -36,7 +36,7 @@ def render(
     mi = backend.mitsuba()
     from sabench.simulation.rendering import target_integrator  # needs the variant
 
-    origin = pose.place_mm
+    origin = pose.position_mm
     scene = mi.load_dict(
         {
             "type": "scene",
@@ -50,7 +50,12 @@ def render(
         else (target.columns + 1, target.rows + 1)
     )
     paint = target_integrator.Paint(
-        target.pattern, squares, target.pitch_mm, target.mark_mm, marker_bits(target), pose.turn.T
+        target.pattern,
+        squares,
+        target.pitch_mm,
+        target.mark_mm,
+        marker_bits(target),
+        pose.rotation.T,
     )
     facing = np.asarray(camera.wall.normal if camera.wall else camera.rotation[2])
     lamps = place_lamps(lighting, camera, center_mm, origin)
@@ -90,7 +95,7 @@ def _shapes(mi: Any, target: Target, pose: Pose) -> dict[str, Any]:
     """Describe a board as a rectangle with a white margin, a wand as balls."""
     matte = {"type": "diffuse"}
     if target.pattern == "wand":
-        balls = pose(target.points_mm) - pose.place_mm
+        balls = pose(target.points_mm) - pose.position_mm
         return {
             f"ball_{i}": {
                 "type": "sphere",
@@ -105,7 +110,7 @@ def _shapes(mi: Any, target: Target, pose: Pose) -> dict[str, Any]:
         for count in (target.columns, target.rows)
     ]
     frame = np.eye(4)
-    frame[:3, :3] = pose.turn * [half[0], half[1], 1.0]
+    frame[:3, :3] = pose.rotation * [half[0], half[1], 1.0]
     return {"board": {"type": "rectangle", "to_world": mi.ScalarTransform4f(frame), "bsdf": matte}}
 
 

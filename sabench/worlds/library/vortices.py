@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from sabench.geometry.rotations import leading, skew
+from sabench.geometry.rotations import frame_along, skew
 from sabench.utils.arrays import F64
 
 
@@ -15,7 +15,7 @@ def lateral(
 
     Returns offsets (n, 3), their lengths (n,), and the axis as a unit vector.
     """
-    along = leading(axis)[2]
+    along = frame_along(axis)[2]
     offset = points_mm - np.asarray(center_mm)
     offset -= (offset @ along)[:, None] * along
     return offset, np.linalg.norm(offset, axis=1), along

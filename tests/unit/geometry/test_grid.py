@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from scipy.integrate import quad
 
-from sabench.algorithms.refocus import TOLERANCE_PX, plane_map, plane_maps
 from sabench.geometry.camera import Camera, Distortion, aim, aimed_rotation
 from sabench.geometry.grid import Grid, synthesise
+from sabench.geometry.plane_polynomials import TOLERANCE_PX, plane_map, plane_maps
 from sabench.geometry.refraction import Layer, Wall
 from sabench.utils.arrays import F64
 

@@ -246,7 +246,7 @@ FAULTS: list[tuple[dict[str, Any] | None, dict[str, Any], str]] = [
     (
         {},
         {"center_mm": [0.0, 0.0, -100.0], "radius_mm": -2.0},
-        "occluders.0.radius_mm: input should be greater than 0, got -2.0",
+        "occluders.0.radius_mm: expected a number greater than 0, got -2.0",
     ),
     (
         {},

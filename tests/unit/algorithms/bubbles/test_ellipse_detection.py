@@ -7,9 +7,15 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.ndimage import gaussian_filter
 
-from sabench.algorithms.bubbles.ellipse_detection import edges, ellipses
-from sabench.algorithms.bubbles.feature_peaks import PLANES, STEP, Peaks, depth_of, distinct
-from sabench.algorithms.bubbles.feature_potential import blots
+from sabench.algorithms.bubbles.ellipse_detection import find_edges, find_ellipses
+from sabench.algorithms.bubbles.feature_peaks import (
+    PLANES,
+    STEP,
+    FeaturePeaks,
+    drop_duplicates,
+    find_depth,
+)
+from sabench.algorithms.bubbles.feature_potential import find_blots
 from sabench.utils.arrays import F32, F64, Bool
 
 FINE = 5
@@ -40,11 +46,11 @@ def drawn(
 
 
 def found(dark: F32, least: float = 0.02) -> F64:
-    return ellipses(edges(dark, least), 15.0, 0.4, 0.5)
+    return find_ellipses(find_edges(dark, least), 15.0, 0.4, 0.5)
 
 
 def test_edges_lie_on_the_outline_and_look_inwards() -> None:
-    points = edges(drawn((30.3, 21.6, 9.0, 9.0, 0.0)), 0.02)
+    points = find_edges(drawn((30.3, 21.6, 9.0, 9.0, 0.0)), 0.02)
     out = points[:, :2] - [30.3, 21.6]
     distance = np.linalg.norm(out, axis=1)
     assert len(points) > 40
@@ -52,8 +58,8 @@ def test_edges_lie_on_the_outline_and_look_inwards() -> None:
     assert abs(distance.mean() - 9.0) < 0.07  # blur moves edges of small discs inwards
     assert (-(out * points[:, 2:]).sum(axis=1) / distance).min() > 0.97
     assert (
-        edges(np.full((20, 20), 0.7, dtype=np.float32), 0.02).shape
-        == edges(np.ones((1, 9), dtype=np.float32), 0.02).shape
+        find_edges(np.full((20, 20), 0.7, dtype=np.float32), 0.02).shape
+        == find_edges(np.ones((1, 9), dtype=np.float32), 0.02).shape
         == (0, 4)
     )
 
@@ -101,20 +107,20 @@ def test_straight_edges_and_short_arcs_are_none() -> None:
 
 
 def test_flat_ones_are_parts_of_outlines() -> None:
-    flat = edges(drawn((28.0, 20.0, 12.0, 4.0, 0.2)), 0.02)
-    assert len(ellipses(flat, 15.0, 0.2, 0.6)) == 1
-    assert len(ellipses(flat, 15.0, 0.5, 0.6)) == 0
-    assert len(ellipses(flat, 10.0, 0.2, 0.6)) == 0
+    flat = find_edges(drawn((28.0, 20.0, 12.0, 4.0, 0.2)), 0.02)
+    assert len(find_ellipses(flat, 15.0, 0.2, 0.6)) == 1
+    assert len(find_ellipses(flat, 15.0, 0.5, 0.6)) == 0
+    assert len(find_ellipses(flat, 10.0, 0.2, 0.6)) == 0
 
 
 def test_small_features_that_end_in_a_region_are_thresholded() -> None:
     """What is darker than a region's mean is wider than what is half as dark as the darkest: radii are up to a pixel too large."""
     dark = drawn((6.3, 5.6, 0.9, 0.9, 0.0), size=(13, 13))
-    ((x, y, radius),) = blots(dark, 0.02, 4.5)
+    ((x, y, radius),) = find_blots(dark, 0.02, 4.5)
     assert_allclose([x, y], [6.3, 5.6], atol=0.15)
     assert 0.9 < radius < 2.1
-    assert blots(dark, 0.02, 2.0) == []
-    assert blots(dark[:, 6:], 0.02, 4.5) == []
+    assert find_blots(dark, 0.02, 2.0) == []
+    assert find_blots(dark[:, 6:], 0.02, 4.5) == []
 
 
 def test_peaks_are_those_over_depth() -> None:
@@ -125,10 +131,10 @@ def test_peaks_are_those_over_depth() -> None:
         6.0,
         1.0,
     )
-    peaks = Peaks.of(potential, 2.0)
+    peaks = FeaturePeaks.find(potential, 2.0)
     assert peaks.place.tolist() == [[20, 0, 1], [9, 0, 1], [0, 1, 2]]
     assert peaks.weight.tolist() == [9.0, 7.0, 6.0]
-    assert len(Peaks.of(np.zeros((30, 2, 3), dtype=np.float32), 2.0).place) == 0
+    assert len(FeaturePeaks.find(np.zeros((30, 2, 3), dtype=np.float32), 2.0).place) == 0
 
 
 def test_groups_do_not_run_from_bubble_to_bubble() -> None:
@@ -136,7 +142,7 @@ def test_groups_do_not_run_from_bubble_to_bubble() -> None:
     potential = np.zeros((140, 3, 20), dtype=np.float32)
     steps = np.arange(20)
     potential[6 * steps + 5, 1, steps] = 5.0 + np.cos(steps)
-    peaks, free, groups = Peaks.of(potential, 1.0), np.ones(20, dtype=np.bool_), []
+    peaks, free, groups = FeaturePeaks.find(potential, 1.0), np.ones(20, dtype=np.bool_), []
     for first in range(20):
         if free[first]:
             groups.append(peaks.group(first, free, 5))
@@ -150,7 +156,7 @@ def test_groups_do_not_run_from_bubble_to_bubble() -> None:
 def test_groups_are_connected_and_not_wider_than_told() -> None:
     potential = np.zeros((30, 1, 20), dtype=np.float32)
     potential[10, 0, :9], potential[14, 0, 11:14], potential[10, 0, 0] = 5.0, 6.0, 8.0
-    peaks, free = Peaks.of(potential, 1.0), np.ones(12, dtype=np.bool_)
+    peaks, free = FeaturePeaks.find(potential, 1.0), np.ones(12, dtype=np.bool_)
     assert sorted(peaks.place[peaks.group(0, free, 20), 2].tolist()) == list(range(9))
     assert sorted(peaks.place[peaks.group(0, free, 3), 2].tolist()) == [0, 1, 2, 3]
     assert peaks.plane(np.arange(4)) == round((10 * 8 + 14 * 18) / 26)
@@ -167,11 +173,11 @@ def test_a_depth_is_that_of_what_is_inside() -> None:
         -0.5 * ((planes - 12.0) / 3.0) ** 2
     )
     for start in (14, 20, 26):
-        assert depth_of(
+        assert find_depth(
             volume.astype(np.float32), np.array([15.0, 20.0, 7.0, 5.0, 0.5]), start
         ) == pytest.approx(20.3, abs=0.15)
     assert (
-        depth_of(
+        find_depth(
             np.zeros((40, 44, 60), dtype=np.float32), np.array([58.0, -1.0, 4.0, 4.0, 0.0]), 39
         )
         == 39.0
@@ -183,6 +189,6 @@ def test_of_bubbles_at_one_place_one_is_left() -> None:
     inside, behind = [12.0, 10.0, 2.0, 2.0, 0.0, 1.0, 20.0], [10.0, 10.0, 5.0, 4.0, 0.0, 0.7, 33.0]
     merged = [10.25, 10.0, 4.75, 4.0, 0.1, 0.9, 20.5]
     for some in ([whole, half, inside, behind], [inside, behind, half, whole]):
-        left = distinct(np.array(some), 0.8)
+        left = drop_duplicates(np.array(some), 0.8)
         assert_allclose(left[left[:, 6].argsort()], [merged, behind])
-    assert distinct(np.zeros((0, 7)), 0.8).shape == (0, 7)
+    assert drop_duplicates(np.zeros((0, 7)), 0.8).shape == (0, 7)

@@ -15,16 +15,16 @@ from sabench.algorithms.calibration.bundle_adjustment import (
     residuals,
 )
 from sabench.algorithms.calibration.cramer_rao import limit
-from sabench.algorithms.calibration.parameters import Frame, Free, State
-from sabench.algorithms.calibration.problem import Problem, anchors_of
+from sabench.algorithms.calibration.parameters import Frame, FreeParameters, State
+from sabench.algorithms.calibration.problem import CalibrationProblem, make_anchors
 from sabench.algorithms.calibration.robust import adjust
-from sabench.geometry.rigid_motion import Motion, lateral_fit
-from sabench.geometry.rotations import exponential
+from sabench.geometry.rigid_motion import RigidMotion, fit_lateral_motion
+from sabench.geometry.rotations import rotation_matrices
 from sabench.utils.arrays import F64
 from sabench.utils.errors import InputError
 from tests.helpers.calibration_cases import calibration_scene, case_of, true_error_px
 
-ALL = Free(True, ("k1", "k2", "p1", "p2", "k3"), (0, 1, 2), (0,))
+ALL = FreeParameters(True, ("k1", "k2", "p1", "p2", "k3"), (0, 1, 2), (0,))
 NOISELESS = {"detection": None, "calibration": {"points": 0.0}}
 
 
@@ -33,7 +33,7 @@ def truth(
 ) -> tuple[Frame, State, Seen]:
     scene = calibration_scene(**(NOISELESS | (scene_changes or {})))
     case, cameras, points, exact = case_of(scene, seed)
-    frame = Frame.of(cameras, points)
+    frame = Frame.from_cameras(cameras, points)
     seen = Seen(
         case.target.points_mm,
         np.nan_to_num(exact),
@@ -44,7 +44,12 @@ def truth(
 
 @pytest.mark.parametrize(
     "wall",
-    [{}, {"wall": None}, {"wall": {"normal": [0.04, -0.05, 1.0], "point_mm": [3.0, 4.0, 1.0]}}],
+    [
+        {},
+        {"wall": None},
+        {"wall": {"normal": [0.04, -0.05, 1.0], "point_mm": [3.0, 4.0, 1.0]}},
+        {"cameras": {"distortion": {"k1": -0.4, "k2": 3.0, "k3": 20.0, "p1": 4e-3, "p2": -3e-3}}},
+    ],
 )
 def test_the_kernel_projects_as_cameras_do(wall: dict[str, object]) -> None:
     """Two derivations: one unknown in the rarest medium by numpy, and the bundle's own in the wall's frame."""
@@ -94,7 +99,7 @@ def test_the_equations_are_those_of_a_dense_jacobian() -> None:
     _, state, seen = truth()
     rng = np.random.default_rng(0)
     seen = replace(seen, pixels=seen.pixels + rng.normal(0.0, 0.5, seen.pixels.shape))
-    free = Free(True, ("k1",), (2,), (0,))
+    free = FreeParameters(True, ("k1",), (2,), (0,))
     normal = normal_equations(state, seen, free)
     own, shared = free.columns(3)
     size = 9 * len(own) + len(shared) + 5 * kernels.BOARD
@@ -164,19 +169,21 @@ def test_exact_points_give_exact_cameras_from_any_start(cameras: int, blank: boo
         detection=None, calibration=rough, cameras={"layout": {"kind": "list", "places": places}}
     )
     case, _, points, exact = case_of(scene)
-    problem = Problem.of(case, Free())
-    fit = refine(problem.start, problem.seen, Free())
+    problem = CalibrationProblem.from_case(case, FreeParameters())
+    fit = refine(problem.start, problem.seen, FreeParameters())
     answer = problem.answer(problem.settled(fit.state))
     assert answer.points_mm is not None
     assert true_error_px(answer.cameras, answer.points_mm, exact) < 1e-5
-    found = lateral_fit(answer.points_mm.reshape(-1, 3), points.reshape(-1, 3))(answer.points_mm)
+    found = fit_lateral_motion(answer.points_mm.reshape(-1, 3), points.reshape(-1, 3))(
+        answer.points_mm
+    )
     assert np.abs(found - points).max() < 1e-3
 
 
 def test_noise_comes_out_at_the_bound() -> None:
     """Sixteen draws: the true reprojection error, the points' scatter and their mean depth are what the Cramer-Rao bound says."""
     _, state, seen = truth()
-    free, noise, rng = Free(), 0.5, np.random.default_rng(5)
+    free, noise, rng = FreeParameters(), 0.5, np.random.default_rng(5)
     bound = limit(state, seen, free, noise)
     true, scatter, depth = [], [], []
     points = state.points(seen.board).reshape(-1, 3)
@@ -189,7 +196,7 @@ def test_noise_comes_out_at_the_bound() -> None:
         assert fit.converged
         true.append(np.linalg.norm(residuals(fit.state, seen)[seen.weights > 0.0], axis=-1).mean())
         found = fit.state.points(seen.board).reshape(-1, 3)
-        errors = lateral_fit(found, points)(found) - points
+        errors = fit_lateral_motion(found, points)(found) - points
         scatter.append(errors.std(axis=0))
         depth.append(errors[:, 2].mean())
     assert np.mean(true) == pytest.approx(bound.reprojection_px, rel=0.05)
@@ -204,10 +211,10 @@ def test_the_measured_error_tells_the_true_one() -> None:
     """True over measured is sqrt(p / (N - p)) for p unknowns and N equations."""
     _, state, seen = truth()
     rng = np.random.default_rng(8)
-    bound, ratios = limit(state, seen, Free(), 0.3), []
+    bound, ratios = limit(state, seen, FreeParameters(), 0.3), []
     for _ in range(6):
         noisy = replace(seen, pixels=seen.pixels + rng.normal(0.0, 0.3, seen.pixels.shape))
-        fit = refine(state, noisy, Free())
+        fit = refine(state, noisy, FreeParameters())
         lengths = [
             np.linalg.norm(residuals(fit.state, one)[seen.weights > 0.0], axis=-1).mean()
             for one in (seen, noisy)
@@ -225,7 +232,7 @@ def test_outliers_are_found_and_left_out() -> None:
         + rng.normal(0.0, 0.1, seen.pixels.shape)
         + np.where(wrong[..., None], rng.normal(0.0, 20.0, seen.pixels.shape), 0.0)
     )
-    found = adjust(state, replace(seen, pixels=pixels), Free())
+    found = adjust(state, replace(seen, pixels=pixels), FreeParameters())
     assert (
         np.linalg.norm(residuals(found.fit.state, seen)[seen.weights > 0.0], axis=-1).mean() < 0.02
     )
@@ -243,10 +250,10 @@ def test_an_anchor_settles_the_depth() -> None:
             detection={"noise_px": 2.0}, calibration={"points": 0.02, "known": known}
         )
         case, _, points, _ = case_of(scene, 4)
-        problem = Problem.of(case, Free())
-        first = adjust(problem.start, problem.seen, Free())
-        anchors = anchors_of(case, problem.frame, first.noise_px)
-        found = adjust(first.fit.state, replace(problem.seen, anchors=anchors), Free())
+        problem = CalibrationProblem.from_case(case, FreeParameters())
+        first = adjust(problem.start, problem.seen, FreeParameters())
+        anchors = make_anchors(case, problem.frame, first.noise_px)
+        found = adjust(first.fit.state, replace(problem.seen, anchors=anchors), FreeParameters())
         errors.append(
             abs(
                 float(
@@ -267,17 +274,17 @@ def test_the_fluid_s_index_can_be_estimated() -> None:
     fit = refine(
         wrong,
         replace(seen, pixels=seen.pixels + rng.normal(0.0, 0.1, seen.pixels.shape)),
-        Free(indices=(2,)),
+        FreeParameters(indices=(2,)),
     )
     assert abs(fit.state.indices[2] - state.indices[2]) < 0.0025
 
 
 def test_what_a_wall_does_not_notice_changes_no_image() -> None:
     _, state, seen = truth()
-    turn = exponential(np.array([0.0, 0.0, 0.3]))
-    moved = state.slid(Motion(turn, np.array([5.0, -7.0, 0.0])))
+    turn = rotation_matrices(np.array([0.0, 0.0, 0.3]))
+    moved = state.slid(RigidMotion(turn, np.array([5.0, -7.0, 0.0])))
     assert np.nanmax(np.abs(residuals(moved, seen)[seen.weights > 0.0])) < 1e-9
-    sunk = state.slid(Motion(np.eye(3), np.array([0.0, 0.0, 1.0])))
+    sunk = state.slid(RigidMotion(np.eye(3), np.array([0.0, 0.0, 1.0])))
     assert np.nanmax(np.abs(residuals(sunk, seen)[seen.weights > 0.0])) > 1e-3
 
 
@@ -290,4 +297,4 @@ def test_too_few_points_are_counted() -> None:
         InputError,
         match=r"at least 35 image points for 9 cameras of 7 unknowns and 1 boards of 6 \(2 N >= b M \+ 6 K\), got 27",
     ):
-        Problem.of(replace(case, pixels=few), Free())
+        CalibrationProblem.from_case(replace(case, pixels=few), FreeParameters())

@@ -5,8 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sabench.algorithms.calibration.factorisation import adjusted, euclidean, factorise
-from sabench.algorithms.calibration.wall_frame import similarity_fit
+from sabench.algorithms.calibration.factorisation import (
+    adjust_factors,
+    factorise,
+    upgrade_to_euclidean,
+)
+from sabench.algorithms.calibration.wall_frame import fit_similarity
 from sabench.api import Calibration
 from sabench.geometry.triangulation import triangulate
 from sabench.plugins import load
@@ -44,12 +48,12 @@ def test_factors_make_the_images(missing: float) -> None:
     ].focal_px
     seen = np.random.default_rng(0).random(images.shape[:2]) >= missing
     images[~seen] = np.nan
-    factors = adjusted(factorise(images, seen), np.nan_to_num(images), seen)
+    factors = adjust_factors(factorise(images, seen), np.nan_to_num(images), seen)
     projected = np.einsum("cij,nj->cni", factors.matrices, factors.points)
     errors = (projected[..., :2] / projected[..., 2:] - images)[seen] * cameras[0].focal_px
     assert np.abs(errors).max() < 1e-4
-    upgraded = euclidean(factors)
+    upgraded = upgrade_to_euclidean(factors)
     places = upgraded.points[:, :3] / upgraded.points[:, 3:]
-    world = similarity_fit(places, points.reshape(-1, 3))
+    world = fit_similarity(places, points.reshape(-1, 3))
     assert np.abs(places @ world[:3, :3].T + world[:3, 3] - points.reshape(-1, 3)).max() < 0.05
     assert case.pixels.shape == exact.shape

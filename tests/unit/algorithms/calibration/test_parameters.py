@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sabench.algorithms.calibration.parameters import Free
+from sabench.algorithms.calibration.parameters import FreeParameters
 from sabench.geometry.camera import Distortion
 from sabench.plugins import load
 from sabench.scenes import Scene
@@ -69,6 +69,8 @@ def test_the_bound_is_that_of_the_case(tmp_path: Path) -> None:
 
 
 def test_unknowns_are_counted() -> None:
-    assert Free.of(()).per_camera == 7
-    assert Free.of(("k1", "principal_point", "k3")) == Free(True, ("k1", "k3"))
-    assert Free.of(("k1", "principal_point", "k3")).per_camera == 11
+    assert FreeParameters.from_names(()).per_camera == 7
+    assert FreeParameters.from_names(("k1", "principal_point", "k3")) == FreeParameters(
+        True, ("k1", "k3")
+    )
+    assert FreeParameters.from_names(("k1", "principal_point", "k3")).per_camera == 11

@@ -11,10 +11,10 @@ from sabench.algorithms.calibration import disparity
 from sabench.algorithms.calibration.disparity import densest, find_sets
 from sabench.api import Calibration, Observation
 from sabench.geometry.camera_model import CameraModel
-from sabench.geometry.rigid_motion import rigid_fit
+from sabench.geometry.rigid_motion import fit_rigid_motion
 from sabench.geometry.triangulation import triangulate
-from sabench.geometry.volume_polynomials import maps_of, positions
-from sabench.images.peaks import spots_of
+from sabench.geometry.volume_polynomials import fit_volume_polynomials, project_points
+from sabench.images.peaks import find_peaks
 from sabench.plugins import load
 from sabench.scenes import Scene, build_rig, load_scene, parse_scene
 from sabench.simulation.in_memory import Shot, simulate
@@ -55,7 +55,7 @@ def disagreement_px(shot: Shot, cameras: tuple[CameraModel, ...], scene: Scene) 
     truths = shot.particles.position_mm
     exact = np.stack([camera.project(truths)[0] for camera in build_rig(scene).cameras])
     found = triangulate(cameras, exact)
-    moved = rigid_fit(truths, found)(truths)
+    moved = fit_rigid_motion(truths, found)(truths)
     again = np.stack([camera.project(moved)[0] for camera in cameras])
     return float(np.linalg.norm(again - exact, axis=-1).mean())
 
@@ -105,9 +105,9 @@ def test_particle_images_are_found_to_parts_of_a_pixel() -> None:
     scene = particle_scene(0.0)
     shot = simulate(scene, seed=5)
     light = shot.observation.images[0].astype(np.float32)
-    spots = spots_of(light / light.max(), 0.2)
-    assert len(spots.pixel) == spots.start[-1]
-    gaps = np.linalg.norm(spots.pixel[:, None] - shot.views[0].pixel[None], axis=2)
+    peaks = find_peaks(light / light.max(), 0.2)
+    assert len(peaks.pixels) == peaks.starts[-1]
+    gaps = np.linalg.norm(peaks.pixels[:, None] - shot.views[0].pixel[None], axis=2)
     assert (gaps.min(axis=1) < 0.6).mean() > 0.9
     lone = gaps.min(axis=1)[np.sort(gaps, axis=1)[:, 1] > 6.0]
     assert len(lone) > 50
@@ -117,11 +117,12 @@ def test_particle_images_are_found_to_parts_of_a_pixel() -> None:
 def test_maps_stand_for_cameras_behind_a_wall() -> None:
     cameras = build_rig(particle_scene(0.0)).cameras
     low, high = np.array([-6.0, -6.0, -3.0]), np.array([6.0, 6.0, 3.0])
-    maps = maps_of(cameras, low, high)
+    maps = fit_volume_polynomials(cameras, low, high)
     unit = np.random.default_rng(0).uniform(-1.0, 1.0, (500, 3))
     for number, camera in enumerate(cameras):
         errors = (
-            positions(maps, number, unit) - camera.project(maps.middle_mm + maps.half_mm * unit)[0]
+            project_points(maps, number, unit)
+            - camera.project(maps.middle_mm + maps.half_mm * unit)[0]
         )
         assert np.abs(errors).max() < 2e-3
 
@@ -129,7 +130,7 @@ def test_maps_stand_for_cameras_behind_a_wall() -> None:
 def test_all_right_sets_are_among_those_found() -> None:
     """Particles placed by hand: every one whose images are near to where the cameras are told makes a set."""
     cameras = build_rig(particle_scene(0.0)).cameras[:4]
-    maps = maps_of(cameras, np.array([-6.0, -6.0, -3.0]), np.array([6.0, 6.0, 3.0]))
+    maps = fit_volume_polynomials(cameras, np.array([-6.0, -6.0, -3.0]), np.array([6.0, 6.0, 3.0]))
     rng = np.random.default_rng(1)
     unit = rng.uniform(-0.8, 0.8, (60, 3))
     shifts = rng.normal(0.0, 0.8, (4, 2))
@@ -137,14 +138,14 @@ def test_all_right_sets_are_among_those_found() -> None:
     for number in range(4):
         light, pixels = (
             np.zeros((240, 240), dtype=np.float32),
-            positions(maps, number, unit) + shifts[number],
+            project_points(maps, number, unit) + shifts[number],
         )
         row, column = np.mgrid[:240, :240]
         for x, y in pixels:
             light += np.exp(-((column - x) ** 2 + (row - y) ** 2) / (2.0 * 0.8**2)).astype(
                 np.float32
             )
-        pictures.append(spots_of(light, 0.3))
+        pictures.append(find_peaks(light, 0.3))
     sets = find_sets(maps, tuple(pictures), 4.0)
     right = [np.abs(sets.places - place).max(axis=1).min() for place in unit]
     assert np.mean(np.array(right) < 0.05) > 0.85

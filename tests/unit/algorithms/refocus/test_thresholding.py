@@ -16,7 +16,7 @@ from sabench.algorithms.refocus.thresholding import (
     auto_k,
     effective_width,
     extract,
-    extracted,
+    extract_particles,
     occupancy,
 )
 from sabench.api import Observation
@@ -201,7 +201,7 @@ def test_a_black_camera_and_black_images(shot: Shot) -> None:
         np.zeros_like(covered), case.cameras, case.grid, case.black_dn, case.white_dn
     )
     assert occupancy(dark) == 0.0
-    assert not extracted(
+    assert not extract_particles(
         np.zeros(case.grid.shape, dtype=np.float32), dark, ExtractionParameters(k="auto")
     ).any()
 
@@ -209,9 +209,13 @@ def test_a_black_camera_and_black_images(shot: Shot) -> None:
 @pytest.mark.parametrize("keep", KEEPS)
 def test_parameters_choose_the_k(shot: Shot, keep: Keep) -> None:
     volume = refocused(shot.observation)
-    fixed = extracted(volume.copy(), shot.observation, ExtractionParameters(k=2.0, keep=keep))
+    fixed = extract_particles(
+        volume.copy(), shot.observation, ExtractionParameters(k=2.0, keep=keep)
+    )
     np.testing.assert_array_equal(fixed, extract(volume.copy(), 2.0, keep))
-    chosen = extracted(volume.copy(), shot.observation, ExtractionParameters(k="auto", keep=keep))
+    chosen = extract_particles(
+        volume.copy(), shot.observation, ExtractionParameters(k="auto", keep=keep)
+    )
     np.testing.assert_array_equal(
         chosen, extract(volume.copy(), auto_k(volume, occupancy(shot.observation), keep), keep)
     )

@@ -13,7 +13,7 @@ from sabench.algorithms.tomography import supersampling
 from sabench.algorithms.tomography.first_guess import every_voxel, product_guess
 from sabench.algorithms.tomography.footprint import BILINEAR, Footprint, gaussian, image_sigma_px
 from sabench.algorithms.tomography.kernels import exp2, multiply
-from sabench.algorithms.tomography.problem import Problem, TomographyParameters
+from sabench.algorithms.tomography.problem import TomographyParameters, TomographyProblem
 from sabench.algorithms.tomography.projection_operator import LinesOfSight, Support, sight_of
 from sabench.api import Observation
 from sabench.geometry.camera import Camera, Distortion, aim, aimed_rotation
@@ -224,7 +224,7 @@ def test_voxels_that_no_camera_sees_are_left_out() -> None:
 def test_a_uniform_guess_is_as_bright_as_the_images_and_dark_where_no_camera_looks() -> None:
     camera = make_camera(0.0, 0.0, None, (23.2, 0.0))
     images = np.random.default_rng(6).integers(100, 200, (1, ROWS, COLUMNS), dtype=np.uint16)
-    problem = Problem.of(
+    problem = TomographyProblem.from_case(
         Observation(images, (camera,), GRID, 50.0, 255.0), TomographyParameters(sigma_px=0.6)
     )
     state = problem.uniform()
