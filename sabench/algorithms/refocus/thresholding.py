@@ -11,6 +11,7 @@ from pydantic import BeforeValidator, Field
 
 from sabench.api import Observation, Parameters
 from sabench.geometry.grid import Grid
+from sabench.images.gaussians import effective_width
 from sabench.utils.arrays import F32, F64, U16
 
 _SHARE = {
@@ -103,15 +104,6 @@ def _products(image: Any, mean: float) -> Any:
             if row + 1 < image.shape[0]:
                 down += value * (below[i] - mean)
     return square, across, down
-
-
-def effective_width(sigma: float) -> float:
-    """(integral)^2 / (sum of squares) of a Gaussian averaged over voxels, mean over its positions; sigma and width in voxels.
-
-    2 sqrt(pi) sigma for a wide one, 1 for a narrow one.
-    """
-    edge = 1.0 / (2.0 * sigma)
-    return 1.0 / (math.erf(edge) + (math.exp(-(edge**2)) - 1.0) / (edge * math.sqrt(math.pi)))
 
 
 def auto_k(volume: F32, share: float, keep: Keep) -> float:

@@ -13,11 +13,11 @@ from typing import Any
 
 import numba
 import numpy as np
-from scipy.special import erf
 
 from sabench.algorithms.tomography.projection_operator import Support
 from sabench.geometry.camera_model import CameraModel
 from sabench.geometry.grid import Grid
+from sabench.images.gaussians import gaussian_shares
 from sabench.utils.arrays import F32, F64, triple
 
 _TRAVEL_PX = 1.25  # largest distance between the projections of two neighbouring voxels
@@ -106,7 +106,7 @@ def _profile(count: int, sigma: float) -> F32:
         return np.ones((count, 1), dtype=np.float32)
     reach = int(np.ceil(_REACH * sigma))
     edges: F64 = np.arange(-reach, reach + 2)[None] - 0.5 - centre[:, None]
-    share = np.diff(erf(edges / (sigma * np.sqrt(2.0))), axis=1)
+    share = gaussian_shares(edges, sigma)
     return np.asarray(share / share.sum(axis=1, keepdims=True), dtype=np.float32)
 
 
