@@ -49,8 +49,8 @@ BUGS = (
     Bug(
         "x and z of a velocity field's lattice swapped",
         "sabench/algorithms/velocimetry/multipass.py",
-        "(np.asarray(values[::-1]) for values in (self.windows.origin",
-        "(np.asarray(values) for values in (self.windows.origin",
+        "np.asarray(values[::-1]) for values in (self.windows.origin",
+        "np.asarray(values) for values in (self.windows.origin",
     ),
     Bug(
         "light in the fluid at the angle that it has in the glass",
@@ -79,13 +79,13 @@ BUGS = (
     Bug(
         "thickness of the glass forgotten in fast projection",
         "sabench/geometry/projection_kernels.py",
-        "if ratios[0] > 1.0 else None, before + wall.thickness_mm",
-        "if ratios[0] > 1.0 else None, before",
+        "before + wall.thickness_mm,",
+        "before,",
     ),
     Bug(
         "black level not subtracted",
         "sabench/images/brightness.py",
-        "_scale(grey, float(case.black_dn), 1.0",
+        "_scale(grey, float(black_dn), 1.0",
         "_scale(grey, 0.0, 1.0",
     ),
     Bug(
@@ -115,8 +115,8 @@ BUGS = (
     Bug(
         "degrees taken for radians",
         "sabench/scenes/nominal_cameras.py",
-        "exponential(np.deg2rad(spec.turn_deg) * rng",
-        "exponential(spec.turn_deg * rng",
+        "rotation_matrices(np.deg2rad(spec.turn_deg) * rng",
+        "rotation_matrices(spec.turn_deg * rng",
     ),
     Bug(
         "the last camera left out where lines of sight are intersected",

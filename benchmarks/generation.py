@@ -32,7 +32,7 @@ import numpy as np
 
 from sabench.scenes import Scene, load_scene, parse_scene
 from sabench.simulation.pipeline import put_together
-from sabench.simulation.recording.job import Job, record
+from sabench.simulation.recording.job import Job, record_task
 from sabench.simulation.recording.parts import Parts
 from sabench.simulation.recording.recorders import recorder_of
 from sabench.simulation.recording.schedule import Schedule, Task
@@ -164,7 +164,7 @@ def timed(scene: Scene, folder: Path) -> Times:
         task = schedule.take(took[-1][0].frame if took else None)
         assert task is not None
         start = time.perf_counter()
-        record(recorder, parts, task)
+        record_task(recorder, parts, task)
         took.append((task, time.perf_counter() - start))
         schedule.complete(task)
     start = time.perf_counter()

@@ -16,9 +16,9 @@ import time
 from pathlib import Path
 from typing import Any
 
+from sabench import tasks
 from sabench.evaluation.leaderboard import page, rows
 from sabench.evaluation.records import Record
-from sabench.tasks.columns import COLUMNS
 from tests.helpers.browser import Browser, chromium
 
 _COUNTS, _SOLVERS = (100, 1_000, 10_000), 20
@@ -55,7 +55,7 @@ def _record(rng: random.Random, case: int, solver: int, seed: int) -> Record:
         "seed": seed,
         "split": "public",
         "renderer": "mitsuba",
-        "track": "reconstruction",
+        "task": "reconstruction",
         "solver": f"solver_{solver}",
         "parameters": {"k": "auto", "floor": 0.01, "passes": solver},
         "code_hash": f"{solver:064x}",
@@ -65,7 +65,7 @@ def _record(rng: random.Random, case: int, solver: int, seed: int) -> Record:
         "pictures": None,
         "error": None,
         "command": f"sabench run made-up --case tank-{case} --solver solver_{solver}",
-        **{column.key: rng.random() for column in COLUMNS["reconstruction"]},
+        **{column.key: rng.random() for column in tasks.of("reconstruction").columns},
     }
 
 

@@ -19,9 +19,9 @@ function figure(text, alternative, ...caption) {
 }
 
 function caseView() {
-  const own = data.cases.find(one => one.track === state.track && one.id === state.case);
-  if (!own) return [nothing("This page has no such case in this track.")];
-  const rows = byTrack[state.track].filter(row => caseOf(row) === own);
+  const own = data.cases.find(one => one.task === state.task && one.id === state.case);
+  if (!own) return [nothing("This page has no such case in this task.")];
+  const rows = byTask[state.task].filter(row => caseOf(row) === own);
   const facts = [own.suite && `suite ${own.suite}`, `scene ${own.scene}`, own.difficulty, own.axis && `axis ${own.axis}`, own.axes, `renderer ${own.renderer}`, `scene hash ${own.hash.slice(0, 12)}`];
   return [
     make("p", {}, make("a", { href: link({ view: "table", case: "", sort: "", page: "1", a: "", b: "" }) }, "Back to all cases")),
@@ -33,15 +33,15 @@ function caseView() {
 }
 
 function gallery(rows, own) {
-  const { heading: title, told, wide, cameras } = data.tracks[state.track].pictured, album = albumOf(own);
-  const first = data.tracks[state.track].columns[0];
+  const { heading: title, text, wide, cameras } = data.tasks[state.task].pictured, album = albumOf(own);
+  const first = data.tasks[state.task].columns[0];
   const out = [];
   if (album.images) out.push(make("h3", {}, "Camera images"), make("div", { class: "cameras" },
     figure(album.images, `Camera images: ${own.name}`, make("span", { class: "quiet" }, cameras))));
   const shots = rows.filter(row => album[`row${row.place}`]).map(row => figure(album[`row${row.place}`], `${title}: ${solverOf(row)}`,
     make("b", {}, solverOf(row)), row.scores[0] ? ` ${first.heading} ${shown(row.scores[0], first.decimals)}` : "", make("span", { class: "quiet few" }, textOf(row.parameters))));
   if (album.truth) shots.unshift(figure(album.truth, `${title}: the truth`, make("b", {}, "truth")));
-  if (shots.length) out.push(make("h3", {}, title), make("p", { class: "quiet" }, told), make("div", { class: wide ? "row wide" : "row" }, shots));
+  if (shots.length) out.push(make("h3", {}, title), make("p", { class: "quiet" }, text), make("div", { class: wide ? "row wide" : "row" }, shots));
   const fewer = shots.length || album.images ? "" : "This page has no pictures of this case.";
   if (fewer) out.push(make("p", { class: "quiet" }, fewer));
   if (data.leftOut) out.push(make("p", { class: "quiet" }, `To keep the page small, ${data.leftOut} pictures of all cases are not in it: those of the lowest ranks.`));
@@ -89,7 +89,7 @@ function verdict(difference) {
 }
 
 function differences(a, b) {
-  const columns = data.tracks[state.track].columns.map((column, place) => ({ ...column, place })).filter(column => a.scores[column.place] || b.scores[column.place]);
+  const columns = data.tasks[state.task].columns.map((column, place) => ({ ...column, place })).filter(column => a.scores[column.place] || b.scores[column.place]);
   const head = ["score", "first", "second", "first − second", "common seeds", "differs from 0?"];
   const lines = columns.map(column => {
     const difference = paired(a, b, column.place);
@@ -106,13 +106,13 @@ function differences(a, b) {
 }
 
 function sideBySide(a, b, own) {
-  const { heading: title, told, wide, errors } = data.tracks[state.track].pictured, album = albumOf(own);
+  const { heading: title, text, wide, errors } = data.tasks[state.task].pictured, album = albumOf(own);
   const both = (kind, word) => [a, b].filter(row => album[kind + row.place]).map(row => figure(album[kind + row.place], `${word}: ${solverOf(row)}`, make("b", {}, titleOf(row, [a, b]))));
   const estimates = both("row", title), maps = both("error", "Error");
   const grid = figures => make("div", { class: wide ? "pair wide" : "pair" }, figures);
   const out = [];
   if (album.truth && estimates.length) estimates.push(figure(album.truth, `${title}: the truth`, make("b", {}, "truth")));
-  if (estimates.length) out.push(make("h4", {}, title), make("p", { class: "quiet" }, told), grid(estimates));
+  if (estimates.length) out.push(make("h4", {}, title), make("p", { class: "quiet" }, text), grid(estimates));
   if (maps.length) out.push(make("h4", {}, "Errors"), make("p", { class: "quiet" }, errors), grid(maps));
   return out;
 }

@@ -1,16 +1,16 @@
-// What belongs together on the screen: tracks, filters, views.
+// What belongs together on the screen: tasks, filters, views.
 const main = document.getElementById("main");
 const part = Object.fromEntries(["filters", "views", "status", "content"].map(name => [name, make(name === "views" ? "nav" : "div", { id: name })]));
 let drawn = {};  // the state of the last drawing
 
-function trackName(track) {
-  return track.replace("_", " ");
+function taskName(task) {
+  return task.replace("_", " ");
 }
 
-function tracksBar() {
-  const links = Object.keys(data.tracks).map(track => make("a", { href: otherTrack(track), "aria-current": track === state.track ? "page" : null },
-    trackName(track), make("span", { class: "count" }, String(byTrack[track].length))));
-  document.getElementById("tracks").replaceChildren(...links);
+function tasksBar() {
+  const links = Object.keys(data.tasks).map(task => make("a", { href: otherTask(task), "aria-current": task === state.task ? "page" : null },
+    taskName(task), make("span", { class: "count" }, String(byTask[task].length))));
+  document.getElementById("tasks").replaceChildren(...links);
 }
 
 function viewsBar() {
@@ -21,7 +21,7 @@ function viewsBar() {
 }
 
 function filtersOf() {
-  const rows = byTrack[state.track], some = (label, options) => [["", `all ${label}`], ...options.map(option => [option, option])];
+  const rows = byTask[state.task], some = (label, options) => [["", `all ${label}`], ...options.map(option => [option, option])];
   const search = make("input", { type: "search", value: state.q, placeholder: "words of case, scene, solver", input: event => filter({ q: event.target.value }) });
   const axes = values(rows, row => caseOf(row).axis);
   const difficulties = DIFFICULTIES.filter(one => rows.some(row => caseOf(row).difficulty === one));
@@ -44,16 +44,16 @@ function render() {
   const before = drawn, top = main.querySelector(".box")?.scrollLeft ?? 0;
   drawn = { ...state };
   document.getElementById("tip")?.remove();
-  tracksBar();
+  tasksBar();
   viewsBar();
-  if (before.track !== state.track || before.moved) drawFilters();
+  if (before.task !== state.task || before.moved) drawFilters();
   part.filters.hidden = state.view === "case";
   part.filters.dataset.view = state.view;
   const rows = chosen();
-  part.status.textContent = state.view === "case" ? "" : `${rows.length} of ${byTrack[state.track].length} results`;
+  part.status.textContent = state.view === "case" ? "" : `${rows.length} of ${byTask[state.task].length} results`;
   const views = { table: () => tableView(rows), time: () => timeView(rows), why: () => whyView(rows), case: caseView };
   part.content.replaceChildren(...views[state.view]().filter(Boolean));
-  if (before.view === state.view && before.track === state.track) main.querySelector(".box")?.scrollTo(top, 0);
+  if (before.view === state.view && before.task === state.task) main.querySelector(".box")?.scrollTo(top, 0);
 }
 
 // Another fragment: a link was followed, or the history was walked.

@@ -13,12 +13,12 @@ function dark() {
   return matchMedia("(prefers-color-scheme: dark)").matches;
 }
 
-const solversOf = {};  // all of a track, by name
+const solversOf = {};  // all of a task, by name
 
-// One colour and one marker for every solver of the track, the same in all plots.
+// One colour and one marker for every solver of the task, the same in all plots.
 function lookOf(solver) {
-  solversOf[state.track] ??= values(byTrack[state.track], solverOf);
-  const place = solversOf[state.track].indexOf(solver), palette = PALETTES[dark() ? "dark" : "light"];
+  solversOf[state.task] ??= values(byTask[state.task], solverOf);
+  const place = solversOf[state.task].indexOf(solver), palette = PALETTES[dark() ? "dark" : "light"];
   return { colour: palette[place % palette.length], shape: MARKERS[place % MARKERS.length] };
 }
 
@@ -110,12 +110,12 @@ function timeView(rows) {
 }
 
 function meant(column) {
-  const { columns, larger } = data.tracks[state.track];
+  const { columns, larger } = data.tasks[state.task];
   return `${column.heading}: ${column.meaning}${column.key === columns[0].key ? `; ${larger ? "larger" : "smaller"} is better` : ""}.`;
 }
 
 function accuracies() {
-  return data.tracks[state.track].columns.filter(column => column.key !== "seconds" && column.key !== "peak_mb");
+  return data.tasks[state.task].columns.filter(column => column.key !== "seconds" && column.key !== "peak_mb");
 }
 
 function mostSolved(rows) {
@@ -176,7 +176,7 @@ function whyPlots(rows, column) {
 
 function rankOf(rows, solver) {
   const own = rows.filter(row => solverOf(row) === solver && row.scores[0]).map(row => row.scores[0][0]);
-  return own.length ? (data.tracks[state.track].larger ? -1 : 1) * meanOf(own)[0] : Infinity;
+  return own.length ? (data.tasks[state.task].larger ? -1 : 1) * meanOf(own)[0] : Infinity;
 }
 
 // The mean of several cases' means; its half width if all of them have one.
@@ -208,7 +208,7 @@ function levelsOf(rows, column, solvers) {
 }
 
 function lossesOf(rows, column, solvers) {
-  const out = [], larger = data.tracks[state.track].larger;
+  const out = [], larger = data.tasks[state.task].larger;
   for (const solver of solvers) {
     const own = bestOf(rows, solver);
     const standard = own.filter(row => caseOf(row).difficulty === "standard" && !caseOf(row).axis);

@@ -2,7 +2,7 @@
 const words = new Intl.Collator("en", { numeric: true });
 const DIFFICULTIES = ["easy", "standard", "hard"];
 data.rows.forEach((row, place) => { row.place = place; });
-const byTrack = Object.fromEntries(Object.keys(data.tracks).map(track => [track, data.rows.filter(row => caseOf(row).track === track)]));
+const byTask = Object.fromEntries(Object.keys(data.tasks).map(task => [task, data.rows.filter(row => caseOf(row).task === task)]));
 
 function caseOf(row) {
   return data.cases[row.case];
@@ -23,7 +23,7 @@ function searched(row) {
 
 function chosen() {
   const wanted = state.q.toLowerCase().split(/\s+/).filter(Boolean);
-  return byTrack[state.track].filter(row => {
+  return byTask[state.task].filter(row => {
     const own = caseOf(row);
     return (!state.difficulty || own.difficulty === state.difficulty)
       && (!state.axis || (state.axis === "-" ? !own.axis : own.axis === state.axis))
@@ -34,7 +34,7 @@ function chosen() {
 }
 
 function scoreOf(row, key) {
-  const place = data.tracks[caseOf(row).track].columns.findIndex(column => column.key === key);
+  const place = data.tasks[caseOf(row).task].columns.findIndex(column => column.key === key);
   return place < 0 ? null : row.scores[place];
 }
 
@@ -47,7 +47,7 @@ function ordered(rows) {
   const falling = state.sort.startsWith("-"), key = state.sort.replace(/^-/, "");
   if (!key) return rows;
   const score = !Object.hasOwn(SORTED_BY, key);
-  const place = data.tracks[state.track].columns.findIndex(column => column.key === key);
+  const place = data.tasks[state.task].columns.findIndex(column => column.key === key);
   if (score && place < 0) return rows;
   const valued = rows.map(row => ({ row, value: score ? row.scores[place]?.[0] ?? null : SORTED_BY[key](row) }));
   const last = one => (score && one.row.error ? 2 : one.value === null ? 1 : 0);  // no number, then a failed run: at the end either way

@@ -1,16 +1,17 @@
 // What is shown, kept in the URL's fragment, so that a view can be linked.
 const DEFAULTS = {
-  track: Object.keys(data.tracks)[0] ?? "", view: "table", q: "", difficulty: "", axis: "", solver: "", split: "",
+  task: Object.keys(data.tasks)[0] ?? "", view: "table", q: "", difficulty: "", axis: "", solver: "", split: "",
   sort: "", page: "1", all: "", case: "", a: "", b: "", x: "seconds", y: "", group: "",
 };
-const OF_A_TRACK = ["axis", "solver", "sort", "page", "case", "a", "b", "y", "group"];  // what another track makes meaningless
+const OF_A_TASK = ["axis", "solver", "sort", "page", "case", "a", "b", "y", "group"];  // what another task makes meaningless
 const VIEWS = { table: "Table", time: "Accuracy against time", why: "Difficulty and axes" };
 let state = read();
 
 function read() {
   const found = new URLSearchParams(location.hash.slice(1));
   const next = Object.fromEntries(Object.entries(DEFAULTS).map(([key, value]) => [key, found.get(key) ?? value]));
-  if (!Object.hasOwn(data.tracks, next.track)) next.track = DEFAULTS.track;
+  if (!Object.hasOwn(data.tasks, next.task)) next.task = found.get("track") ?? "";  // links of earlier pages
+  if (!Object.hasOwn(data.tasks, next.task)) next.task = DEFAULTS.task;
   if (!Object.hasOwn(VIEWS, next.view) && next.view !== "case") next.view = "table";
   return next;
 }
@@ -22,8 +23,8 @@ function link(changes) {
   return "#" + new URLSearchParams(parts);
 }
 
-function otherTrack(track) {
-  return link({ ...Object.fromEntries(OF_A_TRACK.map(key => [key, DEFAULTS[key]])), track, view: state.view === "case" ? "table" : state.view });
+function otherTask(task) {
+  return link({ ...Object.fromEntries(OF_A_TASK.map(key => [key, DEFAULTS[key]])), task, view: state.view === "case" ? "table" : state.view });
 }
 
 // Change the view: filters replace the history's entry, so that "back" leaves a view and not a letter.

@@ -4,7 +4,7 @@ const MAIN = 3;  // scores that are shown before all are asked for, and the two 
 const open = new Set();  // ids of rows whose details are shown
 
 function columnsOf(rows) {
-  const columns = data.tracks[state.track].columns.map((column, place) => ({ ...column, place }));
+  const columns = data.tasks[state.task].columns.map((column, place) => ({ ...column, place }));
   const wanted = state.all || oneCase() ? columns : columns.filter((column, place) => place < MAIN || place >= columns.length - 2);
   return wanted.filter(column => column.place === 0 || rows.some(row => row.scores[column.place]));  // not every case has every figure
 }
@@ -69,9 +69,9 @@ function oneCase() {
   return state.view === "case";
 }
 
-// Whether there is a column of difficulties: a track need not have any, and all rows of a case have the same.
+// Whether there is a column of difficulties: a task need not have any, and all rows of a case have the same.
 function graded() {
-  return !oneCase() && data.cases.some(own => own.track === state.track && (own.difficulty || own.axis));
+  return !oneCase() && data.cases.some(own => own.task === state.task && (own.difficulty || own.axis));
 }
 
 function detailsButton(row) {
@@ -139,7 +139,7 @@ function pageOf(count) {
 
 function tableView(rows) {
   const sorted = ordered(rows), first = (pageOf(rows.length) - 1) * PAGE;
-  const label = `Results of the track ${trackName(state.track)}`;
+  const label = `Results of the task ${taskName(state.task)}`;
   return [tableOf(sorted.slice(first, first + PAGE), label, rows), pager(rows.length), legendOfColumns(rows)];
 }
 

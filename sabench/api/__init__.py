@@ -29,7 +29,7 @@ from sabench.api.solvers import (
     SeeThroughSolver,
     SelfCalibrationSolver,
     Solver,
-    Track,
+    TaskName,
     VelocimetryParameters,
     VelocimetrySolver,
 )
@@ -93,7 +93,7 @@ __all__ = [
     "Solver",
     "Target",
     "TargetGenerator",
-    "Track",
+    "TaskName",
     "Vector",
     "VelocimetryParameters",
     "VelocimetrySolver",

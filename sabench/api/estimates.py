@@ -1,20 +1,134 @@
-"""Estimates: results of solvers, with the shapes and units of their arrays."""
+"""Estimates: results of solvers, with the names, shapes and types of their arrays.
+
+An estimate declares its arrays in `ARRAYS`. One writer and one reader (`sabench.dataset.results`)
+and one check (`Estimate.check`) serve all estimates by these declarations.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Callable, Iterator
+from dataclasses import InitVar, dataclass
+from typing import Any, ClassVar
 
 import numpy as np
+import numpy.typing as npt
 
 from sabench.geometry.camera_model import CameraModel
-from sabench.utils.arrays import F32, F64, I64, Bool
+from sabench.geometry.camera_records import decode_cameras, encode_cameras
+from sabench.utils.arrays import F32, F64, I64, Bool, triple
 from sabench.utils.errors import InputError
 
 
 @dataclass(frozen=True)
-class Reconstruction:
-    """A solver's estimate of one frame.
+class Array:
+    """One array of an estimate.
+
+    Attributes
+    ----------
+    name : attribute of the estimate, and name in the result file unless `stored` says another.
+    shape : sizes along the axes; a letter or word stands for a size that is the same wherever the
+        estimate uses it, and for the grid's where it is "z", "y" or "x".
+    dtype : of the attribute. Bool is stored as uint8.
+    optional : whether the attribute may be None and the array missing.
+    unique : whether all values must differ.
+    encode, decode : between an attribute that is no array and its array.
+    """
+
+    name: str
+    shape: tuple[str | int, ...]
+    dtype: type[np.generic] = np.float64
+    optional: bool = False
+    unique: bool = False
+    stored: str = ""
+    encode: Callable[[Any], Any] | None = None
+    decode: Callable[[Any], Any] | None = None
+
+    @property
+    def label(self) -> str:
+        """Name in the result file."""
+        return self.stored or self.name
+
+    def sizes(self, known: dict[str, int]) -> tuple[int | None, ...]:
+        """Sizes along the axes; None where a size is not known yet."""
+        return tuple(size if isinstance(size, int) else known.get(size) for size in self.shape)
+
+    def learn(self, shape: tuple[int, ...], known: dict[str, int]) -> None:
+        """Add the sizes of an array of this declaration to the known ones."""
+        pairs = zip(self.shape, shape, strict=True)
+        known.update({name: size for name, size in pairs if isinstance(name, str)})
+
+    def check_values(self, value: npt.NDArray[Any], where: str) -> None:
+        """Raise an InputError for values that are not finite, or not unique; `where` opens it."""
+        if value.dtype.kind == "f":
+            bad = int(value.size - np.count_nonzero(np.isfinite(value)))
+            if bad:
+                raise InputError(
+                    f"{where}: expected finite values, got {bad} that are NaN or infinite"
+                )
+        if self.unique:
+            numbers, times = np.unique(value, return_counts=True)
+            if len(numbers) < value.size:
+                raise InputError(
+                    f"{where}: expected different numbers, "
+                    f"got {numbers[times.argmax()]} {times.max()} times"
+                )
+
+
+class Estimate:
+    """Base of estimates.
+
+    Attributes
+    ----------
+    GROUP : group of the result file below the frame's, or below the root for estimates that are not
+        of a frame; "" for the frame's own.
+    OF_FRAME : whether there is one for a frame, or one for all.
+    """
+
+    ARRAYS: ClassVar[tuple[Array, ...]]
+    GROUP: ClassVar[str] = ""
+    OF_FRAME: ClassVar[bool] = True
+
+    def arrays(self) -> Iterator[tuple[Array, npt.NDArray[Any]]]:
+        """Declarations and arrays of all attributes that are not None."""
+        for one in self.ARRAYS:
+            value = getattr(self, one.name)
+            if value is not None or not one.optional:
+                yield one, one.encode(value) if one.encode else value
+
+    def check(self, **known: int) -> None:
+        """Raise an InputError if an array is not as declared; `known` are sizes by their names."""
+        sizes = dict(known)
+        for one, value in self.arrays():
+            _check_array(one, value, sizes)
+            one.learn(value.shape, sizes)
+
+
+def _check_array(declared: Array, value: Any, known: dict[str, int]) -> None:
+    expected = declared.sizes(known)
+    kind = np.dtype(declared.dtype)
+    text = f"{declared.name}: expected {kind} of shape {_shape_text(declared, known)}"
+    if not isinstance(value, np.ndarray):
+        raise InputError(f"{text}, got {type(value).__name__}")
+    fits = len(value.shape) == len(expected) and all(
+        size in (None, got) for size, got in zip(expected, value.shape, strict=True)
+    )
+    if not fits or value.dtype != kind:
+        raise InputError(f"{text}, got {value.dtype} of shape {value.shape}")
+    declared.check_values(value, declared.name)
+
+
+def _shape_text(declared: Array, known: dict[str, int]) -> str:
+    """Sizes that are known as numbers, the others by their names, as a tuple prints."""
+    sizes = [
+        str(known.get(size, size)) if isinstance(size, str) else str(size)
+        for size in declared.shape
+    ]
+    return f"({', '.join(sizes)}{',' if len(sizes) == 1 else ''})"
+
+
+@dataclass(frozen=True)
+class Reconstruction(Estimate):
+    """Reconstructed intensities of one frame.
 
     Attributes
     ----------
@@ -23,74 +137,71 @@ class Reconstruction:
         then detects them in the volume.
     """
 
+    ARRAYS = (
+        Array("volume", ("z", "y", "x"), np.float32),
+        Array("particles_mm", ("n", 3), optional=True),
+    )
+
     volume: F32
     particles_mm: F64 | None = None
 
 
 @dataclass(frozen=True)
-class FoundParticles:
-    """Particles that were found in one frame.
+class FoundParticles(Estimate):
+    """Particles found in one frame.
 
     Attributes
     ----------
     position_mm : (n, 3).
-    intensity : (n,), of any scale, if the algorithm knows it.
-    track : (n,) numbers of tracks, different within a frame: particles of one number in several
-        frames are one. None: the harness links them.
+    intensity : (n,), of any scale, if the algorithm estimates it.
+    trajectory : (n,) numbers of trajectories, different within a frame: particles with the same
+        number in several frames are the same particle. None: sabench links them. The keyword
+        `track` is accepted for it.
 
     Raises
     ------
     InputError
-        Arrays of other shapes or kinds, values that are not finite, or two particles of one track.
+        Arrays of other shapes or types, values that are not finite, or two particles of one
+        trajectory.
     """
+
+    GROUP = "particles"
+    ARRAYS = (
+        Array("position_mm", ("n", 3)),
+        Array("intensity", ("n",), optional=True),
+        Array("trajectory", ("n",), np.int64, optional=True, unique=True, stored="track"),
+    )
 
     position_mm: F64
     intensity: F64 | None = None
-    track: I64 | None = None
+    trajectory: I64 | None = None
+    track: InitVar[I64 | None] = None
 
-    def __post_init__(self) -> None:
-        count = len(self.position_mm)
-        _check_numbers("position_mm", self.position_mm, (count, 3), np.float64)
-        if self.intensity is not None:
-            _check_numbers("intensity", self.intensity, (count,), np.float64)
-        if self.track is not None:
-            _check_numbers("track", self.track, (count,), np.int64)
-            values, times = np.unique(self.track, return_counts=True)
-            if len(values) < count:
-                raise InputError(
-                    f"track: expected different numbers, got {values[times.argmax()]} for {times.max()} particles"
-                )
-
-
-def _check_numbers(name: str, value: Any, shape: tuple[int, ...], kind: type[np.generic]) -> None:
-    if (
-        not isinstance(value, np.ndarray)
-        or value.shape != shape
-        or value.dtype != kind
-        or not np.isfinite(value).all()
-    ):
-        got = (
-            f"{value.dtype} of shape {value.shape}"
-            if isinstance(value, np.ndarray)
-            else type(value).__name__
-        )
-        raise InputError(
-            f"{name}: expected finite {np.dtype(kind)} values of shape {shape}, got {got}"
-        )
+    def __post_init__(self, track: I64 | None) -> None:
+        if self.trajectory is None and track is not None:
+            object.__setattr__(self, "trajectory", track)
+        self.check()
 
 
 @dataclass(frozen=True)
-class Calibration:
-    """A calibration's result.
+class Calibration(Estimate):
+    """Estimated cameras.
 
     Attributes
     ----------
     cameras : in the order of the case.
-    points_mm : (frame, point, 3) places of the target's points, world frame, if the algorithm finds
-        them itself, else None: the score then
-        intersects the cameras' lines of sight.
-    used : (camera, frame, point) observations that the algorithm took for good, None: all.
+    points_mm : (frame, point, 3) positions of the target's points, world frame, if the algorithm
+        estimates them itself, else None: the score then intersects the cameras' lines of sight.
+    used : (camera, frame, point) observations that the algorithm accepted, None: all.
     """
+
+    GROUP = "calibration"
+    OF_FRAME = False
+    ARRAYS = (
+        Array("cameras", ("bytes",), np.uint8, encode=encode_cameras, decode=decode_cameras),
+        Array("points_mm", ("frame", "point", 3), optional=True),
+        Array("used", ("camera", "frame", "point"), np.bool_, optional=True),
+    )
 
     cameras: tuple[CameraModel, ...]
     points_mm: F64 | None = None
@@ -98,16 +209,24 @@ class Calibration:
 
 
 @dataclass(frozen=True)
-class Velocity:
-    """A velocity field on a lattice along the world's axes.
+class Velocity(Estimate):
+    """Velocity field on a lattice along the world's axes.
 
     Attributes
     ----------
     low_mm, step_mm : the first node and the spacing of nodes, as (x, y, z).
-    velocity_mm_s : (z, y, x, 3), finite everywhere: where nothing was measured it is what the
-        neighbours say.
+    velocity_mm_s : (z, y, x, 3), finite everywhere: where nothing was measured it is interpolated
+        from the neighbours.
     valid : (z, y, x) where it was measured.
     """
+
+    GROUP = "velocity"
+    ARRAYS = (
+        Array("valid", ("planes", "rows", "columns"), np.bool_),
+        Array("velocity_mm_s", ("planes", "rows", "columns", 3)),
+        Array("low_mm", (3,), encode=np.array, decode=triple),
+        Array("step_mm", (3,), encode=np.array, decode=triple),
+    )
 
     low_mm: tuple[float, float, float]
     step_mm: tuple[float, float, float]
@@ -126,39 +245,44 @@ class Velocity:
 
 
 @dataclass(frozen=True)
-class Detections:
-    """Bubbles that were found in one frame.
+class Detections(Estimate):
+    """Bubbles found in one frame.
 
     Attributes
     ----------
     center_mm, semi_axes_mm : (n, 3).
-    turn : (n, 3, 3) rotations from the world to the bubbles' own axes, whose rows the semi-axes lie
-        along.
+    turn : (n, 3, 3) rotations from the world to the bubbles' own axes, along whose rows the
+        semi-axes lie.
+    trajectory : (n,) numbers of trajectories, different within a frame. None: sabench links them.
 
     Raises
     ------
     InputError
-        Arrays of other shapes, values that are not finite, semi-axes that are not positive, or
-        matrices that are no rotations.
+        Arrays of other shapes, values that are not finite, semi-axes that are not positive,
+        matrices that are no rotations, or two bubbles of one trajectory.
     """
+
+    GROUP = "bubbles"
+    ARRAYS = (
+        Array("center_mm", ("n", 3)),
+        Array("semi_axes_mm", ("n", 3)),
+        Array("turn", ("n", 3, 3)),
+        Array("trajectory", ("n",), np.int64, optional=True, unique=True, stored="track"),
+    )
 
     center_mm: F64
     semi_axes_mm: F64
     turn: F64
+    trajectory: I64 | None = None
 
     def __post_init__(self) -> None:
-        count = len(self.center_mm)
-        for name, expected in {
-            "center_mm": (count, 3),
-            "semi_axes_mm": (count, 3),
-            "turn": (count, 3, 3),
-        }.items():
-            _check_numbers(name, getattr(self, name), expected, np.float64)
-        if count and self.semi_axes_mm.min() <= 0.0:
-            raise InputError(
-                f"semi_axes_mm: expected positive lengths, got {self.semi_axes_mm.min():g}"
-            )
-        if count and np.abs(self.turn @ self.turn.transpose(0, 2, 1) - np.eye(3)).max() > 1e-6:
+        self.check()
+        if not len(self.center_mm):
+            return
+        if self.semi_axes_mm.min() <= 0.0:
+            got = self.semi_axes_mm.min()
+            raise InputError(f"semi_axes_mm: expected positive lengths, got {got:g}")
+        if np.abs(self.turn @ self.turn.transpose(0, 2, 1) - np.eye(3)).max() > 1e-6:
             raise InputError("turn: expected rotations")
 
     @classmethod

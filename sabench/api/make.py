@@ -18,7 +18,7 @@ def generator_of(given: dict[str, Any]) -> Any:
 
 
 def make_algorithm(name: str, parameters: dict[str, Any]) -> AnySolver:
-    """A solver of any track, with checked parameters."""
+    """Make a solver of any task, with checked parameters."""
     plugin = plugins.load("solvers", name)
     made: AnySolver = plugin(validate(plugin.Parameters, parameters, f"solver {name}"))
     return made
@@ -29,6 +29,6 @@ def make_solver(name: str, parameters: dict[str, Any]) -> Solver:
     made = make_algorithm(name, parameters)
     if not isinstance(made, Solver):
         raise InputError(
-            f"solver {name}: expected one of the track reconstruction, got one of {made.track}"
+            f"solver {name}: expected a solver of the task reconstruction, got one of {made.task}"
         )
     return made

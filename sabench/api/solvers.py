@@ -15,7 +15,7 @@ from sabench.api.estimates import Calibration, Detections, FoundParticles, Recon
 from sabench.api.observations import CalibrationCase, Film, Observation, Shown, VolumePair
 from sabench.api.parameters import Parameters, PlugIn
 
-Track = Literal[
+TaskName = Literal[
     "reconstruction", "particles", "calibration", "velocimetry", "bubbles", "see_through"
 ]
 
@@ -23,7 +23,7 @@ Track = Literal[
 class Solver(PlugIn):
     """Base of a reconstruction algorithm: `solve` turns one observation into one reconstruction."""
 
-    track: ClassVar[Track] = "reconstruction"
+    task: ClassVar[TaskName] = "reconstruction"
     sees: ClassVar[Shown] = "particles"
 
     def skip(self, case: Observation) -> str | None:
@@ -38,7 +38,7 @@ class Solver(PlugIn):
 class ParticleSolver(PlugIn):
     """Base of an algorithm that finds particles, or tracks them: `solve` turns a film into the particles of each of its frames."""
 
-    track: ClassVar[Track] = "particles"
+    task: ClassVar[TaskName] = "particles"
     sees: ClassVar[Shown] = "particles"
 
     def skip(self, case: Film) -> str | None:
@@ -53,7 +53,7 @@ class ParticleSolver(PlugIn):
 class CalibrationSolver(PlugIn):
     """Base of a calibration algorithm: `solve` turns all observations of a target into cameras."""
 
-    track: ClassVar[Track] = "calibration"
+    task: ClassVar[TaskName] = "calibration"
     sees: ClassVar[Shown] = "target"
 
     def skip(self, case: CalibrationCase) -> str | None:
@@ -68,7 +68,7 @@ class CalibrationSolver(PlugIn):
 class SelfCalibrationSolver(PlugIn):
     """Base of an algorithm that corrects cameras by images of particles: `solve` turns one observation into cameras."""
 
-    track: ClassVar[Track] = "calibration"
+    task: ClassVar[TaskName] = "calibration"
     sees: ClassVar[Shown] = "particles"
 
     def skip(self, case: Observation) -> str | None:
@@ -91,7 +91,7 @@ class VelocimetryParameters(Parameters):
 class VelocimetrySolver(PlugIn):
     """Base of a velocimetry algorithm: `solve` turns two volumes into a velocity field."""
 
-    track: ClassVar[Track] = "velocimetry"
+    task: ClassVar[TaskName] = "velocimetry"
     sees: ClassVar[Shown] = "particles"
     Parameters = VelocimetryParameters
 
@@ -107,7 +107,7 @@ class VelocimetrySolver(PlugIn):
 class BubbleSolver(PlugIn):
     """Base of an algorithm that finds bubbles: `solve` turns one observation into detections."""
 
-    track: ClassVar[Track] = "bubbles"
+    task: ClassVar[TaskName] = "bubbles"
     sees: ClassVar[Shown] = "bubbles"
 
     def skip(self, case: Observation) -> str | None:
@@ -122,7 +122,7 @@ class BubbleSolver(PlugIn):
 class SeeThroughSolver(PlugIn):
     """Base of an algorithm that looks through what is in front of a body: `solve` turns one observation into a stack of planes."""
 
-    track: ClassVar[Track] = "see_through"
+    task: ClassVar[TaskName] = "see_through"
     sees: ClassVar[Shown] = "code"
 
     def skip(self, case: Observation) -> str | None:

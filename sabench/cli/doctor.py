@@ -5,14 +5,13 @@ from __future__ import annotations
 import os
 import platform
 import shutil
-import subprocess
-import sys
 from dataclasses import dataclass
 from pathlib import Path
 
 from sabench import plugins
 from sabench.utils import backend
 from sabench.utils.errors import InputError
+from sabench.utils.processes.child import run_code
 from sabench.utils.version import __version__
 
 _PATIENCE_S = 180
@@ -49,23 +48,11 @@ def examine() -> list[Finding]:
 
 
 def _trial(subject: str, name: str) -> Finding:
-    command = [
-        sys.executable,
-        "-c",
-        f"from sabench.cli.doctor import try_{name}; print(try_{name}())",
-    ]
+    code = f"from sabench.cli.doctor import try_{name}; print(try_{name}())"
     try:
-        done = subprocess.run(
-            command, capture_output=True, text=True, timeout=_PATIENCE_S, check=False
-        )
-    except subprocess.TimeoutExpired:
-        return Finding(subject, False, f"no answer within {_PATIENCE_S} s", backend.REMEDY)
-    if done.returncode == 0:
-        return Finding(subject, True, done.stdout.strip())
-    last = (done.stderr.strip().splitlines() or ["no message"])[-1]
-    return Finding(
-        subject, False, f"ended with exit code {done.returncode}: {last}", backend.REMEDY
-    )
+        return Finding(subject, True, run_code(code, "the trial", _PATIENCE_S))
+    except InputError as error:
+        return Finding(subject, False, str(error), backend.REMEDY)
 
 
 def try_compute() -> str:

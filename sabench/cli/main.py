@@ -156,11 +156,9 @@ def score(
     result: Annotated[
         str, typer.Argument(help="A result file, or truth or empty: the ends of every scale.")
     ],
-    track: Annotated[
+    task: Annotated[
         str | None,
-        typer.Option(
-            help="By whose scores truth and empty are scored: reconstruction or particles."
-        ),
+        typer.Option(help="Task by whose scores `truth` and `empty` are scored."),
     ] = None,
     as_json: AsJson = False,
 ) -> None:
@@ -171,7 +169,7 @@ def score(
     probe_dataset(dataset)
     if result not in ("truth", "empty") and Path(result).is_file():
         probe(Path(result))
-    scores = scores_of(dataset, result, track)
+    scores = scores_of(dataset, result, task)
     if as_json:
         _say(json.dumps(scores, allow_nan=False))
     else:
@@ -323,7 +321,7 @@ def check(
     ] = False,
     solver: Annotated[
         list[str] | None,
-        typer.Option(help="In place of the suite's, on its cases of the same track; repeatable."),
+        typer.Option(help="In place of the suite's, on its cases of the same task; repeatable."),
     ] = None,
     junit: Annotated[Path | None, typer.Option(help="A JUnit XML file to make.")] = None,
     as_json: AsJson = False,
@@ -427,8 +425,8 @@ def submit(
     as_json: AsJson = False,
 ) -> None:
     """Check and score results from elsewhere and put them on the leaderboard."""
+    from sabench import tasks
     from sabench.evaluation.leaderboard.submissions import submit as send
-    from sabench.tasks.columns import COLUMNS
 
     standings = send(result, name, data or [Path("work/datasets")], leaderboard)
     if as_json:
@@ -441,7 +439,7 @@ def submit(
         return
     table = Table("case", "seed", "solver", "first score", "rank", "best other")
     for one in standings:
-        first = COLUMNS[one.record["track"]][0]
+        first = tasks.of(one.record["task"]).columns[0]
         score = (
             "-"
             if one.record[first.key] is None
@@ -513,9 +511,9 @@ def _parameters(pairs: list[str]) -> dict[str, Any]:
 
 
 def _show_scores(scores: dict[str, Any]) -> None:
-    from sabench.tasks.columns import COLUMNS
+    from sabench import tasks
 
-    columns = COLUMNS[scores["track"]]
+    columns = tasks.of(scores["task"]).columns
     table = Table("data set", "solver", *(column.key for column in columns))
     figures = [
         "-" if scores[column.key] is None else f"{scores[column.key]:.{column.decimals}f}"
@@ -526,15 +524,15 @@ def _show_scores(scores: dict[str, Any]) -> None:
 
 
 def _show_records(records: list[dict[str, Any]]) -> None:
-    """Mean and 95 % confidence interval over the seeds of every case and solver, one table for each track, the best of each case first."""
+    """Mean and 95 % confidence interval over the seeds of every case and solver, one table for each task, the best of each case first."""
+    from sabench import tasks
     from sabench.evaluation.leaderboard.rows import over_seeds
-    from sabench.tasks.columns import COLUMNS, LARGER_IS_BETTER
 
     rows = over_seeds(records)
     order = list(dict.fromkeys(row["case"] for row in rows))
-    for track, columns in COLUMNS.items():
-        own = [row for row in rows if row["track"] == track]
-        sign, first = -1.0 if LARGER_IS_BETTER[track] else 1.0, columns[0].key
+    for task in tasks.every():
+        columns, own = task.columns, [row for row in rows if row["task"] == task.name]
+        sign, first = -1.0 if columns[0].better == "larger" else 1.0, columns[0].key
         table = Table("case", "solver", "seeds", *(column.key for column in columns))
         for row in sorted(
             own,

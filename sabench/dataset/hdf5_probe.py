@@ -7,7 +7,7 @@ from pathlib import Path
 from sabench.dataset import schema
 from sabench.dataset.hdf5 import walk
 from sabench.utils.files import inside, is_file
-from sabench.utils.processes.isolated import apart
+from sabench.utils.processes.isolated import call_isolated
 
 # for what a file says of itself: a damaged one can send the library round in circles, in which no
 # Ctrl-C is heard
@@ -23,7 +23,7 @@ def probe(path: Path) -> None:
     InputError
         It does not, or takes too long.
     """
-    apart(
+    call_isolated(
         walk, path, doing=f"{path}: reading it", time_s=_PROBE_S + path.stat().st_size / _PROBE_RATE
     )
 

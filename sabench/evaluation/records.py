@@ -9,13 +9,14 @@ from pathlib import Path
 from typing import Any, Literal
 
 from filelock import FileLock
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
+from sabench.api.solvers import TaskName
 from sabench.utils.progress import console
 from sabench.utils.validation import sentence
 
 Record = dict[str, Any]
-FORMAT, VERSION = "sabench-record", 1
+FORMAT, VERSION = "sabench-record", 2
 Difficulty = Literal["easy", "standard", "hard"]
 
 _RUN = ("scene_hash", "seed", "split", "renderer", "solver", "parameters", "machine", "submission")
@@ -33,12 +34,12 @@ class Submission(_Part):
 
 
 class Head(_Part):
-    """A record without its scores, which follow as further keys: one for each column of its track, numbers or null."""
+    """A record without its scores, which follow as further keys: one for each score of its task, numbers or null."""
 
     model_config = ConfigDict(extra="allow")
 
     format: Literal["sabench-record"] = "sabench-record"
-    version: Literal[1] = 1
+    version: Literal[1, 2] = 2
     suite: str | None = Field(None, description="the suite that made it")
     case: str | None = Field(None, description="by default the scene's name")
     scene: str
@@ -54,9 +55,7 @@ class Head(_Part):
     )
     split: Literal["public", "hidden"] = "public"
     renderer: str
-    track: Literal[
-        "reconstruction", "particles", "calibration", "velocimetry", "bubbles", "see_through"
-    ] = "reconstruction"
+    task: TaskName = "reconstruction"
     solver: str
     label: str | None = Field(None, description="shown in place of the solver's name")
     parameters: dict[str, Any]
@@ -74,6 +73,15 @@ class Head(_Part):
     )
     error: str | None = None
     declined: bool = Field(False, description="the solver said that the case is none for it")
+
+    @model_validator(mode="before")
+    @classmethod
+    def _from_version_1(cls, values: Any) -> Any:
+        """Rename the key that version 1 used for the task."""
+        if isinstance(values, dict) and values.get("version", 1) == 1:
+            values = {"task" if key == "track" else key: one for key, one in values.items()}
+            values["version"] = VERSION
+        return values
 
 
 def read_records(folder: Path) -> list[Record]:

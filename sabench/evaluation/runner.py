@@ -26,12 +26,11 @@ from sabench.evaluation.records import Record, append, key_of, latest, read_reco
 from sabench.evaluation.suites import Case, Entrant, Suite, load_suite
 from sabench.simulation.pipeline import generate
 from sabench.simulation.renderer_choice import Renderer
-from sabench.tasks.columns import COLUMNS
-from sabench.tasks.solve_and_score import OWN_TRACK, score, solve
+from sabench.tasks.solve_and_score import score, solve
 from sabench.utils import backend
 from sabench.utils.errors import DeclinedError, InputError
 from sabench.utils.files import clear_abandoned, complete_or_nothing, digest
-from sabench.utils.processes.isolated import apart
+from sabench.utils.processes.isolated import call_isolated
 from sabench.utils.progress import console
 from sabench.utils.version import __version__
 
@@ -196,7 +195,7 @@ def _rank(
     for entrant, head in entrants:
         record = (
             head
-            | _blank(head["track"])
+            | _blank(head["task"])
             | {"dataset": dataset.content_hash, "pictures": folder.name if folder else None}
         )
         name = f"{head['solver']}-{head['run_hash'][:8]}"
@@ -205,7 +204,7 @@ def _rank(
             record["reference_s"] = solve_apart(entrant, dataset, out)
             record |= {key: value for key, value in score(dataset, out).items() if key not in head}
             if folder:
-                _picture_result(folder / name, record["track"], dataset, out)
+                _picture_result(folder / name, record["task"], dataset, out)
         except InputError as error:
             console.print(f"error: {error}", style="red", markup=False, highlight=False)
             record["error"], record["declined"] = str(error), isinstance(error, DeclinedError)
@@ -216,22 +215,23 @@ def _rank(
 
 def _picture_case(folder: Path, dataset: Dataset) -> None:
     """What the cameras saw, and what was there."""
-    track = tasks.of(OWN_TRACK[dataset.shows[-1]])
-    _draw(folder / "images.png", track.images(dataset))
-    _draw(folder / "truth.png", track.picture(dataset, "truth"))
+    task = tasks.of_data(dataset)
+    _draw(folder / "images.png", task.images(dataset))
+    _draw(folder / "truth.png", task.picture(dataset, "truth"))
 
 
-def _picture_result(stem: Path, track: str, dataset: Dataset, out: Path) -> None:
-    """What a solver made of it and, of tracks whose pictures do not show it yet, where that is wrong."""
-    module, result = tasks.of(track), open_result(out, dataset)
-    _draw(stem.with_name(f"{stem.name}.png"), module.picture(dataset, result))
-    if hasattr(module, "error_picture"):
-        _draw(stem.with_name(f"{stem.name}.error.png"), module.error_picture(dataset, result))
+def _picture_result(stem: Path, name: str, dataset: Dataset, out: Path) -> None:
+    """Draw an estimate and, for tasks that have such a figure, its errors."""
+    task, result = tasks.of(name), open_result(out, dataset)
+    _draw(stem.with_name(f"{stem.name}.png"), task.picture(dataset, result))
+    errors = task.error_picture(dataset, result)
+    if errors is not None:
+        _draw(stem.with_name(f"{stem.name}.error.png"), errors)
 
 
 def _describe(case: Case, entrant: Entrant, suite: str) -> Record:
     """All of a record that is known before anything is computed."""
-    solver, track, parameters = entrant.describe()
+    solver, task, parameters = entrant.describe()
     head = {
         "suite": Path(suite).stem,
         "scene": case.base,
@@ -243,7 +243,7 @@ def _describe(case: Case, entrant: Entrant, suite: str) -> Record:
         "seed": case.told_seed,
         "split": "public" if case.number is None else "hidden",
         "renderer": case.renderer,
-        "track": track,
+        "task": task,
         "solver": solver,
         "label": entrant.label,
         "parameters": parameters,
@@ -277,11 +277,10 @@ def versions() -> dict[str, str]:
     return libraries | {"sabench": __version__, "python": platform.python_version()}
 
 
-def _blank(track: str) -> dict[str, Any]:
+def _blank(task: str) -> dict[str, Any]:
     """A record's scores before any is known."""
-    return dict.fromkeys((*(column.key for column in COLUMNS[track]), "error", "reference_s")) | {
-        "declined": False
-    }
+    keys = (score.key for score in tasks.of(task).columns)
+    return dict.fromkeys((*keys, "error", "reference_s")) | {"declined": False}
 
 
 def machine() -> dict[str, Any]:
@@ -325,7 +324,7 @@ def solve_apart(
     try:
         if not entrant.is_program:
             return float(
-                apart(
+                call_isolated(
                     _solve,
                     entrant.name,
                     entrant.parameters,

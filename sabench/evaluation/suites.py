@@ -10,17 +10,17 @@ from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, get_args
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import AliasChoices, BaseModel, ConfigDict, Field, model_validator
 
 from sabench import plugins
 from sabench.api.make import make_algorithm
+from sabench.api.solvers import TaskName
 from sabench.evaluation.hidden_split import Secret
 from sabench.evaluation.records import Difficulty
 from sabench.scenes import Scene, build_rig, find, load_scene, parse_scene
 from sabench.simulation.renderer_choice import Renderer, choose_renderer
-from sabench.tasks.columns import COLUMNS
 from sabench.tasks.external_programs import find_program, is_program, solver_name
 from sabench.utils.code_hash import code_hash
 from sabench.utils.errors import InputError
@@ -52,7 +52,11 @@ class Entrant(_Table):
     name: str = Field(description="of a solver, or the path of a program beside the suite")
     parameters: dict[str, Any] = {}
     label: str | None = Field(None, description="shown in place of the name")
-    track: str | None = Field(None, description="of a program: what its results are")
+    task: TaskName | None = Field(
+        None,
+        validation_alias=AliasChoices("task", "track"),
+        description="of a program: what its results are",
+    )
     time_limit_s: float | None = Field(None, gt=0, description="of a program, for a data set")
     memory_limit_mb: float | None = Field(
         None, gt=0, description="of a program's processes together"
@@ -81,11 +85,11 @@ class Entrant(_Table):
         )
 
     def describe(self) -> tuple[str, str, dict[str, Any]]:
-        """Its name in tables, its track and all its parameters."""
+        """Return its name in tables, its task and all its parameters."""
         if self.is_program:
-            return solver_name(self.name), str(self.track), self.parameters
+            return solver_name(self.name), str(self.task), self.parameters
         algorithm = make_algorithm(self.name, self.parameters)
-        return self.name, algorithm.track, algorithm.parameters.model_dump(mode="json")
+        return self.name, algorithm.task, algorithm.parameters.model_dump(mode="json")
 
 
 class CaseSpec(Changes):
@@ -258,21 +262,20 @@ def _check_frozen(suite: Suite, cases: list[Case], file: Path) -> None:
 
 
 def _checked(entrant: Entrant, file: Path) -> Entrant:
-    """A solver that there is with parameters that it takes, or a program with its whole path and its track."""
+    """A solver that there is with parameters that it takes, or a program with its whole path and its task."""
     if not entrant.is_program:
         if any(
             value is not None
-            for value in (entrant.track, entrant.time_limit_s, entrant.memory_limit_mb)
+            for value in (entrant.task, entrant.time_limit_s, entrant.memory_limit_mb)
         ):
             raise InputError(
-                f"{file}: solver {entrant.name}: expected track, time_limit_s and memory_limit_mb for programs only"
+                f"{file}: solver {entrant.name}: expected task, time_limit_s and memory_limit_mb for programs only"
             )
         make_algorithm(entrant.name, entrant.parameters)
         return entrant
-    if entrant.track not in COLUMNS:
-        raise InputError(
-            f"{file}: program {entrant.name}: track: expected one of {', '.join(COLUMNS)}, got {entrant.track!r}"
-        )
+    if entrant.task is None:
+        known = ", ".join(get_args(TaskName))
+        raise InputError(f"{file}: program {entrant.name}: task: expected one of {known}, got none")
     return entrant.model_copy(update={"name": str(find_program(entrant.name, file.parent))})
 
 

@@ -253,5 +253,7 @@ def read_particles(folder: Path, frames: int) -> list[FoundParticles]:
 
 def solve(folder: Path, frames: int) -> list[FoundParticles]:
     """Run it on a project folder: all of it where there are `LEAST_FRAMES`, and its reconstruction alone where there are fewer."""
-    child.run("sabench.interop.openlpt_process", folder, "OpenLPT", "Total time for frame", frames)
+    child.run_module(
+        "sabench.interop.openlpt_process", folder, "OpenLPT", "Total time for frame", frames
+    )
     return read_tracks(folder, frames) if frames >= LEAST_FRAMES else read_particles(folder, frames)

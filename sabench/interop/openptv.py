@@ -189,7 +189,7 @@ def write_project(
 
 def solve(folder: Path, grid: Grid, frames: int) -> list[FoundParticles]:
     """Run it on a project folder; particles with the tracks that its links make."""
-    child.run("sabench.interop.openptv_process", folder, "OpenPTV", "sabench frame", frames)
+    child.run_module("sabench.interop.openptv_process", folder, "OpenPTV", "sabench frame", frames)
     places = [
         np.array(read_json(folder / f"found_{frame:05d}.json"), dtype=np.float64).reshape(-1, 3)
         for frame in range(frames)

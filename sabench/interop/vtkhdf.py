@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
 
-from sabench.api import Detections, Velocity
+from sabench import tasks
+from sabench.api import Detections, FoundParticles, Reconstruction, Velocity
+from sabench.api.estimates import Estimate
 from sabench.api.truth import Bubbles, Solid
 from sabench.dataset.hdf5 import created, uninterrupted
 from sabench.dataset.reader import Dataset, open_dataset
@@ -68,18 +70,8 @@ def export(
         root.mkdir()
         if found is None:
             _export_truth(root, data)
-        elif found.track == "velocimetry":
-            _export_velocities(root, data, found)
-        elif found.track in ("reconstruction", "see_through"):
-            _export_reconstructions(root, data, found)
-        elif found.track == "bubbles":
-            _export_detections(root, data, found)
-        elif found.track == "particles":
-            _export_found(root, data, found)
         else:
-            raise InputError(
-                f"{found.path}: expected a result with volumes, particles, velocities or bubbles, got one of the track {found.track}"
-            )
+            _export_result(root, data, found)
     return Path(out)
 
 
@@ -107,6 +99,17 @@ def _export_truth(root: Path, data: Dataset) -> None:
             write_surfaces(root / f"bodies_{frame:04d}.vtkhdf", data.solids(frame))
 
 
+def _export_result(root: Path, data: Dataset, result: Result) -> None:
+    task = tasks.of(result.task)
+    if task.estimate not in _WRITERS:
+        known = " or ".join(kind.__name__ for kind in _WRITERS)
+        raise InputError(
+            f"{result.path}: expected a result of {known}, got one of {task.estimate.__name__}"
+        )
+    for frame in track(task.frames(data), "export"):
+        _WRITERS[task.estimate](root, data, frame, task.read(data, result, frame))
+
+
 def _export_particles(root: Path, data: Dataset, frame: int) -> None:
     particles, grid = data.particles(frame), data.rig.grid
     about = {
@@ -121,56 +124,49 @@ def _export_particles(root: Path, data: Dataset, frame: int) -> None:
     )
 
 
-def _export_reconstructions(root: Path, data: Dataset, result: Result) -> None:
-    grid = data.rig.grid
-    for frame in track(range(data.rig.frames), "export"):
-        found = result.reconstruction(frame)
-        write_lattice(
-            root / f"volume_{frame:04d}.vtkhdf",
-            grid.low_mm,
-            grid.voxel_mm,
-            {"intensity": found.volume},
-        )
-        if found.particles_mm is not None:
-            write_points(root / f"particles_{frame:04d}.vtkhdf", found.particles_mm, {})
+def _write_reconstruction(root: Path, data: Dataset, frame: int, found: Reconstruction) -> None:
+    grid, values = data.rig.grid, {"intensity": found.volume}
+    write_lattice(root / f"volume_{frame:04d}.vtkhdf", grid.low_mm, grid.voxel_mm, values)
+    if found.particles_mm is not None:
+        write_points(root / f"particles_{frame:04d}.vtkhdf", found.particles_mm, {})
 
 
-def _export_velocities(root: Path, data: Dataset, result: Result) -> None:
-    for pair in track(data.rig.pairs(), "export"):
-        field = result.velocity(pair[0])
-        exact = true_velocity(data, pair, field.positions_mm.reshape(-1, 3)).reshape(
-            field.velocity_mm_s.shape
-        )
-        values = _field(field, gradient(field.velocity_mm_s, field.step_mm)) | {
-            "valid": field.valid.astype(np.uint8),
-            "exact_mm_s": exact,
-            "error_mm_s": field.velocity_mm_s - exact,
-        }
-        write_lattice(root / f"velocity_{pair[0]:04d}.vtkhdf", field.low_mm, field.step_mm, values)
+def _write_velocity(root: Path, data: Dataset, frame: int, field: Velocity) -> None:
+    pair = next(pair for pair in data.rig.pairs() if pair[0] == frame)
+    exact = true_velocity(data, pair, field.positions_mm.reshape(-1, 3)).reshape(
+        field.velocity_mm_s.shape
+    )
+    values = _field(field, gradient(field.velocity_mm_s, field.step_mm)) | {
+        "valid": field.valid.astype(np.uint8),
+        "exact_mm_s": exact,
+        "error_mm_s": field.velocity_mm_s - exact,
+    }
+    write_lattice(root / f"velocity_{frame:04d}.vtkhdf", field.low_mm, field.step_mm, values)
 
 
-def _export_detections(root: Path, data: Dataset, result: Result) -> None:
-    for frame in track(range(data.rig.frames), "export"):
-        found = result.bubbles(frame)
-        write_points(
-            root / f"bubbles_{frame:04d}.vtkhdf",
-            found.center_mm,
-            _shapes(found) | _errors(found, data.bubbles(frame)),
-        )
+def _write_detections(root: Path, data: Dataset, frame: int, found: Detections) -> None:
+    values = _shapes(found) | _errors(found, data.bubbles(frame))
+    write_points(root / f"bubbles_{frame:04d}.vtkhdf", found.center_mm, values)
 
 
-def _export_found(root: Path, data: Dataset, result: Result) -> None:
-    for frame in track(range(data.rig.frames), "export"):
-        found, grid = result.particles(frame), data.rig.grid
-        known = data.particles(frame)
-        i, j = challenge_pairs(grid.to_voxels(found.position_mm), grid.to_voxels(known.position_mm))
-        identity = np.full(len(found.position_mm), -1)
-        identity[i] = known.id[j]
-        given = {"intensity": found.intensity, "track": found.track}
-        about = {"matched": (identity >= 0).astype(np.uint8), "true_id": identity} | {
-            name: one for name, one in given.items() if one is not None
-        }
-        write_points(root / f"particles_{frame:04d}.vtkhdf", found.position_mm, about)
+def _write_particles(root: Path, data: Dataset, frame: int, found: FoundParticles) -> None:
+    grid, true = data.rig.grid, data.particles(frame)
+    i, j = challenge_pairs(grid.to_voxels(found.position_mm), grid.to_voxels(true.position_mm))
+    identity = np.full(len(found.position_mm), -1)
+    identity[i] = true.id[j]
+    given = {"intensity": found.intensity, "track": found.trajectory}
+    about = {"matched": (identity >= 0).astype(np.uint8), "true_id": identity} | {
+        name: one for name, one in given.items() if one is not None
+    }
+    write_points(root / f"particles_{frame:04d}.vtkhdf", found.position_mm, about)
+
+
+_WRITERS: dict[type[Estimate], Callable[[Path, Dataset, int, Any], None]] = {
+    Reconstruction: _write_reconstruction,
+    Velocity: _write_velocity,
+    Detections: _write_detections,
+    FoundParticles: _write_particles,
+}
 
 
 def _shapes(bubbles: AnyBubbles) -> Data:

@@ -1,11 +1,43 @@
-"""What a kind of solver sees, returns and is scored by: one module per track, found by its name."""
+"""Tasks: one module and one object for each, found by its name."""
 
 from __future__ import annotations
 
 import importlib
-from types import ModuleType
+from typing import TYPE_CHECKING, get_args
+
+from sabench.api.solvers import TaskName
+from sabench.utils.errors import InputError
+
+if TYPE_CHECKING:
+    from sabench.dataset.reader import Dataset
+    from sabench.tasks.task import Task
+
+NAMES: tuple[TaskName, ...] = get_args(TaskName)
 
 
-def of(name: str) -> ModuleType:
-    """The module of a track, imported when it is needed."""
-    return importlib.import_module(f"{__name__}.{name}")
+def of(name: str) -> Task:
+    """Import the task of that name."""
+    task: Task = importlib.import_module(f"{__name__}.{name}").TASK
+    return task
+
+
+def every() -> list[Task]:
+    """Import all tasks, in the order of the leaderboard."""
+    return [of(name) for name in NAMES]
+
+
+def of_data(data: Dataset, asked: str | None = None) -> Task:
+    """Choose the task that a data set is scored by: the asked one, or the first one for what it shows last.
+
+    Raises
+    ------
+    InputError
+        A task that the data set cannot serve.
+    """
+    possible = [task for task in every() if task.accepts(data)]
+    own = next(task for task in possible if task.shown == data.shows[-1])
+    chosen = next((task for task in possible if task.name == asked), None) if asked else own
+    if chosen is None:
+        names = " or ".join(task.name for task in possible)
+        raise InputError(f"task: expected {names} for {data.root}, got {asked!r}")
+    return chosen

@@ -1,25 +1,27 @@
-"""The bubbles track: one observation in, bubbles out, frame by frame."""
+"""Bubbles: one observation in, the bubbles in it out, frame by frame; they are linked afterwards."""
 
 from __future__ import annotations
 
-import time
 from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
 from sabench.algorithms.particles.linking import link
-from sabench.api import BubbleSolver, Detections
+from sabench.api import Detections
 from sabench.api.truth import Bubbles
 from sabench.dataset.reader import Dataset
 from sabench.dataset.results import Result, ResultWriter
 from sabench.dataset.schema import CamerasFile, frame_group
+from sabench.geometry.rotations import rotation_matrices
 from sabench.metrics.averages import finite_or_none, mean_of_each
 from sabench.metrics.bubble_detection import AnyBubbles, detection_scores
 from sabench.metrics.plunging_jet import JetFigures, analyse
 from sabench.metrics.trajectories import track_scores
 from sabench.plotting import pictures
 from sabench.scenes import Scene
-from sabench.tasks.solver_call import attempt
+from sabench.tasks.task import Captions, Figures, FrameByFrame, Score, Source
 from sabench.utils import memory
 from sabench.utils.arrays import I64
 from sabench.utils.errors import InputError
@@ -31,150 +33,215 @@ JET = {
     "weight_percent": "weight",
     "width_percent": "width",
 }
+_WRONG_ROTATION = rotation_matrices(np.array([0.1, -0.2, 0.05]))
 
 
-def run(algorithm: BubbleSolver, name: str, data: Dataset, writer: ResultWriter) -> list[float]:
-    """Find every frame's bubbles; returns the seconds that each took.
+class BubblesTask(FrameByFrame):
+    """Extraction of bubbles and drops."""
 
-    Raises
-    ------
-    InputError
-        A solver that declines, raises, or returns something else.
+    name = "bubbles"
+    shown = "bubbles"
+    estimate = Detections
+    # fmt: off
+    scores = (
+        Score("f1_large", "F1, large", "", "larger", 3,
+              "harmonic mean of precision and recall of bubbles from 0.5 mm radius on; found: "
+              "closer than half a radius", counted=True),
+        Score("f1", "F1", "", "larger", 3,
+              "the same, all bubbles", counted=True),
+        Score("f1_small", "F1, small", "", "larger", 3,
+              "the same, bubbles below 0.5 mm", counted=True),
+        Score("precision", "precision", "", "larger", 3,
+              "share of the detections that are bubbles, one to one", counted=True),
+        Score("recall", "recall", "", "larger", 3,
+              "share of the bubbles that were found", counted=True),
+        Score("recall_hidden", "recall, hidden", "", "larger", 3,
+              "share found of bubbles of which the cameras see less than nine tenths, mean "
+              "over cameras", counted=True),
+        Score("recall_dense", "recall, dense", "", "larger", 3,
+              "share found of bubbles around which, within 6 mm, others fill a hundredth or "
+              "more", counted=True),
+        Score("radius_percent", "radius %", "%", "smaller", 2,
+              "median error of the radius of found bubbles of 0.5 mm and more"),
+        Score("axes_percent", "axes %", "%", "smaller", 2,
+              "median error of their semi-axes"),
+        Score("tilt_deg", "tilt deg", "deg", "smaller", 1,
+              "median error of the short axis's direction, of found bubbles flatter than 0.9"),
+        Score("plane_mm", "plane mm", "mm", "smaller", 3,
+              "median error across Z of found bubbles of 0.5 mm and more"),
+        Score("depth_mm", "depth mm", "mm", "smaller", 3,
+              "median error along Z"),
+        Score("sizes_percent", "sizes %", "%", "smaller", 1,
+              "distance of the distributions of radii (Wasserstein) over the mean radius"),
+        Score("void_percent", "void %", "%", "smaller", 1,
+              "error of the volume of all bubbles"),
+        Score("penetration_percent", "Y_p %", "%", "smaller", 1,
+              "error of a jet's penetration depth, against the same analysis of the true "
+              "bubbles"),
+        Score("angle_percent", "angle %", "%", "smaller", 1,
+              "error of its spreading angle"),
+        Score("weight_percent", "A %", "%", "smaller", 1,
+              "error of A of equation 5.18"),
+        Score("width_percent", "s %", "%", "smaller", 1,
+              "error of s of equation 5.18"),
+        Score("link_recall", "link recall", "", "larger", 3,
+              "share of the bubbles found in two frames that follow each other that one track "
+              "joins", counted=True),
+        Score("link_precision", "link precision", "", "larger", 3,
+              "share of the links between such frames that join the same bubble", counted=True),
+        Score("effectiveness", "effectiveness", "", "larger", 3,
+              "share of a bubble's frames in which its longest track has it, mean over the "
+              "bubbles", counted=True),
+        Score("velocity_mm_s", "velocity mm/s", "mm/s", "smaller", 2,
+              "median error of the velocity of right links, against the true mean velocity "
+              "between the frames"),
+        Score("velocity_percent", "velocity %", "%", "smaller", 2,
+              "the same over that velocity"),
+    )
+    # fmt: on
+    captions = Captions(
+        heading="Bubbles from the front and from the side",
+        estimates="Every bubble as a circle of its radius, which its colour gives, too; X to the "
+        "right or Z, Y down.",
+        cameras="First frame of every camera.",
+        errors="Green bubbles were found, blue ones were missed, orange ones were found where "
+        "there are none.",
+        wide=True,
+    )
+
+    def run(self, algorithm: Any, name: str, data: Dataset, writer: ResultWriter) -> list[float]:
+        """Find every frame's bubbles and link them; returns the seconds that each frame took."""
+        seconds, every = [], []
+        for frame in self.frames(data):
+            found, took = self.call(algorithm, name, data, frame)
+            seconds.append(took)
+            every.append(found)
+            memory.trim()
+        self._store(data, every, writer)
+        return seconds
+
+    def copy(self, data: Dataset, result: Result, writer: ResultWriter) -> None:
+        """Write the bubbles of a foreign result anew, linked if it has no trajectories."""
+        every = [self.read(data, result, frame) for frame in self.frames(data)]
+        _check_all_or_none(result, every)
+        self._store(data, every, writer)
+
+    def _store(self, data: Dataset, every: list[Detections], writer: ResultWriter) -> None:
+        for frame, number in enumerate(trajectories(data.rig, every)):
+            writer.add(replace(every[frame], trajectory=number), frame)
+
+    def truth(self, data: Dataset, frame: int) -> Bubbles:
+        """Make the true bubbles."""
+        return data.bubbles(frame)
+
+    def empty(self, data: Dataset, frame: int) -> Detections:
+        """Make no bubbles."""
+        return Detections.balls(np.zeros((0, 3)), np.zeros(0))
+
+    def wrong(self, data: Dataset, frame: int) -> Detections:
+        """Move, enlarge and rotate most true bubbles, and add some that are not there."""
+        true = data.bubbles(frame)
+        kept = np.flatnonzero(np.arange(len(true)) % 5 != 3)
+        far = true.radius_mm[kept, None] * (1.5 + np.sin(kept + frame)[:, None])
+        aside = np.array([0.08, -0.05, 0.2]) * far
+        ghosts = np.asarray(true.center_mm)[::6] + 2.5 * true.radius_mm[::6, None]
+        return Detections(
+            np.concatenate([true.center_mm[kept] + aside, ghosts]),
+            np.concatenate([true.semi_axes_mm[kept] * [1.05, 0.97, 1.02], true.semi_axes_mm[::6]]),
+            np.concatenate([true.turn[kept] @ _WRONG_ROTATION, true.turn[::6]]),
+        )
+
+    def score(self, data: Dataset, source: Source) -> Figures:
+        """Average the scores of the frames; a jet's and trajectories' come from all frames."""
+        frames, found, every = [], [], []
+        for frame in track(self.frames(data), "score"):
+            estimate, true = self.read(data, source, frame), data.bubbles(frame)
+            cameras = data.rig.cameras
+            seen = np.mean([data.sight(frame, camera).visible for camera in cameras], axis=0)
+            frames.append(detection_scores(estimate, true, seen))
+            found.append(estimate)
+            every.append(true)
+        if isinstance(source, Result):
+            _check_all_or_none(source, found)
+        numbers = trajectories(data.rig, found)
+        times = [data.rig.time_s(frame) for frame in self.frames(data)]
+        links = track_scores(found, numbers, every, times, data.rig.sequences())
+        over_time = {key: finite_or_none(value) for key, value in links.items()}
+        return mean_of_each(frames) | _jet_scores(data, found, every) | over_time
+
+    def images(self, data: Dataset) -> bytes:
+        """Draw the first frame of every camera, bright behind the bubbles, as a PNG."""
+        seen = data.observation(0)
+        return pictures.backlit(seen.images, seen.black_dn, seen.white_dn)
+
+    def picture(self, data: Dataset, source: Source) -> bytes:
+        """Draw the bubbles of the first frame, from the front and from the side, as a PNG."""
+        from sabench.plotting.charts import draw
+        from sabench.tasks.figures.bubbles import bubble_figure
+
+        return draw(bubble_figure(self.read(data, source, 0), "bubbles"))
+
+    def error_picture(self, data: Dataset, result: Result) -> bytes:
+        """Draw bubbles that were found, missed, and found where there are none, as a PNG."""
+        from sabench.plotting.charts import draw
+        from sabench.tasks.figures.bubbles import detection_figure
+
+        return draw(detection_figure(self.read(data, result, 0), data.bubbles(0)))
+
+
+def trajectories(rig: CamerasFile, found: Sequence[AnyBubbles]) -> list[I64]:
+    """Number (n,) the trajectories of every frame's bubbles: their own numbers, or by linking.
+
+    No trajectory of linked bubbles goes from one group of pulses to the next.
     """
-    seconds, every = [], []
-    for frame in range(data.rig.frames):
-        case = data.observation(frame)
-        start = time.perf_counter()
-        found: Detections = attempt(algorithm, name, case, Detections, f" on frame {frame}")
-        seconds.append(time.perf_counter() - start)
-        writer.add_bubbles(frame, found)
-        every.append(found)
-        memory.trim()
-    for frame, number in enumerate(linked(data.rig, every)):
-        writer.add_tracks(frame, number)
-    return seconds
-
-
-def linked(rig: CamerasFile, found: Sequence[AnyBubbles]) -> list[I64]:
-    """Numbers (n,) of the tracks of every frame's bubbles; no track goes from one group of pulses to the next."""
+    own = [one.id if isinstance(one, Bubbles) else one.trajectory for one in found]
+    given = [number for number in own if number is not None]
+    if given and len(given) == len(found):
+        return given
     out: list[I64] = []
     for frames in rig.sequences():
-        part = link(
-            [found[f].center_mm for f in frames],
-            [found[f].radius_mm for f in frames],
-            [rig.time_s(f) for f in frames],
+        centers, radii = zip(
+            *((found[n].center_mm, found[n].radius_mm) for n in frames), strict=True
         )
+        part = link(centers, radii, [rig.time_s(n) for n in frames])
         first = max((int(one.max(initial=-1)) for one in out), default=-1) + 1
         out.extend(first + one for one in part)
     return out
 
 
-def copy(data: Dataset, result: Result, writer: ResultWriter) -> None:
-    """Write the bubbles of every frame of a foreign result anew, with its tracks or those that `linked` makes; reading checks it."""
-    found = [result.bubbles(frame) for frame in range(data.rig.frames)]
-    for frame, number in enumerate(tracks(data, result, found)):
-        writer.add_bubbles(frame, found[frame])
-        writer.add_tracks(frame, number)
-
-
-def score_result(data: Dataset, result: Result | str) -> dict[str, float | None]:
-    """All scores: means over the frames, and the figures of a jet and of tracks from all frames together."""
-    frames, found, every = [], [], []
-    for frame in track(range(data.rig.frames), "score"):
-        guess, true = estimate(data, result, frame), data.bubbles(frame)
-        seen = np.mean([data.sight(frame, camera).visible for camera in data.rig.cameras], axis=0)
-        frames.append(detection_scores(guess, true, seen))
-        found.append(guess)
-        every.append(true)
-    number, times = (
-        tracks(data, result, found),
-        [data.rig.time_s(frame) for frame in range(data.rig.frames)],
-    )
-    over_time = {
-        key: finite_or_none(value)
-        for key, value in track_scores(found, number, every, times, data.rig.sequences()).items()
-    }
-    return mean_of_each(frames) | _jet_scores(data, found, every) | over_time
-
-
-def estimate(data: Dataset, result: Result | str, frame: int) -> AnyBubbles:
-    """The estimate of a frame: a result's, or the one that the word `truth` or `empty` stands for."""
-    if isinstance(result, Result):
-        return result.bubbles(frame)
-    return (
-        data.bubbles(frame)
-        if result == "truth"
-        else Detections.balls(np.zeros((0, 3)), np.zeros(0))
-    )
-
-
-def tracks(data: Dataset, result: Result | str, found: Sequence[AnyBubbles]) -> list[I64]:
-    """Numbers of the tracks of every frame's estimate: the result's own, those of the true bubbles for `truth`, or else what `linked` makes of it.
-
-    Raises
-    ------
-    InputError
-        A result that has tracks in some frames only.
-    """
-    if not isinstance(result, Result):
-        return [
-            one.id if isinstance(one, Bubbles) else np.arange(len(one.center_mm)) for one in found
-        ]
-    given = [result.tracks(frame) for frame in range(data.rig.frames)]
-    own = [number for number in given if number is not None]
-    if own and len(own) < len(given):
-        missing = next(frame for frame, number in enumerate(given) if number is None)
+def _check_all_or_none(result: Result, found: Sequence[Detections]) -> None:
+    """Raise an InputError for a result that has trajectories in some frames only."""
+    missing = [number for number, one in enumerate(found) if one.trajectory is None]
+    if 0 < len(missing) < len(found):
         raise InputError(
-            f"{result.path}: {frame_group(missing)}/bubbles/track: expected one in every frame or in none, found none here"
+            f"{result.path}: {frame_group(missing[0])}/bubbles/track: "
+            "expected one in every frame or in none, found none here"
         )
-    return own if own else linked(data.rig, found)
 
 
-def _jet_scores(
-    data: Dataset, found: Sequence[AnyBubbles], true: Sequence[AnyBubbles]
-) -> dict[str, float | None]:
-    """Errors of a jet's figures against the same analysis of the true bubbles; None where the scene has no jet."""
+def _jet_scores(data: Dataset, found: Sequence[AnyBubbles], truth: Sequence[AnyBubbles]) -> Figures:
+    """Score a jet's figures against the same analysis of the true bubbles; None without a jet."""
     if (data.scene.bubbles or {}).get("generator") != "plunging_jet":
         return dict.fromkeys(JET)
-    guess, known = (jet_figures(data.scene, one) for one in (found, true))
-    pairs = {key: (getattr(guess, name), getattr(known, name)) for key, name in JET.items()}
+    estimate, true = (jet_figures(data.scene, one) for one in (found, truth))
+    pairs = {key: (getattr(estimate, name), getattr(true, name)) for key, name in JET.items()}
     return {
         key: finite_or_none(100.0 * abs(one / other - 1.0)) if other else None
         for key, (one, other) in pairs.items()
     }
 
 
-def jet_figures(scene: Scene, balls: Sequence[AnyBubbles]) -> JetFigures:
-    """What the bubbles of some frames say of a scene's jet."""
+def jet_figures(scene: Scene, every: Sequence[AnyBubbles]) -> JetFigures:
+    """Analyse the bubbles of some frames as those of a scene's plunging jet."""
     assert scene.bubbles is not None
     impact, volume = np.asarray(scene.bubbles["impact_mm"]), scene.volume
-    depth = volume.center_mm[1] + volume.size_mm[1] / 2.0 - impact[1]
     return analyse(
-        np.concatenate([one.center_mm for one in balls]),
-        np.concatenate([one.radius_mm for one in balls]),
+        np.concatenate([one.center_mm for one in every]),
+        np.concatenate([one.radius_mm for one in every]),
         impact,
-        depth,
-        len(balls),
+        volume.center_mm[1] + volume.size_mm[1] / 2.0 - impact[1],
+        len(every),
     )
 
 
-def images(data: Dataset) -> bytes:
-    """What the cameras saw, as a PNG."""
-    seen = data.observation(0)
-    return pictures.backlit(seen.images, seen.black_dn, seen.white_dn)
-
-
-def picture(data: Dataset, result: Result | str) -> bytes:
-    """The bubbles that were found, from the front and from the side, as a PNG."""
-    from sabench.plotting.charts import draw
-    from sabench.tasks.figures.bubbles import bubble_figure
-
-    return draw(bubble_figure(estimate(data, result, 0), "bubbles"))
-
-
-def error_picture(data: Dataset, result: Result) -> bytes:
-    """Bubbles that were found, missed, and found where there are none, as a PNG."""
-    from sabench.plotting.charts import draw
-    from sabench.tasks.figures.bubbles import detection_figure
-
-    return draw(detection_figure(result.bubbles(0), data.bubbles(0)))
+TASK = BubblesTask()

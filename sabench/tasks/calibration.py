@@ -1,22 +1,20 @@
-"""The calibration track: a target's points in, cameras out; scored by what these cameras make of points."""
+"""Calibration: a target's points in, cameras out; scored by where these cameras see points."""
 
 from __future__ import annotations
 
+import math
 import time
+from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from sabench.algorithms.calibration.parameters import Frame
-from sabench.api import (
-    Calibration,
-    CalibrationCase,
-    CalibrationSolver,
-    Observation,
-    SelfCalibrationSolver,
-)
+from sabench.api import Calibration, CalibrationCase, Observation
 from sabench.dataset.reader import Dataset
 from sabench.dataset.results import Result, ResultWriter
+from sabench.geometry.camera import Camera
 from sabench.metrics.calibration_error import (
     align_particles,
     calibration_scores,
@@ -28,7 +26,8 @@ from sabench.metrics.calibration_error import (
     target_points,
 )
 from sabench.plotting import pictures
-from sabench.tasks.solver_call import attempt
+from sabench.tasks.solver_call import call_solver
+from sabench.tasks.task import Captions, Figures, Score, Source, Task
 from sabench.utils.arrays import F64
 from sabench.utils.errors import InputError
 from sabench.utils.rng import stream
@@ -38,115 +37,211 @@ _HELD_OUT = 500  # points that no calibration sees; thesis, section 4.4.2
 _PARTICLES = 2000
 
 
-def run(
-    algorithm: CalibrationSolver | SelfCalibrationSolver,
-    name: str,
-    data: Dataset,
-    writer: ResultWriter,
-) -> list[float]:
-    """Calibrate once, from all frames of a target or the first one of particles; returns the seconds that it took.
+class CalibrationTask(Task):
+    """Calibration of cameras, by a target or by particles."""
 
-    Raises
-    ------
-    InputError
-        A solver that declines, raises or returns something else than as many cameras as there are.
-    """
-    case: Any = data.calibration_case() if data.shows_target else data.observation(0)
-    start = time.perf_counter()
-    answer = _attempt(algorithm, name, case)
-    seconds = time.perf_counter() - start
-    writer.add_calibration(answer)
-    return [seconds]
-
-
-def _attempt(
-    algorithm: CalibrationSolver | SelfCalibrationSolver, name: str, case: Any
-) -> Calibration:
-    answer: Calibration = attempt(algorithm, name, case, Calibration)
-    return _checked(answer, f"solver {name}", case)
-
-
-def _checked(answer: Calibration, source: str, case: CalibrationCase | Observation) -> Calibration:
-    """A solver's or a file's calibration, if it fits the case."""
-    names, expected = (
-        [camera.name for camera in answer.cameras],
-        [camera.name for camera in case.cameras],
+    name = "calibration"
+    shown = "target"
+    estimate = Calibration
+    # fmt: off
+    scores = (
+        Score("true_px", "true px", "px", "smaller", 4,
+              "mean distance of reprojected points from where they truly are in the images"),
+        Score("bound_px", "bound px", "px", "steady", 4,
+              "the least of these that the data allow (Cramer-Rao)"),
+        Score("true_ratio", "true / bound", "", "smaller", 3,
+              "true px over bound px"),
+        Score("measured_px", "measured px", "px", "smaller", 4,
+              "mean distance of reprojected points from where they were found"),
+        Score("x_std_mm", "x std mm", "mm", "smaller", 4,
+              "scatter of the points' errors along X, after a shift in X and Y and a turn "
+              "about the wall's normal"),
+        Score("y_std_mm", "y std mm", "mm", "smaller", 4,
+              "the same along Y"),
+        Score("z_std_mm", "z std mm", "mm", "smaller", 4,
+              "the same along Z"),
+        Score("z_mean_mm", "z mean mm", "mm", "smaller", 3,
+              "mean error along Z, which images through a plane wall hardly show"),
+        Score("z_std_ratio", "z std / bound", "", "smaller", 3,
+              "scatter along Z over its bound"),
+        Score("held_out_mm", "held out mm", "mm", "smaller", 4,
+              "root mean square error of other points in the volume, intersected from noisy "
+              "images"),
+        Score("held_out_exact_mm", "with exact cameras", "mm", "steady", 4,
+              "the same with the true cameras"),
+        Score("bound_z_mean_mm", "bound z mean mm", "mm", "steady", 4,
+              "the least z mean mm that the data allow (Cramer-Rao)", hidden=True),
+        Score("efficiency_ratio", "efficiency ratio", "", "unity", 4,
+              "true over measured px, over the same ratio of an efficient estimate", hidden=True),
+        Score("used_percent", "used percent", "%", "larger", 4,
+              "share of the observations that the algorithm accepted", hidden=True),
+        Score("found_bias_column_px", "found bias column px", "px", "steady", 4,
+              "mean error of detection along the columns", hidden=True),
+        Score("found_bias_row_px", "found bias row px", "px", "steady", 4,
+              "mean error of detection along the rows", hidden=True),
+        Score("found_std_px", "found std px", "px", "steady", 4,
+              "scatter of detection", hidden=True),
+        Score("index_error", "index error", "", "smaller", 4,
+              "largest error of a refractive index of the wall", hidden=True),
+        Score("thickness_error_mm", "thickness error mm", "mm", "smaller", 4,
+              "largest error of a layer's thickness", hidden=True),
+        Score("spacing_mm", "spacing mm", "mm", "smaller", 4,
+              "error of the spacing between a traversed target's planes", hidden=True),
+        Score("x_std_ratio", "x std ratio", "", "smaller", 4,
+              "scatter along X over its bound", hidden=True),
+        Score("y_std_ratio", "y std ratio", "", "smaller", 4,
+              "scatter along Y over its bound", hidden=True),
+        Score("x_mean_mm", "x mean mm", "mm", "smaller", 4,
+              "mean error along X", hidden=True),
+        Score("y_mean_mm", "y mean mm", "mm", "smaller", 4,
+              "mean error along Y", hidden=True),
+        Score("raw_x_std_mm", "raw x std mm", "mm", "smaller", 4,
+              "scatter of the points' errors along X without alignment", hidden=True),
+        Score("raw_x_mean_mm", "raw x mean mm", "mm", "smaller", 4,
+              "mean of the points' errors along X without alignment", hidden=True),
+        Score("raw_y_std_mm", "raw y std mm", "mm", "smaller", 4,
+              "scatter of the points' errors along Y without alignment", hidden=True),
+        Score("raw_y_mean_mm", "raw y mean mm", "mm", "smaller", 4,
+              "mean of the points' errors along Y without alignment", hidden=True),
+        Score("raw_z_std_mm", "raw z std mm", "mm", "smaller", 4,
+              "scatter of the points' errors along Z without alignment", hidden=True),
+        Score("raw_z_mean_mm", "raw z mean mm", "mm", "smaller", 4,
+              "mean of the points' errors along Z without alignment", hidden=True),
+        Score("shift_x_std_mm", "shift x std mm", "mm", "smaller", 4,
+              "scatter of the points' errors along X after a shift", hidden=True),
+        Score("shift_x_mean_mm", "shift x mean mm", "mm", "smaller", 4,
+              "mean of the points' errors along X after a shift", hidden=True),
+        Score("shift_y_std_mm", "shift y std mm", "mm", "smaller", 4,
+              "scatter of the points' errors along Y after a shift", hidden=True),
+        Score("shift_y_mean_mm", "shift y mean mm", "mm", "smaller", 4,
+              "mean of the points' errors along Y after a shift", hidden=True),
+        Score("shift_z_std_mm", "shift z std mm", "mm", "smaller", 4,
+              "scatter of the points' errors along Z after a shift", hidden=True),
+        Score("shift_z_mean_mm", "shift z mean mm", "mm", "smaller", 4,
+              "mean of the points' errors along Z after a shift", hidden=True),
+        Score("rigid_x_std_mm", "rigid x std mm", "mm", "smaller", 4,
+              "scatter of the points' errors along X after a rigid motion", hidden=True),
+        Score("rigid_x_mean_mm", "rigid x mean mm", "mm", "smaller", 4,
+              "mean of the points' errors along X after a rigid motion", hidden=True),
+        Score("rigid_y_std_mm", "rigid y std mm", "mm", "smaller", 4,
+              "scatter of the points' errors along Y after a rigid motion", hidden=True),
+        Score("rigid_y_mean_mm", "rigid y mean mm", "mm", "smaller", 4,
+              "mean of the points' errors along Y after a rigid motion", hidden=True),
+        Score("rigid_z_std_mm", "rigid z std mm", "mm", "smaller", 4,
+              "scatter of the points' errors along Z after a rigid motion", hidden=True),
+        Score("rigid_z_mean_mm", "rigid z mean mm", "mm", "smaller", 4,
+              "mean of the points' errors along Z after a rigid motion", hidden=True),
     )
+    # fmt: on
+    captions = Captions(
+        heading="Errors in the images",
+        estimates="From where the target's points were found to where the calibration sees them; "
+        "the number is the magnification of the arrows.",
+        cameras="Points of the target that every camera found, each frame in its own grey, or the "
+        "images of the particles.",
+    )
+
+    def frames(self, data: Dataset) -> Sequence[int]:
+        """Only [0]: one calibration serves all frames."""
+        return [0]
+
+    def run(self, algorithm: Any, name: str, data: Dataset, writer: ResultWriter) -> list[float]:
+        """Calibrate once, by all frames of a target or the first frame of particles."""
+        case = _case(data)
+        start = time.perf_counter()
+        answer = call_solver(algorithm, name, case, Calibration)
+        seconds = time.perf_counter() - start
+        check_calibration(answer, f"solver {name}", case)
+        writer.add(answer)
+        return [seconds]
+
+    def read(self, data: Dataset, source: Source, frame: int = 0) -> Calibration:
+        """Read a result's calibration, or make the best or the worst possible one."""
+        answer: Calibration = super().read(data, source, frame)
+        if isinstance(source, Result):
+            check_calibration(answer, str(source.path), _case(data))
+        return answer
+
+    def truth(self, data: Dataset, frame: int = 0) -> Calibration:
+        """Make the true cameras and points."""
+        points = data.placed().points_mm if data.shows_target else None
+        return Calibration(data.true_cameras, points)
+
+    def empty(self, data: Dataset, frame: int = 0) -> Calibration:
+        """Make the nominal cameras, as solvers receive them."""
+        return Calibration(data.rig.cameras)
+
+    def wrong(self, data: Dataset, frame: int = 0) -> Calibration:
+        """Shift every camera's principal point and stretch the target's points about their middle."""
+        points = data.placed().points_mm
+        middle = points.reshape(-1, 3).mean(axis=0)
+        cameras = tuple(_shifted(camera, n) for n, camera in enumerate(data.true_cameras))
+        return Calibration(cameras, middle + (points - middle) * [1.001, 0.999, 1.003])
+
+    def score(self, data: Dataset, source: Source) -> Figures:
+        """Score a calibration."""
+        answer = self.read(data, source)
+        if not data.shows_target:
+            return self_calibration_scores(answer.cameras, *_particles(data))
+        case, truth_mm = data.calibration_case(), data.placed().points_mm
+        exact, outliers = data.sightings()
+        good = case.found & ~outliers
+        scores = calibration_scores(answer, case, data.true_cameras, truth_mm, exact, good)
+        noise_px = detection_noise(case.pixels, exact, good)
+        motion = Frame.from_cameras(data.true_cameras, truth_mm).motion
+        aligned = target_alignment(target_points(answer, case), truth_mm, motion)
+        held_out = _held_out(data, noise_px)
+        others = held_out_scores(answer.cameras, data.true_cameras, *held_out, motion, aligned)
+        return scores | others
+
+    def images(self, data: Dataset) -> bytes:
+        """Draw the found points of the target, or the images of the particles, as a PNG."""
+        if not data.shows_target:
+            return super().images(data)
+        first = data.rig.cameras[0]
+        return pictures.dots(data.calibration_case().pixels, first.rows, first.columns)
+
+    def picture(self, data: Dataset, source: Source) -> bytes:
+        """Draw the true reprojection errors, or for the truth the errors of detection, as a PNG."""
+        first = data.rig.cameras[0]
+        if not data.shows_target:
+            truth_mm, exact = _particles(data)
+            _, again, _ = align_particles(self.read(data, source).cameras, truth_mm, exact)
+            arrows = (exact[:, None], (again - exact)[:, None])
+            return pictures.arrows(*arrows, first.rows, first.columns)
+        exact, case = data.sightings()[0], data.calibration_case()
+        if source == "truth":
+            return pictures.arrows(exact, case.pixels - exact, first.rows, first.columns)
+        answer = self.read(data, source)
+        again = reproject(answer.cameras, target_points(answer, case))
+        return pictures.arrows(exact, again - exact, first.rows, first.columns)
+
+
+def _case(data: Dataset) -> CalibrationCase | Observation:
+    return data.calibration_case() if data.shows_target else data.observation(0)
+
+
+def check_calibration(
+    answer: Calibration, source: str, case: CalibrationCase | Observation
+) -> None:
+    """Raise an InputError for a calibration that does not fit its case; `source` opens the sentence."""
+    names = [camera.name for camera in answer.cameras]
+    expected = [camera.name for camera in case.cameras]
     if names != expected:
         raise InputError(f"{source}: expected the cameras {expected}, got {names}")
     if not isinstance(case, CalibrationCase):
-        return answer
-    if answer.points_mm is not None and answer.points_mm.shape != case.rough_mm.shape:
-        raise InputError(
-            f"{source}: points_mm: expected the shape {case.rough_mm.shape}, got {answer.points_mm.shape}"
-        )
-    if answer.used is not None and (
-        answer.used.shape != case.found.shape or answer.used.dtype != np.bool_
-    ):
-        raise InputError(
-            f"{source}: used: expected bool of the shape {case.found.shape}, got {answer.used.dtype} of {answer.used.shape}"
-        )
-    return answer
+        return
+    frames, points = case.rough_mm.shape[:2]
+    try:
+        answer.check(camera=len(case.cameras), frame=frames, point=points)
+    except InputError as error:
+        raise InputError(f"{source}: {error}") from error
 
 
-def estimate(data: Dataset, result: Result | str) -> Calibration:
-    """A result's calibration, or the one that the word `truth` or `empty` stands for: the true cameras, or those that solvers are told."""
-    if isinstance(result, Result):
-        case = data.calibration_case() if data.shows_target else data.observation(0)
-        return _checked(result.calibration(), str(result.path), case)
-    if result == "truth":
-        return Calibration(
-            data.true_cameras, data.placed().points_mm if data.shows_target else None
-        )
-    return Calibration(data.rig.cameras)
-
-
-def copy(data: Dataset, result: Result, writer: ResultWriter) -> None:
-    """Write a foreign calibration anew; reading checks it."""
-    writer.add_calibration(estimate(data, result))
-
-
-def score_result(data: Dataset, result: Result | str) -> dict[str, float | None]:
-    """Score a calibration."""
-    answer = estimate(data, result)
-    if not data.shows_target:
-        return self_calibration_scores(answer.cameras, *_particles(data))
-    case, truth_mm, (exact, outliers) = (
-        data.calibration_case(),
-        data.placed().points_mm,
-        data.sightings(),
-    )
-    good = case.found & ~outliers
-    scores = calibration_scores(answer, case, data.true_cameras, truth_mm, exact, good)
-    noise_px = detection_noise(case.pixels, exact, good)
-    motion = Frame.from_cameras(data.true_cameras, truth_mm).motion
-    aligned = target_alignment(target_points(answer, case), truth_mm, motion)
-    held_out = _held_out(data, noise_px)
-    return scores | held_out_scores(answer.cameras, data.true_cameras, *held_out, motion, aligned)
-
-
-def images(data: Dataset) -> bytes:
-    """What the cameras found of the target in all frames, or saw of the particles in the first, as a PNG."""
-    if not data.shows_target:
-        seen = data.observation(0)
-        return pictures.montage(seen.images, seen.black_dn, seen.white_dn)
-    first = data.rig.cameras[0]
-    return pictures.dots(data.calibration_case().pixels, first.rows, first.columns)
-
-
-def picture(data: Dataset, result: Result | str) -> bytes:
-    """True reprojection errors of an estimate, as a PNG; of the truth: the errors of detection."""
-    first = data.rig.cameras[0]
-    if not data.shows_target:
-        truth_mm, exact = _particles(data)
-        _, again, _ = align_particles(estimate(data, result).cameras, truth_mm, exact)
-        return pictures.arrows(exact[:, None], (again - exact)[:, None], first.rows, first.columns)
-    exact, case = data.sightings()[0], data.calibration_case()
-    if result == "truth":
-        return pictures.arrows(exact, case.pixels - exact, first.rows, first.columns)
-    answer = estimate(data, result)
-    again = reproject(answer.cameras, target_points(answer, case))
-    return pictures.arrows(exact, again - exact, first.rows, first.columns)
+def _shifted(camera: Camera, number: int) -> Camera:
+    column, row = camera.principal_point_px
+    shift = (0.3 * math.cos(number), 0.2 * math.sin(2.0 * number))
+    return replace(camera, principal_point_px=(column + shift[0], row + shift[1]))
 
 
 def _particles(data: Dataset) -> tuple[F64, F64]:
@@ -154,21 +249,21 @@ def _particles(data: Dataset) -> tuple[F64, F64]:
     truth_mm = data.particles(0).position_mm
     order = stream(data.manifest.seed, "held out").permutation(len(truth_mm))
     truth_mm = truth_mm[order[:_PARTICLES]]
-    return truth_mm, np.stack(
-        [exact_pixels(camera, truth_mm[None])[0] for camera in data.true_cameras]
-    )
+    exact = [exact_pixels(camera, truth_mm[None])[0] for camera in data.true_cameras]
+    return truth_mm, np.stack(exact)
 
 
 def _held_out(data: Dataset, noise_px: float) -> tuple[F64, F64]:
     """Random points (n, 3) of the volume, and noisy pixels (camera, n, 2) by the true cameras."""
-    volume = data.scene.volume
-    rng = stream(data.manifest.seed, "held out")
-    points_mm = np.asarray(volume.center_mm) + (rng.random((_HELD_OUT, 3)) - 0.5) * np.asarray(
-        volume.size_mm
-    )
+    volume, rng = data.scene.volume, stream(data.manifest.seed, "held out")
+    aside = (rng.random((_HELD_OUT, 3)) - 0.5) * np.asarray(volume.size_mm)
+    points_mm = np.asarray(volume.center_mm) + aside
     pixels = np.full((len(data.true_cameras), _HELD_OUT, 2), np.nan)
     for number, camera in enumerate(data.true_cameras):
         there, valid = camera.project(points_mm)
         seen = valid & camera.contains(there)
         pixels[number, seen] = there[seen] + noise_px * rng.standard_normal((int(seen.sum()), 2))
     return points_mm, pixels
+
+
+TASK = CalibrationTask()

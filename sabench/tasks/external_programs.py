@@ -22,8 +22,8 @@ from sabench.dataset.reader import Dataset, open_dataset
 from sabench.dataset.results import Result, open_result, result_writer
 from sabench.utils.errors import InputError
 from sabench.utils.files import canonical_json, clear_abandoned, inside, is_file
-from sabench.utils.processes.isolated import apart
-from sabench.utils.processes.limited import Limits, run_confined
+from sabench.utils.processes.isolated import call_isolated
+from sabench.utils.processes.limited import Limits, run_limited
 from sabench.utils.progress import console
 from sabench.utils.validation import printable
 
@@ -87,7 +87,7 @@ def run_program(
         scratch.mkdir()
         result = scratch / "result.h5"
         console.print(f"{path.name}: at most {limits.time_s:g} s", markup=False, highlight=False)
-        cost = run_confined(
+        cost = run_limited(
             [str(path), str(view), str(result), *_words(parameters or {})],
             scratch,
             limits,
@@ -97,7 +97,7 @@ def run_program(
         told = (solver_name(program), parameters or {}, cost.seconds, cost.peak_mb)
         try:
             probe(result)
-            apart(
+            call_isolated(
                 adopt,
                 result,
                 dataset.root,
@@ -167,12 +167,8 @@ def adopt(
     data = open_dataset(root)
     result = open_result(path, data)
     solver, parameters, seconds, peak_mb = told or (result.solver, result.parameters, None, None)
-    with result_writer(out, data, solver, result.track, parameters, overwrite=overwrite) as writer:
-        tasks.of(result.track).copy(data, result, writer)
+    task = tasks.of(result.task)
+    with result_writer(out, data, solver, task.name, parameters, overwrite=overwrite) as writer:
+        task.copy(data, result, writer)
         if seconds is not None:
-            writer.set_cost(seconds / max(1, steps(data, result.track)), peak_mb)
-
-
-def steps(data: Dataset, track: str) -> int:
-    """How many times a solver is called: once for each frame, or each pair of them, or once."""
-    return {"velocimetry": len(data.rig.pairs()), "calibration": 1}.get(track, data.rig.frames)
+            writer.set_cost(seconds / max(1, len(task.frames(data))), peak_mb)

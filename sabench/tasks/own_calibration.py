@@ -25,8 +25,8 @@ from sabench.algorithms.calibration.target_detection import detect
 from sabench.api import Calibration, CalibrationCase
 from sabench.api.make import make_algorithm
 from sabench.api.truth import Pattern, Target
-from sabench.dataset.results import camera_record
 from sabench.geometry.camera import Camera, Distortion, aim, aimed_rotation
+from sabench.geometry.camera_records import record_camera
 from sabench.plotting import pictures
 from sabench.scenes.build import build_wall
 from sabench.scenes.wall import WallSpec
@@ -146,7 +146,7 @@ def calibrate(
     report, errors = report_on(case, answer, points)
     with complete_or_nothing(out, overwrite=overwrite) as partial:
         partial.mkdir()
-        records = [camera_record(camera) for camera in answer.cameras]
+        records = [record_camera(camera) for camera in answer.cameras]
         (partial / "cameras.json").write_text(
             canonical_json({"format": "sabench-cameras", "version": 1, "cameras": records}),
             encoding="utf-8",

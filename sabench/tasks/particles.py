@@ -1,15 +1,16 @@
-"""The particles track: the frames of a film in, the particles of each of them out, with tracks if the algorithm makes some."""
+"""Particles: an image sequence in, the particles of each of its frames out, linked or not."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
 from sabench.algorithms.particles.linking import link
-from sabench.api import Film, FoundParticles, Observation, ParticleSolver
+from sabench.api import Film, FoundParticles, Observation
 from sabench.api.truth import Particles
 from sabench.dataset.reader import Dataset
 from sabench.dataset.results import Result, ResultWriter
@@ -19,18 +20,137 @@ from sabench.metrics.averages import finite_or_none, mean_of_each, root_mean_squ
 from sabench.metrics.particle_detection import challenge_pairs, count_challenge
 from sabench.metrics.trajectories import link_scores
 from sabench.plotting import pictures
-from sabench.tasks.solver_call import attempt
+from sabench.tasks.reconstruction import PARTICLE_IMAGES
+from sabench.tasks.solver_call import call_solver
+from sabench.tasks.task import Captions, Figures, Score, Source, Task
 from sabench.utils import memory
 from sabench.utils.arrays import F64, I64, Bool
 from sabench.utils.errors import InputError
 from sabench.utils.progress import track
 
-_DRAWN_VOXELS = 1.0  # standard deviation of the balls of light that stand for particles in pictures
+_DRAWN_VOXELS = 1.0  # standard deviation of the Gaussian blobs that particles are drawn as
+
+
+class ParticlesTask(Task):
+    """Finding and tracking of particles."""
+
+    name = "particles"
+    shown = "particles"
+    estimate = FoundParticles
+    # fmt: off
+    scores = (
+        Score("f1", "F1", "", "larger", 3,
+              "harmonic mean of precision and recall", counted=True),
+        Score("precision", "precision", "", "larger", 3,
+              "share of the detections that are true, closer than 1 voxel along every axis, "
+              "one to one", counted=True),
+        Score("recall", "recall", "", "larger", 3,
+              "share of the true particles that were found", counted=True),
+        Score("ghost_percent", "ghost %", "%", "smaller", 1,
+              "detections that are no true particle, relative to those that are", counted=True),
+        Score("rms_px", "rms px", "px", "smaller", 3,
+              "root mean square distance of found from true particles in the images, mean "
+              "over cameras and pairs"),
+        Score("rms_mm", "rms mm", "mm", "smaller", 4,
+              "root mean square distance between them in space"),
+        Score("link_recall", "link recall", "", "larger", 3,
+              "share of the particles found in two frames that follow each other that one "
+              "track joins", counted=True),
+        Score("link_precision", "link precision", "", "larger", 3,
+              "share of the links between such frames that join the same particle", counted=True),
+        Score("effectiveness", "effectiveness", "", "larger", 3,
+              "share of a particle's frames in which its longest track has it, mean over the "
+              "particles", counted=True),
+        Score("velocity_mm_s", "velocity mm/s", "mm/s", "smaller", 3,
+              "median error of the velocity of right links, against the true mean velocity "
+              "between the frames"),
+        Score("velocity_percent", "velocity %", "%", "smaller", 2,
+              "the same over that velocity"),
+    )
+    # fmt: on
+    captions = Captions(
+        heading="Particles in the middle slice",
+        estimates="Found particles as Gaussian blobs on the grid, in the same window of the middle "
+        "z plane of the scored volume, x to the right, y down.",
+        cameras=PARTICLE_IMAGES,
+    )
+
+    def run(self, algorithm: Any, name: str, data: Dataset, writer: ResultWriter) -> list[float]:
+        """Find the particles of every sequence; returns seconds per frame, without reading images."""
+        seconds, every = [], []
+        for frames in track(data.rig.sequences(), f"particles by {name}"):
+            reader = _Reader(data, frames)
+            times = tuple(data.rig.time_s(frame) for frame in frames)
+            film = Film(data.rig.cameras, data.rig.grid, times, reader)
+            start = time.perf_counter()
+            found = _call(algorithm, name, film, frames)
+            took = time.perf_counter() - start - reader.seconds
+            seconds += [took / len(frames)] * len(frames)
+            every += found
+            memory.trim()
+        for frame, one in enumerate(linked(data.rig, every)):
+            writer.add(one, frame)
+        return seconds
+
+    def copy(self, data: Dataset, result: Result, writer: ResultWriter) -> None:
+        """Write the particles of a foreign result anew, linked if it has no trajectories."""
+        for frame, one in enumerate(self._all(data, result)):
+            writer.add(one, frame)
+
+    def truth(self, data: Dataset, frame: int) -> FoundParticles:
+        """Make the true particles, with their identities."""
+        particles = data.particles(frame)
+        return FoundParticles(particles.position_mm, None, particles.id.astype(np.int64))
+
+    def empty(self, data: Dataset, frame: int) -> FoundParticles:
+        """Make no particles."""
+        return FoundParticles(np.zeros((0, 3)), None, np.zeros(0, dtype=np.int64))
+
+    def wrong(self, data: Dataset, frame: int) -> FoundParticles:
+        """Drop some true particles, move the others, add ghosts, and swap trajectories at times."""
+        true, voxel = data.particles(frame), np.asarray(data.rig.grid.voxel_mm)
+        kept = np.flatnonzero(true.id % 7 != 3)
+        angle = true.id[kept] + 0.5 * frame
+        aside = np.stack([np.sin(angle), np.cos(1.3 * angle), np.sin(0.7 * angle + 1.0)], axis=1)
+        moved = true.position_mm[kept] + 0.4 * voxel * aside
+        ghosts = true.position_mm[::6] + voxel * [5.0, -4.0, 6.0]
+        numbers = true.id[kept].astype(np.int64)
+        if frame % 2 and len(numbers) > 3:
+            numbers[[0, 1, 2]] = numbers[[1, 2, 0]]
+        first = int(true.id.max(initial=-1)) + 1 + 100_000 * frame
+        numbers = np.concatenate([numbers, first + np.arange(len(ghosts), dtype=np.int64)])
+        return FoundParticles(np.concatenate([moved, ghosts]), None, numbers)
+
+    def score(self, data: Dataset, source: Source) -> Figures:
+        """Average the scores of the frames; those of trajectories come from all frames together."""
+        found = self._all(data, source)
+        truth = [data.particles(frame) for frame in self.frames(data)]
+        pairs = list(zip(found, truth, strict=True))
+        frames = [score_frame(data, one, true) for one, true in track(pairs, "score")]
+        return mean_of_each(frames) | _over_time(data, found, truth)
+
+    def _all(self, data: Dataset, source: Source) -> list[FoundParticles]:
+        """Read the particles of all frames; those without trajectories are linked."""
+        found: list[FoundParticles] = [self.read(data, source, n) for n in self.frames(data)]
+        missing = [number for number, one in enumerate(found) if one.trajectory is None]
+        if isinstance(source, Result) and 0 < len(missing) < len(found):
+            raise InputError(
+                f"{source.path}: {frame_group(missing[0])}/particles/track: "
+                "expected one in every frame or in none, found none here"
+            )
+        return linked(data.rig, found)
+
+    def picture(self, data: Dataset, source: Source) -> bytes:
+        """Draw the particles in a slice as Gaussian blobs, as a PNG."""
+        grid, positions = data.rig.grid, self.read(data, source, 0).position_mm
+        sigma_mm = _DRAWN_VOXELS * grid.voxel_mm[0]
+        volume = synthesise(grid, positions, np.ones(len(positions)), sigma_mm)
+        return pictures.slice_picture(volume, grid.scored)
 
 
 @dataclass
 class _Reader:
-    """Reads the frames of one film and counts the seconds that it takes, which are not the solver's."""
+    """Reader of one sequence's frames; counts the seconds that it takes, which are not the solver's."""
 
     data: Dataset
     frames: range
@@ -43,126 +163,65 @@ class _Reader:
         return seen
 
 
-def run(algorithm: ParticleSolver, name: str, data: Dataset, writer: ResultWriter) -> list[float]:
-    """Find the particles of every film; returns the seconds per frame of each, without the reading of images.
-
-    Raises
-    ------
-    InputError
-        A solver that declines, raises, or returns something else than particles of every frame.
-    """
-    seconds, every = [], []
-    for frames in track(data.rig.sequences(), f"particles by {name}"):
-        reader = _Reader(data, frames)
-        film = Film(
-            data.rig.cameras,
-            data.rig.grid,
-            tuple(data.rig.time_s(frame) for frame in frames),
-            reader,
-        )
-        start = time.perf_counter()
-        found = _attempt(algorithm, name, film, frames)
-        seconds += [(time.perf_counter() - start - reader.seconds) / len(frames)] * len(frames)
-        every += found
-        memory.trim()
-    for frame, (one, number) in enumerate(zip(every, _numbers(data.rig, every), strict=True)):
-        writer.add_particles(frame, replace(one, track=number))
-    return seconds
-
-
-def _attempt(
-    algorithm: ParticleSolver, name: str, film: Film, frames: range
-) -> list[FoundParticles]:
-    """One call of a solver; what it returns is checked here."""
-    found: list[FoundParticles] = attempt(
-        algorithm, name, film, list, f" on frames {frames[0]} to {frames[-1]}"
-    )
+def _call(algorithm: Any, name: str, film: Film, frames: range) -> list[FoundParticles]:
+    """Call a solver on a sequence and check what it returns."""
+    where = f" on frames {frames[0]} to {frames[-1]}"
+    found: list[FoundParticles] = call_solver(algorithm, name, film, list, where)
     other = next((type(one).__name__ for one in found if not isinstance(one, FoundParticles)), "")
     if len(found) != len(frames) or other:
         raise InputError(
-            f"solver {name}: expected FoundParticles for each of {len(frames)} frames, got {len(found)} of {other or 'them'}"
+            f"solver {name}: expected FoundParticles for each of {len(frames)} frames, "
+            f"got {len(found)} of {other or 'them'}"
         )
-    if len({one.track is None for one in found}) > 1:
+    if len({one.trajectory is None for one in found}) > 1:
         raise InputError(
-            f"solver {name}: expected track numbers in every frame or in none, got them in some"
+            f"solver {name}: expected trajectories in every frame or in none, got them in some"
         )
     return found
 
 
-def _numbers(rig: CamerasFile, found: Sequence[FoundParticles]) -> list[I64]:
-    """Numbers (n,) of every frame's tracks: the solver's own, or those that `link` makes; none goes from one group of pulses to the next."""
+def linked(rig: CamerasFile, found: Sequence[FoundParticles]) -> list[FoundParticles]:
+    """Number the trajectories of every frame's particles: by the solver's own numbers, or by linking.
+
+    No trajectory goes from one group of pulses to the next.
+    """
     out: list[I64] = []
     for frames in rig.sequences():
-        own = [number for frame in frames if (number := found[frame].track) is not None]
-        places = [found[frame].position_mm for frame in frames]
-        part = (
-            own
-            if len(own) == len(frames)
-            else link(
-                places,
-                [np.ones(len(one)) for one in places],
-                [rig.time_s(frame) for frame in frames],
-            )
-        )
-        first = (
-            max((int(one.max(initial=-1)) for one in out), default=-1)
-            + 1
-            - min((int(one.min(initial=0)) for one in part), default=0)
-        )
-        out.extend(first + one for one in part)
-    return out
+        own = [number for frame in frames if (number := found[frame].trajectory) is not None]
+        part = own if len(own) == len(frames) else _link(rig, found, frames)
+        last = max((int(one.max(initial=-1)) for one in out), default=-1)
+        lowest = min((int(one.min(initial=0)) for one in part), default=0)
+        out.extend(last + 1 - lowest + one for one in part)
+    return [replace(one, trajectory=number) for one, number in zip(found, out, strict=True)]
 
 
-def copy(data: Dataset, result: Result, writer: ResultWriter) -> None:
-    """Write the particles of every frame of a foreign result anew, with its tracks or those that `link` makes; reading checks it."""
-    found = [result.particles(frame) for frame in range(data.rig.frames)]
-    for frame, (one, number) in enumerate(zip(found, _tracks(data, result, found), strict=True)):
-        writer.add_particles(frame, replace(one, track=number))
+def _link(rig: CamerasFile, found: Sequence[FoundParticles], frames: range) -> list[I64]:
+    positions = [found[frame].position_mm for frame in frames]
+    sizes, times = [np.ones(len(one)) for one in positions], [rig.time_s(n) for n in frames]
+    return link(positions, sizes, times)
 
 
-def score_result(data: Dataset, result: Result | str) -> dict[str, float | None]:
-    """All scores: means over the frames, and the figures of tracks from all frames together."""
-    found = [estimate(data, result, frame) for frame in range(data.rig.frames)]
-    true = [data.particles(frame) for frame in range(data.rig.frames)]
-    frames = [
-        score_frame(data, guess, known)
-        for guess, known in track(list(zip(found, true, strict=True)), "score")
-    ]
-    return mean_of_each(frames) | _over_time(data, result, found, true)
-
-
-def estimate(data: Dataset, result: Result | str, frame: int) -> FoundParticles:
-    """The estimate of a frame: a result's, or the one that the word `truth` or `empty` stands for."""
-    if isinstance(result, Result):
-        return result.particles(frame)
-    if result == "truth":
-        particles = data.particles(frame)
-        return FoundParticles(particles.position_mm, None, particles.id.astype(np.int64))
-    return FoundParticles(np.zeros((0, 3)), None, np.zeros(0, dtype=np.int64))
-
-
-def score_frame(data: Dataset, guess: FoundParticles, known: Particles) -> dict[str, float | None]:
-    """The figures of one frame's particles."""
+def score_frame(data: Dataset, estimate: FoundParticles, truth: Particles) -> Figures:
+    """Score one frame's particles."""
     grid = data.rig.grid
-    found, truths = grid.to_voxels(guess.position_mm), grid.to_voxels(known.position_mm)
-    counts = count_challenge(found, truths, grid.in_scored(found), grid.in_scored(truths))
-    i, j = _scored_pairs(found, truths, grid.in_scored(truths))
+    found, true = grid.to_voxels(estimate.position_mm), grid.to_voxels(truth.position_mm)
+    counts = count_challenge(found, true, grid.in_scored(found), grid.in_scored(true))
+    i, j = _scored_pairs(found, true, grid.in_scored(true))
     whole = counts.precision + counts.recall
+    apart = np.linalg.norm(estimate.position_mm[i] - truth.position_mm[j], axis=1)
     return {
         "f1": 2.0 * counts.precision * counts.recall / whole if whole else 0.0,
         "precision": counts.precision,
         "recall": counts.recall,
         "ghost_percent": counts.ghost_percent,
-        "rms_px": _apart_px(data, guess.position_mm[i], known.position_mm[j]),
-        "rms_mm": finite_or_none(
-            root_mean_square(np.linalg.norm(guess.position_mm[i] - known.position_mm[j], axis=1))
-        ),
+        "rms_px": _apart_px(data, estimate.position_mm[i], truth.position_mm[j]),
+        "rms_mm": finite_or_none(root_mean_square(apart)),
     }
 
 
-def _scored_pairs(found: F64, truths: F64, scored: Bool) -> tuple[I64, I64]:
-    """Rows of found and of true particles that belong together and whose truths lie in the scored part."""
-    i, j = challenge_pairs(found, truths)
+def _scored_pairs(found: F64, true: F64, scored: Bool) -> tuple[I64, I64]:
+    """Match found and true particles; keep the pairs whose truths lie in the scored part."""
+    i, j = challenge_pairs(found, true)
     return i[scored[j]], j[scored[j]]
 
 
@@ -176,52 +235,24 @@ def _apart_px(data: Dataset, found_mm: F64, true_mm: F64) -> float | None:
 
 
 def _over_time(
-    data: Dataset, result: Result | str, found: Sequence[FoundParticles], true: Sequence[Particles]
-) -> dict[str, float | None]:
-    """The figures of tracks, over what lies in the scored part or belongs to a particle that does."""
-    grid, places, numbers, identities, truths, matched = data.rig.grid, [], [], [], [], []
-    for guess, known, number in zip(found, true, _tracks(data, result, found), strict=True):
-        there = grid.in_scored(grid.to_voxels(known.position_mm))
-        i, j = _scored_pairs(
-            grid.to_voxels(guess.position_mm), grid.to_voxels(known.position_mm), there
-        )
-        kept = grid.in_scored(grid.to_voxels(guess.position_mm))
+    data: Dataset, found: Sequence[FoundParticles], truth: Sequence[Particles]
+) -> Figures:
+    """Score the trajectories of what lies in the scored part or belongs to a particle that does."""
+    grid, positions, numbers, identities, truths, matched = data.rig.grid, [], [], [], [], []
+    for one, true in zip(found, truth, strict=True):
+        there = grid.in_scored(grid.to_voxels(true.position_mm))
+        places = grid.to_voxels(one.position_mm)
+        i, j = _scored_pairs(places, grid.to_voxels(true.position_mm), there)
+        kept = grid.in_scored(places)
         kept[i] = True
-        places.append(guess.position_mm[kept])
-        numbers.append(number[kept])
-        truths.append(known.position_mm[there])
-        identities.append(known.id[there])
+        positions.append(one.position_mm[kept])
+        numbers.append(np.asarray(one.trajectory)[kept])
+        truths.append(true.position_mm[there])
+        identities.append(true.id[there])
         matched.append(((np.cumsum(kept) - 1)[i], (np.cumsum(there) - 1)[j]))
-    times = [data.rig.time_s(frame) for frame in range(data.rig.frames)]
-    scores = link_scores(places, numbers, truths, identities, matched, times, data.rig.sequences())
+    times, sequences = [data.rig.time_s(n) for n in range(data.rig.frames)], data.rig.sequences()
+    scores = link_scores(positions, numbers, truths, identities, matched, times, sequences)
     return {key: finite_or_none(value) for key, value in scores.items()}
 
 
-def _tracks(data: Dataset, result: Result | str, found: Sequence[FoundParticles]) -> list[I64]:
-    """Numbers of the tracks of every frame's estimate: its own, or what linking makes of it.
-
-    Raises
-    ------
-    InputError
-        A result that has tracks in some frames only.
-    """
-    missing = [frame for frame, one in enumerate(found) if one.track is None]
-    if missing and len(missing) < len(found):
-        where = result.path if isinstance(result, Result) else result
-        raise InputError(
-            f"{where}: {frame_group(missing[0])}/particles/track: expected one in every frame or in none, found none here"
-        )
-    return _numbers(data.rig, found)
-
-
-def images(data: Dataset) -> bytes:
-    """What the cameras saw, as a PNG."""
-    seen = data.observation(0)
-    return pictures.montage(seen.images, seen.black_dn, seen.white_dn)
-
-
-def picture(data: Dataset, result: Result | str) -> bytes:
-    """The particles in a slice, drawn as balls of light, as a PNG."""
-    grid, places = data.rig.grid, estimate(data, result, 0).position_mm
-    volume = synthesise(grid, places, np.ones(len(places)), _DRAWN_VOXELS * grid.voxel_mm[0])
-    return pictures.slice_picture(volume, grid.scored)
+TASK = ParticlesTask()

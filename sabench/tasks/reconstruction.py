@@ -1,170 +1,163 @@
-"""The reconstruction track: one observation in, one volume out, frame by frame."""
+"""Reconstruction: one observation in, one volume out, frame by frame."""
 
 from __future__ import annotations
 
 import itertools
-import time
-from typing import Any
 
 import numpy as np
 
-from sabench.api import Observation, Reconstruction, Solver
+from sabench.api import Observation, Reconstruction
 from sabench.dataset.reader import Dataset
-from sabench.dataset.results import Result, ResultWriter
+from sabench.dataset.results import Result
 from sabench.geometry.visibility import any_in_view
 from sabench.metrics.averages import mean_of_each
 from sabench.metrics.reconstruction_error import score_frame
+from sabench.metrics.synthesised_field import true_field
 from sabench.plotting import pictures
-from sabench.tasks.reconstruction_scores import estimate
-from sabench.tasks.solver_call import attempt
+from sabench.tasks.task import Captions, Figures, FrameByFrame, Score, Source
 from sabench.utils import memory
 from sabench.utils.errors import InputError
 from sabench.utils.progress import track
 
-# float32 volumes that fit beside the images or the solver is not started: its own, and as much
-# again for its work and the checks
+# float32 volumes that must fit next to the images: the solver's own, and as much again for its
+# work and the checks
 _VOLUMES = 2.0
 _TRIED = 33  # voxels along each axis that are looked for in the images
+PARTICLE_IMAGES = (
+    "First frame of every camera, one brightness scale for all; dim particles are raised."
+)
 
 
-def run(algorithm: Solver, name: str, data: Dataset, writer: ResultWriter) -> list[float]:
-    """Reconstruct every frame; returns the seconds that each took.
+class ReconstructionTask(FrameByFrame):
+    """Reconstruction of the volume of intensities of every frame."""
 
-    Raises
-    ------
-    InputError
-        A frame that `check_case` refuses, or a solver that declines, raises, or returns a wrong
-        shape or values that are not finite.
-    """
-    seconds = []
-    for frame in range(data.rig.frames):
-        guess, took = reconstruct(algorithm, name, data, frame)
-        seconds.append(took)
-        writer.add(frame, guess)
-        del guess
-        memory.trim()
-    return seconds
-
-
-def reconstruct(
-    algorithm: Solver, name: str, data: Dataset, frame: int
-) -> tuple[Reconstruction, float]:
-    """One frame, and the seconds that it took; raises as `run` does."""
-    case = data.observation(frame)
-    check_case(case, f"{data.root}: frame {frame}")
-    start = time.perf_counter()
-    guess = _attempt(algorithm, name, case, frame)
-    return guess, time.perf_counter() - start
-
-
-def copy(data: Dataset, result: Result, writer: ResultWriter) -> None:
-    """Write every frame of a foreign result anew; reading checks it."""
-    for frame in range(data.rig.frames):
-        writer.add(frame, result.reconstruction(frame))
-        memory.trim()
-
-
-def score_result(data: Dataset, result: Result | str) -> dict[str, float | None]:
-    """All scores: the means over the frames that have the figure."""
-    frames = [
-        score_frame(
-            data.rig.grid, data.particles(frame), data.views(frame), estimate(data, result, frame)
-        )
-        for frame in track(range(data.rig.frames), "score")
-    ]
-    return mean_of_each(frames)
-
-
-def images(data: Dataset) -> bytes:
-    """What the cameras saw, as a PNG."""
-    seen = data.observation(0)
-    return pictures.montage(seen.images, seen.black_dn, seen.white_dn)
-
-
-def picture(data: Dataset, result: Result | str) -> bytes:
-    """A slice of an estimate, or of the truth, as a PNG."""
-    return pictures.slice_picture(estimate(data, result, 0).volume, data.rig.grid.scored)
-
-
-def error_picture(data: Dataset, result: Result) -> bytes:
-    """The same slice of an estimate minus the truth, as a PNG."""
-    return pictures.error_slice(
-        estimate(data, result, 0).volume, estimate(data, "truth", 0).volume, data.rig.grid.scored
+    name = "reconstruction"
+    shown = "particles"
+    estimate = Reconstruction
+    # fmt: off
+    scores = (
+        Score("q", "Q", "", "larger", 3,
+              "quality factor, the correlation of the reconstructed with the true intensity: "
+              "1 is perfect"),
+        Score("true_percent", "true %", "%", "larger", 1,
+              "share of the true particles that were found within 1.5 voxels", counted=True),
+        Score("ghost_percent", "ghost %", "%", "smaller", 1,
+              "detections that are no true particle, relative to those that are", counted=True),
+        Score("precision", "precision", "", "larger", 3,
+              "share of the detections that are true, closer than 1 voxel along every axis, "
+              "one to one", counted=True),
+        Score("recall", "recall", "", "larger", 3,
+              "share of the true particles that were found, by the same rule", counted=True),
+        Score("rms_px", "rms px", "px", "smaller", 3,
+              "root mean square distance between the pairs of that rule"),
+        Score("peak_true_percent", "peak true %", "%", "larger", 1,
+              "true %, but with particles found as local maxima: those that touch are still "
+              "two", counted=True),
+        Score("peak_ghost_percent", "peak ghost %", "%", "smaller", 1,
+              "ghost % of these", counted=True),
+        Score("peak_precision", "peak precision", "", "larger", 4,
+              "precision of these", counted=True, hidden=True),
+        Score("peak_recall", "peak recall", "", "larger", 4,
+              "recall of these", counted=True, hidden=True),
+        Score("peak_rms_px", "peak rms px", "px", "smaller", 4,
+              "rms px of these", hidden=True),
+    )
+    # fmt: on
+    captions = Captions(
+        heading="Middle slice",
+        estimates="The same central window of the middle z plane of the scored volume, x to the "
+        "right, y down; each figure has its own brightness scale.",
+        cameras=PARTICLE_IMAGES,
+        errors="The estimate, scaled to fit best, minus the truth in the same window: blue is "
+        "missing light, red is too much light. All maps of a case have one scale.",
     )
 
+    def check_case(self, case: Observation, source: str) -> None:
+        """Raise an InputError for an observation that no solver can use; a black image passes."""
+        check_images(case, source)
+        check_memory(case, source)
+        check_view(case, source)
 
-def check_case(case: Observation, source: str) -> None:
-    """Refuse what no algorithm can make anything of; `source` is named in errors. A black image passes: a camera may be covered.
+    def truth(self, data: Dataset, frame: int) -> Reconstruction:
+        """Make the synthesised field, with the true positions."""
+        particles = data.particles(frame)
+        volume = true_field(data.rig.grid, particles, data.views(frame))
+        return Reconstruction(volume, particles.position_mm)
 
-    Raises
-    ------
-    InputError
-        An image that is saturated all over, a grid that does not fit into memory, or one that no
-        camera sees.
-    """
+    def empty(self, data: Dataset, frame: int) -> Reconstruction:
+        """Make a dark volume."""
+        return Reconstruction(np.zeros(data.rig.grid.shape, dtype=np.float32))
+
+    def wrong(self, data: Dataset, frame: int) -> Reconstruction:
+        """Move the true field by less than a voxel and add a fainter copy of a part of it."""
+        true = true_field(data.rig.grid, data.particles(frame), data.views(frame))
+        ghosts = np.roll(true, (3, 11, 17), axis=(0, 1, 2))
+        ghosts[:, :, : true.shape[2] // 2] = 0.0
+        volume = 0.6 * true + 0.4 * np.roll(true, 1, axis=2) + 0.5 * ghosts
+        return Reconstruction(np.asarray(volume, dtype=np.float32))
+
+    def score(self, data: Dataset, source: Source) -> Figures:
+        """Average the scores of the frames that have them."""
+        return mean_of_each(
+            [
+                score_frame(
+                    data.rig.grid,
+                    data.particles(frame),
+                    data.views(frame),
+                    self.read(data, source, frame),
+                )
+                for frame in track(self.frames(data), "score")
+            ]
+        )
+
+    def picture(self, data: Dataset, source: Source) -> bytes:
+        """Draw a slice of the first frame's volume as a PNG."""
+        return pictures.slice_picture(self.read(data, source, 0).volume, data.rig.grid.scored)
+
+    def error_picture(self, data: Dataset, result: Result) -> bytes:
+        """Draw the same slice of the estimate minus the truth as a PNG."""
+        estimate, truth = self.read(data, result, 0), self.truth(data, 0)
+        return pictures.error_slice(estimate.volume, truth.volume, data.rig.grid.scored)
+
+
+def check_images(case: Observation, source: str) -> None:
+    """Raise an InputError for an image that is saturated all over."""
     for camera, image in zip(case.cameras, case.images, strict=True):
         if image.min() >= case.white_dn:
             raise InputError(
-                f"{source}: {camera.name}: expected an image that shows something, but every pixel is saturated ({case.white_dn:g} or more)"
+                f"{source}: {camera.name}: expected an image that shows something, "
+                f"but every pixel is saturated ({case.white_dn:g} or more)"
             )
-    _check_memory(case, source)
+
+
+def check_view(case: Observation, source: str) -> None:
+    """Raise an InputError for a grid that no camera sees."""
     axes = [
         axis[np.unique(np.linspace(0, len(axis) - 1, _TRIED).astype(int))]
         for axis in case.grid.axes_mm
     ]
     if not any_in_view(case.cameras, np.array(list(itertools.product(*axes)))):
         raise InputError(
-            f"{source}: grid: expected it in view of at least one camera, but no camera of {len(case.cameras)} sees any of it"
+            f"{source}: grid: expected it in view of at least one camera, "
+            f"but no camera of {len(case.cameras)} sees any of it"
         )
 
 
-def _check_memory(case: Observation, source: str) -> None:
-    """What a solver needs at least: `_VOLUMES` and the images as float32."""
+def check_memory(case: Observation, source: str) -> None:
+    """Raise an InputError if `_VOLUMES` and the images as float32 do not fit into memory."""
     there, images = memory.available_mb(), case.images.size * 4 / 1e6
     (planes, rows, columns), voxel = case.grid.shape, _VOLUMES * 4 / 1e6
     need = images + planes * rows * columns * voxel
     if there is None or need <= there:
         return
     voxels = max(0, int((there - images) / voxel))
-    largest = (
-        f"{voxels // (rows * columns)} of its planes"
-        if voxels >= rows * columns
-        else f"{voxels} of its voxels"
-    )
+    whole = voxels // (rows * columns)
+    largest = f"{whole} of its planes" if whole else f"{voxels} of its voxels"
     raise InputError(
-        f"{source}: grid: expected it to fit into memory, but its {planes} x {rows} x {columns} voxels (z, y, x) need {need:.0f} MB "
+        f"{source}: grid: expected it to fit into memory, but its "
+        f"{planes} x {rows} x {columns} voxels (z, y, x) need {need:.0f} MB "
         f"where {there:.0f} MB are there: at most {largest} fit"
     )
 
 
-def _attempt(algorithm: Solver, name: str, case: Observation, frame: int) -> Reconstruction:
-    """One call of a solver, which may do anything; what it returns is checked here."""
-    guess: Reconstruction = attempt(algorithm, name, case, Reconstruction, f" on frame {frame}")
-    check_array(name, frame, "volume", guess.volume, np.dtype(np.float32), case.grid.shape)
-    if guess.particles_mm is not None:
-        check_array(
-            name,
-            frame,
-            "particles_mm",
-            guess.particles_mm,
-            np.dtype(np.float64),
-            (len(guess.particles_mm), 3),
-        )
-    return guess
-
-
-def check_array(
-    solver: str, frame: int, what: str, array: Any, kind: np.dtype[Any], shape: tuple[int, ...]
-) -> None:
-    """Refuse an array of another kind or shape, or one with values that are not finite."""
-    if not isinstance(array, np.ndarray) or array.shape != shape or array.dtype != kind:
-        got = (
-            f"{array.dtype} of shape {array.shape}"
-            if isinstance(array, np.ndarray)
-            else type(array).__name__
-        )
-        raise InputError(f"solver {solver}: {what}: expected {kind} of shape {shape}, got {got}")
-    if not np.isfinite(array).all():
-        raise InputError(
-            f"solver {solver}: {what}: expected finite values, got NaN or infinite ones in frame {frame}"
-        )
+TASK = ReconstructionTask()

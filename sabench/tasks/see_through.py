@@ -1,15 +1,13 @@
-"""The see-through track: one observation in, planes out, in which a code behind bubbles is to be read."""
+"""See-through: one observation in, planes out, in which a code behind bubbles is to be read."""
 
 from __future__ import annotations
-
-import time
 
 import numpy as np
 from scipy.spatial import cKDTree
 
-from sabench.api import Code, Reconstruction, SeeThroughSolver
+from sabench.api import Code, Observation, Reconstruction
 from sabench.dataset.reader import Dataset
-from sabench.dataset.results import Result, ResultWriter
+from sabench.dataset.results import Result
 from sabench.geometry.grid import Grid
 from sabench.metrics.averages import mean_of_each
 from sabench.metrics.code_reading import (
@@ -19,9 +17,8 @@ from sabench.metrics.code_reading import (
     single_views,
 )
 from sabench.plotting import pictures
-from sabench.tasks.reconstruction import check_array, check_case
-from sabench.tasks.solver_call import attempt
-from sabench.utils import memory
+from sabench.tasks.reconstruction import check_images, check_memory, check_view
+from sabench.tasks.task import Captions, Figures, FrameByFrame, Score, Source
 from sabench.utils.arrays import F32, F64, I64
 from sabench.utils.progress import track
 from sabench.worlds.readable_codes import code_of
@@ -30,80 +27,114 @@ _ENLARGED_PX, _DRAWN_PX = 400, 200  # longer side of a picture, and of the code 
 _MARGIN = 3.0  # voxels around the code that are shown
 
 
-def run(algorithm: SeeThroughSolver, name: str, data: Dataset, writer: ResultWriter) -> list[float]:
-    """Look through every frame; returns the seconds that each took.
+class SeeThroughTask(FrameByFrame):
+    """Reading of a code through the bubbles in front of it."""
 
-    Raises
-    ------
-    InputError
-        A frame that shows nothing, or a solver that declines, raises, or returns a wrong shape or
-        values that are not finite.
-    """
-    seconds = []
-    for frame in range(data.rig.frames):
-        case = data.observation(frame)
-        check_case(case, f"{data.root}: frame {frame}")
-        start = time.perf_counter()
-        guess: Reconstruction = attempt(algorithm, name, case, Reconstruction, f" on frame {frame}")
-        seconds.append(time.perf_counter() - start)
-        check_array(name, frame, "volume", guess.volume, np.dtype(np.float32), case.grid.shape)
-        writer.add(frame, guess)
-        memory.trim()
-    return seconds
-
-
-def copy(data: Dataset, result: Result, writer: ResultWriter) -> None:
-    """Write every frame of a foreign result anew; reading checks it."""
-    for frame in range(data.rig.frames):
-        writer.add(frame, result.reconstruction(frame))
-        memory.trim()
-
-
-def score_result(data: Dataset, result: Result | str) -> dict[str, float | None]:
-    """All scores: means over the frames; what single cameras show is there to compare with."""
-    return mean_of_each(
-        [_score_frame(data, result, frame) for frame in track(range(data.rig.frames), "score")]
+    name = "see_through"
+    shown = "code"
+    estimate = Reconstruction
+    # fmt: off
+    scores = (
+        Score("read_percent", "read %", "%", "larger", 1,
+              "cells of a code behind bubbles that are read right in the plane where it is; "
+              "guessing gives 50", counted=True),
+        Score("separation", "d'", "", "larger", 2,
+              "difference of the mean bright and dark cells over their scatter"),
+        Score("contrast", "contrast", "", "larger", 3,
+              "difference of these means over their sum"),
+        Score("single_percent", "single views, read %", "%", "steady", 1,
+              "the same of single images, mean over the cameras"),
+        Score("best_single_percent", "best view, read %", "%", "steady", 1,
+              "the best single image"),
+        Score("single_separation", "single views, d'", "", "steady", 2,
+              "the separation in single images, mean over the cameras"),
+    )
+    # fmt: on
+    captions = Captions(
+        heading="The code's plane",
+        estimates="The plane of the stack in which the code behind the bubbles is, each with its "
+        "own brightness scale.",
+        cameras="First frame of every camera.",
+        errors="The code in black and white; red cells are dark and read as bright, blue ones "
+        "bright and read as dark.",
     )
 
+    def check_case(self, case: Observation, source: str) -> None:
+        """Raise an InputError for an observation that no solver can use."""
+        check_images(case, source)
+        check_memory(case, source)
+        check_view(case, source)
 
-def _score_frame(data: Dataset, result: Result | str, frame: int) -> dict[str, float]:
-    code = code_of(data.scene, data.manifest.seed, frame)
-    single = single_views(data.observation(frame).images, data.true_cameras, code.points_mm)
-    return compare_with_single_views(_cells(data, result, frame, code), single, code.dark)
+    def truth(self, data: Dataset, frame: int) -> Reconstruction:
+        """Make planes that are bright where the code is."""
+        code, volume = _code(data, frame), np.zeros(data.rig.grid.shape, dtype=np.float32)
+        return Reconstruction(_brightened(data.rig.grid, volume, code, 1.0))
+
+    def empty(self, data: Dataset, frame: int) -> Reconstruction:
+        """Make dark planes."""
+        return Reconstruction(np.zeros(data.rig.grid.shape, dtype=np.float32))
+
+    def wrong(self, data: Dataset, frame: int) -> Reconstruction:
+        """Make noise that is darker where the code is dark."""
+        rng = np.random.default_rng(frame)
+        volume = rng.random(data.rig.grid.shape, dtype=np.float32)
+        return Reconstruction(_brightened(data.rig.grid, volume, _code(data, frame), 0.5))
+
+    def score(self, data: Dataset, source: Source) -> Figures:
+        """Average the scores of the frames; single cameras are scored for comparison."""
+        frames = track(self.frames(data), "score")
+        return mean_of_each([self._score_frame(data, source, frame) for frame in frames])
+
+    def _score_frame(self, data: Dataset, source: Source, frame: int) -> dict[str, float]:
+        code = _code(data, frame)
+        images = data.observation(frame).images
+        single = single_views(images, data.true_cameras, code.points_mm)
+        return compare_with_single_views(self._cells(data, source, frame), single, code.dark)
+
+    def _cells(self, data: Dataset, source: Source, frame: int) -> F64:
+        """Average the brightness (cell,) of each cell in the planes; the truth is exact."""
+        code = _code(data, frame)
+        if source == "truth":
+            return np.where(code.dark, 0.0, 1.0)
+        if source == "empty":
+            return np.zeros(len(code.dark))
+        return read_volume(data.rig.grid, self.read(data, source, frame).volume, code.points_mm)
+
+    def images(self, data: Dataset) -> bytes:
+        """Draw the first frame of every camera, bright behind the bubbles, as a PNG."""
+        seen = data.observation(0)
+        return pictures.backlit(seen.images, seen.black_dn, seen.white_dn)
+
+    def picture(self, data: Dataset, source: Source) -> bytes:
+        """Draw the code's plane in an estimate, or the code itself, as a PNG."""
+        code = _code(data, 0)
+        if not isinstance(source, Result):
+            return pictures.grey_picture(draw_code(code), _ENLARGED_PX)
+        plane = code_plane(data.rig.grid, self.read(data, source, 0).volume, code)
+        return pictures.grey_picture(plane, _ENLARGED_PX)
+
+    def error_picture(self, data: Dataset, result: Result) -> bytes:
+        """Draw the cells of the code that are read wrong, as a PNG."""
+        code = _code(data, 0)
+        right, where = read_right(self._cells(data, result, 0), code.dark), _nearest(code)
+        return pictures.read_picture(code.dark[where], right[where])
 
 
-def _cells(data: Dataset, result: Result | str, frame: int, code: Code) -> F64:
-    """Mean brightness (cell,) of each cell: in a result's planes, or what the word `truth` or `empty` stands for."""
-    if not isinstance(result, Result):
-        return np.where(code.dark, 0.0, 1.0) if result == "truth" else np.zeros(len(code.dark))
-    return read_volume(data.rig.grid, result.reconstruction(frame).volume, code.points_mm)
+def _code(data: Dataset, frame: int) -> Code:
+    return code_of(data.scene, data.manifest.seed, frame)
 
 
-def images(data: Dataset) -> bytes:
-    """What the cameras saw, as a PNG."""
-    seen = data.observation(0)
-    return pictures.backlit(seen.images, seen.black_dn, seen.white_dn)
-
-
-def picture(data: Dataset, result: Result | str) -> bytes:
-    """The code's plane in an estimate, or the code itself, as a PNG."""
-    code = code_of(data.scene, data.manifest.seed, 0)
-    if not isinstance(result, Result):
-        return pictures.grey_picture(drawn(code), _ENLARGED_PX)
-    return pictures.grey_picture(
-        code_plane(data.rig.grid, result.reconstruction(0).volume, code), _ENLARGED_PX
-    )
-
-
-def error_picture(data: Dataset, result: Result) -> bytes:
-    """Which cells of the code are read wrong, as a PNG."""
-    code = code_of(data.scene, data.manifest.seed, 0)
-    right, where = read_right(_cells(data, result, 0, code), code.dark), _nearest(code)
-    return pictures.read_picture(code.dark[where], right[where])
+def _brightened(grid: Grid, volume: F32, code: Code, light: float) -> F32:
+    """Add light to the voxels of a volume (z, y, x) where the code is bright; returns the volume."""
+    points = code.points_mm[~code.dark].reshape(-1, 3)
+    places = np.rint(grid.to_voxels(points)).astype(np.int64)
+    x, y, z = places[((places >= 0) & (places < grid.shape[::-1])).all(axis=1)].T
+    volume[z, y, x] += np.float32(light)
+    return volume
 
 
 def code_plane(grid: Grid, volume: F32, code: Code) -> F64:
-    """The plane (y, x) of a volume that is nearest to the code's middle, as far as the code reaches."""
+    """Cut the plane (y, x) nearest to the code's middle out of a volume, around the code."""
     places, size = grid.to_voxels(code.points_mm.reshape(-1, 3)), np.asarray(volume.shape[::-1])
     low, high = (
         np.clip(np.rint(end), 0, size - 1).astype(int)
@@ -113,19 +144,20 @@ def code_plane(grid: Grid, volume: F32, code: Code) -> F64:
     return np.asarray(volume[middle, low[1] : high[1] + 1, low[0] : high[0] + 1], dtype=np.float64)
 
 
-def drawn(code: Code) -> F64:
-    """The code as it is, seen along Z."""
+def draw_code(code: Code) -> F64:
+    """Draw the code as it is along Z: 0 where it is dark, 1 elsewhere."""
     return np.where(code.dark[_nearest(code)], 0.0, 1.0)
 
 
 def _nearest(code: Code) -> I64:
-    """The cell (rows, columns) that is nearest to each pixel of a picture along Z."""
+    """Find the cell (rows, columns) nearest to each pixel of a picture along Z."""
     middles = code.points_mm.mean(axis=1)[:, :2]
     low, high = (end(code.points_mm.reshape(-1, 3)[:, :2], axis=0) for end in (np.min, np.max))
-    columns, rows = np.maximum(1, np.rint((high - low) / (high - low).max() * _DRAWN_PX)).astype(
-        int
-    )
+    sides = np.rint((high - low) / (high - low).max() * _DRAWN_PX)
+    columns, rows = np.maximum(1, sides).astype(int)
     x, y = np.meshgrid(np.linspace(low[0], high[0], columns), np.linspace(low[1], high[1], rows))
-    return np.asarray(cKDTree(middles).query(np.column_stack([x.ravel(), y.ravel()]))[1]).reshape(
-        rows, columns
-    )
+    nearest = cKDTree(middles).query(np.column_stack([x.ravel(), y.ravel()]))[1]
+    return np.asarray(nearest).reshape(rows, columns)
+
+
+TASK = SeeThroughTask()

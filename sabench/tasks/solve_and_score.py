@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -16,19 +16,13 @@ from sabench.utils import memory
 from sabench.utils.errors import InputError
 from sabench.utils.processes.limited import Limits
 
+WORDS: tuple[Literal["truth", "empty"], ...] = ("truth", "empty")
 _SHOWN = {
     "particles": "particles",
     "target": "a calibration target",
     "bubbles": "bubbles",
     "code": "a code",
 }
-OWN_TRACK = {
-    "particles": "reconstruction",
-    "target": "calibration",
-    "bubbles": "bubbles",
-    "code": "see_through",
-}  # of what a data set shows
-ALSO = {"particles": ("particles",)}  # tracks that the words truth and empty may be scored by, too
 
 
 def solve(
@@ -74,27 +68,27 @@ def solve(
     memory.forget_peak()
     resolved = algorithm.parameters.model_dump(mode="json")
     with result_writer(
-        Path(out), data, solver, algorithm.track, resolved, overwrite=overwrite
+        Path(out), data, solver, algorithm.task, resolved, overwrite=overwrite
     ) as writer:
-        seconds = tasks.of(algorithm.track).run(algorithm, solver, data, writer)
+        seconds = tasks.of(algorithm.task).run(algorithm, solver, data, writer)
         writer.set_cost(float(np.mean(seconds)), memory.peak_mb())
     return open_result(out, data)
 
 
 def score(
-    dataset: Dataset | str | Path, result: str | Path, track: str | None = None
+    dataset: Dataset | str | Path, result: str | Path, task: str | None = None
 ) -> dict[str, Any]:
-    """Score a result file, or one of the words `truth` and `empty`, the two ends of every scale.
+    """Score a result file, or the best or worst possible estimates: the words `truth` and `empty`.
 
     Parameters
     ----------
-    track : by whose scores the words are scored, where a data set serves several: None for
-        `OWN_TRACK`. A result says its own.
+    task : by whose scores the words are scored, where a data set serves several; None: the first
+        one for what the data set shows. A result says its own.
 
     Returns
     -------
-    A flat dict: dataset, track, solver, parameters, the track's scores, seconds, peak_mb; None
-    where a figure does not apply.
+    A flat dict: dataset, task, solver, parameters, the task's scores, seconds, peak_mb; None where
+    a score does not apply.
 
     Raises
     ------
@@ -103,32 +97,19 @@ def score(
         finite.
     """
     data = dataset if isinstance(dataset, Dataset) else open_dataset(dataset)
-    opened = None if str(result) in ("truth", "empty") else open_result(result, data)
-    track = _track(data, opened, track)
-    head: dict[str, Any] = {
-        "dataset": data.content_hash,
-        "track": track,
-        "solver": opened.solver if opened else str(result),
-    }
-    head |= {"parameters": opened.parameters if opened else {}}
-    figures = tasks.of(track).score_result(data, opened or str(result))
+    word: Literal["truth", "empty"] | None = next(
+        (one for one in WORDS if one == str(result)), None
+    )
+    opened = None if word else open_result(result, data)
+    if opened and task not in (None, opened.task):
+        raise InputError(f"task: expected {opened.task} for {opened.path}, got {task!r}")
+    judged = tasks.of(opened.task) if opened else tasks.of_data(data, task)
     return {
-        **head,
-        **figures,
+        "dataset": data.content_hash,
+        "task": judged.name,
+        "solver": opened.solver if opened else word,
+        "parameters": opened.parameters if opened else {},
+        **judged.score(data, opened or word or "empty"),
         "seconds": opened.seconds if opened else None,
         "peak_mb": opened.peak_mb if opened else None,
     }
-
-
-def _track(data: Dataset, opened: Result | None, asked: str | None) -> str:
-    """By whose scores a result or a word is scored."""
-    allowed = (
-        (opened.track,)
-        if opened
-        else tuple(dict.fromkeys((OWN_TRACK[data.shows[-1]], *ALSO.get(data.shows[-1], ()))))
-    )
-    if asked and asked not in allowed:
-        raise InputError(
-            f"track: expected {' or '.join(allowed)} for {opened.path if opened else data.root}, got {asked!r}"
-        )
-    return asked or allowed[0]

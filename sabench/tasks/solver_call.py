@@ -1,4 +1,4 @@
-"""One call of a solver, which may do anything."""
+"""One call of a solver."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from typing import Any
 from sabench.utils.errors import DeclinedError, InputError
 
 
-def attempt(algorithm: Any, name: str, case: Any, expected: type[Any], where: str = "") -> Any:
-    """What a solver makes of a case; `where` is said where it fails, as " on frame 0".
+def call_solver(algorithm: Any, name: str, case: Any, expected: type[Any], where: str = "") -> Any:
+    """Call a solver, which may do anything, on a case; `where` is added to failures, as " on frame 0".
 
     Raises
     ------
@@ -21,7 +21,8 @@ def attempt(algorithm: Any, name: str, case: Any, expected: type[Any], where: st
     except InputError as error:
         raise InputError(f"solver {name}: {error}") from error
     except Exception as error:
-        raise InputError(f"solver {name} failed{where}: {type(error).__name__}: {error}") from error
+        failed = f"solver {name} failed{where}: {type(error).__name__}: {error}"
+        raise InputError(failed) from error
     if reason:
         raise DeclinedError(f"solver {name} declines this case: {reason}")
     if not isinstance(answer, expected):

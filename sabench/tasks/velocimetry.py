@@ -1,105 +1,190 @@
-"""The velocimetry track: pairs of frames are reconstructed, and two volumes become a velocity field."""
+"""Velocimetry: pairs of frames are reconstructed, and two volumes become a velocity field."""
 
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
-from sabench.api import Reconstruction, Solver, VelocimetrySolver, Velocity, VolumePair
+from sabench.api import Reconstruction, Velocity, VolumePair
+from sabench.api.make import make_solver
 from sabench.dataset.reader import Dataset
 from sabench.dataset.results import Result, ResultWriter
 from sabench.metrics.averages import finite_or_none
 from sabench.metrics.velocity_error import velocity_scores
-from sabench.plotting import pictures
 from sabench.plotting.charts import draw
+from sabench.tasks import reconstruction
 from sabench.tasks.figures.velocity import field_figure
-from sabench.tasks.reconstruction import reconstruct
-from sabench.tasks.solver_call import attempt
+from sabench.tasks.solver_call import call_solver
+from sabench.tasks.task import Captions, Figures, Score, Source, Task, check_estimate
 from sabench.utils import memory
-from sabench.utils.arrays import F64
+from sabench.utils.arrays import F64, triple
 from sabench.utils.errors import InputError
 from sabench.utils.progress import track
 from sabench.worlds.advection import advect
 from sabench.worlds.tracers import TOLERANCE, flow_of
 
 _NEIGHBOURS = 8  # true particles whose mean stands for the flow where it is not known otherwise
+_NODES = np.array([9, 8, 7])  # of the lattice of the best, worst and wrong estimates, as (x, y, z)
 
 
-def run(
-    algorithm: VelocimetrySolver, name: str, data: Dataset, writer: ResultWriter
-) -> list[float]:
-    """Reconstruct every pair of frames and measure its field; returns the seconds that each took, without the reconstruction.
+class VelocimetryTask(Task):
+    """Measurement of velocity fields in pairs of volumes."""
 
-    Raises
-    ------
-    InputError
-        A data set without pairs, what the reconstruction refuses, or a solver that declines,
-        raises, or returns something else.
-    """
-    pairs = data.rig.pairs()
-    if not pairs:
-        raise InputError(
-            f"{data.root}: expected pairs of frames, got {data.rig.frames} that make none"
+    name = "velocimetry"
+    shown = "particles"
+    estimate = Velocity
+    # fmt: off
+    scores = (
+        Score("u_p90_voxel", "u 90 % voxel", "voxel", "smaller", 3,
+              "half width of the interval about zero that holds 90 % of the errors of the "
+              "displacement along X"),
+        Score("v_p90_voxel", "v 90 % voxel", "voxel", "smaller", 3,
+              "the same along Y"),
+        Score("w_p90_voxel", "w 90 % voxel", "voxel", "smaller", 3,
+              "the same along Z"),
+        Score("bias_voxel", "bias voxel", "voxel", "smaller", 4,
+              "length of the mean error"),
+        Score("rms_voxel", "rms voxel", "voxel", "smaller", 3,
+              "root mean square length of the error"),
+        Score("yield_percent", "yield %", "%", "larger", 1,
+              "share of the vectors that were measured", counted=True),
+        Score("response", "response", "", "unity", 3,
+              "the part of the true field's variation that is found"),
+        Score("divergence_1_s", "divergence 1/s", "1/s", "smaller", 3,
+              "root mean square error of the divergence, by central differences"),
+        Score("vorticity_percent", "vorticity %", "%", "smaller", 1,
+              "root mean square error of the vorticity over its own root mean square"),
+        Score("reconstruction_s", "reconstruction s", "s", "smaller", 2,
+              "time of the reconstruction of one frame"),
+        Score("u_bias_voxel", "u bias voxel", "voxel", "smaller", 4,
+              "mean error of the displacement along X", hidden=True),
+        Score("v_bias_voxel", "v bias voxel", "voxel", "smaller", 4,
+              "mean error of the displacement along Y", hidden=True),
+        Score("w_bias_voxel", "w bias voxel", "voxel", "smaller", 4,
+              "mean error of the displacement along Z", hidden=True),
+        Score("u_rms_voxel", "u rms voxel", "voxel", "smaller", 4,
+              "root mean square error of the displacement along X", hidden=True),
+        Score("v_rms_voxel", "v rms voxel", "voxel", "smaller", 4,
+              "root mean square error of the displacement along Y", hidden=True),
+        Score("w_rms_voxel", "w rms voxel", "voxel", "smaller", 4,
+              "root mean square error of the displacement along Z", hidden=True),
+    )
+    # fmt: on
+    captions = Captions(
+        heading="Fields",
+        estimates="The first pair: vectors and vorticity of a middle plane, errors there, all "
+        "errors against each other, a profile next to the exact one.",
+        cameras=reconstruction.PARTICLE_IMAGES,
+        wide=True,
+    )
+
+    def accepts(self, data: Dataset) -> bool:
+        """Say whether a data set shows particles alone and has pairs of frames."""
+        return data.shows == (self.shown,) and bool(data.rig.pairs())
+
+    def frames(self, data: Dataset) -> Sequence[int]:
+        """First frames of the pairs."""
+        return [first for first, _ in data.rig.pairs()]
+
+    def run(self, algorithm: Any, name: str, data: Dataset, writer: ResultWriter) -> list[float]:
+        """Reconstruct every pair and measure its field; returns seconds without reconstruction."""
+        pairs = data.rig.pairs()
+        if not pairs:
+            frames = data.rig.frames
+            raise InputError(f"{data.root}: expected pairs of frames, got {frames} that make none")
+        volumes = _Volumes(data, algorithm.parameters.reconstruction)
+        seconds = []
+        for pair in track(pairs, f"velocity by {name}"):
+            case = VolumePair(*volumes.of(pair), data.rig.grid, interval_s(data, pair))
+            start = time.perf_counter()
+            field = call_solver(algorithm, name, case, Velocity, f" on frame {pair[0]}")
+            seconds.append(time.perf_counter() - start)
+            check_estimate(field, name, data, pair[0])
+            writer.add(field, pair[0])
+            memory.trim()
+        writer.set_reconstruction(float(np.mean(volumes.seconds)))
+        return seconds
+
+    def truth(self, data: Dataset, frame: int) -> Velocity:
+        """Make the true velocity on a coarse lattice."""
+        lattice = self.empty(data, frame)
+        points = lattice.positions_mm
+        true = true_velocity(data, _pair(data, frame), points.reshape(-1, 3)).reshape(points.shape)
+        return replace(lattice, velocity_mm_s=true, valid=np.ones_like(lattice.valid))
+
+    def empty(self, data: Dataset, frame: int) -> Velocity:
+        """Make a coarse lattice on which nothing was measured."""
+        grid = data.rig.grid
+        low, size = np.asarray(grid.low_mm), np.asarray(grid.voxel_mm) * grid.shape[::-1]
+        shape = tuple(_NODES[::-1])
+        return Velocity(
+            triple(low + 0.1 * size),
+            triple(0.8 * size / (_NODES - 1)),
+            np.zeros((*shape, 3)),
+            np.zeros(shape, dtype=np.bool_),
         )
-    maker = _maker(algorithm.parameters.reconstruction)
-    kept: dict[int, Reconstruction] = {}
-    seconds, spent = [], []
-    for pair in track(pairs, f"velocity by {name}"):
-        for frame in set(kept) - set(pair):
-            del kept[frame]
+
+    def wrong(self, data: Dataset, frame: int) -> Velocity:
+        """Slow the true velocity by a tenth, add a wave, and leave one corner unmeasured."""
+        grid, field = data.rig.grid, self.truth(data, frame)
+        low, size = np.asarray(grid.low_mm), np.asarray(grid.voxel_mm) * grid.shape[::-1]
+        true, place = field.velocity_mm_s, field.positions_mm - low
+        wave = np.sin(2.0 * np.pi * place / size * [1.0, 2.0, 1.5])
+        velocity = 0.9 * true + 0.05 * np.abs(true).max() * wave
+        return replace(field, velocity_mm_s=velocity, valid=(place < 0.7 * size).any(axis=-1))
+
+    def score(self, data: Dataset, source: Source) -> Figures:
+        """Average the scores of the pairs."""
+        pairs = [
+            score_pair(data, pair, self.read(data, source, pair[0]))
+            for pair in track(data.rig.pairs(), "score")
+        ]
+        means = {key: float(np.mean([one[key] for one in pairs])) for key in pairs[0]}
+        scores = {key: finite_or_none(value) for key, value in means.items()}
+        spent = source.reconstruction_s if isinstance(source, Result) else None
+        return {**scores, "reconstruction_s": spent}
+
+    def picture(self, data: Dataset, source: Source) -> bytes:
+        """Draw the first pair's field, its errors and a profile as a PNG."""
+        pair = data.rig.pairs()[0]
+        field = self.read(data, source, pair[0])
+        points = field.positions_mm
+        exact = true_velocity(data, pair, points.reshape(-1, 3)).reshape(points.shape)
+        voxel = np.asarray(data.rig.grid.voxel_mm) / interval_s(data, pair)
+        label = source.solver if isinstance(source, Result) else source
+        return draw(field_figure(field, exact, voxel, label))
+
+
+class _Volumes:
+    """Reconstructed volumes of the frames of a pair; those of the next pair are kept."""
+
+    def __init__(self, data: Dataset, solver: str) -> None:
+        self._data, self._name, self._solver = data, solver, make_solver(solver, {})
+        self._kept: dict[int, Reconstruction] = {}
+        self.seconds: list[float] = []
+
+    def of(self, pair: tuple[int, int]) -> tuple[Any, Any]:
+        """Reconstruct the volumes of a pair, as far as they are not there."""
+        self._kept = {frame: one for frame, one in self._kept.items() if frame in pair}
         for frame in pair:
-            if frame not in kept:
-                kept[frame], took = reconstruct(
-                    maker, algorithm.parameters.reconstruction, data, frame
-                )
-                spent.append(took)
-        interval = data.rig.time_s(pair[1]) - data.rig.time_s(pair[0])
-        case = VolumePair(kept[pair[0]].volume, kept[pair[1]].volume, data.rig.grid, interval)
-        start = time.perf_counter()
-        field = _attempt(algorithm, name, case, pair[0])
-        seconds.append(time.perf_counter() - start)
-        writer.add_velocity(pair[0], field)
-        memory.trim()
-    writer.set_reconstruction(float(np.mean(spent)))
-    return seconds
+            if frame not in self._kept:
+                found, took = reconstruction.TASK.call(self._solver, self._name, self._data, frame)
+                self._kept[frame] = found
+                self.seconds.append(took)
+        return self._kept[pair[0]].volume, self._kept[pair[1]].volume
 
 
-def _maker(name: str) -> Solver:
-    from sabench.api.make import make_solver  # it finds tracks, and this is one
-
-    return make_solver(name, {})
-
-
-def _attempt(algorithm: VelocimetrySolver, name: str, case: VolumePair, frame: int) -> Velocity:
-    field: Velocity = attempt(algorithm, name, case, Velocity, f" on frame {frame}")
-    if (
-        field.velocity_mm_s.shape != (*field.valid.shape, 3)
-        or not np.isfinite(field.velocity_mm_s).all()
-    ):
-        raise InputError(
-            f"solver {name}: expected finite velocities (z, y, x, 3) on {field.valid.shape} nodes, got {field.velocity_mm_s.shape}"
-        )
-    return field
+def interval_s(data: Dataset, pair: tuple[int, int]) -> float:
+    """Time between the frames of a pair."""
+    return data.rig.time_s(pair[1]) - data.rig.time_s(pair[0])
 
 
-def copy(data: Dataset, result: Result, writer: ResultWriter) -> None:
-    """Write the field of every pair of a foreign result anew; reading checks it."""
-    for first, _ in data.rig.pairs():
-        writer.add_velocity(first, result.velocity(first))
-
-
-def score_result(data: Dataset, result: Result) -> dict[str, float | None]:
-    """All scores: the means over the pairs."""
-    pairs = [
-        score_pair(data, pair, result.velocity(pair[0]))
-        for pair in track(data.rig.pairs(), "score")
-    ]
-    scores = {key: float(np.mean([one[key] for one in pairs])) for key in pairs[0]}
-    return {
-        **{key: finite_or_none(value) for key, value in scores.items()},
-        "reconstruction_s": result.reconstruction_s,
-    }
+def _pair(data: Dataset, first: int) -> tuple[int, int]:
+    return next(pair for pair in data.rig.pairs() if pair[0] == first)
 
 
 def score_pair(data: Dataset, pair: tuple[int, int], field: Velocity) -> dict[str, float]:
@@ -111,15 +196,16 @@ def score_pair(data: Dataset, pair: tuple[int, int], field: Velocity) -> dict[st
         truth,
         field.valid,
         field.step_mm,
-        data.rig.time_s(pair[1]) - data.rig.time_s(pair[0]),
+        interval_s(data, pair),
         data.rig.grid.voxel_mm,
     )
 
 
 def true_velocity(data: Dataset, pair: tuple[int, int], points_mm: F64) -> F64:
-    """The displacement over the pair's interval of the fluid that is at points (n, 3) in the middle of it, over the interval.
+    """Average the true velocity over a pair's interval at points (n, 3).
 
-    Where the data set has no flow, it is the mean of the nearest true particles.
+    It is the displacement of the fluid that is at the points in the middle of the interval, over
+    the interval. Where the data set has no flow, it is the mean of the nearest true particles.
     """
     flow, (start, end) = flow_of(data.scene), (data.rig.time_s(frame) for frame in pair)
     if flow is None:
@@ -136,30 +222,14 @@ def _among_particles(data: Dataset, pair: tuple[int, int], points_mm: F64) -> F6
     _, one, other = np.intersect1d(first.id, second.id, return_indices=True)
     if not len(one):
         raise InputError(
-            f"{data.root}: frames {pair[0]} and {pair[1]}: expected particles that are in both, got none"
+            f"{data.root}: frames {pair[0]} and {pair[1]}: "
+            "expected particles that are in both, got none"
         )
-    places = (first.position_mm[one] + second.position_mm[other]) / 2.0
-    moves = (second.position_mm[other] - first.position_mm[one]) / (
-        data.rig.time_s(pair[1]) - data.rig.time_s(pair[0])
-    )
-    count = min(_NEIGHBOURS, len(places))
-    near = cKDTree(places).query(points_mm, k=count)[1].reshape(len(points_mm), count)
+    positions = (first.position_mm[one] + second.position_mm[other]) / 2.0
+    moves = (second.position_mm[other] - first.position_mm[one]) / interval_s(data, pair)
+    count = min(_NEIGHBOURS, len(positions))
+    near = cKDTree(positions).query(points_mm, k=count)[1].reshape(len(points_mm), count)
     return np.asarray(moves[near].mean(axis=1))
 
 
-def images(data: Dataset) -> bytes:
-    """What the cameras saw, as a PNG."""
-    seen = data.observation(0)
-    return pictures.montage(seen.images, seen.black_dn, seen.white_dn)
-
-
-def picture(data: Dataset, result: Result) -> bytes:
-    """The first pair's field, its errors and a profile, as a PNG."""
-    pair = data.rig.pairs()[0]
-    field, interval = result.velocity(pair[0]), data.rig.time_s(pair[1]) - data.rig.time_s(pair[0])
-    exact = true_velocity(data, pair, field.positions_mm.reshape(-1, 3)).reshape(
-        field.velocity_mm_s.shape
-    )
-    return draw(
-        field_figure(field, exact, np.asarray(data.rig.grid.voxel_mm) / interval, result.solver)
-    )
+TASK = VelocimetryTask()

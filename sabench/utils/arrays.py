@@ -8,6 +8,7 @@ F32 = npt.NDArray[np.float32]
 U16 = npt.NDArray[np.uint16]
 I64 = npt.NDArray[np.int64]
 I32 = npt.NDArray[np.int32]
+U8 = npt.NDArray[np.uint8]
 Bool = npt.NDArray[np.bool_]
 
 

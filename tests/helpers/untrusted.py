@@ -6,7 +6,7 @@ import json
 import random
 import shutil
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +15,7 @@ import tifffile
 import tomli_w
 
 from sabench.api import Detections, Velocity
+from sabench.api.solvers import TaskName
 from sabench.dataset import schema
 from sabench.dataset.reader import Dataset, open_dataset
 from sabench.dataset.results import result_writer
@@ -86,7 +87,7 @@ SUITE: dict[str, Any] = {
     "vary": {"particles.count": [3, 5]},
     "solvers": [
         {"name": "asa", "parameters": {"k": 3.0}},
-        {"name": "./program", "track": "reconstruction", "time_limit_s": 5.0},
+        {"name": "./program", "task": "reconstruction", "time_limit_s": 5.0},
     ],
 }
 # pixels x frames x cameras, and particles, of scenes that are generated and not only checked
@@ -95,7 +96,7 @@ LARGEST_STEPS = 4e6
 
 @dataclass(frozen=True)
 class Base:
-    """Good data that cases damage: a data set of particles and one of a target, results of every track, a leaderboard's line."""
+    """Good data that cases damage: a data set of particles and one of a target, results of several tasks, a leaderboard's line."""
 
     particles: Dataset
     target: Dataset
@@ -111,13 +112,13 @@ def make_base(root: Path) -> Base:
         generate(parse_scene(scene, name), root / name, seed=1, backend="splat", name=name)
         for scene, name in ((SCENE, "particles"), (TARGETS, "target"))
     ]
-    results = {
-        track: _result(track, made[track == "calibration"], root / f"{track}.h5")
-        for track in ("reconstruction", "velocimetry", "bubbles", "calibration")
+    names: tuple[TaskName, ...] = ("reconstruction", "velocimetry", "bubbles", "calibration")
+    results: dict[str, Path] = {
+        task: _result(task, made[task == "calibration"], root / f"{task}.h5") for task in names
     }
     record = {
         "format": "sabench-record",
-        "version": 1,
+        "version": 2,
         "scene": "tiny",
         "case": "tiny",
         "axes": {"particles.count": 3},
@@ -125,7 +126,7 @@ def make_base(root: Path) -> Base:
         "dataset": made[0].content_hash,
         "seed": 1,
         "renderer": "splat",
-        "track": "reconstruction",
+        "task": "reconstruction",
         "solver": "asa",
         "label": None,
         "parameters": {"k": 3.0},
@@ -142,29 +143,25 @@ def make_base(root: Path) -> Base:
     return Base(made[0], made[1], results, record)
 
 
-def _result(track: str, data: Dataset, path: Path) -> Path:
+def _estimate(task: TaskName, data: Dataset, frame: int) -> Any:
     from sabench import tasks
 
-    rng = np.random.default_rng(1)
-    with result_writer(path, data, "made", track, {"k": 1}) as writer:
-        for frame in range(data.rig.frames if track in ("reconstruction", "bubbles") else 0):
-            if track == "reconstruction":
-                writer.add(frame, tasks.of(track).estimate(data, "truth", frame))
-            else:
-                writer.add_bubbles(frame, Detections.balls(rng.random((5, 3)), rng.random(5) + 0.1))
-                writer.add_tracks(frame, np.arange(5))
-        for first, _ in data.rig.pairs() if track == "velocimetry" else ():
-            writer.add_velocity(
-                first,
-                Velocity(
-                    (-1.0, -0.5, 29.8),
-                    (0.5, 0.5, 0.2),
-                    rng.random((2, 3, 4, 3)),
-                    np.ones((2, 3, 4), dtype=bool),
-                ),
-            )
-        if track == "calibration":
-            writer.add_calibration(tasks.of(track).estimate(data, "truth"))
+    rng = np.random.default_rng(1 + frame)
+    if task == "bubbles":
+        balls = Detections.balls(rng.random((5, 3)), rng.random(5) + 0.1)
+        return replace(balls, trajectory=np.arange(5))
+    if task == "velocimetry":
+        valid = np.ones((2, 3, 4), dtype=bool)
+        return Velocity((-1.0, -0.5, 29.8), (0.5, 0.5, 0.2), rng.random((2, 3, 4, 3)), valid)
+    return tasks.of(task).truth(data, frame)
+
+
+def _result(task: TaskName, data: Dataset, path: Path) -> Path:
+    from sabench import tasks
+
+    with result_writer(path, data, "made", task, {"k": 1}) as writer:
+        for frame in tasks.of(task).frames(data):
+            writer.add(_estimate(task, data, frame), frame)
         writer.set_cost(1.0, 2.0)
     return path
 

@@ -13,7 +13,7 @@ import pytest
 from sabench.evaluation.leaderboard import page, rows
 from sabench.evaluation.records import Record
 from sabench.plotting import pictures
-from sabench.tasks.columns import COLUMNS
+from sabench.tasks import NAMES
 from sabench.utils.errors import InputError
 
 HOSTILE = "</script><script>alert(1)</script><!--<script>"
@@ -201,14 +201,14 @@ def test_what_is_no_score_is_none(tmp_path: Path, value: Any) -> None:
     assert (data["rows"][0]["scores"][0], data["rows"][0]["values"][0]) == (None, [None, None])
 
 
-def test_a_track_without_columns_makes_no_rows() -> None:
-    assert rows.over_seeds([record("a", 0.5, track="not one")]) == []
+def test_an_unknown_task_makes_no_rows() -> None:
+    assert rows.over_seeds([record("a", 0.5, task="not one")]) == []
 
 
-def test_every_track_with_columns_has_a_page(tmp_path: Path) -> None:
-    data = block(page_of([record("a", track=track) for track in COLUMNS], tmp_path))
-    assert list(data["tracks"]) == list(COLUMNS)
-    assert all(track["pictured"]["heading"] for track in data["tracks"].values())
+def test_every_task_has_a_page(tmp_path: Path) -> None:
+    data = block(page_of([record("a", task=task) for task in NAMES], tmp_path))
+    assert list(data["tasks"]) == list(NAMES)
+    assert all(task["pictured"]["heading"] for task in data["tasks"].values())
 
 
 @pytest.mark.parametrize("name", ["../secret", "/secret", "a/../../secret"])

@@ -40,7 +40,7 @@ def browser() -> Iterator[Browser]:
 
 @pytest.fixture(scope="module")
 def page(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Four solvers, one of them hostile by name and one failed, on one scene with pictures, a second scene without, and a second track."""
+    """Four solvers, one of them hostile by name and one failed, on one scene with pictures, a second scene without, and a second task."""
     folder = tmp_path_factory.mktemp("page")
     draw(
         folder / "pictures" / "tank-1",
@@ -88,7 +88,7 @@ def page(tmp_path_factory: pytest.TempPathFactory) -> Path:
             split="hidden",
             submission={"name": EVIL, "date": "2026-01-02"},
         ),
-        record("sees", track="see_through", read_percent=90.0),
+        record("sees", task="see_through", read_percent=90.0),
     ]
     rows.build_page(records, folder / "pictures", folder / "index.html")
     return folder / "index.html"
@@ -248,7 +248,7 @@ def test_filters_are_kept_in_the_fragment_and_a_link_opens_the_same_view(
 @pytest.mark.parametrize(
     "fragment",
     [
-        "#track=nonsense",
+        "#task=nonsense",
         "#view=nonsense&page=-7&sort=nonsense",
         "#page=99",
         "#%%%",
@@ -264,20 +264,18 @@ def test_a_fragment_that_says_nonsense_breaks_nothing(
     assert browser.complaints() == []
 
 
-def test_back_leaves_a_view_and_another_track_keeps_the_search(
-    browser: Browser, page: Path
-) -> None:
+def test_back_leaves_a_view_and_another_task_keeps_the_search(browser: Browser, page: Path) -> None:
     browser.open(page)
     browser.press("//input[@type='search']", "a")
-    browser.press("//nav[@id='tracks']/a[2]")
+    browser.press("//nav[@id='tasks']/a[2]")
     browser.wait(
-        "document.querySelector('#tracks [aria-current]').textContent.startsWith('see through')"
+        "document.querySelector('#tasks [aria-current]').textContent.startsWith('see through')"
     )
     assert browser.ask(SOLVERS) == ["sees"]
     assert browser.ask("document.querySelector('input[type=search]').value") == "a"
     browser.ask("history.back()")
     browser.wait(
-        "document.querySelector('#tracks [aria-current]').textContent.startsWith('reconstruction')"
+        "document.querySelector('#tasks [aria-current]').textContent.startsWith('reconstruction')"
     )
     assert browser.ask("document.querySelector('input[type=search]').value") == "a"
 

@@ -69,7 +69,7 @@ def foreign(path: Path, data: Dataset, found: list[Detections], **track: Any) ->
     """A result with values for `track` in some frames, or in none."""
     with result_writer(path, data, "other", "bubbles", {}) as writer:
         for frame, one in enumerate(found):
-            writer.add_bubbles(frame, one)
+            writer.add(one, frame)
     with h5py.File(path, "a") as file:
         for name, value in track.items():
             file[f"frames/{name[1:]}/bubbles"]["track"] = value
@@ -79,14 +79,15 @@ def foreign(path: Path, data: Dataset, found: list[Detections], **track: Any) ->
 def test_from_images_to_scores(moving: Dataset, tmp_path: Path) -> None:
     found = perturbed(moving)
     with result_writer(tmp_path / "own.h5", moving, "canned", "bubbles", {}) as writer:
-        bubbles.run(Canned(found), "canned", moving, writer)
+        bubbles.TASK.run(Canned(found), "canned", moving, writer)
     result = open_result(tmp_path / "own.h5", moving)
     for frame, one in enumerate(found):
-        number = result.tracks(frame)
+        read = result.read(Detections, frame)
+        number = read.trajectory
         assert number is not None
         assert number.dtype == np.int64
         assert len(np.unique(number)) == len(one.center_mm)
-        np.testing.assert_array_equal(result.bubbles(frame).center_mm, one.center_mm)
+        np.testing.assert_array_equal(read.center_mm, one.center_mm)
     got = score(moving, tmp_path / "own.h5")
     assert got["link_recall"] > 0.9
     assert got["link_precision"] > 0.85
@@ -126,7 +127,7 @@ def test_broken_tracks_are_said(moving: Dataset, tmp_path: Path) -> None:
     good = {f"f{frame:04d}": np.arange(len(one.center_mm)) for frame, one in enumerate(found)}
     count = len(found[1].center_mm)
     cases: dict[str, dict[str, Any]] = {
-        r"0001/bubbles/track: expected different numbers, got 7 for 2 bubbles": good
+        r"0001/bubbles/track: expected different numbers, got 7 2 times": good
         | {"f0001": np.where(np.arange(count) == 3, 7, np.arange(count))},
         rf"0001/bubbles/track: expected shape \({count}\) of kind iu, got \({count},\) of float64": good
         | {"f0001": np.arange(count) * 1.0},
@@ -146,7 +147,7 @@ def test_no_track_goes_from_one_group_of_pulses_to_the_next(moving: Dataset) -> 
     rig = moving.rig.model_copy(
         update={"frames": 5, "pulses": 2, "times_s": (0.0, 1e-3, 1.0, 1.001, 2.0)}
     )
-    track = bubbles.linked(rig, [one] * 5)
+    track = bubbles.trajectories(rig, [Detections(one.center_mm, one.semi_axes_mm, one.turn)] * 5)
     assert rig.pairs() == [(0, 1), (2, 3)]
     np.testing.assert_array_equal(track[0], track[1])
     np.testing.assert_array_equal(track[2], track[3])

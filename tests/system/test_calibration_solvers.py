@@ -16,7 +16,7 @@ from sabench.api import Calibration, CalibrationCase
 from sabench.api.make import make_algorithm
 from sabench.dataset.reader import Dataset
 from sabench.scenes import parse_scene
-from sabench.tasks.calibration import score_result
+from sabench.tasks.calibration import TASK
 from sabench.utils.errors import InputError
 from tests.conftest import ROOT, Command
 from tests.helpers.calibration_cases import calibration_scene, case_of, true_error_px
@@ -159,7 +159,7 @@ def test_both_ends_of_the_scale(boards: Dataset) -> None:
 
 def test_a_calibration_s_scores(boards: Dataset, tmp_path: Path) -> None:
     result = sabench.solve("refractive_autocal", boards, tmp_path / "r.h5")
-    assert result.track == "calibration"
+    assert result.task == "calibration"
     scores = sabench.score(boards, result.path)
     assert json.loads(json.dumps(scores, allow_nan=False)) == scores
     assert scores["true_ratio"] == pytest.approx(1.0, abs=0.25)
@@ -168,7 +168,7 @@ def test_a_calibration_s_scores(boards: Dataset, tmp_path: Path) -> None:
     assert scores["z_std_mm"] < 0.02
     assert scores["rigid_z_std_mm"] <= scores["z_std_mm"] + 1e-9
     assert scores["held_out_mm"] < 1.5 * scores["held_out_exact_mm"]
-    again = result.calibration()
+    again = result.read(Calibration)
     assert again.points_mm is not None
     assert again.points_mm.shape == (5, 121, 3)
 
@@ -188,7 +188,7 @@ def test_other_camera_models_come_back_from_their_file(
     boards: Dataset, tmp_path: Path, name: str
 ) -> None:
     result = sabench.solve(name, boards, tmp_path / "r.h5")
-    assert result.calibration().cameras == solved(name, boards.calibration_case()).cameras
+    assert result.read(Calibration).cameras == solved(name, boards.calibration_case()).cameras
     assert sabench.score(boards, result.path)["true_px"] is not None
 
 
@@ -213,8 +213,8 @@ def test_self_calibration_is_scored_on_particles(tmp_path: Path) -> None:
         particle_scene(2.0), tmp_path / "set", seed=3, backend="splat", name="particles"
     )
     result = sabench.solve("volume_self_calibration", data, tmp_path / "r.h5")
-    assert score_result(data, "truth")["true_px"] == pytest.approx(0.0, abs=1e-6)
-    told = score_result(data, "empty")["true_px"]
+    assert TASK.score(data, "truth")["true_px"] == pytest.approx(0.0, abs=1e-6)
+    told = TASK.score(data, "empty")["true_px"]
     assert told is not None
     assert told > 1.0
     assert sabench.score(data, result.path)["true_px"] < 0.06
@@ -240,7 +240,7 @@ def test_a_suite_of_calibrations_leaves_a_page(command: Command, tmp_path: Path)
         json.loads(line)
         for line in (tmp_path / "leaderboard/records/local.jsonl").read_text().splitlines()
     ]
-    assert [record["track"] for record in records] == ["calibration"] * 6
+    assert [record["task"] for record in records] == ["calibration"] * 6
     assert [record["declined"] for record in records] == [False, False, True] * 2
     assert all(
         (record["true_px"] is None) == (record["solver"] == "polynomial_planes")

@@ -99,14 +99,14 @@ def test_results_are_what_vtk_reads(moving: Dataset, tmp_path: Path) -> None:
         (-1.0, -2.0, -0.5), (0.5, 1.0, 0.25), rng.random((5, 5, 5, 3)), rng.random((5, 5, 5)) > 0.2
     )
     with result_writer(tmp_path / "piv.h5", moving, "piv3d", "velocimetry", {}) as writer:
-        writer.add_velocity(0, field)
+        writer.add(field, 0)
     export(moving, tmp_path / "vtk", tmp_path / "piv.h5")
     image, values = opened(tmp_path / "vtk/velocity_0000.vtkhdf")
     assert image.GetDimensions() == (5, 5, 5)
     np.testing.assert_allclose(values["velocity_mm_s"].reshape(5, 5, 5, 3), field.velocity_mm_s)
     np.testing.assert_allclose(values["exact_mm_s"] + values["error_mm_s"], values["velocity_mm_s"])
     np.testing.assert_array_equal(values["valid"].reshape(5, 5, 5) > 0, field.valid)
-    assert open_result(tmp_path / "piv.h5", moving).track == "velocimetry"
+    assert open_result(tmp_path / "piv.h5", moving).task == "velocimetry"
 
 
 def test_an_exported_flow_carries_particles_again(moving: Dataset, tmp_path: Path) -> None:
@@ -237,7 +237,7 @@ def test_found_bubbles_say_what_they_are(bubbly: Dataset, tmp_path: Path) -> Non
         "none": Detections.balls(np.zeros((0, 3)), np.zeros(0)),
     }.items():
         with result_writer(tmp_path / f"{name}.h5", bubbly, "rim_fit", "bubbles", {}) as writer:
-            writer.add_bubbles(0, detections)
+            writer.add(detections, 0)
         export(bubbly, tmp_path / name, tmp_path / f"{name}.h5")
     cloud, about = opened(tmp_path / "some/bubbles_0000.vtkhdf")
     np.testing.assert_allclose([cloud.GetPoint(number) for number in range(4)], found.center_mm)

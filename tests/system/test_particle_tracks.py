@@ -23,7 +23,7 @@ from sabench.tasks.solve_and_score import score, solve
 from sabench.utils.errors import InputError
 
 SOLVERS = [
-    name for name in plugins.names("solvers") if plugins.load("solvers", name).track == "particles"
+    name for name in plugins.names("solvers") if plugins.load("solvers", name).task == "particles"
 ]
 
 
@@ -95,7 +95,7 @@ def test_cameras_may_come_in_any_order(name: str, shot: Shot) -> None:
 def test_a_film_is_tracked(name: str, film: Dataset, tmp_path: Path) -> None:
     ready(name, Film.of([film.observation(0)]))
     result = solve(name, film, tmp_path / "r.h5")
-    assert result.track == "particles"
+    assert result.task == "particles"
     scores = score(film, tmp_path / "r.h5")
     assert scores["precision"] > 0.85
     assert scores["recall"] > 0.75
@@ -118,9 +118,9 @@ def test_the_truth_is_perfect_and_nothing_is_the_floor(film: Dataset) -> None:
         == 0.0
     )
     assert nothing["rms_px"] is None
-    assert score(film, "empty")["track"] == "reconstruction"
+    assert score(film, "empty")["task"] == "reconstruction"
     with pytest.raises(
-        InputError, match=r"track: expected reconstruction or particles .* got 'bubbles'"
+        InputError, match=r"task: expected reconstruction or particles .* got 'bubbles'"
     ):
         score(film, "truth", "bubbles")
 
@@ -132,9 +132,8 @@ def test_known_faults_have_known_scores(film: Dataset, tmp_path: Path) -> None:
         for frame in range(film.rig.frames):
             true = film.particles(frame)
             kept = true.position_mm[true.id % 4 != 0] + shift
-            writer.add_particles(
-                frame, FoundParticles(np.concatenate([kept, kept + np.array([0.0, 0.0, 1000.0])]))
-            )
+            ghosts = kept + np.array([0.0, 0.0, 1000.0])
+            writer.add(FoundParticles(np.concatenate([kept, ghosts])), frame)
     scores = score(film, tmp_path / "r.h5")
     assert scores["precision"] == 1.0  # what lies outside the scored part is nobody's fault
     assert scores["recall"] == pytest.approx(0.75, abs=0.08)
@@ -154,16 +153,16 @@ def test_faults_of_results_are_named(film: Dataset, tmp_path: Path) -> None:
     place = tmp_path / "r.h5"
     with result_writer(place, film, "faulty", "particles", {}) as writer:
         for frame in range(film.rig.frames):
-            writer.add_particles(frame, FoundParticles(np.ones((2, 3)), np.ones(2), np.arange(2)))
+            writer.add(FoundParticles(np.ones((2, 3)), np.ones(2), np.arange(2)), frame)
     with h5py.File(place, "r+") as file:
         file["frames/0001/particles/track"][...] = [4, 4]
         del file["frames/0002/particles/track"]
     result = open_result(place, film)
     with pytest.raises(
         InputError,
-        match=r"frames/0001/particles: track: expected different numbers, got 4 for 2 particles",
+        match=r"frames/0001/particles/track: expected different numbers, got 4 2 times",
     ):
-        result.particles(1)
+        result.read(FoundParticles, 1)
     with h5py.File(place, "r+") as file:
         file["frames/0001/particles/track"][...] = [4, 5]
     with pytest.raises(
@@ -202,9 +201,8 @@ def test_found_particles_are_exported(film: Dataset, tmp_path: Path) -> None:
     with result_writer(tmp_path / "r.h5", film, "some", "particles", {}) as writer:
         for frame in range(film.rig.frames):
             true = film.particles(frame)
-            writer.add_particles(
-                frame, FoundParticles(true.position_mm[5:], None, true.id[5:].astype(np.int64))
-            )
+            some = FoundParticles(true.position_mm[5:], None, true.id[5:].astype(np.int64))
+            writer.add(some, frame)
     export(film, tmp_path / "vtk", tmp_path / "r.h5")
     with h5py.File(tmp_path / "vtk" / "particles_0002.vtkhdf") as file:
         np.testing.assert_array_equal(file["VTKHDF/PointData/true_id"][:], film.particles(2).id[5:])

@@ -20,7 +20,6 @@ from sabench.dataset.reader import Dataset
 from sabench.evaluation.leaderboard.submissions import submit
 from sabench.evaluation.records import read_records
 from sabench.tasks import of
-from sabench.tasks.columns import COLUMNS
 from sabench.tasks.external_programs import is_program, run_program, show
 from sabench.utils.errors import InputError
 from sabench.utils.processes.limited import Limits
@@ -157,13 +156,6 @@ def test_what_counts_as_a_program(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     assert not is_program("nothing")
 
 
-def test_every_track_can_take_foreign_results() -> None:
-    for track in COLUMNS:
-        assert callable(of(track).copy), (
-            f"track {track}: a foreign result must be read and written anew"
-        )
-
-
 SUITE = """
 title = "two programs and a solver"
 scenes = ["quick"]
@@ -251,7 +243,7 @@ def test_the_cpp_example_scores_as_the_python_example_does(
 ) -> None:
     run_program(str(compiled(tmp_path)), quick, tmp_path / "r.h5", parameters={"k": 3.0})
     scores = sabench.score(quick, tmp_path / "r.h5")
-    for column in COLUMNS["reconstruction"]:
+    for column in of("reconstruction").columns:
         if column.key not in ("seconds", "peak_mb"):
             assert scores[column.key] == pytest.approx(python_scores[column.key], rel=1e-6), (
                 column.key

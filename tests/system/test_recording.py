@@ -109,7 +109,8 @@ import pathlib
 import numpy as np
 
 from sabench.api import Generator, Parameters
-from sabench.api.truth import Domain, Particles
+from sabench.api.truth import Particles
+from sabench.geometry.frames import Domain
 
 
 class BreakerParameters(Parameters):
@@ -158,7 +159,7 @@ def test_a_frame_that_always_breaks_is_told_and_the_rest_kept(
     done = command(*words, env=environment)
     assert done.returncode == 2, done.stderr
     assert (
-        "frame 1 failed 3 times: its process ended with exit code 11; what was finished is kept"
+        "frame 1 failed 3 times: its process ended with exit code 11; finished tasks are kept"
         in " ".join(done.stderr.split())
     )
     (left,) = tmp_path.glob(".set.parts-*")
@@ -177,14 +178,14 @@ def test_what_is_there_is_not_made_again(tmp_path: Path, monkeypatch: pytest.Mon
     def interrupted(recorder: Any, parts: Any, task: Any) -> None:
         if task.frame == 2:
             raise KeyboardInterrupt
-        job.record(recorder, parts, task)
+        job.record_task(recorder, parts, task)
 
     def counted(world: Any, camera: Any) -> Any:
         shots.append((world.frame, camera.name))
         return shoot(world, camera)
 
     with monkeypatch.context() as patch:
-        patch.setattr(workers, "record", interrupted)
+        patch.setattr(workers, "record_task", interrupted)
         with pytest.raises(KeyboardInterrupt):
             made(scene, tmp_path / "set")
     monkeypatch.setattr(recorders, "shoot", counted)

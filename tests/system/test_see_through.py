@@ -17,7 +17,7 @@ from sabench.metrics.code_reading import single_views
 from sabench.plugins import load
 from sabench.scenes import Scene
 from sabench.simulation.pipeline import generate
-from sabench.tasks.see_through import error_picture
+from sabench.tasks.see_through import TASK
 from sabench.tasks.solve_and_score import score, solve
 from sabench.utils.errors import InputError
 from sabench.worlds.readable_codes import code_of
@@ -75,9 +75,9 @@ def test_a_refocused_plane_shows_what_single_views_do_not(veiled: Dataset, tmp_p
         result = solve(
             "see_through", veiled, tmp_path / f"{method}.h5", parameters={"method": method}
         )
-        assert result.track == "see_through"
+        assert result.task == "see_through"
         scores[method] = score(veiled, tmp_path / f"{method}.h5")
-        assert coloured(error_picture(veiled, result)) == pytest.approx(
+        assert coloured(TASK.error_picture(veiled, result)) == pytest.approx(
             100.0 - scores[method]["read_percent"], abs=3.0
         )
     export(veiled, tmp_path / "vtk", tmp_path / "dark.h5")

@@ -101,7 +101,7 @@ def test_attributes_of_other_kinds(quick: Dataset, quick_result: Path, file: Pat
         "parameters": "[1]",
         "seconds": np.zeros(3),
         "solver": h5py.Empty("f4"),
-        "track": "x" * 60_000,
+        "task": "x" * 60_000,
         "peak_mb": float("inf"),
     }.items():
         shutil.copy(quick_result, file)

@@ -56,9 +56,9 @@ def test_a_pair_becomes_a_field_and_scores(vortex: Dataset, tmp_path: Path) -> N
         tmp_path / "result.h5",
         parameters={"reconstruction": "mlos_smart", **SETTINGS},
     )
-    assert made.track == "velocimetry"
+    assert made.task == "velocimetry"
     assert made.reconstruction_s is not None
-    field = open_result(tmp_path / "result.h5", vortex).velocity(2)
+    field = open_result(tmp_path / "result.h5", vortex).read(Velocity, 2)
     assert field.valid.mean() > 0.9
     assert np.linalg.norm(field.velocity_mm_s, axis=-1).max() == pytest.approx(150.0, rel=0.25)
     scores = score(vortex, tmp_path / "result.h5")
@@ -91,7 +91,7 @@ def test_one_command_and_the_page(command: Command, tmp_path: Path) -> None:
     done = command("run", "suite.toml", "--json")
     assert done.returncode == 0, done.stderr
     (record,) = json.loads(done.stdout)
-    assert record["track"] == "velocimetry"
+    assert record["task"] == "velocimetry"
     assert record["u_p90_voxel"] < 0.4
     page = (tmp_path / "leaderboard" / "index.html").read_text(encoding="utf-8")
     assert block(page)["rows"][0]["scores"][0] == [pytest.approx(record["u_p90_voxel"], rel=1e-8)]

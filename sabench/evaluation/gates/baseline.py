@@ -10,75 +10,17 @@ from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from sabench import plugins
-from sabench.tasks.columns import COLUMNS
+from sabench import plugins, tasks
+from sabench.tasks.task import Better
 from sabench.utils.errors import InputError
 from sabench.utils.files import canonical_json, complete_or_nothing, read_json
 from sabench.utils.validation import validate
 
 FORMAT, VERSION = "sabench-baseline", 1
 DATA = "data set"  # stands in a solver's place where figures are of the data set itself
-COSTS = ("seconds", "reconstruction_s", "peak_mb")
-TIMES = COSTS[:2]
+TIMES = ("seconds", "reconstruction_s")
+COSTS = (*TIMES, "peak_mb")
 Figures = dict[str, float | None]
-
-_COUNTED = {
-    "precision",
-    "recall",
-    "f1",
-    "f1_large",
-    "f1_small",
-    "recall_hidden",
-    "recall_dense",
-    "link_recall",
-    "link_precision",
-    "effectiveness",
-}
-LARGER = _COUNTED | {
-    "q",
-    "true_percent",
-    "yield_percent",
-    "read_percent",
-    "separation",
-    "contrast",
-    "used_percent",
-}
-UNITY = {"response", "efficiency_ratio"}  # best at 1
-_ERRORS = (
-    "ghost_percent",
-    "rms_px",
-    "true_px",
-    "measured_px",
-    "true_ratio",
-    "held_out_mm",
-    "spacing_mm",
-    "index_error",
-    "thickness_error_mm",
-    "_p90_voxel",
-    "bias_voxel",
-    "rms_voxel",
-    "divergence_1_s",
-    "vorticity_percent",
-    "radius_percent",
-    "axes_percent",
-    "tilt_deg",
-    "plane_mm",
-    "depth_mm",
-    "sizes_percent",
-    "void_percent",
-    "penetration_percent",
-    "angle_percent",
-    "weight_percent",
-    "width_percent",
-    "velocity_mm_s",
-    "velocity_percent",
-    "_std_mm",
-    "_mean_mm",
-    "rms_mm",
-    "_std_ratio",
-    "retraced_px",
-    *COSTS,
-)
 
 
 class _Part(BaseModel):
@@ -123,7 +65,7 @@ class CaseEntry(_Part):
 
 
 class Baseline(_Part):
-    """A whole suite's figures, and their tolerances by track - or `data set` - and kind of figure."""
+    """A whole suite's figures, and their tolerances by task - or `data set` - and kind of figure."""
 
     format: Literal["sabench-baseline"] = "sabench-baseline"
     version: Literal[1] = 1
@@ -184,32 +126,23 @@ class Finding:
         return f"{where}: {self.figure}: {was} before, {is_} now{moved}{beyond}"
 
 
-def default_tolerance(track: str, figure: str) -> Tolerance:
-    """The rule behind tolerances that nobody has edited; its numbers: docs/developing/gates.md."""
-    if figure == "peak_mb":
-        return Tolerance(relative=1.0, absolute=200.0)
-    if figure in TIMES:
-        return Tolerance(relative=2.0, absolute=0.5)
-    if track == DATA:
+def default_tolerance(task: str, figure: str) -> Tolerance:
+    """Apply the rule behind tolerances that nobody has edited; docs/developing/gates.md explains its numbers."""
+    if task == DATA:
         return _data_tolerance(figure)
-    if figure.removeprefix("peak_") in _COUNTED:
-        return Tolerance(relative=0.0, absolute=0.02)
-    if figure.endswith("_percent") and figure.removeprefix("peak_") in (
-        "true_percent",
-        "ghost_percent",
-        "yield_percent",
-        "read_percent",
-    ):
-        return Tolerance(relative=0.0, absolute=2.0)
-    decimals = next(
-        (column.decimals for column in COLUMNS.get(track, ()) if column.key == figure), 4
-    )
-    return Tolerance(relative=0.01, absolute=10.0**-decimals)
+    score = tasks.of(task).score_of(figure)
+    if score.unit == "MB":
+        return Tolerance(relative=1.0, absolute=200.0)
+    if score.unit == "s":
+        return Tolerance(relative=2.0, absolute=0.5)
+    if score.counted:
+        return Tolerance(relative=0.0, absolute=2.0 if score.unit == "%" else 0.02)
+    return Tolerance(relative=0.01, absolute=10.0**-score.decimals)
 
 
-def kind_of(track: str, figure: str) -> str:
+def kind_of(task: str, figure: str) -> str:
     """What a figure's tolerance is found by: its name, of a data set's figure what it has in common with those of other cameras and frames."""
-    if track != DATA:
+    if task != DATA:
         return figure
     return "probe" if figure.startswith("probe.") else figure.rpartition(".")[2]
 
@@ -265,39 +198,27 @@ def write_baseline(path: Path, baseline: Baseline) -> None:
         partial.write_text(canonical_json(baseline.model_dump(mode="json")), encoding="utf-8")
 
 
-def tolerance_of(tolerances: Tolerances, track: str, figure: str) -> Tolerance:
+def tolerance_of(tolerances: Tolerances, task: str, figure: str) -> Tolerance:
     """As the baseline's table says, else the default."""
-    kind = kind_of(track, figure)
-    return tolerances.get(track, {}).get(kind) or default_tolerance(track, kind)
+    kind = kind_of(task, figure)
+    return tolerances.get(task, {}).get(kind) or default_tolerance(task, kind)
 
 
-def better(figure: str) -> Literal["larger", "smaller", "unity", "steady"]:
-    """Which way a figure improves; `steady` ones say something else than how good a solver is, and may move neither way."""
-    if figure.startswith(("bound_", "held_out_exact", "single_", "best_single_", "found_")):
-        return "steady"
-    if figure.removeprefix("peak_") in LARGER:
-        return "larger"
-    if figure in UNITY:
-        return "unity"
-    return "smaller" if figure.endswith(_ERRORS) else "steady"
-
-
-def loss(figure: str, before: float, now: float) -> float:
-    """By how much a figure got worse; negative: better. Signed errors count by their size."""
-    kind = better(figure)
-    if kind == "steady":
+def loss(better: Better, before: float, now: float) -> float:
+    """Say by how much a figure got worse; negative: better. Signed errors count by their size."""
+    if better == "steady":
         return abs(now - before)
-    if kind == "larger":
+    if better == "larger":
         return before - now
-    if kind == "unity":
+    if better == "unity":
         return abs(now - 1.0) - abs(before - 1.0)
     return abs(now) - abs(before)
 
 
 def compare(
-    before: CaseEntry, now: CaseEntry, tracks: Mapping[str, str], tolerances: Tolerances
+    before: CaseEntry, now: CaseEntry, served: Mapping[str, str], tolerances: Tolerances
 ) -> Iterator[Finding]:
-    """What has moved too far in one case; `tracks` says which one each solver is of.
+    """What has moved too far in one case; `served` has each solver's task.
 
     Solvers of the baseline that did not run now are worse, those that are new are news.
     """
@@ -320,7 +241,7 @@ def compare(
             worse, text = said
             yield Finding(case, seed, solver, "", None, None, None, worse=worse, text=text)
         elif old is not None and new is not None:
-            yield from _of_solver(now, solver, tracks[solver], old, scaled(new, old), tolerances)
+            yield from _of_solver(now, solver, served[solver], old, scaled(new, old), tolerances)
 
 
 def _standing(old: Entry | None, new: Entry | None) -> tuple[bool, str] | None:
@@ -337,9 +258,9 @@ def _standing(old: Entry | None, new: Entry | None) -> tuple[bool, str] | None:
 
 
 def _of_solver(
-    case: CaseEntry, solver: str, track: str, old: Entry, new: Entry, tolerances: Tolerances
+    case: CaseEntry, solver: str, task: str, old: Entry, new: Entry, tolerances: Tolerances
 ) -> Iterator[Finding]:
-    for figure, allowed, change in _moved(old.figures, new.figures, tolerances, track):
+    for figure, allowed, change in _moved(old.figures, new.figures, tolerances, task):
         yield Finding(
             *case.key,
             solver,
@@ -364,7 +285,7 @@ def scaled(new: Entry, old: Entry) -> Entry:
 
 
 def _moved(
-    before: Figures, now: Figures, tolerances: Tolerances, track: str
+    before: Figures, now: Figures, tolerances: Tolerances, task: str
 ) -> Iterator[tuple[str, float | None, float]]:
     """Figures beyond tolerance, what is allowed, and by how much they got worse: infinitely if they are lost, minus that if they are new."""
     for figure in sorted({**before, **now}):
@@ -373,7 +294,8 @@ def _moved(
             if old is not new:
                 yield figure, None, math.inf if new is None else -math.inf
             continue
-        allowed = tolerance_of(tolerances, track, figure).of(old)
-        change = abs(new - old) if track == DATA else loss(figure, old, new)
+        allowed = tolerance_of(tolerances, task, figure).of(old)
+        better: Better = "steady" if task == DATA else tasks.of(task).score_of(figure).better
+        change = loss(better, old, new)
         if abs(change) > allowed:
             yield figure, allowed, change

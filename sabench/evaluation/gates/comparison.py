@@ -31,7 +31,7 @@ from sabench.evaluation.gates.baseline import (
     write_baseline,
 )
 from sabench.evaluation.gates.dataset_statistics import fingerprint
-from sabench.evaluation.gates.known_wrong_estimates import probe
+from sabench.evaluation.gates.known_wrong_estimates import score_known_wrong
 from sabench.evaluation.runner import dataset_of, machine, solve_apart, versions
 from sabench.evaluation.suites import Case, Entrant, load_suite
 from sabench.scenes import find
@@ -191,20 +191,22 @@ def _chosen(cases: Sequence[Case], solvers: Sequence[Entrant]) -> list[Case]:
         replace(
             case,
             solvers=tuple(
-                one for one in solvers if _track(one) in {_track(other) for other in case.solvers}
+                one
+                for one in solvers
+                if _task_of(one) in {_task_of(other) for other in case.solvers}
             ),
         )
         for case in cases
     ]
     if not any(case.solvers for case in own):
-        tracks = ", ".join(sorted({_track(one) for one in solvers}))
+        known = ", ".join(sorted({_task_of(one) for one in solvers}))
         raise InputError(
-            f"solvers: expected some that the suite has cases for, got only some of the track {tracks}, of which it has none"
+            f"solvers: expected some that the suite has cases for, got only some of the task {known}, of which it has none"
         )
     return [case for case in own if case.solvers]
 
 
-def _track(entrant: Entrant) -> str:
+def _task_of(entrant: Entrant) -> str:
     return entrant.describe()[1]
 
 
@@ -222,13 +224,14 @@ def _run_case(
         data={},
         solvers={},
     )
-    now = now.model_copy(update={"data": {**fingerprint(data), **probe(data, out)}})
+    now = now.model_copy(update={"data": {**fingerprint(data), **score_known_wrong(data, out)}})
     for name, entrant in names_of(case.solvers, f"case {case.name}").items():
         if (
             exit_first
             and old
             and any(
-                finding.worse for finding in compare(_ran(old, now), now, _tracks(case), tolerances)
+                finding.worse
+                for finding in compare(_ran(old, now), now, _tasks_of(case), tolerances)
             )
         ):
             break
@@ -250,9 +253,9 @@ def _ran(old: CaseEntry, now: CaseEntry) -> CaseEntry:
     )
 
 
-def _tracks(case: Case) -> dict[str, str]:
+def _tasks_of(case: Case) -> dict[str, str]:
     return {
-        name: _track(entrant)
+        name: _task_of(entrant)
         for name, entrant in names_of(case.solvers, f"case {case.name}").items()
     }
 
@@ -263,7 +266,7 @@ def _solved_again(
     """Solve and score; once more, and again, where time or memory seem to have grown."""
     entry = _solved(data, entrant, out)
     for _ in range(_AGAIN):
-        if earlier is None or not _dear(earlier, entry, tolerances, _track(entrant)):
+        if earlier is None or not _dear(earlier, entry, tolerances, _task_of(entrant)):
             break
         entry = _cheaper(entry, _solved(data, entrant, out))
     return entry
@@ -285,7 +288,7 @@ def _solved(data: Dataset, entrant: Entrant, out: Path) -> Entry:
     return Entry(figures=kept, reference_s=reference_s)
 
 
-def _dear(earlier: Entry, entry: Entry, tolerances: Tolerances, track: str) -> bool:
+def _dear(earlier: Entry, entry: Entry, tolerances: Tolerances, task: str) -> bool:
     """Whether time or memory would fail the gate: another process may have been in the way, or machine code was compiled for the first time."""
     now = scaled(entry, earlier).figures
     pairs = [
@@ -293,7 +296,7 @@ def _dear(earlier: Entry, entry: Entry, tolerances: Tolerances, track: str) -> b
         for key in COSTS
         if (old := earlier.figures.get(key)) is not None and (new := now.get(key)) is not None
     ]
-    return any(new - old > tolerance_of(tolerances, track, key).of(old) for key, old, new in pairs)
+    return any(new - old > tolerance_of(tolerances, task, key).of(old) for key, old, new in pairs)
 
 
 def _cheaper(one: Entry, other: Entry) -> Entry:
@@ -338,7 +341,9 @@ def _compared(
             text="its scene is not the one of the baseline",
         )
     cut_short = len(now.solvers) < len(case.solvers)
-    yield from compare(_ran(old, now) if cut_short else old, now, _tracks(case), before.tolerances)
+    yield from compare(
+        _ran(old, now) if cut_short else old, now, _tasks_of(case), before.tolerances
+    )
 
 
 def _missing(before: Baseline | None, entries: Sequence[CaseEntry]) -> Iterator[Finding]:
@@ -365,13 +370,13 @@ def _tolerances(
         DATA: {kind_of(DATA, figure) for entry in entries for figure in entry.data}
     }
     for case, entry in zip(cases, entries, strict=False):
-        for name, track in _tracks(case).items():
-            named.setdefault(track, set()).update(
+        for name, task in _tasks_of(case).items():
+            named.setdefault(task, set()).update(
                 entry.solvers[name].figures if name in entry.solvers else ()
             )
     made = {
-        track: {key: default_tolerance(track, key) for key in figures}
-        for track, figures in named.items()
+        task: {key: default_tolerance(task, key) for key in figures}
+        for task, figures in named.items()
     }
     earlier = before.tolerances if before else {}
-    return {track: made.get(track, {}) | earlier.get(track, {}) for track in {**made, **earlier}}
+    return {task: made.get(task, {}) | earlier.get(task, {}) for task in {**made, **earlier}}

@@ -15,14 +15,14 @@ from typing import Any
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from scipy.special import stdtrit
 
-from sabench import plugins
+from sabench import plugins, tasks
 from sabench.evaluation.records import Record, key_of
-from sabench.tasks.columns import COLUMNS, LARGER_IS_BETTER
+from sabench.tasks.task import Task
 from sabench.utils.confidence import CONFIDENCE, Mean
 from sabench.utils.files import LONGEST_PART, inside
 
 _SCRIPTS = ("base", "state", "rows", "table", "plots", "case", "main")
-_CASE = ("track", "case", "scene_hash", "renderer", "split")
+_CASE = ("task", "case", "scene_hash", "renderer", "split")
 _ENTRY = (*_CASE, "solver", "parameters", "machine", "submission")
 # of freedom for which the page knows Student's quantile; beyond them the last one is a little too
 # wide
@@ -33,54 +33,6 @@ _DIGITS = 9
 _PICTURES_BYTES = (
     80_000_000  # of the page; those beyond are left out, the best of every case come first
 )
-
-PICTURED = {  # heading and text of a case's pictures, and whether they are wide
-    "reconstruction": (
-        "Middle slice",
-        "The same central window of the middle z plane of the scored volume, x to the right, y down; each picture has its own brightness scale.",
-        False,
-    ),
-    "particles": (
-        "Particles in the middle slice",
-        "Found particles as balls of light on the grid, in the same window of the middle z plane of the scored volume, x to the right, y down.",
-        False,
-    ),
-    "calibration": (
-        "Errors in the images",
-        "From where the target's points were found to where the calibration sees them; the number says how much longer.",
-        False,
-    ),
-    "velocimetry": (
-        "Fields",
-        "The first pair: vectors and vorticity of a middle plane, errors there, all errors against each other, a profile beside the exact one.",
-        True,
-    ),
-    "bubbles": (
-        "Bubbles from the front and from the side",
-        "Every bubble as a circle of its radius, which its colour gives, too; X to the right or Z, Y down.",
-        True,
-    ),
-    "see_through": (
-        "The code's plane",
-        "The plane of the stack in which the code behind the bubbles is, each with its own brightness scale.",
-        False,
-    ),
-}
-_PARTICLES = "First frame of every camera, one brightness scale for all; dim particles are raised."
-_CAMERAS = {  # what the pictures of the cameras show
-    "reconstruction": _PARTICLES,
-    "particles": _PARTICLES,
-    "velocimetry": _PARTICLES,
-    "calibration": "Points of the target that every camera found, each frame in its own grey, or what it saw of the particles.",
-    "bubbles": "First frame of every camera.",
-    "see_through": "First frame of every camera.",
-}
-_ERRORS = {  # what the maps of errors show, of tracks that have them
-    "reconstruction": "The estimate, scaled to fit best, minus the truth in the same window: blue is light that is missing, red is light too much. "
-    "All maps of a case have one scale.",
-    "see_through": "The code in black and white; red cells are dark and read as bright, blue ones bright and read as dark.",
-    "bubbles": "Green bubbles were found, blue ones were missed, orange ones were found where there are none.",
-}
 
 
 def render(rows: Sequence[Record], pictures: Path) -> str:
@@ -97,8 +49,10 @@ def render(rows: Sequence[Record], pictures: Path) -> str:
     albums, left_out = _albums(shown, places, pictures)
     pool = _Pool()
     data = {
-        "tracks": {
-            track: _track(track) for track in COLUMNS if any(row["track"] == track for row in shown)
+        "tasks": {
+            task.name: _task(task)
+            for task in tasks.every()
+            if any(row["task"] == task.name for row in shown)
         },
         "cases": [_case(case) for case in cases],
         "rows": [_row(row, case, pool) for row, case in zip(shown, places, strict=True)],
@@ -174,9 +128,14 @@ class _Pool:
 
 def _order(row: Record) -> tuple[Any, ...]:
     """Tracks in the order of their columns, cases by name with numbers as numbers, then the rank within the case."""
-    tracks = list(COLUMNS)
     rest = (row["case"], row["scene_hash"], row["renderer"], row["split"])
-    return tracks.index(row["track"]), _natural(row["case"]), rest, _rank(row), key_of(row, _ENTRY)
+    return (
+        tasks.NAMES.index(row["task"]),
+        _natural(row["case"]),
+        rest,
+        _rank(row),
+        key_of(row, _ENTRY),
+    )
 
 
 def _natural(name: str) -> list[tuple[float, str]]:
@@ -186,25 +145,33 @@ def _natural(name: str) -> list[tuple[float, str]]:
 
 def _rank(row: Record) -> tuple[bool, bool, float]:
     """Best first column first, then those without, then errors."""
-    first: Mean | None = row[COLUMNS[row["track"]][0].key]
-    sign = -1.0 if LARGER_IS_BETTER[row["track"]] else 1.0
+    score = tasks.of(row["task"]).columns[0]
+    first: Mean | None = row[score.key]
+    sign = -1.0 if score.better == "larger" else 1.0
     return bool(row["error"]), first is None, sign * first.mean if first else 0.0
 
 
-def _track(track: str) -> dict[str, Any]:
-    heading, told, wide = PICTURED[track]
+def _task(task: Task) -> dict[str, Any]:
+    """What the page shows of a task: its columns and the captions of its figures."""
     columns = [
-        {"key": one.key, "heading": one.heading, "decimals": one.decimals, "meaning": one.meaning}
-        for one in COLUMNS[track]
+        {
+            "key": one.key,
+            "heading": one.heading,
+            "decimals": one.decimals,
+            "meaning": one.meaning,
+        }
+        for one in task.columns
     ]
+    captions = task.captions
     pictured = {
-        "heading": heading,
-        "told": told,
-        "wide": wide,
-        "cameras": _CAMERAS[track],
-        "errors": _ERRORS.get(track, ""),
+        "heading": captions.heading,
+        "text": captions.estimates,
+        "wide": captions.wide,
+        "cameras": captions.cameras,
+        "errors": captions.errors,
     }
-    return {"columns": columns, "larger": LARGER_IS_BETTER[track], "pictured": pictured}
+    larger = task.columns[0].better == "larger"
+    return {"columns": columns, "larger": larger, "pictured": pictured}
 
 
 def _case(rows: Sequence[Record]) -> dict[str, Any]:
@@ -215,7 +182,7 @@ def _case(rows: Sequence[Record]) -> dict[str, Any]:
         name: next((row[name] for row in rows if row.get(name)), None)
         for name in ("suite", "difficulty", "axis", "axes")
     }
-    head = {name: first[name] for name in ("track", "scene", "renderer", "split")}
+    head = {name: first[name] for name in ("task", "scene", "renderer", "split")}
     tag = f"{first['case']}-{first['scene_hash'][:8]}-{first['renderer']}{hidden}"
     return {
         **head,
@@ -230,7 +197,7 @@ def _case(rows: Sequence[Record]) -> dict[str, Any]:
 def _row(row: Record, case: int, pool: _Pool) -> dict[str, Any]:
     """One line of the table; what many lines share is a place in the pool."""
     runs: list[Record] = row["runs"]
-    keys = [column.key for column in COLUMNS[row["track"]]]
+    keys = [score.key for score in tasks.of(row["task"]).columns]
     several = len(runs) > 1
     reference = [run["reference_s"] for run in runs if run.get("reference_s")]
     return {
@@ -345,7 +312,7 @@ def _pictures(
         rank = seen[place] = seen.get(place, 0) + 1
         stem = f"{run['solver']}-{run['run_hash'][:8]}"
         wanted = [(0, "images", "images.png")] + (
-            [(0, "truth", "truth.png")] if row["track"] != "velocimetry" else []
+            [(0, "truth", "truth.png")] if row["task"] != "velocimetry" else []
         )
         if not run.get(
             "error"

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from sabench import tasks
 from sabench.evaluation.leaderboard import page
 from sabench.evaluation.records import Record, key_of
-from sabench.tasks.columns import COLUMNS
 from sabench.utils.confidence import mean_of
 from sabench.utils.files import complete_or_nothing
 
 _ENTRY = (
-    "track",
+    "task",
     "case",
     "scene_hash",
     "renderer",
@@ -28,16 +28,16 @@ def over_seeds(records: list[Record]) -> list[Record]:
     """One row for every case, solver and machine: the first seed's record with `seeds`, `runs` and, in place of every score, its `Mean` over them.
 
     A score that no seed has is None. `error` counts the seeds that failed and says why the first
-    one did. `runs` are the records of the seeds. Records of a track without columns make no rows.
+    one did. `runs` are the records of the seeds. Records of unknown tasks make no rows.
     """
     groups: dict[str, list[Record]] = {}
     for record in sorted(records, key=lambda record: int(record["seed"])):
-        track = record.get("track") or "reconstruction"
-        if track in COLUMNS:
+        task = record.get("task") or "reconstruction"
+        if task in tasks.NAMES:
             named = {
                 **record,
                 "case": record.get("case") or record["scene"],
-                "track": track,
+                "task": task,
                 "split": record.get("split") or "public",
             }
             groups.setdefault(key_of(named, _ENTRY), []).append(named)
@@ -45,7 +45,7 @@ def over_seeds(records: list[Record]) -> list[Record]:
 
 
 def _merged(group: list[Record]) -> Record:
-    keys = [column.key for column in COLUMNS[group[0]["track"]]]
+    keys = [score.key for score in tasks.of(group[0]["task"]).columns]
     runs = [{**record, **{key: _number(record.get(key)) for key in keys}} for record in group]
     means = {key: mean_of([run[key] for run in runs if run[key] is not None]) for key in keys}
     errors = [record["error"] for record in group if record.get("error")]

@@ -9,20 +9,20 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from sabench import tasks
 from sabench.dataset.hdf5_probe import probe
 from sabench.dataset.reader import Dataset, open_dataset
-from sabench.dataset.results import dataset_of
+from sabench.dataset.results import read_dataset_hash
 from sabench.dataset.schema import MANIFEST
 from sabench.dataset.verification import verify
 from sabench.evaluation.leaderboard.archives import result_files
 from sabench.evaluation.records import Record, append, latest, read_records
 from sabench.evaluation.runner import build_board
-from sabench.tasks.columns import COLUMNS, LARGER_IS_BETTER
 from sabench.tasks.external_programs import adopt
 from sabench.tasks.solve_and_score import score
 from sabench.utils.errors import InputError
 from sabench.utils.files import digest
-from sabench.utils.processes.isolated import apart
+from sabench.utils.processes.isolated import call_isolated
 from sabench.utils.progress import track
 from sabench.utils.validation import printable
 from sabench.utils.version import __version__
@@ -45,7 +45,7 @@ _CASE = (
 
 @dataclass(frozen=True)
 class Standing:
-    """Where a submitted result ranks among the latest of its data set and track.
+    """Where a submitted result ranks among the latest of its data set and task.
 
     Attributes
     ----------
@@ -117,7 +117,7 @@ def _datasets(files: list[tuple[str, Path]], folders: Sequence[Path]) -> dict[st
     known, whole, found = dict(_by_hash(folders)), set(), {}
     for label, file in files:
         probe(file)
-        wanted = dataset_of(file)
+        wanted = read_dataset_hash(file)
         if wanted not in known:
             where = ", ".join(str(folder) for folder in folders)
             raise InputError(
@@ -152,11 +152,13 @@ def _content_hash(root: Path) -> str:
 
 def _record(label: str, file: Path, data: Dataset, known: list[Record]) -> Record:
     """A record of one result, scored in a process of its own."""
-    scores = apart(_score, file, data.root, doing=f"result {printable(label)}", time_s=_SCORE_S)
-    head = _case(data, known) | {key: scores[key] for key in ("track", "solver", "parameters")}
+    scores = call_isolated(
+        _score, file, data.root, doing=f"result {printable(label)}", time_s=_SCORE_S
+    )
+    head = _case(data, known) | {key: scores[key] for key in ("task", "solver", "parameters")}
     run_hash = digest([data.content_hash, head["solver"], head["parameters"]])
     costs = {"seconds": None, "peak_mb": None}  # of a machine that nobody here has seen
-    figures = {column.key: scores[column.key] for column in COLUMNS[head["track"]]}
+    figures = {one.key: scores[one.key] for one in tasks.of(head["task"]).columns}
     rest = {
         "dataset": data.content_hash,
         "run_hash": run_hash,
@@ -204,12 +206,13 @@ def _refuse_twins(path: Path, labels: list[str], made: list[Record]) -> None:
 
 
 def standing(record: Record, every: Sequence[Record]) -> Standing:
-    """Where a record ranks among the records of its data set and track, by the track's first column; equal scores share the better rank."""
-    key, sign = COLUMNS[record["track"]][0].key, 1.0 if LARGER_IS_BETTER[record["track"]] else -1.0
+    """Where a record ranks among the records of its data set and task, by the task's first score; equal scores share the better rank."""
+    score = tasks.of(record["task"]).columns[0]
+    key, sign = score.key, 1.0 if score.better == "larger" else -1.0
     rivals = [
         one
         for one in every
-        if (one["dataset"], one["track"]) == (record["dataset"], record["track"]) and _has(one, key)
+        if (one["dataset"], one["task"]) == (record["dataset"], record["task"]) and _has(one, key)
     ]
     own = record.get(key)
     rank = None if own is None else 1 + sum(sign * one[key] > sign * own for one in rivals)

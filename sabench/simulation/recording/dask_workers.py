@@ -1,4 +1,4 @@
-"""The workers of a Dask cluster, which see the folder of the data set."""
+"""Workers of a Dask cluster, which must see the folder of the data set."""
 
 from __future__ import annotations
 
@@ -9,43 +9,37 @@ from typing import Any
 from dask import config
 from distributed import Client, wait
 
-from sabench.simulation.recording.job import do
+from sabench.simulation.recording.job import run_task
 from sabench.simulation.recording.schedule import Outcome, Task
 from sabench.utils.errors import InputError
 from sabench.utils.progress import console
 
-_PATIENCE_S = 20.0  # before it says that it waits
-_SILENT_S = 8.0  # that an address may be at first
+_REPORT_S = 20.0  # time without an outcome after which it reports a lack of workers
+_CONNECT_S = 8.0  # time limit of the first connection
 
 
 class DaskPool:
-    """All workers of a Dask scheduler, those that come later as well, one task each at a time."""
+    """All workers of a Dask scheduler, including those that join later; one task each at a time."""
 
     def __init__(self, address: str, root: Path) -> None:
         self._root = str(root)
-        with config.set({"distributed.comm.timeouts.connect": _SILENT_S}):
-            try:
-                self._client = Client(address, timeout=_SILENT_S)
-            except (OSError, ValueError, TimeoutError) as error:
-                raise InputError(
-                    f"scheduler: expected a Dask scheduler at {address}, got {type(error).__name__}: {error}"
-                ) from error
+        self._client = _connect(address)
         self._tasks: dict[Any, tuple[Hashable, Task]] = {}
 
     @property
     def ahead(self) -> int:
-        """One frame for each, and one more for whoever comes first."""
+        """One frame for each worker, and one for the first that is done."""
         return len(self._addresses()) + 1
 
     def idle(self) -> Sequence[Hashable]:
-        """Workers without a task."""
+        """Return the workers without a task."""
         busy = {worker for worker, _ in self._tasks.values()}
         return [address for address in self._addresses() if address not in busy]
 
     def give(self, worker: Hashable, task: Task) -> None:
-        """Have a worker do a task; another one does it if that worker dies."""
+        """Submit a task to a worker; Dask gives it to another one if that worker dies."""
         future = self._client.submit(
-            _do,
+            _run_task,
             self._root,
             task.frame,
             task.camera,
@@ -56,17 +50,16 @@ class DaskPool:
         self._tasks[future] = worker, task
 
     def wait(self) -> list[Outcome]:
-        """What has ended; says so if nothing does for lack of workers."""
+        """Wait for tasks to end, and report a lack of workers after a while."""
         if not self._tasks:
             self._client.wait_for_workers(1)
             return []
         try:
-            ended = wait(list(self._tasks), timeout=_PATIENCE_S, return_when="FIRST_COMPLETED").done
+            ended = wait(list(self._tasks), timeout=_REPORT_S, return_when="FIRST_COMPLETED").done
         except TimeoutError:
             if not self._addresses():
-                console.print(
-                    "waiting for workers: the scheduler has none", style="dim", highlight=False
-                )
+                message = "waiting for workers: the scheduler has none"
+                console.print(message, style="dim", highlight=False)
             return []
         return [self._outcome(future) for future in ended]
 
@@ -78,7 +71,7 @@ class DaskPool:
         return Outcome(worker, task, None if error is None else f"{type(error).__name__}: {error}")
 
     def close(self) -> None:
-        """Take back what has not begun, and leave the workers to others."""
+        """Cancel tasks that have not begun, and disconnect."""
         self._client.cancel(list(self._tasks))
         self._client.close()
 
@@ -86,5 +79,16 @@ class DaskPool:
         return list(self._client.scheduler_info(n_workers=-1)["workers"])
 
 
-def _do(root: str, frame: int, camera: int | None) -> None:
-    do(root, Task(frame, camera))
+def _connect(address: str) -> Client:
+    with config.set({"distributed.comm.timeouts.connect": _CONNECT_S}):
+        try:
+            return Client(address, timeout=_CONNECT_S)
+        except (OSError, ValueError, TimeoutError) as error:
+            got = f"{type(error).__name__}: {error}"
+            raise InputError(
+                f"scheduler: expected a Dask scheduler at {address}, got {got}"
+            ) from error
+
+
+def _run_task(root: str, frame: int, camera: int | None) -> None:
+    run_task(root, Task(frame, camera))

@@ -1,4 +1,4 @@
-"""One data set's recording in a folder that all who work on it can see, and one task of it."""
+"""Recording of one data set in a folder that all workers see, and one task of it."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ from sabench.utils.files import canonical_json, complete_or_nothing, digest, rea
 
 JOB, _SCENE = "job.json", "scene.toml"
 _RENDERING = ("mitsuba", "drjit", "numpy", "scipy", "miepython", "numba", "opencv-python-headless")
-_ONE_AT_A_TIME = threading.Lock()  # what renders does not bear two threads
+_ONE_AT_A_TIME = threading.Lock()  # renderers cannot run in two threads
 
 
 @dataclass(frozen=True)
 class Job:
-    """A data set that is to be recorded: its scene, seed, renderer, and what it is called in errors."""
+    """Data set to be recorded: scene, seed, renderer, and the scene's name in errors."""
 
     scene: Scene
     seed: int
@@ -35,12 +35,12 @@ class Job:
 
     @property
     def key(self) -> str:
-        """What parts depend on: parts of one key may be put together, whoever made them."""
+        """Hash of all that partial results depend on: those of equal keys may be combined."""
         versions = {package: importlib.metadata.version(package) for package in _RENDERING}
         return digest([self.scene.hash, self.seed, self.renderer, code_hash(), versions])
 
     def write(self, root: Path) -> None:
-        """Put it into the folder in which its parts will lie."""
+        """Write it to the folder of its partial results."""
         root.mkdir(parents=True, exist_ok=True)
         values = {
             "seed": self.seed,
@@ -49,54 +49,51 @@ class Job:
             "key": self.key,
         }
         for name, text in ((_SCENE, self.scene.to_toml()), (JOB, canonical_json(values))):
-            with complete_or_nothing(
-                root / name, overwrite=True
-            ) as partial:  # a worker may be reading it
+            # atomic: a worker may be reading it
+            with complete_or_nothing(root / name, overwrite=True) as partial:
                 partial.write_text(text, encoding="utf-8")
 
 
 def read_job(root: Path) -> Job:
-    """The job of a folder.
+    """Read the job of a folder.
 
     Raises
     ------
     InputError
-        A folder that this machine does not see, or another version of sabench than the one that
-        wrote it.
+        This machine does not see the folder, or has other versions of sabench or of the packages
+        that render than the one that wrote it.
     """
     if not (root / JOB).is_file():
         raise InputError(
-            f"{root}: expected a data set that is being made, found none: all workers must see this folder"
+            f"{root}: expected a data set that is being made, found none: "
+            "use a folder that all workers see"
         )
     values: dict[str, Any] = read_json(root / JOB)
-    scene = parse_scene(
-        tomllib.loads((root / _SCENE).read_text(encoding="utf-8")), values["label"], root
-    )
+    text = (root / _SCENE).read_text(encoding="utf-8")
+    scene = parse_scene(tomllib.loads(text), values["label"], root)
     job = Job(scene, values["seed"], values["renderer"], values["label"])
     if job.key != values["key"]:
         raise InputError(
-            f"{root}: expected the same versions of sabench and of what it renders with on all machines, got others here"
+            f"{root}: expected the same versions of sabench and of the packages that render "
+            "on all machines, got others here"
         )
     return job
 
 
-def do(root: str, task: Task) -> None:
-    """Do one task of the job in a folder, unless it has been done; raises what recording raises."""
+def run_task(root: str, task: Task) -> None:
+    """Do one task of the job in a folder, unless its result is there."""
     with _ONE_AT_A_TIME:
-        record(*_opened(root), task)
+        record_task(*_open(root), task)
 
 
 @functools.lru_cache(maxsize=1)
-def _opened(root: str) -> tuple[Recorder, Parts]:
-    return recorder_of(*_values(read_job(Path(root)))), Parts(Path(root))
+def _open(root: str) -> tuple[Recorder, Parts]:
+    job = read_job(Path(root))
+    return recorder_of(job.scene, job.seed, job.renderer, job.label), Parts(Path(root))
 
 
-def _values(job: Job) -> tuple[Scene, int, str, str]:
-    return job.scene, job.seed, job.renderer, job.label
-
-
-def record(recorder: Recorder, parts: Parts, task: Task) -> None:
-    """Do one task, unless it has been done."""
+def record_task(recorder: Recorder, parts: Parts, task: Task) -> None:
+    """Record a frame's truth or one camera's view of it, unless that is there."""
     if task.camera is None:
         if not parts.has_frame(task.frame):
             parts.put_frame(task.frame, recorder.frame(task.frame, parts.frame))

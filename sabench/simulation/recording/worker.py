@@ -1,4 +1,7 @@
-"""A process that does tasks of a job: `python -m sabench.simulation.recording.worker FOLDER THREADS` reads [frame, camera] lines and answers each."""
+"""Process that does tasks of a job: `python -m sabench.simulation.recording.worker FOLDER THREADS`.
+
+It reads lines of JSON, [frame, camera], and answers each with [kind, reason].
+"""
 
 from __future__ import annotations
 
@@ -8,7 +11,7 @@ import sys
 from pathlib import Path
 from typing import TextIO
 
-from sabench.simulation.recording.job import JOB, do
+from sabench.simulation.recording.job import JOB, run_task
 from sabench.simulation.recording.schedule import Task
 from sabench.utils import backend
 from sabench.utils.errors import InputError
@@ -18,23 +21,23 @@ from sabench.utils.files import read_json
 def _main() -> None:
     root, threads = sys.argv[1], int(sys.argv[2])
     with os.fdopen(os.dup(1), "w", encoding="utf-8") as answers:
-        os.dup2(2, 1)  # what a library prints is no answer
-        _limit(root, threads)
+        os.dup2(2, 1)  # libraries that print must not answer
+        _limit_threads(root, threads)
         _serve(root, answers)
 
 
 def _serve(root: str, answers: TextIO) -> None:
-    """Until nobody asks any more, also because who asked has been killed."""
+    """Answer until the parent process closes its pipe, or has been killed."""
     for line in sys.stdin:
         try:
-            print(json.dumps(_tried(root, Task(*json.loads(line)))), file=answers, flush=True)
+            print(json.dumps(_try(root, Task(*json.loads(line)))), file=answers, flush=True)
         except BrokenPipeError:
             return
 
 
-def _tried(root: str, task: Task) -> tuple[str, str | None]:
+def _try(root: str, task: Task) -> tuple[str, str | None]:
     try:
-        do(root, task)
+        run_task(root, task)
     except InputError as error:
         return "input", str(error)
     except OSError as error:
@@ -44,8 +47,8 @@ def _tried(root: str, task: Task) -> tuple[str, str | None]:
     return "done", None
 
 
-def _limit(root: str, threads: int) -> None:
-    """Threads of those libraries that do not read their number in the environment."""
+def _limit_threads(root: str, threads: int) -> None:
+    """Limit the threads of those libraries that do not read their number in the environment."""
     import cv2
 
     cv2.setNumThreads(threads)

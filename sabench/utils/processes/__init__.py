@@ -1,1 +1,4 @@
-"""Child processes: functions isolated in one, external programs under limits, modules run in one."""
+"""Child processes: isolated function calls, limited external programs, Python modules, workers.
+
+`starting` and `ending` are shared: the environment of children, Ctrl-C, last words, killing.
+"""

@@ -1,4 +1,4 @@
-"""Another program in a process of its own: what it prints is kept out of ours, its crash is only its own, and its memory is counted."""
+"""Python modules and code run in a child process, whose crash and output stay there."""
 
 from __future__ import annotations
 
@@ -10,59 +10,74 @@ from pathlib import Path
 
 from sabench.utils import memory
 from sabench.utils.errors import InputError
+from sabench.utils.processes.ending import check_end, killed_if_left, last_line, overdue
+from sabench.utils.processes.starting import start_python
 from sabench.utils.progress import track
-
-_SAID = 300  # characters of a program's last words that an error repeats
 
 
 def missing(module: str, package: str) -> str | None:
-    """Why a package of the extra `competitors` cannot be used, or None if it is there."""
+    """Say how to install a package of the extra `competitors`, or return None if it is there."""
     if importlib.util.find_spec(module):
         return None
     return f"the package {package} is not installed: pip install sabench[competitors]"
 
 
-def run(module: str, folder: Path, what: str, mark: str, steps: int) -> None:
-    """Run `python -m MODULE FOLDER`, with a bar that moves at every line of its output that has `mark` in it.
+def run_module(module: str, folder: Path, name: str, mark: str, steps: int) -> None:
+    """Run `python -m MODULE FOLDER` with a progress bar, and count its memory as this process's.
+
+    Parameters
+    ----------
+    folder : working directory; the output goes to its file log.txt.
+    name : of the program, for the progress bar and errors.
+    mark : text of those lines of output that advance the bar.
+    steps : length of the bar.
 
     Raises
     ------
     InputError
-        It ended by a signal, or with another exit code than 0; the text has its last words.
+        The exit code is not 0; the text quotes the last line of output.
     """
     log = folder / "log.txt"
     with log.open("wb") as errors:
-        process = subprocess.Popen(
-            [sys.executable, "-m", module, str(folder)],
-            stdout=subprocess.PIPE,
-            stderr=errors,
-            cwd=folder,
-            env=_paths(),
-        )
-        assert process.stdout is not None
-        with process.stdout as out, log.open("ab") as kept:
-            bar = iter(track(range(steps), what))
-            for line in out:
-                kept.write(line)
-                if mark.encode() in line:
-                    next(bar, None)
-            for _ in bar:  # what was not announced
-                pass
-        _, status, used = os.wait4(process.pid, 0)
+        process = start_python(["-m", module, str(folder)], folder=folder, stderr=errors)
+    with killed_if_left(process):
+        _follow(process, log, name, mark, steps)
+        code = _wait_counting_memory(process)
+    check_end(name, code, last_line(log.read_bytes()))
+
+
+def _follow(process: subprocess.Popen[bytes], log: Path, name: str, mark: str, steps: int) -> None:
+    assert process.stdout is not None
+    bar = iter(track(range(steps), name))
+    with log.open("ab") as kept:
+        for line in process.stdout:
+            kept.write(line)
+            if mark.encode() in line:
+                next(bar, None)
+    for _ in bar:  # steps that the program did not announce
+        pass
+
+
+def _wait_counting_memory(process: subprocess.Popen[bytes]) -> int:
+    _, status, used = os.wait4(process.pid, 0)
     process.returncode = os.waitstatus_to_exitcode(status)
     memory.add_child(used.ru_maxrss * (1024 if sys.platform != "darwin" else 1) / 1e6)
-    if process.returncode:
-        last = " ".join(log.read_text(encoding="utf-8", errors="replace").split())[-_SAID:]
-        how = (
-            f"signal {-process.returncode}"
-            if process.returncode < 0
-            else f"exit code {process.returncode}"
-        )
-        raise InputError(
-            f"{what}: expected it to end well, but it ended with {how}; its last words: {last or 'none'}"
-        )
+    return process.returncode
 
 
-def _paths() -> dict[str, str]:
-    """The environment in which the program finds what this process finds, sabench included."""
-    return os.environ | {"PYTHONPATH": os.pathsep.join(path for path in sys.path if path)}
+def run_code(code: str, name: str, time_s: float) -> str:
+    """Run Python code in a child process and return what it prints.
+
+    Raises
+    ------
+    InputError
+        It exceeds its time, or its exit code is not 0; the text quotes its last line of errors.
+    """
+    process = start_python(["-c", code], stderr=subprocess.PIPE)
+    with killed_if_left(process):
+        try:
+            output, errors = process.communicate(timeout=time_s)
+        except subprocess.TimeoutExpired:
+            raise InputError(f"{name}: {overdue(time_s)}") from None
+    check_end(name, process.returncode, last_line(errors))
+    return output.decode("utf-8", "replace").strip()

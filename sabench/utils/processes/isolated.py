@@ -1,43 +1,44 @@
-"""Functions called in processes of their own: a crash, a hang or a leak there is not one here."""
+"""Function calls in a child process: a crash, a hang or a leak there does not affect this one."""
 
 from __future__ import annotations
 
 import functools
 import multiprocessing
-import multiprocessing.connection
-import signal
 from collections.abc import Callable
+from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
 from typing import Any
 
 from sabench.utils.errors import InputError
+from sabench.utils.processes.ending import describe_end, kill_tree, overdue
+from sabench.utils.processes.starting import ignored_interrupts
 
 
-def apart(
+def call_isolated(
     function: Callable[..., Any], *arguments: Any, doing: str, time_s: float | None = None
 ) -> Any:
-    """What a module's function returns for picklable arguments, called in a process of its own.
+    """Call a module's function with picklable arguments in a child process, and return its result.
 
     Parameters
     ----------
-    doing : named in errors, as "solver msa".
-    time_s : after which the process is ended; None: never.
+    doing : subject of errors, as "solver msa".
+    time_s : time limit, after which the process is killed; None: no limit.
 
     Raises
     ------
     InputError
-        What the function raises as such, or as an OSError or MemoryError; a process that dies or
-        takes too long.
+        The function raises one, an OSError or a MemoryError; the process dies, or exceeds its time.
     """
     context = _context()
     receiver, sender = context.Pipe(duplex=False)
     child = context.Process(target=_call, args=(sender, function, arguments))
-    _start_deaf(child)
+    with ignored_interrupts():
+        child.start()
     sender.close()
     try:
-        fault, value = _answer(receiver, child, doing, time_s)
+        fault, value = _receive(receiver, child, doing, time_s)
     except BaseException:
-        child.kill()
+        kill_tree(child.pid)
         raise
     finally:
         child.join()
@@ -47,25 +48,26 @@ def apart(
     return value
 
 
-def _answer(
-    receiver: multiprocessing.connection.Connection,
-    child: BaseProcess,
-    doing: str,
-    time_s: float | None,
+def _receive(
+    receiver: Connection, child: BaseProcess, doing: str, time_s: float | None
 ) -> tuple[InputError | None, Any]:
     if not receiver.poll(time_s):
-        raise InputError(f"{doing}: expected an end within {time_s:g} s, but it was still running")
+        assert time_s is not None
+        raise InputError(f"{doing}: {overdue(time_s)}")
     try:
         answer: tuple[InputError | None, Any] = receiver.recv()
-    except EOFError:  # it died without a word
+    except EOFError:  # it died before it could answer
         child.join()
-        return InputError(f"{doing}: its process ended with exit code {child.exitcode}"), None
+        return InputError(f"{doing}: its process ended with {describe_end(child.exitcode)}"), None
     return answer
 
 
 @functools.cache
 def _context() -> Any:
-    """Processes forked from one that has loaded what solvers need and nothing else, which saves each a second; spawned where there is no fork."""
+    """Return a way to fork from a server that has loaded what solvers need, which saves a second.
+
+    Processes are spawned where there is no fork.
+    """
     if "forkserver" not in multiprocessing.get_all_start_methods():
         return multiprocessing.get_context("spawn")
     context = multiprocessing.get_context("forkserver")
@@ -80,30 +82,12 @@ def _context() -> Any:
     return context
 
 
-def _start_deaf(child: BaseProcess) -> None:
-    """Start a process that does not hear Ctrl-C, which a terminal sends to all: the parent hears it and ends the child."""
-    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
-    try:
-        child.start()
-    finally:
-        signal.signal(signal.SIGINT, before)
-
-
-def _call(
-    sender: multiprocessing.connection.Connection,
-    function: Callable[..., Any],
-    arguments: tuple[Any, ...],
-) -> None:
+def _call(sender: Connection, function: Callable[..., Any], arguments: tuple[Any, ...]) -> None:
     try:
         value = function(*arguments)
-    except (InputError, OSError, MemoryError) as error:
-        sender.send(
-            (
-                error
-                if isinstance(error, InputError)
-                else InputError(f"{error}" or type(error).__name__),
-                None,
-            )
-        )
+    except InputError as error:
+        sender.send((error, None))
+    except (OSError, MemoryError) as error:
+        sender.send((InputError(f"{error}" or type(error).__name__), None))
     else:
         sender.send((None, value))

@@ -1,4 +1,4 @@
-"""Programs that are not sabench's own: run within limits of time, memory and output, watched from outside, and ended whole."""
+"""External programs under time, memory and output limits, whose whole process tree is killed."""
 
 from __future__ import annotations
 
@@ -16,11 +16,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import IO
 
-import psutil
-
 from sabench.utils import memory
 from sabench.utils.errors import InputError
-from sabench.utils.validation import printable
+from sabench.utils.processes.ending import check_end, kill_running, last_line, last_words, overdue
+from sabench.utils.processes.usage import family, held_mb, marked, size_mb
 
 _KEPT = (
     "PATH",
@@ -31,10 +30,11 @@ _KEPT = (
     "OMP_NUM_THREADS",
     "CUDA_VISIBLE_DEVICES",
 )
-_TOKEN = "SABENCH_PROGRAM"  # marks every process that a program starts, wherever it hides
+_TOKEN = "SABENCH_PROGRAM"  # variable that marks every process below a program, wherever it hides
 _TAIL = 1 << 14  # bytes of output that are kept
-_WAITS = (0.01, 0.25)  # s between two looks, the shortest and the longest
-_MEMORY_SHARE = 0.9  # of what is there, where no limit is given
+_WAITS = (0.01, 0.25)  # shortest and longest time between two looks (s)
+_OUTPUT_EVERY = 1.0  # time between two looks at the files (s)
+_MEMORY_SHARE = 0.9  # of the free memory, where no limit is given
 
 # Run by a fresh interpreter that becomes the program: limits of files and cores, signals as a
 # program expects them, death with its parent.
@@ -56,14 +56,14 @@ except OSError as error:
 
 @dataclass(frozen=True)
 class Limits:
-    """What a program may use.
+    """Resources that a program may use.
 
     Attributes
     ----------
     time_s : wall time.
     memory_mb : resident memory of all its processes together (10^6 bytes); None: nine tenths of
-        what is free when it starts.
-    output_mb : size of each file that it writes, and of all that it leaves in its folder.
+        the memory that is free when it starts.
+    output_mb : size of each file that it writes, and of all files that it leaves in its folder.
     """
 
     time_s: float = 3600.0
@@ -81,7 +81,7 @@ class Limits:
 
 
 def limits_of(time_s: float | None, memory_mb: float | None) -> Limits | None:
-    """Limits with defaults for what is not given; None where nothing is."""
+    """Return limits with defaults for those that are None; None where both are."""
     if time_s is None and memory_mb is None:
         return None
     return Limits(memory_mb=memory_mb) if time_s is None else Limits(time_s, memory_mb)
@@ -89,14 +89,20 @@ def limits_of(time_s: float | None, memory_mb: float | None) -> Limits | None:
 
 @dataclass(frozen=True)
 class Cost:
-    """What a run took, measured from outside: wall seconds, and the most resident memory of all its processes together (MB)."""
+    """Cost of a run, measured from outside.
+
+    Attributes
+    ----------
+    seconds : wall time.
+    peak_mb : peak of the resident memory of all its processes together (10^6 bytes).
+    """
 
     seconds: float
     peak_mb: float
 
 
-def run_confined(words: Sequence[str], folder: Path, limits: Limits, name: str) -> Cost:
-    """Run a program in `folder` and wait for its end; nothing that it started is left then.
+def run_limited(words: Sequence[str], folder: Path, limits: Limits, name: str) -> Cost:
+    """Run a program in `folder` and wait for its end; no process that it started survives it.
 
     It gets a session of its own, no standard input and a clean environment with `folder` as its
     home.
@@ -104,8 +110,8 @@ def run_confined(words: Sequence[str], folder: Path, limits: Limits, name: str) 
     Raises
     ------
     InputError
-        It cannot be started, ends with another exit code than 0 or by a signal, or breaks a limit;
-        the text holds its last words.
+        It cannot be started, ends with another exit code than 0 or by a signal, or exceeds a limit;
+        the text quotes the last line of its output.
     """
     if os.name != "posix":
         raise InputError(
@@ -120,32 +126,20 @@ def run_confined(words: Sequence[str], folder: Path, limits: Limits, name: str) 
         finally:
             _end(process, token)
         last = next((text for tail in tails if (text := tail.last_line())), "")
-    _refuse_bad_end(name, process.returncode, breach, last, limits.output_mb)
+    _check_end(f"program {name}", process.returncode, breach, last, limits.output_mb)
     return Cost(seconds, peak_mb)
 
 
-def _refuse_bad_end(name: str, code: int, breach: str, last: str, limit_mb: float) -> None:
-    words = f"; its last words: {last}" if last else ""
+def _check_end(name: str, code: int, breach: str, last: str, limit_mb: float) -> None:
+    if code == -signal.SIGXFSZ and not breach:
+        breach = f"expected no file larger than {limit_mb:.0f} MB, but it went on writing one"
     if breach:
-        raise InputError(f"program {name}: {breach}{words}")
-    if code == -signal.SIGXFSZ:
-        raise InputError(
-            f"program {name}: expected no file larger than {limit_mb:.0f} MB, but it went on writing one{words}"
-        )
-    if code:
-        end = f"exit code {code}" if code > 0 else f"signal {_signal_name(-code)}"
-        raise InputError(f"program {name}: expected exit code 0, but it ended with {end}{words}")
-
-
-def _signal_name(number: int) -> str:
-    try:
-        return signal.Signals(number).name
-    except ValueError:
-        return str(number)
+        raise InputError(f"{name}: {breach}{last_words(last)}")
+    check_end(name, code, last)
 
 
 class _Tail(threading.Thread):
-    """Reads a pipe to its end and keeps the last of it."""
+    """Thread that reads a pipe to its end and keeps the last of it."""
 
     def __init__(self, pipe: IO[bytes]) -> None:
         super().__init__(daemon=True)
@@ -158,10 +152,9 @@ class _Tail(threading.Thread):
                 self._kept.append(piece)
 
     def last_line(self) -> str:
-        """The last line that is not empty, fit for printing."""
+        """Return the last line that is not empty, fit for printing."""
         self.join(1.0)
-        lines = b"".join(self._kept).decode("utf-8", "replace").splitlines()
-        return printable(next((line.strip() for line in reversed(lines) if line.strip()), ""), 200)
+        return last_line(b"".join(self._kept))
 
 
 @contextlib.contextmanager
@@ -186,9 +179,8 @@ def _started(
     finally:
         for tail, pipe in zip(tails, (process.stderr, process.stdout), strict=True):
             tail.join(1.0)
-            if (
-                not tail.is_alive()
-            ):  # else something that escaped holds the pipe: closing it would wait for the reader
+            # else a process that escaped holds the pipe: closing it would wait for the reader
+            if not tail.is_alive():
                 pipe.close()
 
 
@@ -200,117 +192,52 @@ def _environment(folder: Path, token: str) -> Mapping[str, str]:
 def _watch(
     process: subprocess.Popen[bytes], folder: Path, limits: Limits, start: float
 ) -> tuple[float, str]:
-    """Peak memory (MB) at the program's end or first breach, and what the breach was."""
-    allowed, peak_mb, looked = limits.memory_mb or _free_mb(), 0.0, start
+    """Return the peak memory (MB) at the program's end or first breach, and that breach."""
+    allowed_mb, peak_mb, looked = limits.memory_mb or _free_mb(), 0.0, start
     while True:
-        now = time.monotonic()
-        held = _held_mb(process)
+        now, held = time.monotonic(), held_mb(process)
         peak_mb = max(peak_mb, held)
         if process.poll() is not None:
             return peak_mb, ""
-        if held > allowed:
-            return (
-                peak_mb,
-                f"expected at most {allowed:.0f} MB of memory, but its processes held {held:.0f} MB",
-            )
+        if held > allowed_mb:
+            found = f"its processes held {held:.0f} MB"
+            return peak_mb, f"expected at most {allowed_mb:.0f} MB of memory, but {found}"
         if now - start > limits.time_s:
-            return peak_mb, f"expected an end within {limits.time_s:g} s, but it was still running"
-        if now - looked > 1.0:
-            looked = now
-            written = _size_mb(folder)
+            return peak_mb, overdue(limits.time_s)
+        if now - looked > _OUTPUT_EVERY:
+            looked, written = now, size_mb(folder)
             if written > limits.output_mb:
-                return (
-                    peak_mb,
-                    f"expected at most {limits.output_mb:.0f} MB of files, but it wrote {written:.0f} MB",
-                )
-        _wait(
-            process,
-            min(
-                max((now - start) / 20.0, _WAITS[0]),
-                _WAITS[1],
-                max(start + limits.time_s - now, 0.001),
-            ),
-        )
+                found = f"it wrote {written:.0f} MB"
+                return peak_mb, f"expected at most {limits.output_mb:.0f} MB of files, but {found}"
+        _wait(process, _pause_s(now - start, limits.time_s))
 
 
 def _free_mb() -> float:
-    there = memory.available_mb()
-    return float("inf") if there is None else _MEMORY_SHARE * there
+    free = memory.available_mb()
+    return float("inf") if free is None else _MEMORY_SHARE * free
+
+
+def _pause_s(elapsed_s: float, limit_s: float) -> float:
+    """Return the time until the next look: a twentieth of that elapsed, not beyond the limit."""
+    shortest, longest = _WAITS
+    return min(max(elapsed_s / 20.0, shortest), longest, max(limit_s - elapsed_s, 0.001))
 
 
 def _wait(process: subprocess.Popen[bytes], seconds: float) -> None:
-    """Until the time is over or the program has ended."""
+    """Wait until the time is over or the program has ended."""
     end = time.monotonic() + seconds
     while process.poll() is None and (left := end - time.monotonic()) > 0.0:
         time.sleep(min(left, 0.01))
 
 
-def _held_mb(process: subprocess.Popen[bytes]) -> float:
-    held = 0
-    for member in _family(process):
-        with contextlib.suppress(psutil.Error):
-            held += member.memory_info().rss
-    return held / 1e6
-
-
-def _family(process: subprocess.Popen[bytes]) -> list[psutil.Process]:
-    """The program's process, all below it, and all of its session."""
-    found = {}
-    if (
-        process.returncode is None
-    ):  # once it is known, the system may give the number to another process
-        with contextlib.suppress(psutil.Error):
-            head = psutil.Process(process.pid)
-            found = {one.pid: one for one in (head, *head.children(recursive=True))}
-    for other in psutil.pids():
-        if other not in found:
-            with contextlib.suppress(psutil.Error, OSError):
-                if os.getsid(other) == process.pid:
-                    found[other] = psutil.Process(other)
-    return list(found.values())
-
-
-def _marked(token: str) -> list[psutil.Process]:
-    """Processes that left the session but still carry the token."""
-    found = []
-    for one in psutil.process_iter():
-        with contextlib.suppress(psutil.Error, OSError):
-            if one.environ().get(_TOKEN) == token:
-                found.append(one)
-    return found
-
-
 def _end(process: subprocess.Popen[bytes], token: str) -> None:
-    """Kill whatever is left of a program, again until nothing new has appeared."""
+    """Kill all processes of a program, again until no new one has appeared."""
     for _ in range(20):
         with contextlib.suppress(ProcessLookupError, PermissionError):
             os.killpg(process.pid, signal.SIGKILL)
-        left = [
-            one
-            for one in (*_family(process), *_marked(token))
-            if one.pid != os.getpid() and _runs(one)
-        ]
-        for one in left:
-            with contextlib.suppress(psutil.Error):
-                one.kill()
+        left = kill_running((*family(process), *marked(_TOKEN, token)))
         process.poll()
         if not left:
             break
         time.sleep(0.02)
     process.wait()
-
-
-def _runs(process: psutil.Process) -> bool:
-    with contextlib.suppress(psutil.Error):
-        return bool(process.status() != psutil.STATUS_ZOMBIE)
-    return False
-
-
-def _size_mb(folder: Path) -> float:
-    """Bytes on the disk of all files below a folder, in MB; links are not followed."""
-    blocks = 0
-    for path, _, files in os.walk(folder):
-        for name in files:
-            with contextlib.suppress(OSError):
-                blocks += os.lstat(os.path.join(path, name)).st_blocks  # noqa: PTH118 (a path object for each of many files is slow)
-    return blocks * 512 / 1e6

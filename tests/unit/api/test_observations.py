@@ -17,7 +17,7 @@ from sabench.dataset.reader import Dataset
 from sabench.geometry.grid import Grid
 from sabench.images.tiff_exr import write_tiff
 from sabench.simulation.in_memory import simulate
-from sabench.tasks.reconstruction import check_case
+from sabench.tasks.reconstruction import TASK
 from sabench.utils import memory
 from sabench.utils.errors import InputError
 from tests.conftest import pinholes
@@ -114,16 +114,16 @@ def test_a_saturated_image_is_refused_and_a_black_one_is_not(case: Observation) 
     images = case.images.copy()
     images[2] = int(case.white_dn)
     with pytest.raises(InputError) as caught:
-        check_case(replace(case, images=images), "d: frame 0")
+        TASK.check_case(replace(case, images=images), "d: frame 0")
     assert (
         str(caught.value)
         == "d: frame 0: camera_02: expected an image that shows something, but every pixel is saturated (4024 or more)"
     )
     images[2, 50, 60] -= 1
-    check_case(replace(case, images=images), "d: frame 0")
+    TASK.check_case(replace(case, images=images), "d: frame 0")
     images[2] = 0
-    check_case(replace(case, images=images), "d: frame 0")
-    check_case(replace(case, images=np.zeros_like(images)), "d: frame 0")
+    TASK.check_case(replace(case, images=images), "d: frame 0")
+    TASK.check_case(replace(case, images=np.zeros_like(images)), "d: frame 0")
 
 
 def test_a_grid_out_of_view_is_refused(case: Observation) -> None:
@@ -135,12 +135,12 @@ def test_a_grid_out_of_view_is_refused(case: Observation) -> None:
     ):  # beside the images, in the glass, behind the cameras
         away = Grid(low, grid.voxel_mm, (40, 40, 40) if low[2] != -3.0 else (40, 40, 10))
         with pytest.raises(InputError) as caught:
-            check_case(replace(case, grid=away), "d: frame 0")
+            TASK.check_case(replace(case, grid=away), "d: frame 0")
         assert (
             str(caught.value)
             == "d: frame 0: grid: expected it in view of at least one camera, but no camera of 4 sees any of it"
         )
-    check_case(
+    TASK.check_case(
         replace(case, grid=Grid((3.0, 0.0, 30.0), grid.voxel_mm, (1, 1, 300))), "d: frame 0"
     )  # a row that begins in view
 
@@ -152,17 +152,17 @@ def test_a_grid_that_does_not_fit_is_refused_before_it_is_allocated(
     monkeypatch.setattr(memory, "available_mb", lambda: 5000.0)
     head = "d: frame 0: grid: expected it to fit into memory, but its 4000 x 5000 x 6000 voxels (z, y, x) need 960000 MB where {} MB are there: at most"
     with pytest.raises(InputError) as caught:
-        check_case(huge, "d: frame 0")
+        TASK.check_case(huge, "d: frame 0")
     assert str(caught.value) == head.format(5000) + " 20 of its planes fit"
     monkeypatch.setattr(memory, "available_mb", lambda: 100.0)
     with pytest.raises(InputError) as caught:
-        check_case(huge, "d: frame 0")
+        TASK.check_case(huge, "d: frame 0")
     assert (
         str(caught.value)
         == head.format(100) + f" {(100_000_000 - 4 * case.images.size) // 8} of its voxels fit"
     )
     monkeypatch.setattr(memory, "available_mb", lambda: None)
-    check_case(replace(case, grid=case.grid), "d: frame 0")
+    TASK.check_case(replace(case, grid=case.grid), "d: frame 0")
 
 
 def test_the_largest_grid_that_is_named_fits(
@@ -172,10 +172,10 @@ def test_the_largest_grid_that_is_named_fits(
     for planes, fits in ((62, True), (63, False)):
         grid = Grid(case.grid.low_mm, case.grid.voxel_mm, (planes, 300, 330))
         if fits:
-            check_case(replace(case, grid=grid), "d")
+            TASK.check_case(replace(case, grid=grid), "d")
         else:
             with pytest.raises(InputError, match=r"at most 62 of its planes fit$"):
-                check_case(replace(case, grid=grid), "d")
+                TASK.check_case(replace(case, grid=grid), "d")
 
 
 def test_the_system_says_what_memory_is_there() -> None:

@@ -88,7 +88,7 @@ WRONG: list[dict[str, Any]] = [
     {"axes": []},
     {"label": ["x"]},
     {"seed": True},
-    {"version": 2},
+    {"version": 3},
     {"track": "x"},
     {"submission": {"name": "", "date": "x"}},
 ]
@@ -151,3 +151,13 @@ def test_sixteen_writers_at_once_lose_and_tear_nothing(tmp_path: Path) -> None:
     assert len(file.read_bytes().splitlines()) == len(found) == WRITERS * LINES
     for number in range(WRITERS):
         assert [one["seed"] for one in found if one["solver"] == f"w{number}"] == list(range(LINES))
+
+
+def test_records_of_version_1_call_the_task_track(tmp_path: Path) -> None:
+    old = record("old") | {"version": 1, "track": "bubbles"}
+    old.pop("task", None)
+    new = record("new") | {"version": 2, "task": "particles"}
+    (tmp_path / "a.jsonl").write_text(f"{json.dumps(old)}\n{json.dumps(new)}\n")
+    found = read_records(tmp_path)
+    assert [(one["task"], one["version"]) for one in found] == [("bubbles", 2), ("particles", 2)]
+    assert all("track" not in one for one in found)

@@ -139,9 +139,9 @@ def test_openlpts_tracks_are_read(tmp_path: Path) -> None:
     (folder / "ExitTrack_2.csv").write_text(head + "0,0,4.0,5.0,6.0,9,9\n", encoding="utf-8")
     first, second, third = openlpt.read_tracks(tmp_path, 3)
     np.testing.assert_array_equal(first.position_mm, [[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]])
-    assert first.track is not None
-    assert second.track is not None
-    assert (first.track.tolist(), second.track.tolist(), len(third.position_mm)) == (
+    assert first.trajectory is not None
+    assert second.trajectory is not None
+    assert (first.trajectory.tolist(), second.trajectory.tolist(), len(third.position_mm)) == (
         [0, 2],
         [0, 1],
         0,
@@ -149,7 +149,7 @@ def test_openlpts_tracks_are_read(tmp_path: Path) -> None:
 
 
 CRASHES = [
-    ("import os; os.abort()", "signal 6"),
+    ("import os; os.abort()", "signal SIGABRT"),
     ("raise SystemExit('no licence')", "exit code 1; its last words: no licence"),
 ]
 
@@ -161,9 +161,9 @@ def test_a_crash_is_a_sentence(
     (tmp_path / "crashes.py").write_text(code, encoding="utf-8")
     monkeypatch.setattr(sys, "path", [str(tmp_path), *sys.path])
     with pytest.raises(
-        InputError, match=f"the program: expected it to end well, but it ended with {said}"
+        InputError, match=f"the program: expected exit code 0, but it ended with {said}"
     ):
-        child.run("crashes", tmp_path, "the program", "x", 1)
+        child.run_module("crashes", tmp_path, "the program", "x", 1)
 
 
 def test_a_missing_package_is_one_sentence() -> None:

@@ -10,6 +10,7 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
+from sabench import tasks
 from sabench.evaluation.gates.baseline import (
     DATA,
     FORMAT,
@@ -18,7 +19,6 @@ from sabench.evaluation.gates.baseline import (
     Entry,
     Finding,
     Tolerance,
-    better,
     compare,
     default_path,
     default_tolerance,
@@ -30,11 +30,11 @@ from sabench.evaluation.gates.comparison import Report, names_of
 from sabench.evaluation.gates.dataset_statistics import fingerprint
 from sabench.evaluation.gates.independent_projection import retrace
 from sabench.evaluation.gates.junit import junit, write_junit
-from sabench.evaluation.gates.known_wrong_estimates import probe
+from sabench.evaluation.gates.known_wrong_estimates import score_known_wrong
 from sabench.evaluation.suites import Entrant, load_suite
 from sabench.scenes import Scene, build_rig, load_scene, parse_scene
 from sabench.simulation.pipeline import generate
-from sabench.tasks.columns import COLUMNS
+from sabench.tasks.task import Better
 from sabench.utils.errors import InputError
 
 TOLERANCES = {"reconstruction": {"q": Tolerance(relative=0.01, absolute=0.0)}}
@@ -61,37 +61,38 @@ def found(
 
 
 @pytest.mark.parametrize(
-    ("figure", "before", "now", "change"),
+    ("task", "figure", "before", "now", "change"),
     [
-        ("q", 0.8, 0.7, 0.1),
-        ("peak_recall", 0.5, 0.75, -0.25),
-        ("rms_px", 0.2, 0.25, 0.05),
-        ("bias_voxel", 0.1, 0.05, -0.05),
-        ("z_mean_mm", -0.3, 0.2, -0.1),
-        ("u_bias_voxel", 0.1, -0.4, 0.3),
-        ("response", 0.9, 1.2, 0.1),
-        ("response", 1.3, 0.9, -0.2),
-        ("bound_px", 0.3, 0.2, 0.1),
-        ("single_percent", 70.0, 75.0, 5.0),
-        ("seconds", 1.0, 3.0, 2.0),
-        ("nobody_knows", 1.0, 0.5, 0.5),
+        ("reconstruction", "q", 0.8, 0.7, 0.1),
+        ("reconstruction", "peak_recall", 0.5, 0.75, -0.25),
+        ("reconstruction", "rms_px", 0.2, 0.25, 0.05),
+        ("velocimetry", "bias_voxel", 0.1, 0.05, -0.05),
+        ("calibration", "z_mean_mm", -0.3, 0.2, -0.1),
+        ("velocimetry", "u_bias_voxel", 0.1, -0.4, 0.3),
+        ("velocimetry", "response", 0.9, 1.2, 0.1),
+        ("velocimetry", "response", 1.3, 0.9, -0.2),
+        ("calibration", "bound_px", 0.3, 0.2, 0.1),
+        ("see_through", "single_percent", 70.0, 75.0, 5.0),
+        ("bubbles", "seconds", 1.0, 3.0, 2.0),
     ],
 )
-def test_what_is_worse_depends_on_the_figure(
-    figure: str, before: float, now: float, change: float
+def test_what_is_worse_depends_on_the_score(
+    task: str, figure: str, before: float, now: float, change: float
 ) -> None:
-    assert loss(figure, before, now) == pytest.approx(change)
+    better: Better = tasks.of(task).score_of(figure).better
+    assert loss(better, before, now) == pytest.approx(change)
 
 
-def test_every_score_of_the_tables_has_a_side() -> None:
-    """Those that say something of the data and not of a solver are the only ones that may move neither way."""
+def test_an_unknown_score_has_no_direction() -> None:
+    with pytest.raises(KeyError):
+        tasks.of("reconstruction").score_of("nobody_knows")
+
+
+def test_scores_that_describe_the_data_are_the_only_steady_ones() -> None:
     steady = {
-        column.key
-        for columns in COLUMNS.values()
-        for column in columns
-        if better(column.key) == "steady"
+        score.key for task in tasks.every() for score in task.columns if score.better == "steady"
     }
-    assert steady <= {
+    assert steady == {
         "bound_px",
         "held_out_exact_mm",
         "single_percent",
@@ -170,9 +171,9 @@ def test_a_data_set_s_figures_may_move_neither_way() -> None:
 
 
 def test_rounding_is_allowed_and_lost_pixels_are_not() -> None:
-    for track, columns in COLUMNS.items():
-        for column in columns:
-            assert default_tolerance(track, column.key).of(1.0) > 1e-4
+    for task in tasks.every():
+        for score in task.columns:
+            assert default_tolerance(task.name, score.key).of(1.0) > 1e-4
     assert default_tolerance(DATA, "column_mean").of(500.0) < 0.01
     assert default_tolerance(DATA, "retraced_px").of(0.0) < 1e-5
 
@@ -262,9 +263,8 @@ def test_the_bundled_suite_has_every_track_and_both_renderers() -> None:
     from sabench.plugins import load
 
     _, cases = load_suite("ci")
-    assert {load("solvers", one.name).track for case_ in cases for one in case_.solvers} >= set(
-        COLUMNS
-    ) - {"particles"}
+    served = {load("solvers", one.name).task for case_ in cases for one in case_.solvers}
+    assert served >= set(tasks.NAMES) - {"particles"}
     assert {one.renderer for one in cases} == {"splat", "mitsuba"}
 
 
@@ -378,8 +378,8 @@ def test_a_fingerprint_is_the_same_twice_and_another_for_another_seed(tmp_path: 
 
 def test_a_probe_finds_some_particles_and_some_ghosts(tmp_path: Path) -> None:
     data = generate(slanted(), tmp_path / "data", seed=1, backend="splat")
-    figures = probe(data, tmp_path / "probe.h5")
+    figures = score_known_wrong(data, tmp_path / "probe.h5")
     assert 0.5 < figures["probe.reconstruction.q"] < 0.95
     assert 0.1 < figures["probe.reconstruction.precision"] < 0.9
     assert figures["probe.reconstruction.ghost_percent"] > 20.0
-    assert figures == probe(data, tmp_path / "probe.h5")
+    assert figures == score_known_wrong(data, tmp_path / "probe.h5")

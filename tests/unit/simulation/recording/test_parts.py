@@ -115,7 +115,7 @@ def test_a_job_is_read_as_it_was_written_and_only_by_the_same_code(tmp_path: Pat
     )
     with pytest.raises(InputError, match="same versions of sabench"):
         read_job(tmp_path)
-    with pytest.raises(InputError, match="all workers must see this folder"):
+    with pytest.raises(InputError, match="use a folder that all workers see"):
         read_job(tmp_path / "elsewhere")
 
 

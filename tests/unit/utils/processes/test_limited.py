@@ -10,7 +10,7 @@ import psutil
 import pytest
 
 from sabench.utils.errors import InputError
-from sabench.utils.processes.limited import Limits, limits_of, run_confined
+from sabench.utils.processes.limited import Limits, limits_of, run_limited
 
 
 def program(folder: Path, body: str, name: str = "program") -> list[str]:
@@ -29,7 +29,7 @@ def folder(tmp_path: Path) -> Path:
 
 
 def test_time_and_memory_are_measured_from_outside(folder: Path) -> None:
-    cost = run_confined(
+    cost = run_limited(
         program(folder, "held = bytearray(150_000_000)\ntime.sleep(0.5)"), folder, Limits(), "p"
     )
     assert cost.seconds >= 0.5
@@ -38,7 +38,7 @@ def test_time_and_memory_are_measured_from_outside(folder: Path) -> None:
 
 def test_memory_of_children_counts(folder: Path) -> None:
     body = "child = subprocess.Popen([sys.executable, '-c', 'held = bytearray(120_000_000); import time; time.sleep(0.6)'])\nchild.wait()"
-    assert run_confined(program(folder, body), folder, Limits(), "p").peak_mb > 120.0
+    assert run_limited(program(folder, body), folder, Limits(), "p").peak_mb > 120.0
 
 
 def test_it_gets_a_clean_environment_and_no_input(
@@ -46,7 +46,7 @@ def test_it_gets_a_clean_environment_and_no_input(
 ) -> None:
     monkeypatch.setenv("SECRET", "1")
     body = "print(sorted(os.environ), os.environ['HOME'] == os.getcwd(), sys.stdin.read() == '', os.getsid(0) == os.getpid(), file=open('seen', 'w'))"
-    run_confined(program(folder, body), folder, Limits(), "p")
+    run_limited(program(folder, body), folder, Limits(), "p")
     names, *facts = (folder / "seen").read_text().rsplit(maxsplit=3)
     assert "'PATH'" in names
     assert "SECRET'" not in names
@@ -89,7 +89,7 @@ def test_it_gets_a_clean_environment_and_no_input(
 )
 def test_breaches_end_in_one_sentence(folder: Path, body: str, limits: Limits, words: str) -> None:
     with pytest.raises(InputError, match=words) as caught:
-        run_confined(program(folder, body), folder, limits, "p")
+        run_limited(program(folder, body), folder, limits, "p")
     assert str(caught.value).startswith("program p: ")
     assert str(caught.value).isprintable()
 
@@ -120,10 +120,10 @@ while not [name for name in os.listdir() if name.isdigit()]: time.sleep(0.01)
 def test_nothing_that_it_started_is_left(folder: Path, escape: str, end: str) -> None:
     body = DAEMON.format(escape=escape, end=end)
     if end == "pass":
-        run_confined(program(folder, body), folder, Limits(), "p")
+        run_limited(program(folder, body), folder, Limits(), "p")
     else:
         with pytest.raises(InputError):
-            run_confined(program(folder, body), folder, Limits(time_s=1.0), "p")
+            run_limited(program(folder, body), folder, Limits(time_s=1.0), "p")
     assert list(folder.glob("[0-9]*"))
     deadline = time.monotonic() + 5.0
     while alive(folder) and time.monotonic() < deadline:
@@ -136,7 +136,7 @@ def test_what_cannot_be_started(folder: Path) -> None:
     path.write_text("neither a script nor a binary")
     path.chmod(0o755)
     with pytest.raises(InputError, match=r"it cannot be started: Exec format error"):
-        run_confined([str(path)], folder, Limits(), "p")
+        run_limited([str(path)], folder, Limits(), "p")
 
 
 def test_limits_must_be_positive() -> None:

@@ -1,0 +1,69 @@
+"""Cameras of any model as JSON keeps them."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import asdict
+from typing import Any, cast
+
+import numpy as np
+from pydantic import TypeAdapter, ValidationError
+
+from sabench.geometry.camera import Camera
+from sabench.geometry.camera_model import CameraModel
+from sabench.geometry.polynomial_cameras import PlanePolynomials, Projective, Soloff
+from sabench.utils.arrays import U8
+from sabench.utils.errors import InputError
+from sabench.utils.files import canonical_json
+
+MODELS: dict[str, type[Any]] = {
+    "pinhole": Camera,
+    "projective": Projective,
+    "soloff": Soloff,
+    "polynomial_planes": PlanePolynomials,
+}
+
+
+def record_camera(camera: CameraModel) -> dict[str, Any]:
+    """Turn a camera into its JSON record: `model`, then the fields of that model."""
+    name = next(name for name, model in MODELS.items() if type(camera) is model)
+    return {"model": name, **asdict(cast(Any, camera))}
+
+
+def read_camera(record: Any, where: str) -> CameraModel:
+    """Make a camera from its JSON record.
+
+    Raises
+    ------
+    InputError
+        An unknown model, or fields that are not the model's; `where` opens the sentence.
+    """
+    model = record.get("model") if isinstance(record, dict) else record
+    if not isinstance(model, str) or model not in MODELS:
+        known = ", ".join(sorted(MODELS))
+        raise InputError(f"{where}: model: expected one of {known}, got {model!r}")
+    fields = {key: value for key, value in record.items() if key != "model"}
+    try:
+        made: CameraModel = TypeAdapter(MODELS[model]).validate_python(fields)
+    except ValidationError as error:
+        first = error.errors()[0]
+        raise InputError(f"{where}: {first['loc']}: {first['msg']}") from error
+    return made
+
+
+def encode_cameras(cameras: Sequence[CameraModel]) -> U8:
+    """Encode cameras as the bytes (n,) of a JSON list."""
+    text = canonical_json([record_camera(camera) for camera in cameras])
+    return np.frombuffer(text.encode(), dtype=np.uint8)
+
+
+def decode_cameras(code: U8) -> tuple[CameraModel, ...]:
+    """Decode cameras from the bytes (n,) of a JSON list; raises as `read_camera`."""
+    try:
+        records = json.loads(code.tobytes())
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"cameras: expected JSON, got {error}") from error
+    if not isinstance(records, list):
+        raise InputError(f"cameras: expected a list, got {type(records).__name__}")
+    return tuple(read_camera(one, f"cameras: {number}") for number, one in enumerate(records))

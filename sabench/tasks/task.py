@@ -1,0 +1,224 @@
+"""Tasks: what solvers receive and return, and how their estimates are scored.
+
+A task is one object. Everything that differs between kinds of contests is an attribute or a method
+of it; suites, records, the leaderboard, the gates and the command only ask it.
+"""
+
+from __future__ import annotations
+
+import time
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar, Literal
+
+import numpy as np
+
+from sabench.api.estimates import Estimate
+from sabench.api.observations import Observation, Shown
+from sabench.api.solvers import TaskName
+from sabench.dataset.reader import Dataset
+from sabench.dataset.results import Result, ResultWriter
+from sabench.plotting import pictures
+from sabench.tasks.solver_call import call_solver
+from sabench.utils import memory
+from sabench.utils.errors import InputError
+
+Better = Literal["larger", "smaller", "unity", "steady"]
+Source = Result | Literal["truth", "empty"]
+Figures = dict[str, float | None]
+
+
+@dataclass(frozen=True)
+class Score:
+    """One score of a task.
+
+    Attributes
+    ----------
+    key : its name in records, baselines and JSON.
+    heading : of its column in tables.
+    unit : "" for numbers without a unit.
+    better : the direction in which it improves: towards larger or smaller absolute values, towards
+        1, or neither ("steady": it describes the data, and any change is worth a look).
+    decimals : shown in tables.
+    meaning : one phrase.
+    counted : whether it is a share of things that are counted, and so changes in steps.
+    hidden : whether tables leave it out.
+    """
+
+    key: str
+    heading: str
+    unit: str
+    better: Better
+    decimals: int
+    meaning: str
+    counted: bool = False
+    hidden: bool = False
+
+
+COSTS = (
+    Score("seconds", "seconds", "s", "smaller", 2, "time of the solver alone"),
+    Score("peak_mb", "peak MB", "MB", "smaller", 0, "largest memory of the solver's process"),
+)
+
+
+@dataclass(frozen=True)
+class Captions:
+    """Headings and captions of a task's figures on the page.
+
+    Attributes
+    ----------
+    heading, estimates : of the figures of estimates.
+    cameras : caption of the camera images.
+    errors : caption of the error maps; "" for a task without.
+    wide : whether a figure takes the page's whole width.
+    """
+
+    heading: str
+    estimates: str
+    cameras: str
+    errors: str = ""
+    wide: bool = False
+
+
+class Task(ABC):
+    """Base of tasks.
+
+    Attributes
+    ----------
+    name : of the task, as solvers and result files say it.
+    shown : what the frames of its data sets show.
+    estimate : class of the estimates that its solvers return.
+    scores : its own, the most important one first; `all_scores` has the costs, too.
+    captions : of its figures.
+    """
+
+    name: ClassVar[TaskName]
+    shown: ClassVar[Shown]
+    estimate: ClassVar[type[Estimate]]
+    scores: ClassVar[tuple[Score, ...]]
+    captions: ClassVar[Captions]
+
+    @property
+    def all_scores(self) -> tuple[Score, ...]:
+        """The task's scores and what a solver costs."""
+        return (*self.scores, *COSTS)
+
+    @property
+    def columns(self) -> tuple[Score, ...]:
+        """Scores that tables show, the one that ranks first."""
+        return tuple(score for score in self.all_scores if not score.hidden)
+
+    def score_of(self, key: str) -> Score:
+        """Look a score up by its key; a KeyError names one that the task does not have."""
+        return {score.key: score for score in self.all_scores}[key]
+
+    def accepts(self, data: Dataset) -> bool:
+        """Say whether a data set has what the task's solvers and scores need."""
+        return self.shown in data.shows
+
+    def frames(self, data: Dataset) -> Sequence[int]:
+        """Frames of a data set that have an estimate each; [0] where one estimate serves all."""
+        return range(data.rig.frames)
+
+    @abstractmethod
+    def run(self, algorithm: Any, name: str, data: Dataset, writer: ResultWriter) -> list[float]:
+        """Call a solver on the observation side of a data set and write its estimates.
+
+        Returns
+        -------
+        Seconds of every call, or of every frame.
+
+        Raises
+        ------
+        InputError
+            A solver that declines, raises, or returns something else than the task's estimate.
+        """
+
+    def copy(self, data: Dataset, result: Result, writer: ResultWriter) -> None:
+        """Write every estimate of a foreign result anew; reading checks it."""
+        for frame in self.frames(data):
+            writer.add(self.read(data, result, frame), frame)
+            memory.trim()
+
+    def read(self, data: Dataset, source: Source, frame: int) -> Any:
+        """Read a frame's estimate of a result, or make the best or the worst possible one."""
+        if isinstance(source, Result):
+            return source.read(self.estimate, frame)
+        return self.truth(data, frame) if source == "truth" else self.empty(data, frame)
+
+    @abstractmethod
+    def truth(self, data: Dataset, frame: int) -> Any:
+        """Make the best possible estimate."""
+
+    @abstractmethod
+    def empty(self, data: Dataset, frame: int) -> Any:
+        """Make the estimate of a solver that found nothing."""
+
+    @abstractmethod
+    def wrong(self, data: Dataset, frame: int) -> Any:
+        """Make an estimate that is wrong in a known way: gates compare its scores with a baseline."""
+
+    @abstractmethod
+    def score(self, data: Dataset, source: Source) -> Figures:
+        """Score a result, or the best ("truth") or worst ("empty") possible estimates."""
+
+    def images(self, data: Dataset) -> bytes:
+        """Draw the first frame of every camera as a PNG."""
+        seen = data.observation(0)
+        return pictures.montage(seen.images, seen.black_dn, seen.white_dn)
+
+    @abstractmethod
+    def picture(self, data: Dataset, source: Source) -> bytes:
+        """Draw an estimate of the first frame as a PNG."""
+
+    def error_picture(self, data: Dataset, result: Result) -> bytes | None:
+        """Draw the errors of the same estimate as a PNG; None: the task has no such figure."""
+        return None
+
+
+class FrameByFrame(Task):
+    """Base of tasks whose solvers receive one observation at a time."""
+
+    def run(self, algorithm: Any, name: str, data: Dataset, writer: ResultWriter) -> list[float]:
+        """Call the solver on every frame; returns the seconds of each."""
+        seconds = []
+        for frame in self.frames(data):
+            found, took = self.call(algorithm, name, data, frame)
+            seconds.append(took)
+            writer.add(found, frame)
+            del found
+            memory.trim()
+        return seconds
+
+    def call(self, algorithm: Any, name: str, data: Dataset, frame: int) -> tuple[Any, float]:
+        """Call the solver on one frame; returns its estimate, checked, and the seconds that it took."""
+        case = data.observation(frame)
+        self.check_case(case, f"{data.root}: frame {frame}")
+        start = time.perf_counter()
+        found = call_solver(algorithm, name, case, self.estimate, f" on frame {frame}")
+        took = time.perf_counter() - start
+        check_estimate(found, name, data, frame)
+        return found, took
+
+    def check_case(self, case: Observation, source: str) -> None:
+        """Raise an InputError for an observation that no solver can use; `source` opens the sentence."""
+
+
+def check_estimate(found: Estimate, solver: str, data: Dataset, frame: int) -> None:
+    """Raise an InputError if an array of a solver's estimate is not as its class declares it."""
+    try:
+        found.check(**dict(zip("zyx", data.rig.grid.shape, strict=True)))
+    except InputError as error:
+        raise InputError(f"solver {solver}: frame {frame}: {error}") from error
+
+
+def mean_of_known(values: Sequence[float | None]) -> float | None:
+    """Average the values that are there and finite; None without any."""
+    known = [value for value in values if value is not None and np.isfinite(value)]
+    return float(np.mean(known)) if known else None
+
+
+def known(value: float) -> float | None:
+    """Turn NaN and infinity into None."""
+    return value if np.isfinite(value) else None
