@@ -49,14 +49,20 @@ class Grid:
         return z, y, x
 
     def in_scored(self, voxels: F64) -> Bool:
-        """Whether fractional voxel indices (n, 3) lie in the scored part, each voxel being a cell around its centre."""
+        """Mark fractional voxel indices (n, 3) in the scored part.
+
+        Each voxel is a cell around its centre.
+        """
         low = np.asarray(self.crop) - 0.5
         high = np.asarray(self.shape[::-1]) - np.asarray(self.crop) - 0.5
         return np.asarray(((voxels >= low) & (voxels < high)).all(axis=1))
 
 
 def synthesise(grid: Grid, positions_mm: F64, weights: F64, sigma_mm: float) -> F32:
-    """The field E_s: a spherical Gaussian in physical space for every particle, added up and averaged over each voxel; (z, y, x).
+    """The field E_s.
+
+    A spherical Gaussian in physical space for every particle, added up and averaged over each
+    voxel; (z, y, x).
 
     Parameters
     ----------

@@ -1,4 +1,7 @@
-"""Gaussians averaged over pixels or voxels: their shares, in numpy and in kernels, and their width."""
+"""Gaussians averaged over pixels or voxels.
+
+Their shares, in numpy and in kernels, and their width.
+"""
 
 from __future__ import annotations
 

@@ -25,7 +25,10 @@ _FARTHEST_PX = 0.5  # that a particle moves in one step
 
 
 def image_widths(images: F32, pixels: list[F64]) -> F64:
-    """Standard deviations (camera,) of lone particles' images, px, from three values along either axis: the lower quartile, since overlaps widen."""
+    """Estimate standard deviations (camera,) of lone particles' images, px.
+
+    From three values along either axis: the lower quartile, since overlaps widen.
+    """
     out = []
     for image, places in zip(images, pixels, strict=True):
         column, row = np.rint(places).astype(np.int64).T
