@@ -18,8 +18,9 @@ from typing import Any
 import numpy as np
 
 from sabench.scenes import Scene, build_rig, parse_scene
-from sabench.simulation.frames_of_bubbles import Worlds, tank_of
-from sabench.simulation.rendering.bubbles_traced import Lights, photograph
+from sabench.simulation.camera_view import lights_of, tank_of
+from sabench.simulation.frames import Frames
+from sabench.simulation.rendering.bubbles_traced import render
 
 _ERROR = 0.01
 
@@ -44,18 +45,13 @@ def rendered(count: int, error: float) -> dict[str, float]:
     """One frame, rendered by all cameras; kernels are compiled before."""
     scene = scene_of(count)
     rig = build_rig(scene)
-    world = Worlds(scene, rig, 1).at(0)
-    lights = Lights(
-        scene.backlight,
-        None,
-        np.asarray(scene.volume.center_mm),
-        scene.sensor.full_well_e / scene.sensor.quantum_efficiency,
-    )
-    tank = tank_of(scene, rig)
-    photograph(rig.cameras[0], tank, world.bubbles, (), lights, 1.0, 1)
+    bubbles = Frames(scene, rig, 1).at(0).bubbles
+    assert bubbles is not None
+    lights, tank = lights_of(scene), tank_of(scene, rig)
+    render(rig.cameras[0], tank, bubbles, (), lights, 1.0, 1)
     start = time.perf_counter()
     shown = [
-        photograph(camera, tank, world.bubbles, (), lights, error, 1000 * number)
+        render(camera, tank, bubbles, (), lights, error, 1000 * number)
         for number, camera in enumerate(rig.cameras)
     ]
     seconds = time.perf_counter() - start

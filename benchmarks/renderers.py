@@ -18,8 +18,8 @@ import numpy as np
 from sabench.api.truth import Particles
 from sabench.geometry.camera import Camera
 from sabench.scenes import Rig, Scene, build_rig, load_scene
+from sabench.simulation.rendering import particles_splatted
 from sabench.simulation.rendering.particle_images import image_particles
-from sabench.simulation.rendering.particles_splatted import splat
 from sabench.simulation.rendering.particles_traced import render
 from sabench.utils import backend
 from sabench.utils.arrays import F64, I64
@@ -71,7 +71,10 @@ def compared(scene: Scene, camera: Camera, seed: int) -> tuple[F64, F64, F64, fl
         * camera.etendue()
     )
     seconds = time.perf_counter() - start
-    traced, formula = moments(picture, nodes), moments(splat(camera, images), nodes)
+    traced, formula = (
+        moments(picture, nodes),
+        moments(particles_splatted.render(camera, images), nodes),
+    )
     return traced[1] - formula[1], traced[1] + nodes - images.pixel, traced[0] / formula[0], seconds
 
 

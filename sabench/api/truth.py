@@ -232,9 +232,19 @@ class Sight:
 
 @dataclass(frozen=True)
 class View:
-    """What one camera receives of a frame's n particles: pixel (n, 2), photons (n,), sigma_px (n,), visible (n,)."""
+    """Images of a frame's n particles in one camera.
+
+    Attributes
+    ----------
+    pixel : (n, 2) column, row of the centre; NaN where there is none.
+    photons : (n,) mean number that reaches the whole sensor plane in one exposure; 0 where an
+        occluder stops the chief ray.
+    sigma_px : (n,) standard deviation of the Gaussian image.
+    visible : (n,) whether the centre has a light path that nothing obstructs, and lies on the
+        sensor.
+    """
 
     pixel: F64
     photons: F64
     sigma_px: F64
-    visible: F64
+    visible: Bool

@@ -638,5 +638,6 @@ def _usage(error: Any) -> NoReturn:
 
 def _fail(sentence: str) -> NoReturn:
     with contextlib.suppress(OSError):
-        print(f"sabench: {' '.join(sentence.split())}", file=sys.stderr)
+        lines = [" ".join(line.split()) for line in sentence.splitlines()]
+        print("\n  ".join([f"sabench: {lines[0] if lines else ''}", *lines[1:]]), file=sys.stderr)
     sys.exit(2)

@@ -112,21 +112,15 @@ class Dataset:
             views = []
             for camera in self.rig.cameras:
                 base = f"{schema.frame_group(frame)}/cameras/{camera.name}"
-                fields = [
-                    ("pixel", (n, 2), "f"),
-                    ("photons", (n,), "f"),
-                    ("sigma_px", (n,), "f"),
-                    ("visible", (n,), "u"),
-                ]
-                view = View(
-                    *(
-                        read_array(file, f"{base}/{name}", shape, kind).astype(np.float64)
-                        for name, shape, kind in fields
-                    )
+                visible = read_array(file, f"{base}/visible", (n,), "u") > 0
+                pixel, photons, sigma_px = (
+                    read_array(file, f"{base}/{name}", shape, "f").astype(np.float64)
+                    for name, shape in (("pixel", (n, 2)), ("photons", (n,)), ("sigma_px", (n,)))
                 )
+                view = View(pixel, photons, sigma_px, visible)
                 finite(view.photons, f"{file.filename}: {base}/photons")
                 finite(
-                    view.pixel[view.visible > 0],
+                    view.pixel[view.visible],
                     f"{file.filename}: {base}/pixel of visible particles",
                 )
                 views.append(view)

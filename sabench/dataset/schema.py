@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Literal
 
@@ -12,6 +13,8 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from sabench.api.truth import Target
 from sabench.geometry.camera import Camera
+from sabench.geometry.camera_model import CameraModel
+from sabench.geometry.camera_records import record_camera
 from sabench.geometry.grid import Grid
 from sabench.geometry.refraction import Wall
 from sabench.images.preprocessing import Step
@@ -264,8 +267,29 @@ def _checked(model: type[Model], path: Path) -> Model:
     return validate(model, value, str(path))
 
 
-def camera_records(cameras: tuple[Camera, ...]) -> list[dict[str, Any]]:
-    """Cameras as JSON keeps them: their wall stands beside them."""
-    return [
-        {k: v for k, v in dataclasses.asdict(camera).items() if k != "wall"} for camera in cameras
-    ]
+def write_cameras(path: Path, cameras: Sequence[CameraModel], **keys: Any) -> None:
+    """Write cameras and what belongs to them, as `cameras.json` of a data set holds them.
+
+    Parameters
+    ----------
+    keys : further keys of the file, such as the wall of all cameras.
+    """
+    records = [_camera_entry(camera) for camera in cameras]
+    values = {key: _plain(value) for key, value in keys.items()}
+    head = {"format": FORMAT, "version": VERSION}
+    path.write_text(canonical_json({**head, **values, "cameras": records}), encoding="utf-8")
+
+
+def _camera_entry(camera: CameraModel) -> dict[str, Any]:
+    """A camera's record: a pinhole's without its model, which is the default, and its wall."""
+    record = record_camera(camera)
+    if isinstance(camera, Camera):
+        del record["model"], record["wall"]
+    return record
+
+
+def _plain(value: Any) -> Any:
+    """A dataclass as JSON holds it; anything else as it is."""
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        return dataclasses.asdict(value)
+    return value

@@ -14,16 +14,15 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from sabench.api import Shown
 from sabench.api.truth import Prior, Target
 from sabench.dataset import schema
 from sabench.dataset.hdf5 import created, uninterrupted
 from sabench.geometry.camera import Camera
 from sabench.scenes import Rig, Scene
-from sabench.scenes.sensor import white_level
 from sabench.utils.arrays import F64, Bool
 from sabench.utils.files import canonical_json, complete_or_nothing, sha256
 from sabench.utils.version import __version__
-from sabench.worlds.readable_codes import has_code
 
 _RECORDED = ("mitsuba", "drjit", "numpy", "scipy", "miepython", "h5py", "tifffile", "OpenEXR")
 _PACKED = ("number", "depth_mm", "path_mm")  # one number for each pixel, mostly the same
@@ -93,29 +92,30 @@ def dataset_writer(
     name: str,
     scene: Scene,
     rig: Rig,
-    told: tuple[Camera, ...],
+    nominal: tuple[Camera, ...],
     seed: int,
     renderer: str,
     *,
+    shows: tuple[Shown, ...] = (),
     overwrite: bool = False,
 ) -> Iterator[DatasetWriter]:
-    """A writer whose frames become the data set at `target` when the block ends well, and vanish otherwise.
+    """Open a writer; when the block ends well, its frames become the data set at `target`.
+
+    Otherwise nothing is left of them.
 
     Parameters
     ----------
     rig : the true optics.
-    told : the cameras that solvers are told.
+    nominal : the cameras handed to solvers.
+    shows : what the frames show, where that is more than particles or a target.
     """
     with complete_or_nothing(target, overwrite=overwrite) as root:
         root.mkdir()
         (root / schema.SCENE).write_text(_with_copies(scene, root).to_toml(), encoding="utf-8")
-        (root / schema.CAMERAS).write_text(
-            canonical_json(_observation(scene, rig, told)), encoding="utf-8"
-        )
+        keys = _observation(scene) | ({"shows": shows} if shows else {})
+        schema.write_cameras(root / schema.CAMERAS, nominal, wall=rig.wall, grid=rig.grid, **keys)
         if scene.calibration:
-            (root / schema.TRUE_CAMERAS).write_text(
-                canonical_json(_true_cameras(rig)), encoding="utf-8"
-            )
+            schema.write_cameras(root / schema.TRUE_CAMERAS, rig.cameras)
         with created(root / schema.TRUTH) as (truth, check):
             with uninterrupted():
                 truth.attrs["format"], truth.attrs["version"] = schema.FORMAT, schema.VERSION
@@ -136,49 +136,25 @@ def _with_copies(scene: Scene, root: Path) -> Scene:
     return scene.with_files(places)
 
 
-def _observation(scene: Scene, rig: Rig, told: tuple[Camera, ...]) -> dict[str, Any]:
-    sensor = {
-        "black_dn": scene.sensor.black_level_dn,
-        "white_dn": white_level(scene.sensor),
-        "bit_depth": scene.sensor.bit_depth,
-    }
-    head: dict[str, Any] = {
-        "format": schema.FORMAT,
-        "version": schema.VERSION,
+def _observation(scene: Scene) -> dict[str, Any]:
+    """Keys of cameras.json besides the cameras, their wall and the grid."""
+    keys: dict[str, Any] = {
         "frames": scene.frames,
         "interval_s": scene.interval_s,
+        "sensor": {
+            "black_dn": scene.sensor.black_level_dn,
+            "white_dn": scene.sensor.white_dn,
+            "bit_depth": scene.sensor.bit_depth,
+        },
     }
     if scene.timing is not None:
-        head |= {
-            "times_s": [scene.time_s(frame) for frame in range(scene.frames)],
-            "pulses": len(scene.timing.pulses_s),
-        }
+        keys["times_s"] = [scene.time_s(frame) for frame in range(scene.frames)]
+        keys["pulses"] = len(scene.timing.pulses_s)
     if scene.preprocessing:
-        head["preprocessing"] = [step.model_dump() for step in scene.preprocessing]
-    if scene.bubbles is not None or scene.solids:
-        head["shows"] = (
-            (["particles"] if scene.particles else [])
-            + ["bubbles"]
-            + (["code"] if has_code(scene) else [])
-        )
-    wall = asdict(rig.wall) if rig.wall else None
-    told_too = {"unknown": list(scene.unknown)} if scene.unknown else {}
-    return {
-        **head,
-        "wall": wall,
-        "cameras": schema.camera_records(told),
-        "grid": asdict(rig.grid),
-        "sensor": sensor,
-        **told_too,
-    }
-
-
-def _true_cameras(rig: Rig) -> dict[str, Any]:
-    return {
-        "format": schema.FORMAT,
-        "version": schema.VERSION,
-        "cameras": schema.camera_records(rig.cameras),
-    }
+        keys["preprocessing"] = [step.model_dump() for step in scene.preprocessing]
+    if scene.unknown:
+        keys["unknown"] = scene.unknown
+    return keys
 
 
 def _manifest(

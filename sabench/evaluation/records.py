@@ -13,7 +13,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 
 from sabench.api.solvers import TaskName
 from sabench.utils.progress import console
-from sabench.utils.validation import sentence
+from sabench.utils.validation import sentences
 
 Record = dict[str, Any]
 FORMAT, VERSION = "sabench-record", 2
@@ -120,7 +120,7 @@ def parse(line: bytes) -> Record:
     try:
         return Head.model_validate(value).model_dump()
     except ValidationError as error:
-        raise ValueError(sentence(Head, error, "")) from error
+        raise ValueError("; ".join(sentences(Head, error))) from error
 
 
 def _refuse(constant: str) -> None:

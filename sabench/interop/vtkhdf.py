@@ -20,6 +20,7 @@ from sabench.geometry.vector_calculus import divergence, gradient, vorticity
 from sabench.metrics.bubble_detection import AnyBubbles, match
 from sabench.metrics.particle_detection import challenge_pairs
 from sabench.metrics.synthesised_field import true_field
+from sabench.scenes import BubbleWorld
 from sabench.tasks.velocimetry import true_velocity
 from sabench.utils.arrays import F64, I64
 from sabench.utils.errors import InputError
@@ -76,12 +77,12 @@ def export(
 
 
 def _export_truth(root: Path, data: Dataset) -> None:
-    scene = data.scene
+    scene, world = data.scene, data.scene.world
     step = scene.flow_grid_mm or (max(scene.volume.size_mm) / _NODES,) * 3
     for frame in track(range(data.rig.frames), "export"):
         if "particles" in data.shows:
             _export_particles(root, data, frame)
-        if scene.flow:
+        if scene.tracers is not None and scene.tracers.flow is not None:
             field, slopes = lattice(scene, frame, step)
             write_lattice(
                 root / f"flow_{frame:04d}.vtkhdf",
@@ -89,13 +90,13 @@ def _export_truth(root: Path, data: Dataset) -> None:
                 field.step_mm,
                 _field(field, slopes),
             )
-        if scene.bubbles:
+        if isinstance(world, BubbleWorld) and world.bubbles is not None:
             bubbles = data.bubbles(frame)
             about = {"id": bubbles.id, "velocity_mm_s": bubbles.velocity_mm_s}
             write_points(
                 root / f"bubbles_{frame:04d}.vtkhdf", bubbles.center_mm, _shapes(bubbles) | about
             )
-        if scene.solids:
+        if isinstance(world, BubbleWorld) and world.solids:
             write_surfaces(root / f"bodies_{frame:04d}.vtkhdf", data.solids(frame))
 
 

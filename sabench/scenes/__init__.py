@@ -11,12 +11,29 @@ if TYPE_CHECKING:
     from sabench.scenes.json_schema import scene_schema
     from sabench.scenes.loading import load_scene, parse_scene
     from sabench.scenes.scene import Scene
+    from sabench.scenes.world import BubbleWorld, ParticleWorld, TargetWorld, World
 
-__all__ = ["Rig", "Scene", "build_rig", "find", "load_scene", "parse_scene", "scene_schema"]
+__all__ = [
+    "BubbleWorld",
+    "ParticleWorld",
+    "Rig",
+    "Scene",
+    "TargetWorld",
+    "World",
+    "build_rig",
+    "find",
+    "load_scene",
+    "parse_scene",
+    "scene_schema",
+]
 
 _HOMES = {
+    "BubbleWorld": "world",
+    "ParticleWorld": "world",
     "Rig": "build",
     "Scene": "scene",
+    "TargetWorld": "world",
+    "World": "world",
     "build_rig": "build",
     "find": "bundled",
     "load_scene": "loading",

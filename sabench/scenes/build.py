@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import re
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -27,13 +28,21 @@ from sabench.scenes.scene import Scene
 from sabench.scenes.wall import OccluderSpec, WallSpec
 from sabench.utils.arrays import F64, triple
 from sabench.utils.errors import InputError
+from sabench.utils.validation import Collector
 
 _MOST_CAMERAS = 1000
 
 
 @dataclass(frozen=True)
 class Rig:
-    """The built optics of a scene: the true cameras (each knows its wall), the grid, and what stands in the way of light."""
+    """The optics of a scene.
+
+    Attributes
+    ----------
+    cameras : the true cameras, each with the wall in front of it.
+    grid : the voxels that solvers reconstruct.
+    occluders : opaque discs between the cameras and the volume.
+    """
 
     cameras: tuple[Camera, ...]
     wall: Wall | None
@@ -47,43 +56,58 @@ def build_rig(scene: Scene, source: str = "scene") -> Rig:
     Raises
     ------
     InputError
-        A camera in the wall or the tank, a volume that is not wholly in the fluid, a grid that does
-        not fit, no camera that sees the volume, or an occluder that is not between the cameras and
-        the wall (or the volume).
+        All of: cameras in the wall or the tank, a volume that is not wholly in the fluid, a grid
+        that does not fit, a volume that no camera sees, occluders that are not between the cameras
+        and the wall (or the volume), a backlight that is not behind the volume.
     """
-    count = _camera_count(scene.cameras)
+    check, count = Collector(source), _camera_count(scene.cameras)
     if count > _MOST_CAMERAS:
-        raise InputError(
-            f"{source}: cameras.layout: expected at most {_MOST_CAMERAS} cameras, got {count}"
-        )
+        expected = f"expected at most {_MOST_CAMERAS} cameras"
+        raise InputError(f"{source}: cameras.layout: {expected}, got {count}")
     wall = build_wall(scene.wall) if scene.wall else None
     corners = _corners(scene)
-    if wall:
-        checks.check_tank(wall, corners, source)
-    cameras = tuple(
-        _build_camera(scene, wall, i, place, source)
-        for i, place in enumerate(_places(scene.cameras))
-    )
-    checks.check_views(cameras, corners, source)
-    occluders = tuple(_build_occluder(spec) for spec in scene.occluders or ())
-    for number, disc in enumerate(occluders):
-        checks.check_occluder(disc, wall, cameras, corners, f"{source}: occluders.{number}")
+    with check.collect():
+        grid = _build_grid(scene)
+    with check.collect():
+        checks.check_tank(wall, corners)  # cameras are aimed at the volume: not built if it fails
+        cameras = _build_cameras(scene, wall)
+        discs = tuple(_build_occluder(spec) for spec in scene.occluders or ())
+        _check_light(scene, wall, cameras, corners, discs, check)
+        if not check.faults:
+            checks.check_views(cameras, corners)
+    check.finish()
+    return Rig(cameras, wall, grid, discs)
+
+
+def _check_light(
+    scene: Scene,
+    wall: Wall | None,
+    cameras: tuple[Camera, ...],
+    corners: F64,
+    discs: tuple[Disc, ...],
+    check: Collector,
+) -> None:
+    """Collect the faults of occluders and of the backlight."""
+    for number, disc in enumerate(discs):
+        with check.collect():
+            checks.check_occluder(disc, wall, cameras, corners, f"occluders.{number}")
     if scene.backlight:
-        checks.check_backlight(scene, wall, cameras, corners, f"{source}: backlight.center_mm")
-    return Rig(cameras, wall, build_grid(scene, source), occluders)
+        rear = (scene.wall.rear or ()) if scene.wall else ()
+        with check.collect():
+            thickness = sum(layer.thickness_mm for layer in rear)
+            checks.check_backlight(scene.backlight, wall, thickness, cameras, corners)
 
 
-def build_grid(scene: Scene, source: str = "scene") -> Grid:
-    """Voxels that fill the volume; their number along each axis is rounded."""
+def _build_grid(scene: Scene) -> Grid:
+    """Fill the volume with voxels; their number along each axis is rounded."""
     size, voxel, crop = (
         np.asarray(v) for v in (scene.volume.size_mm, scene.grid.voxel_mm, scene.grid.crop_mm)
     )
     counts = np.maximum(1, np.rint(size / voxel).astype(int))
     cut = np.rint(crop / voxel).astype(int)
     if np.any(2 * cut >= counts):
-        raise InputError(
-            f"{source}: grid.crop_mm: expected less than half of volume.size_mm, got {list(scene.grid.crop_mm)}"
-        )
+        expected = f"expected less than half of volume.size_mm, got {list(scene.grid.crop_mm)}"
+        raise InputError(f"grid.crop_mm: {expected}")
     low = np.asarray(scene.volume.center_mm) - (counts - 1) / 2.0 * voxel
     x, y, z = (int(n) for n in counts)
     return Grid(
@@ -92,13 +116,14 @@ def build_grid(scene: Scene, source: str = "scene") -> Grid:
 
 
 def domain_of(scene: Scene) -> Domain:
-    """What the scene's generators fill."""
+    """Give the volume that the scene's generators fill."""
     return Domain(
         scene.volume.center_mm, scene.volume.size_mm, scene.cameras.rows * scene.cameras.columns
     )
 
 
 def build_wall(spec: WallSpec) -> Wall:
+    """Build the wall in front of the fluid; its normal becomes a unit vector."""
     unit = _unit(spec.normal)
     layers = tuple(Layer(layer.name, layer.index, layer.thickness_mm) for layer in spec.layers)
     return Wall(
@@ -120,7 +145,7 @@ def _corners(scene: Scene) -> F64:
 
 
 def _camera_count(spec: Cameras) -> int:
-    """How many cameras a layout has, before any is made."""
+    """Count the cameras of a layout before any is built."""
     chosen = spec.layout
     if isinstance(chosen, ListLayout):
         return len(chosen.places)
@@ -162,13 +187,34 @@ def _offsets(spec: GridLayout | RingLayout | LineLayout | CrossLayout) -> F64:
     )
 
 
-def _build_camera(
-    scene: Scene, wall: Wall | None, number: int, place: Place, source: str
-) -> Camera:
-    spec, name = scene.cameras, f"camera_{number:02d}"
+def _build_cameras(scene: Scene, wall: Wall | None) -> tuple[Camera, ...]:
+    """Build all cameras; one error for those of all."""
+    cameras, check = [], Collector("")
+    for number, place in enumerate(_places(scene.cameras)):
+        with check.collect():
+            cameras.append(_build_camera(scene, wall, f"camera_{number:02d}", place))
+    if check.faults:
+        raise InputError.of("", _alike(check.faults))
+    return tuple(cameras)
+
+
+def _alike(faults: list[str]) -> list[str]:
+    """One of the faults that differ by numbers only, with the number of the others."""
+    kinds: dict[str, list[str]] = {}
+    for fault in faults:
+        kinds.setdefault(re.sub(r"[-+.\de]+", "", fault), []).append(fault)
+    return [
+        same[0] if len(same) == 1 else f"{same[0]} (and {len(same) - 1} more cameras)"
+        for same in kinds.values()
+    ]
+
+
+def _build_camera(scene: Scene, wall: Wall | None, name: str, place: Place) -> Camera:
+    spec = scene.cameras
     if wall and wall.depth_of(np.asarray(place.center_mm)) >= 0.0:
         raise InputError(
-            f"{source}: cameras: {name} at {list(place.center_mm)} mm: expected it in front of the wall, but it is in the wall or the tank"
+            f"cameras: {name} at {list(place.center_mm)} mm: expected it in front of the wall, "
+            "but it is in the wall or the tank"
         )
     target = np.asarray(place.aim_mm or spec.aim_mm or scene.volume.center_mm)
     camera = Camera(
@@ -189,30 +235,26 @@ def _build_camera(
         try:
             camera = aim(camera, target)
         except ValueError as error:
-            raise InputError(f"{source}: cameras.aim_mm: {error}") from error
-    elif np.abs(np.asarray(place.rotation) @ np.asarray(place.rotation).T - np.eye(3)).max() > 1e-9:
-        raise InputError(f"{source}: cameras: {name}: rotation: expected an orthonormal matrix")
-    elif np.linalg.det(place.rotation) < 0.0:
-        raise InputError(
-            f"{source}: cameras: {name}: rotation: expected a right-handed matrix, got a mirrored one"
-        )
-    return _focused(camera, target, spec.focus_mm, source)
+            raise InputError(f"cameras.aim_mm: {error}") from error
+    else:
+        checks.check_rotation(np.asarray(place.rotation), f"cameras: {name}: rotation")
+    return _focus(camera, target, spec.focus_mm)
 
 
-def _focused(camera: Camera, target: F64, focus_mm: float | None, source: str) -> Camera:
-    """The camera with its image plane where points at `focus_mm`, or else its target, are sharp."""
+def _focus(camera: Camera, target: F64, focus_mm: float | None) -> Camera:
+    """Move the image plane so that points at `focus_mm`, or else the target, are sharp."""
     focus = focus_mm or apparent_distance_mm(camera, target)
     if not focus > camera.focal_length_mm:
-        raise InputError(
-            f"{source}: cameras.focus_mm: {camera.name}: expected more than the focal length {camera.focal_length_mm:g} mm, got {focus:.4g}"
-        )
+        expected = f"expected more than the focal length {camera.focal_length_mm:g} mm"
+        raise InputError(f"cameras.focus_mm: {camera.name}: {expected}, got {focus:.4g}")
     return replace(camera, principal_distance_mm=1.0 / (1.0 / camera.focal_length_mm - 1.0 / focus))
 
 
 def apparent_distance_mm(camera: Camera, target_mm: F64) -> float:
-    """Distance along the axis at which a point in plain air would show the parallax that `target_mm` shows through the wall.
+    """Give the distance along the axis at which a target seen through the wall appears.
 
-    Refraction makes it astigmatic: the mean over the aperture's two axes is taken.
+    A point in plain air at this distance shows the same parallax. Refraction makes it astigmatic:
+    the mean over the aperture's two axes is taken.
     """
     plain = replace(camera, distortion=Distortion())
     step = camera.aperture_radius_mm

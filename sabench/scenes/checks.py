@@ -1,4 +1,7 @@
-"""Checks of a rig's geometry: wall, tank, occluders, backlight and the cameras' views."""
+"""Checks of a rig's geometry: wall, tank, occluders, backlight and the cameras' views.
+
+Each raises an InputError of one sentence that begins with the scene's key.
+"""
 
 from __future__ import annotations
 
@@ -10,45 +13,59 @@ from sabench.geometry.camera import Camera
 from sabench.geometry.occluders import Disc
 from sabench.geometry.refraction import Wall
 from sabench.geometry.visibility import any_in_view
-from sabench.scenes.scene import Scene
+from sabench.scenes.illumination import Backlight
 from sabench.utils.arrays import F64
 from sabench.utils.errors import InputError
 
 
-def check_tank(wall: Wall, corners: F64, source: str) -> None:
+def check_tank(wall: Wall | None, corners: F64) -> None:
+    """Check that a volume's corners (8, 3) are in the fluid."""
+    if wall is None:
+        return
     depth = wall.depth_of(corners) - wall.thickness_mm
     if depth.min() <= 0.0:
         raise InputError(
-            f"{source}: volume: expected it to lie behind the wall's inner face, but it reaches {-depth.min():.4g} mm in front of it"
+            "volume: expected it to lie behind the wall's inner face, "
+            f"but it reaches {-depth.min():.4g} mm in front of it"
         )
     if wall.depth_mm is not None and depth.max() > wall.depth_mm:
         raise InputError(
-            f"{source}: volume: expected it to lie in front of the back wall (wall.depth_mm = {wall.depth_mm:g}), "
-            f"but it reaches {depth.max():.4g} mm deep"
+            "volume: expected it to lie in front of the back wall "
+            f"(wall.depth_mm = {wall.depth_mm:g}), but it reaches {depth.max():.4g} mm deep"
         )
 
 
-def check_views(cameras: tuple[Camera, ...], corners: F64, source: str) -> None:
-    """At least one camera must see some of the volume: a lattice of points over it is tried."""
+def check_rotation(matrix: F64, where: str) -> None:
+    """Check that a matrix (3, 3) is a rotation."""
+    if np.abs(matrix @ matrix.T - np.eye(3)).max() > 1e-9:
+        raise InputError(f"{where}: expected an orthonormal matrix")
+    if np.linalg.det(matrix) < 0.0:
+        raise InputError(f"{where}: expected a right-handed matrix, got a mirrored one")
+
+
+def check_views(cameras: tuple[Camera, ...], corners: F64) -> None:
+    """Check that at least one camera sees one of 9 x 9 x 9 points of the volume."""
     steps = np.linspace(0.0, 1.0, 9)
     lattice = corners[0] + np.array(list(itertools.product(steps, repeat=3))) * (
         corners[-1] - corners[0]
     )
     if not any_in_view(cameras, lattice):
         raise InputError(
-            f"{source}: volume: expected it in view of at least one camera, but no camera of {len(cameras)} sees any of it"
+            "volume: expected it in view of at least one camera, "
+            f"but no camera of {len(cameras)} sees any of it"
         )
 
 
 def check_occluder(
     disc: Disc, wall: Wall | None, cameras: tuple[Camera, ...], corners: F64, where: str
 ) -> None:
-    """A disc must lie where all light on its way to the cameras still comes by, and runs straight."""
+    """Check that a disc lies where all light to the cameras passes it on straight lines."""
     if wall:
         depth = disc.span_mm(np.asarray(wall.normal))[1] - float(np.dot(wall.point_mm, wall.normal))
         if depth >= 0.0:
             raise InputError(
-                f"{where}: expected it wholly in front of the wall, but it reaches {depth:.4g} mm behind the wall's outer face"
+                f"{where}: expected it wholly in front of the wall, "
+                f"but it reaches {depth:.4g} mm behind the wall's outer face"
             )
     for camera in cameras:
         forward = np.asarray(camera.rotation[2])
@@ -57,40 +74,52 @@ def check_occluder(
         )
         if near <= 0.0:
             raise InputError(
-                f"{where}: expected it wholly in front of all cameras, but it reaches {-near:.4g} mm behind {camera.name}"
+                f"{where}: expected it wholly in front of all cameras, "
+                f"but it reaches {-near:.4g} mm behind {camera.name}"
             )
         excess = far - float(((corners - camera.center_mm) @ forward).min())
         if wall is None and excess >= 0.0:
             raise InputError(
-                f"{where}: expected it wholly between the cameras and the volume, but for {camera.name} it reaches {excess:.4g} mm into the volume"
+                f"{where}: expected it wholly between the cameras and the volume, "
+                f"but for {camera.name} it reaches {excess:.4g} mm into the volume"
             )
 
 
 def check_backlight(
-    scene: Scene, wall: Wall | None, cameras: tuple[Camera, ...], corners: F64, where: str
+    spec: Backlight,
+    wall: Wall | None,
+    rear_mm: float,
+    cameras: tuple[Camera, ...],
+    corners: F64,
 ) -> None:
-    """A diffuser must be behind the volume as all cameras see it and, where there is a tank, behind that."""
-    assert scene.backlight is not None
-    center = np.asarray(scene.backlight.center_mm)
+    """Check that a diffuser is behind the volume for all cameras and behind the tank.
+
+    `rear_mm` is the thickness of the back wall.
+    """
+    center, where = np.asarray(spec.center_mm), "backlight.center_mm"
     if wall:
-        if wall.depth_mm is None:
-            raise InputError(
-                f"{where}: expected wall.depth_mm, the back wall's place, for light from behind the tank"
-            )
-        rear = (scene.wall.rear or ()) if scene.wall else ()
-        outer = wall.thickness_mm + wall.depth_mm + sum(layer.thickness_mm for layer in rear)
-        depth = float(wall.depth_of(center))
-        if depth <= outer:
-            raise InputError(
-                f"{where}: expected it behind the back wall, {outer:g} mm behind the outer face, got {depth:.4g} mm"
-            )
+        _check_behind_tank(wall, rear_mm, center, where)
     for camera in cameras:
         forward = np.asarray(camera.rotation[2])
-        depth, far = (
-            float((center - camera.center_mm) @ forward),
-            float(((corners - camera.center_mm) @ forward).max()),
-        )
+        depth = float((center - camera.center_mm) @ forward)
+        far = float(((corners - camera.center_mm) @ forward).max())
         if depth <= far:
             raise InputError(
-                f"{where}: expected it behind the volume, {far:.4g} mm before {camera.name}, got {depth:.4g} mm"
+                f"{where}: expected it behind the volume, {far:.4g} mm before {camera.name}, "
+                f"got {depth:.4g} mm"
             )
+
+
+def _check_behind_tank(wall: Wall, rear_mm: float, center: F64, where: str) -> None:
+    if wall.depth_mm is None:
+        raise InputError(
+            f"{where}: expected wall.depth_mm, the back wall's place, "
+            "for light from behind the tank"
+        )
+    outer = wall.thickness_mm + wall.depth_mm + rear_mm
+    depth = float(wall.depth_of(center))
+    if depth <= outer:
+        raise InputError(
+            f"{where}: expected it behind the back wall, {outer:g} mm behind the outer face, "
+            f"got {depth:.4g} mm"
+        )

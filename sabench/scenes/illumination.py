@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
 from sabench.utils.fields import Direction, Positive, Table, Vector
+from sabench.utils.validation import refuse
 
 
 class Illumination(Table):
@@ -63,19 +65,21 @@ class Timing(Table):
 
     @model_validator(mode="after")
     def _ordered(self) -> Timing:
-        if list(self.pulses_s) != sorted(set(self.pulses_s)):
-            raise ValueError(f"pulses_s: expected rising times, got {list(self.pulses_s)}")
-        if self.pulses_s[-1] - self.pulses_s[0] >= 1.0 / self.rate_hz and len(self.pulses_s) > 1:
-            raise ValueError(
-                f"pulses_s: expected a group shorter than 1 / rate_hz = {1.0 / self.rate_hz:g} s, got {list(self.pulses_s)}"
-            )
+        refuse(self._faults())
+        return self
+
+    def _faults(self) -> Iterator[tuple[str, str]]:
+        times, period = list(self.pulses_s), 1.0 / self.rate_hz
+        if times != sorted(set(times)):
+            yield "pulses_s", f"expected rising times, got {times}"
+        elif times[-1] - times[0] >= period and len(times) > 1:
+            expected = f"expected a group shorter than 1 / rate_hz = {period:g} s"
+            yield "pulses_s", f"{expected}, got {times}"
         for name in ("energy", "shift_mm"):
             given = getattr(self, name)
-            if given is not None and len(given) != len(self.pulses_s):
-                raise ValueError(
-                    f"{name}: expected one value for each of {len(self.pulses_s)} pulses, got {len(given)}"
-                )
-        return self
+            if given is not None and len(given) != len(times):
+                expected = f"expected one value for each of {len(times)} pulses"
+                yield name, f"{expected}, got {len(given)}"
 
 
 class Lamp(Table):

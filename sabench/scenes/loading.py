@@ -12,7 +12,7 @@ from sabench.scenes.bundled import find
 from sabench.scenes.scene import WORLDS, Scene, plain
 from sabench.utils.errors import InputError
 from sabench.utils.files import sha256
-from sabench.utils.validation import validate
+from sabench.utils.validation import Collector, validate
 
 
 def load_scene(path: str | Path) -> Scene:
@@ -35,56 +35,66 @@ def load_scene(path: str | Path) -> Scene:
 
 
 def parse_scene(values: dict[str, Any], source: str, folder: Path | None = None) -> Scene:
-    """A scene from its keys and values; `source` is named in errors, `folder` is where its files are looked for."""
-    scene = validate(Scene, values, source)
-    here, tables = folder or Path(), {table: getattr(scene, table) for table in WORLDS}
-    made: dict[str, Any] = {
-        table: _resolved(table, table, given, source, here)
-        for table, given in tables.items()
-        if given is not None
-    }
-    if scene.solids is not None:
-        made["solids"] = tuple(
-            _resolved("solids", f"solids.{number}", given, source, here)
-            for number, given in enumerate(scene.solids)
-        )
+    """Make a scene of keys and values, with all parameters of its generators.
+
+    Parameters
+    ----------
+    source : named in errors.
+    folder : where the generators' files are looked for.
+
+    Raises
+    ------
+    InputError
+        All unknown keys, missing keys and wrong values, also those of the generators.
+    """
+    check, here = Collector(source), folder or Path()
+    made: dict[str, Any] = {}
+    with check.collect():
+        scene = validate(Scene, values, "")
+    for table in WORLDS:
+        if isinstance(given := values.get(table), dict):
+            with check.collect():
+                made[table] = _resolved(table, table, given, here)
+    if isinstance(solids := values.get("solids"), list | tuple):
+        made["solids"] = ()
+        for number, given in enumerate(solids):
+            with check.collect():
+                resolved = _resolved("solids", f"solids.{number}", given, here)
+                made["solids"] = (*made["solids"], resolved)
+    check.finish()
     return scene.model_copy(update=made)
 
 
-def _resolved(
-    makes: str, table: str, given: dict[str, Any], source: str, folder: Path
-) -> dict[str, Any]:
+def _resolved(makes: str, table: str, given: Any, folder: Path) -> dict[str, Any]:
     """A generator's table with all its parameters."""
+    if not isinstance(given, dict):
+        return {}  # the scene's own check names it
     rest = dict(given)
     name = rest.pop("generator", None)
     if not isinstance(name, str):
-        raise InputError(
-            f"{source}: {table}.generator: expected the name of a generator, got {name!r}"
-        )
+        raise InputError(f"{table}.generator: expected the name of a generator, got {name!r}")
     try:
         plugin = plugins.load("generators", name)
     except InputError as error:
-        raise InputError(f"{source}: {table}.generator: {error}") from error
+        raise InputError(f"{table}.generator: {error}") from error
     if plugin.makes != makes:
-        raise InputError(
-            f"{source}: {table}.generator: expected a generator of {makes}, got {name}, which makes {plugin.makes}"
-        )
-    parameters = validate(plugin.Parameters, rest, source, f"{table}.")
+        expected = f"expected a generator of {makes}"
+        raise InputError(f"{table}.generator: {expected}, got {name}, which makes {plugin.makes}")
+    parameters = validate(plugin.Parameters, rest, "", f"{table}.")
     made = {"generator": name, **plain(parameters.model_dump(mode="json", exclude_none=True))}
     if "file" not in plugin.Parameters.model_fields:
         return made
-    found = _found(made, f"{source}: {table}", folder)
+    found = _found(made, table, folder)
     return {**{key: value for key, value in made.items() if key not in found}, **found}
 
 
-def _found(made: dict[str, Any], where: str, folder: Path) -> dict[str, str]:
-    """A file's whole path, and what its content is."""
+def _found(made: dict[str, Any], table: str, folder: Path) -> dict[str, str]:
+    """The absolute path of a generator's file, and the hash of its content."""
     path = (folder / made["file"]).resolve()
     if not path.is_file():
-        raise InputError(f"{where}.file: expected a file, but there is none at {path}")
+        raise InputError(f"{table}.file: expected a file, but there is none at {path}")
     content = sha256(path)
     if made.get("sha256", content) != content:
-        raise InputError(
-            f"{where}.sha256: expected {made['sha256'][:12]}... of {path}, got {content[:12]}...: the file has changed"
-        )
+        changed = f"{made['sha256'][:12]}... of {path}, got {content[:12]}..."
+        raise InputError(f"{table}.sha256: expected {changed}: the file has changed")
     return {"file": str(path), "sha256": content}

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import tomli_w
-from pydantic import Field, model_validator
+from pydantic import Field, ModelWrapValidatorHandler, ValidationError, model_validator
 
 from sabench.images.preprocessing import Step
 from sabench.scenes.calibration import Calibration, Detection
@@ -15,8 +15,11 @@ from sabench.scenes.illumination import Backlight, Illumination, Lighting, Timin
 from sabench.scenes.sensor import Render, Sensor
 from sabench.scenes.volume import GridSpec, Volume
 from sabench.scenes.wall import OccluderSpec, WallSpec
+from sabench.scenes.world import BubbleWorld, ParticleWorld, TargetWorld, World, world_faults
+from sabench.utils.errors import InputError
 from sabench.utils.fields import LensNumber, Positive, Table
 from sabench.utils.files import digest
+from sabench.utils.validation import joined, nearest, refuse
 
 WORLDS = ("particles", "targets", "flow", "bubbles")  # tables whose `generator` is a plug-in
 
@@ -71,29 +74,52 @@ class Scene(Table):
     )
     render: Render = Render()
 
-    @model_validator(mode="after")
-    def _one_world(self) -> Scene:
-        bodies = self.bubbles is not None or bool(self.solids)
-        if (self.particles is None and not bodies) == (self.targets is None):
-            raise ValueError("expected either particles, bubbles or solids, or targets")
-        if bodies and self.backlight is None and self.lighting is None:
-            raise ValueError("expected a backlight or a lighting for bubbles and solids")
-        if self.backlight is not None and not bodies:
-            raise ValueError("backlight: expected bubbles or solids in front of it")
-        if self.flow is not None and self.particles is None:
-            raise ValueError("flow: expected particles that it carries")
-        if self.flow_grid_mm is not None and self.flow is None:
-            raise ValueError("flow_grid_mm: expected a flow")
-        if self.particles is not None and self.illumination is None:
-            raise ValueError("expected an illumination for the particles")
-        return self
+    @model_validator(mode="wrap")
+    @classmethod
+    def _one_world(cls, values: Any, handler: ModelWrapValidatorHandler[Self]) -> Self:
+        """Check which tables are there, also where some of them have faults of their own."""
+        faults = list(world_faults(_given(values))) if isinstance(values, dict) else []
+        try:
+            scene = handler(values)
+        except ValidationError as error:
+            raise joined(error, faults) from None
+        refuse(faults)
+        return scene
+
+    @property
+    def world(self) -> World:
+        """The kind of world that the tables describe, with what that kind needs."""
+        if self.targets is not None:
+            return TargetWorld(self.targets, self.lighting, self.detection)
+        tracers = self.tracers
+        if tracers is not None and self.bubbles is None and not self.solids:
+            return tracers
+        return BubbleWorld(self.bubbles, self.solids or (), self.backlight, self.lighting, tracers)
+
+    @property
+    def tracers(self) -> ParticleWorld | None:
+        """The tracer particles, alone or between bubbles; None where there are none."""
+        if self.particles is None or self.illumination is None:
+            return None
+        return ParticleWorld(self.particles, self.illumination, self.tracer, self.flow)
+
+    @property
+    def particle_world(self) -> ParticleWorld:
+        """The tracer particles of a scene that has some.
+
+        Raises
+        ------
+        InputError
+            A scene without particles.
+        """
+        if (tracers := self.tracers) is None:
+            raise InputError(f"{self.title}: particles: expected a scene with particles, got none")
+        return tracers
 
     @property
     def light(self) -> Illumination:
         """The laser of a scene with particles."""
-        if self.illumination is None:
-            raise ValueError(f"{self.title}: expected a scene with an illumination")
-        return self.illumination
+        return self.particle_world.illumination
 
     @property
     def unknown(self) -> tuple[LensNumber, ...]:
@@ -149,6 +175,13 @@ class Scene(Table):
             for number, given in enumerate(self.solids or ())
         )
         return self.model_copy(update=worlds | ({"solids": solids} if solids else {}))
+
+
+def _given(values: dict[str, Any]) -> set[str]:
+    """Tables that a file gives; a misspelt one counts as the one that it most likely stands for."""
+    known = Scene.model_fields
+    keys = {str(key) for key, value in values.items() if value not in (None, [], ())}
+    return {key if key in known else nearest(key, known) or key for key in keys}
 
 
 def plain(value: Any) -> Any:

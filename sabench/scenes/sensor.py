@@ -22,6 +22,12 @@ class Sensor(Table):
     bit_depth: int = Field(12, ge=1, le=16)
     shot_noise: bool = True
 
+    @property
+    def white_dn(self) -> int:
+        """Grey value of a saturated pixel: the lower limit of full well and converter."""
+        full = round(self.black_level_dn + self.gain_dn_e * self.full_well_e)
+        return min((1 << self.bit_depth) - 1, full)
+
 
 class Render(Table):
     """How the images are computed."""
@@ -44,11 +50,3 @@ class Render(Table):
                 f"samples_per_pixel: expected a square number, got {self.samples_per_pixel}"
             )
         return self
-
-
-def white_level(sensor: Sensor) -> int:
-    """Grey value of a saturated pixel: the full well's or the converter's limit, whichever comes first."""
-    return min(
-        (1 << sensor.bit_depth) - 1,
-        round(sensor.black_level_dn + sensor.gain_dn_e * sensor.full_well_e),
-    )

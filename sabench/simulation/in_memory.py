@@ -1,4 +1,4 @@
-"""Simulate one frame in memory."""
+"""Simulation of one frame in memory."""
 
 from __future__ import annotations
 
@@ -11,15 +11,18 @@ from sabench.api.truth import Particles, View
 from sabench.dataset.reader import observed
 from sabench.scenes import Scene, build_rig
 from sabench.scenes.nominal_cameras import nominal_cameras
-from sabench.scenes.sensor import white_level
-from sabench.simulation.frames_of_tracers import make_world, shoot
+from sabench.simulation.camera_view import render
+from sabench.simulation.frame_content import FrameContent
+from sabench.simulation.frames import Frames
 from sabench.simulation.renderer_choice import Renderer, choose_renderer
+from sabench.simulation.rendering.sensor import expose
+from sabench.utils.arrays import U16
 from sabench.worlds.tracers import Motion
 
 
 @dataclass(frozen=True)
 class Shot:
-    """One frame in memory: what a solver may see, and the truth that it is scored with."""
+    """One frame in memory: the observation for a solver, and the truth that scores it."""
 
     observation: Observation
     particles: Particles
@@ -27,7 +30,7 @@ class Shot:
 
 
 def simulate(scene: Scene, *, seed: int = 0, frame: int = 0, backend: Renderer = "splat") -> Shot:
-    """One frame of the data set that `generate` would make of the scene and seed, without writing anything.
+    """Simulate one frame of the data set that `generate` would make, without writing anything.
 
     Raises
     ------
@@ -35,21 +38,30 @@ def simulate(scene: Scene, *, seed: int = 0, frame: int = 0, backend: Renderer =
         As `generate`.
     """
     rig = build_rig(scene, scene.title)
-    motion = Motion(scene, seed)
-    world = make_world(motion, rig, frame, choose_renderer(backend), motion.at(frame))
-    pictures, views = [], []
-    for camera in rig.cameras:
-        images, grey, _, _ = shoot(world, camera)
-        pictures.append(grey)
-        views.append(
-            View(images.pixel, images.photons, images.sigma_px, images.visible.astype(np.float64))
-        )
-    told = nominal_cameras(scene, rig.cameras, seed)
-    levels = scene.sensor.black_level_dn, white_level(scene.sensor)
-    observation = observed(np.stack(pictures), told, rig.grid, levels, scene.preprocessing or ())
-    return Shot(observation, world.particles, views)
+    content = Frames(scene, rig, seed, choose_renderer(backend)).at(frame)
+    if content.tracers is None:
+        raise ValueError(f"{scene.title}: expected a scene with particles")
+    images, views = [], []
+    for number in range(len(rig.cameras)):
+        view = render(content, number)
+        images.append(expose(scene.sensor, view.photons, content.sensor_noise(number)))
+        if view.particles is not None:
+            views.append(view.particles)
+    return Shot(observation_of(content, images), content.tracers.particles, list(views))
+
+
+def observation_of(frame: FrameContent, images: list[U16]) -> Observation:
+    """The observation that a solver receives of a frame's images, one for each camera."""
+    scene, rig = frame.scene, frame.rig
+    return observed(
+        np.stack(images),
+        nominal_cameras(scene, rig.cameras, frame.seed),
+        rig.grid,
+        (scene.sensor.black_level_dn, scene.sensor.white_dn),
+        scene.preprocessing or (),
+    )
 
 
 def make_particles(scene: Scene, seed: int, frame: int) -> Particles:
-    """The particles of one frame, whatever else is generated."""
+    """Make the particles of one frame."""
     return Motion(scene, seed).at(frame)

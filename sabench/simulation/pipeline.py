@@ -10,9 +10,10 @@ from pathlib import Path
 
 from filelock import FileLock, Timeout
 
+from sabench.api import Shown
 from sabench.dataset.reader import Dataset, open_dataset
 from sabench.dataset.writer import dataset_writer
-from sabench.scenes import Scene, build_rig, load_scene
+from sabench.scenes import BubbleWorld, Scene, TargetWorld, build_rig, load_scene
 from sabench.scenes.nominal_cameras import nominal_cameras
 from sabench.simulation.recording.job import Job
 from sabench.simulation.recording.parts import KEPT, Part, Parts, files_of
@@ -31,6 +32,7 @@ from sabench.utils import memory
 from sabench.utils.errors import InputError
 from sabench.utils.files import refuse_existing
 from sabench.utils.progress import track
+from sabench.worlds.readable_codes import has_code
 
 
 def generate(
@@ -125,36 +127,56 @@ def _forget(target: Path) -> None:
 def put_together(
     target: Path, job: Job, recorder: Recorder, parts: Parts, *, overwrite: bool
 ) -> None:
-    """Make the data set of all its parts."""
+    """Make the data set from all its parts."""
     rig = build_rig(job.scene, job.label)
-    told, cameras = nominal_cameras(job.scene, rig.cameras, job.seed), rig.cameras[: recorder.views]
+    nominal = nominal_cameras(job.scene, rig.cameras, job.seed)
     with dataset_writer(
-        target, job.label, job.scene, rig, told, job.seed, job.renderer, overwrite=overwrite
+        target,
+        job.label,
+        job.scene,
+        rig,
+        nominal,
+        job.seed,
+        job.renderer,
+        shows=_shows(job.scene),
+        overwrite=overwrite,
     ) as writer:
         for frame in track(range(job.scene.frames), f"store {job.label}"):
-            writer.store(_told(parts.frame(frame)))
-            for camera in cameras:
+            writer.store(_truth(parts.frame(frame)))
+            for camera in rig.cameras[: recorder.views]:
                 part = parts.view(frame, camera.name)
-                writer.store(_told(part))
+                writer.store(_truth(part))
                 for name, entry in files_of(part).items():
                     writer.take(parts.root / name, name, entry)
             memory.trim()
         recorder.finish(writer, parts)
 
 
-def _told(part: Part) -> Part:
+def _truth(part: Part) -> Part:
+    """The arrays of a part that the data set keeps."""
     return {name: value for name, value in part.items() if not name.startswith(KEPT)}
+
+
+def _shows(scene: Scene) -> tuple[Shown, ...]:
+    """What the frames of bubbles and bodies show; nothing for other scenes."""
+    world = scene.world
+    if not isinstance(world, BubbleWorld):
+        return ()
+    particles: tuple[Shown, ...] = ("particles",) if world.tracers else ()
+    code: tuple[Shown, ...] = ("code",) if has_code(scene) else ()
+    return (*particles, "bubbles", *code)
 
 
 def _renderer(scene: Scene, asked: Renderer, label: str) -> str:
     """What makes the data set: a target without lamps needs no pictures."""
-    if scene.bubbles is not None or scene.solids:
+    world = scene.world
+    if isinstance(world, BubbleWorld):
         if asked == "splat":
             raise InputError(
                 f"{label}: backend: expected mitsuba for bubbles and solids, got splat, which renders particles only"
             )
         return choose_renderer("mitsuba")
-    if scene.targets is None or scene.lighting is not None:
+    if not isinstance(world, TargetWorld) or world.lighting is not None:
         return choose_renderer(asked)
     if asked == "mitsuba":
         raise InputError(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import shutil
 from pathlib import Path
 
-from sabench.scenes import Rig, Scene
+from sabench.scenes import Rig, Scene, TargetWorld
 from sabench.utils import memory
 from sabench.utils.errors import InputError
 
@@ -28,7 +28,8 @@ def check_affordable(name: str, scene: Scene, rig: Rig, folder: Path) -> None:
         raise InputError(
             f"{name}: cameras: expected pictures that fit into memory, but one of {size} pixels needs {need:.0f} MB where {there:.0f} are there"
         )
-    if scene.targets is not None and scene.lighting is None:  # without pictures
+    world = scene.world
+    if isinstance(world, TargetWorld) and world.lighting is None:  # without images
         return
     there_now = next(path for path in (folder, *folder.parents) if path.exists())
     free, stored = shutil.disk_usage(there_now).free / 1e6, pixels * pictures * _STORED_BYTES / 1e6

@@ -20,7 +20,8 @@ from sabench.metrics.bubble_detection import AnyBubbles, detection_scores
 from sabench.metrics.plunging_jet import JetFigures, analyse
 from sabench.metrics.trajectories import track_scores
 from sabench.plotting import pictures
-from sabench.scenes import Scene
+from sabench.scenes import BubbleWorld, Scene
+from sabench.scenes.world import GeneratorTable
 from sabench.tasks.task import Captions, Figures, FrameByFrame, Score, Source
 from sabench.utils import memory
 from sabench.utils.arrays import I64
@@ -221,7 +222,7 @@ def _check_all_or_none(result: Result, found: Sequence[Detections]) -> None:
 
 def _jet_scores(data: Dataset, found: Sequence[AnyBubbles], truth: Sequence[AnyBubbles]) -> Figures:
     """Score a jet's figures against the same analysis of the true bubbles; None without a jet."""
-    if (data.scene.bubbles or {}).get("generator") != "plunging_jet":
+    if jet_of(data.scene) is None:
         return dict.fromkeys(JET)
     estimate, true = (jet_figures(data.scene, one) for one in (found, truth))
     pairs = {key: (getattr(estimate, name), getattr(true, name)) for key, name in JET.items()}
@@ -231,10 +232,19 @@ def _jet_scores(data: Dataset, found: Sequence[AnyBubbles], truth: Sequence[AnyB
     }
 
 
+def jet_of(scene: Scene) -> GeneratorTable | None:
+    """Find the parameters of a scene's plunging jet; None without one."""
+    world = scene.world
+    if not isinstance(world, BubbleWorld) or world.bubbles is None:
+        return None
+    return world.bubbles if world.bubbles["generator"] == "plunging_jet" else None
+
+
 def jet_figures(scene: Scene, every: Sequence[AnyBubbles]) -> JetFigures:
     """Analyse the bubbles of some frames as those of a scene's plunging jet."""
-    assert scene.bubbles is not None
-    impact, volume = np.asarray(scene.bubbles["impact_mm"]), scene.volume
+    if (jet := jet_of(scene)) is None:
+        raise InputError(f"{scene.title}: bubbles.generator: expected plunging_jet, got no jet")
+    impact, volume = np.asarray(jet["impact_mm"]), scene.volume
     return analyse(
         np.concatenate([one.center_mm for one in every]),
         np.concatenate([one.radius_mm for one in every]),

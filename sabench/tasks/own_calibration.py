@@ -25,8 +25,8 @@ from sabench.algorithms.calibration.target_detection import detect
 from sabench.api import Calibration, CalibrationCase
 from sabench.api.make import make_algorithm
 from sabench.api.truth import Pattern, Target
+from sabench.dataset.schema import CAMERAS, write_cameras
 from sabench.geometry.camera import Camera, Distortion, aim, aimed_rotation
-from sabench.geometry.camera_records import record_camera
 from sabench.plotting import pictures
 from sabench.scenes.build import build_wall
 from sabench.scenes.wall import WallSpec
@@ -146,11 +146,8 @@ def calibrate(
     report, errors = report_on(case, answer, points)
     with complete_or_nothing(out, overwrite=overwrite) as partial:
         partial.mkdir()
-        records = [record_camera(camera) for camera in answer.cameras]
-        (partial / "cameras.json").write_text(
-            canonical_json({"format": "sabench-cameras", "version": 1, "cameras": records}),
-            encoding="utf-8",
-        )
+        walls = [camera.wall for camera in answer.cameras if isinstance(camera, Camera)]
+        write_cameras(partial / CAMERAS, answer.cameras, wall=walls[0] if walls else None)
         (partial / "report.json").write_text(canonical_json(asdict(report)), encoding="utf-8")
         (partial / "errors.png").write_bytes(
             pictures.arrows(case.pixels, errors, case.cameras[0].rows, case.cameras[0].columns)

@@ -1,4 +1,4 @@
-"""Array types and the checks that public functions share."""
+"""Array types and checks shared by public functions."""
 
 import numpy as np
 import numpy.typing as npt
@@ -13,13 +13,19 @@ Bool = npt.NDArray[np.bool_]
 
 
 def triple(values: npt.ArrayLike) -> tuple[float, float, float]:
-    """Three numbers as a tuple of Python floats, as frozen values keep them."""
+    """Return three numbers as a tuple of Python floats, for frozen values."""
     x, y, z = np.asarray(values, dtype=np.float64).tolist()
     return x, y, z
 
 
 def rows_of(values: npt.ArrayLike, width: int, what: str) -> F64:
-    """`values` as a float64 array of shape (n, width), or a ValueError that says what came instead."""
+    """Return `values` as a float64 array of shape (n, width).
+
+    Raises
+    ------
+    ValueError
+        Another shape; `what` names the values.
+    """
     array = np.asarray(values, dtype=np.float64)
     if array.ndim != 2 or array.shape[1] != width:
         raise ValueError(f"{what}: expected an array of shape (n, {width}), got {array.shape}")

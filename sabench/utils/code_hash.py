@@ -1,4 +1,4 @@
-"""Which code this is: a hash that changes with every line of it."""
+"""Hash of the source code, which changes with every line of it."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ _PACKAGE = Path(__file__).resolve().parents[1]
 
 
 def code_hash(*files: Path) -> str:
-    """SHA-256 over the sources of sabench, without its page, and over further files."""
-    whole = hashlib.sha256(_own().encode())
+    """Compute the SHA-256 of the sources of sabench, without its page, and of further files."""
+    whole = hashlib.sha256(_own_hash().encode())
     for file in files:
         whole.update(hashlib.sha256(file.read_bytes()).digest())
     return whole.hexdigest()
 
 
 @functools.cache
-def _own() -> str:
+def _own_hash() -> str:
     whole = hashlib.sha256()
     for file in sorted(_PACKAGE.rglob("*.py")):
         if "_plugins" not in file.parts:

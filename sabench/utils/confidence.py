@@ -1,4 +1,4 @@
-"""What several seeds say: their mean, and how far it may be from the mean of all seeds."""
+"""Means over seeds, with their confidence intervals."""
 
 from __future__ import annotations
 
@@ -14,20 +14,28 @@ CONFIDENCE = 0.95
 
 @dataclass(frozen=True)
 class Mean:
-    """A mean of `count` independent values with the half width of its 95 % confidence interval; None for a single value."""
+    """Mean of `count` independent values, with its confidence interval.
+
+    Attributes
+    ----------
+    half_width : of the 95 % interval; None for a single value.
+    """
 
     mean: float
     half_width: float | None
     count: int
 
     def text(self, decimals: int) -> str:
-        """`0.750 ± 0.004`, or the mean alone."""
+        """Format as `0.750 ± 0.004`, or the mean alone."""
         spread = "" if self.half_width is None else f" ± {self.half_width:.{decimals}f}"
         return f"{self.mean:.{decimals}f}{spread}"
 
 
 def mean_of(values: Sequence[float]) -> Mean | None:
-    """Mean with Student's t-interval, for values drawn from a normal distribution of unknown variance; None without values."""
+    """Compute the mean with Student's t-interval; None without values.
+
+    The values are taken to come from a normal distribution of unknown variance.
+    """
     count = len(values)
     if not count:
         return None

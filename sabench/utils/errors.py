@@ -1,24 +1,56 @@
-"""The one exception that means: the input is wrong, and here is the sentence that says how."""
+"""The one exception that means: the input is wrong, and this is what is wrong with it."""
 
-_LONGEST, _END = 1200, 200  # characters of a sentence, and of its end where its middle is left out
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, Self
+
+_LONGEST = 1200  # characters of a sentence that stands alone; a sixth of it ends one that is cut
+_LISTED = 240  # characters of each of several
+_MOST = 20  # sentences that are listed
 
 
 class InputError(Exception):
-    """Bad input: one sentence that names the file, key or camera, what was expected and what came.
+    """Bad input: the file, key or camera, what was expected and what came.
 
-    It may quote what came, whatever that is: what cannot be printed becomes a question mark, and of
-    very long ones the middle is left out.
+    One fault is one sentence on one line. Several are a headline and one indented line for each. A
+    sentence may quote any input: characters that cannot be printed become question marks, and of a
+    very long sentence the middle is left out.
+
+    Attributes
+    ----------
+    faults : the sentences, without the name of the file where `of` has made the error.
     """
 
-    def __init__(self, sentence: str = "") -> None:
-        line = "".join(
-            mark if mark.isprintable() else "?"
-            for mark in " ".join(sentence[: 100 * _LONGEST].split())
-        )
-        super().__init__(
-            line if len(line) <= _LONGEST else f"{line[: _LONGEST - _END]} ... {line[-_END:]}"
-        )
+    def __init__(self, sentence: str = "", faults: Sequence[str] = ()) -> None:
+        head = _line(sentence)
+        self.faults = tuple(_line(fault) for fault in faults) or (head,)
+        listed = [_line(fault, _LISTED) for fault in faults[:_MOST]] if len(faults) > 1 else []
+        more = len(self.faults) - _MOST
+        rest = [f"and {more} more"] if more > 0 else []
+        super().__init__("\n  ".join([head, *listed, *rest]))
+        self._arguments = (sentence, tuple(faults))
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Make the same error in another process."""
+        return type(self), self._arguments
+
+    @classmethod
+    def of(cls, source: str, faults: Sequence[str]) -> Self:
+        """Make the error of one or more faults in `source`."""
+        start = f"{source}: " if source else ""
+        if len(faults) == 1:
+            return cls(f"{start}{faults[0]}", faults)
+        return cls(f"{start}{len(faults)} faults:", faults)
 
 
 class DeclinedError(InputError):
     """A solver cannot take a case, and says why: not a fault of either."""
+
+
+def _line(text: str, longest: int = _LONGEST) -> str:
+    """Printable text on one line that is not too long."""
+    words = " ".join(text[: 100 * _LONGEST].split())
+    line = "".join(mark if mark.isprintable() else "?" for mark in words)
+    end = longest // 6
+    return line if len(line) <= longest else f"{line[: longest - end]} ... {line[-end:]}"

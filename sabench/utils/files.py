@@ -1,4 +1,4 @@
-"""Writing so that nothing half-written is ever seen, and reading without being led astray."""
+"""Atomic writing of files and folders, and safe reading of JSON and of paths."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import json
 import os
 import re
 import shutil
+import threading
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -22,49 +23,78 @@ _LARGEST_TEXT = 100_000_000  # bytes of a JSON file
 
 @contextlib.contextmanager
 def complete_or_nothing(target: Path, *, overwrite: bool = False) -> Iterator[Path]:
-    """A temporary path beside `target` that takes its place only when the block has ended well.
+    """Give a temporary path that replaces `target` only when the block has ended well.
 
-    The block makes a file or a folder at the path it gets. A killed process leaves a hidden
-    `.NAME.partial-PID`, which the next write to the same target removes.
+    The block makes a file or a folder at the path it gets, which is on the disk when it appears at
+    `target`. A killed process leaves a hidden `.NAME.partial-PID`, which the next write to the same
+    target removes.
     """
     target = target.absolute()
     target.parent.mkdir(parents=True, exist_ok=True)
     clear_abandoned(target)
     refuse_existing(target, overwrite=overwrite)
-    partial = target.parent / f".{target.name}.partial-{os.getpid()}"
-    retired = target.parent / f".{target.name}.retired-{os.getpid()}"
-    try:
+    with _temporary(target, f".{target.name}.partial-{os.getpid()}") as partial:
         yield partial
         _flush(partial)
-        if target.is_dir() or (target.exists() and partial.is_dir()):
-            target.rename(
-                retired
-                # folders cannot be replaced in one step; `clear_abandoned` mends a death between
-                # these
-                # two lines
-            )
-            partial.rename(target)
-        else:
-            partial.replace(target)
+        _replace(target, partial)
+
+
+@contextlib.contextmanager
+def atomic_file(target: Path) -> Iterator[Path]:
+    """Give a temporary path that replaces the file `target` when the block has ended well.
+
+    For many files that can be made again: several threads, processes and machines may write the
+    same one simultaneously, and none waits for the disk.
+    """
+    target.parent.mkdir(parents=True, exist_ok=True)
+    with _temporary(target, f".{os.getpid()}-{threading.get_ident()}-{target.name}") as partial:
+        yield partial
+        partial.replace(target)
+
+
+@contextlib.contextmanager
+def _temporary(target: Path, name: str) -> Iterator[Path]:
+    """Give a path next to `target`; whatever is left there is removed."""
+    partial = target.with_name(name)
+    try:
+        yield partial
     except OSError as error:
         if error.errno and not error.filename:  # a refused write does not say where
             error.filename = str(target)
         raise
     finally:
         _remove(partial)
+
+
+def _replace(target: Path, partial: Path) -> None:
+    """Put `partial` in the place of `target`.
+
+    A folder takes two steps; `clear_abandoned` repairs a death between them.
+    """
+    if not target.is_dir() and not (target.exists() and partial.is_dir()):
+        partial.replace(target)
+        return
+    retired = target.parent / f".{target.name}.retired-{os.getpid()}"
+    try:
+        target.rename(retired)
+        partial.rename(target)
+    finally:
         if retired.exists() and not target.exists():
             retired.rename(target)
         _remove(retired)
 
 
 def refuse_existing(target: Path, *, overwrite: bool) -> None:
-    """InputError if there is something that may not be replaced."""
+    """Raise an InputError if there is a file that may not be replaced."""
     if target.exists() and not overwrite:
         raise InputError(f"{target} exists already: choose another name, or say --overwrite")
 
 
 def clear_abandoned(target: Path) -> None:
-    """Remove what killed processes left of writing `target`; what they had set aside comes back if nothing took its place."""
+    """Remove what killed processes left of writing `target`.
+
+    A folder that they had set aside returns if nothing took its place.
+    """
     for entry in sorted(target.parent.iterdir()):
         match = _ABANDONED.match(entry.name)
         if not match or match["name"] != target.name or _alive(int(match["pid"])):
@@ -93,7 +123,7 @@ def _remove(path: Path) -> None:
 
 
 def _flush(path: Path) -> None:
-    """Have the disk hold every byte before the rename says that it does."""
+    """Write every byte to the disk before the rename."""
     for file in (
         [path] if path.is_file() else [entry for entry in path.rglob("*") if entry.is_file()]
     ):
@@ -102,7 +132,7 @@ def _flush(path: Path) -> None:
 
 
 def is_file(path: Path) -> bool:
-    """Whether there is a file of this name; a name that no disk can hold has none."""
+    """Return whether there is a file of this name; False for a name that no disk can hold."""
     try:
         return path.is_file()
     except OSError:
@@ -110,13 +140,13 @@ def is_file(path: Path) -> bool:
 
 
 def sha256(path: Path) -> str:
-    """Hexadecimal SHA-256 of a file's bytes."""
+    """Compute the hexadecimal SHA-256 of a file's bytes."""
     with path.open("rb") as handle:
         return hashlib.file_digest(handle, "sha256").hexdigest()
 
 
 def canonical_json(value: Any) -> str:
-    """JSON with sorted keys and shortest round-trip numbers: equal values give equal text."""
+    """Format as JSON with sorted keys and shortest numbers: equal values give equal text."""
     text = json.dumps(value, sort_keys=True, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
     return text.encode("utf-8", "replace").decode(
         "utf-8"
@@ -124,12 +154,12 @@ def canonical_json(value: Any) -> str:
 
 
 def digest(value: Any) -> str:
-    """SHA-256 of a value's canonical JSON: equal values have equal digests."""
+    """Compute the SHA-256 of a value's canonical JSON: equal values have equal digests."""
     return hashlib.sha256(canonical_json(value).encode()).hexdigest()
 
 
 def read_json(path: Path) -> Any:
-    """Parse a JSON file; a missing, broken or enormous one is an InputError that names it."""
+    """Parse a JSON file; raise an InputError if it is missing, broken or enormous."""
     try:
         if path.stat().st_size > _LARGEST_TEXT:
             raise ValueError(f"{path.stat().st_size} bytes where {_LARGEST_TEXT} are allowed")
@@ -139,7 +169,13 @@ def read_json(path: Path) -> Any:
 
 
 def inside(root: Path, name: str) -> Path:
-    """The file `name` in the folder `root`; a name that leads outside, or through a link, is an InputError."""
+    """Return the path of the file `name` in the folder `root`.
+
+    Raises
+    ------
+    InputError
+        The name leads outside, or through a link.
+    """
     path = root / name
     parts = Path(name).parts
     bad = not parts or Path(name).is_absolute() or ".." in parts or "\\" in name or "\0" in name

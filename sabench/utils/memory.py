@@ -1,4 +1,4 @@
-"""What this process holds at most and may still take, and giving back what it no longer needs."""
+"""Memory of this process: its peak, what is still available, and returning freed blocks."""
 
 from __future__ import annotations
 
@@ -8,16 +8,16 @@ import os
 from collections.abc import Callable
 from pathlib import Path
 
-_children = [0.0]  # MB, the most that a process which this one started has held
+_children = [0.0]  # largest peak of a child process (MB)
 
 
 def add_child(mb: float) -> None:
-    """Count the peak of a process that this one started and waited for: both held memory at once."""
+    """Count the peak of a child process, which held memory in addition to this process."""
     _children[0] = max(_children[0], mb)
 
 
 def forget_peak() -> None:
-    """Start the process's memory high-water mark anew, where the system can (Linux)."""
+    """Reset the process's memory high-water mark, where the system can (Linux)."""
     _children[0] = 0.0
     marks = Path("/proc/self/clear_refs")
     if marks.exists():
@@ -30,7 +30,10 @@ def forget_peak() -> None:
 
 
 def peak_mb() -> float | None:
-    """Peak resident memory of this process, and of the largest that it reported, in MB (10^6 bytes); None where the system does not say."""
+    """Return the peak resident memory of this process and its largest child, in MB (10^6 bytes).
+
+    None where the system does not report it.
+    """
     status = Path("/proc/self/status")
     if status.exists():
         line = next(line for line in status.read_text().splitlines() if line.startswith("VmHWM:"))
@@ -45,10 +48,10 @@ def peak_mb() -> float | None:
 
 
 def available_mb() -> float | None:
-    """Memory that a process can still take, in MB (10^6 bytes); None where the system does not say.
+    """Return the memory that a process can still take, in MB (10^6 bytes).
 
-    Where only the whole memory is known (macOS) it is that, an upper bound. A container's own limit
-    is not seen.
+    None where the system does not report it. Where only the total memory is known (macOS) it is
+    that, an upper bound. A container's own limit is not considered.
     """
     info = Path("/proc/meminfo")
     if info.exists():
@@ -63,7 +66,7 @@ def available_mb() -> float | None:
 
 
 def trim() -> None:
-    """Give freed memory back to the system, where the C library keeps it (glibc).
+    """Return freed memory to the system, where the C library keeps it (glibc).
 
     Large blocks of one frame are freed below small ones that HDF5 keeps until its file is closed;
     glibc then holds on to all of them, and a long data set would cost some 3 MB a frame.

@@ -1,4 +1,4 @@
-"""Independent random streams named by what they are for, so that nothing drawn elsewhere can change them."""
+"""Independent random streams, one for each purpose, frame and camera."""
 
 import zlib
 
@@ -6,10 +6,10 @@ import numpy as np
 
 
 def stream(seed: int, purpose: str, *indices: int) -> np.random.Generator:
-    """The generator of one purpose ("particles", "sensor"), and of one frame or camera of it, under a data set's seed.
+    """Return the random generator of one purpose ("particles", "sensor") of a data set's seed.
 
-    Two calls with the same arguments give the same numbers whatever else was generated before,
-    after or never (numpy's SeedSequence with the purpose and the indices as its spawn key).
+    `indices` select a frame or a camera of it. Equal arguments give equal numbers, whatever else is
+    drawn (numpy's SeedSequence with the purpose and the indices as its spawn key).
     """
     key = (zlib.crc32(purpose.encode()), *indices)
     return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=key))

@@ -1,50 +1,137 @@
-"""What pydantic finds wrong in a file's keys and values, as one sentence that names the key."""
+"""Check what users write against pydantic models, and name every fault by its key."""
 
 from __future__ import annotations
 
+import contextlib
 import difflib
+import re
 import types
 import typing
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 
 from pydantic import BaseModel, ValidationError
+from pydantic_core import InitErrorDetails
 
 from sabench.utils.errors import InputError
 
+_SHOWN = 80  # characters of a value that a sentence quotes
+_WORDS = (  # pydantic's words and ours, tried one after the other
+    (r"^input should be a valid (\w+), .*", r"expected a valid \1"),
+    (r"^input should be (greater|less) than", r"expected a number \1 than"),
+    (r"^input should be (?:a valid )?(?:tuple|list|array)$", "expected a list"),
+    (r"^input should be a valid dictionary.*", "expected a table"),
+    (r"^input should be ('.*' or '.*')", r"expected \1"),
+    (r"^input should be", "expected"),
+    (r"^(?:tuple|list) should have (at (?:least|most) \d+ items?).*", r"expected \1"),
+    (r"^string should match pattern", "expected text that matches"),
+    (r"^string should have", "expected text with"),
+)
 
-def printable(text: str, longest: int = 80) -> str:
-    """Foreign text on one line that any terminal shows: what cannot be printed as a question mark, and no more than `longest` characters."""
+
+class FaultsError(ValueError):
+    """All faults that a validator of a whole table finds in it.
+
+    Attributes
+    ----------
+    faults : pairs of a key of the table, or "" for the table as a whole, and a sentence.
+    """
+
+    def __init__(self, faults: Sequence[tuple[str, str]]) -> None:
+        super().__init__("; ".join(f"{key}: {text}" if key else text for key, text in faults))
+        self.faults = tuple(faults)
+
+
+def refuse(faults: Iterable[tuple[str, str]]) -> None:
+    """Raise all faults, pairs of a key and a sentence, if there are some."""
+    if found := list(faults):
+        raise FaultsError(found)
+
+
+def joined(error: ValidationError, faults: Sequence[tuple[str, str]]) -> ValidationError:
+    """The faults of fields and those of the whole table as one error."""
+    details: list[InitErrorDetails] = [_detail(fault) for fault in error.errors(include_url=False)]
+    if faults:
+        whole = InitErrorDetails(type="value_error", input=None, ctx={"error": FaultsError(faults)})
+        details.append(whole)
+    return ValidationError.from_exception_data(error.title, details)
+
+
+def _detail(fault: Any) -> InitErrorDetails:
+    detail = InitErrorDetails(type=fault["type"], loc=fault["loc"], input=fault["input"])
+    if "ctx" in fault:
+        detail["ctx"] = fault["ctx"]
+    return detail
+
+
+def printable(text: str, longest: int = _SHOWN) -> str:
+    """Foreign text on one line: what cannot be printed as a question mark, not over `longest`."""
     clean = "".join(mark if mark.isprintable() else "?" for mark in text[: longest + 1])
     return clean if len(clean) <= longest else f"{clean[: longest - 3]}..."
 
 
-def sentence(model: type[BaseModel], error: ValidationError, prefix: str = "") -> str:
-    """The first fault of values that are not a `model`: the key behind `prefix`, what was expected and what came."""
-    faults = error.errors(include_url=False)
-    fault = next(
-        (f for f in faults if f["type"] == "extra_forbidden"), faults[0]
-    )  # a typo explains the missing key
-    path = [str(part) for part in _key_path(fault["loc"])]
-    key = prefix + ".".join(path)
-    return f"{key + ': ' if key else ''}{_text(model, fault, path)}"
+def sentences(model: type[BaseModel], error: ValidationError, prefix: str = "") -> list[str]:
+    """Name every fault of values that are not a `model`: its key behind `prefix`, and what is wrong.
+
+    A key that is missing because it was misspelt is one fault, not two.
+    """
+    found, misspelt = [], set()
+    for fault in error.errors(include_url=False):
+        path = [str(part) for part in _key_path(fault["loc"])]
+        unknown = fault["type"] == "extra_forbidden"
+        near = nearest(path[-1], _keys_at(model, path[:-1])) if unknown else None
+        if near:
+            misspelt.add((*path[:-1], near))
+        found += [(path + key, kind, text) for key, kind, text in _texts(model, fault, path, near)]
+    return [
+        f"{prefix}{'.'.join(path)}: {text}" if prefix or path else text
+        for path, kind, text in found
+        if kind != "missing" or tuple(path) not in misspelt
+    ]
 
 
-def _text(model: type[BaseModel], fault: Any, path: list[str]) -> str:
-    kind = fault["type"]
-    if kind == "extra_forbidden":
-        known = _keys_at(model, path[:-1])
-        near = difflib.get_close_matches(path[-1], known, 1, 0.4)
-        return (
-            f"unknown key; did you mean {near[0]}?"
-            if near
-            else f"unknown key; expected one of {', '.join(known)}"
-        )
-    if kind == "missing":
-        return "this key is missing"
-    text = str(fault["msg"]).removeprefix("Value error, ")
-    if kind == "value_error":
-        return text
-    return f"{text[0].lower()}{text[1:]}, got {fault['input']!r}"
+def _texts(
+    model: type[BaseModel], fault: Any, path: list[str], near: str | None
+) -> Iterator[tuple[list[str], str, str]]:
+    """The key inside the faulty value, the kind of fault and the sentence of each fault."""
+    kind, inner = fault["type"], fault.get("ctx", {}).get("error")
+    if isinstance(inner, FaultsError):
+        for key, text in inner.faults:
+            yield ([key] if key else []), kind, text
+    elif kind == "extra_forbidden":
+        known = ", ".join(_keys_at(model, path[:-1]))
+        hint = f"did you mean {near}?" if near else f"expected one of {known}"
+        yield [], kind, f"unknown key; {hint}"
+    elif kind == "missing":
+        yield [], kind, "this key is missing"
+    elif kind in ("union_tag_not_found", "union_tag_invalid"):
+        key, tag = fault["ctx"]["discriminator"].strip("'"), fault["ctx"].get("tag")
+        expected = f"expected one of {fault['ctx'].get('expected_tags')}, got {_shown(tag)}"
+        yield [key], kind, expected if tag else "this key is missing"
+    elif kind == "value_error":
+        yield [], kind, str(fault["msg"]).removeprefix("Value error, ")
+    else:
+        yield [], kind, f"{_in_words(str(fault['msg']))}, got {_shown(fault['input'])}"
+
+
+def _in_words(message: str) -> str:
+    """Pydantic's message as what was expected."""
+    text = f"{message[0].lower()}{message[1:]}"
+    for pattern, words in _WORDS:
+        text, changed = re.subn(pattern, words, text)
+        if changed:
+            break
+    return text
+
+
+def _shown(value: Any) -> str:
+    return printable(repr(value))
+
+
+def nearest(word: str, known: Iterable[str]) -> str | None:
+    """The known word that a misspelt one most likely stands for."""
+    near = difflib.get_close_matches(word, list(known), 1, 0.4)
+    return near[0] if near else None
 
 
 def _key_path(loc: tuple[Any, ...]) -> list[Any]:
@@ -84,8 +171,35 @@ Model = typing.TypeVar("Model", bound=BaseModel)
 
 
 def validate(model: type[Model], values: dict[str, Any], source: str, prefix: str = "") -> Model:
-    """`values` as a model, or an InputError of one sentence for its first fault."""
+    """Make a model of `values`.
+
+    Raises
+    ------
+    InputError
+        All faults of the values, each with its key behind `prefix`; `source` is named first.
+    """
     try:
         return model.model_validate(values)
     except ValidationError as error:
-        raise InputError(f"{source}: {sentence(model, error, prefix)}") from error
+        raise InputError.of(source, sentences(model, error, prefix)) from error
+
+
+class Collector:
+    """FaultsError of one file, collected over several checks and raised together."""
+
+    def __init__(self, source: str) -> None:
+        self.source = source
+        self.faults: list[str] = []
+
+    @contextlib.contextmanager
+    def collect(self) -> Iterator[None]:
+        """Keep the faults of a check that raises an InputError without a source, and go on."""
+        try:
+            yield
+        except InputError as error:
+            self.faults += error.faults
+
+    def finish(self) -> None:
+        """Raise an InputError of all faults that were collected, if there are some."""
+        if self.faults:
+            raise InputError.of(self.source, self.faults)

@@ -10,8 +10,9 @@ from sabench.api.truth import Bubbles, Solid
 from sabench.geometry.frames import Pose
 from sabench.geometry.refraction import Wall
 from sabench.geometry.rotations import rotation_matrices
-from sabench.scenes import Scene
+from sabench.scenes import BubbleWorld, Scene
 from sabench.scenes.build import build_wall, domain_of
+from sabench.scenes.world import GeneratorTable
 from sabench.utils.arrays import I64
 from sabench.utils.errors import InputError
 from sabench.worlds.library.random_packing import overlapping, touching
@@ -28,10 +29,10 @@ class Phases:
 
     def __init__(self, scene: Scene, seed: int) -> None:
         self.scene, self.seed = scene, seed
-        self._bubbles: BubbleGenerator | None = (
-            generator_of(scene.bubbles) if scene.bubbles else None
-        )
-        self._solids: list[SolidGenerator] = [generator_of(given) for given in scene.solids or ()]
+        world = scene.world
+        given = world.bubbles if isinstance(world, BubbleWorld) else None
+        self._bubbles: BubbleGenerator | None = generator_of(given) if given else None
+        self._solids: list[SolidGenerator] = [generator_of(one) for one in bodies_of(scene)]
         self._bodies = [
             _closed(generator.body(seed), f"{scene.title}: solids.{n}", scene)
             for n, generator in enumerate(self._solids)
@@ -80,6 +81,12 @@ class Phases:
             _check_tank(solid, self.scene, f"{self.scene.title}: solids.{number} in frame {frame}")
             out.append((solid, generator.parameters.material))
         return out
+
+
+def bodies_of(scene: Scene) -> tuple[GeneratorTable, ...]:
+    """Give the generators of a scene's bodies; none in a scene of another world."""
+    world = scene.world
+    return world.solids if isinstance(world, BubbleWorld) else ()
 
 
 def pose_of(parameters: SolidParameters, time_s: float) -> Pose:

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from sabench import plugins
 from sabench.api import TargetGenerator
+from sabench.api.make import generator_of
 from sabench.api.truth import Placed, Prior
 from sabench.geometry.camera import Camera
-from sabench.scenes import Scene
+from sabench.scenes import Scene, TargetWorld
 from sabench.scenes.build import domain_of
 from sabench.scenes.calibration import Detection
 from sabench.utils.arrays import F64, Bool
@@ -17,10 +17,17 @@ from sabench.utils.rng import stream
 
 
 def place(scene: Scene, seed: int) -> Placed:
-    """Show a scene's target at its places."""
-    given = dict(scene.targets or {})
-    plugin = plugins.load("generators", given.pop("generator"))
-    maker: TargetGenerator = plugin(plugin.Parameters(**given))
+    """Put a scene's target at its position in every frame.
+
+    Raises
+    ------
+    InputError
+        A scene without a calibration target.
+    """
+    world = scene.world
+    if not isinstance(world, TargetWorld):
+        raise InputError(f"{scene.title}: targets: expected a scene with a target, got none")
+    maker: TargetGenerator = generator_of(world.target)
     domain = domain_of(scene)
     return Placed(
         maker.target(),

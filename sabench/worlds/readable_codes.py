@@ -8,21 +8,21 @@ from sabench import plugins
 from sabench.api import Code, CodeGenerator
 from sabench.api.make import generator_of
 from sabench.scenes import Scene
-from sabench.worlds.bubbles_and_bodies import pose_of
+from sabench.worlds.bubbles_and_bodies import bodies_of, pose_of
 
 
 def has_code(scene: Scene) -> bool:
     """Whether one of a scene's bodies has a code."""
     return any(
         issubclass(plugins.load("generators", given["generator"]), CodeGenerator)
-        for given in scene.solids or ()
+        for given in bodies_of(scene)
     )
 
 
 def code_of(scene: Scene, seed: int, frame: int) -> Code:
     """All cells of a frame's codes, world frame: truth, not for solvers."""
     parts = []
-    for generator in (generator_of(given) for given in scene.solids or ()):
+    for generator in (generator_of(given) for given in bodies_of(scene)):
         if isinstance(generator, CodeGenerator):
             own, pose = generator.code(seed), pose_of(generator.parameters, scene.time_s(frame))
             parts.append(

@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from sabench import plugins
 from sabench.api import Flow, Generator, Velocity
+from sabench.api.make import generator_of
 from sabench.api.truth import Particles
 from sabench.geometry.frames import Domain
 from sabench.scenes import Scene
@@ -24,13 +24,25 @@ _NEWER = 1 << 32  # ids of particles that enter in a frame start at so many time
 
 
 def flow_of(scene: Scene) -> Flow | None:
-    """What carries the scene's particles."""
-    if scene.flow is None:
+    """Make the flow that carries a scene's particles; None where there is none."""
+    tracers = scene.tracers
+    if tracers is None or tracers.flow is None:
         return None
-    given = dict(scene.flow)
-    plugin = plugins.load("generators", given.pop("generator"))
-    made: Flow = plugin(plugin.Parameters(**given))
+    made: Flow = generator_of(tracers.flow)
     return made
+
+
+def require_flow(scene: Scene) -> Flow:
+    """Make the flow of a scene that has one.
+
+    Raises
+    ------
+    InputError
+        A scene without a flow.
+    """
+    if (flow := flow_of(scene)) is None:
+        raise InputError(f"{scene.title}: flow: expected a scene with a flow, got none")
+    return flow
 
 
 class Motion:
@@ -41,9 +53,7 @@ class Motion:
     """
 
     def __init__(self, scene: Scene, seed: int) -> None:
-        given = dict(scene.particles or {})
-        plugin = plugins.load("generators", given.pop("generator"))
-        self._generator: Generator = plugin(plugin.Parameters(**given))
+        self._generator: Generator = generator_of(scene.particle_world.particles)
         self.scene, self.seed, self._flow = scene, seed, flow_of(scene)
         if self._flow is not None:
             self._flow.check(domain_of(scene))
@@ -71,15 +81,15 @@ class Motion:
         InputError
             Particles that move by themselves, beside a flow.
         """
-        domain, time = domain_of(self.scene), self.scene.time_s(frame)
-        if self._flow is None:
+        domain, time, flow = domain_of(self.scene), self.scene.time_s(frame), self._flow
+        if flow is None:
             return self._generator.particles(domain, self.seed, frame, time)
         number, particles = (
-            self._last if self._last and self._last[0] <= frame else (0, self._first(domain))
+            self._last if self._last and self._last[0] <= frame else (0, self._first(flow, domain))
         )
         while number < frame:
             number += 1
-            particles = self._next(domain, particles, number)
+            particles = self._next(flow, domain, particles, number)
         self._last = number, particles
         return particles
 
@@ -94,39 +104,39 @@ class Motion:
     def _tolerance(self) -> float:
         return TOLERANCE * max(self.scene.volume.size_mm)
 
-    def _first(self, domain: Domain) -> Particles:
+    def _first(self, flow: Flow, domain: Domain) -> Particles:
         made = self._generator.particles(domain, self.seed, 0, 0.0)
         if np.any(made.velocity_mm_s):
             raise InputError(
                 f"{self.scene.title}: particles: expected some that rest, for the flow to carry them, got some that move by themselves"
             )
-        return self._at_speed(made, self.scene.time_s(0))
+        return _at_speed(flow, made, self.scene.time_s(0))
 
-    def _next(self, domain: Domain, before: Particles, frame: int) -> Particles:
+    def _next(self, flow: Flow, domain: Domain, before: Particles, frame: int) -> Particles:
         """Those that stay in the volume, and those that enter.
 
         Who enters is found backwards: a volume full of other particles is traced back, and those of
         it that come from outside are the new ones. For a flow without divergence this keeps the
         density exactly, whatever the flow does at the faces.
         """
-        assert self._flow is not None
         start, end = self.scene.time_s(frame - 1), self.scene.time_s(frame)
-        there = advect(self._flow, before.position_mm, start, end, self._tolerance)
+        there = advect(flow, before.position_mm, start, end, self._tolerance)
         stay = _inside(domain, there)
         seed = int(stream(self.seed, "entering", frame).integers(1 << 62))
         fresh = self._generator.particles(domain, seed, 0, 0.0)
-        enter = ~_inside(domain, advect(self._flow, fresh.position_mm, end, start, self._tolerance))
+        enter = ~_inside(domain, advect(flow, fresh.position_mm, end, start, self._tolerance))
         both = Particles(
             np.concatenate([before.id[stay], frame * _NEWER + fresh.id[enter]]),
             np.concatenate([there[stay], fresh.position_mm[enter]]),
             np.concatenate([before.diameter_mm[stay], fresh.diameter_mm[enter]]),
             np.zeros((int(stay.sum() + enter.sum()), 3)),
         )
-        return self._at_speed(both, end)
+        return _at_speed(flow, both, end)
 
-    def _at_speed(self, particles: Particles, time_s: float) -> Particles:
-        assert self._flow is not None
-        return replace(particles, velocity_mm_s=self._flow.velocity(particles.position_mm, time_s))
+
+def _at_speed(flow: Flow, particles: Particles, time_s: float) -> Particles:
+    """Give particles the velocity of the flow that carries them."""
+    return replace(particles, velocity_mm_s=flow.velocity(particles.position_mm, time_s))
 
 
 def _inside(domain: Domain, points_mm: F64) -> Bool:
@@ -138,8 +148,7 @@ def _inside(domain: Domain, points_mm: F64) -> Bool:
 
 def lattice(scene: Scene, frame: int, step_mm: tuple[float, float, float]) -> tuple[Velocity, F64]:
     """A frame's exact velocities on a lattice centred in the volume, and their gradients (z, y, x, 3, 3) in 1/s."""
-    flow = flow_of(scene)
-    assert flow is not None
+    flow = require_flow(scene)
     counts = [
         int(size / step * (1.0 + 1e-12)) + 1
         for size, step in zip(scene.volume.size_mm, step_mm, strict=True)
@@ -154,7 +163,7 @@ def lattice(scene: Scene, frame: int, step_mm: tuple[float, float, float]) -> tu
 
 def pulse(scene: Scene, seed: int, frame: int) -> Illumination:
     """The laser as it is in a frame."""
-    timing, light = scene.timing, scene.light
+    timing, light = scene.timing, scene.particle_world.illumination
     if timing is None:
         return light
     number = frame % len(timing.pulses_s)

@@ -445,10 +445,14 @@ KINDS: dict[str, Case] = {
 
 
 def check_sentence(text: str) -> None:
-    """One sentence, on one line, that a person reads."""
+    """One sentence on one line, or a headline and one short indented line for each fault."""
     assert text, "an error without words"
-    assert "\n" not in text, f"an error of several lines: {text[:300]!r}"
-    assert len(text) <= 1500, f"an error of {len(text)} characters: {text[:300]!r}"
+    head, *faults = text.split("\n")
+    assert bool(faults) == head.endswith("faults:"), f"an error of several lines: {text[:300]!r}"
+    assert all(line.startswith("  ") for line in faults), f"not indented: {text[:300]!r}"
+    assert all(len(line) <= 300 for line in faults), f"a fault is too long: {text[:900]!r}"
+    assert len(faults) <= 21, f"{len(faults)} faults: {text[:300]!r}"
+    assert len(head) <= 1500, f"an error of {len(head)} characters: {head[:300]!r}"
 
 
 def check_scores(scores: dict[str, Any]) -> None:

@@ -15,7 +15,7 @@ from sabench.dataset.reader import Dataset
 from sabench.dataset.verification import verify
 from sabench.plugins import load, names
 from sabench.scenes import build_rig
-from sabench.simulation.frames_of_bubbles import Worlds
+from sabench.simulation.frames import Frames
 from sabench.simulation.pipeline import generate
 from sabench.tasks.solve_and_score import score, solve
 from sabench.utils.arrays import F64
@@ -33,8 +33,7 @@ def bubbly(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
 def test_a_data_set_keeps_what_was_made(bubbly: Dataset) -> None:
     assert verify(bubbly.root) == []
     assert bubbly.shows == ("bubbles",)
-    world = Worlds(small(), build_rig(small()), 2).at(0)
-    made, kept = world.bubbles, bubbly.bubbles(0)
+    made, kept = Frames(small(), build_rig(small()), 2).at(0).bubbles, bubbly.bubbles(0)
     for name in ("id", "center_mm", "semi_axes_mm", "turn", "velocity_mm_s"):
         np.testing.assert_array_equal(getattr(made, name), getattr(kept, name))
     assert kept.index == 1.0
@@ -315,10 +314,10 @@ def test_bodies_turn_and_move() -> None:
         "velocity_mm_s": [5, 0, 0],
     }
     scene = small(bubbles=None, solids=[solid], frames=2, interval_s=1.0)
-    worlds = Worlds(scene, build_rig(scene), 1)
-    sizes: list[F64] = [np.ptp(worlds.at(frame).solids[0].vertices_mm, axis=0) for frame in (0, 1)]
+    frames = Frames(scene, build_rig(scene), 1)
+    sizes: list[F64] = [np.ptp(frames.at(frame).solids[0].vertices_mm, axis=0) for frame in (0, 1)]
     assert sizes[0] == pytest.approx([2.0, 6.0, 2.0], abs=0.01)
     assert sizes[1] == pytest.approx([6.0, 2.0, 2.0], abs=0.01)
-    assert worlds.at(1).solids[0].vertices_mm.mean(axis=0) == pytest.approx(
+    assert frames.at(1).solids[0].vertices_mm.mean(axis=0) == pytest.approx(
         [5.0, 0.0, 60.0], abs=1e-6
     )

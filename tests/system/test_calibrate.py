@@ -16,7 +16,7 @@ from pydantic import TypeAdapter
 from sabench.geometry.camera import Camera
 from sabench.scenes import Scene, build_rig
 from sabench.scenes.illumination import Lighting
-from sabench.simulation.rendering.targets_traced import photograph
+from sabench.simulation.rendering.targets_traced import render
 from sabench.utils.arrays import F64
 from sabench.worlds.calibration_targets import place
 from tests.conftest import Command
@@ -61,11 +61,8 @@ def write_points(path: Path, pixels: F64, cameras: tuple[Camera, ...]) -> None:
 
 def cameras_in(path: Path) -> tuple[Camera, ...]:
     content = json.loads(path.read_text())
-    assert content["format"] == "sabench-cameras"
-    records = [
-        {key: value for key, value in record.items() if key != "model"}
-        for record in content["cameras"]
-    ]
+    assert (content["format"], content["version"]) == ("sabench-dataset", 1)
+    records = [{**record, "wall": content["wall"]} for record in content["cameras"]]
     return tuple(TypeAdapter(Camera).validate_python(record) for record in records)
 
 
@@ -131,7 +128,7 @@ def test_images_become_cameras(command: Command, tmp_path: Path) -> None:
         folder = tmp_path / "mine" / "images" / f"frame_{frame}"
         folder.mkdir(parents=True)
         for camera in cameras:
-            picture = photograph(camera, placed.target, pose, lamps, np.array([0.0, 0.0, 35.0]), 9)
+            picture = render(camera, placed.target, pose, lamps, np.array([0.0, 0.0, 35.0]), 9)
             assert cv2.imwrite(
                 str(folder / f"{camera.name}.png"),
                 np.clip(200.0 * picture, 0.0, 255.0).astype(np.uint8),

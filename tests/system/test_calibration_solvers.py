@@ -18,7 +18,7 @@ from sabench.dataset.reader import Dataset
 from sabench.scenes import parse_scene
 from sabench.tasks.calibration import TASK
 from sabench.utils.errors import InputError
-from tests.conftest import ROOT, Command
+from tests.conftest import Command
 from tests.helpers.calibration_cases import calibration_scene, case_of, true_error_px
 from tests.system.test_board import solvers
 from tests.unit.algorithms.calibration.test_self_calibration import particle_scene
@@ -229,7 +229,7 @@ def test_a_suite_of_calibrations_leaves_a_page(command: Command, tmp_path: Path)
         'title = "t"\nscenes = ["boards.toml"]\nseeds = [1, 2]\nbackend = "splat"\n'
         'solvers = [{ name = "refractive_autocal" }, { name = "soloff" }, { name = "polynomial_planes" }]\n'
     )
-    done = command("run", "suite.toml", env={"PYTHONPATH": str(ROOT)})
+    done = command("run", "suite.toml")
     assert done.returncode == 0, (
         done.stderr
     )  # polynomial_planes declines tilted boards, which is no fault

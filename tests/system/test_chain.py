@@ -137,13 +137,13 @@ def test_a_solver_without_the_wall_is_lost(quick: Dataset, tmp_path: Path) -> No
 
 
 def test_auto_renderer_falls_back_where_nothing_runs_mitsuba(
-    command: Command, tmp_path: Path
+    own_process: Command, tmp_path: Path
 ) -> None:
     broken = {"DRJIT_LIBLLVM_PATH": "/nowhere/libLLVM.so", "SABENCH_BACKEND": "llvm"}
-    done = command("generate", "quick", "-o", tmp_path / "fallback", env=broken)
+    done = own_process("generate", "quick", "-o", tmp_path / "fallback", env=broken)
     assert done.returncode == 0, done.stderr
     assert "splat" in done.stdout
-    refused = command(
+    refused = own_process(
         "generate", "quick", "-o", tmp_path / "asked", "--backend", "mitsuba", env=broken
     )
     assert refused.returncode == 2
@@ -177,7 +177,7 @@ def test_steps_at_the_command_line(command: Command, quick: Dataset, tmp_path: P
 
 
 def test_suite_makes_records_and_page_and_survives_a_failing_solver(
-    command: Command, tmp_path: Path
+    own_process: Command, command: Command, tmp_path: Path
 ) -> None:
     plugin = tmp_path / "mine" / "solvers" / "bad.py"
     plugin.parent.mkdir(parents=True)
@@ -192,7 +192,9 @@ def test_suite_makes_records_and_page_and_survives_a_failing_solver(
         'title = "t"\nscenes = ["quick"]\nbackend = "splat"\n[[solvers]]\nname = "bad"\n[[solvers]]\nname = "bad"\nparameters = { die = true }\n'
         '[[solvers]]\nname = "msa"\n'
     )
-    done = command("run", "suite.toml", "--json", env={"SABENCH_PLUGINS": str(tmp_path / "mine")})
+    done = own_process(
+        "run", "suite.toml", "--json", env={"SABENCH_PLUGINS": str(tmp_path / "mine")}
+    )
     assert done.returncode == 1, done.stderr
     raised, died, good = json.loads(done.stdout)
     assert "RuntimeError: no luck" in raised["error"]

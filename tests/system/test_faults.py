@@ -296,15 +296,19 @@ def limit_files() -> None:
     signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
 
 
-def test_a_disk_that_takes_no_more(quick: Dataset, command: Command, tmp_path: Path) -> None:
+def test_a_disk_that_takes_no_more(quick: Dataset, own_process: Command, tmp_path: Path) -> None:
     """A limit on the size of files stands in for a full disk: writes fail in the middle with the system's error."""
     check_sentence(
-        command("generate", "quick", "-o", "full", "--backend", "splat", preexec_fn=limit_files),
+        own_process(
+            "generate", "quick", "-o", "full", "--backend", "splat", preexec_fn=limit_files
+        ),
         "full",
         "File too large",
     )
     check_sentence(
-        command("solve", "msa", quick.root, "-o", "full.h5", "-p", "k=0", preexec_fn=limit_files),
+        own_process(
+            "solve", "msa", quick.root, "-o", "full.h5", "-p", "k=0", preexec_fn=limit_files
+        ),
         "full.h5",
         "File too large",
     )
@@ -314,7 +318,7 @@ def test_a_disk_that_takes_no_more(quick: Dataset, command: Command, tmp_path: P
 def many_frames(quick_toml: str, folder: Path) -> Path:
     file = folder / "many.toml"
     file.write_text(
-        quick_toml.replace("frames = 1", "frames = 150").replace("diameter_spread = 0.1", "")
+        quick_toml.replace("frames = 1", "frames = 80").replace("diameter_spread = 0.1", "")
     )
     return file
 

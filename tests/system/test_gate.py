@@ -56,22 +56,24 @@ def plant(folder: Path) -> None:
     (folder / "mine" / "solvers" / "dimmest.py").write_text(PLANTED)
 
 
-def test_a_check_is_silent_until_something_got_worse(algorithms: Path, command: Command) -> None:
+def test_a_check_is_silent_until_something_got_worse(
+    algorithms: Path, own_process: Command
+) -> None:
     words, env = (
         ("check", "tiny.toml", "--baseline", "base.json"),
         {"SABENCH_PLUGINS": str(algorithms / "mine"), "PYTHONPATH": str(ROOT)},
     )
-    missing = command(*words, env=env)
+    missing = own_process(*words, env=env)
     assert missing.returncode == 2
     assert "--update makes one" in missing.stderr
-    made = command(*words, "--update", env=env)
+    made = own_process(*words, "--update", env=env)
     assert made.returncode == 0, made.stderr
-    silent = command(*words, "--junit", "ok.xml", env=env)
+    silent = own_process(*words, "--junit", "ok.xml", env=env)
     assert silent.returncode == 0, silent.stdout + silent.stderr
     assert silent.stdout == "tiny: 1 data sets, 1 results: nothing got worse\n"
     assert ElementTree.parse(algorithms / "ok.xml").getroot().get("failures") == "0"
     plant(algorithms)
-    worse = command(*words, "--junit", "bad.xml", "--json", env=env)
+    worse = own_process(*words, "--junit", "bad.xml", "--json", env=env)
     assert worse.returncode == 1
     figures = {one["figure"]: one for one in json.loads(worse.stdout)["worse"]}
     assert figures["q"]["solver"] == "dimmest"
@@ -79,8 +81,8 @@ def test_a_check_is_silent_until_something_got_worse(algorithms: Path, command: 
     assert ElementTree.parse(algorithms / "bad.xml").getroot().get("failures") == "1"
 
 
-def test_a_baseline_of_another_suite_is_bad_input(algorithms: Path, command: Command) -> None:
-    done = command(
+def test_a_baseline_of_another_suite_is_bad_input(algorithms: Path, own_process: Command) -> None:
+    done = own_process(
         "check",
         "tiny.toml",
         "--baseline",
@@ -91,9 +93,9 @@ def test_a_baseline_of_another_suite_is_bad_input(algorithms: Path, command: Com
     assert "expected a baseline of the suite tiny, got one of ci" in done.stderr
 
 
-def test_solvers_that_no_case_is_for_are_bad_input(algorithms: Path, command: Command) -> None:
+def test_solvers_that_no_case_is_for_are_bad_input(algorithms: Path, own_process: Command) -> None:
     words = ("check", "tiny.toml", "--baseline", "base.json", "--update", "--solver", "piv3d")
-    done = command(*words, env={"SABENCH_PLUGINS": str(algorithms / "mine")})
+    done = own_process(*words, env={"SABENCH_PLUGINS": str(algorithms / "mine")})
     assert done.returncode == 2
     assert "got only some of the track velocimetry" in done.stderr
 

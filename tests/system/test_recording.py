@@ -16,11 +16,12 @@ from filelock import FileLock
 
 import sabench
 from sabench.scenes import Scene, load_scene, parse_scene
-from sabench.simulation.frames_of_tracers import shoot
+from sabench.simulation.camera_view import render
 from sabench.simulation.pipeline import generate
 from sabench.simulation.recording import job, recorders, workers
 from sabench.simulation.recording.job import Job
 from sabench.simulation.recording.workers import ProcessPool
+from sabench.utils import backend
 from sabench.utils.errors import InputError
 from tests.conftest import Command
 from tests.helpers.bubble_scenes import LASER, small
@@ -60,10 +61,20 @@ def made(scene: Scene, folder: Path, **how: Any) -> str:
     ).content_hash
 
 
+@pytest.fixture
+def two_rendering_threads() -> Iterator[None]:
+    """As many here as the two processes have together."""
+    backend.limit(2)
+    yield
+    backend.limit(1)
+
+
 @pytest.mark.parametrize(
     "scene", [moving(), bubbly(), load_scene("calibration")], ids=["moving", "bubbly", "target"]
 )
-def test_two_processes_make_the_bytes_of_one(tmp_path: Path, scene: Scene) -> None:
+def test_two_processes_make_the_bytes_of_one(
+    tmp_path: Path, scene: Scene, two_rendering_threads: None
+) -> None:
     assert made(scene, tmp_path / "two", jobs=2) == made(scene, tmp_path / "one")
     assert sorted(entry.name for entry in tmp_path.iterdir()) == ["one", "two"]
 
@@ -134,7 +145,7 @@ class Breaker(Generator):
 
 
 def test_a_frame_that_always_breaks_is_told_and_the_rest_kept(
-    tmp_path: Path, command: Command
+    tmp_path: Path, own_process: Command
 ) -> None:
     plugin, cure = tmp_path / "mine" / "generators" / "breaker.py", tmp_path / "cure"
     plugin.parent.mkdir(parents=True)
@@ -156,7 +167,7 @@ def test_a_frame_that_always_breaks_is_told_and_the_rest_kept(
         "2",
     )
     environment = {"SABENCH_PLUGINS": str(tmp_path / "mine")}
-    done = command(*words, env=environment)
+    done = own_process(*words, env=environment)
     assert done.returncode == 2, done.stderr
     assert (
         "frame 1 failed 3 times: its process ended with exit code 11; finished tasks are kept"
@@ -167,7 +178,7 @@ def test_a_frame_that_always_breaks_is_told_and_the_rest_kept(
     cure.touch()
     before = {path: path.stat().st_mtime_ns for path in left.glob("views/*.npz")}
     assert len(before) == 8
-    assert command(*words, env=environment).returncode == 0
+    assert own_process(*words, env=environment).returncode == 0
     assert sabench.open_dataset(tmp_path / "set").rig.frames == 3
     assert not list(tmp_path.glob(".set.*"))
 
@@ -180,15 +191,15 @@ def test_what_is_there_is_not_made_again(tmp_path: Path, monkeypatch: pytest.Mon
             raise KeyboardInterrupt
         job.record_task(recorder, parts, task)
 
-    def counted(world: Any, camera: Any) -> Any:
-        shots.append((world.frame, camera.name))
-        return shoot(world, camera)
+    def counted(frame: Any, camera: int) -> Any:
+        shots.append((frame.number, camera))
+        return render(frame, camera)
 
     with monkeypatch.context() as patch:
         patch.setattr(workers, "record_task", interrupted)
         with pytest.raises(KeyboardInterrupt):
             made(scene, tmp_path / "set")
-    monkeypatch.setattr(recorders, "shoot", counted)
+    monkeypatch.setattr(recorders, "render", counted)
     again = made(scene, tmp_path / "set")
     assert [frame for frame, _ in shots] == [2] * 4
     assert again == made(scene, tmp_path / "anew")

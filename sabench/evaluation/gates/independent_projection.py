@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from sabench.scenes import Scene
+from sabench.scenes.wall import WallSpec
 from sabench.utils.arrays import F64
 
 _HALVINGS = 100
@@ -30,7 +31,7 @@ def retrace(scene: Scene, camera: Any, points_mm: F64) -> F64:
     """
     pinhole, axes = np.array(camera.center_mm), np.array(camera.rotation)
     offset = points_mm - pinhole
-    leaving = offset if scene.wall is None else _leaving(scene, pinhole, offset)
+    leaving = offset if scene.wall is None else _leaving(scene.wall, pinhole, offset)
     right, down, forward = (leaving @ axis for axis in axes)
     x, y, lens = right / forward, down / forward, camera.distortion
     square = x**2 + y**2
@@ -41,10 +42,9 @@ def retrace(scene: Scene, camera: Any, points_mm: F64) -> F64:
     return np.asarray(np.column_stack([u, v]) * focal_px + np.array(camera.principal_point_px))
 
 
-def _leaving(scene: Scene, pinhole: F64, offset: F64) -> F64:
+def _leaving(wall: WallSpec, pinhole: F64, offset: F64) -> F64:
     """Directions (n, 3) from a pinhole in which light leaves it for points at an offset (n, 3) from it."""
-    assert scene.wall is not None
-    wall, normal = scene.wall, np.array(scene.wall.normal) / np.linalg.norm(scene.wall.normal)
+    normal = np.array(wall.normal) / np.linalg.norm(wall.normal)
     before = float((np.array(wall.point_mm) - pinhole) @ normal)
     solid = sum(layer.thickness_mm for layer in wall.layers)
     along = offset @ normal

@@ -16,13 +16,15 @@ from sabench.algorithms.bubbles.feature_potential import (
     minimum_images,
 )
 from sabench.api import Observation
-from sabench.dataset.reader import observed
+from sabench.api.truth import Bubbles
 from sabench.geometry.grid import Grid
 from sabench.plotting.charts import Figure, Panel, Picture
 from sabench.scenes import Scene, build_rig
-from sabench.scenes.nominal_cameras import nominal_cameras
-from sabench.scenes.sensor import white_level
-from sabench.simulation.frames_of_bubbles import PhaseWorld, Worlds, record
+from sabench.simulation.camera_view import render
+from sabench.simulation.frame_content import FrameContent
+from sabench.simulation.frames import Frames
+from sabench.simulation.in_memory import observation_of
+from sabench.simulation.rendering.sensor import expose
 from sabench.utils.arrays import F64
 from sabench.utils.progress import track
 
@@ -30,22 +32,20 @@ _OFF_MM = 10.0  # of the refocused planes before and behind the middle one: figu
 _EDGE, _SMALL_PX = 0.05, 4.0  # as `minimum_image` takes them
 
 
-def photographed(scene: Scene, seed: int) -> tuple[PhaseWorld, Observation]:
-    """The first frame of the data set that `generate` would make, in memory: what is there, and what a solver may see of it."""
-    rig = build_rig(scene, scene.title)
-    world = Worlds(scene, rig, seed).at(0)
+def rendered(scene: Scene, seed: int) -> tuple[FrameContent, Bubbles, Observation]:
+    """Render the first frame of the data set that `generate` would make, in memory.
+
+    Returns its content, its bubbles, and what a solver receives of it.
+    """
+    frame = Frames(scene, build_rig(scene, scene.title), seed).at(0)
+    if frame.bubbles is None:
+        raise ValueError(f"{scene.title}: expected a scene with bubbles")
+    numbers = range(len(frame.rig.cameras))
     images = [
-        record(world, camera).grey
-        for camera in track(rig.cameras, f"render {scene.title}, seed {seed}")
+        expose(scene.sensor, render(frame, number).photons, frame.sensor_noise(number))
+        for number in track(numbers, f"render {scene.title}, seed {seed}")
     ]
-    levels = scene.sensor.black_level_dn, white_level(scene.sensor)
-    return world, observed(
-        np.stack(images),
-        nominal_cameras(scene, rig.cameras, seed),
-        rig.grid,
-        levels,
-        scene.preprocessing or (),
-    )
+    return frame, frame.bubbles, observation_of(frame, images)
 
 
 def pictures(case: Observation) -> Iterator[Figure]:

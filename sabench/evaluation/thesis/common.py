@@ -104,14 +104,15 @@ def coarsened(scene: Scene, pixels: int | None) -> Scene:
         "cameras.pixel_mm": scene.cameras.pixel_mm * factor,
         "grid.voxel_mm": [edge * factor for edge in scene.grid.voxel_mm],
     }
-    if "per_mm3" in (scene.particles or {}):
+    tracers = scene.tracers
+    if tracers is not None and "per_mm3" in tracers.particles:
         values["particles.per_mm3"] = density(scene) / factor**2
     return override(scene, values, scene.title)
 
 
 def density(scene: Scene) -> float:
     """Particles per mm3."""
-    return float((scene.particles or {})["per_mm3"])
+    return float(scene.particle_world.particles["per_mm3"])
 
 
 def with_density(scene: Scene, per_mm3: float) -> Scene:

@@ -10,12 +10,14 @@ import numpy as np
 from sabench.api import Code, Observation
 from sabench.api.make import make_algorithm
 from sabench.evaluation.suites import override
-from sabench.evaluation.thesis.chapter_5 import photographed
+from sabench.evaluation.thesis.chapter_5 import rendered
 from sabench.evaluation.thesis.common import Item, claim, coarsened, compared
 from sabench.metrics.code_reading import read_volume, reading, single_views
 from sabench.plotting.charts import Figure, Panel, Picture
 from sabench.scenes import Scene, build_rig, load_scene
-from sabench.simulation.frames_of_bubbles import Worlds, record
+from sabench.simulation.camera_view import render
+from sabench.simulation.frames import Frames
+from sabench.simulation.rendering.sensor import expose
 from sabench.tasks.see_through import code_plane
 from sabench.utils.arrays import F64
 from sabench.worlds.readable_codes import code_of
@@ -30,11 +32,11 @@ def rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
     found: dict[str, list[dict[str, float]]] = {}
     panels: list[Panel] = []
     for seed in seeds:
-        world, case = photographed(scene, seed)
+        frame, _, case = rendered(scene, seed)
         code = code_of(scene, seed, 0)
         single = [
             reading(cells, code.dark)
-            for cells in single_views(case.images, world.rig.cameras, code.points_mm)
+            for cells in single_views(case.images, frame.rig.cameras, code.points_mm)
         ]
         found.setdefault("single views, mean", []).append(
             {key: float(np.nanmean([one[key] for one in single])) for key in single[0]}
@@ -79,8 +81,8 @@ def _views(scene: Scene, seed: int, case: Observation, code: Code) -> list[Panel
     """What the middle camera sees without bubbles and with them."""
     bare = override(scene, {"bubbles": {"generator": "bubble_field", "count": 0}}, scene.title)
     middle = len(case.images) // 2
-    world = Worlds(bare, build_rig(bare, bare.title), seed).at(0)
-    clear = record(world, world.rig.cameras[middle]).grey
+    frame = Frames(bare, build_rig(bare, bare.title), seed).at(0)
+    clear = expose(bare.sensor, render(frame, middle).photons, frame.sensor_noise(middle))
     return [
         _panel("(a) without bubbles", clear.astype(np.float64)),
         _panel("(b) one view", case.images[middle].astype(np.float64)),

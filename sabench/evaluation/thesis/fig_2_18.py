@@ -26,8 +26,9 @@ from sabench.scenes import Scene, load_scene
 from sabench.simulation.in_memory import simulate
 from sabench.tasks.figures.velocity import slice_panel
 from sabench.utils.arrays import F64
+from sabench.utils.errors import InputError
 from sabench.utils.progress import console
-from sabench.worlds.tracers import flow_of
+from sabench.worlds.tracers import require_flow
 
 SEEDS = 3
 _WINDOW, _OVERLAP = (64, 64, 32), 0.5  # the thesis's
@@ -88,8 +89,9 @@ def _measure(solver: str, pair: VolumePair) -> Velocity:
 
 
 def _ring(scene: Scene) -> dict[str, Any]:
-    assert scene.flow is not None
-    return scene.flow
+    if (ring := scene.particle_world.flow) is None:
+        raise InputError(f"{scene.title}: flow: expected a vortex ring, got no flow")
+    return ring
 
 
 def _planes(scene: Scene) -> list[HalfPlane]:
@@ -103,8 +105,7 @@ def _planes(scene: Scene) -> list[HalfPlane]:
 
 
 def _exact(scene: Scene) -> Sampled:
-    flow = flow_of(scene)
-    assert flow is not None
+    flow = require_flow(scene)
     middle = (scene.time_s(0) + scene.time_s(1)) / 2.0
     return lambda points: flow.velocity(points, middle)
 

@@ -10,7 +10,7 @@ import numpy as np
 from sabench.algorithms.bubbles.feature_potential import darkness
 from sabench.api import Observation
 from sabench.api.make import make_algorithm
-from sabench.evaluation.thesis.chapter_5 import photographed
+from sabench.evaluation.thesis.chapter_5 import rendered
 from sabench.evaluation.thesis.common import Item, coarsened, compared
 from sabench.metrics.bubble_detection import detection_scores
 from sabench.plotting.charts import Figure, Panel, Picture
@@ -26,13 +26,13 @@ def rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
     scene = coarsened(load_scene("jet-in-crossflow"), pixels)
     found: dict[str, list[dict[str, float]]] = {name: [] for name in _SOLVERS}
     for seed in seeds:
-        world, case = photographed(scene, seed)
+        _, bubbles, case = rendered(scene, seed)
         if seed == seeds[0]:
             yield _figure(case)
         for name in _SOLVERS:
             algorithm: Any = make_algorithm(name, {})
             found[name].append(
-                detection_scores(algorithm.solve(case), world.bubbles, np.ones(len(world.bubbles)))
+                detection_scores(algorithm.solve(case), bubbles, np.ones(len(bubbles)))
             )
     for name, every in found.items():
         for key, what in {

@@ -21,7 +21,7 @@ from sabench.tasks.figures.velocity import error_scatter, slice_panel
 from sabench.utils.arrays import F32, F64
 from sabench.utils.progress import console
 from sabench.worlds.advection import advect
-from sabench.worlds.tracers import TOLERANCE, flow_of
+from sabench.worlds.tracers import TOLERANCE, require_flow
 
 SEEDS = 3
 _INTERVAL_S = 1e-3
@@ -211,8 +211,7 @@ def _pair(shots: Sequence[Shot], volumes: Sequence[F32]) -> VolumePair:
 
 def errors(scene: Scene, field: Velocity) -> F64:
     """Errors (n, 3) of u, v, w in voxels of all vectors, as the thesis has it: those that were filled in as well."""
-    flow, points = flow_of(scene), field.positions_mm.reshape(-1, 3)
-    assert flow is not None
+    flow, points = require_flow(scene), field.positions_mm.reshape(-1, 3)
     tolerance = TOLERANCE * max(scene.volume.size_mm)
     exact = advect(flow, points, _INTERVAL_S / 2.0, _INTERVAL_S, tolerance) - advect(
         flow, points, _INTERVAL_S / 2.0, 0.0, tolerance

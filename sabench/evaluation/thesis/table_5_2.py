@@ -10,14 +10,15 @@ import numpy as np
 
 from sabench.api import Detections, Observation
 from sabench.api.make import make_algorithm
-from sabench.evaluation.thesis.chapter_5 import photographed, pictures
+from sabench.api.truth import Bubbles
+from sabench.evaluation.thesis.chapter_5 import pictures, rendered
 from sabench.evaluation.thesis.common import Item, coarsened, compared
 from sabench.metrics.bubble_detection import AnyBubbles, detection_scores
 from sabench.plotting.charts import Curve, Figure, Panel, Space
 from sabench.scenes import Scene, load_scene
-from sabench.simulation.frames_of_bubbles import PhaseWorld
+from sabench.simulation.frame_content import FrameContent
 from sabench.simulation.rendering.pixel_truth import see
-from sabench.tasks.bubbles import JET, jet_figures
+from sabench.tasks.bubbles import JET, jet_figures, jet_of
 from sabench.utils.progress import console
 from sabench.worlds.library.plunging_jet import JetLaw
 
@@ -48,19 +49,19 @@ def rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
         found: list[AnyBubbles] = []
         scores: list[dict[str, float]] = []
         for seed in seeds:
-            world, case = photographed(scene, seed)
+            frame, bubbles, case = rendered(scene, seed)
             if (height, seed) == (_PICTURED, seeds[0]):
                 yield from pictures(case)
             start = time.perf_counter()
             guess = _solved(case)
             spent = time.perf_counter() - start
-            scores.append(detection_scores(guess, world.bubbles, _seen(world)))
+            scores.append(detection_scores(guess, bubbles, _seen(frame, bubbles)))
             console.print(
                 f"h = {height} mm, seed {seed}: F1 {scores[-1]['f1_large']:.3f}, {spent:.0f} s",
                 markup=False,
                 highlight=False,
             )
-            true.append(world.bubbles)
+            true.append(bubbles)
             found.append(guess)
         yield from _figures(scene, height, true, found)
         yield from _rows(scene, height, scores, true, found)
@@ -72,10 +73,10 @@ def _solved(case: Observation) -> Detections:
     return made
 
 
-def _seen(world: PhaseWorld) -> Any:
-    return np.mean(
-        [see(camera, world.bubbles, world.solids).visible for camera in world.rig.cameras], axis=0
-    )
+def _seen(frame: FrameContent, bubbles: Bubbles) -> Any:
+    """Mean over the cameras of the visible part of each bubble's outline."""
+    sights = [see(camera, bubbles, frame.solids) for camera in frame.rig.cameras]
+    return np.mean([sight.visible for sight in sights], axis=0)
 
 
 def _rows(
@@ -110,16 +111,15 @@ def _figures(
         for title, one in (("true", true[0]), ("found", found[0]))
     )
     yield Figure(f"fig-{number}", f"bubbles, h = {height} mm", panels, inch=(4.6, 6.4))
-    given = scene.bubbles or {}
-    law = JetLaw(given["penetration_mm"], given["equivalent_mm"], given["total_percent"] / 100.0)
     curves = []
     for name, balls in (("true bubbles", true), ("found", found)):
-        jet = jet_figures(scene, balls)
-        curves.append(
-            Curve(name, list(jet.depth_mm), list(jet.total / max(float(jet.total.max()), 1e-12)))
-        )
-    y = np.linspace(0.0, curves[0].x[-1], 100)
-    curves.append(Curve("equation 5.18", list(y), list(law.total_over_peak(y))))
+        found_jet = jet_figures(scene, balls)
+        share = found_jet.total / max(float(found_jet.total.max()), 1e-12)
+        curves.append(Curve(name, list(found_jet.depth_mm), list(share)))
+    if (jet := jet_of(scene)) is not None:
+        law = JetLaw(jet["penetration_mm"], jet["equivalent_mm"], jet["total_percent"] / 100.0)
+        y = np.linspace(0.0, curves[0].x[-1], 100)
+        curves.append(Curve("equation 5.18", list(y), list(law.total_over_peak(y))))
     yield Figure(
         f"fig-5-30-{height}",
         f"concentration over depth, h = {height} mm",

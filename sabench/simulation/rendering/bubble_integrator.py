@@ -20,11 +20,11 @@ import numpy as np
 
 from sabench.geometry.camera import Camera
 from sabench.geometry.occluders import Disc
+from sabench.simulation.rendering.camera_rays import WAVEFRONT, lens_rays, opaque, unobstructed
 from sabench.simulation.rendering.lamps import Lamps
-from sabench.simulation.rendering.particle_integrator import Cloud, opaque, undistorted, unstopped
+from sabench.simulation.rendering.particle_integrator import Cloud
 from sabench.utils.arrays import F32, F64, I64
 
-_WAVEFRONT = 1 << 22  # rays traced at once: bounds memory, not results
 _EVENTS, _GLOWING = 64, 4096  # surfaces, and glowing balls, that a ray meets at most
 _NONE = 0xFFFFFFFF
 # mm: where a ray starts in front of the surface that it leaves; single precision at 100 mm
@@ -125,7 +125,7 @@ def radiance(
     Means of the same pixel under other seeds are independent, and their scatter tells the error.
     """
     device = _Device(stage, camera, origin)
-    count = max(1, _WAVEFRONT // samples)
+    count = max(1, WAVEFRONT // samples)
     parts = []
     for first in range(0, len(pixels), count):
         chosen = mi.UInt32(pixels[first : first + count].astype(np.uint32))
@@ -135,7 +135,7 @@ def radiance(
         rays = _rays(
             camera, origin, pixel, draw, stage.cloud is not None
         )  # balls of glow are as wide as the lens blurs them
-        free = unstopped(rays, stage.occluders, origin)
+        free = unobstructed(rays, stage.occluders, origin)
         parts.append(
             np.array(
                 dr.block_sum(_trace(device, rays, draw, free), samples) * (1.0 / samples),
@@ -241,23 +241,14 @@ def _cloud(cloud: Cloud | None) -> tuple[Any, ...] | None:
 
 
 def _rays(camera: Camera, origin: F64, pixel: Any, draw: _Draw, pinhole: bool) -> Any:
-    """Rays in front of the lens: from points all over the aperture, or its middle, to where the lens is focused."""
+    """Rays of pixels to the plane in focus: from all over the aperture, or from its middle."""
     table = draw.table()
     u = [draw.number(table, mi.UInt32(dimension)) for dimension in range(_FIRST)]
-    row, column = pixel // camera.columns, pixel % camera.columns
-    center, scale = camera.principal_point_px, dr.opaque(mi.Float, 1.0 / camera.focal_px)
-    across = (mi.Float(column) + u[0] - 0.5 - dr.opaque(mi.Float, center[0])) * scale
-    down = (mi.Float(row) + u[1] - 0.5 - dr.opaque(mi.Float, center[1])) * scale
-    x, y = undistorted(camera.distortion, across, down)
+    across = mi.Float(pixel % camera.columns) + u[0] - 0.5
+    down = mi.Float(pixel // camera.columns) + u[1] - 0.5
     aperture = dr.opaque(mi.Float, 0.0 if pinhole else camera.aperture_radius_mm)
     radius, (sine, cosine) = aperture * dr.sqrt(u[2]), dr.sincos(2.0 * np.pi * u[3])
-    a, b = radius * cosine, radius * sine
-    right, below, forward = (opaque(axis) for axis in camera.rotation)
-    focus = dr.opaque(mi.Float, camera.focus_mm)
-    start = mi.Point3f(opaque(np.asarray(camera.center_mm) - origin)) + a * right + b * below
-    return mi.Ray3f(
-        start, dr.normalize((x * focus - a) * right + (y * focus - b) * below + focus * forward)
-    )
+    return lens_rays(camera, origin, across, down, (radius * cosine, radius * sine))
 
 
 def _crossed(place: Any, way: Any, normal: Any, layers: Any) -> tuple[Any, Any, Any]:

@@ -77,7 +77,7 @@ class Exposed:
     error: float
 
 
-def photograph(
+def render(
     camera: Camera,
     tank: Tank,
     bubbles: Bubbles,

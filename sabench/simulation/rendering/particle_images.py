@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from sabench.api.truth import Particles
+from sabench.api.truth import Particles, View
 from sabench.geometry.camera import Camera
 from sabench.geometry.occluders import Disc, in_shadow
 from sabench.geometry.refraction import trace_to_points, transmittance
@@ -29,28 +29,18 @@ _CHUNK = 8192  # points at a time
 
 
 @dataclass(frozen=True)
-class ParticleImages:
-    """Images of n particles in one camera.
+class ParticleImages(View):
+    """Images of n particles in one camera, and the light that leaves the particles for them.
 
     Attributes
     ----------
-    pixel : (n, 2) column, row of the centre; NaN where there is none.
-    photons : (n,) mean number that reaches the whole sensor plane in one exposure; 0 where an
-        occluder stops the chief ray.
-    sigma_px : (n,) standard deviation of the Gaussian image.
-    intensity : (n,) photons per steradian that leave the particle towards the camera, whatever
-        stands in their way.
+    intensity : (n,) photons per steradian that leave the particle towards the camera, before
+        anything obstructs them.
     direction : (n, 3) unit direction of the light path at the particle, away from the camera.
-    visible : (n,) whether the centre has a light path that no occluder stops, and lies on the
-        sensor.
     """
 
-    pixel: F64
-    photons: F64
-    sigma_px: F64
     intensity: F64
     direction: F64
-    visible: Bool
 
     def shape_mm(self, camera: Camera, position_mm: F64) -> F64:
         """Two vectors across `direction` (n, 2, 3): moving the particle by one moves its image by sigma_px along the columns or the rows."""
@@ -116,7 +106,7 @@ def image_particles(
         else np.full(len(particles), given)
     )
     visible = lit & camera.contains(seen.pixel)
-    return ParticleImages(seen.pixel, photons, sigma, intensity, seen.arriving, visible)
+    return ParticleImages(seen.pixel, photons, sigma, visible, intensity, seen.arriving)
 
 
 def _sigma_px(scene: Scene, camera: Camera, particles: Particles, seen: _Sight) -> F64:

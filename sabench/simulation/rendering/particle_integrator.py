@@ -13,15 +13,19 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 import numpy as np
-import numpy.typing as npt
 
-from sabench.geometry.camera import Camera, Distortion
+from sabench.geometry.camera import Camera
 from sabench.geometry.occluders import Disc
+from sabench.simulation.rendering.camera_rays import (
+    pinhole_rays,
+    pixels_of_rows,
+    render_rows,
+    unobstructed,
+)
 from sabench.utils.arrays import F32, F64
 
 _MAX_HITS = 4096
 _NONE = 0xFFFFFFFF
-_WAVEFRONT = 1 << 22  # rays traced at once: bounds memory, not results
 
 
 @dataclass(frozen=True)
@@ -44,7 +48,7 @@ class Cloud:
     radiance: F64
 
 
-def picture(
+def render(
     scene: Any,
     camera: Camera,
     origin: F64,
@@ -53,10 +57,9 @@ def picture(
     side: int,
     occluders: tuple[Disc, ...],
 ) -> F32:
-    """Radiance (rows, columns) in front of the lens: each pixel's mean over a regular grid of side x side rays.
+    """Render radiance (rows, columns) in front of the lens by side x side rays a pixel.
 
-    Rays of one pixel are neighbours and are added up in their order, so that the picture does not
-    depend on how threads are scheduled (a film, to which threads add as they finish, would).
+    The rays of a pixel form a regular grid.
 
     Parameters
     ----------
@@ -65,17 +68,12 @@ def picture(
     occluders : discs in front of all interfaces (or balls); a ray that meets one carries nothing.
     """
     tables = _Tables(cloud, interfaces)
-    samples = side * side
-    rows = max(1, _WAVEFRONT // (camera.columns * samples))
-    bands = []
-    for first in range(0, camera.rows, rows):
-        count = min(rows, camera.rows - first)
+
+    def trace(first: int, count: int) -> Any:
         rays = _rays(camera, origin, first, count, side)
-        band = dr.block_sum(
-            _trace(scene, rays, tables, unstopped(rays, occluders, origin)), samples
-        ) * (1.0 / samples)
-        bands.append(np.array(band, dtype=np.float32).reshape(count, camera.columns))
-    return np.concatenate(bands)
+        return _trace(scene, rays, tables, unobstructed(rays, occluders, origin))
+
+    return render_rows(camera, side * side, trace)
 
 
 class _Tables:
@@ -96,54 +94,10 @@ class _Tables:
 
 def _rays(camera: Camera, origin: F64, first: int, count: int, side: int) -> Any:
     """Rays of `count` rows from row `first` on, pixel by pixel."""
-    index = dr.arange(mi.UInt32, count * camera.columns * side * side)
-    pixel, sub = index // (side * side), index % (side * side)
-    row, column = pixel // camera.columns, pixel % camera.columns
+    row, column, sub = pixels_of_rows(camera, count, side * side)
     across = mi.Float(column) + (mi.Float(sub % side) + 0.5) / side - 0.5
     down = mi.Float(row) + (mi.Float(sub // side) + 0.5) / side - 0.5
-    center, scale = camera.principal_point_px, 1.0 / camera.focal_px
-    u = (across - dr.opaque(mi.Float, center[0])) * dr.opaque(mi.Float, scale)
-    v = (down + dr.opaque(mi.Float, first - center[1])) * dr.opaque(mi.Float, scale)
-    x, y = undistorted(camera.distortion, u, v)
-    right, below, forward = (opaque(axis) for axis in camera.rotation)
-    return mi.Ray3f(
-        mi.Point3f(opaque(camera.center_mm - origin)), dr.normalize(x * right + y * below + forward)
-    )
-
-
-def opaque(vector: npt.ArrayLike) -> Any:
-    """A vector (3,) that all kernels share, whatever its value."""
-    return mi.Vector3f(
-        *(dr.opaque(mi.Float, value) for value in np.asarray(vector, dtype=np.float64).tolist())
-    )
-
-
-def unstopped(rays: Any, occluders: tuple[Disc, ...], origin: F64) -> Any:
-    """Whether no disc stops a ray: the same test as Disc.stops."""
-    free = mi.Bool(True)
-    for disc in occluders:
-        offset, normal = mi.Point3f(opaque(disc.center_mm - origin)) - rays.o, opaque(disc.normal)
-        way = dr.dot(offset, normal) / dr.dot(rays.d, normal)
-        free &= ~(
-            (way > 0.0) & (dr.norm(way * rays.d - offset) <= dr.opaque(mi.Float, disc.radius_mm))
-        )
-    return free
-
-
-def undistorted(lens: Distortion, u: Any, v: Any) -> tuple[Any, Any]:
-    """Invert the distortion by a fixed point; single precision is reached in a dozen steps.
-
-    A copy of `Camera.ideal`, the reference, for arrays of Dr.Jit; tied to it by
-    test_projection_copies.py::test_renderers_undistort_as_cameras_do.
-    """
-    x, y = u, v
-    for _ in range(0 if lens == Distortion() else 12):
-        s = x * x + y * y
-        radial = s * (lens.k1 + s * (lens.k2 + s * lens.k3))
-        shift_x = x * radial + 2.0 * lens.p1 * x * y + lens.p2 * (s + 2.0 * x * x)
-        shift_y = y * radial + lens.p1 * (s + 2.0 * y * y) + 2.0 * lens.p2 * x * y
-        x, y = u - shift_x, v - shift_y
-    return x, y
+    return pinhole_rays(camera, origin, across, down, first)
 
 
 @dr.syntax

@@ -1,4 +1,4 @@
-"""Analytic renderer: every particle's Gaussian, integrated over each pixel, at its refracted position."""
+"""Analytic renderer: Gaussian particle images, integrated over each pixel."""
 
 from __future__ import annotations
 
@@ -14,21 +14,21 @@ from sabench.utils.arrays import F64
 
 # standard deviations from the centre to the window's edge: less than 2e-5 of the light is left out
 _REACH = 4.5
-_SHARPEST = 1e-9  # px: whatever is sharper lights one pixel just the same
+_SHARPEST = 1e-9  # px: anything sharper illuminates a single pixel as well
 _BAND = 64  # rows that one thread fills at a time, so that none writes where another does
 
 
-def splat(camera: Camera, images: ParticleImages) -> F64:
-    """Photon image (rows, columns) of one exposure.
+def render(camera: Camera, images: ParticleImages) -> F64:
+    """Render photons (rows, columns) of one exposure.
 
-    Light outside a particle's window of `_REACH` standard deviations is left out; particles whose
-    centre lies outside the sensor still light the pixels that their window reaches.
+    Light outside a particle's window of `_REACH` standard deviations is left out. Particles whose
+    centre lies outside the sensor still illuminate the pixels that their window reaches.
     """
     image = np.zeros((camera.rows, camera.columns))
-    lit = images.photons > 0.0
-    half = np.ceil(_REACH * images.sigma_px[lit] + 0.5).astype(np.int64)
-    sigma = np.maximum(images.sigma_px[lit], _SHARPEST)
-    _add_windows(image, images.pixel[lit], images.photons[lit], sigma, half)
+    bright = images.photons > 0.0
+    half = np.ceil(_REACH * images.sigma_px[bright] + 0.5).astype(np.int64)
+    sigma = np.maximum(images.sigma_px[bright], _SHARPEST)
+    _add_windows(image, images.pixel[bright], images.photons[bright], sigma, half)
     return image
 
 

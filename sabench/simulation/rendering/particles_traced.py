@@ -63,7 +63,7 @@ def render(
         }
     )
     planes = len(camera.wall.layers) + 1 if camera.wall else 0
-    radiance = particle_integrator.picture(
+    radiance = particle_integrator.render(
         scene, camera, origin, cloud, planes, math.isqrt(samples), occluders
     )
     return radiance.astype(np.float64)

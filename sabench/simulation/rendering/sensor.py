@@ -11,8 +11,13 @@ from sabench.utils.errors import InputError
 _MOST_E = 1e15  # electrons: more than any well holds, and fewer than the Poisson generator refuses
 
 
+def full_well_photons(sensor: Sensor) -> float:
+    """Mean number of photons that fill a pixel's well."""
+    return sensor.full_well_e / sensor.quantum_efficiency
+
+
 def expose(sensor: Sensor, photons: F64, rng: np.random.Generator) -> U16:
-    """Grey values (rows, columns) of a mean photon image, noise drawn from `rng`.
+    """Convert mean photons (rows, columns) to grey values, with noise drawn from `rng`.
 
     Electrons: Poisson (QE photons + dark current x exposure) if shot noise is on, its mean if not,
     plus Gaussian read noise, clipped to the full well before the read noise; grey value: black
@@ -22,7 +27,8 @@ def expose(sensor: Sensor, photons: F64, rng: np.random.Generator) -> U16:
     mean += sensor.dark_current_e_s * sensor.exposure_s
     if not np.isfinite(mean).all():
         raise InputError(
-            "illumination: expected light that numbers can hold, got pixels of infinitely much or of none that is known"
+            "illumination: photon counts must be finite, got inf or NaN; check the pulse energy "
+            "and the lights"
         )
     np.minimum(mean, _MOST_E, out=mean)
     electrons = rng.poisson(mean).astype(np.float64) if sensor.shot_noise else mean

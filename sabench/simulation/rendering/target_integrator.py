@@ -13,16 +13,22 @@ import mitsuba as mi
 import numpy as np
 
 from sabench.geometry.camera import Camera
+from sabench.simulation.rendering.camera_rays import (
+    lens_rays,
+    opaque,
+    pixels_of_rows,
+    render_rows,
+)
 from sabench.simulation.rendering.lamps import Lamps
-from sabench.simulation.rendering.particle_integrator import opaque, undistorted
 from sabench.utils.arrays import F32, F64, Bool
 
-_WAVEFRONT = 1 << 22  # rays traced at once: bounds memory, not results
-_MOVES = (
+# irrational steps along columns and rows, so that neighbours differ much: of a pixel's lattice along
+# columns, along rows, and of the rotation of the aperture's points
+_STEPS = (
     (0.7548777, 0.5698403),
     (0.5698403, 0.2451223),
     (0.2451223, 0.8191725),
-)  # irrational steps along columns and rows: far apart in neighbours
+)
 
 
 @dataclass(frozen=True)
@@ -47,7 +53,7 @@ class Paint:
     turn: F64
 
 
-def picture(
+def render(
     scene: Any,
     camera: Camera,
     origin: F64,
@@ -56,23 +62,21 @@ def picture(
     interfaces: int,
     samples: int,
 ) -> F32:
-    """Relative radiance (rows, columns) in front of the lens: each pixel's mean over rays from all over the aperture.
+    """Render relative radiance (rows, columns) in front of the lens by `samples` rays a pixel.
+
+    The rays of a pixel start all over the aperture.
 
     Parameters
     ----------
     origin : world point that is the scene's (0, 0, 0): the target's own origin.
     interfaces : dielectric planes that a ray crosses before it may meet the target.
     """
-    rows = max(1, _WAVEFRONT // (camera.columns * samples))
-    where = _Target(paint, lamps, interfaces)
-    bands = []
-    for first in range(0, camera.rows, rows):
-        count = min(rows, camera.rows - first)
-        band = dr.block_sum(
-            _trace(scene, _rays(camera, origin, first, count, samples), where), samples
-        ) * (1.0 / samples)
-        bands.append(np.array(band, dtype=np.float32).reshape(count, camera.columns))
-    return np.concatenate(bands)
+    target = _Target(paint, lamps, interfaces)
+
+    def trace(first: int, count: int) -> Any:
+        return _trace(scene, _rays(camera, origin, first, count, samples), target)
+
+    return render_rows(camera, samples, trace)
 
 
 class _Target:
@@ -92,36 +96,26 @@ class _Target:
 
 
 def _rays(camera: Camera, origin: F64, first: int, count: int, samples: int) -> Any:
-    """Rays of `count` rows from row `first` on, pixel by pixel; a pixel's rays start all over the aperture and meet where the lens is focused.
+    """Rays of `count` rows from row `first` on, pixel by pixel, from all over the aperture.
 
     A pixel is sampled on a lattice of which no two points share a column or a row, shifted from
-    pixel to pixel, as the aperture's points are turned: with one pattern for all an edge that runs
-    along the pixels would move by whole steps of it, and corners with it.
+    pixel to pixel, as the aperture's points are rotated. With one pattern for all, an edge that
+    runs along the pixels would move by whole steps of it, and corners with it.
     """
-    index = dr.arange(mi.UInt32, count * camera.columns * samples)
-    pixel, sub = index // samples, index % samples
-    row, column = pixel // camera.columns, pixel % camera.columns
-    moves = [_even(c0 * mi.Float(column) + c1 * mi.Float(row)) for c0, c1 in _MOVES]
-    across = mi.Float(column) + _even((mi.Float(sub) + 0.5) / samples + moves[0]) - 0.5
-    down = (
-        mi.Float(row)
-        + _even((mi.Float((sub * _stride(samples, 0.618)) % samples) + 0.5) / samples + moves[1])
-        - 0.5
+    row, column, sub = pixels_of_rows(camera, count, samples)
+    shift_across, shift_down, turns = (
+        _fraction(c0 * mi.Float(column) + c1 * mi.Float(row)) for c0, c1 in _STEPS
     )
-    center, scale = camera.principal_point_px, 1.0 / camera.focal_px
-    u = (across - dr.opaque(mi.Float, center[0])) * dr.opaque(mi.Float, scale)
-    v = (down + dr.opaque(mi.Float, first - center[1])) * dr.opaque(mi.Float, scale)
-    x, y = undistorted(camera.distortion, u, v)
-    right, below, forward = (opaque(axis) for axis in camera.rotation)
+    lattice = (sub * _stride(samples, 0.618)) % samples
+    in_column = _fraction((mi.Float(sub) + 0.5) / samples + shift_across)
+    in_row = _fraction((mi.Float(lattice) + 0.5) / samples + shift_down)
+    across = mi.Float(column) + in_column - 0.5
+    down = mi.Float(row) + in_row - 0.5
     disc = camera.aperture_radius_mm * _spiral(samples)
-    sine, cosine = dr.sincos(2.0 * np.pi * moves[2])
+    sine, cosine = dr.sincos(2.0 * np.pi * turns)
     a, b = (dr.gather(mi.Float, mi.Float(part.astype(np.float32)), sub) for part in disc.T)
-    a, b = cosine * a - sine * b, sine * a + cosine * b
-    focus = dr.opaque(mi.Float, camera.focus_mm)
-    start = mi.Point3f(opaque(np.asarray(camera.center_mm) - origin)) + a * right + b * below
-    return mi.Ray3f(
-        start, dr.normalize((x * focus - a) * right + (y * focus - b) * below + focus * forward)
-    )
+    lens = cosine * a - sine * b, sine * a + cosine * b
+    return lens_rays(camera, origin, across, down, lens, first)
 
 
 def _spiral(count: int) -> F64:
@@ -137,8 +131,8 @@ def _spiral(count: int) -> F64:
     return np.asarray(points[(np.arange(count) * _stride(count, 0.382)) % count])
 
 
-def _even(value: Any) -> Any:
-    """What is left beyond whole numbers."""
+def _fraction(value: Any) -> Any:
+    """The part of a number beyond the whole number below it."""
     return value - dr.floor(value)
 
 

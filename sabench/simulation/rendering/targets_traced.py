@@ -21,7 +21,7 @@ _CELLS = 6  # of a ChArUco marker and its black frame, along each side
 _QUIET = 0.75  # white around a board's pattern, in pitches
 
 
-def photograph(
+def render(
     camera: Camera, target: Target, pose: Pose, lighting: Lighting, center_mm: F64, samples: int
 ) -> F64:
     """Photons (rows, columns) that reach the pixels, as a part of what saturates one at `lighting.exposure` 1.
@@ -58,7 +58,7 @@ def photograph(
     facing = np.asarray(camera.wall.normal if camera.wall else camera.rotation[2])
     lamps = placed(lighting, camera, center_mm, origin)
     planes = len(camera.wall.layers) + 1 if camera.wall else 0
-    radiance = target_integrator.picture(
+    radiance = target_integrator.render(
         scene, camera, origin, paint, lamps, planes, samples
     ).astype(np.float64)
     radiance /= (

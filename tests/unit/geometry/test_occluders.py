@@ -17,8 +17,8 @@ from sabench.geometry.occluders import Disc
 from sabench.metrics.synthesised_field import true_field
 from sabench.scenes import Scene, build_rig, parse_scene
 from sabench.simulation.in_memory import Shot, simulate
+from sabench.simulation.rendering import particles_splatted
 from sabench.simulation.rendering.particle_images import image_particles
-from sabench.simulation.rendering.particles_splatted import splat
 from sabench.simulation.rendering.particles_traced import render
 from sabench.utils.arrays import F64, Bool
 from sabench.utils.errors import InputError
@@ -126,7 +126,7 @@ def test_both_renderers_agree_away_from_the_edge(variant: str) -> None:
     traced = moments(
         render(camera, images, positions, 16, occluders) * camera.etendue() + 1e-12, pixels, 6
     )[0]
-    formula = moments(splat(camera, images) + 1e-12, pixels, 6)[0]
+    formula = moments(particles_splatted.render(camera, images) + 1e-12, pixels, 6)[0]
     np.testing.assert_allclose(traced[away], formula[away], rtol=0.02)
     assert (formula[away & (inside > 0.0)] < 1e-9).all()
 
@@ -246,7 +246,7 @@ FAULTS: list[tuple[dict[str, Any] | None, dict[str, Any], str]] = [
     (
         {},
         {"center_mm": [0.0, 0.0, -100.0], "radius_mm": -2.0},
-        "occluders.0.radius_mm: input should be greater than 0, got -2.0",
+        "occluders.0.radius_mm: expected a number greater than 0, got -2.0",
     ),
     (
         {},

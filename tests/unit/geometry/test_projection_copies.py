@@ -48,7 +48,7 @@ def test_the_example_program_projects_as_cameras_do(wall: Wall | None) -> None:
 
 def test_renderers_undistort_as_cameras_do() -> None:
     backend.mitsuba()
-    from sabench.simulation.rendering.particle_integrator import undistorted
+    from sabench.simulation.rendering.camera_rays import undistorted
 
     one = camera(None)
     pixels = np.random.default_rng(2).uniform([0.0, 0.0], [319.0, 239.0], (500, 2))

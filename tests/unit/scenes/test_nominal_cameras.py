@@ -157,5 +157,7 @@ def test_true_cameras_must_be_those_that_are_told(wrong: Dataset) -> None:
 
 @pytest.mark.parametrize("shift", [-0.1, float("nan"), "much"])
 def test_a_shift_is_a_length(shift: Any) -> None:
-    with pytest.raises(InputError, match=r"^test: calibration.shift_px: input should be .*, got"):
+    with pytest.raises(
+        InputError, match=r"^test: calibration.shift_px: expected a .*number.*, got"
+    ):
         shifted_scene(shift)

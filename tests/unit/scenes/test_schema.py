@@ -3,13 +3,23 @@
 from __future__ import annotations
 
 import json
+import pickle
+import re
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from sabench.scenes import build_rig, load_scene, parse_scene, scene_schema
+from sabench.scenes import (
+    BubbleWorld,
+    ParticleWorld,
+    TargetWorld,
+    build_rig,
+    load_scene,
+    parse_scene,
+    scene_schema,
+)
 from sabench.simulation.in_memory import make_particles
 from sabench.utils.errors import InputError
 
@@ -82,6 +92,84 @@ def test_fault_names_key_and_expectation(
         load_scene(file)
     assert sentence in str(caught.value)
     assert str(file) in str(caught.value)
+
+
+def test_all_faults_are_named_together(tmp_path: Path, quick_toml: str) -> None:
+    """Faults of keys, of numbers, of a generator's parameters and of missing tables, a line each."""
+    file = tmp_path / "bad.toml"
+    laser = re.compile(r"\[illumination\].*?(?=\n\[)", re.DOTALL)
+    text = laser.sub("", quick_toml)
+    for old, new in (
+        ("focal_length_mm", "focal_lenght_mm"),
+        ("read_noise_e = ", "read_noise_e = -"),
+        ("count = 300", "per_mm = 3.0"),
+    ):
+        text = change(old, new)(text)
+    file.write_text(text)
+    with pytest.raises(InputError) as caught:
+        load_scene(file)
+    head, *lines = str(caught.value).split("\n")
+    assert head == f"{file}: 4 faults:"
+    assert sorted(lines) == [
+        "  cameras.focal_lenght_mm: unknown key; did you mean focal_length_mm?",
+        "  illumination: this key is missing; particles need a laser",
+        "  particles.per_mm: unknown key; did you mean per_mm3?",
+        "  sensor.read_noise_e: expected a number greater than or equal to 0, got -6.0",
+    ]
+    again = pickle.loads(pickle.dumps(caught.value))
+    assert (str(again), again.faults) == (str(caught.value), caught.value.faults)
+
+
+def test_faults_of_the_geometry_are_named_together() -> None:
+    values = load_scene("quick").to_dict()
+    values["grid"]["crop_mm"] = [7.0, 0.0, 0.0]
+    values["cameras"]["focus_mm"] = 50.0
+    values["occluders"] = [{"center_mm": [0.0, 0.0, 1.0], "radius_mm": 1.0}]
+    scene = parse_scene(values, "bad")
+    with pytest.raises(InputError) as caught:
+        build_rig(scene, "bad")
+    keys = [fault.split(":")[0] for fault in caught.value.faults]
+    assert keys == ["grid.crop_mm", "cameras.focus_mm"]
+    assert "camera_00" in caught.value.faults[1]
+    assert "(and 3 more cameras)" in caught.value.faults[1]
+
+
+def test_long_lists_of_faults_are_cut() -> None:
+    error = InputError.of("file", [f"key {number}: bad\nline" for number in range(30)])
+    head, *lines = str(error).split("\n")
+    assert head == "file: 30 faults:"
+    assert lines[0] == "  key 0: bad line"
+    assert lines[20:] == ["  and 10 more"]
+
+
+def test_a_misspelt_table_counts_as_given() -> None:
+    values = load_scene("quick").to_dict()
+    values["particels"] = values.pop("particles")
+    with pytest.raises(InputError) as caught:
+        parse_scene(values, "s")
+    assert str(caught.value) == "s: particels: unknown key; did you mean particles?"
+
+
+WORLDS = {
+    "quick": ParticleWorld,
+    "vortex-ring-experiment": ParticleWorld,
+    "plunging-jet-7": BubbleWorld,
+    "calibration-boards": TargetWorld,
+}
+
+
+@pytest.mark.parametrize("name", WORLDS)
+def test_a_scene_has_one_world(name: str) -> None:
+    """What the world needs is there; particles come with their laser, and only they do."""
+    scene = load_scene(name)
+    assert isinstance(scene.world, WORLDS[name])
+    assert (scene.tracers is None) == (scene.particles is None)
+    if scene.tracers is None:
+        with pytest.raises(InputError, match="particles: expected a scene with particles"):
+            _ = scene.particle_world
+    else:
+        assert scene.particle_world.illumination == scene.illumination
+        assert scene.particle_world.flow == scene.flow
 
 
 def test_missing_scene_suggests_the_nearest() -> None:

@@ -47,7 +47,7 @@ def test_peaks_tell_particles_apart_that_are_one_component(shot: Shot) -> None:
         np.full(10, 0.02),
         np.zeros((10, 3)),
     )
-    views = [View(np.zeros((10, 2)), np.ones(10), np.full(10, 0.8), np.ones(10))]
+    views = [View(np.zeros((10, 2)), np.ones(10), np.full(10, 0.8), np.ones(10, dtype=np.bool_))]
     found = score_frame(grid, particles, views, Reconstruction(true_field(grid, particles, views)))
     assert found["recall"] == pytest.approx(0.0)
     assert found["peak_recall"] == found["peak_precision"] == pytest.approx(1.0)
@@ -56,7 +56,12 @@ def test_peaks_tell_particles_apart_that_are_one_component(shot: Shot) -> None:
 def weights(*photons: list[float]) -> F64:
     return brightness(
         [
-            View(np.zeros((len(row), 2)), np.array(row), np.ones(len(row)), np.ones(len(row)))
+            View(
+                np.zeros((len(row), 2)),
+                np.array(row),
+                np.ones(len(row)),
+                np.ones(len(row), dtype=np.bool_),
+            )
             for row in photons
         ]
     )

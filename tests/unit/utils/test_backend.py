@@ -13,7 +13,7 @@ import pytest
 from sabench.utils import backend
 from sabench.utils.errors import InputError
 
-CHOICE = "from sabench import backend; print(backend.choose().library)"
+CHOICE = "from sabench.utils import backend; print(backend.choose().library)"
 
 
 def choose(**environment: str) -> subprocess.CompletedProcess[str]:

@@ -18,7 +18,7 @@ from sabench.geometry.frames import Pose
 from sabench.scenes import build_rig, parse_scene
 from sabench.scenes.calibration import Detection
 from sabench.scenes.illumination import Lighting
-from sabench.simulation.rendering.targets_traced import marker_bits, photograph
+from sabench.simulation.rendering.targets_traced import marker_bits, render
 from sabench.utils.arrays import F64
 from sabench.utils.errors import InputError
 from sabench.worlds.calibration_targets import exact_pixels, found_pixels, place, prior
@@ -52,7 +52,7 @@ def small_camera() -> Camera:
 def test_a_rendered_board_is_found_where_it_is(pattern: str, spread: float, bias: float) -> None:
     """Mitsuba's rays, our projection and OpenCV's detectors are three programs: points agree to hundredths of a pixel."""
     camera, target = small_camera(), BOARDS[pattern]
-    picture = photograph(camera, target, POSE, LAMPS, np.array([0.0, 0.0, 35.0]), 16)
+    picture = render(camera, target, POSE, LAMPS, np.array([0.0, 0.0, 35.0]), 16)
     grey = np.clip(np.random.default_rng(0).normal(2800.0 * picture, 3.0), 0.0, 4095.0).astype(
         np.uint16
     )
@@ -64,9 +64,9 @@ def test_a_rendered_board_is_found_where_it_is(pattern: str, spread: float, bias
 
 def test_a_rendered_wand_is_found_on_its_lit_side() -> None:
     camera, target = small_camera(), BOARDS["wand"]
-    grey = (
-        2800.0 * photograph(camera, target, POSE, LAMPS, np.array([0.0, 0.0, 35.0]), 16)
-    ).astype(np.uint16)
+    grey = (2800.0 * render(camera, target, POSE, LAMPS, np.array([0.0, 0.0, 35.0]), 16)).astype(
+        np.uint16
+    )
     assert np.abs(detect(grey, target) - camera.project(POSE(target.points_mm))[0]).max() < 0.5
 
 
@@ -74,7 +74,7 @@ def test_small_glowing_balls_are_found_where_they_are() -> None:
     """They are less than a thousandth of a noisy image, and evenly bright: nothing draws a centroid aside."""
     camera, target = small_camera(), Target("wand", 3, 1, 12.0, 1.0)
     glow = LAMPS.model_copy(update={"even": 1.0})
-    picture = photograph(camera, target, POSE, glow, np.array([0.0, 0.0, 35.0]), 16)
+    picture = render(camera, target, POSE, glow, np.array([0.0, 0.0, 35.0]), 16)
     assert picture.max() == pytest.approx(0.7, rel=0.05)
     grey = np.clip(
         np.random.default_rng(0).normal(50.0 + 2800.0 * picture, 5.0), 0.0, 4095.0
@@ -87,7 +87,7 @@ def test_exposure_is_what_was_asked_for() -> None:
     """White in the middle of the volume reaches it; black print 4 % of that."""
     camera = small_camera()
     facing = Pose(np.eye(3), np.array([0.0, 0.0, 35.0]))
-    picture = photograph(
+    picture = render(
         camera,
         BOARDS["circles"],
         facing,

@@ -85,7 +85,7 @@ def test_a_number_of_the_truth_that_has_changed_is_not_taken_for_whole(tmp_path:
 
 
 def test_a_part_that_is_not_there_is_named(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"0007\.npz: expected a whole part"):
+    with pytest.raises(InputError, match=r"0007\.npz: expected an intact part"):
         Parts(tmp_path).frame(7)
 
 

@@ -13,7 +13,7 @@ from sabench.api.truth import NOTHING, Bubbles, Solid
 from sabench.geometry.camera import Camera, Distortion
 from sabench.geometry.refraction import Layer, Wall
 from sabench.scenes.illumination import Backlight, Lamp, Lighting
-from sabench.simulation.rendering.bubbles_traced import Exposed, Lights, Tank, photograph
+from sabench.simulation.rendering.bubbles_traced import Exposed, Lights, Tank, render
 from sabench.simulation.rendering.pixel_truth import see
 from sabench.utils import backend
 from sabench.utils.arrays import F64
@@ -91,7 +91,7 @@ def shot(
     **more: Any,
 ) -> Exposed:
     lights = Lights(light or diffuser(), None, CENTER, FULL)
-    return photograph(lens, tank, what, more.pop("bodies", ()), lights, error, seed, **more)
+    return render(lens, tank, what, more.pop("bodies", ()), lights, error, seed, **more)
 
 
 def test_nothing_in_the_way_is_the_exposure_that_was_asked_for() -> None:
@@ -379,7 +379,7 @@ def test_a_black_body_hides_what_is_behind_it_and_a_lamp_shows_it() -> None:
     assert middle == pytest.approx(48.0, abs=5e-3)  # half a pixel beside its axis
     assert truth.path_mm[24, 32] == pytest.approx(550.0 + 48.0, abs=0.01)
     lamp = Lighting(lamps=(Lamp(center_mm=(0.0, 0.0, -500.0)),), exposure=0.6, wavelength_nm=1.0)
-    lit = photograph(
+    lit = render(
         lens,
         TANK,
         NONE,

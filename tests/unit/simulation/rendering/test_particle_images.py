@@ -16,13 +16,13 @@ from sabench.api.truth import Particles
 from sabench.geometry.camera import Camera, Distortion, aimed_rotation
 from sabench.geometry.refraction import trace_to_points, transmittance
 from sabench.scenes import Scene, build_rig, find, parse_scene
+from sabench.simulation.rendering import particles_splatted
 from sabench.simulation.rendering.laser_sheet import LIGHT_M_S, PLANCK_J_S, fluence
 from sabench.simulation.rendering.particle_images import (
     ParticleImages,
     image_particles,
     scattering_table,
 )
-from sabench.simulation.rendering.particles_splatted import splat
 from sabench.simulation.rendering.particles_traced import render
 from sabench.utils.arrays import F64, I64
 
@@ -242,7 +242,7 @@ def spots(pixels: F64, photons: F64, sigma: F64) -> ParticleImages:
     count = len(pixels)
     zero = np.zeros((count, 3))
     return ParticleImages(
-        pixels, photons, sigma, np.zeros(count), zero, np.ones(count, dtype=np.bool_)
+        pixels, photons, sigma, np.ones(count, dtype=np.bool_), np.zeros(count), zero
     )
 
 
@@ -279,7 +279,9 @@ def centre_of_rounded(place: F64, sigma: float) -> F64:
 @pytest.mark.parametrize("sigma", [0.15, 0.5, 1.0, 2.3])
 def test_splat_keeps_light_and_place(sigma: float) -> None:
     for place in np.random.default_rng(4).uniform([15.0, 15.0], [45.0, 25.0], (20, 2)):
-        image = splat(SMALL, spots(place[None], np.array([1000.0]), np.array([sigma])))
+        image = particles_splatted.render(
+            SMALL, spots(place[None], np.array([1000.0]), np.array([sigma]))
+        )
         assert image.sum() == pytest.approx(1000.0, rel=2e-5)
         centroid = [
             (image.sum(axis=0) @ np.arange(60)) / image.sum(),
@@ -292,7 +294,9 @@ def test_splat_keeps_light_and_place(sigma: float) -> None:
 
 def test_splat_pixel_is_the_integral_of_a_gaussian_over_it() -> None:
     place, sigma = np.array([20.37, 11.81]), 0.8
-    image = splat(SMALL, spots(place[None], np.array([500.0]), np.array([sigma])))
+    image = particles_splatted.render(
+        SMALL, spots(place[None], np.array([500.0]), np.array([sigma]))
+    )
     fine = (np.arange(200) + 0.5) / 200 - 0.5
     for row, column in ((12, 20), (11, 22), (10, 19)):
         x, y = np.meshgrid(column + fine, row + fine)
@@ -306,10 +310,12 @@ def test_splat_pixel_is_the_integral_of_a_gaussian_over_it() -> None:
 
 def test_splat_moves_with_its_particle() -> None:
     sigma, photons = np.array([0.7]), np.array([300.0])
-    first = splat(SMALL, spots(np.array([[20.3, 14.6]]), photons, sigma))
-    moved = splat(SMALL, spots(np.array([[27.3, 18.6]]), photons, sigma))
+    first = particles_splatted.render(SMALL, spots(np.array([[20.3, 14.6]]), photons, sigma))
+    moved = particles_splatted.render(SMALL, spots(np.array([[27.3, 18.6]]), photons, sigma))
     np.testing.assert_allclose(moved[8:36, 12:50], first[4:32, 5:43], rtol=0, atol=1e-9)
-    mirrored = splat(SMALL, spots(np.array([[59.0 - 20.3, 39.0 - 14.6]]), photons, sigma))
+    mirrored = particles_splatted.render(
+        SMALL, spots(np.array([[59.0 - 20.3, 39.0 - 14.6]]), photons, sigma)
+    )
     np.testing.assert_allclose(mirrored[::-1, ::-1], first, rtol=0, atol=1e-9)
 
 
@@ -320,10 +326,13 @@ def test_splat_is_additive_and_cut_at_the_border() -> None:
         rng.uniform(0.0, 9.0, 400),
         rng.uniform(0.3, 2.0, 400),
     )
-    whole = splat(SMALL, spots(places, photons, sigma))
-    parts = [splat(SMALL, spots(places[i::3], photons[i::3], sigma[i::3])) for i in range(3)]
+    whole = particles_splatted.render(SMALL, spots(places, photons, sigma))
+    parts = [
+        particles_splatted.render(SMALL, spots(places[i::3], photons[i::3], sigma[i::3]))
+        for i in range(3)
+    ]
     np.testing.assert_allclose(sum(parts), whole, rtol=0, atol=1e-9)
-    larger = splat(
+    larger = particles_splatted.render(
         replace(SMALL, rows=80, columns=110), spots(places + np.array([20.0, 30.0]), photons, sigma)
     )
     np.testing.assert_allclose(whole, larger[30:70, 20:80], rtol=0, atol=1e-9)
@@ -335,13 +344,15 @@ def test_splat_of_nothing_is_dark() -> None:
         np.array([0.0, 9.0]),
         np.array([math.nan, 0.5]),
     )
-    assert not splat(SMALL, nowhere).any()
-    assert not splat(SMALL, spots(np.empty((0, 2)), np.empty(0), np.empty(0))).any()
+    assert not particles_splatted.render(SMALL, nowhere).any()
+    assert not particles_splatted.render(
+        SMALL, spots(np.empty((0, 2)), np.empty(0), np.empty(0))
+    ).any()
 
 
 def test_brightest_pixel_is_where_the_particle_projects() -> None:
     camera = replace(SMALL, principal_point_px=(0.0, 0.0))
-    image = splat(
+    image = particles_splatted.render(
         camera, spots(camera.project([[0.0, 0.0, 100.0]])[0], np.array([100.0]), np.array([0.5]))
     )
     assert image.argmax() == 0
@@ -387,7 +398,7 @@ def test_rays_and_formulas_make_the_same_picture(variant: str, number: int) -> N
     )
     images = image_particles(scene, camera, cloud(positions), None)
     traced = moments(render(camera, images, positions, 16) * camera.etendue(), pixels, 6)
-    formula = moments(splat(camera, images), pixels, 6)
+    formula = moments(particles_splatted.render(camera, images), pixels, 6)
     assert len(positions) >= 70
     shift = traced[1] - formula[1]
     assert np.abs(shift.mean(axis=0)).max() < 0.01
@@ -417,7 +428,7 @@ def test_rays_carry_the_light_of_near_and_large_particles() -> None:
         moments(picture, pixels, 6)[0]
         for picture in (
             render(camera, images, positions, 16) * camera.etendue(),
-            splat(camera, images),
+            particles_splatted.render(camera, images),
         )
     )
     assert traced.sum() == pytest.approx(formula.sum(), rel=2e-3)
@@ -452,7 +463,7 @@ def test_rays_of_a_strongly_distorted_lens_meet_the_formulas() -> None:
         moments(picture, pixels, 5)
         for picture in (
             render(camera, images, positions, 16) * camera.etendue(),
-            splat(camera, images),
+            particles_splatted.render(camera, images),
         )
     )
     assert len(positions) > 50

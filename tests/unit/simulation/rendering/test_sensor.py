@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from sabench.scenes.sensor import Sensor, white_level
+from sabench.scenes.sensor import Sensor
 from sabench.simulation.rendering.sensor import expose
 
 
@@ -39,7 +39,7 @@ def test_a_full_well_and_the_converter_limit_the_grey_value() -> None:
     well = Sensor(full_well_e=1000.0, gain_dn_e=0.5, black_level_dn=20.0, bit_depth=12)
     converter = Sensor(full_well_e=1e6, gain_dn_e=0.5, black_level_dn=20.0, bit_depth=8)
     for sensor, top in ((well, 520), (converter, 255)):
-        assert white_level(sensor) == top
+        assert sensor.white_dn == top
         assert (expose(sensor, photons, np.random.default_rng(0)) == top).all()
 
 

@@ -14,7 +14,7 @@ from scipy.spatial import cKDTree
 from sabench.api.truth import Solid
 from sabench.plugins import load
 from sabench.scenes import build_rig
-from sabench.simulation.frames_of_bubbles import Worlds
+from sabench.simulation.frames import Frames
 from sabench.utils.arrays import F64
 from sabench.utils.errors import InputError
 from sabench.utils.validation import validate
@@ -73,7 +73,7 @@ def test_bodies_are_one_closed_surface_that_scenes_take(
     scene = small(
         bubbles=None, solids=[{"generator": name, "place_mm": [0.0, 0.0, 60.0], **parameters}]
     )
-    (placed,) = Worlds(scene, build_rig(scene), 1).at(0).solids
+    (placed,) = Frames(scene, build_rig(scene), 1).at(0).solids
     np.testing.assert_array_equal(placed.faces, made.faces)
     np.testing.assert_allclose(placed.vertices_mm, made.vertices_mm + np.array([0.0, 0.0, 60.0]))
 

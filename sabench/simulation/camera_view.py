@@ -1,0 +1,174 @@
+"""View of one camera: the photons that it receives of a frame, and the truth of what it sees."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from sabench.api.truth import Bubbles, Sight
+from sabench.geometry.camera import Camera
+from sabench.geometry.refraction import Layer
+from sabench.scenes import Rig, Scene
+from sabench.simulation.frame_content import FrameContent, Tracers
+from sabench.simulation.obstacles import hidden
+from sabench.simulation.rendering import (
+    bubbles_traced,
+    particles_splatted,
+    particles_traced,
+    targets_traced,
+)
+from sabench.simulation.rendering.bubbles_traced import Lights, Tank
+from sabench.simulation.rendering.particle_images import ParticleImages, image_particles
+from sabench.simulation.rendering.pixel_truth import see
+from sabench.simulation.rendering.sensor import full_well_photons
+from sabench.utils.arrays import F64
+
+_ERROR = 0.01  # of images of bubbles and bodies, unless the scene says otherwise
+_GLOW_ERROR = 1.0  # of tracers among bubbles: few rays, as their images are smooth
+
+
+@dataclass(frozen=True)
+class CameraView:
+    """What one camera receives of a frame, before its sensor.
+
+    Attributes
+    ----------
+    photons : (rows, columns) mean number that each pixel receives in one exposure.
+    traced_radiance : (rows, columns) where the renderer gives it; else it follows from the photons.
+    particles : images of the tracers; None without any.
+    sight : what each pixel sees of bubbles and bodies; None without any.
+    error : mean relative standard error of `photons`; None for a renderer without random rays.
+    """
+
+    camera: Camera
+    photons: F64
+    traced_radiance: F64 | None = None
+    particles: ParticleImages | None = None
+    sight: Sight | None = None
+    error: float | None = None
+
+    def radiance(self) -> F64:
+        """Photons / (mm2 sr) in front of the lens; 0 where a distorted lens shows nothing."""
+        if self.traced_radiance is not None:
+            return self.traced_radiance
+        etendue, dark = self.camera.etendue(), np.zeros_like(self.photons)
+        return np.divide(self.photons, etendue, out=dark, where=etendue > 0.0)
+
+
+def render(frame: FrameContent, camera: int) -> CameraView:
+    """Render a frame as one camera of its rig sees it; `camera` is its number there."""
+    if frame.target is not None:
+        return _render_target(frame, camera)
+    if frame.bubbles is not None:
+        return _render_bubbles(frame, frame.bubbles, camera)
+    if frame.tracers is not None:
+        return _render_tracers(frame, frame.tracers, camera)
+    raise ValueError(f"frame {frame.number}: expected something to render, got an empty frame")
+
+
+def _render_tracers(frame: FrameContent, tracers: Tracers, number: int) -> CameraView:
+    """Tracers alone: the mean over the parts of the pulse."""
+    camera, parts = frame.rig.cameras[number], len(tracers.positions_mm)
+    images = _image(frame, tracers, camera)
+    total = np.zeros((camera.rows, camera.columns))
+    for positions in tracers.positions_mm:
+        moment = replace(tracers, particles=replace(tracers.particles, position_mm=positions))
+        middle = positions is tracers.particles.position_mm
+        part = images if middle else _image(frame, moment, camera)
+        total += _render_part(frame, camera, part, positions) / parts
+    if frame.renderer == "splat":
+        return CameraView(camera, total, particles=images)
+    return CameraView(camera, total * camera.etendue(), total, images)
+
+
+def _render_part(frame: FrameContent, camera: Camera, images: ParticleImages, at_mm: F64) -> F64:
+    """Photons of the analytic renderer, or radiance of the traced one, of one part of a pulse."""
+    if frame.renderer == "splat":
+        return particles_splatted.render(camera, images)
+    samples = frame.scene.render.samples_per_pixel
+    return particles_traced.render(camera, images, at_mm, samples, frame.rig.occluders)
+
+
+def _image(frame: FrameContent, tracers: Tracers, camera: Camera) -> ParticleImages:
+    return image_particles(
+        frame.scene, camera, tracers.particles, tracers.table, frame.rig.occluders
+    )
+
+
+def _render_bubbles(frame: FrameContent, bubbles: Bubbles, number: int) -> CameraView:
+    """Bubbles and bodies, with or without tracers among them."""
+    scene, camera = frame.scene, frame.rig.cameras[number]
+    tank, seed = tank_of(scene, frame.rig), frame.path_seed(number)
+    lights = lights_of(scene)
+    shown = bubbles_traced.render(
+        camera,
+        tank,
+        bubbles,
+        frame.bodies,
+        lights,
+        scene.render.relative_error or _ERROR,
+        seed,
+        occluders=frame.rig.occluders,
+        exposure_s=scene.sensor.exposure_s,
+    )
+    sight = see(camera, bubbles, frame.solids)
+    if frame.tracers is None:
+        return CameraView(camera, shown.photons, sight=sight, error=shown.error)
+    images = _shaded(frame, frame.tracers, camera, sight)
+    glow = bubbles_traced.render(
+        camera,
+        tank,
+        bubbles,
+        frame.bodies,
+        replace(lights, backlight=None, lighting=None),
+        _GLOW_ERROR,
+        seed + (1 << 20),
+        occluders=frame.rig.occluders,
+        images=images,
+        particles_mm=frame.tracers.particles.position_mm,
+    )
+    photons = shown.photons + glow.photons
+    return CameraView(camera, photons, particles=images, sight=sight, error=shown.error)
+
+
+def tank_of(scene: Scene, rig: Rig) -> Tank:
+    """Walls of a scene."""
+    layers = (scene.wall.rear or ()) if scene.wall else ()
+    rear = tuple(Layer(layer.name, layer.index, layer.thickness_mm) for layer in layers)
+    return Tank(rig.wall, rear)
+
+
+def lights_of(scene: Scene) -> Lights:
+    """Lights of a scene, but for the laser."""
+    center = np.asarray(scene.volume.center_mm)
+    return Lights(scene.backlight, scene.lighting, center, full_well_photons(scene.sensor))
+
+
+def _shaded(frame: FrameContent, tracers: Tracers, camera: Camera, sight: Sight) -> ParticleImages:
+    """Images of tracers: dark in shadows of bubbles and bodies, invisible behind them."""
+    images = _image(frame, tracers, camera)
+    covered = hidden(camera, tracers.particles.position_mm, images.pixel, sight)
+    reached = True if tracers.illuminated is None else tracers.illuminated
+    return replace(
+        images,
+        photons=images.photons * reached,
+        intensity=images.intensity * reached,
+        visible=images.visible & ~covered,
+    )
+
+
+def _render_target(frame: FrameContent, number: int) -> CameraView:
+    """A calibration target under lamps."""
+    scene, camera = frame.scene, frame.rig.cameras[number]
+    if scene.lighting is None or frame.target is None or frame.pose is None:
+        raise ValueError(f"frame {frame.number}: expected a target under lamps")
+    saturation = targets_traced.render(
+        camera,
+        frame.target,
+        frame.pose,
+        scene.lighting,
+        np.asarray(scene.volume.center_mm),
+        scene.render.samples_per_pixel,
+    )
+    return CameraView(camera, full_well_photons(scene.sensor) * saturation)

@@ -1,0 +1,74 @@
+"""Content of one frame: bubbles, bodies, tracers or a calibration target, with what records them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from sabench.api import Material
+from sabench.api.truth import Bubbles, Particles, Solid, Target
+from sabench.geometry.frames import Pose
+from sabench.scenes import Rig, Scene
+from sabench.simulation.rendering.mie import MieTable
+from sabench.utils.arrays import F64, Bool
+from sabench.utils.rng import stream
+
+
+@dataclass(frozen=True)
+class Tracers:
+    """Tracers of one frame and how they scatter.
+
+    Attributes
+    ----------
+    particles : at the middle of the pulse.
+    positions_mm : their positions (n, 3) in the middle of equal parts of the pulse; one array for a
+        short pulse.
+    table : how they scatter; None for isotropic scattering.
+    illuminated : (n,) whether the laser reaches each; None where nothing throws shadows.
+    """
+
+    particles: Particles
+    positions_mm: tuple[F64, ...]
+    table: MieTable | None
+    illuminated: Bool | None = None
+
+
+@dataclass(frozen=True)
+class FrameContent:
+    """Everything that the cameras see in one frame.
+
+    Attributes
+    ----------
+    scene : with the laser as it is in this frame.
+    rig : the true optics.
+    seed, number : of the data set, and of the frame.
+    renderer : mitsuba or splat.
+    bubbles : None in a scene without bubbles and bodies.
+    bodies : closed surfaces and what they are made of.
+    target, pose : the calibration target, and its position and rotation.
+    """
+
+    scene: Scene
+    rig: Rig
+    seed: int
+    number: int
+    renderer: str
+    bubbles: Bubbles | None = None
+    bodies: tuple[tuple[Solid, Material], ...] = ()
+    tracers: Tracers | None = None
+    target: Target | None = None
+    pose: Pose | None = None
+
+    @property
+    def solids(self) -> list[Solid]:
+        """Surfaces of the bodies."""
+        return [solid for solid, _ in self.bodies]
+
+    def path_seed(self, camera: int) -> int:
+        """Seed of the random light paths to one camera, by its number in the rig."""
+        return int(stream(self.seed, "light paths", self.number, camera).integers(1 << 20))
+
+    def sensor_noise(self, camera: int) -> np.random.Generator:
+        """Random numbers of one camera's sensor, by its number in the rig."""
+        return stream(self.seed, "sensor", self.number, camera)

@@ -1,0 +1,125 @@
+"""Frames of a scene: what the generators make, and how the laser illuminates it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from sabench.api.truth import Bubbles, Particles
+from sabench.geometry.camera import Camera
+from sabench.scenes import BubbleWorld, Rig, Scene, TargetWorld
+from sabench.simulation.frame_content import FrameContent, Tracers
+from sabench.simulation.obstacles import inside, obstructed
+from sabench.simulation.rendering.particle_images import scattering_table
+from sabench.utils.arrays import F64, Bool
+from sabench.utils.errors import InputError
+from sabench.worlds import calibration_targets
+from sabench.worlds.bubbles_and_bodies import Phases
+from sabench.worlds.tracers import Motion, moments, pulse
+
+_STREAK_PX = 0.5  # of a streak, for each position that stands for it
+
+
+class Frames:
+    """All frames of a scene and seed.
+
+    Parameters
+    ----------
+    rig : the true optics.
+    renderer : mitsuba or splat.
+
+    Raises
+    ------
+    InputError
+        Tracers among bubbles or bodies under a pulse of finite duration.
+    """
+
+    def __init__(self, scene: Scene, rig: Rig, seed: int, renderer: str = "mitsuba") -> None:
+        self.scene, self.rig, self.seed, self.renderer = scene, rig, seed, renderer
+        world, timing = scene.world, scene.timing
+        among = isinstance(world, BubbleWorld) and world.tracers is not None
+        if among and timing is not None and timing.duration_s:
+            raise InputError(
+                f"{scene.title}: timing.duration_s: expected 0 for tracers among bubbles or "
+                f"solids, got {timing.duration_s:g}"
+            )
+        self._phases = Phases(scene, seed) if isinstance(world, BubbleWorld) else None
+        self.motion = Motion(scene, seed) if scene.tracers else None
+        is_target = isinstance(world, TargetWorld)
+        self.placed = calibration_targets.place(scene, seed) if is_target else None
+
+    @property
+    def chained(self) -> bool:
+        """Whether a frame can only be made after the one before it."""
+        return self.motion is not None and self.motion.chained
+
+    def at(self, number: int) -> FrameContent:
+        """Make a frame; tracers inside bubbles and bodies are left out. Raises as `Phases`."""
+        bubbles = self._phases.bubbles(number) if self._phases else None
+        particles = self.motion.at(number) if self.motion else None
+        if self._phases is None or bubbles is None or particles is None:
+            return self.assemble(number, bubbles, particles)
+        solids = [solid for solid, _ in self._phases.bodies(number)]
+        particles = _chosen(particles, ~inside(bubbles, solids, particles.position_mm))
+        direction = np.asarray(self.scene.particle_world.illumination.direction)
+        back = np.tile(-direction / np.linalg.norm(direction), (len(particles), 1))
+        dark = obstructed(bubbles, solids, particles.position_mm, back)
+        return self.assemble(number, bubbles, particles, ~dark)
+
+    def assemble(
+        self,
+        number: int,
+        bubbles: Bubbles | None = None,
+        particles: Particles | None = None,
+        illuminated: Bool | None = None,
+    ) -> FrameContent:
+        """Put a frame together from its bubbles and tracers, as `at` has made them."""
+        scene, tracers = self.scene, None
+        if particles is not None:
+            scene = scene.model_copy(update={"illumination": pulse(scene, self.seed, number)})
+            table = scattering_table(scene, self.rig.cameras, particles)
+            tracers = Tracers(particles, self._positions(particles, number), table, illuminated)
+        return FrameContent(
+            scene,
+            self.rig,
+            self.seed,
+            number,
+            self.renderer,
+            bubbles,
+            tuple(self._phases.bodies(number)) if self._phases else (),
+            tracers,
+            self.placed.target if self.placed else None,
+            self.placed.poses[number] if self.placed else None,
+        )
+
+    def _positions(self, particles: Particles, number: int) -> tuple[F64, ...]:
+        """Positions along each path: as many as its longest image has halves of a pixel."""
+        duration = self.scene.timing.duration_s if self.scene.timing else 0.0
+        if duration == 0.0 or not len(particles):
+            return (particles.position_mm,)
+        early, late = (
+            self._moved(particles, number, delay) for delay in (-duration / 2.0, duration / 2.0)
+        )
+        longest = max(_longest_px(camera, early, late) for camera in self.rig.cameras)
+        steps = max(1, int(np.ceil(longest / _STREAK_PX)))
+        return tuple(self._moved(particles, number, delay) for delay in moments(duration, steps))
+
+    def _moved(self, particles: Particles, number: int, delay_s: float) -> F64:
+        """Positions (n, 3) some time before or after the middle of the pulse."""
+        if self.motion is None or delay_s == 0.0:
+            return particles.position_mm
+        return self.motion.moved(particles, number, delay_s)
+
+
+def _longest_px(camera: Camera, early_mm: F64, late_mm: F64) -> float:
+    """Length of the longest image of paths between two sets of positions (n, 3)."""
+    ends = [camera.project(points)[0] for points in (early_mm, late_mm)]
+    return float(np.nanmax(np.linalg.norm(ends[1] - ends[0], axis=1)))
+
+
+def _chosen(particles: Particles, which: Bool) -> Particles:
+    return Particles(
+        particles.id[which],
+        particles.position_mm[which],
+        particles.diameter_mm[which],
+        particles.velocity_mm_s[which],
+    )

@@ -1,0 +1,120 @@
+"""Camera rays that the three integrators share, as Dr.Jit arrays.
+
+Import this module only after sabench.utils.backend.mitsuba(): its types are those of the variant
+that is set then.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+import numpy.typing as npt
+
+from sabench.geometry.camera import Camera, Distortion
+from sabench.geometry.occluders import Disc
+from sabench.utils.arrays import F32, F64
+
+WAVEFRONT = 1 << 22  # rays traced simultaneously: bounds memory, not results
+
+
+def render_rows(camera: Camera, samples: int, trace: Callable[[int, int], Any]) -> F32:
+    """Mean radiance (rows, columns) of `samples` rays a pixel, a band of rows at a time.
+
+    Rays of one pixel are neighbours and are added up in their order, so that the image does not
+    depend on how threads are scheduled (a film, to which threads add as they finish, would).
+
+    Parameters
+    ----------
+    trace : radiance of the rays of some rows, pixel by pixel; arguments: the first row, and how
+        many.
+    """
+    rows = max(1, WAVEFRONT // (camera.columns * samples))
+    bands = []
+    for first in range(0, camera.rows, rows):
+        count = min(rows, camera.rows - first)
+        band = dr.block_sum(trace(first, count), samples) * (1.0 / samples)
+        bands.append(np.array(band, dtype=np.float32).reshape(count, camera.columns))
+    return np.concatenate(bands)
+
+
+def pixels_of_rows(camera: Camera, count: int, samples: int) -> tuple[Any, Any, Any]:
+    """Row and column of the pixels of `count` rows, and the number of each of their rays."""
+    index = dr.arange(mi.UInt32, count * camera.columns * samples)
+    pixel = index // samples
+    return pixel // camera.columns, pixel % camera.columns, index % samples
+
+
+def pinhole_rays(camera: Camera, origin: F64, column: Any, row: Any, first: int = 0) -> Any:
+    """Rays from the pinhole.
+
+    Parameters
+    ----------
+    origin : world point that is the scene's (0, 0, 0).
+    column, row : pixel coordinates; (0, 0) is the centre of a pixel.
+    first : row of the image at which `row` starts counting.
+    """
+    x, y = _ideal(camera, column, row, first)
+    right, below, forward = (opaque(axis) for axis in camera.rotation)
+    start = mi.Point3f(opaque(np.asarray(camera.center_mm) - origin))
+    return mi.Ray3f(start, dr.normalize(x * right + y * below + forward))
+
+
+def lens_rays(
+    camera: Camera, origin: F64, column: Any, row: Any, lens_mm: tuple[Any, Any], first: int = 0
+) -> Any:
+    """Rays from points of the aperture, right and down from its middle, to the plane in focus.
+
+    Other parameters as `pinhole_rays`.
+    """
+    x, y = _ideal(camera, column, row, first)
+    a, b = lens_mm
+    right, below, forward = (opaque(axis) for axis in camera.rotation)
+    focus = dr.opaque(mi.Float, camera.focus_mm)
+    start = mi.Point3f(opaque(np.asarray(camera.center_mm) - origin)) + a * right + b * below
+    way = (x * focus - a) * right + (y * focus - b) * below + focus * forward
+    return mi.Ray3f(start, dr.normalize(way))
+
+
+def _ideal(camera: Camera, column: Any, row: Any, first: int) -> tuple[Any, Any]:
+    """Undistorted image coordinates, x/z and y/z."""
+    center, scale = camera.principal_point_px, dr.opaque(mi.Float, 1.0 / camera.focal_px)
+    u = (column - dr.opaque(mi.Float, center[0])) * scale
+    v = (row + dr.opaque(mi.Float, first - center[1])) * scale
+    return undistorted(camera.distortion, u, v)
+
+
+def undistorted(lens: Distortion, u: Any, v: Any) -> tuple[Any, Any]:
+    """Invert the distortion by a fixed point; a dozen steps reach single precision.
+
+    A copy of `Camera.ideal`, the reference, for arrays of Dr.Jit; tied to it by
+    test_projection_copies.py::test_renderers_undistort_as_cameras_do.
+    """
+    x, y = u, v
+    for _ in range(0 if lens == Distortion() else 12):
+        s = x * x + y * y
+        radial = s * (lens.k1 + s * (lens.k2 + s * lens.k3))
+        shift_x = x * radial + 2.0 * lens.p1 * x * y + lens.p2 * (s + 2.0 * x * x)
+        shift_y = y * radial + lens.p1 * (s + 2.0 * y * y) + 2.0 * lens.p2 * x * y
+        x, y = u - shift_x, v - shift_y
+    return x, y
+
+
+def opaque(vector: npt.ArrayLike) -> Any:
+    """Give a vector (3,) to the device so that all kernels are shared, whatever its value."""
+    values = np.asarray(vector, dtype=np.float64).tolist()
+    return mi.Vector3f(*(dr.opaque(mi.Float, value) for value in values))
+
+
+def unobstructed(rays: Any, occluders: tuple[Disc, ...], origin: F64) -> Any:
+    """Whether no disc stops a ray: the same test as Disc.stops."""
+    free = mi.Bool(True)
+    for disc in occluders:
+        offset, normal = mi.Point3f(opaque(disc.center_mm - origin)) - rays.o, opaque(disc.normal)
+        distance = dr.dot(offset, normal) / dr.dot(rays.d, normal)
+        across = dr.norm(distance * rays.d - offset)
+        free &= ~((distance > 0.0) & (across <= dr.opaque(mi.Float, disc.radius_mm)))
+    return free
