@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
-
 import numpy as np
 
 from sabench.algorithms.calibration.target_detection import detect
@@ -148,7 +146,10 @@ def _truth(frame: FrameContent) -> Part:
     if frame.tracers is not None:
         part |= _fields(group, frame.tracers.particles, _PARTICLES)
     if frame.pose is not None:
-        part |= {f"{group}/{name}": value for name, value in asdict(frame.pose).items()}
+        part |= {
+            f"{group}/turn": frame.pose.rotation,
+            f"{group}/place_mm": frame.pose.position_mm,
+        }
     return part
 
 
