@@ -46,7 +46,7 @@ class BubblesTask(FrameByFrame):
     # fmt: off
     scores = (
         Score("f1_large", "F1, large", "", "larger", 3,
-              "harmonic mean of precision and recall of bubbles from 0.5 mm radius on; found: "
+              "harmonic mean of precision and recall, bubbles of 0.5 mm radius and more; found: "
               "closer than half a radius", counted=True),
         Score("f1", "F1", "", "larger", 3,
               "the same, all bubbles", counted=True),
@@ -57,11 +57,10 @@ class BubblesTask(FrameByFrame):
         Score("recall", "recall", "", "larger", 3,
               "share of the bubbles that were found", counted=True),
         Score("recall_hidden", "recall, hidden", "", "larger", 3,
-              "share found of bubbles of which the cameras see less than nine tenths, mean "
-              "over cameras", counted=True),
+              "recall of bubbles of which the cameras see less than nine tenths, mean over "
+              "cameras", counted=True),
         Score("recall_dense", "recall, dense", "", "larger", 3,
-              "share found of bubbles around which, within 6 mm, others fill a hundredth or "
-              "more", counted=True),
+              "recall of bubbles around which, within 6 mm, others fill a hundredth or more", counted=True),
         Score("radius_percent", "radius %", "%", "smaller", 2,
               "median error of the radius of found bubbles of 0.5 mm and more"),
         Score("axes_percent", "axes %", "%", "smaller", 2,
@@ -86,15 +85,14 @@ class BubblesTask(FrameByFrame):
         Score("width_percent", "s %", "%", "smaller", 1,
               "error of s of equation 5.18"),
         Score("link_recall", "link recall", "", "larger", 3,
-              "share of the bubbles found in two frames that follow each other that one track "
-              "joins", counted=True),
+              "share of the bubbles found in two consecutive frames that one trajectory joins", counted=True),
         Score("link_precision", "link precision", "", "larger", 3,
               "share of the links between such frames that join the same bubble", counted=True),
         Score("effectiveness", "effectiveness", "", "larger", 3,
-              "share of a bubble's frames in which its longest track has it, mean over the "
+              "share of a bubble's frames in which its longest trajectory has it, mean over the "
               "bubbles", counted=True),
         Score("velocity_mm_s", "velocity mm/s", "mm/s", "smaller", 2,
-              "median error of the velocity of right links, against the true mean velocity "
+              "median error of the velocity of correct links, against the true mean velocity "
               "between the frames"),
         Score("velocity_percent", "velocity %", "%", "smaller", 2,
               "the same over that velocity"),

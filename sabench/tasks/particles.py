@@ -47,22 +47,22 @@ class ParticlesTask(Task):
         Score("recall", "recall", "", "larger", 3,
               "share of the true particles that were found", counted=True),
         Score("ghost_percent", "ghost %", "%", "smaller", 1,
-              "detections that are no true particle, relative to those that are", counted=True),
+              "false detections, relative to the true ones", counted=True),
         Score("rms_px", "rms px", "px", "smaller", 3,
-              "root mean square distance of found from true particles in the images, mean "
-              "over cameras and pairs"),
+              "root mean square distance of found from true particles in the images, over "
+              "cameras and pairs"),
         Score("rms_mm", "rms mm", "mm", "smaller", 4,
               "root mean square distance between them in space"),
         Score("link_recall", "link recall", "", "larger", 3,
-              "share of the particles found in two frames that follow each other that one "
-              "track joins", counted=True),
+              "share of the particles found in two consecutive frames that one trajectory "
+              "joins", counted=True),
         Score("link_precision", "link precision", "", "larger", 3,
               "share of the links between such frames that join the same particle", counted=True),
         Score("effectiveness", "effectiveness", "", "larger", 3,
-              "share of a particle's frames in which its longest track has it, mean over the "
-              "particles", counted=True),
+              "share of a particle's frames in which its longest trajectory has it, mean over "
+              "the particles", counted=True),
         Score("velocity_mm_s", "velocity mm/s", "mm/s", "smaller", 3,
-              "median error of the velocity of right links, against the true mean velocity "
+              "median error of the velocity of correct links, against the true mean velocity "
               "between the frames"),
         Score("velocity_percent", "velocity %", "%", "smaller", 2,
               "the same over that velocity"),

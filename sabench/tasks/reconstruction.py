@@ -42,25 +42,24 @@ class ReconstructionTask(FrameByFrame):
         Score("true_percent", "true %", "%", "larger", 1,
               "share of the true particles that were found within 1.5 voxels", counted=True),
         Score("ghost_percent", "ghost %", "%", "smaller", 1,
-              "detections that are no true particle, relative to those that are", counted=True),
+              "false detections, relative to the true ones", counted=True),
         Score("precision", "precision", "", "larger", 3,
               "share of the detections that are true, closer than 1 voxel along every axis, "
               "one to one", counted=True),
         Score("recall", "recall", "", "larger", 3,
               "share of the true particles that were found, by the same rule", counted=True),
-        Score("rms_px", "rms px", "px", "smaller", 3,
+        Score("rms_px", "rms px", "voxel", "smaller", 3,
               "root mean square distance between the pairs of that rule"),
         Score("peak_true_percent", "peak true %", "%", "larger", 1,
-              "true %, but with particles found as local maxima: those that touch are still "
-              "two", counted=True),
+              "true %, with particles found as local maxima: touching ones count as two", counted=True),
         Score("peak_ghost_percent", "peak ghost %", "%", "smaller", 1,
-              "ghost % of these", counted=True),
+              "ghost %, with particles found as local maxima", counted=True),
         Score("peak_precision", "peak precision", "", "larger", 4,
-              "precision of these", counted=True, hidden=True),
+              "precision, with particles found as local maxima", counted=True, hidden=True),
         Score("peak_recall", "peak recall", "", "larger", 4,
-              "recall of these", counted=True, hidden=True),
-        Score("peak_rms_px", "peak rms px", "px", "smaller", 4,
-              "rms px of these", hidden=True),
+              "recall, with particles found as local maxima", counted=True, hidden=True),
+        Score("peak_rms_px", "peak rms px", "voxel", "smaller", 4,
+              "rms px, with particles found as local maxima", hidden=True),
     )
     # fmt: on
     captions = Captions(

@@ -36,18 +36,18 @@ class SeeThroughTask(FrameByFrame):
     # fmt: off
     scores = (
         Score("read_percent", "read %", "%", "larger", 1,
-              "cells of a code behind bubbles that are read right in the plane where it is; "
-              "guessing gives 50", counted=True),
+              "share of correctly read cells of a code behind bubbles, in its plane; guessing "
+              "gives 50", counted=True),
         Score("separation", "d'", "", "larger", 2,
               "difference of the mean bright and dark cells over their scatter"),
         Score("contrast", "contrast", "", "larger", 3,
               "difference of these means over their sum"),
         Score("single_percent", "single views, read %", "%", "steady", 1,
-              "the same of single images, mean over the cameras"),
+              "read % of single images, mean over the cameras"),
         Score("best_single_percent", "best view, read %", "%", "steady", 1,
-              "the best single image"),
+              "read % of the best single image"),
         Score("single_separation", "single views, d'", "", "steady", 2,
-              "the separation in single images, mean over the cameras"),
+              "d' of single images, mean over the cameras"),
     )
     # fmt: on
     captions = Captions(

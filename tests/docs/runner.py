@@ -18,6 +18,7 @@ from typing import Any
 import tomli_w
 
 import sabench
+from sabench.evaluation.hidden_split import read_secret
 from sabench.evaluation.suites import Suite, load_suite
 from sabench.scenes import scene_schema
 from sabench.tasks.own_calibration import Configuration
@@ -74,6 +75,8 @@ class Page:
         values = tomllib.loads(block.text)
         if "target_mm" in values:
             Configuration.model_validate(values)
+        elif "secret" in values:
+            read_secret(self._written(block.text))
         elif values.keys() <= scene_schema()["properties"].keys():
             sabench.load_scene(self._completed("scenes/quick.toml", values))
         elif values.keys() <= Suite.model_fields.keys():
@@ -88,8 +91,12 @@ class Page:
             old = whole.get(key)
             keep = isinstance(old, dict) and isinstance(value, dict) and "generator" not in value
             whole[key] = old | value if keep else value
-        path = self.folder / "completed.toml"
-        path.write_text(tomli_w.dumps(whole), encoding="utf-8")
+        return self._written(tomli_w.dumps(whole))
+
+    def _written(self, text: str) -> Path:
+        """Write a TOML file."""
+        path = self.folder / "block.toml"
+        path.write_text(text, encoding="utf-8")
         return path
 
     def command(self, line: str) -> str:

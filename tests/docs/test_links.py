@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import pytest
 
 from tests.docs.pages import PAGES, ROOT, anchors, links
@@ -29,3 +31,19 @@ def test_every_page_is_in_the_index() -> None:
     linked = {(folder / target.partition("#")[0]).resolve() for _, target in links("docs/index.md")}
     pages = set(folder.rglob("*.md")) - {folder / "index.md"}
     assert not {path.relative_to(ROOT).as_posix() for path in pages - linked}
+
+
+def test_every_page_that_code_names_exists() -> None:
+    folders = ("sabench", "solvers", "generators", "scenes", "examples", "benchmarks", "tests")
+    files = [
+        ROOT / "pyproject.toml",
+        *(file for one in folders for file in (ROOT / one).rglob("*")),
+    ]
+    named = {
+        (file.relative_to(ROOT).as_posix(), page)
+        for file in files
+        if file.suffix in (".py", ".toml", ".cpp")
+        for page in re.findall(r"\bdocs/[\w/-]+\.md", file.read_text(encoding="utf-8"))
+    }
+    assert named
+    assert not {(file, page) for file, page in named if not (ROOT / page).is_file()}

@@ -18,5 +18,5 @@ def _listed() -> dict[str, set[str]]:
 def test_readme_lists_every_solver_under_its_task() -> None:
     found: dict[str, set[str]] = {}
     for name in plugins.names("solvers"):
-        found.setdefault(plugins.load("solvers", name).track, set()).add(name)
+        found.setdefault(plugins.load("solvers", name).task, set()).add(name)
     assert _listed() == found
