@@ -188,7 +188,7 @@ def _offsets(spec: GridLayout | RingLayout | LineLayout | CrossLayout) -> F64:
 
 
 def _build_cameras(scene: Scene, wall: Wall | None) -> tuple[Camera, ...]:
-    """Build all cameras; one error for those of all."""
+    """Build all cameras, collecting the faults of all."""
     cameras, check = [], Collector("")
     for number, place in enumerate(_places(scene.cameras)):
         with check.collect():
@@ -199,7 +199,7 @@ def _build_cameras(scene: Scene, wall: Wall | None) -> tuple[Camera, ...]:
 
 
 def _alike(faults: list[str]) -> list[str]:
-    """One of the faults that differ by numbers only, with the number of the others."""
+    """Keep one of the faults that differ by numbers only, and count the others."""
     kinds: dict[str, list[str]] = {}
     for fault in faults:
         kinds.setdefault(re.sub(r"[-+.\de]+", "", fault), []).append(fault)

@@ -10,7 +10,13 @@ from sabench.utils.errors import InputError
 
 
 def find(name: str | Path, folder: str) -> Path:
-    """`name` as a path, or as the stem of a TOML file in a bundled folder (scenes, scenes/suites)."""
+    """Find a file by its path, or by its stem in a bundled folder (scenes, scenes/suites).
+
+    Raises
+    ------
+    InputError
+        No such file, with the nearest name.
+    """
     direct = Path(name)
     if any(len(part.encode("utf-8", "replace")) > 255 for part in direct.parts) or "\0" in str(
         name

@@ -10,18 +10,20 @@ from sabench.utils.fields import LensNumber, Positive, Table
 
 
 class KnownPoint(Table):
-    """A point of a target whose place was measured by other means."""
+    """Point of a target whose position was measured by other means."""
 
-    frame: int = Field(0, ge=0, description="which placing of the target")
-    point: int = Field(ge=0, description="which of its points")
+    frame: int = Field(0, ge=0, description="frame that shows the target")
+    point: int = Field(ge=0, description="number of the point")
     axes: Annotated[str, Field(pattern="^x?y?z?$", min_length=1)] = Field(
-        "xyz", description="coordinates that are known"
+        "xyz", description="known coordinates"
     )
     sigma_mm: Positive = Field(0.05, description="standard deviation of each of them")
 
 
 class Calibration(Table):
-    """How wrongly solvers are told the cameras, and a target's places; without this table they are told the truth.
+    """Errors of the nominal cameras and of the initial guess of a target's positions.
+
+    Without this table solvers receive the true ones.
 
     Errors are normally distributed, each number of each camera or point on its own.
     """
@@ -29,7 +31,8 @@ class Calibration(Table):
     shift_px: float = Field(
         0.0,
         ge=0.0,
-        description="every principal point is told this far from the true one, in a random direction of its own",
+        description="distance of every nominal principal point from the true one, in a random "
+        "direction for each camera",
     )
     center_mm: float = Field(
         0.0, ge=0.0, description="standard deviation of each coordinate of the pinholes"
@@ -45,33 +48,36 @@ class Calibration(Table):
     points: float = Field(
         0.0,
         ge=0.0,
-        description="standard deviation of each coordinate of the target's points, over the volume's largest edge",
+        description="standard deviation of each coordinate of the target's points, divided by the "
+        "volume's largest edge",
     )
     blank: bool = Field(
         False,
-        description="places of the target are told as all alike: unturned, at the volume's centre",
+        description="the initial guess is the same for all frames: no rotation, at the volume's "
+        "centre",
     )
-    known: tuple[KnownPoint, ...] = Field((), description="points whose places are known")
+    known: tuple[KnownPoint, ...] = Field((), description="points whose positions are known")
     unknown: tuple[LensNumber, ...] | None = Field(
         None,
-        description="what nobody has measured of the lenses: solvers are told so, and coefficients of distortion as zero",
+        description="unmeasured numbers of the lenses; solvers receive their names, and zero for "
+        "coefficients of distortion",
     )
 
 
 class Detection(Table):
-    """How a target's points come out of the cameras' images, where no images are rendered."""
+    """Errors of detected points of a target, where no images are rendered."""
 
     noise_px: float = Field(0.0, ge=0.0, description="standard deviation of each pixel coordinate")
     missing: float = Field(
-        0.0, ge=0.0, lt=1.0, description="share of points that are not found, at random"
+        0.0, ge=0.0, lt=1.0, description="share of points that are not detected, at random"
     )
     hidden: float = Field(
         0.0,
         ge=0.0,
         lt=1.0,
-        description="share of a camera's views of a target in which something hides a part of it",
+        description="share of a camera's views of a target that are partly hidden",
     )
     outliers: float = Field(
-        0.0, ge=0.0, lt=1.0, description="share of found points that are elsewhere"
+        0.0, ge=0.0, lt=1.0, description="share of detected points that are outliers"
     )
-    outlier_px: Positive = Field(20.0, description="standard deviation of each coordinate of where")
+    outlier_px: Positive = Field(20.0, description="standard deviation of an outlier's coordinates")

@@ -10,7 +10,7 @@ from sabench.utils.fields import Direction, Positive, Table, Vector
 
 
 class GridLayout(Table):
-    """Cameras in columns and rows; evenly by count and spacing, or unevenly by lists of offsets."""
+    """Cameras in columns and rows: uniform by count and spacing, or at given offsets."""
 
     kind: Literal["grid"]
     columns: int | None = Field(None, ge=1)
@@ -51,7 +51,7 @@ class LineLayout(Table):
 
 
 class CrossLayout(Table):
-    """A camera in the centre and four arms."""
+    """Camera in the centre, with four arms of cameras."""
 
     kind: Literal["cross"]
     arm: int = Field(ge=1, description="cameras per arm")
@@ -59,17 +59,20 @@ class CrossLayout(Table):
 
 
 class Place(Table):
-    """One camera of an explicit list, aimed at a point (by default the array's) or turned by a rotation matrix."""
+    """Position of one camera of a list, with its aim point or its rotation matrix.
+
+    By default it is aimed at the array's aim point.
+    """
 
     center_mm: Vector
     aim_mm: Vector | None = None
     rotation: tuple[Vector, Vector, Vector] | None = Field(
-        None, description="world to camera; rows are its X, Y, Z axes"
+        None, description="from world to camera axes; its rows are the camera's X, Y, Z axes"
     )
 
 
 class ListLayout(Table):
-    """Cameras one by one."""
+    """Cameras at listed positions."""
 
     kind: Literal["list"]
     places: tuple[Place, ...] = Field(min_length=1)
@@ -86,7 +89,7 @@ class DistortionSpec(Table):
 
 
 class Cameras(Table):
-    """An array of equal cameras."""
+    """Array of equal cameras."""
 
     rows: int = Field(ge=8, le=20000)
     columns: int = Field(ge=8, le=20000)
@@ -95,18 +98,19 @@ class Cameras(Table):
     f_number: Positive
     focus_mm: Positive | None = Field(
         None,
-        description="distance of sharp points in air; by default each camera's aim point is sharp",
+        description="focus distance in air; by default each camera is focused on its aim point",
     )
     distortion: DistortionSpec = DistortionSpec()
     particle_sigma_px: Positive | None = Field(
         None,
-        description="standard deviation of every particle's image; by default it follows from diffraction, size and defocus",
+        description="standard deviation of every particle's image; by default it follows from "
+        "diffraction, size and defocus",
     )
     center_mm: Vector = Field((0.0, 0.0, 0.0), description="centre of the array (not for lists)")
     x_axis: Direction = Field((1.0, 0.0, 0.0), description="direction of the array's columns")
     y_axis: Direction = Field((0.0, 1.0, 0.0), description="direction of the array's rows")
     aim_mm: Vector | None = Field(
-        None, description="point that images at every image centre; by default the volume's centre"
+        None, description="point at every image centre; by default the volume's centre"
     )
     layout: GridLayout | RingLayout | LineLayout | CrossLayout | ListLayout = Field(
         discriminator="kind"

@@ -13,18 +13,18 @@ from sabench.utils.validation import refuse
 
 
 class Illumination(Table):
-    """One laser pulse per frame, as a sheet or slab."""
+    """Laser pulse of a frame, as a sheet or slab."""
 
     wavelength_nm: Positive = Field(532.0, description="in vacuum")
     pulse_energy_mj: Positive
-    direction: Vector = Field((1.0, 0.0, 0.0), description="in which the light travels")
-    sheet_normal: Vector = Field((0.0, 0.0, 1.0), description="across the sheet")
+    direction: Vector = Field((1.0, 0.0, 0.0), description="direction of propagation")
+    sheet_normal: Vector = Field((0.0, 0.0, 1.0), description="normal of the sheet")
     thickness_mm: Positive = Field(description="full width (top-hat) or e^-2 width (gaussian)")
     height_mm: Positive = Field(
         description="width of the sheet at right angles to its direction and normal"
     )
     shift_mm: float | None = Field(
-        None, description="how far the sheet's middle lies from the volume's, along its normal"
+        None, description="offset of the sheet's middle from the volume's centre, along the normal"
     )
     profile: Literal["top-hat", "gaussian"] = "top-hat"
     scattering: Literal["mie", "isotropic"] = "mie"
@@ -41,27 +41,29 @@ class Illumination(Table):
 
 
 class Timing(Table):
-    """When frames are taken: groups of pulses, one frame each, and what differs from pulse to pulse.
+    """Times of frames, in groups of pulses of one frame each, and how pulses differ.
 
     One pulse a group is a time-resolved sequence, two are frame straddling (double frames), four a
     four-pulse system.
     """
 
-    rate_hz: Positive = Field(description="of the groups")
+    rate_hz: Positive = Field(description="rate of the groups")
     pulses_s: tuple[Annotated[float, Field(ge=0.0)], ...] = Field(
         (0.0,), min_length=1, description="times of a group's pulses, from its start"
     )
     energy: tuple[Positive, ...] | None = Field(
-        None, description="of each of a group's pulses, over the illumination's"
+        None, description="energy of each pulse of a group, divided by the illumination's"
     )
     energy_spread: float = Field(
-        0.0, ge=0.0, lt=1.0, description="standard deviation of each pulse's energy, over its mean"
+        0.0, ge=0.0, lt=1.0, description="relative standard deviation of each pulse's energy"
     )
     shift_mm: tuple[float, ...] | None = Field(
         None,
-        description="of each of a group's sheets along its normal: lasers are never aligned exactly",
+        description="misalignment of each sheet of a group, along its normal",
     )
-    duration_s: float = Field(0.0, ge=0.0, description="of a pulse: particles leave streaks")
+    duration_s: float = Field(
+        0.0, ge=0.0, description="duration of a pulse; moving particles leave streaks"
+    )
 
     @model_validator(mode="after")
     def _ordered(self) -> Timing:
@@ -83,49 +85,50 @@ class Timing(Table):
 
 
 class Lamp(Table):
-    """A small lamp; light from in front of the wall is taken to cross it steeply."""
+    """Small lamp; light from in front of the wall is assumed to cross it at steep angles."""
 
     center_mm: Vector
     power: Positive = 1.0
 
 
 class Lighting(Table):
-    """What lights a calibration target."""
+    """Lamps that light a calibration target, bubbles or bodies."""
 
     lamps: tuple[Lamp, ...] = Field(min_length=1)
     exposure: Positive = Field(
         0.7,
-        description="what a white surface at the volume's centre that faces the wall gives, as a part of the full well",
+        description="signal of a white surface at the volume's centre that faces the wall, as a "
+        "fraction of the full well",
     )
     even: float | None = Field(
         None,
         ge=0.0,
         le=1.0,
-        description="part of the light that comes evenly from everywhere, as from balls that glow",
+        description="fraction of the light that comes uniformly from all directions",
     )
     wavelength_nm: Positive = Field(550.0, description="for diffraction")
 
 
 class Backlight(Table):
-    """A diffuser behind the volume that shines evenly in all directions, as large as it is and dark beyond its edges."""
+    """Diffuser behind the volume, of uniform radiance in all directions and of finite size."""
 
     center_mm: Vector
     size_mm: tuple[Positive, Positive] = Field(
-        description="along x_axis, and at right angles to that"
+        description="edge lengths along x_axis and perpendicular to it"
     )
-    normal: Direction = Field((0.0, 0.0, 1.0), description="at right angles to the diffuser")
+    normal: Direction = Field((0.0, 0.0, 1.0), description="normal of the diffuser")
     x_axis: Direction = Field(
         (1.0, 0.0, 0.0),
-        description="along one of its edges, as far as it is at right angles to the normal",
+        description="direction of one edge; its part along the normal is ignored",
     )
     exposure: Positive = Field(
-        0.7, description="what it gives where nothing is in front of it, as a part of the full well"
+        0.7, description="signal of the unobstructed diffuser, as a fraction of the full well"
     )
     wavelength_nm: Positive = Field(550.0, description="for diffraction")
 
 
 class Tracer(Table):
-    """What the particles are made of: complex refractive index m = index - i absorption."""
+    """Material of the particles: complex refractive index m = index - i absorption."""
 
     index: float = Field(1.59, ge=1.0, le=4.0)
     absorption: float = Field(0.0, ge=0.0, le=5.0)

@@ -9,7 +9,10 @@ from sabench.scenes.scene import WORLDS, Scene
 
 
 def scene_schema() -> dict[str, Any]:
-    """The JSON schema of a scene, with the parameters of every installed generator under the table that it fills."""
+    """Make the JSON schema of a scene, with the parameters of every installed generator.
+
+    A generator's parameters are an option of the table that it fills.
+    """
     whole = Scene.model_json_schema()
     choices: dict[str, list[Any]] = {table: [{"type": "null"}] for table in WORLDS} | {"solids": []}
     for name in plugins.names("generators"):

@@ -66,7 +66,7 @@ def parse_scene(values: dict[str, Any], source: str, folder: Path | None = None)
 
 
 def _resolved(makes: str, table: str, given: Any, folder: Path) -> dict[str, Any]:
-    """A generator's table with all its parameters."""
+    """Fill in all parameters of a generator's table."""
     if not isinstance(given, dict):
         return {}  # the scene's own check names it
     rest = dict(given)
@@ -89,7 +89,7 @@ def _resolved(makes: str, table: str, given: Any, folder: Path) -> dict[str, Any
 
 
 def _found(made: dict[str, Any], table: str, folder: Path) -> dict[str, str]:
-    """The absolute path of a generator's file, and the hash of its content."""
+    """Find a generator's file: its absolute path and the hash of its content."""
     path = (folder / made["file"]).resolve()
     if not path.is_file():
         raise InputError(f"{table}.file: expected a file, but there is none at {path}")

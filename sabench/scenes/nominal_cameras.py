@@ -15,7 +15,7 @@ from sabench.utils.rng import stream
 
 
 def nominal_cameras(scene: Scene, cameras: tuple[Camera, ...], seed: int) -> tuple[Camera, ...]:
-    """The cameras as solvers are told them: off by the scene's calibration error.
+    """Perturb the true cameras by the scene's calibration error.
 
     A shift on the image moves the projections of all points alike. Source: thesis section 2.2.4,
     the error eps_RP of figure 2-7b, whose length is the same for all cameras and whose direction is
@@ -25,32 +25,35 @@ def nominal_cameras(scene: Scene, cameras: tuple[Camera, ...], seed: int) -> tup
     if spec is None:
         return cameras
     return tuple(
-        _roughly(_shifted(_plainer(camera, spec), spec, seed, number), spec, seed, number)
+        _perturb(_shift(_drop_unmeasured(camera, spec), spec, seed, number), spec, seed, number)
         for number, camera in enumerate(cameras)
     )
 
 
-def _plainer(camera: Camera, spec: Calibration) -> Camera:
+def _drop_unmeasured(camera: Camera, spec: Calibration) -> Camera:
+    """Set coefficients of distortion that are unknown to zero."""
     unmeasured = {name: 0.0 for name in spec.unknown or () if name != "principal_point"}
     return replace(camera, distortion=replace(camera.distortion, **unmeasured))
 
 
-def _shifted(camera: Camera, spec: Calibration, seed: int, number: int) -> Camera:
-    turn = stream(seed, "calibration", number).uniform(0.0, 2.0 * np.pi)
+def _shift(camera: Camera, spec: Calibration, seed: int, number: int) -> Camera:
+    """Move the principal point in a random direction."""
+    angle = stream(seed, "calibration", number).uniform(0.0, 2.0 * np.pi)
     column, row = camera.principal_point_px
     return replace(
         camera,
         principal_point_px=(
-            column + spec.shift_px * float(np.cos(turn)),
-            row + spec.shift_px * float(np.sin(turn)),
+            column + spec.shift_px * float(np.cos(angle)),
+            row + spec.shift_px * float(np.sin(angle)),
         ),
     )
 
 
-def _roughly(camera: Camera, spec: Calibration, seed: int, number: int) -> Camera:
+def _perturb(camera: Camera, spec: Calibration, seed: int, number: int) -> Camera:
+    """Perturb position, rotation and principal distance."""
     rng = stream(seed, "rough cameras", number)
     center = np.asarray(camera.center_mm) + spec.center_mm * rng.standard_normal(3)
-    turn = rotation_matrices(np.deg2rad(spec.turn_deg) * rng.standard_normal(3)) @ np.asarray(
+    rotation = rotation_matrices(np.deg2rad(spec.turn_deg) * rng.standard_normal(3)) @ np.asarray(
         camera.rotation
     )
     distance = camera.principal_distance_mm * (
@@ -59,6 +62,6 @@ def _roughly(camera: Camera, spec: Calibration, seed: int, number: int) -> Camer
     return replace(
         camera,
         center_mm=triple(center),
-        rotation=(triple(turn[0]), triple(turn[1]), triple(turn[2])),
+        rotation=(triple(rotation[0]), triple(rotation[1]), triple(rotation[2])),
         principal_distance_mm=distance,
     )

@@ -25,7 +25,7 @@ WORLDS = ("particles", "targets", "flow", "bubbles")  # tables whose `generator`
 
 
 class Scene(Table):
-    """A whole scene: the world, what lights it, who looks at it through what."""
+    """Whole scene: the world, its light, the wall and the cameras."""
 
     title: str
     frames: int = Field(1, ge=1)
@@ -35,7 +35,7 @@ class Scene(Table):
     grid: GridSpec
     wall: WallSpec | None = None
     occluders: tuple[OccluderSpec, ...] | None = Field(
-        None, description="discs that hide some of the volume from some cameras"
+        None, description="discs that hide a part of the volume from some cameras"
     )
     cameras: Cameras
     calibration: Calibration | None = None
@@ -47,15 +47,17 @@ class Scene(Table):
         None, description="`generator` names a generator; the other keys are its parameters"
     )
     flow: dict[str, Any] | None = Field(
-        None, description="what carries the particles: `generator` and its parameters"
+        None, description="flow that carries the particles: `generator` and its parameters"
     )
     flow_grid_mm: tuple[Positive, Positive, Positive] | None = Field(
         None,
-        description="spacing along x, y, z of a lattice over the volume on which the data set stores the exact flow of every frame",
+        description="spacing along x, y, z of a lattice over the volume; the data set stores the "
+        "exact flow of every frame on it",
     )
     targets: dict[str, Any] | None = Field(
         None,
-        description="instead of particles, a calibration target that each frame shows at another place: `generator` and its parameters",
+        description="instead of particles, a calibration target at another position in each "
+        "frame: `generator` and its parameters",
     )
     bubbles: dict[str, Any] | None = Field(
         None, description="bubbles or droplets: `generator` and its parameters"
@@ -66,11 +68,13 @@ class Scene(Table):
     backlight: Backlight | None = Field(None, description="a diffuser behind the volume")
     lighting: Lighting | None = Field(None, description="lamps; needed to render a target")
     detection: Detection | None = Field(
-        None, description="by default every point of a target is found where it is"
+        None, description="by default every point of a target is detected exactly"
     )
     sensor: Sensor = Sensor()
     preprocessing: tuple[Step, ...] | None = Field(
-        None, description="what is done to the images before solvers see them; those stored are raw"
+        None,
+        description="steps applied to the images before solvers receive them; "
+        "stored images are raw",
     )
     render: Render = Render()
 
@@ -88,7 +92,7 @@ class Scene(Table):
 
     @property
     def world(self) -> World:
-        """The kind of world that the tables describe, with what that kind needs."""
+        """World that the tables describe, with the fields that its kind needs."""
         if self.targets is not None:
             return TargetWorld(self.targets, self.lighting, self.detection)
         tracers = self.tracers
@@ -98,14 +102,14 @@ class Scene(Table):
 
     @property
     def tracers(self) -> ParticleWorld | None:
-        """The tracer particles, alone or between bubbles; None where there are none."""
+        """Tracer particles, alone or between bubbles; None where there are none."""
         if self.particles is None or self.illumination is None:
             return None
         return ParticleWorld(self.particles, self.illumination, self.tracer, self.flow)
 
     @property
     def particle_world(self) -> ParticleWorld:
-        """The tracer particles of a scene that has some.
+        """Tracer particles of a scene that has some.
 
         Raises
         ------
@@ -118,37 +122,37 @@ class Scene(Table):
 
     @property
     def light(self) -> Illumination:
-        """The laser of a scene with particles."""
+        """Laser of a scene with particles."""
         return self.particle_world.illumination
 
     @property
     def unknown(self) -> tuple[LensNumber, ...]:
-        """What nobody has measured of the lenses."""
+        """Unmeasured numbers of the lenses."""
         return (self.calibration.unknown if self.calibration else None) or ()
 
     def time_s(self, frame: int) -> float:
-        """When a frame is taken, from the first group's start."""
+        """Give the time of a frame, from the start of the first group."""
         if self.timing is None:
             return frame * self.interval_s
         group, pulse = divmod(frame, len(self.timing.pulses_s))
         return group / self.timing.rate_hz + self.timing.pulses_s[pulse]
 
     def with_frames(self, frames: int) -> Scene:
-        """The same scene, longer or shorter."""
+        """Copy the scene with another number of frames."""
         return Scene.model_validate({**self.model_dump(exclude_none=True), "frames": frames})
 
     def to_dict(self) -> dict[str, Any]:
-        """All keys with their values, defaults included, as TOML holds them."""
+        """Give all keys with their values, defaults included, as TOML holds them."""
         values: dict[str, Any] = plain(self.model_dump(mode="json", exclude_none=True))
         return values
 
     def to_toml(self) -> str:
-        """The resolved scene as TOML; loading it gives an equal scene."""
+        """Write the resolved scene as TOML; loading it gives an equal scene."""
         return tomli_w.dumps(self.to_dict())
 
     @property
     def hash(self) -> str:
-        """SHA-256 of the resolved scene: equal scenes have equal hashes, however they were written."""
+        """SHA-256 of the resolved scene; it does not depend on how the file was written."""
         values = self.to_dict()
         for given in (*(values.get(table, {}) for table in WORLDS), *values.get("solids", ())):
             if "sha256" in given:
@@ -164,7 +168,7 @@ class Scene(Table):
         return {table: Path(given["file"]) for table, given in tables.items() if "sha256" in given}
 
     def with_files(self, places: dict[str, Path]) -> Scene:
-        """The same scene, its files elsewhere."""
+        """Copy the scene with other paths of its files, by table."""
         worlds = {
             table: {**getattr(self, table), "file": str(place)}
             for table, place in places.items()
@@ -178,14 +182,14 @@ class Scene(Table):
 
 
 def _given(values: dict[str, Any]) -> set[str]:
-    """Tables that a file gives; a misspelt one counts as the one that it most likely stands for."""
+    """Name the tables that a file gives; a misspelt one counts as its nearest match."""
     known = Scene.model_fields
     keys = {str(key) for key, value in values.items() if value not in (None, [], ())}
     return {key if key in known else nearest(key, known) or key for key in keys}
 
 
 def plain(value: Any) -> Any:
-    """Nested tuples as lists, as TOML and JSON give them back."""
+    """Turn nested tuples into lists, as TOML and JSON give them back."""
     if isinstance(value, dict):
         return {key: plain(inner) for key, inner in value.items()}
     return [plain(inner) for inner in value] if isinstance(value, list | tuple) else value

@@ -10,7 +10,7 @@ from sabench.utils.fields import Positive, Table
 
 
 class Sensor(Table):
-    """From photons to grey values."""
+    """Sensor that turns photons into grey values."""
 
     exposure_s: Positive = 1e-3
     quantum_efficiency: float = Field(0.6, gt=0.0, le=1.0)
@@ -18,7 +18,7 @@ class Sensor(Table):
     read_noise_e: float = Field(0.0, ge=0.0)
     full_well_e: Positive = 20000.0
     gain_dn_e: Positive = Field(0.2, description="grey values per electron")
-    black_level_dn: float = Field(0.0, ge=0.0, description="grey value of no light")
+    black_level_dn: float = Field(0.0, ge=0.0, description="grey value without light")
     bit_depth: int = Field(12, ge=1, le=16)
     shot_noise: bool = True
 
@@ -30,13 +30,14 @@ class Sensor(Table):
 
 
 class Render(Table):
-    """How the images are computed."""
+    """Accuracy of rendered images."""
 
     relative_error: float | None = Field(
         None,
         ge=1e-4,
         le=0.2,
-        description="of pixels of bubbles and solids, mean over an image: standard error over value; by default 0.01",
+        description="relative standard error of pixels of bubbles and solids, mean over an image; "
+        "by default 0.01",
     )
 
     samples_per_pixel: int = Field(

@@ -10,7 +10,7 @@ from sabench.utils.fields import Positive, Table, Vector
 
 
 class Volume(Table):
-    """The box that the generator fills, in the world frame."""
+    """Box that the generators fill, world frame."""
 
     center_mm: Vector = Field(description="centre of the box")
     size_mm: tuple[Positive, Positive, Positive] = Field(
@@ -19,9 +19,9 @@ class Volume(Table):
 
 
 class GridSpec(Table):
-    """The voxels that solvers reconstruct: they fill the volume."""
+    """Voxels that solvers reconstruct; they fill the volume."""
 
     voxel_mm: tuple[Positive, Positive, Positive] = Field(description="voxel size along x, y and z")
     crop_mm: tuple[
         Annotated[float, Field(ge=0)], Annotated[float, Field(ge=0)], Annotated[float, Field(ge=0)]
-    ] = Field((0.0, 0.0, 0.0), description="margin at either side that scores leave out")
+    ] = Field((0.0, 0.0, 0.0), description="margin on each side that scores leave out")

@@ -8,7 +8,7 @@ from sabench.utils.fields import Direction, Index, Positive, Table, Vector
 
 
 class LayerSpec(Table):
-    """One solid layer of the wall."""
+    """Solid layer of the wall."""
 
     name: str = "glass"
     index: Index = Field(description="refractive index")
@@ -16,7 +16,10 @@ class LayerSpec(Table):
 
 
 class WallSpec(Table):
-    """The tank wall between the cameras and the fluid; a scene without this table is in plain air."""
+    """Tank wall between the cameras and the fluid.
+
+    A scene without this table is in plain air.
+    """
 
     point_mm: Vector = Field((0.0, 0.0, 0.0), description="a point on the outer face")
     normal: Direction = Field(
@@ -34,8 +37,8 @@ class WallSpec(Table):
 
 
 class OccluderSpec(Table):
-    """An opaque, black, thin disc between the cameras and the wall or, in plain air, between the cameras and the volume."""
+    """Thin opaque black disc in front of the wall or, in plain air, of the volume."""
 
     center_mm: Vector
-    normal: Direction = Field((0.0, 0.0, 1.0), description="at right angles to the disc")
+    normal: Direction = Field((0.0, 0.0, 1.0), description="normal of the disc")
     radius_mm: Positive

@@ -49,7 +49,7 @@ def refuse(faults: Iterable[tuple[str, str]]) -> None:
 
 
 def joined(error: ValidationError, faults: Sequence[tuple[str, str]]) -> ValidationError:
-    """The faults of fields and those of the whole table as one error."""
+    """Join the faults of fields and those of the whole table in one error."""
     details: list[InitErrorDetails] = [_detail(fault) for fault in error.errors(include_url=False)]
     if faults:
         whole = InitErrorDetails(type="value_error", input=None, ctx={"error": FaultsError(faults)})
@@ -65,13 +65,13 @@ def _detail(fault: Any) -> InitErrorDetails:
 
 
 def printable(text: str, longest: int = _SHOWN) -> str:
-    """Foreign text on one line: what cannot be printed as a question mark, not over `longest`."""
+    """Cut foreign text to one line; unprintable characters become question marks."""
     clean = "".join(mark if mark.isprintable() else "?" for mark in text[: longest + 1])
     return clean if len(clean) <= longest else f"{clean[: longest - 3]}..."
 
 
 def sentences(model: type[BaseModel], error: ValidationError, prefix: str = "") -> list[str]:
-    """Name every fault of values that are not a `model`: its key behind `prefix`, and what is wrong.
+    """Name every fault of a validation: its key behind `prefix`, and what is wrong.
 
     A key that is missing because it was misspelt is one fault, not two.
     """
@@ -93,7 +93,7 @@ def sentences(model: type[BaseModel], error: ValidationError, prefix: str = "") 
 def _texts(
     model: type[BaseModel], fault: Any, path: list[str], near: str | None
 ) -> Iterator[tuple[list[str], str, str]]:
-    """The key inside the faulty value, the kind of fault and the sentence of each fault."""
+    """Give the key inside the faulty value, the kind and the sentence of each fault."""
     kind, inner = fault["type"], fault.get("ctx", {}).get("error")
     if isinstance(inner, FaultsError):
         for key, text in inner.faults:
@@ -115,7 +115,7 @@ def _texts(
 
 
 def _in_words(message: str) -> str:
-    """Pydantic's message as what was expected."""
+    """Turn a message of pydantic into a phrase of what was expected."""
     text = f"{message[0].lower()}{message[1:]}"
     for pattern, words in _WORDS:
         text, changed = re.subn(pattern, words, text)
@@ -129,13 +129,13 @@ def _shown(value: Any) -> str:
 
 
 def nearest(word: str, known: Iterable[str]) -> str | None:
-    """The known word that a misspelt one most likely stands for."""
+    """Find the known word that a misspelt one most likely stands for."""
     near = difflib.get_close_matches(word, list(known), 1, 0.4)
     return near[0] if near else None
 
 
 def _key_path(loc: tuple[Any, ...]) -> list[Any]:
-    """The fault's place as TOML keys: without the tags that pydantic adds for the kinds of a union."""
+    """Give the path of TOML keys, without the tags that pydantic adds for unions."""
     tags = {"grid", "ring", "line", "cross", "list"}
     return [
         part for i, part in enumerate(loc) if not (i and loc[i - 1] == "layout" and part in tags)
@@ -143,7 +143,7 @@ def _key_path(loc: tuple[Any, ...]) -> list[Any]:
 
 
 def _keys_at(model: type[BaseModel], path: list[str]) -> list[str]:
-    """Names that are valid inside the table at `path`."""
+    """List the keys that are valid inside the table at `path`."""
     models: list[type[BaseModel]] = [model]
     for part in path:
         if part.isdigit():
