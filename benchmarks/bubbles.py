@@ -1,11 +1,13 @@
-"""Seconds to render bubbles before nine cameras of 1024 x 1024 pixels at a mean relative standard error of one percent.
+"""Seconds to render bubbles with nine cameras of 1024 x 1024 pixels.
+
+The mean relative standard error is one percent.
 
     python benchmarks/bubbles.py [bubbles[@error] ...]
 
 By default 200, 2,000 and 10,000@0.05 bubbles of 0.6 mm median radius in 200 x 200 x 100 mm; the
-last ones hide each other, and dark pixels of many paths take long to a percent. Prints one JSON
-value: seconds, the largest error of the nine pictures, and how much of the middle camera's picture
-bubbles cover.
+last ones hide each other, and dark pixels of many paths take long to reach a percent. Prints one
+JSON value: seconds, the largest error of the nine images, and the fraction of the central camera's
+image that bubbles cover.
 """
 
 from __future__ import annotations
@@ -26,7 +28,7 @@ _ERROR = 0.01
 
 
 def scene_of(count: int) -> Scene:
-    """The array of `plunging-jet-21` before a box full of bubbles."""
+    """Make the scene: the array of `plunging-jet-21` and a box full of bubbles."""
     from sabench.scenes import load_scene
 
     values: dict[str, Any] = load_scene("plunging-jet-21").to_dict()
@@ -42,7 +44,7 @@ def scene_of(count: int) -> Scene:
 
 
 def rendered(count: int, error: float) -> dict[str, float]:
-    """One frame, rendered by all cameras; kernels are compiled before."""
+    """Render one frame with all cameras; kernels are compiled before."""
     scene = scene_of(count)
     rig = build_rig(scene)
     bubbles = Frames(scene, rig, 1).at(0).bubbles
@@ -65,7 +67,7 @@ def rendered(count: int, error: float) -> dict[str, float]:
 
 
 def main() -> None:
-    """All counts, one after another."""
+    """Measure all counts, one after another."""
     asked = [argument.partition("@") for argument in sys.argv[1:] or ("200", "2000", "10000@0.05")]
     runs = [rendered(int(count), float(error or _ERROR)) for count, _, error in asked]
     print(json.dumps({"cameras": 9, "pixels": [1024, 1024], "runs": runs}, indent=1))

@@ -1,9 +1,11 @@
-"""Accuracy and speed of the joint refractive calibration: `NUMBA_NUM_THREADS=1 python benchmarks/calibration.py [draws]` prints JSON.
+"""Accuracy and speed of the joint refractive calibration.
+
+`NUMBA_NUM_THREADS=1 python benchmarks/calibration.py [draws]` prints JSON.
 
 Accuracy is a ratio to the Cramer-Rao bound of the same data: mean true reprojection error, and
 scatter of the points along each axis, over as many draws of noise and boards as asked for. Times
-are medians after a first run; beside them stands what a dense product of as many rows and columns
-as one step's normal equations takes in the same run.
+are medians after a first run. They are compared with the time that a dense product of as many rows
+and columns as one step's normal equations takes in the same run.
 """
 
 from __future__ import annotations
@@ -50,7 +52,7 @@ _STARTS = (0.001, 0.01, 0.1, 0.2, 0.3)
 
 
 def median_s(work: Callable[[], object], repeats: int = 15) -> float:
-    """Median time of several runs after one to warm up."""
+    """Measure the median time of several runs after one to warm up."""
     work()
     times = []
     for _ in range(repeats):
@@ -61,7 +63,7 @@ def median_s(work: Callable[[], object], repeats: int = 15) -> float:
 
 
 def truth_of(given: Board) -> tuple[Frame, State, Seen]:
-    """The true state and exact images of a draw."""
+    """Compute the true state and exact images of a draw."""
     frame = Frame.from_cameras(given.cameras, given.points_mm)
     board_mm = given.case.target.points_mm
     weights = np.asarray(np.isfinite(given.exact).all(axis=-1), dtype=np.float64)
@@ -73,7 +75,11 @@ def truth_of(given: Board) -> tuple[Frame, State, Seen]:
 
 
 def ratios(cameras: int, noise: float, draws: int, unknown: tuple[str, ...] = ()) -> dict[str, Any]:
-    """Errors over their bounds, and true over measured error over its own; `unknown` of the lenses besides their focal lengths."""
+    """Measure errors relative to their bounds.
+
+    The ratio of true to measured error is relative to its own bound. `unknown` names the lens
+    parameters that are unknown besides focal lengths.
+    """
     free = FreeParameters.from_names(unknown)
     found: dict[str, list[Any]] = {
         "reprojection": [],
@@ -118,7 +124,10 @@ def ratios(cameras: int, noise: float, draws: int, unknown: tuple[str, ...] = ()
 
 
 def starts(cameras: int, noise: float, seeds: int) -> list[dict[str, Any]]:
-    """The largest difference in true error between any start and the true one, px, and how many draws ended there."""
+    """Compare the results of initial guesses with that of the true state.
+
+    Returns the largest difference in true error, px, and how many draws ended in the same minimum.
+    """
     rows = []
     for start in _STARTS:
         differences = []
@@ -147,7 +156,10 @@ def starts(cameras: int, noise: float, seeds: int) -> list[dict[str, Any]]:
 
 
 def anchored(noise: float, draws: int) -> dict[str, Any]:
-    """Mean depth of all boards with nine cameras and one point known to 0.05 mm."""
+    """Measure the mean depth of all boards with one point known to 0.05 mm.
+
+    There are nine cameras.
+    """
     depths = []
     for seed in range(1, draws + 1):
         given = draw(scene_of(9, 0.3, noise, 0.1), seed)
@@ -163,7 +175,10 @@ def anchored(noise: float, draws: int) -> dict[str, Any]:
 
 
 def with_outliers(share: float, draws: int) -> dict[str, Any]:
-    """True error where a share of the points is 20 px off and the rest 0.1 px, nine cameras, from a start of 0.1."""
+    """Measure the true error where a fraction of the points is 20 px off.
+
+    The others are 0.1 px off; nine cameras, from an initial guess of 0.1.
+    """
     values = scene_of(9, 0.3, 0.1, 0.1).to_dict()
     values["detection"] |= {"outliers": share}
     errors = []
@@ -179,7 +194,7 @@ def with_outliers(share: float, draws: int) -> dict[str, Any]:
 
 
 def timed(cameras: int, frames: int) -> dict[str, Any]:
-    """Median seconds of a whole calibration, and of the parts of a step."""
+    """Measure median seconds of a calibration, and of the parts of a step."""
     values = scene_of(cameras, 0.3, 0.1, 0.1).to_dict() | {"frames": frames}
     scene = parse_scene(values, "timed")
     rig, placed = build_rig(scene), place(scene, 1)
@@ -210,7 +225,7 @@ def timed(cameras: int, frames: int) -> dict[str, Any]:
 
 
 def dense_product_s(points: int, unknowns: int) -> float:
-    """J^T J of as many rows and columns as one step sums up, by the machine's BLAS."""
+    """Time J^T J of as many rows and columns as one step sums up, by BLAS."""
     jacobian: F64 = np.random.default_rng(0).standard_normal((2 * points, unknowns))
     return median_s(lambda: jacobian.T @ jacobian)
 

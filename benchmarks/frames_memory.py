@@ -1,7 +1,7 @@
-"""Does memory grow with the number of frames? python benchmarks/frames_memory.py
+"""Growth of memory with the number of frames: python benchmarks/frames_memory.py.
 
 Generates (Mitsuba), solves and scores the quick scene with few and with many frames, each step in a
-process of its own, and prints the peak resident memory of each and the growth per added frame.
+child process, and prints the peak resident memory of each and the growth per added frame.
 Buffers of Mitsuba and Dr.Jit fill over the first dozens of renders and then stay.
 """
 
@@ -17,16 +17,21 @@ from sabench.scenes import load_scene
 from sabench.utils.progress import track
 
 _FRAMES = (25, 50, 100)
-_PEAK = "from pathlib import Path; print([w.split()[1] for w in Path('/proc/self/status').read_text().splitlines() if w.startswith('VmHWM')][0])"
+_PEAK = """
+from pathlib import Path
+lines = Path("/proc/self/status").read_text().splitlines()
+print([line.split()[1] for line in lines if line.startswith("VmHWM")][0])
+"""
 _STEPS = {
-    "generate": "import sabench; sabench.generate('{folder}/scene.toml', '{folder}/set', seed=1, backend='mitsuba')",
+    "generate": "import sabench; "
+    "sabench.generate('{folder}/scene.toml', '{folder}/set', seed=1, backend='mitsuba')",
     "solve": "import sabench; sabench.solve('msa', '{folder}/set', '{folder}/result.h5')",
     "score": "import sabench; sabench.score('{folder}/set', '{folder}/result.h5')",
 }
 
 
 def peak_mib(code: str) -> float:
-    """Peak resident memory of a process that runs `code`."""
+    """Measure the peak resident memory of a process that runs `code`."""
     done = subprocess.run(
         [sys.executable, "-c", f"{code}\n{_PEAK}"], capture_output=True, text=True, check=True
     )

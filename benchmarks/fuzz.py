@@ -1,12 +1,14 @@
-"""Damaged scenes, suites, data sets, results, submissions and records, fed to the functions behind the commands that read them.
+"""Damaged files, given to the functions behind the commands that read them.
+
+Files are scenes, suites, data sets, results, submissions and records.
 
     python benchmarks/fuzz.py 10000 [--seed 0] [--kind scene ...] [--limit 5] [--keep build/fuzz]
 
-Each must be refused by one sentence (an InputError) or end well, within the limit, without a crash,
-without another exception and without touching a file outside the output folder. Cases are made from
-the seed, the kind and a number alone. Prints a table; whatever faults is kept with the words of its
-fault, and the exit code is 1. Runs in one forked process at a time, which is replaced when it dies
-or hangs; a hang counts when it comes again.
+Each must be refused with one sentence (an InputError) or succeed, within the limit, without a
+crash, without another exception and without touching a file outside the output folder. Cases are
+made from the seed, the kind and a number alone. Prints a table. Files that cause a fault are kept
+with its message, and the exit code is 1. Runs in one forked process at a time, which is replaced
+when it dies or hangs; a hang counts when it is repeated.
 """
 
 from __future__ import annotations
@@ -45,7 +47,7 @@ _OUTCOMES = ("refused", "accepted", "fault")
 def fuzz(
     kinds: list[str], count: int, seed: int, limit_s: float, root: Path, keep: Path
 ) -> dict[str, Counter[str]]:
-    """Outcomes by kind of `count` cases that take turns among the kinds."""
+    """Count outcomes by kind of `count` cases, which alternate between the kinds."""
     with multiprocessing.get_context("fork").Pool(
         1
     ) as elsewhere:  # once kernels have run in parallel, a process may not fork
@@ -84,7 +86,7 @@ def _keep(folder: Path, place: Path, words: str) -> None:
 
 
 class Worker:
-    """A forked process that makes and feeds one case after the other."""
+    """Forked process that makes and runs one case after the other."""
 
     def __init__(self, base: Base, root: Path, seed: int, limit_s: float) -> None:
         self._settings, self._limit_s = (base, root, seed, 0.6 * limit_s), limit_s
@@ -92,7 +94,7 @@ class Worker:
         self._pipe: Connection
 
     def case(self, kind: str, number: int) -> tuple[str, str]:
-        """refused, accepted, fault, crash or hang, and what there is to say."""
+        """Run a case: refused, accepted, fault, crash or hang, and its message."""
         if self._process is None:
             self._start()
         self._pipe.send((kind, number))
@@ -214,7 +216,7 @@ def _outcome(feed: Any) -> tuple[str, str]:
 
 
 def _tree(root: Path, out: Path) -> Iterator[tuple[str, tuple[int, int, int]]]:
-    """Every file below the root but those of the output folder, with what a write changes."""
+    """List all files below the root, without the output folder, and their stamps."""
     for path, folders, files in os.walk(root):
         if Path(path) == out:
             folders.clear()

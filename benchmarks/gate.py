@@ -1,7 +1,7 @@
-"""Whether the gate of the suite ci sees bugs, and is silent where there are none.
+"""Sensitivity of the gate: planted bugs it catches, honest reruns it passes.
 
-    python benchmarks/gate.py                       # 20 planted bugs, then 50 honest reruns: about
-    an hour on two cores python benchmarks/gate.py --bugs 3 --reruns 2
+    python benchmarks/gate.py                       # 20 bugs, 50 reruns: an hour on two cores
+    python benchmarks/gate.py --bugs 3 --reruns 2
 
 Each bug is one line changed in a copy of the source; `sabench check ci` there must end with exit
 code 1, and with 0 where nothing was changed. The copy's compiled kernels are kept, except those of
@@ -31,7 +31,7 @@ _COPIED = ("sabench", "solvers", "generators", "scenes", "leaderboard", "pyproje
 
 @dataclass(frozen=True)
 class Bug:
-    """One line of one file that is replaced; `old` must be there exactly once."""
+    """Replacement of a line in a file; `old` must be there exactly once."""
 
     title: str
     file: str
@@ -49,8 +49,8 @@ BUGS = (
     Bug(
         "x and z of a velocity field's lattice swapped",
         "sabench/algorithms/velocimetry/multipass.py",
-        "(np.asarray(values[::-1]) for values in (self.windows.origin",
-        "(np.asarray(values) for values in (self.windows.origin",
+        "np.asarray(values[::-1]) for values in (self.windows.origin",
+        "np.asarray(values) for values in (self.windows.origin",
     ),
     Bug(
         "light in the fluid at the angle that it has in the glass",
@@ -79,13 +79,13 @@ BUGS = (
     Bug(
         "thickness of the glass forgotten in fast projection",
         "sabench/geometry/projection_kernels.py",
-        "if ratios[0] > 1.0 else None, before + wall.thickness_mm",
-        "if ratios[0] > 1.0 else None, before",
+        "if ratios[0] > 1.0 else None,\n        before + wall.thickness_mm",
+        "if ratios[0] > 1.0 else None,\n        before",
     ),
     Bug(
         "black level not subtracted",
         "sabench/images/brightness.py",
-        "_scale(grey, float(case.black_dn), 1.0",
+        "_scale(grey, float(black_dn), 1.0",
         "_scale(grey, 0.0, 1.0",
     ),
     Bug(
@@ -164,7 +164,7 @@ BUGS = (
 
 
 def main() -> None:
-    """Run both, print both tables."""
+    """Run bugs and reruns, and print both tables."""
     parser = argparse.ArgumentParser(description="planted bugs and honest reruns of the gate")
     parser.add_argument("--bugs", type=int, default=len(BUGS), help="how many of the planted bugs")
     parser.add_argument("--skip", type=int, default=0, help="how many of them to pass over")
@@ -181,13 +181,14 @@ def main() -> None:
             honest(number, pristine, Path(folder), asked.baseline) for number in range(asked.reruns)
         ]
     print(
-        f"{sum(caught)} of {len(caught)} planted bugs caught, {sum(silent)} of {len(silent)} honest reruns silent"
+        f"{sum(caught)} of {len(caught)} planted bugs caught, "
+        f"{sum(silent)} of {len(silent)} honest reruns silent"
     )
     sys.exit(not all(caught + silent))
 
 
 def copied(source: Path, target: Path) -> Path:
-    """The parts of a source tree that a check needs, compiled kernels included."""
+    """Copy the parts of a source tree that a check needs, and compiled kernels."""
     for name in _COPIED:
         if (source / name).is_dir():
             shutil.copytree(source / name, target / name)
@@ -197,11 +198,12 @@ def copied(source: Path, target: Path) -> Path:
 
 
 def planted(bug: Bug, pristine: Path, tree: Path, baseline: Path) -> bool:
-    """Check a copy with the bug; whether it was caught."""
+    """Check a copy with the bug; returns whether it was caught."""
     text = (pristine / bug.file).read_text(encoding="utf-8")
     if text.count(bug.old) != 1:
         print(
-            f"{bug.title}: the text is {text.count(bug.old)} times in {bug.file}, expected once: {bug.old!r}",
+            f"{bug.file}: {bug.title}: expected the text once, "
+            f"got it {text.count(bug.old)} times: {bug.old!r}",
             flush=True,
         )
         return False
@@ -223,17 +225,19 @@ def planted(bug: Bug, pristine: Path, tree: Path, baseline: Path) -> bool:
         else ""
     )
     print(
-        f"{'caught' if code == 1 else 'MISSED'}  {seconds:4.0f} s  {bug.title} | {by}{was} | {len(found['worse'])} figures",
+        f"{'caught' if code == 1 else 'MISSED'}  {seconds:4.0f} s  {bug.title} | {by}{was} | "
+        f"{len(found['worse'])} figures",
         flush=True,
     )
     return code == 1
 
 
 def honest(number: int, tree: Path, folder: Path, baseline: Path) -> bool:
-    """Check the copy as it is; whether it was silent."""
+    """Check the copy as it is; returns whether it was silent."""
     code, seconds, found = check(tree, baseline)
     said = "; ".join(
-        f"{one['case']}, {one['solver']}: {one['text'] or one['figure']} {one['before']} -> {one['now']}"
+        f"{one['case']}, {one['solver']}: {one['text'] or one['figure']} "
+        f"{one['before']} -> {one['now']}"
         for one in found["worse"]
     )
     print(
@@ -244,7 +248,7 @@ def honest(number: int, tree: Path, folder: Path, baseline: Path) -> bool:
 
 
 def check(tree: Path, baseline: Path) -> tuple[int, float, dict[str, Any]]:
-    """Exit code, seconds and findings of `sabench check ci` in a source tree."""
+    """Run `sabench check ci` in a source tree: exit code, seconds, findings."""
     start = time.perf_counter()
     words = [
         sys.executable,
@@ -272,7 +276,10 @@ def check(tree: Path, baseline: Path) -> tuple[int, float, dict[str, Any]]:
 
 
 def forget(tree: Path, changed: str) -> None:
-    """Remove the compiled kernels of a changed file and of all files with kernels that import it, directly or through others with kernels."""
+    """Remove the compiled kernels of a changed file and of its importers.
+
+    Importers are all files with kernels that import it, directly or through others with kernels.
+    """
     files = {
         path: path.read_text(encoding="utf-8")
         for path in (

@@ -1,17 +1,19 @@
-"""What processes gain in the making of a data set, and what the scheduler costs: `python benchmarks/generation.py [FRAMES]` prints JSON.
+"""Speed-up of data set generation by processes, and cost of the scheduler.
+
+`python benchmarks/generation.py [FRAMES]` prints JSON.
 
 - **throughput**: forty frames of the demo's nine cameras and 20,000 particles that a flow carries,
-  with one process and with one for each core, each
-  of one thread, in turn three times; the gain is the median of the ratios. Beside it what
-  independent processes gain here: cores may share more than one thinks.
-- **overhead**: FRAMES (1,000) frames of two small cameras whose parts are all there, done once more
-  by another process: what a task costs beside
-  looking whether its part is whole, over the mean time of the sequence's tasks.
-- **growth**: a schedule of FRAMES frames worked off by 1 to 1,000 simulated workers in simulated time.
-  Each task takes what one of its kind took in the
-  sequence, the scheduler deals with one task at a time and is busy for what that costs, and the
-  parts are put together in the end. It says where growth stops: at the chain of frames, each made
-  from the one before, at the scheduler, or at the end.
+  with one process and with one for each core, each of one thread, alternating three times. The gain
+  is the median of the ratios. The gain of independent processes is measured for comparison, because
+  cores share resources.
+- **overhead**: FRAMES (1,000) frames of two small cameras whose partial results all exist, done
+  once more by another process: the cost of a task, without the check of its partial result,
+  relative to the mean time of the sequence's tasks.
+- **growth**: a schedule of FRAMES frames, done by 1 to 1,000 simulated workers in simulated time.
+  Each task takes as long as one of its kind in the sequence. The scheduler handles one task at a
+  time and is busy for as long as that costs. Partial results are put together in the end. It says
+  what limits the growth: the chain of frames, each made from the one before, the scheduler, or the
+  end.
 """
 
 from __future__ import annotations
@@ -59,14 +61,14 @@ print(rounds)
 
 
 def sequence(frames: int) -> Scene:
-    """The demo's cameras, and particles that a flow carries."""
+    """Make the scene: the demo's cameras, and particles that a flow carries."""
     values = load_scene("demo").to_dict()
     values["particles"] = {"generator": "uniform", "count": 20_000, "diameter_mm": 0.02}
     return parse_scene(values | {"frames": frames, "interval_s": 0.001, "flow": _FLOW}, "sequence")
 
 
 def small(frames: int) -> Scene:
-    """Two cameras of few pixels and particles."""
+    """Make the scene: two cameras of few pixels, and few particles."""
     values = load_scene("quick").to_dict()
     values["cameras"] |= {
         "rows": 48,
@@ -78,7 +80,7 @@ def small(frames: int) -> Scene:
 
 
 def worked_off(scene: Scene, folder: Path, jobs: int) -> float:
-    """Seconds that so many processes of one thread need once they are up."""
+    """Measure the seconds that processes of one thread need once they run."""
     Job(scene, 1, "splat", "benchmark").write(folder)
     recorder, pool = (
         recorder_of(scene, 1, "splat", "benchmark"),
@@ -100,7 +102,7 @@ def worked_off(scene: Scene, folder: Path, jobs: int) -> float:
 
 
 def throughput(folder: Path) -> dict[str, Any]:
-    """One process against one for each core."""
+    """Compare one process with one for each core."""
     cores, scene = os.cpu_count() or 1, sequence(40)
     gains = [
         worked_off(scene, folder / f"one{k}", 1)
@@ -120,7 +122,7 @@ def throughput(folder: Path) -> dict[str, Any]:
 
 
 def independent(count: int) -> float:
-    """Rounds of work that each of so many unrelated processes does at once."""
+    """Measure rounds of work that each of several independent processes does."""
     environment = os.environ | {"OMP_NUM_THREADS": "1"}
     running = [
         subprocess.Popen(
@@ -133,7 +135,7 @@ def independent(count: int) -> float:
 
 @dataclass(frozen=True)
 class Times:
-    """Seconds of a frame's truth, of a camera's view, and of putting a frame's parts together; what a task costs the scheduler."""
+    """Seconds of a frame's truth, view and assembly, and of a scheduled task."""
 
     truth: list[float]
     view: list[float]
@@ -142,19 +144,19 @@ class Times:
 
     @property
     def mean(self) -> float:
-        """Of all tasks."""
+        """Seconds of all tasks."""
         return statistics.fmean([*self.truth, *self.view])
 
     @property
     def frame(self) -> float:
-        """Work of a frame."""
+        """Seconds of a frame's tasks."""
         return statistics.fmean(self.truth) + len(self.view) / len(self.truth) * statistics.fmean(
             self.view
         )
 
 
 def timed(scene: Scene, folder: Path) -> Times:
-    """Times of one process's tasks, one after another."""
+    """Measure the seconds of one process's tasks, one after another."""
     job, parts = Job(scene, 1, "splat", "benchmark"), Parts(folder)
     job.write(folder)
     recorder = recorder_of(scene, 1, "splat", "benchmark")
@@ -178,7 +180,7 @@ def timed(scene: Scene, folder: Path) -> Times:
 
 
 def exchange(folder: Path, frames: int) -> float:
-    """Seconds that a task costs beside itself when another process does it."""
+    """Measure the extra seconds of a task that another process does."""
     scene = small(frames)
     recorder, parts = recorder_of(scene, 1, "splat", "benchmark"), Parts(folder)
     worked_off(scene, folder, 1)
@@ -191,7 +193,7 @@ def exchange(folder: Path, frames: int) -> float:
 
 
 def simulated(frames: int, cameras: int, workers: int, times: Times, *, chained: bool) -> float:
-    """Seconds that so many workers need; the scheduler deals with one task at a time."""
+    """Simulate the seconds that workers need with one serial scheduler."""
     schedule, rng, now, free = (
         Schedule(frames, cameras, chained=chained, ahead=workers + 1),
         np.random.default_rng(1),
@@ -212,7 +214,10 @@ def simulated(frames: int, cameras: int, workers: int, times: Times, *, chained:
 
 
 def growth(times: Times, frames: int, cameras: int) -> dict[str, Any]:
-    """Speed of so many workers over that of one, before and after the parts are put together; and the limits that stand in the way."""
+    """Compute the speed of workers relative to one, and its limits.
+
+    Speeds are before and after the partial results are put together.
+    """
     speed, end = {}, times.end * frames
     for chained in (True, False):
         took = {
@@ -238,7 +243,7 @@ def growth(times: Times, frames: int, cameras: int) -> dict[str, Any]:
 
 
 def rounded(value: Any) -> Any:
-    """Four digits are enough."""
+    """Round to four digits."""
     if isinstance(value, dict):
         return {str(key): rounded(inner) for key, inner in value.items()}
     if isinstance(value, list):

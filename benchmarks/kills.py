@@ -1,7 +1,9 @@
-"""Killed at random moments, does a data set become the same? `python benchmarks/kills.py [TIMES FRAMES]` prints JSON, and exits 1 if not.
+"""Generation killed at random moments and resumed: the data set is the same.
+
+`python benchmarks/kills.py [TIMES FRAMES]` prints JSON, and exits 1 if it is not.
 
 TIMES (50) runs of FRAMES (500) frames with two processes are killed by `kill -9` at a moment that
-is uniform over the time that an undisturbed run takes: in turn the scheduler, a worker, or the
+is uniform over the time that an undisturbed run takes: alternately the scheduler, a worker, or the
 whole process group. The same command is then started again and must end with the content hash of
 the undisturbed run.
 """
@@ -27,7 +29,7 @@ _WHOM = ("scheduler", "worker", "group")
 
 
 def scene_file(folder: Path, frames: int) -> Path:
-    """Small pictures of few particles that a flow carries: many tasks in little time."""
+    """Make the scene: small images of few particles, many tasks in little time."""
     values = load_scene("quick").to_dict()
     values["particles"] = {"generator": "uniform", "count": 50}
     values["flow"] = {
@@ -71,13 +73,13 @@ def start(scene: Path, out: Path) -> subprocess.Popen[bytes]:
 
 
 def workers(pid: int) -> list[int]:
-    """Processes that a process has started."""
+    """List the processes that a process has started."""
     text = Path(f"/proc/{pid}/task/{pid}/children").read_text()
     return [int(word) for word in text.split()]
 
 
 def kill(process: subprocess.Popen[bytes], whom: str) -> bool:
-    """Kill one of them, or all; whether there was something to kill."""
+    """Kill one of them, or all; returns whether there was something to kill."""
     if process.poll() is not None:
         return False
     if whom == "group":
@@ -93,14 +95,17 @@ def kill(process: subprocess.Popen[bytes], whom: str) -> bool:
 
 
 def finished(scene: Path, out: Path) -> str:
-    """The content hash after the command has been run to its end."""
+    """Run the command to its end; returns the content hash."""
     with start(scene, out) as process:
         process.wait()
     return sabench.open_dataset(out).content_hash
 
 
 def disturbed(scene: Path, out: Path, whom: str, within_s: float) -> str:
-    """Kill once, at a moment at which there is something to kill, then run to the end; returns the hash."""
+    """Kill once, then run to the end; returns the content hash.
+
+    The moment is one at which there is something to kill.
+    """
     killed = False
     while not killed:
         shutil.rmtree(out, ignore_errors=True)

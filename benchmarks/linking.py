@@ -1,4 +1,4 @@
-"""How bubbles are linked over time: links found and links right by displacement, and the seconds of long films.
+"""Linking of bubbles: recall and precision by displacement, and seconds.
 
     python benchmarks/linking.py
 
@@ -29,13 +29,16 @@ _STEPS = (0.2, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0)
 
 
 def followed(kind: str, faults: Any, relative: float) -> list[float]:
-    """Recall and precision."""
+    """Measure recall and precision of links."""
     made = film(relative, kind, **faults)
     return [round(share, 3) for share in judged(made, linked(made))]
 
 
 def timed(kind: str, faults: Any) -> float:
-    """Seconds for a long film at one distance of neighbours a frame."""
+    """Measure the seconds for a long image sequence.
+
+    The displacement is one mean distance of neighbours a frame.
+    """
     made = film(1.0, kind, count=2000, frames=50, **faults)
     start = time.perf_counter()
     linked(made)

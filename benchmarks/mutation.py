@@ -1,11 +1,11 @@
-"""Mutation run: change single lines of the library at random and count what the unit tests notice.
+"""Mutation run: change random lines, and count what the unit tests notice.
 
     python benchmarks/mutation.py --seed 1 --count 40
 
 Each mutant is one changed expression or one dropped statement in one module below `sabench/`. The
 tests that mirror the module's package (`tests/unit/<package>`) run on it, in a copy of the tree.
-A mutant is killed if they fail or do not end in time. Survivors are listed with their line. Some are
-equivalent to the original or change a tuning constant only: compare figures of equal seeds.
+A mutant is killed if they fail or do not end in time. Survivors are listed with their line. Some
+are equivalent to the original or change a tuning constant only: compare figures of equal seeds.
 """
 
 from __future__ import annotations
@@ -96,7 +96,10 @@ def _changes(tree: ast.Module) -> Iterator[tuple[str, ast.expr | ast.stmt, str]]
 
 
 def _code(node: ast.AST) -> Iterator[ast.AST]:
-    """A node and those below it, without messages, annotations, decorators and docstrings."""
+    """List a node and those below it, without messages, annotations, docstrings.
+
+    Decorators are left out, too.
+    """
     yield node
     for name, value in ast.iter_fields(node):
         if name in ("annotation", "returns", "decorator_list", "type_params"):

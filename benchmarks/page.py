@@ -1,4 +1,6 @@
-"""How fast the page is with many records: `python -m benchmarks.page [records ...]` prints JSON; it needs chromium and chromedriver.
+"""Speed of the leaderboard page with many records.
+
+`python -m benchmarks.page [records ...]` prints JSON; it needs chromium and chromedriver.
 
 The records are made up: as many cases as it takes for 20 solvers with five seeds each (`rows` of
 five records), and again with one seed each. In the browser, `first_row_ms` is from the start of the
@@ -26,12 +28,15 @@ _SORTED = ("solver", "q", "true_percent", "ghost_percent", "seconds")
 _SHOWN = "requestAnimationFrame(() => setTimeout(() => done(performance.now() - start)))"
 _FRAME = f"new Promise(done => {{{{ const start = performance.now(); {{act}}; {_SHOWN}; }}}})"
 _SORT = "document.querySelector('th[data-key=\"{key}\"] button').click()"
-_TYPE = "const field = document.querySelector('input[type=search]'); field.value = '{text}'; field.dispatchEvent(new Event('input'))"
+_TYPE = (
+    "const field = document.querySelector('input[type=search]'); "
+    "field.value = '{text}'; field.dispatchEvent(new Event('input'))"
+)
 _OPENED = "(performance.getEntriesByName('first row')[0]?.startTime ?? null)"
 
 
 def made_up(count: int, seeds: int) -> list[Record]:
-    """Records of the reconstruction track with all scores and hashes as long as real ones."""
+    """Make records of the reconstruction task with all scores and long hashes."""
     rng = random.Random(1)
     return [
         _record(rng, number // (_SOLVERS * seeds), number // seeds % _SOLVERS, number % seeds)
@@ -76,7 +81,7 @@ def _middle(browser: Browser, acts: list[str]) -> float:
 
 
 def in_browser(browser: Browser, file: Path) -> dict[str, float]:
-    """Milliseconds of one page in the browser, and the elements that it has."""
+    """Measure milliseconds of a page in the browser, and count its elements."""
     browser.open(file)
     browser.wait(f"{_OPENED} !== null")
     return {

@@ -1,4 +1,6 @@
-"""Speed and exactness of refractive projection: `python benchmarks/projection.py [points]` prints JSON.
+"""Speed and exactness of refractive projection.
+
+`python benchmarks/projection.py [points]` prints JSON.
 
 One run spreads its points over 20 random walls of 0 to 4 layers. Speed is also given against
 numpy's square root on the same number of values, taken in the same run, so that figures of
@@ -29,7 +31,7 @@ _STEEP = np.deg2rad(80.0)
 
 
 def random_wall(rng: np.random.Generator, layers: int) -> Wall:
-    """Any order of indices from 1 to 2.4, tilted, 0.01 to 50 mm per layer."""
+    """Draw a tilted wall: indices from 1 to 2.4, 0.01 to 50 mm per layer."""
     normal = np.array([*rng.uniform(-0.5, 0.5, 2), 1.0])
     x, y, z = (float(v) for v in normal / np.linalg.norm(normal))
     indices = rng.uniform(1.0, 2.4, layers + 2).tolist()
@@ -47,7 +49,7 @@ def random_wall(rng: np.random.Generator, layers: int) -> Wall:
 
 
 def facing(wall: Wall) -> Camera:
-    """A camera that looks along the wall's normal."""
+    """Make a camera that looks along the wall's normal."""
     x, y, z = (float(v) for v in np.asarray(wall.point_mm) - _BEFORE_MM * np.asarray(wall.normal))
     return Camera(
         name="camera_00",
@@ -66,7 +68,7 @@ def facing(wall: Wall) -> Camera:
 
 
 def random_points(rng: np.random.Generator, camera: Camera, wall: Wall, count: int) -> F64:
-    """Points in the fluid, seen at up to 60 degrees from the normal, 1 to 200 mm deep."""
+    """Draw points in the fluid, up to 60 degrees off the normal, 1 to 200 mm deep."""
     axes, depth = np.asarray(camera.rotation), wall.thickness_mm + rng.uniform(1.0, 200.0, count)
     radius = (_BEFORE_MM + depth) * np.tan(np.deg2rad(60.0)) * np.sqrt(rng.random(count))
     turn = rng.uniform(0.0, 2.0 * np.pi, count)
@@ -77,7 +79,7 @@ def random_points(rng: np.random.Generator, camera: Camera, wall: Wall, count: i
 
 
 def worst_residual_mm(camera: Camera, wall: Wall, points: F64) -> float:
-    """Lateral distance of the paths found minus that asked for, summed up in extended precision."""
+    """Compute errors of the paths' lateral distances, in extended precision."""
     normal, offset = np.asarray(wall.normal), points - np.asarray(camera.center_mm)
     radius = np.linalg.norm(offset - (offset @ normal)[:, None] * normal, axis=1)
     depths: list[F64 | float] = [
@@ -95,7 +97,9 @@ def worst_residual_mm(camera: Camera, wall: Wall, points: F64) -> float:
 
 
 def round_trip(camera: Camera, wall: Wall, points: F64) -> tuple[F64, Bool, F64]:
-    """Distance (n,) of points from the rays that their own pixels see, mm; which rays stay within `_STEEP` in all media; and what rounding allows.
+    """Compute distances (n,) of points from the rays of their pixels, mm.
+
+    Also returns which rays stay within `_STEEP` in all media, and what rounding allows.
 
     A direction that is off by one rounding misses its point by dR/d(angle) times that: near total
     reflection in a rare layer no double can do better.
@@ -124,12 +128,12 @@ def round_trip(camera: Camera, wall: Wall, points: F64) -> tuple[F64, Bool, F64]
 
 
 def fastest(work: Callable[[], object], repeats: int = 3) -> float:
-    """Seconds of the fastest of several runs."""
+    """Measure the seconds of the fastest of several runs."""
     return min(timeit.repeat(work, number=1, repeat=repeats))
 
 
 def demo_points_per_s(count: int) -> float:
-    """Speed on the demo's corner camera, in its own volume."""
+    """Measure the speed on the demo's corner camera, in its own volume."""
     scene = load_scene("demo")
     low, size = (
         np.asarray(scene.volume.center_mm) - np.asarray(scene.volume.size_mm) / 2.0,
@@ -141,7 +145,9 @@ def demo_points_per_s(count: int) -> float:
 
 
 def kernel_on_demo(count: int) -> dict[str, float]:
-    """The kernel alone on separate x, y, z, one thread, and the path by numpy; and the kernel's worst path, summed in extended precision.
+    """Measure the kernel alone on separate x, y, z, and the path by numpy.
+
+    Both use one thread. The kernel's worst path is summed in extended precision.
 
     The demo's corner camera is taken as if it faced the wall, so that a pixel is a tangent without
     more rounding than the kernel's own.

@@ -1,4 +1,6 @@
-"""Speed of synthetic aperture refocusing: `python benchmarks/refocus.py [planes]` prints JSON.
+"""Speed of synthetic aperture refocusing.
+
+`python benchmarks/refocus.py [planes]` prints JSON.
 
 Nine cameras behind glass (demo), the thesis's 25 in air, and nine cameras anywhere behind a leaning
 wall; 1000 x 1000 voxels, random images. A sample is one camera at one voxel. The time holds all
@@ -31,7 +33,7 @@ from sabench.utils.progress import track
 
 
 def scattered_rig() -> Rig:
-    """Nine cameras at different distances, behind a wall that leans by ten degrees."""
+    """Make nine cameras at different distances, behind a wall tilted by ten degrees."""
     values = load_scene("demo").to_dict()
     values["wall"]["normal"] = [
         float(np.sin(np.radians(10.0))),
@@ -50,7 +52,7 @@ def scattered_rig() -> Rig:
 
 
 def remap_gigasamples_s(images: F32, rig: Rig) -> float:
-    """OpenCV's bilinear remap of all images to the middle plane, 1e9 samples/s."""
+    """Measure OpenCV's bilinear remap to the middle plane, 1e9 samples/s."""
     x, y, z = rig.grid.axes_mm
     across, down = np.meshgrid(x, y)
     points = np.column_stack([across.ravel(), down.ravel(), np.full(across.size, z[len(z) // 2])])
@@ -69,7 +71,7 @@ def remap_gigasamples_s(images: F32, rig: Rig) -> float:
 
 
 def high_water_mib() -> float | None:
-    """The process's largest resident memory so far (VmHWM); None where Linux does not say."""
+    """Read the process's peak resident memory (VmHWM); None where unavailable."""
     status = Path("/proc/self/status")
     if not status.exists():
         return None
@@ -78,7 +80,7 @@ def high_water_mib() -> float | None:
 
 
 def measure(rig: Rig, planes: int, loads: float) -> dict[str, Any]:
-    """Speeds on one rig."""
+    """Measure speeds on one rig."""
     grid: Grid = replace(rig.grid, shape=(planes, *rig.grid.shape[1:]))
     cameras = rig.cameras
     images = np.random.default_rng(0).random(
@@ -115,7 +117,10 @@ def measure(rig: Rig, planes: int, loads: float) -> dict[str, Any]:
 
 
 def scaling(rig: Rig, planes: int, loads: float) -> dict[str, dict[str, dict[str, float]]]:
-    """Additive refocusing with fewer cameras, planes and voxels across: seconds, and the share of the loads' roofline."""
+    """Measure additive refocusing with fewer cameras, planes and voxels.
+
+    Returns seconds, and the fraction of the roofline of loads.
+    """
     images = np.random.default_rng(0).random(
         (len(rig.cameras), rig.cameras[0].rows, rig.cameras[0].columns), dtype=np.float32
     )

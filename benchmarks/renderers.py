@@ -1,8 +1,8 @@
-"""The ray tracer against the formulas: `python benchmarks/renderers.py [scene]` prints JSON.
+"""Ray tracer against formulas: `python benchmarks/renderers.py [scene]`.
 
 For each camera thousands of particles are placed behind the wall so that their images lie on a
-jittered lattice, at least 12 px apart; centroids and light are taken in windows of their own. What
-a solver would get wrong that forgets the wall is reckoned with the same cameras in plain air.
+jittered lattice, at least 12 px apart; centroids and light are taken in windows of their own. The
+error of a solver that ignores the wall is computed with the same cameras in air. Prints JSON.
 """
 
 from __future__ import annotations
@@ -33,7 +33,10 @@ _PITCH, _JITTER, _HALF = (
 
 
 def lattice(scene: Scene, camera: Camera, seed: int) -> tuple[Particles, I64]:
-    """Particles in the volume's depth whose images lie near the nodes of a lattice, and these nodes (column, row)."""
+    """Place particles whose images lie near the nodes of a lattice.
+
+    Returns particles in the volume's depth, and these nodes (column, row).
+    """
     rng = np.random.default_rng(seed)
     column, row = np.meshgrid(
         np.arange(_PITCH, camera.columns - _PITCH, _PITCH),
@@ -52,7 +55,7 @@ def lattice(scene: Scene, camera: Camera, seed: int) -> tuple[Particles, I64]:
 
 
 def moments(image: F64, nodes: I64) -> tuple[F64, F64]:
-    """Light, and centroid (n, 2) relative to the node, in each node's window."""
+    """Measure light and centroid (n, 2), relative to the node, in each window."""
     offset = np.arange(-_HALF, _HALF + 1)
     windows = image[nodes[:, 1, None, None] + offset[:, None], nodes[:, 0, None, None] + offset]
     light = windows.sum(axis=(1, 2))
@@ -62,7 +65,10 @@ def moments(image: F64, nodes: I64) -> tuple[F64, F64]:
 
 
 def compared(scene: Scene, camera: Camera, seed: int) -> tuple[F64, F64, F64, float]:
-    """Centroid differences (n, 2) of rays against formulas and against exact projection, light ratios (n,), seconds of the ray tracer."""
+    """Compare rays with formulas and with exact projection.
+
+    Returns both centroid differences (n, 2), light ratios (n,), and seconds of the ray tracer.
+    """
     particles, nodes = lattice(scene, camera, seed)
     images = image_particles(scene, camera, particles, None)
     start = time.perf_counter()
@@ -79,7 +85,10 @@ def compared(scene: Scene, camera: Camera, seed: int) -> tuple[F64, F64, F64, fl
 
 
 def without_wall(rig: Rig, scene: Scene, count: int) -> dict[str, float]:
-    """Error of the same cameras in plain air at random points of the volume, px; also after each camera's best shift."""
+    """Compute the error of the same cameras in air without a wall, px.
+
+    It is at random points of the volume, and also after each camera's best shift.
+    """
     rng = np.random.default_rng(1)
     points = np.asarray(scene.volume.center_mm) + rng.uniform(-0.5, 0.5, (count, 3)) * np.asarray(
         scene.volume.size_mm

@@ -1,4 +1,4 @@
-"""What this machine can do at best, measured when asked: benchmarks give speeds as shares of these."""
+"""Rooflines of this machine: the best speeds, of which benchmarks give fractions."""
 
 from __future__ import annotations
 
@@ -18,25 +18,31 @@ _TABLE = 1 << 20  # float32 numbers of a picture of 1024 x 1024 pixels
 
 
 def fastest_s(work: Callable[[], object], repeats: int = 3) -> float:
-    """Seconds of the fastest of several runs, after one to warm up."""
+    """Measure the seconds of the fastest of several runs, after one to warm up."""
     work()
     return min(timeit.repeat(work, number=1, repeat=repeats))
 
 
 def triad_gb_s() -> float:
-    """Memory bandwidth of a = b + s c over arrays beyond the caches, all threads: 12 bytes a number (STREAM)."""
+    """Measure the memory bandwidth of a = b + s c, with all threads.
+
+    Arrays exceed the caches; 12 bytes a number (STREAM).
+    """
     a, b, c = (np.ones(_TRIAD, dtype=np.float32) for _ in range(3))
     return 12.0 * _TRIAD / fastest_s(lambda: _triad(a, b, c)) / 1e9
 
 
 def cached_gigaloads_s() -> float:
-    """Numbers (float32) that all threads together can load from lines in their first caches, 1e9/s."""
+    """Measure loads of float32 from lines in first caches, all threads, 1e9/s."""
     lines = np.ones((numba.get_num_threads(), _LINE), dtype=np.float32)
     return 4.0 * _LINE * _ROUNDS * len(lines) / fastest_s(lambda: _read_lines(lines)) / 1e9
 
 
 def gathered_gigaloads_s() -> float:
-    """Numbers (float32) that all threads together can load from near places of a picture by computed index, 1e9/s."""
+    """Measure loads of float32 from near pixels by computed index, 1e9/s.
+
+    All threads load from an image.
+    """
     table, out = np.ones(_TABLE, dtype=np.float32), np.empty(_TABLE, dtype=np.float32)
     rng = np.random.default_rng(0)
     index = np.clip(

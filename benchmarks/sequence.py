@@ -1,10 +1,12 @@
-"""Speed and memory of a time-resolved sequence: `python benchmarks/sequence.py [FRAMES PARTICLES]` prints JSON.
+"""Speed and memory of a time-resolved sequence.
+
+`python benchmarks/sequence.py [FRAMES PARTICLES]` prints JSON.
 
 Nine cameras of 1000 x 1000 pixels look at PARTICLES (125,000) that a flow carries; the splat
-renderer writes FRAMES (100) frames and their truth in a process of its own, which notes its
+renderer writes FRAMES (100) frames and their truth in a child process, which records its
 resident memory at every frame: its slope over all but the first tenth, with a standard error, is
-what a frame costs. A particle-image is one particle in one camera's image of one frame. Beside its
-rate stands the time that writing as many bytes takes.
+what a frame costs. A particle-image is one particle in one camera's image of one frame. Its rate
+is compared with the time that writing as many bytes takes.
 """
 
 from __future__ import annotations
@@ -27,7 +29,8 @@ import sabench
 from sabench.simulation.recording.parts import Parts
 
 def memory(name):
-    return [int(line.split()[1]) / 1024.0 for line in pathlib.Path("/proc/self/status").read_text().splitlines() if line.startswith(name)][0]
+    lines = pathlib.Path("/proc/self/status").read_text().splitlines()
+    return [int(line.split()[1]) / 1024.0 for line in lines if line.startswith(name)][0]
 
 seen, put = [], Parts.put_frame
 def noting(self, frame, part):
@@ -41,7 +44,10 @@ print(json.dumps([time.perf_counter() - start, memory("VmHWM"), seen]))
 
 
 def scene_of(frames: int, particles: int) -> Scene:
-    """The demo's tank and cameras; a chaotic flow that moves particles by up to six pixels a frame."""
+    """Make the scene: the demo's tank and cameras, and a chaotic flow.
+
+    It moves particles by up to six pixels a frame.
+    """
     values = load_scene("demo").to_dict()
     values["particles"] = {"generator": "uniform", "count": particles, "diameter_mm": 0.02}
     values["flow"] = {
@@ -55,7 +61,10 @@ def scene_of(frames: int, particles: int) -> Scene:
 
 
 def made(scene: Scene, folder: Path) -> tuple[float, float, list[float]]:
-    """Seconds and peak MiB of generating a scene in a process of its own, and its MiB at every frame."""
+    """Measure seconds, peak MiB and MiB at every frame of generating a scene.
+
+    A child process generates it.
+    """
     (folder / "scene.toml").write_text(scene.to_toml(), encoding="utf-8")
     command = [sys.executable, "-c", _CHILD, str(folder / "scene.toml"), str(folder / "set")]
     done = subprocess.run(command, stdout=subprocess.PIPE, text=True, check=True)
@@ -64,7 +73,7 @@ def made(scene: Scene, folder: Path) -> tuple[float, float, list[float]]:
 
 
 def write_rate(folder: Path) -> float:
-    """Bytes a second that a file takes."""
+    """Measure the bytes a second that a file takes."""
     block, start = bytes(1 << 24), time.perf_counter()
     with (folder / "zeros").open("wb") as file:
         for _ in range(32):

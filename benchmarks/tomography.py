@@ -1,12 +1,12 @@
-"""Speed of tomography: `python benchmarks/tomography.py [WIDTH DEPTH PPP]` prints JSON.
+"""Speed of tomography: `python benchmarks/tomography.py [WIDTH DEPTH PPP]`.
 
 Four cameras 27 degrees off the axis look at WIDTH x WIDTH x DEPTH voxels of a pixel's size (700 x
 700 x 140: the volume of Elsinga et al. 2006) with PPP particles per pixel (0.05) of the volume's
 face. Everything is compiled on a small volume first. Rates are compared with what the machine can
 do, measured in the same run: a projection or back-projection reads or writes four pixels for every
 voxel and camera, so its roofline is a fourth of the rate of random reads from an image; the
-bandwidth is that of a + b c over large arrays. Beside the speed stands what the solvers' defaults
-find on a smaller volume of the same array.
+bandwidth is that of a + b c over large arrays. The quality of the solvers' defaults is
+measured on a smaller volume of the same array. Prints JSON.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ TILT_DEG, VOXEL_MM, DISTANCE_MM = 27.0, 0.05, 510.0
 
 
 def scene_of(width: int, depth: int, ppp: float, cameras: int = 4) -> Scene:
-    """A ring of cameras in air, images that hold the whole volume, particles alike."""
+    """Make a ring of cameras in air, whose images hold the whole volume."""
     size = [width * VOXEL_MM, width * VOXEL_MM, depth * VOXEL_MM]
     pixels = math.ceil((1.1 * width + 0.6 * depth) / 8) * 8
     tilt = math.radians(TILT_DEG)
@@ -79,7 +79,7 @@ def scene_of(width: int, depth: int, ppp: float, cameras: int = 4) -> Scene:
 
 
 def fastest(work: Callable[[], object], repeats: int = 3) -> float:
-    """Seconds of the fastest of several runs, after one to warm up."""
+    """Measure the seconds of the fastest of several runs, after one to warm up."""
     work()
     return min(timeit.repeat(work, number=1, repeat=repeats))
 
@@ -99,7 +99,7 @@ def read_at(values: Any, places: Any) -> float:
 
 
 def machine(pixels: int) -> dict[str, float]:
-    """Bandwidth in GB/s, and random reads from an image in millions/s."""
+    """Measure bandwidth, GB/s, and random reads from an image, millions/s."""
     a, b, c = (np.ones(30_000_000, dtype=np.float32) for _ in range(3))
     places = np.random.default_rng(0).integers(pixels, size=10_000_000, dtype=np.uint32)
     image = np.ones(pixels, dtype=np.float32)
@@ -110,7 +110,11 @@ def machine(pixels: int) -> dict[str, float]:
 
 
 def operator_rates(case: Observation, reads: float) -> dict[str, float]:
-    """First guess, projection and back-projection in millions of voxels times cameras per second, and the latter two against the roofline."""
+    """Measure first guess, projection and back-projection.
+
+    Speeds are in millions of voxels times cameras per second; the latter two are compared with the
+    roofline.
+    """
     parameters = SparseParameters()
     problem = TomographyProblem.from_case(case, parameters)
     state = problem.mlos(parameters.threshold)
@@ -136,7 +140,11 @@ def operator_rates(case: Observation, reads: float) -> dict[str, float]:
 
 
 def timed(name: str, case: Observation, bandwidth: float) -> dict[str, float | None]:
-    """One run of a solver; its rate counts all voxels, and is compared with reading the volume once per camera and iteration."""
+    """Run a solver once.
+
+    Its rate counts all voxels, and is compared with reading the volume once per camera and
+    iteration.
+    """
     solver = plugins.load("solvers", name)
     work = functools.partial(solver(solver.Parameters(iterations=ITERATIONS)).solve, case)
     forget_peak()
@@ -157,7 +165,10 @@ def rounded(value: Any) -> Any:
 
 
 def accuracy(ppp: float) -> dict[str, Any]:
-    """Q and particles found as peaks on 300 x 300 x 100 voxels, defaults of the solvers, means over seeds 1 to 5 with 95 % intervals of Q."""
+    """Measure Q and particles detected as peaks on 300 x 300 x 100 voxels.
+
+    Solvers have their defaults. Figures are means over seeds 1 to 5, with 95 % intervals of Q.
+    """
     scores: dict[str, list[Any]] = {name: [] for name in _JUDGED}
     for seed in track(range(1, 6), f"accuracy at {ppp:g} ppp"):
         shot = simulate(scene_of(300, 100, ppp), seed=seed)

@@ -1,10 +1,10 @@
-"""Speed and response of 3-D PIV: `python benchmarks/velocimetry.py [WIDTH DEPTH]` prints JSON.
+"""Speed and response of 3-D PIV: `benchmarks/velocimetry.py [WIDTH DEPTH]`.
 
 Two volumes of WIDTH x WIDTH x DEPTH voxels (1000 x 1000 x 100) with 20 particles per window of 32 x
 32 x 16 voxels are evaluated; everything is compiled on a small pair first. The first pass is
 compared with its three Fourier transforms per window alone; a later pass (volumes moved by cubic
 splines, correlation, validation) with scipy's `map_coordinates` moving the same two volumes once.
-Then the response: the amplitude that is found of sinusoidal shears, over the wavelength, beside
+Then the response: the measured amplitude of sinusoidal shears, over the wavelength, compared with
 that of the mean over a window; and how well a particle closes its path about a ring's core.
 """
 
@@ -37,7 +37,7 @@ _SAMPLE = 2_000_000  # voxels that scipy moves
 
 
 def pair_of(grid: Grid, flow: Any, seed: int = 0) -> tuple[F32, F32]:
-    """Volumes of particles before and after a flow of one second has carried them."""
+    """Make volumes of particles before and after a flow of one second."""
     size = np.asarray(grid.shape[::-1]) * np.asarray(grid.voxel_mm)
     low = np.asarray(grid.low_mm) - 0.5 * np.asarray(grid.voxel_mm) - 1.0  # some enter and leave
     count = round(
@@ -53,7 +53,7 @@ def pair_of(grid: Grid, flow: Any, seed: int = 0) -> tuple[F32, F32]:
 
 
 def grid_of(width: int, height: int, depth: int) -> Grid:
-    """Centred."""
+    """Make a centred grid."""
     x, y, z = (
         -(count - 1) / 2.0 * voxel
         for count, voxel in zip((width, height, depth), _VOXEL_MM, strict=True)
@@ -62,18 +62,18 @@ def grid_of(width: int, height: int, depth: int) -> Grid:
 
 
 def flow_of(name: str, **parameters: Any) -> Any:
-    """A flow by its name."""
+    """Make a flow by its name."""
     plugin = load("generators", name)
     return plugin(plugin.Parameters(**parameters))
 
 
 def best(work: Any, repeats: int = 3) -> float:
-    """Least seconds of a few runs."""
+    """Measure the seconds of the fastest of a few runs."""
     return min(timeit.repeat(work, number=1, repeat=repeats))
 
 
 def evaluated(pair: VolumePair, passes: int) -> Velocity:
-    """By `piv3d` with its defaults, but for the first window and the passes after it."""
+    """Solve with `piv3d`'s defaults, except for first window and passes."""
     plugin = load("solvers", "piv3d")
     made: Velocity = plugin(
         plugin.Parameters(first_window=WINDOW[::-1], window=WINDOW[::-1], passes=passes)
@@ -82,7 +82,7 @@ def evaluated(pair: VolumePair, passes: int) -> Velocity:
 
 
 def speed(width: int, depth: int) -> dict[str, float]:
-    """Vectors a second of the first pass and of a later one, and what they are compared with."""
+    """Measure vectors a second of the first and of a later pass, and references."""
     flow = flow_of("taylor_green", wavelength_mm=20.0, peak_mm_s=0.1)
     small, grid = grid_of(96, 96, 48), grid_of(width, width, depth)
     evaluated(VolumePair(*pair_of(small, flow), small, 1.0), 1)
@@ -114,7 +114,7 @@ def speed(width: int, depth: int) -> dict[str, float]:
 
 
 def amplitude(solver: str, across: tuple[float, float, float], wavelength_mm: float) -> float:
-    """The part of a wave's amplitude that a solver finds."""
+    """Measure the fraction of a wave's amplitude that a solver finds."""
     along = (1.0, 0.0, 0.0) if across[0] == 0.0 else (0.0, 1.0, 0.0)
     flow = flow_of(
         "shear_wave",
@@ -133,7 +133,11 @@ def amplitude(solver: str, across: tuple[float, float, float], wavelength_mm: fl
 
 
 def once_around() -> float:
-    """How far from its start a particle ends that the thesis's ring carries once around its core, over the ring's diameter."""
+    """Measure by how much a particle misses its start after one revolution.
+
+    The thesis's ring carries it once around the core; the distance is relative to the ring's
+    diameter.
+    """
     ring = flow_of("vortex_ring", diameter_mm=20.0, core_mm=4.0, peak_mm_s=100.0)
     start = np.array([[14.0, 0.0, 0.0], [10.0, 0.0, 2.0], [7.0, 0.0, 0.0]])
     radii = np.hypot(start[:, 0] - 10.0, start[:, 2])

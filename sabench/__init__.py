@@ -1,4 +1,4 @@
-"""sabench: physically based synthetic data for volumetric velocimetry, and benchmarks of algorithms on it."""
+"""Physically based synthetic data for volumetric velocimetry, and benchmarks of algorithms."""
 
 from __future__ import annotations
 
@@ -8,24 +8,131 @@ from typing import TYPE_CHECKING, Any
 from sabench.utils.version import __version__
 
 if TYPE_CHECKING:
-    from sabench.dataset.reader import open_dataset
-    from sabench.scenes import load_scene
+    from sabench import (
+        algorithms,
+        api,
+        evaluation,
+        geometry,
+        images,
+        metrics,
+        plotting,
+        tasks,
+    )
+    from sabench.api.truth import Bubbles, Particles
+    from sabench.dataset.reader import Dataset, open_dataset
+    from sabench.dataset.results import Result, open_result
+    from sabench.dataset.verification import verify
+    from sabench.evaluation.gates.comparison import check_file as check
+    from sabench.evaluation.leaderboard.submissions import submit
+    from sabench.evaluation.runner import run_suite
+    from sabench.evaluation.thesis import reproduce
+    from sabench.geometry.camera import Camera
+    from sabench.geometry.grid import Grid
+    from sabench.geometry.refraction import Layer, Wall
+    from sabench.interop.vtkhdf import export
+    from sabench.plugins import list_generators, list_scenes, list_solvers, list_suites
+    from sabench.scenes import Scene, load_scene
+    from sabench.simulation.in_memory import simulate
     from sabench.simulation.pipeline import generate
+    from sabench.tasks.own_calibration import calibrate
     from sabench.tasks.solve_and_score import score, solve
 
-__all__ = ["__version__", "generate", "load_scene", "open_dataset", "score", "solve"]
 
+# Names of the public face and the modules that define them; the imports above are the same for
+# type checkers.
 _HOMES = {
+    "Bubbles": "api.truth",
+    "Camera": "geometry.camera",
+    "Dataset": "dataset.reader",
+    "Grid": "geometry.grid",
+    "Layer": "geometry.refraction",
+    "Particles": "api.truth",
+    "Result": "dataset.results",
+    "Scene": "scenes",
+    "Wall": "geometry.refraction",
+    "calibrate": "tasks.own_calibration",
+    "check": "evaluation.gates.comparison:check_file",
+    "export": "interop.vtkhdf",
     "generate": "simulation.pipeline",
+    "list_generators": "plugins",
+    "list_scenes": "plugins",
+    "list_solvers": "plugins",
+    "list_suites": "plugins",
     "load_scene": "scenes",
     "open_dataset": "dataset.reader",
+    "open_result": "dataset.results",
+    "reproduce": "evaluation.thesis",
+    "run_suite": "evaluation.runner",
     "score": "tasks.solve_and_score",
+    "simulate": "simulation.in_memory",
     "solve": "tasks.solve_and_score",
+    "submit": "evaluation.leaderboard.submissions",
+    "verify": "dataset.verification",
 }
+_NAMESPACES = (
+    "algorithms",
+    "api",
+    "evaluation",
+    "geometry",
+    "images",
+    "metrics",
+    "plotting",
+    "tasks",
+)
+__all__ = [
+    "Bubbles",
+    "Camera",
+    "Dataset",
+    "Grid",
+    "Layer",
+    "Particles",
+    "Result",
+    "Scene",
+    "Wall",
+    "__version__",
+    "algorithms",
+    "api",
+    "calibrate",
+    "check",
+    "evaluation",
+    "export",
+    "generate",
+    "geometry",
+    "images",
+    "list_generators",
+    "list_scenes",
+    "list_solvers",
+    "list_suites",
+    "load_scene",
+    "metrics",
+    "open_dataset",
+    "open_result",
+    "plotting",
+    "reproduce",
+    "run_suite",
+    "score",
+    "simulate",
+    "solve",
+    "submit",
+    "tasks",
+    "verify",
+]
 
 
-def __getattr__(name: str) -> Any:
-    """Import the public functions when they are first used, so that `import sabench` stays light."""
-    if name not in _HOMES:
-        raise AttributeError(f"module 'sabench' has no attribute {name!r}")
-    return getattr(importlib.import_module(f"sabench.{_HOMES[name]}"), name)
+if not TYPE_CHECKING:  # type checkers would take any name for one of the module's
+
+    def __getattr__(name: str) -> Any:
+        """Import a public name when it is first used, so that `import sabench` stays light."""
+        if name in _NAMESPACES:
+            return importlib.import_module(f"sabench.{name}")
+        if name not in _HOMES:
+            raise AttributeError(f"module 'sabench' has no attribute {name!r}")
+        module, _, original = _HOMES[name].partition(":")
+        value = getattr(importlib.import_module(f"sabench.{module}"), original or name)
+        globals()[name] = value
+        return value
+
+
+def __dir__() -> list[str]:
+    """List the public names, for tab completion."""
+    return sorted(__all__)

@@ -1,4 +1,4 @@
-"""`python -m sabench` is the command `sabench`."""
+"""Entry point of `python -m sabench`, the same as the command `sabench`."""
 
 from sabench.cli.main import main
 

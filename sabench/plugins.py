@@ -1,9 +1,12 @@
-"""Finds generators and solvers: one file each, in folders that are not part of the package.
+"""Plug-in discovery: generators and solvers, one file each, in folders outside the package.
 
-Importing this module mounts `sabench.plugins.generators` and `sabench.plugins.solvers`, whose
-search paths are, in this order, the folders beside the package (a checkout) or inside it
-(`sabench/_plugins/<kind>`, a wheel), and `<folder>/<kind>` for every folder in the variable
-SABENCH_PLUGINS (separated as in PATH). A plug-in's name is its file's stem.
+Importing this module mounts `sabench.plugins.generators` and `sabench.plugins.solvers`. They are
+searched for in this order: the folders next to the package (a checkout) or inside it
+(`sabench/_plugins/<kind>`, a wheel), then `<folder>/<kind>` for every folder in the environment
+variable SABENCH_PLUGINS (separated as in PATH). The name of a plug-in is the stem of its file.
+
+`load` imports one plug-in. `describe` reads its name, task and summary from its source instead, so
+that listing plug-ins is fast and one broken plug-in does not affect the others.
 """
 
 from __future__ import annotations
@@ -12,89 +15,217 @@ import difflib
 import importlib
 import os
 import sys
+import warnings
+from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
-from typing import Any
+from typing import Any, Literal
 
+from sabench.utils.class_source import Source, constant, find_class, import_fault, parse
 from sabench.utils.errors import InputError
 
 _PACKAGE = Path(__file__).resolve().parent
 KINDS = ("generators", "solvers")
+# Class attribute that groups the entries of a kind.
+_GROUP = {"solvers": "task", "generators": "makes"}
+
+Kind = Literal["generator", "solver", "scene", "suite"]
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One line of `sabench list`.
+
+    Attributes
+    ----------
+    group : task of a solver, what a generator makes; empty for scenes and suites.
+    summary : first line of the docstring of a plug-in, title of a scene or suite.
+    """
+
+    kind: Kind
+    name: str
+    group: str
+    summary: str
+    file: Path
 
 
 def bundled(kind: str) -> Path:
-    """The folder of that kind (generators, solvers, scenes, leaderboard) that came with this installation."""
+    """Find the bundled folder of a kind: generators, solvers, scenes or leaderboard."""
     beside = _PACKAGE.parent / kind
-    return (
-        beside
-        if (_PACKAGE.parent / "pyproject.toml").is_file() and beside.is_dir()
-        else _PACKAGE / "_plugins" / kind
-    )
+    checkout = (_PACKAGE.parent / "pyproject.toml").is_file() and beside.is_dir()
+    return beside if checkout else _PACKAGE / "_plugins" / kind
 
 
 def folders(kind: str) -> list[Path]:
-    """All folders that are searched for that kind."""
-    extra = [
-        Path(entry) / kind
-        for entry in os.environ.get("SABENCH_PLUGINS", "").split(os.pathsep)
-        if entry
-    ]
+    """List all folders that are searched for plug-ins of a kind."""
+    variable = os.environ.get("SABENCH_PLUGINS", "")
+    extra = [(Path(entry) / kind).absolute() for entry in variable.split(os.pathsep) if entry]
     return [folder for folder in (bundled(kind), *extra) if folder.is_dir()]
 
 
 def names(kind: str) -> list[str]:
-    """Names of all plug-ins of a kind, sorted; two of one name are an InputError."""
+    """List the names of all plug-ins of a kind, sorted."""
     return sorted(_files(kind))
 
 
 def file_of(kind: str, name: str) -> Path:
-    """The file of a plug-in that there is."""
-    return _files(kind)[name]
+    """Find the file of a plug-in.
+
+    Raises
+    ------
+    InputError
+        No plug-in has this name, or two have it.
+    """
+    files = _files(kind)
+    if name not in files:
+        near = difflib.get_close_matches(name, files, 1)
+        hint = f"did you mean {near[0]}?" if near else f"there are {', '.join(sorted(files))}"
+        raise InputError(f"no {kind[:-1]} is named {name!r}: {hint}")
+    if len(files[name]) > 1:
+        first, second = files[name][:2]
+        raise InputError(
+            f"two {kind} are named {name}: {first} and {second}; rename or remove one of them"
+        )
+    return files[name][0]
 
 
-def _files(kind: str) -> dict[str, Path]:
-    found: dict[str, Path] = {}
+def _files(kind: str) -> dict[str, list[Path]]:
+    found: dict[str, list[Path]] = {}
     for folder in folders(kind):
         for file in sorted(folder.glob("[a-z]*.py")):
-            if file.stem in found:
-                raise InputError(f"two {kind} are named {file.stem}: {found[file.stem]} and {file}")
-            found[file.stem] = file
+            found.setdefault(file.stem, []).append(file)
     return found
 
 
 def load(kind: str, name: str) -> type[Any]:
-    """The plug-in class of that name: the one class of its file that carries the file's name as its `name`."""
-    known = names(kind)
-    if name not in known:
-        near = difflib.get_close_matches(name, known, 1)
-        hint = f"did you mean {near[0]}?" if near else f"there are {', '.join(known)}"
-        raise InputError(f"no {kind[:-1]} is named {name!r}: {hint}")
+    """Import a plug-in: the one class of its file whose `name` is the stem of the file.
+
+    Raises
+    ------
+    InputError
+        No plug-in or two have this name, or the file cannot be imported or has no such class.
+    """
+    file = file_of(kind, name)
+    sys.modules[f"{__name__}.{kind}"].__path__ = [str(folder) for folder in folders(kind)]
     try:
         module = importlib.import_module(f"{__name__}.{kind}.{name}")
     except Exception as error:
         raise InputError(
-            f"{kind[:-1]} {name}: its file cannot be imported, {type(error).__name__}: {error}"
+            f"{kind[:-1]} {name}: cannot import {file}: {type(error).__name__}: {error}"
         ) from error
-    found = [
+    own = [
         value
         for value in vars(module).values()
         if isinstance(value, type) and value.__module__ == module.__name__
     ]
-    classes = [value for value in found if getattr(value, "name", None) == name]
+    classes = [value for value in own if getattr(value, "name", None) == name]
     if len(classes) != 1:
-        raise InputError(
-            f"{module.__file__}: expected one class with name = {name!r}, got {len(classes)}"
-        )
+        raise InputError(f"{file}: expected one class with name = {name!r}, got {len(classes)}")
     return classes[0]
 
 
 def summary(plugin: type[Any]) -> str:
-    """First line of a plug-in's docstring."""
+    """Read the first line of a plug-in's docstring."""
     return (plugin.__doc__ or "").strip().split("\n")[0]
 
 
+def describe(kind: str, name: str) -> Entry:
+    """Summarise a plug-in from its source; import it only if its source does not say enough.
+
+    Raises
+    ------
+    InputError
+        The file cannot be parsed, imports what does not exist, or has no class of this name.
+    """
+    file = file_of(kind, name)
+    source = parse(file)
+    fault = import_fault(source)
+    if fault:
+        raise InputError(f"{kind[:-1]} {name}: {file}: {fault}")
+    return _from_source(kind, name, source) or _from_class(kind, name, file)
+
+
+def _from_source(kind: str, name: str, source: Source) -> Entry | None:
+    found = find_class(source, name)
+    group = constant(source, found, _GROUP[kind]) if found else None
+    if found is None or group is None:
+        return None
+    return Entry(_singular(kind), name, group, found.summary, source.file)
+
+
+def _from_class(kind: str, name: str, file: Path) -> Entry:
+    plugin = load(kind, name)
+    group = getattr(plugin, _GROUP[kind], "")
+    return Entry(_singular(kind), name, group, summary(plugin), file)
+
+
+def _singular(kind: str) -> Kind:
+    return "solver" if kind == "solvers" else "generator"
+
+
+def list_solvers(task: str | None = None) -> list[str]:
+    """List the names of all solvers, or of those of one task."""
+    return _named("solvers", task)
+
+
+def list_generators(makes: str | None = None) -> list[str]:
+    """List the names of all generators, or of those that make "particles", "flow", ..."""
+    return _named("generators", makes)
+
+
+def _named(kind: str, group: str | None) -> list[str]:
+    if group is None:
+        return names(kind)
+    entries, faults = readable(kind)
+    for fault in faults:
+        warnings.warn(fault, stacklevel=3)
+    return [entry.name for entry in entries if entry.group == group]
+
+
+def list_tasks() -> list[str]:
+    """List the tasks that have a solver."""
+    return sorted({entry.group for entry in readable("solvers")[0]})
+
+
+def readable(kind: str) -> tuple[list[Entry], list[str]]:
+    """Describe all plug-ins of a kind: entries, and one sentence for each that is broken."""
+    entries, faults = [], []
+    for name in names(kind):
+        try:
+            entries.append(describe(kind, name))
+        except InputError as error:
+            faults.append(str(error))
+    return entries, faults
+
+
+def list_scenes() -> list[str]:
+    """List the names of the bundled scenes."""
+    return [file.stem for file in _tables("scene")]
+
+
+def list_suites() -> list[str]:
+    """List the names of the bundled suites."""
+    return [file.stem for file in _tables("suite")]
+
+
+def tables(kind: Literal["scene", "suite"]) -> list[Entry]:
+    """Describe the bundled scenes or suites by their titles."""
+    import tomllib
+
+    found = []
+    for file in _tables(kind):
+        title = tomllib.loads(file.read_text(encoding="utf-8"))["title"]
+        found.append(Entry(kind, file.stem, "", title, file))
+    return found
+
+
+def _tables(kind: Literal["scene", "suite"]) -> list[Path]:
+    folder = bundled("scenes")
+    return sorted((folder if kind == "scene" else folder / "suites").glob("*.toml"))
+
+
 def mount() -> None:
-    """Make the packages whose modules the plug-ins are; again after SABENCH_PLUGINS has changed."""
+    """Create the packages that hold the plug-ins."""
     for kind in KINDS:
         module = ModuleType(f"{__name__}.{kind}", f"Plug-ins: {kind}.")
         module.__path__ = [str(folder) for folder in folders(kind)]

@@ -26,12 +26,36 @@ from sabench.utils import backend
 
 Command = Callable[..., "subprocess.CompletedProcess[str]"]
 ROOT = Path(__file__).resolve().parents[1]
+_LONGEST = (
+    "test_bubbles",
+    "test_faults",
+    "test_recording",
+    "test_programs",
+    "test_self_calibration",
+    "test_bubbles_traced",
+    "test_particle_tracks",
+    "test_gate",
+    "test_windows",
+    "test_calibration_solvers",
+    "test_board_in_browser",
+    "test_chain",
+    "test_synthetic_aperture",
+    "test_art_updates",
+    "test_velocimetry_chain",
+    "test_reproduce",
+)
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption(
         "--update-golden", action="store_true", help="store the figures of tests/regression anew"
     )
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Start the files that take longest, so that no worker is left alone with one at the end."""
+    order = {name: place for place, name in enumerate(_LONGEST)}
+    items.sort(key=lambda item: order.get(item.path.stem, len(order)))
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -1,9 +1,13 @@
-// Multiplicative synthetic aperture refocusing through a plane wall: a program that takes part in sabench, in C++17 with libhdf5's C interface.
+// Multiplicative synthetic aperture refocusing through a plane wall: a program that takes part in
+// sabench, in C++17 with libhdf5's C interface.
 //
 //   synthetic_aperture DATASET RESULT [k=3]
 //
-// It reads cameras.json, manifest.json and the uncompressed 16-bit TIFF images by itself; docs/developing/participate.md is the contract. The algorithm
-// is that of ../python/synthetic_aperture.py, line by line.
+// It reads cameras.json, manifest.json and the uncompressed 16-bit TIFF images by itself;
+// docs/developing/participate.md is the contract. The algorithm is that of
+// ../python/synthetic_aperture.py, line by line.
+
+#include <hdf5.h>
 
 #include <algorithm>
 #include <array>
@@ -21,8 +25,6 @@
 #include <string>
 #include <vector>
 
-#include <hdf5.h>
-
 using Vec = std::array<double, 3>;
 
 static Vec minus(const Vec& a, const Vec& b) { return {a[0] - b[0], a[1] - b[1], a[2] - b[2]}; }
@@ -36,7 +38,7 @@ static std::string read_file(const std::string& path) {
     return out.str();
 }
 
-// ---- JSON: objects, arrays, strings, numbers, words; as much as the two files need ----------------------------------------------------------
+// ---- JSON: objects, arrays, strings, numbers, words; as much as the two files need --------------
 
 struct Json {
     enum Kind { null, number, text, array, object } kind = null;
@@ -55,19 +57,27 @@ struct Json {
 };
 
 class JsonReader {
-  public:
+ public:
     explicit JsonReader(const std::string& text) : text_(text) {}
 
     Json read() {
         switch (next()) {
-            case '{': return object();
-            case '[': return array();
-            case '"': { Json made; made.kind = Json::text; made.string = string(); return made; }
-            default: return word();
+            case '{':
+                return object();
+            case '[':
+                return array();
+            case '"': {
+                Json made;
+                made.kind = Json::text;
+                made.string = string();
+                return made;
+            }
+            default:
+                return word();
         }
     }
 
-  private:
+ private:
     char next() {
         while (at_ < text_.size() && std::isspace(static_cast<unsigned char>(text_[at_]))) at_++;
         if (at_ >= text_.size()) throw std::runtime_error("JSON: the text ends too early");
@@ -78,7 +88,10 @@ class JsonReader {
         at_++;
     }
     bool more(char end) {  // after an element: whether a comma follows
-        if (next() == ',') { at_++; return true; }
+        if (next() == ',') {
+            at_++;
+            return true;
+        }
         take(end);
         return false;
     }
@@ -86,7 +99,10 @@ class JsonReader {
         Json made;
         made.kind = Json::object;
         take('{');
-        if (next() == '}') { at_++; return made; }
+        if (next() == '}') {
+            at_++;
+            return made;
+        }
         do {
             next();
             std::string key = string();
@@ -99,8 +115,12 @@ class JsonReader {
         Json made;
         made.kind = Json::array;
         take('[');
-        if (next() == ']') { at_++; return made; }
-        do made.items.push_back(read()); while (more(']'));
+        if (next() == ']') {
+            at_++;
+            return made;
+        }
+        do made.items.push_back(read());
+        while (more(']'));
         return made;
     }
     std::string string() {  // escapes are kept as they are: no name that we look for has one
@@ -130,7 +150,7 @@ class JsonReader {
 
 static Json read_json(const std::string& path) { return JsonReader(read_file(path)).read(); }
 
-// ---- images ------------------------------------------------------------------------------------------------------------------------------
+// ---- images -------------------------------------------------------------------------------------
 
 struct Image {
     int rows = 0, columns = 0;
@@ -139,7 +159,7 @@ struct Image {
 };
 
 class Tiff {  // one page of uncompressed 16-bit grey values in strips
-  public:
+ public:
     explicit Tiff(const std::string& path) : path_(path), data_(read_file(path)) {
         if (data_.size() < 8) fail("it is too short");
         little_ = data_[0] == 'I';
@@ -151,22 +171,26 @@ class Tiff {  // one page of uncompressed 16-bit grey values in strips
             size_t entry = directory + 2 + 12 * i, tag = number(entry, 2);
             tags_[int(tag)] = values(entry);
         }
-        if (one(258, 1) != 16 || one(259, 1) != 1 || one(277, 1) != 1) fail("expected uncompressed 16-bit grey values");
+        if (one(258, 1) != 16 || one(259, 1) != 1 || one(277, 1) != 1)
+            fail("expected uncompressed 16-bit grey values");
         Image image;
         image.rows = int(one(257, 0));
         image.columns = int(one(256, 0));
         const auto &offsets = tags_[273], &sizes = tags_[279];
         for (size_t strip = 0; strip < offsets.size(); strip++)
-            for (size_t byte = 0; byte + 1 < sizes.at(strip); byte += 2) image.values.push_back(double(number(offsets[strip] + byte, 2)));
-        if (image.values.size() != size_t(image.rows) * image.columns) fail("expected as many values as pixels");
+            for (size_t byte = 0; byte + 1 < sizes.at(strip); byte += 2)
+                image.values.push_back(double(number(offsets[strip] + byte, 2)));
+        if (image.values.size() != size_t(image.rows) * image.columns)
+            fail("expected as many values as pixels");
         return image;
     }
 
-  private:
+ private:
     size_t number(size_t at, int bytes) const {
         if (at + bytes > data_.size()) fail("it ends too early");
         size_t value = 0;
-        for (int i = 0; i < bytes; i++) value |= size_t(uint8_t(data_[at + (little_ ? i : bytes - 1 - i)])) << (8 * i);
+        for (int i = 0; i < bytes; i++)
+            value |= size_t(uint8_t(data_[at + (little_ ? i : bytes - 1 - i)])) << (8 * i);
         return value;
     }
     std::vector<size_t> values(size_t entry) const {
@@ -182,20 +206,24 @@ class Tiff {  // one page of uncompressed 16-bit grey values in strips
         auto found = tags_.find(tag);
         return found == tags_.end() || found->second.empty() ? otherwise : found->second[0];
     }
-    [[noreturn]] void fail(const std::string& why) const { throw std::runtime_error(path_ + ": " + why); }
+    [[noreturn]] void fail(const std::string& why) const {
+        throw std::runtime_error(path_ + ": " + why);
+    }
 
     std::string path_, data_;
     bool little_ = true;
     std::map<int, std::vector<size_t>> tags_;
 };
 
-// Grey values less black, over a bright particle's: the 95th percentile of the pixels that exceed a tenth of the brightest.
+// Normalise grey values by a bright particle's, after subtracting black: the 95th percentile of the
+// pixels that exceed a tenth of the brightest.
 static Image normalised(const std::string& path, double black) {
     Image image = Tiff(path).read();
     for (double& value : image.values) value = std::max(value - black, 0.0);
     double largest = *std::max_element(image.values.begin(), image.values.end());
     std::vector<double> lit;
-    std::copy_if(image.values.begin(), image.values.end(), std::back_inserter(lit), [&](double value) { return value > 0.1 * largest; });
+    std::copy_if(image.values.begin(), image.values.end(), std::back_inserter(lit),
+                 [&](double value) { return value > 0.1 * largest; });
     if (lit.empty()) return image;
     std::sort(lit.begin(), lit.end());
     double bright = std::max(lit[size_t(0.95 * double(lit.size() - 1))], 1.0);
@@ -204,18 +232,21 @@ static Image normalised(const std::string& path, double black) {
 }
 
 static double sample(const Image& image, double column, double row) {  // bilinear; 0 outside
-    if (!(column >= 0 && row >= 0 && column < image.columns - 1 && row < image.rows - 1)) return 0.0;
+    if (!(column >= 0 && row >= 0 && column < image.columns - 1 && row < image.rows - 1))
+        return 0.0;
     int i = int(row), j = int(column);
     double a = row - i, b = column - j;
-    return (1 - a) * ((1 - b) * image.at(i, j) + b * image.at(i, j + 1)) + a * ((1 - b) * image.at(i + 1, j) + b * image.at(i + 1, j + 1));
+    return (1 - a) * ((1 - b) * image.at(i, j) + b * image.at(i, j + 1)) +
+           a * ((1 - b) * image.at(i + 1, j) + b * image.at(i + 1, j + 1));
 }
 
-// ---- optics ------------------------------------------------------------------------------------------------------------------------------
+// ---- optics -------------------------------------------------------------------------------------
 
 struct Wall {
     bool there = false;
     Vec point{}, normal{};
-    std::vector<double> ratio, solid;  // indices over the smallest of them, air first; thicknesses of the solid layers
+    std::vector<double> ratio,
+        solid;  // indices over the smallest of them, air first; thicknesses of the solid layers
     double thickness = 0.0;
 
     explicit Wall(const Json& wall) {
@@ -234,13 +265,14 @@ struct Wall {
         thickness = std::accumulate(solid.begin(), solid.end(), 0.0);
     }
 
-    // Direction in which the light path to a point leaves the pinhole: Snell's law through all layers, by Newton's iteration for the tangent t of
-    // the path in the rarest medium.
+    // Direction in which the light path to a point leaves the pinhole: Snell's law through all
+    // layers, by Newton's iteration for the tangent t of the path in the rarest medium.
     Vec leaving(const Vec& pinhole, const Vec& to) const {
         Vec way = minus(to, pinhole);
         if (!there) return way;
         double along = dot(way, normal);
-        Vec lateral{way[0] - along * normal[0], way[1] - along * normal[1], way[2] - along * normal[2]};
+        Vec lateral{way[0] - along * normal[0], way[1] - along * normal[1],
+                    way[2] - along * normal[2]};
         double radius = std::sqrt(dot(lateral, lateral));
         std::vector<double>& depth = depth_;
         depth.assign(1, dot(minus(point, pinhole), normal));
@@ -258,11 +290,13 @@ struct Wall {
             }
             t += (radius - reach) / slope;
         }
-        double r2 = ratio[0] * ratio[0], scale = t / std::sqrt(r2 + (r2 - 1) * t * t) / std::max(radius, 1e-300);
-        return {normal[0] + scale * lateral[0], normal[1] + scale * lateral[1], normal[2] + scale * lateral[2]};
+        double r2 = ratio[0] * ratio[0],
+               scale = t / std::sqrt(r2 + (r2 - 1) * t * t) / std::max(radius, 1e-300);
+        return {normal[0] + scale * lateral[0], normal[1] + scale * lateral[1],
+                normal[2] + scale * lateral[2]};
     }
 
-  private:
+ private:
     mutable std::vector<double> depth_;
 };
 
@@ -272,20 +306,24 @@ struct Camera {
     std::array<Vec, 3> rotation{};
     double focal = 0.0, column = 0.0, row = 0.0, k1 = 0.0, k2 = 0.0, k3 = 0.0, p1 = 0.0, p2 = 0.0;
 
-    explicit Camera(const Json& camera) : name(camera["name"].string), center(camera["center_mm"].vec()) {
+    explicit Camera(const Json& camera)
+        : name(camera["name"].string), center(camera["center_mm"].vec()) {
         for (int i = 0; i < 3; i++) rotation[i] = camera["rotation"].items.at(i).vec();
         focal = camera["principal_distance_mm"].value / camera["pixel_mm"].value;
         column = camera["principal_point_px"].items.at(0).value;
         row = camera["principal_point_px"].items.at(1).value;
         const Json& d = camera["distortion"];
-        k1 = d["k1"].value, k2 = d["k2"].value, k3 = d["k3"].value, p1 = d["p1"].value, p2 = d["p2"].value;
+        k1 = d["k1"].value, k2 = d["k2"].value, k3 = d["k3"].value, p1 = d["p1"].value,
+        p2 = d["p2"].value;
     }
 
     std::array<double, 2> project(const Wall& wall, const Vec& point) const {  // column, row
         Vec way = wall.leaving(center, point);
-        double depth = dot(rotation[2], way), x = dot(rotation[0], way) / depth, y = dot(rotation[1], way) / depth, s = x * x + y * y;
+        double depth = dot(rotation[2], way), x = dot(rotation[0], way) / depth,
+               y = dot(rotation[1], way) / depth, s = x * x + y * y;
         double radial = 1 + s * (k1 + s * (k2 + s * k3));
-        double u = x * radial + 2 * p1 * x * y + p2 * (s + 2 * x * x), v = y * radial + p1 * (s + 2 * y * y) + 2 * p2 * x * y;
+        double u = x * radial + 2 * p1 * x * y + p2 * (s + 2 * x * x),
+               v = y * radial + p1 * (s + 2 * y * y) + 2 * p2 * x * y;
         return {u * focal + column, v * focal + row};
     }
 };
@@ -298,8 +336,12 @@ struct Rig {
     double black = 0.0;
     int frames = 0;
 
-    explicit Rig(const Json& file) : wall(file["wall"]), low(file["grid"]["low_mm"].vec()), voxel(file["grid"]["voxel_mm"].vec()) {
-        if (file.has("preprocessing") && !file["preprocessing"].items.empty()) throw std::runtime_error("preprocessing: this program takes raw images only");
+    explicit Rig(const Json& file)
+        : wall(file["wall"]),
+          low(file["grid"]["low_mm"].vec()),
+          voxel(file["grid"]["voxel_mm"].vec()) {
+        if (file.has("preprocessing") && !file["preprocessing"].items.empty())
+            throw std::runtime_error("preprocessing: this program takes raw images only");
         for (const Json& camera : file["cameras"].items) cameras.emplace_back(camera);
         for (int i = 0; i < 3; i++) shape[i] = hsize_t(file["grid"]["shape"].items.at(i).value);
         black = file["sensor"]["black_dn"].value;
@@ -307,7 +349,8 @@ struct Rig {
     }
 };
 
-// Volume (z, y, x): the product of all cameras to the power 3 / N; what stands out of each plane by k standard deviations.
+// Refocus: volume (z, y, x), the product of all cameras to the power 3 / N, thresholded in each plane
+// at k standard deviations above its mean.
 static std::vector<float> refocus(const Rig& rig, const std::vector<Image>& images, double k) {
     size_t plane_size = rig.shape[1] * rig.shape[2];
     std::vector<float> volume(rig.shape[0] * plane_size);
@@ -315,7 +358,9 @@ static std::vector<float> refocus(const Rig& rig, const std::vector<Image>& imag
     double power = std::min(1.0, 3.0 / double(images.size()));
     for (size_t z = 0; z < rig.shape[0]; z++) {
         for (size_t i = 0; i < plane_size; i++) {
-            Vec point{rig.low[0] + rig.voxel[0] * double(i % rig.shape[2]), rig.low[1] + rig.voxel[1] * double(i / rig.shape[2]), rig.low[2] + rig.voxel[2] * double(z)};
+            Vec point{rig.low[0] + rig.voxel[0] * double(i % rig.shape[2]),
+                      rig.low[1] + rig.voxel[1] * double(i / rig.shape[2]),
+                      rig.low[2] + rig.voxel[2] * double(z)};
             double product = 1.0;
             for (size_t c = 0; c < images.size(); c++) {
                 auto pixel = rig.cameras[c].project(rig.wall, point);
@@ -323,15 +368,17 @@ static std::vector<float> refocus(const Rig& rig, const std::vector<Image>& imag
             }
             plane[i] = std::pow(product, power);
         }
-        double mean = std::accumulate(plane.begin(), plane.end(), 0.0) / double(plane_size), square = 0.0;
+        double mean = std::accumulate(plane.begin(), plane.end(), 0.0) / double(plane_size),
+               square = 0.0;
         for (double value : plane) square += (value - mean) * (value - mean);
         double threshold = mean + k * std::sqrt(square / double(plane_size));
-        for (size_t i = 0; i < plane_size; i++) volume[z * plane_size + i] = float(std::max(plane[i] - threshold, 0.0));
+        for (size_t i = 0; i < plane_size; i++)
+            volume[z * plane_size + i] = float(std::max(plane[i] - threshold, 0.0));
     }
     return volume;
 }
 
-// ---- the result file -----------------------------------------------------------------------------------------------------------------------
+// ---- the result file ----------------------------------------------------------------------------
 
 static hid_t checked(hid_t id) {
     if (id < 0) throw std::runtime_error("HDF5: the result cannot be written");
@@ -339,8 +386,9 @@ static hid_t checked(hid_t id) {
 }
 
 class ResultFile {
-  public:
-    explicit ResultFile(const std::string& path) : file_(checked(H5Fcreate(path.c_str(), H5F_ACC_TRUNC, H5P_DEFAULT, H5P_DEFAULT))) {}
+ public:
+    explicit ResultFile(const std::string& path)
+        : file_(checked(H5Fcreate(path.c_str(), H5F_ACC_TRUNC, H5P_DEFAULT, H5P_DEFAULT))) {}
     ~ResultFile() { H5Fclose(file_); }
 
     void attribute(const char* name, const std::string& value) {
@@ -350,22 +398,27 @@ class ResultFile {
         put(name, type, space, value.data());
         H5Tclose(type);
     }
-    void attribute(const char* name, int value) { put(name, H5T_NATIVE_INT, checked(H5Screate(H5S_SCALAR)), &value); }
+    void attribute(const char* name, int value) {
+        put(name, H5T_NATIVE_INT, checked(H5Screate(H5S_SCALAR)), &value);
+    }
 
     void volume(int frame, const std::array<hsize_t, 3>& shape, const std::vector<float>& values) {
         char name[64];
         std::snprintf(name, sizeof name, "frames/%04d/volume", frame);
-        hid_t links = checked(H5Pcreate(H5P_LINK_CREATE)), how = checked(H5Pcreate(H5P_DATASET_CREATE)), space = checked(H5Screate_simple(3, shape.data(), nullptr));
+        hid_t links = checked(H5Pcreate(H5P_LINK_CREATE)),
+              how = checked(H5Pcreate(H5P_DATASET_CREATE)),
+              space = checked(H5Screate_simple(3, shape.data(), nullptr));
         H5Pset_create_intermediate_group(links, 1);
         const hsize_t chunk[3] = {1, shape[1], shape[2]};
         H5Pset_chunk(how, 3, chunk);
         H5Pset_deflate(how, 1);
-        hid_t data = checked(H5Dcreate2(file_, name, H5T_NATIVE_FLOAT, space, links, how, H5P_DEFAULT));
+        hid_t data =
+            checked(H5Dcreate2(file_, name, H5T_NATIVE_FLOAT, space, links, how, H5P_DEFAULT));
         checked(H5Dwrite(data, H5T_NATIVE_FLOAT, H5S_ALL, H5S_ALL, H5P_DEFAULT, values.data()));
         H5Dclose(data), H5Sclose(space), H5Pclose(how), H5Pclose(links);
     }
 
-  private:
+ private:
     void put(const char* name, hid_t type, hid_t space, const void* value) {
         hid_t made = checked(H5Acreate2(file_, name, type, space, H5P_DEFAULT, H5P_DEFAULT));
         checked(H5Awrite(made, type, value));
@@ -376,7 +429,8 @@ class ResultFile {
 
 static double parameter(int count, char** words, const std::string& name, double otherwise) {
     for (int i = 3; i < count; i++)
-        if (std::string(words[i]).rfind(name + "=", 0) == 0) return std::stod(words[i] + name.size() + 1);
+        if (std::string(words[i]).rfind(name + "=", 0) == 0)
+            return std::stod(words[i] + name.size() + 1);
     return otherwise;
 }
 

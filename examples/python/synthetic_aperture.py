@@ -1,7 +1,8 @@
 #!/usr/bin/env python3
-"""Multiplicative synthetic aperture refocusing through a plane wall: a program that takes part in sabench without sabench.
+"""Multiplicative synthetic aperture refocusing through a plane wall.
 
-synthetic_aperture.py DATASET RESULT [k=3]. It needs numpy, h5py and tifffile; docs/developing/participate.md is the contract.
+An external program that solves a data set without sabench: synthetic_aperture.py DATASET RESULT
+[k=3]. It needs numpy, h5py and tifffile. See docs/developing/participate.md for the contract.
 """
 
 import json
@@ -14,7 +15,10 @@ import tifffile
 
 
 def leaving(wall, pinhole, points):
-    """Directions (n, 3) in which light paths to points (n, 3) leave the pinhole: Snell's law through all layers, by Newton's iteration."""
+    """Compute the directions (n, 3) in which light paths leave the pinhole.
+
+    They lead to points (n, 3) by Snell's law through all layers; Newton's iteration.
+    """
     if wall is None:
         return points - pinhole
     normal, outer, layers = np.array(wall["normal"]), np.array(wall["point_mm"]), wall["layers"]
@@ -35,7 +39,7 @@ def leaving(wall, pinhole, points):
 
 
 def project(camera, wall, points):
-    """Pixels (column, row) of points (n, 3) in mm."""
+    """Project points (n, 3), mm, to pixels (column, row)."""
     local = leaving(wall, np.array(camera["center_mm"]), points) @ np.array(camera["rotation"]).T
     (x, y), d = local[:, :2].T / local[:, 2], camera["distortion"]
     s = x**2 + y**2
@@ -49,7 +53,7 @@ def project(camera, wall, points):
 
 
 def sample(image, column, row):
-    """Bilinear interpolation; 0 outside the image."""
+    """Interpolate bilinearly; 0 outside the image."""
     inside = (column >= 0) & (row >= 0) & (column < image.shape[1] - 1) & (row < image.shape[0] - 1)
     c, r = np.where(inside, column, 0), np.where(inside, row, 0)
     i, j = r.astype(int), c.astype(int)
@@ -61,7 +65,10 @@ def sample(image, column, row):
 
 
 def refocus(rig, images, k):
-    """Volume (z, y, x): the product of all cameras to the power 3 / N; what stands out of each plane by k standard deviations."""
+    """Refocus: the product of all cameras to the power 3 / N, thresholded.
+
+    The threshold of each plane is k standard deviations above its mean. Returns (z, y, x).
+    """
     grid = rig["grid"]
     x, y, z = (
         low + step * np.arange(n)
@@ -82,14 +89,17 @@ def refocus(rig, images, k):
 
 
 def normalised(path, black):
-    """Grey values less black, over a bright particle's: the 95th percentile of the pixels that exceed a tenth of the brightest."""
+    """Normalise grey values by a bright particle's, after subtracting black.
+
+    That is the 95th percentile of the pixels that exceed a tenth of the brightest.
+    """
     image = np.maximum(tifffile.imread(path).astype(np.float64) - black, 0.0)
     lit = np.sort(image[image > 0.1 * image.max()])
     return image / max(lit[int(0.95 * (len(lit) - 1))], 1.0) if len(lit) else image
 
 
 def main(dataset, result, *parameters):
-    """Every frame of a data set into one result file."""
+    """Solve every frame of a data set; write one result file."""
     root, k = Path(dataset), float(dict(pair.split("=") for pair in parameters).get("k", 3.0))
     rig = json.loads((root / "cameras.json").read_text(encoding="utf-8"))
     if rig.get("preprocessing"):

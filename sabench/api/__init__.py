@@ -40,8 +40,8 @@ from sabench.geometry.frames import Domain, Pose
 from sabench.geometry.grid import Grid
 from sabench.geometry.refraction import Layer, Rays, Wall
 from sabench.geometry.rotations import frame_along, rotation_matrices
-from sabench.utils.arrays import F32, F64, I64, U16, Bool, triple
-from sabench.utils.errors import InputError
+from sabench.utils.arrays import F32, F64, I32, I64, U16, Bool, triple
+from sabench.utils.errors import DeclinedError, InputError
 from sabench.utils.fields import Vector
 from sabench.utils.progress import track as progress_bar
 from sabench.utils.rng import stream
@@ -49,6 +49,7 @@ from sabench.utils.rng import stream
 __all__ = [
     "F32",
     "F64",
+    "I32",
     "I64",
     "U16",
     "AnySolver",
@@ -64,6 +65,7 @@ __all__ = [
     "CameraModel",
     "Code",
     "CodeGenerator",
+    "DeclinedError",
     "Detections",
     "Distortion",
     "Domain",

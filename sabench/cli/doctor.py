@@ -1,4 +1,4 @@
-"""What this machine renders and computes on: tried, not guessed, with the remedy for what is missing."""
+"""The command `sabench doctor`: tests of the installation, with remedies."""
 
 from __future__ import annotations
 
@@ -8,18 +8,20 @@ import shutil
 from dataclasses import dataclass
 from pathlib import Path
 
+import typer
+
 from sabench import plugins
-from sabench.utils import backend
+from sabench.cli.options import say
 from sabench.utils.errors import InputError
-from sabench.utils.processes.child import run_code
 from sabench.utils.version import __version__
 
 _PATIENCE_S = 180
+_LEAST_GB = 2.0  # what the suite demo needs
 
 
 @dataclass(frozen=True)
 class Finding:
-    """One line of the doctor's report; `remedy` only where it is not well."""
+    """One line of the report; `remedy` is empty if all is well."""
 
     subject: str
     well: bool
@@ -27,46 +29,59 @@ class Finding:
     remedy: str = ""
 
 
+def doctor() -> None:
+    """Check the rendering and compute back ends and say how to fix what is missing."""
+    findings = examine()
+    for finding in findings:
+        say(f"{'ok ' if finding.well else 'BAD'} {finding.subject:<16} {finding.text}")
+        if finding.remedy and not finding.well:
+            say(f"    remedy: {finding.remedy}")
+    if not all(finding.well for finding in findings):
+        raise typer.Exit(1)
+
+
 def examine() -> list[Finding]:
-    """All findings; the trials run in processes of their own, since a bad library can abort one."""
-    findings = [
-        Finding(
-            "sabench",
-            True,
-            f"{__version__} on Python {platform.python_version()}, {platform.system()} {platform.machine()}, {os.cpu_count()} cores",
-        )
-    ]
+    """Examine the installation; trials run in child processes, which a bad library may abort."""
+    from sabench.utils import backend
+
+    system = f"{platform.system()} {platform.machine()}, {os.cpu_count()} cores"
+    version = f"{__version__} on Python {platform.python_version()}, {system}"
+    findings = [Finding("sabench", True, version)]
     try:
         chosen = backend.choose()
-    except InputError as error:
-        return [*findings, Finding("backend", False, str(error))]  # its text holds the remedy
+    except InputError as error:  # its message includes the remedy
+        return [*findings, Finding("backend", False, str(error))]
     findings.append(Finding("backend", True, f"{chosen.kind}: {chosen.why}"))
-    findings.append(_trial("Dr.Jit kernel", "compute"))
-    findings.append(_trial("Mitsuba render", "render"))
-    findings.append(_space())
-    return [*findings, *_plugin_findings()]
+    findings.append(_try("Dr.Jit kernel", "compute", backend.REMEDY))
+    findings.append(_try("Mitsuba render", "render", backend.REMEDY))
+    return [*findings, _examine_disk(), *_examine_plugins()]
 
 
-def _trial(subject: str, name: str) -> Finding:
+def _try(subject: str, name: str, remedy: str) -> Finding:
+    """Call `try_<name>` in a child process."""
+    from sabench.utils.processes.child import run_code
+
     code = f"from sabench.cli.doctor import try_{name}; print(try_{name}())"
     try:
         return Finding(subject, True, run_code(code, "the trial", _PATIENCE_S))
     except InputError as error:
-        return Finding(subject, False, str(error), backend.REMEDY)
+        return Finding(subject, False, str(error), remedy)
 
 
 def try_compute() -> str:
     """Sum a million numbers with a kernel and compare with the closed form."""
+    from sabench.utils import backend
+
     dr, types = backend.drjit()
     count = 1_000_001
     total = float(dr.sum(dr.arange(types.Float, count) / (count - 1))[0])
     if abs(total - count / 2) > 1e-3 * count:
         raise SystemExit(f"expected {count / 2}, got {total}")
-    return "a sum of a million numbers is right"
+    return "sums a million numbers correctly"
 
 
 def try_render() -> str:
-    """Render the quick scene's first camera through its wall and compare the light with the analytic sum."""
+    """Render the first camera of the scene `quick` and compare with the analytic light."""
     from sabench.scenes import build_rig, load_scene
     from sabench.simulation.in_memory import make_particles
     from sabench.simulation.rendering.particle_images import image_particles, scattering_table
@@ -74,36 +89,30 @@ def try_render() -> str:
 
     scene = load_scene("quick")
     camera, particles = build_rig(scene).cameras[0], make_particles(scene, 0, 0)
-    images = image_particles(
-        scene, camera, particles, scattering_table(scene, (camera,), particles)
-    )
-    ratio = float(
-        (render(camera, images, particles.position_mm, 9) * camera.etendue()).sum()
-        / images.photons[images.visible].sum()
-    )
+    table = scattering_table(scene, (camera,), particles)
+    images = image_particles(scene, camera, particles, table)
+    rendered = render(camera, images, particles.position_mm, 9) * camera.etendue()
+    ratio = float(rendered.sum() / images.photons[images.visible].sum())
     if not abs(ratio - 1.0) < 0.05:
-        raise SystemExit(f"expected as much light as the analytic sum, got {ratio:.3f} of it")
-    return f"through glass into water, with {ratio:.4f} of the analytic light"
+        raise SystemExit(f"expected the light of the analytic sum, got {ratio:.3f} of it")
+    return f"renders through glass and water, {ratio:.4f} of the analytic light"
 
 
-def _space() -> Finding:
+def _examine_disk() -> Finding:
     free = shutil.disk_usage(Path.cwd()).free / 1e9
-    return Finding(
-        "disk",
-        free > 2.0,
-        f"{free:.1f} GB free here",
-        "" if free > 2.0 else "free some space: the demo needs 2 GB",
-    )
+    remedy = f"free some space: `sabench run demo` needs {_LEAST_GB:.0f} GB"
+    return Finding("disk", free > _LEAST_GB, f"{free:.1f} GB free in this folder", remedy)
 
 
-def _plugin_findings() -> list[Finding]:
-    findings = []
+def _examine_plugins() -> list[Finding]:
+    """Import every plug-in."""
+    faults = []
     for kind in plugins.KINDS:
         for name in plugins.names(kind):
             try:
                 plugins.load(kind, name)
             except InputError as error:
-                findings.append(
-                    Finding(f"{kind[:-1]} {name}", False, str(error), "mend or remove its file")
-                )
-    return findings
+                subject, remedy = f"{kind[:-1]} {name}", "correct or remove its file"
+                faults.append(Finding(subject, False, str(error), remedy))
+    count = sum(len(plugins.names(kind)) for kind in plugins.KINDS)
+    return faults or [Finding("plug-ins", True, f"all {count} can be imported")]

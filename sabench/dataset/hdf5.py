@@ -1,4 +1,4 @@
-"""HDF5 that trusts nothing: no links out of a file, no surprises in shape or kind, no crash on a full disk."""
+"""HDF5 files that are not trusted: no outside links, shapes and kinds checked."""
 
 from __future__ import annotations
 
@@ -29,7 +29,10 @@ _DENSEST = 1100  # deflate makes at best 1 byte of 1032
 
 @contextlib.contextmanager
 def opened(path: Path) -> Iterator[Any]:
-    """An HDF5 file for reading; whatever goes wrong inside is an InputError that names it."""
+    """Open an HDF5 file for reading.
+
+    Whatever goes wrong inside is an InputError that names the file.
+    """
     if not path.is_file():
         raise InputError(f"{path}: expected an HDF5 file, found none")
     try:
@@ -42,7 +45,9 @@ def opened(path: Path) -> Iterator[Any]:
 
 
 class NewFile(io.RawIOBase):
-    """A file that HDF5 writes through; the first write that the system refuses is kept, and HDF5 told that all is well.
+    """File that HDF5 writes through, which keeps the first refused write.
+
+    HDF5 itself is given success.
 
     HDF5 does not survive a refused write: it crashes the process when it closes. `check` raises the
     refusal where Python can handle it.
@@ -54,7 +59,7 @@ class NewFile(io.RawIOBase):
         self._fault: OSError | None = None
 
     def check(self) -> None:
-        """Raise what the system refused so far."""
+        """Raise the first write that the system has refused, if any."""
         if self._fault:
             raise self._fault
 
@@ -70,18 +75,18 @@ class NewFile(io.RawIOBase):
         return len(view)
 
     def readinto(self, buffer: Any) -> int:
-        """Read back; what was refused reads as zeros."""
+        """Read back; bytes of refused writes read as zeros."""
         view = memoryview(buffer).cast("B")
         count = self._file.readinto(view) or 0
         view[count:] = bytes(len(view) - count)
         return len(view)
 
     def seek(self, offset: int, whence: int = 0) -> int:
-        """Move."""
+        """Move the position in the file."""
         return self._file.seek(offset, whence)
 
     def tell(self) -> int:
-        """Where."""
+        """Position in the file."""
         return self._file.tell()
 
     def truncate(self, size: int | None = None) -> int:
@@ -100,7 +105,9 @@ class NewFile(io.RawIOBase):
 
 @contextlib.contextmanager
 def created(path: Path) -> Iterator[tuple[Any, Callable[[], None]]]:
-    """A new HDF5 file, and a function that raises if the disk has refused a write; it is called at the end in any case.
+    """Create an HDF5 file; also gives a function that raises refused writes.
+
+    The function is called at the end in any case.
 
     Whoever writes into the file does so `uninterrupted`.
     """
@@ -120,7 +127,10 @@ def created(path: Path) -> Iterator[tuple[Any, Callable[[], None]]]:
 
 @contextlib.contextmanager
 def uninterrupted() -> Iterator[None]:
-    """Hold Ctrl-C back until the block has ended: raised inside HDF5's calls to `NewFile` it would be lost, or leave the file in pieces."""
+    """Delay Ctrl-C until the block has ended.
+
+    Raised inside HDF5's calls to `NewFile` it would be lost, or leave the file in pieces.
+    """
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -135,7 +145,9 @@ def uninterrupted() -> Iterator[None]:
 
 
 def read_array(file: Any, name: str, shape: tuple[int | None, ...], kind: str) -> npt.NDArray[Any]:
-    """A data set of that shape (None: any length) and numpy kind letters; it must lie inside this very file.
+    """Read a data set of that shape (None: any length) and numpy kind letters.
+
+    It must lie inside this very file.
 
     Shape, type and what reading will cost are checked before a value is read: a small file can say
     that it holds more than any memory.
@@ -158,7 +170,10 @@ def read_array(file: Any, name: str, shape: tuple[int | None, ...], kind: str) -
 
 
 def walk(path: Path) -> None:
-    """Read all that a file says of itself, and no values; where it is damaged so that the library goes round in circles, that is here."""
+    """Read all names, shapes and attributes of a file, but no values.
+
+    A damaged file on which the library loops for ever is found here.
+    """
 
     def look(_: str, node: Any) -> None:
         if isinstance(node, h5py.Dataset) and node.shape is not None and node.chunks:
@@ -173,7 +188,7 @@ def walk(path: Path) -> None:
 
 
 def names_in(file: Any, group: str) -> set[str]:
-    """Names of what a group of this very file holds; none where there is no such group."""
+    """List what a group of this very file holds; nothing without such a group."""
     node = file
     for part in group.split("/"):
         link = node.get(part, getlink=True)
@@ -188,7 +203,7 @@ def names_in(file: Any, group: str) -> set[str]:
 
 
 def read_attributes(file: Any, names: Iterable[str]) -> dict[str, Any]:
-    """Those attributes of the file's root that are there, as single Python values: strings and numbers.
+    """Read attributes of the file's root as single strings and numbers.
 
     Other languages write strings of fixed length, and arrays of one element for single values: both
     are taken.
@@ -215,13 +230,14 @@ def _attribute(file: Any, name: str) -> Any:
     value = value.decode("utf-8", "replace") if isinstance(value, bytes) else value
     if not isinstance(value, str | int | float) or len(str(value)) > _LONGEST:
         raise InputError(
-            f"{where}: expected one string or number of at most {_LONGEST} characters, got {type(value).__name__}"
+            f"{where}: expected one string or number of at most {_LONGEST} characters, got "
+            f"{type(value).__name__}"
         )
     return value.encode("utf-8", "replace").decode() if isinstance(value, str) else value
 
 
 def _node(file: Any, name: str, where: str) -> Any:
-    """What has that name, reached by hard links alone."""
+    """Find the object of that name, reached by hard links alone."""
     node = file
     for part in name.split("/"):
         link = node.get(part, getlink=True) if isinstance(node, h5py.Group) else None
@@ -244,29 +260,36 @@ def _dtype(node: Any, where: str) -> np.dtype[Any]:
 
 
 def _check_cost(node: Any, where: str, *, is_open: bool) -> None:
-    """Refuse what would not fit into memory when it is read; where the length is the file's to choose, also what it hardly stores."""
+    """Refuse values that would not fit into memory.
+
+    Where the length is the file's to choose, also those that it hardly stores.
+    """
     size, stored, there = int(node.nbytes), int(node.id.get_storage_size()), memory.available_mb()
     if there is not None and 2.0 * size / 1e6 > there:
         raise InputError(
-            f"{where}: expected values that fit into memory, but {node.shape} of {node.dtype} need {2.0 * size / 1e6:.0f} MB"
+            f"{where}: expected values that fit into memory, but {node.shape} of {node.dtype} need "
+            f"{2.0 * size / 1e6:.0f} MB"
         )
     if is_open and size > _OPEN_BYTES:
         raise InputError(
-            f"{where}: expected at most {_OPEN_BYTES / 1e6:.0f} MB of values, got {node.shape} of {node.dtype}"
+            f"{where}: expected at most {_OPEN_BYTES / 1e6:.0f} MB of values, got {node.shape} of "
+            f"{node.dtype}"
         )
     if is_open and size > _SMALL and size > _DENSEST * stored:
         raise InputError(
-            f"{where}: expected values that the file stores, got {node.shape} of {node.dtype} in {stored} bytes"
+            f"{where}: expected values that the file stores, got {node.shape} of {node.dtype} in "
+            f"{stored} bytes"
         )
     piece = math.prod(node.chunks) * node.dtype.itemsize if node.chunks else 0
     if piece > max(_SMALL, 2 * size):
         raise InputError(
-            f"{where}: expected chunks no larger than the data set, got {node.chunks} of {node.dtype} for shape {node.shape}"
+            f"{where}: expected chunks no larger than the data set, got {node.chunks} of "
+            f"{node.dtype} for shape {node.shape}"
         )
 
 
 def finite(values: npt.NDArray[Any], where: str) -> npt.NDArray[Any]:
-    """`values`, or an InputError if any is NaN or infinite."""
+    """Return `values`, or raise InputError if any is NaN or infinite."""
     bad = int(values.size - np.count_nonzero(np.isfinite(values)))
     if bad:
         raise InputError(f"{where}: expected finite values, got {bad} that are NaN or infinite")

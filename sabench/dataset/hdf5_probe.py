@@ -1,4 +1,7 @@
-"""HDF5 files of others: whether the library survives them is found out in a process of its own."""
+"""Probe of untrusted HDF5 files, in a child process.
+
+A damaged file may kill the HDF5 library's process.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +19,7 @@ _PROBE_RATE = 2e7  # bytes of a file for each second more
 
 
 def probe(path: Path) -> None:
-    """Let another process find out whether HDF5 survives a foreign file.
+    """Open an untrusted file in a child process, which HDF5 may not survive.
 
     Raises
     ------
@@ -29,7 +32,7 @@ def probe(path: Path) -> None:
 
 
 def probe_dataset(root: Path) -> None:
-    """The same for the HDF5 files of a data set, if it is one at all."""
+    """Probe the HDF5 files of a data set, if it is one at all."""
     schema.read_manifest(root)
     for name in (schema.TRUTH, schema.POINTS):
         if is_file(root / name):

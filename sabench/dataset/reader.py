@@ -1,4 +1,4 @@
-"""Open a data set: its observation side for solvers, its truth for scores."""
+"""Reader of data sets: observations for solvers, truth for scores."""
 
 from __future__ import annotations
 
@@ -30,42 +30,45 @@ from sabench.utils.validation import validate
 
 @dataclass(frozen=True)
 class Dataset:
-    """A data set folder; frames are read when asked for."""
+    """Data set folder; frames are read when asked for."""
 
     root: Path
     manifest: Manifest
 
     @property
     def content_hash(self) -> str:
-        """The hash that names this data set."""
+        """Hash that identifies this data set."""
         return self.manifest.content_hash
 
     @cached_property
     def rig(self) -> CamerasFile:
-        """What solvers are told: cameras, wall, grid and sensor levels."""
+        """Read the cameras, wall, grid and sensor levels that solvers receive."""
         return schema.read_cameras(self.root)
 
     @cached_property
     def true_cameras(self) -> tuple[Camera, ...]:
-        """The cameras that took the pictures: truth, not for solvers. They are those of `rig`, unless the data set has a calibration error."""
+        """Read the cameras that took the images: truth, not for solvers.
+
+        They are those of `rig`, unless the data set has a calibration error.
+        """
         if schema.TRUE_CAMERAS not in self.manifest.files:
             return self.rig.cameras
         return schema.read_true_cameras(self.root, self.rig)
 
     @cached_property
     def scene(self) -> Scene:
-        """The resolved scene: truth, not for solvers."""
+        """Read the resolved scene: truth, not for solvers."""
         path = inside(self.root, schema.SCENE)
         try:
             scene = validate(Scene, tomllib.loads(path.read_text(encoding="utf-8")), str(path))
         except (OSError, ValueError, RecursionError) as error:
             raise InputError(f"{path}: expected a TOML file, got {error}") from error
         return scene.with_files(
-            {table: inside(self.root, place.as_posix()) for table, place in scene.files.items()}
+            {table: inside(self.root, file.as_posix()) for table, file in scene.files.items()}
         )
 
     def observation(self, frame: int) -> Observation:
-        """One frame as a solver may see it."""
+        """Read one frame as a solver receives it."""
         self._check_frame(frame)
         rig = self.rig
         images = [
@@ -81,7 +84,10 @@ class Dataset:
         )
 
     def radiance(self, frame: int) -> list[F32]:
-        """Noise-free photon radiance of every camera, photons / (mm2 sr): truth, not for solvers."""
+        """Read the noise-free radiance of every camera: truth, not for solvers.
+
+        In photons / (mm2 sr).
+        """
         self._check_frame(frame)
         return [
             read_exr(self._image(camera.name, frame, "exr"), (camera.rows, camera.columns))
@@ -89,7 +95,7 @@ class Dataset:
         ]
 
     def particles(self, frame: int) -> Particles:
-        """The true particles of a frame."""
+        """Read the true particles of a frame."""
         self._check_frame(frame)
         group = schema.frame_group(frame)
         with opened(inside(self.root, schema.TRUTH)) as file:
@@ -105,7 +111,7 @@ class Dataset:
             return Particles(identity, **values)
 
     def views(self, frame: int) -> list[View]:
-        """What every camera truly receives of a frame's particles, in the cameras' order."""
+        """Read every camera's true particle images, in the cameras' order."""
         self._check_frame(frame)
         with opened(inside(self.root, schema.TRUTH)) as file:
             n = len(read_array(file, f"{schema.frame_group(frame)}/id", (None,), "i"))
@@ -127,7 +133,7 @@ class Dataset:
             return views
 
     def bubbles(self, frame: int) -> Bubbles:
-        """The true bubbles of a frame."""
+        """Read the true bubbles of a frame."""
         self._check_frame(frame)
         group = f"{schema.frame_group(frame)}/bubbles"
         with opened(inside(self.root, schema.TRUTH)) as file:
@@ -150,7 +156,7 @@ class Dataset:
             )
 
     def solids(self, frame: int) -> list[Solid]:
-        """The true bodies of a frame."""
+        """Read the true bodies of a frame."""
         self._check_frame(frame)
         group = f"{schema.frame_group(frame)}/bodies"
         with opened(inside(self.root, schema.TRUTH)) as file:
@@ -165,7 +171,7 @@ class Dataset:
             ]
 
     def sight(self, frame: int, camera: Camera) -> Sight:
-        """What one camera truly sees of a frame's bubbles and bodies."""
+        """Read what one camera truly sees of a frame's bubbles and bodies."""
         self._check_frame(frame)
         group, image = (
             f"{schema.frame_group(frame)}/sights/{camera.name}",
@@ -188,7 +194,7 @@ class Dataset:
             )
 
     def render_error(self, frame: int, camera: Camera) -> float:
-        """Mean relative standard error of a picture of bubbles and bodies."""
+        """Read the mean relative standard error of an image of bubbles and bodies."""
         with opened(inside(self.root, schema.TRUTH)) as file:
             return float(
                 read_array(
@@ -198,7 +204,10 @@ class Dataset:
 
     @property
     def shows(self) -> tuple[Shown, ...]:
-        """What its frames show: a target, or particles, bubbles, or both; bodies may be there in any case."""
+        """Kinds of objects in the frames: a target, or particles, bubbles, or both.
+
+        Bodies may be there in any case.
+        """
         return ("target",) if self.shows_target else self.rig.shows
 
     @property
@@ -207,7 +216,7 @@ class Dataset:
         return schema.TARGET in self.manifest.files
 
     def calibration_case(self) -> CalibrationCase:
-        """All frames of a target as a solver may see them."""
+        """Read all frames of a target as a solver receives them."""
         target, rig = self._target(), self.rig
         count = len(target.points_mm)
         shapes = {"pixels": (len(rig.cameras), rig.frames, count, 2)} | dict.fromkeys(
@@ -221,7 +230,7 @@ class Dataset:
         return CalibrationCase(target=target, cameras=rig.cameras, unknown=rig.unknown, **arrays)
 
     def placed(self) -> Placed:
-        """The target's true places: not for solvers."""
+        """Read the target's true positions and rotations: not for solvers."""
         target = self._target()
         with opened(inside(self.root, schema.TRUTH)) as file:
             return Placed(
@@ -230,7 +239,10 @@ class Dataset:
             )
 
     def sightings(self) -> tuple[F64, Bool]:
-        """Where the cameras truly see the target's points (camera, frame, point, 2), NaN if they do not, and outliers (camera, frame, point).
+        """Read the true pixels of the target's points, and which are outliers.
+
+        Pixels (camera, frame, point, 2), NaN where a camera does not see the point; outliers
+        (camera, frame, point).
 
         Truth, not for solvers.
         """
@@ -244,7 +256,8 @@ class Dataset:
     def _target(self) -> Target:
         if not self.shows_target:
             raise InputError(
-                f"{self.root}: expected a data set with a calibration target, got one with particles"
+                f"{self.root}: expected a data set with a calibration target, got one with "
+                "particles"
             )
         return schema.read_target(self.root)
 
@@ -263,16 +276,21 @@ def observed(
     levels: tuple[float, float],
     steps: Sequence[Step],
 ) -> Observation:
-    """Raw images with their grey values of no light and of saturation, as a solver sees them: after the steps of preprocessing."""
+    """Build the observation of raw images, after the steps of preprocessing.
+
+    `levels` are the grey values of no light and of saturation.
+    """
     if not steps:
         return Observation(images, cameras, grid, *levels)
     return Observation(processed(images, *levels, steps), cameras, grid, 0.0, float(WHITE))
 
 
 def _pose(file: Any, group: str) -> Pose:
-    turn = finite(read_array(file, f"{group}/turn", (3, 3), "f"), f"{file.filename}: {group}/turn")
+    rotation = finite(
+        read_array(file, f"{group}/turn", (3, 3), "f"), f"{file.filename}: {group}/turn"
+    )
     return Pose(
-        turn,
+        rotation,
         finite(
             read_array(file, f"{group}/place_mm", (3,), "f"), f"{file.filename}: {group}/place_mm"
         ),

@@ -1,4 +1,4 @@
-"""Names, keys and their checks that writing, reading and verifying share."""
+"""Names, keys and checks that writer, reader and verification share."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class _Record(BaseModel):
 
 
 class SensorLevels(_Record):
-    """What an experimenter knows of the sensor."""
+    """Grey levels of the sensor."""
 
     black_dn: float
     white_dn: float
@@ -50,7 +50,7 @@ class SensorLevels(_Record):
 
 
 class CamerasFile(_Record):
-    """cameras.json: the whole observation side but for the images."""
+    """cameras.json: the observation, apart from the images."""
 
     format: str
     version: int
@@ -67,23 +67,23 @@ class CamerasFile(_Record):
     shows: tuple[Literal["particles", "bubbles", "code"], ...] = ("particles",)
 
     def time_s(self, frame: int) -> float:
-        """When a frame was taken."""
+        """Time of a frame."""
         return frame * self.interval_s if self.times_s is None else self.times_s[frame]
 
     def sequences(self) -> list[range]:
-        """Frames that belong together: each group of pulses, or all frames, where a group has but one."""
+        """Sequences of frames: each group of pulses, or all frames without groups."""
         step = self.pulses if self.pulses > 1 else self.frames
         return [
             range(first, min(first + step, self.frames)) for first in range(0, self.frames, step)
         ]
 
     def pairs(self) -> list[tuple[int, int]]:
-        """Frames that follow each other within a sequence."""
+        """Pairs of frames that follow each other within a sequence."""
         return [pair for frames in self.sequences() for pair in itertools.pairwise(frames)]
 
 
 class TrueCamerasFile(_Record):
-    """true_cameras.json: the cameras that took the pictures, where cameras.json tells others."""
+    """true_cameras.json: the true cameras, where cameras.json holds others."""
 
     format: str
     version: int
@@ -106,7 +106,7 @@ class FileEntry(_Record):
 
 
 class Manifest(_Record):
-    """manifest.json: what the data set consists of and came from."""
+    """manifest.json: contents and origin of the data set."""
 
     format: str
     version: int
@@ -121,7 +121,10 @@ class Manifest(_Record):
 
 
 def image_name(camera: str, frame: int, suffix: str) -> str:
-    """Path of an image inside a data set; `suffix` is tif (grey values) or exr (radiance)."""
+    """Path of an image inside a data set.
+
+    `suffix` is tif (grey values) or exr (radiance).
+    """
     return f"images/frame_{frame:04d}/{camera}.{suffix}"
 
 
@@ -131,18 +134,21 @@ def frame_group(frame: int) -> str:
 
 
 def content_hash(files: dict[str, FileEntry]) -> str:
-    """Names a data set: SHA-256 over the canonical JSON of path -> SHA-256."""
+    """Hash the files of a data set: SHA-256 over the JSON of path -> SHA-256."""
     return digest({name: entry.sha256 for name, entry in files.items()})
 
 
 def sealed(manifest: dict[str, Any]) -> str:
-    """The manifest's text, with the hash of all its other keys as `manifest_hash`."""
+    """Serialise the manifest, with the hash of all other keys."""
     rest = {key: value for key, value in manifest.items() if key != "manifest_hash"}
     return canonical_json({**rest, "manifest_hash": digest(rest)})
 
 
 def read_manifest(root: Path) -> Manifest:
-    """The manifest of a data set; InputError if there is none, it is broken or of another format."""
+    """Read the manifest of a data set.
+
+    Raises InputError if there is none, it is broken or of another format.
+    """
     path = inside(root, MANIFEST)
     if not root.is_dir() or not path.is_file():
         raise InputError(f"{path}: expected a data set's manifest, found none")
@@ -153,7 +159,7 @@ def read_manifest(root: Path) -> Manifest:
 
 
 def read_cameras(root: Path) -> CamerasFile:
-    """The rig of a data set, every camera with its wall."""
+    """Read the cameras of a data set, every one with its wall."""
     path = inside(root, CAMERAS)
     loaded = _checked(CamerasFile, path)
     names = [camera.name for camera in loaded.cameras]
@@ -166,23 +172,27 @@ def read_cameras(root: Path) -> CamerasFile:
     return loaded.model_copy(update={"cameras": _behind(loaded.wall, loaded.cameras)})
 
 
-def read_true_cameras(root: Path, told: CamerasFile) -> tuple[Camera, ...]:
-    """The true cameras of a data set whose cameras.json tells others: the same names and image sizes, behind the same wall."""
+def read_true_cameras(root: Path, nominal: CamerasFile) -> tuple[Camera, ...]:
+    """Read the true cameras of a data set whose cameras.json holds others.
+
+    They have the same names and image sizes, and are behind the same wall.
+    """
     path = inside(root, TRUE_CAMERAS)
     cameras = _checked(TrueCamerasFile, path).cameras
     expected, got = (
-        [(c.name, c.rows, c.columns) for c in group] for group in (told.cameras, cameras)
+        [(c.name, c.rows, c.columns) for c in group] for group in (nominal.cameras, cameras)
     )
     if got != expected:
         raise InputError(
-            f"{path}: cameras: expected names and image sizes as in {CAMERAS}, {expected}, got {got}"
+            f"{path}: cameras: expected names and image sizes as in {CAMERAS}, {expected}, got "
+            f"{got}"
         )
     _check_cameras(cameras, path)
-    return _behind(told.wall, cameras)
+    return _behind(nominal.wall, cameras)
 
 
 def read_target(root: Path) -> Target:
-    """The target of a data set for calibrations."""
+    """Read the target of a data set for calibrations."""
     path = inside(root, TARGET)
     target = _checked(TargetFile, path).target
     if (
@@ -193,7 +203,8 @@ def read_target(root: Path) -> Target:
         or target.columns * target.rows > MOST_POINTS
     ):
         raise InputError(
-            f"{path}: target: expected 2 to {MOST_POINTS} points, a positive pitch_mm and a smaller mark_mm, got {target}"
+            f"{path}: target: expected 2 to {MOST_POINTS} points, a positive pitch_mm and a "
+            f"smaller mark_mm, got {target}"
         )
     return target
 
@@ -203,7 +214,7 @@ def _behind(wall: Wall | None, cameras: tuple[Camera, ...]) -> tuple[Camera, ...
 
 
 def _check_cameras(cameras: tuple[Camera, ...], path: Path) -> None:
-    """What the types cannot say of cameras."""
+    """Check what the types cannot express of cameras."""
     first = cameras[0]
     for camera in cameras:
         sizes = (
@@ -219,21 +230,24 @@ def _check_cameras(cameras: tuple[Camera, ...], path: Path) -> None:
         if (camera.rows, camera.columns) != (first.rows, first.columns):
             got = f"{camera.rows} x {camera.columns}"
             raise InputError(
-                f"{path}: {camera.name}: expected {first.rows} x {first.columns} pixels (rows x columns) as {first.name} has, got {got}"
+                f"{path}: {camera.name}: expected {first.rows} x {first.columns} pixels (rows x "
+                f"columns) as {first.name} has, got {got}"
             )
-        turn = np.asarray(camera.rotation)
-        if np.abs(turn @ turn.T - np.eye(3)).max() > 1e-9 or np.linalg.det(turn) < 0.0:
+        rotation = np.asarray(camera.rotation)
+        if np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-9 or np.linalg.det(rotation) < 0.0:
             raise InputError(
-                f"{path}: {camera.name}: rotation: expected a right-handed orthonormal matrix, got {turn.tolist()}"
+                f"{path}: {camera.name}: rotation: expected a right-handed orthonormal matrix, got "
+                f"{rotation.tolist()}"
             )
 
 
 def _check_numbers(loaded: CamerasFile, path: Path) -> None:
-    """What the types cannot say of the rest."""
+    """Check what the types cannot express of the rest."""
     levels = loaded.sensor
     if not levels.black_dn < levels.white_dn:
         raise InputError(
-            f"{path}: sensor: expected black_dn below white_dn, got {levels.black_dn:g} and {levels.white_dn:g}"
+            f"{path}: sensor: expected black_dn below white_dn, got {levels.black_dn:g} and "
+            f"{levels.white_dn:g}"
         )
     wall, grid = loaded.wall, loaded.grid
     if wall and (
@@ -247,7 +261,8 @@ def _check_numbers(loaded: CamerasFile, path: Path) -> None:
         cut < 0 or 2 * cut >= n for cut, n in zip(grid.crop, grid.shape[::-1], strict=True)
     ):
         raise InputError(
-            f"{path}: grid: expected positive shape and voxels and a crop that leaves some, got {grid}"
+            f"{path}: grid: expected positive shape and voxels and a crop that leaves some, got "
+            f"{grid}"
         )
 
 
@@ -268,7 +283,7 @@ def _checked(model: type[Model], path: Path) -> Model:
 
 
 def write_cameras(path: Path, cameras: Sequence[CameraModel], **keys: Any) -> None:
-    """Write cameras and what belongs to them, as `cameras.json` of a data set holds them.
+    """Write cameras in the format of a data set's `cameras.json`.
 
     Parameters
     ----------
@@ -289,7 +304,7 @@ def _camera_entry(camera: CameraModel) -> dict[str, Any]:
 
 
 def _plain(value: Any) -> Any:
-    """A dataclass as JSON holds it; anything else as it is."""
+    """Convert a dataclass to what JSON holds; leave anything else as it is."""
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
         return dataclasses.asdict(value)
     return value

@@ -1,4 +1,4 @@
-"""Prove a data set whole: every byte by its checksum, every array by its shape."""
+"""Verification of a data set: checksums of all bytes, shapes of all arrays."""
 
 from __future__ import annotations
 
@@ -18,7 +18,10 @@ _MOST_FAULTS = 100  # a file may say that there are any number of frames
 
 
 def verify(path: str | Path) -> list[str]:
-    """Faults of a data set, one sentence each that names the file, the first hundred; an empty list if it is whole."""
+    """Find a data set's faults: one sentence each, the first hundred.
+
+    Each names the file; the list is empty if the data set is intact.
+    """
     root = Path(path)
     if not root.is_dir():
         raise InputError(f"{root}: expected a data set folder, found none")
@@ -31,7 +34,7 @@ def verify(path: str | Path) -> list[str]:
 
 
 def _byte_faults(root: Path, manifest: schema.Manifest) -> Iterator[str]:
-    """Missing, changed and foreign files."""
+    """Find missing, changed and unlisted files."""
     if manifest.content_hash != schema.content_hash(manifest.files):
         yield f"{root / schema.MANIFEST}: its content_hash does not match its files"
     present = {
@@ -53,7 +56,7 @@ def _byte_faults(root: Path, manifest: schema.Manifest) -> Iterator[str]:
 
 
 def _content_faults(dataset: Dataset) -> Iterator[str]:
-    """Files that are as they were written, but do not fit together."""
+    """Find files that are as they were written, but contradict each other."""
     deadly = list(_try(lambda: probe_dataset(dataset.root)))
     if deadly:
         yield from deadly
@@ -79,11 +82,15 @@ def _content_faults(dataset: Dataset) -> Iterator[str]:
 
 
 def _check_scene(dataset: Dataset) -> None:
-    """The resolved scene must be the one that the manifest names; its generator need not be installed."""
+    """Check that the resolved scene is the one that the manifest names.
+
+    Its generator need not be installed.
+    """
     path, scene = inside(dataset.root, schema.SCENE), dataset.scene
     if scene.hash != dataset.manifest.scene_hash:
         raise InputError(
-            f"{path}: its hash {scene.hash[:12]} is not the manifest's scene_hash {dataset.manifest.scene_hash[:12]}"
+            f"{path}: its hash {scene.hash[:12]} is not the manifest's scene_hash "
+            f"{dataset.manifest.scene_hash[:12]}"
         )
 
 

@@ -1,4 +1,4 @@
-"""Write a data set frame by frame into a temporary folder that becomes the data set when it is complete."""
+"""Writer of data sets: a temporary folder that becomes the data set."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _PACK = {"compression": "gzip", "compression_opts": 1, "shuffle": True}
 
 
 class DatasetWriter:
-    """Takes the parts of one data set; made by `dataset_writer`."""
+    """Writer of the parts of one data set, made by `dataset_writer`."""
 
     def __init__(self, root: Path, truth: Any, check: Callable[[], None]) -> None:
         self.root, self._truth, self._check = root, truth, check
@@ -47,7 +47,7 @@ class DatasetWriter:
         self._check()
 
     def take(self, file: Path, name: str, entry: schema.FileEntry) -> None:
-        """Take a file that is known to be as its entry says; it also stays where it is."""
+        """Link a file whose size and checksum are known; it also stays in its place."""
         path = self.root / name
         path.parent.mkdir(parents=True, exist_ok=True)
         try:
@@ -64,7 +64,10 @@ class DatasetWriter:
         )
 
     def add_sighting(self, camera: Camera, exact: F64, outliers: Bool) -> None:
-        """Store where one camera truly sees the target's points (frame, point, 2), and which of those that it found are elsewhere (frame, point)."""
+        """Store the true pixels of one camera's target points, and its outliers.
+
+        Pixels (frame, point, 2); outliers (frame, point) are detected points that lie elsewhere.
+        """
         self.store(
             {
                 f"cameras/{camera.name}/pixel": exact,
@@ -73,7 +76,10 @@ class DatasetWriter:
         )
 
     def add_points(self, pixels: F64, prior: Prior) -> None:
-        """Store what solvers see of the target: pixels (camera, frame, point, 2), and what is known of its places."""
+        """Store a target's observed pixels and what is known of its positions.
+
+        Pixels are (camera, frame, point, 2).
+        """
         values = {
             "pixels": pixels,
             "rough_mm": prior.rough_mm,
@@ -99,7 +105,9 @@ def dataset_writer(
     shows: tuple[Shown, ...] = (),
     overwrite: bool = False,
 ) -> Iterator[DatasetWriter]:
-    """Open a writer; when the block ends well, its frames become the data set at `target`.
+    """Open a writer whose frames become the data set at `target`.
+
+    They do when the block ends well.
 
     Otherwise nothing is left of them.
 
@@ -127,13 +135,13 @@ def dataset_writer(
 
 
 def _with_copies(scene: Scene, root: Path) -> Scene:
-    """The scene with copies of its files in the data set."""
-    places = {}
+    """Copy the scene's files into the data set; the scene then names the copies."""
+    copies = {}
     for table, path in scene.files.items():
-        places[table] = Path(schema.GIVEN) / f"{table}{path.suffix}"
+        copies[table] = Path(schema.GIVEN) / f"{table}{path.suffix}"
         (root / schema.GIVEN).mkdir(exist_ok=True)
-        shutil.copyfile(path, root / places[table])
-    return scene.with_files(places)
+        shutil.copyfile(path, root / copies[table])
+    return scene.with_files(copies)
 
 
 def _observation(scene: Scene) -> dict[str, Any]:

@@ -1,0 +1,1 @@
+"""Cameras, refraction, frames of reference and voxel grids."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import erf
 
 from sabench.utils.arrays import F32, F64, I64, Bool
 
@@ -90,6 +89,8 @@ def synthesise(grid: Grid, positions_mm: F64, weights: F64, sigma_mm: float) -> 
 
 def _profile(voxels: F64, nearest: I64, reach: int, sigma: float) -> F32:
     """Mean of a Gaussian of peak 1 along one axis over the voxels -reach..reach from the nearest: (n, 2 reach + 1)."""
+    from scipy.special import erf  # loaded at the first use: plug-ins import this module
+
     edges = np.arange(-reach, reach + 2)[None] - 0.5 + (nearest - voxels)[:, None]
     mean = sigma * np.sqrt(np.pi / 2.0) * np.diff(erf(edges / (sigma * np.sqrt(2.0))), axis=1)
     return np.asarray(mean, dtype=np.float32)

@@ -1,1 +1,4 @@
-"""Cameras, images and settings as other programs read them, and their results back; what runs such a program in a process of its own."""
+"""Exchange with other programs: camera files, images, settings and results.
+
+External programs run in a child process.
+"""

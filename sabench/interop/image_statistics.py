@@ -1,4 +1,4 @@
-"""What a frame shows of its particles, by which other programs' settings are chosen."""
+"""Image statistics of a frame, from which other programs' settings follow."""
 
 from __future__ import annotations
 
@@ -11,26 +11,22 @@ from sabench.api import Observation
 from sabench.images.brightness import background_noise, normalised
 from sabench.images.peaks import find_peaks
 
-_FLOOR, _NOISE = (
-    0.05,
-    5.0,
-    # smallest peak over a bright particle's, and over the background's standard deviation: the
-    # larger
-    # one
-)
+# smallest peak, relative to a bright particle's and to the background's standard deviation: the
+# larger of both holds
+_FLOOR, _NOISE = 0.05, 5.0
 
 
 @dataclass(frozen=True)
 class Seen:
-    """Figures of one frame.
+    """Statistics of one frame's particle images.
 
     Attributes
     ----------
-    floor : smallest peak of a particle image, over a bright particle's.
-    particles : particle images, the median over the cameras.
-    sigma_px : width of a lone particle's image, the same.
-    mm_per_px : in the middle of the volume, the same.
-    spacing_mm : edge of the cube that one of these particles has for itself.
+    floor : smallest peak of a particle image, relative to a bright particle's.
+    particles : number of particle images, median over the cameras.
+    sigma_px : width of an isolated particle's image, median over the cameras.
+    mm_per_px : at the centre of the volume, median over the cameras.
+    spacing_mm : edge of a cube that contains one particle on average.
     """
 
     floor: float
@@ -41,7 +37,7 @@ class Seen:
 
 
 def seen_in(frame: Observation) -> Seen:
-    """What a frame shows."""
+    """Measure a frame's particle images."""
     images = normalised(frame.images, frame.black_dn)
     floor = max(_FLOOR, *(_NOISE * background_noise(image) for image in images))
     peaks = [find_peaks(image, floor).pixels for image in images]

@@ -1,4 +1,6 @@
-"""OpenLPT (https://github.com/JHU-NI-LAB/OpenLPT_GUI): camera files, images, settings, and the tracks that it writes.
+"""OpenLPT (https://github.com/JHU-NI-LAB/OpenLPT_GUI): files in and out.
+
+Written are camera files, images and settings; read are the tracks that it finds.
 
 Its world is that of the data set, in mm. A camera in air is its PINHOLE, with OpenCV's distortion;
 one behind a wall is its PINPLATE: a pinhole and parallel plates of given thicknesses and indices,
@@ -22,23 +24,18 @@ from sabench.geometry.refraction import Wall
 from sabench.utils.arrays import F32, F64
 from sabench.utils.processes import child
 
-LEAST_FRAMES = 5  # from whose images it estimates how it sees particles
+LEAST_FRAMES = 5  # needed to estimate the optical transfer function
 _TOLERANCE, _ITERATIONS, _RATE = 1e-9, 1000, 0.1  # of its projection through plates
 _SKIN_MM = 1e-3  # of fluid that stands for a plate where a wall has none
-_BRIGHT, _WHITE = (
-    160.0,
-    255,
-)  # grey values of a bright particle's peak and of the brightest pixel: two may overlap
-_TRACKS = (
-    "LongTrackActive",
-    "LongTrackInactive",
-    "ExitTrack",
-)  # what its own programs read as the result
+# grey values of a bright particle's peak and of the brightest pixel: two particles may overlap
+_BRIGHT, _WHITE = 160.0, 255
+# files that OpenLPT's own programs read as the result
+_TRACKS = ("LongTrackActive", "LongTrackInactive", "ExitTrack")
 
 
 @dataclass(frozen=True)
 class Settings:
-    """Its parameters, lengths in mm; the others are what its window offers.
+    """Parameters of OpenLPT, lengths in mm; defaults are those of its window.
 
     Attributes
     ----------
@@ -46,9 +43,9 @@ class Settings:
     radius_px : of a particle's image.
     move_mm : largest displacement from frame to frame about the mean one of a neighbourhood.
     spacing_mm : distance of neighbouring particles, and of the nodes of the field of displacements.
-    reach_mm : around these nodes, in which particles tell of them.
-    tolerance_px, tolerance_mm : distances within which lines of sight are taken to meet.
-    mm_per_px : in the middle of the volume.
+    reach_mm : radius around these nodes in which particles contribute.
+    tolerance_px, tolerance_mm : distances within which lines of sight count as intersecting.
+    mm_per_px : at the centre of the volume.
     threads : 0 for all.
     """
 
@@ -68,17 +65,17 @@ class Settings:
 
 
 def camera_text(camera: Camera) -> str:
-    """A camera as its files say it.
+    """Format a camera file.
 
     Raises
     ------
     ValueError
-        A camera whose wall it cannot describe; see `unfit`.
+        A camera that OpenLPT cannot describe; see `unfit`.
     """
     reason = unfit(camera)
     if reason:
         raise ValueError(f"{camera.name}: {reason}")
-    turn = np.asarray(camera.rotation)
+    rotation = np.asarray(camera.rotation)
     center = np.asarray(camera.center_mm)
     focal, (across, down), lens = (
         camera.principal_distance_mm / camera.pixel_mm,
@@ -102,11 +99,11 @@ def camera_text(camera: Camera) -> str:
         "# Rotation Vector",
         "0,0,0",
         "# Rotation Matrix",
-        _rows(turn),
+        _rows(rotation),
         "# Inverse of Rotation Matrix",
-        _rows(turn.T),
+        _rows(rotation.T),
         "# Translation Vector",
-        _row(-turn @ center),
+        _row(-rotation @ center),
         "# Inverse of Translation Vector",
         _row(center),
     ]
@@ -119,23 +116,23 @@ def missing() -> str | None:
 
 
 def unfit(camera: Camera) -> str | None:
-    """Why it cannot describe a camera, or None if it can."""
+    """Say why OpenLPT cannot describe a camera; None if it can."""
     lens = camera.distortion
     coefficients = np.array([lens.k1, lens.k2, lens.p1, lens.p2, lens.k3])
     if coefficients.any() and coefficients.max() <= 0.0:
-        return "OpenLPT leaves out a distortion of which no coefficient is positive"
+        return "OpenLPT ignores a distortion without a positive coefficient"
     return None
 
 
 def _bends(wall: Wall) -> bool:
-    """Whether light changes its direction at all."""
+    """Say whether a wall refracts light."""
     return len(set(wall.indices)) > 1
 
 
 def _plates(wall: Wall) -> list[str]:
-    """Lines about the wall, from the fluid to the cameras."""
+    """Format the lines of a camera file about the wall, from fluid to cameras."""
     thick, indices = [layer.thickness_mm for layer in wall.layers], tuple(wall.indices)
-    if not thick:  # a plate there must be: one of fluid is none
+    if not thick:  # OpenLPT needs a plate; one of fluid has no effect
         thick, indices = [_SKIN_MM], (*indices, wall.fluid_index)
     normal = np.asarray(wall.normal)
     inner = np.asarray(wall.point_mm) + normal * sum(thick)
@@ -166,17 +163,23 @@ def _rows(matrix: F64) -> str:
 
 
 def write_frame(folder: Path, frame: int, images: F32) -> None:
-    """Store a frame's images (camera, row, column), 1 for a bright particle's peak, as 8-bit TIFF files."""
+    """Write a frame's images (camera, row, column) as 8-bit TIFF files.
+
+    A bright particle's peak is 1.
+    """
     for camera, image in enumerate(images):
-        place = folder / f"cam{camera}" / f"{frame:05d}.tif"
-        place.parent.mkdir(exist_ok=True)
-        tifffile.imwrite(place, np.clip(np.rint(_BRIGHT * image), 0, _WHITE).astype(np.uint8))
+        path = folder / f"cam{camera}" / f"{frame:05d}.tif"
+        path.parent.mkdir(exist_ok=True)
+        tifffile.imwrite(path, np.clip(np.rint(_BRIGHT * image), 0, _WHITE).astype(np.uint8))
 
 
 def write_project(
     folder: Path, cameras: tuple[Camera, ...], grid: Grid, frames: int, settings: Settings
 ) -> None:
-    """Store cameras, lists of images and settings beside the images; `config.txt` names them all."""
+    """Write cameras, lists of images and settings into the folder of the images.
+
+    `config.txt` names all of them.
+    """
     for number, camera in enumerate(cameras):
         (folder / f"cam{number}.txt").write_text(camera_text(camera), encoding="utf-8")
         names = [f"{folder}/cam{number}/{frame:05d}.tif\n" for frame in range(frames)]
@@ -203,7 +206,7 @@ def write_project(
 
 
 def _tracer(settings: Settings, ends: F64) -> list[str]:
-    """Lines of the settings for tracer particles; its voxel is a pixel."""
+    """Format the settings for tracer particles; OpenLPT's voxel is a pixel."""
     nodes = np.clip(np.ceil(np.ptp(ends, axis=1) / settings.spacing_mm), 3, 51).astype(int)
     voxel = settings.mm_per_px
     return [
@@ -226,7 +229,7 @@ def _tracer(settings: Settings, ends: F64) -> list[str]:
 
 
 def read_tracks(folder: Path, frames: int) -> list[FoundParticles]:
-    """The particles of every frame out of its files of tracks."""
+    """Read the particles of every frame from OpenLPT's files of tracks."""
     rows: list[list[float]] = []
     for kind in _TRACKS:
         for path in sorted((folder / "results" / "ConvergeTrack").glob(f"{kind}_*.csv")):
@@ -243,7 +246,7 @@ def read_tracks(folder: Path, frames: int) -> list[FoundParticles]:
 
 
 def read_particles(folder: Path, frames: int) -> list[FoundParticles]:
-    """The particles of every frame where it has only reconstructed them."""
+    """Read the particles of every frame from a reconstruction without tracks."""
     tables = [
         np.loadtxt(folder / f"found_{frame:05d}.txt", ndmin=2).reshape(-1, 3)
         for frame in range(frames)
@@ -252,7 +255,10 @@ def read_particles(folder: Path, frames: int) -> list[FoundParticles]:
 
 
 def solve(folder: Path, frames: int) -> list[FoundParticles]:
-    """Run it on a project folder: all of it where there are `LEAST_FRAMES`, and its reconstruction alone where there are fewer."""
+    """Run OpenLPT on a project folder.
+
+    With fewer frames than `LEAST_FRAMES` it reconstructs without tracking.
+    """
     child.run_module(
         "sabench.interop.openlpt_process", folder, "OpenLPT", "Total time for frame", frames
     )

@@ -1,4 +1,7 @@
-"""The process in which OpenLPT runs on a folder that `openlpt.write_project` made: python -m sabench.interop.openlpt_process FOLDER."""
+"""Child process of OpenLPT: python -m sabench.interop.openlpt_process FOLDER.
+
+`openlpt.write_project` makes the folder.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +13,7 @@ from sabench.interop.openlpt import LEAST_FRAMES
 
 
 def main(folder: Path) -> None:
-    """Track particles, or reconstruct them frame by frame where there are too few frames for tracks."""
+    """Track particles, or only reconstruct them where there are too few frames."""
     import pyopenlpt as lpt
 
     settings = lpt.BasicSetting()
@@ -30,13 +33,13 @@ def _reconstruct(lpt: Any, folder: Path, settings: Any) -> None:
     ]
     config._otf.loadParam(settings._n_cam, 2, 2, 2, settings._axis_limit, cameras)
     readers = [lpt.ImageIO("", path) for path in settings._image_file_paths]
-    films = [
+    sequences = [
         [reader.loadImg(frame) for frame in range(settings._frame_end + 1)] for reader in readers
     ]
-    for camera, film in enumerate(films):
-        config._otf.estimateUniformOTFFromImage(camera, config, film)
+    for camera, images in enumerate(sequences):
+        config._otf.estimateUniformOTFFromImage(camera, config, images)
     for frame in range(settings._frame_end + 1):
-        found = lpt.IPR(cameras).runIPR(config, [film[frame] for film in films])
+        found = lpt.IPR(cameras).runIPR(config, [images[frame] for images in sequences])
         rows = [" ".join(repr(value[0]) for value in one._pt_center.to_list()) for one in found]
         (folder / f"found_{frame:05d}.txt").write_text("\n".join(rows) + "\n", encoding="utf-8")
         print(f"Total time for frame {frame}", flush=True)

@@ -1,9 +1,11 @@
-"""OpenPTV (http://www.openptv.net), the package optv: orientation files, images, settings, and the particles and links that it finds.
+"""OpenPTV (http://www.openptv.net), the package optv: files in and out.
+
+Written are orientation files, images and settings; read are particles and links.
 
 Its world has Y up and Z towards the cameras, and its origin must lie in the fluid: the grid's
-middle. A wall is one plane-parallel layer ("glass"), said by the vector from the origin to its
-inner face; its first pixel's middle is (0.5, 0.5), and distortion is a polynomial of mm about the
-image's middle.
+centre. A wall is one plane-parallel layer ("glass"), given by the vector from the origin to its
+inner face. The centre of the first pixel is (0.5, 0.5), and distortion is a polynomial of mm about
+the image's centre.
 """
 
 from __future__ import annotations
@@ -23,14 +25,14 @@ from sabench.utils.files import read_json
 from sabench.utils.processes import child
 
 MOST_CAMERAS = 4
-_TURN = np.diag([1.0, -1.0, -1.0])  # from our axes to its own
+_AXES = np.diag([1.0, -1.0, -1.0])  # rotation from our axes to OpenPTV's
 _BRIGHT, _WHITE = 160.0, 255  # grey values of a bright particle's peak and of the brightest pixel
-_BETWEEN = 0.5  # of the way from the volume to a camera: where its glass stands if there is none
+_BETWEEN = 0.5  # fraction of the distance to a camera where the glass stands if there is none
 
 
 @dataclass(frozen=True)
 class Settings:
-    """Its parameters; lengths in mm, of the sensor in px.
+    """Parameters of OpenPTV; lengths in mm, on the sensor in px.
 
     Attributes
     ----------
@@ -56,22 +58,22 @@ def missing() -> str | None:
 
 
 def unfit(camera: Camera) -> str | None:
-    """Why it cannot describe a camera, or None if it can."""
+    """Say why OpenPTV cannot describe a camera; None if it can."""
     if camera.wall and len(camera.wall.layers) > 1:
-        return f"OpenPTV knows one layer of glass, and this wall has {len(camera.wall.layers)}"
+        return f"OpenPTV supports one layer of glass, and this wall has {len(camera.wall.layers)}"
     lens = camera.distortion
     middle = ((camera.columns - 1) / 2.0, (camera.rows - 1) / 2.0)
     if np.array([lens.k1, lens.k2, lens.k3, lens.p1, lens.p2]).any() and not np.allclose(
         camera.principal_point_px, middle, atol=1e-3
     ):
         return (
-            "OpenPTV has distortion about the middle of the image, and this camera has it elsewhere"
+            "OpenPTV has distortion about the centre of the image, and this camera has it elsewhere"
         )
     return None
 
 
 def origin_mm(grid: Grid) -> F64:
-    """Where its world begins: the middle of the grid."""
+    """Compute the origin of OpenPTV's world: the centre of the grid."""
     return np.asarray(
         np.asarray(grid.low_mm)
         + np.asarray(grid.voxel_mm) * (np.asarray(grid.shape[::-1]) - 1) / 2.0
@@ -79,32 +81,35 @@ def origin_mm(grid: Grid) -> F64:
 
 
 def to_its(points_mm: F64, grid: Grid) -> F64:
-    """World points (n, 3) in its own world; the way back is the same turn, then the shift."""
-    return np.asarray((points_mm - origin_mm(grid)) @ _TURN)
+    """Transform points (n, 3) from our world to OpenPTV's."""
+    return np.asarray((points_mm - origin_mm(grid)) @ _AXES)
 
 
 def from_its(points_mm: F64, grid: Grid) -> F64:
-    """World points (n, 3) from its own world."""
-    turned: F64 = points_mm @ _TURN
-    return turned + origin_mm(grid)
+    """Transform points (n, 3) from OpenPTV's world to ours.
+
+    The rotation is its own inverse.
+    """
+    rotated: F64 = points_mm @ _AXES
+    return rotated + origin_mm(grid)
 
 
 def orientation_text(camera: Camera, grid: Grid) -> str:
-    """A camera as its .ori files say it.
+    """Format a camera's .ori file.
 
     Raises
     ------
     ValueError
-        A camera that it cannot describe; see `unfit`.
+        A camera that OpenPTV cannot describe; see `unfit`.
     """
     if reason := unfit(camera):
         raise ValueError(f"{camera.name}: {reason}")
-    right, down, forward = (_TURN @ row for row in np.asarray(camera.rotation))
-    turn = np.column_stack([right, -down, -forward])
+    right, down, forward = (_AXES @ row for row in np.asarray(camera.rotation))
+    rotation = np.column_stack([right, -down, -forward])
     angles = [
-        np.arctan2(-turn[1, 2], turn[2, 2]),
-        np.arcsin(turn[0, 2]),
-        np.arctan2(-turn[0, 1], turn[0, 0]),
+        np.arctan2(-rotation[1, 2], rotation[2, 2]),
+        np.arcsin(rotation[0, 2]),
+        np.arctan2(-rotation[0, 1], rotation[0, 0]),
     ]
     place = to_its(np.asarray([camera.center_mm]), grid)[0]
     across, above = (np.asarray(camera.principal_point_px) + 0.5) * camera.pixel_mm - np.array(
@@ -114,7 +119,7 @@ def orientation_text(camera: Camera, grid: Grid) -> str:
         place,
         angles,
         [],
-        *turn,
+        *rotation,
         [],
         [across, -above],
         [camera.principal_distance_mm],
@@ -125,7 +130,7 @@ def orientation_text(camera: Camera, grid: Grid) -> str:
 
 
 def _glass(camera: Camera, grid: Grid, place: F64) -> F64:
-    """The vector from its origin to the glass's inner face, along its normal."""
+    """Compute the vector from the origin to the glass's inner face, along its normal."""
     if camera.wall is None:
         return np.array([0.0, 0.0, _BETWEEN * place[2]])
     normal, thick = (
@@ -133,18 +138,18 @@ def _glass(camera: Camera, grid: Grid, place: F64) -> F64:
         sum(layer.thickness_mm for layer in camera.wall.layers),
     )
     depth = float((origin_mm(grid) - np.asarray(camera.wall.point_mm)) @ normal) - thick
-    return np.asarray(-depth * (_TURN @ normal))
+    return np.asarray(-depth * (_AXES @ normal))
 
 
 def distortion_text(camera: Camera) -> str:
-    """A camera's distortion as its .addpar files say it: k1 k2 k3 p1 p2, scale and shear."""
+    """Format a camera's .addpar file: k1 k2 k3 p1 p2, scale and shear."""
     lens, b = camera.distortion, camera.principal_distance_mm
     values = [lens.k1 / b**2, lens.k2 / b**4, lens.k3 / b**6, lens.p2 / b, -lens.p1 / b, 1.0, 0.0]
     return " ".join(repr(value) for value in values) + "\n"
 
 
 def media_of(camera: Camera) -> dict[str, object]:
-    """Indices and thickness of what light passes."""
+    """List refractive indices and thicknesses of the media."""
     wall = camera.wall
     if wall is None:
         return {"n1": 1.0, "n2": [1.0], "n3": 1.0, "d": [0.0]}
@@ -154,7 +159,10 @@ def media_of(camera: Camera) -> dict[str, object]:
 
 
 def write_frame(folder: Path, frame: int, images: F32) -> None:
-    """Store a frame's images (camera, row, column), 1 for a bright particle's peak, as an 8-bit TIFF stack."""
+    """Write a frame's images (camera, row, column) as an 8-bit TIFF stack.
+
+    A bright particle's peak is 1.
+    """
     tifffile.imwrite(
         folder / f"frame_{frame:05d}.tif",
         np.clip(np.rint(_BRIGHT * images), 0, _WHITE).astype(np.uint8),
@@ -165,7 +173,7 @@ def write_frame(folder: Path, frame: int, images: F32) -> None:
 def write_project(
     folder: Path, cameras: tuple[Camera, ...], grid: Grid, frames: int, settings: Settings
 ) -> None:
-    """Store orientations, distortions and settings beside the images."""
+    """Write orientations, distortions and settings into the folder of the images."""
     for number, camera in enumerate(cameras):
         (folder / f"cam{number}.ori").write_text(orientation_text(camera, grid), encoding="utf-8")
         (folder / f"cam{number}.addpar").write_text(distortion_text(camera), encoding="utf-8")
@@ -188,7 +196,7 @@ def write_project(
 
 
 def solve(folder: Path, grid: Grid, frames: int) -> list[FoundParticles]:
-    """Run it on a project folder; particles with the tracks that its links make."""
+    """Run OpenPTV on a project folder; read particles and their trajectories."""
     child.run_module("sabench.interop.openptv_process", folder, "OpenPTV", "sabench frame", frames)
     places = [
         np.array(read_json(folder / f"found_{frame:05d}.json"), dtype=np.float64).reshape(-1, 3)
@@ -202,7 +210,10 @@ def solve(folder: Path, grid: Grid, frames: int) -> list[FoundParticles]:
 
 
 def joined(counts: list[int], links: list[list[int]]) -> list[I64]:
-    """Numbers (n,) of tracks from the rows that each frame's particles had in the frame before; below zero: none."""
+    """Number trajectories (n,) of each frame from links to the frame before.
+
+    A link is the row of the same particle in the frame before, below zero for none.
+    """
     out: list[I64] = []
     born = 0
     for frame, count in enumerate(counts):

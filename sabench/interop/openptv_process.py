@@ -1,4 +1,6 @@
-"""The process in which OpenPTV runs on a folder that `openptv.write_project` made: python -m sabench.interop.openptv_process FOLDER.
+"""Child process of OpenPTV: python -m sabench.interop.openptv_process FOLDER.
+
+`openptv.write_project` makes the folder.
 
 The steps are those of its own window, pyptv: particle images, correspondences, positions, then
 tracking out of the files of these.
@@ -22,7 +24,7 @@ _LEAST = 3  # cameras that must see a particle, of three or more
 
 
 def parameters(folder: Path, project: dict[str, Any]) -> tuple[list[Any], Any, Any]:
-    """Its cameras, and its parameters of control and of the volume."""
+    """Make OpenPTV's cameras, and its parameters of control and of the volume."""
     from optv.calibration import Calibration
     from optv.parameters import ControlParams, VolumeParams
 
@@ -56,7 +58,7 @@ def parameters(folder: Path, project: dict[str, Any]) -> tuple[list[Any], Any, A
 
 
 def main(folder: Path) -> None:
-    """Find, match and track."""
+    """Detect, match and track particles."""
     os.chdir(folder)
     project = read_json(folder / "project.json")
     cameras, control, volume = parameters(folder, project)
@@ -79,7 +81,10 @@ def main(folder: Path) -> None:
 def _frame(
     folder: Path, frame: int, project: dict[str, Any], cameras: list[Any], control: Any, volume: Any
 ) -> int:
-    """Particle images, correspondences and positions of a frame, and the files that tracking reads; returns how many particles there are."""
+    """Detect, match and locate the particles of a frame.
+
+    Writes the files that tracking reads. Returns the number of particles.
+    """
     from optv.correspondences import MatchedCoords, correspondences
     from optv.orientation import point_positions
     from optv.parameters import TargetParams
@@ -124,7 +129,7 @@ def _frame(
 
 
 def _write_places(folder: Path, frame: int, places: Any, row: Any) -> None:
-    """Positions in full for sabench, and with correspondences as tracking reads them."""
+    """Write positions for sabench, and with correspondences for tracking."""
     (folder / f"found_{frame:05d}.json").write_text(json.dumps(places.tolist()), encoding="utf-8")
     four = np.full((4, len(places)), -1)
     four[: len(row)] = row
@@ -141,7 +146,7 @@ def _write_places(folder: Path, frame: int, places: Any, row: Any) -> None:
 def _track(
     folder: Path, project: dict[str, Any], cameras: list[Any], control: Any, volume: Any
 ) -> list[list[int]]:
-    """For each frame, the row that each particle had in the frame before."""
+    """Track particles; returns the row that each had in the frame before."""
     from optv.parameters import SequenceParams, TrackingParams
     from optv.tracker import Tracker
 

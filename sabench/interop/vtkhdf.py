@@ -1,4 +1,4 @@
-"""Volumes, particles, velocity fields, bubbles and bodies in files that other programs open: VTKHDF, which ParaView and VTK read."""
+"""Export of data sets and results to VTKHDF, which ParaView and VTK read."""
 
 from __future__ import annotations
 
@@ -31,10 +31,8 @@ from sabench.worlds.tracers import lattice
 
 Format = Literal["vtk"]
 _NODES = 50  # of the exact field along the volume's longest edge, where the scene names no lattice
-_VERSION = (
-    2,
-    0,
-)  # of VTKHDF: https://docs.vtk.org/en/latest/vtk_file_formats/vtkhdf_file_format/index.html
+# of VTKHDF: https://docs.vtk.org/en/latest/vtk_file_formats/vtkhdf_file_format/index.html
+_VERSION = 2, 0
 Data = dict[str, npt.NDArray[Any]]
 
 
@@ -46,7 +44,9 @@ def export(
     to: Format = "vtk",
     overwrite: bool = False,
 ) -> Path:
-    """Write a data set's truth, or a result of it, into a folder; one file for each frame and kind.
+    """Write a data set's truth, or a result of it, into a folder.
+
+    There is one file for each frame and kind.
 
     A data set gives what it shows: `particles` with `volume` (the synthesised field) and, where
     there is a flow, `flow`; `bubbles`; `bodies`. A result gives `volume` and, if it has some,
@@ -64,7 +64,8 @@ def export(
     data = dataset if isinstance(dataset, Dataset) else open_dataset(dataset)
     if data.shows_target:
         raise InputError(
-            f"{data.root}: expected a data set with particles or bubbles, got one with a calibration target"
+            f"{data.root}: expected a data set with particles or bubbles, "
+            "got one with a calibration target"
         )
     found = open_result(result, data) if result is not None else None
     with complete_or_nothing(Path(out), overwrite=overwrite) as root:
@@ -171,7 +172,11 @@ _WRITERS: dict[type[Estimate], Callable[[Path, Dataset, int, Any], None]] = {
 
 
 def _shapes(bubbles: AnyBubbles) -> Data:
-    """Sizes and directions; `shape_mm` is the matrix (as 9 numbers) that makes each out of a ball of radius 1, for ParaView's tensor glyphs."""
+    """Collect sizes and rotations of bubbles.
+
+    `shape_mm` is the matrix (9 numbers) that transforms a ball of radius 1 into the bubble, for
+    ParaView's tensor glyphs.
+    """
     shape = shapes_of(np.sqrt(bubbles.semi_axes_mm), bubbles.turn)
     return {
         "radius_mm": bubbles.radius_mm,
@@ -182,7 +187,10 @@ def _shapes(bubbles: AnyBubbles) -> Data:
 
 
 def _errors(found: Detections, true: Bubbles) -> Data:
-    """Which true bubble each found one is, by the scores' rule, and how far off its place and radius are; -1 and NaN where it is none."""
+    """Match detected bubbles to true ones as the scores do, and compute errors.
+
+    -1 and NaN stand for bubbles without a match.
+    """
     i, j = match(found.center_mm, true.center_mm, true.radius_mm)
     which = np.full(len(found.center_mm), -1)
     which[i] = j
@@ -207,7 +215,7 @@ def _errors(found: Detections, true: Bubbles) -> Data:
 
 
 def _field(field: Velocity, slopes: F64) -> Data:
-    """Velocities and what their gradients (z, y, x, 3, 3) say."""
+    """Collect velocities, and vorticity and divergence from gradients."""
     return {
         "velocity_mm_s": field.velocity_mm_s,
         "vorticity_1_s": vorticity(slopes),
@@ -218,7 +226,7 @@ def _field(field: Velocity, slopes: F64) -> Data:
 def write_lattice(
     path: Path, low_mm: tuple[float, float, float], step_mm: tuple[float, float, float], data: Data
 ) -> None:
-    """Arrays (z, y, x) or (z, y, x, 3) on a lattice along the axes, as VTK's image data."""
+    """Write arrays (z, y, x) or (z, y, x, 3) on a lattice as VTK's image data."""
     shape = next(iter(data.values())).shape[:3]
     ends = [index for count in shape[::-1] for index in (0, count - 1)]
     head = {
@@ -242,7 +250,7 @@ def write_lattice(
 
 
 def write_points(path: Path, points_mm: F64, data: Data) -> None:
-    """Points (n, 3) with values of each, as VTK's poly data."""
+    """Write points (n, 3) with values as VTK's poly data."""
     _write_cells(
         path,
         points_mm,
@@ -253,7 +261,10 @@ def write_points(path: Path, points_mm: F64, data: Data) -> None:
 
 
 def write_surfaces(path: Path, solids: Sequence[Solid]) -> None:
-    """Triangles of bodies as VTK's poly data; `body` says of each triangle whose it is, counted as `solids` are in a scene."""
+    """Write the triangles of bodies as VTK's poly data.
+
+    `body` is the number of each triangle's body, in the order of a scene's `solids`.
+    """
     before = np.cumsum([0, *(len(solid.vertices_mm) for solid in solids[:-1])])
     faces = np.concatenate(
         [solid.faces + first for solid, first in zip(solids, before, strict=True)]
@@ -269,7 +280,10 @@ def write_surfaces(path: Path, solids: Sequence[Solid]) -> None:
 
 
 def _write_cells(path: Path, points_mm: F64, kind: str, cells: I64, data: Data) -> None:
-    """Cells (n, corners) of one kind between points, with values of either, as VTK's poly data."""
+    """Write cells (n, corners) of one kind as VTK's poly data.
+
+    Values are those of points or of cells.
+    """
     with created(path) as (file, check), uninterrupted():
         root = _begin(file, "PolyData", {})
         root["NumberOfPoints"], root["Points"] = np.array([len(points_mm)]), points_mm

@@ -1,4 +1,4 @@
-"""Errors of points against their true places, after the frames have been aligned in one of several ways."""
+"""Alignment of estimated with true points, before errors are counted."""
 
 from __future__ import annotations
 
@@ -13,14 +13,18 @@ Alignment = Literal["raw", "shift", "lateral", "rigid"]
 ALIGNMENTS: tuple[Alignment, ...] = ("raw", "shift", "lateral", "rigid")
 
 
-def alignment(how: Alignment, points: F64, truths: F64) -> RigidMotion:
-    """The motion of points (n, 3) that brings them nearest to their true places (n, 3), both in the wall's frame.
+def fit_alignment(how: Alignment, estimate: F64, truth: F64) -> RigidMotion:
+    """Fit the motion that brings estimated points (n, 3) nearest to true ones.
 
-    raw: none. shift: along X and Y, the thesis's (section 4.4.2). lateral: these and a turn about
-    Z, all that a plane wall leaves open. rigid: any.
+    Both are in the frame of the wall.
+
+    Parameters
+    ----------
+    how : raw: no motion. shift: along X and Y, as in the thesis (section 4.4.2). lateral: also a
+        rotation about Z, which is all that a plane wall leaves open. rigid: any rigid motion.
     """
     if how == "raw":
         return RigidMotion(np.eye(3), np.zeros(3))
     if how == "shift":
-        return RigidMotion(np.eye(3), np.append((truths - points).mean(axis=0)[:2], 0.0))
-    return (fit_lateral_motion if how == "lateral" else fit_rigid_motion)(points, truths)
+        return RigidMotion(np.eye(3), np.append((truth - estimate).mean(axis=0)[:2], 0.0))
+    return (fit_lateral_motion if how == "lateral" else fit_rigid_motion)(estimate, truth)

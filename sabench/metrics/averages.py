@@ -21,7 +21,7 @@ def mean_of_finite(values: Iterable[float | None]) -> float | None:
 
 
 def mean_of_each(figures: Sequence[Mapping[str, float | None]]) -> dict[str, float | None]:
-    """Average every figure of several frames with `mean_of_finite`; the first frame has the keys."""
+    """Average each figure of several frames with `mean_of_finite`."""
     return {key: mean_of_finite(one[key] for one in figures) for key in figures[0]}
 
 

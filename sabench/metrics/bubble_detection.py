@@ -1,4 +1,4 @@
-"""Found bubbles against true ones: which is which, and how far off sizes and places are."""
+"""Detected bubbles against true ones: matching, counts, errors."""
 
 from __future__ import annotations
 
@@ -11,30 +11,36 @@ from scipy.stats import wasserstein_distance
 
 from sabench.api import Detections
 from sabench.api.truth import Bubbles
+from sabench.metrics.averages import ratio
 from sabench.utils.arrays import F64, I64, Bool
 
 LARGE_MM = 0.5  # radius of what counts as a large bubble
-HIDDEN = 0.9  # seen part of a bubble, mean over the cameras, below which it counts as hidden
-AROUND_MM, DENSE = (
-    6.0,
-    0.01,
-)  # radius in which others' volume is counted, and the part of it from which a bubble is among many
-FLAT = 0.9  # short over long axis below which a direction has a meaning
+HIDDEN = 0.9  # visible fraction of a bubble, mean over the cameras, below which it is hidden
+AROUND_MM = 6.0  # radius around a bubble in which the volume of others is counted
+DENSE = 0.01  # void fraction of the others from which a bubble counts as being in a dense place
+FLAT = 0.9  # short over long axis below which the direction of the short axis has a meaning
 _NEAR = 0.5  # of a true bubble's radius
 
 AnyBubbles = Detections | Bubbles
 
 
-def match(found_mm: F64, true_mm: F64, radius_mm: F64) -> tuple[I64, I64]:
-    """Pairs of found and true bubbles, one to one, closer than half the true radius, as many as possible and as close as possible.
+def match(estimate_mm: F64, truth_mm: F64, radius_mm: F64) -> tuple[I64, I64]:
+    """Match detected and true bubbles one to one.
+
+    Pairs are as many as possible, and as close as possible.
+
+    Parameters
+    ----------
+    estimate_mm, truth_mm : centres (n, 3) and (m, 3).
+    radius_mm : (m,) true radii; a pair is closer than half of it.
 
     Returns
     -------
-    Rows of the found and of the true ones, equally long.
+    Rows of the detected and of the true ones, equally long.
     """
     near = (
-        cKDTree(found_mm).query_ball_point(true_mm, _NEAR * radius_mm)
-        if len(found_mm) and len(true_mm)
+        cKDTree(estimate_mm).query_ball_point(truth_mm, _NEAR * radius_mm)
+        if len(estimate_mm) and len(truth_mm)
         else []
     )
     pairs = np.array(
@@ -42,26 +48,26 @@ def match(found_mm: F64, true_mm: F64, radius_mm: F64) -> tuple[I64, I64]:
     ).reshape(-1, 2)
     if not len(pairs):
         return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)
-    distance = np.linalg.norm(found_mm[pairs[:, 0]] - true_mm[pairs[:, 1]], axis=1)
-    size = len(found_mm) + len(true_mm)
+    distance = np.linalg.norm(estimate_mm[pairs[:, 0]] - truth_mm[pairs[:, 1]], axis=1)
+    size = len(estimate_mm) + len(truth_mm)
     _, label = connected_components(
         coo_matrix(
-            (np.ones(len(pairs)), (pairs[:, 0], len(found_mm) + pairs[:, 1])), shape=(size, size)
+            (np.ones(len(pairs)), (pairs[:, 0], len(estimate_mm) + pairs[:, 1])), shape=(size, size)
         ),
         directed=False,
     )
     which = label[pairs[:, 0]]
     order = np.argsort(which, kind="stable")
-    chosen = [
-        _assigned(pairs[group], distance[group])
+    selected = [
+        _assign(pairs[group], distance[group])
         for group in np.split(order, np.flatnonzero(np.diff(which[order])) + 1)
     ]
-    both = np.concatenate(chosen)
+    both = np.concatenate(selected)
     return both[:, 0], both[:, 1]
 
 
-def _assigned(pairs: I64, distance: F64) -> I64:
-    """The best one-to-one choice among the pairs of one cluster."""
+def _assign(pairs: I64, distance: F64) -> I64:
+    """Select the best one-to-one pairs of one cluster."""
     if len(pairs) == 1:
         return pairs
     rows, columns = np.unique(pairs[:, 0]), np.unique(pairs[:, 1])
@@ -73,49 +79,61 @@ def _assigned(pairs: I64, distance: F64) -> I64:
     return np.column_stack([rows[i[good]], columns[j[good]]])
 
 
-def detection_scores(found: AnyBubbles, true: AnyBubbles, seen: F64) -> dict[str, float]:
-    """All figures of one frame; NaN where there is nothing to count.
+def detection_scores(estimate: AnyBubbles, truth: AnyBubbles, visible: F64) -> dict[str, float]:
+    """Score the bubbles of one frame; NaN where there is nothing to count.
 
     Parameters
     ----------
-    seen : (n,) part of each true bubble that the cameras see, mean over them.
+    visible : (n,) fraction of each true bubble that the cameras see, mean over them.
     """
-    i, j = match(found.center_mm, true.center_mm, true.radius_mm)
-    hit_true, hit_found = (
-        np.zeros(len(true.center_mm), dtype=np.bool_),
-        np.zeros(len(found.center_mm), dtype=np.bool_),
+    i, j = match(estimate.center_mm, truth.center_mm, truth.radius_mm)
+    large = truth.radius_mm[j] >= LARGE_MM
+    return (
+        _counts(estimate, truth, visible, i, j)
+        | _errors(estimate, truth, i[large], j[large])
+        | _totals(estimate, truth)
     )
-    hit_true[j], hit_found[i] = True, True
-    large = true.radius_mm >= LARGE_MM
+
+
+def _counts(
+    estimate: AnyBubbles, truth: AnyBubbles, visible: F64, i: I64, j: I64
+) -> dict[str, float]:
+    """F1 scores, precision and recall from the rows of matched bubbles."""
+    hit = np.zeros(len(truth.center_mm), dtype=np.bool_)
+    ghost = np.ones(len(estimate.center_mm), dtype=np.bool_)
+    hit[j], ghost[i] = True, False
+    large = truth.radius_mm >= LARGE_MM
     every = np.ones(len(large), dtype=np.bool_)
-    ghosts = found.radius_mm[~hit_found]
-    scores = {
-        "f1": _f1(hit_true, every, len(ghosts)),
-        "f1_large": _f1(hit_true, large, int((ghosts >= LARGE_MM).sum())),
-        "f1_small": _f1(hit_true, ~large, int((ghosts < LARGE_MM).sum())),
-        "precision": _part(len(i), len(found.center_mm)),
-        "recall": _part(len(j), len(true.center_mm)),
-        "recall_hidden": _recall(hit_true, seen < HIDDEN),
-        "recall_dense": _recall(hit_true, crowding(true) >= DENSE),
+    ghost_mm = estimate.radius_mm[ghost]
+    return {
+        "f1": _f1(hit, every, len(ghost_mm)),
+        "f1_large": _f1(hit, large, int((ghost_mm >= LARGE_MM).sum())),
+        "f1_small": _f1(hit, ~large, int((ghost_mm < LARGE_MM).sum())),
+        "precision": ratio(len(i), len(estimate.center_mm)),
+        "recall": ratio(len(j), len(truth.center_mm)),
+        "recall_hidden": _recall(hit, visible < HIDDEN),
+        "recall_dense": _recall(hit, crowding(truth) >= DENSE),
     }
-    big = large[j]
-    scores |= _errors(found, true, i[big], j[big])
-    both = len(found.radius_mm) and len(true.radius_mm)
-    apart = (
-        float(wasserstein_distance(found.radius_mm, true.radius_mm) / true.radius_mm.mean())
-        if both
-        else np.nan
+
+
+def _totals(estimate: AnyBubbles, truth: AnyBubbles) -> dict[str, float]:
+    """Errors of the distribution of sizes and of the total volume, percent."""
+    own, true = estimate.radius_mm, truth.radius_mm
+    sizes = wasserstein_distance(own, true) / true.mean() if len(own) and len(true) else np.nan
+    air, true_air = (
+        4.0 / 3.0 * np.pi * float(one.semi_axes_mm.prod(axis=1).sum()) for one in (estimate, truth)
     )
-    scores["sizes_percent"] = 100.0 * apart
-    air, known = (
-        4.0 / 3.0 * np.pi * float(one.semi_axes_mm.prod(axis=1).sum()) for one in (found, true)
-    )
-    scores["void_percent"] = 100.0 * abs(air - known) / known if known else np.nan
-    return scores
+    return {
+        "sizes_percent": 100.0 * float(sizes),
+        "void_percent": 100.0 * abs(air - true_air) / true_air if true_air else np.nan,
+    }
 
 
 def crowding(bubbles: AnyBubbles) -> F64:
-    """Void fraction (n,) that the others make around each bubble's centre, by whose centres are within `AROUND_MM`."""
+    """Compute the void fraction (n,) of the others around each bubble's centre.
+
+    Others are the bubbles whose centres are within `AROUND_MM`.
+    """
     volume = np.asarray(4.0 / 3.0 * np.pi * bubbles.semi_axes_mm.prod(axis=1))
     if not len(volume):
         return volume
@@ -124,34 +142,32 @@ def crowding(bubbles: AnyBubbles) -> F64:
     return np.asarray(others / (4.0 / 3.0 * np.pi * AROUND_MM**3))
 
 
-def _recall(hit: Bool, chosen: Bool) -> float:
-    return _part(int(hit[chosen].sum()), int(chosen.sum()))
+def _recall(hit: Bool, selected: Bool) -> float:
+    return ratio(int(hit[selected].sum()), int(selected.sum()))
 
 
-def _f1(hit: Bool, chosen: Bool, ghosts: int) -> float:
-    true, missed = int(hit[chosen].sum()), int((~hit[chosen]).sum())
-    return _part(2 * true, 2 * true + missed + ghosts)
+def _f1(hit: Bool, selected: Bool, ghosts: int) -> float:
+    true, missed = int(hit[selected].sum()), int((~hit[selected]).sum())
+    return ratio(2 * true, 2 * true + missed + ghosts)
 
 
-def _part(count: int, whole: int) -> float:
-    return count / whole if whole else float("nan")
-
-
-def _errors(found: AnyBubbles, true: AnyBubbles, i: I64, j: I64) -> dict[str, float]:
-    """Medians over pairs."""
+def _errors(estimate: AnyBubbles, truth: AnyBubbles, i: I64, j: I64) -> dict[str, float]:
+    """Median errors of matched pairs."""
     if not len(i):
         return dict.fromkeys(
             ("radius_percent", "axes_percent", "tilt_deg", "plane_mm", "depth_mm"), float("nan")
         )
-    off = found.center_mm[i] - true.center_mm[j]
-    radius = np.abs(found.radius_mm[i] / true.radius_mm[j] - 1.0)
+    off = estimate.center_mm[i] - truth.center_mm[j]
+    radius = np.abs(estimate.radius_mm[i] / truth.radius_mm[j] - 1.0)
     axes = np.abs(
-        np.sort(found.semi_axes_mm[i], axis=1) / np.sort(true.semi_axes_mm[j], axis=1) - 1.0
+        np.sort(estimate.semi_axes_mm[i], axis=1) / np.sort(truth.semi_axes_mm[j], axis=1) - 1.0
     ).mean(axis=1)
-    flat = true.semi_axes_mm[j].min(axis=1) < FLAT * true.semi_axes_mm[j].max(axis=1)
+    flat = truth.semi_axes_mm[j].min(axis=1) < FLAT * truth.semi_axes_mm[j].max(axis=1)
     tilt = np.rad2deg(
         np.arccos(
-            np.clip(np.abs(np.sum(short_axis(found, i) * short_axis(true, j), axis=1)), 0.0, 1.0)
+            np.clip(
+                np.abs(np.sum(short_axis(estimate, i) * short_axis(truth, j), axis=1)), 0.0, 1.0
+            )
         )
     )[flat]
     return {
@@ -163,6 +179,6 @@ def _errors(found: AnyBubbles, true: AnyBubbles, i: I64, j: I64) -> dict[str, fl
     }
 
 
-def short_axis(bubbles: AnyBubbles, which: I64) -> F64:
-    """Unit vectors (n, 3) along the shortest axes."""
-    return np.asarray(bubbles.turn[which, bubbles.semi_axes_mm[which].argmin(axis=1)])
+def short_axis(bubbles: AnyBubbles, rows: I64) -> F64:
+    """Unit vectors (n, 3) along the shortest axes of some bubbles."""
+    return np.asarray(bubbles.turn[rows, bubbles.semi_axes_mm[rows].argmin(axis=1)])

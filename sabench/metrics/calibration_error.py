@@ -1,4 +1,4 @@
-"""Errors of a calibration: reprojection, points of the target, held-out points, and the wall."""
+"""Errors of a calibration: reprojection, target and held-out points, wall."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from sabench.geometry.camera_model import CameraModel
 from sabench.geometry.refraction import Wall
 from sabench.geometry.rigid_motion import RigidMotion, fit_rigid_motion
 from sabench.geometry.triangulation import triangulate
-from sabench.metrics.alignment import ALIGNMENTS, alignment
+from sabench.metrics.alignment import ALIGNMENTS, fit_alignment
 from sabench.metrics.averages import finite_or_none, root_mean_square
 from sabench.utils.arrays import F64, Bool
 
@@ -54,7 +54,7 @@ def calibration_scores(
 
 
 def target_points(estimate: Calibration, case: CalibrationCase) -> F64:
-    """Positions (frame, point, 3) of the target's points: the estimate's own, or triangulated.
+    """Get or triangulate the positions (frame, point, 3) of the target's points.
 
     Triangulated are the observations that the estimate used; NaN where fewer than two cameras have
     one.
@@ -75,14 +75,20 @@ def reproject(cameras: Sequence[CameraModel], points_mm: F64) -> F64:
 
 
 def mean_length(errors: F64, selected: Bool) -> float | None:
-    """Mean length of the selected vectors (..., n) that are finite; None without any."""
+    """Average the lengths of the selected finite vectors (..., n).
+
+    None without any.
+    """
     lengths = np.linalg.norm(errors[selected], axis=-1)
     lengths = lengths[np.isfinite(lengths)]
     return float(lengths.mean()) if len(lengths) else None
 
 
 def scatter(errors: F64) -> float | None:
-    """Root mean square distance of the finite errors (n, 3) from their mean; None without any."""
+    """Compute the root mean square distance of errors (n, 3) from their mean.
+
+    Only finite errors count; None without any.
+    """
     finite = errors[np.isfinite(errors).all(axis=-1)]
     if not len(finite):
         return None
@@ -90,13 +96,19 @@ def scatter(errors: F64) -> float | None:
 
 
 def detection_noise(pixels: F64, truth: F64, good: Bool) -> float:
-    """Root mean square error of the good pixel coordinates (..., 2); 0 without any."""
+    """Compute the root mean square error of good pixel coordinates (..., 2).
+
+    0 without any.
+    """
     errors = (pixels - truth)[good]
     return root_mean_square(errors) if len(errors) else 0.0
 
 
 def detection_scores(pixels: F64, truth: F64, good: Bool) -> Scores:
-    """Mean error along columns and rows of the good pixel coordinates (..., 2), and its scatter."""
+    """Compute mean error and scatter of good pixel coordinates (..., 2).
+
+    The mean is along columns and along rows.
+    """
     errors = (pixels - truth)[good]
     column, row = errors.mean(axis=0) if len(errors) else (np.nan, np.nan)
     spread = float(errors.std(axis=0).mean()) if len(errors) else np.nan
@@ -110,7 +122,9 @@ def detection_scores(pixels: F64, truth: F64, good: Bool) -> Scores:
 def lower_bound(
     case: CalibrationCase, frame: Frame, truth_mm: F64, good: Bool, noise_px: float
 ) -> Limit | None:
-    """Cramer-Rao bound of a case; None without noise, or where it cannot be computed.
+    """Compute the Cramer-Rao bound of a case.
+
+    None without noise, or where it cannot be computed.
 
     Unknown are the rotation, centre and focal length of every camera, what else the case names, and
     all boards.
@@ -136,7 +150,7 @@ def _reprojection_scores(
     good: Bool,
     bound: Limit | None,
 ) -> Scores:
-    """Mean distances of reprojected points from their detected and from their true pixels."""
+    """Compute distances of reprojected points from detected and true pixels."""
     pixels = reproject(estimate.cameras, points_mm)
     used = case.found if estimate.used is None else estimate.used
     measured, true = (
@@ -156,7 +170,7 @@ def _reprojection_scores(
 
 
 def wall_scores(estimate: Wall | None, truth: Wall | None) -> Scores:
-    """Largest errors of the refractive indices and of the layers' thicknesses.
+    """Compute the largest errors of refractive indices and of thicknesses.
 
     None where one of the walls is missing or they have different numbers of layers.
     """
@@ -175,7 +189,7 @@ def wall_scores(estimate: Wall | None, truth: Wall | None) -> Scores:
 def _point_scores(
     estimate: F64, truth: F64, seen: Bool, motion: RigidMotion, bound: Limit | None
 ) -> Scores:
-    """Errors of the target's points in the wall's frame, absolute and relative to the bound."""
+    """Compute the errors of the target's points, and their ratio to the bound."""
     scores = point_scores(estimate, truth, seen, motion)
     for number, axis in enumerate("xyz"):
         std = scores[f"{axis}_std_mm"]
@@ -187,7 +201,7 @@ def _point_scores(
 
 
 def point_scores(estimate: F64, truth: F64, seen: Bool, motion: RigidMotion) -> Scores:
-    """Mean and scatter of the errors of points along each axis, after every alignment.
+    """Compute mean error and scatter of points, per axis and alignment.
 
     Parameters
     ----------
@@ -199,7 +213,9 @@ def point_scores(estimate: F64, truth: F64, seen: Bool, motion: RigidMotion) -> 
     own, true = motion(estimate[there]), motion(truth[there])
     scores: Scores = {}
     for how in ALIGNMENTS:
-        errors = alignment(how, own, true)(own) - true if len(own) >= 3 else np.full((1, 3), np.nan)
+        errors = (
+            fit_alignment(how, own, true)(own) - true if len(own) >= 3 else np.full((1, 3), np.nan)
+        )
         prefix = "" if how == "lateral" else f"{how}_"
         for axis, mean, std in zip("xyz", errors.mean(axis=0), errors.std(axis=0), strict=True):
             scores[f"{prefix}{axis}_mean_mm"] = finite_or_none(mean)
@@ -208,7 +224,9 @@ def point_scores(estimate: F64, truth: F64, seen: Bool, motion: RigidMotion) -> 
 
 
 def spacing_error(estimate: F64, truth: F64, seen: Bool, motion: RigidMotion) -> float | None:
-    """Root mean square error of the mean distance along Z from each frame to the next.
+    """Compute the error of the mean distance along Z from frame to frame.
+
+    It is the root mean square over all pairs of successive frames.
 
     Arguments as for `point_scores`. Source: thesis, figure 4-25.
     """
@@ -227,7 +245,9 @@ def held_out_scores(
     motion: RigidMotion,
     aligned: RigidMotion | None,
 ) -> Scores:
-    """Scatter of points that no calibration saw, triangulated by estimated and by true cameras.
+    """Compute the scatter of triangulated points that no calibration saw.
+
+    They are triangulated by the estimated and by the true cameras.
 
     Parameters
     ----------
@@ -245,7 +265,9 @@ def held_out_scores(
 
 
 def target_alignment(estimate: F64, truth: F64, motion: RigidMotion) -> RigidMotion | None:
-    """Lateral alignment of a target's points (frame, point, 3); None with fewer than three.
+    """Align a target's points (frame, point, 3) laterally with the true ones.
+
+    None with fewer than three points.
 
     Parameters
     ----------
@@ -254,7 +276,7 @@ def target_alignment(estimate: F64, truth: F64, motion: RigidMotion) -> RigidMot
     known = np.isfinite(estimate).all(axis=-1) & np.isfinite(truth).all(axis=-1)
     if known.sum() < 3:
         return None
-    return alignment("lateral", motion(estimate[known]), motion(truth[known]))
+    return fit_alignment("lateral", motion(estimate[known]), motion(truth[known]))
 
 
 def self_calibration_scores(

@@ -1,4 +1,4 @@
-"""Reading of a code of dark and bright cells: brightness, contrast, separation, cells read."""
+"""Reading of a code of dark and bright cells: contrast, separation, cells."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from sabench.utils.arrays import F32, F64, U16, Bool
 
 
 def reading(cells: F64, dark: Bool) -> dict[str, float]:
-    """Figures of one image of a code.
+    """Score one image of a code.
 
     Parameters
     ----------
@@ -45,7 +45,7 @@ def reading(cells: F64, dark: Bool) -> dict[str, float]:
 
 
 def compare_with_single_views(cells: F64, single_cells: F64, dark: Bool) -> dict[str, float]:
-    """Figures of an estimate's picture of a code, and those of the cameras' own images.
+    """Score an estimate's image of a code, and the cameras' own images.
 
     Parameters
     ----------
@@ -68,9 +68,9 @@ def compare_with_single_views(cells: F64, single_cells: F64, dark: Bool) -> dict
 
 
 def read_volume(grid: Grid, volume: F32, points_mm: F64) -> F64:
-    """Mean values (cell,) of a volume (z, y, x) at the points (cell, point, 3) of each cell.
+    """Average a volume (z, y, x) over each cell's points (cell, point, 3).
 
-    Values are interpolated linearly between voxels; NaN outside of the volume.
+    Returns (cell,). Values are interpolated linearly between voxels; NaN outside of the volume.
     """
     x, y, z = grid.to_voxels(points_mm.reshape(-1, 3)).T
     return _mean_of_cells(volume, [z, y, x], points_mm.shape[:2])
@@ -79,7 +79,7 @@ def read_volume(grid: Grid, volume: F32, points_mm: F64) -> F64:
 def single_views(
     images: Sequence[U16 | F32] | U16 | F32, cameras: Sequence[CameraModel], points_mm: F64
 ) -> F64:
-    """Mean grey values (camera, cell) of each camera's image at the points of each cell.
+    """Average each camera's image over each cell's points: (camera, cell).
 
     Parameters
     ----------
@@ -99,7 +99,7 @@ def single_views(
 
 
 def _mean_of_cells(array: F32 | U16, indices: list[F64], shape: tuple[int, ...]) -> F64:
-    """Mean (cell,) of an array at fractional indices, which are (cell, point) when reshaped."""
+    """Average an array at fractional indices over the points of each cell."""
     values = map_coordinates(
         array.astype(np.float64), indices, order=1, mode="constant", cval=np.nan
     )
@@ -107,7 +107,10 @@ def _mean_of_cells(array: F32 | U16, indices: list[F64], shape: tuple[int, ...])
 
 
 def read_right(cells: F64, dark: Bool) -> Bool:
-    """Which cells (cell,) are on the right side of the threshold; none with fewer than two shown."""
+    """Find the cells (cell,) that are on the right side of the threshold.
+
+    None of them is with fewer than two cells shown.
+    """
     shown = np.isfinite(cells)
     return (
         shown & ((cells < otsu(cells[shown])) == dark)
@@ -117,7 +120,10 @@ def read_right(cells: F64, dark: Bool) -> Bool:
 
 
 def otsu(values: F64) -> float:
-    """Threshold that divides values into two groups with the largest variance between them."""
+    """Compute Otsu's threshold of values.
+
+    It divides them into two groups with the largest variance between them.
+    """
     ordered = np.sort(values)
     count, low = np.arange(1, len(ordered)), np.cumsum(ordered)[:-1]
     between = (

@@ -1,4 +1,8 @@
-"""26-connected components of the lit voxels of a volume (z, y, x), from their runs along x: a few bytes per run instead of a label per voxel."""
+"""Connected components (26 neighbours) of bright voxels of a volume.
+
+They are found from runs of voxels along x, which takes a few bytes per run instead of a label per
+voxel.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +15,10 @@ from sabench.utils.arrays import F32, F64
 
 
 def component_sums(volume: F32, floor: float) -> F64:
-    """Sums of E, E x, E y and E z over the voxels of each component of E >= floor, (n, 4), in the order of the components' first voxels."""
+    """Sum E, E x, E y and E z over the voxels of each component of E >= floor.
+
+    Returns (n, 4), in the order of the components' first voxels.
+    """
     counts = np.zeros(volume.shape[:2], dtype=np.int64)
     _count_runs(volume, floor, counts)
     first = np.append(0, np.cumsum(counts))
@@ -25,7 +32,7 @@ def component_sums(volume: F32, floor: float) -> F64:
 
 @numba.njit(cache=True, parallel=True)
 def _count_runs(volume: Any, floor: float, counts: Any) -> None:
-    """counts[z, y] = number of runs along x of voxels that reach the floor."""
+    """Count the runs along x of voxels that reach the floor, into counts[z, y]."""
     for z in numba.prange(volume.shape[0]):
         for y in range(volume.shape[1]):
             before = False
@@ -37,7 +44,10 @@ def _count_runs(volume: Any, floor: float, counts: Any) -> None:
 
 @numba.njit(cache=True, parallel=True)
 def _find_runs(volume: Any, floor: float, first: Any, start: Any, stop: Any) -> None:
-    """Ends [start, stop) of the runs; those of row z, y are numbered from first[z * rows + y] on."""
+    """Find the ends [start, stop) of the runs.
+
+    The first run of a row is first[z * rows + y].
+    """
     rows, columns = volume.shape[1:]
     for z in numba.prange(volume.shape[0]):
         for y in range(rows):
@@ -57,7 +67,10 @@ def _find_runs(volume: Any, floor: float, first: Any, start: Any, stop: Any) -> 
 
 @numba.njit(cache=True)
 def _join_runs(start: Any, stop: Any, first: Any, planes: int, rows: int) -> Any:
-    """The component of each run and the number of components: a union-find whose root is a component's first run."""
+    """Find the component of each run, and the number of components.
+
+    This is a union-find whose root is a component's first run.
+    """
     parent = np.arange(len(start), dtype=np.int32)
     for z in range(planes):
         for y in range(rows):
@@ -68,9 +81,8 @@ def _join_runs(start: Any, stop: Any, first: Any, planes: int, rows: int) -> Any
                 for other in range(max(0, y - 1), min(rows, y + 2)):
                     _join_rows(parent, start, stop, first, row, (z - 1) * rows + other)
     count = 0
-    for run in range(
-        len(parent)
-    ):  # a parent comes before its runs and is a component's number by then
+    # a parent comes before its runs and is a component's number by then
+    for run in range(len(parent)):
         if parent[run] == run:
             parent[run] = count
             count += 1

@@ -1,4 +1,4 @@
-"""Local maxima of a volume (z, y, x) among the 26 neighbours, each fitted to a fraction of a voxel."""
+"""Local maxima of a volume among 26 neighbours, with sub-voxel positions."""
 
 from __future__ import annotations
 
@@ -10,16 +10,14 @@ import numpy as np
 
 from sabench.utils.arrays import F32, F64
 
-_SINGLE, _TIED, _SEEN = (
-    1,
-    2,
-    3,
-)  # marks of voxels that no neighbour exceeds: higher than all, equal to some, already counted
+# marks of voxels that no neighbour exceeds: higher than all, equal to some, already counted
+_SINGLE, _TIED, _SEEN = 1, 2, 3
 
 
 def fitted_maxima(volume: F32, floor: float) -> F64:
-    """Positions (n, 3) of the maxima of E >= floor as fractional voxel indices (x, y, z), in the order of their first voxels.
+    """Locate the maxima of E >= floor as fractional voxel indices (n, 3) of x, y, z.
 
+    They are in the order of their first voxels.
     A voxel higher than its 26 neighbours is a maximum; so is a plateau, connected voxels of one
     value, that no neighbour exceeds, at the mean of its voxels.
     """
@@ -72,7 +70,10 @@ def _collect(volume: Any, mark: Any, found: Any) -> Any:
 
 @numba.njit(cache=True)
 def _plateau(volume: Any, mark: Any, z: int, y: int, x: int) -> Any:
-    """Whether a plateau is a maximum, and its mean (x, y, z): a flood through voxels of one value from its first one."""
+    """Fill a plateau from its first voxel.
+
+    Returns whether it is a maximum, and its mean (x, y, z).
+    """
     value, highest, total, size = volume[z, y, x], True, np.zeros(3), 0
     waiting = [(z, y, x)]
     mark[z, y, x] = _SEEN
@@ -88,9 +89,8 @@ def _plateau(volume: Any, mark: Any, z: int, y: int, x: int) -> Any:
                     if volume[c, b, a] == value and mark[c, b, a] == _TIED:
                         mark[c, b, a] = _SEEN
                         waiting.append((c, b, a))
-                    highest &= (
-                        volume[c, b, a] != value or mark[c, b, a] == _SEEN
-                    )  # an unmarked equal has a higher neighbour
+                    # an unmarked voxel of the same value has a higher neighbour
+                    highest &= volume[c, b, a] != value or mark[c, b, a] == _SEEN
     return highest, total / size
 
 
@@ -108,9 +108,11 @@ def _fit(volume: Any, z: int, y: int, x: int) -> Any:
 
 @numba.njit(cache=True)
 def three_point(before: float, value: float, after: float) -> float:
-    """Offset, -1/2 to 1/2, of the vertex of a Gaussian through three values of which the middle one is the highest.
+    """Compute the offset of the vertex of a Gaussian through three values.
 
-    Where a neighbour is 0 and has no logarithm it is the offset of the three values' centroid.
+    The middle value is the highest; the offset lies between -1/2 and 1/2. Where a neighbour is 0
+    and has no logarithm, it is that of the centroid of the three values.
+
     Source: Willert and Gharib, Exp. Fluids 10 (1991) 181-193.
     """
     a, b, c = float(before), float(value), float(after)

@@ -1,4 +1,4 @@
-"""Particles in a volume, and how many of them are true."""
+"""Detection of particles in a volume, and counts of true and ghost particles."""
 
 from __future__ import annotations
 
@@ -17,7 +17,9 @@ _LOWEST = 0.10
 
 
 def detect(volume: F32) -> F64:
-    """Intensity-weighted centroids (n, 3) of the components of a volume (z, y, x), as fractional voxel indices (x, y, z).
+    """Detect particles in a volume (z, y, x) as connected components.
+
+    Returns their intensity-weighted centroids (n, 3), fractional voxel indices (x, y, z).
 
     Non-zero intensities below their own 10 % quantile are removed, the rest is joined into
     26-connected components: thesis section 3.3.2, after Elsinga et al. (2006). The thesis takes the
@@ -31,25 +33,33 @@ def detect(volume: F32) -> F64:
 
 
 def detect_peaks(volume: F32) -> F64:
-    """Local maxima (n, 3) of a volume (z, y, x), as fractional voxel indices (x, y, z): particles that touch are still told apart.
+    """Detect particles in a volume (z, y, x) as local maxima.
+
+    Returns fractional voxel indices (n, 3) of x, y, z. Particles that touch are separated.
 
     A maximum is a voxel that reaches the 10 % quantile of the non-zero intensities and exceeds its
     26 neighbours, or a plateau of equal voxels that does. A Gaussian through the voxel and its two
-    neighbours gives its place along each axis.
+    neighbours gives its position along each axis.
     """
     floor = _floor(volume)
     return np.empty((0, 3)) if floor is None else fitted_maxima(volume, floor)
 
 
 def _floor(volume: F32) -> float | None:
-    """The 10 % quantile of the intensities above zero; None if there are none."""
+    """Compute the 10 % quantile of the intensities above zero; None without any."""
     lit = volume[volume > 0.0]
     return float(np.quantile(lit, _LOWEST, overwrite_input=True)) if lit.size else None
 
 
 @dataclass(frozen=True)
 class Counts:
-    """Detections against truths: how many there are, how many of each are matched, and the rms distance of the matched in voxels (None: no match)."""
+    """Counts of true particles and of detections, and of matched pairs.
+
+    Attributes
+    ----------
+    truths, detections, matched : numbers of true particles, of detections, and of pairs of both.
+    rms : root mean square distance of the pairs, voxels; None without any.
+    """
 
     truths: int
     detections: int
@@ -58,87 +68,84 @@ class Counts:
 
     @property
     def recall(self) -> float:
-        """Matched truths / truths; 0 without truths."""
+        """Matched / true particles; 0 without true ones."""
         return self.matched / self.truths if self.truths else 0.0
 
     @property
     def precision(self) -> float:
-        """Matched detections / detections; 0 without detections."""
+        """Matched / all detections; 0 without detections."""
         return self.matched / self.detections if self.detections else 0.0
 
     @property
     def true_percent(self) -> float:
-        """Truths that were found, percent."""
+        """Percentage of the true particles that are detected."""
         return 100.0 * self.recall
 
     @property
     def ghost_percent(self) -> float | None:
-        """Detections that match no truth, as a percentage of those that do (thesis figure 3-6b); None: only ghosts."""
+        """Unmatched detections as a percentage of the matched ones; None: only ghosts.
+
+        Source: thesis, figure 3-6b.
+        """
         ghosts = self.detections - self.matched
         return 100.0 * ghosts / self.matched if self.matched else (None if ghosts else 0.0)
 
 
-def count_thesis(
-    detections: F64, truths: F64, scored_detections: Bool, scored_truths: Bool
-) -> Counts:
-    """The thesis's rule (section 3.3.2): a detection within 1.5 voxels of a truth is true, one per truth; duplicates and the rest are ghosts.
+def count_thesis(estimate: F64, truth: F64, scored_estimate: Bool, scored_truth: Bool) -> Counts:
+    """Count detections by the rule of the thesis (section 3.3.2).
 
-    Every detection goes to its nearest truth; the nearest detection of a truth is the true one.
+    Every detection belongs to the nearest true particle within 1.5 voxels. The nearest detection of
+    a true particle matches it; duplicates and all others are ghosts.
 
     Parameters
     ----------
-    detections, truths : (n, 3) and (m, 3) in voxels.
-    scored_detections, scored_truths : which of them lie in the scored part. Matches reach over its
-        border, counts do not.
+    estimate, truth : (n, 3) and (m, 3) in voxels.
+    scored_estimate, scored_truth : which of them lie in the scored part. Pairs may cross its
+        border, counts stop there.
     """
-    if not len(detections) or not len(truths):
-        return Counts(int(scored_truths.sum()), int(scored_detections.sum()), 0, None)
-    distance, nearest = cKDTree(truths).query(
-        detections, distance_upper_bound=np.nextafter(THESIS_RADIUS, 2.0)
+    if not len(estimate) or not len(truth):
+        return Counts(int(scored_truth.sum()), int(scored_estimate.sum()), 0, None)
+    distance, nearest = cKDTree(truth).query(
+        estimate, distance_upper_bound=np.nextafter(THESIS_RADIUS, 2.0)
     )
     order = np.argsort(distance, kind="stable")
     order = order[np.isfinite(distance[order])]
     _, first = np.unique(nearest[order], return_index=True)
     chosen = order[first]
-    return _counts(
-        chosen,
-        nearest[chosen].astype(np.int64),
-        detections,
-        truths,
-        scored_detections,
-        scored_truths,
-    )
+    matched = nearest[chosen].astype(np.int64)
+    return _counts(chosen, matched, estimate, truth, scored_estimate, scored_truth)
 
 
-def count_challenge(
-    detections: F64, truths: F64, scored_detections: Bool, scored_truths: Bool
-) -> Counts:
-    """The rule of the LPT challenge: a pair closer than 1 voxel in every component, each truth and each detection in one pair only.
+def count_challenge(estimate: F64, truth: F64, scored_estimate: Bool, scored_truth: Bool) -> Counts:
+    """Count detections by the rule of the LPT challenge.
 
-    Pairs are taken from the closest on. Arguments as for `count_thesis`; source: Leclaire et al.
-    (2021), first challenge on LPT and DA.
+    A detection matches a true particle closer than 1 voxel along every axis. Each of them is in one
+    pair only; pairs are taken from the closest on. Arguments as for `count_thesis`.
+
+    Source: Leclaire et al. (2021), first challenge on LPT and DA.
     """
-    a, b = challenge_pairs(detections, truths)
-    return _counts(a, b, detections, truths, scored_detections, scored_truths)
+    a, b = challenge_pairs(estimate, truth)
+    return _counts(a, b, estimate, truth, scored_estimate, scored_truth)
 
 
-def challenge_pairs(detections: F64, truths: F64) -> tuple[I64, I64]:
-    """Rows of detections (n, 3) and of truths (m, 3), in voxels, that the rule of the LPT challenge pairs."""
-    if not len(detections) or not len(truths):
+def challenge_pairs(estimate: F64, truth: F64) -> tuple[I64, I64]:
+    """Pair detections (n, 3) with true particles (m, 3) by the challenge's rule.
+
+    Both are in voxels. Returns the rows of both, equally long.
+    """
+    if not len(estimate) or not len(truth):
         return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)
-    pairs = cKDTree(detections).query_ball_tree(cKDTree(truths), CHALLENGE_RADIUS, p=np.inf)
-    left = np.repeat(np.arange(len(pairs)), [len(found) for found in pairs])
-    right = np.fromiter(
-        (truth for found in pairs for truth in found), dtype=np.int64, count=len(left)
-    )
-    offset = detections[left] - truths[right]
-    near = np.abs(offset).max(axis=1) < CHALLENGE_RADIUS
-    order = np.argsort(np.linalg.norm(offset[near], axis=1), kind="stable")
-    return _one_to_one(left[near][order], right[near][order], len(detections), len(truths))
+    pairs = cKDTree(estimate).query_ball_tree(cKDTree(truth), CHALLENGE_RADIUS, p=np.inf)
+    left = np.repeat(np.arange(len(pairs)), [len(near) for near in pairs])
+    right = np.fromiter((row for near in pairs for row in near), dtype=np.int64, count=len(left))
+    offset = estimate[left] - truth[right]
+    close = np.abs(offset).max(axis=1) < CHALLENGE_RADIUS
+    order = np.argsort(np.linalg.norm(offset[close], axis=1), kind="stable")
+    return _one_to_one(left[close][order], right[close][order], len(estimate), len(truth))
 
 
 def _one_to_one(left: I64, right: I64, lefts: int, rights: int) -> tuple[I64, I64]:
-    """Pairs in order, those left out whose partner is taken."""
+    """Keep the pairs, in order, whose partners are not in an earlier pair."""
     free_left, free_right = [True] * lefts, [True] * rights
     kept = []
     for i, (a, b) in enumerate(zip(left.tolist(), right.tolist(), strict=True)):
@@ -149,13 +156,13 @@ def _one_to_one(left: I64, right: I64, lefts: int, rights: int) -> tuple[I64, I6
 
 
 def _counts(
-    a: I64, b: I64, detections: F64, truths: F64, scored_detections: Bool, scored_truths: Bool
+    a: I64, b: I64, estimate: F64, truth: F64, scored_estimate: Bool, scored_truth: Bool
 ) -> Counts:
-    """Counts over the scored part: an unmatched detection or truth counts where it lies, a pair where its truth lies."""
-    inside = scored_truths[b]
-    offset = detections[a[inside]] - truths[b[inside]]
-    alone = scored_detections.copy()
+    """Count over the scored part; a pair lies where its true particle does."""
+    inside = scored_truth[b]
+    offset = estimate[a[inside]] - truth[b[inside]]
+    alone = scored_estimate.copy()
     alone[a] = False
     matched = int(inside.sum())
     rms = float(np.sqrt(np.mean(np.sum(offset**2, axis=1)))) if matched else None
-    return Counts(int(scored_truths.sum()), matched + int(alone.sum()), matched, rms)
+    return Counts(int(scored_truth.sum()), matched + int(alone.sum()), matched, rms)

@@ -1,8 +1,9 @@
-"""What a plunging jet's bubbles say of it: concentration over depth and radius, penetration depth, angle, and the scaling of equation 5.18.
+"""Analysis of a plunging jet from its bubbles.
 
-Source: thesis, section 5.5: bins of 20 mm along Y and 8 mm along R; Y_p is the mean of the depth
-where the concentration drops and the bin above; D_eq is where the concentration at the bin above
-falls to 5 % of its largest there; C_Y is a sum over R without a weight (equation 5.17).
+Source: thesis, section 5.5. Bins are 20 mm along Y and 8 mm along R. Y_p is the mean of the depth
+where the concentration drops and the bin above. D_eq is where the concentration at the bin above
+falls to 5 % (`edge`) of its largest there. C_Y is a sum over R without a weight (equation 5.17).
+The scaling is that of equation 5.18.
 """
 
 from __future__ import annotations
@@ -14,7 +15,6 @@ import numpy as np
 from scipy.optimize import OptimizeWarning, curve_fit
 
 from sabench.utils.arrays import F64
-from sabench.worlds.library.plunging_jet import EDGE
 
 DEPTH_MM, RADIUS_MM = 20.0, 8.0  # bins
 _CLOUD = 0.2  # of the largest C_Y
@@ -22,11 +22,13 @@ _CLOUD = 0.2  # of the largest C_Y
 
 @dataclass(frozen=True)
 class JetFigures:
-    """Concentration (depth, radius) on bins, and what follows from it; NaN for what does not show.
+    """Concentration of bubbles (depth, radius), and figures derived from it.
+
+    NaN stands for what cannot be determined.
 
     Attributes
     ----------
-    depth_mm, radius_mm : middles of the bins.
+    depth_mm, radius_mm : centres of the bins.
     total : C_Y (depth,), mm.
     largest : C_max (depth,).
     half_radius_mm : R_.5 (depth,).
@@ -46,19 +48,36 @@ class JetFigures:
 
 
 def analyse(
-    center_mm: F64, radius_mm: F64, impact_mm: F64, depth_mm: float, frames: int = 1
+    center_mm: F64,
+    radius_mm: F64,
+    impact_mm: F64,
+    depth_mm: float,
+    edge: float,
+    frames: int = 1,
 ) -> JetFigures:
-    """Figures of bubbles (n, 3), (n,) of one or several frames below a jet that points along +Y from `impact_mm`, down to `depth_mm`."""
-    places = center_mm - impact_mm
+    """Analyse the bubbles below a jet that points along +Y.
+
+    Parameters
+    ----------
+    center_mm, radius_mm : (n, 3) and (n,) bubbles of all frames together.
+    impact_mm : (3,) point where the jet meets the surface.
+    depth_mm : depth below it down to which bubbles are counted.
+    edge : fraction of the largest concentration at a depth where the cloud ends.
+    frames : number of frames that the bubbles are from.
+    """
+    position = center_mm - impact_mm
     depths = np.arange(0.0, depth_mm + 1e-9, DEPTH_MM)
-    outer = max(RADIUS_MM, float(np.hypot(places[:, 0], places[:, 2]).max(initial=0.0)))
+    outer = max(RADIUS_MM, float(np.hypot(position[:, 0], position[:, 2]).max(initial=0.0)))
     radii = np.arange(0.0, outer + RADIUS_MM, RADIUS_MM)
     volume = 4.0 / 3.0 * np.pi * radius_mm**3
     air, *_ = np.histogram2d(
-        places[:, 1], np.hypot(places[:, 0], places[:, 2]), bins=(depths, radii), weights=volume
+        position[:, 1],
+        np.hypot(position[:, 0], position[:, 2]),
+        bins=(depths, radii),
+        weights=volume,
     )
-    room = np.pi * np.diff(radii**2)[None] * DEPTH_MM
-    concentration = air / room / frames
+    space = np.pi * np.diff(radii**2)[None] * DEPTH_MM
+    concentration = air / space / frames
     y, r = (edges[:-1] + np.diff(edges) / 2.0 for edges in (depths, radii))
     total, largest = (
         2.0 * np.pi * concentration.sum(axis=1) * RADIUS_MM,
@@ -69,7 +88,7 @@ def analyse(
     penetration = equivalent = float("nan")
     if drop is not None:
         penetration = float(y[drop] + y[drop - 1]) / 2.0
-        equivalent = 2.0 * _falls_to(r, concentration[drop - 1], EDGE)
+        equivalent = 2.0 * _falls_to(r, concentration[drop - 1], edge)
     angle = (
         float(np.rad2deg(np.arctan2(equivalent / 2.0, y[drop - 1])))
         if drop is not None
@@ -81,12 +100,15 @@ def analyse(
     )
 
 
-def _falls_to(r: F64, profile: F64, part: float) -> float:
-    """Radius where a profile has fallen to a part of its largest value, linearly between bins; NaN without any."""
+def _falls_to(r: F64, profile: F64, fraction: float) -> float:
+    """Find the radius where a profile falls to a fraction of its maximum.
+
+    Values between bins are linear; NaN for an empty profile.
+    """
     if not len(profile) or profile.max() <= 0.0:
         return float("nan")
     start = int(profile.argmax())
-    level = part * profile[start]
+    level = fraction * profile[start]
     below = np.flatnonzero(profile[start:] <= level)
     if not len(below):
         return float(r[-1])
@@ -95,10 +117,10 @@ def _falls_to(r: F64, profile: F64, part: float) -> float:
 
 
 def _drop(total: F64) -> int | None:
-    """The bin to which the concentration falls most sharply, to the smallest part of the bin above it; None if there is none.
+    """Find the bin with the smallest concentration relative to that above it.
 
-    Bins below a fifth of the peak are not asked: in the few bubbles below the cloud any may be
-    empty.
+    Bins below a fifth of the peak do not count: below the cloud, where bubbles are few, any bin may
+    be empty.
     """
     top = int(total.argmax()) if len(total) else 0
     if not len(total) or total[top] <= 0.0 or top + 1 >= len(total):
@@ -109,7 +131,7 @@ def _drop(total: F64) -> int | None:
 
 
 def _scaling(y: F64, total: F64, penetration: float) -> tuple[float, float]:
-    """A and s of equation 5.18."""
+    """Fit A and s of equation 5.18."""
     if not np.isfinite(penetration) or len(y) < 4:
         return float("nan"), float("nan")
     scaled = (y - y[total.argmax()]) / penetration

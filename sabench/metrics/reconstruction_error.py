@@ -40,7 +40,7 @@ def _particles(grid: Grid, estimate: Reconstruction) -> tuple[F64, F64]:
 
 
 def _count(grid: Grid, estimate: F64, truth: F64) -> dict[str, float | None]:
-    """Compute the five detection figures of particles against true ones, both in voxels."""
+    """Compute the detection figures of particles against true ones, in voxels."""
     pair = (estimate, truth, grid.in_scored(estimate), grid.in_scored(truth))
     thesis, challenge = count_thesis(*pair), count_challenge(*pair)
     figures = (

@@ -1,4 +1,4 @@
-"""Synthesised field E_s: the true particles as a volume that a reconstruction is compared with."""
+"""Synthesised field E_s: the volume that a reconstruction is compared with."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def true_field(grid: Grid, particles: Particles, views: Sequence[View]) -> F32:
 
 
 def brightness(views: Sequence[View]) -> F64:
-    """Average each particle's relative photon count over the cameras in which it is lit.
+    """Average each particle's relative photon count over cameras that see it lit.
 
     The count of a camera is relative to the mean of all particles lit in it. Returns (particle,); 0
     for a particle that is lit in no camera.

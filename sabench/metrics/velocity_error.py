@@ -40,7 +40,7 @@ def velocity_scores(
 
 
 def _displacement_figures(errors: F64) -> dict[str, float]:
-    """Precision, bias and root mean square of displacement errors (n, 3), per axis and in total."""
+    """Compute precision, bias and root mean square of displacement errors (n, 3)."""
     bias = errors.mean(axis=0)
     figures = {
         "p90": precision_interval(errors),
@@ -60,7 +60,10 @@ def _displacement_figures(errors: F64) -> dict[str, float]:
 def _derivative_figures(
     estimate: F64, truth: F64, step_mm: tuple[float, float, float]
 ) -> dict[str, float]:
-    """Root mean square errors of the divergence, 1/s, and of the vorticity, % of the true one."""
+    """Compute the root mean square errors of divergence and vorticity.
+
+    The former is in 1/s, the latter in percent of the true vorticity.
+    """
     slopes, true = (gradient(field, step_mm)[inner(field.shape[:3])] for field in (estimate, truth))
     spin, true_spin = vorticity(slopes), vorticity(true)
     return {
@@ -72,17 +75,18 @@ def _derivative_figures(
 
 
 def precision_interval(errors: F64) -> F64:
-    """Half widths (3,) of the intervals about zero that hold 90 % of the errors (n, 3).
+    """Compute the half widths (3,) of intervals that hold 90 % of errors (n, 3).
 
-    Source: thesis, section 2.3.3.
+    The intervals are about zero. Source: thesis, section 2.3.3.
     """
     return np.asarray(np.percentile(np.abs(errors), _PRECISION, axis=0))
 
 
 def response(estimate: F64, truth: F64) -> float:
-    """Fraction of the true variation in an estimate; of a wave, the ratio of the amplitudes.
+    """Compute the fraction of the true variation that an estimate shows.
 
-    It is the slope of the estimated over the true velocities (n, 3), each less its mean.
+    For a wave it is the ratio of the amplitudes. It is the slope of the estimated over the true
+    velocities (n, 3), each less its mean.
     """
     about = (
         [values - values.mean(axis=0) for values in (estimate, truth)]

@@ -1,4 +1,4 @@
-"""Vortex rings in measured fields: where their cores are, and the circulation about them."""
+"""Vortex rings in measured fields: positions of their cores, and circulation."""
 
 from __future__ import annotations
 
@@ -14,21 +14,24 @@ from sabench.geometry.vector_calculus import gradient, vorticity
 from sabench.utils.arrays import F64
 
 Vector = tuple[float, float, float]
-Sampled = Callable[[F64], F64]  # values (n, ...) at points (n, 3), NaN where nothing is known
+Sampled = Callable[[F64], F64]  # values (n, ...) at points (n, 3), NaN where unknown
 _SIDE = 200  # points along each side of a contour
-_FINE = 121  # points along each side of the square in which a core is looked for
+_FINE = 121  # points along each side of the square in which a core is searched
 
 
 def sampled(field: Velocity, values: F64) -> Sampled:
-    """Values (z, y, x, ...) at a field's nodes between them: along straight lines; NaN beyond the nodes."""
-    places = field.positions_mm
-    axes = places[:, 0, 0, 2], places[0, :, 0, 1], places[0, 0, :, 0]
+    """Interpolate values (z, y, x, ...) linearly between a field's nodes.
+
+    NaN beyond the nodes.
+    """
+    nodes = field.positions_mm
+    axes = nodes[:, 0, 0, 2], nodes[0, :, 0, 1], nodes[0, 0, :, 0]
     inner = RegularGridInterpolator(axes, values, bounds_error=False, fill_value=np.nan)
     return lambda points: np.asarray(inner(points[:, ::-1]))
 
 
 def spin_of(field: Velocity) -> Sampled:
-    """A field's vorticity between its nodes."""
+    """Interpolate a field's vorticity linearly between its nodes."""
     return sampled(field, vorticity(gradient(field.velocity_mm_s, field.step_mm)))
 
 
@@ -38,7 +41,7 @@ class HalfPlane:
 
     Attributes
     ----------
-    center_mm : the ring's middle.
+    center_mm : the ring's centre.
     outward, axis, normal : unit vectors: away from the axis, along it, and across the plane,
         right-handed in this order.
     """
@@ -54,7 +57,10 @@ class HalfPlane:
 
 
 def half_plane(center_mm: Vector, axis: Vector, start: Vector, degrees: float) -> HalfPlane:
-    """The half plane at an angle about a ring's axis from the one that holds a direction, right-handed."""
+    """Make the half plane at an angle about a ring's axis.
+
+    The angle is right-handed, from the half plane that holds the start direction.
+    """
     along = np.asarray(axis) / np.linalg.norm(axis)
     first = np.asarray(start) - np.dot(start, along) * along
     first /= np.linalg.norm(first)
@@ -64,14 +70,22 @@ def half_plane(center_mm: Vector, axis: Vector, start: Vector, degrees: float) -
 
 
 def core(
-    spin: Sampled, half: HalfPlane, radius_mm: float, reach_mm: float
+    spin: Sampled, half: HalfPlane, radius_mm: float, search_mm: float
 ) -> tuple[float, float, float]:
-    """Distance from the axis and height of a core, and the strongest vorticity across a half plane, near a place (radius, 0).
+    """Locate a core in a half plane.
 
-    The place is the centroid of the vorticity that exceeds half of the strongest: a maximum lies on
-    a node of a coarse field. NaN if it is not known.
+    Returns its distance from the axis, its height, and the peak vorticity.
+
+    The position is the centroid of the vorticity that exceeds half of the peak, because a maximum
+    lies on a node of a coarse field. NaN where the vorticity is unknown.
+
+    Parameters
+    ----------
+    spin : the vorticity.
+    radius_mm : expected distance from the axis; the expected height is 0.
+    search_mm : half side of the square around it that is searched.
     """
-    offsets = np.linspace(-reach_mm, reach_mm, _FINE)
+    offsets = np.linspace(-search_mm, search_mm, _FINE)
     r, z = (part.ravel() for part in np.meshgrid(radius_mm + offsets, offsets))
     across = spin(half.points(r, z)) @ half.normal
     if np.isnan(across).all():
@@ -84,8 +98,17 @@ def core(
 def circulation(
     velocity: Sampled, half: HalfPlane, r_mm: float, z_mm: float, width_mm: float, height_mm: float
 ) -> float:
-    """Line integral of the velocity around a rectangle about a place in a half plane, right-handed about its normal; NaN where it is not known all
-    around. Source: thesis, section 2.3.3."""
+    """Integrate the velocity along a rectangle in a half plane.
+
+    The direction is right-handed about the plane's normal.
+
+    NaN where the velocity is not known all around. Source: thesis, section 2.3.3.
+
+    Parameters
+    ----------
+    r_mm, z_mm : centre of the rectangle: distance from the axis, and height.
+    width_mm, height_mm : its sides, across the axis and along it.
+    """
     corners = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1), (-1, -1)]) * 0.5 * np.array(
         [width_mm, height_mm]
     ) + np.array([r_mm, z_mm])

@@ -1,1 +1,1 @@
-"""Charts and pictures as PNG files."""
+"""Charts and images as PNG files."""

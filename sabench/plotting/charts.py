@@ -1,4 +1,4 @@
-"""Figures of tables and fields: curves, histograms, clouds of points and slices as PNG pictures."""
+"""Figures of tables and fields as PNG images: curves, histograms, slices."""
 
 from __future__ import annotations
 
@@ -12,15 +12,8 @@ import numpy.typing as npt
 
 _PANEL_INCH, _DPI = (4.2, 3.2), 110
 _BINS = 40
-_COLOURS = (
-    "#0072B2",
-    "#D55E00",
-    "#009E73",
-    "#CC79A7",
-    "#E69F00",
-    "#56B4E9",
-    "#000000",
-)  # Okabe and Ito: told apart by the colour-blind
+# Okabe and Ito: colours that the colour-blind can distinguish
+_COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 _MARKERS = "os^Dv*x"
 _FLAT = 2.0  # a slice so many times wider than high has its scale below it
 _ARROWS = 32  # along a slice's longer side at most
@@ -28,7 +21,7 @@ _ARROWS = 32  # along a slice's longer side at most
 
 @dataclass(frozen=True)
 class Curve:
-    """Values (n,) over others, with half widths of their spread if there is one."""
+    """Values (n,) over others, with half widths of their spread where given."""
 
     label: str
     x: Sequence[float]
@@ -38,7 +31,7 @@ class Curve:
 
 @dataclass(frozen=True)
 class Histogram:
-    """The distribution of values."""
+    """Distribution of values."""
 
     label: str
     values: npt.NDArray[np.float64]
@@ -55,7 +48,9 @@ class Cloud:
 
 @dataclass(frozen=True)
 class Slice:
-    """Values (rows, columns) on a lattice in colours, y downwards as in images; alone in its panel.
+    """Values (rows, columns) on a lattice in colours; alone in its panel.
+
+    y points downwards, as in images.
 
     Attributes
     ----------
@@ -75,7 +70,10 @@ class Slice:
 
 @dataclass(frozen=True)
 class Discs:
-    """Circles (n,) of radii in the axes' own unit, coloured by them, y downwards; alone in their panel."""
+    """Circles (n,) coloured by their radii; alone in their panel.
+
+    Radii are in the unit of the axes; y points downwards.
+    """
 
     label: str
     x: npt.NDArray[np.float64]
@@ -85,7 +83,10 @@ class Discs:
 
 @dataclass(frozen=True)
 class Circles:
-    """Circles (n,) of radii in the axes' own unit, all of one colour, y downwards; several kinds may share a panel."""
+    """Circles (n,) of one colour; several kinds may share a panel.
+
+    Radii are in the unit of the axes; y points downwards.
+    """
 
     label: str
     x: npt.NDArray[np.float64]
@@ -95,12 +96,14 @@ class Circles:
 
 @dataclass(frozen=True)
 class Picture:
-    """Grey values (rows, columns) as they are seen, from the least to the largest, y downwards; alone in its panel.
+    """Grey image (rows, columns), from its least to its largest value.
+
+    It is alone in its panel; y points downwards.
 
     Attributes
     ----------
-    low, high : coordinates (x, y) of the middles of its first and last pixel.
-    rings : (n, 3) circles over it: middles and radii, in the axes' own unit.
+    low, high : coordinates (x, y) of the centres of its first and last pixel.
+    rings : (n, 3) circles over it: centres and radii, in the unit of the axes.
     """
 
     values: npt.NDArray[np.float64]
@@ -111,7 +114,10 @@ class Picture:
 
 @dataclass(frozen=True)
 class Space:
-    """Balls (n,) in space, y downwards, as discs of their size coloured by it; alone in its panel."""
+    """Balls (n,) in space as discs coloured by their size; alone in its panel.
+
+    y points downwards.
+    """
 
     label: str
     center: npt.NDArray[np.float64]
@@ -123,7 +129,7 @@ Content = Curve | Histogram | Cloud | Slice | Discs | Circles | Picture | Space
 
 @dataclass(frozen=True)
 class Panel:
-    """One pair of axes; `log` names those that are logarithmic: "", "x", "y" or "xy"."""
+    """Pair of axes; `log` names the logarithmic ones: "", "x", "y" or "xy"."""
 
     title: str
     x: str
@@ -134,7 +140,14 @@ class Panel:
 
 @dataclass(frozen=True)
 class Figure:
-    """Panels beside each other; `name` becomes the file's, `across` says how many stand in a row, `inch` how wide and high each is."""
+    """Figure of several panels.
+
+    Attributes
+    ----------
+    name : name of the file.
+    across : panels in a row.
+    inch : width and height of a panel.
+    """
 
     name: str
     title: str
@@ -144,7 +157,7 @@ class Figure:
 
 
 def draw(figure: Figure) -> bytes:
-    """A figure as a PNG."""
+    """Draw a figure as a PNG."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure as Sheet
 
@@ -362,7 +375,10 @@ def _picture(axes: Any, one: Picture) -> None:
 
 
 def _space(axes: Any, one: Space) -> None:
-    """Discs' areas are in points squared: the box's longest edge is about half as long as the panel is high."""
+    """Draw balls as discs, whose areas are in points squared.
+
+    The longest edge of the box is about half as long as the panel is high.
+    """
     from matplotlib.ticker import MaxNLocator
 
     x, y, z = one.center.T
@@ -389,7 +405,10 @@ def _space(axes: Any, one: Space) -> None:
 
 
 def _edges(values: Sequence[npt.NDArray[np.float64]]) -> npt.NDArray[np.float64]:
-    """Common bins of all histograms of a panel, without the outermost thousandth on either side."""
+    """Compute common bins of all histograms of a panel.
+
+    The outermost thousandth on either side is left out.
+    """
     if not values:
         return np.zeros(0)
     every = np.concatenate(values)

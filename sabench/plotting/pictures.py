@@ -1,4 +1,4 @@
-"""Small PNG pictures for the page: what the cameras saw, and one slice of what a volume holds."""
+"""Small PNG images for the page: camera images and slices of volumes."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ _GAMMA = 1.0 / 2.2  # a particle of 1 % of the brightest is shown at 12 %
 _BRIGHTEST = 99.9  # percentile shown as white
 _LEAST_RANGE = 0.01  # of black to white: below this, noise would be shown as light
 _WINDOW = 200  # voxels of a slice that are shown, per side
-_ENLARGED_PX = 400  # side of a slice's picture
-# Blue, green, red of errors, told apart by the colour-blind and as dark as each other: the ends and
-# the middle of RdBu.
+_ENLARGED_PX = 400  # side of a slice's image
+# Blue, green, red of errors, equally dark, which the colour-blind can distinguish: the ends and the
+# middle of RdBu.
 _MISSING, _RIGHT, _TOO_MUCH = (
     np.array(colour, dtype=np.float64)
     for colour in ((172.0, 102.0, 33.0), (247.0, 247.0, 247.0), (43.0, 24.0, 178.0))
@@ -28,7 +28,7 @@ _MISSING, _RIGHT, _TOO_MUCH = (
 
 
 def montage(images: U16, black_dn: float, white_dn: float) -> bytes:
-    """All cameras' images of one moment in a near-square mosaic, as a PNG.
+    """Arrange all cameras' images of one frame in a near-square mosaic, as a PNG.
 
     Parameters
     ----------
@@ -54,7 +54,10 @@ def montage(images: U16, black_dn: float, white_dn: float) -> bytes:
 
 
 def backlit(images: U16, black_dn: float, white_dn: float) -> bytes:
-    """The same of bright images with dark things in them: pixels are joined by their minimum, and grey values are shown as they are."""
+    """Arrange bright images with dark objects in a near-square mosaic, as a PNG.
+
+    Pixels are joined by their minimum; grey values are linear. Arguments as for `montage`.
+    """
     dark = np.clip(white_dn - images.astype(np.float64), 0.0, white_dn - black_dn).astype(np.uint16)
     if dark.ndim != 3 or not dark.size:
         raise ValueError(f"backlit: expected images (camera, row, column), got shape {dark.shape}")
@@ -71,18 +74,23 @@ def backlit(images: U16, black_dn: float, white_dn: float) -> bytes:
 
 
 def slice_picture(volume: F32, scored: tuple[slice, slice, slice]) -> bytes:
-    """The central window of the middle z plane of the scored part of a volume (z, y, x), as a PNG with x to the right and y down.
+    """Draw the central window of a volume's middle z plane, as a PNG.
 
-    The window depends on the grid only, and a voxel is a block of whole pixels, so pictures of one
+    The volume is (z, y, x); its plane is the middle one of the scored part. x points to the right,
+    y down.
+
+    The window depends on the grid only, and a voxel is a block of whole pixels, so images of one
     grid can be compared particle by particle. Brightness is the square root of the intensity, up to
-    the window's own 99.9th percentile: faint ghosts stay visible beside bright particles.
+    the window's own 99.9th percentile: faint ghosts stay visible next to bright particles.
     """
     window = _window(volume[scored])
     return _png(_enlarged(_grey(window, _top(window), 0.5)))
 
 
 def error_slice(volume: F32, truth: F32, scored: tuple[slice, slice, slice]) -> bytes:
-    """The same window of a volume (z, y, x) minus that of the truth: white is right, red is light too much, blue is light that is missing.
+    """Draw the same window of a volume (z, y, x) minus the truth, as a PNG.
+
+    White: right. Red: too much light. Blue: missing light.
 
     The volume is first scaled so that its squared difference to the truth in the scored part is
     least, as its scale means nothing. Colours follow the square root of the difference, up to the
@@ -97,7 +105,7 @@ def error_slice(volume: F32, truth: F32, scored: tuple[slice, slice, slice]) -> 
 
 
 def _window(part: F32) -> F64:
-    """The central window of the middle plane."""
+    """Cut the central window of the middle plane."""
     if part.ndim != 3 or not part.size:
         raise ValueError(
             f"slice_picture: expected a scored part (z, y, x) with voxels, got shape {part.shape}"
@@ -107,34 +115,40 @@ def _window(part: F32) -> F64:
 
 
 def _top(window: F64) -> float:
-    return float(np.percentile(window, _BRIGHTEST)) or float(
-        window.max()
-    )  # a few lone particles can fill less than 0.1 %
+    # a few isolated particles can fill less than 0.1 %
+    return float(np.percentile(window, _BRIGHTEST)) or float(window.max())
 
 
 def _enlarged(pixels: U8) -> U8:
-    """Each voxel as a block of whole pixels."""
+    """Enlarge each voxel to a block of whole pixels."""
     block = max(1, _ENLARGED_PX // max(pixels.shape[:2]))
     return pixels.repeat(block, axis=0).repeat(block, axis=1)
 
 
 def read_picture(dark: Bool, right: Bool) -> bytes:
-    """A code (rows, columns) of dark and bright cells as a PNG: black and white where it is read right, red where dark is read as bright, blue where
-    bright is read as dark."""
+    """Draw which cells (rows, columns) of a code are read right, as a PNG.
+
+    Black and white: right. Red: a dark cell read as bright. Blue: a bright cell read as dark.
+    """
     truth = np.where(dark[..., None], 0.0, _RIGHT)
     wrong = np.where(dark[..., None], _TOO_MUCH, _MISSING)
     return _png(_enlarged(np.where(right[..., None], truth, wrong).astype(np.uint8)))
 
 
 def grey_picture(values: F64, size_px: int) -> bytes:
-    """A plane (rows, columns) from its 1st to its 99th percentile, enlarged by whole pixels to about `size_px`, as a PNG."""
+    """Draw a plane (rows, columns), enlarged to about `size_px`, as a PNG.
+
+    Grey values extend from its 1st to its 99th percentile; each value is a block of whole pixels.
+    """
     low, high = np.percentile(values, [1.0, 99.0])
     block = max(1, size_px // max(values.shape))
     return _png(_grey(values - low, high - low, 1.0).repeat(block, axis=0).repeat(block, axis=1))
 
 
 def dots(pixels: F64, rows: int, columns: int) -> bytes:
-    """Points in every camera's image, a near-square mosaic as a PNG; each frame of a target has its own grey.
+    """Draw points in every camera's image, in a near-square mosaic, as a PNG.
+
+    Each frame of a target has its own grey value.
 
     Parameters
     ----------
@@ -151,24 +165,24 @@ def dots(pixels: F64, rows: int, columns: int) -> bytes:
     return _png(_mosaic(sheets, across))
 
 
-def arrows(places: F64, errors: F64, rows: int, columns: int) -> bytes:
-    """Errors as lines from their places in every camera's image, a near-square mosaic as a PNG.
+def arrows(positions: F64, errors: F64, rows: int, columns: int) -> bytes:
+    """Draw errors as lines in every camera's image, in a near-square mosaic.
 
-    Lines are longer than the errors by a power of ten, written into the picture, that makes the
+    Lines are longer than the errors by a power of ten, written into the image, that makes the
     median one about as long as a thirtieth of the image.
 
     Parameters
     ----------
-    places, errors : (camera, frame, point, 2) in px; NaN for none.
+    positions, errors : (camera, frame, point, 2) in px; NaN for none.
     """
-    across, scale = _layout(len(places), rows, columns)
+    across, scale = _layout(len(positions), rows, columns)
     lengths = np.linalg.norm(errors, axis=-1)
     median = float(np.nanmedian(lengths)) if np.isfinite(lengths).any() else 0.0
     longer = 10.0 ** math.floor(math.log10(columns / 30.0 / median)) if median > 1e-12 else 1.0
     sheets = np.zeros(
-        (len(places), math.ceil(rows * scale), math.ceil(columns * scale)), dtype=np.uint8
+        (len(positions), math.ceil(rows * scale), math.ceil(columns * scale)), dtype=np.uint8
     )
-    for sheet, at, off in zip(sheets, places, errors, strict=True):
+    for sheet, at, off in zip(sheets, positions, errors, strict=True):
         good = np.isfinite(at).all(axis=-1) & np.isfinite(off).all(axis=-1)
         for (x, y), (dx, dy) in zip(at[good] * scale, off[good] * scale * longer, strict=True):
             _line(sheet, (x, y), (x + dx, y + dy), 170, 1)
@@ -178,7 +192,7 @@ def arrows(places: F64, errors: F64, rows: int, columns: int) -> bytes:
 
 
 def _layout(cameras: int, rows: int, columns: int) -> tuple[int, float]:
-    """Images per row of a mosaic, and by how much they shrink."""
+    """Compute the number of images per row of a mosaic, and their scale."""
     across = _across(cameras, rows, columns)
     return across, min(1.0, (_MONTAGE_PX - _GAP_PX * (across - 1)) / across / columns)
 
@@ -202,7 +216,7 @@ def _write(sheet: U8, text: str) -> None:
 
 
 def _across(cameras: int, rows: int, columns: int) -> int:
-    """Images per row that make the mosaic most nearly square with few empty places."""
+    """Choose the number of images per row: near-square, with few empty places."""
 
     def badness(across: int) -> float:
         down = math.ceil(cameras / across)
@@ -212,7 +226,10 @@ def _across(cameras: int, rows: int, columns: int) -> int:
 
 
 def _joined(images: U16, block: int) -> U16:
-    """Every block x block pixels joined by their maximum; the last row and column of blocks may be cut."""
+    """Join block x block pixels by their maximum.
+
+    The last row and column of blocks may be cut.
+    """
     _, rows, columns = images.shape
     padded = np.pad(images, ((0, 0), (0, -rows % block), (0, -columns % block)))
     shape = (len(images), padded.shape[1] // block, block, padded.shape[2] // block, block)
@@ -220,7 +237,7 @@ def _joined(images: U16, block: int) -> U16:
 
 
 def _grey(values: F64, top: float, gamma: float) -> U8:
-    """0 to `top` as 0 to 255."""
+    """Scale 0 to `top` to 0 to 255."""
     scaled = np.clip(values / top, 0.0, 1.0) if top > 0.0 else np.zeros_like(values)
     return np.rint(255.0 * scaled**gamma).astype(np.uint8)
 

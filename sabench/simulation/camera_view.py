@@ -1,4 +1,4 @@
-"""View of one camera: the photons that it receives of a frame, and the truth of what it sees."""
+"""View of one camera: photons that it receives of a frame, and their truth."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _GLOW_ERROR = 1.0  # of tracers among bubbles: few rays, as their images are smo
 
 @dataclass(frozen=True)
 class CameraView:
-    """What one camera receives of a frame, before its sensor.
+    """Photons that one camera receives of a frame, and the truth of its image.
 
     Attributes
     ----------
@@ -49,7 +49,10 @@ class CameraView:
     error: float | None = None
 
     def radiance(self) -> F64:
-        """Photons / (mm2 sr) in front of the lens; 0 where a distorted lens shows nothing."""
+        """Radiance (rows, columns) in front of the lens, photons / (mm2 sr).
+
+        0 where a distorted lens shows nothing.
+        """
         if self.traced_radiance is not None:
             return self.traced_radiance
         etendue, dark = self.camera.etendue(), np.zeros_like(self.photons)
@@ -68,7 +71,7 @@ def render(frame: FrameContent, camera: int) -> CameraView:
 
 
 def _render_tracers(frame: FrameContent, tracers: Tracers, number: int) -> CameraView:
-    """Tracers alone: the mean over the parts of the pulse."""
+    """Render tracers alone: the mean over the parts of the pulse."""
     camera, parts = frame.rig.cameras[number], len(tracers.positions_mm)
     images = _image(frame, tracers, camera)
     total = np.zeros((camera.rows, camera.columns))
@@ -83,7 +86,10 @@ def _render_tracers(frame: FrameContent, tracers: Tracers, number: int) -> Camer
 
 
 def _render_part(frame: FrameContent, camera: Camera, images: ParticleImages, at_mm: F64) -> F64:
-    """Photons of the analytic renderer, or radiance of the traced one, of one part of a pulse."""
+    """Render one part of a pulse.
+
+    The analytic renderer gives photons, the traced one radiance.
+    """
     if frame.renderer == "splat":
         return particles_splatted.render(camera, images)
     samples = frame.scene.render.samples_per_pixel
@@ -97,7 +103,7 @@ def _image(frame: FrameContent, tracers: Tracers, camera: Camera) -> ParticleIma
 
 
 def _render_bubbles(frame: FrameContent, bubbles: Bubbles, number: int) -> CameraView:
-    """Bubbles and bodies, with or without tracers among them."""
+    """Render bubbles and bodies, with or without tracers among them."""
     scene, camera = frame.scene, frame.rig.cameras[number]
     tank, seed = tank_of(scene, frame.rig), frame.path_seed(number)
     lights = lights_of(scene)
@@ -146,7 +152,10 @@ def lights_of(scene: Scene) -> Lights:
 
 
 def _shaded(frame: FrameContent, tracers: Tracers, camera: Camera, sight: Sight) -> ParticleImages:
-    """Images of tracers: dark in shadows of bubbles and bodies, invisible behind them."""
+    """Image tracers among bubbles and bodies.
+
+    They are dark in shadows, and invisible behind bubbles and bodies.
+    """
     images = _image(frame, tracers, camera)
     covered = hidden(camera, tracers.particles.position_mm, images.pixel, sight)
     reached = True if tracers.illuminated is None else tracers.illuminated
@@ -159,7 +168,7 @@ def _shaded(frame: FrameContent, tracers: Tracers, camera: Camera, sight: Sight)
 
 
 def _render_target(frame: FrameContent, number: int) -> CameraView:
-    """A calibration target under lamps."""
+    """Render a calibration target under lamps."""
     scene, camera = frame.scene, frame.rig.cameras[number]
     if scene.lighting is None or frame.target is None or frame.pose is None:
         raise ValueError(f"frame {frame.number}: expected a target under lamps")

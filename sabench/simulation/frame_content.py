@@ -1,4 +1,4 @@
-"""Content of one frame: bubbles, bodies, tracers or a calibration target, with what records them."""
+"""Content of one frame: bubbles, bodies, tracers or a calibration target."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class Tracers:
 
 @dataclass(frozen=True)
 class FrameContent:
-    """Everything that the cameras see in one frame.
+    """Objects of one frame, with the optics, the seed and the renderer.
 
     Attributes
     ----------

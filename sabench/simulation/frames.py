@@ -1,4 +1,4 @@
-"""Frames of a scene: what the generators make, and how the laser illuminates it."""
+"""Frames of a scene: objects from the generators, under the laser."""
 
 from __future__ import annotations
 
@@ -53,13 +53,16 @@ class Frames:
         return self.motion is not None and self.motion.chained
 
     def at(self, number: int) -> FrameContent:
-        """Make a frame; tracers inside bubbles and bodies are left out. Raises as `Phases`."""
+        """Make a frame; tracers inside bubbles and bodies are left out.
+
+        Raises as `Phases`.
+        """
         bubbles = self._phases.bubbles(number) if self._phases else None
         particles = self.motion.at(number) if self.motion else None
         if self._phases is None or bubbles is None or particles is None:
             return self.assemble(number, bubbles, particles)
         solids = [solid for solid, _ in self._phases.bodies(number)]
-        particles = _chosen(particles, ~inside(bubbles, solids, particles.position_mm))
+        particles = _select(particles, ~inside(bubbles, solids, particles.position_mm))
         direction = np.asarray(self.scene.particle_world.illumination.direction)
         back = np.tile(-direction / np.linalg.norm(direction), (len(particles), 1))
         dark = obstructed(bubbles, solids, particles.position_mm, back)
@@ -116,7 +119,7 @@ def _longest_px(camera: Camera, early_mm: F64, late_mm: F64) -> float:
     return float(np.nanmax(np.linalg.norm(ends[1] - ends[0], axis=1)))
 
 
-def _chosen(particles: Particles, which: Bool) -> Particles:
+def _select(particles: Particles, which: Bool) -> Particles:
     return Particles(
         particles.id[which],
         particles.position_mm[which],

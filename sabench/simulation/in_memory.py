@@ -22,7 +22,7 @@ from sabench.worlds.tracers import Motion
 
 @dataclass(frozen=True)
 class Shot:
-    """One frame in memory: the observation for a solver, and the truth that scores it."""
+    """One frame in memory: an observation and the truth that scores it."""
 
     observation: Observation
     particles: Particles
@@ -30,7 +30,7 @@ class Shot:
 
 
 def simulate(scene: Scene, *, seed: int = 0, frame: int = 0, backend: Renderer = "splat") -> Shot:
-    """Simulate one frame of the data set that `generate` would make, without writing anything.
+    """Simulate one frame of the data set that `generate` would make.
 
     Raises
     ------
@@ -51,7 +51,7 @@ def simulate(scene: Scene, *, seed: int = 0, frame: int = 0, backend: Renderer =
 
 
 def observation_of(frame: FrameContent, images: list[U16]) -> Observation:
-    """The observation that a solver receives of a frame's images, one for each camera."""
+    """Build the observation of a frame's images, one for each camera."""
     scene, rig = frame.scene, frame.rig
     return observed(
         np.stack(images),

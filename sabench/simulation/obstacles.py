@@ -1,4 +1,4 @@
-"""Points inside bubbles and bodies, behind them, and in their shadow."""
+"""Bubbles and bodies as obstacles of points and lines."""
 
 from __future__ import annotations
 
@@ -14,14 +14,17 @@ from sabench.utils.arrays import F64, Bool
 
 
 def inside(bubbles: Bubbles, solids: Sequence[Solid], points_mm: F64) -> Bool:
-    """Which points (n, 3) lie in a bubble or a body: (n,)."""
+    """Find which points (n, 3) lie in a bubble or a body."""
     if not solids:
         return _in_bubbles(bubbles, points_mm)
     return _in_bubbles(bubbles, points_mm) | BodySearch(solids).enclosed(points_mm)
 
 
 def obstructed(bubbles: Bubbles, solids: Sequence[Solid], points_mm: F64, directions: F64) -> Bool:
-    """Which lines (n,) from points (n, 3) along unit vectors (n, 3) meet a bubble or a body."""
+    """Find which lines from points (n, 3) meet a bubble or a body.
+
+    `directions` are unit vectors (n, 3).
+    """
     met = meets(bubbles, points_mm, directions)
     if solids:
         met |= BodySearch(solids).first(points_mm, directions)[1] >= 0
@@ -29,7 +32,7 @@ def obstructed(bubbles: Bubbles, solids: Sequence[Solid], points_mm: F64, direct
 
 
 def hidden(camera: Camera, points_mm: F64, pixels: F64, sight: Sight) -> Bool:
-    """Which points (n, 3) lie behind the surface that their pixel (n, 2) shows first."""
+    """Find which points (n, 3) lie behind what their pixels (n, 2) show first."""
     with np.errstate(invalid="ignore"):
         on_sensor = camera.contains(pixels)
     rounded = np.where(on_sensor[:, None], np.rint(np.nan_to_num(pixels)), 0).astype(np.int64)

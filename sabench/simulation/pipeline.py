@@ -1,4 +1,4 @@
-"""From a scene to a data set: generate the world, light it, record it, store it with its truth."""
+"""Generation of a data set: render a scene and store it with its truth."""
 
 from __future__ import annotations
 
@@ -46,7 +46,9 @@ def generate(
     jobs: int = 1,
     scheduler: str | None = None,
 ) -> Dataset:
-    """Make a data set, or go on with one whose making was interrupted: the same bytes whoever makes its parts, and in whatever order.
+    """Generate a data set, resuming an interrupted run.
+
+    The bytes do not depend on the number or order of workers.
 
     Parameters
     ----------
@@ -96,7 +98,10 @@ def generate(
 
 @contextlib.contextmanager
 def _parts(target: Path, job: Job) -> Iterator[Parts]:
-    """The folder of a data set's parts, beside it: it goes when the data set is there, and stays for the next try after an interruption."""
+    """Open the folder of a data set's parts, next to the data set.
+
+    It is removed when the data set is complete, and kept for the next run after an interruption.
+    """
     parts = Parts(target.parent / f".{target.name}.parts-{job.key[:16]}")
     job.write(parts.root)
     try:
@@ -119,7 +124,7 @@ def _parts(target: Path, job: Job) -> Iterator[Parts]:
 
 
 def _forget(target: Path) -> None:
-    """Remove the parts of a data set, also those that were made for another scene or seed."""
+    """Remove all parts of a data set, also those of another scene or seed."""
     for folder in target.parent.glob(f".{glob.escape(target.name)}.parts-*"):
         shutil.rmtree(folder, ignore_errors=True)
 
@@ -153,12 +158,12 @@ def put_together(
 
 
 def _truth(part: Part) -> Part:
-    """The arrays of a part that the data set keeps."""
+    """Select the arrays of a part that the data set keeps."""
     return {name: value for name, value in part.items() if not name.startswith(KEPT)}
 
 
 def _shows(scene: Scene) -> tuple[Shown, ...]:
-    """What the frames of bubbles and bodies show; nothing for other scenes."""
+    """Kinds of objects in frames of bubbles and bodies; none for other scenes."""
     world = scene.world
     if not isinstance(world, BubbleWorld):
         return ()
@@ -168,18 +173,20 @@ def _shows(scene: Scene) -> tuple[Shown, ...]:
 
 
 def _renderer(scene: Scene, asked: Renderer, label: str) -> str:
-    """What makes the data set: a target without lamps needs no pictures."""
+    """Choose the renderer of a scene; a target without lamps has no images."""
     world = scene.world
     if isinstance(world, BubbleWorld):
         if asked == "splat":
             raise InputError(
-                f"{label}: backend: expected mitsuba for bubbles and solids, got splat, which renders particles only"
+                f"{label}: backend: expected mitsuba for bubbles and solids, got splat, which "
+                "renders particles only"
             )
         return choose_renderer("mitsuba")
     if not isinstance(world, TargetWorld) or world.lighting is not None:
         return choose_renderer(asked)
     if asked == "mitsuba":
         raise InputError(
-            f"{label}: lighting: expected lamps to render a target by, got none; the backend splat needs none"
+            f"{label}: lighting: expected lamps to render a target by, got none; the backend splat "
+            "needs none"
         )
     return "splat"

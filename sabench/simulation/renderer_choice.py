@@ -11,7 +11,7 @@ Renderer = Literal["auto", "mitsuba", "splat"]
 
 
 def choose_renderer(asked: Renderer) -> str:
-    """mitsuba or splat; "auto" falls back to splat where nothing runs Mitsuba."""
+    """Choose mitsuba or splat; "auto" takes splat where nothing runs Mitsuba."""
     if asked not in ("auto", "mitsuba", "splat"):
         raise InputError(f"backend: expected auto, mitsuba or splat, got {asked!r}")
     if asked == "splat":

@@ -1,4 +1,4 @@
-"""What a data set will need at least, so that one that can never be made is refused before work starts."""
+"""Lower bounds on a data set's memory and disk space."""
 
 from __future__ import annotations
 
@@ -16,7 +16,9 @@ _STORED_BYTES = 2  # per pixel of each picture on the disk: grey values are not 
 
 
 def check_affordable(name: str, scene: Scene, rig: Rig, folder: Path) -> None:
-    """Refuse a scene whose pictures cannot fit into memory, one at a time, or on the disk of a folder, all together.
+    """Refuse a scene that cannot fit into memory or on the disk.
+
+    One image at a time must fit into memory, and all images on the disk of the folder.
 
     Both are lower bounds: a scene that passes may still need too much, one that does not pass would
     have failed.
@@ -26,7 +28,8 @@ def check_affordable(name: str, scene: Scene, rig: Rig, folder: Path) -> None:
     if there is not None and need > there:
         size = f"{scene.cameras.rows} x {scene.cameras.columns}"
         raise InputError(
-            f"{name}: cameras: expected pictures that fit into memory, but one of {size} pixels needs {need:.0f} MB where {there:.0f} are there"
+            f"{name}: cameras: expected pictures that fit into memory, but one of {size} pixels "
+            f"needs {need:.0f} MB where {there:.0f} are there"
         )
     world = scene.world
     if isinstance(world, TargetWorld) and world.lighting is None:  # without images
@@ -35,5 +38,6 @@ def check_affordable(name: str, scene: Scene, rig: Rig, folder: Path) -> None:
     free, stored = shutil.disk_usage(there_now).free / 1e6, pixels * pictures * _STORED_BYTES / 1e6
     if stored > free:
         raise InputError(
-            f"{name}: frames: expected a data set that fits on the disk, but {pictures} pictures need {stored:.0f} MB where {free:.0f} are free"
+            f"{name}: frames: expected a data set that fits on the disk, but {pictures} pictures "
+            f"need {stored:.0f} MB where {free:.0f} are free"
         )

@@ -18,7 +18,7 @@ from sabench.geometry.rotations import rotation_matrices
 from sabench.metrics.averages import finite_or_none, mean_of_each
 from sabench.metrics.bubble_detection import AnyBubbles, detection_scores
 from sabench.metrics.plunging_jet import JetFigures, analyse
-from sabench.metrics.trajectories import track_scores
+from sabench.metrics.trajectories import trajectory_scores
 from sabench.plotting import pictures
 from sabench.scenes import BubbleWorld, Scene
 from sabench.scenes.world import GeneratorTable
@@ -27,6 +27,7 @@ from sabench.utils import memory
 from sabench.utils.arrays import I64
 from sabench.utils.errors import InputError
 from sabench.utils.progress import track
+from sabench.worlds.library.plunging_jet import EDGE
 
 JET = {
     "penetration_percent": "penetration_mm",
@@ -164,7 +165,7 @@ class BubblesTask(FrameByFrame):
             _check_all_or_none(source, found)
         numbers = trajectories(data.rig, found)
         times = [data.rig.time_s(frame) for frame in self.frames(data)]
-        links = track_scores(found, numbers, every, times, data.rig.sequences())
+        links = trajectory_scores(found, numbers, every, times, data.rig.sequences())
         over_time = {key: finite_or_none(value) for key, value in links.items()}
         return mean_of_each(frames) | _jet_scores(data, found, every) | over_time
 
@@ -248,6 +249,7 @@ def jet_figures(scene: Scene, every: Sequence[AnyBubbles]) -> JetFigures:
         np.concatenate([one.radius_mm for one in every]),
         impact,
         volume.center_mm[1] + volume.size_mm[1] / 2.0 - impact[1],
+        EDGE,
         len(every),
     )
 

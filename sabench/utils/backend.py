@@ -1,8 +1,8 @@
-"""Chooses what Mitsuba and Dr.Jit run on; nothing else in sabench names a variant or a library path.
+"""Choice of the backend of Mitsuba and Dr.Jit: CUDA if there is a driver and a device, else LLVM.
 
-CUDA where a driver answers, else LLVM. Dr.Jit loads libLLVM at run time and would take any that the
-system offers, also one that aborts the whole process in the middle of a render, so the library is
-chosen and its version asked before.
+Dr.Jit loads libLLVM at run time and takes any that the system offers, also one that aborts the
+process during a render. So this module selects the library and checks its version first. No other
+module of sabench names a variant or a library path.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from sabench.utils.progress import console
 
 LLVM_VARIABLE = "DRJIT_LIBLLVM_PATH"
 CHOICE_VARIABLE = "SABENCH_BACKEND"
-OLDEST_LLVM = 19  # tried: 14 is refused by Dr.Jit, 15 and 16 abort in renders, 19 and 23 work
+OLDEST_LLVM = 19  # tested: Dr.Jit refuses 14; 15 and 16 abort during renders; 19 and 23 work
 _SYSTEM = (
     "usr/lib/llvm-*/lib/libLLVM*.so*",
     "usr/lib/*/libLLVM*.so*",
@@ -31,14 +31,14 @@ _SYSTEM = (
     "opt/homebrew/opt/llvm/lib/libLLVM*.dylib",
 )
 REMEDY = (
-    f"install the wheel karellen-llvm-core (Linux x86-64) or an LLVM of version {OLDEST_LLVM} or later (Debian: libllvm19), "
-    f"or set {LLVM_VARIABLE} to its libLLVM"
+    "install the wheel karellen-llvm-core (Linux x86-64) or an LLVM of version "
+    f"{OLDEST_LLVM} or later (Debian: libllvm19), or set {LLVM_VARIABLE} to its libLLVM"
 )
 
 
 @dataclass(frozen=True)
 class Backend:
-    """What was chosen: "cuda" or "llvm", the library (None for cuda), and one line that says why."""
+    """Backend: "cuda" or "llvm", its library (None for cuda), and one line with the reason."""
 
     kind: str
     library: str | None
@@ -47,12 +47,13 @@ class Backend:
 
 @functools.cache
 def choose() -> Backend:
-    """The backend of this process. SABENCH_BACKEND=llvm or =cuda overrides the choice.
+    """Choose the backend of this process; SABENCH_BACKEND=llvm or =cuda overrides the choice.
 
     Raises
     ------
     InputError
-        No working backend, or the asked one does not work; the text holds the remedy.
+        There is no working backend, or the requested one does not work; the message says how to
+        fix it.
     """
     asked = os.environ.get(CHOICE_VARIABLE, "auto")
     if asked not in ("auto", "cuda", "llvm"):
@@ -67,15 +68,16 @@ def choose() -> Backend:
     return _choose_llvm()
 
 
+_VERSIONS = {0: "LLVM 15 or older", -1: "cannot be loaded"}
+
+
 def _choose_llvm() -> Backend:
     refused = []
     for origin, path in _llvm_candidates():
         version = llvm_version(path)
         if version >= OLDEST_LLVM:
             return Backend("llvm", path, f"LLVM {version} from {origin}: {path}")
-        refused.append(
-            f"{path} ({'LLVM 15 or older' if version == 0 else 'cannot be loaded' if version < 0 else f'LLVM {version}'})"
-        )
+        refused.append(f"{path} ({_VERSIONS.get(version, f'LLVM {version}')})")
         if origin == LLVM_VARIABLE:
             break
     found = f"refused {', '.join(refused)}" if refused else "found none"
@@ -83,7 +85,7 @@ def _choose_llvm() -> Backend:
 
 
 def _llvm_candidates() -> list[tuple[str, str]]:
-    """(origin, path) in order of trust: the variable, the wheel, the system's libraries from the newest down."""
+    """List (origin, path) in this order: the variable, the wheel, the system's, newest first."""
     variable = os.environ.get(LLVM_VARIABLE)
     if variable:
         return [(LLVM_VARIABLE, variable)]
@@ -107,7 +109,7 @@ def _wheel_libraries() -> list[str]:
 
 
 def llvm_version(path: str) -> int:
-    """Major version of a libLLVM; 0 for one too old to say (15 and before), -1 for one that cannot be loaded."""
+    """Read the major version of a libLLVM: 0 for 15 and older, -1 if it cannot be loaded."""
     try:
         library = ctypes.CDLL(path)
     except OSError:
@@ -141,15 +143,16 @@ def _prepare() -> Backend:
         loaded = dr.detail.llvm_version()[0]
         if loaded < OLDEST_LLVM:  # somebody imported drjit before the variable was set
             raise InputError(
-                f"drjit was imported before sabench and took LLVM {loaded}, which aborts in renders: expected sabench's choice, {backend.library}; "
-                f"import sabench.utils.backend and call its mitsuba() first, or set {LLVM_VARIABLE}"
+                f"drjit was imported before sabench and loaded LLVM {loaded}, which aborts during "
+                f"renders: expected {backend.library}; import sabench.utils.backend and call its "
+                f"mitsuba() first, or set {LLVM_VARIABLE}"
             )
     console.print(f"computing on {backend.why}", style="dim", highlight=False, soft_wrap=True)
     return backend
 
 
 def mitsuba() -> Any:
-    """The module mitsuba with its variant set."""
+    """Import mitsuba and set its variant."""
     backend = _prepare()
     import mitsuba as mi
 
@@ -158,7 +161,7 @@ def mitsuba() -> Any:
 
 
 def drjit() -> tuple[Any, Any]:
-    """The module drjit, and the module of its array types (drjit.llvm or drjit.cuda) for this backend."""
+    """Import drjit and its array types for this backend (drjit.llvm or drjit.cuda)."""
     backend = _prepare()
     import drjit as dr
 
@@ -166,5 +169,5 @@ def drjit() -> tuple[Any, Any]:
 
 
 def limit(threads: int) -> None:
-    """Have this process's Dr.Jit use so many threads."""
+    """Set the number of threads that Dr.Jit uses in this process."""
     drjit()[0].set_thread_count(threads)

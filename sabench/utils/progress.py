@@ -1,11 +1,12 @@
-"""A progress bar on standard error for whatever takes longer than a moment; standard output stays for results."""
+"""Progress bars and notices on standard error; standard output is left to results."""
 
 from __future__ import annotations
 
 import contextlib
+import functools
 import threading
 from collections.abc import Callable, Iterable, Iterator, Sized
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
@@ -13,14 +14,15 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 T = TypeVar("T")
 console = Console(stderr=True)
 _REFRESH_S = 0.2
+_PATIENCE_S = 1.0  # of compiling without a notice
 
 
 def track(items: Iterable[T], doing: str) -> Iterator[T]:
-    """Pass `items` through and show how many are done; on a terminal as a bar, in a log as one line when finished.
+    """Yield items and show how many are done: a bar on a terminal, in a log one line at the end.
 
-    Where the caller's loop raises, this generator ends when Python's garbage collector finds it, in
-    whichever thread that runs. So the thread that keeps the clock running is told to end and never
-    waited for; rich's own is joined, which from within that very thread never returns.
+    If the caller's loop raises, this generator is closed by the garbage collector, in any thread.
+    So the thread that refreshes the bar is signalled to end, but not joined: rich joins its own,
+    and a thread that joins itself never returns.
     """
     total = len(items) if isinstance(items, Sized) else None
     ended = threading.Event()
@@ -43,7 +45,7 @@ def _keep_alive(progress: Progress, ended: threading.Event) -> None:
 
 @contextlib.contextmanager
 def bar(doing: str, total: int) -> Iterator[Callable[[], None]]:
-    """The same for things that are done in no order: what it gives is called once for each."""
+    """Show a bar for work that finishes in any order; call the yielded function once per item."""
     with _progress(refresh=True) as progress:
         task = progress.add_task(doing, total=total)
         yield lambda: progress.advance(task)
@@ -57,3 +59,44 @@ def _progress(*, refresh: bool) -> Progress:
         TimeElapsedColumn(),
     )
     return Progress(*columns, console=console, auto_refresh=refresh)
+
+
+@functools.cache
+def announce_compiling() -> None:
+    """Have this process print a notice, once, if compiling kernels takes longer than a second."""
+    from numba.core import event
+
+    event.register("numba:compile", _compile_listener())
+
+
+def _compile_listener() -> Any:
+    """Make a listener of numba's compile events; kernels that come from the cache send none."""
+    from numba.core.event import Listener
+
+    class CompileListener(Listener):  # type: ignore[misc]
+        """Timer that runs while kernels compile."""
+
+        def __init__(self) -> None:
+            self.depth = 0  # a kernel that calls others compiles them within its own compilation
+            self.timer: threading.Timer | None = None
+
+        def on_start(self, event: Any) -> None:
+            """Start the timer with the outermost compilation."""
+            self.depth += 1
+            if self.depth == 1:
+                self.timer = threading.Timer(_PATIENCE_S, _say_compiling)
+                self.timer.daemon = True
+                self.timer.start()
+
+        def on_end(self, event: Any) -> None:
+            """Stop the timer with the outermost compilation."""
+            self.depth -= 1
+            if self.depth == 0 and self.timer:
+                self.timer.cancel()
+
+    return CompileListener()
+
+
+@functools.cache
+def _say_compiling() -> None:
+    console.print("compiling kernels (once)", style="dim", highlight=False)

@@ -1,1 +1,1 @@
-"""From a scene to the truth: tracers, bubbles, bodies and calibration targets of every frame."""
+"""Truth of every frame: tracers, bubbles, bodies, calibration targets."""

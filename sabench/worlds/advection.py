@@ -1,4 +1,4 @@
-"""Velocity fields: what their gradients say, and particles carried along by them."""
+"""Advection of particles by velocity fields."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _AT_ONCE = 20_000
 
 
 def advect(flow: Flow, points_mm: F64, start_s: float, end_s: float, tolerance_mm: float) -> F64:
-    """Where particles (n, 3) are at one time that a flow carries from where they are at another, which may be earlier.
+    """Advect particles (n, 3) from one time to another, which may be earlier.
 
     Parameters
     ----------
@@ -30,18 +30,25 @@ def advect(flow: Flow, points_mm: F64, start_s: float, end_s: float, tolerance_m
         return out
     for first in range(0, len(out), _AT_ONCE):
         part = slice(first, first + _AT_ONCE)
-        out[part] = _carried(flow, out[part], start_s, end_s, tolerance_mm)
+        out[part] = _advect_together(flow, out[part], start_s, end_s, tolerance_mm)
     return out
 
 
-def _carried(flow: Flow, points: F64, start_s: float, end_s: float, tolerance_mm: float) -> F64:
-    """scipy bounds the root mean square over all coordinates; divided by the root of their number that bounds each of them."""
+def _advect_together(
+    flow: Flow, points: F64, start_s: float, end_s: float, tolerance_mm: float
+) -> F64:
+    """Advect some particles.
+
+    scipy bounds the root mean square over all coordinates; divided by the root of their number, its
+    tolerance bounds each of them.
+    """
     calls = itertools.count()
 
     def velocity(time: float, flat: F64) -> F64:
         if next(calls) > _MOST:
             raise InputError(
-                f"flow {flow.name}: expected a field smooth enough to follow for {end_s - start_s:g} s to {tolerance_mm:g} mm, but it is not"
+                f"flow {flow.name}: expected a field smooth enough to follow for "
+                f"{end_s - start_s:g} s to {tolerance_mm:g} mm, but it is not"
             )
         return flow.velocity(flat.reshape(-1, 3), time).ravel()
 

@@ -1,4 +1,7 @@
-"""A scene's bubbles and bodies at a frame, and what cannot be: one that a wall cuts, two in one place, a body that is not closed."""
+"""Bubbles and bodies of a scene's frames, checked for impossible ones.
+
+Refused are bubbles that a wall cuts, two objects in one place, and bodies that are not closed.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +28,7 @@ _NAMED = 3  # bubbles that an error names
 
 
 class Phases:
-    """All frames' bubbles and bodies of a scene and seed."""
+    """Bubbles and bodies of all frames of a scene and seed."""
 
     def __init__(self, scene: Scene, seed: int) -> None:
         self.scene, self.seed = scene, seed
@@ -39,7 +42,7 @@ class Phases:
         ]
 
     def bubbles(self, frame: int) -> Bubbles:
-        """The bubbles of a frame.
+        """Make the bubbles of a frame.
 
         Raises
         ------
@@ -67,7 +70,7 @@ class Phases:
         return made
 
     def bodies(self, frame: int) -> list[tuple[Solid, Material]]:
-        """The bodies of a frame, each at its place.
+        """Make the bodies of a frame, each at its position.
 
         Raises
         ------
@@ -90,17 +93,17 @@ def bodies_of(scene: Scene) -> tuple[GeneratorTable, ...]:
 
 
 def pose_of(parameters: SolidParameters, time_s: float) -> Pose:
-    """Where a body is at a time."""
-    turn = rotation_matrices(np.deg2rad(parameters.turn_deg)) @ rotation_matrices(
+    """Position and rotation of a body at a time."""
+    rotation = rotation_matrices(np.deg2rad(parameters.turn_deg)) @ rotation_matrices(
         np.deg2rad(parameters.spin_deg_s) * time_s
     )
     return Pose(
-        turn, np.asarray(parameters.place_mm) + np.asarray(parameters.velocity_mm_s) * time_s
+        rotation, np.asarray(parameters.place_mm) + np.asarray(parameters.velocity_mm_s) * time_s
     )
 
 
 def _closed(body: Solid, where: str, scene: Scene) -> Solid:
-    """A body whose surface is closed, faces outwards and is of a size that its unit may be right."""
+    """Check that a body is closed and of plausible size; turn its faces outwards."""
     import trimesh
 
     mesh = trimesh.Trimesh(body.vertices_mm, body.faces, process=False)
@@ -110,19 +113,21 @@ def _closed(body: Solid, where: str, scene: Scene) -> Solid:
     if not merged.is_watertight or not merged.is_winding_consistent:
         open_edges = int((np.bincount(merged.edges_unique_inverse) != 2).sum())
         raise InputError(
-            f"{where}: expected a closed surface, but {open_edges} of its edges do not have two faces"
+            f"{where}: expected a closed surface, but {open_edges} of its edges do not have two "
+            "faces"
         )
     largest, volume = float(np.ptp(body.vertices_mm, axis=0).max()), max(scene.volume.size_mm)
     if not _SMALL * volume <= largest <= _LARGE * volume:
         raise InputError(
-            f"{where}: expected a body of a size like the volume's ({volume:g} mm), got {largest:.3g} mm: is its unit right?"
+            f"{where}: expected a body of a size like the volume's ({volume:g} mm), got "
+            f"{largest:.3g} mm: is its unit right?"
         )
     faces = mesh.faces if merged.volume > 0.0 else mesh.faces[:, ::-1]
     return Solid(np.asarray(body.vertices_mm, dtype=np.float64), np.asarray(faces, dtype=np.int64))
 
 
 def _depths(wall: Wall) -> tuple[float, float]:
-    """Depths of the faces between which the fluid is."""
+    """Depths of the inner faces of both walls."""
     inner = wall.thickness_mm
     return inner, inner + wall.depth_mm if wall.depth_mm is not None else np.inf
 
@@ -139,7 +144,8 @@ def _check_walls(bubbles: Bubbles, scene: Scene, where: str) -> None:
     cut = np.flatnonzero((depth - reach < near) | (depth + reach > far))
     if len(cut):
         raise InputError(
-            f"{where}: expected all of them in the fluid, but a wall cuts {len(cut)}: {_named(bubbles, cut)}"
+            f"{where}: expected all of them in the fluid, but a wall cuts {len(cut)}: "
+            f"{_named(bubbles, cut)}"
         )
 
 
@@ -148,18 +154,20 @@ def _check_apart(bubbles: Bubbles, where: str) -> None:
     if len(pairs):
         first, second = (_named(bubbles, pairs[:1, side]) for side in (0, 1))
         raise InputError(
-            f"{where}: expected none to reach into another (overlap = true allows it), but {len(pairs)} pairs do: {first} and {second}"
+            f"{where}: expected none to reach into another (overlap = true allows it), but "
+            f"{len(pairs)} pairs do: {first} and {second}"
         )
 
 
 def _check_beside(bubbles: Bubbles, solid: Solid, where: str, name: str) -> None:
-    """No bubble may cross a body's surface."""
+    """Check that no bubble crosses a body's surface."""
     if not len(bubbles):
         return
     bad = np.flatnonzero(touching(bubbles, solid))
     if len(bad):
         raise InputError(
-            f"{where}: expected none to reach into a body, but {len(bad)} reach into {name}: {_named(bubbles, bad)}"
+            f"{where}: expected none to reach into a body, but {len(bad)} reach into {name}: "
+            f"{_named(bubbles, bad)}"
         )
 
 
@@ -171,14 +179,16 @@ def _check_tank(solid: Solid, scene: Scene, where: str) -> None:
     if depth.min() < near or depth.max() > far:
         got = f"{depth.min():.4g} to {depth.max():.4g}"
         raise InputError(
-            f"{where}: expected it in the tank, {near:g} to {far:g} mm behind the wall's outer face, but it reaches from {got} mm"
+            f"{where}: expected it in the tank, {near:g} to {far:g} mm behind the wall's outer "
+            f"face, but it reaches from {got} mm"
         )
 
 
 def _named(bubbles: Bubbles, which: I64) -> str:
-    """A few bubbles by number, place and size."""
+    """Describe a few bubbles by number, position and size."""
     shown = [
-        f"{bubbles.id[n]} at {np.round(bubbles.center_mm[n], 3).tolist()} mm with semi-axes {np.round(bubbles.semi_axes_mm[n], 3).tolist()} mm"
+        f"{bubbles.id[n]} at {np.round(bubbles.center_mm[n], 3).tolist()} mm with semi-axes "
+        f"{np.round(bubbles.semi_axes_mm[n], 3).tolist()} mm"
         for n in which[:_NAMED]
     ]
     return "; ".join(shown) + (" ..." if len(which) > _NAMED else "")

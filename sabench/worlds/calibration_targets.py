@@ -1,4 +1,4 @@
-"""Calibration targets: where every frame shows one, what the cameras find of it, and what is known of it beforehand."""
+"""Calibration targets: poses, detected points and prior knowledge."""
 
 from __future__ import annotations
 
@@ -36,7 +36,10 @@ def place(scene: Scene, seed: int) -> Placed:
 
 
 def exact_pixels(camera: Camera, points_mm: F64) -> F64:
-    """Where a camera truly sees points (frame, point, 3): pixels (frame, point, 2), NaN outside its image."""
+    """Project points (frame, point, 3) to true pixels (frame, point, 2).
+
+    NaN outside the image.
+    """
     pixels, valid = camera.project(points_mm.reshape(-1, 3))
     pixels[~(valid & camera.contains(pixels))] = np.nan
     return pixels.reshape(*points_mm.shape[:2], 2)
@@ -45,7 +48,10 @@ def exact_pixels(camera: Camera, points_mm: F64) -> F64:
 def found_pixels(
     detection: Detection | None, exact: F64, seed: int, camera: int
 ) -> tuple[F64, Bool]:
-    """Pixels (frame, point, 2) as they are found, NaN where they are not, and which are outliers (frame, point)."""
+    """Perturb pixels (frame, point, 2) as detection does; also the outliers.
+
+    Pixels are NaN where a point is missed; outliers are (frame, point).
+    """
     if detection is None:
         return exact.copy(), np.zeros(exact.shape[:2], dtype=np.bool_)
     rng = stream(seed, "detection", camera)
@@ -62,11 +68,14 @@ def found_pixels(
 
 
 def _hidden(detection: Detection, exact: F64, half: F64) -> Bool:
-    """Points (frame, point) behind a straight edge across the view of the target; `half` are three random numbers per frame."""
+    """Choose points (frame, point) behind a straight edge across the target.
+
+    `half` are three random numbers per frame.
+    """
     hidden = np.zeros(exact.shape[:2], dtype=np.bool_)
     for frame in np.flatnonzero(half[:, 0] < detection.hidden):
-        turn = 2.0 * np.pi * half[frame, 1]
-        along = exact[frame] @ np.array([np.cos(turn), np.sin(turn)])
+        angle = 2.0 * np.pi * half[frame, 1]
+        along = exact[frame] @ np.array([np.cos(angle), np.sin(angle)])
         if np.isfinite(along).any():
             low, high = np.nanmin(along), np.nanmax(along)
             hidden[frame] = along > low + (0.25 + 0.5 * half[frame, 2]) * (high - low)
@@ -74,7 +83,7 @@ def _hidden(detection: Detection, exact: F64, half: F64) -> Bool:
 
 
 def prior(scene: Scene, placed: Placed, seed: int) -> Prior:
-    """What the scene's calibration table lets be known of the places.
+    """Draw the prior knowledge of positions that the scene's table allows.
 
     Raises
     ------
@@ -96,7 +105,8 @@ def prior(scene: Scene, placed: Placed, seed: int) -> Prior:
     for number, point in enumerate(spec.known):
         if point.frame >= exact.shape[0] or point.point >= exact.shape[1]:
             raise InputError(
-                f"calibration.known.{number}: expected one of {exact.shape[0]} frames and of {exact.shape[1]} points, "
+                f"calibration.known.{number}: expected one of {exact.shape[0]} frames and of "
+                f"{exact.shape[1]} points, "
                 f"got {point.frame} and {point.point}"
             )
         axes = ["xyz".index(axis) for axis in point.axes]

@@ -1,4 +1,4 @@
-"""Codes on bodies: which cells of one are dark, and where they are in the world."""
+"""Readable codes on bodies: dark cells and their world positions."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def has_code(scene: Scene) -> bool:
 
 
 def code_of(scene: Scene, seed: int, frame: int) -> Code:
-    """All cells of a frame's codes, world frame: truth, not for solvers."""
+    """Make all cells of a frame's codes, world frame: truth, not for solvers."""
     parts = []
     for generator in (generator_of(given) for given in bodies_of(scene)):
         if isinstance(generator, CodeGenerator):

@@ -1,4 +1,4 @@
-"""Particles from frame to frame: carried by a flow, replaced where they leave, lit by pulses that are never quite alike."""
+"""Tracers from frame to frame, and the laser pulses that illuminate them."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def require_flow(scene: Scene) -> Flow:
 
 
 class Motion:
-    """All frames' particles of a scene and seed.
+    """Tracers of all frames of a scene and seed.
 
     A frame depends on the frames before it: one that comes next is made from the last, any other
     from the first on. Either way gives the same.
@@ -70,11 +70,11 @@ class Motion:
         return self._last[0] if self._last else None
 
     def resume(self, frame: int, particles: Particles) -> None:
-        """Go on from a frame's particles that were made elsewhere."""
+        """Continue from a frame's particles that were made elsewhere."""
         self._last = frame, particles
 
     def at(self, frame: int) -> Particles:
-        """The particles of a frame.
+        """Make the particles of a frame.
 
         Raises
         ------
@@ -94,7 +94,7 @@ class Motion:
         return particles
 
     def moved(self, particles: Particles, frame: int, delay_s: float) -> F64:
-        """Where a frame's particles (n, 3) are some time later or earlier."""
+        """Positions (n, 3) of a frame's particles some time later or earlier."""
         if self._flow is None:
             return particles.position_mm + delay_s * particles.velocity_mm_s
         time = self.scene.time_s(frame)
@@ -108,12 +108,13 @@ class Motion:
         made = self._generator.particles(domain, self.seed, 0, 0.0)
         if np.any(made.velocity_mm_s):
             raise InputError(
-                f"{self.scene.title}: particles: expected some that rest, for the flow to carry them, got some that move by themselves"
+                f"{self.scene.title}: particles: expected some that rest, for the flow to carry "
+                "them, got some that move by themselves"
             )
         return _at_speed(flow, made, self.scene.time_s(0))
 
     def _next(self, flow: Flow, domain: Domain, before: Particles, frame: int) -> Particles:
-        """Those that stay in the volume, and those that enter.
+        """Advect particles by one frame, dropping and replacing those that leave.
 
         Who enters is found backwards: a volume full of other particles is traced back, and those of
         it that come from outside are the new ones. For a flow without divergence this keeps the
@@ -147,7 +148,10 @@ def _inside(domain: Domain, points_mm: F64) -> Bool:
 
 
 def lattice(scene: Scene, frame: int, step_mm: tuple[float, float, float]) -> tuple[Velocity, F64]:
-    """A frame's exact velocities on a lattice centred in the volume, and their gradients (z, y, x, 3, 3) in 1/s."""
+    """Sample a frame's exact velocities and gradients on a centred lattice.
+
+    Gradients are (z, y, x, 3, 3) in 1/s.
+    """
     flow = require_flow(scene)
     counts = [
         int(size / step * (1.0 + 1e-12)) + 1
@@ -162,7 +166,7 @@ def lattice(scene: Scene, frame: int, step_mm: tuple[float, float, float]) -> tu
 
 
 def pulse(scene: Scene, seed: int, frame: int) -> Illumination:
-    """The laser as it is in a frame."""
+    """Laser of one frame, with the pulse's energy and shift."""
     timing, light = scene.timing, scene.particle_world.illumination
     if timing is None:
         return light
@@ -181,6 +185,6 @@ def pulse(scene: Scene, seed: int, frame: int) -> Illumination:
 
 
 def moments(duration_s: float, steps: int) -> Iterator[float]:
-    """Middles of equal parts of a pulse, from its own middle."""
+    """Yield the middles of equal parts of a pulse, relative to its own middle."""
     for number in range(steps):
         yield duration_s * ((number + 0.5) / steps - 0.5)

@@ -255,7 +255,9 @@ def test_what_cannot_be_is_said(name: str, tmp_path: Path) -> None:
 def test_a_suite_of_bubbles_ends_in_a_page(tmp_path: Path) -> None:
     from sabench.evaluation.runner import run_suite
 
-    (tmp_path / "small.toml").write_text(small().to_toml(), encoding="utf-8")
+    (tmp_path / "small.toml").write_text(
+        small(render={"relative_error": 0.1}).to_toml(), encoding="utf-8"
+    )
     text = 'title = "bubbles"\nscenes = ["small.toml"]\nbackend = "mitsuba"\n[[solvers]]\nname = "minimum_image"\n'
     (tmp_path / "suite.toml").write_text(text, encoding="utf-8")
     (record,) = run_suite(tmp_path / "suite.toml", tmp_path / "work", tmp_path / "board")
@@ -297,7 +299,8 @@ def test_bodies_come_from_files(suffix: str, unit: str, scale: float, tmp_path: 
         "unit": unit,
         "place_mm": [0.0, 0.0, 60.0],
     }
-    data = generate(small(bubbles=None, solids=[solid]), tmp_path / "data", seed=1)
+    scene = small(bubbles=None, solids=[solid], render={"relative_error": 0.2})
+    data = generate(scene, tmp_path / "data", seed=1)
     assert np.ptp(data.solids(0)[0].vertices_mm, axis=0) == pytest.approx([4.0, 3.0, 2.0], abs=1e-5)
     (tmp_path / f"body.{suffix}").unlink()  # the data set has its own copy
     again = generate(data.scene, tmp_path / "again", seed=1)

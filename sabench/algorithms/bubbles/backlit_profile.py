@@ -9,6 +9,7 @@ too far and where light that is reflected is not bent far enough.
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass
 
 import numpy as np
@@ -79,6 +80,7 @@ class Profile:
     blur_px: float
 
     @classmethod
+    @functools.lru_cache(maxsize=64)  # 0.2 s each, and the same for every frame
     def of(cls, index: float, half_angle: float, blur_px: float) -> Profile:
         """The table for balls of a relative index before a diffuser of a half angle, blurred by a Gaussian."""
         radii = np.geomspace(SMALLEST, LARGEST, _RADII)
@@ -95,6 +97,7 @@ class Profile:
                 / blur_px**2
             )
             row[:] = 1.0 - (weight * missing).sum(axis=1) * step
+        table.flags.writeable = False
         return cls(table, blur_px)
 
     def __call__(self, distance: F64, radius_px: float) -> F64:

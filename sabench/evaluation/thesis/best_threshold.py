@@ -1,4 +1,7 @@
-"""Q of a refocused volume for many thresholds in one pass. It takes the truth: a metric of thresholds, not a way for a solver to choose one."""
+"""Q of a refocused volume for many thresholds in one pass.
+
+It needs the truth: it judges thresholds, and no solver can use it.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +25,9 @@ def quality_of_k(
     keep: Literal["reduced", "whole"],
     scored: tuple[slice, slice, slice] = _ALL,
 ) -> F64:
-    """Q (K,) of `extract(volume, k, keep)` for each of the ascending thresholds k (K,), in one pass and without touching the volume.
+    """Compute Q (K,) of `extract(volume, k, keep)` for ascending thresholds (K,).
+
+    It takes one pass and does not change the volume.
 
     Parameters
     ----------
@@ -55,14 +60,19 @@ def best_k(
     keep: Literal["reduced", "whole"],
     scored: tuple[slice, slice, slice] = _ALL,
 ) -> tuple[float, float]:
-    """The k, to 0.05, with the highest Q, and that Q: the thesis's choice in its simulations, which takes the truth. Arguments as above."""
+    """Find the threshold k, to 0.05, with the highest Q, and that Q.
+
+    The thesis selects it so in its simulations, with the truth. Arguments as for `quality_of_k`.
+    """
     q = quality_of_k(volume, synthesised, _KS, keep, scored)
     return float(_KS[q.argmax()]), float(q.max())
 
 
 @numba.njit(cache=True, parallel=True)
 def _sum_between(volume: Any, synthesised: Any, thresholds: Any, sums: Any) -> None:
-    """sums[plane, i] = number of voxels above exactly i thresholds of their plane, and sums of E, E^2, E_s, E E_s and E_s^2 over them.
+    """Sum over the voxels above exactly i thresholds of their plane.
+
+    sums[plane, i] is their number, and the sums of E, E^2, E_s, E E_s and E_s^2 over them.
 
     Of voxels above none, which are most, only the last sum is taken: nothing else of theirs enters
     Q.

@@ -1,4 +1,4 @@
-"""What the tables of chapter 4 share: the thesis's array before its wall, boards seen with noise, and errors of what comes of it."""
+"""Common parts of chapter 4's tables: camera array, noisy boards, errors."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from sabench.api import Calibration, CalibrationCase
 from sabench.api.make import make_algorithm
 from sabench.geometry.camera import Camera
 from sabench.geometry.triangulation import triangulate
-from sabench.metrics.alignment import alignment
+from sabench.metrics.alignment import fit_alignment
 from sabench.scenes import Scene, build_rig, load_scene, parse_scene
 from sabench.scenes.nominal_cameras import nominal_cameras
 from sabench.utils.arrays import F64
@@ -37,7 +37,7 @@ _CHOSEN = {
 
 @dataclass(frozen=True)
 class Board:
-    """A calibration and its truth.
+    """Calibration and its truth.
 
     Attributes
     ----------
@@ -55,7 +55,10 @@ class Board:
 def scene_of(
     cameras: int, baseline: float, noise_px: float, start: float, *, wall: bool = True
 ) -> Scene:
-    """Cameras D s_o apart, five boards of 11 x 11 points in 50 x 50 x 50 mm behind 5 mm of glass; section 4.4.2.
+    """Make the array and boards of section 4.4.2.
+
+    Cameras are D s_o apart; five boards of 11 x 11 points are in 50 x 50 x 50 mm behind 5 mm of
+    glass.
 
     Parameters
     ----------
@@ -79,7 +82,7 @@ def scene_of(
 
 
 def scene_at(steps: Sequence[tuple[int, int]], baseline: float) -> Scene:
-    """The bundled scene with cameras so many baselines from the array's middle."""
+    """Load the bundled scene with cameras at a distance in baselines."""
     values: dict[str, Any] = load_scene("calibration").to_dict()
     middle = values["volume"]["center_mm"][2] - values["cameras"]["center_mm"][2]
     places = [
@@ -100,12 +103,12 @@ def scene_at(steps: Sequence[tuple[int, int]], baseline: float) -> Scene:
 def board(
     cameras: int, baseline: float, noise_px: float, start: float, seed: int, wall: bool = True
 ) -> Board:
-    """One draw of boards, noise and start."""
+    """Draw boards, noise and initial guess once."""
     return draw(scene_of(cameras, baseline, noise_px, start, wall=wall), seed)
 
 
 def draw(scene: Scene, seed: int) -> Board:
-    """What a scene's cameras see of its target, with the truth beside it."""
+    """Simulate what a scene's cameras see of its target, with the truth."""
     true, placed = build_rig(scene).cameras, place(scene, seed)
     exact = np.stack([exact_pixels(camera, placed.points_mm) for camera in true])
     pixels = np.stack(
@@ -125,14 +128,14 @@ def draw(scene: Scene, seed: int) -> Board:
 
 
 def solved(solver: str, given: Board, **parameters: Any) -> Calibration:
-    """A solver's answer."""
+    """Solve a case."""
     algorithm: Any = make_algorithm(solver, parameters)
     made: Calibration = algorithm.solve(given.case)
     return made
 
 
 def places_of(answer: Calibration, given: Board) -> F64:
-    """The points that a solver returns, or those that its cameras see."""
+    """Get the points that a solver returns, or triangulate them by its cameras."""
     if answer.points_mm is not None:
         return answer.points_mm
     flat = given.case.pixels.reshape(len(given.cameras), -1, 2)
@@ -140,7 +143,7 @@ def places_of(answer: Calibration, given: Board) -> F64:
 
 
 def reprojection(answer: Calibration, given: Board) -> tuple[float, float]:
-    """Mean true and measured reprojection error, px."""
+    """Compute mean true and measured reprojection errors, px."""
     flat = places_of(answer, given).reshape(-1, 3)
     again = np.stack([camera.project(flat)[0] for camera in answer.cameras]).reshape(
         given.exact.shape
@@ -153,20 +156,23 @@ def reprojection(answer: Calibration, given: Board) -> tuple[float, float]:
 
 
 def point_errors(answer: Calibration, given: Board, how: Any = "lateral") -> F64:
-    """Errors (n, 3) of the boards' points in mm after an alignment."""
+    """Compute errors (n, 3) of the boards' points, mm, after an alignment."""
     found, truths = places_of(answer, given).reshape(-1, 3), given.points_mm.reshape(-1, 3)
-    return np.asarray(alignment(how, found, truths)(found) - truths)
+    return np.asarray(fit_alignment(how, found, truths)(found) - truths)
 
 
 def held_out(
     answer: Calibration, given: Board, noise_px: float, seed: int, count: int = 500
 ) -> tuple[F64, F64]:
-    """Errors (n, 3) of other points of the volume, seen with noise, by the estimated cameras - in the boards' alignment - and by the true ones."""
+    """Compute errors (n, 3) of other points of the volume, seen with noise.
+
+    They are triangulated by the estimated cameras, in the boards' alignment, and by the true ones.
+    """
     rng = stream(seed, "held out")
     places = np.array([0.0, 0.0, 35.0]) + 45.0 * (rng.random((count, 3)) - 0.5)
     pixels = np.stack([camera.project(places)[0] for camera in given.cameras])
     pixels = pixels + noise_px * rng.standard_normal(pixels.shape)
-    motion = alignment(
+    motion = fit_alignment(
         "lateral", places_of(answer, given).reshape(-1, 3), given.points_mm.reshape(-1, 3)
     )
     return motion(triangulate(answer.cameras, pixels)) - places, triangulate(
@@ -175,10 +181,10 @@ def held_out(
 
 
 def with_points(given: Board, points_mm: F64) -> Board:
-    """The same images with other places taken for known."""
+    """Replace the nominal positions of a case; the images stay."""
     return replace(given, case=replace(given.case, rough_mm=points_mm))
 
 
 def stds(errors: Sequence[F64]) -> F64:
-    """Root mean square over draws of the standard deviation along each axis."""
+    """Compute the root mean square over draws of the scatter along each axis."""
     return np.asarray(np.sqrt(np.mean([np.nanstd(one, axis=0) ** 2 for one in errors], axis=0)))

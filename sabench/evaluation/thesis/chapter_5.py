@@ -49,7 +49,11 @@ def rendered(scene: Scene, seed: int) -> tuple[FrameContent, Bubbles, Observatio
 
 
 def pictures(case: Observation) -> Iterator[Figure]:
-    """Figures 5-5, 5-6 and 5-11: a view; the middle third of three refocused planes, and of a minimum image with the outlines found in it."""
+    """Draw figures 5-5, 5-6 and 5-11.
+
+    They show a view, the middle third of three refocused planes, and that of a minimum image with
+    the outlines detected in it.
+    """
     grid, view = case.grid, case.images[len(case.images) // 2].astype(np.float64)
     ends = (0.0, 0.0), (view.shape[1] - 1.0, view.shape[0] - 1.0)
     yield Figure(

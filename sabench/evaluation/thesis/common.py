@@ -1,4 +1,4 @@
-"""What all tables share: rows with verdicts, and arrays that are simulated, refocused and judged in memory."""
+"""Common parts of all tables: rows with verdicts, arrays simulated in memory."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ KS = np.linspace(0.0, 20.0, 401)
 
 @dataclass(frozen=True)
 class Row:
-    """One line of a table: what the thesis says beside what was measured.
+    """Row of a table: a value of the thesis and the measured one.
 
     Attributes
     ----------
@@ -58,7 +58,7 @@ Item = Row | Figure  # what a table yields
 
 
 def compared(name: str, thesis: float | None, values: Sequence[float], note: str = "") -> Row:
-    """A row of a value that the thesis states, or does not."""
+    """Make a row of a value that the thesis may state."""
     mean = mean_of(values)
     if mean is None:
         return Row(name, thesis, None, "not reached", note=note)
@@ -68,7 +68,7 @@ def compared(name: str, thesis: float | None, values: Sequence[float], note: str
 
 
 def verdict(measured: float, thesis: float | None) -> str:
-    """Whether a value is the thesis's to within `AGREES`, else on which side of it."""
+    """Judge whether a value is the thesis's to within `AGREES`, else its side."""
     if thesis is None:
         return "not in the thesis"
     if abs(measured - thesis) <= AGREES * abs(thesis):
@@ -77,24 +77,28 @@ def verdict(measured: float, thesis: float | None) -> str:
 
 
 def at_least(name: str, thesis: float, values: Sequence[float], note: str = "") -> Row:
-    """A row of a value for which the thesis gives a lower bound."""
+    """Make a row of a value for which the thesis gives a lower bound."""
     row = compared(name, thesis, values, note)
     reached = row.measured is not None and row.measured >= thesis
     return replace(row, verdict="reproduced" if reached else "below")
 
 
 def claim(name: str, thesis: str, measured: float | None, holds: bool, note: str = "") -> Row:
-    """A row of a claim in words, with the figure that decides it."""
+    """Make a row of a claim in words, with the figure that decides it."""
     return Row(name, thesis, measured, "reproduced" if holds else "not reproduced", note=note)
 
 
 def cases(suite: str) -> list[Case]:
-    """The cases of a bundled suite, once each whatever its seeds are."""
+    """List the cases of a bundled suite, once each whatever its seeds are."""
     return list({case.name: case for case in load_suite(suite)[1]}.values())
 
 
 def coarsened(scene: Scene, pixels: int | None) -> Scene:
-    """The same array and volume seen with `pixels` x `pixels` larger pixels, in larger voxels of the same shape, with as many particles per pixel."""
+    """Make a coarse copy of a scene, with `pixels` x `pixels` larger pixels.
+
+    The array, the volume and the number of particles per pixel are the same; voxels are larger, of
+    the same shape.
+    """
     if pixels is None:
         return scene
     factor = scene.cameras.columns / pixels
@@ -111,17 +115,17 @@ def coarsened(scene: Scene, pixels: int | None) -> Scene:
 
 
 def density(scene: Scene) -> float:
-    """Particles per mm3."""
+    """Compute particles per mm3."""
     return float(scene.particle_world.particles["per_mm3"])
 
 
 def with_density(scene: Scene, per_mm3: float) -> Scene:
-    """The scene with so many particles per mm3."""
+    """Change a scene's number of particles per mm3."""
     return override(scene, {"particles.per_mm3": per_mm3}, scene.title)
 
 
 def per_pixel(scene: Scene) -> float:
-    """Particles per pixel of one camera (ppp)."""
+    """Compute particles per pixel of one camera (ppp)."""
     return (
         density(scene)
         * float(np.prod(scene.volume.size_mm))
@@ -130,7 +134,7 @@ def per_pixel(scene: Scene) -> float:
 
 
 def simulated(scene: Scene, seed: int) -> Shot:
-    """A frame of the scene, announced: a table takes many."""
+    """Simulate a frame of the scene, and print that."""
     shot = simulate(scene, seed=seed)
     console.print(
         f"{scene.title}: {len(shot.particles)} particles, seed {seed}",
@@ -142,7 +146,7 @@ def simulated(scene: Scene, seed: int) -> Shot:
 
 @dataclass(frozen=True)
 class Quality:
-    """Q of a refocused frame.
+    """Quality factor Q of a refocused frame.
 
     Attributes
     ----------
@@ -159,7 +163,7 @@ class Quality:
 
 @dataclass(frozen=True)
 class Judged:
-    """Q of a frame, and its true particles and ghosts by the thesis's rule."""
+    """Q of a frame, and its true and ghost particles by the thesis's rule."""
 
     quality: Quality
     counts: Counts
@@ -167,7 +171,7 @@ class Judged:
 
 @dataclass(frozen=True)
 class Refocused:
-    """A frame refocused but not yet thresholded, with the truth in the space of its voxels.
+    """Refocused frame without threshold, with the truth in its voxels.
 
     Attributes
     ----------
@@ -183,7 +187,7 @@ class Refocused:
 
     @classmethod
     def of(cls, shot: Shot, grid: Grid, particles: Particles, volume: F32) -> Refocused:
-        """A volume on its grid with the particles in the grid's space."""
+        """Make one from a volume on its grid and the particles in the grid's space."""
         field = true_field(grid, particles, shot.views)
         return cls(
             replace(shot.observation, grid=grid),
@@ -193,7 +197,7 @@ class Refocused:
         )
 
     def quality(self) -> Quality:
-        """Q (equation 2.13) with thresholds that are subtracted from what exceeds them."""
+        """Compute Q (equation 2.13) with thresholds subtracted from what exceeds them."""
         values = quality_of_k(self.volume, self.field, KS, "reduced", self.case.grid.scored)
         top, blind = int(values.argmax()), auto_k(self.volume, occupancy(self.case), "reduced")
         return Quality(
@@ -201,7 +205,10 @@ class Refocused:
         )
 
     def judged(self) -> Judged:
-        """Q, and the particles at the threshold with the best Q as in the thesis; the volume is left thresholded."""
+        """Compute Q, and count particles at the threshold with the best Q.
+
+        This is the thesis's procedure. The volume is left thresholded.
+        """
         quality, grid = self.quality(), self.case.grid
         found = detect(extract(self.volume, quality.best_k, "reduced"))
         return Judged(
@@ -211,12 +218,15 @@ class Refocused:
 
 
 def map_shift_average(shot: Shot) -> Refocused:
-    """The thesis's own algorithm in chapter 2, in its own voxels."""
+    """Refocus by the thesis's algorithm of chapter 2, in its own voxels."""
     return Refocused.of(shot, *published_volume(shot))
 
 
 def additive(shot: Shot) -> Refocused:
-    """The additive synthetic aperture of equation 3.3: the mean of all cameras at every voxel of the scene's grid, by exact projections."""
+    """Refocus additively by equation 3.3 with exact projections.
+
+    Every voxel of the scene's grid is the mean of all cameras.
+    """
     seen = shot.observation
     volume = refocus_sum(normalised(seen.images, seen.black_dn), seen.cameras, seen.grid)
     volume /= np.float32(len(seen.cameras))
@@ -233,7 +243,7 @@ _seen: dict[tuple[str, int], Mapping[str, Judged]] = {}
 
 
 def judged(scene: Scene, seed: int) -> Mapping[str, Judged]:
-    """One frame by each method. Several tables look at the same frames: each is taken once."""
+    """Refocus one frame by each method; cached, because several tables use it."""
     key = scene.hash, seed
     if key not in _seen:
         shot = simulated(scene, seed)
@@ -242,17 +252,20 @@ def judged(scene: Scene, seed: int) -> Mapping[str, Judged]:
 
 
 def measured(scene: Scene, seed: int) -> dict[str, Quality]:
-    """Q of one frame by each method."""
+    """Compute Q of one frame by each method."""
     return {name: frame.quality for name, frame in judged(scene, seed).items()}
 
 
 def counted(scene: Scene, seed: int) -> dict[str, Counts]:
-    """True particles and ghosts of one frame by each method."""
+    """Count true and ghost particles of one frame by each method."""
     return {name: frame.counts for name, frame in judged(scene, seed).items()}
 
 
 def detection_rows(name: str, found: Sequence[Counts], note: str = "") -> list[Row]:
-    """True particles and ghosts of several seeds; the thesis shows such figures as curves without numbers."""
+    """Make rows of true particles and ghosts of several seeds.
+
+    The thesis shows such figures as curves without numbers.
+    """
     true = compared(f"{name}: true %", None, [counts.true_percent for counts in found], note)
     ghosts = [counts.ghost_percent for counts in found]
     return [
@@ -264,7 +277,9 @@ def detection_rows(name: str, found: Sequence[Counts], note: str = "") -> list[R
 def settings(
     solver: str, window: tuple[int, int, int], overlap: float, grid: Grid
 ) -> dict[str, Any]:
-    """A PIV solver's parameters with the thesis's windows; the first ones of `piv3d` are twice as long and find larger displacements.
+    """Make a PIV solver's parameters with the thesis's windows.
+
+    The first windows of `piv3d` are twice as long, for larger displacements.
 
     A coarse copy of an array has fewer voxels: windows are then as large as fit, in whole steps.
     """

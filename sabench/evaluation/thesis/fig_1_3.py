@@ -1,4 +1,4 @@
-"""Figure 1-3: an object behind bubbles, which no single view shows and a refocused plane does; with figures of how much of it is read."""
+"""Figure 1-3: code behind bubbles, read in single views and refocused planes."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _METHODS = ("additive", "multiplicative", "dark", "mart")
 
 
 def rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
-    """Per way of joining the views: cells read, contrast and separation, beside those of single images."""
+    """Measure cells read, contrast and separation, per method and in single views."""
     scene = coarsened(load_scene("see-through"), pixels)
     found: dict[str, list[dict[str, float]]] = {}
     panels: list[Panel] = []
@@ -78,7 +78,7 @@ def rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
 
 
 def _views(scene: Scene, seed: int, case: Observation, code: Code) -> list[Panel]:
-    """What the middle camera sees without bubbles and with them."""
+    """Show the middle camera's image without bubbles and with them."""
     bare = override(scene, {"bubbles": {"generator": "bubble_field", "count": 0}}, scene.title)
     middle = len(case.images) // 2
     frame = Frames(bare, build_rig(bare, bare.title), seed).at(0)

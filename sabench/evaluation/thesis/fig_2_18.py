@@ -1,4 +1,4 @@
-"""Figures 2-16 to 2-19: a vortex ring before eight cameras, its profiles, core distance and circulation beside the exact ones."""
+"""Figures 2-16 to 2-19: vortex ring seen by eight cameras."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ _THESIS = {"core": 0.77, "spread": 13.5}
 
 @dataclass
 class _Seen:
-    """What one solver's fields show, one value for each seed."""
+    """Figures of one solver's fields, one value for each seed."""
 
     distance: list[float] = field(default_factory=list)
     spread: list[float] = field(default_factory=list)
@@ -53,7 +53,10 @@ class _Seen:
 
 
 def rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
-    """Per volumes and solver: core distance, circulation and its spread over angles, largest speed and vorticity, each over the exact one."""
+    """Measure core distance, circulation, speed and vorticity per solver.
+
+    Each is relative to the exact value; circulation also has its spread over angles.
+    """
     scene = coarsened(load_scene("vortex-ring-experiment"), pixels)
     found: dict[tuple[str, str], _Seen] = {}
     for seed in seeds:
@@ -71,8 +74,9 @@ def rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
                 own = found.setdefault((volumes, solver), _Seen())
                 own.seconds.append((spent, time.perf_counter() - start))
                 _look(own, scene, measured)
+                figures = f"{own.distance[-1]:.3f}, {own.spread[-1]:.1f} %"
                 console.print(
-                    f"seed {seed}, {volumes}, {solver}: {own.distance[-1]:.3f}, {own.spread[-1]:.1f} %",
+                    f"seed {seed}, {volumes}, {solver}: {figures}",
                     markup=False,
                     highlight=False,
                 )
@@ -95,7 +99,7 @@ def _ring(scene: Scene) -> dict[str, Any]:
 
 
 def _planes(scene: Scene) -> list[HalfPlane]:
-    """From X to -X by way of the side on which the whole ring is lit."""
+    """List angles from X to -X on the side where the whole ring is lit."""
     ring = _ring(scene)
     axis = tuple(-float(part) for part in ring["axis"])
     return [
@@ -111,12 +115,15 @@ def _exact(scene: Scene) -> Sampled:
 
 
 def _sizes(scene: Scene) -> F64:
-    """Widths of growing rectangles, up to half of a slice: none crosses the ring's axis."""
+    """List widths of rectangles, up to half of a slice.
+
+    None of them crosses the ring's axis.
+    """
     return np.asarray(np.linspace(0.1, 0.98, 12) * _ring(scene)["diameter_mm"])
 
 
 def _circulations(scene: Scene, velocity: Sampled, spin: Sampled) -> F64:
-    """Absolute circulations (angle, size) about each half plane's core."""
+    """Compute absolute circulations (angle, size) about each half plane's core."""
     ring, out = _ring(scene), []
     for half in _planes(scene):
         r, z, _ = core(spin, half, ring["diameter_mm"] / 2.0, ring["core_mm"])
@@ -130,7 +137,10 @@ def _circulations(scene: Scene, velocity: Sampled, spin: Sampled) -> F64:
 
 
 def _exact_circulations(scene: Scene) -> F64:
-    """Of the rectangles of all sizes about the exact core; the same at all angles."""
+    """Compute those of the exact field about its core, for rectangles of all sizes.
+
+    They are the same at all angles.
+    """
     half, radius = _planes(scene)[0], _ring(scene)["diameter_mm"] / 2.0
     return np.array(
         [
@@ -174,7 +184,7 @@ def _look(own: _Seen, scene: Scene, measured: Velocity) -> None:
 
 
 def _at_nodes(scene: Scene, measured: Velocity) -> Velocity:
-    """The exact field where the measured one has its nodes."""
+    """Compute the exact field at the nodes of the measured one."""
     values = _exact(scene)(measured.positions_mm.reshape(-1, 3)).reshape(
         measured.velocity_mm_s.shape
     )
@@ -183,7 +193,9 @@ def _at_nodes(scene: Scene, measured: Velocity) -> Velocity:
 
 def _rows(scene: Scene, name: str, own: _Seen) -> Iterator[Item]:
     before, after = np.mean(own.seconds, axis=0)
-    note = f"exact {_ring(scene)['diameter_mm'] / _ORIFICE_MM:.3f}; of the exact field at the same nodes {np.mean(own.known):.3f}"
+    exact = _ring(scene)["diameter_mm"] / _ORIFICE_MM
+    same_nodes = np.mean(own.known)
+    note = f"exact {exact:.3f}; of the exact field at the same nodes {same_nodes:.3f}"
     yield compared(
         f"{name}: distance of the cores over the orifice", _THESIS["core"], own.distance, note
     )

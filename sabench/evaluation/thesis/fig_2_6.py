@@ -25,7 +25,10 @@ _ABSENT = "40x40x30-D0.4-uneven"  # it has no curve
 
 
 def rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Row]:
-    """Points of each curve; the thesis prints no numbers but the crossing of 0.75, which is in table 2.1."""
+    """Measure the points of each curve.
+
+    The thesis prints only the density where Q crosses 0.75, which is in table 2.1.
+    """
     for case in curves():
         for part in PARTS:
             scene = with_density(case.scene, part * density(case.scene))
@@ -42,5 +45,5 @@ def rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Row]:
 
 
 def curves() -> list[Case]:
-    """The arrays of table 2.1 that figures 2-6 and 3-8 show."""
+    """List the arrays of table 2.1 that figures 2-6 and 3-8 show."""
     return [case for case in cases(SUITE) if case.name != _ABSENT]

@@ -1,4 +1,8 @@
-"""Figure 2-7: Q against the number of cameras (a), and against the mapping error of 13 cameras (b); section 2.3.2's two values with 9 cameras."""
+"""Figure 2-7: Q against the number of cameras and against the mapping error.
+
+Part (a) varies the number of cameras, part (b) the mapping error of 13 cameras. Two values of
+section 2.3.2 are with 9 cameras.
+"""
 
 from __future__ import annotations
 
@@ -31,13 +35,13 @@ _FLAT = 0.5
 
 
 def rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Row]:
-    """Both parts of the figure."""
+    """Measure both parts of the figure."""
     yield from _camera_rows(seeds, pixels)
     yield from _error_rows(seeds, pixels)
 
 
 def by_cameras(suite: str) -> list[tuple[int, Case]]:
-    """Cases of a suite with their numbers of cameras, from few to many."""
+    """List a suite's cases with their numbers of cameras, from few to many."""
     counted = [(len(build_rig(case.scene).cameras), case) for case in cases(suite)]
     return sorted(counted, key=lambda pair: (density(pair[1].scene), pair[0]))
 
@@ -94,7 +98,7 @@ def _error_rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Row]:
 
 
 def falls_to(level: float, x: Sequence[float], y: Sequence[float]) -> float | None:
-    """Where straight lines between the points first fall from `level` or more to less; None if they do not."""
+    """Find where straight lines between points first fall below a level, or None."""
     for (x0, y0), (x1, y1) in itertools.pairwise(zip(x, y, strict=True)):
         if y0 >= level > y1:
             return x0 + (x1 - x0) * (y0 - level) / (y0 - y1)

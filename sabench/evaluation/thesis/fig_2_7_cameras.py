@@ -1,4 +1,4 @@
-"""What a calibration costs in Q: the same images through a wall, reconstructed with exact cameras and with those of each calibration.
+"""Loss of Q by calibration: the same images, with the cameras of each one.
 
 The thesis (figure 2-7b) shifts images; here the errors are those that calibrations make.
 """
@@ -39,8 +39,8 @@ _TRAVERSED = {"tilt_deg": 0.0, "roll_deg": 0.0, "wander": 0.5}
 
 
 @dataclass(frozen=True)
-class Told:
-    """Cameras, where they put the true particles, and by how many pixels they are wrong about them."""
+class Judged:
+    """Cameras, true particles in their frame, and mean reprojection error, px."""
 
     cameras: tuple[CameraModel, ...]
     motion: RigidMotion
@@ -48,16 +48,16 @@ class Told:
 
 
 def rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Row]:
-    """Q of each reconstruction with each set of cameras, and their mean true errors."""
+    """Measure Q of each reconstruction with each set of cameras, and their errors."""
     found: dict[tuple[str, str], list[float]] = {}
     errors: dict[str, list[float]] = {}
     for seed in seeds:
         scene = particles_behind_glass(pixels)
         shot = simulate(scene, seed=seed)
-        for name, told in _cameras(scene, shot, seed).items():
-            errors.setdefault(name, []).append(told.error_px)
+        for name, one in _cameras(scene, shot, seed).items():
+            errors.setdefault(name, []).append(one.error_px)
             for solver in _RECONSTRUCTIONS:
-                found.setdefault((solver, name), []).append(_q(solver, shot, told))
+                found.setdefault((solver, name), []).append(_q(solver, shot, one))
     for (solver, name), values in found.items():
         yield compared(
             f"{solver}: Q with the cameras of {name}",
@@ -72,7 +72,7 @@ def rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Row]:
 
 
 def particles_behind_glass(pixels: int | None) -> Scene:
-    """The case with a wall of suites/left-out, at 0.05 particles per pixel."""
+    """Load the case with a wall of suites/left-out, at 0.05 particles per pixel."""
     (case,) = {
         case.name: case for case in load_suite("left-out")[1] if case.name == "wall"
     }.values()
@@ -89,7 +89,10 @@ def particles_behind_glass(pixels: int | None) -> Scene:
 
 
 def boards_behind_glass(scene: Scene, level: bool) -> Scene:
-    """A board of 11 x 11 points in the same volume before the same cameras; where it is told is 0.01 mm off, and three points are known."""
+    """Make a board of 11 x 11 points in the same volume, for the same cameras.
+
+    Its nominal positions are 0.01 mm off, and three points are measured.
+    """
     values: dict[str, Any] = scene.to_dict()
     for table in ("particles", "illumination", "tracer"):
         values.pop(table, None)
@@ -109,35 +112,42 @@ def boards_behind_glass(scene: Scene, level: bool) -> Scene:
     )
 
 
-def _cameras(scene: Scene, shot: Shot, seed: int) -> dict[str, Told]:
-    """Exact cameras, those of every calibration by boards, those that are told two pixels wrong, and what self-calibration makes of these."""
+def _cameras(scene: Scene, shot: Shot, seed: int) -> dict[str, Judged]:
+    """Make exact, calibrated, perturbed and self-calibrated cameras.
+
+    There is one calibration by boards per solver. Nominal cameras are two pixels off, and
+    self-calibration starts from them.
+    """
     true = build_rig(scene).cameras
     still = RigidMotion(np.eye(3), np.zeros(3))
-    told = {"exact": Told(true, still, 0.0)}
+    judged = {"exact": Judged(true, still, 0.0)}
     for name in _CALIBRATIONS:
         given = draw(boards_behind_glass(scene, name == "polynomial_planes"), seed)
         answer = solved(name, given)
-        told[name] = _told(answer.cameras, shot, true, _by_boards(answer, given))
+        judged[name] = _judge(answer.cameras, shot, true, _by_boards(answer, given))
     wrong = parse_scene(scene.to_dict() | {"calibration": {"shift_px": _SHIFT_PX}}, "shifted")
     off = simulate(wrong, seed=seed).observation
-    told["no calibration, 2 px off"] = _told(off.cameras, shot, true, None)
+    judged["no calibration, 2 px off"] = _judge(off.cameras, shot, true, None)
     algorithm: Any = make_algorithm("volume_self_calibration", {})
     made: Calibration = algorithm.solve(off)
-    told["volume_self_calibration"] = _told(made.cameras, shot, true, None)
-    return told
+    judged["volume_self_calibration"] = _judge(made.cameras, shot, true, None)
+    return judged
 
 
 def _by_boards(answer: Calibration, given: Board) -> RigidMotion:
     return fit_rigid_motion(given.points_mm.reshape(-1, 3), places_of(answer, given).reshape(-1, 3))
 
 
-def _told(
+def _judge(
     cameras: tuple[CameraModel, ...],
     shot: Shot,
     true: tuple[CameraModel, ...],
     motion: RigidMotion | None,
-) -> Told:
-    """With the motion that brings true particles to where these cameras see them, if none is given."""
+) -> Judged:
+    """Fit the motion from the true particles to these cameras' frame.
+
+    A given motion is used instead.
+    """
     truths = shot.particles.position_mm
     exact = np.stack([camera.project(truths)[0] for camera in true])
     if motion is None:
@@ -145,13 +155,16 @@ def _told(
         known = np.isfinite(found).all(axis=1)
         motion = fit_rigid_motion(truths[known], found[known])
     again = np.stack([camera.project(motion(truths))[0] for camera in cameras])
-    return Told(cameras, motion, float(np.nanmean(np.linalg.norm(again - exact, axis=-1))))
+    return Judged(cameras, motion, float(np.nanmean(np.linalg.norm(again - exact, axis=-1))))
 
 
-def _q(solver: str, shot: Shot, told: Told) -> float:
-    """Q against the true particles, moved to where the cameras' own frame has them: where that is in the world, particles do not show."""
-    guess = make_solver(solver, {}).solve(replace(shot.observation, cameras=told.cameras))
-    moved = replace(shot.particles, position_mm=told.motion(shot.particles.position_mm))
+def _q(solver: str, shot: Shot, judged: Judged) -> float:
+    """Compute Q against the true particles, moved to the cameras' own frame.
+
+    Particles do not determine where that frame is in the world.
+    """
+    guess = make_solver(solver, {}).solve(replace(shot.observation, cameras=judged.cameras))
+    moved = replace(shot.particles, position_mm=judged.motion(shot.particles.position_mm))
     score = score_frame(shot.observation.grid, moved, shot.views, guess)["q"]
     assert score is not None
     return score

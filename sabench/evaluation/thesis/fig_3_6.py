@@ -1,4 +1,7 @@
-"""Figures 3-6 and 3-7: true and ghost particles against the number of cameras, beside the theory of ghosts, and four cameras with MART."""
+"""Figures 3-6 and 3-7: true and ghost particles against the number of cameras.
+
+They are compared with the theory of ghosts, and with MART on four cameras.
+"""
 
 from __future__ import annotations
 
@@ -30,7 +33,7 @@ _LEVEL = 1.0  # percent: true particles within this of their maximum have levell
 
 
 def rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Row]:
-    """Points of the curves, what the thesis says of them, and the point E of Elsinga et al. (2006)."""
+    """Measure the curves, the thesis's claims, and point E of Elsinga et al. (2006)."""
     curves: dict[str, list[_Point]] = {}
     for cameras, case in by_cameras(CAMERAS):
         found = [counted(coarsened(case.scene, pixels), seed) for seed in seeds]
@@ -52,7 +55,7 @@ def rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Row]:
 
 @dataclass(frozen=True)
 class _Point:
-    """One number of cameras: true particles, ghosts and the ghosts that the theory predicts, in percent."""
+    """Percentages of true, ghost and predicted ghost particles of one array."""
 
     cameras: int
     true: float | None
@@ -61,7 +64,10 @@ class _Point:
 
 
 def predicted_percent(scene: Scene) -> float:
-    """Ghosts per 100 particles by equation 3.14; a particle's image reaches two standard deviations from its centre."""
+    """Compute ghosts per 100 particles by equation 3.14.
+
+    A particle's image extends two standard deviations from its centre.
+    """
     rig = build_rig(scene)
     area = np.pi * (2.0 * (scene.cameras.particle_sigma_px or 0.5)) ** 2
     return 100.0 * ghost_ratio(per_pixel(scene), len(rig.cameras), area, rig.grid.shape[0])
@@ -101,7 +107,10 @@ def _claims(where: str, curve: Sequence[_Point]) -> Iterator[Row]:
 
 
 def _elsinga_rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Row]:
-    """The thesis puts MART's figures from the literature beside its own: fewer particles are missed, but ten times the ghosts are made."""
+    """Compare with MART: fewer particles missed, but ten times the ghosts.
+
+    The thesis takes MART's figures from the literature.
+    """
     scene, scores = coarsened(load_scene("elsinga-35x35x7"), pixels), []
     for seed in seeds:
         shot = simulated(scene, seed)

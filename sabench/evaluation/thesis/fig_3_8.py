@@ -1,4 +1,7 @@
-"""Figure 3-8: true and ghost particles against the number of particles, 25 cameras, three volumes."""
+"""Figure 3-8: true and ghost particles against the number of particles.
+
+There are 25 cameras and three volumes.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +27,7 @@ _LINEAR = 0.9  # share of the variance that a straight line explains
 
 
 def rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Row]:
-    """Points of the curves, and what the thesis says of their shapes."""
+    """Measure the curves, and the thesis's claims about their shapes."""
     for case in curves():
         points: dict[str, list[list[Row]]] = {method: [] for method in METHODS}
         for part in PARTS:
@@ -65,6 +68,6 @@ def _claims(where: str, true: Sequence[Row], ghosts: Sequence[Row]) -> Iterator[
 
 
 def _line(x: F64, y: F64) -> tuple[float, float]:
-    """Slope of the straight line through points, and the share of the variance of y that it explains."""
+    """Fit a line: its slope, and the fraction of the variance that it explains."""
     slope, _ = np.polyfit(x, y, 1)
     return float(slope), float(np.corrcoef(x, y)[0, 1] ** 2)

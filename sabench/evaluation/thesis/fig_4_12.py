@@ -1,4 +1,8 @@
-"""Figures 4-11 to 4-15: errors of the auto-calibration against noise and start, for the thesis's alternation and the joint adjustment."""
+"""Figures 4-11 to 4-15: errors of the auto-calibration against noise.
+
+They also vary with the initial guess; the thesis's alternation is compared with the joint
+adjustment.
+"""
 
 from __future__ import annotations
 
@@ -34,7 +38,7 @@ _MEAN, _STD = 0.33, 1.17  # largest mean and scatter with 7 cameras at 2 px, in 
 
 @dataclass(frozen=True)
 class Found:
-    """One solver on one draw."""
+    """Figures of one solver on one draw."""
 
     true_px: float
     measured_px: float
@@ -45,7 +49,10 @@ Draws = dict[tuple[str, float], list[Found]]  # of a solver and a start
 
 
 def rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
-    """Per number of cameras and noise: measured error against the noise, true against measured, over all starts."""
+    """Measure errors per number of cameras and noise, over all initial guesses.
+
+    The measured error is relative to the noise, the true error to the measured one.
+    """
     panels = []
     for cameras in _CAMERAS:
         found = {}
@@ -62,7 +69,7 @@ def rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
 
 
 def _errors_panel(cameras: int, found: dict[float, Draws]) -> Panel:
-    """Figure 4-12: errors against the imposed noise, the true ones by start."""
+    """Draw figure 4-12: errors against the imposed noise, by initial guess."""
     imposed = [noise * float(np.sqrt(np.pi / 2.0)) for noise in NOISES]
     joint = [
         np.mean([one.measured_px for start in STARTS for one in found[noise]["joint", start]])
@@ -85,7 +92,10 @@ def _errors_panel(cameras: int, found: dict[float, Draws]) -> Panel:
 
 
 def _points_figure(found: dict[float, Draws]) -> Figure:
-    """Figures 4-14 and 4-15: mean and scatter of the points' errors along X, Y, Z by start, 7 cameras."""
+    """Measure figures 4-14 and 4-15: errors along X, Y, Z by initial guess.
+
+    There are 7 cameras; each error has a mean and a scatter.
+    """
     upper, lower = [], []
     for noise, draws in found.items():
         means, scatters = [], []
@@ -144,7 +154,7 @@ def _noise_rows(cameras: int, noise: float, name: str, found: Draws) -> Iterator
 
 
 def _point_rows(found: Draws) -> Iterator[Row]:
-    """Figures 4-14 and 4-15, last row: 7 cameras, 2 px."""
+    """Measure the last row of figures 4-14 and 4-15: 7 cameras, 2 px."""
     for name in _SOLVERS:
         every = [one.errors_mm for (own, _), draws in found.items() if own == name for one in draws]
         scatter = stds(every) / D_PIX
@@ -171,11 +181,12 @@ def _point_rows(found: Draws) -> Iterator[Row]:
 
 
 def _rounds(seeds: Sequence[int]) -> Iterator[Item]:
-    """Figure 4-11: rounds of the alternation with 7 cameras at 0.5 px."""
+    """Draw figure 4-11: rounds of the alternation with 7 cameras at 0.5 px."""
     curves = []
     for start in STARTS:
         errors = [_alternated(board(7, _BASELINE, 0.5, start, seed)) for seed in seeds]
-        note = f"largest mean error {np.mean([own[0] for own in errors]):.3g} px before, {np.mean([own[-1] for own in errors]):.3g} px after"
+        before, after = (np.mean([own[end] for own in errors]) for end in (0, -1))
+        note = f"largest mean error {before:.3g} px before, {after:.3g} px after"
         yield compared(
             f"rounds of the alternation, 7 cameras, 0.5 px, start {start:g}",
             None,

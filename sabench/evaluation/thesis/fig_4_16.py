@@ -1,4 +1,7 @@
-"""Figures 4-16 and 4-17: the alternation on random subsets of eight cameras against the alternation on all, and against the joint adjustment."""
+"""Figures 4-16 and 4-17: alternating calibration on random camera subsets.
+
+Subsets of eight cameras are compared with all cameras, and with the joint adjustment.
+"""
 
 from __future__ import annotations
 
@@ -29,7 +32,10 @@ _SOLVERS = {
 
 
 def rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
-    """Scatter of the points' errors, over all starts; the thesis shows histograms without numbers."""
+    """Measure the scatter of the points' errors over all initial guesses.
+
+    The thesis shows histograms without numbers.
+    """
     better, panels = [], []
     for noise in NOISES:
         scatter = {}

@@ -1,4 +1,7 @@
-"""Figures 4-18 to 4-21: other points of the volume by estimated and by exact cameras; and by linear auto-calibration, even without refraction."""
+"""Figures 4-18 to 4-21: held-out points by estimated and by exact cameras.
+
+Linear auto-calibration is compared, also without refraction.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +26,7 @@ _TITLES = {
 
 
 def rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
-    """Scatter along Z of 500 points per draw."""
+    """Measure the scatter along Z of 500 points per draw."""
     linear: dict[float, float] = {}
     panels: dict[str, list[Panel]] = {name: [] for name in _TITLES}
     for noise in track(NOISES, "points in the volume"):
@@ -40,7 +43,8 @@ def rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
         free = [_pair("linear_autocal", noise, 0.001, seed, wall=False) for seed in seeds]
         linear[noise] = float(stds([pair[0] for pair in free])[2])
         yield claim(
-            f"{noise:g} px: linear auto-calibration without refraction over refractive auto-calibration with it",
+            f"{noise:g} px: linear auto-calibration without refraction "
+            "over refractive auto-calibration with it",
             "at least as large",
             linear[noise] / estimated,
             linear[noise] > estimated,

@@ -1,4 +1,7 @@
-"""Figures 4-25 and 4-26: spacing of the planes of a traversed grid, calibrated from ever poorer starts, in the array of the vortex ring's experiment.
+"""Figures 4-25 and 4-26: plane spacing of a traversed grid.
+
+It is calibrated from poorer and poorer initial guesses, in the camera array of the vortex ring's
+experiment.
 
 The experiment's traverse moved the grid by 4 mm, to 0.01 mm; here it does so exactly, so that all
 that is left is the calibration's own.
@@ -22,7 +25,7 @@ from sabench.utils.progress import track
 
 SEEDS = 5
 _SOLVERS = {"randomised": "refractive_autocal_randomised", "joint": "refractive_autocal"}
-_STEPS = {"test 1": 4.0, "test 2": 2.0, "test 3": 1.0}  # mm between planes, as each test is told
+_STEPS = {"test 1": 4.0, "test 2": 2.0, "test 3": 1.0}  # nominal mm between planes
 _PLANES, _STEP_MM, _MIDDLE_MM = 11, 4.0, 132.0
 _DISTANCE_MM, _SPACING_MM = 760.0, 150.0
 _PLACES = [
@@ -32,7 +35,7 @@ _FLUCTUATION_MM = 0.02
 
 
 def rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
-    """Per solver and test: how far mean spacings are from the true one; and whether the tests agree."""
+    """Measure errors of mean spacings per solver and test; compare the tests."""
     found: dict[tuple[str, str], list[F64]] = {}
     turns: dict[tuple[str, str], list[float]] = {}
     for seed in track(seeds, "traversed grids"):
@@ -78,7 +81,10 @@ def rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
 
 
 def traversed() -> Scene:
-    """Eight cameras of 1024 x 768 pixels behind the tank's wall, and a level grid at eleven places 4 mm apart."""
+    """Make the scene: eight cameras behind a wall, a grid at eleven positions.
+
+    Images have 1024 x 768 pixels; the level grid moves by 4 mm.
+    """
     values: dict[str, Any] = load_scene("calibration").to_dict()
     array = _MIDDLE_MM - _DISTANCE_MM
     places = [{"center_mm": [x * _SPACING_MM, y * _SPACING_MM, array]} for x, y in _PLACES]
@@ -110,10 +116,10 @@ def traversed() -> Scene:
 
 
 def _planes(solver: str, given: Board, step_mm: float) -> F64:
-    """Points (plane, point, 3) as they come out when the planes are told to be so far apart."""
-    told = given.points_mm.copy()
-    told[..., 2] = _MIDDLE_MM + step_mm * (np.arange(_PLANES) - _PLANES // 2)[:, None]
-    start = replace(given, case=replace(given.case, rough_mm=told))
+    """Solve for points (plane, point, 3) from a nominal distance of the planes."""
+    nominal = given.points_mm.copy()
+    nominal[..., 2] = _MIDDLE_MM + step_mm * (np.arange(_PLANES) - _PLANES // 2)[:, None]
+    start = replace(given, case=replace(given.case, rough_mm=nominal))
     return places_of(solved(solver, start), start)
 
 
@@ -127,7 +133,7 @@ def _turn_deg(places: F64, reference: F64) -> float:
 
 
 def _figure(found: dict[tuple[str, str], list[F64]]) -> Figure:
-    """The first seed, as the thesis shows its one experiment."""
+    """Draw the first seed, as the thesis shows its one experiment."""
     numbers = range(1, _PLANES)
     panels = []
     for name in _SOLVERS:

@@ -1,4 +1,7 @@
-"""Figure 4-27: cameras refitted to boards that have been moved, with the images as they were: what the wall does not leave open."""
+"""Figure 4-27: cameras refitted to moved boards.
+
+The images stay as they were, which shows the motions that the wall does not leave open.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +24,10 @@ _SHIFTS = np.arange(0.0, 50.1, 10.0)
 
 
 def rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
-    """Mean reprojection error of nine cameras for every turn about the vertical axis and every shift along Z."""
+    """Measure the mean reprojection error of nine cameras for every motion.
+
+    Motions are rotations about the vertical axis and shifts along Z.
+    """
     given, panels = board(9, 0.3, 0.0, 0.0, seeds[0]), []
     for name, moves in (("turn, degrees", _DEGREES), ("shift, mm", _SHIFTS)):
         errors = []

@@ -1,4 +1,7 @@
-"""Figure 4-6: what a camera model without refraction makes of exact points behind a wall; and the polynomials beside it."""
+"""Figure 4-6: error of camera models without refraction behind a wall.
+
+Polynomial models are compared.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +23,10 @@ _STEPS = ((1, 1), (2, 0), (2, 2))  # places in the 5 x 5 array, in baselines fro
 
 
 def rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Row]:
-    """Mean and scatter of single cameras' errors: the thesis shows one camera of one of chapter 2's arrays, and does not say which."""
+    """Measure mean and scatter of single cameras' errors.
+
+    The thesis shows one camera of an array of chapter 2, and does not say which.
+    """
     means = []
     for baseline in _BASELINES:
         for step in _STEPS:
@@ -45,7 +51,10 @@ def rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Row]:
 
 
 def _errors(camera: CameraModel) -> dict[str, F64]:
-    """Distances in px at random points, of models fitted to a lattice of exact points on nine planes."""
+    """Compute errors, px, of models fitted to exact points on nine planes.
+
+    Errors are at random points; the exact points are a lattice.
+    """
     planes = np.linspace(12.0, 58.0, 9)
     axis = np.linspace(-23.0, 23.0, 13)
     x, y, z = np.meshgrid(axis, axis, planes)

@@ -1,4 +1,7 @@
-"""Figure 4-9: Newton's iteration for the two unknowns of the thesis's equations 4.20 and 4.21, beside the one unknown that sabench solves for."""
+"""Figure 4-9: Newton's iteration for the light path through a wall.
+
+The thesis's equations 4.20 and 4.21 have two unknowns; sabench solves for one.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +21,7 @@ _POINTS = 2000
 
 
 def rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Row]:
-    """Steps to 1e-8, and whether both ways end in the same path."""
+    """Count steps to 1e-8, and compare the paths of both methods."""
     camera = build_rig(scene_of(9, 0.3, 0.0, 0.0)).cameras[0]
     rng = np.random.default_rng(seeds[0])
     points = np.array([0.0, 0.0, 35.0]) + 50.0 * (rng.random((_POINTS, 3)) - 0.5)
@@ -45,7 +48,11 @@ def rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Row]:
 
 
 def two_unknowns(indices: F64, depths: tuple[float, float, F64], radius: F64) -> tuple[F64, F64]:
-    """r_A (n,) on the outer face and the steps taken (n,): equations 4.20 to 4.23 with the derivatives of appendix B, from the straight line."""
+    """Solve equations 4.20 to 4.23 with the derivatives of appendix B.
+
+    It starts from the straight line. Returns r_A (n,) on the outer face, and the numbers of steps
+    (n,).
+    """
     first, second = indices[1] / indices[0], indices[2] / indices[1]
     straight = radius / (depths[0] + depths[1] + depths[2])
     a, b = straight * depths[0], straight * (depths[0] + depths[1])
@@ -70,6 +77,6 @@ def two_unknowns(indices: F64, depths: tuple[float, float, F64], radius: F64) ->
 
 
 def _sine(lateral: F64, depth: float | F64) -> tuple[F64, F64]:
-    """Sine of a path's angle, and its derivative by the lateral distance."""
+    """Compute the sine of a path's angle, and its derivative by lateral distance."""
     length = np.sqrt(lateral**2 + np.square(depth))
     return lateral / length, np.square(depth) / length**3

@@ -1,4 +1,7 @@
-"""Figures 6-4 and 6-5: a liquid jet in a cross-flow as one camera sees it and refocused at several depths, and how many of its drops are found."""
+"""Figures 6-4 and 6-5: liquid jet in a cross-flow, refocused, and its drops.
+
+One camera's image and refocused planes at several depths are shown; detected drops are counted.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +25,7 @@ _SOLVERS = ("minimum_image", "local_feature")
 
 
 def rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
-    """Per solver: F1 of drops, and errors of those that are found; the thesis shows pictures only."""
+    """Measure F1 and errors of drops per solver; the thesis shows only images."""
     scene = coarsened(load_scene("jet-in-crossflow"), pixels)
     found: dict[str, list[dict[str, float]]] = {name: [] for name in _SOLVERS}
     for seed in seeds:
@@ -44,7 +47,7 @@ def rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
 
 
 def _figure(case: Observation) -> Figure:
-    """One view, and the refocused planes."""
+    """Draw one view, and the refocused planes."""
     view, grid, volume = (
         case.images[len(case.images) // 2].astype(np.float64),
         case.grid,

@@ -1,4 +1,6 @@
-"""Map-shift-average in the thesis's own voxels: planes one pixel of shift apart, as the central camera sees them.
+"""Map-shift-average in the thesis's own voxels.
+
+Planes are one pixel of shift apart, as the central camera sees them.
 
 On such planes whole-pixel shifts are exact and nothing is resampled after the first mapping. Voxels
 are pixels of the middle plane along x and y and numbers of shifts along z (thesis section 2.2.4),
@@ -27,7 +29,9 @@ _LOOKUPS = 2001  # depths between which the number of shifts is interpolated
 
 
 def published_volume(shot: Shot) -> tuple[Grid, Particles, F32]:
-    """The mean of shifted images (z, y, x) of a shot, its voxels, and the particles in the space of these voxels.
+    """Average shifted images of a shot: volume (z, y, x), voxels, particles.
+
+    Particles are in the space of these voxels.
 
     Equations 2.1 to 2.3. Cameras whose shifts are no whole numbers, as in unevenly spaced arrays,
     are interpolated bilinearly, as the thesis says. Mapped images are as large as the images, so
@@ -86,7 +90,7 @@ def _space(grid: Grid, numbers: F64) -> Grid:
 
 
 def _two_innermost(cameras: Sequence[CameraModel]) -> tuple[CameraModel, CameraModel]:
-    """The camera nearest to the array's centre, and its neighbour."""
+    """Find the camera nearest to the array's centre, and its neighbour."""
     places = np.array([camera.center_mm for camera in cameras])
     center = int(np.linalg.norm(places - places.mean(axis=0), axis=1).argmin())
     order = np.argsort(np.linalg.norm(places - places[center], axis=1), kind="stable")
@@ -94,7 +98,11 @@ def _two_innermost(cameras: Sequence[CameraModel]) -> tuple[CameraModel, CameraM
 
 
 def _shift_of_depth(center: CameraModel, neighbour: CameraModel, grid: Grid) -> tuple[F64, F64]:
-    """Depths over the grid, and by how many voxels the two cameras differ on the middle plane for a point on the axis at that depth."""
+    """Compute the disparity of two cameras over the grid's depths, in voxels.
+
+    It is that of a point on the axis at each depth, on the middle plane. Returns depths and
+    disparities.
+    """
     x, y, z = grid.axes_mm
     depths = np.linspace(z[0] - grid.voxel_mm[2] / 2.0, z[-1] + grid.voxel_mm[2] / 2.0, _LOOKUPS)
     axis = np.column_stack([np.full(_LOOKUPS, x.mean()), np.full(_LOOKUPS, y.mean()), depths])
@@ -106,6 +114,9 @@ def _shift_of_depth(center: CameraModel, neighbour: CameraModel, grid: Grid) -> 
 
 
 def _on_middle(camera: CameraModel, points: F64, grid: Grid) -> F64:
-    """Where lines of sight through points (n, 3) meet the grid's middle plane: x, y in mm (n, 2)."""
+    """Intersect lines of sight through points (n, 3) with the grid's middle plane.
+
+    Returns x, y in mm (n, 2).
+    """
     z = grid.axes_mm[2]
     return camera.carry(points, (z[0] + z[-1]) / 2.0)

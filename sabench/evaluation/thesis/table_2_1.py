@@ -1,4 +1,4 @@
-"""Table 2.1: the largest density that 25 cameras reconstruct with Q = 0.75, and how far apart the planes are."""
+"""Table 2.1: largest density with Q = 0.75, and plane spacing, of 25 cameras."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ Trial = Callable[[float, int], Quality]  # of a density and a seed
 
 
 def rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Row]:
-    """Plane spacing and density of every array of the table."""
+    """Measure plane spacing and density of every array of the table."""
     for case in cases(SUITE):
         yield _spacing_row(case)
         for method in METHODS:
@@ -60,7 +60,8 @@ def _trial(scene: Scene, pixels: int | None, method: str) -> Trial:
 def _bound_rows(label: str, case: Case, trial: Trial, seeds: Sequence[int]) -> Iterator[Row]:
     for per_mm3 in (density(case.scene), BOUNDED[case.name]):
         found = [trial(per_mm3, seed) for seed in seeds]
-        blind = f"k = {found[0].best_k:.3g}; automatic k = {found[0].blind_k:.3g}: Q = {np.mean([quality.blind for quality in found]):.3g}"
+        first, q = found[0], np.mean([quality.blind for quality in found])
+        blind = f"k = {first.best_k:.3g}; automatic k = {first.blind_k:.3g}: Q = {q:.3g}"
         name, values = f"{label}: Q at {per_mm3:g} per mm3", [quality.best for quality in found]
         yield (
             at_least(name, ADEQUATE, values, blind)
@@ -70,7 +71,10 @@ def _bound_rows(label: str, case: Case, trial: Trial, seeds: Sequence[int]) -> I
 
 
 def _density_rows(label: str, case: Case, trial: Trial, seeds: Sequence[int]) -> Iterator[Row]:
-    """The largest density with the threshold tuned as in the thesis, with the truth at hand, and without it."""
+    """Measure the largest density, with thresholds tuned with and without truth.
+
+    The thesis tunes them with the truth.
+    """
     thesis = density(case.scene)
     tuned = crossings(lambda per_mm3, seed: trial(per_mm3, seed).best, thesis, seeds)
     yield compared(
@@ -88,7 +92,9 @@ def _density_rows(label: str, case: Case, trial: Trial, seeds: Sequence[int]) ->
 def crossings(
     quality: Callable[[float, int], float], start: float, seeds: Sequence[int]
 ) -> list[float]:
-    """The density at which Q falls to 0.75, for every seed; empty if the first seed has none near `start`.
+    """Find the density at which Q falls to 0.75, for every seed.
+
+    Empty if the first seed has none near `start`.
 
     The first seed finds two densities on either side; between these, Q is a straight line for every
     seed. Source: thesis section 2.2.4, which interpolates linearly.
@@ -106,7 +112,7 @@ def crossings(
 
 
 def _spacing_row(case: Case) -> Row:
-    """dZ / dX of the exact cameras against the table's, which is the voxels' shape."""
+    """Compare dZ / dX of the exact cameras with the table's, the voxels' shape."""
     across, _, along = case.scene.grid.voxel_mm
     center, neighbour = _inner_pair(build_rig(case.scene).cameras)
     distance = -center.center_mm[2]
@@ -126,14 +132,16 @@ def _spacing_row(case: Case) -> Row:
 
 
 def _inner_pair(cameras: Sequence[Camera]) -> tuple[Camera, Camera]:
-    """The central camera and its nearest neighbour."""
+    """Find the central camera and its nearest neighbour."""
     places = np.array([camera.center_mm for camera in cameras])
     order = np.argsort(np.linalg.norm(places - places.mean(axis=0), axis=1))
     return cameras[order[0]], cameras[order[1]]
 
 
 def plane_spacing_mm(center: Camera, neighbour: Camera, voxel_mm: float) -> float:
-    """Distance from Z = 0 of the plane whose point on the Z axis two cameras see one voxel apart on Z = 0.
+    """Compute the distance from Z = 0 to the next focal plane.
+
+    Two cameras see its point on the Z axis one voxel apart on Z = 0.
 
     Source: thesis section 2.2.2, where a plane is one pixel of shift from the next.
     """
@@ -148,7 +156,7 @@ def plane_spacing_mm(center: Camera, neighbour: Camera, voxel_mm: float) -> floa
 
 
 def _seen_on_zero(camera: Camera, z_mm: float) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
-    """Where on the plane Z = 0 a camera sees the point (0, 0, z)."""
+    """Compute where on the plane Z = 0 a camera sees the point (0, 0, z)."""
     rays = camera.back_project(camera.project([[0.0, 0.0, z_mm]])[0])
     origin, direction = rays.origins_mm[0], rays.directions[0]
     return np.asarray(origin[:2] - origin[2] / direction[2] * direction[:2], dtype=np.float64)

@@ -1,4 +1,7 @@
-"""Beyond table 2.1: Q of the best tomographic solver at one and a half times the thesis's densities, from the same images."""
+"""Q of the best tomographic solver at 1.5 times the densities of table 2.1.
+
+It uses the same images.
+"""
 
 from __future__ import annotations
 
@@ -35,7 +38,7 @@ _AS_GOOD = 0.01  # in Q
 
 
 def rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Row]:
-    """Q of the quickest solver of those that do best on a coarse copy of the array."""
+    """Measure Q of the fastest of the solvers that are best on a coarse array."""
     for case in cases(SUITE):
         per_mm3 = _DENSER * density(case.scene)
         scene = with_density(case.scene, per_mm3)
@@ -53,7 +56,7 @@ def rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Row]:
 
 
 def solved_quality(solver: str, scene: Scene, seed: int) -> float:
-    """Q of a solver with its own parameters on one frame."""
+    """Compute Q of a solver with its own parameters on one frame."""
     shot = simulated(scene, seed)
     grid = shot.observation.grid
     volume = make_solver(solver, {}).solve(shot.observation).volume

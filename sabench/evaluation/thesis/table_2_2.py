@@ -1,4 +1,7 @@
-"""Table 2.2: 90 % precision intervals of the velocity in two vortex rings, of reconstructed and of synthesised volumes."""
+"""Table 2.2: 90 % precision intervals of the velocity in two vortex rings.
+
+Volumes are reconstructed or synthesised.
+"""
 
 from __future__ import annotations
 
@@ -30,7 +33,7 @@ _RECONSTRUCTIONS = ("asa", "block_mart")
 
 @dataclass(frozen=True)
 class Ring:
-    """One of the thesis's rings.
+    """Vortex ring of the thesis.
 
     Attributes
     ----------
@@ -96,7 +99,10 @@ RINGS = (
 
 
 def rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
-    """Per ring, volumes and solver: the intervals of u, v and w, with the seconds of both steps; figures 2-8 to 2-11."""
+    """Measure intervals of u, v, w and seconds per ring, volumes and solver.
+
+    Figures 2-8 to 2-11 are drawn, too.
+    """
     for ring in RINGS:
         scene = coarsened(scene_of(ring), pixels)
         found: dict[tuple[str, str], list[F64]] = {}
@@ -122,8 +128,9 @@ def rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
                             (slice_panel(field, 1), slice_panel(field, 0)),
                             across=1,
                         )
+                    widths = np.round(found[volumes, solver][-1], 3)
                     console.print(
-                        f"{ring.name}, {volumes}, {solver}: {np.round(found[volumes, solver][-1], 3)}",
+                        f"{ring.name}, {volumes}, {solver}: {widths}",
                         markup=False,
                         highlight=False,
                     )
@@ -158,7 +165,7 @@ def _ring_rows(
 
 
 def scene_of(ring: Ring) -> Scene:
-    """The ring before its cameras, as two frames."""
+    """Make the scene of a ring and its cameras, with two frames."""
     (case,) = [one for one in cases("table-2-1") if one.name == ring.array]
     values: dict[str, Any] = case.scene.to_dict()
     values["particles"] = {
@@ -190,7 +197,7 @@ def scene_of(ring: Ring) -> Scene:
 
 
 def _pairs(scene: Scene, seed: int) -> Iterator[tuple[str, VolumePair, float]]:
-    """The synthesised pair, and one of each reconstruction, with the seconds that it took."""
+    """Make the synthesised pair and one of each reconstruction, with seconds."""
     shots = [simulate(scene, seed=seed, frame=frame) for frame in range(2)]
     yield (
         "synthesised",
@@ -210,7 +217,10 @@ def _pair(shots: Sequence[Shot], volumes: Sequence[F32]) -> VolumePair:
 
 
 def errors(scene: Scene, field: Velocity) -> F64:
-    """Errors (n, 3) of u, v, w in voxels of all vectors, as the thesis has it: those that were filled in as well."""
+    """Compute errors (n, 3) of u, v, w in voxels, of all vectors.
+
+    As in the thesis, vectors that were filled in count, too.
+    """
     flow, points = require_flow(scene), field.positions_mm.reshape(-1, 3)
     tolerance = TOLERANCE * max(scene.volume.size_mm)
     exact = advect(flow, points, _INTERVAL_S / 2.0, _INTERVAL_S, tolerance) - advect(

@@ -1,4 +1,7 @@
-"""Table 2.3: how many particles per pixel of all cameras together, which is only efficient if the reconstruction is adequate."""
+"""Table 2.3: particles per pixel of all cameras together.
+
+A large number is efficient only if the reconstruction is adequate.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +28,7 @@ _PER_PIXEL, _PER_TOTAL_PIXEL, _PARTICLES = 0.125, 0.01, 125_000
 
 
 def rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Row]:
-    """The table's simulated array: 13 cameras."""
+    """Load the table's simulated array of 13 cameras."""
     for case in cases("table-2-3"):
         cameras = len(build_rig(case.scene).cameras)
         count = density(case.scene) * float(np.prod(case.scene.volume.size_mm))

@@ -1,4 +1,7 @@
-"""Table 3.1: operations of six algorithms, by the thesis's formulas with its numbers and with ours, and the seconds that they take."""
+"""Table 3.1: operations and seconds of six algorithms.
+
+Operations are by the thesis's formulas, with its numbers and with ours.
+"""
 
 from __future__ import annotations
 
@@ -41,7 +44,7 @@ _WARM_PX = 50
 
 
 def rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Row]:
-    """Three rows for every algorithm, then what the thesis says of their ratios."""
+    """Measure three rows for every algorithm, then the thesis's claims on ratios."""
     scenes = {case.name: coarsened(case.scene, pixels) for case in cases("table-3-1")}
     seconds: dict[Algorithm, list[float]] = {}
     for algorithm, name in _CASES.items():
@@ -55,7 +58,7 @@ def rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Row]:
             f"{algorithm}: operations, our counts",
             None,
             [sum(operations(algorithm, setup)) for setup in setups],
-            _told(setups[0]),
+            _describe(setups[0]),
         )
         seconds[algorithm] = _timed(algorithm, scenes[name], frames)
         yield compared(f"{algorithm}: seconds", None, seconds[algorithm])
@@ -72,7 +75,7 @@ def rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Row]:
 
 
 def _setup(algorithm: Algorithm, frame: Observation) -> Setup:
-    """What the solver visits of this frame, in the terms of the thesis's formulas."""
+    """Count what a solver visits of this frame, as the thesis's formulas do."""
     cameras, voxels = len(frame.cameras), float(np.prod(frame.grid.shape))
     if algorithm in ("asa", "msa"):
         return Setup(cameras, voxels)
@@ -91,9 +94,10 @@ def _setup(algorithm: Algorithm, frame: Observation) -> Setup:
     )
 
 
-def _told(setup: Setup) -> str:
+def _describe(setup: Setup) -> str:
     lit = (
-        f", {setup.lit_voxels:.3g} of them lit, {setup.path_voxels:.3g} on a line of sight, {setup.iterations} iterations"
+        f", {setup.lit_voxels:.3g} of them lit, {setup.path_voxels:.3g} on a line of sight"
+        f", {setup.iterations} iterations"
         if setup.iterations
         else ""
     )
@@ -105,7 +109,7 @@ def _solver(algorithm: Algorithm) -> Solver:
 
 
 def _timed(algorithm: Algorithm, scene: Scene, frames: Sequence[Observation]) -> list[float]:
-    """Seconds of each frame; a small one before them has the kernels compiled."""
+    """Measure the seconds of each frame; a small one compiles the kernels before."""
     solver = _solver(algorithm)
     solver.solve(simulated(coarsened(scene, _WARM_PX), 1).observation)
     seconds = []

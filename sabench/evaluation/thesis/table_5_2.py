@@ -1,4 +1,7 @@
-"""Table 5.2 and section 5.5: penetration depth, angle and scaling of three plunging jets out of the bubbles that are found in rendered frames."""
+"""Table 5.2 and section 5.5: three plunging jets from detected bubbles.
+
+Penetration depth, angle and scaling are those of bubbles detected in rendered frames.
+"""
 
 from __future__ import annotations
 
@@ -42,7 +45,11 @@ _LARGE = {
 
 
 def rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
-    """Per jet: errors of the bubbles, means over frames, and the jet's figures from all frames together, of the true and of the found bubbles."""
+    """Measure errors of the bubbles, and the jet's figures, per jet.
+
+    Errors are means over frames. Figures are from all frames together, of true and of detected
+    bubbles.
+    """
     for height in _HEIGHTS:
         scene = coarsened(load_scene(f"plunging-jet-{height}"), pixels)
         true: list[AnyBubbles] = []
@@ -92,7 +99,8 @@ def _rows(
     stated = dict(zip(("penetration_mm", "angle_deg"), _THESIS[height], strict=True)) | _SCALING
     for name in JET.values():
         exact, measured = getattr(known, name), getattr(guess, name)
-        note = f"{len(true)} frames together; of the true bubbles {exact:.4g}: {100.0 * (measured / exact - 1.0):+.1f} %"
+        error = 100.0 * (measured / exact - 1.0)
+        note = f"{len(true)} frames together; of the true bubbles {exact:.4g}: {error:+.1f} %"
         yield compared(
             f"h = {height} mm: {name}",
             stated[name],
@@ -104,7 +112,7 @@ def _rows(
 def _figures(
     scene: Scene, height: int, true: list[AnyBubbles], found: list[AnyBubbles]
 ) -> Iterator[Item]:
-    """Figures 5-18 to 5-20 of the first frame, and C_Y over depth beside equation 5.18."""
+    """Draw figures 5-18 to 5-20 of the first frame, and C_Y over depth."""
     number = {7: "5-18", 21: "5-19", 43: "5-20"}[height]
     panels = tuple(
         Panel(title, "X, mm", "", (Space("radius, mm", one.center_mm, one.radius_mm),))

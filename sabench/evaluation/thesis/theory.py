@@ -1,4 +1,6 @@
-"""What the thesis predicts: spacing of focal planes, ghosts, operation counts, the shape of intensity histograms. Functions of numbers only.
+"""Predictions of the thesis: plane spacing, ghosts, operations, histograms.
+
+These are functions of numbers only.
 
 Equation and table numbers are those of J. Belden, "Synthetic Aperture Imaging for Three Dimensional
 Resolution of Fluid Flows", MIT.
@@ -17,19 +19,28 @@ Algorithm = Literal["asa", "msa", "mart", "mfg-mart", "mlos-sart", "mlos-smart"]
 
 
 def magnification(z_mm: float, s_i_mm: float, s_o_mm: float) -> float:
-    """M(Z) = -s_i / (s_o + Z), s_i and s_o being the lens's distances from the sensor and from the plane Z = 0."""
+    """Compute the magnification M(Z) = -s_i / (s_o + Z).
+
+    s_i and s_o are the lens's distances from the sensor and from the plane Z = 0.
+    """
     return -s_i_mm / (s_o_mm + z_mm)
 
 
 def pixel_in_volume_mm(pixel_mm: float, magnification: float) -> float:
-    """Equation 2.5: dX = -p / M, a pixel's width at the plane of magnification M."""
+    """Compute a pixel's width dX = -p / M at the plane of magnification M.
+
+    Equation 2.5.
+    """
     return -pixel_mm / magnification
 
 
 def image_shift_mm(
     baseline_mm: float, z_a_mm: float, z_b_mm: float, s_i_mm: float, s_o_mm: float
 ) -> float:
-    """Equation 2.6: how far the image of a camera must be shifted on its sensor to refocus from plane Z_A to Z_B; baseline: from the first camera."""
+    """Compute the shift of an image that refocuses from plane Z_A to Z_B.
+
+    Equation 2.6. The shift is on the camera's sensor; the baseline is from the first camera.
+    """
     return baseline_mm * (
         magnification(z_b_mm, s_i_mm, s_o_mm) - magnification(z_a_mm, s_i_mm, s_o_mm)
     )
@@ -38,7 +49,10 @@ def image_shift_mm(
 def plane_spacing_ratio(
     baseline_ratio: float, pixel_mm: float, z_mm: float, s_o_mm: float
 ) -> float:
-    """Equation 2.10: dZ / dX = (1 / D + Z / (D s_o)) / (1 - dX / (D s_o)), where a shift by one pixel leads to the next focal plane.
+    """Compute the plane spacing ratio dZ / dX of equation 2.10.
+
+    dZ / dX = (1 / D + Z / (D s_o)) / (1 - dX / (D s_o)), where a shift by one pixel leads to the
+    next focal plane.
 
     Parameters
     ----------
@@ -53,17 +67,25 @@ def plane_spacing_ratio(
 
 
 def first_order_spacing_ratio(baseline_ratio: float, z_mm: float, s_o_mm: float) -> float:
-    """Equation 2.11: dZ / dX = 1 / D + Z / (D s_o), for dX << D s_o. Arguments as in `plane_spacing_ratio`."""
+    """Approximate the plane spacing ratio by equation 2.11, for dX << D s_o.
+
+    dZ / dX = 1 / D + Z / (D s_o). Arguments as in `plane_spacing_ratio`.
+    """
     return (1.0 + z_mm / s_o_mm) / baseline_ratio
 
 
 def planes(depth_mm: float, spacing_mm: float) -> float:
-    """Equation 2.12: N = Z_o / dZ, the number of focal planes in a volume's depth."""
+    """Compute the number of focal planes in a volume's depth, N = Z_o / dZ.
+
+    Equation 2.12.
+    """
     return depth_mm / spacing_mm
 
 
 def ghost_ratio(ppp: float, cameras: int, area_px: float, depth_voxels: float) -> float:
-    """Equation 3.14: ghosts per particle, N_g / N_p = ppp^(N - 1) A_p^N l_z.
+    """Compute ghosts per particle, N_g / N_p = ppp^(N - 1) A_p^N l_z.
+
+    Equation 3.14.
 
     A voxel is lit by chance in N independent images that particles of area A_p cover to the share
     ppp A_p: (ppp A_p)^N of all voxels, of which there are l_z / ppp for each particle. It counts
@@ -81,7 +103,7 @@ def ghost_ratio(ppp: float, cameras: int, area_px: float, depth_voxels: float) -
 
 @dataclass(frozen=True)
 class Setup:
-    """What Table 3.1 counts operations for.
+    """Quantities for which Table 3.1 counts operations.
 
     Attributes
     ----------
@@ -112,10 +134,10 @@ TABLE_3_1: dict[Algorithm, Setup] = {
 
 
 def operations(algorithm: Algorithm, setup: Setup) -> tuple[float, float]:
-    """Operations of the first pass over the volume, and of all iterations after it: equations 3.6, 3.7, 3.10 to 3.13.
+    """Count operations of the first pass over the volume and of all iterations.
 
-    Equations 3.12 and 3.13 are those of one iteration; Table 3.1 has five. See docs/physics/theory.md
-    where the table departs from the equations.
+    Equations 3.6, 3.7, 3.10 to 3.13. Equations 3.12 and 3.13 are those of one iteration; Table 3.1
+    has five. See docs/physics/theory.md where the table departs from the equations.
     """
     n, mart = (
         setup.cameras,
@@ -141,7 +163,7 @@ def operations(algorithm: Algorithm, setup: Setup) -> tuple[float, float]:
 
 @dataclass(frozen=True)
 class Normality:
-    """How far values are from a normal distribution, for which all three are 0.
+    """Distance of values from a normal distribution, for which all three are 0.
 
     Attributes
     ----------
@@ -158,7 +180,9 @@ class Normality:
 
 
 def normality(values: npt.ArrayLike) -> Normality:
-    """How Gaussian the intensities of an image or of a refocused plane are (section 2.2.3, figures 2-4 and 2-15).
+    """Fit a Gaussian to the intensities of an image or of a refocused plane.
+
+    Section 2.2.3, figures 2-4 and 2-15.
 
     Raises
     ------

@@ -1,1 +1,5 @@
-"""From a scene to what its cameras record: small tasks that any process may do, in any order that they allow, and that leave nothing half-written."""
+"""Resumable rendering of a scene, in small tasks.
+
+Any process may do a task, in any order that the schedule allows; an interrupted one leaves nothing
+half-written.
+"""

@@ -1,4 +1,4 @@
-"""Parts of a data set in the making: a file of truth for each frame, and for each of its cameras.
+"""Parts of a data set in the making: truth and images, frame by frame.
 
 Each file is complete or absent, so that a process that writes them may be killed at any time, and
 what is there need not be made again.

@@ -1,8 +1,6 @@
-"""Recorders: truth and images of a scene's frames, as the parts of a data set."""
+"""Recorders of the parts of a data set: truth and images of every frame."""
 
 from __future__ import annotations
-
-from dataclasses import asdict
 
 import numpy as np
 
@@ -30,7 +28,7 @@ _FOUND = f"{KEPT}found"
 
 
 class Recorder:
-    """Makes the parts of one data set, each the same whatever else was made before.
+    """Recorder of one data set's parts, which do not depend on each other.
 
     Attributes
     ----------
@@ -47,7 +45,10 @@ class Recorder:
         self.cameras, self.views, self.chained = rig.cameras, len(rig.cameras), self._frames.chained
 
     def frame(self, number: int, recall: Recall) -> Part:
-        """Make a frame's truth apart from the cameras'; `recall` gives that of the frame before."""
+        """Make a frame's truth, apart from that of its cameras.
+
+        `recall` gives the part of the frame before.
+        """
         motion = self._frames.motion
         if motion is not None and self.chained and number and motion.last != number - 1:
             motion.resume(number - 1, self._state(number - 1, recall(number - 1)))
@@ -55,7 +56,10 @@ class Recorder:
         return _truth(self._last) | _flow(self._scene, number) | self._kept(self._last)
 
     def view(self, number: int, camera: int, recall: Recall) -> Taken:
-        """Render one camera's image of a frame, and its truth; `recall` gives the frame's part."""
+        """Render one camera's image of a frame, and its truth.
+
+        `recall` gives the frame's part.
+        """
         if self._last is None or self._last.number != number:
             self._last = self._restored(number, recall(number))
         frame = self._last
@@ -67,7 +71,10 @@ class Recorder:
         """Store what all parts together make: nothing, for most scenes."""
 
     def _kept(self, frame: FrameContent) -> Part:
-        """What later frames and views need beside the truth, where bubbles hide some tracers."""
+        """Select what later tasks need besides the truth.
+
+        Among bubbles, that is all tracers and which of them are illuminated.
+        """
         if self._frames.motion is None or frame.tracers is None or frame.bubbles is None:
             return {}
         kept: Part = {}
@@ -78,12 +85,12 @@ class Recorder:
         return kept
 
     def _state(self, number: int, part: Part) -> Particles:
-        """All tracers of a frame, as its part holds them."""
+        """Read all tracers of a frame from its part."""
         group = _STATE if f"{_STATE}/id" in part else schema.frame_group(number)
         return _particles(part, group)
 
     def _restored(self, number: int, part: Part) -> FrameContent:
-        """A frame, as its part holds it."""
+        """Restore a frame from its part."""
         group = schema.frame_group(number)
         particles = _particles(part, group) if f"{group}/id" in part else None
         bubbles = _bubbles(part, group) if f"{group}/bubbles/id" in part else None
@@ -91,7 +98,7 @@ class Recorder:
 
 
 class TargetRecorder(Recorder):
-    """Makes the parts of a data set for calibrations, with images or without."""
+    """Recorder of a data set for calibrations, with images or without."""
 
     def __init__(self, scene: Scene, seed: int, renderer: str, label: str) -> None:
         super().__init__(scene, seed, renderer, label)
@@ -111,7 +118,7 @@ class TargetRecorder(Recorder):
         return Taken({**taken.truth, _FOUND: found}, taken.grey, taken.radiance)
 
     def finish(self, writer: DatasetWriter, parts: Parts) -> None:
-        """Store the target, what each camera detected, and what is known of its positions."""
+        """Store the target, the detected points, and the prior of its positions."""
         writer.add_target(self._placed.target)
         found = []
         for number, camera in enumerate(self.cameras):
@@ -122,7 +129,10 @@ class TargetRecorder(Recorder):
         writer.add_points(np.stack(found), self._prior)
 
     def _found(self, parts: Parts, camera: int, exact: F64) -> tuple[F64, Bool]:
-        """Pixels (frame, point, 2) detected by a camera, and which are outliers (frame, point)."""
+        """Collect the points that a camera detected.
+
+        Pixels (frame, point, 2), and which are outliers (frame, point).
+        """
         if not self.views:
             detection = self._scene.detection
             return calibration_targets.found_pixels(detection, exact, self._seed, camera)
@@ -138,7 +148,7 @@ def recorder_of(scene: Scene, seed: int, renderer: str, label: str) -> Recorder:
 
 
 def _truth(frame: FrameContent) -> Part:
-    """Truth of a frame apart from its cameras', by the names of the data set."""
+    """Collect a frame's truth apart from its cameras', by names on disk."""
     group, part = schema.frame_group(frame.number), Part()
     if frame.bubbles is not None:
         part |= _fields(f"{group}/bubbles", frame.bubbles, _BUBBLES)
@@ -148,12 +158,12 @@ def _truth(frame: FrameContent) -> Part:
     if frame.tracers is not None:
         part |= _fields(group, frame.tracers.particles, _PARTICLES)
     if frame.pose is not None:
-        part |= {f"{group}/{name}": value for name, value in asdict(frame.pose).items()}
+        part |= {f"{group}/turn": frame.pose.rotation, f"{group}/place_mm": frame.pose.position_mm}
     return part
 
 
 def _flow(scene: Scene, number: int) -> Part:
-    """The exact flow of a frame, where the scene asks for it."""
+    """Sample the exact flow of a frame, where the scene asks for it."""
     if not scene.flow_grid_mm:
         return {}
     field, gradient = lattice(scene, number, scene.flow_grid_mm)
@@ -167,7 +177,7 @@ def _flow(scene: Scene, number: int) -> Part:
 
 
 def _view_truth(frame: FrameContent, view: CameraView) -> Part:
-    """Truth of one camera's view of a frame, by the names of the data set."""
+    """Collect the truth of one camera's view, by names on disk."""
     group, camera, part = schema.frame_group(frame.number), view.camera.name, Part()
     if view.sight is not None:
         part |= _fields(f"{group}/sights/{camera}", view.sight, _SIGHT)

@@ -1,1 +1,1 @@
-"""From a world and its optics to the pictures that a camera array records."""
+"""Renderers: photons and truth of a camera's image."""

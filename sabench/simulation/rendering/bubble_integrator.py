@@ -1,6 +1,6 @@
-"""Follow light backwards from a camera through bubbles, drops, bodies and glowing particles, inside Mitsuba's scene.
+"""Path tracer of bubbles, drops, bodies and tracers, inside Mitsuba's scene.
 
-Import this module only after sabench.utils.backend.mitsuba(), as `glow`.
+Import this module only after sabench.utils.backend.mitsuba(), as `camera_rays`.
 
 Bubbles are primitives of one `ellipsoids` shape. Mitsuba says which one a ray enters; where it
 leaves again, and the normals, follow from the ellipsoid's equation, so that spheroids are exact and
@@ -55,18 +55,18 @@ _PRIMES = (
     83,
     89,
 )
-# numbers that place a ray in its pixel and on the lens; what it does at surfaces takes those that
+# numbers of a ray's position in its pixel and on the lens; events at surfaces take those that
 # follow
 _FIRST = 4
 
 
 @dataclass(frozen=True)
 class Stack:
-    """Plane layers between the fluid and the air, in the order in which light leaves.
+    """Plane layers between the fluid and the air, in the order light leaves.
 
     Attributes
     ----------
-    faces_mm : (m,) places of the interfaces along the wall's normal, in the frame of the render.
+    faces_mm : (m,) positions of the interfaces along the wall's normal, in the frame of the render.
     indices : (m + 1,) refractive indices, the fluid's first.
     """
 
@@ -76,7 +76,7 @@ class Stack:
 
 @dataclass(frozen=True)
 class Panel:
-    """A diffuser: its middle in the frame of the render, half its edges (2, 3), and its radiance."""
+    """Diffuser: centre in the frame of the render, half edges (2, 3), radiance."""
 
     center: F64
     edges: F64
@@ -85,7 +85,7 @@ class Panel:
 
 @dataclass(frozen=True)
 class Stage:
-    """What light meets, in the frame of the render.
+    """Everything that light meets, in the frame of the render.
 
     Attributes
     ----------
@@ -120,7 +120,10 @@ class Stage:
 def radiance(
     stage: Stage, camera: Camera, origin: F64, pixels: I64, samples: int, seed: int
 ) -> F32:
-    """Mean radiance (n,) in front of the lens of some pixels (numbers row by row), each by `samples` rays that share one random shift of a lattice.
+    """Trace the mean radiance (n,) in front of the lens of some pixels.
+
+    Pixels are numbered row by row. Each gets `samples` rays that share one random shift of a
+    lattice.
 
     Means of the same pixel under other seeds are independent, and their scatter tells the error.
     """
@@ -147,7 +150,7 @@ def radiance(
 
 @dataclass
 class _Draw:
-    """Random numbers of rays: a Kronecker lattice over a pixel's rays for each of its dimensions, each with a shift of its own."""
+    """Random numbers of rays: a shifted Kronecker lattice in each dimension."""
 
     pixel: Any
     ray: Any
@@ -157,7 +160,7 @@ class _Draw:
         return mi.Float(np.sqrt(np.array(_PRIMES, dtype=np.float64)) % 1.0)
 
     def number(self, table: Any, dimension: Any) -> Any:
-        """Evenly in [0, 1), of a dimension."""
+        """Draw uniformly from [0, 1), for one dimension of all rays."""
         step = dr.gather(mi.Float, table, dimension % len(_PRIMES))
         shift = mi.sample_tea_float32(self.pixel, self.seed * 1024 + dimension)
         value = dr.fma(mi.Float(self.ray), step, shift)
@@ -165,7 +168,7 @@ class _Draw:
 
 
 class _Device:
-    """A stage on the device."""
+    """Device copy of a stage."""
 
     def __init__(self, stage: Stage, camera: Camera, origin: F64) -> None:
         self.stage = stage
@@ -186,16 +189,16 @@ class _Device:
         self.cloud = _cloud(stage.cloud)
         lamps = stage.lamps or Lamps(np.zeros((0, 3)), np.zeros(0), 0.0)
         self.lamps = [
-            (opaque(place), dr.opaque(mi.Float, power))
-            for place, power in zip(lamps.places, lamps.powers.tolist(), strict=True)
+            (opaque(position), dr.opaque(mi.Float, power))
+            for position, power in zip(lamps.positions, lamps.powers.tolist(), strict=True)
         ]
-        self.even = dr.opaque(mi.Float, lamps.even)
+        self.ambient = dr.opaque(mi.Float, lamps.ambient)
         self.inverse_square = dr.opaque(mi.Float, 1.0 / stage.fluid**2)
         self.reach = dr.opaque(mi.Float, stage.reach)
 
 
 def _layers(stack: Stack | None) -> list[tuple[Any, Any, Any]] | None:
-    """Place, ratio of the indices before and after, and that of the faces of a stack."""
+    """Position and index ratios, after over before and inverse, of each face."""
     if stack is None:
         return None
     indices = stack.indices.tolist()
@@ -241,7 +244,7 @@ def _cloud(cloud: Cloud | None) -> tuple[Any, ...] | None:
 
 
 def _rays(camera: Camera, origin: F64, pixel: Any, draw: _Draw, pinhole: bool) -> Any:
-    """Rays of pixels to the plane in focus: from all over the aperture, or from its middle."""
+    """Rays of pixels from the aperture, or its middle, to the plane in focus."""
     table = draw.table()
     u = [draw.number(table, mi.UInt32(dimension)) for dimension in range(_FIRST)]
     across = mi.Float(pixel % camera.columns) + u[0] - 0.5
@@ -251,37 +254,37 @@ def _rays(camera: Camera, origin: F64, pixel: Any, draw: _Draw, pinhole: bool) -
     return lens_rays(camera, origin, across, down, (radius * cosine, radius * sine))
 
 
-def _crossed(place: Any, way: Any, normal: Any, layers: Any) -> tuple[Any, Any, Any]:
-    """Where and in which direction light has crossed plane layers, and the part of it that does."""
+def _cross(position: Any, direction: Any, normal: Any, layers: Any) -> tuple[Any, Any, Any]:
+    """Cross plane layers: new positions, directions, and the transmitted share."""
     passed = mi.Float(1.0)
     for face, after_over_before, before_over_after in layers:
-        along = dr.dot(way, normal)
-        place = dr.fma(way, (face - dr.dot(place, normal)) / along, place)
+        along = dr.dot(direction, normal)
+        position = dr.fma(direction, (face - dr.dot(position, normal)) / along, position)
         cosine = dr.abs(along)
         reflected, _, _, _ = mi.fresnel(cosine, after_over_before)
         passed *= 1.0 - reflected
-        across = (way - along * normal) * before_over_after
+        across = (direction - along * normal) * before_over_after
         square = dr.maximum(1.0 - dr.squared_norm(across), 0.0)
-        way = across + dr.copysign(dr.sqrt(square), along) * normal
-    return place, way, passed
+        direction = across + dr.copysign(dr.sqrt(square), along) * normal
+    return position, direction, passed
 
 
-def _entered(device: Any, ray: Any) -> tuple[Any, Any]:
-    """Rays from the camera behind the front wall, and the part of the light that gets through it."""
+def _enter(device: Any, ray: Any) -> tuple[Any, Any]:
+    """Move camera rays behind the front wall; also the share of light it passes."""
     if device.front is None:
         return ray, mi.Float(1.0)
     inwards = [(face, before, after) for face, after, before in reversed(device.front)]
-    place, way, passed = _crossed(ray.o, ray.d, device.normal, inwards)
-    return mi.Ray3f(place, dr.normalize(way)), passed
+    position, direction, passed = _cross(ray.o, ray.d, device.normal, inwards)
+    return mi.Ray3f(position, dr.normalize(direction)), passed
 
 
-def _shown(device: Any, place: Any, way: Any) -> Any:
+def _panel_radiance(device: Any, position: Any, direction: Any) -> Any:
     """Radiance of the diffuser along rays in the air."""
     if device.panel is None:
         return mi.Float(0.0)
     center, across, along, normal, bright = device.panel
-    distance = dr.dot(center - place, normal) / dr.dot(way, normal)
-    offset = dr.fma(way, distance, place) - center
+    distance = dr.dot(center - position, normal) / dr.dot(direction, normal)
+    offset = dr.fma(direction, distance, position) - center
     on = (
         (distance > 0.0)
         & (dr.abs(dr.dot(offset, across)) <= 1.0)
@@ -290,31 +293,42 @@ def _shown(device: Any, place: Any, way: Any) -> Any:
     return dr.select(on, bright, 0.0)
 
 
-def _left(device: Any, ray: Any) -> tuple[Any, Any, Any]:
-    """For rays that meet nothing more in the fluid: the light that comes in along them, the part that a wall sends back, and where it does."""
+def _leave(device: Any, ray: Any) -> tuple[Any, Any, Any]:
+    """Light that rays gather at the walls.
+
+    Returns the radiance that comes in along them, the share that a wall reflects, and the position
+    of that reflection.
+    """
     if device.front is None:
-        return _shown(device, ray.o, ray.d), mi.Float(0.0), ray.o
+        return _panel_radiance(device, ray.o, ray.d), mi.Float(0.0), ray.o
     along = dr.dot(ray.d, device.normal)
     back = along > 0.0
-    _, _, out_in_front = _crossed(ray.o, ray.d, device.normal, device.front)
+    _, _, out_in_front = _cross(ray.o, ray.d, device.normal, device.front)
     if device.rear is None:
-        place, way, out_behind, behind = ray.o, ray.d, mi.Float(1.0), mi.Float(device.front[0][0])
+        position, direction, out_behind, behind = (
+            ray.o,
+            ray.d,
+            mi.Float(1.0),
+            mi.Float(device.front[0][0]),
+        )
     else:
-        place, way, out_behind = _crossed(ray.o, ray.d, device.normal, device.rear)
+        position, direction, out_behind = _cross(ray.o, ray.d, device.normal, device.rear)
         behind = device.rear[0][0]
     face = dr.select(back, behind, device.front[0][0])
     here = dr.fma(ray.d, (face - dr.dot(ray.o, device.normal)) / along, ray.o)
     passed = dr.select(back, out_behind, out_in_front)
-    seen = dr.select(back & (out_behind > 0.0), out_behind * _shown(device, place, way), 0.0)
+    seen = dr.select(
+        back & (out_behind > 0.0), out_behind * _panel_radiance(device, position, direction), 0.0
+    )
     near = dr.squared_norm(here) < (50.0 * device.reach) * (50.0 * device.reach)
     return seen, dr.select(near, 1.0 - passed, 0.0), here
 
 
 @dr.syntax
 def _trace(device: Any, ray: Any, draw: Any, free: Any) -> Any:
-    """Radiance along `free` rays from the lens."""
+    """Trace the radiance along `free` rays from the lens."""
     table = draw.table()
-    ray, weight = _entered(device, ray)
+    ray, weight = _enter(device, ray)
     ahead = -dr.dot(ray.o, ray.d) - device.reach
     ray.o = dr.select(ahead > 0.0, dr.fma(ray.d, ahead, ray.o), ray.o)
     result = mi.Float(0.0)
@@ -323,12 +337,12 @@ def _trace(device: Any, ray: Any, draw: Any, free: Any) -> Any:
     inside = mi.Bool(False)
     active = mi.Bool(free & (weight > 0.0))
     while active:
-        si, bubble, ball, body = _met(device, ray, active & ~inside)
+        si, bubble, ball, body = _intersect(device, ray, active & ~inside)
         # bubbles: where the ray enters, or leaves again
         number = dr.select(bubble, si.prim_index, number)
         surface = bubble | inside
-        place, normal = _on_bubble(device, ray, number, inside, surface)
-        way, refracted = _parted(
+        position, normal = _on_bubble(device, ray, number, inside, surface)
+        direction, refracted = _refract(
             device, ray.d, normal, draw.number(table, _FIRST + 2 * events), surface
         )
         # glowing balls: they let the ray pass
@@ -337,8 +351,8 @@ def _trace(device: Any, ray: Any, draw: Any, free: Any) -> Any:
         )
         last = dr.select(ball, si.prim_index, last)
         # bodies
-        result += dr.select(body, weight * _lit(device, si, body), 0.0)
-        onward, worth = _turned(
+        result += dr.select(body, weight * _body_radiance(device, si, body), 0.0)
+        onward, worth = _scatter(
             si,
             draw.number(table, _FIRST + 2 * events),
             draw.number(table, _FIRST + 1 + 2 * events),
@@ -347,20 +361,20 @@ def _trace(device: Any, ray: Any, draw: Any, free: Any) -> Any:
         )
         # walls, and what is behind them
         out = active & ~surface & ~ball & ~body
-        seen, sent_back, wall = _left(device, ray)
+        seen, sent_back, wall = _leave(device, ray)
         result += dr.select(out, weight * seen, 0.0)
         mirrored = out & (draw.number(table, _FIRST + 2 * events) < sent_back)
         along = dr.dot(ray.d, device.normal)
-        # the next part of the way
+        # the next part of the path
         weight = dr.select(body, weight * worth, weight)
-        outwards = dr.select(dr.dot(way, normal) > 0.0, 1.0, -1.0)
-        beside = dr.fma(normal, outwards * _OFF, place)
+        outwards = dr.select(dr.dot(direction, normal) > 0.0, 1.0, -1.0)
+        beside = dr.fma(normal, outwards * _OFF, position)
         beyond = dr.fma(ray.d, _pace(device), dr.fma(ray.d, si.t, ray.o))
         start = dr.select(
             surface, beside, dr.select(ball, beyond, dr.select(mirrored, wall, ray.o))
         )
         course = dr.select(
-            surface, way, dr.select(mirrored, ray.d - 2.0 * along * device.normal, ray.d)
+            surface, direction, dr.select(mirrored, ray.d - 2.0 * along * device.normal, ray.d)
         )
         ray.o = dr.select(body, onward.o, start)
         ray.d = dr.select(body, onward.d, course)
@@ -376,8 +390,8 @@ def _trace(device: Any, ray: Any, draw: Any, free: Any) -> Any:
     return result
 
 
-def _met(device: Any, ray: Any, active: Any) -> tuple[Any, Any, Any, Any]:
-    """What rays meet first, and whether that is a bubble, a glowing ball or a body."""
+def _intersect(device: Any, ray: Any, active: Any) -> tuple[Any, Any, Any, Any]:
+    """Find what rays meet first: bubble, glowing ball, body, or none of them."""
     if device.stage.bodies:
         si = device.stage.scene.ray_intersect(ray, mi.RayFlags.All, active)
         shape, valid = si.shape, active & si.is_valid()
@@ -390,7 +404,7 @@ def _met(device: Any, ray: Any, active: Any) -> tuple[Any, Any, Any, Any]:
 
 
 def _on_bubble(device: Any, ray: Any, number: Any, inside: Any, active: Any) -> tuple[Any, Any]:
-    """Where rays cross the surface of their bubble, and its outward normal there.
+    """Cross the surface of a bubble: positions and outward normals.
 
     Distances are taken from the point nearest to the bubble's centre: Mitsuba's own are of single
     precision from the ray's start.
@@ -409,17 +423,17 @@ def _on_bubble(device: Any, ray: Any, number: Any, inside: Any, active: Any) -> 
     return dr.fma(ray.d, step, near), dr.select(active, normal, mi.Vector3f(0.0, 0.0, 1.0))
 
 
-def _parted(device: Any, way: Any, normal: Any, chance: Any, active: Any) -> tuple[Any, Any]:
-    """The direction in which light goes on at a bubble's surface, and whether it crosses it."""
-    along = -dr.dot(way, normal)
+def _refract(device: Any, direction: Any, normal: Any, chance: Any, active: Any) -> tuple[Any, Any]:
+    """Reflect or refract at a bubble's surface; also whether light crosses it."""
+    along = -dr.dot(direction, normal)
     reflected, cosine, _, ratio = mi.fresnel(along, device.eta)
     refracted = active & (chance >= reflected)
-    bent = ratio * way + (ratio * along + cosine) * normal
-    return dr.normalize(dr.select(refracted, bent, way + 2.0 * along * normal)), refracted
+    bent = ratio * direction + (ratio * along + cosine) * normal
+    return dr.normalize(dr.select(refracted, bent, direction + 2.0 * along * normal)), refracted
 
 
 def _glow(device: Any, ray: Any, number: Any, active: Any) -> Any:
-    """L / n^2 of a glowing ball along a ray."""
+    """L / n^2 of a glowing ball along rays."""
     if device.cloud is None:
         return mi.Float(0.0)
     centers, first, second, bright, _ = device.cloud
@@ -440,26 +454,26 @@ def _pace(device: Any) -> Any:
     return mi.Float(0.0) if device.cloud is None else device.cloud[4]
 
 
-def _lit(device: Any, si: Any, active: Any) -> Any:
-    """What a body's surface shows by the lamps."""
+def _body_radiance(device: Any, si: Any, active: Any) -> Any:
+    """Radiance of a body's surface under the lamps."""
     total = mi.Float(0.0)
     if not device.stage.bodies or not (device.lamps or device.stage.lamps):
         return total
     context, bsdf = mi.BSDFContext(), si.bsdf()
     for lamp, power in device.lamps:
-        way = lamp - si.p
-        distance = dr.norm(way)
-        toward = way / distance
+        direction = lamp - si.p
+        distance = dr.norm(direction)
+        toward = direction / distance
         shadow = device.stage.opaque_scene.ray_test(si.spawn_ray_to(mi.Point3f(lamp)), active)
         value = bsdf.eval(context, si, si.to_local(toward), active)
         total += dr.select(shadow, 0.0, np.pi * value.x * power / (distance * distance))
     smooth = mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth)
     reflectance = bsdf.eval_diffuse_reflectance(si, active).x
-    return total + dr.select(smooth, device.even * reflectance, 0.0)
+    return total + dr.select(smooth, device.ambient * reflectance, 0.0)
 
 
-def _turned(si: Any, chance: Any, other: Any, active: Any, device: Any) -> tuple[Any, Any]:
-    """How light goes on at a body, and the part of it that does."""
+def _scatter(si: Any, chance: Any, other: Any, active: Any, device: Any) -> tuple[Any, Any]:
+    """Sample the next ray at a body, and its weight."""
     if not device.stage.bodies:
         return mi.Ray3f(mi.Point3f(0.0), mi.Vector3f(0.0, 0.0, 1.0)), mi.Float(0.0)
     sampled, value = si.bsdf().sample(

@@ -1,4 +1,7 @@
-"""Pictures of bubbles, drops and bodies before a diffuser or under lamps, with glowing particles among them: as exact as they are asked to be."""
+"""Renderer of bubbles, drops, bodies and tracers, to a requested accuracy.
+
+A diffuser or lamps illuminate the scene.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +18,7 @@ from sabench.geometry.camera import Camera
 from sabench.geometry.occluders import Disc
 from sabench.geometry.refraction import Layer, Wall, transmittance
 from sabench.scenes.illumination import Backlight, Lighting
-from sabench.simulation.rendering.lamps import placed
+from sabench.simulation.rendering.lamps import place_lamps
 from sabench.simulation.rendering.mesh_intersection import mesh_of
 from sabench.simulation.rendering.particle_images import ParticleImages, diffraction_px
 from sabench.simulation.rendering.particles_traced import balls, glow_of
@@ -35,23 +38,27 @@ _DARK = 0.02
 
 @dataclass(frozen=True)
 class Tank:
-    """What encloses the fluid: the wall before the cameras, and the layers of the one behind, the fluid's side first; None: no walls."""
+    """Walls around the fluid.
+
+    `wall` is in front of the cameras; `rear` are the layers of the back wall, the fluid's side
+    first. None: no walls.
+    """
 
     wall: Wall | None
     rear: tuple[Layer, ...] = ()
 
     @property
     def fluid_index(self) -> float:
-        """Refractive index of what fills it."""
+        """Refractive index of the fluid."""
         return self.wall.fluid_index if self.wall else 1.0
 
     @property
     def fluid_over_air(self) -> float:
-        """Its index over that of what the cameras are in."""
+        """Refractive index of the fluid over that of the cameras' medium."""
         return self.wall.fluid_index / self.wall.air_index if self.wall else 1.0
 
     def straight(self) -> float:
-        """The part of light that gets through both walls at right angles."""
+        """Share of light that both walls pass at normal incidence."""
         if self.wall is None:
             return 1.0
         back = replace(self.wall, layers=self.rear)
@@ -61,7 +68,11 @@ class Tank:
 
 @dataclass(frozen=True)
 class Lights:
-    """What shines: a diffuser, lamps with the point where their exposure holds, and the photons of a full well (a pixel of the image's middle)."""
+    """Lights of a scene.
+
+    `center_mm` is where the lamps' exposure holds; `full_photons` fill the well of a pixel in the
+    image's middle.
+    """
 
     backlight: Backlight | None
     lighting: Lighting | None
@@ -71,7 +82,10 @@ class Lights:
 
 @dataclass(frozen=True)
 class Exposed:
-    """A picture: photons (rows, columns), and the mean over its pixels of their standard errors, relative to their values."""
+    """Rendered image: photons (rows, columns), and their error.
+
+    `error` is the mean over the pixels of standard error over value.
+    """
 
     photons: F64
     error: float
@@ -91,7 +105,7 @@ def render(
     particles_mm: F64 | None = None,
     exposure_s: float = 0.0,
 ) -> Exposed:
-    """Render until the mean over all pixels of their relative standard errors is no more than `error`.
+    """Render until the mean relative standard error of pixels reaches `error`.
 
     All pixels get some rays, those with a larger error than asked for get more. Bubbles that move
     during the exposure are moved from pass to pass.
@@ -135,7 +149,7 @@ def render(
 
 
 def _pass(stage_of: _Stager, camera: Camera, chosen: I64, delays: F64, seed: int) -> F64:
-    """Radiance (n,) of pixels by some rays each, spread over the moments of the exposure."""
+    """Radiance (n,) of pixels by some rays each, spread over the exposure."""
     from sabench.simulation.rendering import bubble_integrator  # needs the variant
 
     rays, total = -(-_RAYS // len(delays)), np.zeros(len(chosen))
@@ -152,19 +166,19 @@ def _pass(stage_of: _Stager, camera: Camera, chosen: I64, delays: F64, seed: int
 
 
 def _moments(camera: Camera, bubbles: Bubbles, exposure_s: float) -> int:
-    """Moments of the exposure that are rendered: one for each half pixel of the longest way."""
+    """Number of rendered moments: one for each half pixel of the longest path."""
     if not len(bubbles) or exposure_s == 0.0 or not np.any(bubbles.velocity_mm_s):
         return 1
     ends = [
         camera.project(bubbles.center_mm + sign * 0.5 * exposure_s * bubbles.velocity_mm_s)[0]
         for sign in (-1.0, 1.0)
     ]
-    ways = np.linalg.norm(ends[1] - ends[0], axis=1)
-    return int(np.ceil(2.0 * np.nanmax(ways))) if np.isfinite(ways).any() else 1
+    lengths = np.linalg.norm(ends[1] - ends[0], axis=1)
+    return int(np.ceil(2.0 * np.nanmax(lengths))) if np.isfinite(lengths).any() else 1
 
 
 class _Tally:
-    """Mean and scatter of every pixel's passes, as they come (Welford)."""
+    """Mean and scatter of every pixel's passes, updated by Welford's method."""
 
     def __init__(self, shape: tuple[int, int]) -> None:
         size = shape[0] * shape[1]
@@ -178,7 +192,7 @@ class _Tally:
         self._squares[where] += off * (values - self.mean[where])
 
     def errors(self, floor: float) -> F64:
-        """Standard errors over values, or over `floor` where they are darker.
+        """Standard errors over values, or over `floor` in darker pixels.
 
         A few rays that have found a pixel dark may have missed what its neighbours show: variances
         start from the mean over nine pixels, which counts as `_PASSES` passes.
@@ -192,7 +206,7 @@ class _Tally:
 
 
 class _Stager:
-    """Builds what Mitsuba needs, anew for every moment of the exposure if bubbles move."""
+    """Builder of Mitsuba's scene, anew for every moment if bubbles move."""
 
     def __init__(
         self,
@@ -237,7 +251,7 @@ class _Stager:
         facing = np.asarray(camera.wall.normal if camera.wall else camera.rotation[2])
         behind = full / float(transmittance(camera.wall, facing[None])[0])
         self._lamps = (
-            placed(lights.lighting, camera, self.origin, self.origin, behind)
+            place_lamps(lights.lighting, camera, self.origin, self.origin, behind)
             if lights.lighting
             else None
         )
@@ -306,11 +320,11 @@ class _Stager:
 
 
 def _ellipsoids(mi: Any, centers: F64, bubbles: Bubbles) -> dict[str, Any]:
-    """All bubbles as one shape."""
+    """Describe all bubbles as one shape."""
     from scipy.spatial.transform import Rotation
 
-    turns = Rotation.from_matrix(bubbles.turn.transpose(0, 2, 1)).as_quat()
-    data = np.hstack([centers, bubbles.semi_axes_mm, turns]).astype(np.float32)
+    rotations = Rotation.from_matrix(bubbles.turn.transpose(0, 2, 1)).as_quat()
+    data = np.hstack([centers, bubbles.semi_axes_mm, rotations]).astype(np.float32)
     return {
         "type": "ellipsoids",
         "data": mi.TensorXf(data),
@@ -320,7 +334,7 @@ def _ellipsoids(mi: Any, centers: F64, bubbles: Bubbles) -> dict[str, Any]:
 
 
 def _mesh(mi: Any, solid: Solid, material: Material, origin: F64, tank: Tank) -> Any:
-    """A body as a mesh of Mitsuba's."""
+    """Convert a body to a mesh of Mitsuba's."""
     properties = mi.Properties()
     properties["mesh_bsdf"] = mi.load_dict(_bsdf(material, tank))
     return mesh_of(
@@ -349,16 +363,17 @@ def _cloud(
 ) -> Any:
     if images is None or positions_mm is None:
         return None
-    lit = (images.intensity > 0.0) & np.isfinite(images.sigma_px)
-    if not lit.any():
+    bright = (images.intensity > 0.0) & np.isfinite(images.sigma_px)
+    if not bright.any():
         return None
     return paths.Cloud(
-        positions_mm[lit] - origin, *glow_of(images, images.shape_mm(camera, positions_mm), lit)
+        positions_mm[bright] - origin,
+        *glow_of(images, images.shape_mm(camera, positions_mm), bright),
     )
 
 
 def _stacks(paths: Any, tank: Tank, origin: F64) -> tuple[Any, Any]:
-    """The walls, from the fluid outwards; the fluid goes on for ever where there is no back wall."""
+    """Layers of both walls from the fluid outwards; None where there is no wall."""
     wall = tank.wall
     if wall is None:
         return None, None

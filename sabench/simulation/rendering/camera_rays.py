@@ -1,4 +1,4 @@
-"""Camera rays that the three integrators share, as Dr.Jit arrays.
+"""Camera rays of the three integrators, as Dr.Jit arrays.
 
 Import this module only after sabench.utils.backend.mitsuba(): its types are those of the variant
 that is set then.
@@ -22,7 +22,7 @@ WAVEFRONT = 1 << 22  # rays traced simultaneously: bounds memory, not results
 
 
 def render_rows(camera: Camera, samples: int, trace: Callable[[int, int], Any]) -> F32:
-    """Mean radiance (rows, columns) of `samples` rays a pixel, a band of rows at a time.
+    """Render mean radiance (rows, columns), a band of rows at a time.
 
     Rays of one pixel are neighbours and are added up in their order, so that the image does not
     depend on how threads are scheduled (a film, to which threads add as they finish, would).
@@ -42,7 +42,7 @@ def render_rows(camera: Camera, samples: int, trace: Callable[[int, int], Any]) 
 
 
 def pixels_of_rows(camera: Camera, count: int, samples: int) -> tuple[Any, Any, Any]:
-    """Row and column of the pixels of `count` rows, and the number of each of their rays."""
+    """Rows, columns and ray numbers of all rays of `count` rows."""
     index = dr.arange(mi.UInt32, count * camera.columns * samples)
     pixel = index // samples
     return pixel // camera.columns, pixel % camera.columns, index % samples
@@ -66,7 +66,7 @@ def pinhole_rays(camera: Camera, origin: F64, column: Any, row: Any, first: int 
 def lens_rays(
     camera: Camera, origin: F64, column: Any, row: Any, lens_mm: tuple[Any, Any], first: int = 0
 ) -> Any:
-    """Rays from points of the aperture, right and down from its middle, to the plane in focus.
+    """Rays from points of the aperture to the plane in focus.
 
     Other parameters as `pinhole_rays`.
     """
@@ -75,8 +75,8 @@ def lens_rays(
     right, below, forward = (opaque(axis) for axis in camera.rotation)
     focus = dr.opaque(mi.Float, camera.focus_mm)
     start = mi.Point3f(opaque(np.asarray(camera.center_mm) - origin)) + a * right + b * below
-    way = (x * focus - a) * right + (y * focus - b) * below + focus * forward
-    return mi.Ray3f(start, dr.normalize(way))
+    direction = (x * focus - a) * right + (y * focus - b) * below + focus * forward
+    return mi.Ray3f(start, dr.normalize(direction))
 
 
 def _ideal(camera: Camera, column: Any, row: Any, first: int) -> tuple[Any, Any]:
@@ -104,7 +104,7 @@ def undistorted(lens: Distortion, u: Any, v: Any) -> tuple[Any, Any]:
 
 
 def opaque(vector: npt.ArrayLike) -> Any:
-    """Give a vector (3,) to the device so that all kernels are shared, whatever its value."""
+    """Give a vector (3,) to the device; kernels do not depend on its value."""
     values = np.asarray(vector, dtype=np.float64).tolist()
     return mi.Vector3f(*(dr.opaque(mi.Float, value) for value in values))
 

@@ -1,4 +1,4 @@
-"""Lamps where the fluid sees them."""
+"""Lamps at their apparent positions in the fluid."""
 
 from __future__ import annotations
 
@@ -14,36 +14,45 @@ from sabench.utils.arrays import F64
 
 @dataclass(frozen=True)
 class Lamps:
-    """Where light comes from: places (n, 3) in the frame of the render, power, 1 for a white surface that faces it at a distance of 1 mm, and what
+    """Lamps in the frame of the render.
+
+    `positions` (n, 3); `powers` (n,), where 1 gives a white surface that faces the lamp at 1 mm a
+    radiance of 1; `ambient` is uniform light from all directions.
     comes evenly from everywhere."""
 
-    places: F64
+    positions: F64
     powers: F64
-    even: float
+    ambient: float
 
 
-def placed(
+def place_lamps(
     lighting: Lighting, camera: Camera, center_mm: F64, origin: F64, scale: float = 1.0
 ) -> Lamps:
-    """Lamps whose powers add up to the exposure, times `scale`, of a white surface at the centre that faces the wall, even light included."""
+    """Build lamps that give a white surface at the centre its exposure.
+
+    The surface faces the wall; ambient light is included and all powers are multiplied by `scale`.
+    """
     facing = np.asarray(camera.wall.normal if camera.wall else camera.rotation[2])
-    places = np.array(
+    positions = np.array(
         [_apparent(camera.wall, np.asarray(lamp.center_mm)) for lamp in lighting.lamps]
     )
     powers = np.array([lamp.power for lamp in lighting.lamps])
-    ways = places - center_mm
-    lengths = np.linalg.norm(ways, axis=1)
-    there = float(np.sum(powers * np.maximum(-(ways @ facing), 0.0) / lengths**3))
-    even = lighting.even or 0.0
+    directions = positions - center_mm
+    lengths = np.linalg.norm(directions, axis=1)
+    there = float(np.sum(powers * np.maximum(-(directions @ facing), 0.0) / lengths**3))
+    ambient = lighting.even or 0.0
     return Lamps(
-        places - origin,
-        (1.0 - even) * lighting.exposure * scale * powers / max(there, 1e-300),
-        even * lighting.exposure * scale,
+        positions - origin,
+        (1.0 - ambient) * lighting.exposure * scale * powers / max(there, 1e-300),
+        ambient * lighting.exposure * scale,
     )
 
 
 def _apparent(wall: Wall | None, lamp_mm: F64) -> F64:
-    """Where a lamp in front of the wall seems to be for rays that cross the wall steeply; a lamp in the fluid is where it is."""
+    """Apparent position of a lamp for rays that cross the wall steeply.
+
+    A lamp in the fluid stays where it is.
+    """
     before = -float(wall.depth_of(lamp_mm)) if wall else 0.0
     if wall is None or before <= 0.0:
         return lamp_mm

@@ -1,4 +1,4 @@
-"""The laser: how many photons fall on a square millimetre at each place, in one pulse."""
+"""Laser sheet: photons per square millimetre of one pulse."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def photon_energy_mj(wavelength_nm: float) -> float:
 
 
 def fluence(light: Illumination, center_mm: F64, positions_mm: F64) -> F64:
-    """Photons per mm2 of one pulse at positions (n, 3) in a sheet through `center_mm`.
+    """Photons per mm2 of one pulse at positions (n, 3) in a sheet.
 
     Top-hat: the energy evenly over height x thickness, zero outside the thickness. Gaussian: across
     the sheet exp(-8 s^2 / w^2) with the e^-2 width w, and the same energy. Along the height the

@@ -1,4 +1,4 @@
-"""Where lines meet bodies, by Mitsuba's search through their triangles."""
+"""Intersections of lines with bodies, by Mitsuba's search for triangles."""
 
 from __future__ import annotations
 
@@ -15,7 +15,10 @@ _ODD = np.array([0.8017837, 0.2672612, 0.5345225])  # a direction in which few b
 
 
 def mesh_of(mi: Any, solid: Solid, origin: F64, **how: Any) -> Any:
-    """A body as a mesh of Mitsuba's, around an origin; `how` are further arguments of `mi.Mesh`."""
+    """Convert a body to a mesh of Mitsuba's.
+
+    `how` are further arguments of `mi.Mesh`.
+    """
     mesh = mi.Mesh("body", len(solid.vertices_mm), len(solid.faces), **how)
     values = mi.traverse(mesh)
     values["vertex_positions"] = (solid.vertices_mm - origin).astype(np.float32).ravel()
@@ -25,7 +28,7 @@ def mesh_of(mi: Any, solid: Solid, origin: F64, **how: Any) -> Any:
 
 
 class BodySearch:
-    """Bodies ready to be looked for along many lines."""
+    """Search for the first body along many lines."""
 
     def __init__(self, bodies: Sequence[Solid]) -> None:
         self._mi = mi = backend.mitsuba()
@@ -41,15 +44,20 @@ class BodySearch:
             meshes[f"body_{number}"] = mesh_of(mi, solid, self._origin)
         self._scene = mi.load_dict({"type": "scene", **meshes})
 
-    def first(self, starts_mm: F64, ways: F64) -> tuple[F64, I64]:
-        """Distance (n,) to the first body along lines from `starts_mm` (n, 3), infinite for none, and which it is (n,), -1 for none."""
+    def first(self, starts_mm: F64, directions: F64) -> tuple[F64, I64]:
+        """Find the first body along lines.
+
+        Returns the distance (n,), inf for none, and the body's number (n,), -1 for none.
+        """
         mi = self._mi
-        known = np.asarray(np.isfinite(ways).all(axis=1))
+        known = np.asarray(np.isfinite(directions).all(axis=1))
         start = np.where(known[:, None], starts_mm - self._origin, 0.0)
-        way = np.where(known[:, None], ways, [0.0, 0.0, 1.0])
-        ahead = np.maximum(-np.sum(start * way, axis=1) - 1.01 * self._reach, 0.0)
-        near = start + ahead[:, None] * way
-        ray = mi.Ray3f(mi.Point3f(near.T.astype(np.float32)), mi.Vector3f(way.T.astype(np.float32)))
+        direction = np.where(known[:, None], directions, [0.0, 0.0, 1.0])
+        ahead = np.maximum(-np.sum(start * direction, axis=1) - 1.01 * self._reach, 0.0)
+        near = start + ahead[:, None] * direction
+        ray = mi.Ray3f(
+            mi.Point3f(near.T.astype(np.float32)), mi.Vector3f(direction.T.astype(np.float32))
+        )
         met = self._scene.ray_intersect_preliminary(ray, True)
         valid = np.array(met.is_valid()) & known
         which = np.full(len(known), -1, dtype=np.int64)
@@ -58,18 +66,24 @@ class BodySearch:
         return np.where(valid, np.array(met.t, dtype=np.float64) + ahead, np.inf), which
 
     def enclosed(self, points_mm: F64) -> Bool:
-        """Which points (n, 3) are in a body: those from which a line to outside leaves one more often than it enters."""
+        """Find which points (n, 3) lie in a body.
+
+        A line from such a point to the outside leaves bodies more often than it enters them.
+        """
         mi = self._mi
-        place = mi.Point3f((points_mm - self._origin).T.astype(np.float32))
-        way = mi.Vector3f(*(float(v) for v in _ODD))
+        position = mi.Point3f((points_mm - self._origin).T.astype(np.float32))
+        direction = mi.Vector3f(*(float(v) for v in _ODD))
         balance, active = (
             np.zeros(len(points_mm), dtype=np.int64),
             np.ones(len(points_mm), dtype=np.bool_),
         )
         while active.any():
-            met = self._scene.ray_intersect(mi.Ray3f(place, way), mi.Bool(active))
+            met = self._scene.ray_intersect(mi.Ray3f(position, direction), mi.Bool(active))
             active &= np.array(met.is_valid())
-            outwards = np.array(met.n.x * way.x + met.n.y * way.y + met.n.z * way.z) > 0.0
+            outwards = (
+                np.array(met.n.x * direction.x + met.n.y * direction.y + met.n.z * direction.z)
+                > 0.0
+            )
             balance += np.where(active, np.where(outwards, 1, -1), 0)
-            place = mi.Point3f(met.spawn_ray(way).o)
+            position = mi.Point3f(met.spawn_ray(direction).o)
         return np.asarray(balance > 0)

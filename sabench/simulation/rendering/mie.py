@@ -1,4 +1,4 @@
-"""How much of the light that falls on a particle leaves it towards a lens: Mie's theory, tabulated and averaged over the aperture."""
+"""Mie scattering of particles, tabulated and averaged over an aperture."""
 
 from __future__ import annotations
 
@@ -20,7 +20,9 @@ _SIZES = 16
 
 @dataclass(frozen=True)
 class MieTable:
-    """Differential scattering cross-section per squared diameter (1/sr) over the scattering angle (rad, ascending).
+    """Differential cross-section per squared diameter over scattering angles.
+
+    In 1/sr; angles in rad, ascending.
 
     A polydisperse cloud is tabulated as the mean over `_SIZES` quantiles of its diameters: the
     lobes of single sizes, which depend on the diameter's last nanometre, average out in it as they
@@ -31,7 +33,10 @@ class MieTable:
     per_square_diameter: F64
 
     def averaged(self, half_angle_rad: float) -> MieTable:
-        """The table as a round aperture of that half angle (in the fluid) sees it: a mean with semicircular weights."""
+        """Average the table over a round aperture of that half angle in the fluid.
+
+        The weights are semicircular.
+        """
         reach = int(np.floor(half_angle_rad / _STEP_RAD))
         weights = np.sqrt(
             1.0 - (np.arange(-reach, reach + 1) * _STEP_RAD / max(half_angle_rad, _STEP_RAD)) ** 2
@@ -84,7 +89,10 @@ def _tabulate(
     wavelength_nm: float,
     angles_rad: tuple[float, float],
 ) -> MieTable:
-    """The table of sizes and how many of the cloud's `_SIZES` quantiles have each; kept, since the frames of a cloud that moves share it."""
+    """Tabulate sizes with how many of the cloud's `_SIZES` quantiles have each.
+
+    The table is cached, since the frames of a moving cloud share it.
+    """
     import miepython
 
     angles = np.arange(

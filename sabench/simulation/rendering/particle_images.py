@@ -1,4 +1,6 @@
-"""What one camera receives from each particle: where, how many photons, how large. Both renderers start from these figures.
+"""Particle images in one camera: position, photons, size.
+
+Both renderers start from these figures.
 
 The lens is a round aperture. Moving the pinhole over it gives, through the wall, the directions in
 which light must leave a particle to pass it: the spread of these directions is the solid angle of
@@ -30,7 +32,7 @@ _CHUNK = 8192  # points at a time
 
 @dataclass(frozen=True)
 class ParticleImages(View):
-    """Images of n particles in one camera, and the light that leaves the particles for them.
+    """Images of n particles in one camera, and the light that leaves for them.
 
     Attributes
     ----------
@@ -43,7 +45,11 @@ class ParticleImages(View):
     direction: F64
 
     def shape_mm(self, camera: Camera, position_mm: F64) -> F64:
-        """Two vectors across `direction` (n, 2, 3): moving the particle by one moves its image by sigma_px along the columns or the rows."""
+        """Vectors (n, 2, 3) across the light path that span a particle's Gaussian.
+
+        A shift of the particle by one of them shifts its image by sigma_px along the columns or the
+        rows.
+        """
         return np.asarray(
             _chunked(_object_shape, camera, position_mm, self.direction)[1]
             * self.sigma_px[:, None, None]
@@ -53,7 +59,10 @@ class ParticleImages(View):
 def scattering_table(
     scene: Scene, cameras: tuple[Camera, ...], particles: Particles
 ) -> MieTable | None:
-    """The Mie table of these particles over all directions from the volume to the cameras; None for isotropic scattering or no particles."""
+    """Tabulate Mie scattering from the volume to all cameras.
+
+    None for isotropic scattering or no particles.
+    """
     if scene.light.scattering == "isotropic" or not len(particles):
         return None
     index = complex(scene.tracer.index, -scene.tracer.absorption)
@@ -64,7 +73,10 @@ def scattering_table(
 
 
 def _angle_range(scene: Scene, cameras: tuple[Camera, ...]) -> tuple[float, float]:
-    """Smallest and largest scattering angle over a lattice in the volume, with room for the apertures and between the lattice's points."""
+    """Smallest and largest scattering angle over a lattice in the volume.
+
+    A margin allows for the apertures and for points between the lattice's.
+    """
     steps = np.stack(np.meshgrid(*[np.linspace(-0.5, 0.5, 9)] * 3), axis=-1).reshape(-1, 3)
     lattice = np.asarray(scene.volume.center_mm) + steps * np.asarray(scene.volume.size_mm)
     angles = []
@@ -83,21 +95,21 @@ def image_particles(
     table: MieTable | None,
     occluders: tuple[Disc, ...] = (),
 ) -> ParticleImages:
-    """Position, brightness and size of every particle's image in one camera.
+    """Compute position, brightness and size of every particle's image.
 
     Photons = intensity x solid angle of the lens x Fresnel transmission of the wall; intensity =
     fluence x dC/dOmega averaged over the lens. The image is Gaussian with the summed variances of
     the particle's disc (M d / 4), of diffraction (Airy, `_AIRY`) and of defocus (a disc, diameter /
     4): Adrian and Yao (1985), Olsen and Adrian (2000).
     """
-    seen = _Sight(*_chunked(_see, camera, particles.position_mm))
-    lit = seen.valid & ~in_shadow(occluders, np.asarray(camera.center_mm), seen.leaving)
+    seen = _LightPaths(*_chunked(_see, camera, particles.position_mm))
+    unobstructed = seen.valid & ~in_shadow(occluders, np.asarray(camera.center_mm), seen.leaving)
     half_angle = float(np.nanmedian(seen.half_angle)) if len(particles) else 0.0
     intensity = fluence(
         scene.light, np.asarray(scene.volume.center_mm), particles.position_mm
     ) * _cross_section(scene, particles, seen.arriving, table, half_angle)
     photons = np.where(
-        lit, intensity * seen.solid_angle * transmittance(camera.wall, seen.leaving), 0.0
+        unobstructed, intensity * seen.solid_angle * transmittance(camera.wall, seen.leaving), 0.0
     )
     given = scene.cameras.particle_sigma_px
     sigma = (
@@ -105,12 +117,12 @@ def image_particles(
         if given is None
         else np.full(len(particles), given)
     )
-    visible = lit & camera.contains(seen.pixel)
+    visible = unobstructed & camera.contains(seen.pixel)
     return ParticleImages(seen.pixel, photons, sigma, visible, intensity, seen.arriving)
 
 
-def _sigma_px(scene: Scene, camera: Camera, particles: Particles, seen: _Sight) -> F64:
-    """The spread of a Gaussian with the variances of diffraction, of the particle's disc and of defocus."""
+def _sigma_px(scene: Scene, camera: Camera, particles: Particles, seen: _LightPaths) -> F64:
+    """Standard deviations of images from diffraction, particle disc and defocus."""
     magnification = _chunked(_object_shape, camera, particles.position_mm, seen.arriving)[0]
     variance = (
         diffraction_px(camera, scene.light.wavelength_nm) ** 2
@@ -121,7 +133,7 @@ def _sigma_px(scene: Scene, camera: Camera, particles: Particles, seen: _Sight) 
 
 
 def diffraction_px(camera: Camera, wavelength_nm: float) -> float:
-    """Standard deviation of the Gaussian that stands for the lens's Airy disc."""
+    """Standard deviation of the Gaussian that approximates the Airy disc."""
     return float(
         _AIRY
         * wavelength_nm
@@ -133,8 +145,8 @@ def diffraction_px(camera: Camera, wavelength_nm: float) -> float:
     )
 
 
-class _Sight(NamedTuple):
-    """How one camera sees n points: arrays of n rows."""
+class _LightPaths(NamedTuple):
+    """Light paths from n points to one camera: arrays of n rows."""
 
     leaving: F64
     arriving: F64
@@ -148,7 +160,10 @@ class _Sight(NamedTuple):
 def _chunked(
     function: Callable[..., tuple[F64 | Bool, ...]], camera: Camera, *points: F64
 ) -> list[Any]:
-    """A function of points (n, 3) chunk by chunk, so that what lies between its steps stays in the cache: three times as fast for many points."""
+    """Apply a function of points (n, 3) chunk by chunk.
+
+    What lies between its steps then stays in the cache: three times as fast for many points.
+    """
     chunks = [
         function(camera, *(each[first : first + _CHUNK] for each in points))
         for first in range(0, max(len(points[0]), 1), _CHUNK)
@@ -169,31 +184,37 @@ def _see(camera: Camera, points: F64) -> tuple[F64 | Bool, ...]:
 
 
 def _through_aperture(camera: Camera, points: F64, chief: F64) -> tuple[F64, F64, F64]:
-    """Half angle of the lens in the fluid (rad), diameter of the defocus disc (px) and solid angle (sr) of the lens at each point."""
+    """Half angle (rad), defocus diameter (px) and solid angle (sr) of the lens.
+
+    At each point (n,), in the fluid.
+    """
     radius = camera.aperture_radius_mm
-    turns, smears = [], []
+    rotations, smears = [], []
     for axis, (right, down) in enumerate(((radius, 0.0), (0.0, radius))):
         ends = []
         for sign in (1.0, -1.0):
             moved = camera.shifted(sign * right, sign * down)
             paths = trace_to_points(moved.wall, np.asarray(moved.center_mm), points)
             ends.append((paths.arriving, moved.pixels_of(paths.leaving, paths.valid)[0]))
-        turns.append((ends[0][0] - ends[1][0]) / 2.0)
+        rotations.append((ends[0][0] - ends[1][0]) / 2.0)
         smear = ends[0][1] - ends[1][1]
         smear[:, axis] += (
             2.0 * radius * camera.focal_px / camera.focus_mm
         )  # a point in focus would shift by this, and is at rest on the sensor
         smears.append(np.linalg.norm(smear, axis=1))
-    solid_angle = np.pi * np.abs(np.einsum("ij,ij->i", np.cross(turns[0], turns[1]), chief))
+    solid_angle = np.pi * np.abs(np.einsum("ij,ij->i", np.cross(rotations[0], rotations[1]), chief))
     return (
-        np.linalg.norm(turns[0], axis=1),
+        np.linalg.norm(rotations[0], axis=1),
         np.sqrt((smears[0] ** 2 + smears[1] ** 2) / 2.0),
         solid_angle,
     )
 
 
 def _object_shape(camera: Camera, points: F64, direction: F64) -> tuple[F64, F64]:
-    """Magnification (px/mm, mean over directions) and the moves across the light path that shift the image by one pixel: (n, 2, 3)."""
+    """Magnification, and the shifts that move the image by one pixel.
+
+    In px/mm, mean over directions; shifts (n, 2, 3) lie across the light path.
+    """
     step = 1e-3  # mm: far above float64's noise, far below any change of magnification
     first = np.cross(
         direction, camera.rotation[1]
@@ -218,7 +239,10 @@ def _object_shape(camera: Camera, points: F64, direction: F64) -> tuple[F64, F64
 def _cross_section(
     scene: Scene, particles: Particles, arriving: F64, table: MieTable | None, half_angle: float
 ) -> F64:
-    """dC/dOmega towards the camera, mm2/sr; isotropic: the geometric cross-section spread over the sphere."""
+    """Differential cross-section towards the camera, mm2/sr.
+
+    Isotropic scattering spreads the geometric cross-section over the sphere.
+    """
     if table is None:
         return np.asarray(particles.diameter_mm**2 / 16.0)
     angles = _scattering_angles(scene, arriving)
@@ -226,6 +250,6 @@ def _cross_section(
 
 
 def _scattering_angles(scene: Scene, arriving: F64) -> F64:
-    """Angle between the laser's direction and the light that goes to the camera, rad."""
+    """Angle between the laser's direction and the light to the camera, rad."""
     forward = np.asarray(scene.light.direction) / np.linalg.norm(scene.light.direction)
     return np.asarray(np.arccos(np.clip(-arriving @ forward, -1.0, 1.0)))

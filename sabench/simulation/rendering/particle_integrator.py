@@ -1,4 +1,4 @@
-"""Follow rays through dielectric planes into a cloud of glowing balls, inside Mitsuba's scene.
+"""Integrator of glowing balls behind dielectric planes, in Mitsuba's scene.
 
 Import this module only after sabench.utils.backend.mitsuba(): its types are those of the variant
 that is set then. (@dr.syntax sees module globals only, so the functions cannot live inside another
@@ -30,7 +30,7 @@ _NONE = 0xFFFFFFFF
 
 @dataclass(frozen=True)
 class Cloud:
-    """Balls around glowing particles, in the frame of the render.
+    """Glowing balls around particles, in the frame of the render.
 
     Attributes
     ----------
@@ -57,9 +57,9 @@ def render(
     side: int,
     occluders: tuple[Disc, ...],
 ) -> F32:
-    """Render radiance (rows, columns) in front of the lens by side x side rays a pixel.
+    """Render radiance (rows, columns) in front of the lens.
 
-    The rays of a pixel form a regular grid.
+    The side x side rays of a pixel form a regular grid.
 
     Parameters
     ----------
@@ -77,7 +77,7 @@ def render(
 
 
 class _Tables:
-    """A cloud on the device."""
+    """Device copy of a cloud."""
 
     def __init__(self, cloud: Cloud, interfaces: int) -> None:
         self.centers, self.a, self.b = (
@@ -102,7 +102,9 @@ def _rays(camera: Camera, origin: F64, first: int, count: int, side: int) -> Any
 
 @dr.syntax
 def _trace(scene: Any, ray: Any, cloud: Any, free: Any) -> Any:
-    """Radiance along `free` rays: Mitsuba's transmission at dielectrics, plus the glow of every ball that is entered in the fluid.
+    """Trace the radiance along `free` rays.
+
+    Interfaces transmit by Mitsuba's rules; every ball that is entered in the fluid adds its glow.
 
     Mitsuba intersects balls in single precision, whose error grows with the square of the distance
     from the ray's origin: a ray is therefore moved up to the cloud (a sphere around the scene's
@@ -125,8 +127,8 @@ def _trace(scene: Any, ray: Any, cloud: Any, free: Any) -> Any:
         bsdf = si.bsdf()
         ball = active & mi.has_flag(bsdf.flags(), mi.BSDFFlags.Diffuse)
         entered = ball & (si.prim_index != last) & (crossed == cloud.interfaces)
-        place = dr.fma(ray.d, si.t, ray.o)
-        offset = place - dr.gather(mi.Point3f, cloud.centers, si.prim_index, entered)
+        position = dr.fma(ray.d, si.t, ray.o)
+        offset = position - dr.gather(mi.Point3f, cloud.centers, si.prim_index, entered)
         offset -= (
             dr.dot(ray.d, offset) * ray.d
         )  # a ball is met in front of its centre, where rays of one pinhole lie closer together
@@ -144,7 +146,7 @@ def _trace(scene: Any, ray: Any, cloud: Any, free: Any) -> Any:
         weight = dr.select(wall, weight * value.x, weight)
         crossed += dr.select(wall, mi.UInt32(1), mi.UInt32(0))
         ray.d = dr.select(wall, si.to_world(sampled.wo), ray.d)
-        ray.o = dr.fma(ray.d, cloud.advance, place)
+        ray.o = dr.fma(ray.d, cloud.advance, position)
         hits += 1
         active &= (hits < _MAX_HITS) & (weight > 0.0)
     return result

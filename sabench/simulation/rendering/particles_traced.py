@@ -1,4 +1,4 @@
-"""Mitsuba renderer: rays from each pixel through real dielectric interfaces into a cloud of glowing particles.
+"""Mitsuba renderer of tracers behind real dielectric interfaces.
 
 Each particle is one primitive of an `ellipsoids` shape: a ball around a Gaussian glow whose width
 is the one that the camera's diffraction, defocus and the particle's disc give it. Every ray is
@@ -33,7 +33,9 @@ def render(
     samples: int,
     occluders: tuple[Disc, ...] = (),
 ) -> F64:
-    """Photon radiance image (rows, columns), photons / (mm2 sr) in front of the lens, of one exposure.
+    """Render the photon radiance (rows, columns) of one exposure.
+
+    In photons / (mm2 sr), in front of the lens.
 
     Parameters
     ----------
@@ -41,19 +43,20 @@ def render(
     occluders : discs that stop rays before they reach the wall; a particle behind the edge of one
         is cut there, so all that glow are traced.
     """
-    lit = (images.intensity > 0.0) & camera.contains(
+    bright = (images.intensity > 0.0) & camera.contains(
         images.pixel, 8.0 * float(np.nanmax(images.sigma_px, initial=0.0)) + 8.0
     )
-    if not lit.any():
+    if not bright.any():
         return np.zeros((camera.rows, camera.columns))
     mi = backend.mitsuba()
     from sabench.simulation.rendering import particle_integrator  # needs the variant
 
-    origin = positions_mm[lit].mean(
+    origin = positions_mm[bright].mean(
         axis=0
     )  # single precision: the numbers are small where the particles are
     cloud = particle_integrator.Cloud(
-        positions_mm[lit] - origin, *glow_of(images, images.shape_mm(camera, positions_mm), lit)
+        positions_mm[bright] - origin,
+        *glow_of(images, images.shape_mm(camera, positions_mm), bright),
     )
     scene = mi.load_dict(
         {
@@ -69,26 +72,26 @@ def render(
     return radiance.astype(np.float64)
 
 
-def glow_of(images: ParticleImages, shape_mm: F64, lit: Bool) -> tuple[F64, F64, F64, F64]:
-    """Per particle the radius of its ball, two covectors a, b of its Gaussian across the light path, and its peak radiance.
+def glow_of(images: ParticleImages, shape_mm: F64, bright: Bool) -> tuple[F64, F64, F64, F64]:
+    """Radius, two covectors a, b and peak radiance of each particle's Gaussian.
 
     The radiance integrates to the radiant intensity: I = L 2 pi |s x t| for a Gaussian with the
     half axes s, t.
     """
-    s, t = shape_mm[lit, 0], shape_mm[lit, 1]
+    s, t = shape_mm[bright, 0], shape_mm[bright, 1]
     normal = np.cross(s, t)
     area = np.linalg.norm(normal, axis=1)
     unit = normal / area[:, None]
     a = np.cross(t, unit) / area[:, None]
     b = np.cross(unit, s) / area[:, None]
     radii = _REACH * np.linalg.norm(
-        shape_mm[lit], axis=(1, 2)
+        shape_mm[bright], axis=(1, 2)
     )  # Frobenius norm: at least the largest half axis
-    return radii, a, b, images.intensity[lit] / (2.0 * np.pi * area)
+    return radii, a, b, images.intensity[bright] / (2.0 * np.pi * area)
 
 
 def balls(mi: Any, centers: F64, radii: F64) -> dict[str, Any]:
-    """Balls that hold the glow, whatever its axes."""
+    """Describe balls that hold the glow, whatever its axes."""
     quaternion = np.tile([0.0, 0.0, 0.0, 1.0], (len(centers), 1))
     data = np.hstack([centers, np.repeat(radii[:, None] / _REACH, 3, axis=1), quaternion]).astype(
         np.float32
@@ -102,7 +105,7 @@ def balls(mi: Any, centers: F64, radii: F64) -> dict[str, Any]:
 
 
 def interfaces(mi: Any, wall: Wall | None, origin: F64, camera: Camera) -> dict[str, Any]:
-    """One dielectric rectangle per interface, facing the cameras."""
+    """Describe one dielectric rectangle per interface, facing the cameras."""
     if wall is None:
         return {}
     normal = np.asarray(wall.normal)
@@ -110,9 +113,11 @@ def interfaces(mi: Any, wall: Wall | None, origin: F64, camera: Camera) -> dict[
     half = 4.0 * float(np.linalg.norm(np.asarray(camera.center_mm) - origin))
     shapes = {}
     for i, depth in enumerate(wall.interface_depths_mm):
-        place = foot + depth * normal - origin
+        position = foot + depth * normal - origin
         frame = mi.ScalarTransform4f().look_at(
-            origin=place.tolist(), target=(place - normal).tolist(), up=_any_across(normal).tolist()
+            origin=position.tolist(),
+            target=(position - normal).tolist(),
+            up=_any_across(normal).tolist(),
         )
         optics = {
             "type": "dielectric",

@@ -1,4 +1,6 @@
-"""What each pixel truly sees of bubbles and bodies, along its refracted line of sight.
+"""True visibility of bubbles and bodies in each pixel.
+
+Lines of sight are refracted.
 
 Lines of sight are the camera's own (`Camera.back_project`) and bubbles are met by their equation:
 nothing here comes from the renderer, whose depths and masks would be those of straight rays.
@@ -25,25 +27,25 @@ _AROUND, _STEPS = 48, 8  # points of a contour, and steps of the secant method t
 
 
 def see(camera: Camera, bubbles: Bubbles, bodies: Sequence[Solid] = ()) -> Sight:
-    """The truth of one camera's picture, without its lens's blur."""
-    starts, ways, before = _lines(camera)
+    """Compute what each pixel of one camera sees, without the lens's blur."""
+    starts, directions, before = _lines(camera)
     pixel, _ = camera.project(bubbles.center_mm) if len(bubbles) else (np.zeros((0, 2)), None)
     contour = outlines(camera, bubbles, pixel)
     shape = (camera.rows * _FINER, camera.columns * _FINER)
     near, number = np.full(shape, np.inf, dtype=np.float32), np.full(shape, NOTHING, dtype=np.int32)
     if bodies:
-        _bodies(starts, ways, bodies, near, number)
+        _bodies(starts, directions, bodies, near, number)
     boxes = _boxes(contour, shape)
     whole = np.zeros(len(bubbles), dtype=np.int64)
-    _cover(starts, ways, bubbles.center_mm, bubbles.to_ball, boxes, near, number, whole)
+    _cover(starts, directions, bubbles.center_mm, bubbles.to_ball, boxes, near, number, whole)
     seen = np.bincount(number[number >= 0], minlength=len(bubbles))[: len(bubbles)]
     middle = slice(_FINER // 2, None, _FINER)
     first, distance = number[middle, middle].copy(), near[middle, middle].astype(np.float64)
     distance[first == NOTHING] = np.nan
-    places = starts + ways * distance[..., None]
+    positions = starts + directions * distance[..., None]
     return Sight(
         first,
-        depth_of(camera, places).astype(np.float32),
+        depth_of(camera, positions).astype(np.float32),
         (before + distance).astype(np.float32),
         _shares(seen, whole, contour),
         pixel,
@@ -52,14 +54,16 @@ def see(camera: Camera, bubbles: Bubbles, bodies: Sequence[Solid] = ()) -> Sight
 
 
 def outlines(camera: Camera, bubbles: Bubbles, pixel: F64) -> F64:
-    """Outlines (n, 48, 2) of bubbles whose centres are imaged at `pixel` (n, 2): where lines of sight just touch them.
+    """Outlines (n, 48, 2) of bubbles, where lines of sight touch them.
+
+    `pixel` (n, 2) are the images of their centres.
 
     From the centre's image outwards, the distance of a line of sight from the centre (in radii of
     the ball that the bubble is an image of) grows almost evenly, so that the secant method finds
     where it is one.
     """
     angles = 2.0 * np.pi * np.arange(_AROUND) / _AROUND
-    ways = np.column_stack([np.cos(angles), np.sin(angles)])
+    directions = np.column_stack([np.cos(angles), np.sin(angles)])
     count = len(bubbles)
     if not count:
         return np.zeros((0, _AROUND, 2))
@@ -68,7 +72,9 @@ def outlines(camera: Camera, bubbles: Bubbles, pixel: F64) -> F64:
     at_shortest = _distances(camera, bubbles, np.repeat(pixel[:, None], _AROUND, axis=1)) ** 2
     with np.errstate(invalid="ignore", divide="ignore"):
         for _ in range(_STEPS):
-            here = _distances(camera, bubbles, pixel[:, None] + lengths[..., None] * ways) ** 2
+            here = (
+                _distances(camera, bubbles, pixel[:, None] + lengths[..., None] * directions) ** 2
+            )
             scale = (here - at_shortest) / (lengths**2 - shortest**2)
             step = np.sqrt(np.maximum(lengths**2 + (1.0 - here) / scale, 1e-12))
             shortest, at_shortest, lengths = (
@@ -77,11 +83,11 @@ def outlines(camera: Camera, bubbles: Bubbles, pixel: F64) -> F64:
                 np.where(np.abs(here - 1.0) < 1e-10, lengths, step),
             )
             lengths = np.where(lengths == shortest, shortest * (1.0 + 1e-13), lengths)
-    return np.asarray(pixel[:, None] + lengths[..., None] * ways)
+    return np.asarray(pixel[:, None] + lengths[..., None] * directions)
 
 
 def _distances(camera: Camera, bubbles: Bubbles, pixels: F64) -> F64:
-    """How near lines of sight of pixels (n, m, 2) come to the centres, in radii of the ball: (n, m)."""
+    """Distances (n, m) of lines of sight from bubble centres, in ball radii."""
     count, around = pixels.shape[:2]
     rays = camera.back_project(np.nan_to_num(pixels.reshape(-1, 2), nan=-1e6))
     offset = rays.origins_mm.reshape(count, around, 3) - bubbles.center_mm[:, None]
@@ -92,7 +98,11 @@ def _distances(camera: Camera, bubbles: Bubbles, pixels: F64) -> F64:
 
 
 def _lines(camera: Camera) -> tuple[F64, F64, F64]:
-    """Lines of sight of all pixels in the fluid: starts and unit directions (rows, columns, 3), lengths of light's way before (rows, columns)."""
+    """Lines of sight of all pixels in the fluid.
+
+    Starts and unit directions (rows, columns, 3), and path lengths before the fluid (rows,
+    columns).
+    """
     column, row = np.meshgrid(
         np.arange(camera.columns, dtype=np.float64), np.arange(camera.rows, dtype=np.float64)
     )
@@ -109,14 +119,21 @@ def _lines(camera: Camera) -> tuple[F64, F64, F64]:
 
 
 def depth_of(camera: Camera, places_mm: F64) -> F64:
-    """Depths (...) of places (..., 3): along the wall's normal from its outer face, without a wall along the camera's axis from its pinhole."""
+    """Depths (...) of positions (..., 3).
+
+    Along the wall's normal from its outer face; without a wall, along the camera's axis from its
+    pinhole.
+    """
     if camera.wall:
         return camera.wall.depth_of(places_mm)
     return np.asarray((places_mm - np.asarray(camera.center_mm)) @ np.asarray(camera.rotation)[2])
 
 
 def _boxes(contour: F64, shape: tuple[int, int]) -> I32:
-    """First and last rows and columns (n, 4) of the finer lines of sight that may meet each bubble; empty ones for those outside the image."""
+    """Bounding boxes (n, 4) of the finer lines of sight that may meet a bubble.
+
+    First and last rows, then columns; empty outside the image.
+    """
     boxes = np.zeros((len(contour), 4), dtype=np.int32)
     known = np.isfinite(contour).all(axis=(1, 2))
     low, high = (
@@ -130,7 +147,11 @@ def _boxes(contour: F64, shape: tuple[int, int]) -> I32:
 
 
 def _shares(seen: Any, whole: Any, contour: F64) -> F64:
-    """Parts of outlines that are seen: of the lines that meet a bubble those that meet it first, times the part of it that is in the image."""
+    """Visible shares (n,) of outlines.
+
+    Of the lines that meet a bubble, those that meet it first, times the share of the bubble that is
+    in the image.
+    """
     x, y = contour[..., 0], contour[..., 1]
     area = (
         0.5 * np.abs(np.sum(x * np.roll(y, -1, axis=1) - y * np.roll(x, -1, axis=1), axis=1))
@@ -152,8 +173,8 @@ def _shares(seen: Any, whole: Any, contour: F64) -> F64:
         )
 
 
-def _bodies(starts: F64, ways: F64, bodies: Sequence[Solid], near: F32, number: I32) -> None:
-    """The first bodies along all finer lines of sight."""
+def _bodies(starts: F64, directions: F64, bodies: Sequence[Solid], near: F32, number: I32) -> None:
+    """Enter the first bodies along all finer lines of sight."""
     search = BodySearch(bodies)
     for down in range(_FINER):
         for across in range(_FINER):
@@ -163,17 +184,20 @@ def _bodies(starts: F64, ways: F64, bodies: Sequence[Solid], near: F32, number: 
                     for start, size in zip((down, across), near.shape, strict=True)
                 )
             )
-            start, way = (
+            start, direction = (
                 _between(lines, (down - _FINER // 2) / _FINER, (across - _FINER // 2) / _FINER)
-                for lines in (starts, ways)
+                for lines in (starts, directions)
             )
-            distance, which = search.first(start.reshape(-1, 3), way.reshape(-1, 3))
+            distance, which = search.first(start.reshape(-1, 3), direction.reshape(-1, 3))
             near[part] = distance.reshape(starts.shape[:2])
             number[part] = np.where(which < 0, NOTHING, BODY - which).reshape(starts.shape[:2])
 
 
 def _between(lines: F64, down: float, across: float) -> F64:
-    """Lines between those of the pixels, by differences: they bend by far less than a pixel's own angle."""
+    """Interpolate lines of sight between those of the pixels, by differences.
+
+    They bend by far less than a pixel's own angle.
+    """
     return np.asarray(
         lines + down * np.gradient(lines, axis=0) + across * np.gradient(lines, axis=1)
     )
@@ -182,7 +206,7 @@ def _between(lines: F64, down: float, across: float) -> F64:
 @numba.njit(cache=True, error_model="numpy")
 def _cover(
     starts: Any,
-    ways: Any,
+    directions: Any,
     centers: Any,
     to_ball: Any,
     boxes: Any,
@@ -190,7 +214,7 @@ def _cover(
     number: Any,
     whole: Any,
 ) -> None:
-    """Enter every bubble where it is the first along a line of sight, and count the lines that meet it at all."""
+    """Enter bubbles that are first along lines of sight, and count all hits."""
     rows, columns = starts.shape[:2]
     p, d = np.empty(3), np.empty(3)
     for n in range(len(centers)):
@@ -204,7 +228,7 @@ def _cover(
                 across = u - column
                 for k in range(3):
                     p[k] = _bilinear(starts, row, column, down, across, k) - centers[n, k]
-                    d[k] = _bilinear(ways, row, column, down, across, k)
+                    d[k] = _bilinear(directions, row, column, down, across, k)
                 a = b = c = 0.0
                 for k in range(3):
                     pk = to_ball[n, k, 0] * p[0] + to_ball[n, k, 1] * p[1] + to_ball[n, k, 2] * p[2]
@@ -228,13 +252,13 @@ def _bilinear(lines: Any, row: int, column: int, down: float, across: float, k: 
     return upper * (1.0 - down) + lower * down
 
 
-def meets(bubbles: Bubbles, starts_mm: F64, ways: F64) -> Bool:
-    """Which lines from points (n, 3) along unit vectors (n, 3) meet a bubble."""
+def meets(bubbles: Bubbles, starts_mm: F64, directions: F64) -> Bool:
+    """Find which lines from points (n, 3) along unit vectors meet a bubble."""
     out = np.zeros(len(starts_mm), dtype=np.bool_)
     if len(bubbles):
         _meet(
             np.ascontiguousarray(starts_mm),
-            np.ascontiguousarray(ways),
+            np.ascontiguousarray(directions),
             bubbles.center_mm,
             bubbles.to_ball,
             bubbles.semi_axes_mm.max(axis=1),
@@ -244,14 +268,14 @@ def meets(bubbles: Bubbles, starts_mm: F64, ways: F64) -> Bool:
 
 
 @numba.njit(cache=True, parallel=True, error_model="numpy")
-def _meet(starts: Any, ways: Any, centers: Any, to_ball: Any, reach: Any, out: Any) -> None:
+def _meet(starts: Any, directions: Any, centers: Any, to_ball: Any, reach: Any, out: Any) -> None:
     for i in numba.prange(len(starts)):
         for n in range(len(centers)):
             along = across = 0.0
             for k in range(3):
-                along += (centers[n, k] - starts[i, k]) * ways[i, k]
+                along += (centers[n, k] - starts[i, k]) * directions[i, k]
             for k in range(3):
-                across += (starts[i, k] + along * ways[i, k] - centers[n, k]) ** 2
+                across += (starts[i, k] + along * directions[i, k] - centers[n, k]) ** 2
             if along <= 0.0 or across >= reach[n] * reach[n]:
                 continue
             a = b = c = 0.0
@@ -259,7 +283,7 @@ def _meet(starts: Any, ways: Any, centers: Any, to_ball: Any, reach: Any, out: A
                 pk = dk = 0.0
                 for m in range(3):
                     pk += to_ball[n, k, m] * (starts[i, m] - centers[n, m])
-                    dk += to_ball[n, k, m] * ways[i, m]
+                    dk += to_ball[n, k, m] * directions[i, m]
                 a += dk * dk
                 b += pk * dk
                 c += pk * pk

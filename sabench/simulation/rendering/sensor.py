@@ -1,4 +1,4 @@
-"""The camera's sensor: photons to electrons to grey values."""
+"""Sensor: photons to electrons to grey values."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def full_well_photons(sensor: Sensor) -> float:
 
 
 def expose(sensor: Sensor, photons: F64, rng: np.random.Generator) -> U16:
-    """Convert mean photons (rows, columns) to grey values, with noise drawn from `rng`.
+    """Convert mean photons (rows, columns) to grey values, with noise.
 
     Electrons: Poisson (QE photons + dark current x exposure) if shot noise is on, its mean if not,
     plus Gaussian read noise, clipped to the full well before the read noise; grey value: black

@@ -1,6 +1,6 @@
-"""Follow rays through dielectric planes to a calibration target, inside Mitsuba's scene.
+"""Integrator of a calibration target behind dielectric planes.
 
-Import this module only after sabench.utils.backend.mitsuba(), as `glow`.
+Import this module only after sabench.utils.backend.mitsuba(), as `camera_rays`.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ from sabench.simulation.rendering.camera_rays import (
 from sabench.simulation.rendering.lamps import Lamps
 from sabench.utils.arrays import F32, F64, Bool
 
-# irrational steps along columns and rows, so that neighbours differ much: of a pixel's lattice along
-# columns, along rows, and of the rotation of the aperture's points
+# irrational steps along columns and rows, so that neighbours differ much: of a pixel's lattice
+# along columns, along rows, and of the rotation of the aperture's points
 _STEPS = (
     (0.7548777, 0.5698403),
     (0.5698403, 0.2451223),
@@ -33,7 +33,7 @@ _STEPS = (
 
 @dataclass(frozen=True)
 class Paint:
-    """What a target shows, in its own frame.
+    """Pattern of a target, in its own frame.
 
     Attributes
     ----------
@@ -42,7 +42,7 @@ class Paint:
     pitch_mm, mark_mm : as in `world.Target`.
     bits : (marker, 36) whether a cell of a ChArUco marker is white, for each marker in the order of
         the white squares; empty for other patterns.
-    turn : (3, 3) rows are the target's axes in the world.
+    rotation : (3, 3) rows are the target's axes in the world.
     """
 
     pattern: str
@@ -50,7 +50,7 @@ class Paint:
     pitch_mm: float
     mark_mm: float
     bits: Bool
-    turn: F64
+    rotation: F64
 
 
 def render(
@@ -62,7 +62,7 @@ def render(
     interfaces: int,
     samples: int,
 ) -> F32:
-    """Render relative radiance (rows, columns) in front of the lens by `samples` rays a pixel.
+    """Render relative radiance (rows, columns) in front of the lens.
 
     The rays of a pixel start all over the aperture.
 
@@ -80,30 +80,30 @@ def render(
 
 
 class _Target:
-    """A target and its lamps on the device."""
+    """Device copy of a target and its lamps."""
 
     def __init__(self, paint: Paint, lamps: Lamps, interfaces: int) -> None:
         self.paint, self.interfaces = paint, dr.opaque(mi.UInt32, interfaces)
-        self.axes = [opaque(axis) for axis in paint.turn]
+        self.axes = [opaque(axis) for axis in paint.rotation]
         self.bits = (
             mi.Float(paint.bits.astype(np.float32).ravel()) if paint.bits.size else mi.Float(0.0)
         )
         self.lamps = [
-            (opaque(place), dr.opaque(mi.Float, power))
-            for place, power in zip(lamps.places, lamps.powers.tolist(), strict=True)
+            (opaque(position), dr.opaque(mi.Float, power))
+            for position, power in zip(lamps.positions, lamps.powers.tolist(), strict=True)
         ]
-        self.even = dr.opaque(mi.Float, lamps.even)
+        self.ambient = dr.opaque(mi.Float, lamps.ambient)
 
 
 def _rays(camera: Camera, origin: F64, first: int, count: int, samples: int) -> Any:
-    """Rays of `count` rows from row `first` on, pixel by pixel, from all over the aperture.
+    """Rays of `count` rows from row `first` on, from all over the aperture.
 
     A pixel is sampled on a lattice of which no two points share a column or a row, shifted from
     pixel to pixel, as the aperture's points are rotated. With one pattern for all, an edge that
     runs along the pixels would move by whole steps of it, and corners with it.
     """
     row, column, sub = pixels_of_rows(camera, count, samples)
-    shift_across, shift_down, turns = (
+    shift_across, shift_down, rotation = (
         _fraction(c0 * mi.Float(column) + c1 * mi.Float(row)) for c0, c1 in _STEPS
     )
     lattice = (sub * _stride(samples, 0.618)) % samples
@@ -112,14 +112,16 @@ def _rays(camera: Camera, origin: F64, first: int, count: int, samples: int) -> 
     across = mi.Float(column) + in_column - 0.5
     down = mi.Float(row) + in_row - 0.5
     disc = camera.aperture_radius_mm * _spiral(samples)
-    sine, cosine = dr.sincos(2.0 * np.pi * turns)
+    sine, cosine = dr.sincos(2.0 * np.pi * rotation)
     a, b = (dr.gather(mi.Float, mi.Float(part.astype(np.float32)), sub) for part in disc.T)
     lens = cosine * a - sine * b, sine * a + cosine * b
     return lens_rays(camera, origin, across, down, lens, first)
 
 
 def _spiral(count: int) -> F64:
-    """Points (count, 2) evenly over the unit disc, each with its opposite, in an order that is far from that of a pixel's lattice.
+    """Points (count, 2) uniform over the unit disc, each with its opposite.
+
+    Their order is far from that of a pixel's lattice.
 
     Their centroid is the pinhole: else everything out of focus would be shifted.
     """
@@ -137,7 +139,7 @@ def _fraction(value: Any) -> Any:
 
 
 def _stride(count: int, part: float) -> int:
-    """A step near a part of `count` that visits all numbers below it."""
+    """Find a step near a share of `count` that visits all numbers below it."""
     return next(
         step for step in range(int(part * count) + 1, 2 * count + 2) if np.gcd(step, count) == 1
     )
@@ -145,7 +147,10 @@ def _stride(count: int, part: float) -> int:
 
 @dr.syntax
 def _trace(scene: Any, ray: Any, target: Any) -> Any:
-    """Radiance along rays: Mitsuba's transmission at dielectrics, and a matte surface under the lamps."""
+    """Trace the radiance along rays to a matte surface under the lamps.
+
+    Interfaces transmit by Mitsuba's rules.
+    """
     ray = mi.Ray3f(ray)
     result, weight = mi.Float(0.0), mi.Float(1.0)
     crossed, active = mi.UInt32(0), mi.Bool(True)
@@ -155,12 +160,12 @@ def _trace(scene: Any, ray: Any, target: Any) -> Any:
         si = scene.ray_intersect(ray, mi.RayFlags.All, active)
         active &= si.is_valid()
         bsdf = si.bsdf()
-        place = dr.fma(ray.d, si.t, ray.o)
+        position = dr.fma(ray.d, si.t, ray.o)
         matte = active & mi.has_flag(bsdf.flags(), mi.BSDFFlags.Diffuse)
         normal = dr.select(dr.dot(si.n, ray.d) < 0.0, si.n, -si.n)
         result += dr.select(
             matte & (crossed == target.interfaces),
-            weight * _painted(target, place) * _lit(target, place, normal),
+            weight * _reflectance(target, position) * _irradiance(target, position, normal),
             0.0,
         )
         wall = active & ~matte
@@ -168,28 +173,28 @@ def _trace(scene: Any, ray: Any, target: Any) -> Any:
         weight = dr.select(wall, weight * value.x, weight)
         crossed += dr.select(wall, mi.UInt32(1), mi.UInt32(0))
         ray.d = dr.select(wall, si.to_world(sampled.wo), ray.d)
-        ray.o = dr.fma(ray.d, 1e-3, place)
+        ray.o = dr.fma(ray.d, 1e-3, position)
         active &= wall & (weight > 0.0)
     return result
 
 
-def _lit(target: Any, place: Any, normal: Any) -> Any:
-    """Irradiance at a place; lamps are points."""
-    total = mi.Float(target.even)
+def _irradiance(target: Any, position: Any, normal: Any) -> Any:
+    """Irradiance at positions; lamps are points."""
+    total = mi.Float(target.ambient)
     for lamp, power in target.lamps:
-        way = lamp - place
-        square = dr.squared_norm(way)
-        total += power * dr.maximum(dr.dot(normal, way), 0.0) * dr.rsqrt(square) / square
+        direction = lamp - position
+        square = dr.squared_norm(direction)
+        total += power * dr.maximum(dr.dot(normal, direction), 0.0) * dr.rsqrt(square) / square
     return total
 
 
-def _painted(target: Any, place: Any) -> Any:
-    """Reflectance: 1 for white, 0.04 for black print."""
+def _reflectance(target: Any, position: Any) -> Any:
+    """Reflectance at positions: 1 for white, 0.04 for black print."""
     paint = target.paint
     if paint.pattern == "wand":
         return mi.Float(1.0)
     columns, rows = paint.squares
-    x, y = (dr.dot(mi.Vector3f(place), axis) / paint.pitch_mm for axis in target.axes[:2])
+    x, y = (dr.dot(mi.Vector3f(position), axis) / paint.pitch_mm for axis in target.axes[:2])
     if paint.pattern == "circles":
         i, j = (
             dr.clip(dr.round(v + 0.5 * (n - 1)), 0.0, n - 1.0) - 0.5 * (n - 1)

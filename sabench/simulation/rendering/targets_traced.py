@@ -1,4 +1,4 @@
-"""Pictures of a calibration target: Mitsuba follows rays through the wall to it, lamps light it, lens and sensor record it."""
+"""Mitsuba renderer of calibration targets under lamps."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from sabench.geometry.camera import Camera
 from sabench.geometry.frames import Pose
 from sabench.geometry.refraction import transmittance
 from sabench.scenes.illumination import Lighting
-from sabench.simulation.rendering.lamps import placed
+from sabench.simulation.rendering.lamps import place_lamps
 from sabench.simulation.rendering.particle_images import diffraction_px
 from sabench.simulation.rendering.particles_traced import interfaces
 from sabench.utils import backend
@@ -24,7 +24,9 @@ _QUIET = 0.75  # white around a board's pattern, in pitches
 def render(
     camera: Camera, target: Target, pose: Pose, lighting: Lighting, center_mm: F64, samples: int
 ) -> F64:
-    """Photons (rows, columns) that reach the pixels, as a part of what saturates one at `lighting.exposure` 1.
+    """Render relative photons (rows, columns) of a target.
+
+    They are relative to those that saturate a pixel at `lighting.exposure` 1.
 
     Parameters
     ----------
@@ -56,7 +58,7 @@ def render(
         pose.rotation.T,
     )
     facing = np.asarray(camera.wall.normal if camera.wall else camera.rotation[2])
-    lamps = placed(lighting, camera, center_mm, origin)
+    lamps = place_lamps(lighting, camera, center_mm, origin)
     planes = len(camera.wall.layers) + 1 if camera.wall else 0
     radiance = target_integrator.render(
         scene, camera, origin, paint, lamps, planes, samples
@@ -71,7 +73,10 @@ def render(
 
 
 def marker_bits(target: Target) -> Bool:
-    """(marker, cells) whether each cell of a ChArUco board's markers is white, in the order of its white squares; empty for other targets."""
+    """White cells (marker, cell) of a ChArUco board's markers.
+
+    Markers are in the order of the white squares; there are none for other targets.
+    """
     if target.pattern != "charuco":
         return np.zeros((0, _CELLS * _CELLS), dtype=np.bool_)
     import cv2
@@ -87,7 +92,7 @@ def marker_bits(target: Target) -> Bool:
 
 
 def _shapes(mi: Any, target: Target, pose: Pose) -> dict[str, Any]:
-    """A rectangle for a board, with white around its pattern; balls for a wand."""
+    """Describe a board as a rectangle with a white margin, a wand as balls."""
     matte = {"type": "diffuse"}
     if target.pattern == "wand":
         balls = pose(target.points_mm) - pose.position_mm
@@ -110,7 +115,7 @@ def _shapes(mi: Any, target: Target, pose: Pose) -> dict[str, Any]:
 
 
 def _diffracted(camera: Camera, photons: F64, lighting: Lighting) -> F64:
-    """Blurred by the lens's Airy disc, as a Gaussian of its width."""
+    """Blur by the lens's Airy disc, as a Gaussian of its width."""
     from scipy.ndimage import gaussian_filter
 
     return np.asarray(gaussian_filter(photons, diffraction_px(camera, lighting.wavelength_nm)))

@@ -1,1 +1,1 @@
-"""Building blocks of generators: vortices, size distributions, packings, jets and surfaces."""
+"""Building blocks of generators: vortices, sizes, packings, surfaces."""

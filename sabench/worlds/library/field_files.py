@@ -1,4 +1,4 @@
-"""Arrays with their units out of files that other programs wrote: CSV, HDF5, NetCDF and VTK."""
+"""Arrays with units from CSV, HDF5, NetCDF and VTK files."""
 
 from __future__ import annotations
 
@@ -45,14 +45,14 @@ Unit = str | float | None
 
 @dataclass(frozen=True)
 class Array:
-    """An array and what its file says of its unit."""
+    """Array with the unit that its file names."""
 
     values: F64
     unit: str | None
 
 
 def read_arrays(path: Path, names: Sequence[str]) -> dict[str, Array]:
-    """Arrays of a file by their names.
+    """Read arrays of a file by their names.
 
     CSV: columns under a header line; the unit may stand behind a name, as in `x [mm]`. HDF5 and
     NetCDF: datasets, with the attribute `units`. VTK (vti, vtr, vtk, vtkhdf; with the package vtk):
@@ -75,7 +75,8 @@ def read_arrays(path: Path, names: Sequence[str]) -> dict[str, Array]:
     readers |= dict.fromkeys((".h5", ".hdf5", ".hdf", ".nc4", ".mat"), _from_hdf5)
     if suffix not in readers:
         raise InputError(
-            f"{path}: expected a file that ends in {', '.join(sorted(readers))}, got {suffix or 'no ending'}"
+            f"{path}: expected a file that ends in {', '.join(sorted(readers))}, got "
+            f"{suffix or 'no ending'}"
         )
     found = readers[suffix](path, names)
     for name in names:
@@ -83,13 +84,16 @@ def read_arrays(path: Path, names: Sequence[str]) -> dict[str, Array]:
         wrong = int(values.size - np.isfinite(values).sum())
         if wrong:
             raise InputError(
-                f"{path}: {name}: expected finite numbers, but {wrong} of {values.size} are NaN or infinite"
+                f"{path}: {name}: expected finite numbers, but {wrong} of {values.size} are NaN or "
+                "infinite"
             )
     return found
 
 
 def length_mm(given: Unit, array: Array, where: str, key: str) -> float:
-    """Millimetres of an array's unit: by what is given (a name or a number), else by what its file says.
+    """Millimetres of an array's unit.
+
+    It is taken from what is given (a name or a number), else from the file.
 
     Raises
     ------
@@ -120,18 +124,20 @@ def _factor(
     word = given if given is not None else array.unit
     if word is None:
         raise InputError(
-            f"{where}: expected a unit, but the file names none: give {key} as one of {', '.join(list(known)[:8])} ... or in {base}"
+            f"{where}: expected a unit, but the file names none: give {key} as one of "
+            f"{', '.join(list(known)[:8])} ... or in {base}"
         )
     plain = _normalised(word)
     if plain not in known:
         raise InputError(
-            f"{where}: expected a unit like {', '.join(list(known)[:8])}, got {word!r}: give {key} as one of them or in {base}"
+            f"{where}: expected a unit like {', '.join(list(known)[:8])}, got {word!r}: give {key} "
+            f"as one of them or in {base}"
         )
     return known[plain]
 
 
 def _normalised(word: str) -> str:
-    """m s-1, m.s^-1, m*s**-1 and metres per second as m/s."""
+    """Write m s-1, m.s^-1, m*s**-1 and metres per second as m/s."""
     text = re.sub(r"\s*(?:per|/)\s*", "/", word.strip())
     text = re.sub(r"(?<=[a-zµμ])[\s.*]*\b([a-zµμ]+)\s*(?:\^|\*\*)?\s*-1$", r"/\1", text)
     return "/".join(_WORDS.get(part, part) for part in text.split("/"))
@@ -142,7 +148,7 @@ def _from_csv(path: Path, names: Sequence[str]) -> dict[str, Array]:
         header = file.readline().strip().lstrip("#").strip()
     separator = next((mark for mark in (",", ";", "\t") if mark in header), None)
     columns = [_named(part.strip().strip('"')) for part in header.split(separator)]
-    places = _places(path, names, [name for name, _ in columns])
+    columns_of = _places(path, names, [name for name, _ in columns])
     try:
         with warnings.catch_warnings():
             warnings.simplefilter(
@@ -152,7 +158,7 @@ def _from_csv(path: Path, names: Sequence[str]) -> dict[str, Array]:
                 path,
                 delimiter=separator,
                 skiprows=1,
-                usecols=list(places.values()),
+                usecols=list(columns_of.values()),
                 ndmin=2,
                 encoding="utf-8-sig",
             )
@@ -163,8 +169,8 @@ def _from_csv(path: Path, names: Sequence[str]) -> dict[str, Array]:
     if not len(values):
         raise InputError(f"{path}: expected numbers below a line of names, got none")
     return {
-        name: Array(values[:, number], columns[places[name]][1])
-        for number, name in enumerate(places)
+        name: Array(values[:, number], columns[columns_of[name]][1])
+        for number, name in enumerate(columns_of)
     }
 
 
@@ -203,7 +209,7 @@ def _from_hdf5(path: Path, names: Sequence[str]) -> dict[str, Array]:
 
 
 def _from_netcdf(path: Path, names: Sequence[str]) -> dict[str, Array]:
-    """NetCDF 4 is HDF5; the classic kinds are scipy's."""
+    """Read NetCDF: version 4 is HDF5, the classic kinds are scipy's."""
     from scipy.io import netcdf_file
 
     with path.open("rb") as file:
@@ -243,7 +249,7 @@ def _text(value: Any) -> str | None:
 
 
 def _from_vtk(path: Path, names: Sequence[str]) -> dict[str, Array]:
-    """The point data of a lattice along the axes."""
+    """Read the point data of a lattice along the axes."""
     try:
         from vtkmodules.util.numpy_support import vtk_to_numpy
     except ImportError as error:
@@ -253,7 +259,7 @@ def _from_vtk(path: Path, names: Sequence[str]) -> dict[str, Array]:
     data = _vtk_lattice(path)
     counts = data.GetDimensions()
     axes = {
-        axis: np.array([_vtk_coordinate(data, number, place) for place in range(counts[number])])
+        axis: np.array([_vtk_coordinate(data, number, index) for index in range(counts[number])])
         for number, axis in enumerate("xyz")
     }
     points = data.GetPointData()
@@ -268,9 +274,9 @@ def _from_vtk(path: Path, names: Sequence[str]) -> dict[str, Array]:
     return out
 
 
-def _vtk_coordinate(data: Any, axis: int, place: int) -> float:
+def _vtk_coordinate(data: Any, axis: int, index: int) -> float:
     where = [0, 0, 0]
-    where[axis] = place
+    where[axis] = index
     return float(data.GetPoint(data.ComputePointId(where))[axis])
 
 
@@ -282,19 +288,19 @@ def _vtk_lattice(path: Path) -> Any:
 
     makers = {".vtk": vtkGenericDataObjectReader, ".vtkhdf": vtkHDFReader}
     reader: Any = makers.get(path.suffix.lower(), vtkXMLGenericDataObjectReader)()
-    told: list[str] = []
-    reader.AddObserver("ErrorEvent", lambda *_: told.append("error"))
+    errors: list[str] = []
+    reader.AddObserver("ErrorEvent", lambda *_: errors.append("error"))
     reader.SetFileName(str(path))
     reader.Update()
     data = reader.GetOutputDataObject(0)
     if (
-        told
+        errors
         or not isinstance(data, vtkImageData | vtkRectilinearGrid)
         or not data.GetNumberOfPoints()
     ):
         got = (
             data.GetClassName()
-            if data is not None and not told
+            if data is not None and not errors
             else "something that VTK cannot read"
         )
         raise InputError(f"{path}: expected image data or a rectilinear grid, got {got}")

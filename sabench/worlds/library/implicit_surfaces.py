@@ -1,4 +1,4 @@
-"""Bodies as functions that are negative inside: rounded cones, their smooth unions, and the closed surface where a function is zero."""
+"""Bodies as implicit functions, negative inside: rounded cones and unions."""
 
 from __future__ import annotations
 
@@ -26,7 +26,9 @@ Points = Sequence[float] | F64
 def surface_of(
     function: Callable[[F64], F64], low_mm: Points, high_mm: Points, step_mm: float
 ) -> Solid:
-    """The closed surface on which a function is zero, by marching cubes (Lewiner et al. 2003) on a lattice.
+    """Extract the closed surface on which a function is zero.
+
+    Marching cubes (Lewiner et al. 2003) on a lattice.
 
     Parameters
     ----------
@@ -49,7 +51,8 @@ def surface_of(
     counts = np.ceil((np.asarray(high_mm) - low) / step_mm - 1e-9).astype(np.int64) + 1
     if counts.prod(dtype=np.float64) > _NODES:
         raise InputError(
-            f"step_mm: expected a lattice of at most {_NODES} nodes, got {' x '.join(map(str, counts))} with {step_mm:g} mm"
+            f"step_mm: expected a lattice of at most {_NODES} nodes, got "
+            f"{' x '.join(map(str, counts))} with {step_mm:g} mm"
         )
     values = _sampled(
         function,
@@ -62,7 +65,7 @@ def surface_of(
 
 
 def _sampled(function: Callable[[F64], F64], axes: list[F64]) -> F32:
-    """Values at all nodes (x, y, z)."""
+    """Sample a function at all nodes (x, y, z)."""
     y, z = (one.ravel() for one in np.meshgrid(axes[1], axes[2], indexing="ij"))
     values = np.empty([len(axis) for axis in axes], dtype=np.float32)
     for row, x in enumerate(axes[0]):
@@ -73,12 +76,13 @@ def _sampled(function: Callable[[F64], F64], axes: list[F64]) -> F32:
 
 
 def _check_inside(values: F32, low_mm: F64, step_mm: float) -> None:
-    """Something is inside, and nothing of it at the lattice's edge."""
+    """Check that something is inside, and nothing of it at the lattice's edge."""
     high = low_mm + step_mm * (np.array(values.shape) - 1)
     where = f"{np.round(low_mm, 3).tolist()} to {np.round(high, 3).tolist()} mm"
     if not values.min() < 0.0:
         raise InputError(
-            f"expected a body in the lattice from {where}, got nothing: it may be thinner than the step, {step_mm:g} mm"
+            f"expected a body in the lattice from {where}, got nothing: it may be thinner than the "
+            f"step, {step_mm:g} mm"
         )
     sides = {
         f"{sign}{'XYZ'[axis]}": values.take(end, axis)
@@ -88,12 +92,16 @@ def _check_inside(values: F32, low_mm: F64, step_mm: float) -> None:
     cut = [name for name, side in sides.items() if side.min() < _OFF * step_mm]
     if cut:
         raise InputError(
-            f"expected a body that ends within the lattice from {where}, but it reaches its edge at {', '.join(cut)}"
+            f"expected a body that ends within the lattice from {where}, but it reaches its edge "
+            f"at {', '.join(cut)}"
         )
 
 
 def largest_part(solid: Solid) -> Solid:
-    """The one connected surface that encloses the most: parts that hang in the fluid are gone, hollows without an opening filled."""
+    """Keep the connected surface that encloses the most.
+
+    Parts that hang in the fluid are dropped, hollows without an opening filled.
+    """
     from scipy.sparse import coo_matrix
     from scipy.sparse.csgraph import connected_components
 
@@ -112,7 +120,9 @@ def largest_part(solid: Solid) -> Solid:
 
 
 def smooth_minimum(values: npt.ArrayLike, blend_mm: float) -> F64:
-    """The least of values (k, ...) over the first axis, rounded where they are alike: -b log(sum(exp(-v / b))), at most b log(k) below it.
+    """Smooth minimum of values (k, ...) over the first axis.
+
+    It is -b log(sum(exp(-v / b))), at most b log(k) below the least.
 
     The same whatever their order, and in whatever groups it is taken; with a blend of 0 the minimum
     itself.
@@ -132,7 +142,9 @@ def capsules(
     end_radii_mm: F64,
     blend_mm: float = 0.0,
 ) -> F64:
-    """Signed distances (n,) of points (n, 3) to the smooth union of k rounded cones: balls whose radius goes linearly from one end to the other.
+    """Signed distances (n,) of points (n, 3) to a smooth union of rounded cones.
+
+    A cone is the balls whose radius goes linearly from one end to the other.
 
     Outside, and with a blend of 0, it is the distance; inside it is the largest depth in any one of
     them. A ball has both ends in one place.
@@ -143,8 +155,8 @@ def capsules(
     blend_mm : as of `smooth_minimum`: joints of two are filled, and what lies twice in one place
         grows by 0.69 of it.
     """
-    ways = ends_mm - starts_mm
-    lengths = np.linalg.norm(ways, axis=1)
+    directions = ends_mm - starts_mm
+    lengths = np.linalg.norm(directions, axis=1)
     fall = start_radii_mm - end_radii_mm
     ball = lengths <= np.abs(fall)  # one end's ball holds the other
     starts = np.where((ball & (fall < 0.0))[:, None], ends_mm, starts_mm)
@@ -153,7 +165,9 @@ def capsules(
     sines, lengths = fall * over, np.where(ball, 0.0, lengths)
     reach = lengths + np.maximum(start_radii_mm, end_radii_mm)
     out = np.empty(len(points_mm))
-    _union(points_mm, starts, ways * over[:, None], lengths, radii, sines, reach, blend_mm, out)
+    _union(
+        points_mm, starts, directions * over[:, None], lengths, radii, sines, reach, blend_mm, out
+    )
     return out
 
 
@@ -161,7 +175,7 @@ def capsules(
 def _union(
     points: Any,
     starts: Any,
-    ways: Any,
+    directions: Any,
     lengths: Any,
     radii: Any,
     sines: Any,
@@ -169,7 +183,7 @@ def _union(
     blend: float,
     out: Any,
 ) -> None:
-    """Distances to rounded cones, added as `smooth_minimum` does, the sum taken relative to the least so far."""
+    """Smooth minimum of distances to rounded cones, relative to the least so far."""
     nearest = 0
     for n in range(len(points)):
         least, total, first = (
@@ -190,7 +204,7 @@ def _union(
                 continue
             value = _distance(
                 square,
-                x * ways[k, 0] + y * ways[k, 1] + z * ways[k, 2],
+                x * directions[k, 0] + y * directions[k, 1] + z * directions[k, 2],
                 lengths[k],
                 radii[k],
                 sines[k],
@@ -205,7 +219,10 @@ def _union(
 
 @numba.njit(cache=True, error_model="numpy")
 def _distance(square: float, along: float, length: float, radius: float, sine: float) -> float:
-    """Least distance to a cone's balls, of radius - s sine at s along its axis: where d/ds of it is 0, or at an end."""
+    """Least distance to a cone's balls.
+
+    Their radius is radius - s sine at s along the axis; the least is where d/ds is 0, or at an end.
+    """
     across = np.sqrt(max(square - along * along, 0.0))
     s = min(max(along - across * sine / np.sqrt(1.0 - sine * sine), 0.0), length)
     off = along - s

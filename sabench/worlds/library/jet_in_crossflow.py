@@ -1,4 +1,4 @@
-"""A liquid jet that a stream of gas bends and breaks up: where its column goes, and where its drops are.
+"""Liquid jet in a cross-flow of gas: its column and its drops.
 
 Sources: Wu, Kirkendall, Fuller and Nejad, J. Propul. Power 13, 64 (1997): the column's path y / d =
 1.37 (q x / d)^0.5 up to y / d = 3.44 q^0.5, where it breaks; the same, J. Propul. Power 14, 173
@@ -51,14 +51,14 @@ class Crossflow(BaseModel):
 
     @property
     def break_mm(self) -> tuple[float, float]:
-        """How far along the gas and along the nozzle the column breaks."""
+        """Point at which the column breaks, along the gas and along the nozzle."""
         rise = _BREAK * np.sqrt(self.momentum_ratio)
         return float((rise / _PATH) ** 2 / self.momentum_ratio * self.diameter_mm), float(
             rise * self.diameter_mm
         )
 
     def upper_mm(self, x: F64) -> F64:
-        """The spray's upper edge above the nozzle at distances x > 0 along the gas."""
+        """Upper edge of the spray above the nozzle at distances x > 0 along the gas."""
         return np.asarray(
             _UPPER[0]
             * self.momentum_ratio ** _UPPER[1]
@@ -67,7 +67,7 @@ class Crossflow(BaseModel):
         )
 
     def width_mm(self, x: F64) -> F64:
-        """The spray's width there."""
+        """Width of the spray at distances along the gas."""
         return np.asarray(
             _WIDTH[0]
             * self.momentum_ratio ** _WIDTH[1]
@@ -76,7 +76,10 @@ class Crossflow(BaseModel):
         )
 
     def cones(self, seed: int) -> Cones:
-        """The column and its ligaments as rounded cones: starts (k, 3), ends (k, 3) from the nozzle, world's axes, and their radii."""
+        """Column and ligaments as rounded cones.
+
+        Starts (k, 3) and ends (k, 3) from the nozzle along the world's axes, and their radii.
+        """
         rng = stream(seed, "liquid jet")
         column = self._column(rng)
         parts = [column, *(self._ligament(column, rng) for _ in range(self.ligaments))]
@@ -84,7 +87,7 @@ class Crossflow(BaseModel):
         return starts, ends, first, last
 
     def _column(self, rng: np.random.Generator) -> Cones:
-        """Along the path, with waves that grow."""
+        """Column along its path, with waves that grow."""
         along = np.linspace(0.0, 1.0, _PIECES + 1)
         y = along * self.break_mm[1]
         x = (y / self.diameter_mm / _PATH) ** 2 / self.momentum_ratio * self.diameter_mm
@@ -99,11 +102,14 @@ class Crossflow(BaseModel):
         return path[:-1], path[1:], radii[:-1], radii[1:]
 
     def _ligament(self, column: Cones, rng: np.random.Generator) -> Cones:
-        """A finger that bends into the gas, thinner and thinner, with a ball at its end; from anywhere on the column's later two thirds."""
+        """Ligament that bends into the gas, thins, and ends in a ball.
+
+        It starts anywhere on the column's later two thirds.
+        """
         starts, _, radii, _ = column
         where = int(rng.integers(_PIECES // 3, _PIECES))
         root, least = starts[where], radii[where]
-        way = np.array(
+        direction = np.array(
             [
                 rng.uniform(0.2, 1.0),
                 rng.uniform(-0.7, 0.7),
@@ -113,8 +119,10 @@ class Crossflow(BaseModel):
         length = rng.uniform(*_LONG) * self.diameter_mm
         places = [root]
         for _ in range(3):
-            way = way + _BEND
-            places.append(places[-1] + way / np.linalg.norm(way) * (length + least) / 3.0)
+            direction = direction + _BEND
+            places.append(
+                places[-1] + direction / np.linalg.norm(direction) * (length + least) / 3.0
+            )
         ends = np.array(places)
         thickness = np.linspace(min(_THICK * self.diameter_mm, least), _THIN * self.diameter_mm, 4)
         bulb = np.array([_BULB * self.diameter_mm])
@@ -128,7 +136,9 @@ class Crossflow(BaseModel):
 
 @dataclass(frozen=True)
 class Spray:
-    """Lines that drops follow from where the column breaks: each stays at its part of the spray's height and width, and gains the gas's speed.
+    """Lines that drops follow from where the column breaks up.
+
+    A drop stays at its share of the spray's height and width, and approaches the gas's speed.
 
     Attributes
     ----------
@@ -146,17 +156,17 @@ class Spray:
 
     @property
     def start_mm(self) -> float:
-        """Where it begins."""
+        """Distance along the gas at which the spray begins."""
         return self.jet.break_mm[0]
 
     @cached_property
     def ages(self) -> tuple[F64, F64]:
-        """Times since the column broke up to the one at which `end_mm` is reached, and how far along the gas a drop is then."""
-        way = self.end_mm - self.start_mm
+        """Times since break-up until `end_mm`, and the drop's distance along the gas."""
+        length = self.end_mm - self.start_mm
         last = brentq(
-            lambda time: float(self._way(np.array(time))) - way,
+            lambda time: float(self._way(np.array(time))) - length,
             0.0,
-            way / self.gas_mm_s + self.response_s,
+            length / self.gas_mm_s + self.response_s,
         )
         time = np.linspace(0.0, last, _NODES)
         return time, self.start_mm + self._way(time)
@@ -167,20 +177,23 @@ class Spray:
         )
 
     def places(self, age: F64, line: F64) -> F64:
-        """Places (n, 3) from the nozzle at ages (n,), of lines (n, 2): parts of height and of width, both from 0 to 1."""
+        """Positions (n, 3) from the nozzle at ages (n,), of lines (n, 2).
+
+        Lines are shares of height and of width, both from 0 to 1.
+        """
         x = np.interp(age, *self.ages)
         y = -self.jet.upper_mm(x) * (self.lower + (1.0 - self.lower) * line[:, 0])
         return np.column_stack([x, y, self.jet.width_mm(x) * (line[:, 1] - 0.5)])
 
     def velocities(self, age: F64, places: F64) -> F64:
-        """Velocities (n, 3) there: height and width grow as the same power of x."""
+        """Velocities (n, 3) at positions: height and width grow as a power of x."""
         speed = -self.gas_mm_s * np.expm1(-age / self.response_s)
         slope = places * _POWER / places[:, :1]
         slope[:, 0] = 1.0
         return np.asarray(speed[:, None] * slope)
 
     def known(self, places: F64) -> tuple[F64, F64]:
-        """Ages (n,) and lines (n, 2) of places (n, 3) from the nozzle."""
+        """Ages (n,) and lines (n, 2) of positions (n, 3) from the nozzle."""
         x = places[:, 0]
         height = (-places[:, 1] / self.jet.upper_mm(x) - self.lower) / (1.0 - self.lower)
         time, ways = self.ages

@@ -1,4 +1,8 @@
-"""NACA's four-digit sections: Jacobs, Ward and Pinkerton, NACA report 460 (1933), with the last coefficient that closes the trailing edge."""
+"""NACA four-digit sections, closed at the trailing edge.
+
+Jacobs, Ward and Pinkerton, NACA report 460 (1933), with the last coefficient changed so that the
+edge closes.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +15,10 @@ _LAST = -0.1036  # of x^4: with the report's -0.1015 the trailing edge is 0.2 % 
 
 
 def half_thickness(x: npt.ArrayLike, ratio: float) -> F64:
-    """Half the thickness at x, both in chords; `ratio` is the largest thickness over the chord."""
+    """Half thickness at x, both in chords.
+
+    `ratio` is the largest thickness over the chord.
+    """
     at = np.asarray(x, dtype=np.float64)
     return np.asarray(
         5.0
@@ -21,7 +28,10 @@ def half_thickness(x: npt.ArrayLike, ratio: float) -> F64:
 
 
 def camber(x: npt.ArrayLike, height: float, place: float) -> tuple[F64, F64]:
-    """The mean line and its slope at x in chords, with its largest height at `place`; a height of 0 is a straight line."""
+    """Mean line and its slope at x, in chords.
+
+    Its largest height is at `place`; a height of 0 is a straight line.
+    """
     at = np.asarray(x, dtype=np.float64)
     if not height:
         return np.zeros_like(at), np.zeros_like(at)
@@ -31,7 +41,9 @@ def camber(x: npt.ArrayLike, height: float, place: float) -> tuple[F64, F64]:
 
 
 def section(digits: str, stations: int) -> tuple[F64, F64]:
-    """Upper and lower side (stations + 1, 2) in chords from the leading edge at 0 to the trailing edge at 1, both of which they share.
+    """Upper and lower side (stations + 1, 2) in chords.
+
+    Both start at the leading edge, 0, and share the trailing edge, 1.
 
     Thickness is laid off at right angles to the mean line; stations are closest at the edges.
     """

@@ -1,4 +1,6 @@
-"""The laws of bubbles below a plunging jet, as functions of depth Y below the surface and radius R from the jet's axis.
+"""Laws of bubbles below a plunging jet.
+
+Functions of depth Y below the surface and radius R from the jet's axis.
 
 Source: J. Belden's thesis, section 5.5.3: equations 5.17 (total concentration C_Y = 2 pi times the
 integral of C over R), 5.18 (C_Y), 5.19 (C over R), 5.22 (which ties R_.5 to both) and 5.23 (C_max),

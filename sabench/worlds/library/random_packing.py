@@ -1,4 +1,4 @@
-"""Bodies of many sizes put into a volume at random so that none reaches into another, and the search for those that do.
+"""Random packing of ellipsoids without overlap, and search for overlaps.
 
 A grid whose cells are as wide as the largest bubble holds the bubbles that are already there; a new
 one is tried against those of 27 cells. Two ellipsoids are told apart exactly, by the contact
@@ -27,7 +27,7 @@ def shapes_of(semi_axes_mm: F64, turn: F64) -> F64:
 
 
 def place(semi_axes_mm: F64, turn: F64, propose: Callable[[I64, int], F64], what: str) -> F64:
-    """Centres (n, 3) for ellipsoids so that none overlap, the largest first.
+    """Place ellipsoids so that none overlap, the largest first: centres (n, 3).
 
     Parameters
     ----------
@@ -68,12 +68,13 @@ def place(semi_axes_mm: F64, turn: F64, propose: Callable[[I64, int], F64], what
         )
         left = left[~placed]
     raise InputError(
-        f"{what}: expected room for {count} bubbles, but for {len(left)} of them none was found: ask for fewer, smaller ones or overlap"
+        f"{what}: expected room for {count} bubbles, but for {len(left)} of them none was found: "
+        "ask for fewer, smaller ones or overlap"
     )
 
 
 def overlapping(bubbles: Bubbles) -> I64:
-    """Pairs (k, 2) of bubbles that reach into each other, the first one the larger."""
+    """Find pairs (k, 2) of overlapping bubbles, the larger one first."""
     from scipy.spatial import cKDTree
 
     if len(bubbles) < 2:
@@ -102,7 +103,10 @@ def overlapping(bubbles: Bubbles) -> I64:
 
 
 def touching(bubbles: Bubbles, solid: Solid) -> Bool:
-    """Which bubbles (n,) a body's surface crosses; one that is wholly inside is not among them."""
+    """Find which bubbles (n,) a body's surface crosses.
+
+    A bubble that lies wholly inside is not among them.
+    """
     out = np.zeros(len(bubbles), dtype=np.bool_)
     _touch(
         bubbles.center_mm,
@@ -117,7 +121,10 @@ def touching(bubbles: Bubbles, solid: Solid) -> Bool:
 
 @numba.njit(cache=True, error_model="numpy")
 def _touch(centers: Any, to_ball: Any, reach: Any, vertices: Any, faces: Any, out: Any) -> None:
-    """Where a bubble is a unit ball, it is touched by a triangle that comes nearer than 1 to the origin."""
+    """Whether a triangle touches a bubble.
+
+    Where the bubble is a unit ball, the triangle then comes nearer than 1 to the origin.
+    """
     corners = np.empty((3, 3))
     for n in range(len(centers)):
         for f in range(len(faces)):
@@ -148,7 +155,7 @@ def _touch(centers: Any, to_ball: Any, reach: Any, vertices: Any, faces: Any, ou
 
 @numba.njit(cache=True, error_model="numpy")
 def _nearest(t: Any) -> Any:
-    """Squared distance of a triangle (3, 3) from the origin: of its plane within it, else of its edges."""
+    """Squared distance of a triangle (3, 3) from the origin."""
     best = np.inf
     u, v = t[1] - t[0], t[2] - t[0]
     uu, vv, uv = np.dot(u, u), np.dot(v, v), np.dot(u, v)
@@ -160,16 +167,18 @@ def _nearest(t: Any) -> Any:
             foot = t[0] + a * u + b * v
             return np.dot(foot, foot)
     for k in range(3):
-        start, way = t[k], t[(k + 1) % 3] - t[k]
-        length = np.dot(way, way)
-        part = min(max(-np.dot(start, way) / length, 0.0), 1.0) if length > 0.0 else 0.0
-        foot = start + part * way
+        start, edge = t[k], t[(k + 1) % 3] - t[k]
+        length = np.dot(edge, edge)
+        part = min(max(-np.dot(start, edge) / length, 0.0), 1.0) if length > 0.0 else 0.0
+        foot = start + part * edge
         best = min(best, np.dot(foot, foot))
     return best
 
 
 def contact(one: F64, first: F64, other: F64, second: F64) -> F64:
-    """Squared factor (n,) by which two ellipsoids must grow, about their centres, to touch: below 1 they overlap.
+    """Squared factor (n,) by which two ellipsoids must grow to touch.
+
+    They grow about their centres; below 1 they overlap.
 
     Parameters
     ----------
@@ -189,7 +198,10 @@ def _contacts(one: Any, first: Any, other: Any, second: Any, out: Any) -> None:
 
 @numba.njit(cache=True, error_model="numpy")
 def _contact(one: Any, first: Any, other: Any, second: Any) -> Any:
-    """Largest x (1 - x) r' ((1 - x) A + x B)^-1 r over x from 0 to 1; it is concave in x."""
+    """Contact function: its largest value over x from 0 to 1.
+
+    It is x (1 - x) r' ((1 - x) A + x B)^-1 r, which is concave in x.
+    """
     ratio = 0.6180339887498949
     low, high = 0.0, 1.0
     a, b = high - ratio, ratio
@@ -208,7 +220,7 @@ def _contact(one: Any, first: Any, other: Any, second: Any) -> Any:
 
 @numba.njit(cache=True, error_model="numpy")
 def _at(x: float, one: Any, first: Any, other: Any, second: Any) -> Any:
-    """The function at one x, by Cramer's rule."""
+    """Contact function at one x, by Cramer's rule."""
     y, m = 1.0 - x, np.empty(6)
     for i in range(3):
         m[i] = y * first[i, i] + x * second[i, i]
@@ -240,7 +252,10 @@ def _place(
     low: Any,
     width: float,
 ) -> Any:
-    """Put each bubble at the first of its candidates where it fits; returns which were placed."""
+    """Put each bubble at the first of its candidates where it fits.
+
+    Returns which bubbles were placed.
+    """
     heads = np.full(cells[0] * cells[1] * cells[2], -1, dtype=np.int64)
     chain = np.full(len(centers), -1, dtype=np.int64)
     for n in range(len(centers)):
@@ -311,7 +326,7 @@ def _fits(
 
 
 def _grid(centers: F64, tried: F64, width: float) -> tuple[I64, F64]:
-    """Cells along x, y, z that hold all places, and where they start."""
+    """Grid of cells that hold all candidates: counts along x, y, z, and origin."""
     known = np.concatenate([centers[np.isfinite(centers[:, 0])], tried.reshape(-1, 3)])
     low = known.min(axis=0)
     cells = np.maximum(1, np.ceil((known.max(axis=0) - low) / width + 1e-9)).astype(np.int64)

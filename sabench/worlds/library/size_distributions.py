@@ -1,4 +1,4 @@
-"""What generators of bubbles and drops share: sizes, shapes and directions, and which of them are wholly inside."""
+"""Size distributions: sizes, shapes and directions of bubbles and drops."""
 
 from __future__ import annotations
 
@@ -13,7 +13,10 @@ _UP = np.array([0.0, -1.0, 0.0])  # Y points down, as in the images
 
 
 class Spectrum(BaseModel):
-    """Sizes: radii of balls of the same volume are log-normal within a range; shapes: oblate, with the short axis near the vertical."""
+    """Log-normal sizes within a range, and oblate shapes.
+
+    Radii are those of balls of the same volume; the short axis is near the vertical.
+    """
 
     radius_mm: float = Field(0.6, gt=0.0, description="median radius of a ball of the same volume")
     radius_spread: float = Field(
@@ -29,7 +32,8 @@ class Spectrum(BaseModel):
         0.0,
         ge=0.0,
         le=90.0,
-        description="standard deviation of the short axis's angle to the vertical, in both directions",
+        description="standard deviation of the short axis's angle to the vertical, in both "
+        "directions",
     )
 
     @model_validator(mode="after")
@@ -37,11 +41,13 @@ class Spectrum(BaseModel):
         low, high = self.radius_range_mm
         if not 0.0 < low <= high or not low <= self.radius_mm <= high:
             raise ValueError(
-                f"radius_range_mm: expected positive, rising values around radius_mm = {self.radius_mm:g}, got {[low, high]}"
+                "radius_range_mm: expected positive, rising values around radius_mm = "
+                f"{self.radius_mm:g}, got {[low, high]}"
             )
         if not 0.0 < self.aspect_range[0] <= self.aspect_range[1] <= 1.0:
             raise ValueError(
-                f"aspect_range: expected rising values between 0 and 1, got {list(self.aspect_range)}"
+                "aspect_range: expected rising values between 0 and 1, got "
+                f"{list(self.aspect_range)}"
             )
         return self
 
@@ -49,7 +55,7 @@ class Spectrum(BaseModel):
 def radii(
     spectrum: Spectrum, rng: np.random.Generator, count: int, largest_mm: float = np.inf
 ) -> F64:
-    """Radii (count,) drawn from a spectrum, none above `largest_mm`."""
+    """Draw radii (count,) from a spectrum, none above `largest_mm`."""
     low, high = spectrum.radius_range_mm
     out = np.full(count, spectrum.radius_mm)
     left = np.ones(count, dtype=np.bool_)
@@ -64,7 +70,10 @@ def radii(
 def spheroids(
     spectrum: Spectrum, rng: np.random.Generator, count: int, largest_mm: float = np.inf
 ) -> tuple[F64, F64]:
-    """Semi-axes (count, 3), the short one second, and turns (count, 3, 3) of oblate spheroids."""
+    """Draw semi-axes (count, 3) and rotations (count, 3, 3) of oblate spheroids.
+
+    The short axis is the second.
+    """
     radius = radii(spectrum, rng, count, largest_mm)
     aspect = rng.uniform(*spectrum.aspect_range, count)
     long = radius * aspect ** (-1.0 / 3.0)
@@ -74,7 +83,10 @@ def spheroids(
 
 
 def upright(rng: np.random.Generator, count: int, tilt: float) -> F64:
-    """Turns (count, 3, 3) whose second rows are near the vertical: tilted at random about both horizontal axes."""
+    """Rotations (count, 3, 3) whose second rows are near the vertical.
+
+    They are tilted at random about both horizontal axes.
+    """
     short = np.tile(_UP, (count, 1))
     short[:, [0, 2]] = np.tan(np.clip(tilt * rng.standard_normal((count, 2)), -1.5, 1.5))
     short /= np.linalg.norm(short, axis=1, keepdims=True)
@@ -84,7 +96,7 @@ def upright(rng: np.random.Generator, count: int, tilt: float) -> F64:
 
 
 def within(domain: Domain, bubbles: Bubbles) -> Bool:
-    """Which are wholly in the box."""
+    """Find which bubbles lie wholly in the box."""
     reach = np.stack([bubbles.reach_mm(axis) for axis in np.eye(3)], axis=1)
     low = domain.low_mm
     inside = (bubbles.center_mm - reach >= low - 1e-9) & (

@@ -1,4 +1,4 @@
-"""Straight vortices: fluid that turns about an axis at a rate that depends on the distance from it only."""
+"""Straight vortices with a rate of rotation that depends on distance only."""
 
 from __future__ import annotations
 
@@ -11,7 +11,10 @@ from sabench.utils.arrays import F64
 def lateral(
     points_mm: F64, center_mm: tuple[float, float, float], axis: tuple[float, float, float]
 ) -> tuple[F64, F64, F64]:
-    """Offsets (n, 3) of points from an axis, their lengths (n,), and the axis as a unit vector."""
+    """Offsets of points from an axis.
+
+    Returns offsets (n, 3), their lengths (n,), and the axis as a unit vector.
+    """
     along = frame_along(axis)[2]
     offset = points_mm - np.asarray(center_mm)
     offset -= (offset @ along)[:, None] * along
@@ -19,12 +22,15 @@ def lateral(
 
 
 def turning(offset: F64, along: F64, rate: F64) -> F64:
-    """Velocities (n, 3) of rates (n,) in rad/s."""
+    """Velocities (n, 3) of rotation at rates (n,) in rad/s."""
     return np.asarray(rate[:, None] * np.cross(along, offset))
 
 
 def turning_gradient(offset: F64, along: F64, rate: F64, slope: F64) -> F64:
-    """Gradients (n, 3, 3); `slope` (n,) is the rate's derivative by the distance, over the distance."""
+    """Gradients (n, 3, 3) of a straight vortex.
+
+    `slope` (n,) is the rate's derivative by the distance, over the distance.
+    """
     return np.asarray(
         rate[:, None, None] * skew(along)
         + np.einsum("n,ni,nj->nij", slope, np.cross(along, offset), offset)

@@ -106,13 +106,13 @@ def test_openptv_projects_as_we_do(kind: str, lens: Distortion, tmp_path: Path) 
 def test_what_a_format_cannot_say_is_said() -> None:
     cameras, grid, _ = rig("particle-tracking")
     two = dataclasses.replace(cameras[0], wall=walls(cameras[0].wall)["two layers"])
-    assert openptv.unfit(two) == "OpenPTV knows one layer of glass, and this wall has 2"
+    assert openptv.unfit(two) == "OpenPTV supports one layer of glass, and this wall has 2"
     beside = dataclasses.replace(cameras[0], distortion=LENS, principal_point_px=(121.3, 117.8))
-    assert "about the middle of the image" in str(openptv.unfit(beside))
-    with pytest.raises(ValueError, match="camera_00: OpenPTV knows one layer of glass"):
+    assert "about the centre of the image" in str(openptv.unfit(beside))
+    with pytest.raises(ValueError, match="camera_00: OpenPTV supports one layer of glass"):
         openptv.orientation_text(two, grid)
     barrel = dataclasses.replace(cameras[0], distortion=Distortion(k1=-0.1))
-    assert "no coefficient is positive" in str(openlpt.unfit(barrel))
+    assert "without a positive coefficient" in str(openlpt.unfit(barrel))
 
 
 def test_points_come_back_from_openptvs_world() -> None:

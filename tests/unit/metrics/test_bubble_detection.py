@@ -12,7 +12,7 @@ from sabench.metrics.plunging_jet import analyse
 from sabench.plotting.charts import Circles, draw
 from sabench.tasks.figures.bubbles import detection_figure
 from sabench.utils.arrays import F64
-from sabench.worlds.library.plunging_jet import LN2, JetLaw
+from sabench.worlds.library.plunging_jet import EDGE, LN2, JetLaw
 
 
 def field(count: int = 60, seed: int = 1) -> Detections:
@@ -118,7 +118,7 @@ def test_figures_of_a_jet_are_those_of_its_law() -> None:
     """Bins blur: the law's own means over bins are what they must be; Y_p is where they drop."""
     law = JetLaw(120.0, 48.1, 0.0034)
     centers, radii = fine_air(law, 200.0)
-    figures = analyse(centers, radii, np.array([3.0, -2.0, 50.0]), 200.0)
+    figures = analyse(centers, radii, np.array([3.0, -2.0, 50.0]), 200.0, EDGE)
     edges = np.arange(0.0, 201.0, 20.0)
     rings = np.arange(0.0, 81.0, 8.0)
     y = np.linspace(0.0, 200.0, 4001)
@@ -144,7 +144,7 @@ def test_figures_of_a_jet_are_those_of_its_law() -> None:
 
 
 def test_no_bubbles_have_no_figures() -> None:
-    figures = analyse(np.zeros((0, 3)), np.zeros(0), np.zeros(3), 100.0)
+    figures = analyse(np.zeros((0, 3)), np.zeros(0), np.zeros(3), 100.0, EDGE)
     assert np.isnan(figures.penetration_mm)
     assert np.isnan(figures.weight)
     assert (figures.concentration == 0.0).all()

@@ -7,7 +7,7 @@ import pytest
 
 from sabench.api import Detections
 from sabench.api.truth import Bubbles
-from sabench.metrics.trajectories import track_scores
+from sabench.metrics.trajectories import trajectory_scores
 from sabench.utils.arrays import I64
 
 TIMES = [0.0, 0.5, 1.5, 2.0]
@@ -32,7 +32,7 @@ def true_bubbles(count: int = 40) -> list[Bubbles]:
 def scores(
     found: list[Detections] | list[Bubbles], track: list[I64], sequences: list[range] | None = None
 ) -> dict[str, float]:
-    return track_scores(found, track, true_bubbles(), TIMES, sequences or [range(4)])
+    return trajectory_scores(found, track, true_bubbles(), TIMES, sequences or [range(4)])
 
 
 def test_the_truth_is_perfect() -> None:
@@ -99,7 +99,7 @@ def test_nothing_is_asked_between_sequences() -> None:
 
 def test_where_there_is_nothing_to_count() -> None:
     true, nothing = true_bubbles(), Detections.balls(np.zeros((0, 3)), np.zeros(0))
-    alone = track_scores(true[:1], [true[0].id], true[:1], TIMES[:1], [range(1)])
+    alone = trajectory_scores(true[:1], [true[0].id], true[:1], TIMES[:1], [range(1)])
     assert all(np.isnan(value) for value in alone.values())
     empty = scores([nothing] * 4, [np.zeros(0, dtype=np.int64)] * 4)
     assert empty.pop("effectiveness") == 0.0
@@ -114,7 +114,7 @@ def test_where_there_is_nothing_to_count() -> None:
         )
         for one, time in zip(true, TIMES, strict=True)
     ]
-    still = track_scores(rest, [one.id for one in rest], rest, TIMES, [range(4)])
+    still = trajectory_scores(rest, [one.id for one in rest], rest, TIMES, [range(4)])
     assert still["velocity_mm_s"] == pytest.approx(0.0, abs=1e-12)
 
 

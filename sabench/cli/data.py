@@ -1,0 +1,198 @@
+"""Commands on data: list, schema, generate, verify, export."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, cast
+
+import typer
+
+from sabench import plugins
+from sabench.cli import tables
+from sabench.cli.options import (
+    KINDS,
+    AsJson,
+    DataSet,
+    Jobs,
+    Overwrite,
+    SceneName,
+    complete_kind,
+    complete_task,
+    say,
+    say_json,
+)
+from sabench.utils.errors import InputError
+
+if TYPE_CHECKING:
+    from sabench.interop.vtkhdf import Format
+    from sabench.plugins import Entry
+    from sabench.simulation.renderer_choice import Renderer
+
+
+def list_all(
+    kind: Annotated[
+        str | None,
+        typer.Option(
+            metavar="KIND",
+            help="List this kind only: generator, solver, scene or suite.",
+            autocompletion=complete_kind,
+        ),
+    ] = None,
+    task: Annotated[
+        str | None,
+        typer.Option(
+            metavar="TASK",
+            help="List the solvers of this task only.",
+            autocompletion=complete_task,
+        ),
+    ] = None,
+    as_json: AsJson = False,
+) -> None:
+    """List generators, solvers, scenes and suites."""
+    entries, faults = _entries(kind)
+    if task is not None:
+        entries = _of_task(entries, task)
+    for fault in faults:
+        print(f"warning: {fault}", file=sys.stderr)
+    if as_json:
+        say_json([_record(entry) for entry in entries])
+    elif sys.stdout.isatty():
+        _show_groups(entries)
+    else:
+        for entry in entries:
+            say(f"{entry.kind:<10} {entry.name:<30} {entry.group:<15} {entry.summary}")
+
+
+def _entries(kind: str | None) -> tuple[list[Entry], list[str]]:
+    if kind is not None and kind not in KINDS:
+        raise InputError(f"--kind: expected one of {', '.join(KINDS)}, got {kind!r}")
+    entries: list[Entry] = []
+    faults: list[str] = []
+    for plural in plugins.KINDS:
+        if kind in (None, plural[:-1]):
+            found, broken = plugins.readable(plural)
+            entries += sorted(found, key=lambda entry: (entry.group, entry.name))
+            faults += broken
+    if kind in (None, "scene"):
+        entries += plugins.tables("scene")
+    if kind in (None, "suite"):
+        entries += plugins.tables("suite")
+    return entries, faults
+
+
+def _of_task(entries: list[Entry], task: str) -> list[Entry]:
+    solvers = [entry for entry in entries if entry.kind == "solver"]
+    known = sorted({entry.group for entry in solvers})
+    if solvers and task not in known:
+        raise InputError(f"--task: expected one of {', '.join(known)}, got {task!r}")
+    return [entry for entry in solvers if entry.group == task]
+
+
+def _record(entry: Entry) -> dict[str, str]:
+    group = {"solver": "task", "generator": "makes"}.get(entry.kind)
+    own = {group: entry.group} if group else {}
+    head = {"kind": entry.kind, "name": entry.name, **own}
+    return {**head, "summary": entry.summary, "file": str(entry.file)}
+
+
+def _show_groups(entries: list[Entry]) -> None:
+    """Print one heading for each kind and group, and one line of the terminal for each entry."""
+    for (kind, group), found in itertools.groupby(entries, lambda one: (one.kind, one.group)):
+        own = list(found)
+        say(typer.style(f"{kind}s: {group}" if group else f"{kind}s", bold=True))
+        names = max(len(entry.name) for entry in own)
+        for entry in own:
+            room = tables.width() - names - 4
+            say(f"  {entry.name:<{names}}  {tables.shortened(entry.summary, room)}")
+
+
+def schema() -> None:
+    """Print the JSON schema of a scene file, for editors."""
+    from sabench.scenes import scene_schema
+
+    say(json.dumps(scene_schema(), indent=1))
+
+
+def generate(
+    scene: SceneName,
+    output: Annotated[
+        Path,
+        typer.Option("-o", "--output", metavar="FOLDER", help="The data set folder to create."),
+    ],
+    seed: Annotated[int, typer.Option(metavar="N", help="Seed of all random numbers.")] = 0,
+    backend: Annotated[
+        str, typer.Option(metavar="NAME", help="Renderer: auto, mitsuba or splat.")
+    ] = "auto",
+    frames: Annotated[
+        int | None,
+        typer.Option(min=1, metavar="N", help="Number of frames, overriding the scene."),
+    ] = None,
+    jobs: Jobs = 1,
+    scheduler: Annotated[
+        str | None,
+        typer.Option(
+            metavar="ADDRESS",
+            help="Address of a Dask scheduler, tcp://..., whose workers do the work.",
+        ),
+    ] = None,
+    overwrite: Overwrite = False,
+) -> None:
+    """Generate a data set: images, cameras and truth.
+
+    If interrupted, run the same command again to resume.
+    """
+    from sabench.scenes import load_scene
+    from sabench.simulation.pipeline import generate as make
+    from sabench.utils.progress import announce_compiling
+
+    announce_compiling()
+    loaded = load_scene(scene)
+    made = make(
+        loaded if frames is None else loaded.with_frames(frames),
+        output,
+        seed=seed,
+        backend=cast("Renderer", backend),  # `make` checks the word
+        name=Path(scene).stem,
+        overwrite=overwrite,
+        jobs=jobs,
+        scheduler=scheduler,
+    )
+    size = f"{made.rig.frames} frame(s) of {len(made.rig.cameras)} cameras"
+    say(f"{made.root}: {size}, {made.manifest.renderer}, hash {made.content_hash[:12]}")
+
+
+def verify(dataset: DataSet) -> None:
+    """Check every byte and every shape of a data set."""
+    from sabench.dataset.verification import verify as faults_of
+
+    faults = faults_of(dataset)
+    for fault in faults:
+        say(fault)
+    if faults:
+        raise typer.Exit(1)
+    say(f"{dataset}: intact")
+
+
+def export(
+    dataset: DataSet,
+    result: Annotated[
+        Path | None,
+        typer.Argument(metavar="[RESULT]", help="A result file; by default the truth is exported."),
+    ] = None,
+    output: Annotated[
+        Path, typer.Option("-o", "--output", metavar="FOLDER", help="The folder to create.")
+    ] = Path("vtk"),
+    to: Annotated[
+        str, typer.Option(metavar="FORMAT", help="vtk: files that ParaView opens.")
+    ] = "vtk",
+    overwrite: Overwrite = False,
+) -> None:
+    """Write volumes, particles, velocity fields, bubbles and bodies for other programs."""
+    from sabench.interop.vtkhdf import export as write
+
+    kind = cast("Format", to)  # `write` checks the word
+    out = write(dataset, output, result, to=kind, overwrite=overwrite)
+    say(f"{out}: {', '.join(sorted(path.name for path in out.iterdir()))}")

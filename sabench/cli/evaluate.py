@@ -1,0 +1,330 @@
+"""Commands on suites and records: run, check, reproduce, submit, board."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from sabench.cli import tables
+from sabench.cli.options import (
+    AsJson,
+    Jobs,
+    Leaderboard,
+    SuiteName,
+    complete_solver,
+    say,
+    say_json,
+)
+
+if TYPE_CHECKING:
+    from sabench.evaluation.gates.comparison import Report
+    from sabench.evaluation.leaderboard.submissions import Standing
+    from sabench.tasks.task import Score
+
+
+def run(
+    suite: SuiteName,
+    as_json: AsJson = False,
+    work: Annotated[
+        Path, typer.Option(metavar="FOLDER", help="Folder of data sets and results.")
+    ] = Path("work"),
+    leaderboard: Leaderboard = Path("leaderboard"),
+    fresh: Annotated[
+        bool,
+        typer.Option("--fresh", help="Compute everything again, including recorded results."),
+    ] = False,
+    case: Annotated[
+        list[str] | None, typer.Option(metavar="NAME", help="Run this case only; repeatable.")
+    ] = None,
+    seed: Annotated[
+        list[int] | None, typer.Option(metavar="N", help="Run this seed only; repeatable.")
+    ] = None,
+    solver: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME", help="Run this solver only, by its name in tables; repeatable."
+        ),
+    ] = None,
+    hidden: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="Run the private test set of the organiser's secret file, not the public one.",
+        ),
+    ] = None,
+    jobs: Jobs = 1,
+) -> None:
+    """Generate, solve and score a suite, then build the leaderboard page.
+
+    Results that have a record already are not computed again.
+    """
+    from sabench.evaluation.hidden_split import read_secret
+    from sabench.evaluation.runner import Only, run_suite
+    from sabench.utils.progress import announce_compiling
+
+    announce_compiling()
+    records = run_suite(
+        suite,
+        work,
+        leaderboard,
+        fresh=fresh,
+        only=Only(tuple(case or ()), tuple(seed or ()), tuple(solver or ())),
+        secret=read_secret(hidden) if hidden else None,
+        jobs=jobs,
+    )
+    if as_json:
+        say_json(records)
+    else:
+        _show_records(records)
+        _say_page(leaderboard / "index.html")
+    if any(record["error"] and not record["declined"] for record in records):
+        raise typer.Exit(1)
+
+
+def _show_records(records: list[dict[str, Any]]) -> None:
+    """Print mean and 95 % confidence interval over seeds, a table for each task, best first."""
+    from sabench import tasks
+    from sabench.evaluation.leaderboard.rows import over_seeds
+
+    rows = over_seeds(records)
+    cases = list(dict.fromkeys(row["case"] for row in rows))
+    for task in tasks.every():
+        columns = task.columns
+        sign, first = -1.0 if columns[0].better == "larger" else 1.0, columns[0].key
+
+        def rank(row: dict[str, Any], sign: float = sign, first: str = first) -> tuple[int, float]:
+            return cases.index(row["case"]), sign * row[first].mean if row[first] else float("inf")
+
+        own = sorted((row for row in rows if row["task"] == task.name), key=rank)
+        if own:
+            headings = ["case", "solver", "seeds", *(column.key for column in columns)]
+            tables.show(headings, [_record_cells(row, columns) for row in own], keys=3)
+
+
+def _record_cells(row: dict[str, Any], columns: tuple[Score, ...]) -> list[str]:
+    figures = ["-" if row[one.key] is None else row[one.key].text(one.decimals) for one in columns]
+    return [row["case"], row.get("label") or row["solver"], str(len(row["seeds"])), *figures]
+
+
+def _say_page(page: Path) -> None:
+    say(f"page: {page.resolve()}")
+
+
+def check(
+    suite: SuiteName,
+    baseline: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="Baseline to compare with. [default: the bundled one of the suite]",
+            show_default=False,
+        ),
+    ] = None,
+    update: Annotated[
+        bool,
+        typer.Option("--update", help="Write this run's scores to the baseline; keep tolerances."),
+    ] = False,
+    solver: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME",
+            help="Run this solver instead of the suite's, on cases of its task; repeatable.",
+            autocompletion=complete_solver,
+        ),
+    ] = None,
+    junit: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Write a JUnit XML file, too.")
+    ] = None,
+    as_json: AsJson = False,
+    work: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FOLDER",
+            help="Folder of data sets and results. [default: a temporary one]",
+            show_default=False,
+        ),
+    ] = None,
+    exit_first: Annotated[
+        bool,
+        typer.Option(
+            "-x", "--exit-first", help="Stop at the first data set or solver that got worse."
+        ),
+    ] = False,
+) -> None:
+    """Run a suite and compare every score with a baseline.
+
+    The exit code is 1 if a score got worse.
+    """
+    from sabench.evaluation.gates.comparison import check_file
+    from sabench.evaluation.gates.junit import write_junit
+    from sabench.utils.progress import announce_compiling
+
+    announce_compiling()
+    report = check_file(
+        suite, baseline, work, update=update, solvers=solver or (), exit_first=exit_first
+    )
+    if junit:
+        write_junit(junit, report)
+    if as_json:
+        say_json(report.to_dict())
+    else:
+        show_report(report)
+    if report.worse:
+        raise typer.Exit(1)
+
+
+def show_report(report: Report) -> None:
+    """Print what got worse as a table, other changes as lines, and a summary."""
+    rows = []
+    for one in report.worse:
+        figures = (one.before, one.now, one.change, one.tolerance)
+        texts = ["-" if value is None else f"{value:.6g}" for value in figures]
+        rows.append([one.case, one.solver, one.text or one.figure, *texts])
+    if rows:
+        headings = ["case", "solver", "figure", "baseline", "now", "change", "tolerance"]
+        tables.show(headings, rows, keys=3)
+    for change in report.news:
+        say(f"news: {change.sentence}")
+    say(report.summary)
+
+
+def reproduce(
+    names: Annotated[
+        list[str],
+        typer.Argument(
+            metavar="NAME...",
+            help="Tables and figures: table-2-1, fig-2-6, ...; an unknown name lists all.",
+        ),
+    ],
+    as_json: AsJson = False,
+    seeds: Annotated[
+        int | None, typer.Option(min=1, metavar="N", help="Number of seeds to average over.")
+    ] = None,
+    pixels: Annotated[
+        int | None,
+        typer.Option(
+            min=32,
+            metavar="N",
+            help="Use small images of this size for a quick trial; the results are not comparable.",
+        ),
+    ] = None,
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            "-o", "--output", metavar="FILE", help="Write the rows to a JSON file, one by one."
+        ),
+    ] = None,
+    figures: Annotated[
+        Path | None, typer.Option(metavar="FOLDER", help="Write plots of the curves, too.")
+    ] = None,
+) -> None:
+    """Reproduce tables and figures of Belden's thesis and compare the values."""
+    from dataclasses import asdict
+
+    from sabench.evaluation.thesis import reproduce as measure
+    from sabench.plotting.charts import Figure
+    from sabench.utils.progress import announce_compiling
+
+    announce_compiling()
+    rows: list[dict[str, Any]] = []
+    for row in measure(names, seeds, pixels):
+        if isinstance(row, Figure):
+            if figures:
+                _write_plot(row, figures)
+            continue
+        rows.append(asdict(row))
+        _report_row(rows[-1])
+        if output:
+            _write_rows(rows, output)
+    if as_json:
+        say_json(rows)
+    else:
+        _show_rows(rows)
+
+
+def _write_plot(plot: Any, folder: Path) -> None:
+    from sabench.plotting.charts import draw
+    from sabench.utils.files import complete_or_nothing
+
+    folder.mkdir(parents=True, exist_ok=True)
+    with complete_or_nothing(folder / f"{plot.name}.png", overwrite=True) as partial:
+        partial.write_bytes(draw(plot))
+
+
+def _write_rows(rows: list[dict[str, Any]], file: Path) -> None:
+    """Write all rows so far, so that an interrupted run keeps them."""
+    from sabench.utils.files import canonical_json, complete_or_nothing
+
+    with complete_or_nothing(file, overwrite=True) as partial:
+        partial.write_text(canonical_json(rows), encoding="utf-8")
+
+
+def _report_row(row: dict[str, Any]) -> None:
+    from sabench.utils.progress import console
+
+    values = f"{tables.figure(row['measured'])}, thesis {tables.figure(row['thesis'])}"
+    console.print(f"{row['name']}: {values}: {row['verdict']}", markup=False, highlight=False)
+
+
+def _show_rows(rows: list[dict[str, Any]]) -> None:
+    """Print the values of the thesis next to the measured ones."""
+    cells = []
+    for row in rows:
+        spread = "" if row["ci95"] is None else f" ± {row['ci95']:.2g}"
+        values = [tables.figure(row["thesis"]), tables.figure(row["measured"]) + spread]
+        cells.append([row["name"], *values, str(row["seeds"] or "-"), row["verdict"], row["note"]])
+    tables.show_wrapped(["row", "thesis", "measured", "seeds", "verdict", "note"], cells)
+
+
+def submit(
+    result: Annotated[
+        Path,
+        typer.Argument(
+            metavar="RESULT",
+            help="A result file, or a .zip, .tar, .tar.gz or folder of result files.",
+        ),
+    ],
+    name: Annotated[
+        str, typer.Option(metavar="NAME", help="Name of the submitter, at most 80 characters.")
+    ],
+    data: Annotated[
+        list[Path] | None,
+        typer.Option(
+            metavar="FOLDER",
+            help="Folder of data sets; repeatable. [default: work/datasets]",
+            show_default=False,
+        ),
+    ] = None,
+    leaderboard: Leaderboard = Path("leaderboard"),
+    as_json: AsJson = False,
+) -> None:
+    """Check and score submitted results and add them to the leaderboard."""
+    from sabench.evaluation.leaderboard.submissions import submit as send
+
+    standings = send(result, name, data or [Path("work/datasets")], leaderboard)
+    if as_json:
+        say_json([{**one.record, "rank": one.rank, "of": one.of} for one in standings])
+        return
+    headings = ["case", "seed", "solver", "first score", "rank", "best other"]
+    tables.show(headings, [_standing_cells(one) for one in standings], keys=3)
+    _say_page(leaderboard / "index.html")
+
+
+def _standing_cells(one: Standing) -> list[str]:
+    from sabench import tasks
+
+    first = tasks.of(one.record["task"]).columns[0]
+    value = one.record[first.key]
+    score = "-" if value is None else f"{first.key} {value:.{first.decimals}f}"
+    rival = f"{one.best[0]}: {one.best[1]:.{first.decimals}f}" if one.best else "-"
+    rank = f"{one.rank} of {one.of}" if one.rank else "-"
+    return [*(str(one.record[key]) for key in ("case", "seed", "solver")), score, rank, rival]
+
+
+def board(leaderboard: Leaderboard = Path("leaderboard")) -> None:
+    """Build the leaderboard page from the records."""
+    from sabench.evaluation.runner import build_board
+
+    _say_page(build_board(leaderboard))

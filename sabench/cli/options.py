@@ -1,0 +1,104 @@
+"""Options that several commands share, and completion of their values."""
+
+from __future__ import annotations
+
+import json
+import tomllib
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from sabench import plugins
+from sabench.utils.errors import InputError
+
+KINDS = ("generator", "solver", "scene", "suite")
+
+
+def say(text: str) -> None:
+    """Print a line to standard output."""
+    typer.echo(text)
+
+
+def say_json(value: Any) -> None:
+    """Print one JSON value; numbers that are not finite are refused."""
+    say(json.dumps(value, allow_nan=False))
+
+
+def parse_parameters(pairs: list[str] | None) -> dict[str, Any]:
+    """Read name=value pairs; a value is TOML if it parses as TOML, else a string."""
+    values: dict[str, Any] = {}
+    for pair in pairs or []:
+        name, sign, text = pair.partition("=")
+        if not sign or not name:
+            raise InputError(f"-p {pair}: expected name=value")
+        try:
+            values[name] = tomllib.loads(f"value = {text}")["value"]
+        except tomllib.TOMLDecodeError:
+            values[name] = text
+    return values
+
+
+def complete_solver(incomplete: str) -> list[str]:
+    """List the solvers whose names start so."""
+    return _starting(plugins.list_solvers(), incomplete)
+
+
+def complete_calibration_solver(incomplete: str) -> list[str]:
+    """List the calibration solvers whose names start so."""
+    return _starting(plugins.list_solvers("calibration"), incomplete)
+
+
+def complete_scene(incomplete: str) -> list[str]:
+    """List the bundled scenes whose names start so."""
+    return _starting(plugins.list_scenes(), incomplete)
+
+
+def complete_suite(incomplete: str) -> list[str]:
+    """List the bundled suites whose names start so."""
+    return _starting(plugins.list_suites(), incomplete)
+
+
+def complete_kind(incomplete: str) -> list[str]:
+    """List the kinds of entries whose names start so."""
+    return _starting(list(KINDS), incomplete)
+
+
+def complete_task(incomplete: str) -> list[str]:
+    """List the tasks whose names start so."""
+    return _starting(plugins.list_tasks(), incomplete)
+
+
+def _starting(names: list[str], incomplete: str) -> list[str]:
+    return [name for name in names if name.startswith(incomplete)]
+
+
+DataSet = Annotated[Path, typer.Argument(metavar="DATASET", help="A data set folder.")]
+SceneName = Annotated[
+    str,
+    typer.Argument(
+        metavar="SCENE",
+        help="A scene file, or the name of a bundled scene.",
+        autocompletion=complete_scene,
+    ),
+]
+SuiteName = Annotated[
+    str,
+    typer.Argument(
+        metavar="SUITE",
+        help="A suite file, or the name of a bundled suite.",
+        autocompletion=complete_suite,
+    ),
+]
+ParameterPairs = Annotated[
+    list[str] | None,
+    typer.Option("-p", "--parameter", metavar="NAME=VALUE", help="Set a parameter; repeatable."),
+]
+Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace existing output.")]
+AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON value.")]
+Leaderboard = Annotated[
+    Path, typer.Option(metavar="FOLDER", help="Folder of the records and the page.")
+]
+Jobs = Annotated[
+    int, typer.Option(min=1, metavar="N", help="Number of processes that generate data.")
+]

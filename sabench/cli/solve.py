@@ -1,0 +1,181 @@
+"""Commands on one data set: solve, score, calibrate."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from sabench.cli import tables
+from sabench.cli.options import (
+    AsJson,
+    DataSet,
+    Overwrite,
+    ParameterPairs,
+    complete_calibration_solver,
+    complete_solver,
+    complete_task,
+    parse_parameters,
+    say,
+    say_json,
+)
+
+if TYPE_CHECKING:
+    from sabench.tasks.own_calibration import Report
+
+
+def solve(
+    solver: Annotated[
+        str,
+        typer.Argument(
+            metavar="SOLVER",
+            help="Name of a solver, or path of a program (see docs/developing/participate.md).",
+            autocompletion=complete_solver,
+        ),
+    ],
+    dataset: DataSet,
+    output: Annotated[
+        Path, typer.Option("-o", "--output", metavar="FILE", help="The result file to create.")
+    ],
+    parameter: ParameterPairs = None,
+    time_limit: Annotated[
+        float | None,
+        typer.Option(
+            metavar="SECONDS", help="Time limit of a program. [default: 3600]", show_default=False
+        ),
+    ] = None,
+    memory_limit: Annotated[
+        float | None,
+        typer.Option(
+            metavar="MB",
+            help="Memory limit of all processes of a program. [default: 90 % of the free memory]",
+            show_default=False,
+        ),
+    ] = None,
+    overwrite: Overwrite = False,
+) -> None:
+    """Run a solver on a data set and write its result file."""
+    from sabench.dataset.hdf5_probe import probe_dataset
+    from sabench.tasks.solve_and_score import solve as run_solver
+    from sabench.utils.processes.limited import limits_of
+    from sabench.utils.progress import announce_compiling
+
+    announce_compiling()
+    probe_dataset(dataset)
+    result = run_solver(
+        solver,
+        dataset,
+        output,
+        parameters=parse_parameters(parameter),
+        limits=limits_of(time_limit, memory_limit),
+        overwrite=overwrite,
+    )
+    memory = f"{result.peak_mb:.0f} MB" if result.peak_mb else "unknown memory"
+    say(f"{output}: {result.solver}, {result.seconds:.2f} s per frame, at most {memory}")
+
+
+def score(
+    dataset: DataSet,
+    result: Annotated[
+        str,
+        typer.Argument(
+            metavar="RESULT",
+            help="A result file, or truth or empty for the best and worst possible scores.",
+        ),
+    ],
+    task: Annotated[
+        str | None,
+        typer.Option(
+            metavar="TASK",
+            help="Task whose scores truth and empty get, if the data set serves several.",
+            autocompletion=complete_task,
+        ),
+    ] = None,
+    track: Annotated[str | None, typer.Option(hidden=True, help="Former name of --task.")] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Score a result against the truth."""
+    from sabench.dataset.hdf5_probe import probe, probe_dataset
+    from sabench.tasks.solve_and_score import score as scores_of
+    from sabench.utils.progress import announce_compiling
+
+    announce_compiling()
+    probe_dataset(dataset)
+    if result not in ("truth", "empty") and Path(result).is_file():
+        probe(Path(result))
+    scores = scores_of(dataset, result, task or track)
+    if as_json:
+        say_json(scores)
+    else:
+        _show_scores(scores)
+
+
+def _show_scores(scores: dict[str, Any]) -> None:
+    from sabench import tasks
+
+    columns = tasks.of(scores["task"]).columns
+    figures = [tables.fixed(scores[column.key], column.decimals) for column in columns]
+    headings = ["data set", "solver", *(column.key for column in columns)]
+    tables.show(headings, [[scores["dataset"][:12], scores["solver"], *figures]])
+
+
+def calibrate(
+    folder: Annotated[
+        Path,
+        typer.Argument(
+            metavar="FOLDER",
+            help="A folder with calibration.toml and images or points.csv "
+            "(see docs/using/calibrating.md).",
+        ),
+    ],
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            "-o",
+            "--output",
+            metavar="FOLDER",
+            help="The folder to create. [default: result, in that folder]",
+            show_default=False,
+        ),
+    ] = None,
+    solver: Annotated[
+        str,
+        typer.Option(
+            metavar="NAME",
+            help="Name of a calibration solver.",
+            autocompletion=complete_calibration_solver,
+        ),
+    ] = "refractive_autocal",
+    parameter: ParameterPairs = None,
+    as_json: AsJson = False,
+    overwrite: Overwrite = False,
+) -> None:
+    """Calibrate your own cameras from images or points of a target."""
+    from dataclasses import asdict
+
+    from sabench.tasks.own_calibration import calibrate as make
+    from sabench.utils.progress import announce_compiling
+
+    announce_compiling()
+    out = output or folder / "result"
+    report = make(folder, out, solver, parse_parameters(parameter), overwrite=overwrite)
+    if as_json:
+        say_json(asdict(report))
+    else:
+        _show_calibration(report, out)
+
+
+def _show_calibration(report: Report, out: Path) -> None:
+    rows = []
+    for line in (*report.cameras, *report.frames):
+        name = line["name"] if isinstance(line["name"], str) else f"frame {line['name']}"
+        errors = [tables.fixed(line[key], 3) for key in ("mean_px", "largest_px")]
+        rows.append([name, str(line["found"]), str(line["used"]), *errors])
+    tables.show(["camera or frame", "found", "used", "mean px", "largest px"], rows)
+    x, y, z = report.std_mm
+    say(f"noise of the detected points: {report.noise_px:.4f} px")
+    say(f"expected true error: {report.true_px:.4f} px")
+    say(f"expected scatter of points along X, Y, Z: {x:.4f}, {y:.4f}, {z:.4f} mm")
+    say(f"expected error of the depth of all points together: {report.depth_mm:.3f} mm")
+    say(f"{out}: cameras.json, report.json, errors.png")

@@ -1,0 +1,83 @@
+"""Tables of the command: fitted to the terminal, 200 columns wide where output is piped."""
+
+from __future__ import annotations
+
+import shutil
+import sys
+from collections.abc import Sequence
+
+PIPED_WIDTH = 200
+_BORDER = 3  # columns of a cell's padding and of one vertical line
+
+Rows = Sequence[Sequence[str]]
+
+
+def width() -> int:
+    """Measure the columns that output may take."""
+    return shutil.get_terminal_size().columns if sys.stdout.isatty() else PIPED_WIDTH
+
+
+def show(headings: Sequence[str], rows: Rows, keys: int = 1) -> None:
+    """Print a table; if it is too wide, transpose a single row, else split the columns.
+
+    Parameters
+    ----------
+    keys : number of first columns that every part of a split table repeats.
+    """
+    sizes = [max(map(len, column)) + _BORDER for column in zip(headings, *rows, strict=True)]
+    if sum(sizes) + 1 <= width():
+        _print(headings, rows)
+    elif len(rows) == 1:
+        _print(("", "value"), list(zip(headings, rows[0], strict=True)))
+    else:
+        for part in _split(sizes, keys):
+            _print([headings[i] for i in part], [[row[i] for i in part] for row in rows])
+
+
+def _split(sizes: Sequence[int], keys: int) -> list[list[int]]:
+    """Distribute columns over tables of the allowed width, each with the key columns first."""
+    first = list(range(keys))
+    parts: list[list[int]] = [[]]
+    free = left = width() - 1 - sum(sizes[:keys])
+    for column in range(keys, len(sizes)):
+        if parts[-1] and sizes[column] > left:
+            parts.append([])
+            left = free
+        parts[-1].append(column)
+        left -= sizes[column]
+    return [first + part for part in parts]
+
+
+def show_wrapped(headings: Sequence[str], rows: Rows) -> None:
+    """Print a table whose last columns hold sentences, which are wrapped at words."""
+    _print(headings, rows, wrap=True)
+
+
+def _print(headings: Sequence[str], rows: Rows, *, wrap: bool = False) -> None:
+    from rich.console import Console
+    from rich.markup import escape
+    from rich.table import Table
+
+    table = Table()
+    for number, heading in enumerate(headings):
+        table.add_column(escape(heading), no_wrap=not (wrap and number), overflow="fold")
+    for row in rows:
+        table.add_row(*map(escape, row))
+    Console(width=width()).print(table)
+
+
+def figure(value: float | str | None, digits: int = 4) -> str:
+    """Format a number with so many significant digits, a missing one as a dash."""
+    if value is None or isinstance(value, str):
+        return value or "-"
+    return f"{value:,.0f}" if 1e4 <= abs(value) < 1e7 else f"{value:.{digits}g}"
+
+
+def fixed(value: float | None, decimals: int) -> str:
+    """Format a number with so many decimals, a missing one as a dash."""
+    return "-" if value is None else f"{value:.{decimals}f}"
+
+
+def shortened(text: str, columns: int) -> str:
+    """Cut a text that is longer than so many columns, with an ellipsis at its end."""
+    return text if len(text) <= columns else f"{text[: max(columns - 1, 0)].rstrip()}…"

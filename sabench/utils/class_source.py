@@ -1,0 +1,170 @@
+"""Source reader: class attributes and faulty imports of a file, without importing it."""
+
+from __future__ import annotations
+
+import ast
+import functools
+import importlib.util
+import re
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from sabench.utils.errors import InputError
+
+_PACKAGE = Path(__file__).resolve().parents[1]
+
+
+@dataclass(frozen=True)
+class Class:
+    """A class statement: first line of its docstring, string constants and names of its bases."""
+
+    summary: str
+    constants: dict[str, str]
+    bases: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Source:
+    """A parsed file.
+
+    Attributes
+    ----------
+    classes : by name, those at the top level.
+    imported : name in this file to (line, module, name there); the last is empty for a module.
+    """
+
+    file: Path
+    classes: dict[str, Class]
+    imported: dict[str, tuple[int, str, str]]
+
+
+def parse(file: Path) -> Source:
+    """Read the classes and imports at the top level of a file.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read or is no Python.
+    """
+    try:
+        statements = ast.parse(file.read_bytes(), str(file)).body
+    except SyntaxError as error:
+        raise InputError(f"{file}: line {error.lineno}: {error.msg}") from error
+    except (OSError, ValueError) as error:
+        raise InputError(f"{file}: {error}") from error
+    classes = {one.name: _class(one) for one in statements if isinstance(one, ast.ClassDef)}
+    return Source(file, classes, dict(_imports(statements)))
+
+
+def _class(statement: ast.ClassDef) -> Class:
+    lines = (ast.get_docstring(statement) or "").strip().splitlines()
+    constants = dict(_constants(statement.body))
+    bases = tuple(base.id for base in statement.bases if isinstance(base, ast.Name))
+    return Class(lines[0] if lines else "", constants, bases)
+
+
+def _constants(body: list[ast.stmt]) -> Iterator[tuple[str, str]]:
+    for one in body:
+        targets = one.targets if isinstance(one, ast.Assign) else []
+        targets = [one.target] if isinstance(one, ast.AnnAssign) else targets
+        value = getattr(one, "value", None)
+        if isinstance(value, ast.Constant) and isinstance(value.value, str):
+            yield from ((item.id, value.value) for item in targets if isinstance(item, ast.Name))
+
+
+def _imports(body: list[ast.stmt]) -> Iterator[tuple[str, tuple[int, str, str]]]:
+    for one in body:
+        if isinstance(one, ast.Import):
+            for alias in one.names:
+                yield alias.asname or alias.name, (one.lineno, alias.name, "")
+        elif isinstance(one, ast.ImportFrom) and one.module and not one.level:
+            for alias in one.names:
+                yield alias.asname or alias.name, (one.lineno, one.module, alias.name)
+
+
+def find_class(source: Source, name: str) -> Class | None:
+    """Find the class whose attribute `name` is this string; None unless there is exactly one."""
+    found = [one for one in source.classes.values() if one.constants.get("name") == name]
+    return found[0] if len(found) == 1 else None
+
+
+def constant(source: Source, of: Class, attribute: str) -> str | None:
+    """Read a string attribute of a class, from its bases where it inherits it; None if unclear."""
+    if attribute in of.constants:
+        return of.constants[attribute]
+    for base in of.bases:
+        place = _definition(source, base)
+        value = constant(*place, attribute) if place else None
+        if value is not None:
+            return value
+    return None
+
+
+def _definition(source: Source, name: str) -> tuple[Source, Class] | None:
+    """Find the statement of a class in this file or, through imports, in others of sabench."""
+    if name in source.classes:
+        return source, source.classes[name]
+    _, module, original = source.imported.get(name, (0, "", ""))
+    file = _file_of(module)
+    return _definition(_parse_once(file), original) if file and original else None
+
+
+@functools.cache
+def _parse_once(file: Path) -> Source:
+    return parse(file)
+
+
+@functools.cache
+def _file_of(module: str) -> Path | None:
+    """Find the file of a module of sabench, without importing its package."""
+    top, *parts = module.split(".")
+    path = _PACKAGE.joinpath(*parts)
+    if top != _PACKAGE.name:
+        return None
+    files = (path / "__init__.py", path.with_suffix(".py"))
+    return next((file for file in files if file.is_file()), None)
+
+
+def import_fault(source: Source) -> str:
+    """Find the first import of a file that must fail; empty if there is none.
+
+    Modules of sabench and the names imported from them are looked up in their sources, of other
+    packages only that they are installed. So this is quick, and does not find every fault.
+    """
+    for line, module, name in source.imported.values():
+        top = module.split(".")[0]
+        if top == _PACKAGE.name:
+            fault = _own_fault(module, name)
+        else:
+            fault = "" if _installed(top) else f"no module named {top!r} is installed"
+        if fault:
+            return f"line {line}: {fault}"
+    return ""
+
+
+def _own_fault(module: str, name: str) -> str:
+    if module.startswith(f"{_PACKAGE.name}.plugins."):
+        return ""
+    file = _file_of(module)
+    if file is None:
+        return f"there is no module {module}"
+    if name and not _mentions(file, name) and not _file_of(f"{module}.{name}"):
+        return f"{module} has no {name}"
+    return ""
+
+
+def _mentions(file: Path, name: str) -> bool:
+    return name == "*" or re.search(rf"\b{re.escape(name)}\b", _text(file)) is not None
+
+
+@functools.cache
+def _text(file: Path) -> str:
+    return file.read_text(encoding="utf-8")
+
+
+@functools.cache
+def _installed(top: str) -> bool:
+    known = top in sys.stdlib_module_names or top in sys.modules
+    return known or importlib.util.find_spec(top) is not None

@@ -1,0 +1,72 @@
+"""Tables that fit the terminal."""
+
+from __future__ import annotations
+
+import pytest
+
+from sabench.cli import tables
+
+HEADINGS = ["case", "solver", *(f"score_{i}" for i in range(12))]
+
+
+def row(name: str) -> list[str]:
+    return [name, "msa", *(f"{i}.{i}" for i in range(12))]
+
+
+@pytest.fixture
+def narrow(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A terminal of 80 columns."""
+    monkeypatch.setattr(tables, "width", lambda: 80)
+
+
+@pytest.mark.usefixtures("narrow")
+def test_one_wide_row_is_transposed(capsys: pytest.CaptureFixture[str]) -> None:
+    tables.show(HEADINGS, [row("quick")])
+    lines = capsys.readouterr().out.splitlines()
+    assert max(map(len, lines)) <= 80
+    for heading, value in zip(HEADINGS, row("quick"), strict=True):
+        assert any(heading in line and value in line for line in lines)
+
+
+@pytest.mark.usefixtures("narrow")
+def test_wide_rows_are_split_and_every_part_names_its_rows(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    tables.show(HEADINGS, [row("one"), row("two")], keys=2)
+    out = capsys.readouterr().out
+    assert max(map(len, out.splitlines())) <= 80
+    parts = out.count("solver")
+    assert parts > 1
+    assert out.count("one") == out.count("two") == parts
+    assert all(out.count(f"{heading} ") == 1 for heading in HEADINGS[2:])
+
+
+@pytest.mark.usefixtures("narrow")
+def test_a_narrow_table_stays_one(capsys: pytest.CaptureFixture[str]) -> None:
+    tables.show(HEADINGS[:4], [row("one")[:4], row("two")[:4]])
+    assert capsys.readouterr().out.count("case") == 1
+
+
+@pytest.mark.usefixtures("narrow")
+def test_sentences_are_wrapped_and_numbers_are_not(capsys: pytest.CaptureFixture[str]) -> None:
+    tables.show_wrapped(["row", "note"], [["fig-2-6", "many words " * 20]])
+    out = capsys.readouterr().out
+    assert max(map(len, out.splitlines())) <= 80
+    assert "fig-2-6" in out
+    assert out.count("many") == out.count("words") == 20
+
+
+def test_piped_output_is_wide() -> None:
+    assert tables.width() == tables.PIPED_WIDTH
+
+
+def test_brackets_are_printed_as_they_are(capsys: pytest.CaptureFixture[str]) -> None:
+    tables.show(["case"], [["[bold]x[/bold]"]])
+    assert "[bold]x[/bold]" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("text", "columns", "cut"), [("abc", 3, "abc"), ("abcd", 3, "ab…"), ("a bcd", 3, "a…")]
+)
+def test_long_texts_end_in_an_ellipsis(text: str, columns: int, cut: str) -> None:
+    assert tables.shortened(text, columns) == cut

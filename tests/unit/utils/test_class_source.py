@@ -1,0 +1,71 @@
+"""Facts about classes read from source."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from sabench.utils.class_source import constant, find_class, import_fault, parse
+from sabench.utils.errors import InputError
+
+SOURCE = '''
+from sabench.api import {base} as Base
+
+class Own(Base):
+    """One line.
+
+    More lines.
+    """
+
+class Named(Own):
+    """Another line."""
+
+    name = "named"
+'''
+
+
+def write(folder: Path, text: str) -> Path:
+    file = folder / "named.py"
+    file.write_text(text, encoding="utf-8")
+    return file
+
+
+def test_an_attribute_is_inherited_within_a_file_and_from_the_package(tmp_path: Path) -> None:
+    source = parse(write(tmp_path, SOURCE.format(base="Flow")))
+    found = find_class(source, "named")
+    assert found is not None
+    assert found.summary == "Another line."
+    assert constant(source, found, "makes") == "flow"
+    assert constant(source, found, "colour") is None
+
+
+def test_only_one_class_may_have_the_name(tmp_path: Path) -> None:
+    twice = SOURCE.format(base="Flow") + '\nclass Again(Base):\n    name = "named"\n'
+    assert find_class(parse(write(tmp_path, twice)), "named") is None
+    assert find_class(parse(write(tmp_path, SOURCE.format(base="Flow"))), "other") is None
+
+
+@pytest.mark.parametrize(
+    ("statement", "fault"),
+    [
+        ("import numpy as np", ""),
+        ("import sabench.api", ""),
+        ("from sabench.algorithms import refocus", ""),
+        ("from sabench.api import Observation, Solver", ""),
+        ("import xml.dom", ""),
+        ("from .other import x", ""),
+        ("try:\n    import nowhere_at_all\nexcept ImportError:\n    pass", ""),
+        ("from sabench.reproject import sweep", "line 1: there is no module sabench.reproject"),
+        ("\nfrom sabench.api import Sollver", "line 2: sabench.api has no Sollver"),
+        ("import nowhere_at_all.here", "line 1: no module named 'nowhere_at_all' is installed"),
+    ],
+)
+def test_imports_that_must_fail_are_found(tmp_path: Path, statement: str, fault: str) -> None:
+    assert import_fault(parse(write(tmp_path, statement))) == fault
+
+
+@pytest.mark.parametrize("text", ["class Named(:\n", "x = '\0'"])
+def test_what_is_no_python_is_bad_input(tmp_path: Path, text: str) -> None:
+    with pytest.raises(InputError, match=r"named\.py"):
+        parse(write(tmp_path, text))
