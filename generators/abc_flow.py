@@ -19,7 +19,10 @@ class AbcParameters(Parameters):
 
 
 class AbcFlow(Flow):
-    """A steady solution of Euler's equations, free of divergence, parallel to its own vorticity, with chaotic paths."""
+    """A steady solution of Euler's equations with chaotic paths.
+
+    It is free of divergence and parallel to its own vorticity.
+    """
 
     name = "abc_flow"
     references = ("T. Dombre et al., J. Fluid Mech. 167, 353-391, 1986",)

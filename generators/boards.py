@@ -11,7 +11,10 @@ from sabench.api import Domain, Parameters, Pose, Target, TargetGenerator, rotat
 
 
 class BoardsParameters(Parameters):
-    """The board, and how freely it is held; over the frames it goes evenly through the volume's depth."""
+    """The board, and how freely it is held.
+
+    Over the frames it goes evenly through the volume's depth.
+    """
 
     pattern: Literal["checkerboard", "circles", "charuco"] = "checkerboard"
     columns: int = Field(11, ge=3, le=200, description="points along X")
@@ -20,7 +23,8 @@ class BoardsParameters(Parameters):
     mark_mm: float | None = Field(
         None,
         gt=0.0,
-        description="diameter of a circle (by default half a pitch), edge of a ChArUco marker (0.7 of it)",
+        description="diameter of a circle (by default half a pitch), edge of a ChArUco marker "
+        "(0.7 of it)",
     )
     tilt_deg: float = Field(10.0, ge=0.0, le=60.0, description="largest turn about X and about Y")
     roll_deg: float = Field(
@@ -43,7 +47,10 @@ class BoardsParameters(Parameters):
 
 
 class Boards(TargetGenerator):
-    """A checkerboard, grid of circles or ChArUco board at free poses, evenly through the depth of the volume."""
+    """A checkerboard, grid of circles or ChArUco board at random poses.
+
+    Over the frames it moves uniformly through the depth of the volume.
+    """
 
     name = "boards"
     references = ("J. Belden, PhD thesis, MIT 2011, figure 4-10",)
@@ -66,7 +73,7 @@ class Boards(TargetGenerator):
         )
 
     def pose(self, domain: Domain, seed: int, frame: int, frames: int) -> Pose:
-        """Turned within the limits, then put where all its points are in the volume, if they can be."""
+        """Draw a rotation, then a position at which the volume holds all points, if it can."""
         chosen: BoardsParameters = self.parameters
         rng, limits = (
             stream(seed, "targets", frame),

@@ -53,19 +53,26 @@ class BubbleFieldParameters(BubbleParameters, Spectrum):
             or (low >= high).any()
         ):
             raise InputError(
-                f"bubbles: low_mm, high_mm: expected rising corners within the volume, got {list(self.low_mm)} and {list(self.high_mm)}"
+                "bubbles: low_mm, high_mm: expected rising corners within the volume, got "
+                f"{list(self.low_mm)} and {list(self.high_mm)}"
             )
         return Domain(triple((low + high) / 2.0), triple(high - low), domain.pixels)
 
 
 class BubbleField(BubbleGenerator):
-    """Bubbles of log-normal sizes at uniformly random places, carried by one velocity; whoever leaves the box is replaced on the other side."""
+    """Bubbles of log-normal sizes at uniformly random places, carried by one velocity.
+
+    Whoever leaves the box is replaced on the other side.
+    """
 
     name = "bubble_field"
     Parameters = BubbleFieldParameters
 
     def bubbles(self, domain: Domain, seed: int, frame: int, time_s: float) -> Bubbles:
-        """Those that are wholly in the volume at a time: the seed draws the field, the time moves it."""
+        """Those that are wholly in the volume at a time.
+
+        The seed draws the field, the time moves it.
+        """
         chosen: BubbleFieldParameters = self.parameters
         domain, rng = chosen.box(domain), stream(seed, "bubbles")
         velocity, size = np.asarray(chosen.velocity_mm_s), np.asarray(domain.size_mm)

@@ -28,7 +28,10 @@ _READ, _POINTS = 0.5, 5  # middle part of a cell's edges that is read, and point
 
 
 class CodePlateParameters(SolidParameters):
-    """Cells lie in the plane Z = 0 of its own frame, columns along X, rows along Y; the film itself is not there."""
+    """Cells lie in the plane Z = 0 of its own frame, columns along X, rows along Y.
+
+    The film itself is not there.
+    """
 
     columns: int = Field(16, ge=2, le=200)
     rows: int = Field(12, ge=2, le=200)
@@ -37,7 +40,10 @@ class CodePlateParameters(SolidParameters):
 
 
 class CodePlate(CodeGenerator):
-    """A random code of dark and clear square cells before the light, half of them dark: what of it is read says how well one sees through."""
+    """A random code of dark and clear square cells before the light, half of them dark.
+
+    What of it is read says how well one sees through.
+    """
 
     name = "code_plate"
     Parameters = CodePlateParameters

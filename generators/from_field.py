@@ -65,7 +65,10 @@ class FromFieldParameters(FileParameters):
 
 
 class FromField(Flow):
-    """A field on a lattice, e.g. of a simulation, between whose points cubic splines run; beyond its box it is as at its faces."""
+    """A field on a lattice, e.g. of a simulation, between whose points cubic splines run.
+
+    Beyond its box it is as at its faces.
+    """
 
     name = "from_field"
     Parameters = FromFieldParameters
@@ -87,7 +90,8 @@ class FromField(Flow):
                 for pair in (wanted, (low, high))
             ]
             raise InputError(
-                f"{self.parameters.file}: expected a field over the whole volume ({spans[0]} mm along x, y, z), got one over {spans[1]} mm"
+                f"{self.parameters.file}: expected a field over the whole volume ({spans[0]} mm "
+                f"along x, y, z), got one over {spans[1]} mm"
             )
 
     def velocity(self, points_mm: F64, time_s: float) -> F64:
@@ -198,11 +202,13 @@ def _line(path: Path, name: str, array: Array) -> F64:
     values = array.values
     if values.ndim != 1 or len(values) < _FEWEST:
         raise InputError(
-            f"{path}: {name}: expected {_FEWEST} coordinates of a lattice or more in one line, got the shape {values.shape}"
+            f"{path}: {name}: expected {_FEWEST} coordinates of a lattice or more in one line, "
+            f"got the shape {values.shape}"
         )
     if not (np.diff(values) > 0.0).all():
         raise InputError(
-            f"{path}: {name}: expected rising coordinates, got {', '.join(f'{value:g}' for value in values[:4])} ..."
+            f"{path}: {name}: expected rising coordinates, got "
+            f"{', '.join(f'{value:g}' for value in values[:4])} ..."
         )
     return values
 
@@ -236,7 +242,8 @@ def _velocities(
             )
             got = f"{part.shape}{_hint(part, counts)}"
             raise InputError(
-                f"{path}: {name}: expected the shape {tuple(expected)} ({axes}) as the coordinates have it, got {got}"
+                f"{path}: {name}: expected the shape {tuple(expected)} ({axes}) as the "
+                f"coordinates have it, got {got}"
             )
     whole = np.stack(parts, axis=-1) if len(parts) == 3 else parts[0]
     first = 0 if steady else 1

@@ -14,7 +14,10 @@ from sabench.worlds.library.field_files import length_mm, read_arrays, speed_mm_
 
 
 class FromTracksParameters(FileParameters):
-    """What the file calls things, one value for each point of each track, and how its coordinates lie in the world."""
+    """Names of the file's arrays, and the position of its coordinates in the world.
+
+    Each array has one value for each point of each trajectory.
+    """
 
     id: str = Field("particle", description="which track a point belongs to")
     time: str = Field("frame", description="when it was there: times, or numbers of frames")
@@ -36,11 +39,13 @@ class FromTracksParameters(FileParameters):
     )
     seconds: str | float | None = Field(
         None,
-        description="unit of the times, or s in one of them or in a frame; by default as the file says",
+        description="unit of the times, or s in one of them or in a frame; by default as the "
+        "file says",
     )
     start_s: float | None = Field(
         None,
-        description="time on the file's clock at which the first frame is taken; by default the first in the file",
+        description="time on the file's clock at which the first frame is taken; by default the "
+        "first in the file",
     )
     center_mm: tuple[float, float, float] | None = Field(
         None, description="where the middle of all points is put; by default they stay"
@@ -50,13 +55,17 @@ class FromTracksParameters(FileParameters):
     def _different(self) -> FromTracksParameters:
         if len({self.id, self.time, *self.axes}) < 5:
             raise ValueError(
-                f"expected five different arrays for id, time and axes, got {[self.id, self.time, *self.axes]}"
+                "expected five different arrays for id, time and axes, got "
+                f"{[self.id, self.time, *self.axes]}"
             )
         return self
 
 
 class FromTracks(Generator):
-    """Particles on tracks from a file; between a track's points cubics run whose slopes at the points are its velocities there."""
+    """Particles on tracks from a file.
+
+    Between a track's points cubics run whose slopes at the points are its velocities there.
+    """
 
     name = "from_tracks"
     Parameters = FromTracksParameters
@@ -81,7 +90,8 @@ class FromTracks(Generator):
             spans = ", ".join(f"{a:.4g} to {b:.4g}" for a, b in zip(low, high, strict=True))
             times = f"{tracks.time_s.min():.6g} to {tracks.time_s.max():.6g}"
             raise InputError(
-                f"{chosen.file}: expected a track in the volume in frame {frame}, at {now:.6g} s, got none of {len(place)}: "
+                f"{chosen.file}: expected a track in the volume in frame {frame}, at {now:.6g} "
+                f"s, got none of {len(place)}: "
                 f"they run over {spans} mm along x, y, z and {times} s"
             )
         return Particles(
@@ -103,7 +113,10 @@ class _Tracks:
     diameter_mm: F64
 
     def at(self, now: float) -> tuple[F64, F64, I64]:
-        """Places and velocities (n, 3) of all tracks that have begun and not ended, and the points (n,) from which they were taken."""
+        """Interpolate all trajectories that have begun and not ended.
+
+        Returns positions and velocities (n, 3), and the numbers (n,) of the points before them.
+        """
         slack = 1e-9 * max(abs(now), float(np.ptp(self.time_s)))
         same = self.id[1:] == self.id[:-1]
         across = np.flatnonzero(
@@ -154,12 +167,14 @@ def _read(text: str) -> _Tracks:
     for name in names:
         if arrays[name].values.shape != (count,) or count < 1:
             raise InputError(
-                f"{path}: {name}: expected one value for each of {count} points, and one point or more, got {arrays[name].values.shape}"
+                f"{path}: {name}: expected one value for each of {count} points, and one point "
+                f"or more, got {arrays[name].values.shape}"
             )
     identity = arrays[chosen.id].values
     if (identity != np.rint(identity)).any():
         raise InputError(
-            f"{path}: {chosen.id}: expected whole numbers, got {identity[identity != np.rint(identity)][0]:g}"
+            f"{path}: {chosen.id}: expected whole numbers, got "
+            f"{identity[identity != np.rint(identity)][0]:g}"
         )
     time = arrays[chosen.time].values * time_s(
         chosen.seconds, arrays[chosen.time], f"{path}: {chosen.time}", "particles.seconds"
@@ -186,7 +201,8 @@ def _read(text: str) -> _Tracks:
     double = np.flatnonzero((number[1:] == number[:-1]) & (time[1:] == time[:-1]))
     if len(double):
         raise InputError(
-            f"{path}: expected one point of a track at a time, got two of track {number[double[0]]} at {time[double[0]]:g} s"
+            f"{path}: expected one point of a track at a time, got two of track "
+            f"{number[double[0]]} at {time[double[0]]:g} s"
         )
     if chosen.velocity:
         speeds = [
@@ -206,7 +222,11 @@ def _read(text: str) -> _Tracks:
 
 
 def _slopes(identity: I64, time: F64, place: F64) -> F64:
-    """Velocities at points: of the parabola through each and its neighbours, at ends of the last three or two; zero of lone points."""
+    """Velocities at points.
+
+    Of the parabola through each and its neighbours, at ends of the last three or two; zero of lone
+    points.
+    """
     out = np.zeros_like(place)
     same = np.append(
         identity[1:] == identity[:-1], False

@@ -10,7 +10,10 @@ from sabench.worlds.library.naca import section
 
 
 class HydrofoilParameters(SolidParameters):
-    """Before it is turned, its chord runs along X from the leading edge on, its span along Y, and its upper side faces +Z."""
+    """Size and section of the foil in its own frame.
+
+    Its chord runs along X from the leading edge on, its span along Y, and its upper side faces +Z.
+    """
 
     digits: str = Field(
         "0012",
@@ -54,7 +57,10 @@ class Hydrofoil(SolidGenerator):
 
 
 def _faces(around: int) -> I64:
-    """Triangles between two rings of vertices: the sides, then strips between upper and lower side at both ends."""
+    """Triangles between two rings of vertices.
+
+    The sides, then strips between upper and lower side at both ends.
+    """
     here = np.arange(around)
     there = (here + 1) % around
     sides = np.concatenate(

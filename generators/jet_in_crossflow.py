@@ -15,7 +15,10 @@ _GAP = 0.1  # between drops and the column, in nozzle diameters: its surface is 
 
 
 class JetInCrossflowParameters(BubbleParameters, Spectrum, Crossflow):
-    """The jet as in `liquid_column`; drops are seeded evenly over the time that they have been in the gas."""
+    """The jet as in `liquid_column`.
+
+    Drops are seeded evenly over the time that they have been in the gas.
+    """
 
     index: float = Field(1.333, ge=1.0, le=4.0, description="refractive index of the liquid")
     radius_mm: float = Field(0.35, gt=0.0, description="median radius of a ball of the same volume")
@@ -38,7 +41,10 @@ class JetInCrossflowParameters(BubbleParameters, Spectrum, Crossflow):
 
 
 class JetInCrossflow(BubbleGenerator):
-    """Drops that gas carries from a broken liquid column, faster and faster, between the edges that such sprays were measured to have."""
+    """Drops of a broken liquid jet that a gas accelerates.
+
+    They fly between the edges that were measured of such sprays.
+    """
 
     name = "jet_in_crossflow"
     references = (
@@ -48,7 +54,10 @@ class JetInCrossflow(BubbleGenerator):
     Parameters = JetInCrossflowParameters
 
     def bubbles(self, domain: Domain, seed: int, frame: int, time_s: float) -> Bubbles:
-        """Those wholly in the volume and off the column; who reaches the volume's end begins anew with another number."""
+        """Those wholly in the volume and off the column.
+
+        Who reaches the volume's end begins anew with another number.
+        """
         chosen: JetInCrossflowParameters = self.parameters
         rng, cones, spray = stream(seed, "bubbles"), chosen.cones(seed), self._spray(domain)
         semi_axes, turn = spheroids(chosen, rng, chosen.count)
@@ -93,7 +102,10 @@ class JetInCrossflow(BubbleGenerator):
     def _places(
         self, rng: np.random.Generator, spray: Spray, reach: F64, tries: int, cones: Cones
     ) -> F64:
-        """Candidates (k, m, 3) from the nozzle, off the column: even over age and between the spray's edges."""
+        """Candidates (k, m, 3) from the nozzle, off the column.
+
+        Even over age and between the spray's edges.
+        """
         out = np.empty((len(reach) * tries, 3))
         number = np.arange(len(out))
         while len(number):

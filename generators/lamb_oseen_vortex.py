@@ -24,7 +24,10 @@ class LambOseenParameters(Parameters):
 
 
 class LambOseenVortex(Flow):
-    """A vortex with a Gaussian core, which viscosity spreads: a solution of the Navier-Stokes equations."""
+    """A vortex with a Gaussian core, which viscosity spreads.
+
+    A solution of the Navier-Stokes equations.
+    """
 
     name = "lamb_oseen_vortex"
     references = (
@@ -48,7 +51,10 @@ class LambOseenVortex(Flow):
         return turning_gradient(offset, along, *self._rates(distance, time_s))
 
     def _rates(self, distance: F64, time_s: float) -> tuple[F64, F64]:
-        """Rate of turning, and its derivative by the distance over the distance; with q = r^2 / r_c^2 they are (1 - e^-q) / q and its slope."""
+        """Rate of turning, and its derivative by the distance over the distance.
+
+        With q = r^2 / r_c^2 they are (1 - e^-q) / q and its slope.
+        """
         chosen: LambOseenParameters = self.parameters
         core = chosen.core_mm**2 + 4.0 * chosen.viscosity_mm2_s * time_s
         q = distance**2 / core

@@ -18,7 +18,10 @@ class LinearParameters(Parameters):
 
 
 class LinearFlow(Flow):
-    """The same gradient everywhere, du_i / dx_j: uniform motion, shear, rigid rotation or strain, for tests of bias."""
+    """The same gradient everywhere, du_i / dx_j.
+
+    Uniform motion, shear, rigid rotation or strain, for tests of bias.
+    """
 
     name = "linear_flow"
     Parameters = LinearParameters

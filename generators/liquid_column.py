@@ -17,14 +17,21 @@ _RIPPLES = 24  # plane waves that make them
 
 
 class LiquidColumnParameters(SolidParameters, Crossflow):
-    """The same jet's drops are those of `jet_in_crossflow` with the same numbers; `nozzle_mm` says where it is."""
+    """The same jet's drops are those of `jet_in_crossflow` with the same numbers.
+
+    `nozzle_mm` says where it is.
+    """
 
     step_mm: float = Field(0.2, gt=0.0, description="of the lattice on which its surface is found")
     material: Material = Material(kind="liquid")
 
 
 class LiquidColumn(SolidGenerator):
-    """A liquid jet that gas bends: its column along a measured law up to where it breaks, with waves, ripples and ligaments; one closed surface."""
+    """A liquid jet that gas bends.
+
+    Its column along a measured law up to where it breaks, with waves, ripples and ligaments; one
+    closed surface.
+    """
 
     name = "liquid_column"
     references = ("Wu, Kirkendall, Fuller and Nejad, J. Propul. Power 13, 64 (1997)",)

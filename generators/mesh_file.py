@@ -34,7 +34,8 @@ class MeshFile(SolidGenerator):
             mesh = trimesh.load(path, force="mesh")
         except Exception as error:  # trimesh's loaders raise whatever they like
             raise InputError(
-                f"{path}: expected a mesh as STL, PLY, OBJ or GLB, got {type(error).__name__}: {error}"
+                f"{path}: expected a mesh as STL, PLY, OBJ or GLB, got {type(error).__name__}: "
+                f"{error}"
             ) from error
         if not isinstance(mesh, trimesh.Trimesh) or not len(mesh.faces):
             raise InputError(f"{path}: expected a mesh with faces, got none")

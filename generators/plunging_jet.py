@@ -17,7 +17,10 @@ _CORE = 6.2  # a turbulent jet's speed on its axis: 6.2 diameters over the depth
 
 
 class PlungingJetParameters(BubbleParameters, Spectrum):
-    """Table 5.2 and equations 5.18 to 5.23; sizes above Y_p are those of the spectrum, below it none is larger than `cutoff_mm`."""
+    """Table 5.2 and equations 5.18 to 5.23.
+
+    Sizes above Y_p are those of the spectrum, below it none is larger than `cutoff_mm`.
+    """
 
     impact_mm: tuple[float, float, float] = Field(
         (0.0, 0.0, 0.0), description="where the jet meets the surface; it points down, along +Y"
@@ -38,7 +41,10 @@ class PlungingJetParameters(BubbleParameters, Spectrum):
 
 
 class PlungingJet(BubbleGenerator):
-    """Bubbles whose concentration, sizes, depth and angle follow the thesis's laws of plunging jets, sinking on the axis and rising around it."""
+    """Bubbles below a plunging jet by the thesis's laws.
+
+    Concentration, sizes, depth and angle follow them; bubbles sink on the axis and rise around it.
+    """
 
     name = "plunging_jet"
     references = ("J. Belden, MIT thesis, chapter 5", "Clanet and Lasheras, Phys. Fluids 9 (1997)")
@@ -57,7 +63,10 @@ class PlungingJet(BubbleGenerator):
         )
 
     def bubbles(self, domain: Domain, seed: int, frame: int, time_s: float) -> Bubbles:
-        """Those in the volume at a time: drawn at the first, moved until then; where two meet, the larger one is left."""
+        """Those in the volume at a time: drawn at the first, moved until then.
+
+        Where two meet, the larger one is left.
+        """
         chosen: PlungingJetParameters = self.parameters
         rng, impact = stream(seed, "bubbles"), np.asarray(chosen.impact_mm)
         semi_axes, turn, deep = self._shapes(rng, domain)
@@ -130,7 +139,10 @@ class PlungingJet(BubbleGenerator):
     def _places(
         self, rng: np.random.Generator, domain: Domain, deep: Bool, reach: F64, tries: int
     ) -> F64:
-        """Candidates (k, m, 3), wholly in the volume; depths from the law's distribution above or below Y_p, distances from equation 5.19."""
+        """Candidates (k, m, 3), wholly in the volume.
+
+        Depths from the law's distribution above or below Y_p, distances from equation 5.19.
+        """
         chosen: PlungingJetParameters = self.parameters
         top, bottom = self._depths(domain)
         low, high = domain.low_mm, domain.low_mm + np.asarray(domain.size_mm)

@@ -24,14 +24,16 @@ class PropellerParameters(SolidParameters):
     )
     pitch_mm: float = Field(
         30.0,
-        description="way along the axis that a blade's mean surface, a helicoid, climbs in a turn; negative: left-handed",
+        description="way along the axis that a blade's mean surface, a helicoid, climbs in a "
+        "turn; negative: left-handed",
     )
     chord_mm: float = Field(9.0, gt=0.0, description="of the sections, at every radius")
     thickness: float = Field(
         0.15,
         gt=0.0,
         le=0.4,
-        description="of the sections, NACA's four digits without camber: largest thickness over chord",
+        description="of the sections, NACA's four digits without camber: largest thickness over "
+        "chord",
     )
     step_mm: float = Field(
         0.25, gt=0.0, description="of the lattice: edges are two of it thick, and round"
@@ -48,13 +50,15 @@ class PropellerParameters(SolidParameters):
             raise ValueError("pitch_mm: expected another value than 0")
         if not 2.0 * self.step_mm <= thick:
             raise ValueError(
-                f"step_mm: expected at most half of the blades' thickness, {thick:.3g} mm, got {self.step_mm:g}"
+                f"step_mm: expected at most half of the blades' thickness, {thick:.3g} mm, got "
+                f"{self.step_mm:g}"
             )
         around = np.pi * self.hub_mm
         gap = around / self.blades * abs(self.pitch_mm) / np.hypot(around, self.pitch_mm)
         if not thick < gap:
             raise ValueError(
-                f"blades: expected sections thinner than their distance at the hub, {gap:.3g} mm, got {thick:.3g} mm"
+                f"blades: expected sections thinner than their distance at the hub, {gap:.3g} "
+                f"mm, got {thick:.3g} mm"
             )
         return self
 
@@ -87,7 +91,10 @@ class Propeller(SolidGenerator):
         return surface_of(body, -high, high, chosen.step_mm)
 
     def _blades(self, points_mm: F64) -> F64:
-        """Like distances (n,) to the nearest blade: on a cylinder, unrolled, a blade is a straight section at the angle of its helix."""
+        """Like distances (n,) to the nearest blade.
+
+        On a cylinder, unrolled, a blade is a straight section at the angle of its helix.
+        """
         chosen: PropellerParameters = self.parameters
         edge, (x, y, z) = chosen.step_mm, points_mm.T
         radius = np.hypot(y, z)

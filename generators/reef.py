@@ -26,7 +26,10 @@ Cones = tuple[F64, F64, F64, F64]
 
 
 class ReefParameters(SolidParameters):
-    """Before it is turned it stands on the plane Y = 0 and grows towards -Y, which is up where +Y is down."""
+    """Size and branches of the reef in its own frame.
+
+    It stands on the plane Y = 0 and grows towards -Y, which is up where +Y is down.
+    """
 
     size_mm: Vector = Field(
         (36.0, 20.0, 28.0),
@@ -37,7 +40,8 @@ class ReefParameters(SolidParameters):
     step_mm: float = Field(
         0.3,
         gt=0.0,
-        description="of the lattice; a fifth of the thinnest branch's radius or less keeps all of them round",
+        description="of the lattice; a fifth of the thinnest branch's radius or less keeps all "
+        "of them round",
     )
 
     @field_validator("size_mm")
@@ -49,7 +53,7 @@ class ReefParameters(SolidParameters):
 
 
 class Reef(SolidGenerator):
-    """An irregular mound of branches grown into each other, full of holes and overhangs, on a flat base."""
+    """An irregular mound of branches on a flat base, full of holes and overhangs."""
 
     name = "reef"
     references = ("S. M. LaValle, Iowa State University TR 98-11 (1998)",)
@@ -75,7 +79,10 @@ class Reef(SolidGenerator):
         return largest_part(surface_of(body, low, [-low[0], 1.5 * step, -low[2]], step))
 
     def _branches(self, half: F64, rng: np.random.Generator) -> Cones:
-        """Rounded cones towards random places in half an ellipsoid, each from the nearest end of another one (LaValle's random tree), and thinner."""
+        """Grow rounded cones towards random positions in half an ellipsoid.
+
+        Each starts from the nearest end of another one (LaValle's random tree) and is thinner.
+        """
         least, count = half.min(), self.parameters.branches
         room = half - _JOINTS * _BLEND * least
         ends, radii, parents = (

@@ -27,13 +27,17 @@ class ShearWaveParameters(Parameters):
             self.along
         ) * np.linalg.norm(self.across):
             raise ValueError(
-                f"expected along and across at right angles, got {list(self.along)} and {list(self.across)}"
+                f"expected along and across at right angles, got {list(self.along)} and "
+                f"{list(self.across)}"
             )
         return self
 
 
 class ShearWave(Flow):
-    """Velocity that varies as a sine across its own direction: how well a method resolves a wavelength shows in the amplitude that it finds."""
+    """Velocity that varies as a sine across its own direction.
+
+    How well a method resolves a wavelength shows in the amplitude that it finds.
+    """
 
     name = "shear_wave"
     Parameters = ShearWaveParameters

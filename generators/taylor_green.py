@@ -18,13 +18,17 @@ class TaylorGreenParameters(Parameters):
     peak_mm_s: float = Field(100.0, description="largest speed, at the start")
     deep: bool = Field(
         True,
-        description="cells along Z as well, with the start of Taylor and Green's own flow; else columns, which solve Navier-Stokes",
+        description="cells along Z as well, with the start of Taylor and Green's own flow; else "
+        "columns, which solve Navier-Stokes",
     )
     viscosity_mm2_s: float = Field(0.0, ge=0.0, description="columns decay by it: 1 for water")
 
 
 class TaylorGreen(Flow):
-    """Counter-rotating vortices in cells, free of divergence; columns along Z are a solution of the Navier-Stokes equations."""
+    """Counter-rotating vortices in cells, free of divergence.
+
+    Columns along Z are a solution of the Navier-Stokes equations.
+    """
 
     name = "taylor_green"
     references = ("G. I. Taylor and A. E. Green, Proc. R. Soc. Lond. A 158, 499-521, 1937",)

@@ -27,13 +27,17 @@ class TurbulenceParameters(Parameters):
     def _ordered(self) -> TurbulenceParameters:
         if self.kolmogorov_mm >= self.integral_mm:
             raise ValueError(
-                f"expected kolmogorov_mm below integral_mm, got {self.kolmogorov_mm:g} and {self.integral_mm:g}"
+                f"expected kolmogorov_mm below integral_mm, got {self.kolmogorov_mm:g} and "
+                f"{self.integral_mm:g}"
             )
         return self
 
 
 class Turbulence(Flow):
-    """Random Fourier modes, free of divergence, with the spectrum of von Karman and Pao: k^4 at large, k^(-5/3) at medium, a cut at small lengths."""
+    """Random Fourier modes, free of divergence, with the spectrum of von Karman and Pao.
+
+    k^4 at large, k^(-5/3) at medium, a cut at small lengths.
+    """
 
     name = "turbulence"
     references = (

@@ -11,7 +11,10 @@ _MOST = 50_000_000
 
 
 class UniformParameters(Parameters):
-    """Exactly one of `count`, `per_mm3` and `per_pixel` says how many; diameters are log-normal (a spread of 0: all equal)."""
+    """Exactly one of `count`, `per_mm3` and `per_pixel` says how many.
+
+    Diameters are log-normal (a spread of 0: all equal).
+    """
 
     count: int | None = Field(None, ge=0, le=_MOST, description="number of particles")
     per_mm3: float | None = Field(None, ge=0.0, description="particles per mm3 of the volume")
@@ -33,13 +36,17 @@ class UniformParameters(Parameters):
         ]
         if len(given) != 1:
             raise ValueError(
-                f"expected exactly one of count, per_mm3, per_pixel, got {', '.join(given) or 'none'}"
+                "expected exactly one of count, per_mm3, per_pixel, got "
+                f"{', '.join(given) or 'none'}"
             )
         return self
 
 
 class Uniform(Generator):
-    """Uniformly random particles carried by one velocity; whoever leaves the volume is replaced on the other side."""
+    """Uniformly random particles carried by one velocity.
+
+    Whoever leaves the volume is replaced on the other side.
+    """
 
     name = "uniform"
     Parameters = UniformParameters
@@ -71,6 +78,7 @@ class Uniform(Generator):
         )
         if wanted > _MOST:
             raise InputError(
-                f"particles: expected at most {_MOST} of them, but per_mm3 or per_pixel makes {wanted:.3g}"
+                f"particles: expected at most {_MOST} of them, but per_mm3 or per_pixel makes "
+                f"{wanted:.3g}"
             )
         return round(wanted)

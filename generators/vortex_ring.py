@@ -25,12 +25,15 @@ class VortexRingParameters(Parameters):
     fold_mm: float = Field(
         0.5,
         gt=0.0,
-        description="distance from the ring's axis within which the component away from it is let go to zero",
+        description="distance from the ring's axis within which the component away from it is "
+        "let go to zero",
     )
 
 
 class VortexRing(Flow):
-    """The thesis's ring: the fluid turns about a circle, at a speed that depends on the distance from it only.
+    """The thesis's ring.
+
+    The fluid turns about a circle, at a speed that depends on the distance from it only.
 
     Such a field is not free of divergence. Along the ring's axis it would have a fold, where fluid
     of all sides meets and stays for ever: there, and only there, it is smoothed.
@@ -82,7 +85,10 @@ class VortexRing(Flow):
         return r, z, lateral / np.maximum(r, _AXIS)[:, None]
 
     def _opened(self, r: F64) -> tuple[F64, F64]:
-        """The part of the outward component that is left near the axis, over the distance from it, and its derivative."""
+        """Fade out the outward component near the axis.
+
+        Returns the part that is left over the distance from the axis, and its derivative.
+        """
         fold = self.parameters.fold_mm
         t = np.minimum(r / fold, 1.0)
         share = np.where(

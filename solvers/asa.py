@@ -18,7 +18,10 @@ class AsaParameters(ExtractionParameters):
 
 
 class Asa(Solver):
-    """Additive synthetic aperture: the mean of all cameras at every voxel, then what stands out of each plane."""
+    """Additive synthetic aperture.
+
+    The mean of all cameras at every voxel, then what stands out of each plane.
+    """
 
     name = "asa"
     references = (

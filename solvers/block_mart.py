@@ -7,7 +7,11 @@ from sabench.api import Observation, Reconstruction, Solver
 
 
 class BlockMart(Solver):
-    """Block MART: where all cameras see light, multiply by the ratio of recorded to projected light, one camera after the other."""
+    """Block MART.
+
+    Where all cameras see light, multiply by the ratio of recorded to projected light, one camera
+    after the other.
+    """
 
     name = "block_mart"
     references = (
@@ -17,7 +21,10 @@ class BlockMart(Solver):
     Parameters = SparseParameters
 
     def solve(self, case: Observation) -> Reconstruction:
-        """I_j <- I_j prod_i (P_i / sum_k W_ik I_k)^(mu W_ij) over the pixels i of one camera, on the voxels that MLOS leaves."""
+        """Iterate I_j <- I_j prod_i (P_i / sum_k W_ik I_k)^(mu W_ij).
+
+        The product is over the pixels i of one camera; only voxels that MLOS leaves are updated.
+        """
         chosen = self.parameters
         problem = TomographyProblem.from_case(case, chosen)
         state = problem.mlos(chosen.threshold)

@@ -35,18 +35,23 @@ class IprParameters(Parameters):
     reduced: int | None = Field(
         None,
         ge=0,
-        description="the same where one camera may show nothing; None: each camera leads one, but four at least",
+        description="the same where one camera may show nothing; None: each camera leads one, "
+        "but four at least",
     )
     fits: int = Field(8, ge=1, description="times that every particle is fitted in each of them")
     faint: float = Field(
         0.15,
         ge=0.0,
-        description="brightness in the second darkest camera below which a particle is a ghost, over the median",
+        description="brightness in the second darkest camera below which a particle is a ghost, "
+        "over the median",
     )
 
 
 class Ipr(ParticleSolver):
-    """Iterative particle reconstruction: triangulate, fit to the images, take away, and look again; the harness links the frames."""
+    """Iterative particle reconstruction.
+
+    Triangulate, fit to the images, take away, and look again; the harness links the frames.
+    """
 
     name = "ipr"
     references = ("Wieneke, Meas. Sci. Technol. 24 (2013) 024008",)

@@ -15,7 +15,9 @@ from sabench.api import F64, Calibration, CalibrationCase, CalibrationSolver, In
 
 
 class LinearAutocal(CalibrationSolver):
-    """Factorisation and Euclidean upgrade for pinholes in a single medium, brought to the world by a similarity.
+    """Factorisation and Euclidean upgrade for pinholes in a single medium.
+
+    A similarity brings the result to the world.
 
     The principal points are believed, the cameras otherwise unknown. Scale, place and direction
     come from the target's roughly known places, of which only this similarity is taken.

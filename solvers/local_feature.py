@@ -63,7 +63,10 @@ class LocalFeatureParameters(Parameters):
 
 
 class LocalFeature(BubbleSolver):
-    """Peaks of the feature potential in twice attenuated planes; ellipses by Hough's transform around each group of them."""
+    """Peaks of the feature potential in twice attenuated planes.
+
+    Ellipses by Hough's transform around each group of them.
+    """
 
     name = "local_feature"
     references = ("J. Belden, MIT thesis, section 5.4.3", "Y. Xie and Q. Ji, ICPR 2002")
@@ -83,7 +86,10 @@ class LocalFeature(BubbleSolver):
         )
 
     def _bubbles(self, volume: F32, peaks: FeaturePeaks, grid: Grid) -> F64:
-        """Bubbles (n, 7) of all groups, each grown from the strongest peak that is left: outline, part of it that has edges, plane."""
+        """Bubbles (n, 7) of all groups, each grown from the strongest peak that is left.
+
+        Outline, part of it that has edges, plane.
+        """
         largest = self.parameters.largest_mm / grid.voxel_mm[0]
         free = np.ones(len(peaks.weight), dtype=np.bool_)
         found = []
@@ -99,7 +105,10 @@ class LocalFeature(BubbleSolver):
         return np.array(found, dtype=np.float64).reshape(-1, 7)
 
     def _features(self, volume: F32, peaks: FeaturePeaks, group: I64, largest: float) -> list[F64]:
-        """Ellipses of a group in its mean plane, each then in its own; without one, small features at its strongest peak."""
+        """Ellipses of a group in its mean plane, each then in its own.
+
+        Without one, small features at its strongest peak.
+        """
         windows = peaks.place[group, 1:] * STEP
         plane = peaks.plane(group)
         shapes = self._ellipses(
@@ -125,7 +134,10 @@ class LocalFeature(BubbleSolver):
         return out
 
     def _refocused(self, volume: F32, one: F64, plane: int, largest: float) -> F64 | None:
-        """An outline in the plane where it is darkest, and that plane; none if it is not there any more."""
+        """An outline in the plane where it is darkest, and that plane.
+
+        None if it is not there any more.
+        """
         depth = float(plane)
         for _ in range(2):
             depth = find_depth(volume, one, round(depth))
@@ -140,7 +152,10 @@ class LocalFeature(BubbleSolver):
         return np.append(one, depth)
 
     def _small(self, volume: F32, peak: I64) -> list[F64]:
-        """Features around a peak that are too small for votes, as circles whose outlines nothing is known of."""
+        """Find features around a peak that are too small for votes.
+
+        They are taken as circles, since nothing is known of their outlines.
+        """
         chosen: LocalFeatureParameters = self.parameters
         plane, (top, left) = int(peak[0]), np.maximum(peak[1:] * STEP - _MARGIN, 0)
         size = WINDOW + 2 * _MARGIN
@@ -153,7 +168,7 @@ class LocalFeature(BubbleSolver):
 
 
 def _detections(bubbles: F64, grid: Grid) -> Detections:
-    """Ellipsoids whose third axis, along the line of sight, is as long as the longer one that is seen."""
+    """Make ellipsoids of outlines; the third axis is as long as the longer one in the image."""
     voxel, low = np.asarray(grid.voxel_mm), np.asarray(grid.low_mm)
     _, _, a, b, angle, _, _ = bubbles.T
     cosine, sine = np.cos(angle), np.sin(angle)

@@ -7,7 +7,10 @@ from sabench.api import Observation, Reconstruction, Solver
 
 
 class MapShiftAverage(Solver):
-    """Map-shift-average: images mapped to one plane, shifted by whole pixels and averaged; for cameras on one plane without refraction."""
+    """Map-shift-average: images mapped to one plane, shifted by whole pixels and averaged.
+
+    For cameras on one plane without refraction.
+    """
 
     name = "map_shift_average"
     references = (
@@ -17,6 +20,9 @@ class MapShiftAverage(Solver):
     Parameters = ExtractionParameters
 
     def solve(self, case: Observation) -> Reconstruction:
-        """I_k = (1 / N) sum_i of image i mapped to the reference plane and shifted by mu_k (dX_i, dY_i), thresholded plane by plane."""
+        """Average images mapped to the reference plane and shifted, thresholded plane by plane.
+
+        I_k = (1 / N) sum_i of image i shifted by mu_k (dX_i, dY_i).
+        """
         volume = refocus_by_shifts(case.normalised_images(), case.cameras, case.grid)
         return Reconstruction(extract_particles(volume, case, self.parameters))

@@ -9,7 +9,11 @@ from sabench.api import Observation, Reconstruction, Solver
 
 
 class Mart(Solver):
-    """MART: from a uniform guess, every pixel in turn scales its line of sight to the light that it recorded."""
+    """MART.
+
+    From a uniform guess, every pixel in turn scales its line of sight to the light that it
+    recorded.
+    """
 
     name = "mart"
     references = (
@@ -20,7 +24,10 @@ class Mart(Solver):
     Parameters = SparseParameters
 
     def solve(self, case: Observation) -> Reconstruction:
-        """I_j <- I_j (P_i / sum_k W_ik I_k)^(mu W_ij), pixel i by pixel; voxels that a camera sees black are zero from the start."""
+        """I_j <- I_j (P_i / sum_k W_ik I_k)^(mu W_ij), pixel i by pixel.
+
+        Voxels that a camera sees black are zero from the start.
+        """
         chosen = self.parameters
         problem = TomographyProblem.from_case(case, chosen)
         state = problem.mlos(chosen.threshold)

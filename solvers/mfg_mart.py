@@ -17,7 +17,10 @@ class MfgMart(Solver):
     Parameters = SparseParameters
 
     def solve(self, case: Observation) -> Reconstruction:
-        """I_j = (prod_c P_c)^(1/N), then I_j <- I_j (P_i / sum_k W_ik I_k)^(mu W_ij), pixel i by pixel."""
+        """Start from I_j = (prod_c P_c)^(1/N), then iterate pixel by pixel.
+
+        I_j <- I_j (P_i / sum_k W_ik I_k)^(mu W_ij).
+        """
         chosen = self.parameters
         problem = TomographyProblem.from_case(case, chosen)
         state = problem.mfg(chosen.threshold)

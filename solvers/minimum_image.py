@@ -31,7 +31,10 @@ class MinimumImageParameters(Parameters):
 
 
 class MinimumImage(BubbleSolver):
-    """Attenuated multiplicative planes, their minimum images over fifty planes, circles by Hough's transform."""
+    """Circles in minimum images over fifty attenuated multiplicative planes.
+
+    They are found by Hough's transform.
+    """
 
     name = "minimum_image"
     references = ("J. Belden, MIT thesis, section 5.4.2",)

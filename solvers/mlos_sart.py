@@ -18,7 +18,11 @@ class MlosSartParameters(SparseParameters):
 
 
 class MlosSart(Solver):
-    """MLOS-SART: where all cameras see light, add the mean over cameras of what is missing along the lines of sight."""
+    """MLOS-SART.
+
+    Where all cameras see light, add the mean over cameras of what is missing along the lines of
+    sight.
+    """
 
     name = "mlos_sart"
     references = (
@@ -29,7 +33,10 @@ class MlosSart(Solver):
     Parameters = MlosSartParameters
 
     def solve(self, case: Observation) -> Reconstruction:
-        """I_j <- max(0, I_j + mu sum_i W_ij (P_i - sum_k W_ik I_k) / L_i / N_j) on the voxels that MLOS leaves."""
+        """Iterate on the voxels that MLOS leaves.
+
+        I_j <- max(0, I_j + mu sum_i W_ij (P_i - sum_k W_ik I_k) / L_i / N_j).
+        """
         chosen = self.parameters
         problem = TomographyProblem.from_case(case, chosen)
         state = problem.mlos(chosen.threshold)

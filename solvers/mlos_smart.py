@@ -17,7 +17,11 @@ class MlosSmartParameters(SparseParameters):
 
 
 class MlosSmart(Solver):
-    """MLOS-SMART: where all cameras see light, multiply by the geometric mean over cameras of recorded to projected light."""
+    """MLOS-SMART.
+
+    Where all cameras see light, multiply by the geometric mean over cameras of recorded to
+    projected light.
+    """
 
     name = "mlos_smart"
     references = (
@@ -28,7 +32,10 @@ class MlosSmart(Solver):
     Parameters = MlosSmartParameters
 
     def solve(self, case: Observation) -> Reconstruction:
-        """I_j <- I_j prod_i (P_i / sum_k W_ik I_k)^(mu W_ij / N_j) on the voxels that MLOS leaves."""
+        """Iterate on the voxels that MLOS leaves.
+
+        I_j <- I_j prod_i (P_i / sum_k W_ik I_k)^(mu W_ij / N_j).
+        """
         chosen = self.parameters
         problem = TomographyProblem.from_case(case, chosen)
         state = problem.mlos(chosen.threshold)

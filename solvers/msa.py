@@ -31,12 +31,16 @@ class MsaParameters(ExtractionParameters):
     )
     seen_only: bool = Field(
         False,
-        description="multiply only the cameras that see a voxel, and adapt n to their number (thesis section 2.2.4)",
+        description="multiply only the cameras that see a voxel, and adapt n to their number "
+        "(thesis section 2.2.4)",
     )
 
 
 class Msa(Solver):
-    """Multiplicative synthetic aperture: the product of all cameras at every voxel, each raised to n and to a floor."""
+    """Multiplicative synthetic aperture.
+
+    The product of all cameras at every voxel, each raised to n and to a floor.
+    """
 
     name = "msa"
     references = (

@@ -14,7 +14,10 @@ from sabench.interop.openlpt import Settings, missing, solve, unfit, write_frame
 
 
 class OpenLptParameters(Parameters):
-    """What OpenLPT is told besides what the images show; the rest is derived from them or as its own window offers it."""
+    """What OpenLPT is told besides what the images show.
+
+    The rest is derived from them or as its own window offers it.
+    """
 
     displacement_px: float = Field(
         10.0, gt=0.0, description="largest displacement from frame to frame, in the images"
@@ -22,13 +25,15 @@ class OpenLptParameters(Parameters):
     tolerance_px: float = Field(
         0.8,
         gt=0.0,
-        description="largest distance of a particle image from where its camera sees the particle, first round",
+        description="largest distance of a particle image from where its camera sees the "
+        "particle, first round",
     )
     floor: float = Field(
         0.2,
         gt=0.0,
         lt=1.0,
-        description="smallest peak of a particle image, over a bright particle's; more if noise demands it",
+        description="smallest peak of a particle image, over a bright particle's; more if noise "
+        "demands it",
     )
     shake_px: float = Field(
         0.25,
@@ -42,7 +47,11 @@ class OpenLptParameters(Parameters):
 
 
 class OpenLpt(ParticleSolver):
-    """OpenLPT of the Ni lab: iterative particle reconstruction and Shake-the-Box, as PyPI has it; below five frames its reconstruction alone."""
+    """OpenLPT of the Ni lab.
+
+    Iterative particle reconstruction and Shake-the-Box, as PyPI has it; below five frames its
+    reconstruction alone.
+    """
 
     name = "openlpt"
     references = (

@@ -33,7 +33,8 @@ class OptvParameters(Parameters):
         5,
         ge=0,
         le=255,
-        description="rise of grey values, of 255, away from a peak that begins another particle image",
+        description="rise of grey values, of 255, away from a peak that begins another particle "
+        "image",
     )
     change: float = Field(
         0.5, gt=0.0, description="largest change of a displacement, over the largest displacement"
@@ -42,7 +43,11 @@ class OptvParameters(Parameters):
 
 
 class Optv(ParticleSolver):
-    """OpenPTV's library: particle images by thresholds, correspondences along epipolar lines through the glass, tracking in images and space."""
+    """OpenPTV's library.
+
+    Particle images by thresholds, correspondences along epipolar lines through the glass, tracking
+    in images and space.
+    """
 
     name = "optv"
     references = (
@@ -53,7 +58,10 @@ class Optv(ParticleSolver):
     Parameters = OptvParameters
 
     def skip(self, case: Film) -> str | None:
-        """It must be installed and able to describe every camera; its correspondences are between four at most."""
+        """It must be installed and able to describe every camera.
+
+        Its correspondences are between four at most.
+        """
         if not 2 <= len(case.cameras) <= MOST_CAMERAS:
             return f"it needs two to {MOST_CAMERAS} cameras"
         odd = next((camera.name for camera in case.cameras if not isinstance(camera, Camera)), None)

@@ -1,4 +1,7 @@
-"""Three-dimensional PIV: window correlation in several passes on volumes that are moved towards each other."""
+"""Three-dimensional PIV.
+
+Window correlation in several passes on volumes that are moved towards each other.
+"""
 
 from __future__ import annotations
 
@@ -36,12 +39,14 @@ class Piv3dParameters(VelocimetryParameters):
     smoothing: float = Field(
         0.35,
         ge=0.0,
-        description="standard deviation of the Gaussian on the field that moves the volumes, as a part of the windows",
+        description="standard deviation of the Gaussian on the field that moves the volumes, as "
+        "a part of the windows",
     )
     width: float = Field(
         0.7,
         ge=0.0,
-        description="standard deviation in voxels to which narrower particles are blurred, for splines to follow them",
+        description="standard deviation in voxels to which narrower particles are blurred, for "
+        "splines to follow them",
     )
     taper: float | None = Field(
         None,
@@ -51,7 +56,10 @@ class Piv3dParameters(VelocimetryParameters):
 
 
 class Piv3d(VelocimetrySolver):
-    """Correlation by spectra first, then by sums over blocks on volumes moved by cubic splines, with validation between all passes."""
+    """Multi-pass correlation with deformed volumes and validation between passes.
+
+    By spectra first, then by sums over blocks on volumes moved by cubic splines.
+    """
 
     name = "piv3d"
     references = (

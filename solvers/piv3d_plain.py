@@ -24,7 +24,10 @@ class PlainParameters(VelocimetryParameters):
 
 
 class Piv3dPlain(VelocimetrySolver):
-    """Correlation of windows that stay where they are, by Fourier transforms, then the thesis's filters, filling and smoothing."""
+    """Correlation of fixed windows by Fourier transforms, in one pass.
+
+    The thesis's filters, filling and smoothing follow.
+    """
 
     name = "piv3d_plain"
     references = (

@@ -11,7 +11,9 @@ _FLAT = 0.1  # largest range of Z in a frame, as a part of the distance of the f
 
 
 class PolynomialPlanes(CalibrationSolver):
-    """Second-order polynomials on the planes of a target that was traversed along Z, straight lines between them, as in the thesis's experiment.
+    """Second-order polynomials on the planes of a target that was traversed along Z.
+
+    Straight lines run between the planes, as in the thesis's experiment.
 
     The target's places are believed as they are told: their errors become the cameras'.
     """
@@ -27,7 +29,10 @@ class PolynomialPlanes(CalibrationSolver):
         apart = float(np.diff(middles).min(initial=np.inf))
         if apart > 0.0 and ranges.max() <= _FLAT * apart:
             return None
-        return f"expected frames of one Z each, got one with a range of {ranges.max():.3g} mm where frames are {apart:.3g} mm apart"
+        return (
+            f"expected frames of one Z each, got one with a range of {ranges.max():.3g} mm "
+            f"where frames are {apart:.3g} mm apart"
+        )
 
     def solve(self, case: CalibrationCase) -> Calibration:
         """Fit every camera on its own."""

@@ -30,7 +30,10 @@ class TriangulationParameters(Parameters):
 
 
 class RayTriangulation(ParticleSolver):
-    """Particle images that lines of sight bring together, every image used once, intersected; the harness links the frames."""
+    """Particle images that lines of sight bring together, every image used once, intersected.
+
+    The harness links the frames.
+    """
 
     name = "ray_triangulation"
     references = ("Maas, Gruen and Papantoniou, Exp. Fluids 15 (1993) 133-146",)

@@ -18,7 +18,10 @@ from sabench.api import Calibration, CalibrationCase, CalibrationSolver, Paramet
 
 
 class RefractiveAutocalParameters(Parameters):
-    """What is free besides the turn, centre and focal length of every camera, what the case calls unknown, and the places of the boards."""
+    """Unknowns besides rotation, centre and focal length of cameras, and the boards.
+
+    What the case calls unknown is always free.
+    """
 
     principal_point: bool = Field(
         False, description="of every camera, whether the case calls it unknown or not"
@@ -36,7 +39,9 @@ class RefractiveAutocalParameters(Parameters):
 
 
 class RefractiveAutocal(CalibrationSolver):
-    """Joint bundle adjustment of refractive cameras and boards, robust against outliers, with the known points as observations.
+    """Joint bundle adjustment of refractive cameras and boards, robust against outliers.
+
+    The known points are observations.
 
     A wall's place is not free: all that the images show is where the cameras and boards are against
     it, and where it is in the world the known points say.
@@ -50,7 +55,7 @@ class RefractiveAutocal(CalibrationSolver):
     Parameters = RefractiveAutocalParameters
 
     def solve(self, case: CalibrationCase) -> Calibration:
-        """Adjust, then again with the known coordinates weighed against the noise that was found."""
+        """Adjust, then again with the known coordinates weighed against the measured noise."""
         chosen: RefractiveAutocalParameters = self.parameters
         lenses = FreeParameters.from_names(
             {*case.unknown, *chosen.distortion, *["principal_point"] * chosen.principal_point}

@@ -14,13 +14,16 @@ class AlternatingParameters(Parameters):
     tolerance_px: float = Field(
         0.001,
         gt=0.0,
-        description="stop when the largest mean reprojection error of a camera changes by less in a round",
+        description="stop when the largest mean reprojection error of a camera changes by less "
+        "in a round",
     )
     rounds: int = Field(1000, ge=1, description="stop after as many rounds in any case")
 
 
 class RefractiveAutocalAlternating(CalibrationSolver):
-    """Each camera against the boards, each board against the cameras, in turn until the errors hardly change.
+    """Each camera against the boards and each board against the cameras, in turn.
+
+    Until the errors hardly change.
 
     The stop rule looks at a change and not at a gradient: it ends before the least-squares solution
     is reached.

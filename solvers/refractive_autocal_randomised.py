@@ -36,7 +36,10 @@ class RandomisedParameters(Parameters):
 
 
 class RefractiveAutocalRandomised(CalibrationSolver):
-    """Alternating calibrations of random subsets until two agree; their mean boards start that of all cameras."""
+    """Alternating calibrations of random subsets until two agree.
+
+    Their mean boards start that of all cameras.
+    """
 
     name = "refractive_autocal_randomised"
     references = ("J. Belden, PhD thesis, MIT 2011, section 4.4.2",)
@@ -47,7 +50,10 @@ class RefractiveAutocalRandomised(CalibrationSolver):
         chosen: RandomisedParameters = self.parameters
         if len(case.cameras) > chosen.subset:
             return None
-        return f"expected more than {chosen.subset} cameras, of which subsets can be drawn, got {len(case.cameras)}"
+        return (
+            f"expected more than {chosen.subset} cameras, of which subsets can be drawn, got "
+            f"{len(case.cameras)}"
+        )
 
     def solve(self, case: CalibrationCase) -> Calibration:
         """Draw and average until the subsets agree, or agree less than before."""

@@ -48,7 +48,10 @@ class RimFitParameters(Parameters):
 
 
 class RimFit(BubbleSolver):
-    """Outlines that most views vote for become bubbles, fitted to all images at once with the profile that optics gives a backlit bubble."""
+    """Outlines that most views vote for, fitted with the optical profile of bubbles.
+
+    All images are fitted simultaneously.
+    """
 
     name = "rim_fit"
     references = ("Loy and Zelinsky, IEEE PAMI 25 (2003)",)
@@ -61,7 +64,7 @@ class RimFit(BubbleSolver):
         return None if len(case.cameras) > 1 else "it needs two cameras at least"
 
     def solve(self, case: Observation) -> Detections:
-        """Votes in every view, hypotheses along lines of sight, fits in the order of their votes."""
+        """Vote in every view, intersect lines of sight, and fit in the order of the votes."""
         chosen: RimFitParameters = self.parameters
         cameras = [camera for camera in case.cameras if isinstance(camera, Camera)]
         images = transmission(case)

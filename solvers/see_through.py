@@ -22,12 +22,16 @@ class SeeThroughParameters(Parameters):
 
     method: Literal["additive", "multiplicative", "dark", "mart"] = Field(
         "dark",
-        description="mean of the light; its product; product of the darkness, so that one open view is enough; optical depth by MART",
+        description="mean of the light; its product; product of the darkness, so that one open "
+        "view is enough; optical depth by MART",
     )
 
 
 class SeeThrough(SeeThroughSolver):
-    """A refocused stack: additive or multiplicative of light, multiplicative of darkness, or MART of the optical depth."""
+    """A refocused stack.
+
+    Additive or multiplicative of light, multiplicative of darkness, or MART of the optical depth.
+    """
 
     name = "see_through"
     references = ("J. Belden, MIT thesis, equations 3.3, 3.4 and 3.9, figure 1-3",)

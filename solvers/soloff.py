@@ -7,7 +7,10 @@ from sabench.api import Calibration, CalibrationCase, CalibrationSolver
 
 
 class SoloffCalibration(CalibrationSolver):
-    """Soloff's polynomial of 19 terms, fitted to the target's places as they are told: their errors become the cameras'."""
+    """Soloff's polynomial of 19 terms, fitted to the target's places as they are told.
+
+    Their errors become the cameras'.
+    """
 
     name = "soloff"
     references = ("S. M. Soloff, R. J. Adrian and Z.-C. Liu, Meas. Sci. Technol. 8, 1441, 1997",)

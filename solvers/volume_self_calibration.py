@@ -32,7 +32,9 @@ class VolumeSelfCalibrationParameters(Parameters):
 
 
 class VolumeSelfCalibration(SelfCalibrationSolver):
-    """Disparities of particle images between cameras that are a few pixels off, then all cameras adjusted to the particles that they agree on.
+    """Adjust cameras that are a few pixels off to the particles that they agree on.
+
+    Disparities of particle images between the cameras are followed first.
 
     What particles cannot show - a motion of all cameras together, and what comes near to one -
     stays as it was.

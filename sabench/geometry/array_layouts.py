@@ -1,4 +1,7 @@
-"""Where the cameras of an array stand: offsets (n, 2) in mm in the plane of the array, from its centre."""
+"""Where the cameras of an array stand.
+
+Offsets (n, 2) in mm in the plane of the array, from its centre.
+"""
 
 import numpy as np
 import numpy.typing as npt

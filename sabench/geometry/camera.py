@@ -1,7 +1,8 @@
 """Pinhole cameras with radial-tangential distortion that look through a wall, or through air.
 
 `Camera.pixels_of` of paths by `refraction.trace_to_points` is the reference of the projection; its
-copies, their reasons and the tests that tie them to it: docs/developing/copies-of-the-projection.md.
+copies, their reasons and the tests that tie them to it:
+docs/developing/copies-of-the-projection.md.
 """
 
 from __future__ import annotations
@@ -22,7 +23,10 @@ _UNDISTORT_STEPS = 20
 
 @dataclass(frozen=True)
 class Distortion:
-    """Brown-Conrady coefficients (dimensionless, on ideal image coordinates x/z, y/z); all zero means none."""
+    """Brown-Conrady coefficients (dimensionless, on ideal image coordinates x/z, y/z).
+
+    All zero means none.
+    """
 
     k1: float = 0.0
     k2: float = 0.0
@@ -78,12 +82,18 @@ class Camera:
 
     @property
     def focus_mm(self) -> float:
-        """Distance in the camera's medium at which points are sharp: the thin lens's conjugate of the principal distance; it may be infinite."""
+        """Distance in the camera's medium at which points are sharp.
+
+        The thin lens's conjugate of the principal distance; it may be infinite.
+        """
         inverse = 1.0 / self.focal_length_mm - 1.0 / self.principal_distance_mm
         return 1.0 / inverse if inverse else float("inf")
 
     def shifted(self, right_mm: float, down_mm: float) -> Camera:
-        """The same camera with its pinhole moved in the plane of the lens (a point of the aperture)."""
+        """Copy the camera with its pinhole moved in the plane of the lens.
+
+        The new pinhole is a point of the aperture.
+        """
         axes = np.asarray(self.rotation)
         center = np.asarray(self.center_mm) + right_mm * axes[0] + down_mm * axes[1]
         return replace(self, center_mm=triple(center))
@@ -147,7 +157,10 @@ class Camera:
         return pixels, valid
 
     def directions(self, pixels: npt.ArrayLike) -> tuple[F64, Bool]:
-        """Unit world directions (n, 3) in the camera's medium of pixels (n, 2) given as (column, row)."""
+        """Compute unit world directions (n, 3) in the camera's medium of pixels (n, 2).
+
+        Pixels are (column, row).
+        """
         ideal, valid = self.ideal(pixels)
         local = np.column_stack([ideal, np.ones(len(ideal))])
         local /= np.linalg.norm(local, axis=1, keepdims=True)
@@ -167,7 +180,10 @@ class Camera:
         return Rays(rays.origins_mm, rays.directions, rays.valid & valid)
 
     def carry(self, points_mm: F64, z_mm: float) -> F64:
-        """Where the lines of sight through points (n, 3) of the fluid meet the plane at `z_mm`: (n, 2); NaN for points without one."""
+        """Where the lines of sight through points (n, 3) of the fluid meet the plane at `z_mm`.
+
+        (n, 2); NaN for points without one.
+        """
         arriving = trace_to_points(self.wall, np.asarray(self.center_mm), points_mm).arriving
         return np.asarray(
             points_mm[:, :2] + arriving[:, :2] / arriving[:, 2:] * (z_mm - points_mm[:, 2:])
@@ -178,7 +194,9 @@ class Camera:
         return on_sensor(self.rows, self.columns, pixels, margin_px)
 
     def etendue(self) -> F64:
-        """mm^2 sr that each pixel collects: pupil area seen at its angle times its solid angle in front of the lens; (rows, columns).
+        """mm^2 sr that each pixel collects.
+
+        Pupil area seen at its angle times its solid angle in front of the lens; (rows, columns).
 
         0 where the distorted lens shows nothing.
         """
@@ -206,14 +224,19 @@ def _etendue(camera: Camera) -> F64:
 
 @functools.cache
 def _fold_square(lens: Distortion) -> float:
-    """Squared ideal radius at which the radial part stops growing: beyond it two points share a pixel."""
+    """Squared ideal radius at which the radial part stops growing.
+
+    Beyond it two points share a pixel.
+    """
     roots = np.roots([7.0 * lens.k3, 5.0 * lens.k2, 3.0 * lens.k1, 1.0])
     real = roots.real[(np.abs(roots.imag) < 1e-12) & (roots.real > 0.0)]
     return float(real.min()) if len(real) else float("inf")
 
 
 def _distort(lens: Distortion, ideal: F64) -> tuple[F64, Bool, tuple[F64, F64, F64]]:
-    """Distorted image coordinates, whether the map is one to one there (inside the radial fold, with a positive determinant), and its Jacobian.
+    """Compute distorted image coordinates, validity and Jacobian.
+
+    Valid is where the map is one to one: inside the radial fold, with a positive determinant.
 
     The Jacobian is symmetric: (du/dx, du/dy, dv/dy).
     """
@@ -253,7 +276,10 @@ def _undistort(lens: Distortion, distorted: F64) -> tuple[F64, Bool]:
 def aimed_rotation(
     forward: F64, down: npt.ArrayLike = (0.0, 1.0, 0.0)
 ) -> tuple[tuple[float, float, float], tuple[float, float, float], tuple[float, float, float]]:
-    """World-to-camera rotation whose Z axis is `forward` and whose Y axis is as near to `down` as it can be."""
+    """Make the world-to-camera rotation whose Z axis is `forward`.
+
+    Its Y axis is as near to `down` as it can be.
+    """
     z = forward / np.linalg.norm(forward)
     x = np.cross(np.asarray(down, dtype=np.float64), z)
     if (
@@ -265,7 +291,10 @@ def aimed_rotation(
 
 
 def aim(camera: Camera, target_mm: npt.ArrayLike) -> Camera:
-    """`camera` turned so that the light from `target_mm` runs along its optical axis, refraction included."""
+    """Rotate a camera so that light from `target_mm` runs along its optical axis.
+
+    Refraction is included.
+    """
     target = np.asarray(target_mm, dtype=np.float64)[None]
     paths = trace_to_points(camera.wall, np.asarray(camera.center_mm), target)
     if not paths.valid[0]:

@@ -12,7 +12,10 @@ from sabench.utils.arrays import F64, Bool
 
 
 def on_sensor(rows: int, columns: int, pixels: F64, margin_px: float) -> Bool:
-    """Whether pixels (n, 2) lie on a sensor of that size, or at most `margin_px` outside; the border belongs to it above and to the left only."""
+    """Whether pixels (n, 2) lie on a sensor of that size, or at most `margin_px` outside.
+
+    The border belongs to it above and to the left only.
+    """
     low = -0.5 - margin_px
     column, row = pixels[:, 0], pixels[:, 1]
     with np.errstate(invalid="ignore"):
@@ -23,7 +26,10 @@ def on_sensor(rows: int, columns: int, pixels: F64, margin_px: float) -> Bool:
 
 
 class CameraModel(Protocol):
-    """A map of points onto an image and of pixels onto lines of sight; `Camera` is one, the polynomials of `empirical` are others."""
+    """A map of points onto an image and of pixels onto lines of sight.
+
+    `Camera` is one, the polynomials of `empirical` are others.
+    """
 
     @property
     def name(self) -> str:
@@ -45,7 +51,10 @@ class CameraModel(Protocol):
         """Where it stands, roughly if the model does not say."""
 
     def carry(self, points_mm: F64, z_mm: float) -> F64:
-        """Where the lines of sight through points (n, 3) of the fluid meet the plane at `z_mm`: (n, 2); NaN for points without one."""
+        """Where the lines of sight through points (n, 3) of the fluid meet the plane at `z_mm`.
+
+        (n, 2); NaN for points without one.
+        """
 
     def back_project(self, pixels: npt.ArrayLike) -> Rays:
         """The lines of sight of pixels (n, 2) in the fluid."""

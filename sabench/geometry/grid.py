@@ -49,14 +49,20 @@ class Grid:
         return z, y, x
 
     def in_scored(self, voxels: F64) -> Bool:
-        """Whether fractional voxel indices (n, 3) lie in the scored part, each voxel being a cell around its centre."""
+        """Mark fractional voxel indices (n, 3) in the scored part.
+
+        Each voxel is a cell around its centre.
+        """
         low = np.asarray(self.crop) - 0.5
         high = np.asarray(self.shape[::-1]) - np.asarray(self.crop) - 0.5
         return np.asarray(((voxels >= low) & (voxels < high)).all(axis=1))
 
 
 def synthesise(grid: Grid, positions_mm: F64, weights: F64, sigma_mm: float) -> F32:
-    """The field E_s: a spherical Gaussian in physical space for every particle, added up and averaged over each voxel; (z, y, x).
+    """The field E_s.
+
+    A spherical Gaussian in physical space for every particle, added up and averaged over each
+    voxel; (z, y, x).
 
     Parameters
     ----------
@@ -88,9 +94,9 @@ def synthesise(grid: Grid, positions_mm: F64, weights: F64, sigma_mm: float) -> 
 
 
 def _profile(voxels: F64, nearest: I64, reach: int, sigma: float) -> F32:
-    """Mean of a Gaussian of peak 1 along one axis over the voxels -reach..reach from the nearest: (n, 2 reach + 1)."""
-    from scipy.special import erf  # loaded at the first use: plug-ins import this module
+    """Means (n, 2 reach + 1) of Gaussians of peak 1 over the voxels about the nearest, one axis."""
+    from sabench.images.gaussians import gaussian_shares  # numba is loaded at the first use
 
     edges = np.arange(-reach, reach + 2)[None] - 0.5 + (nearest - voxels)[:, None]
-    mean = sigma * np.sqrt(np.pi / 2.0) * np.diff(erf(edges / (sigma * np.sqrt(2.0))), axis=1)
+    mean = sigma * np.sqrt(2.0 * np.pi) * gaussian_shares(edges, sigma)
     return np.asarray(mean, dtype=np.float32)

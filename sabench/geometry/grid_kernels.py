@@ -13,7 +13,10 @@ _BAND = 16  # planes that one thread fills at a time, so that none writes where 
 def add_particles(
     first: Any, weights: Any, along_x: Any, along_y: Any, along_z: Any, field: Any
 ) -> None:
-    """Add w p(x) p(y) p(z) of every particle to the field (z, y, x), from the voxel `first` (x, y, z) on; what lies outside is dropped."""
+    """Add w p(x) p(y) p(z) of every particle to the field (z, y, x).
+
+    From the voxel `first` (x, y, z) on; what lies outside is dropped.
+    """
     planes, rows, columns = field.shape
     for band in numba.prange((planes + _BAND - 1) // _BAND):
         begin, end = band * _BAND, min(band * _BAND + _BAND, planes)

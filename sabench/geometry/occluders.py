@@ -33,7 +33,10 @@ class Disc:
         return middle - half, middle + half
 
     def stops(self, pinhole_mm: F64, directions: F64) -> Bool:
-        """Whether rays from a pinhole (3,) along directions (n, 3) meet the disc; along its plane they pass, since it is thin."""
+        """Whether rays from a pinhole (3,) along directions (n, 3) meet the disc.
+
+        Along its plane they pass, since it is thin.
+        """
         offset, normal = np.asarray(self.center_mm) - pinhole_mm, np.asarray(self.normal)
         with np.errstate(divide="ignore", invalid="ignore"):
             way = (offset @ normal) / (directions @ normal)

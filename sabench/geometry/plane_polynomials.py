@@ -1,4 +1,6 @@
-"""Maps of planes onto images as polynomials: the exact map, refraction included, needs an iteration per point, but it is smooth.
+"""Maps of planes onto images as polynomials.
+
+The exact map, refraction included, needs an iteration per point, but it is smooth.
 
 A polynomial's degree is raised until its worst error, measured at other points than it was fitted
 to, is below `TOLERANCE_PX`.
@@ -25,7 +27,9 @@ Smooth = Callable[
 
 @dataclass(frozen=True)
 class PlaneMap:
-    """Pixel coordinates over one plane as polynomials in u, v, which run from -1 to 1 across the grid's x and y.
+    """Pixel coordinates over one plane as polynomials in u, v.
+
+    These run from -1 to 1 across the grid's x and y.
 
     Attributes
     ----------
@@ -53,7 +57,10 @@ def plane_map(camera: CameraModel, grid: Grid, z_mm: float, degree: int) -> Plan
 
 
 def plane_maps(cameras: Sequence[CameraModel], grid: Grid) -> list[list[PlaneMap]]:
-    """Maps of all planes (outer list) onto all cameras (inner list), of the lowest common degree within `TOLERANCE_PX`."""
+    """Fit maps of all planes (outer list) onto all cameras (inner list).
+
+    They are of the lowest common degree within `TOLERANCE_PX`.
+    """
     depths = grid.axes_mm[2]
     degree = max(
         lowest_degree(_plane_function(camera, grid, depths[[0, -1]])) for camera in cameras
@@ -62,7 +69,8 @@ def plane_maps(cameras: Sequence[CameraModel], grid: Grid) -> list[list[PlaneMap
     worst = max(part.error_px for maps in by_camera for part in maps)
     if worst > TOLERANCE_PX:
         raise ValueError(
-            f"plane maps of degree {degree}: expected an error below {TOLERANCE_PX} px, got {worst:.3g}"
+            f"plane maps of degree {degree}: expected an error below {TOLERANCE_PX} px, got "
+            f"{worst:.3g}"
         )
     return [list(plane) for plane in zip(*by_camera, strict=True)]
 
@@ -93,7 +101,8 @@ def lowest_degree(function: Smooth) -> int:
         if fit(function, degree)[1].max() < 0.5 * TOLERANCE_PX:
             return degree
     raise ValueError(
-        f"expected maps smooth enough for polynomials of degree {_DEGREES[-1]}: a camera, its wall or its distortion is too extreme"
+        f"expected maps smooth enough for polynomials of degree {_DEGREES[-1]}: a camera, its "
+        "wall or its distortion is too extreme"
     )
 
 
@@ -142,6 +151,7 @@ def _project_plane(camera: CameraModel, grid: Grid, z_mm: float, unit: F64) -> F
     pixels, valid = camera.project(plane_points(grid, z_mm, unit))
     if not valid.all():
         raise ValueError(
-            f"{camera.name}: expected a light path to every voxel, but the plane z = {z_mm:g} mm has points without one"
+            f"{camera.name}: expected a light path to every voxel, but the plane z = {z_mm:g} mm "
+            "has points without one"
         )
     return pixels

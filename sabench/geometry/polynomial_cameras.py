@@ -1,4 +1,7 @@
-"""Camera models without optics: polynomials from places to pixels, fitted to points whose places are known."""
+"""Camera models without optics.
+
+Polynomials from places to pixels, fitted to points whose places are known.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +26,9 @@ Smooth = Callable[[F64], F64]
 
 @dataclass(frozen=True)
 class Projective:
-    """A linear map of homogeneous coordinates, with 11 free numbers: a pinhole with any pixels, in a single medium.
+    """A linear map of homogeneous coordinates, with 11 free numbers.
+
+    A pinhole with any pixels, in a single medium.
 
     Source: R. Hartley and A. Zisserman, Multiple View Geometry, chapters 6 and 7.
 
@@ -76,7 +81,9 @@ class Projective:
 
 @dataclass(frozen=True)
 class _Fitted:
-    """What polynomials have in common: the box in which they were fitted, and lines of sight that follow from pixels alone.
+    """What polynomials have in common.
+
+    The box in which they were fitted, and lines of sight that follow from pixels alone.
 
     Attributes
     ----------
@@ -143,7 +150,10 @@ class Soloff(_Fitted):
     coefficients: Rows
 
     def project(self, points_mm: npt.ArrayLike) -> tuple[F64, Bool]:
-        """Pixels (n, 2) as (column, row) of world points (n, 3); every finite point has one, far from the fitted box a meaningless one."""
+        """Pixels (n, 2) as (column, row) of world points (n, 3).
+
+        Every finite point has one, far from the fitted box a meaningless one.
+        """
         points = rows_of(points_mm, 3, "points_mm")
         pixels = _cubic((points - self.middle_mm) / self.half_mm) @ np.asarray(self.coefficients).T
         return pixels, np.isfinite(pixels).all(axis=1)
@@ -166,7 +176,10 @@ class PlanePolynomials(_Fitted):
     coefficients: Rows
 
     def project(self, points_mm: npt.ArrayLike) -> tuple[F64, Bool]:
-        """Pixels (n, 2) as (column, row) of world points (n, 3); beyond the outer planes the last two are continued."""
+        """Pixels (n, 2) as (column, row) of world points (n, 3).
+
+        Beyond the outer planes the last two are continued.
+        """
         points = rows_of(points_mm, 3, "points_mm")
         planes, table = (
             np.asarray(self.planes_mm),
@@ -183,7 +196,9 @@ class PlanePolynomials(_Fitted):
 
 
 def fit_projective(name: str, rows: int, columns: int, points_mm: F64, pixels: F64) -> Projective:
-    """The direct linear transform of points (n, 3) and their pixels (n, 2), then the least sum of squared reprojection errors.
+    """Fit the direct linear transform of points (n, 3) and their pixels (n, 2).
+
+    The sum of squared reprojection errors is then minimised.
 
     Raises
     ------
@@ -202,7 +217,8 @@ def fit_projective(name: str, rows: int, columns: int, points_mm: F64, pixels: F
     _, values, right = np.linalg.svd(system, full_matrices=False)
     if len(points_mm) < 6 or values[-2] < 1e-8 * values[0]:
         raise InputError(
-            f"{name}: expected 6 points or more that are not all in one plane, got {len(points_mm)} that do not determine a camera"
+            f"{name}: expected 6 points or more that are not all in one plane, got "
+            f"{len(points_mm)} that do not determine a camera"
         )
     start = right[-1] * np.sign(np.median(full @ right[-1][8:]))
     matrix = np.linalg.inv(image) @ _least_squares(start, full, images).reshape(3, 4) @ world
@@ -210,7 +226,10 @@ def fit_projective(name: str, rows: int, columns: int, points_mm: F64, pixels: F
 
 
 def _normalised(points: F64) -> tuple[F64, F64]:
-    """Points moved and scaled to a root mean square of 1 per coordinate, and the homogeneous matrix that does it."""
+    """Move and scale points to a root mean square of 1 per coordinate.
+
+    Also returns the homogeneous matrix that does it.
+    """
     middle, scale = points.mean(axis=0), 1.0 / max(float(points.std()), 1e-300)
     matrix = np.diag([*[scale] * points.shape[1], 1.0])
     matrix[:-1, -1] = -scale * middle
@@ -218,7 +237,10 @@ def _normalised(points: F64) -> tuple[F64, F64]:
 
 
 def _least_squares(start: F64, full: F64, images: F64) -> F64:
-    """Gauss and Newton's steps from the linear solution; the matrix's scale is what a pseudo-inverse leaves alone."""
+    """Gauss and Newton's steps from the linear solution.
+
+    The matrix's scale is what a pseudo-inverse leaves alone.
+    """
     entries = start / np.linalg.norm(start)
     for _ in range(_STEPS):
         u, v, w = (full @ entries.reshape(3, 4).T).T
@@ -256,7 +278,9 @@ def fit_soloff(name: str, rows: int, columns: int, points_mm: F64, pixels: F64) 
 def fit_planes(
     name: str, rows: int, columns: int, points_mm: list[F64], pixels: list[F64]
 ) -> PlanePolynomials:
-    """The least-squares quadratics of points (n, 3) and their pixels (n, 2) on each of several planes.
+    """Fit quadratics to points (n, 3) and their pixels (n, 2) on each of several planes.
+
+    By least squares.
 
     Raises
     ------
@@ -301,7 +325,8 @@ def _fitted(terms: F64, pixels: F64, what: str) -> F64:
     solution, _, rank, _ = np.linalg.lstsq(terms, pixels, rcond=None)
     if rank < terms.shape[1]:
         raise InputError(
-            f"{what}: expected points that determine it, got {len(terms)} that leave {terms.shape[1] - rank} terms open"
+            f"{what}: expected points that determine it, got {len(terms)} that leave "
+            f"{terms.shape[1] - rank} terms open"
         )
     return np.asarray(solution)
 
@@ -318,7 +343,10 @@ def _through(
     middle: tuple[float, float, float],
     half: tuple[float, float, float],
 ) -> Rays:
-    """Lines through the points of two planes that pixels (n, 2) see, found by Newton's iteration from the box's middle."""
+    """Find lines through the points of two planes that pixels (n, 2) see.
+
+    By Newton's iteration from the box's middle.
+    """
     start = np.tile(np.asarray(middle[:2]), (len(pixels), 1))
     near, far = (_on_plane(project, pixels, z, start, half) for z in ends)
     direction = far - near
@@ -330,7 +358,10 @@ def _through(
 def _on_plane(
     project: Smooth, pixels: F64, z_mm: float, start: F64, half: tuple[float, float, float]
 ) -> F64:
-    """Points (n, 3) of a plane whose pixels are given, by Newton's iteration from x, y (n, 2); NaN where it does not arrive."""
+    """Points (n, 3) of a plane whose pixels are given, by Newton's iteration from x, y (n, 2).
+
+    NaN where it does not arrive.
+    """
     points = np.column_stack([start, np.full(len(pixels), z_mm)])
     delta = 1e-4 * min(half[:2])
     across = delta * np.eye(3)[:2]

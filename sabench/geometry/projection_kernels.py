@@ -4,7 +4,8 @@ A copy of `camera.pixels_of` and `refraction.trace_to_points` for speed; tied to
 tests/unit/geometry/test_camera.py::test_the_projection_kernel_and_the_traced_path_agree.
 
 Points come as separate x, y and z, block by block, and no loop over points branches. The path's
-unknown is q = t / R, the tangent in the rarest medium (as in `refraction`) over the lateral distance:
+unknown is q = t / R, the tangent in the rarest medium (as in `refraction`) over the lateral
+distance:
 only R^2 is needed, and nothing is special on the axis. Halley's step from the paraxial path costs
 one square root and one division per medium, as Newton's does, and triples the right digits; a block
 is done when its last step was so small that the next one would be lost in rounding. Where that does
@@ -120,7 +121,10 @@ def _paraxial(deep: Any, size: int, rare: float, others: Any, fluid: float, slop
 
 @numba.njit(cache=True, fastmath={"contract", "nsz", "arcp"}, error_model="numpy")
 def _tangents(slope: Any, square: Any, size: int, first: Any) -> None:
-    """From q to the tangent in the cameras' medium over the lateral distance; the same where that is the rarest."""
+    """From q to the tangent in the cameras' medium over the lateral distance.
+
+    The same where that is the rarest.
+    """
     if first is not None:
         for i in range(size):
             slope[i] /= math.sqrt(first + (first - 1.0) * slope[i] * slope[i] * square[i])
@@ -130,7 +134,9 @@ def _tangents(slope: Any, square: Any, size: int, first: Any) -> None:
 def project(
     x: Any, y: Any, z: Any, center: Any, frame: Any, media: Any, lens: Any, column: Any, row: Any
 ) -> None:
-    """Ideal pixels of points through a wall, NaN for points that are not in the fluid or behind the camera.
+    """Compute ideal pixels of points through a wall.
+
+    NaN for points that are not in the fluid or behind the camera.
 
     Parameters
     ----------

@@ -78,7 +78,10 @@ class Wall:
 
 @dataclass(frozen=True)
 class Paths:
-    """Light paths from a pinhole to points: unit directions (n, 3) away from the pinhole, in its medium and in the fluid."""
+    """Light paths from a pinhole to points.
+
+    Unit directions (n, 3) away from the pinhole, in its medium and in the fluid.
+    """
 
     leaving: F64
     arriving: F64
@@ -111,7 +114,9 @@ def trace_to_points(wall: Wall | None, pinhole_mm: F64, points_mm: F64) -> Paths
 
 
 def solve_slope(indices: F64, depths_mm: list[F64 | float], radius_mm: F64) -> tuple[F64, F64]:
-    """Tangent t of the angle in the rarest medium for paths of a given lateral distance, and the residual in mm.
+    """Solve for the tangent t of the angle in the rarest medium of paths.
+
+    The paths have a given lateral distance.
 
     Parameters
     ----------
@@ -154,7 +159,10 @@ def solve_slope(indices: F64, depths_mm: list[F64 | float], radius_mm: F64) -> t
 
 
 def _halley(relative: F64, depths_mm: list[F64 | float], radius_mm: F64) -> tuple[F64, F64] | None:
-    """The same by a few of Halley's steps, which triple the right digits but have no bracket; None where one has not arrived."""
+    """The same by a few of Halley's steps, which triple the right digits but have no bracket.
+
+    None where one has not arrived.
+    """
     slope = _start(relative, depths_mm, radius_mm)
     for _ in range(_HALLEY):
         value, gradient, bow = _bowed(relative, depths_mm, slope)
@@ -169,7 +177,11 @@ def _halley(relative: F64, depths_mm: list[F64 | float], radius_mm: F64) -> tupl
 
 
 def _start(relative: F64, depths_mm: list[F64 | float], radius_mm: F64) -> F64:
-    """A first tangent: right to the third power for steep paths and in the limit for flat ones, where the rarest medium bridges all."""
+    """A first tangent.
+
+    Right to the third power for steep paths and in the limit for flat ones, where the rarest medium
+    bridges all.
+    """
     paraxial, rare, bow = (np.zeros(np.shape(radius_mm)) for _ in range(3))
     for depth, r in zip(depths_mm, relative, strict=True):
         paraxial += depth / r
@@ -190,7 +202,10 @@ def _start(relative: F64, depths_mm: list[F64 | float], radius_mm: F64) -> F64:
 
 
 def _bowed(relative: F64, depths_mm: list[F64 | float], slope: F64) -> tuple[F64, F64, F64]:
-    """Lateral distance of a path with slope t in the rarest medium, its derivative, and its second one over -3 t."""
+    """Lateral distance of a path with slope t in the rarest medium, and derivatives.
+
+    The first derivative, and the second over -3 t.
+    """
     square = slope * slope
     value, gradient, bow = np.zeros_like(slope), np.zeros_like(slope), np.zeros_like(slope)
     for depth, r in zip(depths_mm, relative, strict=True):
@@ -241,7 +256,10 @@ def _angle_in(indices: F64, medium: int, slope: F64) -> tuple[F64, F64]:
 def _cylindrical(
     wall: Wall, pinhole_mm: F64, points_mm: F64
 ) -> tuple[F64, F64, list[F64 | float], Bool]:
-    """Unit vectors (3, n) along the wall towards points, lateral distances, depths crossed per medium, validity; zeros where there is no path."""
+    """Split points into unit vectors (3, n) along the wall, lateral distances and depths.
+
+    Depths are those crossed per medium; all is zero where there is no path (not valid).
+    """
     normal = np.asarray(wall.normal)
     before = -float(wall.depth_of(pinhole_mm))
     lateral = np.array(
@@ -269,7 +287,10 @@ def _cylindrical(
 
 
 def _direct(normal: F64, towards: F64, sine: F64, cosine: F64, out: F64) -> None:
-    """Unit vectors (n, 3) at given angles from the normal, leaning towards unit vectors (3, n) along the wall."""
+    """Fill in unit vectors (n, 3) at given angles from the normal.
+
+    They lean towards unit vectors (3, n) along the wall.
+    """
     for axis in range(3):
         out[:, axis] = sine * towards[axis] + cosine * normal[axis]
 
@@ -281,7 +302,11 @@ def _chunks(count: int) -> Iterator[slice]:
 
 @dataclass(frozen=True)
 class Rays:
-    """Rays in the fluid: origins (n, 3) in mm on the wall's inner face (the pinhole without a wall), unit directions (n, 3)."""
+    """Rays in the fluid.
+
+    Origins (n, 3) in mm on the wall's inner face (the pinhole without a wall), unit directions (n,
+    3).
+    """
 
     origins_mm: F64
     directions: F64
@@ -289,7 +314,10 @@ class Rays:
 
 
 def trace_into_fluid(wall: Wall | None, pinhole_mm: F64, directions: F64) -> Rays:
-    """Follow unit directions (n, 3) from a pinhole (3,) through the wall; total reflection and misses are not `valid`."""
+    """Follow unit directions (n, 3) from a pinhole (3,) through the wall.
+
+    Total reflection and misses are not `valid`.
+    """
     origins = np.broadcast_to(pinhole_mm, directions.shape).copy()
     valid: Bool = np.asarray(np.isfinite(directions).all(axis=1))
     if wall is None:
@@ -310,7 +338,9 @@ def trace_into_fluid(wall: Wall | None, pinhole_mm: F64, directions: F64) -> Ray
 
 
 def length_to_fluid(wall: Wall | None, pinhole_mm: F64, leaving: F64) -> F64:
-    """Lengths (n,) of light's ways from a pinhole (3,) to the wall's inner face, for unit directions (n, 3) in the camera's medium.
+    """Compute lengths (n,) of light paths from a pinhole (3,) to the wall's inner face.
+
+    For unit directions (n, 3) in the camera's medium.
 
     0 without a wall.
     """
@@ -327,7 +357,9 @@ def length_to_fluid(wall: Wall | None, pinhole_mm: F64, leaving: F64) -> F64:
 
 
 def transmittance(wall: Wall | None, leaving: F64) -> F64:
-    """Fraction of unpolarised power that passes all interfaces, for unit directions (n, 3) in the camera's medium.
+    """Compute the fraction of unpolarised power that passes all interfaces.
+
+    For unit directions (n, 3) in the camera's medium.
 
     Fresnel's equations at every interface; light that is reflected twice inside a layer is not
     counted.

@@ -14,7 +14,9 @@ _DELTA_MM = 1e-3  # over which a projection's slope is measured
 
 
 def triangulate(cameras: Sequence[CameraModel], pixels: F64) -> F64:
-    """Points (n, 3) whose projections lie nearest to pixels (camera, n, 2), in the least-squares sense; NaN where fewer than two cameras see one.
+    """Triangulate points (n, 3) from pixels (camera, n, 2) by least squares of pixels.
+
+    NaN where fewer than two cameras see one.
 
     Lines of sight are intersected first; then Gauss and Newton's steps lower the sum of squared
     reprojection errors.
@@ -29,7 +31,10 @@ def triangulate(cameras: Sequence[CameraModel], pixels: F64) -> F64:
 
 
 def intersect(cameras: Sequence[CameraModel], pixels: F64) -> F64:
-    """Points (n, 3) nearest to the lines of sight of pixels (camera, n, 2); NaN where fewer than two cameras see one."""
+    """Points (n, 3) nearest to the lines of sight of pixels (camera, n, 2).
+
+    NaN where fewer than two cameras see one.
+    """
     count = pixels.shape[1]
     matrix, right, seen = np.zeros((count, 3, 3)), np.zeros((count, 3)), np.zeros(count)
     for camera, own in zip(cameras, pixels, strict=True):

@@ -1,4 +1,7 @@
-"""Images made ready for reconstruction: background taken away, cameras made alike; the steps of the thesis's section 2.3.2, in any order."""
+"""Images made ready for reconstruction: background taken away, cameras made alike.
+
+The steps of the thesis's section 2.3.2, in any order.
+"""
 
 from __future__ import annotations
 
@@ -53,13 +56,19 @@ class MatchHistograms(_Step):
     step: Literal["match_histograms"]
 
     def apply(self, images: F32) -> F32:
-        """Images (camera, row, column); pixels of one value keep one value, the mean over their ranks."""
+        """Images (camera, row, column).
+
+        Pixels of one value keep one value, the mean over their ranks.
+        """
         best = np.sort(images[int(np.argmax(images.std(axis=(1, 2))))], axis=None)
         return np.stack([_ranked(image, best) for image in images])
 
 
 class Stretch(_Step):
-    """Cut off the darkest and brightest pixels of each camera and stretch what is between to the whole range."""
+    """Cut off the darkest and brightest pixels of each camera and stretch the rest.
+
+    It then fills the whole range.
+    """
 
     step: Literal["stretch"]
     percent: float = Field(0.1, ge=0.0, lt=50.0, description="of the pixels, at either end")
@@ -78,7 +87,10 @@ Step = Annotated[SlidingMinimum | Gaussian | MatchHistograms | Stretch, Field(di
 
 
 def processed(images: U16, black_dn: float, white_dn: float, steps: Sequence[Step]) -> U16:
-    """Images (camera, row, column) after all steps, from 0 to `WHITE`: finer than grey values, which blurring would else round."""
+    """Images (camera, row, column) after all steps, from 0 to `WHITE`.
+
+    Finer than grey values, which blurring would else round.
+    """
     light = np.clip(
         (images.astype(np.float32) - np.float32(black_dn)) / np.float32(white_dn - black_dn),
         0.0,

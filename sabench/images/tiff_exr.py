@@ -13,7 +13,10 @@ from sabench.utils.errors import InputError
 
 
 def write_tiff(path: Path, image: U16) -> None:
-    """Grey values (rows, columns) as an uncompressed 16-bit TIFF, the same bytes for the same image."""
+    """Encode grey values (rows, columns) as an uncompressed 16-bit TIFF.
+
+    The bytes are the same for the same image.
+    """
     import tifffile
 
     memory = (
@@ -87,10 +90,12 @@ def read_exr(path: Path, shape: tuple[int, int]) -> F32:
         raise
     except Exception as error:  # OpenEXR reports every fault as a RuntimeError or a KeyError
         raise InputError(
-            f"{path}: expected a whole EXR file with a channel Y, got {type(error).__name__}: {error}"
+            f"{path}: expected a whole EXR file with a channel Y, got {type(error).__name__}: "
+            f"{error}"
         ) from error
     if image.dtype != np.float32 or image.shape != shape:
         raise InputError(
-            f"{path}: expected 32-bit values of shape {shape}, got {image.dtype} of shape {image.shape}"
+            f"{path}: expected 32-bit values of shape {shape}, got {image.dtype} of shape "
+            f"{image.shape}"
         )
     return np.asarray(image)

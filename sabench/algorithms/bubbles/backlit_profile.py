@@ -1,4 +1,6 @@
-"""What a backlit bubble looks like: transmission over the distance from its centre, by ray optics, blurred by lens and pixels.
+"""What a backlit bubble looks like.
+
+Transmission over the distance from its centre, by ray optics, blurred by lens and pixels.
 
 A ray that meets a ball at a part b of its radius is reflected, by pi - 2 asin(b), or goes through,
 by 2 (asin(b n) - asin(b)), n being the index of the fluid over that of the ball, or is reflected
@@ -74,7 +76,10 @@ def _seen(angle: F64, half_angle: float) -> F64:
 
 @dataclass(frozen=True)
 class Profile:
-    """Blurred transmission (radius, distance): radii are spread geometrically, distances evenly from the centre to `reach` radii."""
+    """Blurred transmission (radius, distance).
+
+    Radii are spread geometrically, distances evenly from the centre to `reach` radii.
+    """
 
     table: F32
     blur_px: float
@@ -82,7 +87,10 @@ class Profile:
     @classmethod
     @functools.lru_cache(maxsize=64)  # 0.2 s each, and the same for every frame
     def of(cls, index: float, half_angle: float, blur_px: float) -> Profile:
-        """The table for balls of a relative index before a diffuser of a half angle, blurred by a Gaussian."""
+        """Tabulate balls of a relative index in front of a diffuser of a half angle.
+
+        A Gaussian blurs the profiles.
+        """
         radii = np.geomspace(SMALLEST, LARGEST, _RADII)
         table = np.empty((_RADII, _DISTANCES), dtype=np.float32)
         for row, radius in zip(table, radii, strict=True):

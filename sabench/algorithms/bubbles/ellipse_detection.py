@@ -1,4 +1,6 @@
-"""Ellipses in an image of something dark: edges to a fraction of a pixel, votes for axes, least squares on the edges that voted.
+"""Ellipses in an image of something dark.
+
+Edges to a fraction of a pixel, votes for axes, least squares on the edges that voted.
 
 Source: Y. Xie and Q. Ji, A new efficient ellipse detection method, ICPR 2002: every two edges may
 be the ends of a major axis, for whose minor axis all others vote. Here edges have directions too,
@@ -26,7 +28,9 @@ _FITS = 2
 
 
 def find_edges(dark: F32, least: float) -> F64:
-    """Edges (n, 4) of an image of darkness: column and row to a fraction of a pixel, and unit vectors towards the dark.
+    """Edges (n, 4) of an image of darkness.
+
+    Column and row to a fraction of a pixel, and unit vectors towards the dark.
 
     They are the maxima of the gradient's length along its direction, placed by a parabola through
     it and its neighbours on both sides.
@@ -69,7 +73,9 @@ def _between(image: F32, x: F32, y: F32) -> F32:
 
 
 def find_ellipses(points: F64, largest: float, least_aspect: float, least_part: float) -> F64:
-    """Outlines (n, 6) that edges (m, 4) make, the best one first: column, row, semi-axes, angle of the longer one from X, part that has edges.
+    """Outlines (n, 6) that edges (m, 4) make, the best one first.
+
+    Column, row, semi-axes, angle of the longer one from X, part that has edges.
 
     An outline takes its edges away from the others, as the largest value of an accumulator is taken
     out before the next one is looked for.
@@ -98,7 +104,10 @@ def find_ellipses(points: F64, largest: float, least_aspect: float, least_part: 
 
 
 def _fitted(points: F64, first: F64) -> F64:
-    """The ellipse of least squares through edges; `first` if there are too few or they lie on none like it."""
+    """The ellipse of least squares through edges.
+
+    `first` if there are too few or they lie on none like it.
+    """
     if len(points) < _FEWEST:
         return first
     (x, y), (one, other), degrees = cv2.fitEllipseDirect(points[:, :2].astype(np.float32))
@@ -112,7 +121,10 @@ def _fitted(points: F64, first: F64) -> F64:
 
 @numba.njit(cache=True, error_model="numpy")
 def _relation(points: Any, ellipse: Any) -> Any:
-    """Edges' distances from an ellipse to first order, cosines between their directions and its inward normals, and eccentric angles."""
+    """Compute distances of edges from an ellipse to first order.
+
+    Also the cosines between their directions and its inward normals, and eccentric angles.
+    """
     x, y, a, b, angle = ellipse
     cosine, sine = np.cos(angle), np.sin(angle)
     out = np.empty((3, len(points)))
@@ -152,7 +164,10 @@ def _covered(points: Any, ellipse: Any) -> float:
 
 @numba.njit(cache=True, error_model="numpy")
 def _voted(points: Any, largest: float, least_aspect: float) -> Any:
-    """The ellipse (5,) that edges vote for most, and the part of it that has edges; of equally whole ones the larger one."""
+    """The ellipse (5,) that edges vote for most, and the part of it that has edges.
+
+    Of equally whole ones the larger one.
+    """
     best, best_part, most = np.zeros(5), 0.0, 0.0
     for i in range(len(points)):
         for j in range(i):
@@ -186,7 +201,10 @@ def _voted(points: Any, largest: float, least_aspect: float) -> Any:
 
 @numba.njit(cache=True, error_model="numpy")
 def _minor(points: Any, axis: Any, least_aspect: float) -> float:
-    """The minor semi-axis with the most votes, the mean over it and its neighbours in the accumulator; 0 without votes."""
+    """Find the minor semi-axis with the most votes; 0 without votes.
+
+    Also returns the mean of the votes over it and its neighbours in the accumulator.
+    """
     x, y, a, _, angle = axis
     cosine, sine = np.cos(angle), np.sin(angle)
     votes = np.zeros(int(a / _BIN) + 4)

@@ -38,7 +38,10 @@ class FeaturePeaks:
 
     @classmethod
     def find(cls, potential: F32, least: float) -> FeaturePeaks:
-        """Where a potential (z, window rows, window columns) is larger than one plane before and after, and than `least`."""
+        """Find the peaks along depth of a potential (z, window rows, window columns).
+
+        A peak is larger than one plane before and after, and than `least`.
+        """
         around = np.pad(potential, ((1, 1), (0, 0), (0, 0)))
         place = np.argwhere(
             (potential > least) & (potential >= around[:-2]) & (potential > around[2:])
@@ -48,7 +51,10 @@ class FeaturePeaks:
         return cls(place[order], weight[order])
 
     def group(self, first: int, free: Bool, reach: int) -> I64:
-        """Indices of the free peaks that neighbouring windows connect with one, no farther from it than `reach` windows and `PLANES`."""
+        """Collect the free peaks that neighbouring windows connect with one.
+
+        Returns their indices; none is farther from it than `reach` windows and `PLANES`.
+        """
         apart = self.place - self.place[first]
         near = np.flatnonzero(
             free & (np.abs(apart[:, 0]) <= PLANES) & (np.abs(apart[:, 1:]).max(axis=1) <= reach)
@@ -64,7 +70,10 @@ class FeaturePeaks:
         return round(float(np.average(self.place[group, 0], weights=self.weight[group])))
 
     def within(self, bubble: F64, planes: int) -> Bool:
-        """Which peaks have some of their window inside the circle around a bubble (7,) and are at most so many planes from it."""
+        """Mark the peaks inside the circle around a bubble (7,).
+
+        They are at most so many planes from it, and some of their window lies inside.
+        """
         y, x = (self.place[:, axis] * STEP + (WINDOW - 1) / 2.0 for axis in (1, 2))
         return np.asarray(
             (np.hypot(x - bubble[0], y - bubble[1]) <= bubble[2] + WINDOW / 2.0)
@@ -73,7 +82,9 @@ class FeaturePeaks:
 
 
 def find_depth(volume: F32, outline: F64, plane: int) -> float:
-    """The plane, to a fraction, in which what is within a voxel of an outline and inside it is darkest.
+    """Find the plane, to a fraction, in which the rim of an outline is darkest.
+
+    The rim is what lies within a voxel of the outline and inside it.
 
     It is the mean of the planes around the darkest one, weighted with the square of their mean
     darkness.
@@ -107,7 +118,9 @@ def _inside(shape: tuple[int, ...], outline: F64) -> tuple[slice, slice, Bool]:
 
 
 def drop_duplicates(bubbles: F64, depth: float) -> F64:
-    """Bubbles (n, 7) of which no two are at one place, the largest first: a much smaller one is left out, two alike are merged.
+    """Bubbles (n, 7) of which no two are at one place, the largest first.
+
+    A much smaller one is left out, two alike are merged.
 
     The merged one is their mean, weighted with the parts of their outlines that have edges, with
     the angle of the first.

@@ -41,7 +41,11 @@ def darkness(case: Observation) -> F32:
 
 
 def feature_potential(volume: F32, step: int, flat: float = _FLAT) -> F32:
-    """E (z, window rows, window columns) of equations 5.15 and 5.16, for windows `step` voxels apart; 0 where the spread is below `flat`."""
+    """Compute the feature potential E of equations 5.15 and 5.16.
+
+    Returns (z, window rows, window columns) for windows `step` voxels apart; 0 where the spread is
+    below `flat`.
+    """
     rows, columns = (max(1, (size - WINDOW) // step + 1) for size in volume.shape[1:])
     out = np.zeros((volume.shape[0], rows, columns), dtype=np.float32)
     _potential(volume, step, flat, out)
@@ -85,7 +89,10 @@ def _potential(volume: Any, step: int, flat: float, out: Any) -> None:
 
 
 def attenuate(volume: F32, potential: F32, step: int) -> None:
-    """Multiply each window's planes by the cumulative distribution of E over depth, interpolated between the windows' middles; in place."""
+    """Multiply windows' planes by the cumulative distribution of E over depth, in place.
+
+    Between the windows' middles it is interpolated.
+    """
     order = np.argsort(np.argsort(potential, axis=0, kind="stable"), axis=0, kind="stable")
     share = ((order + 1) / len(potential)).astype(np.float32)
     share[:, potential.max(axis=0) == 0.0] = 0.0
@@ -105,14 +112,19 @@ def attenuate(volume: F32, potential: F32, step: int) -> None:
 
 @dataclass(frozen=True)
 class Outlines:
-    """Circles or ellipses in a plane: column, row, semi-axes across and down (n, 4) in voxels, and the depth index (n,)."""
+    """Circles or ellipses in a plane.
+
+    Column, row, semi-axes across and down (n, 4) in voxels, and the depth index (n,).
+    """
 
     shapes: F64
     depth: F64
 
 
 def find_outlines(dark: F32, depth: F32, least: float, small: float) -> Outlines:
-    """Bubbles of one image of darkness (rows, columns) with its map of depths: edges, labels, circles of the large and thresholds of the small ones.
+    """Bubbles of one image of darkness (rows, columns) with its map of depths.
+
+    Edges, labels, circles of the large and thresholds of the small ones.
 
     Parameters
     ----------
@@ -156,7 +168,10 @@ def _filled(mask: Any) -> Any:
 
 
 def _thresholded(dark: F32) -> list[tuple[float, float, float, float]]:
-    """Centroid and equivalent radius of what is darker than the mean of a region, as a circle; none where all is alike."""
+    """Centroid and equivalent radius of what is darker than the mean of a region, as a circle.
+
+    None where all is alike.
+    """
     inside = dark > dark.mean()
     if not inside.any():
         return []
@@ -166,7 +181,10 @@ def _thresholded(dark: F32) -> list[tuple[float, float, float, float]]:
 
 
 def find_blots(dark: F32, least: float, small: float) -> list[tuple[float, float, float]]:
-    """Column, row and radius of features of a region that end within it and have an equivalent diameter below `small` voxels."""
+    """Find column, row and radius of small features of a region.
+
+    They end within it and have an equivalent diameter below `small` voxels.
+    """
     right = cv2.Sobel(dark, cv2.CV_32F, 1, 0, ksize=3, scale=0.125)
     down = cv2.Sobel(dark, cv2.CV_32F, 0, 1, ksize=3, scale=0.125)
     count, _, stats, _ = cv2.connectedComponentsWithStats(
@@ -196,7 +214,10 @@ def find_blots(dark: F32, least: float, small: float) -> list[tuple[float, float
 
 
 def find_circles(right: F32, down: F32, own: Any) -> list[tuple[float, float, float, float]]:
-    """Circles of one feature by votes of its edge pixels along their gradients, towards the dark side; several if several are supported."""
+    """Find circles of one feature by votes of its edge pixels along their gradients.
+
+    Votes go towards the dark side; there are several circles if several are supported.
+    """
     rows, columns = np.nonzero(own)
     gx, gy = right[rows, columns], down[rows, columns]
     length = np.hypot(gx, gy)
@@ -245,7 +266,10 @@ def find_circles(right: F32, down: F32, own: Any) -> list[tuple[float, float, fl
 
 @numba.njit(cache=True, error_model="numpy")
 def _vote(rows: Any, columns: Any, gx: Any, gy: Any, votes: Any) -> None:
-    """Each edge pixel votes for the centres of circles whose outline it is: darkness grows inwards."""
+    """Each edge pixel votes for the centres of circles whose outline it is.
+
+    Darkness grows inwards.
+    """
     for n in range(len(rows)):
         for r in range(1, votes.shape[0] + 1):
             x, y = int(np.rint(columns[n] + r * gx[n])), int(np.rint(rows[n] + r * gy[n]))
@@ -254,7 +278,10 @@ def _vote(rows: Any, columns: Any, gx: Any, gy: Any, votes: Any) -> None:
 
 
 def _depth_of(shape: F64, dark: F32, depth: F32) -> float:
-    """Mean of the depths within a voxel of the outline and inside it, weighted with the darkness."""
+    """Average the depths on an outline's rim, weighted with the darkness.
+
+    The rim is what lies within a voxel of the outline and inside it.
+    """
     x, y, a, b = shape
     margin = 2
     top, bottom = max(int(y - b) - margin, 0), min(int(y + b) + margin + 1, dark.shape[0])
@@ -278,7 +305,9 @@ def minimum_images(volume: F32) -> list[tuple[F32, F32]]:
 
 
 def merge_overlaps(shapes: F64, grid: Grid) -> F64:
-    """Bubbles (n, 6: x, y, z, two semi-axes, weight) less those in larger ones; others that overlap are merged.
+    """Bubbles (n, 6: x, y, z, two semi-axes, weight) less those in larger ones.
+
+    Others that overlap are merged.
 
     All in mm; two overlap if they do so in the plane and their depths differ by less than the
     larger one's radius and a stack.

@@ -1,4 +1,6 @@
-"""Votes for outlines: how much of a circle of a radius around each pixel is an edge from dark within to bright outside.
+"""Votes for outlines.
+
+How much of a circle of a radius around each pixel is an edge from dark within to bright outside.
 
 The direction of the gradient counts and its strength hardly does, as in Loy and Zelinsky's radial
 symmetry (IEEE PAMI 25, 2003): a faint bubble whose whole outline shows is worth more than one
@@ -22,7 +24,10 @@ _SMOOTH = 0.6  # px
 
 @dataclass(frozen=True)
 class Votes:
-    """Votes (radius, row, column) from 0 to 1 of one image, stretched downwards until ellipses of an aspect are circles; the radii in px."""
+    """Votes (radius, row, column) from 0 to 1 of one image, and the radii in px.
+
+    They are stretched downwards until ellipses of an aspect are circles.
+    """
 
     radii_px: F64
     maps: F32
@@ -40,7 +45,10 @@ def radii_between(smallest_px: float, largest_px: float) -> F64:
 
 
 def vote(image: F32, radii_px: F64, aspect: float = 1.0) -> Votes:
-    """Votes of one image of transmission for circles, or for ellipses of an aspect (short over long axis) that lie flat."""
+    """Vote for circles in one image of transmission.
+
+    Or for ellipses of an aspect (short over long axis) that lie flat.
+    """
     if aspect != 1.0:
         image = cv2.resize(
             image, (image.shape[1], round(image.shape[0] / aspect)), interpolation=cv2.INTER_CUBIC

@@ -1,4 +1,7 @@
-"""Where in space a bubble may be: outlines of one view followed along their lines of sight, and looked for in all others."""
+"""Where in space a bubble may be.
+
+Outlines of one view followed along their lines of sight, and looked for in all others.
+"""
 
 from __future__ import annotations
 
@@ -26,7 +29,10 @@ _BEYOND = 0.02  # of the volume's depth: how far outside it lines are followed
 
 @dataclass(frozen=True)
 class Hypotheses:
-    """Bubbles that may be there: centres (n, 3), long semi-axes (n,), mean votes (n,), short over long axis (n,), the best first."""
+    """Bubbles that may be there.
+
+    Centres (n, 3), long semi-axes (n,), mean votes (n,), short over long axis (n,), the best first.
+    """
 
     center_mm: F64
     radius_mm: F64
@@ -65,7 +71,10 @@ def join_hypotheses(parts: Sequence[Hypotheses]) -> Hypotheses:
 
 
 def _spread(maps: F32, out: F32) -> None:
-    """Smoothed votes: other views are not hit to the pixel. A maximum over neighbours would be as good at many depths."""
+    """Smoothed votes.
+
+    Other views are not hit to the pixel. A maximum over neighbours would be as good at many depths.
+    """
     import cv2
 
     for one, smooth in zip(maps, out, strict=True):
@@ -128,7 +137,10 @@ def _along_lines(
 
 
 def px_per_mm(camera: Camera, points_mm: F64) -> F64:
-    """Pixels per mm across the line of sight at points (n, 3), from the length of the light's way: exact enough to choose a radius."""
+    """Compute pixels per mm across the line of sight at points (n, 3).
+
+    From the length of the light path: exact enough to choose a radius.
+    """
     step = 0.5
     across = step * np.array([1.0, 0.0, 0.0])
     ends = [camera.project(points_mm + sign * across)[0] for sign in (-1.0, 1.0)]
@@ -166,7 +178,10 @@ def _sample(
 
 
 def drop_duplicates(all_of_them: Hypotheses) -> Hypotheses:
-    """The best of hypotheses that mean the same bubble: closer than half a radius across and two along, of a similar radius."""
+    """The best of hypotheses that mean the same bubble.
+
+    Closer than half a radius across and two along, of a similar radius.
+    """
     center, radius, vote = all_of_them.center_mm, all_of_them.radius_mm, all_of_them.vote
     if not len(vote):
         return all_of_them

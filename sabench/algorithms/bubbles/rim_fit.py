@@ -30,7 +30,7 @@ _MARGIN = 2.5  # px around a bubble that are looked at
 
 @dataclass
 class Model:
-    """What the images show (camera, row, column) and the logarithm of what all bubbles so far make of them."""
+    """Images (camera, row, column), and the logarithm of the transmission of all bubbles so far."""
 
     images: F32
     logs: F32
@@ -59,7 +59,9 @@ def semi_axes_of(parameters: F64) -> F64:
 
 
 def images_of(cameras: Sequence[Camera], linear: tuple[F64, F64, F64], parameters: F64) -> F64:
-    """Ellipses (camera, 5) of a bubble: centre column and row, and the inverse of its shape matrix as xx, xy, yy.
+    """Ellipses (camera, 5) of a bubble.
+
+    Centre column and row, and the inverse of its shape matrix as xx, xy, yy.
 
     Parameters
     ----------
@@ -100,7 +102,10 @@ def darken(model: Model, parameters: F64, sign: float) -> None:
 
 
 def gain(model: Model, parameters: F64) -> F64:
-    """How much of what a bubble would darken is dark in the images, and not explained by others: (camera,) from below 0 to 1; NaN out of view."""
+    """Compute how much of a bubble's shadow is dark in the images and not yet explained.
+
+    Returns (camera,) from below 0 to 1; NaN out of view.
+    """
     ellipses = ellipses_of(model, parameters)
     out = np.full(len(model.cameras), np.nan)
     _gains(model.images, model.logs, ellipses, model.profile.table, model.profile.blur_px, out)
@@ -135,7 +140,7 @@ def fit(model: Model, parameters: F64, steps: int) -> F64:
 
 
 def unexplained(model: Model, ellipses: F64) -> float:
-    """Robust sum of squares of what the model leaves around a bubble's images (camera, 5), as it is."""
+    """Compute the robust sum of squares of the residuals around images (camera, 5), as they are."""
     return float(_left(model.images, model.logs, ellipses, model.profile.blur_px))
 
 
@@ -145,7 +150,10 @@ def ellipses_of(model: Model, parameters: F64) -> F64:
 
 
 def misfit(model: Model, parameters: F64) -> float:
-    """Mean square of what a bubble leaves unexplained of the pixels around it, median over the views: others are in front of it in some."""
+    """Compute the mean square that a bubble leaves unexplained of the pixels around it.
+
+    Median over the views, since others are in front of it in some.
+    """
     ellipses = ellipses_of(model, parameters)
     out = np.full(len(model.cameras), np.nan)
     _squares(model.images, model.logs, ellipses, model.profile.table, model.profile.blur_px, out)
@@ -179,7 +187,10 @@ def _measured(
 
 @numba.njit(cache=True, error_model="numpy")
 def _shade(table: Any, blur: float, distance: float, part: float) -> Any:
-    """Transmission at a distance in px from the centre that is a part of the radius there, bilinear in the profile's table."""
+    """Interpolate transmission at a distance in px that is a part of the radius there.
+
+    Bilinear in the profile's table.
+    """
     radius = distance / part if part > 1e-9 else 1e9
     radius = min(max(radius, SMALLEST), LARGEST)
     across = distance / (radius + REACH * blur) * (table.shape[1] - 1)
@@ -298,7 +309,10 @@ def _normal(
     normal: Any,
     slope: Any,
 ) -> Any:
-    """Sum over views and pixels of Geman and McClure's function of the residuals; weights of the normal equations are its own."""
+    """Sum over views and pixels of Geman and McClure's function of the residuals.
+
+    Weights of the normal equations are its own.
+    """
     count = len(steps)
     change = np.empty(count)
     value = 0.0

@@ -1,4 +1,7 @@
-"""Which hypotheses are bubbles: the best are fitted first, and what they explain is not there for the others."""
+"""Which hypotheses are bubbles.
+
+The best are fitted first, and what they explain is not there for the others.
+"""
 
 from __future__ import annotations
 
@@ -114,7 +117,7 @@ def _accepted(model: Model, start: Hypotheses, least_gain: float) -> list[F64]:
 
 
 def _united(model: Model, kept: list[F64], start: Hypotheses, least_gain: float) -> list[F64]:
-    """One bubble in place of the small ones that its rim was taken for, where that explains the images as well."""
+    """Replace small bubbles along one rim by one bubble, where that explains the images as well."""
     order = [
         n
         for n in np.argsort(-start.radius_mm * start.aspect, kind="stable").tolist()
@@ -146,7 +149,10 @@ def _united(model: Model, kept: list[F64], start: Hypotheses, least_gain: float)
 
 
 def _parts(kept: list[F64], whole: F64) -> list[int]:
-    """Numbers of the bubbles that are smaller than another one and within its outline; none if one like it is there."""
+    """Numbers of the bubbles that are smaller than another one and within its outline.
+
+    None if one like it is there.
+    """
     if not kept:
         return []
     every = np.stack(kept)

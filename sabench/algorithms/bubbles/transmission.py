@@ -1,4 +1,7 @@
-"""Images of a backlit scene as transmission: 1 where only the diffuser is seen, 0 where it is dark."""
+"""Images of a backlit scene as transmission.
+
+1 where only the diffuser is seen, 0 where it is dark.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +17,9 @@ _DARKEST = 0.02  # of white: images that are darker everywhere show nothing
 
 
 def transmission(case: Observation) -> F32:
-    """Grey values less black over those of the diffuser there: (camera, row, column); all 1 for an image that shows nothing.
+    """Grey values less black over those of the diffuser there: (camera, row, column).
+
+    all 1 for an image that shows nothing.
 
     The diffuser's brightness is what is brightest within a wide neighbourhood, smoothed; noise that
     this follows is taken out by a median first.

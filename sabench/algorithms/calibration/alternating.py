@@ -1,4 +1,6 @@
-"""The thesis's auto-calibration: cameras against fixed boards, then boards against fixed cameras, in turn.
+"""The thesis's auto-calibration.
+
+Cameras against fixed boards, then boards against fixed cameras, in turn.
 
 Source: J. Belden, PhD thesis, MIT 2011, figure 4-1 and section 4.4.2.
 """
@@ -16,7 +18,11 @@ from sabench.utils.arrays import F64, I64
 
 @dataclass(frozen=True)
 class Rounds:
-    """Where the alternation ended, and the largest mean reprojection error of a camera (px) before it began and after every round."""
+    """End of an alternation and the errors on its way.
+
+    The errors are the largest mean reprojection error of a camera (px) before it began and after
+    every round.
+    """
 
     state: State
     errors_px: tuple[float, ...]
@@ -25,7 +31,11 @@ class Rounds:
 def alternate(
     state: State, seen: Seen, free: FreeParameters, tolerance_px: float, most: int
 ) -> Rounds:
-    """Adjust in turn until the largest of the cameras' mean reprojection errors changes by less than the tolerance."""
+    """Adjust cameras and boards in turn.
+
+    Stop when the largest of the cameras' mean reprojection errors changes by less than the
+    tolerance.
+    """
     errors = [_largest(state, seen)]
     while len(errors) <= most:
         state = _boards(_cameras(state, seen, free), seen, free)
@@ -90,7 +100,10 @@ def _largest(state: State, seen: Seen) -> float:
 
 
 def mean_rotation(turns: F64) -> F64:
-    """The rotation nearest to several (n, ..., 3, 3), in the least-squares sense of their entries: (..., 3, 3)."""
+    """Average rotations (n, ..., 3, 3) in the least-squares sense of their entries.
+
+    Returns (..., 3, 3).
+    """
     left, _, right = np.linalg.svd(turns.mean(axis=0))
     sign = np.sign(np.linalg.det(left @ right))
     left[..., :, 2] *= sign[..., None]

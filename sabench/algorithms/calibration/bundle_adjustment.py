@@ -1,4 +1,6 @@
-"""Bundle adjustment: cameras, boards and what they share, all at once, by Levenberg and Marquardt's method.
+"""Bundle adjustment.
+
+Cameras, boards and what they share, all at once, by Levenberg and Marquardt's method.
 
 The boards' blocks are eliminated first (Schur's complement), so that a step costs a Cholesky factor
 of the cameras' unknowns only. Source: Triggs et al. (2000), Bundle adjustment - a modern synthesis.
@@ -47,7 +49,11 @@ class Seen:
 
     @cached_property
     def anchored(self) -> tuple[I64, I64, F64, F64, F64, F64]:
-        """The anchors' boards and points (n,), places and precisions (n, 3), and the turns (n, 3, 3) and shifts (n, 3) to the world's frame."""
+        """Arrays of the anchors: boards, points, positions, precisions and motions.
+
+        Boards and points are (n,), positions and precisions (n, 3), rotations (n, 3, 3) and shifts
+        (n, 3) lead to the world's frame.
+        """
         boards, points = (
             np.array([getattr(anchor, name) for anchor in self.anchors], dtype=np.int64)
             for name in ("board", "point")
@@ -161,7 +167,10 @@ def refine(
 
 
 def _step(normal: Normal, damping: float, moving: Moving) -> tuple[F64, F64, float]:
-    """Steps of the cameras' unknowns and the boards' (K, 6), and by how much the cost falls if it is quadratic."""
+    """Solve for steps of the cameras' unknowns and the boards' (K, 6).
+
+    Also returns by how much the cost falls if it is quadratic.
+    """
     aa, bb = normal.aa.copy(), normal.bb.copy()
     aa.flat[:: len(aa) + 1] += damping * np.diagonal(aa) + 1e-30
     corner = np.arange(bb.shape[1])

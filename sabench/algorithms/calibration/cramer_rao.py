@@ -40,7 +40,10 @@ class Limit:
 
     @property
     def efficiency(self) -> float:
-        """Ratio of the true to the measured reprojection error of a perfect estimate: sqrt(p / (N - p))."""
+        """Ratio of the true to the measured reprojection error of a perfect estimate.
+
+        Sqrt(p / (N - p)).
+        """
         return float(np.sqrt(self.unknowns / max(self.equations - self.unknowns, 1)))
 
 
@@ -87,7 +90,10 @@ def _whole(state: State, seen: Seen, free: FreeParameters) -> F64:
 
 
 def _inverse(information: F64) -> tuple[F64, int]:
-    """A generalised inverse, and the rank; what does not notice the open directions has the same variance in any of these inverses."""
+    """A generalised inverse, and the rank.
+
+    What does not notice the open directions has the same variance in any of these inverses.
+    """
     scale = 1.0 / np.sqrt(np.maximum(np.diagonal(information), 1e-300))
     values, vectors = np.linalg.eigh(information * scale * scale[:, None])
     there = values > _FREE * values[-1]
@@ -125,7 +131,10 @@ def _positive(covariance: F64) -> F64:
 
 
 def _mean_length(uu: F64, vv: F64, uv: F64) -> F64:
-    """Mean lengths of pairs of normal numbers with these variances and covariances: a complete elliptic integral."""
+    """Mean lengths of pairs of normal numbers with these variances and covariances.
+
+    A complete elliptic integral.
+    """
     middle, spread = (uu + vv) / 2.0, np.hypot((uu - vv) / 2.0, uv)
     large, small = middle + spread, np.maximum(middle - spread, 0.0)
     return np.asarray(

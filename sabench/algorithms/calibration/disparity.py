@@ -1,4 +1,6 @@
-"""How far off each camera of a particle image set is, from sets that are mostly wrong: the right ones agree, the wrong ones scatter.
+"""How far off each camera of a particle image set is, from sets that are mostly wrong.
+
+The right ones agree, the wrong ones scatter.
 
 Source: B. Wieneke, Exp. Fluids 45, 549-556, 2008.
 """
@@ -26,7 +28,11 @@ _FEW = 100  # sets below which a part has none
 
 @dataclass(frozen=True)
 class Sets:
-    """Sets of particle images: places (n, 3) from -1 to 1 in the box, numbers (n, cameras) of the images, errors (n, cameras, 2) in px."""
+    """Sets of particle images.
+
+    Places (n, 3) from -1 to 1 in the box, numbers (n, cameras) of the images, errors (n, cameras,
+    2) in px.
+    """
 
     places: F64
     hits: I64
@@ -34,7 +40,9 @@ class Sets:
 
 
 def find_sets(maps: VolumePolynomials, peaks: tuple[Peaks, ...], reach_px: float) -> Sets:
-    """Sets within reach, and how far their images lie from where the cameras see the place that fits best.
+    """Find sets of peaks within reach, and the errors of their images.
+
+    Errors are distances from where the cameras see the position that fits best.
 
     Where there is no room for all, they are those of a random part of the first camera's images:
     right and wrong ones become fewer alike.
@@ -65,7 +73,9 @@ def find_sets(maps: VolumePolynomials, peaks: tuple[Peaks, ...], reach_px: float
 def corrected(
     maps: VolumePolynomials, sets: Sets, cameras: range
 ) -> tuple[VolumePolynomials, float]:
-    """VolumePolynomials of these cameras moved by their common disparity, and the largest move in px.
+    """Move the polynomials of these cameras by their common disparity.
+
+    Also returns the largest move in px.
 
     All cameras' errors together are one vector; what a place can take up of it is gone, and in the
     few dimensions that are left the right sets lie in one spot and the wrong ones all over. Every
@@ -107,7 +117,10 @@ def densest(values: F64) -> F64:
 
 
 def _shifted(values: F64, middle: F64) -> tuple[F64, int]:
-    """The mean of what is near to a place, of what is near to that, and so on; and how many those are."""
+    """The mean of what is near to a place, of what is near to that, and so on.
+
+    And how many those are.
+    """
     near = np.zeros(len(values), dtype=np.bool_)
     for _ in range(_SHIFTS):
         near = np.linalg.norm(values - middle, axis=1) <= _SPOT_PX
@@ -118,7 +131,11 @@ def _shifted(values: F64, middle: F64) -> tuple[F64, int]:
 
 
 def _unmoved(maps: VolumePolynomials, cameras: range) -> F64:
-    """Orthonormal columns (2 cameras, d): what of the cameras' pixels does not change with a place, at the middle of the box; all, for one camera."""
+    """Orthonormal columns (2 cameras, d).
+
+    What of the cameras' pixels does not change with a place, at the middle of the box; all, for one
+    camera.
+    """
     if len(cameras) < 2:
         return np.eye(2)
     nearby = 1e-3 * np.vstack([np.eye(3), -np.eye(3)])
@@ -128,7 +145,10 @@ def _unmoved(maps: VolumePolynomials, cameras: range) -> F64:
 
 
 def _by_parts(places: F64, errors: F64, whole: F64) -> tuple[F64, F64]:
-    """Rows (1, x, y) of the middles of the parts, and their spots; one row (1,) for the whole box where parts have too few."""
+    """Rows (1, x, y) of the middles of the parts, and their spots.
+
+    One row (1,) for the whole box where parts have too few.
+    """
     near = np.linalg.norm(errors - whole, axis=1) <= 2.0 * _SPOT_PX
     part = np.clip(((places[:, :2] + 1.0) / 2.0 * _PARTS).astype(int), 0, _PARTS - 1) @ [1, _PARTS]
     chosen = [np.flatnonzero(near & (part == number)) for number in range(_PARTS**2)]

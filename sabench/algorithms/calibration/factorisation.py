@@ -1,4 +1,6 @@
-"""Cameras and points from images alone, for pinholes without refraction: projective factorisation, then a Euclidean frame.
+"""Cameras and points from images alone, for pinholes without refraction.
+
+Projective factorisation, then a Euclidean frame.
 
 Sources: P. Sturm and B. Triggs, ECCV 1996; R. Hartley and A. Zisserman, Multiple View Geometry,
 section 19.3; T. Svoboda, D. Martinec and T. Pajdla, Presence 14, 2005.
@@ -36,7 +38,9 @@ class Factors:
 
 
 def factorise(images: F64, seen: Bool) -> Factors:
-    """Matrices and points for images (camera, n, 2), of which those not `seen` (camera, n) are filled in as the rest demands.
+    """Factorise images (camera, n, 2) into matrices and points.
+
+    Those that are not `seen` (camera, n) are filled in as the rest demands.
 
     Images should be scaled to about 1. The depths of all points start equal and follow from the
     product of rank 4 that is nearest.
@@ -72,7 +76,9 @@ def factorise(images: F64, seen: Bool) -> Factors:
 
 
 def adjust_factors(factors: Factors, images: F64, seen: Bool) -> Factors:
-    """The matrices and points nearby whose images have the least sum of squared errors: a projective bundle adjustment.
+    """The matrices and points nearby whose images have the least sum of squared errors.
+
+    A projective bundle adjustment.
 
     Factorisation leaves an algebraic error, and creeps; Levenberg and Marquardt's steps, points
     eliminated, go on from there.
@@ -165,7 +171,9 @@ def _projective_step(
 
 
 def upgrade_to_euclidean(factors: Factors) -> Factors:
-    """The frame, up to a similarity, in which all cameras have square pixels, their principal point at zero and a focal length of about 1.
+    """Find the frame, up to a similarity, in which cameras have square pixels.
+
+    Their principal point is at zero there and their focal length about 1.
 
     Sources: the dual absolute quadric (Hartley and Zisserman, section 19.3.1), with rough focal
     lengths as M. Pollefeys et al. (IJCV 59, 2004) use them: cameras whose axes all meet in one
@@ -193,14 +201,18 @@ def upgrade_to_euclidean(factors: Factors) -> Factors:
         values, vectors = -values[::-1], vectors[:, ::-1]
     if values[1] <= 0.0:
         raise InputError(
-            "expected images from which a Euclidean frame follows, got some that no pinholes with square pixels can have"
+            "expected images from which a Euclidean frame follows, got some that no pinholes "
+            "with square pixels can have"
         )
     frame = np.column_stack([vectors[:, 1:] * np.sqrt(values[1:]), vectors[:, 0]])
     return _forward(factors.changed(frame))
 
 
 def _filled(images: F64, seen: Bool) -> F64:
-    """A first guess of unseen images: an affine product of rank 3 about the cameras' means, filled in again and again."""
+    """A first guess of unseen images.
+
+    An affine product of rank 3 about the cameras' means, filled in again and again.
+    """
     means = (
         np.nansum(images * seen[..., None], axis=1, keepdims=True)
         / np.maximum(seen.sum(axis=1), 1)[:, None, None]

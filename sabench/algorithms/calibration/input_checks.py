@@ -32,7 +32,8 @@ def check_case(case: CalibrationCase) -> None:
     for camera in case.cameras:
         if camera.wall and camera.wall.depth_of(np.asarray(camera.center_mm)) >= 0.0:
             raise InputError(
-                f"{camera.name}: expected it in front of the wall's outer face, but the wall is behind it"
+                f"{camera.name}: expected it in front of the wall's outer face, but the wall is "
+                "behind it"
             )
     if case.cameras[0].wall:
         _check_indices(case.cameras[0].wall)
@@ -43,11 +44,13 @@ def _check_indices(wall: Wall) -> None:
     first, *solids, last = wall.indices.tolist()
     if first > last:
         raise InputError(
-            f"wall: expected indices from the cameras' side on, air first, got air_index {first:g} above fluid_index {last:g}"
+            "wall: expected indices from the cameras' side on, air first, got air_index "
+            f"{first:g} above fluid_index {last:g}"
         )
     if solids and max(solids) < _GLASS <= last:
         raise InputError(
-            f"wall: expected layers of glass and a fluid behind them, got layers of index {max(solids):g} before a fluid of {last:g}"
+            "wall: expected layers of glass and a fluid behind them, got layers of index "
+            f"{max(solids):g} before a fluid of {last:g}"
         )
 
 
@@ -56,13 +59,15 @@ def _check_duplicates(case: CalibrationCase) -> None:
     for i, j in itertools.combinations(range(len(case.cameras)), 2):
         if _same(case.pixels[i], case.pixels[j]):
             raise InputError(
-                f"{case.cameras[i].name} and {case.cameras[j].name}: expected images of their own, but all their points are the same"
+                f"{case.cameras[i].name} and {case.cameras[j].name}: expected images of their "
+                "own, but all their points are the same"
             )
     for camera, frames in zip(case.cameras, case.pixels, strict=True):
         for i, j in itertools.combinations(range(len(frames)), 2):
             if _same(frames[i], frames[j]):
                 raise InputError(
-                    f"{camera.name}: expected different images in frames {i} and {j}, but all their points are the same"
+                    f"{camera.name}: expected different images in frames {i} and {j}, but all "
+                    "their points are the same"
                 )
 
 
@@ -73,7 +78,10 @@ def _same(one: F64, other: F64) -> bool:
 def check_fit(
     case: CalibrationCase, state: State, frame: Frame, seen: Seen, used: Bool, noise_px: float
 ) -> None:
-    """Refuse a fit that contradicts what was told, that leaves out an image because of its order, or that rests on one plane.
+    """Refuse a fit that contradicts the input.
+
+    It contradicts the nominal positions, leaves out an image because of its order, or rests on one
+    plane.
 
     Images through a wall tell neither which of a board's corners is the first nor which camera is
     which: that a board has been counted from another corner in all cameras, or that two cameras are
@@ -87,7 +95,8 @@ def check_fit(
     there = seen.weights > 0.0
     if noise_px > _WRONG * case.cameras[0].columns:
         raise InputError(
-            f"expected points that one array can see, got some that miss by {noise_px:.3g} px at best: are they the target's, in its order?"
+            f"expected points that one array can see, got some that miss by {noise_px:.3g} px at "
+            "best: are they the target's, in its order?"
         )
     _check_views(case, state, seen, used, there, noise_px)
     points = state.points(seen.board)
@@ -99,14 +108,18 @@ def check_fit(
     spread = np.linalg.svd(found - found.mean(axis=0), compute_uv=False)
     if spread[2] < _FLAT * spread[0] and case.target.pattern != "wand":
         raise InputError(
-            "expected a target at different depths or tilts, but all frames show it in one plane, which leaves focal lengths open"
+            "expected a target at different depths or tilts, but all frames show it in one "
+            "plane, which leaves focal lengths open"
         )
 
 
 def _check_views(
     case: CalibrationCase, state: State, seen: Seen, used: Bool, there: Bool, noise_px: float
 ) -> None:
-    """A camera's view of a frame that does not fit to all the others, but would, counted from another corner; what never fits is just not used."""
+    """Find a view that would fit if its points were counted from another corner.
+
+    A view that never fits is just not used.
+    """
     shares = used.sum(axis=2) / np.maximum(there.sum(axis=2), 1)
     computed = seen.pixels - residuals(state, seen)
     for camera, number in np.argwhere((shares < _SUSPECT) & there.any(axis=2)).tolist():
@@ -117,12 +130,16 @@ def _check_views(
             )[there[camera, number]]
             if np.nanmedian(misses) < _FITS * noise_px:
                 raise InputError(
-                    f"{name}: expected its points counted as in the other cameras, but they are turned by {degrees} degrees"
+                    f"{name}: expected its points counted as in the other cameras, but they are "
+                    f"turned by {degrees} degrees"
                 )
 
 
 def relabelled(target: Target) -> list[tuple[int, I64]]:
-    """Turns in degrees, and the order of the points under them, after which a target's grid has the same columns and rows."""
+    """List rotations, in degrees, under which a target's grid maps onto itself.
+
+    Each comes with the order of the points under it.
+    """
     grid = np.arange(target.columns * target.rows).reshape(target.rows, target.columns)
     turns = [(90 * quarters, np.rot90(grid, quarters)) for quarters in (2, 1, 3)]
     return [(degrees, turned.ravel()) for degrees, turned in turns if turned.shape == grid.shape]
@@ -139,7 +156,8 @@ def _check_corners(case: CalibrationCase, points: F64, rough: F64, there: Bool) 
         for degrees, order in relabelled(case.target):
             if _rms(own[order] - told) < 0.5 * apart:
                 raise InputError(
-                    f"frame {number}: expected its points counted as in its rough place, but they are turned by {degrees} degrees against it"
+                    f"frame {number}: expected its points counted as in its rough place, but "
+                    f"they are turned by {degrees} degrees against it"
                 )
 
 
@@ -150,7 +168,8 @@ def _check_names(case: CalibrationCase, centers: F64, rough: F64) -> None:
         other = np.linalg.norm(centers[i] - rough[j]) + np.linalg.norm(centers[j] - rough[i])
         if other < 0.25 * own:
             raise InputError(
-                f"{case.cameras[i].name} and {case.cameras[j].name}: expected each one's own images, but these two are swapped"
+                f"{case.cameras[i].name} and {case.cameras[j].name}: expected each one's own "
+                "images, but these two are swapped"
             )
 
 

@@ -25,7 +25,10 @@ _STEPS = 60
 
 @numba.njit(cache=True)
 def bend(indices: Any, depths: Any, radius: float) -> float:
-    """Tangent of a path's angle in its rarest medium, by Newton's iteration from the paraxial path; negative depths are gone back."""
+    """Solve for the tangent of a path's angle in its rarest medium.
+
+    By Newton's iteration from the paraxial path; negative depths are gone back.
+    """
     rarest = indices.min()
     paraxial = 0.0
     for i in range(len(indices)):
@@ -49,7 +52,9 @@ def bend(indices: Any, depths: Any, radius: float) -> float:
 def leave(
     indices: Any, depths: Any, radius: float, by_depth: Any, by_index: Any
 ) -> tuple[float, float]:
-    """G = tan(angle in the first medium) / radius, and (dG/d radius) / radius; fills in dG by depths and by indices.
+    """G = tan(angle in the first medium) / radius, and (dG/d radius) / radius.
+
+    Fills in dG by depths and by indices.
 
     Derivatives at a radius of zero are those of the paraxial path.
     """
@@ -84,7 +89,9 @@ def leave(
 def observe(
     turn: Any, center: Any, lens: Any, media: Any, arm: Any, place: Any, row: Any, room: Any
 ) -> tuple[float, float, bool]:
-    """Pixel (column, row) of the point place + arm, and in `row` (2, CAMERA + BOARD + shared) its derivatives.
+    """Project the point place + arm to a pixel (column, row), with all derivatives.
+
+    The derivatives go to `row` (2, CAMERA + BOARD + shared).
 
     Parameters
     ----------
@@ -166,7 +173,10 @@ def _fill(
     room: Any,
     count: int,
 ) -> None:
-    """Derivatives of one pixel coordinate by turn, centre, board and media, from those by the camera frame's x and y."""
+    """Fill in derivatives of one pixel coordinate by rotation, centre, board and media.
+
+    They follow from those by the camera frame's x and y.
+    """
     (u, v, w), (x, y, tangent, curved) = seen, swing
     by_depth, by_index = room[1], room[2]
     third = -(first * u + second * v)  # by the camera frame's z; its vector is (u, v, 1) w
@@ -312,7 +322,10 @@ def _scatter(
 
 @numba.njit(cache=True)
 def misses(array: Any, boards: Any, seen: Any) -> Any:
-    """Observed minus computed pixels (M, K, m, 2); NaN where nothing was seen or there is no path."""
+    """Observed minus computed pixels (M, K, m, 2).
+
+    NaN where nothing was seen or there is no path.
+    """
     turns, centers, lenses, media = array
     board_turns, places, points = boards
     pixels, _ = seen
@@ -335,7 +348,10 @@ def misses(array: Any, boards: Any, seen: Any) -> Any:
 
 @numba.njit(cache=True)
 def spreads(array: Any, boards: Any, seen: Any, free: Any, covariance: Any) -> Any:
-    """Covariances (M, K, m, 3) of computed pixels - column, row and both - from that of the unknowns in the order cameras, shared, boards."""
+    """Compute covariances (M, K, m, 3) of computed pixels: column, row and both.
+
+    They follow from that of the unknowns in the order cameras, shared, boards.
+    """
     turns, centers, lenses, media = array
     board_turns, places, points = boards
     _, weights = seen

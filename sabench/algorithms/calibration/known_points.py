@@ -28,7 +28,7 @@ def known_frames(case: CalibrationCase, camera: int) -> tuple[list[F64], list[F6
 
 
 def reason_if_flat(case: CalibrationCase) -> str | None:
-    """Why a classical calibration cannot take a case whose places are all told in one plane, or None if they are not."""
+    """Explain why a case is refused whose nominal positions lie in one plane, else None."""
     told = case.rough_mm[np.isfinite(case.rough_mm).all(axis=-1)]
     spread = np.linalg.svd(told - told.mean(axis=0), compute_uv=False)
     return (

@@ -47,7 +47,7 @@ class FreeParameters:
         return 7 + 2 * self.principal_point + len(self.distortion)
 
     def columns(self, media: int) -> tuple[I64, I64]:
-        """Numbers of a camera's unknowns and of the shared ones, as `kernels.equations` counts them."""
+        """Numbers of a camera's unknowns and of the shared ones, as in `kernels.equations`."""
         own = (
             [0, 1, 2, 3, 4, 5, 6]
             + [7, 8] * self.principal_point
@@ -85,7 +85,7 @@ class State:
         return np.asarray(np.einsum("kij,mj->kmi", self.board_turns, board) + self.places[:, None])
 
     def moved(self, cameras: F64, shared: F64, boards: F64, free: FreeParameters) -> State:
-        """The state after steps of the cameras' unknowns (M, f), the shared ones (s,) and the boards' (K, 6)."""
+        """Apply steps of the cameras' unknowns (M, f), the shared (s,) and the boards' (K, 6)."""
         own, common = free.columns(len(self.indices))
         full = np.zeros((len(self.turns), CAMERA))
         full[:, own] = cameras
@@ -115,7 +115,10 @@ class State:
 
 @dataclass(frozen=True)
 class Frame:
-    """What leads from states to cameras: the world's place in the wall's frame, and what a state does not hold."""
+    """What leads from states to cameras.
+
+    The world's place in the wall's frame, and what a state does not hold.
+    """
 
     motion: RigidMotion
     cameras: tuple[Camera, ...]
@@ -128,7 +131,10 @@ class Frame:
         return cls(wall_frame(wall, cameras, points_mm), cameras, wall)
 
     def state(self, board: F64, points_mm: F64) -> State:
-        """Where the cameras are, and boards (m, 3) as near as they can be to rough points (K, m, 3), NaN where unknown."""
+        """Make the state of the cameras, with boards (m, 3) fitted to points (K, m, 3).
+
+        The points are an initial guess, NaN where unknown.
+        """
         turns = np.stack(
             [np.asarray(camera.rotation) @ self.motion.rotation.T for camera in self.cameras]
         )

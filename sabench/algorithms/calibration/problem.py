@@ -55,7 +55,10 @@ class CalibrationProblem:
         return cls(frame, frame.state(case.target.points_mm, case.rough_mm), seen, case)
 
     def settled(self, state: State) -> State:
-        """The state moved, by what neither the images nor the known coordinates notice, to where its boards were roughly known to be."""
+        """Move the state to where its boards were roughly known to be.
+
+        Only by motions that neither the images nor the known coordinates notice.
+        """
         points, rough = state.points(self.seen.board), self.frame.motion(self.case.rough_mm)
         there = np.isfinite(rough).all(axis=-1) & (self.seen.weights.sum(axis=0) > 0.0)
         known = np.isfinite(self.case.known_mm).all(axis=-1)
@@ -95,11 +98,13 @@ def check_count(case: CalibrationCase, unknowns: int) -> None:
     needed = unknowns * len(case.cameras) + 6 * boards
     if 2 * int(case.found.sum()) < needed:
         raise InputError(
-            f"expected at least {-(-needed // 2)} image points for {len(case.cameras)} cameras of {unknowns} unknowns and {boards} boards of 6 "
+            f"expected at least {-(-needed // 2)} image points for {len(case.cameras)} cameras "
+            f"of {unknowns} unknowns and {boards} boards of 6 "
             f"(2 N >= b M + 6 K), got {int(case.found.sum())}"
         )
     for camera, found in zip(case.cameras, case.found.sum(axis=(1, 2)).tolist(), strict=True):
         if 2 * found < unknowns:
             raise InputError(
-                f"{camera.name}: expected at least {-(-unknowns // 2)} image points for its {unknowns} unknowns, got {found}"
+                f"{camera.name}: expected at least {-(-unknowns // 2)} image points for its "
+                f"{unknowns} unknowns, got {found}"
             )

@@ -19,7 +19,10 @@ _CAUCHY = 2.4  # standard deviations at which Cauchy's loss bends
 
 @dataclass(frozen=True)
 class Robust:
-    """A fit, the observations (camera, board, point) that it rests on, and their noise in px per coordinate."""
+    """A fit, the observations (camera, board, point) used, and their noise in px.
+
+    The noise is that of one coordinate.
+    """
 
     fit: Fit
     used: Bool
@@ -29,7 +32,9 @@ class Robust:
 def adjust(
     state: State, seen: Seen, free: FreeParameters, *, noise_px: float | None = None
 ) -> Robust:
-    """Least squares, and if that leaves errors that normal noise does not: Cauchy's loss, rejection, least squares again.
+    """Least squares, and if that leaves errors that normal noise does not.
+
+    Cauchy's loss, rejection, least squares again.
 
     Parameters
     ----------
@@ -74,7 +79,7 @@ def _lengths(state: State, seen: Seen) -> F64:
 
 
 def median_noise(lengths: F64) -> float:
-    """Standard deviation per coordinate of pairs of normal numbers whose lengths have this median."""
+    """Standard deviation of coordinates of normal pairs whose lengths have this median."""
     return float(np.median(lengths)) / _RAYLEIGH_MEDIAN
 
 

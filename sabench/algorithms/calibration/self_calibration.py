@@ -1,4 +1,7 @@
-"""The steps of a volume self-calibration: follow the disparities down, collect particles that all agree on, adjust the cameras to them."""
+"""The steps of a volume self-calibration.
+
+Follow the disparities down, collect particles that all agree on, adjust the cameras to them.
+"""
 
 from __future__ import annotations
 
@@ -58,7 +61,10 @@ class Tracking:
 
     @classmethod
     def from_case(cls, case: Observation, light: F32, bright: float) -> Tracking:
-        """Find particle images, and put those cameras first that look from the most different places."""
+        """Find particle images, and order the cameras.
+
+        Those come first that look from the most different positions.
+        """
         pinholes = tuple(camera for camera in case.cameras if isinstance(camera, Camera))
         if len(pinholes) != len(case.cameras):
             raise InputError(
@@ -69,7 +75,8 @@ class Tracking:
         for number, own in zip(order, peaks, strict=True):
             if not len(own.pixels):
                 raise InputError(
-                    f"{pinholes[number].name}: expected particle images, got none above {bright:g} of a bright one's peak"
+                    f"{pinholes[number].name}: expected particle images, got none above "
+                    f"{bright:g} of a bright one's peak"
                 )
         low = np.asarray(case.grid.low_mm)
         high = low + (np.asarray(case.grid.shape[::-1]) - 1) * np.asarray(case.grid.voxel_mm)
@@ -78,7 +85,10 @@ class Tracking:
 
 
 def _spread(centers: F64) -> list[int]:
-    """All cameras, each the farthest from those before it; the first is the farthest from their mean."""
+    """All cameras, each the farthest from those before it.
+
+    The first is the farthest from their mean.
+    """
     order = [int(np.linalg.norm(centers - centers.mean(axis=0), axis=1).argmax())]
     while len(order) < len(centers):
         away = np.linalg.norm(centers[:, None] - centers[order], axis=2).min(axis=1)
@@ -87,14 +97,18 @@ def _spread(centers: F64) -> list[int]:
 
 
 def follow_disparities(tracking: Tracking, reach_px: float, least_px: float) -> VolumePolynomials:
-    """VolumePolynomials corrected by disparities, first of the core, then of every other camera against what the core agrees on."""
+    """Correct the polynomials by disparities.
+
+    First those of the core, then of every other camera against what the core agrees on.
+    """
     core = range(min(_CORE, len(tracking.cameras)))
     maps, reach = tracking.maps, reach_px
     for _ in range(_ROUNDS):
         sets = find_sets(maps, tracking.peaks[: len(core)], reach)
         if not len(sets.places):
             raise InputError(
-                f"expected particle images that agree within {reach:g} px, got none: larger errors need a larger reach_px"
+                f"expected particle images that agree within {reach:g} px, got none: larger "
+                "errors need a larger reach_px"
             )
         maps, moved = corrected(maps, sets, core)
         if reach <= least_px and moved < _SETTLED_PX:
@@ -110,13 +124,17 @@ def follow_disparities(tracking: Tracking, reach_px: float, least_px: float) -> 
 def _check(
     tracking: Tracking, maps: VolumePolynomials, sure: Sets, reach_px: float, least_px: float
 ) -> None:
-    """Refuse a spot of sets that agree by chance: such sets grow with the reach to the power of the dimensions in which they could disagree."""
+    """Refuse a spot of sets that agree by chance.
+
+    Such sets grow with the reach to the power of the dimensions in which they could disagree.
+    """
     core = min(_CORE, len(tracking.cameras))
     wider = find_sets(maps, tracking.peaks[:core], 2.0 * least_px)
     chance = (len(wider.places) - len(sure.places)) / (2.0 ** (2 * core - 3) - 1.0)
     if len(sure.places) - chance < _SURE * np.sqrt(max(chance, 1.0)):
         raise InputError(
-            f"expected sets of particle images of {core} cameras that agree within {least_px:g} px, got {len(sure.places)} where chance makes "
+            f"expected sets of particle images of {core} cameras that agree within {least_px:g} "
+            f"px, got {len(sure.places)} where chance makes "
             f"{chance:.0f}: errors are larger than reach_px = {reach_px:g}, or particles too many"
         )
 
@@ -134,7 +152,8 @@ def _follow_one(
         pairs, errors = _pairs(maps, tracking.peaks[camera], camera, sure.places, reach)
         if not len(pairs):
             raise InputError(
-                f"{tracking.cameras[camera].name}: expected particle images within {reach:g} px of where the other cameras' are, got none"
+                f"{tracking.cameras[camera].name}: expected particle images within {reach:g} px "
+                "of where the other cameras' are, got none"
             )
         maps, moved = corrected(
             maps, Sets(sure.places[pairs[:, 0]], pairs, errors[:, None]), range(camera, camera + 1)
@@ -158,7 +177,9 @@ def _pairs(
 def match_particles(
     tracking: Tracking, maps: VolumePolynomials, least_px: float
 ) -> tuple[F64, F64]:
-    """Particles that the cameras agree on: places (n, 3) from -1 to 1, and pixels (camera, n, 2), NaN where a camera has none.
+    """Particles that the cameras agree on.
+
+    Places (n, 3) from -1 to 1, and pixels (camera, n, 2), NaN where a camera has none.
 
     A particle image belongs to the set that fits best of all that want it.
     """
@@ -224,7 +245,10 @@ def _held(frame: Frame, lattice: F64, first: int) -> tuple[Anchor, ...]:
 
 
 def _adjusted(state: State, seen: Seen, particles: int) -> State:
-    """Cauchy's loss until the noise it leaves falls no more, then least squares without what is far off; the lattice weighs as its distrust says."""
+    """Adjust with Cauchy's loss until the noise falls no more, then by least squares.
+
+    Outliers are left out of the latter; the lattice weighs as its distrust says.
+    """
     noise = _noise(state, seen, particles)
     for _ in range(_ROUNDS):
         state = refine(

@@ -52,7 +52,7 @@ def detect(image: U16, target: Target, expected: F64 | None = None) -> F64:
 
 
 def _small_lights(image: U16) -> tuple[float, float]:
-    """Grey values of the dark around lights and of the brightest, however small a part of the image they are."""
+    """Grey values of the dark around lights and of the brightest, however small."""
     import cv2
 
     return float(np.median(image)), float(
@@ -111,7 +111,10 @@ def _charuco(grey: U8, target: Target) -> F64 | None:
 def _window(
     found: npt.NDArray[np.float32], order: npt.NDArray[Any], target: Target
 ) -> tuple[Any, ...]:
-    """What `cornerSubPix` may look at around a corner - no marker, which would draw it away - and when it stops."""
+    """Window of `cornerSubPix` around a corner, and its stop criterion.
+
+    No marker lies in the window: it would draw the corner away.
+    """
     import cv2
 
     places = target.points_mm[order, :2]
@@ -141,7 +144,10 @@ def _balls(grey: U8, target: Target) -> F64 | None:
 
 
 def _centroids(light: U8, centers: F64, faint: float = _FAINT, full: float = 1.0) -> F64:
-    """Intensity-weighted centroids of blobs around rough centres, as far as half the way to the next; more light than `full` of the peak is cut."""
+    """Compute intensity-weighted centroids of blobs around rough centres.
+
+    As far as half the distance to the next; more light than `full` of the peak is cut.
+    """
     gaps = np.linalg.norm(centers[:, None] - centers[None], axis=2) + np.diag(
         np.full(len(centers), np.inf)
     )
@@ -160,7 +166,10 @@ def _centroids(light: U8, centers: F64, faint: float = _FAINT, full: float = 1.0
 
 
 def _turned(found: F64, target: Target, expected: F64 | None) -> F64:
-    """The order of the points, among those that the pattern allows, whose directions fit the expected ones best."""
+    """Choose the order of points whose directions fit the expected ones best.
+
+    Among those that the pattern allows.
+    """
     plan = target.points_mm[:, :2] if expected is None else expected
     known = np.isfinite(plan).all(axis=1)
     goal = plan[known] - plan[known].mean(axis=0)

@@ -1,4 +1,6 @@
-"""Particle images that may belong to one particle: seen by several cameras whose calibration is a few pixels off.
+"""Particle images that may belong to one particle.
+
+Seen by several cameras whose calibration is a few pixels off.
 
 Source: B. Wieneke, Volume self-calibration for 3D particle image velocimetry, Exp. Fluids 45,
 549-556, 2008.
@@ -19,7 +21,11 @@ _NEAR = 64  # particle images looked at around one place
 
 @numba.njit(cache=True)
 def _gains(slopes: Any, cameras: int, gains: Any) -> bool:
-    """Fill in gains (camera, 2, 3): by how much a place moves for every pixel that a camera misses it by, in the least-squares sense."""
+    """Fill in gains (camera, 2, 3).
+
+    By how much a place moves for every pixel that a camera misses it by, in the least-squares
+    sense.
+    """
     m = np.zeros((3, 3))
     for c in range(cameras):
         for a in range(2):
@@ -74,7 +80,9 @@ def move_to_pixel(maps: Any, pixel: Any, place: Any, here: Any, slope: Any) -> b
 def match(
     maps: Any, peaks: Any, order: Any, reach: float, steps: int, places: Any, hits: Any, errors: Any
 ) -> int:
-    """Fill in sets of particle images, one of each of three or four cameras, that may be those of one particle; returns how many.
+    """Fill in sets of peaks that may be one particle; return how many there are.
+
+    A set has one peak of each of three or four cameras.
 
     The first camera's line of sight is followed through the box; what the second shows within reach
     of it is intersected with it, and all that the others show within reach of this place makes a
@@ -146,7 +154,10 @@ def _crossed(
     slope: Any,
     step: Any,
 ) -> bool:
-    """Move a place to where the first two cameras' lines of sight come nearest to each other, if that is in the box."""
+    """Move a point to where the lines of sight of the first two cameras come nearest.
+
+    False if that is outside the box.
+    """
     for _ in range(2):
         for c in range(2):
             project_point(maps, c, place, here, slope)
@@ -175,7 +186,10 @@ def _others(
     errors: Any,
     count: int,
 ) -> int:
-    """Go through all that the cameras after the second show near to a place; returns the number of sets so far."""
+    """Go through all that the cameras after the second show near to a place.
+
+    Returns the number of sets so far.
+    """
     cameras = len(peaks)
     seen, found = np.zeros((cameras, 2)), np.zeros((2, _NEAR), dtype=np.int64)
     numbers = np.ones(2, dtype=np.int64)
@@ -231,7 +245,10 @@ def _worst(slopes: Any, misses: Any, step: Any, cameras: int) -> float:
 
 @numba.njit(cache=True)
 def pair_up(peaks: Any, pixels: Any, reach: float, out: Any) -> int:
-    """Fill in pairs (number of a pixel, number of a particle image) within reach of each other, as long as there is room; returns how many."""
+    """Fill in pairs (pixel, peak) within reach of each other; return how many.
+
+    As long as there is room.
+    """
     found, count = np.zeros(len(peaks.pixels), dtype=np.int64), 0
     for n in range(len(pixels)):
         for k in range(find_near(peaks, pixels[n], reach, found)):

@@ -1,4 +1,4 @@
-"""One frame's particles, by triangulation alone or by rounds of it on what is left of the images."""
+"""One frame's particles by triangulation, or by rounds of it on the residual images."""
 
 from __future__ import annotations
 
@@ -108,7 +108,10 @@ def _agreed(
     number: int,
     images: F32,
 ) -> Candidates:
-    """Candidates of which each particle image belongs to one; which cameras are followed changes from round to round."""
+    """Candidates of which each particle image belongs to one.
+
+    Which cameras are followed changes from round to round.
+    """
     first = number % len(peaks)
     order = (first, (first + 1) % len(peaks))
     found = find_candidates(
@@ -119,7 +122,10 @@ def _agreed(
 
 
 def _peak_values(found: Candidates, peaks: tuple[Peaks, ...], images: F32) -> F64:
-    """Brightest pixels (n, camera) of the particle images of candidates; 0 where a camera shows none."""
+    """Brightest pixels (n, camera) of the particle images of candidates.
+
+    0 where a camera shows none.
+    """
     out = np.zeros(found.hit.shape)
     for camera, (one, image) in enumerate(zip(peaks, images, strict=True)):
         there = found.hit[:, camera] >= 0

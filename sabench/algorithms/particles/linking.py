@@ -1,4 +1,6 @@
-"""Tracks of bubbles out of what was found frame by frame: a prediction for each track, and the best one-to-one choice of what lies near it.
+"""Tracks of bubbles out of what was found frame by frame.
+
+A prediction for each track, and the best one-to-one choice of what lies near it.
 
 The choice is that of Jaqaman et al. (Nature Methods 5, 695, 2008): links cost something, and so
 does a track that finds none; the sum is least. A track of two detections or more goes on with its
@@ -42,7 +44,10 @@ _ENOUGH = 8  # links by which these errors are measured
 
 @dataclass(frozen=True)
 class _Points:
-    """Detections or tracks' last ones: places (n, 3), logarithms of radii (n,), times (n,), numbers of frames (n,)."""
+    """Detections or tracks' last ones.
+
+    Places (n, 3), logarithms of radii (n,), times (n,), numbers of frames (n,).
+    """
 
     place: F64
     size: F64
@@ -52,7 +57,10 @@ class _Points:
 
 @dataclass(frozen=True)
 class _Tracks(_Points):
-    """Tracks that may go on: their last detections, numbers (n,) and velocities (n, 3), NaN for those of one detection."""
+    """Tracks that may go on.
+
+    Their last detections, numbers (n,) and velocities (n, 3), NaN for those of one detection.
+    """
 
     number: I64
     velocity: F64
@@ -70,7 +78,11 @@ class _Tracks(_Points):
 
 @dataclass(frozen=True)
 class _Scale:
-    """What counts as near: the distance between neighbours, and standard errors of predictions along the axes (3,) and of the logarithm of radii."""
+    """What counts as near.
+
+    The distance between neighbours, and standard errors of predictions along the axes (3,) and of
+    the logarithm of radii.
+    """
 
     spacing: float
     place: F64
@@ -121,7 +133,9 @@ def link(
 
 
 def assign(row: I64, column: I64, cost: F64, shape: tuple[int, int]) -> tuple[I64, I64]:
-    """Pairs of rows and columns, one to one, whose costs and a `GATE` for every row that is in none have the least sum.
+    """Choose pairs of rows and columns, one to one, of the least total cost.
+
+    A row that is in no pair costs `GATE`.
 
     Parameters
     ----------
@@ -147,7 +161,10 @@ def _none() -> _Tracks:
 
 
 def _spacing(center_mm: Sequence[F64]) -> float:
-    """Median distance of nearest neighbours in all frames; where nobody has one, far more than the extent of all places."""
+    """Median distance of nearest neighbours in all frames.
+
+    Where nobody has one, far more than the extent of all places.
+    """
     several = [places for places in center_mm if len(places) > 1]
     near = (
         float(
@@ -165,7 +182,7 @@ def _spacing(center_mm: Sequence[F64]) -> float:
 
 
 def _continued(live: _Tracks, found: _Points, number: I64, i: I64, j: I64) -> _Tracks:
-    """The tracks that were not found now, and all that were, with what is now known of their velocities."""
+    """Update trajectories: those not found now, and all found, with their velocities."""
     velocity = np.full(found.place.shape, np.nan)
     velocity[j] = (found.place[j] - live.place[i]) / (found.time[j] - live.time[i])[:, None]
     lost = live[np.setdiff1d(np.arange(len(live.place)), i)]
@@ -191,7 +208,11 @@ def _candidates(
 def _by_velocity(
     live: _Tracks, found: _Points, time: float, frame: int, scale: _Scale
 ) -> tuple[I64, I64, F64]:
-    """Tracks that go on as they went: square sum of the errors of place and size over what is expected, which grows with the frames missed."""
+    """Tracks that go on as they went.
+
+    Square sum of the errors of place and size over what is expected, which grows with the frames
+    missed.
+    """
     old = np.flatnonzero(~live.young)
     steps = (frame - live.frame[old]).astype(np.float64)
     there = live.place[old] + live.velocity[old] * (time - live.time[old])[:, None]
@@ -207,7 +228,11 @@ def _by_velocity(
 def _by_neighbours(
     live: _Tracks, found: _Points, time: float, frame: int, scale: _Scale
 ) -> tuple[I64, I64, F64]:
-    """Tracks of one detection: the mean over their neighbours of how badly a displacement is theirs, too, and a little for its length."""
+    """Tracks of one detection.
+
+    The mean over their neighbours of how badly a displacement is theirs, too, and a little for its
+    length.
+    """
     young = np.flatnonzero(live.young)
     reach = REACH * scale.spacing * (frame - live.frame[young]).astype(np.float64)
     row, column = _near(live.place[young], found.place, reach)
@@ -231,7 +256,10 @@ def _by_neighbours(
 
 
 def _from_known(live: _Tracks, which: I64, velocity: F64) -> F64:
-    """Differences (n, k) of velocities (n, 3) of tracks (n,) from those of their nearest neighbours whose velocities are known."""
+    """Differences (n, k) of velocities (n, 3) of trajectories (n,) from their neighbours'.
+
+    Neighbours are the nearest whose velocities are known.
+    """
     old = np.flatnonzero(~live.young)
     _, near = cKDTree(live.place[old]).query(live.place[which], _NEIGHBOURS)
     return np.asarray(np.linalg.norm(live.velocity[old[near]] - velocity[:, None], axis=2))
@@ -240,7 +268,10 @@ def _from_known(live: _Tracks, which: I64, velocity: F64) -> F64:
 def _from_places(
     live: _Tracks, found: _Points, which: I64, velocity: F64, time: float, scale: _Scale
 ) -> F64:
-    """Distances (n, k) from where the nearest neighbours of tracks (n,) were now, had they velocities (n, 3), to the next detection of their size."""
+    """Distances (n, k) of neighbours, moved by velocities (n, 3), to the next detection.
+
+    The neighbours are those nearest to trajectories (n,), the detections of their size.
+    """
     count = min(_NEIGHBOURS, len(live.place) - 1)
     if count <= 0 or not len(which):
         return np.zeros((len(which), 0))
@@ -258,7 +289,10 @@ def _from_places(
 
 
 def _near(from_places: F64, to_places: F64, reach: F64) -> tuple[I64, I64]:
-    """Pairs of rows of the first and the second, no farther from each other than the first one's reach; of each first one, the `_MOST` nearest."""
+    """Find pairs of rows within the first one's reach.
+
+    Of each first one, the `_MOST` nearest.
+    """
     if not len(from_places) or not len(to_places):
         return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)
     count = min(_MOST, len(to_places))
@@ -274,7 +308,10 @@ def _unlike(live: _Tracks, found: _Points, row: I64, column: I64, scale: _Scale)
 
 
 def _measured(scale: _Scale, linked: _Tracks, found: _Points, j: I64) -> _Scale:
-    """Errors of predictions as these links show them: the median magnitude times 1.4826, which is the standard deviation of normal ones."""
+    """Errors of predictions as these links show them.
+
+    The median magnitude times 1.4826, which is the standard deviation of normal ones.
+    """
     old = ~linked.young
     if old.sum() < _ENOUGH:
         return scale

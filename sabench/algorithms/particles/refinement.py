@@ -16,6 +16,7 @@ import numba
 import numpy as np
 
 from sabench.geometry.volume_polynomials import VolumePolynomials, project_point
+from sabench.images.gaussians import fill_shares, fill_slopes
 from sabench.utils.arrays import F32, F64
 
 _HALF = 3  # pixels from the middle of a particle's image to the border of its window
@@ -24,7 +25,10 @@ _FARTHEST_PX = 0.5  # that a particle moves in one step
 
 
 def image_widths(images: F32, pixels: list[F64]) -> F64:
-    """Standard deviations (camera,) of lone particles' images, px, from three values along either axis: the lower quartile, since overlaps widen."""
+    """Estimate standard deviations (camera,) of lone particles' images, px.
+
+    From three values along either axis: the lower quartile, since overlaps widen.
+    """
     out = []
     for image, places in zip(images, pixels, strict=True):
         column, row = np.rint(places).astype(np.int64).T
@@ -39,19 +43,6 @@ def image_widths(images: F32, pixels: list[F64]) -> F64:
         square = float(np.quantile(1.0 / bends, 0.25)) - 1.0 / 12.0 if len(bends) else 0.0
         out.append(math.sqrt(max(square, 0.09)))
     return np.array(out)
-
-
-@numba.njit(cache=True)
-def _profile(center: float, first: int, sigma: float, value: Any, slope: Any) -> None:
-    """A Gaussian of area 1, averaged over each of some pixels, and its derivative by its centre."""
-    scale, peak = 1.0 / (math.sqrt(2.0) * sigma), 1.0 / (math.sqrt(2.0 * math.pi) * sigma)
-    before = math.erf((first - 0.5 - center) * scale)
-    low = peak * math.exp(-(((first - 0.5 - center) * scale) ** 2))
-    for i in range(_WINDOW):
-        behind = math.erf((first + i + 0.5 - center) * scale)
-        high = peak * math.exp(-(((first + i + 0.5 - center) * scale) ** 2))
-        value[i], slope[i] = 0.5 * (behind - before), low - high
-        before, low = behind, high
 
 
 @numba.njit(cache=True)
@@ -119,8 +110,10 @@ def _set(
     """Where a camera sees a place, and the profiles of its image there."""
     project_point(maps, c, place, here, slope)
     corner[0], corner[1] = round(here[0]) - _HALF, round(here[1]) - _HALF
-    _profile(here[0], corner[0], sigma, x, dx)
-    _profile(here[1], corner[1], sigma, y, dy)
+    fill_shares(here[0], sigma, corner[0], x)
+    fill_shares(here[1], sigma, corner[1], y)
+    fill_slopes(here[0], sigma, corner[0], dx)
+    fill_slopes(here[1], sigma, corner[1], dy)
 
 
 @numba.njit(cache=True)

@@ -47,7 +47,7 @@ def find_candidates(
     missing: int,
     size: tuple[int, int],
 ) -> Candidates:
-    """All sets whose images lie within `reach_px` of where their cameras see the place that fits them best.
+    """Find all sets of peaks that agree on a position within `reach_px`.
 
     Parameters
     ----------
@@ -70,14 +70,20 @@ def find_candidates(
 
 
 def _travel(maps: VolumePolynomials, second: int) -> float:
-    """How far the image of a line of sight of the first camera, from front to back of the box, reaches in the second, px."""
+    """Length in the second image, px, of a line of sight of the first camera.
+
+    From front to back of the box.
+    """
     ends = np.array([[0.0, 0.0, -1.0], [0.0, 0.0, 1.0]])
     here, there = project_points(maps, 0, ends), project_points(maps, second, ends)
     return float(np.linalg.norm(np.diff(there, axis=0)) + np.linalg.norm(np.diff(here, axis=0)))
 
 
 def select_best(found: Candidates, peaks: tuple[Peaks, ...]) -> I64:
-    """Rows of the candidates that remain if each particle image belongs to one only, those that fit best first; complete sets before others."""
+    """Select candidates so that each peak belongs to one only.
+
+    Complete sets come before others, and those that fit best first; returns rows.
+    """
     order = np.lexsort((found.error_px, (found.hit < 0).sum(axis=1)))
     free = [
         np.ones(len(one.pixels) + 1, dtype=bool) for one in peaks
@@ -158,7 +164,10 @@ def _others(
     missing: int,
     size: Any,
 ) -> bool:
-    """Choose the image nearest to a place in each of the other cameras; false if too many have it on their sensor and show none."""
+    """Choose the image nearest to a place in each of the other cameras.
+
+    False if too many have it on their sensor and show none.
+    """
     here, slope, near, absent = np.zeros(2), np.zeros((2, 3)), np.zeros(_NEAR, dtype=np.int64), 0
     for c in range(1, len(peaks)):
         if c == second:
@@ -178,7 +187,10 @@ def _others(
 
 @numba.njit(cache=True)
 def _fitted(maps: Any, peaks: Any, chosen: Any, place: Any) -> float:
-    """Move a place to where it fits the chosen images best; returns the largest distance that is left, px."""
+    """Move a place to where it fits the chosen images best.
+
+    Returns the largest distance that is left, px.
+    """
     here, slope, matrix, right, worst = (
         np.zeros(2),
         np.zeros((2, 3)),

@@ -1,4 +1,6 @@
-"""Refocusing on the CPU: contiguous reads of rectified images, tile by tile, all planes of a slab inside the tile.
+"""Refocusing on the CPU.
+
+Contiguous reads of rectified images, tile by tile, all planes of a slab inside the tile.
 
 A gather of four pixels per sample costs ten times as much as reading along a row. Inside a tile the
 map onto a rectified image is affine and close to a shift, so that whole stretches of a row of
@@ -40,7 +42,10 @@ _LOG2_REST = _log2_rest()
 
 @numba.njit(cache=True, fastmath=True)
 def _stretch(fraction: float, step: float, first: int, count: int) -> int:
-    """The voxel at which a position that starts at `fraction` and moves by `step` per voxel enters another pixel."""
+    """The voxel at which a position enters another pixel.
+
+    The position starts at `fraction` and moves by `step` per voxel.
+    """
     room = 1.0 - fraction if step > 0.0 else fraction
     if room >= abs(step) * (count - first):
         return count
@@ -50,7 +55,10 @@ def _stretch(fraction: float, step: float, first: int, count: int) -> int:
 
 @numba.njit(cache=True, fastmath=True, forceinline=True)
 def _folded(total: Any, sample: Any, fold: Any) -> Any:
-    """total + sample for a `fold` of one number, total * max(sample, fold[0]) for one of two: its type, so no branch is left at run time."""
+    """total + sample for a `fold` of one number, total * max(sample, fold[0]) for one of two.
+
+    Its type, so no branch is left at run time.
+    """
     return total + sample if len(fold) == 1 else total * max(sample, fold[0])
 
 
@@ -95,7 +103,10 @@ def _fold_row(
 def _interpolate(
     image: Any, spline: Any, corner: Any, start: Any, step: Any, fold: Any, target: Any
 ) -> None:
-    """Fold samples between the same rows of an image, from `corner` on, into the target; the place inside a pixel moves by `step`."""
+    """Fold samples between the same rows of an image, from `corner` on, into the target.
+
+    The place inside a pixel moves by `step`.
+    """
     (left, top), (right, down), (right_step, down_step) = corner, start, step
     upper, lower = image[top, left:], image[top + 1, left:]
     if len(spline) == 1:
@@ -125,7 +136,10 @@ def _interpolate(
 def _fold_tile(
     image: Any, spline: Any, affine: Any, outside: Any, fold: Any, total: Any, size: Any
 ) -> None:
-    """Fold one camera's samples into a tile, whose rows lie TILE_COLUMNS apart in `total`; `size` is its rows and columns."""
+    """Fold one camera's samples into a tile, whose rows lie TILE_COLUMNS apart in `total`.
+
+    `size` is its rows and columns.
+    """
     rows, columns = size
     row, flat = 0, image.ravel()
     if len(spline) == 1 and abs(affine[2]) <= _SHEAR:
@@ -150,7 +164,10 @@ def _fold_four(
     total: Any,
     columns: int,
 ) -> None:
-    """Fold samples into four rows of a tile at once: they share five rows of pixels and the places between columns."""
+    """Fold samples into four rows of a tile at once.
+
+    They share five rows of pixels and the places between columns.
+    """
     column_step, row_step = affine[1] - 1.0, affine[4]
     first = 0
     while first < columns:
@@ -213,7 +230,10 @@ def _fold_four(
 def _interpolate_four(
     flat: Any, pitch: Any, corner: Any, start: Any, step: Any, fold: Any, target: Any, count: int
 ) -> None:
-    """Fold samples between five rows of an image into four rows of a tile; `step` is per column, then per row."""
+    """Fold samples between five rows of an image into four rows of a tile.
+
+    `step` is per column, then per row.
+    """
     (right, below), (right_step, down_step, row_step) = start, step
     width = count + 1
     k1, k2, k3, k4 = (
@@ -314,7 +334,9 @@ def sum_planes(rectified: Any, spline: Any, maps: Any, outside: float, out: Any)
 def multiply_planes(
     rectified: Any, maps: Any, outside: float, floor: float, largest: float, out: Any
 ) -> None:
-    """out[k] = the sum over cameras of log2 of their samples on plane k, each raised to `floor` at least; arguments as in `sum_planes`, linear.
+    """Fill in out[k]: the sum over cameras of log2 of their samples on plane k.
+
+    Each sample is raised to `floor` at least; arguments as in `sum_planes`, linear.
 
     `largest` is the largest sample. Samples are multiplied, and the logarithm is taken of the
     product just before it could leave float32's range.

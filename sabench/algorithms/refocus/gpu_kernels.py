@@ -1,4 +1,7 @@
-"""Refocusing in Dr.Jit, for GPUs: a gather per sample. The same slabs and rectified images as on the CPU, so the same volumes."""
+"""Refocusing in Dr.Jit, for GPUs.
+
+A gather per sample. The same slabs and rectified images as on the CPU, so the same volumes.
+"""
 
 from __future__ import annotations
 
@@ -67,7 +70,10 @@ def _unit(index: Any, count: int) -> Any:
 def _sample(
     dr: Any, types: Any, image: Any, shape: tuple[int, int], position: Sequence[Any], outside: float
 ) -> Any:
-    """Bilinear samples of one image at positions (column, row); `outside` beyond its pixel centres."""
+    """Bilinear samples of one image at positions (column, row).
+
+    `outside` beyond its pixel centres.
+    """
     rows, columns = shape
     column, row = position
     inside = (column >= 0.0) & (row >= 0.0) & (column <= columns - 1.0) & (row <= rows - 1.0)
@@ -87,7 +93,10 @@ def _sample(
 
 
 def _horner(dr: Any, types: Any, coefficients: F64, degree: int, u: Any, v: Any) -> Any:
-    """A bivariate polynomial of a total degree; coefficients are opaque, so that all planes and cameras share one kernel."""
+    """A bivariate polynomial of a total degree.
+
+    Coefficients are opaque, so that all planes and cameras share one kernel.
+    """
     result, start = None, len(coefficients)
     for power_v in range(degree, -1, -1):
         count = degree - power_v + 1

@@ -1,4 +1,7 @@
-"""Images resampled once onto a plane of the world: afterwards other planes need shifts and scales only."""
+"""Images resampled once onto a plane of the world.
+
+Afterwards other planes need shifts and scales only.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +28,10 @@ _LINES = 64  # lines filtered side by side, so that the recursion runs over cont
 
 
 def coefficients_of(images: F32, spline: tuple[int, ...]) -> F32:
-    """Coefficients (n, rows + 3, columns + 3) of the B-spline through all pixels, mirrored one pixel before and two behind."""
+    """Compute coefficients (n, rows + 3, columns + 3) of the B-spline through all pixels.
+
+    Mirrored one pixel before and two behind.
+    """
     if spline == LINEAR:
         return np.pad(images, ((0, 0), (1, 2), (1, 2)), mode="reflect")
     count, rows, columns = images.shape
@@ -138,7 +144,10 @@ def _along_row(polynomial: Any, degree: int, v: float) -> Any:
 
 @numba.njit(cache=True, fastmath=True)
 def _evaluate(line: Any, out: Any) -> None:
-    """A polynomial in u at evenly spaced u from -1 to 1; one power after the other, so that it runs on vectors."""
+    """A polynomial in u at evenly spaced u from -1 to 1.
+
+    One power after the other, so that it runs on vectors.
+    """
     step, start = 2.0 / max(len(out) - 1, 1), 1.0 if len(out) > 1 else 0.0
     value = np.full(len(out), line[-1])
     for k in range(len(line) - 2, -1, -1):
@@ -151,7 +160,10 @@ def _evaluate(line: Any, out: Any) -> None:
 
 @numba.njit(cache=True, fastmath=True)
 def _interpolate(padded: Any, spline: Any, columns: Any, rows: Any, outside: Any, out: Any) -> None:
-    """Four by four weights around every position. Weights and sums are loops of their own: the weights then run on vectors, loads cannot."""
+    """Four by four weights around every position. Weights and sums are loops of their own.
+
+    The weights then run on vectors, loads cannot.
+    """
     last_row, last_column, pitch = (
         np.float32(padded.shape[0] - 4),
         np.float32(padded.shape[1] - 4),

@@ -1,4 +1,4 @@
-"""Slabs of planes that share one set of rectified images, and how their voxels map onto these images.
+"""Slabs of planes that share one set of rectified images, and their affine maps.
 
 A voxel and the point where its line of sight meets the slab's middle plane have the same pixel. For
 a pinhole in air the way from one to the other is a scale and a shift, the same for a whole plane;
@@ -57,7 +57,7 @@ class Slab:
     degree: int
 
     def tiles(self, grid: Grid) -> F64:
-        """Affine maps (tile, plane, camera, 6) as `sum_planes` takes them, from the polynomials at the tiles' centres."""
+        """Affine maps (tile, plane, camera, 6) for `sum_planes`, from the tiles' centres."""
         top, left = tile_origins(grid)
         origin = np.column_stack([left, top]).astype(np.float64)
         middle = origin + (tile_sizes(grid) - 1) / 2.0
@@ -81,7 +81,10 @@ class Slab:
         return np.stack([start, along_x, along_y], axis=-1).reshape(*start.shape[:3], 6)
 
     def positions(self, grid: Grid) -> F64:
-        """Polynomials (camera, plane, 2, terms) of positions in the rectified images: displacements plus the voxels' own places."""
+        """Polynomials (camera, plane, 2, terms) of positions in the rectified images.
+
+        Displacements plus the voxels' own places.
+        """
         maps = self.displacement.copy()
         for axis, (count, linear) in enumerate(
             zip(grid.shape[:0:-1], (1, self.degree + 1), strict=True)
@@ -141,7 +144,9 @@ def make_slab(cameras: Sequence[CameraModel], grid: Grid, first: int, count: int
 
 
 def deviation_px(slab: Slab, cameras: Sequence[CameraModel], grid: Grid) -> float:
-    """Largest distance in pixels between where the tiles' affine maps and where the exact lines of sight lead, over voxels that a camera sees.
+    """Measure the largest distance in px of affine maps from the exact lines of sight.
+
+    Over voxels that a camera sees.
 
     Random voxels are tried, every other one in a corner of its tile and most on the slab's outer
     planes: the deviation grows towards both.
@@ -181,7 +186,10 @@ def deviation_px(slab: Slab, cameras: Sequence[CameraModel], grid: Grid) -> floa
 
 
 def rectifying_maps(slab: Slab, cameras: Sequence[CameraModel], grid: Grid) -> tuple[F64, int]:
-    """Pixel positions over each camera's rectified image as polynomials (camera, 2, terms), and their degree."""
+    """Fit pixel positions over rectified images as polynomials (camera, 2, terms).
+
+    Also returns their degree.
+    """
     height, width = slab.shape
     step, low = np.asarray(grid.voxel_mm), np.asarray(grid.low_mm)
     functions = []
@@ -215,7 +223,10 @@ def tile_sizes(grid: Grid) -> I64:
 
 
 def _depth_nodes(depths: F64) -> tuple[F64, F64]:
-    """Depths at which displacements are computed, and the matrix (plane, node) that interpolates between them."""
+    """Depths at which displacements are computed, and their interpolation matrix.
+
+    The matrix is (plane, node).
+    """
     count = min(_NODES, len(depths))
     if count == 1:
         return depths, np.ones((1, 1))
@@ -246,7 +257,8 @@ def _carried(camera: CameraModel, points: F64, z_mm: float) -> F64:
     there = camera.carry(points, z_mm)
     if not np.isfinite(there).all():
         raise ValueError(
-            f"{camera.name}: expected a light path to every voxel, but the plane z = {points[0, 2]:g} mm has points without one"
+            f"{camera.name}: expected a light path to every voxel, but the plane z = "
+            f"{points[0, 2]:g} mm has points without one"
         )
     return there
 
@@ -261,7 +273,10 @@ def _pixels(camera: CameraModel, box: Grid, z_mm: float) -> Smooth:
 def _boxes(
     cameras: Sequence[CameraModel], grid: Grid, z_mm: float, displacement: F64, degree: int
 ) -> tuple[F64, tuple[int, int]]:
-    """First pixels (camera, 2) and common shape of the rectified images: what the slab's planes need of what each camera sees."""
+    """First pixels (camera, 2) and common shape of the rectified images.
+
+    What the slab's planes need of what each camera sees.
+    """
     axis = np.linspace(-1.0, 1.0, 9)
     unit = np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2)
     voxels = (unit + 1.0) / 2.0 * (np.asarray(grid.shape[:0:-1]) - 1)
@@ -278,7 +293,10 @@ def _boxes(
 
 
 def _border(camera: CameraModel, grid: Grid, z_mm: float) -> F64:
-    """Where the border of an image looks to on a plane, in voxels (n, 2); everywhere, if some of it looks nowhere."""
+    """Where the border of an image looks to on a plane, in voxels (n, 2).
+
+    Everywhere, if some of it looks nowhere.
+    """
     along = np.linspace(-0.5, 0.5, 33)
     sides = [
         np.column_stack(pair)

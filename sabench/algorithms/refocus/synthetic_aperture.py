@@ -1,4 +1,7 @@
-"""Synthetic aperture refocusing: all cameras' views of every voxel, added or multiplied; by numba on the CPU, by Dr.Jit on a GPU."""
+"""Synthetic aperture refocusing: all cameras' views of every voxel, added or multiplied.
+
+By numba on the CPU, by Dr.Jit on a GPU.
+"""
 
 from __future__ import annotations
 
@@ -51,7 +54,9 @@ def refocus_sum(
 def refocus_log2(
     images: F32, cameras: Sequence[CameraModel], grid: Grid, floor: float, *, outside: float = 0.0
 ) -> F32:
-    """The sum over cameras of log2 of their images, raised to `floor` at least, at every voxel: (z, y, x); arguments as for `refocus_sum`.
+    """The sum over cameras of log2 of their images, raised to `floor` at least, at every voxel.
+
+    (z, y, x); arguments as for `refocus_sum`.
 
     Two to the power of n times it is the product of equation 3.4 of the thesis.
     """
@@ -68,7 +73,9 @@ def refocus_log2(
 
 
 def refocus_by_shifts(images: F32, cameras: Sequence[CameraModel], grid: Grid) -> F32:
-    """The mean over cameras by whole-pixel shifts of images mapped to the grid's middle plane: (z, y, x).
+    """The mean over cameras by whole-pixel shifts of images mapped to the grid's middle plane.
+
+    (z, y, x).
 
     Source: thesis, equations 2.1 to 2.3, the map-shift-average of cameras on one plane. Images are
     mapped bilinearly. A plane is refocused as the camera nearest to the array's centre sees it,
@@ -110,7 +117,10 @@ def refocus_by_shifts(images: F32, cameras: Sequence[CameraModel], grid: Grid) -
 
 
 def _reached(maps: F64) -> tuple[F64, tuple[int, int]]:
-    """First column and row of the part of the rectified images that tiles' maps (tile, plane, 1, 6) reach, and its padded shape."""
+    """Find the part of the rectified images that tiles' maps (tile, plane, 1, 6) reach.
+
+    Returns its first column and row, and its padded shape.
+    """
     size = np.array([TILE_COLUMNS, TILE_ROWS])
     starts = maps[..., [0, 3]]
     ends = starts + maps[..., [1, 4]] * size[0] + maps[..., [2, 5]] * size[1]
@@ -120,14 +130,20 @@ def _reached(maps: F64) -> tuple[F64, tuple[int, int]]:
 
 
 def _innermost(cameras: Sequence[CameraModel]) -> int:
-    """The camera nearest to the array's centre; of several the one with the smallest coordinates, in whatever order they come."""
+    """The camera nearest to the array's centre.
+
+    Of several the one with the smallest coordinates, in whatever order they come.
+    """
     centers = np.asarray([camera.center_mm for camera in cameras])
     distance = np.linalg.norm(centers - centers.mean(axis=0), axis=1).round(6)
     return int(np.lexsort((*centers.T, distance))[0])
 
 
 def shift_maps(grid: Grid, shifts: F64) -> F64:
-    """Affine maps (tile, plane, camera, 6) for `kernels.sum_planes` that move whole planes by shifts (plane, camera, 2) of columns and rows."""
+    """Make affine maps (tile, plane, camera, 6) that shift whole planes.
+
+    Shifts (plane, camera, 2) are of columns and rows; the maps are for `cpu_kernels.sum_planes`.
+    """
     top, left = tile_origins(grid)
     maps = np.zeros((len(top), *shifts.shape[:2], 6))
     maps[..., 0], maps[..., 1] = left[:, None, None] + shifts[..., 0], 1.0

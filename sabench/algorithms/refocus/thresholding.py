@@ -11,6 +11,7 @@ from pydantic import BeforeValidator, Field
 
 from sabench.api import Observation, Parameters
 from sabench.geometry.grid import Grid
+from sabench.images.gaussians import effective_width
 from sabench.utils.arrays import F32, F64, U16
 
 _SHARE = {
@@ -34,7 +35,8 @@ class ExtractionParameters(Parameters):
 
     k: Annotated[float | Literal["auto"], BeforeValidator(_level)] = Field(
         "auto",
-        description="threshold = mean + k standard deviations of the plane; auto: by the share of the volume that particles fill",
+        description="threshold = mean + k standard deviations of the plane; auto: by the share "
+        "of the volume that particles fill",
     )
     keep: Keep = Field(
         "reduced", description="what stays of a value above the threshold: its excess, or all of it"
@@ -42,7 +44,10 @@ class ExtractionParameters(Parameters):
 
 
 def extract_particles(volume: F32, case: Observation, parameters: ExtractionParameters) -> F32:
-    """`extract` as the parameters say, with `auto_k` where they leave k to the images; works in place on (z, y, x) and returns it."""
+    """`extract` as the parameters say, with `auto_k` where they leave k to the images.
+
+    Works in place on (z, y, x) and returns it.
+    """
     k = auto_k(volume, occupancy(case), parameters.keep) if parameters.k == "auto" else parameters.k
     return extract(volume, k, parameters.keep)
 
@@ -60,7 +65,9 @@ def extract(volume: F32, k: float, keep: Keep) -> F32:
 
 
 def occupancy(case: Observation) -> float:
-    """The share of the grid's voxels that particles should fill, from the images alone: (sum E)^2 / (n sum E^2) of a perfect reconstruction E.
+    """The share of the grid's voxels that particles should fill, from the images alone.
+
+    (sum E)^2 / (n sum E^2) of a perfect reconstruction E.
 
     n particles of relative brightness b, alike but for it, give images of (mean)^2 / variance = n A
     <b>^2 / (<b^2> pixels), however they overlap (Campbell's theorem), with A the effective area of
@@ -91,7 +98,10 @@ def _filled(image: U16, black_dn: float, grid: Grid) -> float:
 
 @numba.njit(cache=True)
 def _products(image: Any, mean: float) -> Any:
-    """Sums over an image less its mean: of squares, and of products with the pixel to the right and below."""
+    """Sums over an image less its mean.
+
+    Of squares, and of products with the pixel to the right and below.
+    """
     square = across = down = 0.0
     for row in range(image.shape[0]):
         line, below = image[row], image[min(row + 1, image.shape[0] - 1)]
@@ -105,17 +115,10 @@ def _products(image: Any, mean: float) -> Any:
     return square, across, down
 
 
-def effective_width(sigma: float) -> float:
-    """(integral)^2 / (sum of squares) of a Gaussian averaged over voxels, mean over its positions; sigma and width in voxels.
-
-    2 sqrt(pi) sigma for a wide one, 1 for a narrow one.
-    """
-    edge = 1.0 / (2.0 * sigma)
-    return 1.0 / (math.erf(edge) + (math.exp(-(edge**2)) - 1.0) / (edge * math.sqrt(math.pi)))
-
-
 def auto_k(volume: F32, share: float, keep: Keep) -> float:
-    """The k >= 0 at which what `extract` leaves fills the given share of the volume, to 0.01 and at most 41; the volume (z, y, x) is not changed.
+    """Find the k >= 0 at which `extract` fills the given share of the volume.
+
+    To 0.01 and at most 41; the volume (z, y, x) is not changed.
 
     Parameters
     ----------
@@ -167,7 +170,10 @@ def _cut(volume: Any, thresholds: Any, bases: Any) -> None:
 
 @numba.njit(cache=True, parallel=True)
 def _sum_bins(volume: Any, means: Any, scales: Any, sums: Any) -> None:
-    """sums[plane, i] = number, sum and sum of squares of the voxels that lie i to i + 1 steps of k above the mean, in the last bin all above."""
+    """Fill in sums[plane, i]: number, sum and sum of squares of voxels in bins of k.
+
+    Bin i holds those that lie i to i + 1 steps of k above the mean, the last bin all above.
+    """
     last = sums.shape[1] - 1
     for plane in numba.prange(len(volume)):
         for row in volume[plane]:

@@ -65,7 +65,10 @@ class Measured:
         return self._compare(projection, _missing)
 
     def log_ratio(self, projection: F32) -> float:
-        """Turn a projection W I into log2(P / W I), in place; returns the sum of squares of P - W I."""
+        """Turn a projection W I into log2(P / W I), in place.
+
+        Returns the sum of squares of P - W I.
+        """
         return self._compare(projection, _log_ratio)
 
     def _compare(self, projection: F32, kernel: Callable[..., None]) -> float:
@@ -107,7 +110,9 @@ def _log_ratio(light: Any, saturated: Any, projection: Any, squares: Any) -> Non
 
 
 def smart(state: State, measured: Measured, relaxation: float) -> float:
-    """I_j <- I_j prod_i (P_i / (W I)_i)^(mu W_ij / N_j): all pixels at once, the geometric mean over the N_j = seen_j cameras.
+    """I_j <- I_j prod_i (P_i / (W I)_i)^(mu W_ij / N_j).
+
+    All pixels at once, the geometric mean over the N_j = seen_j cameras.
 
     Source: simultaneous MART, Mishra et al. (1999); Atkinson and Soria (2009).
     """
@@ -120,7 +125,9 @@ def smart(state: State, measured: Measured, relaxation: float) -> float:
 
 
 def sart(state: State, measured: Measured, lengths: F32, relaxation: float) -> float:
-    """I_j <- max(0, I_j + mu sum_i W_ij (P_i - (W I)_i) / L_i / N_j) with L_i = sum_j W_ij = lengths_i and N_j = sum_i W_ij = seen_j.
+    """Update I_j <- max(0, I_j + mu sum_i W_ij (P_i - (W I)_i) / L_i / N_j).
+
+    L_i = sum_j W_ij = lengths_i and N_j = sum_i W_ij = seen_j.
 
     Source: simultaneous algebraic reconstruction, Andersen and Kak (1984); Atkinson and Soria
     (2009).
@@ -136,7 +143,9 @@ def sart(state: State, measured: Measured, lengths: F32, relaxation: float) -> f
 
 
 def block_mart(state: State, measured: Measured, relaxation: float) -> float:
-    """One camera after the other, all its pixels at once: I_j <- I_j prod_i (P_i / (W I)_i)^(mu W_ij).
+    """One camera after the other, all its pixels at once.
+
+    I_j <- I_j prod_i (P_i / (W I)_i)^(mu W_ij).
 
     Source: block-iterative MART, Byrne (1998), with a camera's pixels as the block.
     """

@@ -20,7 +20,9 @@ _ROWS = 32
 
 
 def product_guess(sight: Sight, images: F32, threshold: float) -> tuple[Support, F32]:
-    """The voxels where every camera that sees them has light, and the product of what these cameras show, to the power of one by their number.
+    """Find the voxels where every camera that sees them has light, and their product.
+
+    The product of these cameras' values is raised to one over their number.
 
     Parameters
     ----------
@@ -132,7 +134,10 @@ def _multiply_camera(
     product: Any,
     seen: Any,
 ) -> int:
-    """Multiply one camera's samples to the first `left` voxels; those that it sees black drop out, the others close up. Returns their number."""
+    """Multiply one camera's samples to the first `left` voxels.
+
+    Those that it sees black drop out, the others close up. Returns their number.
+    """
     base, across, down = locate(sight, camera, row, x[:left], room)
     kept = 0
     for i in range(left):

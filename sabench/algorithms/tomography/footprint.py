@@ -16,7 +16,9 @@ _BRIGHT = 0.3  # of a bright particle's peak: dimmer local maxima are not measur
 
 @dataclass(frozen=True)
 class Footprint:
-    """Weights W_ij of a voxel: bilinear in the four pixels around its projection; then, along either axis, pixels give `spread` to both neighbours.
+    """Weights W_ij of a voxel: bilinear in the four pixels around its projection.
+
+    Then, along either axis, pixels give `spread` to both neighbours.
 
     The weights of a voxel add up to 1. Voxels should be about as large as pixels: those of a coarse
     grid would leave pixels between them dark.
@@ -34,7 +36,10 @@ class Footprint:
         return 1 if self.spread else 0
 
     def smooth(self, images: F32) -> F32:
-        """Images (camera, row, column) after every pixel gave to its neighbours; a symmetric operator, dark beyond the borders."""
+        """Images (camera, row, column) after every pixel gave to its neighbours.
+
+        A symmetric operator, dark beyond the borders.
+        """
         if not self.spread:
             return images
         kernel = np.array([self.spread, 1.0 - 2.0 * self.spread, self.spread])
@@ -50,12 +55,17 @@ BILINEAR = Footprint(0.0)
 
 
 def gaussian(sigma_px: float) -> Footprint:
-    """About a Gaussian integrated over pixels, 0.29 <= sigma_px <= 0.86: of the same variance, sigma^2 + 1/12 = 2 spread + 1/6 on the mean."""
+    """About a Gaussian integrated over pixels, 0.29 <= sigma_px <= 0.86.
+
+    Of the same variance, sigma^2 + 1/12 = 2 spread + 1/6 on the mean.
+    """
     return Footprint((sigma_px**2 - 1.0 / 12.0) / 2.0)
 
 
 def image_sigma_px(images: F32) -> float | None:
-    """Standard deviation of the particles' images, pixel included, from images (camera, row, column) scaled by `normalised`; None without any.
+    """Estimate the standard deviation of the particles' images, pixel included.
+
+    From images (camera, row, column) scaled by `normalised`; None without any particle.
 
     A Gaussian through three pixels of a local maximum has sigma^2 = 1 / (2 ln m - ln l - ln r).
     Particles that overlap look larger, none looks smaller: the lower quartile is taken.

@@ -87,7 +87,10 @@ def locate(sight: Any, camera: int, row: int, x: Any, room: Any) -> Any:
 
 @numba.njit(cache=True)
 def _collapse(plane: Any, degree: int, shift: float, v: float, total: Any) -> None:
-    """A plane's polynomial in u and v becomes a polynomial in u at one v: the position plus `shift`, in steps."""
+    """A plane's polynomial in u and v becomes a polynomial in u at one v.
+
+    The position plus `shift`, in steps.
+    """
     total[:] = 0.0
     total[0] = STEPS * shift
     first, power = 0, float(STEPS)
@@ -170,7 +173,9 @@ def _scatter(value: Any, places: Any, columns: int, image: Any) -> None:
 def project(
     sight: Any, cameras: Any, parts: Any, start: Any, x: Any, values: Any, out: Any
 ) -> None:
-    """Project parts of a volume, each into an image of its own: adding these up in order gives the same sum whatever threads do.
+    """Project parts of a volume, each into an image of its own.
+
+    Adding these up in order gives the same sum whatever threads do.
 
     Parameters
     ----------
@@ -198,7 +203,10 @@ def project(
 def back_project(
     sight: Any, cameras: Any, parts: Any, start: Any, x: Any, images: Any, out: Any
 ) -> None:
-    """Add the images (n, rows * columns), bilinearly interpolated, to voxels out (n,); other arguments as for `project`."""
+    """Add the images (n, rows * columns), bilinearly interpolated, to voxels out (n,).
+
+    Other arguments as for `project`.
+    """
     for part in numba.prange(len(parts) - 1):
         room = scratch(sight)
         for number in range(len(cameras)):
@@ -224,7 +232,10 @@ def _collect(image: Any, columns: int, places: Any, out: Any) -> None:
 
 @numba.njit(cache=True, fastmath=True)
 def exp2(exponent: Any) -> Any:
-    """2^x within 2e-7 of its value, in vector registers where the caller's loop is simple; x is clipped to +-60."""
+    """2^x within 2e-7 of its value, in vector registers where the caller's loop is simple.
+
+    X is clipped to +-60.
+    """
     x = min(max(exponent, -_LARGEST_EXPONENT), _LARGEST_EXPONENT)
     whole = np.int32(x + np.float32(256.5)) - np.int32(256)  # rounded
     t = x - np.float32(whole)

@@ -1,4 +1,7 @@
-"""MART pixel by pixel: every pixel corrects the voxels on its line of sight and finds them as the pixels before it left them.
+"""MART pixel by pixel.
+
+Every pixel corrects the voxels on its line of sight and finds them as the pixels before it left
+them.
 
 For one camera at a time the voxels are sorted by the first pixel of their footprints. A pixel then
 finds its voxels in a few stretches of memory, one for every row that its footprints can begin in,
@@ -53,7 +56,9 @@ class Buckets(NamedTuple):
 def mart_sweep(
     lines: LinesOfSight, values: F32, camera: int, image: F32, saturated: Bool, relaxation: float
 ) -> float:
-    """Correct the voxels (n,) in place by all pixels of one camera; returns the sum of the squares of what the pixels found missing.
+    """Correct the voxels (n,) in place by all pixels of one camera.
+
+    Returns the sum of the squares of what the pixels found missing.
 
     Parameters
     ----------
@@ -164,7 +169,10 @@ def _put_back(voxel: Any, light: Any, values: Any) -> None:
 
 @numba.njit(cache=True, parallel=True)
 def _sweep(buckets: Any, image: Any, saturated: Any, relaxation: Any, missed: Any) -> None:
-    """All pixels of one camera; missed (strip,) becomes the sums of the squares of P_i - sum_j W_ij I_j."""
+    """All pixels of one camera.
+
+    Missed (strip,) becomes the sums of the squares of P_i - sum_j W_ij I_j.
+    """
     for parity in range(2):
         for pair in numba.prange((len(missed) - parity + 1) // 2):
             missed[2 * pair + parity] = _sweep_strip(
@@ -225,7 +233,10 @@ def _raise(buckets: Any, row: int, column: int, exponent: Any) -> None:
 
 @numba.njit(cache=True)
 def _stretch(buckets: Any, row: int, column: int) -> Any:
-    """Rows, columns and light of the voxels whose footprints begin in a row of pixels and reach a column."""
+    """Rows, columns and light of the voxels that reach a pixel.
+
+    Their footprints begin in a row of pixels and reach a column.
+    """
     left, line = max(column - buckets.taps + 1, 0), row * buckets.columns
     here = slice(buckets.first[line + left], buckets.first[line + column + 1])
     return buckets.down[here], buckets.across[here], buckets.light[here]
@@ -251,7 +262,10 @@ def _multiply(
 
 @numba.njit(cache=True, fastmath=True)
 def _share(distance: Any, spread: Any) -> Any:
-    """The part of a voxel's light that a pixel at some distance gets along one axis: see `Footprint`."""
+    """The part of a voxel's light that a pixel at some distance gets along one axis.
+
+    See `Footprint`.
+    """
     one, none = np.float32(1.0), np.float32(0.0)
     own = max(one - abs(distance), none)
     given = max(one - abs(distance - one), none) + max(one - abs(distance + one), none)

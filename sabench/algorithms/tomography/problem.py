@@ -36,7 +36,8 @@ class TomographyParameters(Parameters):
         0.0,
         ge=0.0,
         lt=1.0,
-        description="stop when the residual |P - W I| changes by less than this fraction in an iteration",
+        description="stop when the residual |P - W I| changes by less than this fraction in an "
+        "iteration",
     )
     footprint: Literal["gaussian", "bilinear"] = Field(
         "gaussian",
@@ -46,7 +47,8 @@ class TomographyParameters(Parameters):
         None,
         ge=_SIGMA_PX[0],
         le=_SIGMA_PX[1],
-        description="standard deviation of the blobs; by default three quarters of the particle images'",
+        description="standard deviation of the blobs; by default three quarters of the particle "
+        "images'",
     )
     floor: float = Field(
         0.25,

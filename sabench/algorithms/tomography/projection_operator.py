@@ -25,7 +25,10 @@ _TASKS = 32
 
 @dataclass(frozen=True)
 class Support:
-    """Which voxels of a grid exist: row by row over (z, y), the x indices in increasing order. What voxels hold are (n,) arrays in this order.
+    """Which voxels of a grid exist.
+
+    Row by row over (z, y), the x indices in increasing order. What voxels hold are (n,) arrays in
+    this order.
 
     Attributes
     ----------
@@ -73,7 +76,9 @@ def sight_of(cameras: Sequence[CameraModel], grid: Grid, margin: int) -> Sight:
 
 @dataclass(frozen=True)
 class LinesOfSight:
-    """P_i = sum_j W_ij I_j over the voxels of a support, and the exact adjoint. Source: thesis, equation 3.8.
+    """P_i = sum_j W_ij I_j over the voxels of a support, and the exact adjoint. Source.
+
+    Thesis, equation 3.8.
 
     W is not stored: projections come from polynomials. A camera that does not see a voxel with its
     whole footprint takes no part for that voxel.
@@ -93,7 +98,7 @@ class LinesOfSight:
         return range(len(self.sight.maps))
 
     def forward(self, values: F32, cameras: Sequence[int] | None = None) -> F32:
-        """Images (camera, row, column) that voxels (n,) cast in all cameras, or in the given ones."""
+        """Project voxels (n,) to images (camera, row, column) of all or the given cameras."""
         chosen = self._numbers(cameras)
         parts = self.support.parts(max(1, _TASKS // len(chosen)))
         images = np.zeros(
@@ -105,7 +110,10 @@ class LinesOfSight:
         )
 
     def adjoint(self, images: F32, cameras: Sequence[int] | None = None) -> F32:
-        """sum_i W_ij images_i for every voxel (n,), from the images (camera, row, column) of all cameras, or of the given ones."""
+        """Compute sum_i W_ij images_i for every voxel (n,).
+
+        From the images (camera, row, column) of all cameras, or of the given ones.
+        """
         flat, out = (
             self.footprint.smooth(images).reshape(len(images), -1),
             np.zeros(len(self.support), dtype=np.float32),

@@ -13,11 +13,11 @@ from typing import Any
 
 import numba
 import numpy as np
-from scipy.special import erf
 
 from sabench.algorithms.tomography.projection_operator import Support
 from sabench.geometry.camera_model import CameraModel
 from sabench.geometry.grid import Grid
+from sabench.images.gaussians import gaussian_shares
 from sabench.utils.arrays import F32, F64, triple
 
 _TRAVEL_PX = 1.25  # largest distance between the projections of two neighbouring voxels
@@ -69,7 +69,8 @@ def _visible(camera: CameraModel, points: F64) -> F64:
     pixels, valid = camera.project(points)
     if not valid.all():
         raise ValueError(
-            f"{camera.name}: expected a light path to every voxel, but the middle of the grid has none"
+            f"{camera.name}: expected a light path to every voxel, but the middle of the grid "
+            "has none"
         )
     return pixels
 
@@ -89,7 +90,10 @@ def split(grid: Grid, count: Splits) -> Grid:
 
 
 def gather(support: Support, values: F32, grid: Grid, count: Splits, sigma_mm: float) -> F32:
-    """The volume (z, y, x) on `grid`: light of all fine voxels, each a Gaussian blob of `sigma_mm`, or a point if that is zero."""
+    """The volume (z, y, x) on `grid`.
+
+    Light of all fine voxels, each a Gaussian blob of `sigma_mm`, or a point if that is zero.
+    """
     x, y, z = (_profile(k, sigma_mm / step) for k, step in zip(count, grid.voxel_mm, strict=True))
     volume = np.zeros(grid.shape, dtype=np.float32)
     _gather(support.start, support.x, values, support.shape[1], support.shape[2], x, y, z, volume)
@@ -97,7 +101,9 @@ def gather(support: Support, values: F32, grid: Grid, count: Splits, sigma_mm: f
 
 
 def _profile(count: int, sigma: float) -> F32:
-    """Shares (count, 2 reach + 1) of a blob's light in the voxels around its own, by the blob's place among the fine voxels there.
+    """Shares (count, 2 reach + 1) of a blob's light in the voxels around its own.
+
+    By the blob's position among the fine voxels there.
 
     `sigma` is in voxels of the grid.
     """
@@ -106,7 +112,7 @@ def _profile(count: int, sigma: float) -> F32:
         return np.ones((count, 1), dtype=np.float32)
     reach = int(np.ceil(_REACH * sigma))
     edges: F64 = np.arange(-reach, reach + 2)[None] - 0.5 - centre[:, None]
-    share = np.diff(erf(edges / (sigma * np.sqrt(2.0))), axis=1)
+    share = gaussian_shares(edges, sigma)
     return np.asarray(share / share.sum(axis=1, keepdims=True), dtype=np.float32)
 
 
@@ -122,7 +128,10 @@ def _gather(
     along_z: Any,
     volume: Any,
 ) -> None:
-    """Rows of the volume: the fine rows in reach are added up, then every fine voxel of the sum is spread along x."""
+    """Rows of the volume.
+
+    The fine rows in reach are added up, then every fine voxel of the sum is spread along x.
+    """
     planes, rows, _ = volume.shape
     (count_y, reach_y), (count_z, reach_z) = along_y.shape, along_z.shape
     for task in numba.prange(planes * rows):
@@ -154,7 +163,9 @@ def _spread(total: Any, along: Any, out: Any) -> None:
 
 
 def cleared(volume: F32, floor: float) -> F32:
-    """Zero, in place, what is darker than `floor` times a bright voxel: the 95th percentile of those that reach a tenth of the brightest.
+    """Zero, in place, what is darker than `floor` times a bright voxel.
+
+    the 95th percentile of those that reach a tenth of the brightest.
 
     One is a bright particle's peak in the images, whose light fills dozens of voxels: what is
     bright here is at least `_FAINTEST`.

@@ -14,7 +14,9 @@ _REACH = 3.0  # standard deviations of a Gaussian that count
 
 
 def widths(volume: F32) -> Widths:
-    """Standard deviations (z, y, x) in voxels of a volume's particles, taken for Gaussian: from its autocorrelation at a shift of one voxel.
+    """Standard deviations (z, y, x) in voxels of a volume's particles, taken for Gaussian.
+
+    From its autocorrelation at a shift of one voxel.
 
     Randomly placed Gaussians are correlated like exp(-s2 / (4 sigma2)) over a shift s.
     """
@@ -41,7 +43,10 @@ def _width(shifted: float, own: float) -> float:
 
 
 def widened(volume: F32, given: Widths, least: float) -> F32:
-    """The volume (z, y, x) after a Gaussian along every axis on which its particles, of given widths, are narrower than the least."""
+    """Blur the volume (z, y, x) along every axis on which its particles are too narrow.
+
+    By a Gaussian that brings given widths to the least.
+    """
     sigma = [math.sqrt(max(0.0, least**2 - own**2)) for own in given]
     if not any(sigma):
         return volume

@@ -18,7 +18,9 @@ import numpy as np
 def block_sums(
     first: Any, second: Any, block: Any, reach: Any, products: Any, squares: Any
 ) -> None:
-    """Fill in sums over blocks of first x shifted second, and of the square of the latter, for every shift.
+    """Fill in block sums of first x shifted second, and of the latter's square.
+
+    For every shift.
 
     Parameters
     ----------
@@ -57,7 +59,10 @@ def block_sums(
 
 @numba.njit(cache=True, fastmath=True)
 def _add_rows(one: Any, other: Any, reach: int, rows: Any) -> None:
-    """Add the products of two rows for all shifts along them, and the squares of the second, `reach` places further right."""
+    """Add the products of two rows for all shifts along them, and the second's squares.
+
+    The second begins `reach` voxels further right.
+    """
     count = len(one)
     for n in range(2 * reach + 1):
         dx = n - reach
@@ -125,7 +130,10 @@ def _normalise(sums: Any, floor: float, curve: Any) -> None:
 
 @numba.njit(cache=True, fastmath=True)
 def _highest(curve: Any, reach: Any, shift: Any) -> Any:
-    """Fill in the place (x, y, z) of the largest of small shifts, to parts of a voxel where its neighbours were looked at; returns its height."""
+    """Fill in the position (x, y, z) of the best of small shifts; return its height.
+
+    To fractions of a voxel where its neighbours were computed.
+    """
     top = 0
     for n in range(len(curve)):
         if curve[n] > curve[top]:
@@ -148,7 +156,10 @@ def _highest(curve: Any, reach: Any, shift: Any) -> Any:
 
 @numba.njit(cache=True, fastmath=True)
 def _vertex(before: float, here: float, after: float) -> float:
-    """Where the Gaussian through three values peaks, from the middle one; the parabola, where not all are positive."""
+    """Where the Gaussian through three values peaks, from the middle one.
+
+    The parabola, where not all are positive.
+    """
     if min(before, here, after) > 0.0:
         before, here, after = math.log(before), math.log(here), math.log(after)
     bend = before - 2.0 * here + after
@@ -157,7 +168,10 @@ def _vertex(before: float, here: float, after: float) -> float:
 
 @numba.njit(cache=True, fastmath=True, nogil=True)
 def cut_windows(volume: Any, corners: Any, out: Any, energy: Any) -> None:
-    """Fill in windows (n, z, y, x) of a volume less their means, from their corners (n, 3) on, and the sums of their squares (n,)."""
+    """Fill in windows (n, z, y, x) of a volume less their means.
+
+    From their corners (n, 3) on; also the sums of their squares (n,).
+    """
     _, deep, high, wide = out.shape
     for n in range(len(corners)):
         z, y, x = corners[n]
@@ -177,7 +191,9 @@ def cut_windows(volume: Any, corners: Any, out: Any, energy: Any) -> None:
 
 @numba.njit(cache=True, fastmath=True, nogil=True)
 def circular_peaks(planes: Any, shift: Any, height: Any, ratio: Any) -> None:
-    """Fill in where circular correlations (n, z, y, x) are highest: displacements (n, 3) as x, y, z, the heights, and their ratios to the highest
+    """Fill in where circular correlations (n, z, y, x) are highest.
+
+    Displacements (n, 3) as x, y, z, the heights, and their ratios to the highest
     values elsewhere. The surroundings of the peaks are set to zero."""
     count, deep, high, wide = planes.shape
     for n in range(count):

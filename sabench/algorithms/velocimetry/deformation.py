@@ -22,7 +22,7 @@ def _mirror(index: int, count: int) -> int:
 
 @numba.njit(cache=True, fastmath=True, parallel=True)
 def spline_coefficients(volume: Any) -> Any:
-    """Coefficients of the cubic B-spline through a volume's voxels (z, y, x), mirrored at its faces.
+    """Compute coefficients of the cubic B-spline through voxels (z, y, x), mirrored at faces.
 
     Source: M. Unser, IEEE Signal Processing Magazine 16(6), 22-38, 1999.
     """
@@ -86,7 +86,7 @@ def _filter_rows(plane: Any, pole: Any) -> None:
 
 @numba.njit(cache=True, fastmath=True)
 def _cubic(part: Any) -> Any:
-    """Weights of the four nearest coefficients at a part of the way from the second to the third."""
+    """Weights of the four nearest coefficients at a fraction between second and third."""
     rest = np.float32(1.0) - part
     sixth = np.float32(1.0 / 6.0)
     outer, inner = rest * rest * rest * sixth, part * part * part * sixth
@@ -96,7 +96,9 @@ def _cubic(part: Any) -> Any:
 
 @numba.njit(cache=True, fastmath=True, parallel=True)
 def met(first: Any, second: Any, field: Any, origin: Any, step: Any, out: Any, other: Any) -> None:
-    """Fill in two volumes moved towards each other, by half of a field each, so that what it carries meets in the middle.
+    """Fill in two volumes moved towards each other by half of a field each.
+
+    What the field carries meets in the middle.
 
     Where one of them is read beyond its faces both are zero: what only one of them shows would look
     like motion.
@@ -174,7 +176,10 @@ def _read_edge(
 def _aim(
     row: Any, origin: float, step: float, share: float, y: int, z: int, places: Any, corners: Any
 ) -> None:
-    """Where each voxel of a row is read: the voxel before it (x relative to its own, y, z), and the part of the way to the next."""
+    """Where each voxel of a row is read.
+
+    The voxel before it (x relative to its own, y, z), and the part of the way to the next.
+    """
     last = len(row) - 1
     for x in range(places.shape[1]):
         at = (x - origin) / step
@@ -190,7 +195,7 @@ def _aim(
 
 @numba.njit(cache=True)
 def _alike(corners: Any, first: int) -> int:
-    """The first voxel after this one that is read from elsewhere than beside its neighbour's place."""
+    """Find the next voxel that is not read next to its neighbour's position."""
     end = first + 1
     while end < corners.shape[1] and (
         corners[0, end] == corners[0, first]
@@ -224,7 +229,9 @@ def _across(flat: Any, at: Any, width: Any, w: Any, v: Any) -> Any:
 
 @numba.njit(cache=True, fastmath=True, forceinline=True)
 def _value(flat: Any, at: Any, width: Any, plane: Any, x: Any, y: Any, z: Any) -> Any:
-    """The value at parts of the way from a voxel to the next ones, out of 4 x 4 rows. Places have no sign: an index that may be negative would be
+    """The value at parts of the way from a voxel to the next ones, out of 4 x 4 rows.
+
+    Places have no sign: an index that may be negative would be
     looked at twice, and loops over it would not be vectorised."""
     w, v, u = _cubic(x), _cubic(y), _cubic(z)
     return (
@@ -239,7 +246,10 @@ def _value(flat: Any, at: Any, width: Any, plane: Any, x: Any, y: Any, z: Any) -
 def _stretch(
     flat: Any, at: int, width: int, plane: int, places: Any, first: int, end: int, out: Any
 ) -> None:
-    """Read voxels of a row that lie beside each other, `at` + x for each of them. All rows are parts of one array: so the loop is vectorised."""
+    """Read voxels of a row that lie beside each other, `at` + x for each of them.
+
+    All rows are parts of one array: so the loop is vectorised.
+    """
     row, deep, start = np.uint64(width), np.uint64(plane), np.uint64(at + first)
     for n in range(np.uint64(end - first)):
         x = np.uint64(first) + n

@@ -1,4 +1,4 @@
-"""Passes of window correlation, each on volumes that the last pass's field has brought nearer to each other."""
+"""Multi-pass window correlation on volumes deformed by the last pass's field."""
 
 from __future__ import annotations
 
@@ -61,7 +61,10 @@ class Plan:
 
 @dataclass(frozen=True)
 class Field:
-    """Displacements at windows: (z, y, x, 3) in voxels (x, y, z), and which of them were measured."""
+    """Displacements at windows.
+
+    (z, y, x, 3) in voxels (x, y, z), and which of them were measured.
+    """
 
     windows: Windows
     shift: F64
@@ -120,7 +123,10 @@ def _shape(volume: F32) -> Size:
 
 
 def evaluate_once(first: F32, second: F32, size: Size, overlap: float, ratio: float) -> Field:
-    """One pass of spectra on windows that stay where they are, filtered, filled and smoothed as the thesis does; section 2.3.3."""
+    """Evaluate one pass of spectra on fixed windows, filtered, filled and smoothed.
+
+    As the thesis does, section 2.3.3.
+    """
     windows = Windows.over(_shape(first), size, overlap)
     peaks = by_spectra(first, second, windows)
     assert peaks.ratio is not None
@@ -138,7 +144,10 @@ def _checked(windows: Windows, peaks: Peaks, valid: Bool, plan: Plan) -> Field:
 
 
 def _at(values: F64, there: Windows, here: Windows) -> F64:
-    """A field on some windows' middles, interpolated to others', and continued along straight lines."""
+    """Interpolate a field from some windows' middles to others'.
+
+    Beyond the outer ones it is continued along straight lines.
+    """
     for axis in range(3):
         place = (
             here.origin[axis] + here.step[axis] * np.arange(here.counts[axis]) - there.origin[axis]

@@ -16,7 +16,10 @@ _FLOOR = 0.1  # voxels: a fluctuation that any measurement has; Westerweel and S
 
 
 def within_deviations(shift: F64, valid: Bool, deviations: float) -> Bool:
-    """Vectors (z, y, x, 3) within so many standard deviations of the mean of all valid ones, component by component."""
+    """Mark vectors (z, y, x, 3) near the mean of all valid ones.
+
+    Within so many standard deviations, component by component.
+    """
     if not valid.any():
         return valid
     known = shift[valid]
@@ -29,7 +32,9 @@ def within_deviations(shift: F64, valid: Bool, deviations: float) -> Bool:
 
 
 def near_the_median(shift: F64, valid: Bool, times: float) -> Bool:
-    """Vectors that are not further from the median of their 26 neighbours than `times` the median of these neighbours' own distances from it.
+    """Mark vectors near the median of their 26 neighbours.
+
+    Not further than `times` the median of these neighbours' own distances from it.
 
     Beyond the edges fields go on along straight lines: else the median of an edge's neighbours
     would lie inwards of it.
@@ -52,7 +57,10 @@ def near_the_median(shift: F64, valid: Bool, times: float) -> Bool:
 
 
 def filled(shift: F64, valid: Bool) -> F64:
-    """Vectors with the invalid ones replaced by means of their valid neighbours, from the edges of gaps inwards; zero if none is valid."""
+    """Replace invalid vectors by means of their valid neighbours; zero if none is valid.
+
+    Gaps are filled from their edges inwards.
+    """
     out, known = np.where(valid[..., None], shift, 0.0), valid.copy()
     if not known.any():
         return out
@@ -76,7 +84,10 @@ def _around(values: F64) -> F64:
 
 
 def smoothed(shift: F64, sigma: tuple[float, float, float]) -> F64:
-    """Vectors after a Gaussian of standard deviations (z, y, x) in vectors; beyond the edges fields go on along straight lines."""
+    """Vectors after a Gaussian of standard deviations (z, y, x) in vectors.
+
+    Beyond the edges fields go on along straight lines.
+    """
     reach = [math.ceil(_REACH * own) for own in sigma]
     room = [(min(own, count - 1),) * 2 for own, count in zip(reach, shift.shape[:3], strict=True)]
     wide = np.pad(shift, [*room, (0, 0)], mode="reflect", reflect_type="odd")
@@ -94,7 +105,10 @@ def smoothed(shift: F64, sigma: tuple[float, float, float]) -> F64:
 
 
 def thesis_local(shift: F64, valid: Bool, deviations: float) -> Bool:
-    """Vectors within so many standard deviations of their 3 x 3 x 3 neighbourhood from its median; thesis, section 2.3.3."""
+    """Mark vectors near the median of their 3 x 3 x 3 neighbourhood.
+
+    Within so many of its standard deviations; thesis, section 2.3.3.
+    """
     ok = valid.copy()
     for axis in range(3):
         own = shift[..., axis]
@@ -111,7 +125,9 @@ def thesis_local(shift: F64, valid: Bool, deviations: float) -> Bool:
 
 @numba.njit(cache=True, parallel=True)
 def medians(padded: Any, middle: Any, spread: Any) -> None:
-    """Fill in the medians of every vector's 26 neighbours, component by component, and the medians of these neighbours' distances from them.
+    """Fill in the medians of every vector's 26 neighbours, component by component.
+
+    Also the medians of these neighbours' distances from them.
 
     Parameters
     ----------

@@ -55,12 +55,14 @@ class Windows:
         """
         if any(own > there for own, there in zip(size, shape, strict=True)):
             raise InputError(
-                f"window: expected one that fits into the volume of {_xyz(shape)} voxels, got {_xyz(size)}"
+                f"window: expected one that fits into the volume of {_xyz(shape)} voxels, got "
+                f"{_xyz(size)}"
             )
         parts = [round(own * (1.0 - overlap)) for own in size]
         if any(part < 1 or own % part for own, part in zip(size, parts, strict=True)):
             raise InputError(
-                f"overlap: expected a part of {_xyz(size)} voxels that leaves whole steps which divide it, got {overlap:g}"
+                f"overlap: expected a part of {_xyz(size)} voxels that leaves whole steps which "
+                f"divide it, got {overlap:g}"
             )
         counts = [
             (there - own) // part + 1 for there, own, part in zip(shape, size, parts, strict=True)
@@ -149,7 +151,10 @@ def _weights(blocks: int, taper: float | None) -> F32:
 
 
 def by_spectra(first: F32, second: F32, windows: Windows) -> Peaks:
-    """Circular correlation of whole windows by their Fourier transforms, for displacements up to half a window."""
+    """Correlate whole windows circularly by their Fourier transforms.
+
+    For displacements up to half a window.
+    """
     corners = np.array(
         list(
             itertools.product(

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
 import numba
 import numpy as np
 
 from sabench.geometry.camera import Camera
+from sabench.images.gaussians import fill_shares
 from sabench.simulation.rendering.particle_images import ParticleImages
 from sabench.utils.arrays import F64
 
@@ -55,10 +55,6 @@ def _add_windows(image: Any, pixel: Any, photons: Any, sigma: Any, half: Any) ->
 @numba.njit(cache=True)
 def _shares(center: float, sigma: float, first: int, last: int) -> Any:
     """Shares of a Gaussian's integral in the pixels first to last."""
-    shares, scale = np.empty(last - first + 1), 1.0 / (sigma * math.sqrt(2.0))
-    before = math.erf((first - 0.5 - center) * scale)
-    for i in range(len(shares)):
-        after = math.erf((first + i + 0.5 - center) * scale)
-        shares[i] = 0.5 * (after - before)
-        before = after
+    shares = np.empty(last - first + 1)
+    fill_shares(center, sigma, first, shares)
     return shares

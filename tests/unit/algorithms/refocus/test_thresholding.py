@@ -14,7 +14,6 @@ from sabench.algorithms.refocus.thresholding import (
     ExtractionParameters,
     Keep,
     auto_k,
-    effective_width,
     extract,
     extract_particles,
     occupancy,
@@ -23,6 +22,7 @@ from sabench.api import Observation
 from sabench.evaluation.thesis.best_threshold import best_k, quality_of_k
 from sabench.geometry.grid import synthesise
 from sabench.images.brightness import bright_dn, normalised
+from sabench.images.gaussians import effective_width
 from sabench.metrics.quality_factor import quality
 from sabench.metrics.synthesised_field import true_field
 from sabench.scenes import parse_scene

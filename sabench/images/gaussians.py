@@ -1,0 +1,55 @@
+"""Gaussians averaged over pixels or voxels.
+
+Their shares, in numpy and in kernels, and their width.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numba
+import numpy as np
+from scipy.special import erf
+
+from sabench.utils.arrays import F64
+
+
+def gaussian_shares(edges: F64, sigma: float) -> F64:
+    """Compute the shares (n, m - 1) of Gaussians' integrals between edges (n, m).
+
+    Edges are distances from the Gaussians' centres, in the unit of sigma.
+    """
+    shares: F64 = 0.5 * np.diff(erf(edges / (sigma * np.sqrt(2.0))), axis=1)
+    return shares
+
+
+@numba.njit(cache=True)
+def fill_shares(center: float, sigma: float, first: int, shares: Any) -> None:
+    """Fill in the shares (n,) of a Gaussian's integral in the pixels from `first` on."""
+    scale = 1.0 / (sigma * math.sqrt(2.0))
+    before = math.erf((first - 0.5 - center) * scale)
+    for i in range(len(shares)):
+        after = math.erf((first + i + 0.5 - center) * scale)
+        shares[i] = 0.5 * (after - before)
+        before = after
+
+
+@numba.njit(cache=True)
+def fill_slopes(center: float, sigma: float, first: int, slopes: Any) -> None:
+    """Fill in the derivatives (n,) of the shares by the Gaussian's centre."""
+    scale, peak = 1.0 / (sigma * math.sqrt(2.0)), 1.0 / (math.sqrt(2.0 * math.pi) * sigma)
+    before = peak * math.exp(-(((first - 0.5 - center) * scale) ** 2))
+    for i in range(len(slopes)):
+        after = peak * math.exp(-(((first + i + 0.5 - center) * scale) ** 2))
+        slopes[i] = before - after
+        before = after
+
+
+def effective_width(sigma: float) -> float:
+    """Compute (integral)^2 / (sum of squares) of a Gaussian, mean over its positions.
+
+    Sigma and width are in pixels: 2 sqrt(pi) sigma for a wide Gaussian, 1 for a narrow one.
+    """
+    edge = 1.0 / (2.0 * sigma)
+    return 1.0 / (math.erf(edge) + (math.exp(-(edge**2)) - 1.0) / (edge * math.sqrt(math.pi)))
