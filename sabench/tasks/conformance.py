@@ -144,7 +144,7 @@ def beat_nothing(trial: _Trial) -> None:
     _expect(own is not None, f"{first.key}: expected a figure, got none")
     sign = 1.0 if first.better == "larger" else -1.0
     better = nothing is None or sign * own > sign * nothing
-    _expect(better, f"{first.key}: expected better than {nothing:.4g}, got {own:.4g}")
+    _expect(better, f"{first.key}: expected better than {nothing}, got {own}")
 
 
 def find_nothing_in_the_dark(trial: _Trial) -> None:
