@@ -25,6 +25,7 @@ for _command in (
     solve.solve,
     solve.score,
     data.export,
+    solve.conform,
     solve.calibrate,
     evaluate.run,
     evaluate.check,

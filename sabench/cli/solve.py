@@ -1,4 +1,4 @@
-"""Commands on one data set: solve, score, calibrate."""
+"""Commands on one data set or solver: solve, score, conform, calibrate."""
 
 from __future__ import annotations
 
@@ -118,6 +118,32 @@ def _show_scores(scores: dict[str, Any]) -> None:
     figures = [tables.fixed(scores[column.key], column.decimals) for column in columns]
     headings = ["data set", "solver", *(column.key for column in columns)]
     tables.show(headings, [[scores["dataset"][:12], scores["solver"], *figures]])
+
+
+def conform(
+    solver: Annotated[
+        str,
+        typer.Argument(metavar="SOLVER", help="Name of a solver.", autocompletion=complete_solver),
+    ],
+    parameter: ParameterPairs = None,
+    as_json: AsJson = False,
+) -> None:
+    """Test a solver against the laws that every solver obeys; exit code 1 if it breaks one."""
+    from dataclasses import asdict
+
+    from sabench.tasks.conformance import check_solver
+    from sabench.utils.progress import announce_compiling
+
+    announce_compiling()
+    findings = []
+    for finding in check_solver(solver, parse_parameters(parameter)):
+        findings.append(finding)
+        if not as_json:
+            say(f"{finding.verdict:<8} {finding.law}{': ' + finding.text if finding.text else ''}")
+    if as_json:
+        say_json([asdict(finding) for finding in findings])
+    if any(finding.verdict == "broken" for finding in findings):
+        raise typer.Exit(1)
 
 
 def calibrate(

@@ -145,9 +145,13 @@ class CalibrationTask(Task):
         """Only [0]: one calibration serves all frames."""
         return [0]
 
+    def case(self, data: Dataset) -> CalibrationCase | Observation:
+        """Make the target's case, or read the first frame of particles."""
+        return data.calibration_case() if data.shows_target else data.observation(0)
+
     def run(self, algorithm: Any, name: str, data: Dataset, writer: ResultWriter) -> list[float]:
         """Calibrate once, by all frames of a target or the first frame of particles."""
-        case = _case(data)
+        case = self.case(data)
         start = time.perf_counter()
         answer = call_solver(algorithm, name, case, Calibration)
         seconds = time.perf_counter() - start
@@ -159,7 +163,7 @@ class CalibrationTask(Task):
         """Read a result's calibration, or make the best or the worst possible one."""
         answer: Calibration = super().read(data, source, frame)
         if isinstance(source, Result):
-            check_calibration(answer, str(source.path), _case(data))
+            check_calibration(answer, str(source.path), self.case(data))
         return answer
 
     def truth(self, data: Dataset, frame: int = 0) -> Calibration:
@@ -180,19 +184,7 @@ class CalibrationTask(Task):
 
     def score(self, data: Dataset, source: Source) -> Figures:
         """Score a calibration."""
-        answer = self.read(data, source)
-        if not data.shows_target:
-            return self_calibration_scores(answer.cameras, *_particles(data))
-        case, truth_mm = data.calibration_case(), data.placed().points_mm
-        exact, outliers = data.sightings()
-        good = case.found & ~outliers
-        scores = calibration_scores(answer, case, data.true_cameras, truth_mm, exact, good)
-        noise_px = detection_noise(case.pixels, exact, good)
-        motion = Frame.from_cameras(data.true_cameras, truth_mm).motion
-        aligned = target_alignment(target_points(answer, case), truth_mm, motion)
-        held_out = _held_out(data, noise_px)
-        others = held_out_scores(answer.cameras, data.true_cameras, *held_out, motion, aligned)
-        return scores | others
+        return score_calibration(data, self.read(data, source))
 
     def images(self, data: Dataset) -> bytes:
         """Draw the found points of the target, or the images of the particles, as a PNG."""
@@ -217,8 +209,20 @@ class CalibrationTask(Task):
         return pictures.arrows(exact, again - exact, first.rows, first.columns)
 
 
-def _case(data: Dataset) -> CalibrationCase | Observation:
-    return data.calibration_case() if data.shows_target else data.observation(0)
+def score_calibration(data: Dataset, answer: Calibration) -> Figures:
+    """Score a calibration by a data set's target or, without one, by its particles."""
+    if not data.shows_target:
+        return self_calibration_scores(answer.cameras, *_particles(data))
+    case, truth_mm = data.calibration_case(), data.placed().points_mm
+    exact, outliers = data.sightings()
+    good = case.found & ~outliers
+    scores = calibration_scores(answer, case, data.true_cameras, truth_mm, exact, good)
+    noise_px = detection_noise(case.pixels, exact, good)
+    motion = Frame.from_cameras(data.true_cameras, truth_mm).motion
+    aligned = target_alignment(target_points(answer, case), truth_mm, motion)
+    held_out = _held_out(data, noise_px)
+    others = held_out_scores(answer.cameras, data.true_cameras, *held_out, motion, aligned)
+    return scores | others
 
 
 def check_calibration(

@@ -75,13 +75,20 @@ class ParticlesTask(Task):
         cameras=PARTICLE_IMAGES,
     )
 
+    def case(self, data: Dataset) -> Film:
+        """Make the first sequence; its frames are read when they are asked for."""
+        return self._film(data, data.rig.sequences()[0])[0]
+
+    def _film(self, data: Dataset, frames: range) -> tuple[Film, _Reader]:
+        reader = _Reader(data, frames)
+        times = tuple(data.rig.time_s(frame) for frame in frames)
+        return Film(data.rig.cameras, data.rig.grid, times, reader), reader
+
     def run(self, algorithm: Any, name: str, data: Dataset, writer: ResultWriter) -> list[float]:
         """Find the particles of every sequence; returns seconds per frame, without reading images."""
         seconds, every = [], []
         for frames in track(data.rig.sequences(), f"particles by {name}"):
-            reader = _Reader(data, frames)
-            times = tuple(data.rig.time_s(frame) for frame in frames)
-            film = Film(data.rig.cameras, data.rig.grid, times, reader)
+            film, reader = self._film(data, frames)
             start = time.perf_counter()
             found = _call(algorithm, name, film, frames)
             took = time.perf_counter() - start - reader.seconds

@@ -122,6 +122,10 @@ class Task(ABC):
         return range(data.rig.frames)
 
     @abstractmethod
+    def case(self, data: Dataset) -> Any:
+        """Make the first case of a data set as a solver receives it."""
+
+    @abstractmethod
     def run(self, algorithm: Any, name: str, data: Dataset, writer: ResultWriter) -> list[float]:
         """Call a solver on the observation side of a data set and write its estimates.
 
@@ -179,6 +183,10 @@ class Task(ABC):
 
 class FrameByFrame(Task):
     """Base of tasks whose solvers receive one observation at a time."""
+
+    def case(self, data: Dataset) -> Observation:
+        """Read the first frame's observation."""
+        return data.observation(0)
 
     def run(self, algorithm: Any, name: str, data: Dataset, writer: ResultWriter) -> list[float]:
         """Call the solver on every frame; returns the seconds of each."""

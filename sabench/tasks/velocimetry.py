@@ -90,6 +90,12 @@ class VelocimetryTask(Task):
         """First frames of the pairs."""
         return [first for first, _ in data.rig.pairs()]
 
+    def case(self, data: Dataset) -> VolumePair:
+        """Make the first pair of true volumes."""
+        pair = data.rig.pairs()[0]
+        first, second = (reconstruction.TASK.truth(data, frame).volume for frame in pair)
+        return VolumePair(first, second, data.rig.grid, interval_s(data, pair))
+
     def run(self, algorithm: Any, name: str, data: Dataset, writer: ResultWriter) -> list[float]:
         """Reconstruct every pair and measure its field; returns seconds without reconstruction."""
         pairs = data.rig.pairs()

@@ -55,7 +55,7 @@ def sabench_check(request: pytest.FixtureRequest, tmp_path: Path) -> Check:
 
     `suite` is a bundled suite's name or a file, `baseline` a JSON file, both from the test's
     folder; `solvers` are names, or dicts of name, parameters and label, that run in place of the
-    suite's own on its cases of their track. With --sabench-update the baseline is written.
+    suite's own on its cases of their task. With --sabench-update the baseline is written.
     """
 
     def run(
@@ -78,5 +78,21 @@ def sabench_check(request: pytest.FixtureRequest, tmp_path: Path) -> Check:
                 "\n".join([report.summary, *(one.sentence for one in report.worse)]), pytrace=False
             )
         return report
+
+    return run
+
+
+@pytest.fixture
+def sabench_conform() -> Callable[..., None]:
+    """Return `sabench_conform(solver, **parameters)`, which fails the test if a law is broken."""
+
+    def run(solver: str, **parameters: Any) -> None:
+        from sabench.tasks.conformance import check_solver
+
+        broken = [one for one in check_solver(solver, parameters) if one.verdict == "broken"]
+        if broken:
+            lines = [f"solver {solver} breaks {len(broken)} laws:"]
+            lines += [f"{one.law}: {one.text}" for one in broken]
+            pytest.fail("\n".join(lines), pytrace=False)
 
     return run

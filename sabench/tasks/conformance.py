@@ -1,0 +1,317 @@
+"""Laws that every solver obeys, bundled or not.
+
+`check_solver` tries them on a small data set of the solver's task, which it generates from
+`scenes/conformance/`. The command `sabench conform` and the fixture `sabench_conform` of the pytest
+plug-in call it.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from sabench import plugins, tasks
+from sabench.api import (
+    Calibration,
+    CalibrationCase,
+    Detections,
+    Film,
+    FoundParticles,
+    Observation,
+    Reconstruction,
+    VolumePair,
+)
+from sabench.api.estimates import Estimate
+from sabench.api.make import make_algorithm
+from sabench.dataset.reader import Dataset, open_dataset
+from sabench.scenes import load_scene
+from sabench.simulation.pipeline import generate
+from sabench.tasks.calibration import TASK as CALIBRATION
+from sabench.tasks.calibration import score_calibration
+from sabench.tasks.solve_and_score import score, solve
+from sabench.tasks.task import Task
+from sabench.utils.errors import DeclinedError, InputError
+
+_SEED = 5
+_CORRELATION = 0.95  # of volumes from cameras in another order: MART and its kin depend on it
+_SHARE, _VOXELS = 0.9, 0.2  # of the particles that are found again, and how near
+_RADII, _FOUND_AGAIN = 0.5, 0.8  # the same of bubbles
+_APART = 0.05  # of the error of nominal cameras: how far apart calibrations may be
+
+Verdict = Literal["obeyed", "broken", "skipped"]
+
+
+@dataclass(frozen=True)
+class Finding:
+    """What came of one law: `text` says why it is broken or skipped."""
+
+    law: str
+    verdict: Verdict
+    text: str = ""
+
+
+def _expect(condition: Any, text: str) -> None:
+    if not condition:
+        raise AssertionError(text)
+
+
+class _SkippedError(Exception):
+    """A law that does not apply to a solver."""
+
+
+@dataclass(frozen=True)
+class _Trial:
+    """One solver on the data set of its task."""
+
+    solver: str
+    parameters: dict[str, Any]
+    task: Task
+    data: Dataset
+    folder: Path
+
+    def case(self) -> Any:
+        """Make the case that the solver receives."""
+        return self.task.case(self.data)
+
+    def solve(self, case: Any) -> list[Estimate]:
+        """Call a new solver on a case; its estimates are checked as declared."""
+        algorithm: Any = make_algorithm(self.solver, self.parameters)
+        reason = algorithm.skip(case)
+        if reason:
+            raise _SkippedError(f"the solver declines the case: {reason}")
+        answer = algorithm.solve(case)
+        found: list[Estimate] = answer if isinstance(case, Film) else [answer]
+        for one in found:
+            if not isinstance(one, self.task.estimate):
+                kind, got = self.task.estimate.__name__, type(one).__name__
+                raise AssertionError(f"expected {kind}, got {got}")
+            one.check(**dict(zip("zyx", self.data.rig.grid.shape, strict=True)))
+        return found
+
+
+def describe_itself(trial: _Trial) -> None:
+    """Its docstring is a sentence, references are given, parameters are described, with defaults."""
+    plugin = plugins.load("solvers", trial.solver)
+    _expect(plugins.summary(plugin).endswith("."), "the docstring's first line must be a sentence")
+    _expect(plugin.references, "references: expected at least one, got none")
+    for key, field in plugin.Parameters.model_fields.items():
+        _expect(field.description, f"parameter {key}: expected a description, got none")
+        _expect(not field.is_required(), f"parameter {key}: expected a default, got none")
+
+
+def return_declared_arrays(trial: _Trial) -> None:
+    """Its estimates have the declared arrays, shapes and types, and finite values."""
+    found = trial.solve(trial.case())
+    expected = len(trial.case()) if isinstance(trial.case(), Film) else 1
+    _expect(len(found) == expected, f"expected {expected} estimates, got {len(found)}")
+
+
+def repeat_itself(trial: _Trial) -> None:
+    """The same case gives the same estimate, bit for bit."""
+    first, second = (trial.solve(trial.case()) for _ in range(2))
+    for one, other in zip(first, second, strict=True):
+        for (declared, a), (_, b) in zip(one.arrays(), other.arrays(), strict=True):
+            same = a.shape == b.shape and np.array_equal(a, b)
+            _expect(same, f"{declared.name}: expected the same values twice, got others")
+
+
+def leave_the_case_alone(trial: _Trial) -> None:
+    """The arrays that it receives are unchanged afterwards."""
+    case, untouched = trial.case(), trial.case()
+    trial.solve(case)
+    for one, other in zip(_arrays(case), _arrays(untouched), strict=True):
+        _expect(
+            np.array_equal(one, other, equal_nan=one.dtype.kind == "f"),
+            "expected the case's arrays unchanged, got other values",
+        )
+
+
+def beat_nothing(trial: _Trial) -> None:
+    """Its result scores better than the estimate of a solver that found nothing."""
+    out = trial.folder / "result.h5"
+    try:
+        solve(trial.solver, trial.data, out, parameters=trial.parameters, overwrite=True)
+    except DeclinedError as error:
+        raise _SkippedError(str(error)) from error
+    first = trial.task.columns[0]
+    own = score(trial.data, out)[first.key]
+    nothing = trial.task.score(trial.data, "empty")[first.key]
+    _expect(own is not None, f"{first.key}: expected a figure, got none")
+    sign = 1.0 if first.better == "larger" else -1.0
+    better = nothing is None or sign * own > sign * nothing
+    _expect(better, f"{first.key}: expected better than {nothing}, got {own}")
+
+
+def find_nothing_in_the_dark(trial: _Trial) -> None:
+    """Images of a dark volume of particles give no particles; other solvers end in a sentence."""
+    found = trial.solve(
+        _with_images(trial.case(), lambda images, black: np.full_like(images, black))
+    )
+    for one in found:
+        if isinstance(one, Reconstruction) and trial.task.shown == "particles":
+            _expect(not one.volume.any(), "volume: expected zeros without light, got intensities")
+        if isinstance(one, FoundParticles):
+            count = len(one.position_mm)
+            _expect(not count, f"expected no particles without light, got {count}")
+
+
+def survive_a_covered_camera(trial: _Trial) -> None:
+    """One black image of several neither ends it nor makes values that are not finite."""
+
+    def cover(images: Any, black: int) -> Any:
+        covered = images.copy()
+        covered[1] = black
+        return covered
+
+    trial.solve(_with_images(trial.case(), cover))
+
+
+def take_cameras_in_any_order(trial: _Trial) -> None:
+    """Cameras in reverse order give the same estimate, as far as the algorithm's order allows."""
+    case = trial.case()
+    forward, backward = trial.solve(case), trial.solve(_reversed(case))
+    for one, other in zip(forward, backward, strict=True):
+        _expect(_alike(one, other, trial.data), "expected a similar estimate, got another one")
+
+
+LAWS: tuple[Callable[[_Trial], None], ...] = (
+    describe_itself,
+    return_declared_arrays,
+    repeat_itself,
+    leave_the_case_alone,
+    beat_nothing,
+    find_nothing_in_the_dark,
+    survive_a_covered_camera,
+    take_cameras_in_any_order,
+)
+
+
+def check_solver(
+    solver: str,
+    parameters: dict[str, Any] | None = None,
+    *,
+    folder: Path | None = None,
+    laws: tuple[Callable[[Any], None], ...] = LAWS,
+) -> Iterator[Finding]:
+    """Try the laws on a solver, each finding as soon as it is made.
+
+    Parameters
+    ----------
+    solver : name of a plug-in.
+    parameters : of the solver; the others keep their defaults.
+    folder : for the data set, which is used again where it is there; None: a temporary one.
+
+    Raises
+    ------
+    InputError
+        An unknown solver or parameter.
+    """
+    plugin = plugins.load("solvers", solver)
+    make_algorithm(solver, parameters or {})
+    with tempfile.TemporaryDirectory(prefix="sabench-conform-") as scratch:
+        task = tasks.of(plugin.task)
+        data = example(task, plugin.sees, folder or Path(scratch))
+        trial = _Trial(solver, parameters or {}, task, data, Path(scratch))
+        for law in laws:
+            yield _try(law, trial)
+
+
+def _try(law: Callable[[_Trial], None], trial: _Trial) -> Finding:
+    name = law.__name__.replace("_", " ")
+    try:
+        law(trial)
+    except _SkippedError as reason:
+        return Finding(name, "skipped", str(reason))
+    except AssertionError as error:
+        return Finding(name, "broken", str(error).split("\n")[0])
+    except InputError as error:
+        if law in (find_nothing_in_the_dark, survive_a_covered_camera):
+            return Finding(name, "obeyed", str(error))  # a sentence is an answer to such images
+        return Finding(name, "broken", str(error))
+    except Exception as error:
+        return Finding(name, "broken", f"{type(error).__name__}: {error}")
+    return Finding(name, "obeyed")
+
+
+def example(task: Task, sees: str, folder: Path) -> Dataset:
+    """Generate the small data set of a task, or open it if it is in the folder."""
+    name = task.name if sees == task.shown else f"{task.name}_by_{sees}"
+    place = folder / name
+    if place.is_dir():
+        return open_dataset(place)
+    scene = load_scene(plugins.bundled("scenes") / "conformance" / f"{name}.toml")
+    renders = scene.bubbles is not None or bool(scene.solids)
+    return generate(scene, place, seed=_SEED, backend="mitsuba" if renders else "splat", name=name)
+
+
+def _arrays(case: Any) -> list[Any]:
+    """All arrays of a case."""
+    if isinstance(case, Film):
+        return [frame.images for frame in case]
+    if isinstance(case, Observation):
+        return [case.images]
+    if isinstance(case, VolumePair):
+        return [case.first, case.second]
+    return [case.pixels, case.rough_mm, case.known_mm, case.known_sigma_mm]
+
+
+def _with_images(case: Any, change: Callable[[Any, int], Any]) -> Any:
+    """Change the images of a case, frame by frame."""
+    if isinstance(case, Film):
+        frames = [_with_images(frame, change) for frame in case]
+        return Film(case.cameras, case.grid, case.times_s, frames.__getitem__)
+    if not isinstance(case, Observation):
+        raise _SkippedError("its cases have no images")
+    return replace(case, images=change(case.images, int(case.black_dn)))
+
+
+def _reversed(case: Any) -> Any:
+    """Reverse the cameras of a case."""
+    if isinstance(case, Film):
+        frames = [_reversed(frame) for frame in case]
+        return Film(case.cameras[::-1], case.grid, case.times_s, frames.__getitem__)
+    if isinstance(case, Observation):
+        return replace(case, images=case.images[::-1].copy(), cameras=case.cameras[::-1])
+    if isinstance(case, CalibrationCase):
+        return replace(case, pixels=case.pixels[::-1].copy(), cameras=case.cameras[::-1])
+    raise _SkippedError("its cases have no cameras")
+
+
+def _alike(one: Any, other: Any, data: Dataset) -> bool:
+    """Compare estimates from cameras in one order and in the reverse one."""
+    if isinstance(one, Reconstruction):
+        product = float((one.volume * other.volume).sum())
+        norms = float(np.sqrt((one.volume**2).sum() * (other.volume**2).sum()))
+        return product > _CORRELATION * norms
+    if isinstance(one, FoundParticles):
+        near_mm = _VOXELS * min(data.rig.grid.voxel_mm)
+        return _found_again(one.position_mm, other.position_mm, near_mm) >= _SHARE
+    if isinstance(one, Detections):
+        near = _RADII * one.radius_mm
+        return _found_again(one.center_mm, other.center_mm, near) >= _FOUND_AGAIN
+    return _same_cameras(one, other, data)
+
+
+def _found_again(one: Any, other: Any, near: Any) -> float:
+    """Share of the points (n, 3) that have another point near them."""
+    if not len(one) or not len(other):
+        return float(len(one) == len(other))
+    apart = np.linalg.norm(one[:, None] - other, axis=2).min(axis=1)
+    return float((apart < near).mean())
+
+
+def _same_cameras(one: Calibration, other: Calibration, data: Dataset) -> bool:
+    """Compare true reprojection errors, by the scores of both."""
+    again = replace(other, cameras=other.cameras[::-1])
+    found = [score_calibration(data, replace(answer, used=None)) for answer in (one, again)]
+    first, second, worst = (
+        scores["true_px"] for scores in (*found, CALIBRATION.score(data, "empty"))
+    )
+    if first is None or second is None or worst is None:
+        return False
+    return abs(first - second) < _APART * worst
