@@ -1,4 +1,4 @@
-"""What a backlit bubble looks like.
+"""Appearance of a backlit bubble.
 
 Transmission over the distance from its centre, by ray optics, blurred by lens and pixels.
 
@@ -67,7 +67,10 @@ def reflectance(incident: F64, refracted: F64, index: float) -> F64:
 
 
 def _seen(angle: F64, half_angle: float) -> F64:
-    """Whether light turned by an angle comes from the diffuser; part of it near its edge."""
+    """Compute how much of the light turned by an angle comes from the diffuser.
+
+    The result is 0 to 1, between these near the diffuser's edge.
+    """
     away = np.abs((angle + np.pi) % (2.0 * np.pi) - np.pi)
     return np.asarray(
         np.clip((half_angle * (1.0 + _SOFT) - away) / (2.0 * _SOFT * half_angle), 0.0, 1.0)

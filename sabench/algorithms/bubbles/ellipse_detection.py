@@ -104,7 +104,7 @@ def find_ellipses(points: F64, largest: float, least_aspect: float, least_part: 
 
 
 def _fitted(points: F64, first: F64) -> F64:
-    """The ellipse of least squares through edges.
+    """Fit an ellipse to edges by least squares.
 
     `first` if there are too few or they lie on none like it.
     """
@@ -142,7 +142,7 @@ def _relation(points: Any, ellipse: Any) -> Any:
 
 @numba.njit(cache=True, error_model="numpy")
 def _belongs(points: Any, ellipse: Any, off: float) -> Any:
-    """Which edges are close to an ellipse and look inwards."""
+    """Mark edges that are close to an ellipse and look inwards."""
     relation = _relation(points, ellipse)
     return (np.abs(relation[0]) <= off) & (relation[1] >= _ALONG)
 
@@ -164,7 +164,7 @@ def _covered(points: Any, ellipse: Any) -> float:
 
 @numba.njit(cache=True, error_model="numpy")
 def _voted(points: Any, largest: float, least_aspect: float) -> Any:
-    """The ellipse (5,) that edges vote for most, and the part of it that has edges.
+    """Find the ellipse (5,) that most edges vote for, and the part of it with edges.
 
     Of equally whole ones the larger one.
     """

@@ -1,9 +1,10 @@
-"""Peaks of the feature potential over depth, groups of them, and the depth of an outline.
+"""Peaks of the feature potential over depth, and groups of them.
 
-Source: J. Belden's thesis, section 5.4.3. There a group is whatever is connected, each peak within
-half a window and ten planes of another one. Among many bubbles such chains run from one to the
-next, and their mean depth is that of none; here a group is what is connected to its strongest peak
-within ten planes of that one, and as far sideways as the largest bubble.
+The module also finds the depth of an outline. Source: J. Belden's thesis, section 5.4.3. There a
+group is whatever is connected, each peak within half a window and ten planes of another one. Among
+many bubbles such chains run from one to the next, and their mean depth is that of none; here a
+group is what is connected to its strongest peak within ten planes of that one, and as far sideways
+as the largest bubble.
 """
 
 from __future__ import annotations
@@ -66,7 +67,7 @@ class FeaturePeaks:
         return np.asarray(near[parts[row, column] == parts[reach, reach]])
 
     def plane(self, group: I64) -> int:
-        """The plane of a group: the mean over its peaks, weighted with them."""
+        """Compute the plane of a group: the mean over its peaks, weighted with them."""
         return round(float(np.average(self.place[group, 0], weights=self.weight[group])))
 
     def within(self, bubble: F64, planes: int) -> Bool:
@@ -107,7 +108,10 @@ def find_depth(volume: F32, outline: F64, plane: int) -> float:
 
 
 def _inside(shape: tuple[int, ...], outline: F64) -> tuple[slice, slice, Bool]:
-    """A box of a plane, and which of its voxels are inside an outline or within one of it."""
+    """Cut a box out of a plane and mark its voxels inside an outline.
+
+    Voxels within one voxel of the outline count too.
+    """
     x, y, a, b, angle = outline[:5]
     rows = slice(max(int(y - a) - 1, 0), max(min(int(y + a) + 3, shape[0]), 0))
     columns = slice(max(int(x - a) - 1, 0), max(min(int(x + a) + 3, shape[1]), 0))

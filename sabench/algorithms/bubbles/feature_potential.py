@@ -1,7 +1,8 @@
-"""The thesis's way to bubbles: a refocused stack, its feature potential, minimum images, outlines.
+"""Detection of bubbles as in the thesis.
 
-Source: J. Belden's thesis, sections 5.3 and 5.4. What is refocused, attenuated and looked at is
-darkness, one less the images' transmission: the thesis's minimum images are largest darkness here.
+A refocused stack, its feature potential, minimum images, outlines. Source: J. Belden's thesis,
+sections 5.3 and 5.4. What is refocused, attenuated and looked at is darkness, one less the images'
+transmission: the thesis's minimum images are largest darkness here.
 """
 
 from __future__ import annotations
@@ -28,11 +29,11 @@ _FLOOR = 0.02
 
 
 def darkness(case: Observation) -> F32:
-    """The multiplicative stack of equation 5.7, n = 1/3, of what is dark: (z, y, x) from 0 to 1.
+    """Refocus darkness by the multiplicative stack of equation 5.7 with n = 1/3.
 
-    It is the images' darkness that is multiplied. A product of bright images is dark wherever any
-    one of them is; the thesis wants a camera whose view is blocked not to prevent that an object
-    comes into focus.
+    The result is (z, y, x), from 0 to 1. It is the images' darkness that is multiplied. A product
+    of bright images is dark wherever any one of them is; the thesis wants a camera whose view is
+    blocked not to prevent that an object comes into focus.
     """
     images = np.clip(1.0 - transmission(case), _FLOOR, 1.0)
     volume = refocus_log2(images, case.cameras, case.grid, _FLOOR, outside=_FLOOR)
@@ -89,9 +90,9 @@ def _potential(volume: Any, step: int, flat: float, out: Any) -> None:
 
 
 def attenuate(volume: F32, potential: F32, step: int) -> None:
-    """Multiply windows' planes by the cumulative distribution of E over depth, in place.
+    """Multiply windows' planes by the cumulative distribution of E over depth.
 
-    Between the windows' middles it is interpolated.
+    Works in place. Between the windows' middles it is interpolated.
     """
     order = np.argsort(np.argsort(potential, axis=0, kind="stable"), axis=0, kind="stable")
     share = ((order + 1) / len(potential)).astype(np.float32)
@@ -168,9 +169,9 @@ def _filled(mask: Any) -> Any:
 
 
 def _thresholded(dark: F32) -> list[tuple[float, float, float, float]]:
-    """Centroid and equivalent radius of what is darker than the mean of a region, as a circle.
+    """List regions darker than their mean as circles.
 
-    None where all is alike.
+    Each circle has the region's centroid and equivalent radius. None where all is alike.
     """
     inside = dark > dark.mean()
     if not inside.any():
@@ -293,7 +294,7 @@ def _depth_of(shape: F64, dark: F32, depth: F32) -> float:
 
 
 def minimum_images(volume: F32) -> list[tuple[F32, F32]]:
-    """Largest darkness over every `STACK` planes, and where it is: index of the plane."""
+    """Compute the largest darkness over every `STACK` planes and its plane's index."""
     out = []
     for first in range(0, len(volume), STACK):
         part = volume[first : first + STACK]

@@ -34,12 +34,12 @@ class Votes:
     aspect: float = 1.0
 
     def stretched(self, pixels: F64) -> F64:
-        """Where pixels (n, 2) are in the maps."""
+        """Map pixels (n, 2) to positions in the maps."""
         return np.column_stack([pixels[:, 0], (pixels[:, 1] + 0.5) / self.aspect - 0.5])
 
 
 def radii_between(smallest_px: float, largest_px: float) -> F64:
-    """The radii that are tried."""
+    """List the radii that are tried."""
     count = max(2, int(np.ceil(np.log(largest_px / smallest_px) / np.log(_STEP))) + 1)
     return np.geomspace(smallest_px, largest_px, count)
 
@@ -86,7 +86,10 @@ def _ring(radius: float) -> tuple[F32, F32]:
 
 
 def peaks(votes: Votes, least: float, margin: int = 1) -> F64:
-    """Local maxima over place and radius: (n, 4) columns of column, row, radius in px, vote."""
+    """Find local maxima over position and radius.
+
+    Returns (n, 4): column, row, radius in px, vote.
+    """
     maps = votes.maps
     spatial = np.stack(
         [cv2.dilate(one, np.ones((2 * margin + 1, 2 * margin + 1), dtype=np.uint8)) for one in maps]

@@ -1,4 +1,4 @@
-"""Where in space a bubble may be.
+"""Possible positions of bubbles in space.
 
 Outlines of one view followed along their lines of sight, and looked for in all others.
 """
@@ -162,7 +162,10 @@ def _agreed(total: F32) -> F32:
 def _sample(
     maps: Any, pixels: Any, good: Any, size: Any, first: float, step: float, out: Any
 ) -> None:
-    """Votes at pixels and radii: bilinear over the radius, the nearest pixel's over the image."""
+    """Sample votes at pixels and radii.
+
+    Bilinear over the radius, the nearest pixel's over the image.
+    """
     count, rows, columns = maps.shape
     for n in numba.prange(len(out)):
         if not good[n]:
@@ -178,7 +181,7 @@ def _sample(
 
 
 def drop_duplicates(all_of_them: Hypotheses) -> Hypotheses:
-    """The best of hypotheses that mean the same bubble.
+    """Keep the best of the hypotheses of each bubble.
 
     Closer than half a radius across and two along, of a similar radius.
     """

@@ -1,10 +1,10 @@
-"""Bubbles fitted to all images at once: what lies behind several is dimmed by each of them.
+"""Bubbles fitted to all images simultaneously.
 
-A bubble is a spheroid with its centre, two semi-axes (as logarithms) and two tilts of its short
-axis from the vertical. Its image in a camera is an ellipse: the camera is linear over so small a
-thing. All bubbles together make a model of the images, the product of their transmissions; one is
-fitted while the others stay, by Levenberg and Marquardt's method on the pixels around it in all
-views.
+Light from behind several bubbles is dimmed by each of them. A bubble is a spheroid with its centre,
+two semi-axes (as logarithms) and two tilts of its short axis from the vertical. Its image in a
+camera is an ellipse: the camera is linear over so small a thing. All bubbles together make a model
+of the images, the product of their transmissions; one is fitted while the others stay, by Levenberg
+and Marquardt's method on the pixels around it in all views.
 """
 
 from __future__ import annotations
@@ -30,7 +30,10 @@ _MARGIN = 2.5  # px around a bubble that are looked at
 
 @dataclass
 class Model:
-    """Images (camera, row, column), and the logarithm of the transmission of all bubbles so far."""
+    """Images and the logarithm of the transmission of all bubbles so far.
+
+    Images are (camera, row, column).
+    """
 
     images: F32
     logs: F32
@@ -53,7 +56,7 @@ def turn_of(parameters: F64) -> F64:
 
 
 def semi_axes_of(parameters: F64) -> F64:
-    """Along the rows of `turn_of`."""
+    """Compute the semi-axes along the rows of `turn_of`."""
     long, short = np.exp(parameters[3]), np.exp(parameters[4])
     return np.array([long, short, long])
 
@@ -102,7 +105,7 @@ def darken(model: Model, parameters: F64, sign: float) -> None:
 
 
 def gain(model: Model, parameters: F64) -> F64:
-    """Compute how much of a bubble's shadow is dark in the images and not yet explained.
+    """Compute how much of a bubble's shadow is dark and not yet explained.
 
     Returns (camera,) from below 0 to 1; NaN out of view.
     """
@@ -140,17 +143,17 @@ def fit(model: Model, parameters: F64, steps: int) -> F64:
 
 
 def unexplained(model: Model, ellipses: F64) -> float:
-    """Compute the robust sum of squares of the residuals around images (camera, 5), as they are."""
+    """Compute the robust sum of squares of the residuals around images (camera, 5)."""
     return float(_left(model.images, model.logs, ellipses, model.profile.blur_px))
 
 
 def ellipses_of(model: Model, parameters: F64) -> F64:
-    """A bubble's images (camera, 5), as from `images_of`."""
+    """Compute a bubble's images (camera, 5), as from `images_of`."""
     return images_of(model.cameras, linearised(model.cameras, parameters[:3]), parameters)
 
 
 def misfit(model: Model, parameters: F64) -> float:
-    """Compute the mean square that a bubble leaves unexplained of the pixels around it.
+    """Compute the mean square unexplained by a bubble over the pixels around it.
 
     Median over the views, since others are in front of it in some.
     """
@@ -187,9 +190,9 @@ def _measured(
 
 @numba.njit(cache=True, error_model="numpy")
 def _shade(table: Any, blur: float, distance: float, part: float) -> Any:
-    """Interpolate transmission at a distance in px that is a part of the radius there.
+    """Interpolate transmission at a distance in px.
 
-    Bilinear in the profile's table.
+    The distance is a part of the radius there. Bilinear in the profile's table.
     """
     radius = distance / part if part > 1e-9 else 1e9
     radius = min(max(radius, SMALLEST), LARGEST)
@@ -220,7 +223,7 @@ def _at(ellipse: Any, column: int, row: int, middle: float, table: Any, blur: fl
 
 @numba.njit(cache=True, error_model="numpy")
 def _box(ellipse: Any, shape: Any, blur: float) -> Any:
-    """Rows and columns that an ellipse's image reaches, and its mean radius."""
+    """Find the rows and columns that an ellipse's image reaches, and its mean radius."""
     determinant = ellipse[2] * ellipse[4] - ellipse[3] * ellipse[3]
     width, height = np.sqrt(ellipse[4] / determinant), np.sqrt(ellipse[2] / determinant)
     margin = REACH * blur + _MARGIN

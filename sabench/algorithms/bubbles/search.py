@@ -1,4 +1,4 @@
-"""Which hypotheses are bubbles.
+"""Choice of the hypotheses that are bubbles.
 
 The best are fitted first, and what they explain is not there for the others.
 """
@@ -82,7 +82,10 @@ def _lit_from(
     profile_of: Callable[[float], Profile],
     start: Hypotheses,
 ) -> float:
-    """The diffuser's half angle at which the largest of the likeliest bubbles are fitted best."""
+    """Find the diffuser's half angle that fits the likeliest bubbles best.
+
+    Only the largest of these are fitted.
+    """
     likely = np.flatnonzero(start.vote >= _LIKELY * start.vote.max(initial=0.0))
     chosen = likely[np.argsort(-start.radius_mm[likely], kind="stable")][:_LARGEST]
     costs = np.zeros((len(_ANGLES), len(chosen)))
@@ -117,7 +120,10 @@ def _accepted(model: Model, start: Hypotheses, least_gain: float) -> list[F64]:
 
 
 def _united(model: Model, kept: list[F64], start: Hypotheses, least_gain: float) -> list[F64]:
-    """Replace small bubbles along one rim by one bubble, where that explains the images as well."""
+    """Replace small bubbles along one rim by one bubble.
+
+    A replacement must explain the images as well as they do.
+    """
     order = [
         n
         for n in np.argsort(-start.radius_mm * start.aspect, kind="stable").tolist()
@@ -149,7 +155,7 @@ def _united(model: Model, kept: list[F64], start: Hypotheses, least_gain: float)
 
 
 def _parts(kept: list[F64], whole: F64) -> list[int]:
-    """Numbers of the bubbles that are smaller than another one and within its outline.
+    """List the bubbles that are smaller than another one and within its outline.
 
     None if one like it is there.
     """
@@ -170,14 +176,17 @@ def _start(start: Hypotheses, n: int) -> F64:
 
 
 def _judged(model: Model, parameters: F64) -> float:
-    """Median gain over the views that see it; a bubble that fewer than two see is none."""
+    """Compute the median gain over the views that see a bubble.
+
+    A bubble that fewer than two views see is rejected.
+    """
     gains = gain(model, parameters)
     seen = gains[np.isfinite(gains)]
     return float(np.median(seen)) if len(seen) >= 2 else -1.0
 
 
 def _refined(model: Model, kept: list[F64], least_gain: float) -> list[F64]:
-    """All fitted again; those that the others explain by now are dropped."""
+    """Fit all bubbles again and drop those that the others explain by now."""
     out = []
     for parameters in track(kept, "refine bubbles"):
         darken(model, parameters, -1.0)

@@ -1,4 +1,7 @@
-"""Calibration: bundle adjustment through a wall, factorisation, camera models, self-calibration."""
+"""Calibration of cameras.
+
+Bundle adjustment through a wall, factorisation, camera models, self-calibration.
+"""
 
 from sabench.algorithms.calibration.alternating import alternate, mean_rotation, select_cameras
 from sabench.algorithms.calibration.factorisation import (

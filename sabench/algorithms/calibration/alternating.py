@@ -46,7 +46,7 @@ def alternate(
 
 
 def select_cameras(state: State, seen: Seen, cameras: I64) -> tuple[State, Seen]:
-    """Some of the cameras, and what they see."""
+    """Select some of the cameras, and what they see."""
     part = replace(
         state,
         turns=state.turns[cameras],

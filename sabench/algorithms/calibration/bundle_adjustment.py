@@ -32,7 +32,7 @@ Moving = Literal["all", "cameras", "boards"]
 
 @dataclass(frozen=True)
 class Seen:
-    """What the cameras saw of the boards.
+    """Images of the boards in the cameras.
 
     Attributes
     ----------
@@ -91,7 +91,10 @@ class Anchor:
 
 @dataclass(frozen=True)
 class Normal:
-    """Normal equations at a state, as `kernels.equations` gives them, with the anchors' part."""
+    """Normal equations at a state with the anchors' part.
+
+    `kernels.equations` gives the other parts.
+    """
 
     cost: float
     aa: F64
@@ -112,7 +115,7 @@ class Fit:
 
 
 def normal_equations(state: State, seen: Seen, free: FreeParameters, scale: float = 0.0) -> Normal:
-    """The equations of one Gauss-Newton step."""
+    """Compute the equations of one Gauss-Newton step."""
     boards = state.board_turns, state.places, seen.board
     cost, aa, ab, bb, a, d = equations(
         state.array(), boards, (seen.pixels, seen.weights), free.columns(len(state.indices)), scale
@@ -134,7 +137,7 @@ def normal_equations(state: State, seen: Seen, free: FreeParameters, scale: floa
 def refine(
     state: State, seen: Seen, free: FreeParameters, scale: float = 0.0, *, moving: Moving = "all"
 ) -> Fit:
-    """The state with the smallest cost near to this one.
+    """Find the state with the smallest cost near to this one.
 
     Parameters
     ----------
@@ -195,7 +198,10 @@ def _step(normal: Normal, damping: float, moving: Moving) -> tuple[F64, F64, flo
 
 
 def _solved(matrix: F64, right: F64) -> F64:
-    """Solve a symmetric system that damping keeps positive, scaled to a unit diagonal first."""
+    """Solve a symmetric system that damping keeps positive definite.
+
+    It is scaled to a unit diagonal first.
+    """
     scale = 1.0 / np.sqrt(np.maximum(np.diagonal(matrix), 1e-300))
     try:
         return np.asarray(

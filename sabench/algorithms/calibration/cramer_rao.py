@@ -19,7 +19,7 @@ _FREE = 1e-13
 
 @dataclass(frozen=True)
 class Limit:
-    """Standard deviations that no unbiased estimate can undercut, in the wall's frame.
+    """Smallest standard deviations of any unbiased estimate, in the wall's frame.
 
     Attributes
     ----------
@@ -48,7 +48,7 @@ class Limit:
 
 
 def limit(state: State, seen: Seen, free: FreeParameters, noise_px: float) -> Limit:
-    """The bound at the true state for pixel coordinates with normal noise."""
+    """Compute the bound at the true state for pixel coordinates with normal noise."""
     information = _whole(state, seen, free)
     covariance, rank = _inverse(information)
     covariance *= noise_px**2
@@ -74,7 +74,10 @@ def limit(state: State, seen: Seen, free: FreeParameters, noise_px: float) -> Li
 
 
 def _whole(state: State, seen: Seen, free: FreeParameters) -> F64:
-    """The information matrix of all unknowns: cameras, shared, boards; for a noise of 1 px."""
+    """Compute the information matrix of all unknowns for a noise of 1 px.
+
+    Unknowns in the order cameras, shared, boards.
+    """
     normal = normal_equations(state, seen, free)
     size, boards = len(normal.aa), len(normal.bb)
     whole = np.zeros((size + BOARD * boards, size + BOARD * boards))
@@ -90,7 +93,7 @@ def _whole(state: State, seen: Seen, free: FreeParameters) -> F64:
 
 
 def _inverse(information: F64) -> tuple[F64, int]:
-    """A generalised inverse, and the rank.
+    """Compute a generalised inverse and the rank.
 
     What does not notice the open directions has the same variance in any of these inverses.
     """
@@ -102,7 +105,10 @@ def _inverse(information: F64) -> tuple[F64, int]:
 
 
 def _points(state: State, seen: Seen, covariance: F64) -> tuple[F64, F64]:
-    """Scatter and mean error of the points of all boards that are seen, after alignment."""
+    """Compute the scatter and mean error of all boards' points after alignment.
+
+    Boards that no camera sees are left out.
+    """
     boards = np.flatnonzero(seen.weights.sum(axis=(0, 2)) > 0.0)
     size = len(covariance) - BOARD * len(state.places)
     own = (size + BOARD * boards[:, None] + np.arange(BOARD)).ravel()
@@ -125,7 +131,7 @@ def _points(state: State, seen: Seen, covariance: F64) -> tuple[F64, F64]:
 
 
 def _positive(covariance: F64) -> F64:
-    """A covariance with what rounding has taken from its smallest eigenvalues put back."""
+    """Restore what rounding has taken from a covariance's smallest eigenvalues."""
     values, vectors = np.linalg.eigh(covariance)
     return np.asarray((vectors * np.maximum(values, 1e-14 * values[-1])) @ vectors.T)
 

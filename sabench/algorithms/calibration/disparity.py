@@ -1,4 +1,4 @@
-"""How far off each camera of a particle image set is, from sets that are mostly wrong.
+"""Errors of cameras from sets of particle images that are mostly wrong.
 
 The right ones agree, the wrong ones scatter.
 
@@ -101,7 +101,7 @@ def corrected(
 
 
 def densest(values: F64) -> F64:
-    """The middle (d,) of the most crowded spot of values (n, d)."""
+    """Find the middle (d,) of the most crowded spot of values (n, d)."""
     cells = np.floor(values / _CELL_PX).astype(np.int64)
     cells -= cells.min(axis=0)
     keys = np.ravel_multi_index(tuple(cells.T), tuple((cells.max(axis=0) + 1).tolist()))
@@ -117,7 +117,7 @@ def densest(values: F64) -> F64:
 
 
 def _shifted(values: F64, middle: F64) -> tuple[F64, int]:
-    """The mean of what is near to a place, of what is near to that, and so on.
+    """Compute the mean of the values near a point, then near that mean, and so on.
 
     And how many those are.
     """
@@ -145,7 +145,7 @@ def _unmoved(maps: VolumePolynomials, cameras: range) -> F64:
 
 
 def _by_parts(places: F64, errors: F64, whole: F64) -> tuple[F64, F64]:
-    """Rows (1, x, y) of the middles of the parts, and their spots.
+    """Compute rows (1, x, y) of the middles of the parts, and their spots.
 
     One row (1,) for the whole box where parts have too few.
     """

@@ -24,13 +24,16 @@ _SETTLED = 1e-10  # change of the depths in a round, relative, at which they are
 
 @dataclass(frozen=True)
 class Factors:
-    """Matrices (camera, 3, 4) and homogeneous points (n, 4) whose products are the images."""
+    """Matrices (camera, 3, 4) and homogeneous points (n, 4).
+
+    Their products are the images.
+    """
 
     matrices: F64
     points: F64
 
     def changed(self, frame: F64) -> Factors:
-        """The same images in another frame: (4, 4)."""
+        """Express the factors in another frame (4, 4), with the same images."""
         return Factors(
             self.matrices @ frame,
             np.asarray(np.linalg.solve(frame, self.points.T).T, dtype=np.float64),
@@ -76,9 +79,9 @@ def factorise(images: F64, seen: Bool) -> Factors:
 
 
 def adjust_factors(factors: Factors, images: F64, seen: Bool) -> Factors:
-    """The matrices and points nearby whose images have the least sum of squared errors.
+    """Minimise the images' squared errors over matrices and points.
 
-    A projective bundle adjustment.
+    Finds the minimum near the given factors. A projective bundle adjustment.
 
     Factorisation leaves an algebraic error, and creeps; Levenberg and Marquardt's steps, points
     eliminated, go on from there.
@@ -108,7 +111,7 @@ def adjust_factors(factors: Factors, images: F64, seen: Bool) -> Factors:
 
 
 def _shaped(matrices: F64, points: F64, frame: F64) -> tuple[F64, F64]:
-    """The same images by points (n, 3) scaled to about 1, and matrices of norm 1."""
+    """Rescale points (n, 3) to about 1 and matrices to norm 1, with the same images."""
     inner = points @ frame
     places = inner[:, :3] / inner[:, 3:]
     middle, scale = places.mean(axis=0), places.std(axis=0)
@@ -209,7 +212,7 @@ def upgrade_to_euclidean(factors: Factors) -> Factors:
 
 
 def _filled(images: F64, seen: Bool) -> F64:
-    """A first guess of unseen images.
+    """Make a first guess of unseen images.
 
     An affine product of rank 3 about the cameras' means, filled in again and again.
     """
@@ -252,7 +255,7 @@ def _symmetric(entries: F64) -> F64:
 
 
 def _forward(factors: Factors) -> Factors:
-    """The mirror image, if that is what puts the points in front of the cameras."""
+    """Mirror the factors if that puts the points in front of the cameras."""
     turned = np.sign(np.linalg.det(factors.matrices[:, :, :3]))
     matrices = factors.matrices * turned[:, None, None]
     ahead = np.einsum("cj,nj->cn", matrices[:, 2], factors.points / factors.points[:, 3:])

@@ -1,4 +1,7 @@
-"""What is wrong with a calibration's input, in a sentence that names the camera or the frame."""
+"""Checks of a calibration's input.
+
+Each error names the camera or the frame.
+"""
 
 from __future__ import annotations
 
@@ -146,7 +149,7 @@ def relabelled(target: Target) -> list[tuple[int, I64]]:
 
 
 def _check_corners(case: CalibrationCase, points: F64, rough: F64, there: Bool) -> None:
-    """A frame whose points lie where it was told, but in another order."""
+    """Refuse a frame whose points lie at their nominal positions in another order."""
     for number in np.flatnonzero(there.any(axis=(0, 2))).tolist():
         own, told = (
             points[number] - points[number].mean(axis=0),
@@ -162,7 +165,7 @@ def _check_corners(case: CalibrationCase, points: F64, rough: F64, there: Bool) 
 
 
 def _check_names(case: CalibrationCase, centers: F64, rough: F64) -> None:
-    """Two cameras that stand where the other was told to."""
+    """Refuse two cameras that stand at each other's nominal positions."""
     for i, j in itertools.combinations(range(len(centers)), 2):
         own = np.linalg.norm(centers[i] - rough[i]) + np.linalg.norm(centers[j] - rough[j])
         other = np.linalg.norm(centers[i] - rough[j]) + np.linalg.norm(centers[j] - rough[i])

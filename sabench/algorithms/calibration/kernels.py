@@ -1,4 +1,6 @@
-"""Projections through a wall with all derivatives, and the normal equations of a bundle of them.
+"""Projections through a wall with all derivatives.
+
+Also the normal equations of a bundle of them.
 
 A copy of `geometry.camera` and `geometry.refraction` for the sake of the derivatives; tied to them
 by test_bundle_adjustment.py::test_the_kernel_projects_as_cameras_do.
@@ -148,7 +150,10 @@ def observe(
 
 @numba.njit(cache=True)
 def _distorted(u: float, v: float, lens: Any) -> tuple[float, float, float, float, float]:
-    """Brown and Conrady's distortion of ideal coordinates, and its symmetric derivative."""
+    """Distort ideal coordinates by Brown and Conrady's model.
+
+    Also returns its symmetric derivative.
+    """
     k1, k2, p1, p2, k3 = lens[3], lens[4], lens[5], lens[6], lens[7]
     s = u * u + v * v
     radial = 1.0 + s * (k1 + s * (k2 + s * k3))
@@ -173,9 +178,10 @@ def _fill(
     room: Any,
     count: int,
 ) -> None:
-    """Fill in derivatives of one pixel coordinate by rotation, centre, board and media.
+    """Fill in derivatives of a pixel coordinate.
 
-    They follow from those by the camera frame's x and y.
+    Derivatives by rotation, centre, board and media are filled in. They follow from those by the
+    camera frame's x and y.
     """
     (u, v, w), (x, y, tangent, curved) = seen, swing
     by_depth, by_index = room[1], room[2]
@@ -211,7 +217,10 @@ def _turned(turn: Any, point: Any, arm: Any) -> None:
 
 @numba.njit(cache=True)
 def _columns(own: Any, shared: Any) -> Any:
-    """Columns of `observe`'s rows for the unknowns in the order camera, shared, board."""
+    """List columns of `observe`'s rows for the unknowns.
+
+    Unknowns are in the order camera, shared, board.
+    """
     f, s = len(own), len(shared)
     pick = np.empty(f + s + BOARD, dtype=np.int64)
     pick[:f] = own
@@ -224,7 +233,7 @@ def _columns(own: Any, shared: Any) -> Any:
 
 @numba.njit(cache=True)
 def equations(array: Any, boards: Any, seen: Any, free: Any, scale: float) -> Any:
-    """Normal equations of all observations, with the boards' unknowns in blocks.
+    """Sum normal equations of all observations, with the boards' unknowns in blocks.
 
     Parameters
     ----------
@@ -305,7 +314,7 @@ def _scatter(
     a: Any,
     d: Any,
 ) -> None:
-    """Add the lower triangle of one camera's and one board's equations to their places."""
+    """Add the lower triangle of one camera's and one board's equations."""
     for p in range(f + s):
         here = c * f + p if p < f else cameras * f + p - f
         a[here] += slope[p]

@@ -1,4 +1,7 @@
-"""A target's places taken as known: what classical calibrations fit each camera to."""
+"""Nominal positions of a target's points, taken as known.
+
+Classical calibrations fit each camera to them.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +20,10 @@ def known_points(case: CalibrationCase, camera: int) -> tuple[F64, F64]:
 
 
 def known_frames(case: CalibrationCase, camera: int) -> tuple[list[F64], list[F64]]:
-    """The same frame by frame, frames of which the camera found nothing left out."""
+    """Split known points and pixels by frame.
+
+    Frames of which the camera found nothing are left out.
+    """
     points, pixels = [], []
     for rough, found in zip(case.rough_mm, case.pixels[camera], strict=True):
         there = np.isfinite(rough).all(axis=1) & np.isfinite(found).all(axis=1)
@@ -28,7 +34,10 @@ def known_frames(case: CalibrationCase, camera: int) -> tuple[list[F64], list[F6
 
 
 def reason_if_flat(case: CalibrationCase) -> str | None:
-    """Explain why a case is refused whose nominal positions lie in one plane, else None."""
+    """Explain why a case is refused whose nominal positions lie in one plane.
+
+    Returns None if they do not.
+    """
     told = case.rough_mm[np.isfinite(case.rough_mm).all(axis=-1)]
     spread = np.linalg.svd(told - told.mean(axis=0), compute_uv=False)
     return (

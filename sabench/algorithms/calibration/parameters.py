@@ -1,4 +1,7 @@
-"""The unknowns of a calibration as arrays, and how they become cameras and points."""
+"""Unknowns of a calibration as arrays.
+
+They convert to cameras and points.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +23,7 @@ _DISTORTION = ("k1", "k2", "p1", "p2", "k3")
 
 @dataclass(frozen=True)
 class FreeParameters:
-    """What is unknown of the optics, besides every camera's turn, centre and focal length.
+    """Unknowns of the optics besides each camera's rotation, centre and focal length.
 
     Attributes
     ----------
@@ -37,7 +40,7 @@ class FreeParameters:
 
     @classmethod
     def from_names(cls, unknown: Iterable[str]) -> FreeParameters:
-        """What a case calls unknown of its lenses."""
+        """Make from the names of a case's unknowns of the lenses."""
         names = set(unknown)
         return cls("principal_point" in names, tuple(name for name in _DISTORTION if name in names))
 
@@ -47,7 +50,7 @@ class FreeParameters:
         return 7 + 2 * self.principal_point + len(self.distortion)
 
     def columns(self, media: int) -> tuple[I64, I64]:
-        """Numbers of a camera's unknowns and of the shared ones, as in `kernels.equations`."""
+        """Index a camera's unknowns and the shared ones, as in `kernels.equations`."""
         own = (
             [0, 1, 2, 3, 4, 5, 6]
             + [7, 8] * self.principal_point
@@ -77,7 +80,7 @@ class State:
     places: F64
 
     def array(self) -> tuple[F64, F64, F64, tuple[F64, F64]]:
-        """What kernels want to know of the cameras."""
+        """Return the cameras as arrays for the kernels."""
         return self.turns, self.centers, self.lenses, (self.indices, self.thicknesses)
 
     def points(self, board: F64) -> F64:
@@ -85,7 +88,10 @@ class State:
         return np.asarray(np.einsum("kij,mj->kmi", self.board_turns, board) + self.places[:, None])
 
     def moved(self, cameras: F64, shared: F64, boards: F64, free: FreeParameters) -> State:
-        """Apply steps of the cameras' unknowns (M, f), the shared (s,) and the boards' (K, 6)."""
+        """Apply steps of the cameras' unknowns (M, f), the shared (s,) and the boards'.
+
+        The boards' steps are (K, 6).
+        """
         own, common = free.columns(len(self.indices))
         full = np.zeros((len(self.turns), CAMERA))
         full[:, own] = cameras
@@ -103,7 +109,7 @@ class State:
         )
 
     def slid(self, motion: RigidMotion) -> State:
-        """The state moved as a whole, by what the wall does not notice."""
+        """Move the state by a motion that leaves the wall unchanged."""
         return replace(
             self,
             turns=np.ascontiguousarray(self.turns @ motion.rotation.T),
@@ -115,7 +121,7 @@ class State:
 
 @dataclass(frozen=True)
 class Frame:
-    """What leads from states to cameras.
+    """Transformation from states to cameras.
 
     The world's place in the wall's frame, and what a state does not hold.
     """
@@ -126,7 +132,7 @@ class Frame:
 
     @classmethod
     def from_cameras(cls, cameras: tuple[Camera, ...], points_mm: F64) -> Frame:
-        """The frame of the cameras' wall."""
+        """Make the frame of the cameras' wall."""
         wall = cameras[0].wall
         return cls(wall_frame(wall, cameras, points_mm), cameras, wall)
 
@@ -208,7 +214,7 @@ def _pose(board: F64, points: F64) -> RigidMotion:
 
 
 def steps_of(vector: F64, cameras: int, free: FreeParameters, media: int) -> tuple[F64, F64]:
-    """A vector of the cameras' and shared unknowns as (M, f) and (s,)."""
+    """Split a vector of the cameras' and shared unknowns into (M, f) and (s,)."""
     own, _ = free.columns(media)
     split = cameras * len(own)
     return vector[:split].reshape(cameras, len(own)), vector[split:]

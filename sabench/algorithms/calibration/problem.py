@@ -78,7 +78,7 @@ class CalibrationProblem:
 
 
 def make_anchors(case: CalibrationCase, frame: Frame, noise_px: float) -> tuple[Anchor, ...]:
-    """The known coordinates as observations beside pixels with this noise."""
+    """Make observations of the known coordinates, weighed against pixels' noise."""
     world, anchors = frame.motion.inverse(), []
     for board, point in np.argwhere(np.isfinite(case.known_mm).any(axis=-1)).tolist():
         place, sigma = case.known_mm[board, point], case.known_sigma_mm[board, point]

@@ -79,10 +79,13 @@ def _lengths(state: State, seen: Seen) -> F64:
 
 
 def median_noise(lengths: F64) -> float:
-    """Standard deviation of coordinates of normal pairs whose lengths have this median."""
+    """Compute the noise of coordinates whose pairs have this median length.
+
+    The noise is the standard deviation of normal coordinates.
+    """
     return float(np.median(lengths)) / _RAYLEIGH_MEDIAN
 
 
 def _noise(lengths: F64, used: Bool) -> float:
-    """Standard deviation per coordinate that explains the median error."""
+    """Compute the standard deviation per coordinate that explains the median error."""
     return median_noise(lengths[used])

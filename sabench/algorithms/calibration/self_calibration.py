@@ -85,7 +85,7 @@ class Tracking:
 
 
 def _spread(centers: F64) -> list[int]:
-    """All cameras, each the farthest from those before it.
+    """Order all cameras, each the farthest from those before it.
 
     The first is the farthest from their mean.
     """
@@ -167,7 +167,10 @@ def _follow_one(
 def _pairs(
     maps: VolumePolynomials, peaks: Peaks, camera: int, places: F64, reach: float
 ) -> tuple[I64, F64]:
-    """Pairs (n, 2) of places and a camera's images within reach, and the images' errors (n, 2)."""
+    """Pair positions with a camera's images within reach.
+
+    Returns pairs (n, 2) and the images' errors (n, 2).
+    """
     pixels = project_points(maps, camera, places)
     pairs = np.empty((_PAIRS, 2), dtype=np.int64)
     pairs = pairs[: pair_up(peaks, pixels, reach, pairs)]
@@ -210,7 +213,7 @@ def match_particles(
 
 
 def adjust_cameras(tracking: Tracking, matched: tuple[F64, F64]) -> tuple[Camera, ...]:
-    """The told cameras adjusted to particles, in the order of the case.
+    """Adjust the nominal cameras to particles, in the order of the case.
 
     A lattice of places at which the told cameras are believed, to two pixels, holds what particles
     do not show.

@@ -1,4 +1,4 @@
-"""Find a calibration target's points in an image, by OpenCV's detectors."""
+"""Detection of a calibration target's points in an image, by OpenCV's detectors."""
 
 from __future__ import annotations
 
@@ -26,7 +26,9 @@ _DARKEST, _BRIGHTEST = 0.5, 99.5  # percentiles that become black and white for 
 
 
 def detect(image: U16, target: Target, expected: F64 | None = None) -> F64:
-    """Pixels (point, 2) as (column, row) of a target's points, NaN where one was not found.
+    """Detect the pixels (point, 2) of a target's points as (column, row).
+
+    NaN where one was not found.
 
     Parameters
     ----------

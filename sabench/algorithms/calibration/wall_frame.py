@@ -29,9 +29,10 @@ def wall_frame(wall: Wall | None, cameras: tuple[Camera, ...], points_mm: F64) -
 
 
 def fit_similarity(points: F64, targets: F64) -> F64:
-    """Fit the homogeneous matrix (4, 4) of rotation, scale and shift of points to targets.
+    """Fit a similarity (4, 4) that brings points to targets.
 
-    Points and targets are (n, 3); the fit is one of least squares.
+    A homogeneous matrix of rotation, scale and shift. Points and targets are (n, 3); the fit is one
+    of least squares.
     """
     motion = fit_rigid_motion(points, targets)
     rotated = (points - points.mean(axis=0)) @ motion.rotation.T

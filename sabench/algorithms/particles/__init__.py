@@ -1,4 +1,7 @@
-"""Particles: triangulation of image peaks, iterative reconstruction (IPR), and linking."""
+"""Particles in three dimensions.
+
+Triangulation of image peaks, iterative reconstruction (IPR), and linking.
+"""
 
 from sabench.algorithms.particles.ipr import (
     IprSettings,

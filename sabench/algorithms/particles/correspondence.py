@@ -55,7 +55,7 @@ def _gains(slopes: Any, cameras: int, gains: Any) -> bool:
 
 @numba.njit(cache=True)
 def _moved(gains: Any, misses: Any, cameras: int, step: Any) -> None:
-    """The step (3,) of a place that lowers the sum of squared misses most."""
+    """Compute the step (3,) of a position that lowers the squared misses most."""
     for p in range(3):
         step[p] = 0.0
         for c in range(cameras):
@@ -227,7 +227,7 @@ def _others(
 
 @numba.njit(cache=True)
 def _worst(slopes: Any, misses: Any, step: Any, cameras: int) -> float:
-    """The largest squared distance by which a camera still misses a place after a step."""
+    """Compute the largest squared miss of a camera at a position after a step."""
     worst = 0.0
     for c in range(cameras):
         square = 0.0

@@ -1,4 +1,7 @@
-"""One frame's particles by triangulation, or by rounds of it on the residual images."""
+"""Particles of one frame by triangulation.
+
+Or by rounds of it on the residual images.
+"""
 
 from __future__ import annotations
 
@@ -30,7 +33,7 @@ _MARGIN = 1.0  # voxels around the grid's centres in which particles are looked 
 
 @dataclass(frozen=True)
 class IprSettings:
-    """How particles are looked for.
+    """Settings of the search for particles.
 
     Attributes
     ----------
@@ -55,7 +58,7 @@ class IprSettings:
 
 
 def fit_cameras(case: Observation) -> VolumePolynomials:
-    """The cameras as polynomials over the grid and a margin."""
+    """Fit the cameras by polynomials over the grid and a margin."""
     low, voxel = np.asarray(case.grid.low_mm), np.asarray(case.grid.voxel_mm)
     high = low + voxel * (np.asarray(case.grid.shape[::-1]) - 1)
     return fit_volume_polynomials(case.cameras, low - _MARGIN * voxel, high + _MARGIN * voxel)
@@ -64,7 +67,7 @@ def fit_cameras(case: Observation) -> VolumePolynomials:
 def triangulate_particles(
     case: Observation, maps: VolumePolynomials, settings: IprSettings
 ) -> FoundParticles:
-    """The particles that particle images agree on, each image taken once."""
+    """Triangulate the particles that particle images agree on, each image used once."""
     images = normalised(case.images, case.black_dn)
     peaks = _find_peaks(images, settings)
     found = _agreed(maps, peaks, settings, 0, 0, images)
@@ -74,7 +77,10 @@ def triangulate_particles(
 def reconstruct_particles(
     case: Observation, maps: VolumePolynomials, settings: IprSettings
 ) -> FoundParticles:
-    """The particles that explain the images: found and fitted, again and again, on what is left."""
+    """Reconstruct the particles that explain the images.
+
+    They are found and fitted again and again on the residual images.
+    """
     images = normalised(case.images, case.black_dn)
     sigma = image_widths(images, [one.pixels for one in _find_peaks(images, settings)])
     left, places, light = images.copy(), np.zeros((0, 3)), np.zeros((0, len(images)))
@@ -137,7 +143,10 @@ def _peak_values(found: Candidates, peaks: tuple[Peaks, ...], images: F32) -> F6
 def _real(
     maps: VolumePolynomials, places: F64, light: F64, sigma: F64, settings: IprSettings
 ) -> Bool:
-    """Which particles are bright enough in enough cameras, and not another one's double."""
+    """Mark particles that are bright enough in enough cameras.
+
+    Duplicates of another one are left out.
+    """
     if not len(places):
         return np.zeros(0, dtype=bool)
     typical = np.maximum(np.median(light, axis=0), 1e-12)

@@ -78,7 +78,7 @@ class _Tracks(_Points):
 
 @dataclass(frozen=True)
 class _Scale:
-    """What counts as near.
+    """Scales of a distance or a difference that counts as small.
 
     The distance between neighbours, and standard errors of predictions along the axes (3,) and of
     the logarithm of radii.
@@ -198,7 +198,7 @@ def _continued(live: _Tracks, found: _Points, number: I64, i: I64, j: I64) -> _T
 def _candidates(
     live: _Tracks, found: _Points, time: float, frame: int, scale: _Scale
 ) -> tuple[I64, I64, F64]:
-    """Rows of tracks and of detections that may belong together, and the costs of saying so."""
+    """List rows of trajectories and detections that may match, and the pairs' costs."""
     parts = [part(live, found, time, frame, scale) for part in (_by_velocity, _by_neighbours)]
     row, column, cost = (np.concatenate(values) for values in zip(*parts, strict=True))
     good = cost < GATE
@@ -256,9 +256,9 @@ def _by_neighbours(
 
 
 def _from_known(live: _Tracks, which: I64, velocity: F64) -> F64:
-    """Differences (n, k) of velocities (n, 3) of trajectories (n,) from their neighbours'.
+    """Compute differences (n, k) of velocities from those of the neighbours.
 
-    Neighbours are the nearest whose velocities are known.
+    Velocities are (n, 3), trajectories (n,). Neighbours are the nearest whose velocities are known.
     """
     old = np.flatnonzero(~live.young)
     _, near = cKDTree(live.place[old]).query(live.place[which], _NEIGHBOURS)
@@ -268,9 +268,10 @@ def _from_known(live: _Tracks, which: I64, velocity: F64) -> F64:
 def _from_places(
     live: _Tracks, found: _Points, which: I64, velocity: F64, time: float, scale: _Scale
 ) -> F64:
-    """Distances (n, k) of neighbours, moved by velocities (n, 3), to the next detection.
+    """Compute distances (n, k) of moved neighbours to the next detection.
 
-    The neighbours are those nearest to trajectories (n,), the detections of their size.
+    Neighbours move by velocities (n, 3). The neighbours are those nearest to trajectories (n,), the
+    detections of their size.
     """
     count = min(_NEIGHBOURS, len(live.place) - 1)
     if count <= 0 or not len(which):

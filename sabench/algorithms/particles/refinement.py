@@ -1,10 +1,10 @@
-"""Particles fitted to the images: places and brightnesses that leave the least light unexplained.
+"""Refinement of particles by a fit to the images.
 
-Where the first method moves particles by fixed amounts and keeps what is best ("shaking": Wieneke,
-Iterative reconstruction of volumetric particle distribution, Meas. Sci. Technol. 24, 024008, 2013),
-each takes steps of Gauss and Newton here, one particle after the other, against the images less
-what all others add to them. A particle's image is a Gaussian that pixels average; its brightness is
-free in every camera.
+Positions and brightnesses leave the least light unexplained. Where the first method moves particles
+by fixed amounts and keeps what is best ("shaking": Wieneke, Iterative reconstruction of volumetric
+particle distribution, Meas. Sci. Technol. 24, 024008, 2013), each takes steps of Gauss and Newton
+here, one particle after the other, against the images less what all others add to them. A
+particle's image is a Gaussian that pixels average; its brightness is free in every camera.
 """
 
 from __future__ import annotations
@@ -107,7 +107,7 @@ def _set(
     dx: Any,
     dy: Any,
 ) -> None:
-    """Where a camera sees a place, and the profiles of its image there."""
+    """Project a position to a camera and fill in the profiles of its image there."""
     project_point(maps, c, place, here, slope)
     corner[0], corner[1] = round(here[0]) - _HALF, round(here[1]) - _HALF
     fill_shares(here[0], sigma, corner[0], x)
@@ -153,7 +153,7 @@ def _move(place: Any, matrix: Any, right: Any, farthest: float) -> None:
 
 @numba.njit(cache=True)
 def _brightness(image: Any, corner: Any, x: Any, y: Any) -> float:
-    """The light that leaves the least of a window unexplained."""
+    """Compute the light that leaves the least of a window unexplained."""
     rows, columns = image.shape
     both, own = 0.0, 0.0
     for i in range(max(0, -corner[1]), min(_WINDOW, rows - corner[1])):

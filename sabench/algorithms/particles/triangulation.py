@@ -110,7 +110,10 @@ def _follow(
     hits: Any,
     errors: Any,
 ) -> int:
-    """Fill in the candidates of all of the first camera's images; returns how many there are."""
+    """Fill in the candidates of all of the first camera's images.
+
+    Returns how many there are.
+    """
     cameras, count = len(peaks), 0
     place, start, here, slope = np.zeros(3), np.zeros(3), np.zeros(2), np.zeros((2, 3))
     near, tried, chosen = (

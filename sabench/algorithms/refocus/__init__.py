@@ -1,4 +1,7 @@
-"""Synthetic aperture refocusing: sums and products of all cameras over planes of the world."""
+"""Synthetic aperture refocusing.
+
+Sums and products of all cameras over planes of the world.
+"""
 
 from sabench.algorithms.refocus.synthetic_aperture import (
     refocus_by_shifts,

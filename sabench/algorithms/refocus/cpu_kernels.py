@@ -42,7 +42,7 @@ _LOG2_REST = _log2_rest()
 
 @numba.njit(cache=True, fastmath=True)
 def _stretch(fraction: float, step: float, first: int, count: int) -> int:
-    """The voxel at which a position enters another pixel.
+    """Find the voxel at which a position enters another pixel.
 
     The position starts at `fraction` and moves by `step` per voxel.
     """
@@ -55,9 +55,10 @@ def _stretch(fraction: float, step: float, first: int, count: int) -> int:
 
 @numba.njit(cache=True, fastmath=True, forceinline=True)
 def _folded(total: Any, sample: Any, fold: Any) -> Any:
-    """total + sample for a `fold` of one number, total * max(sample, fold[0]) for one of two.
+    """Add a sample to a total or multiply it in.
 
-    Its type, so no branch is left at run time.
+    total + sample for a `fold` of one number, total * max(sample, fold[0]) for one of two. The
+    length of `fold` is part of its type, so no branch is left at run time.
     """
     return total + sample if len(fold) == 1 else total * max(sample, fold[0])
 
@@ -66,7 +67,10 @@ def _folded(total: Any, sample: Any, fold: Any) -> Any:
 def _fold_row(
     image: Any, spline: Any, affine: Any, row: int, begin: int, outside: Any, fold: Any, target: Any
 ) -> None:
-    """Fold samples into the target, a part of one row of a tile that begins at column `begin`."""
+    """Fold samples into the target, a part of one row of a tile.
+
+    It begins at column `begin`.
+    """
     padding = 0 if len(spline) == 1 else 2
     height, width = image.shape[0] - padding, image.shape[1] - padding
     column_start, column_step = affine[0] + affine[2] * row + affine[1] * begin, affine[1] - 1.0
@@ -103,7 +107,7 @@ def _fold_row(
 def _interpolate(
     image: Any, spline: Any, corner: Any, start: Any, step: Any, fold: Any, target: Any
 ) -> None:
-    """Fold samples between the same rows of an image, from `corner` on, into the target.
+    """Fold samples between the same rows of an image, from `corner`, into the target.
 
     The place inside a pixel moves by `step`.
     """
@@ -136,9 +140,9 @@ def _interpolate(
 def _fold_tile(
     image: Any, spline: Any, affine: Any, outside: Any, fold: Any, total: Any, size: Any
 ) -> None:
-    """Fold one camera's samples into a tile, whose rows lie TILE_COLUMNS apart in `total`.
+    """Fold one camera's samples into a tile.
 
-    `size` is its rows and columns.
+    Its rows lie TILE_COLUMNS apart in `total`. `size` is its rows and columns.
     """
     rows, columns = size
     row, flat = 0, image.ravel()
@@ -272,7 +276,7 @@ def _interpolate_four(
 
 @numba.njit(cache=True, fastmath=True)
 def _add_log2(product: Any, total: Any) -> None:
-    """total += log2(product), product = 1; within 5e-6.
+    """Add log2(product) to total and set product to 1; within 5e-6.
 
     Read as an integer, a float is its exponent and, linear in between, its mantissa 1 + t: 2^23
     (127 + e + t). What is missing is log2(1 + t) - t.
@@ -375,7 +379,9 @@ def multiply_planes(
 
 @numba.njit(cache=True, parallel=True, fastmath=True)
 def sum_shifted(images: Any, shifts: Any, out: Any) -> None:
-    """out[k] = the sum of all cameras' images, each moved by whole pixels; 0 comes in from outside.
+    """Sum all cameras' images, each shifted by whole pixels, into out[k].
+
+    0 comes in from outside.
 
     Parameters
     ----------

@@ -21,14 +21,17 @@ Fold = Callable[
 
 
 def sum_planes(rectified: F32, slab: Slab, grid: Grid, outside: float, out: F32) -> None:
-    """As `kernels.sum_planes`, with exact maps in place of the tiles' affine ones."""
+    """Sum images as `kernels.sum_planes`, with exact maps."""
     _sweep(rectified, slab, grid, outside, lambda dr, samples: sum(samples), out)
 
 
 def multiply_planes(
     rectified: F32, slab: Slab, grid: Grid, outside: float, floor: float, out: F32
 ) -> None:
-    """As `kernels.multiply_planes`, with exact maps in place of the tiles' affine ones."""
+    """Multiply images as `kernels.multiply_planes`, with exact maps.
+
+    These take the place of the tiles' affine ones.
+    """
     _sweep(
         rectified,
         slab,
@@ -93,7 +96,7 @@ def _sample(
 
 
 def _horner(dr: Any, types: Any, coefficients: F64, degree: int, u: Any, v: Any) -> Any:
-    """A bivariate polynomial of a total degree.
+    """Evaluate a bivariate polynomial of a total degree.
 
     Coefficients are opaque, so that all planes and cameras share one kernel.
     """

@@ -28,9 +28,9 @@ _LINES = 64  # lines filtered side by side, so that the recursion runs over cont
 
 
 def coefficients_of(images: F32, spline: tuple[int, ...]) -> F32:
-    """Compute coefficients (n, rows + 3, columns + 3) of the B-spline through all pixels.
+    """Compute the coefficients of the B-spline through all pixels.
 
-    Mirrored one pixel before and two behind.
+    Returns (n, rows + 3, columns + 3). Mirrored one pixel before and two behind.
     """
     if spline == LINEAR:
         return np.pad(images, ((0, 0), (1, 2), (1, 2)), mode="reflect")
@@ -74,7 +74,7 @@ def _filter_along_columns(padded: Any) -> None:
 
 @numba.njit(cache=True, fastmath=True)
 def _filter(lines: Any) -> None:
-    """The inverse filter down the first axis, in place, for lines side by side."""
+    """Apply the inverse filter down the first axis, in place, to adjacent lines."""
     length, count = lines.shape
     pole, gain = np.float32(_POLE), np.float32((1.0 - _POLE) * (1.0 - 1.0 / _POLE))
     last = np.float32(_POLE / (_POLE * _POLE - 1.0))
@@ -144,7 +144,7 @@ def _along_row(polynomial: Any, degree: int, v: float) -> Any:
 
 @numba.njit(cache=True, fastmath=True)
 def _evaluate(line: Any, out: Any) -> None:
-    """A polynomial in u at evenly spaced u from -1 to 1.
+    """Evaluate a polynomial in u at evenly spaced u from -1 to 1.
 
     One power after the other, so that it runs on vectors.
     """
@@ -160,9 +160,9 @@ def _evaluate(line: Any, out: Any) -> None:
 
 @numba.njit(cache=True, fastmath=True)
 def _interpolate(padded: Any, spline: Any, columns: Any, rows: Any, outside: Any, out: Any) -> None:
-    """Four by four weights around every position. Weights and sums are loops of their own.
+    """Interpolate with four by four weights around every position.
 
-    The weights then run on vectors, loads cannot.
+    Weights and sums are loops of their own. The weights then run on vectors, loads cannot.
     """
     last_row, last_column, pitch = (
         np.float32(padded.shape[0] - 4),

@@ -35,7 +35,9 @@ _NODES = 7  # depths at which displacements are computed; between them they are 
 
 @dataclass(frozen=True)
 class Slab:
-    """Planes `first` to `first + count - 1` of a grid, and the rectified images that serve them.
+    """Planes of a grid, and the rectified images for them.
+
+    Planes `first` to `first + count - 1`.
 
     Attributes
     ----------
@@ -107,7 +109,9 @@ class Slab:
 
 
 def slabs(cameras: Sequence[CameraModel], grid: Grid) -> list[Slab]:
-    """As few slabs as keep the affine maps within `DEVIATION_PX` of the exact lines of sight.
+    """Cut the grid into as few slabs as keep affine maps accurate.
+
+    Accurate means within `DEVIATION_PX` of the exact lines of sight.
 
     Raises
     ------
@@ -129,7 +133,7 @@ def slabs(cameras: Sequence[CameraModel], grid: Grid) -> list[Slab]:
 
 
 def make_slab(cameras: Sequence[CameraModel], grid: Grid, first: int, count: int) -> Slab:
-    """A slab of the given planes, whatever its deviation is."""
+    """Make a slab of the given planes, whatever its deviation is."""
     depths = grid.axes_mm[2][first : first + count]
     z_mm = float(depths[0] + depths[-1]) / 2.0
     nodes, interpolation = _depth_nodes(depths)
@@ -144,7 +148,7 @@ def make_slab(cameras: Sequence[CameraModel], grid: Grid, first: int, count: int
 
 
 def deviation_px(slab: Slab, cameras: Sequence[CameraModel], grid: Grid) -> float:
-    """Measure the largest distance in px of affine maps from the exact lines of sight.
+    """Measure the largest distance of affine maps from the exact lines of sight, px.
 
     Over voxels that a camera sees.
 
@@ -239,7 +243,10 @@ def _depth_nodes(depths: F64) -> tuple[F64, F64]:
 
 
 def _displacement(camera: CameraModel, grid: Grid, depths: F64, z_mm: float) -> Smooth:
-    """The way along the line of sight from each plane to `z_mm`, in voxels: (n, 2 planes)."""
+    """Make the function of shifts along the line of sight to `z_mm`.
+
+    Its values are shifts from each plane in voxels: (n, 2 planes).
+    """
 
     def ways(unit: F64) -> F64:
         parts = []
@@ -293,7 +300,7 @@ def _boxes(
 
 
 def _border(camera: CameraModel, grid: Grid, z_mm: float) -> F64:
-    """Where the border of an image looks to on a plane, in voxels (n, 2).
+    """Project the border of an image to a plane, in voxels (n, 2).
 
     Everywhere, if some of it looks nowhere.
     """

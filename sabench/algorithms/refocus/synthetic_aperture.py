@@ -1,6 +1,6 @@
-"""Synthetic aperture refocusing: all cameras' views of every voxel, added or multiplied.
+"""Synthetic aperture refocusing.
 
-By numba on the CPU, by Dr.Jit on a GPU.
+All cameras' views of every voxel, added or multiplied. By numba on the CPU, by Dr.Jit on a GPU.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ _AT_ONCE = 16  # planes that are shifted before they are resampled: bounds memor
 def refocus_sum(
     images: F32, cameras: Sequence[CameraModel], grid: Grid, *, outside: float = 0.0
 ) -> F32:
-    """The sum over cameras of their images at every voxel: (z, y, x).
+    """Sum the cameras' images at every voxel: (z, y, x).
 
     Parameters
     ----------
@@ -54,9 +54,9 @@ def refocus_sum(
 def refocus_log2(
     images: F32, cameras: Sequence[CameraModel], grid: Grid, floor: float, *, outside: float = 0.0
 ) -> F32:
-    """The sum over cameras of log2 of their images, raised to `floor` at least, at every voxel.
+    """Sum log2 of the cameras' images at every voxel.
 
-    (z, y, x); arguments as for `refocus_sum`.
+    Images are raised to `floor` at least. (z, y, x); arguments as for `refocus_sum`.
 
     Two to the power of n times it is the product of equation 3.4 of the thesis.
     """
@@ -73,9 +73,9 @@ def refocus_log2(
 
 
 def refocus_by_shifts(images: F32, cameras: Sequence[CameraModel], grid: Grid) -> F32:
-    """The mean over cameras by whole-pixel shifts of images mapped to the grid's middle plane.
+    """Average whole-pixel shifts of the cameras' images.
 
-    (z, y, x).
+    The images are mapped to the grid's middle plane. (z, y, x).
 
     Source: thesis, equations 2.1 to 2.3, the map-shift-average of cameras on one plane. Images are
     mapped bilinearly. A plane is refocused as the camera nearest to the array's centre sees it,
@@ -117,9 +117,10 @@ def refocus_by_shifts(images: F32, cameras: Sequence[CameraModel], grid: Grid) -
 
 
 def _reached(maps: F64) -> tuple[F64, tuple[int, int]]:
-    """Find the part of the rectified images that tiles' maps (tile, plane, 1, 6) reach.
+    """Find the part of the rectified images that tiles' maps reach.
 
-    Returns its first column and row, and its padded shape.
+    The maps are (tile, plane, 1, 6). Returns the part's first column and row, and its padded
+    shape.
     """
     size = np.array([TILE_COLUMNS, TILE_ROWS])
     starts = maps[..., [0, 3]]
@@ -130,7 +131,7 @@ def _reached(maps: F64) -> tuple[F64, tuple[int, int]]:
 
 
 def _innermost(cameras: Sequence[CameraModel]) -> int:
-    """The camera nearest to the array's centre.
+    """Find the camera nearest to the array's centre.
 
     Of several the one with the smallest coordinates, in whatever order they come.
     """
@@ -153,7 +154,7 @@ def shift_maps(grid: Grid, shifts: F64) -> F64:
 
 @dataclass(frozen=True)
 class _View:
-    """How an array sees one slab: the same for all its frames.
+    """View of one slab by an array, the same for all its frames.
 
     Attributes
     ----------
@@ -169,14 +170,17 @@ class _View:
 
     @classmethod
     def of(cls, slab: Slab, cameras: Sequence[CameraModel], grid: Grid) -> _View:
-        """The view of a slab of the grid."""
+        """Make the view of a slab of the grid."""
         return cls(slab, *rectifying_maps(slab, cameras, grid), slab.tiles(grid))
 
 
 def _parts(
     images: F32, cameras: Sequence[CameraModel], grid: Grid, outside: float, volume: F32
 ) -> Iterator[tuple[_View, F32, F32]]:
-    """Every slab with its rectified images (camera, height, width) and its part of the volume."""
+    """Yield every slab with its rectified images and its part of the volume.
+
+    The images are (camera, height, width).
+    """
     for view in track(_views(tuple(cameras), grid), f"refocus, {len(cameras)} cameras"):
         rectified = np.empty((len(images), *view.slab.shape), dtype=np.float32)
         for number in range(len(images)):  # one at a time: its coefficients stay in the cache

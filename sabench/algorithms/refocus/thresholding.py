@@ -1,4 +1,7 @@
-"""Before and after refocusing: images on one scale, and particles out of refocused planes."""
+"""Thresholding of refocused planes.
+
+Images are first brought to one scale; particles are then extracted from refocused planes.
+"""
 
 from __future__ import annotations
 
@@ -31,7 +34,7 @@ def _level(value: object) -> object:
 
 
 class ExtractionParameters(Parameters):
-    """How particles are taken out of a refocused plane."""
+    """Parameters of the extraction of particles from a refocused plane."""
 
     k: Annotated[float | Literal["auto"], BeforeValidator(_level)] = Field(
         "auto",
@@ -44,19 +47,20 @@ class ExtractionParameters(Parameters):
 
 
 def extract_particles(volume: F32, case: Observation, parameters: ExtractionParameters) -> F32:
-    """`extract` as the parameters say, with `auto_k` where they leave k to the images.
+    """Extract particles by `extract` as the parameters say.
 
-    Works in place on (z, y, x) and returns it.
+    Where they leave k to the images, `auto_k` chooses it. Works in place on (z, y, x) and returns
+    it.
     """
     k = auto_k(volume, occupancy(case), parameters.keep) if parameters.k == "auto" else parameters.k
     return extract(volume, k, parameters.keep)
 
 
 def extract(volume: F32, k: float, keep: Keep) -> F32:
-    """Zero all that is below mean + k std of its plane; works in place on (z, y, x) and returns it.
+    """Zero all that is below mean + k std of its plane.
 
-    Source: thesis section 2.2.3; whether the threshold is subtracted is not stated there, so both
-    are offered.
+    Works in place on (z, y, x) and returns it. Source: thesis section 2.2.3; whether the threshold
+    is subtracted is not stated there, so both are offered.
     """
     means, spreads = plane_statistics(volume)
     thresholds = (means + k * spreads).astype(np.float32)
@@ -65,7 +69,7 @@ def extract(volume: F32, k: float, keep: Keep) -> F32:
 
 
 def occupancy(case: Observation) -> float:
-    """The share of the grid's voxels that particles should fill, from the images alone.
+    """Estimate the share of the grid's voxels that particles fill, from images alone.
 
     (sum E)^2 / (n sum E^2) of a perfect reconstruction E.
 
@@ -98,7 +102,7 @@ def _filled(image: U16, black_dn: float, grid: Grid) -> float:
 
 @numba.njit(cache=True)
 def _products(image: Any, mean: float) -> Any:
-    """Sums over an image less its mean.
+    """Sum products over an image less its mean.
 
     Of squares, and of products with the pixel to the right and below.
     """
@@ -161,7 +165,7 @@ def _sum_squares(volume: Any, sums: Any) -> None:
 
 @numba.njit(cache=True, parallel=True)
 def _cut(volume: Any, thresholds: Any, bases: Any) -> None:
-    """What lies above a plane's threshold loses its base, the rest is zero."""
+    """Subtract a plane's base above its threshold, and set the rest to zero."""
     for plane in numba.prange(len(volume)):
         for row in volume[plane]:
             for i in range(len(row)):

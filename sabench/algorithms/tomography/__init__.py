@@ -1,4 +1,7 @@
-"""Tomographic reconstruction: first guesses and algebraic (ART) updates of a volume."""
+"""Tomographic reconstruction.
+
+First guesses and algebraic (ART) updates of a volume.
+"""
 
 from sabench.algorithms.tomography.art_updates import (
     Measured,

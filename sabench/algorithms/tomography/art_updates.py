@@ -1,4 +1,4 @@
-"""What corrects the voxels by comparing what cameras recorded with what the voxels cast.
+"""Corrections of the voxels by comparing recorded and projected light.
 
 Every step corrects the values in place and returns the squared norm of what it found missing, P - W
 I, before it corrected.
@@ -44,7 +44,7 @@ class State:
 
 @dataclass(frozen=True)
 class Measured:
-    """What the cameras recorded.
+    """Light recorded by the cameras.
 
     Attributes
     ----------
@@ -57,7 +57,7 @@ class Measured:
     saturated: Bool
 
     def of(self, camera: int) -> Measured:
-        """One camera alone."""
+        """Select one camera."""
         return Measured(self.light[camera : camera + 1], self.saturated[camera : camera + 1])
 
     def missing(self, projection: F32) -> float:
@@ -143,7 +143,7 @@ def sart(state: State, measured: Measured, lengths: F32, relaxation: float) -> f
 
 
 def block_mart(state: State, measured: Measured, relaxation: float) -> float:
-    """One camera after the other, all its pixels at once.
+    """Update by one camera after the other, all its pixels simultaneously.
 
     I_j <- I_j prod_i (P_i / (W I)_i)^(mu W_ij).
 
@@ -158,7 +158,7 @@ def block_mart(state: State, measured: Measured, relaxation: float) -> float:
 
 
 def mart(state: State, measured: Measured, relaxation: float) -> float:
-    """One camera after the other, pixel by pixel: see `mart_sweep`."""
+    """Update by one camera after the other, pixel by pixel: see `mart_sweep`."""
     images = enumerate(zip(measured.light, measured.saturated, strict=True))
     return sum(
         mart_sweep(state.lines, state.values, camera, light, saturated, relaxation)
@@ -169,10 +169,10 @@ def mart(state: State, measured: Measured, relaxation: float) -> float:
 def iterate(
     step: Callable[[], float], measured: Measured, iterations: int, tolerance: float, doing: str
 ) -> list[float]:
-    """Repeat a step; returns the relative residual ||P - W I|| / ||P|| that every iteration found.
+    """Repeat a step and return the relative residual ||P - W I|| / ||P|| of each.
 
-    Stops before `iterations` when the residual has changed by less than a fraction `tolerance` of
-    its last value.
+    One residual per iteration. Stops before `iterations` when the residual has changed by less than
+    a fraction `tolerance` of its last value.
     """
     scale, residuals = float(np.vdot(measured.light, measured.light)), [float("inf")]
     for _ in track(range(iterations), doing):

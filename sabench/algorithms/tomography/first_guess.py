@@ -45,7 +45,7 @@ def product_guess(sight: Sight, images: F32, threshold: float) -> tuple[Support,
 
 
 def every_voxel(sight: Sight) -> tuple[Support, F32]:
-    """All voxels, all equally bright."""
+    """Return all voxels, all equally bright."""
     rows = sight.maps.shape[1] * sight.height
     x = np.tile(np.arange(sight.width, dtype=_index_type(sight.width)), rows)
     return Support(
@@ -60,7 +60,10 @@ def _index_type(width: int) -> type[np.signedinteger]:
 def _slab(
     sight: Sight, images: F32, threshold: float, first: int, planes: int
 ) -> tuple[I64, npt.NDArray[np.signedinteger], F32]:
-    """Voxels of some planes: their number in each row, their x indices and their values."""
+    """List the voxels of some planes.
+
+    Their number in each row, their x indices and their values.
+    """
     rows = planes * sight.height
     x, values = (
         np.empty((rows, sight.width), dtype=_index_type(sight.width)),
@@ -98,7 +101,7 @@ def _multiply_rows(
 def _multiply_block(
     sight: Any, images: Any, threshold: float, first: int, x: Any, values: Any, counts: Any
 ) -> None:
-    """Rows of voxels look up one camera after the other."""
+    """Multiply rows of voxels by the images of one camera after the other."""
     room, product, seen = scratch(sight), np.ones(x.shape), np.zeros(x.shape, dtype=np.int32)
     for row in range(len(x)):
         x[row], counts[row] = np.arange(sight.width), sight.width
@@ -156,7 +159,10 @@ def _multiply_camera(
 
 @numba.njit(cache=True)
 def _take_root(left: int, x: Any, product: Any, seen: Any, values: Any) -> int:
-    """The root of the product for the voxels that any camera sees. Returns their number."""
+    """Take the root of the product for the voxels that any camera sees.
+
+    Returns their number.
+    """
     kept = 0
     for i in range(left):
         if seen[i] > 0:

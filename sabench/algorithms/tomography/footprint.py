@@ -1,4 +1,4 @@
-"""How the light of one voxel spreads over the pixels around its projection."""
+"""Spread of one voxel's light over the pixels around its projection."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ def image_sigma_px(images: F32) -> float | None:
 
 
 def _peak_sigmas(image: F32) -> Iterator[F64]:
-    """Of every bright local maximum, along the columns and along the rows."""
+    """Yield widths of every bright local maximum along columns and along rows."""
     peak = (image == maximum_filter(image, 5)) & (image > _BRIGHT)
     peak[[0, -1]] = peak[:, [0, -1]] = False
     row, column = np.nonzero(peak)

@@ -1,9 +1,9 @@
-"""Loops over the voxels of a sparse volume and the four pixels around the projection of each.
+"""Loops over the voxels of a sparse volume and the four pixels around each.
 
-Two stages for every row of voxels and every camera: `locate` finds the pixels, without branches, so
-that it runs in vector registers; then light is moved. `locate` alone decides which pixels and which
-weights a voxel has, and it is compiled without fast-math: forward projection, adjoint and all else
-see the same W to the last bit.
+The pixels are those around a voxel's projection. Two stages for every row of voxels and every
+camera: `locate` finds the pixels, without branches, so that it runs in vector registers; then light
+is moved. `locate` alone decides which pixels and which weights a voxel has, and it is compiled
+without fast-math: forward projection, adjoint and all else see the same W to the last bit.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ _LARGEST_EXPONENT = np.float32(60.0)
 
 
 class Sight(NamedTuple):
-    """What the kernels know of the cameras and the grid.
+    """Cameras and grid as arrays for the kernels.
 
     Attributes
     ----------
@@ -64,7 +64,7 @@ def scratch(sight: Any) -> Any:
 
 @numba.njit(cache=True)
 def locate(sight: Any, camera: int, row: int, x: Any, room: Any) -> Any:
-    """Where the voxels x of a row, counted over (z, y), lie in a camera's image.
+    """Locate the voxels x of a row, counted over (z, y), in a camera's image.
 
     Returns
     -------
@@ -87,7 +87,7 @@ def locate(sight: Any, camera: int, row: int, x: Any, room: Any) -> Any:
 
 @numba.njit(cache=True)
 def _collapse(plane: Any, degree: int, shift: float, v: float, total: Any) -> None:
-    """A plane's polynomial in u and v becomes a polynomial in u at one v.
+    """Evaluate a plane's polynomial in u and v at one v, as a polynomial in u.
 
     The position plus `shift`, in steps.
     """
@@ -103,7 +103,10 @@ def _collapse(plane: Any, degree: int, shift: float, v: float, total: Any) -> No
 
 @numba.njit(cache=True)
 def _evaluate(line: Any, x: Any, width: int, place: Any) -> None:
-    """Horner's rule with the voxels in the inner loop: u, column and row into `place`."""
+    """Evaluate polynomials by Horner's rule with the voxels in the inner loop.
+
+    u, column and row into `place`.
+    """
     u, column, row = place[0], place[1], place[2]
     step, half = np.float32(2.0 / max(width - 1, 1)), np.float32(1.0 if width > 1 else 0.0)
     last = line.shape[1] - 1
@@ -203,9 +206,9 @@ def project(
 def back_project(
     sight: Any, cameras: Any, parts: Any, start: Any, x: Any, images: Any, out: Any
 ) -> None:
-    """Add the images (n, rows * columns), bilinearly interpolated, to voxels out (n,).
+    """Add the images, bilinearly interpolated, to voxels out (n,).
 
-    Other arguments as for `project`.
+    The images are (n, rows * columns). Other arguments as for `project`.
     """
     for part in numba.prange(len(parts) - 1):
         room = scratch(sight)
@@ -223,7 +226,10 @@ def back_project(
 
 @numba.njit(cache=True, fastmath=True)
 def _collect(image: Any, columns: int, places: Any, out: Any) -> None:
-    """Add an image (flat), bilinearly interpolated, to voxels: the transpose of `_scatter`."""
+    """Add an image (flat), bilinearly interpolated, to voxels.
+
+    The transpose of `_scatter`.
+    """
     base, across, down = places
     for i in range(len(out)):
         if base[i] >= 0:
@@ -232,9 +238,9 @@ def _collect(image: Any, columns: int, places: Any, out: Any) -> None:
 
 @numba.njit(cache=True, fastmath=True)
 def exp2(exponent: Any) -> Any:
-    """2^x within 2e-7 of its value, in vector registers where the caller's loop is simple.
+    """Compute 2^x within 2e-7 of its value.
 
-    X is clipped to +-60.
+    The compiler uses vector registers where the caller's loop is simple. X is clipped to +-60.
     """
     x = min(max(exponent, -_LARGEST_EXPONENT), _LARGEST_EXPONENT)
     whole = np.int32(x + np.float32(256.5)) - np.int32(256)  # rounded
@@ -251,6 +257,6 @@ def exp2(exponent: Any) -> Any:
 
 @numba.njit(cache=True, parallel=True, fastmath=True)
 def multiply(values: Any, exponents: Any, factor: Any) -> None:
-    """values *= 2^(factor * exponents), in place."""
+    """Multiply values by 2^(factor * exponents), in place."""
     for j in numba.prange(len(values)):
         values[j] *= exp2(factor * exponents[j])

@@ -77,7 +77,7 @@ def mart_sweep(
 
 
 def _sorted(lines: LinesOfSight, values: F32, camera: int) -> Buckets:
-    """A counting sort, stable and in parallel."""
+    """Sort by counting, stable and in parallel."""
     sight, support = lines.sight, lines.support
     parts = support.parts(_PARTS)
     slots, first = (
@@ -98,7 +98,10 @@ def _sorted(lines: LinesOfSight, values: F32, camera: int) -> Buckets:
 
 @numba.njit(cache=True, parallel=True)
 def _count(sight: Any, camera: int, parts: Any, start: Any, x: Any, slots: Any) -> None:
-    """How many voxels of every part fall on every pixel: slots (part, pixel), zero on entry."""
+    """Count the voxels of every part on every pixel.
+
+    Counts go into slots (part, pixel), which are zero on entry.
+    """
     for part in numba.prange(len(parts) - 1):
         room, corner = scratch(sight), sight.margin * (sight.columns + 1)
         for row in range(parts[part], parts[part + 1]):
@@ -110,7 +113,7 @@ def _count(sight: Any, camera: int, parts: Any, start: Any, x: Any, slots: Any) 
 
 @numba.njit(cache=True)
 def _number(slots: Any, first: Any) -> None:
-    """Counts become the places of the first voxel of every part in every pixel."""
+    """Turn counts into the places of every part's first voxel in every pixel."""
     total = 0
     for pixel in range(slots.shape[1]):
         first[pixel] = total
@@ -143,7 +146,10 @@ def _fill_part(
     slots: Any,
     buckets: Any,
 ) -> None:
-    """Put the voxels of some rows into their pixels; `slots` moves on with every voxel."""
+    """Put the voxels of some rows into their pixels.
+
+    `slots` moves on with every voxel.
+    """
     room, corner = scratch(sight), sight.margin * (sight.columns + 1)
     for row in range(begin, end):
         base, across, down = locate(sight, camera, row, x[start[row] : start[row + 1]], room)
@@ -169,7 +175,7 @@ def _put_back(voxel: Any, light: Any, values: Any) -> None:
 
 @numba.njit(cache=True, parallel=True)
 def _sweep(buckets: Any, image: Any, saturated: Any, relaxation: Any, missed: Any) -> None:
-    """All pixels of one camera.
+    """Update by all pixels of one camera.
 
     Missed (strip,) becomes the sums of the squares of P_i - sum_j W_ij I_j.
     """
@@ -233,7 +239,7 @@ def _raise(buckets: Any, row: int, column: int, exponent: Any) -> None:
 
 @numba.njit(cache=True)
 def _stretch(buckets: Any, row: int, column: int) -> Any:
-    """Rows, columns and light of the voxels that reach a pixel.
+    """List rows, columns and light of the voxels that reach a pixel.
 
     Their footprints begin in a row of pixels and reach a column.
     """
@@ -262,9 +268,9 @@ def _multiply(
 
 @numba.njit(cache=True, fastmath=True)
 def _share(distance: Any, spread: Any) -> Any:
-    """The part of a voxel's light that a pixel at some distance gets along one axis.
+    """Compute the part of a voxel's light that a pixel gets along one axis.
 
-    See `Footprint`.
+    The part depends on their distance. See `Footprint`.
     """
     one, none = np.float32(1.0), np.float32(0.0)
     own = max(one - abs(distance), none)

@@ -1,4 +1,7 @@
-"""What the tomographic solvers share: their parameters, and a case made ready for them."""
+"""Common part of the tomographic solvers.
+
+Their parameters, and a case prepared for them.
+"""
 
 from __future__ import annotations
 
@@ -26,7 +29,7 @@ _SIGMA_PX = (0.3, 0.8)  # what a footprint of four pixels holds
 
 
 class TomographyParameters(Parameters):
-    """What the algorithms on all voxels have in common."""
+    """Parameters of the algorithms on all voxels."""
 
     iterations: int = Field(
         10, ge=1, le=1000, description="how often all cameras correct the volume"
@@ -111,7 +114,7 @@ class TomographyProblem:
         )
 
     def uniform(self) -> State:
-        """All voxels alike, as bright as the images on the mean."""
+        """Make all voxels alike, as bright as the images on the mean."""
         state = self._start(*every_voxel(self.sight))
         state.values[:] *= self.measured.light.sum() / max(
             float(state.lines.forward(state.values).sum()), 1e-30
@@ -119,7 +122,7 @@ class TomographyProblem:
         return state
 
     def volume(self, state: State, floor: float) -> F32:
-        """The volume (z, y, x) on the grid that was asked for."""
+        """Return the volume (z, y, x) on the grid that was asked for."""
         return supersampling.cleared(
             supersampling.gather(
                 state.lines.support, state.values, self.grid, self.splits, self.sigma_mm

@@ -25,7 +25,7 @@ _TASKS = 32
 
 @dataclass(frozen=True)
 class Support:
-    """Which voxels of a grid exist.
+    """Existing voxels of a grid.
 
     Row by row over (z, y), the x indices in increasing order. What voxels hold are (n,) arrays in
     this order.
@@ -42,17 +42,20 @@ class Support:
     x: npt.NDArray[np.signedinteger]
 
     def __len__(self) -> int:
+        """Count the voxels."""
         return len(self.x)
 
     def parts(self, count: int) -> I64:
-        """Rows (count + 1,) that cut the voxels into parts of about the same size."""
+        """Cut the voxels into parts of about the same size: rows (count + 1,)."""
         cuts = np.searchsorted(self.start, np.linspace(0, len(self.x), count + 1))
         cuts[[0, -1]] = 0, len(self.start) - 1
         return np.asarray(cuts, dtype=np.int64)
 
 
 def sight_of(cameras: Sequence[CameraModel], grid: Grid, margin: int) -> Sight:
-    """Cameras and grid as the kernels take them; the images of all cameras are of one size.
+    """Convert cameras and grid for the kernels.
+
+    The images of all cameras are of one size.
 
     Raises
     ------
@@ -76,9 +79,9 @@ def sight_of(cameras: Sequence[CameraModel], grid: Grid, margin: int) -> Sight:
 
 @dataclass(frozen=True)
 class LinesOfSight:
-    """P_i = sum_j W_ij I_j over the voxels of a support, and the exact adjoint. Source.
+    """Projection P_i = sum_j W_ij I_j over the voxels of a support, and its adjoint.
 
-    Thesis, equation 3.8.
+    The adjoint is exact. Source: thesis, equation 3.8.
 
     W is not stored: projections come from polynomials. A camera that does not see a voxel with its
     whole footprint takes no part for that voxel.
@@ -98,7 +101,10 @@ class LinesOfSight:
         return range(len(self.sight.maps))
 
     def forward(self, values: F32, cameras: Sequence[int] | None = None) -> F32:
-        """Project voxels (n,) to images (camera, row, column) of all or the given cameras."""
+        """Project voxels (n,) to images of all or the given cameras.
+
+        Returns (camera, row, column).
+        """
         chosen = self._numbers(cameras)
         parts = self.support.parts(max(1, _TASKS // len(chosen)))
         images = np.zeros(

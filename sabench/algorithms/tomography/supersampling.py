@@ -1,8 +1,9 @@
-"""Between the grid that is asked for and the finer one on which lines of sight are followed.
+"""Finer grid on which lines of sight are followed.
 
-The footprint of a voxel is one of a point. Along an axis where one step moves the projection by
-more than about a pixel, voxels are split; in the end each of the fine voxels is a blob of light,
-whose projection is the footprint, and the volume is what all blobs put into each voxel.
+Conversions from and to the grid that is asked for. The footprint of a voxel is one of a point.
+Along an axis where one step moves the projection by more than about a pixel, voxels are split; in
+the end each of the fine voxels is a blob of light, whose projection is the footprint, and the
+volume is what all blobs put into each voxel.
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ Splits = tuple[int, int, int]  # fine voxels per voxel along x, y and z
 
 @dataclass(frozen=True)
 class Scale:
-    """How a grid looks in the cameras.
+    """Size of a grid's steps in the cameras.
 
     Attributes
     ----------
@@ -82,7 +83,7 @@ def splits(scale: Scale) -> Splits:
 
 
 def split(grid: Grid, count: Splits) -> Grid:
-    """The grid of the fine voxels: it fills the same box."""
+    """Make the grid of the fine voxels, which fills the same box."""
     step, parts = np.asarray(grid.voxel_mm), np.asarray(count)
     low = np.asarray(grid.low_mm) - step / 2.0 + step / parts / 2.0
     z, y, x = (int(n * k) for n, k in zip(grid.shape, count[::-1], strict=True))
@@ -90,7 +91,7 @@ def split(grid: Grid, count: Splits) -> Grid:
 
 
 def gather(support: Support, values: F32, grid: Grid, count: Splits, sigma_mm: float) -> F32:
-    """The volume (z, y, x) on `grid`.
+    """Return the volume (z, y, x) on `grid`.
 
     Light of all fine voxels, each a Gaussian blob of `sigma_mm`, or a point if that is zero.
     """
@@ -128,7 +129,7 @@ def _gather(
     along_z: Any,
     volume: Any,
 ) -> None:
-    """Rows of the volume.
+    """Sum fine voxels into rows of the volume.
 
     The fine rows in reach are added up, then every fine voxel of the sum is spread along x.
     """

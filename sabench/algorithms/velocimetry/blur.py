@@ -14,7 +14,7 @@ _REACH = 3.0  # standard deviations of a Gaussian that count
 
 
 def widths(volume: F32) -> Widths:
-    """Standard deviations (z, y, x) in voxels of a volume's particles, taken for Gaussian.
+    """Estimate the particles' widths (z, y, x) in voxels as Gaussian sigmas.
 
     From its autocorrelation at a shift of one voxel.
 
@@ -43,9 +43,9 @@ def _width(shifted: float, own: float) -> float:
 
 
 def widened(volume: F32, given: Widths, least: float) -> F32:
-    """Blur the volume (z, y, x) along every axis on which its particles are too narrow.
+    """Blur the volume (z, y, x) where its particles are too narrow.
 
-    By a Gaussian that brings given widths to the least.
+    Along every such axis. By a Gaussian that brings given widths to the least.
     """
     sigma = [math.sqrt(max(0.0, least**2 - own**2)) for own in given]
     if not any(sigma):
@@ -55,7 +55,7 @@ def widened(volume: F32, given: Widths, least: float) -> F32:
 
 
 def _blurred(plane: F32, down: float, across: float) -> F32:
-    """A plane after a Gaussian down its columns and across its rows."""
+    """Blur a plane by a Gaussian down its columns and across its rows."""
     kernels = [_kernel(sigma) for sigma in (across, down)]
     return np.asarray(
         cv2.sepFilter2D(

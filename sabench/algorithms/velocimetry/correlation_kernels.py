@@ -59,9 +59,9 @@ def block_sums(
 
 @numba.njit(cache=True, fastmath=True)
 def _add_rows(one: Any, other: Any, reach: int, rows: Any) -> None:
-    """Add the products of two rows for all shifts along them, and the second's squares.
+    """Add the products of two rows for all shifts along them.
 
-    The second begins `reach` voxels further right.
+    Also adds the second row's squares. The second begins `reach` voxels further right.
     """
     count = len(one)
     for n in range(2 * reach + 1):
@@ -79,7 +79,9 @@ def _add_rows(one: Any, other: Any, reach: int, rows: Any) -> None:
 def small_peaks(
     products: Any, squares: Any, weights: Any, reach: Any, floor: float, shift: Any, height: Any
 ) -> None:
-    """Fill in the peaks of the normalised correlation of windows that are weighted sums of blocks.
+    """Fill in the peaks of the normalised correlation of windows.
+
+    The windows are weighted sums of blocks.
 
     Parameters
     ----------
@@ -118,7 +120,10 @@ def _add(weight: Any, values: Any, total: Any) -> None:
 
 @numba.njit(cache=True, fastmath=True)
 def _normalise(sums: Any, floor: float, curve: Any) -> None:
-    """Correlation over shifts, the mean of both ways; opposite shifts stand at opposite ends."""
+    """Compute the correlation over shifts, the mean of both directions.
+
+    Opposite shifts stand at opposite ends.
+    """
     count = len(curve)
     rest = sums[2, count // 2], sums[3, count // 2]
     for n in range(count):
@@ -156,7 +161,7 @@ def _highest(curve: Any, reach: Any, shift: Any) -> Any:
 
 @numba.njit(cache=True, fastmath=True)
 def _vertex(before: float, here: float, after: float) -> float:
-    """Where the Gaussian through three values peaks, from the middle one.
+    """Locate the peak of the Gaussian through three values, from the middle one.
 
     The parabola, where not all are positive.
     """
@@ -194,7 +199,8 @@ def circular_peaks(planes: Any, shift: Any, height: Any, ratio: Any) -> None:
     """Fill in where circular correlations (n, z, y, x) are highest.
 
     Displacements (n, 3) as x, y, z, the heights, and their ratios to the highest
-    values elsewhere. The surroundings of the peaks are set to zero."""
+    values elsewhere. The surroundings of the peaks are set to zero.
+    """
     count, deep, high, wide = planes.shape
     for n in range(count):
         plane = planes[n]
@@ -220,7 +226,10 @@ def circular_peaks(planes: Any, shift: Any, height: Any, ratio: Any) -> None:
 
 @numba.njit(cache=True, fastmath=True)
 def _largest(values: Any) -> int:
-    """The first of the largest values: the largest is found without branches, then its place."""
+    """Find the first of the largest values.
+
+    The largest is found without branches, then its place.
+    """
     most = values[0]
     for n in range(len(values)):
         most = max(most, values[n])
@@ -232,5 +241,5 @@ def _largest(values: Any) -> int:
 
 @numba.njit(cache=True)
 def _signed(place: int, count: int) -> int:
-    """A circular shift as a displacement."""
+    """Turn a circular shift into a displacement."""
     return place - count if place > count // 2 else place

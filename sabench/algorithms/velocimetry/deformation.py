@@ -1,4 +1,7 @@
-"""Volumes moved by a displacement field, between their voxels by cubic B-splines, on the CPU."""
+"""Deformation of volumes by a displacement field on the CPU.
+
+Cubic B-splines interpolate between the voxels.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +16,7 @@ _TERMS = 14  # of a geometric series that falls to a hundred-millionth: float32 
 
 @numba.njit(cache=True)
 def _mirror(index: int, count: int) -> int:
-    """An index beyond the ends of a line, mirrored into it as often as it takes."""
+    """Mirror an index beyond the ends of a line into it, as often as it takes."""
     if count == 1:
         return 0
     index = abs(index) % (2 * count - 2)
@@ -22,9 +25,9 @@ def _mirror(index: int, count: int) -> int:
 
 @numba.njit(cache=True, fastmath=True, parallel=True)
 def spline_coefficients(volume: Any) -> Any:
-    """Compute coefficients of the cubic B-spline through voxels (z, y, x), mirrored at faces.
+    """Compute coefficients of the cubic B-spline through voxels (z, y, x).
 
-    Source: M. Unser, IEEE Signal Processing Magazine 16(6), 22-38, 1999.
+    Mirrored at faces. Source: M. Unser, IEEE Signal Processing Magazine 16(6), 22-38, 1999.
     """
     out = volume.copy()
     depth, height = out.shape[:2]
@@ -59,7 +62,7 @@ def _filter_line(line: Any, pole: Any) -> None:
 
 @numba.njit(cache=True, fastmath=True)
 def _filter_rows(plane: Any, pole: Any) -> None:
-    """Along the first axis, all columns at once."""
+    """Filter along the first axis, all columns simultaneously."""
     count, width = plane.shape
     if count < 2:
         return
@@ -86,7 +89,10 @@ def _filter_rows(plane: Any, pole: Any) -> None:
 
 @numba.njit(cache=True, fastmath=True)
 def _cubic(part: Any) -> Any:
-    """Weights of the four nearest coefficients at a fraction between second and third."""
+    """Compute weights of the four nearest coefficients.
+
+    The position is a fraction between the second and third.
+    """
     rest = np.float32(1.0) - part
     sixth = np.float32(1.0 / 6.0)
     outer, inner = rest * rest * rest * sixth, part * part * part * sixth
@@ -176,7 +182,7 @@ def _read_edge(
 def _aim(
     row: Any, origin: float, step: float, share: float, y: int, z: int, places: Any, corners: Any
 ) -> None:
-    """Where each voxel of a row is read.
+    """Find the point at which each voxel of a row is read.
 
     The voxel before it (x relative to its own, y, z), and the part of the way to the next.
     """
@@ -229,10 +235,11 @@ def _across(flat: Any, at: Any, width: Any, w: Any, v: Any) -> Any:
 
 @numba.njit(cache=True, fastmath=True, forceinline=True)
 def _value(flat: Any, at: Any, width: Any, plane: Any, x: Any, y: Any, z: Any) -> Any:
-    """The value at parts of the way from a voxel to the next ones, out of 4 x 4 rows.
+    """Interpolate between a voxel and the next ones, out of 4 x 4 rows.
 
     Places have no sign: an index that may be negative would be
-    looked at twice, and loops over it would not be vectorised."""
+    looked at twice, and loops over it would not be vectorised.
+    """
     w, v, u = _cubic(x), _cubic(y), _cubic(z)
     return (
         u[0] * _across(flat, at - plane, width, w, v)
@@ -258,7 +265,7 @@ def _stretch(
 
 @numba.njit(cache=True, fastmath=True)
 def _row_field(field: Any, z: float, y: float) -> Any:
-    """The displacements of one row, interpolated in z and y: (x, 3)."""
+    """Interpolate the displacements of one row in z and y: (x, 3)."""
     above, back = (
         min(max(int(z), 0), max(field.shape[0] - 2, 0)),
         min(max(int(y), 0), max(field.shape[1] - 2, 0)),
@@ -272,7 +279,7 @@ def _row_field(field: Any, z: float, y: float) -> Any:
 
 @numba.njit(cache=True, fastmath=True)
 def _sample(c: Any, corner: Any, parts: Any) -> Any:
-    """One value, near a face of the volume."""
+    """Interpolate one value, near a face of the volume."""
     depth, height, width = c.shape
     i, j, k = corner
     total = np.float32(0.0)

@@ -27,7 +27,7 @@ _KERNEL = 0.65
 
 @dataclass(frozen=True)
 class Plan:
-    """How a pair of volumes is evaluated.
+    """Plan of the evaluation of a pair of volumes.
 
     Attributes
     ----------
@@ -71,7 +71,7 @@ class Field:
     valid: Bool
 
     def on_grid(self, grid: Grid, interval_s: float) -> Velocity:
-        """The same as velocities in the world."""
+        """Convert to velocities in the world."""
         voxel = np.asarray(grid.voxel_mm)
         start, step = (
             np.asarray(values[::-1]) for values in (self.windows.origin, self.windows.step)

@@ -1,4 +1,4 @@
-"""Which vectors to believe, and what to put in place of the others."""
+"""Validation of vectors and replacement of invalid ones."""
 
 from __future__ import annotations
 
@@ -57,9 +57,9 @@ def near_the_median(shift: F64, valid: Bool, times: float) -> Bool:
 
 
 def filled(shift: F64, valid: Bool) -> F64:
-    """Replace invalid vectors by means of their valid neighbours; zero if none is valid.
+    """Replace invalid vectors by means of their valid neighbours.
 
-    Gaps are filled from their edges inwards.
+    Zero if none is valid. Gaps are filled from their edges inwards.
     """
     out, known = np.where(valid[..., None], shift, 0.0), valid.copy()
     if not known.any():
@@ -73,7 +73,7 @@ def filled(shift: F64, valid: Bool) -> F64:
 
 
 def _around(values: F64) -> F64:
-    """Sums over the 3 x 3 x 3 nearest, zeros beyond the edges."""
+    """Sum over the 3 x 3 x 3 nearest, with zeros beyond the edges."""
     for axis in range(3):
         padded = np.pad(values, [(1, 1) if own == axis else (0, 0) for own in range(values.ndim)])
         count = values.shape[axis]
@@ -157,7 +157,7 @@ def medians(padded: Any, middle: Any, spread: Any) -> None:
 
 @numba.njit(cache=True)
 def _median(values: Any, count: int) -> Any:
-    """Of the first values, which are left in order."""
+    """Compute the median of the first values, which are left in order."""
     if count == 0:
         return np.nan
     for n in range(1, count):

@@ -45,7 +45,7 @@ class Windows:
 
     @classmethod
     def over(cls, shape: Size, size: Size, overlap: float) -> Windows:
-        """As many as fit.
+        """Make as many windows as fit.
 
         Raises
         ------
@@ -91,7 +91,7 @@ def _xyz(values: Size) -> str:
 
 @dataclass(frozen=True)
 class Peaks:
-    """What windows show.
+    """Correlation peaks of windows.
 
     Attributes
     ----------
@@ -109,11 +109,11 @@ class Peaks:
 def by_shifts(
     first: F32, second: F32, windows: Windows, reach: Size, taper: float | None = None
 ) -> Peaks:
-    """Normalised correlation at all shifts within reach (z, y, x), through sums over blocks.
+    """Compute the normalised correlation at all shifts within reach (z, y, x).
 
-    The second volume is shifted against the window, and the first one the other way, and the mean
-    is taken: two equal volumes then correlate alike at opposite shifts, whatever is cut by the
-    window's faces.
+    Through sums over blocks. The second volume is shifted against the window, and the first one the
+    other way, and the mean is taken: two equal volumes then correlate alike at opposite shifts,
+    whatever is cut by the window's faces.
 
     Parameters
     ----------
@@ -142,7 +142,7 @@ def by_shifts(
 
 
 def _weights(blocks: int, taper: float | None) -> F32:
-    """Of a window's blocks along one axis."""
+    """Compute the weights of a window's blocks along one axis."""
     middles = (np.arange(blocks) + 0.5) / blocks - 0.5
     return np.asarray(
         np.ones(blocks) if taper is None else np.exp(-0.5 * (middles / taper) ** 2),
