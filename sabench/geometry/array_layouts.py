@@ -1,4 +1,4 @@
-"""Where the cameras of an array stand.
+"""Positions of the cameras of an array.
 
 Offsets (n, 2) in mm in the plane of the array, from its centre.
 """
@@ -10,7 +10,10 @@ from sabench.utils.arrays import F64
 
 
 def grid(x_mm: npt.ArrayLike, y_mm: npt.ArrayLike) -> F64:
-    """Every pair of the given offsets, row by row; uneven spacing is a matter of the values."""
+    """Pair the given offsets with each other, row by row.
+
+    Uneven spacing is a matter of the values.
+    """
     across, down = np.meshgrid(
         np.asarray(x_mm, dtype=np.float64), np.asarray(y_mm, dtype=np.float64)
     )
@@ -36,7 +39,7 @@ def line(count: int, spacing_mm: float, angle_rad: float = 0.0) -> F64:
 
 
 def cross(arm: int, spacing_mm: float) -> F64:
-    """A centre and four arms of `arm` offsets each: 4 arm + 1 in all."""
+    """Make a centre and four arms of `arm` offsets each: 4 arm + 1 in all."""
     steps = np.arange(1, arm + 1) * spacing_mm
     zero = np.zeros_like(steps)
     arms = [

@@ -1,8 +1,8 @@
-"""Pinhole cameras with radial-tangential distortion that look through a wall, or through air.
+"""Pinhole cameras with radial-tangential distortion.
 
-`Camera.pixels_of` of paths by `refraction.trace_to_points` is the reference of the projection; its
-copies, their reasons and the tests that tie them to it:
-docs/developing/copies-of-the-projection.md.
+They look through a wall, or through air. `Camera.pixels_of` of paths by
+`refraction.trace_to_points` is the reference of the projection; its copies, their reasons and the
+tests that tie them to it: docs/developing/copies-of-the-projection.md.
 """
 
 from __future__ import annotations
@@ -23,9 +23,9 @@ _UNDISTORT_STEPS = 20
 
 @dataclass(frozen=True)
 class Distortion:
-    """Brown-Conrady coefficients (dimensionless, on ideal image coordinates x/z, y/z).
+    """Brown-Conrady coefficients of distortion.
 
-    All zero means none.
+    Dimensionless, on ideal image coordinates x/z, y/z. All zero means none.
     """
 
     k1: float = 0.0
@@ -99,10 +99,11 @@ class Camera:
         return replace(self, center_mm=triple(center))
 
     def project(self, points_mm: npt.ArrayLike) -> tuple[F64, Bool]:
-        """Pixels (n, 2) as (column, row) of world points (n, 3), and whether each has one.
+        """Project world points (n, 3) to pixels (n, 2) as (column, row).
 
-        Not `valid`: points outside the fluid, behind the camera's image plane, or where distortion
-        folds the image over. A valid pixel may lie outside the image: see `contains`.
+        Also returns whether each point has a pixel. Not `valid`: points outside the fluid, behind
+        the camera's image plane, or where distortion folds the image over. A valid pixel may lie
+        outside the image: see `contains`.
         """
         points = rows_of(points_mm, 3, "points_mm")
         if self.wall is None or self.wall.depth_of(np.asarray(self.center_mm)) >= 0.0:
@@ -174,15 +175,18 @@ class Camera:
         return _undistort(self.distortion, distorted)
 
     def back_project(self, pixels: npt.ArrayLike) -> Rays:
-        """The rays in the fluid that pixels (n, 2) see; total reflection is not `valid`."""
+        """Return the rays in the fluid that pixels (n, 2) see.
+
+        `valid` is false on total reflection.
+        """
         directions, valid = self.directions(pixels)
         rays = trace_into_fluid(self.wall, np.asarray(self.center_mm), directions)
         return Rays(rays.origins_mm, rays.directions, rays.valid & valid)
 
     def carry(self, points_mm: F64, z_mm: float) -> F64:
-        """Where the lines of sight through points (n, 3) of the fluid meet the plane at `z_mm`.
+        """Intersect lines of sight through points (n, 3) with the plane at `z_mm`.
 
-        (n, 2); NaN for points without one.
+        The points lie in the fluid. (n, 2); NaN for points without one.
         """
         arriving = trace_to_points(self.wall, np.asarray(self.center_mm), points_mm).arriving
         return np.asarray(
@@ -190,7 +194,7 @@ class Camera:
         )
 
     def contains(self, pixels: F64, margin_px: float = 0.0) -> Bool:
-        """Whether pixels (n, 2) lie on the sensor, or at most `margin_px` outside."""
+        """Mark pixels (n, 2) on the sensor, or at most `margin_px` outside."""
         return on_sensor(self.rows, self.columns, pixels, margin_px)
 
     def etendue(self) -> F64:

@@ -1,4 +1,4 @@
-"""What every camera model can do, whatever its equations."""
+"""Interface of all camera models."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from sabench.utils.arrays import F64, Bool
 
 
 def on_sensor(rows: int, columns: int, pixels: F64, margin_px: float) -> Bool:
-    """Whether pixels (n, 2) lie on a sensor of that size, or at most `margin_px` outside.
+    """Mark pixels (n, 2) on a sensor of that size, or at most `margin_px` outside.
 
     The border belongs to it above and to the left only.
     """
@@ -44,20 +44,23 @@ class CameraModel(Protocol):
         """Image width, px."""
 
     def project(self, points_mm: npt.ArrayLike) -> tuple[F64, Bool]:
-        """Pixels (n, 2) as (column, row) of world points (n, 3), and whether each has one."""
+        """Project world points (n, 3) to pixels (n, 2) as (column, row).
+
+        Also returns whether each point has a pixel.
+        """
 
     @property
     def center_mm(self) -> tuple[float, float, float]:
-        """Where it stands, roughly if the model does not say."""
+        """Position of the camera, approximate if the model does not define one."""
 
     def carry(self, points_mm: F64, z_mm: float) -> F64:
-        """Where the lines of sight through points (n, 3) of the fluid meet the plane at `z_mm`.
+        """Intersect lines of sight through points (n, 3) with the plane at `z_mm`.
 
-        (n, 2); NaN for points without one.
+        The points lie in the fluid. (n, 2); NaN for points without one.
         """
 
     def back_project(self, pixels: npt.ArrayLike) -> Rays:
-        """The lines of sight of pixels (n, 2) in the fluid."""
+        """Return the lines of sight of pixels (n, 2) in the fluid."""
 
     def contains(self, pixels: F64, margin_px: float = 0.0) -> Bool:
-        """Whether pixels (n, 2) lie on the sensor, or at most `margin_px` outside."""
+        """Mark pixels (n, 2) on the sensor, or at most `margin_px` outside."""

@@ -1,4 +1,7 @@
-"""Frames of reference: the box of a volume, and poses of bodies in the world frame."""
+"""Frames of reference.
+
+The box of a volume, and poses of bodies in the world frame.
+"""
 
 from __future__ import annotations
 

@@ -59,7 +59,7 @@ class Grid:
 
 
 def synthesise(grid: Grid, positions_mm: F64, weights: F64, sigma_mm: float) -> F32:
-    """The field E_s.
+    """Synthesise the field E_s.
 
     A spherical Gaussian in physical space for every particle, added up and averaged over each
     voxel; (z, y, x).
@@ -94,7 +94,10 @@ def synthesise(grid: Grid, positions_mm: F64, weights: F64, sigma_mm: float) -> 
 
 
 def _profile(voxels: F64, nearest: I64, reach: int, sigma: float) -> F32:
-    """Means (n, 2 reach + 1) of Gaussians of peak 1 over the voxels about the nearest, one axis."""
+    """Compute means of Gaussians of peak 1 over the voxels about the nearest.
+
+    Returns (n, 2 reach + 1), along one axis.
+    """
     from sabench.images.gaussians import gaussian_shares  # numba is loaded at the first use
 
     edges = np.arange(-reach, reach + 2)[None] - 0.5 + (nearest - voxels)[:, None]

@@ -33,7 +33,7 @@ class Disc:
         return middle - half, middle + half
 
     def stops(self, pinhole_mm: F64, directions: F64) -> Bool:
-        """Whether rays from a pinhole (3,) along directions (n, 3) meet the disc.
+        """Mark rays from a pinhole (3,) along directions (n, 3) that meet the disc.
 
         Along its plane they pass, since it is thin.
         """
@@ -45,7 +45,7 @@ class Disc:
 
 
 def in_shadow(occluders: Iterable[Disc], pinhole_mm: F64, directions: F64) -> Bool:
-    """Whether any disc stops the rays from a pinhole (3,) along directions (n, 3)."""
+    """Mark rays from a pinhole (3,) along directions (n, 3) that any disc stops."""
     hidden = np.zeros(len(directions), dtype=np.bool_)
     for disc in occluders:
         hidden |= disc.stops(pinhole_mm, directions)

@@ -96,7 +96,7 @@ def fit(function: Smooth, degree: int) -> tuple[F64, F64]:
 
 
 def lowest_degree(function: Smooth) -> int:
-    """The lowest degree that fits a function, with room to spare, to `TOLERANCE_PX`."""
+    """Find the lowest degree that fits a function to `TOLERANCE_PX` with a margin."""
     for degree in _DEGREES:
         if fit(function, degree)[1].max() < 0.5 * TOLERANCE_PX:
             return degree
@@ -107,13 +107,16 @@ def lowest_degree(function: Smooth) -> int:
 
 
 def terms(points: F64, degree: int) -> F64:
-    """Monomials u^i v^j (n, terms) with i + j <= degree at points (n, 2), ordered by j, then i."""
+    """Compute monomials u^i v^j (n, terms) with i + j <= degree at points (n, 2).
+
+    Ordered by j, then i.
+    """
     u, v = points[:, 0], points[:, 1]
     return np.stack([u**i * v**j for j in range(degree + 1) for i in range(degree + 1 - j)], axis=1)
 
 
 def slopes(points: F64, degree: int) -> tuple[F64, F64]:
-    """Derivatives of `terms` along u and along v."""
+    """Compute derivatives of `terms` along u and along v."""
     u, v = points[:, 0], points[:, 1]
     pairs = [(i, j) for j in range(degree + 1) for i in range(degree + 1 - j)]
     along_u = np.stack([i * u ** max(i - 1, 0) * v**j for i, j in pairs], axis=1)

@@ -44,7 +44,10 @@ class Projective:
     matrix: Rows
 
     def project(self, points_mm: npt.ArrayLike) -> tuple[F64, Bool]:
-        """Pixels (n, 2) as (column, row) of world points (n, 3); not `valid` behind the camera."""
+        """Project world points (n, 3) to pixels (n, 2) as (column, row).
+
+        Points behind the camera are not `valid`.
+        """
         points, matrix = rows_of(points_mm, 3, "points_mm"), np.asarray(self.matrix)
         image = points @ matrix[:, :3].T + matrix[:, 3]
         valid = np.asarray(image[:, 2] > 0.0)
@@ -58,7 +61,10 @@ class Projective:
         return triple(-np.linalg.solve(matrix[:, :3], matrix[:, 3]))
 
     def carry(self, points_mm: F64, z_mm: float) -> F64:
-        """Where the lines of sight through points (n, 3) meet the plane at `z_mm`: (n, 2)."""
+        """Intersect lines of sight through points (n, 3) with the plane at `z_mm`.
+
+        Returns (n, 2).
+        """
         way = points_mm - np.asarray(self.center_mm)
         return np.asarray(points_mm[:, :2] + way[:, :2] / way[:, 2:] * (z_mm - points_mm[:, 2:]))
 
@@ -75,13 +81,13 @@ class Projective:
         )
 
     def contains(self, pixels: F64, margin_px: float = 0.0) -> Bool:
-        """Whether pixels (n, 2) lie on the sensor, or at most `margin_px` outside."""
+        """Mark pixels (n, 2) on the sensor, or at most `margin_px` outside."""
         return on_sensor(self.rows, self.columns, pixels, margin_px)
 
 
 @dataclass(frozen=True)
 class _Fitted:
-    """What polynomials have in common.
+    """Common part of the polynomial cameras.
 
     The box in which they were fitted, and lines of sight that follow from pixels alone.
 
@@ -97,21 +103,27 @@ class _Fitted:
     half_mm: tuple[float, float, float]
 
     def project(self, points_mm: npt.ArrayLike) -> tuple[F64, Bool]:
-        """Pixels (n, 2) as (column, row) of world points (n, 3), and whether each has one."""
+        """Project world points (n, 3) to pixels (n, 2) as (column, row).
+
+        Also returns whether each point has a pixel.
+        """
         raise NotImplementedError(f"{type(self).__name__} must implement project()")
 
     @property
     def _ends_mm(self) -> tuple[float, float]:
-        """Z of the planes that lines of sight are drawn through: the box's front and back."""
+        """Z of the planes that define lines of sight: the box's front and back."""
         return self.middle_mm[2] - self.half_mm[2], self.middle_mm[2] + self.half_mm[2]
 
     @property
     def center_mm(self) -> tuple[float, float, float]:
-        """Where the lines of sight of the image's corners and middle come nearest to each other."""
+        """Point nearest to lines of sight of the image's corners and middle."""
         return _meeting(self)
 
     def carry(self, points_mm: F64, z_mm: float) -> F64:
-        """Where what has the same pixels as points (n, 3) lies on the plane at `z_mm`: (n, 2)."""
+        """Find points of the plane at `z_mm` with the same pixels as points (n, 3).
+
+        Returns (n, 2).
+        """
         return _on_plane(
             lambda points: self.project(points)[0],
             self.project(points_mm)[0],
@@ -121,7 +133,10 @@ class _Fitted:
         )[:, :2]
 
     def back_project(self, pixels: npt.ArrayLike) -> Rays:
-        """Straight lines through the points of the box's front and back that a pixel sees."""
+        """Return lines of sight of pixels, straight through the box's front and back.
+
+        They join the points of the two planes that a pixel sees.
+        """
         return _through(
             lambda points: self.project(points)[0],
             rows_of(pixels, 2, "pixels"),
@@ -131,7 +146,7 @@ class _Fitted:
         )
 
     def contains(self, pixels: F64, margin_px: float = 0.0) -> Bool:
-        """Whether pixels (n, 2) lie on the sensor, or at most `margin_px` outside."""
+        """Mark pixels (n, 2) on the sensor, or at most `margin_px` outside."""
         return on_sensor(self.rows, self.columns, pixels, margin_px)
 
 
@@ -161,9 +176,10 @@ class Soloff(_Fitted):
 
 @dataclass(frozen=True)
 class PlanePolynomials(_Fitted):
-    """A quadratic in X and Y for each of several planes of one Z, and straight lines between them.
+    """Quadratics in X and Y for several planes of one Z each.
 
-    Source: J. Belden, PhD thesis, MIT 2011, section 2.3.2.
+    Lines of sight between the planes are straight. Source: J. Belden, PhD thesis, MIT 2011, section
+    2.3.2.
 
     Attributes
     ----------
@@ -260,7 +276,7 @@ def _least_squares(start: F64, full: F64, images: F64) -> F64:
 
 
 def fit_soloff(name: str, rows: int, columns: int, points_mm: F64, pixels: F64) -> Soloff:
-    """The least-squares polynomial of points (n, 3) and their pixels (n, 2).
+    """Fit the least-squares polynomial of points (n, 3) and their pixels (n, 2).
 
     Raises
     ------
@@ -278,9 +294,9 @@ def fit_soloff(name: str, rows: int, columns: int, points_mm: F64, pixels: F64) 
 def fit_planes(
     name: str, rows: int, columns: int, points_mm: list[F64], pixels: list[F64]
 ) -> PlanePolynomials:
-    """Fit quadratics to points (n, 3) and their pixels (n, 2) on each of several planes.
+    """Fit quadratics to points (n, 3) and their pixels (n, 2) on several planes.
 
-    By least squares.
+    Each plane has a fit of its own. By least squares.
 
     Raises
     ------
@@ -358,9 +374,9 @@ def _through(
 def _on_plane(
     project: Smooth, pixels: F64, z_mm: float, start: F64, half: tuple[float, float, float]
 ) -> F64:
-    """Points (n, 3) of a plane whose pixels are given, by Newton's iteration from x, y (n, 2).
+    """Find points (n, 3) of a plane by Newton's iteration from their pixels.
 
-    NaN where it does not arrive.
+    The iteration starts from x, y (n, 2). NaN where it does not arrive.
     """
     points = np.column_stack([start, np.full(len(pixels), z_mm)])
     delta = 1e-4 * min(half[:2])
@@ -389,7 +405,7 @@ def _on_plane(
 
 
 def _meeting(camera: _Fitted) -> tuple[float, float, float]:
-    """The point nearest to a few lines of sight."""
+    """Find the point nearest to a few lines of sight."""
     column, row = np.meshgrid(
         np.linspace(0.0, camera.columns - 1.0, 3), np.linspace(0.0, camera.rows - 1.0, 3)
     )

@@ -62,7 +62,7 @@ def media_of(wall: Wall, center_mm: F64) -> Media:
 def _step(
     slope: Any, square: Any, deep: Any, size: int, rare: float, others: Any, fluid: float
 ) -> int:
-    """One of Halley's steps for a block; returns how many unknowns still moved."""
+    """Apply one of Halley's steps to a block and count the unknowns that still moved."""
     moving = 0
     for i in range(size):
         q = slope[i]
@@ -121,7 +121,7 @@ def _paraxial(deep: Any, size: int, rare: float, others: Any, fluid: float, slop
 
 @numba.njit(cache=True, fastmath={"contract", "nsz", "arcp"}, error_model="numpy")
 def _tangents(slope: Any, square: Any, size: int, first: Any) -> None:
-    """From q to the tangent in the cameras' medium over the lateral distance.
+    """Convert q to the tangent in the cameras' medium, given the lateral distance.
 
     The same where that is the rarest.
     """

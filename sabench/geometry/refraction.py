@@ -159,9 +159,9 @@ def solve_slope(indices: F64, depths_mm: list[F64 | float], radius_mm: F64) -> t
 
 
 def _halley(relative: F64, depths_mm: list[F64 | float], radius_mm: F64) -> tuple[F64, F64] | None:
-    """The same by a few of Halley's steps, which triple the right digits but have no bracket.
+    """Solve by a few of Halley's steps, without a bracket.
 
-    None where one has not arrived.
+    They triple the right digits. None where one has not arrived.
     """
     slope = _start(relative, depths_mm, radius_mm)
     for _ in range(_HALLEY):
@@ -177,7 +177,7 @@ def _halley(relative: F64, depths_mm: list[F64 | float], radius_mm: F64) -> tupl
 
 
 def _start(relative: F64, depths_mm: list[F64 | float], radius_mm: F64) -> F64:
-    """A first tangent.
+    """Compute a first tangent.
 
     Right to the third power for steep paths and in the limit for flat ones, where the rarest medium
     bridges all.
@@ -226,7 +226,10 @@ def _bowed(relative: F64, depths_mm: list[F64 | float], slope: F64) -> tuple[F64
 
 
 def _lateral(relative: F64, depths_mm: list[F64 | float], slope: F64) -> tuple[F64, F64]:
-    """Lateral distance of a path with slope t in the rarest medium, and its derivative."""
+    """Compute the lateral distance of a path and its derivative.
+
+    The slope in the rarest medium is t.
+    """
     square = slope * slope
     value, gradient = np.zeros_like(slope), np.zeros_like(slope)
     for depth, r in zip(depths_mm, relative, strict=True):
@@ -242,7 +245,10 @@ def _lateral(relative: F64, depths_mm: list[F64 | float], slope: F64) -> tuple[F
 
 
 def _angle_in(indices: F64, medium: int, slope: F64) -> tuple[F64, F64]:
-    """Sine and cosine of the path's angle in one medium, from the tangent in the rarest."""
+    """Compute sine and cosine of the path's angle in one medium.
+
+    The tangent in the rarest medium is given.
+    """
     r, square = indices[medium] / indices.min(), slope * slope
     scale = 1.0 / np.sqrt(1.0 + square)
     if r == 1.0:
@@ -256,9 +262,10 @@ def _angle_in(indices: F64, medium: int, slope: F64) -> tuple[F64, F64]:
 def _cylindrical(
     wall: Wall, pinhole_mm: F64, points_mm: F64
 ) -> tuple[F64, F64, list[F64 | float], Bool]:
-    """Split points into unit vectors (3, n) along the wall, lateral distances and depths.
+    """Split points into unit vectors along the wall, lateral distances and depths.
 
-    Depths are those crossed per medium; all is zero where there is no path (not valid).
+    Unit vectors are (3, n). Depths are those crossed per medium; all is zero where there is no path
+    (not valid).
     """
     normal = np.asarray(wall.normal)
     before = -float(wall.depth_of(pinhole_mm))
@@ -338,9 +345,9 @@ def trace_into_fluid(wall: Wall | None, pinhole_mm: F64, directions: F64) -> Ray
 
 
 def length_to_fluid(wall: Wall | None, pinhole_mm: F64, leaving: F64) -> F64:
-    """Compute lengths (n,) of light paths from a pinhole (3,) to the wall's inner face.
+    """Compute lengths (n,) of light paths from a pinhole to the wall's inner face.
 
-    For unit directions (n, 3) in the camera's medium.
+    The pinhole is (3,). For unit directions (n, 3) in the camera's medium.
 
     0 without a wall.
     """

@@ -33,9 +33,9 @@ class RigidMotion:
 
 
 def fit_rigid_motion(points: F64, targets: F64) -> RigidMotion:
-    """Fit the motion that brings points (n, 3) nearest to targets (n, 3), by least squares.
+    """Fit the motion that brings points nearest to targets, by least squares.
 
-    Source: Kabsch (1976), by the singular value decomposition.
+    Points and targets are (n, 3). Source: Kabsch (1976), by the singular value decomposition.
     """
     middle, goal = points.mean(axis=0), targets.mean(axis=0)
     left, _, right = np.linalg.svd((targets - goal).T @ (points - middle))
@@ -44,7 +44,7 @@ def fit_rigid_motion(points: F64, targets: F64) -> RigidMotion:
 
 
 def fit_lateral_motion(points: F64, targets: F64) -> RigidMotion:
-    """Fit the rotation about Z and shift in X and Y of points (n, 3) to targets (n, 3).
+    """Fit rotation about Z and shift in X and Y of points (n, 3) to targets (n, 3).
 
     It is what a plane wall at constant Z does not notice; the fit is one of least squares.
     """

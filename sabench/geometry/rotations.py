@@ -6,10 +6,10 @@ from sabench.utils.arrays import F64
 
 
 def rotation_matrices(vectors: F64) -> F64:
-    """Compute rotation matrices (..., 3, 3) of rotation vectors (..., 3), by Rodrigues' formula.
+    """Compute rotation matrices of rotation vectors (..., 3) by Rodrigues' formula.
 
-    scipy's `Rotation.from_rotvec` goes by quaternions and differs in the last digit, by which every
-    data set with a rotation in it would change.
+    The matrices are (..., 3, 3). scipy's `Rotation.from_rotvec` goes by quaternions and differs in
+    the last digit, by which every data set with a rotation in it would change.
     """
     angle = np.linalg.norm(vectors, axis=-1)[..., None, None]
     cross = skew(vectors)
@@ -29,9 +29,9 @@ def skew(vectors: F64) -> F64:
 
 
 def frame_along(axis: tuple[float, float, float]) -> F64:
-    """Make a right-handed frame (3, 3) whose third row points along an axis of any length.
+    """Make a right-handed frame (3, 3) whose third row points along an axis.
 
-    The first row is as near to X as it can be.
+    The axis may be of any length. The first row is as near to X as it can be.
     """
     third = np.asarray(axis, dtype=np.float64)
     return frame_of_normal(third / np.linalg.norm(third))

@@ -1,4 +1,4 @@
-"""Points in space from their images in several cameras, whatever the cameras' model."""
+"""Triangulation of points from their images in cameras of any model."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ _DELTA_MM = 1e-3  # over which a projection's slope is measured
 
 
 def triangulate(cameras: Sequence[CameraModel], pixels: F64) -> F64:
-    """Triangulate points (n, 3) from pixels (camera, n, 2) by least squares of pixels.
+    """Triangulate points (n, 3) from pixels (camera, n, 2) by least squares.
 
-    NaN where fewer than two cameras see one.
+    Squares are of pixels. NaN where fewer than two cameras see one.
 
     Lines of sight are intersected first; then Gauss and Newton's steps lower the sum of squared
     reprojection errors.
@@ -53,7 +53,7 @@ def intersect(cameras: Sequence[CameraModel], pixels: F64) -> F64:
 
 
 def _step(cameras: Sequence[CameraModel], pixels: F64, points: F64) -> F64:
-    """One Gauss-Newton step of every point; zero where it cannot be made."""
+    """Compute a Gauss-Newton step of every point; zero where it cannot be made."""
     matrix, right = np.zeros((len(points), 3, 3)), np.zeros((len(points), 3))
     for camera, own in zip(cameras, pixels, strict=True):
         here, valid = camera.project(points)

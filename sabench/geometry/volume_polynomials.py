@@ -22,7 +22,9 @@ _NODES = 11  # of the fit along each axis
 
 
 class VolumePolynomials(NamedTuple):
-    """Pixels of all cameras as polynomials of x, y, z, which run from -1 to 1 in a box.
+    """Pixels of all cameras as polynomials of x, y, z.
+
+    These run from -1 to 1 in a box.
 
     Attributes
     ----------
@@ -93,7 +95,10 @@ def _powers(degree: int) -> I64:
 
 @numba.njit(cache=True)
 def project_point(maps: Any, camera: int, point: Any, pixel: Any, slope: Any) -> None:
-    """Fill in a camera's pixel (2,) of a point (3,) from -1 to 1, and its slope (2, 3)."""
+    """Fill in a camera's pixel (2,) of a point (3,) and its slope (2, 3).
+
+    The point's coordinates run from -1 to 1.
+    """
     x, y, z = np.ones(_HIGHEST + 1), np.ones(_HIGHEST + 1), np.ones(_HIGHEST + 1)
     for i in range(_HIGHEST):
         x[i + 1], y[i + 1], z[i + 1] = x[i] * point[0], y[i] * point[1], z[i] * point[2]
@@ -112,5 +117,8 @@ def project_point(maps: Any, camera: int, point: Any, pixel: Any, slope: Any) ->
 
 
 def project_points(maps: VolumePolynomials, camera: int, points: F64) -> F64:
-    """Compute a camera's pixels (n, 2) of points (n, 3), whose coordinates run from -1 to 1."""
+    """Compute a camera's pixels (n, 2) of points (n, 3).
+
+    The points' coordinates run from -1 to 1.
+    """
     return np.asarray(np.prod(points[:, None] ** maps.powers, axis=2) @ maps.coefficients[camera])
