@@ -1,4 +1,7 @@
-"""Brightness of images: one scale for all cameras, and the noise of the background."""
+"""Brightness of images.
+
+One scale for all cameras, and the noise of the background.
+"""
 
 from __future__ import annotations
 
@@ -59,7 +62,7 @@ def bright_dn(grey: U16, black_dn: float) -> float:
 
 @numba.njit(cache=True, parallel=True)
 def _scale(grey: Any, black: float, factor: float, image: Any) -> None:
-    """image = factor max(grey - black, 0)."""
+    """Compute image = factor max(grey - black, 0)."""
     for row in numba.prange(len(grey)):
         for i in range(grey.shape[1]):
             image[row, i] = np.float32(max(grey[row, i] - black, 0.0) * factor)

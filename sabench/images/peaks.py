@@ -1,4 +1,7 @@
-"""Peaks of images to fractions of a pixel, and a quick search for those near a pixel."""
+"""Peaks of images to fractions of a pixel.
+
+The module also has a quick search for peaks near a pixel.
+"""
 
 from __future__ import annotations
 
@@ -44,7 +47,10 @@ def find_peaks(image: F32, least: float) -> Peaks:
 
 @numba.njit(cache=True)
 def _maxima(light: Any, least: Any) -> Any:
-    """Rows and columns (2, n) of pixels that no neighbour exceeds, borders left out."""
+    """Find rows and columns (2, n) of pixels that no neighbour exceeds.
+
+    Borders are left out.
+    """
     rows, columns = light.shape
     found = []
     for r in range(1, rows - 1):
@@ -67,7 +73,10 @@ def _maxima(light: Any, least: Any) -> Any:
 
 
 def _vertex(before: F32, here: F32, behind: F32) -> F64:
-    """Offsets (n,) of parabolas' vertices from the middle one of three values, at most 0.5."""
+    """Compute offsets (n,) of parabolas' vertices from the middle of three values.
+
+    Offsets are at most 0.5.
+    """
     curvature = 2.0 * (before - 2.0 * here + behind).astype(np.float64)
     return np.clip((before - behind) / np.where(curvature < -1e-6, curvature, -np.inf), -0.5, 0.5)
 
@@ -83,9 +92,9 @@ def _sort(pixels: F64, shape: tuple[int, ...]) -> Peaks:
 
 @numba.njit(cache=True)
 def find_near(peaks: Any, pixel: Any, radius: float, found: Any) -> int:
-    """Fill in the numbers of the peaks within a radius of a pixel; return how many there are.
+    """Fill in the numbers of the peaks within a radius of a pixel.
 
-    Those for which `found` has no room are left out.
+    Returns how many there are. Those for which `found` has no room are left out.
     """
     count = 0
     left = max(int((pixel[0] - radius) // _CELL_PX), 0)

@@ -1,6 +1,7 @@
-"""Images made ready for reconstruction: background taken away, cameras made alike.
+"""Preprocessing of images for reconstruction.
 
-The steps of the thesis's section 2.3.2, in any order.
+The background is taken away and cameras are made alike. The steps of the thesis's section 2.3.2, in
+any order.
 """
 
 from __future__ import annotations
@@ -51,7 +52,10 @@ class Gaussian(_Step):
 
 
 class MatchHistograms(_Step):
-    """Give all cameras the grey values of the one with the highest contrast, rank by rank."""
+    """Matching of all cameras' grey values to the one with the highest contrast.
+
+    Rank by rank.
+    """
 
     step: Literal["match_histograms"]
 
@@ -102,7 +106,7 @@ def processed(images: U16, black_dn: float, white_dn: float, steps: Sequence[Ste
 
 
 def _ranked(image: F32, values: F32) -> F32:
-    """The image with its grey values replaced by the sorted ones of the same ranks."""
+    """Replace an image's grey values by the sorted ones of the same ranks."""
     levels, place, count = np.unique(image, return_inverse=True, return_counts=True)
     ends = np.cumsum(count)
     sums = np.concatenate([[0.0], np.cumsum(values, dtype=np.float64)])

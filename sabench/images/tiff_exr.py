@@ -27,7 +27,10 @@ def write_tiff(path: Path, image: U16) -> None:
 
 
 def read_tiff(path: Path, shape: tuple[int, int]) -> U16:
-    """Grey values of a 16-bit TIFF of that shape; InputError that names the file otherwise."""
+    """Read the grey values of a 16-bit TIFF of that shape.
+
+    Otherwise raises InputError that names the file.
+    """
     import tifffile
 
     if not path.is_file():
@@ -69,7 +72,10 @@ def write_exr(path: Path, radiance: F32) -> None:
 
 
 def read_exr(path: Path, shape: tuple[int, int]) -> F32:
-    """Photon radiance of an EXR of that shape; InputError that names the file otherwise."""
+    """Read the photon radiance of an EXR of that shape.
+
+    Otherwise raises InputError that names the file.
+    """
     import OpenEXR
 
     if not path.is_file():
