@@ -49,7 +49,7 @@ class Frames:
 
     @property
     def chained(self) -> bool:
-        """Whether a frame can only be made after the one before it."""
+        """True if a frame can only be made after the one before it."""
         return self.motion is not None and self.motion.chained
 
     def at(self, number: int) -> FrameContent:

@@ -19,7 +19,10 @@ _CONNECT_S = 8.0  # time limit of the first connection
 
 
 class DaskPool:
-    """All workers of a Dask scheduler, including those that join later; one task each at a time."""
+    """Pool of all workers of a Dask scheduler, including those that join later.
+
+    Each does one task at a time.
+    """
 
     def __init__(self, address: str, root: Path) -> None:
         self._root = str(root)

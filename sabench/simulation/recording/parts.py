@@ -45,7 +45,7 @@ class Parts:
         self.root = root
 
     def has_frame(self, frame: int) -> bool:
-        """Whether a frame's part is there and intact."""
+        """Return whether a frame's part is there and intact."""
         return _load(self._frame(frame)) is not None
 
     def frame(self, frame: int) -> Part:
@@ -58,7 +58,10 @@ class Parts:
         _save(self._frame(frame), part)
 
     def has_view(self, frame: int, camera: str) -> bool:
-        """Whether a camera's part of a frame is there and intact, its images bit by bit."""
+        """Return whether a camera's part of a frame is there and intact.
+
+        Its images are compared bit by bit.
+        """
         part = _load(self._view(frame, camera))
         if part is None or _FILES not in part:
             return False
@@ -93,7 +96,7 @@ class Parts:
             raise InputError(f"{self.root}: expected a data set that is being made, but it is gone")
 
     def empty(self) -> bool:
-        """Whether no camera has recorded anything."""
+        """Return whether no camera has recorded anything."""
         return not any(self.root.glob("views/*.npz"))
 
     def _frame(self, frame: int) -> Path:

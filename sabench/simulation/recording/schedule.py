@@ -22,6 +22,7 @@ class Task:
     camera: int | None = None
 
     def __str__(self) -> str:
+        """Name the frame and the camera."""
         return f"frame {self.frame}" + ("" if self.camera is None else f", camera {self.camera}")
 
 
@@ -62,7 +63,10 @@ class WorkerPool(Protocol):
 
 @dataclass
 class _Frame:
-    """State of a frame in progress; its cameras' tasks are queued once its truth exists."""
+    """State of a frame in progress.
+
+    Its cameras' tasks are queued once its truth exists.
+    """
 
     made: bool = False
     given: bool = False
@@ -91,7 +95,7 @@ class Schedule:
 
     @property
     def finished(self) -> bool:
-        """Whether no task is left that can still be done."""
+        """True if no task is left that can still be done."""
         return not self._open and (self._next == self._frames or self._broken)
 
     def take(self, last: int | None) -> Task | None:
@@ -117,7 +121,10 @@ class Schedule:
             del self._open[task.frame]
 
     def fail(self, task: Task, why: str) -> None:
-        """Note that a task has failed: it is retried, and given up after `TRIES` attempts."""
+        """Note that a task has failed.
+
+        It is retried, and given up after `TRIES` attempts.
+        """
         tries = self._tries[task] = self._tries.get(task, 0) + 1
         if tries < TRIES:
             self._retry(task)

@@ -1,6 +1,7 @@
-"""Process that does tasks of a job: `python -m sabench.simulation.recording.worker FOLDER THREADS`.
+"""Process that does tasks of a job.
 
-It reads lines of JSON, [frame, camera], and answers each with [kind, reason].
+Run as `python -m sabench.simulation.recording.worker FOLDER THREADS`. It reads lines of JSON,
+[frame, camera], and answers each with [kind, reason].
 """
 
 from __future__ import annotations
@@ -48,7 +49,7 @@ def _try(root: str, task: Task) -> tuple[str, str | None]:
 
 
 def _limit_threads(root: str, threads: int) -> None:
-    """Limit the threads of those libraries that do not read their number in the environment."""
+    """Limit threads of libraries that do not read their number in the environment."""
     import cv2
 
     cv2.setNumThreads(threads)

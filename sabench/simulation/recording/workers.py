@@ -1,4 +1,7 @@
-"""Workers of a recording: this process, several on this machine, or those of a Dask cluster."""
+"""Workers of a recording.
+
+This process, several on this machine, or those of a Dask cluster.
+"""
 
 from __future__ import annotations
 
@@ -60,7 +63,7 @@ class UnfinishedError(InputError):
 
 
 class InProcess:
-    """This process as the only worker."""
+    """Pool whose only worker is this process."""
 
     ahead = 1
 

@@ -166,7 +166,7 @@ def _pass(stage_of: _Stager, camera: Camera, chosen: I64, delays: F64, seed: int
 
 
 def _moments(camera: Camera, bubbles: Bubbles, exposure_s: float) -> int:
-    """Number of rendered moments: one for each half pixel of the longest path."""
+    """Count the rendered moments: one for each half pixel of the longest path."""
     if not len(bubbles) or exposure_s == 0.0 or not np.any(bubbles.velocity_mm_s):
         return 1
     ends = [
@@ -192,7 +192,7 @@ class _Tally:
         self._squares[where] += off * (values - self.mean[where])
 
     def errors(self, floor: float) -> F64:
-        """Standard errors over values, or over `floor` in darker pixels.
+        """Compute standard errors over values, or over `floor` in darker pixels.
 
         A few rays that have found a pixel dark may have missed what its neighbours show: variances
         start from the mean over nine pixels, which counts as `_PASSES` passes.

@@ -42,7 +42,7 @@ def render_rows(camera: Camera, samples: int, trace: Callable[[int, int], Any]) 
 
 
 def pixels_of_rows(camera: Camera, count: int, samples: int) -> tuple[Any, Any, Any]:
-    """Rows, columns and ray numbers of all rays of `count` rows."""
+    """List rows, columns and ray numbers of all rays of `count` rows."""
     index = dr.arange(mi.UInt32, count * camera.columns * samples)
     pixel = index // samples
     return pixel // camera.columns, pixel % camera.columns, index % samples
@@ -110,7 +110,7 @@ def opaque(vector: npt.ArrayLike) -> Any:
 
 
 def unobstructed(rays: Any, occluders: tuple[Disc, ...], origin: F64) -> Any:
-    """Whether no disc stops a ray: the same test as Disc.stops."""
+    """Mark rays that no disc stops: the same test as Disc.stops."""
     free = mi.Bool(True)
     for disc in occluders:
         offset, normal = mi.Point3f(opaque(disc.center_mm - origin)) - rays.o, opaque(disc.normal)

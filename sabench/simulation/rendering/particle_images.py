@@ -122,7 +122,10 @@ def image_particles(
 
 
 def _sigma_px(scene: Scene, camera: Camera, particles: Particles, seen: _LightPaths) -> F64:
-    """Standard deviations of images from diffraction, particle disc and defocus."""
+    """Compute standard deviations of images from diffraction, disc and defocus.
+
+    The disc is the particle's.
+    """
     magnification = _chunked(_object_shape, camera, particles.position_mm, seen.arriving)[0]
     variance = (
         diffraction_px(camera, scene.light.wavelength_nm) ** 2
@@ -133,7 +136,7 @@ def _sigma_px(scene: Scene, camera: Camera, particles: Particles, seen: _LightPa
 
 
 def diffraction_px(camera: Camera, wavelength_nm: float) -> float:
-    """Standard deviation of the Gaussian that approximates the Airy disc."""
+    """Compute the standard deviation of the Gaussian that approximates the Airy disc."""
     return float(
         _AIRY
         * wavelength_nm

@@ -134,7 +134,7 @@ def _spiral(count: int) -> F64:
 
 
 def _fraction(value: Any) -> Any:
-    """The part of a number beyond the whole number below it."""
+    """Return the part of a number beyond the integer below it."""
     return value - dr.floor(value)
 
 
