@@ -12,7 +12,7 @@ from sabench.worlds.bubbles_and_bodies import bodies_of, pose_of
 
 
 def has_code(scene: Scene) -> bool:
-    """Whether one of a scene's bodies has a code."""
+    """Return whether one of a scene's bodies has a code."""
     return any(
         issubclass(plugins.load("generators", given["generator"]), CodeGenerator)
         for given in bodies_of(scene)

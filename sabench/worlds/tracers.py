@@ -61,7 +61,7 @@ class Motion:
 
     @property
     def chained(self) -> bool:
-        """Whether a frame is made from the one before it."""
+        """True if a frame is made from the one before it."""
         return self._flow is not None
 
     @property

@@ -121,7 +121,7 @@ def touching(bubbles: Bubbles, solid: Solid) -> Bool:
 
 @numba.njit(cache=True, error_model="numpy")
 def _touch(centers: Any, to_ball: Any, reach: Any, vertices: Any, faces: Any, out: Any) -> None:
-    """Whether a triangle touches a bubble.
+    """Mark bubbles that a triangle touches.
 
     Where the bubble is a unit ball, the triangle then comes nearer than 1 to the origin.
     """
