@@ -180,5 +180,5 @@ def _errors(estimate: AnyBubbles, truth: AnyBubbles, i: I64, j: I64) -> dict[str
 
 
 def short_axis(bubbles: AnyBubbles, rows: I64) -> F64:
-    """Unit vectors (n, 3) along the shortest axes of some bubbles."""
+    """Return unit vectors (n, 3) along the shortest axes of some bubbles."""
     return np.asarray(bubbles.turn[rows, bubbles.semi_axes_mm[rows].argmin(axis=1)])
