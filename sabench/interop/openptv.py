@@ -210,7 +210,7 @@ def solve(folder: Path, grid: Grid, frames: int) -> list[FoundParticles]:
 
 
 def joined(counts: list[int], links: list[list[int]]) -> list[I64]:
-    """Number trajectories (n,) of each frame from links to the frame before.
+    """Assign trajectory numbers (n,) of each frame from links to the frame before.
 
     A link is the row of the same particle in the frame before, below zero for none.
     """
