@@ -1,1 +1,4 @@
-"""Array types, errors, random streams, files, validation, processes and the compute back end."""
+"""Utilities of all other packages.
+
+Array types, errors, random streams, files, validation, processes and the compute back end.
+"""

@@ -1,8 +1,8 @@
-"""Choice of the backend of Mitsuba and Dr.Jit: CUDA if there is a driver and a device, else LLVM.
+"""Choice of the backend of Mitsuba and Dr.Jit.
 
-Dr.Jit loads libLLVM at run time and takes any that the system offers, also one that aborts the
-process during a render. So this module selects the library and checks its version first. No other
-module of sabench names a variant or a library path.
+CUDA if there is a driver and a device, else LLVM. Dr.Jit loads libLLVM at run time and takes any
+that the system offers, also one that aborts the process during a render. So this module selects the
+library and checks its version first. No other module of sabench names a variant or a library path.
 """
 
 from __future__ import annotations
@@ -38,7 +38,10 @@ REMEDY = (
 
 @dataclass(frozen=True)
 class Backend:
-    """Backend: "cuda" or "llvm", its library (None for cuda), and one line with the reason."""
+    """Backend of Mitsuba and Dr.Jit.
+
+    "cuda" or "llvm", its library (None for cuda), and one line with the reason.
+    """
 
     kind: str
     library: str | None
@@ -47,7 +50,9 @@ class Backend:
 
 @functools.cache
 def choose() -> Backend:
-    """Choose the backend of this process; SABENCH_BACKEND=llvm or =cuda overrides the choice.
+    """Choose the backend of this process.
+
+    SABENCH_BACKEND=llvm or =cuda overrides the choice.
 
     Raises
     ------
@@ -85,7 +90,10 @@ def _choose_llvm() -> Backend:
 
 
 def _llvm_candidates() -> list[tuple[str, str]]:
-    """List (origin, path) in this order: the variable, the wheel, the system's, newest first."""
+    """List (origin, path) of LLVM libraries in the order of preference.
+
+    First the variable, then the wheel, then the system's, newest first.
+    """
     variable = os.environ.get(LLVM_VARIABLE)
     if variable:
         return [(LLVM_VARIABLE, variable)]
@@ -109,7 +117,10 @@ def _wheel_libraries() -> list[str]:
 
 
 def llvm_version(path: str) -> int:
-    """Read the major version of a libLLVM: 0 for 15 and older, -1 if it cannot be loaded."""
+    """Read the major version of a libLLVM.
+
+    0 for 15 and older, -1 if it cannot be loaded.
+    """
     try:
         library = ctypes.CDLL(path)
     except OSError:

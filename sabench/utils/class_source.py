@@ -1,4 +1,7 @@
-"""Source reader: class attributes and faulty imports of a file, without importing it."""
+"""Reader of class attributes and faulty imports in source files.
+
+It does not import the file.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +21,10 @@ _PACKAGE = Path(__file__).resolve().parents[1]
 
 @dataclass(frozen=True)
 class Class:
-    """A class statement: first line of its docstring, string constants and names of its bases."""
+    """Class statement of a source file.
+
+    First line of its docstring, string constants and names of its bases.
+    """
 
     summary: str
     constants: dict[str, str]
@@ -85,13 +91,19 @@ def _imports(body: list[ast.stmt]) -> Iterator[tuple[str, tuple[int, str, str]]]
 
 
 def find_class(source: Source, name: str) -> Class | None:
-    """Find the class whose attribute `name` is this string; None unless there is exactly one."""
+    """Find the class whose attribute `name` is this string.
+
+    Returns None unless there is exactly one.
+    """
     found = [one for one in source.classes.values() if one.constants.get("name") == name]
     return found[0] if len(found) == 1 else None
 
 
 def constant(source: Source, of: Class, attribute: str) -> str | None:
-    """Read a string attribute of a class, from its bases where it inherits it; None if unclear."""
+    """Read a string attribute of a class or, if inherited, of its bases.
+
+    Returns None if the source is unclear.
+    """
     if attribute in of.constants:
         return of.constants[attribute]
     for base in of.bases:
@@ -103,7 +115,10 @@ def constant(source: Source, of: Class, attribute: str) -> str | None:
 
 
 def _definition(source: Source, name: str) -> tuple[Source, Class] | None:
-    """Find the statement of a class in this file or, through imports, in others of sabench."""
+    """Find the statement of a class in this file or, by imports, in other files.
+
+    Only imports from sabench are followed.
+    """
     if name in source.classes:
         return source, source.classes[name]
     _, module, original = source.imported.get(name, (0, "", ""))

@@ -10,7 +10,10 @@ _PACKAGE = Path(__file__).resolve().parents[1]
 
 
 def code_hash(*files: Path) -> str:
-    """Compute the SHA-256 of the sources of sabench, without its page, and of further files."""
+    """Compute the SHA-256 of the sources of sabench and of further files.
+
+    Its page is left out.
+    """
     whole = hashlib.sha256(_own_hash().encode())
     for file in files:
         whole.update(hashlib.sha256(file.read_bytes()).digest())

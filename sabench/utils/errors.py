@@ -1,4 +1,7 @@
-"""The one exception that means: the input is wrong, and this is what is wrong with it."""
+"""Exception for faulty input.
+
+Its message says what is wrong with the input.
+"""
 
 from __future__ import annotations
 

@@ -23,7 +23,7 @@ _LARGEST_TEXT = 100_000_000  # bytes of a JSON file
 
 @contextlib.contextmanager
 def complete_or_nothing(target: Path, *, overwrite: bool = False) -> Iterator[Path]:
-    """Give a temporary path that replaces `target` only when the block has ended well.
+    """Give a temporary path that replaces `target` only if the block ends well.
 
     The block makes a file or a folder at the path it gets, which is on the disk when it appears at
     `target`. A killed process leaves a hidden `.NAME.partial-PID`, which the next write to the same
@@ -41,7 +41,7 @@ def complete_or_nothing(target: Path, *, overwrite: bool = False) -> Iterator[Pa
 
 @contextlib.contextmanager
 def atomic_file(target: Path) -> Iterator[Path]:
-    """Give a temporary path that replaces the file `target` when the block has ended well.
+    """Give a temporary path that replaces the file `target` if the block ends well.
 
     For many files that can be made again: several threads, processes and machines may write the
     same one simultaneously, and none waits for the disk.
@@ -132,7 +132,10 @@ def _flush(path: Path) -> None:
 
 
 def is_file(path: Path) -> bool:
-    """Return whether there is a file of this name; False for a name that no disk can hold."""
+    """Return whether there is a file of this name.
+
+    False for a name that no disk can hold.
+    """
     try:
         return path.is_file()
     except OSError:
@@ -146,7 +149,10 @@ def sha256(path: Path) -> str:
 
 
 def canonical_json(value: Any) -> str:
-    """Format as JSON with sorted keys and shortest numbers: equal values give equal text."""
+    """Format as JSON with sorted keys and shortest numbers.
+
+    Equal values give equal text.
+    """
     text = json.dumps(value, sort_keys=True, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
     return text.encode("utf-8", "replace").decode(
         "utf-8"
@@ -154,7 +160,10 @@ def canonical_json(value: Any) -> str:
 
 
 def digest(value: Any) -> str:
-    """Compute the SHA-256 of a value's canonical JSON: equal values have equal digests."""
+    """Compute the SHA-256 of a value's canonical JSON.
+
+    Equal values have equal digests.
+    """
     return hashlib.sha256(canonical_json(value).encode()).hexdigest()
 
 

@@ -1,4 +1,7 @@
-"""Memory of this process: its peak, what is still available, and returning freed blocks."""
+"""Memory of this process.
+
+Its peak, what is still available, and returning freed blocks.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +15,7 @@ _children = [0.0]  # largest peak of a child process (MB)
 
 
 def add_child(mb: float) -> None:
-    """Count the peak of a child process, which held memory in addition to this process."""
+    """Count the peak of a child process in addition to this process's own memory."""
     _children[0] = max(_children[0], mb)
 
 
@@ -30,9 +33,9 @@ def forget_peak() -> None:
 
 
 def peak_mb() -> float | None:
-    """Return the peak resident memory of this process and its largest child, in MB (10^6 bytes).
+    """Return the peak resident memory of this process and its largest child, MB.
 
-    None where the system does not report it.
+    1 MB is 10^6 bytes. None where the system does not report it.
     """
     status = Path("/proc/self/status")
     if status.exists():

@@ -1,4 +1,7 @@
-"""Progress bars and notices on standard error; standard output is left to results."""
+"""Progress bars and notices on standard error.
+
+Standard output is left to results.
+"""
 
 from __future__ import annotations
 
@@ -18,11 +21,12 @@ _PATIENCE_S = 1.0  # of compiling without a notice
 
 
 def track(items: Iterable[T], doing: str) -> Iterator[T]:
-    """Yield items and show how many are done: a bar on a terminal, in a log one line at the end.
+    """Yield items and show how many are done.
 
-    If the caller's loop raises, this generator is closed by the garbage collector, in any thread.
-    So the thread that refreshes the bar is signalled to end, but not joined: rich joins its own,
-    and a thread that joins itself never returns.
+    A bar on a terminal, in a log one line at the end. If the caller's loop raises, this generator
+    is closed by the garbage collector, in any thread. So the thread that refreshes the bar is
+    signalled to end, but not joined: rich joins its own, and a thread that joins itself never
+    returns.
     """
     total = len(items) if isinstance(items, Sized) else None
     ended = threading.Event()
@@ -45,7 +49,10 @@ def _keep_alive(progress: Progress, ended: threading.Event) -> None:
 
 @contextlib.contextmanager
 def bar(doing: str, total: int) -> Iterator[Callable[[], None]]:
-    """Show a bar for work that finishes in any order; call the yielded function once per item."""
+    """Show a bar for work that finishes in any order.
+
+    Call the yielded function once per item.
+    """
     with _progress(refresh=True) as progress:
         task = progress.add_task(doing, total=total)
         yield lambda: progress.advance(task)
@@ -63,14 +70,20 @@ def _progress(*, refresh: bool) -> Progress:
 
 @functools.cache
 def announce_compiling() -> None:
-    """Have this process print a notice, once, if compiling kernels takes longer than a second."""
+    """Have this process print a notice if compiling kernels takes over a second.
+
+    It is printed once.
+    """
     from numba.core import event
 
     event.register("numba:compile", _compile_listener())
 
 
 def _compile_listener() -> Any:
-    """Make a listener of numba's compile events; kernels that come from the cache send none."""
+    """Make a listener of numba's compile events.
+
+    Kernels that come from the cache send none.
+    """
     from numba.core.event import Listener
 
     class CompileListener(Listener):  # type: ignore[misc]

@@ -6,10 +6,11 @@ import numpy as np
 
 
 def stream(seed: int, purpose: str, *indices: int) -> np.random.Generator:
-    """Return the random generator of one purpose ("particles", "sensor") of a data set's seed.
+    """Return the random generator of one purpose of a data set's seed.
 
-    `indices` select a frame or a camera of it. Equal arguments give equal numbers, whatever else is
-    drawn (numpy's SeedSequence with the purpose and the indices as its spawn key).
+    Purposes are "particles", "sensor" and so on. `indices` select a frame or a camera of it. Equal
+    arguments give equal numbers, whatever else is drawn (numpy's SeedSequence with the purpose and
+    the indices as its spawn key).
     """
     key = (zlib.crc32(purpose.encode()), *indices)
     return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=key))

@@ -1,4 +1,7 @@
-"""Check what users write against pydantic models, and name every fault by its key."""
+"""Validation of users' input against pydantic models.
+
+Every fault is named by its key.
+"""
 
 from __future__ import annotations
 
@@ -193,7 +196,10 @@ class Collector:
 
     @contextlib.contextmanager
     def collect(self) -> Iterator[None]:
-        """Keep the faults of a check that raises an InputError without a source, and go on."""
+        """Collect the faults of a check that raises an InputError without a source.
+
+        The next check can then run.
+        """
         try:
             yield
         except InputError as error:

@@ -1,4 +1,5 @@
-"""Child processes: isolated function calls, limited external programs, Python modules, workers.
+"""Child processes.
 
-`starting` and `ending` are shared: the environment of children, Ctrl-C, last words, killing.
+Isolated function calls, limited external programs, Python modules, workers. `starting` and `ending`
+are shared: the environment of children, Ctrl-C, last words, killing.
 """

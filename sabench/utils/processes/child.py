@@ -1,4 +1,7 @@
-"""Python modules and code run in a child process, whose crash and output stay there."""
+"""Python modules and code run in a child process.
+
+A crash of the child and its output stay there.
+"""
 
 from __future__ import annotations
 
@@ -16,14 +19,19 @@ from sabench.utils.progress import track
 
 
 def missing(module: str, package: str) -> str | None:
-    """Say how to install a package of the extra `competitors`, or return None if it is there."""
+    """Say how to install a package of the extra `competitors`.
+
+    Returns None if it is there.
+    """
     if importlib.util.find_spec(module):
         return None
     return f"the package {package} is not installed: pip install sabench[competitors]"
 
 
 def run_module(module: str, folder: Path, name: str, mark: str, steps: int) -> None:
-    """Run `python -m MODULE FOLDER` with a progress bar, and count its memory as this process's.
+    """Run `python -m MODULE FOLDER` with a progress bar.
+
+    Its memory is counted as this process's.
 
     Parameters
     ----------

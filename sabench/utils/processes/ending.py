@@ -1,4 +1,7 @@
-"""End of child processes: how one ended, its last words, and killing all that it started."""
+"""End of child processes.
+
+How one ended, its last words, and killing all that it started.
+"""
 
 from __future__ import annotations
 
@@ -33,7 +36,7 @@ def last_line(output: bytes) -> str:
 
 
 def last_words(line: str) -> str:
-    """Return the clause of an error that quotes a process's last line, if there is one."""
+    """Return the clause of an error that quotes a process's last line, if any."""
     return f"; its last words: {line}" if line else ""
 
 
@@ -51,7 +54,10 @@ def overdue(time_s: float) -> str:
 
 @contextlib.contextmanager
 def killed_if_left(process: subprocess.Popen[bytes]) -> Iterator[None]:
-    """Kill a process and all below it if the block ends before it does, and close its pipes."""
+    """Kill a process and all below it if the block ends first.
+
+    Its pipes are closed, too.
+    """
     try:
         yield
     finally:

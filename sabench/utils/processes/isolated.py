@@ -1,4 +1,7 @@
-"""Function calls in a child process: a crash, a hang or a leak there does not affect this one."""
+"""Function calls in a child process.
+
+A crash, a hang or a leak there does not affect this one.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +20,9 @@ from sabench.utils.processes.starting import ignored_interrupts
 def call_isolated(
     function: Callable[..., Any], *arguments: Any, doing: str, time_s: float | None = None
 ) -> Any:
-    """Call a module's function with picklable arguments in a child process, and return its result.
+    """Call a module's function in a child process and return its result.
+
+    Arguments must be picklable.
 
     Parameters
     ----------
@@ -64,9 +69,10 @@ def _receive(
 
 @functools.cache
 def _context() -> Any:
-    """Return a way to fork from a server that has loaded what solvers need, which saves a second.
+    """Return the context that forks from a server with preloaded modules.
 
-    Processes are spawned where there is no fork.
+    The server has loaded what solvers need, which saves a second. Processes are spawned where there
+    is no fork.
     """
     if "forkserver" not in multiprocessing.get_all_start_methods():
         return multiprocessing.get_context("spawn")

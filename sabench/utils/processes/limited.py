@@ -1,4 +1,7 @@
-"""External programs under time, memory and output limits, whose whole process tree is killed."""
+"""External programs under time, memory and output limits.
+
+Their whole process tree is killed at the end.
+"""
 
 from __future__ import annotations
 
@@ -71,6 +74,7 @@ class Limits:
     output_mb: float = 20_000.0
 
     def __post_init__(self) -> None:
+        """Check that every limit is positive and finite."""
         for name, value in (
             ("time limit", self.time_s),
             ("memory limit", self.memory_mb),
@@ -102,10 +106,10 @@ class Cost:
 
 
 def run_limited(words: Sequence[str], folder: Path, limits: Limits, name: str) -> Cost:
-    """Run a program in `folder` and wait for its end; no process that it started survives it.
+    """Run a program in `folder` and wait for its end.
 
-    It gets a session of its own, no standard input and a clean environment with `folder` as its
-    home.
+    No process that it started survives it. It gets a session of its own, no standard input and a
+    clean environment with `folder` as its home.
 
     Raises
     ------
@@ -192,7 +196,7 @@ def _environment(folder: Path, token: str) -> Mapping[str, str]:
 def _watch(
     process: subprocess.Popen[bytes], folder: Path, limits: Limits, start: float
 ) -> tuple[float, str]:
-    """Return the peak memory (MB) at the program's end or first breach, and that breach."""
+    """Return peak memory (MB) at a program's end or first breach, and the breach."""
     allowed_mb, peak_mb, looked = limits.memory_mb or _free_mb(), 0.0, start
     while True:
         now, held = time.monotonic(), held_mb(process)
@@ -218,7 +222,10 @@ def _free_mb() -> float:
 
 
 def _pause_s(elapsed_s: float, limit_s: float) -> float:
-    """Return the time until the next look: a twentieth of that elapsed, not beyond the limit."""
+    """Return the time until the next look.
+
+    A twentieth of the time elapsed, not beyond the limit.
+    """
     shortest, longest = _WAITS
     return min(max(elapsed_s / 20.0, shortest), longest, max(limit_s - elapsed_s, 0.001))
 

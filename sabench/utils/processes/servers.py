@@ -1,4 +1,7 @@
-"""Child processes that answer each line of JSON with one, and are replaced when they die."""
+"""Child processes that answer each line of JSON with one.
+
+They are replaced when they die.
+"""
 
 from __future__ import annotations
 

@@ -24,7 +24,9 @@ def start_python(
     stdin: int | None = None,
     stderr: int | IO[bytes] | None = None,
 ) -> subprocess.Popen[bytes]:
-    """Start a Python process that ignores Ctrl-C and imports the modules that this one can.
+    """Start a Python process that ignores Ctrl-C and has this one's import path.
+
+    It can import the modules that this one can.
 
     Parameters
     ----------

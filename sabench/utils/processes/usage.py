@@ -11,7 +11,10 @@ import psutil
 
 
 def held_mb(process: subprocess.Popen[bytes]) -> float:
-    """Return the resident memory of a program's processes together, in MB (10^6 bytes)."""
+    """Return the resident memory of a program's processes together, in MB.
+
+    1 MB is 10^6 bytes.
+    """
     held = 0
     for member in family(process):
         with contextlib.suppress(psutil.Error):
@@ -46,7 +49,10 @@ def marked(variable: str, token: str) -> list[psutil.Process]:
 
 
 def size_mb(folder: Path) -> float:
-    """Return the disk space of all files below a folder, in MB; links are not followed."""
+    """Return the disk space of all files below a folder, in MB.
+
+    Links are not followed.
+    """
     blocks = 0
     for path, _, files in os.walk(folder):
         for name in files:
