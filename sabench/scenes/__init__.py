@@ -1,4 +1,7 @@
-"""Scene files: their tables, their loading, and the rig of cameras that they describe."""
+"""Scene files.
+
+Their tables, their loading, and the rig of cameras that they describe.
+"""
 
 from __future__ import annotations
 

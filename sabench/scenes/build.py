@@ -1,4 +1,7 @@
-"""Build a scene's rig: the wall, the aimed and focused cameras, the voxel grid, occluders."""
+"""Construction of a scene's rig.
+
+The wall, the aimed and focused cameras, the voxel grid, occluders.
+"""
 
 from __future__ import annotations
 
@@ -242,7 +245,10 @@ def _build_camera(scene: Scene, wall: Wall | None, name: str, place: Place) -> C
 
 
 def _focus(camera: Camera, target: F64, focus_mm: float | None) -> Camera:
-    """Move the image plane so that points at `focus_mm`, or else the target, are sharp."""
+    """Move the image plane so that a point is sharp.
+
+    The point is `focus_mm` or else the target.
+    """
     focus = focus_mm or apparent_distance_mm(camera, target)
     if not focus > camera.focal_length_mm:
         expected = f"expected more than the focal length {camera.focal_length_mm:g} mm"
@@ -251,10 +257,10 @@ def _focus(camera: Camera, target: F64, focus_mm: float | None) -> Camera:
 
 
 def apparent_distance_mm(camera: Camera, target_mm: F64) -> float:
-    """Give the distance along the axis at which a target seen through the wall appears.
+    """Compute the apparent distance of a target seen through the wall.
 
-    A point in plain air at this distance shows the same parallax. Refraction makes it astigmatic:
-    the mean over the aperture's two axes is taken.
+    The distance is along the axis. A point in plain air at this distance shows the same parallax.
+    Refraction makes it astigmatic: the mean over the aperture's two axes is taken.
     """
     plain = replace(camera, distortion=Distortion())
     step = camera.aperture_radius_mm

@@ -10,7 +10,9 @@ from sabench.utils.errors import InputError
 
 
 def find(name: str | Path, folder: str) -> Path:
-    """Find a file by its path, or by its stem in a bundled folder (scenes, scenes/suites).
+    """Find a file by its path, or by its stem in a bundled folder.
+
+    Bundled folders are scenes and scenes/suites.
 
     Raises
     ------

@@ -1,4 +1,7 @@
-"""Tables of a scene: errors of the nominal cameras and of the detection of targets."""
+"""Tables of a scene for calibration.
+
+Errors of the nominal cameras and of the detection of targets.
+"""
 
 from __future__ import annotations
 

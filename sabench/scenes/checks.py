@@ -1,6 +1,7 @@
-"""Checks of a rig's geometry: wall, tank, occluders, backlight and the cameras' views.
+"""Checks of a rig's geometry.
 
-Each raises an InputError of one sentence that begins with the scene's key.
+Wall, tank, occluders, backlight and the cameras' views. Each raises an InputError of one sentence
+that begins with the scene's key.
 """
 
 from __future__ import annotations
@@ -59,7 +60,7 @@ def check_views(cameras: tuple[Camera, ...], corners: F64) -> None:
 def check_occluder(
     disc: Disc, wall: Wall | None, cameras: tuple[Camera, ...], corners: F64, where: str
 ) -> None:
-    """Check that a disc lies where all light to the cameras passes it on straight lines."""
+    """Check that all light to the cameras passes a disc on straight lines."""
     if wall:
         depth = disc.span_mm(np.asarray(wall.normal))[1] - float(np.dot(wall.point_mm, wall.normal))
         if depth >= 0.0:

@@ -1,4 +1,7 @@
-"""Tables of a scene: laser, pulses, lamps and backlight, and what the light meets."""
+"""Tables of a scene for its light.
+
+Laser, pulses, lamps and backlight, and what the light meets.
+"""
 
 from __future__ import annotations
 
@@ -85,7 +88,10 @@ class Timing(Table):
 
 
 class Lamp(Table):
-    """Small lamp; light from in front of the wall is assumed to cross it at steep angles."""
+    """Small lamp.
+
+    Light from in front of the wall is assumed to cross it at steep angles.
+    """
 
     center_mm: Vector
     power: Positive = 1.0
@@ -110,7 +116,10 @@ class Lighting(Table):
 
 
 class Backlight(Table):
-    """Diffuser behind the volume, of uniform radiance in all directions and of finite size."""
+    """Diffuser of finite size behind the volume.
+
+    Its radiance is uniform in all directions.
+    """
 
     center_mm: Vector
     size_mm: tuple[Positive, Positive] = Field(

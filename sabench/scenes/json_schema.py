@@ -9,9 +9,10 @@ from sabench.scenes.scene import WORLDS, Scene
 
 
 def scene_schema() -> dict[str, Any]:
-    """Make the JSON schema of a scene, with the parameters of every installed generator.
+    """Make the JSON schema of a scene.
 
-    A generator's parameters are an option of the table that it fills.
+    It includes the parameters of every installed generator. A generator's parameters are an option
+    of the table that it fills.
     """
     whole = Scene.model_json_schema()
     choices: dict[str, list[Any]] = {table: [{"type": "null"}] for table in WORLDS} | {"solids": []}

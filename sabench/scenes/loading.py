@@ -1,4 +1,4 @@
-"""Read scene files and fill in the parameters of their generators."""
+"""Loading of scene files with the parameters of their generators."""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Worlds of a scene: tracer particles, bubbles and bodies, or a calibration target."""
+"""Worlds of a scene.
+
+Tracer particles, bubbles and bodies, or a calibration target.
+"""
 
 from __future__ import annotations
 
@@ -69,9 +72,9 @@ World = ParticleWorld | BubbleWorld | TargetWorld
 
 
 def world_faults(given: Set[str]) -> Iterator[tuple[str, str]]:
-    """Find tables that are missing beside those that are given, or that exclude one another.
+    """Find tables that are missing or that exclude one another.
 
-    Yields pairs of a key and a sentence.
+    Missing tables are those that a given table requires. Yields pairs of a key and a sentence.
     """
     bodies = bool({"bubbles", "solids"} & given)
     if (bodies or "particles" in given) == ("targets" in given):
