@@ -1,4 +1,4 @@
-"""What the tables and figures of bubbles share: frames rendered in memory."""
+"""Frames rendered in memory for the tables and figures of bubbles."""
 
 from __future__ import annotations
 
