@@ -10,7 +10,10 @@ from sabench.api import Observation, Reconstruction, Solver
 
 
 class AsaParameters(ExtractionParameters):
-    """Whether a camera that does not see a voxel counts as one that sees it dark."""
+    """Parameters of the average over cameras.
+
+    A camera that does not see a voxel may count as one that sees it dark.
+    """
 
     seen_only: bool = Field(
         False, description="average only the cameras that see a voxel (thesis section 2.2.4)"

@@ -9,7 +9,7 @@ from sabench.api import Film, FoundParticles, Parameters, ParticleSolver, progre
 
 
 class IprParameters(Parameters):
-    """How particles are found, and when they are taken for ghosts."""
+    """Parameters of the search for particles and the removal of ghosts."""
 
     floor: float = Field(
         0.05,
@@ -58,7 +58,7 @@ class Ipr(ParticleSolver):
     Parameters = IprParameters
 
     def skip(self, case: Film) -> str | None:
-        """Two lines of sight meet by chance too often."""
+        """Skip fewer than three cameras, as two lines of sight meet by chance too often."""
         return "it needs three cameras" if len(case.cameras) < 3 else None
 
     def solve(self, case: Film) -> list[FoundParticles]:

@@ -64,5 +64,5 @@ def _scale(focal_px: float, principal_point_px: tuple[float, float]) -> tuple[fl
 
 
 def _image(scale: F64) -> F64:
-    """From scaled coordinates to pixels."""
+    """Make the matrix from scaled coordinates to pixels."""
     return np.array([[scale[2], 0.0, scale[0]], [0.0, scale[2], scale[1]], [0.0, 0.0, 1.0]])

@@ -37,7 +37,7 @@ _MARGIN = 3  # voxels around what is looked at
 
 
 class LocalFeatureParameters(Parameters):
-    """What counts as a peak, as an edge and as a bubble."""
+    """Thresholds of peaks, edges and bubbles."""
 
     least_peak: float = Field(
         4.5, gt=0.0, description="logarithm of the feature potential that makes a peak"
@@ -73,7 +73,7 @@ class LocalFeature(BubbleSolver):
     Parameters = LocalFeatureParameters
 
     def solve(self, case: Observation) -> Detections:
-        """Steps 1 to 4 of the section."""
+        """Detect bubbles by steps 1 to 4 of the section."""
         volume = darkness(case)
         for _ in range(2):
             attenuate(volume, feature_potential(volume, STEP, _FLAT), STEP)
@@ -134,7 +134,7 @@ class LocalFeature(BubbleSolver):
         return out
 
     def _refocused(self, volume: F32, one: F64, plane: int, largest: float) -> F64 | None:
-        """An outline in the plane where it is darkest, and that plane.
+        """Refocus an outline: find the plane where it is darkest, and the outline there.
 
         None if it is not there any more.
         """
@@ -168,7 +168,10 @@ class LocalFeature(BubbleSolver):
 
 
 def _detections(bubbles: F64, grid: Grid) -> Detections:
-    """Make ellipsoids of outlines; the third axis is as long as the longer one in the image."""
+    """Make ellipsoids of outlines.
+
+    The third axis is as long as the longer one in the image.
+    """
     voxel, low = np.asarray(grid.voxel_mm), np.asarray(grid.low_mm)
     _, _, a, b, angle, _, _ = bubbles.T
     cosine, sine = np.cos(angle), np.sin(angle)

@@ -7,9 +7,9 @@ from sabench.api import Observation, Reconstruction, Solver
 
 
 class MapShiftAverage(Solver):
-    """Map-shift-average: images mapped to one plane, shifted by whole pixels and averaged.
+    """Map-shift-average: the mean of mapped images shifted by whole pixels.
 
-    For cameras on one plane without refraction.
+    The images are mapped to one plane. For cameras on one plane without refraction.
     """
 
     name = "map_shift_average"
@@ -20,9 +20,10 @@ class MapShiftAverage(Solver):
     Parameters = ExtractionParameters
 
     def solve(self, case: Observation) -> Reconstruction:
-        """Average images mapped to the reference plane and shifted, thresholded plane by plane.
+        """Average mapped and shifted images, thresholded plane by plane.
 
-        I_k = (1 / N) sum_i of image i shifted by mu_k (dX_i, dY_i).
+        The images are mapped to the reference plane. I_k = (1 / N) sum_i of image i shifted by mu_k
+        (dX_i, dY_i).
         """
         volume = refocus_by_shifts(case.normalised_images(), case.cameras, case.grid)
         return Reconstruction(extract_particles(volume, case, self.parameters))

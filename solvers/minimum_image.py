@@ -18,7 +18,7 @@ from sabench.api import BubbleSolver, Detections, Observation, Parameters, progr
 
 
 class MinimumImageParameters(Parameters):
-    """What counts as an edge, and as small."""
+    """Thresholds of edges and small bubbles."""
 
     least_edge: float = Field(
         0.05, gt=0.0, lt=1.0, description="gradient of darkness per voxel that makes an edge"
@@ -41,7 +41,7 @@ class MinimumImage(BubbleSolver):
     Parameters = MinimumImageParameters
 
     def solve(self, case: Observation) -> Detections:
-        """Steps 1 to 5 of the section."""
+        """Detect bubbles by steps 1 to 5 of the section."""
         volume, grid = darkness(case), case.grid
         attenuate(volume, feature_potential(volume, WINDOW), WINDOW)
         found = []

@@ -1,4 +1,7 @@
-"""Simultaneous multiplicative algebraic reconstruction on multiplied lines of sight."""
+"""Simultaneous MART on multiplied lines of sight.
+
+MART: multiplicative algebraic reconstruction technique.
+"""
 
 from __future__ import annotations
 

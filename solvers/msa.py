@@ -15,7 +15,10 @@ from sabench.api import Observation, Reconstruction, Solver
 
 
 class MsaParameters(ExtractionParameters):
-    """The exponent n and the floor that lets an object survive a camera that does not see it."""
+    """The exponent n and the floor of the product.
+
+    The floor lets an object survive a camera that does not see it.
+    """
 
     exponent: float | None = Field(
         None,

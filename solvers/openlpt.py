@@ -14,7 +14,7 @@ from sabench.interop.openlpt import Settings, missing, solve, unfit, write_frame
 
 
 class OpenLptParameters(Parameters):
-    """What OpenLPT is told besides what the images show.
+    """Settings of OpenLPT that the images do not show.
 
     The rest is derived from them or as its own window offers it.
     """
@@ -62,7 +62,7 @@ class OpenLpt(ParticleSolver):
     Parameters = OpenLptParameters
 
     def skip(self, case: Film) -> str | None:
-        """It must be installed and able to describe every camera."""
+        """Skip if OpenLPT is not installed or cannot describe every camera."""
         if len(case.cameras) < 2:
             return "it needs two cameras"
         odd = next((camera.name for camera in case.cameras if not isinstance(camera, Camera)), None)
@@ -89,7 +89,7 @@ class OpenLpt(ParticleSolver):
             return solve(folder, len(case))
 
     def _settings(self, seen: Seen) -> Settings:
-        """From what the first frame shows."""
+        """Derive settings from the first frame."""
         chosen = self.parameters
         return Settings(
             threshold=round(160.0 * max(chosen.floor, seen.floor)),

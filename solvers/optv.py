@@ -21,7 +21,7 @@ from sabench.interop.openptv import (
 
 
 class OptvParameters(Parameters):
-    """What OpenPTV is told besides what the images show."""
+    """Settings of OpenPTV that the images do not show."""
 
     displacement_px: float = Field(
         10.0, gt=0.0, description="largest displacement from frame to frame, in the images"
@@ -58,7 +58,7 @@ class Optv(ParticleSolver):
     Parameters = OptvParameters
 
     def skip(self, case: Film) -> str | None:
-        """It must be installed and able to describe every camera.
+        """Skip if OpenPTV is not installed or cannot describe every camera.
 
         Its correspondences are between four at most.
         """

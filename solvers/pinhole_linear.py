@@ -7,7 +7,7 @@ from sabench.api import Calibration, CalibrationCase, CalibrationSolver
 
 
 class PinholeLinear(CalibrationSolver):
-    """Direct linear transform and refinement of 11 parameters, as if there were no wall.
+    """Direct linear transform and refinement of 11 parameters, neglecting the wall.
 
     The target's places are believed as they are told: their errors become the cameras'.
     """

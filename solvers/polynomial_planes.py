@@ -22,7 +22,7 @@ class PolynomialPlanes(CalibrationSolver):
     references = ("J. Belden, PhD thesis, MIT 2011, section 2.3.2",)
 
     def skip(self, case: CalibrationCase) -> str | None:
-        """The target must have stood at right angles to Z."""
+        """Skip unless the target stood at right angles to Z."""
         depth = case.rough_mm[..., 2]
         middles = np.sort(np.nanmean(depth, axis=1))
         ranges = np.nanmax(depth, axis=1) - np.nanmin(depth, axis=1)

@@ -9,7 +9,7 @@ from sabench.api import Film, FoundParticles, Parameters, ParticleSolver, progre
 
 
 class TriangulationParameters(Parameters):
-    """What counts as a particle image, and how well those of a particle must agree."""
+    """Thresholds of particle images and of their agreement in a particle."""
 
     floor: float = Field(
         0.05,
@@ -30,9 +30,10 @@ class TriangulationParameters(Parameters):
 
 
 class RayTriangulation(ParticleSolver):
-    """Particle images that lines of sight bring together, every image used once, intersected.
+    """Particles by intersection of lines of sight.
 
-    The harness links the frames.
+    Lines of sight bring particle images together; every image is used once. The harness links the
+    frames.
     """
 
     name = "ray_triangulation"
@@ -40,7 +41,7 @@ class RayTriangulation(ParticleSolver):
     Parameters = TriangulationParameters
 
     def skip(self, case: Film) -> str | None:
-        """Two lines of sight meet by chance too often."""
+        """Skip fewer than three cameras, as two lines of sight meet by chance too often."""
         return "it needs three cameras" if len(case.cameras) < 3 else None
 
     def solve(self, case: Film) -> list[FoundParticles]:

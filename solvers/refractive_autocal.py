@@ -39,9 +39,9 @@ class RefractiveAutocalParameters(Parameters):
 
 
 class RefractiveAutocal(CalibrationSolver):
-    """Joint bundle adjustment of refractive cameras and boards, robust against outliers.
+    """Joint bundle adjustment of refractive cameras and boards.
 
-    The known points are observations.
+    Robust against outliers. The known points are observations.
 
     A wall's place is not free: all that the images show is where the cameras and boards are against
     it, and where it is in the world the known points say.
@@ -55,7 +55,10 @@ class RefractiveAutocal(CalibrationSolver):
     Parameters = RefractiveAutocalParameters
 
     def solve(self, case: CalibrationCase) -> Calibration:
-        """Adjust, then again with the known coordinates weighed against the measured noise."""
+        """Adjust, then again with anchors.
+
+        The known coordinates are weighed against the measured noise.
+        """
         chosen: RefractiveAutocalParameters = self.parameters
         lenses = FreeParameters.from_names(
             {*case.unknown, *chosen.distortion, *["principal_point"] * chosen.principal_point}

@@ -9,7 +9,7 @@ from sabench.api import Calibration, CalibrationCase, CalibrationSolver, Paramet
 
 
 class AlternatingParameters(Parameters):
-    """When it stops."""
+    """Criteria for stopping."""
 
     tolerance_px: float = Field(
         0.001,

@@ -46,7 +46,7 @@ class RefractiveAutocalRandomised(CalibrationSolver):
     Parameters = RandomisedParameters
 
     def skip(self, case: CalibrationCase) -> str | None:
-        """Two different subsets must exist."""
+        """Skip unless two different subsets exist."""
         chosen: RandomisedParameters = self.parameters
         if len(case.cameras) > chosen.subset:
             return None
@@ -83,7 +83,7 @@ class RefractiveAutocalRandomised(CalibrationSolver):
         rng: np.random.Generator,
         free: FreeParameters,
     ) -> State:
-        """One subset's calibration, from the boards as they are known so far."""
+        """Calibrate one subset from the boards as they are known so far."""
         chosen: RandomisedParameters = self.parameters
         cameras = np.sort(rng.permutation(len(state.turns))[: chosen.subset])
         part, seen = select_cameras(state, problem.seen, cameras)
@@ -93,7 +93,7 @@ class RefractiveAutocalRandomised(CalibrationSolver):
 
 
 def _averaged(state: State, pair: list[State]) -> State:
-    """The state with the mean of both subsets' boards."""
+    """Average both subsets' boards in a state."""
     places = np.mean([part.places for part in pair], axis=0)
     return replace(
         state,

@@ -1,4 +1,4 @@
-"""Bubbles by the outlines that all views vote for, and a fit of what they look like."""
+"""Bubbles by the outlines that all views vote for, and a fit of their appearance."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from sabench.api import BubbleSolver, Camera, Detections, Observation, Parameter
 
 
 class RimFitParameters(Parameters):
-    """What is looked for, and what is known of the light."""
+    """Range of bubbles to search for, and known properties of the light."""
 
     radius_mm: tuple[float, float] = Field((0.2, 4.5), description="radii that are looked for")
     index: float = Field(1.0, ge=1.0, le=4.0, description="refractive index in the bubbles")
@@ -58,13 +58,13 @@ class RimFit(BubbleSolver):
     Parameters = RimFitParameters
 
     def skip(self, case: Observation) -> str | None:
-        """It fits in cameras that are pinholes behind a wall."""
+        """Skip cameras that are not pinholes behind a wall."""
         if not all(isinstance(camera, Camera) for camera in case.cameras):
             return "it needs cameras of the refractive pinhole model"
         return None if len(case.cameras) > 1 else "it needs two cameras at least"
 
     def solve(self, case: Observation) -> Detections:
-        """Vote in every view, intersect lines of sight, and fit in the order of the votes."""
+        """Vote in every view, intersect lines of sight, and fit in the order of votes."""
         chosen: RimFitParameters = self.parameters
         cameras = [camera for camera in case.cameras if isinstance(camera, Camera)]
         images = transmission(case)

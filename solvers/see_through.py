@@ -1,4 +1,4 @@
-"""What is behind bubbles or bodies, by what differs between the views."""
+"""Refocusing through bubbles or bodies by differences between the views."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _DEEPEST = float(-np.log(_FLOOR))
 
 
 class SeeThroughParameters(Parameters):
-    """How the views are joined."""
+    """Method of joining the views."""
 
     method: Literal["additive", "multiplicative", "dark", "mart"] = Field(
         "dark",
@@ -60,7 +60,7 @@ class SeeThrough(SeeThroughSolver):
 
 
 def _product(images: F32, case: Observation, count: int) -> F32:
-    """The geometric mean over the views."""
+    """Compute the geometric mean over the views."""
     volume = refocus_log2(images, case.cameras, case.grid, _FLOOR, outside=1.0)
     volume /= np.float32(count)
     return np.asarray(np.exp2(volume, out=volume))

@@ -17,7 +17,10 @@ class SmartParameters(TomographyParameters):
 
 
 class Smart(Solver):
-    """SMART: mlos_smart on all voxels from a uniform guess, the plain and slow reference."""
+    """SMART: mlos_smart on all voxels from a uniform guess.
+
+    The plain and slow reference.
+    """
 
     name = "smart"
     references = (

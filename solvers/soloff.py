@@ -7,7 +7,7 @@ from sabench.api import Calibration, CalibrationCase, CalibrationSolver
 
 
 class SoloffCalibration(CalibrationSolver):
-    """Soloff's polynomial of 19 terms, fitted to the target's places as they are told.
+    """Soloff's polynomial of 19 terms, fitted to the nominal target positions.
 
     Their errors become the cameras'.
     """

@@ -14,7 +14,7 @@ from sabench.api import Calibration, Observation, Parameters, SelfCalibrationSol
 
 
 class VolumeSelfCalibrationParameters(Parameters):
-    """How far off the cameras may be, and which particle images count."""
+    """Limits of the cameras' errors and of particle images."""
 
     reach_px: float = Field(
         4.0,
@@ -45,7 +45,7 @@ class VolumeSelfCalibration(SelfCalibrationSolver):
     Parameters = VolumeSelfCalibrationParameters
 
     def skip(self, case: Observation) -> str | None:
-        """Two cameras agree on anything."""
+        """Skip fewer than three cameras, as two cameras agree on anything."""
         return (
             f"expected 3 cameras or more, got {len(case.cameras)}"
             if len(case.cameras) < 3
