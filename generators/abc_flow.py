@@ -29,7 +29,10 @@ class AbcFlow(Flow):
     Parameters = AbcParameters
 
     def velocity(self, points_mm: F64, time_s: float) -> F64:
-        """u = A sin kz + C cos ky, v = B sin kx + A cos kz, w = C sin ky + B cos kx."""
+        """Compute the ABC flow.
+
+        u = A sin kz + C cos ky, v = B sin kx + A cos kz, w = C sin ky + B cos kx.
+        """
         a, b, c = self._amplitudes()
         x, y, z = self._phases(points_mm)
         return np.stack(
@@ -42,7 +45,7 @@ class AbcFlow(Flow):
         )
 
     def gradient(self, points_mm: F64, time_s: float) -> F64:
-        """Its derivatives."""
+        """Compute the derivatives of the velocity."""
         a, b, c = self._amplitudes()
         x, y, z = self._phases(points_mm)
         out = np.zeros((len(points_mm), 3, 3))

@@ -57,7 +57,7 @@ class Boards(TargetGenerator):
     Parameters = BoardsParameters
 
     def target(self) -> Target:
-        """The board."""
+        """Return the board."""
         chosen: BoardsParameters = self.parameters
         usual = {
             "checkerboard": 0.0,
@@ -73,7 +73,7 @@ class Boards(TargetGenerator):
         )
 
     def pose(self, domain: Domain, seed: int, frame: int, frames: int) -> Pose:
-        """Draw a rotation, then a position at which the volume holds all points, if it can."""
+        """Draw a rotation, then a position with all points in the volume, if possible."""
         chosen: BoardsParameters = self.parameters
         rng, limits = (
             stream(seed, "targets", frame),

@@ -43,7 +43,7 @@ class BubbleFieldParameters(BubbleParameters, Spectrum):
         return self
 
     def box(self, domain: Domain) -> Domain:
-        """What they fill."""
+        """Return the box that the bubbles fill."""
         if self.low_mm is None or self.high_mm is None:
             return domain
         low, high = np.asarray(self.low_mm), np.asarray(self.high_mm)
@@ -60,16 +60,16 @@ class BubbleFieldParameters(BubbleParameters, Spectrum):
 
 
 class BubbleField(BubbleGenerator):
-    """Bubbles of log-normal sizes at uniformly random places, carried by one velocity.
+    """Bubbles of log-normal sizes at uniformly random positions.
 
-    Whoever leaves the box is replaced on the other side.
+    They are carried by one velocity. Whoever leaves the box is replaced on the other side.
     """
 
     name = "bubble_field"
     Parameters = BubbleFieldParameters
 
     def bubbles(self, domain: Domain, seed: int, frame: int, time_s: float) -> Bubbles:
-        """Those that are wholly in the volume at a time.
+        """Return the bubbles that are wholly in the volume at a time.
 
         The seed draws the field, the time moves it.
         """

@@ -56,7 +56,7 @@ class BubbleList(BubbleGenerator):
     Parameters = BubbleListParameters
 
     def bubbles(self, domain: Domain, seed: int, frame: int, time_s: float) -> Bubbles:
-        """All of them, moved on."""
+        """Return all bubbles, moved to the time."""
         chosen: BubbleListParameters = self.parameters
         count = len(chosen.center_mm)
         velocity = np.array(chosen.velocity_mm_s or np.zeros((count, 3)), dtype=np.float64).reshape(

@@ -40,16 +40,16 @@ class CodePlateParameters(SolidParameters):
 
 
 class CodePlate(CodeGenerator):
-    """A random code of dark and clear square cells before the light, half of them dark.
+    """Random code of dark and clear square cells in front of the light.
 
-    What of it is read says how well one sees through.
+    Half of them are dark. What of it is read says how well one sees through.
     """
 
     name = "code_plate"
     Parameters = CodePlateParameters
 
     def body(self, seed: int) -> Solid:
-        """A flat box for every dark cell."""
+        """Make a flat box for every dark cell."""
         chosen: CodePlateParameters = self.parameters
         half = np.array(
             [
@@ -80,7 +80,7 @@ class CodePlate(CodeGenerator):
         )
 
     def code(self, seed: int) -> Code:
-        """The middle quarter of every cell."""
+        """Cover the middle quarter of every cell."""
         across = (np.arange(_POINTS) / (_POINTS - 1) - 0.5) * _READ * self.parameters.cell_mm
         x, y = np.meshgrid(across, across)
         return Code(
@@ -100,6 +100,6 @@ class CodePlate(CodeGenerator):
         return np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)])
 
     def _dark(self, seed: int) -> Bool:
-        """Which cells (n,) are dark: half of them."""
+        """Mark dark cells (n,): half of them."""
         count = self.parameters.columns * self.parameters.rows
         return np.asarray(stream(seed, "code").permutation(count) < count // 2)

@@ -19,7 +19,7 @@ _EVEN = 1e-6  # of a spacing: how far a box that repeats may be from even
 
 
 class FromFieldParameters(FileParameters):
-    """What the file calls things, and how its box lies in the world."""
+    """Names of the file's arrays, and the position of its box in the world."""
 
     velocity: tuple[str, ...] = Field(
         ("u", "v", "w"),
@@ -65,16 +65,16 @@ class FromFieldParameters(FileParameters):
 
 
 class FromField(Flow):
-    """A field on a lattice, e.g. of a simulation, between whose points cubic splines run.
+    """Flow from a field on a lattice, e.g. of a simulation.
 
-    Beyond its box it is as at its faces.
+    Cubic splines run between the lattice's points. Beyond its box it is as at its faces.
     """
 
     name = "from_field"
     Parameters = FromFieldParameters
 
     def check(self, domain: Domain) -> None:
-        """The field must be known in all of the volume.
+        """Check that the field covers all of the volume.
 
         Raises
         ------
@@ -95,11 +95,11 @@ class FromField(Flow):
             )
 
     def velocity(self, points_mm: F64, time_s: float) -> F64:
-        """The spline through the file's velocities."""
+        """Evaluate the spline through the file's velocities."""
         return _field(self.parameters).at(points_mm, time_s, None)
 
     def gradient(self, points_mm: F64, time_s: float) -> F64:
-        """The spline's own; zero along an axis beyond the box."""
+        """Evaluate the spline's gradient; zero along an axis beyond the box."""
         field = _field(self.parameters)
         return np.stack([field.at(points_mm, time_s, axis) for axis in range(3)], axis=-1)
 
@@ -159,7 +159,7 @@ def _field(chosen: FromFieldParameters) -> _Spline:
 
 @functools.lru_cache(maxsize=1)
 def _read(text: str) -> _Spline:
-    """A field is read once for all flows with these parameters."""
+    """Read a field once for all flows with these parameters."""
     chosen = FromFieldParameters.model_validate_json(text)
     path = Path(chosen.file)
     names = [*chosen.velocity, *chosen.axes, *([chosen.time] if chosen.time else [])]
@@ -198,7 +198,7 @@ def _read(text: str) -> _Spline:
 
 
 def _line(path: Path, name: str, array: Array) -> F64:
-    """One axis' coordinates."""
+    """Read the coordinates of one axis."""
     values = array.values
     if values.ndim != 1 or len(values) < _FEWEST:
         raise InputError(

@@ -71,7 +71,7 @@ class FromTracks(Generator):
     Parameters = FromTracksParameters
 
     def particles(self, domain: Domain, seed: int, frame: int, time_s: float) -> Particles:
-        """Those in the volume at a time.
+        """Return the particles in the volume at a time.
 
         Raises
         ------
@@ -152,7 +152,7 @@ class _Tracks:
 
 @functools.lru_cache(maxsize=1)
 def _read(text: str) -> _Tracks:
-    """A file is read once for all frames."""
+    """Read a file once for all frames."""
     chosen = FromTracksParameters.model_validate_json(text)
     path = Path(chosen.file)
     names = [

@@ -42,7 +42,10 @@ class Hydrofoil(SolidGenerator):
     Parameters = HydrofoilParameters
 
     def body(self, seed: int) -> Solid:
-        """Around its quarter chord at the middle of its span: the axis of a pitching wing."""
+        """Make the foil around its quarter chord at the middle of its span.
+
+        This is the axis of a pitching wing.
+        """
         chosen: HydrofoilParameters = self.parameters
         upper, lower = section(chosen.digits, chosen.points // 2)
         ring = np.concatenate(

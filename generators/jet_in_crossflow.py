@@ -54,7 +54,7 @@ class JetInCrossflow(BubbleGenerator):
     Parameters = JetInCrossflowParameters
 
     def bubbles(self, domain: Domain, seed: int, frame: int, time_s: float) -> Bubbles:
-        """Those wholly in the volume and off the column.
+        """Return the bubbles wholly in the volume and off the column.
 
         Who reaches the volume's end begins anew with another number.
         """
@@ -118,5 +118,5 @@ class JetInCrossflow(BubbleGenerator):
         return out.reshape(len(reach), tries, 3)
 
     def _off(self, places: F64, reach: F64, cones: Cones) -> Bool:
-        """Which drops are clear of the column and its ligaments."""
+        """Mark drops that are clear of the column and its ligaments."""
         return np.asarray(capsules(places, *cones) > reach + _GAP * self.parameters.diameter_mm)

@@ -44,7 +44,7 @@ class LambOseenVortex(Flow):
         return turning(offset, along, self._rates(distance, time_s)[0])
 
     def gradient(self, points_mm: F64, time_s: float) -> F64:
-        """Its derivatives."""
+        """Compute the derivatives of the velocity."""
         offset, distance, along = lateral(
             points_mm, self.parameters.center_mm, self.parameters.axis
         )

@@ -27,7 +27,7 @@ class LinearFlow(Flow):
     Parameters = LinearParameters
 
     def velocity(self, points_mm: F64, time_s: float) -> F64:
-        """u + G (x - c)."""
+        """Compute u + G (x - c)."""
         chosen: LinearParameters = self.parameters
         return np.asarray(
             np.asarray(chosen.velocity_mm_s)

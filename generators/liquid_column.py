@@ -38,7 +38,7 @@ class LiquidColumn(SolidGenerator):
     Parameters = LiquidColumnParameters
 
     def body(self, seed: int) -> Solid:
-        """From the nozzle; `place_mm` comes on top of `nozzle_mm`."""
+        """Make the column from the nozzle; `place_mm` is added to `nozzle_mm`."""
         chosen: LiquidColumnParameters = self.parameters
         cones, ripples = chosen.cones(seed), self._ripples(seed)
         blend = _BLEND * chosen.diameter_mm

@@ -26,7 +26,7 @@ class MeshFile(SolidGenerator):
     Parameters = MeshFileParameters
 
     def body(self, seed: int) -> Solid:
-        """As the file has it, in mm."""
+        """Return the body as in the file, in mm."""
         import trimesh
 
         path = Path(self.parameters.file)

@@ -52,7 +52,7 @@ class PlungingJet(BubbleGenerator):
 
     @cached_property
     def law(self) -> JetLaw:
-        """What the bubbles are drawn from."""
+        """Law from which the bubbles are drawn."""
         chosen: PlungingJetParameters = self.parameters
         return JetLaw(
             chosen.penetration_mm,
@@ -63,9 +63,10 @@ class PlungingJet(BubbleGenerator):
         )
 
     def bubbles(self, domain: Domain, seed: int, frame: int, time_s: float) -> Bubbles:
-        """Those in the volume at a time: drawn at the first, moved until then.
+        """Return the bubbles in the volume at a time.
 
-        Where two meet, the larger one is left.
+        They are drawn at the first time and moved until then. Where two meet, the larger one is
+        left.
         """
         chosen: PlungingJetParameters = self.parameters
         rng, impact = stream(seed, "bubbles"), np.asarray(chosen.impact_mm)
@@ -118,12 +119,12 @@ class PlungingJet(BubbleGenerator):
         )
 
     def _depths(self, domain: Domain) -> tuple[float, float]:
-        """The volume's top and bottom, below the surface."""
+        """Compute the depths of the volume's top and bottom below the surface."""
         top = float(domain.low_mm[1]) - self.parameters.impact_mm[1]
         return max(top, 0.0), top + domain.size_mm[1]
 
     def _share(self, domain: Domain, y: F64) -> float:
-        """The part of the air that is within the volume's sides."""
+        """Compute the part of the air that is within the volume's sides."""
         from scipy.special import erf
 
         if len(y) < 2 or y[-1] <= y[0]:

@@ -11,7 +11,10 @@ from sabench.worlds.library.naca import half_thickness
 
 
 class PropellerParameters(SolidParameters):
-    """Its axis is X before it is turned, and what flows along +X meets the leading edges first."""
+    """Propeller with its axis along X before rotation.
+
+    A flow along +X meets the leading edges first.
+    """
 
     blades: int = Field(
         4, ge=2, le=12, description="number of blades; the first one points along +Y"
@@ -70,7 +73,7 @@ class Propeller(SolidGenerator):
     Parameters = PropellerParameters
 
     def body(self, seed: int) -> Solid:
-        """Around the middle of its hub."""
+        """Make the propeller around the middle of its hub."""
         chosen: PropellerParameters = self.parameters
         half = (
             chosen.chord_mm * (1.0 + chosen.thickness) / 2.0

@@ -21,7 +21,10 @@ class RankineParameters(Parameters):
 
 
 class RankineVortex(Flow):
-    """A core that turns like a solid in fluid without vorticity; the gradient jumps at its edge."""
+    """A core in solid-body rotation in fluid without vorticity.
+
+    The gradient jumps at the core's edge.
+    """
 
     name = "rankine_vortex"
     references = ("W. J. M. Rankine, A Manual of Applied Mechanics, 1858",)
@@ -33,7 +36,7 @@ class RankineVortex(Flow):
         return turning(offset, along, self._rate(distance))
 
     def gradient(self, points_mm: F64, time_s: float) -> F64:
-        """Its derivatives, of either side."""
+        """Compute the derivatives of the velocity, on either side of the edge."""
         offset, distance, along = self._lateral(points_mm)
         rate = self._rate(distance)
         outside = distance > self.parameters.core_mm

@@ -60,7 +60,7 @@ class Reef(SolidGenerator):
     Parameters = ReefParameters
 
     def body(self, seed: int) -> Solid:
-        """Around the middle of its base."""
+        """Make the reef around the middle of its base."""
         half = np.asarray(self.parameters.size_mm) / [2.0, 1.0, 2.0]
         blend, step = _BLEND * half.min(), self.parameters.step_mm
         branches, tunnels = (

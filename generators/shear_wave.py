@@ -43,12 +43,12 @@ class ShearWave(Flow):
     Parameters = ShearWaveParameters
 
     def velocity(self, points_mm: F64, time_s: float) -> F64:
-        """A sin(k y) along x."""
+        """Compute A sin(k y) along x."""
         along, _, phase = self._wave(points_mm)
         return np.asarray(self.parameters.peak_mm_s * np.sin(phase)[:, None] * along)
 
     def gradient(self, points_mm: F64, time_s: float) -> F64:
-        """A k cos(k y)."""
+        """Compute A k cos(k y)."""
         along, across, phase = self._wave(points_mm)
         slope = (
             self.parameters.peak_mm_s * 2.0 * np.pi / self.parameters.wavelength_mm * np.cos(phase)

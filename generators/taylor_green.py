@@ -35,7 +35,10 @@ class TaylorGreen(Flow):
     Parameters = TaylorGreenParameters
 
     def velocity(self, points_mm: F64, time_s: float) -> F64:
-        """u = A cos(kx) sin(ky) cos(kz), v = -A sin(kx) cos(ky) cos(kz), w = 0."""
+        """Compute the vortices.
+
+        u = A cos(kx) sin(ky) cos(kz), v = -A sin(kx) cos(ky) cos(kz), w = 0.
+        """
         (sx, cx), (sy, cy), (_, cz) = self._waves(points_mm)
         speed = self._speed(time_s)
         return np.stack(
@@ -43,7 +46,7 @@ class TaylorGreen(Flow):
         )
 
     def gradient(self, points_mm: F64, time_s: float) -> F64:
-        """Its derivatives."""
+        """Compute the derivatives of the velocity."""
         (sx, cx), (sy, cy), (sz, cz) = self._waves(points_mm)
         slope = self._speed(time_s) * 2.0 * np.pi / self.parameters.wavelength_mm
         out = np.zeros((len(points_mm), 3, 3))

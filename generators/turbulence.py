@@ -34,9 +34,10 @@ class TurbulenceParameters(Parameters):
 
 
 class Turbulence(Flow):
-    """Random Fourier modes, free of divergence, with the spectrum of von Karman and Pao.
+    """Random Fourier modes without divergence.
 
-    k^4 at large, k^(-5/3) at medium, a cut at small lengths.
+    Their spectrum is that of von Karman and Pao. k^4 at large, k^(-5/3) at medium, a cut at small
+    lengths.
     """
 
     name = "turbulence"
@@ -47,7 +48,7 @@ class Turbulence(Flow):
     Parameters = TurbulenceParameters
 
     def velocity(self, points_mm: F64, time_s: float) -> F64:
-        """The sum over modes of a cos(k x) + b sin(k x), frozen in time."""
+        """Sum a cos(k x) + b sin(k x) over modes, frozen in time."""
         waves, a, b = self._modes
         out = np.zeros((len(points_mm), 3))
         for first in range(0, len(points_mm), 4096):  # the phases of one part stay in the cache
@@ -56,7 +57,7 @@ class Turbulence(Flow):
         return out
 
     def gradient(self, points_mm: F64, time_s: float) -> F64:
-        """The same of its derivatives."""
+        """Sum the derivatives of the modes."""
         waves, a, b = self._modes
         phase = points_mm @ waves.T
         return np.asarray(

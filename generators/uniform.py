@@ -52,7 +52,7 @@ class Uniform(Generator):
     Parameters = UniformParameters
 
     def particles(self, domain: Domain, seed: int, frame: int, time_s: float) -> Particles:
-        """The frame's particles: the seed draws the cloud, the time moves it."""
+        """Draw the cloud from the seed and move it to the frame's time."""
         count = self._count(domain)
         rng = stream(seed, "particles")
         size, velocity = np.asarray(domain.size_mm), np.asarray(self.parameters.velocity_mm_s)

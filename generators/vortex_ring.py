@@ -55,7 +55,7 @@ class VortexRing(Flow):
         )
 
     def gradient(self, points_mm: F64, time_s: float) -> F64:
-        """By the chain rule in cylindrical coordinates."""
+        """Compute the derivatives by the chain rule in cylindrical coordinates."""
         r, z, outward = self._cylindrical(points_mm)
         away, axis = r - self.parameters.diameter_mm / 2.0, frame_along(self.parameters.axis)[2]
         distance = np.maximum(np.hypot(away, z), 1e-300)
@@ -74,7 +74,10 @@ class VortexRing(Flow):
         return np.asarray(sum(np.einsum("n,ni,nj->nij", value, i, j) for value, i, j in parts))
 
     def _cylindrical(self, points_mm: F64) -> tuple[F64, F64, F64]:
-        """Distance from the ring's axis, height along it, and unit vectors (n, 3) away from it."""
+        """Compute cylindrical coordinates about the ring's axis.
+
+        Distance from the axis, height along it, and unit vectors (n, 3) away from it.
+        """
         offset, axis = (
             points_mm - np.asarray(self.parameters.center_mm),
             frame_along(self.parameters.axis)[2],

@@ -17,13 +17,16 @@ class WandParameters(Parameters):
 
 
 class Wand(TargetGenerator):
-    """Two or more balls at known distances, at random places and in random directions."""
+    """Two or more balls at known distances.
+
+    Positions and directions are random.
+    """
 
     name = "wand"
     Parameters = WandParameters
 
     def target(self) -> Target:
-        """The balls in a row."""
+        """Return the balls in a row."""
         chosen: WandParameters = self.parameters
         return Target("wand", chosen.balls, 1, chosen.pitch_mm, chosen.ball_mm)
 
