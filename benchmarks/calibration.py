@@ -231,6 +231,7 @@ def dense_product_s(points: int, unknowns: int) -> float:
 
 
 def main() -> None:
+    """Print times, ratios and bounds of calibrations as JSON."""
     draws = int(sys.argv[1]) if len(sys.argv) > 1 else 100
     pairs = [(cameras, noise) for cameras in _CAMERAS for noise in _NOISES]
     report = {

@@ -57,6 +57,7 @@ class Mutant:
         return Path("tests/unit") / self.module.parent.relative_to("sabench")
 
     def apply(self, text: str) -> str:
+        """Return the text with the line replaced."""
         lines = text.splitlines(keepends=True)
         assert lines[self.line - 1] == self.before
         lines[self.line - 1] = self.after
@@ -64,7 +65,7 @@ class Mutant:
 
 
 def mutants_of(module: Path) -> list[Mutant]:
-    """All mutants of a module, a path relative to the root."""
+    """List all mutants of a module, a path relative to the root."""
     text = (ROOT / module).read_text(encoding="utf-8")
     lines = text.splitlines(keepends=True)
     found = []
@@ -135,7 +136,10 @@ def _changed(node: ast.expr | ast.stmt) -> Iterator[tuple[str, ast.AST]]:
 
 
 def killed(mutant: Mutant, tree: Path, time_s: float) -> bool:
-    """Whether the mirrored tests fail on a mutant; the tree is as before afterwards."""
+    """Return whether the mirrored tests fail on a mutant.
+
+    The tree is restored afterwards.
+    """
     file = tree / mutant.module
     text = file.read_text(encoding="utf-8")
     file.write_text(mutant.apply(text), encoding="utf-8")
@@ -149,7 +153,7 @@ def killed(mutant: Mutant, tree: Path, time_s: float) -> bool:
 
 
 def passes(tests: Path, tree: Path, cache: Path, time_s: float) -> bool:
-    """Whether the tests of a folder of the tree pass in time."""
+    """Return whether the tests of a folder of the tree pass in time."""
     words = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", str(tests)]
     environment = os.environ | {
         "PYTHONPATH": str(tree),
@@ -178,6 +182,7 @@ def draw(seed: int, count: int, room: str) -> list[Mutant]:
 
 
 def main() -> None:
+    """Run the tests on sampled mutants and print the survivors."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n", 1)[0])
     parser.add_argument("--seed", type=int, default=1, help="seed of the choice of mutants")
     parser.add_argument("--count", type=int, default=40, help="number of mutants")

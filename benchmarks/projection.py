@@ -196,6 +196,7 @@ def kernel_on_demo(count: int) -> dict[str, float]:
 
 
 def main() -> None:
+    """Print times and errors of projections."""
     total = int(sys.argv[1]) if len(sys.argv) > 1 else 1_000_000
     rng, count = np.random.default_rng(0), -(-total // _WALLS)
     rows = []

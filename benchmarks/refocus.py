@@ -151,6 +151,7 @@ def _one_size(rig: Rig, images: F32, size: tuple[int, int, int], loads: float) -
 
 
 def main() -> None:
+    """Print times of refocusing as JSON."""
     planes = int(sys.argv[1]) if len(sys.argv) > 1 else 80
     loads = cached_gigaloads_s()
     report: dict[str, Any] = {

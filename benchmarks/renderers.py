@@ -124,6 +124,7 @@ def _spread(shift: F64) -> dict[str, Any]:
 
 
 def main() -> None:
+    """Compare the renderers on a scene's frame."""
     name = sys.argv[1] if len(sys.argv) > 1 else "demo"
     loaded = load_scene(name)
     scene = loaded.model_copy(

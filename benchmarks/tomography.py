@@ -86,12 +86,14 @@ def fastest(work: Callable[[], object], repeats: int = 3) -> float:
 
 @numba.njit(parallel=True)
 def triad(a: Any, b: Any, c: Any) -> None:
+    """Compute a = b + 3 c, the STREAM triad."""
     for i in numba.prange(len(a)):
         a[i] = b[i] + np.float32(3.0) * c[i]
 
 
 @numba.njit(parallel=True, fastmath=True)
 def read_at(values: Any, places: Any) -> float:
+    """Sum values at scattered places."""
     total = 0.0
     for i in numba.prange(len(places)):
         total += values[places[i]]
@@ -159,6 +161,7 @@ def timed(name: str, case: Observation, bandwidth: float) -> dict[str, float | N
 
 
 def rounded(value: Any) -> Any:
+    """Round all floats of nested dictionaries to four digits."""
     if isinstance(value, dict):
         return {key: rounded(inner) for key, inner in value.items()}
     return float(f"{value:.4g}") if isinstance(value, float) else value
@@ -188,6 +191,7 @@ def _summary(scores: list[Any]) -> dict[str, Any]:
 
 
 def main() -> None:
+    """Print times and memory of the tomographic solvers as JSON."""
     width, depth, ppp = int(sys.argv[1]), int(sys.argv[2]), float(sys.argv[3])
     warm = simulate(scene_of(48, 16, 0.02), seed=100).observation
     for name in track(SOLVERS, "compile"):
