@@ -1,4 +1,4 @@
-"""The flow of Arnold, Beltrami and Childress."""
+"""Flow of Arnold, Beltrami and Childress."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class AbcParameters(Parameters):
 
 
 class AbcFlow(Flow):
-    """A steady solution of Euler's equations with chaotic paths.
+    """ABC flow: a steady solution of Euler's equations with chaotic pathlines.
 
     It is free of divergence and parallel to its own vorticity.
     """

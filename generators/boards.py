@@ -1,4 +1,4 @@
-"""A flat calibration board, held at another place in every frame."""
+"""Flat calibration board, held at another position in every frame."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from sabench.api import Domain, Parameters, Pose, Target, TargetGenerator, rotat
 
 
 class BoardsParameters(Parameters):
-    """The board, and how freely it is held.
+    """Type of the board and range of its poses.
 
-    Over the frames it goes evenly through the volume's depth.
+    Over the frames it moves uniformly through the depth of the volume.
     """
 
     pattern: Literal["checkerboard", "circles", "charuco"] = "checkerboard"

@@ -1,4 +1,4 @@
-"""Bubbles or drops all over the volume."""
+"""Bubbles or drops throughout the volume."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from sabench.worlds.library.size_distributions import Spectrum, spheroids, withi
 
 
 class BubbleFieldParameters(BubbleParameters, Spectrum):
-    """Exactly one of `count` and `void_fraction` says how many."""
+    """Parameters of the bubbles; give exactly one of `count` and `void_fraction`."""
 
     count: int | None = Field(None, ge=0, le=1_000_000, description="number of bubbles")
     void_fraction: float | None = Field(
@@ -62,7 +62,7 @@ class BubbleFieldParameters(BubbleParameters, Spectrum):
 class BubbleField(BubbleGenerator):
     """Bubbles of log-normal sizes at uniformly random positions.
 
-    They are carried by one velocity. Whoever leaves the box is replaced on the other side.
+    They are carried by one velocity. A bubble that leaves the box is replaced on the other side.
     """
 
     name = "bubble_field"

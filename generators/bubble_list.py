@@ -1,4 +1,4 @@
-"""Bubbles one by one."""
+"""Bubbles listed one by one."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ class BubbleListParameters(BubbleParameters):
 
 
 class BubbleList(BubbleGenerator):
-    """Bubbles or drops at given places, of given sizes and velocities."""
+    """Bubbles or drops of given positions, sizes and velocities."""
 
     name = "bubble_list"
     Parameters = BubbleListParameters

@@ -1,4 +1,4 @@
-"""A film with a code of dark cells."""
+"""Plate with a code of dark cells."""
 
 from __future__ import annotations
 
@@ -28,9 +28,9 @@ _READ, _POINTS = 0.5, 5  # middle part of a cell's edges that is read, and point
 
 
 class CodePlateParameters(SolidParameters):
-    """Cells lie in the plane Z = 0 of its own frame, columns along X, rows along Y.
+    """Layout of the cells in the plane Z = 0 of the plate's own frame.
 
-    The film itself is not there.
+    Columns lie along X, rows along Y. The plate itself has no surface.
     """
 
     columns: int = Field(16, ge=2, le=200)
@@ -42,7 +42,7 @@ class CodePlateParameters(SolidParameters):
 class CodePlate(CodeGenerator):
     """Random code of dark and clear square cells in front of the light.
 
-    Half of them are dark. What of it is read says how well one sees through.
+    Half of them are dark. The part of the code that is read measures the view through the flow.
     """
 
     name = "code_plate"
@@ -89,7 +89,7 @@ class CodePlate(CodeGenerator):
         )
 
     def _middles(self) -> F64:
-        """Cells' middles (n, 3), row by row."""
+        """List the cells' middles (n, 3), row by row."""
         chosen: CodePlateParameters = self.parameters
         x, y = np.meshgrid(
             *(

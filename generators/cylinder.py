@@ -1,4 +1,4 @@
-"""A round cylinder."""
+"""Round cylinder."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from sabench.api import Solid, SolidGenerator, SolidParameters
 
 
 class CylinderParameters(SolidParameters):
-    """Its axis is Y before it is turned."""
+    """Size of the cylinder; its axis is Y before rotation."""
 
     radius_mm: float = Field(5.0, gt=0.0)
     length_mm: float = Field(40.0, gt=0.0)
@@ -17,13 +17,13 @@ class CylinderParameters(SolidParameters):
 
 
 class Cylinder(SolidGenerator):
-    """A closed cylinder, as obstacles in a flow are."""
+    """Closed cylinder, for instance as an obstacle in a flow."""
 
     name = "cylinder"
     Parameters = CylinderParameters
 
     def body(self, seed: int) -> Solid:
-        """Upright, around its own origin."""
+        """Make an upright cylinder around its own origin."""
         import trimesh
 
         chosen: CylinderParameters = self.parameters

@@ -1,4 +1,4 @@
-"""A velocity field that another program computed."""
+"""Velocity field computed by another program."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ class FromFieldParameters(FileParameters):
 class FromField(Flow):
     """Flow from a field on a lattice, e.g. of a simulation.
 
-    Cubic splines run between the lattice's points. Beyond its box it is as at its faces.
+    Cubic splines run between the lattice's points. Beyond its box, the field is that of its faces.
     """
 
     name = "from_field"
@@ -105,7 +105,7 @@ class FromField(Flow):
 
 
 class _Spline:
-    """A field of velocities in mm/s over (t, z, y, x) or (z, y, x)."""
+    """Field of velocities in mm/s over (t, z, y, x) or (z, y, x)."""
 
     def __init__(self, lines: list[F64], values: F64, periodic: str) -> None:
         self._lines, self._periodic, knots = lines, periodic, []
@@ -125,13 +125,13 @@ class _Spline:
         self._spline = NdBSpline(tuple(knots), np.ascontiguousarray(values), _DEGREE)
 
     def box_mm(self) -> tuple[F64, F64]:
-        """Corners (x, y, z) of where the field is known."""
+        """Corners (x, y, z) of the box in which the field is defined."""
         endless = np.array([axis in self._periodic for axis in "xyz"])
         ends = np.array([(line[0], line[-1]) for line in self._lines[-3:]])[::-1]
         return np.where(endless, -np.inf, ends[:, 0]), np.where(endless, np.inf, ends[:, 1])
 
     def at(self, points_mm: F64, time_s: float, slope: int | None) -> F64:
-        """Velocities (n, 3) at points (n, 3), or their derivatives along an axis."""
+        """Interpolate velocities (n, 3) at points (n, 3), or derivatives along an axis."""
         places = np.column_stack(
             [*([np.full(len(points_mm), time_s)] * (len(self._lines) - 3)), points_mm[:, ::-1]]
         )
@@ -220,7 +220,7 @@ def _velocities(
     counts: list[int],
     speed: list[float],
 ) -> F64:
-    """(t, z, y, x, 3) or (z, y, x, 3) in mm/s."""
+    """Stack the velocities as (t, z, y, x, 3) or (z, y, x, 3) in mm/s."""
     parts = [
         arrays[name].values * scale for name, scale in zip(chosen.velocity, speed, strict=True)
     ]
@@ -252,7 +252,7 @@ def _velocities(
 
 
 def _hint(part: F64, counts: list[int]) -> str:
-    """Orders of axes that would fit."""
+    """Name the orders of axes that would fit."""
     lengths, first = dict(zip("zyx", counts[-3:], strict=True)), len(counts) - 3
     fitting = [
         "".join(order)

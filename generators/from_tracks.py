@@ -1,4 +1,4 @@
-"""Particles on tracks that another program found or computed."""
+"""Particles on trajectories that another program found or computed."""
 
 from __future__ import annotations
 
@@ -62,9 +62,9 @@ class FromTracksParameters(FileParameters):
 
 
 class FromTracks(Generator):
-    """Particles on tracks from a file.
+    """Particles on trajectories from a file.
 
-    Between a track's points cubics run whose slopes at the points are its velocities there.
+    Cubics interpolate between a trajectory's points; their slopes there are its velocities.
     """
 
     name = "from_tracks"
@@ -76,7 +76,7 @@ class FromTracks(Generator):
         Raises
         ------
         InputError
-            A time at which no track has a particle in the volume.
+            A time at which no trajectory has a particle in the volume.
         """
         chosen: FromTracksParameters = self.parameters
         tracks = _read(chosen.model_dump_json())
@@ -104,7 +104,7 @@ class FromTracks(Generator):
 
 @dataclass(frozen=True)
 class _Tracks:
-    """Points of tracks, sorted by track and time; velocities in mm/s."""
+    """Points of trajectories, sorted by trajectory and time; velocities in mm/s."""
 
     id: I64
     time_s: F64
@@ -222,10 +222,10 @@ def _read(text: str) -> _Tracks:
 
 
 def _slopes(identity: I64, time: F64, place: F64) -> F64:
-    """Velocities at points.
+    """Estimate velocities at points.
 
-    Of the parabola through each and its neighbours, at ends of the last three or two; zero of lone
-    points.
+    They are slopes of the parabola through each point and its neighbours, or of the last three or
+    two points at ends. Lone points have zero velocity.
     """
     out = np.zeros_like(place)
     same = np.append(

@@ -1,4 +1,4 @@
-"""A wing of one NACA section."""
+"""Wing of one NACA section."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class HydrofoilParameters(SolidParameters):
 
 
 class Hydrofoil(SolidGenerator):
-    """A wing of constant NACA four-digit section with a sharp trailing edge."""
+    """Wing of constant NACA four-digit section with a sharp trailing edge."""
 
     name = "hydrofoil"
     references = ("E. N. Jacobs, K. E. Ward and R. M. Pinkerton, NACA report 460 (1933)",)
@@ -60,9 +60,9 @@ class Hydrofoil(SolidGenerator):
 
 
 def _faces(around: int) -> I64:
-    """Triangles between two rings of vertices.
+    """List triangles between two rings of vertices.
 
-    The sides, then strips between upper and lower side at both ends.
+    First the sides, then strips between the upper and the lower side at both ends.
     """
     here = np.arange(around)
     there = (here + 1) % around

@@ -15,9 +15,9 @@ _GAP = 0.1  # between drops and the column, in nozzle diameters: its surface is 
 
 
 class JetInCrossflowParameters(BubbleParameters, Spectrum, Crossflow):
-    """The jet as in `liquid_column`.
+    """Parameters of the jet, as in `liquid_column`, and of its drops.
 
-    Drops are seeded evenly over the time that they have been in the gas.
+    Drops are distributed uniformly over the time that they have been in the gas.
     """
 
     index: float = Field(1.333, ge=1.0, le=4.0, description="refractive index of the liquid")
@@ -43,7 +43,7 @@ class JetInCrossflowParameters(BubbleParameters, Spectrum, Crossflow):
 class JetInCrossflow(BubbleGenerator):
     """Drops of a broken liquid jet that a gas accelerates.
 
-    They fly between the edges that were measured of such sprays.
+    They fly between the measured edges of such sprays.
     """
 
     name = "jet_in_crossflow"
@@ -56,7 +56,7 @@ class JetInCrossflow(BubbleGenerator):
     def bubbles(self, domain: Domain, seed: int, frame: int, time_s: float) -> Bubbles:
         """Return the bubbles wholly in the volume and off the column.
 
-        Who reaches the volume's end begins anew with another number.
+        A drop that reaches the end of the volume starts again with another number.
         """
         chosen: JetInCrossflowParameters = self.parameters
         rng, cones, spray = stream(seed, "bubbles"), chosen.cones(seed), self._spray(domain)
@@ -102,9 +102,9 @@ class JetInCrossflow(BubbleGenerator):
     def _places(
         self, rng: np.random.Generator, spray: Spray, reach: F64, tries: int, cones: Cones
     ) -> F64:
-        """Candidates (k, m, 3) from the nozzle, off the column.
+        """Draw candidates (k, m, 3) from the nozzle, off the column.
 
-        Even over age and between the spray's edges.
+        They are uniform over age and between the spray's edges.
         """
         out = np.empty((len(reach) * tries, 3))
         number = np.arange(len(out))

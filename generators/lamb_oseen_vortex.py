@@ -1,4 +1,4 @@
-"""The vortex of Lamb and Oseen."""
+"""Vortex of Lamb and Oseen."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ _SMALL = 1e-4  # of the core squared: below, the series is exact to rounding
 
 
 class LambOseenParameters(Parameters):
-    """The vortex, and how it spreads."""
+    """Strength, position and spreading of the vortex."""
 
     center_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)
     axis: tuple[float, float, float] = (0.0, 0.0, 1.0)
@@ -24,9 +24,9 @@ class LambOseenParameters(Parameters):
 
 
 class LambOseenVortex(Flow):
-    """A vortex with a Gaussian core, which viscosity spreads.
+    """Lamb-Oseen vortex: a Gaussian core, which viscosity spreads.
 
-    A solution of the Navier-Stokes equations.
+    It is a solution of the Navier-Stokes equations.
     """
 
     name = "lamb_oseen_vortex"
@@ -37,7 +37,7 @@ class LambOseenVortex(Flow):
     Parameters = LambOseenParameters
 
     def velocity(self, points_mm: F64, time_s: float) -> F64:
-        """Speed Gamma / (2 pi r) (1 - exp(-r^2 / r_c^2))."""
+        """Compute the speed Gamma / (2 pi r) (1 - exp(-r^2 / r_c^2)) around the axis."""
         offset, distance, along = lateral(
             points_mm, self.parameters.center_mm, self.parameters.axis
         )
@@ -51,7 +51,7 @@ class LambOseenVortex(Flow):
         return turning_gradient(offset, along, *self._rates(distance, time_s))
 
     def _rates(self, distance: F64, time_s: float) -> tuple[F64, F64]:
-        """Rate of turning, and its derivative by the distance over the distance.
+        """Compute the angular velocity, and its derivative by r over r.
 
         With q = r^2 / r_c^2 they are (1 - e^-q) / q and its slope.
         """

@@ -18,9 +18,9 @@ class LinearParameters(Parameters):
 
 
 class LinearFlow(Flow):
-    """The same gradient everywhere, du_i / dx_j.
+    """Flow with the same gradient du_i / dx_j everywhere.
 
-    Uniform motion, shear, rigid rotation or strain, for tests of bias.
+    It is a uniform motion, shear, rigid rotation or strain, for tests of bias.
     """
 
     name = "linear_flow"
@@ -35,7 +35,7 @@ class LinearFlow(Flow):
         )
 
     def gradient(self, points_mm: F64, time_s: float) -> F64:
-        """G."""
+        """Return the constant gradient G."""
         return np.tile(
             np.asarray(self.parameters.gradient_1_s, dtype=np.float64), (len(points_mm), 1, 1)
         )

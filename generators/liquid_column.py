@@ -1,4 +1,4 @@
-"""The column and the ligaments of a liquid jet in a cross-flow."""
+"""Column and ligaments of a liquid jet in a cross-flow."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ _RIPPLES = 24  # plane waves that make them
 
 
 class LiquidColumnParameters(SolidParameters, Crossflow):
-    """The same jet's drops are those of `jet_in_crossflow` with the same numbers.
+    """Parameters of the jet; use equal ones in `jet_in_crossflow` for its drops.
 
-    `nozzle_mm` says where it is.
+    `nozzle_mm` is the position of the nozzle.
     """
 
     step_mm: float = Field(0.2, gt=0.0, description="of the lattice on which its surface is found")
@@ -52,7 +52,7 @@ class LiquidColumn(SolidGenerator):
         return Solid(made.vertices_mm + np.asarray(chosen.nozzle_mm), made.faces)
 
     def _ripples(self, seed: int) -> Callable[[F64], F64]:
-        """Plane waves of all directions, a third to one nozzle diameter long."""
+        """Sum plane waves of all directions, a third to one nozzle diameter long."""
         rng, diameter = stream(seed, "ripples"), self.parameters.diameter_mm
         way = rng.normal(size=(_RIPPLES, 3))
         way *= (

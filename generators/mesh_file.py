@@ -1,4 +1,4 @@
-"""A body out of a file."""
+"""Body from a mesh file."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ _MM = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "inch": 25.4}
 
 
 class MeshFileParameters(SolidParameters, FileParameters):
-    """STL, PLY, OBJ or GLB; these files do not say their unit."""
+    """File (STL, PLY, OBJ or GLB) and its unit, which such files do not state."""
 
     unit: Literal["mm", "cm", "m", "inch"] = Field(description="of the file's coordinates")
 
 
 class MeshFile(SolidGenerator):
-    """A closed triangle mesh made by another program."""
+    """Closed triangle mesh made by another program."""
 
     name = "mesh_file"
     Parameters = MeshFileParameters

@@ -17,9 +17,9 @@ _CORE = 6.2  # a turbulent jet's speed on its axis: 6.2 diameters over the depth
 
 
 class PlungingJetParameters(BubbleParameters, Spectrum):
-    """Table 5.2 and equations 5.18 to 5.23.
+    """Parameters of table 5.2 and equations 5.18 to 5.23.
 
-    Sizes above Y_p are those of the spectrum, below it none is larger than `cutoff_mm`.
+    Sizes above Y_p are those of the spectrum. Below it, no size exceeds `cutoff_mm`.
     """
 
     impact_mm: tuple[float, float, float] = Field(
@@ -65,8 +65,8 @@ class PlungingJet(BubbleGenerator):
     def bubbles(self, domain: Domain, seed: int, frame: int, time_s: float) -> Bubbles:
         """Return the bubbles in the volume at a time.
 
-        They are drawn at the first time and moved until then. Where two meet, the larger one is
-        left.
+        They are drawn at the first time and moved until then. Where two bubbles meet, the larger
+        one stays.
         """
         chosen: PlungingJetParameters = self.parameters
         rng, impact = stream(seed, "bubbles"), np.asarray(chosen.impact_mm)
@@ -90,7 +90,7 @@ class PlungingJet(BubbleGenerator):
         return made
 
     def _shapes(self, rng: np.random.Generator, domain: Domain) -> tuple[F64, F64, Bool]:
-        """Bubbles whose volumes add up to the air above Y_p, and to that below it."""
+        """Draw bubbles whose volumes add up to the air above Y_p, and below it."""
         chosen: PlungingJetParameters = self.parameters
         top, bottom = self._depths(domain)
         parts = []
@@ -140,9 +140,9 @@ class PlungingJet(BubbleGenerator):
     def _places(
         self, rng: np.random.Generator, domain: Domain, deep: Bool, reach: F64, tries: int
     ) -> F64:
-        """Candidates (k, m, 3), wholly in the volume.
+        """Draw candidates (k, m, 3), wholly in the volume.
 
-        Depths from the law's distribution above or below Y_p, distances from equation 5.19.
+        Depths follow the law's distribution above or below Y_p, distances equation 5.19.
         """
         chosen: PlungingJetParameters = self.parameters
         top, bottom = self._depths(domain)
@@ -168,7 +168,7 @@ class PlungingJet(BubbleGenerator):
         return out
 
     def _velocities(self, places: F64) -> F64:
-        """Down a cone with what is left of the jet's speed, less the rise."""
+        """Compute velocities down a cone: the jet's remaining speed, less the rise."""
         chosen: PlungingJetParameters = self.parameters
         depth = np.maximum(places[:, 1], 1e-3)
         radius = np.hypot(places[:, 0], places[:, 2])

@@ -1,4 +1,4 @@
-"""A propeller."""
+"""Propeller."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ class PropellerParameters(SolidParameters):
 
 
 class Propeller(SolidGenerator):
-    """A round hub with twisted blades of one pitch, one chord and one section."""
+    """Round hub with twisted blades of one pitch, one chord and one section."""
 
     name = "propeller"
     Parameters = PropellerParameters
@@ -94,7 +94,7 @@ class Propeller(SolidGenerator):
         return surface_of(body, -high, high, chosen.step_mm)
 
     def _blades(self, points_mm: F64) -> F64:
-        """Like distances (n,) to the nearest blade.
+        """Approximate distances (n,) to the nearest blade.
 
         On a cylinder, unrolled, a blade is a straight section at the angle of its helix.
         """

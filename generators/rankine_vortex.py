@@ -10,7 +10,7 @@ from sabench.worlds.library.vortices import lateral, turning, turning_gradient
 
 
 class RankineParameters(Parameters):
-    """The vortex."""
+    """Position, direction and strength of the vortex."""
 
     center_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)
     axis: tuple[float, float, float] = (0.0, 0.0, 1.0)
@@ -21,7 +21,7 @@ class RankineParameters(Parameters):
 
 
 class RankineVortex(Flow):
-    """A core in solid-body rotation in fluid without vorticity.
+    """Rankine's vortex: a core in solid-body rotation in irrotational fluid.
 
     The gradient jumps at the core's edge.
     """
@@ -31,7 +31,7 @@ class RankineVortex(Flow):
     Parameters = RankineParameters
 
     def velocity(self, points_mm: F64, time_s: float) -> F64:
-        """Speed r / r_c of the peak inside, r_c / r outside."""
+        """Compute the speed: r / r_c of the peak inside the core, r_c / r outside."""
         offset, distance, along = self._lateral(points_mm)
         return turning(offset, along, self._rate(distance))
 

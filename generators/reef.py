@@ -1,4 +1,4 @@
-"""A reef."""
+"""Reef."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ class ReefParameters(SolidParameters):
 
 
 class Reef(SolidGenerator):
-    """An irregular mound of branches on a flat base, full of holes and overhangs."""
+    """Irregular mound of branches on a flat base, full of holes and overhangs."""
 
     name = "reef"
     references = ("S. M. LaValle, Iowa State University TR 98-11 (1998)",)
@@ -109,7 +109,7 @@ class Reef(SolidGenerator):
         return ends[parents], ends[1:], radii[parents], radii[1:]
 
     def _tunnels(self, half: F64, rng: np.random.Generator) -> Cones:
-        """Capsules between random places in and around the upper part."""
+        """Draw capsules between random positions in and around the upper part."""
         count = self.parameters.tunnels
         starts, ends = rng.uniform([-1.0, -1.0, -1.0], [1.0, -0.25, 1.0], (2, count, 3)) * half
         radii = half.min() * rng.uniform(0.04, 0.1, (2, count))

@@ -1,4 +1,4 @@
-"""A sinusoidal shear."""
+"""Sinusoidal shear."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from sabench.api import F64, Flow, Parameters
 
 
 class ShearWaveParameters(Parameters):
-    """The wave."""
+    """Direction, amplitude and wavelength of the wave."""
 
     center_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)
     along: tuple[float, float, float] = Field(
@@ -36,7 +36,7 @@ class ShearWaveParameters(Parameters):
 class ShearWave(Flow):
     """Velocity that varies as a sine across its own direction.
 
-    How well a method resolves a wavelength shows in the amplitude that it finds.
+    The amplitude that a method finds shows how well it resolves the wavelength.
     """
 
     name = "shear_wave"

@@ -9,7 +9,7 @@ from sabench.api import F64, Flow, Parameters
 
 
 class TaylorGreenParameters(Parameters):
-    """The cells and how they decay."""
+    """Size, speed and decay of the cells."""
 
     center_mm: tuple[float, float, float] = Field(
         (0.0, 0.0, 0.0), description="a corner where eight cells meet"

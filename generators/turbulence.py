@@ -11,7 +11,7 @@ from sabench.api import F64, Flow, Parameters, stream
 
 
 class TurbulenceParameters(Parameters):
-    """The spectrum, and how many modes stand for it."""
+    """Spectrum, and number of modes that represent it."""
 
     rms_mm_s: float = Field(50.0, gt=0.0, description="root mean square of each component")
     integral_mm: float = Field(
@@ -36,8 +36,8 @@ class TurbulenceParameters(Parameters):
 class Turbulence(Flow):
     """Random Fourier modes without divergence.
 
-    Their spectrum is that of von Karman and Pao. k^4 at large, k^(-5/3) at medium, a cut at small
-    lengths.
+    Their spectrum is that of von Karman and Pao: k^4 at large lengths, k^(-5/3) at medium ones,
+    and a cut-off at small ones.
     """
 
     name = "turbulence"
@@ -67,7 +67,7 @@ class Turbulence(Flow):
 
     @functools.cached_property
     def _modes(self) -> tuple[F64, F64, F64]:
-        """Wave vectors (m, 3) and amplitudes (m, 3), each at right angles to its wave."""
+        """Wave vectors (m, 3) and amplitudes (m, 3), each perpendicular to its wave."""
         chosen: TurbulenceParameters = self.parameters
         rng, peak, cut = (
             stream(chosen.draw, "turbulence"),

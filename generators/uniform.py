@@ -11,7 +11,7 @@ _MOST = 50_000_000
 
 
 class UniformParameters(Parameters):
-    """Exactly one of `count`, `per_mm3` and `per_pixel` says how many.
+    """Particles; give exactly one of `count`, `per_mm3` and `per_pixel`.
 
     Diameters are log-normal (a spread of 0: all equal).
     """
@@ -45,7 +45,7 @@ class UniformParameters(Parameters):
 class Uniform(Generator):
     """Uniformly random particles carried by one velocity.
 
-    Whoever leaves the volume is replaced on the other side.
+    A particle that leaves the volume is replaced on the other side.
     """
 
     name = "uniform"

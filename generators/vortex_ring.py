@@ -1,4 +1,4 @@
-"""A vortex ring."""
+"""Vortex ring."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ _AXIS = 1e-9  # mm: nearer to the ring's axis there is no direction away from it
 
 
 class VortexRingParameters(Parameters):
-    """The ring and how fast it turns."""
+    """Position, size and speed of the ring."""
 
     center_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)
     axis: tuple[float, float, float] = Field(
@@ -31,12 +31,12 @@ class VortexRingParameters(Parameters):
 
 
 class VortexRing(Flow):
-    """The thesis's ring.
+    """Vortex ring of the thesis.
 
-    The fluid turns about a circle, at a speed that depends on the distance from it only.
+    The fluid rotates about a circle, at a speed that depends on the distance from it only.
 
-    Such a field is not free of divergence. Along the ring's axis it would have a fold, where fluid
-    of all sides meets and stays for ever: there, and only there, it is smoothed.
+    Such a field is not free of divergence. On the ring's axis it would have a fold, where fluid
+    from all sides would meet and stay; the field is smoothed there, and only there.
     """
 
     name = "vortex_ring"
@@ -44,7 +44,7 @@ class VortexRing(Flow):
     Parameters = VortexRingParameters
 
     def velocity(self, points_mm: F64, time_s: float) -> F64:
-        """|V| = (8 K R / l) exp(-R / l), R from the circle."""
+        """Compute |V| = (8 K R / l) exp(-R / l), with R from the circle."""
         r, z, outward = self._cylindrical(points_mm)
         away = r - self.parameters.diameter_mm / 2.0
         rate = self._rate(np.hypot(away, z))
@@ -100,7 +100,7 @@ class VortexRing(Flow):
         return share, 15.0 / 8.0 * (1.0 - t**2) ** 2 / fold
 
     def _rate(self, distance: F64) -> F64:
-        """Speed over the distance from the circle."""
+        """Compute the speed over the distance from the circle."""
         chosen: VortexRingParameters = self.parameters
         return np.asarray(
             chosen.peak_mm_s * np.e / chosen.core_mm * np.exp(-distance / chosen.core_mm)

@@ -1,4 +1,4 @@
-"""A wand with balls in a row, waved through the volume."""
+"""Wand with balls in a row, waved through the volume."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from sabench.api import Domain, Parameters, Pose, Target, TargetGenerator, rotat
 
 
 class WandParameters(Parameters):
-    """The wand; its places and directions are random."""
+    """Balls of the wand; its positions and directions are random."""
 
     balls: int = Field(2, ge=2, le=20)
     pitch_mm: float = Field(20.0, gt=0.0, description="distance of neighbouring balls")
@@ -31,7 +31,7 @@ class Wand(TargetGenerator):
         return Target("wand", chosen.balls, 1, chosen.pitch_mm, chosen.ball_mm)
 
     def pose(self, domain: Domain, seed: int, frame: int, frames: int) -> Pose:
-        """Any direction alike; all balls inside the volume, if it is large enough."""
+        """Draw a uniform direction; all balls lie in the volume if it is large enough."""
         rng = stream(seed, "targets", frame)
         axis = rng.standard_normal(3)
         axis /= np.linalg.norm(axis)

@@ -21,9 +21,9 @@ class AsaParameters(ExtractionParameters):
 
 
 class Asa(Solver):
-    """Additive synthetic aperture.
+    """Additive synthetic aperture: the thresholded mean of all cameras.
 
-    The mean of all cameras at every voxel, then what stands out of each plane.
+    The mean is taken at every voxel; a threshold in each plane then keeps the particles.
     """
 
     name = "asa"
@@ -34,7 +34,7 @@ class Asa(Solver):
     Parameters = AsaParameters
 
     def solve(self, case: Observation) -> Reconstruction:
-        """I_k = (1 / N) sum_i I_ki, thresholded plane by plane."""
+        """Compute I_k = (1 / N) sum_i I_ki, thresholded plane by plane."""
         volume = refocus_sum(case.normalised_images(), case.cameras, case.grid)
         if self.parameters.seen_only:
             volume /= np.maximum(

@@ -7,10 +7,9 @@ from sabench.api import Observation, Reconstruction, Solver
 
 
 class BlockMart(Solver):
-    """Block MART.
+    """Block MART: multiplicative updates, one camera after the other.
 
-    Where all cameras see light, multiply by the ratio of recorded to projected light, one camera
-    after the other.
+    Where all cameras see light, voxels are multiplied by the ratio of recorded to projected light.
     """
 
     name = "block_mart"

@@ -48,9 +48,10 @@ class IprParameters(Parameters):
 
 
 class Ipr(ParticleSolver):
-    """Iterative particle reconstruction.
+    """Iterative particle reconstruction (IPR).
 
-    Triangulate, fit to the images, take away, and look again; the harness links the frames.
+    Particles are triangulated, fitted to the images and subtracted from them, in several rounds.
+    The harness links the frames.
     """
 
     name = "ipr"
@@ -62,7 +63,7 @@ class Ipr(ParticleSolver):
         return "it needs three cameras" if len(case.cameras) < 3 else None
 
     def solve(self, case: Film) -> list[FoundParticles]:
-        """Frame by frame."""
+        """Reconstruct each frame on its own."""
         chosen = self.parameters
         reduced = max(4, len(case.cameras)) if chosen.reduced is None else chosen.reduced
         settings = IprSettings(

@@ -17,10 +17,9 @@ from sabench.api import F64, Calibration, CalibrationCase, CalibrationSolver, In
 class LinearAutocal(CalibrationSolver):
     """Factorisation and Euclidean upgrade for pinholes in a single medium.
 
-    A similarity brings the result to the world.
-
-    The principal points are believed, the cameras otherwise unknown. Scale, place and direction
-    come from the target's roughly known places, of which only this similarity is taken.
+    The nominal principal points are kept; the cameras are otherwise unknown. A similarity brings
+    the result to the world. Its scale, position and direction come from the target's nominal
+    positions, which are used for nothing else.
     """
 
     name = "linear_autocal"
@@ -30,7 +29,7 @@ class LinearAutocal(CalibrationSolver):
     )
 
     def solve(self, case: CalibrationCase) -> Calibration:
-        """Points that two cameras found, and the cameras that follow from all of them."""
+        """Reconstruct the points that two cameras found, then all the cameras."""
         seen = case.found.reshape(len(case.cameras), -1)
         chosen = (seen.sum(axis=0) >= 2) & np.isfinite(case.rough_mm.reshape(-1, 3)).all(axis=1)
         if len(case.cameras) < 3:

@@ -63,9 +63,9 @@ class LocalFeatureParameters(Parameters):
 
 
 class LocalFeature(BubbleSolver):
-    """Peaks of the feature potential in twice attenuated planes.
+    """Bubbles at peaks of the feature potential in twice attenuated planes.
 
-    Ellipses by Hough's transform around each group of them.
+    Hough's transform finds ellipses around each group of peaks.
     """
 
     name = "local_feature"
@@ -86,9 +86,9 @@ class LocalFeature(BubbleSolver):
         )
 
     def _bubbles(self, volume: F32, peaks: FeaturePeaks, grid: Grid) -> F64:
-        """Bubbles (n, 7) of all groups, each grown from the strongest peak that is left.
+        """Grow the bubbles (n, 7) of all groups, each from the strongest peak left.
 
-        Outline, part of it that has edges, plane.
+        Columns are the outline, the part of it that has edges, and the plane.
         """
         largest = self.parameters.largest_mm / grid.voxel_mm[0]
         free = np.ones(len(peaks.weight), dtype=np.bool_)
@@ -154,7 +154,7 @@ class LocalFeature(BubbleSolver):
     def _small(self, volume: F32, peak: I64) -> list[F64]:
         """Find features around a peak that are too small for votes.
 
-        They are taken as circles, since nothing is known of their outlines.
+        They are taken as circles, since their outlines are unknown.
         """
         chosen: LocalFeatureParameters = self.parameters
         plane, (top, left) = int(peak[0]), np.maximum(peak[1:] * STEP - _MARGIN, 0)

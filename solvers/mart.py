@@ -9,10 +9,9 @@ from sabench.api import Observation, Reconstruction, Solver
 
 
 class Mart(Solver):
-    """MART.
+    """MART from a uniform guess: multiplicative updates, pixel by pixel.
 
-    From a uniform guess, every pixel in turn scales its line of sight to the light that it
-    recorded.
+    Every pixel in turn scales the voxels on its line of sight to the light that it recorded.
     """
 
     name = "mart"
@@ -24,7 +23,7 @@ class Mart(Solver):
     Parameters = SparseParameters
 
     def solve(self, case: Observation) -> Reconstruction:
-        """I_j <- I_j (P_i / sum_k W_ik I_k)^(mu W_ij), pixel i by pixel.
+        """Iterate I_j <- I_j (P_i / sum_k W_ik I_k)^(mu W_ij), pixel i by pixel.
 
         Voxels that a camera sees black are zero from the start.
         """

@@ -10,7 +10,7 @@ from sabench.api import Observation, Reconstruction, Solver
 
 
 class MlosSartParameters(SparseParameters):
-    """The iteration converges for relaxations below 2."""
+    """Parameters of SART; the iteration converges for relaxations below 2."""
 
     relaxation: float = Field(
         1.0, gt=0.0, lt=2.0, description="mu, the part of what is missing that one iteration adds"
@@ -18,10 +18,9 @@ class MlosSartParameters(SparseParameters):
 
 
 class MlosSart(Solver):
-    """MLOS-SART.
+    """MLOS-SART: simultaneous additive updates where all cameras see light.
 
-    Where all cameras see light, add the mean over cameras of what is missing along the lines of
-    sight.
+    The mean over cameras of the light that is missing along the lines of sight is added.
     """
 
     name = "mlos_sart"

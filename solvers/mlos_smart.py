@@ -12,7 +12,7 @@ from sabench.api import Observation, Reconstruction, Solver
 
 
 class MlosSmartParameters(SparseParameters):
-    """The geometric mean over cameras may be overdone."""
+    """Parameters of SMART; relaxations above 1 overrelax the geometric mean."""
 
     relaxation: float = Field(
         1.5, gt=0.0, le=2.0, description="mu, the power of the geometric mean over cameras"
@@ -20,10 +20,10 @@ class MlosSmartParameters(SparseParameters):
 
 
 class MlosSmart(Solver):
-    """MLOS-SMART.
+    """MLOS-SMART: simultaneous multiplicative updates where all cameras see light.
 
-    Where all cameras see light, multiply by the geometric mean over cameras of recorded to
-    projected light.
+    Voxels are multiplied by the geometric mean over cameras of the ratios of recorded to projected
+    light.
     """
 
     name = "mlos_smart"

@@ -15,9 +15,9 @@ from sabench.api import Observation, Reconstruction, Solver
 
 
 class MsaParameters(ExtractionParameters):
-    """The exponent n and the floor of the product.
+    """Exponent n and floor of the product over cameras.
 
-    The floor lets an object survive a camera that does not see it.
+    With a floor, an object survives a camera that does not see it.
     """
 
     exponent: float | None = Field(
@@ -40,9 +40,9 @@ class MsaParameters(ExtractionParameters):
 
 
 class Msa(Solver):
-    """Multiplicative synthetic aperture.
+    """Multiplicative synthetic aperture: the thresholded product of all cameras.
 
-    The product of all cameras at every voxel, each raised to n and to a floor.
+    The product is taken at every voxel. Each factor is raised to the power n, and to a floor.
     """
 
     name = "msa"
@@ -53,7 +53,7 @@ class Msa(Solver):
     Parameters = MsaParameters
 
     def solve(self, case: Observation) -> Reconstruction:
-        """I_k = prod_i max(I_ki, floor)^n, thresholded plane by plane."""
+        """Compute I_k = prod_i max(I_ki, floor)^n, thresholded plane by plane."""
         count, floor = len(case.cameras), self.parameters.floor
         exponent = self.parameters.exponent or min(1.0, 3.0 / count)
         images = case.normalised_images()

@@ -16,7 +16,7 @@ from sabench.interop.openlpt import Settings, missing, solve, unfit, write_frame
 class OpenLptParameters(Parameters):
     """Settings of OpenLPT that the images do not show.
 
-    The rest is derived from them or as its own window offers it.
+    The other settings are derived from the images, or are the defaults of OpenLPT's own window.
     """
 
     displacement_px: float = Field(
@@ -47,10 +47,9 @@ class OpenLptParameters(Parameters):
 
 
 class OpenLpt(ParticleSolver):
-    """OpenLPT of the Ni lab.
+    """OpenLPT of the Ni lab: iterative particle reconstruction and Shake-the-Box.
 
-    Iterative particle reconstruction and Shake-the-Box, as PyPI has it; below five frames its
-    reconstruction alone.
+    The version is that of PyPI. Below five frames, only its reconstruction runs.
     """
 
     name = "openlpt"

@@ -43,10 +43,10 @@ class OptvParameters(Parameters):
 
 
 class Optv(ParticleSolver):
-    """OpenPTV's library.
+    """OpenPTV's library: particle tracking in images and space.
 
-    Particle images by thresholds, correspondences along epipolar lines through the glass, tracking
-    in images and space.
+    It finds particle images by thresholds and correspondences along epipolar lines through the
+    glass.
     """
 
     name = "optv"
@@ -60,7 +60,7 @@ class Optv(ParticleSolver):
     def skip(self, case: Film) -> str | None:
         """Skip if OpenPTV is not installed or cannot describe every camera.
 
-        Its correspondences are between four at most.
+        Its correspondences are between four cameras at most.
         """
         if not 2 <= len(case.cameras) <= MOST_CAMERAS:
             return f"it needs two to {MOST_CAMERAS} cameras"

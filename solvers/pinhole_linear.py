@@ -9,7 +9,7 @@ from sabench.api import Calibration, CalibrationCase, CalibrationSolver
 class PinholeLinear(CalibrationSolver):
     """Direct linear transform and refinement of 11 parameters, neglecting the wall.
 
-    The target's places are believed as they are told: their errors become the cameras'.
+    The target's nominal positions are taken as exact, so their errors pass to the cameras.
     """
 
     name = "pinhole_linear"
@@ -19,7 +19,7 @@ class PinholeLinear(CalibrationSolver):
     )
 
     def skip(self, case: CalibrationCase) -> str | None:
-        """Places in one plane determine no camera."""
+        """Skip nominal positions in one plane, which determine no camera."""
         return reason_if_flat(case)
 
     def solve(self, case: CalibrationCase) -> Calibration:

@@ -58,7 +58,8 @@ class Piv3dParameters(VelocimetryParameters):
 class Piv3d(VelocimetrySolver):
     """Multi-pass correlation with deformed volumes and validation between passes.
 
-    By spectra first, then by sums over blocks on volumes moved by cubic splines.
+    The first pass correlates by spectra, the later ones by sums over blocks on volumes that cubic
+    splines deform.
     """
 
     name = "piv3d"
@@ -69,7 +70,7 @@ class Piv3d(VelocimetrySolver):
     Parameters = Piv3dParameters
 
     def solve(self, case: VolumePair) -> Velocity:
-        """Displacements over the time between the volumes, at the windows' middles."""
+        """Divide displacements at the windows' middles by the time between the volumes."""
         chosen: Piv3dParameters = self.parameters
         first = tuple(
             min(own, 2 * (there // 2))

@@ -11,7 +11,7 @@ Voxels = tuple[int, int, int]
 
 
 class PlainParameters(VelocimetryParameters):
-    """The thesis's windows."""
+    """Parameters of the thesis's windows."""
 
     window: Voxels = Field(
         (32, 32, 16),
@@ -37,7 +37,7 @@ class Piv3dPlain(VelocimetrySolver):
     Parameters = PlainParameters
 
     def solve(self, case: VolumePair) -> Velocity:
-        """Displacements over the time between the volumes, at the windows' middles."""
+        """Divide displacements at the windows' middles by the time between the volumes."""
         chosen: PlainParameters = self.parameters
         return evaluate_once(
             case.first, case.second, chosen.window[::-1], chosen.overlap, chosen.least_ratio

@@ -13,9 +13,8 @@ _FLAT = 0.1  # largest range of Z in a frame, as a part of the distance of the f
 class PolynomialPlanes(CalibrationSolver):
     """Second-order polynomials on the planes of a target that was traversed along Z.
 
-    Straight lines run between the planes, as in the thesis's experiment.
-
-    The target's places are believed as they are told: their errors become the cameras'.
+    Lines of sight between the planes are straight, as in the thesis's experiment. The target's
+    nominal positions are taken as exact, so their errors pass to the cameras.
     """
 
     name = "polynomial_planes"

@@ -30,10 +30,10 @@ class TriangulationParameters(Parameters):
 
 
 class RayTriangulation(ParticleSolver):
-    """Particles by intersection of lines of sight.
+    """Particles at the intersections of lines of sight.
 
-    Lines of sight bring particle images together; every image is used once. The harness links the
-    frames.
+    Lines of sight match particle images between the cameras; every image is used once. The harness
+    links the frames.
     """
 
     name = "ray_triangulation"
@@ -45,7 +45,7 @@ class RayTriangulation(ParticleSolver):
         return "it needs three cameras" if len(case.cameras) < 3 else None
 
     def solve(self, case: Film) -> list[FoundParticles]:
-        """Frame by frame."""
+        """Triangulate each frame on its own."""
         chosen = self.parameters
         settings = IprSettings(floor=chosen.floor, noise=chosen.noise, reach_px=chosen.reach_px)
         maps = fit_cameras(case[0])

@@ -1,4 +1,4 @@
-"""Refractive auto-calibration: all cameras and all boards at once."""
+"""Refractive auto-calibration: all cameras and all boards simultaneously."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from sabench.api import Calibration, CalibrationCase, CalibrationSolver, Paramet
 class RefractiveAutocalParameters(Parameters):
     """Unknowns besides rotation, centre and focal length of cameras, and the boards.
 
-    What the case calls unknown is always free.
+    Parameters that the case declares unknown are always free.
     """
 
     principal_point: bool = Field(
@@ -41,10 +41,10 @@ class RefractiveAutocalParameters(Parameters):
 class RefractiveAutocal(CalibrationSolver):
     """Joint bundle adjustment of refractive cameras and boards.
 
-    Robust against outliers. The known points are observations.
+    It is robust against outliers. The known points are observations.
 
-    A wall's place is not free: all that the images show is where the cameras and boards are against
-    it, and where it is in the world the known points say.
+    A wall's position is not free: the images only show the positions of the cameras and boards
+    relative to it. The known points determine its position in the world.
     """
 
     name = "refractive_autocal"

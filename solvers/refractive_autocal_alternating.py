@@ -1,4 +1,4 @@
-"""Refractive auto-calibration as the thesis does it: cameras and boards in turn."""
+"""Refractive auto-calibration as in the thesis: cameras and boards in turn."""
 
 from __future__ import annotations
 
@@ -21,12 +21,10 @@ class AlternatingParameters(Parameters):
 
 
 class RefractiveAutocalAlternating(CalibrationSolver):
-    """Each camera against the boards and each board against the cameras, in turn.
+    """Alternating adjustment of cameras to the boards and boards to the cameras.
 
-    Until the errors hardly change.
-
-    The stop rule looks at a change and not at a gradient: it ends before the least-squares solution
-    is reached.
+    It stops when the errors hardly change. Since this criterion is a change and not a gradient, it
+    stops before the least-squares solution is reached.
     """
 
     name = "refractive_autocal_alternating"

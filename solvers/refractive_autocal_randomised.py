@@ -19,7 +19,7 @@ from sabench.api import Calibration, CalibrationCase, CalibrationSolver, Paramet
 
 
 class RandomisedParameters(Parameters):
-    """The subsets, and when they agree."""
+    """Sizes of the subsets and criteria of their agreement."""
 
     subset: int = Field(
         4, ge=2, description="cameras in a subset; two subsets are drawn in every iteration"
@@ -38,7 +38,7 @@ class RandomisedParameters(Parameters):
 class RefractiveAutocalRandomised(CalibrationSolver):
     """Alternating calibrations of random subsets until two agree.
 
-    Their mean boards start that of all cameras.
+    The mean of their boards is the initial guess for all cameras.
     """
 
     name = "refractive_autocal_randomised"

@@ -48,7 +48,7 @@ class RimFitParameters(Parameters):
 
 
 class RimFit(BubbleSolver):
-    """Outlines that most views vote for, fitted with the optical profile of bubbles.
+    """Bubbles from outlines that most views vote for, fitted by an optical profile.
 
     All images are fitted simultaneously.
     """

@@ -28,9 +28,10 @@ class SeeThroughParameters(Parameters):
 
 
 class SeeThrough(SeeThroughSolver):
-    """A refocused stack.
+    """Refocused stack of transmission through bubbles or bodies.
 
-    Additive or multiplicative of light, multiplicative of darkness, or MART of the optical depth.
+    The stack is an additive or multiplicative one of light, a multiplicative one of darkness, or
+    MART of the optical depth.
     """
 
     name = "see_through"
@@ -38,7 +39,7 @@ class SeeThrough(SeeThroughSolver):
     Parameters = SeeThroughParameters
 
     def solve(self, case: Observation) -> Reconstruction:
-        """Transmission (z, y, x) of every voxel as the views show it."""
+        """Compute the transmission (z, y, x) of every voxel from the views."""
         light, count = np.clip(transmission(case), _FLOOR, 1.0), len(case.cameras)
         method = self.parameters.method
         if method == "additive":

@@ -9,7 +9,7 @@ from sabench.api import Observation, Reconstruction, Solver
 
 
 class SmartParameters(TomographyParameters):
-    """The geometric mean over cameras may be overdone."""
+    """Parameters of SMART; relaxations above 1 overrelax the geometric mean."""
 
     relaxation: float = Field(
         1.5, gt=0.0, le=2.0, description="mu, the power of the geometric mean over cameras"
@@ -17,9 +17,9 @@ class SmartParameters(TomographyParameters):
 
 
 class Smart(Solver):
-    """SMART: mlos_smart on all voxels from a uniform guess.
+    """SMART on all voxels from a uniform guess, without a first guess by MLOS.
 
-    The plain and slow reference.
+    It is the plain and slow reference for mlos_smart.
     """
 
     name = "smart"
@@ -30,7 +30,7 @@ class Smart(Solver):
     Parameters = SmartParameters
 
     def solve(self, case: Observation) -> Reconstruction:
-        """I_j <- I_j prod_i (P_i / sum_k W_ik I_k)^(mu W_ij / N_j) on all voxels."""
+        """Iterate I_j <- I_j prod_i (P_i / sum_k W_ik I_k)^(mu W_ij / N_j) on all voxels."""
         chosen = self.parameters
         problem = TomographyProblem.from_case(case, chosen)
         state = problem.uniform()

@@ -9,14 +9,14 @@ from sabench.api import Calibration, CalibrationCase, CalibrationSolver
 class SoloffCalibration(CalibrationSolver):
     """Soloff's polynomial of 19 terms, fitted to the nominal target positions.
 
-    Their errors become the cameras'.
+    The nominal positions are taken as exact, so their errors pass to the cameras.
     """
 
     name = "soloff"
     references = ("S. M. Soloff, R. J. Adrian and Z.-C. Liu, Meas. Sci. Technol. 8, 1441, 1997",)
 
     def skip(self, case: CalibrationCase) -> str | None:
-        """Places in one plane determine no camera."""
+        """Skip nominal positions in one plane, which determine no camera."""
         return reason_if_flat(case)
 
     def solve(self, case: CalibrationCase) -> Calibration:

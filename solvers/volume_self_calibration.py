@@ -32,12 +32,10 @@ class VolumeSelfCalibrationParameters(Parameters):
 
 
 class VolumeSelfCalibration(SelfCalibrationSolver):
-    """Adjust cameras that are a few pixels off to the particles that they agree on.
+    """Correction of cameras that are a few pixels off, from the particles they share.
 
-    Disparities of particle images between the cameras are followed first.
-
-    What particles cannot show - a motion of all cameras together, and what comes near to one -
-    stays as it was.
+    Disparities of particle images between the cameras are removed first. Particles do not show a
+    common motion of all cameras: it stays uncorrected, and so do errors that resemble one.
     """
 
     name = "volume_self_calibration"
@@ -53,7 +51,7 @@ class VolumeSelfCalibration(SelfCalibrationSolver):
         )
 
     def solve(self, case: Observation) -> Calibration:
-        """Four cameras first, then the others against what these agree on."""
+        """Adjust four cameras first, then the others to the particles of these."""
         chosen: VolumeSelfCalibrationParameters = self.parameters
         tracking = Tracking.from_case(case, case.normalised_images(), chosen.bright)
         maps = follow_disparities(tracking, chosen.reach_px, chosen.least_px)

@@ -19,10 +19,7 @@ class MinLosParameters(Parameters):
 
 
 class MinLos(Solver):
-    """Minimum line of sight: the darkest view of a voxel.
-
-    A voxel is as bright as in the camera that sees it darkest.
-    """
+    """Minimum line of sight: a voxel is as bright as in its darkest view."""
 
     name = "min_los"
     references = ("Putze and Maas, Int. Arch. Photogramm. Remote Sens. XXXVII-B5 (2008) 33-38",)
