@@ -88,7 +88,10 @@ def _parses(text: str) -> bool:
 
 
 def _changes(tree: ast.Module) -> Iterator[tuple[str, ast.expr | ast.stmt, str]]:
-    """(kind, node, code to put in its place) of nodes on a single line."""
+    """Yield changes of nodes on a single line.
+
+    Each is (kind, node, code to put in its place).
+    """
     for node in _code(tree):
         if not isinstance(node, ast.expr | ast.stmt) or node.lineno != node.end_lineno:
             continue
@@ -170,7 +173,7 @@ def passes(tests: Path, tree: Path, cache: Path, time_s: float) -> bool:
 
 
 def draw(seed: int, count: int, room: str) -> list[Mutant]:
-    """Mutants drawn without replacement from all modules whose package has tests."""
+    """Draw mutants without replacement from all modules whose package has tests."""
     modules = sorted((ROOT / "sabench" / room).rglob("*.py"))
     candidates = [
         mutant

@@ -131,7 +131,7 @@ class _Tracks:
         return (*self._between(before, after, np.clip(part, 0.0, 1.0), step), before)
 
     def _between(self, before: I64, after: I64, t: F64, step: F64) -> tuple[F64, F64]:
-        """Hermite's cubic, and its slope."""
+        """Evaluate Hermite's cubic and its slope."""
         p, q, u, v = (
             self.place_mm[before],
             self.place_mm[after],

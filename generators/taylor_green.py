@@ -60,7 +60,7 @@ class TaylorGreen(Flow):
         return chosen.peak_mm_s * float(np.exp(-2.0 * chosen.viscosity_mm2_s * wave**2 * time_s))
 
     def _waves(self, points_mm: F64) -> list[tuple[F64, F64]]:
-        """Sine and cosine along each axis; 0 and 1 along Z for columns."""
+        """Compute sine and cosine along each axis; 0 and 1 along Z for columns."""
         phases = (
             2.0
             * np.pi

@@ -105,7 +105,7 @@ class LocalFeature(BubbleSolver):
         return np.array(found, dtype=np.float64).reshape(-1, 7)
 
     def _features(self, volume: F32, peaks: FeaturePeaks, group: I64, largest: float) -> list[F64]:
-        """Ellipses of a group in its mean plane, each then in its own.
+        """Find ellipses of a group in its mean plane, each then in its own.
 
         Without one, small features at its strongest peak.
         """
@@ -122,7 +122,7 @@ class LocalFeature(BubbleSolver):
         return bubbles or self._small(volume, peaks.place[group[0]])
 
     def _ellipses(self, volume: F32, plane: int, low: I64, high: I64, largest: float) -> F64:
-        """Outlines (n, 6) within a box of rows and columns of a plane."""
+        """Find outlines (n, 6) within a box of rows and columns of a plane."""
         chosen: LocalFeatureParameters = self.parameters
         top, left = np.maximum(low - _MARGIN, 0)
         bottom, right = np.maximum(high + _MARGIN, 0)

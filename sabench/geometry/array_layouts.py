@@ -21,18 +21,21 @@ def grid(x_mm: npt.ArrayLike, y_mm: npt.ArrayLike) -> F64:
 
 
 def even(count: int, spacing_mm: float) -> F64:
-    """`count` offsets, `spacing_mm` apart, centred on zero."""
+    """Make `count` offsets, `spacing_mm` apart, centred on zero."""
     return np.asarray((np.arange(count) - (count - 1) / 2.0) * spacing_mm, dtype=np.float64)
 
 
 def ring(count: int, radius_mm: float, start_rad: float = 0.0) -> F64:
-    """`count` offsets evenly around a circle, from `start_rad` (0 is +X, towards +Y)."""
+    """Make `count` offsets evenly around a circle.
+
+    From `start_rad` (0 is +X, towards +Y).
+    """
     angle = start_rad + 2.0 * np.pi * np.arange(count) / count
     return np.asarray(radius_mm * np.column_stack([np.cos(angle), np.sin(angle)]))
 
 
 def line(count: int, spacing_mm: float, angle_rad: float = 0.0) -> F64:
-    """`count` offsets along a straight line at `angle_rad` to +X."""
+    """Make `count` offsets along a straight line at `angle_rad` to +X."""
     return np.asarray(
         even(count, spacing_mm)[:, None] * np.array([np.cos(angle_rad), np.sin(angle_rad)])
     )

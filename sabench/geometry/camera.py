@@ -122,7 +122,7 @@ class Camera:
         return pixels, valid
 
     def _ideal_pixels(self, wall: Wall, points: F64) -> F64:
-        """Pixels without distortion (n, 2), NaN for points without a path."""
+        """Project to pixels without distortion (n, 2), NaN for points without a path."""
         from sabench.geometry import projection_kernels  # numba is loaded at the first use
 
         axes = frame_of_normal(np.asarray(wall.normal, dtype=np.float64))
@@ -146,7 +146,7 @@ class Camera:
         return np.column_stack([column, row])
 
     def pixels_of(self, leaving: F64, valid: Bool) -> tuple[F64, Bool]:
-        """Pixels (n, 2) of world directions (n, 3) that leave the pinhole."""
+        """Project world directions (n, 3) that leave the pinhole to pixels (n, 2)."""
         local = leaving @ np.asarray(self.rotation).T
         valid = valid & (local[:, 2] > 1e-9)
         ideal = local[:, :2] / np.where(valid, local[:, 2], 1.0)[:, None]
@@ -168,7 +168,7 @@ class Camera:
         return local @ np.asarray(self.rotation), valid
 
     def ideal(self, pixels: npt.ArrayLike) -> tuple[F64, Bool]:
-        """Undistorted image coordinates (n, 2), x/z and y/z, of pixels (n, 2)."""
+        """Undistort pixels (n, 2) to image coordinates (n, 2), x/z and y/z."""
         distorted = (
             rows_of(pixels, 2, "pixels") - np.asarray(self.principal_point_px)
         ) / self.focal_px
@@ -198,7 +198,7 @@ class Camera:
         return on_sensor(self.rows, self.columns, pixels, margin_px)
 
     def etendue(self) -> F64:
-        """mm^2 sr that each pixel collects.
+        """Compute the etendue that each pixel collects, mm^2 sr.
 
         Pupil area seen at its angle times its solid angle in front of the lens; (rows, columns).
 
@@ -209,7 +209,7 @@ class Camera:
 
 @functools.lru_cache(maxsize=32)
 def _etendue(camera: Camera) -> F64:
-    """Once for all frames of a camera."""
+    """Compute the etendue once for all frames of a camera."""
     column, row = np.meshgrid(np.arange(camera.columns), np.arange(camera.rows))
     pixels = np.column_stack([column.ravel(), row.ravel()]).astype(np.float64)
     right, down = np.array([0.5, 0.0]), np.array([0.0, 0.5])
@@ -228,7 +228,7 @@ def _etendue(camera: Camera) -> F64:
 
 @functools.cache
 def _fold_square(lens: Distortion) -> float:
-    """Squared ideal radius at which the radial part stops growing.
+    """Find the squared ideal radius at which the radial part stops growing.
 
     Beyond it two points share a pixel.
     """

@@ -39,7 +39,7 @@ class Grid:
         return x, y, z
 
     def to_voxels(self, points_mm: F64) -> F64:
-        """World points (n, 3) as fractional voxel indices (x, y, z)."""
+        """Convert world points (n, 3) to fractional voxel indices (x, y, z)."""
         return np.asarray((points_mm - np.asarray(self.low_mm)) / np.asarray(self.voxel_mm))
 
     @property

@@ -27,7 +27,10 @@ class Disc:
     radius_mm: float
 
     def span_mm(self, along: F64) -> tuple[float, float]:
-        """Smallest and largest coordinate of the disc's points along a unit vector (3,)."""
+        """Find the extent of the disc's points along a unit vector (3,).
+
+        Their smallest and largest coordinate.
+        """
         middle, tilt = float(np.dot(self.center_mm, along)), float(np.dot(self.normal, along))
         half = self.radius_mm * math.sqrt(max(0.0, 1.0 - tilt * tilt))
         return middle - half, middle + half

@@ -76,7 +76,7 @@ def plane_maps(cameras: Sequence[CameraModel], grid: Grid) -> list[list[PlaneMap
 
 
 def fit(function: Smooth, degree: int) -> tuple[F64, F64]:
-    """Polynomials of a total degree through a smooth function.
+    """Fit polynomials of a total degree to a smooth function.
 
     Returns
     -------
@@ -125,7 +125,7 @@ def slopes(points: F64, degree: int) -> tuple[F64, F64]:
 
 
 def plane_points(grid: Grid, z_mm: float, unit: F64) -> F64:
-    """World points (n, 3) of a plane given in u, v."""
+    """Convert u, v of a plane to world points (n, 3)."""
     x, y, _ = grid.axes_mm
     ends = np.array([[x[0], y[0]], [x[-1], y[-1]]])
     return np.column_stack(
@@ -142,7 +142,7 @@ def _maps_of_degree(camera: CameraModel, grid: Grid, depths: F64, degree: int) -
 
 
 def _plane_function(camera: CameraModel, grid: Grid, depths: F64) -> Smooth:
-    """Exact pixels of points on several planes: (n, 2 planes)."""
+    """Make the function of exact pixels of points on several planes: (n, 2 planes)."""
 
     def pixels(unit: F64) -> F64:
         return np.column_stack([_project_plane(camera, grid, float(z), unit) for z in depths])

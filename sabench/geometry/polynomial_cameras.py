@@ -69,7 +69,7 @@ class Projective:
         return np.asarray(points_mm[:, :2] + way[:, :2] / way[:, 2:] * (z_mm - points_mm[:, 2:]))
 
     def back_project(self, pixels: npt.ArrayLike) -> Rays:
-        """Lines of sight from the centre of projection."""
+        """Return lines of sight from the centre of projection."""
         image, matrix = rows_of(pixels, 2, "pixels"), np.asarray(self.matrix)
         inverse = np.linalg.inv(matrix[:, :3])
         directions = np.column_stack([image, np.ones(len(image))]) @ inverse.T
@@ -165,7 +165,7 @@ class Soloff(_Fitted):
     coefficients: Rows
 
     def project(self, points_mm: npt.ArrayLike) -> tuple[F64, Bool]:
-        """Pixels (n, 2) as (column, row) of world points (n, 3).
+        """Project world points (n, 3) to pixels (n, 2) as (column, row).
 
         Every finite point has one, far from the fitted box a meaningless one.
         """
@@ -192,7 +192,7 @@ class PlanePolynomials(_Fitted):
     coefficients: Rows
 
     def project(self, points_mm: npt.ArrayLike) -> tuple[F64, Bool]:
-        """Pixels (n, 2) as (column, row) of world points (n, 3).
+        """Project world points (n, 3) to pixels (n, 2) as (column, row).
 
         Beyond the outer planes the last two are continued.
         """
@@ -253,7 +253,7 @@ def _normalised(points: F64) -> tuple[F64, F64]:
 
 
 def _least_squares(start: F64, full: F64, images: F64) -> F64:
-    """Gauss and Newton's steps from the linear solution.
+    """Refine the linear solution by Gauss and Newton's steps.
 
     The matrix's scale is what a pseudo-inverse leaves alone.
     """

@@ -90,7 +90,7 @@ def _step(
 def _climb(
     slope: Any, square: Any, deep: Any, size: int, rare: float, others: Any, fluid: float
 ) -> None:
-    """Newton's steps for a block from where it is."""
+    """Apply Newton's steps to a block from where it is."""
     for _ in range(_NEWTON):
         moving = 0
         for i in range(size):

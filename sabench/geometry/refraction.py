@@ -72,7 +72,7 @@ class Wall:
         return np.cumsum([0.0, *(layer.thickness_mm for layer in self.layers)])
 
     def depth_of(self, points_mm: F64) -> F64:
-        """Signed distance of points (..., 3) behind the outer face, mm."""
+        """Compute the signed distance of points (..., 3) behind the outer face, mm."""
         return np.asarray((points_mm - np.asarray(self.point_mm)) @ np.asarray(self.normal))
 
 
@@ -89,7 +89,7 @@ class Paths:
 
 
 def trace_to_points(wall: Wall | None, pinhole_mm: F64, points_mm: F64) -> Paths:
-    """Paths of light from one pinhole (3,) to points (n, 3) through the wall.
+    """Trace paths of light from one pinhole (3,) to points (n, 3) through the wall.
 
     `valid` is False for points that are not in the fluid, that are not finite, or when the pinhole
     itself lies in the wall or the fluid.
@@ -202,9 +202,9 @@ def _start(relative: F64, depths_mm: list[F64 | float], radius_mm: F64) -> F64:
 
 
 def _bowed(relative: F64, depths_mm: list[F64 | float], slope: F64) -> tuple[F64, F64, F64]:
-    """Lateral distance of a path with slope t in the rarest medium, and derivatives.
+    """Compute lateral distance of a path with slope t, and derivatives.
 
-    The first derivative, and the second over -3 t.
+    The slope is that in the rarest medium. The first derivative, and the second over -3 t.
     """
     square = slope * slope
     value, gradient, bow = np.zeros_like(slope), np.zeros_like(slope), np.zeros_like(slope)

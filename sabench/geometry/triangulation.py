@@ -31,7 +31,7 @@ def triangulate(cameras: Sequence[CameraModel], pixels: F64) -> F64:
 
 
 def intersect(cameras: Sequence[CameraModel], pixels: F64) -> F64:
-    """Points (n, 3) nearest to the lines of sight of pixels (camera, n, 2).
+    """Find points (n, 3) nearest to the lines of sight of pixels (camera, n, 2).
 
     NaN where fewer than two cameras see one.
     """

@@ -72,7 +72,10 @@ def fit_volume_polynomials(
 
 
 def _project_exactly(cameras: Sequence[CameraModel], points_mm: F64) -> F64:
-    """Pixels (n, 2 cameras) of points (n, 3), column and row of each camera in turn."""
+    """Project points (n, 3) exactly to pixels (n, 2 cameras).
+
+    Column and row of each camera in turn.
+    """
     pixels = np.stack([camera.project(points_mm)[0] for camera in cameras], axis=1)
     if not np.isfinite(pixels).all():
         raise ValueError(
@@ -82,7 +85,7 @@ def _project_exactly(cameras: Sequence[CameraModel], points_mm: F64) -> F64:
 
 
 def _powers(degree: int) -> I64:
-    """Exponents (terms, 3) of x, y and z whose sum is at most a degree."""
+    """List exponents (terms, 3) of x, y and z whose sum is at most a degree."""
     return np.array(
         [
             (i, j, k)

@@ -29,7 +29,7 @@ class SlidingMinimum(_Step):
     window_px: int = Field(10, ge=2, le=1000, description="edge of the square of pixels")
 
     def apply(self, images: F32) -> F32:
-        """Images (camera, row, column), none below zero."""
+        """Apply the step to images (camera, row, column); no result is below zero."""
         kernel = np.ones((self.window_px, self.window_px), dtype=np.uint8)
         return np.stack(
             [image - cv2.erode(image, kernel, borderType=cv2.BORDER_REPLICATE) for image in images]
@@ -46,7 +46,10 @@ class Gaussian(_Step):
     sigma_px: float = Field(0.5, gt=0.0, description="standard deviation")
 
     def apply(self, images: F32) -> F32:
-        """Images (camera, row, column); beyond the edges they are mirrored."""
+        """Apply the step to images (camera, row, column).
+
+        Beyond the edges they are mirrored.
+        """
         size = 2 * self.reach_px + 1
         return np.stack([cv2.GaussianBlur(image, (size, size), self.sigma_px) for image in images])
 
@@ -60,7 +63,7 @@ class MatchHistograms(_Step):
     step: Literal["match_histograms"]
 
     def apply(self, images: F32) -> F32:
-        """Images (camera, row, column).
+        """Apply the step to images (camera, row, column).
 
         Pixels of one value keep one value, the mean over their ranks.
         """
@@ -78,7 +81,10 @@ class Stretch(_Step):
     percent: float = Field(0.1, ge=0.0, lt=50.0, description="of the pixels, at either end")
 
     def apply(self, images: F32) -> F32:
-        """Images (camera, row, column) from 0 to 1; one without contrast becomes black."""
+        """Scale images (camera, row, column) to 0 to 1.
+
+        One without contrast becomes black.
+        """
         out = np.zeros_like(images)
         for image, stretched in zip(images, out, strict=True):
             low, high = np.percentile(image, [self.percent, 100.0 - self.percent])
@@ -91,7 +97,7 @@ Step = Annotated[SlidingMinimum | Gaussian | MatchHistograms | Stretch, Field(di
 
 
 def processed(images: U16, black_dn: float, white_dn: float, steps: Sequence[Step]) -> U16:
-    """Images (camera, row, column) after all steps, from 0 to `WHITE`.
+    """Apply all steps to images (camera, row, column), from 0 to `WHITE`.
 
     Finer than grey values, which blurring would else round.
     """

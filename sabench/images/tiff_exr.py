@@ -60,7 +60,7 @@ def _fits(values: Any, kind: Any, shape: tuple[int, int]) -> bool:
 
 
 def write_exr(path: Path, radiance: F32) -> None:
-    """Photon radiance (rows, columns) as an EXR with one 32-bit channel Y."""
+    """Write photon radiance (rows, columns) as an EXR with one 32-bit channel Y."""
     import OpenEXR
 
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}

@@ -26,7 +26,7 @@ def mean_of_each(figures: Sequence[Mapping[str, float | None]]) -> dict[str, flo
 
 
 def root_mean_square(values: F64) -> float:
-    """Root mean square of an array of any shape; NaN without values."""
+    """Compute the root mean square of an array of any shape; NaN without values."""
     return float(np.sqrt(np.mean(np.square(values)))) if values.size else float("nan")
 
 

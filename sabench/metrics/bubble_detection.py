@@ -98,7 +98,7 @@ def detection_scores(estimate: AnyBubbles, truth: AnyBubbles, visible: F64) -> d
 def _counts(
     estimate: AnyBubbles, truth: AnyBubbles, visible: F64, i: I64, j: I64
 ) -> dict[str, float]:
-    """F1 scores, precision and recall from the rows of matched bubbles."""
+    """Compute F1 scores, precision and recall from the rows of matched bubbles."""
     hit = np.zeros(len(truth.center_mm), dtype=np.bool_)
     ghost = np.ones(len(estimate.center_mm), dtype=np.bool_)
     hit[j], ghost[i] = True, False
@@ -117,7 +117,7 @@ def _counts(
 
 
 def _totals(estimate: AnyBubbles, truth: AnyBubbles) -> dict[str, float]:
-    """Errors of the distribution of sizes and of the total volume, percent."""
+    """Compute errors of the distribution of sizes and of the total volume, percent."""
     own, true = estimate.radius_mm, truth.radius_mm
     sizes = wasserstein_distance(own, true) / true.mean() if len(own) and len(true) else np.nan
     air, true_air = (
@@ -152,7 +152,7 @@ def _f1(hit: Bool, selected: Bool, ghosts: int) -> float:
 
 
 def _errors(estimate: AnyBubbles, truth: AnyBubbles, i: I64, j: I64) -> dict[str, float]:
-    """Median errors of matched pairs."""
+    """Compute median errors of matched pairs."""
     if not len(i):
         return dict.fromkeys(
             ("radius_percent", "axes_percent", "tilt_deg", "plane_mm", "depth_mm"), float("nan")

@@ -52,7 +52,10 @@ class HalfPlane:
     normal: F64
 
     def points(self, r: F64, z: F64) -> F64:
-        """World points (n, 3) at distances (n,) from the axis and heights (n,) along it."""
+        """Compute world points at distances (n,) from the axis and heights (n,).
+
+        Points are (n, 3); heights are along the axis.
+        """
         return np.asarray(self.center_mm + r[:, None] * self.outward + z[:, None] * self.axis)
 
 

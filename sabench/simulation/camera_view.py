@@ -49,7 +49,7 @@ class CameraView:
     error: float | None = None
 
     def radiance(self) -> F64:
-        """Radiance (rows, columns) in front of the lens, photons / (mm2 sr).
+        """Compute radiance (rows, columns) in front of the lens, photons / (mm2 sr).
 
         0 where a distorted lens shows nothing.
         """
@@ -139,14 +139,14 @@ def _render_bubbles(frame: FrameContent, bubbles: Bubbles, number: int) -> Camer
 
 
 def tank_of(scene: Scene, rig: Rig) -> Tank:
-    """Walls of a scene."""
+    """Return the walls of a scene."""
     layers = (scene.wall.rear or ()) if scene.wall else ()
     rear = tuple(Layer(layer.name, layer.index, layer.thickness_mm) for layer in layers)
     return Tank(rig.wall, rear)
 
 
 def lights_of(scene: Scene) -> Lights:
-    """Lights of a scene, but for the laser."""
+    """Return the lights of a scene without the laser."""
     center = np.asarray(scene.volume.center_mm)
     return Lights(scene.backlight, scene.lighting, center, full_well_photons(scene.sensor))
 

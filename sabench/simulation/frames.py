@@ -95,7 +95,10 @@ class Frames:
         )
 
     def _positions(self, particles: Particles, number: int) -> tuple[F64, ...]:
-        """Positions along each path: as many as its longest image has halves of a pixel."""
+        """List positions along each path.
+
+        As many as its longest image has halves of a pixel.
+        """
         duration = self.scene.timing.duration_s if self.scene.timing else 0.0
         if duration == 0.0 or not len(particles):
             return (particles.position_mm,)
@@ -107,14 +110,14 @@ class Frames:
         return tuple(self._moved(particles, number, delay) for delay in moments(duration, steps))
 
     def _moved(self, particles: Particles, number: int, delay_s: float) -> F64:
-        """Positions (n, 3) some time before or after the middle of the pulse."""
+        """Move positions (n, 3) to some time before or after the middle of the pulse."""
         if self.motion is None or delay_s == 0.0:
             return particles.position_mm
         return self.motion.moved(particles, number, delay_s)
 
 
 def _longest_px(camera: Camera, early_mm: F64, late_mm: F64) -> float:
-    """Length of the longest image of paths between two sets of positions (n, 3)."""
+    """Compute the longest image of paths between two sets of positions (n, 3)."""
     ends = [camera.project(points)[0] for points in (early_mm, late_mm)]
     return float(np.nanmax(np.linalg.norm(ends[1] - ends[0], axis=1)))
 

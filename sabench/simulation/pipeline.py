@@ -163,7 +163,7 @@ def _truth(part: Part) -> Part:
 
 
 def _shows(scene: Scene) -> tuple[Shown, ...]:
-    """Kinds of objects in frames of bubbles and bodies; none for other scenes."""
+    """List kinds of objects in frames of bubbles and bodies; none for other scenes."""
     world = scene.world
     if not isinstance(world, BubbleWorld):
         return ()

@@ -52,7 +52,7 @@ class DeclinedError(InputError):
 
 
 def _line(text: str, longest: int = _LONGEST) -> str:
-    """Printable text on one line that is not too long."""
+    """Format printable text on one line that is not too long."""
     words = " ".join(text[: 100 * _LONGEST].split())
     line = "".join(mark if mark.isprintable() else "?" for mark in words)
     end = longest // 6

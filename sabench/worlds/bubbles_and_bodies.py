@@ -93,7 +93,7 @@ def bodies_of(scene: Scene) -> tuple[GeneratorTable, ...]:
 
 
 def pose_of(parameters: SolidParameters, time_s: float) -> Pose:
-    """Position and rotation of a body at a time."""
+    """Compute position and rotation of a body at a time."""
     rotation = rotation_matrices(np.deg2rad(parameters.turn_deg)) @ rotation_matrices(
         np.deg2rad(parameters.spin_deg_s) * time_s
     )
@@ -127,7 +127,7 @@ def _closed(body: Solid, where: str, scene: Scene) -> Solid:
 
 
 def _depths(wall: Wall) -> tuple[float, float]:
-    """Depths of the inner faces of both walls."""
+    """Return the depths of the inner faces of both walls."""
     inner = wall.thickness_mm
     return inner, inner + wall.depth_mm if wall.depth_mm is not None else np.inf
 

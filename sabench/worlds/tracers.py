@@ -94,7 +94,7 @@ class Motion:
         return particles
 
     def moved(self, particles: Particles, frame: int, delay_s: float) -> F64:
-        """Positions (n, 3) of a frame's particles some time later or earlier."""
+        """Move positions (n, 3) of a frame's particles some time later or earlier."""
         if self._flow is None:
             return particles.position_mm + delay_s * particles.velocity_mm_s
         time = self.scene.time_s(frame)
@@ -166,7 +166,7 @@ def lattice(scene: Scene, frame: int, step_mm: tuple[float, float, float]) -> tu
 
 
 def pulse(scene: Scene, seed: int, frame: int) -> Illumination:
-    """Laser of one frame, with the pulse's energy and shift."""
+    """Make the laser of one frame, with the pulse's energy and shift."""
     timing, light = scene.timing, scene.particle_world.illumination
     if timing is None:
         return light

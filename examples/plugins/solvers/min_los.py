@@ -30,7 +30,7 @@ class MinLos(Solver):
         return "it needs two cameras" if len(case.cameras) < 2 else None
 
     def solve(self, case: Observation) -> Reconstruction:
-        """I = min_i I_i over the cameras i, zero below the floor."""
+        """Compute I = min_i I_i over the cameras i, zero below the floor."""
         x, y, z = case.grid.axes_mm
         volume = np.full(case.grid.shape, np.inf, dtype=np.float32)
         for image, camera in zip(case.images, case.cameras, strict=True):

@@ -28,7 +28,7 @@ REACH = 4.0  # widths of the blur beyond the rim
 
 
 def sharp(b: F64, index: float, half_angle: float) -> F64:
-    """Transmission (n,) at parts b (n,) of a ball's radius.
+    """Compute transmission (n,) at parts b (n,) of a ball's radius.
 
     Parameters
     ----------
@@ -112,7 +112,7 @@ class Profile:
         return cls(table, blur_px)
 
     def __call__(self, distance: F64, radius_px: float) -> F64:
-        """Transmission at distances (n,) in px from the centre of a ball."""
+        """Interpolate transmission at distances (n,) in px from the centre of a ball."""
         place = np.log(radius_px / SMALLEST) / np.log(LARGEST / SMALLEST) * (_RADII - 1)
         low = int(np.clip(np.floor(place), 0, _RADII - 2))
         row = self.table[low] * (low + 1 - place) + self.table[low + 1] * (place - low)

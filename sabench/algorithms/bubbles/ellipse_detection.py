@@ -28,7 +28,7 @@ _FITS = 2
 
 
 def find_edges(dark: F32, least: float) -> F64:
-    """Edges (n, 4) of an image of darkness.
+    """Find edges (n, 4) in an image of darkness.
 
     Column and row to a fraction of a pixel, and unit vectors towards the dark.
 
@@ -59,7 +59,7 @@ def find_edges(dark: F32, least: float) -> F64:
 
 
 def _between(image: F32, x: F32, y: F32) -> F32:
-    """Values between pixels."""
+    """Interpolate between pixels."""
     if not len(x):
         return np.zeros(0, dtype=np.float32)
     found = cv2.remap(
@@ -73,7 +73,7 @@ def _between(image: F32, x: F32, y: F32) -> F32:
 
 
 def find_ellipses(points: F64, largest: float, least_aspect: float, least_part: float) -> F64:
-    """Outlines (n, 6) that edges (m, 4) make, the best one first.
+    """Find outlines (n, 6) from edges (m, 4), the best one first.
 
     Column, row, semi-axes, angle of the longer one from X, part that has edges.
 
@@ -149,7 +149,7 @@ def _belongs(points: Any, ellipse: Any, off: float) -> Any:
 
 @numba.njit(cache=True, error_model="numpy")
 def _covered(points: Any, ellipse: Any) -> float:
-    """Part of an outline, in steps of about a pixel, that has edges."""
+    """Compute the part of an outline, in steps of about a pixel, that has edges."""
     a, b = ellipse[2], ellipse[3]
     steps = max(
         8, int(np.rint(np.pi * (3.0 * (a + b) - np.sqrt((3.0 * a + b) * (a + 3.0 * b)))))

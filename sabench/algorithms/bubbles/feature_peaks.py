@@ -122,7 +122,7 @@ def _inside(shape: tuple[int, ...], outline: F64) -> tuple[slice, slice, Bool]:
 
 
 def drop_duplicates(bubbles: F64, depth: float) -> F64:
-    """Bubbles (n, 7) of which no two are at one place, the largest first.
+    """Merge bubbles (n, 7) at one position, and sort them by size, the largest first.
 
     A much smaller one is left out, two alike are merged.
 

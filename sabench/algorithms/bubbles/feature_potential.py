@@ -123,7 +123,7 @@ class Outlines:
 
 
 def find_outlines(dark: F32, depth: F32, least: float, small: float) -> Outlines:
-    """Bubbles of one image of darkness (rows, columns) with its map of depths.
+    """Find bubbles of one image of darkness (rows, columns) with its map of depths.
 
     Edges, labels, circles of the large and thresholds of the small ones.
 
@@ -267,7 +267,7 @@ def find_circles(right: F32, down: F32, own: Any) -> list[tuple[float, float, fl
 
 @numba.njit(cache=True, error_model="numpy")
 def _vote(rows: Any, columns: Any, gx: Any, gy: Any, votes: Any) -> None:
-    """Each edge pixel votes for the centres of circles whose outline it is.
+    """Vote by each edge pixel for the centres of circles whose outline it is.
 
     Darkness grows inwards.
     """
@@ -306,9 +306,9 @@ def minimum_images(volume: F32) -> list[tuple[F32, F32]]:
 
 
 def merge_overlaps(shapes: F64, grid: Grid) -> F64:
-    """Bubbles (n, 6: x, y, z, two semi-axes, weight) less those in larger ones.
+    """Remove bubbles inside larger ones.
 
-    Others that overlap are merged.
+    Bubbles are (n, 6): x, y, z, two semi-axes, weight. Others that overlap are merged.
 
     All in mm; two overlap if they do so in the plane and their depths differ by less than the
     larger one's radius and a stack.

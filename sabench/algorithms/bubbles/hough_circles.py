@@ -72,7 +72,7 @@ def vote(image: F32, radii_px: F64, aspect: float = 1.0) -> Votes:
 
 
 def _ring(radius: float) -> tuple[F32, F32]:
-    """Kernels that add up the outward parts of a field on a ring."""
+    """Make kernels that add up the outward parts of a field on a ring."""
     half = int(np.ceil(radius + 3.0 * _WIDTH))
     x, y = np.meshgrid(
         np.arange(-half, half + 1, dtype=np.float64), np.arange(-half, half + 1, dtype=np.float64)

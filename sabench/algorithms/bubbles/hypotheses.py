@@ -43,7 +43,7 @@ class Hypotheses:
 def find_hypotheses(
     cameras: Sequence[Camera], votes: Sequence[Votes], grid: Grid, least_2d: float, least_3d: float
 ) -> Hypotheses:
-    """Balls whose outlines are voted for in most views.
+    """Find balls whose outlines are voted for in most views.
 
     Parameters
     ----------
@@ -62,7 +62,7 @@ def find_hypotheses(
 
 
 def join_hypotheses(parts: Sequence[Hypotheses]) -> Hypotheses:
-    """Hypotheses of several aspects."""
+    """Join hypotheses of several aspects."""
     center, radius, vote, aspect = (
         np.concatenate([getattr(part, name) for part in parts])
         for name in ("center_mm", "radius_mm", "vote", "aspect")
@@ -71,7 +71,7 @@ def join_hypotheses(parts: Sequence[Hypotheses]) -> Hypotheses:
 
 
 def _spread(maps: F32, out: F32) -> None:
-    """Smoothed votes.
+    """Smooth votes.
 
     Other views are not hit to the pixel. A maximum over neighbours would be as good at many depths.
     """
@@ -90,7 +90,7 @@ def _along_lines(
     least_2d: float,
     least_3d: float,
 ) -> tuple[F64, F64, F64]:
-    """Best places of one view's outlines."""
+    """Find the best positions of one view's outlines."""
     seen = peaks(votes[number], least_2d)
     rays = cameras[number].back_project(seen[:, :2])
     seen, starts, ways = seen[rays.valid], rays.origins_mm[rays.valid], rays.directions[rays.valid]
@@ -148,7 +148,7 @@ def px_per_mm(camera: Camera, points_mm: F64) -> F64:
 
 
 def _agreed(total: F32) -> F32:
-    """Mean votes of the cameras that agree most; two at least."""
+    """Average the votes of the cameras that agree most; two at least."""
     seen = np.isfinite(total)
     count = seen.sum(axis=0)
     used = np.maximum(2, np.round(_AGREE * count)).astype(np.int64)

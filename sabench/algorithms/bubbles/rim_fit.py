@@ -42,12 +42,15 @@ class Model:
 
 
 def start_of(center_mm: F64, radius_mm: float, aspect: float = 1.0) -> F64:
-    """Parameters of a ball, or of a spheroid that lies flat."""
+    """Return parameters of a ball, or of a spheroid that lies flat."""
     return np.array([*center_mm, np.log(radius_mm), np.log(aspect * radius_mm), 0.0, 0.0])
 
 
 def turn_of(parameters: F64) -> F64:
-    """Rotation from the world to a bubble's axes: the second row is the short axis."""
+    """Return the rotation to a bubble's axes.
+
+    It is from the world; the second row is the short axis.
+    """
     a, b = parameters[5], parameters[6]
     short = np.array([np.sin(a) * np.cos(b), -np.cos(a) * np.cos(b), np.sin(b)])
     first = np.cross(short, [0.0, 0.0, 1.0])
@@ -62,7 +65,7 @@ def semi_axes_of(parameters: F64) -> F64:
 
 
 def images_of(cameras: Sequence[Camera], linear: tuple[F64, F64, F64], parameters: F64) -> F64:
-    """Ellipses (camera, 5) of a bubble.
+    """Compute ellipses (camera, 5) of a bubble.
 
     Centre column and row, and the inverse of its shape matrix as xx, xy, yy.
 
@@ -87,7 +90,7 @@ def images_of(cameras: Sequence[Camera], linear: tuple[F64, F64, F64], parameter
 
 
 def linearised(cameras: Sequence[Camera], place: F64) -> tuple[F64, F64, F64]:
-    """Every camera as a linear map around a place."""
+    """Linearise every camera around a position."""
     step = 0.05
     points = np.concatenate([place[None], place + step * np.eye(3), place - step * np.eye(3)])
     pixels = np.stack([camera.project(points)[0] for camera in cameras])
@@ -116,7 +119,7 @@ def gain(model: Model, parameters: F64) -> F64:
 
 
 def fit(model: Model, parameters: F64, steps: int) -> F64:
-    """Better parameters of a bubble that is not in the model now."""
+    """Fit the parameters of a bubble that is not in the model now."""
     linear = linearised(model.cameras, parameters[:3])
     best, damping = parameters.copy(), 1e-2
     value, normal, slope = _measured(model, linear, best)
@@ -166,7 +169,7 @@ def misfit(model: Model, parameters: F64) -> float:
 def _measured(
     model: Model, linear: tuple[F64, F64, F64], parameters: F64
 ) -> tuple[float, F64, F64]:
-    """Robust sum of squares, and its normal equations."""
+    """Compute the robust sum of squares and its normal equations."""
     moved = [parameters, *(parameters + np.diag(_STEPS))]
     ellipses = np.stack([images_of(model.cameras, linear, one) for one in moved], axis=1)
     normal, slope = np.zeros((len(parameters), len(parameters))), np.zeros(len(parameters))

@@ -57,7 +57,7 @@ def search_bubbles(
     least_gain: float,
     sweeps: int,
 ) -> Detections:
-    """Bubbles that explain what is dark in the images (camera, row, column).
+    """Find bubbles that explain the dark parts of images (camera, row, column).
 
     Parameters
     ----------
@@ -101,7 +101,7 @@ def _lit_from(
 
 
 def _accepted(model: Model, start: Hypotheses, least_gain: float) -> list[F64]:
-    """Hypotheses in the order of what they explain, each fitted before it is judged."""
+    """Fit and judge hypotheses in the order of their gains."""
     order = np.argsort(-start.vote * start.radius_mm, kind="stable")
     kept: list[F64] = []
     for least in (

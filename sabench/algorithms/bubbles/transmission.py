@@ -17,7 +17,7 @@ _DARKEST = 0.02  # of white: images that are darker everywhere show nothing
 
 
 def transmission(case: Observation) -> F32:
-    """Grey values less black over those of the diffuser there: (camera, row, column).
+    """Divide grey values less black by the diffuser's: (camera, row, column).
 
     all 1 for an image that shows nothing.
 

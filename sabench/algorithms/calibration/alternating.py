@@ -1,6 +1,6 @@
-"""The thesis's auto-calibration.
+"""Auto-calibration of the thesis.
 
-Cameras against fixed boards, then boards against fixed cameras, in turn.
+Cameras are adjusted to fixed boards, then boards to fixed cameras, in turn.
 
 Source: J. Belden, PhD thesis, MIT 2011, figure 4-1 and section 4.4.2.
 """
@@ -61,7 +61,7 @@ def select_cameras(state: State, seen: Seen, cameras: I64) -> tuple[State, Seen]
 
 
 def _cameras(state: State, seen: Seen, free: FreeParameters) -> State:
-    """Every camera on its own against the boards as they are."""
+    """Adjust every camera on its own to the boards as they are."""
     fits = [
         refine(*select_cameras(state, seen, np.array([number])), free, moving="cameras").state
         for number in range(len(state.turns))
@@ -74,7 +74,7 @@ def _cameras(state: State, seen: Seen, free: FreeParameters) -> State:
 
 
 def _boards(state: State, seen: Seen, free: FreeParameters) -> State:
-    """Every board on its own against the cameras as they are."""
+    """Adjust every board on its own to the cameras as they are."""
     turns, places = state.board_turns.copy(), state.places.copy()
     for number in np.flatnonzero(seen.weights.sum(axis=(0, 2)) > 0.0).tolist():
         own = slice(number, number + 1)

@@ -1,6 +1,7 @@
-"""Bundle adjustment.
+"""Bundle adjustment of cameras and boards.
 
-Cameras, boards and what they share, all at once, by Levenberg and Marquardt's method.
+Cameras, boards and shared unknowns are adjusted simultaneously, by Levenberg and Marquardt's
+method.
 
 The boards' blocks are eliminated first (Schur's complement), so that a step costs a Cholesky factor
 of the cameras' unknowns only. Source: Triggs et al. (2000), Bundle adjustment - a modern synthesis.
@@ -71,7 +72,7 @@ class Seen:
 
 @dataclass(frozen=True)
 class Anchor:
-    """A point whose place in the world was measured.
+    """Point whose position in the world was measured.
 
     Attributes
     ----------
@@ -106,7 +107,7 @@ class Normal:
 
 @dataclass(frozen=True)
 class Fit:
-    """A state, its cost and the steps that led to it."""
+    """State, its cost and the steps that led to it."""
 
     state: State
     cost: float
@@ -144,8 +145,8 @@ def refine(
     scale : of Cauchy's loss, px; 0 for least squares.
     moving : what is adjusted: cameras (with what they share), boards, or both.
 
-    What the observations do not determine - for a plane wall a shift along it and a turn about its
-    normal - stays near the start.
+    Motions that the observations do not determine stay near the start. For a plane wall these are
+    a shift along it and a rotation about its normal.
     """
     here, damping = normal_equations(state, seen, free, scale), 1e-3
     enough = _EXACT * max(1.0, float(seen.weights.sum()))
@@ -219,7 +220,10 @@ def _solved(matrix: F64, right: F64) -> F64:
 
 
 def residuals(state: State, seen: Seen) -> F64:
-    """Observed minus computed pixels (M, K, m, 2), NaN where a point is not seen."""
+    """Subtract computed from observed pixels (M, K, m, 2).
+
+    NaN where a point is not seen.
+    """
     out: F64 = misses(
         state.array(), (state.board_turns, state.places, seen.board), (seen.pixels, seen.weights)
     )

@@ -1,4 +1,4 @@
-"""The best that a calibration can do: the Cramer-Rao bound of its observations."""
+"""Cramer-Rao bound of a calibration's observations."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class Limit:
     def efficiency(self) -> float:
         """Ratio of the true to the measured reprojection error of a perfect estimate.
 
-        Sqrt(p / (N - p)).
+        It is sqrt(p / (N - p)).
         """
         return float(np.sqrt(self.unknowns / max(self.equations - self.unknowns, 1)))
 
@@ -76,7 +76,7 @@ def limit(state: State, seen: Seen, free: FreeParameters, noise_px: float) -> Li
 def _whole(state: State, seen: Seen, free: FreeParameters) -> F64:
     """Compute the information matrix of all unknowns for a noise of 1 px.
 
-    Unknowns in the order cameras, shared, boards.
+    Unknowns are in the order cameras, shared, boards.
     """
     normal = normal_equations(state, seen, free)
     size, boards = len(normal.aa), len(normal.bb)
@@ -95,7 +95,8 @@ def _whole(state: State, seen: Seen, free: FreeParameters) -> F64:
 def _inverse(information: F64) -> tuple[F64, int]:
     """Compute a generalised inverse and the rank.
 
-    What does not notice the open directions has the same variance in any of these inverses.
+    Quantities that do not depend on the undetermined directions have the same variance in any of
+    these inverses.
     """
     scale = 1.0 / np.sqrt(np.maximum(np.diagonal(information), 1e-300))
     values, vectors = np.linalg.eigh(information * scale * scale[:, None])
@@ -137,9 +138,9 @@ def _positive(covariance: F64) -> F64:
 
 
 def _mean_length(uu: F64, vv: F64, uv: F64) -> F64:
-    """Mean lengths of pairs of normal numbers with these variances and covariances.
+    """Compute mean lengths of pairs of normal numbers.
 
-    A complete elliptic integral.
+    Their variances and covariances are given. A complete elliptic integral.
     """
     middle, spread = (uu + vv) / 2.0, np.hypot((uu - vv) / 2.0, uv)
     large, small = middle + spread, np.maximum(middle - spread, 0.0)

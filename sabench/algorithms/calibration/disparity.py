@@ -42,10 +42,10 @@ class Sets:
 def find_sets(maps: VolumePolynomials, peaks: tuple[Peaks, ...], reach_px: float) -> Sets:
     """Find sets of peaks within reach, and the errors of their images.
 
-    Errors are distances from where the cameras see the position that fits best.
+    Errors are distances from the projections of the position that fits best.
 
-    Where there is no room for all, they are those of a random part of the first camera's images:
-    right and wrong ones become fewer alike.
+    If there is no room for all sets, they are those of a random part of the first camera's images.
+    The shares of right and wrong sets then stay the same.
     """
     pixels = np.stack(
         [
@@ -77,10 +77,10 @@ def corrected(
 
     Also returns the largest move in px.
 
-    All cameras' errors together are one vector; what a place can take up of it is gone, and in the
-    few dimensions that are left the right sets lie in one spot and the wrong ones all over. Every
-    part of the box that has enough sets near to that spot has a disparity of its own; a plane is
-    laid through them.
+    All cameras' errors together are one vector, from which the part that a change of position
+    explains is projected out. In the few dimensions that are left, the right sets lie in one spot
+    and the wrong ones scatter. Every part of the box with enough sets near that spot has a
+    disparity of its own; a plane is fitted to these.
     """
     basis = _unmoved(maps, cameras)
     errors = sets.errors.reshape(len(sets.errors), -1) @ basis
@@ -119,7 +119,7 @@ def densest(values: F64) -> F64:
 def _shifted(values: F64, middle: F64) -> tuple[F64, int]:
     """Compute the mean of the values near a point, then near that mean, and so on.
 
-    And how many those are.
+    Also returns the number of these values.
     """
     near = np.zeros(len(values), dtype=np.bool_)
     for _ in range(_SHIFTS):
@@ -131,10 +131,10 @@ def _shifted(values: F64, middle: F64) -> tuple[F64, int]:
 
 
 def _unmoved(maps: VolumePolynomials, cameras: range) -> F64:
-    """Orthonormal columns (2 cameras, d).
+    """Compute orthonormal columns (2 cameras, d).
 
-    What of the cameras' pixels does not change with a place, at the middle of the box; all, for one
-    camera.
+    They span the changes of the cameras' pixels that no change of position causes, at the middle of
+    the box. For one camera they span all changes.
     """
     if len(cameras) < 2:
         return np.eye(2)

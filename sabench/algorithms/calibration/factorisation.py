@@ -43,7 +43,7 @@ class Factors:
 def factorise(images: F64, seen: Bool) -> Factors:
     """Factorise images (camera, n, 2) into matrices and points.
 
-    Those that are not `seen` (camera, n) are filled in as the rest demands.
+    Images that are not `seen` (camera, n) are filled in from the others.
 
     Images should be scaled to about 1. The depths of all points start equal and follow from the
     product of rank 4 that is nearest.
@@ -81,10 +81,9 @@ def factorise(images: F64, seen: Bool) -> Factors:
 def adjust_factors(factors: Factors, images: F64, seen: Bool) -> Factors:
     """Minimise the images' squared errors over matrices and points.
 
-    Finds the minimum near the given factors. A projective bundle adjustment.
-
-    Factorisation leaves an algebraic error, and creeps; Levenberg and Marquardt's steps, points
-    eliminated, go on from there.
+    This is a projective bundle adjustment that finds the minimum near the given factors.
+    Factorisation leaves an algebraic error and converges slowly; Levenberg and Marquardt's steps
+    with eliminated points improve its result.
     """
     frame = np.eye(4)
     frame[:, 3] = np.linalg.lstsq(factors.points, np.ones(len(factors.points)), rcond=None)[
@@ -127,7 +126,7 @@ def _cost(matrices: F64, points: F64, images: F64, seen: Bool) -> float:
 
 
 def _images(matrices: F64, points: F64) -> tuple[F64, F64]:
-    """Images (camera, n, 2) and their depths (camera, n)."""
+    """Compute images (camera, n, 2) and their depths (camera, n)."""
     projected = np.einsum("cij,nj->cni", matrices[:, :, :3], points) + matrices[:, None, :, 3]
     return projected[..., :2] / projected[..., 2:], projected[..., 2]
 
@@ -214,7 +213,7 @@ def upgrade_to_euclidean(factors: Factors) -> Factors:
 def _filled(images: F64, seen: Bool) -> F64:
     """Make a first guess of unseen images.
 
-    An affine product of rank 3 about the cameras' means, filled in again and again.
+    It is an affine product of rank 3 about the cameras' means, iterated.
     """
     means = (
         np.nansum(images * seen[..., None], axis=1, keepdims=True)
@@ -232,7 +231,7 @@ def _filled(images: F64, seen: Bool) -> F64:
 
 
 def _balanced(depths: F64, homogeneous: F64) -> F64:
-    """Depths scaled so that every camera and every point weighs alike."""
+    """Scale depths so that every camera and every point has the same weight."""
     lengths = np.linalg.norm(homogeneous, axis=2)
     for _ in range(3):
         depths = depths / np.sqrt(np.mean((depths * lengths) ** 2, axis=0))
@@ -241,7 +240,7 @@ def _balanced(depths: F64, homogeneous: F64) -> F64:
 
 
 def _product(a: F64, b: F64) -> F64:
-    """Coefficients of a^T Q b in the ten entries of a symmetric Q."""
+    """Compute coefficients of a^T Q b in the ten entries of a symmetric Q."""
     full = np.outer(a, b)
     return np.array(
         [full[i, j] + (full[j, i] if i != j else 0.0) for i in range(4) for j in range(i, 4)]

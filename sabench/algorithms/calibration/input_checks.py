@@ -25,7 +25,7 @@ _GLASS = 1.4  # index that solids exceed and most fluids do not
 
 
 def check_case(case: CalibrationCase) -> None:
-    """Refuse what needs no calculation to be seen.
+    """Refuse input that is faulty without any calculation.
 
     Raises
     ------
@@ -58,7 +58,10 @@ def _check_indices(wall: Wall) -> None:
 
 
 def _check_duplicates(case: CalibrationCase) -> None:
-    """Noise never repeats: equal pixels are one image under two names."""
+    """Refuse equal pixels of two images.
+
+    Noise never repeats: equal pixels are one image under two names.
+    """
     for i, j in itertools.combinations(range(len(case.cameras)), 2):
         if _same(case.pixels[i], case.pixels[j]):
             raise InputError(
@@ -83,17 +86,17 @@ def check_fit(
 ) -> None:
     """Refuse a fit that contradicts the input.
 
-    It contradicts the nominal positions, leaves out an image because of its order, or rests on one
-    plane.
+    Such a fit contradicts the nominal positions, leaves out an image because of its order, or rests
+    on one plane.
 
-    Images through a wall tell neither which of a board's corners is the first nor which camera is
-    which: that a board has been counted from another corner in all cameras, or that two cameras are
-    swapped, shows only against the rough places.
+    Images through a wall show neither the first corner of a board nor the names of cameras. Only
+    the nominal positions show that a board's corners are counted from another corner in all
+    cameras, or that two cameras are swapped.
 
     Raises
     ------
     InputError
-        With the camera or the frame, and what explains it.
+        The message names the camera or the frame, and the explanation.
     """
     there = seen.weights > 0.0
     if noise_px > _WRONG * case.cameras[0].columns:
@@ -121,7 +124,7 @@ def _check_views(
 ) -> None:
     """Find a view that would fit if its points were counted from another corner.
 
-    A view that never fits is just not used.
+    A view that never fits is not used.
     """
     shares = used.sum(axis=2) / np.maximum(there.sum(axis=2), 1)
     computed = seen.pixels - residuals(state, seen)

@@ -1,12 +1,12 @@
 """Projections through a wall with all derivatives.
 
-Also the normal equations of a bundle of them.
+The module also sums the normal equations of a bundle of them.
 
 A copy of `geometry.camera` and `geometry.refraction` for the sake of the derivatives; tied to them
 by test_bundle_adjustment.py::test_the_kernel_projects_as_cameras_do.
 
-Everything happens in the wall's own frame: its outer face is Z = 0, its normal +Z, media are
-numbered along the way of light from a camera. For a pinhole C and a point P the direction in which
+Everything is computed in the wall's own frame: its outer face is Z = 0, its normal +Z, media are
+numbered along the path of light from a camera. For a pinhole C and a point P the direction in which
 light leaves the pinhole is w = (G L, 1), where L is the lateral part of P - C and G the tangent of
 its angle divided by |L|. G follows from the invariant p = n sin(angle) of the path, for which sum
 d_i p / sqrt(n_i^2 - p^2) = |L|; the derivatives of p are those of an implicit function.
@@ -29,7 +29,7 @@ _STEPS = 60
 def bend(indices: Any, depths: Any, radius: float) -> float:
     """Solve for the tangent of a path's angle in its rarest medium.
 
-    By Newton's iteration from the paraxial path; negative depths are gone back.
+    Newton's iteration starts from the paraxial path. Negative depths are traversed backwards.
     """
     rarest = indices.min()
     paraxial = 0.0
@@ -54,9 +54,9 @@ def bend(indices: Any, depths: Any, radius: float) -> float:
 def leave(
     indices: Any, depths: Any, radius: float, by_depth: Any, by_index: Any
 ) -> tuple[float, float]:
-    """G = tan(angle in the first medium) / radius, and (dG/d radius) / radius.
+    """Compute G = tan(angle in the first medium) / r, and (dG/dr) / r.
 
-    Fills in dG by depths and by indices.
+    The radius is r. Fills in dG by depths and by indices.
 
     Derivatives at a radius of zero are those of the paraxial path.
     """
@@ -331,7 +331,7 @@ def _scatter(
 
 @numba.njit(cache=True)
 def misses(array: Any, boards: Any, seen: Any) -> Any:
-    """Observed minus computed pixels (M, K, m, 2).
+    """Subtract computed from observed pixels (M, K, m, 2).
 
     NaN where nothing was seen or there is no path.
     """

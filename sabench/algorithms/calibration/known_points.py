@@ -14,7 +14,7 @@ _FLAT = 1e-6  # thickness over width of places in one plane
 
 
 def known_points(case: CalibrationCase, camera: int) -> tuple[F64, F64]:
-    """Places (n, 3) and pixels (n, 2) of everything that a camera found."""
+    """Return positions (n, 3) and pixels (n, 2) of all points that a camera found."""
     points, pixels = known_frames(case, camera)
     return np.vstack(points), np.vstack(pixels)
 

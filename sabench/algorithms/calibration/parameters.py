@@ -84,7 +84,7 @@ class State:
         return self.turns, self.centers, self.lenses, (self.indices, self.thicknesses)
 
     def points(self, board: F64) -> F64:
-        """World points (K, m, 3) of a board's points (m, 3), in the wall's frame."""
+        """Return a board's points (m, 3) as world points (K, m, 3), in the wall's frame."""
         return np.asarray(np.einsum("kij,mj->kmi", self.board_turns, board) + self.places[:, None])
 
     def moved(self, cameras: F64, shared: F64, boards: F64, free: FreeParameters) -> State:
@@ -123,7 +123,7 @@ class State:
 class Frame:
     """Transformation from states to cameras.
 
-    The world's place in the wall's frame, and what a state does not hold.
+    It holds the world's position in the wall's frame, and the constants that a state lacks.
     """
 
     motion: RigidMotion
@@ -173,12 +173,12 @@ class Frame:
         )
 
     def built(self, state: State) -> tuple[Camera, ...]:
-        """Cameras of a state, in the world's frame."""
+        """Make the cameras of a state, in the world's frame."""
         wall = self._wall(state)
         return tuple(self._camera(number, state, wall) for number in range(len(self.cameras)))
 
     def points(self, state: State, board: F64) -> F64:
-        """World points (K, m, 3) of a state's boards."""
+        """Return world points (K, m, 3) of a state's boards."""
         return self.motion.inverse()(state.points(board))
 
     def _wall(self, state: State) -> Wall | None:

@@ -1,4 +1,4 @@
-"""A calibration case as the refractive algorithms take it, and their answer."""
+"""Calibration case of the refractive algorithms, and its result."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from sabench.utils.errors import InputError
 
 @dataclass(frozen=True)
 class CalibrationProblem:
-    """A case in the frame of its wall.
+    """Calibration case in the frame of its wall.
 
     Attributes
     ----------
     frame : leads back to cameras.
-    start : rough cameras and boards.
-    seen : what was found.
+    start : initial guess of the cameras and boards.
+    seen : the images found.
     case : the case itself.
     """
 
@@ -34,7 +34,7 @@ class CalibrationProblem:
 
     @classmethod
     def from_case(cls, case: CalibrationCase, free: FreeParameters) -> CalibrationProblem:
-        """Check that there is enough to go on, and bring it into the wall's frame.
+        """Check that the input suffices, and bring it into the wall's frame.
 
         Raises
         ------
@@ -55,9 +55,9 @@ class CalibrationProblem:
         return cls(frame, frame.state(case.target.points_mm, case.rough_mm), seen, case)
 
     def settled(self, state: State) -> State:
-        """Move the state to where its boards were roughly known to be.
+        """Move the state so that its boards are near their nominal positions.
 
-        Only by motions that neither the images nor the known coordinates notice.
+        Only motions that change neither the images nor the known coordinates are allowed.
         """
         points, rough = state.points(self.seen.board), self.frame.motion(self.case.rough_mm)
         there = np.isfinite(rough).all(axis=-1) & (self.seen.weights.sum(axis=0) > 0.0)
@@ -73,7 +73,7 @@ class CalibrationProblem:
         return state.slid(motion)
 
     def answer(self, state: State, used: Bool | None = None) -> Calibration:
-        """Cameras and points in the world's frame."""
+        """Return cameras and points in the world's frame."""
         return Calibration(self.frame.built(state), self.frame.points(state, self.seen.board), used)
 
 

@@ -1,4 +1,4 @@
-"""Bundle adjustment that finds outliers by itself."""
+"""Bundle adjustment with detection of outliers."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _CAUCHY = 2.4  # standard deviations at which Cauchy's loss bends
 
 @dataclass(frozen=True)
 class Robust:
-    """A fit, the observations (camera, board, point) used, and their noise in px.
+    """Fit, the observations (camera, board, point) used, and their noise in px.
 
     The noise is that of one coordinate.
     """
@@ -32,9 +32,9 @@ class Robust:
 def adjust(
     state: State, seen: Seen, free: FreeParameters, *, noise_px: float | None = None
 ) -> Robust:
-    """Least squares, and if that leaves errors that normal noise does not.
+    """Fit by least squares, robustly if errors exceed normal noise.
 
-    Cauchy's loss, rejection, least squares again.
+    The robust fit uses Cauchy's loss, then rejects outliers, then uses least squares again.
 
     Parameters
     ----------
@@ -59,7 +59,7 @@ def adjust(
 
 
 def _bent(state: State, seen: Seen, free: FreeParameters) -> Fit:
-    """Cauchy's loss, whose scale follows the errors down."""
+    """Fit with Cauchy's loss, whose scale follows the errors down."""
     used = np.asarray(seen.weights > 0.0)
     scale = np.inf
     for _ in range(_ROUNDS):
@@ -73,7 +73,10 @@ def _bent(state: State, seen: Seen, free: FreeParameters) -> Fit:
 
 
 def _lengths(state: State, seen: Seen) -> F64:
-    """Reprojection errors (camera, board, point) in px; infinite where there is none."""
+    """Compute reprojection errors (camera, board, point) in px.
+
+    Infinite where there is none.
+    """
     lengths = np.linalg.norm(residuals(state, seen), axis=-1)
     return np.where(np.isfinite(lengths), lengths, np.inf)
 

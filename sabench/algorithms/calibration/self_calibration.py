@@ -1,6 +1,7 @@
-"""The steps of a volume self-calibration.
+"""Steps of a volume self-calibration.
 
-Follow the disparities down, collect particles that all agree on, adjust the cameras to them.
+The disparities are reduced, particles that all cameras agree on are collected, and the cameras are
+adjusted to them.
 """
 
 from __future__ import annotations
@@ -35,7 +36,7 @@ _CORE = 4  # cameras whose particle images are matched all with all
 _PAIRS = 1_000_000
 _MOST = 3000  # particles that the cameras are adjusted to
 _LATTICE = (5, 5, 3)
-_TOLD_PX = 2.0  # how far the told cameras are believed, where particles say nothing
+_TOLD_PX = 2.0  # standard deviation of the nominal cameras' pixels, where particles say nothing
 _REJECT = 4.0
 # standard deviations by which right sets exceed chance: the most crowded of many spots of wrong
 # ones has a dozen
@@ -44,14 +45,14 @@ _SURE = 20.0
 
 @dataclass(frozen=True)
 class Tracking:
-    """A case ready to be matched.
+    """Case prepared for matching.
 
     Attributes
     ----------
-    cameras : as told, those of the core first.
+    cameras : nominal cameras, those of the core first.
     order : their numbers in the case.
     peaks : their particle images.
-    maps : what they are told to see.
+    maps : polynomials of the nominal cameras.
     """
 
     cameras: tuple[Camera, ...]
@@ -63,7 +64,7 @@ class Tracking:
     def from_case(cls, case: Observation, light: F32, bright: float) -> Tracking:
         """Find particle images, and order the cameras.
 
-        Those come first that look from the most different positions.
+        Cameras with the most different positions come first.
         """
         pinholes = tuple(camera for camera in case.cameras if isinstance(camera, Camera))
         if len(pinholes) != len(case.cameras):
@@ -99,7 +100,7 @@ def _spread(centers: F64) -> list[int]:
 def follow_disparities(tracking: Tracking, reach_px: float, least_px: float) -> VolumePolynomials:
     """Correct the polynomials by disparities.
 
-    First those of the core, then of every other camera against what the core agrees on.
+    First those of the core, then those of every other camera against the sets of the core.
     """
     core = range(min(_CORE, len(tracking.cameras)))
     maps, reach = tracking.maps, reach_px
@@ -126,7 +127,8 @@ def _check(
 ) -> None:
     """Refuse a spot of sets that agree by chance.
 
-    Such sets grow with the reach to the power of the dimensions in which they could disagree.
+    The number of such sets grows with the reach to the power of the dimensions in which they could
+    disagree.
     """
     core = min(_CORE, len(tracking.cameras))
     wider = find_sets(maps, tracking.peaks[:core], 2.0 * least_px)
@@ -180,11 +182,11 @@ def _pairs(
 def match_particles(
     tracking: Tracking, maps: VolumePolynomials, least_px: float
 ) -> tuple[F64, F64]:
-    """Particles that the cameras agree on.
+    """Find particles that the cameras agree on.
 
     Places (n, 3) from -1 to 1, and pixels (camera, n, 2), NaN where a camera has none.
 
-    A particle image belongs to the set that fits best of all that want it.
+    A particle image belongs to the set that fits best of all that contain it.
     """
     core = min(_CORE, len(tracking.cameras))
     sets = find_sets(maps, tracking.peaks[:core], least_px)
@@ -215,8 +217,8 @@ def match_particles(
 def adjust_cameras(tracking: Tracking, matched: tuple[F64, F64]) -> tuple[Camera, ...]:
     """Adjust the nominal cameras to particles, in the order of the case.
 
-    A lattice of places at which the told cameras are believed, to two pixels, holds what particles
-    do not show.
+    A lattice of points that the nominal cameras project, with a standard deviation of two pixels,
+    determines what particles do not show.
     """
     (places, pixels), maps = matched, tracking.maps
     particles = maps.middle_mm + maps.half_mm * places
@@ -250,7 +252,7 @@ def _held(frame: Frame, lattice: F64, first: int) -> tuple[Anchor, ...]:
 def _adjusted(state: State, seen: Seen, particles: int) -> State:
     """Adjust with Cauchy's loss until the noise falls no more, then by least squares.
 
-    Outliers are left out of the latter; the lattice weighs as its distrust says.
+    Outliers are left out of the latter; the lattice is weighted by its standard deviation.
     """
     noise = _noise(state, seen, particles)
     for _ in range(_ROUNDS):

@@ -33,9 +33,9 @@ def detect(image: U16, target: Target, expected: F64 | None = None) -> F64:
     Parameters
     ----------
     image : (rows, columns) grey values.
-    expected : rough pixels (point, 2), which tell a board that looks the same after a half or a
-        quarter turn which way it lies; by default it is
-        taken to lie upright. Shift, scale and a turn of less than half of that do not matter.
+    expected : initial guess of the pixels (point, 2). It determines the direction of a board that
+        looks the same after a half or a quarter rotation; by default the board is upright. Shift,
+        scale and a rotation of less than half of that do not matter.
     """
     grey = _eight_bits(
         image,
@@ -54,7 +54,10 @@ def detect(image: U16, target: Target, expected: F64 | None = None) -> F64:
 
 
 def _small_lights(image: U16) -> tuple[float, float]:
-    """Grey values of the dark around lights and of the brightest, however small."""
+    """Estimate grey values of the dark around lights and of the brightest light.
+
+    However small the lights are.
+    """
     import cv2
 
     return float(np.median(image)), float(
@@ -69,7 +72,10 @@ def _eight_bits(image: U16, low: float, high: float) -> U8:
 
 
 def _corners(grey: U8, target: Target) -> F64 | None:
-    """Saddle points of the intensity. Source: A. Duda and U. Frese, BMVC 2018."""
+    """Find saddle points of the intensity.
+
+    Source: A. Duda and U. Frese, BMVC 2018.
+    """
     import cv2
 
     found, corners = cv2.findChessboardCornersSB(
@@ -79,7 +85,7 @@ def _corners(grey: U8, target: Target) -> F64 | None:
 
 
 def _circles(grey: U8, target: Target) -> F64 | None:
-    """Centres of the dark ellipses that circles become."""
+    """Find centres of the dark ellipses that are images of circles."""
     import cv2
 
     found, centers = cv2.findCirclesGrid(
@@ -89,7 +95,10 @@ def _circles(grey: U8, target: Target) -> F64 | None:
 
 
 def _charuco(grey: U8, target: Target) -> F64 | None:
-    """Corners between markers, each known by its markers: part of a board is enough."""
+    """Find corners between markers.
+
+    Each is identified by its markers, so that part of a board is enough.
+    """
     import cv2
 
     dictionary: Any = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_1000)
@@ -113,9 +122,9 @@ def _charuco(grey: U8, target: Target) -> F64 | None:
 def _window(
     found: npt.NDArray[np.float32], order: npt.NDArray[Any], target: Target
 ) -> tuple[Any, ...]:
-    """Window of `cornerSubPix` around a corner, and its stop criterion.
+    """Choose the window of `cornerSubPix` around a corner, and its stop criterion.
 
-    No marker lies in the window: it would draw the corner away.
+    No marker lies in the window, since it would shift the corner.
     """
     import cv2
 
@@ -130,7 +139,7 @@ def _window(
 
 
 def _balls(grey: U8, target: Target) -> F64 | None:
-    """Centroids of as many bright balls as the wand has, in their order along it."""
+    """Find centroids of as many bright balls as the wand has, in order along it."""
     import cv2
 
     smooth = cv2.GaussianBlur(grey, (0, 0), _BLUR_PX)
@@ -148,7 +157,7 @@ def _balls(grey: U8, target: Target) -> F64 | None:
 def _centroids(light: U8, centers: F64, faint: float = _FAINT, full: float = 1.0) -> F64:
     """Compute intensity-weighted centroids of blobs around rough centres.
 
-    As far as half the distance to the next; more light than `full` of the peak is cut.
+    Blobs reach as far as half the distance to the next; light above `full` of the peak is cut.
     """
     gaps = np.linalg.norm(centers[:, None] - centers[None], axis=2) + np.diag(
         np.full(len(centers), np.inf)
@@ -170,7 +179,7 @@ def _centroids(light: U8, centers: F64, faint: float = _FAINT, full: float = 1.0
 def _turned(found: F64, target: Target, expected: F64 | None) -> F64:
     """Choose the order of points whose directions fit the expected ones best.
 
-    Among those that the pattern allows.
+    Only orders that the pattern allows are tried.
     """
     plan = target.points_mm[:, :2] if expected is None else expected
     known = np.isfinite(plan).all(axis=1)

@@ -1,4 +1,4 @@
-"""The frame of a wall, and similarities that bring points onto others."""
+"""Frame of a wall, and similarities that bring points onto others."""
 
 from __future__ import annotations
 

@@ -99,7 +99,7 @@ def reconstruct_particles(
 
 
 def _find_peaks(images: F32, settings: IprSettings) -> tuple[Peaks, ...]:
-    """Particle images above the background of every camera."""
+    """Find particle images above the background of every camera."""
     return tuple(
         find_peaks(image, max(settings.floor, settings.noise * background_noise(image)))
         for image in images
@@ -114,7 +114,7 @@ def _agreed(
     number: int,
     images: F32,
 ) -> Candidates:
-    """Candidates of which each particle image belongs to one.
+    """Select candidates so that each particle image belongs to one.
 
     Which cameras are followed changes from round to round.
     """
@@ -128,7 +128,7 @@ def _agreed(
 
 
 def _peak_values(found: Candidates, peaks: tuple[Peaks, ...], images: F32) -> F64:
-    """Brightest pixels (n, camera) of the particle images of candidates.
+    """Return the brightest pixels (n, camera) of candidates' particle images.
 
     0 where a camera shows none.
     """
@@ -160,7 +160,7 @@ def _real(
 
 
 def _mm_per_px(maps: VolumePolynomials) -> float:
-    """Size of a pixel in the middle of the box, along X."""
+    """Compute the size of a pixel in the middle of the box, along X."""
     ends = np.array([[-0.01, 0.0, 0.0], [0.01, 0.0, 0.0]])
     return float(
         0.02 * maps.half_mm[0] / np.linalg.norm(np.diff(project_points(maps, 0, ends), axis=0))

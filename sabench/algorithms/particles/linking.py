@@ -92,7 +92,7 @@ class _Scale:
 def link(
     center_mm: Sequence[F64], radius_mm: Sequence[F64], times_s: Sequence[float], gap: int = 1
 ) -> list[I64]:
-    """Tracks of the detections of some frames.
+    """Link the detections of some frames to trajectories.
 
     Parameters
     ----------
@@ -161,7 +161,7 @@ def _none() -> _Tracks:
 
 
 def _spacing(center_mm: Sequence[F64]) -> float:
-    """Median distance of nearest neighbours in all frames.
+    """Compute the median distance of nearest neighbours in all frames.
 
     Where nobody has one, far more than the extent of all places.
     """
@@ -208,7 +208,7 @@ def _candidates(
 def _by_velocity(
     live: _Tracks, found: _Points, time: float, frame: int, scale: _Scale
 ) -> tuple[I64, I64, F64]:
-    """Tracks that go on as they went.
+    """Link trajectories by their last velocities.
 
     Square sum of the errors of place and size over what is expected, which grows with the frames
     missed.
@@ -228,7 +228,7 @@ def _by_velocity(
 def _by_neighbours(
     live: _Tracks, found: _Points, time: float, frame: int, scale: _Scale
 ) -> tuple[I64, I64, F64]:
-    """Tracks of one detection.
+    """Link trajectories of one detection by their neighbours.
 
     The mean over their neighbours of how badly a displacement is theirs, too, and a little for its
     length.
@@ -309,7 +309,7 @@ def _unlike(live: _Tracks, found: _Points, row: I64, column: I64, scale: _Scale)
 
 
 def _measured(scale: _Scale, linked: _Tracks, found: _Points, j: I64) -> _Scale:
-    """Errors of predictions as these links show them.
+    """Estimate the errors of predictions from these links.
 
     The median magnitude times 1.4826, which is the standard deviation of normal ones.
     """

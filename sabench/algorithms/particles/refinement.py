@@ -181,11 +181,11 @@ def subtract_images(maps: Any, sigma: Any, left: Any, places: Any, light: Any) -
 
 
 def peak_brightness(light: F64, sigma: F64) -> F64:
-    """Brightest pixel (n, camera) of particles whose images lie on a pixel's middle."""
+    """Compute the brightest pixel (n, camera) of particles centred on a pixel."""
     share = np.array([math.erf(0.5 / (math.sqrt(2.0) * one)) ** 2 for one in sigma])
     return np.asarray(light * share)
 
 
 def in_mm(maps: VolumePolynomials, places: F64) -> F64:
-    """World points (n, 3) of places in the box of the maps."""
+    """Convert positions in the box of the maps to world points (n, 3)."""
     return np.asarray(maps.middle_mm + places * maps.half_mm)

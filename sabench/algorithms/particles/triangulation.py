@@ -70,9 +70,9 @@ def find_candidates(
 
 
 def _travel(maps: VolumePolynomials, second: int) -> float:
-    """Length in the second image, px, of a line of sight of the first camera.
+    """Compute the length in the second image of a line of sight of the first camera.
 
-    From front to back of the box.
+    In px. From front to back of the box.
     """
     ends = np.array([[0.0, 0.0, -1.0], [0.0, 0.0, 1.0]])
     here, there = project_points(maps, 0, ends), project_points(maps, second, ends)

@@ -28,7 +28,7 @@ _DECADES = 30.0  # a product's range before its logarithm is taken: inside float
 
 
 def _log2_rest() -> tuple[np.float32, ...]:
-    """Coefficients of (log2(1 + t) - t) / (t (1 - t)) in powers of t, 0 < t < 1."""
+    """Fit coefficients of (log2(1 + t) - t) / (t (1 - t)) in powers of t, 0 < t < 1."""
     t = 0.5 - 0.5 * np.cos(np.pi * (np.arange(64) + 0.5) / 64)
     return tuple(
         np.polynomial.polynomial.polyfit(t, (np.log2(1.0 + t) - t) / (t * (1.0 - t)), 5).astype(
@@ -298,7 +298,7 @@ def _add_log2(product: Any, total: Any) -> None:
 
 @numba.njit(cache=True, parallel=True, fastmath=True)
 def sum_planes(rectified: Any, spline: Any, maps: Any, outside: float, out: Any) -> None:
-    """out[k] = the sum of all cameras' samples on plane k.
+    """Sum all cameras' samples on plane k into out[k].
 
     Parameters
     ----------

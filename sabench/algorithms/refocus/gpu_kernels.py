@@ -73,7 +73,7 @@ def _unit(index: Any, count: int) -> Any:
 def _sample(
     dr: Any, types: Any, image: Any, shape: tuple[int, int], position: Sequence[Any], outside: float
 ) -> Any:
-    """Bilinear samples of one image at positions (column, row).
+    """Sample one image bilinearly at positions (column, row).
 
     `outside` beyond its pixel centres.
     """

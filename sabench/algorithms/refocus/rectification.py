@@ -131,7 +131,7 @@ def resample(
 
 @numba.njit(cache=True, fastmath=True)
 def _along_row(polynomial: Any, degree: int, v: float) -> Any:
-    """Coefficients in u of a bivariate polynomial at a fixed v."""
+    """Evaluate coefficients in u of a bivariate polynomial at a fixed v."""
     line = np.zeros(degree + 1)
     start, power = 0, 1.0
     for power_v in range(degree + 1):
@@ -205,7 +205,7 @@ def _interpolate(padded: Any, spline: Any, columns: Any, rows: Any, outside: Any
 
 @numba.njit(cache=True, fastmath=True)
 def weights(spline: Any, t: Any) -> Any:
-    """B-spline weights of the pixels -1, 0, 1, 2 at the fraction t."""
+    """Compute B-spline weights of the pixels -1, 0, 1, 2 at the fraction t."""
     sixth, one = np.float32(1.0 / 6.0), np.float32(1.0)
     s = one - t
     if len(spline) == 1:

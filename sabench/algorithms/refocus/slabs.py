@@ -59,7 +59,10 @@ class Slab:
     degree: int
 
     def tiles(self, grid: Grid) -> F64:
-        """Affine maps (tile, plane, camera, 6) for `sum_planes`, from the tiles' centres."""
+        """Compute affine maps (tile, plane, camera, 6) from the tiles' centres.
+
+        They are for `sum_planes`.
+        """
         top, left = tile_origins(grid)
         origin = np.column_stack([left, top]).astype(np.float64)
         middle = origin + (tile_sizes(grid) - 1) / 2.0
@@ -83,9 +86,9 @@ class Slab:
         return np.stack([start, along_x, along_y], axis=-1).reshape(*start.shape[:3], 6)
 
     def positions(self, grid: Grid) -> F64:
-        """Polynomials (camera, plane, 2, terms) of positions in the rectified images.
+        """Fit polynomials of positions in the rectified images.
 
-        Displacements plus the voxels' own places.
+        (camera, plane, 2, terms). Displacements plus the voxels' own places.
         """
         maps = self.displacement.copy()
         for axis, (count, linear) in enumerate(
@@ -102,7 +105,7 @@ class Slab:
         return self.displacement[..., 0]  # the constant terms
 
     def _evaluate(self, basis: F64) -> F64:
-        """Polynomials at n places: (n, plane, camera, 2)."""
+        """Evaluate polynomials at n positions: (n, plane, camera, 2)."""
         cameras, planes = self.displacement.shape[:2]
         flat = self.displacement.transpose(1, 0, 2, 3).reshape(-1, self.displacement.shape[3])
         return np.asarray(basis @ flat.T).reshape(len(basis), planes, cameras, 2)
@@ -209,7 +212,7 @@ def rectifying_maps(slab: Slab, cameras: Sequence[CameraModel], grid: Grid) -> t
 
 
 def tile_origins(grid: Grid) -> tuple[I64, I64]:
-    """First row and first column of every tile, in the order of the kernels."""
+    """List first row and first column of every tile, in the order of the kernels."""
     top, left = np.meshgrid(
         np.arange(0, grid.shape[1], TILE_ROWS),
         np.arange(0, grid.shape[2], TILE_COLUMNS),
@@ -219,7 +222,7 @@ def tile_origins(grid: Grid) -> tuple[I64, I64]:
 
 
 def tile_sizes(grid: Grid) -> I64:
-    """Columns and rows of every tile: (tile, 2)."""
+    """List columns and rows of every tile: (tile, 2)."""
     top, left = tile_origins(grid)
     return np.column_stack(
         [np.minimum(TILE_COLUMNS, grid.shape[2] - left), np.minimum(TILE_ROWS, grid.shape[1] - top)]
@@ -227,7 +230,7 @@ def tile_sizes(grid: Grid) -> I64:
 
 
 def _depth_nodes(depths: F64) -> tuple[F64, F64]:
-    """Depths at which displacements are computed, and their interpolation matrix.
+    """Choose the depths of computed displacements, and their interpolation matrix.
 
     The matrix is (plane, node).
     """
@@ -280,7 +283,7 @@ def _pixels(camera: CameraModel, box: Grid, z_mm: float) -> Smooth:
 def _boxes(
     cameras: Sequence[CameraModel], grid: Grid, z_mm: float, displacement: F64, degree: int
 ) -> tuple[F64, tuple[int, int]]:
-    """First pixels (camera, 2) and common shape of the rectified images.
+    """Find first pixels (camera, 2) and common shape of the rectified images.
 
     What the slab's planes need of what each camera sees.
     """

@@ -143,7 +143,7 @@ def auto_k(volume: F32, share: float, keep: Keep) -> float:
 
 
 def plane_statistics(volume: F32) -> tuple[F64, F64]:
-    """Mean and standard deviation of every plane."""
+    """Compute mean and standard deviation of every plane."""
     sums = np.zeros((len(volume), 2))
     _sum_squares(volume, sums)
     means = sums[:, 0] / volume[0].size

@@ -110,7 +110,7 @@ def _log_ratio(light: Any, saturated: Any, projection: Any, squares: Any) -> Non
 
 
 def smart(state: State, measured: Measured, relaxation: float) -> float:
-    """I_j <- I_j prod_i (P_i / (W I)_i)^(mu W_ij / N_j).
+    """Iterate I_j <- I_j prod_i (P_i / (W I)_i)^(mu W_ij / N_j).
 
     All pixels at once, the geometric mean over the N_j = seen_j cameras.
 

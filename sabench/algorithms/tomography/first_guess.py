@@ -89,7 +89,10 @@ def _pack(start: Any, x: Any, values: Any, packed_x: Any, packed_values: Any) ->
 def _multiply_rows(
     sight: Any, images: Any, threshold: float, first: int, x: Any, values: Any, counts: Any
 ) -> None:
-    """Survivors of every row, at its beginning, and their number."""
+    """Multiply rows, and move survivors to the beginning.
+
+    Also fills in the survivors' number in every row.
+    """
     for block in numba.prange((len(x) + _ROWS - 1) // _ROWS):
         top, end = block * _ROWS, min((block + 1) * _ROWS, len(x))
         _multiply_block(

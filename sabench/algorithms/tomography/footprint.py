@@ -36,7 +36,7 @@ class Footprint:
         return 1 if self.spread else 0
 
     def smooth(self, images: F32) -> F32:
-        """Images (camera, row, column) after every pixel gave to its neighbours.
+        """Smooth images (camera, row, column) by giving light to neighbouring pixels.
 
         A symmetric operator, dark beyond the borders.
         """
@@ -55,7 +55,7 @@ BILINEAR = Footprint(0.0)
 
 
 def gaussian(sigma_px: float) -> Footprint:
-    """About a Gaussian integrated over pixels, 0.29 <= sigma_px <= 0.86.
+    """Make the footprint of a Gaussian over pixels, 0.29 <= sigma_px <= 0.86.
 
     Of the same variance, sigma^2 + 1/12 = 2 spread + 1/6 on the mean.
     """

@@ -50,7 +50,7 @@ class Sight(NamedTuple):
 
 @numba.njit(cache=True)
 def scratch(sight: Any) -> Any:
-    """Room for `locate` to work in."""
+    """Allocate room for `locate` to work in."""
     width, terms = sight.width, sight.degree + 1
     return (
         np.empty(terms),
@@ -123,7 +123,7 @@ def _evaluate(line: Any, x: Any, width: int, place: Any) -> None:
 
 @numba.njit(cache=True)
 def _fix(place: Any, count: int, sight: Any, base: Any, across: Any, down: Any) -> None:
-    """Positions become pixels and steps."""
+    """Convert positions to pixels and steps."""
     column, row = place[1], place[2]
     low, mask, stride = (
         np.float32(sight.margin) * _ONE,
@@ -148,7 +148,7 @@ def _fix(place: Any, count: int, sight: Any, base: Any, across: Any, down: Any) 
 
 @numba.njit(cache=True, fastmath=True)
 def sample(image: Any, columns: int, base: Any, across: Any, down: Any) -> Any:
-    """Bilinear interpolation in an image (flat)."""
+    """Interpolate bilinearly in an image (flat)."""
     corner, below = np.uint32(base), np.uint32(base + columns)
     right, lower = np.float32(across) / _ONE, np.float32(down) / _ONE
     over = image[corner] + right * (image[corner + np.uint32(1)] - image[corner])

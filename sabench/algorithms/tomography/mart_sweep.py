@@ -201,7 +201,7 @@ def _sweep_strip(buckets: Any, image: Any, saturated: Any, relaxation: Any, stri
 def _correct(
     buckets: Any, row: int, column: int, light: Any, saturated: Any, relaxation: Any
 ) -> Any:
-    """Let one pixel correct its voxels; returns the square of what it found missing."""
+    """Correct the voxels of one pixel and return its squared residual."""
     seen = _line_of_sight(buckets, row, column)
     if saturated and seen >= light:
         return np.float32(0.0)
@@ -212,7 +212,7 @@ def _correct(
 
 @numba.njit(cache=True)
 def _line_of_sight(buckets: Any, row: int, column: int) -> Any:
-    """sum_j W_ij I_j of one pixel."""
+    """Compute sum_j W_ij I_j of one pixel."""
     total = np.float32(0.0)
     for above in range(min(buckets.taps, row + 1)):
         total += _sum(
@@ -226,7 +226,7 @@ def _line_of_sight(buckets: Any, row: int, column: int) -> Any:
 
 @numba.njit(cache=True)
 def _raise(buckets: Any, row: int, column: int, exponent: Any) -> None:
-    """I_j <- I_j 2^(exponent W_ij) for the voxels of one pixel."""
+    """Multiply the voxels of one pixel: I_j <- I_j 2^(exponent W_ij)."""
     for above in range(min(buckets.taps, row + 1)):
         _multiply(
             *_stretch(buckets, row - above, column),

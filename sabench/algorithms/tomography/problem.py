@@ -104,11 +104,11 @@ class TomographyProblem:
         return cls(measured, case.grid, splits, sigma_px / scale.px_per_mm, sight, footprint)
 
     def mlos(self, threshold: float) -> State:
-        """Multiplied lines of sight: the cameras' bilinear samples."""
+        """Multiply lines of sight (MLOS): the cameras' bilinear samples."""
         return self._start(*product_guess(self.sight, self.measured.light, threshold))
 
     def mfg(self, threshold: float) -> State:
-        """Multiplicative first guess: the cameras' nearest pixels."""
+        """Make the multiplicative first guess (MFG): the cameras' nearest pixels."""
         return self._start(
             *product_guess(self.sight._replace(shift=0.5, mask=0), self.measured.light, threshold)
         )

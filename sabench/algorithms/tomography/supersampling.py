@@ -46,7 +46,7 @@ class Scale:
 
 
 def scale_of(cameras: Sequence[CameraModel], grid: Grid) -> Scale:
-    """Measured in the middle of the grid.
+    """Measure the scale in the middle of the grid.
 
     Raises
     ------
@@ -77,7 +77,7 @@ def _visible(camera: CameraModel, points: F64) -> F64:
 
 
 def splits(scale: Scale) -> Splits:
-    """Into how many fine voxels a voxel is split along each axis."""
+    """Choose into how many fine voxels a voxel is split along each axis."""
     x, y, z = (max(1, int(np.ceil(travel / _TRAVEL_PX))) for travel in scale.travel_px)
     return x, y, z
 
@@ -102,9 +102,9 @@ def gather(support: Support, values: F32, grid: Grid, count: Splits, sigma_mm: f
 
 
 def _profile(count: int, sigma: float) -> F32:
-    """Shares (count, 2 reach + 1) of a blob's light in the voxels around its own.
+    """Compute shares of a blob's light in the voxels around its own.
 
-    By the blob's position among the fine voxels there.
+    (count, 2 reach + 1). By the blob's position among the fine voxels there.
 
     `sigma` is in voxels of the grid.
     """

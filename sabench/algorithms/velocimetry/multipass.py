@@ -85,7 +85,7 @@ class Field:
 
 
 def evaluate(first: F32, second: F32, plan: Plan) -> Field:
-    """Displacements between two volumes (z, y, x)."""
+    """Evaluate displacements between two volumes (z, y, x)."""
     own = widths(first), widths(second)
     mean = tuple(0.5 * (one + other) for one, other in zip(*own, strict=True))
     first, second = (

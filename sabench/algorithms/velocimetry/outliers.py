@@ -84,7 +84,7 @@ def _around(values: F64) -> F64:
 
 
 def smoothed(shift: F64, sigma: tuple[float, float, float]) -> F64:
-    """Vectors after a Gaussian of standard deviations (z, y, x) in vectors.
+    """Smooth vectors by a Gaussian of standard deviations (z, y, x) in vectors.
 
     Beyond the edges fields go on along straight lines.
     """

@@ -193,7 +193,7 @@ def by_spectra(first: F32, second: F32, windows: Windows) -> Peaks:
 
 
 def _correlated(first: F32, second: F32, corners: I64, size: Size) -> tuple[F32, F64]:
-    """Circular correlations of windows (n, z, y, x), and the product of their norms."""
+    """Correlate windows (n, z, y, x) circularly and multiply their norms."""
     spectra, energies = [], []
     for volume in (first, second):
         cut, energy = np.empty((len(corners), *size), dtype=np.float32), np.empty(len(corners))

@@ -81,7 +81,7 @@ def _solved(case: Observation) -> Detections:
 
 
 def _seen(frame: FrameContent, bubbles: Bubbles) -> Any:
-    """Mean over the cameras of the visible part of each bubble's outline."""
+    """Average the visible part of each bubble's outline over the cameras."""
     sights = [see(camera, bubbles, frame.solids) for camera in frame.rig.cameras]
     return np.mean([sight.visible for sight in sights], axis=0)
 

@@ -107,7 +107,7 @@ class Parts:
 
 
 def files_of(part: Part) -> dict[str, schema.FileEntry]:
-    """Images of a camera's part: their paths in the data set, sizes and checksums."""
+    """List images of a camera's part: paths in the data set, sizes and checksums."""
     return {
         name: schema.FileEntry(**entry)
         for name, entry in json.loads(part[_FILES].tobytes()).items()

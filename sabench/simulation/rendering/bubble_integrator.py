@@ -198,7 +198,7 @@ class _Device:
 
 
 def _layers(stack: Stack | None) -> list[tuple[Any, Any, Any]] | None:
-    """Position and index ratios, after over before and inverse, of each face."""
+    """List position and index ratios, after over before and inverse, of each face."""
     if stack is None:
         return None
     indices = stack.indices.tolist()
@@ -244,7 +244,7 @@ def _cloud(cloud: Cloud | None) -> tuple[Any, ...] | None:
 
 
 def _rays(camera: Camera, origin: F64, pixel: Any, draw: _Draw, pinhole: bool) -> Any:
-    """Rays of pixels from the aperture, or its middle, to the plane in focus."""
+    """Make rays of pixels from the aperture, or its middle, to the plane in focus."""
     table = draw.table()
     u = [draw.number(table, mi.UInt32(dimension)) for dimension in range(_FIRST)]
     across = mi.Float(pixel % camera.columns) + u[0] - 0.5
@@ -279,7 +279,7 @@ def _enter(device: Any, ray: Any) -> tuple[Any, Any]:
 
 
 def _panel_radiance(device: Any, position: Any, direction: Any) -> Any:
-    """Radiance of the diffuser along rays in the air."""
+    """Compute radiance of the diffuser along rays in the air."""
     if device.panel is None:
         return mi.Float(0.0)
     center, across, along, normal, bright = device.panel
@@ -294,7 +294,7 @@ def _panel_radiance(device: Any, position: Any, direction: Any) -> Any:
 
 
 def _leave(device: Any, ray: Any) -> tuple[Any, Any, Any]:
-    """Light that rays gather at the walls.
+    """Compute light that rays gather at the walls.
 
     Returns the radiance that comes in along them, the share that a wall reflects, and the position
     of that reflection.
@@ -433,7 +433,7 @@ def _refract(device: Any, direction: Any, normal: Any, chance: Any, active: Any)
 
 
 def _glow(device: Any, ray: Any, number: Any, active: Any) -> Any:
-    """L / n^2 of a glowing ball along rays."""
+    """Compute L / n^2 of a glowing ball along rays."""
     if device.cloud is None:
         return mi.Float(0.0)
     centers, first, second, bright, _ = device.cloud
@@ -455,7 +455,7 @@ def _pace(device: Any) -> Any:
 
 
 def _body_radiance(device: Any, si: Any, active: Any) -> Any:
-    """Radiance of a body's surface under the lamps."""
+    """Compute radiance of a body's surface under the lamps."""
     total = mi.Float(0.0)
     if not device.stage.bodies or not (device.lamps or device.stage.lamps):
         return total

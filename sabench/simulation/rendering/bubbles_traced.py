@@ -58,7 +58,7 @@ class Tank:
         return self.wall.fluid_index / self.wall.air_index if self.wall else 1.0
 
     def straight(self) -> float:
-        """Share of light that both walls pass at normal incidence."""
+        """Compute the share of light that both walls pass at normal incidence."""
         if self.wall is None:
             return 1.0
         back = replace(self.wall, layers=self.rear)
@@ -149,7 +149,7 @@ def render(
 
 
 def _pass(stage_of: _Stager, camera: Camera, chosen: I64, delays: F64, seed: int) -> F64:
-    """Radiance (n,) of pixels by some rays each, spread over the exposure."""
+    """Render pixels' radiance (n,) by some rays each, spread over the exposure."""
     from sabench.simulation.rendering import bubble_integrator  # needs the variant
 
     rays, total = -(-_RAYS // len(delays)), np.zeros(len(chosen))
@@ -373,7 +373,7 @@ def _cloud(
 
 
 def _stacks(paths: Any, tank: Tank, origin: F64) -> tuple[Any, Any]:
-    """Layers of both walls from the fluid outwards; None where there is no wall."""
+    """List layers of both walls from the fluid outwards; None where there is no wall."""
     wall = tank.wall
     if wall is None:
         return None, None

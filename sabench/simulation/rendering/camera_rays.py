@@ -49,7 +49,7 @@ def pixels_of_rows(camera: Camera, count: int, samples: int) -> tuple[Any, Any, 
 
 
 def pinhole_rays(camera: Camera, origin: F64, column: Any, row: Any, first: int = 0) -> Any:
-    """Rays from the pinhole.
+    """Make rays from the pinhole.
 
     Parameters
     ----------
@@ -66,7 +66,7 @@ def pinhole_rays(camera: Camera, origin: F64, column: Any, row: Any, first: int 
 def lens_rays(
     camera: Camera, origin: F64, column: Any, row: Any, lens_mm: tuple[Any, Any], first: int = 0
 ) -> Any:
-    """Rays from points of the aperture to the plane in focus.
+    """Make rays from points of the aperture to the plane in focus.
 
     Other parameters as `pinhole_rays`.
     """
@@ -80,7 +80,7 @@ def lens_rays(
 
 
 def _ideal(camera: Camera, column: Any, row: Any, first: int) -> tuple[Any, Any]:
-    """Undistorted image coordinates, x/z and y/z."""
+    """Return undistorted image coordinates, x/z and y/z."""
     center, scale = camera.principal_point_px, dr.opaque(mi.Float, 1.0 / camera.focal_px)
     u = (column - dr.opaque(mi.Float, center[0])) * scale
     v = (row + dr.opaque(mi.Float, first - center[1])) * scale

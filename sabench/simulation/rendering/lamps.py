@@ -50,7 +50,7 @@ def place_lamps(
 
 
 def _apparent(wall: Wall | None, lamp_mm: F64) -> F64:
-    """Apparent position of a lamp for rays that cross the wall steeply.
+    """Find the apparent position of a lamp for rays that cross the wall steeply.
 
     A lamp in the fluid stays where it is.
     """

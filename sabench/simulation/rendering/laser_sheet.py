@@ -12,12 +12,12 @@ LIGHT_M_S = 299792458.0
 
 
 def photon_energy_mj(wavelength_nm: float) -> float:
-    """Energy of one photon, mJ."""
+    """Compute the energy of one photon, mJ."""
     return PLANCK_J_S * LIGHT_M_S / (wavelength_nm * 1e-9) * 1e3
 
 
 def fluence(light: Illumination, center_mm: F64, positions_mm: F64) -> F64:
-    """Photons per mm2 of one pulse at positions (n, 3) in a sheet.
+    """Compute photons per mm2 of one pulse at positions (n, 3) in a sheet.
 
     Top-hat: the energy evenly over height x thickness, zero outside the thickness. Gaussian: across
     the sheet exp(-8 s^2 / w^2) with the e^-2 width w, and the same energy. Along the height the

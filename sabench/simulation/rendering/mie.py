@@ -47,7 +47,7 @@ class MieTable:
         )
 
     def cross_section(self, angles_rad: F64, diameters_mm: F64) -> F64:
-        """dC/dOmega in mm2/sr at scattering angles (n,) of particles (n,)."""
+        """Compute dC/dOmega in mm2/sr at scattering angles (n,) of particles (n,)."""
         return np.interp(angles_rad, self.angles_rad, self.per_square_diameter) * diameters_mm**2
 
 

@@ -45,10 +45,10 @@ class ParticleImages(View):
     direction: F64
 
     def shape_mm(self, camera: Camera, position_mm: F64) -> F64:
-        """Vectors (n, 2, 3) across the light path that span a particle's Gaussian.
+        """Compute vectors across the light path that span a particle's Gaussian.
 
-        A shift of the particle by one of them shifts its image by sigma_px along the columns or the
-        rows.
+        (n, 2, 3). A shift of the particle by one of them shifts its image by sigma_px along the
+        columns or the rows.
         """
         return np.asarray(
             _chunked(_object_shape, camera, position_mm, self.direction)[1]
@@ -73,7 +73,7 @@ def scattering_table(
 
 
 def _angle_range(scene: Scene, cameras: tuple[Camera, ...]) -> tuple[float, float]:
-    """Smallest and largest scattering angle over a lattice in the volume.
+    """Find smallest and largest scattering angle over a lattice in the volume.
 
     A margin allows for the apertures and for points between the lattice's.
     """
@@ -187,7 +187,7 @@ def _see(camera: Camera, points: F64) -> tuple[F64 | Bool, ...]:
 
 
 def _through_aperture(camera: Camera, points: F64, chief: F64) -> tuple[F64, F64, F64]:
-    """Half angle (rad), defocus diameter (px) and solid angle (sr) of the lens.
+    """Compute the lens's half angle (rad), defocus (px) and solid angle (sr).
 
     At each point (n,), in the fluid.
     """
@@ -214,7 +214,7 @@ def _through_aperture(camera: Camera, points: F64, chief: F64) -> tuple[F64, F64
 
 
 def _object_shape(camera: Camera, points: F64, direction: F64) -> tuple[F64, F64]:
-    """Magnification, and the shifts that move the image by one pixel.
+    """Compute magnification and the shifts that move the image by one pixel.
 
     In px/mm, mean over directions; shifts (n, 2, 3) lie across the light path.
     """
@@ -242,7 +242,7 @@ def _object_shape(camera: Camera, points: F64, direction: F64) -> tuple[F64, F64
 def _cross_section(
     scene: Scene, particles: Particles, arriving: F64, table: MieTable | None, half_angle: float
 ) -> F64:
-    """Differential cross-section towards the camera, mm2/sr.
+    """Compute the differential cross-section towards the camera, mm2/sr.
 
     Isotropic scattering spreads the geometric cross-section over the sphere.
     """
@@ -253,6 +253,6 @@ def _cross_section(
 
 
 def _scattering_angles(scene: Scene, arriving: F64) -> F64:
-    """Angle between the laser's direction and the light to the camera, rad."""
+    """Compute the angle between the laser's direction and light to the camera, rad."""
     forward = np.asarray(scene.light.direction) / np.linalg.norm(scene.light.direction)
     return np.asarray(np.arccos(np.clip(-arriving @ forward, -1.0, 1.0)))

@@ -93,7 +93,7 @@ class _Tables:
 
 
 def _rays(camera: Camera, origin: F64, first: int, count: int, side: int) -> Any:
-    """Rays of `count` rows from row `first` on, pixel by pixel."""
+    """Make rays of `count` rows from row `first` on, pixel by pixel."""
     row, column, sub = pixels_of_rows(camera, count, side * side)
     across = mi.Float(column) + (mi.Float(sub % side) + 0.5) / side - 0.5
     down = mi.Float(row) + (mi.Float(sub // side) + 0.5) / side - 0.5

@@ -54,7 +54,7 @@ def _add_windows(image: Any, pixel: Any, photons: Any, sigma: Any, half: Any) ->
 
 @numba.njit(cache=True)
 def _shares(center: float, sigma: float, first: int, last: int) -> Any:
-    """Shares of a Gaussian's integral in the pixels first to last."""
+    """Compute shares of a Gaussian's integral in the pixels first to last."""
     shares = np.empty(last - first + 1)
     fill_shares(center, sigma, first, shares)
     return shares

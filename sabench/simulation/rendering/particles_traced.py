@@ -73,7 +73,7 @@ def render(
 
 
 def glow_of(images: ParticleImages, shape_mm: F64, bright: Bool) -> tuple[F64, F64, F64, F64]:
-    """Radius, two covectors a, b and peak radiance of each particle's Gaussian.
+    """Compute each particle's Gaussian: radius, covectors a, b and peak radiance.
 
     The radiance integrates to the radiant intensity: I = L 2 pi |s x t| for a Gaussian with the
     half axes s, t.

@@ -54,7 +54,7 @@ def see(camera: Camera, bubbles: Bubbles, bodies: Sequence[Solid] = ()) -> Sight
 
 
 def outlines(camera: Camera, bubbles: Bubbles, pixel: F64) -> F64:
-    """Outlines (n, 48, 2) of bubbles, where lines of sight touch them.
+    """Compute outlines (n, 48, 2) of bubbles, where lines of sight touch them.
 
     `pixel` (n, 2) are the images of their centres.
 
@@ -87,7 +87,7 @@ def outlines(camera: Camera, bubbles: Bubbles, pixel: F64) -> F64:
 
 
 def _distances(camera: Camera, bubbles: Bubbles, pixels: F64) -> F64:
-    """Distances (n, m) of lines of sight from bubble centres, in ball radii."""
+    """Compute distances (n, m) of lines of sight from bubble centres, in ball radii."""
     count, around = pixels.shape[:2]
     rays = camera.back_project(np.nan_to_num(pixels.reshape(-1, 2), nan=-1e6))
     offset = rays.origins_mm.reshape(count, around, 3) - bubbles.center_mm[:, None]
@@ -98,7 +98,7 @@ def _distances(camera: Camera, bubbles: Bubbles, pixels: F64) -> F64:
 
 
 def _lines(camera: Camera) -> tuple[F64, F64, F64]:
-    """Lines of sight of all pixels in the fluid.
+    """Compute lines of sight of all pixels in the fluid.
 
     Starts and unit directions (rows, columns, 3), and path lengths before the fluid (rows,
     columns).
@@ -119,7 +119,7 @@ def _lines(camera: Camera) -> tuple[F64, F64, F64]:
 
 
 def depth_of(camera: Camera, places_mm: F64) -> F64:
-    """Depths (...) of positions (..., 3).
+    """Compute depths (...) of positions (..., 3).
 
     Along the wall's normal from its outer face; without a wall, along the camera's axis from its
     pinhole.
@@ -130,9 +130,9 @@ def depth_of(camera: Camera, places_mm: F64) -> F64:
 
 
 def _boxes(contour: F64, shape: tuple[int, int]) -> I32:
-    """Bounding boxes (n, 4) of the finer lines of sight that may meet a bubble.
+    """Compute bounding boxes of the finer lines of sight that may meet a bubble.
 
-    First and last rows, then columns; empty outside the image.
+    (n, 4). First and last rows, then columns; empty outside the image.
     """
     boxes = np.zeros((len(contour), 4), dtype=np.int32)
     known = np.isfinite(contour).all(axis=(1, 2))
@@ -147,7 +147,7 @@ def _boxes(contour: F64, shape: tuple[int, int]) -> I32:
 
 
 def _shares(seen: Any, whole: Any, contour: F64) -> F64:
-    """Visible shares (n,) of outlines.
+    """Compute visible shares (n,) of outlines.
 
     Of the lines that meet a bubble, those that meet it first, times the share of the bubble that is
     in the image.

@@ -12,7 +12,7 @@ _MOST_E = 1e15  # electrons: more than any well holds, and fewer than the Poisso
 
 
 def full_well_photons(sensor: Sensor) -> float:
-    """Mean number of photons that fill a pixel's well."""
+    """Compute the mean number of photons that fill a pixel's well."""
     return sensor.full_well_e / sensor.quantum_efficiency
 
 

@@ -96,7 +96,7 @@ class _Target:
 
 
 def _rays(camera: Camera, origin: F64, first: int, count: int, samples: int) -> Any:
-    """Rays of `count` rows from row `first` on, from all over the aperture.
+    """Make rays of `count` rows from row `first` on, from all over the aperture.
 
     A pixel is sampled on a lattice of which no two points share a column or a row, shifted from
     pixel to pixel, as the aperture's points are rotated. With one pattern for all, an edge that
@@ -119,7 +119,7 @@ def _rays(camera: Camera, origin: F64, first: int, count: int, samples: int) -> 
 
 
 def _spiral(count: int) -> F64:
-    """Points (count, 2) uniform over the unit disc, each with its opposite.
+    """Make points (count, 2) uniform over the unit disc, each with its opposite.
 
     Their order is far from that of a pixel's lattice.
 
@@ -179,7 +179,7 @@ def _trace(scene: Any, ray: Any, target: Any) -> Any:
 
 
 def _irradiance(target: Any, position: Any, normal: Any) -> Any:
-    """Irradiance at positions; lamps are points."""
+    """Compute irradiance at positions; lamps are points."""
     total = mi.Float(target.ambient)
     for lamp, power in target.lamps:
         direction = lamp - position
@@ -189,7 +189,7 @@ def _irradiance(target: Any, position: Any, normal: Any) -> Any:
 
 
 def _reflectance(target: Any, position: Any) -> Any:
-    """Reflectance at positions: 1 for white, 0.04 for black print."""
+    """Compute reflectance at positions: 1 for white, 0.04 for black print."""
     paint = target.paint
     if paint.pattern == "wand":
         return mi.Float(1.0)

@@ -73,7 +73,7 @@ def render(
 
 
 def marker_bits(target: Target) -> Bool:
-    """White cells (marker, cell) of a ChArUco board's markers.
+    """Return white cells (marker, cell) of a ChArUco board's markers.
 
     Markers are in the order of the white squares; there are none for other targets.
     """

@@ -91,7 +91,7 @@ def read_arrays(path: Path, names: Sequence[str]) -> dict[str, Array]:
 
 
 def length_mm(given: Unit, array: Array, where: str, key: str) -> float:
-    """Millimetres of an array's unit.
+    """Return an array's unit in millimetres.
 
     It is taken from what is given (a name or a number), else from the file.
 
@@ -104,12 +104,12 @@ def length_mm(given: Unit, array: Array, where: str, key: str) -> float:
 
 
 def time_s(given: Unit, array: Array, where: str, key: str) -> float:
-    """Seconds of an array's unit; raises as `length_mm` does."""
+    """Return an array's unit in seconds; raises as `length_mm` does."""
     return _factor(given, array, _TIMES, where, key, "seconds")
 
 
 def speed_mm_s(given: Unit, array: Array, where: str, key: str) -> float:
-    """Millimetres a second of an array's unit; raises as `length_mm` does."""
+    """Return an array's unit in millimetres a second; raises as `length_mm` does."""
     speeds = {
         f"{one}/{other}": mm / s for one, mm in _LENGTHS.items() for other, s in _TIMES.items()
     }

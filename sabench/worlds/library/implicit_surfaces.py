@@ -142,9 +142,9 @@ def capsules(
     end_radii_mm: F64,
     blend_mm: float = 0.0,
 ) -> F64:
-    """Signed distances (n,) of points (n, 3) to a smooth union of rounded cones.
+    """Compute signed distances (n,) of points to a smooth union of rounded cones.
 
-    A cone is the balls whose radius goes linearly from one end to the other.
+    Points are (n, 3). A cone is the balls whose radius goes linearly from one end to the other.
 
     Outside, and with a blend of 0, it is the distance; inside it is the largest depth in any one of
     them. A ball has both ends in one place.
@@ -219,7 +219,7 @@ def _union(
 
 @numba.njit(cache=True, error_model="numpy")
 def _distance(square: float, along: float, length: float, radius: float, sine: float) -> float:
-    """Least distance to a cone's balls.
+    """Compute the least distance to a cone's balls.
 
     Their radius is radius - s sine at s along the axis; the least is where d/ds is 0, or at an end.
     """

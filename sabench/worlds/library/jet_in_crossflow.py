@@ -58,7 +58,10 @@ class Crossflow(BaseModel):
         )
 
     def upper_mm(self, x: F64) -> F64:
-        """Upper edge of the spray above the nozzle at distances x > 0 along the gas."""
+        """Compute the spray's upper edge above the nozzle.
+
+        At distances x > 0 along the gas.
+        """
         return np.asarray(
             _UPPER[0]
             * self.momentum_ratio ** _UPPER[1]
@@ -67,7 +70,7 @@ class Crossflow(BaseModel):
         )
 
     def width_mm(self, x: F64) -> F64:
-        """Width of the spray at distances along the gas."""
+        """Compute the width of the spray at distances along the gas."""
         return np.asarray(
             _WIDTH[0]
             * self.momentum_ratio ** _WIDTH[1]
@@ -76,7 +79,7 @@ class Crossflow(BaseModel):
         )
 
     def cones(self, seed: int) -> Cones:
-        """Column and ligaments as rounded cones.
+        """Make column and ligaments as rounded cones.
 
         Starts (k, 3) and ends (k, 3) from the nozzle along the world's axes, and their radii.
         """
@@ -87,7 +90,7 @@ class Crossflow(BaseModel):
         return starts, ends, first, last
 
     def _column(self, rng: np.random.Generator) -> Cones:
-        """Column along its path, with waves that grow."""
+        """Make the column along its path, with waves that grow."""
         along = np.linspace(0.0, 1.0, _PIECES + 1)
         y = along * self.break_mm[1]
         x = (y / self.diameter_mm / _PATH) ** 2 / self.momentum_ratio * self.diameter_mm
@@ -102,7 +105,7 @@ class Crossflow(BaseModel):
         return path[:-1], path[1:], radii[:-1], radii[1:]
 
     def _ligament(self, column: Cones, rng: np.random.Generator) -> Cones:
-        """Ligament that bends into the gas, thins, and ends in a ball.
+        """Make a ligament that bends into the gas, thins, and ends in a ball.
 
         It starts anywhere on the column's later two thirds.
         """
@@ -177,7 +180,7 @@ class Spray:
         )
 
     def places(self, age: F64, line: F64) -> F64:
-        """Positions (n, 3) from the nozzle at ages (n,), of lines (n, 2).
+        """Compute positions (n, 3) from the nozzle at ages (n,), of lines (n, 2).
 
         Lines are shares of height and of width, both from 0 to 1.
         """
@@ -186,14 +189,17 @@ class Spray:
         return np.column_stack([x, y, self.jet.width_mm(x) * (line[:, 1] - 0.5)])
 
     def velocities(self, age: F64, places: F64) -> F64:
-        """Velocities (n, 3) at positions: height and width grow as a power of x."""
+        """Compute velocities (n, 3) at positions.
+
+        Height and width grow as a power of x.
+        """
         speed = -self.gas_mm_s * np.expm1(-age / self.response_s)
         slope = places * _POWER / places[:, :1]
         slope[:, 0] = 1.0
         return np.asarray(speed[:, None] * slope)
 
     def known(self, places: F64) -> tuple[F64, F64]:
-        """Ages (n,) and lines (n, 2) of positions (n, 3) from the nozzle."""
+        """Compute ages (n,) and lines (n, 2) of positions (n, 3) from the nozzle."""
         x = places[:, 0]
         height = (-places[:, 1] / self.jet.upper_mm(x) - self.lower) / (1.0 - self.lower)
         time, ways = self.ages

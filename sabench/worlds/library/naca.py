@@ -15,7 +15,7 @@ _LAST = -0.1036  # of x^4: with the report's -0.1015 the trailing edge is 0.2 % 
 
 
 def half_thickness(x: npt.ArrayLike, ratio: float) -> F64:
-    """Half thickness at x, both in chords.
+    """Compute half thickness at x, both in chords.
 
     `ratio` is the largest thickness over the chord.
     """
@@ -28,7 +28,7 @@ def half_thickness(x: npt.ArrayLike, ratio: float) -> F64:
 
 
 def camber(x: npt.ArrayLike, height: float, place: float) -> tuple[F64, F64]:
-    """Mean line and its slope at x, in chords.
+    """Compute mean line and its slope at x, in chords.
 
     Its largest height is at `place`; a height of 0 is a straight line.
     """
@@ -41,7 +41,7 @@ def camber(x: npt.ArrayLike, height: float, place: float) -> tuple[F64, F64]:
 
 
 def section(digits: str, stations: int) -> tuple[F64, F64]:
-    """Upper and lower side (stations + 1, 2) in chords.
+    """Compute upper and lower side (stations + 1, 2) in chords.
 
     Both start at the leading edge, 0, and share the trailing edge, 1.
 

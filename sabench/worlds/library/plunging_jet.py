@@ -52,18 +52,18 @@ class JetLaw:
         return float(np.rad2deg(np.arctan2(self.equivalent_mm / 2.0, self.penetration_mm)))
 
     def scaled_depth(self, y: F64) -> F64:
-        """Y* = (Y - Y_m) / Y_p."""
+        """Compute Y* = (Y - Y_m) / Y_p."""
         return np.asarray((np.asarray(y) - self.peak_mm) / self.penetration_mm)
 
     def total_over_peak(self, y: F64) -> F64:
-        """C_Y over its maximum, equation 5.18."""
+        """Compute C_Y over its maximum, equation 5.18."""
         return np.asarray(
             self.weight * np.exp(-(self.scaled_depth(y) ** 2) / (2.0 * self.width**2))
             + (1.0 - self.weight)
         )
 
     def axis_over_peak(self, y: F64) -> F64:
-        """C_max over its maximum.
+        """Compute C_max over its maximum.
 
         How far it falls follows from what table 5.2 says of the angle: the cloud is a cone between
         Y_m and Y_p.
@@ -78,7 +78,7 @@ class JetLaw:
         return np.asarray(least + (1.0 - least) * line)
 
     def half_radius_mm(self, y: F64) -> F64:
-        """R_.5, equation 5.22."""
+        """Compute R_.5, equation 5.22."""
         there = self.equivalent_mm / 2.0 / np.sqrt(np.log(1.0 / EDGE) / LN2)  # at Y_p
         shape = self.total_over_peak(y) / self.axis_over_peak(y)
         at_end = self.total_over_peak(np.array(self.penetration_mm)) / self.axis_over_peak(
@@ -105,7 +105,7 @@ class JetLaw:
         return float(self.total * np.pi * slope**2 * self.penetration_mm**3 / 3.0 / air)
 
     def concentration(self, y: F64, r: F64) -> F64:
-        """Void fraction C(Y, R), equation 5.19."""
+        """Compute the void fraction C(Y, R), equation 5.19."""
         return np.asarray(
             self.largest
             * self.axis_over_peak(y)
@@ -113,7 +113,7 @@ class JetLaw:
         )
 
     def air_mm2(self, y: F64) -> F64:
-        """Volume of air per depth: the integral of 2 pi R C over R."""
+        """Compute the volume of air per depth: the integral of 2 pi R C over R."""
         return np.asarray(
             self.largest * self.axis_over_peak(y) * np.pi * self.half_radius_mm(y) ** 2 / LN2
         )

@@ -22,7 +22,10 @@ _STEPS = 40  # of the golden section: to 4e-9
 
 
 def shapes_of(semi_axes_mm: F64, turn: F64) -> F64:
-    """Matrices (n, 3, 3) whose inverses are the ellipsoids' quadratic forms."""
+    """Compute matrices whose inverses are the ellipsoids' quadratic forms.
+
+    (n, 3, 3).
+    """
     return np.asarray(np.einsum("nki,nk,nkj->nij", turn, semi_axes_mm**2, turn))
 
 
@@ -155,7 +158,7 @@ def _touch(centers: Any, to_ball: Any, reach: Any, vertices: Any, faces: Any, ou
 
 @numba.njit(cache=True, error_model="numpy")
 def _nearest(t: Any) -> Any:
-    """Squared distance of a triangle (3, 3) from the origin."""
+    """Compute the squared distance of a triangle (3, 3) from the origin."""
     best = np.inf
     u, v = t[1] - t[0], t[2] - t[0]
     uu, vv, uv = np.dot(u, u), np.dot(v, v), np.dot(u, v)
@@ -176,7 +179,7 @@ def _nearest(t: Any) -> Any:
 
 
 def contact(one: F64, first: F64, other: F64, second: F64) -> F64:
-    """Squared factor (n,) by which two ellipsoids must grow to touch.
+    """Compute the squared factor (n,) by which two ellipsoids must grow to touch.
 
     They grow about their centres; below 1 they overlap.
 
@@ -198,7 +201,7 @@ def _contacts(one: Any, first: Any, other: Any, second: Any, out: Any) -> None:
 
 @numba.njit(cache=True, error_model="numpy")
 def _contact(one: Any, first: Any, other: Any, second: Any) -> Any:
-    """Contact function: its largest value over x from 0 to 1.
+    """Maximise the contact function over x from 0 to 1.
 
     It is x (1 - x) r' ((1 - x) A + x B)^-1 r, which is concave in x.
     """
@@ -220,7 +223,7 @@ def _contact(one: Any, first: Any, other: Any, second: Any) -> Any:
 
 @numba.njit(cache=True, error_model="numpy")
 def _at(x: float, one: Any, first: Any, other: Any, second: Any) -> Any:
-    """Contact function at one x, by Cramer's rule."""
+    """Evaluate the contact function at one x, by Cramer's rule."""
     y, m = 1.0 - x, np.empty(6)
     for i in range(3):
         m[i] = y * first[i, i] + x * second[i, i]
@@ -326,7 +329,10 @@ def _fits(
 
 
 def _grid(centers: F64, tried: F64, width: float) -> tuple[I64, F64]:
-    """Grid of cells that hold all candidates: counts along x, y, z, and origin."""
+    """Make a grid of cells for all candidates.
+
+    Counts along x, y, z, and origin.
+    """
     known = np.concatenate([centers[np.isfinite(centers[:, 0])], tried.reshape(-1, 3)])
     low = known.min(axis=0)
     cells = np.maximum(1, np.ceil((known.max(axis=0) - low) / width + 1e-9)).astype(np.int64)

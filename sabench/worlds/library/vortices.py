@@ -11,7 +11,7 @@ from sabench.utils.arrays import F64
 def lateral(
     points_mm: F64, center_mm: tuple[float, float, float], axis: tuple[float, float, float]
 ) -> tuple[F64, F64, F64]:
-    """Offsets of points from an axis.
+    """Compute offsets of points from an axis.
 
     Returns offsets (n, 3), their lengths (n,), and the axis as a unit vector.
     """
@@ -22,12 +22,12 @@ def lateral(
 
 
 def turning(offset: F64, along: F64, rate: F64) -> F64:
-    """Velocities (n, 3) of rotation at rates (n,) in rad/s."""
+    """Compute velocities (n, 3) of rotation at rates (n,) in rad/s."""
     return np.asarray(rate[:, None] * np.cross(along, offset))
 
 
 def turning_gradient(offset: F64, along: F64, rate: F64, slope: F64) -> F64:
-    """Gradients (n, 3, 3) of a straight vortex.
+    """Compute gradients (n, 3, 3) of a straight vortex.
 
     `slope` (n,) is the rate's derivative by the distance, over the distance.
     """
