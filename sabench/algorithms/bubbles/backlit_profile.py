@@ -1,11 +1,12 @@
 """Appearance of a backlit bubble.
 
-Transmission over the distance from its centre, by ray optics, blurred by lens and pixels.
+The profile is the transmission over the distance from its centre, by ray optics, blurred by lens
+and pixels.
 
 A ray that meets a ball at a part b of its radius is reflected, by pi - 2 asin(b), or goes through,
 by 2 (asin(b n) - asin(b)), n being the index of the fluid over that of the ball, or is reflected
-inside first. What it brings is the diffuser's light if it leaves within the diffuser's half angle
-of its direction, and nothing else. The rim is dark between where light that goes through is bent
+inside first. A ray carries the diffuser's light if it leaves within the diffuser's half angle of
+its direction, and no light otherwise. The rim is dark between where light that goes through is bent
 too far and where light that is reflected is not bent far enough.
 """
 
@@ -69,7 +70,7 @@ def reflectance(incident: F64, refracted: F64, index: float) -> F64:
 def _seen(angle: F64, half_angle: float) -> F64:
     """Compute how much of the light turned by an angle comes from the diffuser.
 
-    The result is 0 to 1, between these near the diffuser's edge.
+    The result is 0 or 1, or between these near the diffuser's edge.
     """
     away = np.abs((angle + np.pi) % (2.0 * np.pi) - np.pi)
     return np.asarray(
@@ -81,7 +82,7 @@ def _seen(angle: F64, half_angle: float) -> F64:
 class Profile:
     """Blurred transmission (radius, distance).
 
-    Radii are spread geometrically, distances evenly from the centre to `reach` radii.
+    Radii are spaced geometrically, distances uniformly from the centre to `reach` radii.
     """
 
     table: F32

@@ -1,6 +1,7 @@
-"""Ellipses in an image of something dark.
+"""Detection of dark ellipses in an image.
 
-Edges to a fraction of a pixel, votes for axes, least squares on the edges that voted.
+Edges are located to a fraction of a pixel and vote for axes; ellipses are fitted by least squares
+to the edges that voted.
 
 Source: Y. Xie and Q. Ji, A new efficient ellipse detection method, ICPR 2002: every two edges may
 be the ends of a major axis, for whose minor axis all others vote. Here edges have directions too,
@@ -30,10 +31,9 @@ _FITS = 2
 def find_edges(dark: F32, least: float) -> F64:
     """Find edges (n, 4) in an image of darkness.
 
-    Column and row to a fraction of a pixel, and unit vectors towards the dark.
-
-    They are the maxima of the gradient's length along its direction, placed by a parabola through
-    it and its neighbours on both sides.
+    Columns are column and row to a fraction of a pixel, and unit vectors towards the dark. Edges
+    are the maxima of the gradient's length along its direction, located by a parabola through it
+    and its neighbours on both sides.
 
     Parameters
     ----------
@@ -75,10 +75,9 @@ def _between(image: F32, x: F32, y: F32) -> F32:
 def find_ellipses(points: F64, largest: float, least_aspect: float, least_part: float) -> F64:
     """Find outlines (n, 6) from edges (m, 4), the best one first.
 
-    Column, row, semi-axes, angle of the longer one from X, part that has edges.
-
-    An outline takes its edges away from the others, as the largest value of an accumulator is taken
-    out before the next one is looked for.
+    Columns are column, row, semi-axes, angle of the longer one from X, part that has edges. An
+    outline removes its edges from the others, as the largest value of an accumulator is removed
+    before the next one is searched for.
 
     Parameters
     ----------
@@ -106,7 +105,7 @@ def find_ellipses(points: F64, largest: float, least_aspect: float, least_part: 
 def _fitted(points: F64, first: F64) -> F64:
     """Fit an ellipse to edges by least squares.
 
-    `first` if there are too few or they lie on none like it.
+    Returns `first` if there are too few edges or no similar ellipse fits them.
     """
     if len(points) < _FEWEST:
         return first
@@ -166,7 +165,7 @@ def _covered(points: Any, ellipse: Any) -> float:
 def _voted(points: Any, largest: float, least_aspect: float) -> Any:
     """Find the ellipse (5,) that most edges vote for, and the part of it with edges.
 
-    Of equally whole ones the larger one.
+    Of ellipses with equal parts, the larger one is returned.
     """
     best, best_part, most = np.zeros(5), 0.0, 0.0
     for i in range(len(points)):

@@ -73,7 +73,7 @@ class FeaturePeaks:
     def within(self, bubble: F64, planes: int) -> Bool:
         """Mark the peaks inside the circle around a bubble (7,).
 
-        They are at most so many planes from it, and some of their window lies inside.
+        They are at most that many planes from it, and some of their window lies inside.
         """
         y, x = (self.place[:, axis] * STEP + (WINDOW - 1) / 2.0 for axis in (1, 2))
         return np.asarray(
@@ -85,10 +85,8 @@ class FeaturePeaks:
 def find_depth(volume: F32, outline: F64, plane: int) -> float:
     """Find the plane, to a fraction, in which the rim of an outline is darkest.
 
-    The rim is what lies within a voxel of the outline and inside it.
-
-    It is the mean of the planes around the darkest one, weighted with the square of their mean
-    darkness.
+    The rim is the part inside the outline within a voxel of it. The plane is the mean of those
+    around the darkest one, weighted with the square of their mean darkness.
 
     Parameters
     ----------
@@ -124,10 +122,8 @@ def _inside(shape: tuple[int, ...], outline: F64) -> tuple[slice, slice, Bool]:
 def drop_duplicates(bubbles: F64, depth: float) -> F64:
     """Merge bubbles (n, 7) at one position, and sort them by size, the largest first.
 
-    A much smaller one is left out, two alike are merged.
-
-    The merged one is their mean, weighted with the parts of their outlines that have edges, with
-    the angle of the first.
+    A much smaller one is left out; two similar ones are merged to their mean, weighted with the
+    parts of their outlines that have edges, with the angle of the first.
 
     Parameters
     ----------

@@ -1,8 +1,8 @@
 """Detection of bubbles as in the thesis.
 
-A refocused stack, its feature potential, minimum images, outlines. Source: J. Belden's thesis,
-sections 5.3 and 5.4. What is refocused, attenuated and looked at is darkness, one less the images'
-transmission: the thesis's minimum images are largest darkness here.
+The steps are a refocused stack, its feature potential, minimum images and outlines. Source: J.
+Belden's thesis, sections 5.3 and 5.4. All steps work on darkness, one less the images'
+transmission: the thesis's minimum images are images of the largest darkness here.
 """
 
 from __future__ import annotations
@@ -31,9 +31,9 @@ _FLOOR = 0.02
 def darkness(case: Observation) -> F32:
     """Refocus darkness by the multiplicative stack of equation 5.7 with n = 1/3.
 
-    The result is (z, y, x), from 0 to 1. It is the images' darkness that is multiplied. A product
-    of bright images is dark wherever any one of them is; the thesis wants a camera whose view is
-    blocked not to prevent that an object comes into focus.
+    The result is (z, y, x), from 0 to 1. The factors are the images' darkness. A product of bright
+    images is dark wherever any one of them is. In the thesis, a camera whose view is blocked must
+    not prevent an object from coming into focus.
     """
     images = np.clip(1.0 - transmission(case), _FLOOR, 1.0)
     volume = refocus_log2(images, case.cameras, case.grid, _FLOOR, outside=_FLOOR)
@@ -125,7 +125,7 @@ class Outlines:
 def find_outlines(dark: F32, depth: F32, least: float, small: float) -> Outlines:
     """Find bubbles of one image of darkness (rows, columns) with its map of depths.
 
-    Edges, labels, circles of the large and thresholds of the small ones.
+    The steps are edges, labels, circles of large features and thresholds of small ones.
 
     Parameters
     ----------
@@ -171,7 +171,7 @@ def _filled(mask: Any) -> Any:
 def _thresholded(dark: F32) -> list[tuple[float, float, float, float]]:
     """List regions darker than their mean as circles.
 
-    Each circle has the region's centroid and equivalent radius. None where all is alike.
+    Each circle has the region's centroid and equivalent radius. A uniform region gives none.
     """
     inside = dark > dark.mean()
     if not inside.any():

@@ -1,9 +1,9 @@
-"""Votes for outlines.
+"""Votes for outlines by Hough's transform.
 
-How much of a circle of a radius around each pixel is an edge from dark within to bright outside.
+A vote is the part of a circle around a pixel that is an edge from dark inside to bright outside.
 
 The direction of the gradient counts and its strength hardly does, as in Loy and Zelinsky's radial
-symmetry (IEEE PAMI 25, 2003): a faint bubble whose whole outline shows is worth more than one
+symmetry (IEEE PAMI 25, 2003): a faint bubble with a complete outline has more votes than one
 strong edge.
 """
 
@@ -47,7 +47,7 @@ def radii_between(smallest_px: float, largest_px: float) -> F64:
 def vote(image: F32, radii_px: F64, aspect: float = 1.0) -> Votes:
     """Vote for circles in one image of transmission.
 
-    Or for ellipses of an aspect (short over long axis) that lie flat.
+    With an aspect (short over long axis), vote for ellipses that lie flat.
     """
     if aspect != 1.0:
         image = cv2.resize(

@@ -1,6 +1,6 @@
 """Possible positions of bubbles in space.
 
-Outlines of one view followed along their lines of sight, and looked for in all others.
+Outlines of one view are followed along their lines of sight, and searched for in all others.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ _BEYOND = 0.02  # of the volume's depth: how far outside it lines are followed
 
 @dataclass(frozen=True)
 class Hypotheses:
-    """Bubbles that may be there.
+    """Possible bubbles.
 
     Centres (n, 3), long semi-axes (n,), mean votes (n,), short over long axis (n,), the best first.
     """
@@ -73,7 +73,8 @@ def join_hypotheses(parts: Sequence[Hypotheses]) -> Hypotheses:
 def _spread(maps: F32, out: F32) -> None:
     """Smooth votes.
 
-    Other views are not hit to the pixel. A maximum over neighbours would be as good at many depths.
+    Smoothing is needed since positions do not project to the exact pixels in other views. A maximum
+    over neighbours would be as good at many depths.
     """
     import cv2
 
@@ -139,7 +140,7 @@ def _along_lines(
 def px_per_mm(camera: Camera, points_mm: F64) -> F64:
     """Compute pixels per mm across the line of sight at points (n, 3).
 
-    From the length of the light path: exact enough to choose a radius.
+    The length of the light path gives it, accurately enough to choose a radius.
     """
     step = 0.5
     across = step * np.array([1.0, 0.0, 0.0])
@@ -164,7 +165,7 @@ def _sample(
 ) -> None:
     """Sample votes at pixels and radii.
 
-    Bilinear over the radius, the nearest pixel's over the image.
+    Sampling is bilinear over the radius and takes the nearest pixel in the image.
     """
     count, rows, columns = maps.shape
     for n in numba.prange(len(out)):
@@ -183,7 +184,8 @@ def _sample(
 def drop_duplicates(all_of_them: Hypotheses) -> Hypotheses:
     """Keep the best of the hypotheses of each bubble.
 
-    Closer than half a radius across and two along, of a similar radius.
+    Hypotheses of one bubble are closer than half a radius across and two along, and have similar
+    radii.
     """
     center, radius, vote = all_of_them.center_mm, all_of_them.radius_mm, all_of_them.vote
     if not len(vote):

@@ -2,9 +2,9 @@
 
 Light from behind several bubbles is dimmed by each of them. A bubble is a spheroid with its centre,
 two semi-axes (as logarithms) and two tilts of its short axis from the vertical. Its image in a
-camera is an ellipse: the camera is linear over so small a thing. All bubbles together make a model
-of the images, the product of their transmissions; one is fitted while the others stay, by Levenberg
-and Marquardt's method on the pixels around it in all views.
+camera is an ellipse, since a camera is almost linear over so small an object. All bubbles together
+model the images by the product of their transmissions. One bubble is fitted while the others stay,
+by Levenberg and Marquardt's method on the pixels around it in all views.
 """
 
 from __future__ import annotations
@@ -158,7 +158,7 @@ def ellipses_of(model: Model, parameters: F64) -> F64:
 def misfit(model: Model, parameters: F64) -> float:
     """Compute the mean square unexplained by a bubble over the pixels around it.
 
-    Median over the views, since others are in front of it in some.
+    The result is the median over the views, since other bubbles are in front of it in some.
     """
     ellipses = ellipses_of(model, parameters)
     out = np.full(len(model.cameras), np.nan)
@@ -195,7 +195,7 @@ def _measured(
 def _shade(table: Any, blur: float, distance: float, part: float) -> Any:
     """Interpolate transmission at a distance in px.
 
-    The distance is a part of the radius there. Bilinear in the profile's table.
+    The distance is a part of the radius there. The profile's table is interpolated bilinearly.
     """
     radius = distance / part if part > 1e-9 else 1e9
     radius = min(max(radius, SMALLEST), LARGEST)
@@ -317,7 +317,7 @@ def _normal(
 ) -> Any:
     """Sum over views and pixels of Geman and McClure's function of the residuals.
 
-    Weights of the normal equations are its own.
+    The weights of the normal equations are those of this function.
     """
     count = len(steps)
     change = np.empty(count)

@@ -1,6 +1,6 @@
 """Choice of the hypotheses that are bubbles.
 
-The best are fitted first, and what they explain is not there for the others.
+The best are fitted first, and the others are fitted to the darkness that is left.
 """
 
 from __future__ import annotations
@@ -61,11 +61,12 @@ def search_bubbles(
 
     Parameters
     ----------
-    profile_of : what a bubble looks like before a diffuser of a half angle (rad).
-    half_angle : of the diffuser as bubbles see it; None: whichever fits the largest bubbles best.
-    least_gain : the part of what a bubble would darken that must be dark, and not explained by
-        others, median over the views.
-    sweeps : times that all are fitted again, each with the others in place.
+    profile_of : profile of a bubble in front of a diffuser of a half angle (rad).
+    half_angle : of the diffuser seen from the bubbles; None: the one that fits the largest bubbles
+        best.
+    least_gain : part of a bubble's shadow that must be dark and not explained by others, median
+        over the views.
+    sweeps : number of times that all bubbles are fitted again, each with the others in place.
     """
     if half_angle is None:
         half_angle = _lit_from(images, cameras, profile_of, start)
@@ -157,7 +158,7 @@ def _united(model: Model, kept: list[F64], start: Hypotheses, least_gain: float)
 def _parts(kept: list[F64], whole: F64) -> list[int]:
     """List the bubbles that are smaller than another one and within its outline.
 
-    None if one like it is there.
+    The list is empty if a similar bubble exists already.
     """
     if not kept:
         return []

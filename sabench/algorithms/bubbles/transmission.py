@@ -1,6 +1,6 @@
 """Images of a backlit scene as transmission.
 
-1 where only the diffuser is seen, 0 where it is dark.
+Transmission is 1 where only the diffuser is seen, 0 where it is dark.
 """
 
 from __future__ import annotations
@@ -19,10 +19,9 @@ _DARKEST = 0.02  # of white: images that are darker everywhere show nothing
 def transmission(case: Observation) -> F32:
     """Divide grey values less black by the diffuser's: (camera, row, column).
 
-    all 1 for an image that shows nothing.
-
-    The diffuser's brightness is what is brightest within a wide neighbourhood, smoothed; noise that
-    this follows is taken out by a median first.
+    An image that shows nothing becomes 1 everywhere. The diffuser's brightness is the smoothed
+    maximum within a wide neighbourhood; a median filter first removes noise, which the maximum
+    would follow.
     """
     out = np.ones(case.images.shape, dtype=np.float32)
     for image, made in zip(case.images, out, strict=True):

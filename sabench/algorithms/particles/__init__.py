@@ -1,6 +1,6 @@
 """Particles in three dimensions.
 
-Triangulation of image peaks, iterative reconstruction (IPR), and linking.
+The package holds triangulation of image peaks, iterative reconstruction (IPR), and linking.
 """
 
 from sabench.algorithms.particles.ipr import (

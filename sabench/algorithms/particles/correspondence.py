@@ -1,6 +1,4 @@
-"""Particle images that may belong to one particle.
-
-Seen by several cameras whose calibration is a few pixels off.
+"""Matches of particle images between cameras that are a few pixels off.
 
 Source: B. Wieneke, Volume self-calibration for 3D particle image velocimetry, Exp. Fluids 45,
 549-556, 2008.
@@ -23,8 +21,7 @@ _NEAR = 64  # particle images looked at around one place
 def _gains(slopes: Any, cameras: int, gains: Any) -> bool:
     """Fill in gains (camera, 2, 3).
 
-    By how much a place moves for every pixel that a camera misses it by, in the least-squares
-    sense.
+    A gain is the least-squares displacement of a position for every pixel of a camera's error.
     """
     m = np.zeros((3, 3))
     for c in range(cameras):
@@ -64,7 +61,7 @@ def _moved(gains: Any, misses: Any, cameras: int, step: Any) -> None:
 
 @numba.njit(cache=True)
 def move_to_pixel(maps: Any, pixel: Any, place: Any, here: Any, slope: Any) -> bool:
-    """Move a place in x and y to where the first camera sees it at a pixel."""
+    """Move a position in x and y so that the first camera sees it at a pixel."""
     for _ in range(10):
         project_point(maps, 0, place, here, slope)
         du, dv = pixel[0] - here[0], pixel[1] - here[1]
@@ -84,10 +81,10 @@ def match(
 
     A set has one peak of each of three or four cameras.
 
-    The first camera's line of sight is followed through the box; what the second shows within reach
-    of it is intersected with it, and all that the others show within reach of this place makes a
-    set. A set counts if no camera misses the place that fits it best by more than `reach`. When
-    there is no more room, the rest of the first camera's images is left out.
+    The first camera's line of sight is followed through the box and intersected with those of the
+    second camera's images within reach. Images of the other cameras within reach of this position
+    complete a set. A set counts if no camera misses the position that fits it best by more than
+    `reach`. When there is no more room, the rest of the first camera's images is left out.
 
     Parameters
     ----------
@@ -156,7 +153,7 @@ def _crossed(
 ) -> bool:
     """Move a point to where the lines of sight of the first two cameras come nearest.
 
-    False if that is outside the box.
+    Returns False if that is outside the box.
     """
     for _ in range(2):
         for c in range(2):
@@ -186,7 +183,7 @@ def _others(
     errors: Any,
     count: int,
 ) -> int:
-    """Go through all that the cameras after the second show near to a place.
+    """Try all images of the cameras after the second near a position.
 
     Returns the number of sets so far.
     """
@@ -247,7 +244,7 @@ def _worst(slopes: Any, misses: Any, step: Any, cameras: int) -> float:
 def pair_up(peaks: Any, pixels: Any, reach: float, out: Any) -> int:
     """Fill in pairs (pixel, peak) within reach of each other; return how many.
 
-    As long as there is room.
+    Stops when there is no more room.
     """
     found, count = np.zeros(len(peaks.pixels), dtype=np.int64), 0
     for n in range(len(pixels)):

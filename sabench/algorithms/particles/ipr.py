@@ -1,6 +1,6 @@
 """Particles of one frame by triangulation.
 
-Or by rounds of it on the residual images.
+Iterative reconstruction repeats the triangulation on the residual images.
 """
 
 from __future__ import annotations
@@ -116,7 +116,7 @@ def _agreed(
 ) -> Candidates:
     """Select candidates so that each particle image belongs to one.
 
-    Which cameras are followed changes from round to round.
+    The cameras whose lines of sight are followed change from round to round.
     """
     first = number % len(peaks)
     order = (first, (first + 1) % len(peaks))

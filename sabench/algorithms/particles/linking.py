@@ -1,14 +1,14 @@
-"""Tracks of bubbles out of what was found frame by frame.
+"""Linking of bubbles that were detected frame by frame to trajectories.
 
-A prediction for each track, and the best one-to-one choice of what lies near it.
+Each trajectory has a prediction; detections near predictions are assigned one to one.
 
-The choice is that of Jaqaman et al. (Nature Methods 5, 695, 2008): links cost something, and so
-does a track that finds none; the sum is least. A track of two detections or more goes on with its
-last velocity. One of a single detection goes as its neighbours go: the more of them find a
-detection after the same displacement, or are known to move so, the less its link costs (relaxation,
-after Baek and Lee, Exp. Fluids 22, 23, 1996). Two streams through each other are told apart so,
-while bubbles that move at random, and not as their neighbours do, are followed only while they move
-by less than a third of the distance between them.
+The assignment is that of Jaqaman et al. (Nature Methods 5, 695, 2008): links have costs, and so
+have trajectories without a link; the sum is minimal. A trajectory of two detections or more is
+predicted by its last velocity. One of a single detection is predicted by its neighbours: the more
+of them find a detection after the same displacement, or are known to move so, the less its link
+costs (relaxation, after Baek and Lee, Exp. Fluids 22, 23, 1996). This separates two streams through
+each other. Limit: bubbles that move at random, and not like their neighbours, are tracked only
+while they move by less than a third of the distance between them.
 """
 
 from __future__ import annotations
@@ -44,9 +44,9 @@ _ENOUGH = 8  # links by which these errors are measured
 
 @dataclass(frozen=True)
 class _Points:
-    """Detections or tracks' last ones.
+    """Detections, or the last ones of trajectories.
 
-    Places (n, 3), logarithms of radii (n,), times (n,), numbers of frames (n,).
+    Positions (n, 3), logarithms of radii (n,), times (n,), numbers of frames (n,).
     """
 
     place: F64
@@ -57,7 +57,7 @@ class _Points:
 
 @dataclass(frozen=True)
 class _Tracks(_Points):
-    """Tracks that may go on.
+    """Trajectories that may continue.
 
     Their last detections, numbers (n,) and velocities (n, 3), NaN for those of one detection.
     """
@@ -98,12 +98,12 @@ def link(
     ----------
     center_mm, radius_mm : (n, 3) and (n,) of each frame.
     times_s : when each frame was taken.
-    gap : number of frames in a row that a track may miss.
+    gap : number of frames in a row that a trajectory may miss.
 
     Returns
     -------
-    Numbers (n,) of each frame's tracks, counted from 0 in the order in which they begin; a
-    detection that joins no other is a track of its own.
+    Numbers (n,) of each frame's trajectories, counted from 0 in the order in which they begin; a
+    detection that joins no other is a trajectory of its own.
 
     Raises
     ------
@@ -163,7 +163,7 @@ def _none() -> _Tracks:
 def _spacing(center_mm: Sequence[F64]) -> float:
     """Compute the median distance of nearest neighbours in all frames.
 
-    Where nobody has one, far more than the extent of all places.
+    Without any neighbours, it is far more than the extent of all positions.
     """
     several = [places for places in center_mm if len(places) > 1]
     near = (
@@ -182,7 +182,7 @@ def _spacing(center_mm: Sequence[F64]) -> float:
 
 
 def _continued(live: _Tracks, found: _Points, number: I64, i: I64, j: I64) -> _Tracks:
-    """Update trajectories: those not found now, and all found, with their velocities."""
+    """Update trajectories by the detections found now, with their velocities."""
     velocity = np.full(found.place.shape, np.nan)
     velocity[j] = (found.place[j] - live.place[i]) / (found.time[j] - live.time[i])[:, None]
     lost = live[np.setdiff1d(np.arange(len(live.place)), i)]
@@ -210,8 +210,8 @@ def _by_velocity(
 ) -> tuple[I64, I64, F64]:
     """Link trajectories by their last velocities.
 
-    Square sum of the errors of place and size over what is expected, which grows with the frames
-    missed.
+    The cost is the square sum of the errors of position and size over their expected values, which
+    grow with the number of missed frames.
     """
     old = np.flatnonzero(~live.young)
     steps = (frame - live.frame[old]).astype(np.float64)
@@ -230,8 +230,8 @@ def _by_neighbours(
 ) -> tuple[I64, I64, F64]:
     """Link trajectories of one detection by their neighbours.
 
-    The mean over their neighbours of how badly a displacement is theirs, too, and a little for its
-    length.
+    The cost is the mean over neighbours of the misfit of a displacement to theirs, plus a small
+    term for its length.
     """
     young = np.flatnonzero(live.young)
     reach = REACH * scale.spacing * (frame - live.frame[young]).astype(np.float64)
@@ -292,7 +292,7 @@ def _from_places(
 def _near(from_places: F64, to_places: F64, reach: F64) -> tuple[I64, I64]:
     """Find pairs of rows within the first one's reach.
 
-    Of each first one, the `_MOST` nearest.
+    Each first row has at most its `_MOST` nearest.
     """
     if not len(from_places) or not len(to_places):
         return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)
@@ -311,7 +311,7 @@ def _unlike(live: _Tracks, found: _Points, row: I64, column: I64, scale: _Scale)
 def _measured(scale: _Scale, linked: _Tracks, found: _Points, j: I64) -> _Scale:
     """Estimate the errors of predictions from these links.
 
-    The median magnitude times 1.4826, which is the standard deviation of normal ones.
+    The estimate is the median magnitude times 1.4826, the standard deviation of normal errors.
     """
     old = ~linked.young
     if old.sum() < _ENOUGH:

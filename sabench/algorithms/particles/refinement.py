@@ -1,10 +1,10 @@
 """Refinement of particles by a fit to the images.
 
-Positions and brightnesses leave the least light unexplained. Where the first method moves particles
-by fixed amounts and keeps what is best ("shaking": Wieneke, Iterative reconstruction of volumetric
-particle distribution, Meas. Sci. Technol. 24, 024008, 2013), each takes steps of Gauss and Newton
-here, one particle after the other, against the images less what all others add to them. A
-particle's image is a Gaussian that pixels average; its brightness is free in every camera.
+Positions and brightnesses leave the least light unexplained. The original method moves particles by
+fixed amounts and keeps the best position ("shaking": Wieneke, Iterative reconstruction of
+volumetric particle distribution, Meas. Sci. Technol. 24, 024008, 2013). Here, particles take
+Gauss-Newton steps one after the other, against the images less those of all others. A particle's
+image is a Gaussian that pixels average; its brightness is free in every camera.
 """
 
 from __future__ import annotations
@@ -27,7 +27,8 @@ _FARTHEST_PX = 0.5  # that a particle moves in one step
 def image_widths(images: F32, pixels: list[F64]) -> F64:
     """Estimate standard deviations (camera,) of lone particles' images, px.
 
-    From three values along either axis: the lower quartile, since overlaps widen.
+    Each estimate uses three values along either axis. The lower quartile is returned, since
+    overlaps widen images.
     """
     out = []
     for image, places in zip(images, pixels, strict=True):
@@ -58,7 +59,7 @@ def _paint(image: Any, column: int, row: int, x: Any, y: Any, amount: float) -> 
 def refine_particles(
     maps: Any, sigma: Any, left: Any, places: Any, light: Any, rounds: int
 ) -> None:
-    """Fit particles one after the other, some rounds.
+    """Fit particles one after the other, in several rounds.
 
     Parameters
     ----------

@@ -1,10 +1,10 @@
-"""Places in space that particle images of several cameras agree on.
+"""Triangulation of positions that particle images of several cameras agree on.
 
-The line of sight of a camera's particle image is followed through the volume; what a second camera
-shows beside it is intersected with it, and the others must show something where they see the
-intersection: Maas, Gruen and Papantoniou, Particle tracking velocimetry in three-dimensional flows,
-Part 1, Exp. Fluids 15, 133-146, 1993, but along polynomials that stand for the refracted lines of
-sight, and without pairs of candidate lists.
+The line of sight of a camera's particle image is followed through the volume and intersected with
+those of nearby images of a second camera. The other cameras must have an image where they see the
+intersection. Source: Maas, Gruen and Papantoniou, Particle tracking velocimetry in
+three-dimensional flows, Part 1, Exp. Fluids 15, 133-146, 1993. Unlike there, polynomials
+approximate the refracted lines of sight, and there are no pairs of candidate lists.
 """
 
 from __future__ import annotations
@@ -169,7 +169,7 @@ def _others(
 ) -> bool:
     """Choose the image nearest to a place in each of the other cameras.
 
-    False if too many have it on their sensor and show none.
+    Returns False if too many have it on their sensor and show none.
     """
     here, slope, near, absent = np.zeros(2), np.zeros((2, 3)), np.zeros(_NEAR, dtype=np.int64), 0
     for c in range(1, len(peaks)):
