@@ -308,9 +308,8 @@ def minimum_images(volume: F32) -> list[tuple[F32, F32]]:
 def merge_overlaps(shapes: F64, grid: Grid) -> F64:
     """Remove bubbles inside larger ones.
 
-    Bubbles are (n, 6): x, y, z, two semi-axes, weight. Others that overlap are merged.
-
-    All in mm; two overlap if they do so in the plane and their depths differ by less than the
+    Bubbles are (n, 6): x, y, z, two semi-axes, weight; all lengths are in mm. Others that overlap
+    are merged: two overlap if they do so in the plane and their depths differ by less than the
     larger one's radius and a stack.
     """
     order = np.argsort(-shapes[:, 3], kind="stable")

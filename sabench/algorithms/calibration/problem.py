@@ -39,7 +39,7 @@ class CalibrationProblem:
         Raises
         ------
         InputError
-            What `diagnosis.check_case` refuses, fewer points than unknowns, or a frame of which
+            What `input_checks.check_case` refuses, fewer points than unknowns, or a frame of which
             nothing is known beforehand.
         """
         check_case(case)

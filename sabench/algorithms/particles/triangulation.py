@@ -72,7 +72,7 @@ def find_candidates(
 def _travel(maps: VolumePolynomials, second: int) -> float:
     """Compute the length in the second image of a line of sight of the first camera.
 
-    In px. From front to back of the box.
+    The length is in px; the line runs from the front to the back of the box.
     """
     ends = np.array([[0.0, 0.0, -1.0], [0.0, 0.0, 1.0]])
     here, there = project_points(maps, 0, ends), project_points(maps, second, ends)

@@ -1,6 +1,6 @@
 """Synthetic aperture refocusing.
 
-Sums and products of all cameras over planes of the world.
+Images of all cameras are summed or multiplied on planes of the world.
 """
 
 from sabench.algorithms.refocus.synthetic_aperture import (

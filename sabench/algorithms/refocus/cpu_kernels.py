@@ -1,9 +1,9 @@
 """Refocusing on the CPU.
 
-Contiguous reads of rectified images, tile by tile, all planes of a slab inside the tile.
+Rectified images are read contiguously, tile by tile, with all planes of a slab inside the tile.
 
 A gather of four pixels per sample costs ten times as much as reading along a row. Inside a tile the
-map onto a rectified image is affine and close to a shift, so that whole stretches of a row of
+map onto a rectified image is affine and close to a shift, so that long stretches of a row of
 voxels fall between the same two rows of pixels, one pixel further per voxel.
 """
 
@@ -57,8 +57,8 @@ def _stretch(fraction: float, step: float, first: int, count: int) -> int:
 def _folded(total: Any, sample: Any, fold: Any) -> Any:
     """Add a sample to a total or multiply it in.
 
-    total + sample for a `fold` of one number, total * max(sample, fold[0]) for one of two. The
-    length of `fold` is part of its type, so no branch is left at run time.
+    The result is total + sample for a `fold` of one number, total * max(sample, fold[0]) for one of
+    two. The length of `fold` is part of its type, so no branch is left at run time.
     """
     return total + sample if len(fold) == 1 else total * max(sample, fold[0])
 
@@ -69,7 +69,7 @@ def _fold_row(
 ) -> None:
     """Fold samples into the target, a part of one row of a tile.
 
-    It begins at column `begin`.
+    The part begins at column `begin`.
     """
     padding = 0 if len(spline) == 1 else 2
     height, width = image.shape[0] - padding, image.shape[1] - padding
@@ -109,7 +109,7 @@ def _interpolate(
 ) -> None:
     """Fold samples between the same rows of an image, from `corner`, into the target.
 
-    The place inside a pixel moves by `step`.
+    The position inside a pixel moves by `step`.
     """
     (left, top), (right, down), (right_step, down_step) = corner, start, step
     upper, lower = image[top, left:], image[top + 1, left:]
@@ -142,7 +142,7 @@ def _fold_tile(
 ) -> None:
     """Fold one camera's samples into a tile.
 
-    Its rows lie TILE_COLUMNS apart in `total`. `size` is its rows and columns.
+    The tile's rows lie TILE_COLUMNS apart in `total`. `size` is its rows and columns.
     """
     rows, columns = size
     row, flat = 0, image.ravel()
@@ -168,9 +168,9 @@ def _fold_four(
     total: Any,
     columns: int,
 ) -> None:
-    """Fold samples into four rows of a tile at once.
+    """Fold samples into four rows of a tile simultaneously.
 
-    They share five rows of pixels and the places between columns.
+    They share five rows of pixels and the positions between columns.
     """
     column_step, row_step = affine[1] - 1.0, affine[4]
     first = 0
@@ -302,8 +302,8 @@ def sum_planes(rectified: Any, spline: Any, maps: Any, outside: float, out: Any)
 
     Parameters
     ----------
-    rectified : (camera, height, width) float32, or `rectify.coefficients_of` such.
-    spline : LINEAR or CUBIC, which tells one from the other.
+    rectified : (camera, height, width) float32, or their `rectification.coefficients_of`.
+    spline : LINEAR for images, CUBIC for coefficients.
     maps : (tile, plane, camera, 6): column at the tile's first voxel, its steps along x and y; row,
         its steps along x and y.
     outside : sample where a map leaves the rectified image.
@@ -381,7 +381,7 @@ def multiply_planes(
 def sum_shifted(images: Any, shifts: Any, out: Any) -> None:
     """Sum all cameras' images, each shifted by whole pixels, into out[k].
 
-    0 comes in from outside.
+    Pixels beyond an image are 0.
 
     Parameters
     ----------

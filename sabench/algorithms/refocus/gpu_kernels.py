@@ -1,6 +1,6 @@
 """Refocusing in Dr.Jit, for GPUs.
 
-A gather per sample. The same slabs and rectified images as on the CPU, so the same volumes.
+Each sample is a gather. Slabs and rectified images are those of the CPU, and so are the volumes.
 """
 
 from __future__ import annotations
@@ -21,16 +21,19 @@ Fold = Callable[
 
 
 def sum_planes(rectified: F32, slab: Slab, grid: Grid, outside: float, out: F32) -> None:
-    """Sum images as `kernels.sum_planes`, with exact maps."""
+    """Sum images as `cpu_kernels.sum_planes`, with exact maps.
+
+    The exact maps replace the tiles' affine ones.
+    """
     _sweep(rectified, slab, grid, outside, lambda dr, samples: sum(samples), out)
 
 
 def multiply_planes(
     rectified: F32, slab: Slab, grid: Grid, outside: float, floor: float, out: F32
 ) -> None:
-    """Multiply images as `kernels.multiply_planes`, with exact maps.
+    """Multiply images as `cpu_kernels.multiply_planes`, with exact maps.
 
-    These take the place of the tiles' affine ones.
+    The exact maps replace the tiles' affine ones.
     """
     _sweep(
         rectified,
@@ -75,7 +78,7 @@ def _sample(
 ) -> Any:
     """Sample one image bilinearly at positions (column, row).
 
-    `outside` beyond its pixel centres.
+    The result is `outside` beyond its pixel centres.
     """
     rows, columns = shape
     column, row = position

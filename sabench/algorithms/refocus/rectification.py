@@ -1,4 +1,4 @@
-"""Images resampled once onto a plane of the world.
+"""Rectification: images resampled once onto a plane of the world.
 
 Afterwards other planes need shifts and scales only.
 """
@@ -30,7 +30,7 @@ _LINES = 64  # lines filtered side by side, so that the recursion runs over cont
 def coefficients_of(images: F32, spline: tuple[int, ...]) -> F32:
     """Compute the coefficients of the B-spline through all pixels.
 
-    Returns (n, rows + 3, columns + 3). Mirrored one pixel before and two behind.
+    Returns (n, rows + 3, columns + 3), mirrored one pixel before and two behind.
     """
     if spline == LINEAR:
         return np.pad(images, ((0, 0), (1, 2), (1, 2)), mode="reflect")
@@ -112,7 +112,7 @@ def resample(
         ordered as in `PlaneMap`.
     degree : of the polynomials.
     outside : value of output pixels that lie outside an image's pixel centres.
-    out : (n, height, width), written; never below zero, where a spline would undershoot beside
+    out : (n, height, width), written; never below zero, where a spline would undershoot next to
         bright pixels.
     """
     count, height, width = out.shape
@@ -146,7 +146,7 @@ def _along_row(polynomial: Any, degree: int, v: float) -> Any:
 def _evaluate(line: Any, out: Any) -> None:
     """Evaluate a polynomial in u at evenly spaced u from -1 to 1.
 
-    One power after the other, so that it runs on vectors.
+    Powers are added one after the other, so that the loop runs on vectors.
     """
     step, start = 2.0 / max(len(out) - 1, 1), 1.0 if len(out) > 1 else 0.0
     value = np.full(len(out), line[-1])
@@ -162,7 +162,7 @@ def _evaluate(line: Any, out: Any) -> None:
 def _interpolate(padded: Any, spline: Any, columns: Any, rows: Any, outside: Any, out: Any) -> None:
     """Interpolate with four by four weights around every position.
 
-    Weights and sums are loops of their own. The weights then run on vectors, loads cannot.
+    Weights and sums are separate loops: weights can then run on vectors, which loads cannot.
     """
     last_row, last_column, pitch = (
         np.float32(padded.shape[0] - 4),

@@ -1,8 +1,8 @@
 """Slabs of planes that share one set of rectified images, and their affine maps.
 
 A voxel and the point where its line of sight meets the slab's middle plane have the same pixel. For
-a pinhole in air the way from one to the other is a scale and a shift, the same for a whole plane;
-refraction bends it a little. Inside a tile of voxels an affine map is enough.
+a pinhole in air the map from one to the other is a scale and a shift, the same for a plane;
+refraction changes it a little. Inside a tile of voxels an affine map is accurate enough.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ _NODES = 7  # depths at which displacements are computed; between them they are 
 class Slab:
     """Planes of a grid, and the rectified images for them.
 
-    Planes `first` to `first + count - 1`.
+    The planes are `first` to `first + count - 1`.
 
     Attributes
     ----------
@@ -45,8 +45,8 @@ class Slab:
     z_mm : the plane of the rectified images.
     corners : (camera, 2) x, y of the rectified images' first pixel, in voxels of the grid.
     shape : (height, width) of the rectified images, whose pixels are as far apart as voxels.
-    displacement : (camera, plane, 2, terms) polynomials in u, v across the grid: the way in x, y
-        from a voxel to its image on `z_mm`, in voxels.
+    displacement : (camera, plane, 2, terms) polynomials in u, v across the grid: the displacement
+        in x, y from a voxel to its image on `z_mm`, in voxels.
     degree : of these polynomials.
     """
 
@@ -88,7 +88,7 @@ class Slab:
     def positions(self, grid: Grid) -> F64:
         """Fit polynomials of positions in the rectified images.
 
-        (camera, plane, 2, terms). Displacements plus the voxels' own places.
+        Returns (camera, plane, 2, terms): displacements plus the voxels' own positions.
         """
         maps = self.displacement.copy()
         for axis, (count, linear) in enumerate(
@@ -153,10 +153,8 @@ def make_slab(cameras: Sequence[CameraModel], grid: Grid, first: int, count: int
 def deviation_px(slab: Slab, cameras: Sequence[CameraModel], grid: Grid) -> float:
     """Measure the largest distance of affine maps from the exact lines of sight, px.
 
-    Over voxels that a camera sees.
-
-    Random voxels are tried, every other one in a corner of its tile and most on the slab's outer
-    planes: the deviation grows towards both.
+    Only voxels that a camera sees count. Random voxels are tried, every other one in a corner of
+    its tile and most on the slab's outer planes, since the deviation grows towards both.
     """
     rng = np.random.default_rng(0)
     top, left = tile_origins(grid)
@@ -285,7 +283,7 @@ def _boxes(
 ) -> tuple[F64, tuple[int, int]]:
     """Find first pixels (camera, 2) and common shape of the rectified images.
 
-    What the slab's planes need of what each camera sees.
+    They cover the parts of the cameras' views that the slab's planes need.
     """
     axis = np.linspace(-1.0, 1.0, 9)
     unit = np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2)
@@ -305,7 +303,7 @@ def _boxes(
 def _border(camera: CameraModel, grid: Grid, z_mm: float) -> F64:
     """Project the border of an image to a plane, in voxels (n, 2).
 
-    Everywhere, if some of it looks nowhere.
+    Returns an infinite box if some of the border has no line of sight.
     """
     along = np.linspace(-0.5, 0.5, 33)
     sides = [

@@ -1,6 +1,7 @@
 """Synthetic aperture refocusing.
 
-All cameras' views of every voxel, added or multiplied. By numba on the CPU, by Dr.Jit on a GPU.
+All cameras' views of every voxel are added or multiplied, by numba on the CPU or by Dr.Jit on a
+GPU.
 """
 
 from __future__ import annotations
@@ -56,9 +57,8 @@ def refocus_log2(
 ) -> F32:
     """Sum log2 of the cameras' images at every voxel.
 
-    Images are raised to `floor` at least. (z, y, x); arguments as for `refocus_sum`.
-
-    Two to the power of n times it is the product of equation 3.4 of the thesis.
+    Samples below `floor` are raised to it. Returns (z, y, x); arguments are as for `refocus_sum`.
+    Two to the power of n times the result is the product of equation 3.4 of the thesis.
     """
     volume, largest = (
         np.empty(grid.shape, dtype=np.float32),
@@ -75,13 +75,13 @@ def refocus_log2(
 def refocus_by_shifts(images: F32, cameras: Sequence[CameraModel], grid: Grid) -> F32:
     """Average whole-pixel shifts of the cameras' images.
 
-    The images are mapped to the grid's middle plane. (z, y, x).
+    The images are mapped to the grid's middle plane. Returns (z, y, x).
 
     Source: thesis, equations 2.1 to 2.3, the map-shift-average of cameras on one plane. Images are
     mapped bilinearly. A plane is refocused as the camera nearest to the array's centre sees it,
     which needs only shifts, and then resampled to the grid's voxels by a cubic spline. Its
     coefficients are shifted instead of the pixels: filtering before or after a shift is the same.
-    Beside bright particles the spline dips below zero.
+    Next to bright particles the spline is below zero.
     """
     view = _whole(tuple(cameras), grid)
     slab, mapped = view.slab, np.empty((len(images), *view.slab.shape), dtype=np.float32)
@@ -133,7 +133,7 @@ def _reached(maps: F64) -> tuple[F64, tuple[int, int]]:
 def _innermost(cameras: Sequence[CameraModel]) -> int:
     """Find the camera nearest to the array's centre.
 
-    Of several the one with the smallest coordinates, in whatever order they come.
+    Of several, it is the one with the smallest coordinates, independently of their order.
     """
     centers = np.asarray([camera.center_mm for camera in cameras])
     distance = np.linalg.norm(centers - centers.mean(axis=0), axis=1).round(6)
@@ -160,7 +160,7 @@ class _View:
     ----------
     maps, degree : from `rectifying_maps`.
     tiles : from `Slab.tiles`. They come from a matrix product, whose threads would go on spinning
-        beside the kernels.
+        next to the kernels.
     """
 
     slab: Slab

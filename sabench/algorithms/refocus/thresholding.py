@@ -49,8 +49,7 @@ class ExtractionParameters(Parameters):
 def extract_particles(volume: F32, case: Observation, parameters: ExtractionParameters) -> F32:
     """Extract particles by `extract` as the parameters say.
 
-    Where they leave k to the images, `auto_k` chooses it. Works in place on (z, y, x) and returns
-    it.
+    If they do not give k, `auto_k` chooses it. Works in place on (z, y, x) and returns it.
     """
     k = auto_k(volume, occupancy(case), parameters.keep) if parameters.k == "auto" else parameters.k
     return extract(volume, k, parameters.keep)
@@ -71,7 +70,7 @@ def extract(volume: F32, k: float, keep: Keep) -> F32:
 def occupancy(case: Observation) -> float:
     """Estimate the share of the grid's voxels that particles fill, from images alone.
 
-    (sum E)^2 / (n sum E^2) of a perfect reconstruction E.
+    It is (sum E)^2 / (n sum E^2) of a perfect reconstruction E.
 
     n particles of relative brightness b, alike but for it, give images of (mean)^2 / variance = n A
     <b>^2 / (<b^2> pixels), however they overlap (Campbell's theorem), with A the effective area of
@@ -104,7 +103,7 @@ def _filled(image: U16, black_dn: float, grid: Grid) -> float:
 def _products(image: Any, mean: float) -> Any:
     """Sum products over an image less its mean.
 
-    Of squares, and of products with the pixel to the right and below.
+    Products are squares, and products with the pixels to the right and below.
     """
     square = across = down = 0.0
     for row in range(image.shape[0]):
@@ -122,7 +121,7 @@ def _products(image: Any, mean: float) -> Any:
 def auto_k(volume: F32, share: float, keep: Keep) -> float:
     """Find the k >= 0 at which `extract` fills the given share of the volume.
 
-    To 0.01 and at most 41; the volume (z, y, x) is not changed.
+    The result is accurate to 0.01 and at most 41; the volume (z, y, x) is not changed.
 
     Parameters
     ----------

@@ -1,6 +1,6 @@
 """Tomographic reconstruction.
 
-First guesses and algebraic (ART) updates of a volume.
+The package holds first guesses and algebraic (ART) updates of a volume.
 """
 
 from sabench.algorithms.tomography.art_updates import (

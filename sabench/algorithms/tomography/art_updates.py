@@ -1,7 +1,7 @@
 """Corrections of the voxels by comparing recorded and projected light.
 
-Every step corrects the values in place and returns the squared norm of what it found missing, P - W
-I, before it corrected.
+Every step corrects the values in place and returns the squared norm of the residual P - W I before
+the correction.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ class State:
     Attributes
     ----------
     lines : W on their support.
-    values : (n,) what they hold; steps change it in place.
+    values : (n,) light of the voxels; steps change it in place.
     seen : (n,) sum_i W_ij, the number of cameras that see each voxel; 1 where it is 0, and there
         the value is 0.
     """
@@ -49,8 +49,8 @@ class Measured:
     Attributes
     ----------
     light : (camera, row, column) P, at least DARKEST.
-    saturated : (camera, row, column) pixels that may have received more than they show: where the
-        projection is brighter, nothing is missing.
+    saturated : (camera, row, column) pixels that may have received more light than they show: where
+        the projection is brighter, the residual is zero.
     """
 
     light: F32
@@ -112,7 +112,7 @@ def _log_ratio(light: Any, saturated: Any, projection: Any, squares: Any) -> Non
 def smart(state: State, measured: Measured, relaxation: float) -> float:
     """Iterate I_j <- I_j prod_i (P_i / (W I)_i)^(mu W_ij / N_j).
 
-    All pixels at once, the geometric mean over the N_j = seen_j cameras.
+    All pixels are used simultaneously, in the geometric mean over the N_j = seen_j cameras.
 
     Source: simultaneous MART, Mishra et al. (1999); Atkinson and Soria (2009).
     """

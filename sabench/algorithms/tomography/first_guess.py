@@ -1,4 +1,4 @@
-"""First guesses: which voxels can hold light at all, and how much."""
+"""First guesses of the voxels that can hold light, and of their light."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ def product_guess(sight: Sight, images: F32, threshold: float) -> tuple[Support,
 
     Parameters
     ----------
-    sight : by whose interpolation the images are sampled: linear gives MLOS, the nearest pixel MFG.
+    sight : its interpolation samples the images: linear gives MLOS, the nearest pixel MFG.
     images : (camera, row, column).
-    threshold : what is darker is black.
+    threshold : darker pixels are black.
 
     Sources: Atkinson and Soria (2009) for MLOS, Worth and Nickels (2008) for MFG; thesis section
     3.2. Voxels that no camera sees are left out.
@@ -62,7 +62,7 @@ def _slab(
 ) -> tuple[I64, npt.NDArray[np.signedinteger], F32]:
     """List the voxels of some planes.
 
-    Their number in each row, their x indices and their values.
+    Returns their number in each row, their x indices and their values.
     """
     rows = planes * sight.height
     x, values = (
@@ -142,7 +142,7 @@ def _multiply_camera(
 ) -> int:
     """Multiply one camera's samples to the first `left` voxels.
 
-    Those that it sees black drop out, the others close up. Returns their number.
+    Voxels that the camera sees black are removed. Returns the number of the others.
     """
     base, across, down = locate(sight, camera, row, x[:left], room)
     kept = 0

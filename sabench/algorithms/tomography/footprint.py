@@ -38,7 +38,7 @@ class Footprint:
     def smooth(self, images: F32) -> F32:
         """Smooth images (camera, row, column) by giving light to neighbouring pixels.
 
-        A symmetric operator, dark beyond the borders.
+        The operator is symmetric; images are dark beyond the borders.
         """
         if not self.spread:
             return images
@@ -57,7 +57,7 @@ BILINEAR = Footprint(0.0)
 def gaussian(sigma_px: float) -> Footprint:
     """Make the footprint of a Gaussian over pixels, 0.29 <= sigma_px <= 0.86.
 
-    Of the same variance, sigma^2 + 1/12 = 2 spread + 1/6 on the mean.
+    It has the same variance: sigma^2 + 1/12 = 2 spread + 1/6 on the mean.
     """
     return Footprint((sigma_px**2 - 1.0 / 12.0) / 2.0)
 
@@ -65,10 +65,10 @@ def gaussian(sigma_px: float) -> Footprint:
 def image_sigma_px(images: F32) -> float | None:
     """Estimate the standard deviation of the particles' images, pixel included.
 
-    From images (camera, row, column) scaled by `normalised`; None without any particle.
+    The images (camera, row, column) are scaled by `normalised`. Returns None without any particle.
 
     A Gaussian through three pixels of a local maximum has sigma^2 = 1 / (2 ln m - ln l - ln r).
-    Particles that overlap look larger, none looks smaller: the lower quartile is taken.
+    Particles that overlap look larger and none looks smaller, so the lower quartile is returned.
     """
     found = np.concatenate([sigma for image in images for sigma in _peak_sigmas(image)])
     return float(np.percentile(found, 25.0)) if len(found) else None

@@ -27,14 +27,13 @@ class Sight(NamedTuple):
     Attributes
     ----------
     maps : (camera, z, 2, terms) column and row on every plane, as polynomials in u and v
-        (`reproject.PlaneMap`).
+        (`geometry.plane_polynomials.PlaneMap`).
     degree : of these polynomials.
     height, width : voxels of a plane along y and x.
     rows, columns : pixels of an image.
     margin : pixels at an image's border that do not count as seen.
-    shift, mask : what is added to positions, in pixels, before they are cut into whole pixels and
-        STEPS; bits of the steps that count. None count
-        for the nearest pixel.
+    shift, mask : shift of positions, in pixels, before they are split into whole pixels and STEPS;
+        bits of the steps that count. No bits count for the nearest pixel.
     """
 
     maps: F64
@@ -69,8 +68,7 @@ def locate(sight: Any, camera: int, row: int, x: Any, room: Any) -> Any:
     Returns
     -------
     base : (n,) int32, the upper left of the four pixels around each; -1 where these, with the
-        margin, are not inside the image: this camera
-        does not see the voxel.
+        margin, are not inside the image: this camera does not see the voxel.
     across, down : (n,) uint16, position among these pixels in steps.
     """
     total, line, place, base, across, down = room
@@ -89,7 +87,7 @@ def locate(sight: Any, camera: int, row: int, x: Any, room: Any) -> Any:
 def _collapse(plane: Any, degree: int, shift: float, v: float, total: Any) -> None:
     """Evaluate a plane's polynomial in u and v at one v, as a polynomial in u.
 
-    The position plus `shift`, in steps.
+    Its value is the position plus `shift`, in steps.
     """
     total[:] = 0.0
     total[0] = STEPS * shift
@@ -105,7 +103,7 @@ def _collapse(plane: Any, degree: int, shift: float, v: float, total: Any) -> No
 def _evaluate(line: Any, x: Any, width: int, place: Any) -> None:
     """Evaluate polynomials by Horner's rule with the voxels in the inner loop.
 
-    u, column and row into `place`.
+    Fills in u, column and row in `place`.
     """
     u, column, row = place[0], place[1], place[2]
     step, half = np.float32(2.0 / max(width - 1, 1)), np.float32(1.0 if width > 1 else 0.0)
@@ -178,11 +176,11 @@ def project(
 ) -> None:
     """Project parts of a volume, each into an image of its own.
 
-    Adding these up in order gives the same sum whatever threads do.
+    Adding these up in order gives the same sum for any order of threads.
 
     Parameters
     ----------
-    cameras : (n,) which.
+    cameras : (n,) numbers.
     parts : (part + 1,) rows at which the parts begin.
     start, x, values : the voxels, see `Support`.
     out : (n, part, rows * columns) float32, zero on entry.
@@ -208,7 +206,7 @@ def back_project(
 ) -> None:
     """Add the images, bilinearly interpolated, to voxels out (n,).
 
-    The images are (n, rows * columns). Other arguments as for `project`.
+    The images are (n, rows * columns). Other arguments are as for `project`.
     """
     for part in numba.prange(len(parts) - 1):
         room = scratch(sight)
@@ -228,7 +226,7 @@ def back_project(
 def _collect(image: Any, columns: int, places: Any, out: Any) -> None:
     """Add an image (flat), bilinearly interpolated, to voxels.
 
-    The transpose of `_scatter`.
+    It is the transpose of `_scatter`.
     """
     base, across, down = places
     for i in range(len(out)):

@@ -1,12 +1,11 @@
 """MART pixel by pixel.
 
-Every pixel corrects the voxels on its line of sight and finds them as the pixels before it left
-them.
+Every pixel corrects the voxels on its line of sight, after the corrections by the pixels before it.
 
 For one camera at a time the voxels are sorted by the first pixel of their footprints. A pixel then
 finds its voxels in a few stretches of memory, one for every row that its footprints can begin in,
-and W is never stored. Strips of pixels that share no voxel are independent: first all even strips
-are done, then all odd ones, and in each strip the pixels row by row.
+and W is never stored. Strips of pixels that share no voxel are independent: all even strips are
+processed first, then all odd ones, and in each strip the pixels row by row.
 """
 
 from __future__ import annotations
@@ -40,7 +39,7 @@ class Buckets(NamedTuple):
     first : (rows * columns + 1,) where each pixel's voxels begin.
     voxel : (n,) their numbers in the support.
     across, down : (n,) float32 column and row.
-    light : (n,) what they hold.
+    light : (n,) light of the voxels.
     """
 
     spread: np.float32
@@ -58,7 +57,7 @@ def mart_sweep(
 ) -> float:
     """Correct the voxels (n,) in place by all pixels of one camera.
 
-    Returns the sum of the squares of what the pixels found missing.
+    Returns the sum of the squares of the pixels' residuals.
 
     Parameters
     ----------
@@ -148,7 +147,7 @@ def _fill_part(
 ) -> None:
     """Put the voxels of some rows into their pixels.
 
-    `slots` moves on with every voxel.
+    `slots` advances with every voxel.
     """
     room, corner = scratch(sight), sight.margin * (sight.columns + 1)
     for row in range(begin, end):
@@ -177,7 +176,7 @@ def _put_back(voxel: Any, light: Any, values: Any) -> None:
 def _sweep(buckets: Any, image: Any, saturated: Any, relaxation: Any, missed: Any) -> None:
     """Update by all pixels of one camera.
 
-    Missed (strip,) becomes the sums of the squares of P_i - sum_j W_ij I_j.
+    Fills in `missed` (strip,), the sums of the squares of P_i - sum_j W_ij I_j.
     """
     for parity in range(2):
         for pair in numba.prange((len(missed) - parity + 1) // 2):

@@ -1,7 +1,4 @@
-"""Common part of the tomographic solvers.
-
-Their parameters, and a case prepared for them.
-"""
+"""Parameters and prepared cases of the tomographic solvers."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The operator W between a sparse volume and the images that it casts."""
+"""Projection operator W from a sparse volume to its images."""
 
 from __future__ import annotations
 
@@ -27,8 +27,8 @@ _TASKS = 32
 class Support:
     """Existing voxels of a grid.
 
-    Row by row over (z, y), the x indices in increasing order. What voxels hold are (n,) arrays in
-    this order.
+    They are listed row by row over (z, y), with x indices in increasing order. Voxels' values are
+    (n,) arrays in this order.
 
     Attributes
     ----------
@@ -83,8 +83,8 @@ class LinesOfSight:
 
     The adjoint is exact. Source: thesis, equation 3.8.
 
-    W is not stored: projections come from polynomials. A camera that does not see a voxel with its
-    whole footprint takes no part for that voxel.
+    W is not stored: projections come from polynomials. A camera that does not see all of a voxel's
+    footprint is left out for that voxel.
 
     Attributes
     ----------
@@ -118,7 +118,7 @@ class LinesOfSight:
     def adjoint(self, images: F32, cameras: Sequence[int] | None = None) -> F32:
         """Compute sum_i W_ij images_i for every voxel (n,).
 
-        From the images (camera, row, column) of all cameras, or of the given ones.
+        The images (camera, row, column) are those of all cameras, or of the given ones.
         """
         flat, out = (
             self.footprint.smooth(images).reshape(len(images), -1),

@@ -1,9 +1,9 @@
 """Finer grid on which lines of sight are followed.
 
-Conversions from and to the grid that is asked for. The footprint of a voxel is one of a point.
-Along an axis where one step moves the projection by more than about a pixel, voxels are split; in
-the end each of the fine voxels is a blob of light, whose projection is the footprint, and the
-volume is what all blobs put into each voxel.
+The module converts from and to the requested grid. The footprint of a voxel is that of a point.
+Along an axis where one step moves the projection by more than about a pixel, voxels are split. In
+the result, each fine voxel is a blob of light whose projection is the footprint, and the volume
+holds the light of all blobs in each voxel.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from sabench.utils.arrays import F32, F64, triple
 
 _TRAVEL_PX = 1.25  # largest distance between the projections of two neighbouring voxels
 _REACH = 3.0  # standard deviations at which a blob ends
-_BRIGHT, _LIT = 95.0, 0.1  # as `extraction.normalised` scales images
+_BRIGHT, _LIT = 95.0, 0.1  # as `images.brightness.normalised` scales images
 _FAINTEST = 0.01
 
 
@@ -93,7 +93,7 @@ def split(grid: Grid, count: Splits) -> Grid:
 def gather(support: Support, values: F32, grid: Grid, count: Splits, sigma_mm: float) -> F32:
     """Return the volume (z, y, x) on `grid`.
 
-    Light of all fine voxels, each a Gaussian blob of `sigma_mm`, or a point if that is zero.
+    Each fine voxel is a Gaussian blob of `sigma_mm`, or a point if that is zero.
     """
     x, y, z = (_profile(k, sigma_mm / step) for k, step in zip(count, grid.voxel_mm, strict=True))
     volume = np.zeros(grid.shape, dtype=np.float32)
@@ -104,7 +104,7 @@ def gather(support: Support, values: F32, grid: Grid, count: Splits, sigma_mm: f
 def _profile(count: int, sigma: float) -> F32:
     """Compute shares of a blob's light in the voxels around its own.
 
-    (count, 2 reach + 1). By the blob's position among the fine voxels there.
+    Returns (count, 2 reach + 1), by the blob's position among the fine voxels there.
 
     `sigma` is in voxels of the grid.
     """
@@ -164,12 +164,12 @@ def _spread(total: Any, along: Any, out: Any) -> None:
 
 
 def cleared(volume: F32, floor: float) -> F32:
-    """Zero, in place, what is darker than `floor` times a bright voxel.
+    """Zero, in place, voxels darker than `floor` times a bright voxel.
 
-    the 95th percentile of those that reach a tenth of the brightest.
+    A bright voxel is the 95th percentile of those that reach a tenth of the brightest.
 
-    One is a bright particle's peak in the images, whose light fills dozens of voxels: what is
-    bright here is at least `_FAINTEST`.
+    One is a bright particle's peak in the images, whose light fills dozens of voxels: a bright
+    voxel is at least `_FAINTEST`.
     """
     lit = volume[volume > _LIT * volume.max(initial=0.0)]
     bright = max(float(np.percentile(lit, _BRIGHT)) if len(lit) else 0.0, _FAINTEST)
