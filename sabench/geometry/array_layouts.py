@@ -1,6 +1,6 @@
 """Positions of the cameras of an array.
 
-Offsets (n, 2) in mm in the plane of the array, from its centre.
+All functions return offsets (n, 2) in mm in the plane of the array, from its centre.
 """
 
 import numpy as np
@@ -12,7 +12,7 @@ from sabench.utils.arrays import F64
 def grid(x_mm: npt.ArrayLike, y_mm: npt.ArrayLike) -> F64:
     """Pair the given offsets with each other, row by row.
 
-    Uneven spacing is a matter of the values.
+    Offsets that are not uniform give a grid that is not uniform.
     """
     across, down = np.meshgrid(
         np.asarray(x_mm, dtype=np.float64), np.asarray(y_mm, dtype=np.float64)
@@ -26,9 +26,9 @@ def even(count: int, spacing_mm: float) -> F64:
 
 
 def ring(count: int, radius_mm: float, start_rad: float = 0.0) -> F64:
-    """Make `count` offsets evenly around a circle.
+    """Make `count` offsets uniformly around a circle.
 
-    From `start_rad` (0 is +X, towards +Y).
+    The first is at `start_rad` (0 is +X, towards +Y).
     """
     angle = start_rad + 2.0 * np.pi * np.arange(count) / count
     return np.asarray(radius_mm * np.column_stack([np.cos(angle), np.sin(angle)]))

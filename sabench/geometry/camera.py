@@ -25,7 +25,7 @@ _UNDISTORT_STEPS = 20
 class Distortion:
     """Brown-Conrady coefficients of distortion.
 
-    Dimensionless, on ideal image coordinates x/z, y/z. All zero means none.
+    They are dimensionless and act on ideal image coordinates x/z, y/z. All zero means none.
     """
 
     k1: float = 0.0
@@ -52,7 +52,7 @@ class Camera:
         pixel.
     distortion : radial-tangential coefficients.
     focal_length_mm, f_number : of the lens, for defocus and light gathering.
-    wall : what the camera looks through; None for plain air.
+    wall : wall that the camera looks through; None for plain air.
     """
 
     name: str
@@ -186,7 +186,7 @@ class Camera:
     def carry(self, points_mm: F64, z_mm: float) -> F64:
         """Intersect lines of sight through points (n, 3) with the plane at `z_mm`.
 
-        The points lie in the fluid. (n, 2); NaN for points without one.
+        The points lie in the fluid. Returns (n, 2); NaN for points without a line of sight.
         """
         arriving = trace_to_points(self.wall, np.asarray(self.center_mm), points_mm).arriving
         return np.asarray(
@@ -200,9 +200,8 @@ class Camera:
     def etendue(self) -> F64:
         """Compute the etendue that each pixel collects, mm^2 sr.
 
-        Pupil area seen at its angle times its solid angle in front of the lens; (rows, columns).
-
-        0 where the distorted lens shows nothing.
+        It is the pupil's projected area times the pixel's solid angle in front of the lens; (rows,
+        columns). It is 0 where the distorted lens shows nothing.
         """
         return _etendue(self)
 
@@ -230,7 +229,7 @@ def _etendue(camera: Camera) -> F64:
 def _fold_square(lens: Distortion) -> float:
     """Find the squared ideal radius at which the radial part stops growing.
 
-    Beyond it two points share a pixel.
+    Beyond it, two points share a pixel.
     """
     roots = np.roots([7.0 * lens.k3, 5.0 * lens.k2, 3.0 * lens.k1, 1.0])
     real = roots.real[(np.abs(roots.imag) < 1e-12) & (roots.real > 0.0)]

@@ -26,9 +26,9 @@ def on_sensor(rows: int, columns: int, pixels: F64, margin_px: float) -> Bool:
 
 
 class CameraModel(Protocol):
-    """A map of points onto an image and of pixels onto lines of sight.
+    """Map of points to pixels and of pixels to lines of sight.
 
-    `Camera` is one, the polynomials of `empirical` are others.
+    `Camera` is one, the models of `polynomial_cameras` are others.
     """
 
     @property
@@ -56,7 +56,7 @@ class CameraModel(Protocol):
     def carry(self, points_mm: F64, z_mm: float) -> F64:
         """Intersect lines of sight through points (n, 3) with the plane at `z_mm`.
 
-        The points lie in the fluid. (n, 2); NaN for points without one.
+        The points lie in the fluid. Returns (n, 2); NaN for points without a line of sight.
         """
 
     def back_project(self, pixels: npt.ArrayLike) -> Rays:

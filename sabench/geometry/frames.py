@@ -1,6 +1,6 @@
 """Frames of reference.
 
-The box of a volume, and poses of bodies in the world frame.
+They are the box of a volume, and poses of bodies in the world frame.
 """
 
 from __future__ import annotations

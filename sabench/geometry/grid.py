@@ -13,7 +13,7 @@ _REACH = 4.0  # standard deviations after which a particle's field is cut: 3e-4 
 
 @dataclass(frozen=True)
 class Grid:
-    """A box of voxels along the world's axes; volumes on it are (z, y, x), float32.
+    """Box of voxels along the world's axes; volumes on it are (z, y, x), float32.
 
     Attributes
     ----------
@@ -61,7 +61,7 @@ class Grid:
 def synthesise(grid: Grid, positions_mm: F64, weights: F64, sigma_mm: float) -> F32:
     """Synthesise the field E_s.
 
-    A spherical Gaussian in physical space for every particle, added up and averaged over each
+    It is the sum of a spherical Gaussian in physical space for every particle, averaged over each
     voxel; (z, y, x).
 
     Parameters

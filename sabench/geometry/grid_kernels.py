@@ -1,4 +1,4 @@
-"""Particles written into a voxel field, in machine code."""
+"""Compiled kernel that writes particles into a voxel field."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ def add_particles(
 ) -> None:
     """Add w p(x) p(y) p(z) of every particle to the field (z, y, x).
 
-    From the voxel `first` (x, y, z) on; what lies outside is dropped.
+    The profiles begin at the voxel `first` (x, y, z); parts outside the field are dropped.
     """
     planes, rows, columns = field.shape
     for band in numba.prange((planes + _BAND - 1) // _BAND):

@@ -13,12 +13,12 @@ from sabench.utils.arrays import F64, Bool
 
 @dataclass(frozen=True)
 class Disc:
-    """A thin, opaque, black disc in the cameras' medium.
+    """Thin, opaque, black disc in the cameras' medium.
 
     Attributes
     ----------
     center_mm : world frame.
-    normal : unit vector at right angles to the disc; its sign does not matter.
+    normal : unit vector perpendicular to the disc; its sign does not matter.
     radius_mm : to the edge, which belongs to the disc.
     """
 
@@ -29,7 +29,7 @@ class Disc:
     def span_mm(self, along: F64) -> tuple[float, float]:
         """Find the extent of the disc's points along a unit vector (3,).
 
-        Their smallest and largest coordinate.
+        Returns their smallest and largest coordinate.
         """
         middle, tilt = float(np.dot(self.center_mm, along)), float(np.dot(self.normal, along))
         half = self.radius_mm * math.sqrt(max(0.0, 1.0 - tilt * tilt))
@@ -38,7 +38,7 @@ class Disc:
     def stops(self, pinhole_mm: F64, directions: F64) -> Bool:
         """Mark rays from a pinhole (3,) along directions (n, 3) that meet the disc.
 
-        Along its plane they pass, since it is thin.
+        Rays along its plane pass, since it is thin.
         """
         offset, normal = np.asarray(self.center_mm) - pinhole_mm, np.asarray(self.normal)
         with np.errstate(divide="ignore", invalid="ignore"):

@@ -1,4 +1,4 @@
-"""Maps of planes onto images as polynomials.
+"""Polynomial maps of planes to images.
 
 The exact map, refraction included, needs an iteration per point, but it is smooth.
 
@@ -109,7 +109,7 @@ def lowest_degree(function: Smooth) -> int:
 def terms(points: F64, degree: int) -> F64:
     """Compute monomials u^i v^j (n, terms) with i + j <= degree at points (n, 2).
 
-    Ordered by j, then i.
+    They are ordered by j, then i.
     """
     u, v = points[:, 0], points[:, 1]
     return np.stack([u**i * v**j for j in range(degree + 1) for i in range(degree + 1 - j)], axis=1)

@@ -1,6 +1,6 @@
 """Camera models without optics.
 
-Polynomials from places to pixels, fitted to points whose places are known.
+They are polynomials from positions to pixels, fitted to points of known positions.
 """
 
 from __future__ import annotations
@@ -26,9 +26,9 @@ Smooth = Callable[[F64], F64]
 
 @dataclass(frozen=True)
 class Projective:
-    """A linear map of homogeneous coordinates, with 11 free numbers.
+    """Linear map of homogeneous coordinates, with 11 free parameters.
 
-    A pinhole with any pixels, in a single medium.
+    It is a pinhole with any pixels, in a single medium.
 
     Source: R. Hartley and A. Zisserman, Multiple View Geometry, chapters 6 and 7.
 
@@ -89,7 +89,7 @@ class Projective:
 class _Fitted:
     """Common part of the polynomial cameras.
 
-    The box in which they were fitted, and lines of sight that follow from pixels alone.
+    It holds the box of the fit, and the lines of sight, which follow from pixels alone.
 
     Attributes
     ----------
@@ -152,7 +152,9 @@ class _Fitted:
 
 @dataclass(frozen=True)
 class Soloff(_Fitted):
-    """A cubic in X and Y, quadratic in Z, with 19 terms for the column and the row.
+    """Soloff's polynomial with 19 terms, cubic in X and Y and quadratic in Z.
+
+    Column and row have one each.
 
     Source: Soloff, Adrian and Liu (1997), Meas. Sci. Technol. 8, 1441.
 
@@ -167,7 +169,7 @@ class Soloff(_Fitted):
     def project(self, points_mm: npt.ArrayLike) -> tuple[F64, Bool]:
         """Project world points (n, 3) to pixels (n, 2) as (column, row).
 
-        Every finite point has one, far from the fitted box a meaningless one.
+        Every finite point has a pixel, but far from the fitted box it is meaningless.
         """
         points = rows_of(points_mm, 3, "points_mm")
         pixels = _cubic((points - self.middle_mm) / self.half_mm) @ np.asarray(self.coefficients).T
@@ -194,7 +196,7 @@ class PlanePolynomials(_Fitted):
     def project(self, points_mm: npt.ArrayLike) -> tuple[F64, Bool]:
         """Project world points (n, 3) to pixels (n, 2) as (column, row).
 
-        Beyond the outer planes the last two are continued.
+        Beyond the outer planes, the last two are extrapolated.
         """
         points = rows_of(points_mm, 3, "points_mm")
         planes, table = (
@@ -255,7 +257,7 @@ def _normalised(points: F64) -> tuple[F64, F64]:
 def _least_squares(start: F64, full: F64, images: F64) -> F64:
     """Refine the linear solution by Gauss and Newton's steps.
 
-    The matrix's scale is what a pseudo-inverse leaves alone.
+    The pseudo-inverse leaves the matrix's scale unchanged.
     """
     entries = start / np.linalg.norm(start)
     for _ in range(_STEPS):
@@ -296,7 +298,7 @@ def fit_planes(
 ) -> PlanePolynomials:
     """Fit quadratics to points (n, 3) and their pixels (n, 2) on several planes.
 
-    Each plane has a fit of its own. By least squares.
+    Each plane has a least-squares fit of its own.
 
     Raises
     ------
@@ -361,7 +363,7 @@ def _through(
 ) -> Rays:
     """Find lines through the points of two planes that pixels (n, 2) see.
 
-    By Newton's iteration from the box's middle.
+    Newton's iteration starts from the box's middle.
     """
     start = np.tile(np.asarray(middle[:2]), (len(pixels), 1))
     near, far = (_on_plane(project, pixels, z, start, half) for z in ends)
@@ -376,7 +378,7 @@ def _on_plane(
 ) -> F64:
     """Find points (n, 3) of a plane by Newton's iteration from their pixels.
 
-    The iteration starts from x, y (n, 2). NaN where it does not arrive.
+    The iteration starts from x, y (n, 2). Returns NaN where it does not converge.
     """
     points = np.column_stack([start, np.full(len(pixels), z_mm)])
     delta = 1e-4 * min(half[:2])

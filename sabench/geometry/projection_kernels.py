@@ -5,12 +5,11 @@ tests/unit/geometry/test_camera.py::test_the_projection_kernel_and_the_traced_pa
 
 Points come as separate x, y and z, block by block, and no loop over points branches. The path's
 unknown is q = t / R, the tangent in the rarest medium (as in `refraction`) over the lateral
-distance:
-only R^2 is needed, and nothing is special on the axis. Halley's step from the paraxial path costs
-one square root and one division per medium, as Newton's does, and triples the right digits; a block
-is done when its last step was so small that the next one would be lost in rounding. Where that does
-not happen soon - grazing rays in thin rare layers - the block starts again with Newton's steps,
-which climb to the root whatever the indices are (see `refraction`).
+distance: only R^2 is needed, and the axis is no special case. Halley's step from the paraxial path
+costs one square root and one division per medium, as Newton's does, and triples the right digits. A
+block is finished when its last step was so small that the next one would be lost in rounding. Where
+that takes too long (grazing rays in thin rare layers), the block starts again with Newton's steps,
+which converge to the root for any indices (see `refraction`).
 """
 
 from __future__ import annotations
@@ -123,7 +122,7 @@ def _paraxial(deep: Any, size: int, rare: float, others: Any, fluid: float, slop
 def _tangents(slope: Any, square: Any, size: int, first: Any) -> None:
     """Convert q to the tangent in the cameras' medium, given the lateral distance.
 
-    The same where that is the rarest.
+    It is returned unchanged where that medium is the rarest.
     """
     if first is not None:
         for i in range(size):

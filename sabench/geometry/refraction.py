@@ -1,6 +1,7 @@
 """Refraction by a stack of parallel plane layers between a camera and a fluid.
 
-The reference of the light path; for its copies see docs/developing/copies-of-the-projection.md.
+This module is the reference of the light path; for its copies see
+docs/developing/copies-of-the-projection.md.
 
 Light between a point of the camera's medium and a point of the fluid stays in the plane that holds
 both and the wall normal, so the path has one unknown. sabench takes t = tan of the ray's angle in
@@ -28,7 +29,7 @@ _HALLEY, _MAX_STEPS = 4, 100
 
 @dataclass(frozen=True)
 class Layer:
-    """One solid layer of a wall: its name, refractive index and thickness (mm)."""
+    """Solid layer of a wall: its name, refractive index and thickness (mm)."""
 
     name: str
     index: float
@@ -37,7 +38,7 @@ class Layer:
 
 @dataclass(frozen=True)
 class Wall:
-    """A stack of parallel layers between the cameras' medium and the fluid.
+    """Stack of parallel layers between the cameras' medium and the fluid.
 
     Attributes
     ----------
@@ -80,7 +81,7 @@ class Wall:
 class Paths:
     """Light paths from a pinhole to points.
 
-    Unit directions (n, 3) away from the pinhole, in its medium and in the fluid.
+    Directions are unit vectors (n, 3) away from the pinhole, in its medium and in the fluid.
     """
 
     leaving: F64
@@ -161,7 +162,7 @@ def solve_slope(indices: F64, depths_mm: list[F64 | float], radius_mm: F64) -> t
 def _halley(relative: F64, depths_mm: list[F64 | float], radius_mm: F64) -> tuple[F64, F64] | None:
     """Solve by a few of Halley's steps, without a bracket.
 
-    They triple the right digits. None where one has not arrived.
+    Each step triples the right digits. Returns None where one path has not converged.
     """
     slope = _start(relative, depths_mm, radius_mm)
     for _ in range(_HALLEY):
@@ -179,8 +180,8 @@ def _halley(relative: F64, depths_mm: list[F64 | float], radius_mm: F64) -> tupl
 def _start(relative: F64, depths_mm: list[F64 | float], radius_mm: F64) -> F64:
     """Compute a first tangent.
 
-    Right to the third power for steep paths and in the limit for flat ones, where the rarest medium
-    bridges all.
+    It is right to the third power for steep paths, and in the limit for flat ones, where the rarest
+    medium dominates.
     """
     paraxial, rare, bow = (np.zeros(np.shape(radius_mm)) for _ in range(3))
     for depth, r in zip(depths_mm, relative, strict=True):
@@ -204,7 +205,7 @@ def _start(relative: F64, depths_mm: list[F64 | float], radius_mm: F64) -> F64:
 def _bowed(relative: F64, depths_mm: list[F64 | float], slope: F64) -> tuple[F64, F64, F64]:
     """Compute lateral distance of a path with slope t, and derivatives.
 
-    The slope is that in the rarest medium. The first derivative, and the second over -3 t.
+    The slope is that in the rarest medium. The derivatives are the first, and the second over -3 t.
     """
     square = slope * slope
     value, gradient, bow = np.zeros_like(slope), np.zeros_like(slope), np.zeros_like(slope)
@@ -347,9 +348,8 @@ def trace_into_fluid(wall: Wall | None, pinhole_mm: F64, directions: F64) -> Ray
 def length_to_fluid(wall: Wall | None, pinhole_mm: F64, leaving: F64) -> F64:
     """Compute lengths (n,) of light paths from a pinhole to the wall's inner face.
 
-    The pinhole is (3,). For unit directions (n, 3) in the camera's medium.
-
-    0 without a wall.
+    The pinhole is (3,); unit directions are (n, 3) in the camera's medium. Without a wall all
+    lengths are 0.
     """
     if wall is None:
         return np.zeros(len(leaving))
@@ -366,7 +366,7 @@ def length_to_fluid(wall: Wall | None, pinhole_mm: F64, leaving: F64) -> F64:
 def transmittance(wall: Wall | None, leaving: F64) -> F64:
     """Compute the fraction of unpolarised power that passes all interfaces.
 
-    For unit directions (n, 3) in the camera's medium.
+    Unit directions are (n, 3) in the camera's medium.
 
     Fresnel's equations at every interface; light that is reflected twice inside a layer is not
     counted.

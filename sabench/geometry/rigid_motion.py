@@ -12,7 +12,7 @@ from sabench.utils.arrays import F64
 
 @dataclass(frozen=True)
 class RigidMotion:
-    """The map x -> rotation x + shift.
+    """Map x -> rotation x + shift.
 
     Attributes
     ----------

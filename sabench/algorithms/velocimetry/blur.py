@@ -1,4 +1,4 @@
-"""Particles made wide enough for splines to follow them between voxels."""
+"""Blur of volumes, so that splines can resolve the particles between voxels."""
 
 from __future__ import annotations
 
@@ -16,9 +16,8 @@ _REACH = 3.0  # standard deviations of a Gaussian that count
 def widths(volume: F32) -> Widths:
     """Estimate the particles' widths (z, y, x) in voxels as Gaussian sigmas.
 
-    From its autocorrelation at a shift of one voxel.
-
-    Randomly placed Gaussians are correlated like exp(-s2 / (4 sigma2)) over a shift s.
+    The estimate uses the volume's autocorrelation at a shift of one voxel: randomly placed
+    Gaussians are correlated like exp(-s^2 / (4 sigma^2)) over a shift s.
     """
     mean, total = float(volume.mean(dtype=np.float64)), _inner(volume, volume)
     z, y, x = (
@@ -45,7 +44,7 @@ def _width(shifted: float, own: float) -> float:
 def widened(volume: F32, given: Widths, least: float) -> F32:
     """Blur the volume (z, y, x) where its particles are too narrow.
 
-    Along every such axis. By a Gaussian that brings given widths to the least.
+    A Gaussian along every such axis raises the given widths to the least one.
     """
     sigma = [math.sqrt(max(0.0, least**2 - own**2)) for own in given]
     if not any(sigma):

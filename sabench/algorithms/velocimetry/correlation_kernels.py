@@ -1,8 +1,8 @@
 """Correlation of windows and its peaks, on the CPU.
 
-Overlapping windows share their voxels. A volume is cut into blocks as long as windows are apart;
-the products of one volume with the other, shifted, are summed over each block once, and a window is
-a sum of blocks: its cost does not depend on the overlap.
+Overlapping windows share their voxels. A volume is cut into blocks whose edges are the windows'
+spacing. The products of one volume with the other, shifted, are summed over each block once, and a
+window is a sum of blocks: its cost does not depend on the overlap.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ def block_sums(
 ) -> None:
     """Fill in block sums of first x shifted second, and of the latter's square.
 
-    For every shift.
+    The sums are filled in for every shift.
 
     Parameters
     ----------
@@ -28,8 +28,7 @@ def block_sums(
     block : voxels (z, y, x) of a block.
     reach : largest shift (z, y, x).
     products, squares : (block z, block y, block x, shifts), the shifts in the order of z, y, x from
-        -reach to reach. Voxels beyond the volume count
-        as zero.
+        -reach to reach. Voxels beyond the volume count as zero.
     """
     deep, high, wide = products.shape[:3]
     rz, ry, rx = reach
@@ -137,7 +136,7 @@ def _normalise(sums: Any, floor: float, curve: Any) -> None:
 def _highest(curve: Any, reach: Any, shift: Any) -> Any:
     """Fill in the position (x, y, z) of the best of small shifts; return its height.
 
-    To fractions of a voxel where its neighbours were computed.
+    It is accurate to fractions of a voxel where its neighbours were computed.
     """
     top = 0
     for n in range(len(curve)):
@@ -163,7 +162,7 @@ def _highest(curve: Any, reach: Any, shift: Any) -> Any:
 def _vertex(before: float, here: float, after: float) -> float:
     """Locate the peak of the Gaussian through three values, from the middle one.
 
-    The parabola, where not all are positive.
+    A parabola replaces the Gaussian where not all values are positive.
     """
     if min(before, here, after) > 0.0:
         before, here, after = math.log(before), math.log(here), math.log(after)
@@ -175,7 +174,7 @@ def _vertex(before: float, here: float, after: float) -> float:
 def cut_windows(volume: Any, corners: Any, out: Any, energy: Any) -> None:
     """Fill in windows (n, z, y, x) of a volume less their means.
 
-    From their corners (n, 3) on; also the sums of their squares (n,).
+    The windows begin at corners (n, 3). Also fills in the sums of their squares (n,).
     """
     _, deep, high, wide = out.shape
     for n in range(len(corners)):
@@ -196,7 +195,7 @@ def cut_windows(volume: Any, corners: Any, out: Any, energy: Any) -> None:
 
 @numba.njit(cache=True, fastmath=True, nogil=True)
 def circular_peaks(planes: Any, shift: Any, height: Any, ratio: Any) -> None:
-    """Fill in where circular correlations (n, z, y, x) are highest.
+    """Fill in the highest peaks of circular correlations (n, z, y, x).
 
     Displacements (n, 3) as x, y, z, the heights, and their ratios to the highest
     values elsewhere. The surroundings of the peaks are set to zero.

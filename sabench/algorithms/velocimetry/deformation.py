@@ -27,7 +27,8 @@ def _mirror(index: int, count: int) -> int:
 def spline_coefficients(volume: Any) -> Any:
     """Compute coefficients of the cubic B-spline through voxels (z, y, x).
 
-    Mirrored at faces. Source: M. Unser, IEEE Signal Processing Magazine 16(6), 22-38, 1999.
+    Voxels are mirrored at faces. Source: M. Unser, IEEE Signal Processing Magazine 16(6), 22-38,
+    1999.
     """
     out = volume.copy()
     depth, height = out.shape[:2]
@@ -104,10 +105,8 @@ def _cubic(part: Any) -> Any:
 def met(first: Any, second: Any, field: Any, origin: Any, step: Any, out: Any, other: Any) -> None:
     """Fill in two volumes moved towards each other by half of a field each.
 
-    What the field carries meets in the middle.
-
-    Where one of them is read beyond its faces both are zero: what only one of them shows would look
-    like motion.
+    Objects that the field displaces coincide in the middle. Where one volume is read beyond its
+    faces, both results are zero, since objects in only one of them would look like motion.
 
     Parameters
     ----------
@@ -184,7 +183,8 @@ def _aim(
 ) -> None:
     """Find the point at which each voxel of a row is read.
 
-    The voxel before it (x relative to its own, y, z), and the part of the way to the next.
+    Fills in the voxel before it (x relative to its own, y, z), and the part of the distance to the
+    next.
     """
     last = len(row) - 1
     for x in range(places.shape[1]):
@@ -237,8 +237,8 @@ def _across(flat: Any, at: Any, width: Any, w: Any, v: Any) -> Any:
 def _value(flat: Any, at: Any, width: Any, plane: Any, x: Any, y: Any, z: Any) -> Any:
     """Interpolate between a voxel and the next ones, out of 4 x 4 rows.
 
-    Places have no sign: an index that may be negative would be
-    looked at twice, and loops over it would not be vectorised.
+    Positions are unsigned: an index that may be negative would be checked twice, and loops over it
+    would not be vectorised.
     """
     w, v, u = _cubic(x), _cubic(y), _cubic(z)
     return (
@@ -253,9 +253,9 @@ def _value(flat: Any, at: Any, width: Any, plane: Any, x: Any, y: Any, z: Any) -
 def _stretch(
     flat: Any, at: int, width: int, plane: int, places: Any, first: int, end: int, out: Any
 ) -> None:
-    """Read voxels of a row that lie beside each other, `at` + x for each of them.
+    """Read adjacent voxels of a row, `at` + x for each of them.
 
-    All rows are parts of one array: so the loop is vectorised.
+    All rows are parts of one array, so that the loop is vectorised.
     """
     row, deep, start = np.uint64(width), np.uint64(plane), np.uint64(at + first)
     for n in range(np.uint64(end - first)):

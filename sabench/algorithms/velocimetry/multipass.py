@@ -27,21 +27,21 @@ _KERNEL = 0.65
 
 @dataclass(frozen=True)
 class Plan:
-    """Plan of the evaluation of a pair of volumes.
+    """Settings of the evaluation of a pair of volumes.
 
     Attributes
     ----------
     first, last : windows (z, y, x) of the first pass, by spectra, and of the later ones, by shifts.
     overlap : of the windows, as a part of them; the first pass overlaps by half.
     passes : after the first.
-    reach : largest shift (z, y, x) that a later pass looks for.
+    reach : largest shift (z, y, x) of a later pass.
     ratio, height : least peak ratio of the first pass, and least normalised correlation of the last
         one.
     median : of the test against neighbours.
     smoothing : standard deviation of the Gaussian on the field that moves the volumes, as a part of
         the later windows.
     width : least standard deviation in voxels of particles, to which narrower ones are blurred:
-        splines cannot follow these between voxels.
+        splines cannot resolve these between voxels.
     taper : standard deviation of the Gaussian that weights the later windows, as a part of them;
         None: no weights.
     """
@@ -125,7 +125,7 @@ def _shape(volume: F32) -> Size:
 def evaluate_once(first: F32, second: F32, size: Size, overlap: float, ratio: float) -> Field:
     """Evaluate one pass of spectra on fixed windows, filtered, filled and smoothed.
 
-    As the thesis does, section 2.3.3.
+    The method is that of the thesis, section 2.3.3.
     """
     windows = Windows.over(_shape(first), size, overlap)
     peaks = by_spectra(first, second, windows)
@@ -146,7 +146,7 @@ def _checked(windows: Windows, peaks: Peaks, valid: Bool, plan: Plan) -> Field:
 def _at(values: F64, there: Windows, here: Windows) -> F64:
     """Interpolate a field from some windows' middles to others'.
 
-    Beyond the outer ones it is continued along straight lines.
+    Beyond the outer ones it is extrapolated linearly.
     """
     for axis in range(3):
         place = (

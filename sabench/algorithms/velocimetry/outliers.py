@@ -18,7 +18,7 @@ _FLOOR = 0.1  # voxels: a fluctuation that any measurement has; Westerweel and S
 def within_deviations(shift: F64, valid: Bool, deviations: float) -> Bool:
     """Mark vectors (z, y, x, 3) near the mean of all valid ones.
 
-    Within so many standard deviations, component by component.
+    Near means within so many standard deviations, component by component.
     """
     if not valid.any():
         return valid
@@ -34,10 +34,10 @@ def within_deviations(shift: F64, valid: Bool, deviations: float) -> Bool:
 def near_the_median(shift: F64, valid: Bool, times: float) -> Bool:
     """Mark vectors near the median of their 26 neighbours.
 
-    Not further than `times` the median of these neighbours' own distances from it.
+    Near means not farther than `times` the median of these neighbours' own distances from it.
 
-    Beyond the edges fields go on along straight lines: else the median of an edge's neighbours
-    would lie inwards of it.
+    Beyond the edges fields are extrapolated linearly; otherwise the median of an edge's neighbours
+    would be biased inwards.
 
     Source: J. Westerweel and F. Scarano, Universal outlier detection for PIV data, Exp. Fluids 39,
     1096-1100, 2005, in three dimensions.
@@ -59,7 +59,7 @@ def near_the_median(shift: F64, valid: Bool, times: float) -> Bool:
 def filled(shift: F64, valid: Bool) -> F64:
     """Replace invalid vectors by means of their valid neighbours.
 
-    Zero if none is valid. Gaps are filled from their edges inwards.
+    Returns zero if none is valid. Gaps are filled from their edges inwards.
     """
     out, known = np.where(valid[..., None], shift, 0.0), valid.copy()
     if not known.any():
@@ -86,7 +86,7 @@ def _around(values: F64) -> F64:
 def smoothed(shift: F64, sigma: tuple[float, float, float]) -> F64:
     """Smooth vectors by a Gaussian of standard deviations (z, y, x) in vectors.
 
-    Beyond the edges fields go on along straight lines.
+    Beyond the edges fields are extrapolated linearly.
     """
     reach = [math.ceil(_REACH * own) for own in sigma]
     room = [(min(own, count - 1),) * 2 for own, count in zip(reach, shift.shape[:3], strict=True)]
@@ -107,7 +107,7 @@ def smoothed(shift: F64, sigma: tuple[float, float, float]) -> F64:
 def thesis_local(shift: F64, valid: Bool, deviations: float) -> Bool:
     """Mark vectors near the median of their 3 x 3 x 3 neighbourhood.
 
-    Within so many of its standard deviations; thesis, section 2.3.3.
+    Near means within so many of its standard deviations; thesis, section 2.3.3.
     """
     ok = valid.copy()
     for axis in range(3):
@@ -127,7 +127,7 @@ def thesis_local(shift: F64, valid: Bool, deviations: float) -> Bool:
 def medians(padded: Any, middle: Any, spread: Any) -> None:
     """Fill in the medians of every vector's 26 neighbours, component by component.
 
-    Also the medians of these neighbours' distances from them.
+    Also fills in the medians of these neighbours' distances from them.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Windows of a volume, what their correlation looks like, and where its peak is."""
+"""Windows of a volume, their correlation, and its peaks."""
 
 from __future__ import annotations
 
@@ -111,9 +111,9 @@ def by_shifts(
 ) -> Peaks:
     """Compute the normalised correlation at all shifts within reach (z, y, x).
 
-    Through sums over blocks. The second volume is shifted against the window, and the first one the
-    other way, and the mean is taken: two equal volumes then correlate alike at opposite shifts,
-    whatever is cut by the window's faces.
+    The correlation is computed through sums over blocks. The second volume is shifted against the
+    window, and the first one in the opposite direction; the mean of both is taken. Two equal
+    volumes then have equal correlations at opposite shifts, whatever the window's faces cut.
 
     Parameters
     ----------
@@ -151,9 +151,9 @@ def _weights(blocks: int, taper: float | None) -> F32:
 
 
 def by_spectra(first: F32, second: F32, windows: Windows) -> Peaks:
-    """Correlate whole windows circularly by their Fourier transforms.
+    """Correlate windows circularly by their Fourier transforms.
 
-    For displacements up to half a window.
+    This finds displacements up to half a window.
     """
     corners = np.array(
         list(
