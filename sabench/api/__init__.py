@@ -42,9 +42,11 @@ from sabench.geometry.refraction import Layer, Rays, Wall
 from sabench.geometry.rotations import frame_along, rotation_matrices
 from sabench.utils.arrays import F32, F64, I32, I64, U16, Bool, triple
 from sabench.utils.errors import DeclinedError, InputError
-from sabench.utils.fields import Vector
+from sabench.utils.fields import LensNumber, Vector
 from sabench.utils.progress import track as progress_bar
 from sabench.utils.rng import stream
+
+Track = TaskName  # its name until format version 2
 
 __all__ = [
     "F32",
@@ -77,6 +79,7 @@ __all__ = [
     "Grid",
     "InputError",
     "Layer",
+    "LensNumber",
     "Material",
     "Observation",
     "Parameters",
@@ -96,6 +99,7 @@ __all__ = [
     "Target",
     "TargetGenerator",
     "TaskName",
+    "Track",
     "Vector",
     "VelocimetryParameters",
     "VelocimetrySolver",
