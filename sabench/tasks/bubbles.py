@@ -22,7 +22,7 @@ from sabench.metrics.trajectories import trajectory_scores
 from sabench.plotting import pictures
 from sabench.scenes import BubbleWorld, Scene
 from sabench.scenes.world import GeneratorTable
-from sabench.tasks.task import Captions, Figures, FrameByFrame, Score, Source
+from sabench.tasks.task import Captions, Figures, FrameByFrame, Score, Source, share_near
 from sabench.utils import memory
 from sabench.utils.arrays import I64
 from sabench.utils.errors import InputError
@@ -36,6 +36,8 @@ JET = {
     "width_percent": "width",
 }
 _WRONG_ROTATION = rotation_matrices(np.array([0.1, -0.2, 0.05]))
+# share of the bubbles found with the cameras in another order, and how near, in radii
+_ALIKE, _NEAR_RADII = 0.8, 0.5
 
 
 class BubblesTask(FrameByFrame):
@@ -173,6 +175,10 @@ class BubblesTask(FrameByFrame):
         """Draw the first frame of every camera, bright behind the bubbles, as a PNG."""
         seen = data.observation(0)
         return pictures.backlit(seen.images, seen.black_dn, seen.white_dn)
+
+    def alike(self, data: Dataset, one: Detections, other: Detections) -> bool:
+        """Compare bubbles by how many are found again."""
+        return share_near(one.center_mm, other.center_mm, _NEAR_RADII * one.radius_mm) >= _ALIKE
 
     def picture(self, data: Dataset, source: Source) -> bytes:
         """Draw the bubbles of the first frame, from the front and from the side, as a PNG."""

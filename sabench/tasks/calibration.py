@@ -35,6 +35,7 @@ from sabench.worlds.calibration_targets import exact_pixels
 
 _HELD_OUT = 500  # points that no calibration sees; thesis, section 4.4.2
 _PARTICLES = 2000
+_ALIKE = 0.05  # of nominal cameras' error: how far calibrations by another order may be apart
 
 
 class CalibrationTask(Task):
@@ -192,6 +193,16 @@ class CalibrationTask(Task):
             return super().images(data)
         first = data.rig.cameras[0]
         return pictures.dots(data.calibration_case().pixels, first.rows, first.columns)
+
+    def alike(self, data: Dataset, one: Calibration, other: Calibration) -> bool:
+        """Compare calibrations by their true reprojection errors."""
+        again = replace(other, cameras=other.cameras[::-1])
+        answers = (replace(answer, used=None) for answer in (one, again))
+        first, second = (score_calibration(data, answer)["true_px"] for answer in answers)
+        worst = self.score(data, "empty")["true_px"]
+        if first is None or second is None or worst is None:
+            return False
+        return abs(first - second) < _ALIKE * worst
 
     def picture(self, data: Dataset, source: Source) -> bytes:
         """Draw the true reprojection errors, or for the truth the errors of detection, as a PNG."""

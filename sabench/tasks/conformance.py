@@ -17,9 +17,7 @@ import numpy as np
 
 from sabench import plugins, tasks
 from sabench.api import (
-    Calibration,
     CalibrationCase,
-    Detections,
     Film,
     FoundParticles,
     Observation,
@@ -31,17 +29,11 @@ from sabench.api.make import make_algorithm
 from sabench.dataset.reader import Dataset, open_dataset
 from sabench.scenes import load_scene
 from sabench.simulation.pipeline import generate
-from sabench.tasks.calibration import TASK as CALIBRATION
-from sabench.tasks.calibration import score_calibration
 from sabench.tasks.solve_and_score import score, solve
 from sabench.tasks.task import Task
 from sabench.utils.errors import DeclinedError, InputError
 
 _SEED = 5
-_CORRELATION = 0.95  # of volumes from cameras in another order: MART and its kin depend on it
-_SHARE, _VOXELS = 0.9, 0.2  # of the particles that are found again, and how near
-_RADII, _FOUND_AGAIN = 0.5, 0.8  # the same of bubbles
-_APART = 0.05  # of the error of nominal cameras: how far apart calibrations may be
 
 Verdict = Literal["obeyed", "broken", "skipped"]
 
@@ -174,9 +166,11 @@ def survive_a_covered_camera(trial: _Trial) -> None:
 def take_cameras_in_any_order(trial: _Trial) -> None:
     """Cameras in reverse order give the same estimate, as far as the algorithm's order allows."""
     case = trial.case()
-    forward, backward = trial.solve(case), trial.solve(_reversed(case))
+    forward, backward = trial.solve(case), trial.solve(_reverse_cameras(case))
     for one, other in zip(forward, backward, strict=True):
-        _expect(_alike(one, other, trial.data), "expected a similar estimate, got another one")
+        _expect(
+            trial.task.alike(trial.data, one, other), "expected a similar estimate, got another one"
+        )
 
 
 LAWS: tuple[Callable[[_Trial], None], ...] = (
@@ -270,48 +264,13 @@ def _with_images(case: Any, change: Callable[[Any, int], Any]) -> Any:
     return replace(case, images=change(case.images, int(case.black_dn)))
 
 
-def _reversed(case: Any) -> Any:
+def _reverse_cameras(case: Any) -> Any:
     """Reverse the cameras of a case."""
     if isinstance(case, Film):
-        frames = [_reversed(frame) for frame in case]
+        frames = [_reverse_cameras(frame) for frame in case]
         return Film(case.cameras[::-1], case.grid, case.times_s, frames.__getitem__)
     if isinstance(case, Observation):
         return replace(case, images=case.images[::-1].copy(), cameras=case.cameras[::-1])
     if isinstance(case, CalibrationCase):
         return replace(case, pixels=case.pixels[::-1].copy(), cameras=case.cameras[::-1])
     raise _SkippedError("its cases have no cameras")
-
-
-def _alike(one: Any, other: Any, data: Dataset) -> bool:
-    """Compare estimates from cameras in one order and in the reverse one."""
-    if isinstance(one, Reconstruction):
-        product = float((one.volume * other.volume).sum())
-        norms = float(np.sqrt((one.volume**2).sum() * (other.volume**2).sum()))
-        return product > _CORRELATION * norms
-    if isinstance(one, FoundParticles):
-        near_mm = _VOXELS * min(data.rig.grid.voxel_mm)
-        return _found_again(one.position_mm, other.position_mm, near_mm) >= _SHARE
-    if isinstance(one, Detections):
-        near = _RADII * one.radius_mm
-        return _found_again(one.center_mm, other.center_mm, near) >= _FOUND_AGAIN
-    return _same_cameras(one, other, data)
-
-
-def _found_again(one: Any, other: Any, near: Any) -> float:
-    """Share of the points (n, 3) that have another point near them."""
-    if not len(one) or not len(other):
-        return float(len(one) == len(other))
-    apart = np.linalg.norm(one[:, None] - other, axis=2).min(axis=1)
-    return float((apart < near).mean())
-
-
-def _same_cameras(one: Calibration, other: Calibration, data: Dataset) -> bool:
-    """Compare true reprojection errors, by the scores of both."""
-    again = replace(other, cameras=other.cameras[::-1])
-    found = [score_calibration(data, replace(answer, used=None)) for answer in (one, again)]
-    first, second, worst = (
-        scores["true_px"] for scores in (*found, CALIBRATION.score(data, "empty"))
-    )
-    if first is None or second is None or worst is None:
-        return False
-    return abs(first - second) < _APART * worst

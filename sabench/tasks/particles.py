@@ -22,13 +22,15 @@ from sabench.metrics.trajectories import link_scores
 from sabench.plotting import pictures
 from sabench.tasks.reconstruction import PARTICLE_IMAGES
 from sabench.tasks.solver_call import call_solver
-from sabench.tasks.task import Captions, Figures, Score, Source, Task
+from sabench.tasks.task import Captions, Figures, Score, Source, Task, share_near
 from sabench.utils import memory
 from sabench.utils.arrays import F64, I64, Bool
 from sabench.utils.errors import InputError
 from sabench.utils.progress import track
 
 _DRAWN_VOXELS = 1.0  # standard deviation of the Gaussian blobs that particles are drawn as
+# share of the particles found with the cameras in another order, and how near, in voxels
+_ALIKE, _NEAR_VOXELS = 0.9, 0.2
 
 
 class ParticlesTask(Task):
@@ -146,6 +148,11 @@ class ParticlesTask(Task):
                 "expected one in every frame or in none, found none here"
             )
         return linked(data.rig, found)
+
+    def alike(self, data: Dataset, one: FoundParticles, other: FoundParticles) -> bool:
+        """Compare particles by how many are found again."""
+        near_mm = _NEAR_VOXELS * min(data.rig.grid.voxel_mm)
+        return share_near(one.position_mm, other.position_mm, near_mm) >= _ALIKE
 
     def picture(self, data: Dataset, source: Source) -> bytes:
         """Draw the particles in a slice as Gaussian blobs, as a PNG."""

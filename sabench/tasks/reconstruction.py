@@ -14,7 +14,14 @@ from sabench.metrics.averages import mean_of_each
 from sabench.metrics.reconstruction_error import score_frame
 from sabench.metrics.synthesised_field import true_field
 from sabench.plotting import pictures
-from sabench.tasks.task import Captions, Figures, FrameByFrame, Score, Source
+from sabench.tasks.task import (
+    Captions,
+    Figures,
+    FrameByFrame,
+    Score,
+    Source,
+    correlation,
+)
 from sabench.utils import memory
 from sabench.utils.errors import InputError
 from sabench.utils.progress import track
@@ -26,6 +33,7 @@ _TRIED = 33  # voxels along each axis that are looked for in the images
 PARTICLE_IMAGES = (
     "First frame of every camera, one brightness scale for all; dim particles are raised."
 )
+_ALIKE = 0.95  # correlation of volumes from cameras in another order
 
 
 class ReconstructionTask(FrameByFrame):
@@ -108,6 +116,10 @@ class ReconstructionTask(FrameByFrame):
                 for frame in track(self.frames(data), "score")
             ]
         )
+
+    def alike(self, data: Dataset, one: Reconstruction, other: Reconstruction) -> bool:
+        """Compare volumes by their correlation: solvers of the kind of MART depend on the order."""
+        return correlation(one.volume, other.volume) > _ALIKE
 
     def picture(self, data: Dataset, source: Source) -> bytes:
         """Draw a slice of the first frame's volume as a PNG."""

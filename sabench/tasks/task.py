@@ -22,6 +22,7 @@ from sabench.dataset.results import Result, ResultWriter
 from sabench.plotting import pictures
 from sabench.tasks.solver_call import call_solver
 from sabench.utils import memory
+from sabench.utils.arrays import F32, F64
 from sabench.utils.errors import InputError
 
 Better = Literal["larger", "smaller", "unity", "steady"]
@@ -167,6 +168,14 @@ class Task(ABC):
     def score(self, data: Dataset, source: Source) -> Figures:
         """Score a result, or the best ("truth") or worst ("empty") possible estimates."""
 
+    def alike(self, data: Dataset, one: Any, other: Any) -> bool:
+        """Compare estimates of the first case with the cameras in one order and in the reverse one.
+
+        They may differ as far as algorithms depend on the order in which they take the cameras.
+        """
+        pairs = zip(one.arrays(), other.arrays(), strict=True)
+        return all(np.allclose(a, b, rtol=1e-6) for (_, a), (_, b) in pairs)
+
     def images(self, data: Dataset) -> bytes:
         """Draw the first frame of every camera as a PNG."""
         seen = data.observation(0)
@@ -211,6 +220,20 @@ class FrameByFrame(Task):
 
     def check_case(self, case: Observation, source: str) -> None:
         """Raise an InputError for an observation that no solver can use; `source` opens the sentence."""
+
+
+def share_near(one: F64, other: F64, near: F64 | float) -> float:
+    """Share of the points (n, 3) that have one of the other points (m, 3) near them."""
+    if not len(one) or not len(other):
+        return float(len(one) == len(other))
+    apart = np.linalg.norm(one[:, None] - other, axis=2).min(axis=1)
+    return float((apart < near).mean())
+
+
+def correlation(one: F32, other: F32) -> float:
+    """Correlation of two volumes, without subtraction of their means."""
+    norms = float(np.sqrt((one**2).sum() * (other**2).sum()))
+    return float((one * other).sum()) / norms if norms else 1.0
 
 
 def check_estimate(found: Estimate, solver: str, data: Dataset, frame: int) -> None:
