@@ -10,6 +10,7 @@ from __future__ import annotations
 import tempfile
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal
 
@@ -68,7 +69,14 @@ class _Trial:
 
     def case(self) -> Any:
         """Make the case that the solver receives."""
-        return self.task.case(self.data)
+        case = self.task.case(self.data)
+        return _film(case, list(case)) if isinstance(case, Film) else case
+
+    @cached_property
+    def first(self) -> tuple[Any, list[Estimate]]:
+        """A case after the solver has received it, and its estimates."""
+        case = self.case()
+        return case, self.solve(case)
 
     def solve(self, case: Any) -> list[Estimate]:
         """Call a new solver on a case; its estimates are checked as declared."""
@@ -98,15 +106,14 @@ def describe_itself(trial: _Trial) -> None:
 
 def return_declared_arrays(trial: _Trial) -> None:
     """Its estimates have the declared arrays, shapes and types, and finite values."""
-    found = trial.solve(trial.case())
-    expected = len(trial.case()) if isinstance(trial.case(), Film) else 1
+    case, found = trial.first
+    expected = len(case) if isinstance(case, Film) else 1
     _expect(len(found) == expected, f"expected {expected} estimates, got {len(found)}")
 
 
 def repeat_itself(trial: _Trial) -> None:
     """The same case gives the same estimate, bit for bit."""
-    first, second = (trial.solve(trial.case()) for _ in range(2))
-    for one, other in zip(first, second, strict=True):
+    for one, other in zip(trial.first[1], trial.solve(trial.case()), strict=True):
         for (declared, a), (_, b) in zip(one.arrays(), other.arrays(), strict=True):
             same = a.shape == b.shape and np.array_equal(a, b)
             _expect(same, f"{declared.name}: expected the same values twice, got others")
@@ -114,9 +121,7 @@ def repeat_itself(trial: _Trial) -> None:
 
 def leave_the_case_alone(trial: _Trial) -> None:
     """The arrays that it receives are unchanged afterwards."""
-    case, untouched = trial.case(), trial.case()
-    trial.solve(case)
-    for one, other in zip(_arrays(case), _arrays(untouched), strict=True):
+    for one, other in zip(_arrays(trial.first[0]), _arrays(trial.case()), strict=True):
         _expect(
             np.array_equal(one, other, equal_nan=one.dtype.kind == "f"),
             "expected the case's arrays unchanged, got other values",
@@ -165,9 +170,8 @@ def survive_a_covered_camera(trial: _Trial) -> None:
 
 def take_cameras_in_any_order(trial: _Trial) -> None:
     """Cameras in reverse order give the same estimate, as far as the algorithm's order allows."""
-    case = trial.case()
-    forward, backward = trial.solve(case), trial.solve(_reverse_cameras(case))
-    for one, other in zip(forward, backward, strict=True):
+    backward = trial.solve(_reverse_cameras(trial.case()))
+    for one, other in zip(trial.first[1], backward, strict=True):
         _expect(
             trial.task.alike(trial.data, one, other), "expected a similar estimate, got another one"
         )
@@ -254,11 +258,16 @@ def _arrays(case: Any) -> list[Any]:
     return [case.pixels, case.rough_mm, case.known_mm, case.known_sigma_mm]
 
 
+def _film(like: Film, frames: list[Observation]) -> Film:
+    """Make a sequence of frames in memory."""
+    return Film(frames[0].cameras, like.grid, like.times_s, frames.__getitem__)
+
+
 def _with_images(case: Any, change: Callable[[Any, int], Any]) -> Any:
     """Change the images of a case, frame by frame."""
     if isinstance(case, Film):
         frames = [_with_images(frame, change) for frame in case]
-        return Film(case.cameras, case.grid, case.times_s, frames.__getitem__)
+        return _film(case, frames)
     if not isinstance(case, Observation):
         raise _SkippedError("its cases have no images")
     return replace(case, images=change(case.images, int(case.black_dn)))
@@ -268,7 +277,7 @@ def _reverse_cameras(case: Any) -> Any:
     """Reverse the cameras of a case."""
     if isinstance(case, Film):
         frames = [_reverse_cameras(frame) for frame in case]
-        return Film(case.cameras[::-1], case.grid, case.times_s, frames.__getitem__)
+        return _film(case, frames)
     if isinstance(case, Observation):
         return replace(case, images=case.images[::-1].copy(), cameras=case.cameras[::-1])
     if isinstance(case, CalibrationCase):

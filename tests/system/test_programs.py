@@ -188,7 +188,7 @@ def test_programs_in_a_suite(command: Command, tmp_path: Path) -> None:
     assert asa["q"] > 0.4
     assert str(tmp_path) not in json.dumps([mine["solver"], slow["solver"], slow["error"]])
     suite.write_text(SUITE.replace('track = "reconstruction", l', "l"))
-    check_sentence(command("run", suite), "slow.py: track: expected one of reconstruction")
+    check_sentence(command("run", suite), "slow.py: task: expected one of reconstruction")
     suite.write_text(SUITE.replace("slow.py", "none.py"))
     check_sentence(command("run", suite), "none.py: expected an executable file")
     suite.write_text(SUITE.replace('"asa"', '"asa", time_limit_s = 3.0'))

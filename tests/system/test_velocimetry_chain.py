@@ -95,7 +95,7 @@ def test_one_command_and_the_page(command: Command, tmp_path: Path) -> None:
     assert record["u_p90_voxel"] < 0.4
     page = (tmp_path / "leaderboard" / "index.html").read_text(encoding="utf-8")
     assert block(page)["rows"][0]["scores"][0] == [pytest.approx(record["u_p90_voxel"], rel=1e-8)]
-    assert block(page)["tracks"]["velocimetry"]["pictured"]["heading"] == "Fields"
+    assert block(page)["tasks"]["velocimetry"]["pictured"]["heading"] == "Fields"
     assert set(block(page, "album0")) == {
         "images",
         "row0",
