@@ -129,7 +129,8 @@ def run_suite(
         ]
         records += [old[key] for head in heads if (key := key_of(head, _COMPUTED)) in old]
         console.print(
-            f"data set {number} of {len(wanted)}: {case.name}, {_seed(case)}{'' if missing else ', known'}",
+            f"data set {number} of {len(wanted)}: {case.name}, "
+            f"{_seed(case)}{'' if missing else ', known'}",
             markup=False,
             highlight=False,
         )

@@ -256,7 +256,8 @@ def _check_frozen(suite: Suite, cases: list[Case], file: Path) -> None:
     )
     if suite.frozen not in (None, found):
         raise InputError(
-            f"{file}: frozen: expected the cases and seeds of version {suite.version}, whose hash is {suite.frozen}, got others with {found}: "
+            f"{file}: frozen: expected the cases and seeds of version {suite.version}, whose hash "
+            f"is {suite.frozen}, got others with {found}: "
             "a change needs a new version and its hash"
         )
 
@@ -269,7 +270,8 @@ def _checked(entrant: Entrant, file: Path) -> Entrant:
             for value in (entrant.task, entrant.time_limit_s, entrant.memory_limit_mb)
         ):
             raise InputError(
-                f"{file}: solver {entrant.name}: expected task, time_limit_s and memory_limit_mb for programs only"
+                f"{file}: solver {entrant.name}: expected task, time_limit_s and memory_limit_mb "
+                "for programs only"
             )
         make_algorithm(entrant.name, entrant.parameters)
         return entrant

@@ -61,7 +61,8 @@ class BubblesTask(FrameByFrame):
               "recall of bubbles of which the cameras see less than nine tenths, mean over "
               "cameras", counted=True),
         Score("recall_dense", "recall, dense", "", "larger", 3,
-              "recall of bubbles around which, within 6 mm, others fill a hundredth or more", counted=True),
+              "recall of bubbles around which, within 6 mm, others fill a hundredth or "
+              "more", counted=True),
         Score("radius_percent", "radius %", "%", "smaller", 2,
               "median error of the radius of found bubbles of 0.5 mm and more"),
         Score("axes_percent", "axes %", "%", "smaller", 2,
@@ -86,7 +87,8 @@ class BubblesTask(FrameByFrame):
         Score("width_percent", "s %", "%", "smaller", 1,
               "error of s of equation 5.18"),
         Score("link_recall", "link recall", "", "larger", 3,
-              "share of the bubbles found in two consecutive frames that one trajectory joins", counted=True),
+              "share of the bubbles found in two consecutive frames that one trajectory "
+              "joins", counted=True),
         Score("link_precision", "link precision", "", "larger", 3,
               "share of the links between such frames that join the same bubble", counted=True),
         Score("effectiveness", "effectiveness", "", "larger", 3,

@@ -53,7 +53,8 @@ def find_program(name: str, folder: Path = Path()) -> Path:
         raise InputError(f"program {name}: expected an executable file, found none at {path}")
     if not os.access(path, os.X_OK):
         raise InputError(
-            f"program {name}: expected an executable file, but it may not be executed: chmod +x {name}"
+            f"program {name}: expected an executable file, but it may not be executed: chmod +x "
+            f"{name}"
         )
     return path
 
@@ -146,7 +147,8 @@ def _words(parameters: dict[str, Any]) -> list[str]:
 def _check_file(result: Path, name: str) -> None:
     if result.is_symlink() or not result.is_file():
         raise InputError(
-            f"program {name}: expected the result at the path in its second argument, found {'no file' if not result.exists() else 'none'} there"
+            f"program {name}: expected the result at the path in its second argument, found "
+            f"{'no file' if not result.exists() else 'none'} there"
         )
 
 

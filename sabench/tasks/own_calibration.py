@@ -141,7 +141,8 @@ def calibrate(
     points = answer.points_mm
     if points is None or not all(isinstance(camera, Camera) for camera in answer.cameras):
         raise InputError(
-            f"solver {solver}: expected one that returns pinhole cameras and the target's places, for the report"
+            f"solver {solver}: expected one that returns pinhole cameras and the target's places, "
+            "for the report"
         )
     report, errors = report_on(case, answer, points)
     with complete_or_nothing(out, overwrite=overwrite) as partial:
@@ -204,7 +205,8 @@ def _cameras(told: Configuration, source: str) -> tuple[Camera, ...]:
             cameras.append(aim(camera, spec.aim_mm))
         except ValueError as error:
             raise InputError(
-                f"{source}: {error}: is the wall behind the camera, or the target in front of the wall?"
+                f"{source}: {error}: is the wall behind the camera, or the target in front of the "
+                "wall?"
             ) from error
     return tuple(cameras)
 
@@ -214,7 +216,8 @@ def _known(told: Configuration, shape: tuple[int, ...], source: str) -> tuple[F6
     for number, point in enumerate(told.known):
         if point.frame >= shape[0] or point.point >= shape[1]:
             raise InputError(
-                f"{source}: known.{number}: expected one of {shape[0]} frames and of {shape[1]} points, got {point.frame} and {point.point}"
+                f"{source}: known.{number}: expected one of {shape[0]} frames and of {shape[1]} "
+                f"points, got {point.frame} and {point.point}"
             )
         for axis, value in enumerate((point.x_mm, point.y_mm, point.z_mm)):
             if value is not None:
@@ -234,7 +237,8 @@ def _read_points(path: Path, target: Target, cameras: tuple[Camera, ...]) -> F64
     for camera, frame, point, column, row in rows:
         if camera not in numbers or not 0 <= point < count or frame < 0:
             raise InputError(
-                f"{path}: expected cameras {', '.join(numbers)} and points 0 to {count - 1}, got {camera}, frame {frame}, point {point}"
+                f"{path}: expected cameras {', '.join(numbers)} and points 0 to {count - 1}, got "
+                f"{camera}, frame {frame}, point {point}"
             )
         if np.isfinite(pixels[numbers[camera], frame, point, 0]):
             raise InputError(
@@ -250,7 +254,8 @@ def _lines(path: Path) -> Iterator[tuple[str, int, int, float, float]]:
         reader = csv.DictReader(file)
         if reader.fieldnames != expected:
             raise InputError(
-                f"{path}: expected the first line {','.join(expected)}, got {','.join(reader.fieldnames or ())}"
+                f"{path}: expected the first line {','.join(expected)}, got "
+                f"{','.join(reader.fieldnames or ())}"
             )
         for number, line in enumerate(reader, 2):
             try:
@@ -263,7 +268,8 @@ def _lines(path: Path) -> Iterator[tuple[str, int, int, float, float]]:
                 )
             except (TypeError, ValueError) as error:
                 raise InputError(
-                    f"{path}: line {number}: expected a name, two whole numbers and two numbers, got {error}"
+                    f"{path}: line {number}: expected a name, two whole numbers and two numbers, "
+                    f"got {error}"
                 ) from error
             if not (math.isfinite(values[3]) and math.isfinite(values[4])):
                 raise InputError(
@@ -279,7 +285,8 @@ def _read_images(folder: Path, target: Target, cameras: tuple[Camera, ...], plai
     )
     if not frames:
         raise InputError(
-            f"{folder}: expected folders with an image of each camera, or a {POINTS} beside it, found neither"
+            f"{folder}: expected folders with an image of each camera, or a {POINTS} beside it, "
+            "found neither"
         )
     steps = [(c, k) for c in range(len(cameras)) for k in range(len(frames))]
     pixels = np.full((len(cameras), len(frames), len(target.points_mm), 2), np.nan)
@@ -309,7 +316,8 @@ def _image(frame: Path, camera: Camera) -> npt.NDArray[np.uint16] | None:
         raise InputError(f"{path}: expected an image, got something else")
     if image.shape != (camera.rows, camera.columns):
         raise InputError(
-            f"{path}: expected {camera.rows} x {camera.columns} pixels (rows x columns), got {image.shape[0]} x {image.shape[1]}"
+            f"{path}: expected {camera.rows} x {camera.columns} pixels (rows x columns), got "
+            f"{image.shape[0]} x {image.shape[1]}"
         )
     return np.asarray(image, dtype=np.uint16)
 

@@ -51,7 +51,8 @@ class ReconstructionTask(FrameByFrame):
         Score("rms_px", "rms px", "voxel", "smaller", 3,
               "root mean square distance between the pairs of that rule"),
         Score("peak_true_percent", "peak true %", "%", "larger", 1,
-              "true %, with particles found as local maxima: touching ones count as two", counted=True),
+              "true %, with particles found as local maxima: touching ones count as "
+              "two", counted=True),
         Score("peak_ghost_percent", "peak ghost %", "%", "smaller", 1,
               "ghost %, with particles found as local maxima", counted=True),
         Score("peak_precision", "peak precision", "", "larger", 4,

@@ -57,13 +57,15 @@ def solve(
         )
     if limits is not None:
         raise InputError(
-            f"solver {solver}: expected limits for programs only, not for a plug-in, which runs within sabench"
+            f"solver {solver}: expected limits for programs only, not for a plug-in, which runs "
+            "within sabench"
         )
     algorithm = make_algorithm(solver, parameters or {})
     if algorithm.sees not in data.shows:
         shown = " and ".join(_SHOWN[one] for one in data.shows)
         raise InputError(
-            f"solver {solver}: expected a data set that shows {_SHOWN[algorithm.sees]}, but {data.root} shows {shown}"
+            f"solver {solver}: expected a data set that shows {_SHOWN[algorithm.sees]}, but "
+            f"{data.root} shows {shown}"
         )
     memory.forget_peak()
     resolved = algorithm.parameters.model_dump(mode="json")

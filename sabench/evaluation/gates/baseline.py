@@ -173,7 +173,8 @@ def read_baseline(path: Path, suite: str) -> Baseline:
     """
     if not path.exists():
         raise InputError(
-            f"{path}: expected a baseline of the suite {suite}, but there is no file: --update makes one (in pytest --sabench-update)"
+            f"{path}: expected a baseline of the suite {suite}, but there is no file: --update "
+            "makes one (in pytest --sabench-update)"
         )
     values = read_json(path)
     if not isinstance(values, dict) or values.get("format") != FORMAT:
@@ -182,7 +183,8 @@ def read_baseline(path: Path, suite: str) -> Baseline:
         )
     if values.get("version") != VERSION:
         raise InputError(
-            f"{path}: expected version {VERSION}, got {values.get('version')!r}: make it anew with --update"
+            f"{path}: expected version {VERSION}, got {values.get('version')!r}: make it anew with "
+            "--update"
         )
     found = validate(Baseline, values, str(path))
     if found.suite != suite:

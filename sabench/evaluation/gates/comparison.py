@@ -143,7 +143,8 @@ def check(
         old = before.case((case.name, case.seed)) if before else None
         if old is not None and old.renderer != case.renderer:
             raise InputError(
-                f"case {case.name}: expected data sets by {old.renderer}, of which the baseline is, but here they are by {case.renderer}"
+                f"case {case.name}: expected data sets by {old.renderer}, of which the baseline "
+                f"is, but here they are by {case.renderer}"
             )
         entries.append(_run_case(case, work, old, before.tolerances if before else {}, exit_first))
         found += _compared(case, old, entries[-1], before)
@@ -178,7 +179,8 @@ def names_of(entrants: Sequence[Entrant], where: str) -> dict[str, Entrant]:
     }
     if len(named) < len(entrants):
         raise InputError(
-            f"{where}: solvers: expected names, parameters or labels that differ, got {len(entrants)} of which {len(named)} do"
+            f"{where}: solvers: expected names, parameters or labels that differ, got "
+            f"{len(entrants)} of which {len(named)} do"
         )
     return named
 
@@ -201,7 +203,8 @@ def _chosen(cases: Sequence[Case], solvers: Sequence[Entrant]) -> list[Case]:
     if not any(case.solvers for case in own):
         known = ", ".join(sorted({_task_of(one) for one in solvers}))
         raise InputError(
-            f"solvers: expected some that the suite has cases for, got only some of the task {known}, of which it has none"
+            "solvers: expected some that the suite has cases for, got only some of the task "
+            f"{known}, of which it has none"
         )
     return [case for case in own if case.solvers]
 

@@ -48,7 +48,8 @@ def result_files(path: Path) -> Iterator[list[tuple[str, Path]]]:
     """
     if path.is_symlink() or not path.exists():
         raise InputError(
-            f"{path}: expected a result file, an archive or a folder of them, found {'a link' if path.is_symlink() else 'none'}"
+            f"{path}: expected a result file, an archive or a folder of them, found "
+            f"{'a link' if path.is_symlink() else 'none'}"
         )
     if path.is_dir():
         yield _found(_in_folder(path), path)
@@ -101,7 +102,8 @@ def _unpacked(path: Path, folder: Path) -> list[tuple[str, Path]]:
         zipfile.BadZipFile,
     ) as error:
         raise InputError(
-            f"{path}: expected a whole archive, got {type(error).__name__}: {printable(str(error), 200)}"
+            f"{path}: expected a whole archive, got {type(error).__name__}: "
+            f"{printable(str(error), 200)}"
         ) from error
 
 
@@ -155,7 +157,8 @@ def _zip_member(path: Path, info: zipfile.ZipInfo) -> Member:
         )
     if info.flag_bits & 1 or info.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
         raise InputError(
-            f"{path}: {printable(info.filename)}: expected a file stored or deflated, without a password"
+            f"{path}: {printable(info.filename)}: expected a file stored or deflated, without a "
+            "password"
         )
     return Member(info.filename, info.file_size, info)
 
@@ -180,7 +183,8 @@ def _checked(path: Path, members: Iterator[Member]) -> list[Member]:
             )
         if total > _TOTAL_BYTES or (total > _SMALL_BYTES and total > _RATIO * packed):
             raise InputError(
-                f"{path}: expected at most {_TOTAL_BYTES / 1e6:.0f} MB unpacked and {_RATIO} times its size, got {total / 1e6:.0f} MB or more"
+                f"{path}: expected at most {_TOTAL_BYTES / 1e6:.0f} MB unpacked and {_RATIO} times "
+                f"its size, got {total / 1e6:.0f} MB or more"
             )
         names.add(member.name)
         every.append(member)
@@ -213,7 +217,8 @@ def _copied(archive: Any, member: Member, target: Path, path: Path) -> Path:
             left -= len(piece)
             if left < 0:
                 raise InputError(
-                    f"{path}: {printable(member.name)}: expected {member.bytes} bytes as it says, got more"
+                    f"{path}: {printable(member.name)}: expected {member.bytes} bytes as it says, "
+                    "got more"
                 )
             file.write(piece)
     return target

@@ -121,7 +121,8 @@ def _datasets(files: list[tuple[str, Path]], folders: Sequence[Path]) -> dict[st
         if wanted not in known:
             where = ", ".join(str(folder) for folder in folders)
             raise InputError(
-                f"{printable(label)}: expected a result of a data set in {where}, but none there has the hash {printable(wanted, 12)!r}"
+                f"{printable(label)}: expected a result of a data set in {where}, but none there "
+                f"has the hash {printable(wanted, 12)!r}"
             )
         root = known[wanted]
         if wanted not in whole and (faults := verify(root)):
@@ -200,7 +201,8 @@ def _refuse_twins(path: Path, labels: list[str], made: list[Record]) -> None:
         if record["run_hash"] in seen:
             first, second = printable(seen[record["run_hash"]]), printable(label)
             raise InputError(
-                f"{path}: expected one result for each data set, solver and parameters, got {first} and {second}"
+                f"{path}: expected one result for each data set, solver and parameters, got "
+                f"{first} and {second}"
             )
         seen[record["run_hash"]] = label
 
