@@ -222,9 +222,8 @@ class Sight:
     number : (rows, columns) int32 of the bubble (its row in the frame's bubbles) or body that each
         pixel's middle sees first: see `NOTHING`, `BODY`.
     depth_mm : (rows, columns) float32, of the surface there: along the wall's normal from its outer
-        face, without a wall along the camera's axis
-        from its pinhole; NaN for nothing.
-    path_mm : (rows, columns) float32, length of the way of light from the pinhole to it; NaN for
+        face, without a wall along the camera's axis from its pinhole; NaN for nothing.
+    path_mm : (rows, columns) float32, length of the light path from the pinhole to it; NaN for
         nothing.
     visible : (n,) part of each bubble's outline that the camera sees: 1 for all of it, less where
         it is covered or outside the image.

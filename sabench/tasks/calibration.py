@@ -1,4 +1,7 @@
-"""Calibration: a target's points in, cameras out; scored by where these cameras see points."""
+"""Task `calibration`: solvers turn the points of a target into cameras.
+
+The cameras are scored by the pixels to which they project points.
+"""
 
 from __future__ import annotations
 
@@ -142,7 +145,7 @@ class CalibrationTask(Task):
     )
 
     def frames(self, data: Dataset) -> Sequence[int]:
-        """Only [0]: one calibration serves all frames."""
+        """Return [0] only: one calibration serves all frames."""
         return [0]
 
     def case(self, data: Dataset) -> CalibrationCase | Observation:
@@ -176,7 +179,10 @@ class CalibrationTask(Task):
         return Calibration(data.rig.cameras)
 
     def wrong(self, data: Dataset, frame: int = 0) -> Calibration:
-        """Shift every camera's principal point and stretch the target's points about their middle."""
+        """Shift every camera's principal point, and stretch the target's points.
+
+        The points are stretched about their middle.
+        """
         points = data.placed().points_mm
         middle = points.reshape(-1, 3).mean(axis=0)
         cameras = tuple(_shifted(camera, n) for n, camera in enumerate(data.true_cameras))
@@ -194,7 +200,7 @@ class CalibrationTask(Task):
         return pictures.dots(data.calibration_case().pixels, first.rows, first.columns)
 
     def picture(self, data: Dataset, source: Source) -> bytes:
-        """Draw the true reprojection errors, or for the truth the errors of detection, as a PNG."""
+        """Draw the true reprojection errors as a PNG; for the truth those of detection."""
         first = data.rig.cameras[0]
         if not data.shows_target:
             truth_mm, exact = _particles(data)
@@ -228,7 +234,10 @@ def score_calibration(data: Dataset, answer: Calibration) -> Figures:
 def check_calibration(
     answer: Calibration, source: str, case: CalibrationCase | Observation
 ) -> None:
-    """Raise an InputError for a calibration that does not fit its case; `source` opens the sentence."""
+    """Raise an InputError for a calibration that does not fit its case.
+
+    `source` opens the sentence.
+    """
     names = [camera.name for camera in answer.cameras]
     expected = [camera.name for camera in case.cameras]
     if names != expected:
@@ -249,7 +258,10 @@ def _shifted(camera: Camera, number: int) -> Camera:
 
 
 def _particles(data: Dataset) -> tuple[F64, F64]:
-    """Some true particles (n, 3) and their exact pixels (camera, n, 2), NaN outside the images."""
+    """Select true particles (n, 3) and their exact pixels (camera, n, 2).
+
+    Pixels are NaN outside the images.
+    """
     truth_mm = data.particles(0).position_mm
     order = stream(data.manifest.seed, "held out").permutation(len(truth_mm))
     truth_mm = truth_mm[order[:_PARTICLES]]
@@ -258,7 +270,10 @@ def _particles(data: Dataset) -> tuple[F64, F64]:
 
 
 def _held_out(data: Dataset, noise_px: float) -> tuple[F64, F64]:
-    """Random points (n, 3) of the volume, and noisy pixels (camera, n, 2) by the true cameras."""
+    """Draw random points (n, 3) of the volume, with noisy pixels (camera, n, 2).
+
+    The true cameras project the points.
+    """
     volume, rng = data.scene.volume, stream(data.manifest.seed, "held out")
     aside = (rng.random((_HELD_OUT, 3)) - 0.5) * np.asarray(volume.size_mm)
     points_mm = np.asarray(volume.center_mm) + aside

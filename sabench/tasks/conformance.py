@@ -48,7 +48,7 @@ Verdict = Literal["obeyed", "broken", "skipped"]
 
 @dataclass(frozen=True)
 class Finding:
-    """What came of one law: `text` says why it is broken or skipped."""
+    """Result of one law; `text` is the reason why it is broken or skipped."""
 
     law: str
     verdict: Verdict
@@ -61,7 +61,7 @@ def _expect(condition: Any, text: str) -> None:
 
 
 class _SkippedError(Exception):
-    """A law that does not apply to a solver."""
+    """Law that does not apply to a solver."""
 
 
 @dataclass(frozen=True)
@@ -79,7 +79,7 @@ class _Trial:
         return self.task.case(self.data)
 
     def solve(self, case: Any) -> list[Estimate]:
-        """Call a new solver on a case; its estimates are checked as declared."""
+        """Call a new solver on a case and check its estimates as declared."""
         algorithm: Any = make_algorithm(self.solver, self.parameters)
         reason = algorithm.skip(case)
         if reason:
@@ -95,7 +95,11 @@ class _Trial:
 
 
 def describe_itself(trial: _Trial) -> None:
-    """Its docstring is a sentence, references are given, parameters are described, with defaults."""
+    """Check the solver's description.
+
+    The docstring's first line is a sentence, references are given, and every parameter has a
+    description and a default.
+    """
     plugin = plugins.load("solvers", trial.solver)
     _expect(plugins.summary(plugin).endswith("."), "the docstring's first line must be a sentence")
     _expect(plugin.references, "references: expected at least one, got none")
@@ -105,14 +109,17 @@ def describe_itself(trial: _Trial) -> None:
 
 
 def return_declared_arrays(trial: _Trial) -> None:
-    """Its estimates have the declared arrays, shapes and types, and finite values."""
+    """Check that estimates have the declared arrays, shapes and types.
+
+    Their values are finite.
+    """
     found = trial.solve(trial.case())
     expected = len(trial.case()) if isinstance(trial.case(), Film) else 1
     _expect(len(found) == expected, f"expected {expected} estimates, got {len(found)}")
 
 
 def repeat_itself(trial: _Trial) -> None:
-    """The same case gives the same estimate, bit for bit."""
+    """Check that the same case gives the same estimate, bit for bit."""
     first, second = (trial.solve(trial.case()) for _ in range(2))
     for one, other in zip(first, second, strict=True):
         for (declared, a), (_, b) in zip(one.arrays(), other.arrays(), strict=True):
@@ -121,7 +128,7 @@ def repeat_itself(trial: _Trial) -> None:
 
 
 def leave_the_case_alone(trial: _Trial) -> None:
-    """The arrays that it receives are unchanged afterwards."""
+    """Check that the solver does not change the arrays that it receives."""
     case, untouched = trial.case(), trial.case()
     trial.solve(case)
     for one, other in zip(_arrays(case), _arrays(untouched), strict=True):
@@ -132,7 +139,7 @@ def leave_the_case_alone(trial: _Trial) -> None:
 
 
 def beat_nothing(trial: _Trial) -> None:
-    """Its result scores better than the estimate of a solver that found nothing."""
+    """Check that the result scores better than that of a solver that found nothing."""
     out = trial.folder / "result.h5"
     try:
         solve(trial.solver, trial.data, out, parameters=trial.parameters, overwrite=True)
@@ -148,7 +155,10 @@ def beat_nothing(trial: _Trial) -> None:
 
 
 def find_nothing_in_the_dark(trial: _Trial) -> None:
-    """Images of a dark volume of particles give no particles; other solvers end in a sentence."""
+    """Check that images of a dark volume of particles give no particles.
+
+    Solvers of other tasks may refuse such images with an InputError.
+    """
     found = trial.solve(
         _with_images(trial.case(), lambda images, black: np.full_like(images, black))
     )
@@ -161,7 +171,10 @@ def find_nothing_in_the_dark(trial: _Trial) -> None:
 
 
 def survive_a_covered_camera(trial: _Trial) -> None:
-    """One black image of several neither ends it nor makes values that are not finite."""
+    """Check that one black image of several does no harm.
+
+    The solver finishes or raises an InputError, and its values are finite.
+    """
 
     def cover(images: Any, black: int) -> Any:
         covered = images.copy()
@@ -172,7 +185,10 @@ def survive_a_covered_camera(trial: _Trial) -> None:
 
 
 def take_cameras_in_any_order(trial: _Trial) -> None:
-    """Cameras in reverse order give the same estimate, as far as the algorithm's order allows."""
+    """Check that cameras in reverse order give the same estimate.
+
+    Small differences are allowed to algorithms that depend on the order.
+    """
     case = trial.case()
     forward, backward = trial.solve(case), trial.solve(_reversed(case))
     for one, other in zip(forward, backward, strict=True):
@@ -198,13 +214,13 @@ def check_solver(
     folder: Path | None = None,
     laws: tuple[Callable[[Any], None], ...] = LAWS,
 ) -> Iterator[Finding]:
-    """Try the laws on a solver, each finding as soon as it is made.
+    """Test a solver against the laws; yield each finding as soon as it is made.
 
     Parameters
     ----------
     solver : name of a plug-in.
     parameters : of the solver; the others keep their defaults.
-    folder : for the data set, which is used again where it is there; None: a temporary one.
+    folder : for the data set; one that is already there is used again. None: a temporary folder.
 
     Raises
     ------
@@ -250,7 +266,7 @@ def example(task: Task, sees: str, folder: Path) -> Dataset:
 
 
 def _arrays(case: Any) -> list[Any]:
-    """All arrays of a case."""
+    """List all arrays of a case."""
     if isinstance(case, Film):
         return [frame.images for frame in case]
     if isinstance(case, Observation):
@@ -298,7 +314,7 @@ def _alike(one: Any, other: Any, data: Dataset) -> bool:
 
 
 def _found_again(one: Any, other: Any, near: Any) -> float:
-    """Share of the points (n, 3) that have another point near them."""
+    """Compute the share of points (n, 3) that have another point near them."""
     if not len(one) or not len(other):
         return float(len(one) == len(other))
     apart = np.linalg.norm(one[:, None] - other, axis=2).min(axis=1)

@@ -1,6 +1,7 @@
-"""Calibrate an experimenter's own cameras: images or points of a target in a folder, without any truth, to cameras and a report.
+"""Calibration of an experimenter's own cameras.
 
-docs/using/calibrating.md describes the folder.
+The input is a folder with images or points of a target, without any truth;
+docs/using/calibrating.md describes it. The output is cameras and a report.
 """
 
 from __future__ import annotations
@@ -46,7 +47,7 @@ class _Table(BaseModel):
 
 
 class TargetSpec(_Table):
-    """What was shown."""
+    """Calibration target that the cameras see."""
 
     pattern: Pattern
     columns: Annotated[int, Field(ge=1, le=200)]
@@ -56,7 +57,7 @@ class TargetSpec(_Table):
 
 
 class ArraySpec(_Table):
-    """What all cameras have in common, as far as it is known."""
+    """Properties that all cameras share, as far as they are known."""
 
     rows: Annotated[int, Field(ge=8, le=20000)]
     columns: Annotated[int, Field(ge=8, le=20000)]
@@ -66,7 +67,7 @@ class ArraySpec(_Table):
 
 
 class CameraSpec(_Table):
-    """Roughly where a camera is, and what it looks at."""
+    """Initial guess of a camera's position, and the point that it is aimed at."""
 
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9_]+$")]
     center_mm: Vector
@@ -74,7 +75,10 @@ class CameraSpec(_Table):
 
 
 class KnownSpec(_Table):
-    """A point of the target whose place was measured; coordinates that were not are left out."""
+    """Point of the target whose position was measured.
+
+    Coordinates that were not measured are left out.
+    """
 
     frame: Annotated[int, Field(ge=0)]
     point: Annotated[int, Field(ge=0)]
@@ -85,7 +89,7 @@ class KnownSpec(_Table):
 
 
 class Configuration(_Table):
-    """calibration.toml."""
+    """Content of calibration.toml."""
 
     target: TargetSpec
     array: ArraySpec
@@ -100,16 +104,16 @@ class Configuration(_Table):
 
 @dataclass(frozen=True)
 class Report:
-    """A calibration's quality as far as its own data show it.
+    """Quality of a calibration as far as its own data show it.
 
     Attributes
     ----------
-    noise_px : of a pixel coordinate, from what does not fit.
-    true_px : mean error of the calibrated cameras themselves that this noise lets expect.
-    std_mm : scatter of the target's points along X, Y, Z that it lets expect.
-    depth_mm : standard deviation of the depth of everything together.
-    cameras, frames : for each its name or number, points found and used, and mean and largest
-        distance of the used from where they are computed, px.
+    noise_px : noise of a pixel coordinate, from the residuals.
+    true_px : expected mean error of the calibrated cameras under this noise.
+    std_mm : expected standard deviation of the target's points along X, Y, Z under this noise.
+    depth_mm : standard deviation of the depth of all points together.
+    cameras, frames : for each its name or number, the numbers of points found and used, and the
+        mean and largest residual of the used ones, px.
     """
 
     noise_px: float
@@ -123,7 +127,9 @@ class Report:
 def calibrate(
     folder: Path, out: Path, solver: str, parameters: dict[str, Any], *, overwrite: bool = False
 ) -> Report:
-    """Read a folder, calibrate, and write cameras.json, report.json and errors.png into the folder `out`.
+    """Calibrate the cameras of a folder and write the files of the folder `out`.
+
+    They are cameras.json, report.json and errors.png.
 
     Raises
     ------
@@ -157,7 +163,7 @@ def calibrate(
 
 
 def read_case(folder: Path) -> CalibrationCase:
-    """A folder's calibration: its points.csv, or else what is found in its images."""
+    """Read a folder's calibration: its points.csv, or else points of its images."""
     path = folder / CONFIGURATION
     try:
         values = tomllib.loads(path.read_text(encoding="utf-8"))
@@ -229,7 +235,10 @@ def _known(told: Configuration, shape: tuple[int, ...], source: str) -> tuple[F6
 
 
 def _read_points(path: Path, target: Target, cameras: tuple[Camera, ...]) -> F64:
-    """points.csv: a line `camera,frame,point,column,row` for every point found, with these words as its first line."""
+    """Read points.csv, which has the first line `camera,frame,point,column,row`.
+
+    Every further line is a point that was found.
+    """
     numbers, rows = {camera.name: i for i, camera in enumerate(cameras)}, list(_lines(path))
     frames = 1 + max((row[1] for row in rows), default=-1)
     count = len(target.points_mm)
@@ -279,7 +288,10 @@ def _lines(path: Path) -> Iterator[tuple[str, int, int, float, float]]:
 
 
 def _read_images(folder: Path, target: Target, cameras: tuple[Camera, ...], plain: F64) -> F64:
-    """images/FRAME/CAMERA.tif (or png, bmp, jpg), frames in the order of their folders' names."""
+    """Detect the target in images/FRAME/CAMERA.tif (or png, bmp, jpg).
+
+    Frames are in the order of their folders' names.
+    """
     frames = (
         sorted(entry for entry in folder.iterdir() if entry.is_dir()) if folder.is_dir() else []
     )
@@ -298,7 +310,7 @@ def _read_images(folder: Path, target: Target, cameras: tuple[Camera, ...], plai
 
 
 def _image(frame: Path, camera: Camera) -> npt.NDArray[np.uint16] | None:
-    """A camera's image of a frame; None if it took none."""
+    """Read a camera's image of a frame; None if it took none."""
     import cv2
 
     path = next(
@@ -323,7 +335,10 @@ def _image(frame: Path, camera: Camera) -> npt.NDArray[np.uint16] | None:
 
 
 def report_on(case: CalibrationCase, answer: Calibration, points: F64) -> tuple[Report, F64]:
-    """What the data themselves say of a calibration, and the errors (camera, frame, point, 2) of all points found."""
+    """Report the quality of a calibration, and the residuals of all points found.
+
+    Residuals are (camera, frame, point, 2).
+    """
     cameras = tuple(camera for camera in answer.cameras if isinstance(camera, Camera))
     flat = points.reshape(-1, 3)
     errors = case.pixels - np.stack([camera.project(flat)[0] for camera in cameras]).reshape(

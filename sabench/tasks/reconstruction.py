@@ -1,4 +1,4 @@
-"""Reconstruction: one observation in, one volume out, frame by frame."""
+"""Task `reconstruction`: solvers turn one observation into one volume."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ PARTICLE_IMAGES = (
 
 
 class ReconstructionTask(FrameByFrame):
-    """Reconstruction of the volume of intensities of every frame."""
+    """Reconstruction of every frame's volume of intensities."""
 
     name = "reconstruction"
     shown = "particles"
@@ -73,7 +73,10 @@ class ReconstructionTask(FrameByFrame):
     )
 
     def check_case(self, case: Observation, source: str) -> None:
-        """Raise an InputError for an observation that no solver can use; a black image passes."""
+        """Raise an InputError for an observation that no solver can use.
+
+        A black image passes.
+        """
         check_images(case, source)
         check_memory(case, source)
         check_view(case, source)
@@ -89,7 +92,7 @@ class ReconstructionTask(FrameByFrame):
         return Reconstruction(np.zeros(data.rig.grid.shape, dtype=np.float32))
 
     def wrong(self, data: Dataset, frame: int) -> Reconstruction:
-        """Move the true field by less than a voxel and add a fainter copy of a part of it."""
+        """Move the true field by less than a voxel, and add a fainter copy of a part."""
         true = true_field(data.rig.grid, data.particles(frame), data.views(frame))
         ghosts = np.roll(true, (3, 11, 17), axis=(0, 1, 2))
         ghosts[:, :, : true.shape[2] // 2] = 0.0
@@ -144,7 +147,10 @@ def check_view(case: Observation, source: str) -> None:
 
 
 def check_memory(case: Observation, source: str) -> None:
-    """Raise an InputError if `_VOLUMES` and the images as float32 do not fit into memory."""
+    """Raise an InputError if the volumes and images do not fit into memory.
+
+    These are `_VOLUMES` volumes and the images as float32.
+    """
     there, images = memory.available_mb(), case.images.size * 4 / 1e6
     (planes, rows, columns), voxel = case.grid.shape, _VOLUMES * 4 / 1e6
     need = images + planes * rows * columns * voxel
