@@ -1,4 +1,7 @@
-"""Result files out of what somebody sent: a file, a folder or an archive, none of it trusted."""
+"""Result files of a submission: a file, a folder or an archive.
+
+None of it is trusted.
+"""
 
 from __future__ import annotations
 
@@ -29,7 +32,7 @@ _ENDING = ".h5"
 
 @dataclass(frozen=True)
 class Member:
-    """A result file inside an archive: its name there and what it says of its size."""
+    """Result file inside an archive, with the name and size of its header."""
 
     name: str
     bytes: int
@@ -38,13 +41,16 @@ class Member:
 
 @contextlib.contextmanager
 def result_files(path: Path) -> Iterator[list[tuple[str, Path]]]:
-    """Names and paths of the result files in a file, folder or archive (.zip, .tar, .tar.gz), sorted; what was unpacked vanishes with the block.
+    """List names and paths of the result files in a submission, sorted.
+
+    It is a file, a folder or an archive (.zip, .tar, .tar.gz). Unpacked files are deleted at the
+    end of the block.
 
     Raises
     ------
     InputError
-        Nothing there, or what no honest archive has: links, devices, absolute paths, `..`, two
-        members of one name, or too much of anything.
+        Nothing there, or content that no honest archive has: links, devices, absolute paths, `..`,
+        two members of one name, or too much of anything.
     """
     if path.is_symlink() or not path.exists():
         raise InputError(
@@ -83,7 +89,10 @@ def _in_folder(root: Path) -> list[tuple[str, Path]]:
 
 
 def _unpacked(path: Path, folder: Path) -> list[tuple[str, Path]]:
-    """The archive's result files as files of `folder`, by numbers: no name of the archive becomes one of the disk."""
+    """Unpack the archive's result files into `folder`, with numbers as names.
+
+    No name of the archive becomes a name on the disk.
+    """
     try:
         with _opened(path) as (archive, members):
             wanted = _checked(path, members)
@@ -128,24 +137,27 @@ def _plain(packed: IO[bytes]) -> IO[bytes] | gzip.GzipFile:
 
 
 class _InPieces(io.RawIOBase):
-    """A file that refuses to be read in one large piece: the names of a tar's members may be as long as they say, and are read whole."""
+    """File that refuses to read one large piece.
+
+    A tar's header sets the length of its members' names, and they are read in one piece.
+    """
 
     def __init__(self, file: IO[bytes] | gzip.GzipFile) -> None:
         super().__init__()
         self._file = file
 
     def read(self, size: int = -1) -> bytes:
-        """At most some pieces at once."""
+        """Read a few pieces at most."""
         if not 0 <= size <= 4 * _PIECE:
             raise ValueError(f"a part of {size} bytes to be read at once")
         return self._file.read(size)
 
     def seek(self, offset: int, whence: int = 0) -> int:
-        """Move."""
+        """Move the position in the file."""
         return self._file.seek(offset, whence)
 
     def tell(self) -> int:
-        """Where."""
+        """Return the position in the file."""
         return self._file.tell()
 
 
@@ -172,7 +184,7 @@ def _tar_member(path: Path, info: tarfile.TarInfo) -> Member:
 
 
 def _checked(path: Path, members: Iterator[Member]) -> list[Member]:
-    """The result files among the members, once all of them have been found harmless."""
+    """Check all members and select the result files among them."""
     packed, total, names, every = path.stat().st_size, 0, set(), []
     for member in itertools.islice(members, _MEMBERS + 1):
         total += member.bytes
@@ -204,7 +216,7 @@ def _check_name(path: Path, name: str) -> None:
 
 
 def _copied(archive: Any, member: Member, target: Path, path: Path) -> Path:
-    """The member as a file of its own; one that is larger than it says ends here."""
+    """Copy a member to a file; refuse one that is larger than its header says."""
     source: IO[bytes] | None = (
         archive.open(member.handle)
         if isinstance(archive, zipfile.ZipFile)
