@@ -31,7 +31,7 @@ _DENSEST = 1100  # deflate makes at best 1 byte of 1032
 def opened(path: Path) -> Iterator[Any]:
     """Open an HDF5 file for reading.
 
-    Whatever goes wrong inside is an InputError that names the file.
+    Any fault inside becomes an InputError that names the file.
     """
     if not path.is_file():
         raise InputError(f"{path}: expected an HDF5 file, found none")
@@ -47,10 +47,8 @@ def opened(path: Path) -> Iterator[Any]:
 class NewFile(io.RawIOBase):
     """File that HDF5 writes through, which keeps the first refused write.
 
-    HDF5 itself is given success.
-
-    HDF5 does not survive a refused write: it crashes the process when it closes. `check` raises the
-    refusal where Python can handle it.
+    HDF5 does not survive a refused write: it crashes the process when it closes. So every write
+    reports success to HDF5, and `check` raises the refusal where Python can handle it.
     """
 
     def __init__(self, path: Path) -> None:
@@ -105,11 +103,10 @@ class NewFile(io.RawIOBase):
 
 @contextlib.contextmanager
 def created(path: Path) -> Iterator[tuple[Any, Callable[[], None]]]:
-    """Create an HDF5 file; also gives a function that raises refused writes.
+    """Create an HDF5 file; also give a function that raises refused writes.
 
-    The function is called at the end in any case.
-
-    Whoever writes into the file does so `uninterrupted`.
+    The function is called at the end in any case. Write into the file in `uninterrupted` blocks
+    only.
     """
     sink = NewFile(path)
     try:
@@ -129,7 +126,7 @@ def created(path: Path) -> Iterator[tuple[Any, Callable[[], None]]]:
 def uninterrupted() -> Iterator[None]:
     """Delay Ctrl-C until the block has ended.
 
-    Raised inside HDF5's calls to `NewFile` it would be lost, or leave the file in pieces.
+    An interrupt inside HDF5's calls to `NewFile` would be lost, or damage the file.
     """
     if threading.current_thread() is not threading.main_thread():
         yield
@@ -147,10 +144,10 @@ def uninterrupted() -> Iterator[None]:
 def read_array(file: Any, name: str, shape: tuple[int | None, ...], kind: str) -> npt.NDArray[Any]:
     """Read a data set of that shape (None: any length) and numpy kind letters.
 
-    It must lie inside this very file.
+    It must lie inside this file, not behind a link to another one.
 
-    Shape, type and what reading will cost are checked before a value is read: a small file can say
-    that it holds more than any memory.
+    Shape, type and size are checked before a value is read: a small file can claim to hold more
+    than any memory.
     """
     where = f"{file.filename}: {name}"
     node = _node(file, name, where)
@@ -172,7 +169,7 @@ def read_array(file: Any, name: str, shape: tuple[int | None, ...], kind: str) -
 def walk(path: Path) -> None:
     """Read all names, shapes and attributes of a file, but no values.
 
-    A damaged file on which the library loops for ever is found here.
+    It finds damaged files on which the library loops for ever.
     """
 
     def look(_: str, node: Any) -> None:
@@ -188,7 +185,7 @@ def walk(path: Path) -> None:
 
 
 def names_in(file: Any, group: str) -> set[str]:
-    """List what a group of this very file holds; nothing without such a group."""
+    """List the members of a group of this file; nothing without such a group."""
     node = file
     for part in group.split("/"):
         link = node.get(part, getlink=True)
@@ -205,8 +202,8 @@ def names_in(file: Any, group: str) -> set[str]:
 def read_attributes(file: Any, names: Iterable[str]) -> dict[str, Any]:
     """Read attributes of the file's root as single strings and numbers.
 
-    Other languages write strings of fixed length, and arrays of one element for single values: both
-    are taken.
+    Other languages write strings of fixed length, and arrays of one element for single values; both
+    are accepted.
     """
     return {name: _attribute(file, name) for name in names if name in file.attrs}
 
@@ -262,7 +259,7 @@ def _dtype(node: Any, where: str) -> np.dtype[Any]:
 def _check_cost(node: Any, where: str, *, is_open: bool) -> None:
     """Refuse values that would not fit into memory.
 
-    Where the length is the file's to choose, also those that it hardly stores.
+    Where the file sets the length itself, also refuse values that it hardly stores.
     """
     size, stored, there = int(node.nbytes), int(node.id.get_storage_size()), memory.available_mb()
     if there is not None and 2.0 * size / 1e6 > there:

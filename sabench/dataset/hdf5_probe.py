@@ -24,7 +24,7 @@ def probe(path: Path) -> None:
     Raises
     ------
     InputError
-        It does not, or takes too long.
+        The child process crashes or takes too long.
     """
     call_isolated(
         walk, path, doing=f"{path}: reading it", time_s=_PROBE_S + path.stat().st_size / _PROBE_RATE

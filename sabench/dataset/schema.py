@@ -296,7 +296,10 @@ def write_cameras(path: Path, cameras: Sequence[CameraModel], **keys: Any) -> No
 
 
 def _camera_entry(camera: CameraModel) -> dict[str, Any]:
-    """A camera's record: a pinhole's without its model, which is the default, and its wall."""
+    """Make a camera's entry.
+
+    The entry of a pinhole leaves out the wall and the model, which is the default.
+    """
     record = record_camera(camera)
     if isinstance(camera, Camera):
         del record["model"], record["wall"]

@@ -56,8 +56,7 @@ class Slice:
     ----------
     x, y : coordinates of the columns and of the rows.
     signed : whether zero is the middle of the colours.
-    arrows : (rows, columns, 2) vectors over them, if there are any; where they are NaN there is
-        none.
+    arrows : (rows, columns, 2) vectors over them, if there are any; NaN for none.
     """
 
     label: str
