@@ -193,7 +193,7 @@ def export(
     ] = "vtk",
     overwrite: Overwrite = False,
 ) -> None:
-    """Write volumes, particles, velocity fields, bubbles and bodies for other programs."""
+    """Write volumes, particles, velocities, bubbles and bodies for other programs."""
     from sabench.interop.vtkhdf import export as write
 
     kind = cast("Format", to)  # `write` checks the word

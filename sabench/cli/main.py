@@ -44,7 +44,7 @@ def top(
     context: typer.Context,
     version: Annotated[bool, typer.Option("--version", help="Print the version.")] = False,
 ) -> None:
-    """Synthetic data with known truth for volumetric velocimetry, and benchmarks on it."""
+    """Synthetic data with known truth for volumetric velocimetry, and benchmarks."""
     if version:
         say(f"sabench {__version__}")
         raise typer.Exit
