@@ -19,7 +19,7 @@ from sabench.utils.arrays import F32, F64, U16, Bool
 from sabench.utils.errors import InputError
 from sabench.utils.fields import LensNumber
 
-Shown = Literal["particles", "target", "bubbles", "code"]  # what a data set's frames show
+Shown = Literal["particles", "target", "bubbles", "code"]  # kinds of objects in a data set's frames
 
 
 @dataclass(frozen=True)

@@ -20,10 +20,9 @@ from sabench.utils.errors import InputError
 
 _LONGEST = 1 << 20  # characters of an attribute
 _MOST_NAMES = 100_000  # members of a group
-_SMALL = 1 << 26  # bytes that may be read without a thought
-_OPEN_BYTES = (
-    2_000_000_000  # of a data set whose length is the file's to choose: 80 million particles
-)
+_SMALL = 1 << 26  # bytes that may be read without a check of their cost
+# of a data set whose length the file itself sets: 80 million particles
+_OPEN_BYTES = 2_000_000_000
 _DENSEST = 1100  # deflate makes at best 1 byte of 1032
 
 
@@ -40,7 +39,7 @@ def opened(path: Path) -> Iterator[Any]:
             yield file
     except (OSError, RuntimeError, KeyError, ValueError) as error:
         raise InputError(
-            f"{path}: expected a whole HDF5 file, got {type(error).__name__}: {error}"
+            f"{path}: expected an intact HDF5 file, got {type(error).__name__}: {error}"
         ) from error
 
 
@@ -249,7 +248,7 @@ def _node(file: Any, name: str, where: str) -> Any:
 def _dtype(node: Any, where: str) -> np.dtype[Any]:
     try:
         dtype: np.dtype[Any] = np.dtype(node.dtype)
-    except TypeError as error:  # HDF5 has types that numpy has not
+    except TypeError as error:  # HDF5 has types that numpy does not have
         raise InputError(
             f"{where}: expected numbers or text, got a type that numpy does not have: {error}"
         ) from error

@@ -34,7 +34,7 @@ MANIFEST, CAMERAS, SCENE, TRUTH, TRUE_CAMERAS = (
 )
 TARGET, POINTS = "target.json", "points.h5"
 MOST_POINTS = 1_000_000  # of a target
-GIVEN = "given"  # folder of what other programs wrote and the scene reads
+GIVEN = "given"  # folder of files of other programs, which the scene reads
 
 
 class _Record(BaseModel):

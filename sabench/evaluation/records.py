@@ -52,14 +52,12 @@ class Head(_Part):
     scene: str
     difficulty: Difficulty | None = None
     axis: str | None = Field(
-        None, description="what sets the case apart from the standard one: density, cameras, ..."
+        None, description="property that differs from the standard case: density, cameras, ..."
     )
     axes: dict[str, Any] = Field({}, description="dotted keys of the scene with this case's values")
     scene_hash: str
     dataset: str = Field(description="content hash of the data set")
-    seed: int = Field(
-        description="of the data set; its place in the list of seeds in a hidden split"
-    )
+    seed: int = Field(description="of the data set; its number in a private test set")
     split: Literal["public", "hidden"] = "public"
     renderer: str
     task: TaskName = "reconstruction"
@@ -73,13 +71,13 @@ class Head(_Part):
     submission: Submission | None = None
     versions: dict[str, Any]
     machine: dict[str, Any]
-    pictures: str | None = Field(None, description="folder of the case's pictures")
-    command: str | None = Field(None, description="what makes this record again")
+    pictures: str | None = Field(None, description="folder of the case's figures")
+    command: str | None = Field(None, description="command that reproduces this record")
     reference_s: float | None = Field(
         None, description="seconds of the reference kernel, timed in the same run"
     )
     error: str | None = None
-    declined: bool = Field(False, description="the solver said that the case is none for it")
+    declined: bool = Field(False, description="whether the solver declined the case")
 
     @model_validator(mode="before")
     @classmethod
@@ -109,7 +107,7 @@ def _read_file(path: Path) -> Iterator[Record]:
         try:
             yield parse(line)
         except (ValueError, RecursionError) as error:
-            if number < len(lines):  # the last piece of the split is what follows the last newline
+            if number < len(lines):  # the last piece of the split follows the last newline
                 text = f"{path}: line {number} is left out: expected a record, got {error}"
                 console.print(text, style="red", markup=False, highlight=False, soft_wrap=True)
 

@@ -177,7 +177,7 @@ def dataset_of(case: Case, work: Path, fresh: bool, jobs: int = 1) -> Dataset:
         if dataset.manifest.versions.get(
             "sabench"
         ) == __version__ and dataset.manifest.versions.get("mitsuba") == _version("mitsuba"):
-            console.print(f"data set {folder} is whole: used again")
+            console.print(f"data set {folder} is intact: used again")
             return dataset
     renderer: Renderer = "mitsuba" if case.renderer == "mitsuba" else "splat"
     return generate(

@@ -55,13 +55,13 @@ class Changes(_Table):
 class Entrant(_Table):
     """Solver entry: one solver with its parameters, or a program with its limits."""
 
-    name: str = Field(description="of a solver, or the path of a program beside the suite")
+    name: str = Field(description="of a solver, or the path of a program next to the suite")
     parameters: dict[str, Any] = {}
     label: str | None = Field(None, description="shown in place of the name")
     task: TaskName | None = Field(
         None,
         validation_alias=AliasChoices("task", "track"),
-        description="of a program: what its results are",
+        description="of a program: task of its results",
     )
     time_limit_s: float | None = Field(None, gt=0, description="of a program, for a data set")
     memory_limit_mb: float | None = Field(
@@ -101,7 +101,7 @@ class Entrant(_Table):
 class CaseSpec(Changes):
     """One scene with its changes."""
 
-    scene: str = Field(description="name of a bundled scene, or a path beside the suite")
+    scene: str = Field(description="name of a bundled scene, or a path next to the suite")
     name: str | None = Field(
         None,
         pattern=f"^{_SAFE}$",
@@ -113,7 +113,7 @@ class CaseSpec(Changes):
     axis: str | None = Field(
         None,
         pattern=r"^[a-z][a-z ]*$",
-        description="what alone sets it apart from the standard case: density, ...",
+        description="the one property that differs from the standard case: density, ...",
     )
 
 
@@ -355,8 +355,7 @@ def _tag(key: str, value: Any, number: int) -> str:
 
 
 def _check_names(names: list[str], file: Path) -> None:
-    name, count = Counter(name.casefold() for name in names).most_common(1)[
-        0
-    ]  # some file systems do not tell a from A
+    # some file systems do not distinguish a from A
+    name, count = Counter(name.casefold() for name in names).most_common(1)[0]
     if count > 1:
         raise InputError(f"{file}: {count} cases are named {name}: give them names of their own")

@@ -106,11 +106,10 @@ class BubblesTask(FrameByFrame):
     # fmt: on
     captions = Captions(
         heading="Bubbles from the front and from the side",
-        estimates="Every bubble as a circle of its radius, which its colour gives, too; X to the "
-        "right or Z, Y down.",
+        estimates="Every bubble as a circle of its radius, coloured by radius; X or Z to the "
+        "right, Y down.",
         cameras="First frame of every camera.",
-        errors="Green bubbles were found, blue ones were missed, orange ones were found where "
-        "there are none.",
+        errors="Green bubbles were found, blue ones were missed, orange ones are false detections.",
         wide=True,
     )
 

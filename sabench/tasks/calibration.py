@@ -36,7 +36,7 @@ from sabench.utils.errors import InputError
 from sabench.utils.rng import stream
 from sabench.worlds.calibration_targets import exact_pixels
 
-_HELD_OUT = 500  # points that no calibration sees; thesis, section 4.4.2
+_HELD_OUT = 500  # points that no calibration receives; thesis, section 4.4.2
 _PARTICLES = 2000
 
 
@@ -138,9 +138,9 @@ class CalibrationTask(Task):
     # fmt: on
     captions = Captions(
         heading="Errors in the images",
-        estimates="From where the target's points were found to where the calibration sees them; "
-        "the number is the magnification of the arrows.",
-        cameras="Points of the target that every camera found, each frame in its own grey, or the "
+        estimates="Arrows from the target's detected points to their reprojections; the number is "
+        "their magnification.",
+        cameras="Detected points of the target in every camera, each frame in its own grey, or the "
         "images of the particles.",
     )
 

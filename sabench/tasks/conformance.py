@@ -247,7 +247,8 @@ def _try(law: Callable[[_Trial], None], trial: _Trial) -> Finding:
         return Finding(name, "broken", str(error).split("\n")[0])
     except InputError as error:
         if law in (find_nothing_in_the_dark, survive_a_covered_camera):
-            return Finding(name, "obeyed", str(error))  # a sentence is an answer to such images
+            # an InputError is a valid answer to such images
+            return Finding(name, "obeyed", str(error))
         return Finding(name, "broken", str(error))
     except Exception as error:
         return Finding(name, "broken", f"{type(error).__name__}: {error}")

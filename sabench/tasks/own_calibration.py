@@ -95,10 +95,10 @@ class Configuration(_Table):
     array: ArraySpec
     wall: WallSpec | None = None
     cameras: Annotated[tuple[CameraSpec, ...], Field(min_length=2)]
-    target_mm: Vector = Field(description="roughly where the target was")
+    target_mm: Vector = Field(description="initial guess of the target's position")
     known: tuple[KnownSpec, ...] = ()
     unknown: tuple[LensNumber, ...] = Field(
-        (), description="what is to be found of the lenses besides their focal lengths"
+        (), description="parameters of the lenses to be found besides their focal lengths"
     )
 
 
@@ -147,8 +147,8 @@ def calibrate(
     points = answer.points_mm
     if points is None or not all(isinstance(camera, Camera) for camera in answer.cameras):
         raise InputError(
-            f"solver {solver}: expected one that returns pinhole cameras and the target's places, "
-            "for the report"
+            f"solver {solver}: expected one that returns pinhole cameras and the target's "
+            "positions, for the report"
         )
     report, errors = report_on(case, answer, points)
     with complete_or_nothing(out, overwrite=overwrite) as partial:
@@ -297,7 +297,7 @@ def _read_images(folder: Path, target: Target, cameras: tuple[Camera, ...], plai
     )
     if not frames:
         raise InputError(
-            f"{folder}: expected folders with an image of each camera, or a {POINTS} beside it, "
+            f"{folder}: expected folders with an image of each camera, or a {POINTS} next to it, "
             "found neither"
         )
     steps = [(c, k) for c in range(len(cameras)) for k in range(len(frames))]

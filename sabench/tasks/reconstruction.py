@@ -22,7 +22,7 @@ from sabench.utils.progress import track
 # float32 volumes that must fit next to the images: the solver's own, and as much again for its
 # work and the checks
 _VOLUMES = 2.0
-_TRIED = 33  # voxels along each axis that are looked for in the images
+_TRIED = 33  # voxels along each axis that are projected into the images
 PARTICLE_IMAGES = (
     "First frame of every camera, one brightness scale for all; dim particles are raised."
 )

@@ -55,7 +55,7 @@ class SeeThroughTask(FrameByFrame):
     # fmt: on
     captions = Captions(
         heading="The code's plane",
-        estimates="The plane of the stack in which the code behind the bubbles is, each with its "
+        estimates="The plane of the stack that contains the code behind the bubbles, each with its "
         "own brightness scale.",
         cameras="First frame of every camera.",
         errors="The code in black and white; red cells are dark and read as bright, blue ones "

@@ -30,7 +30,7 @@ from sabench.utils.progress import track
 from sabench.worlds.advection import advect
 from sabench.worlds.tracers import TOLERANCE, flow_of
 
-_NEIGHBOURS = 8  # true particles whose mean stands for the flow where it is not known otherwise
+_NEIGHBOURS = 8  # true particles whose mean replaces the flow where a data set has none
 _NODES = np.array([9, 8, 7])  # of the lattice of the best, worst and wrong estimates, as (x, y, z)
 
 

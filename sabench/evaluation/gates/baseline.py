@@ -20,7 +20,7 @@ from sabench.utils.files import canonical_json, complete_or_nothing, read_json
 from sabench.utils.validation import validate
 
 FORMAT, VERSION = "sabench-baseline", 1
-DATA = "data set"  # stands in a solver's place where figures are of the data set itself
+DATA = "data set"  # stands for a solver where the figures are those of the data set itself
 TIMES = ("seconds", "reconstruction_s")
 COSTS = (*TIMES, "peak_mb")
 Figures = dict[str, float | None]
@@ -278,7 +278,7 @@ def _standing(old: Entry | None, new: Entry | None) -> tuple[bool, str] | None:
     mended; else None.
     """
     if new is None:
-        return True, "it is in the baseline and did not run"
+        return True, "it is in the baseline but did not run"
     if old is None:
         return False, f"not in the baseline{': ' + new.error if new.error else ''}"
     if new.error and not old.error:

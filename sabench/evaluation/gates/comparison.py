@@ -40,7 +40,7 @@ from sabench.utils.errors import InputError
 from sabench.utils.progress import console
 from sabench.utils.version import __version__
 
-_AGAIN = 2  # times that a solver which seems to have become slower is run once more
+_AGAIN = 2  # repetitions for a solver that seems to have become slower
 
 
 @dataclass(frozen=True)
@@ -290,9 +290,8 @@ def _solved_again(
 
 def _solved(data: Dataset, entrant: Entrant, out: Path) -> Entry:
     try:
-        reference_s = solve_apart(
-            entrant, data, out, threads=1
-        )  # as the reference kernel; and threads suffer most where others work
+        # like the reference kernel; other processes slow threads down most
+        reference_s = solve_apart(entrant, data, out, threads=1)
         scores = score(data, out)
     except InputError as error:
         return Entry(error=str(error))

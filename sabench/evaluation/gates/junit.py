@@ -13,9 +13,8 @@ from sabench.utils.files import complete_or_nothing
 if TYPE_CHECKING:
     from sabench.evaluation.gates.comparison import Report
 
-_NOT_XML = re.compile(
-    "[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]"
-)  # what no XML file can hold
+# characters that XML does not allow
+_NOT_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 
 
 def write_junit(path: Path, report: Report) -> None:

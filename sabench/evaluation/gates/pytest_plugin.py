@@ -31,7 +31,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     )
     parser.addini(
         "sabench_plugins",
-        "folders with solvers/ or generators/ that sabench finds, beside those of SABENCH_PLUGINS",
+        "folders with solvers/ or generators/, in addition to those of SABENCH_PLUGINS",
         type="paths",
     )
 

@@ -23,7 +23,7 @@ def reference_s() -> float:
     times of old records are multiples of it.
     """
     table = np.arange(_CELLS, dtype=np.float64)
-    _work(table[:64])  # compiles it, or loads what was compiled
+    _work(table[:64])  # compiles it, or loads the compiled code
     return float(np.median([_timed(table) for _ in range(_ROUNDS)]))
 
 

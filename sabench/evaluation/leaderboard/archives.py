@@ -25,7 +25,7 @@ from sabench.utils.validation import printable
 _MEMBERS = 1000
 _TOTAL_BYTES = 20_000_000_000
 _RATIO = 200  # unpacked over packed: result files are compressed already
-_SMALL_BYTES = 10_000_000  # below which no ratio is asked for
+_SMALL_BYTES = 10_000_000  # below which no ratio is required
 _PIECE = 1 << 20
 _ENDING = ".h5"
 
@@ -111,7 +111,7 @@ def _unpacked(path: Path, folder: Path) -> list[tuple[str, Path]]:
         zipfile.BadZipFile,
     ) as error:
         raise InputError(
-            f"{path}: expected a whole archive, got {type(error).__name__}: "
+            f"{path}: expected an intact archive, got {type(error).__name__}: "
             f"{printable(str(error), 200)}"
         ) from error
 
@@ -229,8 +229,8 @@ def _copied(archive: Any, member: Member, target: Path, path: Path) -> Path:
             left -= len(piece)
             if left < 0:
                 raise InputError(
-                    f"{path}: {printable(member.name)}: expected {member.bytes} bytes as it says, "
-                    "got more"
+                    f"{path}: {printable(member.name)}: expected {member.bytes} bytes as its "
+                    "header says, got more"
                 )
             file.write(piece)
     return target

@@ -27,15 +27,14 @@ from sabench.utils.files import LONGEST_PART, inside
 _SCRIPTS = ("base", "state", "rows", "table", "plots", "case", "main")
 _CASE = ("task", "case", "scene_hash", "renderer", "split")
 _ENTRY = (*_CASE, "solver", "parameters", "machine", "submission")
-# of freedom for which the page knows Student's quantile; beyond them the last one is a little too
-# wide
+# degrees of freedom whose Student's quantile the page has; beyond them the last one is a little
+# too wide
 _DEGREES = 100
-# of every score on the page: more than any table shows, so that small differences of pairs are
-# still right
+# digits of every score on the page: more than any table shows, to keep small differences of pairs
+# correct
 _DIGITS = 9
-_PICTURES_BYTES = (
-    80_000_000  # of the page; those beyond are left out, the best of every case come first
-)
+# of the figures on the page; the best of every case come first, and those beyond are left out
+_PICTURES_BYTES = 80_000_000
 
 
 def render(rows: Sequence[Record], pictures: Path) -> str:
@@ -74,9 +73,8 @@ def _assembled(data: dict[str, Any], albums: dict[int, dict[str, str]]) -> str:
     parts = "\n".join(
         (folder / "page" / f"{name}.js").read_text(encoding="utf-8") for name in _SCRIPTS
     )
-    script = _inline(
-        f"(() => {{\n{parts}}})();"
-    )  # a function of its own: the library's names are not its names
+    # the function's names are separate from the library's
+    script = _inline(f"(() => {{\n{parts}}})();")
     texts = {"style": style, "script": script, "library": library()}
     environment = Environment(
         loader=FileSystemLoader(folder),
@@ -335,9 +333,8 @@ def _pictures(
         wanted = [(0, "images", "images.png")] + (
             [(0, "truth", "truth.png")] if row["task"] != "velocimetry" else []
         )
-        if not run.get(
-            "error"
-        ):  # a failed run may have left a picture when it once succeeded: it is not this record's
+        # a failed run may have left a figure of an earlier success, which is not this record's
+        if not run.get("error"):
             wanted += [
                 (rank, f"row{number}", f"{stem}.png"),
                 (rank, f"error{number}", f"{stem}.error.png"),

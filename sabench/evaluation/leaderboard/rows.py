@@ -21,7 +21,7 @@ _ENTRY = (
     "machine",
     "submission",
 )
-_LARGEST = 1e15  # beyond it no score is meant, and digits would fill the page
+_LARGEST = 1e15  # no meaningful score is beyond it, and its digits would fill the page
 
 
 def over_seeds(records: list[Record]) -> list[Record]:

@@ -32,6 +32,7 @@ from sabench.utils.version import __version__
 
 _LONGEST_NAME = 80
 _SCORE_S = 3600.0  # for one result
+# keys of a record that describe the data set
 _CASE = (
     "suite",
     "case",
@@ -43,7 +44,7 @@ _CASE = (
     "seed",
     "split",
     "renderer",
-)  # what a record says of the data set
+)
 
 
 @dataclass(frozen=True)
@@ -132,7 +133,7 @@ def _datasets(files: list[tuple[str, Path]], folders: Sequence[Path]) -> dict[st
         root = known[wanted]
         if wanted not in whole and (faults := verify(root)):
             raise InputError(
-                f"{printable(label)}: expected a whole data set at {root}, but {faults[0]}"
+                f"{printable(label)}: expected an intact data set at {root}, but {faults[0]}"
             )
         whole.add(wanted)
         found[label] = open_dataset(root)
@@ -156,7 +157,7 @@ def _content_hash(root: Path) -> str:
     try:
         return open_dataset(root).content_hash
     except InputError:
-        return ""  # a data set that cannot be read is nobody's
+        return ""  # no result belongs to a data set that cannot be read
 
 
 def _record(label: str, file: Path, data: Dataset, known: list[Record]) -> Record:
@@ -166,7 +167,7 @@ def _record(label: str, file: Path, data: Dataset, known: list[Record]) -> Recor
     )
     head = _case(data, known) | {key: scores[key] for key in ("task", "solver", "parameters")}
     run_hash = digest([data.content_hash, head["solver"], head["parameters"]])
-    costs = {"seconds": None, "peak_mb": None}  # of a machine that nobody here has seen
+    costs = {"seconds": None, "peak_mb": None}  # measured on an unknown machine
     figures = {one.key: scores[one.key] for one in tasks.of(head["task"]).columns}
     rest = {
         "dataset": data.content_hash,
