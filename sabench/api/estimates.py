@@ -49,7 +49,7 @@ class Array:
         return self.stored or self.name
 
     def sizes(self, known: dict[str, int]) -> tuple[int | None, ...]:
-        """Sizes along the axes; None where a size is not known yet."""
+        """List the sizes along the axes; None where a size is not known yet."""
         return tuple(size if isinstance(size, int) else known.get(size) for size in self.shape)
 
     def learn(self, shape: tuple[int, ...], known: dict[str, int]) -> None:

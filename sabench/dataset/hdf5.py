@@ -83,7 +83,7 @@ class NewFile(io.RawIOBase):
         return self._file.seek(offset, whence)
 
     def tell(self) -> int:
-        """Position in the file."""
+        """Return the position in the file."""
         return self._file.tell()
 
     def truncate(self, size: int | None = None) -> int:

@@ -143,7 +143,7 @@ def _with_copies(scene: Scene, root: Path) -> Scene:
 
 
 def _observation(scene: Scene) -> dict[str, Any]:
-    """Keys of cameras.json besides the cameras, their wall and the grid."""
+    """List the keys of cameras.json besides the cameras, their wall and the grid."""
     keys: dict[str, Any] = {
         "frames": scene.frames,
         "interval_s": scene.interval_s,

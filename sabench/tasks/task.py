@@ -114,7 +114,7 @@ class Task(ABC):
         return {score.key: score for score in self.all_scores}[key]
 
     def accepts(self, data: Dataset) -> bool:
-        """Say whether a data set has what the task's solvers and scores need."""
+        """Check whether a data set has all that the task's solvers and scores need."""
         return self.shown in data.shows
 
     def frames(self, data: Dataset) -> Sequence[int]:

@@ -86,7 +86,7 @@ class VelocimetryTask(Task):
     )
 
     def accepts(self, data: Dataset) -> bool:
-        """Say whether a data set shows particles alone and has pairs of frames."""
+        """Check whether a data set shows particles alone and has pairs of frames."""
         return data.shows == (self.shown,) and bool(data.rig.pairs())
 
     def frames(self, data: Dataset) -> Sequence[int]:
