@@ -1,8 +1,8 @@
-"""Everything that a plug-in needs besides its algorithm: base classes, data, cameras and helpers.
+"""Public interface for plug-ins: base classes, data, cameras and helpers.
 
-A plug-in imports from `sabench.api` and `sabench.algorithms` only (adapters of other programs also
-from `sabench.interop`, generators also from `sabench.worlds.library`); what these two do not name
-may move.
+It holds everything that a plug-in needs besides its algorithm. A plug-in imports from `sabench.api`
+and `sabench.algorithms` only (adapters of other programs also from `sabench.interop`, generators
+also from `sabench.worlds.library`); anything that these two do not name may move.
 """
 
 from sabench.api.estimates import Calibration, Detections, FoundParticles, Reconstruction, Velocity

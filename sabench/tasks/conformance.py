@@ -41,7 +41,7 @@ Verdict = Literal["obeyed", "broken", "skipped"]
 
 @dataclass(frozen=True)
 class Finding:
-    """What came of one law: `text` says why it is broken or skipped."""
+    """Result of one law; `text` is the reason why it is broken or skipped."""
 
     law: str
     verdict: Verdict
@@ -54,7 +54,7 @@ def _expect(condition: Any, text: str) -> None:
 
 
 class _SkippedError(Exception):
-    """A law that does not apply to a solver."""
+    """Law that does not apply to a solver."""
 
 
 @dataclass(frozen=True)
@@ -79,7 +79,7 @@ class _Trial:
         return case, self.solve(case)
 
     def solve(self, case: Any) -> list[Estimate]:
-        """Call a new solver on a case; its estimates are checked as declared."""
+        """Call a new solver on a case and check its estimates as declared."""
         algorithm: Any = make_algorithm(self.solver, self.parameters)
         reason = algorithm.skip(case)
         if reason:
@@ -95,7 +95,11 @@ class _Trial:
 
 
 def describe_itself(trial: _Trial) -> None:
-    """Its docstring is a sentence, references are given, parameters are described, with defaults."""
+    """Check the solver's description.
+
+    The docstring's first line is a sentence, references are given, and every parameter has a
+    description and a default.
+    """
     plugin = plugins.load("solvers", trial.solver)
     _expect(plugins.summary(plugin).endswith("."), "the docstring's first line must be a sentence")
     _expect(plugin.references, "references: expected at least one, got none")
@@ -105,14 +109,14 @@ def describe_itself(trial: _Trial) -> None:
 
 
 def return_declared_arrays(trial: _Trial) -> None:
-    """Its estimates have the declared arrays, shapes and types, and finite values."""
+    """Check that estimates have the declared arrays, with finite values."""
     case, found = trial.first
     expected = len(case) if isinstance(case, Film) else 1
     _expect(len(found) == expected, f"expected {expected} estimates, got {len(found)}")
 
 
 def repeat_itself(trial: _Trial) -> None:
-    """The same case gives the same estimate, bit for bit."""
+    """Check that the same case gives the same estimate, bit for bit."""
     for one, other in zip(trial.first[1], trial.solve(trial.case()), strict=True):
         for (declared, a), (_, b) in zip(one.arrays(), other.arrays(), strict=True):
             same = a.shape == b.shape and np.array_equal(a, b)
@@ -120,7 +124,7 @@ def repeat_itself(trial: _Trial) -> None:
 
 
 def leave_the_case_alone(trial: _Trial) -> None:
-    """The arrays that it receives are unchanged afterwards."""
+    """Check that the solver does not change the arrays that it receives."""
     for one, other in zip(_arrays(trial.first[0]), _arrays(trial.case()), strict=True):
         _expect(
             np.array_equal(one, other, equal_nan=one.dtype.kind == "f"),
@@ -129,7 +133,7 @@ def leave_the_case_alone(trial: _Trial) -> None:
 
 
 def beat_nothing(trial: _Trial) -> None:
-    """Its result scores better than the estimate of a solver that found nothing."""
+    """Check that the result scores better than that of a solver that found nothing."""
     out = trial.folder / "result.h5"
     try:
         solve(trial.solver, trial.data, out, parameters=trial.parameters, overwrite=True)
@@ -145,7 +149,10 @@ def beat_nothing(trial: _Trial) -> None:
 
 
 def find_nothing_in_the_dark(trial: _Trial) -> None:
-    """Images of a dark volume of particles give no particles; other solvers end in a sentence."""
+    """Check that images of a dark volume of particles give no particles.
+
+    Solvers of other tasks may refuse such images with an InputError.
+    """
     found = trial.solve(
         _with_images(trial.case(), lambda images, black: np.full_like(images, black))
     )
@@ -158,7 +165,10 @@ def find_nothing_in_the_dark(trial: _Trial) -> None:
 
 
 def survive_a_covered_camera(trial: _Trial) -> None:
-    """One black image of several neither ends it nor makes values that are not finite."""
+    """Check that one black image of several does no harm.
+
+    The solver finishes or raises an InputError, and its values are finite.
+    """
 
     def cover(images: Any, black: int) -> Any:
         covered = images.copy()
@@ -169,7 +179,7 @@ def survive_a_covered_camera(trial: _Trial) -> None:
 
 
 def take_cameras_in_any_order(trial: _Trial) -> None:
-    """Cameras in reverse order give the same estimate, as far as the algorithm's order allows."""
+    """Check that cameras in reverse order give a similar estimate."""
     backward = trial.solve(_reverse_cameras(trial.case()))
     for one, other in zip(trial.first[1], backward, strict=True):
         _expect(
@@ -196,13 +206,13 @@ def check_solver(
     folder: Path | None = None,
     laws: tuple[Callable[[Any], None], ...] = LAWS,
 ) -> Iterator[Finding]:
-    """Try the laws on a solver, each finding as soon as it is made.
+    """Test a solver against the laws; yield each finding as soon as it is made.
 
     Parameters
     ----------
     solver : name of a plug-in.
     parameters : of the solver; the others keep their defaults.
-    folder : for the data set, which is used again where it is there; None: a temporary one.
+    folder : for the data set; one that is already there is used again. None: a temporary folder.
 
     Raises
     ------
@@ -229,7 +239,8 @@ def _try(law: Callable[[_Trial], None], trial: _Trial) -> Finding:
         return Finding(name, "broken", str(error).split("\n")[0])
     except InputError as error:
         if law in (find_nothing_in_the_dark, survive_a_covered_camera):
-            return Finding(name, "obeyed", str(error))  # a sentence is an answer to such images
+            # an InputError is a valid answer to such images
+            return Finding(name, "obeyed", str(error))
         return Finding(name, "broken", str(error))
     except Exception as error:
         return Finding(name, "broken", f"{type(error).__name__}: {error}")
@@ -248,7 +259,7 @@ def example(task: Task, sees: str, folder: Path) -> Dataset:
 
 
 def _arrays(case: Any) -> list[Any]:
-    """All arrays of a case."""
+    """List all arrays of a case."""
     if isinstance(case, Film):
         return [frame.images for frame in case]
     if isinstance(case, Observation):

@@ -1,4 +1,7 @@
-"""See-through: one observation in, planes out, in which a code behind bubbles is to be read."""
+"""Task `see_through`: solvers turn one observation into a stack of planes.
+
+A code behind bubbles is to be read in the planes.
+"""
 
 from __future__ import annotations
 
@@ -60,7 +63,7 @@ class SeeThroughTask(FrameByFrame):
     # fmt: on
     captions = Captions(
         heading="The code's plane",
-        estimates="The plane of the stack in which the code behind the bubbles is, each with its "
+        estimates="The plane of the stack that contains the code behind the bubbles, each with its "
         "own brightness scale.",
         cameras="First frame of every camera.",
         errors="The code in black and white; red cells are dark and read as bright, blue ones "
@@ -137,7 +140,10 @@ def _code(data: Dataset, frame: int) -> Code:
 
 
 def _brightened(grid: Grid, volume: F32, code: Code, light: float) -> F32:
-    """Add light to the voxels of a volume (z, y, x) where the code is bright; returns the volume."""
+    """Add light to the voxels of a volume (z, y, x) where the code is bright.
+
+    Returns the volume.
+    """
     points = code.points_mm[~code.dark].reshape(-1, 3)
     places = np.rint(grid.to_voxels(points)).astype(np.int64)
     x, y, z = places[((places >= 0) & (places < grid.shape[::-1])).all(axis=1)].T
@@ -146,7 +152,10 @@ def _brightened(grid: Grid, volume: F32, code: Code, light: float) -> F32:
 
 
 def code_plane(grid: Grid, volume: F32, code: Code) -> F64:
-    """Cut the plane (y, x) nearest to the code's middle out of a volume, around the code."""
+    """Cut the plane (y, x) nearest to the code's middle out of a volume.
+
+    It is limited to the surroundings of the code.
+    """
     places, size = grid.to_voxels(code.points_mm.reshape(-1, 3)), np.asarray(volume.shape[::-1])
     low, high = (
         np.clip(np.rint(end), 0, size - 1).astype(int)
@@ -157,7 +166,7 @@ def code_plane(grid: Grid, volume: F32, code: Code) -> F64:
 
 
 def draw_code(code: Code) -> F64:
-    """Draw the code as it is along Z: 0 where it is dark, 1 elsewhere."""
+    """Draw the code as seen along Z: 0 where it is dark, 1 elsewhere."""
     return np.where(code.dark[_nearest(code)], 0.0, 1.0)
 
 

@@ -183,7 +183,7 @@ FAULTS = {
     "number": "points.csv: line 3: expected a name, two whole numbers and two numbers",
     "camera": "got camera_77, frame 0, point 1",
     "twice": "points.csv: camera_00, frame 0: expected point 0 once, got it twice",
-    "images": "images: expected folders with an image of each camera, or a points.csv beside it, found neither",
+    "images": "images: expected folders with an image of each camera, or a points.csv next to it, found neither",
     "few": "camera_01: expected it to see some of the target, but not one of its points was found",
 }
 

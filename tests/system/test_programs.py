@@ -90,7 +90,7 @@ def test_a_result_is_taken_and_its_costs_are_measured(quick: Dataset, tmp_path: 
 BAD = [
     ("pass", "expected the result at the path in its second argument"),
     ("os.symlink('/etc/passwd', result)", "expected the result at the path in its second argument"),
-    ("open(result, 'w').write('no HDF5')", "expected a whole HDF5 file"),
+    ("open(result, 'w').write('no HDF5')", "expected an intact HDF5 file"),
     (
         WHOLE.replace('"f4")', '"i4")'),
         "expected shape (40, 200, 280) of kind f, got (40, 200, 280) of int32",
@@ -303,7 +303,7 @@ def test_a_data_set_that_was_changed_scores_nothing(
     copy = Path(shutil.copytree(quick.root, tmp_path / "copy"))
     with h5py.File(copy / "truth.h5", "r+") as file:
         file["frames/0000/position_mm"][...] = np.zeros_like(file["frames/0000/position_mm"])
-    with pytest.raises(InputError, match="a whole data set"):
+    with pytest.raises(InputError, match="an intact data set"):
         submit(quick_result, "Ann", [copy], tmp_path / "board")
 
 

@@ -93,7 +93,7 @@ BAD: list[tuple[str, Make, str]] = [
     ("f.zip", bomb, "times its size"),
     ("g.zip", many, "at most 1000 files"),
     ("h.zip", lambda path: zipped(path, {"notes.txt": b"x"}), "found none"),
-    ("i.zip", lambda path: (path.write_bytes(b"PK no zip") and path) or path, "a whole archive"),
+    ("i.zip", lambda path: (path.write_bytes(b"PK no zip") and path) or path, "an intact archive"),
     (
         "j.tar",
         lambda path: taped(path, "x.h5", kind=tarfile.SYMTYPE, target="/etc/passwd"),
