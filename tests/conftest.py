@@ -1,4 +1,7 @@
-"""One small data set, rendered by Mitsuba through glass, that all system tests share; and the command as users run it."""
+"""Shared fixtures: a small data set, and the command as users run it.
+
+Mitsuba renders the data set through glass, once for all system tests.
+"""
 
 from __future__ import annotations
 
@@ -95,7 +98,10 @@ def quick_result(quick: Dataset) -> Path:
 def command(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> Command:
-    """Run `sabench ARGUMENTS` in an empty folder and in this process, which has all imports done."""
+    """Run `sabench ARGUMENTS` in an empty folder, in this process.
+
+    This process has done all imports, so that the command starts quickly.
+    """
 
     def run(*arguments: object) -> subprocess.CompletedProcess[str]:
         words = [str(argument) for argument in arguments]
@@ -115,7 +121,10 @@ def command(
 
 @pytest.fixture
 def own_process(tmp_path: Path) -> Command:
-    """Run `sabench ARGUMENTS` in an empty folder, as a user would: for what depends on the process."""
+    """Run `sabench ARGUMENTS` in an empty folder, in a child process as a user would.
+
+    For tests that depend on the process.
+    """
 
     def run(*arguments: object, **options: Any) -> subprocess.CompletedProcess[str]:
         words = [sys.executable, "-m", "sabench", *(str(argument) for argument in arguments)]

@@ -43,12 +43,12 @@ class Block(NamedTuple):
 
     @property
     def marked(self) -> bool:
-        """Whether a comment before the block says what to do with it."""
+        """True if a comment before the block says what to do with it."""
         return self.reason is not None or self.file is not None
 
     @property
     def kind(self) -> str:
-        """What is done with the block."""
+        """Handling of the block: not run, saved, text or run."""
         if self.reason is not None:
             return "not run"
         if self.file is not None:

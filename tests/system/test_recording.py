@@ -140,7 +140,8 @@ class Breaker(Generator):
         if frame == 1 and not pathlib.Path(self.parameters.until).exists():
             os._exit(11)
         rng = np.random.default_rng(frame)
-        return Particles(np.arange(20), domain.low_mm + rng.random((20, 3)) * domain.size_mm, np.full(20, 0.02), np.zeros((20, 3)))
+        place = domain.low_mm + rng.random((20, 3)) * domain.size_mm
+        return Particles(np.arange(20), place, np.full(20, 0.02), np.zeros((20, 3)))
 '''
 
 

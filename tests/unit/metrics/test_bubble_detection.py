@@ -151,7 +151,11 @@ def test_no_bubbles_have_no_figures() -> None:
 
 
 def test_small_ones_and_those_among_many_are_counted_apart() -> None:
-    """Three of radius 1 mm close together, one alone, one small alone: the crowd fills 2 (1 / 6)^3 around each of its own."""
+    """Crowding is counted around each bubble.
+
+    Of five bubbles, three of radius 1 mm are close together, one is alone, and a small one is
+    alone. The crowd fills 2 (1 / 6)^3 around each of the three.
+    """
     places = np.array(
         [[0.0, 0.0, 0.0], [2.5, 0.0, 0.0], [0.0, 2.5, 0.0], [40.0, 0.0, 0.0], [80.0, 0.0, 0.0]]
     )

@@ -1,4 +1,8 @@
-"""Quality and detection: laws that hold for any input, cases that can be counted on paper, and slow counts of the same rules."""
+"""Quality factor and detection.
+
+Laws that hold for any input, cases that can be counted on paper, and slow counts of the same
+rules.
+"""
 
 from __future__ import annotations
 
@@ -252,7 +256,11 @@ def test_a_pair_counts_where_its_truth_lies(count: Masked) -> None:
 
 
 def slow_thesis(detections: F64, truths: F64) -> list[tuple[int, int]]:
-    """(detection, truth) pairs: for each truth the nearest of the detections that lie within 1.5 voxels and nearest to it."""
+    """Return (detection, truth) pairs by a slow search.
+
+    For each truth, the nearest of the detections that lie within 1.5 voxels and have it as their
+    nearest truth.
+    """
     pairs = []
     distance = [[math.dist(d, t) for t in truths] for d in detections]
     for j in range(len(truths)):

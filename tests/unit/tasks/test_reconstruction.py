@@ -1,4 +1,8 @@
-"""Scores of one frame in memory: the ends of every scale, both rules of detection, and the weights of particles that cameras miss."""
+"""Scores of one frame in memory.
+
+Best and worst possible scores, both rules of detection, and the weights of particles that cameras
+miss.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Particles from frame to frame: carried exactly, replaced where they leave, seen when the laser flashes."""
+"""Particles from frame to frame.
+
+Moved exactly, replaced where they leave, and seen when the laser flashes.
+"""
 
 from __future__ import annotations
 
@@ -150,7 +153,10 @@ def test_a_sheet_beside_another_lights_other_particles() -> None:
 
 
 def test_long_pulses_leave_streaks() -> None:
-    """A streak of length s has the variance s^2 / 12 along it on top of the image's own, and as much light."""
+    """A streak of length s adds the variance s^2 / 12 along it, and no light.
+
+    On top of the image's own variance.
+    """
     one = {
         "particles": {"generator": "uniform", "count": 1},
         "flow": {"generator": "linear_flow", "velocity_mm_s": [100.0, 0.0, 0.0]},

@@ -1,4 +1,8 @@
-"""Thresholds: Q of many k in one pass against one extraction each; the k that the images give against the best one."""
+"""Thresholds.
+
+Q of many k in one pass against one extraction each, and the k from the images against the best
+one.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Window correlation: its kernels against other programs, its vectors against displacements that are known."""
+"""Window correlation.
+
+Its kernels against other programs, its vectors against known displacements.
+"""
 
 from __future__ import annotations
 
@@ -107,7 +110,10 @@ def test_moved_volumes_are_scipy_s() -> None:
 
 
 def _continued(field: F64, at: list[F64]) -> F64:
-    """Displacements (z, y, x) at places on a lattice, linear beyond it: through a lattice that has been continued by hand."""
+    """Interpolate displacements (z, y, x) at positions on a lattice.
+
+    Linear beyond the lattice, which is continued by hand.
+    """
     room = 4
     for axis in range(3):
         before, after = (np.take(field, [n], axis=axis) for n in (0, -1))
@@ -213,11 +219,17 @@ def test_windows_without_signal_are_invalid_and_finite() -> None:
     [
         (
             {"window": (320, 32, 16)},
-            "window: expected one that fits into the volume of 160 x 160 x 40 voxels, got 320 x 32 x 16",
+            (
+                "window: expected one that fits into the volume of 160 x 160 x 40 voxels, got "
+                "320 x 32 x 16"
+            ),
         ),
         (
             {"overlap": 0.7},
-            "overlap: expected a part of 32 x 32 x 16 voxels that leaves whole steps which divide it, got 0.7",
+            (
+                "overlap: expected a part of 32 x 32 x 16 voxels that leaves whole steps which "
+                "divide it, got 0.7"
+            ),
         ),
     ],
 )
@@ -234,7 +246,10 @@ def test_impossible_pairs_are_named() -> None:
         (
             good,
             good[:-1],
-            r"second volume: expected \(40, 160, 160\) voxels \(z, y, x\) as its grid has, got \(39, 160, 160\)",
+            (
+                r"second volume: expected \(40, 160, 160\) voxels \(z, y, x\) as its grid has, got "
+                r"\(39, 160, 160\)"
+            ),
         ),
         (
             np.zeros_like(good),

@@ -1,4 +1,7 @@
-"""Archives that somebody sends: what is taken out of them, and what is refused before anything is."""
+"""Archives from outside.
+
+The files that are taken out of them, and the errors before anything is unpacked.
+"""
 
 from __future__ import annotations
 

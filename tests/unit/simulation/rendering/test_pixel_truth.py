@@ -1,4 +1,4 @@
-"""What a camera truly sees of bubbles, against equations solved on the spot."""
+"""True view of bubbles per pixel, against equations solved in the test."""
 
 from __future__ import annotations
 
