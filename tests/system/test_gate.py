@@ -101,7 +101,7 @@ def test_solvers_that_no_case_is_for_are_bad_input(algorithms: Path, own_process
     words = ("check", "tiny.toml", "--baseline", "base.json", "--update", "--solver", "piv3d")
     done = own_process(*words, env={"SABENCH_PLUGINS": str(algorithms / "mine")})
     assert done.returncode == 2
-    assert "got only some of the track velocimetry" in done.stderr
+    assert "got only some of the task velocimetry" in done.stderr
 
 
 def test_the_fixture_runs_a_plug_in_against_its_baseline(

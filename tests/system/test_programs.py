@@ -171,7 +171,8 @@ title = "two programs and a solver"
 scenes = ["quick"]
 backend = "splat"
 solvers = [
-  { name = "./bin/mine.py", track = "reconstruction", parameters = { k = 2 }, time_limit_s = 60.0 },
+  { name = "./bin/mine.py", task = "reconstruction", parameters = { k = 2 }, time_limit_s = 60.0 },
+  # `track`: the key of earlier suites
   { name = "./bin/slow.py", track = "reconstruction", label = "slow one", \
 time_limit_s = 0.5, memory_limit_mb = 500.0 },
   { name = "asa" },
@@ -199,13 +200,13 @@ def test_programs_in_a_suite(command: Command, tmp_path: Path) -> None:
     assert asa["q"] > 0.4
     assert str(tmp_path) not in json.dumps([mine["solver"], slow["solver"], slow["error"]])
     suite.write_text(SUITE.replace('track = "reconstruction", l', "l"))
-    check_sentence(command("run", suite), "slow.py: track: expected one of reconstruction")
+    check_sentence(command("run", suite), "slow.py: task: expected one of reconstruction")
     suite.write_text(SUITE.replace("slow.py", "none.py"))
     check_sentence(command("run", suite), "none.py: expected an executable file")
     suite.write_text(SUITE.replace('"asa"', '"asa", time_limit_s = 3.0'))
     check_sentence(
         command("run", suite),
-        "asa: expected track, time_limit_s and memory_limit_mb for programs only",
+        "asa: expected task, time_limit_s and memory_limit_mb for programs only",
     )
 
 
