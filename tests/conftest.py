@@ -56,20 +56,29 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Start the files that take longest, so that no worker is left alone with one at the end."""
+    """Start the files that take longest.
+
+    Otherwise one worker would be left alone with such a file at the end.
+    """
     order = {name: place for place, name in enumerate(_LONGEST)}
     items.sort(key=lambda item: order.get(item.path.stem, len(order)))
 
 
 @pytest.fixture(scope="session", autouse=True)
 def hears_ctrl_c() -> None:
-    """A shell's background job and its children ignore Ctrl-C, which some tests send to theirs."""
+    """Let child processes receive Ctrl-C, which some tests send to theirs.
+
+    A shell's background job and its children ignore it.
+    """
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 @pytest.fixture(scope="session", autouse=True)
 def one_rendering_thread() -> None:
-    """For the same reason: 11 s of CPU in place of 7 s for ten small images of bubbles."""
+    """Render with one thread a process, since the tests run in parallel.
+
+    With more, ten small images of bubbles take 11 s of CPU time in place of 7 s.
+    """
     backend.limit(1)
 
 

@@ -120,6 +120,9 @@ def anchors(page: str) -> set[str]:
 
 
 def _anchor(heading: str) -> str:
-    """Return the anchor of one heading: lower case, hyphens for blanks, no other punctuation."""
+    """Return the anchor of one heading.
+
+    Lower case, hyphens for blanks, no other punctuation.
+    """
     text = re.sub(r"\[([^\]]*)\]\([^)]*\)", r"\1", heading).strip().lower()
     return re.sub(r"[^\w\- ]", "", text).replace(" ", "-")

@@ -1,4 +1,6 @@
-"""Tables of scores in the pages of the tasks: python -m tests.docs.score_tables [--write].
+"""Tables of scores in the pages of the tasks.
+
+Run `python -m tests.docs.score_tables [--write]`.
 
 A page holds its table between `<!-- scores: TASK -->` and `<!-- end scores -->`.
 """

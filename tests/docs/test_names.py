@@ -32,7 +32,7 @@ def test_named_modules_files_and_suites_exist(page: str) -> None:
 
 
 def _words(page: str) -> Iterator[tuple[int, str]]:
-    """Yield what stands in backquotes, and in reasons not to run a block, word by word."""
+    """Yield the words in backquotes, and those in reasons not to run a block."""
     for block in blocks(page):
         for word in (block.reason or "").split():
             yield block.line, word.strip(",;")

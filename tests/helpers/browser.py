@@ -1,4 +1,7 @@
-"""A headless Chromium, driven by as much of WebDriver as tests and benchmarks of the page need."""
+"""A headless Chromium, driven by WebDriver.
+
+It has as much of WebDriver as tests and benchmarks of the page need.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Films of moving bubbles whose ids are known, for the tests of linking and its benchmark."""
+"""Image sequences of moving bubbles whose ids are known.
+
+For the tests of linking and its benchmark.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +18,10 @@ EDGE = 60.0
 
 @dataclass
 class Film:
-    """Detections of some frames with the ids of their bubbles; those of ghosts are negative."""
+    """Detections of some frames with the ids of their bubbles.
+
+    The ids of ghosts are negative.
+    """
 
     center: list[F64] = field(default_factory=list)
     radius: list[F64] = field(default_factory=list)

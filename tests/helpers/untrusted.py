@@ -370,7 +370,10 @@ def _solved(root: Path, out: Path) -> None:
 
 
 def result(base: Base, inputs: Path, out: Path, rng: random.Random) -> Feed:
-    """`sabench score` of a damaged result, and what `sabench solve ./program` makes of it."""
+    """Score a damaged result, and adopt it as the result of a program.
+
+    As `sabench score` and `sabench solve ./program` do.
+    """
     track = rng.choice(sorted(base.results))
     data = base.target if track == "calibration" else base.particles
     path = Path(shutil.copy(base.results[track], inputs / "result.h5"))
@@ -455,7 +458,10 @@ KINDS: dict[str, Case] = {
 
 
 def check_sentence(text: str) -> None:
-    """One sentence on one line, or a headline and one short indented line for each fault."""
+    """Check that a complaint is one sentence on one line.
+
+    Or a headline and one short indented line for each fault.
+    """
     assert text, "an error without words"
     head, *faults = text.split("\n")
     assert bool(faults) == head.endswith("faults:"), f"an error of several lines: {text[:300]!r}"

@@ -107,7 +107,10 @@ def test_no_bubbles_make_a_whole_data_set(tmp_path: Path) -> None:
 
 
 def test_three_phases_in_one_image(tmp_path: Path) -> None:
-    """Tracers, bubbles and a cylinder: tracers are not in the others, and dark in their shadows."""
+    """Tracers, bubbles and a cylinder in one scene.
+
+    Tracers are outside the bodies, and dark in their shadows.
+    """
     solid = {
         "generator": "cylinder",
         "radius_mm": 2.0,

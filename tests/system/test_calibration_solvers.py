@@ -40,7 +40,10 @@ def solved(name: str, case: CalibrationCase) -> Calibration:
 
 
 def level_case(**changes: Any) -> Any:
-    """A target that is traversed along Z, its places told to a hundredth of a millimetre."""
+    """A target that is traversed along Z.
+
+    Its nominal positions are known to a hundredth of a millimetre.
+    """
     rough = {"points": 0.0002, "known": KNOWN}
     return case_of(calibration_scene(targets=LEVEL, frames=7, calibration=rough, **changes))
 

@@ -1,4 +1,4 @@
-"""From a scene to a score: the whole chain, its two ends, and what must not change."""
+"""The whole chain from a scene to a score, its two ends, and its invariants."""
 
 from __future__ import annotations
 

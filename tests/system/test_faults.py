@@ -438,7 +438,10 @@ class Sleeper(Solver):
 
 
 def test_ctrl_c_in_a_suite_keeps_what_is_finished(tmp_path: Path) -> None:
-    """As from a terminal: the interrupt goes to the command and to the solver's process alike."""
+    """The interrupt goes to the command and to the solver's process.
+
+    As it does from a terminal.
+    """
     plugin = tmp_path / "mine" / "solvers" / "sleeper.py"
     plugin.parent.mkdir(parents=True)
     plugin.write_text(SLEEPER)

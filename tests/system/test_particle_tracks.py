@@ -29,7 +29,10 @@ SOLVERS = [
 
 @pytest.fixture(scope="module")
 def shot() -> Shot:
-    """Four cameras in water behind glass, unequal sides everywhere, particles far apart."""
+    """Four cameras in water behind glass, with particles far apart.
+
+    The sides are unequal everywhere.
+    """
     values = load_scene("quick").to_dict()
     values["volume"]["size_mm"] = [9.0, 6.0, 3.0]
     values["particles"]["count"] = 60

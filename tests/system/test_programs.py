@@ -34,7 +34,10 @@ HEADERS = next((path.parent for path in Path("/usr/include").rglob("hdf5.h")), N
 
 
 def write(path: Path, body: str) -> Path:
-    """A Python program with the arguments `dataset`, `result` and `rest`, and numpy and h5py."""
+    """Make a Python program with the arguments `dataset`, `result` and `rest`.
+
+    It imports numpy and h5py.
+    """
     head = (
         "import json, os, sys\nfrom pathlib import Path\nimport h5py, numpy as np\n"
         "dataset, result, *rest = sys.argv[1:]\n"

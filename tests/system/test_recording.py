@@ -80,7 +80,10 @@ def test_two_processes_make_the_bytes_of_one(
 
 
 def kill_workers(pool: list[ProcessPool], folder: Path, killed: list[int]) -> None:
-    """Kill one worker after another, as soon as some view has been recorded since the last."""
+    """Kill one worker after another.
+
+    Each is killed as soon as some view has been recorded since the last kill.
+    """
     seen, end = 0, time.monotonic() + 60.0
     while len(killed) < 3 and time.monotonic() < end:
         count = len(list(folder.glob(".*.parts-*/views/*.npz")))

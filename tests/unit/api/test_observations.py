@@ -194,7 +194,10 @@ def test_the_system_says_what_memory_is_there() -> None:
 
 
 def test_a_refused_frame_leaves_nothing(tmp_path: Path) -> None:
-    """The first frame is solved, the second one refused: no result, and no part of one."""
+    """A refused second frame leaves no result, and no part of one.
+
+    The first frame is solved.
+    """
     data: Dataset = sabench.generate(
         make_two_frames(), tmp_path / "set", seed=1, backend="splat", name="s"
     )

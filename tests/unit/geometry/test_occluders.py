@@ -144,7 +144,10 @@ def test_both_renderers_agree_away_from_the_edge(variant: str) -> None:
 
 
 def test_rays_cut_an_image_at_the_very_edge_of_a_disc() -> None:
-    """Also the images of particles whose own path is stopped, where they reach beyond the edge."""
+    """The edge of a disc cuts images.
+
+    Also those of particles whose own path is stopped, where they reach beyond the edge.
+    """
     scene = with_discs(
         make_scene(cameras={"particle_sigma_px": 2.0}), before_camera(QUICK, 0.3, 0.5)
     )

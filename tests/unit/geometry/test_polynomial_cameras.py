@@ -149,7 +149,10 @@ def test_points_that_do_not_determine_a_model_are_refused() -> None:
 
 
 def test_reconstruction_runs_on_polynomials() -> None:
-    """Refocusing by Soloff's polynomials is that by the exact cameras, as far as they agree."""
+    """Refocusing by Soloff's polynomials agrees with that by the exact cameras.
+
+    It does so as far as the cameras agree.
+    """
     shot = simulate(make_scene(particles={"count": 40}), seed=2)
     seen = shot.observation
     low = np.asarray(seen.grid.low_mm)

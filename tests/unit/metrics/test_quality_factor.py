@@ -72,7 +72,10 @@ def test_quality_is_symmetric_and_bounded(a: F32, b: F32) -> None:
 @settings(max_examples=60, deadline=None, derandomize=True)
 @given(volumes, volumes)
 def test_quality_falls_with_what_is_added_elsewhere(a: F32, b: F32) -> None:
-    """Light where the truth has none can only lower Q: by the share of the energy that it adds."""
+    """Light where the truth has none can only lower Q.
+
+    It does so by the share of the energy that it adds.
+    """
     truth, ghosts = a.copy(), b.copy()
     truth[1:], ghosts[:1] = 0.0, 0.0
     with_ghosts = quality(truth + ghosts, truth)
@@ -146,7 +149,10 @@ def test_detect_leaves_out_the_faintest_tenth() -> None:
 
 @pytest.mark.parametrize("value", [1.0, 0.3, 7.5])
 def test_detect_finds_particles_of_equal_brightness(value: float) -> None:
-    """A solver may return a volume of zeros and ones; a single bright voxel is one particle."""
+    """A solver may return a volume of zeros and ones.
+
+    A single bright voxel is one particle.
+    """
     volume = np.zeros((5, 6, 7), dtype=np.float32)
     volume[1, 2, 3] = value
     np.testing.assert_allclose(detect(volume), [[3.0, 2.0, 1.0]])

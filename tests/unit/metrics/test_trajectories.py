@@ -82,7 +82,10 @@ def test_tracks_that_break_and_that_swap() -> None:
 
 
 def test_ghosts_and_what_is_missing() -> None:
-    """Ten are not found in one frame, which is no fault of the linking; links of ghosts are."""
+    """Ten bubbles are missing in one frame, which is no fault of the linking.
+
+    Links of ghosts are one.
+    """
     true = true_bubbles()
     some = [one if frame != 1 else one[one.id >= 10] for frame, one in enumerate(true)]
     got = scores(some, [one.id for one in some])

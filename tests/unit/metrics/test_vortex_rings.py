@@ -1,4 +1,7 @@
-"""Circulation and cores of vortices whose circulation is known, and pictures of fields."""
+"""Circulation and cores of vortices whose circulation is known.
+
+And pictures of fields.
+"""
 
 from __future__ import annotations
 

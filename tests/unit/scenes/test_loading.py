@@ -192,7 +192,7 @@ def test_resolved_scene_is_the_same_scene(tmp_path: Path) -> None:
 
 
 def test_what_a_scene_does_not_have_is_not_in_its_hash() -> None:
-    """Data sets of earlier versions hold the hash of scenes that knew nothing of these tables."""
+    """Data sets of earlier versions hold the hash of scenes without these tables."""
     values = load_scene("quick").to_dict()
     assert not {"occluders", "calibration"} & set(values)
     with_both = values | {

@@ -1,4 +1,7 @@
-"""Velocity fields: gradients against differences, divergence, and paths that must close."""
+"""Velocity fields.
+
+Gradients against differences, divergence, and paths that must close.
+"""
 
 from __future__ import annotations
 
@@ -124,7 +127,10 @@ def test_abc_is_parallel_to_its_vorticity() -> None:
 
 
 def test_oseen_s_vortex_diffuses() -> None:
-    """It satisfies the vorticity equation: d(omega)/dt = nu laplacian(omega), by differences."""
+    """The flow satisfies the vorticity equation.
+
+    d(omega)/dt = nu laplacian(omega), by differences.
+    """
     field = flow("lamb_oseen_vortex", {"viscosity_mm2_s": 1.0})
     places = np.column_stack([np.linspace(0.5, 9.0, 12), np.zeros(12), np.zeros(12)])
 

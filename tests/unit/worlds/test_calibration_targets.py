@@ -132,7 +132,10 @@ def test_our_charuco_board_is_opencv_s() -> None:
 
 @pytest.mark.parametrize("quarters", [0, 1, 2, 3])
 def test_a_board_s_points_keep_their_names_however_it_lies(quarters: int) -> None:
-    """Circles look the same after a turn: the rough calibration says which way they lie."""
+    """The initial guess of a calibration determines the rotation of circles.
+
+    They look the same after a rotation.
+    """
     target = Target("circles", 5, 4, 4.0, 2.0)
     angle = np.deg2rad(90.0 * quarters + 12.0)
     turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])

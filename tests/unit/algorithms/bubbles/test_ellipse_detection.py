@@ -77,7 +77,10 @@ def test_edges_lie_on_the_outline_and_look_inwards() -> None:
     [(9.0, 9.0, 0.0), (10.0, 6.0, 0.4), (8.0, 4.0, 2.0), (4.0, 3.0, 1.0), (3.0, 3.0, 0.0)],
 )
 def test_an_ellipse_is_measured(a: float, b: float, angle: float, hollow: float) -> None:
-    """The bright middle of a bubble has an outline too, whose gradients look the other way."""
+    """The bright middle of a bubble has an outline, too.
+
+    Its gradients have the opposite direction.
+    """
     (one,) = found(drawn((28.3, 20.6, a, b, angle), hollow=hollow))
     assert_allclose(one[:2], [28.3, 20.6], atol=0.1)
     assert_allclose(one[2:4], [a, b], atol=0.25)

@@ -253,7 +253,10 @@ def test_outliers_are_found_and_left_out() -> None:
 
 
 def test_an_anchor_settles_the_depth() -> None:
-    """Images through a plane wall hardly show how deep everything is; one known point does."""
+    """One known point determines the absolute depth.
+
+    Images through a plane wall hardly do.
+    """
     errors = []
     for known in ([], [{"frame": 2, "point": 60, "axes": "z", "sigma_mm": 0.05}]):
         scene = calibration_scene(

@@ -67,7 +67,10 @@ def array(wall: Wall | None) -> list[Camera]:
 
 
 def smooth_images(seed: int, count: int = 3) -> F32:
-    """Noise with details of about three pixels, from 0 to 1: a misplaced sample shows."""
+    """Noise with details of about three pixels, from 0 to 1.
+
+    It shows a misplaced sample.
+    """
     noise = np.random.default_rng(seed).standard_normal((count, 110, 140))
     smooth = np.stack([gaussian_filter(image, 1.5, mode="wrap") for image in noise])
     return np.asarray((smooth - smooth.min()) / (smooth.max() - smooth.min()), dtype=np.float32)
@@ -358,7 +361,10 @@ def test_a_voxel_without_a_light_path_is_refused() -> None:
 
 
 def planar_array(wall: Wall | None) -> list[Camera]:
-    """Five cameras on one plane, 60 mm apart, that look straight ahead at the grid's middle."""
+    """Five cameras on one plane, 60 mm apart.
+
+    They look straight ahead at the grid's middle.
+    """
     places = ((0.0, 0.0), (-60.0, 0.0), (60.0, 0.0), (0.0, -60.0), (0.0, 60.0))
     return [
         aim(

@@ -53,7 +53,10 @@ def pair_of(name: str, **parameters: Any) -> tuple[VolumePair, Any]:
 
 
 def errors(field: Velocity, flow: Any) -> F64:
-    """Of valid vectors, in voxels, against the displacement about the middle of the interval."""
+    """Errors of valid vectors, in voxels.
+
+    Against the displacement about the middle of the interval.
+    """
     points = field.positions_mm.reshape(-1, 3)
     exact = advect(flow, points, 0.5, 1.0, 1e-7) - advect(flow, points, 0.5, 0.0, 1e-7)
     return np.asarray(
@@ -337,7 +340,10 @@ def test_narrow_particles_are_widened_by_a_gaussian() -> None:
 
 
 def test_weighted_windows_resolve_more() -> None:
-    """Of a wave twice as long as the window, a Gaussian's weights see more than equal ones."""
+    """A Gaussian's weights see more of a wave than equal ones.
+
+    The wave is twice as long as the window.
+    """
     parameters = {
         "along": (1.0, 0.0, 0.0),
         "across": (0.0, 1.0, 0.0),

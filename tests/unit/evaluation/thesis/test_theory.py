@@ -63,7 +63,10 @@ def test_next_plane_is_where_the_image_moves_by_one_pixel(ratio: float, z_mm: fl
 
 
 def test_first_order_is_the_thesis_table_and_the_limit_of_the_exact_ratio() -> None:
-    """Table 2.1's dZ / dX at the front of 50 x 50 x 10 mm; and 1 / D plus a slope in Z."""
+    """Spacings of planes, dZ / dX.
+
+    Table 2.1's at the front of 50 x 50 x 10 mm; and 1 / D plus a slope in Z.
+    """
     for ratio, printed in ((0.2, 5.0), (0.4, 2.5), (0.5, 2.0)):
         assert theory.first_order_spacing_ratio(ratio, 0.0, S_O) == pytest.approx(printed)
         assert plane_spacing_ratio(ratio, 0.05, 0.0, S_O) == pytest.approx(printed, rel=1e-3)

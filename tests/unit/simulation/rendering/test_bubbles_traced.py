@@ -331,7 +331,10 @@ def test_another_integrator_makes_the_same_picture(name: str) -> None:
 
 
 def test_errors_are_as_large_as_they_are_said_to_be() -> None:
-    """Two renders of other seeds differ by their errors, and neither exceeds what was asked for."""
+    """Two renders of different seeds differ by their errors.
+
+    Neither error exceeds the limit that was set.
+    """
     what = CASES["bubbles"]
     one, other = (shot(camera(), what, error=0.01, seed=seed) for seed in (1, 5000))
     again = shot(camera(), what, error=0.01, seed=1)

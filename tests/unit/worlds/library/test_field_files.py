@@ -1,4 +1,7 @@
-"""Files of other programs: read in every format, in any unit, and refused with a sentence."""
+"""Files of other programs.
+
+Read in every format, in any unit, and refused with a sentence.
+"""
 
 from __future__ import annotations
 

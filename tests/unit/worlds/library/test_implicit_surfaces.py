@@ -1,4 +1,7 @@
-"""Bodies as they are made: closed, of the right size, and what the lattice may not do to them."""
+"""Surfaces of solid bodies.
+
+Closed, of the right size, and not spoilt by the lattice.
+"""
 
 from __future__ import annotations
 
