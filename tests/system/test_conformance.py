@@ -1,4 +1,7 @@
-"""Every bundled solver obeys the laws, and solvers that break one are caught at it."""
+"""The laws of solvers.
+
+Every bundled solver obeys them, and solvers that break one are caught.
+"""
 
 from __future__ import annotations
 
@@ -133,7 +136,10 @@ def test_the_command_ends_with_1_for_a_broken_law(
 
 @pytest.mark.parametrize("name", tasks.NAMES)
 def test_the_best_and_the_worst_possible_scores(name: str, examples: Path) -> None:
-    """The truth is better than an estimate that is wrong in a known way, and that than nothing."""
+    """The truth has the best score.
+
+    An estimate with a known error is worse, and an empty one is worse still.
+    """
     from sabench.dataset.results import open_result, result_writer
 
     task = tasks.of(name)

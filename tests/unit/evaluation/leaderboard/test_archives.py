@@ -1,4 +1,7 @@
-"""Archives that somebody sends: what is taken out of them, and what is refused before anything is."""
+"""Archives from outside.
+
+The files that are taken out of them, and the errors before anything is unpacked.
+"""
 
 from __future__ import annotations
 
@@ -69,7 +72,10 @@ def bomb(path: Path) -> Path:
 
 
 def long_name(path: Path) -> Path:
-    """A member whose name says that it is as long as a memory: the reader would take it whole."""
+    """An archive with a member's name of 100 MB.
+
+    A reader of names would hold all of it in memory.
+    """
     info = tarfile.TarInfo("././@LongLink")
     info.type, info.size = tarfile.GNUTYPE_LONGNAME, 100_000_000
     path.write_bytes(gzip.compress(info.tobuf(tarfile.GNU_FORMAT) + bytes(100_000_000), 1))
