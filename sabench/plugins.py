@@ -1,4 +1,6 @@
-"""Plug-in discovery: generators and solvers, one file each, in folders outside the package.
+"""Plug-in discovery: generators and solvers, one file each.
+
+They lie in folders outside the package.
 
 Importing this module mounts `sabench.plugins.generators` and `sabench.plugins.solvers`. They are
 searched for in this order: the folders next to the package (a checkout) or inside it
@@ -38,7 +40,7 @@ class Entry:
 
     Attributes
     ----------
-    group : task of a solver, what a generator makes; empty for scenes and suites.
+    group : task of a solver, product of a generator; empty for scenes and suites.
     summary : first line of the docstring of a plug-in, title of a scene or suite.
     """
 
@@ -98,7 +100,9 @@ def _files(kind: str) -> dict[str, list[Path]]:
 
 
 def load(kind: str, name: str) -> type[Any]:
-    """Import a plug-in: the one class of its file whose `name` is the stem of the file.
+    """Import a plug-in.
+
+    It is the one class of its file whose `name` is the stem of the file.
 
     Raises
     ------
@@ -130,12 +134,14 @@ def summary(plugin: type[Any]) -> str:
 
 
 def describe(kind: str, name: str) -> Entry:
-    """Summarise a plug-in from its source; import it only if its source does not say enough.
+    """Summarise a plug-in from its source.
+
+    It is imported only if its source is not sufficient.
 
     Raises
     ------
     InputError
-        The file cannot be parsed, imports what does not exist, or has no class of this name.
+        The file cannot be parsed, has an import that fails, or has no class of this name.
     """
     file = file_of(kind, name)
     source = parse(file)
@@ -169,7 +175,10 @@ def list_solvers(task: str | None = None) -> list[str]:
 
 
 def list_generators(makes: str | None = None) -> list[str]:
-    """List the names of all generators, or of those that make "particles", "flow", ..."""
+    """List the names of all generators, or of those of one product.
+
+    Products are "particles", "flow", ...
+    """
     return _named("generators", makes)
 
 
@@ -188,7 +197,10 @@ def list_tasks() -> list[str]:
 
 
 def readable(kind: str) -> tuple[list[Entry], list[str]]:
-    """Describe all plug-ins of a kind: entries, and one sentence for each that is broken."""
+    """Describe all plug-ins of a kind.
+
+    Returns entries, and one sentence for each plug-in that is broken.
+    """
     entries, faults = [], []
     for name in names(kind):
         try:

@@ -1,4 +1,7 @@
-"""One small data set, rendered by Mitsuba through glass, that all system tests share; and the command as users run it."""
+"""Shared fixtures: a small data set, and the command as users run it.
+
+Mitsuba renders the data set through glass, once for all system tests.
+"""
 
 from __future__ import annotations
 
@@ -53,20 +56,29 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Start the files that take longest, so that no worker is left alone with one at the end."""
+    """Start the files that take longest.
+
+    Otherwise one worker would be left alone with such a file at the end.
+    """
     order = {name: place for place, name in enumerate(_LONGEST)}
     items.sort(key=lambda item: order.get(item.path.stem, len(order)))
 
 
 @pytest.fixture(scope="session", autouse=True)
 def hears_ctrl_c() -> None:
-    """A shell's background job and its children ignore Ctrl-C, which some tests send to theirs."""
+    """Let child processes receive Ctrl-C, which some tests send to theirs.
+
+    A shell's background job and its children ignore it.
+    """
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 @pytest.fixture(scope="session", autouse=True)
 def one_rendering_thread() -> None:
-    """For the same reason: 11 s of CPU in place of 7 s for ten small images of bubbles."""
+    """Render with one thread a process, since the tests run in parallel.
+
+    With more, ten small images of bubbles take 11 s of CPU time in place of 7 s.
+    """
     backend.limit(1)
 
 
@@ -95,7 +107,10 @@ def quick_result(quick: Dataset) -> Path:
 def command(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> Command:
-    """Run `sabench ARGUMENTS` in an empty folder and in this process, which has all imports done."""
+    """Run `sabench ARGUMENTS` in an empty folder, in this process.
+
+    This process has done all imports, so that the command starts quickly.
+    """
 
     def run(*arguments: object) -> subprocess.CompletedProcess[str]:
         words = [str(argument) for argument in arguments]
@@ -115,7 +130,10 @@ def command(
 
 @pytest.fixture
 def own_process(tmp_path: Path) -> Command:
-    """Run `sabench ARGUMENTS` in an empty folder, as a user would: for what depends on the process."""
+    """Run `sabench ARGUMENTS` in an empty folder, in a child process as a user would.
+
+    For tests that depend on the process.
+    """
 
     def run(*arguments: object, **options: Any) -> subprocess.CompletedProcess[str]:
         words = [sys.executable, "-m", "sabench", *(str(argument) for argument in arguments)]

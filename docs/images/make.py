@@ -1,4 +1,7 @@
-"""Compose a sheet of the pictures that a suite leaves of a case: python docs/images/make.py leaderboard/pictures/FOLDER docs/images/NAME.png"""
+"""Compose a sheet of the pictures that a suite leaves of a case.
+
+Run python docs/images/make.py leaderboard/pictures/FOLDER docs/images/NAME.png.
+"""
 
 from __future__ import annotations
 

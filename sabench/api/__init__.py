@@ -1,8 +1,8 @@
-"""Everything that a plug-in needs besides its algorithm: base classes, data, cameras and helpers.
+"""Public interface for plug-ins: base classes, data, cameras and helpers.
 
-A plug-in imports from `sabench.api` and `sabench.algorithms` only (adapters of other programs also
-from `sabench.interop`, generators also from `sabench.worlds.library`); what these two do not name
-may move.
+It holds everything that a plug-in needs besides its algorithm. A plug-in imports from `sabench.api`
+and `sabench.algorithms` only (adapters of other programs also from `sabench.interop`, generators
+also from `sabench.worlds.library`); anything that these two do not name may move.
 """
 
 from sabench.api.estimates import Calibration, Detections, FoundParticles, Reconstruction, Velocity
@@ -42,9 +42,11 @@ from sabench.geometry.refraction import Layer, Rays, Wall
 from sabench.geometry.rotations import frame_along, rotation_matrices
 from sabench.utils.arrays import F32, F64, I32, I64, U16, Bool, triple
 from sabench.utils.errors import DeclinedError, InputError
-from sabench.utils.fields import Vector
+from sabench.utils.fields import LensNumber, Vector
 from sabench.utils.progress import track as progress_bar
 from sabench.utils.rng import stream
+
+Track = TaskName  # its name until format version 2
 
 __all__ = [
     "F32",
@@ -77,6 +79,7 @@ __all__ = [
     "Grid",
     "InputError",
     "Layer",
+    "LensNumber",
     "Material",
     "Observation",
     "Parameters",
@@ -96,6 +99,7 @@ __all__ = [
     "Target",
     "TargetGenerator",
     "TaskName",
+    "Track",
     "Vector",
     "VelocimetryParameters",
     "VelocimetrySolver",

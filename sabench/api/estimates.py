@@ -1,4 +1,4 @@
-"""Estimates: results of solvers, with the names, shapes and types of their arrays.
+"""Estimates: results of solvers, with names, shapes and types of their arrays.
 
 An estimate declares its arrays in `ARRAYS`. One writer and one reader (`sabench.dataset.results`)
 and one check (`Estimate.check`) serve all estimates by these declarations.
@@ -49,7 +49,7 @@ class Array:
         return self.stored or self.name
 
     def sizes(self, known: dict[str, int]) -> tuple[int | None, ...]:
-        """Sizes along the axes; None where a size is not known yet."""
+        """List the sizes along the axes; None where a size is not known yet."""
         return tuple(size if isinstance(size, int) else known.get(size) for size in self.shape)
 
     def learn(self, shape: tuple[int, ...], known: dict[str, int]) -> None:
@@ -58,7 +58,10 @@ class Array:
         known.update({name: size for name, size in pairs if isinstance(name, str)})
 
     def check_values(self, value: npt.NDArray[Any], where: str) -> None:
-        """Raise an InputError for values that are not finite, or not unique; `where` opens it."""
+        """Check that values are finite and, where declared, unique.
+
+        Raises an InputError, whose sentence `where` opens.
+        """
         if value.dtype.kind == "f":
             bad = int(value.size - np.count_nonzero(np.isfinite(value)))
             if bad:
@@ -79,9 +82,9 @@ class Estimate:
 
     Attributes
     ----------
-    GROUP : group of the result file below the frame's, or below the root for estimates that are not
-        of a frame; "" for the frame's own.
-    OF_FRAME : whether there is one for a frame, or one for all.
+    GROUP : group of the result file below the frame's; "" for the frame's own. An estimate that is
+        not of a frame has a group below the root.
+    OF_FRAME : whether every frame has an estimate of its own, or one serves all frames.
     """
 
     ARRAYS: ClassVar[tuple[Array, ...]]
@@ -89,14 +92,17 @@ class Estimate:
     OF_FRAME: ClassVar[bool] = True
 
     def arrays(self) -> Iterator[tuple[Array, npt.NDArray[Any]]]:
-        """Declarations and arrays of all attributes that are not None."""
+        """Pair the declarations with the arrays of all attributes that are not None."""
         for one in self.ARRAYS:
             value = getattr(self, one.name)
             if value is not None or not one.optional:
                 yield one, one.encode(value) if one.encode else value
 
     def check(self, **known: int) -> None:
-        """Raise an InputError if an array is not as declared; `known` are sizes by their names."""
+        """Check that every array is as declared; `known` are sizes by their names.
+
+        Raises an InputError if one is not.
+        """
         sizes = dict(known)
         for one, value in self.arrays():
             _check_array(one, value, sizes)
@@ -118,7 +124,7 @@ def _check_array(declared: Array, value: Any, known: dict[str, int]) -> None:
 
 
 def _shape_text(declared: Array, known: dict[str, int]) -> str:
-    """Sizes that are known as numbers, the others by their names, as a tuple prints."""
+    """Format a shape as a tuple, with the names of sizes that are not known."""
     sizes = [
         str(known.get(size, size)) if isinstance(size, str) else str(size)
         for size in declared.shape
@@ -178,6 +184,7 @@ class FoundParticles(Estimate):
     track: InitVar[I64 | None] = None
 
     def __post_init__(self, track: I64 | None) -> None:
+        """Accept `track` for `trajectory`, and check the arrays."""
         if self.trajectory is None and track is not None:
             object.__setattr__(self, "trajectory", track)
         self.check()
@@ -276,6 +283,7 @@ class Detections(Estimate):
     trajectory: I64 | None = None
 
     def __post_init__(self) -> None:
+        """Check the arrays, the semi-axes and the rotations."""
         self.check()
         if not len(self.center_mm):
             return
@@ -287,7 +295,7 @@ class Detections(Estimate):
 
     @classmethod
     def balls(cls, center_mm: F64, radius_mm: F64) -> Detections:
-        """Spheres (n, 3), (n,)."""
+        """Build detections of spheres from centres (n, 3) and radii (n,)."""
         return cls(
             np.asarray(center_mm, dtype=np.float64),
             np.repeat(radius_mm[:, None], 3, axis=1),

@@ -15,34 +15,44 @@ from sabench.utils.fields import Vector
 
 
 class Generator(PlugIn):
-    """Base of a generator of particles: `particles` makes one frame of truth, the same for the same arguments whatever else is generated."""
+    """Base of a generator of particles.
+
+    `particles` makes one frame of truth. The result is the same for the same arguments, whatever
+    else is generated.
+    """
 
     makes: ClassVar[str] = "particles"
 
     def particles(self, domain: Domain, seed: int, frame: int, time_s: float) -> Particles:
-        """Particles of a frame at a time; draw from `sabench.utils.rng.stream(seed, ...)` only."""
+        """Generate the particles of a frame at a time.
+
+        Draw random numbers from `sabench.utils.rng.stream(seed, ...)` only.
+        """
         raise NotImplementedError(f"generator {type(self).__name__} must implement particles()")
 
 
 class Flow(PlugIn):
-    """Base of a velocity field that carries particles: `velocity`, and `gradient` where it is known exactly."""
+    """Base of a velocity field that carries particles.
+
+    Implement `velocity`, and `gradient` where the exact gradient is known.
+    """
 
     makes: ClassVar[str] = "flow"
 
     def check(self, domain: Domain) -> None:
-        """Raise an InputError if the field is not known in all of the volume."""
+        """Raise an InputError if the field is not defined in all of the volume."""
 
     def velocity(self, points_mm: F64, time_s: float) -> F64:
-        """Velocities (n, 3) in mm/s at points (n, 3) of the world frame."""
+        """Compute velocities (n, 3) in mm/s at points (n, 3) of the world frame."""
         raise NotImplementedError(f"flow {type(self).__name__} must implement velocity()")
 
     def gradient(self, points_mm: F64, time_s: float) -> F64:
-        """Gradients (n, 3, 3) in 1/s, du_i / dx_j."""
+        """Compute gradients (n, 3, 3) in 1/s, du_i / dx_j."""
         raise NotImplementedError(f"flow {type(self).__name__} must implement gradient()")
 
 
 class BubbleParameters(Parameters):
-    """Base of a generator of bubbles: what is in them."""
+    """Base of the parameters of a generator of bubbles: their content."""
 
     index: float = Field(
         1.0,
@@ -52,23 +62,30 @@ class BubbleParameters(Parameters):
     )
     overlap: bool = Field(
         False,
-        description="true: bubbles may reach into each other, as if a thin film of the fluid were between them",
+        description="true: bubbles may reach into each other, as if a thin film of the fluid were "
+        "between them",
     )
 
 
 class BubbleGenerator(PlugIn):
-    """Base of a generator of bubbles or droplets: `bubbles` makes one frame of truth, the same for the same arguments."""
+    """Base of a generator of bubbles or droplets.
+
+    `bubbles` makes one frame of truth, the same for the same arguments.
+    """
 
     makes: ClassVar[str] = "bubbles"
     Parameters: ClassVar[type[BubbleParameters]] = BubbleParameters
 
     def bubbles(self, domain: Domain, seed: int, frame: int, time_s: float) -> Bubbles:
-        """Bubbles of a frame at a time; draw from `sabench.utils.rng.stream(seed, ...)` only."""
+        """Generate the bubbles of a frame at a time.
+
+        Draw random numbers from `sabench.utils.rng.stream(seed, ...)` only.
+        """
         raise NotImplementedError(f"generator {type(self).__name__} must implement bubbles()")
 
 
 class Material(BaseModel):
-    """What a solid is made of."""
+    """Optical material of a solid."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
@@ -82,12 +99,13 @@ class Material(BaseModel):
     index: float = Field(1.333, ge=1.0, le=4.0, description="refractive index of a liquid")
     measured: str | None = Field(
         None,
-        description="whole path of a measured material in the RGL format (.bsdf), read when it is rendered",
+        description="whole path of a measured material in the RGL format (.bsdf), read when it is "
+        "rendered",
     )
 
 
 class SolidParameters(Parameters):
-    """Base of a generator of a body: where it is, how it moves, what it is made of."""
+    """Base of the parameters of a body's generator: position, motion, material."""
 
     place_mm: Vector = Field((0.0, 0.0, 0.0), description="where its own origin is at the start")
     turn_deg: Vector = Field(
@@ -102,24 +120,27 @@ class SolidParameters(Parameters):
 
 
 class SolidGenerator(PlugIn):
-    """Base of a generator of a body: `body` makes it in its own frame; `sabench.solids` brings it to its place."""
+    """Base of a generator of a body.
+
+    `body` makes the surface in the body's own frame; sabench moves it to its position in the world.
+    """
 
     makes: ClassVar[str] = "solids"
     Parameters: ClassVar[type[SolidParameters]] = SolidParameters
 
     def body(self, seed: int) -> Solid:
-        """The closed surface in its own frame, mm."""
+        """Generate the closed surface in the body's own frame, mm."""
         raise NotImplementedError(f"generator {type(self).__name__} must implement body()")
 
 
 @dataclass(frozen=True)
 class Code:
-    """What is written on a body, in its own frame.
+    """Code on a body, in the body's own frame.
 
     Attributes
     ----------
     points_mm : (cell, point, 3) points spread over each cell.
-    dark : (cell,) which cells let no light through.
+    dark : (cell,) whether each cell is opaque.
     """
 
     points_mm: F64
@@ -127,22 +148,31 @@ class Code:
 
 
 class CodeGenerator(SolidGenerator):
-    """Base of a generator of a body with a code that is to be read through what is in front of it."""
+    """Base of a generator of a body with a code.
+
+    The code is to be read through the objects in front of it.
+    """
 
     def code(self, seed: int) -> Code:
-        """What is written on it, in its own frame."""
+        """Generate the code in the body's own frame."""
         raise NotImplementedError(f"generator {type(self).__name__} must implement code()")
 
 
 class TargetGenerator(PlugIn):
-    """Base of a generator of calibration targets: one target, which every frame shows at another place."""
+    """Base of a generator of calibration targets.
+
+    It makes one target, which every frame shows at another pose.
+    """
 
     makes: ClassVar[str] = "targets"
 
     def target(self) -> Target:
-        """The target itself, in its own frame."""
+        """Generate the target in its own frame."""
         raise NotImplementedError(f"generator {type(self).__name__} must implement target()")
 
     def pose(self, domain: Domain, seed: int, frame: int, frames: int) -> Pose:
-        """Where a frame shows it; draw from `sabench.utils.rng.stream(seed, ...)` only."""
+        """Generate the target's pose in a frame.
+
+        Draw random numbers from `sabench.utils.rng.stream(seed, ...)` only.
+        """
         raise NotImplementedError(f"generator {type(self).__name__} must implement pose()")

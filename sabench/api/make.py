@@ -1,4 +1,4 @@
-"""Plug-ins by name, with checked parameters."""
+"""Construction of plug-ins by name, with checked parameters."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from sabench.utils.validation import validate
 
 
 def generator_of(given: dict[str, Any]) -> Any:
-    """The generator that a table of a scene asks for."""
+    """Make the generator that a table of a scene names."""
     rest = dict(given)
     plugin = plugins.load("generators", rest.pop("generator"))
     return plugin(plugin.Parameters(**rest))
@@ -25,7 +25,7 @@ def make_algorithm(name: str, parameters: dict[str, Any]) -> AnySolver:
 
 
 def make_solver(name: str, parameters: dict[str, Any]) -> Solver:
-    """A reconstruction solver with checked parameters."""
+    """Make a reconstruction solver with checked parameters."""
     made = make_algorithm(name, parameters)
     if not isinstance(made, Solver):
         raise InputError(

@@ -1,4 +1,7 @@
-"""Observations: one frame, a sequence, a calibration or a pair of volumes, as an experimenter has them."""
+"""Observations: the data that an experimenter has.
+
+They are one frame, an image sequence, a calibration, or a pair of volumes.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +19,7 @@ from sabench.utils.arrays import F32, F64, U16, Bool
 from sabench.utils.errors import InputError
 from sabench.utils.fields import LensNumber
 
-Shown = Literal["particles", "target", "bubbles", "code"]  # what a data set's frames show
+Shown = Literal["particles", "target", "bubbles", "code"]  # kinds of objects in a data set's frames
 
 
 @dataclass(frozen=True)
@@ -26,8 +29,8 @@ class Observation:
     Attributes
     ----------
     images : (camera, row, column) uint16 grey values.
-    cameras : calibrated cameras in the order of the images; each knows its wall. What they say may
-        be off: see `[calibration]` in a scene.
+    cameras : calibrated cameras in the order of the images, each with its wall. They may be wrong:
+        see `[calibration]` in a scene.
     grid : the voxels to reconstruct.
     black_dn, white_dn : grey values of no light and of saturation.
 
@@ -45,6 +48,7 @@ class Observation:
     white_dn: float
 
     def __post_init__(self) -> None:
+        """Check the images against the cameras, and the levels."""
         if not self.black_dn < self.white_dn:
             raise InputError(
                 f"black_dn: expected it below white_dn, got {self.black_dn:g} and {self.white_dn:g}"
@@ -53,9 +57,9 @@ class Observation:
         _check_sizes(self.images, self.cameras)
 
     def normalised_images(self) -> F32:
-        """Scale the images to a bright particle's peak in the same camera; black becomes 0.
+        """Scale each camera's images to the peak of a bright particle in it.
 
-        See `sabench.images.brightness.normalised`.
+        Black becomes 0. See `sabench.images.brightness.normalised`.
         """
         from sabench.images.brightness import normalised  # numba is loaded at the first use
 
@@ -63,7 +67,7 @@ class Observation:
 
 
 def _check_kind(images: Any) -> None:
-    """Grey values are 16-bit numbers without sign, in one array."""
+    """Check that the images are one array of unsigned 16-bit numbers."""
     if not isinstance(images, np.ndarray):
         raise InputError(
             f"images: expected one uint16 array (camera, row, column), got {type(images).__name__}"
@@ -77,7 +81,7 @@ def _check_kind(images: Any) -> None:
 
 
 def _oddities(values: Any) -> str:
-    """What of other numbers cannot be a grey value."""
+    """Describe which values of an array of another type cannot be grey values."""
     if values.dtype.kind not in "fi":
         return ""
     counts = {
@@ -88,29 +92,33 @@ def _oddities(values: Any) -> str:
 
 
 def _check_sizes(images: U16, cameras: tuple[CameraModel, ...]) -> None:
-    """Every camera has an image, of its own size."""
+    """Check that every camera has an image of its own size."""
     if not cameras or len(images) != len(cameras):
         without = ", ".join(camera.name for camera in cameras[len(images) :])
         raise InputError(
-            f"images: expected one for each of {len(cameras)} cameras, got {len(images)}{': none for ' + without if without else ''}"
+            f"images: expected one for each of {len(cameras)} cameras, got "
+            f"{len(images)}{': none for ' + without if without else ''}"
         )
     rows, columns = images.shape[1:]
     for camera in cameras:
         if (camera.rows, camera.columns) != (rows, columns):
             raise InputError(
-                f"{camera.name}: expected an image of {camera.rows} x {camera.columns} pixels (rows x columns), got {rows} x {columns}"
+                f"{camera.name}: expected an image of {camera.rows} x {camera.columns} pixels "
+                f"(rows x columns), got {rows} x {columns}"
             )
 
 
 @dataclass(frozen=True)
 class Film:
-    """Frames that follow each other, as an experimenter has them: each is read when it is asked for, and none is kept.
+    """Image sequence as an experimenter has it.
+
+    Each frame is read when it is requested, and none is kept.
 
     Attributes
     ----------
     cameras, grid : of all frames, as in `Observation`.
-    times_s : when each frame was taken.
-    load : reads a frame, counted from 0.
+    times_s : time of each frame.
+    load : function that reads a frame; frames count from 0.
     """
 
     cameras: tuple[CameraModel, ...]
@@ -120,7 +128,7 @@ class Film:
 
     @classmethod
     def of(cls, frames: list[Observation], interval_s: float = 1.0) -> Film:
-        """A film of frames that are in memory."""
+        """Make an image sequence of frames that are in memory."""
         return cls(
             frames[0].cameras,
             frames[0].grid,
@@ -129,39 +137,42 @@ class Film:
         )
 
     def __len__(self) -> int:
+        """Return the number of frames."""
         return len(self.times_s)
 
     def __getitem__(self, frame: int) -> Observation:
+        """Read a frame."""
         if not 0 <= frame < len(self):
             raise IndexError(f"frame {frame}: expected 0 to {len(self) - 1}")
         return self.load(frame)
 
     def __iter__(self) -> Iterator[Observation]:
+        """Read the frames one after another."""
         return (self[frame] for frame in range(len(self)))
 
 
 @dataclass(frozen=True)
 class CalibrationCase:
-    """A calibration as an experimenter has it.
+    """Data of a calibration as an experimenter has them.
 
     Attributes
     ----------
-    target : what was shown, in its own frame.
+    target : the target, in its own frame.
     pixels : (camera, frame, point, 2) column and row of the target's m points; NaN where one was
         not found.
-    cameras : roughly known cameras; each knows its wall.
-    rough_mm : (frame, point, 3) roughly known places of the target's points, world frame; NaN where
-        nothing is known.
+    cameras : initial guess of the cameras, each with its wall.
+    rough_mm : (frame, point, 3) initial guess of the positions of the target's points, world frame;
+        NaN where there is none.
     known_mm : (frame, point, 3) coordinates that were measured by other means; NaN where they were
         not.
     known_sigma_mm : the same shape, their standard deviations.
-    unknown : what nobody has measured of the lenses besides their focal lengths: "principal_point"
-        and names of coefficients of distortion.
+    unknown : parameters of the lenses that were not measured, besides their focal lengths:
+        "principal_point" and names of coefficients of distortion.
 
     Raises
     ------
     InputError
-        Arrays of other shapes, or a camera that found nothing.
+        Arrays of other shapes, or a camera that found no point.
     """
 
     target: Target
@@ -173,6 +184,7 @@ class CalibrationCase:
     unknown: tuple[LensNumber, ...] = ()
 
     def __post_init__(self) -> None:
+        """Check the shapes, and that every camera sees some of the target."""
         count = len(self.target.points_mm)
         if (
             self.pixels.ndim != 4
@@ -180,7 +192,8 @@ class CalibrationCase:
             or self.pixels.shape[3] != 2
         ):
             raise InputError(
-                f"pixels: expected the shape ({len(self.cameras)}, frames, {count}, 2), got {self.pixels.shape}"
+                f"pixels: expected the shape ({len(self.cameras)}, frames, {count}, 2), got "
+                f"{self.pixels.shape}"
             )
         expected = (self.pixels.shape[1], count, 3)
         for name in ("rough_mm", "known_mm", "known_sigma_mm"):
@@ -191,12 +204,13 @@ class CalibrationCase:
         for camera, found in zip(self.cameras, self.found, strict=True):
             if not found.any():
                 raise InputError(
-                    f"{camera.name}: expected it to see some of the target, but not one of its points was found"
+                    f"{camera.name}: expected it to see some of the target, but not one of its "
+                    "points was found"
                 )
 
     @property
     def found(self) -> Bool:
-        """Which points were found: (camera, frame, point)."""
+        """Flags (camera, frame, point) of the points that were found."""
         return np.asarray(np.isfinite(self.pixels).all(axis=-1))
 
 
@@ -208,7 +222,7 @@ class VolumePair:
     ----------
     first, second : (z, y, x) float32 intensities.
     grid : their voxels.
-    interval_s : the time between them.
+    interval_s : time between them.
 
     Raises
     ------
@@ -222,11 +236,13 @@ class VolumePair:
     interval_s: float
 
     def __post_init__(self) -> None:
+        """Check the shapes and the contrast of both volumes."""
         for name in ("first", "second"):
             volume = getattr(self, name)
             if volume.shape != self.grid.shape:
                 raise InputError(
-                    f"{name} volume: expected {self.grid.shape} voxels (z, y, x) as its grid has, got {volume.shape}"
+                    f"{name} volume: expected {self.grid.shape} voxels (z, y, x) as its grid has, "
+                    f"got {volume.shape}"
                 )
             if not np.isfinite(volume).all():
                 raise InputError(
@@ -234,5 +250,6 @@ class VolumePair:
                 )
             if volume.min() == volume.max():
                 raise InputError(
-                    f"{name} volume: expected one that shows something, got {volume.flat[0]:g} everywhere"
+                    f"{name} volume: expected one that shows something, got {volume.flat[0]:g} "
+                    "everywhere"
                 )

@@ -14,7 +14,10 @@ class Parameters(BaseModel):
 
 
 class FileParameters(Parameters):
-    """Base of the parameters of a generator that reads a file; a data set keeps a copy of it."""
+    """Base of the parameters of a generator that reads a file.
+
+    A data set keeps a copy of the file.
+    """
 
     file: str = Field(description="its path, from the scene file's folder")
     sha256: str | None = Field(
@@ -23,7 +26,7 @@ class FileParameters(Parameters):
 
 
 class PlugIn:
-    """What all plug-ins have."""
+    """Attributes that all plug-ins have."""
 
     name: ClassVar[str]
     references: ClassVar[tuple[str, ...]] = ()

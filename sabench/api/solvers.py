@@ -1,8 +1,11 @@
-"""What a plug-in implements: a generator makes truth, a solver makes an estimate from what an experimenter would see.
+"""Base classes of solvers, one for each kind of algorithm.
 
-A plug-in is a file in generators/ or solvers/ with one class; its `name` is the file's stem, the
-first line of its docstring is what `sabench list` shows, its `Parameters` are what a scene or `-p
-name=value` may set.
+A solver makes an estimate from the data that an experimenter would have; a generator makes truth.
+Each of them is a plug-in.
+
+A plug-in is a file in generators/ or solvers/ with one class. Its `name` is the stem of the file,
+the first line of its docstring is its summary in `sabench list`, and its `Parameters` are the
+values that a scene or `-p name=value` may set.
 """
 
 from __future__ import annotations
@@ -21,13 +24,16 @@ TaskName = Literal[
 
 
 class Solver(PlugIn):
-    """Base of a reconstruction algorithm: `solve` turns one observation into one reconstruction."""
+    """Base of a reconstruction algorithm.
+
+    `solve` turns one observation into one reconstruction.
+    """
 
     task: ClassVar[TaskName] = "reconstruction"
     sees: ClassVar[Shown] = "particles"
 
     def skip(self, case: Observation) -> str | None:
-        """Why this algorithm cannot take the case, or None if it can."""
+        """Give the reason why this algorithm cannot take the case; None if it can."""
         return None
 
     def solve(self, case: Observation) -> Reconstruction:
@@ -36,43 +42,52 @@ class Solver(PlugIn):
 
 
 class ParticleSolver(PlugIn):
-    """Base of an algorithm that finds particles, or tracks them: `solve` turns a film into the particles of each of its frames."""
+    """Base of an algorithm that finds particles, with or without trajectories.
+
+    `solve` turns an image sequence into the particles of each of its frames.
+    """
 
     task: ClassVar[TaskName] = "particles"
     sees: ClassVar[Shown] = "particles"
 
     def skip(self, case: Film) -> str | None:
-        """Why this algorithm cannot take the case, or None if it can."""
+        """Give the reason why this algorithm cannot take the case; None if it can."""
         return None
 
     def solve(self, case: Film) -> list[FoundParticles]:
-        """Find the particles of every frame; all of them with track numbers, or none."""
+        """Find the particles of every frame; either all with trajectories, or none."""
         raise NotImplementedError(f"solver {type(self).__name__} must implement solve()")
 
 
 class CalibrationSolver(PlugIn):
-    """Base of a calibration algorithm: `solve` turns all observations of a target into cameras."""
+    """Base of a calibration algorithm.
+
+    `solve` turns all observations of a target into cameras.
+    """
 
     task: ClassVar[TaskName] = "calibration"
     sees: ClassVar[Shown] = "target"
 
     def skip(self, case: CalibrationCase) -> str | None:
-        """Why this algorithm cannot take the case, or None if it can."""
+        """Give the reason why this algorithm cannot take the case; None if it can."""
         return None
 
     def solve(self, case: CalibrationCase) -> Calibration:
-        """Calibrate an array."""
+        """Calibrate an array of cameras."""
         raise NotImplementedError(f"solver {type(self).__name__} must implement solve()")
 
 
 class SelfCalibrationSolver(PlugIn):
-    """Base of an algorithm that corrects cameras by images of particles: `solve` turns one observation into cameras."""
+    """Base of an algorithm that corrects cameras by images of particles.
+
+    `solve` turns one observation into cameras.
+    """
 
     task: ClassVar[TaskName] = "calibration"
     sees: ClassVar[Shown] = "particles"
 
     def skip(self, case: Observation) -> str | None:
-        """Why this algorithm cannot take the case, or None if it can."""
+        """Give the reason why this algorithm cannot take the case; None if it can."""
         return None
 
     def solve(self, case: Observation) -> Calibration:
@@ -81,7 +96,7 @@ class SelfCalibrationSolver(PlugIn):
 
 
 class VelocimetryParameters(Parameters):
-    """Which solver reconstructs the volumes."""
+    """Parameters of velocimetry: the solver that reconstructs the volumes."""
 
     reconstruction: str = Field(
         "block_mart", description="name of a reconstruction solver, with its own defaults"
@@ -89,14 +104,17 @@ class VelocimetryParameters(Parameters):
 
 
 class VelocimetrySolver(PlugIn):
-    """Base of a velocimetry algorithm: `solve` turns two volumes into a velocity field."""
+    """Base of a velocimetry algorithm.
+
+    `solve` turns two volumes into a velocity field.
+    """
 
     task: ClassVar[TaskName] = "velocimetry"
     sees: ClassVar[Shown] = "particles"
     Parameters = VelocimetryParameters
 
     def skip(self, case: VolumePair) -> str | None:
-        """Why this algorithm cannot take the case, or None if it can."""
+        """Give the reason why this algorithm cannot take the case; None if it can."""
         return None
 
     def solve(self, case: VolumePair) -> Velocity:
@@ -105,13 +123,16 @@ class VelocimetrySolver(PlugIn):
 
 
 class BubbleSolver(PlugIn):
-    """Base of an algorithm that finds bubbles: `solve` turns one observation into detections."""
+    """Base of an algorithm that finds bubbles.
+
+    `solve` turns one observation into detections.
+    """
 
     task: ClassVar[TaskName] = "bubbles"
     sees: ClassVar[Shown] = "bubbles"
 
     def skip(self, case: Observation) -> str | None:
-        """Why this algorithm cannot take the case, or None if it can."""
+        """Give the reason why this algorithm cannot take the case; None if it can."""
         return None
 
     def solve(self, case: Observation) -> Detections:
@@ -120,17 +141,20 @@ class BubbleSolver(PlugIn):
 
 
 class SeeThroughSolver(PlugIn):
-    """Base of an algorithm that looks through what is in front of a body: `solve` turns one observation into a stack of planes."""
+    """Base of an algorithm that sees through the objects in front of a body.
+
+    `solve` turns one observation into a stack of planes.
+    """
 
     task: ClassVar[TaskName] = "see_through"
     sees: ClassVar[Shown] = "code"
 
     def skip(self, case: Observation) -> str | None:
-        """Why this algorithm cannot take the case, or None if it can."""
+        """Give the reason why this algorithm cannot take the case; None if it can."""
         return None
 
     def solve(self, case: Observation) -> Reconstruction:
-        """Planes in which bright is what lets light through."""
+        """Compute planes whose bright voxels are those that let light through."""
         raise NotImplementedError(f"solver {type(self).__name__} must implement solve()")
 
 

@@ -1,4 +1,4 @@
-"""The truth that a generator makes: what is in the water, where and when."""
+"""Truth of a frame, as generators make it: particles, bubbles, bodies, targets."""
 
 from __future__ import annotations
 
@@ -32,13 +32,15 @@ class Particles:
     velocity_mm_s: F64
 
     def __post_init__(self) -> None:
+        """Check the shapes, and that all values are finite."""
         count = len(self.id)
         shapes = {"position_mm": (count, 3), "diameter_mm": (count,), "velocity_mm_s": (count, 3)}
         for name, expected in shapes.items():
             value = getattr(self, name)
             if value.shape != expected or not np.isfinite(value).all():
                 raise ValueError(
-                    f"Particles.{name}: expected finite values of shape {expected}, got shape {value.shape}"
+                    f"Particles.{name}: expected finite values of shape {expected}, got shape "
+                    f"{value.shape}"
                 )
         if (np.diff(np.sort(self.id)) == 0).any():
             raise ValueError("Particles.id: expected unique numbers, got duplicates")
@@ -46,12 +48,15 @@ class Particles:
             raise ValueError("Particles.diameter_mm: expected positive values")
 
     def __len__(self) -> int:
+        """Return the number of particles."""
         return len(self.id)
 
 
 @dataclass(frozen=True)
 class Bubbles:
-    """Bubbles or droplets at one instant, world frame: spheroids, or ellipsoids of any axes.
+    """Bubbles or droplets at one instant, world frame.
+
+    They are spheroids, or ellipsoids of any axes.
 
     Attributes
     ----------
@@ -60,7 +65,7 @@ class Bubbles:
     semi_axes_mm : (n, 3), along the rows of `turn`.
     turn : (n, 3, 3) rotations from the world to the bubble's own axes.
     velocity_mm_s : (n, 3).
-    index : refractive index of what is inside.
+    index : refractive index of their content.
     """
 
     id: I64
@@ -71,6 +76,7 @@ class Bubbles:
     index: float = 1.0
 
     def __post_init__(self) -> None:
+        """Check the shapes, and that all values are finite."""
         count = len(self.id)
         shapes = {
             "center_mm": (count, 3),
@@ -82,7 +88,8 @@ class Bubbles:
             value = getattr(self, name)
             if value.shape != expected or not np.isfinite(value).all():
                 raise ValueError(
-                    f"Bubbles.{name}: expected finite values of shape {expected}, got shape {value.shape}"
+                    f"Bubbles.{name}: expected finite values of shape {expected}, got shape "
+                    f"{value.shape}"
                 )
         if (np.diff(np.sort(self.id)) == 0).any():
             raise ValueError("Bubbles.id: expected unique numbers, got duplicates")
@@ -94,10 +101,11 @@ class Bubbles:
             raise ValueError(f"Bubbles.index: expected 1 or more, got {self.index:g}")
 
     def __len__(self) -> int:
+        """Return the number of bubbles."""
         return len(self.id)
 
     def __getitem__(self, chosen: Bool | I64) -> Bubbles:
-        """Some of them."""
+        """Select some of the bubbles."""
         return Bubbles(
             self.id[chosen],
             self.center_mm[chosen],
@@ -119,11 +127,11 @@ class Bubbles:
 
     @property
     def to_ball(self) -> F64:
-        """(n, 3, 3) matrices M: x is inside where |M (x - center)| < 1."""
+        """Compute the matrices M (n, 3, 3); x is inside where |M (x - center)| < 1."""
         return np.asarray(self.turn / self.semi_axes_mm[:, :, None])
 
     def reach_mm(self, direction: npt.ArrayLike) -> F64:
-        """How far each extends from its centre along a unit vector (3,): (n,)."""
+        """Compute how far (n,) each extends from its centre along a unit vector (3,)."""
         return np.asarray(
             np.linalg.norm(
                 self.semi_axes_mm * (self.turn @ np.asarray(direction, dtype=np.float64)), axis=1
@@ -179,7 +187,7 @@ class Target:
 
 @dataclass(frozen=True)
 class Placed:
-    """A target and its place in every frame: truth."""
+    """Target and its position in every frame: truth."""
 
     target: Target
     poses: tuple[Pose, ...]
@@ -192,7 +200,10 @@ class Placed:
 
 @dataclass(frozen=True)
 class Prior:
-    """What is known of a target's places before a calibration: arrays as in `api.CalibrationCase`."""
+    """Positions of a target that are known before a calibration.
+
+    The arrays are those of `api.CalibrationCase`.
+    """
 
     rough_mm: F64
     known_mm: F64
@@ -204,16 +215,15 @@ NOTHING, BODY = -1, -2  # of `Sight.number`: BODY - k is the k-th body
 
 @dataclass(frozen=True)
 class Sight:
-    """What one camera sees of a frame's n bubbles and its bodies.
+    """True view of a frame's n bubbles and bodies by one camera.
 
     Attributes
     ----------
     number : (rows, columns) int32 of the bubble (its row in the frame's bubbles) or body that each
         pixel's middle sees first: see `NOTHING`, `BODY`.
     depth_mm : (rows, columns) float32, of the surface there: along the wall's normal from its outer
-        face, without a wall along the camera's axis
-        from its pinhole; NaN for nothing.
-    path_mm : (rows, columns) float32, length of the way of light from the pinhole to it; NaN for
+        face, without a wall along the camera's axis from its pinhole; NaN for nothing.
+    path_mm : (rows, columns) float32, length of the light path from the pinhole to it; NaN for
         nothing.
     visible : (n,) part of each bubble's outline that the camera sees: 1 for all of it, less where
         it is covered or outside the image.

@@ -99,7 +99,10 @@ def _record(entry: Entry) -> dict[str, str]:
 
 
 def _show_groups(entries: list[Entry]) -> None:
-    """Print one heading for each kind and group, and one line of the terminal for each entry."""
+    """Print one heading for each kind and group, and one line for each entry.
+
+    A line is cut to the width of the terminal.
+    """
     for (kind, group), found in itertools.groupby(entries, lambda one: (one.kind, one.group)):
         own = list(found)
         say(typer.style(f"{kind}s: {group}" if group else f"{kind}s", bold=True))
@@ -190,7 +193,7 @@ def export(
     ] = "vtk",
     overwrite: Overwrite = False,
 ) -> None:
-    """Write volumes, particles, velocity fields, bubbles and bodies for other programs."""
+    """Write volumes, particles, velocities, bubbles and bodies for other programs."""
     from sabench.interop.vtkhdf import export as write
 
     kind = cast("Format", to)  # `write` checks the word

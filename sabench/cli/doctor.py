@@ -41,7 +41,10 @@ def doctor() -> None:
 
 
 def examine() -> list[Finding]:
-    """Examine the installation; trials run in child processes, which a bad library may abort."""
+    """Examine the installation.
+
+    Trials run in child processes, which a bad library may abort.
+    """
     from sabench.utils import backend
 
     system = f"{platform.system()} {platform.machine()}, {os.cpu_count()} cores"
@@ -81,7 +84,10 @@ def try_compute() -> str:
 
 
 def try_render() -> str:
-    """Render the first camera of the scene `quick` and compare with the analytic light."""
+    """Render the first camera of the scene `quick` and check its light.
+
+    It is compared with the analytic value.
+    """
     from sabench.scenes import build_rig, load_scene
     from sabench.simulation.in_memory import make_particles
     from sabench.simulation.rendering.particle_images import image_particles, scattering_table

@@ -84,7 +84,10 @@ def run(
 
 
 def _show_records(records: list[dict[str, Any]]) -> None:
-    """Print mean and 95 % confidence interval over seeds, a table for each task, best first."""
+    """Print mean and 95 % confidence interval over seeds.
+
+    There is a table for each task, with the best first.
+    """
     from sabench import tasks
     from sabench.evaluation.leaderboard.rows import over_seeds
 

@@ -44,7 +44,7 @@ def top(
     context: typer.Context,
     version: Annotated[bool, typer.Option("--version", help="Print the version.")] = False,
 ) -> None:
-    """Synthetic data with known truth for volumetric velocimetry, and benchmarks on it."""
+    """Synthetic data with known truth for volumetric velocimetry, and benchmarks."""
     if version:
         say(f"sabench {__version__}")
         raise typer.Exit
@@ -92,7 +92,10 @@ def _fail_usage(error: Any) -> NoReturn:
 
 
 def _fail(message: str) -> NoReturn:
-    """Print a message to standard error, further lines of it indented, and exit with code 2."""
+    """Print a message to standard error and exit with code 2.
+
+    Further lines of the message are indented.
+    """
     lines = [" ".join(line.split()) for line in message.splitlines()]
     with contextlib.suppress(OSError):
         print("sabench: " + "\n  ".join(line for line in lines if line), file=sys.stderr)

@@ -128,7 +128,10 @@ def conform(
     parameter: ParameterPairs = None,
     as_json: AsJson = False,
 ) -> None:
-    """Test a solver against the laws that every solver obeys; exit code 1 if it breaks one."""
+    """Test a solver against the laws that every solver obeys.
+
+    The exit code is 1 if it breaks one.
+    """
     from dataclasses import asdict
 
     from sabench.tasks.conformance import check_solver

@@ -1,4 +1,7 @@
-"""Tables of the command: fitted to the terminal, 200 columns wide where output is piped."""
+"""Tables of the command, fitted to the terminal.
+
+They are 200 columns wide where the output is piped.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +21,9 @@ def width() -> int:
 
 
 def show(headings: Sequence[str], rows: Rows, keys: int = 1) -> None:
-    """Print a table; if it is too wide, transpose a single row, else split the columns.
+    """Print a table.
+
+    If it is too wide, transpose a single row, else split the columns.
 
     Parameters
     ----------
@@ -35,7 +40,10 @@ def show(headings: Sequence[str], rows: Rows, keys: int = 1) -> None:
 
 
 def _split(sizes: Sequence[int], keys: int) -> list[list[int]]:
-    """Distribute columns over tables of the allowed width, each with the key columns first."""
+    """Distribute columns over tables of the allowed width.
+
+    Each table has the key columns first.
+    """
     first = list(range(keys))
     parts: list[list[int]] = [[]]
     free = left = width() - 1 - sum(sizes[:keys])

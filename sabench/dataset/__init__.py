@@ -1,1 +1,1 @@
-"""The data set on disk: docs/formats/dataset.md is its contract."""
+"""Data sets on disk; docs/formats/dataset.md is their contract."""

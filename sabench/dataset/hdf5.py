@@ -20,10 +20,9 @@ from sabench.utils.errors import InputError
 
 _LONGEST = 1 << 20  # characters of an attribute
 _MOST_NAMES = 100_000  # members of a group
-_SMALL = 1 << 26  # bytes that may be read without a thought
-_OPEN_BYTES = (
-    2_000_000_000  # of a data set whose length is the file's to choose: 80 million particles
-)
+_SMALL = 1 << 26  # bytes that may be read without a check of their cost
+# of a data set whose length the file itself sets: 80 million particles
+_OPEN_BYTES = 2_000_000_000
 _DENSEST = 1100  # deflate makes at best 1 byte of 1032
 
 
@@ -31,7 +30,7 @@ _DENSEST = 1100  # deflate makes at best 1 byte of 1032
 def opened(path: Path) -> Iterator[Any]:
     """Open an HDF5 file for reading.
 
-    Whatever goes wrong inside is an InputError that names the file.
+    Any fault inside becomes an InputError that names the file.
     """
     if not path.is_file():
         raise InputError(f"{path}: expected an HDF5 file, found none")
@@ -40,17 +39,15 @@ def opened(path: Path) -> Iterator[Any]:
             yield file
     except (OSError, RuntimeError, KeyError, ValueError) as error:
         raise InputError(
-            f"{path}: expected a whole HDF5 file, got {type(error).__name__}: {error}"
+            f"{path}: expected an intact HDF5 file, got {type(error).__name__}: {error}"
         ) from error
 
 
 class NewFile(io.RawIOBase):
     """File that HDF5 writes through, which keeps the first refused write.
 
-    HDF5 itself is given success.
-
-    HDF5 does not survive a refused write: it crashes the process when it closes. `check` raises the
-    refusal where Python can handle it.
+    HDF5 does not survive a refused write: it crashes the process when it closes. So every write
+    reports success to HDF5, and `check` raises the refusal where Python can handle it.
     """
 
     def __init__(self, path: Path) -> None:
@@ -86,7 +83,7 @@ class NewFile(io.RawIOBase):
         return self._file.seek(offset, whence)
 
     def tell(self) -> int:
-        """Position in the file."""
+        """Return the position in the file."""
         return self._file.tell()
 
     def truncate(self, size: int | None = None) -> int:
@@ -105,11 +102,10 @@ class NewFile(io.RawIOBase):
 
 @contextlib.contextmanager
 def created(path: Path) -> Iterator[tuple[Any, Callable[[], None]]]:
-    """Create an HDF5 file; also gives a function that raises refused writes.
+    """Create an HDF5 file; also give a function that raises refused writes.
 
-    The function is called at the end in any case.
-
-    Whoever writes into the file does so `uninterrupted`.
+    The function is called at the end in any case. Write into the file in `uninterrupted` blocks
+    only.
     """
     sink = NewFile(path)
     try:
@@ -129,7 +125,7 @@ def created(path: Path) -> Iterator[tuple[Any, Callable[[], None]]]:
 def uninterrupted() -> Iterator[None]:
     """Delay Ctrl-C until the block has ended.
 
-    Raised inside HDF5's calls to `NewFile` it would be lost, or leave the file in pieces.
+    An interrupt inside HDF5's calls to `NewFile` would be lost, or damage the file.
     """
     if threading.current_thread() is not threading.main_thread():
         yield
@@ -147,10 +143,10 @@ def uninterrupted() -> Iterator[None]:
 def read_array(file: Any, name: str, shape: tuple[int | None, ...], kind: str) -> npt.NDArray[Any]:
     """Read a data set of that shape (None: any length) and numpy kind letters.
 
-    It must lie inside this very file.
+    It must lie inside this file, not behind a link to another one.
 
-    Shape, type and what reading will cost are checked before a value is read: a small file can say
-    that it holds more than any memory.
+    Shape, type and size are checked before a value is read: a small file can claim to hold more
+    than any memory.
     """
     where = f"{file.filename}: {name}"
     node = _node(file, name, where)
@@ -172,7 +168,7 @@ def read_array(file: Any, name: str, shape: tuple[int | None, ...], kind: str) -
 def walk(path: Path) -> None:
     """Read all names, shapes and attributes of a file, but no values.
 
-    A damaged file on which the library loops for ever is found here.
+    It finds damaged files on which the library loops for ever.
     """
 
     def look(_: str, node: Any) -> None:
@@ -188,7 +184,7 @@ def walk(path: Path) -> None:
 
 
 def names_in(file: Any, group: str) -> set[str]:
-    """List what a group of this very file holds; nothing without such a group."""
+    """List the members of a group of this file; nothing without such a group."""
     node = file
     for part in group.split("/"):
         link = node.get(part, getlink=True)
@@ -205,8 +201,8 @@ def names_in(file: Any, group: str) -> set[str]:
 def read_attributes(file: Any, names: Iterable[str]) -> dict[str, Any]:
     """Read attributes of the file's root as single strings and numbers.
 
-    Other languages write strings of fixed length, and arrays of one element for single values: both
-    are taken.
+    Other languages write strings of fixed length, and arrays of one element for single values; both
+    are accepted.
     """
     return {name: _attribute(file, name) for name in names if name in file.attrs}
 
@@ -252,7 +248,7 @@ def _node(file: Any, name: str, where: str) -> Any:
 def _dtype(node: Any, where: str) -> np.dtype[Any]:
     try:
         dtype: np.dtype[Any] = np.dtype(node.dtype)
-    except TypeError as error:  # HDF5 has types that numpy has not
+    except TypeError as error:  # HDF5 has types that numpy does not have
         raise InputError(
             f"{where}: expected numbers or text, got a type that numpy does not have: {error}"
         ) from error
@@ -262,7 +258,7 @@ def _dtype(node: Any, where: str) -> np.dtype[Any]:
 def _check_cost(node: Any, where: str, *, is_open: bool) -> None:
     """Refuse values that would not fit into memory.
 
-    Where the length is the file's to choose, also those that it hardly stores.
+    Where the file sets the length itself, also refuse values that it hardly stores.
     """
     size, stored, there = int(node.nbytes), int(node.id.get_storage_size()), memory.available_mb()
     if there is not None and 2.0 * size / 1e6 > there:

@@ -12,10 +12,10 @@ from sabench.dataset.hdf5 import walk
 from sabench.utils.files import inside, is_file
 from sabench.utils.processes.isolated import call_isolated
 
-# for what a file says of itself: a damaged one can send the library round in circles, in which no
-# Ctrl-C is heard
+# seconds for the structure of a file: a damaged one can send the library into an endless loop that
+# Ctrl-C does not end
 _PROBE_S = 4.0
-_PROBE_RATE = 2e7  # bytes of a file for each second more
+_PROBE_RATE = 2e7  # bytes of a file for each further second
 
 
 def probe(path: Path) -> None:
@@ -24,7 +24,7 @@ def probe(path: Path) -> None:
     Raises
     ------
     InputError
-        It does not, or takes too long.
+        The child process crashes or takes too long.
     """
     call_isolated(
         walk, path, doing=f"{path}: reading it", time_s=_PROBE_S + path.stat().st_size / _PROBE_RATE

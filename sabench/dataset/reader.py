@@ -30,7 +30,7 @@ from sabench.utils.validation import validate
 
 @dataclass(frozen=True)
 class Dataset:
-    """Data set folder; frames are read when asked for."""
+    """Data set folder; a frame is read when it is requested."""
 
     root: Path
     manifest: Manifest
@@ -171,7 +171,7 @@ class Dataset:
             ]
 
     def sight(self, frame: int, camera: Camera) -> Sight:
-        """Read what one camera truly sees of a frame's bubbles and bodies."""
+        """Read the true view of a frame's bubbles and bodies by one camera."""
         self._check_frame(frame)
         group, image = (
             f"{schema.frame_group(frame)}/sights/{camera.name}",
@@ -300,10 +300,12 @@ def _pose(file: Any, group: str) -> Pose:
 def open_dataset(path: str | Path) -> Dataset:
     """Open a data set folder.
 
+    Checksums are not checked here: see `verify`.
+
     Raises
     ------
     InputError
-        No data set there, or one of another format; checksums are `verify`'s business.
+        No data set there, or one of another format.
     """
     root = Path(path)
     return Dataset(root, schema.read_manifest(root))

@@ -1,4 +1,4 @@
-"""A solver's result file: docs/formats/result.md is its contract."""
+"""Result files of solvers; docs/formats/result.md is their contract."""
 
 from __future__ import annotations
 
@@ -50,7 +50,10 @@ AnEstimate = TypeVar("AnEstimate", bound=Estimate)
 
 @dataclass(frozen=True)
 class Result:
-    """Result file: its data set, its solver and what it cost (None where it does not say)."""
+    """Result file: its data set, its solver and the costs.
+
+    A cost that the file does not give is None.
+    """
 
     path: Path
     task: TaskName
@@ -91,13 +94,13 @@ class Result:
 
 
 def group_of(kind: type[Estimate], frame: int) -> str:
-    """Name the group of a result file in which an estimate is."""
+    """Name the group of an estimate in a result file."""
     names = (schema.frame_group(frame) if kind.OF_FRAME else "", kind.GROUP)
     return "/".join(name for name in names if name)
 
 
 def _read(file: Any, group: str, declared: Array, sizes: dict[str, int]) -> npt.NDArray[Any]:
-    """Read one array as declared; its sizes are added to the known ones."""
+    """Read one array as declared, and add its sizes to the known ones."""
     name, dtype = f"{group}/{declared.label}", np.dtype(declared.dtype)
     kind = _STORED_KINDS[dtype.kind]
     stored = read_array(file, name, declared.sizes(sizes), kind)
@@ -126,12 +129,18 @@ class ResultWriter:
         self._check()
 
     def set_reconstruction(self, seconds: float) -> None:
-        """Store what the reconstruction of a frame cost before a velocity field was measured in it: seconds (mean)."""
+        """Store the mean seconds of the reconstruction of a frame.
+
+        Velocimetry reconstructs the frames before it measures a velocity field.
+        """
         with uninterrupted():
             self._file.attrs["reconstruction_s"] = seconds
 
     def set_cost(self, seconds: float, peak_mb: float | None) -> None:
-        """Store what one frame cost: seconds (mean) and peak resident memory (None: not known)."""
+        """Store the cost of one frame: mean seconds and peak resident memory.
+
+        The memory is None if it is not known.
+        """
         with uninterrupted():
             self._file.attrs["seconds"] = seconds
             if peak_mb is not None:
@@ -139,7 +148,10 @@ class ResultWriter:
 
 
 def _packing(declared: Array, value: npt.NDArray[Any]) -> dict[str, Any]:
-    """Options of HDF5 for an array: volumes on the grid are compressed, mostly zeros as they are."""
+    """Choose the HDF5 options for an array.
+
+    Volumes on the grid are compressed, since they are mostly zeros.
+    """
     if declared.shape != ("z", "y", "x"):
         return {}
     chunks = (1, *(min(_CHUNK, size) for size in value.shape[1:]))
@@ -156,7 +168,10 @@ def result_writer(
     *,
     overwrite: bool = False,
 ) -> Iterator[ResultWriter]:
-    """Open a writer whose estimates become the result file `target` when the block ends well, and vanish otherwise."""
+    """Open a writer of the result file `target`.
+
+    The file appears when the block ends without an error; otherwise nothing is left of it.
+    """
     with complete_or_nothing(target, overwrite=overwrite) as path, created(path) as (file, check):
         with uninterrupted():
             file.attrs["format"], file.attrs["version"] = FORMAT, VERSION
@@ -197,13 +212,16 @@ def open_result(path: str | Path, dataset: Dataset) -> Result:
 
 
 def read_dataset_hash(path: Path) -> str:
-    """Read the content hash of the data set that a result belongs to; raises as `open_result` does."""
+    """Read the content hash of the data set that a result belongs to.
+
+    Raises as `open_result` does.
+    """
     with opened(path) as file:
         return str(_head(file).get("dataset"))
 
 
 def _head(file: Any) -> dict[str, Any]:
-    """The attributes of a result file of this format."""
+    """Read the attributes of a result file, and check its format."""
     head = read_attributes(file, _ATTRIBUTES)
     version = head.get("version")
     known = version in _TASK_ATTRIBUTE
@@ -216,7 +234,7 @@ def _head(file: Any) -> dict[str, Any]:
 
 
 def _task(head: dict[str, Any], path: str | Path) -> Any:
-    """The task of a result; files of version 1 call it `track`."""
+    """Read the task of a result; in files of version 1 its key is `track`."""
     name = _TASK_ATTRIBUTE[int(head["version"])]
     task, known = str(head.get(name, "reconstruction")), get_args(TaskName)
     if task not in known:

@@ -34,7 +34,7 @@ MANIFEST, CAMERAS, SCENE, TRUTH, TRUE_CAMERAS = (
 )
 TARGET, POINTS = "target.json", "points.h5"
 MOST_POINTS = 1_000_000  # of a target
-GIVEN = "given"  # folder of what other programs wrote and the scene reads
+GIVEN = "given"  # folder of files of other programs, which the scene reads
 
 
 class _Record(BaseModel):
@@ -67,18 +67,21 @@ class CamerasFile(_Record):
     shows: tuple[Literal["particles", "bubbles", "code"], ...] = ("particles",)
 
     def time_s(self, frame: int) -> float:
-        """Time of a frame."""
+        """Compute the time of a frame."""
         return frame * self.interval_s if self.times_s is None else self.times_s[frame]
 
     def sequences(self) -> list[range]:
-        """Sequences of frames: each group of pulses, or all frames without groups."""
+        """List the sequences of frames.
+
+        They are the groups of pulses; without groups there is one sequence of all frames.
+        """
         step = self.pulses if self.pulses > 1 else self.frames
         return [
             range(first, min(first + step, self.frames)) for first in range(0, self.frames, step)
         ]
 
     def pairs(self) -> list[tuple[int, int]]:
-        """Pairs of frames that follow each other within a sequence."""
+        """List the pairs of frames that follow each other within a sequence."""
         return [pair for frames in self.sequences() for pair in itertools.pairwise(frames)]
 
 
@@ -121,7 +124,7 @@ class Manifest(_Record):
 
 
 def image_name(camera: str, frame: int, suffix: str) -> str:
-    """Path of an image inside a data set.
+    """Name the path of an image inside a data set.
 
     `suffix` is tif (grey values) or exr (radiance).
     """
@@ -129,7 +132,7 @@ def image_name(camera: str, frame: int, suffix: str) -> str:
 
 
 def frame_group(frame: int) -> str:
-    """HDF5 group of a frame, in truth and result files."""
+    """Name the HDF5 group of a frame, in truth and result files."""
     return f"frames/{frame:04d}"
 
 
@@ -296,7 +299,10 @@ def write_cameras(path: Path, cameras: Sequence[CameraModel], **keys: Any) -> No
 
 
 def _camera_entry(camera: CameraModel) -> dict[str, Any]:
-    """A camera's record: a pinhole's without its model, which is the default, and its wall."""
+    """Make a camera's entry.
+
+    The entry of a pinhole leaves out the wall and the model, which is the default.
+    """
     record = record_camera(camera)
     if isinstance(camera, Camera):
         del record["model"], record["wall"]

@@ -14,7 +14,7 @@ from sabench.utils.errors import InputError
 from sabench.utils.files import inside, sha256
 from sabench.utils.progress import track
 
-_MOST_FAULTS = 100  # a file may say that there are any number of frames
+_MOST_FAULTS = 100  # a file may claim any number of frames
 
 
 def verify(path: str | Path) -> list[str]:

@@ -47,7 +47,7 @@ class DatasetWriter:
         self._check()
 
     def take(self, file: Path, name: str, entry: schema.FileEntry) -> None:
-        """Link a file whose size and checksum are known; it also stays in its place."""
+        """Link a file whose size and checksum are known; the original also remains."""
         path = self.root / name
         path.parent.mkdir(parents=True, exist_ok=True)
         try:
@@ -76,7 +76,7 @@ class DatasetWriter:
         )
 
     def add_points(self, pixels: F64, prior: Prior) -> None:
-        """Store a target's observed pixels and what is known of its positions.
+        """Store a target's observed pixels and the positions known beforehand.
 
         Pixels are (camera, frame, point, 2).
         """
@@ -107,15 +107,13 @@ def dataset_writer(
 ) -> Iterator[DatasetWriter]:
     """Open a writer whose frames become the data set at `target`.
 
-    They do when the block ends well.
-
-    Otherwise nothing is left of them.
+    The data set appears when the block ends without an error; otherwise nothing is left of it.
 
     Parameters
     ----------
     rig : the true optics.
     nominal : the cameras handed to solvers.
-    shows : what the frames show, where that is more than particles or a target.
+    shows : kinds of objects in the frames, where that is more than particles or a target.
     """
     with complete_or_nothing(target, overwrite=overwrite) as root:
         root.mkdir()
@@ -145,7 +143,7 @@ def _with_copies(scene: Scene, root: Path) -> Scene:
 
 
 def _observation(scene: Scene) -> dict[str, Any]:
-    """Keys of cameras.json besides the cameras, their wall and the grid."""
+    """List the keys of cameras.json besides the cameras, their wall and the grid."""
     keys: dict[str, Any] = {
         "frames": scene.frames,
         "interval_s": scene.interval_s,

@@ -1,4 +1,7 @@
-"""A hidden split: data sets that only their organiser can make, from a file with a secret that nobody else has."""
+"""Private test sets: data sets that only their organiser can make.
+
+Their seeds come from a file with a secret, which only the organiser has.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +17,7 @@ from sabench.utils.validation import validate
 
 
 class Secret(BaseModel):
-    """What the file says: a secret, and how many seeds of each case there are."""
+    """Content of the file: a secret, and the number of seeds of each case."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -22,7 +25,11 @@ class Secret(BaseModel):
     seeds: int = Field(5, ge=1, description="data sets of each case")
 
     def seeds_of(self, suite: str, version: int, case: str) -> tuple[int, ...]:
-        """The seeds of a case, which say nothing of the secret nor of each other: HMAC-SHA256 (RFC 2104) of what they are for."""
+        """Derive the seeds of a case from the secret.
+
+        A seed is HMAC-SHA256 (RFC 2104) of suite, version, case and number, so that seeds disclose
+        neither the secret nor each other.
+        """
         purposes = (f"{suite}\0{version}\0{case}\0{number}" for number in range(self.seeds))
         drawn = (
             hmac.new(self.secret.encode(), purpose.encode(), hashlib.sha256).digest()
@@ -32,7 +39,7 @@ class Secret(BaseModel):
 
 
 def read_secret(path: Path) -> Secret:
-    """The secret of a TOML file.
+    """Read the secret of a TOML file.
 
     Raises
     ------

@@ -1,4 +1,8 @@
-"""What runs leave behind: JSON lines that many processes may append to, of which none is lost or torn, and that are read without trust."""
+"""Records of runs, as JSON lines.
+
+Many processes may append to a file without losing or tearing a line. Readers do not trust its
+content.
+"""
 
 from __future__ import annotations
 
@@ -27,14 +31,17 @@ class _Part(BaseModel):
 
 
 class Submission(_Part):
-    """Who sent a result, and when."""
+    """Name of the sender of a result, and the date."""
 
     name: str = Field(min_length=1, max_length=80)
     date: str = Field(pattern=r"^\d{4}-\d{2}-\d{2}$")
 
 
 class Head(_Part):
-    """A record without its scores, which follow as further keys: one for each score of its task, numbers or null."""
+    """Record without its scores.
+
+    They follow as further keys: one for each score of its task, a number or null.
+    """
 
     model_config = ConfigDict(extra="allow")
 
@@ -45,14 +52,12 @@ class Head(_Part):
     scene: str
     difficulty: Difficulty | None = None
     axis: str | None = Field(
-        None, description="what sets the case apart from the standard one: density, cameras, ..."
+        None, description="property that differs from the standard case: density, cameras, ..."
     )
     axes: dict[str, Any] = Field({}, description="dotted keys of the scene with this case's values")
     scene_hash: str
     dataset: str = Field(description="content hash of the data set")
-    seed: int = Field(
-        description="of the data set; its place in the list of seeds in a hidden split"
-    )
+    seed: int = Field(description="of the data set; its number in a private test set")
     split: Literal["public", "hidden"] = "public"
     renderer: str
     task: TaskName = "reconstruction"
@@ -66,13 +71,13 @@ class Head(_Part):
     submission: Submission | None = None
     versions: dict[str, Any]
     machine: dict[str, Any]
-    pictures: str | None = Field(None, description="folder of the case's pictures")
-    command: str | None = Field(None, description="what makes this record again")
+    pictures: str | None = Field(None, description="folder of the case's figures")
+    command: str | None = Field(None, description="command that reproduces this record")
     reference_s: float | None = Field(
         None, description="seconds of the reference kernel, timed in the same run"
     )
     error: str | None = None
-    declined: bool = Field(False, description="the solver said that the case is none for it")
+    declined: bool = Field(False, description="whether the solver declined the case")
 
     @model_validator(mode="before")
     @classmethod
@@ -85,10 +90,11 @@ class Head(_Part):
 
 
 def read_records(folder: Path) -> list[Record]:
-    """All records of a folder's *.jsonl files, in the order of the files' names and of their lines, with defaults filled in.
+    """Read all records of a folder's *.jsonl files and fill in defaults.
 
-    A line that is no record is named on standard error and left out; so is, without a word, the
-    last line that a killed run left torn.
+    The order is that of the files' names and of their lines. A line that is no record is left out,
+    with a message on standard error; the torn last line of a killed run is left out without a
+    message.
     """
     return [record for path in sorted(folder.glob("*.jsonl")) for record in _read_file(path)]
 
@@ -101,18 +107,18 @@ def _read_file(path: Path) -> Iterator[Record]:
         try:
             yield parse(line)
         except (ValueError, RecursionError) as error:
-            if number < len(lines):  # the last piece of the split is what follows the last newline
+            if number < len(lines):  # the last piece of the split follows the last newline
                 text = f"{path}: line {number} is left out: expected a record, got {error}"
                 console.print(text, style="red", markup=False, highlight=False, soft_wrap=True)
 
 
 def parse(line: bytes) -> Record:
-    """One line as a record.
+    """Parse one line as a record.
 
     Raises
     ------
     ValueError
-        Something else than a record; the text says what.
+        Anything else than a record; the text gives the reason.
     """
     value = json.loads(line.decode("utf-8"), parse_constant=_refuse)
     if not isinstance(value, dict):
@@ -128,7 +134,10 @@ def _refuse(constant: str) -> None:
 
 
 def append(path: Path, record: Record) -> None:
-    """Add one line and have the disk hold it; the torn last line of a killed run is cut off first. Many processes may do so at once."""
+    """Append one line and flush it to the disk.
+
+    The torn last line of a killed run is removed first. Many processes may append simultaneously.
+    """
     path.parent.mkdir(parents=True, exist_ok=True)
     line = (
         json.dumps(
@@ -144,7 +153,7 @@ def append(path: Path, record: Record) -> None:
 
 
 def _whole(file: Any) -> int:
-    """How many bytes there are up to the last newline, looked for from the end."""
+    """Count the bytes up to the last newline, which is searched from the end."""
     end, piece = file.seek(0, os.SEEK_END), 1 << 16
     while end > 0:
         start = max(0, end - piece)
@@ -157,10 +166,14 @@ def _whole(file: Any) -> int:
 
 
 def latest(records: list[Record]) -> list[Record]:
-    """Only the last record of each scene, seed, renderer, solver, parameters, machine and submission, in the order in which they first came."""
+    """Select the last record of each run, in the order of the first ones.
+
+    Records of one run have the same scene, seed, split, renderer, solver, parameters, machine and
+    submission.
+    """
     return list({key_of(record, _RUN): record for record in records}.values())
 
 
 def key_of(record: Record, names: tuple[str, ...]) -> str:
-    """These values of a record as one text."""
+    """Combine the given values of a record in one text."""
     return json.dumps([record.get(name) for name in names], sort_keys=True)

@@ -1,4 +1,7 @@
-"""Run a suite: every case and seed, every solver on it, every score into a record, then the page."""
+"""Runner of suites: data sets, results, scores, records and the page.
+
+It runs every solver on every case and seed.
+"""
 
 from __future__ import annotations
 
@@ -40,14 +43,17 @@ _COMPUTED = ("run_hash", "case", "label", "machine", "versions")
 
 @dataclass(frozen=True)
 class Only:
-    """Which cases, seeds and solvers of a suite are wanted; none: all. Solvers go by what tables call them."""
+    """Selection of cases, seeds and solvers of a suite; an empty tuple selects all.
+
+    Solvers have the names that tables show.
+    """
 
     cases: tuple[str, ...] = ()
     seeds: tuple[int, ...] = ()
     solvers: tuple[str, ...] = ()
 
     def of(self, cases: list[Case]) -> list[Case]:
-        """The wanted ones, each with the wanted solvers.
+        """Select the wanted cases, each with the wanted solvers.
 
         Raises
         ------
@@ -95,18 +101,20 @@ def run_suite(
     secret: Secret | None = None,
     jobs: int = 1,
 ) -> list[Record]:
-    """Generate, solve, score and record a whole suite, then rebuild the page; returns the records.
+    """Generate, solve, score and record a whole suite, then rebuild the page.
 
-    A record is written as soon as its score is known, and what has a record already - of the same
-    scene, seed, solver, code and machine - is not computed again, so an interrupted run goes on
-    where it was. A solver that fails gets a record that says why, and the run goes on; the next run
-    tries it again.
+    Returns the records.
+
+    A record is written as soon as its score is known. A solver that has a record for the same
+    scene, seed, code and machine is not computed again; so run the same command again to resume an
+    interrupted run. If a solver fails, its record gives the reason and the run continues; the next
+    run tries it again.
 
     Parameters
     ----------
     fresh : compute everything again.
     only : a part of the suite.
-    secret : run the hidden split.
+    secret : run the private test set.
     jobs : processes that generate a data set.
     """
     suite, cases = load_suite(path, secret)
@@ -129,7 +137,8 @@ def run_suite(
         ]
         records += [old[key] for head in heads if (key := key_of(head, _COMPUTED)) in old]
         console.print(
-            f"data set {number} of {len(wanted)}: {case.name}, {_seed(case)}{'' if missing else ', known'}",
+            f"data set {number} of {len(wanted)}: {case.name}, "
+            f"{_seed(case)}{'' if missing else ', known'}",
             markup=False,
             highlight=False,
         )
@@ -150,7 +159,7 @@ def _seed(case: Case) -> str:
 
 
 def build_board(leaderboard: Path) -> Path:
-    """Records to page; returns the page's path."""
+    """Build the page from the records; return its path."""
     page, records = leaderboard / "index.html", latest(read_records(leaderboard / "records"))
     console.print(f"page of {len(records)} records", markup=False, highlight=False)
     rows.build_page(records, leaderboard / "pictures", page)
@@ -158,14 +167,17 @@ def build_board(leaderboard: Path) -> Path:
 
 
 def dataset_of(case: Case, work: Path, fresh: bool, jobs: int = 1) -> Dataset:
-    """The case's data set: an earlier one if it is whole and was made by this version, else a new one."""
+    """Open the case's data set, or generate it.
+
+    An earlier one is used again if it is intact and was made by this version.
+    """
     folder = case.folder(work)
     if folder.is_dir() and not fresh and not verify(folder):
         dataset = open_dataset(folder)
         if dataset.manifest.versions.get(
             "sabench"
         ) == __version__ and dataset.manifest.versions.get("mitsuba") == _version("mitsuba"):
-            console.print(f"data set {folder} is whole: used again")
+            console.print(f"data set {folder} is intact: used again")
             return dataset
     renderer: Renderer = "mitsuba" if case.renderer == "mitsuba" else "splat"
     return generate(
@@ -187,7 +199,10 @@ def _rank(
     work: Path,
     leaderboard: Path,
 ) -> Iterator[Record]:
-    """Records of solvers on one data set; the first seed of a public case is pictured."""
+    """Make the records of solvers on one data set.
+
+    Figures are drawn for the first seed of a public case.
+    """
     pictured = case.number is None and case.seed == suite.seeds[0]
     folder = leaderboard / "pictures" / case.folder(work).name if pictured else None
     if folder:
@@ -214,7 +229,7 @@ def _rank(
 
 
 def _picture_case(folder: Path, dataset: Dataset) -> None:
-    """What the cameras saw, and what was there."""
+    """Draw the images of the cameras and the truth."""
     task = tasks.of_data(dataset)
     _draw(folder / "images.png", task.images(dataset))
     _draw(folder / "truth.png", task.picture(dataset, "truth"))
@@ -230,7 +245,7 @@ def _picture_result(stem: Path, name: str, dataset: Dataset, out: Path) -> None:
 
 
 def _describe(case: Case, entrant: Entrant, suite: str) -> Record:
-    """All of a record that is known before anything is computed."""
+    """Make the part of a record that is known before anything is computed."""
     solver, task, parameters = entrant.describe()
     head = {
         "suite": Path(suite).stem,
@@ -272,19 +287,19 @@ def _describe(case: Case, entrant: Entrant, suite: str) -> Record:
 
 
 def versions() -> dict[str, str]:
-    """Of what shapes the figures."""
+    """List the versions of everything that affects the scores."""
     libraries = {name: _version(name) for name in ("mitsuba", "drjit", "numpy", "scipy")}
     return libraries | {"sabench": __version__, "python": platform.python_version()}
 
 
 def _blank(task: str) -> dict[str, Any]:
-    """A record's scores before any is known."""
+    """Make a record's scores before any is known."""
     keys = (score.key for score in tasks.of(task).columns)
     return dict.fromkeys((*keys, "error", "reference_s")) | {"declined": False}
 
 
 def machine() -> dict[str, Any]:
-    """What this run computes on."""
+    """Describe the machine of this run."""
     info = Path("/proc/cpuinfo")
     models = (
         [
@@ -311,7 +326,9 @@ def machine() -> dict[str, Any]:
 def solve_apart(
     entrant: Entrant, dataset: Dataset, out: Path, *, threads: int | None = None
 ) -> float:
-    """Solve in a process of its own, so that its memory is its own and its crash is only its own; its fault is an InputError here.
+    """Solve in a child process, with memory and crashes of its own.
+
+    Its faults become an InputError here.
 
     Parameters
     ----------

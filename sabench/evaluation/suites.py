@@ -1,4 +1,7 @@
-"""What a suite file says: scenes and how they are changed, seeds, solvers; all of it checked before any work starts."""
+"""Suite files: scenes with changes, seeds and solvers.
+
+Everything in a suite is checked before any work starts.
+"""
 
 from __future__ import annotations
 
@@ -38,7 +41,10 @@ class _Table(BaseModel):
 
 
 class Changes(_Table):
-    """How a scene departs from its file; keys are the scene's, with dots between tables: "cameras.layout.x_mm"."""
+    """Changes of a scene.
+
+    Keys are the scene's, with dots between tables: "cameras.layout.x_mm".
+    """
 
     set: dict[str, Any] = Field({}, description="values that replace the scene's")
     vary: dict[str, Annotated[list[Any], Field(min_length=1)]] = Field(
@@ -47,15 +53,15 @@ class Changes(_Table):
 
 
 class Entrant(_Table):
-    """One solver with its parameters, or a program with its limits."""
+    """Solver entry: one solver with its parameters, or a program with its limits."""
 
-    name: str = Field(description="of a solver, or the path of a program beside the suite")
+    name: str = Field(description="of a solver, or the path of a program next to the suite")
     parameters: dict[str, Any] = {}
     label: str | None = Field(None, description="shown in place of the name")
     task: TaskName | None = Field(
         None,
         validation_alias=AliasChoices("task", "track"),
-        description="of a program: what its results are",
+        description="of a program: task of its results",
     )
     time_limit_s: float | None = Field(None, gt=0, description="of a program, for a data set")
     memory_limit_mb: float | None = Field(
@@ -64,22 +70,22 @@ class Entrant(_Table):
 
     @property
     def is_program(self) -> bool:
-        """Whether the name is a program's path."""
+        """Whether the name is the path of a program."""
         return is_program(self.name)
 
     @property
     def limits(self) -> Limits | None:
-        """A program's limits."""
+        """Limits of a program."""
         return limits_of(self.time_limit_s, self.memory_limit_mb)
 
     @property
     def shown(self) -> str:
-        """What tables call it."""
+        """Name in tables."""
         return self.label or (solver_name(self.name) if self.is_program else self.name)
 
     @property
     def code_hash(self) -> str:
-        """Of sabench and the solver's or program's file."""
+        """Hash of sabench and of the solver's or program's file."""
         return code_hash(
             Path(self.name) if self.is_program else plugins.file_of("solvers", self.name)
         )
@@ -93,9 +99,9 @@ class Entrant(_Table):
 
 
 class CaseSpec(Changes):
-    """One scene, changed."""
+    """One scene with its changes."""
 
-    scene: str = Field(description="name of a bundled scene, or a path beside the suite")
+    scene: str = Field(description="name of a bundled scene, or a path next to the suite")
     name: str | None = Field(
         None,
         pattern=f"^{_SAFE}$",
@@ -107,12 +113,15 @@ class CaseSpec(Changes):
     axis: str | None = Field(
         None,
         pattern=r"^[a-z][a-z ]*$",
-        description="what alone sets it apart from the standard case: density, ...",
+        description="the one property that differs from the standard case: density, ...",
     )
 
 
 class Suite(Changes):
-    """A suite file: cases x seeds x solvers. Its own `set` and `vary` hold for all cases, before the cases' own."""
+    """Suite file: cases x seeds x solvers.
+
+    Its own `set` and `vary` apply to all cases, before the cases' own.
+    """
 
     title: str
     version: int = Field(1, ge=1)
@@ -146,11 +155,11 @@ class Case:
     Attributes
     ----------
     name : unique in its suite but for the seed, and safe as a file name.
-    base : the name of the scene that was changed.
+    base : name of the scene that was changed.
     axes : the varied keys of the scene with this case's values.
-    solvers : what runs on it.
-    difficulty, axis : what the suite says of it.
-    number : its place among the hidden data sets of its case; None: it is public.
+    solvers : the solver entries that run on it.
+    difficulty, axis : as given in the suite.
+    number : its number among the private data sets of its case; None: it is public.
     """
 
     name: str
@@ -166,16 +175,16 @@ class Case:
 
     @property
     def told_seed(self) -> int:
-        """The seed, or the number of a hidden one."""
+        """Seed of a public data set, or number of a private one."""
         return self.seed if self.number is None else self.number
 
     @property
     def told(self) -> str:
-        """Which of its case's data sets it is, without a word about a hidden seed."""
+        """Name of the data set among those of its case; it never has a private seed."""
         return f"seed{self.seed}" if self.number is None else f"hidden{self.number}"
 
     def folder(self, work: Path) -> Path:
-        """Where its data set lies."""
+        """Return the folder of its data set."""
         return work / "datasets" / f"{self.name}-{self.scene.hash[:8]}-{self.renderer}-{self.told}"
 
 
@@ -184,13 +193,13 @@ def load_suite(path: str | Path, secret: Secret | None = None) -> tuple[Suite, l
 
     Parameters
     ----------
-    secret : makes the hidden data sets of its cases, in place of the public ones.
+    secret : makes the private data sets of its cases, in place of the public ones.
 
     Raises
     ------
     InputError
-        Anything wrong in the suite, in one of its scenes or in what it changes, two cases of one
-        name, or cases that are not those that were frozen.
+        Anything wrong in the suite, in one of its scenes or in its changes, two cases of one name,
+        or cases that differ from the frozen ones.
     """
     file = find(path, "scenes/suites")
     try:
@@ -220,7 +229,7 @@ def load_suite(path: str | Path, secret: Secret | None = None) -> tuple[Suite, l
 
 
 def _cases(spec: CaseSpec, suite: Suite, file: Path) -> Iterator[Case]:
-    """All cases of a specification, with the suite's first seed."""
+    """Make all cases of a specification, with the suite's first seed."""
     renderer = choose_renderer(spec.backend or suite.backend)
     for name, base, axes, scene in _variants(spec, file):
         yield Case(
@@ -239,14 +248,14 @@ def _cases(spec: CaseSpec, suite: Suite, file: Path) -> Iterator[Case]:
 def _seeds(
     suite: Suite, case: Case, name: str, secret: Secret | None
 ) -> list[tuple[int | None, int]]:
-    """Numbers and seeds of a case's data sets."""
+    """List the numbers and seeds of a case's data sets."""
     if secret is None:
         return [(None, seed) for seed in dict.fromkeys(suite.seeds)]
     return list(enumerate(secret.seeds_of(name, suite.version, case.name)))
 
 
 def _check_frozen(suite: Suite, cases: list[Case], file: Path) -> None:
-    """What a frozen suite's data sets are made from must not change."""
+    """Check that the data sets of a frozen suite have not changed."""
     found = digest(
         [
             suite.version,
@@ -256,20 +265,26 @@ def _check_frozen(suite: Suite, cases: list[Case], file: Path) -> None:
     )
     if suite.frozen not in (None, found):
         raise InputError(
-            f"{file}: frozen: expected the cases and seeds of version {suite.version}, whose hash is {suite.frozen}, got others with {found}: "
+            f"{file}: frozen: expected the cases and seeds of version {suite.version}, whose hash "
+            f"is {suite.frozen}, got others with {found}: "
             "a change needs a new version and its hash"
         )
 
 
 def _checked(entrant: Entrant, file: Path) -> Entrant:
-    """A solver that there is with parameters that it takes, or a program with its whole path and its task."""
+    """Check a solver entry.
+
+    The solver must exist and take its parameters. A program must have a task; its path becomes
+    absolute.
+    """
     if not entrant.is_program:
         if any(
             value is not None
             for value in (entrant.task, entrant.time_limit_s, entrant.memory_limit_mb)
         ):
             raise InputError(
-                f"{file}: solver {entrant.name}: expected task, time_limit_s and memory_limit_mb for programs only"
+                f"{file}: solver {entrant.name}: expected task, time_limit_s and memory_limit_mb "
+                "for programs only"
             )
         make_algorithm(entrant.name, entrant.parameters)
         return entrant
@@ -280,7 +295,10 @@ def _checked(entrant: Entrant, file: Path) -> Entrant:
 
 
 def override(scene: Scene, values: Mapping[str, Any], source: str) -> Scene:
-    """The scene with other values at some of its dotted keys, checked as a scene file is; `source` is named in errors."""
+    """Replace values of a scene at some of its dotted keys.
+
+    The new scene is checked as a scene file is; errors name `source`.
+    """
     table = scene.to_dict()
     for key, value in values.items():
         _assign(table, key, value, source)
@@ -299,7 +317,7 @@ def _assign(table: dict[str, Any], key: str, value: Any, source: str) -> None:
 
 
 def _specs(suite: Suite) -> list[CaseSpec]:
-    """All cases with the suite's own changes in front of theirs."""
+    """List all cases, with the suite's own changes before theirs."""
     specs = (*(CaseSpec(scene=name) for name in suite.scenes), *suite.cases)
     inherited = (
         {
@@ -313,7 +331,7 @@ def _specs(suite: Suite) -> list[CaseSpec]:
 
 
 def _variants(spec: CaseSpec, suite: Path) -> Iterator[tuple[str, str, dict[str, Any], Scene]]:
-    """Name, base, axes and scene for every combination of the varied values."""
+    """Make name, base, axes and scene for every combination of the varied values."""
     beside = suite.parent / spec.scene
     count = math.prod(len(values) for values in spec.vary.values())
     if count > _MOST_CASES:
@@ -331,14 +349,13 @@ def _variants(spec: CaseSpec, suite: Path) -> Iterator[tuple[str, str, dict[str,
 
 
 def _tag(key: str, value: Any, number: int) -> str:
-    """What tells a varied value in a name: `per_pixel_0.05`; lists and tables go by their number."""
+    """Name a varied value: `per_pixel_0.05`; lists and tables have their numbers."""
     shown = str(number) if isinstance(value, list | dict) else _UNSAFE.sub("_", str(value))
     return f"{key.rpartition('.')[2]}_{shown}"
 
 
 def _check_names(names: list[str], file: Path) -> None:
-    name, count = Counter(name.casefold() for name in names).most_common(1)[
-        0
-    ]  # some file systems do not tell a from A
+    # some file systems do not distinguish a from A
+    name, count = Counter(name.casefold() for name in names).most_common(1)[0]
     if count > 1:
         raise InputError(f"{file}: {count} cases are named {name}: give them names of their own")

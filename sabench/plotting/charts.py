@@ -56,8 +56,7 @@ class Slice:
     ----------
     x, y : coordinates of the columns and of the rows.
     signed : whether zero is the middle of the colours.
-    arrows : (rows, columns, 2) vectors over them, if there are any; where they are NaN there is
-        none.
+    arrows : (rows, columns, 2) vectors over them, if there are any; NaN for none.
     """
 
     label: str
@@ -161,9 +160,8 @@ def draw(figure: Figure) -> bytes:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure as Sheet
 
-    across = figure.across or min(
-        3 if len(figure.panels) % 4 else 4, len(figure.panels)
-    )  # no gap in the last row where four fit
+    # no gap in the last row where four fit
+    across = figure.across or min(3 if len(figure.panels) % 4 else 4, len(figure.panels))
     down = -(-len(figure.panels) // across)
     sheet = Sheet(
         figsize=(across * figure.inch[0], down * figure.inch[1] + 0.4),
@@ -315,6 +313,7 @@ def _circles(axes: Any, one: Circles, colour: str) -> None:
             linewidths=0.8,
         )
     )
+    # what the legend shows
     axes.plot(
         [],
         [],
@@ -323,7 +322,7 @@ def _circles(axes: Any, one: Circles, colour: str) -> None:
         markersize=5,
         color=colour,
         label=f"{one.label}: {len(widths)}",
-    )  # what the legend shows
+    )
     if len(widths):
         axes.update_datalim(
             np.concatenate([places - one.radius[:, None], places + one.radius[:, None]])

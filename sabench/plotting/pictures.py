@@ -93,7 +93,7 @@ def error_slice(volume: F32, truth: F32, scored: tuple[slice, slice, slice]) -> 
     White: right. Red: too much light. Blue: missing light.
 
     The volume is first scaled so that its squared difference to the truth in the scored part is
-    least, as its scale means nothing. Colours follow the square root of the difference, up to the
+    least, as its scale is arbitrary. Colours follow the square root of the difference, up to the
     99.9th percentile of the truth's window: all errors on one truth have one scale.
     """
     guess, true = (one[scored].astype(np.float64) for one in (volume, truth))
@@ -126,7 +126,7 @@ def _enlarged(pixels: U8) -> U8:
 
 
 def read_picture(dark: Bool, right: Bool) -> bytes:
-    """Draw which cells (rows, columns) of a code are read right, as a PNG.
+    """Draw the cells (rows, columns) of a code that are read right, as a PNG.
 
     Black and white: right. Red: a dark cell read as bright. Blue: a bright cell read as dark.
     """

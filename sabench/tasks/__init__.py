@@ -16,7 +16,7 @@ NAMES: tuple[TaskName, ...] = get_args(TaskName)
 
 
 def of(name: str) -> Task:
-    """Import the task of that name."""
+    """Import the task of this name."""
     task: Task = importlib.import_module(f"{__name__}.{name}").TASK
     return task
 
@@ -27,7 +27,10 @@ def every() -> list[Task]:
 
 
 def of_data(data: Dataset, asked: str | None = None) -> Task:
-    """Choose the task that a data set is scored by: the asked one, or the first one for what it shows last.
+    """Choose the task that a data set is scored by.
+
+    It is the one that `asked` names, or the first task for the kind of objects that the data set
+    shows last.
 
     Raises
     ------

@@ -1,4 +1,7 @@
-"""Bubbles: one observation in, the bubbles in it out, frame by frame; they are linked afterwards."""
+"""Task `bubbles`: solvers find the bubbles of one observation, frame by frame.
+
+The bubbles of all frames are linked afterwards.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +25,7 @@ from sabench.metrics.trajectories import trajectory_scores
 from sabench.plotting import pictures
 from sabench.scenes import BubbleWorld, Scene
 from sabench.scenes.world import GeneratorTable
-from sabench.tasks.task import Captions, Figures, FrameByFrame, Score, Source
+from sabench.tasks.task import Captions, Figures, FrameByFrame, Score, Source, share_near
 from sabench.utils import memory
 from sabench.utils.arrays import I64
 from sabench.utils.errors import InputError
@@ -36,10 +39,12 @@ JET = {
     "width_percent": "width",
 }
 _WRONG_ROTATION = rotation_matrices(np.array([0.1, -0.2, 0.05]))
+# share of the bubbles found with the cameras in another order, and how near, in radii
+_ALIKE, _NEAR_RADII = 0.8, 0.5
 
 
 class BubblesTask(FrameByFrame):
-    """Extraction of bubbles and drops."""
+    """Detection of bubbles and drops."""
 
     name = "bubbles"
     shown = "bubbles"
@@ -61,7 +66,8 @@ class BubblesTask(FrameByFrame):
               "recall of bubbles of which the cameras see less than nine tenths, mean over "
               "cameras", counted=True),
         Score("recall_dense", "recall, dense", "", "larger", 3,
-              "recall of bubbles around which, within 6 mm, others fill a hundredth or more", counted=True),
+              "recall of bubbles around which, within 6 mm, others fill a hundredth or "
+              "more", counted=True),
         Score("radius_percent", "radius %", "%", "smaller", 2,
               "median error of the radius of found bubbles of 0.5 mm and more"),
         Score("axes_percent", "axes %", "%", "smaller", 2,
@@ -86,7 +92,8 @@ class BubblesTask(FrameByFrame):
         Score("width_percent", "s %", "%", "smaller", 1,
               "error of s of equation 5.18"),
         Score("link_recall", "link recall", "", "larger", 3,
-              "share of the bubbles found in two consecutive frames that one trajectory joins", counted=True),
+              "share of the bubbles found in two consecutive frames that one trajectory "
+              "joins", counted=True),
         Score("link_precision", "link precision", "", "larger", 3,
               "share of the links between such frames that join the same bubble", counted=True),
         Score("effectiveness", "effectiveness", "", "larger", 3,
@@ -101,16 +108,15 @@ class BubblesTask(FrameByFrame):
     # fmt: on
     captions = Captions(
         heading="Bubbles from the front and from the side",
-        estimates="Every bubble as a circle of its radius, which its colour gives, too; X to the "
-        "right or Z, Y down.",
+        estimates="Every bubble as a circle of its radius, coloured by radius; X or Z to the "
+        "right, Y down.",
         cameras="First frame of every camera.",
-        errors="Green bubbles were found, blue ones were missed, orange ones were found where "
-        "there are none.",
+        errors="Green bubbles were found, blue ones were missed, orange ones are false detections.",
         wide=True,
     )
 
     def run(self, algorithm: Any, name: str, data: Dataset, writer: ResultWriter) -> list[float]:
-        """Find every frame's bubbles and link them; returns the seconds that each frame took."""
+        """Find every frame's bubbles and link them; return the seconds of each frame."""
         seconds, every = [], []
         for frame in self.frames(data):
             found, took = self.call(algorithm, name, data, frame)
@@ -152,7 +158,10 @@ class BubblesTask(FrameByFrame):
         )
 
     def score(self, data: Dataset, source: Source) -> Figures:
-        """Average the scores of the frames; a jet's and trajectories' come from all frames."""
+        """Average the scores of the frames.
+
+        The scores of a jet and of trajectories come from all frames together.
+        """
         frames, found, every = [], [], []
         for frame in track(self.frames(data), "score"):
             estimate, true = self.read(data, source, frame), data.bubbles(frame)
@@ -174,15 +183,19 @@ class BubblesTask(FrameByFrame):
         seen = data.observation(0)
         return pictures.backlit(seen.images, seen.black_dn, seen.white_dn)
 
+    def alike(self, data: Dataset, one: Detections, other: Detections) -> bool:
+        """Compare bubbles by how many are found again."""
+        return share_near(one.center_mm, other.center_mm, _NEAR_RADII * one.radius_mm) >= _ALIKE
+
     def picture(self, data: Dataset, source: Source) -> bytes:
-        """Draw the bubbles of the first frame, from the front and from the side, as a PNG."""
+        """Draw the bubbles of the first frame, front and side view, as a PNG."""
         from sabench.plotting.charts import draw
         from sabench.tasks.figures.bubbles import bubble_figure
 
         return draw(bubble_figure(self.read(data, source, 0), "bubbles"))
 
     def error_picture(self, data: Dataset, result: Result) -> bytes:
-        """Draw bubbles that were found, missed, and found where there are none, as a PNG."""
+        """Draw the found, the missed and the false bubbles as a PNG."""
         from sabench.plotting.charts import draw
         from sabench.tasks.figures.bubbles import detection_figure
 
@@ -190,9 +203,10 @@ class BubblesTask(FrameByFrame):
 
 
 def trajectories(rig: CamerasFile, found: Sequence[AnyBubbles]) -> list[I64]:
-    """Number (n,) the trajectories of every frame's bubbles: their own numbers, or by linking.
+    """Assign trajectory numbers (n,) to every frame's bubbles.
 
-    No trajectory of linked bubbles goes from one group of pulses to the next.
+    The numbers are the solver's own, or come from linking. A trajectory of linked bubbles lies
+    within one group of pulses.
     """
     own = [one.id if isinstance(one, Bubbles) else one.trajectory for one in found]
     given = [number for number in own if number is not None]
@@ -220,7 +234,10 @@ def _check_all_or_none(result: Result, found: Sequence[Detections]) -> None:
 
 
 def _jet_scores(data: Dataset, found: Sequence[AnyBubbles], truth: Sequence[AnyBubbles]) -> Figures:
-    """Score a jet's figures against the same analysis of the true bubbles; None without a jet."""
+    """Score a jet's figures against the same analysis of the true bubbles.
+
+    None for a scene without a jet.
+    """
     if jet_of(data.scene) is None:
         return dict.fromkeys(JET)
     estimate, true = (jet_figures(data.scene, one) for one in (found, truth))
@@ -240,7 +257,7 @@ def jet_of(scene: Scene) -> GeneratorTable | None:
 
 
 def jet_figures(scene: Scene, every: Sequence[AnyBubbles]) -> JetFigures:
-    """Analyse the bubbles of some frames as those of a scene's plunging jet."""
+    """Analyse the bubbles of several frames as those of a scene's plunging jet."""
     if (jet := jet_of(scene)) is None:
         raise InputError(f"{scene.title}: bubbles.generator: expected plunging_jet, got no jet")
     impact, volume = np.asarray(jet["impact_mm"]), scene.volume

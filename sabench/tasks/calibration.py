@@ -1,4 +1,7 @@
-"""Calibration: a target's points in, cameras out; scored by where these cameras see points."""
+"""Task `calibration`: solvers turn the points of a target into cameras.
+
+The cameras are scored by the pixels to which they project points.
+"""
 
 from __future__ import annotations
 
@@ -33,8 +36,9 @@ from sabench.utils.errors import InputError
 from sabench.utils.rng import stream
 from sabench.worlds.calibration_targets import exact_pixels
 
-_HELD_OUT = 500  # points that no calibration sees; thesis, section 4.4.2
+_HELD_OUT = 500  # points that no calibration receives; thesis, section 4.4.2
 _PARTICLES = 2000
+_ALIKE = 0.05  # of nominal cameras' error: how far calibrations by another order may be apart
 
 
 class CalibrationTask(Task):
@@ -135,14 +139,14 @@ class CalibrationTask(Task):
     # fmt: on
     captions = Captions(
         heading="Errors in the images",
-        estimates="From where the target's points were found to where the calibration sees them; "
-        "the number is the magnification of the arrows.",
-        cameras="Points of the target that every camera found, each frame in its own grey, or the "
+        estimates="Arrows from the target's detected points to their reprojections; the number is "
+        "their magnification.",
+        cameras="Detected points of the target in every camera, each frame in its own grey, or the "
         "images of the particles.",
     )
 
     def frames(self, data: Dataset) -> Sequence[int]:
-        """Only [0]: one calibration serves all frames."""
+        """Return [0] only: one calibration serves all frames."""
         return [0]
 
     def case(self, data: Dataset) -> CalibrationCase | Observation:
@@ -176,7 +180,10 @@ class CalibrationTask(Task):
         return Calibration(data.rig.cameras)
 
     def wrong(self, data: Dataset, frame: int = 0) -> Calibration:
-        """Shift every camera's principal point and stretch the target's points about their middle."""
+        """Shift every camera's principal point, and stretch the target's points.
+
+        The points are stretched about their middle.
+        """
         points = data.placed().points_mm
         middle = points.reshape(-1, 3).mean(axis=0)
         cameras = tuple(_shifted(camera, n) for n, camera in enumerate(data.true_cameras))
@@ -193,8 +200,18 @@ class CalibrationTask(Task):
         first = data.rig.cameras[0]
         return pictures.dots(data.calibration_case().pixels, first.rows, first.columns)
 
+    def alike(self, data: Dataset, one: Calibration, other: Calibration) -> bool:
+        """Compare calibrations by their true reprojection errors."""
+        again = replace(other, cameras=other.cameras[::-1])
+        answers = (replace(answer, used=None) for answer in (one, again))
+        first, second = (score_calibration(data, answer)["true_px"] for answer in answers)
+        worst = self.score(data, "empty")["true_px"]
+        if first is None or second is None or worst is None:
+            return False
+        return abs(first - second) < _ALIKE * worst
+
     def picture(self, data: Dataset, source: Source) -> bytes:
-        """Draw the true reprojection errors, or for the truth the errors of detection, as a PNG."""
+        """Draw the true reprojection errors as a PNG; for the truth those of detection."""
         first = data.rig.cameras[0]
         if not data.shows_target:
             truth_mm, exact = _particles(data)
@@ -228,7 +245,10 @@ def score_calibration(data: Dataset, answer: Calibration) -> Figures:
 def check_calibration(
     answer: Calibration, source: str, case: CalibrationCase | Observation
 ) -> None:
-    """Raise an InputError for a calibration that does not fit its case; `source` opens the sentence."""
+    """Raise an InputError for a calibration that does not fit its case.
+
+    `source` opens the sentence.
+    """
     names = [camera.name for camera in answer.cameras]
     expected = [camera.name for camera in case.cameras]
     if names != expected:
@@ -249,7 +269,10 @@ def _shifted(camera: Camera, number: int) -> Camera:
 
 
 def _particles(data: Dataset) -> tuple[F64, F64]:
-    """Some true particles (n, 3) and their exact pixels (camera, n, 2), NaN outside the images."""
+    """Select true particles (n, 3) and their exact pixels (camera, n, 2).
+
+    Pixels are NaN outside the images.
+    """
     truth_mm = data.particles(0).position_mm
     order = stream(data.manifest.seed, "held out").permutation(len(truth_mm))
     truth_mm = truth_mm[order[:_PARTICLES]]
@@ -258,7 +281,10 @@ def _particles(data: Dataset) -> tuple[F64, F64]:
 
 
 def _held_out(data: Dataset, noise_px: float) -> tuple[F64, F64]:
-    """Random points (n, 3) of the volume, and noisy pixels (camera, n, 2) by the true cameras."""
+    """Draw random points (n, 3) of the volume, with noisy pixels (camera, n, 2).
+
+    The true cameras project the points.
+    """
     volume, rng = data.scene.volume, stream(data.manifest.seed, "held out")
     aside = (rng.random((_HELD_OUT, 3)) - 0.5) * np.asarray(volume.size_mm)
     points_mm = np.asarray(volume.center_mm) + aside

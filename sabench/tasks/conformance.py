@@ -10,6 +10,7 @@ from __future__ import annotations
 import tempfile
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal
 
@@ -17,9 +18,7 @@ import numpy as np
 
 from sabench import plugins, tasks
 from sabench.api import (
-    Calibration,
     CalibrationCase,
-    Detections,
     Film,
     FoundParticles,
     Observation,
@@ -31,24 +30,18 @@ from sabench.api.make import make_algorithm
 from sabench.dataset.reader import Dataset, open_dataset
 from sabench.scenes import load_scene
 from sabench.simulation.pipeline import generate
-from sabench.tasks.calibration import TASK as CALIBRATION
-from sabench.tasks.calibration import score_calibration
 from sabench.tasks.solve_and_score import score, solve
 from sabench.tasks.task import Task
 from sabench.utils.errors import DeclinedError, InputError
 
 _SEED = 5
-_CORRELATION = 0.95  # of volumes from cameras in another order: MART and its kin depend on it
-_SHARE, _VOXELS = 0.9, 0.2  # of the particles that are found again, and how near
-_RADII, _FOUND_AGAIN = 0.5, 0.8  # the same of bubbles
-_APART = 0.05  # of the error of nominal cameras: how far apart calibrations may be
 
 Verdict = Literal["obeyed", "broken", "skipped"]
 
 
 @dataclass(frozen=True)
 class Finding:
-    """What came of one law: `text` says why it is broken or skipped."""
+    """Result of one law; `text` is the reason why it is broken or skipped."""
 
     law: str
     verdict: Verdict
@@ -61,7 +54,7 @@ def _expect(condition: Any, text: str) -> None:
 
 
 class _SkippedError(Exception):
-    """A law that does not apply to a solver."""
+    """Law that does not apply to a solver."""
 
 
 @dataclass(frozen=True)
@@ -76,10 +69,17 @@ class _Trial:
 
     def case(self) -> Any:
         """Make the case that the solver receives."""
-        return self.task.case(self.data)
+        case = self.task.case(self.data)
+        return _film(case, list(case)) if isinstance(case, Film) else case
+
+    @cached_property
+    def first(self) -> tuple[Any, list[Estimate]]:
+        """A case after the solver has received it, and its estimates."""
+        case = self.case()
+        return case, self.solve(case)
 
     def solve(self, case: Any) -> list[Estimate]:
-        """Call a new solver on a case; its estimates are checked as declared."""
+        """Call a new solver on a case and check its estimates as declared."""
         algorithm: Any = make_algorithm(self.solver, self.parameters)
         reason = algorithm.skip(case)
         if reason:
@@ -95,7 +95,11 @@ class _Trial:
 
 
 def describe_itself(trial: _Trial) -> None:
-    """Its docstring is a sentence, references are given, parameters are described, with defaults."""
+    """Check the solver's description.
+
+    The docstring's first line is a sentence, references are given, and every parameter has a
+    description and a default.
+    """
     plugin = plugins.load("solvers", trial.solver)
     _expect(plugins.summary(plugin).endswith("."), "the docstring's first line must be a sentence")
     _expect(plugin.references, "references: expected at least one, got none")
@@ -105,26 +109,23 @@ def describe_itself(trial: _Trial) -> None:
 
 
 def return_declared_arrays(trial: _Trial) -> None:
-    """Its estimates have the declared arrays, shapes and types, and finite values."""
-    found = trial.solve(trial.case())
-    expected = len(trial.case()) if isinstance(trial.case(), Film) else 1
+    """Check that estimates have the declared arrays, with finite values."""
+    case, found = trial.first
+    expected = len(case) if isinstance(case, Film) else 1
     _expect(len(found) == expected, f"expected {expected} estimates, got {len(found)}")
 
 
 def repeat_itself(trial: _Trial) -> None:
-    """The same case gives the same estimate, bit for bit."""
-    first, second = (trial.solve(trial.case()) for _ in range(2))
-    for one, other in zip(first, second, strict=True):
+    """Check that the same case gives the same estimate, bit for bit."""
+    for one, other in zip(trial.first[1], trial.solve(trial.case()), strict=True):
         for (declared, a), (_, b) in zip(one.arrays(), other.arrays(), strict=True):
             same = a.shape == b.shape and np.array_equal(a, b)
             _expect(same, f"{declared.name}: expected the same values twice, got others")
 
 
 def leave_the_case_alone(trial: _Trial) -> None:
-    """The arrays that it receives are unchanged afterwards."""
-    case, untouched = trial.case(), trial.case()
-    trial.solve(case)
-    for one, other in zip(_arrays(case), _arrays(untouched), strict=True):
+    """Check that the solver does not change the arrays that it receives."""
+    for one, other in zip(_arrays(trial.first[0]), _arrays(trial.case()), strict=True):
         _expect(
             np.array_equal(one, other, equal_nan=one.dtype.kind == "f"),
             "expected the case's arrays unchanged, got other values",
@@ -132,7 +133,7 @@ def leave_the_case_alone(trial: _Trial) -> None:
 
 
 def beat_nothing(trial: _Trial) -> None:
-    """Its result scores better than the estimate of a solver that found nothing."""
+    """Check that the result scores better than that of a solver that found nothing."""
     out = trial.folder / "result.h5"
     try:
         solve(trial.solver, trial.data, out, parameters=trial.parameters, overwrite=True)
@@ -148,7 +149,10 @@ def beat_nothing(trial: _Trial) -> None:
 
 
 def find_nothing_in_the_dark(trial: _Trial) -> None:
-    """Images of a dark volume of particles give no particles; other solvers end in a sentence."""
+    """Check that images of a dark volume of particles give no particles.
+
+    Solvers of other tasks may refuse such images with an InputError.
+    """
     found = trial.solve(
         _with_images(trial.case(), lambda images, black: np.full_like(images, black))
     )
@@ -161,7 +165,10 @@ def find_nothing_in_the_dark(trial: _Trial) -> None:
 
 
 def survive_a_covered_camera(trial: _Trial) -> None:
-    """One black image of several neither ends it nor makes values that are not finite."""
+    """Check that one black image of several does no harm.
+
+    The solver finishes or raises an InputError, and its values are finite.
+    """
 
     def cover(images: Any, black: int) -> Any:
         covered = images.copy()
@@ -172,11 +179,12 @@ def survive_a_covered_camera(trial: _Trial) -> None:
 
 
 def take_cameras_in_any_order(trial: _Trial) -> None:
-    """Cameras in reverse order give the same estimate, as far as the algorithm's order allows."""
-    case = trial.case()
-    forward, backward = trial.solve(case), trial.solve(_reversed(case))
-    for one, other in zip(forward, backward, strict=True):
-        _expect(_alike(one, other, trial.data), "expected a similar estimate, got another one")
+    """Check that cameras in reverse order give a similar estimate."""
+    backward = trial.solve(_reverse_cameras(trial.case()))
+    for one, other in zip(trial.first[1], backward, strict=True):
+        _expect(
+            trial.task.alike(trial.data, one, other), "expected a similar estimate, got another one"
+        )
 
 
 LAWS: tuple[Callable[[_Trial], None], ...] = (
@@ -198,13 +206,13 @@ def check_solver(
     folder: Path | None = None,
     laws: tuple[Callable[[Any], None], ...] = LAWS,
 ) -> Iterator[Finding]:
-    """Try the laws on a solver, each finding as soon as it is made.
+    """Test a solver against the laws; yield each finding as soon as it is made.
 
     Parameters
     ----------
     solver : name of a plug-in.
     parameters : of the solver; the others keep their defaults.
-    folder : for the data set, which is used again where it is there; None: a temporary one.
+    folder : for the data set; one that is already there is used again. None: a temporary folder.
 
     Raises
     ------
@@ -231,7 +239,8 @@ def _try(law: Callable[[_Trial], None], trial: _Trial) -> Finding:
         return Finding(name, "broken", str(error).split("\n")[0])
     except InputError as error:
         if law in (find_nothing_in_the_dark, survive_a_covered_camera):
-            return Finding(name, "obeyed", str(error))  # a sentence is an answer to such images
+            # an InputError is a valid answer to such images
+            return Finding(name, "obeyed", str(error))
         return Finding(name, "broken", str(error))
     except Exception as error:
         return Finding(name, "broken", f"{type(error).__name__}: {error}")
@@ -250,7 +259,7 @@ def example(task: Task, sees: str, folder: Path) -> Dataset:
 
 
 def _arrays(case: Any) -> list[Any]:
-    """All arrays of a case."""
+    """List all arrays of a case."""
     if isinstance(case, Film):
         return [frame.images for frame in case]
     if isinstance(case, Observation):
@@ -260,58 +269,28 @@ def _arrays(case: Any) -> list[Any]:
     return [case.pixels, case.rough_mm, case.known_mm, case.known_sigma_mm]
 
 
+def _film(like: Film, frames: list[Observation]) -> Film:
+    """Make a sequence of frames in memory."""
+    return Film(frames[0].cameras, like.grid, like.times_s, frames.__getitem__)
+
+
 def _with_images(case: Any, change: Callable[[Any, int], Any]) -> Any:
     """Change the images of a case, frame by frame."""
     if isinstance(case, Film):
         frames = [_with_images(frame, change) for frame in case]
-        return Film(case.cameras, case.grid, case.times_s, frames.__getitem__)
+        return _film(case, frames)
     if not isinstance(case, Observation):
         raise _SkippedError("its cases have no images")
     return replace(case, images=change(case.images, int(case.black_dn)))
 
 
-def _reversed(case: Any) -> Any:
+def _reverse_cameras(case: Any) -> Any:
     """Reverse the cameras of a case."""
     if isinstance(case, Film):
-        frames = [_reversed(frame) for frame in case]
-        return Film(case.cameras[::-1], case.grid, case.times_s, frames.__getitem__)
+        frames = [_reverse_cameras(frame) for frame in case]
+        return _film(case, frames)
     if isinstance(case, Observation):
         return replace(case, images=case.images[::-1].copy(), cameras=case.cameras[::-1])
     if isinstance(case, CalibrationCase):
         return replace(case, pixels=case.pixels[::-1].copy(), cameras=case.cameras[::-1])
     raise _SkippedError("its cases have no cameras")
-
-
-def _alike(one: Any, other: Any, data: Dataset) -> bool:
-    """Compare estimates from cameras in one order and in the reverse one."""
-    if isinstance(one, Reconstruction):
-        product = float((one.volume * other.volume).sum())
-        norms = float(np.sqrt((one.volume**2).sum() * (other.volume**2).sum()))
-        return product > _CORRELATION * norms
-    if isinstance(one, FoundParticles):
-        near_mm = _VOXELS * min(data.rig.grid.voxel_mm)
-        return _found_again(one.position_mm, other.position_mm, near_mm) >= _SHARE
-    if isinstance(one, Detections):
-        near = _RADII * one.radius_mm
-        return _found_again(one.center_mm, other.center_mm, near) >= _FOUND_AGAIN
-    return _same_cameras(one, other, data)
-
-
-def _found_again(one: Any, other: Any, near: Any) -> float:
-    """Share of the points (n, 3) that have another point near them."""
-    if not len(one) or not len(other):
-        return float(len(one) == len(other))
-    apart = np.linalg.norm(one[:, None] - other, axis=2).min(axis=1)
-    return float((apart < near).mean())
-
-
-def _same_cameras(one: Calibration, other: Calibration, data: Dataset) -> bool:
-    """Compare true reprojection errors, by the scores of both."""
-    again = replace(other, cameras=other.cameras[::-1])
-    found = [score_calibration(data, replace(answer, used=None)) for answer in (one, again)]
-    first, second, worst = (
-        scores["true_px"] for scores in (*found, CALIBRATION.score(data, "empty"))
-    )
-    if first is None or second is None or worst is None:
-        return False
-    return abs(first - second) < _APART * worst

@@ -1,9 +1,11 @@
-"""Programs in any language that take part: docs/developing/participate.md is their contract.
+"""External programs as solvers; docs/developing/participate.md is their contract.
+
+A program in any language takes part by this command line:
 
     program DATASET RESULT [name=value ...]
 
-DATASET is a folder with copies of what a solver may see, RESULT the file that the program must
-write.
+DATASET is a folder with copies of the files that a solver may see, RESULT the file that the program
+must write.
 """
 
 from __future__ import annotations
@@ -31,7 +33,10 @@ _CHECK_S = 1800.0  # for reading all of a result
 
 
 def is_program(solver: str) -> bool:
-    """Whether a solver's name is that of a file: it has a path separator, or there is an executable file of this name and no such plug-in."""
+    """Decide whether a solver's name is the path of a program.
+
+    It is if it has a path separator, or if an executable file and no plug-in has this name.
+    """
     if os.sep in solver or (os.altsep is not None and os.altsep in solver):
         return True
     return (
@@ -42,18 +47,22 @@ def is_program(solver: str) -> bool:
 
 
 def solver_name(solver: str) -> str:
-    """What tables show of a solver's name: of a program's path the file's stem."""
+    """Return the name of a solver in tables: for a program the stem of its file."""
     return printable(Path(solver).stem) if is_program(solver) else solver
 
 
 def find_program(name: str, folder: Path = Path()) -> Path:
-    """The whole path of an executable file; relative ones are looked for in `folder`."""
+    """Find the absolute path of an executable file.
+
+    A relative name is looked for in `folder`.
+    """
     path = (folder / name).absolute()
     if not is_file(path):
         raise InputError(f"program {name}: expected an executable file, found none at {path}")
     if not os.access(path, os.X_OK):
         raise InputError(
-            f"program {name}: expected an executable file, but it may not be executed: chmod +x {name}"
+            f"program {name}: expected an executable file, but it may not be executed: chmod +x "
+            f"{name}"
         )
     return path
 
@@ -67,16 +76,16 @@ def run_program(
     limits: Limits | None = None,
     overwrite: bool = False,
 ) -> Result:
-    """Let a program solve a data set and put its result, checked, in its place.
+    """Run a program on a data set, check its result, and move it into place.
 
-    What it costs is measured here: wall seconds over the number of frames, or of pairs for
+    sabench measures the cost here: wall seconds over the number of frames, or of pairs for
     velocities, and memory.
 
     Raises
     ------
     InputError
-        No such program, a program that fails or breaks a limit, or a result that is not what
-        docs/formats/result.md says.
+        No such program, a program that fails or breaks a limit, or a result that breaks
+        docs/formats/result.md.
     """
     path, limits = find_program(program), limits or Limits()
     if out.exists() and not overwrite:
@@ -113,7 +122,10 @@ def run_program(
 
 
 def show(dataset: Dataset, view: Path) -> None:
-    """A folder with copies of a data set's observation side; what a program does to them harms nothing."""
+    """Copy the observation side of a data set into a folder.
+
+    A program cannot harm the data set, since it receives the copies.
+    """
     names = [
         name
         for name in dataset.manifest.files
@@ -136,7 +148,7 @@ def _is_image(name: str) -> bool:
 
 
 def _words(parameters: dict[str, Any]) -> list[str]:
-    """name=value, strings as they are, everything else as JSON."""
+    """Format parameters as name=value: strings as they are, all else as JSON."""
     return [
         f"{name}={value if isinstance(value, str) else json.dumps(value)}"
         for name, value in parameters.items()
@@ -146,7 +158,8 @@ def _words(parameters: dict[str, Any]) -> list[str]:
 def _check_file(result: Path, name: str) -> None:
     if result.is_symlink() or not result.is_file():
         raise InputError(
-            f"program {name}: expected the result at the path in its second argument, found {'no file' if not result.exists() else 'none'} there"
+            f"program {name}: expected the result at the path in its second argument, found "
+            f"{'no file' if not result.exists() else 'none'} there"
         )
 
 
@@ -157,12 +170,14 @@ def adopt(
     told: tuple[str, dict[str, Any], float, float | None] | None,
     overwrite: bool,
 ) -> None:
-    """Read every value of a foreign result under all checks and write a result of our own; nothing else of the file is kept.
+    """Read every value of a foreign result under all checks, and write it anew.
+
+    Nothing else of the foreign file is kept.
 
     Parameters
     ----------
-    told : solver, parameters, seconds (wall time of all frames) and peak memory in MB; None: what
-        the file says of the first two, and no costs.
+    told : solver, parameters, seconds (wall time of all frames) and peak memory in MB. None: solver
+        and parameters come from the file, and there are no costs.
     """
     data = open_dataset(root)
     result = open_result(path, data)

@@ -1,6 +1,7 @@
-"""Calibrate an experimenter's own cameras: images or points of a target in a folder, without any truth, to cameras and a report.
+"""Calibration of an experimenter's own cameras.
 
-docs/using/calibrating.md describes the folder.
+The input is a folder with images or points of a target, without any truth;
+docs/using/calibrating.md describes it. The output is cameras and a report.
 """
 
 from __future__ import annotations
@@ -46,7 +47,7 @@ class _Table(BaseModel):
 
 
 class TargetSpec(_Table):
-    """What was shown."""
+    """Calibration target that the cameras see."""
 
     pattern: Pattern
     columns: Annotated[int, Field(ge=1, le=200)]
@@ -56,7 +57,7 @@ class TargetSpec(_Table):
 
 
 class ArraySpec(_Table):
-    """What all cameras have in common, as far as it is known."""
+    """Properties that all cameras share, as far as they are known."""
 
     rows: Annotated[int, Field(ge=8, le=20000)]
     columns: Annotated[int, Field(ge=8, le=20000)]
@@ -66,7 +67,7 @@ class ArraySpec(_Table):
 
 
 class CameraSpec(_Table):
-    """Roughly where a camera is, and what it looks at."""
+    """Initial guess of a camera's position, and the point that it is aimed at."""
 
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9_]+$")]
     center_mm: Vector
@@ -74,7 +75,10 @@ class CameraSpec(_Table):
 
 
 class KnownSpec(_Table):
-    """A point of the target whose place was measured; coordinates that were not are left out."""
+    """Point of the target whose position was measured.
+
+    Coordinates that were not measured are left out.
+    """
 
     frame: Annotated[int, Field(ge=0)]
     point: Annotated[int, Field(ge=0)]
@@ -85,31 +89,31 @@ class KnownSpec(_Table):
 
 
 class Configuration(_Table):
-    """calibration.toml."""
+    """Content of calibration.toml."""
 
     target: TargetSpec
     array: ArraySpec
     wall: WallSpec | None = None
     cameras: Annotated[tuple[CameraSpec, ...], Field(min_length=2)]
-    target_mm: Vector = Field(description="roughly where the target was")
+    target_mm: Vector = Field(description="initial guess of the target's position")
     known: tuple[KnownSpec, ...] = ()
     unknown: tuple[LensNumber, ...] = Field(
-        (), description="what is to be found of the lenses besides their focal lengths"
+        (), description="parameters of the lenses to be found besides their focal lengths"
     )
 
 
 @dataclass(frozen=True)
 class Report:
-    """A calibration's quality as far as its own data show it.
+    """Quality of a calibration as far as its own data show it.
 
     Attributes
     ----------
-    noise_px : of a pixel coordinate, from what does not fit.
-    true_px : mean error of the calibrated cameras themselves that this noise lets expect.
-    std_mm : scatter of the target's points along X, Y, Z that it lets expect.
-    depth_mm : standard deviation of the depth of everything together.
-    cameras, frames : for each its name or number, points found and used, and mean and largest
-        distance of the used from where they are computed, px.
+    noise_px : noise of a pixel coordinate, from the residuals.
+    true_px : expected mean error of the calibrated cameras under this noise.
+    std_mm : expected standard deviation of the target's points along X, Y, Z under this noise.
+    depth_mm : standard deviation of the depth of all points together.
+    cameras, frames : for each its name or number, the numbers of points found and used, and the
+        mean and largest residual of the used ones, px.
     """
 
     noise_px: float
@@ -123,7 +127,9 @@ class Report:
 def calibrate(
     folder: Path, out: Path, solver: str, parameters: dict[str, Any], *, overwrite: bool = False
 ) -> Report:
-    """Read a folder, calibrate, and write cameras.json, report.json and errors.png into the folder `out`.
+    """Calibrate the cameras of a folder and write the files of the folder `out`.
+
+    They are cameras.json, report.json and errors.png.
 
     Raises
     ------
@@ -141,7 +147,8 @@ def calibrate(
     points = answer.points_mm
     if points is None or not all(isinstance(camera, Camera) for camera in answer.cameras):
         raise InputError(
-            f"solver {solver}: expected one that returns pinhole cameras and the target's places, for the report"
+            f"solver {solver}: expected one that returns pinhole cameras and the target's "
+            "positions, for the report"
         )
     report, errors = report_on(case, answer, points)
     with complete_or_nothing(out, overwrite=overwrite) as partial:
@@ -156,7 +163,7 @@ def calibrate(
 
 
 def read_case(folder: Path) -> CalibrationCase:
-    """A folder's calibration: its points.csv, or else what is found in its images."""
+    """Read a folder's calibration: its points.csv, or else points of its images."""
     path = folder / CONFIGURATION
     try:
         values = tomllib.loads(path.read_text(encoding="utf-8"))
@@ -204,7 +211,8 @@ def _cameras(told: Configuration, source: str) -> tuple[Camera, ...]:
             cameras.append(aim(camera, spec.aim_mm))
         except ValueError as error:
             raise InputError(
-                f"{source}: {error}: is the wall behind the camera, or the target in front of the wall?"
+                f"{source}: {error}: is the wall behind the camera, or the target in front of the "
+                "wall?"
             ) from error
     return tuple(cameras)
 
@@ -214,7 +222,8 @@ def _known(told: Configuration, shape: tuple[int, ...], source: str) -> tuple[F6
     for number, point in enumerate(told.known):
         if point.frame >= shape[0] or point.point >= shape[1]:
             raise InputError(
-                f"{source}: known.{number}: expected one of {shape[0]} frames and of {shape[1]} points, got {point.frame} and {point.point}"
+                f"{source}: known.{number}: expected one of {shape[0]} frames and of {shape[1]} "
+                f"points, got {point.frame} and {point.point}"
             )
         for axis, value in enumerate((point.x_mm, point.y_mm, point.z_mm)):
             if value is not None:
@@ -226,7 +235,10 @@ def _known(told: Configuration, shape: tuple[int, ...], source: str) -> tuple[F6
 
 
 def _read_points(path: Path, target: Target, cameras: tuple[Camera, ...]) -> F64:
-    """points.csv: a line `camera,frame,point,column,row` for every point found, with these words as its first line."""
+    """Read points.csv, which has the first line `camera,frame,point,column,row`.
+
+    Every further line is a point that was found.
+    """
     numbers, rows = {camera.name: i for i, camera in enumerate(cameras)}, list(_lines(path))
     frames = 1 + max((row[1] for row in rows), default=-1)
     count = len(target.points_mm)
@@ -234,7 +246,8 @@ def _read_points(path: Path, target: Target, cameras: tuple[Camera, ...]) -> F64
     for camera, frame, point, column, row in rows:
         if camera not in numbers or not 0 <= point < count or frame < 0:
             raise InputError(
-                f"{path}: expected cameras {', '.join(numbers)} and points 0 to {count - 1}, got {camera}, frame {frame}, point {point}"
+                f"{path}: expected cameras {', '.join(numbers)} and points 0 to {count - 1}, got "
+                f"{camera}, frame {frame}, point {point}"
             )
         if np.isfinite(pixels[numbers[camera], frame, point, 0]):
             raise InputError(
@@ -250,7 +263,8 @@ def _lines(path: Path) -> Iterator[tuple[str, int, int, float, float]]:
         reader = csv.DictReader(file)
         if reader.fieldnames != expected:
             raise InputError(
-                f"{path}: expected the first line {','.join(expected)}, got {','.join(reader.fieldnames or ())}"
+                f"{path}: expected the first line {','.join(expected)}, got "
+                f"{','.join(reader.fieldnames or ())}"
             )
         for number, line in enumerate(reader, 2):
             try:
@@ -263,7 +277,8 @@ def _lines(path: Path) -> Iterator[tuple[str, int, int, float, float]]:
                 )
             except (TypeError, ValueError) as error:
                 raise InputError(
-                    f"{path}: line {number}: expected a name, two whole numbers and two numbers, got {error}"
+                    f"{path}: line {number}: expected a name, two whole numbers and two numbers, "
+                    f"got {error}"
                 ) from error
             if not (math.isfinite(values[3]) and math.isfinite(values[4])):
                 raise InputError(
@@ -273,13 +288,17 @@ def _lines(path: Path) -> Iterator[tuple[str, int, int, float, float]]:
 
 
 def _read_images(folder: Path, target: Target, cameras: tuple[Camera, ...], plain: F64) -> F64:
-    """images/FRAME/CAMERA.tif (or png, bmp, jpg), frames in the order of their folders' names."""
+    """Detect the target in images/FRAME/CAMERA.tif (or png, bmp, jpg).
+
+    Frames are in the order of their folders' names.
+    """
     frames = (
         sorted(entry for entry in folder.iterdir() if entry.is_dir()) if folder.is_dir() else []
     )
     if not frames:
         raise InputError(
-            f"{folder}: expected folders with an image of each camera, or a {POINTS} beside it, found neither"
+            f"{folder}: expected folders with an image of each camera, or a {POINTS} next to it, "
+            "found neither"
         )
     steps = [(c, k) for c in range(len(cameras)) for k in range(len(frames))]
     pixels = np.full((len(cameras), len(frames), len(target.points_mm), 2), np.nan)
@@ -291,7 +310,7 @@ def _read_images(folder: Path, target: Target, cameras: tuple[Camera, ...], plai
 
 
 def _image(frame: Path, camera: Camera) -> npt.NDArray[np.uint16] | None:
-    """A camera's image of a frame; None if it took none."""
+    """Read a camera's image of a frame; None if it took none."""
     import cv2
 
     path = next(
@@ -309,13 +328,17 @@ def _image(frame: Path, camera: Camera) -> npt.NDArray[np.uint16] | None:
         raise InputError(f"{path}: expected an image, got something else")
     if image.shape != (camera.rows, camera.columns):
         raise InputError(
-            f"{path}: expected {camera.rows} x {camera.columns} pixels (rows x columns), got {image.shape[0]} x {image.shape[1]}"
+            f"{path}: expected {camera.rows} x {camera.columns} pixels (rows x columns), got "
+            f"{image.shape[0]} x {image.shape[1]}"
         )
     return np.asarray(image, dtype=np.uint16)
 
 
 def report_on(case: CalibrationCase, answer: Calibration, points: F64) -> tuple[Report, F64]:
-    """What the data themselves say of a calibration, and the errors (camera, frame, point, 2) of all points found."""
+    """Report the quality of a calibration, and the residuals of all points found.
+
+    Residuals are (camera, frame, point, 2).
+    """
     cameras = tuple(camera for camera in answer.cameras if isinstance(camera, Camera))
     flat = points.reshape(-1, 3)
     errors = case.pixels - np.stack([camera.project(flat)[0] for camera in cameras]).reshape(

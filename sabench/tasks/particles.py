@@ -1,4 +1,7 @@
-"""Particles: an image sequence in, the particles of each of its frames out, linked or not."""
+"""Task `particles`: solvers find the particles of every frame of a sequence.
+
+They may link them, too.
+"""
 
 from __future__ import annotations
 
@@ -22,17 +25,19 @@ from sabench.metrics.trajectories import link_scores
 from sabench.plotting import pictures
 from sabench.tasks.reconstruction import PARTICLE_IMAGES
 from sabench.tasks.solver_call import call_solver
-from sabench.tasks.task import Captions, Figures, Score, Source, Task
+from sabench.tasks.task import Captions, Figures, Score, Source, Task, share_near
 from sabench.utils import memory
 from sabench.utils.arrays import F64, I64, Bool
 from sabench.utils.errors import InputError
 from sabench.utils.progress import track
 
 _DRAWN_VOXELS = 1.0  # standard deviation of the Gaussian blobs that particles are drawn as
+# share of the particles found with the cameras in another order, and how near, in voxels
+_ALIKE, _NEAR_VOXELS = 0.9, 0.2
 
 
 class ParticlesTask(Task):
-    """Finding and tracking of particles."""
+    """Detection and tracking of particles."""
 
     name = "particles"
     shown = "particles"
@@ -76,7 +81,7 @@ class ParticlesTask(Task):
     )
 
     def case(self, data: Dataset) -> Film:
-        """Make the first sequence; its frames are read when they are asked for."""
+        """Make the first sequence; a frame is read when it is requested."""
         return self._film(data, data.rig.sequences()[0])[0]
 
     def _film(self, data: Dataset, frames: range) -> tuple[Film, _Reader]:
@@ -85,7 +90,10 @@ class ParticlesTask(Task):
         return Film(data.rig.cameras, data.rig.grid, times, reader), reader
 
     def run(self, algorithm: Any, name: str, data: Dataset, writer: ResultWriter) -> list[float]:
-        """Find the particles of every sequence; returns seconds per frame, without reading images."""
+        """Find the particles of every sequence; return the seconds of each frame.
+
+        The time for reading images does not count.
+        """
         seconds, every = [], []
         for frames in track(data.rig.sequences(), f"particles by {name}"):
             film, reader = self._film(data, frames)
@@ -114,7 +122,7 @@ class ParticlesTask(Task):
         return FoundParticles(np.zeros((0, 3)), None, np.zeros(0, dtype=np.int64))
 
     def wrong(self, data: Dataset, frame: int) -> FoundParticles:
-        """Drop some true particles, move the others, add ghosts, and swap trajectories at times."""
+        """Drop and move true particles, add ghosts, and swap some trajectories."""
         true, voxel = data.particles(frame), np.asarray(data.rig.grid.voxel_mm)
         kept = np.flatnonzero(true.id % 7 != 3)
         angle = true.id[kept] + 0.5 * frame
@@ -129,7 +137,10 @@ class ParticlesTask(Task):
         return FoundParticles(np.concatenate([moved, ghosts]), None, numbers)
 
     def score(self, data: Dataset, source: Source) -> Figures:
-        """Average the scores of the frames; those of trajectories come from all frames together."""
+        """Average the scores of the frames.
+
+        The scores of trajectories come from all frames together.
+        """
         found = self._all(data, source)
         truth = [data.particles(frame) for frame in self.frames(data)]
         pairs = list(zip(found, truth, strict=True))
@@ -147,6 +158,11 @@ class ParticlesTask(Task):
             )
         return linked(data.rig, found)
 
+    def alike(self, data: Dataset, one: FoundParticles, other: FoundParticles) -> bool:
+        """Compare particles by how many are found again."""
+        near_mm = _NEAR_VOXELS * min(data.rig.grid.voxel_mm)
+        return share_near(one.position_mm, other.position_mm, near_mm) >= _ALIKE
+
     def picture(self, data: Dataset, source: Source) -> bytes:
         """Draw the particles in a slice as Gaussian blobs, as a PNG."""
         grid, positions = data.rig.grid, self.read(data, source, 0).position_mm
@@ -157,7 +173,10 @@ class ParticlesTask(Task):
 
 @dataclass
 class _Reader:
-    """Reader of one sequence's frames; counts the seconds that it takes, which are not the solver's."""
+    """Reader of one sequence's frames, which measures the seconds of reading.
+
+    They are not part of the solver's time.
+    """
 
     data: Dataset
     frames: range
@@ -188,9 +207,10 @@ def _call(algorithm: Any, name: str, film: Film, frames: range) -> list[FoundPar
 
 
 def linked(rig: CamerasFile, found: Sequence[FoundParticles]) -> list[FoundParticles]:
-    """Number the trajectories of every frame's particles: by the solver's own numbers, or by linking.
+    """Assign trajectory numbers to every frame's particles.
 
-    No trajectory goes from one group of pulses to the next.
+    The numbers are the solver's own, or come from linking. No trajectory leads from one group of
+    pulses to the next.
     """
     out: list[I64] = []
     for frames in rig.sequences():
@@ -227,13 +247,13 @@ def score_frame(data: Dataset, estimate: FoundParticles, truth: Particles) -> Fi
 
 
 def _scored_pairs(found: F64, true: F64, scored: Bool) -> tuple[I64, I64]:
-    """Match found and true particles; keep the pairs whose truths lie in the scored part."""
+    """Match found and true particles; keep pairs whose truth is in the scored part."""
     i, j = challenge_pairs(found, true)
     return i[scored[j]], j[scored[j]]
 
 
 def _apart_px(data: Dataset, found_mm: F64, true_mm: F64) -> float | None:
-    """Root mean square distance of pairs of points in the true cameras' images."""
+    """Compute the RMS distance of pairs of points in the true cameras' images."""
     apart = [
         np.linalg.norm(camera.project(found_mm)[0] - camera.project(true_mm)[0], axis=1)
         for camera in data.true_cameras
@@ -244,7 +264,10 @@ def _apart_px(data: Dataset, found_mm: F64, true_mm: F64) -> float | None:
 def _over_time(
     data: Dataset, found: Sequence[FoundParticles], truth: Sequence[Particles]
 ) -> Figures:
-    """Score the trajectories of what lies in the scored part or belongs to a particle that does."""
+    """Score trajectories.
+
+    Only those particles count that lie in the scored part, or belong to a true particle that does.
+    """
     grid, positions, numbers, identities, truths, matched = data.rig.grid, [], [], [], [], []
     for one, true in zip(found, truth, strict=True):
         there = grid.in_scored(grid.to_voxels(true.position_mm))

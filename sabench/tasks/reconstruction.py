@@ -1,4 +1,4 @@
-"""Reconstruction: one observation in, one volume out, frame by frame."""
+"""Task `reconstruction`: solvers turn one observation into one volume."""
 
 from __future__ import annotations
 
@@ -14,7 +14,14 @@ from sabench.metrics.averages import mean_of_each
 from sabench.metrics.reconstruction_error import score_frame
 from sabench.metrics.synthesised_field import true_field
 from sabench.plotting import pictures
-from sabench.tasks.task import Captions, Figures, FrameByFrame, Score, Source
+from sabench.tasks.task import (
+    Captions,
+    Figures,
+    FrameByFrame,
+    Score,
+    Source,
+    correlation,
+)
 from sabench.utils import memory
 from sabench.utils.errors import InputError
 from sabench.utils.progress import track
@@ -22,14 +29,15 @@ from sabench.utils.progress import track
 # float32 volumes that must fit next to the images: the solver's own, and as much again for its
 # work and the checks
 _VOLUMES = 2.0
-_TRIED = 33  # voxels along each axis that are looked for in the images
+_TRIED = 33  # voxels along each axis that are projected into the images
 PARTICLE_IMAGES = (
     "First frame of every camera, one brightness scale for all; dim particles are raised."
 )
+_ALIKE = 0.95  # correlation of volumes from cameras in another order
 
 
 class ReconstructionTask(FrameByFrame):
-    """Reconstruction of the volume of intensities of every frame."""
+    """Reconstruction of every frame's volume of intensities."""
 
     name = "reconstruction"
     shown = "particles"
@@ -51,7 +59,8 @@ class ReconstructionTask(FrameByFrame):
         Score("rms_px", "rms px", "voxel", "smaller", 3,
               "root mean square distance between the pairs of that rule"),
         Score("peak_true_percent", "peak true %", "%", "larger", 1,
-              "true %, with particles found as local maxima: touching ones count as two", counted=True),
+              "true %, with particles found as local maxima: touching ones count as "
+              "two", counted=True),
         Score("peak_ghost_percent", "peak ghost %", "%", "smaller", 1,
               "ghost %, with particles found as local maxima", counted=True),
         Score("peak_precision", "peak precision", "", "larger", 4,
@@ -72,7 +81,10 @@ class ReconstructionTask(FrameByFrame):
     )
 
     def check_case(self, case: Observation, source: str) -> None:
-        """Raise an InputError for an observation that no solver can use; a black image passes."""
+        """Raise an InputError for an observation that no solver can use.
+
+        A black image passes.
+        """
         check_images(case, source)
         check_memory(case, source)
         check_view(case, source)
@@ -88,7 +100,7 @@ class ReconstructionTask(FrameByFrame):
         return Reconstruction(np.zeros(data.rig.grid.shape, dtype=np.float32))
 
     def wrong(self, data: Dataset, frame: int) -> Reconstruction:
-        """Move the true field by less than a voxel and add a fainter copy of a part of it."""
+        """Move the true field by less than a voxel, and add a fainter copy of a part."""
         true = true_field(data.rig.grid, data.particles(frame), data.views(frame))
         ghosts = np.roll(true, (3, 11, 17), axis=(0, 1, 2))
         ghosts[:, :, : true.shape[2] // 2] = 0.0
@@ -108,6 +120,10 @@ class ReconstructionTask(FrameByFrame):
                 for frame in track(self.frames(data), "score")
             ]
         )
+
+    def alike(self, data: Dataset, one: Reconstruction, other: Reconstruction) -> bool:
+        """Compare volumes by their correlation: solvers of the kind of MART depend on the order."""
+        return correlation(one.volume, other.volume) > _ALIKE
 
     def picture(self, data: Dataset, source: Source) -> bytes:
         """Draw a slice of the first frame's volume as a PNG."""
@@ -143,7 +159,10 @@ def check_view(case: Observation, source: str) -> None:
 
 
 def check_memory(case: Observation, source: str) -> None:
-    """Raise an InputError if `_VOLUMES` and the images as float32 do not fit into memory."""
+    """Raise an InputError if the volumes and images do not fit into memory.
+
+    These are `_VOLUMES` volumes and the images as float32.
+    """
     there, images = memory.available_mb(), case.images.size * 4 / 1e6
     (planes, rows, columns), voxel = case.grid.shape, _VOLUMES * 4 / 1e6
     need = images + planes * rows * columns * voxel

@@ -1,4 +1,7 @@
-"""See-through: one observation in, planes out, in which a code behind bubbles is to be read."""
+"""Task `see_through`: solvers turn one observation into a stack of planes.
+
+A code behind bubbles is to be read in the planes.
+"""
 
 from __future__ import annotations
 
@@ -18,13 +21,21 @@ from sabench.metrics.code_reading import (
 )
 from sabench.plotting import pictures
 from sabench.tasks.reconstruction import check_images, check_memory, check_view
-from sabench.tasks.task import Captions, Figures, FrameByFrame, Score, Source
+from sabench.tasks.task import (
+    Captions,
+    Figures,
+    FrameByFrame,
+    Score,
+    Source,
+    correlation,
+)
 from sabench.utils.arrays import F32, F64, I64
 from sabench.utils.progress import track
 from sabench.worlds.readable_codes import code_of
 
 _ENLARGED_PX, _DRAWN_PX = 400, 200  # longer side of a picture, and of the code itself
 _MARGIN = 3.0  # voxels around the code that are shown
+_ALIKE = 0.95  # correlation of planes from cameras in another order
 
 
 class SeeThroughTask(FrameByFrame):
@@ -52,7 +63,7 @@ class SeeThroughTask(FrameByFrame):
     # fmt: on
     captions = Captions(
         heading="The code's plane",
-        estimates="The plane of the stack in which the code behind the bubbles is, each with its "
+        estimates="The plane of the stack that contains the code behind the bubbles, each with its "
         "own brightness scale.",
         cameras="First frame of every camera.",
         errors="The code in black and white; red cells are dark and read as bright, blue ones "
@@ -105,6 +116,10 @@ class SeeThroughTask(FrameByFrame):
         seen = data.observation(0)
         return pictures.backlit(seen.images, seen.black_dn, seen.white_dn)
 
+    def alike(self, data: Dataset, one: Reconstruction, other: Reconstruction) -> bool:
+        """Compare planes by their correlation: solvers of the kind of MART depend on the order."""
+        return correlation(one.volume, other.volume) > _ALIKE
+
     def picture(self, data: Dataset, source: Source) -> bytes:
         """Draw the code's plane in an estimate, or the code itself, as a PNG."""
         code = _code(data, 0)
@@ -125,7 +140,10 @@ def _code(data: Dataset, frame: int) -> Code:
 
 
 def _brightened(grid: Grid, volume: F32, code: Code, light: float) -> F32:
-    """Add light to the voxels of a volume (z, y, x) where the code is bright; returns the volume."""
+    """Add light to the voxels of a volume (z, y, x) where the code is bright.
+
+    Returns the volume.
+    """
     points = code.points_mm[~code.dark].reshape(-1, 3)
     places = np.rint(grid.to_voxels(points)).astype(np.int64)
     x, y, z = places[((places >= 0) & (places < grid.shape[::-1])).all(axis=1)].T
@@ -134,7 +152,10 @@ def _brightened(grid: Grid, volume: F32, code: Code, light: float) -> F32:
 
 
 def code_plane(grid: Grid, volume: F32, code: Code) -> F64:
-    """Cut the plane (y, x) nearest to the code's middle out of a volume, around the code."""
+    """Cut the plane (y, x) nearest to the code's middle out of a volume.
+
+    It is limited to the surroundings of the code.
+    """
     places, size = grid.to_voxels(code.points_mm.reshape(-1, 3)), np.asarray(volume.shape[::-1])
     low, high = (
         np.clip(np.rint(end), 0, size - 1).astype(int)
@@ -145,7 +166,7 @@ def code_plane(grid: Grid, volume: F32, code: Code) -> F64:
 
 
 def draw_code(code: Code) -> F64:
-    """Draw the code as it is along Z: 0 where it is dark, 1 elsewhere."""
+    """Draw the code as seen along Z: 0 where it is dark, 1 elsewhere."""
     return np.where(code.dark[_nearest(code)], 0.0, 1.0)
 
 

@@ -1,4 +1,7 @@
-"""Run a solver on the observation side of a data set, weigh what it cost, and score its result against the truth."""
+"""Runs of a solver on a data set's observation side, and scores of its result.
+
+The time and memory of the solver are measured; the scores compare its result with the truth.
+"""
 
 from __future__ import annotations
 
@@ -47,8 +50,8 @@ def solve(
     Raises
     ------
     InputError
-        An unknown solver or parameter, a broken data set or one of another track, and what the
-        track's `run` refuses.
+        An unknown solver or parameter, a broken data set or one of another task, and anything that
+        the task's `run` refuses.
     """
     data = dataset if isinstance(dataset, Dataset) else open_dataset(dataset)
     if is_program(solver):
@@ -57,13 +60,15 @@ def solve(
         )
     if limits is not None:
         raise InputError(
-            f"solver {solver}: expected limits for programs only, not for a plug-in, which runs within sabench"
+            f"solver {solver}: expected limits for programs only, not for a plug-in, which runs "
+            "within sabench"
         )
     algorithm = make_algorithm(solver, parameters or {})
     if algorithm.sees not in data.shows:
         shown = " and ".join(_SHOWN[one] for one in data.shows)
         raise InputError(
-            f"solver {solver}: expected a data set that shows {_SHOWN[algorithm.sees]}, but {data.root} shows {shown}"
+            f"solver {solver}: expected a data set that shows {_SHOWN[algorithm.sees]}, but "
+            f"{data.root} shows {shown}"
         )
     memory.forget_peak()
     resolved = algorithm.parameters.model_dump(mode="json")
@@ -78,12 +83,14 @@ def solve(
 def score(
     dataset: Dataset | str | Path, result: str | Path, task: str | None = None
 ) -> dict[str, Any]:
-    """Score a result file, or the best or worst possible estimates: the words `truth` and `empty`.
+    """Score a result file, or the best or worst possible estimates.
+
+    The words `truth` and `empty` stand for the best and the worst possible estimates.
 
     Parameters
     ----------
-    task : by whose scores the words are scored, where a data set serves several; None: the first
-        one for what the data set shows. A result says its own.
+    task : task whose scores apply to `truth` or `empty`, where a data set serves several. None: the
+        first task for the kind of objects that the data set shows. A result file has its own.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""One call of a solver."""
+"""Calls of solvers, with checks of their answers."""
 
 from __future__ import annotations
 
@@ -8,7 +8,9 @@ from sabench.utils.errors import DeclinedError, InputError
 
 
 def call_solver(algorithm: Any, name: str, case: Any, expected: type[Any], where: str = "") -> Any:
-    """Call a solver, which may do anything, on a case; `where` is added to failures, as " on frame 0".
+    """Call a solver, which may raise anything, on a case.
+
+    `where` is added to the messages of failures, as in " on frame 0".
 
     Raises
     ------

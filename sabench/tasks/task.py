@@ -1,7 +1,7 @@
-"""Tasks: what solvers receive and return, and how their estimates are scored.
+"""Base of tasks: inputs and estimates of solvers, and the scores of estimates.
 
-A task is one object. Everything that differs between kinds of contests is an attribute or a method
-of it; suites, records, the leaderboard, the gates and the command only ask it.
+A task is one object. Every difference between kinds of contests is an attribute or a method of it;
+suites, records, the leaderboard, the gates and the command use nothing else.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ from sabench.dataset.results import Result, ResultWriter
 from sabench.plotting import pictures
 from sabench.tasks.solver_call import call_solver
 from sabench.utils import memory
+from sabench.utils.arrays import F32, F64
 from sabench.utils.errors import InputError
 
 Better = Literal["larger", "smaller", "unity", "steady"]
@@ -86,10 +87,10 @@ class Task(ABC):
 
     Attributes
     ----------
-    name : of the task, as solvers and result files say it.
-    shown : what the frames of its data sets show.
+    name : of the task, as in solvers and result files.
+    shown : kind of objects in the frames of its data sets.
     estimate : class of the estimates that its solvers return.
-    scores : its own, the most important one first; `all_scores` has the costs, too.
+    scores : its own, the most important one first; `all_scores` adds the costs.
     captions : of its figures.
     """
 
@@ -114,11 +115,11 @@ class Task(ABC):
         return {score.key: score for score in self.all_scores}[key]
 
     def accepts(self, data: Dataset) -> bool:
-        """Say whether a data set has what the task's solvers and scores need."""
+        """Check whether a data set has all that the task's solvers and scores need."""
         return self.shown in data.shows
 
     def frames(self, data: Dataset) -> Sequence[int]:
-        """Frames of a data set that have an estimate each; [0] where one estimate serves all."""
+        """List the frames that have an estimate each; [0] where one serves all frames."""
         return range(data.rig.frames)
 
     @abstractmethod
@@ -146,7 +147,7 @@ class Task(ABC):
             memory.trim()
 
     def read(self, data: Dataset, source: Source, frame: int) -> Any:
-        """Read a frame's estimate of a result, or make the best or the worst possible one."""
+        """Read a frame's estimate of a result, or make the best or worst possible one."""
         if isinstance(source, Result):
             return source.read(self.estimate, frame)
         return self.truth(data, frame) if source == "truth" else self.empty(data, frame)
@@ -161,11 +162,22 @@ class Task(ABC):
 
     @abstractmethod
     def wrong(self, data: Dataset, frame: int) -> Any:
-        """Make an estimate that is wrong in a known way: gates compare its scores with a baseline."""
+        """Make an estimate that is wrong in a known way.
+
+        Gates compare its scores with a baseline.
+        """
 
     @abstractmethod
     def score(self, data: Dataset, source: Source) -> Figures:
         """Score a result, or the best ("truth") or worst ("empty") possible estimates."""
+
+    def alike(self, data: Dataset, one: Any, other: Any) -> bool:
+        """Compare estimates of the first case with the cameras in one order and in the reverse one.
+
+        They may differ as far as algorithms depend on the order in which they take the cameras.
+        """
+        pairs = zip(one.arrays(), other.arrays(), strict=True)
+        return all(np.allclose(a, b, rtol=1e-6) for (_, a), (_, b) in pairs)
 
     def images(self, data: Dataset) -> bytes:
         """Draw the first frame of every camera as a PNG."""
@@ -177,7 +189,7 @@ class Task(ABC):
         """Draw an estimate of the first frame as a PNG."""
 
     def error_picture(self, data: Dataset, result: Result) -> bytes | None:
-        """Draw the errors of the same estimate as a PNG; None: the task has no such figure."""
+        """Draw the errors of the same estimate as a PNG; None for a task without them."""
         return None
 
 
@@ -189,7 +201,7 @@ class FrameByFrame(Task):
         return data.observation(0)
 
     def run(self, algorithm: Any, name: str, data: Dataset, writer: ResultWriter) -> list[float]:
-        """Call the solver on every frame; returns the seconds of each."""
+        """Call the solver on every frame; return the seconds of each."""
         seconds = []
         for frame in self.frames(data):
             found, took = self.call(algorithm, name, data, frame)
@@ -200,7 +212,7 @@ class FrameByFrame(Task):
         return seconds
 
     def call(self, algorithm: Any, name: str, data: Dataset, frame: int) -> tuple[Any, float]:
-        """Call the solver on one frame; returns its estimate, checked, and the seconds that it took."""
+        """Call the solver on one frame; return its checked estimate and the seconds."""
         case = data.observation(frame)
         self.check_case(case, f"{data.root}: frame {frame}")
         start = time.perf_counter()
@@ -210,11 +222,28 @@ class FrameByFrame(Task):
         return found, took
 
     def check_case(self, case: Observation, source: str) -> None:
-        """Raise an InputError for an observation that no solver can use; `source` opens the sentence."""
+        """Raise an InputError for an observation that no solver can use.
+
+        `source` opens the sentence.
+        """
+
+
+def share_near(one: F64, other: F64, near: F64 | float) -> float:
+    """Share of the points (n, 3) that have one of the other points (m, 3) near them."""
+    if not len(one) or not len(other):
+        return float(len(one) == len(other))
+    apart = np.linalg.norm(one[:, None] - other, axis=2).min(axis=1)
+    return float((apart < near).mean())
+
+
+def correlation(one: F32, other: F32) -> float:
+    """Correlation of two volumes, without subtraction of their means."""
+    norms = float(np.sqrt((one**2).sum() * (other**2).sum()))
+    return float((one * other).sum()) / norms if norms else 1.0
 
 
 def check_estimate(found: Estimate, solver: str, data: Dataset, frame: int) -> None:
-    """Raise an InputError if an array of a solver's estimate is not as its class declares it."""
+    """Raise an InputError if an array of an estimate is not as its class declares."""
     try:
         found.check(**dict(zip("zyx", data.rig.grid.shape, strict=True)))
     except InputError as error:

@@ -1,4 +1,7 @@
-"""Velocimetry: pairs of frames are reconstructed, and two volumes become a velocity field."""
+"""Task `velocimetry`: solvers turn two volumes into a velocity field.
+
+The volumes are reconstructed from pairs of frames.
+"""
 
 from __future__ import annotations
 
@@ -27,7 +30,7 @@ from sabench.utils.progress import track
 from sabench.worlds.advection import advect
 from sabench.worlds.tracers import TOLERANCE, flow_of
 
-_NEIGHBOURS = 8  # true particles whose mean stands for the flow where it is not known otherwise
+_NEIGHBOURS = 8  # true particles whose mean replaces the flow where a data set has none
 _NODES = np.array([9, 8, 7])  # of the lattice of the best, worst and wrong estimates, as (x, y, z)
 
 
@@ -83,11 +86,11 @@ class VelocimetryTask(Task):
     )
 
     def accepts(self, data: Dataset) -> bool:
-        """Say whether a data set shows particles alone and has pairs of frames."""
+        """Check whether a data set shows particles alone and has pairs of frames."""
         return data.shows == (self.shown,) and bool(data.rig.pairs())
 
     def frames(self, data: Dataset) -> Sequence[int]:
-        """First frames of the pairs."""
+        """List the first frames of the pairs."""
         return [first for first, _ in data.rig.pairs()]
 
     def case(self, data: Dataset) -> VolumePair:
@@ -97,7 +100,10 @@ class VelocimetryTask(Task):
         return VolumePair(first, second, data.rig.grid, interval_s(data, pair))
 
     def run(self, algorithm: Any, name: str, data: Dataset, writer: ResultWriter) -> list[float]:
-        """Reconstruct every pair and measure its field; returns seconds without reconstruction."""
+        """Reconstruct every pair and measure its field.
+
+        Returns the seconds without those of reconstruction.
+        """
         pairs = data.rig.pairs()
         if not pairs:
             frames = data.rig.frames
@@ -174,7 +180,7 @@ class _Volumes:
         self.seconds: list[float] = []
 
     def of(self, pair: tuple[int, int]) -> tuple[Any, Any]:
-        """Reconstruct the volumes of a pair, as far as they are not there."""
+        """Reconstruct the volumes of a pair, unless they are already there."""
         self._kept = {frame: one for frame, one in self._kept.items() if frame in pair}
         for frame in pair:
             if frame not in self._kept:
@@ -185,7 +191,7 @@ class _Volumes:
 
 
 def interval_s(data: Dataset, pair: tuple[int, int]) -> float:
-    """Time between the frames of a pair."""
+    """Compute the time between the frames of a pair."""
     return data.rig.time_s(pair[1]) - data.rig.time_s(pair[0])
 
 

@@ -1,4 +1,7 @@
-"""Print rooms, floors, arrows and circles of a checkout: python -m tests.architecture [CHECKOUT]."""
+"""Figures of a checkout: rooms, floors, arrows and circles.
+
+Run `python -m tests.architecture [CHECKOUT]`.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +20,8 @@ def main() -> None:
     print(f"rooms in sabench/ {len(rooms(package))}")
     print(f"floors            {height(between)}")
     print(
-        f"arrows            {len(between)} between rooms, {len(arrows(package, files=True))} between files"
+        f"arrows            {len(between)} between rooms, {len(arrows(package, files=True))} "
+        "between files"
     )
     print(f"circles           {[sorted(one) for one in circles(between)]}")
     for part in ("sabench", "generators", "solvers", "tests", "benchmarks"):

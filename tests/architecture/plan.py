@@ -29,7 +29,10 @@ def rooms(package: Path) -> set[str]:
 
 
 def arrows(package: Path, *, files: bool = False) -> Arrows:
-    """Pairs (importer, imported) of rooms, or of files; imports inside functions count, those for type checkers too."""
+    """Pairs (importer, imported) of rooms, or of files.
+
+    Imports inside functions and imports for type checkers count, too.
+    """
     known = {_dotted(file, package.parent) for file in package.rglob("*.py")}
     found = set()
     for file in sorted(package.rglob("*.py")):

@@ -12,7 +12,8 @@ def test_every_room_has_a_floor() -> None:
 def test_imports_go_down() -> None:
     floor = {room: number for number, names in enumerate(FLOORS, 1) for room in names}
     up = [
-        f"{one} (floor {floor[one.split('.')[1]]}) imports {other} (floor {floor[other.split('.')[1]]})"
+        f"{one} (floor {floor[one.split('.')[1]]}) imports "
+        f"{other} (floor {floor[other.split('.')[1]]})"
         for one, other in sorted(arrows(ROOT / "sabench", files=True))
         if floor[other.split(".")[1]] > floor[one.split(".")[1]]
     ]

@@ -20,7 +20,7 @@ HEAVY = {
 
 
 def loaded(script: str) -> set[str]:
-    """Which of the heavy modules a script loads."""
+    """Return those of the heavy modules that a script loads."""
     report = f"{script}\nimport sys; print('loaded', *({HEAVY!r} & set(sys.modules)))"
     done = subprocess.run(
         [sys.executable, "-W", "error", "-c", report],

@@ -1,4 +1,7 @@
-"""The rule for authors: a plug-in imports from `sabench.api` and `sabench.algorithms` only."""
+"""The imports that a plug-in may have.
+
+The rule for authors: only from `sabench.api` and `sabench.algorithms`.
+"""
 
 from __future__ import annotations
 
@@ -39,7 +42,10 @@ def test_a_plug_in_imports_from_the_public_packages_only(file: Path) -> None:
 
 @pytest.mark.parametrize("file", PLUG_INS, ids=lambda file: file.stem)
 def test_a_plug_in_imports_from_packages_not_from_their_modules(file: Path) -> None:
-    """`sabench.algorithms.refocus`, not a module inside it: these may be split and renamed."""
+    """Plug-ins import from `sabench.algorithms.refocus`, not from a module inside it.
+
+    These modules may be split and renamed.
+    """
     for name in imported(file):
         if name.startswith(("sabench.api", "sabench.algorithms")):
             assert (ROOT / Path(*name.split("."))).is_dir(), name

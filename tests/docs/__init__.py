@@ -1,1 +1,1 @@
-"""The documents, held against the code: links, names, code blocks, tables of scores."""
+"""The documents against the code: links, names, code blocks, tables of scores."""

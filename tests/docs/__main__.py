@@ -8,7 +8,10 @@ from tests.docs.pages import PAGES, blocks
 
 
 def main() -> None:
-    """Print where each block is that is not run, and why; then how many there are of each kind."""
+    """Print the position and the reason of each block that is not run.
+
+    Then the number of blocks of each kind.
+    """
     found = [block for page in PAGES for block in blocks(page)]
     for block in found:
         if block.reason is not None:

@@ -43,12 +43,12 @@ class Block(NamedTuple):
 
     @property
     def marked(self) -> bool:
-        """Whether a comment before the block says what to do with it."""
+        """True if a comment before the block says what to do with it."""
         return self.reason is not None or self.file is not None
 
     @property
     def kind(self) -> str:
-        """What is done with the block."""
+        """Handling of the block: not run, saved, text or run."""
         if self.reason is not None:
             return "not run"
         if self.file is not None:
@@ -120,6 +120,9 @@ def anchors(page: str) -> set[str]:
 
 
 def _anchor(heading: str) -> str:
-    """Return the anchor of one heading: lower case, hyphens for blanks, no other punctuation."""
+    """Return the anchor of one heading.
+
+    Lower case, hyphens for blanks, no other punctuation.
+    """
     text = re.sub(r"\[([^\]]*)\]\([^)]*\)", r"\1", heading).strip().lower()
     return re.sub(r"[^\w\- ]", "", text).replace(" ", "-")

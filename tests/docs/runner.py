@@ -1,4 +1,7 @@
-"""Run the code blocks of a page, in their order, in one folder and in this process."""
+"""Runs of the code blocks of a page.
+
+In their order, in one folder and in this process.
+"""
 
 from __future__ import annotations
 
@@ -128,7 +131,7 @@ class Page:
         raise AssertionError(f"{name}: a block with this command needs a marker `not run`")
 
     def _generate(self, words: list[str]) -> str:
-        """Generate a data set, or copy the one that the same words have made on another page."""
+        """Generate a data set, or copy one that another page made by the same words."""
         at = words.index("-o")
         out = self.folder / words[at + 1]
         key = "_".join([*words[:at], *words[at + 2 :]]).replace("/", "-")
@@ -145,7 +148,10 @@ class Page:
 
 
 def _printed(call: Callable[[], object], words: list[str]) -> str:
-    """Return what a program prints that is called with these words; it has to end well."""
+    """Return the output of a program that is called with these words.
+
+    The program has to end well.
+    """
     before, errors, code = sys.argv, io.StringIO(), None
     sys.argv = list(words)
     try:

@@ -1,4 +1,6 @@
-"""Tables of scores in the pages of the tasks: python -m tests.docs.score_tables [--write].
+"""Tables of scores in the pages of the tasks.
+
+Run `python -m tests.docs.score_tables [--write]`.
 
 A page holds its table between `<!-- scores: TASK -->` and `<!-- end scores -->`.
 """
@@ -22,7 +24,10 @@ PAGES = tuple(sorted((ROOT / "docs" / "tasks").glob("*.md")))
 def table(scores: Iterable[Score]) -> str:
     """Write scores as a table, one row for each."""
     rows = [
-        f"| `{score.key}` | {score.unit or '-'} | {_BETTER[score.better]} | {_cell(score.meaning)} |"
+        (
+            f"| `{score.key}` | {score.unit or '-'} | {_BETTER[score.better]} | "
+            f"{_cell(score.meaning)} |"
+        )
         for score in scores
     ]
     return "\n".join(["| key | unit | better | meaning |", "|---|---|---|---|", *rows, ""])

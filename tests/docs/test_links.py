@@ -16,7 +16,7 @@ def test_every_link_leads_to_a_file_and_a_heading(page: str) -> None:
 
 
 def _leads(page: str, target: str) -> bool:
-    """Whether a link's file exists, and its anchor in that file."""
+    """Return True if a link's file exists, and its anchor in that file."""
     if target.startswith(("https://", "http://", "mailto:")):
         return True
     name, _, anchor = target.partition("#")

@@ -32,7 +32,7 @@ def test_named_modules_files_and_suites_exist(page: str) -> None:
 
 
 def _words(page: str) -> Iterator[tuple[int, str]]:
-    """Yield what stands in backquotes, and in reasons not to run a block, word by word."""
+    """Yield the words in backquotes, and those in reasons not to run a block."""
     for block in blocks(page):
         for word in (block.reason or "").split():
             yield block.line, word.strip(",;")
@@ -43,7 +43,7 @@ def _words(page: str) -> Iterator[tuple[int, str]]:
 
 
 def _exists(word: str) -> bool:
-    """Whether a word is no name of the code, or one that is there."""
+    """Return True if a word is no name of the code, or an existing one."""
     if re.fullmatch(r"sabench(\.\w+)+", word):
         return _is_importable(word)
     suite = re.fullmatch(r"suites/([\w-]+)", word)
@@ -59,7 +59,7 @@ def _exists(word: str) -> bool:
 
 
 def _is_importable(name: str) -> bool:
-    """Whether a dotted name is a module, or a name in one."""
+    """Return True if a dotted name is a module, or a name in one."""
     parts = name.split(".")
     for count in range(len(parts), 0, -1):
         try:
@@ -91,7 +91,10 @@ def _calls(page: str) -> Iterator[tuple[int, str]]:
 
 
 def _is_command(call: str) -> bool:
-    """Whether a call's command and options exist; `sabench[extra]` and the like are no calls."""
+    """Return True if a call's command and options exist.
+
+    `sabench[extra]` and the like are no calls.
+    """
     name, *rest = call.split()[1:]
     options = {word.partition("=")[0] for word in rest if word.startswith("--")}
     return name in _options() and options <= _options()[name] | _WRITTEN

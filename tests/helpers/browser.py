@@ -1,4 +1,7 @@
-"""A headless Chromium, driven by as much of WebDriver as tests and benchmarks of the page need."""
+"""A headless Chromium, driven by WebDriver.
+
+It has as much of WebDriver as tests and benchmarks of the page need.
+"""
 
 from __future__ import annotations
 
@@ -101,12 +104,18 @@ class Browser:
         )
 
     def wait(self, script: str) -> None:
-        """Until an expression is true, which is asked for once per frame; an error after 600 frames."""
-        look = f"const look = () => ({script}) ? done() : left-- ? requestAnimationFrame(look) : fail(new Error('never so'));"
+        """Wait until an expression is true.
+
+        The page evaluates it once per frame, and fails after 600 frames.
+        """
+        look = (
+            f"const look = () => ({script}) ? done() : left-- ? requestAnimationFrame(look) : "
+            "fail(new Error('never so'));"
+        )
         self.ask(f"new Promise((done, fail) => {{ let left = 600; {look} look(); }})")
 
     def complaints(self) -> list[str]:
-        """What the console said since the last time."""
+        """Return the console's messages since the last call."""
         return [entry["message"] for entry in self.send("POST", "/se/log", {"type": "browser"})]
 
     def close(self) -> None:

@@ -1,4 +1,7 @@
-"""Films of moving bubbles whose ids are known, for the tests of linking and its benchmark."""
+"""Image sequences of moving bubbles whose ids are known.
+
+For the tests of linking and its benchmark.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +18,10 @@ EDGE = 60.0
 
 @dataclass
 class Film:
-    """Detections of some frames with the ids of their bubbles; those of ghosts are negative."""
+    """Detections of some frames with the ids of their bubbles.
+
+    The ids of ghosts are negative.
+    """
 
     center: list[F64] = field(default_factory=list)
     radius: list[F64] = field(default_factory=list)
@@ -37,7 +43,11 @@ def film(
     ghosts: float = 0.0,
     noise: float = 0.0,
 ) -> Film:
-    """Bubbles in a box; they move on average by `relative` mean distances of nearest neighbours a frame; who leaves is replaced by another."""
+    """Make an image sequence of bubbles in a box.
+
+    The bubbles move on average by `relative` mean distances of nearest neighbours a frame. A new
+    bubble replaces each one that leaves the box.
+    """
     rng = np.random.default_rng(5)
     place, radius, identity = (
         EDGE * rng.random((count, 3)),
@@ -77,7 +87,11 @@ def film(
 
 
 def judged(made: Film, track: list[I64]) -> tuple[float, float]:
-    """Shares of the true links that were found, and of the found links that are true, pair by pair of detections."""
+    """Return the recall and the precision of links.
+
+    Recall is the share of the true links that were found, precision the share of the found links
+    that are true. Links join pairs of detections in consecutive frames.
+    """
     true = found = both = 0
     for frame in range(len(track) - 1):
         same = (made.id[frame][:, None] == made.id[frame + 1]) & (made.id[frame] >= 0)[:, None]

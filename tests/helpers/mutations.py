@@ -1,4 +1,4 @@
-"""Damage with a plan: bytes, trees of values, HDF5 files and archives changed at random, by a seeded generator."""
+"""Seeded random changes to bytes, trees of values, HDF5 files and archives."""
 
 from __future__ import annotations
 
@@ -164,7 +164,10 @@ def _typo(text: str, rng: random.Random) -> str:
 
 
 def data(whole: bytes, rng: random.Random, head: int = 4096) -> bytes:
-    """Bytes with one to eight changes, half of them near the beginning, where formats keep what they say of themselves."""
+    """Change one to eight bytes.
+
+    Half of them are near the beginning, where the headers of formats are.
+    """
     made = bytearray(whole)
     for _ in range(rng.choice((1, 1, 2, 4, 8))):
         if not made:
@@ -425,7 +428,10 @@ _NAMES = (
 
 
 def archive(path: Path, files: list[bytes], rng: random.Random) -> None:
-    """An archive of some files under good and bad names, with members that nobody should unpack; sometimes with damaged bytes."""
+    """Make an archive of some files under good and bad names.
+
+    It has members that nobody should unpack, and sometimes damaged bytes.
+    """
     if path.name.endswith(".zip"):
         _zip(path, files, rng)
     else:

@@ -1,4 +1,4 @@
-"""What comes from outside, made and damaged, and fed to the functions behind the commands that read it."""
+"""Damaged input from outside for the functions behind the commands that read it."""
 
 from __future__ import annotations
 
@@ -96,7 +96,11 @@ LARGEST_STEPS = 4e6
 
 @dataclass(frozen=True)
 class Base:
-    """Good data that cases damage: a data set of particles and one of a target, results of several tasks, a leaderboard's line."""
+    """Intact data that cases damage.
+
+    A data set of particles and one of a target, results of several tasks, and a line of a
+    leaderboard.
+    """
 
     particles: Dataset
     target: Dataset
@@ -171,7 +175,10 @@ Case = Callable[[Base, Path, Path, random.Random], Feed]
 
 
 def scene(base: Base, inputs: Path, out: Path, rng: random.Random) -> Feed:
-    """`sabench generate` of a damaged scene; one that is accepted and would take long is only checked."""
+    """Run `sabench generate` on a damaged scene.
+
+    A scene that is accepted and would take long is only checked.
+    """
     whole = dict(TARGETS if rng.random() < 0.15 else SCENE)
     if "particles" in whole:
         whole |= {key: value for key, value in EXTRAS.items() if rng.random() < 0.2}
@@ -222,7 +229,7 @@ def _without_none(value: Any) -> Any:
 
 
 def suite(base: Base, inputs: Path, out: Path, rng: random.Random) -> Feed:
-    """What `sabench run` checks before it works."""
+    """Run the checks that `sabench run` makes before it works."""
     (inputs / "scene.toml").write_text(tomli_w.dumps(SCENE))
     program = inputs / "program"
     program.write_text("#!/bin/sh\nexit 3\n")
@@ -238,7 +245,10 @@ def suite(base: Base, inputs: Path, out: Path, rng: random.Random) -> Feed:
 
 
 def dataset(base: Base, inputs: Path, out: Path, rng: random.Random) -> Feed:
-    """`sabench verify`, `score` and `solve` of a data set with one damaged file and, mostly, a manifest that knows it as it is."""
+    """Run `sabench verify`, `score` and `solve` on a data set with one damaged file.
+
+    In most cases the manifest has the damaged file's checksum.
+    """
     source = base.target if rng.random() < 0.2 else base.particles
     root = Path(shutil.copytree(source.root, inputs / "set"))
     name = rng.choice(
@@ -360,7 +370,10 @@ def _solved(root: Path, out: Path) -> None:
 
 
 def result(base: Base, inputs: Path, out: Path, rng: random.Random) -> Feed:
-    """`sabench score` of a damaged result, and what `sabench solve ./program` makes of it."""
+    """Score a damaged result, and adopt it as the result of a program.
+
+    As `sabench score` and `sabench solve ./program` do.
+    """
     track = rng.choice(sorted(base.results))
     data = base.target if track == "calibration" else base.particles
     path = Path(shutil.copy(base.results[track], inputs / "result.h5"))
@@ -445,7 +458,10 @@ KINDS: dict[str, Case] = {
 
 
 def check_sentence(text: str) -> None:
-    """One sentence on one line, or a headline and one short indented line for each fault."""
+    """Check that a complaint is one sentence on one line.
+
+    Or a headline and one short indented line for each fault.
+    """
     assert text, "an error without words"
     head, *faults = text.split("\n")
     assert bool(faults) == head.endswith("faults:"), f"an error of several lines: {text[:300]!r}"

@@ -1,4 +1,7 @@
-"""The quick scene's figures, as they were when they were last looked at: a change must be meant, and said in the CHANGELOG."""
+"""Regression of the quick scene's figures.
+
+Change a figure here only on purpose, and report the change in the CHANGELOG.
+"""
 
 from __future__ import annotations
 
@@ -31,7 +34,10 @@ def measure(dataset: Dataset, result: Path) -> dict[str, float]:
 def test_statistics_are_as_recorded(
     quick: Dataset, quick_result: Path, request: pytest.FixtureRequest
 ) -> None:
-    """Other processors round single precision otherwise: 1e-3 covers that in means; scores of 255 particles move in steps of 1/255."""
+    """Other processors round single precision otherwise.
+
+    A tolerance of 1e-3 covers that in means. Scores of 255 particles move in steps of 1/255.
+    """
     figures = measure(quick, quick_result)
     if request.config.getoption("--update-golden"):
         GOLDEN.write_text(json.dumps(figures, indent=1) + "\n", encoding="utf-8")

@@ -1,4 +1,4 @@
-"""The leaderboard as a file: what a page holds, in which order, and that nothing of a record becomes markup."""
+"""The leaderboard as a file: its content, its order, and no markup from records."""
 
 from __future__ import annotations
 

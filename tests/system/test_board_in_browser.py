@@ -1,4 +1,7 @@
-"""The leaderboard in a browser: it sorts, filters, plots and compares, runs no text of a record, and fits a phone."""
+"""The leaderboard in a browser.
+
+It sorts, filters, plots and compares, runs no text of a record as code, and fits a phone.
+"""
 
 from __future__ import annotations
 
@@ -15,9 +18,15 @@ from sabench.utils.confidence import mean_of
 from tests.helpers.browser import Browser, chromium
 from tests.system.test_board import HOSTILE, draw, record
 
-SOLVERS = "[...document.querySelectorAll('#content tbody tr:not(.details) > th .name')].map(cell => cell.textContent)"
+SOLVERS = (
+    "[...document.querySelectorAll('#content tbody tr:not(.details) > th .name')]"
+    ".map(cell => cell.textContent)"
+)
 STATUS = "document.getElementById('status').textContent"
-DRAWN = "document.querySelectorAll('.plot').length > 0 && [...document.querySelectorAll('.plot')].every(plot => plot.dataset.drawn)"
+DRAWN = (
+    "document.querySelectorAll('.plot').length > 0 && "
+    "[...document.querySelectorAll('.plot')].every(plot => plot.dataset.drawn)"
+)
 EVIL = '"><img src=x onerror="document.title=1">'
 Q = {
     "a": (0.50, 0.55, 0.52),
@@ -40,7 +49,10 @@ def browser() -> Iterator[Browser]:
 
 @pytest.fixture(scope="module")
 def page(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Four solvers, one of them hostile by name and one failed, on one scene with pictures, a second scene without, and a second task."""
+    """Four solvers on two scenes and a second task.
+
+    One solver has a hostile name and one has failed. One scene has pictures, the other has none.
+    """
     folder = tmp_path_factory.mktemp("page")
     draw(
         folder / "pictures" / "tank-1",
@@ -95,7 +107,10 @@ def page(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def levels() -> list[Record]:
-    """Three solvers in an easy and a standard case, and in two that change it along an axis, each with three seeds."""
+    """Three solvers in four cases with three seeds each.
+
+    An easy and a standard case, and two that change the standard one along an axis.
+    """
     cases = {
         "easy": ("easy", None, 0.1),
         "standard": ("standard", None, 0.0),
@@ -214,7 +229,10 @@ def test_details_and_the_command_are_there_to_be_copied(browser: Browser, page: 
 
 
 def test_the_hidden_split_and_submissions_are_marked(browser: Browser, page: Path) -> None:
-    chips = "[...document.querySelectorAll('tbody tr')].map(row => [...row.querySelectorAll('.chip')].map(chip => chip.textContent))"
+    chips = (
+        "[...document.querySelectorAll('tbody tr')]"
+        ".map(row => [...row.querySelectorAll('.chip')].map(chip => chip.textContent))"
+    )
     browser.open(page)
     assert browser.ask(chips) == [[], [], [], [], ["hidden split", f"by {EVIL}"]]
     browser.open(page, "#split=hidden")
@@ -295,10 +313,12 @@ def test_back_leaves_a_view_and_another_task_keeps_the_search(browser: Browser, 
 def test_hostile_texts_are_shown_as_text(browser: Browser, page: Path, fragment: str) -> None:
     browser.open(page, fragment)
     browser.ask(
-        "[...document.querySelectorAll('tbody button[aria-expanded]')].forEach(button => button.click())"
+        "[...document.querySelectorAll('tbody button[aria-expanded]')]"
+        ".forEach(button => button.click())"
     )
     assert browser.ask(
-        "[document.scripts.length, document.title, document.querySelectorAll('[onerror], b img').length]"
+        "[document.scripts.length, document.title, "
+        "document.querySelectorAll('[onerror], b img').length]"
     ) == [
         4,
         "sabench leaderboard",
@@ -344,9 +364,10 @@ def test_the_policy_stops_what_comes_from_outside(browser: Browser, page: Path) 
 
 
 def labels(browser: Browser, plot: int) -> list[str]:
-    """What each point of a plot stands for, as a screen reader says it."""
+    """Return the labels of a plot's points, as a screen reader says them."""
     found = browser.ask(
-        f"[...document.querySelectorAll('.plot')[{plot}].querySelectorAll('.mark-symbol path')].map(path => path.getAttribute('aria-label'))"
+        f"[...document.querySelectorAll('.plot')[{plot}].querySelectorAll('.mark-symbol "
+        "path')].map(path => path.getAttribute('aria-label'))"
     )
     return sorted(found)
 
@@ -368,7 +389,8 @@ def test_accuracy_against_time_has_a_point_for_every_solver_with_a_tip(
     ) == ["a", "b", "c"]
     assert (
         browser.ask(
-            "new Set([...document.querySelectorAll('.legend path')].map(path => path.getAttribute('d') + path.getAttribute('fill'))).size"
+            "new Set([...document.querySelectorAll('.legend path')].map(path => "
+            "path.getAttribute('d') + path.getAttribute('fill'))).size"
         )
         == 3
     )
@@ -436,7 +458,8 @@ def test_pictures_come_with_their_case_only(browser: Browser, page: Path) -> Non
 def differences(browser: Browser) -> dict[str, list[str]]:
     """The lines of the table of differences by their scores' keys."""
     lines = browser.ask(
-        "[...document.querySelectorAll('.differences tbody tr')].map(row => [row.dataset.key, [...row.cells].slice(1).map(cell => cell.textContent)])"
+        "[...document.querySelectorAll('.differences tbody tr')].map(row => [row.dataset.key, "
+        "[...row.cells].slice(1).map(cell => cell.textContent)])"
     )
     return dict(lines)
 
@@ -481,7 +504,8 @@ def test_only_tables_scroll_sideways(
     assert browser.ask("innerWidth") == width
     assert browser.ask("document.documentElement.scrollWidth") <= width
     assert browser.ask(
-        "[...document.querySelectorAll('.box')].every(box => getComputedStyle(box).overflowX === 'auto')"
+        "[...document.querySelectorAll('.box')].every(box => getComputedStyle(box).overflowX "
+        "=== 'auto')"
     )
 
 
@@ -544,7 +568,8 @@ def test_ten_thousand_records_make_a_small_page_of_elements(browser: Browser, la
     assert browser.ask("document.querySelectorAll('*').length") < 1500
     browser.press(heading("Q"))
     first = browser.ask(
-        "[...document.querySelectorAll('tbody tr')].map(row => Number(row.querySelectorAll('.number')[1].textContent))"
+        "[...document.querySelectorAll('tbody tr')].map(row => "
+        "Number(row.querySelectorAll('.number')[1].textContent))"
     )
     assert first == [
         value / 1000.0
@@ -592,7 +617,8 @@ def test_colours_follow_the_reader_s_choice(browser: Browser, graded: Path) -> N
         browser.wait(DRAWN)
         seen.append(
             browser.ask(
-                "[getComputedStyle(document.body).color, document.querySelector('.mark-symbol path').getAttribute('fill')]"
+                "[getComputedStyle(document.body).color, document.querySelector('.mark-symbol "
+                "path').getAttribute('fill')]"
             )
         )
     browser.devtools("Emulation.setEmulatedMedia", features=[])

@@ -1,4 +1,7 @@
-"""Tracks of bubbles from a data set of three frames to scores, through result files of this and of other programs."""
+"""Trajectories of bubbles, from a data set of three frames to scores.
+
+Result files of this program and of others.
+"""
 
 from __future__ import annotations
 
@@ -38,7 +41,10 @@ def moving(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
 
 
 def perturbed(data: Dataset) -> list[Detections]:
-    """What a good solver might find: all bubbles but one in each frame, a little off, in some order, and two ghosts."""
+    """Return what a good solver might find.
+
+    All bubbles but one in each frame, with small errors, in random order, and two ghosts.
+    """
     rng, out = np.random.default_rng(4), []
     for frame in range(data.rig.frames):
         true = data.bubbles(frame)
@@ -129,8 +135,10 @@ def test_broken_tracks_are_said(moving: Dataset, tmp_path: Path) -> None:
     cases: dict[str, dict[str, Any]] = {
         r"0001/bubbles/track: expected different numbers, got 7 2 times": good
         | {"f0001": np.where(np.arange(count) == 3, 7, np.arange(count))},
-        rf"0001/bubbles/track: expected shape \({count}\) of kind iu, got \({count},\) of float64": good
-        | {"f0001": np.arange(count) * 1.0},
+        (
+            rf"0001/bubbles/track: expected shape \({count}\) of kind iu, got \({count},\) of "
+            r"float64"
+        ): good | {"f0001": np.arange(count) * 1.0},
         rf"0001/bubbles/track: expected shape \({count}\) of kind iu, got \({count - 1},\)": good
         | {"f0001": np.arange(count - 1)},
         r"0002/bubbles/track: expected one in every frame or in none": {

@@ -1,4 +1,7 @@
-"""Bubbles from scene to score: data sets with all phases, what solvers find, and what is refused."""
+"""Bubbles from scene to score.
+
+Data sets with all phases, the detections of solvers, and errors for bad input.
+"""
 
 from __future__ import annotations
 
@@ -104,7 +107,10 @@ def test_no_bubbles_make_a_whole_data_set(tmp_path: Path) -> None:
 
 
 def test_three_phases_in_one_image(tmp_path: Path) -> None:
-    """Tracers, bubbles and a cylinder: tracers are not in the others, and dark in their shadows."""
+    """Tracers, bubbles and a cylinder in one scene.
+
+    Tracers are outside the bodies, and dark in their shadows.
+    """
     solid = {
         "generator": "cylinder",
         "radius_mm": 2.0,
@@ -207,7 +213,10 @@ FAULTS: dict[str, tuple[Any, str]] = {
     ),
     "light in front": (
         lambda _: {"backlight": lit(-600.0)},
-        r"backlight.center_mm: expected it behind the back wall, 136 mm behind the outer face, got -600",
+        (
+            r"backlight.center_mm: expected it behind the back wall, 136 mm behind the outer face, "
+            r"got -600"
+        ),
     ),
     "light in the tank": (
         lambda _: {"backlight": lit(100.0)},
@@ -223,7 +232,10 @@ FAULTS: dict[str, tuple[Any, str]] = {
     ),
     "metres": (
         lambda f: {"solids": [cube(f, 0.001)]},
-        r"solids.0: expected a body of a size like the volume's \(24 mm\), got 0.004 mm: is its unit right",
+        (
+            r"solids.0: expected a body of a size like the volume's \(24 mm\), got 0.004 mm: is "
+            r"its unit right"
+        ),
     ),
     "outside": (
         lambda f: {"solids": [cube(f) | {"place_mm": [0, 0, 9.0]}]},
@@ -258,7 +270,10 @@ def test_a_suite_of_bubbles_ends_in_a_page(tmp_path: Path) -> None:
     (tmp_path / "small.toml").write_text(
         small(render={"relative_error": 0.1}).to_toml(), encoding="utf-8"
     )
-    text = 'title = "bubbles"\nscenes = ["small.toml"]\nbackend = "mitsuba"\n[[solvers]]\nname = "minimum_image"\n'
+    text = (
+        'title = "bubbles"\nscenes = ["small.toml"]\nbackend = "mitsuba"\n[[solvers]]\n'
+        'name = "minimum_image"\n'
+    )
     (tmp_path / "suite.toml").write_text(text, encoding="utf-8")
     (record,) = run_suite(tmp_path / "suite.toml", tmp_path / "work", tmp_path / "board")
     assert record["error"] is None

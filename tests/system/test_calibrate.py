@@ -1,4 +1,7 @@
-"""`sabench calibrate`: a user's folder with points or images becomes cameras and a report, or one sentence."""
+"""The command `sabench calibrate`.
+
+A user's folder with points or images becomes cameras and a report, or an error of one sentence.
+"""
 
 from __future__ import annotations
 
@@ -179,11 +182,17 @@ FAULTS = {
     "configuration": "calibration.toml: expected the description of a calibration, found none",
     "key": "calibration.toml: target.pich_mm: unknown key; did you mean pitch_mm?",
     "wall": "calibration.toml: camera camera_00: no light path to its aim point",
-    "header": "points.csv: expected the first line camera,frame,point,column,row, got camera,frame,point,x,y",
+    "header": (
+        "points.csv: expected the first line camera,frame,point,column,row, got camera,frame,"
+        "point,x,y"
+    ),
     "number": "points.csv: line 3: expected a name, two whole numbers and two numbers",
     "camera": "got camera_77, frame 0, point 1",
     "twice": "points.csv: camera_00, frame 0: expected point 0 once, got it twice",
-    "images": "images: expected folders with an image of each camera, or a points.csv beside it, found neither",
+    "images": (
+        "images: expected folders with an image of each camera, or a points.csv next to it, "
+        "found neither"
+    ),
     "few": "camera_01: expected it to see some of the target, but not one of its points was found",
 }
 

@@ -1,4 +1,4 @@
-"""What every calibration solver must do, how well it does it, and the whole chain from a scene to the page."""
+"""Calibration solvers: duties, accuracy, and the chain from a scene to the page."""
 
 from __future__ import annotations
 
@@ -40,7 +40,10 @@ def solved(name: str, case: CalibrationCase) -> Calibration:
 
 
 def level_case(**changes: Any) -> Any:
-    """A target that is traversed along Z, its places told to a hundredth of a millimetre."""
+    """A target that is traversed along Z.
+
+    Its nominal positions are known to a hundredth of a millimetre.
+    """
     rough = {"points": 0.0002, "known": KNOWN}
     return case_of(calibration_scene(targets=LEVEL, frames=7, calibration=rough, **changes))
 
@@ -86,7 +89,9 @@ def test_a_camera_that_sees_nothing_is_named(name: str) -> None:
     pixels[2] = np.nan
     with pytest.raises(
         InputError,
-        match="camera_02: expected it to see some of the target, but not one of its points was found",
+        match=(
+            "camera_02: expected it to see some of the target, but not one of its points was found"
+        ),
     ):
         solved(name, replace(case, pixels=pixels))
 
@@ -115,7 +120,10 @@ def test_classical_calibrations_need_different_depths(name: str) -> None:
 
 
 def test_alternation_ends_early_and_joint_adjustment_does_not() -> None:
-    """The thesis's stop rule looks at a change of 0.001 px; the least-squares solution is further on."""
+    """The thesis's alternation stops before the least-squares solution.
+
+    Its stop rule looks at a change of 0.001 px.
+    """
     case, _, _, exact = case_of(
         calibration_scene(
             calibration={"points": 0.2, "center_mm": 30.0, "turn_deg": 3.0, "known": []}
@@ -174,7 +182,10 @@ def test_a_calibration_s_scores(boards: Dataset, tmp_path: Path) -> None:
 
 
 def test_a_wrong_index_is_estimated_and_scored(boards: Dataset, tmp_path: Path) -> None:
-    """Of the wall the fluid's index alone can be estimated, to some thousandths; what is not free stays exact."""
+    """The fluid's index alone can be estimated of the wall, to some thousandths.
+
+    Fixed parameters stay exact.
+    """
     result = sabench.solve(
         "refractive_autocal", boards, tmp_path / "r.h5", parameters={"indices": [2]}
     )
@@ -197,12 +208,18 @@ def test_a_solver_of_another_kind_is_refused(
 ) -> None:
     with pytest.raises(
         InputError,
-        match=r"solver msa: expected a data set that shows particles, but .* shows a calibration target",
+        match=(
+            r"solver msa: expected a data set that shows particles, but .* shows a calibration "
+            r"target"
+        ),
     ):
         sabench.solve("msa", boards, tmp_path / "r.h5")
     with pytest.raises(
         InputError,
-        match=r"solver soloff: expected a data set that shows a calibration target, but .* shows particles",
+        match=(
+            r"solver soloff: expected a data set that shows a calibration target, but .* shows "
+            r"particles"
+        ),
     ):
         sabench.solve("soloff", quick, tmp_path / "r.h5")
     assert list(tmp_path.iterdir()) == []
@@ -227,7 +244,8 @@ def test_a_suite_of_calibrations_leaves_a_page(command: Command, tmp_path: Path)
     (tmp_path / "boards.toml").write_text(parse_scene(values, "s").to_toml())
     (tmp_path / "suite.toml").write_text(
         'title = "t"\nscenes = ["boards.toml"]\nseeds = [1, 2]\nbackend = "splat"\n'
-        'solvers = [{ name = "refractive_autocal" }, { name = "soloff" }, { name = "polynomial_planes" }]\n'
+        'solvers = [{ name = "refractive_autocal" }, { name = "soloff" }, { name = '
+        '"polynomial_planes" }]\n'
     )
     done = command("run", "suite.toml")
     assert done.returncode == 0, (

@@ -1,4 +1,4 @@
-"""From a scene to a score: the whole chain, its two ends, and what must not change."""
+"""The whole chain from a scene to a score, its two ends, and its invariants."""
 
 from __future__ import annotations
 
@@ -29,7 +29,10 @@ def test_quick_data_set_is_whole_and_rendered(quick: Dataset) -> None:
 
 
 def test_pictures_show_the_particles_where_the_truth_says(quick: Dataset) -> None:
-    """Bright pixels lie at true positions, and dark ones everywhere else: rendering, projection and axes agree."""
+    """Bright pixels lie at true positions, and dark ones everywhere else.
+
+    Rendering, projection and axes agree.
+    """
     case = quick.observation(0)
     for image, view in zip(case.images, quick.views(0), strict=True):
         seen = view.pixel[view.visible > 0]
@@ -121,7 +124,10 @@ def test_both_solvers_find_the_particles(
 
 
 def test_a_solver_without_the_wall_is_lost(quick: Dataset, tmp_path: Path) -> None:
-    """The point of the project: cameras that ignore the glass and the water reconstruct almost nothing."""
+    """Cameras that ignore the glass and the water reconstruct almost nothing.
+
+    This is the point of the project.
+    """
     from dataclasses import replace
 
     from sabench.api.make import make_solver
@@ -182,14 +188,18 @@ def test_suite_makes_records_and_page_and_survives_a_failing_solver(
     plugin = tmp_path / "mine" / "solvers" / "bad.py"
     plugin.parent.mkdir(parents=True)
     plugin.write_text(
-        '"""Fails."""\nimport os\nfrom sabench.api import Observation, Parameters, Reconstruction, Solver\n\n\n'
+        '"""Fails."""\nimport os\n'
+        "from sabench.api import Observation, Parameters, Reconstruction, Solver\n\n\n"
         "class BadParameters(Parameters):\n    die: bool = False\n\n\n"
-        'class Bad(Solver):\n    """Raises <b>or</b> dies."""\n\n    name = "bad"\n    Parameters = BadParameters\n\n'
-        "    def solve(self, case: Observation) -> Reconstruction:\n        if self.parameters.die:\n            os.abort()\n"
+        'class Bad(Solver):\n    """Raises <b>or</b> dies."""\n\n    name = "bad"\n'
+        "    Parameters = BadParameters\n\n"
+        "    def solve(self, case: Observation) -> Reconstruction:\n"
+        "        if self.parameters.die:\n            os.abort()\n"
         '        raise RuntimeError("no luck <script>")\n'
     )
     (tmp_path / "suite.toml").write_text(
-        'title = "t"\nscenes = ["quick"]\nbackend = "splat"\n[[solvers]]\nname = "bad"\n[[solvers]]\nname = "bad"\nparameters = { die = true }\n'
+        'title = "t"\nscenes = ["quick"]\nbackend = "splat"\n[[solvers]]\nname = "bad"\n'
+        '[[solvers]]\nname = "bad"\nparameters = { die = true }\n'
         '[[solvers]]\nname = "msa"\n'
     )
     done = own_process(

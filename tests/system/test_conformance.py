@@ -1,4 +1,7 @@
-"""Every bundled solver obeys the laws, and solvers that break one are caught at it."""
+"""The laws of solvers.
+
+Every bundled solver obeys them, and solvers that break one are caught.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +16,7 @@ from sabench.api.make import make_algorithm
 from sabench.dataset.reader import Dataset
 from sabench.metrics.reconstruction_error import score_frame
 from sabench.scenes import load_scene
-from sabench.simulation.in_memory import simulate
+from sabench.simulation.in_memory import Shot, simulate
 from sabench.tasks import conformance
 from sabench.tasks.conformance import LAWS, Finding, check_solver, example
 from tests.conftest import Command
@@ -50,12 +53,16 @@ def test_a_slow_solver_describes_itself(name: str, examples: Path) -> None:
     ]
 
 
+@pytest.fixture(scope="module")
+def shot() -> Shot:
+    scene = load_scene(plugins.bundled("scenes") / "conformance" / "reconstruction.toml")
+    return simulate(scene, seed=5)
+
+
 @pytest.mark.parametrize(
     "name", [one for one in SOLVERS if plugins.load("solvers", one).task == "reconstruction"]
 )
-def test_reconstruction_solvers_find_particles_that_are_far_apart(name: str) -> None:
-    scene = load_scene(plugins.bundled("scenes") / "conformance" / "reconstruction.toml")
-    shot = simulate(scene, seed=5)
+def test_reconstruction_solvers_find_particles_that_are_far_apart(name: str, shot: Shot) -> None:
     found = make_algorithm(name, {}).solve(shot.observation)  # type: ignore[arg-type]
     assert isinstance(found, Reconstruction)
     assert found.volume.min() >= 0.0
@@ -83,16 +90,18 @@ class Faulty(Solver):
 WRONG_SHAPE = FAULTY.replace("case.grid.shape)", "case.grid.shape[::-1])")
 
 
-def verdicts(source: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, str]:
+def verdicts(
+    name: str, source: str, folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> dict[str, str]:
     (folder / "solvers").mkdir()
-    (folder / "solvers" / "faulty.py").write_text(source)
+    (folder / "solvers" / f"{name}.py").write_text(source.replace('"faulty"', f'"{name}"'))
     monkeypatch.setenv("SABENCH_PLUGINS", str(folder))
     plugins.mount()
-    return {one.law: one.verdict for one in check_solver("faulty")}
+    return {one.law: one.verdict for one in check_solver(name)}
 
 
 def test_every_law_can_be_broken(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    found = verdicts(FAULTY, tmp_path, monkeypatch)
+    found = verdicts("faulty", FAULTY, tmp_path, monkeypatch)
     assert list(found) == [law.__name__.replace("_", " ") for law in LAWS]
     broken = {law for law, verdict in found.items() if verdict == "broken"}
     assert broken == {
@@ -107,7 +116,7 @@ def test_every_law_can_be_broken(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 def test_arrays_of_another_shape_break_laws(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    found = verdicts(WRONG_SHAPE, tmp_path, monkeypatch)
+    found = verdicts("misshapen", WRONG_SHAPE, tmp_path, monkeypatch)
     assert found["return declared arrays"] == found["beat nothing"] == "broken"
 
 
@@ -127,7 +136,10 @@ def test_the_command_ends_with_1_for_a_broken_law(
 
 @pytest.mark.parametrize("name", tasks.NAMES)
 def test_the_best_and_the_worst_possible_scores(name: str, examples: Path) -> None:
-    """The truth is better than an estimate that is wrong in a known way, and that than nothing."""
+    """The truth has the best score.
+
+    An estimate with a known error is worse, and an empty one is worse still.
+    """
     from sabench.dataset.results import open_result, result_writer
 
     task = tasks.of(name)

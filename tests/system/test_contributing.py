@@ -1,4 +1,7 @@
-"""The plug-ins that CONTRIBUTING.md shows: they run as they stand, for anybody who copies them."""
+"""The plug-ins that CONTRIBUTING.md shows.
+
+They run without changes for anybody who copies them.
+"""
 
 from __future__ import annotations
 

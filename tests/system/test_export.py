@@ -1,4 +1,4 @@
-"""What other programs get: read back by VTK itself."""
+"""Exported files, read back by VTK itself."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ vtk = pytest.importorskip("vtkmodules.vtkIOHDF", reason="needs the package vtk")
 
 
 def opened(path: Path) -> tuple[Any, dict[str, Any]]:
-    """What VTK's reader makes of a file, and its points' and cells' data."""
+    """Return a file as VTK reads it, with the data of its points and cells."""
     from vtkmodules.util.numpy_support import vtk_to_numpy
 
     reader = vtk.vtkHDFReader()
@@ -110,7 +110,7 @@ def test_results_are_what_vtk_reads(moving: Dataset, tmp_path: Path) -> None:
 
 
 def test_an_exported_flow_carries_particles_again(moving: Dataset, tmp_path: Path) -> None:
-    """What one run exports, `from_field` of another one reads."""
+    """`from_field` of one run reads the export of another."""
     from sabench.interop.vtkhdf import export
 
     export(moving, tmp_path / "vtk")
@@ -178,7 +178,11 @@ def bubbly(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
 
 
 def test_bubbles_and_bodies_are_what_vtk_reads(bubbly: Dataset, tmp_path: Path) -> None:
-    """Balls that VTK's tensor glyphs deform are the true ellipsoids, and the triangles of every body are where they were."""
+    """Exported bodies have the true shapes and positions.
+
+    Balls that VTK's tensor glyphs deform are the true ellipsoids, and the triangles of every body
+    are in their true positions.
+    """
     from vtkmodules.util.numpy_support import vtk_to_numpy
     from vtkmodules.vtkFiltersCore import vtkTensorGlyph
     from vtkmodules.vtkFiltersSources import vtkSphereSource

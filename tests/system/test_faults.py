@@ -1,4 +1,7 @@
-"""Bad input and faults: one clear sentence, exit code 2, nothing half-written, nothing accepted wrongly."""
+"""Bad input and faults.
+
+One clear sentence, exit code 2, no partial files, and no bad input accepted.
+"""
 
 from __future__ import annotations
 
@@ -36,7 +39,10 @@ def copy(quick: Dataset, tmp_path: Path) -> Path:
 
 
 def check_sentence(done: subprocess.CompletedProcess[str], *words: str) -> None:
-    """Exit code 2, and exactly one line of complaint that holds all the words (progress bars go before it)."""
+    """Check the exit code 2 and a complaint of exactly one line.
+
+    The line holds all the words. Progress bars may precede it.
+    """
     assert done.returncode == 2, (done.stdout, done.stderr)
     assert "Traceback" not in done.stderr
     complaint = [line for line in done.stderr.splitlines() if line.startswith("sabench: ")]
@@ -159,7 +165,8 @@ def test_a_black_image_is_solved(copy: Path, command: Command) -> None:
             "cameras",
             {"rows": 200},
             (
-                "cameras.json: camera_01: expected 240 x 320 pixels (rows x columns) as camera_00 has, got 200 x 320",
+                "cameras.json: camera_01: expected 240 x 320 pixels (rows x columns) as "
+                "camera_00 has, got 200 x 320",
             ),
         ),
         ("cameras", {"name": "left"}, ("left.tif: expected an image, found no such file",)),
@@ -172,7 +179,8 @@ def test_a_black_image_is_solved(copy: Path, command: Command) -> None:
             "grid",
             {"low_mm": [500.0, 0.0, 30.0]},
             (
-                "frame 0: grid: expected it in view of at least one camera, but no camera of 4 sees any of it",
+                "frame 0: grid: expected it in view of at least one camera, but no camera of 4 "
+                "sees any of it",
             ),
         ),
         (
@@ -297,7 +305,10 @@ def limit_files() -> None:
 
 
 def test_a_disk_that_takes_no_more(quick: Dataset, own_process: Command, tmp_path: Path) -> None:
-    """A limit on the size of files stands in for a full disk: writes fail in the middle with the system's error."""
+    """A limit on the size of files stands in for a full disk.
+
+    Writes fail in the middle with the system's error.
+    """
     check_sentence(
         own_process(
             "generate", "quick", "-o", "full", "--backend", "splat", preexec_fn=limit_files
@@ -343,7 +354,7 @@ def start(tmp_path: Path, scene: Path, out: Path, *more: str) -> subprocess.Pope
 
 
 def recorded(folder: Path) -> int:
-    """How many views have been recorded."""
+    """Return the number of recorded views."""
     return len(list(folder.glob(".*.parts-*/views/*.npz")))
 
 
@@ -427,12 +438,16 @@ class Sleeper(Solver):
 
 
 def test_ctrl_c_in_a_suite_keeps_what_is_finished(tmp_path: Path) -> None:
-    """As from a terminal: the interrupt goes to the command and to the solver's process alike."""
+    """The interrupt goes to the command and to the solver's process.
+
+    As it does from a terminal.
+    """
     plugin = tmp_path / "mine" / "solvers" / "sleeper.py"
     plugin.parent.mkdir(parents=True)
     plugin.write_text(SLEEPER)
     (tmp_path / "s.toml").write_text(
-        'title = "t"\nscenes = ["quick"]\nbackend = "splat"\nsolvers = [{ name = "msa" }, { name = "sleeper" }]\n'
+        'title = "t"\nscenes = ["quick"]\nbackend = "splat"\n'
+        'solvers = [{ name = "msa" }, { name = "sleeper" }]\n'
     )
     environment = os.environ | {"PYTHONPATH": str(ROOT), "SABENCH_PLUGINS": str(tmp_path / "mine")}
     words = [sys.executable, "-m", "sabench", "run", "s.toml"]
@@ -469,7 +484,10 @@ def write_for_ever(path: Path, written: list[str]) -> None:
 
 
 def test_ctrl_c_inside_hdf5_is_not_lost(tmp_path: Path) -> None:
-    """The interrupt comes while HDF5 calls back into Python; it must arrive once, behind the write."""
+    """The interrupt comes while HDF5 calls back into Python.
+
+    It must arrive once, after the write.
+    """
     written: list[str] = []
     with pytest.raises(KeyboardInterrupt):
         write_for_ever(tmp_path / "a.h5", written)

@@ -1,4 +1,7 @@
-"""A gate as users run it, from the command line and as a fixture of pytest: silent where nothing has changed, and with the figure where it has."""
+"""A gate as users run it, from the command line and as a fixture of pytest.
+
+It prints nothing where nothing has changed, and the figure where one has.
+"""
 
 from __future__ import annotations
 
@@ -36,7 +39,8 @@ class Dimmest(Solver):
     references = ("nobody",)
 
     def solve(self, case):
-        volume = refocus_log2(normalised(case.images, case.black_dn), case.cameras, case.grid, 0.01, outside=0.01)
+        images = normalised(case.images, case.black_dn)
+        volume = refocus_log2(images, case.cameras, case.grid, 0.01, outside=0.01)
         volume[volume < -8.0] = -100.0
         return Reconstruction(2.0 ** volume)
 '''
@@ -97,7 +101,7 @@ def test_solvers_that_no_case_is_for_are_bad_input(algorithms: Path, own_process
     words = ("check", "tiny.toml", "--baseline", "base.json", "--update", "--solver", "piv3d")
     done = own_process(*words, env={"SABENCH_PLUGINS": str(algorithms / "mine")})
     assert done.returncode == 2
-    assert "got only some of the track velocimetry" in done.stderr
+    assert "got only some of the task velocimetry" in done.stderr
 
 
 def test_the_fixture_runs_a_plug_in_against_its_baseline(
@@ -127,7 +131,10 @@ def test_pytest_starts_without_loading_sabench(
     pytester: pytest.Pytester, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("PYTHONPATH", str(ROOT))
-    heavy = "{'mitsuba', 'drjit', 'numba', 'numpy', 'sabench.evaluation.gates.comparison', 'sabench.plugins'}"
+    heavy = (
+        "{'mitsuba', 'drjit', 'numba', 'numpy', 'sabench.evaluation.gates.comparison', "
+        "'sabench.plugins'}"
+    )
     pytester.makepyfile(
         f"import sys\ndef test_light():\n    assert not {heavy} & set(sys.modules)\n"
     )

@@ -1,4 +1,4 @@
-"""The track particles: what every solver of it must do, bundled or not, and what scores and results of it are."""
+"""The task particles: duties of every solver, bundled or not, scores and results."""
 
 from __future__ import annotations
 
@@ -29,7 +29,10 @@ SOLVERS = [
 
 @pytest.fixture(scope="module")
 def shot() -> Shot:
-    """Four cameras in water behind glass, unequal sides everywhere, particles far apart."""
+    """Four cameras in water behind glass, with particles far apart.
+
+    The sides are unequal everywhere.
+    """
     values = load_scene("quick").to_dict()
     values["volume"]["size_mm"] = [9.0, 6.0, 3.0]
     values["particles"]["count"] = 60
@@ -126,7 +129,11 @@ def test_the_truth_is_perfect_and_nothing_is_the_floor(film: Dataset) -> None:
 
 
 def test_known_faults_have_known_scores(film: Dataset, tmp_path: Path) -> None:
-    """Every fourth particle is left out, all others lie 0.03 mm aside along X, and each has a ghost far away; no tracks are given."""
+    """Scores of a known fault.
+
+    Every fourth particle is left out, all others lie 0.03 mm aside along X, and each has a ghost
+    far away. The result has no trajectories.
+    """
     shift = np.array([0.03, 0.0, 0.0])
     with result_writer(tmp_path / "r.h5", film, "faulty", "particles", {}) as writer:
         for frame in range(film.rig.frames):

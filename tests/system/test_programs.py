@@ -1,4 +1,7 @@
-"""Programs in other languages solve data sets, alone and in suites; results from elsewhere come onto the leaderboard."""
+"""Programs in other languages that solve data sets, alone and in suites.
+
+Results from elsewhere come onto the leaderboard.
+"""
 
 from __future__ import annotations
 
@@ -31,8 +34,14 @@ HEADERS = next((path.parent for path in Path("/usr/include").rglob("hdf5.h")), N
 
 
 def write(path: Path, body: str) -> Path:
-    """A Python program with the arguments `dataset`, `result` and `rest`, and numpy and h5py."""
-    head = "import json, os, sys\nfrom pathlib import Path\nimport h5py, numpy as np\ndataset, result, *rest = sys.argv[1:]\n"
+    """Make a Python program with the arguments `dataset`, `result` and `rest`.
+
+    It imports numpy and h5py.
+    """
+    head = (
+        "import json, os, sys\nfrom pathlib import Path\nimport h5py, numpy as np\n"
+        "dataset, result, *rest = sys.argv[1:]\n"
+    )
     path.write_text(f"#!{sys.executable}\n{head}{body}\n")
     path.chmod(0o755)
     return path
@@ -41,7 +50,8 @@ def write(path: Path, body: str) -> Path:
 WHOLE = """
 rig = json.loads(Path(dataset, "cameras.json").read_text())
 with h5py.File(result, "w") as file:
-    file.attrs.update({"format": "sabench-result", "version": 1, "seconds": 1e-6, "peak_mb": 1e-6, "solver": "liar"})
+    file.attrs.update({"format": "sabench-result", "version": 1, "solver": "liar"})
+    file.attrs.update({"seconds": 1e-6, "peak_mb": 1e-6})
     file.attrs["dataset"] = json.loads(Path(dataset, "manifest.json").read_text())["content_hash"]
     for frame in range(rig["frames"]):
         file[f"frames/{frame:04d}/volume"] = np.zeros(rig["grid"]["shape"], "f4")
@@ -90,7 +100,7 @@ def test_a_result_is_taken_and_its_costs_are_measured(quick: Dataset, tmp_path: 
 BAD = [
     ("pass", "expected the result at the path in its second argument"),
     ("os.symlink('/etc/passwd', result)", "expected the result at the path in its second argument"),
-    ("open(result, 'w').write('no HDF5')", "expected a whole HDF5 file"),
+    ("open(result, 'w').write('no HDF5')", "expected an intact HDF5 file"),
     (
         WHOLE.replace('"f4")', '"i4")'),
         "expected shape (40, 200, 280) of kind f, got (40, 200, 280) of int32",
@@ -106,7 +116,10 @@ BAD = [
     ),
     (
         WHOLE.split('        file[f"frames/{frame:04d}/particles')[0]
-        + "        file.create_dataset(f'frames/{frame:04d}/particles_mm', (10**9, 3), 'f8', chunks=(1000, 3))",
+        + (
+            "        file.create_dataset(f'frames/{frame:04d}/particles_mm', (10**9, 3), 'f8', "
+            "chunks=(1000, 3))"
+        ),
         "MB",
     ),
     ("raise SystemExit('no cameras today')", "exit code 1; its last words: no cameras today"),
@@ -161,8 +174,10 @@ title = "two programs and a solver"
 scenes = ["quick"]
 backend = "splat"
 solvers = [
-  { name = "./bin/mine.py", track = "reconstruction", parameters = { k = 2 }, time_limit_s = 60.0 },
-  { name = "./bin/slow.py", track = "reconstruction", label = "slow one", time_limit_s = 0.5, memory_limit_mb = 500.0 },
+  { name = "./bin/mine.py", task = "reconstruction", parameters = { k = 2 }, time_limit_s = 60.0 },
+  # `track`: the key of earlier suites
+  { name = "./bin/slow.py", track = "reconstruction", label = "slow one", \
+time_limit_s = 0.5, memory_limit_mb = 500.0 },
   { name = "asa" },
 ]
 """
@@ -188,13 +203,13 @@ def test_programs_in_a_suite(command: Command, tmp_path: Path) -> None:
     assert asa["q"] > 0.4
     assert str(tmp_path) not in json.dumps([mine["solver"], slow["solver"], slow["error"]])
     suite.write_text(SUITE.replace('track = "reconstruction", l', "l"))
-    check_sentence(command("run", suite), "slow.py: track: expected one of reconstruction")
+    check_sentence(command("run", suite), "slow.py: task: expected one of reconstruction")
     suite.write_text(SUITE.replace("slow.py", "none.py"))
     check_sentence(command("run", suite), "none.py: expected an executable file")
     suite.write_text(SUITE.replace('"asa"', '"asa", time_limit_s = 3.0'))
     check_sentence(
         command("run", suite),
-        "asa: expected track, time_limit_s and memory_limit_mb for programs only",
+        "asa: expected task, time_limit_s and memory_limit_mb for programs only",
     )
 
 
@@ -216,7 +231,8 @@ def python_scores(quick: Dataset, tmp_path_factory: pytest.TempPathFactory) -> d
     folder = tmp_path_factory.mktemp("python")
     wrapper = folder / "run"
     wrapper.write_text(
-        f'#!/bin/sh\nexec "{sys.executable}" "{EXAMPLES / "python" / "synthetic_aperture.py"}" "$@"\n'
+        "#!/bin/sh\n"
+        f'exec "{sys.executable}" "{EXAMPLES / "python" / "synthetic_aperture.py"}" "$@"\n'
     )
     wrapper.chmod(0o755)
     run_program(str(wrapper), quick, folder / "r.h5", parameters={"k": 3.0})
@@ -303,7 +319,7 @@ def test_a_data_set_that_was_changed_scores_nothing(
     copy = Path(shutil.copytree(quick.root, tmp_path / "copy"))
     with h5py.File(copy / "truth.h5", "r+") as file:
         file["frames/0000/position_mm"][...] = np.zeros_like(file["frames/0000/position_mm"])
-    with pytest.raises(InputError, match="a whole data set"):
+    with pytest.raises(InputError, match="an intact data set"):
         submit(quick_result, "Ann", [copy], tmp_path / "board")
 
 

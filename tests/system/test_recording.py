@@ -80,7 +80,10 @@ def test_two_processes_make_the_bytes_of_one(
 
 
 def kill_workers(pool: list[ProcessPool], folder: Path, killed: list[int]) -> None:
-    """Kill one worker after another, as soon as some view has been recorded since the last."""
+    """Kill one worker after another.
+
+    Each is killed as soon as some view has been recorded since the last kill.
+    """
     seen, end = 0, time.monotonic() + 60.0
     while len(killed) < 3 and time.monotonic() < end:
         count = len(list(folder.glob(".*.parts-*/views/*.npz")))
@@ -140,7 +143,8 @@ class Breaker(Generator):
         if frame == 1 and not pathlib.Path(self.parameters.until).exists():
             os._exit(11)
         rng = np.random.default_rng(frame)
-        return Particles(np.arange(20), domain.low_mm + rng.random((20, 3)) * domain.size_mm, np.full(20, 0.02), np.zeros((20, 3)))
+        place = domain.low_mm + rng.random((20, 3)) * domain.size_mm
+        return Particles(np.arange(20), place, np.full(20, 0.02), np.zeros((20, 3)))
 '''
 
 

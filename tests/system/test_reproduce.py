@@ -1,4 +1,7 @@
-"""`sabench reproduce` as a user runs it, on coarse copies of the arrays; and suites with several cases and seeds."""
+"""The command `sabench reproduce` on coarse copies of the arrays.
+
+Also suites with several cases and seeds.
+"""
 
 from __future__ import annotations
 
@@ -108,8 +111,10 @@ def test_a_suite_of_cases_and_seeds_ends_in_means_and_leaves_no_data(
     command: Command, tmp_path: Path
 ) -> None:
     (tmp_path / "suite.toml").write_text(
-        'title = "t"\nbackend = "splat"\nseeds = [1, 2]\nkeep_data = false\n[[cases]]\nscene = "quick"\nname = "q"\n'
-        '[cases.vary]\n"particles.count" = [100, 200]\n[[solvers]]\nname = "msa"\nlabel = "product"\n'
+        'title = "t"\nbackend = "splat"\nseeds = [1, 2]\nkeep_data = false\n[[cases]]\n'
+        'scene = "quick"\nname = "q"\n'
+        '[cases.vary]\n"particles.count" = [100, 200]\n[[solvers]]\nname = "msa"\n'
+        'label = "product"\n'
     )
     done = command("run", "suite.toml")
     assert done.returncode == 0, done.stderr

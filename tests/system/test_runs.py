@@ -1,4 +1,8 @@
-"""Runs of suites: nothing is computed twice, every record says how it is made again, and hidden data sets stay hidden."""
+"""Runs of suites.
+
+Nothing is computed twice, every record says how to reproduce it, and hidden data sets stay
+hidden.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""A code behind bubbles, from scene to score: single views show less of it than a refocused plane."""
+"""A code behind bubbles, from scene to score.
+
+Single views show less of it than a refocused plane.
+"""
 
 from __future__ import annotations
 
@@ -89,7 +92,10 @@ def test_a_refocused_plane_shows_what_single_views_do_not(veiled: Dataset, tmp_p
 
 
 def test_without_bubbles_every_view_shows_the_code(tmp_path: Path) -> None:
-    """And the code is where the images are dark: at a tilt, behind the wall, by the cameras' own lines of sight."""
+    """The code is where the images are dark.
+
+    At a tilt, behind the wall, by the cameras' own lines of sight.
+    """
     data = generate(behind(None, turn_deg=[0.0, 30.0, 10.0]), tmp_path / "data", seed=4)
     code = code_of(data.scene, 4, 0)
     assert code.dark.sum() == 15

@@ -1,4 +1,7 @@
-"""The tomographic solvers on small volumes with known particles, from grey values to scores."""
+"""The tomographic solvers on small volumes with known particles.
+
+From grey values to scores.
+"""
 
 from __future__ import annotations
 
@@ -30,7 +33,10 @@ SOLVERS = {
 
 
 def scene_of(wall: bool) -> Scene:
-    """Four cameras, 28 degrees off the axis, of 72 x 72 x 28 voxels of a pixel's size."""
+    """Four cameras, 28 degrees off the axis, of 72 x 72 x 28 voxels.
+
+    A voxel has a pixel's size.
+    """
     values = load_scene("quick").to_dict()
     values["volume"] = {"center_mm": [0.0, 0.0, 30.0 if wall else 0.0], "size_mm": [3.6, 3.6, 1.4]}
     values["grid"] = {"voxel_mm": [0.05, 0.05, 0.05]}
@@ -109,7 +115,10 @@ def test_same_case_same_volume(name: str, in_air: Shot) -> None:
 
 @pytest.mark.parametrize("name", SOLVERS)
 def test_particles_beyond_one_cameras_border_are_kept(name: str, in_air: Shot) -> None:
-    """The first camera looks past half of the volume: there the other three find the particles."""
+    """The first camera looks past half of the volume.
+
+    There the other three find the particles.
+    """
     case, aside = in_air.observation, 55
     images = case.images.copy()
     images[0] = np.roll(images[0], aside, axis=1)

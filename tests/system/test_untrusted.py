@@ -1,4 +1,7 @@
-"""Some hundred damaged files of every kind: a part of what benchmarks/fuzz.py tries, and what it once found."""
+"""Some hundred damaged files of every kind.
+
+They are a part of what benchmarks/fuzz.py tries, and the faults that it once found.
+"""
 
 from __future__ import annotations
 
@@ -132,7 +135,10 @@ def test_parameters_that_json_cannot_hold(quick: Dataset, quick_result: Path, fi
 def test_a_file_that_sends_hdf5_round_in_circles(
     quick_result: Path, file: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Stood in for by a reader that never ends: it is ended from outside, and a crash is a sentence."""
+    """A reader that never ends stands in for the file.
+
+    It is killed from outside, and a crash becomes a sentence.
+    """
     shutil.copy(quick_result, file)
     probe(file)
     monkeypatch.setattr("sabench.dataset.hdf5_probe._PROBE_S", 0.0)
@@ -189,7 +195,8 @@ def test_scenes_and_suites_that_ask_for_too_much(tmp_path: Path, quick_toml: str
     assert sorted(path.name for path in tmp_path.iterdir()) == ["s.toml"]
     values = ", ".join(map(str, range(2000)))
     (tmp_path / "suite.toml").write_text(
-        f'title = "t"\nscenes = ["quick"]\nvary = {{ "particles.count" = [{values}] }}\nsolvers = [{{ name = "asa" }}]\n'
+        f'title = "t"\nscenes = ["quick"]\nvary = {{ "particles.count" = [{values}] }}\n'
+        f'solvers = [{{ name = "asa" }}]\n'
     )
     with pytest.raises(InputError, match="at most 1000 cases, got 2000"):
         load_suite(tmp_path / "suite.toml")

@@ -1,4 +1,7 @@
-"""From a flow to vectors: double frames, a reconstruction, a field, its scores and its place on the page."""
+"""Velocimetry from a flow to vectors.
+
+Double frames, a reconstruction, a field, its scores and its row on the page.
+"""
 
 from __future__ import annotations
 
@@ -86,7 +89,9 @@ def test_one_command_and_the_page(command: Command, tmp_path: Path) -> None:
     (tmp_path / "vortex.toml").write_text(scene.to_toml(), encoding="utf-8")
     (tmp_path / "suite.toml").write_text(
         'title = "t"\nbackend = "splat"\nscenes = ["vortex.toml"]\n'
-        '[[solvers]]\nname = "piv3d"\nparameters = { reconstruction = "mlos_smart", window = [24, 24, 24], first_window = [32, 32, 32] }\n'
+        '[[solvers]]\nname = "piv3d"\n'
+        'parameters = { reconstruction = "mlos_smart", window = [24, 24, 24], first_window = '
+        "[32, 32, 32] }\n"
     )
     done = command("run", "suite.toml", "--json")
     assert done.returncode == 0, done.stderr
@@ -95,7 +100,7 @@ def test_one_command_and_the_page(command: Command, tmp_path: Path) -> None:
     assert record["u_p90_voxel"] < 0.4
     page = (tmp_path / "leaderboard" / "index.html").read_text(encoding="utf-8")
     assert block(page)["rows"][0]["scores"][0] == [pytest.approx(record["u_p90_voxel"], rel=1e-8)]
-    assert block(page)["tracks"]["velocimetry"]["pictured"]["heading"] == "Fields"
+    assert block(page)["tasks"]["velocimetry"]["pictured"]["heading"] == "Fields"
     assert set(block(page, "album0")) == {
         "images",
         "row0",

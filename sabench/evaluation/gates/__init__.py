@@ -1,1 +1,1 @@
-"""Regression gates: comparison of a suite's figures with a baseline."""
+"""Regression gates: comparison of a suite's scores with a baseline."""

@@ -1,4 +1,7 @@
-"""Baselines: the figures of a suite as they were, how far each may move, and what has moved further."""
+"""Baselines: earlier figures of a suite, with the tolerance of each.
+
+A comparison finds the figures that moved by more than their tolerance.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +20,7 @@ from sabench.utils.files import canonical_json, complete_or_nothing, read_json
 from sabench.utils.validation import validate
 
 FORMAT, VERSION = "sabench-baseline", 1
-DATA = "data set"  # stands in a solver's place where figures are of the data set itself
+DATA = "data set"  # stands for a solver where the figures are those of the data set itself
 TIMES = ("seconds", "reconstruction_s")
 COSTS = (*TIMES, "peak_mb")
 Figures = dict[str, float | None]
@@ -28,18 +31,21 @@ class _Part(BaseModel):
 
 
 class Tolerance(_Part):
-    """A figure may move by the larger of `relative` times its baseline and `absolute`."""
+    """Tolerance of a figure: `relative` times its baseline, or `absolute`.
+
+    The larger of the two applies.
+    """
 
     relative: float = Field(ge=0.0)
     absolute: float = Field(ge=0.0)
 
     def of(self, value: float) -> float:
-        """How far a figure of this baseline may move."""
+        """Compute how far a figure with this baseline may move."""
         return max(self.relative * abs(value), self.absolute)
 
 
 class Entry(_Part):
-    """What one solver made of a case, or why it failed."""
+    """Figures of one solver on a case, or the reason why it failed."""
 
     figures: Figures = {}
     error: str | None = None
@@ -49,7 +55,10 @@ class Entry(_Part):
 
 
 class CaseEntry(_Part):
-    """One data set: what it is, and what solvers made of it, by their names or labels."""
+    """One data set: its statistics, and the entries of solvers.
+
+    Solvers go by their names or labels.
+    """
 
     case: str
     seed: int
@@ -60,12 +69,15 @@ class CaseEntry(_Part):
 
     @property
     def key(self) -> tuple[str, int]:
-        """What it is known by."""
+        """Case and seed."""
         return self.case, self.seed
 
 
 class Baseline(_Part):
-    """A whole suite's figures, and their tolerances by task - or `data set` - and kind of figure."""
+    """Figures of a whole suite, and their tolerances.
+
+    Tolerances go by task - or `data set` - and kind of figure.
+    """
 
     format: Literal["sabench-baseline"] = "sabench-baseline"
     version: Literal[1] = 1
@@ -77,7 +89,7 @@ class Baseline(_Part):
     cases: tuple[CaseEntry, ...]
 
     def case(self, key: tuple[str, int]) -> CaseEntry | None:
-        """The case of a name and seed."""
+        """Find the case of a name and seed."""
         return next((case for case in self.cases if case.key == key), None)
 
 
@@ -86,15 +98,14 @@ Tolerances = Mapping[str, Mapping[str, Tolerance]]
 
 @dataclass(frozen=True)
 class Finding:
-    """A figure that has moved beyond its tolerance, or a case or solver that is not what it was.
+    """Figure that moved beyond its tolerance, or case or solver that changed.
 
     Attributes
     ----------
-    worse : it fails the gate; else it is news.
-    before, now : the figure; None where there is none. Times are as the baseline's machine would
-        have them.
+    worse : whether it fails the gate; else it is news.
+    before, now : the figure; None where there is none. Times are scaled to the baseline's machine.
     tolerance : how far it may move, None where that does not apply.
-    text : what happened, where there is no figure.
+    text : description, where there is no figure.
     """
 
     case: str
@@ -109,12 +120,12 @@ class Finding:
 
     @property
     def change(self) -> float | None:
-        """By how much."""
+        """Change of the figure."""
         return None if self.before is None or self.now is None else self.now - self.before
 
     @property
     def sentence(self) -> str:
-        """All of it in a line."""
+        """The finding in one line."""
         where = f"{self.case}, seed {self.seed}: {self.solver}"
         if self.text:
             return f"{where}: {self.text}"
@@ -127,7 +138,10 @@ class Finding:
 
 
 def default_tolerance(task: str, figure: str) -> Tolerance:
-    """Apply the rule behind tolerances that nobody has edited; docs/developing/gates.md explains its numbers."""
+    """Compute the tolerance of a figure by the rule, unless it was edited.
+
+    docs/developing/gates.md explains the numbers.
+    """
     if task == DATA:
         return _data_tolerance(figure)
     score = tasks.of(task).score_of(figure)
@@ -141,7 +155,11 @@ def default_tolerance(task: str, figure: str) -> Tolerance:
 
 
 def kind_of(task: str, figure: str) -> str:
-    """What a figure's tolerance is found by: its name, of a data set's figure what it has in common with those of other cameras and frames."""
+    """Return the kind of a figure, by which its tolerance is found.
+
+    It is the figure's name; for a figure of a data set it is the part of the name that cameras and
+    frames have in common.
+    """
     if task != DATA:
         return figure
     return "probe" if figure.startswith("probe.") else figure.rpartition(".")[2]
@@ -158,12 +176,12 @@ def _data_tolerance(kind: str) -> Tolerance:
 
 
 def default_path(suite: str) -> Path:
-    """Where the bundled baseline of a suite is."""
+    """Return the path of a suite's bundled baseline."""
     return plugins.bundled("leaderboard") / "baselines" / f"{suite}.json"
 
 
 def read_baseline(path: Path, suite: str) -> Baseline:
-    """The baseline of a suite.
+    """Read the baseline of a suite.
 
     Raises
     ------
@@ -173,7 +191,8 @@ def read_baseline(path: Path, suite: str) -> Baseline:
     """
     if not path.exists():
         raise InputError(
-            f"{path}: expected a baseline of the suite {suite}, but there is no file: --update makes one (in pytest --sabench-update)"
+            f"{path}: expected a baseline of the suite {suite}, but there is no file: --update "
+            "makes one (in pytest --sabench-update)"
         )
     values = read_json(path)
     if not isinstance(values, dict) or values.get("format") != FORMAT:
@@ -182,7 +201,8 @@ def read_baseline(path: Path, suite: str) -> Baseline:
         )
     if values.get("version") != VERSION:
         raise InputError(
-            f"{path}: expected version {VERSION}, got {values.get('version')!r}: make it anew with --update"
+            f"{path}: expected version {VERSION}, got {values.get('version')!r}: make it anew with "
+            "--update"
         )
     found = validate(Baseline, values, str(path))
     if found.suite != suite:
@@ -193,19 +213,25 @@ def read_baseline(path: Path, suite: str) -> Baseline:
 
 
 def write_baseline(path: Path, baseline: Baseline) -> None:
-    """Write it whole or not at all, as canonical JSON: equal baselines give equal bytes."""
+    """Write a baseline atomically.
+
+    It is canonical JSON: equal baselines give equal bytes.
+    """
     with complete_or_nothing(path, overwrite=True) as partial:
         partial.write_text(canonical_json(baseline.model_dump(mode="json")), encoding="utf-8")
 
 
 def tolerance_of(tolerances: Tolerances, task: str, figure: str) -> Tolerance:
-    """As the baseline's table says, else the default."""
+    """Look a tolerance up in the baseline's table; else use the default."""
     kind = kind_of(task, figure)
     return tolerances.get(task, {}).get(kind) or default_tolerance(task, kind)
 
 
 def loss(better: Better, before: float, now: float) -> float:
-    """Say by how much a figure got worse; negative: better. Signed errors count by their size."""
+    """Compute by how much a figure got worse; negative: better.
+
+    Signed errors count by their absolute values.
+    """
     if better == "steady":
         return abs(now - before)
     if better == "larger":
@@ -218,9 +244,10 @@ def loss(better: Better, before: float, now: float) -> float:
 def compare(
     before: CaseEntry, now: CaseEntry, served: Mapping[str, str], tolerances: Tolerances
 ) -> Iterator[Finding]:
-    """What has moved too far in one case; `served` has each solver's task.
+    """Compare the figures of one case with the baseline's.
 
-    Solvers of the baseline that did not run now are worse, those that are new are news.
+    `served` has each solver's task. A solver of the baseline that did not run counts as worse; a
+    new solver is news.
     """
     case, seed = now.key
     for figure, allowed, change in _moved(before.data, now.data, tolerances, DATA):
@@ -245,9 +272,13 @@ def compare(
 
 
 def _standing(old: Entry | None, new: Entry | None) -> tuple[bool, str] | None:
-    """Whether a solver that is missing, new, failed or mended makes the gate fail, and what to say."""
+    """Compare whether a solver ran and failed before and now.
+
+    Returns whether the gate fails, and the text, for a solver that is missing, new, failed or
+    mended; else None.
+    """
     if new is None:
-        return True, "it is in the baseline and did not run"
+        return True, "it is in the baseline but did not run"
     if old is None:
         return False, f"not in the baseline{': ' + new.error if new.error else ''}"
     if new.error and not old.error:
@@ -273,7 +304,10 @@ def _of_solver(
 
 
 def scaled(new: Entry, old: Entry) -> Entry:
-    """Times as the machine and moment of the old entry would have them: by the reference kernel's."""
+    """Scale the times of a new entry to the machine and load of the old one.
+
+    The factor is the ratio of the reference kernel's times.
+    """
     if not new.reference_s or not old.reference_s:
         return new
     times = {
@@ -287,7 +321,10 @@ def scaled(new: Entry, old: Entry) -> Entry:
 def _moved(
     before: Figures, now: Figures, tolerances: Tolerances, task: str
 ) -> Iterator[tuple[str, float | None, float]]:
-    """Figures beyond tolerance, what is allowed, and by how much they got worse: infinitely if they are lost, minus that if they are new."""
+    """List the figures beyond tolerance: name, tolerance and loss.
+
+    The loss is infinite for a figure that is missing now, and minus infinity for a new one.
+    """
     for figure in sorted({**before, **now}):
         old, new = before.get(figure), now.get(figure)
         if old is None or new is None:

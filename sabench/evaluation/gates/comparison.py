@@ -1,4 +1,4 @@
-"""Regression gates: a suite is run again and its figures are compared with a baseline's."""
+"""Regression gates: run a suite again and compare it with a baseline."""
 
 from __future__ import annotations
 
@@ -40,12 +40,15 @@ from sabench.utils.errors import InputError
 from sabench.utils.progress import console
 from sabench.utils.version import __version__
 
-_AGAIN = 2  # times that a solver which seems to have become slower is run once more
+_AGAIN = 2  # repetitions for a solver that seems to have become slower
 
 
 @dataclass(frozen=True)
 class Report:
-    """What a gate found: `worse` makes it fail, `news` does not; `now` is what would be the next baseline, None of a run that was cut short."""
+    """Result of a gate.
+
+    `worse` makes it fail, `news` does not; `now` is the baseline that this run would make.
+    """
 
     suite: str
     worse: tuple[Finding, ...]
@@ -54,7 +57,7 @@ class Report:
 
     @property
     def summary(self) -> str:
-        """One line."""
+        """Summary in one line."""
         solved = sum(len(case.solvers) for case in self.now.cases)
         ran = f"{self.suite}: {len(self.now.cases)} data sets, {solved} results"
         return (
@@ -62,7 +65,7 @@ class Report:
         )
 
     def to_dict(self) -> dict[str, Any]:
-        """As JSON holds it."""
+        """Convert to values that JSON can hold."""
         findings = {
             name: [asdict(one) | {"change": one.change} for one in getattr(self, name)]
             for name in ("worse", "news")
@@ -79,7 +82,10 @@ def check_file(
     solvers: Sequence[str | Entrant] = (),
     exit_first: bool = False,
 ) -> Report:
-    """`check` against a baseline file, by default the suite's bundled one; with `update` its figures are written there and nothing is worse.
+    """Compare a suite with a baseline file, as `check` does.
+
+    The default is the suite's bundled baseline. With `update` the new figures are written to the
+    file, and nothing counts as worse.
 
     Parameters
     ----------
@@ -116,20 +122,20 @@ def check(
     solvers: Sequence[Entrant] = (),
     exit_first: bool = False,
 ) -> Report:
-    """Run a suite on data sets made anew and compare it with a baseline, or only run it.
+    """Run a suite on new data sets and compare it with a baseline, if there is one.
 
     Parameters
     ----------
-    work : folder for data sets and results; each data set is deleted when it has been compared.
-    solvers : they run in place of the suite's own, each on the cases that have solvers of its
-        track; the baseline is of them, too.
+    work : folder for data sets and results; each data set is deleted after its comparison.
+    solvers : they run in place of the suite's own, each on the cases that have solvers of its task.
+        The baseline must be of the same solvers.
     exit_first : stop at the first data set or solver with something worse.
 
     Raises
     ------
     InputError
-        A bad suite, an unknown solver, solvers that no case is for, or a baseline whose data sets
-        another renderer made.
+        A bad suite, an unknown solver, solvers without any case for their task, or a baseline whose
+        data sets another renderer made.
     """
     name, cases = find(suite, "scenes/suites").stem, _chosen(load_suite(suite)[1], solvers)
     found: list[Finding] = []
@@ -143,7 +149,8 @@ def check(
         old = before.case((case.name, case.seed)) if before else None
         if old is not None and old.renderer != case.renderer:
             raise InputError(
-                f"case {case.name}: expected data sets by {old.renderer}, of which the baseline is, but here they are by {case.renderer}"
+                f"case {case.name}: expected data sets by {old.renderer}, of which the baseline "
+                f"is, but here they are by {case.renderer}"
             )
         entries.append(_run_case(case, work, old, before.tolerances if before else {}, exit_first))
         found += _compared(case, old, entries[-1], before)
@@ -168,7 +175,7 @@ def check(
 
 
 def names_of(entrants: Sequence[Entrant], where: str) -> dict[str, Entrant]:
-    """What each solver of a case is known by: its label, or its name and parameters."""
+    """Name each solver of a case: by its label, or its name and parameters."""
     named = {
         (
             one.label
@@ -178,13 +185,18 @@ def names_of(entrants: Sequence[Entrant], where: str) -> dict[str, Entrant]:
     }
     if len(named) < len(entrants):
         raise InputError(
-            f"{where}: solvers: expected names, parameters or labels that differ, got {len(entrants)} of which {len(named)} do"
+            f"{where}: solvers: expected names, parameters or labels that differ, got "
+            f"{len(entrants)} of which {len(named)} do"
         )
     return named
 
 
 def _chosen(cases: Sequence[Case], solvers: Sequence[Entrant]) -> list[Case]:
-    """The cases that are for some of the given solvers, with these; all cases as they are where none are given."""
+    """Select the cases that have solvers of the given solvers' tasks.
+
+    They run the given solvers instead of their own. Without given solvers, all cases stay as they
+    are.
+    """
     if not solvers:
         return list(cases)
     own = [
@@ -201,7 +213,8 @@ def _chosen(cases: Sequence[Case], solvers: Sequence[Entrant]) -> list[Case]:
     if not any(case.solvers for case in own):
         known = ", ".join(sorted({_task_of(one) for one in solvers}))
         raise InputError(
-            f"solvers: expected some that the suite has cases for, got only some of the task {known}, of which it has none"
+            "solvers: expected some that the suite has cases for, got only some of the task "
+            f"{known}, of which it has none"
         )
     return [case for case in own if case.solvers]
 
@@ -213,7 +226,10 @@ def _task_of(entrant: Entrant) -> str:
 def _run_case(
     case: Case, work: Path, old: CaseEntry | None, tolerances: Tolerances, exit_first: bool
 ) -> CaseEntry:
-    """Make the data set, measure it, solve and score it; with `exit_first` no further than to something worse."""
+    """Make a data set, measure its statistics, and solve and score it.
+
+    With `exit_first` it stops as soon as something is worse.
+    """
     data = dataset_of(case, work, fresh=True)
     out = work / "results" / f"{case.folder(work).name}.h5"
     now = CaseEntry(
@@ -245,7 +261,7 @@ def _run_case(
 
 
 def _ran(old: CaseEntry, now: CaseEntry) -> CaseEntry:
-    """The old entry without the solvers that have not run now."""
+    """Remove the solvers that have not run now from the old entry."""
     return old.model_copy(
         update={
             "solvers": {name: entry for name, entry in old.solvers.items() if name in now.solvers}
@@ -263,7 +279,7 @@ def _tasks_of(case: Case) -> dict[str, str]:
 def _solved_again(
     data: Dataset, entrant: Entrant, out: Path, earlier: Entry | None, tolerances: Tolerances
 ) -> Entry:
-    """Solve and score; once more, and again, where time or memory seem to have grown."""
+    """Solve and score; repeat where time or memory seem to have grown."""
     entry = _solved(data, entrant, out)
     for _ in range(_AGAIN):
         if earlier is None or not _dear(earlier, entry, tolerances, _task_of(entrant)):
@@ -274,9 +290,8 @@ def _solved_again(
 
 def _solved(data: Dataset, entrant: Entrant, out: Path) -> Entry:
     try:
-        reference_s = solve_apart(
-            entrant, data, out, threads=1
-        )  # as the reference kernel; and threads suffer most where others work
+        # like the reference kernel; other processes slow threads down most
+        reference_s = solve_apart(entrant, data, out, threads=1)
         scores = score(data, out)
     except InputError as error:
         return Entry(error=str(error))
@@ -289,7 +304,10 @@ def _solved(data: Dataset, entrant: Entrant, out: Path) -> Entry:
 
 
 def _dear(earlier: Entry, entry: Entry, tolerances: Tolerances, task: str) -> bool:
-    """Whether time or memory would fail the gate: another process may have been in the way, or machine code was compiled for the first time."""
+    """Decide whether time or memory would fail the gate.
+
+    The reason may be another process, or machine code that was compiled for the first time.
+    """
     now = scaled(entry, earlier).figures
     pairs = [
         (key, old, new)
@@ -300,7 +318,10 @@ def _dear(earlier: Entry, entry: Entry, tolerances: Tolerances, task: str) -> bo
 
 
 def _cheaper(one: Entry, other: Entry) -> Entry:
-    """The second run with the least time and memory of both, times over the reference's."""
+    """Combine the second run with the least time and memory of both runs.
+
+    Times are scaled by the reference kernel.
+    """
     if other.error or one.error:
         return other if other.error else one
     here = scaled(one, other)
@@ -365,7 +386,11 @@ def _missing(before: Baseline | None, entries: Sequence[CaseEntry]) -> Iterator[
 def _tolerances(
     before: Baseline | None, cases: Sequence[Case], entries: Sequence[CaseEntry]
 ) -> dict[str, dict[str, Tolerance]]:
-    """Those of the earlier baseline, which somebody may have edited, and the rule's for whatever it does not name."""
+    """List the tolerances of the next baseline.
+
+    They are those of the earlier baseline, which may have been edited, and the rule's for all other
+    figures.
+    """
     named: dict[str, set[str]] = {
         DATA: {kind_of(DATA, figure) for entry in entries for figure in entry.data}
     }

@@ -1,4 +1,8 @@
-"""What a data set is, in some dozens of figures: a bug that generator and solvers share shows here, since their scores may not change."""
+"""Statistics of a data set, in some dozens of figures.
+
+A bug that the generator and the solvers share may leave scores unchanged; it shows in these
+figures.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +20,9 @@ _TRACED = 40  # points that are projected a second time
 
 
 def fingerprint(data: Dataset) -> dict[str, float]:
-    """Statistics of the truth and of the pictures, over all frames; figures that do not exist, as of a camera that sees nothing, are left out.
+    """Compute statistics of the truth and of the images, over all frames.
+
+    Figures that do not exist, as for a camera that sees nothing, are left out.
 
     Returns
     -------
@@ -40,7 +46,10 @@ def fingerprint(data: Dataset) -> dict[str, float]:
 
 
 def _beside(camera: Camera, points: F64, pixels: F64) -> float:
-    """The largest distance (mm) of points from the lines of sight of their own pixels: the way back through the wall."""
+    """Compute the largest distance (mm) of points from their own lines of sight.
+
+    The lines of sight start at the true pixels, and cross the wall in the reverse direction.
+    """
     rays = camera.back_project(pixels)
     offset = points - rays.origins_mm
     across = offset - np.sum(offset * rays.directions, axis=1, keepdims=True) * rays.directions
@@ -48,7 +57,10 @@ def _beside(camera: Camera, points: F64, pixels: F64) -> float:
 
 
 def _spread(prefix: str, names: Sequence[str], values: F64) -> dict[str, float]:
-    """Mean and standard deviation of every column of values (n, k), NaN left out."""
+    """Compute mean and standard deviation of every column of values (n, k).
+
+    Rows with NaN are left out.
+    """
     known = values[np.isfinite(values).all(axis=1)]
     if not len(known):
         return {}
@@ -64,7 +76,7 @@ def _spread(prefix: str, names: Sequence[str], values: F64) -> dict[str, float]:
 
 
 def _truth(data: Dataset) -> Iterator[tuple[str, float]]:
-    """Places, sizes and velocities."""
+    """Compute statistics of true positions, sizes and velocities."""
     frames, axes = range(data.rig.frames), ("x", "y", "z")
     if data.shows_target:
         yield from _spread("target.", axes, data.placed().points_mm.reshape(-1, 3)).items()
@@ -99,7 +111,10 @@ def _truth(data: Dataset) -> Iterator[tuple[str, float]]:
 
 
 def _seen(data: Dataset, number: int) -> tuple[F64, F64]:
-    """True points (n, 3) of all frames, and where one camera sees them (n, 2); those that it does not see are left out."""
+    """Collect true points (n, 3) of all frames, and their pixels (n, 2) in a camera.
+
+    Points that the camera does not see are left out.
+    """
     frames = range(data.rig.frames)
     if data.shows_target:
         points, pixels = (
@@ -122,7 +137,7 @@ def _seen(data: Dataset, number: int) -> tuple[F64, F64]:
 
 
 def _light(data: Dataset, number: int) -> Iterator[tuple[str, float]]:
-    """What reaches a camera of particles and bubbles, and what it finds of a target."""
+    """Compute statistics of light, outlines and detected points in one camera."""
     name, frames = data.true_cameras[number].name, range(data.rig.frames)
     if data.shows_target:
         exact, case = data.sightings()[0][number], data.calibration_case()
@@ -158,7 +173,10 @@ def _light(data: Dataset, number: int) -> Iterator[tuple[str, float]]:
 
 
 def _pictures(data: Dataset) -> Iterator[tuple[str, float]]:
-    """Grey values as solvers see them, in the first and the last frame: mean, spread, and where their middle is."""
+    """Compute statistics of the grey values that solvers receive.
+
+    They are mean, standard deviation and centroid, for the first and the last frame.
+    """
     if not any(name.startswith("images/") for name in data.manifest.files):
         return
     for frame in sorted({0, data.rig.frames - 1}):

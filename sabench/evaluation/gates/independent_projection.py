@@ -1,7 +1,7 @@
-"""Independent projection of points by other equations, to find errors in the first one.
+"""Independent projection of points, to find errors in the main projection.
 
-A copy of `geometry.camera` and `geometry.refraction` for the sake of independence; tied to them by
-test_comparison.py::test_two_implementations_of_a_camera_agree.
+It is a copy of `geometry.camera` and `geometry.refraction` with other equations, for the sake of
+independence. The test test_comparison.py::test_two_implementations_of_a_camera_agree compares both.
 
 It takes nothing from `sabench.geometry`: the wall's numbers come from the scene as its author wrote
 them, the path from bisection for the invariant n sin(angle) that all its angles share, the lens
@@ -22,7 +22,7 @@ _HALVINGS = 100
 
 
 def retrace(scene: Scene, camera: Any, points_mm: F64) -> F64:
-    """Pixels (n, 2) of points (n, 3) in the fluid.
+    """Project points (n, 3) in the fluid to pixels (n, 2).
 
     Parameters
     ----------
@@ -43,7 +43,10 @@ def retrace(scene: Scene, camera: Any, points_mm: F64) -> F64:
 
 
 def _leaving(wall: WallSpec, pinhole: F64, offset: F64) -> F64:
-    """Directions (n, 3) from a pinhole in which light leaves it for points at an offset (n, 3) from it."""
+    """Compute directions (n, 3) in which light leaves a pinhole towards points.
+
+    The points are given by their offsets (n, 3) from the pinhole.
+    """
     normal = np.array(wall.normal) / np.linalg.norm(wall.normal)
     before = float((np.array(wall.point_mm) - pinhole) @ normal)
     solid = sum(layer.thickness_mm for layer in wall.layers)
@@ -66,7 +69,10 @@ def _leaving(wall: WallSpec, pinhole: F64, offset: F64) -> F64:
 
 
 def _invariant(indices: list[float], depths: list[F64], radius: F64) -> F64:
-    """The n sin(angle) (n,) of the path that crosses the depths and ends at the radius, which grows with it from 0 to infinity."""
+    """Find the n sin(angle) (n,) of the path that ends at the given radius.
+
+    The path crosses all depths. The radius grows with n sin(angle), from 0 to infinity.
+    """
     low, high = np.zeros_like(radius), np.full_like(radius, min(indices))
     for _ in range(_HALVINGS):
         middle = (low + high) / 2.0

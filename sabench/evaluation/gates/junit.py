@@ -1,4 +1,4 @@
-"""What a gate found as JUnit XML, which GitHub, GitLab and Jenkins show."""
+"""Reports of gates as JUnit XML, which GitHub, GitLab and Jenkins show."""
 
 from __future__ import annotations
 
@@ -13,13 +13,15 @@ from sabench.utils.files import complete_or_nothing
 if TYPE_CHECKING:
     from sabench.evaluation.gates.comparison import Report
 
-_NOT_XML = re.compile(
-    "[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]"
-)  # what no XML file can hold
+# characters that XML does not allow
+_NOT_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 
 
 def write_junit(path: Path, report: Report) -> None:
-    """One test case for each data set and each solver on it, in the suite's order; what got worse is its failure, news its output."""
+    """Write one test case for each data set and each solver on it.
+
+    They are in the suite's order. Everything that got worse is a failure, news are output.
+    """
     with complete_or_nothing(path, overwrite=True) as partial:
         partial.write_bytes(
             ElementTree.tostring(junit(report), encoding="utf-8", xml_declaration=True)
@@ -27,7 +29,7 @@ def write_junit(path: Path, report: Report) -> None:
 
 
 def junit(report: Report) -> ElementTree.Element:
-    """The XML's root."""
+    """Build the root element of the XML."""
     suite = ElementTree.Element("testsuite", name=f"sabench check {report.suite}")
     places = [
         (case.case, case.seed, solver)

@@ -14,7 +14,9 @@ from sabench.tasks.solve_and_score import score
 
 
 def score_known_wrong(data: Dataset, out: Path) -> dict[str, float]:
-    """Score the wrong estimates of all tasks that a data set serves; writes to `out` meanwhile.
+    """Score the wrong estimates of all tasks that a data set serves.
+
+    Temporary results are written to `out`.
 
     Returns
     -------

@@ -1,4 +1,6 @@
-"""pytest plug-in for repositories of algorithms: the fixture `sabench_check` runs a suite with their solvers and compares it with their baseline.
+"""Plug-in of pytest for repositories of algorithms.
+
+The fixture `sabench_check` runs a suite with their solvers and compares it with their baseline.
 
 pytest imports this at its start, so it loads nothing of sabench before a test asks for the fixture.
 """
@@ -20,7 +22,7 @@ Check = Callable[..., "Report"]
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    """The option and the setting that this adds."""
+    """Add the option --sabench-update and the setting sabench_plugins."""
     group = parser.getgroup("sabench")
     group.addoption(
         "--sabench-update",
@@ -29,13 +31,13 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     )
     parser.addini(
         "sabench_plugins",
-        "folders with solvers/ or generators/ that sabench finds, beside those of SABENCH_PLUGINS",
+        "folders with solvers/ or generators/, in addition to those of SABENCH_PLUGINS",
         type="paths",
     )
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Tell sabench, and the processes in which solvers run, where the plug-ins are."""
+    """Add the folders of plug-ins to the environment of sabench and its solvers."""
     folders = [str(folder) for folder in config.getini("sabench_plugins")]
     given = [
         entry
@@ -51,7 +53,9 @@ def pytest_configure(config: pytest.Config) -> None:
 
 @pytest.fixture
 def sabench_check(request: pytest.FixtureRequest, tmp_path: Path) -> Check:
-    """`sabench_check(suite, baseline, solvers=...)` fails the test if a figure is worse than in the baseline, and returns what it found.
+    """Return `sabench_check(suite, baseline, solvers=...)`, which runs a gate.
+
+    It fails the test if a figure is worse than in the baseline, and returns the report.
 
     `suite` is a bundled suite's name or a file, `baseline` a JSON file, both from the test's
     folder; `solvers` are names, or dicts of name, parameters and label, that run in place of the
@@ -84,7 +88,10 @@ def sabench_check(request: pytest.FixtureRequest, tmp_path: Path) -> Check:
 
 @pytest.fixture
 def sabench_conform() -> Callable[..., None]:
-    """Return `sabench_conform(solver, **parameters)`, which fails the test if a law is broken."""
+    """Return `sabench_conform(solver, **parameters)`, which checks the laws.
+
+    It fails the test if a law is broken.
+    """
 
     def run(solver: str, **parameters: Any) -> None:
         from sabench.tasks.conformance import check_solver

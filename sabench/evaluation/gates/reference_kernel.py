@@ -1,4 +1,7 @@
-"""A fixed piece of work whose time says how fast this machine is just now: times of solvers are compared as multiples of it."""
+"""Reference kernel, whose time measures the current speed of this machine.
+
+Times of solvers are compared as multiples of it.
+"""
 
 from __future__ import annotations
 
@@ -14,12 +17,13 @@ _ROUNDS = 3
 
 
 def reference_s() -> float:
-    """Seconds of the kernel on one thread, the median of a few rounds: some 15 ms each on a current processor.
+    """Measure the seconds of the kernel on one thread: the median of a few rounds.
 
-    What it computes must never change: times of old records are over it.
+    A round takes some 15 ms on a current processor. The arithmetic must never change, because the
+    times of old records are multiples of it.
     """
     table = np.arange(_CELLS, dtype=np.float64)
-    _work(table[:64])  # compiles it, or loads what was compiled
+    _work(table[:64])  # compiles it, or loads the compiled code
     return float(np.median([_timed(table) for _ in range(_ROUNDS)]))
 
 
@@ -31,7 +35,7 @@ def _timed(table: Any) -> float:
 
 @numba.njit(cache=True)
 def _work(table: Any) -> float:
-    """Arithmetic with square roots on neighbours, branches, and reads and writes far apart."""
+    """Compute square roots of neighbours, with branches and distant memory access."""
     total, last = 0.0, len(table) - 1
     for i in range(len(table)):
         value = table[i]

@@ -1,4 +1,7 @@
-"""Result files out of what somebody sent: a file, a folder or an archive, none of it trusted."""
+"""Result files of a submission: a file, a folder or an archive.
+
+None of it is trusted.
+"""
 
 from __future__ import annotations
 
@@ -22,14 +25,14 @@ from sabench.utils.validation import printable
 _MEMBERS = 1000
 _TOTAL_BYTES = 20_000_000_000
 _RATIO = 200  # unpacked over packed: result files are compressed already
-_SMALL_BYTES = 10_000_000  # below which no ratio is asked for
+_SMALL_BYTES = 10_000_000  # below which no ratio is required
 _PIECE = 1 << 20
 _ENDING = ".h5"
 
 
 @dataclass(frozen=True)
 class Member:
-    """A result file inside an archive: its name there and what it says of its size."""
+    """Result file inside an archive, with the name and size of its header."""
 
     name: str
     bytes: int
@@ -38,17 +41,21 @@ class Member:
 
 @contextlib.contextmanager
 def result_files(path: Path) -> Iterator[list[tuple[str, Path]]]:
-    """Names and paths of the result files in a file, folder or archive (.zip, .tar, .tar.gz), sorted; what was unpacked vanishes with the block.
+    """List names and paths of the result files in a submission, sorted.
+
+    It is a file, a folder or an archive (.zip, .tar, .tar.gz). Unpacked files are deleted at the
+    end of the block.
 
     Raises
     ------
     InputError
-        Nothing there, or what no honest archive has: links, devices, absolute paths, `..`, two
-        members of one name, or too much of anything.
+        Nothing there, or content that no honest archive has: links, devices, absolute paths, `..`,
+        two members of one name, or too much of anything.
     """
     if path.is_symlink() or not path.exists():
         raise InputError(
-            f"{path}: expected a result file, an archive or a folder of them, found {'a link' if path.is_symlink() else 'none'}"
+            f"{path}: expected a result file, an archive or a folder of them, found "
+            f"{'a link' if path.is_symlink() else 'none'}"
         )
     if path.is_dir():
         yield _found(_in_folder(path), path)
@@ -82,7 +89,10 @@ def _in_folder(root: Path) -> list[tuple[str, Path]]:
 
 
 def _unpacked(path: Path, folder: Path) -> list[tuple[str, Path]]:
-    """The archive's result files as files of `folder`, by numbers: no name of the archive becomes one of the disk."""
+    """Unpack the archive's result files into `folder`, with numbers as names.
+
+    No name of the archive becomes a name on the disk.
+    """
     try:
         with _opened(path) as (archive, members):
             wanted = _checked(path, members)
@@ -101,7 +111,8 @@ def _unpacked(path: Path, folder: Path) -> list[tuple[str, Path]]:
         zipfile.BadZipFile,
     ) as error:
         raise InputError(
-            f"{path}: expected a whole archive, got {type(error).__name__}: {printable(str(error), 200)}"
+            f"{path}: expected an intact archive, got {type(error).__name__}: "
+            f"{printable(str(error), 200)}"
         ) from error
 
 
@@ -126,24 +137,27 @@ def _plain(packed: IO[bytes]) -> IO[bytes] | gzip.GzipFile:
 
 
 class _InPieces(io.RawIOBase):
-    """A file that refuses to be read in one large piece: the names of a tar's members may be as long as they say, and are read whole."""
+    """File that refuses to read one large piece.
+
+    A tar's header sets the length of its members' names, and they are read in one piece.
+    """
 
     def __init__(self, file: IO[bytes] | gzip.GzipFile) -> None:
         super().__init__()
         self._file = file
 
     def read(self, size: int = -1) -> bytes:
-        """At most some pieces at once."""
+        """Read a few pieces at most."""
         if not 0 <= size <= 4 * _PIECE:
             raise ValueError(f"a part of {size} bytes to be read at once")
         return self._file.read(size)
 
     def seek(self, offset: int, whence: int = 0) -> int:
-        """Move."""
+        """Move the position in the file."""
         return self._file.seek(offset, whence)
 
     def tell(self) -> int:
-        """Where."""
+        """Return the position in the file."""
         return self._file.tell()
 
 
@@ -155,7 +169,8 @@ def _zip_member(path: Path, info: zipfile.ZipInfo) -> Member:
         )
     if info.flag_bits & 1 or info.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
         raise InputError(
-            f"{path}: {printable(info.filename)}: expected a file stored or deflated, without a password"
+            f"{path}: {printable(info.filename)}: expected a file stored or deflated, without a "
+            "password"
         )
     return Member(info.filename, info.file_size, info)
 
@@ -169,7 +184,7 @@ def _tar_member(path: Path, info: tarfile.TarInfo) -> Member:
 
 
 def _checked(path: Path, members: Iterator[Member]) -> list[Member]:
-    """The result files among the members, once all of them have been found harmless."""
+    """Check all members and select the result files among them."""
     packed, total, names, every = path.stat().st_size, 0, set(), []
     for member in itertools.islice(members, _MEMBERS + 1):
         total += member.bytes
@@ -180,7 +195,8 @@ def _checked(path: Path, members: Iterator[Member]) -> list[Member]:
             )
         if total > _TOTAL_BYTES or (total > _SMALL_BYTES and total > _RATIO * packed):
             raise InputError(
-                f"{path}: expected at most {_TOTAL_BYTES / 1e6:.0f} MB unpacked and {_RATIO} times its size, got {total / 1e6:.0f} MB or more"
+                f"{path}: expected at most {_TOTAL_BYTES / 1e6:.0f} MB unpacked and {_RATIO} times "
+                f"its size, got {total / 1e6:.0f} MB or more"
             )
         names.add(member.name)
         every.append(member)
@@ -200,7 +216,7 @@ def _check_name(path: Path, name: str) -> None:
 
 
 def _copied(archive: Any, member: Member, target: Path, path: Path) -> Path:
-    """The member as a file of its own; one that is larger than it says ends here."""
+    """Copy a member to a file; refuse one that is larger than its header says."""
     source: IO[bytes] | None = (
         archive.open(member.handle)
         if isinstance(archive, zipfile.ZipFile)
@@ -213,7 +229,8 @@ def _copied(archive: Any, member: Member, target: Path, path: Path) -> Path:
             left -= len(piece)
             if left < 0:
                 raise InputError(
-                    f"{path}: {printable(member.name)}: expected {member.bytes} bytes as it says, got more"
+                    f"{path}: {printable(member.name)}: expected {member.bytes} bytes as its "
+                    "header says, got more"
                 )
             file.write(piece)
     return target

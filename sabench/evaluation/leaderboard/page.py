@@ -1,4 +1,7 @@
-"""Rows of the leaderboard to one self-contained HTML file: what users sort, filter, plot and compare in their browser."""
+"""Page of the leaderboard: its rows as one self-contained HTML file.
+
+Users sort, filter, plot and compare the rows in their browser.
+"""
 
 from __future__ import annotations
 
@@ -24,19 +27,20 @@ from sabench.utils.files import LONGEST_PART, inside
 _SCRIPTS = ("base", "state", "rows", "table", "plots", "case", "main")
 _CASE = ("task", "case", "scene_hash", "renderer", "split")
 _ENTRY = (*_CASE, "solver", "parameters", "machine", "submission")
-# of freedom for which the page knows Student's quantile; beyond them the last one is a little too
-# wide
+# degrees of freedom whose Student's quantile the page has; beyond them the last one is a little
+# too wide
 _DEGREES = 100
-# of every score on the page: more than any table shows, so that small differences of pairs are
-# still right
+# digits of every score on the page: more than any table shows, to keep small differences of pairs
+# correct
 _DIGITS = 9
-_PICTURES_BYTES = (
-    80_000_000  # of the page; those beyond are left out, the best of every case come first
-)
+# of the figures on the page; the best of every case come first, and those beyond are left out
+_PICTURES_BYTES = 80_000_000
 
 
 def render(rows: Sequence[Record], pictures: Path) -> str:
-    """The page of rows that `board.over_seeds` made; `pictures` holds the folders that their records name.
+    """Render rows of `over_seeds` as a page.
+
+    `pictures` holds the folders that the records name.
 
     Raises
     ------
@@ -69,9 +73,8 @@ def _assembled(data: dict[str, Any], albums: dict[int, dict[str, str]]) -> str:
     parts = "\n".join(
         (folder / "page" / f"{name}.js").read_text(encoding="utf-8") for name in _SCRIPTS
     )
-    script = _inline(
-        f"(() => {{\n{parts}}})();"
-    )  # a function of its own: the library's names are not its names
+    # the function's names are separate from the library's
+    script = _inline(f"(() => {{\n{parts}}})();")
     texts = {"style": style, "script": script, "library": library()}
     environment = Environment(
         loader=FileSystemLoader(folder),
@@ -89,31 +92,31 @@ def _assembled(data: dict[str, Any], albums: dict[int, dict[str, str]]) -> str:
 
 @cache
 def library() -> str:
-    """The plotting library, Vega-Embed with all it needs, as a script."""
+    """Load the plotting library as a script: Vega-Embed with all that it needs."""
     import vl_convert  # it loads 90 MB, which no other command needs
 
     return _inline(vl_convert.javascript_bundle("window.vegaEmbed = vegaEmbed;"))
 
 
 def _inline(text: str) -> str:
-    """Text that a script or style element can hold as it is."""
+    """Escape a text so that a script or style element can hold it."""
     return re.sub(
         r"<(?=/script|/style|!--)", r"<\\", text.replace("\r\n", "\n"), flags=re.IGNORECASE
     )
 
 
 def _hash(text: str) -> str:
-    """How a content security policy names the one script or style that may run."""
+    """Hash a script or style as a content security policy names it."""
     return f"'sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()}'"
 
 
 def _data(value: Any) -> str:
-    """JSON in which no markup can begin."""
+    """Serialise as JSON in which no markup can begin."""
     return json.dumps(value, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
 
 
 class _Pool:
-    """Texts that many rows share, named by their place."""
+    """Texts that many rows share, referred to by their index."""
 
     def __init__(self) -> None:
         self._places: dict[str, int] = {}
@@ -127,7 +130,10 @@ class _Pool:
 
 
 def _order(row: Record) -> tuple[Any, ...]:
-    """Tracks in the order of their columns, cases by name with numbers as numbers, then the rank within the case."""
+    """Compute the sorting key of a row: task, case, rank within the case.
+
+    Tasks are in their fixed order, cases by name with numbers as numbers.
+    """
     rest = (row["case"], row["scene_hash"], row["renderer"], row["split"])
     return (
         tasks.NAMES.index(row["task"]),
@@ -144,7 +150,7 @@ def _natural(name: str) -> list[tuple[float, str]]:
 
 
 def _rank(row: Record) -> tuple[bool, bool, float]:
-    """Best first column first, then those without, then errors."""
+    """Compute the rank key: best first score, then rows without it, then errors."""
     score = tasks.of(row["task"]).columns[0]
     first: Mean | None = row[score.key]
     sign = -1.0 if score.better == "larger" else 1.0
@@ -152,7 +158,7 @@ def _rank(row: Record) -> tuple[bool, bool, float]:
 
 
 def _task(task: Task) -> dict[str, Any]:
-    """What the page shows of a task: its columns and the captions of its figures."""
+    """Describe a task for the page: its columns and the captions of its figures."""
     columns = [
         {
             "key": one.key,
@@ -175,7 +181,7 @@ def _task(task: Task) -> dict[str, Any]:
 
 
 def _case(rows: Sequence[Record]) -> dict[str, Any]:
-    """What its rows say of a case; older records do not say all of it."""
+    """Describe a case for the page; older records lack some of the values."""
     first = rows[0]
     hidden = "-hidden" if first["split"] == "hidden" else ""
     told = {
@@ -195,7 +201,7 @@ def _case(rows: Sequence[Record]) -> dict[str, Any]:
 
 
 def _row(row: Record, case: int, pool: _Pool) -> dict[str, Any]:
-    """One line of the table; what many lines share is a place in the pool."""
+    """Make one line of the table; shared texts are indices into the pool."""
     runs: list[Record] = row["runs"]
     keys = [score.key for score in tasks.of(row["task"]).columns]
     several = len(runs) > 1
@@ -234,7 +240,11 @@ def _row(row: Record, case: int, pool: _Pool) -> dict[str, Any]:
 
 
 def commands(runs: Sequence[Record]) -> list[str]:
-    """What makes a row again: one command with all seeds where theirs differ in the seed alone, else those of each."""
+    """List the commands that reproduce a row.
+
+    It is one command with all seeds if the commands differ in the seed alone, else one for each
+    seed.
+    """
     known = [run for run in runs if run.get("command")]
     plain = {
         re.sub(rf"--seed {run['seed']}(?= |$)", "--seed", run["command"], count=1) for run in known
@@ -252,7 +262,7 @@ def commands(runs: Sequence[Record]) -> list[str]:
 
 
 def _pair(score: Mean | None) -> list[float] | None:
-    """A mean with its half width, if there is one."""
+    """Return a mean with its half width, if there is one."""
     if score is None:
         return None
     return (
@@ -263,12 +273,12 @@ def _pair(score: Mean | None) -> list[float] | None:
 
 
 def short(value: float) -> float:
-    """A number without the digits that no one can see."""
+    """Round a number to the digits that the page may show."""
     return float(f"{value:.{_DIGITS}g}")
 
 
 def text_of(values: Record) -> str:
-    """`key value, key value`, strings without quotes."""
+    """Format values as `key value, key value`, strings without quotes."""
     return ", ".join(
         f"{key} {value if isinstance(value, str) else json.dumps(value)}"
         for key, value in values.items()
@@ -276,7 +286,10 @@ def text_of(values: Record) -> str:
 
 
 def _quantiles() -> list[float]:
-    """Student's quantiles for 1, 2, ... degrees of freedom, by which the page makes intervals of differences as `statistics` does."""
+    """Compute Student's quantiles for 1, 2, ... degrees of freedom.
+
+    The page uses them for intervals of differences, as `sabench.utils.confidence` does.
+    """
     return [
         short(float(stdtrit(degree, (1.0 + CONFIDENCE) / 2.0))) for degree in range(1, _DEGREES + 1)
     ]
@@ -285,7 +298,10 @@ def _quantiles() -> list[float]:
 def _albums(
     rows: Sequence[Record], places: Sequence[int], pictures: Path
 ) -> tuple[dict[int, dict[str, str]], int]:
-    """Pictures of every case by their names, in base 64, and how many did not fit into the page."""
+    """Encode the figures of every case in base 64, by their names.
+
+    Returns also the number of figures that did not fit into the page.
+    """
     albums: dict[int, dict[str, str]] = {}
     room, left_out = _PICTURES_BYTES, 0
     for _, place, name, path in sorted(_pictures(rows, places, pictures)):
@@ -303,7 +319,10 @@ def _albums(
 def _pictures(
     rows: Sequence[Record], places: Sequence[int], pictures: Path
 ) -> Iterator[tuple[int, int, str, Path]]:
-    """Rank within its case, place of the case, name and path of every picture that is there."""
+    """List every figure that is there.
+
+    It has its rank within the case, the index of the case, its name and its path.
+    """
     seen: dict[int, int] = {}
     for number, (row, place) in enumerate(zip(rows, places, strict=True)):
         run = next((run for run in row["runs"] if run.get("pictures")), None)
@@ -314,9 +333,8 @@ def _pictures(
         wanted = [(0, "images", "images.png")] + (
             [(0, "truth", "truth.png")] if row["task"] != "velocimetry" else []
         )
-        if not run.get(
-            "error"
-        ):  # a failed run may have left a picture when it once succeeded: it is not this record's
+        # a failed run may have left a figure of an earlier success, which is not this record's
+        if not run.get("error"):
             wanted += [
                 (rank, f"row{number}", f"{stem}.png"),
                 (rank, f"error{number}", f"{stem}.error.png"),
@@ -328,7 +346,10 @@ def _pictures(
 
 
 def _there(pictures: Path, name: str) -> Path | None:
-    """The picture of that name, None where there is none, or no disk could hold one."""
+    """Find the figure of this name.
+
+    None where there is none, or where the name is too long for a disk.
+    """
     if "\0" in name or any(
         len(part.encode("utf-8", "replace")) > LONGEST_PART for part in Path(name).parts
     ):

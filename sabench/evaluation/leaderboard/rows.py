@@ -1,4 +1,4 @@
-"""Records to page: seeds become rows, and rows one static HTML file."""
+"""Rows of the leaderboard, from records, and its static HTML page."""
 
 from __future__ import annotations
 
@@ -21,14 +21,17 @@ _ENTRY = (
     "machine",
     "submission",
 )
-_LARGEST = 1e15  # beyond it no score is meant, and digits would fill the page
+_LARGEST = 1e15  # no meaningful score is beyond it, and its digits would fill the page
 
 
 def over_seeds(records: list[Record]) -> list[Record]:
-    """One row for every case, solver and machine: the first seed's record with `seeds`, `runs` and, in place of every score, its `Mean` over them.
+    """Merge the records of all seeds into one row.
 
-    A score that no seed has is None. `error` counts the seeds that failed and says why the first
-    one did. `runs` are the records of the seeds. Records of unknown tasks make no rows.
+    There is a row for every case, solver and machine. It is the first seed's record with `seeds`,
+    `runs` and, in place of every score, its `Mean` over the seeds.
+
+    A score that no seed has is None. `error` counts the seeds that failed and gives the first one's
+    reason. `runs` are the records of the seeds. Records of unknown tasks make no rows.
     """
     groups: dict[str, list[Record]] = {}
     for record in sorted(records, key=lambda record: int(record["seed"])):
@@ -67,7 +70,9 @@ def _number(value: object) -> float | None:
 
 
 def build_page(records: list[Record], pictures: Path, out: Path) -> None:
-    """Write the records as one self-contained page; `pictures` holds the folders that the records name.
+    """Write the records as one self-contained page.
+
+    `pictures` holds the folders that the records name.
 
     Raises
     ------

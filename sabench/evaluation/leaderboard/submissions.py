@@ -1,4 +1,7 @@
-"""Results that somebody sends: checked, matched to their data sets, scored, recorded and ranked. Data only: nothing of theirs is executed."""
+"""Submitted results: checked, matched to data sets, scored and ranked.
+
+Submissions are data only: sabench executes nothing of them.
+"""
 
 from __future__ import annotations
 
@@ -29,6 +32,7 @@ from sabench.utils.version import __version__
 
 _LONGEST_NAME = 80
 _SCORE_S = 3600.0  # for one result
+# keys of a record that describe the data set
 _CASE = (
     "suite",
     "case",
@@ -40,12 +44,12 @@ _CASE = (
     "seed",
     "split",
     "renderer",
-)  # what a record says of the data set
+)
 
 
 @dataclass(frozen=True)
 class Standing:
-    """Where a submitted result ranks among the latest of its data set and task.
+    """Rank of a submitted result among the latest ones of its data set and task.
 
     Attributes
     ----------
@@ -68,12 +72,14 @@ def submit(
     *,
     date: datetime.date | None = None,
 ) -> list[Standing]:
-    """Score submitted results and put them on the leaderboard; all of them, or none if one is refused.
+    """Score submitted results and add them to the leaderboard.
+
+    If one of them is refused, none is added.
 
     Parameters
     ----------
     path : a result file, or an archive or a folder of some.
-    name : of who submits.
+    name : of the submitter.
     data : folders of data sets, or of folders of them.
     leaderboard : folder of the records and the page.
     date : by default today's.
@@ -113,7 +119,7 @@ def check_name(name: str) -> None:
 
 
 def _datasets(files: list[tuple[str, Path]], folders: Sequence[Path]) -> dict[str, Dataset]:
-    """The data set of every result, by its content hash; each is verified once."""
+    """Find the data set of every result by its content hash; verify each once."""
     known, whole, found = dict(_by_hash(folders)), set(), {}
     for label, file in files:
         probe(file)
@@ -121,12 +127,13 @@ def _datasets(files: list[tuple[str, Path]], folders: Sequence[Path]) -> dict[st
         if wanted not in known:
             where = ", ".join(str(folder) for folder in folders)
             raise InputError(
-                f"{printable(label)}: expected a result of a data set in {where}, but none there has the hash {printable(wanted, 12)!r}"
+                f"{printable(label)}: expected a result of a data set in {where}, but none there "
+                f"has the hash {printable(wanted, 12)!r}"
             )
         root = known[wanted]
         if wanted not in whole and (faults := verify(root)):
             raise InputError(
-                f"{printable(label)}: expected a whole data set at {root}, but {faults[0]}"
+                f"{printable(label)}: expected an intact data set at {root}, but {faults[0]}"
             )
         whole.add(wanted)
         found[label] = open_dataset(root)
@@ -134,7 +141,10 @@ def _datasets(files: list[tuple[str, Path]], folders: Sequence[Path]) -> dict[st
 
 
 def _by_hash(folders: Sequence[Path]) -> Iterator[tuple[str, Path]]:
-    """Content hash and root of every data set at or directly below the folders; what is none is passed over."""
+    """List content hash and root of every data set in the folders.
+
+    Data sets lie at a folder or directly below it; anything else is skipped.
+    """
     for folder in folders:
         if not folder.is_dir():
             raise InputError(f"{folder}: expected a folder of data sets, found none")
@@ -147,17 +157,17 @@ def _content_hash(root: Path) -> str:
     try:
         return open_dataset(root).content_hash
     except InputError:
-        return ""  # a data set that cannot be read is nobody's
+        return ""  # no result belongs to a data set that cannot be read
 
 
 def _record(label: str, file: Path, data: Dataset, known: list[Record]) -> Record:
-    """A record of one result, scored in a process of its own."""
+    """Make the record of one result, which is scored in a child process."""
     scores = call_isolated(
         _score, file, data.root, doing=f"result {printable(label)}", time_s=_SCORE_S
     )
     head = _case(data, known) | {key: scores[key] for key in ("task", "solver", "parameters")}
     run_hash = digest([data.content_hash, head["solver"], head["parameters"]])
-    costs = {"seconds": None, "peak_mb": None}  # of a machine that nobody here has seen
+    costs = {"seconds": None, "peak_mb": None}  # measured on an unknown machine
     figures = {one.key: scores[one.key] for one in tasks.of(head["task"]).columns}
     rest = {
         "dataset": data.content_hash,
@@ -171,7 +181,10 @@ def _record(label: str, file: Path, data: Dataset, known: list[Record]) -> Recor
 
 
 def _score(file: Path, root: Path) -> dict[str, Any]:
-    """The scores of a submitted file: its values are read once, under all checks, and what is scored is a copy of ours."""
+    """Score a copy of a submitted file.
+
+    The values of the file are read once, under all checks, and written to the copy.
+    """
     with tempfile.TemporaryDirectory(prefix="sabench-") as folder:
         copy = Path(folder) / "result.h5"
         adopt(file, root, copy, None, False)
@@ -179,7 +192,11 @@ def _score(file: Path, root: Path) -> dict[str, Any]:
 
 
 def _case(data: Dataset, known: list[Record]) -> Record:
-    """What a record says of its data set: as another record of the same one does, else what the data set itself knows."""
+    """Describe the data set of a record.
+
+    The values are those of another record of the same data set, if there is one, else those of its
+    manifest.
+    """
     twin = next((record for record in known if record["dataset"] == data.content_hash), None)
     if twin:
         return {key: twin.get(key) for key in _CASE if key in twin}
@@ -200,13 +217,17 @@ def _refuse_twins(path: Path, labels: list[str], made: list[Record]) -> None:
         if record["run_hash"] in seen:
             first, second = printable(seen[record["run_hash"]]), printable(label)
             raise InputError(
-                f"{path}: expected one result for each data set, solver and parameters, got {first} and {second}"
+                f"{path}: expected one result for each data set, solver and parameters, got "
+                f"{first} and {second}"
             )
         seen[record["run_hash"]] = label
 
 
 def standing(record: Record, every: Sequence[Record]) -> Standing:
-    """Where a record ranks among the records of its data set and task, by the task's first score; equal scores share the better rank."""
+    """Rank a record among those of its data set and task.
+
+    The task's first score decides; equal scores share the better rank.
+    """
     score = tasks.of(record["task"]).columns[0]
     key, sign = score.key, 1.0 if score.better == "larger" else -1.0
     rivals = [
@@ -233,6 +254,6 @@ def _has(record: Record, key: str) -> bool:
 
 
 def entry_name(record: Record) -> str:
-    """A solver, and who submitted it."""
+    """Name a solver and its submitter."""
     who = f" ({record['submission']['name']})" if record.get("submission") else ""
     return printable(f"{record.get('label') or record['solver']}{who}", 200)

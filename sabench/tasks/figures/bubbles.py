@@ -1,4 +1,7 @@
-"""Bubbles from the front and from the side, as figures 5-18 to 5-20 of the thesis show them."""
+"""Figures of bubbles from the front and from the side.
+
+They follow figures 5-18 to 5-20 of the thesis.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +15,7 @@ _WIDE, _HIGH = 3.8, (2.6, 7.0)  # inches of a panel
 
 
 def bubble_figure(bubbles: AnyBubbles, name: str, title: str = "") -> Figure:
-    """Places and sizes across X-Y and Z-Y."""
+    """Draw positions and sizes across X-Y and Z-Y."""
     x, y, z = bubbles.center_mm.T
     views = (("front", "X, mm", x), ("side", "Z, mm", z))
     panels = [
@@ -23,13 +26,13 @@ def bubble_figure(bubbles: AnyBubbles, name: str, title: str = "") -> Figure:
 
 
 def _inch(center_mm: F64) -> tuple[float, float]:
-    """Width and height of a panel that shows these places."""
+    """Compute the width and height of a panel that shows these positions."""
     x, y, z = np.ptp(center_mm, axis=0) if len(center_mm) else np.ones(3)
     return _WIDE, float(np.clip(0.6 * _WIDE * y / max(x, z, 1e-9), *_HIGH))
 
 
 def detection_figure(found: AnyBubbles, true: AnyBubbles) -> Figure:
-    """True bubbles that were missed and that were found, and those found where there are none, across X-Y and Z-Y."""
+    """Draw the found, missed and false bubbles across X-Y and Z-Y."""
     i, j = match(found.center_mm, true.center_mm, true.radius_mm)
     ghosts, missed = (
         np.setdiff1d(np.arange(len(one.radius_mm)), hit) for one, hit in ((found, i), (true, j))

@@ -1,4 +1,7 @@
-"""Pictures of velocity fields: a slice with its vorticity, errors, and a profile beside the exact one."""
+"""Figures of velocity fields: slices, errors and profiles.
+
+A slice shows the vorticity too, and a profile the exact velocity next to the measured one.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +19,7 @@ _POINTS = 4000  # of a scatter plot at most
 
 
 def field_figure(field: Velocity, exact_mm_s: F64, unit_mm_s: F64, solver: str) -> Figure:
-    """The middle plane of a field, where and how far it is off, and a profile.
+    """Draw the middle plane of a field, its errors, and a profile.
 
     Parameters
     ----------
@@ -36,7 +39,7 @@ def field_figure(field: Velocity, exact_mm_s: F64, unit_mm_s: F64, solver: str) 
 
 
 def _liveliest(field: Velocity) -> int:
-    """The axis about which the fluid turns most in the field's middle plane across it."""
+    """Find the axis with the most vorticity in the middle plane across it."""
     spin = _vorticity(field)
     return int(np.argmax([np.square(_middle(spin, axis)[..., axis]).mean() for axis in range(3)]))
 
@@ -46,19 +49,22 @@ def _vorticity(field: Velocity) -> F64:
 
 
 def _middle(values: npt.NDArray[Any], normal: int) -> npt.NDArray[Any]:
-    """The middle plane across an axis of values (z, y, x, ...): its rows run along the later of the other two axes."""
+    """Cut the middle plane across an axis out of values (z, y, x, ...).
+
+    Its rows run along the later of the other two axes.
+    """
     axis = 2 - normal
     return np.asarray(np.take(values, values.shape[axis] // 2, axis=axis))
 
 
 def _across(normal: int) -> tuple[int, int]:
-    """The axes of columns and rows of a plane."""
+    """Return the axes of columns and rows of a plane."""
     first, second = (axis for axis in range(3) if axis != normal)
     return first, second
 
 
 def _axes(field: Velocity, normal: int) -> tuple[F64, F64]:
-    """Coordinates of a plane's columns and rows."""
+    """Compute the coordinates of a plane's columns and rows."""
     columns, rows = (
         field.low_mm[axis] + field.step_mm[axis] * np.arange(field.valid.shape[2 - axis])
         for axis in _across(normal)
@@ -72,7 +78,10 @@ def _labels(normal: int) -> tuple[str, str]:
 
 
 def slice_panel(field: Velocity, normal: int) -> Panel:
-    """Vectors of the middle plane across an axis (0 to 2), and the vorticity about that axis; invalid vectors are left out."""
+    """Draw vectors and vorticity in the middle plane across an axis (0 to 2).
+
+    The vorticity is the one about that axis; invalid vectors are left out.
+    """
     arrows = np.where(
         _middle(field.valid, normal)[..., None],
         _middle(field.velocity_mm_s, normal)[..., list(_across(normal))],
@@ -90,7 +99,7 @@ def slice_panel(field: Velocity, normal: int) -> Panel:
 
 
 def error_scatter(title: str, errors: F64) -> Panel:
-    """Errors (n, 3) in voxels of v and w over those of u; thesis, figure 2-9."""
+    """Draw errors (n, 3) in voxels of v and w over those of u; thesis, figure 2-9."""
     some = np.random.default_rng(0).permutation(len(errors))[:_POINTS]
     u, v, w = errors[some].T
     return Panel(
@@ -99,7 +108,10 @@ def error_scatter(title: str, errors: F64) -> Panel:
 
 
 def profile_panel(field: Velocity, exact_mm_s: F64, normal: int) -> Panel:
-    """All components along the columns' axis through the middle of a plane, measured and exact."""
+    """Draw the measured and exact components along a line through a plane's middle.
+
+    The line runs along the columns' axis.
+    """
     columns, _ = _axes(field, normal)
     curves = [
         Curve(

@@ -1,4 +1,7 @@
-"""What a solver is given is checked before it starts: one sentence for whatever no algorithm can use."""
+"""Checks of a solver's input before it starts.
+
+One sentence for every input that no algorithm can use.
+"""
 
 from __future__ import annotations
 
@@ -72,7 +75,10 @@ REFUSED: list[tuple[Change, str]] = [
     ),
     (
         with_nan,
-        "images: expected uint16 grey values, got float32, 2 of them NaN or infinite, 1 of them negative",
+        (
+            "images: expected uint16 grey values, got float32, 2 of them NaN or infinite, 1 of "
+            "them negative"
+        ),
     ),
     (
         lambda case: {"images": case.images.astype(np.float64)},
@@ -115,9 +121,9 @@ def test_a_saturated_image_is_refused_and_a_black_one_is_not(case: Observation) 
     images[2] = int(case.white_dn)
     with pytest.raises(InputError) as caught:
         TASK.check_case(replace(case, images=images), "d: frame 0")
-    assert (
-        str(caught.value)
-        == "d: frame 0: camera_02: expected an image that shows something, but every pixel is saturated (4024 or more)"
+    assert str(caught.value) == (
+        "d: frame 0: camera_02: expected an image that shows something, but every pixel is "
+        "saturated (4024 or more)"
     )
     images[2, 50, 60] -= 1
     TASK.check_case(replace(case, images=images), "d: frame 0")
@@ -136,9 +142,9 @@ def test_a_grid_out_of_view_is_refused(case: Observation) -> None:
         away = Grid(low, grid.voxel_mm, (40, 40, 40) if low[2] != -3.0 else (40, 40, 10))
         with pytest.raises(InputError) as caught:
             TASK.check_case(replace(case, grid=away), "d: frame 0")
-        assert (
-            str(caught.value)
-            == "d: frame 0: grid: expected it in view of at least one camera, but no camera of 4 sees any of it"
+        assert str(caught.value) == (
+            "d: frame 0: grid: expected it in view of at least one camera, but no camera of "
+            "4 sees any of it"
         )
     TASK.check_case(
         replace(case, grid=Grid((3.0, 0.0, 30.0), grid.voxel_mm, (1, 1, 300))), "d: frame 0"
@@ -150,7 +156,10 @@ def test_a_grid_that_does_not_fit_is_refused_before_it_is_allocated(
 ) -> None:
     huge = replace(case, grid=Grid(case.grid.low_mm, case.grid.voxel_mm, (4000, 5000, 6000)))
     monkeypatch.setattr(memory, "available_mb", lambda: 5000.0)
-    head = "d: frame 0: grid: expected it to fit into memory, but its 4000 x 5000 x 6000 voxels (z, y, x) need 960000 MB where {} MB are there: at most"
+    head = (
+        "d: frame 0: grid: expected it to fit into memory, but its 4000 x 5000 x 6000 voxels "
+        "(z, y, x) need 960000 MB where {} MB are there: at most"
+    )
     with pytest.raises(InputError) as caught:
         TASK.check_case(huge, "d: frame 0")
     assert str(caught.value) == head.format(5000) + " 20 of its planes fit"
@@ -185,7 +194,10 @@ def test_the_system_says_what_memory_is_there() -> None:
 
 
 def test_a_refused_frame_leaves_nothing(tmp_path: Path) -> None:
-    """The first frame is solved, the second one refused: no result, and no part of one."""
+    """A refused second frame leaves no result, and no part of one.
+
+    The first frame is solved.
+    """
     data: Dataset = sabench.generate(
         make_two_frames(), tmp_path / "set", seed=1, backend="splat", name="s"
     )
@@ -194,9 +206,9 @@ def test_a_refused_frame_leaves_nothing(tmp_path: Path) -> None:
     write_tiff(copy / "images/frame_0001/camera_01.tif", white)
     with pytest.raises(InputError) as caught:
         sabench.solve("msa", copy, tmp_path / "r.h5")
-    assert (
-        str(caught.value)
-        == f"{copy}: frame 1: camera_01: expected an image that shows something, but every pixel is saturated (4024 or more)"
+    assert str(caught.value) == (
+        f"{copy}: frame 1: camera_01: expected an image that shows something, but every "
+        "pixel is saturated (4024 or more)"
     )
     assert sorted(path.name for path in tmp_path.iterdir()) == ["copy", "set"]
 

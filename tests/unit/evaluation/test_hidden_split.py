@@ -12,7 +12,10 @@ from sabench.evaluation.runner import Only
 from sabench.evaluation.suites import load_suite
 from sabench.utils.errors import InputError
 
-SUITE = 'title = "t"\nscenes = ["quick"]\nseeds = [1, 2]\nbackend = "splat"\nsolvers = [{ name = "msa" }, { name = "asa", label = "additive" }]\n'
+SUITE = (
+    'title = "t"\nscenes = ["quick"]\nseeds = [1, 2]\nbackend = "splat"\n'
+    'solvers = [{ name = "msa" }, { name = "asa", label = "additive" }]\n'
+)
 FROZEN = 'frozen = "' + 64 * "0" + '"\n'
 SECRET = 'secret = "0123456789abcdef"\nseeds = 3\n'
 

@@ -17,11 +17,13 @@ WRITER = """
 import sys
 from pathlib import Path
 from sabench.evaluation.records import append
-head = {"scene": "tank", "scene_hash": "5c", "dataset": "da", "renderer": "splat", "parameters": {}, "run_hash": "0", "versions": {}, "machine": {}}
+head = {"scene": "tank", "scene_hash": "5c", "dataset": "da", "renderer": "splat"}
+head |= {"parameters": {}, "run_hash": "0", "versions": {}, "machine": {}}
 print("ready", flush=True)
 sys.stdin.readline()
 for seed in range(int(sys.argv[3])):
-    append(Path(sys.argv[1]), {**head, "solver": sys.argv[2], "seed": seed, "label": sys.argv[2] * 3000})
+    own = {"solver": sys.argv[2], "seed": seed, "label": sys.argv[2] * 3000}
+    append(Path(sys.argv[1]), head | own)
 """
 
 

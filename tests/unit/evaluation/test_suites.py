@@ -1,4 +1,7 @@
-"""Suites say which scenes, changed how; what is wrong in them is said before any work starts. And statistics over seeds."""
+"""Suites of scenes and their changes, and statistics over seeds.
+
+Errors in a suite are reported before any work starts.
+"""
 
 from __future__ import annotations
 
@@ -76,7 +79,10 @@ def test_scenes_times_seeds(tmp_path: Path) -> None:
 
 
 def test_varied_values_make_one_case_for_each_combination(tmp_path: Path) -> None:
-    text = '[[cases]]\nscene = "quick"\nname = "q"\n[cases.vary]\n"particles.count" = [10, 20]\n"calibration.shift_px" = [0.0, 0.5, 1.0]\n'
+    text = (
+        '[[cases]]\nscene = "quick"\nname = "q"\n[cases.vary]\n"particles.count" = [10, 20]\n'
+        '"calibration.shift_px" = [0.0, 0.5, 1.0]\n'
+    )
     cases = load(tmp_path, text)
     assert len(cases) == 6
     assert cases[1].name == "q-count_10-shift_px_0.5"
@@ -89,7 +95,8 @@ def test_varied_values_make_one_case_for_each_combination(tmp_path: Path) -> Non
 
 def test_the_suites_changes_hold_for_all_cases_and_a_case_has_the_last_word(tmp_path: Path) -> None:
     text = (
-        'scenes = ["quick"]\n[set]\n"particles.count" = 7\n"cameras.f_number" = 8.0\n[vary]\n"sensor.bit_depth" = [8, 10]\n'
+        'scenes = ["quick"]\n[set]\n"particles.count" = 7\n"cameras.f_number" = 8.0\n[vary]\n'
+        '"sensor.bit_depth" = [8, 10]\n'
         '[[cases]]\nscene = "quick"\nname = "few"\nset = { "particles.count" = 5 }\n'
     )
     found = {case.name: case.scene for case in load(tmp_path, text)}
@@ -119,7 +126,10 @@ def test_lists_and_tables_go_by_number_in_names(tmp_path: Path) -> None:
 
 
 def test_a_case_may_have_a_renderer_and_solvers_of_its_own(tmp_path: Path) -> None:
-    text = 'scenes = ["demo"]\n[[cases]]\nscene = "quick"\nbackend = "mitsuba"\nsolvers = [{ name = "msa", parameters = { k = 2.0 } }]\n'
+    text = (
+        'scenes = ["demo"]\n[[cases]]\nscene = "quick"\nbackend = "mitsuba"\n'
+        'solvers = [{ name = "msa", parameters = { k = 2.0 } }]\n'
+    )
     demo, quick = load(tmp_path, text)
     assert (demo.renderer, [one.name for one in demo.solvers]) == ("splat", ["asa"])
     assert (quick.renderer, [(one.name, one.parameters) for one in quick.solvers]) == (
@@ -232,7 +242,11 @@ def test_the_thesis_arrays_are_as_it_says(
     ("name", "share"), [*((name, 1.0 / 16.0) for name, *_ in THESIS), ("elsinga-35x35x7", 0.25)]
 )
 def test_a_lone_particle_is_as_bright_as_the_scene_says(name: str, share: float) -> None:
-    """The brightest pixel of a particle whose image lies on a pixel's centre, as a share of the full well, in the camera that sees most light."""
+    """A lone particle has its brightest pixel at the share that the scene says.
+
+    As a share of the full well, for a particle whose image lies on a pixel's centre, in the
+    camera that sees most light.
+    """
     scene = load_scene(name)
     lone = Particles(
         np.array([0]),

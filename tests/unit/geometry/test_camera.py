@@ -1,4 +1,7 @@
-"""The pinhole with distortion against OpenCV and closed forms, arrays of cameras, and what focusing through a wall means."""
+"""The pinhole camera with distortion against OpenCV and closed forms.
+
+Also arrays of cameras, and the meaning of focusing through a wall.
+"""
 
 from __future__ import annotations
 
@@ -227,7 +230,10 @@ def test_shifting_moves_the_pinhole_in_the_plane_of_the_lens() -> None:
 
 
 def corner_integral(a: float, b: float) -> float:
-    """Integral of (1 + x^2 + y^2)^-2 over 0..a, 0..b: pi times the view factor of a plate from a point below its corner."""
+    """Return the integral of (1 + x^2 + y^2)^-2 over 0..a, 0..b.
+
+    It is pi times the view factor of a plate from a point below its corner.
+    """
     p, q = math.hypot(1.0, a), math.hypot(1.0, b)
     return 0.5 * (a / p * math.atan(b / p) + b / q * math.atan(a / q))
 
@@ -250,7 +256,11 @@ def test_etendue_falls_with_the_fourth_power_of_the_cosine() -> None:
 
 
 def test_etendue_with_distortion_counts_directions() -> None:
-    """Ideal points, one at random in each of 1500 x 1000 cells, weighted with what a pupil sees of them, land in pixels through OpenCV's lens."""
+    """The etendue with distortion agrees with a count of random points.
+
+    One ideal point at random in each of 1500 x 1000 cells, weighted with the pupil's view of it,
+    goes through OpenCV's lens to a pixel.
+    """
     camera = make_camera(distortion=BROWN)
     place = np.stack(
         np.meshgrid(np.arange(1500), np.arange(1000)), axis=-1
@@ -296,7 +306,10 @@ def test_pixels_that_the_lens_does_not_reach_collect_nothing() -> None:
 
 
 def test_etendue_of_one_pixel_is_an_integral_over_it() -> None:
-    """The ideal coordinates' Jacobian by Gauss-Legendre over the pixel and differences far inside it."""
+    """Gauss-Legendre over the pixel integrates the ideal coordinates' Jacobian.
+
+    The Jacobian is of differences over much less than a pixel.
+    """
     camera = make_camera(distortion=BROWN)
     etendue, (nodes, weights) = camera.etendue(), leggauss(3)
     for row, column in ((0, 0), (299, 499), (17, 480)):
@@ -319,7 +332,10 @@ def test_etendue_of_one_pixel_is_an_integral_over_it() -> None:
 
 
 def coddington(wall: Wall, before: float, behind: float, sine: float) -> float:
-    """Mean apparent distance of a point seen through the wall at an angle: the tangential and the sagittal image of its pencil."""
+    """Return the mean apparent distance of a point seen through the wall at an angle.
+
+    The mean of the tangential and the sagittal image of its pencil.
+    """
     depths = [before, *(layer.thickness_mm for layer in wall.layers), behind]
     n0, cosine = wall.air_index, math.sqrt(1.0 - sine**2)
     roots = [math.sqrt(n * n - (n0 * sine) ** 2) for n in wall.indices]
@@ -422,7 +438,10 @@ def test_cross_has_a_centre_and_four_equal_arms() -> None:
 
 @pytest.mark.parametrize("layers", range(4))
 def test_the_projection_kernel_and_the_traced_path_agree(layers: int) -> None:
-    """Two programs: one unknown in vector registers, and the path with its bracket by numpy; any order of indices, points outside the fluid too."""
+    """Two programs agree for any order of indices, and for points outside the fluid.
+
+    One has one unknown in vector registers, the other brackets the path by numpy.
+    """
     rng = np.random.default_rng(layers)
     normal = np.array([0.2, -0.3, 1.0]) / np.linalg.norm([0.2, -0.3, 1.0])
     indices = rng.uniform(1.0, 2.4, layers + 2).tolist()

@@ -1,4 +1,7 @@
-"""Voxel grids, the field of a perfect reconstruction, and maps of planes against exact projection."""
+"""Voxel grids, ideal fields, and maps of planes against exact projection.
+
+An ideal field is that of a perfect reconstruction.
+"""
 
 from __future__ import annotations
 
@@ -162,7 +165,10 @@ def on_plane(z_mm: float, unit: F64) -> F64:
 
 
 def evaluated(coefficients: F64, degree: int, unit: F64) -> F64:
-    """The documented polynomial: terms ordered by the power of v, then of u, up to a total degree."""
+    """Evaluate the documented polynomial.
+
+    Its terms are ordered by the power of v, then of u, up to a total degree.
+    """
     powers = [(i, j) for j in range(degree + 1) for i in range(degree + 1 - j)]
     return np.stack(
         [

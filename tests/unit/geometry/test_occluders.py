@@ -1,4 +1,7 @@
-"""Discs in front of the wall: where their shadow lies, in truth and in both renderers, and who may know of them."""
+"""Discs in front of the wall.
+
+Their shadow in truth and in both renderers, and the solvers that may see them.
+"""
 
 from __future__ import annotations
 
@@ -38,7 +41,10 @@ def with_discs(scene: Scene, *discs: dict[str, Any]) -> Scene:
 
 
 def before_camera(camera: Camera, share: float, radius_mm: float, **more: Any) -> dict[str, Any]:
-    """A disc on the optical axis, at that share of the way to the wall of the quick scene (z = 0)."""
+    """Return the table of a disc on the optical axis.
+
+    It stands at `share` of the distance to the wall of the quick scene (z = 0).
+    """
     start, forward = np.asarray(camera.center_mm), np.asarray(camera.rotation[2])
     return {
         "center_mm": (start - forward * (share * start[2] / forward[2])).tolist(),
@@ -48,7 +54,10 @@ def before_camera(camera: Camera, share: float, radius_mm: float, **more: Any) -
 
 
 def crossing(camera: Camera, point: F64, z_mm: float) -> F64:
-    """Where the light path from a point to a pinhole before the quick scene's wall (z = 0, normal z) passes z < 0: Snell's law and a root search."""
+    """Return the position at depth z < 0 of the light path from a point to a pinhole.
+
+    The path passes the quick scene's wall (z = 0, normal z). Snell's law and a root search.
+    """
     wall, pinhole = camera.wall, np.asarray(camera.center_mm)
     assert wall is not None
     depths = np.array(
@@ -94,7 +103,10 @@ def outline(camera: Camera, disc: Disc) -> F64:
 
 
 def distance_inside(polygon: F64, pixels: F64) -> F64:
-    """How far pixels (n, 2) lie inside a convex polygon, px; negative outside."""
+    """Return the distance of pixels (n, 2) from a convex polygon's border, px.
+
+    Positive inside the polygon, negative outside.
+    """
     side = np.roll(polygon, -1, axis=0) - polygon
     normal = np.stack([-side[:, 1], side[:, 0]], axis=1) / np.linalg.norm(
         side, axis=1, keepdims=True
@@ -132,7 +144,10 @@ def test_both_renderers_agree_away_from_the_edge(variant: str) -> None:
 
 
 def test_rays_cut_an_image_at_the_very_edge_of_a_disc() -> None:
-    """Also the images of particles whose own path is stopped, where they reach beyond the edge."""
+    """The edge of a disc cuts images.
+
+    Also those of particles whose own path is stopped, where they reach beyond the edge.
+    """
     scene = with_discs(
         make_scene(cameras={"particle_sigma_px": 2.0}), before_camera(QUICK, 0.3, 0.5)
     )

@@ -1,4 +1,7 @@
-"""Camera models other than the refractive pinhole: fits, inverses, and what reconstruction makes of them."""
+"""Camera models other than the refractive pinhole.
+
+Fits, inverses, and reconstruction with them.
+"""
 
 from __future__ import annotations
 
@@ -52,7 +55,11 @@ def fitted(camera: Camera) -> list[CameraModel]:
 
 @pytest.mark.parametrize(("kind", "most"), [(1, 0.35), (2, 0.01), (3, 0.1)])
 def test_what_is_lost_without_refraction(kind: int, most: float) -> None:
-    """Mean errors of exact points of a corner camera at D = 0.3: a projective map .16 px, Soloff's polynomial below .01, planes 8 mm apart .06."""
+    """Models without refraction lose little at D = 0.3.
+
+    Mean errors of exact points of a corner camera: a projective map 0.16 px, Soloff's polynomial
+    below 0.01 px, planes 8 mm apart 0.06 px.
+    """
     camera = build_rig(calibration_scene()).cameras[0]
     rng = np.random.default_rng(1)
     points = np.column_stack([rng.uniform(-20.0, 20.0, (1000, 2)), rng.uniform(15.0, 55.0, 1000)])
@@ -74,7 +81,10 @@ def test_a_camera_in_air_is_projective() -> None:
 
 @pytest.mark.parametrize("kind", [0, 1, 2, 3])
 def test_lines_of_sight_lead_back(kind: int) -> None:
-    """`carry` keeps the pixel; so does `back_project`, up to the bend of a polynomial's lines between its ends."""
+    """`carry` keeps the pixel, and so does `back_project`.
+
+    The latter up to the bend of a polynomial's lines between its ends.
+    """
     model = fitted(build_rig(calibration_scene()).cameras[3])[kind]
     points = lattice(10.0)
     pixels, valid = model.project(points)
@@ -117,7 +127,10 @@ def test_points_that_do_not_determine_a_model_are_refused() -> None:
         fit_projective("cam", 10, 10, flat, pixels[: len(flat)])
     with pytest.raises(
         InputError,
-        match="cam: a polynomial of 19 terms: expected points that determine it, got 121 that leave 9 terms open",
+        match=(
+            "cam: a polynomial of 19 terms: expected points that determine it, got 121 that "
+            "leave 9 terms open"
+        ),
     ):
         fit_soloff("cam", 10, 10, flat, pixels[: len(flat)])
     with pytest.raises(InputError, match="cam: expected points on two planes at least, got 1"):
@@ -136,7 +149,10 @@ def test_points_that_do_not_determine_a_model_are_refused() -> None:
 
 
 def test_reconstruction_runs_on_polynomials() -> None:
-    """Refocusing by Soloff's polynomials is that by the exact cameras, as far as they agree."""
+    """Refocusing by Soloff's polynomials agrees with that by the exact cameras.
+
+    It does so as far as the cameras agree.
+    """
     shot = simulate(make_scene(particles={"count": 40}), seed=2)
     seen = shot.observation
     low = np.asarray(seen.grid.low_mm)

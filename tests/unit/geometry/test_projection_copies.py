@@ -1,4 +1,7 @@
-"""Copies of the projection against the reference; docs/developing/copies-of-the-projection.md."""
+"""Copies of the projection against the reference.
+
+See docs/developing/copies-of-the-projection.md.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""The light path through a wall, against paths that are built by hand: Snell, Fermat, Fresnel and the symmetries of space."""
+"""The light path through a wall, against paths that are built by hand.
+
+Snell, Fermat, Fresnel and the symmetries of space.
+"""
 
 from __future__ import annotations
 
@@ -48,7 +51,10 @@ def make_wall(
 
 
 def random_walls() -> list[Wall]:
-    """20 walls of 0 to 4 layers, tilted up to 35 degrees, 0.01 to 50 mm thick; some of the layers rarer than both sides."""
+    """Make 20 walls of 0 to 4 layers, 0.01 to 50 mm thick.
+
+    They are tilted by up to 35 degrees, and some of the layers are rarer than both sides.
+    """
     rng = np.random.default_rng(20)
     walls = []
     for k in range(20):
@@ -67,7 +73,11 @@ WALLS = random_walls()
 
 
 def hand_path(wall: Wall, before: float, behind: float, sine: float) -> tuple[F64, F64]:
-    """Lateral positions and depths of a path's corners (pinhole, crossings, end); `sine` is that in the rarest medium."""
+    """Return lateral positions and depths of a path's corners.
+
+    The corners are the pinhole, the crossings and the end. `sine` is that of the angle in the
+    rarest medium.
+    """
     depths = [before, *(layer.thickness_mm for layer in wall.layers), behind]
     invariant = min(wall.indices) * sine
     lateral = [
@@ -86,7 +96,10 @@ def in_world(wall: Wall, across: F64, lateral: F64, depth: F64) -> F64:
 
 
 def hand_paths(wall: Wall, count: int, seed: int) -> list[F64]:
-    """Corners (2 + interfaces, 3) of `count` paths from one pinhole, up to 78 degrees in the rarest medium."""
+    """Return corners (2 + interfaces, 3) of `count` paths from one pinhole.
+
+    Up to 78 degrees in the rarest medium.
+    """
     rng = np.random.default_rng(seed)
     basis = np.asarray(aimed_rotation(np.asarray(wall.normal)))
     before = rng.uniform(100.0, 600.0)
@@ -105,7 +118,10 @@ def hand_paths(wall: Wall, count: int, seed: int) -> list[F64]:
 
 
 def crossings(wall: Wall, start: F64, leaving: F64) -> list[F64]:
-    """Where a ray meets the interfaces: planes intersected by hand, turned in the plane of incidence by angles."""
+    """Return the points where a ray meets the interfaces.
+
+    Planes are intersected by hand and turned in the plane of incidence by angles.
+    """
     normal, here, direction, met = np.asarray(wall.normal), start, leaving, []
     for depth, n1, n2 in zip(
         wall.interface_depths_mm, wall.indices[:-1], wall.indices[1:], strict=True
@@ -238,7 +254,10 @@ def test_lateral_distance_is_met(wall: Wall) -> None:
 
 @pytest.mark.parametrize("wall", WALLS)
 def test_the_iteration_ends_in_a_few_steps(wall: Wall, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Newton's iteration doubles its digits: a stopping rule that asks for more of them than a double has would go on to the limit."""
+    """The stopping rule asks for no more digits than a double has.
+
+    Newton's iteration doubles its digits; with a stricter rule it would run to its limit.
+    """
     calls, lateral = [], sabench.geometry.refraction._lateral
 
     def counted(*arguments: Any) -> Any:
@@ -428,7 +447,10 @@ def test_brewsters_angle_passes_all_of_the_parallel_part() -> None:
 
 @pytest.mark.parametrize("wall", WALLS)
 def test_transmittance_is_the_transmitted_power(wall: Wall) -> None:
-    """n2 cos2 |t|^2 / (n1 cos1), averaged over the two polarisations at each interface, from the amplitudes t."""
+    """Return n2 cos2 |t|^2 / (n1 cos1), averaged over the two polarisations.
+
+    At each interface, from the amplitudes t.
+    """
     for path in hand_paths(wall, 10, 7):
         cosines = [
             math.sqrt(1.0 - sine_of(step, wall.normal) ** 2) for step in np.diff(path, axis=0)

@@ -1,4 +1,7 @@
-"""Steps before reconstruction: each against another program or by its own definition, and where a solver sees them."""
+"""Steps before reconstruction.
+
+Each against another program or its own definition, and as part of a solver's input.
+"""
 
 from __future__ import annotations
 

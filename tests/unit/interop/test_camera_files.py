@@ -1,4 +1,7 @@
-"""Cameras in other programs' formats: their own code projects points where ours does."""
+"""Cameras in other programs' formats.
+
+Those programs' code projects points to the same pixels as sabench.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Scores of bubbles: perfect for the truth, and what they must be for known faults."""
+"""Scores of bubbles.
+
+Perfect for the truth, and as expected for known faults.
+"""
 
 from __future__ import annotations
 
@@ -102,7 +105,10 @@ def test_nothing_found_has_no_errors() -> None:
 
 
 def fine_air(law: JetLaw, depth_mm: float) -> tuple[F64, F64]:
-    """Very many equal bubbles whose density is a law's concentration, and their radii."""
+    """Return positions and radii of very many equal bubbles.
+
+    Their density is the concentration of a law.
+    """
     rng = np.random.default_rng(7)
     y = np.linspace(0.0, depth_mm, 20001)
     air = law.air_mm2(y)
@@ -115,7 +121,10 @@ def fine_air(law: JetLaw, depth_mm: float) -> tuple[F64, F64]:
 
 
 def test_figures_of_a_jet_are_those_of_its_law() -> None:
-    """Bins blur: the law's own means over bins are what they must be; Y_p is where they drop."""
+    """The law's own means over bins are as expected, though bins blur.
+
+    Y_p is where they drop.
+    """
     law = JetLaw(120.0, 48.1, 0.0034)
     centers, radii = fine_air(law, 200.0)
     figures = analyse(centers, radii, np.array([3.0, -2.0, 50.0]), 200.0, EDGE)
@@ -151,7 +160,11 @@ def test_no_bubbles_have_no_figures() -> None:
 
 
 def test_small_ones_and_those_among_many_are_counted_apart() -> None:
-    """Three of radius 1 mm close together, one alone, one small alone: the crowd fills 2 (1 / 6)^3 around each of its own."""
+    """Crowding is counted around each bubble.
+
+    Of five bubbles, three of radius 1 mm are close together, one is alone, and a small one is
+    alone. The crowd fills 2 (1 / 6)^3 around each of the three.
+    """
     places = np.array(
         [[0.0, 0.0, 0.0], [2.5, 0.0, 0.0], [0.0, 2.5, 0.0], [40.0, 0.0, 0.0], [80.0, 0.0, 0.0]]
     )

@@ -1,4 +1,4 @@
-"""How well a code is read."""
+"""Scores of a code's reading."""
 
 from __future__ import annotations
 
@@ -26,7 +26,10 @@ def test_guessing_reads_half() -> None:
 
 
 def test_noise_is_read_as_the_normal_law_says() -> None:
-    """Two normal clouds whose means are d' apart are told apart with the probability Phi(d' / 2)."""
+    """Two normal clouds are separated with the probability Phi(d' / 2).
+
+    Their means are d' apart.
+    """
     from scipy.stats import norm
 
     rng = np.random.default_rng(2)

@@ -1,4 +1,7 @@
-"""Local maxima: against a slow search, on plateaus, and how near the fit comes to Gaussian particles."""
+"""Local maxima.
+
+Against a slow search, on plateaus, and the fit's accuracy for Gaussian particles.
+"""
 
 from __future__ import annotations
 
@@ -29,7 +32,11 @@ def gaussians(shape: tuple[int, int, int], places: F64, sigma: float) -> F32:
 
 
 def slow_maxima(volume: F32, floor: float) -> list[tuple[float, ...]]:
-    """Mean places (x, y, z) of the connected sets of equal voxels that reach the floor and border on lower voxels only."""
+    """Return the mean positions (x, y, z) of local maxima by a slow search.
+
+    A maximum is a connected set of equal voxels that reach the floor and border on lower voxels
+    only.
+    """
     maxima = []
     for value in np.unique(volume[volume >= floor]):
         labels, count = ndimage.label(volume == value, structure=np.ones((3, 3, 3)))
@@ -44,7 +51,11 @@ def slow_maxima(volume: F32, floor: float) -> list[tuple[float, ...]]:
 @settings(max_examples=60, deadline=None, derandomize=True)
 @given(arrays(np.float32, (4, 5, 6), elements=st.integers(0, 4).map(float)))
 def test_plateaus_are_maxima_once_each(volume: F32) -> None:
-    """Few different values make many plateaus of odd shapes; a single voxel may be fitted up to half a voxel away."""
+    """Every plateau is found once.
+
+    Few different values make many plateaus of odd shapes. A single voxel may be fitted up to half
+    a voxel away.
+    """
     found, expected = fitted_maxima(volume, 1.0), slow_maxima(volume, 1.0)
     assert len(found) == len(expected)
     for place in found:

@@ -1,4 +1,8 @@
-"""Quality and detection: laws that hold for any input, cases that can be counted on paper, and slow counts of the same rules."""
+"""Quality factor and detection.
+
+Laws that hold for any input, cases that can be counted on paper, and slow counts of the same
+rules.
+"""
 
 from __future__ import annotations
 
@@ -68,7 +72,10 @@ def test_quality_is_symmetric_and_bounded(a: F32, b: F32) -> None:
 @settings(max_examples=60, deadline=None, derandomize=True)
 @given(volumes, volumes)
 def test_quality_falls_with_what_is_added_elsewhere(a: F32, b: F32) -> None:
-    """Light where the truth has none can only lower Q: by the share of the energy that it adds."""
+    """Light where the truth has none can only lower Q.
+
+    It does so by the share of the energy that it adds.
+    """
     truth, ghosts = a.copy(), b.copy()
     truth[1:], ghosts[:1] = 0.0, 0.0
     with_ghosts = quality(truth + ghosts, truth)
@@ -142,7 +149,10 @@ def test_detect_leaves_out_the_faintest_tenth() -> None:
 
 @pytest.mark.parametrize("value", [1.0, 0.3, 7.5])
 def test_detect_finds_particles_of_equal_brightness(value: float) -> None:
-    """A solver may return a volume of zeros and ones; a single bright voxel is one particle."""
+    """A solver may return a volume of zeros and ones.
+
+    A single bright voxel is one particle.
+    """
     volume = np.zeros((5, 6, 7), dtype=np.float32)
     volume[1, 2, 3] = value
     np.testing.assert_allclose(detect(volume), [[3.0, 2.0, 1.0]])
@@ -252,7 +262,11 @@ def test_a_pair_counts_where_its_truth_lies(count: Masked) -> None:
 
 
 def slow_thesis(detections: F64, truths: F64) -> list[tuple[int, int]]:
-    """(detection, truth) pairs: for each truth the nearest of the detections that lie within 1.5 voxels and nearest to it."""
+    """Return (detection, truth) pairs by a slow search.
+
+    For each truth, the nearest of the detections that lie within 1.5 voxels and have it as their
+    nearest truth.
+    """
     pairs = []
     distance = [[math.dist(d, t) for t in truths] for d in detections]
     for j in range(len(truths)):

@@ -1,4 +1,7 @@
-"""Scores of tracks: perfect for the truth, what they must be for known faults, and the same as counted pair by pair."""
+"""Scores of trajectories.
+
+Perfect for the truth, known for known faults, and equal to a count pair by pair.
+"""
 
 from __future__ import annotations
 
@@ -43,7 +46,11 @@ def test_the_truth_is_perfect() -> None:
 
 
 def test_errors_of_velocity_are_those_of_displacements() -> None:
-    """An offset that grows by 0.1 mm along Y from frame to frame, over 0.5, 1 and 0.5 s: 0.2, 0.1 and 0.2 mm/s."""
+    """The velocity error of a known fault.
+
+    An offset grows by 0.1 mm along Y from frame to frame, over 0.5, 1 and 0.5 s: 0.2, 0.1 and 0.2
+    mm/s.
+    """
     true = true_bubbles()
     found = [
         Detections.balls(one.center_mm + np.array([0.0, 0.1 * frame, 0.0]), one.radius_mm)
@@ -75,7 +82,10 @@ def test_tracks_that_break_and_that_swap() -> None:
 
 
 def test_ghosts_and_what_is_missing() -> None:
-    """Ten are not found in one frame, which is no fault of the linking; links of ghosts are."""
+    """Ten bubbles are missing in one frame, which is no fault of the linking.
+
+    Links of ghosts are one.
+    """
     true = true_bubbles()
     some = [one if frame != 1 else one[one.id >= 10] for frame, one in enumerate(true)]
     got = scores(some, [one.id for one in some])
@@ -120,7 +130,7 @@ def test_where_there_is_nothing_to_count() -> None:
 
 @pytest.mark.parametrize("seed", range(5))
 def test_as_counted_one_by_one(seed: int) -> None:
-    """Random numbers of tracks, missing bubbles and ghosts, against loops over ids."""
+    """Random trajectories, missing bubbles and ghosts, against loops over ids."""
     rng, true = np.random.default_rng(seed), true_bubbles()
     owner: list[dict[int, int]] = []
     found, track = [], []

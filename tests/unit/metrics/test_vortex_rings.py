@@ -1,4 +1,7 @@
-"""Circulation and cores of vortices whose circulation is known, and pictures of fields."""
+"""Circulation and cores of vortices whose circulation is known.
+
+And pictures of fields.
+"""
 
 from __future__ import annotations
 
@@ -55,7 +58,11 @@ def test_a_rotation_s_circulation_is_its_vorticity_times_the_area() -> None:
 @pytest.mark.parametrize("degrees", [0.0, 40.0, 90.0, 180.0])
 @pytest.mark.parametrize("axis", [(0.0, 1.0, 0.0), (0.0, 0.0, -1.0)])
 def test_a_ring_is_found_at_every_angle(degrees: float, axis: tuple[float, float, float]) -> None:
-    """The circulation of equation 2.14 about a circle of radius R is 2 pi e v R^2 exp(-R / l) / l; a square's lies between its circles'."""
+    """The circulation of equation 2.14 lies between those of two circles.
+
+    About a circle of radius R it is 2 pi e v R^2 exp(-R / l) / l; a square's lies between those
+    of its inner and outer circles.
+    """
     ring = flow_of("vortex_ring", axis=axis, diameter_mm=20.0, core_mm=4.0, peak_mm_s=50.0)
     half = half_plane((0.0, 0.0, 0.0), axis, (1.0, 0.0, 0.0), degrees)
     found = circulation(lambda points: ring.velocity(points, 0.0), half, 10.0, 0.0, 12.0, 12.0)

@@ -1,4 +1,7 @@
-"""Figures: every curve and histogram is drawn in its place, and equal figures are equal pictures."""
+"""Charts.
+
+Every curve and histogram is drawn at its position, and equal charts are equal pictures.
+"""
 
 from __future__ import annotations
 

@@ -95,7 +95,10 @@ def test_fault_names_key_and_expectation(
 
 
 def test_all_faults_are_named_together(tmp_path: Path, quick_toml: str) -> None:
-    """Faults of keys, of numbers, of a generator's parameters and of missing tables, a line each."""
+    """A file with four kinds of faults gives a line each.
+
+    Keys, numbers, a generator's parameters and missing tables.
+    """
     file = tmp_path / "bad.toml"
     laser = re.compile(r"\[illumination\].*?(?=\n\[)", re.DOTALL)
     text = laser.sub("", quick_toml)
@@ -160,7 +163,10 @@ WORLDS = {
 
 @pytest.mark.parametrize("name", WORLDS)
 def test_a_scene_has_one_world(name: str) -> None:
-    """What the world needs is there; particles come with their laser, and only they do."""
+    """A world's required tables are present.
+
+    Particles need their laser, and only they do.
+    """
     scene = load_scene(name)
     assert isinstance(scene.world, WORLDS[name])
     assert (scene.tracers is None) == (scene.particles is None)
@@ -186,7 +192,7 @@ def test_resolved_scene_is_the_same_scene(tmp_path: Path) -> None:
 
 
 def test_what_a_scene_does_not_have_is_not_in_its_hash() -> None:
-    """Data sets of earlier versions hold the hash of scenes that knew nothing of these tables."""
+    """Data sets of earlier versions hold the hash of scenes without these tables."""
     values = load_scene("quick").to_dict()
     assert not {"occluders", "calibration"} & set(values)
     with_both = values | {

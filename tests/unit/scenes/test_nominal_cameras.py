@@ -1,4 +1,7 @@
-"""Solvers are told cameras that are off by a given length; pictures and truth come from the true ones."""
+"""Nominal cameras of solvers, which are off by a given length.
+
+Images and truth come from the true cameras.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Velocity fields: gradients against differences, divergence, and paths that must close."""
+"""Velocity fields.
+
+Gradients against differences, divergence, and paths that must close.
+"""
 
 from __future__ import annotations
 
@@ -80,7 +83,10 @@ def test_the_ring_is_equation_2_14() -> None:
 
 
 def test_fluid_crosses_the_ring_s_axis_or_stays_beside_it() -> None:
-    """Above the ring fluid comes together at the axis; with a fold there, its path could not be followed."""
+    """Above the ring, fluid converges on the axis.
+
+    With a fold there, its path could not be followed.
+    """
     ring = flow("vortex_ring", {"peak_mm_s": 100.0})
     there = advect(ring, points(3000), 0.0, 0.1, 1e-6)
     assert np.isfinite(there).all()
@@ -121,7 +127,10 @@ def test_abc_is_parallel_to_its_vorticity() -> None:
 
 
 def test_oseen_s_vortex_diffuses() -> None:
-    """It satisfies the vorticity equation: d(omega)/dt = nu laplacian(omega), by differences."""
+    """The flow satisfies the vorticity equation.
+
+    d(omega)/dt = nu laplacian(omega), by differences.
+    """
     field = flow("lamb_oseen_vortex", {"viscosity_mm2_s": 1.0})
     places = np.column_stack([np.linspace(0.5, 9.0, 12), np.zeros(12), np.zeros(12)])
 

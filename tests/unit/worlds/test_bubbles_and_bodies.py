@@ -37,11 +37,14 @@ def apart_by_points(
     axes_2: np.ndarray,
     turn_2: np.ndarray,
 ) -> float:
-    """The same factor as `contact` by bisection on growing ellipsoids: the second touches the first where the nearest of its points is on it."""
+    """Return the same factor as `contact` by bisection on growing ellipsoids.
+
+    The second touches the first where the nearest of its points is on it.
+    """
     from scipy.optimize import minimize
 
     def grown(factor: float) -> bool:
-        """Whether the ellipsoids, grown by a factor, have a point in common."""
+        """Return True if the ellipsoids, grown by a factor, have a point in common."""
 
         def inside(x: np.ndarray) -> float:
             first = np.linalg.norm((turn @ (x - one)) / (factor * axes))

@@ -1,4 +1,7 @@
-"""Calibration targets: where they are, what is found of them, in pictures and without, and what is known beforehand."""
+"""Calibration targets.
+
+Their positions, their detected points with and without images, and the prior knowledge of them.
+"""
 
 from __future__ import annotations
 
@@ -50,7 +53,10 @@ def small_camera() -> Camera:
     [("checkerboard", 0.04, 0.03), ("circles", 0.05, 0.04), ("charuco", 0.1, 0.05)],
 )
 def test_a_rendered_board_is_found_where_it_is(pattern: str, spread: float, bias: float) -> None:
-    """Mitsuba's rays, our projection and OpenCV's detectors are three programs: points agree to hundredths of a pixel."""
+    """Points agree to hundredths of a pixel between three programs.
+
+    Mitsuba's rays, our projection and OpenCV's detectors.
+    """
     camera, target = small_camera(), BOARDS[pattern]
     picture = render(camera, target, POSE, LAMPS, np.array([0.0, 0.0, 35.0]), 16)
     grey = np.clip(np.random.default_rng(0).normal(2800.0 * picture, 3.0), 0.0, 4095.0).astype(
@@ -71,7 +77,10 @@ def test_a_rendered_wand_is_found_on_its_lit_side() -> None:
 
 
 def test_small_glowing_balls_are_found_where_they_are() -> None:
-    """They are less than a thousandth of a noisy image, and evenly bright: nothing draws a centroid aside."""
+    """Nothing draws the centroid of a small ball aside.
+
+    The balls cover less than a thousandth of a noisy image, and are uniformly bright.
+    """
     camera, target = small_camera(), Target("wand", 3, 1, 12.0, 1.0)
     glow = LAMPS.model_copy(update={"even": 1.0})
     picture = render(camera, target, POSE, glow, np.array([0.0, 0.0, 35.0]), 16)
@@ -123,7 +132,10 @@ def test_our_charuco_board_is_opencv_s() -> None:
 
 @pytest.mark.parametrize("quarters", [0, 1, 2, 3])
 def test_a_board_s_points_keep_their_names_however_it_lies(quarters: int) -> None:
-    """Circles look the same after a turn: the rough calibration says which way they lie."""
+    """The initial guess of a calibration determines the rotation of circles.
+
+    They look the same after a rotation.
+    """
     target = Target("circles", 5, 4, 4.0, 2.0)
     angle = np.deg2rad(90.0 * quarters + 12.0)
     turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
@@ -233,7 +245,10 @@ def test_a_target_s_data_set_is_whole_and_holds_what_was_shown(tmp_path: Path) -
 def test_a_target_without_lamps_is_not_rendered(tmp_path: Path) -> None:
     with pytest.raises(
         InputError,
-        match="boards: lighting: expected lamps to render a target by, got none; the backend splat needs none",
+        match=(
+            "boards: lighting: expected lamps to render a target by, got none; the backend "
+            "splat needs none"
+        ),
     ):
         sabench.generate(calibration_scene(), tmp_path / "set", backend="mitsuba", name="boards")
     assert list(tmp_path.iterdir()) == []
@@ -247,6 +262,9 @@ def test_a_scene_shows_particles_or_a_target() -> None:
         parse_scene(values | {"particles": {"generator": "uniform", "count": 3}}, "s")
     with pytest.raises(
         InputError,
-        match=r"s: targets.generator: expected a generator of targets, got uniform, which makes particles",
+        match=(
+            r"s: targets.generator: expected a generator of targets, got uniform, which makes "
+            r"particles"
+        ),
     ):
         parse_scene(values | {"targets": {"generator": "uniform", "count": 3}}, "s")

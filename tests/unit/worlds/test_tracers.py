@@ -1,4 +1,7 @@
-"""Particles from frame to frame: carried exactly, replaced where they leave, seen when the laser flashes."""
+"""Particles from frame to frame.
+
+Moved exactly, replaced where they leave, and seen when the laser flashes.
+"""
 
 from __future__ import annotations
 
@@ -63,7 +66,10 @@ def test_any_frame_is_the_same_by_itself() -> None:
 
 @pytest.mark.parametrize("flow", [ABC, WIND])
 def test_the_density_stays_even(flow: dict[str, Any]) -> None:
-    """After many frames the volume is as full as at the start, and evenly so up to its faces."""
+    """After many frames the volume is as full as at the start.
+
+    It is uniformly full up to its faces.
+    """
     scene = moving_scene(flow=flow, frames=40)
     motion = Motion(scene, 1)
     particles = [motion.at(frame) for frame in range(40)][-1]
@@ -150,7 +156,10 @@ def test_a_sheet_beside_another_lights_other_particles() -> None:
 
 
 def test_long_pulses_leave_streaks() -> None:
-    """A streak of length s has the variance s^2 / 12 along it on top of the image's own, and as much light."""
+    """A streak of length s adds the variance s^2 / 12 along it, and no light.
+
+    On top of the image's own variance.
+    """
     one = {
         "particles": {"generator": "uniform", "count": 1},
         "flow": {"generator": "linear_flow", "velocity_mm_s": [100.0, 0.0, 0.0]},

@@ -1,4 +1,4 @@
-"""What bubbles look like, how outlines are voted for, and how the thesis's potential weighs windows."""
+"""Profiles of bubbles, votes for outlines, and weights of the thesis's potential."""
 
 from __future__ import annotations
 

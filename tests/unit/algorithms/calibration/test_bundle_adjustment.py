@@ -1,4 +1,8 @@
-"""Bundle adjustment: derivatives, exactness, the bound, outliers, anchors, and what a wall leaves open."""
+"""Bundle adjustment.
+
+Derivatives, exactness, the Cramer-Rao bound, outliers, anchors, and what a wall leaves
+undetermined.
+"""
 
 from __future__ import annotations
 
@@ -52,7 +56,10 @@ def truth(
     ],
 )
 def test_the_kernel_projects_as_cameras_do(wall: dict[str, object]) -> None:
-    """Two derivations: one unknown in the rarest medium by numpy, and the bundle's own in the wall's frame."""
+    """Two derivations agree.
+
+    One unknown in the rarest medium by numpy, and the bundle's own in the wall's frame.
+    """
     _, state, seen = truth(wall)
     errors = residuals(state, seen)[seen.weights > 0.0]
     assert len(errors) > 4000
@@ -181,7 +188,10 @@ def test_exact_points_give_exact_cameras_from_any_start(cameras: int, blank: boo
 
 
 def test_noise_comes_out_at_the_bound() -> None:
-    """Sixteen draws: the true reprojection error, the points' scatter and their mean depth are what the Cramer-Rao bound says."""
+    """Sixteen draws agree with the Cramer-Rao bound.
+
+    It predicts the true reprojection error, the points' scatter and their mean depth.
+    """
     _, state, seen = truth()
     free, noise, rng = FreeParameters(), 0.5, np.random.default_rng(5)
     bound = limit(state, seen, free, noise)
@@ -243,7 +253,10 @@ def test_outliers_are_found_and_left_out() -> None:
 
 
 def test_an_anchor_settles_the_depth() -> None:
-    """Images through a plane wall hardly show how deep everything is; one known point does."""
+    """One known point determines the absolute depth.
+
+    Images through a plane wall hardly do.
+    """
     errors = []
     for known in ([], [{"frame": 2, "point": 60, "axes": "z", "sigma_mm": 0.05}]):
         scene = calibration_scene(
@@ -295,6 +308,9 @@ def test_too_few_points_are_counted() -> None:
     few = np.where(np.arange(9)[:, None] < 3, case.pixels, np.nan)
     with pytest.raises(
         InputError,
-        match=r"at least 35 image points for 9 cameras of 7 unknowns and 1 boards of 6 \(2 N >= b M \+ 6 K\), got 27",
+        match=(
+            r"at least 35 image points for 9 cameras of 7 unknowns and 1 boards of 6 \(2 N >= b "
+            r"M \+ 6 K\), got 27"
+        ),
     ):
         CalibrationProblem.from_case(replace(case, pixels=few), FreeParameters())

@@ -1,4 +1,7 @@
-"""Cameras from images alone: exact for pinholes, with points missing, and of no use through a wall."""
+"""Cameras from images alone.
+
+Exact for pinholes, also with points missing, and useless through a wall.
+"""
 
 from __future__ import annotations
 

@@ -63,11 +63,17 @@ def copied_frame(pixels: Any) -> None:
 FAULTS: list[tuple[Change, str]] = [
     (
         with_pixels(turned_everywhere),
-        "frame 2: expected its points counted as in its rough place, but they are turned by 180 degrees against it",
+        (
+            "frame 2: expected its points counted as in its rough place, but they are turned by "
+            "180 degrees against it"
+        ),
     ),
     (
         with_pixels(turned_once),
-        "camera_03: frame 2: expected its points counted as in the other cameras, but they are turned by 180 degrees",
+        (
+            "camera_03: frame 2: expected its points counted as in the other cameras, but they are "
+            "turned by 180 degrees"
+        ),
     ),
     (
         with_pixels(swapped),
@@ -87,11 +93,17 @@ FAULTS: list[tuple[Change, str]] = [
     ),
     (
         with_wall(air_index=1.333, fluid_index=1.0),
-        "wall: expected indices from the cameras' side on, air first, got air_index 1.333 above fluid_index 1",
+        (
+            "wall: expected indices from the cameras' side on, air first, got air_index 1.333 "
+            "above fluid_index 1"
+        ),
     ),
     (
         with_wall(layers=(Layer("glass", 1.333, 5.0),), fluid_index=1.5),
-        "wall: expected layers of glass and a fluid behind them, got layers of index 1.333 before a fluid of 1.5",
+        (
+            "wall: expected layers of glass and a fluid behind them, got layers of index 1.333 "
+            "before a fluid of 1.5"
+        ),
     ),
 ]
 
@@ -115,7 +127,7 @@ def test_one_plane_is_not_enough() -> None:
 
 
 def test_points_in_no_order_are_named() -> None:
-    """Every image counts the target's points in an order of its own: whatever comes out, it is no calibration."""
+    """Points in another order in every image cannot give a calibration."""
     given, rng = case(), np.random.default_rng(0)
     pixels = given.pixels.copy()
     for view in pixels.reshape(-1, *pixels.shape[2:]):

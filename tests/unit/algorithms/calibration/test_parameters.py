@@ -1,4 +1,7 @@
-"""Principal points and distortion that nobody has measured: told so, found, and part of the bound."""
+"""Unmeasured principal points and distortion.
+
+Their nominal values, their estimates, and their part of the Cramer-Rao bound.
+"""
 
 from __future__ import annotations
 

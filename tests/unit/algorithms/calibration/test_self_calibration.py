@@ -1,4 +1,8 @@
-"""Volume self-calibration: particle images, sets of them, the spot where the right ones lie, and cameras that agree in the end."""
+"""Volume self-calibration.
+
+Particle images, sets of them, the peak where the right ones lie, and cameras that agree in the
+end.
+"""
 
 from __future__ import annotations
 
@@ -51,7 +55,10 @@ def corrected(case: Observation, **parameters: float) -> Calibration:
 
 
 def disagreement_px(shot: Shot, cameras: tuple[CameraModel, ...], scene: Scene) -> float:
-    """Mean error of the cameras' pixels of true particles, after the motion of all cameras together that images do not show."""
+    """Return the cameras' mean error in pixels of true particles.
+
+    It excludes the motion of all cameras together, which images do not show.
+    """
     truths = shot.particles.position_mm
     exact = np.stack([camera.project(truths)[0] for camera in build_rig(scene).cameras])
     found = triangulate(cameras, exact)
@@ -87,7 +94,10 @@ def test_sets_that_agree_by_chance_are_refused() -> None:
     seen = simulate(particle_scene(8.0), seed=3).observation
     with pytest.raises(
         InputError,
-        match=r"4 cameras that agree within 0.7 px, got \d+ where chance makes \d+: .* larger than reach_px = 4",
+        match=(
+            r"4 cameras that agree within 0.7 px, got \d+ where chance makes \d+: .* larger "
+            r"than reach_px = 4"
+        ),
     ):
         corrected(seen)
 
@@ -128,7 +138,10 @@ def test_maps_stand_for_cameras_behind_a_wall() -> None:
 
 
 def test_all_right_sets_are_among_those_found() -> None:
-    """Particles placed by hand: every one whose images are near to where the cameras are told makes a set."""
+    """Every particle whose images are near their nominal positions makes a set.
+
+    The particles are placed by hand.
+    """
     cameras = build_rig(particle_scene(0.0)).cameras[:4]
     maps = fit_volume_polynomials(cameras, np.array([-6.0, -6.0, -3.0]), np.array([6.0, 6.0, 3.0]))
     rng = np.random.default_rng(1)

@@ -1,4 +1,7 @@
-"""Tracks of bubbles whose ids are known: crossing paths, streams, what is missing and what is not there; and where it ends."""
+"""Trajectories of bubbles whose ids are known.
+
+Crossing paths, streams, missing bubbles and ghosts, and the limits of the method.
+"""
 
 from __future__ import annotations
 
@@ -36,14 +39,21 @@ def test_two_streams_through_each_other(relative: float) -> None:
 
 
 def test_where_it_ends() -> None:
-    """No displacement beyond the reach, and no motion at random beyond a fraction of the distance between neighbours."""
+    """Linking has two limits.
+
+    It fails for displacements beyond the reach, and for random motion beyond a fraction of the
+    distance between neighbours.
+    """
     assert judged(made := film(1.4 * REACH), linked(made))[0] < 0.1
     assert judged(made := film(0.2, "random"), linked(made))[0] > 0.97
     assert judged(made := film(1.0, "random"), linked(made))[0] < 0.6
 
 
 def test_paths_that_cross_are_not_swapped() -> None:
-    """Where two meet, either is nearest to the other's next place; each goes on as it went."""
+    """Bubbles that meet keep their courses.
+
+    Either is nearest to the other's next position.
+    """
     time = np.arange(-4.0, 5.0)
     made = Film()
     for t in time:

@@ -1,4 +1,7 @@
-"""Refocusing against a second implementation: exact projection, scipy's splines and interpolation; both back ends against each other."""
+"""Refocusing against a second implementation, and between both back ends.
+
+The second implementation uses exact projection, and scipy's splines and interpolation.
+"""
 
 from __future__ import annotations
 
@@ -64,14 +67,20 @@ def array(wall: Wall | None) -> list[Camera]:
 
 
 def smooth_images(seed: int, count: int = 3) -> F32:
-    """Noise with details of about three pixels, from 0 to 1: a misplaced sample shows."""
+    """Noise with details of about three pixels, from 0 to 1.
+
+    It shows a misplaced sample.
+    """
     noise = np.random.default_rng(seed).standard_normal((count, 110, 140))
     smooth = np.stack([gaussian_filter(image, 1.5, mode="wrap") for image in noise])
     return np.asarray((smooth - smooth.min()) / (smooth.max() - smooth.min()), dtype=np.float32)
 
 
 def reference(images: F32, cameras: list[Camera], grid: Grid) -> F64:
-    """Samples (camera, z, y, x) by exact projections: a spline onto the slab's plane, then bilinear; NaN near an image's border."""
+    """Return samples (camera, z, y, x) by exact projections.
+
+    A spline onto the slab's plane, then bilinear interpolation. NaN near an image's border.
+    """
     x, y, z = grid.axes_mm
     zz, yy, xx = np.meshgrid(z, y, x, indexing="ij")
     points = np.stack([xx, yy, zz], axis=-1).reshape(-1, 3)
@@ -151,7 +160,10 @@ def test_maps_stay_within_their_tolerance_by_slabs(wall: Wall | None) -> None:
 
 
 def test_deviation_is_that_of_all_voxels() -> None:
-    """The probes find about the largest distance between the affine maps and exact lines of sight."""
+    """The probes find about the largest error of the affine maps.
+
+    It is their distance from exact lines of sight.
+    """
     cameras = array(TILTED)
     slab = make_slab(cameras, GRID, 0, 9)
     maps, worst = slab.tiles(GRID), 0.0
@@ -349,7 +361,10 @@ def test_a_voxel_without_a_light_path_is_refused() -> None:
 
 
 def planar_array(wall: Wall | None) -> list[Camera]:
-    """Five cameras on one plane, 60 mm apart, that look straight ahead at the grid's middle."""
+    """Five cameras on one plane, 60 mm apart.
+
+    They look straight ahead at the grid's middle.
+    """
     places = ((0.0, 0.0), (-60.0, 0.0), (60.0, 0.0), (0.0, -60.0), (0.0, 60.0))
     return [
         aim(
@@ -361,7 +376,10 @@ def planar_array(wall: Wall | None) -> list[Camera]:
 
 
 def test_whole_shifts_find_particles_where_the_exact_maps_do() -> None:
-    """On planes where the shifts are whole numbers the published method equals exact refocusing up to its bilinear first step."""
+    """The published method equals exact refocusing where shifts are whole numbers.
+
+    On such planes, both agree up to the method's bilinear first step.
+    """
     cameras = planar_array(None)
     distance = 342.0
     step = (

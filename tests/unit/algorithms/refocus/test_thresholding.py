@@ -1,4 +1,8 @@
-"""Thresholds: Q of many k in one pass against one extraction each; the k that the images give against the best one."""
+"""Thresholds.
+
+Q of many k in one pass against one extraction each, and the k from the images against the best
+one.
+"""
 
 from __future__ import annotations
 
@@ -33,7 +37,10 @@ KEEPS: list[Keep] = ["reduced", "whole"]
 
 
 def array_scene(per_pixel: float, **changes: Any) -> Any:
-    """Nine cameras in plain air, 12 x 12 x 8 mm, as in the thesis's simulations but smaller."""
+    """Nine cameras in plain air, 12 x 12 x 8 mm.
+
+    As in the thesis's simulations, but smaller.
+    """
     values: dict[str, Any] = {
         "title": "array",
         "volume": {"center_mm": [0.0, 0.0, 0.0], "size_mm": [12.0, 12.0, 8.0]},

@@ -1,4 +1,7 @@
-"""Each correction against its formula with a dense W, and what they have in common: saturation, residuals, when to stop."""
+"""Corrections of tomography, each against its formula with a dense W.
+
+Also their common properties: saturation, residuals and the stop rule.
+"""
 
 from __future__ import annotations
 
@@ -43,7 +46,10 @@ STEPS: dict[str, Step] = {
 
 
 def matrices(lines: LinesOfSight) -> F64:
-    """W (camera, pixel, voxel), column by column; by one thread, since for one voxel waiting for the others takes longer."""
+    """Return W (camera, pixel, voxel), column by column.
+
+    By one thread: for one voxel, waiting for the other threads takes longer.
+    """
     unit, most = np.eye(len(lines.support), dtype=np.float32), numba.get_num_threads()
     numba.set_num_threads(1)
     columns = [lines.forward(row).reshape(len(lines.cameras), -1) for row in unit]
@@ -64,7 +70,7 @@ def make_state(footprint: Footprint = BLOB, every: int = 4) -> State:
 
 
 def recorded(state: State, seed: int) -> Measured:
-    """What other values than the state's would cast."""
+    """Return the light that other values than the state's would cast."""
     light = state.lines.forward(
         np.random.default_rng(seed).random(len(state.values), dtype=np.float32) * np.float32(2.0)
     )
@@ -224,7 +230,10 @@ def test_black_pixels_leave_no_light_but_finite_values() -> None:
 
 
 def test_a_voxel_that_one_camera_sees_is_led_by_that_camera() -> None:
-    """What the last camera records does not matter to voxels that it does not see, and to others the less, the more cameras see them."""
+    """The last camera's image does not change voxels outside its view.
+
+    It changes the others less, the more cameras see them.
+    """
     state = make_state(every=1)
     lines = state.lines
     ones = np.ones((3, ROWS, COLUMNS), dtype=np.float32)

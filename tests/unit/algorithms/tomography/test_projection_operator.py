@@ -1,4 +1,7 @@
-"""W and what goes with it, against dense matrices from exact projections: pinhole and refractive cameras, some of which see only part of the grid."""
+"""The operator W against dense matrices from exact projections.
+
+Pinhole and refractive cameras, some of which see only part of the grid.
+"""
 
 from __future__ import annotations
 
@@ -52,7 +55,10 @@ def make_camera(
 
 
 def array(wall: Wall | None) -> list[Camera]:
-    """The first camera sees the whole grid; the others look past some of it, to the upper left and to the lower right."""
+    """Make cameras, of which only the first sees the whole grid.
+
+    The others look past some of it, to the upper left and to the lower right.
+    """
     return [
         make_camera(120.0, -80.0, wall),
         make_camera(-90.0, 130.0, wall, (-14.4, -11.5)),
@@ -195,7 +201,11 @@ def test_first_guess_is_the_root_of_the_product_where_nothing_is_black(
 
 
 def sampled(camera: Camera, image: F32, nearest: bool) -> tuple[F64, F64]:
-    """Samples at all voxels, NaN where the camera does not see them; and whether each is well inside a pixel, so that rounding cannot matter."""
+    """Return samples at all voxels, and a mask of safe ones.
+
+    Samples are NaN where the camera does not see the voxel. The mask marks voxels that project
+    well inside a pixel, so that rounding cannot matter.
+    """
     if not nearest:
         matrix = dense(camera, BILINEAR)
         return np.asarray(
@@ -238,7 +248,11 @@ def test_a_uniform_guess_is_as_bright_as_the_images_and_dark_where_no_camera_loo
 
 @pytest.mark.parametrize("sigma", [0.3, 0.6, 0.8])
 def test_a_blob_casts_about_a_gaussian(sigma: float) -> None:
-    """Its light stays, its place stays, and over all places inside a pixel it has the variance of a Gaussian integrated over pixels."""
+    """The kernel keeps its light, its position and its variance.
+
+    Averaged over all positions inside a pixel, it has the variance of a Gaussian integrated over
+    pixels.
+    """
     right = (np.arange(64) + 0.5) / 64
     image = np.zeros((64, 5, 9), dtype=np.float32)
     image[:, 2, 3], image[:, 2, 4] = 1.0 - right, right

@@ -1,4 +1,7 @@
-"""Window correlation: its kernels against other programs, its vectors against displacements that are known."""
+"""Window correlation.
+
+Its kernels against other programs, its vectors against known displacements.
+"""
 
 from __future__ import annotations
 
@@ -50,7 +53,10 @@ def pair_of(name: str, **parameters: Any) -> tuple[VolumePair, Any]:
 
 
 def errors(field: Velocity, flow: Any) -> F64:
-    """Of valid vectors, in voxels, against the displacement about the middle of the interval."""
+    """Errors of valid vectors, in voxels.
+
+    Against the displacement about the middle of the interval.
+    """
     points = field.positions_mm.reshape(-1, 3)
     exact = advect(flow, points, 0.5, 1.0, 1e-7) - advect(flow, points, 0.5, 0.0, 1e-7)
     return np.asarray(
@@ -107,7 +113,10 @@ def test_moved_volumes_are_scipy_s() -> None:
 
 
 def _continued(field: F64, at: list[F64]) -> F64:
-    """Displacements (z, y, x) at places on a lattice, linear beyond it: through a lattice that has been continued by hand."""
+    """Interpolate displacements (z, y, x) at positions on a lattice.
+
+    Linear beyond the lattice, which is continued by hand.
+    """
     room = 4
     for axis in range(3):
         before, after = (np.take(field, [n], axis=axis) for n in (0, -1))
@@ -213,11 +222,17 @@ def test_windows_without_signal_are_invalid_and_finite() -> None:
     [
         (
             {"window": (320, 32, 16)},
-            "window: expected one that fits into the volume of 160 x 160 x 40 voxels, got 320 x 32 x 16",
+            (
+                "window: expected one that fits into the volume of 160 x 160 x 40 voxels, got "
+                "320 x 32 x 16"
+            ),
         ),
         (
             {"overlap": 0.7},
-            "overlap: expected a part of 32 x 32 x 16 voxels that leaves whole steps which divide it, got 0.7",
+            (
+                "overlap: expected a part of 32 x 32 x 16 voxels that leaves whole steps which "
+                "divide it, got 0.7"
+            ),
         ),
     ],
 )
@@ -234,7 +249,10 @@ def test_impossible_pairs_are_named() -> None:
         (
             good,
             good[:-1],
-            r"second volume: expected \(40, 160, 160\) voxels \(z, y, x\) as its grid has, got \(39, 160, 160\)",
+            (
+                r"second volume: expected \(40, 160, 160\) voxels \(z, y, x\) as its grid has, got "
+                r"\(39, 160, 160\)"
+            ),
         ),
         (
             np.zeros_like(good),
@@ -322,7 +340,10 @@ def test_narrow_particles_are_widened_by_a_gaussian() -> None:
 
 
 def test_weighted_windows_resolve_more() -> None:
-    """Of a wave twice as long as the window, a Gaussian's weights see more than equal ones."""
+    """A Gaussian's weights see more of a wave than equal ones.
+
+    The wave is twice as long as the window.
+    """
     parameters = {
         "along": (1.0, 0.0, 0.0),
         "across": (0.0, 1.0, 0.0),

@@ -1,4 +1,8 @@
-"""What a gate calls worse, better or neither; baselines that are refused; JUnit files; and the second implementations that gates compare with."""
+"""Verdicts of a gate: worse, better or neither.
+
+Also baselines that are refused, JUnit files, and the second implementations that gates compare
+with.
+"""
 
 from __future__ import annotations
 
@@ -127,7 +131,7 @@ def test_a_lost_figure_is_worse_and_a_new_one_is_news() -> None:
 
 def test_missing_and_failed_solvers_are_worse_and_new_ones_news() -> None:
     good, bad = entry(q=0.8), Entry(error="it fell")
-    assert found(case(msa=good), case()) == [("it is in the baseline and did not run", True)]
+    assert found(case(msa=good), case()) == [("it is in the baseline but did not run", True)]
     assert found(case(), case(msa=good)) == [("not in the baseline", False)]
     assert found(case(msa=good), case(msa=bad)) == [("failed: it fell", True)]
     assert found(case(msa=bad), case(msa=good)) == [("it failed before and does not now", False)]
@@ -135,7 +139,10 @@ def test_missing_and_failed_solvers_are_worse_and_new_ones_news() -> None:
 
 
 def test_times_are_over_the_reference_kernels() -> None:
-    """Ten times slower on a machine that is ten times slower is no change; on the same machine it is."""
+    """Ten times slower on a machine that is ten times slower is no change.
+
+    On the same machine it is one.
+    """
     before = case(msa=entry(0.01, seconds=2.0))
     assert found(before, case(msa=entry(0.1, seconds=20.0))) == []
     assert found(before, case(msa=entry(0.01, seconds=20.0))) == [("seconds", True)]
@@ -273,7 +280,9 @@ def test_solvers_of_one_name_need_labels() -> None:
     assert list(names_of(two, "s")) == ["msa k=1.0", "msa k=2.0"]
     with pytest.raises(
         InputError,
-        match="case a: solvers: expected names, parameters or labels that differ, got 2 of which 1 do",
+        match=(
+            "case a: solvers: expected names, parameters or labels that differ, got 2 of which 1 do"
+        ),
     ):
         names_of([two[0], two[0]], "case a")
 

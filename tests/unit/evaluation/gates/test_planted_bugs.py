@@ -1,4 +1,7 @@
-"""Bugs that the benchmark of the gate plants: each still fits the source that it changes."""
+"""Bugs that the benchmark of the gate plants.
+
+Each still fits the source that it changes.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Archives that somebody sends: what is taken out of them, and what is refused before anything is."""
+"""Archives from outside.
+
+The files that are taken out of them, and the errors before anything is unpacked.
+"""
 
 from __future__ import annotations
 
@@ -69,7 +72,10 @@ def bomb(path: Path) -> Path:
 
 
 def long_name(path: Path) -> Path:
-    """A member whose name says that it is as long as a memory: the reader would take it whole."""
+    """An archive with a member's name of 100 MB.
+
+    A reader of names would hold all of it in memory.
+    """
     info = tarfile.TarInfo("././@LongLink")
     info.type, info.size = tarfile.GNUTYPE_LONGNAME, 100_000_000
     path.write_bytes(gzip.compress(info.tobuf(tarfile.GNU_FORMAT) + bytes(100_000_000), 1))
@@ -93,7 +99,7 @@ BAD: list[tuple[str, Make, str]] = [
     ("f.zip", bomb, "times its size"),
     ("g.zip", many, "at most 1000 files"),
     ("h.zip", lambda path: zipped(path, {"notes.txt": b"x"}), "found none"),
-    ("i.zip", lambda path: (path.write_bytes(b"PK no zip") and path) or path, "a whole archive"),
+    ("i.zip", lambda path: (path.write_bytes(b"PK no zip") and path) or path, "an intact archive"),
     (
         "j.tar",
         lambda path: taped(path, "x.h5", kind=tarfile.SYMTYPE, target="/etc/passwd"),

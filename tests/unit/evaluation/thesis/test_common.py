@@ -60,7 +60,10 @@ def test_bounds_and_claims() -> None:
 
 @pytest.mark.parametrize("start", [0.5, 3.0, 20.0])
 def test_the_crossing_is_found_from_either_side(start: float) -> None:
-    """Q that falls as a straight line through 0.75, at 3.0 for seed 1 and a little higher for seed 2."""
+    """Crossings of a Q that falls as a straight line through 0.75.
+
+    It is 0.75 at 3.0 for seed 1, and at a little more for seed 2.
+    """
     found = crossings(
         lambda per_mm3, seed: 0.75 - 0.05 * (per_mm3 - 3.0 - 0.1 * (seed - 1)), start, [1, 2]
     )

@@ -22,7 +22,10 @@ S_O, S_I, PIXEL = 510.0, 102.0, 0.01  # mm: M(0) = -0.2
 
 
 def parallel_camera(x_mm: float) -> Camera:
-    """A camera of an array in one plane whose sensors are in one plane, too; looking along Z from Z = -S_O."""
+    """Make a camera of an array whose centres and sensors each lie in one plane.
+
+    It looks along Z from Z = -S_O.
+    """
     return Camera(
         name="camera_00",
         rows=1000,
@@ -44,7 +47,10 @@ def parallel_camera(x_mm: float) -> Camera:
 @pytest.mark.parametrize("ratio", [0.1, 0.2, 0.4, 0.5])
 @pytest.mark.parametrize("z_mm", [0.0, 5.0, 50.0])
 def test_next_plane_is_where_the_image_moves_by_one_pixel(ratio: float, z_mm: float) -> None:
-    """Equation 2.10 against projection: the disparity of two cameras changes by one pixel from Z to Z + dZ."""
+    """Equation 2.10 agrees with projection.
+
+    The disparity of two cameras changes by one pixel from Z to Z + dZ.
+    """
     width = theory.pixel_in_volume_mm(PIXEL, theory.magnification(z_mm, S_I, S_O))
     next_mm = z_mm + width * plane_spacing_ratio(ratio, width, z_mm, S_O)
     points = np.array([[3.0, -2.0, z_mm], [3.0, -2.0, next_mm]])
@@ -57,7 +63,10 @@ def test_next_plane_is_where_the_image_moves_by_one_pixel(ratio: float, z_mm: fl
 
 
 def test_first_order_is_the_thesis_table_and_the_limit_of_the_exact_ratio() -> None:
-    """Table 2.1's dZ / dX at the front of 50 x 50 x 10 mm; and 1 / D plus a slope in Z."""
+    """Spacings of planes, dZ / dX.
+
+    Table 2.1's at the front of 50 x 50 x 10 mm; and 1 / D plus a slope in Z.
+    """
     for ratio, printed in ((0.2, 5.0), (0.4, 2.5), (0.5, 2.0)):
         assert theory.first_order_spacing_ratio(ratio, 0.0, S_O) == pytest.approx(printed)
         assert plane_spacing_ratio(ratio, 0.05, 0.0, S_O) == pytest.approx(printed, rel=1e-3)
@@ -76,7 +85,11 @@ def test_first_order_is_the_thesis_table_and_the_limit_of_the_exact_ratio() -> N
 def test_ghosts_of_independent_images_follow_the_theory(
     cameras: int, area: int, ppp: float, depth: int
 ) -> None:
-    """Square images of `area` pixels at random places; every plane shifts them, as refocusing does; a voxel counts the ways in which it is lit."""
+    """Simulated images light voxels as often as the theory says.
+
+    Square images of `area` pixels lie at random positions, and every plane shifts them as
+    refocusing does. A voxel counts the ways in which it is lit.
+    """
     rng = np.random.default_rng(cameras)
     size, side = 300, math.isqrt(area)
     count = round(ppp * size**2)
@@ -112,14 +125,20 @@ def test_ghosts_of_independent_images_follow_the_theory(
 def test_operations_are_those_of_table_3_1(
     algorithm: Algorithm, initial: float, total: float
 ) -> None:
-    """To the printed digits; MLOS gives 1.817e10, which the table cuts to 1.81e10 and does not round."""
+    """The table agrees to its printed digits.
+
+    MLOS gives 1.817e10, which the table truncates to 1.81e10.
+    """
     first, rest = operations(algorithm, TABLE_3_1[algorithm])
     assert first == pytest.approx(initial, rel=1e-3)
     assert first + rest == pytest.approx(total, rel=5e-3)
 
 
 def test_ratios_in_the_thesis_text_are_those_of_thirteen_cameras() -> None:
-    """Its 16.3, 6.1 and 1.4 times fewer operations (section 3.3.1) do not follow from its table, which has nine cameras."""
+    """The thesis's 16.3, 6.1 and 1.4 times fewer operations are of thirteen cameras.
+
+    Section 3.3.1 states these ratios, but its table has nine cameras.
+    """
     thirteen = sum(operations("msa", theory.Setup(13)))
     others = [sum(operations(name, TABLE_3_1[name])) for name in ("mart", "mfg-mart", "mlos-sart")]
     np.testing.assert_allclose(

@@ -1,4 +1,8 @@
-"""The order of tasks: everything once, in an order that they allow, whoever comes and dies; and how far workers carry it."""
+"""The order of tasks of a recording.
+
+Each is done once, in an allowed order, whichever workers come and die; and how far workers carry
+it.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +13,11 @@ from sabench.simulation.recording.schedule import TRIES, Schedule, Task
 
 
 def check_allowed(task: Task, finished: set[Task], *, chained: bool) -> None:
-    """A camera comes after its frame's truth, and in a chain a frame's truth after that of the frame before."""
+    """Check that a task's predecessors are finished.
+
+    A camera comes after its frame's truth. In a chain, a frame's truth comes after that of the
+    frame before.
+    """
     if task.camera is not None:
         assert Task(task.frame) in finished
     elif chained and task.frame:
@@ -25,7 +33,10 @@ def work(
     dying: float = 0.0,
     before: tuple[Task, ...] = (),
 ) -> tuple[list[Task], int]:
-    """Workers that take random times and now and then fail; returns the tasks in the order of their ends, and the most frames at a time."""
+    """Run workers that take random times and now and then fail.
+
+    Returns the tasks in the order of their ends, and the largest number of simultaneous frames.
+    """
     rng, most = np.random.default_rng(seed), 0
     running: dict[int, Task] = {}
     last: dict[int, int] = {}

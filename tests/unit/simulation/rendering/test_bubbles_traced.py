@@ -1,4 +1,7 @@
-"""Bubbles, drops and bodies before a diffuser: against ray optics by hand, against Mitsuba's own path tracer, and the errors that are promised."""
+"""Bubbles, drops and bodies before a diffuser.
+
+Against ray optics by hand, against Mitsuba's own path tracer, and the documented errors.
+"""
 
 from __future__ import annotations
 
@@ -102,7 +105,9 @@ def test_nothing_in_the_way_is_the_exposure_that_was_asked_for() -> None:
 
 
 def profile_by_hand(b: F64, half_angle: float) -> F64:
-    """What a ball of air in water shows at parts b of its radius before a round diffuser, ray by ray with vectors: an independent derivation.
+    """Return the brightness of a ball of air in water before a round diffuser.
+
+    At parts b of its radius, ray by ray with vectors: an independent derivation.
 
     A ray comes along +Z and meets the ball at (b, 0); its directions are followed by Snell's law in
     vector form, all orders up to ten.
@@ -145,7 +150,7 @@ def profile_by_hand(b: F64, half_angle: float) -> F64:
 
 
 def crossings(values: F64, places: F64, level: float) -> F64:
-    """Where a curve crosses a level, linearly between its points."""
+    """Return the positions where a curve crosses a level, linear between its points."""
     k = np.flatnonzero((values[:-1] - level) * (values[1:] - level) < 0.0)
     return np.asarray(
         places[k] + (level - values[k]) / (values[k + 1] - values[k]) * (places[k + 1] - places[k])
@@ -153,7 +158,10 @@ def crossings(values: F64, places: F64, level: float) -> F64:
 
 
 def test_rim_and_bright_spot_of_a_bubble_are_where_ray_optics_has_them() -> None:
-    """The dark ring's outer and inner edge, and the brightness on either side of them, in the rows and columns through the centre.
+    """The dark ring has the edges and brightnesses of ray optics.
+
+    Its outer and inner edge, and the brightness on either side of them, in the rows and columns
+    through the centre.
 
     The diffuser is far behind, so that its half angle is the same for all of the bubble. Nearly all
     of the way to it is water.
@@ -199,7 +207,10 @@ def test_rim_and_bright_spot_of_a_bubble_are_where_ray_optics_has_them() -> None
 
 
 def by_path_tracer(lens: Camera, what: Bubbles, light: Backlight, samples: int) -> tuple[F64, F64]:
-    """The same picture, and its standard error, by Mitsuba's `path` integrator: walls are dielectric planes, bubbles spheres or meshes."""
+    """Return the same picture and its standard error by Mitsuba's `path` integrator.
+
+    Walls are dielectric planes, bubbles spheres or meshes.
+    """
     import trimesh
 
     mi = backend.mitsuba()
@@ -320,7 +331,10 @@ def test_another_integrator_makes_the_same_picture(name: str) -> None:
 
 
 def test_errors_are_as_large_as_they_are_said_to_be() -> None:
-    """Two renders of other seeds differ by their errors, and neither exceeds what was asked for."""
+    """Two renders of different seeds differ by their errors.
+
+    Neither error exceeds the limit that was set.
+    """
     what = CASES["bubbles"]
     one, other = (shot(camera(), what, error=0.01, seed=seed) for seed in (1, 5000))
     again = shot(camera(), what, error=0.01, seed=1)

@@ -1,4 +1,4 @@
-"""Mie scattering against its own integral, and the laser sheet against its energy."""
+"""Mie scattering against its own integral, the laser sheet against its energy."""
 
 from __future__ import annotations
 

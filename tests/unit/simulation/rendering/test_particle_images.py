@@ -1,4 +1,7 @@
-"""From a particle to its picture: the lens, and both renderers, each against its own law and against the other."""
+"""Images of particles: the lens and both renderers.
+
+Each against its own law and against the other.
+"""
 
 from __future__ import annotations
 
@@ -30,7 +33,10 @@ WAVELENGTH_MM = 532e-6
 
 
 def make_scene(**changes: dict[str, Any] | None) -> Scene:
-    """The quick scene with unequal, small images; each table is updated with the given keys, or left out."""
+    """Return the quick scene with unequal, small images.
+
+    Each table is updated with the given keys, or left out.
+    """
     values = tomllib.loads(find("quick", "scenes").read_text(encoding="utf-8"))
     values["cameras"] |= {"rows": 110, "columns": 170}
     values["illumination"] |= {
@@ -63,7 +69,11 @@ def solid_angle_of(a: F64, b: F64, c: F64) -> F64:
 
 
 def caught_light(camera: Camera, points: F64, rings: int = 6, sectors: int = 24) -> F64:
-    """Solid angle of the pupil at each point, weighted with the wall's transmission: the pupil cut into small cells, each traced by itself."""
+    """Return the solid angle of the pupil at each point.
+
+    It is weighted with the wall's transmission. The pupil is cut into small cells, and each is
+    traced by itself.
+    """
 
     def paths(radius: float, turn: float) -> tuple[F64, F64]:
         moved = camera.shifted(radius * math.cos(turn), radius * math.sin(turn))
@@ -132,7 +142,10 @@ def test_isotropic_particles_scatter_what_falls_on_them() -> None:
 
 @pytest.mark.parametrize("f_number", [4.0, 16.0])
 def test_mie_intensity_is_the_mean_over_the_lens(f_number: float) -> None:
-    """Every point of the lens asks Mie's theory at its own angle; the mean is what the table must give at the lens's centre."""
+    """The table's value at the lens's centre is the mean over the lens.
+
+    Every point of the lens asks Mie's theory at its own angle.
+    """
     scene, diameter = (
         make_scene(illumination={"scattering": "mie"}, cameras={"f_number": f_number}),
         0.02,
@@ -262,7 +275,10 @@ SMALL = Camera(
 
 
 def centre_of_rounded(place: F64, sigma: float) -> F64:
-    """Mean of a normal variable rounded to whole numbers, by the Fourier series of the saw tooth: narrow images are drawn to their pixel's centre."""
+    """Return the mean of a normal variable rounded to whole numbers.
+
+    By the Fourier series of the saw tooth: narrow images are drawn to their pixel's centre.
+    """
     k = np.arange(1, 30)[:, None]
     return np.asarray(
         place
@@ -364,7 +380,10 @@ def test_brightest_pixel_is_where_the_particle_projects() -> None:
 def isolated(
     camera: Camera, depth_mm: tuple[float, float], pitch: int, seed: int
 ) -> tuple[F64, I64]:
-    """Particles behind the wall whose images lie on a jittered lattice, and the lattice's nearest pixels (column, row)."""
+    """Return particles behind the wall whose images lie on a jittered lattice.
+
+    And the lattice's nearest pixels (column, row).
+    """
     rng = np.random.default_rng(seed)
     column, row = np.meshgrid(
         np.arange(pitch, camera.columns - pitch, pitch),
@@ -408,7 +427,10 @@ def test_rays_and_formulas_make_the_same_picture(variant: str, number: int) -> N
 
 
 def test_rays_carry_the_light_of_near_and_large_particles() -> None:
-    """A ball of glow reaches far in front of its centre here (0.7 of 40 mm): the place where a ray meets it must not count as its distance."""
+    """The entry point into a ball of glow does not count as its distance.
+
+    The ball reaches far in front of its centre here (0.7 of 40 mm).
+    """
     camera = replace(
         SMALL,
         rows=70,

@@ -12,7 +12,10 @@ from sabench.simulation.rendering.sensor import expose
 
 
 def test_photon_transfer() -> None:
-    """EMVA 1288: mean = black + K mu_e and variance = K^2 (mu_e + read^2) + 1/12 of the rounding."""
+    """EMVA 1288: mean and variance of the sensor.
+
+    mean = black + K mu_e and variance = K^2 (mu_e + read^2) + 1/12 of the rounding.
+    """
     sensor = Sensor(
         quantum_efficiency=0.5,
         dark_current_e_s=2000.0,

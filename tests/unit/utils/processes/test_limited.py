@@ -37,7 +37,10 @@ def test_time_and_memory_are_measured_from_outside(folder: Path) -> None:
 
 
 def test_memory_of_children_counts(folder: Path) -> None:
-    body = "child = subprocess.Popen([sys.executable, '-c', 'held = bytearray(120_000_000); import time; time.sleep(0.6)'])\nchild.wait()"
+    body = (
+        "child = subprocess.Popen([sys.executable, '-c', 'held = bytearray(120_000_000); import "
+        "time; time.sleep(0.6)'])\nchild.wait()"
+    )
     assert run_limited(program(folder, body), folder, Limits(), "p").peak_mb > 120.0
 
 
@@ -45,7 +48,10 @@ def test_it_gets_a_clean_environment_and_no_input(
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("SECRET", "1")
-    body = "print(sorted(os.environ), os.environ['HOME'] == os.getcwd(), sys.stdin.read() == '', os.getsid(0) == os.getpid(), file=open('seen', 'w'))"
+    body = (
+        "print(sorted(os.environ), os.environ['HOME'] == os.getcwd(), sys.stdin.read() == '', "
+        "os.getsid(0) == os.getpid(), file=open('seen', 'w'))"
+    )
     run_limited(program(folder, body), folder, Limits(), "p")
     names, *facts = (folder / "seen").read_text().rsplit(maxsplit=3)
     assert "'PATH'" in names
@@ -66,7 +72,8 @@ def test_it_gets_a_clean_environment_and_no_input(
         ("print('only this')\nsys.exit(3)", Limits(), "exit code 3; its last words: only this"),
         ("os.kill(os.getpid(), signal.SIGSEGV)", Limits(), "signal SIGSEGV"),
         (
-            "signal.signal(signal.SIGXFSZ, signal.SIG_DFL)\nfile = open('big', 'wb')\nwhile True: file.write(bytes(100_000))",
+            "signal.signal(signal.SIGXFSZ, signal.SIG_DFL)\nfile = open('big', 'wb')\n"
+            "while True: file.write(bytes(100_000))",
             Limits(output_mb=1.0),
             "no file larger than 1 MB",
         ),

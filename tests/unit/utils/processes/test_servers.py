@@ -1,4 +1,7 @@
-"""Servers: answers, deaths and replacements; and the shared parts of starting and ending."""
+"""Servers: answers, deaths and replacements.
+
+Also the shared parts of starting and ending.
+"""
 
 from __future__ import annotations
 

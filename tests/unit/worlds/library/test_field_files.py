@@ -1,4 +1,7 @@
-"""Files of other programs: read in every format, in any unit, and refused with a sentence."""
+"""Files of other programs.
+
+Read in every format, in any unit, and refused with a sentence.
+"""
 
 from __future__ import annotations
 
@@ -37,7 +40,10 @@ def cellular(points: F64) -> F64:
 
 
 def lattice(count: int = 40) -> Arrays:
-    """The field on a lattice that goes a little further than it repeats, as (z, y, x) with other spacings along each axis."""
+    """Return the field on a lattice as (z, y, x) with other spacings along each axis.
+
+    The lattice reaches a little further than the field's period.
+    """
     axes = [np.linspace(-0.6 * SIDE, 0.6 * SIDE, count + extra) for extra in (0, 3, 6)]
     z, y, x = np.meshgrid(axes[2], axes[1], axes[0], indexing="ij")
     values = cellular(np.stack([x, y, z], axis=-1).reshape(-1, 3)).reshape(*x.shape, 3)
@@ -215,7 +221,10 @@ def swapped(arrays: Arrays) -> Arrays:
         ),
         (
             broken(swapped),
-            r"u: expected the shape \(46, 43, 40\) \(z, y, x\) as the coordinates have it, got \(43, 46, 40\): order would be yzx",
+            (
+                r"u: expected the shape \(46, 43, 40\) \(z, y, x\) as the coordinates have it, got "
+                r"\(43, 46, 40\): order would be yzx"
+            ),
         ),
         (
             broken(lambda arrays: lattice(3) | {"x": (arrays["x"][0][:3], "m")}),
@@ -282,7 +291,10 @@ def as_csv(path: Path, header: str, rows: Any) -> Path:
 
 
 def tracks_file(folder: Path, unit: str = " [mm]") -> Path:
-    """Three tracks at 20 frames a second, of which the last one begins later and ends earlier, in no order."""
+    """Write three trajectories at 20 frames a second, in no order.
+
+    The last one begins later and ends earlier.
+    """
     rows = [
         (number, frame, *path_of(number, np.array(frame / 20.0)))
         for number in range(3)
@@ -314,7 +326,10 @@ def test_particles_stay_on_their_tracks(tmp_path: Path) -> None:
             np.testing.assert_allclose(speed, [10.0, -10.0 * time, 0.0], atol=1e-10)
     with pytest.raises(
         InputError,
-        match=r"tracks.csv: expected a track in the volume in frame 7, at 0.5 s, got none of 0: .* 0 to 0.4 s",
+        match=(
+            r"tracks.csv: expected a track in the volume in frame 7, at 0.5 s, got none of 0: "
+            r".* 0 to 0.4 s"
+        ),
     ):
         tracks.particles(DOMAIN, 0, 7, 0.5)
 
@@ -426,7 +441,10 @@ def test_a_changed_file_is_named(tmp_path: Path) -> None:
     as_hdf5(path, lattice(30))
     with pytest.raises(
         InputError,
-        match=r"flow.sha256: expected [0-9a-f]{12}\.\.\. of .*field.h5, got .*: the file has changed",
+        match=(
+            r"flow.sha256: expected [0-9a-f]{12}\.\.\. of .*field.h5, got .*: the file has "
+            r"changed"
+        ),
     ):
         parse_scene(told, "moving")
 
@@ -453,8 +471,11 @@ def test_tracks_become_frames(tmp_path: Path) -> None:
 
 
 def test_what_trackpy_linked_is_read() -> None:
-    """25 particles in five frames 0.1 s apart that all move by 0.2 mm along X, and ever faster along Y, as trackpy 0.7 wrote them: rows of a frame in
-    no order, and a column without a name."""
+    """Trajectories that trackpy linked are read.
+
+    25 particles in five frames 0.1 s apart that all move by 0.2 mm along X, and increasingly fast
+    along Y, as trackpy 0.7 wrote them: rows of a frame in no order, and a column without a name.
+    """
     path = ROOT / "tests/data/trackpy-0.7.csv"
     tracks = tracks_of(path, length="mm", seconds=0.1)
     domain = Domain((0.0, 0.0, 30.0), (30.0, 30.0, 10.0), 100)

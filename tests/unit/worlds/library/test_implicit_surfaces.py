@@ -1,4 +1,7 @@
-"""Bodies as they are made: closed, of the right size, and what the lattice may not do to them."""
+"""Surfaces of solid bodies.
+
+Closed, of the right size, and not spoilt by the lattice.
+"""
 
 from __future__ import annotations
 
@@ -43,7 +46,10 @@ def body(name: str, seed: int = 1, **parameters: object) -> Solid:
 
 
 def volume(solid: Solid) -> float:
-    """What a closed surface encloses, by Gauss's theorem; negative if it faces inwards."""
+    """Return the volume that a closed surface encloses, by Gauss's theorem.
+
+    Negative if the surface faces inwards.
+    """
     corners = solid.vertices_mm[solid.faces]
     return float(np.linalg.det(corners).sum() / 6.0)
 
@@ -83,7 +89,11 @@ def test_bodies_are_one_closed_surface_that_scenes_take(
     [("0012", 0.0, 0.5, 0.12), ("2412", 0.02, 0.4, 0.12), ("6721", 0.06, 0.7, 0.21)],
 )
 def test_a_wing_has_its_section(digits: str, height: float, place: float, ratio: float) -> None:
-    """Thickness at right angles to a line fills twice the integral of its half along that line, whatever the curvature."""
+    """A section's area does not depend on the curvature of its mean line.
+
+    With thickness at right angles to the line, it is twice the integral of half the thickness
+    along the line.
+    """
 
     def strip(x: float) -> float:
         half = (
@@ -139,7 +149,10 @@ def test_a_wing_has_its_section(digits: str, height: float, place: float, ratio:
 def test_surfaces_are_exact_to_the_second_order(
     function: Callable[[F64], F64], radius: float, inside: float, outside: float
 ) -> None:
-    """Triangles are off by 3/8 step^2 / radius at most, the height of an arc over a cell's diagonal."""
+    """Triangles are off by at most 3/8 step^2 / radius.
+
+    It is the height of an arc over a cell's diagonal.
+    """
     made = [surface_of(function, [-4.0, -3.0, -3.0], [4.0, 3.0, 3.0], step) for step in (0.3, 0.15)]
     for measure, exact in ((volume, inside), (area, outside)):
         coarse, fine = (abs(measure(one) / exact - 1.0) for one in made)
@@ -236,7 +249,10 @@ def test_planes_through_nodes_leave_no_flat_triangles() -> None:
             2.0,
             4.0,
             0.1,
-            r"expected a body in the lattice from \[2.0, 2.0, 2.0\] to \[4.0, 4.0, 4.0\] mm, got nothing",
+            (
+                r"expected a body in the lattice from \[2.0, 2.0, 2.0\] to \[4.0, 4.0, 4.0\] mm, "
+                r"got nothing"
+            ),
         ),
         (-2.0, 0.9, 0.1, r"it reaches its edge at \+X, \+Y, \+Z"),
         (-1.0, 2.0, 0.1, "it reaches its edge at -X, -Y, -Z"),
@@ -283,7 +299,10 @@ def test_a_propeller_has_its_blades_and_its_pitch(blades: int, pitch: float) -> 
 
 
 def test_a_propeller_s_volume_is_that_of_its_parts() -> None:
-    """A hub, and sections over the blades' length; the lattice rounds edges, the more so the coarser it is."""
+    """A propeller has a hub, and sections over the blades' length.
+
+    The lattice rounds edges, more so the coarser it is.
+    """
     section = (
         2.0 * 5.0 * 0.2 * (0.2969 / 1.5 - 0.126 / 2.0 - 0.3516 / 3.0 + 0.2843 / 4.0 - 0.1036 / 5.0)
     )
@@ -342,7 +361,10 @@ def test_a_reef_is_the_seed_s_stands_and_hides_itself() -> None:
         (
             "propeller",
             {"blades": 12},
-            "blades: expected sections thinner than their distance at the hub, 1.33 mm, got 1.35 mm",
+            (
+                "blades: expected sections thinner than their distance at the hub, 1.33 mm, got "
+                "1.35 mm"
+            ),
         ),
         ("reef", {"size_mm": [10.0, 0.0, 10.0]}, "size_mm: expected positive"),
         ("reef", {"step_mm": 0.01}, "step_mm: expected a lattice of at most 64000000 nodes"),

@@ -1,0 +1,70 @@
+"""The first lines of docstrings: short sentences that open with a verb or a noun."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Iterator
+
+import pytest
+
+from tests.architecture.plan import ROOT
+
+LENGTH = 80  # characters, exclusive
+ENDS = (".", ":", "?")
+HEADLESS = {"What", "Where", "How", "Whether", "Which", "Whose", "Who", "That", "Those"}
+
+
+def docstrings(source: str) -> Iterator[tuple[int, str]]:
+    """Yield the line number and the first line of every docstring of a module."""
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
+            text = ast.get_docstring(node)
+            if text is not None:
+                yield node.body[0].lineno, text.partition("\n")[0]
+
+
+def faults(first: str) -> list[str]:
+    """Return what is wrong with the first line of a docstring, if anything."""
+    found = []
+    if len(first) >= LENGTH:
+        found.append(f"expected fewer than {LENGTH} characters, got {len(first)}")
+    if not first.endswith(ENDS):
+        found.append(f"expected one of {' '.join(ENDS)} at the end")
+    if first.partition(" ")[0] in HEADLESS:
+        found.append("expected a verb or a noun phrase at the beginning")
+    return found
+
+
+@pytest.mark.parametrize("folder", ["sabench", "solvers", "generators"])
+def test_first_lines_are_short_and_have_a_head(folder: str) -> None:
+    offenders = [
+        f"{file.relative_to(ROOT)}:{line}: {fault}: {first}"
+        for file in sorted((ROOT / folder).rglob("*.py"))
+        for line, first in sorted(docstrings(file.read_text(encoding="utf-8")))
+        for fault in faults(first)
+    ]
+    assert not offenders, f"{len(offenders)} docstrings\n" + "\n".join(offenders)
+
+
+@pytest.mark.parametrize(
+    ("first", "fault"),
+    [
+        ("", "at the end"),
+        ("Return the grid", "at the end"),
+        ("What a solver sees.", "at the beginning"),
+        ("Whether it does.", "at the beginning"),
+        (f"{'x' * 79}.", "got 80"),
+    ],
+)
+def test_a_bad_first_line_is_found(first: str, fault: str) -> None:
+    assert [fault in one for one in faults(first)] == [True]
+
+
+def test_good_first_lines_pass() -> None:
+    for first in ("Return the grid.", "Whereabouts of a body.", "Why not?", f"{'x' * 78}."):
+        assert not faults(first)
+
+
+def test_docstrings_of_modules_classes_and_functions_are_read() -> None:
+    source = '"""A."""\nclass B:\n    """B.\n\n    More."""\n    async def c(self):\n        "C."\n'
+    assert sorted(docstrings(source)) == [(1, "A."), (3, "B."), (7, "C.")]
