@@ -19,11 +19,11 @@ class FromTracksParameters(FileParameters):
     Each array has one value for each point of each trajectory.
     """
 
-    id: str = Field("particle", description="which track a point belongs to")
+    id: str = Field("particle", description="trajectory that a point belongs to")
     time: str = Field("frame", description="when it was there: times, or numbers of frames")
     axes: tuple[str, str, str] = Field(("x", "y", "z"), description="where")
     velocity: tuple[str, str, str] | None = Field(
-        None, description="how fast; by default from the neighbours on the track"
+        None, description="velocities; by default from the neighbours on the trajectory"
     )
     diameter: str | None = Field(None, description="of the particle, in the unit of length")
     diameter_mm: float = Field(
@@ -90,8 +90,8 @@ class FromTracks(Generator):
             spans = ", ".join(f"{a:.4g} to {b:.4g}" for a, b in zip(low, high, strict=True))
             times = f"{tracks.time_s.min():.6g} to {tracks.time_s.max():.6g}"
             raise InputError(
-                f"{chosen.file}: expected a track in the volume in frame {frame}, at {now:.6g} "
-                f"s, got none of {len(place)}: "
+                f"{chosen.file}: expected a trajectory in the volume in frame {frame}, at "
+                f"{now:.6g} s, got none of {len(place)}: "
                 f"they run over {spans} mm along x, y, z and {times} s"
             )
         return Particles(
@@ -201,7 +201,7 @@ def _read(text: str) -> _Tracks:
     double = np.flatnonzero((number[1:] == number[:-1]) & (time[1:] == time[:-1]))
     if len(double):
         raise InputError(
-            f"{path}: expected one point of a track at a time, got two of track "
+            f"{path}: expected one point of a trajectory at a time, got two of trajectory "
             f"{number[double[0]]} at {time[double[0]]:g} s"
         )
     if chosen.velocity:

@@ -30,7 +30,9 @@ class HydrofoilParameters(SolidParameters):
         if not 1 <= int(digits[2:]) <= 40:
             raise ValueError(f"expected a thickness of 01 to 40 percent, got {digits[2:]}")
         if (digits[0] == "0") != (digits[1] == "0"):
-            raise ValueError(f"expected a camber and its place, or 00 for none, got {digits[:2]}")
+            raise ValueError(
+                f"expected a camber and its position, or 00 for none, got {digits[:2]}"
+            )
         return digits
 
 

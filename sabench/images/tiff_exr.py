@@ -48,7 +48,7 @@ def read_tiff(path: Path, shape: tuple[int, int]) -> U16:
         Exception
     ) as error:  # tifffile raises what its parsers raise: struct, index, zlib, value errors
         raise InputError(
-            f"{path}: expected a whole TIFF file, got {type(error).__name__}: {error}"
+            f"{path}: expected an intact TIFF file, got {type(error).__name__}: {error}"
         ) from error
     if image is None or not _fits(image, np.uint16, shape):
         raise InputError(f"{path}: expected 16-bit grey values of shape {shape}, got {got}")
@@ -96,7 +96,7 @@ def read_exr(path: Path, shape: tuple[int, int]) -> F32:
         raise
     except Exception as error:  # OpenEXR reports every fault as a RuntimeError or a KeyError
         raise InputError(
-            f"{path}: expected a whole EXR file with a channel Y, got {type(error).__name__}: "
+            f"{path}: expected an intact EXR file with a channel Y, got {type(error).__name__}: "
             f"{error}"
         ) from error
     if image.dtype != np.float32 or image.shape != shape:

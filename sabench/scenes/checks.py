@@ -114,7 +114,7 @@ def check_backlight(
 def _check_behind_tank(wall: Wall, rear_mm: float, center: F64, where: str) -> None:
     if wall.depth_mm is None:
         raise InputError(
-            f"{where}: expected wall.depth_mm, the back wall's place, "
+            f"{where}: expected wall.depth_mm, the back wall's position, "
             "for light from behind the tank"
         )
     outer = wall.thickness_mm + wall.depth_mm + rear_mm

@@ -110,7 +110,7 @@ def test_classical_calibrations_need_different_depths(name: str) -> None:
     algorithm: Any = make_algorithm(name, {})
     assert (
         algorithm.skip(case)
-        == "expected places that are told at different depths, got all of them in one plane"
+        == "expected nominal positions at different depths, got all of them in one plane"
     )
     planes: Any = make_algorithm("polynomial_planes", {})
     assert (

@@ -136,8 +136,8 @@ def _check_views(
             )[there[camera, number]]
             if np.nanmedian(misses) < _FITS * noise_px:
                 raise InputError(
-                    f"{name}: expected its points counted as in the other cameras, but they are "
-                    f"turned by {degrees} degrees"
+                    f"{name}: expected its points numbered as in the other cameras, but they "
+                    f"are turned by {degrees} degrees"
                 )
 
 
@@ -162,7 +162,7 @@ def _check_corners(case: CalibrationCase, points: F64, rough: F64, there: Bool) 
         for degrees, order in relabelled(case.target):
             if _rms(own[order] - told) < 0.5 * apart:
                 raise InputError(
-                    f"frame {number}: expected its points counted as in its rough place, but "
+                    f"frame {number}: expected its points numbered as at its nominal position, but "
                     f"they are turned by {degrees} degrees against it"
                 )
 

@@ -41,7 +41,7 @@ def reason_if_flat(case: CalibrationCase) -> str | None:
     told = case.rough_mm[np.isfinite(case.rough_mm).all(axis=-1)]
     spread = np.linalg.svd(told - told.mean(axis=0), compute_uv=False)
     return (
-        "expected places that are told at different depths, got all of them in one plane"
+        "expected nominal positions at different depths, got all of them in one plane"
         if spread[2] <= _FLAT * spread[0]
         else None
     )

@@ -47,7 +47,7 @@ class CalibrationProblem:
         for number, points in enumerate(case.rough_mm):
             if np.isfinite(points).all(axis=1).sum() < 3 and case.found[:, number].any():
                 raise InputError(
-                    f"frame {number}: expected a rough place of its target to start from, got none"
+                    f"frame {number}: expected a nominal position of its target, got none"
                 )
         frame = Frame.from_cameras(case.cameras, case.rough_mm)
         found = case.found

@@ -64,15 +64,15 @@ FAULTS: list[tuple[Change, str]] = [
     (
         with_pixels(turned_everywhere),
         (
-            "frame 2: expected its points counted as in its rough place, but they are turned by "
-            "180 degrees against it"
+            "frame 2: expected its points numbered as at its nominal position, but they are "
+            "turned by 180 degrees against it"
         ),
     ),
     (
         with_pixels(turned_once),
         (
-            "camera_03: frame 2: expected its points counted as in the other cameras, but they are "
-            "turned by 180 degrees"
+            "camera_03: frame 2: expected its points numbered as in the other cameras, but they "
+            "are turned by 180 degrees"
         ),
     ),
     (

@@ -327,7 +327,7 @@ def test_particles_stay_on_their_tracks(tmp_path: Path) -> None:
     with pytest.raises(
         InputError,
         match=(
-            r"tracks.csv: expected a track in the volume in frame 7, at 0.5 s, got none of 0: "
+            r"tracks.csv: expected a trajectory in the volume in frame 7, at 0.5 s, got none of 0: "
             r".* 0 to 0.4 s"
         ),
     ):
@@ -387,7 +387,7 @@ def test_tracks_with_velocities_and_diameters(tmp_path: Path) -> None:
             "particle,frame,x,y,z",
             [(1, 0, 0, 0, 0)] * 2,
             {"length": 1.0, "seconds": 1.0},
-            "one point of a track at a time, got two of track 1 at 0 s",
+            "one point of a trajectory at a time, got two of trajectory 1 at 0 s",
         ),
         (
             "particle,frame,x,y,z",

@@ -348,7 +348,7 @@ def test_a_reef_is_the_seed_s_stands_and_hides_itself() -> None:
         (
             "hydrofoil",
             {"digits": "2012"},
-            "digits: expected a camber and its place, or 00 for none, got 20",
+            "digits: expected a camber and its position, or 00 for none, got 20",
         ),
         ("hydrofoil", {"points": 9}, "points: "),
         ("propeller", {"hub_mm": 40.0}, "hub_mm: expected less than diameter_mm, 30, got 40"),
