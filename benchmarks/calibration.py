@@ -42,7 +42,7 @@ from sabench.evaluation.thesis.chapter_4 import (
 from sabench.geometry.rigid_motion import fit_lateral_motion
 from sabench.scenes import build_rig, parse_scene
 from sabench.utils.arrays import F64
-from sabench.utils.progress import track
+from sabench.utils.progress import progress_bar
 from sabench.worlds.calibration_targets import exact_pixels, place
 
 _NOISES = (0.1, 0.5, 1.0, 2.0)
@@ -238,16 +238,16 @@ def main() -> None:
         "times": [timed(9, 5), timed(13, 20)],
         "lenses": [
             ratios(cameras, noise, draws, _LENSES)
-            for cameras, noise in track(pairs, "draws with unknown lenses")
+            for cameras, noise in progress_bar(pairs, "draws with unknown lenses")
         ],
-        "bound": [ratios(cameras, noise, draws) for cameras, noise in track(pairs, "draws")],
+        "bound": [ratios(cameras, noise, draws) for cameras, noise in progress_bar(pairs, "draws")],
         "anchor": [
-            anchored(noise, max(4, 2 * draws // 5)) for noise in track((0.1, 2.0), "anchors")
+            anchored(noise, max(4, 2 * draws // 5)) for noise in progress_bar((0.1, 2.0), "anchors")
         ],
         "outliers": with_outliers(0.3, max(4, draws // 5)),
         "starts": [
             row
-            for cameras in track(_CAMERAS, "starts")
+            for cameras in progress_bar(_CAMERAS, "starts")
             for row in starts(cameras, 0.1, max(5, draws // 10))
         ],
     }

@@ -14,7 +14,7 @@ import tempfile
 from pathlib import Path
 
 from sabench.scenes import load_scene
-from sabench.utils.progress import track
+from sabench.utils.progress import progress_bar
 
 _FRAMES = (25, 50, 100)
 _PEAK = """
@@ -43,7 +43,7 @@ def main() -> None:
     scene = load_scene("quick")
     peaks: dict[str, list[float]] = {step: [] for step in _STEPS}
     with tempfile.TemporaryDirectory() as work:
-        for frames, (step, code) in track(
+        for frames, (step, code) in progress_bar(
             [(n, item) for n in _FRAMES for item in _STEPS.items()], "steps"
         ):
             folder = Path(work, str(frames))

@@ -39,7 +39,7 @@ from sabench.simulation.recording.parts import Parts
 from sabench.simulation.recording.recorders import recorder_of
 from sabench.simulation.recording.schedule import Schedule, Task
 from sabench.simulation.recording.workers import ProcessPool, run_schedule
-from sabench.utils.progress import track
+from sabench.utils.progress import progress_bar
 
 _FLOW = {
     "generator": "abc_flow",
@@ -162,7 +162,7 @@ def timed(scene: Scene, folder: Path) -> Times:
     recorder = recorder_of(scene, 1, "splat", "benchmark")
     schedule = Schedule(scene.frames, recorder.views, chained=recorder.chained, ahead=1)
     took: list[tuple[Task, float]] = []
-    for _ in track(range(schedule.tasks), "time tasks"):
+    for _ in progress_bar(range(schedule.tasks), "time tasks"):
         task = schedule.take(took[-1][0].frame if took else None)
         assert task is not None
         start = time.perf_counter()
@@ -222,7 +222,7 @@ def growth(times: Times, frames: int, cameras: int) -> dict[str, Any]:
     for chained in (True, False):
         took = {
             n: simulated(frames, cameras, n, times, chained=chained)
-            for n in track(_WORKERS, "simulate workers")
+            for n in progress_bar(_WORKERS, "simulate workers")
         }
         name = "frames from the one before" if chained else "frames by themselves"
         speed[name] = {

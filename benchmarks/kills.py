@@ -23,7 +23,7 @@ from pathlib import Path
 
 import sabench
 from sabench.scenes import load_scene, parse_scene
-from sabench.utils.progress import track
+from sabench.utils.progress import progress_bar
 
 _WHOM = ("scheduler", "worker", "group")
 
@@ -126,7 +126,7 @@ def main() -> None:
         expected = finished(scene, folder / "undisturbed")
         took = time.perf_counter() - begun
         same, killed = 0, dict.fromkeys(_WHOM, 0)
-        for number in track(range(times), "kill and go on"):
+        for number in progress_bar(range(times), "kill and go on"):
             whom, out = _WHOM[number % 3], folder / str(number)
             same += disturbed(scene, out, whom, took) == expected
             killed[whom] += 1

@@ -23,7 +23,7 @@ from sabench.geometry.camera import Camera, Distortion, aimed_rotation
 from sabench.geometry.refraction import Layer, Wall, solve_slope, trace_to_points
 from sabench.scenes import build_rig, load_scene
 from sabench.utils.arrays import F64, Bool
-from sabench.utils.progress import track
+from sabench.utils.progress import progress_bar
 
 _WALLS = 20
 _BEFORE_MM = 450.0  # from the pinhole to the outer face
@@ -200,7 +200,7 @@ def main() -> None:
     total = int(sys.argv[1]) if len(sys.argv) > 1 else 1_000_000
     rng, count = np.random.default_rng(0), -(-total // _WALLS)
     rows = []
-    for k in track(range(_WALLS), "walls"):
+    for k in progress_bar(range(_WALLS), "walls"):
         wall = random_wall(rng, k % 5)
         camera = facing(wall)
         points = random_points(rng, camera, wall, count)

@@ -29,7 +29,7 @@ from sabench.geometry.grid import Grid
 from sabench.scenes import Rig, build_rig, load_scene, parse_scene
 from sabench.utils import backend
 from sabench.utils.arrays import F32
-from sabench.utils.progress import track
+from sabench.utils.progress import progress_bar
 
 
 def scattered_rig() -> Rig:
@@ -58,7 +58,7 @@ def remap_gigasamples_s(images: F32, rig: Rig) -> float:
     points = np.column_stack([across.ravel(), down.ravel(), np.full(across.size, z[len(z) // 2])])
     maps = [
         camera.project(points)[0].astype(np.float32).reshape(*across.shape, 2)
-        for camera in track(rig.cameras, "maps for cv2.remap")
+        for camera in progress_bar(rig.cameras, "maps for cv2.remap")
     ]
     pairs = [(np.ascontiguousarray(m[..., 0]), np.ascontiguousarray(m[..., 1])) for m in maps]
     seconds = fastest_s(

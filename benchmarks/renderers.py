@@ -23,7 +23,7 @@ from sabench.simulation.rendering.particle_images import image_particles
 from sabench.simulation.rendering.particles_traced import render
 from sabench.utils import backend
 from sabench.utils.arrays import F64, I64
-from sabench.utils.progress import track
+from sabench.utils.progress import progress_bar
 
 _PITCH, _JITTER, _HALF = (
     14,
@@ -133,7 +133,7 @@ def main() -> None:
     rig = build_rig(scene)
     found = [
         compared(scene, camera, i)
-        for i, camera in enumerate(track(rig.cameras, "render with Mitsuba"))
+        for i, camera in enumerate(progress_bar(rig.cameras, "render with Mitsuba"))
     ]
     formula, exact, ratio = (np.concatenate([part[i] for part in found]) for i in range(3))
     report = {

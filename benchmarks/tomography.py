@@ -32,7 +32,7 @@ from sabench.scenes import Scene, load_scene, parse_scene
 from sabench.simulation.in_memory import simulate
 from sabench.utils.confidence import mean_of
 from sabench.utils.memory import forget_peak, peak_mb
-from sabench.utils.progress import track
+from sabench.utils.progress import progress_bar
 
 ITERATIONS = 5
 _JUDGED = ("mart", "block_mart", "mlos_smart")
@@ -173,7 +173,7 @@ def accuracy(ppp: float) -> dict[str, Any]:
     Solvers have their defaults. Figures are means over seeds 1 to 5, with 95 % intervals of Q.
     """
     scores: dict[str, list[Any]] = {name: [] for name in _JUDGED}
-    for seed in track(range(1, 6), f"accuracy at {ppp:g} ppp"):
+    for seed in progress_bar(range(1, 6), f"accuracy at {ppp:g} ppp"):
         shot = simulate(scene_of(300, 100, ppp), seed=seed)
         for name, own in scores.items():
             guess = make_solver(name, {}).solve(shot.observation)
@@ -194,7 +194,7 @@ def main() -> None:
     """Print times and memory of the tomographic solvers as JSON."""
     width, depth, ppp = int(sys.argv[1]), int(sys.argv[2]), float(sys.argv[3])
     warm = simulate(scene_of(48, 16, 0.02), seed=100).observation
-    for name in track(SOLVERS, "compile"):
+    for name in progress_bar(SOLVERS, "compile"):
         timed(name, warm, 1.0)
     case = simulate(scene_of(width, depth, ppp), seed=100).observation
     limits = machine(case.images[0].size)

@@ -25,7 +25,7 @@ from sabench.geometry.grid import Grid, synthesise
 from sabench.metrics.velocity_error import response
 from sabench.plugins import load
 from sabench.utils.arrays import F32, F64
-from sabench.utils.progress import track
+from sabench.utils.progress import progress_bar
 from sabench.worlds.advection import advect
 from sabench.worlds.tracers import TOLERANCE
 
@@ -160,7 +160,7 @@ def main() -> None:
         **speed(width, depth),
         "response": [],
     }
-    for size in track(_WAVES, "waves"):
+    for size in progress_bar(_WAVES, "waves"):
         row = {"wavelength_over_window": size, "top_hat": round(float(np.sinc(1.0 / size)), 3)}
         for solver in ("piv3d_plain", "piv3d"):
             for name, across, window in (

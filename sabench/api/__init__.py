@@ -43,7 +43,7 @@ from sabench.geometry.rotations import frame_along, rotation_matrices
 from sabench.utils.arrays import F32, F64, I32, I64, U16, Bool, triple
 from sabench.utils.errors import DeclinedError, InputError
 from sabench.utils.fields import LensNumber, Vector
-from sabench.utils.progress import track as progress_bar
+from sabench.utils.progress import progress_bar
 from sabench.utils.rng import stream
 
 Track = TaskName  # its name until format version 2

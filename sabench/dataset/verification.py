@@ -12,7 +12,7 @@ from sabench.dataset.hdf5_probe import probe_dataset
 from sabench.dataset.reader import Dataset
 from sabench.utils.errors import InputError
 from sabench.utils.files import inside, sha256
-from sabench.utils.progress import track
+from sabench.utils.progress import progress_bar
 
 _MOST_FAULTS = 100  # a file may claim any number of frames
 
@@ -44,7 +44,7 @@ def _byte_faults(root: Path, manifest: schema.Manifest) -> Iterator[str]:
     }
     for name in sorted(present - set(manifest.files) - {schema.MANIFEST}):
         yield f"{root / name}: a file that the manifest does not list"
-    for name, entry in track(manifest.files.items(), "verify checksums"):
+    for name, entry in progress_bar(manifest.files.items(), "verify checksums"):
         try:
             file = inside(root, name)
             if not file.is_file():
@@ -71,7 +71,7 @@ def _content_faults(dataset: Dataset) -> Iterator[str]:
         for whole in (dataset.calibration_case, dataset.placed, dataset.sightings):
             yield from _try(whole)
         return
-    for frame in track(range(dataset.rig.frames), "verify shapes"):
+    for frame in progress_bar(range(dataset.rig.frames), "verify shapes"):
         parts: list[Callable[[int], object]] = [dataset.observation, dataset.radiance]
         parts += [dataset.particles, dataset.views] if "particles" in dataset.shows else []
         parts += [dataset.bubbles, dataset.solids] if "bubbles" in dataset.shows else []

@@ -25,7 +25,7 @@ from sabench.tasks.velocimetry import true_velocity
 from sabench.utils.arrays import F64, I64
 from sabench.utils.errors import InputError
 from sabench.utils.files import complete_or_nothing
-from sabench.utils.progress import track
+from sabench.utils.progress import progress_bar
 from sabench.worlds.library.random_packing import shapes_of
 from sabench.worlds.tracers import lattice
 
@@ -80,7 +80,7 @@ def export(
 def _export_truth(root: Path, data: Dataset) -> None:
     scene, world = data.scene, data.scene.world
     step = scene.flow_grid_mm or (max(scene.volume.size_mm) / _NODES,) * 3
-    for frame in track(range(data.rig.frames), "export"):
+    for frame in progress_bar(range(data.rig.frames), "export"):
         if "particles" in data.shows:
             _export_particles(root, data, frame)
         if scene.tracers is not None and scene.tracers.flow is not None:
@@ -108,7 +108,7 @@ def _export_result(root: Path, data: Dataset, result: Result) -> None:
         raise InputError(
             f"{result.path}: expected a result of {known}, got one of {task.estimate.__name__}"
         )
-    for frame in track(task.frames(data), "export"):
+    for frame in progress_bar(task.frames(data), "export"):
         _WRITERS[task.estimate](root, data, frame, task.read(data, result, frame))
 
 

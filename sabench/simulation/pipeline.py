@@ -31,7 +31,7 @@ from sabench.simulation.size_check import check_affordable
 from sabench.utils import memory
 from sabench.utils.errors import InputError
 from sabench.utils.files import refuse_existing
-from sabench.utils.progress import track
+from sabench.utils.progress import progress_bar
 from sabench.worlds.readable_codes import has_code
 
 
@@ -146,7 +146,7 @@ def put_together(
         shows=_shows(job.scene),
         overwrite=overwrite,
     ) as writer:
-        for frame in track(range(job.scene.frames), f"store {job.label}"):
+        for frame in progress_bar(range(job.scene.frames), f"store {job.label}"):
             writer.store(_truth(parts.frame(frame)))
             for camera in rig.cameras[: recorder.views]:
                 part = parts.view(frame, camera.name)

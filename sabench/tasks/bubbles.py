@@ -29,7 +29,7 @@ from sabench.tasks.task import Captions, Figures, FrameByFrame, Score, Source, s
 from sabench.utils import memory
 from sabench.utils.arrays import I64
 from sabench.utils.errors import InputError
-from sabench.utils.progress import track
+from sabench.utils.progress import progress_bar
 from sabench.worlds.library.plunging_jet import EDGE
 
 JET = {
@@ -163,7 +163,7 @@ class BubblesTask(FrameByFrame):
         The scores of a jet and of trajectories come from all frames together.
         """
         frames, found, every = [], [], []
-        for frame in track(self.frames(data), "score"):
+        for frame in progress_bar(self.frames(data), "score"):
             estimate, true = self.read(data, source, frame), data.bubbles(frame)
             cameras = data.rig.cameras
             seen = np.mean([data.sight(frame, camera).visible for camera in cameras], axis=0)

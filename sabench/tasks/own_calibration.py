@@ -35,7 +35,7 @@ from sabench.utils.arrays import F64, triple
 from sabench.utils.errors import InputError
 from sabench.utils.fields import LensNumber, Positive, Vector
 from sabench.utils.files import canonical_json, complete_or_nothing
-from sabench.utils.progress import track
+from sabench.utils.progress import progress_bar
 from sabench.utils.validation import validate
 
 CONFIGURATION, IMAGES, POINTS = "calibration.toml", "images", "points.csv"
@@ -302,7 +302,7 @@ def _read_images(folder: Path, target: Target, cameras: tuple[Camera, ...], plai
         )
     steps = [(c, k) for c in range(len(cameras)) for k in range(len(frames))]
     pixels = np.full((len(cameras), len(frames), len(target.points_mm), 2), np.nan)
-    for c, k in track(steps, "find the target"):
+    for c, k in progress_bar(steps, "find the target"):
         image = _image(frames[k], cameras[c])
         if image is not None:
             pixels[c, k] = detect(image, target, cameras[c].project(plain)[0])

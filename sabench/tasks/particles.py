@@ -29,7 +29,7 @@ from sabench.tasks.task import Captions, Figures, Score, Source, Task, share_nea
 from sabench.utils import memory
 from sabench.utils.arrays import F64, I64, Bool
 from sabench.utils.errors import InputError
-from sabench.utils.progress import track
+from sabench.utils.progress import progress_bar
 
 _DRAWN_VOXELS = 1.0  # standard deviation of the Gaussian blobs that particles are drawn as
 # share of the particles found with the cameras in another order, and how near, in voxels
@@ -95,7 +95,7 @@ class ParticlesTask(Task):
         The time for reading images does not count.
         """
         seconds, every = [], []
-        for frames in track(data.rig.sequences(), f"particles by {name}"):
+        for frames in progress_bar(data.rig.sequences(), f"particles by {name}"):
             film, reader = self._film(data, frames)
             start = time.perf_counter()
             found = _call(algorithm, name, film, frames)
@@ -144,7 +144,7 @@ class ParticlesTask(Task):
         found = self._all(data, source)
         truth = [data.particles(frame) for frame in self.frames(data)]
         pairs = list(zip(found, truth, strict=True))
-        frames = [score_frame(data, one, true) for one, true in track(pairs, "score")]
+        frames = [score_frame(data, one, true) for one, true in progress_bar(pairs, "score")]
         return mean_of_each(frames) | _over_time(data, found, truth)
 
     def _all(self, data: Dataset, source: Source) -> list[FoundParticles]:

@@ -24,7 +24,7 @@ from sabench.tasks.task import (
 )
 from sabench.utils import memory
 from sabench.utils.errors import InputError
-from sabench.utils.progress import track
+from sabench.utils.progress import progress_bar
 
 # float32 volumes that must fit next to the images: the solver's own, and as much again for its
 # work and the checks
@@ -117,7 +117,7 @@ class ReconstructionTask(FrameByFrame):
                     data.views(frame),
                     self.read(data, source, frame),
                 )
-                for frame in track(self.frames(data), "score")
+                for frame in progress_bar(self.frames(data), "score")
             ]
         )
 

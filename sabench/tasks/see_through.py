@@ -30,7 +30,7 @@ from sabench.tasks.task import (
     correlation,
 )
 from sabench.utils.arrays import F32, F64, I64
-from sabench.utils.progress import track
+from sabench.utils.progress import progress_bar
 from sabench.worlds.readable_codes import code_of
 
 _ENLARGED_PX, _DRAWN_PX = 400, 200  # longer side of a picture, and of the code itself
@@ -93,7 +93,7 @@ class SeeThroughTask(FrameByFrame):
 
     def score(self, data: Dataset, source: Source) -> Figures:
         """Average the scores of the frames; single cameras are scored for comparison."""
-        frames = track(self.frames(data), "score")
+        frames = progress_bar(self.frames(data), "score")
         return mean_of_each([self._score_frame(data, source, frame) for frame in frames])
 
     def _score_frame(self, data: Dataset, source: Source, frame: int) -> dict[str, float]:

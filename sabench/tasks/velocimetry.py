@@ -26,7 +26,7 @@ from sabench.tasks.task import Captions, Figures, Score, Source, Task, check_est
 from sabench.utils import memory
 from sabench.utils.arrays import F64, triple
 from sabench.utils.errors import InputError
-from sabench.utils.progress import track
+from sabench.utils.progress import progress_bar
 from sabench.worlds.advection import advect
 from sabench.worlds.tracers import TOLERANCE, flow_of
 
@@ -110,7 +110,7 @@ class VelocimetryTask(Task):
             raise InputError(f"{data.root}: expected pairs of frames, got {frames} that make none")
         volumes = _Volumes(data, algorithm.parameters.reconstruction)
         seconds = []
-        for pair in track(pairs, f"velocity by {name}"):
+        for pair in progress_bar(pairs, f"velocity by {name}"):
             case = VolumePair(*volumes.of(pair), data.rig.grid, interval_s(data, pair))
             start = time.perf_counter()
             field = call_solver(algorithm, name, case, Velocity, f" on frame {pair[0]}")
@@ -153,7 +153,7 @@ class VelocimetryTask(Task):
         """Average the scores of the pairs."""
         pairs = [
             score_pair(data, pair, self.read(data, source, pair[0]))
-            for pair in track(data.rig.pairs(), "score")
+            for pair in progress_bar(data.rig.pairs(), "score")
         ]
         means = {key: float(np.mean([one[key] for one in pairs])) for key in pairs[0]}
         scores = {key: finite_or_none(value) for key, value in means.items()}

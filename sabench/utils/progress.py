@@ -20,7 +20,7 @@ _REFRESH_S = 0.2
 _PATIENCE_S = 1.0  # of compiling without a notice
 
 
-def track(items: Iterable[T], doing: str) -> Iterator[T]:
+def progress_bar(items: Iterable[T], doing: str) -> Iterator[T]:
     """Yield items and show how many are done.
 
     A bar on a terminal, in a log one line at the end. If the caller's loop raises, this generator

@@ -26,7 +26,7 @@ from sabench.algorithms.bubbles.rim_fit import (
 from sabench.api import Detections
 from sabench.geometry.camera import Camera
 from sabench.utils.arrays import F32, F64
-from sabench.utils.progress import track
+from sabench.utils.progress import progress_bar
 
 _FIRST, _MORE = 8, 6  # steps of a fit
 _ANGLES = np.deg2rad(np.geomspace(6.0, 70.0, 26))
@@ -90,7 +90,7 @@ def _lit_from(
     likely = np.flatnonzero(start.vote >= _LIKELY * start.vote.max(initial=0.0))
     chosen = likely[np.argsort(-start.radius_mm[likely], kind="stable")][:_LARGEST]
     costs = np.zeros((len(_ANGLES), len(chosen)))
-    for row, angle in zip(costs, track(_ANGLES.tolist(), "find the diffuser"), strict=True):
+    for row, angle in zip(costs, progress_bar(_ANGLES.tolist(), "find the diffuser"), strict=True):
         model = Model(images, np.zeros_like(images), cameras, profile_of(angle))
         row[:] = [misfit(model, fit(model, _start(start, n), _FIRST)) for n in chosen]
     clean = np.argsort(costs.min(axis=0), kind="stable")[:_CLEAN]
@@ -109,7 +109,7 @@ def _accepted(model: Model, start: Hypotheses, least_gain: float) -> list[F64]:
         max(_SURE, least_gain),
         least_gain,
     ):  # what is sure goes first: a large bubble before the small ones that its rim could be
-        for n in track(order.tolist(), "fit bubbles"):
+        for n in progress_bar(order.tolist(), "fit bubbles"):
             first = _start(start, n)
             if _judged(model, first) < _WORTH * least:
                 continue
@@ -130,7 +130,7 @@ def _united(model: Model, kept: list[F64], start: Hypotheses, least_gain: float)
         for n in np.argsort(-start.radius_mm * start.aspect, kind="stable").tolist()
         if start.vote[n] >= _VOTED
     ]
-    for n in track(order, "unite bubbles"):
+    for n in progress_bar(order, "unite bubbles"):
         first = _start(start, n)
         parts = _parts(kept, first)
         if not parts:
@@ -189,7 +189,7 @@ def _judged(model: Model, parameters: F64) -> float:
 def _refined(model: Model, kept: list[F64], least_gain: float) -> list[F64]:
     """Fit all bubbles again and drop those that the others explain by now."""
     out = []
-    for parameters in track(kept, "refine bubbles"):
+    for parameters in progress_bar(kept, "refine bubbles"):
         darken(model, parameters, -1.0)
         better = fit(model, parameters, _MORE)
         if _judged(model, better) >= least_gain:

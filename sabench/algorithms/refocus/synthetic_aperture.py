@@ -20,7 +20,7 @@ from sabench.geometry.camera_model import CameraModel
 from sabench.geometry.grid import Grid
 from sabench.utils import backend
 from sabench.utils.arrays import F32, F64
-from sabench.utils.progress import track
+from sabench.utils.progress import progress_bar
 
 _AT_ONCE = 16  # planes that are shifted before they are resampled: bounds memory
 
@@ -101,7 +101,7 @@ def refocus_by_shifts(images: F32, cameras: Sequence[CameraModel], grid: Grid) -
         np.empty(grid.shape, dtype=np.float32),
         np.empty((_AT_ONCE, *shape), dtype=np.float32),
     )
-    for first in track(range(0, grid.shape[0], _AT_ONCE), f"shift {len(cameras)} cameras"):
+    for first in progress_bar(range(0, grid.shape[0], _AT_ONCE), f"shift {len(cameras)} cameras"):
         cpu_kernels.sum_shifted(
             coefficients, whole[first : first + _AT_ONCE], focused[: grid.shape[0] - first]
         )
@@ -181,7 +181,7 @@ def _parts(
 
     The images are (camera, height, width).
     """
-    for view in track(_views(tuple(cameras), grid), f"refocus, {len(cameras)} cameras"):
+    for view in progress_bar(_views(tuple(cameras), grid), f"refocus, {len(cameras)} cameras"):
         rectified = np.empty((len(images), *view.slab.shape), dtype=np.float32)
         for number in range(len(images)):  # one at a time: its coefficients stay in the cache
             this = slice(number, number + 1)

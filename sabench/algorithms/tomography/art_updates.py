@@ -17,7 +17,7 @@ from sabench.algorithms.tomography.kernels import multiply
 from sabench.algorithms.tomography.mart_sweep import mart_sweep
 from sabench.algorithms.tomography.projection_operator import LinesOfSight
 from sabench.utils.arrays import F32, Bool
-from sabench.utils.progress import track
+from sabench.utils.progress import progress_bar
 
 # of a bright particle's peak: darker pixels are raised to it, since the logarithm of zero is no
 # correction
@@ -175,7 +175,7 @@ def iterate(
     a fraction `tolerance` of its last value.
     """
     scale, residuals = float(np.vdot(measured.light, measured.light)), [float("inf")]
-    for _ in track(range(iterations), doing):
+    for _ in progress_bar(range(iterations), doing):
         residuals.append(float(np.sqrt(step() / scale)))
         if abs(residuals[-2] - residuals[-1]) < tolerance * residuals[-2]:
             break

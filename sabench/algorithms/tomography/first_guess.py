@@ -11,7 +11,7 @@ import numpy.typing as npt
 from sabench.algorithms.tomography.kernels import Sight, locate, sample, scratch
 from sabench.algorithms.tomography.projection_operator import Support
 from sabench.utils.arrays import F32, I64
-from sabench.utils.progress import track
+from sabench.utils.progress import progress_bar
 
 _SLAB = 8_000_000  # voxels whose room is taken at a time
 # of voxels, in which one camera after the other is looked up: its part of the image stays in the
@@ -38,7 +38,7 @@ def product_guess(sight: Sight, images: F32, threshold: float) -> tuple[Support,
     flat = images.reshape(len(images), -1)
     kept = [
         _slab(sight, flat, threshold, first, min(step, planes - first))
-        for first in track(range(0, planes, step), "first guess")
+        for first in progress_bar(range(0, planes, step), "first guess")
     ]
     counts, x, values = (np.concatenate(part) for part in zip(*kept, strict=True))
     return Support((planes, *shape), np.concatenate([[0], np.cumsum(counts)]), x), values

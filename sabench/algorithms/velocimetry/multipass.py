@@ -19,7 +19,7 @@ from sabench.algorithms.velocimetry.windows import Peaks, Size, Windows, by_shif
 from sabench.api import Velocity
 from sabench.geometry.grid import Grid
 from sabench.utils.arrays import F32, F64, Bool, triple
-from sabench.utils.progress import track
+from sabench.utils.progress import progress_bar
 
 # vectors: the Gaussian of matPIV's 3 x 3 x 3 kernel; what it weighs beyond that is under 1 %
 _KERNEL = 0.65
@@ -98,7 +98,7 @@ def evaluate(first: F32, second: F32, plan: Plan) -> Field:
     windows = Windows.over(_shape(first), plan.last, plan.overlap)
     coefficients = spline_coefficients(first), spline_coefficients(second)
     warped = np.empty_like(first), np.empty_like(second)
-    for _ in track(range(plan.passes), "move and correlate"):
+    for _ in progress_bar(range(plan.passes), "move and correlate"):
         z, y, x = (
             plan.smoothing * own / step
             for own, step in zip(plan.last, field.windows.step, strict=True)

@@ -19,7 +19,7 @@ from sabench.algorithms.velocimetry.correlation_kernels import (
 )
 from sabench.utils.arrays import F32, F64, I64
 from sabench.utils.errors import InputError
-from sabench.utils.progress import track
+from sabench.utils.progress import progress_bar
 
 Size = tuple[int, int, int]
 _AT_ONCE = 1 << 20  # voxels of the windows that a thread transforms at once
@@ -179,7 +179,7 @@ def by_spectra(first: F32, second: F32, windows: Windows) -> Peaks:
         height[part] /= np.where(scale > 0.0, scale, np.inf)
 
     with ThreadPoolExecutor(numba.get_num_threads()) as pool:
-        for done in track(
+        for done in progress_bar(
             [pool.submit(correlate, start) for start in range(0, len(corners), batch)],
             "correlate by spectra",
         ):

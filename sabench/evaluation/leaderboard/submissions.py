@@ -26,7 +26,7 @@ from sabench.tasks.solve_and_score import score
 from sabench.utils.errors import InputError
 from sabench.utils.files import digest
 from sabench.utils.processes.isolated import call_isolated
-from sabench.utils.progress import track
+from sabench.utils.progress import progress_bar
 from sabench.utils.validation import printable
 from sabench.utils.version import __version__
 
@@ -100,7 +100,7 @@ def submit(
         sets = _datasets(files, data)
         made = [
             _record(label, file, sets[label], known) | {"submission": submission}
-            for label, file in track(files, "check and score")
+            for label, file in progress_bar(files, "check and score")
         ]
     _refuse_twins(path, [label for label, _ in files], made)
     for record in made:

@@ -26,7 +26,7 @@ from sabench.simulation.frames import Frames
 from sabench.simulation.in_memory import observation_of
 from sabench.simulation.rendering.sensor import expose
 from sabench.utils.arrays import F64
-from sabench.utils.progress import track
+from sabench.utils.progress import progress_bar
 
 _OFF_MM = 10.0  # of the refocused planes before and behind the middle one: figure 5-6
 _EDGE, _SMALL_PX = 0.05, 4.0  # as `minimum_image` takes them
@@ -43,7 +43,7 @@ def rendered(scene: Scene, seed: int) -> tuple[FrameContent, Bubbles, Observatio
     numbers = range(len(frame.rig.cameras))
     images = [
         expose(scene.sensor, render(frame, number).photons, frame.sensor_noise(number))
-        for number in track(numbers, f"render {scene.title}, seed {seed}")
+        for number in progress_bar(numbers, f"render {scene.title}, seed {seed}")
     ]
     return frame, frame.bubbles, observation_of(frame, images)
 

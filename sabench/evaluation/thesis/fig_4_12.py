@@ -27,7 +27,7 @@ from sabench.evaluation.thesis.chapter_4 import (
 )
 from sabench.evaluation.thesis.common import Item, Row, claim, compared
 from sabench.plotting.charts import Curve, Figure, Panel
-from sabench.utils.progress import track
+from sabench.utils.progress import progress_bar
 
 SEEDS = 5
 _CAMERAS = (3, 7, 13)
@@ -120,7 +120,7 @@ def _points_figure(found: dict[float, Draws]) -> Figure:
 def _measured(cameras: int, noise: float, seeds: Sequence[int]) -> Draws:
     found: Draws = {}
     steps = [(start, seed) for start in STARTS for seed in seeds]
-    for start, seed in track(steps, f"{cameras} cameras, {noise:g} px"):
+    for start, seed in progress_bar(steps, f"{cameras} cameras, {noise:g} px"):
         given = board(cameras, _BASELINE, noise, start, seed)
         for name, solver in _SOLVERS.items():
             answer = solved(solver, given)

@@ -21,7 +21,7 @@ from sabench.evaluation.thesis.chapter_4 import (
 from sabench.evaluation.thesis.common import Item, claim, compared
 from sabench.plotting.charts import Curve, Figure, Panel
 from sabench.utils.arrays import F64
-from sabench.utils.progress import track
+from sabench.utils.progress import progress_bar
 
 SEEDS = 5
 _SOLVERS = {
@@ -43,7 +43,7 @@ def rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
         errors: dict[str, dict[float, list[F64]]] = {
             name: {start: [] for start in STARTS} for name in _SOLVERS
         }
-        for start, seed in track(steps, f"8 cameras, {noise:g} px"):
+        for start, seed in progress_bar(steps, f"8 cameras, {noise:g} px"):
             given = board(8, 0.3, noise, start, seed)
             for name, solver in _SOLVERS.items():
                 errors[name][start].append(point_errors(solved(solver, given), given))

@@ -13,7 +13,7 @@ from sabench.evaluation.thesis.chapter_4 import NOISES, STARTS, board, held_out,
 from sabench.evaluation.thesis.common import Item, claim, compared
 from sabench.plotting.charts import Figure, Histogram, Panel
 from sabench.utils.arrays import F64
-from sabench.utils.progress import track
+from sabench.utils.progress import progress_bar
 
 SEEDS = 5
 _CAMERAS, _BASELINE = 7, 0.3
@@ -29,7 +29,7 @@ def rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
     """Measure the scatter along Z of 500 points per draw."""
     linear: dict[float, float] = {}
     panels: dict[str, list[Panel]] = {name: [] for name in _TITLES}
-    for noise in track(NOISES, "points in the volume"):
+    for noise in progress_bar(NOISES, "points in the volume"):
         pairs = [_pair("refractive_autocal", noise, 0.2, seed) for seed in seeds]
         estimated, exact = (float(stds([pair[i] for pair in pairs])[2]) for i in (0, 1))
         note = f"with the exact cameras {exact:.4g} mm"

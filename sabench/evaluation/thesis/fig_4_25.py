@@ -21,7 +21,7 @@ from sabench.geometry.rigid_motion import fit_rigid_motion
 from sabench.plotting.charts import Curve, Figure, Panel
 from sabench.scenes import Scene, load_scene, parse_scene
 from sabench.utils.arrays import F64
-from sabench.utils.progress import track
+from sabench.utils.progress import progress_bar
 
 SEEDS = 5
 _SOLVERS = {"randomised": "refractive_autocal_randomised", "joint": "refractive_autocal"}
@@ -38,7 +38,7 @@ def rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
     """Measure errors of mean spacings per solver and test; compare the tests."""
     found: dict[tuple[str, str], list[F64]] = {}
     turns: dict[tuple[str, str], list[float]] = {}
-    for seed in track(seeds, "traversed grids"):
+    for seed in progress_bar(seeds, "traversed grids"):
         given = draw(traversed(), seed)
         for name, solver in _SOLVERS.items():
             first: F64 | None = None

@@ -15,7 +15,7 @@ from sabench.utils import memory
 from sabench.utils.errors import InputError
 from sabench.utils.processes.ending import check_end, killed_if_left, last_line, overdue
 from sabench.utils.processes.starting import start_python
-from sabench.utils.progress import track
+from sabench.utils.progress import progress_bar
 
 
 def missing(module: str, package: str) -> str | None:
@@ -56,7 +56,7 @@ def run_module(module: str, folder: Path, name: str, mark: str, steps: int) -> N
 
 def _follow(process: subprocess.Popen[bytes], log: Path, name: str, mark: str, steps: int) -> None:
     assert process.stdout is not None
-    bar = iter(track(range(steps), name))
+    bar = iter(progress_bar(range(steps), name))
     with log.open("ab") as kept:
         for line in process.stdout:
             kept.write(line)
