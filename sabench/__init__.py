@@ -1,4 +1,4 @@
-"""Physically based synthetic data for volumetric velocimetry, and benchmarks of algorithms."""
+"""Physically based synthetic data and benchmarks for volumetric velocimetry."""
 
 from __future__ import annotations
 
@@ -122,7 +122,7 @@ __all__ = [
 if not TYPE_CHECKING:  # type checkers would take any name for one of the module's
 
     def __getattr__(name: str) -> Any:
-        """Import a public name when it is first used, so that `import sabench` stays light."""
+        """Import a public name at its first use: `import sabench` stays light."""
         if name in _NAMESPACES:
             return importlib.import_module(f"sabench.{name}")
         if name not in _HOMES:

@@ -212,7 +212,7 @@ class Dataset:
 
     @property
     def shows_target(self) -> bool:
-        """Whether its frames show a calibration target, and not particles."""
+        """True if its frames show a calibration target."""
         return schema.TARGET in self.manifest.files
 
     def calibration_case(self) -> CalibrationCase:

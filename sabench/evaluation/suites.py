@@ -70,7 +70,7 @@ class Entrant(_Table):
 
     @property
     def is_program(self) -> bool:
-        """Whether the name is the path of a program."""
+        """True if the name is the path of a program."""
         return is_program(self.name)
 
     @property

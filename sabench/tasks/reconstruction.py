@@ -122,7 +122,7 @@ class ReconstructionTask(FrameByFrame):
         )
 
     def alike(self, data: Dataset, one: Reconstruction, other: Reconstruction) -> bool:
-        """Compare volumes by their correlation: solvers of the kind of MART depend on the order."""
+        """Compare volumes by their correlation: MART and its kin depend on the order."""
         return correlation(one.volume, other.volume) > _ALIKE
 
     def picture(self, data: Dataset, source: Source) -> bytes:

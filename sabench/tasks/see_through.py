@@ -117,7 +117,7 @@ class SeeThroughTask(FrameByFrame):
         return pictures.backlit(seen.images, seen.black_dn, seen.white_dn)
 
     def alike(self, data: Dataset, one: Reconstruction, other: Reconstruction) -> bool:
-        """Compare planes by their correlation: solvers of the kind of MART depend on the order."""
+        """Compare planes by their correlation: MART and its kin depend on the order."""
         return correlation(one.volume, other.volume) > _ALIKE
 
     def picture(self, data: Dataset, source: Source) -> bytes:

@@ -172,7 +172,7 @@ class Task(ABC):
         """Score a result, or the best ("truth") or worst ("empty") possible estimates."""
 
     def alike(self, data: Dataset, one: Any, other: Any) -> bool:
-        """Compare estimates of the first case with the cameras in one order and in the reverse one.
+        """Compare estimates of one case with its cameras in opposite orders.
 
         They may differ as far as algorithms depend on the order in which they take the cameras.
         """
