@@ -33,9 +33,11 @@ from sabench.tasks.solve_and_score import score, solve
 from sabench.utils import backend
 from sabench.utils.errors import DeclinedError, InputError
 from sabench.utils.files import clear_abandoned, complete_or_nothing, digest
-from sabench.utils.processes.isolated import call_isolated
+from sabench.utils.processes.isolated import call_isolated, preload
 from sabench.utils.progress import console
 from sabench.utils.version import __version__
+
+preload("sabench.evaluation.gates.reference_kernel")
 
 _RUN = ("scene_hash", "seed", "split", "renderer", "solver", "parameters", "code_hash")
 _COMPUTED = ("run_hash", "case", "label", "machine", "versions")
@@ -61,14 +63,14 @@ class Only:
             A case, seed or solver that the suite does not have.
         """
         _check_known("case", self.cases, {case.name for case in cases})
-        _check_known("seed", self.seeds, {case.told_seed for case in cases})
+        _check_known("seed", self.seeds, {case.shown_seed for case in cases})
         _check_known(
             "solver", self.solvers, {entrant.shown for case in cases for entrant in case.solvers}
         )
         wanted = (
             case
             for case in cases
-            if _among(case.name, self.cases) and _among(case.told_seed, self.seeds)
+            if _among(case.name, self.cases) and _among(case.shown_seed, self.seeds)
         )
         own = [
             replace(
@@ -255,7 +257,7 @@ def _describe(case: Case, entrant: Entrant, suite: str) -> Record:
         "axis": case.axis,
         "axes": dict(case.axes),
         "scene_hash": case.scene.hash,
-        "seed": case.told_seed,
+        "seed": case.shown_seed,
         "split": "public" if case.number is None else "hidden",
         "renderer": case.renderer,
         "task": task,
@@ -271,7 +273,7 @@ def _describe(case: Case, entrant: Entrant, suite: str) -> Record:
         "--case",
         case.name,
         "--seed",
-        str(case.told_seed),
+        str(case.shown_seed),
         "--solver",
         entrant.shown,
     ]

@@ -174,18 +174,22 @@ class Case:
     number: int | None = None
 
     @property
-    def told_seed(self) -> int:
+    def shown_seed(self) -> int:
         """Seed of a public data set, or number of a private one."""
         return self.seed if self.number is None else self.number
 
     @property
-    def told(self) -> str:
+    def seed_label(self) -> str:
         """Name of the data set among those of its case; it never has a private seed."""
         return f"seed{self.seed}" if self.number is None else f"hidden{self.number}"
 
     def folder(self, work: Path) -> Path:
         """Return the folder of its data set."""
-        return work / "datasets" / f"{self.name}-{self.scene.hash[:8]}-{self.renderer}-{self.told}"
+        return (
+            work
+            / "datasets"
+            / f"{self.name}-{self.scene.hash[:8]}-{self.renderer}-{self.seed_label}"
+        )
 
 
 def load_suite(path: str | Path, secret: Secret | None = None) -> tuple[Suite, list[Case]]:

@@ -103,7 +103,7 @@ def run_program(
             path.name,
         )
         _check_file(result, path.name)
-        told = (solver_name(program), parameters or {}, cost.seconds, cost.peak_mb)
+        account = (solver_name(program), parameters or {}, cost.seconds, cost.peak_mb)
         try:
             probe(result)
             call_isolated(
@@ -111,7 +111,7 @@ def run_program(
                 result,
                 dataset.root,
                 out,
-                told,
+                account,
                 overwrite,
                 doing=f"result of {path.name}",
                 time_s=_CHECK_S,
@@ -167,7 +167,7 @@ def adopt(
     path: Path,
     root: Path,
     out: Path,
-    told: tuple[str, dict[str, Any], float, float | None] | None,
+    account: tuple[str, dict[str, Any], float, float | None] | None,
     overwrite: bool,
 ) -> None:
     """Read every value of a foreign result under all checks, and write it anew.
@@ -176,12 +176,12 @@ def adopt(
 
     Parameters
     ----------
-    told : solver, parameters, seconds (wall time of all frames) and peak memory in MB. None: solver
-        and parameters come from the file, and there are no costs.
+    account : solver, parameters, seconds (wall time of all frames) and peak memory in MB. None:
+        solver and parameters come from the file, and there are no costs.
     """
     data = open_dataset(root)
     result = open_result(path, data)
-    solver, parameters, seconds, peak_mb = told or (result.solver, result.parameters, None, None)
+    solver, parameters, seconds, peak_mb = account or (result.solver, result.parameters, None, None)
     task = tasks.of(result.task)
     with result_writer(out, data, solver, task.name, parameters, overwrite=overwrite) as writer:
         task.copy(data, result, writer)

@@ -171,10 +171,10 @@ def read_case(folder: Path) -> CalibrationCase:
         raise InputError(f"{path}: expected the description of a calibration, found none") from None
     except (OSError, ValueError) as error:
         raise InputError(f"{path}: expected a TOML file, got {error}") from error
-    told = validate(Configuration, values, str(path))
-    target = Target(**told.target.model_dump())
-    cameras = _cameras(told, str(path))
-    plain = target.points_mm + np.asarray(told.target_mm)
+    configuration = validate(Configuration, values, str(path))
+    target = Target(**configuration.target.model_dump())
+    cameras = _cameras(configuration, str(path))
+    plain = target.points_mm + np.asarray(configuration.target_mm)
     pixels = (
         _read_points(folder / POINTS, target, cameras)
         if (folder / POINTS).is_file()
@@ -182,17 +182,22 @@ def read_case(folder: Path) -> CalibrationCase:
     )
     rough = np.tile(plain, (pixels.shape[1], 1, 1))
     return CalibrationCase(
-        target, pixels, cameras, rough, *_known(told, rough.shape, str(path)), told.unknown
+        target,
+        pixels,
+        cameras,
+        rough,
+        *_known(configuration, rough.shape, str(path)),
+        configuration.unknown,
     )
 
 
-def _cameras(told: Configuration, source: str) -> tuple[Camera, ...]:
-    wall = build_wall(told.wall) if told.wall else None
-    shared, cameras = told.array, []
-    names = [spec.name for spec in told.cameras]
+def _cameras(configuration: Configuration, source: str) -> tuple[Camera, ...]:
+    wall = build_wall(configuration.wall) if configuration.wall else None
+    shared, cameras = configuration.array, []
+    names = [spec.name for spec in configuration.cameras]
     if len(set(names)) != len(names):
         raise InputError(f"{source}: cameras: expected different names, got {names}")
-    for spec in told.cameras:
+    for spec in configuration.cameras:
         camera = Camera(
             name=spec.name,
             rows=shared.rows,
@@ -217,9 +222,9 @@ def _cameras(told: Configuration, source: str) -> tuple[Camera, ...]:
     return tuple(cameras)
 
 
-def _known(told: Configuration, shape: tuple[int, ...], source: str) -> tuple[F64, F64]:
+def _known(configuration: Configuration, shape: tuple[int, ...], source: str) -> tuple[F64, F64]:
     places, sigmas = np.full(shape, np.nan), np.full(shape, np.nan)
-    for number, point in enumerate(told.known):
+    for number, point in enumerate(configuration.known):
         if point.frame >= shape[0] or point.point >= shape[1]:
             raise InputError(
                 f"{source}: known.{number}: expected one of {shape[0]} frames and of {shape[1]} "

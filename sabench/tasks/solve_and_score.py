@@ -17,7 +17,14 @@ from sabench.dataset.results import Result, open_result, result_writer
 from sabench.tasks.external_programs import is_program, run_program
 from sabench.utils import memory
 from sabench.utils.errors import InputError
+from sabench.utils.processes.isolated import preload
 from sabench.utils.processes.limited import Limits
+
+preload(
+    "sabench.tasks.solve_and_score",
+    "sabench.algorithms.refocus",
+    "sabench.algorithms.tomography.problem",
+)
 
 WORDS: tuple[Literal["truth", "empty"], ...] = ("truth", "empty")
 _SHOWN = {

@@ -73,6 +73,7 @@ class Captions:
     cameras : caption of the camera images.
     errors : caption of the error maps; "" for a task without.
     wide : whether a figure takes the page's whole width.
+    truth : whether the true one is drawn next to them.
     """
 
     heading: str
@@ -80,6 +81,7 @@ class Captions:
     cameras: str
     errors: str = ""
     wide: bool = False
+    truth: bool = True
 
 
 class Task(ABC):

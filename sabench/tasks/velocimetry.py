@@ -83,6 +83,7 @@ class VelocimetryTask(Task):
         "errors against each other, a profile next to the exact one.",
         cameras=reconstruction.PARTICLE_IMAGES,
         wide=True,
+        truth=False,  # each figure has it
     )
 
     def accepts(self, data: Dataset) -> bool:

@@ -154,13 +154,13 @@ def relabelled(target: Target) -> list[tuple[int, I64]]:
 def _check_corners(case: CalibrationCase, points: F64, rough: F64, there: Bool) -> None:
     """Refuse a frame whose points lie at their nominal positions in another order."""
     for number in np.flatnonzero(there.any(axis=(0, 2))).tolist():
-        own, told = (
+        own, nominal = (
             points[number] - points[number].mean(axis=0),
             rough[number] - np.nanmean(rough[number], axis=0),
         )
-        apart = _rms(own - told)
+        apart = _rms(own - nominal)
         for degrees, order in relabelled(case.target):
-            if _rms(own[order] - told) < 0.5 * apart:
+            if _rms(own[order] - nominal) < 0.5 * apart:
                 raise InputError(
                     f"frame {number}: expected its points numbered as at its nominal position, but "
                     f"they are turned by {degrees} degrees against it"

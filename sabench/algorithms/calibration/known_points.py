@@ -38,8 +38,8 @@ def reason_if_flat(case: CalibrationCase) -> str | None:
 
     Returns None if they do not.
     """
-    told = case.rough_mm[np.isfinite(case.rough_mm).all(axis=-1)]
-    spread = np.linalg.svd(told - told.mean(axis=0), compute_uv=False)
+    nominal = case.rough_mm[np.isfinite(case.rough_mm).all(axis=-1)]
+    spread = np.linalg.svd(nominal - nominal.mean(axis=0), compute_uv=False)
     return (
         "expected nominal positions at different depths, got all of them in one plane"
         if spread[2] <= _FLAT * spread[0]

@@ -225,8 +225,8 @@ def adjust_cameras(tracking: Tracking, matched: tuple[F64, F64]) -> tuple[Camera
     axes = [np.linspace(-1.0, 1.0, count) for count in _LATTICE]
     lattice = maps.middle_mm + maps.half_mm * np.array(list(itertools.product(*axes)))
     points = np.vstack([particles, lattice])
-    told = np.stack([camera.project(lattice)[0] for camera in tracking.cameras])
-    both = np.concatenate([pixels, told], axis=1)
+    nominal = np.stack([camera.project(lattice)[0] for camera in tracking.cameras])
+    both = np.concatenate([pixels, nominal], axis=1)
     weights = np.isfinite(both).all(axis=2).astype(np.float64)
     frame = Frame.from_cameras(tracking.cameras, points[:, None])
     state = frame.state(np.zeros((1, 3)), points[:, None])

@@ -16,7 +16,7 @@ import numpy as np
 from sabench.utils.arrays import F64
 
 _BITS = 10
-STEPS = 1 << _BITS  # places inside a pixel, along either axis, that are told apart
+STEPS = 1 << _BITS  # places inside a pixel, along either axis, that are distinguished
 _ONE = np.float32(STEPS)
 _LARGEST_EXPONENT = np.float32(60.0)
 

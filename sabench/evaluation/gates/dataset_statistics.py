@@ -40,8 +40,8 @@ def fingerprint(data: Dataset) -> dict[str, float]:
             np.nanmax(np.linalg.norm(again - pixels[:_TRACED], axis=1), initial=0.0)
         )
         figures[f"{camera.name}.sightline_mm"] = _beside(camera, points[:_TRACED], pixels[:_TRACED])
-        told = data.rig.cameras[number].project(np.asarray(data.scene.volume.center_mm)[None])[0]
-        figures |= _spread(f"{camera.name}.told_", ("column", "row"), told)
+        nominal = data.rig.cameras[number].project(np.asarray(data.scene.volume.center_mm)[None])[0]
+        figures |= _spread(f"{camera.name}.told_", ("column", "row"), nominal)
     return {name: value for name, value in figures.items() if np.isfinite(value)}
 
 

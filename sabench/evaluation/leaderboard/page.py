@@ -184,7 +184,7 @@ def _case(rows: Sequence[Record]) -> dict[str, Any]:
     """Describe a case for the page; older records lack some of the values."""
     first = rows[0]
     hidden = "-hidden" if first["split"] == "hidden" else ""
-    told = {
+    details = {
         name: next((row[name] for row in rows if row.get(name)), None)
         for name in ("suite", "difficulty", "axis", "axes")
     }
@@ -192,8 +192,8 @@ def _case(rows: Sequence[Record]) -> dict[str, Any]:
     tag = f"{first['case']}-{first['scene_hash'][:8]}-{first['renderer']}{hidden}"
     return {
         **head,
-        **told,
-        "axes": text_of(told["axes"] or {}),
+        **details,
+        "axes": text_of(details["axes"] or {}),
         "id": tag,
         "name": first["case"],
         "hash": first["scene_hash"],
@@ -331,7 +331,7 @@ def _pictures(
         rank = seen[place] = seen.get(place, 0) + 1
         stem = f"{run['solver']}-{run['run_hash'][:8]}"
         wanted = [(0, "images", "images.png")] + (
-            [(0, "truth", "truth.png")] if row["task"] != "velocimetry" else []
+            [(0, "truth", "truth.png")] if tasks.of(row["task"]).captions.truth else []
         )
         # a failed run may have left a figure of an earlier success, which is not this record's
         if not run.get("error"):

@@ -16,6 +16,8 @@ from sabench.utils.errors import InputError
 from sabench.utils.processes.ending import describe_end, kill_tree, overdue
 from sabench.utils.processes.starting import ignored_interrupts
 
+_PRELOADED: list[str] = []
+
 
 def call_isolated(
     function: Callable[..., Any], *arguments: Any, doing: str, time_s: float | None = None
@@ -67,24 +69,25 @@ def _receive(
     return answer
 
 
+def preload(*modules: str) -> None:
+    """Name modules that child processes need, so that their server loads them once.
+
+    Call it when a module is imported, before the first isolated call.
+    """
+    _PRELOADED.extend(modules)
+
+
 @functools.cache
 def _context() -> Any:
     """Return the context that forks from a server with preloaded modules.
 
-    The server has loaded what solvers need, which saves a second. Processes are spawned where there
-    is no fork.
+    The server has loaded the modules that `preload` named, which saves a second. Processes are
+    spawned where there is no fork.
     """
     if "forkserver" not in multiprocessing.get_all_start_methods():
         return multiprocessing.get_context("spawn")
     context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload(
-        [
-            "sabench.tasks.solve_and_score",
-            "sabench.evaluation.gates.reference_kernel",
-            "sabench.algorithms.refocus",
-            "sabench.algorithms.tomography.problem",
-        ]
-    )
+    context.set_forkserver_preload(_PRELOADED)
     return context
 
 

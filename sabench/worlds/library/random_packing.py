@@ -1,7 +1,7 @@
 """Random packing of ellipsoids without overlap, and search for overlaps.
 
 A grid whose cells are as wide as the largest bubble holds the bubbles that are already there; a new
-one is tried against those of 27 cells. Two ellipsoids are told apart exactly, by the contact
+one is tried against those of 27 cells. Overlap of two ellipsoids is tested exactly, by the contact
 function of Perram and Wertheim (J. Comput. Phys. 58, 409, 1985).
 """
 
