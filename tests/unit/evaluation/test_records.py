@@ -13,17 +13,28 @@ import pytest
 from sabench.evaluation.records import Head, append, latest, read_records
 
 WRITERS, LINES = 16, 40
-WRITER = """
+FORKS = """
+import multiprocessing
 import sys
 from pathlib import Path
 from sabench.evaluation.records import append
 head = {"scene": "tank", "scene_hash": "5c", "dataset": "da", "renderer": "splat"}
 head |= {"parameters": {}, "run_hash": "0", "versions": {}, "machine": {}}
-print("ready", flush=True)
-sys.stdin.readline()
-for seed in range(int(sys.argv[3])):
-    own = {"solver": sys.argv[2], "seed": seed, "label": sys.argv[2] * 3000}
-    append(Path(sys.argv[1]), head | own)
+path, writers, lines = Path(sys.argv[1]), int(sys.argv[2]), int(sys.argv[3])
+context = multiprocessing.get_context("fork")
+start = context.Barrier(writers)
+
+def write(name):
+    start.wait()
+    for seed in range(lines):
+        append(path, head | {"solver": name, "seed": seed, "label": name * 3000})
+
+children = [context.Process(target=write, args=(f"w{number}",)) for number in range(writers)]
+for child in children:
+    child.start()
+for child in children:
+    child.join()
+sys.exit(any(child.exitcode for child in children))
 """
 
 
@@ -133,22 +144,8 @@ def test_latest_keeps_the_last_of_each_run() -> None:
 
 def test_sixteen_writers_at_once_lose_and_tear_nothing(tmp_path: Path) -> None:
     file = tmp_path / "a.jsonl"
-    command = [sys.executable, "-c", WRITER, str(file)]
-    writers = [
-        subprocess.Popen(
-            [*command, f"w{number}", str(LINES)],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            text=True,
-        )
-        for number in range(WRITERS)
-    ]
-    for writer in writers:
-        assert writer.stdout is not None
-        assert writer.stdout.readline() == "ready\n"
-    for writer in writers:
-        writer.communicate("\n")
-        assert writer.returncode == 0
+    words = [sys.executable, "-c", FORKS, str(file), str(WRITERS), str(LINES)]
+    subprocess.run(words, check=True)
     found = read_records(tmp_path)
     assert len(file.read_bytes().splitlines()) == len(found) == WRITERS * LINES
     for number in range(WRITERS):

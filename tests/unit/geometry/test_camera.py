@@ -293,12 +293,16 @@ def test_etendue_with_distortion_counts_directions() -> None:
 
 def test_pixels_that_the_lens_does_not_reach_collect_nothing() -> None:
     camera = make_camera(
-        distortion=Distortion(k1=-0.3), rows=800, columns=1200, principal_point_px=(620.0, 380.0)
+        distortion=Distortion(k1=-0.3),
+        rows=400,
+        columns=600,
+        pixel_mm=0.02,
+        principal_point_px=(310.0, 190.0),
     )
     found = camera.etendue()
-    row, column = np.mgrid[0:800, 0:1200]
+    row, column = np.mgrid[0:400, 0:600]
     reached = (
-        np.hypot(column - 620.0, row - 380.0) / 600.0 / (2.0 / 3.0 / math.sqrt(0.9))
+        np.hypot(column - 310.0, row - 190.0) / 300.0 / (2.0 / 3.0 / math.sqrt(0.9))
     )  # 1 at the fold of r (1 - 0.3 r^2)
     assert np.isfinite(found).all()
     assert (found[reached < 0.98] > 0.0).all()
