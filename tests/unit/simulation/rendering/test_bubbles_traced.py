@@ -173,7 +173,7 @@ def test_rim_and_bright_spot_of_a_bubble_are_where_ray_optics_has_them() -> None
         3030.0,
     )
     lens, ball = camera(120, 120, wall=deep), bubbles([[0.0, 0.0, 50.0]], [[radius] * 3])
-    seen = shot(lens, ball, diffuser(half, z), tank=Tank(deep, (GLASS,)), error=0.002)
+    seen = shot(lens, ball, diffuser(half, z), tank=Tank(deep, (GLASS,)), error=0.005)
     truth = see(lens, ball)
     edge = float(np.linalg.norm(truth.contour[0] - truth.pixel[0], axis=1).mean())
     fine = (np.arange(960) + 0.5) / 8.0 - 0.5
@@ -317,8 +317,8 @@ CASES = {
 @pytest.mark.parametrize("name", CASES)
 def test_another_integrator_makes_the_same_picture(name: str) -> None:
     """Pixel by pixel, by its standard errors."""
-    lens = camera(32, 48, focal=1800.0, x=3.0)
-    seen = shot(lens, CASES[name], error=0.002)
+    lens = camera(20, 30, focal=1125.0, x=3.0)
+    seen = shot(lens, CASES[name], error=0.003)
     radiance, error = by_path_tracer(lens, CASES[name], diffuser(), 4096)
     scale = FULL * 0.5 / TANK.straight() / float(lens.etendue().max())
     expected, sigma = radiance * scale * lens.etendue(), error * scale * lens.etendue()
@@ -409,17 +409,17 @@ def test_a_black_body_hides_what_is_behind_it_and_a_lamp_shows_it() -> None:
 
 
 def test_a_moving_bubble_is_smeared() -> None:
-    lens = camera()
+    lens = camera(20, 40)
     still = bubbles([[0.0, 0.0, 50.0]], [[0.6] * 3])
     moving = Bubbles(
         still.id, still.center_mm, still.semi_axes_mm, still.turn, np.array([[1000.0, 0.0, 0.0]])
     )
-    sharp, smeared = (shot(lens, one, exposure_s=2e-3, error=0.001) for one in (still, moving))
-    dark = [(0.5 * FULL - image.photons)[18:30, 18:46].sum(axis=0) for image in (sharp, smeared)]
+    sharp, smeared = (shot(lens, one, exposure_s=2e-3, error=0.0035) for one in (still, moving))
+    dark = [(0.5 * FULL - image.photons)[4:16, 6:34].sum(axis=0) for image in (sharp, smeared)]
     assert dark[1].sum() == pytest.approx(
         dark[0].sum(), rel=0.06
     )  # the same shadow, further spread
-    column = np.arange(18, 46)
+    column = np.arange(6, 34)
     middle = [np.sum(column * one) / one.sum() for one in dark]
     spread = [
         np.sum((column - m) ** 2 * one) / one.sum() for m, one in zip(middle, dark, strict=True)
