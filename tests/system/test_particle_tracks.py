@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import h5py
@@ -60,38 +59,13 @@ def ready(name: str, case: Film) -> ParticleSolver:
 
 
 @pytest.mark.parametrize("name", SOLVERS)
-def test_a_solver_finds_particles_the_same_way_twice(name: str, shot: Shot) -> None:
+def test_a_solver_finds_particles(name: str, shot: Shot) -> None:
+    """Test accuracy; repetition, darkness and camera order are tested by test_conformance."""
     case = Film.of([shot.observation])
-    first, second = (ready(name, case).solve(case) for _ in range(2))
-    assert len(first) == len(second) == 1
-    np.testing.assert_array_equal(first[0].position_mm, second[0].position_mm)
-    apart = np.linalg.norm(first[0].position_mm[:, None] - shot.particles.position_mm, axis=2)
+    (found,) = ready(name, case).solve(case)
+    apart = np.linalg.norm(found.position_mm[:, None] - shot.particles.position_mm, axis=2)
     assert (apart.min(axis=0) < 0.05).mean() > 0.8
     assert (apart.min(axis=1) < 0.05).mean() > 0.9
-
-
-@pytest.mark.parametrize("name", SOLVERS)
-def test_no_light_is_no_particles(name: str, shot: Shot) -> None:
-    dark = Film.of(
-        [
-            replace(
-                shot.observation,
-                images=np.full_like(shot.observation.images, int(shot.observation.black_dn)),
-            )
-        ]
-    )
-    assert [len(one.position_mm) for one in ready(name, dark).solve(dark)] == [0]
-
-
-@pytest.mark.parametrize("name", SOLVERS)
-def test_cameras_may_come_in_any_order(name: str, shot: Shot) -> None:
-    seen = shot.observation
-    turned = Film.of([replace(seen, images=seen.images[::-1].copy(), cameras=seen.cameras[::-1])])
-    one, other = (
-        ready(name, case).solve(case)[0].position_mm for case in (Film.of([seen]), turned)
-    )
-    apart = np.linalg.norm(one[:, None] - other, axis=2)
-    assert (apart.min(axis=0) < 0.01).mean() > 0.9
 
 
 @pytest.mark.parametrize("name", SOLVERS)
