@@ -61,23 +61,21 @@ def plant(folder: Path) -> None:
 
 
 def test_a_check_is_silent_until_something_got_worse(
-    algorithms: Path, own_process: Command
+    algorithms: Path, command: Command, own_process: Command, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    words, env = (
-        ("check", "tiny.toml", "--baseline", "base.json"),
-        {"SABENCH_PLUGINS": str(algorithms / "mine"), "PYTHONPATH": str(ROOT)},
-    )
-    missing = own_process(*words, env=env)
+    monkeypatch.setenv("SABENCH_PLUGINS", str(algorithms / "mine"))
+    words = ("check", "tiny.toml", "--baseline", "base.json")
+    missing = command(*words)
     assert missing.returncode == 2
     assert "--update makes one" in missing.stderr
-    made = own_process(*words, "--update", env=env)
+    made = own_process(*words, "--update")
     assert made.returncode == 0, made.stderr
-    silent = own_process(*words, "--junit", "ok.xml", env=env)
+    silent = own_process(*words, "--junit", "ok.xml")
     assert silent.returncode == 0, silent.stdout + silent.stderr
     assert silent.stdout == "tiny: 1 data sets, 1 results: nothing got worse\n"
     assert ElementTree.parse(algorithms / "ok.xml").getroot().get("failures") == "0"
     plant(algorithms)
-    worse = own_process(*words, "--junit", "bad.xml", "--json", env=env)
+    worse = own_process(*words, "--junit", "bad.xml", "--json")
     assert worse.returncode == 1
     figures = {one["figure"]: one for one in json.loads(worse.stdout)["worse"]}
     assert figures["q"]["solver"] == "dimmest"
@@ -85,21 +83,21 @@ def test_a_check_is_silent_until_something_got_worse(
     assert ElementTree.parse(algorithms / "bad.xml").getroot().get("failures") == "1"
 
 
-def test_a_baseline_of_another_suite_is_bad_input(algorithms: Path, own_process: Command) -> None:
-    done = own_process(
-        "check",
-        "tiny.toml",
-        "--baseline",
-        ROOT / "leaderboard/baselines/ci.json",
-        env={"SABENCH_PLUGINS": str(algorithms / "mine")},
-    )
+def test_a_baseline_of_another_suite_is_bad_input(
+    algorithms: Path, command: Command, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("SABENCH_PLUGINS", str(algorithms / "mine"))
+    done = command("check", "tiny.toml", "--baseline", ROOT / "leaderboard/baselines/ci.json")
     assert done.returncode == 2
     assert "expected a baseline of the suite tiny, got one of ci" in done.stderr
 
 
-def test_solvers_that_no_case_is_for_are_bad_input(algorithms: Path, own_process: Command) -> None:
+def test_solvers_that_no_case_is_for_are_bad_input(
+    algorithms: Path, command: Command, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("SABENCH_PLUGINS", str(algorithms / "mine"))
     words = ("check", "tiny.toml", "--baseline", "base.json", "--update", "--solver", "piv3d")
-    done = own_process(*words, env={"SABENCH_PLUGINS": str(algorithms / "mine")})
+    done = command(*words)
     assert done.returncode == 2
     assert "got only some of the task velocimetry" in done.stderr
 

@@ -25,7 +25,7 @@ scene = "quick"
 name = "few"
 difficulty = "easy"
 axis = "density"
-set = { "particles.count" = 40 }
+set = { "particles.count" = 40, "volume.size_mm" = [7.0, 5.0, 2.0] }
 """
 
 
