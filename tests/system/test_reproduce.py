@@ -112,7 +112,7 @@ def test_a_suite_of_cases_and_seeds_ends_in_means_and_leaves_no_data(
 ) -> None:
     (tmp_path / "suite.toml").write_text(
         'title = "t"\nbackend = "splat"\nseeds = [1, 2]\nkeep_data = false\n[[cases]]\n'
-        'scene = "quick"\nname = "q"\n'
+        'scene = "quick"\nname = "q"\n[cases.set]\n"volume.size_mm" = [6.0, 4.0, 2.0]\n'
         '[cases.vary]\n"particles.count" = [100, 200]\n[[solvers]]\nname = "msa"\n'
         'label = "product"\n'
     )
