@@ -1,0 +1,108 @@
+"""Scores of calibrations, from estimates with known errors."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from sabench.api import Calibration
+from sabench.geometry.refraction import Layer, Wall
+from sabench.metrics.calibration_error import (
+    calibration_scores,
+    detection_noise,
+    detection_scores,
+    mean_length,
+    reproject,
+    scatter,
+    target_points,
+    wall_scores,
+)
+from tests.helpers.calibration_cases import calibration_scene, case_of
+
+NOISE = {"noise_px": 0.1, "missing": 0.1}
+
+
+def test_the_true_calibration_has_no_error_but_that_of_detection() -> None:
+    case, cameras, points, exact = case_of(calibration_scene(detection=NOISE))
+    scores = calibration_scores(
+        Calibration(cameras, points), case, cameras, points, exact, case.found
+    )
+    assert scores["true_px"] == pytest.approx(0.0, abs=1e-9)
+    # lengths of errors that are normal along both axes
+    assert scores["measured_px"] == pytest.approx(0.1 * np.sqrt(np.pi / 2.0), rel=0.05)
+    assert scores["used_percent"] == pytest.approx(100.0)
+    assert scores["found_std_px"] == pytest.approx(0.1, rel=0.05)
+    bound = scores["bound_px"]
+    assert bound is not None
+    assert 0.0 < bound < 0.1
+    assert scores["true_ratio"] == pytest.approx(0.0, abs=1e-6)
+
+
+def test_a_principal_point_aside_is_the_mean_reprojection_error() -> None:
+    case, cameras, points, exact = case_of(calibration_scene(detection=NOISE))
+    shifted = [
+        replace(one, principal_point_px=tuple(np.add(one.principal_point_px, (0.3, -0.4))))
+        for one in cameras
+    ]
+    estimate = Calibration(tuple(shifted), points)
+    scores = calibration_scores(estimate, case, cameras, points, exact, case.found)
+    assert scores["true_px"] == pytest.approx(0.5, rel=1e-6)
+    ratio, bound = scores["true_ratio"], scores["bound_px"]
+    assert ratio is not None
+    assert bound is not None
+    assert ratio * bound == pytest.approx(0.5, rel=1e-6)
+
+
+def test_points_are_triangulated_from_the_observations_that_were_used() -> None:
+    case, cameras, points, _ = case_of(calibration_scene(detection=None))
+    found = target_points(Calibration(cameras), case)
+    np.testing.assert_allclose(found, points, atol=1e-6)
+    given = Calibration(cameras, points + 1.0)
+    np.testing.assert_array_equal(target_points(given, case), points + 1.0)
+    used = np.ones(case.found.shape, dtype=np.bool_)
+    used[1:, 0, 3] = False  # one camera alone sees no depth
+    lost = target_points(Calibration(cameras, None, used), case)
+    assert np.isnan(lost[0, 3]).all()
+    assert np.isfinite(np.delete(lost.reshape(-1, 3), 3, axis=0)).all()
+
+
+def test_reprojection_is_the_projection_of_every_camera() -> None:
+    case, cameras, points, exact = case_of(calibration_scene(detection=None))
+    assert case.found.all()
+    np.testing.assert_allclose(reproject(cameras, points), exact, atol=1e-9)
+
+
+def test_figures_of_errors() -> None:
+    errors = np.array([[3.0, 4.0], [0.0, 1.0], [np.nan, 0.0], [100.0, 0.0]])
+    assert mean_length(errors, np.array([True, True, True, False])) == pytest.approx(3.0)
+    assert mean_length(errors, np.zeros(4, dtype=np.bool_)) is None
+    cloud = np.array([[1.0, 0.0, 0.0], [-1.0, 0.0, 0.0], [0.0, np.nan, 0.0]]) + 7.0
+    assert scatter(cloud) == pytest.approx(1.0)
+    assert scatter(np.full((2, 3), np.nan)) is None
+    pixels, good = np.array([[1.5, 2.5], [0.5, 1.5], [9.0, 9.0]]), np.array([True, True, False])
+    truth = np.array([[1.0, 1.0], [0.0, 0.0], [0.0, 0.0]])
+    assert detection_noise(pixels, truth, good) == pytest.approx(np.sqrt((0.25 + 2.25) / 2.0))
+    assert detection_noise(pixels, truth, np.zeros(3, dtype=np.bool_)) == 0.0
+    scores = detection_scores(pixels, truth, good)
+    assert scores == {
+        "found_bias_column_px": pytest.approx(0.5),
+        "found_bias_row_px": pytest.approx(1.5),
+        "found_std_px": pytest.approx(0.0),
+    }
+
+
+def wall(*layers: Layer, fluid_index: float = 1.333) -> Wall:
+    return Wall((0.0, 0.0, 0.0), (0.0, 0.0, 1.0), 1.0, layers, fluid_index)
+
+
+def test_errors_of_the_wall() -> None:
+    truth = wall(Layer("glass", 1.52, 5.0))
+    estimate = wall(Layer("glass", 1.50, 5.4), fluid_index=1.34)
+    assert wall_scores(estimate, truth) == {
+        "index_error": pytest.approx(0.02),
+        "thickness_error_mm": pytest.approx(0.4),
+    }
+    assert wall_scores(None, truth)["index_error"] is None
+    assert wall_scores(wall(), truth)["thickness_error_mm"] is None
