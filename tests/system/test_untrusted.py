@@ -1,4 +1,4 @@
-"""A hundred damaged files of every kind.
+"""Some hundred damaged files of every kind.
 
 They are a part of what benchmarks/fuzz.py tries, and the faults that it once found.
 """
@@ -43,7 +43,7 @@ def test_damaged_input_is_refused_by_one_sentence_or_taken(tmp_path: Path) -> No
     words = [
         sys.executable,
         str(ROOT / "benchmarks" / "fuzz.py"),
-        "100",
+        "200",
         "--seed",
         "7",
         "--limit",
@@ -54,7 +54,7 @@ def test_damaged_input_is_refused_by_one_sentence_or_taken(tmp_path: Path) -> No
     ]
     done = subprocess.run(words, capture_output=True, text=True, check=False, cwd=tmp_path)
     assert done.returncode == 0, done.stdout + done.stderr
-    assert re.search(r"^all +100 +\d+ +\d+ +0$", done.stdout, re.MULTILINE), done.stdout
+    assert re.search(r"^all +200 +\d+ +\d+ +0$", done.stdout, re.MULTILINE), done.stdout
 
 
 @pytest.fixture

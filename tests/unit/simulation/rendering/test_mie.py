@@ -26,7 +26,7 @@ def over_the_sphere(table: MieTable) -> float:
     [
         (index, fluid, diameter_mm)
         for index, fluid in ((1.59 + 0j, 1.333), (1.33 - 0.02j, 1.0), (1.0 + 0j, 1.333))
-        for diameter_mm in (1e-4, 1e-3, 5e-3, 1e-2)
+        for diameter_mm in (1e-4, 1e-3, 5e-3, 2e-2)
     ]
     + [(1.59 + 0j, 1.333, 5e-2)],  # series and angles cost the most here: once is enough
 )
