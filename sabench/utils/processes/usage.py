@@ -57,5 +57,6 @@ def size_mb(folder: Path) -> float:
     for path, _, files in os.walk(folder):
         for name in files:
             with contextlib.suppress(OSError):
-                blocks += os.lstat(os.path.join(path, name)).st_blocks  # noqa: PTH118 (a path object for each of many files is slow)
+                # a path object for each of many files is slow
+                blocks += os.lstat(os.path.join(path, name)).st_blocks  # noqa: PTH118
     return blocks * 512 / 1e6
