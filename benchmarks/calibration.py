@@ -206,8 +206,8 @@ def timed(cameras: int, frames: int) -> dict[str, Any]:
         np.nan_to_num(exact) + 0.1 * rng.standard_normal(exact.shape),
         weights,
     )
-    rough = placed.points_mm + 5.0 * rng.standard_normal(placed.points_mm.shape)
-    start = Frame.from_cameras(rig.cameras, rough).state(placed.target.points_mm, rough)
+    initial = placed.points_mm + 5.0 * rng.standard_normal(placed.points_mm.shape)
+    start = Frame.from_cameras(rig.cameras, initial).state(placed.target.points_mm, initial)
     fit = adjust(start, seen, FreeParameters()).fit
     step = median_s(lambda: normal_equations(start, seen, FreeParameters()))
     count, local = float(seen.weights.sum()), 13

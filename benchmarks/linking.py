@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-from tests.helpers.films import film, judged, linked
+from tests.helpers.bubble_sequences import link_scores, link_sequence, make_sequence
 
 _FAULTS = {"missing": 0.2, "ghosts": 0.2, "noise": 0.03}
 _MOTIONS: dict[str, tuple[str, dict[str, float]]] = {
@@ -30,8 +30,8 @@ _STEPS = (0.2, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0)
 
 def followed(kind: str, faults: Any, relative: float) -> list[float]:
     """Measure recall and precision of links."""
-    made = film(relative, kind, **faults)
-    return [round(share, 3) for share in judged(made, linked(made))]
+    made = make_sequence(relative, kind, **faults)
+    return [round(share, 3) for share in link_scores(made, link_sequence(made))]
 
 
 def timed(kind: str, faults: Any) -> float:
@@ -39,9 +39,9 @@ def timed(kind: str, faults: Any) -> float:
 
     The displacement is one mean distance of neighbours a frame.
     """
-    made = film(1.0, kind, count=2000, frames=50, **faults)
+    made = make_sequence(1.0, kind, count=2000, frames=50, **faults)
     start = time.perf_counter()
-    linked(made)
+    link_sequence(made)
     return round(time.perf_counter() - start, 2)
 
 

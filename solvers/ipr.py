@@ -5,7 +5,7 @@ from __future__ import annotations
 from pydantic import Field
 
 from sabench.algorithms.particles import IprSettings, fit_cameras, reconstruct_particles
-from sabench.api import Film, FoundParticles, Parameters, ParticleSolver, progress_bar
+from sabench.api import FoundParticles, ImageSequence, Parameters, ParticleSolver, progress_bar
 
 
 class IprParameters(Parameters):
@@ -58,11 +58,11 @@ class Ipr(ParticleSolver):
     references = ("Wieneke, Meas. Sci. Technol. 24 (2013) 024008",)
     Parameters = IprParameters
 
-    def skip(self, case: Film) -> str | None:
+    def skip(self, case: ImageSequence) -> str | None:
         """Skip fewer than three cameras, as two lines of sight meet by chance too often."""
         return "it needs three cameras" if len(case.cameras) < 3 else None
 
-    def solve(self, case: Film) -> list[FoundParticles]:
+    def solve(self, case: ImageSequence) -> list[FoundParticles]:
         """Reconstruct each frame on its own."""
         chosen = self.parameters
         reduced = max(4, len(case.cameras)) if chosen.reduced is None else chosen.reduced

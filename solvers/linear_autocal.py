@@ -31,7 +31,7 @@ class LinearAutocal(CalibrationSolver):
     def solve(self, case: CalibrationCase) -> Calibration:
         """Reconstruct the points that two cameras found, then all the cameras."""
         seen = case.found.reshape(len(case.cameras), -1)
-        chosen = (seen.sum(axis=0) >= 2) & np.isfinite(case.rough_mm.reshape(-1, 3)).all(axis=1)
+        chosen = (seen.sum(axis=0) >= 2) & np.isfinite(case.initial_mm.reshape(-1, 3)).all(axis=1)
         if len(case.cameras) < 3:
             raise InputError(f"expected 3 cameras or more, got {len(case.cameras)}")
         scales = np.array(
@@ -44,7 +44,7 @@ class LinearAutocal(CalibrationSolver):
             adjust_factors(factorise(images, seen[:, chosen]), images, seen[:, chosen])
         )
         points = factors.points[:, :3] / factors.points[:, 3:]
-        world = fit_similarity(points, case.rough_mm.reshape(-1, 3)[chosen])
+        world = fit_similarity(points, case.initial_mm.reshape(-1, 3)[chosen])
         matrices = factors.matrices @ np.linalg.inv(world)
         cameras = [
             Projective(

@@ -8,7 +8,14 @@ from pathlib import Path
 import numpy as np
 from pydantic import Field
 
-from sabench.api import Camera, Film, FoundParticles, Parameters, ParticleSolver, progress_bar
+from sabench.api import (
+    Camera,
+    FoundParticles,
+    ImageSequence,
+    Parameters,
+    ParticleSolver,
+    progress_bar,
+)
 from sabench.interop.image_statistics import Seen, seen_in
 from sabench.interop.openlpt import Settings, missing, solve, unfit, write_frame, write_project
 
@@ -60,7 +67,7 @@ class OpenLpt(ParticleSolver):
     )
     Parameters = OpenLptParameters
 
-    def skip(self, case: Film) -> str | None:
+    def skip(self, case: ImageSequence) -> str | None:
         """Skip if OpenLPT is not installed or cannot describe every camera."""
         if len(case.cameras) < 2:
             return "it needs two cameras"
@@ -74,7 +81,7 @@ class OpenLpt(ParticleSolver):
         )
         return missing() or next(unfits, None)
 
-    def solve(self, case: Film) -> list[FoundParticles]:
+    def solve(self, case: ImageSequence) -> list[FoundParticles]:
         """Write its files, run it, read its tracks."""
         cameras = tuple(camera for camera in case.cameras if isinstance(camera, Camera))
         with tempfile.TemporaryDirectory(prefix="openlpt-") as name:

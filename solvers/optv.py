@@ -7,7 +7,14 @@ from pathlib import Path
 
 from pydantic import Field
 
-from sabench.api import Camera, Film, FoundParticles, Parameters, ParticleSolver, progress_bar
+from sabench.api import (
+    Camera,
+    FoundParticles,
+    ImageSequence,
+    Parameters,
+    ParticleSolver,
+    progress_bar,
+)
 from sabench.interop.image_statistics import seen_in
 from sabench.interop.openptv import (
     MOST_CAMERAS,
@@ -57,7 +64,7 @@ class Optv(ParticleSolver):
     )
     Parameters = OptvParameters
 
-    def skip(self, case: Film) -> str | None:
+    def skip(self, case: ImageSequence) -> str | None:
         """Skip if OpenPTV is not installed or cannot describe every camera.
 
         Its correspondences are between four cameras at most.
@@ -74,7 +81,7 @@ class Optv(ParticleSolver):
         )
         return missing() or next(unfits, None)
 
-    def solve(self, case: Film) -> list[FoundParticles]:
+    def solve(self, case: ImageSequence) -> list[FoundParticles]:
         """Write its files, run it, read what it found."""
         chosen = self.parameters
         cameras = tuple(camera for camera in case.cameras if isinstance(camera, Camera))

@@ -22,7 +22,7 @@ class PolynomialPlanes(CalibrationSolver):
 
     def skip(self, case: CalibrationCase) -> str | None:
         """Skip unless the target stood at right angles to Z."""
-        depth = case.rough_mm[..., 2]
+        depth = case.initial_mm[..., 2]
         middles = np.sort(np.nanmean(depth, axis=1))
         ranges = np.nanmax(depth, axis=1) - np.nanmin(depth, axis=1)
         apart = float(np.diff(middles).min(initial=np.inf))

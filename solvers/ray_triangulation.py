@@ -5,7 +5,7 @@ from __future__ import annotations
 from pydantic import Field
 
 from sabench.algorithms.particles import IprSettings, fit_cameras, triangulate_particles
-from sabench.api import Film, FoundParticles, Parameters, ParticleSolver, progress_bar
+from sabench.api import FoundParticles, ImageSequence, Parameters, ParticleSolver, progress_bar
 
 
 class TriangulationParameters(Parameters):
@@ -40,11 +40,11 @@ class RayTriangulation(ParticleSolver):
     references = ("Maas, Gruen and Papantoniou, Exp. Fluids 15 (1993) 133-146",)
     Parameters = TriangulationParameters
 
-    def skip(self, case: Film) -> str | None:
+    def skip(self, case: ImageSequence) -> str | None:
         """Skip fewer than three cameras, as two lines of sight meet by chance too often."""
         return "it needs three cameras" if len(case.cameras) < 3 else None
 
-    def solve(self, case: Film) -> list[FoundParticles]:
+    def solve(self, case: ImageSequence) -> list[FoundParticles]:
         """Triangulate each frame on its own."""
         chosen = self.parameters
         settings = IprSettings(floor=chosen.floor, noise=chosen.noise, reach_px=chosen.reach_px)

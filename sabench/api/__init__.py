@@ -19,7 +19,7 @@ from sabench.api.generators import (
     TargetGenerator,
 )
 from sabench.api.make import make_solver
-from sabench.api.observations import CalibrationCase, Film, Observation, Shown, VolumePair
+from sabench.api.observations import CalibrationCase, ImageSequence, Observation, Shown, VolumePair
 from sabench.api.parameters import FileParameters, Parameters, PlugIn
 from sabench.api.solvers import (
     AnySolver,
@@ -46,6 +46,7 @@ from sabench.utils.fields import LensNumber, Vector
 from sabench.utils.progress import progress_bar
 from sabench.utils.rng import stream
 
+Film = ImageSequence  # the old name, for older plug-ins
 Track = TaskName  # its name until format version 2
 
 __all__ = [
@@ -77,6 +78,7 @@ __all__ = [
     "FoundParticles",
     "Generator",
     "Grid",
+    "ImageSequence",
     "InputError",
     "Layer",
     "LensNumber",

@@ -109,7 +109,7 @@ def _check_sizes(images: U16, cameras: tuple[CameraModel, ...]) -> None:
 
 
 @dataclass(frozen=True)
-class Film:
+class ImageSequence:
     """Image sequence as an experimenter has it.
 
     Each frame is read when it is requested, and none is kept.
@@ -127,7 +127,7 @@ class Film:
     load: Callable[[int], Observation]
 
     @classmethod
-    def of(cls, frames: list[Observation], interval_s: float = 1.0) -> Film:
+    def of(cls, frames: list[Observation], interval_s: float = 1.0) -> ImageSequence:
         """Make an image sequence of frames that are in memory."""
         return cls(
             frames[0].cameras,
@@ -161,8 +161,8 @@ class CalibrationCase:
     pixels : (camera, frame, point, 2) column and row of the target's m points; NaN where one was
         not found.
     cameras : initial guess of the cameras, each with its wall.
-    rough_mm : (frame, point, 3) initial guess of the positions of the target's points, world frame;
-        NaN where there is none.
+    initial_mm : (frame, point, 3) initial guess of the positions of the target's points, in the
+        world frame; NaN where there is none.
     known_mm : (frame, point, 3) coordinates that were measured by other means; NaN where they were
         not.
     known_sigma_mm : the same shape, their standard deviations.
@@ -178,7 +178,7 @@ class CalibrationCase:
     target: Target
     pixels: F64
     cameras: tuple[Camera, ...]
-    rough_mm: F64
+    initial_mm: F64
     known_mm: F64
     known_sigma_mm: F64
     unknown: tuple[LensNumber, ...] = ()
@@ -196,7 +196,7 @@ class CalibrationCase:
                 f"{self.pixels.shape}"
             )
         expected = (self.pixels.shape[1], count, 3)
-        for name in ("rough_mm", "known_mm", "known_sigma_mm"):
+        for name in ("initial_mm", "known_mm", "known_sigma_mm"):
             if getattr(self, name).shape != expected:
                 raise InputError(
                     f"{name}: expected the shape {expected}, got {getattr(self, name).shape}"
@@ -207,6 +207,11 @@ class CalibrationCase:
                     f"{camera.name}: expected it to see some of the target, but not one of its "
                     "points was found"
                 )
+
+    @property
+    def rough_mm(self) -> F64:
+        """Old name of `initial_mm`, for older plug-ins."""
+        return self.initial_mm
 
     @property
     def found(self) -> Bool:

@@ -15,7 +15,7 @@ from typing import ClassVar, Literal
 from pydantic import Field
 
 from sabench.api.estimates import Calibration, Detections, FoundParticles, Reconstruction, Velocity
-from sabench.api.observations import CalibrationCase, Film, Observation, Shown, VolumePair
+from sabench.api.observations import CalibrationCase, ImageSequence, Observation, Shown, VolumePair
 from sabench.api.parameters import Parameters, PlugIn
 
 TaskName = Literal[
@@ -50,11 +50,11 @@ class ParticleSolver(PlugIn):
     task: ClassVar[TaskName] = "particles"
     sees: ClassVar[Shown] = "particles"
 
-    def skip(self, case: Film) -> str | None:
+    def skip(self, case: ImageSequence) -> str | None:
         """Give the reason why this algorithm cannot take the case; None if it can."""
         return None
 
-    def solve(self, case: Film) -> list[FoundParticles]:
+    def solve(self, case: ImageSequence) -> list[FoundParticles]:
         """Find the particles of every frame; either all with trajectories, or none."""
         raise NotImplementedError(f"solver {type(self).__name__} must implement solve()")
 

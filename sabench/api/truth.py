@@ -205,7 +205,7 @@ class Prior:
     The arrays are those of `api.CalibrationCase`.
     """
 
-    rough_mm: F64
+    initial_mm: F64
     known_mm: F64
     known_sigma_mm: F64
 

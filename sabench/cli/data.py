@@ -163,7 +163,7 @@ def generate(
         jobs=jobs,
         scheduler=scheduler,
     )
-    size = f"{made.rig.frames} frame(s) of {len(made.rig.cameras)} cameras"
+    size = f"{made.setup.frames} frame(s) of {len(made.setup.cameras)} cameras"
     say(f"{made.root}: {size}, {made.manifest.renderer}, hash {made.content_hash[:12]}")
 
 

@@ -41,7 +41,7 @@ class Dataset:
         return self.manifest.content_hash
 
     @cached_property
-    def rig(self) -> CamerasFile:
+    def setup(self) -> CamerasFile:
         """Read the cameras, wall, grid and sensor levels that solvers receive."""
         return schema.read_cameras(self.root)
 
@@ -49,11 +49,11 @@ class Dataset:
     def true_cameras(self) -> tuple[Camera, ...]:
         """Read the cameras that took the images: truth, not for solvers.
 
-        They are those of `rig`, unless the data set has a calibration error.
+        They are those of `setup`, unless the data set has a calibration error.
         """
         if schema.TRUE_CAMERAS not in self.manifest.files:
-            return self.rig.cameras
-        return schema.read_true_cameras(self.root, self.rig)
+            return self.setup.cameras
+        return schema.read_true_cameras(self.root, self.setup)
 
     @cached_property
     def scene(self) -> Scene:
@@ -70,17 +70,17 @@ class Dataset:
     def observation(self, frame: int) -> Observation:
         """Read one frame as a solver receives it."""
         self._check_frame(frame)
-        rig = self.rig
+        setup = self.setup
         images = [
             read_tiff(self._image(camera.name, frame, "tif"), (camera.rows, camera.columns))
-            for camera in rig.cameras
+            for camera in setup.cameras
         ]
         return observed(
             np.stack(images),
-            rig.cameras,
-            rig.grid,
-            (rig.sensor.black_dn, rig.sensor.white_dn),
-            rig.preprocessing,
+            setup.cameras,
+            setup.grid,
+            (setup.sensor.black_dn, setup.sensor.white_dn),
+            setup.preprocessing,
         )
 
     def radiance(self, frame: int) -> list[F32]:
@@ -91,7 +91,7 @@ class Dataset:
         self._check_frame(frame)
         return [
             read_exr(self._image(camera.name, frame, "exr"), (camera.rows, camera.columns))
-            for camera in self.rig.cameras
+            for camera in self.setup.cameras
         ]
 
     def particles(self, frame: int) -> Particles:
@@ -116,7 +116,7 @@ class Dataset:
         with opened(inside(self.root, schema.TRUTH)) as file:
             n = len(read_array(file, f"{schema.frame_group(frame)}/id", (None,), "i"))
             views = []
-            for camera in self.rig.cameras:
+            for camera in self.setup.cameras:
                 base = f"{schema.frame_group(frame)}/cameras/{camera.name}"
                 visible = read_array(file, f"{base}/visible", (n,), "u") > 0
                 pixel, photons, sigma_px = (
@@ -208,7 +208,7 @@ class Dataset:
 
         Bodies may be there in any case.
         """
-        return ("target",) if self.shows_target else self.rig.shows
+        return ("target",) if self.shows_target else self.setup.shows
 
     @property
     def shows_target(self) -> bool:
@@ -217,17 +217,25 @@ class Dataset:
 
     def calibration_case(self) -> CalibrationCase:
         """Read all frames of a target as a solver receives them."""
-        target, rig = self._target(), self.rig
+        target, setup = self._target(), self.setup
         count = len(target.points_mm)
-        shapes = {"pixels": (len(rig.cameras), rig.frames, count, 2)} | dict.fromkeys(
-            ("rough_mm", "known_mm", "known_sigma_mm"), (rig.frames, count, 3)
+        shapes = {"pixels": (len(setup.cameras), setup.frames, count, 2)} | dict.fromkeys(
+            ("rough_mm", "known_mm", "known_sigma_mm"), (setup.frames, count, 3)
         )
         with opened(inside(self.root, schema.POINTS)) as file:
             arrays = {
                 name: read_array(file, name, shape, "f").astype(np.float64)
                 for name, shape in shapes.items()
             }
-        return CalibrationCase(target=target, cameras=rig.cameras, unknown=rig.unknown, **arrays)
+        return CalibrationCase(
+            target,
+            arrays["pixels"],
+            setup.cameras,
+            arrays["rough_mm"],
+            arrays["known_mm"],
+            arrays["known_sigma_mm"],
+            setup.unknown,
+        )
 
     def placed(self) -> Placed:
         """Read the target's true positions and rotations: not for solvers."""
@@ -235,7 +243,7 @@ class Dataset:
         with opened(inside(self.root, schema.TRUTH)) as file:
             return Placed(
                 target,
-                tuple(_pose(file, schema.frame_group(frame)) for frame in range(self.rig.frames)),
+                tuple(_pose(file, schema.frame_group(frame)) for frame in range(self.setup.frames)),
             )
 
     def sightings(self) -> tuple[F64, Bool]:
@@ -246,9 +254,9 @@ class Dataset:
 
         Truth, not for solvers.
         """
-        shape = (self.rig.frames, len(self._target().points_mm))
+        shape = (self.setup.frames, len(self._target().points_mm))
         with opened(inside(self.root, schema.TRUTH)) as file:
-            groups = [f"cameras/{camera.name}" for camera in self.rig.cameras]
+            groups = [f"cameras/{camera.name}" for camera in self.setup.cameras]
             exact = [read_array(file, f"{group}/pixel", (*shape, 2), "f") for group in groups]
             outliers = [read_array(file, f"{group}/outlier", shape, "u") > 0 for group in groups]
         return np.stack(exact), np.stack(outliers)
@@ -265,8 +273,8 @@ class Dataset:
         return inside(self.root, schema.image_name(camera, frame, suffix))
 
     def _check_frame(self, frame: int) -> None:
-        if not 0 <= frame < self.rig.frames:
-            raise InputError(f"{self.root}: frame {frame}: expected 0 to {self.rig.frames - 1}")
+        if not 0 <= frame < self.setup.frames:
+            raise InputError(f"{self.root}: frame {frame}: expected 0 to {self.setup.frames - 1}")
 
 
 def observed(

@@ -206,7 +206,7 @@ def open_result(path: str | Path, dataset: Dataset) -> Result:
         task=_task(head, path),
         solver=printable(str(head.get("solver", "unknown"))),
         parameters=_parameters(str(head.get("parameters", "{}")), path),
-        grid=dataset.rig.grid,
+        grid=dataset.setup.grid,
         **costs,
     )
 

@@ -62,7 +62,7 @@ def _content_faults(dataset: Dataset) -> Iterator[str]:
         yield from deadly
         return
     yield from _try(lambda: _check_scene(dataset))
-    broken = list(_try(lambda: dataset.rig))
+    broken = list(_try(lambda: dataset.setup))
     if broken:
         yield from broken
         return
@@ -71,13 +71,13 @@ def _content_faults(dataset: Dataset) -> Iterator[str]:
         for whole in (dataset.calibration_case, dataset.placed, dataset.sightings):
             yield from _try(whole)
         return
-    for frame in progress_bar(range(dataset.rig.frames), "verify shapes"):
+    for frame in progress_bar(range(dataset.setup.frames), "verify shapes"):
         parts: list[Callable[[int], object]] = [dataset.observation, dataset.radiance]
         parts += [dataset.particles, dataset.views] if "particles" in dataset.shows else []
         parts += [dataset.bubbles, dataset.solids] if "bubbles" in dataset.shows else []
         for part in parts:
             yield from _try(functools.partial(part, frame))
-        for camera in dataset.rig.cameras if "bubbles" in dataset.shows else ():
+        for camera in dataset.setup.cameras if "bubbles" in dataset.shows else ():
             yield from _try(functools.partial(dataset.sight, frame, camera))
 
 

@@ -82,7 +82,7 @@ class DatasetWriter:
         """
         values = {
             "pixels": pixels,
-            "rough_mm": prior.rough_mm,
+            "rough_mm": prior.initial_mm,
             "known_mm": prior.known_mm,
             "known_sigma_mm": prior.known_sigma_mm,
         }

@@ -26,7 +26,7 @@ from sabench.evaluation.gates.reference_kernel import reference_s
 from sabench.evaluation.hidden_split import Secret
 from sabench.evaluation.leaderboard import rows
 from sabench.evaluation.records import Record, append, key_of, latest, read_records
-from sabench.evaluation.suites import Case, Entrant, Suite, load_suite
+from sabench.evaluation.suites import Case, SolverEntry, Suite, load_suite
 from sabench.simulation.pipeline import generate
 from sabench.simulation.renderer_choice import Renderer
 from sabench.tasks.solve_and_score import score, solve
@@ -65,7 +65,9 @@ class Only:
         _check_known("case", self.cases, {case.name for case in cases})
         _check_known("seed", self.seeds, {case.shown_seed for case in cases})
         _check_known(
-            "solver", self.solvers, {entrant.shown for case in cases for entrant in case.solvers}
+            "solver",
+            self.solvers,
+            {solver_entry.shown for case in cases for solver_entry in case.solvers},
         )
         wanted = (
             case
@@ -131,10 +133,10 @@ def run_suite(
     )
     records, wanted = [], only.of(cases)
     for number, case in enumerate(wanted, 1):
-        heads = [_describe(case, entrant, str(path)) for entrant in case.solvers]
+        heads = [_describe(case, solver_entry, str(path)) for solver_entry in case.solvers]
         missing = [
-            (entrant, head)
-            for entrant, head in zip(case.solvers, heads, strict=True)
+            (solver_entry, head)
+            for solver_entry, head in zip(case.solvers, heads, strict=True)
             if key_of(head, _COMPUTED) not in old
         ]
         records += [old[key] for head in heads if (key := key_of(head, _COMPUTED)) in old]
@@ -196,7 +198,7 @@ def dataset_of(case: Case, work: Path, fresh: bool, jobs: int = 1) -> Dataset:
 def _rank(
     case: Case,
     dataset: Dataset,
-    entrants: list[tuple[Entrant, Record]],
+    solver_entries: list[tuple[SolverEntry, Record]],
     suite: Suite,
     work: Path,
     leaderboard: Path,
@@ -209,7 +211,7 @@ def _rank(
     folder = leaderboard / "pictures" / case.folder(work).name if pictured else None
     if folder:
         _picture_case(folder, dataset)
-    for entrant, head in entrants:
+    for solver_entry, head in solver_entries:
         record = (
             head
             | _blank(head["task"])
@@ -218,7 +220,7 @@ def _rank(
         name = f"{head['solver']}-{head['run_hash'][:8]}"
         out = work / "results" / f"{case.folder(work).name}-{name}.h5"
         try:
-            record["reference_s"] = solve_apart(entrant, dataset, out)
+            record["reference_s"] = solve_apart(solver_entry, dataset, out)
             record |= {key: value for key, value in score(dataset, out).items() if key not in head}
             if folder:
                 _picture_result(folder / name, record["task"], dataset, out)
@@ -246,9 +248,9 @@ def _picture_result(stem: Path, name: str, dataset: Dataset, out: Path) -> None:
         _draw(stem.with_name(f"{stem.name}.error.png"), errors)
 
 
-def _describe(case: Case, entrant: Entrant, suite: str) -> Record:
+def _describe(case: Case, solver_entry: SolverEntry, suite: str) -> Record:
     """Make the part of a record that is known before anything is computed."""
-    solver, task, parameters = entrant.describe()
+    solver, task, parameters = solver_entry.describe()
     head = {
         "suite": Path(suite).stem,
         "scene": case.base,
@@ -262,9 +264,9 @@ def _describe(case: Case, entrant: Entrant, suite: str) -> Record:
         "renderer": case.renderer,
         "task": task,
         "solver": solver,
-        "label": entrant.label,
+        "label": solver_entry.label,
         "parameters": parameters,
-        "code_hash": entrant.code_hash,
+        "code_hash": solver_entry.code_hash,
     }
     words = [
         "sabench",
@@ -275,7 +277,7 @@ def _describe(case: Case, entrant: Entrant, suite: str) -> Record:
         "--seed",
         str(case.shown_seed),
         "--solver",
-        entrant.shown,
+        solver_entry.shown,
     ]
     more = [] if case.number is None else ["--hidden", "SECRET_FILE"]
     run_hash = digest([head[key] for key in _RUN])
@@ -326,7 +328,7 @@ def machine() -> dict[str, Any]:
 
 
 def solve_apart(
-    entrant: Entrant, dataset: Dataset, out: Path, *, threads: int | None = None
+    solver_entry: SolverEntry, dataset: Dataset, out: Path, *, threads: int | None = None
 ) -> float:
     """Solve in a child process, with memory and crashes of its own.
 
@@ -341,25 +343,25 @@ def solve_apart(
     Seconds of the reference kernel, the mean of before and after.
     """
     try:
-        if not entrant.is_program:
+        if not solver_entry.is_program:
             return float(
                 call_isolated(
                     _solve,
-                    entrant.name,
-                    entrant.parameters,
+                    solver_entry.name,
+                    solver_entry.parameters,
                     str(dataset.root),
                     str(out),
                     threads,
-                    doing=f"solver {entrant.name}",
+                    doing=f"solver {solver_entry.name}",
                 )
             )
         before = reference_s()
         solve(
-            entrant.name,
+            solver_entry.name,
             dataset,
             out,
-            parameters=entrant.parameters,
-            limits=entrant.limits,
+            parameters=solver_entry.parameters,
+            limits=solver_entry.limits,
             overwrite=True,
         )
         return (before + reference_s()) / 2.0

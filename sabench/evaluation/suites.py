@@ -52,7 +52,7 @@ class Changes(_Table):
     )
 
 
-class Entrant(_Table):
+class SolverEntry(_Table):
     """Solver entry: one solver with its parameters, or a program with its limits."""
 
     name: str = Field(description="of a solver, or the path of a program next to the suite")
@@ -108,7 +108,7 @@ class CaseSpec(Changes):
         description="by default the scene's; the varied values are appended",
     )
     backend: Renderer | None = Field(None, description="by default the suite's")
-    solvers: tuple[Entrant, ...] = Field((), description="by default the suite's")
+    solvers: tuple[SolverEntry, ...] = Field((), description="by default the suite's")
     difficulty: Difficulty | None = None
     axis: str | None = Field(
         None,
@@ -137,7 +137,9 @@ class Suite(Changes):
     keep_data: bool = Field(
         True, description="false: a data set and its results are deleted when they are scored"
     )
-    solvers: tuple[Entrant, ...] = Field((), description="of all cases that do not have their own")
+    solvers: tuple[SolverEntry, ...] = Field(
+        (), description="of all cases that do not have their own"
+    )
 
     @model_validator(mode="after")
     def _has_cases(self) -> Suite:
@@ -168,7 +170,7 @@ class Case:
     scene: Scene
     seed: int
     renderer: str
-    solvers: tuple[Entrant, ...] = ()
+    solvers: tuple[SolverEntry, ...] = ()
     difficulty: Difficulty | None = None
     axis: str | None = None
     number: int | None = None
@@ -212,11 +214,11 @@ def load_suite(path: str | Path, secret: Secret | None = None) -> tuple[Suite, l
         raise InputError(f"{file}: expected a TOML file, got {error}") from error
     suite = validate(Suite, values, str(file))
     own = suite.model_copy(
-        update={"solvers": tuple(_checked(entrant, file) for entrant in suite.solvers)}
+        update={"solvers": tuple(_resolve(solver_entry, file) for solver_entry in suite.solvers)}
     )
     specs = [
         spec.model_copy(
-            update={"solvers": tuple(_checked(entrant, file) for entrant in spec.solvers)}
+            update={"solvers": tuple(_resolve(solver_entry, file) for solver_entry in spec.solvers)}
         )
         for spec in _specs(own)
     ]
@@ -275,27 +277,31 @@ def _check_frozen(suite: Suite, cases: list[Case], file: Path) -> None:
         )
 
 
-def _checked(entrant: Entrant, file: Path) -> Entrant:
-    """Check a solver entry.
+def _resolve(solver: SolverEntry, file: Path) -> SolverEntry:
+    """Check a solver entry, and find its program.
 
     The solver must exist and take its parameters. A program must have a task; its path becomes
     absolute.
     """
-    if not entrant.is_program:
+    if not solver.is_program:
         if any(
             value is not None
-            for value in (entrant.task, entrant.time_limit_s, entrant.memory_limit_mb)
+            for value in (
+                solver.task,
+                solver.time_limit_s,
+                solver.memory_limit_mb,
+            )
         ):
             raise InputError(
-                f"{file}: solver {entrant.name}: expected task, time_limit_s and memory_limit_mb "
+                f"{file}: solver {solver.name}: expected task, time_limit_s and memory_limit_mb "
                 "for programs only"
             )
-        make_algorithm(entrant.name, entrant.parameters)
-        return entrant
-    if entrant.task is None:
+        make_algorithm(solver.name, solver.parameters)
+        return solver
+    if solver.task is None:
         known = ", ".join(get_args(TaskName))
-        raise InputError(f"{file}: program {entrant.name}: task: expected one of {known}, got none")
-    return entrant.model_copy(update={"name": str(find_program(entrant.name, file.parent))})
+        raise InputError(f"{file}: program {solver.name}: task: expected one of {known}, got none")
+    return solver.model_copy(update={"name": str(find_program(solver.name, file.parent))})
 
 
 def override(scene: Scene, values: Mapping[str, Any], source: str) -> Scene:

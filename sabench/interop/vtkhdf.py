@@ -80,7 +80,7 @@ def export(
 def _export_truth(root: Path, data: Dataset) -> None:
     scene, world = data.scene, data.scene.world
     step = scene.flow_grid_mm or (max(scene.volume.size_mm) / _NODES,) * 3
-    for frame in progress_bar(range(data.rig.frames), "export"):
+    for frame in progress_bar(range(data.setup.frames), "export"):
         if "particles" in data.shows:
             _export_particles(root, data, frame)
         if scene.tracers is not None and scene.tracers.flow is not None:
@@ -113,7 +113,7 @@ def _export_result(root: Path, data: Dataset, result: Result) -> None:
 
 
 def _export_particles(root: Path, data: Dataset, frame: int) -> None:
-    particles, grid = data.particles(frame), data.rig.grid
+    particles, grid = data.particles(frame), data.setup.grid
     about = {
         "id": particles.id,
         "diameter_mm": particles.diameter_mm,
@@ -127,14 +127,14 @@ def _export_particles(root: Path, data: Dataset, frame: int) -> None:
 
 
 def _write_reconstruction(root: Path, data: Dataset, frame: int, found: Reconstruction) -> None:
-    grid, values = data.rig.grid, {"intensity": found.volume}
+    grid, values = data.setup.grid, {"intensity": found.volume}
     write_lattice(root / f"volume_{frame:04d}.vtkhdf", grid.low_mm, grid.voxel_mm, values)
     if found.particles_mm is not None:
         write_points(root / f"particles_{frame:04d}.vtkhdf", found.particles_mm, {})
 
 
 def _write_velocity(root: Path, data: Dataset, frame: int, field: Velocity) -> None:
-    pair = next(pair for pair in data.rig.pairs() if pair[0] == frame)
+    pair = next(pair for pair in data.setup.pairs() if pair[0] == frame)
     exact = true_velocity(data, pair, field.positions_mm.reshape(-1, 3)).reshape(
         field.velocity_mm_s.shape
     )
@@ -152,7 +152,7 @@ def _write_detections(root: Path, data: Dataset, frame: int, found: Detections) 
 
 
 def _write_particles(root: Path, data: Dataset, frame: int, found: FoundParticles) -> None:
-    grid, true = data.rig.grid, data.particles(frame)
+    grid, true = data.setup.grid, data.particles(frame)
     i, j = challenge_pairs(grid.to_voxels(found.position_mm), grid.to_voxels(true.position_mm))
     identity = np.full(len(found.position_mm), -1)
     identity[i] = true.id[j]

@@ -64,7 +64,7 @@ def target_points(estimate: Calibration, case: CalibrationCase) -> F64:
     used = estimate.used
     pixels = case.pixels if used is None else np.where(used[..., None], case.pixels, np.nan)
     flat = pixels.reshape(len(estimate.cameras), -1, 2)
-    return triangulate(estimate.cameras, flat).reshape(case.rough_mm.shape)
+    return triangulate(estimate.cameras, flat).reshape(case.initial_mm.shape)
 
 
 def reproject(cameras: Sequence[CameraModel], points_mm: F64) -> F64:

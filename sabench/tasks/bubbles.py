@@ -133,7 +133,7 @@ class BubblesTask(FrameByFrame):
         self._store(data, every, writer)
 
     def _store(self, data: Dataset, every: list[Detections], writer: ResultWriter) -> None:
-        for frame, number in enumerate(trajectories(data.rig, every)):
+        for frame, number in enumerate(trajectories(data.setup, every)):
             writer.add(replace(every[frame], trajectory=number), frame)
 
     def truth(self, data: Dataset, frame: int) -> Bubbles:
@@ -165,16 +165,16 @@ class BubblesTask(FrameByFrame):
         frames, found, every = [], [], []
         for frame in progress_bar(self.frames(data), "score"):
             estimate, true = self.read(data, source, frame), data.bubbles(frame)
-            cameras = data.rig.cameras
+            cameras = data.setup.cameras
             seen = np.mean([data.sight(frame, camera).visible for camera in cameras], axis=0)
             frames.append(detection_scores(estimate, true, seen))
             found.append(estimate)
             every.append(true)
         if isinstance(source, Result):
             _check_all_or_none(source, found)
-        numbers = trajectories(data.rig, found)
-        times = [data.rig.time_s(frame) for frame in self.frames(data)]
-        links = trajectory_scores(found, numbers, every, times, data.rig.sequences())
+        numbers = trajectories(data.setup, found)
+        times = [data.setup.time_s(frame) for frame in self.frames(data)]
+        links = trajectory_scores(found, numbers, every, times, data.setup.sequences())
         over_time = {key: finite_or_none(value) for key, value in links.items()}
         return mean_of_each(frames) | _jet_scores(data, found, every) | over_time
 
@@ -202,7 +202,7 @@ class BubblesTask(FrameByFrame):
         return draw(detection_figure(self.read(data, result, 0), data.bubbles(0)))
 
 
-def trajectories(rig: CamerasFile, found: Sequence[AnyBubbles]) -> list[I64]:
+def trajectories(setup: CamerasFile, found: Sequence[AnyBubbles]) -> list[I64]:
     """Assign trajectory numbers (n,) to every frame's bubbles.
 
     The numbers are the solver's own, or come from linking. A trajectory of linked bubbles lies
@@ -213,11 +213,11 @@ def trajectories(rig: CamerasFile, found: Sequence[AnyBubbles]) -> list[I64]:
     if given and len(given) == len(found):
         return given
     out: list[I64] = []
-    for frames in rig.sequences():
+    for frames in setup.sequences():
         centers, radii = zip(
             *((found[n].center_mm, found[n].radius_mm) for n in frames), strict=True
         )
-        part = link(centers, radii, [rig.time_s(n) for n in frames])
+        part = link(centers, radii, [setup.time_s(n) for n in frames])
         first = max((int(one.max(initial=-1)) for one in out), default=-1) + 1
         out.extend(first + one for one in part)
     return out

@@ -177,7 +177,7 @@ class CalibrationTask(Task):
 
     def empty(self, data: Dataset, frame: int = 0) -> Calibration:
         """Make the nominal cameras, as solvers receive them."""
-        return Calibration(data.rig.cameras)
+        return Calibration(data.setup.cameras)
 
     def wrong(self, data: Dataset, frame: int = 0) -> Calibration:
         """Shift every camera's principal point, and stretch the target's points.
@@ -197,7 +197,7 @@ class CalibrationTask(Task):
         """Draw the found points of the target, or the images of the particles, as a PNG."""
         if not data.shows_target:
             return super().images(data)
-        first = data.rig.cameras[0]
+        first = data.setup.cameras[0]
         return pictures.dots(data.calibration_case().pixels, first.rows, first.columns)
 
     def alike(self, data: Dataset, one: Calibration, other: Calibration) -> bool:
@@ -212,7 +212,7 @@ class CalibrationTask(Task):
 
     def picture(self, data: Dataset, source: Source) -> bytes:
         """Draw the true reprojection errors as a PNG; for the truth those of detection."""
-        first = data.rig.cameras[0]
+        first = data.setup.cameras[0]
         if not data.shows_target:
             truth_mm, exact = _particles(data)
             _, again, _ = align_particles(self.read(data, source).cameras, truth_mm, exact)
@@ -255,7 +255,7 @@ def check_calibration(
         raise InputError(f"{source}: expected the cameras {expected}, got {names}")
     if not isinstance(case, CalibrationCase):
         return
-    frames, points = case.rough_mm.shape[:2]
+    frames, points = case.initial_mm.shape[:2]
     try:
         answer.check(camera=len(case.cameras), frame=frames, point=points)
     except InputError as error:

@@ -19,8 +19,8 @@ import numpy as np
 from sabench import plugins, tasks
 from sabench.api import (
     CalibrationCase,
-    Film,
     FoundParticles,
+    ImageSequence,
     Observation,
     Reconstruction,
     VolumePair,
@@ -70,7 +70,7 @@ class _Trial:
     def case(self) -> Any:
         """Make the case that the solver receives."""
         case = self.task.case(self.data)
-        return _film(case, list(case)) if isinstance(case, Film) else case
+        return _image_sequence(case, list(case)) if isinstance(case, ImageSequence) else case
 
     @cached_property
     def first(self) -> tuple[Any, list[Estimate]]:
@@ -85,12 +85,12 @@ class _Trial:
         if reason:
             raise _SkippedError(f"the solver declines the case: {reason}")
         answer = algorithm.solve(case)
-        found: list[Estimate] = answer if isinstance(case, Film) else [answer]
+        found: list[Estimate] = answer if isinstance(case, ImageSequence) else [answer]
         for one in found:
             if not isinstance(one, self.task.estimate):
                 kind, got = self.task.estimate.__name__, type(one).__name__
                 raise AssertionError(f"expected {kind}, got {got}")
-            one.check(**dict(zip("zyx", self.data.rig.grid.shape, strict=True)))
+            one.check(**dict(zip("zyx", self.data.setup.grid.shape, strict=True)))
         return found
 
 
@@ -111,7 +111,7 @@ def describe_itself(trial: _Trial) -> None:
 def return_declared_arrays(trial: _Trial) -> None:
     """Check that estimates have the declared arrays, with finite values."""
     case, found = trial.first
-    expected = len(case) if isinstance(case, Film) else 1
+    expected = len(case) if isinstance(case, ImageSequence) else 1
     _expect(len(found) == expected, f"expected {expected} estimates, got {len(found)}")
 
 
@@ -260,25 +260,25 @@ def example(task: Task, sees: str, folder: Path) -> Dataset:
 
 def _arrays(case: Any) -> list[Any]:
     """List all arrays of a case."""
-    if isinstance(case, Film):
+    if isinstance(case, ImageSequence):
         return [frame.images for frame in case]
     if isinstance(case, Observation):
         return [case.images]
     if isinstance(case, VolumePair):
         return [case.first, case.second]
-    return [case.pixels, case.rough_mm, case.known_mm, case.known_sigma_mm]
+    return [case.pixels, case.initial_mm, case.known_mm, case.known_sigma_mm]
 
 
-def _film(like: Film, frames: list[Observation]) -> Film:
+def _image_sequence(like: ImageSequence, frames: list[Observation]) -> ImageSequence:
     """Make a sequence of frames in memory."""
-    return Film(frames[0].cameras, like.grid, like.times_s, frames.__getitem__)
+    return ImageSequence(frames[0].cameras, like.grid, like.times_s, frames.__getitem__)
 
 
 def _with_images(case: Any, change: Callable[[Any, int], Any]) -> Any:
     """Change the images of a case, frame by frame."""
-    if isinstance(case, Film):
+    if isinstance(case, ImageSequence):
         frames = [_with_images(frame, change) for frame in case]
-        return _film(case, frames)
+        return _image_sequence(case, frames)
     if not isinstance(case, Observation):
         raise _SkippedError("its cases have no images")
     return replace(case, images=change(case.images, int(case.black_dn)))
@@ -286,9 +286,9 @@ def _with_images(case: Any, change: Callable[[Any, int], Any]) -> Any:
 
 def _reverse_cameras(case: Any) -> Any:
     """Reverse the cameras of a case."""
-    if isinstance(case, Film):
+    if isinstance(case, ImageSequence):
         frames = [_reverse_cameras(frame) for frame in case]
-        return _film(case, frames)
+        return _image_sequence(case, frames)
     if isinstance(case, Observation):
         return replace(case, images=case.images[::-1].copy(), cameras=case.cameras[::-1])
     if isinstance(case, CalibrationCase):

@@ -180,13 +180,13 @@ def read_case(folder: Path) -> CalibrationCase:
         if (folder / POINTS).is_file()
         else _read_images(folder / IMAGES, target, cameras, plain)
     )
-    rough = np.tile(plain, (pixels.shape[1], 1, 1))
+    initial = np.tile(plain, (pixels.shape[1], 1, 1))
     return CalibrationCase(
         target,
         pixels,
         cameras,
-        rough,
-        *_known(configuration, rough.shape, str(path)),
+        initial,
+        *_known(configuration, initial.shape, str(path)),
         configuration.unknown,
     )
 

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from sabench.algorithms.particles.linking import link
-from sabench.api import Film, FoundParticles, Observation
+from sabench.api import FoundParticles, ImageSequence, Observation
 from sabench.api.truth import Particles
 from sabench.dataset.reader import Dataset
 from sabench.dataset.results import Result, ResultWriter
@@ -80,14 +80,14 @@ class ParticlesTask(Task):
         cameras=PARTICLE_IMAGES,
     )
 
-    def case(self, data: Dataset) -> Film:
+    def case(self, data: Dataset) -> ImageSequence:
         """Make the first sequence; a frame is read when it is requested."""
-        return self._film(data, data.rig.sequences()[0])[0]
+        return self._image_sequence(data, data.setup.sequences()[0])[0]
 
-    def _film(self, data: Dataset, frames: range) -> tuple[Film, _Reader]:
+    def _image_sequence(self, data: Dataset, frames: range) -> tuple[ImageSequence, _Reader]:
         reader = _Reader(data, frames)
-        times = tuple(data.rig.time_s(frame) for frame in frames)
-        return Film(data.rig.cameras, data.rig.grid, times, reader), reader
+        times = tuple(data.setup.time_s(frame) for frame in frames)
+        return ImageSequence(data.setup.cameras, data.setup.grid, times, reader), reader
 
     def run(self, algorithm: Any, name: str, data: Dataset, writer: ResultWriter) -> list[float]:
         """Find the particles of every sequence; return the seconds of each frame.
@@ -95,15 +95,15 @@ class ParticlesTask(Task):
         The time for reading images does not count.
         """
         seconds, every = [], []
-        for frames in progress_bar(data.rig.sequences(), f"particles by {name}"):
-            film, reader = self._film(data, frames)
+        for frames in progress_bar(data.setup.sequences(), f"particles by {name}"):
+            sequence, reader = self._image_sequence(data, frames)
             start = time.perf_counter()
-            found = _call(algorithm, name, film, frames)
+            found = _call(algorithm, name, sequence, frames)
             took = time.perf_counter() - start - reader.seconds
             seconds += [took / len(frames)] * len(frames)
             every += found
             memory.trim()
-        for frame, one in enumerate(linked(data.rig, every)):
+        for frame, one in enumerate(linked(data.setup, every)):
             writer.add(one, frame)
         return seconds
 
@@ -123,7 +123,7 @@ class ParticlesTask(Task):
 
     def wrong(self, data: Dataset, frame: int) -> FoundParticles:
         """Drop and move true particles, add ghosts, and swap some trajectories."""
-        true, voxel = data.particles(frame), np.asarray(data.rig.grid.voxel_mm)
+        true, voxel = data.particles(frame), np.asarray(data.setup.grid.voxel_mm)
         kept = np.flatnonzero(true.id % 7 != 3)
         angle = true.id[kept] + 0.5 * frame
         aside = np.stack([np.sin(angle), np.cos(1.3 * angle), np.sin(0.7 * angle + 1.0)], axis=1)
@@ -156,16 +156,16 @@ class ParticlesTask(Task):
                 f"{source.path}: {frame_group(missing[0])}/particles/track: "
                 "expected one in every frame or in none, found none here"
             )
-        return linked(data.rig, found)
+        return linked(data.setup, found)
 
     def alike(self, data: Dataset, one: FoundParticles, other: FoundParticles) -> bool:
         """Compare particles by how many are found again."""
-        near_mm = _NEAR_VOXELS * min(data.rig.grid.voxel_mm)
+        near_mm = _NEAR_VOXELS * min(data.setup.grid.voxel_mm)
         return share_near(one.position_mm, other.position_mm, near_mm) >= _ALIKE
 
     def picture(self, data: Dataset, source: Source) -> bytes:
         """Draw the particles in a slice as Gaussian blobs, as a PNG."""
-        grid, positions = data.rig.grid, self.read(data, source, 0).position_mm
+        grid, positions = data.setup.grid, self.read(data, source, 0).position_mm
         sigma_mm = _DRAWN_VOXELS * grid.voxel_mm[0]
         volume = synthesise(grid, positions, np.ones(len(positions)), sigma_mm)
         return pictures.slice_picture(volume, grid.scored)
@@ -189,10 +189,12 @@ class _Reader:
         return seen
 
 
-def _call(algorithm: Any, name: str, film: Film, frames: range) -> list[FoundParticles]:
+def _call(
+    algorithm: Any, name: str, sequence: ImageSequence, frames: range
+) -> list[FoundParticles]:
     """Call a solver on a sequence and check what it returns."""
     where = f" on frames {frames[0]} to {frames[-1]}"
-    found: list[FoundParticles] = call_solver(algorithm, name, film, list, where)
+    found: list[FoundParticles] = call_solver(algorithm, name, sequence, list, where)
     other = next((type(one).__name__ for one in found if not isinstance(one, FoundParticles)), "")
     if len(found) != len(frames) or other:
         raise InputError(
@@ -206,31 +208,31 @@ def _call(algorithm: Any, name: str, film: Film, frames: range) -> list[FoundPar
     return found
 
 
-def linked(rig: CamerasFile, found: Sequence[FoundParticles]) -> list[FoundParticles]:
+def linked(setup: CamerasFile, found: Sequence[FoundParticles]) -> list[FoundParticles]:
     """Assign trajectory numbers to every frame's particles.
 
     The numbers are the solver's own, or come from linking. No trajectory leads from one group of
     pulses to the next.
     """
     out: list[I64] = []
-    for frames in rig.sequences():
+    for frames in setup.sequences():
         own = [number for frame in frames if (number := found[frame].trajectory) is not None]
-        part = own if len(own) == len(frames) else _link(rig, found, frames)
+        part = own if len(own) == len(frames) else _link(setup, found, frames)
         last = max((int(one.max(initial=-1)) for one in out), default=-1)
         lowest = min((int(one.min(initial=0)) for one in part), default=0)
         out.extend(last + 1 - lowest + one for one in part)
     return [replace(one, trajectory=number) for one, number in zip(found, out, strict=True)]
 
 
-def _link(rig: CamerasFile, found: Sequence[FoundParticles], frames: range) -> list[I64]:
+def _link(setup: CamerasFile, found: Sequence[FoundParticles], frames: range) -> list[I64]:
     positions = [found[frame].position_mm for frame in frames]
-    sizes, times = [np.ones(len(one)) for one in positions], [rig.time_s(n) for n in frames]
+    sizes, times = [np.ones(len(one)) for one in positions], [setup.time_s(n) for n in frames]
     return link(positions, sizes, times)
 
 
 def score_frame(data: Dataset, estimate: FoundParticles, truth: Particles) -> Figures:
     """Score one frame's particles."""
-    grid = data.rig.grid
+    grid = data.setup.grid
     found, true = grid.to_voxels(estimate.position_mm), grid.to_voxels(truth.position_mm)
     counts = count_challenge(found, true, grid.in_scored(found), grid.in_scored(true))
     i, j = _scored_pairs(found, true, grid.in_scored(true))
@@ -268,7 +270,7 @@ def _over_time(
 
     Only those particles count that lie in the scored part, or belong to a true particle that does.
     """
-    grid, positions, numbers, identities, truths, matched = data.rig.grid, [], [], [], [], []
+    grid, positions, numbers, identities, truths, matched = data.setup.grid, [], [], [], [], []
     for one, true in zip(found, truth, strict=True):
         there = grid.in_scored(grid.to_voxels(true.position_mm))
         places = grid.to_voxels(one.position_mm)
@@ -280,7 +282,8 @@ def _over_time(
         truths.append(true.position_mm[there])
         identities.append(true.id[there])
         matched.append(((np.cumsum(kept) - 1)[i], (np.cumsum(there) - 1)[j]))
-    times, sequences = [data.rig.time_s(n) for n in range(data.rig.frames)], data.rig.sequences()
+    times = [data.setup.time_s(n) for n in range(data.setup.frames)]
+    sequences = data.setup.sequences()
     scores = link_scores(positions, numbers, truths, identities, matched, times, sequences)
     return {key: finite_or_none(value) for key, value in scores.items()}
 

@@ -92,16 +92,16 @@ class ReconstructionTask(FrameByFrame):
     def truth(self, data: Dataset, frame: int) -> Reconstruction:
         """Make the synthesised field, with the true positions."""
         particles = data.particles(frame)
-        volume = true_field(data.rig.grid, particles, data.views(frame))
+        volume = true_field(data.setup.grid, particles, data.views(frame))
         return Reconstruction(volume, particles.position_mm)
 
     def empty(self, data: Dataset, frame: int) -> Reconstruction:
         """Make a dark volume."""
-        return Reconstruction(np.zeros(data.rig.grid.shape, dtype=np.float32))
+        return Reconstruction(np.zeros(data.setup.grid.shape, dtype=np.float32))
 
     def wrong(self, data: Dataset, frame: int) -> Reconstruction:
         """Move the true field by less than a voxel, and add a fainter copy of a part."""
-        true = true_field(data.rig.grid, data.particles(frame), data.views(frame))
+        true = true_field(data.setup.grid, data.particles(frame), data.views(frame))
         ghosts = np.roll(true, (3, 11, 17), axis=(0, 1, 2))
         ghosts[:, :, : true.shape[2] // 2] = 0.0
         volume = 0.6 * true + 0.4 * np.roll(true, 1, axis=2) + 0.5 * ghosts
@@ -112,7 +112,7 @@ class ReconstructionTask(FrameByFrame):
         return mean_of_each(
             [
                 score_frame(
-                    data.rig.grid,
+                    data.setup.grid,
                     data.particles(frame),
                     data.views(frame),
                     self.read(data, source, frame),
@@ -127,12 +127,12 @@ class ReconstructionTask(FrameByFrame):
 
     def picture(self, data: Dataset, source: Source) -> bytes:
         """Draw a slice of the first frame's volume as a PNG."""
-        return pictures.slice_picture(self.read(data, source, 0).volume, data.rig.grid.scored)
+        return pictures.slice_picture(self.read(data, source, 0).volume, data.setup.grid.scored)
 
     def error_picture(self, data: Dataset, result: Result) -> bytes:
         """Draw the same slice of the estimate minus the truth as a PNG."""
         estimate, truth = self.read(data, result, 0), self.truth(data, 0)
-        return pictures.error_slice(estimate.volume, truth.volume, data.rig.grid.scored)
+        return pictures.error_slice(estimate.volume, truth.volume, data.setup.grid.scored)
 
 
 def check_images(case: Observation, source: str) -> None:

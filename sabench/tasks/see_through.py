@@ -78,18 +78,18 @@ class SeeThroughTask(FrameByFrame):
 
     def truth(self, data: Dataset, frame: int) -> Reconstruction:
         """Make planes that are bright where the code is."""
-        code, volume = _code(data, frame), np.zeros(data.rig.grid.shape, dtype=np.float32)
-        return Reconstruction(_brightened(data.rig.grid, volume, code, 1.0))
+        code, volume = _code(data, frame), np.zeros(data.setup.grid.shape, dtype=np.float32)
+        return Reconstruction(_brightened(data.setup.grid, volume, code, 1.0))
 
     def empty(self, data: Dataset, frame: int) -> Reconstruction:
         """Make dark planes."""
-        return Reconstruction(np.zeros(data.rig.grid.shape, dtype=np.float32))
+        return Reconstruction(np.zeros(data.setup.grid.shape, dtype=np.float32))
 
     def wrong(self, data: Dataset, frame: int) -> Reconstruction:
         """Make noise that is darker where the code is dark."""
         rng = np.random.default_rng(frame)
-        volume = rng.random(data.rig.grid.shape, dtype=np.float32)
-        return Reconstruction(_brightened(data.rig.grid, volume, _code(data, frame), 0.5))
+        volume = rng.random(data.setup.grid.shape, dtype=np.float32)
+        return Reconstruction(_brightened(data.setup.grid, volume, _code(data, frame), 0.5))
 
     def score(self, data: Dataset, source: Source) -> Figures:
         """Average the scores of the frames; single cameras are scored for comparison."""
@@ -109,7 +109,7 @@ class SeeThroughTask(FrameByFrame):
             return np.where(code.dark, 0.0, 1.0)
         if source == "empty":
             return np.zeros(len(code.dark))
-        return read_volume(data.rig.grid, self.read(data, source, frame).volume, code.points_mm)
+        return read_volume(data.setup.grid, self.read(data, source, frame).volume, code.points_mm)
 
     def images(self, data: Dataset) -> bytes:
         """Draw the first frame of every camera, bright behind the bubbles, as a PNG."""
@@ -125,7 +125,7 @@ class SeeThroughTask(FrameByFrame):
         code = _code(data, 0)
         if not isinstance(source, Result):
             return pictures.grey_picture(draw_code(code), _ENLARGED_PX)
-        plane = code_plane(data.rig.grid, self.read(data, source, 0).volume, code)
+        plane = code_plane(data.setup.grid, self.read(data, source, 0).volume, code)
         return pictures.grey_picture(plane, _ENLARGED_PX)
 
     def error_picture(self, data: Dataset, result: Result) -> bytes:

@@ -122,7 +122,7 @@ class Task(ABC):
 
     def frames(self, data: Dataset) -> Sequence[int]:
         """List the frames that have an estimate each; [0] where one serves all frames."""
-        return range(data.rig.frames)
+        return range(data.setup.frames)
 
     @abstractmethod
     def case(self, data: Dataset) -> Any:
@@ -247,7 +247,7 @@ def correlation(one: F32, other: F32) -> float:
 def check_estimate(found: Estimate, solver: str, data: Dataset, frame: int) -> None:
     """Raise an InputError if an array of an estimate is not as its class declares."""
     try:
-        found.check(**dict(zip("zyx", data.rig.grid.shape, strict=True)))
+        found.check(**dict(zip("zyx", data.setup.grid.shape, strict=True)))
     except InputError as error:
         raise InputError(f"solver {solver}: frame {frame}: {error}") from error
 

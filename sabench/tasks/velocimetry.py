@@ -88,31 +88,31 @@ class VelocimetryTask(Task):
 
     def accepts(self, data: Dataset) -> bool:
         """Check whether a data set shows particles alone and has pairs of frames."""
-        return data.shows == (self.shown,) and bool(data.rig.pairs())
+        return data.shows == (self.shown,) and bool(data.setup.pairs())
 
     def frames(self, data: Dataset) -> Sequence[int]:
         """List the first frames of the pairs."""
-        return [first for first, _ in data.rig.pairs()]
+        return [first for first, _ in data.setup.pairs()]
 
     def case(self, data: Dataset) -> VolumePair:
         """Make the first pair of true volumes."""
-        pair = data.rig.pairs()[0]
+        pair = data.setup.pairs()[0]
         first, second = (reconstruction.TASK.truth(data, frame).volume for frame in pair)
-        return VolumePair(first, second, data.rig.grid, interval_s(data, pair))
+        return VolumePair(first, second, data.setup.grid, interval_s(data, pair))
 
     def run(self, algorithm: Any, name: str, data: Dataset, writer: ResultWriter) -> list[float]:
         """Reconstruct every pair and measure its field.
 
         Returns the seconds without those of reconstruction.
         """
-        pairs = data.rig.pairs()
+        pairs = data.setup.pairs()
         if not pairs:
-            frames = data.rig.frames
+            frames = data.setup.frames
             raise InputError(f"{data.root}: expected pairs of frames, got {frames} that make none")
         volumes = _Volumes(data, algorithm.parameters.reconstruction)
         seconds = []
         for pair in progress_bar(pairs, f"velocity by {name}"):
-            case = VolumePair(*volumes.of(pair), data.rig.grid, interval_s(data, pair))
+            case = VolumePair(*volumes.of(pair), data.setup.grid, interval_s(data, pair))
             start = time.perf_counter()
             field = call_solver(algorithm, name, case, Velocity, f" on frame {pair[0]}")
             seconds.append(time.perf_counter() - start)
@@ -131,7 +131,7 @@ class VelocimetryTask(Task):
 
     def empty(self, data: Dataset, frame: int) -> Velocity:
         """Make a coarse lattice on which nothing was measured."""
-        grid = data.rig.grid
+        grid = data.setup.grid
         low, size = np.asarray(grid.low_mm), np.asarray(grid.voxel_mm) * grid.shape[::-1]
         shape = tuple(_NODES[::-1])
         return Velocity(
@@ -143,7 +143,7 @@ class VelocimetryTask(Task):
 
     def wrong(self, data: Dataset, frame: int) -> Velocity:
         """Slow the true velocity by a tenth, add a wave, and leave one corner unmeasured."""
-        grid, field = data.rig.grid, self.truth(data, frame)
+        grid, field = data.setup.grid, self.truth(data, frame)
         low, size = np.asarray(grid.low_mm), np.asarray(grid.voxel_mm) * grid.shape[::-1]
         true, place = field.velocity_mm_s, field.positions_mm - low
         wave = np.sin(2.0 * np.pi * place / size * [1.0, 2.0, 1.5])
@@ -154,7 +154,7 @@ class VelocimetryTask(Task):
         """Average the scores of the pairs."""
         pairs = [
             score_pair(data, pair, self.read(data, source, pair[0]))
-            for pair in progress_bar(data.rig.pairs(), "score")
+            for pair in progress_bar(data.setup.pairs(), "score")
         ]
         means = {key: float(np.mean([one[key] for one in pairs])) for key in pairs[0]}
         scores = {key: finite_or_none(value) for key, value in means.items()}
@@ -163,11 +163,11 @@ class VelocimetryTask(Task):
 
     def picture(self, data: Dataset, source: Source) -> bytes:
         """Draw the first pair's field, its errors and a profile as a PNG."""
-        pair = data.rig.pairs()[0]
+        pair = data.setup.pairs()[0]
         field = self.read(data, source, pair[0])
         points = field.positions_mm
         exact = true_velocity(data, pair, points.reshape(-1, 3)).reshape(points.shape)
-        voxel = np.asarray(data.rig.grid.voxel_mm) / interval_s(data, pair)
+        voxel = np.asarray(data.setup.grid.voxel_mm) / interval_s(data, pair)
         label = source.solver if isinstance(source, Result) else source
         return draw(field_figure(field, exact, voxel, label))
 
@@ -193,11 +193,11 @@ class _Volumes:
 
 def interval_s(data: Dataset, pair: tuple[int, int]) -> float:
     """Compute the time between the frames of a pair."""
-    return data.rig.time_s(pair[1]) - data.rig.time_s(pair[0])
+    return data.setup.time_s(pair[1]) - data.setup.time_s(pair[0])
 
 
 def _pair(data: Dataset, first: int) -> tuple[int, int]:
-    return next(pair for pair in data.rig.pairs() if pair[0] == first)
+    return next(pair for pair in data.setup.pairs() if pair[0] == first)
 
 
 def score_pair(data: Dataset, pair: tuple[int, int], field: Velocity) -> dict[str, float]:
@@ -210,7 +210,7 @@ def score_pair(data: Dataset, pair: tuple[int, int], field: Velocity) -> dict[st
         field.valid,
         field.step_mm,
         interval_s(data, pair),
-        data.rig.grid.voxel_mm,
+        data.setup.grid.voxel_mm,
     )
 
 
@@ -220,7 +220,7 @@ def true_velocity(data: Dataset, pair: tuple[int, int], points_mm: F64) -> F64:
     It is the displacement of the fluid that is at the points in the middle of the interval, over
     the interval. Where the data set has no flow, it is the mean of the nearest true particles.
     """
-    flow, (start, end) = flow_of(data.scene), (data.rig.time_s(frame) for frame in pair)
+    flow, (start, end) = flow_of(data.scene), (data.setup.time_s(frame) for frame in pair)
     if flow is None:
         return _among_particles(data, pair, points_mm)
     middle, tolerance = (start + end) / 2.0, TOLERANCE * max(data.scene.volume.size_mm)

@@ -91,16 +91,16 @@ def prior(scene: Scene, placed: Placed, seed: int) -> Prior:
         A known point of a frame or number that the target does not have.
     """
     spec, exact = scene.calibration, placed.points_mm
-    rough, known, sigma = exact.copy(), np.full_like(exact, np.nan), np.full_like(exact, np.nan)
+    initial, known, sigma = exact.copy(), np.full_like(exact, np.nan), np.full_like(exact, np.nan)
     if spec is None:
-        return Prior(rough, known, sigma)
-    rough += (
+        return Prior(initial, known, sigma)
+    initial += (
         spec.points
         * max(scene.volume.size_mm)
         * stream(seed, "rough points").standard_normal(exact.shape)
     )
     if spec.blank:
-        rough[:] = placed.target.points_mm + np.asarray(scene.volume.center_mm)
+        initial[:] = placed.target.points_mm + np.asarray(scene.volume.center_mm)
     rng = stream(seed, "known points")
     for number, point in enumerate(spec.known):
         if point.frame >= exact.shape[0] or point.point >= exact.shape[1]:
@@ -115,4 +115,4 @@ def prior(scene: Scene, placed: Placed, seed: int) -> Prior:
             drawn[axes],
             point.sigma_mm,
         )
-    return Prior(rough, known, sigma)
+    return Prior(initial, known, sigma)

@@ -21,7 +21,7 @@ def measure(dataset: Dataset, result: Path) -> dict[str, float]:
     """Radiance (noise-free), grey values and scores."""
     figures: dict[str, float] = {}
     for camera, radiance, grey in zip(
-        dataset.rig.cameras, dataset.radiance(0), dataset.observation(0).images, strict=True
+        dataset.setup.cameras, dataset.radiance(0), dataset.observation(0).images, strict=True
     ):
         figures |= {
             f"{camera.name} radiance": float(radiance.mean(dtype=np.float64)),

@@ -46,7 +46,7 @@ def perturbed(data: Dataset) -> list[Detections]:
     All bubbles but one in each frame, with small errors, in random order, and two ghosts.
     """
     rng, out = np.random.default_rng(4), []
-    for frame in range(data.rig.frames):
+    for frame in range(data.setup.frames):
         true = data.bubbles(frame)
         keep = rng.permutation(len(true))[1:]
         center = true.center_mm[keep] + 0.03 * rng.standard_normal((len(keep), 3))
@@ -152,11 +152,11 @@ def test_broken_tracks_are_said(moving: Dataset, tmp_path: Path) -> None:
 
 def test_no_track_goes_from_one_group_of_pulses_to_the_next(moving: Dataset) -> None:
     one = moving.bubbles(0)
-    rig = moving.rig.model_copy(
+    setup = moving.setup.model_copy(
         update={"frames": 5, "pulses": 2, "times_s": (0.0, 1e-3, 1.0, 1.001, 2.0)}
     )
-    track = bubbles.trajectories(rig, [Detections(one.center_mm, one.semi_axes_mm, one.turn)] * 5)
-    assert rig.pairs() == [(0, 1), (2, 3)]
+    track = bubbles.trajectories(setup, [Detections(one.center_mm, one.semi_axes_mm, one.turn)] * 5)
+    assert setup.pairs() == [(0, 1), (2, 3)]
     np.testing.assert_array_equal(track[0], track[1])
     np.testing.assert_array_equal(track[2], track[3])
     every = [set(track[frame].tolist()) for frame in (0, 2, 4)]

@@ -40,11 +40,11 @@ def test_a_data_set_keeps_what_was_made(bubbly: Dataset) -> None:
     for name in ("id", "center_mm", "semi_axes_mm", "turn", "velocity_mm_s"):
         np.testing.assert_array_equal(getattr(made, name), getattr(kept, name))
     assert kept.index == 1.0
-    for camera in bubbly.rig.cameras:
+    for camera in bubbly.setup.cameras:
         sight = bubbly.sight(0, camera)
         assert bubbly.render_error(0, camera) <= 0.01
         assert sight.visible.max() == pytest.approx(1.0, abs=0.02)
-        image = bubbly.observation(0).images[bubbly.rig.cameras.index(camera)]
+        image = bubbly.observation(0).images[bubbly.setup.cameras.index(camera)]
         shown = np.median(image[sight.number == NOTHING])
         assert shown == pytest.approx(0.7 * 4000.0, rel=0.06)
         assert image[sight.number != NOTHING].mean() < 0.6 * shown
@@ -154,10 +154,10 @@ def test_three_phases_in_one_image(tmp_path: Path) -> None:
     assert (view.photons[free] > 0.0).mean() > 0.99
     (body,) = data.solids(0)
     assert np.ptp(body.vertices_mm, axis=0) == pytest.approx([4.0, 17.0, 4.0], abs=0.02)
-    middle = next(camera for camera in data.rig.cameras if np.allclose(camera.center_mm[:2], 0.0))
+    middle = next(camera for camera in data.setup.cameras if np.allclose(camera.center_mm[:2], 0.0))
     sight = data.sight(0, middle)
     assert (sight.number == NOTHING - 1).mean() > 0.05
-    hidden = data.views(0)[data.rig.cameras.index(middle)]
+    hidden = data.views(0)[data.setup.cameras.index(middle)]
     back = (
         (np.abs(tracers[:, 0] + 6.0) < 1.0) & (tracers[:, 2] > 64.0) & (np.abs(tracers[:, 1]) < 6.0)
     )

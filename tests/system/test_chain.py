@@ -87,7 +87,7 @@ def test_frames_do_not_depend_on_how_many_there_are(tmp_path: Path) -> None:
         )
         for n in (1, 3)
     )
-    for camera in few.rig.cameras:
+    for camera in few.setup.cameras:
         name = image_name(camera.name, 0, "tif")
         assert sha256(few.root / name) == sha256(many.root / name)
     np.testing.assert_array_equal(few.particles(0).position_mm, many.particles(0).position_mm)

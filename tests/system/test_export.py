@@ -60,7 +60,7 @@ def test_truth_is_what_vtk_reads(moving: Dataset, tmp_path: Path, command: Comma
         for frame in range(2)
     ]
     assert sorted(path.name for path in (tmp_path / "vtk").iterdir()) == names
-    particles, grid = moving.particles(1), moving.rig.grid
+    particles, grid = moving.particles(1), moving.setup.grid
     cloud, about = opened(tmp_path / "vtk/particles_0001.vtkhdf")
     assert cloud.GetNumberOfCells() == cloud.GetNumberOfPoints() == len(particles)
     np.testing.assert_allclose(
@@ -82,11 +82,11 @@ def test_truth_is_what_vtk_reads(moving: Dataset, tmp_path: Path, command: Comma
     assert flow is not None
     place = np.array([image.GetPoint(node)])
     np.testing.assert_allclose(
-        values["velocity_mm_s"][node], flow.velocity(place, moving.rig.time_s(1))[0]
+        values["velocity_mm_s"][node], flow.velocity(place, moving.setup.time_s(1))[0]
     )
     np.testing.assert_allclose(
         values["vorticity_1_s"][node],
-        vorticity(flow.gradient(place, moving.rig.time_s(1)))[0],
+        vorticity(flow.gradient(place, moving.setup.time_s(1)))[0],
         atol=1e-9,
     )
 

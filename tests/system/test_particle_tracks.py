@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from sabench import plugins
-from sabench.api import Film, FoundParticles, Observation, ParticleSolver
+from sabench.api import FoundParticles, ImageSequence, Observation, ParticleSolver
 from sabench.api.make import make_algorithm
 from sabench.dataset.reader import Dataset
 from sabench.dataset.results import open_result, result_writer
@@ -39,15 +39,15 @@ def shot() -> Shot:
 
 
 @pytest.fixture(scope="module")
-def film(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
+def sequence(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
     """Six frames of a sparse flow."""
     scene = override(
         load_scene("particle-tracking"), {"frames": 6, "particles.per_pixel": 0.004}, "small"
     )
-    return generate(scene, tmp_path_factory.mktemp("film") / "data", seed=3, backend="splat")
+    return generate(scene, tmp_path_factory.mktemp("sequence") / "data", seed=3, backend="splat")
 
 
-def ready(name: str, case: Film) -> ParticleSolver:
+def ready(name: str, case: ImageSequence) -> ParticleSolver:
     """The solver, if what it needs is installed."""
     made = make_algorithm(name, {})
     assert isinstance(made, ParticleSolver)
@@ -61,7 +61,7 @@ def ready(name: str, case: Film) -> ParticleSolver:
 @pytest.mark.parametrize("name", SOLVERS)
 def test_a_solver_finds_particles(name: str, shot: Shot) -> None:
     """Test accuracy; repetition, darkness and camera order are tested by test_conformance."""
-    case = Film.of([shot.observation])
+    case = ImageSequence.of([shot.observation])
     (found,) = ready(name, case).solve(case)
     apart = np.linalg.norm(found.position_mm[:, None] - shot.particles.position_mm, axis=2)
     assert (apart.min(axis=0) < 0.05).mean() > 0.8
@@ -69,11 +69,11 @@ def test_a_solver_finds_particles(name: str, shot: Shot) -> None:
 
 
 @pytest.mark.parametrize("name", SOLVERS)
-def test_a_film_is_tracked(name: str, film: Dataset, tmp_path: Path) -> None:
-    ready(name, Film.of([film.observation(0)]))
-    result = solve(name, film, tmp_path / "r.h5")
+def test_an_image_sequence_is_tracked(name: str, sequence: Dataset, tmp_path: Path) -> None:
+    ready(name, ImageSequence.of([sequence.observation(0)]))
+    result = solve(name, sequence, tmp_path / "r.h5")
     assert result.task == "particles"
-    scores = score(film, tmp_path / "r.h5")
+    scores = score(sequence, tmp_path / "r.h5")
     assert scores["precision"] > 0.85
     assert scores["recall"] > 0.75
     assert scores["rms_px"] < 0.25
@@ -81,8 +81,8 @@ def test_a_film_is_tracked(name: str, film: Dataset, tmp_path: Path) -> None:
     assert scores["peak_mb"] > 50.0
 
 
-def test_the_truth_is_perfect_and_nothing_is_the_floor(film: Dataset) -> None:
-    true, nothing = (score(film, word, "particles") for word in ("truth", "empty"))
+def test_the_truth_is_perfect_and_nothing_is_the_floor(sequence: Dataset) -> None:
+    true, nothing = (score(sequence, word, "particles") for word in ("truth", "empty"))
     for key in ("f1", "precision", "recall", "link_recall", "link_precision", "effectiveness"):
         assert true[key] == 1.0
     for key in ("ghost_percent", "rms_px", "rms_mm", "velocity_mm_s", "velocity_percent"):
@@ -95,27 +95,27 @@ def test_the_truth_is_perfect_and_nothing_is_the_floor(film: Dataset) -> None:
         == 0.0
     )
     assert nothing["rms_px"] is None
-    assert score(film, "empty")["task"] == "reconstruction"
+    assert score(sequence, "empty")["task"] == "reconstruction"
     with pytest.raises(
         InputError, match=r"task: expected reconstruction or particles .* got 'bubbles'"
     ):
-        score(film, "truth", "bubbles")
+        score(sequence, "truth", "bubbles")
 
 
-def test_known_faults_have_known_scores(film: Dataset, tmp_path: Path) -> None:
+def test_known_faults_have_known_scores(sequence: Dataset, tmp_path: Path) -> None:
     """Scores of a known fault.
 
     Every fourth particle is left out, all others lie 0.03 mm aside along X, and each has a ghost
     far away. The result has no trajectories.
     """
     shift = np.array([0.03, 0.0, 0.0])
-    with result_writer(tmp_path / "r.h5", film, "faulty", "particles", {}) as writer:
-        for frame in range(film.rig.frames):
-            true = film.particles(frame)
+    with result_writer(tmp_path / "r.h5", sequence, "faulty", "particles", {}) as writer:
+        for frame in range(sequence.setup.frames):
+            true = sequence.particles(frame)
             kept = true.position_mm[true.id % 4 != 0] + shift
             ghosts = kept + np.array([0.0, 0.0, 1000.0])
             writer.add(FoundParticles(np.concatenate([kept, ghosts])), frame)
-    scores = score(film, tmp_path / "r.h5")
+    scores = score(sequence, tmp_path / "r.h5")
     assert scores["precision"] == 1.0  # what lies outside the scored part is nobody's fault
     assert scores["recall"] == pytest.approx(0.75, abs=0.08)
     assert scores["rms_mm"] == pytest.approx(0.03, rel=1e-9)
@@ -124,21 +124,21 @@ def test_known_faults_have_known_scores(film: Dataset, tmp_path: Path) -> None:
             camera.project(np.array([[0.0, 0.0, 30.0]]) + shift)[0]
             - camera.project(np.array([[0.0, 0.0, 30.0]]))[0]
         )
-        for camera in film.true_cameras
+        for camera in sequence.true_cameras
     ]
     assert scores["rms_px"] == pytest.approx(np.mean(slope), rel=0.02)
     assert scores["velocity_mm_s"] == pytest.approx(0.0, abs=1e-6)
 
 
-def test_faults_of_results_are_named(film: Dataset, tmp_path: Path) -> None:
+def test_faults_of_results_are_named(sequence: Dataset, tmp_path: Path) -> None:
     place = tmp_path / "r.h5"
-    with result_writer(place, film, "faulty", "particles", {}) as writer:
-        for frame in range(film.rig.frames):
+    with result_writer(place, sequence, "faulty", "particles", {}) as writer:
+        for frame in range(sequence.setup.frames):
             writer.add(FoundParticles(np.ones((2, 3)), np.ones(2), np.arange(2)), frame)
     with h5py.File(place, "r+") as file:
         file["frames/0001/particles/track"][...] = [4, 4]
         del file["frames/0002/particles/track"]
-    result = open_result(place, film)
+    result = open_result(place, sequence)
     with pytest.raises(
         InputError,
         match=r"frames/0001/particles/track: expected different numbers, got 4 2 times",
@@ -149,18 +149,18 @@ def test_faults_of_results_are_named(film: Dataset, tmp_path: Path) -> None:
     with pytest.raises(
         InputError, match=r"frames/0002/particles/track: expected one in every frame or in none"
     ):
-        score(film, place)
+        score(sequence, place)
 
 
 def test_a_solver_that_returns_something_else_is_named(
-    film: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    sequence: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     plugin = plugins.load("solvers", "ray_triangulation")
     monkeypatch.setattr(plugin, "solve", lambda self, case: [FoundParticles(np.zeros((0, 3)))])
     with pytest.raises(
         InputError, match=r"expected FoundParticles for each of 6 frames, got 1 of them"
     ):
-        solve("ray_triangulation", film, tmp_path / "r.h5")
+        solve("ray_triangulation", sequence, tmp_path / "r.h5")
 
 
 def test_frames_are_read_when_they_are_asked_for(shot: Shot) -> None:
@@ -170,7 +170,7 @@ def test_frames_are_read_when_they_are_asked_for(shot: Shot) -> None:
         asked.append(frame)
         return shot.observation
 
-    case = Film(shot.observation.cameras, shot.observation.grid, (0.0, 0.1, 0.2), load)
+    case = ImageSequence(shot.observation.cameras, shot.observation.grid, (0.0, 0.1, 0.2), load)
     assert (len(case), asked) == (3, [])
     assert len(list(case)) == 3
     assert asked == [0, 1, 2]
@@ -178,13 +178,15 @@ def test_frames_are_read_when_they_are_asked_for(shot: Shot) -> None:
         case[3]
 
 
-def test_found_particles_are_exported(film: Dataset, tmp_path: Path) -> None:
-    with result_writer(tmp_path / "r.h5", film, "some", "particles", {}) as writer:
-        for frame in range(film.rig.frames):
-            true = film.particles(frame)
+def test_found_particles_are_exported(sequence: Dataset, tmp_path: Path) -> None:
+    with result_writer(tmp_path / "r.h5", sequence, "some", "particles", {}) as writer:
+        for frame in range(sequence.setup.frames):
+            true = sequence.particles(frame)
             some = FoundParticles(true.position_mm[5:], None, true.id[5:].astype(np.int64))
             writer.add(some, frame)
-    export(film, tmp_path / "vtk", tmp_path / "r.h5")
+    export(sequence, tmp_path / "vtk", tmp_path / "r.h5")
     with h5py.File(tmp_path / "vtk" / "particles_0002.vtkhdf") as file:
-        np.testing.assert_array_equal(file["VTKHDF/PointData/true_id"][:], film.particles(2).id[5:])
+        np.testing.assert_array_equal(
+            file["VTKHDF/PointData/true_id"][:], sequence.particles(2).id[5:]
+        )
         assert file["VTKHDF/PointData/matched"][:].all()

@@ -183,7 +183,7 @@ def test_a_frame_that_always_breaks_is_told_and_the_rest_kept(
     before = {path: path.stat().st_mtime_ns for path in left.glob("views/*.npz")}
     assert len(before) == 8
     assert own_process(*words, env=environment).returncode == 0
-    assert sabench.open_dataset(tmp_path / "set").rig.frames == 3
+    assert sabench.open_dataset(tmp_path / "set").setup.frames == 3
     assert not list(tmp_path.glob(".set.*"))
 
 

@@ -48,7 +48,7 @@ def vortex(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
 
 
 def test_pairs_are_those_of_the_pulses(vortex: Dataset) -> None:
-    assert vortex.rig.pairs() == [(0, 1), (2, 3)]
+    assert vortex.setup.pairs() == [(0, 1), (2, 3)]
     assert flow_of(vortex.scene) is not None
 
 
@@ -106,7 +106,7 @@ def test_one_command_and_the_page(command: Command, tmp_path: Path) -> None:
         "row0",
     }  # particles are no truth to show beside fields
     data = open_dataset(next((tmp_path / "work" / "datasets").iterdir()))
-    assert data.rig.times_s == (0.0, 0.001)
+    assert data.setup.times_s == (0.0, 0.001)
 
 
 def test_single_frames_are_no_pairs(tmp_path: Path, command: Command) -> None:

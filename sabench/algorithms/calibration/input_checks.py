@@ -106,7 +106,7 @@ def check_fit(
         )
     _check_views(case, state, seen, used, there, noise_px)
     points = state.points(seen.board)
-    _check_corners(case, points, frame.motion(case.rough_mm), there)
+    _check_corners(case, points, frame.motion(case.initial_mm), there)
     _check_names(
         case, state.centers, frame.motion(np.array([camera.center_mm for camera in case.cameras]))
     )
@@ -151,12 +151,12 @@ def relabelled(target: Target) -> list[tuple[int, I64]]:
     return [(degrees, turned.ravel()) for degrees, turned in turns if turned.shape == grid.shape]
 
 
-def _check_corners(case: CalibrationCase, points: F64, rough: F64, there: Bool) -> None:
+def _check_corners(case: CalibrationCase, points: F64, initial: F64, there: Bool) -> None:
     """Refuse a frame whose points lie at their nominal positions in another order."""
     for number in np.flatnonzero(there.any(axis=(0, 2))).tolist():
         own, nominal = (
             points[number] - points[number].mean(axis=0),
-            rough[number] - np.nanmean(rough[number], axis=0),
+            initial[number] - np.nanmean(initial[number], axis=0),
         )
         apart = _rms(own - nominal)
         for degrees, order in relabelled(case.target):
@@ -167,11 +167,11 @@ def _check_corners(case: CalibrationCase, points: F64, rough: F64, there: Bool) 
                 )
 
 
-def _check_names(case: CalibrationCase, centers: F64, rough: F64) -> None:
+def _check_names(case: CalibrationCase, centers: F64, initial: F64) -> None:
     """Refuse two cameras that stand at each other's nominal positions."""
     for i, j in itertools.combinations(range(len(centers)), 2):
-        own = np.linalg.norm(centers[i] - rough[i]) + np.linalg.norm(centers[j] - rough[j])
-        other = np.linalg.norm(centers[i] - rough[j]) + np.linalg.norm(centers[j] - rough[i])
+        own = np.linalg.norm(centers[i] - initial[i]) + np.linalg.norm(centers[j] - initial[j])
+        other = np.linalg.norm(centers[i] - initial[j]) + np.linalg.norm(centers[j] - initial[i])
         if other < 0.25 * own:
             raise InputError(
                 f"{case.cameras[i].name} and {case.cameras[j].name}: expected each one's own "

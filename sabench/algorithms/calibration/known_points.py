@@ -25,10 +25,10 @@ def known_frames(case: CalibrationCase, camera: int) -> tuple[list[F64], list[F6
     Frames of which the camera found nothing are left out.
     """
     points, pixels = [], []
-    for rough, found in zip(case.rough_mm, case.pixels[camera], strict=True):
-        there = np.isfinite(rough).all(axis=1) & np.isfinite(found).all(axis=1)
+    for initial, found in zip(case.initial_mm, case.pixels[camera], strict=True):
+        there = np.isfinite(initial).all(axis=1) & np.isfinite(found).all(axis=1)
         if there.any():
-            points.append(rough[there])
+            points.append(initial[there])
             pixels.append(found[there])
     return points, pixels
 
@@ -38,7 +38,7 @@ def reason_if_flat(case: CalibrationCase) -> str | None:
 
     Returns None if they do not.
     """
-    nominal = case.rough_mm[np.isfinite(case.rough_mm).all(axis=-1)]
+    nominal = case.initial_mm[np.isfinite(case.initial_mm).all(axis=-1)]
     spread = np.linalg.svd(nominal - nominal.mean(axis=0), compute_uv=False)
     return (
         "expected nominal positions at different depths, got all of them in one plane"

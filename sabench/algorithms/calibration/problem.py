@@ -44,29 +44,29 @@ class CalibrationProblem:
         """
         check_case(case)
         check_count(case, free.per_camera)
-        for number, points in enumerate(case.rough_mm):
+        for number, points in enumerate(case.initial_mm):
             if np.isfinite(points).all(axis=1).sum() < 3 and case.found[:, number].any():
                 raise InputError(
                     f"frame {number}: expected a nominal position of its target, got none"
                 )
-        frame = Frame.from_cameras(case.cameras, case.rough_mm)
+        frame = Frame.from_cameras(case.cameras, case.initial_mm)
         found = case.found
         seen = Seen(case.target.points_mm, np.nan_to_num(case.pixels), found.astype(np.float64))
-        return cls(frame, frame.state(case.target.points_mm, case.rough_mm), seen, case)
+        return cls(frame, frame.state(case.target.points_mm, case.initial_mm), seen, case)
 
     def settled(self, state: State) -> State:
         """Move the state so that its boards are near their nominal positions.
 
         Only motions that change neither the images nor the known coordinates are allowed.
         """
-        points, rough = state.points(self.seen.board), self.frame.motion(self.case.rough_mm)
-        there = np.isfinite(rough).all(axis=-1) & (self.seen.weights.sum(axis=0) > 0.0)
+        points, initial = state.points(self.seen.board), self.frame.motion(self.case.initial_mm)
+        there = np.isfinite(initial).all(axis=-1) & (self.seen.weights.sum(axis=0) > 0.0)
         known = np.isfinite(self.case.known_mm).all(axis=-1)
         if known.sum() > (1 if self.frame.wall else 2):
             return state
         if self.frame.wall is None:
-            return state.slid(fit_rigid_motion(points[there], rough[there]))
-        motion = fit_lateral_motion(points[there], rough[there])
+            return state.slid(fit_rigid_motion(points[there], initial[there]))
+        motion = fit_lateral_motion(points[there], initial[there])
         if known.any():  # the turn goes about the known point
             pivot = points[known][0]
             motion = RigidMotion(motion.rotation, pivot - motion.rotation @ pivot)

@@ -33,7 +33,7 @@ from sabench.evaluation.gates.baseline import (
 from sabench.evaluation.gates.dataset_statistics import fingerprint
 from sabench.evaluation.gates.known_wrong_estimates import score_known_wrong
 from sabench.evaluation.runner import dataset_of, machine, solve_apart, versions
-from sabench.evaluation.suites import Case, Entrant, load_suite
+from sabench.evaluation.suites import Case, SolverEntry, load_suite
 from sabench.scenes import find
 from sabench.tasks.solve_and_score import score
 from sabench.utils.errors import InputError
@@ -79,7 +79,7 @@ def check_file(
     work: Path | None,
     *,
     update: bool = False,
-    solvers: Sequence[str | Entrant] = (),
+    solvers: Sequence[str | SolverEntry] = (),
     exit_first: bool = False,
 ) -> Report:
     """Compare a suite with a baseline file, as `check` does.
@@ -100,13 +100,13 @@ def check_file(
     name = find(suite, "scenes/suites").stem
     file = path or default_path(name)
     before = read_baseline(file, name) if file.exists() or not update else None
-    entrants = [Entrant(name=one) if isinstance(one, str) else one for one in solvers]
+    solver_entries = [SolverEntry(name=one) if isinstance(one, str) else one for one in solvers]
     with contextlib.ExitStack() as stack:
         folder = work or Path(
             stack.enter_context(tempfile.TemporaryDirectory(prefix="sabench-check-"))
         )
         report = check(
-            suite, before, folder, solvers=entrants, exit_first=exit_first and not update
+            suite, before, folder, solvers=solver_entries, exit_first=exit_first and not update
         )
     if not update:
         return report
@@ -119,7 +119,7 @@ def check(
     before: Baseline | None,
     work: Path,
     *,
-    solvers: Sequence[Entrant] = (),
+    solvers: Sequence[SolverEntry] = (),
     exit_first: bool = False,
 ) -> Report:
     """Run a suite on new data sets and compare it with a baseline, if there is one.
@@ -174,24 +174,24 @@ def check(
     )
 
 
-def names_of(entrants: Sequence[Entrant], where: str) -> dict[str, Entrant]:
+def names_of(solver_entries: Sequence[SolverEntry], where: str) -> dict[str, SolverEntry]:
     """Name each solver of a case: by its label, or its name and parameters."""
     named = {
         (
             one.label
             or " ".join([one.name, *(f"{k}={json.dumps(v)}" for k, v in one.parameters.items())])
         ): one
-        for one in entrants
+        for one in solver_entries
     }
-    if len(named) < len(entrants):
+    if len(named) < len(solver_entries):
         raise InputError(
             f"{where}: solvers: expected names, parameters or labels that differ, got "
-            f"{len(entrants)} of which {len(named)} do"
+            f"{len(solver_entries)} of which {len(named)} do"
         )
     return named
 
 
-def _chosen(cases: Sequence[Case], solvers: Sequence[Entrant]) -> list[Case]:
+def _chosen(cases: Sequence[Case], solvers: Sequence[SolverEntry]) -> list[Case]:
     """Select the cases that have solvers of the given solvers' tasks.
 
     They run the given solvers instead of their own. Without given solvers, all cases stay as they
@@ -219,8 +219,8 @@ def _chosen(cases: Sequence[Case], solvers: Sequence[Entrant]) -> list[Case]:
     return [case for case in own if case.solvers]
 
 
-def _task_of(entrant: Entrant) -> str:
-    return entrant.describe()[1]
+def _task_of(solver_entry: SolverEntry) -> str:
+    return solver_entry.describe()[1]
 
 
 def _run_case(
@@ -241,7 +241,7 @@ def _run_case(
         solvers={},
     )
     now = now.model_copy(update={"data": {**fingerprint(data), **score_known_wrong(data, out)}})
-    for name, entrant in names_of(case.solvers, f"case {case.name}").items():
+    for name, solver_entry in names_of(case.solvers, f"case {case.name}").items():
         if (
             exit_first
             and old
@@ -252,7 +252,7 @@ def _run_case(
         ):
             break
         entry = _solved_again(
-            data, entrant, out, old.solvers.get(name) if old else None, tolerances
+            data, solver_entry, out, old.solvers.get(name) if old else None, tolerances
         )
         now = now.model_copy(update={"solvers": {**now.solvers, name: entry}})
     shutil.rmtree(data.root)
@@ -271,27 +271,33 @@ def _ran(old: CaseEntry, now: CaseEntry) -> CaseEntry:
 
 def _tasks_of(case: Case) -> dict[str, str]:
     return {
-        name: _task_of(entrant)
-        for name, entrant in names_of(case.solvers, f"case {case.name}").items()
+        name: _task_of(solver_entry)
+        for name, solver_entry in names_of(case.solvers, f"case {case.name}").items()
     }
 
 
 def _solved_again(
-    data: Dataset, entrant: Entrant, out: Path, earlier: Entry | None, tolerances: Tolerances
+    data: Dataset,
+    solver_entry: SolverEntry,
+    out: Path,
+    earlier: Entry | None,
+    tolerances: Tolerances,
 ) -> Entry:
     """Solve and score; repeat where time or memory seem to have grown."""
-    entry = _solved(data, entrant, out)
+    entry = _solved(data, solver_entry, out)
     for _ in range(_AGAIN):
-        if earlier is None or not _dear(earlier, entry, tolerances, _task_of(entrant)):
+        if earlier is None or not _exceeds_tolerance(
+            earlier, entry, tolerances, _task_of(solver_entry)
+        ):
             break
-        entry = _cheaper(entry, _solved(data, entrant, out))
+        entry = _cheaper(entry, _solved(data, solver_entry, out))
     return entry
 
 
-def _solved(data: Dataset, entrant: Entrant, out: Path) -> Entry:
+def _solved(data: Dataset, solver_entry: SolverEntry, out: Path) -> Entry:
     try:
         # like the reference kernel; other processes slow threads down most
-        reference_s = solve_apart(entrant, data, out, threads=1)
+        reference_s = solve_apart(solver_entry, data, out, threads=1)
         scores = score(data, out)
     except InputError as error:
         return Entry(error=str(error))
@@ -303,7 +309,7 @@ def _solved(data: Dataset, entrant: Entrant, out: Path) -> Entry:
     return Entry(figures=kept, reference_s=reference_s)
 
 
-def _dear(earlier: Entry, entry: Entry, tolerances: Tolerances, task: str) -> bool:
+def _exceeds_tolerance(earlier: Entry, entry: Entry, tolerances: Tolerances, task: str) -> bool:
     """Decide whether time or memory would fail the gate.
 
     The reason may be another process, or machine code that was compiled for the first time.

@@ -40,7 +40,8 @@ def fingerprint(data: Dataset) -> dict[str, float]:
             np.nanmax(np.linalg.norm(again - pixels[:_TRACED], axis=1), initial=0.0)
         )
         figures[f"{camera.name}.sightline_mm"] = _beside(camera, points[:_TRACED], pixels[:_TRACED])
-        nominal = data.rig.cameras[number].project(np.asarray(data.scene.volume.center_mm)[None])[0]
+        center_mm = np.asarray(data.scene.volume.center_mm)[None]
+        nominal = data.setup.cameras[number].project(center_mm)[0]
         figures |= _spread(f"{camera.name}.told_", ("column", "row"), nominal)
     return {name: value for name, value in figures.items() if np.isfinite(value)}
 
@@ -77,11 +78,11 @@ def _spread(prefix: str, names: Sequence[str], values: F64) -> dict[str, float]:
 
 def _truth(data: Dataset) -> Iterator[tuple[str, float]]:
     """Compute statistics of true positions, sizes and velocities."""
-    frames, axes = range(data.rig.frames), ("x", "y", "z")
+    frames, axes = range(data.setup.frames), ("x", "y", "z")
     if data.shows_target:
         yield from _spread("target.", axes, data.placed().points_mm.reshape(-1, 3)).items()
         yield from _spread(
-            "target.told_", axes, data.calibration_case().rough_mm.reshape(-1, 3)
+            "target.told_", axes, data.calibration_case().initial_mm.reshape(-1, 3)
         ).items()
         return
     if "particles" in data.shows:
@@ -115,7 +116,7 @@ def _seen(data: Dataset, number: int) -> tuple[F64, F64]:
 
     Points that the camera does not see are left out.
     """
-    frames = range(data.rig.frames)
+    frames = range(data.setup.frames)
     if data.shows_target:
         points, pixels = (
             data.placed().points_mm.reshape(-1, 3),
@@ -138,7 +139,7 @@ def _seen(data: Dataset, number: int) -> tuple[F64, F64]:
 
 def _light(data: Dataset, number: int) -> Iterator[tuple[str, float]]:
     """Compute statistics of light, outlines and detected points in one camera."""
-    name, frames = data.true_cameras[number].name, range(data.rig.frames)
+    name, frames = data.true_cameras[number].name, range(data.setup.frames)
     if data.shows_target:
         exact, case = data.sightings()[0][number], data.calibration_case()
         yield from _spread(
@@ -179,7 +180,7 @@ def _pictures(data: Dataset) -> Iterator[tuple[str, float]]:
     """
     if not any(name.startswith("images/") for name in data.manifest.files):
         return
-    for frame in sorted({0, data.rig.frames - 1}):
+    for frame in sorted({0, data.setup.frames - 1}):
         for camera, image in zip(data.true_cameras, data.observation(frame).images, strict=True):
             where, grey = f"{camera.name}.frame_{frame}.", image.astype(np.float64)
             yield f"{where}grey_mean", float(grey.mean())

@@ -66,16 +66,16 @@ def sabench_check(request: pytest.FixtureRequest, tmp_path: Path) -> Check:
         suite: str, baseline: str | Path, solvers: Sequence[str | Mapping[str, Any]] = ()
     ) -> Report:
         from sabench.evaluation.gates.comparison import check_file
-        from sabench.evaluation.suites import Entrant
+        from sabench.evaluation.suites import SolverEntry
 
         here = request.path.parent
-        entrants = [
-            Entrant(name=one) if isinstance(one, str) else Entrant(**one) for one in solvers
+        solver_entries = [
+            SolverEntry(name=one) if isinstance(one, str) else SolverEntry(**one) for one in solvers
         ]
         where = here / suite if (here / suite).is_file() else suite
         update = bool(request.config.getoption("--sabench-update"))
         report = check_file(
-            where, here / baseline, tmp_path / "sabench", update=update, solvers=entrants
+            where, here / baseline, tmp_path / "sabench", update=update, solvers=solver_entries
         )
         if report.worse:
             pytest.fail(

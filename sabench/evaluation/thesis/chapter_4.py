@@ -62,8 +62,8 @@ def scene_of(
 
     Parameters
     ----------
-    start : standard deviation of the rough points over the volume's edge; cameras start as wrong as
-        that.
+    start : standard deviation of the initial points over the volume's edge; cameras start as wrong
+        as that.
     """
     values: dict[str, Any] = scene_at(
         [(_INNER + _OUTER)[number] for number in _CHOSEN[cameras]], baseline
@@ -119,7 +119,7 @@ def draw(scene: Scene, seed: int) -> Board:
         placed.target,
         pixels,
         nominal_cameras(scene, true, seed),
-        known.rough_mm,
+        known.initial_mm,
         known.known_mm,
         known.known_sigma_mm,
         scene.unknown,
@@ -182,7 +182,7 @@ def held_out(
 
 def with_points(given: Board, points_mm: F64) -> Board:
     """Replace the nominal positions of a case; the images stay."""
-    return replace(given, case=replace(given.case, rough_mm=points_mm))
+    return replace(given, case=replace(given.case, initial_mm=points_mm))
 
 
 def stds(errors: Sequence[F64]) -> F64:

@@ -119,7 +119,7 @@ def _planes(solver: str, given: Board, step_mm: float) -> F64:
     """Solve for points (plane, point, 3) from a nominal distance of the planes."""
     nominal = given.points_mm.copy()
     nominal[..., 2] = _MIDDLE_MM + step_mm * (np.arange(_PLANES) - _PLANES // 2)[:, None]
-    start = replace(given, case=replace(given.case, rough_mm=nominal))
+    start = replace(given, case=replace(given.case, initial_mm=nominal))
     return places_of(solved(solver, start), start)
 
 

@@ -113,7 +113,7 @@ class TargetRecorder(Recorder):
     def view(self, number: int, camera: int, recall: Recall) -> Taken:
         """Render one camera's image of a frame, and detect the target's points in it."""
         taken = super().view(number, camera, recall)
-        expected = self._nominal[camera].project(self._prior.rough_mm[number])[0]
+        expected = self._nominal[camera].project(self._prior.initial_mm[number])[0]
         found = detect(taken.grey, self._placed.target, expected)
         return Taken({**taken.truth, _FOUND: found}, taken.grey, taken.radiance)
 

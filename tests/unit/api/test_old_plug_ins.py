@@ -9,7 +9,7 @@ import pytest
 
 import sabench.api
 from sabench import plugins
-from sabench.api import Film
+from sabench.api import CalibrationCase, Film, ImageSequence, Target
 from sabench.api.make import make_algorithm
 from sabench.scenes import load_scene
 from sabench.simulation.in_memory import simulate
@@ -49,6 +49,13 @@ class Brightest(ParticleSolver):
 @pytest.mark.parametrize("name", NAMES.split())
 def test_the_old_names_are_there(name: str) -> None:
     assert hasattr(sabench.api, name)
+
+
+def test_old_names_are_those_of_the_same_things() -> None:
+    assert Film is ImageSequence
+    target = Target("checkerboard", 2, 1, 1.0, 0.0)
+    case = CalibrationCase(target, np.zeros((0, 1, 2, 2)), (), *np.ones((3, 1, 2, 3)))
+    assert case.rough_mm is case.initial_mm
 
 
 def test_an_old_plug_in_works(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -102,15 +102,15 @@ def test_a_data_set_keeps_both_the_told_and_the_true_cameras(
         make_scene(particles={"count": 30}), tmp_path / "exact", seed=9, backend="splat", name="s"
     )
     rig = build_rig(shifted_scene(1.5))
-    assert wrong.true_cameras == rig.cameras == exact.true_cameras == exact.rig.cameras
+    assert wrong.true_cameras == rig.cameras == exact.true_cameras == exact.setup.cameras
     assert (
         wrong.observation(0).cameras
-        == wrong.rig.cameras
+        == wrong.setup.cameras
         == nominal_cameras(shifted_scene(1.5), rig.cameras, 9)
     )
-    assert simulate(shifted_scene(1.5), seed=9).observation.cameras == wrong.rig.cameras
+    assert simulate(shifted_scene(1.5), seed=9).observation.cameras == wrong.setup.cameras
     np.testing.assert_allclose(
-        np.linalg.norm(moves(wrong.rig.cameras, wrong.true_cameras), axis=2), 1.5
+        np.linalg.norm(moves(wrong.setup.cameras, wrong.true_cameras), axis=2), 1.5
     )
     for view, camera in zip(wrong.views(0), wrong.true_cameras, strict=True):
         np.testing.assert_allclose(

@@ -235,7 +235,7 @@ def test_a_target_s_data_set_is_whole_and_holds_what_was_shown(tmp_path: Path) -
     errors: F64 = case.pixels - exact
     assert np.nanstd(errors) == pytest.approx(0.1, rel=0.05)
     assert not outliers.any()
-    assert data.true_cameras != data.rig.cameras
+    assert data.true_cameras != data.setup.cameras
     with pytest.raises(InputError, match="expected an image, found no such file"):
         data.observation(0)
     (data.root / "points.h5").unlink()

@@ -201,7 +201,7 @@ def _variance(picture: np.ndarray[tuple[int, ...], np.dtype[np.float64]]) -> flo
 def test_a_data_set_tells_times_and_keeps_the_flow(tmp_path: Path) -> None:
     scene = moving_scene(timing={"rate_hz": 10.0, "pulses_s": [0.0, 0.002]}, frames=2)
     data = generate(scene, tmp_path / "data", seed=2, backend="splat")
-    assert [data.rig.time_s(frame) for frame in range(2)] == [0.0, 0.002]
+    assert [data.setup.time_s(frame) for frame in range(2)] == [0.0, 0.002]
     assert data.scene.flow == scene.flow
     flow = flow_of(data.scene)
     assert flow is not None

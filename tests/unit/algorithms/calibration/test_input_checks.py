@@ -157,6 +157,6 @@ def test_other_shapes_are_refused() -> None:
     ):
         replace(given, pixels=given.pixels[:, :, 1:])
     with pytest.raises(
-        InputError, match=r"rough_mm: expected the shape \(5, 121, 3\), got \(4, 121, 3\)"
+        InputError, match=r"initial_mm: expected the shape \(5, 121, 3\), got \(4, 121, 3\)"
     ):
-        replace(given, rough_mm=given.rough_mm[1:])
+        replace(given, initial_mm=given.initial_mm[1:])

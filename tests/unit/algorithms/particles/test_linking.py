@@ -11,29 +11,35 @@ import numpy as np
 import pytest
 
 from sabench.algorithms.particles.linking import GATE, REACH, assign, link
-from tests.helpers.films import EDGE, Film, film, judged, linked
+from tests.helpers.bubble_sequences import (
+    EDGE,
+    BubbleSequence,
+    link_scores,
+    link_sequence,
+    make_sequence,
+)
 
 
 @pytest.mark.parametrize("relative", [0.2, 0.5, 1.0, 1.5, 2.0])
 def test_a_stream_is_followed_beyond_the_distance_of_neighbours(relative: float) -> None:
-    made = film(relative)
-    recall, precision = judged(made, linked(made))
+    made = make_sequence(relative)
+    recall, precision = link_scores(made, link_sequence(made))
     assert recall > 0.98
     assert precision > 0.99
 
 
 @pytest.mark.parametrize("relative", [0.2, 0.5, 1.0, 1.5, 2.0])
 def test_a_fifth_missing_and_as_many_ghosts(relative: float) -> None:
-    made = film(relative, missing=0.2, ghosts=0.2, noise=0.03)
-    recall, precision = judged(made, linked(made))
+    made = make_sequence(relative, missing=0.2, ghosts=0.2, noise=0.03)
+    recall, precision = link_scores(made, link_sequence(made))
     assert recall > 0.94
     assert precision > 0.94
 
 
 @pytest.mark.parametrize("relative", [0.2, 0.5, 1.0, 1.5])
 def test_two_streams_through_each_other(relative: float) -> None:
-    made = film(relative, "two streams")
-    recall, precision = judged(made, linked(made))
+    made = make_sequence(relative, "two streams")
+    recall, precision = link_scores(made, link_sequence(made))
     assert recall > 0.95
     assert precision > 0.98
 
@@ -44,9 +50,9 @@ def test_where_it_ends() -> None:
     It fails for displacements beyond the reach, and for random motion beyond a fraction of the
     distance between neighbours.
     """
-    assert judged(made := film(1.4 * REACH), linked(made))[0] < 0.1
-    assert judged(made := film(0.2, "random"), linked(made))[0] > 0.97
-    assert judged(made := film(1.0, "random"), linked(made))[0] < 0.6
+    assert link_scores(made := make_sequence(1.4 * REACH), link_sequence(made))[0] < 0.1
+    assert link_scores(made := make_sequence(0.2, "random"), link_sequence(made))[0] > 0.97
+    assert link_scores(made := make_sequence(1.0, "random"), link_sequence(made))[0] < 0.6
 
 
 def test_paths_that_cross_are_not_swapped() -> None:
@@ -55,7 +61,7 @@ def test_paths_that_cross_are_not_swapped() -> None:
     Either is nearest to the other's next position.
     """
     time = np.arange(-4.0, 5.0)
-    made = Film()
+    made = BubbleSequence()
     for t in time:
         made.add(
             np.array([[t, 0.1, 0.0], [-t, -0.1, 0.0]]),
@@ -63,7 +69,7 @@ def test_paths_that_cross_are_not_swapped() -> None:
             np.arange(2),
             np.random.default_rng(int(t) + 9),
         )
-    track = linked(made)
+    track = link_sequence(made)
     for bubble in range(2):
         assert (
             len({int(number[ids == bubble][0]) for number, ids in zip(track, made.id, strict=True)})
@@ -78,7 +84,7 @@ def test_a_track_may_miss_as_many_frames_as_it_is_told() -> None:
         ({3, 4}, 2, True),
         ({3}, 0, False),
     ):
-        made = film(0.8, count=60, frames=8)
+        made = make_sequence(0.8, count=60, frames=8)
         lost = int(np.intersect1d(made.id[0], made.id[-1])[0])
         for frame in absent:
             keep = made.id[frame] != lost
@@ -87,7 +93,7 @@ def test_a_track_may_miss_as_many_frames_as_it_is_told() -> None:
                 made.radius[frame][keep],
                 made.id[frame][keep],
             )
-        track = linked(made, gap)
+        track = link_sequence(made, gap)
         numbers = {
             int(track[frame][made.id[frame] == lost][0])
             for frame in range(8)
@@ -108,8 +114,8 @@ def test_frames_at_unequal_times() -> None:
 
 
 def test_neither_order_nor_units_matter() -> None:
-    made = film(1.0, missing=0.1, ghosts=0.1, noise=0.02)
-    track, rng = linked(made), np.random.default_rng(0)
+    made = make_sequence(1.0, missing=0.1, ghosts=0.1, noise=0.02)
+    track, rng = link_sequence(made), np.random.default_rng(0)
     turned = [rng.permutation(len(one)) for one in made.center]
     metres = [1e-3 * one[order] for one, order in zip(made.center, turned, strict=True)]
     radii = [1e-3 * one[order] for one, order in zip(made.radius, turned, strict=True)]
@@ -120,7 +126,7 @@ def test_neither_order_nor_units_matter() -> None:
 
 
 def test_numbers_are_different_in_a_frame_and_count_up() -> None:
-    track = linked(film(1.0, missing=0.2, ghosts=0.2))
+    track = link_sequence(make_sequence(1.0, missing=0.2, ghosts=0.2))
     assert all(len(np.unique(one)) == len(one) for one in track)
     every = np.unique(np.concatenate(track))
     np.testing.assert_array_equal(every, np.arange(len(every)))

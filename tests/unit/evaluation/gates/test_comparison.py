@@ -35,7 +35,7 @@ from sabench.evaluation.gates.dataset_statistics import fingerprint
 from sabench.evaluation.gates.independent_projection import retrace
 from sabench.evaluation.gates.junit import junit, write_junit
 from sabench.evaluation.gates.known_wrong_estimates import score_known_wrong
-from sabench.evaluation.suites import Entrant, load_suite
+from sabench.evaluation.suites import SolverEntry, load_suite
 from sabench.scenes import Scene, build_rig, load_scene, parse_scene
 from sabench.simulation.pipeline import generate
 from sabench.tasks.task import Better
@@ -276,7 +276,10 @@ def test_the_bundled_suite_has_every_track_and_both_renderers() -> None:
 
 
 def test_solvers_of_one_name_need_labels() -> None:
-    two = [Entrant(name="msa", parameters={"k": 1.0}), Entrant(name="msa", parameters={"k": 2.0})]
+    two = [
+        SolverEntry(name="msa", parameters={"k": 1.0}),
+        SolverEntry(name="msa", parameters={"k": 2.0}),
+    ]
     assert list(names_of(two, "s")) == ["msa k=1.0", "msa k=2.0"]
     with pytest.raises(
         InputError,

@@ -17,7 +17,7 @@ EDGE = 60.0
 
 
 @dataclass
-class Film:
+class BubbleSequence:
     """Detections of some frames with the ids of their bubbles.
 
     The ids of ghosts are negative.
@@ -34,7 +34,7 @@ class Film:
         self.id.append(identity[order])
 
 
-def film(
+def make_sequence(
     relative: float,
     kind: str = "stream",
     count: int = 300,
@@ -42,23 +42,23 @@ def film(
     missing: float = 0.0,
     ghosts: float = 0.0,
     noise: float = 0.0,
-) -> Film:
+) -> BubbleSequence:
     """Make an image sequence of bubbles in a box.
 
     The bubbles move on average by `relative` mean distances of nearest neighbours a frame. A new
     bubble replaces each one that leaves the box.
     """
     rng = np.random.default_rng(5)
-    place, radius, identity = (
+    position, radius, identity = (
         EDGE * rng.random((count, 3)),
         0.8 * np.exp(0.3 * rng.standard_normal(count)),
         np.arange(count),
     )
-    spacing = float(cKDTree(place).query(place, 2)[0][:, 1].mean())
-    way, made = rng.standard_normal((count, 3)), Film()
+    spacing = float(cKDTree(position).query(position, 2)[0][:, 1].mean())
+    direction, made = rng.standard_normal((count, 3)), BubbleSequence()
     for frame in range(frames):
         there, extra = rng.random(count) >= missing, int(ghosts * count)
-        seen = np.concatenate([place[there], EDGE * rng.random((extra, 3))])
+        seen = np.concatenate([position[there], EDGE * rng.random((extra, 3))])
         seen = seen + noise * spacing * np.array([1.0, 1.0, 3.0]) * rng.standard_normal(seen.shape)
         size = np.concatenate([radius[there], rng.choice(radius, extra)])
         made.add(
@@ -70,23 +70,23 @@ def film(
         shift = {
             "stream": np.column_stack(
                 [
-                    0.7 + 0.6 * place[:, 1] / EDGE,
-                    0.1 * np.sin(place[:, 0] / 10.0 + frame),
+                    0.7 + 0.6 * position[:, 1] / EDGE,
+                    0.1 * np.sin(position[:, 0] / 10.0 + frame),
                     np.zeros(count),
                 ]
             ),
             "two streams": np.where(
                 np.arange(count)[:, None] % 2, [1.0, 0.0, 0.0], [-0.5, 0.8, 0.3]
             ),
-            "random": way / np.linalg.norm(way, axis=1)[:, None],
+            "random": direction / np.linalg.norm(direction, axis=1)[:, None],
         }[kind]
-        place = place + relative * spacing * shift
-        left = ((place < 0.0) | (place > EDGE)).any(axis=1)
-        place, identity = np.mod(place, EDGE), np.where(left, identity + count, identity)
+        position = position + relative * spacing * shift
+        left = ((position < 0.0) | (position > EDGE)).any(axis=1)
+        position, identity = np.mod(position, EDGE), np.where(left, identity + count, identity)
     return made
 
 
-def judged(made: Film, track: list[I64]) -> tuple[float, float]:
+def link_scores(made: BubbleSequence, track: list[I64]) -> tuple[float, float]:
     """Return the recall and the precision of links.
 
     Recall is the share of the true links that were found, precision the share of the found links
@@ -100,5 +100,5 @@ def judged(made: Film, track: list[I64]) -> tuple[float, float]:
     return both / true, both / found
 
 
-def linked(made: Film, gap: int = 1) -> list[I64]:
+def link_sequence(made: BubbleSequence, gap: int = 1) -> list[I64]:
     return link(made.center, made.radius, [0.01 * frame for frame in range(len(made.center))], gap)
