@@ -43,7 +43,7 @@ def scene_of(count: int) -> Scene:
     return parse_scene(values, "benchmark")
 
 
-def rendered(count: int, error: float) -> dict[str, float]:
+def measure_frame(count: int, error: float) -> dict[str, float]:
     """Render one frame with all cameras; kernels are compiled before."""
     scene = scene_of(count)
     rig = build_rig(scene)
@@ -69,7 +69,7 @@ def rendered(count: int, error: float) -> dict[str, float]:
 def main() -> None:
     """Measure all counts, one after another."""
     asked = [argument.partition("@") for argument in sys.argv[1:] or ("200", "2000", "10000@0.05")]
-    runs = [rendered(int(count), float(error or _ERROR)) for count, _, error in asked]
+    runs = [measure_frame(int(count), float(error or _ERROR)) for count, _, error in asked]
     print(json.dumps({"cameras": 9, "pixels": [1024, 1024], "runs": runs}, indent=1))
 
 

@@ -37,7 +37,7 @@ from sabench.evaluation.thesis.chapter_4 import (
     places_of,
     reprojection,
     scene_of,
-    solved,
+    solve_case,
 )
 from sabench.geometry.rigid_motion import fit_lateral_motion
 from sabench.scenes import build_rig, parse_scene
@@ -155,7 +155,7 @@ def starts(cameras: int, noise: float, seeds: int) -> list[dict[str, Any]]:
     return rows
 
 
-def anchored(noise: float, draws: int) -> dict[str, Any]:
+def measure_anchored(noise: float, draws: int) -> dict[str, Any]:
     """Measure the mean depth of all boards with one point known to 0.05 mm.
 
     There are nine cameras.
@@ -163,7 +163,7 @@ def anchored(noise: float, draws: int) -> dict[str, Any]:
     depths = []
     for seed in range(1, draws + 1):
         given = draw(scene_of(9, 0.3, noise, 0.1), seed)
-        answer = solved("refractive_autocal", given)
+        answer = solve_case("refractive_autocal", given)
         depths.append(float((places_of(answer, given) - given.points_mm)[..., 2].mean()))
     rms = float(np.sqrt(np.mean(np.square(depths))))
     return {
@@ -184,7 +184,7 @@ def with_outliers(share: float, draws: int) -> dict[str, Any]:
     errors = []
     for seed in range(1, draws + 1):
         given = draw(parse_scene(values, "outliers"), seed)
-        errors.append(reprojection(solved("refractive_autocal", given), given)[0])
+        errors.append(reprojection(solve_case("refractive_autocal", given), given)[0])
     return {
         "outliers": share,
         "draws": draws,
@@ -193,7 +193,7 @@ def with_outliers(share: float, draws: int) -> dict[str, Any]:
     }
 
 
-def timed(cameras: int, frames: int) -> dict[str, Any]:
+def measure_time(cameras: int, frames: int) -> dict[str, Any]:
     """Measure median seconds of a calibration, and of the parts of a step."""
     values = scene_of(cameras, 0.3, 0.1, 0.1).to_dict() | {"frames": frames}
     scene = parse_scene(values, "timed")
@@ -235,14 +235,15 @@ def main() -> None:
     draws = int(sys.argv[1]) if len(sys.argv) > 1 else 100
     pairs = [(cameras, noise) for cameras in _CAMERAS for noise in _NOISES]
     report = {
-        "times": [timed(9, 5), timed(13, 20)],
+        "times": [measure_time(9, 5), measure_time(13, 20)],
         "lenses": [
             ratios(cameras, noise, draws, _LENSES)
             for cameras, noise in progress_bar(pairs, "draws with unknown lenses")
         ],
         "bound": [ratios(cameras, noise, draws) for cameras, noise in progress_bar(pairs, "draws")],
         "anchor": [
-            anchored(noise, max(4, 2 * draws // 5)) for noise in progress_bar((0.1, 2.0), "anchors")
+            measure_anchored(noise, max(4, 2 * draws // 5))
+            for noise in progress_bar((0.1, 2.0), "anchors")
         ],
         "outliers": with_outliers(0.3, max(4, draws // 5)),
         "starts": [

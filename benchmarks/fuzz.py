@@ -151,7 +151,7 @@ def _work(pipe: Connection, base: Base, root: Path, seed: int, probe_s: float) -
     while True:
         kind, number = pipe.recv()
         pipe.send(
-            _tried(
+            _run_case(
                 pipe,
                 base,
                 root / "cases" / f"{kind}-{number}",
@@ -178,7 +178,7 @@ def _warm_up(base: Base, root: Path) -> None:
     submit(base.results["reconstruction"], "warm", [base.particles.root], out / "leaderboard")
 
 
-def _tried(
+def _run_case(
     pipe: Connection, base: Base, folder: Path, kind: str, rng: random.Random
 ) -> tuple[str, str]:
     inputs, out = folder / "in", folder / "out"

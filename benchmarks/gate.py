@@ -173,9 +173,9 @@ def main() -> None:
     asked = parser.parse_args()
     chosen = BUGS[asked.skip :][: asked.bugs]
     with tempfile.TemporaryDirectory(prefix="sabench-gate-") as folder:
-        pristine = copied(ROOT, Path(folder) / "pristine")
+        pristine = copy_tree(ROOT, Path(folder) / "pristine")
         caught = [
-            planted(bug, pristine, Path(folder) / "planted", asked.baseline) for bug in chosen
+            plant_bug(bug, pristine, Path(folder) / "planted", asked.baseline) for bug in chosen
         ]
         silent = [
             honest(number, pristine, Path(folder), asked.baseline) for number in range(asked.reruns)
@@ -187,7 +187,7 @@ def main() -> None:
     sys.exit(not all(caught + silent))
 
 
-def copied(source: Path, target: Path) -> Path:
+def copy_tree(source: Path, target: Path) -> Path:
     """Copy the parts of a source tree that a check needs, and compiled kernels."""
     for name in _COPIED:
         if (source / name).is_dir():
@@ -197,7 +197,7 @@ def copied(source: Path, target: Path) -> Path:
     return target
 
 
-def planted(bug: Bug, pristine: Path, tree: Path, baseline: Path) -> bool:
+def plant_bug(bug: Bug, pristine: Path, tree: Path, baseline: Path) -> bool:
     """Check a copy with the bug; returns whether it was caught."""
     text = (pristine / bug.file).read_text(encoding="utf-8")
     if text.count(bug.old) != 1:
@@ -207,7 +207,7 @@ def planted(bug: Bug, pristine: Path, tree: Path, baseline: Path) -> bool:
             flush=True,
         )
         return False
-    copied(pristine, tree)
+    copy_tree(pristine, tree)
     (tree / bug.file).write_text(text.replace(bug.old, bug.new), encoding="utf-8")
     if "njit" in text:
         forget(tree, bug.file)

@@ -110,7 +110,7 @@ def throughput(folder: Path) -> dict[str, Any]:
         / cores
         for k in range(3)
     ]
-    alone = statistics.median(independent(cores) / independent(1) for _ in range(3))
+    alone = statistics.median(measure_independent(cores) / measure_independent(1) for _ in range(3))
     gain = statistics.median(gains)
     return {
         "cores": cores,
@@ -121,7 +121,7 @@ def throughput(folder: Path) -> dict[str, Any]:
     }
 
 
-def independent(count: int) -> float:
+def measure_independent(count: int) -> float:
     """Measure rounds of work that each of several independent processes does."""
     environment = os.environ | {"OMP_NUM_THREADS": "1"}
     running = [
@@ -155,7 +155,7 @@ class Times:
         )
 
 
-def timed(scene: Scene, folder: Path) -> Times:
+def measure_tasks(scene: Scene, folder: Path) -> Times:
     """Measure the seconds of one process's tasks, one after another."""
     job, parts = Job(scene, 1, "splat", "benchmark"), Parts(folder)
     job.write(folder)
@@ -192,7 +192,9 @@ def exchange(folder: Path, frames: int) -> float:
     return max(again - (time.perf_counter() - start), 0.0) / (frames * (1 + recorder.views))
 
 
-def simulated(frames: int, cameras: int, workers: int, times: Times, *, chained: bool) -> float:
+def simulate_workers(
+    frames: int, cameras: int, workers: int, times: Times, *, chained: bool
+) -> float:
     """Simulate the seconds that workers need with one serial scheduler."""
     schedule, rng, now, free = (
         Schedule(frames, cameras, chained=chained, ahead=workers + 1),
@@ -221,7 +223,7 @@ def growth(times: Times, frames: int, cameras: int) -> dict[str, Any]:
     speed, end = {}, times.end * frames
     for chained in (True, False):
         took = {
-            n: simulated(frames, cameras, n, times, chained=chained)
+            n: simulate_workers(frames, cameras, n, times, chained=chained)
             for n in progress_bar(_WORKERS, "simulate workers")
         }
         name = "frames from the one before" if chained else "frames by themselves"
@@ -242,12 +244,12 @@ def growth(times: Times, frames: int, cameras: int) -> dict[str, Any]:
     }
 
 
-def rounded(value: Any) -> Any:
+def round_all(value: Any) -> Any:
     """Round to four digits."""
     if isinstance(value, dict):
-        return {str(key): rounded(inner) for key, inner in value.items()}
+        return {str(key): round_all(inner) for key, inner in value.items()}
     if isinstance(value, list):
-        return [rounded(inner) for inner in value]
+        return [round_all(inner) for inner in value]
     return float(f"{value:.4g}") if isinstance(value, float) else value
 
 
@@ -256,7 +258,7 @@ def main() -> None:
     frames = int(sys.argv[1]) if len(sys.argv) > 1 else 1000
     with tempfile.TemporaryDirectory() as work:
         folder = Path(work)
-        first = timed(sequence(20), folder / "timed")
+        first = measure_tasks(sequence(20), folder / "timed")
         times = Times(first.truth, first.view, first.end, exchange(folder / "small", frames))
         report = {
             "seconds": {
@@ -272,7 +274,7 @@ def main() -> None:
             "throughput": throughput(folder),
             "growth": growth(times, frames, 9),
         }
-    print(json.dumps(rounded(report), indent=1))
+    print(json.dumps(round_all(report), indent=1))
 
 
 if __name__ == "__main__":

@@ -94,14 +94,14 @@ def kill(process: subprocess.Popen[bytes], whom: str) -> bool:
     return True
 
 
-def finished(scene: Path, out: Path) -> str:
+def run_to_end(scene: Path, out: Path) -> str:
     """Run the command to its end; returns the content hash."""
     with start(scene, out) as process:
         process.wait()
     return sabench.open_dataset(out).content_hash
 
 
-def disturbed(scene: Path, out: Path, whom: str, within_s: float) -> str:
+def kill_and_resume(scene: Path, out: Path, whom: str, within_s: float) -> str:
     """Kill once, then run to the end; returns the content hash.
 
     The moment is one at which there is something to kill.
@@ -113,7 +113,7 @@ def disturbed(scene: Path, out: Path, whom: str, within_s: float) -> str:
             time.sleep(random.uniform(0.0, within_s))
             killed = kill(process, whom)
             process.wait()
-    return sabench.open_dataset(out).content_hash if out.is_dir() else finished(scene, out)
+    return sabench.open_dataset(out).content_hash if out.is_dir() else run_to_end(scene, out)
 
 
 def main() -> None:
@@ -123,12 +123,12 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as work:
         folder = Path(work)
         scene, begun = scene_file(folder, frames), time.perf_counter()
-        expected = finished(scene, folder / "undisturbed")
+        expected = run_to_end(scene, folder / "undisturbed")
         took = time.perf_counter() - begun
         same, killed = 0, dict.fromkeys(_WHOM, 0)
         for number in progress_bar(range(times), "kill and go on"):
             whom, out = _WHOM[number % 3], folder / str(number)
-            same += disturbed(scene, out, whom, took) == expected
+            same += kill_and_resume(scene, out, whom, took) == expected
             killed[whom] += 1
             left = [entry.name for entry in folder.glob(f".{number}.*")]
             assert not left, left

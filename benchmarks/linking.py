@@ -28,13 +28,13 @@ _MOTIONS: dict[str, tuple[str, dict[str, float]]] = {
 _STEPS = (0.2, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0)
 
 
-def followed(kind: str, faults: Any, relative: float) -> list[float]:
+def measure_links(kind: str, faults: Any, relative: float) -> list[float]:
     """Measure recall and precision of links."""
     made = make_sequence(relative, kind, **faults)
     return [round(share, 3) for share in link_scores(made, link_sequence(made))]
 
 
-def timed(kind: str, faults: Any) -> float:
+def measure_time(kind: str, faults: Any) -> float:
     """Measure the seconds for a long image sequence.
 
     The displacement is one mean distance of neighbours a frame.
@@ -48,11 +48,15 @@ def timed(kind: str, faults: Any) -> float:
 def main() -> None:
     """Print everything."""
     links = {
-        name: {str(step): followed(*how, step) for step in _STEPS} for name, how in _MOTIONS.items()
+        name: {str(step): measure_links(*how, step) for step in _STEPS}
+        for name, how in _MOTIONS.items()
     }
     print(
         json.dumps(
-            {"links": links, "seconds": {name: timed(*how) for name, how in _MOTIONS.items()}},
+            {
+                "links": links,
+                "seconds": {name: measure_time(*how) for name, how in _MOTIONS.items()},
+            },
             indent=1,
         )
     )

@@ -95,7 +95,7 @@ def _changes(tree: ast.Module) -> Iterator[tuple[str, ast.expr | ast.stmt, str]]
     for node in _code(tree):
         if not isinstance(node, ast.expr | ast.stmt) or node.lineno != node.end_lineno:
             continue
-        for kind, changed in _changed(node):
+        for kind, changed in _mutate(node):
             yield kind, node, ast.unparse(changed)
 
 
@@ -119,7 +119,7 @@ def _is_text(node: ast.AST) -> bool:
     return isinstance(node, ast.JoinedStr | ast.Raise | ast.Import | ast.ImportFrom)
 
 
-def _changed(node: ast.expr | ast.stmt) -> Iterator[tuple[str, ast.AST]]:
+def _mutate(node: ast.expr | ast.stmt) -> Iterator[tuple[str, ast.AST]]:
     changed = copy.deepcopy(node)
     if isinstance(changed, ast.BinOp) and type(changed.op) in _SIGNS:
         changed.op = _SIGNS[type(changed.op)]()
@@ -138,7 +138,7 @@ def _changed(node: ast.expr | ast.stmt) -> Iterator[tuple[str, ast.AST]]:
         yield "dropped line", ast.Pass()
 
 
-def killed(mutant: Mutant, tree: Path, time_s: float) -> bool:
+def is_killed(mutant: Mutant, tree: Path, time_s: float) -> bool:
     """Return whether the mirrored tests fail on a mutant.
 
     The tree is restored afterwards.
@@ -208,7 +208,7 @@ def main() -> None:
                 sys.exit(f"{tests}: expected tests that pass on the original, got a failure")
         survivors = []
         for number, mutant in enumerate(drawn, 1):
-            verdict = "killed" if killed(mutant, tree, options.time) else "survived"
+            verdict = "killed" if is_killed(mutant, tree, options.time) else "survived"
             print(
                 f"{number:3d} {verdict:8s} {mutant.module}:{mutant.line} {mutant.kind}", flush=True
             )

@@ -64,7 +64,7 @@ def moments(image: F64, nodes: I64) -> tuple[F64, F64]:
     ) / light[:, None]
 
 
-def compared(scene: Scene, camera: Camera, seed: int) -> tuple[F64, F64, F64, float]:
+def compare_renderers(scene: Scene, camera: Camera, seed: int) -> tuple[F64, F64, F64, float]:
     """Compare rays with formulas and with exact projection.
 
     Returns both centroid differences (n, 2), light ratios (n,), and seconds of the ray tracer.
@@ -132,7 +132,7 @@ def main() -> None:
     )
     rig = build_rig(scene)
     found = [
-        compared(scene, camera, i)
+        compare_renderers(scene, camera, i)
         for i, camera in enumerate(progress_bar(rig.cameras, "render with Mitsuba"))
     ]
     formula, exact, ratio = (np.concatenate([part[i] for part in found]) for i in range(3))

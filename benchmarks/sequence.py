@@ -60,7 +60,7 @@ def scene_of(frames: int, particles: int) -> Scene:
     return parse_scene(values | {"frames": frames, "interval_s": 0.001}, "sequence")
 
 
-def made(scene: Scene, folder: Path) -> tuple[float, float, list[float]]:
+def measure_generation(scene: Scene, folder: Path) -> tuple[float, float, list[float]]:
     """Measure seconds, peak MiB and MiB at every frame of generating a scene.
 
     A child process generates it.
@@ -88,7 +88,7 @@ def main() -> None:
         (int(sys.argv[1]), int(sys.argv[2])) if len(sys.argv) == 3 else (100, 125_000)
     )
     with tempfile.TemporaryDirectory() as work:
-        seconds, peak, seen = made(scene_of(frames, particles), Path(work))
+        seconds, peak, seen = measure_generation(scene_of(frames, particles), Path(work))
         size = sum(path.stat().st_size for path in Path(work, "set").rglob("*") if path.is_file())
         rate = write_rate(Path(work))
     cameras, later = len(build_rig(load_scene("demo")).cameras), np.array(seen[frames // 10 :])

@@ -141,7 +141,7 @@ def operator_rates(case: Observation, reads: float) -> dict[str, float]:
     }
 
 
-def timed(name: str, case: Observation, bandwidth: float) -> dict[str, float | None]:
+def measure_time(name: str, case: Observation, bandwidth: float) -> dict[str, float | None]:
     """Run a solver once.
 
     Its rate counts all voxels, and is compared with reading the volume once per camera and
@@ -160,10 +160,10 @@ def timed(name: str, case: Observation, bandwidth: float) -> dict[str, float | N
     }
 
 
-def rounded(value: Any) -> Any:
+def round_all(value: Any) -> Any:
     """Round all floats of nested dictionaries to four digits."""
     if isinstance(value, dict):
-        return {key: rounded(inner) for key, inner in value.items()}
+        return {key: round_all(inner) for key, inner in value.items()}
     return float(f"{value:.4g}") if isinstance(value, float) else value
 
 
@@ -195,7 +195,7 @@ def main() -> None:
     width, depth, ppp = int(sys.argv[1]), int(sys.argv[2]), float(sys.argv[3])
     warm = simulate(scene_of(48, 16, 0.02), seed=100).observation
     for name in progress_bar(SOLVERS, "compile"):
-        timed(name, warm, 1.0)
+        measure_time(name, warm, 1.0)
     case = simulate(scene_of(width, depth, ppp), seed=100).observation
     limits = machine(case.images[0].size)
     bandwidth, reads = limits["triad_gb_per_s"], limits["random_reads_millions_per_s"]
@@ -213,18 +213,18 @@ def main() -> None:
         "ppp": ppp,
         "iterations": ITERATIONS,
         "machine": limits,
-        "solvers": {name: timed(name, case, bandwidth) for name in SOLVERS},
+        "solvers": {name: measure_time(name, case, bandwidth) for name in SOLVERS},
         "operator": operator_rates(case, reads),
         "accuracy_300x300x100": {str(own): accuracy(own) for own in (0.05, 0.1)},
         "mlos_smart_against": {
             kind: {
-                n: timed("mlos_smart", simulate(scene, seed=100).observation, bandwidth)
+                n: measure_time("mlos_smart", simulate(scene, seed=100).observation, bandwidth)
                 for n, scene in cases.items()
             }
             for kind, cases in scaling.items()
         },
     }
-    print(json.dumps(rounded(report), indent=2))
+    print(json.dumps(round_all(report), indent=2))
 
 
 if __name__ == "__main__":

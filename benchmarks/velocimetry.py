@@ -72,7 +72,7 @@ def best(work: Any, repeats: int = 3) -> float:
     return min(timeit.repeat(work, number=1, repeat=repeats))
 
 
-def evaluated(pair: VolumePair, passes: int) -> Velocity:
+def run_passes(pair: VolumePair, passes: int) -> Velocity:
     """Solve with `piv3d`'s defaults, except for first window and passes."""
     plugin = load("solvers", "piv3d")
     made: Velocity = plugin(
@@ -85,13 +85,13 @@ def speed(width: int, depth: int) -> dict[str, float]:
     """Measure vectors a second of the first and of a later pass, and references."""
     flow = flow_of("taylor_green", wavelength_mm=20.0, peak_mm_s=0.1)
     small, grid = grid_of(96, 96, 48), grid_of(width, width, depth)
-    evaluated(VolumePair(*pair_of(small, flow), small, 1.0), 1)
+    run_passes(VolumePair(*pair_of(small, flow), small, 1.0), 1)
     first, second = pair_of(grid, flow)
     pair = VolumePair(first, second, grid, 1.0)
     shape = (depth, width, width)
     coarse, fine = Windows.over(shape, WINDOW, 0.5), Windows.over(shape, WINDOW, 0.75)
     spectra = best(lambda: by_spectra(first, second, coarse))
-    rates = [best(lambda passes=passes: evaluated(pair, passes), 2) for passes in (1, 5)]
+    rates = [best(lambda passes=passes: run_passes(pair, passes), 2) for passes in (1, 5)]
     later = (rates[1] - rates[0]) / 4.0
     batch = np.zeros((64, *WINDOW), dtype=np.float32)
     transformed = scipy.fft.rfftn(batch, axes=(1, 2, 3), workers=-1)

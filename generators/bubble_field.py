@@ -35,7 +35,7 @@ class BubbleFieldParameters(BubbleParameters, Spectrum):
     high_mm: Vector | None = Field(None, description="its opposite corner")
 
     @model_validator(mode="after")
-    def _one_amount(self) -> BubbleFieldParameters:
+    def _check_amount(self) -> BubbleFieldParameters:
         if (self.count is None) == (self.void_fraction is None):
             raise ValueError("expected exactly one of count, void_fraction")
         if (self.low_mm is None) != (self.high_mm is None):

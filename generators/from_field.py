@@ -54,7 +54,7 @@ class FromFieldParameters(FileParameters):
     )
 
     @model_validator(mode="after")
-    def _named(self) -> FromFieldParameters:
+    def _check_names(self) -> FromFieldParameters:
         if len(self.velocity) not in (1, 3):
             raise ValueError(
                 f"velocity: expected the names of three arrays or of one, got {len(self.velocity)}"

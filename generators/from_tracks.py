@@ -52,7 +52,7 @@ class FromTracksParameters(FileParameters):
     )
 
     @model_validator(mode="after")
-    def _different(self) -> FromTracksParameters:
+    def _check_names(self) -> FromTracksParameters:
         if len({self.id, self.time, *self.axes}) < 5:
             raise ValueError(
                 "expected five different arrays for id, time and axes, got "
@@ -128,9 +128,9 @@ class _Tracks:
         part = np.divide(
             now - self.time_s[before][:, None], step, out=np.zeros_like(step), where=step > 0.0
         )
-        return (*self._between(before, after, np.clip(part, 0.0, 1.0), step), before)
+        return (*self._interpolate(before, after, np.clip(part, 0.0, 1.0), step), before)
 
-    def _between(self, before: I64, after: I64, t: F64, step: F64) -> tuple[F64, F64]:
+    def _interpolate(self, before: I64, after: I64, t: F64, step: F64) -> tuple[F64, F64]:
         """Evaluate Hermite's cubic and its slope."""
         p, q, u, v = (
             self.place_mm[before],

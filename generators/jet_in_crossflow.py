@@ -71,7 +71,7 @@ class JetInCrossflow(BubbleGenerator):
             if chosen.overlap
             else place(semi_axes, turn, propose, "jet_in_crossflow")
         )
-        age, line = spray.known(first)
+        age, line = spray.ages_and_lines(first)
         rounds, age = np.divmod(age + time_s, spray.ages[0][-1])
         there = spray.places(age, line)
         identity = np.arange(chosen.count) + chosen.count * rounds.astype(np.int64)

@@ -43,7 +43,7 @@ class PropellerParameters(SolidParameters):
     )
 
     @model_validator(mode="after")
-    def _is_one(self) -> PropellerParameters:
+    def _check_shape(self) -> PropellerParameters:
         thick = self.thickness * self.chord_mm
         if not self.hub_mm < self.diameter_mm:
             raise ValueError(

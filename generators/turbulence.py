@@ -24,7 +24,7 @@ class TurbulenceParameters(Parameters):
     draw: int = Field(1, ge=0, description="which field of all that have this spectrum")
 
     @model_validator(mode="after")
-    def _ordered(self) -> TurbulenceParameters:
+    def _check_order(self) -> TurbulenceParameters:
         if self.kolmogorov_mm >= self.integral_mm:
             raise ValueError(
                 f"expected kolmogorov_mm below integral_mm, got {self.kolmogorov_mm:g} and "

@@ -50,7 +50,7 @@ class VortexRing(Flow):
         rate = self._rate(np.hypot(away, z))
         turn = frame_along(self.parameters.axis)
         return np.asarray(
-            (rate * z * r * self._opened(r)[0])[:, None] * outward
+            (rate * z * r * self._fade_near_axis(r)[0])[:, None] * outward
             - (rate * away)[:, None] * turn[2]
         )
 
@@ -63,7 +63,7 @@ class VortexRing(Flow):
         slope = -rate / self.parameters.core_mm / distance  # of the rate, over the distance
         along = np.broadcast_to(axis, outward.shape)
         around = np.cross(along, outward)
-        share, growth = self._opened(r)
+        share, growth = self._fade_near_axis(r)
         parts = (
             (slope * away * z * r * share + rate * z * growth, outward, outward),
             ((rate + slope * z * z) * r * share, outward, along),
@@ -87,7 +87,7 @@ class VortexRing(Flow):
         r = np.linalg.norm(lateral, axis=1)
         return r, z, lateral / np.maximum(r, _AXIS)[:, None]
 
-    def _opened(self, r: F64) -> tuple[F64, F64]:
+    def _fade_near_axis(self, r: F64) -> tuple[F64, F64]:
         """Fade out the outward component near the axis.
 
         Returns the part that is left over the distance from the axis, and its derivative.

@@ -51,7 +51,7 @@ class Entry:
     file: Path
 
 
-def bundled(kind: str) -> Path:
+def bundled_folder(kind: str) -> Path:
     """Find the bundled folder of a kind: generators, solvers, scenes or leaderboard."""
     beside = _PACKAGE.parent / kind
     checkout = (_PACKAGE.parent / "pyproject.toml").is_file() and beside.is_dir()
@@ -62,7 +62,7 @@ def folders(kind: str) -> list[Path]:
     """List all folders that are searched for plug-ins of a kind."""
     variable = os.environ.get("SABENCH_PLUGINS", "")
     extra = [(Path(entry) / kind).absolute() for entry in variable.split(os.pathsep) if entry]
-    return [folder for folder in (bundled(kind), *extra) if folder.is_dir()]
+    return [folder for folder in (bundled_folder(kind), *extra) if folder.is_dir()]
 
 
 def names(kind: str) -> list[str]:
@@ -171,7 +171,7 @@ def _singular(kind: str) -> Kind:
 
 def list_solvers(task: str | None = None) -> list[str]:
     """List the names of all solvers, or of those of one task."""
-    return _named("solvers", task)
+    return _select_names("solvers", task)
 
 
 def list_generators(makes: str | None = None) -> list[str]:
@@ -179,10 +179,10 @@ def list_generators(makes: str | None = None) -> list[str]:
 
     Products are "particles", "flow", ...
     """
-    return _named("generators", makes)
+    return _select_names("generators", makes)
 
 
-def _named(kind: str, group: str | None) -> list[str]:
+def _select_names(kind: str, group: str | None) -> list[str]:
     if group is None:
         return names(kind)
     entries, faults = readable(kind)
@@ -232,7 +232,7 @@ def tables(kind: Literal["scene", "suite"]) -> list[Entry]:
 
 
 def _tables(kind: Literal["scene", "suite"]) -> list[Path]:
-    folder = bundled("scenes")
+    folder = bundled_folder("scenes")
     return sorted((folder if kind == "scene" else folder / "suites").glob("*.toml"))
 
 

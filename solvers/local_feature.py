@@ -117,7 +117,7 @@ class LocalFeature(BubbleSolver):
         bubbles = [
             bubble
             for one in shapes
-            if (bubble := self._refocused(volume, one, plane, largest)) is not None
+            if (bubble := self._refocus(volume, one, plane, largest)) is not None
         ]
         return bubbles or self._small(volume, peaks.place[group[0]])
 
@@ -133,7 +133,7 @@ class LocalFeature(BubbleSolver):
         out[:, :2] += left, top
         return out
 
-    def _refocused(self, volume: F32, one: F64, plane: int, largest: float) -> F64 | None:
+    def _refocus(self, volume: F32, one: F64, plane: int, largest: float) -> F64 | None:
         """Refocus an outline: find the plane where it is darkest, and the outline there.
 
         None if it is not there any more.

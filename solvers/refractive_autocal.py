@@ -69,8 +69,10 @@ class RefractiveAutocal(CalibrationSolver):
         anchors = make_anchors(case, problem.frame, found.noise_px)
         if anchors:
             found = adjust(
-                problem.settled(found.fit.state), replace(problem.seen, anchors=anchors), free
+                problem.align_to_nominal(found.fit.state),
+                replace(problem.seen, anchors=anchors),
+                free,
             )
-        state = problem.settled(found.fit.state)
+        state = problem.align_to_nominal(found.fit.state)
         check_fit(case, state, problem.frame, problem.seen, found.used, found.noise_px)
         return problem.answer(state, found.used)

@@ -38,7 +38,7 @@ class RefractiveAutocalAlternating(CalibrationSolver):
         problem = CalibrationProblem.from_case(case, free)
         state = problem.start
         for _ in range(2):
-            state = problem.settled(
+            state = problem.align_to_nominal(
                 alternate(state, problem.seen, free, chosen.tolerance_px, chosen.rounds).state
             )
         return problem.answer(state)

@@ -67,11 +67,11 @@ class RefractiveAutocalRandomised(CalibrationSolver):
             spread = float((points[0] - points[1]).std(axis=(0, 1)).max())
             if spread > least:
                 break
-            state, least = _averaged(state, pair), spread
+            state, least = _average(state, pair), spread
             if spread < chosen.agreement_mm:
                 break
         return problem.answer(
-            problem.settled(
+            problem.align_to_nominal(
                 alternate(state, problem.seen, free, chosen.tolerance_px, chosen.rounds).state
             )
         )
@@ -87,12 +87,12 @@ class RefractiveAutocalRandomised(CalibrationSolver):
         chosen: RandomisedParameters = self.parameters
         cameras = np.sort(rng.permutation(len(state.turns))[: chosen.subset])
         part, seen = select_cameras(state, problem.seen, cameras)
-        return problem.settled(
+        return problem.align_to_nominal(
             alternate(part, seen, free, chosen.tolerance_px, chosen.rounds).state
         )
 
 
-def _averaged(state: State, pair: list[State]) -> State:
+def _average(state: State, pair: list[State]) -> State:
     """Average both subsets' boards in a state."""
     places = np.mean([part.places for part in pair], axis=0)
     return replace(

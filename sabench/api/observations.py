@@ -59,11 +59,11 @@ class Observation:
     def normalised_images(self) -> F32:
         """Scale each camera's images to the peak of a bright particle in it.
 
-        Black becomes 0. See `sabench.images.brightness.normalised`.
+        Black becomes 0. See `sabench.images.brightness.normalise`.
         """
-        from sabench.images.brightness import normalised  # numba is loaded at the first use
+        from sabench.images.brightness import normalise  # numba is loaded at the first use
 
-        return normalised(self.images, self.black_dn)
+        return normalise(self.images, self.black_dn)
 
 
 def _check_kind(images: Any) -> None:

@@ -109,7 +109,7 @@ def _show_groups(entries: list[Entry]) -> None:
         names = max(len(entry.name) for entry in own)
         for entry in own:
             room = tables.width() - names - 4
-            say(f"  {entry.name:<{names}}  {tables.shortened(entry.summary, room)}")
+            say(f"  {entry.name:<{names}}  {tables.shorten(entry.summary, room)}")
 
 
 def schema() -> None:

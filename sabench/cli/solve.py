@@ -115,7 +115,7 @@ def _show_scores(scores: dict[str, Any]) -> None:
     from sabench import tasks
 
     columns = tasks.of(scores["task"]).columns
-    figures = [tables.fixed(scores[column.key], column.decimals) for column in columns]
+    figures = [tables.format_number(scores[column.key], column.decimals) for column in columns]
     headings = ["data set", "solver", *(column.key for column in columns)]
     tables.show(headings, [[scores["dataset"][:12], scores["solver"], *figures]])
 
@@ -199,7 +199,7 @@ def _show_calibration(report: Report, out: Path) -> None:
     rows = []
     for line in (*report.cameras, *report.frames):
         name = line["name"] if isinstance(line["name"], str) else f"frame {line['name']}"
-        errors = [tables.fixed(line[key], 3) for key in ("mean_px", "largest_px")]
+        errors = [tables.format_number(line[key], 3) for key in ("mean_px", "largest_px")]
         rows.append([name, str(line["found"]), str(line["used"]), *errors])
     tables.show(["camera or frame", "found", "used", "mean px", "largest px"], rows)
     x, y, z = report.std_mm

@@ -81,11 +81,11 @@ def figure(value: float | str | None, digits: int = 4) -> str:
     return f"{value:,.0f}" if 1e4 <= abs(value) < 1e7 else f"{value:.{digits}g}"
 
 
-def fixed(value: float | None, decimals: int) -> str:
+def format_number(value: float | None, decimals: int) -> str:
     """Format a number with so many decimals, a missing one as a dash."""
     return "-" if value is None else f"{value:.{decimals}f}"
 
 
-def shortened(text: str, columns: int) -> str:
+def shorten(text: str, columns: int) -> str:
     """Cut a text that is longer than so many columns, with an ellipsis at its end."""
     return text if len(text) <= columns else f"{text[: max(columns - 1, 0)].rstrip()}…"

@@ -27,7 +27,7 @@ _DENSEST = 1100  # deflate makes at best 1 byte of 1032
 
 
 @contextlib.contextmanager
-def opened(path: Path) -> Iterator[Any]:
+def open_hdf5(path: Path) -> Iterator[Any]:
     """Open an HDF5 file for reading.
 
     Any fault inside becomes an InputError that names the file.
@@ -101,20 +101,20 @@ class NewFile(io.RawIOBase):
 
 
 @contextlib.contextmanager
-def created(path: Path) -> Iterator[tuple[Any, Callable[[], None]]]:
+def create_hdf5(path: Path) -> Iterator[tuple[Any, Callable[[], None]]]:
     """Create an HDF5 file; also give a function that raises refused writes.
 
-    The function is called at the end in any case. Write into the file in `uninterrupted` blocks
+    The function is called at the end in any case. Write into the file in `delay_interrupts` blocks
     only.
     """
     sink = NewFile(path)
     try:
-        with uninterrupted():
+        with delay_interrupts():
             file = h5py.File(sink, "w")
         try:
             yield file, sink.check
         finally:
-            with uninterrupted():
+            with delay_interrupts():
                 file.close()
         sink.check()
     finally:
@@ -122,7 +122,7 @@ def created(path: Path) -> Iterator[tuple[Any, Callable[[], None]]]:
 
 
 @contextlib.contextmanager
-def uninterrupted() -> Iterator[None]:
+def delay_interrupts() -> Iterator[None]:
     """Delay Ctrl-C until the block has ended.
 
     An interrupt inside HDF5's calls to `NewFile` would be lost, or damage the file.
@@ -175,7 +175,7 @@ def walk(path: Path) -> None:
         if isinstance(node, h5py.Dataset) and node.shape is not None and node.chunks:
             node.id.get_num_chunks()
 
-    with opened(path) as file:
+    with open_hdf5(path) as file:
         for name in file.attrs:
             identity = file.attrs.get_id(name)
             if identity.shape == () and identity.get_storage_size() <= _LONGEST:

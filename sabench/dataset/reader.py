@@ -14,12 +14,12 @@ import numpy as np
 from sabench.api import CalibrationCase, Observation, Shown
 from sabench.api.truth import Bubbles, Particles, Placed, Sight, Solid, Target, View
 from sabench.dataset import schema
-from sabench.dataset.hdf5 import finite, names_in, opened, read_array
+from sabench.dataset.hdf5 import finite, names_in, open_hdf5, read_array
 from sabench.dataset.schema import CamerasFile, Manifest
 from sabench.geometry.camera import Camera
 from sabench.geometry.frames import Pose
 from sabench.geometry.grid import Grid
-from sabench.images.preprocessing import WHITE, Step, processed
+from sabench.images.preprocessing import WHITE, Step, preprocess
 from sabench.images.tiff_exr import read_exr, read_tiff
 from sabench.scenes import Scene
 from sabench.utils.arrays import F32, F64, U16, Bool
@@ -75,7 +75,7 @@ class Dataset:
             read_tiff(self._image(camera.name, frame, "tif"), (camera.rows, camera.columns))
             for camera in setup.cameras
         ]
-        return observed(
+        return build_observation(
             np.stack(images),
             setup.cameras,
             setup.grid,
@@ -98,7 +98,7 @@ class Dataset:
         """Read the true particles of a frame."""
         self._check_frame(frame)
         group = schema.frame_group(frame)
-        with opened(inside(self.root, schema.TRUTH)) as file:
+        with open_hdf5(inside(self.root, schema.TRUTH)) as file:
             identity = read_array(file, f"{group}/id", (None,), "i")
             n = len(identity)
             shapes = {"position_mm": (n, 3), "diameter_mm": (n,), "velocity_mm_s": (n, 3)}
@@ -113,7 +113,7 @@ class Dataset:
     def views(self, frame: int) -> list[View]:
         """Read every camera's true particle images, in the cameras' order."""
         self._check_frame(frame)
-        with opened(inside(self.root, schema.TRUTH)) as file:
+        with open_hdf5(inside(self.root, schema.TRUTH)) as file:
             n = len(read_array(file, f"{schema.frame_group(frame)}/id", (None,), "i"))
             views = []
             for camera in self.setup.cameras:
@@ -136,7 +136,7 @@ class Dataset:
         """Read the true bubbles of a frame."""
         self._check_frame(frame)
         group = f"{schema.frame_group(frame)}/bubbles"
-        with opened(inside(self.root, schema.TRUTH)) as file:
+        with open_hdf5(inside(self.root, schema.TRUTH)) as file:
             identity = read_array(file, f"{group}/id", (None,), "i")
             n = len(identity)
             shapes: dict[str, tuple[int, ...]] = {
@@ -159,7 +159,7 @@ class Dataset:
         """Read the true bodies of a frame."""
         self._check_frame(frame)
         group = f"{schema.frame_group(frame)}/bodies"
-        with opened(inside(self.root, schema.TRUTH)) as file:
+        with open_hdf5(inside(self.root, schema.TRUTH)) as file:
             count = len(names_in(file, group))
             parts = [(f"{group}/{k}/vertices_mm", f"{group}/{k}/faces") for k in range(count)]
             return [
@@ -177,7 +177,7 @@ class Dataset:
             f"{schema.frame_group(frame)}/sights/{camera.name}",
             (camera.rows, camera.columns),
         )
-        with opened(inside(self.root, schema.TRUTH)) as file:
+        with open_hdf5(inside(self.root, schema.TRUTH)) as file:
             n = len(read_array(file, f"{schema.frame_group(frame)}/bubbles/id", (None,), "i"))
             fields = [
                 ("number", image, "i"),
@@ -195,7 +195,7 @@ class Dataset:
 
     def render_error(self, frame: int, camera: Camera) -> float:
         """Read the mean relative standard error of an image of bubbles and bodies."""
-        with opened(inside(self.root, schema.TRUTH)) as file:
+        with open_hdf5(inside(self.root, schema.TRUTH)) as file:
             return float(
                 read_array(
                     file, f"{schema.frame_group(frame)}/sights/{camera.name}/error", (1,), "f"
@@ -222,7 +222,7 @@ class Dataset:
         shapes = {"pixels": (len(setup.cameras), setup.frames, count, 2)} | dict.fromkeys(
             ("rough_mm", "known_mm", "known_sigma_mm"), (setup.frames, count, 3)
         )
-        with opened(inside(self.root, schema.POINTS)) as file:
+        with open_hdf5(inside(self.root, schema.POINTS)) as file:
             arrays = {
                 name: read_array(file, name, shape, "f").astype(np.float64)
                 for name, shape in shapes.items()
@@ -240,7 +240,7 @@ class Dataset:
     def placed(self) -> Placed:
         """Read the target's true positions and rotations: not for solvers."""
         target = self._target()
-        with opened(inside(self.root, schema.TRUTH)) as file:
+        with open_hdf5(inside(self.root, schema.TRUTH)) as file:
             return Placed(
                 target,
                 tuple(_pose(file, schema.frame_group(frame)) for frame in range(self.setup.frames)),
@@ -255,7 +255,7 @@ class Dataset:
         Truth, not for solvers.
         """
         shape = (self.setup.frames, len(self._target().points_mm))
-        with opened(inside(self.root, schema.TRUTH)) as file:
+        with open_hdf5(inside(self.root, schema.TRUTH)) as file:
             groups = [f"cameras/{camera.name}" for camera in self.setup.cameras]
             exact = [read_array(file, f"{group}/pixel", (*shape, 2), "f") for group in groups]
             outliers = [read_array(file, f"{group}/outlier", shape, "u") > 0 for group in groups]
@@ -277,7 +277,7 @@ class Dataset:
             raise InputError(f"{self.root}: frame {frame}: expected 0 to {self.setup.frames - 1}")
 
 
-def observed(
+def build_observation(
     images: U16,
     cameras: tuple[Camera, ...],
     grid: Grid,
@@ -290,7 +290,7 @@ def observed(
     """
     if not steps:
         return Observation(images, cameras, grid, *levels)
-    return Observation(processed(images, *levels, steps), cameras, grid, 0.0, float(WHITE))
+    return Observation(preprocess(images, *levels, steps), cameras, grid, 0.0, float(WHITE))
 
 
 def _pose(file: Any, group: str) -> Pose:

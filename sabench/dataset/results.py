@@ -16,12 +16,12 @@ from sabench.api.estimates import Array, Estimate
 from sabench.api.solvers import TaskName
 from sabench.dataset import schema
 from sabench.dataset.hdf5 import (
-    created,
+    create_hdf5,
+    delay_interrupts,
     names_in,
-    opened,
+    open_hdf5,
     read_array,
     read_attributes,
-    uninterrupted,
 )
 from sabench.dataset.reader import Dataset
 from sabench.geometry.grid import Grid
@@ -75,7 +75,7 @@ class Result:
         """
         group = group_of(kind, frame)
         sizes = dict(zip("zyx", self.grid.shape, strict=True))
-        with opened(self.path) as file:
+        with open_hdf5(self.path) as file:
             names = names_in(file, group)
             values = {
                 one.name: _read(file, group, one, sizes)
@@ -120,7 +120,7 @@ class ResultWriter:
 
     def add(self, estimate: Estimate, frame: int = 0) -> None:
         """Store an estimate, by the arrays that its class declares."""
-        with uninterrupted():
+        with delay_interrupts():
             group = self._file.require_group(group_of(type(estimate), frame))
             for declared, value in estimate.arrays():
                 stored = value.astype(np.uint8) if value.dtype == np.bool_ else value
@@ -133,7 +133,7 @@ class ResultWriter:
 
         Velocimetry reconstructs the frames before it measures a velocity field.
         """
-        with uninterrupted():
+        with delay_interrupts():
             self._file.attrs["reconstruction_s"] = seconds
 
     def set_cost(self, seconds: float, peak_mb: float | None) -> None:
@@ -141,7 +141,7 @@ class ResultWriter:
 
         The memory is None if it is not known.
         """
-        with uninterrupted():
+        with delay_interrupts():
             self._file.attrs["seconds"] = seconds
             if peak_mb is not None:
                 self._file.attrs["peak_mb"] = peak_mb
@@ -172,8 +172,11 @@ def result_writer(
 
     The file appears when the block ends without an error; otherwise nothing is left of it.
     """
-    with complete_or_nothing(target, overwrite=overwrite) as path, created(path) as (file, check):
-        with uninterrupted():
+    with (
+        complete_or_nothing(target, overwrite=overwrite) as path,
+        create_hdf5(path) as (file, check),
+    ):
+        with delay_interrupts():
             file.attrs["format"], file.attrs["version"] = FORMAT, VERSION
             file.attrs["dataset"], file.attrs["solver"] = dataset.content_hash, solver
             file.attrs[_TASK_ATTRIBUTE[VERSION]] = task
@@ -190,7 +193,7 @@ def open_result(path: str | Path, dataset: Dataset) -> Result:
         Not a result file, or one of another data set.
     """
     file_path = Path(path)
-    with opened(file_path) as file:
+    with open_hdf5(file_path) as file:
         head = _head(file)
     if head.get("dataset") != dataset.content_hash:
         raise InputError(
@@ -216,7 +219,7 @@ def read_dataset_hash(path: Path) -> str:
 
     Raises as `open_result` does.
     """
-    with opened(path) as file:
+    with open_hdf5(path) as file:
         return str(_head(file).get("dataset"))
 
 

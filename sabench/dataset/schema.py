@@ -141,7 +141,7 @@ def content_hash(files: dict[str, FileEntry]) -> str:
     return digest({name: entry.sha256 for name, entry in files.items()})
 
 
-def sealed(manifest: dict[str, Any]) -> str:
+def seal(manifest: dict[str, Any]) -> str:
     """Serialise the manifest, with the hash of all other keys."""
     rest = {key: value for key, value in manifest.items() if key != "manifest_hash"}
     return canonical_json({**rest, "manifest_hash": digest(rest)})
@@ -155,8 +155,8 @@ def read_manifest(root: Path) -> Manifest:
     path = inside(root, MANIFEST)
     if not root.is_dir() or not path.is_file():
         raise InputError(f"{path}: expected a data set's manifest, found none")
-    manifest = _checked(Manifest, path)
-    if path.read_text(encoding="utf-8") != sealed(manifest.model_dump(mode="json")):
+    manifest = _read_versioned(Manifest, path)
+    if path.read_text(encoding="utf-8") != seal(manifest.model_dump(mode="json")):
         raise InputError(f"{path}: its manifest_hash does not match its content")
     return manifest
 
@@ -164,7 +164,7 @@ def read_manifest(root: Path) -> Manifest:
 def read_cameras(root: Path) -> CamerasFile:
     """Read the cameras of a data set, every one with its wall."""
     path = inside(root, CAMERAS)
-    loaded = _checked(CamerasFile, path)
+    loaded = _read_versioned(CamerasFile, path)
     names = [camera.name for camera in loaded.cameras]
     if len(set(names)) != len(names) or not all(name.replace("_", "").isalnum() for name in names):
         raise InputError(
@@ -181,7 +181,7 @@ def read_true_cameras(root: Path, nominal: CamerasFile) -> tuple[Camera, ...]:
     They have the same names and image sizes, and are behind the same wall.
     """
     path = inside(root, TRUE_CAMERAS)
-    cameras = _checked(TrueCamerasFile, path).cameras
+    cameras = _read_versioned(TrueCamerasFile, path).cameras
     expected, got = (
         [(c.name, c.rows, c.columns) for c in group] for group in (nominal.cameras, cameras)
     )
@@ -197,7 +197,7 @@ def read_true_cameras(root: Path, nominal: CamerasFile) -> tuple[Camera, ...]:
 def read_target(root: Path) -> Target:
     """Read the target of a data set for calibrations."""
     path = inside(root, TARGET)
-    target = _checked(TargetFile, path).target
+    target = _read_versioned(TargetFile, path).target
     if (
         min(target.columns, target.rows) < 1
         or target.columns * target.rows < 2
@@ -269,7 +269,7 @@ def _check_numbers(loaded: CamerasFile, path: Path) -> None:
         )
 
 
-def _checked(model: type[Model], path: Path) -> Model:
+def _read_versioned(model: type[Model], path: Path) -> Model:
     value = read_json(path)
     if (
         not isinstance(value, dict)

@@ -17,7 +17,7 @@ import numpy.typing as npt
 from sabench.api import Shown
 from sabench.api.truth import Prior, Target
 from sabench.dataset import schema
-from sabench.dataset.hdf5 import created, uninterrupted
+from sabench.dataset.hdf5 import create_hdf5, delay_interrupts
 from sabench.geometry.camera import Camera
 from sabench.scenes import Rig, Scene
 from sabench.utils.arrays import F64, Bool
@@ -38,7 +38,7 @@ class DatasetWriter:
 
     def store(self, arrays: Mapping[str, npt.NDArray[Any]]) -> None:
         """Store arrays by their names in the file of truth."""
-        with uninterrupted():
+        with delay_interrupts():
             for name, value in arrays.items():
                 self._truth.create_dataset(
                     name, data=value, **(_PACK if name.rpartition("/")[2] in _PACKED else {})
@@ -86,7 +86,7 @@ class DatasetWriter:
             "known_mm": prior.known_mm,
             "known_sigma_mm": prior.known_sigma_mm,
         }
-        with created(self.root / schema.POINTS) as (file, _), uninterrupted():
+        with create_hdf5(self.root / schema.POINTS) as (file, _), delay_interrupts():
             file.attrs["format"], file.attrs["version"] = schema.FORMAT, schema.VERSION
             for name, value in values.items():
                 file.create_dataset(name, data=value)
@@ -122,8 +122,8 @@ def dataset_writer(
         schema.write_cameras(root / schema.CAMERAS, nominal, wall=rig.wall, grid=rig.grid, **keys)
         if scene.calibration:
             schema.write_cameras(root / schema.TRUE_CAMERAS, rig.cameras)
-        with created(root / schema.TRUTH) as (truth, check):
-            with uninterrupted():
+        with create_hdf5(root / schema.TRUTH) as (truth, check):
+            with delay_interrupts():
                 truth.attrs["format"], truth.attrs["version"] = schema.FORMAT, schema.VERSION
             writer = DatasetWriter(root, truth, check)
             yield writer
@@ -176,7 +176,7 @@ def _manifest(
     files = {name: known.get(name) or _entry(path) for name, path in zip(names, paths, strict=True)}
     versions = {"sabench": __version__, "python": platform.python_version()}
     versions |= {package: importlib.metadata.version(package) for package in _RECORDED}
-    return schema.sealed(
+    return schema.seal(
         {
             "format": schema.FORMAT,
             "version": schema.VERSION,

@@ -20,7 +20,7 @@ def grid(x_mm: npt.ArrayLike, y_mm: npt.ArrayLike) -> F64:
     return np.column_stack([across.ravel(), down.ravel()])
 
 
-def even(count: int, spacing_mm: float) -> F64:
+def uniform_offsets(count: int, spacing_mm: float) -> F64:
     """Make `count` offsets, `spacing_mm` apart, centred on zero."""
     return np.asarray((np.arange(count) - (count - 1) / 2.0) * spacing_mm, dtype=np.float64)
 
@@ -37,7 +37,8 @@ def ring(count: int, radius_mm: float, start_rad: float = 0.0) -> F64:
 def line(count: int, spacing_mm: float, angle_rad: float = 0.0) -> F64:
     """Make `count` offsets along a straight line at `angle_rad` to +X."""
     return np.asarray(
-        even(count, spacing_mm)[:, None] * np.array([np.cos(angle_rad), np.sin(angle_rad)])
+        uniform_offsets(count, spacing_mm)[:, None]
+        * np.array([np.cos(angle_rad), np.sin(angle_rad)])
     )
 
 

@@ -17,7 +17,7 @@ _BRIGHT = 95.0  # percentile of the illuminated pixels that becomes 1
 _ILLUMINATED = 0.1  # of the image's maximum
 
 
-def normalised(images: U16, black_dn: float) -> F32:
+def normalise(images: U16, black_dn: float) -> F32:
     """Scale images to a bright particle's peak in the same camera.
 
     Cameras record particles at different scattering angles and so at very different brightness; a

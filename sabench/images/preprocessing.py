@@ -68,7 +68,7 @@ class MatchHistograms(_Step):
         Pixels of one value keep one value, the mean over their ranks.
         """
         best = np.sort(images[int(np.argmax(images.std(axis=(1, 2))))], axis=None)
-        return np.stack([_ranked(image, best) for image in images])
+        return np.stack([_match_ranks(image, best) for image in images])
 
 
 class Stretch(_Step):
@@ -96,7 +96,7 @@ class Stretch(_Step):
 Step = Annotated[SlidingMinimum | Gaussian | MatchHistograms | Stretch, Field(discriminator="step")]
 
 
-def processed(images: U16, black_dn: float, white_dn: float, steps: Sequence[Step]) -> U16:
+def preprocess(images: U16, black_dn: float, white_dn: float, steps: Sequence[Step]) -> U16:
     """Apply all steps to images (camera, row, column), from 0 to `WHITE`.
 
     Finer than grey values, which blurring would else round.
@@ -111,7 +111,7 @@ def processed(images: U16, black_dn: float, white_dn: float, steps: Sequence[Ste
     return np.asarray(np.rint(np.clip(light, 0.0, 1.0) * WHITE), dtype=np.uint16)
 
 
-def _ranked(image: F32, values: F32) -> F32:
+def _match_ranks(image: F32, values: F32) -> F32:
     """Replace an image's grey values by the sorted ones of the same ranks."""
     levels, place, count = np.unique(image, return_inverse=True, return_counts=True)
     ends = np.cumsum(count)

@@ -202,14 +202,14 @@ def solve(folder: Path, grid: Grid, frames: int) -> list[FoundParticles]:
         np.array(read_json(folder / f"found_{frame:05d}.json"), dtype=np.float64).reshape(-1, 3)
         for frame in range(frames)
     ]
-    tracks = joined([len(one) for one in places], read_json(folder / "links.json"))
+    tracks = join_links([len(one) for one in places], read_json(folder / "links.json"))
     return [
         FoundParticles(from_its(one, grid), None, number)
         for one, number in zip(places, tracks, strict=True)
     ]
 
 
-def joined(counts: list[int], links: list[list[int]]) -> list[I64]:
+def join_links(counts: list[int], links: list[list[int]]) -> list[I64]:
     """Assign trajectory numbers (n,) of each frame from links to the frame before.
 
     A link is the row of the same particle in the frame before, below zero for none.

@@ -13,7 +13,7 @@ from sabench import tasks
 from sabench.api import Detections, FoundParticles, Reconstruction, Velocity
 from sabench.api.estimates import Estimate
 from sabench.api.truth import Bubbles, Solid
-from sabench.dataset.hdf5 import created, uninterrupted
+from sabench.dataset.hdf5 import create_hdf5, delay_interrupts
 from sabench.dataset.reader import Dataset, open_dataset
 from sabench.dataset.results import Result, open_result
 from sabench.geometry.vector_calculus import divergence, gradient, vorticity
@@ -235,7 +235,7 @@ def write_lattice(
         "Spacing": np.array(step_mm),
         "Direction": np.eye(3).ravel(),
     }
-    with created(path) as (file, check), uninterrupted():
+    with create_hdf5(path) as (file, check), delay_interrupts():
         _begin(file, "ImageData", head)
         for name, values in data.items():
             chunk = (1, *values.shape[1:])
@@ -284,7 +284,7 @@ def _write_cells(path: Path, points_mm: F64, kind: str, cells: I64, data: Data) 
 
     Values are those of points or of cells.
     """
-    with created(path) as (file, check), uninterrupted():
+    with create_hdf5(path) as (file, check), delay_interrupts():
         root = _begin(file, "PolyData", {})
         root["NumberOfPoints"], root["Points"] = np.array([len(points_mm)]), points_mm
         for name in ("Vertices", "Lines", "Polygons", "Strips"):

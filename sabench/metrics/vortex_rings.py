@@ -19,7 +19,7 @@ _SIDE = 200  # points along each side of a contour
 _FINE = 121  # points along each side of the square in which a core is searched
 
 
-def sampled(field: Velocity, values: F64) -> Sampled:
+def sample(field: Velocity, values: F64) -> Sampled:
     """Interpolate values (z, y, x, ...) linearly between a field's nodes.
 
     NaN beyond the nodes.
@@ -32,7 +32,7 @@ def sampled(field: Velocity, values: F64) -> Sampled:
 
 def spin_of(field: Velocity) -> Sampled:
     """Interpolate a field's vorticity linearly between its nodes."""
-    return sampled(field, vorticity(gradient(field.velocity_mm_s, field.step_mm)))
+    return sample(field, vorticity(gradient(field.velocity_mm_s, field.step_mm)))
 
 
 @dataclass(frozen=True)

@@ -45,7 +45,7 @@ def montage(images: U16, black_dn: float, white_dn: float) -> bytes:
             f"montage: expected images (camera, row, column), got shape {images.shape}"
         )
     across = _across(*images.shape)
-    small = _joined(
+    small = _join_blocks(
         images, math.ceil(across * images.shape[2] / (_MONTAGE_PX - _GAP_PX * (across - 1)))
     )
     least = black_dn + _LEAST_RANGE * (white_dn - black_dn)
@@ -62,7 +62,7 @@ def backlit(images: U16, black_dn: float, white_dn: float) -> bytes:
     if dark.ndim != 3 or not dark.size:
         raise ValueError(f"backlit: expected images (camera, row, column), got shape {dark.shape}")
     across = _across(*dark.shape)
-    small = _joined(
+    small = _join_blocks(
         dark, math.ceil(across * dark.shape[2] / (_MONTAGE_PX - _GAP_PX * (across - 1)))
     )
     return _png(
@@ -84,7 +84,7 @@ def slice_picture(volume: F32, scored: tuple[slice, slice, slice]) -> bytes:
     the window's own 99.9th percentile: faint ghosts stay visible next to bright particles.
     """
     window = _window(volume[scored])
-    return _png(_enlarged(_grey(window, _top(window), 0.5)))
+    return _png(_enlarge(_grey(window, _top(window), 0.5)))
 
 
 def error_slice(volume: F32, truth: F32, scored: tuple[slice, slice, slice]) -> bytes:
@@ -101,7 +101,7 @@ def error_slice(volume: F32, truth: F32, scored: tuple[slice, slice, slice]) -> 
     off = (float(np.vdot(guess, true)) / power if power else 0.0) * _window(volume[scored]) - window
     strength = np.sqrt(np.clip(np.abs(off) / (_top(window) or 1.0), 0.0, 1.0))[..., None]
     ends = np.where(off[..., None] > 0.0, _TOO_MUCH, _MISSING)
-    return _png(_enlarged(np.rint(_RIGHT + strength * (ends - _RIGHT)).astype(np.uint8)))
+    return _png(_enlarge(np.rint(_RIGHT + strength * (ends - _RIGHT)).astype(np.uint8)))
 
 
 def _window(part: F32) -> F64:
@@ -119,7 +119,7 @@ def _top(window: F64) -> float:
     return float(np.percentile(window, _BRIGHTEST)) or float(window.max())
 
 
-def _enlarged(pixels: U8) -> U8:
+def _enlarge(pixels: U8) -> U8:
     """Enlarge each voxel to a block of whole pixels."""
     block = max(1, _ENLARGED_PX // max(pixels.shape[:2]))
     return pixels.repeat(block, axis=0).repeat(block, axis=1)
@@ -132,7 +132,7 @@ def read_picture(dark: Bool, right: Bool) -> bytes:
     """
     truth = np.where(dark[..., None], 0.0, _RIGHT)
     wrong = np.where(dark[..., None], _TOO_MUCH, _MISSING)
-    return _png(_enlarged(np.where(right[..., None], truth, wrong).astype(np.uint8)))
+    return _png(_enlarge(np.where(right[..., None], truth, wrong).astype(np.uint8)))
 
 
 def grey_picture(values: F64, size_px: int) -> bytes:
@@ -225,7 +225,7 @@ def _across(cameras: int, rows: int, columns: int) -> int:
     return min(range(cameras, 0, -1), key=badness)
 
 
-def _joined(images: U16, block: int) -> U16:
+def _join_blocks(images: U16, block: int) -> U16:
     """Join block x block pixels by their maximum.
 
     The last row and column of blocks may be cut.

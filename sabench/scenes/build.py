@@ -186,7 +186,8 @@ def _offsets(spec: GridLayout | RingLayout | LineLayout | CrossLayout) -> F64:
         spec.spacing_mm or (1.0, 1.0),
     )  # all given: the scene checks it
     return array_layouts.grid(
-        array_layouts.even(columns, spacing[0]), array_layouts.even(rows, spacing[1])
+        array_layouts.uniform_offsets(columns, spacing[0]),
+        array_layouts.uniform_offsets(rows, spacing[1]),
     )
 
 

@@ -26,7 +26,7 @@ def find(name: str | Path, folder: str) -> Path:
         raise InputError(f"{name}: expected a file's name")
     if direct.is_file():
         return direct
-    inside = plugins.bundled("scenes").parent / folder
+    inside = plugins.bundled_folder("scenes").parent / folder
     stem = direct.name.removesuffix(".toml")
     bundled = inside / f"{stem}.toml"
     if direct.parent in (Path(), Path(folder), Path("suites")) and bundled.is_file():

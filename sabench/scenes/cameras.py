@@ -22,7 +22,7 @@ class GridLayout(Table):
     y_mm: tuple[float, ...] | None = Field(None, min_length=1, description="offsets of the rows")
 
     @model_validator(mode="after")
-    def _even_or_uneven(self) -> GridLayout:
+    def _check_offsets(self) -> GridLayout:
         even = [self.columns, self.rows, self.spacing_mm]
         uneven = [self.x_mm, self.y_mm]
         if (None in even) == (None in uneven) or any(

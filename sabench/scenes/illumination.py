@@ -33,7 +33,7 @@ class Illumination(Table):
     scattering: Literal["mie", "isotropic"] = "mie"
 
     @model_validator(mode="after")
-    def _crossed(self) -> Illumination:
+    def _check_directions(self) -> Illumination:
         lengths = math.hypot(*self.direction) * math.hypot(*self.sheet_normal)
         dot = sum(a * b for a, b in zip(self.direction, self.sheet_normal, strict=True))
         if lengths < 1e-9 or abs(dot) > 1e-6 * lengths:
@@ -69,7 +69,7 @@ class Timing(Table):
     )
 
     @model_validator(mode="after")
-    def _ordered(self) -> Timing:
+    def _check_times(self) -> Timing:
         refuse(self._faults())
         return self
 

@@ -54,18 +54,18 @@ def parse_scene(values: dict[str, Any], source: str, folder: Path | None = None)
     for table in WORLDS:
         if isinstance(given := values.get(table), dict):
             with check.collect():
-                made[table] = _resolved(table, table, given, here)
+                made[table] = _resolve(table, table, given, here)
     if isinstance(solids := values.get("solids"), list | tuple):
         made["solids"] = ()
         for number, given in enumerate(solids):
             with check.collect():
-                resolved = _resolved("solids", f"solids.{number}", given, here)
+                resolved = _resolve("solids", f"solids.{number}", given, here)
                 made["solids"] = (*made["solids"], resolved)
     check.finish()
     return scene.model_copy(update=made)
 
 
-def _resolved(makes: str, table: str, given: Any, folder: Path) -> dict[str, Any]:
+def _resolve(makes: str, table: str, given: Any, folder: Path) -> dict[str, Any]:
     """Fill in all parameters of a generator's table."""
     if not isinstance(given, dict):
         return {}  # the scene's own check names it
@@ -84,11 +84,11 @@ def _resolved(makes: str, table: str, given: Any, folder: Path) -> dict[str, Any
     made = {"generator": name, **plain(parameters.model_dump(mode="json", exclude_none=True))}
     if "file" not in plugin.Parameters.model_fields:
         return made
-    found = _found(made, table, folder)
+    found = _find_file(made, table, folder)
     return {**{key: value for key, value in made.items() if key not in found}, **found}
 
 
-def _found(made: dict[str, Any], table: str, folder: Path) -> dict[str, str]:
+def _find_file(made: dict[str, Any], table: str, folder: Path) -> dict[str, str]:
     """Find a generator's file: its absolute path and the hash of its content."""
     path = (folder / made["file"]).resolve()
     if not path.is_file():

@@ -19,7 +19,7 @@ from sabench.scenes.world import BubbleWorld, ParticleWorld, TargetWorld, World,
 from sabench.utils.errors import InputError
 from sabench.utils.fields import LensNumber, Positive, Table
 from sabench.utils.files import digest
-from sabench.utils.validation import joined, nearest, refuse
+from sabench.utils.validation import join_faults, nearest, refuse
 
 WORLDS = ("particles", "targets", "flow", "bubbles")  # tables whose `generator` is a plug-in
 
@@ -80,13 +80,13 @@ class Scene(Table):
 
     @model_validator(mode="wrap")
     @classmethod
-    def _one_world(cls, values: Any, handler: ModelWrapValidatorHandler[Self]) -> Self:
+    def _check_world(cls, values: Any, handler: ModelWrapValidatorHandler[Self]) -> Self:
         """Check which tables are there, also where some of them have faults of their own."""
-        faults = list(world_faults(_given(values))) if isinstance(values, dict) else []
+        faults = list(world_faults(_name_tables(values))) if isinstance(values, dict) else []
         try:
             scene = handler(values)
         except ValidationError as error:
-            raise joined(error, faults) from None
+            raise join_faults(error, faults) from None
         refuse(faults)
         return scene
 
@@ -181,7 +181,7 @@ class Scene(Table):
         return self.model_copy(update=worlds | ({"solids": solids} if solids else {}))
 
 
-def _given(values: dict[str, Any]) -> set[str]:
+def _name_tables(values: dict[str, Any]) -> set[str]:
     """Name the tables that a file gives; a misspelt one counts as its nearest match."""
     known = Scene.model_fields
     keys = {str(key) for key, value in values.items() if value not in (None, [], ())}

@@ -11,7 +11,7 @@ from sabench.geometry.camera import Camera
 from sabench.geometry.refraction import Layer
 from sabench.scenes import Rig, Scene
 from sabench.simulation.frame_content import FrameContent, Tracers
-from sabench.simulation.obstacles import hidden
+from sabench.simulation.obstacles import find_hidden
 from sabench.simulation.rendering import (
     bubbles_traced,
     particles_splatted,
@@ -121,7 +121,7 @@ def _render_bubbles(frame: FrameContent, bubbles: Bubbles, number: int) -> Camer
     sight = see(camera, bubbles, frame.solids)
     if frame.tracers is None:
         return CameraView(camera, shown.photons, sight=sight, error=shown.error)
-    images = _shaded(frame, frame.tracers, camera, sight)
+    images = _image_tracers(frame, frame.tracers, camera, sight)
     glow = bubbles_traced.render(
         camera,
         tank,
@@ -151,13 +151,15 @@ def lights_of(scene: Scene) -> Lights:
     return Lights(scene.backlight, scene.lighting, center, full_well_photons(scene.sensor))
 
 
-def _shaded(frame: FrameContent, tracers: Tracers, camera: Camera, sight: Sight) -> ParticleImages:
+def _image_tracers(
+    frame: FrameContent, tracers: Tracers, camera: Camera, sight: Sight
+) -> ParticleImages:
     """Image tracers among bubbles and bodies.
 
     They are dark in shadows, and invisible behind bubbles and bodies.
     """
     images = _image(frame, tracers, camera)
-    covered = hidden(camera, tracers.particles.position_mm, images.pixel, sight)
+    covered = find_hidden(camera, tracers.particles.position_mm, images.pixel, sight)
     reached = True if tracers.illuminated is None else tracers.illuminated
     return replace(
         images,

@@ -8,7 +8,7 @@ from sabench.api.truth import Bubbles, Particles
 from sabench.geometry.camera import Camera
 from sabench.scenes import BubbleWorld, Rig, Scene, TargetWorld
 from sabench.simulation.frame_content import FrameContent, Tracers
-from sabench.simulation.obstacles import inside, obstructed
+from sabench.simulation.obstacles import find_obstructed, inside
 from sabench.simulation.rendering.particle_images import scattering_table
 from sabench.utils.arrays import F64, Bool
 from sabench.utils.errors import InputError
@@ -65,7 +65,7 @@ class Frames:
         particles = _select(particles, ~inside(bubbles, solids, particles.position_mm))
         direction = np.asarray(self.scene.particle_world.illumination.direction)
         back = np.tile(-direction / np.linalg.norm(direction), (len(particles), 1))
-        dark = obstructed(bubbles, solids, particles.position_mm, back)
+        dark = find_obstructed(bubbles, solids, particles.position_mm, back)
         return self.assemble(number, bubbles, particles, ~dark)
 
     def assemble(
@@ -103,17 +103,17 @@ class Frames:
         if duration == 0.0 or not len(particles):
             return (particles.position_mm,)
         early, late = (
-            self._moved(particles, number, delay) for delay in (-duration / 2.0, duration / 2.0)
+            self._move(particles, number, delay) for delay in (-duration / 2.0, duration / 2.0)
         )
         longest = max(_longest_px(camera, early, late) for camera in self.rig.cameras)
         steps = max(1, int(np.ceil(longest / _STREAK_PX)))
-        return tuple(self._moved(particles, number, delay) for delay in moments(duration, steps))
+        return tuple(self._move(particles, number, delay) for delay in moments(duration, steps))
 
-    def _moved(self, particles: Particles, number: int, delay_s: float) -> F64:
+    def _move(self, particles: Particles, number: int, delay_s: float) -> F64:
         """Move positions (n, 3) to some time before or after the middle of the pulse."""
         if self.motion is None or delay_s == 0.0:
             return particles.position_mm
-        return self.motion.moved(particles, number, delay_s)
+        return self.motion.move(particles, number, delay_s)
 
 
 def _longest_px(camera: Camera, early_mm: F64, late_mm: F64) -> float:

@@ -8,7 +8,7 @@ import numpy as np
 
 from sabench.api import Observation
 from sabench.api.truth import Particles, View
-from sabench.dataset.reader import observed
+from sabench.dataset.reader import build_observation
 from sabench.scenes import Scene, build_rig
 from sabench.scenes.nominal_cameras import nominal_cameras
 from sabench.simulation.camera_view import render
@@ -53,7 +53,7 @@ def simulate(scene: Scene, *, seed: int = 0, frame: int = 0, backend: Renderer =
 def observation_of(frame: FrameContent, images: list[U16]) -> Observation:
     """Build the observation of a frame's images, one for each camera."""
     scene, rig = frame.scene, frame.rig
-    return observed(
+    return build_observation(
         np.stack(images),
         nominal_cameras(scene, rig.cameras, frame.seed),
         rig.grid,

@@ -17,10 +17,12 @@ def inside(bubbles: Bubbles, solids: Sequence[Solid], points_mm: F64) -> Bool:
     """Find which points (n, 3) lie in a bubble or a body."""
     if not solids:
         return _in_bubbles(bubbles, points_mm)
-    return _in_bubbles(bubbles, points_mm) | BodySearch(solids).enclosed(points_mm)
+    return _in_bubbles(bubbles, points_mm) | BodySearch(solids).contains(points_mm)
 
 
-def obstructed(bubbles: Bubbles, solids: Sequence[Solid], points_mm: F64, directions: F64) -> Bool:
+def find_obstructed(
+    bubbles: Bubbles, solids: Sequence[Solid], points_mm: F64, directions: F64
+) -> Bool:
     """Find which lines from points (n, 3) meet a bubble or a body.
 
     `directions` are unit vectors (n, 3).
@@ -31,7 +33,7 @@ def obstructed(bubbles: Bubbles, solids: Sequence[Solid], points_mm: F64, direct
     return met
 
 
-def hidden(camera: Camera, points_mm: F64, pixels: F64, sight: Sight) -> Bool:
+def find_hidden(camera: Camera, points_mm: F64, pixels: F64, sight: Sight) -> Bool:
     """Find which points (n, 3) lie behind what their pixels (n, 2) show first."""
     with np.errstate(invalid="ignore"):
         on_sensor = camera.contains(pixels)

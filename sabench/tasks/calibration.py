@@ -186,7 +186,7 @@ class CalibrationTask(Task):
         """
         points = data.placed().points_mm
         middle = points.reshape(-1, 3).mean(axis=0)
-        cameras = tuple(_shifted(camera, n) for n, camera in enumerate(data.true_cameras))
+        cameras = tuple(_shift(camera, n) for n, camera in enumerate(data.true_cameras))
         return Calibration(cameras, middle + (points - middle) * [1.001, 0.999, 1.003])
 
     def score(self, data: Dataset, source: Source) -> Figures:
@@ -262,7 +262,7 @@ def check_calibration(
         raise InputError(f"{source}: {error}") from error
 
 
-def _shifted(camera: Camera, number: int) -> Camera:
+def _shift(camera: Camera, number: int) -> Camera:
     column, row = camera.principal_point_px
     shift = (0.3 * math.cos(number), 0.2 * math.sin(2.0 * number))
     return replace(camera, principal_point_px=(column + shift[0], row + shift[1]))

@@ -253,7 +253,7 @@ def example(task: Task, sees: str, folder: Path) -> Dataset:
     place = folder / name
     if place.is_dir():
         return open_dataset(place)
-    scene = load_scene(plugins.bundled("scenes") / "conformance" / f"{name}.toml")
+    scene = load_scene(plugins.bundled_folder("scenes") / "conformance" / f"{name}.toml")
     renders = scene.bubbles is not None or bool(scene.solids)
     return generate(scene, place, seed=_SEED, backend="mitsuba" if renders else "splat", name=name)
 

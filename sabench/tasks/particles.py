@@ -103,7 +103,7 @@ class ParticlesTask(Task):
             seconds += [took / len(frames)] * len(frames)
             every += found
             memory.trim()
-        for frame, one in enumerate(linked(data.setup, every)):
+        for frame, one in enumerate(link_frames(data.setup, every)):
             writer.add(one, frame)
         return seconds
 
@@ -156,7 +156,7 @@ class ParticlesTask(Task):
                 f"{source.path}: {frame_group(missing[0])}/particles/track: "
                 "expected one in every frame or in none, found none here"
             )
-        return linked(data.setup, found)
+        return link_frames(data.setup, found)
 
     def alike(self, data: Dataset, one: FoundParticles, other: FoundParticles) -> bool:
         """Compare particles by how many are found again."""
@@ -208,7 +208,7 @@ def _call(
     return found
 
 
-def linked(setup: CamerasFile, found: Sequence[FoundParticles]) -> list[FoundParticles]:
+def link_frames(setup: CamerasFile, found: Sequence[FoundParticles]) -> list[FoundParticles]:
     """Assign trajectory numbers to every frame's particles.
 
     The numbers are the solver's own, or come from linking. No trajectory leads from one group of

@@ -79,7 +79,7 @@ class SeeThroughTask(FrameByFrame):
     def truth(self, data: Dataset, frame: int) -> Reconstruction:
         """Make planes that are bright where the code is."""
         code, volume = _code(data, frame), np.zeros(data.setup.grid.shape, dtype=np.float32)
-        return Reconstruction(_brightened(data.setup.grid, volume, code, 1.0))
+        return Reconstruction(_brighten(data.setup.grid, volume, code, 1.0))
 
     def empty(self, data: Dataset, frame: int) -> Reconstruction:
         """Make dark planes."""
@@ -89,7 +89,7 @@ class SeeThroughTask(FrameByFrame):
         """Make noise that is darker where the code is dark."""
         rng = np.random.default_rng(frame)
         volume = rng.random(data.setup.grid.shape, dtype=np.float32)
-        return Reconstruction(_brightened(data.setup.grid, volume, _code(data, frame), 0.5))
+        return Reconstruction(_brighten(data.setup.grid, volume, _code(data, frame), 0.5))
 
     def score(self, data: Dataset, source: Source) -> Figures:
         """Average the scores of the frames; single cameras are scored for comparison."""
@@ -139,7 +139,7 @@ def _code(data: Dataset, frame: int) -> Code:
     return code_of(data.scene, data.manifest.seed, frame)
 
 
-def _brightened(grid: Grid, volume: F32, code: Code, light: float) -> F32:
+def _brighten(grid: Grid, volume: F32, code: Code, light: float) -> F32:
     """Add light to the voxels of a volume (z, y, x) where the code is bright.
 
     Returns the volume.

@@ -250,14 +250,3 @@ def check_estimate(found: Estimate, solver: str, data: Dataset, frame: int) -> N
         found.check(**dict(zip("zyx", data.setup.grid.shape, strict=True)))
     except InputError as error:
         raise InputError(f"solver {solver}: frame {frame}: {error}") from error
-
-
-def mean_of_known(values: Sequence[float | None]) -> float | None:
-    """Average the values that are there and finite; None without any."""
-    known = [value for value in values if value is not None and np.isfinite(value)]
-    return float(np.mean(known)) if known else None
-
-
-def known(value: float) -> float | None:
-    """Turn NaN and infinity into None."""
-    return value if np.isfinite(value) else None

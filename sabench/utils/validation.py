@@ -51,7 +51,7 @@ def refuse(faults: Iterable[tuple[str, str]]) -> None:
         raise FaultsError(found)
 
 
-def joined(error: ValidationError, faults: Sequence[tuple[str, str]]) -> ValidationError:
+def join_faults(error: ValidationError, faults: Sequence[tuple[str, str]]) -> ValidationError:
     """Join the faults of fields and those of the whole table in one error."""
     details: list[InitErrorDetails] = [_detail(fault) for fault in error.errors(include_url=False)]
     if faults:
@@ -109,12 +109,12 @@ def _texts(
         yield [], kind, "this key is missing"
     elif kind in ("union_tag_not_found", "union_tag_invalid"):
         key, tag = fault["ctx"]["discriminator"].strip("'"), fault["ctx"].get("tag")
-        expected = f"expected one of {fault['ctx'].get('expected_tags')}, got {_shown(tag)}"
+        expected = f"expected one of {fault['ctx'].get('expected_tags')}, got {_format(tag)}"
         yield [key], kind, expected if tag else "this key is missing"
     elif kind == "value_error":
         yield [], kind, str(fault["msg"]).removeprefix("Value error, ")
     else:
-        yield [], kind, f"{_in_words(str(fault['msg']))}, got {_shown(fault['input'])}"
+        yield [], kind, f"{_in_words(str(fault['msg']))}, got {_format(fault['input'])}"
 
 
 def _in_words(message: str) -> str:
@@ -127,7 +127,7 @@ def _in_words(message: str) -> str:
     return text
 
 
-def _shown(value: Any) -> str:
+def _format(value: Any) -> str:
     return printable(repr(value))
 
 

@@ -37,7 +37,7 @@ class Phases:
         self._bubbles: BubbleGenerator | None = generator_of(given) if given else None
         self._solids: list[SolidGenerator] = [generator_of(one) for one in bodies_of(scene)]
         self._bodies = [
-            _closed(generator.body(seed), f"{scene.title}: solids.{n}", scene)
+            _check_closed(generator.body(seed), f"{scene.title}: solids.{n}", scene)
             for n, generator in enumerate(self._solids)
         ]
 
@@ -102,7 +102,7 @@ def pose_of(parameters: SolidParameters, time_s: float) -> Pose:
     )
 
 
-def _closed(body: Solid, where: str, scene: Scene) -> Solid:
+def _check_closed(body: Solid, where: str, scene: Scene) -> Solid:
     """Check that a body is closed and of plausible size; turn its faces outwards."""
     import trimesh
 
@@ -145,14 +145,14 @@ def _check_walls(bubbles: Bubbles, scene: Scene, where: str) -> None:
     if len(cut):
         raise InputError(
             f"{where}: expected all of them in the fluid, but a wall cuts {len(cut)}: "
-            f"{_named(bubbles, cut)}"
+            f"{_describe(bubbles, cut)}"
         )
 
 
 def _check_apart(bubbles: Bubbles, where: str) -> None:
     pairs = overlapping(bubbles)
     if len(pairs):
-        first, second = (_named(bubbles, pairs[:1, side]) for side in (0, 1))
+        first, second = (_describe(bubbles, pairs[:1, side]) for side in (0, 1))
         raise InputError(
             f"{where}: expected none to reach into another (overlap = true allows it), but "
             f"{len(pairs)} pairs do: {first} and {second}"
@@ -167,7 +167,7 @@ def _check_beside(bubbles: Bubbles, solid: Solid, where: str, name: str) -> None
     if len(bad):
         raise InputError(
             f"{where}: expected none to reach into a body, but {len(bad)} reach into {name}: "
-            f"{_named(bubbles, bad)}"
+            f"{_describe(bubbles, bad)}"
         )
 
 
@@ -184,7 +184,7 @@ def _check_tank(solid: Solid, scene: Scene, where: str) -> None:
         )
 
 
-def _named(bubbles: Bubbles, which: I64) -> str:
+def _describe(bubbles: Bubbles, which: I64) -> str:
     """Describe a few bubbles by number, position and size."""
     shown = [
         f"{bubbles.id[n]} at {np.round(bubbles.center_mm[n], 3).tolist()} mm with semi-axes "

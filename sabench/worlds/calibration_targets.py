@@ -63,11 +63,11 @@ def found_pixels(
         + detection.noise_px * noise
         + np.where(outliers[..., None], detection.outlier_px * elsewhere, 0.0)
     )
-    pixels[(chance[1] < detection.missing) | _hidden(detection, exact, half)] = np.nan
+    pixels[(chance[1] < detection.missing) | _hide_points(detection, exact, half)] = np.nan
     return pixels, outliers & np.isfinite(pixels).all(axis=-1)
 
 
-def _hidden(detection: Detection, exact: F64, half: F64) -> Bool:
+def _hide_points(detection: Detection, exact: F64, half: F64) -> Bool:
     """Choose points (frame, point) behind a straight edge across the target.
 
     `half` are three random numbers per frame.

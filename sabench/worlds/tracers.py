@@ -93,7 +93,7 @@ class Motion:
         self._last = number, particles
         return particles
 
-    def moved(self, particles: Particles, frame: int, delay_s: float) -> F64:
+    def move(self, particles: Particles, frame: int, delay_s: float) -> F64:
         """Move positions (n, 3) of a frame's particles some time later or earlier."""
         if self._flow is None:
             return particles.position_mm + delay_s * particles.velocity_mm_s
@@ -111,7 +111,7 @@ class Motion:
                 f"{self.scene.title}: particles: expected some that rest, for the flow to carry "
                 "them, got some that move by themselves"
             )
-        return _at_speed(flow, made, self.scene.time_s(0))
+        return _give_velocity(flow, made, self.scene.time_s(0))
 
     def _next(self, flow: Flow, domain: Domain, before: Particles, frame: int) -> Particles:
         """Advect particles by one frame, dropping and replacing those that leave.
@@ -132,10 +132,10 @@ class Motion:
             np.concatenate([before.diameter_mm[stay], fresh.diameter_mm[enter]]),
             np.zeros((int(stay.sum() + enter.sum()), 3)),
         )
-        return _at_speed(flow, both, end)
+        return _give_velocity(flow, both, end)
 
 
-def _at_speed(flow: Flow, particles: Particles, time_s: float) -> Particles:
+def _give_velocity(flow: Flow, particles: Particles, time_s: float) -> Particles:
     """Give particles the velocity of the flow that carries them."""
     return replace(particles, velocity_mm_s=flow.velocity(particles.position_mm, time_s))
 

@@ -315,7 +315,7 @@ def reseal(root: Path) -> None:
             for name in names
         }
         entries = {name: schema.FileEntry(**entry) for name, entry in files.items()}
-        sealed = schema.sealed(
+        sealed = schema.seal(
             {**manifest, "files": files, "content_hash": schema.content_hash(entries)}
         )
     except (ValueError, TypeError, AttributeError, OSError, RecursionError):

@@ -55,7 +55,7 @@ def test_a_slow_solver_describes_itself(name: str, examples: Path) -> None:
 
 @pytest.fixture(scope="module")
 def shot() -> Shot:
-    scene = load_scene(plugins.bundled("scenes") / "conformance" / "reconstruction.toml")
+    scene = load_scene(plugins.bundled_folder("scenes") / "conformance" / "reconstruction.toml")
     return simulate(scene, seed=5)
 
 
@@ -160,7 +160,7 @@ def test_the_best_and_the_worst_possible_scores(name: str, examples: Path) -> No
 
 
 def test_no_task_is_without_an_example() -> None:
-    folder = plugins.bundled("scenes") / "conformance"
+    folder = plugins.bundled_folder("scenes") / "conformance"
     assert {file.stem.split("_by_")[0] for file in folder.glob("*.toml")} == set(tasks.NAMES)
 
 

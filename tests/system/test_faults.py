@@ -24,9 +24,9 @@ import pytest
 import tifffile
 
 import sabench
-from sabench.dataset.hdf5 import created, uninterrupted
+from sabench.dataset.hdf5 import create_hdf5, delay_interrupts
 from sabench.dataset.reader import Dataset
-from sabench.dataset.schema import sealed
+from sabench.dataset.schema import seal
 from sabench.dataset.verification import verify
 from sabench.utils.errors import InputError
 from sabench.utils.files import complete_or_nothing
@@ -94,7 +94,7 @@ def test_no_path_is_followed_outside(copy: Path, tmp_path: Path) -> None:
     assert any("truth.h5" in fault for fault in verify(copy))
     manifest = json.loads((copy / "manifest.json").read_text())
     manifest["files"]["../secret"] = manifest["files"].pop("truth.h5")
-    (copy / "manifest.json").write_text(sealed(manifest))
+    (copy / "manifest.json").write_text(seal(manifest))
     assert any("../secret" in fault for fault in verify(copy))
 
 
@@ -472,11 +472,11 @@ def test_ctrl_c_in_a_suite_keeps_what_is_finished(tmp_path: Path) -> None:
 
 
 def write_for_ever(path: Path, written: list[str]) -> None:
-    with created(path) as (file, check):
+    with create_hdf5(path) as (file, check):
         threading.Timer(0.2, os.kill, (os.getpid(), signal.SIGINT)).start()
         end = time.monotonic() + 20.0
         while time.monotonic() < end:
-            with uninterrupted():
+            with delay_interrupts():
                 file.create_dataset(str(len(written)), data=np.zeros(300))
                 file.flush()
             check()

@@ -19,7 +19,7 @@ import tifffile
 
 import sabench
 from sabench.dataset import hdf5
-from sabench.dataset.hdf5 import opened, read_array
+from sabench.dataset.hdf5 import open_hdf5, read_array
 from sabench.dataset.hdf5_probe import probe
 from sabench.dataset.reader import Dataset
 from sabench.dataset.schema import read_target
@@ -70,7 +70,7 @@ def test_what_a_file_only_says_that_it_holds_is_not_read(file: Path) -> None:
         made.create_dataset("null", data=h5py.Empty("f8"))
         made.create_dataset("wide", (3, 3), np.longdouble)
         made.create_dataset("fine", data=np.arange(6.0).reshape(2, 3), compression="gzip")
-    with opened(file) as again:
+    with open_hdf5(file) as again:
         for name in ("empty", "huge"):
             with pytest.raises(InputError, match=r"at most 2000 MB|fit into memory"):
                 read_array(again, name, (None, 3), "f")
@@ -93,7 +93,7 @@ def test_a_deflated_bomb(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         del made["zeros"]
         made.create_dataset("unwritten", (10**6, 3), "f8", chunks=(10**5, 3), compression="gzip")
     with (
-        opened(file) as again,
+        open_hdf5(file) as again,
         pytest.raises(InputError, match="expected values that the file stores"),
     ):
         read_array(again, "unwritten", (None, 3), "f")

@@ -43,7 +43,7 @@ def sharp(b: F64, index: float, half_angle: float) -> F64:
     total = sine >= 1.0
     refracted = np.arcsin(np.where(total, 0.0, sine))
     part = np.where(total, 1.0, reflectance(incident, refracted, index))
-    light = part * _seen(np.pi - 2.0 * incident, half_angle)
+    light = part * _diffuser_share(np.pi - 2.0 * incident, half_angle)
     turn = 2.0 * (refracted - incident)
     for bounce in range(_INNER + 1):
         light = light + np.where(
@@ -51,7 +51,7 @@ def sharp(b: F64, index: float, half_angle: float) -> F64:
             0.0,
             (1.0 - part) ** 2
             * part**bounce
-            * _seen(turn + bounce * (np.pi - 2.0 * refracted), half_angle),
+            * _diffuser_share(turn + bounce * (np.pi - 2.0 * refracted), half_angle),
         )
     return np.where(b >= 1.0, 1.0, light)
 
@@ -67,7 +67,7 @@ def reflectance(incident: F64, refracted: F64, index: float) -> F64:
     return np.asarray(0.5 * (across**2 + along**2))
 
 
-def _seen(angle: F64, half_angle: float) -> F64:
+def _diffuser_share(angle: F64, half_angle: float) -> F64:
     """Compute how much of the light turned by an angle comes from the diffuser.
 
     The result is 0 or 1, or between these near the diffuser's edge.

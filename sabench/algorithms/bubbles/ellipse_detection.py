@@ -48,7 +48,7 @@ def find_edges(dark: F32, least: float) -> F64:
     here = strength[rows, columns]
     gx, gy = right[rows, columns] / here, down[rows, columns] / here
     before, after = (
-        _between(strength, columns + side * gx, rows + side * gy) for side in (-1.0, 1.0)
+        _interpolate(strength, columns + side * gx, rows + side * gy) for side in (-1.0, 1.0)
     )
     peak = (here >= before) & (here > after)
     offset = 0.5 * (before - after)[peak] / (before - 2.0 * here + after)[peak]
@@ -58,7 +58,7 @@ def find_edges(dark: F32, least: float) -> F64:
     )
 
 
-def _between(image: F32, x: F32, y: F32) -> F32:
+def _interpolate(image: F32, x: F32, y: F32) -> F32:
     """Interpolate between pixels."""
     if not len(x):
         return np.zeros(0, dtype=np.float32)
@@ -87,12 +87,12 @@ def find_ellipses(points: F64, largest: float, least_aspect: float, least_part: 
     """
     out = []
     while len(points) >= _FEWEST:
-        one, part = _voted(points, largest, least_aspect)
+        one, part = _vote_for_ellipse(points, largest, least_aspect)
         if part < least_part:
             break
         for _ in range(_FITS):
-            one = _fitted(points[_belongs(points, one, _OFF)], one)
-        part = _covered(points, one)
+            one = _fit_ellipse(points[_belongs(points, one, _OFF)], one)
+        part = _edge_coverage(points, one)
         if part >= least_part and one[3] >= least_aspect * one[2]:
             out.append(np.append(one, part))
         own = _belongs(points, one, 2.0 * _OFF)
@@ -102,7 +102,7 @@ def find_ellipses(points: F64, largest: float, least_aspect: float, least_part: 
     return np.array(out, dtype=np.float64).reshape(-1, 6)
 
 
-def _fitted(points: F64, first: F64) -> F64:
+def _fit_ellipse(points: F64, first: F64) -> F64:
     """Fit an ellipse to edges by least squares.
 
     Returns `first` if there are too few edges or no similar ellipse fits them.
@@ -147,7 +147,7 @@ def _belongs(points: Any, ellipse: Any, off: float) -> Any:
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _covered(points: Any, ellipse: Any) -> float:
+def _edge_coverage(points: Any, ellipse: Any) -> float:
     """Compute the part of an outline, in steps of about a pixel, that has edges."""
     a, b = ellipse[2], ellipse[3]
     steps = max(
@@ -162,7 +162,7 @@ def _covered(points: Any, ellipse: Any) -> float:
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _voted(points: Any, largest: float, least_aspect: float) -> Any:
+def _vote_for_ellipse(points: Any, largest: float, least_aspect: float) -> Any:
     """Find the ellipse (5,) that most edges vote for, and the part of it with edges.
 
     Of ellipses with equal parts, the larger one is returned.
@@ -191,7 +191,7 @@ def _voted(points: Any, largest: float, least_aspect: float) -> Any:
             axis[3] = _minor(points, axis, least_aspect)
             if axis[3] == 0.0:
                 continue
-            part = _covered(points, axis)
+            part = _edge_coverage(points, axis)
             worth = part**2 * np.sqrt(axis[2] * axis[3])
             if worth > most:
                 best, best_part, most = axis, part, worth

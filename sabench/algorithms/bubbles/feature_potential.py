@@ -147,13 +147,13 @@ def find_outlines(dark: F32, depth: F32, least: float, small: float) -> Outlines
             slice(max(top - margin, 0), top + height + margin),
             slice(max(left - margin, 0), left + width + margin),
         )
-        filled = _filled(labels[rows, columns] == label)
+        filled = _fill_holes(labels[rows, columns] == label)
         shapes = []
         if 2.0 * np.sqrt(filled.sum() / np.pi) >= small:
             shapes = find_circles(
                 right[rows, columns], down[rows, columns], labels[rows, columns] == label
             )
-        shapes = shapes or _thresholded(
+        shapes = shapes or _threshold(
             dark[rows, columns]
         )  # a circle that nothing votes for is too small for votes
         for x, y, a, b in shapes:
@@ -162,13 +162,13 @@ def find_outlines(dark: F32, depth: F32, least: float, small: float) -> Outlines
     return Outlines(every, np.array([_depth_of(one, dark, depth) for one in every]))
 
 
-def _filled(mask: Any) -> Any:
+def _fill_holes(mask: Any) -> Any:
     from scipy.ndimage import binary_fill_holes
 
     return binary_fill_holes(mask)
 
 
-def _thresholded(dark: F32) -> list[tuple[float, float, float, float]]:
+def _threshold(dark: F32) -> list[tuple[float, float, float, float]]:
     """List regions darker than their mean as circles.
 
     Each circle has the region's centroid and equivalent radius. A uniform region gives none.
@@ -208,7 +208,7 @@ def find_blots(dark: F32, least: float, small: float) -> list[tuple[float, float
         )
         out += [
             (x + columns.start, y + rows.start, r)
-            for x, y, r, _ in _thresholded(dark[rows, columns])
+            for x, y, r, _ in _threshold(dark[rows, columns])
             if 2.0 * r < small
         ]
     return out

@@ -33,7 +33,7 @@ class Votes:
     maps: F32
     aspect: float = 1.0
 
-    def stretched(self, pixels: F64) -> F64:
+    def map_pixels(self, pixels: F64) -> F64:
         """Map pixels (n, 2) to positions in the maps."""
         return np.column_stack([pixels[:, 0], (pixels[:, 1] + 0.5) / self.aspect - 0.5])
 

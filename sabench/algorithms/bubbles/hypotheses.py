@@ -117,7 +117,7 @@ def _along_lines(
         size = radius.ravel() / _INWARD * px_per_mm(camera, places.reshape(-1, 3))
         _sample(
             maps[other],
-            votes[other].stretched(pixels),
+            votes[other].map_pixels(pixels),
             good,
             size,
             first,
@@ -126,7 +126,7 @@ def _along_lines(
         )
     low, high = np.asarray(grid.low_mm), np.array([axis[-1] for axis in grid.axes_mm])
     inside = ((places[..., :2] >= low[:2] - 1.0) & (places[..., :2] <= high[:2] + 1.0)).all(axis=-1)
-    score = np.where(inside, _agreed(total), 0.0)
+    score = np.where(inside, _average_agreeing(total), 0.0)
     peak = (
         (score >= least_3d)
         & (score >= np.roll(score, 1, axis=1))
@@ -148,7 +148,7 @@ def px_per_mm(camera: Camera, points_mm: F64) -> F64:
     return np.asarray(np.linalg.norm(ends[1] - ends[0], axis=1) / (2.0 * step))
 
 
-def _agreed(total: F32) -> F32:
+def _average_agreeing(total: F32) -> F32:
     """Average the votes of the cameras that agree most; two at least."""
     seen = np.isfinite(total)
     count = seen.sum(axis=0)

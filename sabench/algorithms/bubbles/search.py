@@ -71,9 +71,9 @@ def search_bubbles(
     if half_angle is None:
         half_angle = _lit_from(images, cameras, profile_of, start)
     model = Model(images, np.zeros_like(images), cameras, profile_of(half_angle))
-    kept = _united(model, _accepted(model, start, least_gain), start, least_gain)
+    kept = _unite(model, _accept(model, start, least_gain), start, least_gain)
     for _ in range(sweeps):
-        kept = _refined(model, kept, least_gain)
+        kept = _refine(model, kept, least_gain)
     return _detections(kept)
 
 
@@ -101,7 +101,7 @@ def _lit_from(
     )
 
 
-def _accepted(model: Model, start: Hypotheses, least_gain: float) -> list[F64]:
+def _accept(model: Model, start: Hypotheses, least_gain: float) -> list[F64]:
     """Fit and judge hypotheses in the order of their gains."""
     order = np.argsort(-start.vote * start.radius_mm, kind="stable")
     kept: list[F64] = []
@@ -111,16 +111,16 @@ def _accepted(model: Model, start: Hypotheses, least_gain: float) -> list[F64]:
     ):  # what is sure goes first: a large bubble before the small ones that its rim could be
         for n in progress_bar(order.tolist(), "fit bubbles"):
             first = _start(start, n)
-            if _judged(model, first) < _WORTH * least:
+            if _median_gain(model, first) < _WORTH * least:
                 continue
             fitted = fit(model, first, _FIRST)
-            if _judged(model, fitted) >= least:
+            if _median_gain(model, fitted) >= least:
                 darken(model, fitted, 1.0)
                 kept.append(fitted)
     return kept
 
 
-def _united(model: Model, kept: list[F64], start: Hypotheses, least_gain: float) -> list[F64]:
+def _unite(model: Model, kept: list[F64], start: Hypotheses, least_gain: float) -> list[F64]:
     """Replace small bubbles along one rim by one bubble.
 
     A replacement must explain the images as well as they do.
@@ -139,7 +139,7 @@ def _united(model: Model, kept: list[F64], start: Hypotheses, least_gain: float)
         for one in parts:
             darken(model, kept[one], -1.0)
         whole = fit(model, first, _FIRST)
-        good = _judged(model, whole) >= least_gain and set(_parts(kept, whole)) >= set(parts)
+        good = _median_gain(model, whole) >= least_gain and set(_parts(kept, whole)) >= set(parts)
         if good:
             darken(model, whole, 1.0)
             good = unexplained(model, ellipses_of(model, first)) < before * (
@@ -176,7 +176,7 @@ def _start(start: Hypotheses, n: int) -> F64:
     return start_of(start.center_mm[n], float(start.radius_mm[n]), float(start.aspect[n]))
 
 
-def _judged(model: Model, parameters: F64) -> float:
+def _median_gain(model: Model, parameters: F64) -> float:
     """Compute the median gain over the views that see a bubble.
 
     A bubble that fewer than two views see is rejected.
@@ -186,13 +186,13 @@ def _judged(model: Model, parameters: F64) -> float:
     return float(np.median(seen)) if len(seen) >= 2 else -1.0
 
 
-def _refined(model: Model, kept: list[F64], least_gain: float) -> list[F64]:
+def _refine(model: Model, kept: list[F64], least_gain: float) -> list[F64]:
     """Fit all bubbles again and drop those that the others explain by now."""
     out = []
     for parameters in progress_bar(kept, "refine bubbles"):
         darken(model, parameters, -1.0)
         better = fit(model, parameters, _MORE)
-        if _judged(model, better) >= least_gain:
+        if _median_gain(model, better) >= least_gain:
             darken(model, better, 1.0)
             out.append(better)
     return out

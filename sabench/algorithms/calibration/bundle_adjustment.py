@@ -157,7 +157,7 @@ def refine(
             cameras, boards, promise = _step(here, damping, moving)
             if promise <= _GAIN * here.cost:
                 return Fit(state, here.cost, step, True)
-            tried = state.moved(
+            tried = state.apply_steps(
                 *steps_of(cameras, len(state.turns), free, len(state.indices)), boards, free
             )
             there = normal_equations(tried, seen, free, scale)
@@ -180,7 +180,7 @@ def _step(normal: Normal, damping: float, moving: Moving) -> tuple[F64, F64, flo
     corner = np.arange(bb.shape[1])
     bb[:, corner, corner] += damping * bb[:, corner, corner] + 1e-12
     if moving != "all":
-        cameras = _solved(aa, normal.a) if moving == "cameras" else np.zeros_like(normal.a)
+        cameras = _solve_damped(aa, normal.a) if moving == "cameras" else np.zeros_like(normal.a)
         boards = np.asarray(
             np.linalg.solve(bb, normal.d[:, :, None])[:, :, 0]
             if moving == "boards"
@@ -192,13 +192,13 @@ def _step(normal: Normal, damping: float, moving: Moving) -> tuple[F64, F64, flo
     solved = np.linalg.solve(bb, right)  # bb^-1 ab^T and bb^-1 d
     reduced = aa - np.tensordot(normal.ab, solved[:, :, :-1], axes=([0, 2], [0, 1]))
     free = normal.a - np.tensordot(normal.ab, solved[:, :, -1], axes=([0, 2], [0, 1]))
-    cameras = _solved(reduced, free)
+    cameras = _solve_damped(reduced, free)
     boards = solved[:, :, -1] - solved[:, :, :-1] @ cameras
     promise = float(cameras @ normal.a + np.sum(boards * normal.d))
     return cameras, boards, promise
 
 
-def _solved(matrix: F64, right: F64) -> F64:
+def _solve_damped(matrix: F64, right: F64) -> F64:
     """Solve a symmetric system that damping keeps positive definite.
 
     It is scaled to a unit diagonal first.

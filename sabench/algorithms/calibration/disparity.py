@@ -70,9 +70,7 @@ def find_sets(maps: VolumePolynomials, peaks: tuple[Peaks, ...], reach_px: float
     return Sets(places[:count].copy(), hits[:count].astype(np.int64), errors[:count].copy())
 
 
-def corrected(
-    maps: VolumePolynomials, sets: Sets, cameras: range
-) -> tuple[VolumePolynomials, float]:
+def correct(maps: VolumePolynomials, sets: Sets, cameras: range) -> tuple[VolumePolynomials, float]:
     """Move the polynomials of these cameras by their common disparity.
 
     Also returns the largest move in px.
@@ -82,7 +80,7 @@ def corrected(
     and the wrong ones scatter. Every part of the box with enough sets near that spot has a
     disparity of its own; a plane is fitted to these.
     """
-    basis = _unmoved(maps, cameras)
+    basis = _unobservable_shifts(maps, cameras)
     errors = sets.errors.reshape(len(sets.errors), -1) @ basis
     whole = densest(errors)
     rows, spots = _by_parts(sets.places, errors, whole)
@@ -110,13 +108,13 @@ def densest(values: F64) -> F64:
     for key in found[np.argsort(-counts, kind="stable")[:_TRIED]]:
         start = values[keys == key].mean(axis=0)
         near = values[(np.abs(values - start) <= _AROUND_PX).all(axis=1)]
-        middle, count = _shifted(near, start)
+        middle, count = _shift_mean(near, start)
         if count > most:
             best, most = middle, count
     return best
 
 
-def _shifted(values: F64, middle: F64) -> tuple[F64, int]:
+def _shift_mean(values: F64, middle: F64) -> tuple[F64, int]:
     """Compute the mean of the values near a point, then near that mean, and so on.
 
     Also returns the number of these values.
@@ -130,7 +128,7 @@ def _shifted(values: F64, middle: F64) -> tuple[F64, int]:
     return middle, int(near.sum())
 
 
-def _unmoved(maps: VolumePolynomials, cameras: range) -> F64:
+def _unobservable_shifts(maps: VolumePolynomials, cameras: range) -> F64:
     """Compute orthonormal columns (2 cameras, d).
 
     They span the changes of the cameras' pixels that no change of position causes, at the middle of
@@ -156,5 +154,5 @@ def _by_parts(places: F64, errors: F64, whole: F64) -> tuple[F64, F64]:
         return np.ones((1, 1)), whole[None]
     middles = np.array([places[own, :2].mean(axis=0) for own in chosen])
     return np.column_stack([np.ones(len(chosen)), middles]), np.stack(
-        [_shifted(errors[own], whole)[0] for own in chosen]
+        [_shift_mean(errors[own], whole)[0] for own in chosen]
     )

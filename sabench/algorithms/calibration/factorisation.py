@@ -32,7 +32,7 @@ class Factors:
     matrices: F64
     points: F64
 
-    def changed(self, frame: F64) -> Factors:
+    def transform(self, frame: F64) -> Factors:
         """Express the factors in another frame (4, 4), with the same images."""
         return Factors(
             self.matrices @ frame,
@@ -53,10 +53,10 @@ def factorise(images: F64, seen: Bool) -> Factors:
         [np.where(seen[..., None], images, 0.0), np.ones((cameras, count, 1))], axis=2
     )
     if not seen.all():
-        homogeneous[..., :2] = _filled(homogeneous[..., :2], seen)
+        homogeneous[..., :2] = _guess_unseen(homogeneous[..., :2], seen)
     depths = np.ones((cameras, count))
     for _ in range(_ROUNDS):
-        depths = _balanced(depths, homogeneous)
+        depths = _balance(depths, homogeneous)
         table = (depths[..., None] * homogeneous).transpose(0, 2, 1).reshape(3 * cameras, count)
         left, values, right = np.linalg.svd(table, full_matrices=False)
         product = (
@@ -90,7 +90,7 @@ def adjust_factors(factors: Factors, images: F64, seen: Bool) -> Factors:
         0
     ]  # of about 1 becomes the last coordinate
     frame[:, :3] = np.linalg.svd(frame[None, :, 3])[2][1:].T
-    matrices, points = _shaped(factors.matrices, factors.points, frame)
+    matrices, points = _rescale(factors.matrices, factors.points, frame)
     cost, damping = _cost(matrices, points, images, seen), 1e-3
     for _ in range(_STEPS):
         step = _projective_step(matrices, points, images, seen, damping)
@@ -109,7 +109,7 @@ def adjust_factors(factors: Factors, images: F64, seen: Bool) -> Factors:
     return Factors(matrices, np.column_stack([points, np.ones(len(points))]))
 
 
-def _shaped(matrices: F64, points: F64, frame: F64) -> tuple[F64, F64]:
+def _rescale(matrices: F64, points: F64, frame: F64) -> tuple[F64, F64]:
     """Rescale points (n, 3) to about 1 and matrices to norm 1, with the same images."""
     inner = points @ frame
     places = inner[:, :3] / inner[:, 3:]
@@ -207,10 +207,10 @@ def upgrade_to_euclidean(factors: Factors) -> Factors:
             "with square pixels can have"
         )
     frame = np.column_stack([vectors[:, 1:] * np.sqrt(values[1:]), vectors[:, 0]])
-    return _forward(factors.changed(frame))
+    return _forward(factors.transform(frame))
 
 
-def _filled(images: F64, seen: Bool) -> F64:
+def _guess_unseen(images: F64, seen: Bool) -> F64:
     """Make a first guess of unseen images.
 
     It is an affine product of rank 3 about the cameras' means, iterated.
@@ -230,7 +230,7 @@ def _filled(images: F64, seen: Bool) -> F64:
     return np.asarray(filled)
 
 
-def _balanced(depths: F64, homogeneous: F64) -> F64:
+def _balance(depths: F64, homogeneous: F64) -> F64:
     """Scale depths so that every camera and every point has the same weight."""
     lengths = np.linalg.norm(homogeneous, axis=2)
     for _ in range(3):

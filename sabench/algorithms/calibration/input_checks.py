@@ -130,7 +130,7 @@ def _check_views(
     computed = seen.pixels - residuals(state, seen)
     for camera, number in np.argwhere((shares < _SUSPECT) & there.any(axis=2)).tolist():
         name = f"{case.cameras[camera].name}: frame {number}"
-        for degrees, order in relabelled(case.target):
+        for degrees, order in list_relabellings(case.target):
             misses = np.linalg.norm(
                 seen.pixels[camera, number] - computed[camera, number, order], axis=-1
             )[there[camera, number]]
@@ -141,7 +141,7 @@ def _check_views(
                 )
 
 
-def relabelled(target: Target) -> list[tuple[int, I64]]:
+def list_relabellings(target: Target) -> list[tuple[int, I64]]:
     """List rotations, in degrees, under which a target's grid maps onto itself.
 
     Each comes with the order of the points under it.
@@ -159,7 +159,7 @@ def _check_corners(case: CalibrationCase, points: F64, initial: F64, there: Bool
             initial[number] - np.nanmean(initial[number], axis=0),
         )
         apart = _rms(own - nominal)
-        for degrees, order in relabelled(case.target):
+        for degrees, order in list_relabellings(case.target):
             if _rms(own[order] - nominal) < 0.5 * apart:
                 raise InputError(
                     f"frame {number}: expected its points numbered as at its nominal position, but "

@@ -87,7 +87,7 @@ class State:
         """Return a board's points (m, 3) as world points (K, m, 3), in the wall's frame."""
         return np.asarray(np.einsum("kij,mj->kmi", self.board_turns, board) + self.places[:, None])
 
-    def moved(self, cameras: F64, shared: F64, boards: F64, free: FreeParameters) -> State:
+    def apply_steps(self, cameras: F64, shared: F64, boards: F64, free: FreeParameters) -> State:
         """Apply steps of the cameras' unknowns (M, f), the shared (s,) and the boards'.
 
         The boards' steps are (K, 6).
@@ -172,7 +172,7 @@ class Frame:
             np.stack([p.shift for p in poses]),
         )
 
-    def built(self, state: State) -> tuple[Camera, ...]:
+    def build_cameras(self, state: State) -> tuple[Camera, ...]:
         """Make the cameras of a state, in the world's frame."""
         wall = self._wall(state)
         return tuple(self._camera(number, state, wall) for number in range(len(self.cameras)))

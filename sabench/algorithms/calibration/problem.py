@@ -54,7 +54,7 @@ class CalibrationProblem:
         seen = Seen(case.target.points_mm, np.nan_to_num(case.pixels), found.astype(np.float64))
         return cls(frame, frame.state(case.target.points_mm, case.initial_mm), seen, case)
 
-    def settled(self, state: State) -> State:
+    def align_to_nominal(self, state: State) -> State:
         """Move the state so that its boards are near their nominal positions.
 
         Only motions that change neither the images nor the known coordinates are allowed.
@@ -74,7 +74,9 @@ class CalibrationProblem:
 
     def answer(self, state: State, used: Bool | None = None) -> Calibration:
         """Return cameras and points in the world's frame."""
-        return Calibration(self.frame.built(state), self.frame.points(state, self.seen.board), used)
+        return Calibration(
+            self.frame.build_cameras(state), self.frame.points(state, self.seen.board), used
+        )
 
 
 def make_anchors(case: CalibrationCase, frame: Frame, noise_px: float) -> tuple[Anchor, ...]:

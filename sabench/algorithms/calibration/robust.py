@@ -46,7 +46,7 @@ def adjust(
     noise = noise_px or _noise(_lengths(fit.state, seen), used)
     if _lengths(fit.state, seen)[used].max(initial=0.0) <= _NOTHING_ODD * max(noise, 1e-9):
         return Robust(fit, used, noise)
-    fit = _bent(fit.state, seen, free)
+    fit = _fit_cauchy(fit.state, seen, free)
     for _ in range(_ROUNDS):
         lengths = _lengths(fit.state, seen)
         noise = _noise(lengths, used)
@@ -58,7 +58,7 @@ def adjust(
     return Robust(fit, used, noise)
 
 
-def _bent(state: State, seen: Seen, free: FreeParameters) -> Fit:
+def _fit_cauchy(state: State, seen: Seen, free: FreeParameters) -> Fit:
     """Fit with Cauchy's loss, whose scale follows the errors down."""
     used = np.asarray(seen.weights > 0.0)
     scale = np.inf

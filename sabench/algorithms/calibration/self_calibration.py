@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sabench.algorithms.calibration.bundle_adjustment import Anchor, Seen, refine, residuals
-from sabench.algorithms.calibration.disparity import Sets, corrected, find_sets
+from sabench.algorithms.calibration.disparity import Sets, correct, find_sets
 from sabench.algorithms.calibration.parameters import Frame, FreeParameters, State
 from sabench.algorithms.calibration.robust import median_noise
 from sabench.algorithms.particles.correspondence import pair_up
@@ -111,7 +111,7 @@ def follow_disparities(tracking: Tracking, reach_px: float, least_px: float) -> 
                 f"expected particle images that agree within {reach:g} px, got none: larger "
                 "errors need a larger reach_px"
             )
-        maps, moved = corrected(maps, sets, core)
+        maps, moved = correct(maps, sets, core)
         if reach <= least_px and moved < _SETTLED_PX:
             break
         reach = max(least_px, 0.5 * reach)
@@ -157,7 +157,7 @@ def _follow_one(
                 f"{tracking.cameras[camera].name}: expected particle images within {reach:g} px "
                 "of where the other cameras' are, got none"
             )
-        maps, moved = corrected(
+        maps, moved = correct(
             maps, Sets(sure.places[pairs[:, 0]], pairs, errors[:, None]), range(camera, camera + 1)
         )
         if reach <= least_px and moved < _SETTLED_PX:
@@ -234,14 +234,14 @@ def adjust_cameras(tracking: Tracking, matched: tuple[F64, F64]) -> tuple[Camera
         np.zeros((1, 3)),
         np.nan_to_num(both)[:, :, None],
         weights[:, :, None],
-        _held(frame, lattice, len(particles)),
+        _anchor_lattice(frame, lattice, len(particles)),
     )
-    state = _adjusted(state, seen, len(particles))
-    by_number = dict(zip(tracking.order, frame.built(state), strict=True))
+    state = _adjust(state, seen, len(particles))
+    by_number = dict(zip(tracking.order, frame.build_cameras(state), strict=True))
     return tuple(by_number[number] for number in range(len(by_number)))
 
 
-def _held(frame: Frame, lattice: F64, first: int) -> tuple[Anchor, ...]:
+def _anchor_lattice(frame: Frame, lattice: F64, first: int) -> tuple[Anchor, ...]:
     world = frame.motion.inverse()
     return tuple(
         Anchor(first + number, 0, place, np.full(3, 1e6), world)
@@ -249,7 +249,7 @@ def _held(frame: Frame, lattice: F64, first: int) -> tuple[Anchor, ...]:
     )
 
 
-def _adjusted(state: State, seen: Seen, particles: int) -> State:
+def _adjust(state: State, seen: Seen, particles: int) -> State:
     """Adjust with Cauchy's loss until the noise falls no more, then by least squares.
 
     Outliers are left out of the latter; the lattice is weighted by its standard deviation.

@@ -50,7 +50,7 @@ def detect(image: U16, target: Target, expected: F64 | None = None) -> F64:
     ](grey, target)
     if found is None:
         return np.full((len(target.points_mm), 2), np.nan)
-    return found if target.pattern == "charuco" else _turned(found, target, expected)
+    return found if target.pattern == "charuco" else _choose_order(found, target, expected)
 
 
 def _small_lights(image: U16) -> tuple[float, float]:
@@ -176,7 +176,7 @@ def _centroids(light: U8, centers: F64, faint: float = _FAINT, full: float = 1.0
     return out
 
 
-def _turned(found: F64, target: Target, expected: F64 | None) -> F64:
+def _choose_order(found: F64, target: Target, expected: F64 | None) -> F64:
     """Choose the order of points whose directions fit the expected ones best.
 
     Only orders that the pattern allows are tried.

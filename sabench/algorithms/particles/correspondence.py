@@ -51,7 +51,7 @@ def _gains(slopes: Any, cameras: int, gains: Any) -> bool:
 
 
 @numba.njit(cache=True)
-def _moved(gains: Any, misses: Any, cameras: int, step: Any) -> None:
+def _compute_step(gains: Any, misses: Any, cameras: int, step: Any) -> None:
     """Compute the step (3,) of a position that lowers the squared misses most."""
     for p in range(3):
         step[p] = 0.0
@@ -119,7 +119,7 @@ def match(
                 tried[left % _NEAR] = second[k]
                 left += 1
                 start = place.copy()
-                if _crossed(maps, peaks, chosen, start, slopes, misses, gains, here, slope, step):
+                if _intersect(maps, peaks, chosen, start, slopes, misses, gains, here, slope, step):
                     count = _others(
                         maps,
                         peaks,
@@ -139,7 +139,7 @@ def match(
 
 
 @numba.njit(cache=True)
-def _crossed(
+def _intersect(
     maps: Any,
     peaks: Any,
     chosen: Any,
@@ -162,7 +162,7 @@ def _crossed(
             misses[c] = peaks[c].pixels[chosen[c]] - here
         if not _gains(slopes, 2, gains):
             return False
-        _moved(gains, misses, 2, step)
+        _compute_step(gains, misses, 2, step)
         place += step
     return bool(np.abs(place).max() <= 1.0)
 
@@ -203,7 +203,7 @@ def _others(
             chosen[c] = found[0, both // numbers[1]] if c == 2 else found[1, both % numbers[1]]
             misses[c, 0] = peaks[c].pixels[chosen[c], 0] - seen[c, 0]
             misses[c, 1] = peaks[c].pixels[chosen[c], 1] - seen[c, 1]
-        _moved(gains, misses, cameras, step)
+        _compute_step(gains, misses, cameras, step)
         if _worst(slopes, misses, step, cameras) <= reach * reach:
             if count == len(places):
                 return count

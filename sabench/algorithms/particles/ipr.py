@@ -24,7 +24,7 @@ from sabench.geometry.volume_polynomials import (
     fit_volume_polynomials,
     project_points,
 )
-from sabench.images.brightness import background_noise, normalised
+from sabench.images.brightness import background_noise, normalise
 from sabench.images.peaks import Peaks, find_peaks
 from sabench.utils.arrays import F32, F64, Bool
 
@@ -68,9 +68,9 @@ def triangulate_particles(
     case: Observation, maps: VolumePolynomials, settings: IprSettings
 ) -> FoundParticles:
     """Triangulate the particles that particle images agree on, each image used once."""
-    images = normalised(case.images, case.black_dn)
+    images = normalise(case.images, case.black_dn)
     peaks = _find_peaks(images, settings)
-    found = _agreed(maps, peaks, settings, 0, 0, images)
+    found = _select_unique(maps, peaks, settings, 0, 0, images)
     return FoundParticles(in_mm(maps, found.place), _peak_values(found, peaks, images).mean(axis=1))
 
 
@@ -81,13 +81,13 @@ def reconstruct_particles(
 
     They are found and fitted again and again on the residual images.
     """
-    images = normalised(case.images, case.black_dn)
+    images = normalise(case.images, case.black_dn)
     sigma = image_widths(images, [one.pixels for one in _find_peaks(images, settings)])
     left, places, light = images.copy(), np.zeros((0, 3)), np.zeros((0, len(images)))
     full, reduced = settings.rounds
     for number in range(full + reduced):
         peaks = _find_peaks(left, settings)
-        found = _agreed(maps, peaks, settings, int(number >= full), number, left)
+        found = _select_unique(maps, peaks, settings, int(number >= full), number, left)
         places = np.concatenate([places, found.place])
         light = np.concatenate([light, np.zeros((len(found.place), len(images)))])
         refine_particles(maps, sigma, left, places, light, settings.fits)
@@ -106,7 +106,7 @@ def _find_peaks(images: F32, settings: IprSettings) -> tuple[Peaks, ...]:
     )
 
 
-def _agreed(
+def _select_unique(
     maps: VolumePolynomials,
     peaks: tuple[Peaks, ...],
     settings: IprSettings,

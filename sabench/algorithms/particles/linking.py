@@ -121,13 +121,13 @@ def link(
         )
         live = live[frame - live.frame <= gap + 1]
         i, j = assign(*_candidates(live, found, time, frame, scale), (len(live.place), len(place)))
-        scale = _measured(scale, live[i], found, j)
+        scale = _estimate_scale(scale, live[i], found, j)
         number = np.full(len(place), -1)
         number[j] = live.number[i]
         new = np.flatnonzero(number < 0)
         number[new] = born + np.arange(len(new))
         born += len(new)
-        live = _continued(live, found, number, i, j)
+        live = _continue(live, found, number, i, j)
         out.append(number)
     return out
 
@@ -181,7 +181,7 @@ def _spacing(center_mm: Sequence[F64]) -> float:
     )
 
 
-def _continued(live: _Tracks, found: _Points, number: I64, i: I64, j: I64) -> _Tracks:
+def _continue(live: _Tracks, found: _Points, number: I64, i: I64, j: I64) -> _Tracks:
     """Update trajectories by the detections found now, with their velocities."""
     velocity = np.full(found.place.shape, np.nan)
     velocity[j] = (found.place[j] - live.place[i]) / (found.time[j] - live.time[i])[:, None]
@@ -242,7 +242,7 @@ def _by_neighbours(
     duration = time - live.time[young[row]]
     velocity = shift / duration[:, None]
     if len(live.place) - len(young) >= _NEIGHBOURS:
-        apart = _from_known(live, young[row], velocity) * duration[:, None]
+        apart = _neighbour_differences(live, young[row], velocity) * duration[:, None]
     else:
         apart = _from_places(live, found, young[row], velocity, time, scale)
     length = np.linalg.norm(shift, axis=1)
@@ -255,7 +255,7 @@ def _by_neighbours(
     return young[row], column, GATE * alone + (length / reach[row]) ** 2 + size
 
 
-def _from_known(live: _Tracks, which: I64, velocity: F64) -> F64:
+def _neighbour_differences(live: _Tracks, which: I64, velocity: F64) -> F64:
     """Compute differences (n, k) of velocities from those of the neighbours.
 
     Velocities are (n, 3), trajectories (n,). Neighbours are the nearest whose velocities are known.
@@ -308,7 +308,7 @@ def _unlike(live: _Tracks, found: _Points, row: I64, column: I64, scale: _Scale)
     return np.asarray(((live.size[row] - found.size[column]) / scale.size) ** 2)
 
 
-def _measured(scale: _Scale, linked: _Tracks, found: _Points, j: I64) -> _Scale:
+def _estimate_scale(scale: _Scale, linked: _Tracks, found: _Points, j: I64) -> _Scale:
     """Estimate the errors of predictions from these links.
 
     The estimate is the median magnitude times 1.4826, the standard deviation of normal errors.

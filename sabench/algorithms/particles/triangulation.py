@@ -138,14 +138,14 @@ def _follow(
                 chosen[:] = -1
                 chosen[0], chosen[second] = first, near[k]
                 start[:] = place
-                worst = _fitted(maps, peaks, chosen, start)
+                worst = _fit_position(maps, peaks, chosen, start)
                 if (
                     worst > reach
                     or np.abs(start).max() > 1.0
                     or not _others(maps, peaks, chosen, start, second, reach, missing, size)
                 ):
                     continue
-                worst = _fitted(maps, peaks, chosen, start)
+                worst = _fit_position(maps, peaks, chosen, start)
                 if worst <= reach and np.abs(start).max() <= 1.0:
                     places[count], hits[count], errors[count] = (
                         start,
@@ -189,7 +189,7 @@ def _others(
 
 
 @numba.njit(cache=True)
-def _fitted(maps: Any, peaks: Any, chosen: Any, place: Any) -> float:
+def _fit_position(maps: Any, peaks: Any, chosen: Any, place: Any) -> float:
     """Move a place to where it fits the chosen images best.
 
     Returns the largest distance that is left, px.

@@ -254,14 +254,14 @@ def _displacement(camera: CameraModel, grid: Grid, depths: F64, z_mm: float) -> 
         for z in depths:
             points = plane_points(grid, float(z), unit)
             parts.append(
-                (_carried(camera, points, z_mm) - points[:, :2]) / np.asarray(grid.voxel_mm)[:2]
+                (_carry(camera, points, z_mm) - points[:, :2]) / np.asarray(grid.voxel_mm)[:2]
             )
         return np.column_stack(parts)
 
     return ways
 
 
-def _carried(camera: CameraModel, points: F64, z_mm: float) -> F64:
+def _carry(camera: CameraModel, points: F64, z_mm: float) -> F64:
     there = camera.carry(points, z_mm)
     if not np.isfinite(there).all():
         raise ValueError(

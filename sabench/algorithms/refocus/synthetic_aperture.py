@@ -94,7 +94,7 @@ def refocus_by_shifts(images: F32, cameras: Sequence[CameraModel], grid: Grid) -
         - (slab.corners - slab.corners[nearest])[:, None]
     )
     maps = np.ascontiguousarray(view.tiles[:, :, nearest : nearest + 1])
-    low, shape = _reached(maps)
+    low, shape = _find_reached(maps)
     maps[..., [0, 3]] -= low
     whole = (shifts + low).astype(np.int64).transpose(1, 0, 2)
     volume, focused = (
@@ -116,7 +116,7 @@ def refocus_by_shifts(images: F32, cameras: Sequence[CameraModel], grid: Grid) -
     return volume
 
 
-def _reached(maps: F64) -> tuple[F64, tuple[int, int]]:
+def _find_reached(maps: F64) -> tuple[F64, tuple[int, int]]:
     """Find the part of the rectified images that tiles' maps reach.
 
     The maps are (tile, plane, 1, 6). Returns the part's first column and row, and its padded

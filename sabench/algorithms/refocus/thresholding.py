@@ -80,11 +80,11 @@ def occupancy(case: Observation) -> float:
     wide in voxels as in pixels, as E_s has them. The median camera counts.
     """
     return float(
-        np.median([_filled(image, float(case.black_dn), case.grid) for image in case.images])
+        np.median([_fill_share(image, float(case.black_dn), case.grid) for image in case.images])
     )
 
 
-def _filled(image: U16, black_dn: float, grid: Grid) -> float:
+def _fill_share(image: U16, black_dn: float, grid: Grid) -> float:
     light = float(image.mean()) - black_dn
     square, across, down = _products(image, light + black_dn)
     variance = square / image.size

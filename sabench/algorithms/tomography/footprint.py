@@ -65,7 +65,7 @@ def gaussian(sigma_px: float) -> Footprint:
 def image_sigma_px(images: F32) -> float | None:
     """Estimate the standard deviation of the particles' images, pixel included.
 
-    The images (camera, row, column) are scaled by `normalised`. Returns None without any particle.
+    The images (camera, row, column) are scaled by `normalise`. Returns None without any particle.
 
     A Gaussian through three pixels of a local maximum has sigma^2 = 1 / (2 ln m - ln l - ln r).
     Particles that overlap look larger and none looks smaller, so the lower quartile is returned.

@@ -68,14 +68,14 @@ def mart_sweep(
     Source: thesis, equation 3.9: I_j <- I_j (P_i / sum_j W_ij I_j)^(mu W_ij) for one pixel i after
     the other.
     """
-    buckets = _sorted(lines, values, camera)
+    buckets = _sort_by_part(lines, values, camera)
     missed = np.zeros(math.ceil(len(image) / STRIP))
     _sweep(buckets, image, saturated, np.float32(relaxation), missed)
     _put_back(buckets.voxel, buckets.light, values)
     return float(missed.sum())
 
 
-def _sorted(lines: LinesOfSight, values: F32, camera: int) -> Buckets:
+def _sort_by_part(lines: LinesOfSight, values: F32, camera: int) -> Buckets:
     """Sort by counting, stable and in parallel."""
     sight, support = lines.sight, lines.support
     parts = support.parts(_PARTS)

@@ -16,7 +16,7 @@ from sabench.algorithms.tomography.kernels import Sight
 from sabench.algorithms.tomography.projection_operator import LinesOfSight, Support, sight_of
 from sabench.api import Observation, Parameters
 from sabench.geometry.grid import Grid
-from sabench.images.brightness import normalised
+from sabench.images.brightness import normalise
 from sabench.utils.arrays import F32
 
 # standard deviation of a blob against that of the particles' images: best Q of .6 to 1 (seeds from
@@ -92,7 +92,7 @@ class TomographyProblem:
     def from_case(cls, case: Observation, parameters: TomographyParameters) -> TomographyProblem:
         """Scale the images, split the grid's voxels where needed, choose the footprint."""
         light, scale = (
-            normalised(case.images, case.black_dn),
+            normalise(case.images, case.black_dn),
             supersampling.scale_of(case.cameras, case.grid),
         )
         splits, (footprint, sigma_px) = supersampling.splits(scale), _footprint(light, parameters)
@@ -120,7 +120,7 @@ class TomographyProblem:
 
     def volume(self, state: State, floor: float) -> F32:
         """Return the volume (z, y, x) on the grid that was asked for."""
-        return supersampling.cleared(
+        return supersampling.clear_dark(
             supersampling.gather(
                 state.lines.support, state.values, self.grid, self.splits, self.sigma_mm
             ),

@@ -23,7 +23,7 @@ from sabench.utils.arrays import F32, F64, triple
 
 _TRAVEL_PX = 1.25  # largest distance between the projections of two neighbouring voxels
 _REACH = 3.0  # standard deviations at which a blob ends
-_BRIGHT, _LIT = 95.0, 0.1  # as `images.brightness.normalised` scales images
+_BRIGHT, _LIT = 95.0, 0.1  # as `images.brightness.normalise` scales images
 _FAINTEST = 0.01
 
 
@@ -163,7 +163,7 @@ def _spread(total: Any, along: Any, out: Any) -> None:
                     out[middle + k] += total[x] * along[x % count, k]
 
 
-def cleared(volume: F32, floor: float) -> F32:
+def clear_dark(volume: F32, floor: float) -> F32:
     """Zero, in place, voxels darker than `floor` times a bright voxel.
 
     A bright voxel is the 95th percentile of those that reach a tenth of the brightest.

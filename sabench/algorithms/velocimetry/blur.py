@@ -41,7 +41,7 @@ def _width(shifted: float, own: float) -> float:
     return 0.5 / math.sqrt(-math.log(max(shifted / own, 1e-6)))
 
 
-def widened(volume: F32, given: Widths, least: float) -> F32:
+def widen(volume: F32, given: Widths, least: float) -> F32:
     """Blur the volume (z, y, x) where its particles are too narrow.
 
     A Gaussian along every such axis raises the given widths to the least one.
@@ -49,11 +49,11 @@ def widened(volume: F32, given: Widths, least: float) -> F32:
     sigma = [math.sqrt(max(0.0, least**2 - own**2)) for own in given]
     if not any(sigma):
         return volume
-    out = _blurred(volume.reshape(len(volume), -1), sigma[0], 0.0).reshape(volume.shape)
-    return np.stack([_blurred(plane, sigma[1], sigma[2]) for plane in out])
+    out = _blur(volume.reshape(len(volume), -1), sigma[0], 0.0).reshape(volume.shape)
+    return np.stack([_blur(plane, sigma[1], sigma[2]) for plane in out])
 
 
-def _blurred(plane: F32, down: float, across: float) -> F32:
+def _blur(plane: F32, down: float, across: float) -> F32:
     """Blur a plane by a Gaussian down its columns and across its rows."""
     kernels = [_kernel(sigma) for sigma in (across, down)]
     return np.asarray(

@@ -207,13 +207,13 @@ def circular_peaks(planes: Any, shift: Any, height: Any, ratio: Any) -> None:
         top = _largest(flat)
         z, y, x = top // (high * wide), top // wide % high, top % wide
         here = flat[top]
-        shift[n, 0] = _signed(x, wide) + _vertex(
+        shift[n, 0] = _to_displacement(x, wide) + _vertex(
             plane[z, y, x - 1], here, plane[z, y, (x + 1) % wide]
         )
-        shift[n, 1] = _signed(y, high) + _vertex(
+        shift[n, 1] = _to_displacement(y, high) + _vertex(
             plane[z, y - 1, x], here, plane[z, (y + 1) % high, x]
         )
-        shift[n, 2] = _signed(z, deep) + _vertex(
+        shift[n, 2] = _to_displacement(z, deep) + _vertex(
             plane[z - 1, y, x], here, plane[(z + 1) % deep, y, x]
         )
         for k in range(-1, 2):
@@ -239,6 +239,6 @@ def _largest(values: Any) -> int:
 
 
 @numba.njit(cache=True)
-def _signed(place: int, count: int) -> int:
+def _to_displacement(place: int, count: int) -> int:
     """Turn a circular shift into a displacement."""
     return place - count if place > count // 2 else place

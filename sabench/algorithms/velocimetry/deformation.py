@@ -102,7 +102,9 @@ def _cubic(part: Any) -> Any:
 
 
 @numba.njit(cache=True, fastmath=True, parallel=True)
-def met(first: Any, second: Any, field: Any, origin: Any, step: Any, out: Any, other: Any) -> None:
+def deform_pair(
+    first: Any, second: Any, field: Any, origin: Any, step: Any, out: Any, other: Any
+) -> None:
     """Fill in two volumes moved towards each other by half of a field each.
 
     Objects that the field displaces coincide in the middle. Where one volume is read beyond its

@@ -6,12 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sabench.algorithms.velocimetry.blur import widened, widths
-from sabench.algorithms.velocimetry.deformation import met, spline_coefficients
+from sabench.algorithms.velocimetry.blur import widen, widths
+from sabench.algorithms.velocimetry.deformation import deform_pair, spline_coefficients
 from sabench.algorithms.velocimetry.outliers import (
-    filled,
+    fill_invalid,
     near_the_median,
-    smoothed,
+    smooth_vectors,
     thesis_local,
     within_deviations,
 )
@@ -89,12 +89,12 @@ def evaluate(first: F32, second: F32, plan: Plan) -> Field:
     own = widths(first), widths(second)
     mean = tuple(0.5 * (one + other) for one, other in zip(*own, strict=True))
     first, second = (
-        widened(volume, (mean[0], mean[1], mean[2]), plan.width) for volume in (first, second)
+        widen(volume, (mean[0], mean[1], mean[2]), plan.width) for volume in (first, second)
     )
     coarse = Windows.over(_shape(first), plan.first, 0.5)
     peaks = by_spectra(first, second, coarse)
     assert peaks.ratio is not None
-    field = _checked(coarse, peaks, (peaks.ratio >= plan.ratio) & (peaks.height > 0.0), plan)
+    field = _validate(coarse, peaks, (peaks.ratio >= plan.ratio) & (peaks.height > 0.0), plan)
     windows = Windows.over(_shape(first), plan.last, plan.overlap)
     coefficients = spline_coefficients(first), spline_coefficients(second)
     warped = np.empty_like(first), np.empty_like(second)
@@ -103,8 +103,8 @@ def evaluate(first: F32, second: F32, plan: Plan) -> Field:
             plan.smoothing * own / step
             for own, step in zip(plan.last, field.windows.step, strict=True)
         )
-        lead = smoothed(field.shift, (z, y, x)) if plan.smoothing else field.shift
-        met(
+        lead = smooth_vectors(field.shift, (z, y, x)) if plan.smoothing else field.shift
+        deform_pair(
             *coefficients,
             lead,
             field.windows.origin,
@@ -113,7 +113,7 @@ def evaluate(first: F32, second: F32, plan: Plan) -> Field:
         )
         peaks = by_shifts(warped[0], warped[1], windows, plan.reach, plan.taper)
         peaks.shift[:] += _at(lead, field.windows, windows)
-        field = _checked(windows, peaks, peaks.height >= plan.height, plan)
+        field = _validate(windows, peaks, peaks.height >= plan.height, plan)
     return field
 
 
@@ -133,14 +133,14 @@ def evaluate_once(first: F32, second: F32, size: Size, overlap: float, ratio: fl
     valid = within_deviations(
         peaks.shift, np.asarray((peaks.ratio >= ratio) & (peaks.height > 0.0)), 5.0
     )
-    valid = thesis_local(filled(peaks.shift, valid), valid, 3.0)
-    return Field(windows, smoothed(filled(peaks.shift, valid), (_KERNEL,) * 3), valid)
+    valid = thesis_local(fill_invalid(peaks.shift, valid), valid, 3.0)
+    return Field(windows, smooth_vectors(fill_invalid(peaks.shift, valid), (_KERNEL,) * 3), valid)
 
 
-def _checked(windows: Windows, peaks: Peaks, valid: Bool, plan: Plan) -> Field:
+def _validate(windows: Windows, peaks: Peaks, valid: Bool, plan: Plan) -> Field:
     valid = within_deviations(peaks.shift, valid, 5.0)
     valid = near_the_median(peaks.shift, valid, plan.median)
-    return Field(windows, filled(peaks.shift, valid), valid)
+    return Field(windows, fill_invalid(peaks.shift, valid), valid)
 
 
 def _at(values: F64, there: Windows, here: Windows) -> F64:

@@ -56,7 +56,7 @@ def near_the_median(shift: F64, valid: Bool, times: float) -> Bool:
     return np.asarray(valid & ~far)
 
 
-def filled(shift: F64, valid: Bool) -> F64:
+def fill_invalid(shift: F64, valid: Bool) -> F64:
     """Replace invalid vectors by means of their valid neighbours.
 
     Returns zero if none is valid. Gaps are filled from their edges inwards.
@@ -83,7 +83,7 @@ def _around(values: F64) -> F64:
     return values
 
 
-def smoothed(shift: F64, sigma: tuple[float, float, float]) -> F64:
+def smooth_vectors(shift: F64, sigma: tuple[float, float, float]) -> F64:
     """Smooth vectors by a Gaussian of standard deviations (z, y, x) in vectors.
 
     Beyond the edges fields are extrapolated linearly.

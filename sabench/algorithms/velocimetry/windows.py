@@ -174,7 +174,7 @@ def by_spectra(first: F32, second: F32, windows: Windows) -> Peaks:
 
     def correlate(start: int) -> None:
         part = slice(start, start + batch)
-        planes, scale = _correlated(first, second, corners[part], windows.size)
+        planes, scale = _correlate(first, second, corners[part], windows.size)
         circular_peaks(planes, shift[part], height[part], ratio[part])
         height[part] /= np.where(scale > 0.0, scale, np.inf)
 
@@ -192,7 +192,7 @@ def by_spectra(first: F32, second: F32, windows: Windows) -> Peaks:
     )
 
 
-def _correlated(first: F32, second: F32, corners: I64, size: Size) -> tuple[F32, F64]:
+def _correlate(first: F32, second: F32, corners: I64, size: Size) -> tuple[F32, F64]:
     """Correlate windows (n, z, y, x) circularly and multiply their norms."""
     spectra, energies = [], []
     for volume in (first, second):

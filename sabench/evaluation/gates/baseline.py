@@ -177,7 +177,7 @@ def _data_tolerance(kind: str) -> Tolerance:
 
 def default_path(suite: str) -> Path:
     """Return the path of a suite's bundled baseline."""
-    return plugins.bundled("leaderboard") / "baselines" / f"{suite}.json"
+    return plugins.bundled_folder("leaderboard") / "baselines" / f"{suite}.json"
 
 
 def read_baseline(path: Path, suite: str) -> Baseline:

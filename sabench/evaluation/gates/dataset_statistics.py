@@ -32,7 +32,7 @@ def fingerprint(data: Dataset) -> dict[str, float]:
     """
     figures = dict(_truth(data)) | dict(_pictures(data))
     for number, camera in enumerate(data.true_cameras):
-        points, pixels = _seen(data, number)
+        points, pixels = _collect_pixels(data, number)
         figures |= _spread(f"{camera.name}.", ("column", "row"), pixels)
         figures |= dict(_light(data, number))
         again = retrace(data.scene, camera, points[:_TRACED])
@@ -111,7 +111,7 @@ def _truth(data: Dataset) -> Iterator[tuple[str, float]]:
         yield from _spread("code.", axes, code.points_mm[code.dark].reshape(-1, 3)).items()
 
 
-def _seen(data: Dataset, number: int) -> tuple[F64, F64]:
+def _collect_pixels(data: Dataset, number: int) -> tuple[F64, F64]:
     """Collect true points (n, 3) of all frames, and their pixels (n, 2) in a camera.
 
     Points that the camera does not see are left out.

@@ -24,10 +24,10 @@ def reference_s() -> float:
     """
     table = np.arange(_CELLS, dtype=np.float64)
     _work(table[:64])  # compiles it, or loads the compiled code
-    return float(np.median([_timed(table) for _ in range(_ROUNDS)]))
+    return float(np.median([_time(table) for _ in range(_ROUNDS)]))
 
 
-def _timed(table: Any) -> float:
+def _time(table: Any) -> float:
     start = time.perf_counter()
     _work(table)
     return time.perf_counter() - start

@@ -58,17 +58,17 @@ def result_files(path: Path) -> Iterator[list[tuple[str, Path]]]:
             f"{'a link' if path.is_symlink() else 'none'}"
         )
     if path.is_dir():
-        yield _found(_in_folder(path), path)
+        yield _sort_results(_in_folder(path), path)
     elif not path.is_file():
         raise InputError(f"{path}: expected a file, an archive or a folder")
     elif path.name.lower().endswith((".zip", ".tar", ".tar.gz", ".tgz")):
         with tempfile.TemporaryDirectory(prefix="sabench-") as folder:
-            yield _found(_unpacked(path, Path(folder)), path)
+            yield _sort_results(_unpack(path, Path(folder)), path)
     else:
         yield [(path.name, path)]
 
 
-def _found(files: list[tuple[str, Path]], path: Path) -> list[tuple[str, Path]]:
+def _sort_results(files: list[tuple[str, Path]], path: Path) -> list[tuple[str, Path]]:
     if not files:
         raise InputError(f"{path}: expected result files, whose names end in {_ENDING}, found none")
     return sorted(files)
@@ -83,21 +83,21 @@ def _in_folder(root: Path) -> list[tuple[str, Path]]:
             raise InputError(
                 f"{root}: expected no links, got {printable(entry.relative_to(root).as_posix())}"
             )
-        if entry.is_file() and _wanted(entry.name):
+        if entry.is_file() and _is_result(entry.name):
             found.append((entry.relative_to(root).as_posix(), entry))
     return found
 
 
-def _unpacked(path: Path, folder: Path) -> list[tuple[str, Path]]:
+def _unpack(path: Path, folder: Path) -> list[tuple[str, Path]]:
     """Unpack the archive's result files into `folder`, with numbers as names.
 
     No name of the archive becomes a name on the disk.
     """
     try:
-        with _opened(path) as (archive, members):
-            wanted = _checked(path, members)
+        with _open_archive(path) as (archive, members):
+            wanted = _select_members(path, members)
             return [
-                (member.name, _copied(archive, member, folder / f"{number}{_ENDING}", path))
+                (member.name, _copy(archive, member, folder / f"{number}{_ENDING}", path))
                 for number, member in enumerate(wanted)
             ]
     except (
@@ -117,7 +117,7 @@ def _unpacked(path: Path, folder: Path) -> list[tuple[str, Path]]:
 
 
 @contextlib.contextmanager
-def _opened(path: Path) -> Iterator[tuple[Any, Iterator[Member]]]:
+def _open_archive(path: Path) -> Iterator[tuple[Any, Iterator[Member]]]:
     if path.name.lower().endswith(".zip"):
         with zipfile.ZipFile(path) as whole:
             yield whole, (_zip_member(path, info) for info in whole.infolist() if not info.is_dir())
@@ -183,7 +183,7 @@ def _tar_member(path: Path, info: tarfile.TarInfo) -> Member:
     return Member(info.name, info.size, info)
 
 
-def _checked(path: Path, members: Iterator[Member]) -> list[Member]:
+def _select_members(path: Path, members: Iterator[Member]) -> list[Member]:
     """Check all members and select the result files among them."""
     packed, total, names, every = path.stat().st_size, 0, set(), []
     for member in itertools.islice(members, _MEMBERS + 1):
@@ -202,10 +202,10 @@ def _checked(path: Path, members: Iterator[Member]) -> list[Member]:
         every.append(member)
     if len(every) > _MEMBERS:
         raise InputError(f"{path}: expected at most {_MEMBERS} files, got more")
-    return [member for member in every if _wanted(member.name.rpartition("/")[2])]
+    return [member for member in every if _is_result(member.name.rpartition("/")[2])]
 
 
-def _wanted(name: str) -> bool:
+def _is_result(name: str) -> bool:
     return name.endswith(_ENDING) and not name.startswith(".")
 
 
@@ -215,7 +215,7 @@ def _check_name(path: Path, name: str) -> None:
         raise InputError(f"{path}: expected names inside the archive, got {printable(name)!r}")
 
 
-def _copied(archive: Any, member: Member, target: Path, path: Path) -> Path:
+def _copy(archive: Any, member: Member, target: Path, path: Path) -> Path:
     """Copy a member to a file; refuse one that is larger than its header says."""
     source: IO[bytes] | None = (
         archive.open(member.handle)

@@ -68,7 +68,7 @@ def render(rows: Sequence[Record], pictures: Path) -> str:
 
 
 def _assembled(data: dict[str, Any], albums: dict[int, dict[str, str]]) -> str:
-    folder = plugins.bundled("leaderboard")
+    folder = plugins.bundled_folder("leaderboard")
     style = _inline((folder / "page" / "page.css").read_text(encoding="utf-8"))
     parts = "\n".join(
         (folder / "page" / f"{name}.js").read_text(encoding="utf-8") for name in _SCRIPTS

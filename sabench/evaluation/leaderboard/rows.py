@@ -44,10 +44,10 @@ def over_seeds(records: list[Record]) -> list[Record]:
                 "split": record.get("split") or "public",
             }
             groups.setdefault(key_of(named, _ENTRY), []).append(named)
-    return [_merged(group) for group in groups.values()]
+    return [_merge(group) for group in groups.values()]
 
 
-def _merged(group: list[Record]) -> Record:
+def _merge(group: list[Record]) -> Record:
     keys = [score.key for score in tasks.of(group[0]["task"]).columns]
     runs = [{**record, **{key: _number(record.get(key)) for key in keys}} for record in group]
     means = {key: mean_of([run[key] for run in runs if run[key] is not None]) for key in keys}

@@ -127,7 +127,7 @@ def draw(scene: Scene, seed: int) -> Board:
     return Board(case, true, placed.points_mm, exact)
 
 
-def solved(solver: str, given: Board, **parameters: Any) -> Calibration:
+def solve_case(solver: str, given: Board, **parameters: Any) -> Calibration:
     """Solve a case."""
     algorithm: Any = make_algorithm(solver, parameters)
     made: Calibration = algorithm.solve(given.case)

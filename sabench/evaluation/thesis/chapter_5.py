@@ -32,7 +32,7 @@ _OFF_MM = 10.0  # of the refocused planes before and behind the middle one: figu
 _EDGE, _SMALL_PX = 0.05, 4.0  # as `minimum_image` takes them
 
 
-def rendered(scene: Scene, seed: int) -> tuple[FrameContent, Bubbles, Observation]:
+def render_first_frame(scene: Scene, seed: int) -> tuple[FrameContent, Bubbles, Observation]:
     """Render the first frame of the data set that `generate` would make, in memory.
 
     Returns its content, its bubbles, and what a solver receives of it.

@@ -16,7 +16,7 @@ from sabench.evaluation.suites import Case, load_suite, override
 from sabench.evaluation.thesis.best_threshold import quality_of_k
 from sabench.evaluation.thesis.published import published_volume
 from sabench.geometry.grid import Grid
-from sabench.images.brightness import normalised
+from sabench.images.brightness import normalise
 from sabench.metrics.particle_detection import Counts, count_thesis, detect
 from sabench.metrics.synthesised_field import true_field
 from sabench.plotting.charts import Figure
@@ -57,7 +57,7 @@ class Row:
 Item = Row | Figure  # what a table yields
 
 
-def compared(name: str, thesis: float | None, values: Sequence[float], note: str = "") -> Row:
+def make_row(name: str, thesis: float | None, values: Sequence[float], note: str = "") -> Row:
     """Make a row of a value that the thesis may state."""
     mean = mean_of(values)
     if mean is None:
@@ -78,7 +78,7 @@ def verdict(measured: float, thesis: float | None) -> str:
 
 def at_least(name: str, thesis: float, values: Sequence[float], note: str = "") -> Row:
     """Make a row of a value for which the thesis gives a lower bound."""
-    row = compared(name, thesis, values, note)
+    row = make_row(name, thesis, values, note)
     reached = row.measured is not None and row.measured >= thesis
     return replace(row, verdict="reproduced" if reached else "below")
 
@@ -93,7 +93,7 @@ def cases(suite: str) -> list[Case]:
     return list({case.name: case for case in load_suite(suite)[1]}.values())
 
 
-def coarsened(scene: Scene, pixels: int | None) -> Scene:
+def coarsen(scene: Scene, pixels: int | None) -> Scene:
     """Make a coarse copy of a scene, with `pixels` x `pixels` larger pixels.
 
     The array, the volume and the number of particles per pixel are the same; voxels are larger, of
@@ -133,7 +133,7 @@ def per_pixel(scene: Scene) -> float:
     )
 
 
-def simulated(scene: Scene, seed: int) -> Shot:
+def simulate_frame(scene: Scene, seed: int) -> Shot:
     """Simulate a frame of the scene, and print that."""
     shot = simulate(scene, seed=seed)
     console.print(
@@ -204,7 +204,7 @@ class Refocused:
             float(values[top]), float(KS[top]), float(np.interp(blind, KS, values)), blind
         )
 
-    def judged(self) -> Judged:
+    def judge(self) -> Judged:
         """Compute Q, and count particles at the threshold with the best Q.
 
         This is the thesis's procedure. The volume is left thresholded.
@@ -228,7 +228,7 @@ def additive(shot: Shot) -> Refocused:
     Every voxel of the scene's grid is the mean of all cameras.
     """
     seen = shot.observation
-    volume = refocus_sum(normalised(seen.images, seen.black_dn), seen.cameras, seen.grid)
+    volume = refocus_sum(normalise(seen.images, seen.black_dn), seen.cameras, seen.grid)
     volume /= np.float32(len(seen.cameras))
     return Refocused.of(shot, seen.grid, shot.particles, volume)
 
@@ -242,23 +242,23 @@ METHODS: Mapping[str, Callable[[Shot], Refocused]] = {
 _seen: dict[tuple[str, int], Mapping[str, Judged]] = {}
 
 
-def judged(scene: Scene, seed: int) -> Mapping[str, Judged]:
+def judge_methods(scene: Scene, seed: int) -> Mapping[str, Judged]:
     """Refocus one frame by each method; cached, because several tables use it."""
     key = scene.hash, seed
     if key not in _seen:
-        shot = simulated(scene, seed)
-        _seen[key] = {name: method(shot).judged() for name, method in METHODS.items()}
+        shot = simulate_frame(scene, seed)
+        _seen[key] = {name: method(shot).judge() for name, method in METHODS.items()}
     return _seen[key]
 
 
-def measured(scene: Scene, seed: int) -> dict[str, Quality]:
+def measure_quality(scene: Scene, seed: int) -> dict[str, Quality]:
     """Compute Q of one frame by each method."""
-    return {name: frame.quality for name, frame in judged(scene, seed).items()}
+    return {name: frame.quality for name, frame in judge_methods(scene, seed).items()}
 
 
-def counted(scene: Scene, seed: int) -> dict[str, Counts]:
+def count_methods(scene: Scene, seed: int) -> dict[str, Counts]:
     """Count true and ghost particles of one frame by each method."""
-    return {name: frame.counts for name, frame in judged(scene, seed).items()}
+    return {name: frame.counts for name, frame in judge_methods(scene, seed).items()}
 
 
 def detection_rows(name: str, found: Sequence[Counts], note: str = "") -> list[Row]:
@@ -266,11 +266,11 @@ def detection_rows(name: str, found: Sequence[Counts], note: str = "") -> list[R
 
     The thesis shows such figures as curves without numbers.
     """
-    true = compared(f"{name}: true %", None, [counts.true_percent for counts in found], note)
+    true = make_row(f"{name}: true %", None, [counts.true_percent for counts in found], note)
     ghosts = [counts.ghost_percent for counts in found]
     return [
         true,
-        compared(f"{name}: ghost %", None, [value for value in ghosts if value is not None], note),
+        make_row(f"{name}: ghost %", None, [value for value in ghosts if value is not None], note),
     ]
 
 

@@ -10,8 +10,8 @@ import numpy as np
 from sabench.api import Code, Observation
 from sabench.api.make import make_algorithm
 from sabench.evaluation.suites import override
-from sabench.evaluation.thesis.chapter_5 import rendered
-from sabench.evaluation.thesis.common import Item, claim, coarsened, compared
+from sabench.evaluation.thesis.chapter_5 import render_first_frame
+from sabench.evaluation.thesis.common import Item, claim, coarsen, make_row
 from sabench.metrics.code_reading import read_volume, reading, single_views
 from sabench.plotting.charts import Figure, Panel, Picture
 from sabench.scenes import Scene, build_rig, load_scene
@@ -28,11 +28,11 @@ _METHODS = ("additive", "multiplicative", "dark", "mart")
 
 def rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
     """Measure cells read, contrast and separation, per method and in single views."""
-    scene = coarsened(load_scene("see-through"), pixels)
+    scene = coarsen(load_scene("see-through"), pixels)
     found: dict[str, list[dict[str, float]]] = {}
     panels: list[Panel] = []
     for seed in seeds:
-        frame, _, case = rendered(scene, seed)
+        frame, _, case = render_first_frame(scene, seed)
         code = code_of(scene, seed, 0)
         single = [
             reading(cells, code.dark)
@@ -56,14 +56,14 @@ def rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
             panels = [*_views(scene, seed, case, code), *panels]
     yield Figure("fig-1-3", "a code behind bubbles", tuple(panels), across=3)
     for name, every in found.items():
-        yield compared(
+        yield make_row(
             f"{name}: cells read, %",
             None,
             [one["read_percent"] for one in every],
             "guessing gives 50",
         )
-        yield compared(f"{name}: d'", None, [one["separation"] for one in every])
-        yield compared(f"{name}: contrast", None, [one["contrast"] for one in every])
+        yield make_row(f"{name}: d'", None, [one["separation"] for one in every])
+        yield make_row(f"{name}: contrast", None, [one["contrast"] for one in every])
     best, blind = (
         np.array([one["read_percent"] for one in found[name]])
         for name in ("additive", "best single view")

@@ -11,14 +11,14 @@ import numpy as np
 
 from sabench.api import Velocity, VolumePair
 from sabench.api.make import make_algorithm, make_solver
-from sabench.evaluation.thesis.common import Item, coarsened, compared, settings
+from sabench.evaluation.thesis.common import Item, coarsen, make_row, settings
 from sabench.metrics.vortex_rings import (
     HalfPlane,
     Sampled,
     circulation,
     core,
     half_plane,
-    sampled,
+    sample,
     spin_of,
 )
 from sabench.plotting.charts import Curve, Figure, Panel
@@ -57,7 +57,7 @@ def rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
 
     Each is relative to the exact value; circulation also has its spread over angles.
     """
-    scene = coarsened(load_scene("vortex-ring-experiment"), pixels)
+    scene = coarsen(load_scene("vortex-ring-experiment"), pixels)
     found: dict[tuple[str, str], _Seen] = {}
     for seed in seeds:
         shots = [simulate(scene, seed=seed, frame=frame) for frame in range(2)]
@@ -154,7 +154,7 @@ def _look(own: _Seen, scene: Scene, measured: Velocity) -> None:
     ring, spin, velocity = (
         _ring(scene),
         spin_of(measured),
-        sampled(measured, measured.velocity_mm_s),
+        sample(measured, measured.velocity_mm_s),
     )
     cores = [
         core(spin, half, ring["diameter_mm"] / 2.0, ring["core_mm"])
@@ -196,25 +196,25 @@ def _rows(scene: Scene, name: str, own: _Seen) -> Iterator[Item]:
     exact = _ring(scene)["diameter_mm"] / _ORIFICE_MM
     same_nodes = np.mean(own.known)
     note = f"exact {exact:.3f}; of the exact field at the same nodes {same_nodes:.3f}"
-    yield compared(
+    yield make_row(
         f"{name}: distance of the cores over the orifice", _THESIS["core"], own.distance, note
     )
-    yield compared(
+    yield make_row(
         f"{name}: spread of the circulation over angles, %",
         _THESIS["spread"],
         own.spread,
         "exact 0",
     )
-    yield compared(
+    yield make_row(
         f"{name}: largest circulation over the exact one of the same rectangles, mean over angles",
         None,
         own.peak,
     )
-    yield compared(
+    yield make_row(
         f"{name}: largest speed on a line through both cores over the exact one", None, own.speed
     )
-    yield compared(f"{name}: largest vorticity over the exact one", None, own.spin)
-    yield compared(
+    yield make_row(f"{name}: largest vorticity over the exact one", None, own.spin)
+    yield make_row(
         f"{name}: seconds of reconstruction over those of PIV",
         0.18,
         [before / after for before, after in own.seconds],
@@ -224,7 +224,7 @@ def _rows(scene: Scene, name: str, own: _Seen) -> Iterator[Item]:
 
 def _figures(scene: Scene, measured: Velocity) -> Iterator[Item]:
     velocity, spin, half = (
-        sampled(measured, measured.velocity_mm_s),
+        sample(measured, measured.velocity_mm_s),
         spin_of(measured),
         _planes(scene)[0],
     )

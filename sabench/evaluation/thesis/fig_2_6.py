@@ -10,10 +10,10 @@ from sabench.evaluation.thesis.common import (
     METHODS,
     Row,
     cases,
-    coarsened,
-    compared,
+    coarsen,
     density,
-    measured,
+    make_row,
+    measure_quality,
     per_pixel,
     with_density,
 )
@@ -32,11 +32,11 @@ def rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Row]:
     for case in curves():
         for part in PARTS:
             scene = with_density(case.scene, part * density(case.scene))
-            found = [measured(coarsened(scene, pixels), seed) for seed in seeds]
+            found = [measure_quality(coarsen(scene, pixels), seed) for seed in seeds]
             thesis = ADEQUATE if part == 1.0 and case.name not in BOUNDED else None
             for method in METHODS:
                 name = f"{case.name}, {method}: Q at {density(scene):.4g} per mm3"
-                yield compared(
+                yield make_row(
                     name,
                     thesis,
                     [frame[method].best for frame in found],

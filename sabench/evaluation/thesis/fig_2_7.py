@@ -18,10 +18,10 @@ from sabench.evaluation.thesis.common import (
     Row,
     cases,
     claim,
-    coarsened,
-    compared,
+    coarsen,
     density,
-    measured,
+    make_row,
+    measure_quality,
     per_pixel,
 )
 from sabench.scenes import build_rig
@@ -49,12 +49,12 @@ def by_cameras(suite: str) -> list[tuple[int, Case]]:
 def _camera_rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Row]:
     curves: dict[tuple[str, float], dict[int, float]] = {}
     for cameras, case in by_cameras(CAMERAS):
-        found = [measured(coarsened(case.scene, pixels), seed) for seed in seeds]
+        found = [measure_quality(coarsen(case.scene, pixels), seed) for seed in seeds]
         per_mm3, note = density(case.scene), f"{per_pixel(case.scene):.3f} ppp"
         for method in METHODS:
             values = [frame[method].best for frame in found]
             curves.setdefault((method, per_mm3), {})[cameras] = float(np.mean(values))
-            yield compared(
+            yield make_row(
                 f"Q of {cameras} cameras at {per_mm3:g} per mm3, {method}",
                 _STATED.get((cameras, per_mm3)),
                 values,
@@ -82,11 +82,11 @@ def _error_rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Row]:
     curves: dict[str, list[list[float]]] = {method: [] for method in METHODS}
     for case in cases(ERRORS):
         errors.append(float(case.axes["calibration.shift_px"]))
-        found = [measured(coarsened(case.scene, pixels), seed) for seed in seeds]
+        found = [measure_quality(coarsen(case.scene, pixels), seed) for seed in seeds]
         for method, curve in curves.items():
             curve.append([frame[method].best for frame in found])
             thesis = ADEQUATE if errors[-1] == _LIMIT_PX else None
-            yield compared(
+            yield make_row(
                 f"Q of 13 cameras with a mapping error of {errors[-1]:g} px, {method}",
                 thesis,
                 curve[-1],
@@ -94,7 +94,7 @@ def _error_rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Row]:
     for method, curve in curves.items():
         limits = [falls_to(ADEQUATE, errors, values) for values in zip(*curve, strict=True)]
         known = [limit for limit in limits if limit is not None]
-        yield compared(f"mapping error at which Q falls to 0.75, px, {method}", _LIMIT_PX, known)
+        yield make_row(f"mapping error at which Q falls to 0.75, px, {method}", _LIMIT_PX, known)
 
 
 def falls_to(level: float, x: Sequence[float], y: Sequence[float]) -> float | None:

@@ -14,8 +14,8 @@ import numpy as np
 from sabench.api import Calibration
 from sabench.api.make import make_algorithm, make_solver
 from sabench.evaluation.suites import load_suite
-from sabench.evaluation.thesis.chapter_4 import Board, draw, places_of, solved
-from sabench.evaluation.thesis.common import Row, claim, compared
+from sabench.evaluation.thesis.chapter_4 import Board, draw, places_of, solve_case
+from sabench.evaluation.thesis.common import Row, claim, make_row
 from sabench.geometry.camera_model import CameraModel
 from sabench.geometry.rigid_motion import RigidMotion, fit_rigid_motion
 from sabench.geometry.triangulation import triangulate
@@ -59,7 +59,7 @@ def rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Row]:
             for solver in _RECONSTRUCTIONS:
                 found.setdefault((solver, name), []).append(_q(solver, shot, one))
     for (solver, name), values in found.items():
-        yield compared(
+        yield make_row(
             f"{solver}: Q with the cameras of {name}",
             None,
             values,
@@ -123,7 +123,7 @@ def _cameras(scene: Scene, shot: Shot, seed: int) -> dict[str, Judged]:
     judged = {"exact": Judged(true, still, 0.0)}
     for name in _CALIBRATIONS:
         given = draw(boards_behind_glass(scene, name == "polynomial_planes"), seed)
-        answer = solved(name, given)
+        answer = solve_case(name, given)
         judged[name] = _judge(answer.cameras, shot, true, _by_boards(answer, given))
     wrong = parse_scene(scene.to_dict() | {"calibration": {"shift_px": _SHIFT_PX}}, "shifted")
     off = simulate(wrong, seed=seed).observation

@@ -15,12 +15,12 @@ from sabench.evaluation.thesis.common import (
     METHODS,
     Row,
     claim,
-    coarsened,
-    compared,
-    counted,
+    coarsen,
+    count_methods,
     detection_rows,
+    make_row,
     per_pixel,
-    simulated,
+    simulate_frame,
 )
 from sabench.evaluation.thesis.fig_2_7 import CAMERAS, by_cameras
 from sabench.evaluation.thesis.theory import ghost_ratio
@@ -36,7 +36,7 @@ def rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Row]:
     """Measure the curves, the thesis's claims, and point E of Elsinga et al. (2006)."""
     curves: dict[str, list[_Point]] = {}
     for cameras, case in by_cameras(CAMERAS):
-        found = [counted(coarsened(case.scene, pixels), seed) for seed in seeds]
+        found = [count_methods(coarsen(case.scene, pixels), seed) for seed in seeds]
         for method in METHODS:
             where = f"at {per_pixel(case.scene):.3f} ppp, {method}"
             predicted = predicted_percent(case.scene)
@@ -111,13 +111,13 @@ def _elsinga_rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Row]:
 
     The thesis takes MART's figures from the literature.
     """
-    scene, scores = coarsened(load_scene("elsinga-35x35x7"), pixels), []
+    scene, scores = coarsen(load_scene("elsinga-35x35x7"), pixels), []
     for seed in seeds:
-        shot = simulated(scene, seed)
+        shot = simulate_frame(scene, seed)
         guess = make_solver("mart", {}).solve(shot.observation)
         scores.append(score_frame(shot.observation.grid, shot.particles, shot.views, guess))
     for key, heading in (("true_percent", "true %"), ("ghost_percent", "ghost %"), ("q", "Q")):
         values = [value for score in scores if (value := score[key]) is not None]
-        yield compared(
+        yield make_row(
             f"4 cameras at 0.050 ppp after Elsinga et al., MART: {heading}", None, values
         )

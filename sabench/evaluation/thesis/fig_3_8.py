@@ -13,8 +13,8 @@ from sabench.evaluation.thesis.common import (
     METHODS,
     Row,
     claim,
-    coarsened,
-    counted,
+    coarsen,
+    count_methods,
     density,
     detection_rows,
     with_density,
@@ -32,7 +32,7 @@ def rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Row]:
         points: dict[str, list[list[Row]]] = {method: [] for method in METHODS}
         for part in PARTS:
             scene = with_density(case.scene, part * density(case.scene))
-            found = [counted(coarsened(scene, pixels), seed) for seed in seeds]
+            found = [count_methods(coarsen(scene, pixels), seed) for seed in seeds]
             count = round(density(scene) * float(np.prod(scene.volume.size_mm)))
             for method, curve in points.items():
                 curve.append(

@@ -22,10 +22,10 @@ from sabench.evaluation.thesis.chapter_4 import (
     board,
     point_errors,
     reprojection,
-    solved,
+    solve_case,
     stds,
 )
-from sabench.evaluation.thesis.common import Item, Row, claim, compared
+from sabench.evaluation.thesis.common import Item, Row, claim, make_row
 from sabench.plotting.charts import Curve, Figure, Panel
 from sabench.utils.progress import progress_bar
 
@@ -57,7 +57,7 @@ def rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
     for cameras in _CAMERAS:
         found = {}
         for noise in NOISES:
-            found[noise] = _measured(cameras, noise, seeds)
+            found[noise] = _measure(cameras, noise, seeds)
             for name in _SOLVERS:
                 yield from _noise_rows(cameras, noise, name, found[noise])
         if cameras == 7:
@@ -117,13 +117,13 @@ def _points_figure(found: dict[float, Draws]) -> Figure:
     )
 
 
-def _measured(cameras: int, noise: float, seeds: Sequence[int]) -> Draws:
+def _measure(cameras: int, noise: float, seeds: Sequence[int]) -> Draws:
     found: Draws = {}
     steps = [(start, seed) for start in STARTS for seed in seeds]
     for start, seed in progress_bar(steps, f"{cameras} cameras, {noise:g} px"):
         given = board(cameras, _BASELINE, noise, start, seed)
         for name, solver in _SOLVERS.items():
-            answer = solved(solver, given)
+            answer = solve_case(solver, given)
             found.setdefault((name, start), []).append(
                 Found(*reprojection(answer, given), point_errors(answer, given))
             )
@@ -134,7 +134,7 @@ def _noise_rows(cameras: int, noise: float, name: str, found: Draws) -> Iterator
     every = [one for (own, _), draws in found.items() if own == name for one in draws]
     head = f"{cameras} cameras, {noise:g} px, {name}"
     imposed = noise * float(np.sqrt(np.pi / 2.0))
-    yield compared(
+    yield make_row(
         f"{head}: mean measured error, px",
         imposed,
         [one.measured_px for one in every],
@@ -160,13 +160,13 @@ def _point_rows(found: Draws) -> Iterator[Row]:
         scatter = stds(every) / D_PIX
         means = np.abs([errors.mean(axis=0) for errors in every]).max(axis=0) / D_PIX
         note = f"X, Y, Z: {', '.join(f'{value:.3g}' for value in scatter)}"
-        yield compared(
+        yield make_row(
             f"7 cameras, 2 px, {name}: scatter along Z, pixels of the middle",
             _STD,
             [float(scatter[2])],
             note,
         )
-        yield compared(
+        yield make_row(
             f"7 cameras, 2 px, {name}: largest mean along Z, the same unit",
             _MEAN,
             [float(means[2])],
@@ -184,10 +184,10 @@ def _rounds(seeds: Sequence[int]) -> Iterator[Item]:
     """Draw figure 4-11: rounds of the alternation with 7 cameras at 0.5 px."""
     curves = []
     for start in STARTS:
-        errors = [_alternated(board(7, _BASELINE, 0.5, start, seed)) for seed in seeds]
+        errors = [_alternate(board(7, _BASELINE, 0.5, start, seed)) for seed in seeds]
         before, after = (np.mean([own[end] for own in errors]) for end in (0, -1))
         note = f"largest mean error {before:.3g} px before, {after:.3g} px after"
-        yield compared(
+        yield make_row(
             f"rounds of the alternation, 7 cameras, 0.5 px, start {start:g}",
             None,
             [float(len(own) - 1) for own in errors],
@@ -204,6 +204,6 @@ def _rounds(seeds: Sequence[int]) -> Iterator[Item]:
     yield Figure("fig-4-11", "Figure 4-11: convergence of the alternation", (panel,))
 
 
-def _alternated(given: Board) -> tuple[float, ...]:
+def _alternate(given: Board) -> tuple[float, ...]:
     problem = CalibrationProblem.from_case(given.case, FreeParameters())
     return alternate(problem.start, problem.seen, FreeParameters(), 0.001, 1000).errors_px

@@ -15,10 +15,10 @@ from sabench.evaluation.thesis.chapter_4 import (
     STARTS,
     board,
     point_errors,
-    solved,
+    solve_case,
     stds,
 )
-from sabench.evaluation.thesis.common import Item, claim, compared
+from sabench.evaluation.thesis.common import Item, claim, make_row
 from sabench.plotting.charts import Curve, Figure, Panel
 from sabench.utils.arrays import F64
 from sabench.utils.progress import progress_bar
@@ -46,11 +46,11 @@ def rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
         for start, seed in progress_bar(steps, f"8 cameras, {noise:g} px"):
             given = board(8, 0.3, noise, start, seed)
             for name, solver in _SOLVERS.items():
-                errors[name][start].append(point_errors(solved(solver, given), given))
+                errors[name][start].append(point_errors(solve_case(solver, given), given))
         for name, own in errors.items():
             scatter[name] = stds([one for draws in own.values() for one in draws]) / D_PIX
             note = f"X, Y, Z: {', '.join(f'{value:.3g}' for value in scatter[name])}"
-            yield compared(
+            yield make_row(
                 f"8 cameras, {noise:g} px, {name}: scatter along Z, pixels of the middle",
                 None,
                 [float(scatter[name][2])],

@@ -9,8 +9,8 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from sabench.evaluation.thesis.chapter_4 import NOISES, STARTS, board, held_out, solved, stds
-from sabench.evaluation.thesis.common import Item, claim, compared
+from sabench.evaluation.thesis.chapter_4 import NOISES, STARTS, board, held_out, solve_case, stds
+from sabench.evaluation.thesis.common import Item, claim, make_row
 from sabench.plotting.charts import Figure, Histogram, Panel
 from sabench.utils.arrays import F64
 from sabench.utils.progress import progress_bar
@@ -71,7 +71,7 @@ def rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
         errors = [_pair("refractive_autocal", 0.5, start, seed)[0] for seed in seeds]
         values = [float(stds([own])[2]) for own in errors]
         panels["fig-4-19"].append(_panel(f"start {start:g}", _depths("refractive", errors)))
-        yield compared(
+        yield make_row(
             f"0.5 px, start {start:g}: scatter along Z, mm",
             None,
             values,
@@ -93,4 +93,4 @@ def _pair(
     solver: str, noise: float, start: float, seed: int, *, wall: bool = True
 ) -> tuple[F64, F64]:
     given = board(_CAMERAS, _BASELINE, noise, start, seed, wall)
-    return held_out(solved(solver, given), given, noise, seed)
+    return held_out(solve_case(solver, given), given, noise, seed)

@@ -15,8 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from sabench.evaluation.thesis.chapter_4 import Board, draw, places_of, solved
-from sabench.evaluation.thesis.common import Item, claim, compared
+from sabench.evaluation.thesis.chapter_4 import Board, draw, places_of, solve_case
+from sabench.evaluation.thesis.common import Item, claim, make_row
 from sabench.geometry.rigid_motion import fit_rigid_motion
 from sabench.plotting.charts import Curve, Figure, Panel
 from sabench.scenes import Scene, load_scene, parse_scene
@@ -39,7 +39,7 @@ def rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
     found: dict[tuple[str, str], list[F64]] = {}
     turns: dict[tuple[str, str], list[float]] = {}
     for seed in progress_bar(seeds, "traversed grids"):
-        given = draw(traversed(), seed)
+        given = draw(make_traverse(), seed)
         for name, solver in _SOLVERS.items():
             first: F64 | None = None
             for test, step in _STEPS.items():
@@ -52,7 +52,7 @@ def rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
     for (name, test), draws in found.items():
         off = [float(np.abs(own[0] - _STEP_MM).max()) for own in draws]
         head = f"{name}, {test} (told {_STEPS[test]:g} mm)"
-        yield compared(
+        yield make_row(
             f"{head}: largest error of a mean spacing, mm",
             None,
             off,
@@ -71,7 +71,7 @@ def rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
             mean,
             mean <= _FLUCTUATION_MM,
         )
-        yield compared(
+        yield make_row(
             f"{head}: turn of all points against test 1, degrees",
             None,
             turns[name, test],
@@ -80,7 +80,7 @@ def rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
     yield _figure(found)
 
 
-def traversed() -> Scene:
+def make_traverse() -> Scene:
     """Make the scene: eight cameras behind a wall, a grid at eleven positions.
 
     Images have 1024 x 768 pixels; the level grid moves by 4 mm.
@@ -120,7 +120,7 @@ def _planes(solver: str, given: Board, step_mm: float) -> F64:
     nominal = given.points_mm.copy()
     nominal[..., 2] = _MIDDLE_MM + step_mm * (np.arange(_PLANES) - _PLANES // 2)[:, None]
     start = replace(given, case=replace(given.case, initial_mm=nominal))
-    return places_of(solved(solver, start), start)
+    return places_of(solve_case(solver, start), start)
 
 
 def _scatter(places: F64) -> F64:

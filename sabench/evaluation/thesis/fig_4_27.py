@@ -13,7 +13,7 @@ from sabench.algorithms.calibration.bundle_adjustment import refine, residuals
 from sabench.algorithms.calibration.parameters import FreeParameters
 from sabench.algorithms.calibration.problem import CalibrationProblem
 from sabench.evaluation.thesis.chapter_4 import Board, board, with_points
-from sabench.evaluation.thesis.common import Item, claim, compared
+from sabench.evaluation.thesis.common import Item, claim, make_row
 from sabench.geometry.rotations import rotation_matrices
 from sabench.plotting.charts import Curve, Figure, Panel
 from sabench.utils.arrays import F64
@@ -32,8 +32,8 @@ def rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
     for name, moves in (("turn, degrees", _DEGREES), ("shift, mm", _SHIFTS)):
         errors = []
         for move in moves:
-            errors.append(_refitted(given, _moved(given.points_mm, name, float(move))))
-            yield compared(f"{name} {move:g}: mean error, px", None, [errors[-1]])
+            errors.append(_refit(given, _move(given.points_mm, name, float(move))))
+            yield make_row(f"{name} {move:g}: mean error, px", None, [errors[-1]])
         panels.append(Panel("", name, "mean error, px", (Curve(name, moves.tolist(), errors),)))
         still = float(errors[int(np.flatnonzero(moves == 0.0)[0])])
         least = min(error for error, move in zip(errors, moves, strict=True) if move != 0.0)
@@ -47,7 +47,7 @@ def rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
     yield Figure("fig-4-27", "Figure 4-27: cameras refitted to moved boards", tuple(panels))
 
 
-def _moved(points: F64, name: str, move: float) -> F64:
+def _move(points: F64, name: str, move: float) -> F64:
     middle = points.mean(axis=(0, 1))
     if name.startswith("turn"):
         return np.asarray(
@@ -56,7 +56,7 @@ def _moved(points: F64, name: str, move: float) -> F64:
     return np.asarray(points + np.array([0.0, 0.0, move]))
 
 
-def _refitted(given: Board, points: F64) -> float:
+def _refit(given: Board, points: F64) -> float:
     problem = CalibrationProblem.from_case(with_points(given, points).case, FreeParameters())
     fit = refine(problem.start, problem.seen, FreeParameters(), moving="cameras")
     return float(

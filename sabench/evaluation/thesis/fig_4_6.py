@@ -10,7 +10,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from sabench.evaluation.thesis.chapter_4 import scene_at
-from sabench.evaluation.thesis.common import Row, claim, compared
+from sabench.evaluation.thesis.common import Row, claim, make_row
 from sabench.geometry.camera_model import CameraModel
 from sabench.geometry.polynomial_cameras import fit_planes, fit_projective, fit_soloff
 from sabench.scenes import build_rig
@@ -34,7 +34,7 @@ def rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Row]:
             head = f"D = {baseline:g}, camera at {step}"
             for name, errors in _errors(camera).items():
                 mean, std = float(errors.mean()), float(errors.std())
-                yield compared(
+                yield make_row(
                     f"{head}: mean error of {name}, px",
                     _MEAN if name == "projective" else None,
                     [mean],

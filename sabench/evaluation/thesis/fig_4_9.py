@@ -10,7 +10,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from sabench.evaluation.thesis.chapter_4 import scene_of
-from sabench.evaluation.thesis.common import Row, claim, compared
+from sabench.evaluation.thesis.common import Row, claim, make_row
 from sabench.geometry.refraction import trace_to_points
 from sabench.scenes import build_rig
 from sabench.utils.arrays import F64
@@ -39,7 +39,7 @@ def rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Row]:
     )
     leaving = trace_to_points(wall, center, points).leaving
     ours = np.linalg.norm(leaving[:, :2], axis=1) / leaving[:, 2] * depths[0]
-    yield compared(
+    yield make_row(
         "largest difference of the two ways on the wall's face, mm",
         None,
         [float(np.abs(ours - outer).max())],

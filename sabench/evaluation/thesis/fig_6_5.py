@@ -13,8 +13,8 @@ import numpy as np
 from sabench.algorithms.bubbles.feature_potential import darkness
 from sabench.api import Observation
 from sabench.api.make import make_algorithm
-from sabench.evaluation.thesis.chapter_5 import rendered
-from sabench.evaluation.thesis.common import Item, coarsened, compared
+from sabench.evaluation.thesis.chapter_5 import render_first_frame
+from sabench.evaluation.thesis.common import Item, coarsen, make_row
 from sabench.metrics.bubble_detection import detection_scores
 from sabench.plotting.charts import Figure, Panel, Picture
 from sabench.scenes import load_scene
@@ -26,10 +26,10 @@ _SOLVERS = ("minimum_image", "local_feature")
 
 def rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
     """Measure F1 and errors of drops per solver; the thesis shows only images."""
-    scene = coarsened(load_scene("jet-in-crossflow"), pixels)
+    scene = coarsen(load_scene("jet-in-crossflow"), pixels)
     found: dict[str, list[dict[str, float]]] = {name: [] for name in _SOLVERS}
     for seed in seeds:
-        _, bubbles, case = rendered(scene, seed)
+        _, bubbles, case = render_first_frame(scene, seed)
         if seed == seeds[0]:
             yield _figure(case)
         for name in _SOLVERS:
@@ -43,7 +43,7 @@ def rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
             "f1": "F1 of all drops",
             "depth_mm": "depth error, mm",
         }.items():
-            yield compared(f"{name}: {what}", None, [one[key] for one in every])
+            yield make_row(f"{name}: {what}", None, [one[key] for one in every])
 
 
 def _figure(case: Observation) -> Figure:

@@ -15,10 +15,10 @@ from sabench.evaluation.thesis.common import (
     Row,
     at_least,
     cases,
-    coarsened,
-    compared,
+    coarsen,
     density,
-    measured,
+    make_row,
+    measure_quality,
     per_pixel,
     with_density,
 )
@@ -52,9 +52,9 @@ def rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Row]:
 
 
 def _trial(scene: Scene, pixels: int | None, method: str) -> Trial:
-    return lambda per_mm3, seed: measured(coarsened(with_density(scene, per_mm3), pixels), seed)[
-        method
-    ]
+    return lambda per_mm3, seed: measure_quality(
+        coarsen(with_density(scene, per_mm3), pixels), seed
+    )[method]
 
 
 def _bound_rows(label: str, case: Case, trial: Trial, seeds: Sequence[int]) -> Iterator[Row]:
@@ -66,7 +66,7 @@ def _bound_rows(label: str, case: Case, trial: Trial, seeds: Sequence[int]) -> I
         yield (
             at_least(name, ADEQUATE, values, blind)
             if per_mm3 == density(case.scene)
-            else compared(name, None, values, blind)
+            else make_row(name, None, values, blind)
         )
 
 
@@ -77,11 +77,11 @@ def _density_rows(label: str, case: Case, trial: Trial, seeds: Sequence[int]) ->
     """
     thesis = density(case.scene)
     tuned = crossings(lambda per_mm3, seed: trial(per_mm3, seed).best, thesis, seeds)
-    yield compared(
+    yield make_row(
         f"{label}: particles per mm3", thesis, tuned, f"thesis: {per_pixel(case.scene):.2f} ppp"
     )
     blind = crossings(lambda per_mm3, seed: trial(per_mm3, seed).blind, thesis, seeds)
-    yield compared(
+    yield make_row(
         f"{label}, automatic k: particles per mm3",
         None,
         blind,
@@ -123,7 +123,7 @@ def _spacing_row(case: Case) -> Row:
         distance,
     )
     spacing = plane_spacing_mm(center, neighbour, across)
-    return compared(
+    return make_row(
         f"{case.name}: dZ / dX",
         along / across,
         [spacing / across],

@@ -13,9 +13,9 @@ from sabench.evaluation.thesis.common import (
     Row,
     at_least,
     cases,
-    coarsened,
+    coarsen,
     density,
-    simulated,
+    simulate_frame,
     with_density,
 )
 from sabench.evaluation.thesis.table_2_1 import SUITE
@@ -42,10 +42,10 @@ def rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Row]:
     for case in cases(SUITE):
         per_mm3 = _DENSER * density(case.scene)
         scene = with_density(case.scene, per_mm3)
-        trial = coarsened(scene, min(pixels or _TRIAL_PX, _TRIAL_PX))
+        trial = coarsen(scene, min(pixels or _TRIAL_PX, _TRIAL_PX))
         tried = {name: solved_quality(name, trial, seeds[0]) for name in SOLVERS}
         best = next(name for name in SOLVERS if tried[name] >= max(tried.values()) - _AS_GOOD)
-        values = [solved_quality(best, coarsened(scene, pixels), seed) for seed in seeds]
+        values = [solved_quality(best, coarsen(scene, pixels), seed) for seed in seeds]
         others = ", ".join(f"{name} {value:.3f}" for name, value in tried.items())
         yield at_least(
             f"{case.name}: Q at {per_mm3:.4g} per mm3",
@@ -57,7 +57,7 @@ def rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Row]:
 
 def solved_quality(solver: str, scene: Scene, seed: int) -> float:
     """Compute Q of a solver with its own parameters on one frame."""
-    shot = simulated(scene, seed)
+    shot = simulate_frame(scene, seed)
     grid = shot.observation.grid
     volume = make_solver(solver, {}).solve(shot.observation).volume
     return quality(volume[grid.scored], true_field(grid, shot.particles, shot.views)[grid.scored])

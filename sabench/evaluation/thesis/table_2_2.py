@@ -14,7 +14,7 @@ import numpy as np
 
 from sabench.api import Velocity, VolumePair
 from sabench.api.make import make_algorithm, make_solver
-from sabench.evaluation.thesis.common import Item, cases, coarsened, compared, settings
+from sabench.evaluation.thesis.common import Item, cases, coarsen, make_row, settings
 from sabench.metrics.synthesised_field import true_field
 from sabench.metrics.velocity_error import precision_interval
 from sabench.plotting.charts import Figure, Panel
@@ -104,7 +104,7 @@ def rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
     Figures 2-8 to 2-11 are drawn, too.
     """
     for ring in RINGS:
-        scene = coarsened(scene_of(ring), pixels)
+        scene = coarsen(scene_of(ring), pixels)
         found: dict[tuple[str, str], list[F64]] = {}
         spent: dict[str, list[float]] = {}
         scattered: dict[tuple[str, str], Panel] = {}
@@ -156,7 +156,7 @@ def _ring_rows(
             f", reconstruction {np.mean(spent[volumes]):.3g} s a pair" if spent[volumes][0] else ""
         )
         for number, axis in enumerate("uvw"):
-            yield compared(
+            yield make_row(
                 f"{ring.name}, {volumes}, {solver}: {axis}, voxels",
                 thesis[number],
                 [float(own[number]) for own in widths],

@@ -15,10 +15,10 @@ from sabench.evaluation.thesis.common import (
     Row,
     at_least,
     cases,
-    coarsened,
-    compared,
+    coarsen,
     density,
-    measured,
+    make_row,
+    measure_quality,
     per_pixel,
 )
 from sabench.scenes import build_rig
@@ -32,15 +32,15 @@ def rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Row]:
     for case in cases("table-2-3"):
         cameras = len(build_rig(case.scene).cameras)
         count = density(case.scene) * float(np.prod(case.scene.volume.size_mm))
-        yield compared("particles", _PARTICLES, [count])
-        yield compared("particles per pixel", _PER_PIXEL, [per_pixel(case.scene)])
-        yield compared(
+        yield make_row("particles", _PARTICLES, [count])
+        yield make_row("particles per pixel", _PER_PIXEL, [per_pixel(case.scene)])
+        yield make_row(
             "particles per pixel of all cameras",
             _PER_TOTAL_PIXEL,
             [per_pixel(case.scene) / cameras],
             "the thesis rounds",
         )
-        found = [measured(coarsened(case.scene, pixels), seed) for seed in seeds]
+        found = [measure_quality(coarsen(case.scene, pixels), seed) for seed in seeds]
         for method in METHODS:
             values = [frame[method].best for frame in found]
             yield at_least(

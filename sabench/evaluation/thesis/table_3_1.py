@@ -13,7 +13,7 @@ import numpy as np
 from sabench.algorithms.tomography.problem import TomographyProblem
 from sabench.api import Observation, Solver
 from sabench.api.make import make_solver
-from sabench.evaluation.thesis.common import Row, cases, coarsened, compared, simulated
+from sabench.evaluation.thesis.common import Row, cases, coarsen, make_row, simulate_frame
 from sabench.evaluation.thesis.theory import TABLE_3_1, Algorithm, Setup, operations
 from sabench.scenes import Scene
 
@@ -45,28 +45,28 @@ _WARM_PX = 50
 
 def rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Row]:
     """Measure three rows for every algorithm, then the thesis's claims on ratios."""
-    scenes = {case.name: coarsened(case.scene, pixels) for case in cases("table-3-1")}
+    scenes = {case.name: coarsen(case.scene, pixels) for case in cases("table-3-1")}
     seconds: dict[Algorithm, list[float]] = {}
     for algorithm, name in _CASES.items():
         formula = sum(operations(algorithm, TABLE_3_1[algorithm]))
-        yield compared(
+        yield make_row(
             f"{algorithm}: operations, the thesis's counts", _STATED[algorithm], [formula]
         )
-        frames = [simulated(scenes[name], seed).observation for seed in seeds]
+        frames = [simulate_frame(scenes[name], seed).observation for seed in seeds]
         setups = [_setup(algorithm, frame) for frame in frames]
-        yield compared(
+        yield make_row(
             f"{algorithm}: operations, our counts",
             None,
             [sum(operations(algorithm, setup)) for setup in setups],
             _describe(setups[0]),
         )
-        seconds[algorithm] = _timed(algorithm, scenes[name], frames)
-        yield compared(f"{algorithm}: seconds", None, seconds[algorithm])
+        seconds[algorithm] = _time_frames(algorithm, scenes[name], frames)
+        yield make_row(f"{algorithm}: seconds", None, seconds[algorithm])
     for algorithm, fewer in _FEWER.items():
         ratios = [
             slow / fast for slow, fast in zip(seconds[algorithm], seconds["msa"], strict=True)
         ]
-        yield compared(
+        yield make_row(
             f"{algorithm}: seconds over those of msa",
             fewer,
             ratios,
@@ -108,10 +108,10 @@ def _solver(algorithm: Algorithm) -> Solver:
     return make_solver(algorithm.replace("-", "_"), {})
 
 
-def _timed(algorithm: Algorithm, scene: Scene, frames: Sequence[Observation]) -> list[float]:
+def _time_frames(algorithm: Algorithm, scene: Scene, frames: Sequence[Observation]) -> list[float]:
     """Measure the seconds of each frame; a small one compiles the kernels before."""
     solver = _solver(algorithm)
-    solver.solve(simulated(coarsened(scene, _WARM_PX), 1).observation)
+    solver.solve(simulate_frame(coarsen(scene, _WARM_PX), 1).observation)
     seconds = []
     for frame in frames:
         start = time.perf_counter()

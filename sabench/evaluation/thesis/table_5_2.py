@@ -14,8 +14,8 @@ import numpy as np
 from sabench.api import Detections, Observation
 from sabench.api.make import make_algorithm
 from sabench.api.truth import Bubbles
-from sabench.evaluation.thesis.chapter_5 import pictures, rendered
-from sabench.evaluation.thesis.common import Item, coarsened, compared
+from sabench.evaluation.thesis.chapter_5 import pictures, render_first_frame
+from sabench.evaluation.thesis.common import Item, coarsen, make_row
 from sabench.metrics.bubble_detection import AnyBubbles, detection_scores
 from sabench.plotting.charts import Curve, Figure, Panel, Space
 from sabench.scenes import Scene, load_scene
@@ -51,18 +51,18 @@ def rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
     bubbles.
     """
     for height in _HEIGHTS:
-        scene = coarsened(load_scene(f"plunging-jet-{height}"), pixels)
+        scene = coarsen(load_scene(f"plunging-jet-{height}"), pixels)
         true: list[AnyBubbles] = []
         found: list[AnyBubbles] = []
         scores: list[dict[str, float]] = []
         for seed in seeds:
-            frame, bubbles, case = rendered(scene, seed)
+            frame, bubbles, case = render_first_frame(scene, seed)
             if (height, seed) == (_PICTURED, seeds[0]):
                 yield from pictures(case)
             start = time.perf_counter()
-            guess = _solved(case)
+            guess = _solve(case)
             spent = time.perf_counter() - start
-            scores.append(detection_scores(guess, bubbles, _seen(frame, bubbles)))
+            scores.append(detection_scores(guess, bubbles, _visible_part(frame, bubbles)))
             console.print(
                 f"h = {height} mm, seed {seed}: F1 {scores[-1]['f1_large']:.3f}, {spent:.0f} s",
                 markup=False,
@@ -74,13 +74,13 @@ def rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
         yield from _rows(scene, height, scores, true, found)
 
 
-def _solved(case: Observation) -> Detections:
+def _solve(case: Observation) -> Detections:
     algorithm: Any = make_algorithm(_SOLVER, {})
     made: Detections = algorithm.solve(case)
     return made
 
 
-def _seen(frame: FrameContent, bubbles: Bubbles) -> Any:
+def _visible_part(frame: FrameContent, bubbles: Bubbles) -> Any:
     """Average the visible part of each bubble's outline over the cameras."""
     sights = [see(camera, bubbles, frame.solids) for camera in frame.rig.cameras]
     return np.mean([sight.visible for sight in sights], axis=0)
@@ -94,14 +94,14 @@ def _rows(
     found: list[AnyBubbles],
 ) -> Iterator[Item]:
     for key, name in _LARGE.items():
-        yield compared(f"h = {height} mm, {_SOLVER}: {name}", None, [one[key] for one in scores])
+        yield make_row(f"h = {height} mm, {_SOLVER}: {name}", None, [one[key] for one in scores])
     known, guess = jet_figures(scene, true), jet_figures(scene, found)
     stated = dict(zip(("penetration_mm", "angle_deg"), _THESIS[height], strict=True)) | _SCALING
     for name in JET.values():
         exact, measured = getattr(known, name), getattr(guess, name)
         error = 100.0 * (measured / exact - 1.0)
         note = f"{len(true)} frames together; of the true bubbles {exact:.4g}: {error:+.1f} %"
-        yield compared(
+        yield make_row(
             f"h = {height} mm: {name}",
             stated[name],
             [measured] if np.isfinite(measured) else [],

@@ -194,14 +194,14 @@ def normality(values: npt.ArrayLike) -> Normality:
         raise ValueError(
             f"normality: expected at least two different values, got {len(np.unique(flat))}"
         )
-    standard = _standardised(flat)
-    core = _standardised(np.sort(standard[standard < 3.0]))
+    standard = _standardise(flat)
+    core = _standardise(np.sort(standard[standard < 3.0]))
     expected, steps = ndtr(core), np.arange(len(core) + 1) / len(core)
     distance = max(float(np.max(expected - steps[:-1])), float(np.max(steps[1:] - expected)))
     return Normality(float(np.mean(standard**3)), float(np.mean(standard**4) - 3.0), distance)
 
 
-def _standardised(values: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+def _standardise(values: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
     centred = values - values.mean()
     spread = centred.std()
     return np.asarray(centred / spread) if values.min() < values.max() else np.zeros_like(values)

@@ -50,7 +50,7 @@ class Parts:
 
     def frame(self, frame: int) -> Part:
         """Read a frame's part; InputError if it is not there."""
-        return _needed(self._frame(frame))
+        return _load_needed(self._frame(frame))
 
     def put_frame(self, frame: int, part: Part) -> None:
         """Keep a frame's part."""
@@ -72,7 +72,7 @@ class Parts:
 
     def view(self, frame: int, camera: str) -> Part:
         """Read a camera's part of a frame; InputError if it is not there."""
-        return _needed(self._view(frame, camera))
+        return _load_needed(self._view(frame, camera))
 
     def put_view(self, frame: int, camera: str, taken: Taken) -> None:
         """Keep a camera's part of a frame; its truth is written last and completes it."""
@@ -114,7 +114,7 @@ def files_of(part: Part) -> dict[str, schema.FileEntry]:
     }
 
 
-def _needed(path: Path) -> Part:
+def _load_needed(path: Path) -> Part:
     part = _load(path)
     if part is None:
         raise InputError(

@@ -61,7 +61,7 @@ class Recorder:
         `recall` gives the frame's part.
         """
         if self._last is None or self._last.number != number:
-            self._last = self._restored(number, recall(number))
+            self._last = self._restore(number, recall(number))
         frame = self._last
         view = render(frame, camera)
         grey = expose(self._scene.sensor, view.photons, frame.sensor_noise(camera))
@@ -89,7 +89,7 @@ class Recorder:
         group = _STATE if f"{_STATE}/id" in part else schema.frame_group(number)
         return _particles(part, group)
 
-    def _restored(self, number: int, part: Part) -> FrameContent:
+    def _restore(self, number: int, part: Part) -> FrameContent:
         """Restore a frame from its part."""
         group = schema.frame_group(number)
         particles = _particles(part, group) if f"{group}/id" in part else None
@@ -123,12 +123,12 @@ class TargetRecorder(Recorder):
         found = []
         for number, camera in enumerate(self.cameras):
             exact = calibration_targets.exact_pixels(camera, self._placed.points_mm)
-            pixels, outliers = self._found(parts, number, exact)
+            pixels, outliers = self._collect_points(parts, number, exact)
             writer.add_sighting(camera, exact, outliers)
             found.append(pixels)
         writer.add_points(np.stack(found), self._prior)
 
-    def _found(self, parts: Parts, camera: int, exact: F64) -> tuple[F64, Bool]:
+    def _collect_points(self, parts: Parts, camera: int, exact: F64) -> tuple[F64, Bool]:
         """Collect the points that a camera detected.
 
         Pixels (frame, point, 2), and which are outliers (frame, point).

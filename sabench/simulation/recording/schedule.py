@@ -104,7 +104,7 @@ class Schedule:
         own = self._open.get(last) if last is not None else None
         if own is not None and own.views:
             return self._view(own)
-        return self._truth() or self._untouched() or self._help()
+        return self._truth() or self._take_untouched() or self._help()
 
     def complete(self, task: Task) -> None:
         """Note that a task has been done."""
@@ -157,7 +157,7 @@ class Schedule:
                 return Task(number)
         return None
 
-    def _untouched(self) -> Task | None:
+    def _take_untouched(self) -> Task | None:
         """Take a camera of a frame that no worker has recorded from yet."""
         for frame in self._open.values():
             if frame.views and not frame.touched:

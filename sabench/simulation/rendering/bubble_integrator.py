@@ -20,7 +20,7 @@ import numpy as np
 
 from sabench.geometry.camera import Camera
 from sabench.geometry.occluders import Disc
-from sabench.simulation.rendering.camera_rays import WAVEFRONT, lens_rays, opaque, unobstructed
+from sabench.simulation.rendering.camera_rays import WAVEFRONT, lens_rays, mark_unobstructed, opaque
 from sabench.simulation.rendering.lamps import Lamps
 from sabench.simulation.rendering.particle_integrator import Cloud
 from sabench.utils.arrays import F32, F64, I64
@@ -138,7 +138,7 @@ def radiance(
         rays = _rays(
             camera, origin, pixel, draw, stage.cloud is not None
         )  # balls of glow are as wide as the lens blurs them
-        free = unobstructed(rays, stage.occluders, origin)
+        free = mark_unobstructed(rays, stage.occluders, origin)
         parts.append(
             np.array(
                 dr.block_sum(_trace(device, rays, draw, free), samples) * (1.0 / samples),

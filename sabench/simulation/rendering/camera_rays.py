@@ -84,10 +84,10 @@ def _ideal(camera: Camera, column: Any, row: Any, first: int) -> tuple[Any, Any]
     center, scale = camera.principal_point_px, dr.opaque(mi.Float, 1.0 / camera.focal_px)
     u = (column - dr.opaque(mi.Float, center[0])) * scale
     v = (row + dr.opaque(mi.Float, first - center[1])) * scale
-    return undistorted(camera.distortion, u, v)
+    return undistort(camera.distortion, u, v)
 
 
-def undistorted(lens: Distortion, u: Any, v: Any) -> tuple[Any, Any]:
+def undistort(lens: Distortion, u: Any, v: Any) -> tuple[Any, Any]:
     """Invert the distortion by a fixed point; a dozen steps reach single precision.
 
     A copy of `Camera.ideal`, the reference, for arrays of Dr.Jit; tied to it by
@@ -109,7 +109,7 @@ def opaque(vector: npt.ArrayLike) -> Any:
     return mi.Vector3f(*(dr.opaque(mi.Float, value) for value in values))
 
 
-def unobstructed(rays: Any, occluders: tuple[Disc, ...], origin: F64) -> Any:
+def mark_unobstructed(rays: Any, occluders: tuple[Disc, ...], origin: F64) -> Any:
     """Mark rays that no disc stops: the same test as Disc.stops."""
     free = mi.Bool(True)
     for disc in occluders:

@@ -35,7 +35,7 @@ def place_lamps(
     """
     facing = np.asarray(camera.wall.normal if camera.wall else camera.rotation[2])
     positions = np.array(
-        [_apparent(camera.wall, np.asarray(lamp.center_mm)) for lamp in lighting.lamps]
+        [_find_apparent(camera.wall, np.asarray(lamp.center_mm)) for lamp in lighting.lamps]
     )
     powers = np.array([lamp.power for lamp in lighting.lamps])
     directions = positions - center_mm
@@ -49,7 +49,7 @@ def place_lamps(
     )
 
 
-def _apparent(wall: Wall | None, lamp_mm: F64) -> F64:
+def _find_apparent(wall: Wall | None, lamp_mm: F64) -> F64:
     """Find the apparent position of a lamp for rays that cross the wall steeply.
 
     A lamp in the fluid stays where it is.

@@ -65,7 +65,7 @@ class BodySearch:
             which[np.array(met.shape == mi.ShapePtr(shape)) & valid] = number
         return np.where(valid, np.array(met.t, dtype=np.float64) + ahead, np.inf), which
 
-    def enclosed(self, points_mm: F64) -> Bool:
+    def contains(self, points_mm: F64) -> Bool:
         """Find which points (n, 3) lie in a body.
 
         A line from such a point to the outside leaves bodies more often than it enters them.

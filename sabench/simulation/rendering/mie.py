@@ -32,7 +32,7 @@ class MieTable:
     angles_rad: F64
     per_square_diameter: F64
 
-    def averaged(self, half_angle_rad: float) -> MieTable:
+    def average(self, half_angle_rad: float) -> MieTable:
         """Average the table over a round aperture of that half angle in the fluid.
 
         The weights are semicircular.

@@ -51,7 +51,7 @@ class ParticleImages(View):
         columns or the rows.
         """
         return np.asarray(
-            _chunked(_object_shape, camera, position_mm, self.direction)[1]
+            _apply_in_chunks(_object_shape, camera, position_mm, self.direction)[1]
             * self.sigma_px[:, None, None]
         )
 
@@ -102,7 +102,7 @@ def image_particles(
     the particle's disc (M d / 4), of diffraction (Airy, `_AIRY`) and of defocus (a disc, diameter /
     4): Adrian and Yao (1985), Olsen and Adrian (2000).
     """
-    seen = _LightPaths(*_chunked(_see, camera, particles.position_mm))
+    seen = _LightPaths(*_apply_in_chunks(_see, camera, particles.position_mm))
     unobstructed = seen.valid & ~in_shadow(occluders, np.asarray(camera.center_mm), seen.leaving)
     half_angle = float(np.nanmedian(seen.half_angle)) if len(particles) else 0.0
     intensity = fluence(
@@ -126,7 +126,7 @@ def _sigma_px(scene: Scene, camera: Camera, particles: Particles, seen: _LightPa
 
     The disc is the particle's.
     """
-    magnification = _chunked(_object_shape, camera, particles.position_mm, seen.arriving)[0]
+    magnification = _apply_in_chunks(_object_shape, camera, particles.position_mm, seen.arriving)[0]
     variance = (
         diffraction_px(camera, scene.light.wavelength_nm) ** 2
         + (magnification * particles.diameter_mm / 4.0) ** 2
@@ -160,7 +160,7 @@ class _LightPaths(NamedTuple):
     solid_angle: F64
 
 
-def _chunked(
+def _apply_in_chunks(
     function: Callable[..., tuple[F64 | Bool, ...]], camera: Camera, *points: F64
 ) -> list[Any]:
     """Apply a function of points (n, 3) chunk by chunk.
@@ -249,7 +249,7 @@ def _cross_section(
     if table is None:
         return np.asarray(particles.diameter_mm**2 / 16.0)
     angles = _scattering_angles(scene, arriving)
-    return table.averaged(half_angle).cross_section(angles, particles.diameter_mm)
+    return table.average(half_angle).cross_section(angles, particles.diameter_mm)
 
 
 def _scattering_angles(scene: Scene, arriving: F64) -> F64:

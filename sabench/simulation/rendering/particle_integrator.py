@@ -17,10 +17,10 @@ import numpy as np
 from sabench.geometry.camera import Camera
 from sabench.geometry.occluders import Disc
 from sabench.simulation.rendering.camera_rays import (
+    mark_unobstructed,
     pinhole_rays,
     pixels_of_rows,
     render_rows,
-    unobstructed,
 )
 from sabench.utils.arrays import F32, F64
 
@@ -71,7 +71,7 @@ def render(
 
     def trace(first: int, count: int) -> Any:
         rays = _rays(camera, origin, first, count, side)
-        return _trace(scene, rays, tables, unobstructed(rays, occluders, origin))
+        return _trace(scene, rays, tables, mark_unobstructed(rays, occluders, origin))
 
     return render_rows(camera, side * side, trace)
 

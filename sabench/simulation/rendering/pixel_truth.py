@@ -185,7 +185,7 @@ def _bodies(starts: F64, directions: F64, bodies: Sequence[Solid], near: F32, nu
                 )
             )
             start, direction = (
-                _between(lines, (down - _FINER // 2) / _FINER, (across - _FINER // 2) / _FINER)
+                _interpolate(lines, (down - _FINER // 2) / _FINER, (across - _FINER // 2) / _FINER)
                 for lines in (starts, directions)
             )
             distance, which = search.first(start.reshape(-1, 3), direction.reshape(-1, 3))
@@ -193,7 +193,7 @@ def _bodies(starts: F64, directions: F64, bodies: Sequence[Solid], near: F32, nu
             number[part] = np.where(which < 0, NOTHING, BODY - which).reshape(starts.shape[:2])
 
 
-def _between(lines: F64, down: float, across: float) -> F64:
+def _interpolate(lines: F64, down: float, across: float) -> F64:
     """Interpolate lines of sight between those of the pixels, by differences.
 
     They bend by far less than a pixel's own angle.

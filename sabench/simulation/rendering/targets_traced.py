@@ -69,7 +69,7 @@ def render(
         if camera.wall
         else 1.0
     )
-    return _diffracted(camera, radiance * camera.etendue() / camera.etendue().max(), lighting)
+    return _diffract(camera, radiance * camera.etendue() / camera.etendue().max(), lighting)
 
 
 def marker_bits(target: Target) -> Bool:
@@ -114,7 +114,7 @@ def _shapes(mi: Any, target: Target, pose: Pose) -> dict[str, Any]:
     return {"board": {"type": "rectangle", "to_world": mi.ScalarTransform4f(frame), "bsdf": matte}}
 
 
-def _diffracted(camera: Camera, photons: F64, lighting: Lighting) -> F64:
+def _diffract(camera: Camera, photons: F64, lighting: Lighting) -> F64:
     """Blur by the lens's Airy disc, as a Gaussian of its width."""
     from scipy.ndimage import gaussian_filter
 

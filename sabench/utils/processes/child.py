@@ -13,7 +13,7 @@ from pathlib import Path
 
 from sabench.utils import memory
 from sabench.utils.errors import InputError
-from sabench.utils.processes.ending import check_end, killed_if_left, last_line, overdue
+from sabench.utils.processes.ending import check_end, kill_if_left, last_line, overdue
 from sabench.utils.processes.starting import start_python
 from sabench.utils.progress import progress_bar
 
@@ -48,7 +48,7 @@ def run_module(module: str, folder: Path, name: str, mark: str, steps: int) -> N
     log = folder / "log.txt"
     with log.open("wb") as errors:
         process = start_python(["-m", module, str(folder)], folder=folder, stderr=errors)
-    with killed_if_left(process):
+    with kill_if_left(process):
         _follow(process, log, name, mark, steps)
         code = _wait_counting_memory(process)
     check_end(name, code, last_line(log.read_bytes()))
@@ -82,7 +82,7 @@ def run_code(code: str, name: str, time_s: float) -> str:
         It exceeds its time, or its exit code is not 0; the text quotes its last line of errors.
     """
     process = start_python(["-c", code], stderr=subprocess.PIPE)
-    with killed_if_left(process):
+    with kill_if_left(process):
         try:
             output, errors = process.communicate(timeout=time_s)
         except subprocess.TimeoutExpired:

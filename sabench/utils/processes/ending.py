@@ -53,7 +53,7 @@ def overdue(time_s: float) -> str:
 
 
 @contextlib.contextmanager
-def killed_if_left(process: subprocess.Popen[bytes]) -> Iterator[None]:
+def kill_if_left(process: subprocess.Popen[bytes]) -> Iterator[None]:
     """Kill a process and all below it if the block ends first.
 
     Its pipes are closed, too.

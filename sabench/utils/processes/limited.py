@@ -22,7 +22,7 @@ from typing import IO
 from sabench.utils import memory
 from sabench.utils.errors import InputError
 from sabench.utils.processes.ending import check_end, kill_running, last_line, last_words, overdue
-from sabench.utils.processes.usage import family, held_mb, marked, size_mb
+from sabench.utils.processes.usage import family, find_marked, held_mb, size_mb
 
 _KEPT = (
     "PATH",
@@ -123,7 +123,7 @@ def run_limited(words: Sequence[str], folder: Path, limits: Limits, name: str) -
         )
     token = secrets.token_hex(16)
     start = time.monotonic()
-    with _started(words, folder, limits, token) as (process, tails):
+    with _start(words, folder, limits, token) as (process, tails):
         try:
             peak_mb, breach = _watch(process, folder, limits, start)
             seconds = time.monotonic() - start
@@ -162,7 +162,7 @@ class _Tail(threading.Thread):
 
 
 @contextlib.contextmanager
-def _started(
+def _start(
     words: Sequence[str], folder: Path, limits: Limits, token: str
 ) -> Iterator[tuple[subprocess.Popen[bytes], list[_Tail]]]:
     size = str(int(limits.output_mb * 1e6))
@@ -242,7 +242,7 @@ def _end(process: subprocess.Popen[bytes], token: str) -> None:
     for _ in range(20):
         with contextlib.suppress(ProcessLookupError, PermissionError):
             os.killpg(process.pid, signal.SIGKILL)
-        left = kill_running((*family(process), *marked(_TOKEN, token)))
+        left = kill_running((*family(process), *find_marked(_TOKEN, token)))
         process.poll()
         if not left:
             break

@@ -38,7 +38,7 @@ def family(process: subprocess.Popen[bytes]) -> list[psutil.Process]:
     return list(found.values())
 
 
-def marked(variable: str, token: str) -> list[psutil.Process]:
+def find_marked(variable: str, token: str) -> list[psutil.Process]:
     """Return the processes with a token in their environment, wherever they are."""
     found = []
     for one in psutil.process_iter():

@@ -127,7 +127,7 @@ def _factor(
             f"{where}: expected a unit, but the file names none: give {key} as one of "
             f"{', '.join(list(known)[:8])} ... or in {base}"
         )
-    plain = _normalised(word)
+    plain = _normalise(word)
     if plain not in known:
         raise InputError(
             f"{where}: expected a unit like {', '.join(list(known)[:8])}, got {word!r}: give {key} "
@@ -136,7 +136,7 @@ def _factor(
     return known[plain]
 
 
-def _normalised(word: str) -> str:
+def _normalise(word: str) -> str:
     """Write m s-1, m.s^-1, m*s**-1 and metres per second as m/s."""
     text = re.sub(r"\s*(?:per|/)\s*", "/", word.strip())
     text = re.sub(r"(?<=[a-zµμ])[\s.*]*\b([a-zµμ]+)\s*(?:\^|\*\*)?\s*-1$", r"/\1", text)
@@ -147,7 +147,7 @@ def _from_csv(path: Path, names: Sequence[str]) -> dict[str, Array]:
     with path.open(encoding="utf-8-sig", errors="replace") as file:
         header = file.readline().strip().lstrip("#").strip()
     separator = next((mark for mark in (",", ";", "\t") if mark in header), None)
-    columns = [_named(part.strip().strip('"')) for part in header.split(separator)]
+    columns = [_split_header(part.strip().strip('"')) for part in header.split(separator)]
     columns_of = _places(path, names, [name for name, _ in columns])
     try:
         with warnings.catch_warnings():
@@ -174,7 +174,7 @@ def _from_csv(path: Path, names: Sequence[str]) -> dict[str, Array]:
     }
 
 
-def _named(text: str) -> tuple[str, str | None]:
+def _split_header(text: str) -> tuple[str, str | None]:
     match = _HEADER.match(text)
     return (match["name"], match["unit"]) if match else (text, None)
 

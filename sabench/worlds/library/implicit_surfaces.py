@@ -54,7 +54,7 @@ def surface_of(
             f"step_mm: expected a lattice of at most {_NODES} nodes, got "
             f"{' x '.join(map(str, counts))} with {step_mm:g} mm"
         )
-    values = _sampled(
+    values = _sample(
         function,
         [start + step_mm * np.arange(count) for start, count in zip(low, counts, strict=True)],
     )
@@ -64,7 +64,7 @@ def surface_of(
     return Solid(low + step_mm * vertices.astype(np.float64), faces.astype(np.int64))
 
 
-def _sampled(function: Callable[[F64], F64], axes: list[F64]) -> F32:
+def _sample(function: Callable[[F64], F64], axes: list[F64]) -> F32:
     """Sample a function at all nodes (x, y, z)."""
     y, z = (one.ravel() for one in np.meshgrid(axes[1], axes[2], indexing="ij"))
     values = np.empty([len(axis) for axis in axes], dtype=np.float32)

@@ -198,7 +198,7 @@ class Spray:
         slope[:, 0] = 1.0
         return np.asarray(speed[:, None] * slope)
 
-    def known(self, places: F64) -> tuple[F64, F64]:
+    def ages_and_lines(self, places: F64) -> tuple[F64, F64]:
         """Compute ages (n,) and lines (n, 2) of positions (n, 3) from the nozzle."""
         x = places[:, 0]
         height = (-places[:, 1] / self.jet.upper_mm(x) - self.lower) / (1.0 - self.lower)

@@ -37,7 +37,7 @@ class Spectrum(BaseModel):
     )
 
     @model_validator(mode="after")
-    def _ordered(self) -> Spectrum:
+    def _check_ranges(self) -> Spectrum:
         low, high = self.radius_range_mm
         if not 0.0 < low <= high or not low <= self.radius_mm <= high:
             raise ValueError(

@@ -64,7 +64,7 @@ def test_an_old_plug_in_works(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
     monkeypatch.setenv("SABENCH_PLUGINS", str(tmp_path))
     plugins.mount()
     solver = make_algorithm("brightest", {})
-    scene = load_scene(plugins.bundled("scenes") / "conformance" / "particles.toml")
+    scene = load_scene(plugins.bundled_folder("scenes") / "conformance" / "particles.toml")
     film = Film.of([simulate(scene, seed=1).observation] * 2)
     found = solver.solve(film)  # type: ignore[arg-type]
     assert isinstance(found, list)

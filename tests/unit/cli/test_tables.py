@@ -69,4 +69,4 @@ def test_brackets_are_printed_as_they_are(capsys: pytest.CaptureFixture[str]) ->
     ("text", "columns", "cut"), [("abc", 3, "abc"), ("abcd", 3, "ab…"), ("a bcd", 3, "a…")]
 )
 def test_long_texts_end_in_an_ellipsis(text: str, columns: int, cut: str) -> None:
-    assert tables.shortened(text, columns) == cut
+    assert tables.shorten(text, columns) == cut

@@ -391,13 +391,15 @@ def test_grid_goes_row_by_row_with_its_own_offsets() -> None:
         array_layouts.grid([-7.0, 0.0, 3.0], [1.0, 5.0]),
         [[-7, 1], [0, 1], [3, 1], [-7, 5], [0, 5], [3, 5]],
     )
-    even = array_layouts.grid(array_layouts.even(3, 10.0), array_layouts.even(2, 4.0))
+    even = array_layouts.grid(
+        array_layouts.uniform_offsets(3, 10.0), array_layouts.uniform_offsets(2, 4.0)
+    )
     np.testing.assert_array_equal(even, [[-10, -2], [0, -2], [10, -2], [-10, 2], [0, 2], [10, 2]])
 
 
 @pytest.mark.parametrize("count", [1, 2, 5])
 def test_even_offsets_are_centred(count: int) -> None:
-    offsets = array_layouts.even(count, 2.5)
+    offsets = array_layouts.uniform_offsets(count, 2.5)
     assert offsets.shape == (count,)
     assert offsets.sum() == pytest.approx(0.0)
     np.testing.assert_allclose(np.diff(offsets), 2.5)

@@ -18,7 +18,7 @@ from sabench.images.preprocessing import (
     MatchHistograms,
     SlidingMinimum,
     Stretch,
-    processed,
+    preprocess,
 )
 from sabench.scenes import parse_scene
 from sabench.simulation.in_memory import simulate
@@ -82,7 +82,7 @@ def test_stretching_cuts_both_ends() -> None:
 def test_nothing_changes_without_steps_but_the_scale() -> None:
     grey = np.array([[[100, 600, 1100, 50, 2000]]], dtype=np.uint16)
     np.testing.assert_array_equal(
-        processed(grey, 100.0, 1100.0, ())[0, 0], [0, round(WHITE / 2), WHITE, 0, WHITE]
+        preprocess(grey, 100.0, 1100.0, ())[0, 0], [0, round(WHITE / 2), WHITE, 0, WHITE]
     )
 
 
@@ -95,7 +95,7 @@ def test_a_background_goes_and_particles_stay() -> None:
     )
     scene = parse_scene(moving_scene(preprocessing=THESIS).to_dict(), "scene")
     assert scene.preprocessing is not None
-    clean = processed(grey, 0.0, 4095.0, scene.preprocessing)
+    clean = preprocess(grey, 0.0, 4095.0, scene.preprocessing)
     for image in clean:
         np.testing.assert_allclose(np.argwhere(image == image.max()), 40.0, atol=2.0)
     assert np.median(clean) < 0.02 * clean.max()
@@ -114,7 +114,7 @@ def test_solvers_see_processed_images_and_the_data_set_keeps_raw_ones(tmp_path: 
     assert (seen.black_dn, seen.white_dn) == (0.0, WHITE)
     np.testing.assert_array_equal(
         seen.images,
-        processed(plain.images, plain.black_dn, plain.white_dn, scene.preprocessing or ()),
+        preprocess(plain.images, plain.black_dn, plain.white_dn, scene.preprocessing or ()),
     )
     np.testing.assert_array_equal(seen.images, simulate(scene, seed=1).observation.images)
     solve("msa", data, tmp_path / "msa.h5")

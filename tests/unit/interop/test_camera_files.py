@@ -126,7 +126,7 @@ def test_points_come_back_from_openptvs_world() -> None:
 
 
 def test_links_make_tracks() -> None:
-    tracks = openptv.joined([3, 3, 2], [[], [-1, 0, 2], [1, 1]])
+    tracks = openptv.join_links([3, 3, 2], [[], [-1, 0, 2], [1, 1]])
     assert tracks[0].tolist() == [0, 1, 2]
     assert tracks[1].tolist() == [3, 0, 2]
     assert tracks[2].tolist() == [0, 4]  # two that claim one: the first has it

@@ -13,7 +13,7 @@ import pytest
 
 from sabench.api import Velocity
 from sabench.metrics.velocity_error import response
-from sabench.metrics.vortex_rings import circulation, core, half_plane, sampled, spin_of
+from sabench.metrics.vortex_rings import circulation, core, half_plane, sample, spin_of
 from sabench.plotting.charts import Cloud, Curve, Figure, Panel, Picture, Slice, Space, draw
 from sabench.plugins import load
 from sabench.tasks.figures.velocity import error_scatter, field_figure, profile_panel
@@ -44,7 +44,7 @@ def test_a_rotation_s_circulation_is_its_vorticity_times_the_area() -> None:
     rotation = flow_of(
         "linear_flow", gradient_1_s=[[0.0, -3.0, 0.0], [3.0, 0.0, 0.0], [0.0, 0.0, 0.0]]
     )
-    velocity = sampled(on_lattice(rotation), on_lattice(rotation).velocity_mm_s)
+    velocity = sample(on_lattice(rotation), on_lattice(rotation).velocity_mm_s)
     half = half_plane((0.0, 0.0, 0.0), (0.0, 1.0, 0.0), (1.0, 0.0, 0.0), 0.0)
     np.testing.assert_allclose(np.cross(half.outward, half.axis), half.normal)
     np.testing.assert_allclose(

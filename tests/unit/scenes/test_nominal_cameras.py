@@ -14,7 +14,7 @@ import pytest
 
 import sabench
 from sabench.dataset.reader import Dataset, open_dataset
-from sabench.dataset.schema import content_hash, sealed
+from sabench.dataset.schema import content_hash, seal
 from sabench.dataset.verification import verify
 from sabench.geometry.camera import Camera
 from sabench.scenes import Scene, build_rig, parse_scene
@@ -137,7 +137,7 @@ def rewrite(data: Dataset, name: str, change: dict[str, Any]) -> Dataset:
     manifest = data.manifest.model_dump(mode="json")
     manifest["files"][name] = {"bytes": path.stat().st_size, "sha256": sha256(path)}
     manifest["content_hash"] = content_hash(type(data.manifest).model_validate(manifest).files)
-    (data.root / "manifest.json").write_text(sealed(manifest))
+    (data.root / "manifest.json").write_text(seal(manifest))
     return open_dataset(data.root)
 
 

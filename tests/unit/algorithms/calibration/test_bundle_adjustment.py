@@ -95,7 +95,7 @@ def test_all_derivatives_are_those_of_finite_differences() -> None:
                 boards[2, column - kernels.CAMERA] = step
             else:
                 shared[column - kernels.CAMERA - kernels.BOARD] = step
-            ends.append(pixel(state.moved(cameras, shared, boards, ALL)))
+            ends.append(pixel(state.apply_steps(cameras, shared, boards, ALL)))
         numeric[:, column] = (ends[0] - ends[1]) / 2e-6
     np.testing.assert_allclose(
         exact, numeric, rtol=1e-6, atol=2e-6
@@ -178,7 +178,7 @@ def test_exact_points_give_exact_cameras_from_any_start(cameras: int, blank: boo
     case, _, points, exact = case_of(scene)
     problem = CalibrationProblem.from_case(case, FreeParameters())
     fit = refine(problem.start, problem.seen, FreeParameters())
-    answer = problem.answer(problem.settled(fit.state))
+    answer = problem.answer(problem.align_to_nominal(fit.state))
     assert answer.points_mm is not None
     assert true_error_px(answer.cameras, answer.points_mm, exact) < 1e-5
     found = fit_lateral_motion(answer.points_mm.reshape(-1, 3), points.reshape(-1, 3))(

@@ -25,7 +25,7 @@ from sabench.algorithms.refocus.thresholding import (
 from sabench.api import Observation
 from sabench.evaluation.thesis.best_threshold import best_k, quality_of_k
 from sabench.geometry.grid import synthesise
-from sabench.images.brightness import bright_dn, normalised
+from sabench.images.brightness import bright_dn, normalise
 from sabench.images.gaussians import effective_width
 from sabench.metrics.quality_factor import quality
 from sabench.metrics.synthesised_field import true_field
@@ -75,9 +75,9 @@ def shot() -> Shot:
 
 
 def refocused(case: Observation) -> F32:
-    return refocus_sum(
-        normalised(case.images, case.black_dn), case.cameras, case.grid
-    ) / np.float32(len(case.cameras))
+    return refocus_sum(normalise(case.images, case.black_dn), case.cameras, case.grid) / np.float32(
+        len(case.cameras)
+    )
 
 
 def random_volumes() -> tuple[F32, F32]:
@@ -250,6 +250,6 @@ def test_bright_level_is_numpys_percentile_of_lit_pixels(seed: int) -> None:
 
 def test_images_are_scaled_to_their_bright_level() -> None:
     case = simulate(array_scene(0.05, sensor={"black_level_dn": 20.0}), seed=3).observation
-    for grey, scaled in zip(case.images, normalised(case.images, case.black_dn), strict=True):
+    for grey, scaled in zip(case.images, normalise(case.images, case.black_dn), strict=True):
         expected = np.maximum(grey - 20.0, 0.0) / bright_dn(grey, 20.0)
         np.testing.assert_allclose(scaled, expected, rtol=1e-6, atol=1e-7)

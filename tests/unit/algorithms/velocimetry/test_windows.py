@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter, map_coordinates, spline_filter
 
-from sabench.algorithms.velocimetry.blur import widened, widths
+from sabench.algorithms.velocimetry.blur import widen, widths
 from sabench.algorithms.velocimetry.correlation_kernels import block_sums
-from sabench.algorithms.velocimetry.deformation import met, spline_coefficients
+from sabench.algorithms.velocimetry.deformation import deform_pair, spline_coefficients
 from sabench.algorithms.velocimetry.outliers import (
-    filled,
+    fill_invalid,
     medians,
     near_the_median,
     thesis_local,
@@ -89,7 +89,7 @@ def test_moved_volumes_are_scipy_s() -> None:
         rng.normal(0.0, 1.5, (4, 5, 6, 3)),
     )
     out, other = np.empty((2, 20, 40, 50), dtype=np.float32)
-    met(
+    deform_pair(
         *(spline_coefficients(values) for values in volumes),
         field,
         (2.0, 3.0, 4.0),
@@ -279,12 +279,12 @@ def test_outliers_are_found_and_filled() -> None:
     for kept in (near_the_median(spoilt, valid, 2.0), thesis_local(spoilt, valid, 3.0)):
         assert not any(kept[place] for place in places)
         assert kept.mean() > 0.98
-    repaired = filled(spoilt, near_the_median(spoilt, valid, 2.0))
+    repaired = fill_invalid(spoilt, near_the_median(spoilt, valid, 2.0))
     assert np.abs(repaired - smooth)[1:-1, 1:-1, 1:-1].max() < 0.1
     far = smooth.copy()
     far[2, 2, 2] += 50.0
     assert not within_deviations(far, valid, 5.0)[2, 2, 2]
-    assert not filled(spoilt, np.zeros_like(valid)).any()
+    assert not fill_invalid(spoilt, np.zeros_like(valid)).any()
 
 
 def test_gradients_are_those_of_linear_fields() -> None:
@@ -335,8 +335,8 @@ def test_narrow_particles_are_widened_by_a_gaussian() -> None:
     expected = gaussian_filter(
         values, sigma, mode="mirror", radius=[int(np.ceil(3.0 * own)) for own in sigma]
     )
-    np.testing.assert_allclose(widened(values, (0.4, 1.3, 0.9), 1.2), expected, atol=1e-5)
-    assert widened(values, (0.8, 0.9, 1.0), 0.8) is values
+    np.testing.assert_allclose(widen(values, (0.4, 1.3, 0.9), 1.2), expected, atol=1e-5)
+    assert widen(values, (0.8, 0.9, 1.0), 0.8) is values
 
 
 def test_weighted_windows_resolve_more() -> None:

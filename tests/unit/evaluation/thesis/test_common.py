@@ -12,10 +12,10 @@ from sabench.evaluation.thesis.common import (
     at_least,
     cases,
     claim,
-    coarsened,
-    compared,
+    coarsen,
     density,
-    measured,
+    make_row,
+    measure_quality,
     per_pixel,
     verdict,
     with_density,
@@ -38,15 +38,15 @@ from sabench.utils.errors import InputError
         (3.0, None, "not in the thesis"),
     ],
 )
-def test_verdicts(measured: float, thesis: float | None, expected: str) -> None:
-    assert verdict(measured, thesis) == expected
+def test_verdicts(measure_quality: float, thesis: float | None, expected: str) -> None:
+    assert verdict(measure_quality, thesis) == expected
 
 
 def test_rows_hold_the_mean_over_seeds() -> None:
-    row = compared("x", 2.0, [1.0, 2.0, 3.0], "note")
+    row = make_row("x", 2.0, [1.0, 2.0, 3.0], "note")
     assert (row.measured, row.verdict, row.seeds, row.note) == (2.0, "reproduced", 3, "note")
     assert row.ci95 == pytest.approx(2.484, abs=1e-3)
-    missing = compared("x", 2.0, [])
+    missing = make_row("x", 2.0, [])
     assert (missing.measured, missing.ci95, missing.verdict) == (None, None, "not reached")
 
 
@@ -95,8 +95,8 @@ def test_plane_spacing_is_that_of_equation_2_10(case: Case) -> None:
 
 def test_a_coarse_copy_has_the_same_cameras_and_as_many_particles_per_pixel() -> None:
     scene = with_density(load_scene("thesis-50x50x10"), 6.0)
-    coarse = coarsened(scene, 100)
-    assert coarsened(scene, None) == scene
+    coarse = coarsen(scene, 100)
+    assert coarsen(scene, None) == scene
     assert per_pixel(coarse) == pytest.approx(per_pixel(scene)) == 0.15
     assert density(coarse) == pytest.approx(0.06)
     assert len(make_particles(coarse, 1, 0)) == 1500
@@ -118,7 +118,7 @@ def test_numbers_of_cameras_are_those_of_the_cases() -> None:
 def test_quality_falls_with_density_and_depends_on_the_threshold() -> None:
     scene = load_scene("array-9")
     few, many = (
-        measured(coarsened(with_density(scene, per_mm3), 100), 1) for per_mm3 in (1.0, 8.0)
+        measure_quality(coarsen(with_density(scene, per_mm3), 100), 1) for per_mm3 in (1.0, 8.0)
     )
     for method in METHODS:
         assert few[method].best > many[method].best > 0.5

@@ -72,19 +72,17 @@ def test_a_cloud_scatters_as_the_mean_of_its_sizes() -> None:
 def test_averaging_keeps_straight_lines_and_smooths() -> None:
     table = mie_table(np.array([0.05]), 1.59 + 0j, 1.333, 532.0, (1.0, 2.0))
     angles = table.angles_rad
-    line = MieTable(angles, 3.0 - 0.7 * angles).averaged(0.01)
+    line = MieTable(angles, 3.0 - 0.7 * angles).average(0.01)
     inner = slice(60, -60)
     np.testing.assert_allclose(
         line.per_square_diameter[inner], (3.0 - 0.7 * angles)[inner], rtol=1e-12
     )
     previous = table.per_square_diameter
     for half_angle in (0.002, 0.004, 0.01):
-        averaged = table.averaged(half_angle).per_square_diameter
+        averaged = table.average(half_angle).per_square_diameter
         assert np.abs(np.diff(averaged)).sum() < np.abs(np.diff(previous)).sum()
         previous = averaged
-    np.testing.assert_array_equal(
-        table.averaged(0.0).per_square_diameter, table.per_square_diameter
-    )
+    np.testing.assert_array_equal(table.average(0.0).per_square_diameter, table.per_square_diameter)
 
 
 def test_averaging_is_the_mean_over_a_round_aperture() -> None:
@@ -93,7 +91,7 @@ def test_averaging_is_the_mean_over_a_round_aperture() -> None:
     across = points[np.hypot(*points.T) < 1.0, 0] * half
     for angle in (1.3, 1.5, 1.75):
         expected = table.cross_section(angle + across, np.ones_like(across)).mean()
-        found = table.averaged(half).cross_section(np.array([angle]), np.ones(1))[0]
+        found = table.average(half).cross_section(np.array([angle]), np.ones(1))[0]
         assert found == pytest.approx(expected, rel=0.01)
 
 
