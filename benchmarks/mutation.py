@@ -172,9 +172,9 @@ def passes(tests: Path, tree: Path, cache: Path, time_s: float) -> bool:
     return done.returncode == 0
 
 
-def draw(seed: int, count: int, room: str) -> list[Mutant]:
+def draw(seed: int, count: int, package: str) -> list[Mutant]:
     """Draw mutants without replacement from all modules whose package has tests."""
-    modules = sorted((ROOT / "sabench" / room).rglob("*.py"))
+    modules = sorted((ROOT / "sabench" / package).rglob("*.py"))
     candidates = [
         mutant
         for module in modules

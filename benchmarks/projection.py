@@ -71,8 +71,8 @@ def random_points(rng: np.random.Generator, camera: Camera, wall: Wall, count: i
     """Draw points in the fluid, up to 60 degrees off the normal, 1 to 200 mm deep."""
     axes, depth = np.asarray(camera.rotation), wall.thickness_mm + rng.uniform(1.0, 200.0, count)
     radius = (_BEFORE_MM + depth) * np.tan(np.deg2rad(60.0)) * np.sqrt(rng.random(count))
-    turn = rng.uniform(0.0, 2.0 * np.pi, count)
-    across = radius[:, None] * (np.cos(turn)[:, None] * axes[0] + np.sin(turn)[:, None] * axes[1])
+    angle = rng.uniform(0.0, 2.0 * np.pi, count)
+    across = radius[:, None] * (np.cos(angle)[:, None] * axes[0] + np.sin(angle)[:, None] * axes[1])
     return np.asarray(
         np.asarray(camera.center_mm) + across + (_BEFORE_MM + depth)[:, None] * axes[2]
     )

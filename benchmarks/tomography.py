@@ -92,22 +92,24 @@ def triad(a: Any, b: Any, c: Any) -> None:
 
 
 @numba.njit(parallel=True, fastmath=True)
-def read_at(values: Any, places: Any) -> float:
-    """Sum values at scattered places."""
+def read_at(values: Any, positions: Any) -> float:
+    """Sum values at scattered positions."""
     total = 0.0
-    for i in numba.prange(len(places)):
-        total += values[places[i]]
+    for i in numba.prange(len(positions)):
+        total += values[positions[i]]
     return total
 
 
 def machine(pixels: int) -> dict[str, float]:
     """Measure bandwidth, GB/s, and random reads from an image, millions/s."""
     a, b, c = (np.ones(30_000_000, dtype=np.float32) for _ in range(3))
-    places = np.random.default_rng(0).integers(pixels, size=10_000_000, dtype=np.uint32)
+    positions = np.random.default_rng(0).integers(pixels, size=10_000_000, dtype=np.uint32)
     image = np.ones(pixels, dtype=np.float32)
     return {
         "triad_gb_per_s": 3.0 * a.nbytes / 1e9 / fastest(lambda: triad(a, b, c)),
-        "random_reads_millions_per_s": len(places) / 1e6 / fastest(lambda: read_at(image, places)),
+        "random_reads_millions_per_s": len(positions)
+        / 1e6
+        / fastest(lambda: read_at(image, positions)),
     }
 
 

@@ -97,9 +97,9 @@ def speed(width: int, depth: int) -> dict[str, float]:
     transformed = scipy.fft.rfftn(batch, axes=(1, 2, 3), workers=-1)
     there = best(lambda: scipy.fft.rfftn(batch, axes=(1, 2, 3), workers=-1), 50)
     back = best(lambda: scipy.fft.irfftn(transformed, s=WINDOW, axes=(1, 2, 3), workers=-1), 50)
-    places = np.random.default_rng(0).uniform(2.0, np.array(shape)[:, None] - 3.0, (3, _SAMPLE))
+    positions = np.random.default_rng(0).uniform(2.0, np.array(shape)[:, None] - 3.0, (3, _SAMPLE))
     moved = (
-        best(lambda: map_coordinates(first, places, order=3, prefilter=False))
+        best(lambda: map_coordinates(first, positions, order=3, prefilter=False))
         / _SAMPLE
         * 2.0
         * first.size
@@ -144,8 +144,8 @@ def once_around() -> float:
     periods = 2.0 * np.pi * radii / np.linalg.norm(ring.velocity(start, 0.0), axis=1)
     tolerance = TOLERANCE * 50.0
     ends = [
-        advect(ring, place[None], 0.0, float(period), tolerance)[0]
-        for place, period in zip(start, periods, strict=True)
+        advect(ring, position[None], 0.0, float(period), tolerance)[0]
+        for position, period in zip(start, periods, strict=True)
     ]
     return float(np.linalg.norm(np.array(ends) - start, axis=1).max() / 20.0)
 

@@ -26,9 +26,9 @@ class BoardsParameters(Parameters):
         description="diameter of a circle (by default half a pitch), edge of a ChArUco marker "
         "(0.7 of it)",
     )
-    tilt_deg: float = Field(10.0, ge=0.0, le=60.0, description="largest turn about X and about Y")
+    tilt_deg: float = Field(10.0, ge=0.0, le=60.0, description="largest rotation about X and Y")
     roll_deg: float = Field(
-        5.0, ge=0.0, le=180.0, description="largest turn about the board's own normal"
+        5.0, ge=0.0, le=180.0, description="largest rotation about the board's own normal"
     )
     wander: float = Field(
         1.0,
@@ -79,14 +79,15 @@ class Boards(TargetGenerator):
             stream(seed, "targets", frame),
             np.deg2rad([chosen.tilt_deg, chosen.tilt_deg, chosen.roll_deg]),
         )
-        turn = rotation_matrices(rng.uniform(-limits, limits))
-        room = np.maximum(
-            np.asarray(domain.size_mm) / 2.0 - np.abs(self.target().points_mm @ turn.T).max(axis=0),
+        rotation = rotation_matrices(rng.uniform(-limits, limits))
+        margin = np.maximum(
+            np.asarray(domain.size_mm) / 2.0
+            - np.abs(self.target().points_mm @ rotation.T).max(axis=0),
             0.0,
         )
         along = 2.0 * frame / (frames - 1) - 1.0 if frames > 1 else 0.0
         return Pose(
-            turn,
+            rotation,
             np.asarray(domain.center_mm)
-            + room * np.append(chosen.wander * rng.uniform(-1.0, 1.0, 2), along),
+            + margin * np.append(chosen.wander * rng.uniform(-1.0, 1.0, 2), along),
         )

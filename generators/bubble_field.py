@@ -78,26 +78,26 @@ class BubbleField(BubbleGenerator):
         velocity, size = np.asarray(chosen.velocity_mm_s), np.asarray(domain.size_mm)
         beyond = np.where(
             velocity != 0.0, 2.0 * chosen.radius_range_mm[1] / chosen.aspect_range[0], 0.0
-        )  # room to enter and leave
+        )  # margin to enter and leave
         period = size + beyond
-        semi_axes, turn = self._shapes(rng, float(period.prod()))
-        reach = np.linalg.norm(semi_axes[:, None, :] * turn.transpose(0, 2, 1), axis=2)
+        semi_axes, rotation = self._shapes(rng, float(period.prod()))
+        reach = np.linalg.norm(semi_axes[:, None, :] * rotation.transpose(0, 2, 1), axis=2)
 
         def propose(which: I64, tries: int) -> F64:
-            room = np.maximum(period - 2.0 * reach[which], 0.0)[:, None]
-            return np.asarray((period - room) / 2.0 + room * rng.random((len(which), tries, 3)))
+            margin = np.maximum(period - 2.0 * reach[which], 0.0)[:, None]
+            return np.asarray((period - margin) / 2.0 + margin * rng.random((len(which), tries, 3)))
 
         there = (
             propose(np.arange(len(semi_axes)), 1)[:, 0]
             if chosen.overlap
-            else place(semi_axes, turn, propose, "bubble_field")
+            else place(semi_axes, rotation, propose, "bubble_field")
         )
         travelled = there + velocity * time_s
         turns = np.floor(travelled / period).astype(np.int64)
         identity = np.arange(len(there)) + len(there) * np.abs(turns).sum(axis=1)
         center = domain.low_mm - beyond / 2.0 + travelled - turns * period
         made = Bubbles(
-            identity, center, semi_axes, turn, np.tile(velocity, (len(there), 1)), chosen.index
+            identity, center, semi_axes, rotation, np.tile(velocity, (len(there), 1)), chosen.index
         )
         return made[within(domain, made)]
 
@@ -107,12 +107,12 @@ class BubbleField(BubbleGenerator):
             return spheroids(chosen, rng, chosen.count)
         wanted, count = (chosen.void_fraction or 0.0) * room_mm3, 64
         while True:
-            semi_axes, turn = spheroids(chosen, rng, count)
+            semi_axes, rotation = spheroids(chosen, rng, count)
             volume = np.cumsum(4.0 / 3.0 * np.pi * semi_axes.prod(axis=1))
             if volume[-1] >= wanted:
                 enough = int(np.searchsorted(volume, wanted))
                 enough += int(
                     volume[enough] - wanted < wanted - (volume[enough - 1] if enough else 0.0)
                 )
-                return semi_axes[:enough], turn[:enough]
+                return semi_axes[:enough], rotation[:enough]
             count = int(count * max(1.2, 1.1 * wanted / volume[-1])) + 1

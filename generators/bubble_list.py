@@ -65,8 +65,10 @@ class BubbleList(BubbleGenerator):
         center = np.array(chosen.center_mm, dtype=np.float64).reshape(count, 3) + velocity * time_s
         long = np.array(chosen.radius_mm, dtype=np.float64)
         semi_axes = np.column_stack([long, long * np.array(chosen.aspect or np.ones(count)), long])
-        turns = np.deg2rad(
+        rotations = np.deg2rad(
             np.array(chosen.turn_deg or np.zeros((count, 3)), dtype=np.float64)
         ).reshape(count, 3)
-        turn = np.array([rotation_matrices(vector).T for vector in turns]).reshape(count, 3, 3)
-        return Bubbles(np.arange(count), center, semi_axes, turn, velocity, chosen.index)
+        rotation = np.array([rotation_matrices(vector).T for vector in rotations]).reshape(
+            count, 3, 3
+        )
+        return Bubbles(np.arange(count), center, semi_axes, rotation, velocity, chosen.index)

@@ -132,20 +132,22 @@ class _Spline:
 
     def at(self, points_mm: F64, time_s: float, slope: int | None) -> F64:
         """Interpolate velocities (n, 3) at points (n, 3), or derivatives along an axis."""
-        places = np.column_stack(
+        positions = np.column_stack(
             [*([np.full(len(points_mm), time_s)] * (len(self._lines) - 3)), points_mm[:, ::-1]]
         )
-        held = np.empty_like(places)
+        held = np.empty_like(positions)
         for number, (line, axis) in enumerate(zip(self._lines, _names(self._lines), strict=True)):
             length = line[-1] - line[0]
-            around = line[0] + np.mod(places[:, number] - line[0], length)
+            around = line[0] + np.mod(positions[:, number] - line[0], length)
             held[:, number] = (
-                around if axis in self._periodic else np.clip(places[:, number], line[0], line[-1])
+                around
+                if axis in self._periodic
+                else np.clip(positions[:, number], line[0], line[-1])
             )
         along = len(self._lines) - 1 - slope if slope is not None else None
         values = self._spline(held, nu=[int(number == along) for number in range(len(self._lines))])
         if along is not None and "xyz"[slope or 0] not in self._periodic:
-            values[held[:, along] != places[:, along]] = 0.0
+            values[held[:, along] != positions[:, along]] = 0.0
         return np.asarray(values)
 
 
@@ -225,10 +227,10 @@ def _velocities(
         arrays[name].values * scale for name, scale in zip(chosen.velocity, speed, strict=True)
     ]
     steady = len(counts) == 3
-    turned = ["zyx".index(axis) for axis in chosen.order]  # the file's axes, as places in ours
+    numbers = ["zyx".index(axis) for axis in chosen.order]  # of the file's axes, among ours
     expected = [
         *counts[:-3],
-        *(counts[len(counts) - 3 + place] for place in turned),
+        *(counts[len(counts) - 3 + number] for number in numbers),
         *([3] if len(parts) == 1 else []),
     ]
     for name, part in zip(chosen.velocity, parts, strict=True):
@@ -247,7 +249,7 @@ def _velocities(
             )
     whole = np.stack(parts, axis=-1) if len(parts) == 3 else parts[0]
     first = 0 if steady else 1
-    back = [first + turned.index(place) for place in range(3)]
+    back = [first + numbers.index(number) for number in range(3)]
     return np.transpose(whole, [*range(first), *back, whole.ndim - 1])
 
 

@@ -60,7 +60,7 @@ class JetInCrossflow(BubbleGenerator):
         """
         chosen: JetInCrossflowParameters = self.parameters
         rng, cones, spray = stream(seed, "bubbles"), chosen.cones(seed), self._spray(domain)
-        semi_axes, turn = spheroids(chosen, rng, chosen.count)
+        semi_axes, rotation = spheroids(chosen, rng, chosen.count)
         reach = semi_axes.max(axis=1)
 
         def propose(which: I64, tries: int) -> F64:
@@ -69,17 +69,17 @@ class JetInCrossflow(BubbleGenerator):
         first = (
             propose(np.arange(chosen.count), 1)[:, 0]
             if chosen.overlap
-            else place(semi_axes, turn, propose, "jet_in_crossflow")
+            else place(semi_axes, rotation, propose, "jet_in_crossflow")
         )
         age, line = spray.ages_and_lines(first)
         rounds, age = np.divmod(age + time_s, spray.ages[0][-1])
-        there = spray.places(age, line)
+        there = spray.positions(age, line)
         identity = np.arange(chosen.count) + chosen.count * rounds.astype(np.int64)
         made = Bubbles(
             identity,
             there + np.asarray(chosen.nozzle_mm),
             semi_axes,
-            turn,
+            rotation,
             spray.velocities(age, there),
             chosen.index,
         )
@@ -109,14 +109,14 @@ class JetInCrossflow(BubbleGenerator):
         out = np.empty((len(reach) * tries, 3))
         number = np.arange(len(out))
         while len(number):
-            places = spray.places(
+            positions = spray.positions(
                 rng.random(len(number)) * spray.ages[0][-1], rng.random((len(number), 2))
             )
-            good = self._off(places, reach[number // tries], cones)
-            out[number[good]] = places[good]
+            good = self._off(positions, reach[number // tries], cones)
+            out[number[good]] = positions[good]
             number = number[~good]
         return out.reshape(len(reach), tries, 3)
 
-    def _off(self, places: F64, reach: F64, cones: Cones) -> Bool:
+    def _off(self, positions: F64, reach: F64, cones: Cones) -> Bool:
         """Mark drops that are clear of the column and its ligaments."""
-        return np.asarray(capsules(places, *cones) > reach + _GAP * self.parameters.diameter_mm)
+        return np.asarray(capsules(positions, *cones) > reach + _GAP * self.parameters.diameter_mm)

@@ -54,9 +54,9 @@ class LiquidColumn(SolidGenerator):
     def _ripples(self, seed: int) -> Callable[[F64], F64]:
         """Sum plane waves of all directions, a third to one nozzle diameter long."""
         rng, diameter = stream(seed, "ripples"), self.parameters.diameter_mm
-        way = rng.normal(size=(_RIPPLES, 3))
-        way *= (
-            2.0 * np.pi / rng.uniform(0.33, 1.0, _RIPPLES) / diameter / np.linalg.norm(way, axis=1)
+        wave = rng.normal(size=(_RIPPLES, 3))
+        wave *= (
+            2.0 * np.pi / rng.uniform(0.33, 1.0, _RIPPLES) / diameter / np.linalg.norm(wave, axis=1)
         )[:, None]
         phase = rng.uniform(0.0, 2.0 * np.pi, _RIPPLES)
 
@@ -65,7 +65,7 @@ class LiquidColumn(SolidGenerator):
                 _ROUGH
                 * diameter
                 * np.sqrt(2.0 / _RIPPLES)
-                * np.sin(points_mm @ way.T + phase).sum(axis=1)
+                * np.sin(points_mm @ wave.T + phase).sum(axis=1)
             )
 
         return height

@@ -70,8 +70,8 @@ class PlungingJet(BubbleGenerator):
         """
         chosen: PlungingJetParameters = self.parameters
         rng, impact = stream(seed, "bubbles"), np.asarray(chosen.impact_mm)
-        semi_axes, turn, deep = self._shapes(rng, domain)
-        reach = np.linalg.norm(semi_axes[:, None, :] * turn.transpose(0, 2, 1), axis=2)
+        semi_axes, rotation, deep = self._shapes(rng, domain)
+        reach = np.linalg.norm(semi_axes[:, None, :] * rotation.transpose(0, 2, 1), axis=2)
 
         def propose(which: I64, tries: int) -> F64:
             return self._places(rng, domain, deep[which], reach[which], tries)
@@ -79,11 +79,11 @@ class PlungingJet(BubbleGenerator):
         center = (
             propose(np.arange(len(deep)), 1)[:, 0]
             if chosen.overlap
-            else place(semi_axes, turn, propose, "plunging_jet")
+            else place(semi_axes, rotation, propose, "plunging_jet")
         )
         velocity = self._velocities(center - impact)
         moved = center + velocity * time_s
-        made = Bubbles(np.arange(len(center)), moved, semi_axes, turn, velocity, chosen.index)
+        made = Bubbles(np.arange(len(center)), moved, semi_axes, rotation, velocity, chosen.index)
         made = made[within(domain, made)]
         if not chosen.overlap and time_s:
             made = made[np.setdiff1d(np.arange(len(made)), overlapping(made)[:, 1])]
@@ -100,17 +100,17 @@ class PlungingJet(BubbleGenerator):
         ):
             y = np.linspace(low, max(low, high), _NODES)
             wanted = float(np.trapezoid(self.law.air_mm2(y), y)) * self._share(domain, y)
-            semi_axes, turn = spheroids(chosen, rng, 0)
+            semi_axes, rotation = spheroids(chosen, rng, 0)
             while len(semi_axes) == 0 or 4.0 / 3.0 * np.pi * semi_axes.prod(axis=1).sum() < wanted:
                 if wanted <= 0.0:
                     break
                 more = spheroids(chosen, rng, 64, largest)
-                semi_axes, turn = (
-                    np.concatenate(pair) for pair in zip((semi_axes, turn), more, strict=True)
+                semi_axes, rotation = (
+                    np.concatenate(pair) for pair in zip((semi_axes, rotation), more, strict=True)
                 )
             volume = np.cumsum(4.0 / 3.0 * np.pi * semi_axes.prod(axis=1))
             enough = int(np.searchsorted(volume, wanted))
-            parts.append((semi_axes[:enough], turn[:enough]))
+            parts.append((semi_axes[:enough], rotation[:enough]))
         deep = np.repeat([False, True], [len(part[0]) for part in parts])
         return (
             np.concatenate([part[0] for part in parts]),
@@ -167,17 +167,17 @@ class PlungingJet(BubbleGenerator):
                 number = number[~good]
         return out
 
-    def _velocities(self, places: F64) -> F64:
+    def _velocities(self, positions: F64) -> F64:
         """Compute velocities down a cone: the jet's remaining speed, less the rise."""
         chosen: PlungingJetParameters = self.parameters
-        depth = np.maximum(places[:, 1], 1e-3)
-        radius = np.hypot(places[:, 0], places[:, 2])
+        depth = np.maximum(positions[:, 1], 1e-3)
+        radius = np.hypot(positions[:, 0], positions[:, 2])
         left = (
             chosen.speed_mm_s
             * np.minimum(1.0, _CORE * chosen.jet_mm / depth)
             * np.maximum(0.0, 1.0 - depth / chosen.penetration_mm)
         )
         down = left * np.exp(-LN2 * radius**2 / self.law.half_radius_mm(depth) ** 2)
-        velocity = down[:, None] * places / depth[:, None]
+        velocity = down[:, None] * positions / depth[:, None]
         velocity[:, 1] -= chosen.rise_mm_s
         return np.asarray(velocity)

@@ -91,13 +91,13 @@ class Reef(SolidGenerator):
             np.zeros(count, dtype=np.int64),
         )
         for n in range(count):
-            way = rng.normal(size=3)
+            direction = rng.normal(size=3)
             target = (
                 room
                 * np.cbrt(rng.random())
-                * way
-                / np.linalg.norm(way)
-                * [1.0, -np.sign(way[1]), 1.0]
+                * direction
+                / np.linalg.norm(direction)
+                * [1.0, -np.sign(direction[1]), 1.0]
             )
             parents[n] = np.argmin(np.linalg.norm(ends[: n + 1] - target, axis=1))
             start = ends[parents[n]]

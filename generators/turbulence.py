@@ -88,11 +88,11 @@ class Turbulence(Flow):
         directions /= np.linalg.norm(directions, axis=1, keepdims=True)
         first = np.cross(directions, first)
         first /= np.linalg.norm(first, axis=1, keepdims=True)
-        turn = rng.uniform(0.0, 2.0 * np.pi, chosen.modes)[:, None]
+        angle = rng.uniform(0.0, 2.0 * np.pi, chosen.modes)[:, None]
         second = np.cross(directions, first)
         strength = (
             2.0 * np.sqrt(energy)[:, None]
         )  # a cosine's mean square is a half, and three components share it
         phase = rng.uniform(0.0, 2.0 * np.pi, chosen.modes)[:, None]
-        amplitude = strength * (np.cos(turn) * first + np.sin(turn) * second)
+        amplitude = strength * (np.cos(angle) * first + np.sin(angle) * second)
         return length[:, None] * directions, amplitude * np.cos(phase), amplitude * np.sin(phase)

@@ -48,10 +48,10 @@ class VortexRing(Flow):
         r, z, outward = self._cylindrical(points_mm)
         away = r - self.parameters.diameter_mm / 2.0
         rate = self._rate(np.hypot(away, z))
-        turn = frame_along(self.parameters.axis)
+        axes = frame_along(self.parameters.axis)
         return np.asarray(
             (rate * z * r * self._fade_near_axis(r)[0])[:, None] * outward
-            - (rate * away)[:, None] * turn[2]
+            - (rate * away)[:, None] * axes[2]
         )
 
     def gradient(self, points_mm: F64, time_s: float) -> F64:

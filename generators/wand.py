@@ -37,13 +37,14 @@ class Wand(TargetGenerator):
         axis /= np.linalg.norm(axis)
         across = np.cross([1.0, 0.0, 0.0], axis)
         sine = float(np.linalg.norm(across))
-        turn = (
+        rotation = (
             rotation_matrices(across / sine * np.arctan2(sine, axis[0]))
             if sine > 1e-12
             else np.eye(3)
         )
-        room = np.maximum(
-            np.asarray(domain.size_mm) / 2.0 - np.abs(self.target().points_mm @ turn.T).max(axis=0),
+        margin = np.maximum(
+            np.asarray(domain.size_mm) / 2.0
+            - np.abs(self.target().points_mm @ rotation.T).max(axis=0),
             0.0,
         )
-        return Pose(turn, np.asarray(domain.center_mm) + room * rng.uniform(-1.0, 1.0, 3))
+        return Pose(rotation, np.asarray(domain.center_mm) + margin * rng.uniform(-1.0, 1.0, 3))

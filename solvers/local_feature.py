@@ -178,6 +178,6 @@ def _detections(bubbles: F64, grid: Grid) -> Detections:
     across = np.array([[a * cosine, -b * sine], [a * sine, b * cosine]]).transpose(2, 0, 1)
     directions, axes, _ = np.linalg.svd(voxel[:2, None] * across)  # voxels need not be square
     x, y = directions[:, 0, 0], directions[:, 1, 0]
-    turn = np.tile(np.eye(3), (len(bubbles), 1, 1))
-    turn[:, :2, :2] = np.array([[x, y], [-y, x]]).transpose(2, 0, 1)
-    return Detections(bubbles[:, [0, 1, 6]] * voxel + low, axes[:, [0, 1, 0]], turn)
+    rotation = np.tile(np.eye(3), (len(bubbles), 1, 1))
+    rotation[:, :2, :2] = np.array([[x, y], [-y, x]]).transpose(2, 0, 1)
+    return Detections(bubbles[:, [0, 1, 6]] * voxel + low, axes[:, [0, 1, 0]], rotation)

@@ -94,8 +94,8 @@ def normalised(path, black):
     That is the 95th percentile of the pixels that exceed a tenth of the brightest.
     """
     image = np.maximum(tifffile.imread(path).astype(np.float64) - black, 0.0)
-    lit = np.sort(image[image > 0.1 * image.max()])
-    return image / max(lit[int(0.95 * (len(lit) - 1))], 1.0) if len(lit) else image
+    bright = np.sort(image[image > 0.1 * image.max()])
+    return image / max(bright[int(0.95 * (len(bright) - 1))], 1.0) if len(bright) else image
 
 
 def main(dataset, result, *parameters):

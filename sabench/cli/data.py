@@ -108,8 +108,8 @@ def _show_groups(entries: list[Entry]) -> None:
         say(typer.style(f"{kind}s: {group}" if group else f"{kind}s", bold=True))
         names = max(len(entry.name) for entry in own)
         for entry in own:
-            room = tables.width() - names - 4
-            say(f"  {entry.name:<{names}}  {tables.shorten(entry.summary, room)}")
+            columns = tables.width() - names - 4
+            say(f"  {entry.name:<{names}}  {tables.shorten(entry.summary, columns)}")
 
 
 def schema() -> None:

@@ -42,9 +42,9 @@ class Disc:
         """
         offset, normal = np.asarray(self.center_mm) - pinhole_mm, np.asarray(self.normal)
         with np.errstate(divide="ignore", invalid="ignore"):
-            way = (offset @ normal) / (directions @ normal)
-            miss = np.linalg.norm(way[:, None] * directions - offset, axis=1)
-            return np.asarray((way > 0.0) & (miss <= self.radius_mm))
+            distance = (offset @ normal) / (directions @ normal)
+            miss = np.linalg.norm(distance[:, None] * directions - offset, axis=1)
+            return np.asarray((distance > 0.0) & (miss <= self.radius_mm))
 
 
 def in_shadow(occluders: Iterable[Disc], pinhole_mm: F64, directions: F64) -> Bool:

@@ -113,12 +113,10 @@ def preprocess(images: U16, black_dn: float, white_dn: float, steps: Sequence[St
 
 def _match_ranks(image: F32, values: F32) -> F32:
     """Replace an image's grey values by the sorted ones of the same ranks."""
-    levels, place, count = np.unique(image, return_inverse=True, return_counts=True)
+    levels, rank, count = np.unique(image, return_inverse=True, return_counts=True)
     ends = np.cumsum(count)
     sums = np.concatenate([[0.0], np.cumsum(values, dtype=np.float64)])
     means = (sums[ends] - sums[ends - count]) / count
     return (
-        np.asarray(means[place].reshape(image.shape), dtype=np.float32)
-        if len(levels) > 1
-        else image
+        np.asarray(means[rank].reshape(image.shape), dtype=np.float32) if len(levels) > 1 else image
     )

@@ -111,12 +111,12 @@ def orientation_text(camera: Camera, grid: Grid) -> str:
         np.arcsin(rotation[0, 2]),
         np.arctan2(-rotation[0, 1], rotation[0, 0]),
     ]
-    place = to_its(np.asarray([camera.center_mm]), grid)[0]
+    position = to_its(np.asarray([camera.center_mm]), grid)[0]
     across, above = (np.asarray(camera.principal_point_px) + 0.5) * camera.pixel_mm - np.array(
         [camera.columns, camera.rows]
     ) * camera.pixel_mm / 2.0
     rows = [
-        place,
+        position,
         angles,
         [],
         *rotation,
@@ -124,15 +124,15 @@ def orientation_text(camera: Camera, grid: Grid) -> str:
         [across, -above],
         [camera.principal_distance_mm],
         [],
-        _glass(camera, grid, place),
+        _glass(camera, grid, position),
     ]
     return "\n".join(" ".join(repr(float(value)) for value in row) for row in rows) + "\n"
 
 
-def _glass(camera: Camera, grid: Grid, place: F64) -> F64:
+def _glass(camera: Camera, grid: Grid, position: F64) -> F64:
     """Compute the vector from the origin to the glass's inner face, along its normal."""
     if camera.wall is None:
-        return np.array([0.0, 0.0, _BETWEEN * place[2]])
+        return np.array([0.0, 0.0, _BETWEEN * position[2]])
     normal, thick = (
         np.asarray(camera.wall.normal),
         sum(layer.thickness_mm for layer in camera.wall.layers),
@@ -198,14 +198,14 @@ def write_project(
 def solve(folder: Path, grid: Grid, frames: int) -> list[FoundParticles]:
     """Run OpenPTV on a project folder; read particles and their trajectories."""
     child.run_module("sabench.interop.openptv_process", folder, "OpenPTV", "sabench frame", frames)
-    places = [
+    positions = [
         np.array(read_json(folder / f"found_{frame:05d}.json"), dtype=np.float64).reshape(-1, 3)
         for frame in range(frames)
     ]
-    tracks = join_links([len(one) for one in places], read_json(folder / "links.json"))
+    tracks = join_links([len(one) for one in positions], read_json(folder / "links.json"))
     return [
         FoundParticles(from_its(one, grid), None, number)
-        for one, number in zip(places, tracks, strict=True)
+        for one, number in zip(positions, tracks, strict=True)
     ]
 
 

@@ -115,31 +115,33 @@ def _frame(
         else np.zeros((len(cameras), 0), int)
     )
     row = row[:, (row >= 0).sum(axis=0) >= min(_LEAST, len(cameras))]
-    places = np.zeros((0, 3))
+    positions = np.zeros((0, 3))
     if row.shape[1]:
         seen = np.array([one.get_by_pnrs(own) for one, own in zip(flat, row, strict=True)])
-        places, _ = point_positions(
+        positions, _ = point_positions(
             np.ascontiguousarray(seen.transpose(1, 0, 2)), control, cameras, volume
         )
     for number, own in enumerate(targets):
         own.write(f"img/cam{number}.".encode(), frame + 1)
-    _write_places(folder, frame, places, row)
+    _write_places(folder, frame, positions, row)
     print(f"sabench frame {frame}", flush=True)
-    return len(places)
+    return len(positions)
 
 
-def _write_places(folder: Path, frame: int, places: Any, row: Any) -> None:
+def _write_places(folder: Path, frame: int, positions: Any, row: Any) -> None:
     """Write positions for sabench, and with correspondences for tracking."""
-    (folder / f"found_{frame:05d}.json").write_text(json.dumps(places.tolist()), encoding="utf-8")
-    four = np.full((4, len(places)), -1)
+    (folder / f"found_{frame:05d}.json").write_text(
+        json.dumps(positions.tolist()), encoding="utf-8"
+    )
+    four = np.full((4, len(positions)), -1)
     four[: len(row)] = row
-    both = enumerate(zip(places, four.T, strict=True), 1)
+    both = enumerate(zip(positions, four.T, strict=True), 1)
     lines = [
         f"{n:4d} {x:9.3f} {y:9.3f} {z:9.3f} {a:4d} {b:4d} {c:4d} {d:4d}"
         for n, ((x, y, z), (a, b, c, d)) in both
     ]
     (folder / "res" / f"rt_is.{frame + 1}").write_text(
-        "\n".join([str(len(places)), *lines]) + "\n", encoding="utf-8"
+        "\n".join([str(len(positions)), *lines]) + "\n", encoding="utf-8"
     )
 
 

@@ -196,12 +196,12 @@ def _errors(found: Detections, true: Bubbles) -> Data:
     which[i] = j
     hit = which >= 0
     known = true[which[hit]]
-    identity, place, radius = (
+    identity, error_mm, radius = (
         np.full(len(hit), -1),
         np.full((len(hit), 3), np.nan),
         np.full(len(hit), np.nan),
     )
-    identity[hit], place[hit], radius[hit] = (
+    identity[hit], error_mm[hit], radius[hit] = (
         known.id,
         found.center_mm[hit] - known.center_mm,
         found.radius_mm[hit] - known.radius_mm,
@@ -209,7 +209,7 @@ def _errors(found: Detections, true: Bubbles) -> Data:
     return {
         "matched": hit.astype(np.uint8),
         "true_id": identity,
-        "error_mm": place,
+        "error_mm": error_mm,
         "radius_error_mm": radius,
     }
 

@@ -37,9 +37,9 @@ def _count_runs(volume: Any, floor: float, counts: Any) -> None:
         for y in range(volume.shape[1]):
             before = False
             for value in volume[z, y]:
-                lit = value >= floor
-                counts[z, y] += lit and not before
-                before = lit
+                bright = value >= floor
+                counts[z, y] += bright and not before
+                before = bright
 
 
 @numba.njit(cache=True, parallel=True)
@@ -54,13 +54,13 @@ def _find_runs(volume: Any, floor: float, first: Any, start: Any, stop: Any) -> 
             run = first[z * rows + y]
             before = False
             for x in range(columns):
-                lit = volume[z, y, x] >= floor
-                if lit and not before:
+                bright = volume[z, y, x] >= floor
+                if bright and not before:
                     start[run] = x
-                elif before and not lit:
+                elif before and not bright:
                     stop[run] = x
                     run += 1
-                before = lit
+                before = bright
             if before:
                 stop[run] = columns
 

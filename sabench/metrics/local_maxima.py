@@ -61,9 +61,9 @@ def _collect(volume: Any, mark: Any, found: Any) -> Any:
                     found[count] = _fit(volume, z, y, x)
                     count += 1
                 elif mark[z, y, x] == _TIED:
-                    highest, place = _plateau(volume, mark, z, y, x)
+                    highest, position = _plateau(volume, mark, z, y, x)
                     if highest:
-                        found[count] = place
+                        found[count] = position
                         count += 1
     return found[:count].copy()
 
@@ -96,14 +96,14 @@ def _plateau(volume: Any, mark: Any, z: int, y: int, x: int) -> Any:
 
 @numba.njit(cache=True)
 def _fit(volume: Any, z: int, y: int, x: int) -> Any:
-    place = np.array([np.float64(x), np.float64(y), np.float64(z)])
+    position = np.array([np.float64(x), np.float64(y), np.float64(z)])
     if 0 < x < volume.shape[2] - 1:
-        place[0] += three_point(volume[z, y, x - 1], volume[z, y, x], volume[z, y, x + 1])
+        position[0] += three_point(volume[z, y, x - 1], volume[z, y, x], volume[z, y, x + 1])
     if 0 < y < volume.shape[1] - 1:
-        place[1] += three_point(volume[z, y - 1, x], volume[z, y, x], volume[z, y + 1, x])
+        position[1] += three_point(volume[z, y - 1, x], volume[z, y, x], volume[z, y + 1, x])
     if 0 < z < volume.shape[0] - 1:
-        place[2] += three_point(volume[z - 1, y, x], volume[z, y, x], volume[z + 1, y, x])
-    return place
+        position[2] += three_point(volume[z - 1, y, x], volume[z, y, x], volume[z + 1, y, x])
+    return position
 
 
 @numba.njit(cache=True)

@@ -47,8 +47,8 @@ def detect_peaks(volume: F32) -> F64:
 
 def _floor(volume: F32) -> float | None:
     """Compute the 10 % quantile of the intensities above zero; None without any."""
-    lit = volume[volume > 0.0]
-    return float(np.quantile(lit, _LOWEST, overwrite_input=True)) if lit.size else None
+    bright = volume[volume > 0.0]
+    return float(np.quantile(bright, _LOWEST, overwrite_input=True)) if bright.size else None
 
 
 @dataclass(frozen=True)

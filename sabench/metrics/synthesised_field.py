@@ -29,13 +29,13 @@ def true_field(grid: Grid, particles: Particles, views: Sequence[View]) -> F32:
 
 
 def brightness(views: Sequence[View]) -> F64:
-    """Average each particle's relative photon count over cameras that see it lit.
+    """Average each particle's relative photon count over cameras that see it illuminated.
 
-    The count of a camera is relative to the mean of all particles lit in it. Returns (particle,); 0
-    for a particle that is lit in no camera.
+    The count of a camera is relative to the mean of all particles illuminated in it. Returns
+    (particle,); 0 for a particle that is illuminated in no camera.
     """
     photons = np.stack([view.photons for view in views])
-    lit = photons > 0.0
-    typical = photons.sum(axis=1) / np.maximum(lit.sum(axis=1), 1)
+    illuminated = photons > 0.0
+    typical = photons.sum(axis=1) / np.maximum(illuminated.sum(axis=1), 1)
     relative = photons / np.maximum(typical, 1e-300)[:, None]
-    return np.asarray(relative.sum(axis=0) / np.maximum(lit.sum(axis=0), 1))
+    return np.asarray(relative.sum(axis=0) / np.maximum(illuminated.sum(axis=0), 1))

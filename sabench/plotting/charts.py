@@ -299,14 +299,14 @@ def _discs(axes: Any, one: Discs) -> None:
 def _circles(axes: Any, one: Circles, colour: str) -> None:
     from matplotlib.collections import EllipseCollection
 
-    widths, places = 2.0 * one.radius, np.column_stack([one.x, one.y])
+    widths, positions = 2.0 * one.radius, np.column_stack([one.x, one.y])
     axes.add_collection(
         EllipseCollection(
             widths,
             widths,
             np.zeros(len(widths)),
             units="xy",
-            offsets=places,
+            offsets=positions,
             offset_transform=axes.transData,
             facecolors=f"{colour}55",
             edgecolors=colour,
@@ -325,7 +325,7 @@ def _circles(axes: Any, one: Circles, colour: str) -> None:
     )
     if len(widths):
         axes.update_datalim(
-            np.concatenate([places - one.radius[:, None], places + one.radius[:, None]])
+            np.concatenate([positions - one.radius[:, None], positions + one.radius[:, None]])
         )
     axes.autoscale_view()
     axes.set_aspect("equal")

@@ -23,10 +23,10 @@ class GridLayout(Table):
 
     @model_validator(mode="after")
     def _check_offsets(self) -> GridLayout:
-        even = [self.columns, self.rows, self.spacing_mm]
+        uniform = [self.columns, self.rows, self.spacing_mm]
         uneven = [self.x_mm, self.y_mm]
-        if (None in even) == (None in uneven) or any(
-            v is not None for v in (even if None in even else uneven)
+        if (None in uniform) == (None in uneven) or any(
+            v is not None for v in (uniform if None in uniform else uneven)
         ):
             raise ValueError("expected either columns, rows and spacing_mm or x_mm and y_mm")
         return self

@@ -167,15 +167,15 @@ class Scene(Table):
         }
         return {table: Path(given["file"]) for table, given in tables.items() if "sha256" in given}
 
-    def with_files(self, places: dict[str, Path]) -> Scene:
+    def with_files(self, paths: dict[str, Path]) -> Scene:
         """Copy the scene with other paths of its files, by table."""
         worlds = {
-            table: {**getattr(self, table), "file": str(place)}
-            for table, place in places.items()
+            table: {**getattr(self, table), "file": str(path)}
+            for table, path in paths.items()
             if table in WORLDS
         }
         solids = tuple(
-            {**given, "file": str(places[key])} if (key := f"solids.{number}") in places else given
+            {**given, "file": str(paths[key])} if (key := f"solids.{number}") in paths else given
             for number, given in enumerate(self.solids or ())
         )
         return self.model_copy(update=worlds | ({"solids": solids} if solids else {}))

@@ -250,12 +250,12 @@ def _try(law: Callable[[_Trial], None], trial: _Trial) -> Finding:
 def example(task: Task, sees: str, folder: Path) -> Dataset:
     """Generate the small data set of a task, or open it if it is in the folder."""
     name = task.name if sees == task.shown else f"{task.name}_by_{sees}"
-    place = folder / name
-    if place.is_dir():
-        return open_dataset(place)
+    path = folder / name
+    if path.is_dir():
+        return open_dataset(path)
     scene = load_scene(plugins.bundled_folder("scenes") / "conformance" / f"{name}.toml")
     renders = scene.bubbles is not None or bool(scene.solids)
-    return generate(scene, place, seed=_SEED, backend="mitsuba" if renders else "splat", name=name)
+    return generate(scene, path, seed=_SEED, backend="mitsuba" if renders else "splat", name=name)
 
 
 def _arrays(case: Any) -> list[Any]:

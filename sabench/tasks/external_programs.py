@@ -132,9 +132,9 @@ def show(dataset: Dataset, view: Path) -> None:
         if name in (schema.CAMERAS, schema.TARGET, schema.POINTS) or _is_image(name)
     ]
     for name in names:
-        place = inside(view, name)
-        place.parent.mkdir(parents=True, exist_ok=True)
-        shutil.copyfile(inside(dataset.root, name), place)
+        copy = inside(view, name)
+        copy.parent.mkdir(parents=True, exist_ok=True)
+        shutil.copyfile(inside(dataset.root, name), copy)
     head = {
         "format": schema.FORMAT,
         "version": schema.VERSION,

@@ -273,9 +273,9 @@ def _over_time(
     grid, positions, numbers, identities, truths, matched = data.setup.grid, [], [], [], [], []
     for one, true in zip(found, truth, strict=True):
         there = grid.in_scored(grid.to_voxels(true.position_mm))
-        places = grid.to_voxels(one.position_mm)
-        i, j = _scored_pairs(places, grid.to_voxels(true.position_mm), there)
-        kept = grid.in_scored(places)
+        voxels = grid.to_voxels(one.position_mm)
+        i, j = _scored_pairs(voxels, grid.to_voxels(true.position_mm), there)
+        kept = grid.in_scored(voxels)
         kept[i] = True
         positions.append(one.position_mm[kept])
         numbers.append(np.asarray(one.trajectory)[kept])

@@ -145,8 +145,8 @@ def _brighten(grid: Grid, volume: F32, code: Code, light: float) -> F32:
     Returns the volume.
     """
     points = code.points_mm[~code.dark].reshape(-1, 3)
-    places = np.rint(grid.to_voxels(points)).astype(np.int64)
-    x, y, z = places[((places >= 0) & (places < grid.shape[::-1])).all(axis=1)].T
+    voxels = np.rint(grid.to_voxels(points)).astype(np.int64)
+    x, y, z = voxels[((voxels >= 0) & (voxels < grid.shape[::-1])).all(axis=1)].T
     volume[z, y, x] += np.float32(light)
     return volume
 
@@ -156,12 +156,12 @@ def code_plane(grid: Grid, volume: F32, code: Code) -> F64:
 
     It is limited to the surroundings of the code.
     """
-    places, size = grid.to_voxels(code.points_mm.reshape(-1, 3)), np.asarray(volume.shape[::-1])
+    voxels, size = grid.to_voxels(code.points_mm.reshape(-1, 3)), np.asarray(volume.shape[::-1])
     low, high = (
         np.clip(np.rint(end), 0, size - 1).astype(int)
-        for end in (places.min(axis=0) - _MARGIN, places.max(axis=0) + _MARGIN)
+        for end in (voxels.min(axis=0) - _MARGIN, voxels.max(axis=0) + _MARGIN)
     )
-    middle = int(np.clip(np.rint(places[:, 2].mean()), 0, size[2] - 1))
+    middle = int(np.clip(np.rint(voxels[:, 2].mean()), 0, size[2] - 1))
     return np.asarray(volume[middle, low[1] : high[1] + 1, low[0] : high[0] + 1], dtype=np.float64)
 
 

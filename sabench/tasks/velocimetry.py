@@ -145,10 +145,10 @@ class VelocimetryTask(Task):
         """Slow the true velocity by a tenth, add a wave, and leave one corner unmeasured."""
         grid, field = data.setup.grid, self.truth(data, frame)
         low, size = np.asarray(grid.low_mm), np.asarray(grid.voxel_mm) * grid.shape[::-1]
-        true, place = field.velocity_mm_s, field.positions_mm - low
-        wave = np.sin(2.0 * np.pi * place / size * [1.0, 2.0, 1.5])
+        true, away_mm = field.velocity_mm_s, field.positions_mm - low
+        wave = np.sin(2.0 * np.pi * away_mm / size * [1.0, 2.0, 1.5])
         velocity = 0.9 * true + 0.05 * np.abs(true).max() * wave
-        return replace(field, velocity_mm_s=velocity, valid=(place < 0.7 * size).any(axis=-1))
+        return replace(field, velocity_mm_s=velocity, valid=(away_mm < 0.7 * size).any(axis=-1))
 
     def score(self, data: Dataset, source: Source) -> Figures:
         """Average the scores of the pairs."""

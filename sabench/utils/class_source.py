@@ -107,8 +107,8 @@ def constant(source: Source, of: Class, attribute: str) -> str | None:
     if attribute in of.constants:
         return of.constants[attribute]
     for base in of.bases:
-        place = _definition(source, base)
-        value = constant(*place, attribute) if place else None
+        definition = _definition(source, base)
+        value = constant(*definition, attribute) if definition else None
         if value is not None:
             return value
     return None

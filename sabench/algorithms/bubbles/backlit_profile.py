@@ -44,14 +44,14 @@ def sharp(b: F64, index: float, half_angle: float) -> F64:
     refracted = np.arcsin(np.where(total, 0.0, sine))
     part = np.where(total, 1.0, reflectance(incident, refracted, index))
     light = part * _diffuser_share(np.pi - 2.0 * incident, half_angle)
-    turn = 2.0 * (refracted - incident)
+    deflection = 2.0 * (refracted - incident)
     for bounce in range(_INNER + 1):
         light = light + np.where(
             total,
             0.0,
             (1.0 - part) ** 2
             * part**bounce
-            * _diffuser_share(turn + bounce * (np.pi - 2.0 * refracted), half_angle),
+            * _diffuser_share(deflection + bounce * (np.pi - 2.0 * refracted), half_angle),
         )
     return np.where(b >= 1.0, 1.0, light)
 
@@ -114,8 +114,8 @@ class Profile:
 
     def __call__(self, distance: F64, radius_px: float) -> F64:
         """Interpolate transmission at distances (n,) in px from the centre of a ball."""
-        place = np.log(radius_px / SMALLEST) / np.log(LARGEST / SMALLEST) * (_RADII - 1)
-        low = int(np.clip(np.floor(place), 0, _RADII - 2))
-        row = self.table[low] * (low + 1 - place) + self.table[low + 1] * (place - low)
+        position = np.log(radius_px / SMALLEST) / np.log(LARGEST / SMALLEST) * (_RADII - 1)
+        low = int(np.clip(np.floor(position), 0, _RADII - 2))
+        row = self.table[low] * (low + 1 - position) + self.table[low + 1] * (position - low)
         part = distance / (radius_px + REACH * self.blur_px)
         return np.asarray(np.interp(part, np.linspace(0.0, 1.0, _DISTANCES), row, right=1.0))

@@ -18,12 +18,12 @@ from sabench.geometry.camera import Camera
 from sabench.geometry.grid import Grid
 from sabench.utils.arrays import F32, F64
 
-_PLANE_MM = 0.25  # between places along a line of sight, at most
-_AGREE = 0.75  # of the cameras that see a place count: those with the most votes
+_PLANE_MM = 0.25  # between positions along a line of sight, at most
+_AGREE = 0.75  # of the cameras that see a position count: those with the most votes
 _SPREAD = 0.8  # px
 # of the radius with the most votes: a blurred edge is steepest outside the rim of a small bubble
 _INWARD = 0.93
-_PER_LINE = 3  # places along each line that are kept
+_PER_LINE = 3  # positions along each line that are kept
 _BEYOND = 0.02  # of the volume's depth: how far outside it lines are followed
 
 
@@ -100,21 +100,21 @@ def _along_lines(
     z = grid.axes_mm[2]
     margin = _BEYOND * (z[-1] - z[0]) + 1.0
     depths = np.arange(z[0] - margin, z[-1] + margin, min(_PLANE_MM, grid.voxel_mm[2] * 1.25))
-    places = (
+    positions = (
         starts[:, None]
         + ways[:, None] * ((depths[None] - starts[:, None, 2]) / ways[:, None, 2])[..., None]
     )
-    own = px_per_mm(cameras[number], places.reshape(-1, 3)).reshape(places.shape[:2])
+    own = px_per_mm(cameras[number], positions.reshape(-1, 3)).reshape(positions.shape[:2])
     radius = _INWARD * seen[:, 2:3] / own
-    total = np.full((len(cameras), *places.shape[:2]), np.nan, dtype=np.float32)
+    total = np.full((len(cameras), *positions.shape[:2]), np.nan, dtype=np.float32)
     first, step = (
         float(np.log(votes[0].radii_px[0])),
         float(np.log(votes[0].radii_px[1] / votes[0].radii_px[0])),
     )
     for other, camera in enumerate(cameras):
-        pixels, valid = camera.project(places.reshape(-1, 3))
+        pixels, valid = camera.project(positions.reshape(-1, 3))
         good = valid & camera.contains(pixels)
-        size = radius.ravel() / _INWARD * px_per_mm(camera, places.reshape(-1, 3))
+        size = radius.ravel() / _INWARD * px_per_mm(camera, positions.reshape(-1, 3))
         _sample(
             maps[other],
             votes[other].map_pixels(pixels),
@@ -125,7 +125,9 @@ def _along_lines(
             total[other].reshape(-1),
         )
     low, high = np.asarray(grid.low_mm), np.array([axis[-1] for axis in grid.axes_mm])
-    inside = ((places[..., :2] >= low[:2] - 1.0) & (places[..., :2] <= high[:2] + 1.0)).all(axis=-1)
+    inside = ((positions[..., :2] >= low[:2] - 1.0) & (positions[..., :2] <= high[:2] + 1.0)).all(
+        axis=-1
+    )
     score = np.where(inside, _average_agreeing(total), 0.0)
     peak = (
         (score >= least_3d)
@@ -134,7 +136,7 @@ def _along_lines(
     )
     ranked = np.sort(np.where(peak, score, 0.0), axis=1)[:, -_PER_LINE]
     i, j = np.nonzero(peak & (score >= ranked[:, None]))
-    return places[i, j], radius[i, j], score[i, j].astype(np.float64)
+    return positions[i, j], radius[i, j], score[i, j].astype(np.float64)
 
 
 def px_per_mm(camera: Camera, points_mm: F64) -> F64:
@@ -174,10 +176,10 @@ def _sample(
         column, row = int(pixels[n, 0] + 0.5), int(pixels[n, 1] + 0.5)
         if column < 0 or row < 0 or column >= columns or row >= rows:
             continue
-        place = min(max((np.log(size[n]) - first) / step, 0.0), count - 1.001)
-        low = int(place)
-        out[n] = maps[low, row, column] * (low + 1.0 - place) + maps[low + 1, row, column] * (
-            place - low
+        position = min(max((np.log(size[n]) - first) / step, 0.0), count - 1.001)
+        low = int(position)
+        out[n] = maps[low, row, column] * (low + 1.0 - position) + maps[low + 1, row, column] * (
+            position - low
         )
 
 

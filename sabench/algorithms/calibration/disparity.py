@@ -21,7 +21,7 @@ _SPOT_PX = 0.6  # radius of what belongs together
 _AROUND_PX = 1.5  # as far as a search for the middle of a spot goes
 _TRIED, _SHIFTS = 20, 10
 _SETS = 1_000_000
-_STEP_PX = 1.5  # between places on a line of sight, as the other cameras see them
+_STEP_PX = 1.5  # between positions on a line of sight, as the other cameras see them
 _PARTS = 3  # of the box along x and along y, each with a disparity of its own
 _FEW = 100  # sets below which a part has none
 
@@ -34,7 +34,7 @@ class Sets:
     2) in px.
     """
 
-    places: F64
+    positions: F64
     hits: I64
     errors: F64
 
@@ -58,16 +58,16 @@ def find_sets(maps: VolumePolynomials, peaks: tuple[Peaks, ...], reach_px: float
             (pixels[1:, 1] - pixels[1:, 0]) - (pixels[0, 1] - pixels[0, 0]), axis=1
         ).max()
     )
-    places, hits, errors = (
+    positions, hits, errors = (
         np.empty((_SETS, 3)),
         np.empty((_SETS, len(peaks)), dtype=np.int32),
         np.empty((_SETS, len(peaks), 2)),
     )
     order = np.random.default_rng(0).permutation(len(peaks[0].pixels))
     count = match(
-        maps, peaks, order, reach_px, max(2, int(travel / _STEP_PX) + 2), places, hits, errors
+        maps, peaks, order, reach_px, max(2, int(travel / _STEP_PX) + 2), positions, hits, errors
     )
-    return Sets(places[:count].copy(), hits[:count].astype(np.int64), errors[:count].copy())
+    return Sets(positions[:count].copy(), hits[:count].astype(np.int64), errors[:count].copy())
 
 
 def correct(maps: VolumePolynomials, sets: Sets, cameras: range) -> tuple[VolumePolynomials, float]:
@@ -83,7 +83,7 @@ def correct(maps: VolumePolynomials, sets: Sets, cameras: range) -> tuple[Volume
     basis = _unobservable_shifts(maps, cameras)
     errors = sets.errors.reshape(len(sets.errors), -1) @ basis
     whole = densest(errors)
-    rows, spots = _by_parts(sets.places, errors, whole)
+    rows, spots = _by_parts(sets.positions, errors, whole)
     shifts = (spots @ basis.T).reshape(len(spots), len(cameras), 2)
     coefficients, most = maps.coefficients.copy(), 0.0
     terms = [
@@ -142,17 +142,20 @@ def _unobservable_shifts(maps: VolumePolynomials, cameras: range) -> F64:
     return np.asarray(np.linalg.svd(slopes)[0][:, 3:])
 
 
-def _by_parts(places: F64, errors: F64, whole: F64) -> tuple[F64, F64]:
+def _by_parts(positions: F64, errors: F64, whole: F64) -> tuple[F64, F64]:
     """Compute rows (1, x, y) of the middles of the parts, and their spots.
 
     One row (1,) for the whole box where parts have too few.
     """
     near = np.linalg.norm(errors - whole, axis=1) <= 2.0 * _SPOT_PX
-    part = np.clip(((places[:, :2] + 1.0) / 2.0 * _PARTS).astype(int), 0, _PARTS - 1) @ [1, _PARTS]
+    part = np.clip(((positions[:, :2] + 1.0) / 2.0 * _PARTS).astype(int), 0, _PARTS - 1) @ [
+        1,
+        _PARTS,
+    ]
     chosen = [np.flatnonzero(near & (part == number)) for number in range(_PARTS**2)]
     if min(len(own) for own in chosen) < _FEW:
         return np.ones((1, 1)), whole[None]
-    middles = np.array([places[own, :2].mean(axis=0) for own in chosen])
+    middles = np.array([positions[own, :2].mean(axis=0) for own in chosen])
     return np.column_stack([np.ones(len(chosen)), middles]), np.stack(
         [_shift_mean(errors[own], whole)[0] for own in chosen]
     )

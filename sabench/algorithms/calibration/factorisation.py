@@ -112,13 +112,15 @@ def adjust_factors(factors: Factors, images: F64, seen: Bool) -> Factors:
 def _rescale(matrices: F64, points: F64, frame: F64) -> tuple[F64, F64]:
     """Rescale points (n, 3) to about 1 and matrices to norm 1, with the same images."""
     inner = points @ frame
-    places = inner[:, :3] / inner[:, 3:]
-    middle, scale = places.mean(axis=0), places.std(axis=0)
+    positions = inner[:, :3] / inner[:, 3:]
+    middle, scale = positions.mean(axis=0), positions.std(axis=0)
     back = np.linalg.inv(frame.T)  # points = back @ inner
     unit = np.diag([*scale, 1.0])
     unit[:3, 3] = middle
     changed = matrices @ back @ unit
-    return changed / np.linalg.norm(changed, axis=(1, 2), keepdims=True), (places - middle) / scale
+    return changed / np.linalg.norm(changed, axis=(1, 2), keepdims=True), (
+        positions - middle
+    ) / scale
 
 
 def _cost(matrices: F64, points: F64, images: F64, seen: Bool) -> float:
@@ -255,8 +257,8 @@ def _symmetric(entries: F64) -> F64:
 
 def _forward(factors: Factors) -> Factors:
     """Mirror the factors if that puts the points in front of the cameras."""
-    turned = np.sign(np.linalg.det(factors.matrices[:, :, :3]))
-    matrices = factors.matrices * turned[:, None, None]
+    signs = np.sign(np.linalg.det(factors.matrices[:, :, :3]))
+    matrices = factors.matrices * signs[:, None, None]
     ahead = np.einsum("cj,nj->cn", matrices[:, 2], factors.points / factors.points[:, 3:])
     if np.median(ahead) > 0.0:
         return Factors(matrices, factors.points)

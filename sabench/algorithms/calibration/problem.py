@@ -83,10 +83,10 @@ def make_anchors(case: CalibrationCase, frame: Frame, noise_px: float) -> tuple[
     """Make observations of the known coordinates, weighed against pixels' noise."""
     world, anchors = frame.motion.inverse(), []
     for board, point in np.argwhere(np.isfinite(case.known_mm).any(axis=-1)).tolist():
-        place, sigma = case.known_mm[board, point], case.known_sigma_mm[board, point]
-        there = np.isfinite(place)
+        position, sigma = case.known_mm[board, point], case.known_sigma_mm[board, point]
+        there = np.isfinite(position)
         precision = np.where(there, (noise_px / np.where(there, sigma, 1.0)) ** 2, 0.0)
-        anchors.append(Anchor(board, point, np.where(there, place, 0.0), precision, world))
+        anchors.append(Anchor(board, point, np.where(there, position, 0.0), precision, world))
     return tuple(anchors)
 
 

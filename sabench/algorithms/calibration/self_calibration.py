@@ -29,8 +29,8 @@ from sabench.utils.errors import InputError
 
 _ROUNDS = 20
 _SETTLED_PX = 0.03
-# the core's common errors move all places, and so may another camera's disparity be larger than its
-# own error
+# the core's common errors move all positions, and so may another camera's disparity be larger than
+# its own error
 _FARTHER = 3.0
 _CORE = 4  # cameras whose particle images are matched all with all
 _PAIRS = 1_000_000
@@ -106,7 +106,7 @@ def follow_disparities(tracking: Tracking, reach_px: float, least_px: float) -> 
     maps, reach = tracking.maps, reach_px
     for _ in range(_ROUNDS):
         sets = find_sets(maps, tracking.peaks[: len(core)], reach)
-        if not len(sets.places):
+        if not len(sets.positions):
             raise InputError(
                 f"expected particle images that agree within {reach:g} px, got none: larger "
                 "errors need a larger reach_px"
@@ -132,11 +132,11 @@ def _check(
     """
     core = min(_CORE, len(tracking.cameras))
     wider = find_sets(maps, tracking.peaks[:core], 2.0 * least_px)
-    chance = (len(wider.places) - len(sure.places)) / (2.0 ** (2 * core - 3) - 1.0)
-    if len(sure.places) - chance < _SURE * np.sqrt(max(chance, 1.0)):
+    chance = (len(wider.positions) - len(sure.positions)) / (2.0 ** (2 * core - 3) - 1.0)
+    if len(sure.positions) - chance < _SURE * np.sqrt(max(chance, 1.0)):
         raise InputError(
             f"expected sets of particle images of {core} cameras that agree within {least_px:g} "
-            f"px, got {len(sure.places)} where chance makes "
+            f"px, got {len(sure.positions)} where chance makes "
             f"{chance:.0f}: errors are larger than reach_px = {reach_px:g}, or particles too many"
         )
 
@@ -151,14 +151,16 @@ def _follow_one(
 ) -> VolumePolynomials:
     reach = _FARTHER * reach_px
     for _ in range(_ROUNDS):
-        pairs, errors = _pairs(maps, tracking.peaks[camera], camera, sure.places, reach)
+        pairs, errors = _pairs(maps, tracking.peaks[camera], camera, sure.positions, reach)
         if not len(pairs):
             raise InputError(
                 f"{tracking.cameras[camera].name}: expected particle images within {reach:g} px "
                 "of where the other cameras' are, got none"
             )
         maps, moved = correct(
-            maps, Sets(sure.places[pairs[:, 0]], pairs, errors[:, None]), range(camera, camera + 1)
+            maps,
+            Sets(sure.positions[pairs[:, 0]], pairs, errors[:, None]),
+            range(camera, camera + 1),
         )
         if reach <= least_px and moved < _SETTLED_PX:
             break
@@ -167,13 +169,13 @@ def _follow_one(
 
 
 def _pairs(
-    maps: VolumePolynomials, peaks: Peaks, camera: int, places: F64, reach: float
+    maps: VolumePolynomials, peaks: Peaks, camera: int, positions: F64, reach: float
 ) -> tuple[I64, F64]:
     """Pair positions with a camera's images within reach.
 
     Returns pairs (n, 2) and the images' errors (n, 2).
     """
-    pixels = project_points(maps, camera, places)
+    pixels = project_points(maps, camera, positions)
     pairs = np.empty((_PAIRS, 2), dtype=np.int64)
     pairs = pairs[: pair_up(peaks, pixels, reach, pairs)]
     return pairs, peaks.pixels[pairs[:, 1]] - pixels[pairs[:, 0]]
@@ -201,17 +203,17 @@ def match_particles(
     some = np.random.default_rng(0).permutation(np.array(chosen, dtype=np.int64))[
         :_MOST
     ]  # the best alone would agree with the maps too much
-    places = sets.places[some]
+    positions = sets.positions[some]
     pixels = np.full((len(tracking.cameras), len(some), 2), np.nan)
     for c in range(core):
         pixels[c] = tracking.peaks[c].pixels[sets.hits[some, c]]
     for c in range(core, len(tracking.cameras)):
-        pairs, errors = _pairs(maps, tracking.peaks[c], c, places, least_px)
+        pairs, errors = _pairs(maps, tracking.peaks[c], c, positions, least_px)
         for row in np.argsort(
             -np.linalg.norm(errors, axis=1)
         ).tolist():  # the nearest comes last and stays
             pixels[c, pairs[row, 0]] = tracking.peaks[c].pixels[pairs[row, 1]]
-    return places, pixels
+    return positions, pixels
 
 
 def adjust_cameras(tracking: Tracking, matched: tuple[F64, F64]) -> tuple[Camera, ...]:
@@ -220,8 +222,8 @@ def adjust_cameras(tracking: Tracking, matched: tuple[F64, F64]) -> tuple[Camera
     A lattice of points that the nominal cameras project, with a standard deviation of two pixels,
     determines what particles do not show.
     """
-    (places, pixels), maps = matched, tracking.maps
-    particles = maps.middle_mm + maps.half_mm * places
+    (positions, pixels), maps = matched, tracking.maps
+    particles = maps.middle_mm + maps.half_mm * positions
     axes = [np.linspace(-1.0, 1.0, count) for count in _LATTICE]
     lattice = maps.middle_mm + maps.half_mm * np.array(list(itertools.product(*axes)))
     points = np.vstack([particles, lattice])
@@ -244,8 +246,8 @@ def adjust_cameras(tracking: Tracking, matched: tuple[F64, F64]) -> tuple[Camera
 def _anchor_lattice(frame: Frame, lattice: F64, first: int) -> tuple[Anchor, ...]:
     world = frame.motion.inverse()
     return tuple(
-        Anchor(first + number, 0, place, np.full(3, 1e6), world)
-        for number, place in enumerate(lattice)
+        Anchor(first + number, 0, position, np.full(3, 1e6), world)
+        for number, position in enumerate(lattice)
     )
 
 

@@ -128,9 +128,9 @@ def _window(
     """
     import cv2
 
-    places = target.points_mm[order, :2]
+    positions = target.points_mm[order, :2]
     scale = (
-        float(np.std(found, axis=0).sum() / max(np.std(places, axis=0).sum(), 1e-9))
+        float(np.std(found, axis=0).sum() / max(np.std(positions, axis=0).sum(), 1e-9))
         if len(order) > 1
         else 0.0
     )

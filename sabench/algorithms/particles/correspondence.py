@@ -14,7 +14,7 @@ import numpy as np
 from sabench.geometry.volume_polynomials import project_point
 from sabench.images.peaks import find_near
 
-_NEAR = 64  # particle images looked at around one place
+_NEAR = 64  # particle images looked at around one position
 
 
 @numba.njit(cache=True)
@@ -60,22 +60,29 @@ def _compute_step(gains: Any, misses: Any, cameras: int, step: Any) -> None:
 
 
 @numba.njit(cache=True)
-def move_to_pixel(maps: Any, pixel: Any, place: Any, here: Any, slope: Any) -> bool:
+def move_to_pixel(maps: Any, pixel: Any, position: Any, here: Any, slope: Any) -> bool:
     """Move a position in x and y so that the first camera sees it at a pixel."""
     for _ in range(10):
-        project_point(maps, 0, place, here, slope)
+        project_point(maps, 0, position, here, slope)
         du, dv = pixel[0] - here[0], pixel[1] - here[1]
         determinant = slope[0, 0] * slope[1, 1] - slope[0, 1] * slope[1, 0]
-        place[0] += (slope[1, 1] * du - slope[0, 1] * dv) / determinant
-        place[1] += (slope[0, 0] * dv - slope[1, 0] * du) / determinant
+        position[0] += (slope[1, 1] * du - slope[0, 1] * dv) / determinant
+        position[1] += (slope[0, 0] * dv - slope[1, 0] * du) / determinant
         if abs(du) + abs(dv) < 1e-3:
             break
-    return bool(abs(place[0]) <= 1.0 and abs(place[1]) <= 1.0)
+    return bool(abs(position[0]) <= 1.0 and abs(position[1]) <= 1.0)
 
 
 @numba.njit(cache=True)
 def match(
-    maps: Any, peaks: Any, order: Any, reach: float, steps: int, places: Any, hits: Any, errors: Any
+    maps: Any,
+    peaks: Any,
+    order: Any,
+    reach: float,
+    steps: int,
+    positions: Any,
+    hits: Any,
+    errors: Any,
 ) -> int:
     """Fill in sets of peaks that may be one particle; return how many there are.
 
@@ -90,35 +97,35 @@ def match(
     ----------
     peaks : one `Peaks` of each camera.
     order : numbers of the first camera's images, in the order in which they are taken.
-    steps : places on a line of sight, close enough for `reach`.
-    places : (sets, 3) room for the places, x, y, z from -1 to 1.
+    steps : positions on a line of sight, close enough for `reach`.
+    positions : (sets, 3) room for the positions, x, y, z from -1 to 1.
     hits : (sets, cameras) room for the numbers of the images.
     errors : (sets, cameras, 2) room for where the images lie against where the cameras see the
-        place, px.
+        position, px.
     """
     cameras, count = len(peaks), 0
-    place, here, slope, step = np.zeros(3), np.zeros(2), np.zeros((2, 3)), np.zeros(3)
+    position, here, slope, step = np.zeros(3), np.zeros(2), np.zeros((2, 3)), np.zeros(3)
     slopes, gains = np.zeros((cameras, 2, 3)), np.zeros((cameras, 2, 3))
     misses, chosen = np.zeros((cameras, 2)), np.zeros(cameras, dtype=np.int64)
     second, tried = np.zeros(_NEAR, dtype=np.int64), np.zeros(_NEAR, dtype=np.int64)
     for first in order:
-        if count == len(places):
+        if count == len(positions):
             break
         chosen[0], left = first, 0
-        place[:] = 0.0
+        position[:] = 0.0
         for n in range(steps):
-            place[2] = -1.0 + 2.0 * n / (steps - 1)
-            if not move_to_pixel(maps, peaks[0].pixels[first], place, here, slope):
-                place[:2] = 0.0
+            position[2] = -1.0 + 2.0 * n / (steps - 1)
+            if not move_to_pixel(maps, peaks[0].pixels[first], position, here, slope):
+                position[:2] = 0.0
                 continue
-            project_point(maps, 1, place, here, slope)
+            project_point(maps, 1, position, here, slope)
             for k in range(find_near(peaks[1], here, reach, second)):
                 chosen[1] = second[k]
                 if (tried[: min(left, _NEAR)] == second[k]).any():
                     continue
                 tried[left % _NEAR] = second[k]
                 left += 1
-                start = place.copy()
+                start = position.copy()
                 if _intersect(maps, peaks, chosen, start, slopes, misses, gains, here, slope, step):
                     count = _others(
                         maps,
@@ -130,7 +137,7 @@ def match(
                         misses,
                         gains,
                         step,
-                        places,
+                        positions,
                         hits,
                         errors,
                         count,
@@ -143,7 +150,7 @@ def _intersect(
     maps: Any,
     peaks: Any,
     chosen: Any,
-    place: Any,
+    position: Any,
     slopes: Any,
     misses: Any,
     gains: Any,
@@ -157,14 +164,14 @@ def _intersect(
     """
     for _ in range(2):
         for c in range(2):
-            project_point(maps, c, place, here, slope)
+            project_point(maps, c, position, here, slope)
             slopes[c] = slope
             misses[c] = peaks[c].pixels[chosen[c]] - here
         if not _gains(slopes, 2, gains):
             return False
         _compute_step(gains, misses, 2, step)
-        place += step
-    return bool(np.abs(place).max() <= 1.0)
+        position += step
+    return bool(np.abs(position).max() <= 1.0)
 
 
 @numba.njit(cache=True)
@@ -178,7 +185,7 @@ def _others(
     misses: Any,
     gains: Any,
     step: Any,
-    places: Any,
+    positions: Any,
     hits: Any,
     errors: Any,
     count: int,
@@ -205,10 +212,10 @@ def _others(
             misses[c, 1] = peaks[c].pixels[chosen[c], 1] - seen[c, 1]
         _compute_step(gains, misses, cameras, step)
         if _worst(slopes, misses, step, cameras) <= reach * reach:
-            if count == len(places):
+            if count == len(positions):
                 return count
             for p in range(3):
-                places[count, p] = start[p] + step[p]
+                positions[count, p] = start[p] + step[p]
             for c in range(cameras):
                 hits[count, c] = chosen[c]
                 for a in range(2):

@@ -71,7 +71,9 @@ def triangulate_particles(
     images = normalise(case.images, case.black_dn)
     peaks = _find_peaks(images, settings)
     found = _select_unique(maps, peaks, settings, 0, 0, images)
-    return FoundParticles(in_mm(maps, found.place), _peak_values(found, peaks, images).mean(axis=1))
+    return FoundParticles(
+        in_mm(maps, found.position), _peak_values(found, peaks, images).mean(axis=1)
+    )
 
 
 def reconstruct_particles(
@@ -83,19 +85,19 @@ def reconstruct_particles(
     """
     images = normalise(case.images, case.black_dn)
     sigma = image_widths(images, [one.pixels for one in _find_peaks(images, settings)])
-    left, places, light = images.copy(), np.zeros((0, 3)), np.zeros((0, len(images)))
+    left, positions, light = images.copy(), np.zeros((0, 3)), np.zeros((0, len(images)))
     full, reduced = settings.rounds
     for number in range(full + reduced):
         peaks = _find_peaks(left, settings)
         found = _select_unique(maps, peaks, settings, int(number >= full), number, left)
-        places = np.concatenate([places, found.place])
-        light = np.concatenate([light, np.zeros((len(found.place), len(images)))])
-        refine_particles(maps, sigma, left, places, light, settings.fits)
-        good = _real(maps, places, light, sigma, settings)
-        subtract_images(maps, sigma, left, places[~good], light[~good])
-        places, light = places[good], light[good]
-    refine_particles(maps, sigma, left, places, light, settings.fits)
-    return FoundParticles(in_mm(maps, places), peak_brightness(light, sigma).mean(axis=1))
+        positions = np.concatenate([positions, found.position])
+        light = np.concatenate([light, np.zeros((len(found.position), len(images)))])
+        refine_particles(maps, sigma, left, positions, light, settings.fits)
+        good = _real(maps, positions, light, sigma, settings)
+        subtract_images(maps, sigma, left, positions[~good], light[~good])
+        positions, light = positions[good], light[good]
+    refine_particles(maps, sigma, left, positions, light, settings.fits)
+    return FoundParticles(in_mm(maps, positions), peak_brightness(light, sigma).mean(axis=1))
 
 
 def _find_peaks(images: F32, settings: IprSettings) -> tuple[Peaks, ...]:
@@ -124,7 +126,7 @@ def _select_unique(
         maps, peaks, order, settings.reach_px, missing, (images.shape[1], images.shape[2])
     )
     kept = select_best(found, peaks)
-    return Candidates(found.place[kept], found.hit[kept], found.error_px[kept])
+    return Candidates(found.position[kept], found.hit[kept], found.error_px[kept])
 
 
 def _peak_values(found: Candidates, peaks: tuple[Peaks, ...], images: F32) -> F64:
@@ -141,19 +143,19 @@ def _peak_values(found: Candidates, peaks: tuple[Peaks, ...], images: F32) -> F6
 
 
 def _real(
-    maps: VolumePolynomials, places: F64, light: F64, sigma: F64, settings: IprSettings
+    maps: VolumePolynomials, positions: F64, light: F64, sigma: F64, settings: IprSettings
 ) -> Bool:
     """Mark particles that are bright enough in enough cameras.
 
     Duplicates of another one are left out.
     """
-    if not len(places):
+    if not len(positions):
         return np.zeros(0, dtype=bool)
     typical = np.maximum(np.median(light, axis=0), 1e-12)
     second = np.sort(light / typical, axis=1)[:, min(1, light.shape[1] - 2)]
     good = np.asarray(second >= settings.faint)
     reach = settings.apart_px * _mm_per_px(maps)
-    for i, j in cKDTree(in_mm(maps, places)).query_pairs(reach):
+    for i, j in cKDTree(in_mm(maps, positions)).query_pairs(reach):
         if good[i] and good[j]:
             good[i if light[i].sum() < light[j].sum() else j] = False
     return good

@@ -49,7 +49,7 @@ class _Points:
     Positions (n, 3), logarithms of radii (n,), times (n,), numbers of frames (n,).
     """
 
-    place: F64
+    position: F64
     size: F64
     time: F64
     frame: I64
@@ -70,10 +70,10 @@ class _Tracks(_Points):
         return np.isnan(self.velocity[:, 0])
 
     def __getitem__(self, chosen: Bool | I64) -> _Tracks:
-        place, size, time, velocity = (
-            value[chosen] for value in (self.place, self.size, self.time, self.velocity)
+        position, size, time, velocity = (
+            value[chosen] for value in (self.position, self.size, self.time, self.velocity)
         )
-        return _Tracks(place, size, time, self.frame[chosen], self.number[chosen], velocity)
+        return _Tracks(position, size, time, self.frame[chosen], self.number[chosen], velocity)
 
 
 @dataclass(frozen=True)
@@ -85,7 +85,7 @@ class _Scale:
     """
 
     spacing: float
-    place: F64
+    position: F64
     size: float
 
 
@@ -115,14 +115,18 @@ def link(
     spacing = _spacing(center_mm)
     scale = _Scale(spacing, np.full(3, _PLACE_ERROR[1] * spacing), _SIZE_ERROR[1])
     live, born, out = _none(), 0, []
-    for frame, (place, radius, time) in enumerate(zip(center_mm, radius_mm, times_s, strict=True)):
+    for frame, (position, radius, time) in enumerate(
+        zip(center_mm, radius_mm, times_s, strict=True)
+    ):
         found = _Points(
-            place, np.log(radius), np.full(len(place), time), np.full(len(place), frame)
+            position, np.log(radius), np.full(len(position), time), np.full(len(position), frame)
         )
         live = live[frame - live.frame <= gap + 1]
-        i, j = assign(*_candidates(live, found, time, frame, scale), (len(live.place), len(place)))
+        i, j = assign(
+            *_candidates(live, found, time, frame, scale), (len(live.position), len(position))
+        )
         scale = _estimate_scale(scale, live[i], found, j)
-        number = np.full(len(place), -1)
+        number = np.full(len(position), -1)
         number[j] = live.number[i]
         new = np.flatnonzero(number < 0)
         number[new] = born + np.arange(len(new))
@@ -165,11 +169,13 @@ def _spacing(center_mm: Sequence[F64]) -> float:
 
     Without any neighbours, it is far more than the extent of all positions.
     """
-    several = [places for places in center_mm if len(places) > 1]
+    several = [positions for positions in center_mm if len(positions) > 1]
     near = (
         float(
             np.median(
-                np.concatenate([cKDTree(places).query(places, 2)[0][:, 1] for places in several])
+                np.concatenate(
+                    [cKDTree(positions).query(positions, 2)[0][:, 1] for positions in several]
+                )
             )
         )
         if several
@@ -183,10 +189,10 @@ def _spacing(center_mm: Sequence[F64]) -> float:
 
 def _continue(live: _Tracks, found: _Points, number: I64, i: I64, j: I64) -> _Tracks:
     """Update trajectories by the detections found now, with their velocities."""
-    velocity = np.full(found.place.shape, np.nan)
-    velocity[j] = (found.place[j] - live.place[i]) / (found.time[j] - live.time[i])[:, None]
-    lost = live[np.setdiff1d(np.arange(len(live.place)), i)]
-    seen = _Tracks(found.place, found.size, found.time, found.frame, number, velocity)
+    velocity = np.full(found.position.shape, np.nan)
+    velocity[j] = (found.position[j] - live.position[i]) / (found.time[j] - live.time[i])[:, None]
+    lost = live[np.setdiff1d(np.arange(len(live.position)), i)]
+    seen = _Tracks(found.position, found.size, found.time, found.frame, number, velocity)
     return _Tracks(
         *(
             np.concatenate([getattr(one, name) for one in (lost, seen)])
@@ -215,12 +221,13 @@ def _by_velocity(
     """
     old = np.flatnonzero(~live.young)
     steps = (frame - live.frame[old]).astype(np.float64)
-    there = live.place[old] + live.velocity[old] * (time - live.time[old])[:, None]
+    there = live.position[old] + live.velocity[old] * (time - live.time[old])[:, None]
     row, column = _near(
-        there / scale.place, found.place / scale.place, float(np.sqrt(GATE)) * steps
+        there / scale.position, found.position / scale.position, float(np.sqrt(GATE)) * steps
     )
     error = (
-        np.sum(((there[row] - found.place[column]) / scale.place) ** 2, axis=1) / steps[row] ** 2
+        np.sum(((there[row] - found.position[column]) / scale.position) ** 2, axis=1)
+        / steps[row] ** 2
     )
     return old[row], column, error + _unlike(live, found, old[row], column, scale)
 
@@ -235,13 +242,13 @@ def _by_neighbours(
     """
     young = np.flatnonzero(live.young)
     reach = REACH * scale.spacing * (frame - live.frame[young]).astype(np.float64)
-    row, column = _near(live.place[young], found.place, reach)
+    row, column = _near(live.position[young], found.position, reach)
     size = _unlike(live, found, young[row], column, scale)
     row, column, size = row[size < GATE], column[size < GATE], size[size < GATE]
-    shift = found.place[column] - live.place[young[row]]
+    shift = found.position[column] - live.position[young[row]]
     duration = time - live.time[young[row]]
     velocity = shift / duration[:, None]
-    if len(live.place) - len(young) >= _NEIGHBOURS:
+    if len(live.position) - len(young) >= _NEIGHBOURS:
         apart = _neighbour_differences(live, young[row], velocity) * duration[:, None]
     else:
         apart = _from_places(live, found, young[row], velocity, time, scale)
@@ -261,7 +268,7 @@ def _neighbour_differences(live: _Tracks, which: I64, velocity: F64) -> F64:
     Velocities are (n, 3), trajectories (n,). Neighbours are the nearest whose velocities are known.
     """
     old = np.flatnonzero(~live.young)
-    _, near = cKDTree(live.place[old]).query(live.place[which], _NEIGHBOURS)
+    _, near = cKDTree(live.position[old]).query(live.position[which], _NEIGHBOURS)
     return np.asarray(np.linalg.norm(live.velocity[old[near]] - velocity[:, None], axis=2))
 
 
@@ -273,15 +280,15 @@ def _from_places(
     Neighbours move by velocities (n, 3). The neighbours are those nearest to trajectories (n,), the
     detections of their size.
     """
-    count = min(_NEIGHBOURS, len(live.place) - 1)
+    count = min(_NEIGHBOURS, len(live.position) - 1)
     if count <= 0 or not len(which):
         return np.zeros((len(which), 0))
-    near = cKDTree(live.place).query(live.place, count + 1)[1][which, 1:]
-    there = live.place[near] + velocity[:, None] * (time - live.time[near])[..., None]
+    near = cKDTree(live.position).query(live.position, count + 1)[1][which, 1:]
+    there = live.position[near] + velocity[:, None] * (time - live.time[near])[..., None]
     size = (
         _ALIKE * scale.spacing / (3.0 * scale.size)
-    )  # three standard errors are as bad as places that say nothing
-    tree = cKDTree(np.column_stack([found.place, size * found.size]))
+    )  # three standard errors are as bad as positions that say nothing
+    tree = cKDTree(np.column_stack([found.position, size * found.size]))
     distance, _ = tree.query(
         np.concatenate([there, size * live.size[near][..., None]], axis=2),
         distance_upper_bound=_ALIKE * scale.spacing,
@@ -300,8 +307,8 @@ def _near(from_places: F64, to_places: F64, reach: F64) -> tuple[I64, I64]:
     distance, column = cKDTree(to_places).query(
         from_places, np.arange(1, count + 1), distance_upper_bound=1.001 * float(reach.max())
     )
-    row, place = np.nonzero(distance <= reach[:, None])
-    return row, column[row, place]
+    row, slot = np.nonzero(distance <= reach[:, None])
+    return row, column[row, slot]
 
 
 def _unlike(live: _Tracks, found: _Points, row: I64, column: I64, scale: _Scale) -> F64:
@@ -317,9 +324,9 @@ def _estimate_scale(scale: _Scale, linked: _Tracks, found: _Points, j: I64) -> _
     if old.sum() < _ENOUGH:
         return scale
     known, j = linked[old], j[old]
-    there = known.place + known.velocity * (found.time[j] - known.time)[:, None]
-    off = (there - found.place[j]) / (found.frame[j] - known.frame)[:, None]
+    there = known.position + known.velocity * (found.time[j] - known.time)[:, None]
+    off = (there - found.position[j]) / (found.frame[j] - known.frame)[:, None]
     low, high = (bound * scale.spacing for bound in _PLACE_ERROR)
-    place = np.clip(1.4826 * np.median(np.abs(off), axis=0), low, high)
+    position = np.clip(1.4826 * np.median(np.abs(off), axis=0), low, high)
     size = np.clip(1.4826 * np.median(np.abs(known.size - found.size[j])), *_SIZE_ERROR)
-    return replace(scale, place=place, size=float(size))
+    return replace(scale, position=position, size=float(size))

@@ -31,8 +31,8 @@ def image_widths(images: F32, pixels: list[F64]) -> F64:
     overlaps widen images.
     """
     out = []
-    for image, places in zip(images, pixels, strict=True):
-        column, row = np.rint(places).astype(np.int64).T
+    for image, positions in zip(images, pixels, strict=True):
+        column, row = np.rint(positions).astype(np.int64).T
         high = np.log(np.maximum(image, 1e-6))
         bends = np.concatenate(
             [
@@ -57,7 +57,7 @@ def _paint(image: Any, column: int, row: int, x: Any, y: Any, amount: float) -> 
 
 @numba.njit(cache=True)
 def refine_particles(
-    maps: Any, sigma: Any, left: Any, places: Any, light: Any, rounds: int
+    maps: Any, sigma: Any, left: Any, positions: Any, light: Any, rounds: int
 ) -> None:
     """Fit particles one after the other, in several rounds.
 
@@ -65,7 +65,7 @@ def refine_particles(
     ----------
     sigma : (camera,) widths of particle images, px.
     left : (camera, row, column) float32, the images less all particles; kept up to date.
-    places : (n, 3) in the box of the maps.
+    positions : (n, 3) in the box of the maps.
     light : (n, camera) of each particle, in units of the images times px2; not negative.
     """
     cameras = len(sigma)
@@ -78,18 +78,19 @@ def refine_particles(
     corner, here, slope = np.zeros((cameras, 2), dtype=np.int64), np.zeros(2), np.zeros((2, 3))
     matrix, right = np.zeros((3, 3)), np.zeros(3)
     for _ in range(rounds):
-        for n in range(len(places)):
+        for n in range(len(positions)):
+            position = positions[n]
             matrix[:], right[:], steepest = 0.0, 0.0, 0.0
             for c in range(cameras):
-                _set(maps, c, places[n], sigma[c], here, slope, corner[c], x[c], y[c], dx[c], dy[c])
+                _set(maps, c, position, sigma[c], here, slope, corner[c], x[c], y[c], dx[c], dy[c])
                 _paint(left[c], corner[c, 0], corner[c, 1], x[c], y[c], light[n, c])
                 _pull(
                     left[c], corner[c], x[c], y[c], dx[c], dy[c], light[n, c], slope, matrix, right
                 )
                 steepest = max(steepest, np.abs(slope).max())
-            _move(places[n], matrix, right, _FARTHEST_PX / steepest)
+            _move(position, matrix, right, _FARTHEST_PX / steepest)
             for c in range(cameras):
-                _set(maps, c, places[n], sigma[c], here, slope, corner[c], x[c], y[c], dx[c], dy[c])
+                _set(maps, c, position, sigma[c], here, slope, corner[c], x[c], y[c], dx[c], dy[c])
                 light[n, c] = _brightness(left[c], corner[c], x[c], y[c])
                 _paint(left[c], corner[c, 0], corner[c, 1], x[c], y[c], -light[n, c])
 
@@ -98,7 +99,7 @@ def refine_particles(
 def _set(
     maps: Any,
     c: int,
-    place: Any,
+    position: Any,
     sigma: float,
     here: Any,
     slope: Any,
@@ -109,7 +110,7 @@ def _set(
     dy: Any,
 ) -> None:
     """Project a position to a camera and fill in the profiles of its image there."""
-    project_point(maps, c, place, here, slope)
+    project_point(maps, c, position, here, slope)
     corner[0], corner[1] = round(here[0]) - _HALF, round(here[1]) - _HALF
     fill_shares(here[0], sigma, corner[0], x)
     fill_shares(here[1], sigma, corner[1], y)
@@ -130,7 +131,7 @@ def _pull(
     matrix: Any,
     right: Any,
 ) -> None:
-    """Add a camera's part to the normal equations of a particle's place."""
+    """Add a camera's part to the normal equations of a particle's position."""
     rows, columns = image.shape
     for i in range(max(0, -corner[1]), min(_WINDOW, rows - corner[1])):
         for j in range(max(0, -corner[0]), min(_WINDOW, columns - corner[0])):
@@ -144,12 +145,12 @@ def _pull(
 
 
 @numba.njit(cache=True)
-def _move(place: Any, matrix: Any, right: Any, farthest: float) -> None:
+def _move(position: Any, matrix: Any, right: Any, farthest: float) -> None:
     if np.linalg.det(matrix) > 1e-9 * matrix[0, 0] * matrix[1, 1] * matrix[2, 2] > 0.0:
         step = np.linalg.solve(matrix, right)
-        place += step * min(1.0, farthest / max(np.abs(step).max(), 1e-300))
+        position += step * min(1.0, farthest / max(np.abs(step).max(), 1e-300))
         for p in range(3):
-            place[p] = min(max(place[p], -1.0), 1.0)
+            position[p] = min(max(position[p], -1.0), 1.0)
 
 
 @numba.njit(cache=True)
@@ -165,7 +166,7 @@ def _brightness(image: Any, corner: Any, x: Any, y: Any) -> float:
 
 
 @numba.njit(cache=True)
-def subtract_images(maps: Any, sigma: Any, left: Any, places: Any, light: Any) -> None:
+def subtract_images(maps: Any, sigma: Any, left: Any, positions: Any, light: Any) -> None:
     """Give the light of particles back to the images less all particles."""
     x, y, d, corner, here, slope = (
         np.zeros(_WINDOW),
@@ -175,9 +176,9 @@ def subtract_images(maps: Any, sigma: Any, left: Any, places: Any, light: Any) -
         np.zeros(2),
         np.zeros((2, 3)),
     )
-    for n in range(len(places)):
+    for n in range(len(positions)):
         for c in range(len(sigma)):
-            _set(maps, c, places[n], sigma[c], here, slope, corner, x, y, d, d)
+            _set(maps, c, positions[n], sigma[c], here, slope, corner, x, y, d, d)
             _paint(left[c], corner[0], corner[1], x, y, light[n, c])
 
 
@@ -187,6 +188,6 @@ def peak_brightness(light: F64, sigma: F64) -> F64:
     return np.asarray(light * share)
 
 
-def in_mm(maps: VolumePolynomials, places: F64) -> F64:
+def in_mm(maps: VolumePolynomials, positions: F64) -> F64:
     """Convert positions in the box of the maps to world points (n, 3)."""
-    return np.asarray(maps.middle_mm + places * maps.half_mm)
+    return np.asarray(maps.middle_mm + positions * maps.half_mm)

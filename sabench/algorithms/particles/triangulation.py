@@ -19,9 +19,9 @@ from sabench.geometry.volume_polynomials import VolumePolynomials, project_point
 from sabench.images.peaks import Peaks, find_near
 from sabench.utils.arrays import F64, I64
 
-_NEAR = 64  # particle images looked at around one place
+_NEAR = 64  # particle images looked at around one position
 _ROOM = 50  # sets of each of the first camera's images that there is room for
-_STEPS = 2  # of the least-squares fit of a place
+_STEPS = 2  # of the least-squares fit of a position
 
 
 class Candidates(NamedTuple):
@@ -29,12 +29,12 @@ class Candidates(NamedTuple):
 
     Attributes
     ----------
-    place : (n, 3) in the box of the maps, from -1 to 1.
+    position : (n, 3) in the box of the maps, from -1 to 1.
     hit : (n, cameras) numbers of the images; -1 where a camera shows none.
-    error_px : (n,) root mean square distance of the images from where the cameras see the place.
+    error_px : (n,) root mean square distance of the images from where the cameras see the position.
     """
 
-    place: F64
+    position: F64
     hit: I64
     error_px: F64
 
@@ -53,20 +53,20 @@ def find_candidates(
     ----------
     peaks : of each camera.
     order : the camera whose lines of sight are followed, and the one that they are intersected in.
-    missing : how many of the cameras that have the place on their sensor may show nothing there.
+    missing : how many of the cameras that have the position on their sensor may show nothing there.
     size : rows and columns of the images.
     """
-    turned = (order[0], *(number for number in range(len(peaks)) if number != order[0]))
-    own = VolumePolynomials(np.ascontiguousarray(maps.coefficients[list(turned)]), *maps[1:])
-    seen = tuple(peaks[number] for number in turned)
+    reordered = (order[0], *(number for number in range(len(peaks)) if number != order[0]))
+    own = VolumePolynomials(np.ascontiguousarray(maps.coefficients[list(reordered)]), *maps[1:])
+    seen = tuple(peaks[number] for number in reordered)
     most = _ROOM * len(seen[0].pixels)
-    place, hit, error = np.zeros((most, 3)), np.full((most, len(peaks)), -1), np.zeros(most)
-    steps = max(2, int(_travel(own, turned.index(order[1])) / reach_px) + 2)
+    position, hit, error = np.zeros((most, 3)), np.full((most, len(peaks)), -1), np.zeros(most)
+    steps = max(2, int(_travel(own, reordered.index(order[1])) / reach_px) + 2)
     count = _follow(
-        own, seen, turned.index(order[1]), reach_px, missing, size, steps, place, hit, error
+        own, seen, reordered.index(order[1]), reach_px, missing, size, steps, position, hit, error
     )
-    back = np.argsort(turned)
-    return Candidates(place[:count], hit[:count][:, back], error[:count])
+    back = np.argsort(reordered)
+    return Candidates(position[:count], hit[:count][:, back], error[:count])
 
 
 def _travel(maps: VolumePolynomials, second: int) -> float:
@@ -106,7 +106,7 @@ def _follow(
     missing: int,
     size: Any,
     steps: int,
-    places: Any,
+    positions: Any,
     hits: Any,
     errors: Any,
 ) -> int:
@@ -115,7 +115,7 @@ def _follow(
     Returns how many there are.
     """
     cameras, count = len(peaks), 0
-    place, start, here, slope = np.zeros(3), np.zeros(3), np.zeros(2), np.zeros((2, 3))
+    position, start, here, slope = np.zeros(3), np.zeros(3), np.zeros(2), np.zeros((2, 3))
     near, tried, chosen = (
         np.zeros(_NEAR, dtype=np.int64),
         np.zeros(512, dtype=np.int64),
@@ -123,21 +123,21 @@ def _follow(
     )
     for first in range(len(peaks[0].pixels)):
         left = 0
-        place[:] = 0.0
+        position[:] = 0.0
         for n in range(steps):
-            place[2] = -1.0 + 2.0 * n / (steps - 1)
-            if not move_to_pixel(maps, peaks[0].pixels[first], place, here, slope):
-                place[:2] = 0.0
+            position[2] = -1.0 + 2.0 * n / (steps - 1)
+            if not move_to_pixel(maps, peaks[0].pixels[first], position, here, slope):
+                position[:2] = 0.0
                 continue
-            project_point(maps, second, place, here, slope)
+            project_point(maps, second, position, here, slope)
             for k in range(find_near(peaks[second], here, 1.5 * reach, near)):
-                if left == len(tried) or count == len(places) or (tried[:left] == near[k]).any():
+                if left == len(tried) or count == len(positions) or (tried[:left] == near[k]).any():
                     continue
                 tried[left] = near[k]
                 left += 1
                 chosen[:] = -1
                 chosen[0], chosen[second] = first, near[k]
-                start[:] = place
+                start[:] = position
                 worst = _fit_position(maps, peaks, chosen, start)
                 if (
                     worst > reach
@@ -147,7 +147,7 @@ def _follow(
                     continue
                 worst = _fit_position(maps, peaks, chosen, start)
                 if worst <= reach and np.abs(start).max() <= 1.0:
-                    places[count], hits[count], errors[count] = (
+                    positions[count], hits[count], errors[count] = (
                         start,
                         chosen,
                         _error(maps, peaks, chosen, start),
@@ -161,13 +161,13 @@ def _others(
     maps: Any,
     peaks: Any,
     chosen: Any,
-    place: Any,
+    position: Any,
     second: int,
     reach: float,
     missing: int,
     size: Any,
 ) -> bool:
-    """Choose the image nearest to a place in each of the other cameras.
+    """Choose the image nearest to a position in each of the other cameras.
 
     Returns False if too many have it on their sensor and show none.
     """
@@ -175,7 +175,7 @@ def _others(
     for c in range(1, len(peaks)):
         if c == second:
             continue
-        project_point(maps, c, place, here, slope)
+        project_point(maps, c, position, here, slope)
         nearest = reach * 1.5
         for k in range(find_near(peaks[c], here, nearest, near)):
             apart = np.hypot(
@@ -189,8 +189,8 @@ def _others(
 
 
 @numba.njit(cache=True)
-def _fit_position(maps: Any, peaks: Any, chosen: Any, place: Any) -> float:
-    """Move a place to where it fits the chosen images best.
+def _fit_position(maps: Any, peaks: Any, chosen: Any, position: Any) -> float:
+    """Move a position to where it fits the chosen images best.
 
     Returns the largest distance that is left, px.
     """
@@ -206,7 +206,7 @@ def _fit_position(maps: Any, peaks: Any, chosen: Any, place: Any) -> float:
         for c in range(len(peaks)):
             if chosen[c] < 0:
                 continue
-            project_point(maps, c, place, here, slope)
+            project_point(maps, c, position, here, slope)
             miss = peaks[c].pixels[chosen[c]] - here
             worst = max(worst, np.hypot(miss[0], miss[1]))
             for a in range(2):
@@ -219,18 +219,18 @@ def _fit_position(maps: Any, peaks: Any, chosen: Any, place: Any) -> float:
             or np.linalg.det(matrix) <= 1e-9 * matrix[0, 0] * matrix[1, 1] * matrix[2, 2]
         ):
             break
-        place += np.linalg.solve(matrix, right)
-        if np.abs(place).max() > 1.5:
+        position += np.linalg.solve(matrix, right)
+        if np.abs(position).max() > 1.5:
             return np.inf
     return worst
 
 
 @numba.njit(cache=True)
-def _error(maps: Any, peaks: Any, chosen: Any, place: Any) -> float:
+def _error(maps: Any, peaks: Any, chosen: Any, position: Any) -> float:
     here, slope, total, seen = np.zeros(2), np.zeros((2, 3)), 0.0, 0
     for c in range(len(peaks)):
         if chosen[c] >= 0:
-            project_point(maps, c, place, here, slope)
+            project_point(maps, c, position, here, slope)
             miss = peaks[c].pixels[chosen[c]] - here
             total, seen = total + miss[0] ** 2 + miss[1] ** 2, seen + 1
     return float(np.sqrt(total / seen))

@@ -318,8 +318,8 @@ def _border(camera: CameraModel, grid: Grid, z_mm: float) -> F64:
     rays = camera.back_project(pixels)
     if not rays.valid.all() or (rays.directions[:, 2] <= 0.0).any():
         return np.array([[-np.inf, -np.inf], [np.inf, np.inf]])
-    way = (z_mm - rays.origins_mm[:, 2:]) / rays.directions[:, 2:]
+    distance = (z_mm - rays.origins_mm[:, 2:]) / rays.directions[:, 2:]
     return np.asarray(
-        (rays.origins_mm + way * rays.directions - np.asarray(grid.low_mm))[:, :2]
+        (rays.origins_mm + distance * rays.directions - np.asarray(grid.low_mm))[:, :2]
         / np.asarray(grid.voxel_mm)[:2]
     )

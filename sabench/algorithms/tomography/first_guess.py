@@ -13,7 +13,7 @@ from sabench.algorithms.tomography.projection_operator import Support
 from sabench.utils.arrays import F32, I64
 from sabench.utils.progress import progress_bar
 
-_SLAB = 8_000_000  # voxels whose room is taken at a time
+_SLAB = 8_000_000  # voxels whose memory is taken at a time
 # of voxels, in which one camera after the other is looked up: its part of the image stays in the
 # cache
 _ROWS = 32
@@ -105,7 +105,7 @@ def _multiply_block(
     sight: Any, images: Any, threshold: float, first: int, x: Any, values: Any, counts: Any
 ) -> None:
     """Multiply rows of voxels by the images of one camera after the other."""
-    room, product, seen = scratch(sight), np.ones(x.shape), np.zeros(x.shape, dtype=np.int32)
+    work, product, seen = scratch(sight), np.ones(x.shape), np.zeros(x.shape, dtype=np.int32)
     for row in range(len(x)):
         x[row], counts[row] = np.arange(sight.width), sight.width
     for camera in range(len(images)):
@@ -118,7 +118,7 @@ def _multiply_block(
                 camera,
                 first + row,
                 left,
-                room,
+                work,
                 x[row],
                 product[row],
                 seen[row],
@@ -135,7 +135,7 @@ def _multiply_camera(
     camera: int,
     row: int,
     left: int,
-    room: Any,
+    work: Any,
     x: Any,
     product: Any,
     seen: Any,
@@ -144,7 +144,7 @@ def _multiply_camera(
 
     Voxels that the camera sees black are removed. Returns the number of the others.
     """
-    base, across, down = locate(sight, camera, row, x[:left], room)
+    base, across, down = locate(sight, camera, row, x[:left], work)
     kept = 0
     for i in range(left):
         light, counts = np.float32(1.0), 0

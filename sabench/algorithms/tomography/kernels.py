@@ -49,7 +49,7 @@ class Sight(NamedTuple):
 
 @numba.njit(cache=True)
 def scratch(sight: Any) -> Any:
-    """Allocate room for `locate` to work in."""
+    """Allocate the scratch arrays of `locate`."""
     width, terms = sight.width, sight.degree + 1
     return (
         np.empty(terms),
@@ -62,7 +62,7 @@ def scratch(sight: Any) -> Any:
 
 
 @numba.njit(cache=True)
-def locate(sight: Any, camera: int, row: int, x: Any, room: Any) -> Any:
+def locate(sight: Any, camera: int, row: int, x: Any, work: Any) -> Any:
     """Locate the voxels x of a row, counted over (z, y), in a camera's image.
 
     Returns
@@ -71,15 +71,15 @@ def locate(sight: Any, camera: int, row: int, x: Any, room: Any) -> Any:
         margin, are not inside the image: this camera does not see the voxel.
     across, down : (n,) uint16, position among these pixels in steps.
     """
-    total, line, place, base, across, down = room
+    total, line, position, base, across, down = work
     v = 2.0 * (row % sight.height) / (sight.height - 1) - 1.0 if sight.height > 1 else 0.0
     for axis in range(2):
         _collapse(
             sight.maps[camera, row // sight.height, axis], sight.degree, sight.shift, v, total
         )
         line[axis] = total
-    _evaluate(line, x, sight.width, place)
-    _fix(place, len(x), sight, base, across, down)
+    _evaluate(line, x, sight.width, position)
+    _fix(position, len(x), sight, base, across, down)
     return base[: len(x)], across[: len(x)], down[: len(x)]
 
 
@@ -100,12 +100,12 @@ def _collapse(plane: Any, degree: int, shift: float, v: float, total: Any) -> No
 
 
 @numba.njit(cache=True)
-def _evaluate(line: Any, x: Any, width: int, place: Any) -> None:
+def _evaluate(line: Any, x: Any, width: int, position: Any) -> None:
     """Evaluate polynomials by Horner's rule with the voxels in the inner loop.
 
-    Fills in u, column and row in `place`.
+    Fills in u, column and row in `position`.
     """
-    u, column, row = place[0], place[1], place[2]
+    u, column, row = position[0], position[1], position[2]
     step, half = np.float32(2.0 / max(width - 1, 1)), np.float32(1.0 if width > 1 else 0.0)
     last = line.shape[1] - 1
     for i in range(len(x)):
@@ -120,9 +120,9 @@ def _evaluate(line: Any, x: Any, width: int, place: Any) -> None:
 
 
 @numba.njit(cache=True)
-def _fix(place: Any, count: int, sight: Any, base: Any, across: Any, down: Any) -> None:
+def _fix(position: Any, count: int, sight: Any, base: Any, across: Any, down: Any) -> None:
     """Convert positions to pixels and steps."""
-    column, row = place[1], place[2]
+    column, row = position[1], position[2]
     low, mask, stride = (
         np.float32(sight.margin) * _ONE,
         np.int32(sight.mask),
@@ -188,13 +188,13 @@ def project(
     count = len(parts) - 1
     for task in numba.prange(len(cameras) * count):
         number, part = task // count, task % count
-        room = scratch(sight)
+        work = scratch(sight)
         for row in range(parts[part], parts[part + 1]):
             first, last = start[row], start[row + 1]
             if last > first:
                 _scatter(
                     values[first:last],
-                    locate(sight, cameras[number], row, x[first:last], room),
+                    locate(sight, cameras[number], row, x[first:last], work),
                     sight.columns,
                     out[number, part],
                 )
@@ -209,7 +209,7 @@ def back_project(
     The images are (n, rows * columns). Other arguments are as for `project`.
     """
     for part in numba.prange(len(parts) - 1):
-        room = scratch(sight)
+        work = scratch(sight)
         for number in range(len(cameras)):
             for row in range(parts[part], parts[part + 1]):
                 first, last = start[row], start[row + 1]
@@ -217,7 +217,7 @@ def back_project(
                     _collect(
                         images[number],
                         sight.columns,
-                        locate(sight, cameras[number], row, x[first:last], room),
+                        locate(sight, cameras[number], row, x[first:last], work),
                         out[first:last],
                     )
 

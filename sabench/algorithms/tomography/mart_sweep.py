@@ -102,9 +102,9 @@ def _count(sight: Any, camera: int, parts: Any, start: Any, x: Any, slots: Any) 
     Counts go into slots (part, pixel), which are zero on entry.
     """
     for part in numba.prange(len(parts) - 1):
-        room, corner = scratch(sight), sight.margin * (sight.columns + 1)
+        work, corner = scratch(sight), sight.margin * (sight.columns + 1)
         for row in range(parts[part], parts[part + 1]):
-            base, _, _ = locate(sight, camera, row, x[start[row] : start[row + 1]], room)
+            base, _, _ = locate(sight, camera, row, x[start[row] : start[row + 1]], work)
             for i in range(len(base)):
                 if base[i] >= 0:
                     slots[part, base[i] - corner] += 1
@@ -149,9 +149,9 @@ def _fill_part(
 
     `slots` advances with every voxel.
     """
-    room, corner = scratch(sight), sight.margin * (sight.columns + 1)
+    work, corner = scratch(sight), sight.margin * (sight.columns + 1)
     for row in range(begin, end):
-        base, across, down = locate(sight, camera, row, x[start[row] : start[row + 1]], room)
+        base, across, down = locate(sight, camera, row, x[start[row] : start[row + 1]], work)
         for i in range(len(base)):
             if base[i] >= 0:
                 slot = slots[base[i] - corner]

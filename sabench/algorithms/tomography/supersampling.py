@@ -171,7 +171,9 @@ def clear_dark(volume: F32, floor: float) -> F32:
     One is a bright particle's peak in the images, whose light fills dozens of voxels: a bright
     voxel is at least `_FAINTEST`.
     """
-    lit = volume[volume > _LIT * volume.max(initial=0.0)]
-    bright = max(float(np.percentile(lit, _BRIGHT)) if len(lit) else 0.0, _FAINTEST)
+    bright_voxels = volume[volume > _LIT * volume.max(initial=0.0)]
+    bright = max(
+        float(np.percentile(bright_voxels, _BRIGHT)) if len(bright_voxels) else 0.0, _FAINTEST
+    )
     volume[volume < floor * bright] = 0.0
     return volume

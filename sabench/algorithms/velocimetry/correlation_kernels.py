@@ -45,15 +45,15 @@ def block_sums(
                     for y in range(by * block[1], (by + 1) * block[1]):
                         if 0 <= z + dz < second.shape[0] and 0 <= y + dy < second.shape[1]:
                             _add_rows(first[z, y], second[z + dz, y + dy], rx, rows)
-                place = ((dz + rz) * (2 * ry + 1) + dy + ry) * across
+                position = ((dz + rz) * (2 * ry + 1) + dy + ry) * across
                 for bx in range(wide):
                     for n in range(across):
                         product, square = np.float32(0.0), np.float32(0.0)
                         for x in range(bx * block[2], (bx + 1) * block[2]):
                             product += rows[n, x]
                             square += rows[across, x + n]
-                        products[bz, by, bx, place + n] = product
-                        squares[bz, by, bx, place + n] = square
+                        products[bz, by, bx, position + n] = product
+                        squares[bz, by, bx, position + n] = square
 
 
 @numba.njit(cache=True, fastmath=True)
@@ -143,12 +143,12 @@ def _highest(curve: Any, reach: Any, shift: Any) -> Any:
         if curve[n] > curve[top]:
             top = n
     across, along = 2 * reach[2] + 1, (2 * reach[2] + 1) * (2 * reach[1] + 1)
-    place = (top % across - reach[2], top % along // across - reach[1], top // along - reach[0])
+    position = (top % across - reach[2], top % along // across - reach[1], top // along - reach[0])
     strides, ends = (1, across, along), (reach[2], reach[1], reach[0])
     for axis in range(3):
-        shift[axis] = place[axis]
+        shift[axis] = position[axis]
         if (
-            abs(place[axis]) < ends[axis]
+            abs(position[axis]) < ends[axis]
         ):  # at the edge of the search: the whole step, no more is known
             shift[axis] += _vertex(
                 curve[top - strides[axis]], curve[top], curve[top + strides[axis]]
@@ -227,7 +227,7 @@ def circular_peaks(planes: Any, shift: Any, height: Any, ratio: Any) -> None:
 def _largest(values: Any) -> int:
     """Find the first of the largest values.
 
-    The largest is found without branches, then its place.
+    The largest is found without branches, then its position.
     """
     most = values[0]
     for n in range(len(values)):
@@ -239,6 +239,6 @@ def _largest(values: Any) -> int:
 
 
 @numba.njit(cache=True)
-def _to_displacement(place: int, count: int) -> int:
+def _to_displacement(position: int, count: int) -> int:
     """Turn a circular shift into a displacement."""
-    return place - count if place > count // 2 else place
+    return position - count if position > count // 2 else position

@@ -149,11 +149,11 @@ def _at(values: F64, there: Windows, here: Windows) -> F64:
     Beyond the outer ones it is extrapolated linearly.
     """
     for axis in range(3):
-        place = (
+        position = (
             here.origin[axis] + here.step[axis] * np.arange(here.counts[axis]) - there.origin[axis]
         ) / there.step[axis]
-        low = np.clip(place.astype(int), 0, max(there.counts[axis] - 2, 0))
-        part = np.expand_dims(place - low, tuple(n for n in range(values.ndim) if n != axis))
+        low = np.clip(position.astype(int), 0, max(there.counts[axis] - 2, 0))
+        part = np.expand_dims(position - low, tuple(n for n in range(values.ndim) if n != axis))
         high = np.minimum(low + 1, there.counts[axis] - 1)
         values = (
             np.take(values, low, axis=axis) * (1.0 - part) + np.take(values, high, axis=axis) * part

@@ -43,10 +43,10 @@ def near_the_median(shift: F64, valid: Bool, times: float) -> Bool:
     1096-1100, 2005, in three dimensions.
     """
     around = np.where(valid[..., None], shift, np.nan)
-    room = [(min(1, count - 1),) * 2 for count in shift.shape[:3]]
-    padded = np.pad(around, [*room, (0, 0)], mode="reflect", reflect_type="odd")
+    padding = [(min(1, count - 1),) * 2 for count in shift.shape[:3]]
+    padded = np.pad(around, [*padding, (0, 0)], mode="reflect", reflect_type="odd")
     padded = np.pad(
-        padded, [(1 - before,) * 2 for before, _ in room] + [(0, 0)], constant_values=np.nan
+        padded, [(1 - before,) * 2 for before, _ in padding] + [(0, 0)], constant_values=np.nan
     )
     middle, spread = np.empty_like(shift), np.empty_like(shift)
     medians(padded, middle, spread)
@@ -89,11 +89,13 @@ def smooth_vectors(shift: F64, sigma: tuple[float, float, float]) -> F64:
     Beyond the edges fields are extrapolated linearly.
     """
     reach = [math.ceil(_REACH * own) for own in sigma]
-    room = [(min(own, count - 1),) * 2 for own, count in zip(reach, shift.shape[:3], strict=True)]
-    wide = np.pad(shift, [*room, (0, 0)], mode="reflect", reflect_type="odd")
+    padding = [
+        (min(own, count - 1),) * 2 for own, count in zip(reach, shift.shape[:3], strict=True)
+    ]
+    wide = np.pad(shift, [*padding, (0, 0)], mode="reflect", reflect_type="odd")
     inner = tuple(
         slice(before, before + count)
-        for (before, _), count in zip(room, shift.shape[:3], strict=True)
+        for (before, _), count in zip(padding, shift.shape[:3], strict=True)
     )
     return np.stack(
         [

@@ -184,11 +184,11 @@ def by_spectra(first: F32, second: F32, windows: Windows) -> Peaks:
             "correlate by spectra",
         ):
             done.result()
-    lit = height > 0.0
+    textured = height > 0.0
     return Peaks(
-        (shift * lit[:, None]).reshape(*windows.counts, 3),
+        (shift * textured[:, None]).reshape(*windows.counts, 3),
         height.reshape(windows.counts),
-        (ratio * lit).reshape(windows.counts),
+        (ratio * textured).reshape(windows.counts),
     )
 
 

@@ -85,7 +85,7 @@ def scene_at(steps: Sequence[tuple[int, int]], baseline: float) -> Scene:
     """Load the bundled scene with cameras at a distance in baselines."""
     values: dict[str, Any] = load_scene("calibration").to_dict()
     middle = values["volume"]["center_mm"][2] - values["cameras"]["center_mm"][2]
-    places = [
+    positions = [
         {
             "center_mm": [
                 x * baseline * middle,
@@ -95,7 +95,7 @@ def scene_at(steps: Sequence[tuple[int, int]], baseline: float) -> Scene:
         }
         for x, y in steps
     ]
-    values["cameras"]["layout"] = {"kind": "list", "places": places}
+    values["cameras"]["layout"] = {"kind": "list", "places": positions}
     return parse_scene(values, f"D = {baseline:g}")
 
 
@@ -169,15 +169,15 @@ def held_out(
     They are triangulated by the estimated cameras, in the boards' alignment, and by the true ones.
     """
     rng = stream(seed, "held out")
-    places = np.array([0.0, 0.0, 35.0]) + 45.0 * (rng.random((count, 3)) - 0.5)
-    pixels = np.stack([camera.project(places)[0] for camera in given.cameras])
+    positions = np.array([0.0, 0.0, 35.0]) + 45.0 * (rng.random((count, 3)) - 0.5)
+    pixels = np.stack([camera.project(positions)[0] for camera in given.cameras])
     pixels = pixels + noise_px * rng.standard_normal(pixels.shape)
     motion = fit_alignment(
         "lateral", places_of(answer, given).reshape(-1, 3), given.points_mm.reshape(-1, 3)
     )
-    return motion(triangulate(answer.cameras, pixels)) - places, triangulate(
+    return motion(triangulate(answer.cameras, pixels)) - positions, triangulate(
         given.cameras, pixels
-    ) - places
+    ) - positions
 
 
 def with_points(given: Board, points_mm: F64) -> Board:

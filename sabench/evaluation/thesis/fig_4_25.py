@@ -43,12 +43,12 @@ def rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
         for name, solver in _SOLVERS.items():
             first: F64 | None = None
             for test, step in _STEPS.items():
-                places = _planes(solver, given, step)
-                first = places if first is None else first
+                positions = _planes(solver, given, step)
+                first = positions if first is None else first
                 found.setdefault((name, test), []).append(
-                    np.stack([np.diff(places[..., 2], axis=0).mean(axis=1), _scatter(places)])
+                    np.stack([np.diff(positions[..., 2], axis=0).mean(axis=1), _scatter(positions)])
                 )
-                turns.setdefault((name, test), []).append(_turn_deg(places, first))
+                turns.setdefault((name, test), []).append(_turn_deg(positions, first))
     for (name, test), draws in found.items():
         off = [float(np.abs(own[0] - _STEP_MM).max()) for own in draws]
         head = f"{name}, {test} (told {_STEPS[test]:g} mm)"
@@ -87,13 +87,13 @@ def make_traverse() -> Scene:
     """
     values: dict[str, Any] = load_scene("calibration").to_dict()
     array = _MIDDLE_MM - _DISTANCE_MM
-    places = [{"center_mm": [x * _SPACING_MM, y * _SPACING_MM, array]} for x, y in _PLACES]
+    positions = [{"center_mm": [x * _SPACING_MM, y * _SPACING_MM, array]} for x, y in _PLACES]
     values["cameras"] |= {
         "rows": 768,
         "columns": 1024,
         "pixel_mm": 0.00465,
         "focal_length_mm": 50.0,
-        "layout": {"kind": "list", "places": places},
+        "layout": {"kind": "list", "places": positions},
     }
     depth = _STEP_MM * (_PLANES - 1)
     values["volume"] = {"center_mm": [0.0, 0.0, _MIDDLE_MM], "size_mm": [55.0, 40.0, depth]}
@@ -123,12 +123,12 @@ def _planes(solver: str, given: Board, step_mm: float) -> F64:
     return places_of(solve_case(solver, start), start)
 
 
-def _scatter(places: F64) -> F64:
-    return np.asarray(np.diff(places[..., 2], axis=0).std(axis=1))
+def _scatter(positions: F64) -> F64:
+    return np.asarray(np.diff(positions[..., 2], axis=0).std(axis=1))
 
 
-def _turn_deg(places: F64, reference: F64) -> float:
-    turn = fit_rigid_motion(places.reshape(-1, 3), reference.reshape(-1, 3)).rotation
+def _turn_deg(positions: F64, reference: F64) -> float:
+    turn = fit_rigid_motion(positions.reshape(-1, 3), reference.reshape(-1, 3)).rotation
     return float(np.rad2deg(np.arccos(np.clip((np.trace(turn) - 1.0) / 2.0, -1.0, 1.0))))
 
 

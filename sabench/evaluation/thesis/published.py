@@ -91,9 +91,9 @@ def _space(grid: Grid, numbers: F64) -> Grid:
 
 def _two_innermost(cameras: Sequence[CameraModel]) -> tuple[CameraModel, CameraModel]:
     """Find the camera nearest to the array's centre, and its neighbour."""
-    places = np.array([camera.center_mm for camera in cameras])
-    center = int(np.linalg.norm(places - places.mean(axis=0), axis=1).argmin())
-    order = np.argsort(np.linalg.norm(places - places[center], axis=1), kind="stable")
+    positions = np.array([camera.center_mm for camera in cameras])
+    center = int(np.linalg.norm(positions - positions.mean(axis=0), axis=1).argmin())
+    order = np.argsort(np.linalg.norm(positions - positions[center], axis=1), kind="stable")
     return cameras[center], cameras[int(order[1])]
 
 

@@ -133,8 +133,8 @@ def _spacing_row(case: Case) -> Row:
 
 def _inner_pair(cameras: Sequence[Camera]) -> tuple[Camera, Camera]:
     """Find the central camera and its nearest neighbour."""
-    places = np.array([camera.center_mm for camera in cameras])
-    order = np.argsort(np.linalg.norm(places - places.mean(axis=0), axis=1))
+    positions = np.array([camera.center_mm for camera in cameras])
+    order = np.argsort(np.linalg.norm(positions - positions.mean(axis=0), axis=1))
     return cameras[order[0]], cameras[order[1]]
 
 

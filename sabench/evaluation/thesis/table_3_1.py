@@ -95,13 +95,13 @@ def _setup(algorithm: Algorithm, frame: Observation) -> Setup:
 
 
 def _describe(setup: Setup) -> str:
-    lit = (
+    illuminated = (
         f", {setup.lit_voxels:.3g} of them lit, {setup.path_voxels:.3g} on a line of sight"
         f", {setup.iterations} iterations"
         if setup.iterations
         else ""
     )
-    return f"{setup.cameras} cameras, {setup.voxels:.3g} voxels{lit}"
+    return f"{setup.cameras} cameras, {setup.voxels:.3g} voxels{illuminated}"
 
 
 def _solver(algorithm: Algorithm) -> Solver:

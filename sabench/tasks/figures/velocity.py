@@ -87,7 +87,9 @@ def slice_panel(field: Velocity, normal: int) -> Panel:
         _middle(field.velocity_mm_s, normal)[..., list(_across(normal))],
         np.nan,
     )
-    place = field.low_mm[normal] + field.step_mm[normal] * (field.valid.shape[2 - normal] // 2)
+    position_mm = field.low_mm[normal] + field.step_mm[normal] * (
+        field.valid.shape[2 - normal] // 2
+    )
     spin = Slice(
         f"vorticity about {'xyz'[normal]}, 1/s",
         *_axes(field, normal),
@@ -95,7 +97,7 @@ def slice_panel(field: Velocity, normal: int) -> Panel:
         True,
         arrows,
     )
-    return Panel(f"measured, {'xyz'[normal]} = {place:.4g} mm", *_labels(normal), (spin,))
+    return Panel(f"measured, {'xyz'[normal]} = {position_mm:.4g} mm", *_labels(normal), (spin,))
 
 
 def error_scatter(title: str, errors: F64) -> Panel:

@@ -120,13 +120,13 @@ class Crossflow(BaseModel):
             ]
         )
         length = rng.uniform(*_LONG) * self.diameter_mm
-        places = [root]
+        positions = [root]
         for _ in range(3):
             direction = direction + _BEND
-            places.append(
-                places[-1] + direction / np.linalg.norm(direction) * (length + least) / 3.0
+            positions.append(
+                positions[-1] + direction / np.linalg.norm(direction) * (length + least) / 3.0
             )
-        ends = np.array(places)
+        ends = np.array(positions)
         thickness = np.linspace(min(_THICK * self.diameter_mm, least), _THIN * self.diameter_mm, 4)
         bulb = np.array([_BULB * self.diameter_mm])
         return (
@@ -179,7 +179,7 @@ class Spray:
             self.gas_mm_s * (time + self.response_s * np.expm1(-time / self.response_s))
         )
 
-    def places(self, age: F64, line: F64) -> F64:
+    def positions(self, age: F64, line: F64) -> F64:
         """Compute positions (n, 3) from the nozzle at ages (n,), of lines (n, 2).
 
         Lines are shares of height and of width, both from 0 to 1.
@@ -188,21 +188,21 @@ class Spray:
         y = -self.jet.upper_mm(x) * (self.lower + (1.0 - self.lower) * line[:, 0])
         return np.column_stack([x, y, self.jet.width_mm(x) * (line[:, 1] - 0.5)])
 
-    def velocities(self, age: F64, places: F64) -> F64:
+    def velocities(self, age: F64, positions: F64) -> F64:
         """Compute velocities (n, 3) at positions.
 
         Height and width grow as a power of x.
         """
         speed = -self.gas_mm_s * np.expm1(-age / self.response_s)
-        slope = places * _POWER / places[:, :1]
+        slope = positions * _POWER / positions[:, :1]
         slope[:, 0] = 1.0
         return np.asarray(speed[:, None] * slope)
 
-    def ages_and_lines(self, places: F64) -> tuple[F64, F64]:
+    def ages_and_lines(self, positions: F64) -> tuple[F64, F64]:
         """Compute ages (n,) and lines (n, 2) of positions (n, 3) from the nozzle."""
-        x = places[:, 0]
-        height = (-places[:, 1] / self.jet.upper_mm(x) - self.lower) / (1.0 - self.lower)
+        x = positions[:, 0]
+        height = (-positions[:, 1] / self.jet.upper_mm(x) - self.lower) / (1.0 - self.lower)
         time, ways = self.ages
         return np.interp(x, ways, time), np.column_stack(
-            [height, places[:, 2] / self.jet.width_mm(x) + 0.5]
+            [height, positions[:, 2] / self.jet.width_mm(x) + 0.5]
         )

@@ -27,16 +27,16 @@ def half_thickness(x: npt.ArrayLike, ratio: float) -> F64:
     )
 
 
-def camber(x: npt.ArrayLike, height: float, place: float) -> tuple[F64, F64]:
+def camber(x: npt.ArrayLike, height: float, position: float) -> tuple[F64, F64]:
     """Compute mean line and its slope at x, in chords.
 
-    Its largest height is at `place`; a height of 0 is a straight line.
+    Its largest height is at `position`; a height of 0 is a straight line.
     """
     at = np.asarray(x, dtype=np.float64)
     if not height:
         return np.zeros_like(at), np.zeros_like(at)
-    part = np.where(at < place, place, 1.0 - place)  # each side is a parabola
-    off = (at - place) / part
+    part = np.where(at < position, position, 1.0 - position)  # each side is a parabola
+    off = (at - position) / part
     return np.asarray(height * (1.0 - off**2)), np.asarray(-2.0 * height * off / part)
 
 

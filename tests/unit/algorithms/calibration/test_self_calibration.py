@@ -160,7 +160,7 @@ def test_all_right_sets_are_among_those_found() -> None:
             )
         pictures.append(find_peaks(light, 0.3))
     sets = find_sets(maps, tuple(pictures), 4.0)
-    right = [np.abs(sets.places - place).max(axis=1).min() for place in unit]
+    right = [np.abs(sets.positions - place).max(axis=1).min() for place in unit]
     assert np.mean(np.array(right) < 0.05) > 0.85
 
 

@@ -38,8 +38,8 @@ from sabench.utils.errors import InputError
         (3.0, None, "not in the thesis"),
     ],
 )
-def test_verdicts(measure_quality: float, thesis: float | None, expected: str) -> None:
-    assert verdict(measure_quality, thesis) == expected
+def test_verdicts(measured: float, thesis: float | None, expected: str) -> None:
+    assert verdict(measured, thesis) == expected
 
 
 def test_rows_hold_the_mean_over_seeds() -> None:

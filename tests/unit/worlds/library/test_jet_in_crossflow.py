@@ -102,7 +102,7 @@ def test_lines_are_known_from_places() -> None:
     spray = Spray(Crossflow.model_validate(JET), 0.4, 40_000.0, 5e-3, 60.0)
     rng = np.random.default_rng(1)
     age, line = rng.uniform(1e-4, spray.ages[0][-1], 50), rng.random((50, 2))
-    again, lines = spray.ages_and_lines(spray.places(age, line))
+    again, lines = spray.ages_and_lines(spray.positions(age, line))
     np.testing.assert_allclose(again, age, rtol=1e-3)
     np.testing.assert_allclose(lines, line, atol=1e-9)
     assert spray.ages[1][-1] == pytest.approx(60.0)
