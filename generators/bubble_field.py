@@ -81,10 +81,10 @@ class BubbleField(BubbleGenerator):
         )  # margin to enter and leave
         period = size + beyond
         semi_axes, rotation = self._shapes(rng, float(period.prod()))
-        reach = np.linalg.norm(semi_axes[:, None, :] * rotation.transpose(0, 2, 1), axis=2)
+        extent = np.linalg.norm(semi_axes[:, None, :] * rotation.transpose(0, 2, 1), axis=2)
 
         def propose(which: I64, tries: int) -> F64:
-            margin = np.maximum(period - 2.0 * reach[which], 0.0)[:, None]
+            margin = np.maximum(period - 2.0 * extent[which], 0.0)[:, None]
             return np.asarray((period - margin) / 2.0 + margin * rng.random((len(which), tries, 3)))
 
         there = (

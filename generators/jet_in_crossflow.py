@@ -61,10 +61,10 @@ class JetInCrossflow(BubbleGenerator):
         chosen: JetInCrossflowParameters = self.parameters
         rng, cones, spray = stream(seed, "bubbles"), chosen.cones(seed), self._spray(domain)
         semi_axes, rotation = spheroids(chosen, rng, chosen.count)
-        reach = semi_axes.max(axis=1)
+        extent = semi_axes.max(axis=1)
 
         def propose(which: I64, tries: int) -> F64:
-            return self._places(rng, spray, reach[which], tries, cones)
+            return self._places(rng, spray, extent[which], tries, cones)
 
         first = (
             propose(np.arange(chosen.count), 1)[:, 0]
@@ -83,7 +83,7 @@ class JetInCrossflow(BubbleGenerator):
             spray.velocities(age, there),
             chosen.index,
         )
-        made = made[within(domain, made) & self._off(there, reach, cones)]
+        made = made[within(domain, made) & self._off(there, extent, cones)]
         if not chosen.overlap and time_s:
             made = made[np.setdiff1d(np.arange(len(made)), overlapping(made)[:, 1])]
         return made
@@ -100,23 +100,23 @@ class JetInCrossflow(BubbleGenerator):
         )
 
     def _places(
-        self, rng: np.random.Generator, spray: Spray, reach: F64, tries: int, cones: Cones
+        self, rng: np.random.Generator, spray: Spray, extent: F64, tries: int, cones: Cones
     ) -> F64:
         """Draw candidates (k, m, 3) from the nozzle, off the column.
 
         They are uniform over age and between the spray's edges.
         """
-        out = np.empty((len(reach) * tries, 3))
+        out = np.empty((len(extent) * tries, 3))
         number = np.arange(len(out))
         while len(number):
             positions = spray.positions(
                 rng.random(len(number)) * spray.ages[0][-1], rng.random((len(number), 2))
             )
-            good = self._off(positions, reach[number // tries], cones)
+            good = self._off(positions, extent[number // tries], cones)
             out[number[good]] = positions[good]
             number = number[~good]
-        return out.reshape(len(reach), tries, 3)
+        return out.reshape(len(extent), tries, 3)
 
-    def _off(self, positions: F64, reach: F64, cones: Cones) -> Bool:
+    def _off(self, positions: F64, extent: F64, cones: Cones) -> Bool:
         """Mark drops that are clear of the column and its ligaments."""
-        return np.asarray(capsules(positions, *cones) > reach + _GAP * self.parameters.diameter_mm)
+        return np.asarray(capsules(positions, *cones) > extent + _GAP * self.parameters.diameter_mm)

@@ -46,9 +46,9 @@ class LiquidColumn(SolidGenerator):
         def body(points_mm: F64) -> F64:
             return capsules(points_mm, *cones, blend) + ripples(points_mm)
 
-        reach = chosen.diameter_mm
+        extent = chosen.diameter_mm
         low, high = (end(np.concatenate(cones[:2]), axis=0) for end in (np.min, np.max))
-        made = largest_part(surface_of(body, low - reach, high + reach, chosen.step_mm))
+        made = largest_part(surface_of(body, low - extent, high + extent, chosen.step_mm))
         return Solid(made.vertices_mm + np.asarray(chosen.nozzle_mm), made.faces)
 
     def _ripples(self, seed: int) -> Callable[[F64], F64]:

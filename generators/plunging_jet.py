@@ -71,10 +71,10 @@ class PlungingJet(BubbleGenerator):
         chosen: PlungingJetParameters = self.parameters
         rng, impact = stream(seed, "bubbles"), np.asarray(chosen.impact_mm)
         semi_axes, rotation, deep = self._shapes(rng, domain)
-        reach = np.linalg.norm(semi_axes[:, None, :] * rotation.transpose(0, 2, 1), axis=2)
+        extent = np.linalg.norm(semi_axes[:, None, :] * rotation.transpose(0, 2, 1), axis=2)
 
         def propose(which: I64, tries: int) -> F64:
-            return self._places(rng, domain, deep[which], reach[which], tries)
+            return self._places(rng, domain, deep[which], extent[which], tries)
 
         center = (
             propose(np.arange(len(deep)), 1)[:, 0]
@@ -138,7 +138,7 @@ class PlungingJet(BubbleGenerator):
         return float(np.trapezoid(air * inside, y) / np.trapezoid(air, y))
 
     def _places(
-        self, rng: np.random.Generator, domain: Domain, deep: Bool, reach: F64, tries: int
+        self, rng: np.random.Generator, domain: Domain, deep: Bool, extent: F64, tries: int
     ) -> F64:
         """Draw candidates (k, m, 3), wholly in the volume.
 
@@ -161,7 +161,7 @@ class PlungingJet(BubbleGenerator):
                 spread = self.law.half_radius_mm(depth) / np.sqrt(2.0 * LN2)
                 x, z = spread * rng.standard_normal((2, len(number)))
                 place_mm = np.column_stack([x, depth, z]) + np.asarray(chosen.impact_mm)
-                own = reach[number // tries]
+                own = extent[number // tries]
                 good = ((place_mm - own >= low) & (place_mm + own <= high)).all(axis=1)
                 out.reshape(-1, 3)[number[good]] = place_mm[good]
                 number = number[~good]

@@ -22,7 +22,7 @@ class VolumeSelfCalibrationParameters(Parameters):
         le=20.0,
         description="largest error that is looked for; it is halved in every round",
     )
-    least_px: float = Field(0.7, gt=0.1, description="reach at which the rounds end")
+    least_px: float = Field(0.7, gt=0.1, description="search radius at which the rounds end")
     bright: float = Field(
         0.15,
         gt=0.0,

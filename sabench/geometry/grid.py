@@ -80,26 +80,26 @@ def synthesise(grid: Grid, positions_mm: F64, weights: F64, sigma_mm: float) -> 
 
     voxels = grid.to_voxels(positions_mm)
     sigma = sigma_mm / np.asarray(grid.voxel_mm)
-    reach = np.ceil(_REACH * sigma + 0.5).astype(np.int64)
+    radius = np.ceil(_REACH * sigma + 0.5).astype(np.int64)
     size = np.asarray(grid.shape[::-1])
-    near = ((voxels >= -1.0 - reach) & (voxels <= size + reach)).all(axis=1) & (weights != 0.0)
+    near = ((voxels >= -1.0 - radius) & (voxels <= size + radius)).all(axis=1) & (weights != 0.0)
     voxels = voxels[near]
     nearest = np.rint(voxels).astype(np.int64)
     x, y, z = (
-        _profile(voxels[:, i], nearest[:, i], int(reach[i]), float(sigma[i])) for i in range(3)
+        _profile(voxels[:, i], nearest[:, i], int(radius[i]), float(sigma[i])) for i in range(3)
     )
     field: F32 = np.zeros(grid.shape, dtype=np.float32)
-    add_particles(nearest - reach, weights[near].astype(np.float32), x, y, z, field)
+    add_particles(nearest - radius, weights[near].astype(np.float32), x, y, z, field)
     return field
 
 
-def _profile(voxels: F64, nearest: I64, reach: int, sigma: float) -> F32:
+def _profile(voxels: F64, nearest: I64, radius: int, sigma: float) -> F32:
     """Compute means of Gaussians of peak 1 over the voxels about the nearest.
 
-    Returns (n, 2 reach + 1), along one axis.
+    Returns (n, 2 radius + 1), along one axis.
     """
     from sabench.images.gaussians import gaussian_shares  # numba is loaded at the first use
 
-    edges = np.arange(-reach, reach + 2)[None] - 0.5 + (nearest - voxels)[:, None]
+    edges = np.arange(-radius, radius + 2)[None] - 0.5 + (nearest - voxels)[:, None]
     mean = sigma * np.sqrt(2.0 * np.pi) * gaussian_shares(edges, sigma)
     return np.asarray(mean, dtype=np.float32)

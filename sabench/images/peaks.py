@@ -94,7 +94,7 @@ def _sort(pixels: F64, shape: tuple[int, ...]) -> Peaks:
 def find_near(peaks: Any, pixel: Any, radius: float, found: Any) -> int:
     """Fill in the numbers of the peaks within a radius of a pixel.
 
-    Returns how many there are. Those for which `found` has no room are left out.
+    Returns how many there are. Those beyond the length of `found` are left out.
     """
     count = 0
     left = max(int((pixel[0] - radius) // _CELL_PX), 0)

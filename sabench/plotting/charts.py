@@ -290,9 +290,9 @@ def _discs(axes: Any, one: Discs) -> None:
     axes.figure.colorbar(shown, ax=axes).set_label(one.label, fontsize=8)
     axes.set_aspect("equal")
     if len(widths):
-        reach = float(one.radius.max())
-        axes.set_xlim(one.x.min() - reach, one.x.max() + reach)
-        axes.set_ylim(one.y.max() + reach, one.y.min() - reach)
+        margin = float(one.radius.max())
+        axes.set_xlim(one.x.min() - margin, one.x.max() + margin)
+        axes.set_ylim(one.y.max() + margin, one.y.min() - margin)
     axes.grid(visible=False)
 
 

@@ -136,12 +136,12 @@ def _check_walls(bubbles: Bubbles, scene: Scene, where: str) -> None:
     wall = build_wall(scene.wall) if scene.wall else None
     if wall is None or not len(bubbles):
         return
-    depth, reach, (near, far) = (
+    depth, extent, (near, far) = (
         wall.depth_of(bubbles.center_mm),
         bubbles.reach_mm(wall.normal),
         _depths(wall),
     )
-    cut = np.flatnonzero((depth - reach < near) | (depth + reach > far))
+    cut = np.flatnonzero((depth - extent < near) | (depth + extent > far))
     if len(cut):
         raise InputError(
             f"{where}: expected all of them in the fluid, but a wall cuts {len(cut)}: "

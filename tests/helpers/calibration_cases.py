@@ -39,11 +39,11 @@ def case_of(scene: Scene, seed: int = 1) -> tuple[CalibrationCase, tuple[Camera,
         [found_pixels(scene.detection, own, seed, number)[0] for number, own in enumerate(exact)]
     )
     known = prior(scene, placed, seed)
-    told = nominal_cameras(scene, cameras, seed)
+    nominal = nominal_cameras(scene, cameras, seed)
     case = CalibrationCase(
         placed.target,
         pixels,
-        told,
+        nominal,
         known.initial_mm,
         known.known_mm,
         known.known_sigma_mm,

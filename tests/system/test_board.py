@@ -258,7 +258,7 @@ def test_pictures_beyond_the_budget_are_left_out_worst_first(
 
 
 @pytest.mark.parametrize(
-    ("told", "expected"),
+    ("texts", "expected"),
     [
         (
             ["sabench run s --seed {} --solver a"] * 3,
@@ -274,11 +274,11 @@ def test_pictures_beyond_the_budget_are_left_out_worst_first(
     ],
 )
 def test_one_command_makes_all_seeds_of_a_row_again(
-    told: list[str | None], expected: list[str]
+    texts: list[str | None], expected: list[str]
 ) -> None:
     runs = [
         record("a", seed=seed, command=text and text.format(seed))
-        for seed, text in zip((1, 2, 12), told, strict=True)
+        for seed, text in zip((1, 2, 12), texts, strict=True)
     ]
     assert page.commands(runs) == expected
 
@@ -307,7 +307,7 @@ def source(name: str) -> str:
 
 
 @pytest.mark.parametrize("mode", [0, 1], ids=["light", "dark"])
-def test_colours_can_be_told_from_their_ground(mode: int) -> None:
+def test_colours_differ_from_their_background(mode: int) -> None:
     colours = dict(
         re.findall(
             r"--([a-z-]+): (#[0-9a-f]{6})",

@@ -48,7 +48,7 @@ def level_case(**changes: Any) -> Any:
     return case_of(calibration_scene(targets=LEVEL, frames=7, calibration=rough, **changes))
 
 
-# Mean true reprojection error, px, where points are found to 0.1 px and told to 0.01 mm (0.2 px);
+# Mean true reprojection error, px, where points are found to 0.1 px and known to 0.01 mm (0.2 px);
 # linear_autocal cannot know of the wall.
 MOST = {
     "refractive_autocal": 0.015,
@@ -151,7 +151,7 @@ def boards(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
 
 
 def test_both_ends_of_the_scale(boards: Dataset) -> None:
-    truth, told = sabench.score(boards, "truth"), sabench.score(boards, "empty")
+    truth, empty = sabench.score(boards, "truth"), sabench.score(boards, "empty")
     assert truth["true_px"] == pytest.approx(0.0, abs=1e-9)
     assert truth["measured_px"] == pytest.approx(0.1 * np.sqrt(np.pi / 2.0), rel=0.05)
     assert truth["held_out_mm"] == pytest.approx(truth["held_out_exact_mm"])
@@ -161,8 +161,8 @@ def test_both_ends_of_the_scale(boards: Dataset) -> None:
             for axis in "xyz"
             for what in ("mean", "std")
         )
-    assert told["true_px"] > 20.0
-    assert told["held_out_mm"] > 10.0 * truth["held_out_mm"]
+    assert empty["true_px"] > 20.0
+    assert empty["held_out_mm"] > 10.0 * truth["held_out_mm"]
 
 
 def test_a_calibration_s_scores(boards: Dataset, tmp_path: Path) -> None:
@@ -231,9 +231,9 @@ def test_self_calibration_is_scored_on_particles(tmp_path: Path) -> None:
     )
     result = sabench.solve("volume_self_calibration", data, tmp_path / "r.h5")
     assert TASK.score(data, "truth")["true_px"] == pytest.approx(0.0, abs=1e-6)
-    told = TASK.score(data, "empty")["true_px"]
-    assert told is not None
-    assert told > 1.0
+    empty = TASK.score(data, "empty")["true_px"]
+    assert empty is not None
+    assert empty > 1.0
     assert sabench.score(data, result.path)["true_px"] < 0.06
 
 

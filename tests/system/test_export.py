@@ -27,12 +27,12 @@ def opened(path: Path) -> tuple[Any, dict[str, Any]]:
     from vtkmodules.util.numpy_support import vtk_to_numpy
 
     reader = vtk.vtkHDFReader()
-    told: list[str] = []
-    reader.AddObserver("ErrorEvent", lambda *_: told.append("error"))
+    messages: list[str] = []
+    reader.AddObserver("ErrorEvent", lambda *_: messages.append("error"))
     assert reader.CanReadFile(str(path))
     reader.SetFileName(str(path))
     reader.Update()
-    assert not told
+    assert not messages
     data = reader.GetOutputDataObject(0)
     both = (data.GetPointData(), data.GetCellData())
     return data, {

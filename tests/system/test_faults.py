@@ -120,11 +120,11 @@ def test_missing_and_truncated_images_and_truth(copy: Path, command: Command) ->
     check_sentence(command("solve", "msa", copy, "-o", "r.h5"), "camera_01.tif", "no such file")
     truncate(copy / "truth.h5")
     check_sentence(command("score", copy, "truth"), "truth.h5")
-    told = command("verify", copy)
-    assert told.returncode == 1
-    assert len(told.stdout.splitlines()) == 2
-    assert "camera_01.tif" in told.stdout
-    assert "truth.h5" in told.stdout
+    output = command("verify", copy)
+    assert output.returncode == 1
+    assert len(output.stdout.splitlines()) == 2
+    assert "camera_01.tif" in output.stdout
+    assert "truth.h5" in output.stdout
     (copy / "manifest.json").unlink()
     check_sentence(command("score", copy, "truth"), "manifest.json")
 

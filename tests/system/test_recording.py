@@ -148,7 +148,7 @@ class Breaker(Generator):
 '''
 
 
-def test_a_frame_that_always_breaks_is_told_and_the_rest_kept(
+def test_a_frame_that_always_breaks_is_reported_and_the_rest_kept(
     tmp_path: Path, own_process: Command
 ) -> None:
     plugin, cure = tmp_path / "mine" / "generators" / "breaker.py", tmp_path / "cure"

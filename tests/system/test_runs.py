@@ -97,13 +97,13 @@ def test_hidden_runs_tell_no_seed_and_show_no_picture(tmp_path: Path, command: C
         case.seed
         for case in load_suite(tmp_path / "s.toml", read_secret(tmp_path / "secret.toml"))[1]
     ]
-    told = (
+    output = (
         (tmp_path / "leaderboard/index.html").read_text()
         + json.dumps(found)
         + done.stdout
         + done.stderr
     )
-    assert not any(str(seed) in told for seed in seeds)
-    assert "own words" not in told
+    assert not any(str(seed) in output for seed in seeds)
+    assert "own words" not in output
     assert not (tmp_path / "leaderboard/pictures").exists()
     assert found[0]["dataset"] != found[1]["dataset"]

@@ -146,10 +146,10 @@ def test_clipped_pixels_are_known_to_be_clipped(in_air: Shot) -> None:
     case = in_air.observation
     white = np.floor(np.quantile(case.images[case.images > 200], 0.7))
     clipped = np.minimum(case.images, np.uint16(white))
-    told, untold = (replace(case, images=clipped, white_dn=level) for level in (white, 65535.0))
+    given, unset = (replace(case, images=clipped, white_dn=level) for level in (white, 65535.0))
     truth = true_field(case.grid, in_air.particles, in_air.views)
     for name in ("block_mart", "mart", "mlos_sart"):
-        better, worse = (quality(solve(name, view).volume, truth) for view in (told, untold))
+        better, worse = (quality(solve(name, view).volume, truth) for view in (given, unset))
         assert better > worse + 0.01, name
 
 

@@ -40,11 +40,11 @@ class Sets:
 
 
 def find_sets(maps: VolumePolynomials, peaks: tuple[Peaks, ...], reach_px: float) -> Sets:
-    """Find sets of peaks within reach, and the errors of their images.
+    """Find sets of peaks within a radius, and the errors of their images.
 
     Errors are distances from the projections of the position that fits best.
 
-    If there is no room for all sets, they are those of a random part of the first camera's images.
+    If they are too many, they are those of a random part of the first camera's images.
     The shares of right and wrong sets then stay the same.
     """
     pixels = np.stack(

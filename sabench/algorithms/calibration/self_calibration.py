@@ -103,18 +103,18 @@ def follow_disparities(tracking: Tracking, reach_px: float, least_px: float) -> 
     First those of the core, then those of every other camera against the sets of the core.
     """
     core = range(min(_CORE, len(tracking.cameras)))
-    maps, reach = tracking.maps, reach_px
+    maps, radius = tracking.maps, reach_px
     for _ in range(_ROUNDS):
-        sets = find_sets(maps, tracking.peaks[: len(core)], reach)
+        sets = find_sets(maps, tracking.peaks[: len(core)], radius)
         if not len(sets.positions):
             raise InputError(
-                f"expected particle images that agree within {reach:g} px, got none: larger "
+                f"expected particle images that agree within {radius:g} px, got none: larger "
                 "errors need a larger reach_px"
             )
         maps, moved = correct(maps, sets, core)
-        if reach <= least_px and moved < _SETTLED_PX:
+        if radius <= least_px and moved < _SETTLED_PX:
             break
-        reach = max(least_px, 0.5 * reach)
+        radius = max(least_px, 0.5 * radius)
     sure = find_sets(maps, tracking.peaks[: len(core)], least_px)
     _check(tracking, maps, sure, reach_px, least_px)
     for camera in range(len(core), len(tracking.cameras)):
@@ -127,7 +127,7 @@ def _check(
 ) -> None:
     """Refuse a spot of sets that agree by chance.
 
-    The number of such sets grows with the reach to the power of the dimensions in which they could
+    The number of such sets grows with the radius to the power of the dimensions in which they could
     disagree.
     """
     core = min(_CORE, len(tracking.cameras))
@@ -149,12 +149,12 @@ def _follow_one(
     reach_px: float,
     least_px: float,
 ) -> VolumePolynomials:
-    reach = _FARTHER * reach_px
+    radius = _FARTHER * reach_px
     for _ in range(_ROUNDS):
-        pairs, errors = _pairs(maps, tracking.peaks[camera], camera, sure.positions, reach)
+        pairs, errors = _pairs(maps, tracking.peaks[camera], camera, sure.positions, radius)
         if not len(pairs):
             raise InputError(
-                f"{tracking.cameras[camera].name}: expected particle images within {reach:g} px "
+                f"{tracking.cameras[camera].name}: expected particle images within {radius:g} px "
                 "of where the other cameras' are, got none"
             )
         maps, moved = correct(
@@ -162,22 +162,22 @@ def _follow_one(
             Sets(sure.positions[pairs[:, 0]], pairs, errors[:, None]),
             range(camera, camera + 1),
         )
-        if reach <= least_px and moved < _SETTLED_PX:
+        if radius <= least_px and moved < _SETTLED_PX:
             break
-        reach = max(least_px, 0.5 * reach)
+        radius = max(least_px, 0.5 * radius)
     return maps
 
 
 def _pairs(
-    maps: VolumePolynomials, peaks: Peaks, camera: int, positions: F64, reach: float
+    maps: VolumePolynomials, peaks: Peaks, camera: int, positions: F64, radius: float
 ) -> tuple[I64, F64]:
-    """Pair positions with a camera's images within reach.
+    """Pair positions with a camera's images within the radius.
 
     Returns pairs (n, 2) and the images' errors (n, 2).
     """
     pixels = project_points(maps, camera, positions)
     pairs = np.empty((_PAIRS, 2), dtype=np.int64)
-    pairs = pairs[: pair_up(peaks, pixels, reach, pairs)]
+    pairs = pairs[: pair_up(peaks, pixels, radius, pairs)]
     return pairs, peaks.pixels[pairs[:, 1]] - pixels[pairs[:, 0]]
 
 

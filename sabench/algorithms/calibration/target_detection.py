@@ -164,9 +164,9 @@ def _centroids(light: U8, centers: F64, faint: float = _FAINT, full: float = 1.0
     )
     out = centers.copy()
     for number, (center, gap) in enumerate(zip(centers, gaps.min(axis=1), strict=True)):
-        reach = max(3, int(min(0.45 * gap, 60.0)))
-        left, top = np.maximum(np.rint(center).astype(int) - reach, 0)
-        patch = light[top : top + 2 * reach + 1, left : left + 2 * reach + 1].astype(np.float64)
+        radius = max(3, int(min(0.45 * gap, 60.0)))
+        left, top = np.maximum(np.rint(center).astype(int) - radius, 0)
+        patch = light[top : top + 2 * radius + 1, left : left + 2 * radius + 1].astype(np.float64)
         dark, peak = np.median(patch), patch.max() - np.median(patch)
         patch = np.clip(patch - dark - faint * peak, 0.0, (full - faint) * peak)
         rows, columns = np.mgrid[: patch.shape[0], : patch.shape[1]]

@@ -78,7 +78,7 @@ def match(
     maps: Any,
     peaks: Any,
     order: Any,
-    reach: float,
+    radius: float,
     steps: int,
     positions: Any,
     hits: Any,
@@ -89,18 +89,18 @@ def match(
     A set has one peak of each of three or four cameras.
 
     The first camera's line of sight is followed through the box and intersected with those of the
-    second camera's images within reach. Images of the other cameras within reach of this position
-    complete a set. A set counts if no camera misses the position that fits it best by more than
-    `reach`. When there is no more room, the rest of the first camera's images is left out.
+    second camera's images within the radius. Images of the other cameras within the radius around
+    this position complete a set. A set counts if no camera misses the position that fits it best by
+    more than `radius`. When the arrays are full, the rest of the first camera's images is left out.
 
     Parameters
     ----------
     peaks : one `Peaks` of each camera.
     order : numbers of the first camera's images, in the order in which they are taken.
-    steps : positions on a line of sight, close enough for `reach`.
-    positions : (sets, 3) room for the positions, x, y, z from -1 to 1.
-    hits : (sets, cameras) room for the numbers of the images.
-    errors : (sets, cameras, 2) room for where the images lie against where the cameras see the
+    steps : positions on a line of sight, close enough for `radius`.
+    positions : (sets, 3) filled with the positions, x, y, z from -1 to 1.
+    hits : (sets, cameras) filled with the numbers of the images.
+    errors : (sets, cameras, 2) filled with where the images lie against where the cameras see the
         position, px.
     """
     cameras, count = len(peaks), 0
@@ -119,7 +119,7 @@ def match(
                 position[:2] = 0.0
                 continue
             project_point(maps, 1, position, here, slope)
-            for k in range(find_near(peaks[1], here, reach, second)):
+            for k in range(find_near(peaks[1], here, radius, second)):
                 chosen[1] = second[k]
                 if (tried[: min(left, _NEAR)] == second[k]).any():
                     continue
@@ -130,7 +130,7 @@ def match(
                     count = _others(
                         maps,
                         peaks,
-                        reach,
+                        radius,
                         chosen,
                         start,
                         slopes,
@@ -178,7 +178,7 @@ def _intersect(
 def _others(
     maps: Any,
     peaks: Any,
-    reach: float,
+    radius: float,
     chosen: Any,
     start: Any,
     slopes: Any,
@@ -200,7 +200,7 @@ def _others(
     for c in range(cameras):
         project_point(maps, c, start, seen[c], slopes[c])
         if c >= 2:
-            numbers[c - 2] = find_near(peaks[c], seen[c], reach, found[c - 2])
+            numbers[c - 2] = find_near(peaks[c], seen[c], radius, found[c - 2])
     if numbers[0] * numbers[1] == 0 or not _gains(slopes, cameras, gains):
         return count
     for c in range(2):
@@ -211,7 +211,7 @@ def _others(
             misses[c, 0] = peaks[c].pixels[chosen[c], 0] - seen[c, 0]
             misses[c, 1] = peaks[c].pixels[chosen[c], 1] - seen[c, 1]
         _compute_step(gains, misses, cameras, step)
-        if _worst(slopes, misses, step, cameras) <= reach * reach:
+        if _worst(slopes, misses, step, cameras) <= radius * radius:
             if count == len(positions):
                 return count
             for p in range(3):
@@ -248,14 +248,14 @@ def _worst(slopes: Any, misses: Any, step: Any, cameras: int) -> float:
 
 
 @numba.njit(cache=True)
-def pair_up(peaks: Any, pixels: Any, reach: float, out: Any) -> int:
-    """Fill in pairs (pixel, peak) within reach of each other; return how many.
+def pair_up(peaks: Any, pixels: Any, radius: float, out: Any) -> int:
+    """Fill in pairs (pixel, peak) within a radius of each other; return how many.
 
-    Stops when there is no more room.
+    Stops when the arrays are full.
     """
     found, count = np.zeros(len(peaks.pixels), dtype=np.int64), 0
     for n in range(len(pixels)):
-        for k in range(find_near(peaks, pixels[n], reach, found)):
+        for k in range(find_near(peaks, pixels[n], radius, found)):
             if count == len(out):
                 return count
             out[count, 0], out[count, 1] = n, found[k]

@@ -154,8 +154,8 @@ def _real(
     typical = np.maximum(np.median(light, axis=0), 1e-12)
     second = np.sort(light / typical, axis=1)[:, min(1, light.shape[1] - 2)]
     good = np.asarray(second >= settings.faint)
-    reach = settings.apart_px * _mm_per_px(maps)
-    for i, j in cKDTree(in_mm(maps, positions)).query_pairs(reach):
+    radius = settings.apart_px * _mm_per_px(maps)
+    for i, j in cKDTree(in_mm(maps, positions)).query_pairs(radius):
         if good[i] and good[j]:
             good[i if light[i].sum() < light[j].sum() else j] = False
     return good

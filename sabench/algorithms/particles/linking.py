@@ -32,7 +32,7 @@ REACH = 3.0
 # other
 _ALIKE = 0.4
 _NEIGHBOURS = 8
-# candidates of one track: several times what is within the reach where bubbles are evenly spread,
+# candidates of one track: several times what is within the radius where bubbles are evenly spread,
 # and a bound where they are not
 _MOST = 100
 _PLACE_ERROR, _SIZE_ERROR = (
@@ -241,8 +241,8 @@ def _by_neighbours(
     term for its length.
     """
     young = np.flatnonzero(live.young)
-    reach = REACH * scale.spacing * (frame - live.frame[young]).astype(np.float64)
-    row, column = _near(live.position[young], found.position, reach)
+    radii = REACH * scale.spacing * (frame - live.frame[young]).astype(np.float64)
+    row, column = _near(live.position[young], found.position, radii)
     size = _unlike(live, found, young[row], column, scale)
     row, column, size = row[size < GATE], column[size < GATE], size[size < GATE]
     shift = found.position[column] - live.position[young[row]]
@@ -259,7 +259,7 @@ def _by_neighbours(
     alone = np.minimum(
         (np.concatenate([apart, nobody], axis=1) / (_ALIKE * scale.spacing)) ** 2, 1.0
     ).mean(axis=1)
-    return young[row], column, GATE * alone + (length / reach[row]) ** 2 + size
+    return young[row], column, GATE * alone + (length / radii[row]) ** 2 + size
 
 
 def _neighbour_differences(live: _Tracks, which: I64, velocity: F64) -> F64:
@@ -296,8 +296,8 @@ def _from_places(
     return np.asarray(distance)
 
 
-def _near(from_places: F64, to_places: F64, reach: F64) -> tuple[I64, I64]:
-    """Find pairs of rows within the first one's reach.
+def _near(from_places: F64, to_places: F64, radii: F64) -> tuple[I64, I64]:
+    """Find pairs of rows within the first one's radius.
 
     Each first row has at most its `_MOST` nearest.
     """
@@ -305,9 +305,9 @@ def _near(from_places: F64, to_places: F64, reach: F64) -> tuple[I64, I64]:
         return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)
     count = min(_MOST, len(to_places))
     distance, column = cKDTree(to_places).query(
-        from_places, np.arange(1, count + 1), distance_upper_bound=1.001 * float(reach.max())
+        from_places, np.arange(1, count + 1), distance_upper_bound=1.001 * float(radii.max())
     )
-    row, slot = np.nonzero(distance <= reach[:, None])
+    row, slot = np.nonzero(distance <= radii[:, None])
     return row, column[row, slot]
 
 

@@ -20,7 +20,7 @@ from sabench.images.peaks import Peaks, find_near
 from sabench.utils.arrays import F64, I64
 
 _NEAR = 64  # particle images looked at around one position
-_ROOM = 50  # sets of each of the first camera's images that there is room for
+_ROOM = 50  # sets of each of the first camera's images for which memory is allocated
 _STEPS = 2  # of the least-squares fit of a position
 
 
@@ -102,7 +102,7 @@ def _follow(
     maps: Any,
     peaks: Any,
     second: int,
-    reach: float,
+    radius: float,
     missing: int,
     size: Any,
     steps: int,
@@ -130,7 +130,7 @@ def _follow(
                 position[:2] = 0.0
                 continue
             project_point(maps, second, position, here, slope)
-            for k in range(find_near(peaks[second], here, 1.5 * reach, near)):
+            for k in range(find_near(peaks[second], here, 1.5 * radius, near)):
                 if left == len(tried) or count == len(positions) or (tried[:left] == near[k]).any():
                     continue
                 tried[left] = near[k]
@@ -140,13 +140,13 @@ def _follow(
                 start[:] = position
                 worst = _fit_position(maps, peaks, chosen, start)
                 if (
-                    worst > reach
+                    worst > radius
                     or np.abs(start).max() > 1.0
-                    or not _others(maps, peaks, chosen, start, second, reach, missing, size)
+                    or not _others(maps, peaks, chosen, start, second, radius, missing, size)
                 ):
                     continue
                 worst = _fit_position(maps, peaks, chosen, start)
-                if worst <= reach and np.abs(start).max() <= 1.0:
+                if worst <= radius and np.abs(start).max() <= 1.0:
                     positions[count], hits[count], errors[count] = (
                         start,
                         chosen,
@@ -163,7 +163,7 @@ def _others(
     chosen: Any,
     position: Any,
     second: int,
-    reach: float,
+    radius: float,
     missing: int,
     size: Any,
 ) -> bool:
@@ -176,7 +176,7 @@ def _others(
         if c == second:
             continue
         project_point(maps, c, position, here, slope)
-        nearest = reach * 1.5
+        nearest = radius * 1.5
         for k in range(find_near(peaks[c], here, nearest, near)):
             apart = np.hypot(
                 peaks[c].pixels[near[k], 0] - here[0], peaks[c].pixels[near[k], 1] - here[1]

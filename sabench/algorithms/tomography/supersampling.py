@@ -104,15 +104,15 @@ def gather(support: Support, values: F32, grid: Grid, count: Splits, sigma_mm: f
 def _profile(count: int, sigma: float) -> F32:
     """Compute shares of a blob's light in the voxels around its own.
 
-    Returns (count, 2 reach + 1), by the blob's position among the fine voxels there.
+    Returns (count, 2 radius + 1), by the blob's position among the fine voxels there.
 
     `sigma` is in voxels of the grid.
     """
     centre = (np.arange(count) + 0.5) / count - 0.5
     if sigma == 0.0:
         return np.ones((count, 1), dtype=np.float32)
-    reach = int(np.ceil(_REACH * sigma))
-    edges: F64 = np.arange(-reach, reach + 2)[None] - 0.5 - centre[:, None]
+    radius = int(np.ceil(_REACH * sigma))
+    edges: F64 = np.arange(-radius, radius + 2)[None] - 0.5 - centre[:, None]
     share = gaussian_shares(edges, sigma)
     return np.asarray(share / share.sum(axis=1, keepdims=True), dtype=np.float32)
 
@@ -131,21 +131,22 @@ def _gather(
 ) -> None:
     """Sum fine voxels into rows of the volume.
 
-    The fine rows in reach are added up, then every fine voxel of the sum is spread along x.
+    The fine rows within the radius are added up, then every fine voxel of the sum is spread along
+    x.
     """
     planes, rows, _ = volume.shape
-    (count_y, reach_y), (count_z, reach_z) = along_y.shape, along_z.shape
+    (count_y, width_y), (count_z, width_z) = along_y.shape, along_z.shape
     for task in numba.prange(planes * rows):
         plane, row = task // rows, task % rows
         total = np.zeros(width, dtype=np.float32)
-        for a in range(reach_z * count_z):
-            z = (plane + reach_z // 2) * count_z - a + count_z - 1
-            for b in range(reach_y * count_y):
-                y = (row + reach_y // 2) * count_y - b + count_y - 1
+        for a in range(width_z * count_z):
+            z = (plane + width_z // 2) * count_z - a + count_z - 1
+            for b in range(width_y * count_y):
+                y = (row + width_y // 2) * count_y - b + count_y - 1
                 if 0 <= z < planes * count_z and 0 <= y < height:
                     share = (
-                        along_z[z % count_z, plane - z // count_z + reach_z // 2]
-                        * along_y[y % count_y, row - y // count_y + reach_y // 2]
+                        along_z[z % count_z, plane - z // count_z + width_z // 2]
+                        * along_y[y % count_y, row - y // count_y + width_y // 2]
                     )
                     for k in range(start[z * height + y], start[z * height + y + 1]):
                         total[x[k]] += share * values[k]
@@ -154,11 +155,11 @@ def _gather(
 
 @numba.njit(cache=True, fastmath=True)
 def _spread(total: Any, along: Any, out: Any) -> None:
-    count, reach = along.shape
+    count, width = along.shape
     for x in range(len(total)):
         if total[x] > 0.0:
-            middle = x // count - reach // 2
-            for k in range(reach):
+            middle = x // count - width // 2
+            for k in range(width):
                 if 0 <= middle + k < len(out):
                     out[middle + k] += total[x] * along[x % count, k]
 

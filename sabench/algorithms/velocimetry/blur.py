@@ -64,6 +64,6 @@ def _blur(plane: F32, down: float, across: float) -> F32:
 
 
 def _kernel(sigma: float) -> F32:
-    reach = np.arange(-math.ceil(_REACH * sigma), math.ceil(_REACH * sigma) + 1)
-    weights = np.exp(-0.5 * (reach / max(sigma, 1e-9)) ** 2)
+    offsets = np.arange(-math.ceil(_REACH * sigma), math.ceil(_REACH * sigma) + 1)
+    weights = np.exp(-0.5 * (offsets / max(sigma, 1e-9)) ** 2)
     return np.asarray(weights / weights.sum(), dtype=np.float32)

@@ -16,7 +16,7 @@ import numpy as np
 
 @numba.njit(cache=True, fastmath=True, parallel=True)
 def block_sums(
-    first: Any, second: Any, block: Any, reach: Any, products: Any, squares: Any
+    first: Any, second: Any, block: Any, search: Any, products: Any, squares: Any
 ) -> None:
     """Fill in block sums of first x shifted second, and of the latter's square.
 
@@ -26,12 +26,12 @@ def block_sums(
     ----------
     first, second : (z, y, x) float32.
     block : voxels (z, y, x) of a block.
-    reach : largest shift (z, y, x).
+    search : largest shift (z, y, x).
     products, squares : (block z, block y, block x, shifts), the shifts in the order of z, y, x from
-        -reach to reach. Voxels beyond the volume count as zero.
+        -search to search. Voxels beyond the volume count as zero.
     """
     deep, high, wide = products.shape[:3]
-    rz, ry, rx = reach
+    rz, ry, rx = search
     across = 2 * rx + 1
     for job in numba.prange(deep * high):
         bz, by = job // high, job % high
@@ -57,26 +57,26 @@ def block_sums(
 
 
 @numba.njit(cache=True, fastmath=True)
-def _add_rows(one: Any, other: Any, reach: int, rows: Any) -> None:
+def _add_rows(one: Any, other: Any, search: int, rows: Any) -> None:
     """Add the products of two rows for all shifts along them.
 
-    Also adds the second row's squares. The second begins `reach` voxels further right.
+    Also adds the second row's squares. The second begins `search` voxels further right.
     """
     count = len(one)
-    for n in range(2 * reach + 1):
-        dx = n - reach
+    for n in range(2 * search + 1):
+        dx = n - search
         low, high = max(0, -dx), min(count, count - dx)
         target, left, right = rows[n, low:high], one[low:high], other[low + dx : high + dx]
         for x in range(len(target)):
             target[x] += left[x] * right[x]
-    target = rows[2 * reach + 1, reach : reach + count]
+    target = rows[2 * search + 1, search : search + count]
     for x in range(count):
         target[x] += other[x] * other[x]
 
 
 @numba.njit(cache=True, fastmath=True, parallel=True)
 def small_peaks(
-    products: Any, squares: Any, weights: Any, reach: Any, floor: float, shift: Any, height: Any
+    products: Any, squares: Any, weights: Any, search: Any, floor: float, shift: Any, height: Any
 ) -> None:
     """Fill in the peaks of the normalised correlation of windows.
 
@@ -87,7 +87,7 @@ def small_peaks(
     products, squares : two each of what `block_sums` fills in, of the second volume shifted and of
         the first one.
     weights : three lines of the blocks of a window, along z, y and x.
-    reach : largest shift (z, y, x).
+    search : largest shift (z, y, x).
     floor : mean of both volumes' squares over a window below which there is no signal.
     shift, height : (z, y, x, 3) displacements (x, y, z), and (z, y, x) the correlation there, 0
         without signal.
@@ -108,7 +108,7 @@ def small_peaks(
                         _add(weight, squares[0][z + i, y + j, x + k], sums[2])
                         _add(weight, squares[1][z + i, y + j, x + k], sums[3])
             _normalise(sums, floor, curve)
-            height[z, y, x] = _highest(curve, reach, shift[z, y, x])
+            height[z, y, x] = _highest(curve, search, shift[z, y, x])
 
 
 @numba.njit(cache=True, fastmath=True)
@@ -133,7 +133,7 @@ def _normalise(sums: Any, floor: float, curve: Any) -> None:
 
 
 @numba.njit(cache=True, fastmath=True)
-def _highest(curve: Any, reach: Any, shift: Any) -> Any:
+def _highest(curve: Any, search: Any, shift: Any) -> Any:
     """Fill in the position (x, y, z) of the best of small shifts; return its height.
 
     It is accurate to fractions of a voxel where its neighbours were computed.
@@ -142,9 +142,13 @@ def _highest(curve: Any, reach: Any, shift: Any) -> Any:
     for n in range(len(curve)):
         if curve[n] > curve[top]:
             top = n
-    across, along = 2 * reach[2] + 1, (2 * reach[2] + 1) * (2 * reach[1] + 1)
-    position = (top % across - reach[2], top % along // across - reach[1], top // along - reach[0])
-    strides, ends = (1, across, along), (reach[2], reach[1], reach[0])
+    across, along = 2 * search[2] + 1, (2 * search[2] + 1) * (2 * search[1] + 1)
+    position = (
+        top % across - search[2],
+        top % along // across - search[1],
+        top // along - search[0],
+    )
+    strides, ends = (1, across, along), (search[2], search[1], search[0])
     for axis in range(3):
         shift[axis] = position[axis]
         if (

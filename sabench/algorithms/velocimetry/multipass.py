@@ -34,7 +34,7 @@ class Plan:
     first, last : windows (z, y, x) of the first pass, by spectra, and of the later ones, by shifts.
     overlap : of the windows, as a part of them; the first pass overlaps by half.
     passes : after the first.
-    reach : largest shift (z, y, x) of a later pass.
+    search : largest shift (z, y, x) of a later pass.
     ratio, height : least peak ratio of the first pass, and least normalised correlation of the last
         one.
     median : of the test against neighbours.
@@ -50,7 +50,7 @@ class Plan:
     last: Size
     overlap: float
     passes: int
-    reach: Size
+    search: Size
     ratio: float
     height: float
     median: float
@@ -111,7 +111,7 @@ def evaluate(first: F32, second: F32, plan: Plan) -> Field:
             tuple(float(part) for part in field.windows.step),
             *warped,
         )
-        peaks = by_shifts(warped[0], warped[1], windows, plan.reach, plan.taper)
+        peaks = by_shifts(warped[0], warped[1], windows, plan.search, plan.taper)
         peaks.shift[:] += _at(lead, field.windows, windows)
         field = _validate(windows, peaks, peaks.height >= plan.height, plan)
     return field

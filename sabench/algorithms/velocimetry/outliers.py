@@ -88,9 +88,9 @@ def smooth_vectors(shift: F64, sigma: tuple[float, float, float]) -> F64:
 
     Beyond the edges fields are extrapolated linearly.
     """
-    reach = [math.ceil(_REACH * own) for own in sigma]
+    radii = [math.ceil(_REACH * own) for own in sigma]
     padding = [
-        (min(own, count - 1),) * 2 for own, count in zip(reach, shift.shape[:3], strict=True)
+        (min(own, count - 1),) * 2 for own, count in zip(radii, shift.shape[:3], strict=True)
     ]
     wide = np.pad(shift, [*padding, (0, 0)], mode="reflect", reflect_type="odd")
     inner = tuple(
@@ -99,7 +99,7 @@ def smooth_vectors(shift: F64, sigma: tuple[float, float, float]) -> F64:
     )
     return np.stack(
         [
-            gaussian_filter(wide[..., axis], sigma, mode="nearest", radius=reach)[inner]
+            gaussian_filter(wide[..., axis], sigma, mode="nearest", radius=radii)[inner]
             for axis in range(3)
         ],
         axis=-1,

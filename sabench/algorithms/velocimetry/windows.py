@@ -107,9 +107,9 @@ class Peaks:
 
 
 def by_shifts(
-    first: F32, second: F32, windows: Windows, reach: Size, taper: float | None = None
+    first: F32, second: F32, windows: Windows, search: Size, taper: float | None = None
 ) -> Peaks:
-    """Compute the normalised correlation at all shifts within reach (z, y, x).
+    """Compute the normalised correlation at all shifts up to `search` (z, y, x).
 
     The correlation is computed through sums over blocks. The second volume is shifted against the
     window, and the first one in the opposite direction; the mean of both is taken. Two equal
@@ -120,12 +120,12 @@ def by_shifts(
     taper : standard deviation of the Gaussian that weights a window's blocks, as a part of the
         window; None: all count alike.
     """
-    shape = (*windows.blocks, math.prod(2 * r + 1 for r in reach))
+    shape = (*windows.blocks, math.prod(2 * r + 1 for r in search))
     products, squares = (
         (np.empty(shape, dtype=np.float32), np.empty(shape, dtype=np.float32)) for _ in range(2)
     )
-    block_sums(first, second, windows.step, reach, products[0], squares[0])
-    block_sums(second, first, windows.step, reach, products[1], squares[1])
+    block_sums(first, second, windows.step, search, products[0], squares[0])
+    block_sums(second, first, windows.step, search, products[1], squares[1])
     weights = tuple(
         _weights(own // part, taper) for own, part in zip(windows.size, windows.step, strict=True)
     )
@@ -137,7 +137,7 @@ def by_shifts(
         + 1e-30
     )
     shift, height = np.empty((*windows.counts, 3)), np.empty(windows.counts)
-    small_peaks(products, squares, weights, reach, floor, shift, height)
+    small_peaks(products, squares, weights, search, floor, shift, height)
     return Peaks(shift, height, None)
 
 

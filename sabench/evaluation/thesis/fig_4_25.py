@@ -51,7 +51,7 @@ def rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
                 turns.setdefault((name, test), []).append(_turn_deg(positions, first))
     for (name, test), draws in found.items():
         off = [float(np.abs(own[0] - _STEP_MM).max()) for own in draws]
-        head = f"{name}, {test} (told {_STEPS[test]:g} mm)"
+        head = f"{name}, {test} (nominal {_STEPS[test]:g} mm)"
         yield make_row(
             f"{head}: largest error of a mean spacing, mm",
             None,

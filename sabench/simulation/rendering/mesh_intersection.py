@@ -35,7 +35,7 @@ class BodySearch:
         self._origin = np.asarray(
             np.mean([solid.vertices_mm.mean(axis=0) for solid in bodies], axis=0)
         )  # single precision: small numbers near them
-        self._reach = max(
+        self._radius = max(
             float(np.linalg.norm(solid.vertices_mm - self._origin, axis=1).max())
             for solid in bodies
         )
@@ -53,7 +53,7 @@ class BodySearch:
         known = np.asarray(np.isfinite(directions).all(axis=1))
         start = np.where(known[:, None], starts_mm - self._origin, 0.0)
         direction = np.where(known[:, None], directions, [0.0, 0.0, 1.0])
-        ahead = np.maximum(-np.sum(start * direction, axis=1) - 1.01 * self._reach, 0.0)
+        ahead = np.maximum(-np.sum(start * direction, axis=1) - 1.01 * self._radius, 0.0)
         near = start + ahead[:, None] * direction
         ray = mi.Ray3f(
             mi.Point3f(near.T.astype(np.float32)), mi.Vector3f(direction.T.astype(np.float32))

@@ -37,9 +37,9 @@ class MieTable:
 
         The weights are semicircular.
         """
-        reach = int(np.floor(half_angle_rad / _STEP_RAD))
+        steps = int(np.floor(half_angle_rad / _STEP_RAD))
         weights = np.sqrt(
-            1.0 - (np.arange(-reach, reach + 1) * _STEP_RAD / max(half_angle_rad, _STEP_RAD)) ** 2
+            1.0 - (np.arange(-steps, steps + 1) * _STEP_RAD / max(half_angle_rad, _STEP_RAD)) ** 2
         )
         return MieTable(
             self.angles_rad,

@@ -86,7 +86,7 @@ class _Tables:
         )
         self.radiance = mi.Float(cloud.radiance.astype(np.float32))
         self.interfaces = dr.opaque(mi.UInt32, interfaces)
-        self.reach = dr.opaque(
+        self.radius = dr.opaque(
             mi.Float, float((np.linalg.norm(cloud.centers, axis=1) + cloud.radii).max())
         )
         self.advance = dr.opaque(mi.Float, 0.01 * float(np.median(cloud.radii)))
@@ -118,7 +118,7 @@ def _trace(scene: Any, ray: Any, cloud: Any, free: Any) -> Any:
     context = mi.BSDFContext()
     context.type_mask = mi.BSDFFlags.DeltaTransmission
     while active:
-        ahead = -dr.dot(ray.o, ray.d) - cloud.reach
+        ahead = -dr.dot(ray.o, ray.d) - cloud.radius
         ray.o = dr.select(
             (crossed == cloud.interfaces) & (ahead > 0.0), dr.fma(ray.d, ahead, ray.o), ray.o
         )

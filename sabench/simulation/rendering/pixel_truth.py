@@ -268,7 +268,7 @@ def meets(bubbles: Bubbles, starts_mm: F64, directions: F64) -> Bool:
 
 
 @numba.njit(cache=True, parallel=True, error_model="numpy")
-def _meet(starts: Any, directions: Any, centers: Any, to_ball: Any, reach: Any, out: Any) -> None:
+def _meet(starts: Any, directions: Any, centers: Any, to_ball: Any, radius: Any, out: Any) -> None:
     for i in numba.prange(len(starts)):
         for n in range(len(centers)):
             along = across = 0.0
@@ -276,7 +276,7 @@ def _meet(starts: Any, directions: Any, centers: Any, to_ball: Any, reach: Any, 
                 along += (centers[n, k] - starts[i, k]) * directions[i, k]
             for k in range(3):
                 across += (starts[i, k] + along * directions[i, k] - centers[n, k]) ** 2
-            if along <= 0.0 or across >= reach[n] * reach[n]:
+            if along <= 0.0 or across >= radius[n] * radius[n]:
                 continue
             a = b = c = 0.0
             for k in range(3):

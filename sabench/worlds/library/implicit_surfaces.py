@@ -163,10 +163,10 @@ def capsules(
     radii = np.where(ball, np.maximum(start_radii_mm, end_radii_mm), start_radii_mm)
     over = np.divide(1.0, lengths, out=np.zeros_like(lengths), where=~ball)
     sines, lengths = fall * over, np.where(ball, 0.0, lengths)
-    reach = lengths + np.maximum(start_radii_mm, end_radii_mm)
+    extents = lengths + np.maximum(start_radii_mm, end_radii_mm)
     out = np.empty(len(points_mm))
     _union(
-        points_mm, starts, directions * over[:, None], lengths, radii, sines, reach, blend_mm, out
+        points_mm, starts, directions * over[:, None], lengths, radii, sines, extents, blend_mm, out
     )
     return out
 
@@ -179,7 +179,7 @@ def _union(
     lengths: Any,
     radii: Any,
     sines: Any,
-    reach: Any,
+    extents: Any,
     blend: float,
     out: Any,
 ) -> None:
@@ -199,7 +199,7 @@ def _union(
                 points[n, 2] - starts[k, 2],
             )
             square = x * x + y * y + z * z
-            far = least + _BAND * blend + reach[k]
+            far = least + _BAND * blend + extents[k]
             if square > far * abs(far):
                 continue
             value = _distance(

@@ -97,9 +97,9 @@ def upright(rng: np.random.Generator, count: int, tilt: float) -> F64:
 
 def within(domain: Domain, bubbles: Bubbles) -> Bool:
     """Find which bubbles lie wholly in the box."""
-    reach = np.stack([bubbles.reach_mm(axis) for axis in np.eye(3)], axis=1)
+    extent = np.stack([bubbles.reach_mm(axis) for axis in np.eye(3)], axis=1)
     low = domain.low_mm
-    inside = (bubbles.center_mm - reach >= low - 1e-9) & (
-        bubbles.center_mm + reach <= low + np.asarray(domain.size_mm) + 1e-9
+    inside = (bubbles.center_mm - extent >= low - 1e-9) & (
+        bubbles.center_mm + extent <= low + np.asarray(domain.size_mm) + 1e-9
     )
     return np.asarray(inside.all(axis=1))

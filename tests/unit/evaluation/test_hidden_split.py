@@ -60,7 +60,7 @@ def test_hidden_seeds_come_of_the_secret_the_suite_and_the_case_only(tmp_path: P
     assert secret.seeds_of("s", 1, "a") == read_secret(tmp_path / "s.toml").seeds_of("s", 1, "a")
 
 
-def test_hidden_cases_are_told_by_their_number(tmp_path: Path) -> None:
+def test_hidden_cases_are_named_by_their_number(tmp_path: Path) -> None:
     secret = read_secret(write(tmp_path, SECRET, "secret.toml"))
     _, cases = load_suite(write(tmp_path, SUITE), secret)
     assert [(case.seed_label, case.shown_seed) for case in cases] == [

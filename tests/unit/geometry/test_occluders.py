@@ -299,7 +299,7 @@ def test_a_disc_in_plain_air_is_taken() -> None:
     )
 
 
-def test_occluders_are_in_the_scene_file_and_solvers_are_not_told(tmp_path: Path) -> None:
+def test_occluders_are_in_the_scene_file_and_are_not_shown_to_solvers(tmp_path: Path) -> None:
     scene = with_discs(make_scene(particles={"count": 20}), before_camera(QUICK, 0.5, 0.7))
     free = sabench.generate(
         make_scene(particles={"count": 20}), tmp_path / "free", backend="splat", name="s"

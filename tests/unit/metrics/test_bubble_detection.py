@@ -49,7 +49,7 @@ def test_the_truth_is_perfect() -> None:
     assert scores["tilt_deg"] == pytest.approx(0.0, abs=1e-5)
 
 
-def test_faults_are_told_apart() -> None:
+def test_faults_are_distinguished() -> None:
     true = field()
     found = Detections(
         true.center_mm + np.array([0.02, 0.0, -0.05]), 1.1 * true.semi_axes_mm, true.turn

@@ -37,10 +37,10 @@ def shifted_scene(shift_px: float, **changes: Any) -> Scene:
     )
 
 
-def moves(told: tuple[Camera, ...], true: tuple[Camera, ...]) -> F64:
+def moves(nominal: tuple[Camera, ...], true: tuple[Camera, ...]) -> F64:
     """Told minus true projection of points in the volume: (camera, point, 2)."""
     points = np.random.default_rng(3).uniform([-2.0, -1.5, 28.0], [2.0, 1.5, 32.0], (50, 3))
-    both = [[camera.project(points) for camera in cameras] for cameras in (told, true)]
+    both = [[camera.project(points) for camera in cameras] for cameras in (nominal, true)]
     assert all(valid.all() for group in both for _, valid in group)
     return np.array([a[0] - b[0] for a, b in zip(*both, strict=True)])
 
@@ -76,7 +76,7 @@ def test_directions_are_random_and_belong_to_the_seed_and_the_camera() -> None:
     ]
 
 
-def test_a_solver_is_told_the_wrong_cameras_and_nothing_else_changes() -> None:
+def test_a_solver_gets_the_wrong_cameras_and_nothing_else_changes() -> None:
     shots = [simulate(shifted_scene(shift), seed=5) for shift in (0.0, 2.0)]
     exact, off = (shot.observation for shot in shots)
     true = build_rig(shifted_scene(2.0)).cameras
@@ -95,7 +95,7 @@ def wrong(tmp_path: Path) -> Dataset:
     )
 
 
-def test_a_data_set_keeps_both_the_told_and_the_true_cameras(
+def test_a_data_set_keeps_both_the_nominal_and_the_true_cameras(
     wrong: Dataset, tmp_path: Path
 ) -> None:
     exact = sabench.generate(
@@ -141,7 +141,7 @@ def rewrite(data: Dataset, name: str, change: dict[str, Any]) -> Dataset:
     return open_dataset(data.root)
 
 
-def test_true_cameras_must_be_those_that_are_told(wrong: Dataset) -> None:
+def test_true_cameras_must_match_the_nominal_ones(wrong: Dataset) -> None:
     cameras = json.loads((wrong.root / "true_cameras.json").read_text())["cameras"]
     cameras[1]["name"] = "camera_77"
     broken = rewrite(wrong, "true_cameras.json", {"cameras": cameras})

@@ -205,15 +205,15 @@ def test_something_may_hide_a_part_of_a_board() -> None:
         )
 
 
-def test_known_points_are_told_along_their_axes_only() -> None:
+def test_a_prior_holds_known_points_along_their_axes_only() -> None:
     scene = calibration_scene(
         calibration={"known": [{"frame": 1, "point": 5, "axes": "xz", "sigma_mm": 0.02}]}
     )
     placed = place(scene, 1)
-    told = prior(scene, placed, 1)
-    assert np.isfinite(told.known_mm).sum() == 2
+    known = prior(scene, placed, 1)
+    assert np.isfinite(known.known_mm).sum() == 2
     np.testing.assert_allclose(
-        told.known_mm[1, 5, [0, 2]], placed.points_mm[1, 5, [0, 2]], atol=0.1
+        known.known_mm[1, 5, [0, 2]], placed.points_mm[1, 5, [0, 2]], atol=0.1
     )
     wrong = calibration_scene(calibration={"known": [{"frame": 9, "point": 5}]})
     with pytest.raises(

@@ -89,7 +89,7 @@ def test_an_ellipse_is_measured(a: float, b: float, angle: float, hollow: float)
         assert abs(np.sin(one[4] - angle)) < 0.06
 
 
-def test_touching_ones_are_told_apart_in_noise() -> None:
+def test_touching_ones_are_separated_in_noise() -> None:
     true = [
         (15.0, 18.0, 8.0, 5.0, 0.3),
         (29.4, 19.0, 6.0, 6.0, 0.0),
@@ -171,7 +171,7 @@ def test_groups_do_not_run_from_bubble_to_bubble() -> None:
     assert len(groups) > 6
 
 
-def test_groups_are_connected_and_not_wider_than_told() -> None:
+def test_groups_are_connected_and_not_wider_than_allowed() -> None:
     potential = np.zeros((30, 1, 20), dtype=np.float32)
     potential[10, 0, :9], potential[14, 0, 11:14], potential[10, 0, 0] = 5.0, 6.0, 8.0
     peaks, free = FeaturePeaks.find(potential, 1.0), np.ones(12, dtype=np.bool_)

@@ -32,13 +32,13 @@ def lens_scene(unknown: list[str] | None) -> Scene:
     )
 
 
-def test_what_is_unknown_is_told_as_zero_and_the_rest_as_it_is() -> None:
+def test_unknown_parameters_are_nominally_zero_and_the_rest_unchanged() -> None:
     case, true, _, _ = case_of(lens_scene(["principal_point", "k1"]))
     assert case.unknown == ("principal_point", "k1")
-    for told, camera in zip(case.cameras, true, strict=True):
+    for nominal, camera in zip(case.cameras, true, strict=True):
         assert camera.distortion == Distortion(**_DISTORTION)
-        assert told.distortion == Distortion(p1=0.001)
-        away = np.subtract(told.principal_point_px, camera.principal_point_px)
+        assert nominal.distortion == Distortion(p1=0.001)
+        away = np.subtract(nominal.principal_point_px, camera.principal_point_px)
         assert np.hypot(*away) == pytest.approx(10.0)
 
 

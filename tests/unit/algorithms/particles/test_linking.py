@@ -77,7 +77,7 @@ def test_paths_that_cross_are_not_swapped() -> None:
         )
 
 
-def test_a_track_may_miss_as_many_frames_as_it_is_told() -> None:
+def test_a_track_may_miss_as_many_frames_as_allowed() -> None:
     for absent, gap, whole in (
         ({3}, 1, True),
         ({3, 4}, 1, False),

@@ -105,7 +105,7 @@ def test_scores_that_describe_the_data_are_the_only_steady_ones() -> None:
     }
 
 
-def test_only_what_is_beyond_its_tolerance_is_told() -> None:
+def test_only_what_is_beyond_its_tolerance_is_reported() -> None:
     before = case(msa=entry(q=0.800, rms_px=0.2))
     assert found(before, case(msa=entry(q=0.7921, rms_px=0.2))) == []
     assert found(before, case(msa=entry(q=0.7919, rms_px=0.2))) == [("q", True)]

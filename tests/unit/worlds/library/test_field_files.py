@@ -437,7 +437,7 @@ def test_a_data_set_keeps_its_field(tmp_path: Path) -> None:
 
 def test_a_changed_file_is_named(tmp_path: Path) -> None:
     path = as_hdf5(tmp_path / "field.h5", lattice())
-    told = field_scene(path).to_dict()
+    table = field_scene(path).to_dict()
     as_hdf5(path, lattice(30))
     with pytest.raises(
         InputError,
@@ -446,7 +446,7 @@ def test_a_changed_file_is_named(tmp_path: Path) -> None:
             r"changed"
         ),
     ):
-        parse_scene(told, "moving")
+        parse_scene(table, "moving")
 
 
 def test_tracks_become_frames(tmp_path: Path) -> None:
