@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from sabench.algorithms.calibration.bundle_adjustment import (
-    Seen,
+    BoardImages,
     normal_equations,
     refine,
     residuals,
@@ -62,7 +62,7 @@ def median_s(work: Callable[[], object], repeats: int = 15) -> float:
     return float(np.median(times))
 
 
-def truth_of(given: Board) -> tuple[Frame, State, Seen]:
+def truth_of(given: Board) -> tuple[Frame, State, BoardImages]:
     """Compute the true state and exact images of a draw."""
     frame = Frame.from_cameras(given.cameras, given.points_mm)
     board_mm = given.case.target.points_mm
@@ -70,7 +70,7 @@ def truth_of(given: Board) -> tuple[Frame, State, Seen]:
     return (
         frame,
         frame.state(board_mm, given.points_mm),
-        Seen(board_mm, np.nan_to_num(given.exact), weights),
+        BoardImages(board_mm, np.nan_to_num(given.exact), weights),
     )
 
 
@@ -201,7 +201,7 @@ def measure_time(cameras: int, frames: int) -> dict[str, Any]:
     exact = np.stack([exact_pixels(camera, placed.points_mm) for camera in rig.cameras])
     rng = np.random.default_rng(1)
     weights = np.asarray(np.isfinite(exact).all(axis=-1), dtype=np.float64)
-    seen = Seen(
+    seen = BoardImages(
         placed.target.points_mm,
         np.nan_to_num(exact) + 0.1 * rng.standard_normal(exact.shape),
         weights,

@@ -15,7 +15,7 @@ from sabench.api import (
     ParticleSolver,
     progress_bar,
 )
-from sabench.interop.image_statistics import seen_in
+from sabench.interop.image_statistics import measure_statistics
 from sabench.interop.openptv import (
     MOST_CAMERAS,
     Settings,
@@ -85,7 +85,7 @@ class Optv(ParticleSolver):
         """Write its files, run it, read what it found."""
         chosen = self.parameters
         cameras = tuple(camera for camera in case.cameras if isinstance(camera, Camera))
-        seen = seen_in(case[0])
+        seen = measure_statistics(case[0])
         move = chosen.displacement_px * seen.mm_per_px
         threshold, change = max(2, round(160.0 * seen.floor)), chosen.change * move
         settings = Settings(

@@ -87,7 +87,7 @@ class RimFit(BubbleSolver):
         start = join_hypotheses(found)
         fluid = cameras[0].wall.fluid_index if cameras[0].wall else 1.0
         angle = None if chosen.diffuser_deg is None else float(np.deg2rad(chosen.diffuser_deg))
-        profile = partial(Profile.of, chosen.index / fluid, blur_px=chosen.blur_px)
+        profile = partial(Profile.tabulate, chosen.index / fluid, blur_px=chosen.blur_px)
         return search_bubbles(
             images, cameras, profile, angle, start, chosen.least_gain, chosen.sweeps
         )

@@ -54,7 +54,7 @@ class Only:
     seeds: tuple[int, ...] = ()
     solvers: tuple[str, ...] = ()
 
-    def of(self, cases: list[Case]) -> list[Case]:
+    def select(self, cases: list[Case]) -> list[Case]:
         """Select the wanted cases, each with the wanted solvers.
 
         Raises
@@ -131,7 +131,7 @@ def run_suite(
             if not record["error"]
         }
     )
-    records, wanted = [], only.of(cases)
+    records, wanted = [], only.select(cases)
     for number, case in enumerate(wanted, 1):
         heads = [_describe(case, solver_entry, str(path)) for solver_entry in case.solvers]
         missing = [

@@ -17,7 +17,7 @@ _FLOOR, _NOISE = 0.05, 5.0
 
 
 @dataclass(frozen=True)
-class Seen:
+class ImageStatistics:
     """Statistics of one frame's particle images.
 
     Attributes
@@ -36,7 +36,7 @@ class Seen:
     spacing_mm: float
 
 
-def seen_in(frame: Observation) -> Seen:
+def measure_statistics(frame: Observation) -> ImageStatistics:
     """Measure a frame's particle images."""
     images = normalise(frame.images, frame.black_dn)
     floor = max(_FLOOR, *(_NOISE * background_noise(image) for image in images))
@@ -54,7 +54,7 @@ def seen_in(frame: Observation) -> Seen:
         for camera in frame.cameras
     ]
     spacing = float(np.cbrt(np.prod(voxel * shape) / max(count, 1)))
-    return Seen(
+    return ImageStatistics(
         floor,
         count,
         float(np.median(image_widths(images, peaks))),

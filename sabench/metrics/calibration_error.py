@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from sabench.algorithms.calibration.bundle_adjustment import Seen
+from sabench.algorithms.calibration.bundle_adjustment import BoardImages
 from sabench.algorithms.calibration.cramer_rao import Limit, limit
 from sabench.algorithms.calibration.parameters import Frame, FreeParameters
 from sabench.algorithms.calibration.problem import make_anchors
@@ -133,7 +133,7 @@ def lower_bound(
         return None
     board = case.target.points_mm
     anchors = make_anchors(case, frame, noise_px)
-    seen = Seen(board, np.nan_to_num(case.pixels), good.astype(np.float64), anchors)
+    seen = BoardImages(board, np.nan_to_num(case.pixels), good.astype(np.float64), anchors)
     try:
         return limit(
             frame.state(board, truth_mm), seen, FreeParameters.from_names(case.unknown), noise_px

@@ -29,7 +29,7 @@ def true_field(grid: Grid, particles: Particles, views: Sequence[View]) -> F32:
 
 
 def brightness(views: Sequence[View]) -> F64:
-    """Average each particle's relative photon count over cameras that see it illuminated.
+    """Average each particle's relative photon count over cameras that see its light.
 
     The count of a camera is relative to the mean of all particles illuminated in it. Returns
     (particle,); 0 for a particle that is illuminated in no camera.

@@ -198,7 +198,7 @@ def _build_cameras(scene: Scene, wall: Wall | None) -> tuple[Camera, ...]:
         with check.collect():
             cameras.append(_build_camera(scene, wall, f"camera_{number:02d}", place))
     if check.faults:
-        raise InputError.of("", _alike(check.faults))
+        raise InputError.from_faults("", _alike(check.faults))
     return tuple(cameras)
 
 

@@ -18,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import BaseModel, ConfigDict, Field
 
-from sabench.algorithms.calibration.bundle_adjustment import Seen
+from sabench.algorithms.calibration.bundle_adjustment import BoardImages
 from sabench.algorithms.calibration.cramer_rao import limit
 from sabench.algorithms.calibration.parameters import Frame, FreeParameters
 from sabench.algorithms.calibration.problem import make_anchors
@@ -354,7 +354,7 @@ def report_on(case: CalibrationCase, answer: Calibration, points: F64) -> tuple[
     free = FreeParameters.from_names(case.unknown)
     size, boards = free.per_camera * len(cameras), 6 * int(used.any(axis=(0, 2)).sum())
     noise = float(np.sqrt(np.sum(errors[used] ** 2) / max(2 * used.sum() - size - boards, 1)))
-    seen = Seen(
+    seen = BoardImages(
         case.target.points_mm,
         np.nan_to_num(case.pixels),
         used.astype(np.float64),

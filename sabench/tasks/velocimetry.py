@@ -112,7 +112,7 @@ class VelocimetryTask(Task):
         volumes = _Volumes(data, algorithm.parameters.reconstruction)
         seconds = []
         for pair in progress_bar(pairs, f"velocity by {name}"):
-            case = VolumePair(*volumes.of(pair), data.setup.grid, interval_s(data, pair))
+            case = VolumePair(*volumes.reconstruct(pair), data.setup.grid, interval_s(data, pair))
             start = time.perf_counter()
             field = call_solver(algorithm, name, case, Velocity, f" on frame {pair[0]}")
             seconds.append(time.perf_counter() - start)
@@ -180,7 +180,7 @@ class _Volumes:
         self._kept: dict[int, Reconstruction] = {}
         self.seconds: list[float] = []
 
-    def of(self, pair: tuple[int, int]) -> tuple[Any, Any]:
+    def reconstruct(self, pair: tuple[int, int]) -> tuple[Any, Any]:
         """Reconstruct the volumes of a pair, unless they are already there."""
         self._kept = {frame: one for frame, one in self._kept.items() if frame in pair}
         for frame in pair:

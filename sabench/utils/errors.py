@@ -39,7 +39,7 @@ class InputError(Exception):
         return type(self), self._arguments
 
     @classmethod
-    def of(cls, source: str, faults: Sequence[str]) -> Self:
+    def from_faults(cls, source: str, faults: Sequence[str]) -> Self:
         """Make the error of one or more faults in `source`."""
         start = f"{source}: " if source else ""
         if len(faults) == 1:

@@ -184,7 +184,7 @@ def validate(model: type[Model], values: dict[str, Any], source: str, prefix: st
     try:
         return model.model_validate(values)
     except ValidationError as error:
-        raise InputError.of(source, sentences(model, error, prefix)) from error
+        raise InputError.from_faults(source, sentences(model, error, prefix)) from error
 
 
 class Collector:
@@ -208,4 +208,4 @@ class Collector:
     def finish(self) -> None:
         """Raise an InputError of all faults that were collected, if there are some."""
         if self.faults:
-            raise InputError.of(self.source, self.faults)
+            raise InputError.from_faults(self.source, self.faults)

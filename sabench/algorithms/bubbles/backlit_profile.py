@@ -90,7 +90,7 @@ class Profile:
 
     @classmethod
     @functools.lru_cache(maxsize=64)  # 0.2 s each, and the same for every frame
-    def of(cls, index: float, half_angle: float, blur_px: float) -> Profile:
+    def tabulate(cls, index: float, half_angle: float, blur_px: float) -> Profile:
         """Tabulate balls of a relative index in front of a diffuser of a half angle.
 
         A Gaussian blurs the profiles.

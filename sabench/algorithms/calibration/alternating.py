@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sabench.algorithms.calibration.bundle_adjustment import Seen, refine, residuals
+from sabench.algorithms.calibration.bundle_adjustment import BoardImages, refine, residuals
 from sabench.algorithms.calibration.parameters import FreeParameters, State
 from sabench.utils.arrays import F64, I64
 
@@ -29,7 +29,7 @@ class Rounds:
 
 
 def alternate(
-    state: State, seen: Seen, free: FreeParameters, tolerance_px: float, most: int
+    state: State, seen: BoardImages, free: FreeParameters, tolerance_px: float, most: int
 ) -> Rounds:
     """Adjust cameras and boards in turn.
 
@@ -45,7 +45,7 @@ def alternate(
     return Rounds(state, tuple(errors))
 
 
-def select_cameras(state: State, seen: Seen, cameras: I64) -> tuple[State, Seen]:
+def select_cameras(state: State, seen: BoardImages, cameras: I64) -> tuple[State, BoardImages]:
     """Select some of the cameras, and what they see."""
     part = replace(
         state,
@@ -60,7 +60,7 @@ def select_cameras(state: State, seen: Seen, cameras: I64) -> tuple[State, Seen]
     )
 
 
-def _cameras(state: State, seen: Seen, free: FreeParameters) -> State:
+def _cameras(state: State, seen: BoardImages, free: FreeParameters) -> State:
     """Adjust every camera on its own to the boards as they are."""
     fits = [
         refine(*select_cameras(state, seen, np.array([number])), free, moving="cameras").state
@@ -73,7 +73,7 @@ def _cameras(state: State, seen: Seen, free: FreeParameters) -> State:
     return replace(state, turns=turns, centers=centers, lenses=lenses)
 
 
-def _boards(state: State, seen: Seen, free: FreeParameters) -> State:
+def _boards(state: State, seen: BoardImages, free: FreeParameters) -> State:
     """Adjust every board on its own to the cameras as they are."""
     turns, places = state.board_turns.copy(), state.places.copy()
     for number in np.flatnonzero(seen.weights.sum(axis=(0, 2)) > 0.0).tolist():
@@ -94,7 +94,7 @@ def _boards(state: State, seen: Seen, free: FreeParameters) -> State:
     return replace(state, board_turns=turns, places=places)
 
 
-def _largest(state: State, seen: Seen) -> float:
+def _largest(state: State, seen: BoardImages) -> float:
     lengths = np.where(seen.weights > 0.0, np.linalg.norm(residuals(state, seen), axis=-1), np.nan)
     return float(np.nanmax(np.nanmean(lengths.reshape(len(lengths), -1), axis=1)))
 

@@ -32,7 +32,7 @@ Moving = Literal["all", "cameras", "boards"]
 
 
 @dataclass(frozen=True)
-class Seen:
+class BoardImages:
     """Images of the boards in the cameras.
 
     Attributes
@@ -115,7 +115,9 @@ class Fit:
     converged: bool
 
 
-def normal_equations(state: State, seen: Seen, free: FreeParameters, scale: float = 0.0) -> Normal:
+def normal_equations(
+    state: State, seen: BoardImages, free: FreeParameters, scale: float = 0.0
+) -> Normal:
     """Compute the equations of one Gauss-Newton step."""
     boards = state.board_turns, state.places, seen.board
     cost, aa, ab, bb, a, d = equations(
@@ -136,7 +138,12 @@ def normal_equations(state: State, seen: Seen, free: FreeParameters, scale: floa
 
 
 def refine(
-    state: State, seen: Seen, free: FreeParameters, scale: float = 0.0, *, moving: Moving = "all"
+    state: State,
+    seen: BoardImages,
+    free: FreeParameters,
+    scale: float = 0.0,
+    *,
+    moving: Moving = "all",
 ) -> Fit:
     """Find the state with the smallest cost near to this one.
 
@@ -219,7 +226,7 @@ def _solve_damped(matrix: F64, right: F64) -> F64:
         )
 
 
-def residuals(state: State, seen: Seen) -> F64:
+def residuals(state: State, seen: BoardImages) -> F64:
     """Subtract computed from observed pixels (M, K, m, 2).
 
     NaN where a point is not seen.

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import ellipe
 
-from sabench.algorithms.calibration.bundle_adjustment import Seen, normal_equations
+from sabench.algorithms.calibration.bundle_adjustment import BoardImages, normal_equations
 from sabench.algorithms.calibration.kernels import BOARD, spreads
 from sabench.algorithms.calibration.parameters import FreeParameters, State
 from sabench.geometry.rotations import skew
@@ -47,7 +47,7 @@ class Limit:
         return float(np.sqrt(self.unknowns / max(self.equations - self.unknowns, 1)))
 
 
-def limit(state: State, seen: Seen, free: FreeParameters, noise_px: float) -> Limit:
+def limit(state: State, seen: BoardImages, free: FreeParameters, noise_px: float) -> Limit:
     """Compute the bound at the true state for pixel coordinates with normal noise."""
     information = _whole(state, seen, free)
     covariance, rank = _inverse(information)
@@ -73,7 +73,7 @@ def limit(state: State, seen: Seen, free: FreeParameters, noise_px: float) -> Li
     )
 
 
-def _whole(state: State, seen: Seen, free: FreeParameters) -> F64:
+def _whole(state: State, seen: BoardImages, free: FreeParameters) -> F64:
     """Compute the information matrix of all unknowns for a noise of 1 px.
 
     Unknowns are in the order cameras, shared, boards.
@@ -105,7 +105,7 @@ def _inverse(information: F64) -> tuple[F64, int]:
     return half @ half.T, int(there.sum())
 
 
-def _points(state: State, seen: Seen, covariance: F64) -> tuple[F64, F64]:
+def _points(state: State, seen: BoardImages, covariance: F64) -> tuple[F64, F64]:
     """Compute the scatter and mean error of all boards' points after alignment.
 
     Boards that no camera sees are left out.

@@ -9,7 +9,7 @@ import itertools
 
 import numpy as np
 
-from sabench.algorithms.calibration.bundle_adjustment import Seen, residuals
+from sabench.algorithms.calibration.bundle_adjustment import BoardImages, residuals
 from sabench.algorithms.calibration.parameters import Frame, State
 from sabench.api import CalibrationCase
 from sabench.api.truth import Target
@@ -82,7 +82,12 @@ def _same(one: F64, other: F64) -> bool:
 
 
 def check_fit(
-    case: CalibrationCase, state: State, frame: Frame, seen: Seen, used: Bool, noise_px: float
+    case: CalibrationCase,
+    state: State,
+    frame: Frame,
+    seen: BoardImages,
+    used: Bool,
+    noise_px: float,
 ) -> None:
     """Refuse a fit that contradicts the input.
 
@@ -120,7 +125,7 @@ def check_fit(
 
 
 def _check_views(
-    case: CalibrationCase, state: State, seen: Seen, used: Bool, there: Bool, noise_px: float
+    case: CalibrationCase, state: State, seen: BoardImages, used: Bool, there: Bool, noise_px: float
 ) -> None:
     """Find a view that would fit if its points were counted from another corner.
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sabench.algorithms.calibration.bundle_adjustment import Anchor, Seen
+from sabench.algorithms.calibration.bundle_adjustment import Anchor, BoardImages
 from sabench.algorithms.calibration.input_checks import check_case
 from sabench.algorithms.calibration.parameters import Frame, FreeParameters, State
 from sabench.api import Calibration, CalibrationCase
@@ -29,7 +29,7 @@ class CalibrationProblem:
 
     frame: Frame
     start: State
-    seen: Seen
+    seen: BoardImages
     case: CalibrationCase
 
     @classmethod
@@ -51,7 +51,9 @@ class CalibrationProblem:
                 )
         frame = Frame.from_cameras(case.cameras, case.initial_mm)
         found = case.found
-        seen = Seen(case.target.points_mm, np.nan_to_num(case.pixels), found.astype(np.float64))
+        seen = BoardImages(
+            case.target.points_mm, np.nan_to_num(case.pixels), found.astype(np.float64)
+        )
         return cls(frame, frame.state(case.target.points_mm, case.initial_mm), seen, case)
 
     def align_to_nominal(self, state: State) -> State:

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sabench.algorithms.calibration.bundle_adjustment import Fit, Seen, refine, residuals
+from sabench.algorithms.calibration.bundle_adjustment import BoardImages, Fit, refine, residuals
 from sabench.algorithms.calibration.parameters import FreeParameters, State
 from sabench.utils.arrays import F64, Bool
 
@@ -30,7 +30,7 @@ class Robust:
 
 
 def adjust(
-    state: State, seen: Seen, free: FreeParameters, *, noise_px: float | None = None
+    state: State, seen: BoardImages, free: FreeParameters, *, noise_px: float | None = None
 ) -> Robust:
     """Fit by least squares, robustly if errors exceed normal noise.
 
@@ -58,7 +58,7 @@ def adjust(
     return Robust(fit, used, noise)
 
 
-def _fit_cauchy(state: State, seen: Seen, free: FreeParameters) -> Fit:
+def _fit_cauchy(state: State, seen: BoardImages, free: FreeParameters) -> Fit:
     """Fit with Cauchy's loss, whose scale follows the errors down."""
     used = np.asarray(seen.weights > 0.0)
     scale = np.inf
@@ -72,7 +72,7 @@ def _fit_cauchy(state: State, seen: Seen, free: FreeParameters) -> Fit:
     return fit
 
 
-def _lengths(state: State, seen: Seen) -> F64:
+def _lengths(state: State, seen: BoardImages) -> F64:
     """Compute reprojection errors (camera, board, point) in px.
 
     Infinite where there is none.

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sabench.algorithms.calibration.bundle_adjustment import Anchor, Seen, refine, residuals
+from sabench.algorithms.calibration.bundle_adjustment import Anchor, BoardImages, refine, residuals
 from sabench.algorithms.calibration.disparity import Sets, correct, find_sets
 from sabench.algorithms.calibration.parameters import Frame, FreeParameters, State
 from sabench.algorithms.calibration.robust import median_noise
@@ -232,7 +232,7 @@ def adjust_cameras(tracking: Tracking, matched: tuple[F64, F64]) -> tuple[Camera
     weights = np.isfinite(both).all(axis=2).astype(np.float64)
     frame = Frame.from_cameras(tracking.cameras, points[:, None])
     state = frame.state(np.zeros((1, 3)), points[:, None])
-    seen = Seen(
+    seen = BoardImages(
         np.zeros((1, 3)),
         np.nan_to_num(both)[:, :, None],
         weights[:, :, None],
@@ -251,7 +251,7 @@ def _anchor_lattice(frame: Frame, lattice: F64, first: int) -> tuple[Anchor, ...
     )
 
 
-def _adjust(state: State, seen: Seen, particles: int) -> State:
+def _adjust(state: State, seen: BoardImages, particles: int) -> State:
     """Adjust with Cauchy's loss until the noise falls no more, then by least squares.
 
     Outliers are left out of the latter; the lattice is weighted by its standard deviation.
@@ -273,12 +273,12 @@ def _adjust(state: State, seen: Seen, particles: int) -> State:
     return refine(state, replace(seen, weights=weights), FreeParameters(), 0.0).state
 
 
-def _weights(seen: Seen, particles: int, noise: float) -> F64:
+def _weights(seen: BoardImages, particles: int, noise: float) -> F64:
     weights = seen.weights.copy()
     weights[:, particles:] *= (noise / _TOLD_PX) ** 2
     return weights
 
 
-def _noise(state: State, seen: Seen, particles: int) -> float:
+def _noise(state: State, seen: BoardImages, particles: int) -> float:
     lengths = np.linalg.norm(residuals(state, seen), axis=-1)[:, :particles]
     return max(median_noise(lengths[seen.weights[:, :particles] > 0.0]), 1e-3)

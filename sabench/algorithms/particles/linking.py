@@ -26,14 +26,14 @@ from sabench.utils.arrays import F64, I64, Bool
 # largest cost of a link, and cost of none: four normal errors have a larger square sum once in 2000
 # times
 GATE = 20.0
-# farthest displacement of a track whose velocity is not known, in distances between neighbours
+# farthest displacement of a trajectory whose velocity is not known, in distances between neighbours
 REACH = 3.0
 # difference of neighbours' displacements, in the same unit, beyond which they say nothing of each
 # other
 _ALIKE = 0.4
 _NEIGHBOURS = 8
-# candidates of one track: several times what is within the radius where bubbles are evenly spread,
-# and a bound where they are not
+# candidates of one trajectory: several times what is within the radius where bubbles are evenly
+# spread, and a bound where they are not
 _MOST = 100
 _PLACE_ERROR, _SIZE_ERROR = (
     (0.05, 0.2),
@@ -56,7 +56,7 @@ class _Points:
 
 
 @dataclass(frozen=True)
-class _Tracks(_Points):
+class _Trajectories(_Points):
     """Trajectories that may continue.
 
     Their last detections, numbers (n,) and velocities (n, 3), NaN for those of one detection.
@@ -69,11 +69,13 @@ class _Tracks(_Points):
     def young(self) -> Bool:
         return np.isnan(self.velocity[:, 0])
 
-    def __getitem__(self, chosen: Bool | I64) -> _Tracks:
+    def __getitem__(self, chosen: Bool | I64) -> _Trajectories:
         position, size, time, velocity = (
             value[chosen] for value in (self.position, self.size, self.time, self.velocity)
         )
-        return _Tracks(position, size, time, self.frame[chosen], self.number[chosen], velocity)
+        return _Trajectories(
+            position, size, time, self.frame[chosen], self.number[chosen], velocity
+        )
 
 
 @dataclass(frozen=True)
@@ -159,9 +161,9 @@ def assign(row: I64, column: I64, cost: F64, shape: tuple[int, int]) -> tuple[I6
     return i[linked].astype(np.int64), j[linked].astype(np.int64)
 
 
-def _none() -> _Tracks:
+def _none() -> _Trajectories:
     whole = np.zeros(0, dtype=np.int64)
-    return _Tracks(np.zeros((0, 3)), np.zeros(0), np.zeros(0), whole, whole, np.zeros((0, 3)))
+    return _Trajectories(np.zeros((0, 3)), np.zeros(0), np.zeros(0), whole, whole, np.zeros((0, 3)))
 
 
 def _spacing(center_mm: Sequence[F64]) -> float:
@@ -187,22 +189,22 @@ def _spacing(center_mm: Sequence[F64]) -> float:
     )
 
 
-def _continue(live: _Tracks, found: _Points, number: I64, i: I64, j: I64) -> _Tracks:
+def _continue(live: _Trajectories, found: _Points, number: I64, i: I64, j: I64) -> _Trajectories:
     """Update trajectories by the detections found now, with their velocities."""
     velocity = np.full(found.position.shape, np.nan)
     velocity[j] = (found.position[j] - live.position[i]) / (found.time[j] - live.time[i])[:, None]
     lost = live[np.setdiff1d(np.arange(len(live.position)), i)]
-    seen = _Tracks(found.position, found.size, found.time, found.frame, number, velocity)
-    return _Tracks(
+    seen = _Trajectories(found.position, found.size, found.time, found.frame, number, velocity)
+    return _Trajectories(
         *(
             np.concatenate([getattr(one, name) for one in (lost, seen)])
-            for name in _Tracks.__dataclass_fields__
+            for name in _Trajectories.__dataclass_fields__
         )
     )
 
 
 def _candidates(
-    live: _Tracks, found: _Points, time: float, frame: int, scale: _Scale
+    live: _Trajectories, found: _Points, time: float, frame: int, scale: _Scale
 ) -> tuple[I64, I64, F64]:
     """List rows of trajectories and detections that may match, and the pairs' costs."""
     parts = [part(live, found, time, frame, scale) for part in (_by_velocity, _by_neighbours)]
@@ -212,7 +214,7 @@ def _candidates(
 
 
 def _by_velocity(
-    live: _Tracks, found: _Points, time: float, frame: int, scale: _Scale
+    live: _Trajectories, found: _Points, time: float, frame: int, scale: _Scale
 ) -> tuple[I64, I64, F64]:
     """Link trajectories by their last velocities.
 
@@ -233,7 +235,7 @@ def _by_velocity(
 
 
 def _by_neighbours(
-    live: _Tracks, found: _Points, time: float, frame: int, scale: _Scale
+    live: _Trajectories, found: _Points, time: float, frame: int, scale: _Scale
 ) -> tuple[I64, I64, F64]:
     """Link trajectories of one detection by their neighbours.
 
@@ -262,7 +264,7 @@ def _by_neighbours(
     return young[row], column, GATE * alone + (length / radii[row]) ** 2 + size
 
 
-def _neighbour_differences(live: _Tracks, which: I64, velocity: F64) -> F64:
+def _neighbour_differences(live: _Trajectories, which: I64, velocity: F64) -> F64:
     """Compute differences (n, k) of velocities from those of the neighbours.
 
     Velocities are (n, 3), trajectories (n,). Neighbours are the nearest whose velocities are known.
@@ -273,7 +275,7 @@ def _neighbour_differences(live: _Tracks, which: I64, velocity: F64) -> F64:
 
 
 def _from_places(
-    live: _Tracks, found: _Points, which: I64, velocity: F64, time: float, scale: _Scale
+    live: _Trajectories, found: _Points, which: I64, velocity: F64, time: float, scale: _Scale
 ) -> F64:
     """Compute distances (n, k) of moved neighbours to the next detection.
 
@@ -311,11 +313,11 @@ def _near(from_places: F64, to_places: F64, radii: F64) -> tuple[I64, I64]:
     return row, column[row, slot]
 
 
-def _unlike(live: _Tracks, found: _Points, row: I64, column: I64, scale: _Scale) -> F64:
+def _unlike(live: _Trajectories, found: _Points, row: I64, column: I64, scale: _Scale) -> F64:
     return np.asarray(((live.size[row] - found.size[column]) / scale.size) ** 2)
 
 
-def _estimate_scale(scale: _Scale, linked: _Tracks, found: _Points, j: I64) -> _Scale:
+def _estimate_scale(scale: _Scale, linked: _Trajectories, found: _Points, j: I64) -> _Scale:
     """Estimate the errors of predictions from these links.
 
     The estimate is the median magnitude times 1.4826, the standard deviation of normal errors.

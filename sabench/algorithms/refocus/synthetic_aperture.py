@@ -169,7 +169,7 @@ class _View:
     tiles: F64
 
     @classmethod
-    def of(cls, slab: Slab, cameras: Sequence[CameraModel], grid: Grid) -> _View:
+    def from_slab(cls, slab: Slab, cameras: Sequence[CameraModel], grid: Grid) -> _View:
         """Make the view of a slab of the grid."""
         return cls(slab, *rectifying_maps(slab, cameras, grid), slab.tiles(grid))
 
@@ -198,12 +198,12 @@ def _parts(
 
 @functools.lru_cache(maxsize=2)
 def _views(cameras: tuple[CameraModel, ...], grid: Grid) -> list[_View]:
-    return [_View.of(slab, cameras, grid) for slab in slabs(cameras, grid)]
+    return [_View.from_slab(slab, cameras, grid) for slab in slabs(cameras, grid)]
 
 
 @functools.lru_cache(maxsize=2)
 def _whole(cameras: tuple[CameraModel, ...], grid: Grid) -> _View:
-    return _View.of(make_slab(cameras, grid, 0, grid.shape[0]), cameras, grid)
+    return _View.from_slab(make_slab(cameras, grid, 0, grid.shape[0]), cameras, grid)
 
 
 def _on_device() -> bool:

@@ -4,8 +4,8 @@ The package holds first guesses and algebraic (ART) updates of a volume.
 """
 
 from sabench.algorithms.tomography.art_updates import (
-    Measured,
-    State,
+    Iterate,
+    RecordedLight,
     block_mart,
     iterate,
     mart,
@@ -19,9 +19,9 @@ from sabench.algorithms.tomography.problem import (
 )
 
 __all__ = [
-    "Measured",
+    "Iterate",
+    "RecordedLight",
     "SparseParameters",
-    "State",
     "TomographyParameters",
     "TomographyProblem",
     "block_mart",

@@ -15,7 +15,7 @@ import numpy as np
 
 from sabench.algorithms.tomography.kernels import multiply
 from sabench.algorithms.tomography.mart_sweep import mart_sweep
-from sabench.algorithms.tomography.projection_operator import LinesOfSight
+from sabench.algorithms.tomography.projection_operator import ProjectionOperator
 from sabench.utils.arrays import F32, Bool
 from sabench.utils.progress import progress_bar
 
@@ -26,7 +26,7 @@ _NOTHING = 1e-30
 
 
 @dataclass(frozen=True)
-class State:
+class Iterate:
     """An iteration's voxels.
 
     Attributes
@@ -37,13 +37,13 @@ class State:
         the value is 0.
     """
 
-    lines: LinesOfSight
+    lines: ProjectionOperator
     values: F32
     seen: F32
 
 
 @dataclass(frozen=True)
-class Measured:
+class RecordedLight:
     """Light recorded by the cameras.
 
     Attributes
@@ -56,9 +56,9 @@ class Measured:
     light: F32
     saturated: Bool
 
-    def of(self, camera: int) -> Measured:
+    def select_camera(self, camera: int) -> RecordedLight:
         """Select one camera."""
-        return Measured(self.light[camera : camera + 1], self.saturated[camera : camera + 1])
+        return RecordedLight(self.light[camera : camera + 1], self.saturated[camera : camera + 1])
 
     def missing(self, projection: F32) -> float:
         """Turn a projection W I into P - W I, in place; returns the sum of squares."""
@@ -109,7 +109,7 @@ def _log_ratio(light: Any, saturated: Any, projection: Any, squares: Any) -> Non
         squares[row] = total
 
 
-def smart(state: State, measured: Measured, relaxation: float) -> float:
+def smart(state: Iterate, measured: RecordedLight, relaxation: float) -> float:
     """Iterate I_j <- I_j prod_i (P_i / (W I)_i)^(mu W_ij / N_j).
 
     All pixels are used simultaneously, in the geometric mean over the N_j = seen_j cameras.
@@ -124,7 +124,7 @@ def smart(state: State, measured: Measured, relaxation: float) -> float:
     return missed
 
 
-def sart(state: State, measured: Measured, lengths: F32, relaxation: float) -> float:
+def sart(state: Iterate, measured: RecordedLight, lengths: F32, relaxation: float) -> float:
     """Update I_j <- max(0, I_j + mu sum_i W_ij (P_i - (W I)_i) / L_i / N_j).
 
     L_i = sum_j W_ij = lengths_i and N_j = sum_i W_ij = seen_j.
@@ -142,7 +142,7 @@ def sart(state: State, measured: Measured, lengths: F32, relaxation: float) -> f
     return missed
 
 
-def block_mart(state: State, measured: Measured, relaxation: float) -> float:
+def block_mart(state: Iterate, measured: RecordedLight, relaxation: float) -> float:
     """Update by one camera after the other, all its pixels simultaneously.
 
     I_j <- I_j prod_i (P_i / (W I)_i)^(mu W_ij).
@@ -152,12 +152,12 @@ def block_mart(state: State, measured: Measured, relaxation: float) -> float:
     missed = 0.0
     for camera in state.lines.cameras:
         image = state.lines.forward(state.values, [camera])
-        missed += measured.of(camera).log_ratio(image)
+        missed += measured.select_camera(camera).log_ratio(image)
         multiply(state.values, state.lines.adjoint(image, [camera]), np.float32(relaxation))
     return missed
 
 
-def mart(state: State, measured: Measured, relaxation: float) -> float:
+def mart(state: Iterate, measured: RecordedLight, relaxation: float) -> float:
     """Update by one camera after the other, pixel by pixel: see `mart_sweep`."""
     images = enumerate(zip(measured.light, measured.saturated, strict=True))
     return sum(
@@ -167,7 +167,11 @@ def mart(state: State, measured: Measured, relaxation: float) -> float:
 
 
 def iterate(
-    step: Callable[[], float], measured: Measured, iterations: int, tolerance: float, doing: str
+    step: Callable[[], float],
+    measured: RecordedLight,
+    iterations: int,
+    tolerance: float,
+    doing: str,
 ) -> list[float]:
     """Repeat a step and return the relative residual ||P - W I|| / ||P|| of each.
 

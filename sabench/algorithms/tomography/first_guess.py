@@ -8,7 +8,7 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
-from sabench.algorithms.tomography.kernels import Sight, locate, sample, scratch
+from sabench.algorithms.tomography.kernels import KernelGeometry, locate, sample, scratch
 from sabench.algorithms.tomography.projection_operator import Support
 from sabench.utils.arrays import F32, I64
 from sabench.utils.progress import progress_bar
@@ -19,37 +19,39 @@ _SLAB = 8_000_000  # voxels whose memory is taken at a time
 _ROWS = 32
 
 
-def product_guess(sight: Sight, images: F32, threshold: float) -> tuple[Support, F32]:
+def product_guess(geometry: KernelGeometry, images: F32, threshold: float) -> tuple[Support, F32]:
     """Find the voxels where every camera that sees them has light, and their product.
 
     The product of these cameras' values is raised to one over their number.
 
     Parameters
     ----------
-    sight : its interpolation samples the images: linear gives MLOS, the nearest pixel MFG.
+    geometry : its interpolation samples the images: linear gives MLOS, the nearest pixel MFG.
     images : (camera, row, column).
     threshold : darker pixels are black.
 
     Sources: Atkinson and Soria (2009) for MLOS, Worth and Nickels (2008) for MFG; thesis section
     3.2. Voxels that no camera sees are left out.
     """
-    planes, shape = sight.maps.shape[1], (sight.height, sight.width)
+    planes, shape = geometry.maps.shape[1], (geometry.height, geometry.width)
     step = max(1, _SLAB // (shape[0] * shape[1]))
     flat = images.reshape(len(images), -1)
     kept = [
-        _slab(sight, flat, threshold, first, min(step, planes - first))
+        _slab(geometry, flat, threshold, first, min(step, planes - first))
         for first in progress_bar(range(0, planes, step), "first guess")
     ]
     counts, x, values = (np.concatenate(part) for part in zip(*kept, strict=True))
     return Support((planes, *shape), np.concatenate([[0], np.cumsum(counts)]), x), values
 
 
-def every_voxel(sight: Sight) -> tuple[Support, F32]:
+def every_voxel(geometry: KernelGeometry) -> tuple[Support, F32]:
     """Return all voxels, all equally bright."""
-    rows = sight.maps.shape[1] * sight.height
-    x = np.tile(np.arange(sight.width, dtype=_index_type(sight.width)), rows)
+    rows = geometry.maps.shape[1] * geometry.height
+    x = np.tile(np.arange(geometry.width, dtype=_index_type(geometry.width)), rows)
     return Support(
-        (sight.maps.shape[1], sight.height, sight.width), np.arange(rows + 1) * sight.width, x
+        (geometry.maps.shape[1], geometry.height, geometry.width),
+        np.arange(rows + 1) * geometry.width,
+        x,
     ), np.ones(len(x), dtype=np.float32)
 
 
@@ -58,19 +60,19 @@ def _index_type(width: int) -> type[np.signedinteger]:
 
 
 def _slab(
-    sight: Sight, images: F32, threshold: float, first: int, planes: int
+    geometry: KernelGeometry, images: F32, threshold: float, first: int, planes: int
 ) -> tuple[I64, npt.NDArray[np.signedinteger], F32]:
     """List the voxels of some planes.
 
     Returns their number in each row, their x indices and their values.
     """
-    rows = planes * sight.height
+    rows = planes * geometry.height
     x, values = (
-        np.empty((rows, sight.width), dtype=_index_type(sight.width)),
-        np.empty((rows, sight.width), dtype=np.float32),
+        np.empty((rows, geometry.width), dtype=_index_type(geometry.width)),
+        np.empty((rows, geometry.width), dtype=np.float32),
     )
     counts = np.empty(rows, dtype=np.int64)
-    _multiply_rows(sight, images, threshold, first * sight.height, x, values, counts)
+    _multiply_rows(geometry, images, threshold, first * geometry.height, x, values, counts)
     start = np.concatenate([[0], np.cumsum(counts)])
     packed = np.empty(start[-1], dtype=x.dtype), np.empty(start[-1], dtype=np.float32)
     _pack(start, x, values, *packed)
@@ -87,7 +89,7 @@ def _pack(start: Any, x: Any, values: Any, packed_x: Any, packed_values: Any) ->
 
 @numba.njit(cache=True, parallel=True)
 def _multiply_rows(
-    sight: Any, images: Any, threshold: float, first: int, x: Any, values: Any, counts: Any
+    geometry: Any, images: Any, threshold: float, first: int, x: Any, values: Any, counts: Any
 ) -> None:
     """Multiply rows, and move survivors to the beginning.
 
@@ -96,23 +98,23 @@ def _multiply_rows(
     for block in numba.prange((len(x) + _ROWS - 1) // _ROWS):
         top, end = block * _ROWS, min((block + 1) * _ROWS, len(x))
         _multiply_block(
-            sight, images, threshold, first + top, x[top:end], values[top:end], counts[top:end]
+            geometry, images, threshold, first + top, x[top:end], values[top:end], counts[top:end]
         )
 
 
 @numba.njit(cache=True)
 def _multiply_block(
-    sight: Any, images: Any, threshold: float, first: int, x: Any, values: Any, counts: Any
+    geometry: Any, images: Any, threshold: float, first: int, x: Any, values: Any, counts: Any
 ) -> None:
     """Multiply rows of voxels by the images of one camera after the other."""
-    work, product, seen = scratch(sight), np.ones(x.shape), np.zeros(x.shape, dtype=np.int32)
+    work, product, seen = scratch(geometry), np.ones(x.shape), np.zeros(x.shape, dtype=np.int32)
     for row in range(len(x)):
-        x[row], counts[row] = np.arange(sight.width), sight.width
+        x[row], counts[row] = np.arange(geometry.width), geometry.width
     for camera in range(len(images)):
         for row in range(len(x)):
             left = counts[row]
             counts[row] = _multiply_camera(
-                sight,
+                geometry,
                 images[camera],
                 threshold,
                 camera,
@@ -129,7 +131,7 @@ def _multiply_block(
 
 @numba.njit(cache=True)
 def _multiply_camera(
-    sight: Any,
+    geometry: Any,
     image: Any,
     threshold: float,
     camera: int,
@@ -144,12 +146,12 @@ def _multiply_camera(
 
     Voxels that the camera sees black are removed. Returns the number of the others.
     """
-    base, across, down = locate(sight, camera, row, x[:left], work)
+    base, across, down = locate(geometry, camera, row, x[:left], work)
     kept = 0
     for i in range(left):
         light, counts = np.float32(1.0), 0
         if base[i] >= 0:
-            light, counts = sample(image, sight.columns, base[i], across[i], down[i]), 1
+            light, counts = sample(image, geometry.columns, base[i], across[i], down[i]), 1
         x[kept], product[kept], seen[kept] = x[i], product[i] * light, seen[i] + counts
         kept += int(
             light >= threshold

@@ -21,7 +21,7 @@ _ONE = np.float32(STEPS)
 _LARGEST_EXPONENT = np.float32(60.0)
 
 
-class Sight(NamedTuple):
+class KernelGeometry(NamedTuple):
     """Cameras and grid as arrays for the kernels.
 
     Attributes
@@ -48,9 +48,9 @@ class Sight(NamedTuple):
 
 
 @numba.njit(cache=True)
-def scratch(sight: Any) -> Any:
+def scratch(geometry: Any) -> Any:
     """Allocate the scratch arrays of `locate`."""
-    width, terms = sight.width, sight.degree + 1
+    width, terms = geometry.width, geometry.degree + 1
     return (
         np.empty(terms),
         np.empty((2, terms), dtype=np.float32),
@@ -62,7 +62,7 @@ def scratch(sight: Any) -> Any:
 
 
 @numba.njit(cache=True)
-def locate(sight: Any, camera: int, row: int, x: Any, work: Any) -> Any:
+def locate(geometry: Any, camera: int, row: int, x: Any, work: Any) -> Any:
     """Locate the voxels x of a row, counted over (z, y), in a camera's image.
 
     Returns
@@ -72,14 +72,18 @@ def locate(sight: Any, camera: int, row: int, x: Any, work: Any) -> Any:
     across, down : (n,) uint16, position among these pixels in steps.
     """
     total, line, position, base, across, down = work
-    v = 2.0 * (row % sight.height) / (sight.height - 1) - 1.0 if sight.height > 1 else 0.0
+    v = 2.0 * (row % geometry.height) / (geometry.height - 1) - 1.0 if geometry.height > 1 else 0.0
     for axis in range(2):
         _collapse(
-            sight.maps[camera, row // sight.height, axis], sight.degree, sight.shift, v, total
+            geometry.maps[camera, row // geometry.height, axis],
+            geometry.degree,
+            geometry.shift,
+            v,
+            total,
         )
         line[axis] = total
-    _evaluate(line, x, sight.width, position)
-    _fix(position, len(x), sight, base, across, down)
+    _evaluate(line, x, geometry.width, position)
+    _fix(position, len(x), geometry, base, across, down)
     return base[: len(x)], across[: len(x)], down[: len(x)]
 
 
@@ -120,17 +124,17 @@ def _evaluate(line: Any, x: Any, width: int, position: Any) -> None:
 
 
 @numba.njit(cache=True)
-def _fix(position: Any, count: int, sight: Any, base: Any, across: Any, down: Any) -> None:
+def _fix(position: Any, count: int, geometry: Any, base: Any, across: Any, down: Any) -> None:
     """Convert positions to pixels and steps."""
     column, row = position[1], position[2]
     low, mask, stride = (
-        np.float32(sight.margin) * _ONE,
-        np.int32(sight.mask),
-        np.int32(sight.columns),
+        np.float32(geometry.margin) * _ONE,
+        np.int32(geometry.mask),
+        np.int32(geometry.columns),
     )
     right, bottom = (
-        np.float32(sight.columns - 1 - sight.margin) * _ONE,
-        np.float32(sight.rows - 1 - sight.margin) * _ONE,
+        np.float32(geometry.columns - 1 - geometry.margin) * _ONE,
+        np.float32(geometry.rows - 1 - geometry.margin) * _ONE,
     )
     for i in range(count):
         inside = (column[i] >= low) & (column[i] < right) & (row[i] >= low) & (row[i] < bottom)
@@ -172,7 +176,7 @@ def _scatter(value: Any, places: Any, columns: int, image: Any) -> None:
 
 @numba.njit(cache=True, parallel=True)
 def project(
-    sight: Any, cameras: Any, parts: Any, start: Any, x: Any, values: Any, out: Any
+    geometry: Any, cameras: Any, parts: Any, start: Any, x: Any, values: Any, out: Any
 ) -> None:
     """Project parts of a volume, each into an image of its own.
 
@@ -188,36 +192,36 @@ def project(
     count = len(parts) - 1
     for task in numba.prange(len(cameras) * count):
         number, part = task // count, task % count
-        work = scratch(sight)
+        work = scratch(geometry)
         for row in range(parts[part], parts[part + 1]):
             first, last = start[row], start[row + 1]
             if last > first:
                 _scatter(
                     values[first:last],
-                    locate(sight, cameras[number], row, x[first:last], work),
-                    sight.columns,
+                    locate(geometry, cameras[number], row, x[first:last], work),
+                    geometry.columns,
                     out[number, part],
                 )
 
 
 @numba.njit(cache=True, parallel=True)
 def back_project(
-    sight: Any, cameras: Any, parts: Any, start: Any, x: Any, images: Any, out: Any
+    geometry: Any, cameras: Any, parts: Any, start: Any, x: Any, images: Any, out: Any
 ) -> None:
     """Add the images, bilinearly interpolated, to voxels out (n,).
 
     The images are (n, rows * columns). Other arguments are as for `project`.
     """
     for part in numba.prange(len(parts) - 1):
-        work = scratch(sight)
+        work = scratch(geometry)
         for number in range(len(cameras)):
             for row in range(parts[part], parts[part + 1]):
                 first, last = start[row], start[row + 1]
                 if last > first:
                     _collect(
                         images[number],
-                        sight.columns,
-                        locate(sight, cameras[number], row, x[first:last], work),
+                        geometry.columns,
+                        locate(geometry, cameras[number], row, x[first:last], work),
                         out[first:last],
                     )
 

@@ -18,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sabench.algorithms.tomography.kernels import STEPS, exp2, locate, scratch
-from sabench.algorithms.tomography.projection_operator import LinesOfSight
+from sabench.algorithms.tomography.projection_operator import ProjectionOperator
 from sabench.utils.arrays import F32, I64, Bool
 
 STRIP = (
@@ -53,7 +53,12 @@ class Buckets(NamedTuple):
 
 
 def mart_sweep(
-    lines: LinesOfSight, values: F32, camera: int, image: F32, saturated: Bool, relaxation: float
+    lines: ProjectionOperator,
+    values: F32,
+    camera: int,
+    image: F32,
+    saturated: Bool,
+    relaxation: float,
 ) -> float:
     """Correct the voxels (n,) in place by all pixels of one camera.
 
@@ -75,36 +80,36 @@ def mart_sweep(
     return float(missed.sum())
 
 
-def _sort_by_part(lines: LinesOfSight, values: F32, camera: int) -> Buckets:
+def _sort_by_part(lines: ProjectionOperator, values: F32, camera: int) -> Buckets:
     """Sort by counting, stable and in parallel."""
-    sight, support = lines.sight, lines.support
+    geometry, support = lines.geometry, lines.support
     parts = support.parts(_PARTS)
     slots, first = (
-        np.zeros((_PARTS, sight.rows * sight.columns), dtype=np.int32),
-        np.empty(sight.rows * sight.columns + 1, dtype=np.int64),
+        np.zeros((_PARTS, geometry.rows * geometry.columns), dtype=np.int32),
+        np.empty(geometry.rows * geometry.columns + 1, dtype=np.int64),
     )
-    _count(sight, camera, parts, support.start, support.x, slots)
+    _count(geometry, camera, parts, support.start, support.x, slots)
     _number(slots, first)
     seen = int(first[-1])
     across, down, light = (np.empty(seen, dtype=np.float32) for _ in range(3))
-    spread, taps = np.float32(lines.footprint.spread), 2 + 2 * sight.margin
+    spread, taps = np.float32(lines.footprint.spread), 2 + 2 * geometry.margin
     buckets = Buckets(
-        spread, taps, sight.columns, first, np.empty(seen, dtype=np.int32), across, down, light
+        spread, taps, geometry.columns, first, np.empty(seen, dtype=np.int32), across, down, light
     )
-    _fill(sight, camera, parts, support.start, support.x, values, slots, buckets)
+    _fill(geometry, camera, parts, support.start, support.x, values, slots, buckets)
     return buckets
 
 
 @numba.njit(cache=True, parallel=True)
-def _count(sight: Any, camera: int, parts: Any, start: Any, x: Any, slots: Any) -> None:
+def _count(geometry: Any, camera: int, parts: Any, start: Any, x: Any, slots: Any) -> None:
     """Count the voxels of every part on every pixel.
 
     Counts go into slots (part, pixel), which are zero on entry.
     """
     for part in numba.prange(len(parts) - 1):
-        work, corner = scratch(sight), sight.margin * (sight.columns + 1)
+        work, corner = scratch(geometry), geometry.margin * (geometry.columns + 1)
         for row in range(parts[part], parts[part + 1]):
-            base, _, _ = locate(sight, camera, row, x[start[row] : start[row + 1]], work)
+            base, _, _ = locate(geometry, camera, row, x[start[row] : start[row + 1]], work)
             for i in range(len(base)):
                 if base[i] >= 0:
                     slots[part, base[i] - corner] += 1
@@ -125,17 +130,24 @@ def _number(slots: Any, first: Any) -> None:
 
 @numba.njit(cache=True, parallel=True)
 def _fill(
-    sight: Any, camera: int, parts: Any, start: Any, x: Any, values: Any, slots: Any, buckets: Any
+    geometry: Any,
+    camera: int,
+    parts: Any,
+    start: Any,
+    x: Any,
+    values: Any,
+    slots: Any,
+    buckets: Any,
 ) -> None:
     for part in numba.prange(len(parts) - 1):
         _fill_part(
-            sight, camera, parts[part], parts[part + 1], start, x, values, slots[part], buckets
+            geometry, camera, parts[part], parts[part + 1], start, x, values, slots[part], buckets
         )
 
 
 @numba.njit(cache=True)
 def _fill_part(
-    sight: Any,
+    geometry: Any,
     camera: int,
     begin: int,
     end: int,
@@ -149,18 +161,18 @@ def _fill_part(
 
     `slots` advances with every voxel.
     """
-    work, corner = scratch(sight), sight.margin * (sight.columns + 1)
+    work, corner = scratch(geometry), geometry.margin * (geometry.columns + 1)
     for row in range(begin, end):
-        base, across, down = locate(sight, camera, row, x[start[row] : start[row + 1]], work)
+        base, across, down = locate(geometry, camera, row, x[start[row] : start[row + 1]], work)
         for i in range(len(base)):
             if base[i] >= 0:
                 slot = slots[base[i] - corner]
                 slots[base[i] - corner] += 1
                 buckets.voxel[slot] = start[row] + i
-                buckets.across[slot] = np.float32(base[i] % sight.columns) + np.float32(
+                buckets.across[slot] = np.float32(base[i] % geometry.columns) + np.float32(
                     across[i]
                 ) / np.float32(STEPS)
-                buckets.down[slot] = np.float32(base[i] // sight.columns) + np.float32(
+                buckets.down[slot] = np.float32(base[i] // geometry.columns) + np.float32(
                     down[i]
                 ) / np.float32(STEPS)
                 buckets.light[slot] = values[start[row] + i]

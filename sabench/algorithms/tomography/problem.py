@@ -9,11 +9,15 @@ import numpy as np
 from pydantic import Field
 
 from sabench.algorithms.tomography import supersampling
-from sabench.algorithms.tomography.art_updates import DARKEST, Measured, State
+from sabench.algorithms.tomography.art_updates import DARKEST, Iterate, RecordedLight
 from sabench.algorithms.tomography.first_guess import every_voxel, product_guess
 from sabench.algorithms.tomography.footprint import BILINEAR, Footprint, gaussian, image_sigma_px
-from sabench.algorithms.tomography.kernels import Sight
-from sabench.algorithms.tomography.projection_operator import LinesOfSight, Support, sight_of
+from sabench.algorithms.tomography.kernels import KernelGeometry
+from sabench.algorithms.tomography.projection_operator import (
+    ProjectionOperator,
+    Support,
+    make_geometry,
+)
 from sabench.api import Observation, Parameters
 from sabench.geometry.grid import Grid
 from sabench.images.brightness import normalise
@@ -78,14 +82,14 @@ class TomographyProblem:
     measured : images as fractions of a bright particle's peak.
     grid, splits : the grid that is asked for, and into how many fine voxels its voxels are split.
     sigma_mm : of the blobs; 0 for points.
-    sight, footprint : cameras and fine grid, and what a fine voxel casts.
+    geometry, footprint : cameras and fine grid, and what a fine voxel casts.
     """
 
-    measured: Measured
+    measured: RecordedLight
     grid: Grid
     splits: supersampling.Splits
     sigma_mm: float
-    sight: Sight
+    geometry: KernelGeometry
     footprint: Footprint
 
     @classmethod
@@ -96,29 +100,35 @@ class TomographyProblem:
             supersampling.scale_of(case.cameras, case.grid),
         )
         splits, (footprint, sigma_px) = supersampling.splits(scale), _footprint(light, parameters)
-        sight = sight_of(case.cameras, supersampling.split(case.grid, splits), footprint.margin)
-        measured = Measured(np.maximum(light, np.float32(DARKEST)), case.images >= case.white_dn)
-        return cls(measured, case.grid, splits, sigma_px / scale.px_per_mm, sight, footprint)
+        geometry = make_geometry(
+            case.cameras, supersampling.split(case.grid, splits), footprint.margin
+        )
+        measured = RecordedLight(
+            np.maximum(light, np.float32(DARKEST)), case.images >= case.white_dn
+        )
+        return cls(measured, case.grid, splits, sigma_px / scale.px_per_mm, geometry, footprint)
 
-    def mlos(self, threshold: float) -> State:
+    def mlos(self, threshold: float) -> Iterate:
         """Multiply lines of sight (MLOS): the cameras' bilinear samples."""
-        return self._start(*product_guess(self.sight, self.measured.light, threshold))
+        return self._start(*product_guess(self.geometry, self.measured.light, threshold))
 
-    def mfg(self, threshold: float) -> State:
+    def mfg(self, threshold: float) -> Iterate:
         """Make the multiplicative first guess (MFG): the cameras' nearest pixels."""
         return self._start(
-            *product_guess(self.sight._replace(shift=0.5, mask=0), self.measured.light, threshold)
+            *product_guess(
+                self.geometry._replace(shift=0.5, mask=0), self.measured.light, threshold
+            )
         )
 
-    def uniform(self) -> State:
+    def uniform(self) -> Iterate:
         """Make all voxels alike, as bright as the images on the mean."""
-        state = self._start(*every_voxel(self.sight))
+        state = self._start(*every_voxel(self.geometry))
         state.values[:] *= self.measured.light.sum() / max(
             float(state.lines.forward(state.values).sum()), 1e-30
         )
         return state
 
-    def volume(self, state: State, floor: float) -> F32:
+    def volume(self, state: Iterate, floor: float) -> F32:
         """Return the volume (z, y, x) on the grid that was asked for."""
         return supersampling.clear_dark(
             supersampling.gather(
@@ -127,11 +137,11 @@ class TomographyProblem:
             floor,
         )
 
-    def _start(self, support: Support, values: F32) -> State:
-        lines = LinesOfSight(self.sight, support, self.footprint)
+    def _start(self, support: Support, values: F32) -> Iterate:
+        lines = ProjectionOperator(self.geometry, support, self.footprint)
         seen = np.rint(lines.adjoint(np.ones_like(self.measured.light)))
         values[seen == 0.0] = 0.0
-        return State(lines, values, np.maximum(seen, np.float32(1.0)))
+        return Iterate(lines, values, np.maximum(seen, np.float32(1.0)))
 
 
 def _footprint(light: F32, parameters: TomographyParameters) -> tuple[Footprint, float]:

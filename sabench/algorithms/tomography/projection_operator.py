@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sabench.algorithms.tomography.footprint import Footprint
-from sabench.algorithms.tomography.kernels import Sight, back_project, project
+from sabench.algorithms.tomography.kernels import KernelGeometry, back_project, project
 from sabench.geometry.camera_model import CameraModel
 from sabench.geometry.grid import Grid
 from sabench.geometry.plane_polynomials import plane_maps
@@ -52,7 +52,7 @@ class Support:
         return np.asarray(cuts, dtype=np.int64)
 
 
-def sight_of(cameras: Sequence[CameraModel], grid: Grid, margin: int) -> Sight:
+def make_geometry(cameras: Sequence[CameraModel], grid: Grid, margin: int) -> KernelGeometry:
     """Convert cameras and grid for the kernels.
 
     The images of all cameras are of one size.
@@ -66,7 +66,7 @@ def sight_of(cameras: Sequence[CameraModel], grid: Grid, margin: int) -> Sight:
     maps = np.stack(
         [[plane[number].coefficients for plane in planes] for number in range(len(cameras))]
     )
-    return Sight(
+    return KernelGeometry(
         maps,
         planes[0][0].degree,
         grid.shape[1],
@@ -78,7 +78,7 @@ def sight_of(cameras: Sequence[CameraModel], grid: Grid, margin: int) -> Sight:
 
 
 @dataclass(frozen=True)
-class LinesOfSight:
+class ProjectionOperator:
     """Projection P_i = sum_j W_ij I_j over the voxels of a support, and its adjoint.
 
     The adjoint is exact. Source: thesis, equation 3.8.
@@ -88,17 +88,17 @@ class LinesOfSight:
 
     Attributes
     ----------
-    sight : its margin is the footprint's.
+    geometry : its margin is the footprint's.
     """
 
-    sight: Sight
+    geometry: KernelGeometry
     support: Support
     footprint: Footprint
 
     @property
     def cameras(self) -> range:
         """Their numbers."""
-        return range(len(self.sight.maps))
+        return range(len(self.geometry.maps))
 
     def forward(self, values: F32, cameras: Sequence[int] | None = None) -> F32:
         """Project voxels (n,) to images of all or the given cameras.
@@ -108,11 +108,12 @@ class LinesOfSight:
         chosen = self._numbers(cameras)
         parts = self.support.parts(max(1, _TASKS // len(chosen)))
         images = np.zeros(
-            (len(chosen), len(parts) - 1, self.sight.rows * self.sight.columns), dtype=np.float32
+            (len(chosen), len(parts) - 1, self.geometry.rows * self.geometry.columns),
+            dtype=np.float32,
         )
-        project(self.sight, chosen, parts, self.support.start, self.support.x, values, images)
+        project(self.geometry, chosen, parts, self.support.start, self.support.x, values, images)
         return self.footprint.smooth(
-            images.sum(axis=1).reshape(-1, self.sight.rows, self.sight.columns)
+            images.sum(axis=1).reshape(-1, self.geometry.rows, self.geometry.columns)
         )
 
     def adjoint(self, images: F32, cameras: Sequence[int] | None = None) -> F32:
@@ -126,7 +127,13 @@ class LinesOfSight:
         )
         parts = self.support.parts(len(out) // _BLOCK + 1)
         back_project(
-            self.sight, self._numbers(cameras), parts, self.support.start, self.support.x, flat, out
+            self.geometry,
+            self._numbers(cameras),
+            parts,
+            self.support.start,
+            self.support.x,
+            flat,
+            out,
         )
         return out
 

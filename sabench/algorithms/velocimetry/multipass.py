@@ -15,7 +15,13 @@ from sabench.algorithms.velocimetry.outliers import (
     thesis_local,
     within_deviations,
 )
-from sabench.algorithms.velocimetry.windows import Peaks, Size, Windows, by_shifts, by_spectra
+from sabench.algorithms.velocimetry.windows import (
+    CorrelationPeaks,
+    Size,
+    Windows,
+    by_shifts,
+    by_spectra,
+)
 from sabench.api import Velocity
 from sabench.geometry.grid import Grid
 from sabench.utils.arrays import F32, F64, Bool, triple
@@ -137,7 +143,7 @@ def evaluate_once(first: F32, second: F32, size: Size, overlap: float, ratio: fl
     return Field(windows, smooth_vectors(fill_invalid(peaks.shift, valid), (_KERNEL,) * 3), valid)
 
 
-def _validate(windows: Windows, peaks: Peaks, valid: Bool, plan: Plan) -> Field:
+def _validate(windows: Windows, peaks: CorrelationPeaks, valid: Bool, plan: Plan) -> Field:
     valid = within_deviations(peaks.shift, valid, 5.0)
     valid = near_the_median(peaks.shift, valid, plan.median)
     return Field(windows, fill_invalid(peaks.shift, valid), valid)

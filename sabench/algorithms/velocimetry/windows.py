@@ -90,7 +90,7 @@ def _xyz(values: Size) -> str:
 
 
 @dataclass(frozen=True)
-class Peaks:
+class CorrelationPeaks:
     """Correlation peaks of windows.
 
     Attributes
@@ -108,7 +108,7 @@ class Peaks:
 
 def by_shifts(
     first: F32, second: F32, windows: Windows, search: Size, taper: float | None = None
-) -> Peaks:
+) -> CorrelationPeaks:
     """Compute the normalised correlation at all shifts up to `search` (z, y, x).
 
     The correlation is computed through sums over blocks. The second volume is shifted against the
@@ -138,7 +138,7 @@ def by_shifts(
     )
     shift, height = np.empty((*windows.counts, 3)), np.empty(windows.counts)
     small_peaks(products, squares, weights, search, floor, shift, height)
-    return Peaks(shift, height, None)
+    return CorrelationPeaks(shift, height, None)
 
 
 def _weights(blocks: int, taper: float | None) -> F32:
@@ -150,7 +150,7 @@ def _weights(blocks: int, taper: float | None) -> F32:
     )
 
 
-def by_spectra(first: F32, second: F32, windows: Windows) -> Peaks:
+def by_spectra(first: F32, second: F32, windows: Windows) -> CorrelationPeaks:
     """Correlate windows circularly by their Fourier transforms.
 
     This finds displacements up to half a window.
@@ -185,7 +185,7 @@ def by_spectra(first: F32, second: F32, windows: Windows) -> Peaks:
         ):
             done.result()
     textured = height > 0.0
-    return Peaks(
+    return CorrelationPeaks(
         (shift * textured[:, None]).reshape(*windows.counts, 3),
         height.reshape(windows.counts),
         (ratio * textured).reshape(windows.counts),

@@ -39,7 +39,7 @@ class Tolerance(_Part):
     relative: float = Field(ge=0.0)
     absolute: float = Field(ge=0.0)
 
-    def of(self, value: float) -> float:
+    def allowed(self, value: float) -> float:
         """Compute how far a figure with this baseline may move."""
         return max(self.relative * abs(value), self.absolute)
 
@@ -331,7 +331,7 @@ def _moved(
             if old is not new:
                 yield figure, None, math.inf if new is None else -math.inf
             continue
-        allowed = tolerance_of(tolerances, task, figure).of(old)
+        allowed = tolerance_of(tolerances, task, figure).allowed(old)
         better: Better = "steady" if task == DATA else tasks.of(task).score_of(figure).better
         change = loss(better, old, new)
         if abs(change) > allowed:

@@ -320,7 +320,9 @@ def _exceeds_tolerance(earlier: Entry, entry: Entry, tolerances: Tolerances, tas
         for key in COSTS
         if (old := earlier.figures.get(key)) is not None and (new := now.get(key)) is not None
     ]
-    return any(new - old > tolerance_of(tolerances, task, key).of(old) for key, old, new in pairs)
+    return any(
+        new - old > tolerance_of(tolerances, task, key).allowed(old) for key, old, new in pairs
+    )
 
 
 def _cheaper(one: Entry, other: Entry) -> Entry:

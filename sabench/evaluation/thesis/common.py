@@ -186,7 +186,7 @@ class Refocused:
     field: F32
 
     @classmethod
-    def of(cls, shot: Shot, grid: Grid, particles: Particles, volume: F32) -> Refocused:
+    def from_shot(cls, shot: Shot, grid: Grid, particles: Particles, volume: F32) -> Refocused:
         """Make one from a volume on its grid and the particles in the grid's space."""
         field = true_field(grid, particles, shot.views)
         return cls(
@@ -219,7 +219,7 @@ class Refocused:
 
 def map_shift_average(shot: Shot) -> Refocused:
     """Refocus by the thesis's algorithm of chapter 2, in its own voxels."""
-    return Refocused.of(shot, *published_volume(shot))
+    return Refocused.from_shot(shot, *published_volume(shot))
 
 
 def additive(shot: Shot) -> Refocused:
@@ -230,7 +230,7 @@ def additive(shot: Shot) -> Refocused:
     seen = shot.observation
     volume = refocus_sum(normalise(seen.images, seen.black_dn), seen.cameras, seen.grid)
     volume /= np.float32(len(seen.cameras))
-    return Refocused.of(shot, seen.grid, shot.particles, volume)
+    return Refocused.from_shot(shot, seen.grid, shot.particles, volume)
 
 
 METHODS: Mapping[str, Callable[[Shot], Refocused]] = {

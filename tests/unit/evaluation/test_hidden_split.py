@@ -92,14 +92,14 @@ def test_a_bad_secret_is_a_sentence_that_does_not_repeat_it(tmp_path: Path, text
 
 def test_parts_of_a_suite(tmp_path: Path) -> None:
     _, cases = load_suite(write(tmp_path, SUITE))
-    chosen = Only(("quick",), (2,), ("additive",)).of(cases)
+    chosen = Only(("quick",), (2,), ("additive",)).select(cases)
     assert [(case.seed, [one.shown for one in case.solvers]) for case in chosen] == [
         (2, ["additive"])
     ]
-    assert Only().of(cases) == cases
+    assert Only().select(cases) == cases
     with pytest.raises(InputError, match="--solver asa: expected one of additive, msa"):
-        Only(solvers=("asa",)).of(cases)
+        Only(solvers=("asa",)).select(cases)
     with pytest.raises(InputError, match="--seed 7: expected one of 1, 2"):
-        Only(seeds=(7,)).of(cases)
+        Only(seeds=(7,)).select(cases)
     with pytest.raises(InputError, match="--case tank: expected one of quick"):
-        Only(cases=("tank",)).of(cases)
+        Only(cases=("tank",)).select(cases)

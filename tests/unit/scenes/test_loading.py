@@ -138,7 +138,7 @@ def test_faults_of_the_geometry_are_named_together() -> None:
 
 
 def test_long_lists_of_faults_are_cut() -> None:
-    error = InputError.of("file", [f"key {number}: bad\nline" for number in range(30)])
+    error = InputError.from_faults("file", [f"key {number}: bad\nline" for number in range(30)])
     head, *lines = str(error).split("\n")
     assert head == "file: 30 faults:"
     assert lines[0] == "  key 0: bad line"

@@ -32,7 +32,7 @@ def test_the_sharp_profile_is_that_of_ray_optics(half_angle: float) -> None:
 def test_the_blurred_profile_is_a_blurred_disc() -> None:
     from scipy.ndimage import gaussian_filter
 
-    made = Profile.of(1.0 / 1.333, 0.4, 0.8)
+    made = Profile.tabulate(1.0 / 1.333, 0.4, 0.8)
     for radius in (1.5, 6.0, 15.0):
         fine = 12
         grid = (np.arange(40 * fine * 2 + 1) - 40 * fine) / fine

@@ -13,7 +13,7 @@ import pytest
 
 from sabench.algorithms.calibration import kernels
 from sabench.algorithms.calibration.bundle_adjustment import (
-    Seen,
+    BoardImages,
     normal_equations,
     refine,
     residuals,
@@ -34,11 +34,11 @@ NOISELESS = {"detection": None, "calibration": {"points": 0.0}}
 
 def truth(
     scene_changes: dict[str, object] | None = None, seed: int = 1
-) -> tuple[Frame, State, Seen]:
+) -> tuple[Frame, State, BoardImages]:
     scene = calibration_scene(**(NOISELESS | (scene_changes or {})))
     case, cameras, points, exact = case_of(scene, seed)
     frame = Frame.from_cameras(cameras, points)
-    seen = Seen(
+    seen = BoardImages(
         case.target.points_mm,
         np.nan_to_num(exact),
         np.asarray(np.isfinite(exact).all(axis=-1), dtype=np.float64),

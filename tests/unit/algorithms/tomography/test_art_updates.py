@@ -13,8 +13,8 @@ import pytest
 
 from sabench.algorithms.tomography.art_updates import (
     DARKEST,
-    Measured,
-    State,
+    Iterate,
+    RecordedLight,
     block_mart,
     iterate,
     mart,
@@ -23,7 +23,7 @@ from sabench.algorithms.tomography.art_updates import (
 )
 from sabench.algorithms.tomography.footprint import BILINEAR, Footprint
 from sabench.algorithms.tomography.mart_sweep import STRIP
-from sabench.algorithms.tomography.projection_operator import LinesOfSight
+from sabench.algorithms.tomography.projection_operator import ProjectionOperator
 from sabench.utils.arrays import F32, F64
 from tests.unit.algorithms.tomography.test_projection_operator import (
     BLOB,
@@ -34,7 +34,7 @@ from tests.unit.algorithms.tomography.test_projection_operator import (
     lines_of,
 )
 
-Step = Callable[[State, Measured], float]
+Step = Callable[[Iterate, RecordedLight], float]
 STEPS: dict[str, Step] = {
     "smart": lambda state, measured: smart(state, measured, 0.9),
     "sart": lambda state, measured: sart(
@@ -45,7 +45,7 @@ STEPS: dict[str, Step] = {
 }
 
 
-def matrices(lines: LinesOfSight) -> F64:
+def matrices(lines: ProjectionOperator) -> F64:
     """Return W (camera, pixel, voxel), column by column.
 
     By one thread: for one voxel, waiting for the other threads takes longer.
@@ -57,24 +57,24 @@ def matrices(lines: LinesOfSight) -> F64:
     return np.stack(columns, axis=-1).astype(np.float64)
 
 
-def make_state(footprint: Footprint = BLOB, every: int = 4) -> State:
+def make_state(footprint: Footprint = BLOB, every: int = 4) -> Iterate:
     lines = lines_of(array(TILTED), footprint, every=every)
     seen = np.maximum(
         np.rint(lines.adjoint(np.ones((3, ROWS, COLUMNS), dtype=np.float32))), np.float32(1.0)
     )
-    return State(
+    return Iterate(
         lines,
         np.random.default_rng(1).random(len(lines.support), dtype=np.float32) + np.float32(0.5),
         seen,
     )
 
 
-def recorded(state: State, seed: int) -> Measured:
+def recorded(state: Iterate, seed: int) -> RecordedLight:
     """Return the light that other values than the state's would cast."""
     light = state.lines.forward(
         np.random.default_rng(seed).random(len(state.values), dtype=np.float32) * np.float32(2.0)
     )
-    return Measured(np.maximum(light, np.float32(1e-6)), np.zeros(light.shape, dtype=np.bool_))
+    return RecordedLight(np.maximum(light, np.float32(1e-6)), np.zeros(light.shape, dtype=np.bool_))
 
 
 def by_formula(name: str, w: F64, p: F64, values: F64) -> F64:
@@ -134,17 +134,17 @@ def test_saturated_pixels_only_make_voxels_brighter(name: str) -> None:
     state = make_state()
     measured = recorded(state, 2)
     everywhere, before = (
-        Measured(measured.light, np.ones_like(measured.saturated)),
+        RecordedLight(measured.light, np.ones_like(measured.saturated)),
         state.values.copy(),
     )
-    bright = State(state.lines, before * np.float32(50.0), state.seen)
+    bright = Iterate(state.lines, before * np.float32(50.0), state.seen)
     assert STEPS[name](bright, everywhere) == pytest.approx(
         residual_of_dark_pixels(bright, everywhere), rel=1e-4
     )
     np.testing.assert_allclose(bright.values, before * 50.0, rtol=1e-6)
     assert STEPS[name](bright, measured) > 0.0
     assert (bright.values < before * 40.0).mean() > 0.8
-    dark = [State(state.lines, before * np.float32(0.02), state.seen) for _ in range(2)]
+    dark = [Iterate(state.lines, before * np.float32(0.02), state.seen) for _ in range(2)]
     for one, what in zip(dark, (measured, everywhere), strict=True):
         STEPS[name](one, what)
     assert (dark[1].values > before * 0.03).mean() > 0.8
@@ -155,7 +155,7 @@ def test_saturated_pixels_only_make_voxels_brighter(name: str) -> None:
         np.testing.assert_allclose(dark[0].values, dark[1].values, rtol=5e-3)
 
 
-def residual_of_dark_pixels(state: State, measured: Measured) -> float:
+def residual_of_dark_pixels(state: Iterate, measured: RecordedLight) -> float:
     """Saturated pixels miss only what was not projected."""
     return float(
         (
@@ -193,20 +193,20 @@ def test_first_residual_is_what_the_first_values_miss(name: str) -> None:
 def test_residual_falls_until_the_images_are_explained(name: str) -> None:
     state = make_state(every=9)
     light = np.maximum(state.lines.forward(recorded_values(state)), np.float32(DARKEST))
-    measured = Measured(light, np.zeros(light.shape, dtype=np.bool_))
+    measured = RecordedLight(light, np.zeros(light.shape, dtype=np.bool_))
     residuals = iterate(lambda: STEPS[name](state, measured), measured, 40, 0.0, name)
     assert len(residuals) == 40
     assert (np.diff(residuals[:10]) < 0.0).all()
     assert residuals[-1] < 0.1 * residuals[0]
 
 
-def recorded_values(state: State) -> F32:
+def recorded_values(state: Iterate) -> F32:
     """Values that cast what is recorded: a few bright voxels in the dark."""
     return np.where(np.arange(len(state.values)) % 7 == 0, np.float32(1.0), np.float32(1e-3))
 
 
 def test_iteration_stops_when_little_changes() -> None:
-    measured = Measured(
+    measured = RecordedLight(
         np.full((1, 2, 2), 2.0, dtype=np.float32), np.zeros((1, 2, 2), dtype=np.bool_)
     )
     squares = iter([16.0, 4.0, 3.24, 3.0, 1.0])
@@ -216,12 +216,12 @@ def test_iteration_stops_when_little_changes() -> None:
 
 def test_black_pixels_leave_no_light_but_finite_values() -> None:
     state = make_state()
-    measured = Measured(
+    measured = RecordedLight(
         np.full((3, ROWS, COLUMNS), DARKEST, dtype=np.float32),
         np.zeros((3, ROWS, COLUMNS), dtype=np.bool_),
     )
     for name in STEPS:
-        fresh = State(state.lines, state.values.copy(), state.seen)
+        fresh = Iterate(state.lines, state.values.copy(), state.seen)
         for _ in range(5):
             STEPS[name](fresh, measured)
         inside = state.lines.adjoint(np.ones((3, ROWS, COLUMNS), dtype=np.float32)) > 0.5
@@ -241,11 +241,11 @@ def test_a_voxel_that_one_camera_sees_is_led_by_that_camera() -> None:
     assert set(np.unique(counts[last])) == {2.0, 3.0}
     assert set(np.unique(counts[~last])) == {1.0, 2.0}
     measured = recorded(state, 5)
-    other = Measured(measured.light.copy(), measured.saturated)
+    other = RecordedLight(measured.light.copy(), measured.saturated)
     other.light[2] *= np.float32(3.0)
     results = []
     for what in (measured, other):
-        fresh = State(lines, state.values.copy(), state.seen)
+        fresh = Iterate(lines, state.values.copy(), state.seen)
         smart(fresh, what, 1.0)
         results.append(fresh.values)
     np.testing.assert_array_equal(results[0][~last], results[1][~last])

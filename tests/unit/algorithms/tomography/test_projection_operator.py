@@ -17,7 +17,11 @@ from sabench.algorithms.tomography.first_guess import every_voxel, product_guess
 from sabench.algorithms.tomography.footprint import BILINEAR, Footprint, gaussian, image_sigma_px
 from sabench.algorithms.tomography.kernels import exp2, multiply
 from sabench.algorithms.tomography.problem import TomographyParameters, TomographyProblem
-from sabench.algorithms.tomography.projection_operator import LinesOfSight, Support, sight_of
+from sabench.algorithms.tomography.projection_operator import (
+    ProjectionOperator,
+    Support,
+    make_geometry,
+)
 from sabench.api import Observation
 from sabench.geometry.camera import Camera, Distortion, aim, aimed_rotation
 from sabench.geometry.grid import Grid
@@ -68,14 +72,14 @@ def array(wall: Wall | None) -> list[Camera]:
 
 def lines_of(
     cameras: list[Camera], footprint: Footprint, grid: Grid = GRID, every: int = 1
-) -> LinesOfSight:
+) -> ProjectionOperator:
     """W on all voxels, or on every so many of them."""
-    sight = sight_of(cameras, grid, footprint.margin)
-    support, _ = every_voxel(sight)
+    geometry = make_geometry(cameras, grid, footprint.margin)
+    support, _ = every_voxel(geometry)
     keep = np.arange(len(support)) % every == 0
     rows = np.repeat(np.arange(len(support.start) - 1), np.diff(support.start))[keep]
     start = np.searchsorted(rows, np.arange(len(support.start)))
-    return LinesOfSight(sight, Support(support.shape, start, support.x[keep]), footprint)
+    return ProjectionOperator(geometry, Support(support.shape, start, support.x[keep]), footprint)
 
 
 def positions(camera: Camera, grid: Grid = GRID) -> F64:
@@ -176,9 +180,9 @@ def test_first_guess_is_the_root_of_the_product_where_nothing_is_black(
 ) -> None:
     cameras, threshold = array(wall), 0.45
     images = np.random.default_rng(4).random((3, ROWS, COLUMNS), dtype=np.float32) + np.float32(0.1)
-    sight = sight_of(cameras, GRID, 0)
+    geometry = make_geometry(cameras, GRID, 0)
     support, values = product_guess(
-        sight._replace(shift=0.5, mask=0) if nearest else sight, images, threshold
+        geometry._replace(shift=0.5, mask=0) if nearest else geometry, images, threshold
     )
     rows = np.repeat(np.arange(len(support.start) - 1), np.diff(support.start))
     found = np.zeros(np.prod(GRID.shape))
@@ -225,7 +229,7 @@ def sampled(camera: Camera, image: F32, nearest: bool) -> tuple[F64, F64]:
 def test_voxels_that_no_camera_sees_are_left_out() -> None:
     camera = make_camera(0.0, 0.0, None, (23.2, 0.0))
     support, values = product_guess(
-        sight_of([camera], GRID, 1), np.ones((1, ROWS, COLUMNS), dtype=np.float32), 0.5
+        make_geometry([camera], GRID, 1), np.ones((1, ROWS, COLUMNS), dtype=np.float32), 0.5
     )
     assert len(support) == len(values) == int((dense(camera, BLOB).sum(axis=0) > 0.5).sum())
     assert 0 < len(support) < np.prod(GRID.shape)

@@ -180,9 +180,9 @@ def test_a_data_set_s_figures_may_move_neither_way() -> None:
 def test_rounding_is_allowed_and_lost_pixels_are_not() -> None:
     for task in tasks.every():
         for score in task.columns:
-            assert default_tolerance(task.name, score.key).of(1.0) > 1e-4
-    assert default_tolerance(DATA, "column_mean").of(500.0) < 0.01
-    assert default_tolerance(DATA, "retraced_px").of(0.0) < 1e-5
+            assert default_tolerance(task.name, score.key).allowed(1.0) > 1e-4
+    assert default_tolerance(DATA, "column_mean").allowed(500.0) < 0.01
+    assert default_tolerance(DATA, "retraced_px").allowed(0.0) < 1e-5
 
 
 # Files
