@@ -78,11 +78,11 @@ def fuzz(
     return table
 
 
-def _keep(folder: Path, place: Path, words: str) -> None:
-    print(f"fault: {place}: {words.strip().splitlines()[-1][:200]}", file=sys.stderr, flush=True)
-    shutil.rmtree(place, ignore_errors=True)
-    shutil.copytree(folder, place, symlinks=True)
-    (place / "fault.txt").write_text(words, encoding="utf-8", errors="replace")
+def _keep(folder: Path, copy: Path, words: str) -> None:
+    print(f"fault: {copy}: {words.strip().splitlines()[-1][:200]}", file=sys.stderr, flush=True)
+    shutil.rmtree(copy, ignore_errors=True)
+    shutil.copytree(folder, copy, symlinks=True)
+    (copy / "fault.txt").write_text(words, encoding="utf-8", errors="replace")
 
 
 class Worker:

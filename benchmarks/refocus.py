@@ -41,13 +41,13 @@ def scattered_rig() -> Rig:
         float(np.cos(np.radians(10.0))),
     ]
     values["wall"]["point_mm"] = [0.0, 0.0, -10.0]
-    places = [
+    positions = [
         {"center_mm": [x, y, -485.0 - 12.0 * k]}
         for k, (x, y) in enumerate(
             (x, y) for y in (-204.0, 0.0, 204.0) for x in (-204.0, 0.0, 204.0)
         )
     ]
-    values["cameras"]["layout"] = {"kind": "list", "places": places}
+    values["cameras"]["layout"] = {"kind": "list", "places": positions}
     return build_rig(parse_scene(values, "scattered"))
 
 

@@ -86,7 +86,7 @@ class FromTracks(Generator):
             (position >= domain.low_mm) & (position <= domain.low_mm + np.asarray(domain.size_mm))
         ).all(axis=1)
         if not inside.any():
-            low, high = tracks.place_mm.min(axis=0), tracks.place_mm.max(axis=0)
+            low, high = tracks.position_mm.min(axis=0), tracks.position_mm.max(axis=0)
             spans = ", ".join(f"{a:.4g} to {b:.4g}" for a, b in zip(low, high, strict=True))
             times = f"{tracks.time_s.min():.6g} to {tracks.time_s.max():.6g}"
             raise InputError(
@@ -108,7 +108,7 @@ class _Tracks:
 
     id: I64
     time_s: F64
-    place_mm: F64
+    position_mm: F64
     velocity: F64
     diameter_mm: F64
 
@@ -133,8 +133,8 @@ class _Tracks:
     def _interpolate(self, before: I64, after: I64, t: F64, step: F64) -> tuple[F64, F64]:
         """Evaluate Hermite's cubic and its slope."""
         p, q, u, v = (
-            self.place_mm[before],
-            self.place_mm[after],
+            self.position_mm[before],
+            self.position_mm[after],
             self.velocity[before] * step,
             self.velocity[after] * step,
         )

@@ -64,7 +64,7 @@ class JetInCrossflow(BubbleGenerator):
         extent = semi_axes.max(axis=1)
 
         def propose(which: I64, tries: int) -> F64:
-            return self._places(rng, spray, extent[which], tries, cones)
+            return self._propose(rng, spray, extent[which], tries, cones)
 
         first = (
             propose(np.arange(chosen.count), 1)[:, 0]
@@ -99,7 +99,7 @@ class JetInCrossflow(BubbleGenerator):
             max(end, chosen.break_mm[0] + chosen.diameter_mm),
         )
 
-    def _places(
+    def _propose(
         self, rng: np.random.Generator, spray: Spray, extent: F64, tries: int, cones: Cones
     ) -> F64:
         """Draw candidates (k, m, 3) from the nozzle, off the column.

@@ -74,7 +74,7 @@ class PlungingJet(BubbleGenerator):
         extent = np.linalg.norm(semi_axes[:, None, :] * rotation.transpose(0, 2, 1), axis=2)
 
         def propose(which: I64, tries: int) -> F64:
-            return self._places(rng, domain, deep[which], extent[which], tries)
+            return self._propose(rng, domain, deep[which], extent[which], tries)
 
         center = (
             propose(np.arange(len(deep)), 1)[:, 0]
@@ -137,7 +137,7 @@ class PlungingJet(BubbleGenerator):
         air = self.law.air_mm2(y)
         return float(np.trapezoid(air * inside, y) / np.trapezoid(air, y))
 
-    def _places(
+    def _propose(
         self, rng: np.random.Generator, domain: Domain, deep: Bool, extent: F64, tries: int
     ) -> F64:
         """Draw candidates (k, m, 3), wholly in the volume.
@@ -160,10 +160,10 @@ class PlungingJet(BubbleGenerator):
                 depth = np.interp(rng.random(len(number)) * cumulated[-1], cumulated, y)
                 spread = self.law.half_radius_mm(depth) / np.sqrt(2.0 * LN2)
                 x, z = spread * rng.standard_normal((2, len(number)))
-                place_mm = np.column_stack([x, depth, z]) + np.asarray(chosen.impact_mm)
+                position_mm = np.column_stack([x, depth, z]) + np.asarray(chosen.impact_mm)
                 own = extent[number // tries]
-                good = ((place_mm - own >= low) & (place_mm + own <= high)).all(axis=1)
-                out.reshape(-1, 3)[number[good]] = place_mm[good]
+                good = ((position_mm - own >= low) & (position_mm + own <= high)).all(axis=1)
+                out.reshape(-1, 3)[number[good]] = position_mm[good]
                 number = number[~good]
         return out
 

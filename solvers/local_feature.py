@@ -109,7 +109,7 @@ class LocalFeature(BubbleSolver):
 
         Without one, small features at its strongest peak.
         """
-        windows = peaks.place[group, 1:] * STEP
+        windows = peaks.position[group, 1:] * STEP
         plane = peaks.plane(group)
         shapes = self._ellipses(
             volume, plane, windows.min(axis=0), windows.max(axis=0) + WINDOW, largest
@@ -119,7 +119,7 @@ class LocalFeature(BubbleSolver):
             for one in shapes
             if (bubble := self._refocus(volume, one, plane, largest)) is not None
         ]
-        return bubbles or self._small(volume, peaks.place[group[0]])
+        return bubbles or self._small(volume, peaks.position[group[0]])
 
     def _ellipses(self, volume: F32, plane: int, low: I64, high: I64, largest: float) -> F64:
         """Find outlines (n, 6) within a box of rows and columns of a plane."""

@@ -85,7 +85,7 @@ class RefractiveAutocalRandomised(CalibrationSolver):
     ) -> State:
         """Calibrate one subset from the boards as they are known so far."""
         chosen: RandomisedParameters = self.parameters
-        cameras = np.sort(rng.permutation(len(state.turns))[: chosen.subset])
+        cameras = np.sort(rng.permutation(len(state.rotations))[: chosen.subset])
         part, seen = select_cameras(state, problem.seen, cameras)
         return problem.align_to_nominal(
             alternate(part, seen, free, chosen.tolerance_px, chosen.rounds).state
@@ -94,9 +94,9 @@ class RefractiveAutocalRandomised(CalibrationSolver):
 
 def _average(state: State, pair: list[State]) -> State:
     """Average both subsets' boards in a state."""
-    places = np.mean([part.places for part in pair], axis=0)
+    positions = np.mean([part.board_positions for part in pair], axis=0)
     return replace(
         state,
-        board_turns=mean_rotation(np.stack([part.board_turns for part in pair])),
-        places=places,
+        board_rotations=mean_rotation(np.stack([part.board_rotations for part in pair])),
+        board_positions=positions,
     )

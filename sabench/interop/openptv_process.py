@@ -123,12 +123,12 @@ def _frame(
         )
     for number, own in enumerate(targets):
         own.write(f"img/cam{number}.".encode(), frame + 1)
-    _write_places(folder, frame, positions, row)
+    _write_positions(folder, frame, positions, row)
     print(f"sabench frame {frame}", flush=True)
     return len(positions)
 
 
-def _write_places(folder: Path, frame: int, positions: Any, row: Any) -> None:
+def _write_positions(folder: Path, frame: int, positions: Any, row: Any) -> None:
     """Write positions for sabench, and with correspondences for tracking."""
     (folder / f"found_{frame:05d}.json").write_text(
         json.dumps(positions.tolist()), encoding="utf-8"

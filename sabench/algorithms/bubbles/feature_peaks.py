@@ -30,11 +30,11 @@ class FeaturePeaks:
 
     Attributes
     ----------
-    place : (n, 3) plane, window row, window column.
+    position : (n, 3) plane, window row, window column.
     weight : (n,) the potential.
     """
 
-    place: I64
+    position: I64
     weight: F64
 
     @classmethod
@@ -44,19 +44,19 @@ class FeaturePeaks:
         A peak is larger than one plane before and after, and than `least`.
         """
         around = np.pad(potential, ((1, 1), (0, 0), (0, 0)))
-        place = np.argwhere(
+        position = np.argwhere(
             (potential > least) & (potential >= around[:-2]) & (potential > around[2:])
         )
-        weight = potential[tuple(place.T)].astype(np.float64)
+        weight = potential[tuple(position.T)].astype(np.float64)
         order = np.argsort(-weight, kind="stable")
-        return cls(place[order], weight[order])
+        return cls(position[order], weight[order])
 
     def group(self, first: int, free: Bool, reach: int) -> I64:
         """Collect the free peaks that neighbouring windows connect with one.
 
         Returns their indices; none is farther from it than `reach` windows and `PLANES`.
         """
-        apart = self.place - self.place[first]
+        apart = self.position - self.position[first]
         near = np.flatnonzero(
             free & (np.abs(apart[:, 0]) <= PLANES) & (np.abs(apart[:, 1:]).max(axis=1) <= reach)
         )
@@ -68,17 +68,17 @@ class FeaturePeaks:
 
     def plane(self, group: I64) -> int:
         """Compute the plane of a group: the mean over its peaks, weighted with them."""
-        return round(float(np.average(self.place[group, 0], weights=self.weight[group])))
+        return round(float(np.average(self.position[group, 0], weights=self.weight[group])))
 
     def within(self, bubble: F64, planes: int) -> Bool:
         """Mark the peaks inside the circle around a bubble (7,).
 
         They are at most that many planes from it, and some of their window lies inside.
         """
-        y, x = (self.place[:, axis] * STEP + (WINDOW - 1) / 2.0 for axis in (1, 2))
+        y, x = (self.position[:, axis] * STEP + (WINDOW - 1) / 2.0 for axis in (1, 2))
         return np.asarray(
             (np.hypot(x - bubble[0], y - bubble[1]) <= bubble[2] + WINDOW / 2.0)
-            & (np.abs(self.place[:, 0] - bubble[6]) <= planes)
+            & (np.abs(self.position[:, 0] - bubble[6]) <= planes)
         )
 
 

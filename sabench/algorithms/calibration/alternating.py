@@ -49,7 +49,7 @@ def select_cameras(state: State, seen: BoardImages, cameras: I64) -> tuple[State
     """Select some of the cameras, and what they see."""
     part = replace(
         state,
-        turns=state.turns[cameras],
+        rotations=state.rotations[cameras],
         centers=state.centers[cameras],
         lenses=state.lenses[cameras],
     )
@@ -64,18 +64,18 @@ def _cameras(state: State, seen: BoardImages, free: FreeParameters) -> State:
     """Adjust every camera on its own to the boards as they are."""
     fits = [
         refine(*select_cameras(state, seen, np.array([number])), free, moving="cameras").state
-        for number in range(len(state.turns))
+        for number in range(len(state.rotations))
     ]
-    turns, centers, lenses = (
+    rotations, centers, lenses = (
         np.concatenate([getattr(fit, name) for fit in fits])
-        for name in ("turns", "centers", "lenses")
+        for name in ("rotations", "centers", "lenses")
     )
-    return replace(state, turns=turns, centers=centers, lenses=lenses)
+    return replace(state, rotations=rotations, centers=centers, lenses=lenses)
 
 
 def _boards(state: State, seen: BoardImages, free: FreeParameters) -> State:
     """Adjust every board on its own to the cameras as they are."""
-    turns, places = state.board_turns.copy(), state.places.copy()
+    rotations, positions = state.board_rotations.copy(), state.board_positions.copy()
     for number in np.flatnonzero(seen.weights.sum(axis=(0, 2)) > 0.0).tolist():
         own = slice(number, number + 1)
         view = replace(
@@ -85,13 +85,15 @@ def _boards(state: State, seen: BoardImages, free: FreeParameters) -> State:
             anchors=(),
         )
         fit = refine(
-            replace(state, board_turns=turns[own].copy(), places=places[own].copy()),
+            replace(
+                state, board_rotations=rotations[own].copy(), board_positions=positions[own].copy()
+            ),
             view,
             free,
             moving="boards",
         ).state
-        turns[own], places[own] = fit.board_turns, fit.places
-    return replace(state, board_turns=turns, places=places)
+        rotations[own], positions[own] = fit.board_rotations, fit.board_positions
+    return replace(state, board_rotations=rotations, board_positions=positions)
 
 
 def _largest(state: State, seen: BoardImages) -> float:
@@ -99,12 +101,12 @@ def _largest(state: State, seen: BoardImages) -> float:
     return float(np.nanmax(np.nanmean(lengths.reshape(len(lengths), -1), axis=1)))
 
 
-def mean_rotation(turns: F64) -> F64:
+def mean_rotation(rotations: F64) -> F64:
     """Average rotations (n, ..., 3, 3) in the least-squares sense of their entries.
 
     Returns (..., 3, 3).
     """
-    left, _, right = np.linalg.svd(turns.mean(axis=0))
+    left, _, right = np.linalg.svd(rotations.mean(axis=0))
     sign = np.sign(np.linalg.det(left @ right))
     left[..., :, 2] *= sign[..., None]
     return np.asarray(left @ right)

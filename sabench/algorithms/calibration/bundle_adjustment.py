@@ -40,7 +40,7 @@ class BoardImages:
     board : (m, 3) points in a board's own frame, mm.
     pixels : (M, K, m, 2) column and row; anything where the weight is 0.
     weights : (M, K, m).
-    anchors : known places; empty for none.
+    anchors : known positions; empty for none.
     """
 
     board: F64
@@ -59,15 +59,15 @@ class BoardImages:
             np.array([getattr(anchor, name) for anchor in self.anchors], dtype=np.int64)
             for name in ("board", "point")
         )
-        places, precisions = (
+        positions, precisions = (
             np.array([getattr(anchor, name) for anchor in self.anchors])
-            for name in ("place_mm", "precision")
+            for name in ("position_mm", "precision")
         )
-        turns, shifts = (
+        rotations, shifts = (
             np.array([getattr(anchor.world, name) for anchor in self.anchors])
             for name in ("rotation", "shift")
         )
-        return boards, points, places, precisions, turns, shifts
+        return boards, points, positions, precisions, rotations, shifts
 
 
 @dataclass(frozen=True)
@@ -77,15 +77,15 @@ class Anchor:
     Attributes
     ----------
     board, point : numbers.
-    place_mm : (3,) in the world's frame; anything along axes without precision.
+    position_mm : (3,) in the world's frame; anything along axes without precision.
     precision : (3,) inverse variance along the world's axes, 1 / mm^2, times the variance of a
-        pixel coordinate; 0 where the place is not known.
+        pixel coordinate; 0 where the position is not known.
     world : from the wall's frame to the world's.
     """
 
     board: int
     point: int
-    place_mm: F64
+    position_mm: F64
     precision: F64
     world: RigidMotion
 
@@ -119,15 +119,19 @@ def normal_equations(
     state: State, seen: BoardImages, free: FreeParameters, scale: float = 0.0
 ) -> Normal:
     """Compute the equations of one Gauss-Newton step."""
-    boards = state.board_turns, state.places, seen.board
+    boards = state.board_rotations, state.board_positions, seen.board
     cost, aa, ab, bb, a, d = equations(
         state.array(), boards, (seen.pixels, seen.weights), free.columns(len(state.indices)), scale
     )
     if seen.anchors:
-        board, point, place_mm, precision, turns, shifts = seen.anchored
-        arms = np.einsum("nij,nj->ni", state.board_turns[board], seen.board[point])
-        miss = place_mm - np.einsum("nij,nj->ni", turns, arms + state.places[board]) - shifts
-        slopes = turns @ np.concatenate(
+        board, point, position_mm, precision, rotations, shifts = seen.anchored
+        arms = np.einsum("nij,nj->ni", state.board_rotations[board], seen.board[point])
+        miss = (
+            position_mm
+            - np.einsum("nij,nj->ni", rotations, arms + state.board_positions[board])
+            - shifts
+        )
+        slopes = rotations @ np.concatenate(
             [-skew(arms), np.broadcast_to(np.eye(3), (len(arms), 3, 3))], axis=2
         )
         weighted = slopes * precision[:, :, None]
@@ -165,7 +169,7 @@ def refine(
             if promise <= _GAIN * here.cost:
                 return Fit(state, here.cost, step, True)
             tried = state.apply_steps(
-                *steps_of(cameras, len(state.turns), free, len(state.indices)), boards, free
+                *steps_of(cameras, len(state.rotations), free, len(state.indices)), boards, free
             )
             there = normal_equations(tried, seen, free, scale)
             if there.cost < here.cost:
@@ -232,6 +236,8 @@ def residuals(state: State, seen: BoardImages) -> F64:
     NaN where a point is not seen.
     """
     out: F64 = misses(
-        state.array(), (state.board_turns, state.places, seen.board), (seen.pixels, seen.weights)
+        state.array(),
+        (state.board_rotations, state.board_positions, seen.board),
+        (seen.pixels, seen.weights),
     )
     return out

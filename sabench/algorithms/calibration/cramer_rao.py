@@ -26,7 +26,7 @@ class Limit:
     reprojection_px : mean length of the true reprojection error over all observations.
     reprojection_rms_px : its root mean square.
     point_std_mm : (3,) scatter of the points' errors about their mean, after the points have been
-        aligned by a shift in X and Y and a turn about Z.
+        aligned by a shift in X and Y and a rotation about Z.
     point_mean_mm : (3,) of the mean error; along X and Y it is zero by that alignment.
     unknowns, equations : their numbers, what is left open not counted.
     """
@@ -52,7 +52,7 @@ def limit(state: State, seen: BoardImages, free: FreeParameters, noise_px: float
     information = _whole(state, seen, free)
     covariance, rank = _inverse(information)
     covariance *= noise_px**2
-    boards = state.board_turns, state.places, seen.board
+    boards = state.board_rotations, state.board_positions, seen.board
     pairs = spreads(
         state.array(),
         boards,
@@ -111,12 +111,12 @@ def _points(state: State, seen: BoardImages, covariance: F64) -> tuple[F64, F64]
     Boards that no camera sees are left out.
     """
     boards = np.flatnonzero(seen.weights.sum(axis=(0, 2)) > 0.0)
-    size = len(covariance) - BOARD * len(state.places)
+    size = len(covariance) - BOARD * len(state.board_positions)
     own = (size + BOARD * boards[:, None] + np.arange(BOARD)).ravel()
     root = np.linalg.cholesky(_positive(covariance[np.ix_(own, own)]))
     points = state.points(seen.board)[boards]
     slopes = np.zeros((*points.shape, len(own)))  # of every coordinate by the boards' unknowns
-    arms = points - state.places[boards, None]
+    arms = points - state.board_positions[boards, None]
     for k in range(len(boards)):
         slopes[k, :, :, BOARD * k : BOARD * k + 3] = -skew(arms[k])
         slopes[k, :, :, BOARD * k + 3 : BOARD * (k + 1)] = np.eye(3)

@@ -152,8 +152,8 @@ def list_relabellings(target: Target) -> list[tuple[int, I64]]:
     Each comes with the order of the points under it.
     """
     grid = np.arange(target.columns * target.rows).reshape(target.rows, target.columns)
-    turns = [(90 * quarters, np.rot90(grid, quarters)) for quarters in (2, 1, 3)]
-    return [(degrees, turned.ravel()) for degrees, turned in turns if turned.shape == grid.shape]
+    rotated = [(90 * quarters, np.rot90(grid, quarters)) for quarters in (2, 1, 3)]
+    return [(degrees, grids.ravel()) for degrees, grids in rotated if grids.shape == grid.shape]
 
 
 def _check_corners(case: CalibrationCase, points: F64, initial: F64, there: Bool) -> None:

@@ -66,26 +66,28 @@ class State:
 
     Attributes
     ----------
-    turns, centers, lenses : (M, 3, 3), (M, 3), (M, 8) as in `kernels.observe`.
+    rotations, centers, lenses : (M, 3, 3), (M, 3), (M, 8) as in `kernels.observe`.
     indices, thicknesses : of the media (m,) and layers (m - 2,).
-    board_turns, places : (K, 3, 3), (K, 3).
+    board_rotations, board_positions : (K, 3, 3), (K, 3).
     """
 
-    turns: F64
+    rotations: F64
     centers: F64
     lenses: F64
     indices: F64
     thicknesses: F64
-    board_turns: F64
-    places: F64
+    board_rotations: F64
+    board_positions: F64
 
     def array(self) -> tuple[F64, F64, F64, tuple[F64, F64]]:
         """Return the cameras as arrays for the kernels."""
-        return self.turns, self.centers, self.lenses, (self.indices, self.thicknesses)
+        return self.rotations, self.centers, self.lenses, (self.indices, self.thicknesses)
 
     def points(self, board: F64) -> F64:
         """Return a board's points (m, 3) as world points (K, m, 3), in the wall's frame."""
-        return np.asarray(np.einsum("kij,mj->kmi", self.board_turns, board) + self.places[:, None])
+        return np.asarray(
+            np.einsum("kij,mj->kmi", self.board_rotations, board) + self.board_positions[:, None]
+        )
 
     def apply_steps(self, cameras: F64, shared: F64, boards: F64, free: FreeParameters) -> State:
         """Apply steps of the cameras' unknowns (M, f), the shared (s,) and the boards'.
@@ -93,29 +95,29 @@ class State:
         The boards' steps are (K, 6).
         """
         own, common = free.columns(len(self.indices))
-        full = np.zeros((len(self.turns), CAMERA))
+        full = np.zeros((len(self.rotations), CAMERA))
         full[:, own] = cameras
         media = np.concatenate([self.indices, self.thicknesses])
         media[common] += shared
         count = len(self.indices)
         return State(
-            np.ascontiguousarray(rotation_matrices(full[:, :3]) @ self.turns),
+            np.ascontiguousarray(rotation_matrices(full[:, :3]) @ self.rotations),
             self.centers + full[:, 3:6],
             self.lenses + full[:, 6:],
             media[:count].copy(),
             media[count:].copy(),
-            np.ascontiguousarray(rotation_matrices(boards[:, :3]) @ self.board_turns),
-            self.places + boards[:, 3:],
+            np.ascontiguousarray(rotation_matrices(boards[:, :3]) @ self.board_rotations),
+            self.board_positions + boards[:, 3:],
         )
 
-    def slid(self, motion: RigidMotion) -> State:
+    def move(self, motion: RigidMotion) -> State:
         """Move the state by a motion that leaves the wall unchanged."""
         return replace(
             self,
-            turns=np.ascontiguousarray(self.turns @ motion.rotation.T),
+            rotations=np.ascontiguousarray(self.rotations @ motion.rotation.T),
             centers=motion(self.centers),
-            board_turns=np.ascontiguousarray(motion.rotation @ self.board_turns),
-            places=motion(self.places),
+            board_rotations=np.ascontiguousarray(motion.rotation @ self.board_rotations),
+            board_positions=motion(self.board_positions),
         )
 
 
@@ -141,7 +143,7 @@ class Frame:
 
         The points are an initial guess, NaN where unknown.
         """
-        turns = np.stack(
+        rotations = np.stack(
             [np.asarray(camera.rotation) @ self.motion.rotation.T for camera in self.cameras]
         )
         centers = self.motion(np.array([camera.center_mm for camera in self.cameras]))
@@ -163,7 +165,7 @@ class Frame:
         )
         poses = [_pose(board, self.motion(points)) for points in points_mm]
         return State(
-            turns,
+            rotations,
             centers,
             lenses,
             media,
@@ -194,7 +196,7 @@ class Frame:
     def _camera(self, number: int, state: State, wall: Wall | None) -> Camera:
         camera, lens = self.cameras[number], state.lenses[number].tolist()
         turn, center = (
-            state.turns[number] @ self.motion.rotation,
+            state.rotations[number] @ self.motion.rotation,
             self.motion.inverse()(state.centers[number]),
         )
         return replace(

@@ -67,12 +67,12 @@ class CalibrationProblem:
         if known.sum() > (1 if self.frame.wall else 2):
             return state
         if self.frame.wall is None:
-            return state.slid(fit_rigid_motion(points[there], initial[there]))
+            return state.move(fit_rigid_motion(points[there], initial[there]))
         motion = fit_lateral_motion(points[there], initial[there])
-        if known.any():  # the turn goes about the known point
+        if known.any():  # the rotation is about the known point
             pivot = points[known][0]
             motion = RigidMotion(motion.rotation, pivot - motion.rotation @ pivot)
-        return state.slid(motion)
+        return state.move(motion)
 
     def answer(self, state: State, used: Bool | None = None) -> Calibration:
         """Return cameras and points in the world's frame."""

@@ -185,10 +185,12 @@ def _choose_order(found: F64, target: Target, expected: F64 | None) -> F64:
     known = np.isfinite(plan).all(axis=1)
     goal = plan[known] - plan[known].mean(axis=0)
     grid = np.arange(len(found)).reshape(target.rows, target.columns)
-    turns = [np.rot90(grid, quarter) for quarter in range(4)]
-    orders = [turn.ravel() for turn in turns if turn.shape == grid.shape]
+    rotated = [np.rot90(grid, quarter) for quarter in range(4)]
+    orders = [order.ravel() for order in rotated if order.shape == grid.shape]
     orders += (
-        [turn.T.ravel() for turn in turns if turn.T.shape == grid.shape] if target.rows > 1 else []
+        [order.T.ravel() for order in rotated if order.T.shape == grid.shape]
+        if target.rows > 1
+        else []
     )
     return max(
         (found[order] for order in orders),

@@ -35,7 +35,7 @@ _NEIGHBOURS = 8
 # candidates of one trajectory: several times what is within the radius where bubbles are evenly
 # spread, and a bound where they are not
 _MOST = 100
-_PLACE_ERROR, _SIZE_ERROR = (
+_POSITION_ERROR, _SIZE_ERROR = (
     (0.05, 0.2),
     (0.03, 0.15),
 )  # least and largest of predictions: in the same unit, and of the logarithm of radii
@@ -115,7 +115,7 @@ def link(
     if (np.diff(times_s) <= 0.0).any():
         raise ValueError(f"times_s: expected increasing times, got {list(times_s)}")
     spacing = _spacing(center_mm)
-    scale = _Scale(spacing, np.full(3, _PLACE_ERROR[1] * spacing), _SIZE_ERROR[1])
+    scale = _Scale(spacing, np.full(3, _POSITION_ERROR[1] * spacing), _SIZE_ERROR[1])
     live, born, out = _none(), 0, []
     for frame, (position, radius, time) in enumerate(
         zip(center_mm, radius_mm, times_s, strict=True)
@@ -253,7 +253,7 @@ def _by_neighbours(
     if len(live.position) - len(young) >= _NEIGHBOURS:
         apart = _neighbour_differences(live, young[row], velocity) * duration[:, None]
     else:
-        apart = _from_places(live, found, young[row], velocity, time, scale)
+        apart = _position_errors(live, found, young[row], velocity, time, scale)
     length = np.linalg.norm(shift, axis=1)
     nobody = np.repeat(
         length[:, None], _NEIGHBOURS - apart.shape[1], axis=1
@@ -274,7 +274,7 @@ def _neighbour_differences(live: _Trajectories, which: I64, velocity: F64) -> F6
     return np.asarray(np.linalg.norm(live.velocity[old[near]] - velocity[:, None], axis=2))
 
 
-def _from_places(
+def _position_errors(
     live: _Trajectories, found: _Points, which: I64, velocity: F64, time: float, scale: _Scale
 ) -> F64:
     """Compute distances (n, k) of moved neighbours to the next detection.
@@ -298,16 +298,16 @@ def _from_places(
     return np.asarray(distance)
 
 
-def _near(from_places: F64, to_places: F64, radii: F64) -> tuple[I64, I64]:
+def _near(starts: F64, targets: F64, radii: F64) -> tuple[I64, I64]:
     """Find pairs of rows within the first one's radius.
 
     Each first row has at most its `_MOST` nearest.
     """
-    if not len(from_places) or not len(to_places):
+    if not len(starts) or not len(targets):
         return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)
-    count = min(_MOST, len(to_places))
-    distance, column = cKDTree(to_places).query(
-        from_places, np.arange(1, count + 1), distance_upper_bound=1.001 * float(radii.max())
+    count = min(_MOST, len(targets))
+    distance, column = cKDTree(targets).query(
+        starts, np.arange(1, count + 1), distance_upper_bound=1.001 * float(radii.max())
     )
     row, slot = np.nonzero(distance <= radii[:, None])
     return row, column[row, slot]
@@ -328,7 +328,7 @@ def _estimate_scale(scale: _Scale, linked: _Trajectories, found: _Points, j: I64
     known, j = linked[old], j[old]
     there = known.position + known.velocity * (found.time[j] - known.time)[:, None]
     off = (there - found.position[j]) / (found.frame[j] - known.frame)[:, None]
-    low, high = (bound * scale.spacing for bound in _PLACE_ERROR)
+    low, high = (bound * scale.spacing for bound in _POSITION_ERROR)
     position = np.clip(1.4826 * np.median(np.abs(off), axis=0), low, high)
     size = np.clip(1.4826 * np.median(np.abs(known.size - found.size[j])), *_SIZE_ERROR)
     return replace(scale, position=position, size=float(size))

@@ -29,7 +29,7 @@ from sabench.utils.arrays import F64, I64
 # sight
 DEVIATION_PX = 0.01
 _MARGIN = 2.0  # voxels that a rectified image reaches beyond what is asked for
-_PROBES = 2000  # places at which the deviation is measured
+_PROBES = 2000  # positions at which the deviation is measured
 _NODES = 7  # depths at which displacements are computed; between them they are interpolated
 
 

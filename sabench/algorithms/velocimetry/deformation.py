@@ -115,22 +115,22 @@ def deform_pair(
     first, second : (z, y, x) `spline_coefficients` of the volumes.
     field : (z, y, x, 3) displacements in voxels (x, y, z) on a lattice, continued beyond it along
         straight lines.
-    origin, step : place (z, y, x) of the lattice's first node and its spacing, voxels.
+    origin, step : position (z, y, x) of the lattice's first node and its spacing, voxels.
     out, other : (z, y, x).
     """
     depth, height, width = out.shape
     for job in numba.prange(depth * height):
         z, y = job // height, job % height
         row = _row_field(field, (z - origin[0]) / step[0], (y - origin[1]) / step[1])
-        places, corners = (
+        positions, corners = (
             np.empty((3, width), dtype=np.float32),
             np.empty((3, width), dtype=np.int32),
         )
         beyond = np.zeros(width, dtype=np.bool_)
-        _aim(row, origin[2], step[2], -0.5, y, z, places, corners)
-        _read_row(first, places, corners, z, y, out, beyond)
-        _aim(row, origin[2], step[2], 0.5, y, z, places, corners)
-        _read_row(second, places, corners, z, y, other, beyond)
+        _aim(row, origin[2], step[2], -0.5, y, z, positions, corners)
+        _read_row(first, positions, corners, z, y, out, beyond)
+        _aim(row, origin[2], step[2], 0.5, y, z, positions, corners)
+        _read_row(second, positions, corners, z, y, other, beyond)
         for x in range(width):
             if beyond[x]:
                 out[z, y, x] = other[z, y, x] = 0.0
@@ -138,7 +138,7 @@ def deform_pair(
 
 @numba.njit(cache=True, fastmath=True)
 def _read_row(
-    coefficients: Any, places: Any, corners: Any, z: int, y: int, out: Any, beyond: Any
+    coefficients: Any, positions: Any, corners: Any, z: int, y: int, out: Any, beyond: Any
 ) -> None:
     """Read one row, and mark what lies beyond the volume."""
     depth, height, width = out.shape
@@ -155,19 +155,19 @@ def _read_row(
                 (k * height + j) * width + i,
                 width,
                 height * width,
-                places,
+                positions,
                 low,
                 high,
                 out[z, y],
             )
-        _read_edge(coefficients, places, corners, first, low, out[z, y], beyond)
-        _read_edge(coefficients, places, corners, high, end, out[z, y], beyond)
+        _read_edge(coefficients, positions, corners, first, low, out[z, y], beyond)
+        _read_edge(coefficients, positions, corners, high, end, out[z, y], beyond)
         first = end
 
 
 @numba.njit(cache=True, fastmath=True)
 def _read_edge(
-    coefficients: Any, places: Any, corners: Any, first: int, end: int, out: Any, beyond: Any
+    coefficients: Any, positions: Any, corners: Any, first: int, end: int, out: Any, beyond: Any
 ) -> None:
     """Read voxels near a face of the volume."""
     depth, height, width = coefficients.shape
@@ -176,12 +176,14 @@ def _read_edge(
         if i < 0 or j < 0 or k < 0 or i > width - 1 or j > height - 1 or k > depth - 1:
             beyond[x] = True
         else:
-            out[x] = _sample(coefficients, (i, j, k), (places[0, x], places[1, x], places[2, x]))
+            out[x] = _sample(
+                coefficients, (i, j, k), (positions[0, x], positions[1, x], positions[2, x])
+            )
 
 
 @numba.njit(cache=True, fastmath=True)
 def _aim(
-    row: Any, origin: float, step: float, share: float, y: int, z: int, places: Any, corners: Any
+    row: Any, origin: float, step: float, share: float, y: int, z: int, positions: Any, corners: Any
 ) -> None:
     """Find the point at which each voxel of a row is read.
 
@@ -189,7 +191,7 @@ def _aim(
     next.
     """
     last = len(row) - 1
-    for x in range(places.shape[1]):
+    for x in range(positions.shape[1]):
         at = (x - origin) / step
         cell = min(max(int(at), 0), max(last - 1, 0))
         part, after = at - cell, min(cell + 1, last)
@@ -198,7 +200,7 @@ def _aim(
                 y if axis == 1 else z if axis == 2 else 0
             )
             whole = math.floor(move)
-            corners[axis, x], places[axis, x] = whole, move - whole
+            corners[axis, x], positions[axis, x] = whole, move - whole
 
 
 @numba.njit(cache=True)
@@ -253,7 +255,7 @@ def _value(flat: Any, at: Any, width: Any, plane: Any, x: Any, y: Any, z: Any) -
 
 @numba.njit(cache=True, fastmath=True)
 def _stretch(
-    flat: Any, at: int, width: int, plane: int, places: Any, first: int, end: int, out: Any
+    flat: Any, at: int, width: int, plane: int, positions: Any, first: int, end: int, out: Any
 ) -> None:
     """Read adjacent voxels of a row, `at` + x for each of them.
 
@@ -262,7 +264,9 @@ def _stretch(
     row, deep, start = np.uint64(width), np.uint64(plane), np.uint64(at + first)
     for n in range(np.uint64(end - first)):
         x = np.uint64(first) + n
-        out[x] = _value(flat, start + n, row, deep, places[0, x], places[1, x], places[2, x])
+        out[x] = _value(
+            flat, start + n, row, deep, positions[0, x], positions[1, x], positions[2, x]
+        )
 
 
 @numba.njit(cache=True, fastmath=True)

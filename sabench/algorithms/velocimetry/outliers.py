@@ -163,9 +163,9 @@ def _median(values: Any, count: int) -> Any:
     if count == 0:
         return np.nan
     for n in range(1, count):
-        value, place = values[n], n
-        while place > 0 and values[place - 1] > value:
-            values[place] = values[place - 1]
-            place -= 1
-        values[place] = value
+        value, slot = values[n], n
+        while slot > 0 and values[slot - 1] > value:
+            values[slot] = values[slot - 1]
+            slot -= 1
+        values[slot] = value
     return 0.5 * (values[(count - 1) // 2] + values[count // 2])

@@ -148,7 +148,7 @@ def _from_csv(path: Path, names: Sequence[str]) -> dict[str, Array]:
         header = file.readline().strip().lstrip("#").strip()
     separator = next((mark for mark in (",", ";", "\t") if mark in header), None)
     columns = [_split_header(part.strip().strip('"')) for part in header.split(separator)]
-    columns_of = _places(path, names, [name for name, _ in columns])
+    columns_of = _column_indices(path, names, [name for name, _ in columns])
     try:
         with warnings.catch_warnings():
             warnings.simplefilter(
@@ -179,7 +179,7 @@ def _split_header(text: str) -> tuple[str, str | None]:
     return (match["name"], match["unit"]) if match else (text, None)
 
 
-def _places(path: Path, names: Sequence[str], there: Sequence[str]) -> dict[str, int]:
+def _column_indices(path: Path, names: Sequence[str], there: Sequence[str]) -> dict[str, int]:
     for name in names:
         if name not in there:
             raise InputError(
@@ -197,7 +197,7 @@ def _from_hdf5(path: Path, names: Sequence[str]) -> dict[str, Array]:
             file.visititems(
                 lambda name, item: there.append(name) if isinstance(item, h5py.Dataset) else None
             )
-            _places(path, names, there)
+            _column_indices(path, names, there)
             return {
                 name: Array(
                     _numbers(path, name, file[name][()]), _text(file[name].attrs.get("units"))
@@ -217,7 +217,7 @@ def _from_netcdf(path: Path, names: Sequence[str]) -> dict[str, Array]:
             return _from_hdf5(path, names)
     try:
         with netcdf_file(path, "r", mmap=False) as file:
-            _places(path, names, list(file.variables))
+            _column_indices(path, names, list(file.variables))
             return {name: _classic(path, name, file.variables[name]) for name in names}
     except (ValueError, TypeError, IndexError) as error:
         raise InputError(f"{path}: expected a NetCDF file, got a broken one ({error})") from error
@@ -264,7 +264,7 @@ def _from_vtk(path: Path, names: Sequence[str]) -> dict[str, Array]:
     }
     points = data.GetPointData()
     there = [points.GetArrayName(number) for number in range(points.GetNumberOfArrays())]
-    _places(path, names, [*axes, *there])
+    _column_indices(path, names, [*axes, *there])
     out = {name: Array(axes[name], None) for name in names if name in axes}
     for name in set(names) - set(axes):
         values = vtk_to_numpy(points.GetArray(name))

@@ -146,9 +146,9 @@ def test_peaks_are_those_over_depth() -> None:
         1.0,
     )
     peaks = FeaturePeaks.find(potential, 2.0)
-    assert peaks.place.tolist() == [[20, 0, 1], [9, 0, 1], [0, 1, 2]]
+    assert peaks.position.tolist() == [[20, 0, 1], [9, 0, 1], [0, 1, 2]]
     assert peaks.weight.tolist() == [9.0, 7.0, 6.0]
-    assert len(FeaturePeaks.find(np.zeros((30, 2, 3), dtype=np.float32), 2.0).place) == 0
+    assert len(FeaturePeaks.find(np.zeros((30, 2, 3), dtype=np.float32), 2.0).position) == 0
 
 
 def test_groups_do_not_run_from_bubble_to_bubble() -> None:
@@ -166,7 +166,7 @@ def test_groups_do_not_run_from_bubble_to_bubble() -> None:
             groups.append(peaks.group(first, free, 5))
             free[groups[-1]] = False
             assert groups[-1][0] >= first
-            assert np.abs(peaks.place[groups[-1], 0] - peaks.place[first, 0]).max() <= PLANES
+            assert np.abs(peaks.position[groups[-1], 0] - peaks.position[first, 0]).max() <= PLANES
     assert sorted(np.concatenate(groups).tolist()) == steps.tolist()
     assert len(groups) > 6
 
@@ -175,11 +175,11 @@ def test_groups_are_connected_and_not_wider_than_allowed() -> None:
     potential = np.zeros((30, 1, 20), dtype=np.float32)
     potential[10, 0, :9], potential[14, 0, 11:14], potential[10, 0, 0] = 5.0, 6.0, 8.0
     peaks, free = FeaturePeaks.find(potential, 1.0), np.ones(12, dtype=np.bool_)
-    assert sorted(peaks.place[peaks.group(0, free, 20), 2].tolist()) == list(range(9))
-    assert sorted(peaks.place[peaks.group(0, free, 3), 2].tolist()) == [0, 1, 2, 3]
+    assert sorted(peaks.position[peaks.group(0, free, 20), 2].tolist()) == list(range(9))
+    assert sorted(peaks.position[peaks.group(0, free, 3), 2].tolist()) == [0, 1, 2, 3]
     assert peaks.plane(np.arange(4)) == round((10 * 8 + 14 * 18) / 26)
     bubble = np.array([12.0 * STEP + 3.0, 3.0, 4.0, 4.0, 0.0, 1.0, 12.0])
-    assert sorted(peaks.place[peaks.within(bubble, 5), 2].tolist()) == [11, 12, 13]
+    assert sorted(peaks.position[peaks.within(bubble, 5), 2].tolist()) == [11, 12, 13]
     assert not peaks.within(bubble, 1).any()
 
 

@@ -75,10 +75,17 @@ def test_all_derivatives_are_those_of_finite_differences() -> None:
     row, room = np.zeros((2, kernels.CAMERA + kernels.BOARD + 4)), np.zeros((3, 3))
 
     def pixel(at: State) -> F64:
-        arm = at.board_turns[2] @ seen.board[17]
+        arm = at.board_rotations[2] @ seen.board[17]
         media = (at.indices, at.thicknesses)
         u, v, ok = kernels.observe(
-            at.turns[3], at.centers[3], at.lenses[3], media, arm, at.places[2], row, room
+            at.rotations[3],
+            at.centers[3],
+            at.lenses[3],
+            media,
+            arm,
+            at.board_positions[2],
+            row,
+            room,
         )
         assert ok
         return np.array([u, v])
@@ -114,14 +121,14 @@ def test_the_equations_are_those_of_a_dense_jacobian() -> None:
     row, room = np.zeros((2, kernels.CAMERA + kernels.BOARD + 4)), np.zeros((3, 3))
     misses = residuals(state, seen)
     for c, k, i in np.argwhere(seen.weights > 0.0).tolist():
-        arm = state.board_turns[k] @ seen.board[i]
+        arm = state.board_rotations[k] @ seen.board[i]
         kernels.observe(
-            state.turns[c],
+            state.rotations[c],
             state.centers[c],
             state.lenses[c],
             (state.indices, state.thicknesses),
             arm,
-            state.places[k],
+            state.board_positions[k],
             row,
             room,
         )
@@ -295,9 +302,9 @@ def test_the_fluid_s_index_can_be_estimated() -> None:
 def test_what_a_wall_does_not_notice_changes_no_image() -> None:
     _, state, seen = truth()
     turn = rotation_matrices(np.array([0.0, 0.0, 0.3]))
-    moved = state.slid(RigidMotion(turn, np.array([5.0, -7.0, 0.0])))
+    moved = state.move(RigidMotion(turn, np.array([5.0, -7.0, 0.0])))
     assert np.nanmax(np.abs(residuals(moved, seen)[seen.weights > 0.0])) < 1e-9
-    sunk = state.slid(RigidMotion(np.eye(3), np.array([0.0, 0.0, 1.0])))
+    sunk = state.move(RigidMotion(np.eye(3), np.array([0.0, 0.0, 1.0])))
     assert np.nanmax(np.abs(residuals(sunk, seen)[seen.weights > 0.0])) > 1e-3
 
 

@@ -56,7 +56,7 @@ def test_factors_make_the_images(missing: float) -> None:
     errors = (projected[..., :2] / projected[..., 2:] - images)[seen] * cameras[0].focal_px
     assert np.abs(errors).max() < 1e-4
     upgraded = upgrade_to_euclidean(factors)
-    places = upgraded.points[:, :3] / upgraded.points[:, 3:]
-    world = fit_similarity(places, points.reshape(-1, 3))
-    assert np.abs(places @ world[:3, :3].T + world[:3, 3] - points.reshape(-1, 3)).max() < 0.05
+    positions = upgraded.points[:, :3] / upgraded.points[:, 3:]
+    world = fit_similarity(positions, points.reshape(-1, 3))
+    assert np.abs(positions @ world[:3, :3].T + world[:3, 3] - points.reshape(-1, 3)).max() < 0.05
     assert case.pixels.shape == exact.shape
