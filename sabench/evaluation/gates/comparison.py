@@ -18,19 +18,17 @@ from sabench.evaluation.gates.baseline import (
     Baseline,
     CaseEntry,
     Entry,
-    Finding,
     Tolerance,
     Tolerances,
-    compare,
     default_path,
     default_tolerance,
     kind_of,
     read_baseline,
-    scaled,
     tolerance_of,
     write_baseline,
 )
 from sabench.evaluation.gates.dataset_statistics import fingerprint
+from sabench.evaluation.gates.findings import Finding, compare, scaled
 from sabench.evaluation.gates.known_wrong_estimates import score_known_wrong
 from sabench.evaluation.runner import dataset_of, machine, solve_apart, versions
 from sabench.evaluation.suites import Case, Entrant, load_suite

@@ -21,17 +21,15 @@ from sabench.evaluation.gates.baseline import (
     Baseline,
     CaseEntry,
     Entry,
-    Finding,
     Tolerance,
-    compare,
     default_path,
     default_tolerance,
-    loss,
     read_baseline,
     write_baseline,
 )
 from sabench.evaluation.gates.comparison import Report, names_of
 from sabench.evaluation.gates.dataset_statistics import fingerprint
+from sabench.evaluation.gates.findings import Finding, compare, loss
 from sabench.evaluation.gates.independent_projection import retrace
 from sabench.evaluation.gates.junit import junit, write_junit
 from sabench.evaluation.gates.known_wrong_estimates import score_known_wrong
