@@ -27,12 +27,13 @@ from sabench.evaluation.gates.baseline import (
     read_baseline,
     write_baseline,
 )
-from sabench.evaluation.gates.comparison import Report, names_of
+from sabench.evaluation.gates.comparison import Report
 from sabench.evaluation.gates.dataset_statistics import fingerprint
 from sabench.evaluation.gates.findings import Finding, compare, loss
 from sabench.evaluation.gates.independent_projection import retrace
 from sabench.evaluation.gates.junit import junit, write_junit
 from sabench.evaluation.gates.known_wrong_estimates import score_known_wrong
+from sabench.evaluation.gates.measurement import names_of
 from sabench.evaluation.suites import Entrant, load_suite
 from sabench.scenes import Scene, build_rig, load_scene, parse_scene
 from sabench.simulation.pipeline import generate
