@@ -9,6 +9,7 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from sabench.evaluation.environment import machine, versions
 from sabench.evaluation.gates.baseline import (
     DATA,
     Baseline,
@@ -22,7 +23,6 @@ from sabench.evaluation.gates.baseline import (
 )
 from sabench.evaluation.gates.findings import Finding, compare
 from sabench.evaluation.gates.measurement import drop_not_run, run_case, task_of, tasks_of
-from sabench.evaluation.runner import machine, versions
 from sabench.evaluation.suites import Case, Entrant, load_suite
 from sabench.scenes import find
 from sabench.utils.errors import InputError

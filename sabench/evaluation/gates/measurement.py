@@ -18,8 +18,9 @@ from sabench.evaluation.gates.baseline import (
 from sabench.evaluation.gates.dataset_statistics import fingerprint
 from sabench.evaluation.gates.findings import compare, scaled
 from sabench.evaluation.gates.known_wrong_estimates import score_known_wrong
-from sabench.evaluation.runner import dataset_of, solve_apart
+from sabench.evaluation.runner import dataset_of
 from sabench.evaluation.suites import Case, Entrant
+from sabench.evaluation.timed_solving import solve_apart
 from sabench.tasks.solve_and_score import score
 from sabench.utils.errors import InputError
 
