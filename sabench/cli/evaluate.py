@@ -248,7 +248,7 @@ def reproduce(
 
 
 def _write_plot(plot: Any, folder: Path) -> None:
-    from sabench.plotting.charts import draw
+    from sabench.plotting.drawing import draw
     from sabench.utils.files import complete_or_nothing
 
     folder.mkdir(parents=True, exist_ok=True)
