@@ -20,7 +20,8 @@ from sabench.evaluation.environment import machine, version_of, versions
 from sabench.evaluation.hidden_split import Secret
 from sabench.evaluation.leaderboard import rows
 from sabench.evaluation.records import Record, append, key_of, latest, read_records
-from sabench.evaluation.suites import Case, Entrant, Suite, load_suite
+from sabench.evaluation.suite_loading import load_suite
+from sabench.evaluation.suites import Case, Entrant, Suite
 from sabench.evaluation.timed_solving import solve_apart
 from sabench.simulation.pipeline import generate
 from sabench.simulation.renderer_choice import Renderer

@@ -22,7 +22,8 @@ import tomli_w
 
 import sabench
 from sabench.evaluation.hidden_split import read_secret
-from sabench.evaluation.suites import Suite, load_suite
+from sabench.evaluation.suite_loading import load_suite
+from sabench.evaluation.suites import Suite
 from sabench.scenes import scene_schema
 from sabench.tasks.own_calibration import Configuration
 from tests.docs.pages import ROOT, Block

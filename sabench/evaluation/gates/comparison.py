@@ -23,7 +23,8 @@ from sabench.evaluation.gates.baseline import (
 )
 from sabench.evaluation.gates.findings import Finding, compare
 from sabench.evaluation.gates.measurement import drop_not_run, run_case, task_of, tasks_of
-from sabench.evaluation.suites import Case, Entrant, load_suite
+from sabench.evaluation.suite_loading import load_suite
+from sabench.evaluation.suites import Case, Entrant
 from sabench.scenes import find
 from sabench.utils.errors import InputError
 from sabench.utils.progress import console

@@ -34,7 +34,8 @@ from sabench.evaluation.gates.independent_projection import retrace
 from sabench.evaluation.gates.junit import junit, write_junit
 from sabench.evaluation.gates.known_wrong_estimates import score_known_wrong
 from sabench.evaluation.gates.measurement import names_of
-from sabench.evaluation.suites import Entrant, load_suite
+from sabench.evaluation.suite_loading import load_suite
+from sabench.evaluation.suites import Entrant
 from sabench.scenes import Scene, build_rig, load_scene, parse_scene
 from sabench.simulation.pipeline import generate
 from sabench.tasks.task import Better
