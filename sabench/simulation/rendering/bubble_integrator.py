@@ -19,7 +19,7 @@ import mitsuba as mi
 import numpy as np
 
 from sabench.geometry.camera import Camera
-from sabench.geometry.occluders import Disc
+from sabench.simulation.rendering.bubble_stage import Panel, Stack, Stage
 from sabench.simulation.rendering.camera_rays import WAVEFRONT, lens_rays, opaque, unobstructed
 from sabench.simulation.rendering.lamps import Lamps
 from sabench.simulation.rendering.particle_integrator import Cloud
@@ -58,63 +58,6 @@ _PRIMES = (
 # numbers of a ray's position in its pixel and on the lens; events at surfaces take those that
 # follow
 _FIRST = 4
-
-
-@dataclass(frozen=True)
-class Stack:
-    """Plane layers between the fluid and the air, in the order light leaves.
-
-    Attributes
-    ----------
-    faces_mm : (m,) positions of the interfaces along the wall's normal, in the frame of the render.
-    indices : (m + 1,) refractive indices, the fluid's first.
-    """
-
-    faces_mm: F64
-    indices: F64
-
-
-@dataclass(frozen=True)
-class Panel:
-    """Diffuser: centre in the frame of the render, half edges (2, 3), radiance."""
-
-    center: F64
-    edges: F64
-    radiance: float
-
-
-@dataclass(frozen=True)
-class Stage:
-    """Everything that light meets, in the frame of the render.
-
-    Attributes
-    ----------
-    scene : Mitsuba's, with a shape for the bubbles (`bubbles`), one for glowing balls (`balls`) and
-        the bodies; any may be missing.
-    opaque_scene : Mitsuba's, of the bodies that throw shadows alone; None without lamps.
-    centers, to_ball : of the bubbles (n, 3), (n, 3, 3), as in `world.Bubbles`.
-    eta : refractive index in the bubbles over the fluid's; fluid : the fluid's over the air's.
-    normal : of the walls, from the cameras into the tank; front, rear None: no wall there.
-    reach : radius of a ball around the frame's origin that holds all of it.
-    """
-
-    scene: Any
-    centers: F64
-    to_ball: F64
-    eta: float
-    fluid: float
-    normal: F64
-    front: Stack | None
-    rear: Stack | None
-    panel: Panel | None
-    reach: float
-    bubbles: Any = None
-    balls: Any = None
-    cloud: Cloud | None = None
-    lamps: Lamps | None = None
-    opaque_scene: Any = None
-    bodies: bool = False
-    occluders: tuple[Disc, ...] = ()
 
 
 def radiance(
