@@ -55,8 +55,8 @@ BUGS = (
     Bug(
         "light in the fluid at the angle that it has in the glass",
         "sabench/geometry/refraction.py",
-        "_angle_in(wall.indices, -1, slope)",
-        "_angle_in(wall.indices, 1, slope)",
+        "angle_in(wall.indices, -1, slope)",
+        "angle_in(wall.indices, 1, slope)",
     ),
     Bug(
         "a camera's rotation transposed",

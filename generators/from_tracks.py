@@ -10,7 +10,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from sabench.api import F64, I64, Domain, FileParameters, Generator, InputError, Particles
-from sabench.worlds.library.field_files import length_mm, read_arrays, speed_mm_s, time_s
+from sabench.worlds.library.field_files import Array, length_mm, read_arrays, speed_mm_s, time_s
 
 
 class FromTracksParameters(FileParameters):
@@ -52,7 +52,7 @@ class FromTracksParameters(FileParameters):
     )
 
     @model_validator(mode="after")
-    def _check_names(self) -> FromTracksParameters:
+    def _different(self) -> FromTracksParameters:
         if len({self.id, self.time, *self.axes}) < 5:
             raise ValueError(
                 "expected five different arrays for id, time and axes, got "
@@ -81,22 +81,22 @@ class FromTracks(Generator):
         chosen: FromTracksParameters = self.parameters
         tracks = _read(chosen.model_dump_json())
         now = time_s + (tracks.time_s.min() if chosen.start_s is None else chosen.start_s)
-        position, velocity, points = tracks.at(now)
+        place, velocity, points = tracks.at(now)
         inside = (
-            (position >= domain.low_mm) & (position <= domain.low_mm + np.asarray(domain.size_mm))
+            (place >= domain.low_mm) & (place <= domain.low_mm + np.asarray(domain.size_mm))
         ).all(axis=1)
         if not inside.any():
-            low, high = tracks.position_mm.min(axis=0), tracks.position_mm.max(axis=0)
+            low, high = tracks.place_mm.min(axis=0), tracks.place_mm.max(axis=0)
             spans = ", ".join(f"{a:.4g} to {b:.4g}" for a, b in zip(low, high, strict=True))
             times = f"{tracks.time_s.min():.6g} to {tracks.time_s.max():.6g}"
             raise InputError(
                 f"{chosen.file}: expected a trajectory in the volume in frame {frame}, at "
-                f"{now:.6g} s, got none of {len(position)}: "
+                f"{now:.6g} s, got none of {len(place)}: "
                 f"they run over {spans} mm along x, y, z and {times} s"
             )
         return Particles(
             tracks.id[points[inside]],
-            position[inside],
+            place[inside],
             tracks.diameter_mm[points[inside]],
             velocity[inside],
         )
@@ -108,7 +108,7 @@ class _Tracks:
 
     id: I64
     time_s: F64
-    position_mm: F64
+    place_mm: F64
     velocity: F64
     diameter_mm: F64
 
@@ -128,24 +128,24 @@ class _Tracks:
         part = np.divide(
             now - self.time_s[before][:, None], step, out=np.zeros_like(step), where=step > 0.0
         )
-        return (*self._interpolate(before, after, np.clip(part, 0.0, 1.0), step), before)
+        return (*self._between(before, after, np.clip(part, 0.0, 1.0), step), before)
 
-    def _interpolate(self, before: I64, after: I64, t: F64, step: F64) -> tuple[F64, F64]:
+    def _between(self, before: I64, after: I64, t: F64, step: F64) -> tuple[F64, F64]:
         """Evaluate Hermite's cubic and its slope."""
         p, q, u, v = (
-            self.position_mm[before],
-            self.position_mm[after],
+            self.place_mm[before],
+            self.place_mm[after],
             self.velocity[before] * step,
             self.velocity[after] * step,
         )
-        position = (
+        place = (
             (2 * t**3 - 3 * t**2 + 1) * p
             + (t**3 - 2 * t**2 + t) * u
             + (3 * t**2 - 2 * t**3) * q
             + (t**3 - t**2) * v
         )
         slope = (6 * t**2 - 6 * t) * (p - q) + (3 * t**2 - 4 * t + 1) * u + (3 * t**2 - 2 * t) * v
-        return position, np.where(
+        return place, np.where(
             step > 0.0, slope / np.where(step > 0.0, step, 1.0), self.velocity[before]
         )
 
@@ -154,7 +154,29 @@ class _Tracks:
 def _read(text: str) -> _Tracks:
     """Read a file once for all frames."""
     chosen = FromTracksParameters.model_validate_json(text)
-    path = Path(chosen.file)
+    arrays = _read_columns(chosen)
+    identity = _whole_numbers(chosen, arrays)
+    time = arrays[chosen.time].values * time_s(
+        chosen.seconds, arrays[chosen.time], _where(chosen, chosen.time), "particles.seconds"
+    )
+    place, diameter = _places(chosen, arrays), _diameters(chosen, arrays)
+    order = np.lexsort((time, identity))
+    number, time, place = identity[order].astype(np.int64), time[order], place[order]
+    _check_times(chosen, number, time)
+    if chosen.velocity:
+        velocity = _velocities(chosen, chosen.velocity, arrays)[order]
+    else:
+        velocity = _slopes(number, time, place)
+    return _Tracks(number, time, place, velocity, diameter[order])
+
+
+def _where(chosen: FromTracksParameters, name: str) -> str:
+    """Name an array of the file in an error."""
+    return f"{Path(chosen.file)}: {name}"
+
+
+def _read_columns(chosen: FromTracksParameters) -> dict[str, Array]:
+    """Read the named arrays, and check that each has one value for each point."""
     names = [
         chosen.id,
         chosen.time,
@@ -162,79 +184,90 @@ def _read(text: str) -> _Tracks:
         *(chosen.velocity or ()),
         *([chosen.diameter] if chosen.diameter else []),
     ]
-    arrays = read_arrays(path, names)
+    arrays = read_arrays(Path(chosen.file), names)
     count = arrays[chosen.id].values.size
     for name in names:
         if arrays[name].values.shape != (count,) or count < 1:
             raise InputError(
-                f"{path}: {name}: expected one value for each of {count} points, and one point "
-                f"or more, got {arrays[name].values.shape}"
+                f"{_where(chosen, name)}: expected one value for each of {count} points, and one "
+                f"point or more, got {arrays[name].values.shape}"
             )
+    return arrays
+
+
+def _whole_numbers(chosen: FromTracksParameters, arrays: dict[str, Array]) -> F64:
+    """Return each point's trajectory, and check that it is a whole number."""
     identity = arrays[chosen.id].values
-    if (identity != np.rint(identity)).any():
+    broken = identity != np.rint(identity)
+    if broken.any():
         raise InputError(
-            f"{path}: {chosen.id}: expected whole numbers, got "
-            f"{identity[identity != np.rint(identity)][0]:g}"
+            f"{_where(chosen, chosen.id)}: expected whole numbers, got {identity[broken][0]:g}"
         )
-    time = arrays[chosen.time].values * time_s(
-        chosen.seconds, arrays[chosen.time], f"{path}: {chosen.time}", "particles.seconds"
-    )
-    scales = {
-        name: length_mm(chosen.length, arrays[name], f"{path}: {name}", "particles.length")
-        for name in (*chosen.axes, chosen.diameter)
-        if name
-    }
-    position = np.stack([arrays[name].values * scales[name] for name in chosen.axes], axis=1)
+    return identity
+
+
+def _lengths(chosen: FromTracksParameters, arrays: dict[str, Array], name: str) -> F64:
+    """Convert an array to mm."""
+    where = _where(chosen, name)
+    return arrays[name].values * length_mm(chosen.length, arrays[name], where, "particles.length")
+
+
+def _places(chosen: FromTracksParameters, arrays: dict[str, Array]) -> F64:
+    """Return positions (n, 3), moved to where the file's middle is to be."""
+    place = np.stack([_lengths(chosen, arrays, name) for name in chosen.axes], axis=1)
     if chosen.center_mm is not None:
-        position += (
-            np.asarray(chosen.center_mm) - (position.min(axis=0) + position.max(axis=0)) / 2.0
-        )
-    diameter = (
-        arrays[chosen.diameter].values * scales[chosen.diameter]
-        if chosen.diameter
-        else np.full(count, chosen.diameter_mm)
-    )
+        place += np.asarray(chosen.center_mm) - (place.min(axis=0) + place.max(axis=0)) / 2.0
+    return place
+
+
+def _diameters(chosen: FromTracksParameters, arrays: dict[str, Array]) -> F64:
+    """Return diameters (n,), by default the same for all."""
+    if not chosen.diameter:
+        return np.full(len(arrays[chosen.id].values), chosen.diameter_mm)
+    diameter = _lengths(chosen, arrays, chosen.diameter)
     if not (diameter > 0.0).all():
         raise InputError(
-            f"{path}: {chosen.diameter}: expected positive diameters, got {diameter.min():g} mm"
+            f"{_where(chosen, chosen.diameter)}: expected positive diameters, got "
+            f"{diameter.min():g} mm"
         )
-    order = np.lexsort((time, identity))
-    number, time, position = identity[order].astype(np.int64), time[order], position[order]
+    return diameter
+
+
+def _velocities(
+    chosen: FromTracksParameters, names: tuple[str, str, str], arrays: dict[str, Array]
+) -> F64:
+    """Convert the file's velocities (n, 3) to mm/s."""
+    speeds = [
+        speed_mm_s(chosen.speed, arrays[name], _where(chosen, name), "particles.speed")
+        for name in names
+    ]
+    return np.stack(
+        [arrays[name].values * speed for name, speed in zip(names, speeds, strict=True)], axis=1
+    )
+
+
+def _check_times(chosen: FromTracksParameters, number: I64, time: F64) -> None:
+    """Check that a trajectory has one point at a time."""
     double = np.flatnonzero((number[1:] == number[:-1]) & (time[1:] == time[:-1]))
     if len(double):
         raise InputError(
-            f"{path}: expected one point of a trajectory at a time, got two of trajectory "
-            f"{number[double[0]]} at {time[double[0]]:g} s"
+            f"{Path(chosen.file)}: expected one point of a trajectory at a time, got two of "
+            f"trajectory {number[double[0]]} at {time[double[0]]:g} s"
         )
-    if chosen.velocity:
-        speeds = [
-            speed_mm_s(chosen.speed, arrays[name], f"{path}: {name}", "particles.speed")
-            for name in chosen.velocity
-        ]
-        velocity = np.stack(
-            [
-                arrays[name].values[order] * speed
-                for name, speed in zip(chosen.velocity, speeds, strict=True)
-            ],
-            axis=1,
-        )
-    else:
-        velocity = _slopes(number, time, position)
-    return _Tracks(number, time, position, velocity, diameter[order])
 
 
-def _slopes(identity: I64, time: F64, position: F64) -> F64:
+def _slopes(identity: I64, time: F64, place: F64) -> F64:
     """Estimate velocities at points.
 
     They are slopes of the parabola through each point and its neighbours, or of the last three or
     two points at ends. Lone points have zero velocity.
     """
-    out = np.zeros_like(position)
+    out = np.zeros_like(place)
     same = np.append(
         identity[1:] == identity[:-1], False
     )  # whether the next point is of the same track
     step = np.append(np.diff(time), 1.0)[:, None]
-    pace = np.append(np.diff(position, axis=0), np.zeros((1, 3)), axis=0) / np.where(
+    pace = np.append(np.diff(place, axis=0), np.zeros((1, 3)), axis=0) / np.where(
         same[:, None], step, 1.0
     )
     middle = np.flatnonzero(same & np.roll(same, 1))

@@ -8,8 +8,9 @@ import numpy as np
 from pydantic import Field
 
 from sabench.api import F64, I64, Bool, BubbleGenerator, BubbleParameters, Bubbles, Domain, stream
+from sabench.worlds.library.overlaps import overlapping
 from sabench.worlds.library.plunging_jet import LN2, JetLaw
-from sabench.worlds.library.random_packing import overlapping, place
+from sabench.worlds.library.random_packing import place
 from sabench.worlds.library.size_distributions import Spectrum, spheroids, within
 
 _NODES = 4001  # of the distribution over depth

@@ -13,6 +13,7 @@ from sabench.cli import data, evaluate, solve
 from sabench.cli.doctor import doctor
 from sabench.cli.help_pages import Command, Group
 from sabench.cli.options import say
+from sabench.cli.reproduce import reproduce
 from sabench.utils.errors import InputError
 from sabench.utils.version import __version__
 
@@ -29,7 +30,7 @@ for _command in (
     solve.calibrate,
     evaluate.run,
     evaluate.check,
-    evaluate.reproduce,
+    reproduce,
     evaluate.submit,
     evaluate.board,
     doctor,

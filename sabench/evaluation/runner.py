@@ -5,9 +5,6 @@ It runs every solver on every case and seed.
 
 from __future__ import annotations
 
-import importlib.metadata
-import os
-import platform
 import shlex
 import shutil
 from collections.abc import Iterator
@@ -15,29 +12,24 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import numba
-from threadpoolctl import threadpool_limits
-
 from sabench import tasks
 from sabench.dataset.reader import Dataset, open_dataset
 from sabench.dataset.results import open_result
 from sabench.dataset.verification import verify
-from sabench.evaluation.gates.reference_kernel import reference_s
+from sabench.evaluation.environment import machine, version_of, versions
 from sabench.evaluation.hidden_split import Secret
 from sabench.evaluation.leaderboard import rows
 from sabench.evaluation.records import Record, append, key_of, latest, read_records
-from sabench.evaluation.suites import Case, SolverEntry, Suite, load_suite
+from sabench.evaluation.suite_loading import load_suite
+from sabench.evaluation.suites import Case, SolverEntry, Suite
+from sabench.evaluation.timed_solving import solve_apart
 from sabench.simulation.pipeline import generate
 from sabench.simulation.renderer_choice import Renderer
-from sabench.tasks.solve_and_score import score, solve
-from sabench.utils import backend
+from sabench.tasks.solve_and_score import score
 from sabench.utils.errors import DeclinedError, InputError
-from sabench.utils.files import clear_abandoned, complete_or_nothing, digest
-from sabench.utils.processes.isolated import call_isolated, preload
+from sabench.utils.files import complete_or_nothing, digest
 from sabench.utils.progress import console
 from sabench.utils.version import __version__
-
-preload("sabench.evaluation.gates.reference_kernel")
 
 _RUN = ("scene_hash", "seed", "split", "renderer", "solver", "parameters", "code_hash")
 _COMPUTED = ("run_hash", "case", "label", "machine", "versions")
@@ -122,39 +114,53 @@ def run_suite(
     jobs : processes that generate a data set.
     """
     suite, cases = load_suite(path, secret)
-    old = (
-        {}
-        if fresh
-        else {
-            key_of(record, _COMPUTED): record
-            for record in read_records(leaderboard / "records")
-            if not record["error"]
-        }
-    )
+    known = {} if fresh else _known_records(leaderboard)
     records, wanted = [], only.select(cases)
     for number, case in enumerate(wanted, 1):
-        heads = [_describe(case, solver_entry, str(path)) for solver_entry in case.solvers]
-        missing = [
-            (solver_entry, head)
-            for solver_entry, head in zip(case.solvers, heads, strict=True)
-            if key_of(head, _COMPUTED) not in old
+        heads = [
+            (solver_entry, _describe(case, solver_entry, str(path)))
+            for solver_entry in case.solvers
         ]
-        records += [old[key] for head in heads if (key := key_of(head, _COMPUTED)) in old]
+        missing = [pair for pair in heads if key_of(pair[1], _COMPUTED) not in known]
+        records += [known[key] for _, head in heads if (key := key_of(head, _COMPUTED)) in known]
         console.print(
             f"data set {number} of {len(wanted)}: {case.name}, "
             f"{_seed(case)}{'' if missing else ', known'}",
             markup=False,
             highlight=False,
         )
-        if not missing:
-            continue
-        dataset = dataset_of(case, work, fresh, jobs)
-        for record in _rank(case, dataset, missing, suite, work, leaderboard):
-            append(leaderboard / "records" / "local.jsonl", record)
-            records.append(record)
-        if not suite.keep_data:
-            shutil.rmtree(dataset.root)
+        if missing:
+            records += _run_case(case, missing, suite, work, leaderboard, fresh=fresh, jobs=jobs)
     build_board(leaderboard)
+    return records
+
+
+def _known_records(leaderboard: Path) -> dict[str, Record]:
+    """Read the records without an error, by what they compute."""
+    return {
+        key_of(record, _COMPUTED): record
+        for record in read_records(leaderboard / "records")
+        if not record["error"]
+    }
+
+
+def _run_case(
+    case: Case,
+    solver_entries: list[tuple[SolverEntry, Record]],
+    suite: Suite,
+    work: Path,
+    leaderboard: Path,
+    *,
+    fresh: bool,
+    jobs: int,
+) -> list[Record]:
+    """Run solvers on one data set; write each record as soon as its score is known."""
+    records, dataset = [], dataset_of(case, work, fresh, jobs)
+    for record in _rank(case, dataset, solver_entries, suite, work, leaderboard):
+        append(leaderboard / "records" / "local.jsonl", record)
+        records.append(record)
+    if not suite.keep_data:
+        shutil.rmtree(dataset.root)
     return records
 
 
@@ -180,7 +186,7 @@ def dataset_of(case: Case, work: Path, fresh: bool, jobs: int = 1) -> Dataset:
         dataset = open_dataset(folder)
         if dataset.manifest.versions.get(
             "sabench"
-        ) == __version__ and dataset.manifest.versions.get("mitsuba") == _version("mitsuba"):
+        ) == __version__ and dataset.manifest.versions.get("mitsuba") == version_of("mitsuba"):
             console.print(f"data set {folder} is intact: used again")
             return dataset
     renderer: Renderer = "mitsuba" if case.renderer == "mitsuba" else "splat"
@@ -290,100 +296,12 @@ def _describe(case: Case, solver_entry: SolverEntry, suite: str) -> Record:
     }
 
 
-def versions() -> dict[str, str]:
-    """List the versions of everything that affects the scores."""
-    libraries = {name: _version(name) for name in ("mitsuba", "drjit", "numpy", "scipy")}
-    return libraries | {"sabench": __version__, "python": platform.python_version()}
-
-
 def _blank(task: str) -> dict[str, Any]:
     """Make a record's scores before any is known."""
     keys = (score.key for score in tasks.of(task).columns)
     return dict.fromkeys((*keys, "error", "reference_s")) | {"declined": False}
 
 
-def machine() -> dict[str, Any]:
-    """Describe the machine of this run."""
-    info = Path("/proc/cpuinfo")
-    models = (
-        [
-            line.split(":", 1)[1].strip()
-            for line in info.read_text().splitlines()
-            if line.startswith("model name")
-        ]
-        if info.exists()
-        else []
-    )
-    try:
-        kind = backend.choose().kind
-    except InputError:
-        kind = "none"
-    cpu = models[0] if models else platform.processor() or platform.machine()
-    return {
-        "cpu": cpu,
-        "cores": os.cpu_count(),
-        "system": f"{platform.system()} {platform.machine()}",
-        "backend": kind,
-    }
-
-
-def solve_apart(
-    solver_entry: SolverEntry, dataset: Dataset, out: Path, *, threads: int | None = None
-) -> float:
-    """Solve in a child process, with memory and crashes of its own.
-
-    Its faults become an InputError here.
-
-    Parameters
-    ----------
-    threads : of compiled kernels and of linear algebra; None: as many as there are cores.
-
-    Returns
-    -------
-    Seconds of the reference kernel, the mean of before and after.
-    """
-    try:
-        if not solver_entry.is_program:
-            return float(
-                call_isolated(
-                    _solve,
-                    solver_entry.name,
-                    solver_entry.parameters,
-                    str(dataset.root),
-                    str(out),
-                    threads,
-                    doing=f"solver {solver_entry.name}",
-                )
-            )
-        before = reference_s()
-        solve(
-            solver_entry.name,
-            dataset,
-            out,
-            parameters=solver_entry.parameters,
-            limits=solver_entry.limits,
-            overwrite=True,
-        )
-        return (before + reference_s()) / 2.0
-    finally:
-        clear_abandoned(out)
-
-
-def _solve(
-    name: str, parameters: dict[str, Any], dataset: str, out: str, threads: int | None
-) -> float:
-    if threads is not None:
-        numba.set_num_threads(threads)
-    with threadpool_limits(threads):
-        before = reference_s()
-        solve(name, dataset, out, parameters=parameters, overwrite=True)
-        return (before + reference_s()) / 2.0
-
-
 def _draw(path: Path, picture: bytes) -> None:
     with complete_or_nothing(path, overwrite=True) as partial:
         partial.write_bytes(picture)
-
-
-def _version(package: str) -> str:
-    return importlib.metadata.version(package)

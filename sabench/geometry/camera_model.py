@@ -28,7 +28,7 @@ def on_sensor(rows: int, columns: int, pixels: F64, margin_px: float) -> Bool:
 class CameraModel(Protocol):
     """Map of points to pixels and of pixels to lines of sight.
 
-    `Camera` is one, the models of `polynomial_cameras` are others.
+    `Camera` is one, `Projective` and the models of `polynomial_cameras` are others.
     """
 
     @property

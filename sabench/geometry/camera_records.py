@@ -12,7 +12,8 @@ from pydantic import TypeAdapter, ValidationError
 
 from sabench.geometry.camera import Camera
 from sabench.geometry.camera_model import CameraModel
-from sabench.geometry.polynomial_cameras import PlanePolynomials, Projective, Soloff
+from sabench.geometry.polynomial_cameras import PlanePolynomials, Soloff
+from sabench.geometry.projective_camera import Projective
 from sabench.utils.arrays import U8
 from sabench.utils.errors import InputError
 from sabench.utils.files import canonical_json

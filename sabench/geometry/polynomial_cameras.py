@@ -1,6 +1,6 @@
-"""Camera models without optics.
+"""Polynomial cameras: Soloff's, and quadratics on several planes.
 
-They are polynomials from positions to pixels, fitted to points of known positions.
+They are models without optics, fitted to points of known positions.
 """
 
 from __future__ import annotations
@@ -13,76 +13,14 @@ import numpy.typing as npt
 
 from sabench.geometry.camera_model import on_sensor
 from sabench.geometry.refraction import Rays
-from sabench.utils.arrays import F64, Bool, rows_of, triple
+from sabench.utils.arrays import F64, Bool, Rows, nested, rows_of, triple
 from sabench.utils.errors import InputError
 
 _STEPS = 30
 _SOLOFF = tuple((i, j, k) for k in range(3) for j in range(4) for i in range(4) if i + j + k <= 3)
 _QUADRATIC = ((0, 0), (1, 0), (2, 0), (0, 1), (1, 1), (0, 2))
 
-Rows = tuple[tuple[float, ...], ...]
 Smooth = Callable[[F64], F64]
-
-
-@dataclass(frozen=True)
-class Projective:
-    """Linear map of homogeneous coordinates, with 11 free parameters.
-
-    It is a pinhole with any pixels, in a single medium.
-
-    Source: R. Hartley and A. Zisserman, Multiple View Geometry, chapters 6 and 7.
-
-    Attributes
-    ----------
-    matrix : (3, 4) as nested tuples, P of (column, row, 1) w = P (X, Y, Z, 1); w is positive in
-        front of the camera.
-    """
-
-    name: str
-    rows: int
-    columns: int
-    matrix: Rows
-
-    def project(self, points_mm: npt.ArrayLike) -> tuple[F64, Bool]:
-        """Project world points (n, 3) to pixels (n, 2) as (column, row).
-
-        Points behind the camera are not `valid`.
-        """
-        points, matrix = rows_of(points_mm, 3, "points_mm"), np.asarray(self.matrix)
-        image = points @ matrix[:, :3].T + matrix[:, 3]
-        valid = np.asarray(image[:, 2] > 0.0)
-        pixels = image[:, :2] / np.where(valid, image[:, 2], np.nan)[:, None]
-        return pixels, valid
-
-    @property
-    def center_mm(self) -> tuple[float, float, float]:
-        """The centre of projection."""
-        matrix = np.asarray(self.matrix)
-        return triple(-np.linalg.solve(matrix[:, :3], matrix[:, 3]))
-
-    def carry(self, points_mm: F64, z_mm: float) -> F64:
-        """Intersect lines of sight through points (n, 3) with the plane at `z_mm`.
-
-        Returns (n, 2).
-        """
-        way = points_mm - np.asarray(self.center_mm)
-        return np.asarray(points_mm[:, :2] + way[:, :2] / way[:, 2:] * (z_mm - points_mm[:, 2:]))
-
-    def back_project(self, pixels: npt.ArrayLike) -> Rays:
-        """Return lines of sight from the centre of projection."""
-        image, matrix = rows_of(pixels, 2, "pixels"), np.asarray(self.matrix)
-        inverse = np.linalg.inv(matrix[:, :3])
-        directions = np.column_stack([image, np.ones(len(image))]) @ inverse.T
-        directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-        return Rays(
-            np.tile(-inverse @ matrix[:, 3], (len(image), 1)),
-            directions,
-            np.isfinite(directions).all(axis=1),
-        )
-
-    def contains(self, pixels: F64, margin_px: float = 0.0) -> Bool:
-        """Mark pixels (n, 2) on the sensor, or at most `margin_px` outside."""
-        return on_sensor(self.rows, self.columns, pixels, margin_px)
 
 
 @dataclass(frozen=True)
@@ -213,70 +151,6 @@ class PlanePolynomials(_Fitted):
         return pixels, np.isfinite(pixels).all(axis=1)
 
 
-def fit_projective(name: str, rows: int, columns: int, points_mm: F64, pixels: F64) -> Projective:
-    """Fit the direct linear transform of points (n, 3) and their pixels (n, 2).
-
-    The sum of squared reprojection errors is then minimised.
-
-    Raises
-    ------
-    InputError
-        Fewer than 6 points, or points in one plane, which do not determine it.
-    """
-    (places, world), (images, image) = _normalised(points_mm), _normalised(pixels)
-    full = np.column_stack([places, np.ones(len(places))])
-    zero = np.zeros_like(full)
-    system = np.vstack(
-        [
-            np.hstack([full, zero, -images[:, :1] * full]),
-            np.hstack([zero, full, -images[:, 1:] * full]),
-        ]
-    )
-    _, values, right = np.linalg.svd(system, full_matrices=False)
-    if len(points_mm) < 6 or values[-2] < 1e-8 * values[0]:
-        raise InputError(
-            f"{name}: expected 6 points or more that are not all in one plane, got "
-            f"{len(points_mm)} that do not determine a camera"
-        )
-    start = right[-1] * np.sign(np.median(full @ right[-1][8:]))
-    matrix = np.linalg.inv(image) @ _least_squares(start, full, images).reshape(3, 4) @ world
-    return Projective(name, rows, columns, _rows(matrix / np.linalg.norm(matrix[2, :3])))
-
-
-def _normalised(points: F64) -> tuple[F64, F64]:
-    """Move and scale points to a root mean square of 1 per coordinate.
-
-    Also returns the homogeneous matrix that does it.
-    """
-    middle, scale = points.mean(axis=0), 1.0 / max(float(points.std()), 1e-300)
-    matrix = np.diag([*[scale] * points.shape[1], 1.0])
-    matrix[:-1, -1] = -scale * middle
-    return (points - middle) * scale, matrix
-
-
-def _least_squares(start: F64, full: F64, images: F64) -> F64:
-    """Refine the linear solution by Gauss and Newton's steps.
-
-    The pseudo-inverse leaves the matrix's scale unchanged.
-    """
-    entries = start / np.linalg.norm(start)
-    for _ in range(_STEPS):
-        u, v, w = (full @ entries.reshape(3, 4).T).T
-        miss = (images - np.column_stack([u, v]) / w[:, None]).T.ravel()
-        part, zero = full / w[:, None], np.zeros_like(full)
-        slope = np.vstack(
-            [
-                np.hstack([part, zero, -(u / w)[:, None] * part]),
-                np.hstack([zero, part, -(v / w)[:, None] * part]),
-            ]
-        )
-        step = np.linalg.lstsq(slope, miss, rcond=1e-12)[0]
-        entries = entries + step
-        if np.abs(step).max() < 1e-13:
-            break
-    return np.asarray(entries)
-
-
 def fit_soloff(name: str, rows: int, columns: int, points_mm: F64, pixels: F64) -> Soloff:
     """Fit the least-squares polynomial of points (n, 3) and their pixels (n, 2).
 
@@ -290,7 +164,7 @@ def fit_soloff(name: str, rows: int, columns: int, points_mm: F64, pixels: F64) 
     coefficients = _fitted(
         _cubic((points_mm - middle) / half), pixels, f"{name}: a polynomial of 19 terms"
     )
-    return Soloff(name, rows, columns, triple(middle), triple(half), _rows(coefficients.T))
+    return Soloff(name, rows, columns, triple(middle), triple(half), nested(coefficients.T))
 
 
 def fit_planes(
@@ -325,7 +199,7 @@ def fit_planes(
         triple(middle),
         triple(half),
         tuple(depths[order].tolist()),
-        _rows(np.stack(table)),
+        nested(np.stack(table)),
     )
 
 
@@ -417,7 +291,3 @@ def _meeting(camera: _Fitted) -> tuple[float, float, float]:
     return triple(
         np.linalg.lstsq(across.sum(axis=0), np.einsum("nij,nj->i", across, origin), rcond=None)[0]
     )
-
-
-def _rows(values: F64) -> Rows:
-    return tuple(tuple(row) for row in values.tolist())

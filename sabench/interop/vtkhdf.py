@@ -26,7 +26,7 @@ from sabench.utils.arrays import F64, I64
 from sabench.utils.errors import InputError
 from sabench.utils.files import complete_or_nothing
 from sabench.utils.progress import progress_bar
-from sabench.worlds.library.random_packing import shapes_of
+from sabench.worlds.library.overlaps import shapes_of
 from sabench.worlds.tracers import lattice
 
 Format = Literal["vtk"]

@@ -18,7 +18,7 @@ from sabench.simulation.rendering import (
     particles_traced,
     targets_traced,
 )
-from sabench.simulation.rendering.bubbles_traced import Lights, Tank
+from sabench.simulation.rendering.bubble_stage_builder import Lights, Tank
 from sabench.simulation.rendering.particle_images import ParticleImages, image_particles
 from sabench.simulation.rendering.pixel_truth import see
 from sabench.simulation.rendering.sensor import full_well_photons

@@ -189,14 +189,14 @@ class BubblesTask(FrameByFrame):
 
     def picture(self, data: Dataset, source: Source) -> bytes:
         """Draw the bubbles of the first frame, front and side view, as a PNG."""
-        from sabench.plotting.charts import draw
+        from sabench.plotting.drawing import draw
         from sabench.tasks.figures.bubbles import bubble_figure
 
         return draw(bubble_figure(self.read(data, source, 0), "bubbles"))
 
     def error_picture(self, data: Dataset, result: Result) -> bytes:
         """Draw the found, the missed and the false bubbles as a PNG."""
-        from sabench.plotting.charts import draw
+        from sabench.plotting.drawing import draw
         from sabench.tasks.figures.bubbles import detection_figure
 
         return draw(detection_figure(self.read(data, result, 0), data.bubbles(0)))

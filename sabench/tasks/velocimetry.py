@@ -18,7 +18,7 @@ from sabench.dataset.reader import Dataset
 from sabench.dataset.results import Result, ResultWriter
 from sabench.metrics.averages import finite_or_none
 from sabench.metrics.velocity_error import velocity_scores
-from sabench.plotting.charts import draw
+from sabench.plotting.drawing import draw
 from sabench.tasks import reconstruction
 from sabench.tasks.figures.velocity import field_figure
 from sabench.tasks.solver_call import call_solver

@@ -11,12 +11,18 @@ I64 = npt.NDArray[np.int64]
 I32 = npt.NDArray[np.int32]
 U8 = npt.NDArray[np.uint8]
 Bool = npt.NDArray[np.bool_]
+Rows = tuple[tuple[float, ...], ...]
 
 
 def triple(values: npt.ArrayLike) -> tuple[float, float, float]:
     """Return three numbers as a tuple of Python floats, for frozen values."""
     x, y, z = np.asarray(values, dtype=np.float64).tolist()
     return x, y, z
+
+
+def nested(matrix: F64) -> Rows:
+    """Return a matrix as a tuple of tuples of Python floats, for frozen values."""
+    return tuple(tuple(row) for row in matrix.tolist())
 
 
 def rows_of(values: npt.ArrayLike, width: int, what: str) -> F64:

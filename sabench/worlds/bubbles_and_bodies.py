@@ -18,7 +18,7 @@ from sabench.scenes.build import build_wall, domain_of
 from sabench.scenes.world import GeneratorTable
 from sabench.utils.arrays import I64
 from sabench.utils.errors import InputError
-from sabench.worlds.library.random_packing import overlapping, touching
+from sabench.worlds.library.overlaps import overlapping, touching
 
 _SMALL, _LARGE = (
     0.01,

@@ -22,9 +22,10 @@ import tomli_w
 
 import sabench
 from sabench.evaluation.hidden_split import read_secret
-from sabench.evaluation.suites import Suite, load_suite
+from sabench.evaluation.suite_loading import load_suite
+from sabench.evaluation.suites import Suite
 from sabench.scenes import scene_schema
-from sabench.tasks.own_calibration import Configuration
+from sabench.tasks.calibration_folder import Configuration
 from tests.docs.pages import ROOT, Block
 
 

@@ -237,7 +237,7 @@ def suite(base: Base, inputs: Path, out: Path, rng: random.Random) -> Feed:
     _write_toml(inputs / "suite.toml", SUITE, rng)
 
     def feed() -> None:
-        from sabench.evaluation.suites import load_suite
+        from sabench.evaluation.suite_loading import load_suite
 
         load_suite(inputs / "suite.toml")
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sabench.evaluation.leaderboard import page, rows
+from sabench.evaluation.leaderboard import page, page_content, page_figures, rows
 from sabench.evaluation.records import Record
 from sabench.plotting import pictures
 from sabench.tasks import NAMES
@@ -249,7 +249,7 @@ def test_pictures_beyond_the_budget_are_left_out_worst_first(
     sizes = {
         path.name: path.stat().st_size for path in (tmp_path / "pictures" / "tank-1").iterdir()
     }
-    monkeypatch.setattr(page, "_PICTURES_BYTES", sum(sizes.values()) * 4 // 3 - 1)
+    monkeypatch.setattr(page_figures, "_PICTURES_BYTES", sum(sizes.values()) * 4 // 3 - 1)
     text = page_of(
         [record("worst", 0.1, pictures="tank-1"), record("best", 0.9, pictures="tank-1")], tmp_path
     )
@@ -280,7 +280,7 @@ def test_one_command_makes_all_seeds_of_a_row_again(
         record("a", seed=seed, command=text and text.format(seed))
         for seed, text in zip((1, 2, 12), texts, strict=True)
     ]
-    assert page.commands(runs) == expected
+    assert page_content.commands(runs) == expected
 
 
 # Colours: WCAG 2.1, success criteria 1.4.3 and 1.4.11

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from sabench.evaluation.hidden_split import read_secret
-from sabench.evaluation.suites import load_suite
+from sabench.evaluation.suite_loading import load_suite
 from tests.conftest import Command
 
 SUITE = """title = "t"

@@ -24,7 +24,7 @@ from sabench.dataset.hdf5_probe import probe
 from sabench.dataset.reader import Dataset
 from sabench.dataset.schema import read_target
 from sabench.dataset.verification import verify
-from sabench.evaluation.suites import load_suite
+from sabench.evaluation.suite_loading import load_suite
 from sabench.images.tiff_exr import read_tiff
 from sabench.scenes import load_scene, parse_scene
 from sabench.utils.errors import InputError

@@ -1,10 +1,8 @@
 """Bubbles fitted to all images simultaneously.
 
-Light from behind several bubbles is dimmed by each of them. A bubble is a spheroid with its centre,
-two semi-axes (as logarithms) and two tilts of its short axis from the vertical. Its image in a
-camera is an ellipse, since a camera is almost linear over so small an object. All bubbles together
-model the images by the product of their transmissions. One bubble is fitted while the others stay,
-by Levenberg and Marquardt's method on the pixels around it in all views.
+Light from behind several bubbles is dimmed by each of them. All bubbles together model the images
+by the product of their transmissions. One bubble, a spheroid, is fitted while the others stay, by
+Levenberg and Marquardt's method on the pixels around it in all views.
 """
 
 from __future__ import annotations
@@ -17,10 +15,11 @@ import numba
 import numpy as np
 
 from sabench.algorithms.bubbles.backlit_profile import LARGEST, REACH, SMALLEST, Profile
+from sabench.algorithms.bubbles.spheroids import images_of, linearised
 from sabench.geometry.camera import Camera
 from sabench.utils.arrays import F32, F64
 
-# Parameters: x, y, z, logarithms of the long and of the short semi-axis, tilts about z and about x.
+# of the parameters of a spheroid
 _STEPS = np.array([1e-3, 1e-3, 5e-3, 1e-3, 1e-3, 2e-3, 2e-3])  # of differences
 _PRIOR = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.15, 0.15])  # weight of the tilts: a ball has none
 _DIM = 0.02  # transmission of the darkest model
@@ -39,66 +38,6 @@ class Model:
     logs: F32
     cameras: Sequence[Camera]
     profile: Profile
-
-
-def start_of(center_mm: F64, radius_mm: float, aspect: float = 1.0) -> F64:
-    """Return parameters of a ball, or of a spheroid that lies flat."""
-    return np.array([*center_mm, np.log(radius_mm), np.log(aspect * radius_mm), 0.0, 0.0])
-
-
-def turn_of(parameters: F64) -> F64:
-    """Return the rotation to a bubble's axes.
-
-    It is from the world; the second row is the short axis.
-    """
-    a, b = parameters[5], parameters[6]
-    short = np.array([np.sin(a) * np.cos(b), -np.cos(a) * np.cos(b), np.sin(b)])
-    first = np.cross(short, [0.0, 0.0, 1.0])
-    first /= np.linalg.norm(first)
-    return np.stack([first, short, np.cross(first, short)])
-
-
-def semi_axes_of(parameters: F64) -> F64:
-    """Compute the semi-axes along the rows of `turn_of`."""
-    long, short = np.exp(parameters[3]), np.exp(parameters[4])
-    return np.array([long, short, long])
-
-
-def images_of(cameras: Sequence[Camera], linear: tuple[F64, F64, F64], parameters: F64) -> F64:
-    """Compute ellipses (camera, 5) of a bubble.
-
-    Centre column and row, and the inverse of its shape matrix as xx, xy, yy.
-
-    Parameters
-    ----------
-    linear : from `linearised`: a place, its pixels (camera, 2) and their derivatives (camera, 2,
-        3).
-    """
-    place, pixels, jacobians = linear
-    turn, axes = turn_of(parameters), semi_axes_of(parameters)
-    shape = turn.T @ (axes[:, None] ** 2 * turn)
-    out = np.empty((len(cameras), 5))
-    out[:, :2] = pixels + jacobians @ (parameters[:3] - place)
-    flat = jacobians @ shape @ jacobians.transpose(0, 2, 1)
-    determinant = flat[:, 0, 0] * flat[:, 1, 1] - flat[:, 0, 1] ** 2
-    out[:, 2], out[:, 3], out[:, 4] = (
-        flat[:, 1, 1] / determinant,
-        -flat[:, 0, 1] / determinant,
-        flat[:, 0, 0] / determinant,
-    )
-    return out
-
-
-def linearised(cameras: Sequence[Camera], place: F64) -> tuple[F64, F64, F64]:
-    """Linearise every camera around a position."""
-    step = 0.05
-    points = np.concatenate([place[None], place + step * np.eye(3), place - step * np.eye(3)])
-    pixels = np.stack([camera.project(points)[0] for camera in cameras])
-    return (
-        place.copy(),
-        pixels[:, 0],
-        np.asarray((pixels[:, 1:4] - pixels[:, 4:7]).transpose(0, 2, 1) / (2.0 * step)),
-    )
 
 
 def darken(model: Model, parameters: F64, sign: float) -> None:

@@ -18,11 +18,9 @@ from sabench.algorithms.bubbles.rim_fit import (
     fit,
     gain,
     misfit,
-    semi_axes_of,
-    start_of,
-    turn_of,
     unexplained,
 )
+from sabench.algorithms.bubbles.spheroids import semi_axes_of, start_of, turn_of
 from sabench.api import Detections
 from sabench.geometry.camera import Camera
 from sabench.utils.arrays import F32, F64

@@ -21,12 +21,8 @@ from sabench.algorithms.calibration.self_calibration import (
     match_particles,
 )
 from sabench.algorithms.calibration.wall_frame import fit_similarity
-from sabench.geometry.polynomial_cameras import (
-    Projective,
-    fit_planes,
-    fit_projective,
-    fit_soloff,
-)
+from sabench.geometry.polynomial_cameras import fit_planes, fit_soloff
+from sabench.geometry.projective_camera import Projective, fit_projective
 
 __all__ = [
     "CalibrationProblem",

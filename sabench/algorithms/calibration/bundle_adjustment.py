@@ -17,7 +17,7 @@ from typing import Literal
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
-from sabench.algorithms.calibration.kernels import equations, misses
+from sabench.algorithms.calibration.normal_equations import equations, misses
 from sabench.algorithms.calibration.parameters import FreeParameters, State, steps_of
 from sabench.geometry.rigid_motion import RigidMotion
 from sabench.geometry.rotations import skew
@@ -94,7 +94,7 @@ class Anchor:
 class Normal:
     """Normal equations at a state with the anchors' part.
 
-    `kernels.equations` gives the other parts.
+    `normal_equations.equations` gives the other parts.
     """
 
     cost: float

@@ -8,7 +8,8 @@ import numpy as np
 from scipy.special import ellipe
 
 from sabench.algorithms.calibration.bundle_adjustment import BoardImages, normal_equations
-from sabench.algorithms.calibration.kernels import BOARD, spreads
+from sabench.algorithms.calibration.kernels import BOARD
+from sabench.algorithms.calibration.normal_equations import spreads
 from sabench.algorithms.calibration.parameters import FreeParameters, State
 from sabench.geometry.rotations import skew
 from sabench.utils.arrays import F64

@@ -50,7 +50,7 @@ class FreeParameters:
         return 7 + 2 * self.principal_point + len(self.distortion)
 
     def columns(self, media: int) -> tuple[I64, I64]:
-        """Index a camera's unknowns and the shared ones, as in `kernels.equations`."""
+        """Index a camera's unknowns and the shared ones, as `equations` takes them."""
         own = (
             [0, 1, 2, 3, 4, 5, 6]
             + [7, 8] * self.principal_point

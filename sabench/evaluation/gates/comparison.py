@@ -3,44 +3,32 @@
 from __future__ import annotations
 
 import contextlib
-import json
-import shutil
 import tempfile
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from sabench.dataset.reader import Dataset
+from sabench.evaluation.environment import machine, versions
 from sabench.evaluation.gates.baseline import (
-    COSTS,
     DATA,
     Baseline,
     CaseEntry,
-    Entry,
-    Finding,
     Tolerance,
-    Tolerances,
-    compare,
     default_path,
     default_tolerance,
     kind_of,
     read_baseline,
-    scaled,
-    tolerance_of,
     write_baseline,
 )
-from sabench.evaluation.gates.dataset_statistics import fingerprint
-from sabench.evaluation.gates.known_wrong_estimates import score_known_wrong
-from sabench.evaluation.runner import dataset_of, machine, solve_apart, versions
-from sabench.evaluation.suites import Case, SolverEntry, load_suite
+from sabench.evaluation.gates.findings import Finding, compare
+from sabench.evaluation.gates.measurement import drop_not_run, run_case, task_of, tasks_of
+from sabench.evaluation.suite_loading import load_suite
+from sabench.evaluation.suites import Case, SolverEntry
 from sabench.scenes import find
-from sabench.tasks.solve_and_score import score
 from sabench.utils.errors import InputError
 from sabench.utils.progress import console
 from sabench.utils.version import __version__
-
-_AGAIN = 2  # repetitions for a solver that seems to have become slower
 
 
 @dataclass(frozen=True)
@@ -152,7 +140,7 @@ def check(
                 f"case {case.name}: expected data sets by {old.renderer}, of which the baseline "
                 f"is, but here they are by {case.renderer}"
             )
-        entries.append(_run_case(case, work, old, before.tolerances if before else {}, exit_first))
+        entries.append(run_case(case, work, old, before.tolerances if before else {}, exit_first))
         found += _compared(case, old, entries[-1], before)
         if exit_first and any(finding.worse for finding in found):
             break
@@ -174,23 +162,6 @@ def check(
     )
 
 
-def names_of(solver_entries: Sequence[SolverEntry], where: str) -> dict[str, SolverEntry]:
-    """Name each solver of a case: by its label, or its name and parameters."""
-    named = {
-        (
-            one.label
-            or " ".join([one.name, *(f"{k}={json.dumps(v)}" for k, v in one.parameters.items())])
-        ): one
-        for one in solver_entries
-    }
-    if len(named) < len(solver_entries):
-        raise InputError(
-            f"{where}: solvers: expected names, parameters or labels that differ, got "
-            f"{len(solver_entries)} of which {len(named)} do"
-        )
-    return named
-
-
 def _chosen(cases: Sequence[Case], solvers: Sequence[SolverEntry]) -> list[Case]:
     """Select the cases that have solvers of the given solvers' tasks.
 
@@ -203,142 +174,18 @@ def _chosen(cases: Sequence[Case], solvers: Sequence[SolverEntry]) -> list[Case]
         replace(
             case,
             solvers=tuple(
-                one
-                for one in solvers
-                if _task_of(one) in {_task_of(other) for other in case.solvers}
+                one for one in solvers if task_of(one) in {task_of(other) for other in case.solvers}
             ),
         )
         for case in cases
     ]
     if not any(case.solvers for case in own):
-        known = ", ".join(sorted({_task_of(one) for one in solvers}))
+        known = ", ".join(sorted({task_of(one) for one in solvers}))
         raise InputError(
             "solvers: expected some that the suite has cases for, got only some of the task "
             f"{known}, of which it has none"
         )
     return [case for case in own if case.solvers]
-
-
-def _task_of(solver_entry: SolverEntry) -> str:
-    return solver_entry.describe()[1]
-
-
-def _run_case(
-    case: Case, work: Path, old: CaseEntry | None, tolerances: Tolerances, exit_first: bool
-) -> CaseEntry:
-    """Make a data set, measure its statistics, and solve and score it.
-
-    With `exit_first` it stops as soon as something is worse.
-    """
-    data = dataset_of(case, work, fresh=True)
-    out = work / "results" / f"{case.folder(work).name}.h5"
-    now = CaseEntry(
-        case=case.name,
-        seed=case.seed,
-        renderer=case.renderer,
-        scene_hash=case.scene.hash,
-        data={},
-        solvers={},
-    )
-    now = now.model_copy(update={"data": {**fingerprint(data), **score_known_wrong(data, out)}})
-    for name, solver_entry in names_of(case.solvers, f"case {case.name}").items():
-        if (
-            exit_first
-            and old
-            and any(
-                finding.worse
-                for finding in compare(_ran(old, now), now, _tasks_of(case), tolerances)
-            )
-        ):
-            break
-        entry = _solved_again(
-            data, solver_entry, out, old.solvers.get(name) if old else None, tolerances
-        )
-        now = now.model_copy(update={"solvers": {**now.solvers, name: entry}})
-    shutil.rmtree(data.root)
-    out.unlink(missing_ok=True)
-    return now
-
-
-def _ran(old: CaseEntry, now: CaseEntry) -> CaseEntry:
-    """Remove the solvers that have not run now from the old entry."""
-    return old.model_copy(
-        update={
-            "solvers": {name: entry for name, entry in old.solvers.items() if name in now.solvers}
-        }
-    )
-
-
-def _tasks_of(case: Case) -> dict[str, str]:
-    return {
-        name: _task_of(solver_entry)
-        for name, solver_entry in names_of(case.solvers, f"case {case.name}").items()
-    }
-
-
-def _solved_again(
-    data: Dataset,
-    solver_entry: SolverEntry,
-    out: Path,
-    earlier: Entry | None,
-    tolerances: Tolerances,
-) -> Entry:
-    """Solve and score; repeat where time or memory seem to have grown."""
-    entry = _solved(data, solver_entry, out)
-    for _ in range(_AGAIN):
-        if earlier is None or not _exceeds_tolerance(
-            earlier, entry, tolerances, _task_of(solver_entry)
-        ):
-            break
-        entry = _cheaper(entry, _solved(data, solver_entry, out))
-    return entry
-
-
-def _solved(data: Dataset, solver_entry: SolverEntry, out: Path) -> Entry:
-    try:
-        # like the reference kernel; other processes slow threads down most
-        reference_s = solve_apart(solver_entry, data, out, threads=1)
-        scores = score(data, out)
-    except InputError as error:
-        return Entry(error=str(error))
-    kept = {
-        key: value
-        for key, value in scores.items()
-        if value is None or (isinstance(value, int | float) and not isinstance(value, bool))
-    }
-    return Entry(figures=kept, reference_s=reference_s)
-
-
-def _exceeds_tolerance(earlier: Entry, entry: Entry, tolerances: Tolerances, task: str) -> bool:
-    """Decide whether time or memory would fail the gate.
-
-    The reason may be another process, or machine code that was compiled for the first time.
-    """
-    now = scaled(entry, earlier).figures
-    pairs = [
-        (key, old, new)
-        for key in COSTS
-        if (old := earlier.figures.get(key)) is not None and (new := now.get(key)) is not None
-    ]
-    return any(
-        new - old > tolerance_of(tolerances, task, key).allowed(old) for key, old, new in pairs
-    )
-
-
-def _cheaper(one: Entry, other: Entry) -> Entry:
-    """Combine the second run with the least time and memory of both runs.
-
-    Times are scaled by the reference kernel.
-    """
-    if other.error or one.error:
-        return other if other.error else one
-    here = scaled(one, other)
-    least = {
-        key: min(a, b)
-        for key in COSTS
-        if (a := here.figures.get(key)) is not None and (b := other.figures.get(key)) is not None
-    }
-    return other.model_copy(update={"figures": other.figures | least})
 
 
 def _compared(
@@ -371,7 +218,7 @@ def _compared(
         )
     cut_short = len(now.solvers) < len(case.solvers)
     yield from compare(
-        _ran(old, now) if cut_short else old, now, _tasks_of(case), before.tolerances
+        drop_not_run(old, now) if cut_short else old, now, tasks_of(case), before.tolerances
     )
 
 
@@ -403,7 +250,7 @@ def _tolerances(
         DATA: {kind_of(DATA, figure) for entry in entries for figure in entry.data}
     }
     for case, entry in zip(cases, entries, strict=False):
-        for name, task in _tasks_of(case).items():
+        for name, task in tasks_of(case).items():
             named.setdefault(task, set()).update(
                 entry.solvers[name].figures if name in entry.solvers else ()
             )

@@ -7,7 +7,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 from xml.etree import ElementTree
 
-from sabench.evaluation.gates.baseline import DATA, CaseEntry, Finding
+from sabench.evaluation.gates.baseline import DATA, CaseEntry
+from sabench.evaluation.gates.findings import Finding
 from sabench.utils.files import complete_or_nothing
 
 if TYPE_CHECKING:

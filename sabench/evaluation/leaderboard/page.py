@@ -9,32 +9,19 @@ import base64
 import hashlib
 import json
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from functools import cache
-from itertools import groupby
 from pathlib import Path
 from typing import Any
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
-from scipy.special import stdtrit
 
-from sabench import plugins, tasks
-from sabench.evaluation.records import Record, key_of
-from sabench.tasks.task import Task
-from sabench.utils.confidence import CONFIDENCE, Mean
-from sabench.utils.files import LONGEST_PART, inside
+from sabench import plugins
+from sabench.evaluation.leaderboard.page_content import cases_of, content_of
+from sabench.evaluation.leaderboard.page_figures import albums_of
+from sabench.evaluation.records import Record
 
 _SCRIPTS = ("base", "state", "rows", "table", "plots", "case", "main")
-_CASE = ("task", "case", "scene_hash", "renderer", "split")
-_ENTRY = (*_CASE, "solver", "parameters", "machine", "submission")
-# degrees of freedom whose Student's quantile the page has; beyond them the last one is a little
-# too wide
-_DEGREES = 100
-# digits of every score on the page: more than any table shows, to keep small differences of pairs
-# correct
-_DIGITS = 9
-# of the figures on the page; the best of every case come first, and those beyond are left out
-_PICTURES_BYTES = 80_000_000
 
 
 def render(rows: Sequence[Record], pictures: Path) -> str:
@@ -47,24 +34,9 @@ def render(rows: Sequence[Record], pictures: Path) -> str:
     InputError
         A record whose pictures would lie outside `pictures`.
     """
-    shown = sorted(rows, key=_order)
-    cases = [list(group) for _, group in groupby(shown, lambda row: key_of(row, _CASE))]
-    places = [number for number, case in enumerate(cases) for _ in case]
-    albums, left_out = _albums(shown, places, pictures)
-    pool = _Pool()
-    data = {
-        "tasks": {
-            task.name: _task(task)
-            for task in tasks.every()
-            if any(row["task"] == task.name for row in shown)
-        },
-        "cases": [_case(case) for case in cases],
-        "rows": [_row(row, case, pool) for row, case in zip(shown, places, strict=True)],
-        "texts": pool.texts,
-        "quantiles": _quantiles(),
-        "leftOut": left_out,
-    }
-    return _assembled(data, albums)
+    cases = cases_of(rows)
+    albums, left_out = albums_of(cases, pictures)
+    return _assembled(content_of(cases) | {"leftOut": left_out}, albums)
 
 
 def _assembled(data: dict[str, Any], albums: dict[int, dict[str, str]]) -> str:
@@ -113,246 +85,3 @@ def _hash(text: str) -> str:
 def _data(value: Any) -> str:
     """Serialise as JSON in which no markup can begin."""
     return json.dumps(value, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
-
-
-class _Pool:
-    """Texts that many rows share, referred to by their index."""
-
-    def __init__(self) -> None:
-        self._places: dict[str, int] = {}
-
-    def __call__(self, text: object) -> int:
-        return self._places.setdefault(str(text), len(self._places))
-
-    @property
-    def texts(self) -> list[str]:
-        return list(self._places)
-
-
-def _order(row: Record) -> tuple[Any, ...]:
-    """Compute the sorting key of a row: task, case, rank within the case.
-
-    Tasks are in their fixed order, cases by name with numbers as numbers.
-    """
-    rest = (row["case"], row["scene_hash"], row["renderer"], row["split"])
-    return (
-        tasks.NAMES.index(row["task"]),
-        _natural(row["case"]),
-        rest,
-        _rank(row),
-        key_of(row, _ENTRY),
-    )
-
-
-def _natural(name: str) -> list[tuple[float, str]]:
-    parts = re.split(r"(\d+(?:\.\d+)?)", name)
-    return [(float(part), "") if number % 2 else (-1.0, part) for number, part in enumerate(parts)]
-
-
-def _rank(row: Record) -> tuple[bool, bool, float]:
-    """Compute the rank key: best first score, then rows without it, then errors."""
-    score = tasks.of(row["task"]).columns[0]
-    first: Mean | None = row[score.key]
-    sign = -1.0 if score.better == "larger" else 1.0
-    return bool(row["error"]), first is None, sign * first.mean if first else 0.0
-
-
-def _task(task: Task) -> dict[str, Any]:
-    """Describe a task for the page: its columns and the captions of its figures."""
-    columns = [
-        {
-            "key": one.key,
-            "heading": one.heading,
-            "decimals": one.decimals,
-            "meaning": one.meaning,
-        }
-        for one in task.columns
-    ]
-    captions = task.captions
-    pictured = {
-        "heading": captions.heading,
-        "text": captions.estimates,
-        "wide": captions.wide,
-        "cameras": captions.cameras,
-        "errors": captions.errors,
-    }
-    larger = task.columns[0].better == "larger"
-    return {"columns": columns, "larger": larger, "pictured": pictured}
-
-
-def _case(rows: Sequence[Record]) -> dict[str, Any]:
-    """Describe a case for the page; older records lack some of the values."""
-    first = rows[0]
-    hidden = "-hidden" if first["split"] == "hidden" else ""
-    details = {
-        name: next((row[name] for row in rows if row.get(name)), None)
-        for name in ("suite", "difficulty", "axis", "axes")
-    }
-    head = {name: first[name] for name in ("task", "scene", "renderer", "split")}
-    tag = f"{first['case']}-{first['scene_hash'][:8]}-{first['renderer']}{hidden}"
-    return {
-        **head,
-        **details,
-        "axes": text_of(details["axes"] or {}),
-        "id": tag,
-        "name": first["case"],
-        "hash": first["scene_hash"],
-    }
-
-
-def _row(row: Record, case: int, pool: _Pool) -> dict[str, Any]:
-    """Make one line of the table; shared texts are indices into the pool."""
-    runs: list[Record] = row["runs"]
-    keys = [score.key for score in tasks.of(row["task"]).columns]
-    several = len(runs) > 1
-    reference = [run["reference_s"] for run in runs if run.get("reference_s")]
-    return {
-        "id": hashlib.sha256(key_of(row, _ENTRY).encode()).hexdigest()[:10],
-        "case": case,
-        "solver": pool(row.get("label") or row["solver"]),
-        "name": pool(row["solver"]),
-        "parameters": pool(text_of(row["parameters"])),
-        "machine": pool(
-            ", ".join(
-                str(row["machine"][key]) for key in ("cpu", "backend") if row["machine"].get(key)
-            )
-        ),
-        "machineAll": pool(text_of(row["machine"])),
-        "versions": pool(text_of(row["versions"])),
-        "submission": row.get("submission"),
-        "commands": [pool(text) for text in commands(runs)],
-        "seeds": [run["seed"] for run in runs],
-        "datasets": [pool(run["dataset"]) for run in runs],
-        "runs": [run["run_hash"] for run in runs],
-        "codes": [
-            pool(text)
-            for text in dict.fromkeys(run["code_hash"] for run in runs if run.get("code_hash"))
-        ],
-        "reference": short(sum(reference) / len(reference)) if reference else None,
-        "scores": [_pair(row[key]) for key in keys],
-        "values": [[None if run[key] is None else short(run[key]) for run in runs] for key in keys]
-        if several
-        else None,
-        "error": row["error"],
-        "declined": bool(row["error"])
-        and all(run.get("declined") for run in runs if run.get("error")),
-    }
-
-
-def commands(runs: Sequence[Record]) -> list[str]:
-    """List the commands that reproduce a row.
-
-    It is one command with all seeds if the commands differ in the seed alone, else one for each
-    seed.
-    """
-    known = [run for run in runs if run.get("command")]
-    plain = {
-        re.sub(rf"--seed {run['seed']}(?= |$)", "--seed", run["command"], count=1) for run in known
-    }
-    if len(plain) == 1:
-        return [
-            re.sub(
-                r"--seed(?= |$)",
-                " ".join(f"--seed {run['seed']}" for run in known),
-                plain.pop(),
-                count=1,
-            )
-        ]
-    return list(dict.fromkeys(run["command"] for run in known))
-
-
-def _pair(score: Mean | None) -> list[float] | None:
-    """Return a mean with its half width, if there is one."""
-    if score is None:
-        return None
-    return (
-        [short(score.mean)]
-        if score.half_width is None
-        else [short(score.mean), short(score.half_width)]
-    )
-
-
-def short(value: float) -> float:
-    """Round a number to the digits that the page may show."""
-    return float(f"{value:.{_DIGITS}g}")
-
-
-def text_of(values: Record) -> str:
-    """Format values as `key value, key value`, strings without quotes."""
-    return ", ".join(
-        f"{key} {value if isinstance(value, str) else json.dumps(value)}"
-        for key, value in values.items()
-    )
-
-
-def _quantiles() -> list[float]:
-    """Compute Student's quantiles for 1, 2, ... degrees of freedom.
-
-    The page uses them for intervals of differences, as `sabench.utils.confidence` does.
-    """
-    return [
-        short(float(stdtrit(degree, (1.0 + CONFIDENCE) / 2.0))) for degree in range(1, _DEGREES + 1)
-    ]
-
-
-def _albums(
-    rows: Sequence[Record], places: Sequence[int], pictures: Path
-) -> tuple[dict[int, dict[str, str]], int]:
-    """Encode the figures of every case in base 64, by their names.
-
-    Returns also the number of figures that did not fit into the page.
-    """
-    albums: dict[int, dict[str, str]] = {}
-    room, left_out = _PICTURES_BYTES, 0
-    for _, place, name, path in sorted(_pictures(rows, places, pictures)):
-        if name in albums.get(place, {}):
-            continue
-        size = path.stat().st_size * 4 // 3
-        if size > room:
-            left_out += 1
-            continue
-        room -= size
-        albums.setdefault(place, {})[name] = base64.b64encode(path.read_bytes()).decode()
-    return albums, left_out
-
-
-def _pictures(
-    rows: Sequence[Record], places: Sequence[int], pictures: Path
-) -> Iterator[tuple[int, int, str, Path]]:
-    """List every figure that is there.
-
-    It has its rank within the case, the index of the case, its name and its path.
-    """
-    seen: dict[int, int] = {}
-    for number, (row, place) in enumerate(zip(rows, places, strict=True)):
-        run = next((run for run in row["runs"] if run.get("pictures")), None)
-        if run is None:
-            continue
-        rank = seen[place] = seen.get(place, 0) + 1
-        stem = f"{run['solver']}-{run['run_hash'][:8]}"
-        wanted = [(0, "images", "images.png")] + (
-            [(0, "truth", "truth.png")] if tasks.of(row["task"]).captions.truth else []
-        )
-        # a failed run may have left a figure of an earlier success, which is not this record's
-        if not run.get("error"):
-            wanted += [
-                (rank, f"row{number}", f"{stem}.png"),
-                (rank, f"error{number}", f"{stem}.error.png"),
-            ]
-        for order, name, file in wanted:
-            path = _there(pictures, f"{run['pictures']}/{file}")
-            if path:
-                yield order, place, name, path
-
-
-def _there(pictures: Path, name: str) -> Path | None:
-    """Find the figure of this name.
-
-    None where there is none, or where the name is too long for a disk.
-    """
-    if "\0" in name or any(
-        len(part.encode("utf-8", "replace")) > LONGEST_PART for part in Path(name).parts
-    ):
-        return None
-    path = inside(pictures, name)
-    return path if path.is_file() else None

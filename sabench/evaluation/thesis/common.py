@@ -12,7 +12,8 @@ from sabench.algorithms.refocus import refocus_sum
 from sabench.algorithms.refocus.thresholding import auto_k, extract, occupancy
 from sabench.api import Observation
 from sabench.api.truth import Particles
-from sabench.evaluation.suites import Case, load_suite, override
+from sabench.evaluation.suite_loading import load_suite, override
+from sabench.evaluation.suites import Case
 from sabench.evaluation.thesis.best_threshold import quality_of_k
 from sabench.evaluation.thesis.published import published_volume
 from sabench.geometry.grid import Grid

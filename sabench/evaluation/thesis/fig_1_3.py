@@ -9,7 +9,7 @@ import numpy as np
 
 from sabench.api import Code, Observation
 from sabench.api.make import make_algorithm
-from sabench.evaluation.suites import override
+from sabench.evaluation.suite_loading import override
 from sabench.evaluation.thesis.chapter_5 import render_first_frame
 from sabench.evaluation.thesis.common import Item, claim, coarsen, make_row
 from sabench.metrics.code_reading import read_volume, reading, single_views

@@ -13,7 +13,7 @@ import numpy as np
 
 from sabench.api import Calibration
 from sabench.api.make import make_algorithm, make_solver
-from sabench.evaluation.suites import load_suite
+from sabench.evaluation.suite_loading import load_suite
 from sabench.evaluation.thesis.chapter_4 import Board, draw, places_of, solve_case
 from sabench.evaluation.thesis.common import Row, claim, make_row
 from sabench.geometry.camera_model import CameraModel

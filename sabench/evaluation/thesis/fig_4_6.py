@@ -12,7 +12,8 @@ import numpy as np
 from sabench.evaluation.thesis.chapter_4 import scene_at
 from sabench.evaluation.thesis.common import Row, claim, make_row
 from sabench.geometry.camera_model import CameraModel
-from sabench.geometry.polynomial_cameras import fit_planes, fit_projective, fit_soloff
+from sabench.geometry.polynomial_cameras import fit_planes, fit_soloff
+from sabench.geometry.projective_camera import fit_projective
 from sabench.scenes import build_rig
 from sabench.utils.arrays import F64
 

@@ -5,8 +5,7 @@ Import this module only after sabench.utils.backend.mitsuba(), as `camera_rays`.
 Bubbles are primitives of one `ellipsoids` shape. Mitsuba says which one a ray enters; where it
 leaves again, and the normals, follow from the ellipsoid's equation, so that spheroids are exact and
 thousands need no triangles. At every surface a ray is either reflected or refracted, with Fresnel's
-probability. The tank's walls are plane: rays cross them by Snell's and Fresnel's laws without a
-search. Radiance is carried as L / n^2, which no interface changes but by what it reflects.
+probability. Radiance is carried as L / n^2, which no interface changes but by what it reflects.
 """
 
 from __future__ import annotations
@@ -19,10 +18,11 @@ import mitsuba as mi
 import numpy as np
 
 from sabench.geometry.camera import Camera
-from sabench.geometry.occluders import Disc
+from sabench.simulation.rendering.bubble_stage import Stage
 from sabench.simulation.rendering.camera_rays import WAVEFRONT, lens_rays, mark_unobstructed, opaque
 from sabench.simulation.rendering.lamps import Lamps
 from sabench.simulation.rendering.particle_integrator import Cloud
+from sabench.simulation.rendering.tank_walls import enter, layers_of, leave, panel_of
 from sabench.utils.arrays import F32, F64, I64
 
 _EVENTS, _GLOWING = 64, 4096  # surfaces, and glowing balls, that a ray meets at most
@@ -58,63 +58,6 @@ _PRIMES = (
 # numbers of a ray's position in its pixel and on the lens; events at surfaces take those that
 # follow
 _FIRST = 4
-
-
-@dataclass(frozen=True)
-class Stack:
-    """Plane layers between the fluid and the air, in the order light leaves.
-
-    Attributes
-    ----------
-    faces_mm : (m,) positions of the interfaces along the wall's normal, in the frame of the render.
-    indices : (m + 1,) refractive indices, the fluid's first.
-    """
-
-    faces_mm: F64
-    indices: F64
-
-
-@dataclass(frozen=True)
-class Panel:
-    """Diffuser: centre in the frame of the render, half edges (2, 3), radiance."""
-
-    center: F64
-    edges: F64
-    radiance: float
-
-
-@dataclass(frozen=True)
-class Stage:
-    """Everything that light meets, in the frame of the render.
-
-    Attributes
-    ----------
-    scene : Mitsuba's, with a shape for the bubbles (`bubbles`), one for glowing balls (`balls`) and
-        the bodies; any may be missing.
-    opaque_scene : Mitsuba's, of the bodies that throw shadows alone; None without lamps.
-    centers, to_ball : of the bubbles (n, 3), (n, 3, 3), as in `world.Bubbles`.
-    eta : refractive index in the bubbles over the fluid's; fluid : the fluid's over the air's.
-    normal : of the walls, from the cameras into the tank; front, rear None: no wall there.
-    reach : radius of a ball around the frame's origin that holds all of it.
-    """
-
-    scene: Any
-    centers: F64
-    to_ball: F64
-    eta: float
-    fluid: float
-    normal: F64
-    front: Stack | None
-    rear: Stack | None
-    panel: Panel | None
-    reach: float
-    bubbles: Any = None
-    balls: Any = None
-    cloud: Cloud | None = None
-    lamps: Lamps | None = None
-    opaque_scene: Any = None
-    bodies: bool = False
-    occluders: tuple[Disc, ...] = ()
 
 
 def radiance(
@@ -182,8 +125,8 @@ class _Device:
         ]
         self.eta = dr.opaque(mi.Float, stage.eta)
         self.normal = opaque(stage.normal)
-        self.front, self.rear = (_layers(stack) for stack in (stage.front, stage.rear))
-        self.panel = _panel(stage.panel)
+        self.front, self.rear = (layers_of(stack) for stack in (stage.front, stage.rear))
+        self.panel = panel_of(stage.panel)
         self.bubbles = mi.ShapePtr(stage.bubbles) if stage.bubbles is not None else None
         self.balls = mi.ShapePtr(stage.balls) if stage.balls is not None else None
         self.cloud = _cloud(stage.cloud)
@@ -195,38 +138,6 @@ class _Device:
         self.ambient = dr.opaque(mi.Float, lamps.ambient)
         self.inverse_square = dr.opaque(mi.Float, 1.0 / stage.fluid**2)
         self.reach = dr.opaque(mi.Float, stage.reach)
-
-
-def _layers(stack: Stack | None) -> list[tuple[Any, Any, Any]] | None:
-    """List position and index ratios, after over before and inverse, of each face."""
-    if stack is None:
-        return None
-    indices = stack.indices.tolist()
-    return [
-        (
-            dr.opaque(mi.Float, face),
-            dr.opaque(mi.Float, after / before),
-            dr.opaque(mi.Float, before / after),
-        )
-        for face, before, after in zip(
-            stack.faces_mm.tolist(), indices[:-1], indices[1:], strict=True
-        )
-    ]
-
-
-def _panel(panel: Panel | None) -> tuple[Any, ...] | None:
-    if panel is None:
-        return None
-    across, along = panel.edges
-    lengths = [float(np.dot(edge, edge)) for edge in (across, along)]
-    normal = np.cross(across, along)
-    return (
-        opaque(panel.center),
-        opaque(across / lengths[0]),
-        opaque(along / lengths[1]),
-        opaque(normal / np.linalg.norm(normal)),
-        dr.opaque(mi.Float, panel.radiance),
-    )
 
 
 def _cloud(cloud: Cloud | None) -> tuple[Any, ...] | None:
@@ -254,81 +165,11 @@ def _rays(camera: Camera, origin: F64, pixel: Any, draw: _Draw, pinhole: bool) -
     return lens_rays(camera, origin, across, down, (radius * cosine, radius * sine))
 
 
-def _cross(position: Any, direction: Any, normal: Any, layers: Any) -> tuple[Any, Any, Any]:
-    """Cross plane layers: new positions, directions, and the transmitted share."""
-    passed = mi.Float(1.0)
-    for face, after_over_before, before_over_after in layers:
-        along = dr.dot(direction, normal)
-        position = dr.fma(direction, (face - dr.dot(position, normal)) / along, position)
-        cosine = dr.abs(along)
-        reflected, _, _, _ = mi.fresnel(cosine, after_over_before)
-        passed *= 1.0 - reflected
-        across = (direction - along * normal) * before_over_after
-        square = dr.maximum(1.0 - dr.squared_norm(across), 0.0)
-        direction = across + dr.copysign(dr.sqrt(square), along) * normal
-    return position, direction, passed
-
-
-def _enter(device: Any, ray: Any) -> tuple[Any, Any]:
-    """Move camera rays behind the front wall; also the share of light it passes."""
-    if device.front is None:
-        return ray, mi.Float(1.0)
-    inwards = [(face, before, after) for face, after, before in reversed(device.front)]
-    position, direction, passed = _cross(ray.o, ray.d, device.normal, inwards)
-    return mi.Ray3f(position, dr.normalize(direction)), passed
-
-
-def _panel_radiance(device: Any, position: Any, direction: Any) -> Any:
-    """Compute radiance of the diffuser along rays in the air."""
-    if device.panel is None:
-        return mi.Float(0.0)
-    center, across, along, normal, bright = device.panel
-    distance = dr.dot(center - position, normal) / dr.dot(direction, normal)
-    offset = dr.fma(direction, distance, position) - center
-    on = (
-        (distance > 0.0)
-        & (dr.abs(dr.dot(offset, across)) <= 1.0)
-        & (dr.abs(dr.dot(offset, along)) <= 1.0)
-    )
-    return dr.select(on, bright, 0.0)
-
-
-def _leave(device: Any, ray: Any) -> tuple[Any, Any, Any]:
-    """Compute light that rays gather at the walls.
-
-    Returns the radiance that comes in along them, the share that a wall reflects, and the position
-    of that reflection.
-    """
-    if device.front is None:
-        return _panel_radiance(device, ray.o, ray.d), mi.Float(0.0), ray.o
-    along = dr.dot(ray.d, device.normal)
-    back = along > 0.0
-    _, _, out_in_front = _cross(ray.o, ray.d, device.normal, device.front)
-    if device.rear is None:
-        position, direction, out_behind, behind = (
-            ray.o,
-            ray.d,
-            mi.Float(1.0),
-            mi.Float(device.front[0][0]),
-        )
-    else:
-        position, direction, out_behind = _cross(ray.o, ray.d, device.normal, device.rear)
-        behind = device.rear[0][0]
-    face = dr.select(back, behind, device.front[0][0])
-    here = dr.fma(ray.d, (face - dr.dot(ray.o, device.normal)) / along, ray.o)
-    passed = dr.select(back, out_behind, out_in_front)
-    seen = dr.select(
-        back & (out_behind > 0.0), out_behind * _panel_radiance(device, position, direction), 0.0
-    )
-    near = dr.squared_norm(here) < (50.0 * device.reach) * (50.0 * device.reach)
-    return seen, dr.select(near, 1.0 - passed, 0.0), here
-
-
 @dr.syntax
 def _trace(device: Any, ray: Any, draw: Any, free: Any) -> Any:
     """Trace the radiance along `free` rays from the lens."""
     table = draw.table()
-    ray, weight = _enter(device, ray)
+    ray, weight = enter(device, ray)
     ahead = -dr.dot(ray.o, ray.d) - device.reach
     ray.o = dr.select(ahead > 0.0, dr.fma(ray.d, ahead, ray.o), ray.o)
     result = mi.Float(0.0)
@@ -361,7 +202,7 @@ def _trace(device: Any, ray: Any, draw: Any, free: Any) -> Any:
         )
         # walls, and what is behind them
         out = active & ~surface & ~ball & ~body
-        seen, sent_back, wall = _leave(device, ray)
+        seen, sent_back, wall = leave(device, ray)
         result += dr.select(out, weight * seen, 0.0)
         mirrored = out & (draw.number(table, _FIRST + 2 * events) < sent_back)
         along = dr.dot(ray.d, device.normal)

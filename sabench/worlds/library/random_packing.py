@@ -1,8 +1,7 @@
-"""Random packing of ellipsoids without overlap, and search for overlaps.
+"""Random packing of ellipsoids without overlap.
 
 A grid whose cells are as wide as the largest bubble holds the bubbles that are already there; a new
-one is tried against those of 27 cells. Overlap of two ellipsoids is tested exactly, by the contact
-function of Perram and Wertheim (J. Comput. Phys. 58, 409, 1985).
+one is tried against those of 27 cells.
 """
 
 from __future__ import annotations
@@ -13,20 +12,11 @@ from typing import Any
 import numba
 import numpy as np
 
-from sabench.api.truth import Bubbles, Solid
-from sabench.utils.arrays import F64, I64, Bool
+from sabench.utils.arrays import F64, I64
 from sabench.utils.errors import InputError
+from sabench.worlds.library.overlaps import contact_factor, shapes_of
 
 _TRIES, _ROUNDS = 64, 200  # places that are tried for each bubble at a time, and how often
-_STEPS = 40  # of the golden section: to 4e-9
-
-
-def shapes_of(semi_axes_mm: F64, turn: F64) -> F64:
-    """Compute matrices whose inverses are the ellipsoids' quadratic forms.
-
-    (n, 3, 3).
-    """
-    return np.asarray(np.einsum("nki,nk,nkj->nij", turn, semi_axes_mm**2, turn))
 
 
 def place(semi_axes_mm: F64, turn: F64, propose: Callable[[I64, int], F64], what: str) -> F64:
@@ -74,173 +64,6 @@ def place(semi_axes_mm: F64, turn: F64, propose: Callable[[I64, int], F64], what
         f"{what}: expected room for {count} bubbles, but for {len(left)} of them none was found: "
         "ask for fewer, smaller ones or overlap"
     )
-
-
-def overlapping(bubbles: Bubbles) -> I64:
-    """Find pairs (k, 2) of overlapping bubbles, the larger one first."""
-    from scipy.spatial import cKDTree
-
-    if len(bubbles) < 2:
-        return np.zeros((0, 2), dtype=np.int64)
-    largest = bubbles.semi_axes_mm.max(axis=1)
-    tree = cKDTree(bubbles.center_mm)
-    pairs = tree.query_pairs(2.0 * float(np.median(largest)), output_type="ndarray").tolist()
-    for i in np.flatnonzero(
-        largest > np.median(largest)
-    ):  # large ones reach further than the median's pairs
-        pairs.extend(
-            (i, j)
-            for j in tree.query_ball_point(bubbles.center_mm[i], largest[i] + largest.max())
-            if j != i
-        )
-    both = np.unique(np.sort(np.array(pairs, dtype=np.int64).reshape(-1, 2), axis=1), axis=0)
-    shapes = shapes_of(bubbles.semi_axes_mm, bubbles.turn)
-    apart = contact(
-        bubbles.center_mm[both[:, 0]],
-        shapes[both[:, 0]],
-        bubbles.center_mm[both[:, 1]],
-        shapes[both[:, 1]],
-    )
-    close = both[apart < 1.0 - 1e-9]
-    return np.where((largest[close[:, 0]] >= largest[close[:, 1]])[:, None], close, close[:, ::-1])
-
-
-def touching(bubbles: Bubbles, solid: Solid) -> Bool:
-    """Find which bubbles (n,) a body's surface crosses.
-
-    A bubble that lies wholly inside is not among them.
-    """
-    out = np.zeros(len(bubbles), dtype=np.bool_)
-    _touch(
-        bubbles.center_mm,
-        bubbles.to_ball,
-        bubbles.semi_axes_mm.max(axis=1),
-        solid.vertices_mm,
-        solid.faces,
-        out,
-    )
-    return out
-
-
-@numba.njit(cache=True, error_model="numpy")
-def _touch(centers: Any, to_ball: Any, reach: Any, vertices: Any, faces: Any, out: Any) -> None:
-    """Mark bubbles that a triangle touches.
-
-    Where the bubble is a unit ball, the triangle then comes nearer than 1 to the origin.
-    """
-    corners = np.empty((3, 3))
-    for n in range(len(centers)):
-        for f in range(len(faces)):
-            away = False
-            for axis in range(3):
-                a, b, c = (
-                    vertices[faces[f, 0], axis],
-                    vertices[faces[f, 1], axis],
-                    vertices[faces[f, 2], axis],
-                )
-                away |= (
-                    max(a, b, c) < centers[n, axis] - reach[n]
-                    or min(a, b, c) > centers[n, axis] + reach[n]
-                )
-            if away:
-                continue
-            for k in range(3):
-                for i in range(3):
-                    corners[k, i] = 0.0
-                    for j in range(3):
-                        corners[k, i] += to_ball[n, i, j] * (
-                            vertices[faces[f, k], j] - centers[n, j]
-                        )
-            if _nearest(corners) < 1.0:
-                out[n] = True
-                break
-
-
-@numba.njit(cache=True, error_model="numpy")
-def _nearest(t: Any) -> Any:
-    """Compute the squared distance of a triangle (3, 3) from the origin."""
-    best = np.inf
-    u, v = t[1] - t[0], t[2] - t[0]
-    uu, vv, uv = np.dot(u, u), np.dot(v, v), np.dot(u, v)
-    pu, pv = -np.dot(t[0], u), -np.dot(t[0], v)
-    determinant = uu * vv - uv * uv
-    if determinant > 0.0:
-        a, b = (vv * pu - uv * pv) / determinant, (uu * pv - uv * pu) / determinant
-        if a >= 0.0 and b >= 0.0 and a + b <= 1.0:
-            foot = t[0] + a * u + b * v
-            return np.dot(foot, foot)
-    for k in range(3):
-        start, edge = t[k], t[(k + 1) % 3] - t[k]
-        length = np.dot(edge, edge)
-        part = min(max(-np.dot(start, edge) / length, 0.0), 1.0) if length > 0.0 else 0.0
-        foot = start + part * edge
-        best = min(best, np.dot(foot, foot))
-    return best
-
-
-def contact(one: F64, first: F64, other: F64, second: F64) -> F64:
-    """Compute the squared factor (n,) by which two ellipsoids must grow to touch.
-
-    They grow about their centres; below 1 they overlap.
-
-    Parameters
-    ----------
-    one, other : centres (n, 3).
-    first, second : shape matrices (n, 3, 3), as from `shapes_of`.
-    """
-    out = np.empty(len(one))
-    _contacts(one, first, other, second, out)
-    return out
-
-
-@numba.njit(cache=True, error_model="numpy")
-def _contacts(one: Any, first: Any, other: Any, second: Any, out: Any) -> None:
-    for n in range(len(out)):
-        out[n] = _contact(one[n], first[n], other[n], second[n])
-
-
-@numba.njit(cache=True, error_model="numpy")
-def _contact(one: Any, first: Any, other: Any, second: Any) -> Any:
-    """Maximise the contact function over x from 0 to 1.
-
-    It is x (1 - x) r' ((1 - x) A + x B)^-1 r, which is concave in x.
-    """
-    ratio = 0.6180339887498949
-    low, high = 0.0, 1.0
-    a, b = high - ratio, ratio
-    fa, fb = _at(a, one, first, other, second), _at(b, one, first, other, second)
-    for _ in range(_STEPS):
-        if fa < fb:
-            low, a, fa = a, b, fb
-            b = low + ratio * (high - low)
-            fb = _at(b, one, first, other, second)
-        else:
-            high, b, fb = b, a, fa
-            a = high - ratio * (high - low)
-            fa = _at(a, one, first, other, second)
-    return max(fa, fb)
-
-
-@numba.njit(cache=True, error_model="numpy")
-def _at(x: float, one: Any, first: Any, other: Any, second: Any) -> Any:
-    """Evaluate the contact function at one x, by Cramer's rule."""
-    y, m = 1.0 - x, np.empty(6)
-    for i in range(3):
-        m[i] = y * first[i, i] + x * second[i, i]
-    m[3] = y * first[0, 1] + x * second[0, 1]
-    m[4] = y * first[0, 2] + x * second[0, 2]
-    m[5] = y * first[1, 2] + x * second[1, 2]
-    r0, r1, r2 = other[0] - one[0], other[1] - one[1], other[2] - one[2]
-    c00, c11, c22 = m[1] * m[2] - m[5] * m[5], m[0] * m[2] - m[4] * m[4], m[0] * m[1] - m[3] * m[3]
-    c01, c02, c12 = m[4] * m[5] - m[3] * m[2], m[3] * m[5] - m[4] * m[1], m[3] * m[4] - m[0] * m[5]
-    determinant = m[0] * c00 + m[3] * c01 + m[4] * c02
-    form = (
-        r0 * r0 * c00
-        + r1 * r1 * c11
-        + r2 * r2 * c22
-        + 2.0 * (r0 * r1 * c01 + r0 * r2 * c02 + r1 * r2 * c12)
-    )
-    return x * (1.0 - x) * form / determinant
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -321,7 +144,7 @@ def _fits(
                         square += (centers[other, axis] - point[axis]) ** 2
                     if square < (largest[n] + largest[other]) ** 2 and (
                         square < (smallest[n] + smallest[other]) ** 2
-                        or _contact(point, shapes[n], centers[other], shapes[other]) < 1.0
+                        or contact_factor(point, shapes[n], centers[other], shapes[other]) < 1.0
                     ):
                         return False
                     other = chain[other]

@@ -9,7 +9,7 @@ import pytest
 
 from sabench.evaluation.hidden_split import read_secret
 from sabench.evaluation.runner import Only
-from sabench.evaluation.suites import load_suite
+from sabench.evaluation.suite_loading import load_suite
 from sabench.utils.errors import InputError
 
 SUITE = (

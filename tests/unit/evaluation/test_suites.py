@@ -13,7 +13,8 @@ from scipy import stats
 from scipy.special import erf
 
 from sabench.api.truth import Particles
-from sabench.evaluation.suites import Case, load_suite, override
+from sabench.evaluation.suite_loading import load_suite, override
+from sabench.evaluation.suites import Case
 from sabench.plugins import bundled_folder
 from sabench.scenes import build_rig, load_scene
 from sabench.simulation.rendering.particle_images import image_particles

@@ -13,14 +13,8 @@ import pytest
 from sabench.algorithms.refocus.synthetic_aperture import refocus_sum
 from sabench.geometry.camera import Camera
 from sabench.geometry.camera_model import CameraModel
-from sabench.geometry.polynomial_cameras import (
-    PlanePolynomials,
-    Projective,
-    Soloff,
-    fit_planes,
-    fit_projective,
-    fit_soloff,
-)
+from sabench.geometry.polynomial_cameras import PlanePolynomials, Soloff, fit_planes, fit_soloff
+from sabench.geometry.projective_camera import Projective, fit_projective
 from sabench.geometry.triangulation import intersect, triangulate
 from sabench.scenes import build_rig
 from sabench.simulation.in_memory import simulate

@@ -14,12 +14,12 @@ import pytest
 from scipy.optimize import brentq, minimize
 from scipy.spatial.transform import Rotation
 
-import sabench.geometry.refraction
+import sabench.geometry.path_slope
 from sabench.geometry.camera import Camera, Distortion, aimed_rotation
+from sabench.geometry.path_slope import solve_slope
 from sabench.geometry.refraction import (
     Layer,
     Wall,
-    solve_slope,
     trace_into_fluid,
     trace_to_points,
     transmittance,
@@ -258,13 +258,13 @@ def test_the_iteration_ends_in_a_few_steps(wall: Wall, monkeypatch: pytest.Monke
 
     Newton's iteration doubles its digits; with a stricter rule it would run to its limit.
     """
-    calls, lateral = [], sabench.geometry.refraction._lateral
+    calls, lateral = [], sabench.geometry.path_slope._lateral
 
     def counted(*arguments: Any) -> Any:
         calls.append(arguments)
         return lateral(*arguments)
 
-    monkeypatch.setattr(sabench.geometry.refraction, "_lateral", counted)
+    monkeypatch.setattr(sabench.geometry.path_slope, "_lateral", counted)
     thicknesses = [layer.thickness_mm for layer in wall.layers]
     solve_slope(wall.indices, [400.0, *thicknesses, 60.0], np.linspace(0.0, 2000.0, 4001))
     assert len(calls) <= 20

@@ -12,7 +12,8 @@ from scipy.spatial.transform import Rotation
 from sabench.api import Detections
 from sabench.metrics.bubble_detection import crowding, detection_scores, match
 from sabench.metrics.plunging_jet import analyse
-from sabench.plotting.charts import Circles, draw
+from sabench.plotting.charts import Circles
+from sabench.plotting.drawing import draw
 from sabench.tasks.figures.bubbles import detection_figure
 from sabench.utils.arrays import F64
 from sabench.worlds.library.plunging_jet import EDGE, LN2, JetLaw

@@ -14,7 +14,8 @@ import pytest
 from sabench.api import Velocity
 from sabench.metrics.velocity_error import response
 from sabench.metrics.vortex_rings import circulation, core, half_plane, sample, spin_of
-from sabench.plotting.charts import Cloud, Curve, Figure, Panel, Picture, Slice, Space, draw
+from sabench.plotting.charts import Cloud, Curve, Figure, Panel, Picture, Slice, Space
+from sabench.plotting.drawing import draw
 from sabench.plugins import load
 from sabench.tasks.figures.velocity import error_scatter, field_figure, profile_panel
 from sabench.utils.arrays import F64

@@ -16,8 +16,9 @@ from sabench.geometry.frames import Domain
 from sabench.plugins import load
 from sabench.utils.errors import InputError
 from sabench.utils.validation import validate
+from sabench.worlds.library.overlaps import contact, overlapping, shapes_of
 from sabench.worlds.library.plunging_jet import LN2, JetLaw
-from sabench.worlds.library.random_packing import contact, overlapping, place, shapes_of
+from sabench.worlds.library.random_packing import place
 
 DOMAIN = Domain((5.0, -3.0, 60.0), (60.0, 50.0, 40.0), 1000)
 JET = Domain((0.0, 90.0, 150.0), (70.0, 176.0, 64.0), 1000)

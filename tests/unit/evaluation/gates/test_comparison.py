@@ -21,21 +21,21 @@ from sabench.evaluation.gates.baseline import (
     Baseline,
     CaseEntry,
     Entry,
-    Finding,
     Tolerance,
-    compare,
     default_path,
     default_tolerance,
-    loss,
     read_baseline,
     write_baseline,
 )
-from sabench.evaluation.gates.comparison import Report, names_of
+from sabench.evaluation.gates.comparison import Report
 from sabench.evaluation.gates.dataset_statistics import fingerprint
+from sabench.evaluation.gates.findings import Finding, compare, loss
 from sabench.evaluation.gates.independent_projection import retrace
 from sabench.evaluation.gates.junit import junit, write_junit
 from sabench.evaluation.gates.known_wrong_estimates import score_known_wrong
-from sabench.evaluation.suites import SolverEntry, load_suite
+from sabench.evaluation.gates.measurement import names_of
+from sabench.evaluation.suite_loading import load_suite
+from sabench.evaluation.suites import SolverEntry
 from sabench.scenes import Scene, build_rig, load_scene, parse_scene
 from sabench.simulation.pipeline import generate
 from sabench.tasks.task import Better
@@ -105,7 +105,7 @@ def test_scores_that_describe_the_data_are_the_only_steady_ones() -> None:
     }
 
 
-def test_only_what_is_beyond_its_tolerance_is_reported() -> None:
+def test_only_what_is_beyond_its_tolerance_is_told() -> None:
     before = case(msa=entry(q=0.800, rms_px=0.2))
     assert found(before, case(msa=entry(q=0.7921, rms_px=0.2))) == []
     assert found(before, case(msa=entry(q=0.7919, rms_px=0.2))) == [("q", True)]

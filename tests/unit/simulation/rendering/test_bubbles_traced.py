@@ -16,7 +16,8 @@ from sabench.api.truth import NOTHING, Bubbles, Solid
 from sabench.geometry.camera import Camera, Distortion
 from sabench.geometry.refraction import Layer, Wall
 from sabench.scenes.illumination import Backlight, Lamp, Lighting
-from sabench.simulation.rendering.bubbles_traced import Exposed, Lights, Tank, render
+from sabench.simulation.rendering.bubble_stage_builder import Lights, Tank
+from sabench.simulation.rendering.bubbles_traced import Exposed, render
 from sabench.simulation.rendering.pixel_truth import see
 from sabench.utils import backend
 from sabench.utils.arrays import F64

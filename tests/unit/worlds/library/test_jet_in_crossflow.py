@@ -15,7 +15,7 @@ from sabench.geometry.frames import Domain
 from sabench.plugins import load
 from sabench.utils.validation import validate
 from sabench.worlds.library.jet_in_crossflow import Crossflow, Spray
-from sabench.worlds.library.random_packing import overlapping, touching
+from sabench.worlds.library.overlaps import overlapping, touching
 
 NOZZLE = (5.0, 2.0, -1.0)
 DOMAIN = Domain((35.0, -28.0, 0.0), (70.0, 60.0, 60.0), 1000)

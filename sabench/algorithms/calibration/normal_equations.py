@@ -1,0 +1,212 @@
+"""Normal equations, residuals and covariances of a bundle of projections."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numba
+import numpy as np
+
+from sabench.algorithms.calibration.kernels import BOARD, CAMERA, observe
+
+
+@numba.njit(cache=True)
+def _turned(turn: Any, point: Any, arm: Any) -> None:
+    for axis in range(3):
+        arm[axis] = turn[axis, 0] * point[0] + turn[axis, 1] * point[1] + turn[axis, 2] * point[2]
+
+
+@numba.njit(cache=True)
+def _columns(own: Any, shared: Any) -> Any:
+    """List columns of `observe`'s rows for the unknowns.
+
+    Unknowns are in the order camera, shared, board.
+    """
+    f, s = len(own), len(shared)
+    pick = np.empty(f + s + BOARD, dtype=np.int64)
+    pick[:f] = own
+    for i in range(s):
+        pick[f + i] = CAMERA + BOARD + shared[i]
+    for i in range(BOARD):
+        pick[f + s + i] = CAMERA + i
+    return pick
+
+
+@numba.njit(cache=True)
+def equations(array: Any, boards: Any, seen: Any, free: Any, scale: float) -> Any:
+    """Sum normal equations of all observations, with the boards' unknowns in blocks.
+
+    Parameters
+    ----------
+    array : turns (M, 3, 3), centres (M, 3), lenses (M, 8), media.
+    boards : turns (K, 3, 3), places (K, 3), points on a board (m, 3).
+    seen : pixels (M, K, m, 2) and weights (M, K, m); what has no weight is not looked at.
+    free : columns of a camera (f,) that are unknowns, and of what all cameras share, counted from 0
+        (s,).
+    scale : of Cauchy's loss scale^2 log(1 + e^2 / scale^2), px; 0 for e^2.
+
+    Returns
+    -------
+    cost : sum of weighted losses; infinite if a weighted point has no path.
+    aa : (M f + s, M f + s) of cameras and what they share; ab : (K, M f + s, BOARD); bb : (K,
+        BOARD, BOARD).
+    a, d : (M f + s,) and (K, BOARD), minus the gradients.
+    """
+    turns, centers, lenses, media = array
+    board_turns, places, points = boards
+    pixels, weights = seen
+    own, shared = free
+    cameras, count, dots = weights.shape
+    f, s, m = len(own), len(shared), len(media[0])
+    size, local = cameras * f + s, f + s + BOARD
+    aa, ab, bb = (
+        np.zeros((size, size)),
+        np.zeros((count, size, BOARD)),
+        np.zeros((count, BOARD, BOARD)),
+    )
+    a, d = np.zeros(size), np.zeros((count, BOARD))
+    row, room, arm = np.zeros((2, CAMERA + BOARD + 2 * m - 2)), np.zeros((3, m)), np.zeros(3)
+    pick = _columns(own, shared)
+    part, slope, chosen = np.zeros((local, local)), np.zeros(local), np.zeros((2, local))
+    cost = 0.0
+    for c in range(cameras):
+        for k in range(count):
+            part[:], slope[:] = 0.0, 0.0
+            for i in range(dots):
+                weight = weights[c, k, i]
+                if weight == 0.0:
+                    continue
+                _turned(board_turns[k], points[i], arm)
+                u, v, ok = observe(
+                    turns[c], centers[c], lenses[c], media, arm, places[k], row, room
+                )
+                if not ok:
+                    return math.inf, aa, ab, bb, a, d
+                eu, ev = pixels[c, k, i, 0] - u, pixels[c, k, i, 1] - v
+                square = eu * eu + ev * ev
+                if scale > 0.0:
+                    cost += weight * scale * scale * math.log1p(square / (scale * scale))
+                    weight /= 1.0 + square / (scale * scale)
+                else:
+                    cost += weight * square
+                for p in range(local):
+                    chosen[0, p], chosen[1, p] = row[0, pick[p]], row[1, pick[p]]
+                for p in range(local):
+                    gu, gv = weight * chosen[0, p], weight * chosen[1, p]
+                    slope[p] += gu * eu + gv * ev
+                    for q in range(p + 1):
+                        part[p, q] += gu * chosen[0, q] + gv * chosen[1, q]
+            _scatter(part, slope, c, k, f, s, cameras, aa, ab, bb, a, d)
+    return cost, aa, ab, bb, a, d
+
+
+@numba.njit(cache=True)
+def _scatter(
+    part: Any,
+    slope: Any,
+    c: int,
+    k: int,
+    f: int,
+    s: int,
+    cameras: int,
+    aa: Any,
+    ab: Any,
+    bb: Any,
+    a: Any,
+    d: Any,
+) -> None:
+    """Add the lower triangle of one camera's and one board's equations."""
+    for p in range(f + s):
+        here = c * f + p if p < f else cameras * f + p - f
+        a[here] += slope[p]
+        for q in range(f + s):
+            there = c * f + q if q < f else cameras * f + q - f
+            aa[here, there] += part[p, q] if q <= p else part[q, p]
+        for q in range(BOARD):
+            ab[k, here, q] += part[f + s + q, p]
+    for p in range(BOARD):
+        d[k, p] += slope[f + s + p]
+        for q in range(BOARD):
+            bb[k, p, q] += part[f + s + p, f + s + q] if q <= p else part[f + s + q, f + s + p]
+
+
+@numba.njit(cache=True)
+def misses(array: Any, boards: Any, seen: Any) -> Any:
+    """Subtract computed from observed pixels (M, K, m, 2).
+
+    NaN where nothing was seen or there is no path.
+    """
+    turns, centers, lenses, media = array
+    board_turns, places, points = boards
+    pixels, _ = seen
+    out, m = np.full(pixels.shape, math.nan), len(media[0])
+    row, room, arm = np.zeros((2, CAMERA + BOARD + 2 * m - 2)), np.zeros((3, m)), np.zeros(3)
+    for c in range(pixels.shape[0]):
+        for k in range(pixels.shape[1]):
+            for i in range(pixels.shape[2]):
+                _turned(board_turns[k], points[i], arm)
+                u, v, ok = observe(
+                    turns[c], centers[c], lenses[c], media, arm, places[k], row, room
+                )
+                if ok:
+                    out[c, k, i, 0], out[c, k, i, 1] = (
+                        pixels[c, k, i, 0] - u,
+                        pixels[c, k, i, 1] - v,
+                    )
+    return out
+
+
+@numba.njit(cache=True)
+def spreads(array: Any, boards: Any, seen: Any, free: Any, covariance: Any) -> Any:
+    """Compute covariances (M, K, m, 3) of computed pixels: column, row and both.
+
+    They follow from that of the unknowns in the order cameras, shared, boards.
+    """
+    turns, centers, lenses, media = array
+    board_turns, places, points = boards
+    _, weights = seen
+    own, shared = free
+    cameras, count, dots = weights.shape
+    f, s, m = len(own), len(shared), len(media[0])
+    local, base = f + s + BOARD, cameras * f + s
+    row, room, arm = np.zeros((2, CAMERA + BOARD + 2 * m - 2)), np.zeros((3, m)), np.zeros(3)
+    out = np.full((cameras, count, dots, 3), math.nan)
+    part, pick, there = (
+        np.zeros((local, local)),
+        _columns(own, shared),
+        np.empty(local, dtype=np.int64),
+    )
+    for c in range(cameras):
+        for k in range(count):
+            for p in range(local):
+                there[p] = (
+                    c * f + p
+                    if p < f
+                    else cameras * f + p - f
+                    if p < f + s
+                    else base + k * BOARD + p - f - s
+                )
+            for p in range(local):
+                for q in range(local):
+                    part[p, q] = covariance[there[p], there[q]]
+            for i in range(dots):
+                if weights[c, k, i] == 0.0:
+                    continue
+                _turned(board_turns[k], points[i], arm)
+                _, _, ok = observe(
+                    turns[c], centers[c], lenses[c], media, arm, places[k], row, room
+                )
+                if not ok:
+                    continue
+                uu, vv, uv = 0.0, 0.0, 0.0
+                for p in range(local):
+                    u, v = 0.0, 0.0
+                    for q in range(local):
+                        u += part[p, q] * row[0, pick[q]]
+                        v += part[p, q] * row[1, pick[q]]
+                    uu += row[0, pick[p]] * u
+                    vv += row[1, pick[p]] * v
+                    uv += row[0, pick[p]] * v
+                out[c, k, i, 0], out[c, k, i, 1], out[c, k, i, 2] = uu, vv, uv
+    return out

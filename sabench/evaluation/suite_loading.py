@@ -1,0 +1,207 @@
+"""Suite files, read and checked before any work starts.
+
+A suite becomes a list of cases, one for each combination of its varied values and each seed.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+import re
+import tomllib
+from collections import Counter
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, get_args
+
+from sabench.api.make import make_algorithm
+from sabench.api.solvers import TaskName
+from sabench.evaluation.hidden_split import Secret
+from sabench.evaluation.suites import Case, CaseSpec, SolverEntry, Suite
+from sabench.scenes import Scene, build_rig, find, load_scene, parse_scene
+from sabench.simulation.renderer_choice import choose_renderer
+from sabench.tasks.external_programs import find_program
+from sabench.utils.errors import InputError
+from sabench.utils.files import digest, is_file
+from sabench.utils.validation import validate
+
+_MOST_CASES = 1000
+_UNSAFE = re.compile(r"[^A-Za-z0-9._-]+")
+
+
+def load_suite(path: str | Path, secret: Secret | None = None) -> tuple[Suite, list[Case]]:
+    """Read a suite and check all its cases and solvers before any work starts.
+
+    Parameters
+    ----------
+    secret : makes the private data sets of its cases, in place of the public ones.
+
+    Raises
+    ------
+    InputError
+        Anything wrong in the suite, in one of its scenes or in its changes, two cases of one name,
+        or cases that differ from the frozen ones.
+    """
+    file = find(path, "scenes/suites")
+    try:
+        values = tomllib.loads(file.read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError) as error:
+        raise InputError(f"{file}: expected a TOML file, got {error}") from error
+    suite = validate(Suite, values, str(file))
+    own = suite.model_copy(
+        update={"solvers": tuple(_resolve(solver_entry, file) for solver_entry in suite.solvers)}
+    )
+    specs = [
+        spec.model_copy(
+            update={"solvers": tuple(_resolve(solver_entry, file) for solver_entry in spec.solvers)}
+        )
+        for spec in _specs(own)
+    ]
+    if len(specs) > _MOST_CASES:
+        raise InputError(f"{file}: scenes, cases: expected at most {_MOST_CASES}, got {len(specs)}")
+    first = [case for spec in specs for case in _cases(spec, own, file)]
+    _check_names([case.name for case in first], file)
+    _check_frozen(own, first, file)
+    return own, [
+        replace(case, seed=seed, number=number)
+        for case in first
+        for number, seed in _seeds(own, case, file.stem, secret)
+    ]
+
+
+def _cases(spec: CaseSpec, suite: Suite, file: Path) -> Iterator[Case]:
+    """Make all cases of a specification, with the suite's first seed."""
+    renderer = choose_renderer(spec.backend or suite.backend)
+    for name, base, axes, scene in _variants(spec, file):
+        yield Case(
+            name,
+            base,
+            axes,
+            scene,
+            suite.seeds[0],
+            renderer,
+            spec.solvers,
+            spec.difficulty,
+            spec.axis,
+        )
+
+
+def _seeds(
+    suite: Suite, case: Case, name: str, secret: Secret | None
+) -> list[tuple[int | None, int]]:
+    """List the numbers and seeds of a case's data sets."""
+    if secret is None:
+        return [(None, seed) for seed in dict.fromkeys(suite.seeds)]
+    return list(enumerate(secret.seeds_of(name, suite.version, case.name)))
+
+
+def _check_frozen(suite: Suite, cases: list[Case], file: Path) -> None:
+    """Check that the data sets of a frozen suite have not changed."""
+    found = digest(
+        [
+            suite.version,
+            list(suite.seeds),
+            [[case.name, case.scene.hash, case.difficulty, case.axis] for case in cases],
+        ]
+    )
+    if suite.frozen not in (None, found):
+        raise InputError(
+            f"{file}: frozen: expected the cases and seeds of version {suite.version}, whose hash "
+            f"is {suite.frozen}, got others with {found}: "
+            "a change needs a new version and its hash"
+        )
+
+
+def _resolve(solver: SolverEntry, file: Path) -> SolverEntry:
+    """Check a solver entry, and find its program.
+
+    The solver must exist and take its parameters. A program must have a task; its path becomes
+    absolute.
+    """
+    if not solver.is_program:
+        if any(
+            value is not None
+            for value in (
+                solver.task,
+                solver.time_limit_s,
+                solver.memory_limit_mb,
+            )
+        ):
+            raise InputError(
+                f"{file}: solver {solver.name}: expected task, time_limit_s and memory_limit_mb "
+                "for programs only"
+            )
+        make_algorithm(solver.name, solver.parameters)
+        return solver
+    if solver.task is None:
+        known = ", ".join(get_args(TaskName))
+        raise InputError(f"{file}: program {solver.name}: task: expected one of {known}, got none")
+    return solver.model_copy(update={"name": str(find_program(solver.name, file.parent))})
+
+
+def override(scene: Scene, values: Mapping[str, Any], source: str) -> Scene:
+    """Replace values of a scene at some of its dotted keys.
+
+    The new scene is checked as a scene file is; errors name `source`.
+    """
+    table = scene.to_dict()
+    for key, value in values.items():
+        _assign(table, key, value, source)
+    changed = parse_scene(table, source)
+    build_rig(changed, source)
+    return changed
+
+
+def _assign(table: dict[str, Any], key: str, value: Any, source: str) -> None:
+    *path, last = key.split(".")
+    for part in path:
+        table = table.setdefault(part, {})
+        if not isinstance(table, dict):
+            raise InputError(f"{source}: {key}: expected a table at {part}, got {table!r}")
+    table[last] = value
+
+
+def _specs(suite: Suite) -> list[CaseSpec]:
+    """List all cases, with the suite's own changes before theirs."""
+    specs = (*(CaseSpec(scene=name) for name in suite.scenes), *suite.cases)
+    inherited = (
+        {
+            "set": suite.set | spec.set,
+            "vary": suite.vary | spec.vary,
+            "solvers": spec.solvers or suite.solvers,
+        }
+        for spec in specs
+    )
+    return [spec.model_copy(update=update) for spec, update in zip(specs, inherited, strict=True)]
+
+
+def _variants(spec: CaseSpec, suite: Path) -> Iterator[tuple[str, str, dict[str, Any], Scene]]:
+    """Make name, base, axes and scene for every combination of the varied values."""
+    beside = suite.parent / spec.scene
+    count = math.prod(len(values) for values in spec.vary.values())
+    if count > _MOST_CASES:
+        raise InputError(
+            f"{suite}: {spec.scene}: vary: expected at most {_MOST_CASES} cases, got {count}"
+        )
+    base, scene = Path(spec.scene).stem, load_scene(beside if is_file(beside) else spec.scene)
+    for choice in itertools.product(*(enumerate(values, 1) for values in spec.vary.values())):
+        axes = {key: value for key, (_, value) in zip(spec.vary, choice, strict=True)}
+        tags = [
+            _tag(key, value, number) for key, (number, value) in zip(spec.vary, choice, strict=True)
+        ]
+        name = "-".join([spec.name or _UNSAFE.sub("_", base), *tags])
+        yield name, base, axes, override(scene, spec.set | axes, f"{suite}: case {name}")
+
+
+def _tag(key: str, value: Any, number: int) -> str:
+    """Name a varied value: `per_pixel_0.05`; lists and tables have their numbers."""
+    shown = str(number) if isinstance(value, list | dict) else _UNSAFE.sub("_", str(value))
+    return f"{key.rpartition('.')[2]}_{shown}"
+
+
+def _check_names(names: list[str], file: Path) -> None:
+    # some file systems do not distinguish a from A
+    name, count = Counter(name.casefold() for name in names).most_common(1)[0]
+    if count > 1:
+        raise InputError(f"{file}: {count} cases are named {name}: give them names of their own")
