@@ -81,9 +81,9 @@ class FromTracks(Generator):
         chosen: FromTracksParameters = self.parameters
         tracks = _read(chosen.model_dump_json())
         now = time_s + (tracks.time_s.min() if chosen.start_s is None else chosen.start_s)
-        place, velocity, points = tracks.at(now)
+        position, velocity, points = tracks.at(now)
         inside = (
-            (place >= domain.low_mm) & (place <= domain.low_mm + np.asarray(domain.size_mm))
+            (position >= domain.low_mm) & (position <= domain.low_mm + np.asarray(domain.size_mm))
         ).all(axis=1)
         if not inside.any():
             low, high = tracks.place_mm.min(axis=0), tracks.place_mm.max(axis=0)
@@ -91,12 +91,12 @@ class FromTracks(Generator):
             times = f"{tracks.time_s.min():.6g} to {tracks.time_s.max():.6g}"
             raise InputError(
                 f"{chosen.file}: expected a trajectory in the volume in frame {frame}, at "
-                f"{now:.6g} s, got none of {len(place)}: "
+                f"{now:.6g} s, got none of {len(position)}: "
                 f"they run over {spans} mm along x, y, z and {times} s"
             )
         return Particles(
             tracks.id[points[inside]],
-            place[inside],
+            position[inside],
             tracks.diameter_mm[points[inside]],
             velocity[inside],
         )
@@ -138,14 +138,14 @@ class _Tracks:
             self.velocity[before] * step,
             self.velocity[after] * step,
         )
-        place = (
+        position = (
             (2 * t**3 - 3 * t**2 + 1) * p
             + (t**3 - 2 * t**2 + t) * u
             + (3 * t**2 - 2 * t**3) * q
             + (t**3 - t**2) * v
         )
         slope = (6 * t**2 - 6 * t) * (p - q) + (3 * t**2 - 4 * t + 1) * u + (3 * t**2 - 2 * t) * v
-        return place, np.where(
+        return position, np.where(
             step > 0.0, slope / np.where(step > 0.0, step, 1.0), self.velocity[before]
         )
 
@@ -159,15 +159,15 @@ def _read(text: str) -> _Tracks:
     time = arrays[chosen.time].values * time_s(
         chosen.seconds, arrays[chosen.time], _where(chosen, chosen.time), "particles.seconds"
     )
-    place, diameter = _places(chosen, arrays), _diameters(chosen, arrays)
+    position, diameter = _positions(chosen, arrays), _diameters(chosen, arrays)
     order = np.lexsort((time, identity))
-    number, time, place = identity[order].astype(np.int64), time[order], place[order]
+    number, time, position = identity[order].astype(np.int64), time[order], position[order]
     _check_times(chosen, number, time)
     if chosen.velocity:
         velocity = _velocities(chosen, chosen.velocity, arrays)[order]
     else:
-        velocity = _slopes(number, time, place)
-    return _Tracks(number, time, place, velocity, diameter[order])
+        velocity = _slopes(number, time, position)
+    return _Tracks(number, time, position, velocity, diameter[order])
 
 
 def _where(chosen: FromTracksParameters, name: str) -> str:
@@ -212,12 +212,14 @@ def _lengths(chosen: FromTracksParameters, arrays: dict[str, Array], name: str) 
     return arrays[name].values * length_mm(chosen.length, arrays[name], where, "particles.length")
 
 
-def _places(chosen: FromTracksParameters, arrays: dict[str, Array]) -> F64:
+def _positions(chosen: FromTracksParameters, arrays: dict[str, Array]) -> F64:
     """Return positions (n, 3), moved to where the file's middle is to be."""
-    place = np.stack([_lengths(chosen, arrays, name) for name in chosen.axes], axis=1)
+    position = np.stack([_lengths(chosen, arrays, name) for name in chosen.axes], axis=1)
     if chosen.center_mm is not None:
-        place += np.asarray(chosen.center_mm) - (place.min(axis=0) + place.max(axis=0)) / 2.0
-    return place
+        position += (
+            np.asarray(chosen.center_mm) - (position.min(axis=0) + position.max(axis=0)) / 2.0
+        )
+    return position
 
 
 def _diameters(chosen: FromTracksParameters, arrays: dict[str, Array]) -> F64:
@@ -256,18 +258,18 @@ def _check_times(chosen: FromTracksParameters, number: I64, time: F64) -> None:
         )
 
 
-def _slopes(identity: I64, time: F64, place: F64) -> F64:
+def _slopes(identity: I64, time: F64, position: F64) -> F64:
     """Estimate velocities at points.
 
     They are slopes of the parabola through each point and its neighbours, or of the last three or
     two points at ends. Lone points have zero velocity.
     """
-    out = np.zeros_like(place)
+    out = np.zeros_like(position)
     same = np.append(
         identity[1:] == identity[:-1], False
     )  # whether the next point is of the same track
     step = np.append(np.diff(time), 1.0)[:, None]
-    pace = np.append(np.diff(place, axis=0), np.zeros((1, 3)), axis=0) / np.where(
+    pace = np.append(np.diff(position, axis=0), np.zeros((1, 3)), axis=0) / np.where(
         same[:, None], step, 1.0
     )
     middle = np.flatnonzero(same & np.roll(same, 1))

@@ -41,7 +41,7 @@ def solve_slope(indices: F64, depths_mm: list[F64 | float], radius_mm: F64) -> t
     if quick is not None:
         return quick
     rare = np.asarray(sum(depth for depth, r in zip(depths_mm, relative, strict=True) if r == 1.0))
-    reach = radius_mm / np.maximum(
+    upper = radius_mm / np.maximum(
         rare, 1e-300
     )  # an upper bound: the rarest medium alone cannot bridge more than R
     low = radius_mm / np.asarray(
@@ -51,9 +51,9 @@ def solve_slope(indices: F64, depths_mm: list[F64 | float], radius_mm: F64) -> t
     value, gradient = _lateral(relative, depths_mm, slope)
     for _ in range(_MAX_STEPS):
         low = np.where(value <= radius_mm, np.maximum(low, slope), low)
-        reach = np.where(value >= radius_mm, np.minimum(reach, slope), reach)
+        upper = np.where(value >= radius_mm, np.minimum(upper, slope), upper)
         step = slope + (radius_mm - value) / gradient
-        better = np.where((step >= low) & (step <= reach), step, 0.5 * (low + reach))
+        better = np.where((step >= low) & (step <= upper), step, 0.5 * (low + upper))
         moved = np.abs(better - slope)
         slope = better
         value, gradient = _lateral(relative, depths_mm, slope)
@@ -71,9 +71,9 @@ def _halley(relative: F64, depths_mm: list[F64 | float], radius_mm: F64) -> tupl
     """
     slope = _start(relative, depths_mm, radius_mm)
     for _ in range(_HALLEY):
-        value, gradient, bow = _bowed(relative, depths_mm, slope)
+        value, gradient, curvature = _lateral_distance(relative, depths_mm, slope)
         miss = radius_mm - value
-        step = 2.0 * miss * gradient / (2.0 * gradient * gradient - 3.0 * miss * bow * slope)
+        step = 2.0 * miss * gradient / (2.0 * gradient * gradient - 3.0 * miss * curvature * slope)
         slope = slope + step
         if np.all(np.abs(step) <= 1e-5 * slope):
             value, _ = _lateral(relative, depths_mm, slope)
@@ -88,16 +88,16 @@ def _start(relative: F64, depths_mm: list[F64 | float], radius_mm: F64) -> F64:
     It is right to the third power for steep paths, and in the limit for flat ones, where the rarest
     medium dominates.
     """
-    paraxial, rare, bow = (np.zeros(np.shape(radius_mm)) for _ in range(3))
+    paraxial, rare, curvature = (np.zeros(np.shape(radius_mm)) for _ in range(3))
     for depth, r in zip(depths_mm, relative, strict=True):
         paraxial += depth / r
         if r == 1.0:
             rare += depth
         else:
-            bow += depth * (0.5 * (r * r - 1.0) / r**3)
+            curvature += depth * (0.5 * (r * r - 1.0) / r**3)
     slope = radius_mm / paraxial
     square = slope * slope
-    square *= bow
+    square *= curvature
     return np.asarray(
         slope
         * (
@@ -107,13 +107,15 @@ def _start(relative: F64, depths_mm: list[F64 | float], radius_mm: F64) -> F64:
     )
 
 
-def _bowed(relative: F64, depths_mm: list[F64 | float], slope: F64) -> tuple[F64, F64, F64]:
+def _lateral_distance(
+    relative: F64, depths_mm: list[F64 | float], slope: F64
+) -> tuple[F64, F64, F64]:
     """Compute lateral distance of a path with slope t, and derivatives.
 
     The slope is that in the rarest medium. The derivatives are the first, and the second over -3 t.
     """
     square = slope * slope
-    value, gradient, bow = np.zeros_like(slope), np.zeros_like(slope), np.zeros_like(slope)
+    value, gradient, curvature = np.zeros_like(slope), np.zeros_like(slope), np.zeros_like(slope)
     for depth, r in zip(depths_mm, relative, strict=True):
         if r == 1.0:
             value += depth
@@ -127,8 +129,8 @@ def _bowed(relative: F64, depths_mm: list[F64 | float], slope: F64) -> tuple[F64
         gradient += part
         part *= inverse_square
         part *= r * r - 1.0
-        bow += part
-    return value * slope, gradient, bow
+        curvature += part
+    return value * slope, gradient, curvature
 
 
 def _lateral(relative: F64, depths_mm: list[F64 | float], slope: F64) -> tuple[F64, F64]:

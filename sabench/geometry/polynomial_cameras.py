@@ -161,7 +161,7 @@ def fit_soloff(name: str, rows: int, columns: int, points_mm: F64, pixels: F64) 
         three planes.
     """
     middle, half = _box(points_mm)
-    coefficients = _fitted(
+    coefficients = _fit_terms(
         _cubic((points_mm - middle) / half), pixels, f"{name}: a polynomial of 19 terms"
     )
     return Soloff(name, rows, columns, triple(middle), triple(half), nested(coefficients.T))
@@ -188,7 +188,7 @@ def fit_planes(
     for plane in order.tolist():
         terms = _quadratic(((points_mm[plane] - middle) / half)[:, :2])
         table.append(
-            _fitted(
+            _fit_terms(
                 terms, pixels[plane], f"{name}: frame {plane}: a polynomial of 6 terms"
             ).T.ravel()
         )
@@ -213,7 +213,7 @@ def _quadratic(unit: F64) -> F64:
     return np.stack([x**i * y**j for i, j in _QUADRATIC], axis=1)
 
 
-def _fitted(terms: F64, pixels: F64, what: str) -> F64:
+def _fit_terms(terms: F64, pixels: F64, what: str) -> F64:
     solution, _, rank, _ = np.linalg.lstsq(terms, pixels, rcond=None)
     if rank < terms.shape[1]:
         raise InputError(

@@ -56,8 +56,8 @@ class Projective:
 
         Returns (n, 2).
         """
-        way = points_mm - np.asarray(self.center_mm)
-        return np.asarray(points_mm[:, :2] + way[:, :2] / way[:, 2:] * (z_mm - points_mm[:, 2:]))
+        ray = points_mm - np.asarray(self.center_mm)
+        return np.asarray(points_mm[:, :2] + ray[:, :2] / ray[:, 2:] * (z_mm - points_mm[:, 2:]))
 
     def back_project(self, pixels: npt.ArrayLike) -> Rays:
         """Return lines of sight from the centre of projection."""
@@ -86,8 +86,8 @@ def fit_projective(name: str, rows: int, columns: int, points_mm: F64, pixels: F
     InputError
         Fewer than 6 points, or points in one plane, which do not determine it.
     """
-    (places, world), (images, image) = _normalised(points_mm), _normalised(pixels)
-    full = np.column_stack([places, np.ones(len(places))])
+    (positions, world), (images, image) = _normalise(points_mm), _normalise(pixels)
+    full = np.column_stack([positions, np.ones(len(positions))])
     zero = np.zeros_like(full)
     system = np.vstack(
         [
@@ -106,7 +106,7 @@ def fit_projective(name: str, rows: int, columns: int, points_mm: F64, pixels: F
     return Projective(name, rows, columns, nested(matrix / np.linalg.norm(matrix[2, :3])))
 
 
-def _normalised(points: F64) -> tuple[F64, F64]:
+def _normalise(points: F64) -> tuple[F64, F64]:
     """Move and scale points to a root mean square of 1 per coordinate.
 
     Also returns the homogeneous matrix that does it.

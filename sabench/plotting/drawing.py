@@ -178,23 +178,23 @@ def _discs(axes: Any, one: Discs) -> None:
     axes.figure.colorbar(shown, ax=axes).set_label(one.label, fontsize=8)
     axes.set_aspect("equal")
     if len(widths):
-        reach = float(one.radius.max())
-        axes.set_xlim(one.x.min() - reach, one.x.max() + reach)
-        axes.set_ylim(one.y.max() + reach, one.y.min() - reach)
+        margin = float(one.radius.max())
+        axes.set_xlim(one.x.min() - margin, one.x.max() + margin)
+        axes.set_ylim(one.y.max() + margin, one.y.min() - margin)
     axes.grid(visible=False)
 
 
 def _circles(axes: Any, one: Circles, colour: str) -> None:
     from matplotlib.collections import EllipseCollection
 
-    widths, places = 2.0 * one.radius, np.column_stack([one.x, one.y])
+    widths, positions = 2.0 * one.radius, np.column_stack([one.x, one.y])
     axes.add_collection(
         EllipseCollection(
             widths,
             widths,
             np.zeros(len(widths)),
             units="xy",
-            offsets=places,
+            offsets=positions,
             offset_transform=axes.transData,
             facecolors=f"{colour}55",
             edgecolors=colour,
@@ -213,7 +213,7 @@ def _circles(axes: Any, one: Circles, colour: str) -> None:
     )
     if len(widths):
         axes.update_datalim(
-            np.concatenate([places - one.radius[:, None], places + one.radius[:, None]])
+            np.concatenate([positions - one.radius[:, None], positions + one.radius[:, None]])
         )
     axes.autoscale_view()
     axes.set_aspect("equal")

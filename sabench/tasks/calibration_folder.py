@@ -110,13 +110,13 @@ def read_case(folder: Path) -> CalibrationCase:
         if (folder / POINTS).is_file()
         else _read_images(folder / IMAGES, target, cameras, plain)
     )
-    rough = np.tile(plain, (pixels.shape[1], 1, 1))
+    initial = np.tile(plain, (pixels.shape[1], 1, 1))
     return CalibrationCase(
         target,
         pixels,
         cameras,
-        rough,
-        *_known(configuration, rough.shape, str(path)),
+        initial,
+        *_known_positions(configuration, initial.shape, str(path)),
         configuration.unknown,
     )
 
@@ -152,8 +152,10 @@ def _cameras(configuration: Configuration, source: str) -> tuple[Camera, ...]:
     return tuple(cameras)
 
 
-def _known(configuration: Configuration, shape: tuple[int, ...], source: str) -> tuple[F64, F64]:
-    places, sigmas = np.full(shape, np.nan), np.full(shape, np.nan)
+def _known_positions(
+    configuration: Configuration, shape: tuple[int, ...], source: str
+) -> tuple[F64, F64]:
+    positions, sigmas = np.full(shape, np.nan), np.full(shape, np.nan)
     for number, point in enumerate(configuration.known):
         if point.frame >= shape[0] or point.point >= shape[1]:
             raise InputError(
@@ -162,11 +164,14 @@ def _known(configuration: Configuration, shape: tuple[int, ...], source: str) ->
             )
         for axis, value in enumerate((point.x_mm, point.y_mm, point.z_mm)):
             if value is not None:
-                places[point.frame, point.point, axis], sigmas[point.frame, point.point, axis] = (
+                (
+                    positions[point.frame, point.point, axis],
+                    sigmas[point.frame, point.point, axis],
+                ) = (
                     value,
                     point.sigma_mm,
                 )
-    return places, sigmas
+    return positions, sigmas
 
 
 def _read_points(path: Path, target: Target, cameras: tuple[Camera, ...]) -> F64:

@@ -15,7 +15,7 @@ import numba
 import numpy as np
 
 from sabench.algorithms.bubbles.backlit_profile import LARGEST, REACH, SMALLEST, Profile
-from sabench.algorithms.bubbles.spheroids import images_of, linearised
+from sabench.algorithms.bubbles.spheroids import images_of, linearise
 from sabench.geometry.camera import Camera
 from sabench.utils.arrays import F32, F64
 
@@ -59,9 +59,9 @@ def gain(model: Model, parameters: F64) -> F64:
 
 def fit(model: Model, parameters: F64, steps: int) -> F64:
     """Fit the parameters of a bubble that is not in the model now."""
-    linear = linearised(model.cameras, parameters[:3])
+    linear = linearise(model.cameras, parameters[:3])
     best, damping = parameters.copy(), 1e-2
-    value, normal, slope = _measured(model, linear, best)
+    value, normal, slope = _normal_equations(model, linear, best)
     for _ in range(steps):
         try:
             change = np.linalg.solve(normal + damping * np.diag(np.diag(normal) + 1e-9), -slope)
@@ -71,7 +71,7 @@ def fit(model: Model, parameters: F64, steps: int) -> F64:
         tried[3:5] = np.clip(tried[3:5], np.log(0.02), np.log(20.0))
         tried[4] = min(tried[4], tried[3])
         tried[5:] = np.clip(tried[5:], -1.3, 1.3)
-        there = _measured(model, linear, tried)
+        there = _normal_equations(model, linear, tried)
         if there[0] < value:
             moved = float(np.abs(tried - best).max())
             best, (value, normal, slope), damping = tried, there, damping * 0.2
@@ -86,12 +86,12 @@ def fit(model: Model, parameters: F64, steps: int) -> F64:
 
 def unexplained(model: Model, ellipses: F64) -> float:
     """Compute the robust sum of squares of the residuals around images (camera, 5)."""
-    return float(_left(model.images, model.logs, ellipses, model.profile.blur_px))
+    return float(_robust_residual(model.images, model.logs, ellipses, model.profile.blur_px))
 
 
 def ellipses_of(model: Model, parameters: F64) -> F64:
     """Compute a bubble's images (camera, 5), as from `images_of`."""
-    return images_of(model.cameras, linearised(model.cameras, parameters[:3]), parameters)
+    return images_of(model.cameras, linearise(model.cameras, parameters[:3]), parameters)
 
 
 def misfit(model: Model, parameters: F64) -> float:
@@ -105,7 +105,7 @@ def misfit(model: Model, parameters: F64) -> float:
     return float(np.nanmedian(out)) if np.isfinite(out).any() else float("inf")
 
 
-def _measured(
+def _normal_equations(
     model: Model, linear: tuple[F64, F64, F64], parameters: F64
 ) -> tuple[float, F64, F64]:
     """Compute the robust sum of squares and its normal equations."""
@@ -141,9 +141,9 @@ def _shade(table: Any, blur: float, distance: float, part: float) -> Any:
     across = distance / (radius + REACH * blur) * (table.shape[1] - 1)
     if across >= table.shape[1] - 1:
         return 1.0
-    place = np.log(radius / SMALLEST) / np.log(LARGEST / SMALLEST) * (table.shape[0] - 1)
-    i, j = min(int(place), table.shape[0] - 2), int(across)
-    u, v = place - i, across - j
+    position = np.log(radius / SMALLEST) / np.log(LARGEST / SMALLEST) * (table.shape[0] - 1)
+    i, j = min(int(position), table.shape[0] - 2), int(across)
+    u, v = position - i, across - j
     upper = table[i, j] * (1.0 - v) + table[i, j + 1] * v
     lower = table[i + 1, j] * (1.0 - v) + table[i + 1, j + 1] * v
     return upper * (1.0 - u) + lower * u
@@ -213,7 +213,7 @@ def _gains(images: Any, logs: Any, ellipses: Any, table: Any, blur: float, out: 
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _left(images: Any, logs: Any, ellipses: Any, blur: float) -> Any:
+def _robust_residual(images: Any, logs: Any, ellipses: Any, blur: float) -> Any:
     total = 0.0
     for k in range(len(ellipses)):
         if np.isnan(ellipses[k, 0]):

@@ -45,14 +45,14 @@ def images_of(cameras: Sequence[Camera], linear: tuple[F64, F64, F64], parameter
 
     Parameters
     ----------
-    linear : from `linearised`: a place, its pixels (camera, 2) and their derivatives (camera, 2,
+    linear : from `linearise`: a position, its pixels (camera, 2) and their derivatives (camera, 2,
         3).
     """
-    place, pixels, jacobians = linear
-    turn, axes = turn_of(parameters), semi_axes_of(parameters)
-    shape = turn.T @ (axes[:, None] ** 2 * turn)
+    position, pixels, jacobians = linear
+    rotation, axes = turn_of(parameters), semi_axes_of(parameters)
+    shape = rotation.T @ (axes[:, None] ** 2 * rotation)
     out = np.empty((len(cameras), 5))
-    out[:, :2] = pixels + jacobians @ (parameters[:3] - place)
+    out[:, :2] = pixels + jacobians @ (parameters[:3] - position)
     flat = jacobians @ shape @ jacobians.transpose(0, 2, 1)
     determinant = flat[:, 0, 0] * flat[:, 1, 1] - flat[:, 0, 1] ** 2
     out[:, 2], out[:, 3], out[:, 4] = (
@@ -63,13 +63,15 @@ def images_of(cameras: Sequence[Camera], linear: tuple[F64, F64, F64], parameter
     return out
 
 
-def linearised(cameras: Sequence[Camera], place: F64) -> tuple[F64, F64, F64]:
+def linearise(cameras: Sequence[Camera], position: F64) -> tuple[F64, F64, F64]:
     """Linearise every camera around a position."""
     step = 0.05
-    points = np.concatenate([place[None], place + step * np.eye(3), place - step * np.eye(3)])
+    points = np.concatenate(
+        [position[None], position + step * np.eye(3), position - step * np.eye(3)]
+    )
     pixels = np.stack([camera.project(points)[0] for camera in cameras])
     return (
-        place.copy(),
+        position.copy(),
         pixels[:, 0],
         np.asarray((pixels[:, 1:4] - pixels[:, 4:7]).transpose(0, 2, 1) / (2.0 * step)),
     )

@@ -17,8 +17,8 @@ from typing import Any
 
 import numba
 
-CAMERA = 14  # turn 3, centre 3, focal length in px, principal point 2, k1, k2, p1, p2, k3
-BOARD = 6  # turn 3, place 3
+CAMERA = 14  # rotation 3, centre 3, focal length in px, principal point 2, k1, k2, p1, p2, k3
+BOARD = 6  # rotation 3, position 3
 _STEPS = 60
 
 
@@ -86,53 +86,60 @@ def leave(
 
 @numba.njit(cache=True)
 def observe(
-    turn: Any, center: Any, lens: Any, media: Any, arm: Any, place: Any, row: Any, room: Any
+    rotation: Any,
+    center: Any,
+    lens: Any,
+    media: Any,
+    lever: Any,
+    position: Any,
+    row: Any,
+    work: Any,
 ) -> tuple[float, float, bool]:
-    """Project the point place + arm to a pixel (column, row), with all derivatives.
+    """Project position + lever to a pixel (column, row), with all derivatives.
 
     The derivatives go to `row` (2, CAMERA + BOARD + shared).
 
     Parameters
     ----------
-    turn : (3, 3) wall frame to camera frame; a small turn d acts as exp(d) turn.
+    rotation : (3, 3) wall frame to camera frame; a small rotation d acts as exp(d) rotation.
     center : (3,) pinhole.
     lens : (8,) focal length in px, principal point, k1, k2, p1, p2, k3.
     media : indices (m,) and thicknesses (m - 2,).
-    arm : (3,) the turned point of the board; a small turn d acts as exp(d) arm.
-    place : (3,) the board's origin.
-    row : columns in the order of `lens` after turn and centre, then the board's turn and place,
-        then indices and thicknesses.
-    room : depths, by_depth and by_index (3, m).
+    lever : (3,) the rotated point of the board; a small rotation d acts as exp(d) lever.
+    position : (3,) the board's origin.
+    row : columns in the order of `lens` after rotation and centre, then the board's rotation and
+        position, then indices and thicknesses.
+    work : depths, by_depth and by_index (3, m).
 
     Not ok: the path would not reach forward, or the point is behind the camera.
     """
     indices, thicknesses = media
-    depths, by_depth, by_index = room[0], room[1], room[2]
+    depths, by_depth, by_index = work[0], work[1], work[2]
     count = len(indices)
     thick, paraxial = 0.0, 0.0
     for i in range(count - 2):
         depths[i + 1] = thicknesses[i]
         thick += thicknesses[i]
         paraxial += thicknesses[i] / indices[i + 1]
-    x, y = place[0] + arm[0] - center[0], place[1] + arm[1] - center[1]
+    x, y = position[0] + lever[0] - center[0], position[1] + lever[1] - center[1]
     depths[0] = -center[2]
-    depths[count - 1] = place[2] + arm[2] - thick
+    depths[count - 1] = position[2] + lever[2] - thick
     paraxial += depths[0] / indices[0] + depths[count - 1] / indices[count - 1]
     if depths[0] <= 0.0 or paraxial * indices[0] <= 0.1 * depths[0]:
         return 0.0, 0.0, False
     radius = math.sqrt(x * x + y * y)
     tangent, curved = leave(indices, depths, radius, by_depth, by_index)
     a, b = tangent * x, tangent * y
-    u = turn[0, 0] * a + turn[0, 1] * b + turn[0, 2]
-    v = turn[1, 0] * a + turn[1, 1] * b + turn[1, 2]
-    w = turn[2, 0] * a + turn[2, 1] * b + turn[2, 2]
+    u = rotation[0, 0] * a + rotation[0, 1] * b + rotation[0, 2]
+    v = rotation[1, 0] * a + rotation[1, 1] * b + rotation[1, 2]
+    w = rotation[2, 0] * a + rotation[2, 1] * b + rotation[2, 2]
     if w <= 1e-6:
         return 0.0, 0.0, False
     u, v = u / w, v / w
-    du, dv, uu, uv, vv = _distorted(u, v, lens)
+    du, dv, uu, uv, vv = _distort(u, v, lens)
     focal, swing = lens[0], (x, y, tangent, curved)
-    _fill(row[0], focal * uu / w, focal * uv / w, (u, v, w), turn, swing, arm, room, count)
-    _fill(row[1], focal * uv / w, focal * vv / w, (u, v, w), turn, swing, arm, room, count)
+    _fill(row[0], focal * uu / w, focal * uv / w, (u, v, w), rotation, swing, lever, work, count)
+    _fill(row[1], focal * uv / w, focal * vv / w, (u, v, w), rotation, swing, lever, work, count)
     s = u * u + v * v
     row[0, 6], row[1, 6] = du, dv
     row[0, 7], row[1, 7] = 1.0, 0.0
@@ -146,7 +153,7 @@ def observe(
 
 
 @numba.njit(cache=True)
-def _distorted(u: float, v: float, lens: Any) -> tuple[float, float, float, float, float]:
+def _distort(u: float, v: float, lens: Any) -> tuple[float, float, float, float, float]:
     """Distort ideal coordinates by Brown and Conrady's model.
 
     Also returns its symmetric derivative.
@@ -169,10 +176,10 @@ def _fill(
     first: float,
     second: float,
     seen: Any,
-    turn: Any,
+    rotation: Any,
     swing: Any,
-    arm: Any,
-    room: Any,
+    lever: Any,
+    work: Any,
     count: int,
 ) -> None:
     """Fill in derivatives of a pixel coordinate.
@@ -181,7 +188,7 @@ def _fill(
     camera frame's x and y.
     """
     (u, v, w), (x, y, tangent, curved) = seen, swing
-    by_depth, by_index = room[1], room[2]
+    by_depth, by_index = work[1], work[2]
     third = -(first * u + second * v)  # by the camera frame's z; its vector is (u, v, 1) w
     row[0], row[1], row[2] = (
         w * (third * v - second),
@@ -189,16 +196,16 @@ def _fill(
         w * (second * u - first * v),
     )
     left = (
-        first * turn[0, 0] + second * turn[1, 0] + third * turn[2, 0]
+        first * rotation[0, 0] + second * rotation[1, 0] + third * rotation[2, 0]
     )  # by the lateral parts of the direction of light
-    down = first * turn[0, 1] + second * turn[1, 1] + third * turn[2, 1]
+    down = first * rotation[0, 1] + second * rotation[1, 1] + third * rotation[2, 1]
     along = left * x + down * y
     by_x, by_y = tangent * left + along * curved * x, tangent * down + along * curved * y
     by_z = along * by_depth[count - 1]
     row[3], row[4], row[5] = -by_x, -by_y, -along * by_depth[0]
-    row[CAMERA] = by_z * arm[1] - by_y * arm[2]
-    row[CAMERA + 1] = by_x * arm[2] - by_z * arm[0]
-    row[CAMERA + 2] = by_y * arm[0] - by_x * arm[1]
+    row[CAMERA] = by_z * lever[1] - by_y * lever[2]
+    row[CAMERA + 1] = by_x * lever[2] - by_z * lever[0]
+    row[CAMERA + 2] = by_y * lever[0] - by_x * lever[1]
     row[CAMERA + 3], row[CAMERA + 4], row[CAMERA + 5] = by_x, by_y, by_z
     for i in range(count):
         row[CAMERA + BOARD + i] = along * by_index[i]

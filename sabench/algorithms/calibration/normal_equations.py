@@ -12,9 +12,13 @@ from sabench.algorithms.calibration.kernels import BOARD, CAMERA, observe
 
 
 @numba.njit(cache=True)
-def _turned(turn: Any, point: Any, arm: Any) -> None:
+def _rotate(rotation: Any, point: Any, lever: Any) -> None:
     for axis in range(3):
-        arm[axis] = turn[axis, 0] * point[0] + turn[axis, 1] * point[1] + turn[axis, 2] * point[2]
+        lever[axis] = (
+            rotation[axis, 0] * point[0]
+            + rotation[axis, 1] * point[1]
+            + rotation[axis, 2] * point[2]
+        )
 
 
 @numba.njit(cache=True)
@@ -39,8 +43,8 @@ def equations(array: Any, boards: Any, seen: Any, free: Any, scale: float) -> An
 
     Parameters
     ----------
-    array : turns (M, 3, 3), centres (M, 3), lenses (M, 8), media.
-    boards : turns (K, 3, 3), places (K, 3), points on a board (m, 3).
+    array : rotations (M, 3, 3), centres (M, 3), lenses (M, 8), media.
+    boards : rotations (K, 3, 3), positions (K, 3), points on a board (m, 3).
     seen : pixels (M, K, m, 2) and weights (M, K, m); what has no weight is not looked at.
     free : columns of a camera (f,) that are unknowns, and of what all cameras share, counted from 0
         (s,).
@@ -53,8 +57,8 @@ def equations(array: Any, boards: Any, seen: Any, free: Any, scale: float) -> An
         BOARD, BOARD).
     a, d : (M f + s,) and (K, BOARD), minus the gradients.
     """
-    turns, centers, lenses, media = array
-    board_turns, places, points = boards
+    rotations, centers, lenses, media = array
+    board_rotations, positions, points = boards
     pixels, weights = seen
     own, shared = free
     cameras, count, dots = weights.shape
@@ -66,7 +70,7 @@ def equations(array: Any, boards: Any, seen: Any, free: Any, scale: float) -> An
         np.zeros((count, BOARD, BOARD)),
     )
     a, d = np.zeros(size), np.zeros((count, BOARD))
-    row, room, arm = np.zeros((2, CAMERA + BOARD + 2 * m - 2)), np.zeros((3, m)), np.zeros(3)
+    row, work, lever = np.zeros((2, CAMERA + BOARD + 2 * m - 2)), np.zeros((3, m)), np.zeros(3)
     pick = _columns(own, shared)
     part, slope, chosen = np.zeros((local, local)), np.zeros(local), np.zeros((2, local))
     cost = 0.0
@@ -77,9 +81,9 @@ def equations(array: Any, boards: Any, seen: Any, free: Any, scale: float) -> An
                 weight = weights[c, k, i]
                 if weight == 0.0:
                     continue
-                _turned(board_turns[k], points[i], arm)
+                _rotate(board_rotations[k], points[i], lever)
                 u, v, ok = observe(
-                    turns[c], centers[c], lenses[c], media, arm, places[k], row, room
+                    rotations[c], centers[c], lenses[c], media, lever, positions[k], row, work
                 )
                 if not ok:
                     return math.inf, aa, ab, bb, a, d
@@ -137,17 +141,17 @@ def misses(array: Any, boards: Any, seen: Any) -> Any:
 
     NaN where nothing was seen or there is no path.
     """
-    turns, centers, lenses, media = array
-    board_turns, places, points = boards
+    rotations, centers, lenses, media = array
+    board_rotations, positions, points = boards
     pixels, _ = seen
     out, m = np.full(pixels.shape, math.nan), len(media[0])
-    row, room, arm = np.zeros((2, CAMERA + BOARD + 2 * m - 2)), np.zeros((3, m)), np.zeros(3)
+    row, work, lever = np.zeros((2, CAMERA + BOARD + 2 * m - 2)), np.zeros((3, m)), np.zeros(3)
     for c in range(pixels.shape[0]):
         for k in range(pixels.shape[1]):
             for i in range(pixels.shape[2]):
-                _turned(board_turns[k], points[i], arm)
+                _rotate(board_rotations[k], points[i], lever)
                 u, v, ok = observe(
-                    turns[c], centers[c], lenses[c], media, arm, places[k], row, room
+                    rotations[c], centers[c], lenses[c], media, lever, positions[k], row, work
                 )
                 if ok:
                     out[c, k, i, 0], out[c, k, i, 1] = (
@@ -163,14 +167,14 @@ def spreads(array: Any, boards: Any, seen: Any, free: Any, covariance: Any) -> A
 
     They follow from that of the unknowns in the order cameras, shared, boards.
     """
-    turns, centers, lenses, media = array
-    board_turns, places, points = boards
+    rotations, centers, lenses, media = array
+    board_rotations, positions, points = boards
     _, weights = seen
     own, shared = free
     cameras, count, dots = weights.shape
     f, s, m = len(own), len(shared), len(media[0])
     local, base = f + s + BOARD, cameras * f + s
-    row, room, arm = np.zeros((2, CAMERA + BOARD + 2 * m - 2)), np.zeros((3, m)), np.zeros(3)
+    row, work, lever = np.zeros((2, CAMERA + BOARD + 2 * m - 2)), np.zeros((3, m)), np.zeros(3)
     out = np.full((cameras, count, dots, 3), math.nan)
     part, pick, there = (
         np.zeros((local, local)),
@@ -193,9 +197,9 @@ def spreads(array: Any, boards: Any, seen: Any, free: Any, covariance: Any) -> A
             for i in range(dots):
                 if weights[c, k, i] == 0.0:
                     continue
-                _turned(board_turns[k], points[i], arm)
+                _rotate(board_rotations[k], points[i], lever)
                 _, _, ok = observe(
-                    turns[c], centers[c], lenses[c], media, arm, places[k], row, room
+                    rotations[c], centers[c], lenses[c], media, lever, positions[k], row, work
                 )
                 if not ok:
                     continue

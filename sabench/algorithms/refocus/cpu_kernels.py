@@ -54,7 +54,7 @@ def _stretch(fraction: float, step: float, first: int, count: int) -> int:
 
 
 @numba.njit(cache=True, fastmath=True, forceinline=True)
-def _folded(total: Any, sample: Any, fold: Any) -> Any:
+def _fold(total: Any, sample: Any, fold: Any) -> Any:
     """Add a sample to a total or multiply it in.
 
     The result is total + sample for a `fold` of one number, total * max(sample, fold[0]) for one of
@@ -90,9 +90,9 @@ def _fold_row(
         if above < 0 or above >= height - 1 or high <= low:
             low = high = end
         for i in range(first, low):
-            target[i] = _folded(target[i], outside, fold)
+            target[i] = _fold(target[i], outside, fold)
         for i in range(high, end):
-            target[i] = _folded(target[i], outside, fold)
+            target[i] = _fold(target[i], outside, fold)
         if high > low:
             start = (
                 np.float32(x - shift + column_step * (low - first)),
@@ -121,7 +121,7 @@ def _interpolate(
             )
             over = upper[i] + share * (upper[i + 1] - upper[i])
             under = lower[i] + share * (lower[i + 1] - lower[i])
-            target[i] = _folded(target[i], over + below * (under - over), fold)
+            target[i] = _fold(target[i], over + below * (under - over), fold)
     else:
         p, q, r, s = upper, lower, image[top + 2, left:], image[top + 3, left:]
         for i in range(len(target)):
@@ -133,7 +133,7 @@ def _interpolate(
             under = b2 * (a0 * r[i] + a1 * r[i + 1] + a2 * r[i + 2] + a3 * r[i + 3]) + b3 * (
                 a0 * s[i] + a1 * s[i + 1] + a2 * s[i + 2] + a3 * s[i + 3]
             )
-            target[i] = _folded(target[i], over + under, fold)
+            target[i] = _fold(target[i], over + under, fold)
 
 
 @numba.njit(cache=True, fastmath=True, forceinline=True)
@@ -262,14 +262,14 @@ def _interpolate_four(
             r[i] + share * (r[i + 1] - r[i]),
         )
         row_3, row_4 = s[i] + share * (s[i + 1] - s[i]), t[i] + share * (t[i + 1] - t[i])
-        target[i] = _folded(target[i], row_0 + (below + down) * (row_1 - row_0), fold)
-        target[i + TILE_COLUMNS] = _folded(
+        target[i] = _fold(target[i], row_0 + (below + down) * (row_1 - row_0), fold)
+        target[i + TILE_COLUMNS] = _fold(
             target[i + TILE_COLUMNS], row_1 + (below_1 + down) * (row_2 - row_1), fold
         )
-        target[i + 2 * TILE_COLUMNS] = _folded(
+        target[i + 2 * TILE_COLUMNS] = _fold(
             target[i + 2 * TILE_COLUMNS], row_2 + (below_2 + down) * (row_3 - row_2), fold
         )
-        target[i + 3 * TILE_COLUMNS] = _folded(
+        target[i + 3 * TILE_COLUMNS] = _fold(
             target[i + 3 * TILE_COLUMNS], row_3 + (below_3 + down) * (row_4 - row_3), fold
         )
 

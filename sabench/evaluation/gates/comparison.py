@@ -125,7 +125,7 @@ def check(
         A bad suite, an unknown solver, solvers without any case for their task, or a baseline whose
         data sets another renderer made.
     """
-    name, cases = find(suite, "scenes/suites").stem, _chosen(load_suite(suite)[1], solvers)
+    name, cases = find(suite, "scenes/suites").stem, _select_cases(load_suite(suite)[1], solvers)
     found: list[Finding] = []
     entries = []
     for number, case in enumerate(cases, 1):
@@ -141,7 +141,7 @@ def check(
                 f"is, but here they are by {case.renderer}"
             )
         entries.append(run_case(case, work, old, before.tolerances if before else {}, exit_first))
-        found += _compared(case, old, entries[-1], before)
+        found += _compare(case, old, entries[-1], before)
         if exit_first and any(finding.worse for finding in found):
             break
     else:
@@ -162,7 +162,7 @@ def check(
     )
 
 
-def _chosen(cases: Sequence[Case], solvers: Sequence[SolverEntry]) -> list[Case]:
+def _select_cases(cases: Sequence[Case], solvers: Sequence[SolverEntry]) -> list[Case]:
     """Select the cases that have solvers of the given solvers' tasks.
 
     They run the given solvers instead of their own. Without given solvers, all cases stay as they
@@ -188,7 +188,7 @@ def _chosen(cases: Sequence[Case], solvers: Sequence[SolverEntry]) -> list[Case]
     return [case for case in own if case.solvers]
 
 
-def _compared(
+def _compare(
     case: Case, old: CaseEntry | None, now: CaseEntry, before: Baseline | None
 ) -> Iterator[Finding]:
     if before is None:

@@ -83,7 +83,7 @@ def compare(
     new solver is news.
     """
     case, seed = now.key
-    for figure, allowed, change in _moved(before.data, now.data, tolerances, DATA):
+    for figure, allowed, change in _list_moved(before.data, now.data, tolerances, DATA):
         yield Finding(
             case,
             seed,
@@ -101,7 +101,9 @@ def compare(
             worse, text = said
             yield Finding(case, seed, solver, "", None, None, None, worse=worse, text=text)
         elif old is not None and new is not None:
-            yield from _of_solver(now, solver, served[solver], old, scaled(new, old), tolerances)
+            yield from _of_solver(
+                now, solver, served[solver], old, scale_times(new, old), tolerances
+            )
 
 
 def _standing(old: Entry | None, new: Entry | None) -> tuple[bool, str] | None:
@@ -124,7 +126,7 @@ def _standing(old: Entry | None, new: Entry | None) -> tuple[bool, str] | None:
 def _of_solver(
     case: CaseEntry, solver: str, task: str, old: Entry, new: Entry, tolerances: Tolerances
 ) -> Iterator[Finding]:
-    for figure, allowed, change in _moved(old.figures, new.figures, tolerances, task):
+    for figure, allowed, change in _list_moved(old.figures, new.figures, tolerances, task):
         yield Finding(
             *case.key,
             solver,
@@ -136,7 +138,7 @@ def _of_solver(
         )
 
 
-def scaled(new: Entry, old: Entry) -> Entry:
+def scale_times(new: Entry, old: Entry) -> Entry:
     """Scale the times of a new entry to the machine and load of the old one.
 
     The factor is the ratio of the reference kernel's times.
@@ -151,7 +153,7 @@ def scaled(new: Entry, old: Entry) -> Entry:
     return new.model_copy(update={"figures": new.figures | times, "reference_s": old.reference_s})
 
 
-def _moved(
+def _list_moved(
     before: Figures, now: Figures, tolerances: Tolerances, task: str
 ) -> Iterator[tuple[str, float | None, float]]:
     """List the figures beyond tolerance: name, tolerance and loss.

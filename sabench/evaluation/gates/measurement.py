@@ -16,7 +16,7 @@ from sabench.evaluation.gates.baseline import (
     tolerance_of,
 )
 from sabench.evaluation.gates.dataset_statistics import fingerprint
-from sabench.evaluation.gates.findings import compare, scaled
+from sabench.evaluation.gates.findings import compare, scale_times
 from sabench.evaluation.gates.known_wrong_estimates import score_known_wrong
 from sabench.evaluation.runner import dataset_of
 from sabench.evaluation.suites import Case, SolverEntry
@@ -77,7 +77,7 @@ def run_case(
             )
         ):
             break
-        entry = _solved_again(
+        entry = _solve_again(
             data, solver_entry, out, old.solvers.get(name) if old else None, tolerances
         )
         now = now.model_copy(update={"solvers": {**now.solvers, name: entry}})
@@ -103,7 +103,7 @@ def tasks_of(case: Case) -> dict[str, str]:
     }
 
 
-def _solved_again(
+def _solve_again(
     data: Dataset,
     solver_entry: SolverEntry,
     out: Path,
@@ -111,17 +111,17 @@ def _solved_again(
     tolerances: Tolerances,
 ) -> Entry:
     """Solve and score; repeat where time or memory seem to have grown."""
-    entry = _solved(data, solver_entry, out)
+    entry = _solve(data, solver_entry, out)
     for _ in range(_AGAIN):
         if earlier is None or not _exceeds_tolerance(
             earlier, entry, tolerances, task_of(solver_entry)
         ):
             break
-        entry = _cheaper(entry, _solved(data, solver_entry, out))
+        entry = _cheaper(entry, _solve(data, solver_entry, out))
     return entry
 
 
-def _solved(data: Dataset, solver_entry: SolverEntry, out: Path) -> Entry:
+def _solve(data: Dataset, solver_entry: SolverEntry, out: Path) -> Entry:
     try:
         # like the reference kernel; other processes slow threads down most
         reference_s = solve_apart(solver_entry, data, out, threads=1)
@@ -141,7 +141,7 @@ def _exceeds_tolerance(earlier: Entry, entry: Entry, tolerances: Tolerances, tas
 
     The reason may be another process, or machine code that was compiled for the first time.
     """
-    now = scaled(entry, earlier).figures
+    now = scale_times(entry, earlier).figures
     pairs = [
         (key, old, new)
         for key in COSTS
@@ -159,7 +159,7 @@ def _cheaper(one: Entry, other: Entry) -> Entry:
     """
     if other.error or one.error:
         return other if other.error else one
-    here = scaled(one, other)
+    here = scale_times(one, other)
     least = {
         key: min(a, b)
         for key in COSTS

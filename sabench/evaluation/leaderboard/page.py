@@ -36,10 +36,10 @@ def render(rows: Sequence[Record], pictures: Path) -> str:
     """
     cases = cases_of(rows)
     albums, left_out = albums_of(cases, pictures)
-    return _assembled(content_of(cases) | {"leftOut": left_out}, albums)
+    return _assemble(content_of(cases) | {"leftOut": left_out}, albums)
 
 
-def _assembled(data: dict[str, Any], albums: dict[int, dict[str, str]]) -> str:
+def _assemble(data: dict[str, Any], albums: dict[int, dict[str, str]]) -> str:
     folder = plugins.bundled_folder("leaderboard")
     style = _inline((folder / "page" / "page.css").read_text(encoding="utf-8"))
     parts = "\n".join(

@@ -137,7 +137,7 @@ class _Device:
         ]
         self.ambient = dr.opaque(mi.Float, lamps.ambient)
         self.inverse_square = dr.opaque(mi.Float, 1.0 / stage.fluid**2)
-        self.reach = dr.opaque(mi.Float, stage.reach)
+        self.radius = dr.opaque(mi.Float, stage.radius)
 
 
 def _cloud(cloud: Cloud | None) -> tuple[Any, ...] | None:
@@ -170,7 +170,7 @@ def _trace(device: Any, ray: Any, draw: Any, free: Any) -> Any:
     """Trace the radiance along `free` rays from the lens."""
     table = draw.table()
     ray, weight = enter(device, ray)
-    ahead = -dr.dot(ray.o, ray.d) - device.reach
+    ahead = -dr.dot(ray.o, ray.d) - device.radius
     ray.o = dr.select(ahead > 0.0, dr.fma(ray.d, ahead, ray.o), ray.o)
     result = mi.Float(0.0)
     events, glowed, last = mi.UInt32(0), mi.UInt32(0), mi.UInt32(_NONE)

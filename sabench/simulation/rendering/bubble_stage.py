@@ -48,7 +48,7 @@ class Stage:
     centers, to_ball : of the bubbles (n, 3), (n, 3, 3), as in `world.Bubbles`.
     eta : refractive index in the bubbles over the fluid's; fluid : the fluid's over the air's.
     normal : of the walls, from the cameras into the tank; front, rear None: no wall there.
-    reach : radius of a ball around the frame's origin that holds all of it.
+    radius : of a ball around the frame's origin that holds all of it.
     """
 
     scene: Any
@@ -60,7 +60,7 @@ class Stage:
     front: Stack | None
     rear: Stack | None
     panel: Panel | None
-    reach: float
+    radius: float
     bubbles: Any = None
     balls: Any = None
     cloud: Cloud | None = None

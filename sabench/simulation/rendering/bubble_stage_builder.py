@@ -101,7 +101,7 @@ class Stager:
             light.exposure for light in (lights.backlight, lights.lighting) if light is not None
         ]
         self.brightest = max(shining, default=1.0) * full
-        self._reach = _reach(bubbles, bodies, self._cloud, self.origin)
+        self._radius = _bounding_radius(bubbles, bodies, self._cloud, self.origin)
         self._made: tuple[float, Stage] | None = None
 
     def __call__(self, delay_s: float) -> Stage:
@@ -151,7 +151,7 @@ class Stager:
             front,
             rear,
             self._panel,
-            self._reach,
+            self._radius,
             named.get("bubbles"),
             named.get("balls"),
             self._cloud,
@@ -256,7 +256,7 @@ def _lamps(light: Lighting | None, camera: Camera, origin: F64, full: float) -> 
     return place_lamps(light, camera, origin, origin, behind)
 
 
-def _reach(
+def _bounding_radius(
     bubbles: Bubbles,
     bodies: Sequence[tuple[Solid, Material]],
     cloud: Cloud | None,

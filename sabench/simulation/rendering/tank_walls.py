@@ -116,5 +116,5 @@ def leave(device: Any, ray: Any) -> tuple[Any, Any, Any]:
     seen = dr.select(
         back & (out_behind > 0.0), out_behind * _panel_radiance(device, position, direction), 0.0
     )
-    near = dr.squared_norm(here) < (50.0 * device.reach) * (50.0 * device.reach)
+    near = dr.squared_norm(here) < (50.0 * device.radius) * (50.0 * device.radius)
     return seen, dr.select(near, 1.0 - passed, 0.0), here

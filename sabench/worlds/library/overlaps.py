@@ -17,12 +17,12 @@ from sabench.utils.arrays import F64, I64, Bool
 _STEPS = 40  # of the golden section: to 4e-9
 
 
-def shapes_of(semi_axes_mm: F64, turn: F64) -> F64:
+def shapes_of(semi_axes_mm: F64, rotation: F64) -> F64:
     """Compute matrices whose inverses are the ellipsoids' quadratic forms.
 
     (n, 3, 3).
     """
-    return np.asarray(np.einsum("nki,nk,nkj->nij", turn, semi_axes_mm**2, turn))
+    return np.asarray(np.einsum("nki,nk,nkj->nij", rotation, semi_axes_mm**2, rotation))
 
 
 def overlapping(bubbles: Bubbles) -> I64:
@@ -72,7 +72,7 @@ def touching(bubbles: Bubbles, solid: Solid) -> Bool:
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _touch(centers: Any, to_ball: Any, reach: Any, vertices: Any, faces: Any, out: Any) -> None:
+def _touch(centers: Any, to_ball: Any, radius: Any, vertices: Any, faces: Any, out: Any) -> None:
     """Mark bubbles that a triangle touches.
 
     Where the bubble is a unit ball, the triangle then comes nearer than 1 to the origin.
@@ -88,8 +88,8 @@ def _touch(centers: Any, to_ball: Any, reach: Any, vertices: Any, faces: Any, ou
                     vertices[faces[f, 2], axis],
                 )
                 away |= (
-                    max(a, b, c) < centers[n, axis] - reach[n]
-                    or min(a, b, c) > centers[n, axis] + reach[n]
+                    max(a, b, c) < centers[n, axis] - radius[n]
+                    or min(a, b, c) > centers[n, axis] + radius[n]
                 )
             if away:
                 continue

@@ -19,12 +19,12 @@ from sabench.worlds.library.overlaps import contact_factor, shapes_of
 _TRIES, _ROUNDS = 64, 200  # places that are tried for each bubble at a time, and how often
 
 
-def place(semi_axes_mm: F64, turn: F64, propose: Callable[[I64, int], F64], what: str) -> F64:
+def place(semi_axes_mm: F64, rotation: F64, propose: Callable[[I64, int], F64], what: str) -> F64:
     """Place ellipsoids so that none overlap, the largest first: centres (n, 3).
 
     Parameters
     ----------
-    semi_axes_mm, turn : (n, 3), (n, 3, 3) as in `Bubbles`.
+    semi_axes_mm, rotation : (n, 3), (n, 3, 3) as in `Bubbles`.
     propose : for k bubbles (their numbers) and m places of each: candidates (k, m, 3) from wherever
         they may be.
     what : named in errors.
@@ -37,7 +37,7 @@ def place(semi_axes_mm: F64, turn: F64, propose: Callable[[I64, int], F64], what
     count = len(semi_axes_mm)
     order = np.argsort(-semi_axes_mm.max(axis=1), kind="stable")
     shapes, largest, smallest = (
-        shapes_of(semi_axes_mm, turn),
+        shapes_of(semi_axes_mm, rotation),
         semi_axes_mm.max(axis=1),
         semi_axes_mm.min(axis=1),
     )
