@@ -4,6 +4,7 @@ import numpy as np
 import numpy.typing as npt
 
 F64 = npt.NDArray[np.float64]
+C128 = npt.NDArray[np.complex128]
 F32 = npt.NDArray[np.float32]
 U16 = npt.NDArray[np.uint16]
 I64 = npt.NDArray[np.int64]

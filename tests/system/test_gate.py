@@ -6,6 +6,7 @@ It prints nothing where nothing has changed, and the figure where one has.
 from __future__ import annotations
 
 import json
+import sys
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -57,25 +58,27 @@ def algorithms(tmp_path: Path) -> Path:
 
 
 def plant(folder: Path) -> None:
-    (folder / "mine" / "solvers" / "dimmest.py").write_text(PLANTED)
+    file = folder / "mine" / "solvers" / "dimmest.py"
+    file.write_text(PLANTED)
+    sys.modules.pop("sabench.plugins.solvers.dimmest", None)
 
 
 def test_a_check_is_silent_until_something_got_worse(
-    algorithms: Path, command: Command, own_process: Command, monkeypatch: pytest.MonkeyPatch
+    algorithms: Path, command: Command, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("SABENCH_PLUGINS", str(algorithms / "mine"))
     words = ("check", "tiny.toml", "--baseline", "base.json")
     missing = command(*words)
     assert missing.returncode == 2
     assert "--update makes one" in missing.stderr
-    made = own_process(*words, "--update")
+    made = command(*words, "--update")
     assert made.returncode == 0, made.stderr
-    silent = own_process(*words, "--junit", "ok.xml")
+    silent = command(*words, "--junit", "ok.xml")
     assert silent.returncode == 0, silent.stdout + silent.stderr
     assert silent.stdout == "tiny: 1 data sets, 1 results: nothing got worse\n"
     assert ElementTree.parse(algorithms / "ok.xml").getroot().get("failures") == "0"
     plant(algorithms)
-    worse = own_process(*words, "--junit", "bad.xml", "--json")
+    worse = command(*words, "--junit", "bad.xml", "--json")
     assert worse.returncode == 1
     figures = {one["figure"]: one for one in json.loads(worse.stdout)["worse"]}
     assert figures["q"]["solver"] == "dimmest"
@@ -116,11 +119,11 @@ def test_the_fixture_runs_a_plug_in_against_its_baseline(
         '    assert list(found.now.cases[0].solvers) == ["dimmest", "msa k=2.0"]\n'
     )
     run = ("-p", "sabench.evaluation.gates.pytest_plugin", "-p", "no:cacheprovider")
-    pytester.runpytest_subprocess(*run, "--sabench-update").assert_outcomes(passed=1)
+    pytester.runpytest_inprocess(*run, "--sabench-update").assert_outcomes(passed=1)
     assert (pytester.path / "base.json").is_file()
-    pytester.runpytest_subprocess(*run).assert_outcomes(passed=1)
+    pytester.runpytest_inprocess(*run).assert_outcomes(passed=1)
     plant(algorithms)
-    failed = pytester.runpytest_subprocess(*run)
+    failed = pytester.runpytest_inprocess(*run)
     failed.assert_outcomes(failed=1)
     failed.stdout.fnmatch_lines(["*few, seed 1: dimmest: q: * before, * now*is allowed*"])
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.ndimage import convolve1d
 
-from sabench.utils.arrays import F64
+from sabench.utils.arrays import C128, F64
 
 _STEP_RAD = np.deg2rad(
     0.02
@@ -67,7 +67,7 @@ def mie_table(
     wavelength_nm : in vacuum.
 
     Source: dC/dOmega = (|S1|^2 + |S2|^2) / (2 k^2), Bohren and Huffman (1983), section 4.4;
-    amplitudes from miepython, whose norm "wiscombe" is theirs (its "bohren" is twice that).
+    coefficients a_n, b_n from miepython.
     """
     sizes, counts = np.unique(
         np.quantile(diameters_mm, (np.arange(_SIZES) + 0.5) / _SIZES), return_counts=True
@@ -93,18 +93,58 @@ def _tabulate(
 
     The table is cached, since the frames of a moving cloud share it.
     """
-    import miepython
-
     angles = np.arange(
         max(0.0, angles_rad[0] - 10 * _STEP_RAD),
         min(np.pi, angles_rad[1] + 10 * _STEP_RAD) + _STEP_RAD,
         _STEP_RAD,
     )
     wavenumber = 2.0 * np.pi * fluid_index / (wavelength_nm * 1e-6)
+    series = [
+        (size, count, *_coefficients(particle_index / fluid_index, wavenumber * size / 2.0))
+        for size, count in sizes_mm
+    ]
+    functions = _angular_functions(np.cos(angles), max(len(a) for _, _, a, _ in series))
     total = np.zeros_like(angles)
-    for size, count in sizes_mm:
-        amplitudes = miepython.S1_S2(
-            particle_index / fluid_index, wavenumber * size / 2.0, np.cos(angles), norm="wiscombe"
-        )
-        total += count * sum(np.abs(a) ** 2 for a in amplitudes) / (2.0 * wavenumber**2 * size**2)
+    for size, count, a, b in series:
+        strength = sum(np.abs(s) ** 2 for s in _amplitudes(a, b, *functions))
+        total += count * strength / (2.0 * wavenumber**2 * size**2)
     return MieTable(angles, total / _SIZES)
+
+
+def _coefficients(index: complex, size_parameter: float) -> tuple[C128, C128]:
+    """Compute a_n and b_n (n,) of a sphere, from the order 1 on, by miepython."""
+    import miepython
+
+    lossy = np.conj(index) if np.imag(index) > 0 else index  # its sign of absorption
+    a, b = miepython.an_bn(lossy, size_parameter, 0)
+    return a, b
+
+
+def _angular_functions(cosines: F64, count: int) -> tuple[F64, F64]:
+    """Compute pi_n and tau_n (angle, order) for the orders 1 to `count`.
+
+    Source: Bohren and Huffman (1983), eq. 4.47, for all angles at once: miepython takes one at a
+    time, and repeats it for every size.
+    """
+    pi, tau = np.zeros((2, count, len(cosines)))
+    before, pi[0] = np.zeros_like(cosines), 1.0
+    for n in range(1, count + 1):
+        tau[n - 1] = n * cosines * pi[n - 1] - (n + 1) * before
+        if n < count:
+            pi[n] = ((2 * n + 1) * cosines * pi[n - 1] - (n + 1) * before) / n
+            before = pi[n - 1]
+    return np.ascontiguousarray(pi.T), np.ascontiguousarray(tau.T)
+
+
+def _amplitudes(a: C128, b: C128, pi: F64, tau: F64) -> tuple[C128, C128]:
+    """Sum the series of S1 and S2 (angle,), up to the complex conjugate.
+
+    Source: Bohren and Huffman (1983), eq. 4.74.
+    """
+    n = np.arange(1, len(a) + 1)
+    scale = (2.0 * n + 1.0) / ((n + 1.0) * n)
+    a, b = scale * a, scale * b
+    pairs = list(zip(pi[:, : len(a)], tau[:, : len(a)], strict=True))
+    first = np.array([np.dot(p, a) + np.dot(t, b) for p, t in pairs])
+    second = np.array([np.dot(t, a) + np.dot(p, b) for p, t in pairs])
+    return first, second

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import functools
 import multiprocessing
+import os
 from collections.abc import Callable
 from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
@@ -38,7 +39,7 @@ def call_isolated(
     """
     context = _context()
     receiver, sender = context.Pipe(duplex=False)
-    child = context.Process(target=_call, args=(sender, function, arguments))
+    child = context.Process(target=_call, args=(sender, dict(os.environ), function, arguments))
     with ignored_interrupts():
         child.start()
     sender.close()
@@ -91,7 +92,14 @@ def _context() -> Any:
     return context
 
 
-def _call(sender: Connection, function: Callable[..., Any], arguments: tuple[Any, ...]) -> None:
+def _call(
+    sender: Connection,
+    environment: dict[str, str],
+    function: Callable[..., Any],
+    arguments: tuple[Any, ...],
+) -> None:
+    os.environ.clear()  # they are those of the server when it started
+    os.environ.update(environment)
     try:
         value = function(*arguments)
     except InputError as error:

@@ -123,3 +123,21 @@ def test_gaussian_sheet_falls_to_e_minus_2_at_half_its_width() -> None:
         light, np.zeros(3), np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 1.0], [9.0, 9.0, -1.0]])
     )
     np.testing.assert_allclose(values[1:] / values[0], math.exp(-2.0), rtol=1e-12)
+
+
+def test_the_series_is_miepython_s() -> None:
+    """It sums the series of all angles at once, and miepython that of one after another."""
+    sizes, angles = np.array([0.004, 0.031, 0.08]), (1.2, 1.3)
+    table = mie_table(sizes, 1.59 - 0.001j, 1.333, 532.0, angles)
+    wavenumber = 2.0 * np.pi * 1.333 / 532e-6
+    quantiles = np.quantile(sizes, (np.arange(16) + 0.5) / 16)
+    expected = 0.0
+    for size in quantiles:
+        pair = miepython.S1_S2(
+            (1.59 - 0.001j) / 1.333,
+            wavenumber * size / 2.0,
+            np.cos(table.angles_rad),
+            norm="wiscombe",
+        )
+        expected += sum(np.abs(s) ** 2 for s in pair) / (2.0 * wavenumber**2 * size**2)
+    np.testing.assert_allclose(table.per_square_diameter, expected / 16, rtol=1e-12)
