@@ -43,9 +43,9 @@ def test_the_child_has_the_environment_of_the_moment(monkeypatch: pytest.MonkeyP
 
 
 def test_faults_become_input_errors() -> None:
-    with pytest.raises(InputError, match="^no$"):
+    with pytest.raises(InputError, match=r"^no$"):
         call_isolated(refuse, doing="sum")
-    with pytest.raises(InputError, match="^sum: its process ended with signal SIGABRT"):
+    with pytest.raises(InputError, match=r"^sum: its process ended with signal SIGABRT"):
         call_isolated(break_off, doing="sum")
     with pytest.raises(InputError, match=r"^sleep: expected an end within 0.2 s"):
         call_isolated(time.sleep, 60.0, doing="sleep", time_s=0.2)
