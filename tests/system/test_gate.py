@@ -29,7 +29,7 @@ solvers = [{ name = "dimmest" }]
 SOLVER = '''"""The dimmest camera."""
 
 from sabench.api import Reconstruction, Solver
-from sabench.images.brightness import normalised
+from sabench.images.brightness import normalise
 from sabench.algorithms.refocus import refocus_log2
 
 
@@ -40,7 +40,7 @@ class Dimmest(Solver):
     references = ("nobody",)
 
     def solve(self, case):
-        images = normalised(case.images, case.black_dn)
+        images = normalise(case.images, case.black_dn)
         volume = refocus_log2(images, case.cameras, case.grid, 0.01, outside=0.01)
         volume[volume < -8.0] = -100.0
         return Reconstruction(2.0 ** volume)
