@@ -118,6 +118,7 @@ def command(
         with monkeypatch.context() as patch:
             patch.chdir(tmp_path)
             patch.setattr(sys, "argv", ["sabench", *words])
+            patch.setattr(sys, "unraisablehook", sys.unraisablehook)  # the command sets it
             with pytest.raises(SystemExit) as end:
                 main()
         code = end.value.code

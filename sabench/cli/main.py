@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 import os
+import signal
 import sys
+import threading
+from collections.abc import Callable
 from typing import Annotated, Any, NoReturn
 
 import typer
@@ -38,6 +42,7 @@ for _command in (
     app.command(cls=Command)(_command)
 
 _INTERRUPTED = "interrupted: finished work is kept, nothing is left half-written"
+_AGAIN_S = 0.05  # until a Ctrl-C is repeated
 
 
 @app.callback(invoke_without_command=True)
@@ -58,6 +63,7 @@ def main() -> NoReturn:
 
     Exit code 0: done; 1: a check failed; 2: wrong input, a fault of the disk, or an interrupt.
     """
+    sys.unraisablehook = functools.partial(_interrupt_again, sys.unraisablehook)
     try:
         code = app(standalone_mode=False)
     except InputError as error:
@@ -78,6 +84,16 @@ def main() -> NoReturn:
     if code == 130:  # the command-line library reports Ctrl-C so
         _fail(_INTERRUPTED)
     sys.exit(code if isinstance(code, int) else 0)
+
+
+def _interrupt_again(otherwise: Callable[[Any], None], fault: Any) -> None:
+    """Repeat a Ctrl-C that came while Python ran a destructor, which cannot pass it on."""
+    if not isinstance(fault.exc_value, KeyboardInterrupt):
+        otherwise(fault)
+        return
+    again = threading.Timer(_AGAIN_S, os.kill, (os.getpid(), signal.SIGINT))
+    again.daemon = True
+    again.start()
 
 
 def _close_output() -> None:

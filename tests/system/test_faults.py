@@ -418,6 +418,28 @@ def test_ctrl_c_at_any_moment_ends_in_a_sentence_and_keeps_what_is_finished(
     assert sabench.generate(scene, folder / "set", backend="splat").content_hash == undisturbed
 
 
+def test_ctrl_c_within_a_destructor_is_not_lost(tmp_path: Path) -> None:
+    """Python ignores what a destructor raises."""
+    code = (
+        "import os, signal, sys, time\n"
+        "from sabench.cli import main as command\n"
+        "class Interrupted:\n"
+        "    def __del__(self):\n"
+        "        os.kill(os.getpid(), signal.SIGINT)\n"
+        "        time.sleep(0.2)\n"
+        "def work(**words):\n"
+        "    Interrupted()\n"
+        "    time.sleep(30.0)\n"
+        "command.app = work\n"
+        "command.main()\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=ROOT, capture_output=True, timeout=60, check=False
+    )
+    assert done.returncode == 2
+    assert done.stderr.startswith(b"sabench: interrupted")
+
+
 SLEEPER = '''"""Sleeps."""
 
 import time
