@@ -87,7 +87,7 @@ def main() -> NoReturn:
 
 
 def _interrupt_again(otherwise: Callable[[Any], None], fault: Any) -> None:
-    """Repeat a Ctrl-C that came while Python ran a destructor, which cannot pass it on."""
+    """Repeat a Ctrl-C that came within a destructor, which Python does not pass on."""
     if not isinstance(fault.exc_value, KeyboardInterrupt):
         otherwise(fault)
         return

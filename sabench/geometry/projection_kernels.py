@@ -40,11 +40,11 @@ def media_of(wall: Wall, center_mm: F64) -> Media:
     constant = [
         (float(ratios[0]), before),
         *(
-            (float(r), layer.thickness_mm)
+            (float(r), float(layer.thickness_mm))
             for r, layer in zip(ratios[1:-1], wall.layers, strict=True)
         ),
     ]
-    rare = sum(depth for ratio, depth in constant if ratio == 1.0)
+    rare = float(sum(depth for ratio, depth in constant if ratio == 1.0))  # 0 would be another type
     others = tuple(pair for pair in constant if pair[0] != 1.0) or (
         (1.0, 0.0),
     )  # numba cannot go through an empty one

@@ -109,7 +109,7 @@ def refocus_by_shifts(images: F32, cameras: Sequence[CameraModel], grid: Grid) -
             cpu_kernels.sum_planes(
                 focused[plane - first][None],
                 CUBIC,
-                maps[:, plane : plane + 1],
+                np.ascontiguousarray(maps[:, plane : plane + 1]),  # one type, one compilation
                 0.0,
                 volume[plane : plane + 1],
             )
