@@ -34,9 +34,10 @@ from typing import Any
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 os.environ.setdefault("NUMBA_NUM_THREADS", "1")
-from sabench.dataset import hdf5_probe  # noqa: E402
 from sabench.utils.errors import InputError  # noqa: E402
+from sabench.utils.processes import isolated_reading  # noqa: E402
 from tests.helpers.untrusted import KINDS, Base, check_sentence, make_base  # noqa: E402
+from tests.helpers.untrusted_files import describe_calibration  # noqa: E402
 
 _LIMIT_S = 5.0
 _WARM_S, _MAKE_S = 120.0, 60.0
@@ -141,7 +142,7 @@ def _work(pipe: Connection, base: Base, root: Path, seed: int, probe_s: float) -
         os.dup2(silent, number)
     (root / "tmp").mkdir(exist_ok=True)
     tempfile.tempdir = str(root / "tmp")
-    hdf5_probe._PROBE_S = probe_s  # below the limit that is tested here
+    isolated_reading._CPU_S = probe_s  # below the limit that is tested here
     try:
         _warm_up(base, root)
         pipe.send(("warm", ""))
@@ -169,10 +170,12 @@ def _warm_up(base: Base, root: Path) -> None:
     out.mkdir(parents=True)
     solve("asa", base.particles, out / "a.h5", parameters={"k": 3.0})
     score(base.particles, out / "a.h5")
-    for track, path in base.results.items():
-        if track == "bubbles":
-            continue  # its scores need bubbles; the case feeds the reading alone
-        score(base.target if track == "calibration" else base.particles, path)
+    for task, path in base.results.items():
+        score(base.data_of(task), path)
+    from sabench.tasks.own_calibration import calibrate
+
+    describe_calibration(base.target, out / "mine")
+    calibrate(out / "mine", out / "calibrated", "refractive_autocal", {})
     from sabench.evaluation.leaderboard.submissions import submit
 
     submit(base.results["reconstruction"], "warm", [base.particles.root], out / "leaderboard")
