@@ -172,9 +172,9 @@ def read_cameras(root: Path) -> CamerasFile:
             f"{path}: cameras: expected different names of letters, digits and _, got {names}"
         )
     _check_cameras(loaded.cameras, path)
-    _check_numbers(loaded, path)
     check_shown(path, loaded.shows)
     check_lengths(path, loaded.wall, loaded.cameras, loaded.grid)
+    _check_numbers(loaded, path)
     return loaded.model_copy(update={"cameras": _behind(loaded.wall, loaded.cameras)})
 
 

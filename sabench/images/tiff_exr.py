@@ -70,7 +70,7 @@ def _check_page(path: Path, page: Any, shape: tuple[int, int], pages: int) -> No
         more = f" and {pages - 1} more" if pages > 1 else ""
         got = f"{page.dtype} of shape {page.shape}{more}"
         raise InputError(f"{path}: expected 16-bit grey values of shape {shape}, got {got}")
-    rules = (
+    rules: tuple[tuple[str, int, int], ...] = (
         ("compression", int(page.compression), 1),
         ("photometric interpretation", int(page.photometric), 1),
         ("predictor", int(page.predictor), 1),
@@ -80,11 +80,11 @@ def _check_page(path: Path, page: Any, shape: tuple[int, int], pages: int) -> No
         ("tiles", int(page.is_tiled), 0),
         ("bytes of image data", sum(page.databytecounts), 2 * shape[0] * shape[1]),
     )
-    for name, got, expected in rules:
-        if got != expected:
+    for name, value, expected in rules:
+        if value != expected:
             raise InputError(
                 f"{path}: expected an uncompressed 16-bit TIFF in strips, 0 black: expected "
-                f"{name} {expected}, got {got}"
+                f"{name} {expected}, got {value}"
             )
 
 

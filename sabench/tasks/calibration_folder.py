@@ -29,6 +29,7 @@ from sabench.utils.validation import printable, validate
 
 CONFIGURATION, IMAGES, POINTS = "calibration.toml", "images", "points.csv"
 _COLUMNS = ["camera", "frame", "point", "column", "row"]
+_FARTHEST_MM = 1e6  # a kilometre
 _FARTHEST_PX = 1e6  # of a point from the image's corner
 _MOST_PIXELS = 20_000_000  # pixels of points in all frames and cameras
 _SUFFIXES = (".tif", ".tiff", ".png", ".bmp", ".jpg", ".jpeg")
@@ -104,6 +105,7 @@ def read_case(folder: Path) -> CalibrationCase:
     except (OSError, ValueError, RecursionError) as error:
         raise InputError(f"{path}: expected a TOML file, got {error}") from error
     configuration = validate(Configuration, values, str(path))
+    _check_lengths(configuration, str(path))
     target = Target(**configuration.target.model_dump())
     cameras = _cameras(configuration, str(path))
     plain = target.points_mm + np.asarray(configuration.target_mm)
@@ -121,6 +123,28 @@ def read_case(folder: Path) -> CalibrationCase:
         *_known_positions(configuration, initial.shape, str(path)),
         configuration.unknown,
     )
+
+
+def _check_lengths(configuration: Configuration, source: str) -> None:
+    """Check that lengths and coordinates are such as a laboratory has."""
+    target, array = configuration.target, configuration.array
+    given = {
+        "target": (target.pitch_mm, target.mark_mm),
+        "target_mm": configuration.target_mm,
+        "array": (array.pixel_mm, array.focal_length_mm, array.principal_distance_mm or 0.0),
+    }
+    for number, camera in enumerate(configuration.cameras):
+        given[f"cameras.{number}"] = (*camera.center_mm, *camera.aim_mm)
+    for number, point in enumerate(configuration.known):
+        given[f"known.{number}"] = (point.x_mm or 0.0, point.y_mm or 0.0, point.z_mm or 0.0)
+    if configuration.wall is not None:
+        given["wall"] = configuration.wall.point_mm
+    for key, values in given.items():
+        largest = max(map(abs, values))
+        if largest > _FARTHEST_MM:
+            raise InputError(
+                f"{source}: {key}: expected at most {_FARTHEST_MM:g} mm, got {largest:g}"
+            )
 
 
 def _cameras(configuration: Configuration, source: str) -> tuple[Camera, ...]:

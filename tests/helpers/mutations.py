@@ -475,7 +475,7 @@ def exr(path: Path, rng: random.Random) -> None:
     names = rng.choice((("Y",), ("Y",), ("Y", "Z"), ("R",)))
     parts = [OpenEXR.Part(dict(head), dict.fromkeys(names, image), "a")]
     if rng.random() < 0.2:
-        parts.append(OpenEXR.Part(dict(head), {"Y": np.zeros((3000, 3000), "f4")}, "b"))
+        parts.append(OpenEXR.Part(dict(head), {"Y": image}, "b"))
     path.unlink()
     with OpenEXR.File(parts) as file:
         file.write(str(path))

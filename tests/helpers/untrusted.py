@@ -189,7 +189,8 @@ def make_base(root: Path) -> Base:
     files |= untrusted_files.write_meshes(root / "files")
     files["baseline"] = untrusted_files.write_baseline(root / "files" / "tiny.json")
     interrupted = untrusted_files.interrupt(SCENE, root / "interrupted")
-    base = Base(*made, {}, record, files, interrupted)
+    particles, target, code = made
+    base = Base(particles, target, code, {}, record, files, interrupted)
     for task in get_args(TaskName):
         base.results[task] = _result(task, base.data_of(task), root / f"{task}.h5")
     return base
@@ -200,7 +201,9 @@ def _estimate(task: TaskName, data: Dataset, frame: int) -> Any:
 
     rng = np.random.default_rng(1 + frame)
     if task == "bubbles":
-        balls = Detections.balls(rng.random((5, 3)) + [0.0, 0.0, 30.0], rng.random(5) + 0.1)
+        balls = Detections.balls(
+            rng.random((5, 3)) + np.array([0.0, 0.0, 30.0]), rng.random(5) + 0.1
+        )
         return replace(balls, trajectory=np.arange(5))
     if task == "velocimetry":
         valid = np.ones((2, 3, 4), dtype=bool)

@@ -20,6 +20,7 @@ import tomli_w
 from scipy.io import netcdf_file
 
 from sabench.dataset.reader import Dataset
+from sabench.utils.arrays import triple
 from tests.helpers import mutations
 
 _COUNTS = (5, 6, 7)  # nodes of fields along z, y, x
@@ -82,8 +83,8 @@ def _write_netcdf(path: Path, arrays: dict[str, Any]) -> None:
 def _write_vtkhdf(path: Path, axes: dict[str, Any], parts: dict[str, Any]) -> None:
     from sabench.interop.vtkhdf import write_lattice
 
-    low = tuple(float(axis[0]) for axis in axes.values())
-    step = tuple(float(axis[1] - axis[0]) for axis in axes.values())
+    low, step = (triple([axis[i] for axis in axes.values()]) for i in (0, 1))
+    step = triple(np.subtract(step, low))
     write_lattice(path, low, step, {"velocity": np.stack([*parts.values()], axis=-1)})
 
 
