@@ -103,8 +103,8 @@ def run_program(
 
         def account(result: Result) -> Account:
             frames = max(1, len(tasks.of(result.task).frames(dataset)))
-            seconds = cost.seconds / frames
-            return Account(solver_name(program), parameters or {}, seconds, cost.peak_mb)
+            name, seconds = solver_name(program), cost.seconds / frames
+            return Account(name, parameters or {}, desk.confined, seconds, cost.peak_mb)
 
         adopt_from(desk, dataset, out, account, overwrite=overwrite)
     return open_result(out, dataset)
@@ -117,13 +117,16 @@ class Account:
     Attributes
     ----------
     solver, parameters : as it was started.
-    seconds, peak_mb, reconstruction_s : costs, as in `Result`.
+    isolated : whether the solver saw the observation side only.
+    seconds, peak_mb, compile_s, reconstruction_s : costs, as in `Result`.
     """
 
     solver: str
     parameters: dict[str, Any]
-    seconds: float | None
-    peak_mb: float | None
+    isolated: bool = False
+    seconds: float | None = None
+    peak_mb: float | None = None
+    compile_s: float | None = None
     reconstruction_s: float | None = None
 
 
@@ -186,13 +189,15 @@ def adopt(
     """
     data = open_dataset(root)
     result = open_result(path, data)
-    known = account or Account(result.solver, result.parameters, None, None)
+    known = account or Account(result.solver, result.parameters)
     task = tasks.of(result.task)
     with result_writer(
         out, data, known.solver, task.name, known.parameters, overwrite=overwrite
     ) as writer:
         task.copy(data, result, writer)
         if known.seconds is not None:
-            writer.set_cost(known.seconds, known.peak_mb)
+            writer.set_cost(known.seconds, known.peak_mb, known.compile_s)
         if known.reconstruction_s is not None:
             writer.set_reconstruction(known.reconstruction_s)
+        if known.isolated:
+            writer.set_isolated()

@@ -5,6 +5,7 @@ The time and memory of the solver are measured; the scores compare its result wi
 
 from __future__ import annotations
 
+import functools
 import shutil
 from pathlib import Path
 from typing import Any, Literal
@@ -18,6 +19,7 @@ from sabench.dataset.results import Result, open_result, result_writer
 from sabench.tasks.external_programs import Account, adopt_from, is_program, run_program
 from sabench.tasks.visible_files import open_desk, view_of_plugin
 from sabench.utils import backend, memory
+from sabench.utils.compile_clock import compile_s
 from sabench.utils.errors import InputError
 from sabench.utils.files import complete_or_nothing, refuse_existing
 from sabench.utils.processes.isolated import call_isolated, preload
@@ -83,12 +85,11 @@ def solve(
     plugins.file_of("solvers", solver)  # raises where there is none
     with open_desk(data) as desk, desk.naming(data.root, place):
         call_isolated(
-            solve_at_desk,
+            functools.partial(solve_at_desk, threads=threads, isolated=desk.confined),
             solver,
             parameters or {},
             desk.observation,
             desk.result,
-            threads,
             doing=f"solver {solver}",
             view=view_of_plugin(desk, data, solver),
         )
@@ -96,17 +97,23 @@ def solve(
             with complete_or_nothing(place, overwrite=overwrite) as partial:
                 shutil.move(desk.result, partial)
         else:
-            adopt_from(desk, data, place, _account, overwrite=overwrite)
+
+            def account(result: Result) -> Account:
+                costs = (result.seconds, result.peak_mb, result.compile_s, result.reconstruction_s)
+                return Account(solver, result.parameters, desk.confined, *costs)
+
+            adopt_from(desk, data, place, account, overwrite=overwrite)
     return open_result(out, data)
 
 
-def _account(result: Result) -> Account:
-    costs = (result.seconds, result.peak_mb, result.reconstruction_s)
-    return Account(result.solver, result.parameters, *costs)
-
-
 def solve_at_desk(
-    solver: str, parameters: dict[str, Any], observation: Path, out: Path, threads: int | None
+    solver: str,
+    parameters: dict[str, Any],
+    observation: Path,
+    out: Path,
+    *,
+    threads: int | None,
+    isolated: bool,
 ) -> None:
     """Run a plug-in on the observation side of a data set; its process may be confined to it."""
     data = open_dataset(observation)
@@ -123,8 +130,11 @@ def solve_at_desk(
         backend.limit_libraries(threads),
         result_writer(out, data, solver, algorithm.task, resolved) as writer,
     ):
+        if isolated:
+            writer.set_isolated()
+        before = compile_s()
         seconds = tasks.of(algorithm.task).run(algorithm, solver, data, writer)
-        writer.set_cost(float(np.mean(seconds)), memory.peak_mb())
+        writer.set_cost(float(np.mean(seconds)), memory.peak_mb(), compile_s() - before)
 
 
 def score(
@@ -166,4 +176,6 @@ def score(
         **judged.score(data, opened or word or "empty"),
         "seconds": opened.seconds if opened else None,
         "peak_mb": opened.peak_mb if opened else None,
+        "compile_s": opened.compile_s if opened else None,
+        "isolated": opened.isolated if opened else None,
     }

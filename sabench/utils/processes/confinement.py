@@ -35,8 +35,11 @@ _DETACH = 2  # for umount2: at once, in use or not
 _PIVOT_ROOT = {"x86_64": 155, "aarch64": 41}
 _MOUNT_SETATTR, _HERE, _BELOW, _READ_ONLY = 442, -100, 0x8000, 1 | _NO_SUID
 _DEATH_SIGNAL, _NO_NEW_PRIVILEGES = 1, 38  # for prctl
-_SYSTEM = ("/usr", "/bin", "/sbin", "/lib", "/lib32", "/lib64", "/etc", "/opt", "/nix")
-_SYSTEM += ("/sys/devices", "/sys/class", "/sys/bus", "/sys/module")  # processors, graphics cards
+_SYSTEM = [
+    Path(f"/{name}")
+    for name in ("usr", "bin", "sbin", "lib", "lib32", "lib64", "etc", "opt", "nix")
+    + ("sys/devices", "sys/class", "sys/bus", "sys/module")  # processors, graphics cards
+]
 _DEVICES = ("null", "zero", "full", "random", "urandom", "dri", "nvidia*")
 _SCRATCH = (Path("/tmp"), Path("/dev/shm"))  # empty ones of its own
 _ROOT = Path("/tmp")  # where the new root is built: any folder that is there
@@ -154,7 +157,7 @@ def _end_like_confined(first: int, receiver: int) -> None:
 
 def _enter(view: View) -> None:
     """Build a root of its own in memory, and enter it."""
-    links = {path: path.readlink() for path in map(Path, _SYSTEM) if path.is_symlink()}
+    links = {path: path.readlink() for path in _SYSTEM if path.is_symlink()}
     mounts = _mounts(view, links)
     sources = {path: os.open(path, os.O_PATH) for path in mounts if path.exists()}
     here = Path.cwd()
@@ -179,7 +182,7 @@ def _enter(view: View) -> None:
 
 def _mounts(view: View, links: Collection[Path]) -> dict[Path, Callable[[Path, Path], None]]:
     """List what is mounted, and how; a later word on a path replaces an earlier one."""
-    shown = [path for path in map(Path, _SYSTEM) if path not in links]
+    shown = [path for path in _SYSTEM if path not in links]
     devices = [path for name in _DEVICES for path in Path("/dev").glob(name)]
     return {
         path: how
