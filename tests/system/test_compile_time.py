@@ -18,11 +18,10 @@ import numpy as np
 from sabench.api import Observation, Reconstruction, Solver
 
 
-@numba.njit(parallel=True)
+@numba.njit
 def fill(volume):
-    for z in numba.prange(volume.shape[0]):
-        for y in range(volume.shape[1]):
-            volume[z, y] = np.sort(np.arange(volume.shape[2])[::-1]) * np.median(volume[z, y])
+    for z in range(volume.shape[0]):
+        volume[z] = np.median(volume[z])
 
 
 class Compiler(Solver):
