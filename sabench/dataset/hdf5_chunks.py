@@ -76,7 +76,7 @@ def check_streams(node: Any, where: str) -> None:
 
 def chunk_bytes(node: Any) -> int:
     """Compute the size of a decoded chunk."""
-    return math.prod(node.chunks) * int(node.id.get_type().get_size())
+    return int(math.prod(node.chunks) * node.id.get_type().get_size())
 
 
 def _holds(node: Any, offset: tuple[int, ...], size: int) -> bool:

@@ -322,6 +322,23 @@ def dataset(base: Base, inputs: Path, out: Path, rng: random.Random) -> Feed:
     return feed
 
 
+def blind(base: Base, inputs: Path, out: Path, rng: random.Random) -> Feed:
+    """Run `sabench verify` and `solve` on a damaged observation side, as participants do."""
+    from sabench.dataset.observation_side import copy_observation
+
+    root = inputs / "set"
+    root.mkdir()
+    copy_observation(rng.choice((base.particles, base.target, base.code)), root)
+    _damage(rng.choice(sorted(path for path in root.rglob("*") if path.is_file())), rng)
+    if rng.random() < 0.8:
+        reseal(root)
+
+    def feed() -> None:
+        _all_of((_verified, _probed, _solved), root, out)
+
+    return feed
+
+
 def _damage(path: Path, rng: random.Random) -> None:
     if path.suffix == ".json" and rng.random() < 0.8:
         text = json.dumps(
@@ -511,6 +528,7 @@ KINDS: dict[str, Case] = {
     "scene": scene,
     "suite": suite,
     "dataset": dataset,
+    "blind": blind,
     "result": result,
     "submission": submission,
     "records": records,
