@@ -44,7 +44,13 @@ os.environ.setdefault("NUMBA_NUM_THREADS", "1")
 from sabench.utils import memory  # noqa: E402
 from sabench.utils.errors import InputError  # noqa: E402
 from sabench.utils.processes import isolated_reading  # noqa: E402
-from tests.helpers.untrusted import KINDS, Base, check_sentence, make_base  # noqa: E402
+from tests.helpers.untrusted import (  # noqa: E402
+    KINDS,
+    Base,
+    check_sentence,
+    make_base,
+    solve_here,
+)
 from tests.helpers.untrusted_files import describe_calibration  # noqa: E402
 
 _LIMIT_S = 5.0  # of CPU time
@@ -234,12 +240,13 @@ def _work(pipe: Connection, base: Base, root: Path, seed: int) -> None:
 
 def _warm_up(base: Base, root: Path) -> None:
     """Load and compile what the cases need, outside their limits."""
-    from sabench.tasks.solve_and_score import score, solve
+    from sabench.tasks.solve_and_score import score
 
     out = root / "warm" / str(os.getpid())
     out.mkdir(parents=True)
-    solve("asa", base.particles, out / "a.h5", parameters={"k": 3.0})
-    score(base.particles, out / "a.h5")
+    for data in (base.particles, base.target, base.code):
+        solve_here(data.root, out / f"{data.root.name}.h5")
+        score(data, out / f"{data.root.name}.h5")
     for task, path in base.results.items():
         score(base.data_of(task), path)
     from sabench.tasks.own_calibration import calibrate

@@ -421,12 +421,21 @@ def _scored(root: Path, out: Path) -> None:
 
 
 def _solved(root: Path, out: Path) -> None:
-    from sabench.tasks.solve_and_score import score, solve
+    from sabench.tasks.solve_and_score import score
+
+    solve_here(root, out / "result.h5")
+    if open_dataset(root).has_truth:
+        check_scores(score(root, out / "result.h5"))
+
+
+def solve_here(root: Path, out: Path) -> None:
+    """Solve a data set by a fast solver, in this process: its child would compile kernels."""
+    from sabench.tasks.solve_and_score import solve_at_desk
 
     data = open_dataset(root)
     solver = {"target": "linear_autocal", "code": "see_through"}.get(data.shows[-1], "asa")
-    solve(solver, data, out / "result.h5", parameters={"k": 3.0} if solver == "asa" else {})
-    check_scores(score(data, out / "result.h5"))
+    parameters = {"k": 3.0} if solver == "asa" else {}
+    solve_at_desk(solver, parameters, root, out, threads=None, isolated=False)
 
 
 def _exported(root: Path, out: Path) -> None:
