@@ -433,7 +433,7 @@ def solve_here(root: Path, out: Path) -> None:
     from sabench.tasks.solve_and_score import solve_at_desk
 
     data = open_dataset(root)
-    solver = {"target": "linear_autocal", "code": "see_through"}.get(data.shows[-1], "asa")
+    solver = {"target": "refractive_autocal", "code": "see_through"}.get(data.shows[-1], "asa")
     parameters = {"k": 3.0} if solver == "asa" else {}
     solve_at_desk(solver, parameters, root, out, threads=None, isolated=False)
 
