@@ -17,7 +17,8 @@ TRICKS = {
     "read the radiance": "return open(DATA + '/images/frame_0000/camera_00.exr', 'rb').read(8)",
     "read the secret": "return open(SECRET).read()",
     "look around": """
-return [name for name in os.listdir(os.path.dirname(DATA)) if name in ('set', 'secret.toml')] or None
+names = os.listdir(os.path.dirname(DATA))
+return [name for name in names if name in ('set', 'secret.toml')] or None
 """,
     "look next to the images": """
 for folder, _, names in os.walk(os.path.dirname(SEEN)):
@@ -56,7 +57,7 @@ if CASE is None:
 return CASE.load.data.particles(0)
 """,
     "write outside": "open(MARK, 'w').write('x')",
-    "write to the data set": "return open(DATA + '/images/frame_0000/camera_00.tif', 'r+b').write(b'x')",
+    "write to the data set": "return open(DATA + '/cameras.json', 'r+b').write(b'x')",
     "write to what was given": "return open(SEEN + '/cameras.json', 'r+b').write(b'x')",
     "remove what was given": "os.unlink(SEEN + '/images/frame_0000/camera_00.tif'); return 'gone'",
     "connect": "return socket.create_connection(('127.0.0.1', PORT), 2.0)",
