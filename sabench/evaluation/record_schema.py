@@ -119,6 +119,9 @@ class Head(_Part):
         le=_LONGEST_REFERENCE_S,
         description="seconds of the reference kernel, timed in the same run",
     )
+    isolated: bool | None = Field(
+        None, description="whether the solver ran confined to the observation side"
+    )
     error: _Text | None = None
     declined: bool = Field(False, description="whether the solver declined the case")
 

@@ -23,7 +23,7 @@ from sabench.evaluation.record_schema import Record, score_faults
 from sabench.evaluation.records import append, key_of, latest, read_records
 from sabench.evaluation.suite_loading import load_suite
 from sabench.evaluation.suites import Case, SolverEntry, Suite
-from sabench.evaluation.timed_solving import solve_apart
+from sabench.evaluation.timed_solving import solve_timed
 from sabench.simulation.pipeline import generate
 from sabench.simulation.renderer_choice import Renderer
 from sabench.tasks.solve_and_score import score
@@ -232,7 +232,7 @@ def _rank(
         name = f"{head['solver']}-{head['run_hash'][:8]}"
         out = work / "results" / f"{case.folder(work).name}-{name}.h5"
         try:
-            record["reference_s"] = solve_apart(solver_entry, dataset, out)
+            record["reference_s"] = solve_timed(solver_entry, dataset, out)
             record |= _checked(score(dataset, out), head)
             if folder:
                 _picture_result(folder / name, record["task"], dataset, out)
