@@ -34,8 +34,8 @@ from typing import Any
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 os.environ.setdefault("NUMBA_NUM_THREADS", "1")
-from sabench.dataset import hdf5_probe  # noqa: E402
 from sabench.utils.errors import InputError  # noqa: E402
+from sabench.utils.processes import isolated_reading  # noqa: E402
 from tests.helpers.untrusted import KINDS, Base, check_sentence, make_base  # noqa: E402
 
 _LIMIT_S = 5.0
@@ -141,7 +141,7 @@ def _work(pipe: Connection, base: Base, root: Path, seed: int, probe_s: float) -
         os.dup2(silent, number)
     (root / "tmp").mkdir(exist_ok=True)
     tempfile.tempdir = str(root / "tmp")
-    hdf5_probe._PROBE_S = probe_s  # below the limit that is tested here
+    isolated_reading._CPU_S = probe_s  # below the limit that is tested here
     try:
         _warm_up(base, root)
         pipe.send(("warm", ""))

@@ -20,7 +20,6 @@ import tifffile
 import sabench
 from sabench.dataset import hdf5
 from sabench.dataset.hdf5 import open_hdf5, read_array
-from sabench.dataset.hdf5_probe import probe
 from sabench.dataset.reader import Dataset
 from sabench.dataset.schema import read_target
 from sabench.dataset.verification import verify
@@ -130,21 +129,6 @@ def test_parameters_that_json_cannot_hold(quick: Dataset, quick_result: Path, fi
             made.attrs["parameters"] = text
         with pytest.raises(InputError, match="attribute parameters: expected a JSON object"):
             sabench.score(quick, file)
-
-
-def test_a_file_that_sends_hdf5_round_in_circles(
-    quick_result: Path, file: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """A reader that never ends stands in for the file.
-
-    It is killed from outside, and a crash becomes a sentence.
-    """
-    shutil.copy(quick_result, file)
-    probe(file)
-    monkeypatch.setattr("sabench.dataset.hdf5_probe._PROBE_S", 0.0)
-    monkeypatch.setattr("sabench.dataset.hdf5_probe._PROBE_RATE", float("inf"))
-    with pytest.raises(InputError, match="expected an end within 0 s"):
-        probe(file)
 
 
 def test_a_picture_that_says_that_it_is_huge(tmp_path: Path) -> None:
