@@ -171,6 +171,7 @@ def _row(row: Record, case: int, pool: _Pool) -> dict[str, Any]:
         if several
         else None,
         "ranked": row["ranked"],
+        "open": any(run.get("isolated") is False for run in runs),
         "error": row["error"],
         "declined": bool(row["error"])
         and all(run.get("declined") for run in runs if run.get("error")),

@@ -1,0 +1,101 @@
+"""The observation side of a data set, apart from its truth.
+
+It is what solvers see, and what a participant of a private test set receives.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import zipfile
+from pathlib import Path
+
+from sabench.dataset import schema
+from sabench.dataset.reader import Dataset
+from sabench.utils.files import complete_or_nothing, inside
+from sabench.utils.progress import progress_bar
+
+
+def copy_observation(dataset: Dataset, folder: Path, *, linked: bool = False) -> None:
+    """Make a data set of the observation side alone in a folder.
+
+    Its manifest has the content hash of the whole, so that results of it are results of the whole.
+
+    Parameters
+    ----------
+    folder : empty, or not there yet.
+    linked : whether images may be links to those of the data set (on one file system), in place of
+        copies: for readers that cannot write to them.
+    """
+    files = {name: one for name, one in dataset.contents.files.items() if schema.is_observed(name)}
+    for name in files:
+        place = inside(folder, name)
+        if not inside(dataset.root, name).is_file():
+            continue  # whoever reads it finds the fault, and names the file
+        place.parent.mkdir(parents=True, exist_ok=True)
+        _copy(inside(dataset.root, name), place, linked)
+    head = {
+        "format": schema.FORMAT,
+        "version": schema.VERSION,
+        "side": "observation",
+        "content_hash": dataset.content_hash,
+        "files": {name: entry.model_dump() for name, entry in files.items()},
+    }
+    (folder / schema.MANIFEST).write_text(schema.seal(head), encoding="utf-8")
+
+
+def _copy(source: Path, place: Path, linked: bool) -> None:
+    if linked:
+        try:
+            os.link(source, place)
+        except OSError:  # another file system, or one without links
+            linked = False
+    if not linked:
+        shutil.copyfile(source, place)
+
+
+def pack(dataset: Dataset, out: Path, *, blind: bool, overwrite: bool = False) -> Path:
+    """Copy a data set into a new folder, or into an archive by the name .zip.
+
+    It appears when it is complete.
+
+    Parameters
+    ----------
+    blind : pack the observation side alone: what a participant of a private test set receives.
+
+    Raises
+    ------
+    InputError
+        The folder or archive is there already, and `overwrite` is not set; or the data set is the
+        observation side alone, and the whole is asked for.
+    """
+    with complete_or_nothing(out, overwrite=overwrite) as partial:
+        folder = partial.with_name(f"{partial.name}.files") if out.suffix == ".zip" else partial
+        try:
+            _copy_side(dataset, folder, blind)
+            if folder is not partial:
+                _archive(folder, partial)
+        finally:
+            if folder is not partial:
+                shutil.rmtree(folder, ignore_errors=True)
+    return out
+
+
+def _copy_side(dataset: Dataset, folder: Path, blind: bool) -> None:
+    folder.mkdir()
+    if blind:
+        copy_observation(dataset, folder)
+        return
+    for name in [*dataset.manifest.files, schema.MANIFEST]:
+        place = inside(folder, name)
+        place.parent.mkdir(parents=True, exist_ok=True)
+        shutil.copyfile(inside(dataset.root, name), place)
+
+
+def _archive(folder: Path, out: Path) -> None:
+    """Write a folder's files into an archive, without dates and without compression."""
+    with zipfile.ZipFile(out, "w") as archive:
+        for file in progress_bar(sorted(one for one in folder.rglob("*") if one.is_file()), "pack"):
+            entry = zipfile.ZipInfo(file.relative_to(folder).as_posix())
+            with file.open("rb") as source, archive.open(entry, "w", force_zip64=True) as place:
+                shutil.copyfileobj(source, place)

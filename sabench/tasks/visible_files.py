@@ -1,0 +1,177 @@
+"""Files that a solver sees: the observation side, and what it needs to run.
+
+Where the system can confine a process, a solver sees nothing else: no truth, no other data set, no
+secret, no file of the user's home.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import re
+import sys
+import tempfile
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from sabench import plugins
+from sabench.dataset import schema
+from sabench.dataset.observation_side import copy_observation
+from sabench.dataset.reader import Dataset
+from sabench.utils.errors import InputError
+from sabench.utils.processes.confinement import View, can_confine
+
+_PACKAGE = Path(plugins.__file__).resolve().parent
+_UNFINISHED = re.compile(r"[^\s']*\.result\.h5\.partial-\d+")  # what a killed writer leaves
+_DEEPEST = 6  # folders below a shown one in which data sets are looked for
+_BESIDE_COMMANDS = ("lib", "lib64", "libexec", "pyvenv.cfg")  # what commands in a bin folder need
+_SKIPPED = {".git", ".venv", "__pycache__", "node_modules", "site-packages"}
+
+
+@dataclass(frozen=True)
+class Desk:
+    """Place of one solver's work on one data set.
+
+    Attributes
+    ----------
+    observation : data set of the observation side alone.
+    scratch : empty folder for the result.
+    confined : whether the solver can be confined to its desk.
+    """
+
+    observation: Path
+    scratch: Path
+    confined: bool
+
+    @property
+    def result(self) -> Path:
+        """The result file that the solver must write."""
+        return self.scratch / "result.h5"
+
+    @contextlib.contextmanager
+    def naming(self, root: Path, out: Path) -> Iterator[None]:
+        """Name the data set and the result in errors, in place of the files at the desk."""
+        try:
+            yield
+        except InputError as error:
+            raise type(error)(
+                *(self._rename(part, root, out) for part in error.arguments)
+            ) from None
+
+    def _rename(self, words: Any, root: Path, out: Path) -> Any:
+        if not isinstance(words, str):
+            return [self._rename(one, root, out) for one in words]
+        named = words.replace(str(self.observation), str(root)).replace(str(self.result), str(out))
+        return _UNFINISHED.sub(lambda _: str(out), named)
+
+
+@contextlib.contextmanager
+def open_desk(data: Dataset) -> Iterator[Desk]:
+    """Lay out the observation side of a data set for a solver, for a while."""
+    confined = can_confine()
+    with tempfile.TemporaryDirectory(
+        prefix=".sabench-", dir=_parent(data) if confined else None, ignore_cleanup_errors=True
+    ) as name:
+        folder = Path(name).resolve()
+        desk = Desk(folder / "dataset", folder / "work", confined)
+        copy_observation(data, desk.observation, linked=confined)
+        desk.scratch.mkdir()
+        yield desk
+
+
+def _parent(data: Dataset) -> Path | None:
+    """Return the folder in which images can be linked, if not the usual one."""
+    parent, usual = data.root.absolute().parent, Path(tempfile.gettempdir())
+    other = usual.stat().st_dev != data.root.stat().st_dev
+    return parent if other and os.access(parent, os.W_OK) else None
+
+
+def view_of_plugin(desk: Desk, data: Dataset, solver: str) -> View | None:
+    """List the files that a Python plug-in sees; None where it cannot be confined."""
+    if not desk.confined:
+        return None
+    own = view_of_import(solver)
+    hidden = _find_data_sets([Path(one) for one in (*own.changeable, *own.writable)], data)
+    return replace(
+        own,
+        readable=(*own.readable, *_words([desk.observation])),
+        writable=(*own.writable, *_words([desk.scratch])),
+        hidden=_words(hidden),
+    )
+
+
+def view_of_import(solver: str) -> View:
+    """List the files that the import of a Python plug-in needs.
+
+    Compiled kernels are kept next to their source. sabench's own solvers may write them; what
+    another one writes there is forgotten with it, so that it cannot change what later ones run.
+    """
+    python = [Path(sys.prefix), Path(sys.base_prefix), _PACKAGE.parent / "pyproject.toml"]
+    own = [folder for kind in plugins.KINDS for folder in plugins.folders(kind)]
+    kernels = _words([_PACKAGE, *own, *_import_paths(), *_kernel_folders()])
+    if plugins.is_bundled("solvers", solver):
+        return View(readable=_words(python), writable=kernels, home=str(Path.home()))
+    return View(readable=_words(python), changeable=kernels)
+
+
+def _kernel_folders() -> list[Path]:
+    """List the folders of compiled kernels that are not next to their source."""
+    named = os.environ.get("NUMBA_CACHE_DIR")
+    return [Path(named)] if named else [Path.home() / ".cache" / "numba", Path.home() / ".drjit"]
+
+
+def view_of_program(desk: Desk, data: Dataset, program: Path) -> View | None:
+    """List the files that a program sees; None where it cannot be confined.
+
+    They are those of its folder, of SABENCH_VISIBLE (separated as in PATH) and of the commands on
+    PATH.
+    """
+    if not desk.confined:
+        return None
+    commands = _listed("PATH")
+    beside = [one.parent / name for one in commands for name in _BESIDE_COMMANDS]
+    python = [Path(sys.prefix), Path(sys.base_prefix)]
+    own = [program.parent, *_listed("SABENCH_VISIBLE")]
+    return View(
+        readable=_words([*own, *python, *commands, *beside, desk.observation]),
+        writable=_words([desk.scratch]),
+        hidden=_words(_find_data_sets(own, data)),
+    )
+
+
+def _import_paths() -> list[Path]:
+    """List the folders of importable modules that are not Python's own.
+
+    They are those of PYTHONPATH and of packages that were installed elsewhere, but neither the
+    script's nor the checkout's: the package is shown itself.
+    """
+    python = [Path(sys.prefix), Path(sys.base_prefix)]
+    paths = [*_listed("PYTHONPATH"), *(Path(one).absolute() for one in sys.path[1:] if one)]
+    return [
+        path
+        for path in dict.fromkeys(paths)
+        if path not in _PACKAGE.parents and not any(path.is_relative_to(one) for one in python)
+    ]
+
+
+def _listed(variable: str) -> list[Path]:
+    words = os.environ.get(variable, "").split(os.pathsep)
+    return [Path(word).absolute() for word in words if word]
+
+
+def _find_data_sets(shown: Iterable[Path], data: Dataset) -> Iterator[Path]:
+    """Find the data sets within folders that are shown: they have truth in them."""
+    yield data.root.absolute()
+    for folder in shown:
+        depth = len(folder.parts)
+        for place, below, files in os.walk(folder):
+            if schema.TRUTH in files:
+                yield Path(place)
+            deep = len(Path(place).parts) - depth >= _DEEPEST
+            below[:] = [] if deep else [one for one in below if one not in _SKIPPED]
+
+
+def _words(paths: Iterable[Path]) -> tuple[str, ...]:
+    return tuple(dict.fromkeys(str(path) for path in paths if path.exists()))
