@@ -12,8 +12,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from sabench.utils.errors import InputError
-from sabench.utils.processes.ending import describe_end
+from sabench.utils.errors import InputError, UncheckedError
+from sabench.utils.processes.ending import describe_end, overdue
 from sabench.utils.processes.isolated import call_isolated
 from sabench.utils.processes.own_limits import limit_self
 
@@ -30,6 +30,9 @@ def read_isolated(
 ) -> None:
     """Call `read(path, *arguments)`, a module's function, in a limited child process.
 
+    The limit of time is CPU time of the reading alone: the start of the process and other programs
+    on the machine do not count.
+
     A worker that may have no child processes (Dask's) calls it directly: the process that hands out
     the tasks has read the same file before.
 
@@ -40,8 +43,10 @@ def read_isolated(
     Raises
     ------
     InputError
-        The function raises an exception, the process crashes, takes more memory than the file's
-        size justifies, or more CPU time.
+        The function raises an exception, the process crashes, or takes more memory than the file's
+        size justifies.
+    UncheckedError
+        The reading took more than its CPU time, so the file may be intact.
     """
     if multiprocessing.current_process().daemon:
         read(path, *arguments)
@@ -49,20 +54,17 @@ def read_isolated(
     size = path.stat().st_size if size_bytes is None else size_bytes
     cpu_s = math.ceil(_CPU_S + size / _RATE)
     memory_mb = _MEMORY_MB + _EXPANSION * size / 1e6
+    limits, time_s = (memory_mb, cpu_s), _PATIENCE * max(cpu_s, 1)
     doing = f"{path}: reading it"
     try:
-        call_isolated(
-            _read,
-            read,
-            (memory_mb, cpu_s),
-            path,
-            arguments,
-            doing=doing,
-            time_s=_PATIENCE * max(cpu_s, 1.0),
-        )
+        call_isolated(_read, read, limits, path, arguments, doing=doing, time_s=time_s)
     except InputError as error:
-        if str(error).endswith(_OVERDUE):
-            raise InputError(f"{doing}: it could not be read in {cpu_s:g} s of CPU time") from error
+        spent, late = str(error).endswith(_OVERDUE), str(error).endswith(overdue(time_s))
+        if spent or late:
+            limit = f"{cpu_s} s of CPU time" if spent else f"{time_s:g} s"
+            raise UncheckedError(
+                f"{path}: could not be checked, because reading it takes more than {limit}"
+            ) from error
         raise
 
 
