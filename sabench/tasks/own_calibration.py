@@ -77,7 +77,7 @@ def calibrate(
             "positions, for the report"
         )
     report, errors = report_on(case, answer, points)
-    _check_finite(report, answer, solver)
+    check_finite(report, answer, solver)
     with complete_or_nothing(out, overwrite=overwrite) as partial:
         partial.mkdir()
         walls = [camera.wall for camera in answer.cameras if isinstance(camera, Camera)]
@@ -101,7 +101,7 @@ def _solve(algorithm: Any, solver: str, case: CalibrationCase) -> tuple[Calibrat
     return answer, answer.points_mm
 
 
-def _check_finite(report: Report, answer: Calibration, solver: str) -> None:
+def check_finite(report: Report, answer: Calibration, solver: str) -> None:
     """Raise an InputError for a calibration that the data do not determine."""
     figures = (report.noise_px, report.true_px, *report.std_mm, report.depth_mm)
     records = [asdict(camera) for camera in answer.cameras if isinstance(camera, Camera)]

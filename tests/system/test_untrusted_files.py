@@ -17,7 +17,7 @@ import OpenEXR
 import pytest
 import tifffile
 
-from sabench.api import Flow
+from sabench.api import Calibration, Flow
 from sabench.api.make import generator_of
 from sabench.dataset.hdf5 import open_hdf5, read_array
 from sabench.dataset.hdf5_probe import probe
@@ -27,6 +27,7 @@ from sabench.evaluation.hidden_split import read_secret
 from sabench.geometry.grid import Grid, check_volume
 from sabench.images.tiff_exr import read_exr, read_tiff, write_exr
 from sabench.tasks.calibration_folder import read_case
+from sabench.tasks.own_calibration import Report, check_finite
 from sabench.utils.arrays import F64
 from sabench.utils.errors import InputError
 from sabench.utils.files import canonical_json, read_json
@@ -294,6 +295,12 @@ def test_a_calibration_of_absurd_lengths(tmp_path: Path) -> None:
     (tmp_path / "points.csv").write_bytes(HEADER + b"a,0,0,1.5,2.5\n")
     with pytest.raises(InputError, match=r"cameras.0: expected at most 1e\+06 mm, got 1e"):
         read_case(tmp_path)
+
+
+def test_a_calibration_that_its_data_do_not_determine(quick: Dataset) -> None:
+    report = Report(0.1, 0.1, (0.1, np.nan, 0.1), 0.1, (), ())
+    with pytest.raises(InputError, match="solver mine: expected finite cameras and errors, got"):
+        check_finite(report, Calibration(quick.setup.cameras), "mine")
 
 
 @pytest.mark.parametrize(
