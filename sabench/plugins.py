@@ -91,6 +91,11 @@ def file_of(kind: str, name: str) -> Path:
     return files[name][0]
 
 
+def is_bundled(kind: str, name: str) -> bool:
+    """Check whether a plug-in is one of sabench's own; raises as `file_of` does."""
+    return file_of(kind, name).parent == bundled_folder(kind)
+
+
 def _files(kind: str) -> dict[str, list[Path]]:
     found: dict[str, list[Path]] = {}
     for folder in folders(kind):

@@ -15,7 +15,7 @@ from sabench.api import CalibrationCase, Observation, Shown
 from sabench.api.truth import Bubbles, Particles, Placed, Sight, Solid, Target, View
 from sabench.dataset import schema
 from sabench.dataset.hdf5 import finite, names_in, open_hdf5, read_array
-from sabench.dataset.schema import CamerasFile, Manifest
+from sabench.dataset.schema import CamerasFile, Contents, Manifest
 from sabench.geometry.camera import Camera
 from sabench.geometry.frames import Pose
 from sabench.geometry.grid import Grid
@@ -33,12 +33,26 @@ class Dataset:
     """Data set folder; a frame is read when it is requested."""
 
     root: Path
-    manifest: Manifest
+    contents: Contents
 
     @property
     def content_hash(self) -> str:
         """Hash that identifies this data set."""
-        return self.manifest.content_hash
+        return self.contents.content_hash
+
+    @property
+    def has_truth(self) -> bool:
+        """True unless the folder holds the observation side alone."""
+        return isinstance(self.contents, Manifest)
+
+    @property
+    def manifest(self) -> Manifest:
+        """Contents and origin: truth, not for solvers."""
+        if not isinstance(self.contents, Manifest):
+            raise InputError(
+                f"{self.root}: expected a data set with its truth, got the observation side alone"
+            )
+        return self.contents
 
     @cached_property
     def setup(self) -> CamerasFile:
@@ -58,7 +72,7 @@ class Dataset:
     @cached_property
     def scene(self) -> Scene:
         """Read the resolved scene: truth, not for solvers."""
-        path = inside(self.root, schema.SCENE)
+        path = self._truth(schema.SCENE)
         try:
             scene = validate(Scene, tomllib.loads(path.read_text(encoding="utf-8")), str(path))
         except (OSError, ValueError, RecursionError) as error:
@@ -72,7 +86,7 @@ class Dataset:
         self._check_frame(frame)
         setup = self.setup
         images = [
-            read_tiff(self._image(camera.name, frame, "tif"), (camera.rows, camera.columns))
+            read_tiff(self._image(camera.name, frame), (camera.rows, camera.columns))
             for camera in setup.cameras
         ]
         return build_observation(
@@ -90,7 +104,10 @@ class Dataset:
         """
         self._check_frame(frame)
         return [
-            read_exr(self._image(camera.name, frame, "exr"), (camera.rows, camera.columns))
+            read_exr(
+                self._truth(schema.image_name(camera.name, frame, "exr")),
+                (camera.rows, camera.columns),
+            )
             for camera in self.setup.cameras
         ]
 
@@ -98,7 +115,7 @@ class Dataset:
         """Read the true particles of a frame."""
         self._check_frame(frame)
         group = schema.frame_group(frame)
-        with open_hdf5(inside(self.root, schema.TRUTH)) as file:
+        with open_hdf5(self._truth()) as file:
             identity = read_array(file, f"{group}/id", (None,), "i")
             n = len(identity)
             shapes = {"position_mm": (n, 3), "diameter_mm": (n,), "velocity_mm_s": (n, 3)}
@@ -113,7 +130,7 @@ class Dataset:
     def views(self, frame: int) -> list[View]:
         """Read every camera's true particle images, in the cameras' order."""
         self._check_frame(frame)
-        with open_hdf5(inside(self.root, schema.TRUTH)) as file:
+        with open_hdf5(self._truth()) as file:
             n = len(read_array(file, f"{schema.frame_group(frame)}/id", (None,), "i"))
             views = []
             for camera in self.setup.cameras:
@@ -136,7 +153,7 @@ class Dataset:
         """Read the true bubbles of a frame."""
         self._check_frame(frame)
         group = f"{schema.frame_group(frame)}/bubbles"
-        with open_hdf5(inside(self.root, schema.TRUTH)) as file:
+        with open_hdf5(self._truth()) as file:
             identity = read_array(file, f"{group}/id", (None,), "i")
             n = len(identity)
             shapes: dict[str, tuple[int, ...]] = {
@@ -159,7 +176,7 @@ class Dataset:
         """Read the true bodies of a frame."""
         self._check_frame(frame)
         group = f"{schema.frame_group(frame)}/bodies"
-        with open_hdf5(inside(self.root, schema.TRUTH)) as file:
+        with open_hdf5(self._truth()) as file:
             count = len(names_in(file, group))
             parts = [(f"{group}/{k}/vertices_mm", f"{group}/{k}/faces") for k in range(count)]
             return [
@@ -177,7 +194,7 @@ class Dataset:
             f"{schema.frame_group(frame)}/sights/{camera.name}",
             (camera.rows, camera.columns),
         )
-        with open_hdf5(inside(self.root, schema.TRUTH)) as file:
+        with open_hdf5(self._truth()) as file:
             n = len(read_array(file, f"{schema.frame_group(frame)}/bubbles/id", (None,), "i"))
             fields = [
                 ("number", image, "i"),
@@ -195,7 +212,7 @@ class Dataset:
 
     def render_error(self, frame: int, camera: Camera) -> float:
         """Read the mean relative standard error of an image of bubbles and bodies."""
-        with open_hdf5(inside(self.root, schema.TRUTH)) as file:
+        with open_hdf5(self._truth()) as file:
             return float(
                 read_array(
                     file, f"{schema.frame_group(frame)}/sights/{camera.name}/error", (1,), "f"
@@ -213,7 +230,7 @@ class Dataset:
     @property
     def shows_target(self) -> bool:
         """True if its frames show a calibration target."""
-        return schema.TARGET in self.manifest.files
+        return schema.TARGET in self.contents.files
 
     def calibration_case(self) -> CalibrationCase:
         """Read all frames of a target as a solver receives them."""
@@ -240,7 +257,7 @@ class Dataset:
     def placed(self) -> Placed:
         """Read the target's true positions and rotations: not for solvers."""
         target = self._target()
-        with open_hdf5(inside(self.root, schema.TRUTH)) as file:
+        with open_hdf5(self._truth()) as file:
             return Placed(
                 target,
                 tuple(_pose(file, schema.frame_group(frame)) for frame in range(self.setup.frames)),
@@ -255,7 +272,7 @@ class Dataset:
         Truth, not for solvers.
         """
         shape = (self.setup.frames, len(self._target().points_mm))
-        with open_hdf5(inside(self.root, schema.TRUTH)) as file:
+        with open_hdf5(self._truth()) as file:
             groups = [f"cameras/{camera.name}" for camera in self.setup.cameras]
             exact = [read_array(file, f"{group}/pixel", (*shape, 2), "f") for group in groups]
             outliers = [read_array(file, f"{group}/outlier", shape, "u") > 0 for group in groups]
@@ -269,8 +286,13 @@ class Dataset:
             )
         return schema.read_target(self.root)
 
-    def _image(self, camera: str, frame: int, suffix: str) -> Path:
-        return inside(self.root, schema.image_name(camera, frame, suffix))
+    def _truth(self, name: str = schema.TRUTH) -> Path:
+        """Find a file of the truth."""
+        _ = self.manifest  # raises where there is no truth
+        return inside(self.root, name)
+
+    def _image(self, camera: str, frame: int) -> Path:
+        return inside(self.root, schema.image_name(camera, frame, "tif"))
 
     def _check_frame(self, frame: int) -> None:
         if not 0 <= frame < self.setup.frames:

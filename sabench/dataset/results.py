@@ -41,7 +41,9 @@ _ATTRIBUTES = (
     "parameters",
     "seconds",
     "peak_mb",
+    "compile_s",
     "reconstruction_s",
+    "isolated",
 )
 _STORED_KINDS = {"f": "f", "i": "iu", "u": "u", "b": "u"}  # kinds in a file, by the array's own
 _CHUNK = 256  # voxels along a side of the pieces in which volumes are compressed
@@ -52,7 +54,8 @@ AnEstimate = TypeVar("AnEstimate", bound=Estimate)
 class Result:
     """Result file: its data set, its solver and the costs.
 
-    A cost that the file does not give is None.
+    A cost that the file does not give is None. `seconds` leaves out `compile_s`, the time in which
+    kernels were compiled. `isolated` tells whether the solver saw the observation side only.
     """
 
     path: Path
@@ -63,6 +66,8 @@ class Result:
     peak_mb: float | None
     grid: Grid
     reconstruction_s: float | None = None
+    compile_s: float | None = None
+    isolated: bool = False
 
     def read(self, kind: type[AnEstimate], frame: int = 0) -> AnEstimate:
         """Read an estimate, by the arrays that its class declares.
@@ -136,15 +141,21 @@ class ResultWriter:
         with delay_interrupts():
             self._file.attrs["reconstruction_s"] = seconds
 
-    def set_cost(self, seconds: float, peak_mb: float | None) -> None:
+    def set_cost(
+        self, seconds: float, peak_mb: float | None, compile_s: float | None = None
+    ) -> None:
         """Store the cost of one frame: mean seconds and peak resident memory.
 
-        The memory is None if it is not known.
+        The memory is None if it is not known, as is the time of compilation, of all frames.
         """
+        costs = {"seconds": seconds, "peak_mb": peak_mb, "compile_s": compile_s}
         with delay_interrupts():
-            self._file.attrs["seconds"] = seconds
-            if peak_mb is not None:
-                self._file.attrs["peak_mb"] = peak_mb
+            self._file.attrs.update({key: one for key, one in costs.items() if one is not None})
+
+    def set_isolated(self) -> None:
+        """Note that the solver was confined to the observation side of the data set."""
+        with delay_interrupts():
+            self._file.attrs["isolated"] = 1
 
 
 def _packing(declared: Array, value: npt.NDArray[Any]) -> dict[str, Any]:
@@ -202,7 +213,7 @@ def open_result(path: str | Path, dataset: Dataset) -> Result:
         )
     costs = {
         key: _cost(head.get(key), f"{path}: attribute {key}")
-        for key in ("seconds", "peak_mb", "reconstruction_s")
+        for key in ("seconds", "peak_mb", "compile_s", "reconstruction_s")
     }
     return Result(
         path=file_path,
@@ -210,6 +221,7 @@ def open_result(path: str | Path, dataset: Dataset) -> Result:
         solver=printable(str(head.get("solver", "unknown"))),
         parameters=_parameters(str(head.get("parameters", "{}")), path),
         grid=dataset.setup.grid,
+        isolated=bool(head.get("isolated", 0) == 1),
         **costs,
     )
 

@@ -108,19 +108,33 @@ class FileEntry(_Record):
     sha256: str = Field(pattern="^[0-9a-f]{64}$")
 
 
-class Manifest(_Record):
-    """manifest.json: contents and origin of the data set."""
+class Contents(_Record):
+    """Contents of a data set, or of its observation side.
+
+    `content_hash` is that of the whole data set in both.
+    """
 
     format: str
     version: int
     content_hash: str = Field(pattern="^[0-9a-f]{64}$")
+    files: dict[str, FileEntry]
+    manifest_hash: str = Field(pattern="^[0-9a-f]{64}$")
+
+
+class Manifest(Contents):
+    """manifest.json: contents and origin of a data set."""
+
     scene: str
     scene_hash: str = Field(pattern="^[0-9a-f]{64}$")
     seed: int = Field(ge=0)
     renderer: str
     versions: dict[str, str]
-    files: dict[str, FileEntry]
-    manifest_hash: str = Field(pattern="^[0-9a-f]{64}$")
+
+
+class ObservationManifest(Contents):
+    """manifest.json of the observation side alone, without the origin."""
+
+    side: Literal["observation"]
 
 
 def image_name(camera: str, frame: int, suffix: str) -> str:
@@ -147,15 +161,22 @@ def seal(manifest: dict[str, Any]) -> str:
     return canonical_json({**rest, "manifest_hash": digest(rest)})
 
 
-def read_manifest(root: Path) -> Manifest:
-    """Read the manifest of a data set.
+def is_observed(name: str) -> bool:
+    """Return whether a file of a data set belongs to its observation side."""
+    image = name.startswith("images/") and name.endswith(".tif")
+    return image or name in (CAMERAS, TARGET, POINTS)
+
+
+def read_manifest(root: Path) -> Contents:
+    """Read the manifest of a data set, or of its observation side alone.
 
     Raises InputError if there is none, it is broken or of another format.
     """
     path = inside(root, MANIFEST)
     if not root.is_dir() or not path.is_file():
         raise InputError(f"{path}: expected a data set's manifest, found none")
-    manifest = _read_versioned(Manifest, path)
+    kind = ObservationManifest if _is_observation(path) else Manifest
+    manifest: Contents = _read_versioned(kind, path)
     if path.read_text(encoding="utf-8") != seal(manifest.model_dump(mode="json")):
         raise InputError(f"{path}: its manifest_hash does not match its content")
     return manifest
@@ -267,6 +288,11 @@ def _check_numbers(loaded: CamerasFile, path: Path) -> None:
             f"{path}: grid: expected positive shape and voxels and a crop that leaves some, got "
             f"{grid}"
         )
+
+
+def _is_observation(path: Path) -> bool:
+    value = read_json(path)
+    return isinstance(value, dict) and "side" in value
 
 
 def _read_versioned(model: type[Model], path: Path) -> Model:

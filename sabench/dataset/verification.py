@@ -33,9 +33,10 @@ def verify(path: str | Path) -> list[str]:
     return faults or list(itertools.islice(_content_faults(Dataset(root, manifest)), _MOST_FAULTS))
 
 
-def _byte_faults(root: Path, manifest: schema.Manifest) -> Iterator[str]:
+def _byte_faults(root: Path, manifest: schema.Contents) -> Iterator[str]:
     """Find missing, changed and unlisted files."""
-    if manifest.content_hash != schema.content_hash(manifest.files):
+    whole = isinstance(manifest, schema.Manifest)
+    if whole and manifest.content_hash != schema.content_hash(manifest.files):
         yield f"{root / schema.MANIFEST}: its content_hash does not match its files"
     present = {
         entry.relative_to(root).as_posix()
@@ -61,10 +62,14 @@ def _content_faults(dataset: Dataset) -> Iterator[str]:
     if deadly:
         yield from deadly
         return
-    yield from _try(lambda: _check_scene(dataset))
+    if dataset.has_truth:
+        yield from _try(lambda: _check_scene(dataset))
     broken = list(_try(lambda: dataset.setup))
     if broken:
         yield from broken
+        return
+    if not dataset.has_truth:
+        yield from _observation_faults(dataset)
         return
     yield from _try(lambda: dataset.true_cameras)
     if dataset.shows_target:
@@ -79,6 +84,14 @@ def _content_faults(dataset: Dataset) -> Iterator[str]:
             yield from _try(functools.partial(part, frame))
         for camera in dataset.setup.cameras if "bubbles" in dataset.shows else ():
             yield from _try(functools.partial(dataset.sight, frame, camera))
+
+
+def _observation_faults(dataset: Dataset) -> Iterator[str]:
+    if dataset.shows_target:
+        yield from _try(dataset.calibration_case)
+        return
+    for frame in progress_bar(range(dataset.setup.frames), "verify shapes"):
+        yield from _try(functools.partial(dataset.observation, frame))
 
 
 def _check_scene(dataset: Dataset) -> None:

@@ -22,7 +22,7 @@ from sabench.evaluation.leaderboard import rows
 from sabench.evaluation.records import Record, append, key_of, latest, read_records
 from sabench.evaluation.suite_loading import load_suite
 from sabench.evaluation.suites import Case, SolverEntry, Suite
-from sabench.evaluation.timed_solving import solve_apart
+from sabench.evaluation.timed_solving import solve_timed
 from sabench.simulation.pipeline import generate
 from sabench.simulation.renderer_choice import Renderer
 from sabench.tasks.solve_and_score import score
@@ -226,7 +226,7 @@ def _rank(
         name = f"{head['solver']}-{head['run_hash'][:8]}"
         out = work / "results" / f"{case.folder(work).name}-{name}.h5"
         try:
-            record["reference_s"] = solve_apart(solver_entry, dataset, out)
+            record["reference_s"] = solve_timed(solver_entry, dataset, out)
             record |= {key: value for key, value in score(dataset, out).items() if key not in head}
             if folder:
                 _picture_result(folder / name, record["task"], dataset, out)

@@ -6,7 +6,6 @@ The cameras are scored by the pixels to which they project points.
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
@@ -156,9 +155,7 @@ class CalibrationTask(Task):
     def run(self, algorithm: Any, name: str, data: Dataset, writer: ResultWriter) -> list[float]:
         """Calibrate once, by all frames of a target or the first frame of particles."""
         case = self.case(data)
-        start = time.perf_counter()
-        answer = call_solver(algorithm, name, case, Calibration)
-        seconds = time.perf_counter() - start
+        answer, seconds = call_solver(algorithm, name, case, Calibration)
         check_calibration(answer, f"solver {name}", case)
         writer.add(answer)
         return [seconds]

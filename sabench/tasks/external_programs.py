@@ -12,18 +12,18 @@ from __future__ import annotations
 
 import json
 import os
-import shutil
-import tempfile
+from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from sabench import plugins, tasks
-from sabench.dataset import schema
 from sabench.dataset.hdf5_probe import probe
 from sabench.dataset.reader import Dataset, open_dataset
 from sabench.dataset.results import Result, open_result, result_writer
+from sabench.tasks.visible_files import Desk, open_desk, view_of_program
 from sabench.utils.errors import InputError
-from sabench.utils.files import canonical_json, clear_abandoned, inside, is_file
+from sabench.utils.files import clear_abandoned, is_file
 from sabench.utils.processes.isolated import call_isolated
 from sabench.utils.processes.limited import Limits, run_limited
 from sabench.utils.progress import console
@@ -90,61 +90,70 @@ def run_program(
     path, limits = find_program(program), limits or Limits()
     if out.exists() and not overwrite:
         raise InputError(f"{out} exists already: choose another name, or say --overwrite")
-    with tempfile.TemporaryDirectory(prefix="sabench-", ignore_cleanup_errors=True) as name:
-        view, scratch = Path(name) / "dataset", Path(name) / "work"
-        show(dataset, view)
-        scratch.mkdir()
-        result = scratch / "result.h5"
+    with open_desk(dataset) as desk, desk.naming(dataset.root, out):
         console.print(f"{path.name}: at most {limits.time_s:g} s", markup=False, highlight=False)
         cost = run_limited(
-            [str(path), str(view), str(result), *_words(parameters or {})],
-            scratch,
+            [str(path), str(desk.observation), str(desk.result), *_words(parameters or {})],
+            desk.scratch,
             limits,
             path.name,
+            view_of_program(desk, dataset, path),
         )
-        _check_file(result, path.name)
-        account = (solver_name(program), parameters or {}, cost.seconds, cost.peak_mb)
-        try:
-            probe(result)
-            call_isolated(
-                adopt,
-                result,
-                dataset.root,
-                out,
-                account,
-                overwrite,
-                doing=f"result of {path.name}",
-                time_s=_CHECK_S,
-            )
-        finally:
-            clear_abandoned(out.absolute())
+        _check_file(desk.result, path.name)
+
+        def account(result: Result) -> Account:
+            frames = max(1, len(tasks.of(result.task).frames(dataset)))
+            name, seconds = solver_name(program), cost.seconds / frames
+            return Account(name, parameters or {}, desk.confined, seconds, cost.peak_mb)
+
+        adopt_from(desk, dataset, out, account, overwrite=overwrite)
     return open_result(out, dataset)
 
 
-def show(dataset: Dataset, view: Path) -> None:
-    """Copy the observation side of a data set into a folder.
+@dataclass(frozen=True)
+class Account:
+    """What is written about a result, whatever its file says.
 
-    A program cannot harm the data set, since it receives the copies.
+    Attributes
+    ----------
+    solver, parameters : as it was started.
+    isolated : whether the solver saw the observation side only.
+    seconds, peak_mb, compile_s, reconstruction_s : costs, as in `Result`.
     """
-    names = [
-        name
-        for name in dataset.manifest.files
-        if name in (schema.CAMERAS, schema.TARGET, schema.POINTS) or _is_image(name)
-    ]
-    for name in names:
-        copy = inside(view, name)
-        copy.parent.mkdir(parents=True, exist_ok=True)
-        shutil.copyfile(inside(dataset.root, name), copy)
-    head = {
-        "format": schema.FORMAT,
-        "version": schema.VERSION,
-        "content_hash": dataset.content_hash,
-    }
-    (view / schema.MANIFEST).write_text(canonical_json(head), encoding="utf-8")
+
+    solver: str
+    parameters: dict[str, Any]
+    isolated: bool = False
+    seconds: float | None = None
+    peak_mb: float | None = None
+    compile_s: float | None = None
+    reconstruction_s: float | None = None
 
 
-def _is_image(name: str) -> bool:
-    return name.startswith("images/") and name.endswith(".tif")
+def adopt_from(
+    desk: Desk,
+    dataset: Dataset,
+    out: Path,
+    account: Callable[[Result], Account],
+    *,
+    overwrite: bool,
+) -> None:
+    """Check a foreign result at a desk, in a child process, and write it anew."""
+    try:
+        probe(desk.result)
+        known = account(open_result(desk.result, dataset))
+        call_isolated(
+            adopt,
+            desk.result,
+            dataset.root,
+            out,
+            known,
+            overwrite,
+            doing=f"result of {known.solver}",
+            time_s=_CHECK_S,
+        )
+    finally:
+        clear_abandoned(out.absolute())
 
 
 def _words(parameters: dict[str, Any]) -> list[str]:
@@ -167,7 +176,7 @@ def adopt(
     path: Path,
     root: Path,
     out: Path,
-    account: tuple[str, dict[str, Any], float, float | None] | None,
+    account: Account | None,
     overwrite: bool,
 ) -> None:
     """Read every value of a foreign result under all checks, and write it anew.
@@ -176,14 +185,19 @@ def adopt(
 
     Parameters
     ----------
-    account : solver, parameters, seconds (wall time of all frames) and peak memory in MB. None:
-        solver and parameters come from the file, and there are no costs.
+    account : what is written about it; None: solver and parameters of the file, and no costs.
     """
     data = open_dataset(root)
     result = open_result(path, data)
-    solver, parameters, seconds, peak_mb = account or (result.solver, result.parameters, None, None)
+    known = account or Account(result.solver, result.parameters)
     task = tasks.of(result.task)
-    with result_writer(out, data, solver, task.name, parameters, overwrite=overwrite) as writer:
+    with result_writer(
+        out, data, known.solver, task.name, known.parameters, overwrite=overwrite
+    ) as writer:
         task.copy(data, result, writer)
-        if seconds is not None:
-            writer.set_cost(seconds / max(1, len(task.frames(data))), peak_mb)
+        if known.seconds is not None:
+            writer.set_cost(known.seconds, known.peak_mb, known.compile_s)
+        if known.reconstruction_s is not None:
+            writer.set_reconstruction(known.reconstruction_s)
+        if known.isolated:
+            writer.set_isolated()

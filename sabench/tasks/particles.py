@@ -97,10 +97,9 @@ class ParticlesTask(Task):
         seconds, every = [], []
         for frames in progress_bar(data.setup.sequences(), f"particles by {name}"):
             sequence, reader = self._image_sequence(data, frames)
-            start = time.perf_counter()
-            found = _call(algorithm, name, sequence, frames)
-            took = time.perf_counter() - start - reader.seconds
-            seconds += [took / len(frames)] * len(frames)
+            found, took = _call(algorithm, name, sequence, frames)
+            each = max(took - reader.seconds, 0.0) / len(frames)
+            seconds += [each] * len(frames)
             every += found
             memory.trim()
         for frame, one in enumerate(link_frames(data.setup, every)):
@@ -191,10 +190,10 @@ class _Reader:
 
 def _call(
     algorithm: Any, name: str, sequence: ImageSequence, frames: range
-) -> list[FoundParticles]:
-    """Call a solver on a sequence and check what it returns."""
+) -> tuple[list[FoundParticles], float]:
+    """Call a solver on a sequence, check what it returns, and measure the seconds."""
     where = f" on frames {frames[0]} to {frames[-1]}"
-    found: list[FoundParticles] = call_solver(algorithm, name, sequence, list, where)
+    found, took = call_solver(algorithm, name, sequence, list, where)
     other = next((type(one).__name__ for one in found if not isinstance(one, FoundParticles)), "")
     if len(found) != len(frames) or other:
         raise InputError(
@@ -205,7 +204,7 @@ def _call(
         raise InputError(
             f"solver {name}: expected trajectories in every frame or in none, got them in some"
         )
-    return found
+    return found, took
 
 
 def link_frames(setup: CamerasFile, found: Sequence[FoundParticles]) -> list[FoundParticles]:

@@ -5,19 +5,24 @@ The time and memory of the solver are measured; the scores compare its result wi
 
 from __future__ import annotations
 
+import functools
+import shutil
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 
-from sabench import tasks
+from sabench import plugins, tasks
 from sabench.api.make import make_algorithm
 from sabench.dataset.reader import Dataset, open_dataset
 from sabench.dataset.results import Result, open_result, result_writer
-from sabench.tasks.external_programs import is_program, run_program
-from sabench.utils import memory
+from sabench.tasks.external_programs import Account, adopt_from, is_program, run_program
+from sabench.tasks.visible_files import open_desk, view_of_plugin
+from sabench.utils import backend, memory
+from sabench.utils.compile_clock import compile_s
 from sabench.utils.errors import InputError
-from sabench.utils.processes.isolated import preload
+from sabench.utils.files import complete_or_nothing, refuse_existing
+from sabench.utils.processes.isolated import call_isolated, preload
 from sabench.utils.processes.limited import Limits
 
 preload(
@@ -42,9 +47,13 @@ def solve(
     *,
     parameters: dict[str, Any] | None = None,
     limits: Limits | None = None,
+    threads: int | None = None,
     overwrite: bool = False,
 ) -> Result:
     """Run a solver on every frame of a data set and write its result file.
+
+    It runs in a child process that holds the observation side alone. Where the system can confine
+    a process, it sees no other file of the user, no other process, and no network.
 
     Parameters
     ----------
@@ -52,6 +61,7 @@ def solve(
     out : the result file to make.
     parameters : of the solver; the others keep their defaults.
     limits : of a program's time, memory and output.
+    threads : of a plug-in's kernels and linear algebra; None: as many as there are cores.
     overwrite : replace an existing result.
 
     Raises
@@ -70,21 +80,61 @@ def solve(
             f"solver {solver}: expected limits for programs only, not for a plug-in, which runs "
             "within sabench"
         )
-    algorithm = make_algorithm(solver, parameters or {})
+    place = Path(out)
+    refuse_existing(place, overwrite=overwrite)
+    plugins.file_of("solvers", solver)  # raises where there is none
+    with open_desk(data) as desk, desk.naming(data.root, place):
+        call_isolated(
+            functools.partial(solve_at_desk, threads=threads, isolated=desk.confined),
+            solver,
+            parameters or {},
+            desk.observation,
+            desk.result,
+            doing=f"solver {solver}",
+            view=view_of_plugin(desk, data, solver),
+        )
+        if plugins.is_bundled("solvers", solver):
+            with complete_or_nothing(place, overwrite=overwrite) as partial:
+                shutil.move(desk.result, partial)
+        else:
+
+            def account(result: Result) -> Account:
+                costs = (result.seconds, result.peak_mb, result.compile_s, result.reconstruction_s)
+                return Account(solver, result.parameters, desk.confined, *costs)
+
+            adopt_from(desk, data, place, account, overwrite=overwrite)
+    return open_result(out, data)
+
+
+def solve_at_desk(
+    solver: str,
+    parameters: dict[str, Any],
+    observation: Path,
+    out: Path,
+    *,
+    threads: int | None,
+    isolated: bool,
+) -> None:
+    """Run a plug-in on the observation side of a data set; its process may be confined to it."""
+    data = open_dataset(observation)
+    algorithm = make_algorithm(solver, parameters)
     if algorithm.sees not in data.shows:
         shown = " and ".join(_SHOWN[one] for one in data.shows)
         raise InputError(
             f"solver {solver}: expected a data set that shows {_SHOWN[algorithm.sees]}, but "
-            f"{data.root} shows {shown}"
+            f"this one shows {shown}"
         )
     memory.forget_peak()
     resolved = algorithm.parameters.model_dump(mode="json")
-    with result_writer(
-        Path(out), data, solver, algorithm.task, resolved, overwrite=overwrite
-    ) as writer:
+    with (
+        backend.limit_libraries(threads),
+        result_writer(out, data, solver, algorithm.task, resolved) as writer,
+    ):
+        if isolated:
+            writer.set_isolated()
+        before = compile_s()
         seconds = tasks.of(algorithm.task).run(algorithm, solver, data, writer)
-        writer.set_cost(float(np.mean(seconds)), memory.peak_mb())
-    return open_result(out, data)
+        writer.set_cost(float(np.mean(seconds)), memory.peak_mb(), compile_s() - before)
 
 
 def score(
@@ -126,4 +176,6 @@ def score(
         **judged.score(data, opened or word or "empty"),
         "seconds": opened.seconds if opened else None,
         "peak_mb": opened.peak_mb if opened else None,
+        "compile_s": opened.compile_s if opened else None,
+        "isolated": opened.isolated if opened else None,
     }

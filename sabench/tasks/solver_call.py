@@ -2,21 +2,30 @@
 
 from __future__ import annotations
 
+import time
 from typing import Any
 
+from sabench.utils.compile_clock import compile_s
 from sabench.utils.errors import DeclinedError, InputError
 
 
-def call_solver(algorithm: Any, name: str, case: Any, expected: type[Any], where: str = "") -> Any:
+def call_solver(
+    algorithm: Any, name: str, case: Any, expected: type[Any], where: str = ""
+) -> tuple[Any, float]:
     """Call a solver, which may raise anything, on a case.
 
     `where` is added to the messages of failures, as in " on frame 0".
+
+    Returns
+    -------
+    Its answer, and the seconds that it took without those of compiling its kernels.
 
     Raises
     ------
     InputError
         A solver that declines, raises, or returns something else than an `expected`.
     """
+    start, compiled_s = time.perf_counter(), compile_s()
     try:
         reason = algorithm.skip(case)
         answer = None if reason else algorithm.solve(case)
@@ -25,10 +34,11 @@ def call_solver(algorithm: Any, name: str, case: Any, expected: type[Any], where
     except Exception as error:
         failed = f"solver {name} failed{where}: {type(error).__name__}: {error}"
         raise InputError(failed) from error
+    took = time.perf_counter() - start - (compile_s() - compiled_s)
     if reason:
         raise DeclinedError(f"solver {name} declines this case: {reason}")
     if not isinstance(answer, expected):
         raise InputError(
             f"solver {name}: expected a {expected.__name__}, got {type(answer).__name__}"
         )
-    return answer
+    return answer, max(took, 0.0)

@@ -5,7 +5,6 @@ The volumes are reconstructed from pairs of frames.
 
 from __future__ import annotations
 
-import time
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
@@ -113,9 +112,8 @@ class VelocimetryTask(Task):
         seconds = []
         for pair in progress_bar(pairs, f"velocity by {name}"):
             case = VolumePair(*volumes.reconstruct(pair), data.setup.grid, interval_s(data, pair))
-            start = time.perf_counter()
-            field = call_solver(algorithm, name, case, Velocity, f" on frame {pair[0]}")
-            seconds.append(time.perf_counter() - start)
+            field, took = call_solver(algorithm, name, case, Velocity, f" on frame {pair[0]}")
+            seconds.append(took)
             check_estimate(field, name, data, pair[0])
             writer.add(field, pair[0])
             memory.trim()

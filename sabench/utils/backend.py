@@ -7,6 +7,7 @@ library and checks its version first. No other module of sabench names a variant
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
 import ctypes.util
 import functools
@@ -14,6 +15,7 @@ import importlib
 import importlib.metadata
 import os
 import sys
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -182,3 +184,21 @@ def drjit() -> tuple[Any, Any]:
 def limit(threads: int) -> None:
     """Set the number of threads that Dr.Jit uses in this process."""
     drjit()[0].set_thread_count(threads)
+
+
+@contextlib.contextmanager
+def limit_libraries(threads: int | None) -> Iterator[None]:
+    """Limit the threads of compiled kernels and of linear algebra; None: no limit."""
+    if threads is None:
+        yield
+        return
+    import numba
+    from threadpoolctl import threadpool_limits
+
+    before = numba.get_num_threads()
+    numba.set_num_threads(threads)
+    try:
+        with threadpool_limits(threads):
+            yield
+    finally:
+        numba.set_num_threads(before)

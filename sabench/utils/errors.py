@@ -23,6 +23,7 @@ class InputError(Exception):
     Attributes
     ----------
     faults : the sentences, without the name of the file where `of` has made the error.
+    arguments : those that make the same error again.
     """
 
     def __init__(self, sentence: str = "", faults: Sequence[str] = ()) -> None:
@@ -32,11 +33,11 @@ class InputError(Exception):
         more = len(self.faults) - _MOST
         rest = [f"and {more} more"] if more > 0 else []
         super().__init__("\n  ".join([head, *listed, *rest]))
-        self._arguments = (sentence, tuple(faults))
+        self.arguments = (sentence, tuple(faults))
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Make the same error in another process."""
-        return type(self), self._arguments
+        return type(self), self.arguments
 
     @classmethod
     def from_faults(cls, source: str, faults: Sequence[str]) -> Self:

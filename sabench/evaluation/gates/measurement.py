@@ -20,7 +20,7 @@ from sabench.evaluation.gates.findings import compare, scale_times
 from sabench.evaluation.gates.known_wrong_estimates import score_known_wrong
 from sabench.evaluation.runner import dataset_of
 from sabench.evaluation.suites import Case, SolverEntry
-from sabench.evaluation.timed_solving import solve_apart
+from sabench.evaluation.timed_solving import solve_timed
 from sabench.tasks.solve_and_score import score
 from sabench.utils.errors import InputError
 
@@ -124,7 +124,7 @@ def _solve_again(
 def _solve(data: Dataset, solver_entry: SolverEntry, out: Path) -> Entry:
     try:
         # like the reference kernel; other processes slow threads down most
-        reference_s = solve_apart(solver_entry, data, out, threads=1)
+        reference_s = solve_timed(solver_entry, data, out, threads=1)
         scores = score(data, out)
     except InputError as error:
         return Entry(error=str(error))

@@ -1,36 +1,54 @@
 """Function calls in a child process.
 
-A crash, a hang or a leak there does not affect this one.
+A crash, a hang or a leak there does not affect this one. The child may be confined, too: then it
+sees only given files, no other process and no network, and what it answers is data, never code.
 """
 
 from __future__ import annotations
 
+import contextlib
 import functools
+import json
 import multiprocessing
 import os
-from collections.abc import Callable
+import sys
+from collections.abc import Callable, Iterator
+from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
+from types import ModuleType
 from typing import Any
 
+from sabench.utils import errors
 from sabench.utils.errors import InputError
+from sabench.utils.processes.confinement import View, confine
 from sabench.utils.processes.ending import describe_end, kill_tree, overdue
 from sabench.utils.processes.starting import ignored_interrupts
 
 _PRELOADED: list[str] = []
+_KEPT = (  # variables that a confined process gets; and those that begin so
+    ("PATH", "LANG", "TZ", "TERM", "COLUMNS", "NO_COLOR", "FORCE_COLOR", "CUDA_VISIBLE_DEVICES"),
+    ("LC_", "LD_", "NUMBA_", "OMP_", "OPENBLAS_", "MKL_", "DRJIT_", "MI_", "SABENCH_", "PYTHON"),
+)
+_MOST_FILES = 1 << 16  # numbers of open files that are closed
 
 
 def call_isolated(
-    function: Callable[..., Any], *arguments: Any, doing: str, time_s: float | None = None
+    function: Callable[..., Any],
+    *arguments: Any,
+    doing: str,
+    time_s: float | None = None,
+    view: View | None = None,
 ) -> Any:
     """Call a module's function in a child process and return its result.
 
-    Arguments must be picklable.
+    Arguments must be picklable, the result one that JSON holds.
 
     Parameters
     ----------
     doing : subject of errors, as "solver msa".
     time_s : time limit, after which the process is killed; None: no limit.
+    view : confines the child to these files.
 
     Raises
     ------
@@ -39,34 +57,60 @@ def call_isolated(
     """
     context = _context()
     receiver, sender = context.Pipe(duplex=False)
-    child = context.Process(target=_call, args=(sender, dict(os.environ), function, arguments))
-    with ignored_interrupts():
+    environment = dict(os.environ) if view is None else _choose_environment(view)
+    child = context.Process(target=_call, args=(sender, environment, view, function, arguments))
+    with ignored_interrupts(), _without_script():
         child.start()
     sender.close()
     try:
-        fault, value = _receive(receiver, child, doing, time_s)
+        answer = _receive(receiver, child, doing, time_s)
     except BaseException:
         kill_tree(child.pid)
         raise
     finally:
         child.join()
         receiver.close()
-    if fault is not None:
-        raise fault
-    return value
+    if "fault" in answer:
+        kind = errors.DeclinedError if answer.get("declined") else InputError
+        raise kind(*answer["fault"])
+    return answer["value"]
+
+
+@contextlib.contextmanager
+def _without_script() -> Iterator[None]:
+    """Hide the user's script, which the child would run again as it starts."""
+    script = sys.modules["__main__"]
+    sys.modules["__main__"] = ModuleType("__main__")
+    try:
+        yield
+    finally:
+        sys.modules["__main__"] = script
+
+
+def _choose_environment(view: View) -> dict[str, str]:
+    """Choose the variables of a confined process."""
+    names, beginnings = _KEPT
+    kept = {
+        name: value
+        for name, value in os.environ.items()
+        if name in names or name.startswith(beginnings)
+    }
+    return kept | {"HOME": view.home, "TMPDIR": "/tmp"}
 
 
 def _receive(
     receiver: Connection, child: BaseProcess, doing: str, time_s: float | None
-) -> tuple[InputError | None, Any]:
+) -> dict[str, Any]:
     if not receiver.poll(time_s):
         assert time_s is not None
         raise InputError(f"{doing}: {overdue(time_s)}")
     try:
-        answer: tuple[InputError | None, Any] = receiver.recv()
+        answer: dict[str, Any] = json.loads(receiver.recv_bytes())
     except EOFError:  # it died before it could answer
         child.join()
-        return InputError(f"{doing}: its process ended with {describe_end(child.exitcode)}"), None
+        raise InputError(
+            f"{doing}: its process ended with {describe_end(child.exitcode)}"
+        ) from None
     return answer
 
 
@@ -95,16 +139,28 @@ def _context() -> Any:
 def _call(
     sender: Connection,
     environment: dict[str, str],
+    view: View | None,
     function: Callable[..., Any],
     arguments: tuple[Any, ...],
 ) -> None:
     os.environ.clear()  # they are those of the server when it started
     os.environ.update(environment)
+    answer: dict[str, Any] = {}
     try:
-        value = function(*arguments)
+        if view is not None:
+            _forget_parent(sender)
+            confine(view)
+        answer["value"] = function(*arguments)
     except InputError as error:
-        sender.send((error, None))
+        answer = {"fault": error.arguments, "declined": isinstance(error, errors.DeclinedError)}
     except (OSError, MemoryError) as error:
-        sender.send((InputError(f"{error}" or type(error).__name__), None))
-    else:
-        sender.send((None, value))
+        answer["fault"] = [f"{error}" or type(error).__name__]
+    sender.send_bytes(json.dumps(answer).encode())
+
+
+def _forget_parent(sender: Connection) -> None:
+    """Close what leads to other processes, and forget the parent's command line."""
+    sys.argv = sys.argv[:1]
+    os.closerange(3, sender.fileno())
+    os.closerange(sender.fileno() + 1, _MOST_FILES)
+    resource_tracker._resource_tracker._fd = None  # type: ignore[attr-defined] # one of its own

@@ -10,7 +10,6 @@ import os
 import secrets
 import signal
 import subprocess
-import sys
 import threading
 import time
 from collections import deque
@@ -21,6 +20,7 @@ from typing import IO
 
 from sabench.utils import memory
 from sabench.utils.errors import InputError
+from sabench.utils.processes.confinement import View, start_words
 from sabench.utils.processes.ending import check_end, kill_running, last_line, last_words, overdue
 from sabench.utils.processes.usage import family, find_marked, held_mb, size_mb
 
@@ -38,23 +38,6 @@ _TAIL = 1 << 14  # bytes of output that are kept
 _WAITS = (0.01, 0.25)  # shortest and longest time between two looks (s)
 _OUTPUT_EVERY = 1.0  # time between two looks at the files (s)
 _MEMORY_SHARE = 0.9  # of the free memory, where no limit is given
-
-# Run by a fresh interpreter that becomes the program: limits of files and cores, signals as a
-# program expects them, death with its parent.
-_START = """
-import os, resource, signal, sys
-for number in (signal.SIGXFSZ, signal.SIGPIPE, signal.SIGINT):
-    signal.signal(number, signal.SIG_DFL)
-resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv[1]),) * 2)
-resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-if sys.platform == "linux":
-    import ctypes
-    ctypes.CDLL(None).prctl(1, signal.SIGKILL)
-try:
-    os.execv(sys.argv[2], sys.argv[2:])
-except OSError as error:
-    sys.exit(f"it cannot be started: {error.strerror}")
-"""
 
 
 @dataclass(frozen=True)
@@ -105,11 +88,13 @@ class Cost:
     peak_mb: float
 
 
-def run_limited(words: Sequence[str], folder: Path, limits: Limits, name: str) -> Cost:
+def run_limited(
+    words: Sequence[str], folder: Path, limits: Limits, name: str, view: View | None = None
+) -> Cost:
     """Run a program in `folder` and wait for its end.
 
     No process that it started survives it. It gets a session of its own, no standard input and a
-    clean environment with `folder` as its home.
+    clean environment with `folder` as its home. A view confines it to those files.
 
     Raises
     ------
@@ -122,8 +107,8 @@ def run_limited(words: Sequence[str], folder: Path, limits: Limits, name: str) -
             f"program {name}: expected Linux or macOS, which can confine a program, got {os.name}"
         )
     token = secrets.token_hex(16)
-    start = time.monotonic()
-    with _start(words, folder, limits, token) as (process, tails):
+    start, command = time.monotonic(), start_words(words, view, int(limits.output_mb * 1e6))
+    with _start(command, folder, token) as (process, tails):
         try:
             peak_mb, breach = _watch(process, folder, limits, start)
             seconds = time.monotonic() - start
@@ -163,11 +148,10 @@ class _Tail(threading.Thread):
 
 @contextlib.contextmanager
 def _start(
-    words: Sequence[str], folder: Path, limits: Limits, token: str
+    words: Sequence[str], folder: Path, token: str
 ) -> Iterator[tuple[subprocess.Popen[bytes], list[_Tail]]]:
-    size = str(int(limits.output_mb * 1e6))
     process = subprocess.Popen(
-        [sys.executable, "-I", "-S", "-c", _START, size, *words],
+        words,
         cwd=folder,
         env=_environment(folder, token),
         stdin=subprocess.DEVNULL,

@@ -1,0 +1,150 @@
+"""Files that a solver sees: a data set's observation side, and what it needs to run.
+
+Where the system can confine a process, a solver sees nothing else: no truth, no other data set, no
+secret, no file of the user's home.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import sys
+import tempfile
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from sabench import plugins
+from sabench.dataset import schema
+from sabench.dataset.observation_side import copy_observation
+from sabench.dataset.reader import Dataset
+from sabench.utils.errors import InputError
+from sabench.utils.processes.confinement import View, can_confine
+
+_PACKAGE = Path(plugins.__file__).resolve().parent
+_DEEPEST = 6  # folders below a shown one in which data sets are looked for
+_BESIDE_COMMANDS = ("lib", "lib64", "libexec", "pyvenv.cfg")  # what commands in a bin folder need
+_SKIPPED = {".git", ".venv", "__pycache__", "node_modules", "site-packages"}
+
+
+@dataclass(frozen=True)
+class Desk:
+    """Place of one solver's work on one data set.
+
+    Attributes
+    ----------
+    observation : data set of the observation side alone.
+    scratch : empty folder for the result.
+    confined : whether the solver can be confined to its desk.
+    """
+
+    observation: Path
+    scratch: Path
+    confined: bool
+
+    @property
+    def result(self) -> Path:
+        """The result file that the solver must write."""
+        return self.scratch / "result.h5"
+
+    @contextlib.contextmanager
+    def naming(self, root: Path, out: Path) -> Iterator[None]:
+        """Name the data set and the result in errors, in place of the files at the desk."""
+        try:
+            yield
+        except InputError as error:
+            raise type(error)(
+                *(self._rename(part, root, out) for part in error.arguments)
+            ) from None
+
+    def _rename(self, words: Any, root: Path, out: Path) -> Any:
+        if not isinstance(words, str):
+            return [self._rename(one, root, out) for one in words]
+        named = words.replace(str(self.observation), str(root))
+        return named.replace(str(self.result), str(out)).replace(str(self.scratch), str(out.parent))
+
+
+@contextlib.contextmanager
+def open_desk(data: Dataset) -> Iterator[Desk]:
+    """Lay out the observation side of a data set for a solver; it is removed at the end."""
+    confined = can_confine()
+    with tempfile.TemporaryDirectory(
+        prefix=".sabench-", dir=_parent(data) if confined else None, ignore_cleanup_errors=True
+    ) as name:
+        folder = Path(name).resolve()
+        desk = Desk(folder / "dataset", folder / "work", confined)
+        copy_observation(data, desk.observation, linked=confined)
+        desk.scratch.mkdir()
+        yield desk
+
+
+def _parent(data: Dataset) -> Path | None:
+    """Return the folder in which links to the data set's images can be made, if not /tmp."""
+    parent, usual = data.root.absolute().parent, Path(tempfile.gettempdir())
+    other = usual.stat().st_dev != data.root.stat().st_dev
+    return parent if other and os.access(parent, os.W_OK) else None
+
+
+def view_of_plugin(desk: Desk, data: Dataset, solver: str) -> View | None:
+    """List the files that a Python plug-in sees; None where it cannot be confined.
+
+    Compiled kernels are kept next to their source. sabench's own solvers may write them; what
+    another one writes there is forgotten with it, so that it cannot change what later ones run.
+    """
+    if not desk.confined:
+        return None
+    python = [Path(sys.prefix), Path(sys.base_prefix), _PACKAGE.parent / "pyproject.toml"]
+    own = [folder for kind in plugins.KINDS for folder in plugins.folders(kind)]
+    own += _import_paths()
+    kernels = [_PACKAGE, *own, *_kernel_folders()]
+    trusted = plugins.is_bundled("solvers", solver)
+    return View(
+        readable=_words([*python, desk.observation]),
+        changeable=() if trusted else _words(kernels),
+        writable=_words([*kernels, desk.scratch] if trusted else [desk.scratch]),
+        hidden=_words(_find_data_sets(own, data)),
+        home=str(Path.home()) if trusted else "/tmp",
+    )
+
+
+def _kernel_folders() -> list[Path]:
+    """List the folders in which compiled kernels are kept where not next to their source."""
+    named = os.environ.get("NUMBA_CACHE_DIR")
+    return [Path(named)] if named else [Path.home() / ".cache" / "numba", Path.home() / ".drjit"]
+
+
+def view_of_program(desk: Desk, data: Dataset, program: Path) -> View | None:
+    """List the files that a program sees: its folder, and those of the commands on PATH."""
+    if not desk.confined:
+        return None
+    commands = [Path(one) for one in os.environ.get("PATH", "").split(os.pathsep) if one]
+    beside = [one.parent / name for one in commands for name in _BESIDE_COMMANDS]
+    python = [Path(sys.prefix), Path(sys.base_prefix)]
+    return View(
+        readable=_words([program.parent, *python, *commands, *beside, desk.observation]),
+        writable=_words([desk.scratch]),
+        hidden=_words(_find_data_sets([program.parent], data)),
+    )
+
+
+def _import_paths() -> list[Path]:
+    """List the folders of PYTHONPATH, but not that of the checkout: the package is shown itself."""
+    paths = [Path(one).absolute() for one in os.environ.get("PYTHONPATH", "").split(os.pathsep)]
+    return [path for path in paths if path not in _PACKAGE.parents and path != Path.cwd()]
+
+
+def _find_data_sets(shown: Iterable[Path], data: Dataset) -> Iterator[Path]:
+    """Find the data sets within folders that are shown: they have truth in them."""
+    yield data.root.absolute()
+    for folder in shown:
+        depth = len(folder.parts)
+        for place, below, files in os.walk(folder):
+            if schema.TRUTH in files:
+                yield Path(place)
+            deep = len(Path(place).parts) - depth >= _DEEPEST
+            below[:] = [] if deep else [one for one in below if one not in _SKIPPED]
+
+
+def _words(paths: Iterable[Path]) -> tuple[str, ...]:
+    return tuple(dict.fromkeys(str(path) for path in paths if path.exists()))
