@@ -57,6 +57,9 @@ class Head(_Part):
     axes: dict[str, Any] = Field({}, description="dotted keys of the scene with this case's values")
     scene_hash: str
     dataset: str = Field(description="content hash of the data set")
+    identity: str | None = Field(
+        None, description="of the data set on every processor; missing for private test sets"
+    )
     seed: int = Field(description="of the data set; its number in a private test set")
     split: Literal["public", "hidden"] = "public"
     renderer: str
