@@ -91,7 +91,9 @@ def run_program(
     if out.exists() and not overwrite:
         raise InputError(f"{out} exists already: choose another name, or say --overwrite")
     with open_desk(dataset) as desk, desk.naming(dataset.root, out):
-        console.print(f"{path.name}: at most {limits.time_s:g} s", markup=False, highlight=False)
+        sees = "; sees its folder and SABENCH_VISIBLE" if desk.confined else "; not confined"
+        said = f"{path.name}: at most {limits.time_s:g} s{sees}"
+        console.print(said, markup=False, highlight=False)
         cost = run_limited(
             [str(path), str(desk.observation), str(desk.result), *_words(parameters or {})],
             desk.scratch,
@@ -112,7 +114,7 @@ def run_program(
 
 @dataclass(frozen=True)
 class Account:
-    """What is written about a result, whatever its file says.
+    """Head of a result that is written anew, whatever its file says.
 
     Attributes
     ----------

@@ -116,7 +116,7 @@ def solve_at_desk(
     threads: int | None,
     isolated: bool,
 ) -> None:
-    """Run a plug-in on the observation side of a data set; its process may be confined to it."""
+    """Run a plug-in on an observation side, in a process of its own."""
     data = open_dataset(observation)
     algorithm = make_algorithm(solver, parameters)
     if algorithm.sees not in data.shows:

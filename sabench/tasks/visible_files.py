@@ -1,4 +1,4 @@
-"""Files that a solver sees: a data set's observation side, and what it needs to run.
+"""Files that a solver sees: the observation side, and what it needs to run.
 
 Where the system can confine a process, a solver sees nothing else: no truth, no other data set, no
 secret, no file of the user's home.
@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import re
 import sys
 import tempfile
 from collections.abc import Iterable, Iterator
@@ -23,6 +24,7 @@ from sabench.utils.errors import InputError
 from sabench.utils.processes.confinement import View, can_confine
 
 _PACKAGE = Path(plugins.__file__).resolve().parent
+_UNFINISHED = re.compile(r"[^\s']*\.result\.h5\.partial-\d+")  # what a killed writer leaves
 _DEEPEST = 6  # folders below a shown one in which data sets are looked for
 _BESIDE_COMMANDS = ("lib", "lib64", "libexec", "pyvenv.cfg")  # what commands in a bin folder need
 _SKIPPED = {".git", ".venv", "__pycache__", "node_modules", "site-packages"}
@@ -61,13 +63,13 @@ class Desk:
     def _rename(self, words: Any, root: Path, out: Path) -> Any:
         if not isinstance(words, str):
             return [self._rename(one, root, out) for one in words]
-        named = words.replace(str(self.observation), str(root))
-        return named.replace(str(self.result), str(out)).replace(str(self.scratch), str(out.parent))
+        named = words.replace(str(self.observation), str(root)).replace(str(self.result), str(out))
+        return _UNFINISHED.sub(lambda _: str(out), named)
 
 
 @contextlib.contextmanager
 def open_desk(data: Dataset) -> Iterator[Desk]:
-    """Lay out the observation side of a data set for a solver; it is removed at the end."""
+    """Lay out the observation side of a data set for a solver, for a while."""
     confined = can_confine()
     with tempfile.TemporaryDirectory(
         prefix=".sabench-", dir=_parent(data) if confined else None, ignore_cleanup_errors=True
@@ -80,7 +82,7 @@ def open_desk(data: Dataset) -> Iterator[Desk]:
 
 
 def _parent(data: Dataset) -> Path | None:
-    """Return the folder in which links to the data set's images can be made, if not /tmp."""
+    """Return the folder in which images can be linked, if not the usual one."""
     parent, usual = data.root.absolute().parent, Path(tempfile.gettempdir())
     other = usual.stat().st_dev != data.root.stat().st_dev
     return parent if other and os.access(parent, os.W_OK) else None
@@ -109,29 +111,41 @@ def view_of_plugin(desk: Desk, data: Dataset, solver: str) -> View | None:
 
 
 def _kernel_folders() -> list[Path]:
-    """List the folders in which compiled kernels are kept where not next to their source."""
+    """List the folders of compiled kernels that are not next to their source."""
     named = os.environ.get("NUMBA_CACHE_DIR")
     return [Path(named)] if named else [Path.home() / ".cache" / "numba", Path.home() / ".drjit"]
 
 
 def view_of_program(desk: Desk, data: Dataset, program: Path) -> View | None:
-    """List the files that a program sees: its folder, and those of the commands on PATH."""
+    """List the files that a program sees; None where it cannot be confined.
+
+    They are those of its folder, of SABENCH_VISIBLE (separated as in PATH) and of the commands on
+    PATH.
+    """
     if not desk.confined:
         return None
-    commands = [Path(one) for one in os.environ.get("PATH", "").split(os.pathsep) if one]
+    commands = _listed("PATH")
     beside = [one.parent / name for one in commands for name in _BESIDE_COMMANDS]
     python = [Path(sys.prefix), Path(sys.base_prefix)]
+    own = [program.parent, *_listed("SABENCH_VISIBLE")]
     return View(
-        readable=_words([program.parent, *python, *commands, *beside, desk.observation]),
+        readable=_words([*own, *python, *commands, *beside, desk.observation]),
         writable=_words([desk.scratch]),
-        hidden=_words(_find_data_sets([program.parent], data)),
+        hidden=_words(_find_data_sets(own, data)),
     )
 
 
 def _import_paths() -> list[Path]:
-    """List the folders of PYTHONPATH, but not that of the checkout: the package is shown itself."""
-    paths = [Path(one).absolute() for one in os.environ.get("PYTHONPATH", "").split(os.pathsep)]
-    return [path for path in paths if path not in _PACKAGE.parents and path != Path.cwd()]
+    """List the folders of PYTHONPATH, without that of the checkout.
+
+    The package is shown itself.
+    """
+    return [one for one in _listed("PYTHONPATH") if one not in _PACKAGE.parents]
+
+
+def _listed(variable: str) -> list[Path]:
+    words = os.environ.get(variable, "").split(os.pathsep)
+    return [Path(word).absolute() for word in words if word]
 
 
 def _find_data_sets(shown: Iterable[Path], data: Dataset) -> Iterator[Path]:

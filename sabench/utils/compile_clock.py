@@ -12,7 +12,7 @@ from typing import Any
 
 
 def compile_s() -> float:
-    """Return the seconds that this thread has spent on compilation since the first call."""
+    """Return the seconds of compilation by this thread since the first call."""
     return float(_clock().seconds)
 
 

@@ -95,7 +95,7 @@ def clear_abandoned(target: Path) -> None:
 
     A folder that they had set aside returns if nothing took its place.
     """
-    for entry in sorted(target.parent.iterdir()):
+    for entry in sorted(target.parent.iterdir()) if target.parent.is_dir() else ():
         match = _ABANDONED.match(entry.name)
         if not match or match["name"] != target.name or _alive(int(match["pid"])):
             continue

@@ -385,9 +385,9 @@ def result(base: Base, inputs: Path, out: Path, rng: random.Random) -> Feed:
         check_scores(score(root, path))
 
     def adopted(root: Path, out: Path) -> None:
-        from sabench.tasks.external_programs import adopt
+        from sabench.tasks.external_programs import Account, adopt
 
-        adopt(path, root, out / "adopted.h5", ("program", {}, 1.0, 2.0), False)
+        adopt(path, root, out / "adopted.h5", Account("program", {}, True, 1.0, 2.0), False)
 
     def feed() -> None:
         from sabench.dataset.hdf5_probe import probe

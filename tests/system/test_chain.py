@@ -175,6 +175,8 @@ def test_steps_at_the_command_line(command: Command, quick: Dataset, tmp_path: P
         *SCORES,
         "seconds",
         "peak_mb",
+        "compile_s",
+        "isolated",
     }
     assert scores["dataset"] == quick.content_hash
     assert scores["parameters"]["k"] == 2.5

@@ -18,6 +18,7 @@ from sabench.interop.vtkhdf import export
 from sabench.scenes import load_scene, parse_scene
 from sabench.simulation.in_memory import Shot, simulate
 from sabench.simulation.pipeline import generate
+from sabench.tasks.particles import TASK
 from sabench.tasks.solve_and_score import score, solve
 from sabench.utils.errors import InputError
 
@@ -155,12 +156,15 @@ def test_faults_of_results_are_named(sequence: Dataset, tmp_path: Path) -> None:
 def test_a_solver_that_returns_something_else_is_named(
     sequence: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    plugin = plugins.load("solvers", "ray_triangulation")
-    monkeypatch.setattr(plugin, "solve", lambda self, case: [FoundParticles(np.zeros((0, 3)))])
-    with pytest.raises(
-        InputError, match=r"expected FoundParticles for each of 6 frames, got 1 of them"
+    made = make_algorithm("ray_triangulation", {})
+    monkeypatch.setattr(made, "solve", lambda case: [FoundParticles(np.zeros((0, 3)))])
+    with (
+        pytest.raises(
+            InputError, match=r"expected FoundParticles for each of 6 frames, got 1 of them"
+        ),
+        result_writer(tmp_path / "r.h5", sequence, "bad", "particles", {}) as writer,
     ):
-        solve("ray_triangulation", sequence, tmp_path / "r.h5")
+        TASK.run(made, "bad", sequence, writer)
 
 
 def test_frames_are_read_when_they_are_asked_for(shot: Shot) -> None:

@@ -19,11 +19,12 @@ import numpy as np
 import pytest
 
 import sabench
+from sabench.dataset.observation_side import copy_observation
 from sabench.dataset.reader import Dataset
 from sabench.evaluation.leaderboard.submissions import submit
 from sabench.evaluation.records import read_records
 from sabench.tasks import of
-from sabench.tasks.external_programs import is_program, run_program, show
+from sabench.tasks.external_programs import is_program, run_program
 from sabench.utils.errors import InputError
 from sabench.utils.processes.limited import Limits
 from tests.conftest import ROOT, Command
@@ -60,7 +61,7 @@ with h5py.File(result, "w") as file:
 
 
 def test_a_program_sees_the_observation_side_only(quick: Dataset, tmp_path: Path) -> None:
-    show(quick, tmp_path / "view")
+    copy_observation(quick, tmp_path / "view")
     seen = sorted(
         path.relative_to(tmp_path / "view").as_posix()
         for path in (tmp_path / "view").rglob("*")
@@ -72,7 +73,14 @@ def test_a_program_sees_the_observation_side_only(quick: Dataset, tmp_path: Path
         "manifest.json",
     ]
     head = json.loads((tmp_path / "view/manifest.json").read_text())
-    assert head == {"format": "sabench-dataset", "version": 1, "content_hash": quick.content_hash}
+    assert sorted(head.pop("files")) == seen[:-1]
+    assert len(head.pop("manifest_hash")) == 64
+    assert head == {
+        "format": "sabench-dataset",
+        "version": 1,
+        "side": "observation",
+        "content_hash": quick.content_hash,
+    }
     for name in seen[:-1]:
         assert (tmp_path / "view" / name).read_bytes() == (quick.root / name).read_bytes()
         assert not (tmp_path / "view" / name).samefile(
@@ -235,7 +243,9 @@ def python_scores(quick: Dataset, tmp_path_factory: pytest.TempPathFactory) -> d
         f'exec "{sys.executable}" "{EXAMPLES / "python" / "synthetic_aperture.py"}" "$@"\n'
     )
     wrapper.chmod(0o755)
-    run_program(str(wrapper), quick, folder / "r.h5", parameters={"k": 3.0})
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("SABENCH_VISIBLE", str(EXAMPLES))
+        run_program(str(wrapper), quick, folder / "r.h5", parameters={"k": 3.0})
     return sabench.score(quick, folder / "r.h5")
 
 

@@ -24,7 +24,7 @@ import signal
 import struct
 import subprocess
 import sys
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -36,9 +36,9 @@ _PIVOT_ROOT = {"x86_64": 155, "aarch64": 41}
 _MOUNT_SETATTR, _HERE, _BELOW, _READ_ONLY = 442, -100, 0x8000, 1 | _NO_SUID
 _DEATH_SIGNAL, _NO_NEW_PRIVILEGES = 1, 38  # for prctl
 _SYSTEM = [
-    Path(f"/{name}")
-    for name in ("usr", "bin", "sbin", "lib", "lib32", "lib64", "etc", "opt", "nix")
-    + ("sys/devices", "sys/class", "sys/bus", "sys/module")  # processors, graphics cards
+    *map(Path, ("/usr", "/bin", "/sbin", "/lib", "/lib32", "/lib64", "/etc", "/opt", "/nix")),
+    # processors and graphics cards
+    *map(Path, ("/sys/devices", "/sys/class", "/sys/bus", "/sys/module")),
 ]
 _DEVICES = ("null", "zero", "full", "random", "urandom", "dri", "nvidia*")
 _SCRATCH = (Path("/tmp"), Path("/dev/shm"))  # empty ones of its own
@@ -184,16 +184,13 @@ def _mounts(view: View, links: Collection[Path]) -> dict[Path, Callable[[Path, P
     """List what is mounted, and how; a later word on a path replaces an earlier one."""
     shown = [path for path in _SYSTEM if path not in links]
     devices = [path for name in _DEVICES for path in Path("/dev").glob(name)]
-    return {
-        path: how
-        for paths, how in (
-            ((*shown, *view.readable), _show),
-            (view.changeable, _overlay),
-            (view.hidden, _hide),
-            ((*view.writable, *devices), _bind),
-        )
-        for path in map(Path, paths)
-    }
+    hows: list[tuple[Iterable[Path | str], Callable[[Path, Path], None]]] = [
+        ([*shown, *view.readable], _show),
+        (view.changeable, _overlay),
+        (view.hidden, _hide),
+        ([*view.writable, *devices], _bind),
+    ]
+    return {Path(path): how for paths, how in hows for path in paths}
 
 
 def _in_root(path: Path) -> Path:
@@ -261,7 +258,9 @@ def _main(file_bytes: str, view: str, *program: str) -> None:
     """Become a program: limits of files and cores, signals as a program expects them."""
     for number in (signal.SIGXFSZ, signal.SIGPIPE, signal.SIGINT):
         signal.signal(number, signal.SIG_DFL)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (int(file_bytes),) * 2)
+    most = resource.getrlimit(resource.RLIMIT_FSIZE)[1]
+    limit = int(file_bytes) if most == resource.RLIM_INFINITY else min(int(file_bytes), most)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     if sys.platform == "linux":
         die_with_parent()
