@@ -4,7 +4,8 @@
 
 A child process for each variant makes the data sets; variables of the environment limit one
 library each (numba, OpenBLAS, NumPy, the C library, OpenCV, Dr.Jit, Embree), the last variant all
-of them. `docs/developing/decisions.md` holds the table that this prints.
+of them. `docs/developing/decisions.md` holds a summary of the table that this prints. The exit code
+is 1 if copies have other identities or do not agree.
 """
 
 from __future__ import annotations
@@ -23,6 +24,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from sabench.dataset.agreement import disagreements
+from sabench.dataset.reader import open_dataset
 from sabench.scenes import Scene, load_scene, parse_scene
 from sabench.utils.files import read_json
 
@@ -262,6 +265,7 @@ def main() -> None:
         return
     variants = list(dict.fromkeys([BASE, *(chosen.variant or VARIANTS)]))
     found: dict[str, dict[str, Difference]] = {}
+    faults: list[str] = []
     for variant in variants:
         missing = [case for case in cases if not (folder / variant / case).is_dir()]
         command = [sys.executable, "-m", "benchmarks.instruction_sets", "-o", str(folder)]
@@ -274,8 +278,11 @@ def main() -> None:
         if variant != BASE:
             found[variant] = {}
             for case in cases:
-                compare(folder / BASE / case, folder / variant / case, case, found[variant])
-    print("\n".join(table(found)))
+                one, other = folder / BASE / case, folder / variant / case
+                compare(one, other, case, found[variant])
+                faults += disagreements(open_dataset(one), open_dataset(other))
+    print("\n".join([*table(found), "", *faults, f"{len(faults)} disagreements"]))
+    sys.exit(1 if faults else 0)
 
 
 if __name__ == "__main__":

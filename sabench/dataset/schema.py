@@ -201,7 +201,9 @@ def read_manifest(root: Path) -> Contents:
         raise InputError(f"{path}: expected a data set's manifest, found none")
     kind = ObservationManifest if _is_observation(path) else Manifest
     manifest: Contents = _read_versioned(kind, path)
-    if path.read_text(encoding="utf-8") != seal(manifest.model_dump(mode="json", exclude_none=True)):
+    if path.read_text(encoding="utf-8") != seal(
+        manifest.model_dump(mode="json", exclude_none=True)
+    ):
         raise InputError(f"{path}: its manifest_hash does not match its content")
     if isinstance(manifest, Manifest):
         _check_identity(manifest, path)

@@ -309,7 +309,7 @@ def test_all_of_a_submission_or_nothing(quick: Dataset, quick_result: Path, tmp_
     with pytest.raises(InputError, match="one result for each data set"):
         submit(folder, "Ann", [quick.root], tmp_path / "board")
     with h5py.File(folder / "b.h5", "r+") as file:
-        file.attrs["dataset"] = "0" * 64
+        file.attrs["dataset"] = file.attrs["identity"] = "0" * 64
     with pytest.raises(InputError, match="none there has the hash '000000000"):
         submit(folder, "Ann", [quick.root], tmp_path / "board")
     assert not (tmp_path / "board").exists()
