@@ -3,8 +3,9 @@
     python -m benchmarks.instruction_sets [-o FOLDER] [--case NAME ...] [--variant NAME ...]
 
 A child process for each variant makes the data sets; variables of the environment limit one
-library each (numba, OpenBLAS, NumPy, the C library, OpenCV, Dr.Jit, Embree), the last variant all
-of them. `docs/developing/decisions.md` holds a summary of the table that this prints. The exit code
+library each (numba, OpenBLAS, NumPy, the C library, OpenCV, Dr.Jit), the last variant all of them.
+Embree, which finds the surfaces that rays of bubbles and targets meet, cannot be limited.
+`docs/developing/decisions.md` holds a summary of the table that this prints. The exit code
 is 1 if copies have other identities or do not agree.
 """
 
@@ -27,11 +28,12 @@ import numpy.typing as npt
 from sabench.dataset.agreement import disagreements
 from sabench.dataset.reader import open_dataset
 from sabench.scenes import Scene, load_scene, parse_scene
+from sabench.simulation.renderer_choice import Renderer
 from sabench.utils.files import read_json
 
-Make = Callable[[], tuple[Scene, str]]
+Make = Callable[[], tuple[Scene, Renderer]]
 BASE = "this processor"
-_DRJIT, _EMBREE = "SABENCH_TEST_LLVM_TARGET", "SABENCH_TEST_EMBREE"  # of this program
+_DRJIT = "SABENCH_TEST_LLVM_TARGET"  # of this program
 _NUMPY = "X86_V4 AVX512_ICL AVX512_SPR"
 _GLIBC = "glibc.cpu.hwcaps=-AVX512F,-AVX2,-AVX,-FMA,-FMA4,-AVX2_Usable,-FMA_Usable"
 _OPENCV = "AVX512-SKX,AVX512-ICL,AVX512F,AVX2,FMA3,AVX,FP16"
@@ -47,7 +49,6 @@ SMALL = {  # each library as on a processor without AVX
     "C library": {"GLIBC_TUNABLES": _GLIBC},
     "OpenCV": {"OPENCV_CPU_DISABLE": _OPENCV},
     "Dr.Jit": {_DRJIT: "haswell:+avx2,+fma:4"},  # it needs fused multiply-adds
-    "Embree": {_EMBREE: "sse4.2"},
 }
 MIDDLE = {  # AVX2 and fused multiply-adds, without AVX-512
     "NUMBA_CPU_NAME": "haswell",
@@ -55,7 +56,6 @@ MIDDLE = {  # AVX2 and fused multiply-adds, without AVX-512
     "OPENBLAS_CORETYPE": "Haswell",
     "NPY_DISABLE_CPU_FEATURES": _NUMPY,
     _DRJIT: "haswell:+avx2,+fma:8",
-    _EMBREE: "avx2",
 }
 VARIANTS: dict[str, dict[str, str]] = {
     BASE: {},
@@ -63,12 +63,12 @@ VARIANTS: dict[str, dict[str, str]] = {
     "one thread": ONE_THREAD,
     "AVX2": MIDDLE,
     **SMALL,
-    "SSE4.2": {key: value for part in SMALL.values() for key, value in part.items()},
+    "all": {key: value for part in SMALL.values() for key, value in part.items()},
 }
 
 
-def _named(name: str, renderer: str = "auto", **tables: Any) -> Make:
-    def make() -> tuple[Scene, str]:
+def _named(name: str, renderer: Renderer = "auto", **tables: Any) -> Make:
+    def make() -> tuple[Scene, Renderer]:
         values = load_scene(name).to_dict()
         for key, value in tables.items():
             values[key] = {**values[key], **value} if isinstance(value, dict) else value
@@ -78,7 +78,7 @@ def _named(name: str, renderer: str = "auto", **tables: Any) -> Make:
 
 
 def _flow(generator: str, **parameters: Any) -> Make:
-    def make() -> tuple[Scene, str]:
+    def make() -> tuple[Scene, Renderer]:
         values = load_scene("quick").to_dict()
         values |= {"frames": 2, "flow": {"generator": generator, **parameters}}
         return parse_scene(values, generator), "splat"
@@ -224,8 +224,6 @@ def environment(variant: str, folder: Path) -> dict[str, str]:
     limits = VARIANTS[variant]
     cache = folder / ".caches" / variant
     (cache / "home").mkdir(parents=True, exist_ok=True)
-    if _EMBREE in limits:
-        (cache / "home" / ".embree3").write_text(f"isa={limits[_EMBREE]}\n", encoding="utf-8")
     own = {
         "NUMBA_CACHE_DIR": str(cache / "numba"),
         "DRJIT_CACHE_DIR": str(cache / "drjit"),

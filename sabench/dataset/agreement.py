@@ -165,9 +165,9 @@ def _agree(name: str, one: npt.NDArray[Any], other: npt.NDArray[Any], *, detecte
     if one.dtype.kind != "f":
         return bool(np.array_equal(one, other))
     scale = np.abs(one[np.isfinite(one)]).max(initial=0.0)
-    limit = _ROUNDING["float32" if one.dtype.itemsize < 8 else "float64"]
-    allowed = scale * (_ESTIMATED[label] if label in _ESTIMATED else limit)
-    return _share_beyond(one, other, float(allowed)) == 0.0
+    rounding = _ROUNDING["float32" if one.dtype.itemsize < 8 else "float64"]
+    allowed = float(scale) * _ESTIMATED.get(label, rounding)
+    return _share_beyond(one, other, allowed) == 0.0
 
 
 def _share_beyond(one: npt.NDArray[Any], other: npt.NDArray[Any], allowed: float) -> float:

@@ -32,6 +32,7 @@ from sabench.images.tiff_exr import write_exr, write_tiff
 from sabench.scenes import load_scene, parse_scene
 from sabench.simulation.pipeline import generate
 from sabench.utils.errors import InputError
+from sabench.utils.files import canonical_json
 from tests.conftest import ROOT, Command
 from tests.helpers.untrusted import reseal
 
@@ -139,7 +140,7 @@ def _turn_a_camera(root: Path) -> None:
     path = root / "cameras.json"
     values: dict[str, Any] = json.loads(path.read_text())
     values["cameras"][0]["center_mm"][0] += 1e-6
-    path.write_text(schema.canonical_json(values), encoding="utf-8")
+    path.write_text(canonical_json(values), encoding="utf-8")
 
 
 @pytest.mark.parametrize(
