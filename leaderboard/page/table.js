@@ -29,6 +29,7 @@ function chips(row) {
   return [
     own.split === "hidden" && make("span", { class: "chip hidden" }, "hidden split"),
     row.submission && make("span", { class: "chip" }, `by ${row.submission.name}`),
+    row.open && make("span", { class: "chip", title: "the solver could have read the truth: this machine could not confine it" }, "not isolated"),
   ];
 }
 

@@ -15,13 +15,13 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, get_args
 
-from sabench.api.make import make_algorithm
 from sabench.api.solvers import TaskName
 from sabench.evaluation.hidden_split import Secret
 from sabench.evaluation.suites import Case, CaseSpec, SolverEntry, Suite
 from sabench.scenes import Scene, build_rig, find, load_scene, parse_scene
 from sabench.simulation.renderer_choice import choose_renderer
 from sabench.tasks.external_programs import find_program
+from sabench.tasks.solve_and_score import describe_solver
 from sabench.utils.errors import InputError
 from sabench.utils.files import digest, is_file
 from sabench.utils.validation import validate
@@ -132,7 +132,7 @@ def _resolve(solver: SolverEntry, file: Path) -> SolverEntry:
                 f"{file}: solver {solver.name}: expected task, time_limit_s and memory_limit_mb "
                 "for programs only"
             )
-        make_algorithm(solver.name, solver.parameters)
+        describe_solver(solver.name, solver.parameters)
         return solver
     if solver.task is None:
         known = ", ".join(get_args(TaskName))

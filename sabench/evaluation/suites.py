@@ -10,12 +10,12 @@ from typing import Annotated, Any
 from pydantic import AliasChoices, BaseModel, ConfigDict, Field, model_validator
 
 from sabench import plugins
-from sabench.api.make import make_algorithm
 from sabench.api.solvers import TaskName
 from sabench.evaluation.records import Difficulty
 from sabench.scenes import Scene
 from sabench.simulation.renderer_choice import Renderer
 from sabench.tasks.external_programs import is_program, solver_name
+from sabench.tasks.solve_and_score import describe_solver
 from sabench.utils.code_hash import code_hash
 from sabench.utils.processes.limited import Limits, limits_of
 
@@ -80,8 +80,7 @@ class SolverEntry(_Table):
         """Return its name in tables, its task and all its parameters."""
         if self.is_program:
             return solver_name(self.name), str(self.task), self.parameters
-        algorithm = make_algorithm(self.name, self.parameters)
-        return self.name, algorithm.task, algorithm.parameters.model_dump(mode="json")
+        return self.name, *describe_solver(self.name, self.parameters)
 
 
 class CaseSpec(Changes):

@@ -166,6 +166,18 @@ def test_seeds_of_a_case_become_one_row(tmp_path: Path) -> None:
     assert data["cases"][0]["axes"] == "particles.per_pixel 0.1"
 
 
+def test_a_solver_that_could_read_the_truth_is_marked(tmp_path: Path) -> None:
+    """One seed on a machine that could not confine it is enough; old records do not say."""
+    records = [
+        record("a", 0.9, seed=1, isolated=True),
+        record("a", 0.9, seed=2, isolated=False),
+        record("b", 0.8, isolated=True),
+        record("c", 0.7),
+    ]
+    data = block(page_of(records, tmp_path))
+    assert [row["open"] for row in data["rows"]] == [True, False, False]
+
+
 def test_a_score_that_some_seeds_lack_is_the_mean_of_the_others() -> None:
     (row,) = rows.over_seeds(
         [record("a", 0.5, seed=1, rms_px=0.25), record("a", 0.7, seed=2, error="it broke")]

@@ -162,6 +162,7 @@ def _row(row: Record, case: int, pool: _Pool) -> dict[str, Any]:
         "values": [[None if run[key] is None else short(run[key]) for run in runs] for key in keys]
         if several
         else None,
+        "open": any(run.get("isolated") is False for run in runs),
         "error": row["error"],
         "declined": bool(row["error"])
         and all(run.get("declined") for run in runs if run.get("error")),

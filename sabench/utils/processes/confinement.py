@@ -7,10 +7,11 @@ privileges are needed where the system lets users make namespaces.
 This file uses the standard library alone and can be run as a script, so that a program can be
 confined before it starts:
 
-    python -I -S confinement.py BYTES VIEW [PROGRAM ARGUMENT ...]
+    python -I -S confinement.py BYTES [PROGRAM ARGUMENT ...] < VIEW
 
 BYTES limits each file that it writes; VIEW is a view as JSON, or null for a program that is not
-confined. Without a program it ends at once, with exit code 0 if the system allows confinement.
+confined: not an argument, since a program can read the command line. Without a program it ends at
+once, with exit code 0 if the system allows confinement.
 """
 
 from __future__ import annotations
@@ -34,7 +35,8 @@ _BIND, _RECURSIVE, _PRIVATE, _NO_SUID, _NO_DEV = 4096, 1 << 14, 1 << 18, 2, 4  #
 _DETACH = 2  # for umount2: at once, in use or not
 _PIVOT_ROOT = {"x86_64": 155, "aarch64": 41}
 _MOUNT_SETATTR, _HERE, _BELOW, _READ_ONLY = 442, -100, 0x8000, 1 | _NO_SUID
-_DEATH_SIGNAL, _NO_NEW_PRIVILEGES = 1, 38  # for prctl
+_DEATH_SIGNAL, _DROP_CAPABILITY, _NO_NEW_PRIVILEGES = 1, 24, 38  # for prctl
+_CAPABILITIES = 0x20080522  # version 3 of linux/capability.h
 _SYSTEM = [
     *map(Path, ("/usr", "/bin", "/sbin", "/lib", "/lib32", "/lib64", "/etc", "/opt", "/nix")),
     # processors and graphics cards
@@ -71,14 +73,20 @@ def can_confine() -> bool:
     """Check whether this system lets this user confine a process, by confining one."""
     if sys.platform != "linux" or os.uname().machine not in _PIVOT_ROOT:
         return False
-    words = start_words((), View(changeable=(str(Path(__file__).parent),)), 1 << 30)
-    return subprocess.run(words, stderr=subprocess.DEVNULL, check=False).returncode == 0
+    view = View(changeable=(str(Path(__file__).parent),))
+    words, seen = start_words((), 1 << 30), start_input(view)
+    done = subprocess.run(words, input=seen, stderr=subprocess.DEVNULL, check=False)
+    return done.returncode == 0
 
 
-def start_words(program: Sequence[str], view: View | None, file_bytes: int) -> list[str]:
-    """Return the command that starts a program, confined unless the view is None."""
-    seen = json.dumps(None if view is None else asdict(view))
-    return [sys.executable, "-I", "-S", __file__, str(file_bytes), seen, *program]
+def start_words(program: Sequence[str], file_bytes: int) -> list[str]:
+    """Return the command that starts a program."""
+    return [sys.executable, "-I", "-S", __file__, str(file_bytes), *program]
+
+
+def start_input(view: View | None) -> bytes:
+    """Return what that command reads: a view, or None for no confinement."""
+    return json.dumps(None if view is None else asdict(view)).encode()
 
 
 def confine(view: View) -> None:
@@ -104,12 +112,20 @@ def confine(view: View) -> None:
     die_with_parent()
     os.close(sender)
     _enter(view)
-    _call("prctl", _NO_NEW_PRIVILEGES, 1, 0, 0, 0)
+    _drop_privileges()
 
 
 def die_with_parent() -> None:
     """Let the system kill this process when its parent dies."""
     _call("prctl", _DEATH_SIGNAL, int(signal.SIGKILL), 0, 0, 0)
+
+
+def _drop_privileges() -> None:
+    """Give up all capabilities for good, with which mounts could be undone."""
+    _call("prctl", _NO_NEW_PRIVILEGES, 1, 0, 0, 0)
+    for number in range(int(Path("/proc/sys/kernel/cap_last_cap").read_text()) + 1):
+        _call("prctl", _DROP_CAPABILITY, number, 0, 0, 0)
+    _call("capset", struct.pack("Ii", _CAPABILITIES, 0), bytes(24))
 
 
 def _call(name: str, *arguments: object) -> None:
@@ -170,6 +186,8 @@ def _enter(view: View) -> None:
         _mount("tmpfs", _in_root(path), "tmpfs", _NO_SUID | _NO_DEV, "size=25%,mode=1777")
     for path in sorted(sources, key=lambda one: len(one.parts)):
         source = Path(f"/proc/self/fd/{sources[path]}")
+        if mounts[path] is _hide and not _in_root(path).exists():
+            continue
         _make_place(source, _in_root(path))
         mounts[path](source, _in_root(path))
     _in_root(Path("/proc")).mkdir()
@@ -254,7 +272,7 @@ def _change_root(here: Path) -> None:
     os.chdir(here if here.is_dir() else "/")
 
 
-def _main(file_bytes: str, view: str, *program: str) -> None:
+def _main(file_bytes: str, *program: str) -> None:
     """Become a program: limits of files and cores, signals as a program expects them."""
     for number in (signal.SIGXFSZ, signal.SIGPIPE, signal.SIGINT):
         signal.signal(number, signal.SIG_DFL)
@@ -264,7 +282,8 @@ def _main(file_bytes: str, view: str, *program: str) -> None:
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     if sys.platform == "linux":
         die_with_parent()
-    seen = json.loads(view)
+    seen = json.load(sys.stdin)
+    os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
     if seen is not None:
         confine(View(**seen))
     if not program:

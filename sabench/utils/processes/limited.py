@@ -20,7 +20,7 @@ from typing import IO
 
 from sabench.utils import memory
 from sabench.utils.errors import InputError
-from sabench.utils.processes.confinement import View, start_words
+from sabench.utils.processes.confinement import View, start_input, start_words
 from sabench.utils.processes.ending import check_end, kill_running, last_line, last_words, overdue
 from sabench.utils.processes.usage import family, find_marked, held_mb, size_mb
 
@@ -107,8 +107,8 @@ def run_limited(
             f"program {name}: expected Linux or macOS, which can confine a program, got {os.name}"
         )
     token = secrets.token_hex(16)
-    start, command = time.monotonic(), start_words(words, view, int(limits.output_mb * 1e6))
-    with _start(command, folder, token) as (process, tails):
+    start, command = time.monotonic(), start_words(words, int(limits.output_mb * 1e6))
+    with _start(command, start_input(view), folder, token) as (process, tails):
         try:
             peak_mb, breach = _watch(process, folder, limits, start)
             seconds = time.monotonic() - start
@@ -148,19 +148,22 @@ class _Tail(threading.Thread):
 
 @contextlib.contextmanager
 def _start(
-    words: Sequence[str], folder: Path, token: str
+    words: Sequence[str], sent: bytes, folder: Path, token: str
 ) -> Iterator[tuple[subprocess.Popen[bytes], list[_Tail]]]:
     process = subprocess.Popen(
         words,
         cwd=folder,
         env=_environment(folder, token),
-        stdin=subprocess.DEVNULL,
+        stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         start_new_session=True,
     )
     assert process.stderr is not None
     assert process.stdout is not None
+    assert process.stdin is not None
+    with contextlib.suppress(BrokenPipeError), process.stdin as pipe:
+        pipe.write(sent)
     tails = [_Tail(process.stderr), _Tail(process.stdout)]
     try:
         yield process, tails

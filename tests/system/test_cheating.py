@@ -1,0 +1,116 @@
+"""Solvers that cheat gain nothing where the system can confine them."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import socket
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import psutil
+import pytest
+
+import sabench
+from sabench.dataset.reader import Dataset
+from sabench.tasks.solve_and_score import solve
+from sabench.utils.errors import InputError
+from sabench.utils.processes.confinement import can_confine
+from tests.helpers import cheats
+
+pytestmark = pytest.mark.skipif(
+    not can_confine(), reason="this system does not let this user confine a process"
+)
+TOKEN = "a-word-that-nobody-else-has"
+HARMFUL = (  # where nothing stops them
+    "outlive",
+    "change sabench",
+    "leave shared memory",
+    "leave a file in /tmp",
+    "make mounts writable",
+    "enter another namespace",
+    "write to the data set",
+    "trace others",
+)
+
+
+@pytest.fixture
+def place(quick: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A data set of its own, with a secret next to it."""
+    shutil.copytree(quick.root, tmp_path / "set")
+    (tmp_path / "secret.toml").write_text('secret = "0123456789abcdef"\n')
+    monkeypatch.setenv("A_TOKEN", TOKEN)
+    monkeypatch.setenv("SABENCH_PLUGINS", str(tmp_path / "mine"))
+    (tmp_path / "mine" / "solvers").mkdir(parents=True)
+    return tmp_path
+
+
+@pytest.fixture
+def port() -> Iterator[int]:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        yield server.getsockname()[1]
+
+
+def constants(place: Path, port: int) -> tuple[object, ...]:
+    return (
+        str(place / "set"),
+        str(place / "secret.toml"),
+        str(place / "mark"),
+        port,
+        TOKEN,
+        os.getpid(),
+    )
+
+
+def check_outside(place: Path, data: Dataset) -> None:
+    """Check that nothing outside has changed, and that nothing lives on."""
+    assert sabench.verify(place / "set") == []
+    assert data.content_hash
+    assert not (place / "mark").exists()
+    for planted in (Path("/dev/shm/planted"), Path("/tmp/planted"), Path("/usr/planted")):
+        assert not planted.exists()
+    assert not (Path(sabench.__file__).parent / "planted.py").exists()
+    assert not [
+        one for one in psutil.process_iter(["cmdline"]) if "4321" in (one.info["cmdline"] or ())
+    ]
+
+
+def attempt(place: Path, port: int, kind: str) -> list[str]:
+    """Let a cheat try all tricks; list those that gained something."""
+    facts = constants(place, port)
+    if kind == "program":
+        solver = place / "bin" / "cheat"
+        solver.parent.mkdir()
+        solver.write_text(cheats.program(facts, sys.executable))
+        solver.chmod(0o755)
+    else:
+        solver = place / "mine" / "solvers" / "cheat.py"
+        solver.write_text(cheats.plugin(kind, facts))
+    name = str(solver) if kind == "program" else "cheat"
+    with pytest.raises(InputError) as failure:
+        solve(name, sabench.open_dataset(place / "set"), place / "r.h5")
+    return cheats.gained(str(failure.value))
+
+
+@pytest.mark.parametrize("kind", ["reconstruction", "particles", "program"])
+def test_a_cheat_gains_nothing(place: Path, port: int, kind: str) -> None:
+    assert attempt(place, port, kind) == []
+    check_outside(place, sabench.open_dataset(place / "set"))
+
+
+@pytest.mark.parametrize("kind", ["particles", "program"])
+def test_without_confinement_tricks_work_and_the_result_says_so(
+    place: Path, port: int, kind: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Else the tricks themselves would be wrong."""
+    monkeypatch.setattr("sabench.tasks.visible_files.can_confine", lambda: False)
+    monkeypatch.setattr("sabench.tasks.solve_and_score.can_confine", lambda: False)
+    harmless = [name for name in cheats.TRICKS if name not in HARMFUL]
+    monkeypatch.setattr(cheats, "TRICKS", {name: cheats.TRICKS[name] for name in harmless})
+    gained = attempt(place, port, kind)
+    assert {"read the truth", "read the seed", "read the secret", "look around"} <= set(gained)
+    assert {"connect", "read command lines", "signal others"} <= set(gained)
+    (place / "mark").unlink()  # what "write outside" has left
+    result = solve("msa", sabench.open_dataset(place / "set"), place / "r.h5")
+    assert result.isolated is False
