@@ -42,7 +42,7 @@ class Dataset:
 
     @property
     def identity(self) -> str | None:
-        """Hash of what defines the data set, equal for copies made on different processors.
+        """Hash of what defines the data set, equal on all processors.
 
         None for the observation side alone, which must not disclose it, and for data sets of before
         it was introduced.

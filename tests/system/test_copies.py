@@ -24,7 +24,7 @@ import sabench
 from benchmarks.instruction_sets import SMALL
 from sabench.dataset import schema
 from sabench.dataset.agreement import disagreements
-from sabench.dataset.observation_side import pack_observation
+from sabench.dataset.observation_side import pack
 from sabench.dataset.reader import Dataset, open_dataset
 from sabench.dataset.verification import verify
 from sabench.evaluation.leaderboard.submissions import submit
@@ -215,7 +215,7 @@ def test_data_sets_of_before_have_no_identity(here: Dataset, tmp_path: Path) -> 
 
 def test_the_observation_side_does_not_disclose_the_identity(here: Dataset, tmp_path: Path) -> None:
     """Seeds are often small, and the identity would tell whether a guess is right."""
-    blind = pack_observation(here, tmp_path / "blind")
+    blind = pack(here, tmp_path / "blind", blind=True)
     assert open_dataset(blind).identity is None
     assert str(here.identity) not in (blind / schema.MANIFEST).read_text()
     sabench.solve("msa", blind, tmp_path / "msa.h5")

@@ -121,7 +121,10 @@ def check_name(name: str) -> None:
 
 
 def _datasets(files: list[tuple[str, Path]], folders: Sequence[Path]) -> dict[str, Dataset]:
-    """Find the data set of every result: the copy that was solved, or any; verify each once."""
+    """Find the data set of every result; verify each once.
+
+    It is the copy that was solved, or else another one.
+    """
     there = list(_data_sets(folders))
     intact: dict[Path, Dataset] = {}
     found = {}
@@ -146,7 +149,7 @@ def _datasets(files: list[tuple[str, Path]], folders: Sequence[Path]) -> dict[st
 
 
 def _check_copies(label: str, copies: list[Dataset]) -> None:
-    """Refuse damaged data sets, and copies of one data set that differ by more than rounding."""
+    """Refuse damaged data sets, and copies that differ by more than rounding."""
     for one in copies:
         if faults := verify(one.root):
             raise InputError(
