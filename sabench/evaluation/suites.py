@@ -11,7 +11,7 @@ from pydantic import AliasChoices, BaseModel, ConfigDict, Field, model_validator
 
 from sabench import plugins
 from sabench.api.solvers import TaskName
-from sabench.evaluation.records import Difficulty
+from sabench.evaluation.record_schema import Difficulty, Name
 from sabench.scenes import Scene
 from sabench.simulation.renderer_choice import Renderer
 from sabench.tasks.external_programs import is_program, solver_name
@@ -43,7 +43,7 @@ class SolverEntry(_Table):
 
     name: str = Field(description="of a solver, or the path of a program next to the suite")
     parameters: dict[str, Any] = {}
-    label: str | None = Field(None, description="shown in place of the name")
+    label: Name | None = Field(None, description="shown in place of the name")
     task: TaskName | None = Field(
         None,
         validation_alias=AliasChoices("task", "track"),

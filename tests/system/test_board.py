@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 from sabench.evaluation.leaderboard import page, page_content, page_figures, rows
-from sabench.evaluation.records import Record
+from sabench.evaluation.record_schema import Record
 from sabench.plotting import pictures
 from sabench.tasks import NAMES
-from sabench.utils.errors import InputError
+from tests.conftest import Command
 
 HOSTILE = "</script><script>alert(1)</script><!--<script>"
 
@@ -223,11 +223,45 @@ def test_every_task_has_a_page(tmp_path: Path) -> None:
     assert all(task["pictured"]["heading"] for task in data["tasks"].values())
 
 
-@pytest.mark.parametrize("name", ["../secret", "/secret", "a/../../secret"])
-def test_pictures_outside_the_folder_are_refused(tmp_path: Path, name: str) -> None:
-    (tmp_path / "secret").mkdir()
-    with pytest.raises(InputError, match="inside the folder"):
-        page_of([record("a", 0.5, pictures=name)], tmp_path)
+@pytest.mark.parametrize("name", ["../secret", "/secret", "a/../../secret", "link"])
+def test_pictures_outside_the_folder_are_not_shown(tmp_path: Path, name: str) -> None:
+    draw(tmp_path / "secret", ["truth.png"])
+    (tmp_path / "pictures").mkdir()
+    (tmp_path / "pictures" / "link").symlink_to(tmp_path / "secret")
+    text = page_of([record("a", 0.5, pictures=name)], tmp_path)
+    assert solvers(text) == ["a"]
+    assert "album0" not in text
+
+
+def test_a_solver_s_name_leads_to_no_picture_elsewhere(tmp_path: Path) -> None:
+    draw(tmp_path / "pictures" / "tank", ["truth.png"])
+    draw(tmp_path / "a", ["secret-01234567.png"])
+    text = page_of([record("../../a/secret", 0.5, pictures="tank")], tmp_path)
+    assert set(block(text, "album0")) == {"images", "truth"}
+
+
+BAD = [
+    {"reference_s": 1.7e308},
+    {"pictures": "../../etc"},
+    {"q": 2.5},
+    {"seconds": -1.0},
+    {"submission": {"name": "Ann", "date": "9999-99-99"}},
+]
+
+
+def test_bad_records_are_named_and_left_out(tmp_path: Path, command: Command) -> None:
+    folder = tmp_path / "leaderboard" / "records"
+    folder.mkdir(parents=True)
+    lines = [json.dumps(record("whole", 0.5) | changes).encode() for changes in ({}, *BAD)]
+    lines += [lines[0][:-1] + b', "seed": 7}', b'"\xff\xfe"', b"x" * 200_000]
+    (folder / "a.jsonl").write_bytes(b"\n".join([*lines, b""]))
+    done = command("board")
+    assert done.returncode == 0, done.stderr
+    assert solvers((tmp_path / "leaderboard" / "index.html").read_text()) == ["whole"]
+    warnings = [line for line in done.stderr.splitlines() if "is left out" in line]
+    assert [f": line {number} is left out" in line for number, line in enumerate(warnings, 2)] == [
+        True
+    ] * (len(lines) - 1)
 
 
 @pytest.mark.parametrize(

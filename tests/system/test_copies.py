@@ -29,7 +29,6 @@ from sabench.dataset.reader import Dataset, open_dataset
 from sabench.dataset.verification import verify
 from sabench.evaluation.leaderboard.submissions import submit
 from sabench.images.tiff_exr import write_exr, write_tiff
-from sabench.scenes import load_scene, parse_scene
 from sabench.simulation.pipeline import generate
 from sabench.utils.errors import InputError
 from sabench.utils.files import canonical_json
@@ -40,37 +39,26 @@ _LIMITS = {key: value for part in SMALL.values() for key, value in part.items()}
 Change = Callable[[Path], None]
 
 
-def _scene_file(folder: Path) -> Path:
-    values = load_scene("quick").to_dict()
-    values["cameras"] |= {"rows": 120, "columns": 160, "pixel_mm": 0.02}
-    values["particles"] |= {"count": 60}
-    values |= {"frames": 2, "flow": {"generator": "turbulence"}}
-    file = folder / "small.toml"
-    file.write_text(parse_scene(values, "small").to_toml(), encoding="utf-8")
-    return file
-
-
 @pytest.fixture(scope="module")
 def here(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
-    """The data set as this processor makes it."""
+    """A public data set as this processor makes it."""
     folder = tmp_path_factory.mktemp("here")
-    return generate(_scene_file(folder), folder / "sets" / "a", seed=3, backend="splat")
+    return generate("quick", folder / "a", seed=1, backend="splat")
 
 
 @pytest.fixture(scope="module")
 def there(here: Dataset, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with the copy of the other processor, and its result by `msa`."""
     folder = tmp_path_factory.mktemp("there")
-    scene = here.root.parents[1] / "small.toml"
-    _generate_there(scene, folder / "b", folder / "numba")
+    _generate_there(folder / "b", folder / "numba")
     if open_dataset(folder / "b").content_hash == here.content_hash:
         pytest.skip("this processor rounds as one without AVX does")
     sabench.solve("msa", folder / "b", folder / "msa.h5")
     return folder
 
 
-def _generate_there(scene: Path, out: Path, cache: Path) -> None:
-    words = ["generate", str(scene), "-o", str(out), "--seed", "3", "--backend", "splat"]
+def _generate_there(out: Path, cache: Path) -> None:
+    words = ["generate", "quick", "-o", str(out), "--seed", "1", "--backend", "splat"]
     done = subprocess.run(
         [sys.executable, "-m", "sabench", *words],
         env={**os.environ, **_LIMITS, "NUMBA_CACHE_DIR": str(cache), "PYTHONPATH": str(ROOT)},
@@ -116,7 +104,7 @@ def test_two_results_of_copies_are_one_too_many(here: Dataset, there: Path, tmp_
 
 def _move_a_particle(root: Path) -> None:
     with h5py.File(root / "truth.h5", "r+") as file:
-        file["frames/0001/position_mm"][7, 2] += 1e-6
+        file["frames/0000/position_mm"][7, 2] += 1e-6
 
 
 def _exchange_particles(root: Path) -> None:
@@ -131,8 +119,8 @@ def _darken(root: Path) -> None:
 
 
 def _scale_light(root: Path) -> None:
-    path = root / "images" / "frame_0001" / "camera_02.exr"
-    radiance = open_dataset(root).radiance(1)[2]
+    path = root / "images" / "frame_0000" / "camera_02.exr"
+    radiance = open_dataset(root).radiance(0)[2]
     write_exr(path, radiance * np.float32(1.01))
 
 
@@ -146,7 +134,7 @@ def _turn_a_camera(root: Path) -> None:
 @pytest.mark.parametrize(
     ("change", "file"),
     [
-        (_move_a_particle, "truth.h5: frames/0001/position_mm"),
+        (_move_a_particle, "truth.h5: frames/0000/position_mm"),
         (_exchange_particles, "truth.h5: frames/0000/id"),
         (_darken, "camera_01.tif"),
         (_scale_light, "camera_02.exr"),
@@ -170,7 +158,7 @@ def test_a_changed_copy_does_not_pass_as_the_original(
 
 
 def test_another_seed_is_another_data_set(here: Dataset, tmp_path: Path) -> None:
-    other = generate(here.root.parents[1] / "small.toml", tmp_path / "b", seed=4, backend="splat")
+    other = generate("quick", tmp_path / "b", seed=2, backend="splat")
     assert other.identity != here.identity
     assert "identity: expected" in disagreements(here, other)[0]
     sabench.solve("msa", other.root, tmp_path / "msa.h5")
@@ -189,9 +177,9 @@ def _rewrite(root: Path, change: Callable[[dict[str, Any]], None]) -> None:
 
 def test_an_identity_follows_from_what_defines_the_data(here: Dataset, tmp_path: Path) -> None:
     copy = Path(shutil.copytree(here.root, tmp_path / "copy"))
-    _rewrite(copy, lambda manifest: manifest.update(seed=4))
+    _rewrite(copy, lambda manifest: manifest.update(seed=2))
     assert "identity: expected" in verify(copy)[0]
-    _rewrite(copy, lambda manifest: manifest.update(seed=3))
+    _rewrite(copy, lambda manifest: manifest.update(seed=1))
     assert verify(copy) == []
 
 

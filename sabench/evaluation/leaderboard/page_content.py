@@ -12,7 +12,8 @@ from typing import Any
 from scipy.special import stdtrit
 
 from sabench import tasks
-from sabench.evaluation.records import Record, key_of
+from sabench.evaluation.record_schema import Record
+from sabench.evaluation.records import key_of
 from sabench.tasks.task import Task
 from sabench.utils.confidence import CONFIDENCE, Mean
 

@@ -6,7 +6,8 @@ from pathlib import Path
 
 from sabench import tasks
 from sabench.evaluation.leaderboard import page
-from sabench.evaluation.records import Record, key_of
+from sabench.evaluation.record_schema import Record
+from sabench.evaluation.records import key_of
 from sabench.utils.confidence import mean_of
 from sabench.utils.files import complete_or_nothing
 
@@ -72,12 +73,7 @@ def _number(value: object) -> float | None:
 def build_page(records: list[Record], pictures: Path, out: Path) -> None:
     """Write the records as one self-contained page.
 
-    `pictures` holds the folders that the records name.
-
-    Raises
-    ------
-    InputError
-        A record whose pictures would lie outside `pictures`.
+    `pictures` holds the folders that the records name; figures outside it are left out.
     """
     text = page.render(over_seeds(records), pictures)
     with complete_or_nothing(out, overwrite=True) as partial:

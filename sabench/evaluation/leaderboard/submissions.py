@@ -21,7 +21,9 @@ from sabench.dataset.results import read_dataset_names
 from sabench.dataset.schema import MANIFEST
 from sabench.dataset.verification import verify
 from sabench.evaluation.leaderboard.archives import result_files
-from sabench.evaluation.records import Record, append, latest, read_records
+from sabench.evaluation.leaderboard.disclosure import describe_data
+from sabench.evaluation.record_schema import Record
+from sabench.evaluation.records import append, encode, latest, read_records, run_key, same_data
 from sabench.evaluation.runner import build_board
 from sabench.tasks.external_programs import adopt
 from sabench.tasks.solve_and_score import score
@@ -34,19 +36,6 @@ from sabench.utils.version import __version__
 
 _LONGEST_NAME = 80
 _SCORE_S = 3600.0  # for one result
-# keys of a record that describe the data set
-_CASE = (
-    "suite",
-    "case",
-    "scene",
-    "difficulty",
-    "axis",
-    "axes",
-    "scene_hash",
-    "seed",
-    "split",
-    "renderer",
-)
 
 
 @dataclass(frozen=True)
@@ -89,12 +78,14 @@ def submit(
     Raises
     ------
     InputError
-        A bad name, archive or result, two results of one data set, solver and parameters, or a
-        result whose data set is not in `data`.
+        A bad name, archive or result, two results of one data set, solver and parameters, a result
+        whose data set is not in `data`, or one that the submitter has sent today already.
+    UncheckedError
+        A file could not be checked in the time for it.
     """
     check_name(name)
     submission = {
-        "name": name,
+        "name": name.strip(),
         "date": (date or datetime.datetime.now(datetime.UTC).date()).isoformat(),
     }
     known = read_records(leaderboard / "records")
@@ -104,7 +95,11 @@ def submit(
             _record(label, file, sets[label], known) | {"submission": submission}
             for label, file in progress_bar(files, "check and score")
         ]
-    _refuse_twins(path, [label for label, _ in files], made)
+    labels = [label for label, _ in files]
+    _refuse_twins(path, labels, made)
+    _refuse_known(labels, made, known)
+    for label, record in zip(labels, made, strict=True):
+        _check_record(label, record)
     for record in made:
         append(leaderboard / "records" / "submitted.jsonl", record)
     build_board(leaderboard)
@@ -184,8 +179,10 @@ def _record(label: str, file: Path, data: Dataset, known: list[Record]) -> Recor
     scores = call_isolated(
         _score, file, data.root, doing=f"result {printable(label)}", time_s=_SCORE_S
     )
-    head = _case(data, known) | {key: scores[key] for key in ("task", "solver", "parameters")}
-    identity = data.identity if head.get("split", "public") == "public" else None
+    head = describe_data(data, known) | {
+        key: scores[key] for key in ("task", "solver", "parameters")
+    }
+    identity = data.identity if head["split"] == "public" else None
     run_hash = digest([identity or data.content_hash, head["solver"], head["parameters"]])
     costs = {"seconds": None, "peak_mb": None}  # measured on an unknown machine
     figures = {one.key: scores[one.key] for one in tasks.of(head["task"]).columns}
@@ -212,25 +209,25 @@ def _score(file: Path, root: Path) -> dict[str, Any]:
         return score(root, copy)
 
 
-def _case(data: Dataset, known: list[Record]) -> Record:
-    """Describe the data set of a record.
+def _check_record(label: str, record: Record) -> None:
+    """Refuse a result whose solver, parameters or scores no record may have."""
+    try:
+        encode(record)
+    except InputError as error:
+        raise InputError(f"{printable(label)}: {error}") from error
 
-    The values are those of another record of the same data set, if there is one, else those of its
-    manifest.
-    """
-    here = {"dataset": data.content_hash, "identity": data.identity}
-    twin = next((record for record in known if _same_data(record, here)), None)
-    if twin:
-        return {key: twin.get(key) for key in _CASE if key in twin}
-    manifest = data.manifest
-    return {
-        "case": manifest.scene,
-        "scene": manifest.scene,
-        "axes": {},
-        "scene_hash": manifest.scene_hash,
-        "seed": manifest.seed,
-        "renderer": manifest.renderer,
-    }
+
+def _refuse_known(labels: list[str], made: list[Record], known: list[Record]) -> None:
+    """Refuse a result that its submitter has sent today already."""
+    there = {run_key(record) for record in known}
+    for label, record in zip(labels, made, strict=True):
+        if run_key(record) in there:
+            raise InputError(
+                f"{printable(label)}: expected the first result of today by "
+                f"{record['submission']['name']} of this data set, solver "
+                f"{printable(record['solver'])} and parameters, but the leaderboard has one: "
+                "submit it under another name, with other parameters, or on another day"
+            )
 
 
 def _refuse_twins(path: Path, labels: list[str], made: list[Record]) -> None:
@@ -255,7 +252,7 @@ def standing(record: Record, every: Sequence[Record]) -> Standing:
     rivals = [
         one
         for one in every
-        if _same_data(one, record) and one["task"] == record["task"] and _has(one, key)
+        if same_data(one, record) and one["task"] == record["task"] and _has(one, key)
     ]
     own = record.get(key)
     rank = None if own is None else 1 + sum(sign * one[key] > sign * own for one in rivals)
@@ -266,12 +263,6 @@ def standing(record: Record, every: Sequence[Record]) -> Standing:
     ]
     best = max(others, key=lambda one: sign * one[key], default=None)
     return Standing(record, rank, len(rivals), (entry_name(best), best[key]) if best else None)
-
-
-def _same_data(one: Record, other: Record) -> bool:
-    """Return whether two records are of copies of one data set."""
-    known = one.get("identity") is not None and one.get("identity") == other.get("identity")
-    return known or one["dataset"] == other["dataset"]
 
 
 def _has(record: Record, key: str) -> bool:
