@@ -22,7 +22,7 @@ import pytest
 import sabench
 from sabench.dataset.observation_side import copy_observation
 from sabench.dataset.reader import Dataset
-from sabench.dataset.schema import seal
+from sabench.dataset.schema import identity_of, seal
 from sabench.evaluation.leaderboard.submissions import submit
 from sabench.evaluation.records import append, latest, read_records
 from sabench.tasks import of
@@ -374,7 +374,9 @@ def test_the_case_comes_from_a_record_of_the_same_data_set(
 def make_private(root: Path, seed: int) -> Dataset:
     """Say of a data set that its seed is another one, of which nobody knows."""
     manifest = json.loads((root / "manifest.json").read_text())
-    (root / "manifest.json").write_text(seal(manifest | {"seed": seed}))
+    parts = manifest["scene_hash"], seed, manifest["renderer"], manifest["versions"]["simulation"]
+    changed = {"seed": seed, "identity": identity_of(*parts)}
+    (root / "manifest.json").write_text(seal(manifest | changed))
     return sabench.open_dataset(root)
 
 
