@@ -389,7 +389,13 @@ def test_a_private_data_set_is_not_disclosed(
     (standing,) = submit(quick_result, "Ann", [root], board)
     texts = [path.read_text() for path in board.rglob("*") if path.is_file()]
     assert len(texts) >= 2  # records and page
-    for secret in (str(seed), data.manifest.scene_hash, "finals", str(tmp_path)):
+    for secret in (
+        str(seed),
+        str(data.identity),
+        data.manifest.scene_hash,
+        "finals",
+        str(tmp_path),
+    ):
         assert not any(secret in text for text in texts), secret
     assert "quick" not in (board / "records" / "submitted.jsonl").read_text()
     assert (standing.record["case"], standing.record["split"], standing.record["seed"]) == (

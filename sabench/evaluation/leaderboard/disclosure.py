@@ -66,7 +66,8 @@ def _undisclosed(data: Dataset) -> Record:
     """Describe a private data set by its content hash alone."""
     name = f"private-{data.content_hash[:12]}"
     reason = "no public record and no bundled suite has its scene with its seed"
-    console.print(f"{data.root}: recorded as {name}: {reason}", markup=False, highlight=False)
+    text = f"{data.root}: recorded as {name}: {reason}"
+    console.print(text, markup=False, highlight=False, soft_wrap=True)
     return {
         "case": name,
         "scene": "private",
