@@ -20,7 +20,7 @@ from typing import Any
 
 from sabench import tasks
 from sabench.evaluation.leaderboard import page, rows
-from sabench.evaluation.records import Record
+from sabench.evaluation.record_schema import Record
 from tests.helpers.browser import Browser, chromium
 
 _COUNTS, _SOLVERS = (100, 1_000, 10_000), 20

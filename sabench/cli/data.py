@@ -179,6 +179,33 @@ def verify(dataset: DataSet) -> None:
     say(f"{dataset}: intact")
 
 
+def pack(
+    dataset: DataSet,
+    output: Annotated[
+        Path,
+        typer.Option(
+            "-o", "--output", metavar="PATH", help="The folder, or .zip archive, to create."
+        ),
+    ],
+    blind: Annotated[
+        bool,
+        typer.Option("--blind", help="Leave out the truth, the scene and the seed."),
+    ] = False,
+    overwrite: Overwrite = False,
+) -> None:
+    """Copy a data set for others, as a folder or an archive.
+
+    With --blind it is the observation side alone, which every solver takes.
+    """
+    from sabench.dataset.observation_side import pack as copy
+    from sabench.dataset.reader import open_dataset
+
+    data = open_dataset(dataset)
+    copy(data, output, blind=blind, overwrite=overwrite)
+    side = "observation side" if blind else "whole data set"
+    say(f"{output}: {side} of {data.content_hash[:12]}")
+
+
 def export(
     dataset: DataSet,
     result: Annotated[

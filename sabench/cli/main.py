@@ -27,6 +27,7 @@ for _command in (
     data.schema,
     data.generate,
     data.verify,
+    data.pack,
     solve.solve,
     solve.score,
     data.export,

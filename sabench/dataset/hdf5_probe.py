@@ -1,4 +1,4 @@
-"""Probe of untrusted HDF5 files, in a child process.
+"""Probe of untrusted HDF5 files, in a limited child process.
 
 A damaged file may kill the HDF5 library's process.
 """
@@ -10,12 +10,10 @@ from pathlib import Path
 from sabench.dataset import schema
 from sabench.dataset.hdf5 import walk
 from sabench.utils.files import inside, is_file
-from sabench.utils.processes.isolated import call_isolated
+from sabench.utils.processes.isolated import preload
+from sabench.utils.processes.isolated_reading import read_isolated
 
-# seconds for the structure of a file: a damaged one can send the library into an endless loop that
-# Ctrl-C does not end
-_PROBE_S = 4.0
-_PROBE_RATE = 2e7  # bytes of a file for each further second
+preload("sabench.dataset.hdf5")
 
 
 def probe(path: Path) -> None:
@@ -24,11 +22,9 @@ def probe(path: Path) -> None:
     Raises
     ------
     InputError
-        The child process crashes or takes too long.
+        The file is damaged, the child process crashes or exceeds its limits.
     """
-    call_isolated(
-        walk, path, doing=f"{path}: reading it", time_s=_PROBE_S + path.stat().st_size / _PROBE_RATE
-    )
+    read_isolated(walk, path)
 
 
 def probe_dataset(root: Path) -> None:

@@ -7,11 +7,13 @@ from __future__ import annotations
 
 import os
 import shutil
+import zipfile
 from pathlib import Path
 
 from sabench.dataset import schema
 from sabench.dataset.reader import Dataset
 from sabench.utils.files import complete_or_nothing, inside
+from sabench.utils.progress import progress_bar
 
 
 def copy_observation(dataset: Dataset, folder: Path, *, linked: bool = False) -> None:
@@ -52,17 +54,48 @@ def _copy(source: Path, place: Path, linked: bool) -> None:
         shutil.copyfile(source, place)
 
 
-def pack_observation(dataset: Dataset, out: Path, *, overwrite: bool = False) -> Path:
-    """Write the observation side of a data set into a new folder.
+def pack(dataset: Dataset, out: Path, *, blind: bool, overwrite: bool = False) -> Path:
+    """Copy a data set into a new folder, or into an archive by the name .zip.
 
     It appears when it is complete.
+
+    Parameters
+    ----------
+    blind : pack the observation side alone: what a participant of a private test set receives.
 
     Raises
     ------
     InputError
-        The folder is there already, and `overwrite` is not set.
+        The folder or archive is there already, and `overwrite` is not set; or the data set is the
+        observation side alone, and the whole is asked for.
     """
     with complete_or_nothing(out, overwrite=overwrite) as partial:
-        partial.mkdir()
-        copy_observation(dataset, partial)
+        folder = partial.with_name(f"{partial.name}.files") if out.suffix == ".zip" else partial
+        try:
+            _copy_side(dataset, folder, blind)
+            if folder is not partial:
+                _archive(folder, partial)
+        finally:
+            if folder is not partial:
+                shutil.rmtree(folder, ignore_errors=True)
     return out
+
+
+def _copy_side(dataset: Dataset, folder: Path, blind: bool) -> None:
+    folder.mkdir()
+    if blind:
+        copy_observation(dataset, folder)
+        return
+    for name in [*dataset.manifest.files, schema.MANIFEST]:
+        place = inside(folder, name)
+        place.parent.mkdir(parents=True, exist_ok=True)
+        shutil.copyfile(inside(dataset.root, name), place)
+
+
+def _archive(folder: Path, out: Path) -> None:
+    """Write a folder's files into an archive, without dates and without compression."""
+    with zipfile.ZipFile(out, "w") as archive:
+        for file in progress_bar(sorted(one for one in folder.rglob("*") if one.is_file()), "pack"):
+            entry = zipfile.ZipInfo(file.relative_to(folder).as_posix())
+            with file.open("rb") as source, archive.open(entry, "w", force_zip64=True) as place:
+                shutil.copyfileobj(source, place)

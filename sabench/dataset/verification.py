@@ -10,17 +10,23 @@ from pathlib import Path
 from sabench.dataset import schema
 from sabench.dataset.hdf5_probe import probe_dataset
 from sabench.dataset.reader import Dataset
-from sabench.utils.errors import InputError
+from sabench.utils.errors import InputError, UncheckedError, one_line
 from sabench.utils.files import inside, sha256
 from sabench.utils.progress import progress_bar
 
 _MOST_FAULTS = 100  # a file may claim any number of frames
+_LONGEST = 400  # characters of a fault
 
 
 def verify(path: str | Path) -> list[str]:
-    """Find a data set's faults: one sentence each, the first hundred.
+    """Find a data set's faults: one short sentence each, the first hundred.
 
     Each names the file; the list is empty if the data set is intact.
+
+    Raises
+    ------
+    UncheckedError
+        A file could not be checked in the time for it, so the data set may be intact.
     """
     root = Path(path)
     if not root.is_dir():
@@ -28,9 +34,12 @@ def verify(path: str | Path) -> list[str]:
     try:
         manifest = schema.read_manifest(root)
     except InputError as error:
-        return [str(error)]
+        return [_sentence(error)]
     faults = list(itertools.islice(_byte_faults(root, manifest), _MOST_FAULTS))
-    return faults or list(itertools.islice(_content_faults(Dataset(root, manifest)), _MOST_FAULTS))
+    faults = faults or list(
+        itertools.islice(_content_faults(Dataset(root, manifest)), _MOST_FAULTS)
+    )
+    return [one_line(fault, _LONGEST) for fault in faults]
 
 
 def _byte_faults(root: Path, manifest: schema.Contents) -> Iterator[str]:
@@ -53,7 +62,7 @@ def _byte_faults(root: Path, manifest: schema.Contents) -> Iterator[str]:
             elif file.stat().st_size != entry.bytes or sha256(file) != entry.sha256:
                 yield f"{file}: its bytes do not match the manifest"
         except (InputError, OSError) as error:
-            yield str(error)
+            yield _sentence(error)
 
 
 def _content_faults(dataset: Dataset) -> Iterator[str]:
@@ -110,5 +119,14 @@ def _check_scene(dataset: Dataset) -> None:
 def _try(read: Callable[[], object]) -> Iterator[str]:
     try:
         read()
+    except UncheckedError:
+        raise
     except (InputError, ValueError) as error:
-        yield str(error)
+        yield _sentence(error)
+
+
+def _sentence(error: Exception) -> str:
+    """Say what is wrong in one short sentence; of several faults it gives the first."""
+    if isinstance(error, InputError) and len(error.faults) > 1:
+        return one_line(f"{str(error).splitlines()[0]} {error.faults[0]}, ...", _LONGEST)
+    return one_line(str(error), _LONGEST)

@@ -19,7 +19,8 @@ from sabench.dataset.verification import verify
 from sabench.evaluation.environment import machine, version_of, versions
 from sabench.evaluation.hidden_split import Secret
 from sabench.evaluation.leaderboard import rows
-from sabench.evaluation.records import Record, append, key_of, latest, read_records
+from sabench.evaluation.record_schema import Record, score_faults
+from sabench.evaluation.records import append, key_of, latest, read_records
 from sabench.evaluation.suite_loading import load_suite
 from sabench.evaluation.suites import Case, SolverEntry, Suite
 from sabench.evaluation.timed_solving import solve_timed
@@ -180,6 +181,11 @@ def dataset_of(case: Case, work: Path, fresh: bool, jobs: int = 1) -> Dataset:
     """Open the case's data set, or generate it.
 
     An earlier one is used again if it is intact and was made by this version.
+
+    Raises
+    ------
+    UncheckedError
+        It could not be checked in the time for it. It stays as it is.
     """
     folder = case.folder(work)
     if folder.is_dir() and not fresh and not verify(folder):
@@ -227,7 +233,7 @@ def _rank(
         out = work / "results" / f"{case.folder(work).name}-{name}.h5"
         try:
             record["reference_s"] = solve_timed(solver_entry, dataset, out)
-            record |= {key: value for key, value in score(dataset, out).items() if key not in head}
+            record |= _checked(score(dataset, out), head)
             if folder:
                 _picture_result(folder / name, record["task"], dataset, out)
         except InputError as error:
@@ -236,6 +242,13 @@ def _rank(
         if not suite.keep_data:
             out.unlink(missing_ok=True)
         yield record
+
+
+def _checked(scores: dict[str, Any], head: Record) -> dict[str, Any]:
+    """Select what a record's head lacks; refuse scores that no record may have."""
+    if faults := list(score_faults(head["task"], scores)):
+        raise InputError.from_faults(f"solver {head['solver']}", faults)
+    return {key: value for key, value in scores.items() if key not in head}
 
 
 def _picture_case(folder: Path, dataset: Dataset) -> None:

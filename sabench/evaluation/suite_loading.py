@@ -5,6 +5,7 @@ A suite becomes a list of cases, one for each combination of its varied values a
 
 from __future__ import annotations
 
+import functools
 import itertools
 import math
 import re
@@ -15,18 +16,20 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, get_args
 
-from sabench.api.make import make_algorithm
+from sabench import plugins
 from sabench.api.solvers import TaskName
 from sabench.evaluation.hidden_split import Secret
 from sabench.evaluation.suites import Case, CaseSpec, SolverEntry, Suite
 from sabench.scenes import Scene, build_rig, find, load_scene, parse_scene
 from sabench.simulation.renderer_choice import choose_renderer
 from sabench.tasks.external_programs import find_program
+from sabench.tasks.solve_and_score import describe_solver
 from sabench.utils.errors import InputError
 from sabench.utils.files import digest, is_file
-from sabench.utils.validation import validate
+from sabench.utils.validation import printable, validate
 
 _MOST_CASES = 1000
+_LONGEST_CASE = 200  # characters of a name
 _UNSAFE = re.compile(r"[^A-Za-z0-9._-]+")
 
 
@@ -60,14 +63,32 @@ def load_suite(path: str | Path, secret: Secret | None = None) -> tuple[Suite, l
     ]
     if len(specs) > _MOST_CASES:
         raise InputError(f"{file}: scenes, cases: expected at most {_MOST_CASES}, got {len(specs)}")
+    # before the scenes are built, which takes long
+    _check_names([name for spec in specs for name, _ in _names(spec, file)], file)
     first = [case for spec in specs for case in _cases(spec, own, file)]
-    _check_names([case.name for case in first], file)
     _check_frozen(own, first, file)
     return own, [
         replace(case, seed=seed, number=number)
         for case in first
         for number, seed in _seeds(own, case, file.stem, secret)
     ]
+
+
+def is_public(scene_hash: str, seed: int) -> bool:
+    """Check whether a bundled suite has a scene of that hash with that seed."""
+    for entry in plugins.tables("suite"):
+        seeds = tomllib.loads(entry.file.read_text(encoding="utf-8")).get("seeds", [1])
+        if seed in seeds and scene_hash in _scene_hashes(entry.file):
+            return True
+    return False
+
+
+@functools.cache
+def _scene_hashes(file: Path) -> frozenset[str]:
+    try:
+        return frozenset(case.scene.hash for case in load_suite(file)[1])
+    except InputError:  # a renderer that is not installed
+        return frozenset()
 
 
 def _cases(spec: CaseSpec, suite: Suite, file: Path) -> Iterator[Case]:
@@ -132,7 +153,7 @@ def _resolve(solver: SolverEntry, file: Path) -> SolverEntry:
                 f"{file}: solver {solver.name}: expected task, time_limit_s and memory_limit_mb "
                 "for programs only"
             )
-        make_algorithm(solver.name, solver.parameters)
+        describe_solver(solver.name, solver.parameters)
         return solver
     if solver.task is None:
         known = ", ".join(get_args(TaskName))
@@ -179,19 +200,25 @@ def _specs(suite: Suite) -> list[CaseSpec]:
 def _variants(spec: CaseSpec, suite: Path) -> Iterator[tuple[str, str, dict[str, Any], Scene]]:
     """Make name, base, axes and scene for every combination of the varied values."""
     beside = suite.parent / spec.scene
+    base, scene = Path(spec.scene).stem, load_scene(beside if is_file(beside) else spec.scene)
+    for name, axes in _names(spec, suite):
+        yield name, base, axes, override(scene, spec.set | axes, f"{suite}: case {name}")
+
+
+def _names(spec: CaseSpec, suite: Path) -> Iterator[tuple[str, dict[str, Any]]]:
+    """Make name and axes for every combination of the varied values."""
     count = math.prod(len(values) for values in spec.vary.values())
     if count > _MOST_CASES:
         raise InputError(
             f"{suite}: {spec.scene}: vary: expected at most {_MOST_CASES} cases, got {count}"
         )
-    base, scene = Path(spec.scene).stem, load_scene(beside if is_file(beside) else spec.scene)
+    base = _UNSAFE.sub("_", Path(spec.scene).stem)
     for choice in itertools.product(*(enumerate(values, 1) for values in spec.vary.values())):
         axes = {key: value for key, (_, value) in zip(spec.vary, choice, strict=True)}
         tags = [
             _tag(key, value, number) for key, (number, value) in zip(spec.vary, choice, strict=True)
         ]
-        name = "-".join([spec.name or _UNSAFE.sub("_", base), *tags])
-        yield name, base, axes, override(scene, spec.set | axes, f"{suite}: case {name}")
+        yield "-".join([spec.name or base, *tags]), axes
 
 
 def _tag(key: str, value: Any, number: int) -> str:
@@ -201,6 +228,12 @@ def _tag(key: str, value: Any, number: int) -> str:
 
 
 def _check_names(names: list[str], file: Path) -> None:
+    longest = max(names, key=len)
+    if len(longest) > _LONGEST_CASE:
+        raise InputError(
+            f"{file}: case {printable(longest)}: expected a name of at most {_LONGEST_CASE} "
+            f"characters, got {len(longest)}: give it a shorter one"
+        )
     # some file systems do not distinguish a from A
     name, count = Counter(name.casefold() for name in names).most_common(1)[0]
     if count > 1:

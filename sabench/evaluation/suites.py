@@ -10,12 +10,12 @@ from typing import Annotated, Any
 from pydantic import AliasChoices, BaseModel, ConfigDict, Field, model_validator
 
 from sabench import plugins
-from sabench.api.make import make_algorithm
 from sabench.api.solvers import TaskName
-from sabench.evaluation.records import Difficulty
+from sabench.evaluation.record_schema import Difficulty, Name
 from sabench.scenes import Scene
 from sabench.simulation.renderer_choice import Renderer
 from sabench.tasks.external_programs import is_program, solver_name
+from sabench.tasks.solve_and_score import describe_solver
 from sabench.utils.code_hash import code_hash
 from sabench.utils.processes.limited import Limits, limits_of
 
@@ -43,7 +43,7 @@ class SolverEntry(_Table):
 
     name: str = Field(description="of a solver, or the path of a program next to the suite")
     parameters: dict[str, Any] = {}
-    label: str | None = Field(None, description="shown in place of the name")
+    label: Name | None = Field(None, description="shown in place of the name")
     task: TaskName | None = Field(
         None,
         validation_alias=AliasChoices("task", "track"),
@@ -80,8 +80,7 @@ class SolverEntry(_Table):
         """Return its name in tables, its task and all its parameters."""
         if self.is_program:
             return solver_name(self.name), str(self.task), self.parameters
-        algorithm = make_algorithm(self.name, self.parameters)
-        return self.name, algorithm.task, algorithm.parameters.model_dump(mode="json")
+        return self.name, *describe_solver(self.name, self.parameters)
 
 
 class CaseSpec(Changes):

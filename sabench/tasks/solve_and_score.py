@@ -17,11 +17,12 @@ from sabench.api.make import make_algorithm
 from sabench.dataset.reader import Dataset, open_dataset
 from sabench.dataset.results import Result, open_result, result_writer
 from sabench.tasks.external_programs import Account, adopt_from, is_program, run_program
-from sabench.tasks.visible_files import open_desk, view_of_plugin
+from sabench.tasks.visible_files import open_desk, view_of_import, view_of_plugin
 from sabench.utils import backend, memory
 from sabench.utils.compile_clock import compile_s
 from sabench.utils.errors import InputError
 from sabench.utils.files import complete_or_nothing, refuse_existing
+from sabench.utils.processes.confinement import can_confine
 from sabench.utils.processes.isolated import call_isolated, preload
 from sabench.utils.processes.limited import Limits
 
@@ -106,6 +107,27 @@ def solve(
     return open_result(out, data)
 
 
+def describe_solver(solver: str, parameters: dict[str, Any]) -> tuple[str, dict[str, Any]]:
+    """Return the task of a plug-in, and all its parameters with their defaults.
+
+    One that is not sabench's own is imported in a confined process, where that can be.
+    """
+    view = None
+    if not plugins.is_bundled("solvers", solver) and can_confine():
+        view = view_of_import(solver)
+    words = (solver, parameters)
+    if view is None:
+        task, resolved = _describe(*words)
+    else:
+        task, resolved = call_isolated(_describe, *words, doing=f"solver {solver}", view=view)
+    return task, resolved
+
+
+def _describe(solver: str, parameters: dict[str, Any]) -> tuple[str, dict[str, Any]]:
+    algorithm = make_algorithm(solver, parameters)
+    return algorithm.task, algorithm.parameters.model_dump(mode="json")
+
+
 def solve_at_desk(
     solver: str,
     parameters: dict[str, Any],
@@ -167,6 +189,8 @@ def score(
     opened = None if word else open_result(result, data)
     if opened and task not in (None, opened.task):
         raise InputError(f"task: expected {opened.task} for {opened.path}, got {task!r}")
+    if opened:
+        tasks.check_task(opened.task, data, opened.path)
     judged = tasks.of(opened.task) if opened else tasks.of_data(data, task)
     return {
         "dataset": data.content_hash,

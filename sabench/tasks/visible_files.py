@@ -12,7 +12,7 @@ import re
 import sys
 import tempfile
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -89,25 +89,31 @@ def _parent(data: Dataset) -> Path | None:
 
 
 def view_of_plugin(desk: Desk, data: Dataset, solver: str) -> View | None:
-    """List the files that a Python plug-in sees; None where it cannot be confined.
+    """List the files that a Python plug-in sees; None where it cannot be confined."""
+    if not desk.confined:
+        return None
+    own = view_of_import(solver)
+    hidden = _find_data_sets([Path(one) for one in (*own.changeable, *own.writable)], data)
+    return replace(
+        own,
+        readable=(*own.readable, *_words([desk.observation])),
+        writable=(*own.writable, *_words([desk.scratch])),
+        hidden=_words(hidden),
+    )
+
+
+def view_of_import(solver: str) -> View:
+    """List the files that the import of a Python plug-in needs.
 
     Compiled kernels are kept next to their source. sabench's own solvers may write them; what
     another one writes there is forgotten with it, so that it cannot change what later ones run.
     """
-    if not desk.confined:
-        return None
     python = [Path(sys.prefix), Path(sys.base_prefix), _PACKAGE.parent / "pyproject.toml"]
     own = [folder for kind in plugins.KINDS for folder in plugins.folders(kind)]
-    own += _import_paths()
-    kernels = [_PACKAGE, *own, *_kernel_folders()]
-    trusted = plugins.is_bundled("solvers", solver)
-    return View(
-        readable=_words([*python, desk.observation]),
-        changeable=() if trusted else _words(kernels),
-        writable=_words([*kernels, desk.scratch] if trusted else [desk.scratch]),
-        hidden=_words(_find_data_sets(own, data)),
-        home=str(Path.home()) if trusted else "/tmp",
-    )
+    kernels = _words([_PACKAGE, *own, *_import_paths(), *_kernel_folders()])
+    if plugins.is_bundled("solvers", solver):
+        return View(readable=_words(python), writable=kernels, home=str(Path.home()))
+    return View(readable=_words(python), changeable=kernels)
 
 
 def _kernel_folders() -> list[Path]:
@@ -136,11 +142,18 @@ def view_of_program(desk: Desk, data: Dataset, program: Path) -> View | None:
 
 
 def _import_paths() -> list[Path]:
-    """List the folders of PYTHONPATH, without that of the checkout.
+    """List the folders of importable modules that are not Python's own.
 
-    The package is shown itself.
+    They are those of PYTHONPATH and of packages that were installed elsewhere, but neither the
+    script's nor the checkout's: the package is shown itself.
     """
-    return [one for one in _listed("PYTHONPATH") if one not in _PACKAGE.parents]
+    python = [Path(sys.prefix), Path(sys.base_prefix)]
+    paths = [*_listed("PYTHONPATH"), *(Path(one).absolute() for one in sys.path[1:] if one)]
+    return [
+        path
+        for path in dict.fromkeys(paths)
+        if path not in _PACKAGE.parents and not any(path.is_relative_to(one) for one in python)
+    ]
 
 
 def _listed(variable: str) -> list[Path]:

@@ -27,9 +27,9 @@ class InputError(Exception):
     """
 
     def __init__(self, sentence: str = "", faults: Sequence[str] = ()) -> None:
-        head = _line(sentence)
-        self.faults = tuple(_line(fault) for fault in faults) or (head,)
-        listed = [_line(fault, _LISTED) for fault in faults[:_MOST]] if len(faults) > 1 else []
+        head = one_line(sentence)
+        self.faults = tuple(one_line(fault) for fault in faults) or (head,)
+        listed = [one_line(fault, _LISTED) for fault in faults[:_MOST]] if len(faults) > 1 else []
         more = len(self.faults) - _MOST
         rest = [f"and {more} more"] if more > 0 else []
         super().__init__("\n  ".join([head, *listed, *rest]))
@@ -52,8 +52,12 @@ class DeclinedError(InputError):
     """A solver cannot take a case, and says why: not a fault of either."""
 
 
-def _line(text: str, longest: int = _LONGEST) -> str:
-    """Format printable text on one line that is not too long."""
+class UncheckedError(InputError):
+    """A file could not be checked within the time for it, which is not a fault of the file."""
+
+
+def one_line(text: str, longest: int = _LONGEST) -> str:
+    """Format printable text on one line; the middle of a long one is left out."""
     words = " ".join(text[: 100 * _LONGEST].split())
     line = "".join(mark if mark.isprintable() else "?" for mark in words)
     end = longest // 6

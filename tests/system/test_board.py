@@ -11,10 +11,11 @@ import numpy as np
 import pytest
 
 from sabench.evaluation.leaderboard import page, page_content, page_figures, rows
-from sabench.evaluation.records import Record
+from sabench.evaluation.leaderboard.submissions import standing
+from sabench.evaluation.record_schema import Record
 from sabench.plotting import pictures
 from sabench.tasks import NAMES
-from sabench.utils.errors import InputError
+from tests.conftest import Command
 
 HOSTILE = "</script><script>alert(1)</script><!--<script>"
 
@@ -139,6 +140,36 @@ def test_rows_are_ranked_and_cases_kept_apart(tmp_path: Path) -> None:
     assert text == page_of(records[::-1], tmp_path)
 
 
+def test_what_the_gate_does_not_admit_comes_after_the_others(tmp_path: Path) -> None:
+    def field(solver: str, error: float | None, share: float, **changes: Any) -> Record:
+        scores = {"u_p90_voxel": error, "yield_percent": share}
+        return record(solver, task="velocimetry", **scores, **changes)
+
+    records = [
+        field("little", 0.001, 49.9),
+        field("good", 0.1, 90.0),
+        field("a seed left out", 0.01, 90.0),
+        field("a seed left out", None, 90.0, seed=2),
+        field("fair", 0.3, 50.0),
+    ]
+    text = page_of(records, tmp_path)
+    assert solvers(text)[:2] == ["good", "fair"]
+    assert [row["ranked"] for row in block(text)["rows"]] == [True, True, False, False]
+    gate = "u 90 % voxel ranks results whose yield % is 50 or more."
+    assert block(text)["tasks"]["velocimetry"]["gate"] == gate
+    assert all("gate" in task for task in block(text)["tasks"].values())
+
+
+def test_what_the_gate_does_not_admit_has_no_standing() -> None:
+    ranked, little = (
+        record(name, task="velocimetry", u_p90_voxel=error, yield_percent=share, submission=None)
+        for name, error, share in (("good", 0.1, 90.0), ("little", 0.001, 10.0))
+    )
+    every = [ranked, {**little, "run_hash": "f" * 16}]
+    assert (standing(every[0], every).rank, standing(every[0], every).of) == (1, 1)
+    assert standing(every[1], every).rank is None
+
+
 def test_cases_come_in_the_order_of_the_numbers_in_their_names(tmp_path: Path) -> None:
     names = ["tank-0.05", "tank-0.1", "tank-2", "tank-10"]
     text = page_of([record("a", 0.5, case=name) for name in names[::-1]], tmp_path)
@@ -164,6 +195,18 @@ def test_seeds_of_a_case_become_one_row(tmp_path: Path) -> None:
     assert data["rows"][1]["seeds"] == [1, 2, 3]
     assert data["rows"][1]["values"][0] == [0.5, 0.6, 0.7]
     assert data["cases"][0]["axes"] == "particles.per_pixel 0.1"
+
+
+def test_a_solver_that_could_read_the_truth_is_marked(tmp_path: Path) -> None:
+    """One seed on a machine that could not confine it is enough; old records do not say."""
+    records = [
+        record("a", 0.9, seed=1, isolated=True),
+        record("a", 0.9, seed=2, isolated=False),
+        record("b", 0.8, isolated=True),
+        record("c", 0.7),
+    ]
+    data = block(page_of(records, tmp_path))
+    assert [row["open"] for row in data["rows"]] == [True, False, False]
 
 
 def test_a_score_that_some_seeds_lack_is_the_mean_of_the_others() -> None:
@@ -211,11 +254,45 @@ def test_every_task_has_a_page(tmp_path: Path) -> None:
     assert all(task["pictured"]["heading"] for task in data["tasks"].values())
 
 
-@pytest.mark.parametrize("name", ["../secret", "/secret", "a/../../secret"])
-def test_pictures_outside_the_folder_are_refused(tmp_path: Path, name: str) -> None:
-    (tmp_path / "secret").mkdir()
-    with pytest.raises(InputError, match="inside the folder"):
-        page_of([record("a", 0.5, pictures=name)], tmp_path)
+@pytest.mark.parametrize("name", ["../secret", "/secret", "a/../../secret", "link"])
+def test_pictures_outside_the_folder_are_not_shown(tmp_path: Path, name: str) -> None:
+    draw(tmp_path / "secret", ["truth.png"])
+    (tmp_path / "pictures").mkdir()
+    (tmp_path / "pictures" / "link").symlink_to(tmp_path / "secret")
+    text = page_of([record("a", 0.5, pictures=name)], tmp_path)
+    assert solvers(text) == ["a"]
+    assert "album0" not in text
+
+
+def test_a_solver_s_name_leads_to_no_picture_elsewhere(tmp_path: Path) -> None:
+    draw(tmp_path / "pictures" / "tank", ["truth.png"])
+    draw(tmp_path / "a", ["secret-01234567.png"])
+    text = page_of([record("../../a/secret", 0.5, pictures="tank")], tmp_path)
+    assert set(block(text, "album0")) == {"images", "truth"}
+
+
+BAD = [
+    {"reference_s": 1.7e308},
+    {"pictures": "../../etc"},
+    {"q": 2.5},
+    {"seconds": -1.0},
+    {"submission": {"name": "Ann", "date": "9999-99-99"}},
+]
+
+
+def test_bad_records_are_named_and_left_out(tmp_path: Path, command: Command) -> None:
+    folder = tmp_path / "leaderboard" / "records"
+    folder.mkdir(parents=True)
+    lines = [json.dumps(record("whole", 0.5) | changes).encode() for changes in ({}, *BAD)]
+    lines += [lines[0][:-1] + b', "seed": 7}', b'"\xff\xfe"', b"x" * 200_000]
+    (folder / "a.jsonl").write_bytes(b"\n".join([*lines, b""]))
+    done = command("board")
+    assert done.returncode == 0, done.stderr
+    assert solvers((tmp_path / "leaderboard" / "index.html").read_text()) == ["whole"]
+    warnings = [line for line in done.stderr.splitlines() if "is left out" in line]
+    assert [f": line {number} is left out" in line for number, line in enumerate(warnings, 2)] == [
+        True
+    ] * (len(lines) - 1)
 
 
 @pytest.mark.parametrize(

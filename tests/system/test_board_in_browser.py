@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 
 from sabench.evaluation.leaderboard import rows
-from sabench.evaluation.records import Record
+from sabench.evaluation.record_schema import Record
 from sabench.utils.confidence import mean_of
 from tests.helpers.browser import Browser, chromium
 from tests.system.test_board import HOSTILE, draw, record

@@ -28,9 +28,10 @@ from sabench.dataset.hdf5 import create_hdf5, delay_interrupts
 from sabench.dataset.reader import Dataset
 from sabench.dataset.schema import seal
 from sabench.dataset.verification import verify
-from sabench.utils.errors import InputError
+from sabench.utils.errors import InputError, UncheckedError
 from sabench.utils.files import complete_or_nothing
 from tests.conftest import ROOT, Command
+from tests.helpers.untrusted import reseal
 
 
 @pytest.fixture
@@ -84,6 +85,41 @@ def test_verify_names_missing_and_foreign_files(copy: Path, command: Command) ->
     assert done.returncode == 1
     assert "camera_02.exr: missing" in done.stdout
     assert "notes.txt: a file that the manifest does not list" in done.stdout
+
+
+def test_verify_says_what_it_could_not_check(
+    copy: Path, command: Command, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It is neither intact nor damaged: another exit code than that of a fault."""
+
+    def late(root: Path) -> None:
+        raise UncheckedError(f"{root}: could not be checked, because reading it takes long")
+
+    monkeypatch.setattr("sabench.dataset.verification.probe_dataset", late)
+    done = command("verify", copy)
+    check_sentence(done, "could not be checked")
+    assert done.stdout == ""
+
+
+def test_faults_are_short_sentences(copy: Path) -> None:
+    cameras = json.loads((copy / "cameras.json").read_text())
+    for camera in cameras["cameras"]:
+        for key in ("rows", "columns", "pixel_mm", "principal_distance_mm", "focal_length_mm"):
+            camera[key] = "x" * 500
+    (copy / "cameras.json").write_text(json.dumps(cameras))
+    (copy / ("n" * 250)).write_text("long")
+    (copy / "two\nlines").write_text("")
+    reseal(copy)
+    (copy / "unlisted\nfile").write_text("")
+    for _ in range(2):
+        faults = verify(copy)
+        assert len(faults) == 1
+        assert max(map(len, faults)) <= 400
+        assert all(fault.isprintable() for fault in faults)
+        (copy / "unlisted\nfile").unlink(missing_ok=True)
+    assert any("faults: cameras.0.rows: expected a valid integer" in fault for fault in faults), (
+        faults
+    )
 
 
 def test_no_path_is_followed_outside(copy: Path, tmp_path: Path) -> None:

@@ -5,6 +5,7 @@ Results from elsewhere come onto the leaderboard.
 
 from __future__ import annotations
 
+import datetime
 import functools
 import json
 import os
@@ -21,11 +22,12 @@ import pytest
 import sabench
 from sabench.dataset.observation_side import copy_observation
 from sabench.dataset.reader import Dataset
+from sabench.dataset.schema import seal
 from sabench.evaluation.leaderboard.submissions import submit
-from sabench.evaluation.records import read_records
+from sabench.evaluation.records import append, latest, read_records
 from sabench.tasks import of
 from sabench.tasks.external_programs import is_program, run_program
-from sabench.utils.errors import InputError
+from sabench.utils.errors import InputError, UncheckedError
 from sabench.utils.processes.limited import Limits
 from tests.conftest import ROOT, Command
 from tests.system.test_faults import check_sentence
@@ -367,6 +369,102 @@ def test_the_case_comes_from_a_record_of_the_same_data_set(
         "split": "hidden",
     }
     assert (standing.rank, standing.of, standing.best) == (2, 2, ("asa", 0.99))
+
+
+def make_private(root: Path, seed: int) -> Dataset:
+    """Say of a data set that its seed is another one, of which nobody knows."""
+    manifest = json.loads((root / "manifest.json").read_text())
+    (root / "manifest.json").write_text(seal(manifest | {"seed": seed}))
+    return sabench.open_dataset(root)
+
+
+def test_a_private_data_set_is_not_disclosed(
+    quick: Dataset, quick_result: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    seed = 4611686018427387905
+    root = Path(shutil.copytree(quick.root, tmp_path / "finals"))
+    data, board = make_private(root, seed), tmp_path / "board"
+    (standing,) = submit(quick_result, "Ann", [root], board)
+    texts = [path.read_text() for path in board.rglob("*") if path.is_file()]
+    assert len(texts) >= 2  # records and page
+    for secret in (str(seed), data.manifest.scene_hash, "finals", str(tmp_path)):
+        assert not any(secret in text for text in texts), secret
+    assert "quick" not in (board / "records" / "submitted.jsonl").read_text()
+    assert (standing.record["case"], standing.record["split"], standing.record["seed"]) == (
+        f"private-{data.content_hash[:12]}",
+        "hidden",
+        0,
+    )
+    assert "finals: recorded as private-" in capsys.readouterr().err.replace("\n", " ")
+    (again,) = submit(quick_result, "Bob", [root], board)
+    assert again.record["case"] == standing.record["case"]
+    assert not any(str(seed) in path.read_text() for path in board.rglob("*.jsonl"))
+
+
+def test_a_seed_that_a_record_tells_is_public(
+    quick: Dataset, quick_result: Path, tmp_path: Path
+) -> None:
+    root = Path(shutil.copytree(quick.root, tmp_path / "copy"))
+    seed = make_private(root, 77).manifest.seed
+    known = {
+        "scene": "mine",
+        "scene_hash": quick.manifest.scene_hash,
+        "dataset": "made on another machine",
+        "seed": seed,
+        "renderer": "splat",
+        "solver": "asa",
+        "parameters": {},
+        "run_hash": "ab",
+        "versions": {},
+        "machine": {},
+    }
+    append(tmp_path / "board" / "records" / "a.jsonl", known)
+    (standing,) = submit(quick_result, "Ann", [root], tmp_path / "board")
+    assert (standing.record["scene"], standing.record["seed"], standing.record["split"]) == (
+        "quick",
+        77,
+        "public",
+    )
+
+
+def test_a_later_submission_replaces_none(
+    quick: Dataset, quick_result: Path, tmp_path: Path
+) -> None:
+    board, day = tmp_path / "board", datetime.date(2026, 1, 2)
+    submit(quick_result, "Ann", [quick.root], board, date=day)
+    for name in ("Ann", " Ann "):
+        with pytest.raises(InputError, match="expected the first result of today by Ann"):
+            submit(quick_result, name, [quick.root], board, date=day)
+    submit(quick_result, "Bob", [quick.root], board, date=day)
+    submit(quick_result, "Ann", [quick.root], board, date=day + datetime.timedelta(1))
+    sent = [record["submission"] for record in latest(read_records(board / "records"))]
+    assert [tuple(one.values()) for one in sent] == [
+        ("Ann", "2026-01-02"),
+        ("Bob", "2026-01-02"),
+        ("Ann", "2026-01-03"),
+    ]
+
+
+def test_a_result_that_no_record_may_have_is_refused(
+    quick: Dataset, quick_result: Path, tmp_path: Path
+) -> None:
+    sent = Path(shutil.copy(quick_result, tmp_path / "mine.h5"))
+    with h5py.File(sent, "r+") as file:
+        file.attrs["parameters"] = '{"a": ' + "[" * 30 + "]" * 30 + "}"
+    with pytest.raises(InputError, match=r"mine\.h5: .* more than 20 tables and lists within"):
+        submit(sent, "Ann", [quick.root], tmp_path / "board")
+    assert not (tmp_path / "board").exists()
+
+
+def test_what_could_not_be_checked_is_not_called_damaged(
+    quick: Dataset, quick_result: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def late(root: Path) -> None:
+        raise UncheckedError(f"{root}: could not be checked, because reading it takes long")
+
+    monkeypatch.setattr("sabench.dataset.verification.probe_dataset", late)
+    with pytest.raises(UncheckedError):
+        submit(quick_result, "Ann", [quick.root], tmp_path / "board")
 
 
 def test_a_leaderboard_of_two_folders_of_data(

@@ -11,8 +11,12 @@ import shlex
 from pathlib import Path
 from typing import Any
 
+import pytest
+
+from sabench.evaluation import runner
 from sabench.evaluation.hidden_split import read_secret
 from sabench.evaluation.suite_loading import load_suite
+from sabench.utils.errors import UncheckedError
 from tests.conftest import Command
 
 SUITE = """title = "t"
@@ -81,6 +85,39 @@ def test_a_second_run_computes_nothing_and_a_record_is_made_again_by_its_command
         (2, "sharp one", before[3]["run_hash"])
     ]
     assert anew[0]["q"] == before[3]["q"]
+
+
+def test_a_data_set_that_could_not_be_checked_stays_as_it_is(
+    tmp_path: Path, command: Command, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "s.toml").write_text(SUITE.replace("keep_data = false\n", ""))
+    words = ("run", "s.toml", "--seed", "1", "--solver", "asa")
+    assert command(*words).returncode == 0
+    (manifest,) = (tmp_path / "work" / "datasets").glob("*/manifest.json")
+    before = manifest.stat().st_mtime_ns
+    (tmp_path / "leaderboard" / "records" / "local.jsonl").unlink()
+
+    def late(root: Path) -> None:
+        raise UncheckedError(f"{root}: could not be checked, because reading it takes long")
+
+    monkeypatch.setattr("sabench.dataset.verification.probe_dataset", late)
+    done = command(*words)
+    assert done.returncode == 2
+    assert "could not be checked" in done.stderr
+    assert manifest.stat().st_mtime_ns == before
+
+
+def test_a_score_that_no_record_may_have_is_an_error_of_the_solver(
+    tmp_path: Path, command: Command, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "s.toml").write_text(SUITE)
+    real = runner.score
+    monkeypatch.setattr(runner, "score", lambda data, out: real(data, out) | {"q": 1e300})
+    done = command("run", "s.toml", "--seed", "1", "--solver", "asa")
+    assert done.returncode == 1, done.stderr
+    (found,) = lines(tmp_path)
+    assert found["error"] == "solver asa: q: expected -1 to 1, got 1e+300"
+    assert found["q"] is None
 
 
 def test_hidden_runs_tell_no_seed_and_show_no_picture(tmp_path: Path, command: Command) -> None:

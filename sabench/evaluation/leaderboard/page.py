@@ -19,7 +19,7 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from sabench import plugins
 from sabench.evaluation.leaderboard.page_content import cases_of, content_of
 from sabench.evaluation.leaderboard.page_figures import albums_of
-from sabench.evaluation.records import Record
+from sabench.evaluation.record_schema import Record
 
 _SCRIPTS = ("base", "state", "rows", "table", "plots", "case", "main")
 
@@ -27,12 +27,7 @@ _SCRIPTS = ("base", "state", "rows", "table", "plots", "case", "main")
 def render(rows: Sequence[Record], pictures: Path) -> str:
     """Render rows of `over_seeds` as a page.
 
-    `pictures` holds the folders that the records name.
-
-    Raises
-    ------
-    InputError
-        A record whose pictures would lie outside `pictures`.
+    `pictures` holds the folders that the records name; figures outside it are left out.
     """
     cases = cases_of(rows)
     albums, left_out = albums_of(cases, pictures)

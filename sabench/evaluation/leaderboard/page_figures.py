@@ -7,8 +7,9 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from sabench import tasks
-from sabench.evaluation.records import Record
-from sabench.utils.files import LONGEST_PART, inside
+from sabench.evaluation.record_schema import Record
+from sabench.utils.errors import InputError
+from sabench.utils.files import inside
 
 # of the figures on the page; the best of every case come first, and those beyond are left out
 _PICTURES_BYTES = 80_000_000
@@ -68,11 +69,11 @@ def _pictures(
 def _there(pictures: Path, name: str) -> Path | None:
     """Find the figure of this name.
 
-    None where there is none, or where the name is too long for a disk.
+    None where there is none, or where the name leads outside the folder: then one record does not
+    stop the page.
     """
-    if "\0" in name or any(
-        len(part.encode("utf-8", "replace")) > LONGEST_PART for part in Path(name).parts
-    ):
+    try:
+        path = inside(pictures, name)
+    except InputError:
         return None
-    path = inside(pictures, name)
     return path if path.is_file() else None

@@ -19,7 +19,9 @@ from sabench.dataset.results import read_dataset_hash
 from sabench.dataset.schema import MANIFEST
 from sabench.dataset.verification import verify
 from sabench.evaluation.leaderboard.archives import result_files
-from sabench.evaluation.records import Record, append, latest, read_records
+from sabench.evaluation.leaderboard.disclosure import describe_data
+from sabench.evaluation.record_schema import Record
+from sabench.evaluation.records import append, encode, latest, read_records, run_key
 from sabench.evaluation.runner import build_board
 from sabench.tasks.external_programs import adopt
 from sabench.tasks.solve_and_score import score
@@ -32,19 +34,6 @@ from sabench.utils.version import __version__
 
 _LONGEST_NAME = 80
 _SCORE_S = 3600.0  # for one result
-# keys of a record that describe the data set
-_CASE = (
-    "suite",
-    "case",
-    "scene",
-    "difficulty",
-    "axis",
-    "axes",
-    "scene_hash",
-    "seed",
-    "split",
-    "renderer",
-)
 
 
 @dataclass(frozen=True)
@@ -54,7 +43,8 @@ class Standing:
     Attributes
     ----------
     record : as it was appended.
-    rank, of : 1 is the best; records without the first score do not count.
+    rank, of : 1 is the best; records without the first score, or that the task's gate
+        does not admit, do not count.
     best : the best other entry's name and first score, or None where there is no other.
     """
 
@@ -87,12 +77,14 @@ def submit(
     Raises
     ------
     InputError
-        A bad name, archive or result, two results of one data set, solver and parameters, or a
-        result whose data set is not in `data`.
+        A bad name, archive or result, two results of one data set, solver and parameters, a result
+        whose data set is not in `data`, or one that the submitter has sent today already.
+    UncheckedError
+        A file could not be checked in the time for it.
     """
     check_name(name)
     submission = {
-        "name": name,
+        "name": name.strip(),
         "date": (date or datetime.datetime.now(datetime.UTC).date()).isoformat(),
     }
     known = read_records(leaderboard / "records")
@@ -102,7 +94,11 @@ def submit(
             _record(label, file, sets[label], known) | {"submission": submission}
             for label, file in progress_bar(files, "check and score")
         ]
-    _refuse_twins(path, [label for label, _ in files], made)
+    labels = [label for label, _ in files]
+    _refuse_twins(path, labels, made)
+    _refuse_known(labels, made, known)
+    for label, record in zip(labels, made, strict=True):
+        _check_record(label, record)
     for record in made:
         append(leaderboard / "records" / "submitted.jsonl", record)
     build_board(leaderboard)
@@ -165,7 +161,9 @@ def _record(label: str, file: Path, data: Dataset, known: list[Record]) -> Recor
     scores = call_isolated(
         _score, file, data.root, doing=f"result {printable(label)}", time_s=_SCORE_S
     )
-    head = _case(data, known) | {key: scores[key] for key in ("task", "solver", "parameters")}
+    head = describe_data(data, known) | {
+        key: scores[key] for key in ("task", "solver", "parameters")
+    }
     run_hash = digest([data.content_hash, head["solver"], head["parameters"]])
     costs = {"seconds": None, "peak_mb": None}  # measured on an unknown machine
     figures = {one.key: scores[one.key] for one in tasks.of(head["task"]).columns}
@@ -191,24 +189,25 @@ def _score(file: Path, root: Path) -> dict[str, Any]:
         return score(root, copy)
 
 
-def _case(data: Dataset, known: list[Record]) -> Record:
-    """Describe the data set of a record.
+def _check_record(label: str, record: Record) -> None:
+    """Refuse a result whose solver, parameters or scores no record may have."""
+    try:
+        encode(record)
+    except InputError as error:
+        raise InputError(f"{printable(label)}: {error}") from error
 
-    The values are those of another record of the same data set, if there is one, else those of its
-    manifest.
-    """
-    twin = next((record for record in known if record["dataset"] == data.content_hash), None)
-    if twin:
-        return {key: twin.get(key) for key in _CASE if key in twin}
-    manifest = data.manifest
-    return {
-        "case": manifest.scene,
-        "scene": manifest.scene,
-        "axes": {},
-        "scene_hash": manifest.scene_hash,
-        "seed": manifest.seed,
-        "renderer": manifest.renderer,
-    }
+
+def _refuse_known(labels: list[str], made: list[Record], known: list[Record]) -> None:
+    """Refuse a result that its submitter has sent today already."""
+    there = {run_key(record) for record in known}
+    for label, record in zip(labels, made, strict=True):
+        if run_key(record) in there:
+            raise InputError(
+                f"{printable(label)}: expected the first result of today by "
+                f"{record['submission']['name']} of this data set, solver "
+                f"{printable(record['solver'])} and parameters, but the leaderboard has one: "
+                "submit it under another name, with other parameters, or on another day"
+            )
 
 
 def _refuse_twins(path: Path, labels: list[str], made: list[Record]) -> None:
@@ -226,16 +225,20 @@ def _refuse_twins(path: Path, labels: list[str], made: list[Record]) -> None:
 def standing(record: Record, every: Sequence[Record]) -> Standing:
     """Rank a record among those of its data set and task.
 
-    The task's first score decides; equal scores share the better rank.
+    The task's first score decides among those that its gate admits; equal scores share the better
+    rank.
     """
-    score = tasks.of(record["task"]).columns[0]
+    task = tasks.of(record["task"])
+    score = task.columns[0]
     key, sign = score.key, 1.0 if score.better == "larger" else -1.0
     rivals = [
         one
         for one in every
-        if (one["dataset"], one["task"]) == (record["dataset"], record["task"]) and _has(one, key)
+        if (one["dataset"], one["task"]) == (record["dataset"], record["task"])
+        and _has(one, key)
+        and task.admits(one)
     ]
-    own = record.get(key)
+    own = record.get(key) if task.admits(record) else None
     rank = None if own is None else 1 + sum(sign * one[key] > sign * own for one in rivals)
     others = [
         one

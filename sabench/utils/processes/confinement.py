@@ -85,7 +85,7 @@ def start_words(program: Sequence[str], file_bytes: int) -> list[str]:
 
 
 def start_input(view: View | None) -> bytes:
-    """Return the standard input of that command, which confines it unless the view is None."""
+    """Return what that command reads: a view, or None for no confinement."""
     return json.dumps(None if view is None else asdict(view)).encode()
 
 

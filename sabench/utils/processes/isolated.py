@@ -21,7 +21,7 @@ from typing import Any
 
 from sabench.utils import errors
 from sabench.utils.errors import InputError
-from sabench.utils.processes.confinement import View, confine
+from sabench.utils.processes.confinement import View, confine, die_with_parent
 from sabench.utils.processes.ending import describe_end, kill_tree, overdue
 from sabench.utils.processes.starting import ignored_interrupts
 
@@ -145,10 +145,12 @@ def _call(
 ) -> None:
     os.environ.clear()  # they are those of the server when it started
     os.environ.update(environment)
+    _forget_parent(sender)
+    if sys.platform == "linux":
+        die_with_parent()
     answer: dict[str, Any] = {}
     try:
         if view is not None:
-            _forget_parent(sender)
             confine(view)
         answer["value"] = function(*arguments)
     except InputError as error:
@@ -159,7 +161,10 @@ def _call(
 
 
 def _forget_parent(sender: Connection) -> None:
-    """Close what leads to other processes, and forget the parent's command line."""
+    """Close what leads to other processes, and forget the parent's command line.
+
+    One file tells the server that its clients live: held here, it would outlive a killed parent.
+    """
     sys.argv = sys.argv[:1]
     os.closerange(3, sender.fileno())
     os.closerange(sender.fileno() + 1, _MOST_FILES)

@@ -5,12 +5,17 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+import tracemalloc
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from sabench.evaluation.records import Head, append, latest, read_records
+from sabench import tasks
+from sabench.evaluation.record_schema import LONGEST_LINE, Head, range_of, score_faults
+from sabench.evaluation.records import append, latest, read_records
+from sabench.utils.errors import InputError
+from tests.conftest import ROOT
 
 WRITERS, LINES = 16, 40
 FORKS = """
@@ -27,7 +32,7 @@ start = context.Barrier(writers)
 def write(name):
     start.wait()
     for seed in range(lines):
-        append(path, head | {"solver": name, "seed": seed, "label": name * 3000})
+        append(path, head | {"solver": name, "seed": seed, "command": name * 3000})
 
 children = [context.Process(target=write, args=(f"w{number}",)) for number in range(writers)]
 for child in children:
@@ -104,6 +109,38 @@ WRONG: list[dict[str, Any]] = [
     {"version": 3},
     {"track": "x"},
     {"submission": {"name": "", "date": "x"}},
+    {"submission": {"name": "Ann", "date": "9999-99-99"}},
+    {"submission": {"name": "Ann", "date": "9999-12-31"}},
+    {"submission": {"name": "Ann", "date": "2026-02-30"}},
+    {"reference_s": 1.7e308},
+    {"reference_s": -1.0},
+    {"q": 2.5},
+    {"q": 10**400},
+    {"q": True},
+    {"q": "0.9"},
+    {"q": [0.9]},
+    {"seconds": -1.0},
+    {"peak_mb": 1e300},
+    {"recall": 1.5},
+    {"true_percent": -3.0},
+    {"rms_px": -0.5},
+    {"task": "calibration", "true_px": -1.0},
+    {"seed": -1},
+    {"seed": 2**63},
+    {"solver": "x" * 201},
+    {"solver": "a\nb"},
+    {"label": "\x1b[2J"},
+    {"case": "\ud800"},
+    {"command": "sabench run s\nrm -r ."},
+    {"pictures": "../../etc"},
+    {"pictures": "/etc"},
+    {"pictures": "a/../../b"},
+    {"pictures": "a\\b"},
+    {"pictures": "a\0b"},
+    {"parameters": {"a": [[[[[[[[[[[[[[[[[[[[[1]]]]]]]]]]]]]]]]]]]]]}},
+    {"unknown": {"a": 1}},
+    {"unknown": "x" * 201},
+    {"x" * 201: 1},
 ]
 BROKEN = [
     b"{",
@@ -112,8 +149,14 @@ BROKEN = [
     b"\xff\xfe",
     json.dumps(record("x", float("nan"))).encode(),
     b"[" * 200_000,
+    b"[" * 90_000,
+    b"1" * 90_000,
+    json.dumps(record("x")).encode()[:-1] + b', "seed": 2}',
+    json.dumps(record("x")).encode().replace(b'"parameters": {', b'"parameters": {"a": 1, "a": 2'),
+    json.dumps(record("x")).encode()[:-1] + b', "q": 1e999}',
+    json.dumps(record("x", label="x\u00e9"), ensure_ascii=False).encode("latin-1"),
 ]
-BROKEN += [json.dumps(record("x", **changes)).encode() for changes in WRONG]
+BROKEN += [json.dumps(record("x") | changes).encode() for changes in WRONG]
 
 
 @pytest.mark.parametrize("broken", BROKEN)
@@ -126,6 +169,77 @@ def test_a_broken_line_is_named_and_left_out(
     assert "a.jsonl: line 2 is left out: expected a record" in " ".join(
         capsys.readouterr().err.split()
     )
+
+
+def test_a_line_of_any_length_is_left_out_in_little_memory(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with (tmp_path / "a.jsonl").open("wb") as file:
+        file.write(json.dumps(record("whole")).encode() + b"\n")
+        for _ in range(100):
+            file.write(b"x" * 1_000_000)
+        file.write(b"\n" + json.dumps(record("next")).encode() + b"\n")
+    tracemalloc.start()
+    try:
+        assert solvers(tmp_path) == ["whole", "next"]
+        assert tracemalloc.get_traced_memory()[1] < 5_000_000
+    finally:
+        tracemalloc.stop()
+    assert f"more than {LONGEST_LINE} bytes" in capsys.readouterr().err
+
+
+def test_warnings_are_short_and_not_more_than_a_hundred_a_file(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    line = json.dumps(record("x" * 5000, 5.0, seed=-1, case="\x1b" * 90)) + "\n"
+    (tmp_path / "a.jsonl").write_text(line * 150)
+    assert read_records(tmp_path) == []
+    warnings = capsys.readouterr().err.splitlines()
+    assert len(warnings) == 101
+    assert max(map(len, warnings)) < 400 + len(str(tmp_path))
+    assert warnings[-1].endswith("50 more lines are left out")
+
+
+def test_every_bundled_record_is_kept(capsys: pytest.CaptureFixture[str]) -> None:
+    folder = ROOT / "leaderboard" / "records"
+    count = sum(len(path.read_text().splitlines()) for path in folder.glob("*.jsonl"))
+    assert len(read_records(folder)) == count > 100
+    assert capsys.readouterr().err == ""
+
+
+@pytest.mark.parametrize("task", tasks.NAMES)
+def test_ranges_of_scores(task: str) -> None:
+    """No score that ranks can be better than the best possible one."""
+    ranges = {score.key: range_of(score) for score in tasks.of(task).all_scores}
+    assert ranges["seconds"] == ranges["peak_mb"] == (0.0, 1e15)
+    for score in tasks.of(task).all_scores:
+        low, high = ranges[score.key]
+        if score.counted and score.better == "larger":
+            assert (low, high) == (0.0, 100.0 if score.unit == "%" else 1.0), score.key
+    first = tasks.of(task).columns[0]
+    assert ranges[first.key] in ((-1.0, 1.0), (0.0, 1.0), (0.0, 100.0), (0.0, 1e15))
+    assert not list(score_faults(task, dict.fromkeys(ranges)))
+    assert len(list(score_faults(task, {key: float("nan") for key in ranges}))) == len(ranges)
+
+
+@pytest.mark.parametrize(
+    "changes", [{"q": 2.5}, {"q": float("nan")}, {"solver": "x" * 201}, {"parameters": {"a": {1}}}]
+)
+def test_what_would_be_left_out_is_not_written(tmp_path: Path, changes: dict[str, Any]) -> None:
+    with pytest.raises(InputError, match="expected values that a record may have, got"):
+        append(tmp_path / "a.jsonl", record("x") | changes)
+    assert not list(tmp_path.iterdir())
+
+
+def test_the_first_of_a_submission_stays() -> None:
+    by = {"name": "Ann", "date": "2026-01-01"}
+    first = record("a", 0.5, submission=by)
+    again = record("a", 0.9, submission=by)
+    other_day = record("a", 0.6, submission=by | {"date": "2026-01-02"})
+    other_parameters = record("a", 0.7, submission=by, parameters={"k": 2})
+    other = record("a", 0.8, submission=by | {"name": "Bob"})
+    every = [first, again, other_day, other_parameters, other]
+    assert latest(every) == [first, other_day, other_parameters, other]
 
 
 def test_latest_keeps_the_last_of_each_run() -> None:

@@ -66,6 +66,25 @@ def test_the_interval_holds_the_true_mean_as_often_as_it_says() -> None:
 # Suites
 
 
+def test_many_equal_names_are_refused_before_a_scene_is_built(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("sabench.evaluation.suite_loading.load_scene", None)
+    with pytest.raises(InputError, match="500 cases are named standard-particles"):
+        load(tmp_path, f"scenes = {['standard-particles'] * 500}\n")
+
+
+def test_names_of_cases_are_not_longer_than_a_record_takes(tmp_path: Path) -> None:
+    cases = 'cases = [{ scene = "quick", name = "' + "x" * 201 + '" }]\n'
+    with pytest.raises(InputError, match=r"a name of at most 200 characters, got 201"):
+        load(tmp_path, cases)
+    file = tmp_path / "labels.toml"
+    label = f'solvers = [{{ name = "asa", label = "{"x" * 201}" }}]'
+    file.write_text(f'title = "t"\nscenes = ["quick"]\n{label}\n')
+    with pytest.raises(InputError, match="label: expected text with at most 200 characters"):
+        load_suite(file)
+
+
 def test_scenes_times_seeds(tmp_path: Path) -> None:
     cases = load(tmp_path, 'scenes = ["quick", "demo"]\nseeds = [3, 4, 3]\n')
     assert [

@@ -1,0 +1,244 @@
+"""Schema of records: types, lengths and ranges, because a record may come from anybody."""
+
+from __future__ import annotations
+
+import datetime
+import json
+import math
+from collections.abc import Iterator
+from pathlib import PurePosixPath
+from typing import Annotated, Any, Literal
+
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    ConfigDict,
+    Field,
+    ValidationError,
+    field_validator,
+    model_validator,
+)
+
+from sabench import tasks
+from sabench.api.solvers import TaskName
+from sabench.tasks.task import Score
+from sabench.utils.errors import one_line
+from sabench.utils.files import LONGEST_PART
+from sabench.utils.validation import printable, sentences
+
+Record = dict[str, Any]
+Difficulty = Literal["easy", "standard", "hard"]
+FORMAT, VERSION = "sabench-record", 2
+
+LONGEST_LINE = 100_000  # bytes of a record
+_LONGEST_NAME, _LONGEST_TEXT, _LONGEST_FAULT = 200, 10_000, 300  # characters
+_DEEPEST = 20  # tables and lists within each other
+_LARGEST = 1e15  # no meaningful score is beyond it
+_LONGEST_REFERENCE_S = 1e6
+_ROUNDING = 1e-6  # by which a score may be beyond its range
+_SIGNED = ("bias", "_mean_")  # parts of the keys of errors that may be negative
+_YEARS = (2000, 2100)
+
+
+def _check_printable(text: str) -> str:
+    if not text.isprintable():
+        raise ValueError(f"expected printable characters, got {printable(text)!r}")
+    return text
+
+
+Name = Annotated[
+    str, Field(min_length=1, max_length=_LONGEST_NAME), AfterValidator(_check_printable)
+]
+_Line = Annotated[str, Field(max_length=_LONGEST_TEXT), AfterValidator(_check_printable)]
+_Text = Annotated[str, Field(max_length=_LONGEST_TEXT)]
+
+
+class _Part(BaseModel):
+    model_config = ConfigDict(frozen=True, strict=True, allow_inf_nan=False)
+
+
+class Submission(_Part):
+    """Name of the sender of a result, and the date."""
+
+    name: str = Field(min_length=1, max_length=80)
+    date: str = Field(pattern=r"^\d{4}-\d{2}-\d{2}$")
+
+    @field_validator("date")
+    @classmethod
+    def _check_date(cls, text: str) -> str:
+        try:
+            year = datetime.date.fromisoformat(text).year
+        except ValueError:
+            year = 0
+        if not _YEARS[0] <= year <= _YEARS[1]:
+            raise ValueError(f"expected a date of {_YEARS[0]} to {_YEARS[1]}, got {text!r}")
+        return text
+
+
+class Head(_Part):
+    """Record without its scores.
+
+    They follow as further keys: one for each score of its task, a number or null.
+    """
+
+    model_config = ConfigDict(extra="allow")
+
+    format: Literal["sabench-record"] = "sabench-record"
+    version: Literal[1, 2] = 2
+    suite: Name | None = Field(None, description="the suite that made it")
+    case: Name | None = Field(None, description="by default the scene's name")
+    scene: Name = Field(description='its name; "private" if it is not disclosed')
+    difficulty: Difficulty | None = None
+    axis: Name | None = Field(
+        None, description="property that differs from the standard case: density, cameras, ..."
+    )
+    axes: dict[str, Any] = Field({}, description="dotted keys of the scene with this case's values")
+    scene_hash: Name = Field(description="the data set's hash if the scene is not disclosed")
+    dataset: Name = Field(description="content hash of the data set")
+    seed: int = Field(
+        ge=0, lt=2**63, description="of the data set; its number in a private test set"
+    )
+    split: Literal["public", "hidden"] = "public"
+    renderer: Name
+    task: TaskName = "reconstruction"
+    solver: Name
+    label: Name | None = Field(None, description="shown in place of the solver's name")
+    parameters: dict[str, Any]
+    code_hash: Name | None = Field(
+        None, description="of the program that solved: sabench and the solver's file"
+    )
+    run_hash: Name
+    submission: Submission | None = None
+    versions: dict[str, Any]
+    machine: dict[str, Any]
+    pictures: Name | None = Field(None, description="folder of the case's figures")
+    command: _Line | None = Field(None, description="command that reproduces this record")
+    reference_s: float | None = Field(
+        None,
+        ge=0,
+        le=_LONGEST_REFERENCE_S,
+        description="seconds of the reference kernel, timed in the same run",
+    )
+    isolated: bool | None = Field(
+        None, description="whether the solver ran confined to the observation side"
+    )
+    error: _Text | None = None
+    declined: bool = Field(False, description="whether the solver declined the case")
+
+    @model_validator(mode="before")
+    @classmethod
+    def _from_version_1(cls, values: Any) -> Any:
+        """Rename the key that version 1 used for the task."""
+        if isinstance(values, dict) and values.get("version", 1) == 1:
+            values = {"task" if key == "track" else key: one for key, one in values.items()}
+            values["version"] = VERSION
+        return values
+
+    @field_validator("pictures")
+    @classmethod
+    def _check_folder(cls, name: str | None) -> str | None:
+        parts = PurePosixPath(name or "a").parts
+        long = any(len(part.encode("utf-8", "replace")) > LONGEST_PART for part in parts)
+        if long or ".." in parts or "/" in parts or "\\" in (name or ""):
+            raise ValueError(f"expected a folder among the figures, got {printable(str(name))!r}")
+        return name
+
+    @model_validator(mode="after")
+    def _check_scores(self) -> Head:
+        values = self.model_extra or {}
+        if faults := [*score_faults(self.task, values), *_other_faults(self.task, values)]:
+            raise ValueError("; ".join(faults))
+        return self
+
+
+def parse(line: bytes) -> Record:
+    """Parse one line as a record.
+
+    Raises
+    ------
+    ValueError
+        Anything else than a record; the text gives the reason in one short sentence.
+    """
+    if len(line) > LONGEST_LINE:
+        raise ValueError(f"more than {LONGEST_LINE} bytes")
+    value = json.loads(
+        line.decode("utf-8"),
+        parse_constant=_refuse,
+        parse_float=_parse_number,
+        object_pairs_hook=_make_table,
+    )
+    if not isinstance(value, dict):
+        raise ValueError(f"a {type(value).__name__}")
+    if _depth(value) > _DEEPEST:
+        raise ValueError(f"more than {_DEEPEST} tables and lists within each other")
+    try:
+        return Head.model_validate(value).model_dump()
+    except ValidationError as error:
+        raise ValueError(one_line("; ".join(sentences(Head, error)), _LONGEST_FAULT)) from error
+
+
+def score_faults(task: str, values: Record) -> Iterator[str]:
+    """Find values that scores of a task cannot have, one sentence each."""
+    for score in tasks.of(task).all_scores:
+        value = values.get(score.key)
+        low, high = range_of(score)
+        if value is None:
+            continue
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            yield f"{score.key}: expected a number or null, got {printable(repr(value))}"
+        elif not low - _ROUNDING <= value <= high + _ROUNDING:
+            bounds = f"at least {low:g}" if high == _LARGEST else f"{low:g} to {high:g}"
+            yield f"{score.key}: expected {bounds}, got {printable(repr(value))}"
+
+
+def range_of(score: Score) -> tuple[float, float]:
+    """Return the smallest and the largest possible value of a score."""
+    if score.key == "q":
+        return -1.0, 1.0
+    if score.better in ("larger", "steady") and (score.counted or score.unit == "%"):
+        return 0.0, 100.0 if score.unit == "%" else 1.0
+    signed = score.better != "smaller" or any(part in score.key for part in _SIGNED)
+    return (-_LARGEST if signed else 0.0), _LARGEST
+
+
+def _other_faults(task: str, values: Record) -> Iterator[str]:
+    """Find faults of keys that this version does not have: each holds one short value."""
+    known = {score.key for score in tasks.of(task).all_scores}
+    for key, value in values.items():
+        if key in known:
+            continue
+        if len(key) > _LONGEST_NAME or not key.isprintable():
+            yield f"expected short printable keys, got {printable(key)!r}"
+        elif isinstance(value, dict | list) or len(str(value)) > _LONGEST_NAME:
+            yield f"{printable(key)}: expected one short value, got {printable(repr(value))}"
+
+
+def _refuse(constant: str) -> None:
+    raise ValueError(f"the number {constant}, which JSON does not have")
+
+
+def _parse_number(text: str) -> float:
+    value = float(text)
+    if not math.isfinite(value):
+        raise ValueError(f"the number {printable(text, 30)}, which is too large")
+    return value
+
+
+def _make_table(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    table = dict(pairs)
+    if len(table) < len(pairs):
+        seen: set[str] = set()
+        twice = next(key for key, _ in pairs if key in seen or seen.add(key))  # type: ignore[func-returns-value]
+        raise ValueError(f"the key {printable(twice)!r} twice")
+    return table
+
+
+def _depth(value: Any) -> int:
+    """Count tables and lists within each other, without recursion."""
+    depth, level = 0, [value]
+    while level := [one for one in level if isinstance(one, dict | list)]:
+        depth += 1
+        level = [
+            inner for one in level for inner in (one.values() if isinstance(one, dict) else one)
+        ]
+    return depth

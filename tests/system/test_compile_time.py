@@ -1,0 +1,51 @@
+"""Seconds of a solver do not contain the compilation of its kernels."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+import sabench
+from sabench.dataset.reader import Dataset
+from sabench.tasks.solve_and_score import solve
+
+PLUGIN = '''"""Compiles."""
+
+import numba
+import numpy as np
+
+from sabench.api import Observation, Reconstruction, Solver
+
+
+@numba.njit
+def fill(volume):
+    for z in range(volume.shape[0]):
+        volume[z] = np.median(volume[z])
+
+
+class Compiler(Solver):
+    """Compiles a kernel, and hardly uses it."""
+
+    name = "compiler"
+
+    def solve(self, case: Observation) -> Reconstruction:
+        fill(np.zeros((2, 2, 2)))
+        return Reconstruction(np.zeros(case.grid.shape, dtype=np.float32))
+'''
+
+
+def test_compilation_is_a_figure_of_its_own(
+    quick: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The kernel compiles for about a second in every run, since it has no cache."""
+    monkeypatch.setenv("SABENCH_PLUGINS", str(tmp_path))
+    (tmp_path / "solvers").mkdir()
+    (tmp_path / "solvers" / "compiler.py").write_text(PLUGIN)
+    made = solve("compiler", quick, tmp_path / "r.h5")
+    assert made.compile_s is not None
+    assert made.seconds is not None
+    assert made.compile_s > 0.3
+    assert made.seconds < 0.5 * made.compile_s
+    figures = sabench.score(quick, tmp_path / "r.h5")
+    assert (figures["seconds"], figures["compile_s"]) == (made.seconds, made.compile_s)

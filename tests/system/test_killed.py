@@ -1,0 +1,180 @@
+"""Commands that are killed: nothing that they started goes on working."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import psutil
+import pytest
+
+from sabench.dataset.reader import Dataset
+from tests.conftest import ROOT
+
+MARK = "SABENCH_TEST_OF_KILLS"  # variable of all descendants of a command
+PROGRAM = f"""#!{sys.executable}
+import subprocess, sys
+busy = "while True: pass"
+child = subprocess.Popen([sys.executable, "-c", busy])
+open({{started!r}}, "w").close()
+exec(busy)
+"""
+PLUGIN = '''"""A solver that does not end."""
+
+from pathlib import Path
+
+from sabench.api import Solver
+
+
+class Endless(Solver):
+    """It computes for ever."""
+
+    name = "endless"
+    references = ("nobody",)
+
+    def solve(self, case):
+        while True:
+            pass
+'''
+SUITE = """title = "t"
+backend = "splat"
+solvers = [{ SOLVER }]
+[[cases]]
+scene = "quick"
+name = "few"
+set = { "particles.count" = 40, "volume.size_mm" = [7.0, 5.0, 2.0] }
+"""
+_START_S, _END_S = 120.0, 2.0
+_BUSY_S = 1.0  # CPU time after which a process counts as working
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Iterator[Path]:
+    """Folder with an endless program, an endless plug-in and suites of them."""
+    program = tmp_path / "endless_program"
+    program.write_text(PROGRAM.replace("{started!r}", repr(str(tmp_path / "started"))))
+    program.chmod(0o755)
+    (tmp_path / "mine" / "solvers").mkdir(parents=True)
+    (tmp_path / "mine" / "solvers" / "endless.py").write_text(PLUGIN)
+    words = 'name = "./endless_program", task = "reconstruction"'
+    (tmp_path / "program.toml").write_text(SUITE.replace("SOLVER", words))
+    (tmp_path / "plugin.toml").write_text(SUITE.replace("SOLVER", 'name = "endless"'))
+    yield tmp_path
+    for one in descendants(tmp_path):
+        with contextlib.suppress(psutil.Error):
+            one.kill()
+
+
+def descendants(folder: Path) -> list[psutil.Process]:
+    """Processes of a command, by a variable that they inherit or by their working folder."""
+    found = []
+    for one in psutil.process_iter():
+        with contextlib.suppress(psutil.Error, OSError):
+            if one.pid == os.getpid() or one.status() == psutil.STATUS_ZOMBIE:
+                continue
+            if one.environ().get(MARK) == str(folder) or str(folder) in " ".join(one.cmdline()):
+                found.append(one)
+    return found
+
+
+def below(pid: int) -> set[psutil.Process]:
+    with contextlib.suppress(psutil.Error):
+        return set(psutil.Process(pid).children(recursive=True))
+    return set()
+
+
+def wait_until(holds: Callable[[], bool], seconds: float) -> bool:
+    end = time.monotonic() + seconds
+    while time.monotonic() < end:
+        if holds():
+            return True
+        time.sleep(0.05)
+    return holds()
+
+
+def works(process: psutil.Process) -> bool:
+    with contextlib.suppress(psutil.Error):
+        times = process.cpu_times()
+        return float(times.user + times.system) > _BUSY_S
+    return False
+
+
+def kill_in_the_middle(folder: Path, started: Callable[[int], bool], *words: str) -> list[str]:
+    """Start a command, kill it when it works, and list the processes that outlive it."""
+    environment = os.environ | {
+        "PYTHONPATH": str(ROOT),
+        "SABENCH_PLUGINS": str(folder / "mine"),
+        MARK: str(folder),
+    }
+    with subprocess.Popen(
+        [sys.executable, "-m", "sabench", *words],
+        cwd=folder,
+        env=environment,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    ) as command:
+        came = wait_until(lambda: started(command.pid), _START_S)
+        seen = below(command.pid)
+        command.kill()
+    assert came, "the command never came to its work"
+    assert seen, "the command had no child process"
+
+    def left() -> list[psutil.Process]:
+        every = {*seen, *descendants(folder)}
+        return [one for one in every if one.is_running() and one.status() != psutil.STATUS_ZOMBIE]
+
+    wait_until(lambda: not left(), _END_S)
+    return [" ".join(one.cmdline())[:80] for one in left()]
+
+
+def program_started(folder: Path) -> Callable[[int], bool]:
+    return lambda pid: (folder / "started").exists()
+
+
+def child_works(pid: int) -> bool:
+    """A process below the server of child processes computes."""
+    with contextlib.suppress(psutil.Error):
+        servers = psutil.Process(pid).children()
+        return any(works(one) for server in servers for one in server.children())
+    return False
+
+
+def server_waits(pid: int) -> bool:
+    """The server of child processes has started."""
+    with contextlib.suppress(psutil.Error):
+        return any(
+            works(one) and one.status() == psutil.STATUS_SLEEPING
+            for one in psutil.Process(pid).children()
+        )
+    return False
+
+
+@pytest.mark.parametrize("verb", ["run", "check"])
+def test_a_killed_run_of_a_program_leaves_none_of_its_processes(folder: Path, verb: str) -> None:
+    more = ["--update", "--baseline", "b.json"] if verb == "check" else []
+    words = (verb, "program.toml", *more)
+    assert kill_in_the_middle(folder, program_started(folder), *words) == []
+
+
+def test_a_killed_solve_of_a_program_leaves_none_of_its_processes(
+    folder: Path, quick: Dataset
+) -> None:
+    words = ("solve", "./endless_program", str(quick.root), "-o", "r.h5")
+    assert kill_in_the_middle(folder, program_started(folder), *words) == []
+
+
+@pytest.mark.parametrize("verb", ["run", "check"])
+def test_a_killed_run_of_a_plug_in_leaves_no_process(folder: Path, verb: str) -> None:
+    more = ["--update", "--baseline", "b.json"] if verb == "check" else []
+    words = (verb, "plugin.toml", *more)
+    assert kill_in_the_middle(folder, child_works, *words) == []
+
+
+def test_a_killed_score_leaves_no_process(folder: Path, quick: Dataset, quick_result: Path) -> None:
+    words = ("score", str(quick.root), str(quick_result))
+    assert kill_in_the_middle(folder, server_waits, *words) == []

@@ -1,0 +1,94 @@
+"""Reading of other people's files: its own CPU time counts, and no clock finds damage."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import h5py
+import pytest
+
+from sabench.dataset.hdf5_probe import probe
+from sabench.utils.errors import InputError, UncheckedError
+from sabench.utils.processes import isolated_reading
+from sabench.utils.processes.isolated_reading import read_isolated
+from tests.conftest import ROOT
+
+SLOW_START = """
+import sys
+from pathlib import Path
+from sabench.dataset.hdf5_probe import probe
+from sabench.utils.processes import isolated, isolated_reading
+
+isolated_reading._CPU_S = 0.5
+isolated.preload("slow_to_import")
+probe(Path(sys.argv[1]))
+"""
+
+
+def turn_in_circles(path: Path) -> None:
+    while True:
+        pass
+
+
+def wait(path: Path, seconds: float) -> None:
+    time.sleep(seconds)
+
+
+def break_off(path: Path) -> None:
+    os.abort()
+
+
+@pytest.fixture
+def file(tmp_path: Path) -> Path:
+    with h5py.File(tmp_path / "a.h5", "w") as made:
+        made["values"] = [1.0, 2.0]
+    return tmp_path / "a.h5"
+
+
+@pytest.fixture
+def one_second(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(isolated_reading, "_CPU_S", 0.5)
+
+
+def test_a_server_that_starts_slowly_makes_no_file_damaged(file: Path) -> None:
+    """On a busy machine it takes longer to import what it needs than to read the file."""
+    (file.parent / "slow_to_import.py").write_text("import time\ntime.sleep(6.0)\n")
+    words = [sys.executable, "-c", SLOW_START, str(file)]
+    paths = os.pathsep.join((str(ROOT), str(file.parent)))
+    start = time.monotonic()
+    done = subprocess.run(
+        words, capture_output=True, text=True, check=False, env=os.environ | {"PYTHONPATH": paths}
+    )
+    assert done.returncode == 0, done.stderr
+    assert time.monotonic() - start > 6.0  # the server did start slowly
+
+
+@pytest.mark.usefixtures("one_second")
+def test_time_that_others_take_does_not_count(file: Path) -> None:
+    read_isolated(wait, file, 2.5)
+
+
+@pytest.mark.usefixtures("one_second")
+def test_a_file_that_sends_a_library_round_in_circles_is_not_called_damaged(file: Path) -> None:
+    probe(file)
+    with pytest.raises(UncheckedError, match=r"could not be checked.* 1 s of CPU time$"):
+        read_isolated(turn_in_circles, file)
+
+
+@pytest.mark.usefixtures("one_second")
+def test_a_reader_that_sleeps_is_killed_in_the_end(
+    file: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(isolated_reading, "_PATIENCE", 0.5)
+    with pytest.raises(UncheckedError, match=r"could not be checked.* 0\.5 s$"):
+        read_isolated(wait, file, 60.0)
+
+
+def test_a_crash_is_a_fault_of_the_file(file: Path) -> None:
+    with pytest.raises(InputError, match="signal SIGABRT") as caught:
+        read_isolated(break_off, file)
+    assert not isinstance(caught.value, UncheckedError)
