@@ -1,14 +1,17 @@
 """Damaged files, given to the functions behind the commands that read them.
 
-Files are scenes, suites, data sets, results, submissions and records.
+Files are scenes, suites, data sets of all kinds, results of all tasks, submissions, records,
+baselines, secrets, interrupted generations, fields and tracks and meshes of other programs, and
+folders of `sabench calibrate`.
 
-    python benchmarks/fuzz.py 10000 [--seed 0] [--kind scene ...] [--limit 5] [--keep build/fuzz]
+    python benchmarks/fuzz.py --count 100000 [--jobs 8] [--seed 0] [--kind scene ...]
 
-Each must be refused with one sentence (an InputError) or succeed, within the limit, without a
-crash, without another exception and without touching a file outside the output folder. Cases are
-made from the seed, the kind and a number alone. Prints a table. Files that cause a fault are kept
-with its message, and the exit code is 1. Runs in one forked process at a time, which is replaced
-when it dies or hangs; a hang counts when it is repeated.
+Each must be refused with one sentence (an InputError) or succeed, within 5 s of CPU time and 1.5 GB
+of memory, without a crash, without another exception and without touching a file outside the output
+folder. Cases are made from the seed, the kind and a number alone: `--only NUMBER --kind KIND` runs
+one again. Prints a table with a line for each kind. Files that cause a fault are kept with its
+message, and the exit code is 1. Each job runs its cases in a forked process, which is replaced when
+it dies or hangs; a hang counts when it is repeated.
 """
 
 from __future__ import annotations
@@ -26,56 +29,97 @@ import time
 import traceback
 from collections import Counter
 from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, replace
 from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import Any
 
+import psutil
+
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 os.environ.setdefault("NUMBA_NUM_THREADS", "1")
+from sabench.utils import memory  # noqa: E402
 from sabench.utils.errors import InputError  # noqa: E402
 from sabench.utils.processes import isolated_reading  # noqa: E402
 from tests.helpers.untrusted import KINDS, Base, check_sentence, make_base  # noqa: E402
+from tests.helpers.untrusted_files import describe_calibration  # noqa: E402
 
-_LIMIT_S = 5.0
-_WARM_S, _MAKE_S = 120.0, 60.0
+_LIMIT_S = 5.0  # of CPU time
+_PATIENCE = 12.0  # times as much of real time
+_WARM_S, _MAKE_S = 300.0, 60.0
+_LOOK_S = 0.2  # between looks at the memory of a case
+_MOST_MB = 1500.0  # of one process
 _ADDRESSES = 16_000_000_000  # bytes: what asks for more than this shall have been refused before
-_OUTCOMES = ("refused", "accepted", "fault")
+_OUTCOMES = ("refused", "accepted", "traceback", "crash", "hang", "memory")
+_FAULTS = _OUTCOMES[2:]
 
 
-def fuzz(
-    kinds: list[str], count: int, seed: int, limit_s: float, root: Path, keep: Path
-) -> dict[str, Counter[str]]:
-    """Count outcomes by kind of `count` cases, which alternate between the kinds."""
-    with multiprocessing.get_context("fork").Pool(
-        1
-    ) as elsewhere:  # once kernels have run in parallel, a process may not fork
+@dataclass
+class Tally:
+    """Outcomes by kind, and the largest memory of a process, MB."""
+
+    outcomes: dict[str, Counter[str]]
+    peak_mb: float = 0.0
+
+    def add(self, other: Tally) -> None:
+        """Add those of another job."""
+        for kind, row in other.outcomes.items():
+            self.outcomes.setdefault(kind, Counter()).update(row)
+        self.peak_mb = max(self.peak_mb, other.peak_mb)
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Cases of a run: their numbers, and kinds that alternate."""
+
+    kinds: tuple[str, ...]
+    numbers: range
+    seed: int
+    limit_s: float
+    keep: Path
+
+
+def fuzz(plan: Plan, root: Path, jobs: int) -> Tally:
+    """Run all cases of a plan, in several jobs."""
+    fork = multiprocessing.get_context("fork")
+    with fork.Pool(1) as elsewhere:  # once kernels have run in parallel, a process may not fork
         base = elsewhere.apply(make_base, (root / "base",))
-    table = {kind: Counter[str]() for kind in kinds}
+    total = Tally({kind: Counter() for kind in plan.kinds})
+    with ProcessPoolExecutor(jobs, mp_context=fork) as pool:
+        rest = [
+            pool.submit(_job, replace(plan, numbers=plan.numbers[job::jobs]), base, root, job)
+            for job in range(jobs)
+        ]
+        for one in rest:
+            total.add(one.result())
+    return total
+
+
+def _job(plan: Plan, base: Base, root: Path, job: int) -> Tally:
+    tally = Tally({kind: Counter() for kind in plan.kinds})
+    own = root / f"job-{job}"
+    own.mkdir()
     with contextlib.ExitStack() as stack:
-        worker = Worker(base, root, seed, limit_s)
+        worker = Worker(base, own, plan.seed, plan.limit_s)
         stack.callback(lambda: worker.stop())
-        for number in range(count):
-            kind = kinds[number % len(kinds)]
+        for done, number in enumerate(plan.numbers):
+            kind = plan.kinds[number % len(plan.kinds)]
             outcome, words = worker.case(kind, number)
             if outcome == "hang":  # another program may have held the machine up
                 outcome, words = worker.case(kind, number)
-            if outcome in ("hang", "crash"):
-                outcome, words = "fault", f"{outcome}: {words}"
-            table[kind][outcome] += 1
-            folder = root / "cases" / f"{kind}-{number}"
-            if outcome == "fault":
-                _keep(folder, keep / folder.name, words)
+            tally.outcomes[kind][outcome] += 1
+            folder = own / "cases" / f"{kind}-{number}"
+            if outcome in _FAULTS:
+                _keep(folder, plan.keep / folder.name, f"{outcome}: {words}")
             shutil.rmtree(folder, ignore_errors=True)
-            if sys.stderr.isatty() or number % 500 == 499:
-                print(
-                    f"{number + 1} of {count}",
-                    end="\r" if sys.stderr.isatty() else "\n",
-                    file=sys.stderr,
-                    flush=True,
-                )
-    return table
+            if done % 500 == 499:
+                text = f"job {job}: {done + 1} of {len(plan.numbers)}"
+                print(text, file=sys.stderr, flush=True)
+        tally.peak_mb = worker.peak_mb
+    return tally
 
 
 def _keep(folder: Path, copy: Path, words: str) -> None:
@@ -89,17 +133,25 @@ class Worker:
     """Forked process that makes and runs one case after the other."""
 
     def __init__(self, base: Base, root: Path, seed: int, limit_s: float) -> None:
-        self._settings, self._limit_s = (base, root, seed, 0.6 * limit_s), limit_s
+        self._settings, self._limit_s = (base, root, seed), limit_s
         self._process: BaseProcess | None = None
         self._pipe: Connection
+        self.peak_mb = 0.0
 
     def case(self, kind: str, number: int) -> tuple[str, str]:
-        """Run a case: refused, accepted, fault, crash or hang, and its message."""
+        """Run a case: its outcome, and its message."""
         if self._process is None:
             self._start()
         self._pipe.send((kind, number))
         made = self._answer(_MAKE_S)
-        return made if made[0] != "made" else self._answer(self._limit_s)
+        if made[0] != "made":
+            return made
+        self._largest = 0.0
+        answer = self._answer(self._limit_s)
+        self.peak_mb = max(self.peak_mb, self._largest)
+        if answer[0] in _OUTCOMES[:2] and self._largest > _MOST_MB:
+            return "memory", f"{self._largest:.0f} MB"
+        return answer
 
     def _start(self) -> None:
         context = multiprocessing.get_context("fork")
@@ -112,17 +164,27 @@ class Worker:
             raise RuntimeError(f"undamaged input fails: {outcome}, {words}")
 
     def _answer(self, limit_s: float) -> tuple[str, str]:
+        """Wait for an answer until the process has taken that CPU time, and look at its memory."""
         assert self._process is not None
+        start, before = time.monotonic(), _used(self._process.pid)[0]
         try:
-            if self._pipe.poll(limit_s):
-                answer: tuple[str, str] = self._pipe.recv()
-                return answer
-            fate = "hang", f"no end within {limit_s:g} s"
+            while not self._pipe.poll(_LOOK_S):
+                cpu_s, held_mb = _used(self._process.pid)
+                self._largest = max(self._largest, held_mb)
+                if cpu_s - before > limit_s or time.monotonic() - start > _PATIENCE * limit_s:
+                    fate = "hang", f"no end within {limit_s:g} s"
+                    break
+            else:
+                answer: tuple[str, str, float] = self._pipe.recv()
+                self._largest = max(self._largest, answer[2])
+                return answer[:2]
         except (EOFError, ConnectionResetError):
             self._process.join()
             fate = "crash", f"exit code {self._process.exitcode}"
         self.stop()
         return fate
+
+    _largest = 0.0
 
     def stop(self) -> None:
         """End the process."""
@@ -133,7 +195,21 @@ class Worker:
         self._process = None
 
 
-def _work(pipe: Connection, base: Base, root: Path, seed: int, probe_s: float) -> None:
+def _used(pid: int | None) -> tuple[float, float]:
+    """Return the CPU seconds of a process and all below it, and the largest memory of one."""
+    cpu_s, largest = 0.0, 0.0
+    with contextlib.suppress(psutil.Error):
+        head = psutil.Process(pid)
+        for one in (head, *head.children(recursive=True)):
+            with contextlib.suppress(psutil.Error):
+                times = one.cpu_times()
+                cpu_s += times.user + times.system
+                cpu_s += times.children_user + times.children_system
+                largest = max(largest, one.memory_info().rss / 1e6)
+    return cpu_s, largest
+
+
+def _work(pipe: Connection, base: Base, root: Path, seed: int) -> None:
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     resource.setrlimit(resource.RLIMIT_AS, (_ADDRESSES, _ADDRESSES))
     silent = os.open(os.devnull, os.O_WRONLY)
@@ -141,24 +217,19 @@ def _work(pipe: Connection, base: Base, root: Path, seed: int, probe_s: float) -
         os.dup2(silent, number)
     (root / "tmp").mkdir(exist_ok=True)
     tempfile.tempdir = str(root / "tmp")
-    isolated_reading._CPU_S = probe_s  # below the limit that is tested here
+    isolated_reading._CPU_S = 2.0  # below the limit that is tested here
     try:
         _warm_up(base, root)
-        pipe.send(("warm", ""))
+        pipe.send(("warm", "", 0.0))
     except BaseException:
-        pipe.send(("fault", traceback.format_exc()))
+        pipe.send(("traceback", traceback.format_exc(), 0.0))
         return
     while True:
         kind, number = pipe.recv()
-        pipe.send(
-            _run_case(
-                pipe,
-                base,
-                root / "cases" / f"{kind}-{number}",
-                kind,
-                random.Random(f"{seed} {kind} {number}"),
-            )
-        )
+        folder = root / "cases" / f"{kind}-{number}"
+        memory.forget_peak()
+        case = _run_case(pipe, base, folder, kind, random.Random(f"{seed} {kind} {number}"))
+        pipe.send((*case, memory.peak_mb() or 0.0))
 
 
 def _warm_up(base: Base, root: Path) -> None:
@@ -169,10 +240,12 @@ def _warm_up(base: Base, root: Path) -> None:
     out.mkdir(parents=True)
     solve("asa", base.particles, out / "a.h5", parameters={"k": 3.0})
     score(base.particles, out / "a.h5")
-    for track, path in base.results.items():
-        if track == "bubbles":
-            continue  # its scores need bubbles; the case feeds the reading alone
-        score(base.target if track == "calibration" else base.particles, path)
+    for task, path in base.results.items():
+        score(base.data_of(task), path)
+    from sabench.tasks.own_calibration import calibrate
+
+    describe_calibration(base.target, out / "mine")
+    calibrate(out / "mine", out / "calibrated", "refractive_autocal", {})
     from sabench.evaluation.leaderboard.submissions import submit
 
     submit(base.results["reconstruction"], "warm", [base.particles.root], out / "leaderboard")
@@ -190,9 +263,9 @@ def _run_case(
     try:
         feed = KINDS[kind](base, inputs, out, rng)
     except Exception:
-        return "fault", f"the case could not be made: {traceback.format_exc()}"
+        return "traceback", f"the case could not be made: {traceback.format_exc()}"
     before = dict(_tree(root, out))
-    pipe.send(("made", ""))
+    pipe.send(("made", "", 0.0))
     try:
         outcome, words = _outcome(feed)
         changed = dict(_tree(root, out)).items() ^ before.items()
@@ -202,7 +275,7 @@ def _run_case(
         )
         assert not left, f"half-written files are left: {left}"
     except Exception:
-        return "fault", traceback.format_exc()
+        return "traceback", traceback.format_exc()
     return outcome, words
 
 
@@ -238,32 +311,34 @@ def _tree(root: Path, out: Path) -> Iterator[tuple[str, tuple[int, int, int]]]:
 def main() -> None:
     """Read the command line, fuzz, print the table."""
     reader = argparse.ArgumentParser(description=__doc__.split("\n")[0] if __doc__ else "")
-    reader.add_argument("count", type=int)
+    reader.add_argument("--count", type=int, default=1000)
+    reader.add_argument("--jobs", type=int, default=1)
     reader.add_argument("--seed", type=int, default=0)
     reader.add_argument("--kind", action="append", choices=sorted(KINDS))
-    reader.add_argument("--limit", type=float, default=_LIMIT_S, help="seconds for each case")
+    reader.add_argument("--only", type=int, help="number of one case to run again")
+    reader.add_argument("--limit", type=float, default=_LIMIT_S, help="CPU seconds for each case")
     reader.add_argument("--keep", type=Path, default=ROOT / "build" / "fuzz")
     asked = reader.parse_args()
     start = time.monotonic()
+    numbers = range(asked.count) if asked.only is None else range(asked.only, asked.only + 1)
+    kinds = tuple(asked.kind or sorted(KINDS))
+    plan = Plan(kinds, numbers, asked.seed, asked.limit, asked.keep.absolute())
     with tempfile.TemporaryDirectory(prefix="fuzz-") as folder:
-        table = fuzz(
-            asked.kind or sorted(KINDS),
-            asked.count,
-            asked.seed,
-            asked.limit,
-            Path(folder),
-            asked.keep.absolute(),
-        )
+        tally = fuzz(plan, Path(folder), min(asked.jobs, len(numbers)))
+    _show(tally.outcomes)
     print(
-        f"{'kind':<12}{'count':>8}"
-        + "".join(f"{name + ('s' if name == 'fault' else ''):>10}" for name in _OUTCOMES)
+        f"seed {asked.seed}, largest process {tally.peak_mb:.0f} MB, "
+        f"{time.monotonic() - start:.0f} s"
     )
-    for kind, row in [*table.items(), ("all", sum(table.values(), Counter()))]:
-        print(
-            f"{kind:<12}{sum(row.values()):>8}" + "".join(f"{row[name]:>10}" for name in _OUTCOMES)
-        )
-    print(f"seed {asked.seed}, {time.monotonic() - start:.0f} s")
-    sys.exit(any(row["fault"] for row in table.values()))
+    sys.exit(any(row[name] for row in tally.outcomes.values() for name in _FAULTS))
+
+
+def _show(outcomes: dict[str, Counter[str]]) -> None:
+    columns = ("refused", "accepted", "tracebacks", "crashes", "hangs", "memory")
+    print(f"{'kind':<12}{'count':>8}" + "".join(f"{name:>11}" for name in columns))
+    for kind, row in [*outcomes.items(), ("all", sum(outcomes.values(), Counter()))]:
+        cells = "".join(f"{row[name]:>11}" for name in _OUTCOMES)
+        print(f"{kind:<12}{sum(row.values()):>8}{cells}")
 
 
 if __name__ == "__main__":

@@ -10,7 +10,8 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from sabench.api import F64, I64, Domain, FileParameters, Generator, InputError, Particles
-from sabench.worlds.library.field_files import Array, length_mm, read_arrays, speed_mm_s, time_s
+from sabench.worlds.library.field_files import length_mm, read_arrays, speed_mm_s, time_s
+from sabench.worlds.library.field_formats import Array
 
 
 class FromTracksParameters(FileParameters):

@@ -175,7 +175,7 @@ function whyPlots(rows, column) {
 }
 
 function rankOf(rows, solver) {
-  const own = rows.filter(row => solverOf(row) === solver && row.scores[0]).map(row => row.scores[0][0]);
+  const own = rows.filter(row => solverOf(row) === solver && row.ranked && row.scores[0]).map(row => row.scores[0][0]);
   return own.length ? (data.tasks[state.task].larger ? -1 : 1) * meanOf(own)[0] : Infinity;
 }
 

@@ -149,5 +149,5 @@ function legendOfColumns(rows) {
     terms(columnsOf(rows).map(column => [column.heading, column.meaning])),
     make("p", { class: "quiet" }, "Over several seeds a score is the mean ± half the width of its 95 % confidence interval. "
       + "Cases come in the order of their names and the best of each first, until a heading sorts them: once for rising, twice for falling. "
-      + `${DASH} stands for a score that does not apply.`));
+      + `${DASH} stands for a score that does not apply. ${data.tasks[state.task].gate}`));
 }

@@ -18,6 +18,8 @@ from sabench.geometry.camera_records import decode_cameras, encode_cameras
 from sabench.utils.arrays import F32, F64, I64, Bool, triple
 from sabench.utils.errors import InputError
 
+_LARGEST = 1e12  # no length, velocity or angle is beyond it, and its square still has many digits
+
 
 @dataclass(frozen=True)
 class Array:
@@ -31,6 +33,7 @@ class Array:
     dtype : of the attribute. Bool is stored as uint8.
     optional : whether the attribute may be None and the array missing.
     unique : whether all values must differ.
+    largest : absolute value that no number may exceed.
     encode, decode : between an attribute that is no array and its array.
     """
 
@@ -39,6 +42,7 @@ class Array:
     dtype: type[np.generic] = np.float64
     optional: bool = False
     unique: bool = False
+    largest: float = _LARGEST
     stored: str = ""
     encode: Callable[[Any], Any] | None = None
     decode: Callable[[Any], Any] | None = None
@@ -58,7 +62,7 @@ class Array:
         known.update({name: size for name, size in pairs if isinstance(name, str)})
 
     def check_values(self, value: npt.NDArray[Any], where: str) -> None:
-        """Check that values are finite and, where declared, unique.
+        """Check that values are finite, not too large and, where declared, unique.
 
         Raises an InputError, whose sentence `where` opens.
         """
@@ -67,6 +71,11 @@ class Array:
             if bad:
                 raise InputError(
                     f"{where}: expected finite values, got {bad} that are NaN or infinite"
+                )
+            far = float(np.abs(value).max(initial=0.0))
+            if far > self.largest:
+                raise InputError(
+                    f"{where}: expected values of at most {self.largest:g}, got {far:g}"
                 )
         if self.unique:
             numbers, times = np.unique(value, return_counts=True)
@@ -144,7 +153,7 @@ class Reconstruction(Estimate):
     """
 
     ARRAYS = (
-        Array("volume", ("z", "y", "x"), np.float32),
+        Array("volume", ("z", "y", "x"), np.float32, largest=float("inf")),
         Array("particles_mm", ("n", 3), optional=True),
     )
 
@@ -225,6 +234,11 @@ class Velocity(Estimate):
     velocity_mm_s : (z, y, x, 3), finite everywhere: where nothing was measured it is interpolated
         from the neighbours.
     valid : (z, y, x) where it was measured.
+
+    Raises
+    ------
+    InputError
+        A spacing that is not a positive number, or a lattice without nodes.
     """
 
     GROUP = "velocity"
@@ -239,6 +253,13 @@ class Velocity(Estimate):
     step_mm: tuple[float, float, float]
     velocity_mm_s: F64
     valid: Bool
+
+    def __post_init__(self) -> None:
+        """Check the lattice."""
+        if not all(0.0 < step < float("inf") for step in self.step_mm):
+            raise InputError(f"step_mm: expected positive numbers, got {self.step_mm}")
+        if not self.valid.size:
+            raise InputError(f"valid: expected nodes (z, y, x), got {self.valid.shape}")
 
     @property
     def positions_mm(self) -> F64:

@@ -11,10 +11,19 @@ from sabench.utils.validation import validate
 
 
 def generator_of(given: dict[str, Any]) -> Any:
-    """Make the generator that a table of a scene names."""
+    """Make the generator that a table of a scene names.
+
+    Raises
+    ------
+    InputError
+        No such generator, or parameters that it does not take, as in a data set's own scene.
+    """
     rest = dict(given)
-    plugin = plugins.load("generators", rest.pop("generator"))
-    return plugin(plugin.Parameters(**rest))
+    name = rest.pop("generator", None)
+    if not isinstance(name, str):
+        raise InputError(f"generator: expected the name of a generator, got {name!r}")
+    plugin = plugins.load("generators", name)
+    return plugin(validate(plugin.Parameters, rest, f"generator {name}"))
 
 
 def make_algorithm(name: str, parameters: dict[str, Any]) -> AnySolver:

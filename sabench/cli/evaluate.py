@@ -89,18 +89,17 @@ def _show_records(records: list[dict[str, Any]]) -> None:
     There is a table for each task, with the best first.
     """
     from sabench import tasks
+    from sabench.evaluation.leaderboard.page_content import rank_of
     from sabench.evaluation.leaderboard.rows import over_seeds
 
     rows = over_seeds(records)
     cases = list(dict.fromkeys(row["case"] for row in rows))
     for task in tasks.every():
         columns = task.columns
-        sign, first = -1.0 if columns[0].better == "larger" else 1.0, columns[0].key
-
-        def rank(row: dict[str, Any], sign: float = sign, first: str = first) -> tuple[int, float]:
-            return cases.index(row["case"]), sign * row[first].mean if row[first] else float("inf")
-
-        own = sorted((row for row in rows if row["task"] == task.name), key=rank)
+        own = sorted(
+            (row for row in rows if row["task"] == task.name),
+            key=lambda row: (cases.index(row["case"]), *rank_of(row)),
+        )
         if own:
             headings = ["case", "solver", "seeds", *(column.key for column in columns)]
             tables.show(headings, [_record_cells(row, columns) for row in own], keys=3)

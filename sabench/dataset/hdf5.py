@@ -15,6 +15,7 @@ import h5py
 import numpy as np
 import numpy.typing as npt
 
+from sabench.dataset.hdf5_chunks import check_storage, check_streams, chunk_bytes
 from sabench.utils import memory
 from sabench.utils.errors import InputError
 
@@ -162,18 +163,20 @@ def read_array(file: Any, name: str, shape: tuple[int | None, ...], kind: str) -
         expected = "(" + ", ".join("n" if want is None else str(want) for want in shape) + ")"
         raise InputError(f"{where}: expected shape {expected} of kind {kind}, got {got} of {dtype}")
     _check_cost(node, where, is_open=None in shape)
+    check_storage(node, where)
+    check_streams(node, where)
     return np.asarray(node[...])
 
 
 def walk(path: Path) -> None:
-    """Read all names, shapes and attributes of a file, but no values.
+    """Read all names, shapes, chunks and attributes of a file, but no values.
 
     It finds damaged files on which the library loops for ever.
     """
 
-    def look(_: str, node: Any) -> None:
-        if isinstance(node, h5py.Dataset) and node.shape is not None and node.chunks:
-            node.id.get_num_chunks()
+    def look(name: str, node: Any) -> None:
+        if isinstance(node, h5py.Dataset) and node.shape is not None:
+            check_storage(node, f"{path}: {name}")
 
     with open_hdf5(path) as file:
         for name in file.attrs:
@@ -276,7 +279,7 @@ def _check_cost(node: Any, where: str, *, is_open: bool) -> None:
             f"{where}: expected values that the file stores, got {node.shape} of {node.dtype} in "
             f"{stored} bytes"
         )
-    piece = math.prod(node.chunks) * node.dtype.itemsize if node.chunks else 0
+    piece = chunk_bytes(node) if node.chunks else 0
     if piece > max(_SMALL, 2 * size):
         raise InputError(
             f"{where}: expected chunks no larger than the data set, got {node.chunks} of "

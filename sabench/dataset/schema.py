@@ -12,6 +12,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from sabench.api.truth import Target
+from sabench.dataset.setup_limits import check_lengths, check_shown
 from sabench.geometry.camera import Camera
 from sabench.geometry.camera_model import CameraModel
 from sabench.geometry.camera_records import record_camera
@@ -192,6 +193,8 @@ def read_cameras(root: Path) -> CamerasFile:
             f"{path}: cameras: expected different names of letters, digits and _, got {names}"
         )
     _check_cameras(loaded.cameras, path)
+    check_shown(path, loaded.shows)
+    check_lengths(path, loaded.wall, loaded.cameras, loaded.grid)
     _check_numbers(loaded, path)
     return loaded.model_copy(update={"cameras": _behind(loaded.wall, loaded.cameras)})
 
@@ -212,6 +215,7 @@ def read_true_cameras(root: Path, nominal: CamerasFile) -> tuple[Camera, ...]:
             f"{got}"
         )
     _check_cameras(cameras, path)
+    check_lengths(path, nominal.wall, cameras, nominal.grid)
     return _behind(nominal.wall, cameras)
 
 

@@ -49,7 +49,7 @@ def read_secret(path: Path) -> Secret:
     """
     try:
         values = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, RecursionError) as error:
         raise InputError(f"{path}: expected a TOML file, got {type(error).__name__}") from error
     if isinstance(values.get("secret"), str) and len(values["secret"]) < 16:
         raise InputError(

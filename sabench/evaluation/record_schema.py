@@ -1,4 +1,7 @@
-"""Schema of records: types, lengths and ranges, because a record may come from anybody."""
+"""Schema of records: types, lengths and ranges.
+
+A record may come from anybody.
+"""
 
 from __future__ import annotations
 
@@ -202,7 +205,7 @@ def range_of(score: Score) -> tuple[float, float]:
 
 
 def _other_faults(task: str, values: Record) -> Iterator[str]:
-    """Find faults of keys that this version does not have: each holds one short value."""
+    """Find faults of unknown keys: each holds one short value."""
     known = {score.key for score in tasks.of(task).all_scores}
     for key, value in values.items():
         if key in known:

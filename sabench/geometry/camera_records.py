@@ -26,6 +26,9 @@ MODELS: dict[str, type[Any]] = {
 }
 
 
+_LARGEST = 1e12  # no length or coefficient of a camera is beyond it
+
+
 def record_camera(camera: CameraModel) -> dict[str, Any]:
     """Turn a camera into its JSON record: `model`, then the fields of that model."""
     name = next(name for name, model in MODELS.items() if type(camera) is model)
@@ -45,12 +48,28 @@ def read_camera(record: Any, where: str) -> CameraModel:
         known = ", ".join(sorted(MODELS))
         raise InputError(f"{where}: model: expected one of {known}, got {model!r}")
     fields = {key: value for key, value in record.items() if key != "model"}
+    bad = _extreme(fields)
+    if bad:
+        raise InputError(
+            f"{where}: {bad[0]}: expected finite numbers of at most {_LARGEST:g}, got {bad[1]!r}"
+        )
     try:
         made: CameraModel = TypeAdapter(MODELS[model]).validate_python(fields)
     except ValidationError as error:
         first = error.errors()[0]
         raise InputError(f"{where}: {first['loc']}: {first['msg']}") from error
     return made
+
+
+def _extreme(value: Any, key: str = "") -> tuple[str, float] | None:
+    """Find a number that is not finite or too large, with the name of its field."""
+    if isinstance(value, int | float):
+        return None if -_LARGEST <= value <= _LARGEST else (key, value)
+    if isinstance(value, dict):
+        items = [(f"{key}.{name}" if key else str(name), one) for name, one in value.items()]
+    else:
+        items = [(key, one) for one in value] if isinstance(value, list | tuple) else []
+    return next((bad for name, one in items if (bad := _extreme(one, name))), None)
 
 
 def encode_cameras(cameras: Sequence[CameraModel]) -> U8:

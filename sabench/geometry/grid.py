@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 
+from sabench.utils import memory
 from sabench.utils.arrays import F32, F64, I64, Bool
+from sabench.utils.errors import InputError
 
 _REACH = 4.0  # standard deviations after which a particle's field is cut: 3e-4 of its peak
 
@@ -56,6 +59,17 @@ class Grid:
         low = np.asarray(self.crop) - 0.5
         high = np.asarray(self.shape[::-1]) - np.asarray(self.crop) - 0.5
         return np.asarray(((voxels >= low) & (voxels < high)).all(axis=1))
+
+
+def check_volume(grid: Grid) -> None:
+    """Raise an InputError if a volume of the grid does not fit into memory."""
+    there, need = memory.available_mb(), math.prod(grid.shape) * 4 / 1e6
+    if there is not None and need > there:
+        planes, rows, columns = grid.shape
+        raise InputError(
+            f"grid: expected it to fit into memory, but its {planes} x {rows} x {columns} voxels "
+            f"(z, y, x) need {need:.0f} MB where {there:.0f} MB are there"
+        )
 
 
 def synthesise(grid: Grid, positions_mm: F64, weights: F64, sigma_mm: float) -> F32:

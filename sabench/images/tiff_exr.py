@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import struct
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +11,11 @@ import numpy as np
 
 from sabench.utils.arrays import F32, U16
 from sabench.utils.errors import InputError
+
+_MAGIC, _SCAN_LINES, _ZIP = 20000630, 2, 3  # of an EXR with one part; its compression
+_LONGEST_HEADER = 1 << 16  # bytes of an EXR file
+# name, type (32-bit float), linear, reserved, steps along x and y; end of the list
+_CHANNEL_Y = b"Y\0" + struct.pack("<iB3xii", 2, 0, 1, 1) + b"\0"
 
 
 def write_tiff(path: Path, image: U16) -> None:
@@ -29,7 +35,12 @@ def write_tiff(path: Path, image: U16) -> None:
 def read_tiff(path: Path, shape: tuple[int, int]) -> U16:
     """Read the grey values of a 16-bit TIFF of that shape.
 
-    Otherwise raises InputError that names the file.
+    Nothing is decoded unless the tags are those of the format: one uncompressed page in strips.
+
+    Raises
+    ------
+    InputError
+        No such file, another kind of TIFF or image, or a damaged file.
     """
     import tifffile
 
@@ -38,25 +49,43 @@ def read_tiff(path: Path, shape: tuple[int, int]) -> U16:
     try:
         with tifffile.TiffFile(path) as file:
             page = file.pages.first
-            image = (
-                page.asarray() if _fits(page, np.uint16, shape) and len(file.pages) == 1 else None
-            )
-            got = f"{page.dtype} of shape {page.shape}" + (
-                f" and {len(file.pages) - 1} more" if len(file.pages) > 1 else ""
-            )
+            _check_page(path, page, shape, len(file.pages))
+            image = np.asarray(page.asarray())
+    except InputError:
+        raise
     except (
         Exception
     ) as error:  # tifffile raises what its parsers raise: struct, index, zlib, value errors
         raise InputError(
             f"{path}: expected an intact TIFF file, got {type(error).__name__}: {error}"
         ) from error
-    if image is None or not _fits(image, np.uint16, shape):
+    if image.dtype != np.uint16 or image.shape != shape:
+        got = f"{image.dtype} of shape {image.shape}"
         raise InputError(f"{path}: expected 16-bit grey values of shape {shape}, got {got}")
-    return np.asarray(image)
+    return image
 
 
-def _fits(values: Any, kind: Any, shape: tuple[int, int]) -> bool:
-    return bool(values.dtype == kind and values.shape == shape)
+def _check_page(path: Path, page: Any, shape: tuple[int, int], pages: int) -> None:
+    if page.dtype != np.uint16 or page.shape != shape or pages != 1:
+        more = f" and {pages - 1} more" if pages > 1 else ""
+        got = f"{page.dtype} of shape {page.shape}{more}"
+        raise InputError(f"{path}: expected 16-bit grey values of shape {shape}, got {got}")
+    rules: tuple[tuple[str, int, int], ...] = (
+        ("compression", int(page.compression), 1),
+        ("photometric interpretation", int(page.photometric), 1),
+        ("predictor", int(page.predictor), 1),
+        ("bits per sample", page.bitspersample, 16),
+        ("samples per pixel", page.samplesperpixel, 1),
+        ("order of bits", page.fillorder, 1),
+        ("tiles", int(page.is_tiled), 0),
+        ("bytes of image data", sum(page.databytecounts), 2 * shape[0] * shape[1]),
+    )
+    for name, value, expected in rules:
+        if value != expected:
+            raise InputError(
+                f"{path}: expected an uncompressed 16-bit TIFF in strips, 0 black: expected "
+                f"{name} {expected}, got {value}"
+            )
 
 
 def write_exr(path: Path, radiance: F32) -> None:
@@ -74,26 +103,22 @@ def write_exr(path: Path, radiance: F32) -> None:
 def read_exr(path: Path, shape: tuple[int, int]) -> F32:
     """Read the photon radiance of an EXR of that shape.
 
-    Otherwise raises InputError that names the file.
+    Nothing is decoded unless the header is that of the format.
+
+    Raises
+    ------
+    InputError
+        No such file, another kind of EXR or image, a damaged file, or radiance that is negative or
+        not finite.
     """
     import OpenEXR
 
     if not path.is_file():
         raise InputError(f"{path}: expected an image, found no such file")
+    _check_header(path, shape)
     try:
-        with OpenEXR.File(
-            str(path), header_only=True
-        ) as file:  # what the file says of its size comes before what it costs to believe it
-            low, high = file.header()["dataWindow"]
-            size = (int(high[1]) - int(low[1]) + 1, int(high[0]) - int(low[0]) + 1)
-        if size != shape:
-            raise InputError(
-                f"{path}: expected 32-bit values of shape {shape}, got an image of shape {size}"
-            )
         with OpenEXR.File(str(path)) as file:
-            image = file.channels()["Y"].pixels
-    except InputError:
-        raise
+            image = np.asarray(file.channels()["Y"].pixels)
     except Exception as error:  # OpenEXR reports every fault as a RuntimeError or a KeyError
         raise InputError(
             f"{path}: expected an intact EXR file with a channel Y, got {type(error).__name__}: "
@@ -104,4 +129,67 @@ def read_exr(path: Path, shape: tuple[int, int]) -> F32:
             f"{path}: expected 32-bit values of shape {shape}, got {image.dtype} of shape "
             f"{image.shape}"
         )
-    return np.asarray(image)
+    bad = image.size - int(np.count_nonzero((image >= 0.0) & np.isfinite(image)))
+    if bad:
+        raise InputError(
+            f"{path}: expected finite radiance, 0 or more, got {bad} pixels that are negative, NaN "
+            "or infinite"
+        )
+    return image
+
+
+def _check_header(path: Path, shape: tuple[int, int]) -> None:
+    """Check that a file has one part with one 32-bit channel, of that shape."""
+    try:
+        header = read_exr_header(path)
+    except (ValueError, struct.error) as error:
+        raise InputError(f"{path}: expected an intact EXR file, got {error}") from error
+    rows, columns = shape
+    window = struct.pack("<4i", 0, 0, columns - 1, rows - 1)
+    rules = (
+        ("channels", _CHANNEL_Y, "one channel Y of 32-bit floats"),
+        ("compression", bytes([_ZIP]), "ZIP compression"),
+        ("dataWindow", window, f"32-bit values of shape {shape}"),
+    )
+    for name, value, expected in rules:
+        if header.get(name) != value:
+            raise InputError(
+                f"{path}: expected {expected}, got {name} {_shown(name, header.get(name))}"
+            )
+
+
+def read_exr_header(path: Path) -> dict[str, bytes]:
+    """Read the attributes of an EXR file with one part of scan lines, undecoded.
+
+    Source: https://openexr.com/en/latest/OpenEXRFileLayout.html
+
+    Raises
+    ------
+    ValueError, struct.error
+        Another kind of file, or a damaged one.
+    """
+    with path.open("rb") as file:
+        data = file.read(_LONGEST_HEADER)
+    magic, version = struct.unpack_from("<iI", data)
+    if magic != _MAGIC:
+        raise ValueError("another kind of file")
+    if version != _SCAN_LINES:
+        raise ValueError(f"version and flags {version:#x} where one part of scan lines has 0x2")
+    header: dict[str, bytes] = {}
+    at = 8
+    while data[at : at + 1] != b"\0":
+        name, kind = data.index(b"\0", at), data.index(b"\0", data.index(b"\0", at) + 1)
+        (size,) = struct.unpack_from("<i", data, kind + 1)
+        end = kind + 5 + size
+        if not kind + 5 <= end < len(data):
+            raise ValueError(f"a header beyond {len(data)} bytes")
+        header[data[at:name].decode("latin-1")] = data[kind + 5 : end]
+        at = end
+    return header
+
+
+def _shown(name: str, value: bytes | None) -> str:
+    if value is not None and name == "dataWindow" and len(value) == struct.calcsize("<4i"):
+        left, top, right, bottom = struct.unpack("<4i", value)
+        return f"of shape {(bottom - top + 1, right - left + 1)} from {(left, top)}"
+    return "missing" if value is None else repr(value[:40])

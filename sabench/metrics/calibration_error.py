@@ -46,7 +46,7 @@ def calibration_scores(
     points, seen = target_points(estimate, case), np.asarray(good.any(axis=0))
     wall = estimate.cameras[0].wall if isinstance(estimate.cameras[0], Camera) else None
     return (
-        _reprojection_scores(estimate, points, case, true_pixels, good, bound)
+        _reprojection_scores(estimate, points, case, true_cameras, true_pixels, good, bound)
         | _point_scores(points, truth_mm, seen, frame.motion, bound)
         | detection_scores(case.pixels, true_pixels, good)
         | wall_scores(wall, true_cameras[0].wall)
@@ -56,13 +56,15 @@ def calibration_scores(
 def target_points(estimate: Calibration, case: CalibrationCase) -> F64:
     """Get or triangulate the positions (frame, point, 3) of the target's points.
 
-    Triangulated are the observations that the estimate used; NaN where fewer than two cameras have
-    one.
+    Triangulated are the observations that the estimate used, and all of a point of which it used
+    fewer than two, so that no estimate chooses the points that it is scored by; NaN where fewer
+    than two cameras have one.
     """
     if estimate.points_mm is not None:
         return estimate.points_mm
-    used = estimate.used
-    pixels = case.pixels if used is None else np.where(used[..., None], case.pixels, np.nan)
+    used = _used(estimate, case)
+    used = np.where(used.sum(axis=0) >= 2, used, case.found)
+    pixels = np.where(used[..., None], case.pixels, np.nan)
     flat = pixels.reshape(len(estimate.cameras), -1, 2)
     return triangulate(estimate.cameras, flat).reshape(case.initial_mm.shape)
 
@@ -72,6 +74,27 @@ def reproject(cameras: Sequence[CameraModel], points_mm: F64) -> F64:
     flat = points_mm.reshape(-1, 3)
     pixels = np.stack([camera.project(flat)[0] for camera in cameras])
     return pixels.reshape(len(cameras), *points_mm.shape[:-1], 2)
+
+
+def _used(estimate: Calibration, case: CalibrationCase) -> Bool:
+    """Mark the observations (camera, frame, point) that an estimate used."""
+    return case.found if estimate.used is None else estimate.used & case.found
+
+
+def mean_distance(
+    pixels: F64, true_pixels: F64, selected: Bool, cameras: Sequence[CameraModel]
+) -> float | None:
+    """Average the distances of selected pixels (camera, ..., 2) from the true ones.
+
+    No distance is larger than the diagonal of its camera's image, and a point without a pixel is
+    that far away: leaving a point out improves nothing. None without selected points.
+    """
+    diagonal = np.array([np.hypot(camera.rows, camera.columns) for camera in cameras])
+    with np.errstate(invalid="ignore", over="ignore"):
+        apart = np.linalg.norm(pixels - true_pixels, axis=-1)
+    most = np.broadcast_to(diagonal.reshape(-1, *[1] * (apart.ndim - 1)), apart.shape)[selected]
+    lengths = np.fmin(apart[selected], most)
+    return float(lengths.mean()) if len(lengths) else None
 
 
 def mean_length(errors: F64, selected: Bool) -> float | None:
@@ -146,17 +169,19 @@ def _reprojection_scores(
     estimate: Calibration,
     points_mm: F64,
     case: CalibrationCase,
+    true_cameras: tuple[Camera, ...],
     true_pixels: F64,
     good: Bool,
     bound: Limit | None,
 ) -> Scores:
-    """Compute distances of reprojected points from detected and true pixels."""
-    pixels = reproject(estimate.cameras, points_mm)
-    used = case.found if estimate.used is None else estimate.used
-    measured, true = (
-        mean_length(pixels - case.pixels, used),
-        mean_length(pixels - true_pixels, good),
-    )
+    """Compute distances of reprojected points from detected and true pixels.
+
+    Points that fewer than two cameras found count only where the estimate has their positions.
+    """
+    pixels, used = reproject(estimate.cameras, points_mm), _used(estimate, case)
+    known = (case.found.sum(axis=0) >= 2) | np.isfinite(points_mm).all(axis=-1)
+    measured = mean_length(pixels - case.pixels, used)
+    true = mean_distance(pixels, true_pixels, good & known, true_cameras)
     ratio = true / bound.reprojection_px if bound and true is not None else None
     efficiency = true / measured / bound.efficiency if true and measured and bound else None
     return {
@@ -280,7 +305,10 @@ def target_alignment(estimate: F64, truth: F64, motion: RigidMotion) -> RigidMot
 
 
 def self_calibration_scores(
-    cameras: Sequence[CameraModel], truth_mm: F64, true_pixels: F64
+    cameras: Sequence[CameraModel],
+    truth_mm: F64,
+    true_pixels: F64,
+    true_cameras: Sequence[CameraModel],
 ) -> Scores:
     """Score cameras by true particles, up to a rigid motion of all cameras together.
 
@@ -293,7 +321,8 @@ def self_calibration_scores(
     """
     moved, pixels, own = align_particles(cameras, truth_mm, true_pixels)
     seen = np.asarray(np.isfinite(true_pixels).all(axis=-1))
-    return {"true_px": mean_length(pixels - true_pixels, seen), "held_out_mm": scatter(own - moved)}
+    true = mean_distance(pixels, true_pixels, seen, true_cameras)
+    return {"true_px": true, "held_out_mm": scatter(own - moved)}
 
 
 def align_particles(

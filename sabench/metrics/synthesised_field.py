@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from sabench.api.truth import Particles, View
-from sabench.geometry.grid import Grid, synthesise
+from sabench.geometry.grid import Grid, check_volume, synthesise
 from sabench.utils.arrays import F32, F64
 
 
@@ -21,7 +21,13 @@ def true_field(grid: Grid, particles: Particles, views: Sequence[View]) -> F32:
     Parameters
     ----------
     views : what each camera receives of the same particles.
+
+    Raises
+    ------
+    InputError
+        The field does not fit into memory.
     """
+    check_volume(grid)
     if not len(particles):
         return np.zeros(grid.shape, dtype=np.float32)
     sigma_px = float(np.nanmedian(np.concatenate([view.sigma_px for view in views])))

@@ -22,7 +22,7 @@ def velocity_scores(
 ) -> dict[str, float]:
     """Score a velocity field on a lattice; NaN where nothing was measured.
 
-    Derivatives are compared at nodes whose neighbours are in the lattice, too.
+    Derivatives are compared at nodes whose six neighbours were measured, too.
 
     Parameters
     ----------
@@ -36,7 +36,7 @@ def velocity_scores(
     scores = _displacement_figures(errors if len(errors) else np.full((1, 3), np.nan))
     scores["yield_percent"] = 100.0 * float(valid.mean())
     scores["response"] = response(estimate[valid], truth[valid])
-    return scores | _derivative_figures(estimate, truth, step_mm)
+    return scores | _derivative_figures(estimate, truth, valid, step_mm)
 
 
 def _displacement_figures(errors: F64) -> dict[str, float]:
@@ -58,13 +58,14 @@ def _displacement_figures(errors: F64) -> dict[str, float]:
 
 
 def _derivative_figures(
-    estimate: F64, truth: F64, step_mm: tuple[float, float, float]
+    estimate: F64, truth: F64, valid: Bool, step_mm: tuple[float, float, float]
 ) -> dict[str, float]:
     """Compute the root mean square errors of divergence and vorticity.
 
     The former is in 1/s, the latter in percent of the true vorticity.
     """
-    slopes, true = (gradient(field, step_mm)[inner(field.shape[:3])] for field in (estimate, truth))
+    known = _with_neighbours(valid)
+    slopes, true = (gradient(field, step_mm)[known] for field in (estimate, truth))
     spin, true_spin = vorticity(slopes), vorticity(true)
     return {
         "divergence_1_s": root_mean_square(divergence(slopes) - divergence(true)),
@@ -72,6 +73,15 @@ def _derivative_figures(
         * root_mean_square(spin - true_spin)
         / max(root_mean_square(true_spin), 1e-300),
     }
+
+
+def _with_neighbours(valid: Bool) -> Bool:
+    """Mark the measured nodes (z, y, x) whose six neighbours were measured."""
+    known = valid & inner(valid.shape)
+    for axis in range(3):
+        for shift in (1, -1):
+            known &= np.roll(valid, shift, axis=axis)
+    return np.asarray(known)
 
 
 def precision_interval(errors: F64) -> F64:

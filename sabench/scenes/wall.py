@@ -6,6 +6,8 @@ from pydantic import Field
 
 from sabench.utils.fields import Direction, Index, Positive, Table, Vector
 
+MOST_LAYERS = 20  # of a wall
+
 
 class LayerSpec(Table):
     """Solid layer of the wall."""
@@ -26,13 +28,17 @@ class WallSpec(Table):
         (0.0, 0.0, 1.0), description="direction from the cameras into the tank"
     )
     air_index: Index = Field(1.0, description="refractive index on the cameras' side")
-    layers: tuple[LayerSpec, ...] = Field((), description="solid layers, the cameras' side first")
+    layers: tuple[LayerSpec, ...] = Field(
+        (), max_length=MOST_LAYERS, description="solid layers, the cameras' side first"
+    )
     fluid_index: Index = Field(description="refractive index of the fluid")
     depth_mm: Positive | None = Field(
         None, description="distance from the inner face to the back wall"
     )
     rear: tuple[LayerSpec, ...] | None = Field(
-        None, description="solid layers of the back wall, the fluid's side first; air is behind it"
+        None,
+        max_length=MOST_LAYERS,
+        description="solid layers of the back wall, the fluid's side first; air is behind it",
     )
 
 

@@ -9,6 +9,8 @@ from sabench.api.solvers import TaskName
 from sabench.utils.errors import InputError
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from sabench.dataset.reader import Dataset
     from sabench.tasks.task import Task
 
@@ -24,6 +26,15 @@ def of(name: str) -> Task:
 def every() -> list[Task]:
     """Import all tasks, in the order of the leaderboard."""
     return [of(name) for name in NAMES]
+
+
+def check_task(name: TaskName, data: Dataset, path: Path) -> None:
+    """Raise an InputError for a result of a task that a data set cannot score."""
+    if not of(name).scores_data(data):
+        possible = " or ".join(task.name for task in every() if task.scores_data(data))
+        raise InputError(
+            f"{path}: attribute task: expected {possible}, which {data.root} can score, got {name}"
+        )
 
 
 def of_data(data: Dataset, asked: str | None = None) -> Task:

@@ -25,7 +25,16 @@ from sabench.metrics.trajectories import trajectory_scores
 from sabench.plotting import pictures
 from sabench.scenes import BubbleWorld, Scene
 from sabench.scenes.world import GeneratorTable
-from sabench.tasks.task import Captions, Figures, FrameByFrame, Score, Source, share_near
+from sabench.tasks.task import (
+    Captions,
+    Figures,
+    FrameByFrame,
+    Gate,
+    Score,
+    Source,
+    check_number,
+    share_near,
+)
 from sabench.utils import memory
 from sabench.utils.arrays import I64
 from sabench.utils.errors import InputError
@@ -106,6 +115,7 @@ class BubblesTask(FrameByFrame):
               "the same over that velocity"),
     )
     # fmt: on
+    gate = Gate("precision", 0.02)
     captions = Captions(
         heading="Bubbles from the front and from the side",
         estimates="Every bubble as a circle of its radius, coloured by radius; X or Z to the "
@@ -165,6 +175,9 @@ class BubblesTask(FrameByFrame):
         frames, found, every = [], [], []
         for frame in progress_bar(self.frames(data), "score"):
             estimate, true = self.read(data, source, frame), data.bubbles(frame)
+            if isinstance(source, Result):
+                where = f"{source.path}: {frame_group(frame)}/bubbles"
+                check_number(len(estimate.center_mm), len(true), where)
             cameras = data.setup.cameras
             seen = np.mean([data.sight(frame, camera).visible for camera in cameras], axis=0)
             frames.append(detection_scores(estimate, true, seen))

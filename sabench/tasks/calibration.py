@@ -5,8 +5,9 @@ The cameras are scored by the pixels to which they project points.
 
 from __future__ import annotations
 
+import contextlib
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -17,6 +18,7 @@ from sabench.api import Calibration, CalibrationCase, Observation
 from sabench.dataset.reader import Dataset
 from sabench.dataset.results import Result, ResultWriter
 from sabench.geometry.camera import Camera
+from sabench.metrics.averages import finite_or_none
 from sabench.metrics.calibration_error import (
     align_particles,
     calibration_scores,
@@ -37,6 +39,7 @@ from sabench.worlds.calibration_targets import exact_pixels
 
 _HELD_OUT = 500  # points that no calibration receives; thesis, section 4.4.2
 _PARTICLES = 2000
+_ROTATION = 1e-6  # how far a rotation's product with its transpose may be from the identity
 _ALIKE = 0.05  # of nominal cameras' error: how far calibrations by another order may be apart
 
 
@@ -144,6 +147,10 @@ class CalibrationTask(Task):
         "images of the particles.",
     )
 
+    def scores_data(self, data: Dataset) -> bool:
+        """Check whether a data set shows a target, or particles for self-calibration."""
+        return data.shows_target or "particles" in data.shows
+
     def frames(self, data: Dataset) -> Sequence[int]:
         """Return [0] only: one calibration serves all frames."""
         return [0]
@@ -188,7 +195,10 @@ class CalibrationTask(Task):
 
     def score(self, data: Dataset, source: Source) -> Figures:
         """Score a calibration."""
-        return score_calibration(data, self.read(data, source))
+        answer = self.read(data, source)
+        with _refuse_failures(source):
+            scores = score_calibration(data, answer)
+        return {k: None if value is None else finite_or_none(value) for k, value in scores.items()}
 
     def images(self, data: Dataset) -> bytes:
         """Draw the found points of the target, or the images of the particles, as a PNG."""
@@ -209,6 +219,10 @@ class CalibrationTask(Task):
 
     def picture(self, data: Dataset, source: Source) -> bytes:
         """Draw the true reprojection errors as a PNG; for the truth those of detection."""
+        with _refuse_failures(source):
+            return self._picture(data, source)
+
+    def _picture(self, data: Dataset, source: Source) -> bytes:
         first = data.setup.cameras[0]
         if not data.shows_target:
             truth_mm, exact = _particles(data)
@@ -226,7 +240,7 @@ class CalibrationTask(Task):
 def score_calibration(data: Dataset, answer: Calibration) -> Figures:
     """Score a calibration by a data set's target or, without one, by its particles."""
     if not data.shows_target:
-        return self_calibration_scores(answer.cameras, *_particles(data))
+        return self_calibration_scores(answer.cameras, *_particles(data), data.true_cameras)
     case, truth_mm = data.calibration_case(), data.placed().points_mm
     exact, outliers = data.sightings()
     good = case.found & ~outliers
@@ -237,6 +251,21 @@ def score_calibration(data: Dataset, answer: Calibration) -> Figures:
     held_out = _held_out(data, noise_px)
     others = held_out_scores(answer.cameras, data.true_cameras, *held_out, motion, aligned)
     return scores | others
+
+
+@contextlib.contextmanager
+def _refuse_failures(source: Source) -> Iterator[None]:
+    """Raise an InputError where the cameras of a result make the arithmetic fail."""
+    try:
+        with np.errstate(all="ignore"):
+            yield
+    except (ArithmeticError, LookupError, TypeError, ValueError) as error:
+        if not isinstance(source, Result):
+            raise
+        raise InputError(
+            f"{source.path}: calibration/cameras: expected cameras that project points, got some "
+            f"that fail: {error}"
+        ) from error
 
 
 def check_calibration(
@@ -250,6 +279,9 @@ def check_calibration(
     expected = [camera.name for camera in case.cameras]
     if names != expected:
         raise InputError(f"{source}: expected the cameras {expected}, got {names}")
+    for camera in answer.cameras:
+        if isinstance(camera, Camera):
+            _check_pinhole(camera, source)
     if not isinstance(case, CalibrationCase):
         return
     frames, points = case.initial_mm.shape[:2]
@@ -257,6 +289,21 @@ def check_calibration(
         answer.check(camera=len(case.cameras), frame=frames, point=points)
     except InputError as error:
         raise InputError(f"{source}: {error}") from error
+
+
+def _check_pinhole(camera: Camera, source: str) -> None:
+    """Raise an InputError for a camera that is none; `source` opens the sentence."""
+    for key in ("principal_distance_mm", "pixel_mm"):
+        value = getattr(camera, key)
+        if not value > 0.0:
+            raise InputError(f"{source}: {camera.name}: {key}: expected more than 0, got {value:g}")
+    rotation = np.asarray(camera.rotation, dtype=np.float64)
+    with np.errstate(all="ignore"):
+        off = float(np.abs(rotation @ rotation.T - np.eye(3)).max())
+    if not off < _ROTATION or np.linalg.det(rotation) < 0.0:
+        raise InputError(
+            f"{source}: {camera.name}: rotation: expected a rotation, got {rotation.tolist()}"
+        )
 
 
 def _shift(camera: Camera, number: int) -> Camera:

@@ -6,29 +6,32 @@ docs/using/calibrating.md describes it.
 from __future__ import annotations
 
 import csv
-import math
 import tomllib
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated
 
 import numpy as np
-import numpy.typing as npt
 from pydantic import BaseModel, ConfigDict, Field
 
 from sabench.algorithms.calibration.target_detection import detect
 from sabench.api import CalibrationCase
 from sabench.api.truth import Pattern, Target
 from sabench.geometry.camera import Camera, Distortion, aim, aimed_rotation
+from sabench.images.photographs import read_photographs
 from sabench.scenes.build import build_wall
 from sabench.scenes.wall import WallSpec
 from sabench.utils.arrays import F64
 from sabench.utils.errors import InputError
 from sabench.utils.fields import LensNumber, Positive, Vector
 from sabench.utils.progress import progress_bar
-from sabench.utils.validation import validate
+from sabench.utils.validation import printable, validate
 
 CONFIGURATION, IMAGES, POINTS = "calibration.toml", "images", "points.csv"
+_COLUMNS = ["camera", "frame", "point", "column", "row"]
+_FARTHEST_MM = 1e6  # a kilometre
+_FARTHEST_PX = 1e6  # of a point from the image's corner
+_MOST_PIXELS = 20_000_000  # pixels of points in all frames and cameras
 _SUFFIXES = (".tif", ".tiff", ".png", ".bmp", ".jpg", ".jpeg")
 
 
@@ -99,9 +102,10 @@ def read_case(folder: Path) -> CalibrationCase:
         values = tomllib.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
         raise InputError(f"{path}: expected the description of a calibration, found none") from None
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, RecursionError) as error:
         raise InputError(f"{path}: expected a TOML file, got {error}") from error
     configuration = validate(Configuration, values, str(path))
+    _check_lengths(configuration, str(path))
     target = Target(**configuration.target.model_dump())
     cameras = _cameras(configuration, str(path))
     plain = target.points_mm + np.asarray(configuration.target_mm)
@@ -119,6 +123,28 @@ def read_case(folder: Path) -> CalibrationCase:
         *_known_positions(configuration, initial.shape, str(path)),
         configuration.unknown,
     )
+
+
+def _check_lengths(configuration: Configuration, source: str) -> None:
+    """Check that lengths and coordinates are such as a laboratory has."""
+    target, array = configuration.target, configuration.array
+    given = {
+        "target": (target.pitch_mm, target.mark_mm),
+        "target_mm": configuration.target_mm,
+        "array": (array.pixel_mm, array.focal_length_mm, array.principal_distance_mm or 0.0),
+    }
+    for number, camera in enumerate(configuration.cameras):
+        given[f"cameras.{number}"] = (*camera.center_mm, *camera.aim_mm)
+    for number, point in enumerate(configuration.known):
+        given[f"known.{number}"] = (point.x_mm or 0.0, point.y_mm or 0.0, point.z_mm or 0.0)
+    if configuration.wall is not None:
+        given["wall"] = configuration.wall.point_mm
+    for key, values in given.items():
+        largest = max(map(abs, values))
+        if largest > _FARTHEST_MM:
+            raise InputError(
+                f"{source}: {key}: expected at most {_FARTHEST_MM:g} mm, got {largest:g}"
+            )
 
 
 def _cameras(configuration: Configuration, source: str) -> tuple[Camera, ...]:
@@ -182,6 +208,12 @@ def _read_points(path: Path, target: Target, cameras: tuple[Camera, ...]) -> F64
     numbers, rows = {camera.name: i for i, camera in enumerate(cameras)}, list(_lines(path))
     frames = 1 + max((row[1] for row in rows), default=-1)
     count = len(target.points_mm)
+    most = min(len(rows), _MOST_PIXELS // (len(cameras) * count))
+    if frames > most:
+        raise InputError(
+            f"{path}: expected frames counted from 0 and at most {most}, for {len(rows)} points "
+            f"found, got frame {frames - 1}"
+        )
     pixels = np.full((len(cameras), max(frames, 1), count, 2), np.nan)
     for camera, frame, point, column, row in rows:
         if camera not in numbers or not 0 <= point < count or frame < 0:
@@ -198,33 +230,36 @@ def _read_points(path: Path, target: Target, cameras: tuple[Camera, ...]) -> F64
 
 
 def _lines(path: Path) -> Iterator[tuple[str, int, int, float, float]]:
-    expected = ["camera", "frame", "point", "column", "row"]
-    with path.open(newline="", encoding="utf-8") as file:
-        reader = csv.DictReader(file)
-        if reader.fieldnames != expected:
-            raise InputError(
-                f"{path}: expected the first line {','.join(expected)}, got "
-                f"{','.join(reader.fieldnames or ())}"
-            )
-        for number, line in enumerate(reader, 2):
-            try:
-                values = (
-                    line["camera"],
-                    int(line["frame"]),
-                    int(line["point"]),
-                    float(line["column"]),
-                    float(line["row"]),
-                )
-            except (TypeError, ValueError) as error:
+    try:
+        with path.open(newline="", encoding="utf-8") as file:
+            reader = csv.DictReader(file)
+            if reader.fieldnames != _COLUMNS:
                 raise InputError(
-                    f"{path}: line {number}: expected a name, two whole numbers and two numbers, "
-                    f"got {error}"
-                ) from error
-            if not (math.isfinite(values[3]) and math.isfinite(values[4])):
-                raise InputError(
-                    f"{path}: line {number}: expected finite pixels, got {values[3]}, {values[4]}"
+                    f"{path}: expected the first line {','.join(_COLUMNS)}, got "
+                    f"{printable(','.join(reader.fieldnames or ()))}"
                 )
-            yield values
+            for number, line in enumerate(reader, 2):
+                yield _point(path, number, line)
+    except (csv.Error, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: expected a CSV file in UTF-8, got {error}") from error
+
+
+def _point(path: Path, number: int, line: dict[str, str]) -> tuple[str, int, int, float, float]:
+    """Read a line: camera, frame and number of a point, and its pixel."""
+    where = f"{path}: line {number}"
+    try:
+        frame, point = int(line["frame"]), int(line["point"])
+        column, row = float(line["column"]), float(line["row"])
+    except (TypeError, ValueError) as error:
+        raise InputError(
+            f"{where}: expected a name, two whole numbers and two numbers, got {error}"
+        ) from error
+    if not (abs(column) <= _FARTHEST_PX and abs(row) <= _FARTHEST_PX):
+        raise InputError(
+            f"{where}: expected pixels of -{_FARTHEST_PX:g} to {_FARTHEST_PX:g}, got {column}, "
+            f"{row}"
+        )
+    return line["camera"], frame, point, column, row
 
 
 def _read_images(folder: Path, target: Target, cameras: tuple[Camera, ...], plain: F64) -> F64:
@@ -240,35 +275,16 @@ def _read_images(folder: Path, target: Target, cameras: tuple[Camera, ...], plai
             f"{folder}: expected folders with an image of each camera, or a {POINTS} next to it, "
             "found neither"
         )
-    steps = [(c, k) for c in range(len(cameras)) for k in range(len(frames))]
     pixels = np.full((len(cameras), len(frames), len(target.points_mm), 2), np.nan)
-    for c, k in progress_bar(steps, "find the target"):
-        image = _image(frames[k], cameras[c])
-        if image is not None:
+    shape = (cameras[0].rows, cameras[0].columns)
+    for k in progress_bar(range(len(frames)), "find the target"):
+        paths = {c: path for c, camera in enumerate(cameras) if (path := _find(frames[k], camera))}
+        for c, image in zip(paths, read_photographs([*paths.values()], shape), strict=True):
             pixels[c, k] = detect(image, target, cameras[c].project(plain)[0])
     return pixels
 
 
-def _image(frame: Path, camera: Camera) -> npt.NDArray[np.uint16] | None:
-    """Read a camera's image of a frame; None if it took none."""
-    import cv2
-
-    path = next(
-        (
-            frame / f"{camera.name}{suffix}"
-            for suffix in _SUFFIXES
-            if (frame / f"{camera.name}{suffix}").is_file()
-        ),
-        None,
-    )
-    if path is None:
-        return None
-    image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH)
-    if image is None:
-        raise InputError(f"{path}: expected an image, got something else")
-    if image.shape != (camera.rows, camera.columns):
-        raise InputError(
-            f"{path}: expected {camera.rows} x {camera.columns} pixels (rows x columns), got "
-            f"{image.shape[0]} x {image.shape[1]}"
-        )
-    return np.asarray(image, dtype=np.uint16)
+def _find(frame: Path, camera: Camera) -> Path | None:
+    """Find a camera's image of a frame; None if it took none."""
+    names = (frame / f"{camera.name}{suffix}" for suffix in _SUFFIXES)
+    return next((path for path in names if path.is_file()), None)

@@ -139,13 +139,15 @@ def beat_nothing(trial: _Trial) -> None:
         solve(trial.solver, trial.data, out, parameters=trial.parameters, overwrite=True)
     except DeclinedError as error:
         raise _SkippedError(str(error)) from error
-    first = trial.task.columns[0]
-    own = score(trial.data, out)[first.key]
-    nothing = trial.task.score(trial.data, "empty")[first.key]
-    _expect(own is not None, f"{first.key}: expected a figure, got none")
-    sign = 1.0 if first.better == "larger" else -1.0
-    better = nothing is None or sign * own > sign * nothing
-    _expect(better, f"{first.key}: expected better than {nothing}, got {own}")
+    task = trial.task
+    first, gate = task.columns[0], task.gate
+    own, nothing = score(trial.data, out), task.score(trial.data, "empty")
+    _expect(own[first.key] is not None, f"{first.key}: expected a figure, got none")
+    if gate is not None:
+        admitted = f"{gate.key}: expected at least {gate.least:g}, got {own[gate.key]}"
+        _expect(task.admits(own), admitted)
+    better = f"{first.key}: expected better than {nothing[first.key]}, got {own[first.key]}"
+    _expect(task.rank(own) < task.rank(nothing), better)
 
 
 def find_nothing_in_the_dark(trial: _Trial) -> None:

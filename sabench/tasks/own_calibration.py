@@ -6,6 +6,7 @@ docs/using/calibrating.md describes it. The output is cameras and a report.
 
 from __future__ import annotations
 
+import json
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -69,14 +70,14 @@ def calibrate(
     reason = algorithm.skip(case)
     if reason:
         raise InputError(f"solver {solver} declines this case: {reason}")
-    answer: Calibration = algorithm.solve(case)
-    points = answer.points_mm
+    answer, points = _solve(algorithm, solver, case)
     if points is None or not all(isinstance(camera, Camera) for camera in answer.cameras):
         raise InputError(
             f"solver {solver}: expected one that returns pinhole cameras and the target's "
             "positions, for the report"
         )
     report, errors = report_on(case, answer, points)
+    _check_finite(report, answer, solver)
     with complete_or_nothing(out, overwrite=overwrite) as partial:
         partial.mkdir()
         walls = [camera.wall for camera in answer.cameras if isinstance(camera, Camera)]
@@ -86,6 +87,31 @@ def calibrate(
             pictures.arrows(case.pixels, errors, case.cameras[0].rows, case.cameras[0].columns)
         )
     return report
+
+
+def _solve(algorithm: Any, solver: str, case: CalibrationCase) -> tuple[Calibration, F64 | None]:
+    """Call a solver, which may raise anything on a strange case."""
+    try:
+        answer: Calibration = algorithm.solve(case)
+    except InputError:
+        raise
+    except Exception as error:
+        failed = f"solver {solver} failed: {type(error).__name__}: {error}"
+        raise InputError(failed) from error
+    return answer, answer.points_mm
+
+
+def _check_finite(report: Report, answer: Calibration, solver: str) -> None:
+    """Raise an InputError for a calibration that the data do not determine."""
+    figures = (report.noise_px, report.true_px, *report.std_mm, report.depth_mm)
+    records = [asdict(camera) for camera in answer.cameras if isinstance(camera, Camera)]
+    try:
+        json.dumps([figures, records], allow_nan=False)
+    except ValueError as error:
+        raise InputError(
+            f"solver {solver}: expected finite cameras and errors, got NaN or infinity: the data "
+            "do not determine the calibration, or calibration.toml has a wrong length"
+        ) from error
 
 
 def report_on(case: CalibrationCase, answer: Calibration, points: F64) -> tuple[Report, F64]:

@@ -25,7 +25,16 @@ from sabench.metrics.trajectories import link_scores
 from sabench.plotting import pictures
 from sabench.tasks.reconstruction import PARTICLE_IMAGES
 from sabench.tasks.solver_call import call_solver
-from sabench.tasks.task import Captions, Figures, Score, Source, Task, share_near
+from sabench.tasks.task import (
+    Captions,
+    Figures,
+    Gate,
+    Score,
+    Source,
+    Task,
+    check_number,
+    share_near,
+)
 from sabench.utils import memory
 from sabench.utils.arrays import F64, I64, Bool
 from sabench.utils.errors import InputError
@@ -73,6 +82,7 @@ class ParticlesTask(Task):
               "the same over that velocity"),
     )
     # fmt: on
+    gate = Gate("precision", 0.02)
     captions = Captions(
         heading="Particles in the middle slice",
         estimates="Found particles as Gaussian blobs on the grid, in the same window of the middle "
@@ -140,15 +150,24 @@ class ParticlesTask(Task):
 
         The scores of trajectories come from all frames together.
         """
-        found = self._all(data, source)
         truth = [data.particles(frame) for frame in self.frames(data)]
+        found = self._all(data, source, truth)
         pairs = list(zip(found, truth, strict=True))
         frames = [score_frame(data, one, true) for one, true in progress_bar(pairs, "score")]
         return mean_of_each(frames) | _over_time(data, found, truth)
 
-    def _all(self, data: Dataset, source: Source) -> list[FoundParticles]:
-        """Read the particles of all frames; those without trajectories are linked."""
+    def _all(
+        self, data: Dataset, source: Source, truth: Sequence[Particles] = ()
+    ) -> list[FoundParticles]:
+        """Read the particles of all frames; those without trajectories are linked.
+
+        With the true ones, far too many particles raise an InputError.
+        """
         found: list[FoundParticles] = [self.read(data, source, n) for n in self.frames(data)]
+        if isinstance(source, Result):
+            for frame, true in enumerate(truth):
+                where = f"{source.path}: {frame_group(frame)}/particles"
+                check_number(len(found[frame].position_mm), len(true.position_mm), where)
         missing = [number for number, one in enumerate(found) if one.trajectory is None]
         if isinstance(source, Result) and 0 < len(missing) < len(found):
             raise InputError(

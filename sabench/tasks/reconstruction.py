@@ -9,6 +9,7 @@ import numpy as np
 from sabench.api import Observation, Reconstruction
 from sabench.dataset.reader import Dataset
 from sabench.dataset.results import Result
+from sabench.dataset.schema import frame_group
 from sabench.geometry.visibility import any_in_view
 from sabench.metrics.averages import mean_of_each
 from sabench.metrics.reconstruction_error import score_frame
@@ -18,8 +19,10 @@ from sabench.tasks.task import (
     Captions,
     Figures,
     FrameByFrame,
+    Gate,
     Score,
     Source,
+    check_number,
     correlation,
 )
 from sabench.utils import memory
@@ -71,6 +74,7 @@ class ReconstructionTask(FrameByFrame):
               "rms px, with particles found as local maxima", hidden=True),
     )
     # fmt: on
+    gate = Gate("peak_precision", 0.02)
     captions = Captions(
         heading="Middle slice",
         estimates="The same central window of the middle z plane of the scored volume, x to the "
@@ -109,17 +113,15 @@ class ReconstructionTask(FrameByFrame):
 
     def score(self, data: Dataset, source: Source) -> Figures:
         """Average the scores of the frames that have them."""
-        return mean_of_each(
-            [
-                score_frame(
-                    data.setup.grid,
-                    data.particles(frame),
-                    data.views(frame),
-                    self.read(data, source, frame),
-                )
-                for frame in progress_bar(self.frames(data), "score")
-            ]
-        )
+        frames = progress_bar(self.frames(data), "score")
+        return mean_of_each([self._score_frame(data, source, frame) for frame in frames])
+
+    def _score_frame(self, data: Dataset, source: Source, frame: int) -> Figures:
+        estimate, particles = self.read(data, source, frame), data.particles(frame)
+        if isinstance(source, Result) and estimate.particles_mm is not None:
+            where = f"{source.path}: {frame_group(frame)}/particles_mm"
+            check_number(len(estimate.particles_mm), len(particles.position_mm), where)
+        return score_frame(data.setup.grid, particles, data.views(frame), estimate)
 
     def alike(self, data: Dataset, one: Reconstruction, other: Reconstruction) -> bool:
         """Compare volumes by their correlation: MART and its kin depend on the order."""

@@ -25,6 +25,7 @@ from sabench.tasks.task import (
     Captions,
     Figures,
     FrameByFrame,
+    Gate,
     Score,
     Source,
     correlation,
@@ -61,6 +62,7 @@ class SeeThroughTask(FrameByFrame):
               "d' of single images, mean over the cameras"),
     )
     # fmt: on
+    gate = Gate("read_percent", 60.0)
     captions = Captions(
         heading="The code's plane",
         estimates="The plane of the stack that contains the code behind the bubbles, each with its "

@@ -189,6 +189,8 @@ def score(
     opened = None if word else open_result(result, data)
     if opened and task not in (None, opened.task):
         raise InputError(f"task: expected {opened.task} for {opened.path}, got {task!r}")
+    if opened:
+        tasks.check_task(opened.task, data, opened.path)
     judged = tasks.of(opened.task) if opened else tasks.of_data(data, task)
     return {
         "dataset": data.content_hash,

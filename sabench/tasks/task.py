@@ -7,7 +7,7 @@ suites, records, the leaderboard, the gates and the command use nothing else.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, Literal
 
@@ -27,6 +27,7 @@ from sabench.utils.errors import InputError
 Better = Literal["larger", "smaller", "unity", "steady"]
 Source = Result | Literal["truth", "empty"]
 Figures = dict[str, float | None]
+_TIMES, _SPARE = 100, 10_000  # detections of a frame that are scored: per true one, and more
 
 
 @dataclass(frozen=True)
@@ -54,6 +55,30 @@ class Score:
     meaning: str
     counted: bool = False
     hidden: bool = False
+
+
+@dataclass(frozen=True)
+class Gate:
+    """Condition under which the first score ranks an estimate.
+
+    Estimates that do not meet it share the last rank: their first score could be good by chance, or
+    by what they leave out.
+
+    Attributes
+    ----------
+    key : of the score that it is about.
+    least : smallest figure that meets it.
+    """
+
+    key: str
+    least: float
+
+    def admits(self, figures: Mapping[str, object]) -> bool:
+        """Check figures; those that lack the score, as old records may, are admitted."""
+        value = figures.get(self.key)
+        return self.key not in figures or (
+            isinstance(value, int | float) and float(value) >= self.least
+        )
 
 
 COSTS = (
@@ -101,6 +126,7 @@ class Task(ABC):
     shown : kind of objects in the frames of its data sets.
     estimate : class of the estimates that its solvers return.
     scores : its own, the most important one first; `all_scores` adds the costs.
+    gate : which estimates the first score ranks; None: all that have it.
     captions : of its figures.
     """
 
@@ -108,6 +134,7 @@ class Task(ABC):
     shown: ClassVar[Shown]
     estimate: ClassVar[type[Estimate]]
     scores: ClassVar[tuple[Score, ...]]
+    gate: ClassVar[Gate | None] = None
     captions: ClassVar[Captions]
 
     @property
@@ -124,9 +151,28 @@ class Task(ABC):
         """Look a score up by its key; a KeyError names one that the task does not have."""
         return {score.key: score for score in self.all_scores}[key]
 
+    def admits(self, figures: Mapping[str, object]) -> bool:
+        """Check whether the first score ranks an estimate with these figures."""
+        return self.gate is None or self.gate.admits(figures)
+
+    def rank(self, figures: Mapping[str, Any]) -> tuple[bool, float]:
+        """Compute the key by which estimates are ranked: the smaller, the better.
+
+        All that have no first score, or that the gate does not admit, share the last rank.
+        """
+        first = self.columns[0]
+        value = figures.get(first.key)
+        if value is None or not self.admits(figures):
+            return True, 0.0
+        return False, -float(value) if first.better == "larger" else float(value)
+
     def accepts(self, data: Dataset) -> bool:
         """Check whether a data set has all that the task's solvers and scores need."""
         return self.shown in data.shows
+
+    def scores_data(self, data: Dataset) -> bool:
+        """Check whether results of the task can be scored on a data set."""
+        return self.accepts(data)
 
     def frames(self, data: Dataset) -> Sequence[int]:
         """List the frames that have an estimate each; [0] where one serves all frames."""
@@ -248,6 +294,19 @@ def correlation(one: F32, other: F32) -> float:
     """Correlation of two volumes, without subtraction of their means."""
     norms = float(np.sqrt((one**2).sum() * (other**2).sum()))
     return float((one * other).sum()) / norms if norms else 1.0
+
+
+def check_number(found: int, true: int, where: str) -> None:
+    """Raise an InputError for far more detections than there is anything to find.
+
+    `where` opens the sentence.
+    """
+    most = _SPARE + _TIMES * true
+    if found > most:
+        raise InputError(
+            f"{where}: expected at most {most} detections, {_TIMES} times as many as there are "
+            f"and {_SPARE}, got {found}"
+        )
 
 
 def check_estimate(found: Estimate, solver: str, data: Dataset, frame: int) -> None:

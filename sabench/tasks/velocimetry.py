@@ -5,6 +5,7 @@ The volumes are reconstructed from pairs of frames.
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
@@ -17,20 +18,20 @@ from sabench.dataset.reader import Dataset
 from sabench.dataset.results import Result, ResultWriter
 from sabench.metrics.averages import finite_or_none
 from sabench.metrics.velocity_error import velocity_scores
+from sabench.metrics.velocity_sampling import evaluation_lattice, sample_velocity
 from sabench.plotting.drawing import draw
 from sabench.tasks import reconstruction
 from sabench.tasks.figures.velocity import field_figure
 from sabench.tasks.solver_call import call_solver
-from sabench.tasks.task import Captions, Figures, Score, Source, Task, check_estimate
+from sabench.tasks.task import Captions, Figures, Gate, Score, Source, Task, check_estimate
 from sabench.utils import memory
-from sabench.utils.arrays import F64, triple
+from sabench.utils.arrays import F64
 from sabench.utils.errors import InputError
 from sabench.utils.progress import progress_bar
 from sabench.worlds.advection import advect
 from sabench.worlds.tracers import TOLERANCE, flow_of
 
 _NEIGHBOURS = 8  # true particles whose mean replaces the flow where a data set has none
-_NODES = np.array([9, 8, 7])  # of the lattice of the best, worst and wrong estimates, as (x, y, z)
 
 
 class VelocimetryTask(Task):
@@ -53,7 +54,7 @@ class VelocimetryTask(Task):
         Score("rms_voxel", "rms voxel", "voxel", "smaller", 3,
               "root mean square length of the error"),
         Score("yield_percent", "yield %", "%", "larger", 1,
-              "share of the vectors that were measured", counted=True),
+              "share of the evaluation nodes at which the velocity was measured", counted=True),
         Score("response", "response", "", "unity", 3,
               "the part of the true field's variation that is found"),
         Score("divergence_1_s", "divergence 1/s", "1/s", "smaller", 3,
@@ -76,6 +77,7 @@ class VelocimetryTask(Task):
               "root mean square error of the displacement along Z", hidden=True),
     )
     # fmt: on
+    gate = Gate("yield_percent", 50.0)
     captions = Captions(
         heading="Fields",
         estimates="The first pair: vectors and vorticity of a middle plane, errors there, all "
@@ -88,6 +90,10 @@ class VelocimetryTask(Task):
     def accepts(self, data: Dataset) -> bool:
         """Check whether a data set shows particles alone and has pairs of frames."""
         return data.shows == (self.shown,) and bool(data.setup.pairs())
+
+    def scores_data(self, data: Dataset) -> bool:
+        """Check whether a data set shows particles and has pairs of frames."""
+        return self.shown in data.shows and bool(data.setup.pairs())
 
     def frames(self, data: Dataset) -> Sequence[int]:
         """List the first frames of the pairs."""
@@ -121,23 +127,13 @@ class VelocimetryTask(Task):
         return seconds
 
     def truth(self, data: Dataset, frame: int) -> Velocity:
-        """Make the true velocity on a coarse lattice."""
+        """Make the true velocity at the evaluation nodes."""
         lattice = self.empty(data, frame)
-        points = lattice.positions_mm
-        true = true_velocity(data, _pair(data, frame), points.reshape(-1, 3)).reshape(points.shape)
-        return replace(lattice, velocity_mm_s=true, valid=np.ones_like(lattice.valid))
+        return replace(lattice, velocity_mm_s=_truth_at(data, _pair(data, frame), lattice))
 
     def empty(self, data: Dataset, frame: int) -> Velocity:
-        """Make a coarse lattice on which nothing was measured."""
-        grid = data.setup.grid
-        low, size = np.asarray(grid.low_mm), np.asarray(grid.voxel_mm) * grid.shape[::-1]
-        shape = tuple(_NODES[::-1])
-        return Velocity(
-            triple(low + 0.1 * size),
-            triple(0.8 * size / (_NODES - 1)),
-            np.zeros((*shape, 3)),
-            np.zeros(shape, dtype=np.bool_),
-        )
+        """Make a field at rest: what an estimate that sees no motion returns."""
+        return evaluation_lattice(data.setup.grid)
 
     def wrong(self, data: Dataset, frame: int) -> Velocity:
         """Slow the true velocity by a tenth, add a wave, and leave one corner unmeasured."""
@@ -163,11 +159,12 @@ class VelocimetryTask(Task):
         """Draw the first pair's field, its errors and a profile as a PNG."""
         pair = data.setup.pairs()[0]
         field = self.read(data, source, pair[0])
-        points = field.positions_mm
-        exact = true_velocity(data, pair, points.reshape(-1, 3)).reshape(points.shape)
+        exact = _truth_at(data, pair, field)
         voxel = np.asarray(data.setup.grid.voxel_mm) / interval_s(data, pair)
         label = source.solver if isinstance(source, Result) else source
-        return draw(field_figure(field, exact, voxel, label))
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of arrows and axes without length
+            return draw(field_figure(field, exact, voxel, label))
 
 
 class _Volumes:
@@ -199,17 +196,24 @@ def _pair(data: Dataset, first: int) -> tuple[int, int]:
 
 
 def score_pair(data: Dataset, pair: tuple[int, int], field: Velocity) -> dict[str, float]:
-    """Score one pair's field."""
-    points = field.positions_mm
-    truth = true_velocity(data, pair, points.reshape(-1, 3)).reshape(points.shape)
+    """Score one pair's field, sampled at the evaluation nodes."""
+    grid = data.setup.grid
+    nodes = evaluation_lattice(grid)
+    sampled, measured = sample_velocity(field, nodes.positions_mm.reshape(-1, 3))
     return velocity_scores(
-        field.velocity_mm_s,
-        truth,
-        field.valid,
-        field.step_mm,
+        sampled.reshape(nodes.velocity_mm_s.shape),
+        _truth_at(data, pair, nodes),
+        measured.reshape(nodes.valid.shape),
+        nodes.step_mm,
         interval_s(data, pair),
-        data.setup.grid.voxel_mm,
+        grid.voxel_mm,
     )
+
+
+def _truth_at(data: Dataset, pair: tuple[int, int], lattice: Velocity) -> F64:
+    """Compute the true velocity (z, y, x, 3) at the nodes of a lattice."""
+    points = lattice.positions_mm
+    return true_velocity(data, pair, points.reshape(-1, 3)).reshape(points.shape)
 
 
 def true_velocity(data: Dataset, pair: tuple[int, int], points_mm: F64) -> F64:

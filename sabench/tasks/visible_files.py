@@ -142,11 +142,18 @@ def view_of_program(desk: Desk, data: Dataset, program: Path) -> View | None:
 
 
 def _import_paths() -> list[Path]:
-    """List the folders of PYTHONPATH, without that of the checkout.
+    """List the folders of importable modules that are not Python's own.
 
-    The package is shown itself.
+    They are those of PYTHONPATH and of packages that were installed elsewhere, but neither the
+    script's nor the checkout's: the package is shown itself.
     """
-    return [one for one in _listed("PYTHONPATH") if one not in _PACKAGE.parents]
+    python = [Path(sys.prefix), Path(sys.base_prefix)]
+    paths = [*_listed("PYTHONPATH"), *(Path(one).absolute() for one in sys.path[1:] if one)]
+    return [
+        path
+        for path in dict.fromkeys(paths)
+        if path not in _PACKAGE.parents and not any(path.is_relative_to(one) for one in python)
+    ]
 
 
 def _listed(variable: str) -> list[Path]:

@@ -62,4 +62,9 @@ def _advect_together(
         atol=atol,
         t_eval=(end_s,),
     )
+    if not done.success:  # velocities that are not finite, or that change too fast
+        raise InputError(
+            f"flow {flow.name}: expected a field that particles can follow for "
+            f"{end_s - start_s:g} s, but the integration failed: {done.message}"
+        )
     return np.asarray(done.y[:, -1].reshape(-1, 3))

@@ -8,6 +8,7 @@ from sabench import plugins
 from sabench.api import Code, CodeGenerator
 from sabench.api.make import generator_of
 from sabench.scenes import Scene
+from sabench.utils.errors import InputError
 from sabench.worlds.bubbles_and_bodies import bodies_of, pose_of
 
 
@@ -28,6 +29,8 @@ def code_of(scene: Scene, seed: int, frame: int) -> Code:
             parts.append(
                 Code(pose(own.points_mm.reshape(-1, 3)).reshape(own.points_mm.shape), own.dark)
             )
+    if not parts:
+        raise InputError(f"{scene.title}: expected a body with a code, got none")
     return Code(
         np.concatenate([part.points_mm for part in parts]),
         np.concatenate([part.dark for part in parts]),

@@ -8,6 +8,8 @@ of the process that started it.
 
 from __future__ import annotations
 
+import re
+
 TRICKS = {
     "read the truth": "return open(DATA + '/truth.h5', 'rb').read(8)",
     "read the seed": "return open(DATA + '/manifest.json').read()",
@@ -15,7 +17,8 @@ TRICKS = {
     "read the radiance": "return open(DATA + '/images/frame_0000/camera_00.exr', 'rb').read(8)",
     "read the secret": "return open(SECRET).read()",
     "look around": """
-return [name for name in os.listdir(os.path.dirname(DATA)) if name in ('set', 'secret.toml')]
+names = os.listdir(os.path.dirname(DATA))
+return [name for name in names if name in ('set', 'secret.toml')] or None
 """,
     "look next to the images": """
 for folder, _, names in os.walk(os.path.dirname(SEEN)):
@@ -54,8 +57,8 @@ if CASE is None:
 return CASE.load.data.particles(0)
 """,
     "write outside": "open(MARK, 'w').write('x')",
-    "write to the data set": "open(DATA + '/images/frame_0000/camera_00.tif', 'r+b').write(b'x')",
-    "write to what was given": "open(SEEN + '/cameras.json', 'r+b').write(b'x')",
+    "write to the data set": "return open(DATA + '/cameras.json', 'r+b').write(b'x')",
+    "write to what was given": "return open(SEEN + '/cameras.json', 'r+b').write(b'x')",
     "remove what was given": "os.unlink(SEEN + '/images/frame_0000/camera_00.tif'); return 'gone'",
     "connect": "return socket.create_connection(('127.0.0.1', PORT), 2.0)",
     "outlive": """
@@ -106,77 +109,68 @@ import ctypes, gc, os, socket, subprocess, sys, time
 
 DATA, SECRET, MARK, PORT, TOKEN, PARENT = {constants!r}
 
-def trick(CASE, SEEN):
-{body}
+{functions}
+
+def gains(case, seen):
+    gained = []
+    for number, trick in enumerate([{names}]):
+        try:
+            if trick(case, seen) is not None:
+                gained.append(str(number))
+        except Exception:
+            pass
+    return " ".join(gained)
 """
 _PLUGIN = '''"""Cheats."""
 
-import sys
-
-from sabench.api import Observation, Reconstruction, Solver
-
 import numpy as np
+
+from sabench.api import {imports}
 {head}
 
-class Cheat(Solver):
-    """Tries a trick, and finds nothing."""
+class Cheat({base}):
+    """Tries all tricks, and finds nothing."""
 
     name = "cheat"
 
-    def solve(self, case: Observation) -> Reconstruction:
+    def solve(self, case: {case}):
         frame = sys._getframe()
-        while frame and "data" not in frame.f_locals:
+        while "data" not in frame.f_locals or not hasattr(frame.f_locals["data"], "root"):
             frame = frame.f_back
-        try:
-            got = trick(None, str(frame.f_locals["data"].root))
-        except Exception:
-            got = None
-        if got:
-            raise RuntimeError(f"GOT {{got!r}}")
-        return Reconstruction(np.zeros(case.grid.shape, dtype=np.float32))
-'''
-_FILM_PLUGIN = '''"""Cheats."""
-
-from sabench.api import FoundParticles, ImageSequence, ParticleSolver
-
-import numpy as np
-{head}
-
-class Cheat(ParticleSolver):
-    """Tries a trick, and finds nothing."""
-
-    name = "cheat"
-
-    def solve(self, case: ImageSequence) -> list[FoundParticles]:
-        try:
-            got = trick(case, "")
-        except Exception:
-            got = None
-        if got is not None:
-            raise RuntimeError(f"GOT {{got!r}}")
-        return [FoundParticles(np.zeros((0, 3))) for _ in range(len(case))]
+        gained = gains(case, str(frame.f_locals["data"].root))
+        raise RuntimeError(f"gained [{{gained}}]")
 '''
 _PROGRAM = """#!{python}
 {head}
-try:
-    got = trick(None, sys.argv[1])
-except Exception:
-    got = None
-sys.exit(f"GOT {{got!r}}" if got else "found nothing")
+sys.exit(f"gained [{{gains(None, sys.argv[1])}}]")
 """
 
 
-def _head(trick: str, constants: tuple[object, ...]) -> str:
-    body = "\n".join(f"    {line}" for line in TRICKS[trick].strip().splitlines())
-    return _HEAD.format(constants=constants, body=body)
+def _head(constants: tuple[object, ...]) -> str:
+    functions = []
+    for number, body in enumerate(TRICKS.values()):
+        lines = "\n".join(f"    {line}" for line in body.strip().splitlines())
+        functions.append(f"def trick_{number}(CASE, SEEN):\n{lines}\n")
+    names = ", ".join(f"trick_{number}" for number in range(len(TRICKS)))
+    return _HEAD.format(constants=constants, functions="\n".join(functions), names=names)
 
 
-def plugin(trick: str, constants: tuple[object, ...]) -> str:
-    """Source of a plug-in that tries a trick: one of particles where it needs a sequence."""
-    kind = _FILM_PLUGIN if "CASE" in TRICKS[trick] else _PLUGIN
-    return kind.format(head=_head(trick, constants))
+def plugin(kind: str, constants: tuple[object, ...]) -> str:
+    """Source of a plug-in that tries all tricks, for "reconstruction" or "particles"."""
+    case, base = {
+        "reconstruction": ("Observation", "Solver"),
+        "particles": ("ImageSequence", "ParticleSolver"),
+    }[kind]
+    return _PLUGIN.format(imports=f"{case}, {base}", head=_head(constants), base=base, case=case)
 
 
-def program(trick: str, constants: tuple[object, ...], python: str) -> str:
-    """Source of a program that tries a trick."""
-    return _PROGRAM.format(python=python, head=_head(trick, constants))
+def program(constants: tuple[object, ...], python: str) -> str:
+    """Source of a program that tries all tricks."""
+    return _PROGRAM.format(python=python, head=_head(constants))
+
+
+def gained(message: str) -> list[str]:
+    """List the tricks that gained something, by the message of the solver's failure."""
+    found = re.search(r"gained \[([0-9 ]*)\]", message)
+    assert found, message
+    return [list(TRICKS)[int(number)] for number in found[1].split()]

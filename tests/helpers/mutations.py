@@ -9,12 +9,14 @@ import random
 import struct
 import tarfile
 import zipfile
+import zlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import h5py
 import numpy as np
+import tifffile
 
 NUMBERS: tuple[Any, ...] = (
     0,
@@ -265,6 +267,52 @@ def _large_chunk(file: Any, name: str, rng: random.Random) -> None:
     file.create_dataset(name, shape, dtype, chunks=chunk, maxshape=(None,) * len(shape))
 
 
+def _long_stream(file: Any, name: str, rng: random.Random) -> None:
+    """A deflate stream that does not hold one chunk."""
+    node = file[name]
+    if not node.shape or 0 in node.shape or node.dtype.kind not in "iuf":
+        return
+    shape, dtype = node.shape, node.dtype
+    del file[name]
+    made = file.create_dataset(name, shape, dtype, chunks=shape, compression="gzip")
+    size = rng.choice((0, 1, made.nbytes - 1, made.nbytes + 1, 10**6, 10**8, 10**8))
+    stream = zlib.compress(bytes(size), 9)
+    if rng.random() < 0.2:
+        stream = data(stream[:100_000], rng)
+    made.id.write_direct_chunk((0,) * len(shape), stream)
+
+
+def _odd_filter(file: Any, name: str, rng: random.Random) -> None:
+    node = file[name]
+    if not node.shape or 0 in node.shape or node.dtype.kind not in "iuf":
+        return
+    values = node[...]
+    del file[name]
+    kinds: tuple[dict[str, Any], ...] = (
+        {"compression": "lzf"},
+        {"fletcher32": True},
+        {"shuffle": True, "compression": "gzip"},
+        {"shuffle": True},
+        {"scaleoffset": 3},
+    )
+    file.create_dataset(name, data=values, chunks=values.shape, **rng.choice(kinds))
+
+
+def _blind(file: Any, name: str, rng: random.Random) -> None:
+    """All data sets of one name get one value, as where no camera sees anything."""
+    last = name.rpartition("/")[2]
+    value = rng.choice((0, 0, float("nan"), -1))
+
+    def change(other: str, node: Any) -> None:
+        if isinstance(node, h5py.Dataset) and other.rpartition("/")[2] == last and node.shape:
+            if node.dtype.kind in "iu":
+                node[...] = 0
+            elif node.dtype.kind == "f":
+                node[...] = value
+
+    file.visititems(change)
+
+
 def _odd_values(file: Any, name: str, rng: random.Random) -> None:
     node = file[name]
     if node.dtype.kind not in "iuf" or not node.size:
@@ -375,6 +423,9 @@ _CHANGES: tuple[Change, ...] = (
     _other_type,
     _bomb,
     _large_chunk,
+    _long_stream,
+    _odd_filter,
+    _blind,
     _odd_values,
     _odd_values,
     _odd_values,
@@ -385,6 +436,55 @@ _CHANGES: tuple[Change, ...] = (
     _odd_attribute,
     _new_attribute,
 )
+
+
+def tiff(path: Path, rng: random.Random) -> None:
+    """Write a TIFF of another kind."""
+    shape = rng.choice(
+        ((24, 32), (24, 32), (32, 24), (24, 32, 3), (2, 24, 32), (1, 1), (3000, 3000))
+    )
+    image = np.full(shape, rng.choice((0, 64, 4095, 65535))).astype(
+        rng.choice(("u2", "u2", "u1", "f4", "i2"))
+    )
+    compression = rng.choice((None, None, "zlib"))
+    predictor = compression is not None and image.dtype.kind in "iu" and rng.random() < 0.5
+    tifffile.imwrite(
+        path,
+        image,
+        compression=compression,
+        predictor=predictor or None,
+        tile=(16, 16) if rng.random() < 0.2 else None,
+        photometric=rng.choice(("minisblack", "minisblack", "miniswhite")),
+        bigtiff=rng.random() < 0.5,
+        byteorder=rng.choice("<>"),
+    )
+
+
+def exr(path: Path, rng: random.Random) -> None:
+    """Write an EXR of another kind, or one with radiance that cannot be."""
+    import OpenEXR
+
+    shape = rng.choice(((24, 32), (24, 32), (24, 32), (32, 24), (1, 1), (2000, 2000)))
+    image = np.full(shape, 1.0, dtype=rng.choice(("f4", "f4", "f4", "f2", "u4")))
+    if image.dtype.kind == "f" and rng.random() < 0.5:
+        image[0, : rng.randrange(1, shape[1] + 1)] = rng.choice(
+            (np.nan, np.inf, -np.inf, -1.0, -0.0, 6e4)
+        )
+    kinds = (OpenEXR.ZIP_COMPRESSION, OpenEXR.ZIP_COMPRESSION, OpenEXR.PIZ_COMPRESSION)
+    head = {"compression": rng.choice(kinds), "type": OpenEXR.scanlineimage}
+    names = rng.choice((("Y",), ("Y",), ("Y", "Z"), ("R",)))
+    parts = [OpenEXR.Part(dict(head), dict.fromkeys(names, image), "a")]
+    if rng.random() < 0.2:
+        parts.append(OpenEXR.Part(dict(head), {"Y": image}, "b"))
+    path.unlink()
+    with OpenEXR.File(parts) as file:
+        file.write(str(path))
+
+
+def set_attribute(path: Path, name: str, value: Any) -> None:
+    """Set an attribute of an HDF5 file, if it can still be opened."""
+    with contextlib.suppress(OSError, RuntimeError, KeyError), h5py.File(path, "r+") as file:
+        file.attrs[name] = value
 
 
 def hdf5(path: Path, rng: random.Random) -> None:

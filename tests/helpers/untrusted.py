@@ -8,10 +8,9 @@ import shutil
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
-import tifffile
 import tomli_w
 
 from sabench.api import Detections, Velocity
@@ -21,7 +20,8 @@ from sabench.dataset.reader import Dataset, open_dataset
 from sabench.dataset.results import result_writer
 from sabench.scenes import parse_scene
 from sabench.utils.errors import InputError
-from tests.helpers import mutations
+from tests.helpers import mutations, untrusted_files
+from tests.helpers.bubble_scenes import small
 
 SCENE: dict[str, Any] = {
     "title": "tiny",
@@ -74,9 +74,45 @@ EXTRAS: dict[str, Any] = {
 TARGETS: dict[str, Any] = {
     **{key: value for key, value in SCENE.items() if key not in ("particles", "illumination")},
     "title": "board",
-    "frames": 3,
-    "targets": {"generator": "boards", "columns": 4, "rows": 3, "pitch_mm": 0.5},
+    "frames": 4,
+    "cameras": {
+        **SCENE["cameras"],
+        "layout": {"kind": "grid", "columns": 3, "rows": 1, "spacing_mm": [240.0, 240.0]},
+    },
+    "targets": {"generator": "boards", "columns": 5, "rows": 4, "pitch_mm": 0.4},
     "detection": {"noise_px": 0.1},
+}
+CODE: dict[str, Any] = {
+    "volume": {"center_mm": [0.0, 0.0, 48.0], "size_mm": [24.0, 18.0, 40.0]},
+    "grid": {"voxel_mm": [0.5, 0.5, 2.0]},
+    "bubbles": {
+        "generator": "bubble_field",
+        "count": 3,
+        "radius_mm": 1.2,
+        "radius_range_mm": [0.9, 1.6],
+        "low_mm": [-9.0, -8.0, 28.0],
+        "high_mm": [9.0, 8.0, 40.0],
+    },
+    "solids": [
+        {
+            "generator": "code_plate",
+            "columns": 6,
+            "rows": 5,
+            "cell_mm": 2.0,
+            "place_mm": [0.0, 0.0, 66.0],
+            "material": {"reflectance": 0.0},
+        }
+    ],
+    "render": {"relative_error": 0.2},
+    "cameras": {
+        "rows": 36,
+        "columns": 48,
+        "pixel_mm": 0.06,
+        "focal_length_mm": 50.0,
+        "f_number": 11.0,
+        "center_mm": [0.0, 0.0, -520.0],
+        "layout": {"kind": "line", "count": 2, "spacing_mm": 120.0},
+    },
 }
 SUITE: dict[str, Any] = {
     "title": "tiny suite",
@@ -98,14 +134,22 @@ LARGEST_STEPS = 4e6
 class Base:
     """Intact data that cases damage.
 
-    A data set of particles and one of a target, results of several tasks, and a line of a
-    leaderboard.
+    Data sets of particles, of a target and of a code behind bubbles, results of all tasks, a line
+    of a leaderboard, files of other programs, and the folder of an interrupted generation.
     """
 
     particles: Dataset
     target: Dataset
+    code: Dataset
     results: dict[str, Path]
     record: dict[str, Any]
+    files: dict[str, Path]
+    interrupted: Path
+
+    def data_of(self, task: str) -> Dataset:
+        """Return the data set that a task's result belongs to."""
+        own = {"calibration": self.target, "bubbles": self.code, "see_through": self.code}
+        return own.get(task, self.particles)
 
 
 def make_base(root: Path) -> Base:
@@ -116,10 +160,7 @@ def make_base(root: Path) -> Base:
         generate(parse_scene(scene, name), root / name, seed=1, backend="splat", name=name)
         for scene, name in ((SCENE, "particles"), (TARGETS, "target"))
     ]
-    names: tuple[TaskName, ...] = ("reconstruction", "velocimetry", "bubbles", "calibration")
-    results: dict[str, Path] = {
-        task: _result(task, made[task == "calibration"], root / f"{task}.h5") for task in names
-    }
+    made.append(generate(small(**CODE), root / "code", seed=1))
     record = {
         "format": "sabench-record",
         "version": 2,
@@ -144,7 +185,15 @@ def make_base(root: Path) -> Base:
         "q": 0.5,
         "seconds": 1.0,
     }
-    return Base(made[0], made[1], results, record)
+    files = untrusted_files.write_fields(root / "files")
+    files |= untrusted_files.write_meshes(root / "files")
+    files["baseline"] = untrusted_files.write_baseline(root / "files" / "tiny.json")
+    interrupted = untrusted_files.interrupt(SCENE, root / "interrupted")
+    particles, target, code = made
+    base = Base(particles, target, code, {}, record, files, interrupted)
+    for task in get_args(TaskName):
+        base.results[task] = _result(task, base.data_of(task), root / f"{task}.h5")
+    return base
 
 
 def _estimate(task: TaskName, data: Dataset, frame: int) -> Any:
@@ -152,7 +201,9 @@ def _estimate(task: TaskName, data: Dataset, frame: int) -> Any:
 
     rng = np.random.default_rng(1 + frame)
     if task == "bubbles":
-        balls = Detections.balls(rng.random((5, 3)), rng.random(5) + 0.1)
+        balls = Detections.balls(
+            rng.random((5, 3)) + np.array([0.0, 0.0, 30.0]), rng.random(5) + 0.1
+        )
         return replace(balls, trajectory=np.arange(5))
     if task == "velocimetry":
         valid = np.ones((2, 3, 4), dtype=bool)
@@ -183,7 +234,7 @@ def scene(base: Base, inputs: Path, out: Path, rng: random.Random) -> Feed:
     if "particles" in whole:
         whole |= {key: value for key, value in EXTRAS.items() if rng.random() < 0.2}
     path = inputs / "scene.toml"
-    _write_toml(path, whole, rng)
+    write_toml(path, whole, rng)
 
     def feed() -> None:
         from sabench.scenes import load_scene
@@ -204,7 +255,7 @@ def scene(base: Base, inputs: Path, out: Path, rng: random.Random) -> Feed:
     return feed
 
 
-def _write_toml(path: Path, whole: dict[str, Any], rng: random.Random) -> None:
+def write_toml(path: Path, whole: dict[str, Any], rng: random.Random) -> None:
     if rng.random() < 0.2:
         path.write_bytes(mutations.data(tomli_w.dumps(whole).encode(), rng))
         return
@@ -234,7 +285,7 @@ def suite(base: Base, inputs: Path, out: Path, rng: random.Random) -> Feed:
     program = inputs / "program"
     program.write_text("#!/bin/sh\nexit 3\n")
     program.chmod(0o755)
-    _write_toml(inputs / "suite.toml", SUITE, rng)
+    write_toml(inputs / "suite.toml", SUITE, rng)
 
     def feed() -> None:
         from sabench.evaluation.suite_loading import load_suite
@@ -249,7 +300,7 @@ def dataset(base: Base, inputs: Path, out: Path, rng: random.Random) -> Feed:
 
     In most cases the manifest has the damaged file's checksum.
     """
-    source = base.target if rng.random() < 0.2 else base.particles
+    source = rng.choice((base.particles, base.particles, base.target, base.code))
     root = Path(shutil.copytree(source.root, inputs / "set"))
     name = rng.choice(
         sorted(
@@ -266,7 +317,24 @@ def dataset(base: Base, inputs: Path, out: Path, rng: random.Random) -> Feed:
         reseal(root)
 
     def feed() -> None:
-        _all_of((_verified, _probed, _scored, _solved), root, out)
+        _all_of((_verified, _probed, _scored, _solved, _exported), root, out)
+
+    return feed
+
+
+def blind(base: Base, inputs: Path, out: Path, rng: random.Random) -> Feed:
+    """Run `sabench verify` and `solve` on a damaged observation side, as participants do."""
+    from sabench.dataset.observation_side import copy_observation
+
+    root = inputs / "set"
+    root.mkdir()
+    copy_observation(rng.choice((base.particles, base.target, base.code)), root)
+    _damage(rng.choice(sorted(path for path in root.rglob("*") if path.is_file())), rng)
+    if rng.random() < 0.8:
+        reseal(root)
+
+    def feed() -> None:
+        _all_of((_verified, _probed, _solved), root, out)
 
     return feed
 
@@ -282,19 +350,11 @@ def _damage(path: Path, rng: random.Random) -> None:
     elif path.suffix == ".toml":
         import tomllib
 
-        _write_toml(path, tomllib.loads(path.read_text()), rng)
+        write_toml(path, tomllib.loads(path.read_text()), rng)
     elif path.suffix == ".tif" and rng.random() < 0.3:
-        shape = rng.choice(((24, 32), (32, 24), (24, 32, 3), (2, 24, 32), (1, 1), (3000, 3000)))
-        image = np.full(shape, rng.choice((0, 64, 4095, 65535))).astype(
-            rng.choice(("u2", "u1", "f4", "i2"))
-        )
-        tifffile.imwrite(
-            path,
-            image,
-            compression=rng.choice((None, "zlib")),
-            photometric="minisblack",
-            bigtiff=rng.random() < 0.5,
-        )
+        mutations.tiff(path, rng)
+    elif path.suffix == ".exr" and rng.random() < 0.5:
+        mutations.exr(path, rng)
     else:
         path.write_bytes(mutations.data(path.read_bytes(), rng))
 
@@ -364,9 +424,15 @@ def _solved(root: Path, out: Path) -> None:
     from sabench.tasks.solve_and_score import score, solve
 
     data = open_dataset(root)
-    solver = "linear_autocal" if data.shows_target else "asa"
-    solve(solver, data, out / "result.h5", parameters={} if data.shows_target else {"k": 3.0})
+    solver = {"target": "linear_autocal", "code": "see_through"}.get(data.shows[-1], "asa")
+    solve(solver, data, out / "result.h5", parameters={"k": 3.0} if solver == "asa" else {})
     check_scores(score(data, out / "result.h5"))
+
+
+def _exported(root: Path, out: Path) -> None:
+    from sabench.interop.vtkhdf import export
+
+    export(root, out / "vtk")
 
 
 def result(base: Base, inputs: Path, out: Path, rng: random.Random) -> Feed:
@@ -375,9 +441,12 @@ def result(base: Base, inputs: Path, out: Path, rng: random.Random) -> Feed:
     As `sabench score` and `sabench solve ./program` do.
     """
     track = rng.choice(sorted(base.results))
-    data = base.target if track == "calibration" else base.particles
+    data = base.data_of(track)
     path = Path(shutil.copy(base.results[track], inputs / "result.h5"))
     mutations.hdf5(path, rng)
+    if rng.random() < 0.1:  # as if it were one of other data
+        data = rng.choice((base.particles, base.target, base.code))
+        mutations.set_attribute(path, "dataset", data.content_hash)
 
     def scored(root: Path, out: Path) -> None:
         from sabench.tasks.solve_and_score import score
@@ -389,18 +458,24 @@ def result(base: Base, inputs: Path, out: Path, rng: random.Random) -> Feed:
 
         adopt(path, root, out / "adopted.h5", Account("program", {}, True, 1.0, 2.0), False)
 
+    def exported(root: Path, out: Path) -> None:
+        from sabench.interop.vtkhdf import export
+
+        export(root, out / "vtk", path)
+
     def feed() -> None:
         from sabench.dataset.hdf5_probe import probe
 
         probe(path)  # as both commands do before anything else
-        _all_of((scored, adopted), data.root, out)
+        _all_of((scored, adopted, exported), data.root, out)
 
     return feed
 
 
 def submission(base: Base, inputs: Path, out: Path, rng: random.Random) -> Feed:
     """`sabench submit` of an archive, folder or file."""
-    files = [base.results[track].read_bytes() for track in ("reconstruction", "calibration")]
+    tasks = ("reconstruction", "calibration", "particles", "see_through")
+    files = [base.results[task].read_bytes() for task in tasks]
     path = inputs / rng.choice(("a.zip", "a.tar", "a.tar.gz", "a.tgz", "a.h5", "folder"))
     if path.name == "folder":
         path.mkdir()
@@ -420,7 +495,9 @@ def submission(base: Base, inputs: Path, out: Path, rng: random.Random) -> Feed:
     def feed() -> None:
         from sabench.evaluation.leaderboard.submissions import submit
 
-        submit(path, name, [base.particles.root, base.target.root], out / "leaderboard")
+        submit(
+            path, name, [base.particles.root, base.target.root, base.code.root], out / "leaderboard"
+        )
 
     return feed
 
@@ -451,9 +528,11 @@ KINDS: dict[str, Case] = {
     "scene": scene,
     "suite": suite,
     "dataset": dataset,
+    "blind": blind,
     "result": result,
     "submission": submission,
     "records": records,
+    **untrusted_files.KINDS,
 }
 
 

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from sabench.evaluation.leaderboard import page, page_content, page_figures, rows
+from sabench.evaluation.leaderboard.submissions import standing
 from sabench.evaluation.record_schema import Record
 from sabench.plotting import pictures
 from sabench.tasks import NAMES
@@ -137,6 +138,36 @@ def test_rows_are_ranked_and_cases_kept_apart(tmp_path: Path) -> None:
     assert solvers(text) == ["high", "low", "unknown", "failed", "alone"]
     assert [case["name"] for case in block(text)["cases"]] == ["tank", "tank-2"]
     assert text == page_of(records[::-1], tmp_path)
+
+
+def test_what_the_gate_does_not_admit_comes_after_the_others(tmp_path: Path) -> None:
+    def field(solver: str, error: float | None, share: float, **changes: Any) -> Record:
+        scores = {"u_p90_voxel": error, "yield_percent": share}
+        return record(solver, task="velocimetry", **scores, **changes)
+
+    records = [
+        field("little", 0.001, 49.9),
+        field("good", 0.1, 90.0),
+        field("a seed left out", 0.01, 90.0),
+        field("a seed left out", None, 90.0, seed=2),
+        field("fair", 0.3, 50.0),
+    ]
+    text = page_of(records, tmp_path)
+    assert solvers(text)[:2] == ["good", "fair"]
+    assert [row["ranked"] for row in block(text)["rows"]] == [True, True, False, False]
+    gate = "u 90 % voxel ranks results whose yield % is 50 or more."
+    assert block(text)["tasks"]["velocimetry"]["gate"] == gate
+    assert all("gate" in task for task in block(text)["tasks"].values())
+
+
+def test_what_the_gate_does_not_admit_has_no_standing() -> None:
+    ranked, little = (
+        record(name, task="velocimetry", u_p90_voxel=error, yield_percent=share, submission=None)
+        for name, error, share in (("good", 0.1, 90.0), ("little", 0.001, 10.0))
+    )
+    every = [ranked, {**little, "run_hash": "f" * 16}]
+    assert (standing(every[0], every).rank, standing(every[0], every).of) == (1, 1)
+    assert standing(every[1], every).rank is None
 
 
 def test_cases_come_in_the_order_of_the_numbers_in_their_names(tmp_path: Path) -> None:

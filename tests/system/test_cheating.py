@@ -23,6 +23,16 @@ pytestmark = pytest.mark.skipif(
     not can_confine(), reason="this system does not let this user confine a process"
 )
 TOKEN = "a-word-that-nobody-else-has"
+HARMFUL = (  # where nothing stops them
+    "outlive",
+    "change sabench",
+    "leave shared memory",
+    "leave a file in /tmp",
+    "make mounts writable",
+    "enter another namespace",
+    "write to the data set",
+    "trace others",
+)
 
 
 @pytest.fixture
@@ -66,37 +76,41 @@ def check_outside(place: Path, data: Dataset) -> None:
     ]
 
 
-@pytest.mark.parametrize("trick", cheats.TRICKS)
-def test_a_plug_in_gains_nothing(place: Path, port: int, trick: str) -> None:
-    (place / "mine" / "solvers" / "cheat.py").write_text(
-        cheats.plugin(trick, constants(place, port))
-    )
-    data = sabench.open_dataset(place / "set")
-    solve("cheat", data, place / "r.h5")  # an InputError with GOT otherwise
-    assert sabench.score(data, place / "r.h5")["isolated"] is True
-    check_outside(place, data)
+def attempt(place: Path, port: int, kind: str) -> list[str]:
+    """Let a cheat try all tricks; list those that gained something."""
+    facts = constants(place, port)
+    if kind == "program":
+        solver = place / "bin" / "cheat"
+        solver.parent.mkdir()
+        solver.write_text(cheats.program(facts, sys.executable))
+        solver.chmod(0o755)
+    else:
+        solver = place / "mine" / "solvers" / "cheat.py"
+        solver.write_text(cheats.plugin(kind, facts))
+    name = str(solver) if kind == "program" else "cheat"
+    with pytest.raises(InputError) as failure:
+        solve(name, sabench.open_dataset(place / "set"), place / "r.h5")
+    return cheats.gained(str(failure.value))
 
 
-@pytest.mark.parametrize("trick", [name for name in cheats.TRICKS if name != "ask the loader"])
-def test_a_program_gains_nothing(place: Path, port: int, trick: str) -> None:
-    program = place / "bin" / "cheat"
-    program.parent.mkdir()
-    program.write_text(cheats.program(trick, constants(place, port), sys.executable))
-    program.chmod(0o755)
-    data = sabench.open_dataset(place / "set")
-    with pytest.raises(InputError, match="found nothing"):
-        solve(str(program), data, place / "r.h5")
-    check_outside(place, data)
+@pytest.mark.parametrize("kind", ["reconstruction", "particles", "program"])
+def test_a_cheat_gains_nothing(place: Path, port: int, kind: str) -> None:
+    assert attempt(place, port, kind) == []
+    check_outside(place, sabench.open_dataset(place / "set"))
 
 
-@pytest.mark.parametrize("trick", ["read the truth", "read the secret", "read command lines"])
-def test_without_confinement_the_tricks_work_and_the_result_says_so(
-    place: Path, port: int, trick: str, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize("kind", ["particles", "program"])
+def test_without_confinement_tricks_work_and_the_result_says_so(
+    place: Path, port: int, kind: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """Else the tricks themselves would be wrong."""
     monkeypatch.setattr("sabench.tasks.visible_files.can_confine", lambda: False)
-    file = place / "mine" / "solvers" / "cheat.py"
-    file.write_text(cheats.plugin(trick, constants(place, port)))
-    data = sabench.open_dataset(place / "set")
-    with pytest.raises(InputError, match="GOT"):
-        solve("cheat", data, place / "r.h5")
-    assert solve("msa", data, place / "r.h5").isolated is False
+    monkeypatch.setattr("sabench.tasks.solve_and_score.can_confine", lambda: False)
+    harmless = [name for name in cheats.TRICKS if name not in HARMFUL]
+    monkeypatch.setattr(cheats, "TRICKS", {name: cheats.TRICKS[name] for name in harmless})
+    gained = attempt(place, port, kind)
+    assert {"read the truth", "read the seed", "read the secret", "look around"} <= set(gained)
+    assert {"connect", "read command lines", "signal others"} <= set(gained)
+    (place / "mark").unlink()  # what "write outside" has left
+    result = solve("msa", sabench.open_dataset(place / "set"), place / "r.h5")
+    assert result.isolated is False

@@ -112,7 +112,8 @@ def test_a_score_that_no_record_may_have_is_an_error_of_the_solver(
     tmp_path: Path, command: Command, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (tmp_path / "s.toml").write_text(SUITE)
-    monkeypatch.setattr(runner, "score", lambda data, out: score(data, out) | {"q": 1e300})
+    wrong = {"q": 1e300}
+    monkeypatch.setattr(runner, "score", lambda data, out: score(data, out) | wrong)
     done = command("run", "s.toml", "--seed", "1", "--solver", "asa")
     assert done.returncode == 1, done.stderr
     (found,) = lines(tmp_path)

@@ -51,7 +51,7 @@ def describe_data(data: Dataset, known: list[Record]) -> Record:
 
 
 def _is_public(manifest: Manifest, runs: list[Record]) -> bool:
-    """Check whether a public record or a bundled suite has the data set's scene and seed."""
+    """Check whether a data set's scene and seed are public already."""
     recorded = any(
         (one["scene_hash"], one["seed"], one["split"])
         == (manifest.scene_hash, manifest.seed, "public")

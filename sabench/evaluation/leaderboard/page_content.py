@@ -69,7 +69,7 @@ def _order(row: Record) -> tuple[Any, ...]:
         tasks.NAMES.index(row["task"]),
         _natural(row["case"]),
         rest,
-        _rank(row),
+        rank_of(row),
         key_of(row, _ENTRY),
     )
 
@@ -79,12 +79,12 @@ def _natural(name: str) -> list[tuple[float, str]]:
     return [(float(part), "") if number % 2 else (-1.0, part) for number, part in enumerate(parts)]
 
 
-def _rank(row: Record) -> tuple[bool, bool, float]:
-    """Compute the rank key: best first score, then rows without it, then errors."""
-    score = tasks.of(row["task"]).columns[0]
-    first: Mean | None = row[score.key]
-    sign = -1.0 if score.better == "larger" else 1.0
-    return bool(row["error"]), first is None, sign * first.mean if first else 0.0
+def rank_of(row: Record) -> tuple[bool, bool, float]:
+    """Compute the rank key: best first score, then rows without a rank, then errors."""
+    task = tasks.of(row["task"])
+    first: Mean | None = row[task.columns[0].key]
+    figures = {task.columns[0].key: first.mean if first else None}
+    return (bool(row["error"]), *(task.rank(figures) if row["ranked"] else (True, 0.0)))
 
 
 def _task(task: Task) -> dict[str, Any]:
@@ -107,7 +107,15 @@ def _task(task: Task) -> dict[str, Any]:
         "errors": captions.errors,
     }
     larger = task.columns[0].better == "larger"
-    return {"columns": columns, "larger": larger, "pictured": pictured}
+    return {"columns": columns, "larger": larger, "gate": gate_text(task), "pictured": pictured}
+
+
+def gate_text(task: Task) -> str:
+    """Say in one sentence which rows the first score ranks; "" where it ranks all."""
+    if task.gate is None:
+        return ""
+    one, first = task.score_of(task.gate.key), task.columns[0]
+    return f"{first.heading} ranks results whose {one.heading} is {task.gate.least:g} or more."
 
 
 def _case(rows: Sequence[Record]) -> dict[str, Any]:
@@ -163,6 +171,7 @@ def _row(row: Record, case: int, pool: _Pool) -> dict[str, Any]:
         "values": [[None if run[key] is None else short(run[key]) for run in runs] for key in keys]
         if several
         else None,
+        "ranked": row["ranked"],
         "open": any(run.get("isolated") is False for run in runs),
         "error": row["error"],
         "declined": bool(row["error"])

@@ -31,8 +31,10 @@ def over_seeds(records: list[Record]) -> list[Record]:
     There is a row for every case, solver and machine. It is the first seed's record with `seeds`,
     `runs` and, in place of every score, its `Mean` over the seeds.
 
-    A score that no seed has is None. `error` counts the seeds that failed and gives the first one's
-    reason. `runs` are the records of the seeds. Records of unknown tasks make no rows.
+    A score that no seed has is None. `ranked` says whether the first score ranks every seed that
+    has not failed, so that a seed that was left out improves no rank. `error` counts the seeds that
+    failed and gives the first one's reason. `runs` are the records of the seeds. Records of
+    unknown tasks make no rows.
     """
     groups: dict[str, list[Record]] = {}
     for record in sorted(records, key=lambda record: int(record["seed"])):
@@ -49,7 +51,8 @@ def over_seeds(records: list[Record]) -> list[Record]:
 
 
 def _merge(group: list[Record]) -> Record:
-    keys = [score.key for score in tasks.of(group[0]["task"]).columns]
+    task = tasks.of(group[0]["task"])
+    keys = [score.key for score in task.columns]
     runs = [{**record, **{key: _number(record.get(key)) for key in keys}} for record in group]
     means = {key: mean_of([run[key] for run in runs if run[key] is not None]) for key in keys}
     errors = [record["error"] for record in group if record.get("error")]
@@ -61,6 +64,7 @@ def _merge(group: list[Record]) -> Record:
         "seeds": [run["seed"] for run in runs],
         "runs": runs,
         "error": error,
+        "ranked": not any(task.rank(run)[0] for run in runs if not run.get("error")),
     }
 
 

@@ -43,7 +43,8 @@ class Standing:
     Attributes
     ----------
     record : as it was appended.
-    rank, of : 1 is the best; records without the first score do not count.
+    rank, of : 1 is the best; records without the first score, or that the task's gate
+        does not admit, do not count.
     best : the best other entry's name and first score, or None where there is no other.
     """
 
@@ -224,16 +225,20 @@ def _refuse_twins(path: Path, labels: list[str], made: list[Record]) -> None:
 def standing(record: Record, every: Sequence[Record]) -> Standing:
     """Rank a record among those of its data set and task.
 
-    The task's first score decides; equal scores share the better rank.
+    The task's first score decides among those that its gate admits; equal scores share the better
+    rank.
     """
-    score = tasks.of(record["task"]).columns[0]
+    task = tasks.of(record["task"])
+    score = task.columns[0]
     key, sign = score.key, 1.0 if score.better == "larger" else -1.0
     rivals = [
         one
         for one in every
-        if (one["dataset"], one["task"]) == (record["dataset"], record["task"]) and _has(one, key)
+        if (one["dataset"], one["task"]) == (record["dataset"], record["task"])
+        and _has(one, key)
+        and task.admits(one)
     ]
-    own = record.get(key)
+    own = record.get(key) if task.admits(record) else None
     rank = None if own is None else 1 + sum(sign * one[key] > sign * own for one in rivals)
     others = [
         one

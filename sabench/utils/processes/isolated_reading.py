@@ -1,12 +1,13 @@
 """Reading of other people's files in a limited child process.
 
-Libraries that read them may crash or loop for ever.
+Libraries that read them may crash, loop for ever or fill the memory.
 """
 
 from __future__ import annotations
 
 import math
-import time
+import multiprocessing
+import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -14,31 +15,49 @@ from typing import Any
 from sabench.utils.errors import InputError, UncheckedError
 from sabench.utils.processes.ending import describe_end, overdue
 from sabench.utils.processes.isolated import call_isolated
+from sabench.utils.processes.own_limits import limit_self
 
 _CPU_S = 4.0  # seconds of CPU time for the structure of a file
 _RATE = 2e7  # bytes of a file for each further second
+_MEMORY_MB = 1000.0  # of the child, besides what it shares with its server
+_EXPANSION = 50.0  # times a file's size that its values may take in addition
 _PATIENCE = 30.0  # seconds for each of CPU time, after which a sleeping child is killed
 _OVERDUE = describe_end(-24)  # SIGXCPU
 
 
-def read_isolated(read: Callable[..., None], path: Path, *arguments: Any) -> None:
+def read_isolated(
+    read: Callable[..., None], path: Path, *arguments: Any, size_bytes: int | None = None
+) -> None:
     """Call `read(path, *arguments)`, a module's function, in a limited child process.
 
-    The limit is CPU time of the reading alone: the start of the process and other programs on the
-    machine do not count.
+    The limit of time is CPU time of the reading alone: the start of the process and other programs
+    on the machine do not count.
+
+    A worker that may have no child processes (Dask's) calls it directly: the process that hands out
+    the tasks has read the same file before.
+
+    Parameters
+    ----------
+    size_bytes : size of all that it reads; None: that of the file.
 
     Raises
     ------
     InputError
-        The function raises one, or the process crashes.
+        The function raises an exception, the process crashes, or takes more memory than the file's
+        size justifies.
     UncheckedError
         The reading took more than its CPU time, so the file may be intact.
     """
-    cpu_s = math.ceil(_CPU_S + path.stat().st_size / _RATE)
-    time_s = _PATIENCE * max(cpu_s, 1)
+    if multiprocessing.current_process().daemon:
+        read(path, *arguments)
+        return
+    size = path.stat().st_size if size_bytes is None else size_bytes
+    cpu_s = math.ceil(_CPU_S + size / _RATE)
+    memory_mb = _MEMORY_MB + _EXPANSION * size / 1e6
+    limits, time_s = (memory_mb, cpu_s), _PATIENCE * max(cpu_s, 1)
     doing = f"{path}: reading it"
     try:
-        call_isolated(_read, read, cpu_s, path, arguments, doing=doing, time_s=time_s)
+        call_isolated(_read, read, limits, path, arguments, doing=doing, time_s=time_s)
     except InputError as error:
         spent, late = str(error).endswith(_OVERDUE), str(error).endswith(overdue(time_s))
         if spent or late:
@@ -49,22 +68,30 @@ def read_isolated(read: Callable[..., None], path: Path, *arguments: Any) -> Non
         raise
 
 
-def _read(read: Callable[..., None], cpu_s: int, path: Path, arguments: tuple[Any, ...]) -> None:
-    _limit_cpu(cpu_s)
-    read(path, *arguments)
-
-
-def _limit_cpu(seconds: int) -> None:
-    """End this process by SIGXCPU after further seconds of CPU time.
-
-    Without effect where the system has no such limit (Windows).
-    """
+def _read(
+    read: Callable[..., None],
+    limits: tuple[float, float],
+    path: Path,
+    arguments: tuple[Any, ...],
+) -> None:
+    limit_self(*limits)
+    _silence()
     try:
-        import resource
-    except ImportError:
-        return
-    _, hard = resource.getrlimit(resource.RLIMIT_CPU)
-    wanted = math.ceil(time.process_time() + seconds)
-    soft = wanted if hard == resource.RLIM_INFINITY else min(wanted, hard)
-    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-    resource.setrlimit(resource.RLIMIT_CPU, (soft, hard))
+        read(path, *arguments)
+    except InputError:
+        raise
+    except MemoryError as error:
+        raise InputError(
+            f"{path}: expected a file that can be read with {limits[0]:.0f} MB of memory"
+        ) from error
+    except Exception as error:  # libraries raise what their parsers raise
+        name = type(error).__name__
+        raise InputError(f"{path}: expected an intact file, got {name}: {error}") from error
+
+
+def _silence() -> None:
+    """Send what libraries print about damaged files nowhere."""
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    for stream in (1, 2):
+        os.dup2(nowhere, stream)
+    os.close(nowhere)

@@ -13,6 +13,7 @@ from sabench.metrics.calibration_error import (
     calibration_scores,
     detection_noise,
     detection_scores,
+    mean_distance,
     mean_length,
     reproject,
     scatter,
@@ -63,9 +64,45 @@ def test_points_are_triangulated_from_the_observations_that_were_used() -> None:
     np.testing.assert_array_equal(target_points(given, case), points + 1.0)
     used = np.ones(case.found.shape, dtype=np.bool_)
     used[1:, 0, 3] = False  # one camera alone sees no depth
-    lost = target_points(Calibration(cameras, None, used), case)
-    assert np.isnan(lost[0, 3]).all()
-    assert np.isfinite(np.delete(lost.reshape(-1, 3), 3, axis=0)).all()
+    case.pixels[1:, 0, 3] += 5.0  # rejected, but there is nothing else to triangulate
+    case.pixels[1, 0, 4] += 5.0
+    used[1, 0, 4] = False
+    kept = target_points(Calibration(cameras, None, used), case)
+    assert np.abs(kept[0, 3] - points[0, 3]).max() > 1e-3
+    np.testing.assert_allclose(
+        np.delete(kept, 3, axis=1)[0], np.delete(points, 3, axis=1)[0], atol=1e-6
+    )
+
+
+def test_observations_that_are_not_used_are_scored() -> None:
+    case, cameras, points, exact = case_of(calibration_scene())
+    moved = [
+        replace(one, principal_point_px=tuple(np.add(one.principal_point_px, (float(n), 0.0))))
+        for n, one in enumerate(cameras)
+    ]
+    few = np.zeros(case.found.shape, dtype=np.bool_)
+    few[:2, 0, 0] = True
+    every, none, one = (
+        calibration_scores(
+            Calibration(tuple(moved), None, used), case, cameras, points, exact, case.found
+        )["true_px"]
+        for used in (None, np.zeros_like(few), few)
+    )
+    assert every is not None
+    assert every == none
+    assert one == pytest.approx(every, rel=0.01)
+
+
+def test_points_without_a_pixel_are_a_diagonal_away() -> None:
+    _, cameras, _, _ = case_of(calibration_scene(detection=None))
+    diagonal = np.hypot(cameras[0].rows, cameras[0].columns)
+    true = np.zeros((len(cameras), 2, 2))
+    found, selected = true + np.array([3.0, 4.0]), np.ones(true.shape[:2], dtype=np.bool_)
+    assert mean_distance(found, true, selected, cameras) == pytest.approx(5.0)
+    for value in (np.nan, np.inf, 1e300):
+        found[:, 1] = value
+        assert mean_distance(found, true, selected, cameras) == pytest.approx((5.0 + diagonal) / 2)
+    assert mean_distance(found, true, ~selected, cameras) is None
 
 
 def test_reprojection_is_the_projection_of_every_camera() -> None:

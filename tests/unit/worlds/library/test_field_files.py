@@ -23,7 +23,8 @@ from sabench.scenes import Scene, parse_scene
 from sabench.simulation.pipeline import generate
 from sabench.utils.arrays import F64
 from sabench.utils.errors import InputError
-from sabench.worlds.library.field_files import Array, read_arrays, speed_mm_s
+from sabench.worlds.library.field_files import read_arrays, speed_mm_s
+from sabench.worlds.library.field_formats import Array
 from sabench.worlds.tracers import Motion, flow_of
 from tests.conftest import ROOT
 from tests.unit.worlds.test_tracers import moving_scene

@@ -1,0 +1,113 @@
+"""Fields sampled at the evaluation nodes."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from sabench.api import Velocity
+from sabench.geometry.grid import Grid
+from sabench.metrics.velocity_sampling import evaluation_lattice, sample_velocity
+from sabench.utils.arrays import F64, triple
+from sabench.utils.errors import InputError
+
+GRID = Grid((-3.0, 1.0, 20.0), (0.05, 0.05, 0.1), (40, 100, 120), (10, 8, 0))
+SLOPE = np.array([[1.0, -2.0, 0.5], [0.3, 0.0, -1.0], [2.0, 1.0, -1.0]])
+
+
+def linear(points_mm: F64) -> F64:
+    return np.asarray(points_mm @ SLOPE.T + [4.0, -5.0, 6.0])
+
+
+def field_of(step_voxels: float, low_voxels: float = 0.0) -> Velocity:
+    """Sample a linear field over the whole grid."""
+    size = np.asarray(GRID.shape[::-1])
+    counts = ((size - 1 - low_voxels) // step_voxels + 1).astype(int)
+    low = triple(np.asarray(GRID.low_mm) + low_voxels * np.asarray(GRID.voxel_mm))
+    step = triple(step_voxels * np.asarray(GRID.voxel_mm))
+    valid = np.ones(counts[::-1], dtype=np.bool_)
+    field = Velocity(low, step, np.zeros((*valid.shape, 3)), valid)
+    return replace(field, velocity_mm_s=linear(field.positions_mm))
+
+
+def nodes() -> F64:
+    return evaluation_lattice(GRID).positions_mm.reshape(-1, 3)
+
+
+def test_nodes_fill_the_scored_part() -> None:
+    points = nodes()
+    voxels = GRID.to_voxels(points)
+    assert GRID.in_scored(voxels).all()
+    scored = np.asarray(GRID.shape[::-1]) - 2 * np.asarray(GRID.crop)
+    middle = (np.asarray(GRID.shape[::-1]) - 1) / 2.0
+    np.testing.assert_allclose((voxels.min(axis=0) + voxels.max(axis=0)) / 2.0, middle)
+    assert (np.ptp(voxels, axis=0) > scored - 2 * 4.95).all()
+
+
+@pytest.mark.parametrize(
+    ("shape", "counts"),
+    [((1, 100, 120), (1, 20, 24)), ((4, 100, 120), (3, 20, 24)), ((2000, 2000, 2000), (31,) * 3)],
+)
+def test_thin_volumes_have_some_nodes_and_large_ones_not_too_many(
+    shape: tuple[int, int, int], counts: tuple[int, int, int]
+) -> None:
+    lattice = evaluation_lattice(replace(GRID, shape=shape, crop=(0, 0, 0)))
+    assert lattice.valid.shape == counts
+
+
+@pytest.mark.parametrize("step", [1.0, 3.0, 8.0])
+@pytest.mark.parametrize("low", [0.0, 2.5])
+def test_a_linear_field_is_sampled_exactly_between_nodes(step: float, low: float) -> None:
+    field = field_of(step, low)
+    ends = np.asarray(field.low_mm) + np.asarray(field.step_mm) * (
+        np.asarray(field.valid.shape[::-1]) - 1
+    )
+    points = nodes()
+    velocity, measured = sample_velocity(field, points)
+    between = ((points >= field.low_mm) & (points <= ends)).all(axis=1)
+    assert measured[between].all()
+    np.testing.assert_allclose(velocity[between], linear(points[between]), atol=1e-9)
+
+
+def test_a_node_stands_for_the_cell_around_it() -> None:
+    field = field_of(8.0, 20.0)
+    points = np.asarray(field.low_mm) + np.outer([-0.51, -0.49, 0.0], field.step_mm)
+    velocity, measured = sample_velocity(field, points)
+    assert measured.tolist() == [False, True, True]
+    np.testing.assert_array_equal(velocity[1], velocity[2])
+    np.testing.assert_array_equal(velocity[0], np.zeros(3))
+
+
+def test_nodes_that_are_not_valid_count_for_nothing() -> None:
+    field = field_of(8.0)
+    field.valid[2, 3, 4] = False
+    field.velocity_mm_s[2, 3, 4] = 1e9
+    hole = np.asarray(field.low_mm) + np.asarray(field.step_mm) * [4.0, 3.0, 2.0]
+    beside = hole + np.asarray(field.step_mm) * [0.6, 0.0, 0.0]
+    velocity, measured = sample_velocity(field, np.stack([hole, beside]))
+    assert measured.tolist() == [False, True]
+    np.testing.assert_allclose(velocity[1], field.velocity_mm_s[2, 3, 5])
+
+
+def test_a_lattice_gains_nothing_by_where_its_nodes_lie() -> None:
+    """Noise of fields with steps of 8 voxels is averaged alike, wherever their nodes lie."""
+    rng, spread = np.random.default_rng(0), []
+    for low in (0.0, 1.0, 2.5, 4.0, 6.0):
+        field = field_of(8.0, low)
+        noise = replace(field, velocity_mm_s=rng.normal(0.0, 1.0, field.velocity_mm_s.shape))
+        velocity, measured = sample_velocity(noise, nodes())
+        spread.append(velocity[measured].std())
+    assert max(spread) < 1.15 * min(spread)
+
+
+def test_a_single_node_measures_nothing() -> None:
+    field = Velocity((0.0, 0.0, 20.0), (1e9,) * 3, np.zeros((1, 1, 1, 3)), np.ones((1, 1, 1), bool))
+    assert not sample_velocity(field, nodes())[1].any()
+
+
+@pytest.mark.parametrize("step", [0.0, -1.0, float("nan"), float("inf")])
+def test_a_spacing_that_is_none_is_refused(step: float) -> None:
+    with pytest.raises(InputError, match="step_mm: expected positive numbers"):
+        Velocity((0.0,) * 3, (1.0, 1.0, step), np.zeros((2, 2, 2, 3)), np.ones((2, 2, 2), bool))
