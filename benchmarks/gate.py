@@ -1,10 +1,13 @@
 """Sensitivity of the gate: planted bugs it catches, honest reruns it passes.
 
-    python benchmarks/gate.py                       # 20 bugs, 50 reruns: an hour on two cores
+    python benchmarks/gate.py                       # 40 bugs, 50 reruns: two hours on two cores
     python benchmarks/gate.py --bugs 3 --reruns 2
+    python benchmarks/gate.py --skip 20 --narrow --reruns 0
 
 Each bug is one line changed in a copy of the source; `sabench check ci` there must end with exit
-code 1, and with 0 where nothing was changed. The copy's compiled kernels are kept, except those of
+code 1, and with 0 where nothing was changed. A bug that the gate cannot see names the unit tests
+that must fail. `--narrow` runs only the case of `ci` that is meant to catch a bug, and only the
+tests of a bug that is theirs to catch. The copy's compiled kernels are kept, except those of
 the changed file and of all files that import it: numba looks for changes in a kernel's own file
 only. Prints a line for every run and a summary; exit code 1 if a bug was missed, a rerun was not
 silent, or a replacement does not fit.
@@ -21,22 +24,41 @@ import subprocess
 import sys
 import tempfile
 import time
+import tomllib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import tomli_w
+
 ROOT = Path(__file__).resolve().parents[1]
-_COPIED = ("sabench", "solvers", "generators", "scenes", "leaderboard", "pyproject.toml")
+_COPIED = (
+    "sabench",
+    "solvers",
+    "generators",
+    "scenes",
+    "leaderboard",
+    "tests",
+    "pyproject.toml",
+)
 
 
 @dataclass(frozen=True)
 class Bug:
-    """Replacement of a line in a file; `old` must be there exactly once."""
+    """Replacement of a line in a file; `old` must be there exactly once.
+
+    Attributes
+    ----------
+    case : case of `ci` that is meant to catch it; the whole suite by default.
+    tests : unit tests that catch it where `ci` does not.
+    """
 
     title: str
     file: str
     old: str
     new: str
+    case: str = ""
+    tests: str = ""
 
 
 BUGS = (
@@ -160,6 +182,149 @@ BUGS = (
         "self.eta = dr.opaque(mi.Float, stage.eta)",
         "self.eta = dr.opaque(mi.Float, 1.0 / stage.eta)",
     ),
+    Bug(
+        "planes refocused .3 px to the right",
+        "sabench/algorithms/refocus/slabs.py",
+        "return camera.project(plane_points(box, z_mm, unit))[0]",
+        "return camera.project(plane_points(box, z_mm, unit))[0] + [0.3, 0.0]",
+        case="particles",
+    ),
+    Bug(
+        "index of the fluid off by .5 %",
+        "sabench/scenes/build.py",
+        "layers, spec.fluid_index, spec.depth_mm",
+        "layers, 1.005 * spec.fluid_index, spec.depth_mm",
+        case="particles",
+    ),
+    Bug(
+        "the last frame of a sequence lost",
+        "sabench/metrics/trajectories.py",
+        "itertools.pairwise(frames):",
+        "itertools.pairwise(frames[:-1]):",
+        case="tracking",
+    ),
+    Bug(
+        "column and row swapped in one camera",
+        "sabench/simulation/rendering/particle_images.py",
+        "    return (\n        paths.leaving,\n        paths.arriving,\n        pixel,\n",
+        "    return (\n        paths.leaving,\n        paths.arriving,\n"
+        "        pixel[:, ::-1] if camera.name == 'camera_02' else pixel,\n",
+        case="particles",
+    ),
+    Bug(
+        "the automatic threshold one step too low",
+        "sabench/algorithms/refocus/thresholding.py",
+        "float(levels[enough[0]]) if len(enough)",
+        "float(levels[max(enough[0] - 1, 0)]) if len(enough)",
+        tests="tests/unit/algorithms/refocus/test_thresholding.py",
+    ),
+    Bug(
+        "Mie's lobes rotated by a degree",
+        "sabench/simulation/rendering/particle_images.py",
+        "np.arccos(np.clip(-arriving @ forward, -1.0, 1.0))",
+        "np.arccos(np.clip(-arriving @ forward, -1.0, 1.0)) + np.deg2rad(1.0)",
+        case="particles",
+    ),
+    Bug(
+        "two cameras share their sensor's noise",
+        "sabench/simulation/frame_content.py",
+        'stream(self.seed, "sensor", self.number, camera)',
+        'stream(self.seed, "sensor", self.number, camera // 2)',
+        tests="tests/unit/simulation/test_frame_content.py",
+    ),
+    Bug(
+        "the sensor's noise ignores the seed",
+        "sabench/simulation/frame_content.py",
+        'stream(self.seed, "sensor", self.number, camera)',
+        'stream(0, "sensor", self.number, camera)',
+        tests="tests/unit/simulation/test_frame_content.py",
+    ),
+    Bug(
+        "the sensor's noise is the same in all frames",
+        "sabench/simulation/frame_content.py",
+        'stream(self.seed, "sensor", self.number, camera)',
+        'stream(self.seed, "sensor", 0, camera)',
+        tests="tests/unit/simulation/test_frame_content.py",
+    ),
+    Bug(
+        "duplicate detections are no ghosts",
+        "sabench/metrics/particle_detection.py",
+        "    return _counts(chosen, matched, estimate, truth, scored_estimate, scored_truth)\n",
+        "    near = np.isfinite(distance) & ~np.isin(np.arange(len(distance)), chosen)\n"
+        "    return _counts(chosen, matched, estimate, truth, scored_estimate & ~near, "
+        "scored_truth)\n",
+        tests="tests/unit/metrics/test_quality_factor.py",
+    ),
+    Bug(
+        "links are searched for where a particle is a frame later",
+        "sabench/algorithms/particles/linking.py",
+        "live.velocity[old] * (time - live.time[old])[:, None]",
+        "2.0 * live.velocity[old] * (time - live.time[old])[:, None]",
+        case="tracking",
+    ),
+    Bug(
+        "trajectories of the first two links swapped",
+        "sabench/algorithms/particles/linking.py",
+        "number[j] = live.number[i]",
+        "number[j] = live.number[np.concatenate([i[:2][::-1], i[2:]])]",
+        tests="tests/unit/algorithms/particles/test_linking.py",
+    ),
+    Bug(
+        "the sign of w wrong",
+        "sabench/algorithms/velocimetry/multipass.py",
+        "self.shift * voxel / interval_s,",
+        "self.shift * voxel * [1.0, 1.0, -1.0] / interval_s,",
+        tests="tests/unit/algorithms/velocimetry/test_windows.py",
+    ),
+    Bug(
+        "bubbles' radii drawn as diameters",
+        "sabench/worlds/library/size_distributions.py",
+        "out[left] = spectrum.radius_mm * np.exp(",
+        "out[left] = 0.5 * spectrum.radius_mm * np.exp(",
+        case="bubbles",
+    ),
+    Bug(
+        "the gain applied twice",
+        "sabench/simulation/rendering/sensor.py",
+        "electrons *= sensor.gain_dn_e",
+        "electrons *= sensor.gain_dn_e**2",
+        case="particles",
+    ),
+    Bug(
+        "the read noise's variance for its standard deviation",
+        "sabench/simulation/rendering/sensor.py",
+        "sensor.read_noise_e * rng.standard_normal",
+        "sensor.read_noise_e**2 * rng.standard_normal",
+        case="particles",
+    ),
+    Bug(
+        "the same particles enter in every frame",
+        "sabench/worlds/tracers.py",
+        'stream(self.seed, "entering", frame)',
+        'stream(self.seed, "entering", 1)',
+        case="tracking",
+    ),
+    Bug(
+        "the distance of matched particles without z",
+        "sabench/metrics/particle_detection.py",
+        "    offset = estimate[a[inside]] - truth[b[inside]]\n",
+        "    offset = (estimate[a[inside]] - truth[b[inside]])[:, :2]\n",
+        case="particles",
+    ),
+    Bug(
+        "effectiveness counts particles of one frame",
+        "sabench/metrics/trajectories.py",
+        "(most / frames)[frames > 1]",
+        "(most / frames)[frames > 0]",
+        case="tracking",
+    ),
+    Bug(
+        "the optical axis at half the columns",
+        "sabench/scenes/build.py",
+        "principal_point_px=((spec.columns - 1) / 2.0,",
+        "principal_point_px=(spec.columns / 2.0,",
+        case="particles",
+    ),
 )
 
 
@@ -170,12 +335,14 @@ def main() -> None:
     parser.add_argument("--skip", type=int, default=0, help="how many of them to pass over")
     parser.add_argument("--reruns", type=int, default=50, help="how many honest reruns")
     parser.add_argument("--baseline", type=Path, default=ROOT / "leaderboard/baselines/ci.json")
+    parser.add_argument("--narrow", action="store_true", help="only what is to catch each bug")
     asked = parser.parse_args()
     chosen = BUGS[asked.skip :][: asked.bugs]
     with tempfile.TemporaryDirectory(prefix="sabench-gate-") as folder:
         pristine = copy_tree(ROOT, Path(folder) / "pristine")
         caught = [
-            plant_bug(bug, pristine, Path(folder) / "planted", asked.baseline) for bug in chosen
+            plant_bug(bug, pristine, Path(folder) / "planted", asked.baseline, asked.narrow)
+            for bug in chosen
         ]
         silent = [
             honest(number, pristine, Path(folder), asked.baseline) for number in range(asked.reruns)
@@ -197,8 +364,8 @@ def copy_tree(source: Path, target: Path) -> Path:
     return target
 
 
-def plant_bug(bug: Bug, pristine: Path, tree: Path, baseline: Path) -> bool:
-    """Check a copy with the bug; returns whether it was caught."""
+def plant_bug(bug: Bug, pristine: Path, tree: Path, baseline: Path, narrow: bool) -> bool:
+    """Check a copy with the bug; returns whether the gate or its tests caught it."""
     text = (pristine / bug.file).read_text(encoding="utf-8")
     if text.count(bug.old) != 1:
         print(
@@ -211,8 +378,34 @@ def plant_bug(bug: Bug, pristine: Path, tree: Path, baseline: Path) -> bool:
     (tree / bug.file).write_text(text.replace(bug.old, bug.new), encoding="utf-8")
     if "njit" in text:
         forget(tree, bug.file)
-    code, seconds, found = check(tree, baseline)
+    caught = False
+    if not (narrow and bug.tests):
+        suite, figures = select_case(tree, baseline, bug.case) if narrow else ("ci", baseline)
+        caught = is_alarmed(bug, tree, figures, suite)
+    if not caught and bug.tests:
+        caught = is_tested(bug, tree)
     shutil.rmtree(tree)
+    return caught
+
+
+def select_case(tree: Path, baseline: Path, case: str) -> tuple[str, Path]:
+    """Write a suite of one case of `ci`, and its baseline; all cases if it is empty."""
+    if not case:
+        return "ci", baseline
+    suite = tomllib.loads((tree / "scenes/suites/ci.toml").read_text(encoding="utf-8"))
+    suite["cases"] = [one for one in suite["cases"] if one["name"] == case]
+    figures = json.loads(baseline.read_text(encoding="utf-8"))
+    figures["cases"] = [one for one in figures["cases"] if one["case"] == case]
+    folder = tree / "narrow"
+    folder.mkdir()
+    (folder / "ci.toml").write_text(tomli_w.dumps(suite), encoding="utf-8")
+    (folder / "ci.json").write_text(json.dumps(figures), encoding="utf-8")
+    return "narrow/ci.toml", folder / "ci.json"
+
+
+def is_alarmed(bug: Bug, tree: Path, baseline: Path, suite: str) -> bool:
+    """Run the gate on a copy with a bug; print what it says first."""
+    code, seconds, found = check(tree, baseline, suite)
     first = found["worse"][0] if found["worse"] else {}
     by = (
         f"{first['case']}, {first['solver']}: {first['text'] or first['figure']}"
@@ -232,6 +425,23 @@ def plant_bug(bug: Bug, pristine: Path, tree: Path, baseline: Path) -> bool:
     return code == 1
 
 
+def is_tested(bug: Bug, tree: Path) -> bool:
+    """Run the tests of a bug on a copy with it; print the first that fails."""
+    start = time.perf_counter()
+    words = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", bug.tests]
+    environment = os.environ | {"PYTHONPATH": str(tree)}
+    done = subprocess.run(
+        words, cwd=tree, env=environment, capture_output=True, text=True, check=False
+    )
+    failed = next((line for line in done.stdout.splitlines() if line.startswith("FAILED")), "")
+    print(
+        f"{'caught' if failed else 'MISSED'}  {time.perf_counter() - start:4.0f} s  {bug.title} | "
+        f"{failed.partition(' - ')[0] or done.stdout[-500:]}",
+        flush=True,
+    )
+    return bool(failed)
+
+
 def honest(number: int, tree: Path, folder: Path, baseline: Path) -> bool:
     """Check the copy as it is; returns whether it was silent."""
     code, seconds, found = check(tree, baseline)
@@ -247,15 +457,15 @@ def honest(number: int, tree: Path, folder: Path, baseline: Path) -> bool:
     return code == 0
 
 
-def check(tree: Path, baseline: Path) -> tuple[int, float, dict[str, Any]]:
-    """Run `sabench check ci` in a source tree: exit code, seconds, findings."""
+def check(tree: Path, baseline: Path, suite: str = "ci") -> tuple[int, float, dict[str, Any]]:
+    """Run `sabench check` in a source tree: exit code, seconds, findings."""
     start = time.perf_counter()
     words = [
         sys.executable,
         "-m",
         "sabench",
         "check",
-        "ci",
+        suite,
         "--baseline",
         str(baseline.resolve()),
         "--json",
@@ -270,8 +480,8 @@ def check(tree: Path, baseline: Path) -> tuple[int, float, dict[str, Any]]:
         check=False,
     )
     if done.returncode not in (0, 1) or not done.stdout:
-        print(f"exit code {done.returncode}: {done.stderr[-2000:]}", flush=True)
-        return done.returncode if done.stdout else 2, time.perf_counter() - start, {"worse": []}
+        print(f"exit code {done.returncode}: {done.stderr[-500:]}", flush=True)
+        return done.returncode, time.perf_counter() - start, {"worse": []}
     return done.returncode, time.perf_counter() - start, json.loads(done.stdout.splitlines()[-1])
 
 

@@ -1,6 +1,7 @@
 """Mutation run: change random lines, and count what the unit tests notice.
 
     python benchmarks/mutation.py --seed 1 --count 40
+    python benchmarks/mutation.py --count 40 --room geometry simulation metrics algorithms
 
 Each mutant is one changed expression or one dropped statement in one module below `sabench/`. The
 tests that mirror the module's package (`tests/unit/<package>`) run on it, in a copy of the tree.
@@ -189,10 +190,16 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n", 1)[0])
     parser.add_argument("--seed", type=int, default=1, help="seed of the choice of mutants")
     parser.add_argument("--count", type=int, default=40, help="number of mutants")
-    parser.add_argument("--room", default="", help="a package below sabench/; all by default")
+    parser.add_argument(
+        "--room",
+        nargs="+",
+        default=[""],
+        help="packages below sabench/, which share the mutants evenly; all by default",
+    )
     parser.add_argument("--time", type=float, default=600.0, help="seconds for each test run")
     options = parser.parse_args()
-    drawn = draw(options.seed, options.count, options.room)
+    share = options.count // len(options.room)
+    drawn = [one for room in options.room for one in draw(options.seed, share, room)]
     with tempfile.TemporaryDirectory() as folder:
         tree = Path(folder)
         for name in _COPIED:

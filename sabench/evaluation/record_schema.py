@@ -98,6 +98,9 @@ class Head(_Part):
     axes: dict[str, Any] = Field({}, description="dotted keys of the scene with this case's values")
     scene_hash: Name = Field(description="the data set's hash if the scene is not disclosed")
     dataset: Name = Field(description="content hash of the data set")
+    identity: Name | None = Field(
+        None, description="of the data set on every processor; missing for private test sets"
+    )
     seed: int = Field(
         ge=0, lt=2**63, description="of the data set; its number in a private test set"
     )

@@ -145,3 +145,4 @@ def test_hidden_runs_tell_no_seed_and_show_no_picture(tmp_path: Path, command: C
     assert "own words" not in output
     assert not (tmp_path / "leaderboard/pictures").exists()
     assert found[0]["dataset"] != found[1]["dataset"]
+    assert all(record.get("identity") is None for record in found)  # a hash of the seed

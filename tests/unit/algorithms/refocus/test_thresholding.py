@@ -192,6 +192,17 @@ def test_auto_k_fills_the_share_that_it_aims_at(keep: Keep) -> None:
     )
 
 
+@pytest.mark.parametrize("keep", KEEPS)
+def test_auto_k_is_the_lowest_step_that_does_not_fill_more(keep: Keep) -> None:
+    volume, _ = random_volumes()
+    k = auto_k(volume, 0.1, keep)
+    filled = []
+    for level in (k - 0.01, k):
+        left = extract(volume.copy(), level, keep).astype(np.float64)
+        filled.append(left.sum() ** 2 / (left.size * np.sum(left**2)))
+    assert filled[1] <= 0.1 * {"reduced": 0.85, "whole": 0.65}[keep] < filled[0]
+
+
 def test_auto_k_of_a_field_that_is_sparser_than_its_images_keeps_all_above_the_mean() -> None:
     volume = np.zeros((2, 20, 20), dtype=np.float32)
     volume[:, 4, 5] = 1.0
