@@ -167,16 +167,32 @@ def generate(
     say(f"{made.root}: {size}, {made.manifest.renderer}, hash {made.content_hash[:12]}")
 
 
-def verify(dataset: DataSet) -> None:
+def verify(
+    dataset: DataSet,
+    against: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="DATASET",
+            help="Another copy, perhaps of another processor, that must hold the same up to "
+            "rounding.",
+            show_default=False,
+        ),
+    ] = None,
+) -> None:
     """Check every byte and every shape of a data set."""
+    from sabench.dataset.agreement import disagreements
+    from sabench.dataset.reader import open_dataset
     from sabench.dataset.verification import verify as faults_of
 
     faults = faults_of(dataset)
+    if against is not None:
+        faults = faults or faults_of(against)
+        faults = faults or disagreements(open_dataset(against), open_dataset(dataset))
     for fault in faults:
         say(fault)
     if faults:
         raise typer.Exit(1)
-    say(f"{dataset}: intact")
+    say(f"{dataset}: intact" + (f", agrees with {against}" if against is not None else ""))
 
 
 def pack(

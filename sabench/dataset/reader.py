@@ -37,8 +37,17 @@ class Dataset:
 
     @property
     def content_hash(self) -> str:
-        """Hash that identifies this data set."""
+        """Hash of the bytes of this copy of the data set."""
         return self.contents.content_hash
+
+    @property
+    def identity(self) -> str | None:
+        """Hash of what defines the data set, equal on all processors.
+
+        None for the observation side alone, which must not disclose it, and for data sets of before
+        it was introduced.
+        """
+        return self.contents.identity if isinstance(self.contents, Manifest) else None
 
     @property
     def has_truth(self) -> bool:

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar, get_args
 
+import h5py
 import numpy as np
 import numpy.typing as npt
 
@@ -35,6 +36,7 @@ _ATTRIBUTES = (
     "format",
     "version",
     "dataset",
+    "identity",
     "task",
     "track",
     "solver",
@@ -192,6 +194,8 @@ def result_writer(
             file.attrs["dataset"], file.attrs["solver"] = dataset.content_hash, solver
             file.attrs[_TASK_ATTRIBUTE[VERSION]] = task
             file.attrs["parameters"] = json.dumps(parameters, sort_keys=True)
+            if dataset.identity is not None:
+                file.attrs["identity"] = dataset.identity
         yield ResultWriter(file, check)
 
 
@@ -206,7 +210,7 @@ def open_result(path: str | Path, dataset: Dataset) -> Result:
     file_path = Path(path)
     with open_hdf5(file_path) as file:
         head = _head(file)
-    if head.get("dataset") != dataset.content_hash:
+    if not _names(head).fits(dataset):
         raise InputError(
             f"{path}: expected a result of the data set {dataset.content_hash[:12]} "
             f"({dataset.root}), got one of {str(head.get('dataset'))[:12]}"
@@ -226,13 +230,42 @@ def open_result(path: str | Path, dataset: Dataset) -> Result:
     )
 
 
-def read_dataset_hash(path: Path) -> str:
-    """Read the content hash of the data set that a result belongs to.
+@dataclass(frozen=True)
+class DatasetNames:
+    """Hashes of the data set that a result belongs to.
+
+    `content_hash` names one copy of it, `identity` every copy; None in results of a private test
+    set and of before it was introduced.
+    """
+
+    content_hash: str
+    identity: str | None
+
+    def fits(self, dataset: Dataset) -> bool:
+        """Return whether this is a copy of the result's data set."""
+        known = self.identity is not None and self.identity == dataset.identity
+        return known or self.content_hash == dataset.content_hash
+
+
+def read_dataset_names(path: Path) -> DatasetNames:
+    """Read which data set a result belongs to.
 
     Raises as `open_result` does.
     """
     with open_hdf5(path) as file:
-        return str(_head(file).get("dataset"))
+        return _names(_head(file))
+
+
+def add_identity(path: Path, dataset: Dataset) -> None:
+    """Add the data set's identity to a result that was made of its observation side."""
+    if dataset.identity is not None:
+        with delay_interrupts(), h5py.File(path, "r+") as file:
+            file.attrs["identity"] = dataset.identity
+
+
+def _names(head: dict[str, Any]) -> DatasetNames:
+    identity = head.get("identity")
+    return DatasetNames(str(head.get("dataset")), None if identity is None else str(identity))
 
 
 def _head(file: Any) -> dict[str, Any]:

@@ -123,13 +123,18 @@ class Contents(_Record):
 
 
 class Manifest(Contents):
-    """manifest.json: contents and origin of a data set."""
+    """manifest.json: contents and origin of a data set.
+
+    `identity` is that of every copy, on whatever processor it was made: see `identity_of`. Data
+    sets of before have none.
+    """
 
     scene: str
     scene_hash: str = Field(pattern="^[0-9a-f]{64}$")
     seed: int = Field(ge=0)
     renderer: str
     versions: dict[str, str]
+    identity: str | None = Field(None, pattern="^[0-9a-f]{64}$")
 
 
 class ObservationManifest(Contents):
@@ -156,6 +161,25 @@ def content_hash(files: dict[str, FileEntry]) -> str:
     return digest({name: entry.sha256 for name, entry in files.items()})
 
 
+def identity_of(scene_hash: str, seed: int, renderer: str, simulation: str) -> str:
+    """Hash what defines a data set, and not its bytes.
+
+    Bytes differ between processors, which round differently.
+
+    Parameters
+    ----------
+    simulation : version of the simulation, `sabench.utils.version.SIMULATION`.
+    """
+    return digest(
+        {
+            "scene_hash": scene_hash,
+            "seed": seed,
+            "renderer": renderer,
+            "simulation": simulation,
+        }
+    )
+
+
 def seal(manifest: dict[str, Any]) -> str:
     """Serialise the manifest, with the hash of all other keys."""
     rest = {key: value for key, value in manifest.items() if key != "manifest_hash"}
@@ -178,9 +202,29 @@ def read_manifest(root: Path) -> Contents:
         raise InputError(f"{path}: expected a data set's manifest, found none")
     kind = ObservationManifest if _is_observation(path) else Manifest
     manifest: Contents = _read_versioned(kind, path)
-    if path.read_text(encoding="utf-8") != seal(manifest.model_dump(mode="json")):
+    if path.read_text(encoding="utf-8") != seal(
+        manifest.model_dump(mode="json", exclude_none=True)
+    ):
         raise InputError(f"{path}: its manifest_hash does not match its content")
+    if isinstance(manifest, Manifest):
+        _check_identity(manifest, path)
     return manifest
+
+
+def _check_identity(manifest: Manifest, path: Path) -> None:
+    if manifest.identity is None:
+        return
+    expected = identity_of(
+        manifest.scene_hash,
+        manifest.seed,
+        manifest.renderer,
+        manifest.versions.get("simulation", ""),
+    )
+    if manifest.identity != expected:
+        raise InputError(
+            f"{path}: identity: expected {expected[:12]} for its scene_hash, seed, renderer and "
+            f"versions.simulation, got {manifest.identity[:12]}"
+        )
 
 
 def read_cameras(root: Path) -> CamerasFile:

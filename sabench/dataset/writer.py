@@ -22,7 +22,7 @@ from sabench.geometry.camera import Camera
 from sabench.scenes import Rig, Scene
 from sabench.utils.arrays import F64, Bool
 from sabench.utils.files import canonical_json, complete_or_nothing, sha256
-from sabench.utils.version import __version__
+from sabench.utils.version import SIMULATION, __version__
 
 _RECORDED = ("mitsuba", "drjit", "numpy", "scipy", "miepython", "h5py", "tifffile", "OpenEXR")
 _PACKED = ("number", "depth_mm", "path_mm")  # one number for each pixel, mostly the same
@@ -174,13 +174,18 @@ def _manifest(
     paths = sorted(path for path in root.rglob("*") if path.is_file())
     names = [path.relative_to(root).as_posix() for path in paths]
     files = {name: known.get(name) or _entry(path) for name, path in zip(names, paths, strict=True)}
-    versions = {"sabench": __version__, "python": platform.python_version()}
+    versions = {
+        "sabench": __version__,
+        "simulation": SIMULATION,
+        "python": platform.python_version(),
+    }
     versions |= {package: importlib.metadata.version(package) for package in _RECORDED}
     return schema.seal(
         {
             "format": schema.FORMAT,
             "version": schema.VERSION,
             "content_hash": schema.content_hash(files),
+            "identity": schema.identity_of(scene.hash, seed, renderer, SIMULATION),
             "scene": name,
             "scene_hash": scene.hash,
             "seed": seed,

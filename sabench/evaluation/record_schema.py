@@ -1,4 +1,7 @@
-"""Schema of records: types, lengths and ranges, because a record may come from anybody."""
+"""Schema of records: types, lengths and ranges.
+
+A record may come from anybody.
+"""
 
 from __future__ import annotations
 
@@ -95,6 +98,9 @@ class Head(_Part):
     axes: dict[str, Any] = Field({}, description="dotted keys of the scene with this case's values")
     scene_hash: Name = Field(description="the data set's hash if the scene is not disclosed")
     dataset: Name = Field(description="content hash of the data set")
+    identity: Name | None = Field(
+        None, description="of the data set on every processor; missing for private test sets"
+    )
     seed: int = Field(
         ge=0, lt=2**63, description="of the data set; its number in a private test set"
     )
@@ -202,7 +208,7 @@ def range_of(score: Score) -> tuple[float, float]:
 
 
 def _other_faults(task: str, values: Record) -> Iterator[str]:
-    """Find faults of keys that this version does not have: each holds one short value."""
+    """Find faults of unknown keys: each holds one short value."""
     known = {score.key for score in tasks.of(task).all_scores}
     for key, value in values.items():
         if key in known:

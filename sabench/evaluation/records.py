@@ -140,3 +140,12 @@ def run_key(record: Record) -> str:
 def key_of(record: Record, names: tuple[str, ...]) -> str:
     """Combine the given values of a record in one text."""
     return json.dumps([record.get(name) for name in names], sort_keys=True)
+
+
+def same_data(one: Record, other: Record) -> bool:
+    """Return whether two records are of copies of one data set.
+
+    Copies made on different processors have one identity and different content hashes.
+    """
+    known = one.get("identity") is not None and one.get("identity") == other.get("identity")
+    return known or bool(one["dataset"] == other["dataset"])

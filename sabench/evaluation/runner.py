@@ -228,6 +228,7 @@ def _rank(
             head
             | _blank(head["task"])
             | {"dataset": dataset.content_hash, "pictures": folder.name if folder else None}
+            | {"identity": dataset.identity if case.number is None else None}
         )
         name = f"{head['solver']}-{head['run_hash'][:8]}"
         out = work / "results" / f"{case.folder(work).name}-{name}.h5"

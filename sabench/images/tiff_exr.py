@@ -139,7 +139,7 @@ def read_exr(path: Path, shape: tuple[int, int]) -> F32:
 
 
 def _check_header(path: Path, shape: tuple[int, int]) -> None:
-    """Check that a file has one part of scan lines with one 32-bit channel, of that shape."""
+    """Check that a file has one part with one 32-bit channel, of that shape."""
     try:
         header = read_exr_header(path)
     except (ValueError, struct.error) as error:

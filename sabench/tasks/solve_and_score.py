@@ -15,7 +15,7 @@ import numpy as np
 from sabench import plugins, tasks
 from sabench.api.make import make_algorithm
 from sabench.dataset.reader import Dataset, open_dataset
-from sabench.dataset.results import Result, open_result, result_writer
+from sabench.dataset.results import Result, add_identity, open_result, result_writer
 from sabench.tasks.external_programs import Account, adopt_from, is_program, run_program
 from sabench.tasks.visible_files import open_desk, view_of_import, view_of_plugin
 from sabench.utils import backend, memory
@@ -97,6 +97,7 @@ def solve(
         if plugins.is_bundled("solvers", solver):
             with complete_or_nothing(place, overwrite=overwrite) as partial:
                 shutil.move(desk.result, partial)
+                add_identity(partial, data)
         else:
 
             def account(result: Result) -> Account:

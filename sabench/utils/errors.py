@@ -53,7 +53,7 @@ class DeclinedError(InputError):
 
 
 class UncheckedError(InputError):
-    """A file could not be checked within the time for it, which is not a fault of the file."""
+    """A file could not be checked in time, which is no fault of the file."""
 
 
 def one_line(text: str, longest: int = _LONGEST) -> str:

@@ -271,7 +271,7 @@ def test_a_solver_s_name_leads_to_no_picture_elsewhere(tmp_path: Path) -> None:
     assert set(block(text, "album0")) == {"images", "truth"}
 
 
-BAD = [
+BAD: list[dict[str, Any]] = [
     {"reference_s": 1.7e308},
     {"pictures": "../../etc"},
     {"q": 2.5},

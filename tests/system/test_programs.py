@@ -22,7 +22,7 @@ import pytest
 import sabench
 from sabench.dataset.observation_side import copy_observation
 from sabench.dataset.reader import Dataset
-from sabench.dataset.schema import seal
+from sabench.dataset.schema import identity_of, seal
 from sabench.evaluation.leaderboard.submissions import submit
 from sabench.evaluation.records import append, latest, read_records
 from sabench.tasks import of
@@ -311,7 +311,7 @@ def test_all_of_a_submission_or_nothing(quick: Dataset, quick_result: Path, tmp_
     with pytest.raises(InputError, match="one result for each data set"):
         submit(folder, "Ann", [quick.root], tmp_path / "board")
     with h5py.File(folder / "b.h5", "r+") as file:
-        file.attrs["dataset"] = "0" * 64
+        file.attrs["dataset"] = file.attrs["identity"] = "0" * 64
     with pytest.raises(InputError, match="none there has the hash '000000000"):
         submit(folder, "Ann", [quick.root], tmp_path / "board")
     assert not (tmp_path / "board").exists()
@@ -374,7 +374,9 @@ def test_the_case_comes_from_a_record_of_the_same_data_set(
 def make_private(root: Path, seed: int) -> Dataset:
     """Say of a data set that its seed is another one, of which nobody knows."""
     manifest = json.loads((root / "manifest.json").read_text())
-    (root / "manifest.json").write_text(seal(manifest | {"seed": seed}))
+    parts = manifest["scene_hash"], seed, manifest["renderer"], manifest["versions"]["simulation"]
+    changed = {"seed": seed, "identity": identity_of(*parts)}
+    (root / "manifest.json").write_text(seal(manifest | changed))
     return sabench.open_dataset(root)
 
 
@@ -387,7 +389,13 @@ def test_a_private_data_set_is_not_disclosed(
     (standing,) = submit(quick_result, "Ann", [root], board)
     texts = [path.read_text() for path in board.rglob("*") if path.is_file()]
     assert len(texts) >= 2  # records and page
-    for secret in (str(seed), data.manifest.scene_hash, "finals", str(tmp_path)):
+    for secret in (
+        str(seed),
+        str(data.identity),
+        data.manifest.scene_hash,
+        "finals",
+        str(tmp_path),
+    ):
         assert not any(secret in text for text in texts), secret
     assert "quick" not in (board / "records" / "submitted.jsonl").read_text()
     assert (standing.record["case"], standing.record["split"], standing.record["seed"]) == (

@@ -16,6 +16,7 @@ import pytest
 from sabench.evaluation import runner
 from sabench.evaluation.hidden_split import read_secret
 from sabench.evaluation.suite_loading import load_suite
+from sabench.tasks.solve_and_score import score
 from sabench.utils.errors import UncheckedError
 from tests.conftest import Command
 
@@ -111,8 +112,8 @@ def test_a_score_that_no_record_may_have_is_an_error_of_the_solver(
     tmp_path: Path, command: Command, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (tmp_path / "s.toml").write_text(SUITE)
-    real = runner.score
-    monkeypatch.setattr(runner, "score", lambda data, out: real(data, out) | {"q": 1e300})
+    wrong = {"q": 1e300}
+    monkeypatch.setattr(runner, "score", lambda data, out: score(data, out) | wrong)
     done = command("run", "s.toml", "--seed", "1", "--solver", "asa")
     assert done.returncode == 1, done.stderr
     (found,) = lines(tmp_path)
@@ -144,3 +145,4 @@ def test_hidden_runs_tell_no_seed_and_show_no_picture(tmp_path: Path, command: C
     assert "own words" not in output
     assert not (tmp_path / "leaderboard/pictures").exists()
     assert found[0]["dataset"] != found[1]["dataset"]
+    assert all(record.get("identity") is None for record in found)  # a hash of the seed

@@ -8,6 +8,7 @@ from __future__ import annotations
 from sabench.dataset.reader import Dataset
 from sabench.dataset.schema import Manifest
 from sabench.evaluation.record_schema import Record
+from sabench.evaluation.records import same_data
 from sabench.evaluation.suite_loading import is_public
 from sabench.utils.progress import console
 
@@ -33,7 +34,8 @@ def describe_data(data: Dataset, known: list[Record]) -> Record:
     those of its manifest, but only if its scene and seed are public.
     """
     runs = [record for record in known if not record["submission"]]
-    twin = next((record for record in runs if record["dataset"] == data.content_hash), None)
+    here = {"dataset": data.content_hash, "identity": data.identity}
+    twin = next((record for record in runs if same_data(record, here)), None)
     if twin:
         return {key: twin.get(key) for key in _CASE if key in twin}
     manifest = data.manifest
@@ -51,7 +53,7 @@ def describe_data(data: Dataset, known: list[Record]) -> Record:
 
 
 def _is_public(manifest: Manifest, runs: list[Record]) -> bool:
-    """Check whether a public record or a bundled suite has the data set's scene and seed."""
+    """Check whether a data set's scene and seed are public already."""
     recorded = any(
         (one["scene_hash"], one["seed"], one["split"])
         == (manifest.scene_hash, manifest.seed, "public")
@@ -64,7 +66,8 @@ def _undisclosed(data: Dataset) -> Record:
     """Describe a private data set by its content hash alone."""
     name = f"private-{data.content_hash[:12]}"
     reason = "no public record and no bundled suite has its scene with its seed"
-    console.print(f"{data.root}: recorded as {name}: {reason}", markup=False, highlight=False)
+    text = f"{data.root}: recorded as {name}: {reason}"
+    console.print(text, markup=False, highlight=False, soft_wrap=True)
     return {
         "case": name,
         "scene": "private",

@@ -160,7 +160,7 @@ def _row(row: Record, case: int, pool: _Pool) -> dict[str, Any]:
         "submission": row.get("submission"),
         "commands": [pool(text) for text in commands(runs)],
         "seeds": [run["seed"] for run in runs],
-        "datasets": [pool(run["dataset"]) for run in runs],
+        "datasets": [pool(run.get("identity") or run["dataset"]) for run in runs],
         "runs": [run["run_hash"] for run in runs],
         "codes": [
             pool(text)

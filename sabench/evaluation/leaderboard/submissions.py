@@ -5,6 +5,7 @@ Submissions are data only: sabench executes nothing of them.
 
 from __future__ import annotations
 
+import contextlib
 import datetime
 import tempfile
 from collections.abc import Iterator, Sequence
@@ -13,15 +14,16 @@ from pathlib import Path
 from typing import Any
 
 from sabench import tasks
+from sabench.dataset.agreement import disagreements
 from sabench.dataset.hdf5_probe import probe
 from sabench.dataset.reader import Dataset, open_dataset
-from sabench.dataset.results import read_dataset_hash
+from sabench.dataset.results import read_dataset_names
 from sabench.dataset.schema import MANIFEST
 from sabench.dataset.verification import verify
 from sabench.evaluation.leaderboard.archives import result_files
 from sabench.evaluation.leaderboard.disclosure import describe_data
 from sabench.evaluation.record_schema import Record
-from sabench.evaluation.records import append, encode, latest, read_records, run_key
+from sabench.evaluation.records import append, encode, latest, read_records, run_key, same_data
 from sabench.evaluation.runner import build_board
 from sabench.tasks.external_programs import adopt
 from sabench.tasks.solve_and_score import score
@@ -115,29 +117,50 @@ def check_name(name: str) -> None:
 
 
 def _datasets(files: list[tuple[str, Path]], folders: Sequence[Path]) -> dict[str, Dataset]:
-    """Find the data set of every result by its content hash; verify each once."""
-    known, whole, found = dict(_by_hash(folders)), set(), {}
+    """Find the data set of every result; verify each once.
+
+    It is the copy that was solved, or else another one.
+    """
+    there = list(_data_sets(folders))
+    intact: dict[Path, Dataset] = {}
+    found = {}
     for label, file in files:
         probe(file)
-        wanted = read_dataset_hash(file)
-        if wanted not in known:
+        wanted = read_dataset_names(file)
+        copies = sorted(
+            (one for one in there if wanted.fits(one)),
+            key=lambda one: one.content_hash != wanted.content_hash,
+        )
+        if not copies:
             where = ", ".join(str(folder) for folder in folders)
             raise InputError(
                 f"{printable(label)}: expected a result of a data set in {where}, but none there "
-                f"has the hash {printable(wanted, 12)!r}"
+                f"has the hash {printable(wanted.content_hash, 12)!r}"
             )
-        root = known[wanted]
-        if wanted not in whole and (faults := verify(root)):
-            raise InputError(
-                f"{printable(label)}: expected an intact data set at {root}, but {faults[0]}"
-            )
-        whole.add(wanted)
-        found[label] = open_dataset(root)
+        if not all(one.root in intact for one in copies):
+            _check_copies(label, copies)
+            intact |= {one.root: one for one in copies}
+        found[label] = copies[0]
     return found
 
 
-def _by_hash(folders: Sequence[Path]) -> Iterator[tuple[str, Path]]:
-    """List content hash and root of every data set in the folders.
+def _check_copies(label: str, copies: list[Dataset]) -> None:
+    """Refuse damaged data sets, and copies that differ by more than rounding."""
+    for one in copies:
+        if faults := verify(one.root):
+            raise InputError(
+                f"{printable(label)}: expected an intact data set at {one.root}, but {faults[0]}"
+            )
+    for one in copies[1:]:
+        if faults := disagreements(copies[0], one):
+            raise InputError(
+                f"{printable(label)}: expected equal copies of its data set at {copies[0].root} "
+                f"and {one.root}, but {faults[0]}; give the one that counts with --data"
+            )
+
+
+def _data_sets(folders: Sequence[Path]) -> Iterator[Dataset]:
+    """List every data set in the folders that can be read and has its truth.
 
     Data sets lie at a folder or directly below it; anything else is skipped.
     """
@@ -146,14 +169,10 @@ def _by_hash(folders: Sequence[Path]) -> Iterator[tuple[str, Path]]:
             raise InputError(f"{folder}: expected a folder of data sets, found none")
         for root in (folder, *sorted(folder.iterdir())):
             if not root.name.startswith(".") and (root / MANIFEST).is_file():
-                yield _content_hash(root), root
-
-
-def _content_hash(root: Path) -> str:
-    try:
-        return open_dataset(root).content_hash
-    except InputError:
-        return ""  # no result belongs to a data set that cannot be read
+                with contextlib.suppress(InputError):  # no result belongs to it
+                    data = open_dataset(root)
+                    if data.has_truth:
+                        yield data
 
 
 def _record(label: str, file: Path, data: Dataset, known: list[Record]) -> Record:
@@ -164,11 +183,13 @@ def _record(label: str, file: Path, data: Dataset, known: list[Record]) -> Recor
     head = describe_data(data, known) | {
         key: scores[key] for key in ("task", "solver", "parameters")
     }
-    run_hash = digest([data.content_hash, head["solver"], head["parameters"]])
+    identity = data.identity if head["split"] == "public" else None
+    run_hash = digest([identity or data.content_hash, head["solver"], head["parameters"]])
     costs = {"seconds": None, "peak_mb": None}  # measured on an unknown machine
     figures = {one.key: scores[one.key] for one in tasks.of(head["task"]).columns}
     rest = {
         "dataset": data.content_hash,
+        "identity": identity,
         "run_hash": run_hash,
         "versions": {"sabench": __version__},
         "machine": {},
@@ -234,7 +255,8 @@ def standing(record: Record, every: Sequence[Record]) -> Standing:
     rivals = [
         one
         for one in every
-        if (one["dataset"], one["task"]) == (record["dataset"], record["task"])
+        if same_data(one, record)
+        and one["task"] == record["task"]
         and _has(one, key)
         and task.admits(one)
     ]

@@ -28,7 +28,7 @@ class Array:
 
 
 def store_arrays(path: Path, names: Sequence[str], folder: Path) -> None:
-    """Read arrays of a file and store them in a folder, from which `load_arrays` reads.
+    """Read arrays of a file and store them in a folder for `load_arrays`.
 
     Raises InputError as `read_arrays` does.
     """

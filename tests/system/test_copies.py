@@ -1,0 +1,211 @@
+"""Copies of one data set made with other instructions: one identity, other bytes.
+
+The second copy is made as on a processor without AVX, as far as variables of the environment can
+say so to numba, OpenBLAS, NumPy and the C library.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import pytest
+import tifffile
+
+import sabench
+from benchmarks.instruction_sets import SMALL
+from sabench.dataset import schema
+from sabench.dataset.agreement import disagreements
+from sabench.dataset.observation_side import pack
+from sabench.dataset.reader import Dataset, open_dataset
+from sabench.dataset.verification import verify
+from sabench.evaluation.leaderboard.submissions import submit
+from sabench.images.tiff_exr import write_exr, write_tiff
+from sabench.simulation.pipeline import generate
+from sabench.utils.errors import InputError
+from sabench.utils.files import canonical_json
+from tests.conftest import ROOT, Command
+from tests.helpers.untrusted import reseal
+
+_LIMITS = {key: value for part in SMALL.values() for key, value in part.items()}
+Change = Callable[[Path], None]
+
+
+@pytest.fixture(scope="module")
+def here(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
+    """A public data set as this processor makes it."""
+    folder = tmp_path_factory.mktemp("here")
+    return generate("quick", folder / "a", seed=1, backend="splat")
+
+
+@pytest.fixture(scope="module")
+def there(here: Dataset, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with the copy of the other processor, and its result by `msa`."""
+    folder = tmp_path_factory.mktemp("there")
+    _generate_there(folder / "b", folder / "numba")
+    if open_dataset(folder / "b").content_hash == here.content_hash:
+        pytest.skip("this processor rounds as one without AVX does")
+    sabench.solve("msa", folder / "b", folder / "msa.h5")
+    return folder
+
+
+def _generate_there(out: Path, cache: Path) -> None:
+    words = ["generate", "quick", "-o", str(out), "--seed", "1", "--backend", "splat"]
+    done = subprocess.run(
+        [sys.executable, "-m", "sabench", *words],
+        env={**os.environ, **_LIMITS, "NUMBA_CACHE_DIR": str(cache), "PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+
+
+def test_copies_of_two_processors_have_one_identity(here: Dataset, there: Path) -> None:
+    other = open_dataset(there / "b")
+    assert other.content_hash != here.content_hash
+    assert other.identity == here.identity is not None
+    assert disagreements(here, other) == disagreements(other, here) == []
+
+
+def test_a_result_of_the_other_copy_is_accepted_and_records_meet(
+    here: Dataset, there: Path, tmp_path: Path
+) -> None:
+    board, own = tmp_path / "board", tmp_path / "own.h5"
+    sabench.solve("msa", here.root, own)
+    (theirs,) = submit(there / "msa.h5", "Ann", [here.root], board)
+    (ours,) = submit(own, "Ben", [there], board)  # scored on the copy of the other processor
+    assert theirs.record["dataset"] != ours.record["dataset"]
+    assert theirs.record["identity"] == ours.record["identity"] == here.identity
+    assert theirs.record["run_hash"] == ours.record["run_hash"]
+    assert (theirs.of, ours.of) == (1, 2)
+    assert theirs.record["q"] == pytest.approx(ours.record["q"], abs=1e-3)
+    (both,) = submit(there / "msa.h5", "Cleo", [here.root, there], board)
+    assert both.of == 3
+    assert both.record["dataset"] == ours.record["dataset"]  # the copy that was solved
+
+
+def test_two_results_of_copies_are_one_too_many(here: Dataset, there: Path, tmp_path: Path) -> None:
+    sent = tmp_path / "sent"
+    sent.mkdir()
+    sabench.solve("msa", here.root, sent / "own.h5")
+    shutil.copy(there / "msa.h5", sent / "theirs.h5")
+    with pytest.raises(InputError, match="one result for each data set"):
+        submit(sent, "Ann", [here.root, there], tmp_path / "board")
+
+
+def _move_a_particle(root: Path) -> None:
+    with h5py.File(root / "truth.h5", "r+") as file:
+        file["frames/0000/position_mm"][7, 2] += 1e-6
+
+
+def _exchange_particles(root: Path) -> None:
+    with h5py.File(root / "truth.h5", "r+") as file:
+        file["frames/0000/id"][...] = file["frames/0000/id"][...][::-1]
+
+
+def _darken(root: Path) -> None:
+    path = root / "images" / "frame_0000" / "camera_01.tif"
+    grey = tifffile.imread(path)
+    write_tiff(path, np.minimum(grey, np.uint16(np.quantile(grey, 0.99))))
+
+
+def _scale_light(root: Path) -> None:
+    path = root / "images" / "frame_0000" / "camera_02.exr"
+    radiance = open_dataset(root).radiance(0)[2]
+    write_exr(path, radiance * np.float32(1.01))
+
+
+def _turn_a_camera(root: Path) -> None:
+    path = root / "cameras.json"
+    values: dict[str, Any] = json.loads(path.read_text())
+    values["cameras"][0]["center_mm"][0] += 1e-6
+    path.write_text(canonical_json(values), encoding="utf-8")
+
+
+@pytest.mark.parametrize(
+    ("change", "file"),
+    [
+        (_move_a_particle, "truth.h5: frames/0000/position_mm"),
+        (_exchange_particles, "truth.h5: frames/0000/id"),
+        (_darken, "camera_01.tif"),
+        (_scale_light, "camera_02.exr"),
+        (_turn_a_camera, "cameras.json"),
+    ],
+)
+def test_a_changed_copy_does_not_pass_as_the_original(
+    here: Dataset, tmp_path: Path, command: Command, change: Change, file: str
+) -> None:
+    copy = Path(shutil.copytree(here.root, tmp_path / "copy"))
+    change(copy)
+    reseal(copy)
+    assert open_dataset(copy).identity == here.identity  # it claims to be one
+    done = command("verify", str(copy), "--against", str(here.root))
+    assert done.returncode == 1
+    assert file in done.stdout
+    result = tmp_path / "msa.h5"
+    sabench.solve("msa", here.root, result)
+    with pytest.raises(InputError, match="equal copies of its data set"):
+        submit(result, "Ann", [here.root, copy], tmp_path / "board")
+
+
+def test_another_seed_is_another_data_set(here: Dataset, tmp_path: Path) -> None:
+    other = generate("quick", tmp_path / "b", seed=2, backend="splat")
+    assert other.identity != here.identity
+    assert "identity: expected" in disagreements(here, other)[0]
+    sabench.solve("msa", other.root, tmp_path / "msa.h5")
+    with pytest.raises(InputError, match="none there has the hash"):
+        submit(tmp_path / "msa.h5", "Ann", [here.root], tmp_path / "board")
+    with pytest.raises(InputError, match="expected a result of the data set"):
+        sabench.score(here.root, tmp_path / "msa.h5")
+
+
+def _rewrite(root: Path, change: Callable[[dict[str, Any]], None]) -> None:
+    path = root / schema.MANIFEST
+    manifest: dict[str, Any] = json.loads(path.read_text())
+    change(manifest)
+    path.write_text(schema.seal(manifest), encoding="utf-8")
+
+
+def test_an_identity_follows_from_what_defines_the_data(here: Dataset, tmp_path: Path) -> None:
+    copy = Path(shutil.copytree(here.root, tmp_path / "copy"))
+    _rewrite(copy, lambda manifest: manifest.update(seed=2))
+    assert "identity: expected" in verify(copy)[0]
+    _rewrite(copy, lambda manifest: manifest.update(seed=1))
+    assert verify(copy) == []
+
+
+def test_data_sets_of_before_have_no_identity(here: Dataset, tmp_path: Path) -> None:
+    def forget(manifest: dict[str, Any]) -> None:
+        del manifest["identity"], manifest["versions"]["simulation"]
+
+    copy = Path(shutil.copytree(here.root, tmp_path / "copy"))
+    _rewrite(copy, forget)
+    assert verify(copy) == []
+    assert open_dataset(copy).identity is None
+    sabench.solve("msa", copy, tmp_path / "msa.h5")
+    with h5py.File(tmp_path / "msa.h5") as file:
+        assert "identity" not in file.attrs
+        assert file.attrs["dataset"] == here.content_hash
+    (standing,) = submit(tmp_path / "msa.h5", "Ann", [copy], tmp_path / "board")
+    assert standing.record["identity"] is None
+    (standing,) = submit(tmp_path / "msa.h5", "Ben", [here.root], tmp_path / "board")
+    assert standing.of == 2  # these bytes are those of a data set that has one
+
+
+def test_the_observation_side_does_not_disclose_the_identity(here: Dataset, tmp_path: Path) -> None:
+    """Seeds are often small, and the identity would tell whether a guess is right."""
+    blind = pack(here, tmp_path / "blind", blind=True)
+    assert open_dataset(blind).identity is None
+    assert str(here.identity) not in (blind / schema.MANIFEST).read_text()
+    sabench.solve("msa", blind, tmp_path / "msa.h5")
+    (standing,) = submit(tmp_path / "msa.h5", "Ann", [here.root], tmp_path / "board")
+    assert standing.record["dataset"] == here.content_hash
