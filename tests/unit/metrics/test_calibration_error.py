@@ -3,18 +3,24 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 
+from sabench.algorithms.calibration.cramer_rao import Limit
 from sabench.api import Calibration
 from sabench.geometry.refraction import Layer, Wall
+from sabench.geometry.rigid_motion import RigidMotion
+from sabench.metrics import calibration_error
 from sabench.metrics.calibration_error import (
     calibration_scores,
     detection_noise,
     detection_scores,
+    lower_bound,
     mean_distance,
     mean_length,
+    point_scores,
     reproject,
     scatter,
     target_points,
@@ -54,6 +60,44 @@ def test_a_principal_point_aside_is_the_mean_reprojection_error() -> None:
     assert ratio is not None
     assert bound is not None
     assert ratio * bound == pytest.approx(0.5, rel=1e-6)
+
+
+def test_efficiency_is_relative_to_that_of_an_efficient_estimate(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    bounds = []
+
+    def spy(*arguments: Any) -> Limit | None:
+        bounds.append(lower_bound(*arguments))
+        return bounds[-1]
+
+    monkeypatch.setattr(calibration_error, "lower_bound", spy)
+    case, cameras, points, exact = case_of(calibration_scene(detection=NOISE))
+    estimate = Calibration(cameras, points + np.array([0.02, 0.0, 0.0]))
+    scores = calibration_scores(estimate, case, cameras, points, exact, case.found)
+    (bound,) = bounds
+    true, measured, ratio = (scores[key] for key in ("true_px", "measured_px", "efficiency_ratio"))
+    assert bound is not None
+    assert true is not None
+    assert measured is not None
+    assert ratio is not None
+    assert 0.0 < bound.efficiency < 1.0
+    assert ratio * bound.efficiency == pytest.approx(true / measured)
+
+
+def test_each_alignment_takes_away_its_own_motion() -> None:
+    rng = np.random.default_rng(4)
+    truth, seen = rng.normal(0.0, 10.0, (3, 20, 3)), np.ones((3, 20), dtype=np.bool_)
+    still, shift = RigidMotion(np.eye(3), np.zeros(3)), np.array([0.1, -0.2, 0.3])
+    scores = point_scores(truth + shift, truth, seen, still)
+    means = {
+        how: [scores[f"{how}{axis}_mean_mm"] for axis in "xyz"]
+        for how in ("raw_", "shift_", "", "rigid_")
+    }
+    assert means["raw_"] == pytest.approx([0.1, -0.2, 0.3])
+    assert means[""] == pytest.approx([0.0, 0.0, 0.3])  # lateral: in the plane of the wall
+    assert means["shift_"] == pytest.approx([0.0, 0.0, 0.3], abs=1e-9)
+    assert means["rigid_"] == pytest.approx([0.0, 0.0, 0.0], abs=1e-9)
 
 
 def test_points_are_triangulated_from_the_observations_that_were_used() -> None:
