@@ -205,7 +205,10 @@ def test_extreme_numbers_end_well_or_in_a_sentence(
 
 def test_names_that_no_disk_can_hold_are_refused_in_suites(tmp_path: Path) -> None:
     text = 'title = "t"\nscenes = ["quick"]\nbackend = "splat"\nsolvers = [{ name = "asa" }]\n'
-    for old, words in (('"quick"', "expected a file's name"), ('"asa"', "no solver is named")):
+    for old, words in (
+        ('"quick"', "expected a name of at most 200"),
+        ('"asa"', "no solver is named"),
+    ):
         (tmp_path / "s.toml").write_text(text.replace(old, f'"{"x" * 5000}"'))
         with pytest.raises(InputError, match=words):
             load_suite(tmp_path / "s.toml")
