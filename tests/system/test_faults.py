@@ -263,7 +263,7 @@ def wrong_kind(file: h5py.File) -> None:
 
 
 def other_data_set(file: h5py.File) -> None:
-    file.attrs["dataset"] = "0" * 64
+    file.attrs["dataset"] = file.attrs["identity"] = "0" * 64
 
 
 def no_frame(file: h5py.File) -> None:

@@ -125,7 +125,7 @@ def test_every_end_of_a_reader_is_a_sentence(
     path.write_bytes(b"x")
     monkeypatch.setattr(isolated_reading, "_CPU_S", 1.0)
     for read, arguments, words in (
-        (spin, (), "reading it: it could not be read in 2 s of CPU time"),
+        (spin, (), "could not be checked, because reading it takes more than 2 s of CPU time"),
         (abort, (), "reading it: its process ended with signal SIGABRT"),
         (take, (4000 * MB,), "expected a file that can be read with 1000 MB of memory"),
         (stumble, (), "expected an intact file, got IndexError: 17"),
