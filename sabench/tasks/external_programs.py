@@ -23,7 +23,7 @@ from sabench.dataset.reader import Dataset, open_dataset
 from sabench.dataset.results import Result, open_result, result_writer
 from sabench.tasks.visible_files import Desk, open_desk, view_of_program
 from sabench.utils.errors import InputError
-from sabench.utils.files import clear_abandoned, is_file
+from sabench.utils.files import clear_abandoned, is_file, refuse_existing
 from sabench.utils.processes.isolated import call_isolated
 from sabench.utils.processes.limited import Limits, run_limited
 from sabench.utils.progress import console
@@ -88,8 +88,7 @@ def run_program(
         docs/formats/result.md.
     """
     path, limits = find_program(program), limits or Limits()
-    if out.exists() and not overwrite:
-        raise InputError(f"{out} exists already: choose another name, or say --overwrite")
+    refuse_existing(out, overwrite=overwrite)
     with open_desk(dataset) as desk, desk.naming(dataset.root, out):
         sees = "; sees its folder and SABENCH_VISIBLE" if desk.confined else "; not confined"
         said = f"{path.name}: at most {limits.time_s:g} s{sees}"
@@ -101,14 +100,13 @@ def run_program(
             path.name,
             view_of_program(desk, dataset, path),
         )
-        _check_file(desk.result, path.name)
 
         def account(result: Result) -> Account:
             frames = max(1, len(tasks.of(result.task).frames(dataset)))
             name, seconds = solver_name(program), cost.seconds / frames
             return Account(name, parameters or {}, desk.confined, seconds, cost.peak_mb)
 
-        adopt_from(desk, dataset, out, account, overwrite=overwrite)
+        adopt_from(desk, dataset, out, path.name, account, overwrite=overwrite)
     return open_result(out, dataset)
 
 
@@ -136,11 +134,16 @@ def adopt_from(
     desk: Desk,
     dataset: Dataset,
     out: Path,
+    name: str,
     account: Callable[[Result], Account],
     *,
     overwrite: bool,
 ) -> None:
-    """Check a foreign result at a desk, in a child process, and write it anew."""
+    """Check a foreign result at a desk, in a child process, and write it anew.
+
+    `name` is that of the solver in errors.
+    """
+    _check_file(desk.result, name)
     try:
         probe(desk.result)
         known = account(open_result(desk.result, dataset))
@@ -151,7 +154,7 @@ def adopt_from(
             out,
             known,
             overwrite,
-            doing=f"result of {known.solver}",
+            doing=f"result of {name}",
             time_s=_CHECK_S,
         )
     finally:
@@ -168,10 +171,8 @@ def _words(parameters: dict[str, Any]) -> list[str]:
 
 def _check_file(result: Path, name: str) -> None:
     if result.is_symlink() or not result.is_file():
-        raise InputError(
-            f"program {name}: expected the result at the path in its second argument, found "
-            f"{'no file' if not result.exists() else 'none'} there"
-        )
+        found = "a link" if result.is_symlink() else "no file"
+        raise InputError(f"{name}: expected its result at {result}, found {found} there")
 
 
 def adopt(

@@ -104,7 +104,7 @@ def solve(
                 costs = (result.seconds, result.peak_mb, result.compile_s, result.reconstruction_s)
                 return Account(solver, result.parameters, desk.confined, *costs)
 
-            adopt_from(desk, data, place, account, overwrite=overwrite)
+            adopt_from(desk, data, place, solver, account, overwrite=overwrite)
     return open_result(out, data)
 
 

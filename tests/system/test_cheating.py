@@ -114,3 +114,43 @@ def test_without_confinement_tricks_work_and_the_result_says_so(
     (place / "mark").unlink()  # what "write outside" has left
     result = solve("msa", sabench.open_dataset(place / "set"), place / "r.h5")
     assert result.isolated is False
+
+
+LINKER = '''"""Links."""
+
+import os
+import sys
+import threading
+import time
+
+import numpy as np
+
+from sabench.api import Observation, Reconstruction, Solver
+
+
+class Linker(Solver):
+    """Leaves a link to somebody else's result in place of its own."""
+
+    name = "linker"
+
+    def solve(self, case: Observation) -> Reconstruction:
+        frame = sys._getframe()
+        while "out" not in frame.f_locals:
+            frame = frame.f_back
+        replace = os.replace
+        os.symlink("{better}", str(frame.f_locals["out"]) + ".link")
+        os.replace(str(frame.f_locals["out"]) + ".link", frame.f_locals["out"])
+        os.link = os.rename = os.replace = lambda *words, **more: None
+        type(frame.f_locals["out"]).replace = type(frame.f_locals["out"]).rename = os.replace
+        return Reconstruction(np.zeros(case.grid.shape, dtype=np.float32))
+'''
+
+
+def test_a_link_to_another_result_is_not_taken(place: Path) -> None:
+    data = sabench.open_dataset(place / "set")
+    better = solve("msa", data, place / "better.h5").path
+    file = place / "mine" / "solvers" / "linker.py"
+    file.write_text(LINKER.format(better=better))
+    with pytest.raises(InputError, match="linker"):
+        solve("linker", data, place / "r.h5")
+    assert not (place / "r.h5").exists()

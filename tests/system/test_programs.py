@@ -108,8 +108,8 @@ def test_a_result_is_taken_and_its_costs_are_measured(quick: Dataset, tmp_path: 
 
 
 BAD = [
-    ("pass", "expected the result at the path in its second argument"),
-    ("os.symlink('/etc/passwd', result)", "expected the result at the path in its second argument"),
+    ("pass", "expected its result at"),
+    ("os.symlink('/etc/passwd', result)", "expected its result at"),
     ("open(result, 'w').write('no HDF5')", "expected an intact HDF5 file"),
     (
         WHOLE.replace('"f4")', '"i4")'),
