@@ -49,7 +49,7 @@ def measure_frame(count: int, error: float) -> dict[str, float]:
     rig = build_rig(scene)
     bubbles = Frames(scene, rig, 1).at(0).bubbles
     assert bubbles is not None
-    lights, tank = lights_of(scene), tank_of(scene, rig)
+    lights, tank = lights_of(scene), tank_of(scene)
     render(rig.cameras[0], tank, bubbles, (), lights, 1.0, 1)
     start = time.perf_counter()
     shown = [

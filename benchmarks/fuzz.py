@@ -43,7 +43,7 @@ sys.path.insert(0, str(ROOT))
 os.environ.setdefault("NUMBA_NUM_THREADS", "1")
 from sabench.utils import memory  # noqa: E402
 from sabench.utils.errors import InputError  # noqa: E402
-from sabench.utils.processes import isolated_reading  # noqa: E402
+from sabench.utils.processes import isolated, isolated_reading  # noqa: E402
 from tests.helpers.untrusted import (  # noqa: E402
     KINDS,
     Base,
@@ -58,6 +58,7 @@ _PATIENCE = 12.0  # times as much of real time
 _WARM_S, _MAKE_S = 300.0, 60.0
 _LOOK_S = 0.2  # between looks at the memory of a case
 _MOST_MB = 1500.0  # of one process
+_LARGEST_KEPT = 1 << 28  # bytes of a file
 _ADDRESSES = 16_000_000_000  # bytes: what asks for more than this shall have been refused before
 _OUTCOMES = ("refused", "accepted", "traceback", "crash", "hang", "memory")
 _FAULTS = _OUTCOMES[2:]
@@ -65,15 +66,17 @@ _FAULTS = _OUTCOMES[2:]
 
 @dataclass
 class Tally:
-    """Outcomes by kind, and the largest memory of a process, MB."""
+    """Outcomes and seconds by kind, and the largest memory of a process, MB."""
 
     outcomes: dict[str, Counter[str]]
+    seconds: Counter[str]
     peak_mb: float = 0.0
 
     def add(self, other: Tally) -> None:
         """Add those of another job."""
         for kind, row in other.outcomes.items():
             self.outcomes.setdefault(kind, Counter()).update(row)
+        self.seconds.update(other.seconds)
         self.peak_mb = max(self.peak_mb, other.peak_mb)
 
 
@@ -93,7 +96,7 @@ def fuzz(plan: Plan, root: Path, jobs: int) -> Tally:
     fork = multiprocessing.get_context("fork")
     with fork.Pool(1) as elsewhere:  # once kernels have run in parallel, a process may not fork
         base = elsewhere.apply(make_base, (root / "base",))
-    total = Tally({kind: Counter() for kind in plan.kinds})
+    total = Tally({kind: Counter() for kind in plan.kinds}, Counter())
     with ProcessPoolExecutor(jobs, mp_context=fork) as pool:
         rest = [
             pool.submit(_job, replace(plan, numbers=plan.numbers[job::jobs]), base, root, job)
@@ -105,7 +108,7 @@ def fuzz(plan: Plan, root: Path, jobs: int) -> Tally:
 
 
 def _job(plan: Plan, base: Base, root: Path, job: int) -> Tally:
-    tally = Tally({kind: Counter() for kind in plan.kinds})
+    tally = Tally({kind: Counter() for kind in plan.kinds}, Counter())
     own = root / f"job-{job}"
     own.mkdir()
     with contextlib.ExitStack() as stack:
@@ -113,7 +116,9 @@ def _job(plan: Plan, base: Base, root: Path, job: int) -> Tally:
         stack.callback(lambda: worker.stop())
         for done, number in enumerate(plan.numbers):
             kind = plan.kinds[number % len(plan.kinds)]
+            start = time.monotonic()
             outcome, words = worker.case(kind, number)
+            tally.seconds[kind] += time.monotonic() - start  # type: ignore[assignment]
             if outcome == "hang":  # another program may have held the machine up
                 outcome, words = worker.case(kind, number)
             tally.outcomes[kind][outcome] += 1
@@ -131,8 +136,13 @@ def _job(plan: Plan, base: Base, root: Path, job: int) -> Tally:
 def _keep(folder: Path, copy: Path, words: str) -> None:
     print(f"fault: {copy}: {words.strip().splitlines()[-1][:200]}", file=sys.stderr, flush=True)
     shutil.rmtree(copy, ignore_errors=True)
-    shutil.copytree(folder, copy, symlinks=True)
+    shutil.copytree(folder, copy, symlinks=True, ignore=_large)
     (copy / "fault.txt").write_text(words, encoding="utf-8", errors="replace")
+
+
+def _large(folder: str, names: list[str]) -> list[str]:
+    """Choose files that are not kept: those with holes would fill the disk."""
+    return [name for name in names if os.lstat(Path(folder) / name).st_size > _LARGEST_KEPT]
 
 
 class Worker:
@@ -224,6 +234,7 @@ def _work(pipe: Connection, base: Base, root: Path, seed: int) -> None:
     (root / "tmp").mkdir(exist_ok=True)
     tempfile.tempdir = str(root / "tmp")
     isolated_reading._CPU_S = 2.0  # below the limit that is tested here
+    isolated.preload("trimesh", "h5py", "vtkmodules.all")  # thousands of children need them
     try:
         _warm_up(base, root)
         pipe.send(("warm", "", 0.0))
@@ -233,7 +244,6 @@ def _work(pipe: Connection, base: Base, root: Path, seed: int) -> None:
     while True:
         kind, number = pipe.recv()
         folder = root / "cases" / f"{kind}-{number}"
-        memory.forget_peak()
         case = _run_case(pipe, base, folder, kind, random.Random(f"{seed} {kind} {number}"))
         pipe.send((*case, memory.peak_mb() or 0.0))
 
@@ -272,6 +282,7 @@ def _run_case(
     except Exception:
         return "traceback", f"the case could not be made: {traceback.format_exc()}"
     before = dict(_tree(root, out))
+    memory.forget_peak()
     pipe.send(("made", "", 0.0))
     try:
         outcome, words = _outcome(feed)
@@ -332,7 +343,7 @@ def main() -> None:
     plan = Plan(kinds, numbers, asked.seed, asked.limit, asked.keep.absolute())
     with tempfile.TemporaryDirectory(prefix="fuzz-") as folder:
         tally = fuzz(plan, Path(folder), min(asked.jobs, len(numbers)))
-    _show(tally.outcomes)
+    _show(tally)
     print(
         f"seed {asked.seed}, largest process {tally.peak_mb:.0f} MB, "
         f"{time.monotonic() - start:.0f} s"
@@ -340,12 +351,15 @@ def main() -> None:
     sys.exit(any(row[name] for row in tally.outcomes.values() for name in _FAULTS))
 
 
-def _show(outcomes: dict[str, Counter[str]]) -> None:
-    columns = ("refused", "accepted", "tracebacks", "crashes", "hangs", "memory")
+def _show(tally: Tally) -> None:
+    columns = ("refused", "accepted", "tracebacks", "crashes", "hangs", "memory", "ms each")
     print(f"{'kind':<12}{'count':>8}" + "".join(f"{name:>11}" for name in columns))
-    for kind, row in [*outcomes.items(), ("all", sum(outcomes.values(), Counter()))]:
+    total = ("all", sum(tally.outcomes.values(), Counter()), tally.seconds.total())
+    each = [(kind, row, tally.seconds[kind]) for kind, row in tally.outcomes.items()]
+    for kind, row, seconds in [*each, total]:
         cells = "".join(f"{row[name]:>11}" for name in _OUTCOMES)
-        print(f"{kind:<12}{sum(row.values()):>8}{cells}")
+        number = row.total()
+        print(f"{kind:<12}{number:>8}{cells}{1e3 * seconds / max(number, 1):>11.0f}")
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
 """Sensitivity of the gate: planted bugs it catches, honest reruns it passes.
 
-    python benchmarks/gate.py                       # 40 bugs, 50 reruns: two hours on two cores
+    python benchmarks/gate.py                       # 43 bugs, 50 reruns: two hours on two cores
     python benchmarks/gate.py --bugs 3 --reruns 2
     python benchmarks/gate.py --skip 20 --narrow --reruns 0
 
@@ -65,8 +65,8 @@ BUGS = (
     Bug(
         "light half a pixel to the right of where it belongs",
         "sabench/simulation/rendering/particles_splatted.py",
-        "_shares(pixel[i, 0], sigma[i], left, right)",
-        "_shares(pixel[i, 0] + 0.5, sigma[i], left, right)",
+        "_shares(pixel[i, 0], sigma[i, 0], left, right)",
+        "_shares(pixel[i, 0] + 0.5, sigma[i, 0], left, right)",
     ),
     Bug(
         "x and z of a velocity field's lattice swapped",
@@ -77,8 +77,8 @@ BUGS = (
     Bug(
         "light in the fluid at the angle that it has in the glass",
         "sabench/geometry/refraction.py",
-        "angle_in(wall.indices, -1, slope)",
-        "angle_in(wall.indices, 1, slope)",
+        "angle_in(self.indices, -1, slope)",
+        "angle_in(self.indices, 1, slope)",
     ),
     Bug(
         "a camera's rotation transposed",
@@ -191,9 +191,9 @@ BUGS = (
     ),
     Bug(
         "index of the fluid off by .5 %",
-        "sabench/scenes/build.py",
-        "layers, spec.fluid_index, spec.depth_mm",
-        "layers, 1.005 * spec.fluid_index, spec.depth_mm",
+        "sabench/scenes/tank.py",
+        "media = (spec.air_index, layers, spec.fluid_index)",
+        "media = (spec.air_index, layers, 1.005 * spec.fluid_index)",
         case="particles",
     ),
     Bug(
@@ -220,7 +220,7 @@ BUGS = (
     ),
     Bug(
         "Mie's lobes rotated by a degree",
-        "sabench/simulation/rendering/particle_images.py",
+        "sabench/simulation/rendering/particle_light.py",
         "np.arccos(np.clip(-arriving @ forward, -1.0, 1.0))",
         "np.arccos(np.clip(-arriving @ forward, -1.0, 1.0)) + np.deg2rad(1.0)",
         case="particles",
@@ -277,6 +277,20 @@ BUGS = (
         tests="tests/unit/algorithms/velocimetry/test_windows.py",
     ),
     Bug(
+        "Snell's law upside down at a cylinder",
+        "sabench/geometry/cylinder_kernels.py",
+        "if _cross(faces[m], indices[m] / indices[m + 1], at",
+        "if _cross(faces[m], indices[m + 1] / indices[m], at",
+        tests="tests/unit/geometry/test_cylinder_wall.py",
+    ),
+    Bug(
+        "all cameras behind the first face of a tank",
+        "sabench/scenes/tank.py",
+        "return walls[int(np.argmax(entered))]",
+        "return walls[0]",
+        tests="tests/unit/scenes/test_tank.py",
+    ),
+    Bug(
         "bubbles' radii drawn as diameters",
         "sabench/worlds/library/size_distributions.py",
         "out[left] = spectrum.radius_mm * np.exp(",
@@ -324,6 +338,27 @@ BUGS = (
         "principal_point_px=((spec.columns - 1) / 2.0,",
         "principal_point_px=(spec.columns / 2.0,",
         case="particles",
+    ),
+    Bug(
+        "hot pixels are not looked for",
+        "sabench/images/repair.py",
+        "points[:] = find_points(grey, black_dn)",
+        "points[:] = False",
+        tests="tests/unit/images/test_repair.py",
+    ),
+    Bug(
+        "the brightest pixel alone sets the brightness scale",
+        "sabench/images/brightness.py",
+        "min(levels[-1], _PEAKS * peak) if peak else levels[-1]",
+        "levels[-1]",
+        tests="tests/unit/images/test_repair.py",
+    ),
+    Bug(
+        "two cameras share their sensor's pattern",
+        "sabench/simulation/grey_values.py",
+        'stream(frame.seed, "sensor pattern", camera)',
+        'stream(frame.seed, "sensor pattern", camera // 2)',
+        tests="tests/unit/simulation/test_grey_values.py",
     ),
 )
 

@@ -1,192 +1,226 @@
-"""Mutation run: change random lines, and count what the unit tests notice.
+"""Mutation run: change random operators and constants, and count what the tests notice.
 
     python benchmarks/mutation.py --seed 1 --count 40
-    python benchmarks/mutation.py --count 40 --room geometry simulation metrics algorithms
+    python benchmarks/mutation.py --count 40 --room geometry simulation/rendering metrics algorithms
 
-Each mutant is one changed expression or one dropped statement in one module below `sabench/`. The
-tests that mirror the module's package (`tests/unit/<package>`) run on it, in a copy of the tree.
-A mutant is killed if they fail or do not end in time. Survivors are listed with their line. Some
-are equivalent to the original or change a tuning constant only: compare figures of equal seeds.
+Each mutant is one changed expression on one line of one module below `sabench/`. The tests that
+enter the changed function run on it in a copy of the tree, the nearest and cheapest first, up to
+the first failure. A mutant is killed if a test fails or uses up its CPU time. Survivors are listed
+with their line. Some are equivalent to the original or change a tuning constant only: compare
+figures of equal seeds. The tests of every 100th mutant run on the original, too, and must pass.
+
+The folder `work/mutation` keeps the copies, the functions that each test enters (the first run
+traces all chosen test files: minutes) and the outcomes: what is known is not run again, survivors
+with `--again` only. Delete the folder to start afresh; a change of the code does that, too.
 """
 
 from __future__ import annotations
 
 import argparse
-import ast
-import copy
+import hashlib
+import importlib
+import json
+import multiprocessing
 import os
-import random
 import shutil
+import signal
 import subprocess
 import sys
-import tempfile
-from collections.abc import Iterator
-from dataclasses import dataclass
+import time
+from multiprocessing.process import BaseProcess
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
-_COPIED = ("sabench", "tests", "generators", "solvers", "scenes", "leaderboard", "pyproject.toml")
-_SIGNS: dict[type[ast.operator], type[ast.operator]] = {
-    ast.Add: ast.Sub,
-    ast.Sub: ast.Add,
-    ast.Mult: ast.Div,
-    ast.Div: ast.Mult,
-}
-_COMPARISONS: dict[type[ast.cmpop], type[ast.cmpop]] = {
-    ast.Lt: ast.LtE,
-    ast.LtE: ast.Lt,
-    ast.Gt: ast.GtE,
-    ast.GtE: ast.Gt,
-    ast.Eq: ast.NotEq,
-    ast.NotEq: ast.Eq,
-}
+sys.path.insert(0, str(ROOT))
+from benchmarks.mutants import Mutant, draw_in_turn  # noqa: E402
+from benchmarks.mutation_tests import Chosen, Reach, run_pytest  # noqa: E402
+
+# imported once, for all forks: what tests need of others (but not the renderer, which has threads)
+_WARM = [
+    "numpy",
+    "scipy.optimize",
+    "scipy.ndimage",
+    "scipy.spatial",
+    "numba",
+    "cv2",
+    "h5py",
+    "pydantic",
+    "skimage.measure",
+    "matplotlib.figure",
+    "typer",
+    "rich",
+    "tifffile",
+    "psutil",
+]
 
 
-@dataclass(frozen=True)
-class Mutant:
-    """One changed line of one module."""
+def set_up(tree: Path) -> None:
+    """Copy the files that git knows.
 
-    module: Path
-    line: int
-    kind: str
-    before: str
-    after: str
-
-    @property
-    def tests(self) -> Path:
-        """The folder of tests that mirrors the module's package."""
-        return Path("tests/unit") / self.module.parent.relative_to("sabench")
-
-    def apply(self, text: str) -> str:
-        """Return the text with the line replaced."""
-        lines = text.splitlines(keepends=True)
-        assert lines[self.line - 1] == self.before
-        lines[self.line - 1] = self.after
-        return "".join(lines)
-
-
-def mutants_of(module: Path) -> list[Mutant]:
-    """List all mutants of a module, a path relative to the root."""
-    text = (ROOT / module).read_text(encoding="utf-8")
-    lines = text.splitlines(keepends=True)
-    found = []
-    for kind, node, code in _changes(ast.parse(text)):
-        before = lines[node.lineno - 1]
-        raw = before.encode()
-        after = (raw[: node.col_offset] + code.encode() + raw[node.end_col_offset :]).decode()
-        mutant = Mutant(module, node.lineno, kind, before, after)
-        if before != after and _parses(mutant.apply(text)):
-            found.append(mutant)
-    return found
-
-
-def _parses(text: str) -> bool:
-    try:
-        compile(text, "mutant", "exec")
-    except SyntaxError:
-        return False
-    return True
-
-
-def _changes(tree: ast.Module) -> Iterator[tuple[str, ast.expr | ast.stmt, str]]:
-    """Yield changes of nodes on a single line.
-
-    Each is (kind, node, code to put in its place).
+    A copy whose code differs is removed first, with its caches.
     """
-    for node in _code(tree):
-        if not isinstance(node, ast.expr | ast.stmt) or node.lineno != node.end_lineno:
-            continue
-        for kind, changed in _mutate(node):
-            yield kind, node, ast.unparse(changed)
+    listed = ["git", "ls-files", "-z", "--cached", "--others", "--exclude-standard"]
+    names = subprocess.run(listed, cwd=ROOT, capture_output=True, check=True, text=True).stdout
+    files = [name for name in names.split("\0") if name and (ROOT / name).is_file()]
+    code = hashlib.sha256()
+    for name in files:
+        if name.startswith(("sabench/", "generators/", "solvers/")):
+            code.update(name.encode() + (ROOT / name).read_bytes())
+    stamp = tree / "code.txt"
+    if not stamp.exists() or stamp.read_text() != code.hexdigest():
+        shutil.rmtree(tree.parent, ignore_errors=True)
+    if any(tree.rglob("*.kept")):  # a run was killed: its mutant may be in the caches
+        shutil.rmtree(tree)
+    for name in files:
+        (tree / name).parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy2(ROOT / name, tree / name)
+    stamp.write_text(code.hexdigest())
 
 
-def _code(node: ast.AST) -> Iterator[ast.AST]:
-    """List a node and those below it, without messages, annotations, docstrings.
-
-    Decorators are left out, too.
-    """
-    yield node
-    for name, value in ast.iter_fields(node):
-        if name in ("annotation", "returns", "decorator_list", "type_params"):
-            continue
-        for child in value if isinstance(value, list) else [value]:
-            if isinstance(child, ast.AST) and not _is_text(child):
-                yield from _code(child)
-
-
-def _is_text(node: ast.AST) -> bool:
-    if isinstance(node, ast.Expr):
-        return isinstance(node.value, ast.Constant)
-    return isinstance(node, ast.JoinedStr | ast.Raise | ast.Import | ast.ImportFrom)
-
-
-def _mutate(node: ast.expr | ast.stmt) -> Iterator[tuple[str, ast.AST]]:
-    changed = copy.deepcopy(node)
-    if isinstance(changed, ast.BinOp) and type(changed.op) in _SIGNS:
-        changed.op = _SIGNS[type(changed.op)]()
-        yield "sign", changed
-    elif isinstance(changed, ast.UnaryOp) and isinstance(changed.op, ast.USub):
-        yield "sign", changed.operand
-    elif isinstance(changed, ast.Compare) and type(changed.ops[0]) in _COMPARISONS:
-        changed.ops[0] = _COMPARISONS[type(changed.ops[0])]()
-        yield "comparison", changed
-    elif isinstance(changed, ast.Constant) and type(changed.value) is int:
-        changed.value = {0: 1, 1: 0}.get(changed.value, changed.value + 1)
-        yield "constant or axis", changed
-    elif isinstance(changed, ast.AugAssign) or (
-        isinstance(changed, ast.Expr) and isinstance(changed.value, ast.Call)
-    ):
-        yield "dropped line", ast.Pass()
-
-
-def is_killed(mutant: Mutant, tree: Path, time_s: float) -> bool:
-    """Return whether the mirrored tests fail on a mutant.
+def is_killed(mutant: Mutant, tree: Path, tests: list[str], cpu_s: float) -> tuple[bool, str]:
+    """Return whether the tests fail on a mutant, and which.
 
     The tree is restored afterwards.
     """
     file = tree / mutant.module
-    text = file.read_text(encoding="utf-8")
+    text, times = file.read_text(encoding="utf-8"), file.stat()
+    compile(mutant.apply(text), str(file), "exec")  # else no test would have killed it
+    cached = [one for module in _blind(mutant, tree) for one in _caches(tree / module)]
+    for one in cached:
+        one.rename(f"{one}.kept")
     file.write_text(mutant.apply(text), encoding="utf-8")
     try:
-        # a kernel that calls a changed one would come out of the cache unchanged
-        cache = tree / ".numba" / ("mutant" if "numba" in text else "original")
-        return not passes(mutant.tests, tree, cache, time_s)
+        return run(tree, tests, cpu_s)
     finally:
         file.write_text(text, encoding="utf-8")
-        shutil.rmtree(tree / ".numba" / "mutant", ignore_errors=True)
+        os.utime(file, ns=(times.st_atime_ns, times.st_mtime_ns))
+        for module in _blind(mutant, tree):
+            for one in _caches(tree / module):
+                one.unlink()
+        for one in cached:
+            Path(f"{one}.kept").rename(one)
 
 
-def passes(tests: Path, tree: Path, cache: Path, time_s: float) -> bool:
-    """Return whether the tests of a folder of the tree pass in time."""
-    words = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", str(tests)]
-    environment = os.environ | {
-        "PYTHONPATH": str(tree),
-        "PYTHONDONTWRITEBYTECODE": "1",
-        "NUMBA_CACHE_DIR": str(cache),
-    }
-    try:
-        done = subprocess.run(
-            words, cwd=tree, env=environment, capture_output=True, check=False, timeout=time_s
-        )
-    except subprocess.TimeoutExpired:
-        return False
-    return done.returncode == 0
+def run(tree: Path, tests: list[str], cpu_s: float) -> tuple[bool, str]:
+    """Return whether one of the tests fails, and which or why."""
+    note = tree / "failed.txt"
+    note.unlink(missing_ok=True)
+    files = list(dict.fromkeys(test.split("::")[0] for test in tests))
+    code = run_pytest(tree, files, Chosen(tests, note), cpu_s)
+    if code == 5:
+        raise RuntimeError(f"{tree}/log.txt: expected tests that are there, got none of {tests}")
+    reason = "on import" if code > 0 else f"signal {-code}"
+    return code != 0, note.read_text(encoding="utf-8") if note.exists() else reason if code else ""
 
 
-def draw(seed: int, count: int, package: str) -> list[Mutant]:
-    """Draw mutants without replacement from all modules whose package has tests."""
-    modules = sorted((ROOT / "sabench" / package).rglob("*.py"))
-    candidates = [
-        mutant
-        for module in modules
-        for mutant in mutants_of(module.relative_to(ROOT))
-        if any((ROOT / mutant.tests).glob("test_*.py"))
+def _caches(module: Path) -> list[Path]:
+    return [
+        *module.parent.glob(f"__pycache__/{module.stem}.*.nb?"),
+        *module.parent.glob(f"__pycache__/{module.stem}.*.pyc"),
     ]
-    return random.Random(seed).sample(candidates, min(count, len(candidates)))
+
+
+def _blind(mutant: Mutant, tree: Path) -> list[Path]:
+    """List the modules whose compiled kernels would come out of the cache unchanged."""
+    found, todo = [mutant.module], [mutant.module]
+    compiled = {
+        file.relative_to(tree): file.read_text(encoding="utf-8")
+        for file in (tree / "sabench").rglob("*.py")
+    }
+    compiled = {file: text for file, text in compiled.items() if "numba" in text}
+    if mutant.module not in compiled and mutant.before[:1].isspace():
+        return found  # kernels keep other modules' functions and global constants alone
+    while todo:
+        package, stem = todo[0].parent.as_posix().replace("/", "."), todo.pop(0).stem
+        for file, text in compiled.items():
+            if file not in found and (f"{package}.{stem} " in text or f"from {package} " in text):
+                found.append(file)
+                todo.append(file)
+    return found
+
+
+class Journal:
+    """Outcomes of mutants, one line of JSON each: what was found earlier counts."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        lines = path.read_text(encoding="utf-8").splitlines() if path.exists() else []
+        self.known = {one["mutant"]: one for one in map(json.loads, lines)}
+
+    def add(self, mutant: Mutant, killed: bool, by: str, tests: int, wall_s: float) -> None:
+        """Append an outcome and print it."""
+        line = {"mutant": mutant.name, "killed": killed, "by": by, "tests": tests}
+        with self.path.open("a", encoding="utf-8") as file:
+            file.write(json.dumps(line | {"wall_s": round(wall_s, 1)}) + "\n")
+        print(f"{'killed' if killed else 'SURVIVED':8s} {wall_s:4.0f} s {mutant.name}", flush=True)
+
+    def is_open(self, mutant: Mutant, again: bool) -> bool:
+        """Return whether a mutant is to be run."""
+        known = self.known.get(mutant.name)
+        return known is None or (again and not known["killed"])
+
+
+def work(
+    tree: Path, mutants: list[Mutant], reach: Reach, journal: Journal, options: argparse.Namespace
+) -> None:
+    """Run the tests on some mutants, in a copy of the tree: one of the jobs."""
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit("stopped"))  # the copy is restored first
+    for number, mutant in enumerate(mutants):
+        tests, start = reach.tests(mutant.module, mutant.line, options.budget), time.monotonic()
+        if number % 100 == 0 and tests and run(tree, tests, options.time)[0]:
+            sys.exit(f"{mutant.module}: expected tests that pass on the original: {tree}/log.txt")
+        killed, by = is_killed(mutant, tree, tests, options.time) if tests else (False, "no test")
+        journal.add(mutant, killed, by, len(tests), time.monotonic() - start)
+
+
+def work_side_by_side(mutants: list[Mutant], reach: Reach, options: argparse.Namespace) -> None:
+    """Share the mutants among the jobs, each in a copy of its own with warm caches."""
+    journal, jobs = Journal(options.work / "outcomes.jsonl"), list[BaseProcess]()
+    todo = [mutant for mutant in mutants if journal.is_open(mutant, options.again)]
+
+    def stop(*_: object) -> None:
+        for job in jobs:
+            job.terminate()
+
+    signal.signal(signal.SIGTERM, stop)
+    for number in range(options.jobs):
+        tree = options.work / f"tree-{number}"
+        shutil.rmtree(tree, ignore_errors=True)
+        shutil.copytree(options.work / "tree", tree)
+        share = todo[number :: options.jobs]
+        started = multiprocessing.get_context("fork").Process(
+            target=work, args=(tree, share, reach, journal, options)
+        )
+        started.start()
+        jobs.append(started)
+    for job in jobs:
+        job.join()
 
 
 def main() -> None:
     """Run the tests on sampled mutants and print the survivors."""
+    options = parsed()
+    drawn = draw_in_turn(options.seed, options.count, options.room, options.kinds)
+    for name in _WARM:
+        importlib.import_module(name)
+    tree = options.work / "tree"
+    set_up(tree)
+    reach = Reach(tree, options.work / "reach.json")
+    places = [tree / place for place in options.tests]
+    files = {file for place in places for file in [place, *place.rglob("test_*.py")]}
+    reach.update(sorted(file for file in files if file.is_file()), options.time)
+    work_side_by_side(drawn, reach, options)
+    known = Journal(options.work / "outcomes.jsonl").known
+    outcomes = [known[mutant.name] for mutant in drawn if mutant.name in known]
+    print()
+    for room in options.room:
+        own = [one["killed"] for one in outcomes if one["mutant"].startswith(f"sabench/{room}")]
+        print(f"{room or 'all'}: {sum(own)} of {len(own)} mutants killed, seed {options.seed}")
+    print("\nsurvivors:", *(one["mutant"] for one in outcomes if not one["killed"]), sep="\n")
+
+
+def parsed() -> argparse.Namespace:
+    """Parse the command's words."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n", 1)[0])
     parser.add_argument("--seed", type=int, default=1, help="seed of the choice of mutants")
     parser.add_argument("--count", type=int, default=40, help="number of mutants")
@@ -196,36 +230,26 @@ def main() -> None:
         default=[""],
         help="packages below sabench/, which share the mutants evenly; all by default",
     )
-    parser.add_argument("--time", type=float, default=600.0, help="seconds for each test run")
-    options = parser.parse_args()
-    share = options.count // len(options.room)
-    drawn = [one for room in options.room for one in draw(options.seed, share, room)]
-    with tempfile.TemporaryDirectory() as folder:
-        tree = Path(folder)
-        for name in _COPIED:
-            source = ROOT / name
-            if source.is_dir():
-                shutil.copytree(
-                    source, tree / name, ignore=shutil.ignore_patterns("__pycache__", "pictures")
-                )
-            else:
-                shutil.copy(source, tree / name)
-        for tests in sorted({mutant.tests for mutant in drawn}):
-            if not passes(tests, tree, tree / ".numba" / "original", 3.0 * options.time):
-                sys.exit(f"{tests}: expected tests that pass on the original, got a failure")
-        survivors = []
-        for number, mutant in enumerate(drawn, 1):
-            verdict = "killed" if is_killed(mutant, tree, options.time) else "survived"
-            print(
-                f"{number:3d} {verdict:8s} {mutant.module}:{mutant.line} {mutant.kind}", flush=True
-            )
-            if verdict == "survived":
-                survivors.append(mutant)
-    print(f"\n{len(drawn) - len(survivors)} of {len(drawn)} mutants killed, seed {options.seed}")
-    for mutant in survivors:
-        print(f"\n{mutant.module}:{mutant.line} survived ({mutant.kind})")
-        print(f"- {mutant.before.strip()}\n+ {mutant.after.strip()}")
+    parser.add_argument(
+        "--kinds",
+        nargs="+",
+        default=["operator", "constant"],
+        choices=["operator", "constant", "dropped line"],
+    )
+    parser.add_argument("--time", type=float, default=600.0, help="CPU seconds for each mutant")
+    parser.add_argument(
+        "--budget", type=float, default=60.0, help="CPU seconds of the tests that are chosen"
+    )
+    parser.add_argument(
+        "--tests", nargs="+", default=["tests/unit", "tests/regression"], help="folders or files"
+    )
+    parser.add_argument("--jobs", type=int, default=1, help="mutants that run side by side")
+    parser.add_argument("--work", type=Path, default=ROOT / "work" / "mutation")
+    parser.add_argument("--again", action="store_true", help="run known survivors again")
+    return parser.parse_args()
 
 
 if __name__ == "__main__":
+    os.environ.update(OPENBLAS_NUM_THREADS="1", OMP_WAIT_POLICY="PASSIVE")
+    os.environ.pop("NUMBA_CACHE_DIR", None)  # caches lie beside the modules, in the copy
     main()

@@ -161,7 +161,7 @@ def kernel_on_demo(count: int) -> dict[str, float]:
     points = low + np.random.default_rng(2).random((count, 3)) * size
     camera = replace(build_rig(scene).cameras[0], principal_point_px=(0.0, 0.0))
     wall, center = camera.wall, np.asarray(camera.center_mm)
-    assert wall is not None
+    assert isinstance(wall, Wall)
     x, y, z = np.ascontiguousarray(points.T)
     column, row = np.empty(count), np.empty(count)
     frame, lens = (

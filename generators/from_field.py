@@ -115,12 +115,18 @@ class _Spline:
             if repeats:
                 line = lines[number] = np.append(line, 2.0 * line[-1] - line[-2])
                 values = np.concatenate([values, np.take(values, [0], axis=number)], axis=number)
-            spline = make_interp_spline(
-                line,
-                np.moveaxis(values, number, 0),
-                _DEGREE,
-                bc_type="periodic" if repeats else None,
-            )
+            try:
+                spline = make_interp_spline(
+                    line,
+                    np.moveaxis(values, number, 0),
+                    _DEGREE,
+                    bc_type="periodic" if repeats else None,
+                )
+            except (ValueError, np.linalg.LinAlgError) as error:
+                raise InputError(
+                    f"flow: expected coordinates {axis} and velocities through which a spline "
+                    f"passes, got {error}"
+                ) from error
             values = np.moveaxis(spline.c, 0, number)
             knots.append(spline.t)
         self._spline = NdBSpline(tuple(knots), np.ascontiguousarray(values), _DEGREE)

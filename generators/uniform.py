@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
+from typing import Annotated, Literal
+
 import numpy as np
 from pydantic import Field, model_validator
 
-from sabench.api import Domain, Generator, InputError, Parameters, Particles, stream
+from sabench.api import F64, Domain, Generator, InputError, Parameters, Particles, stream
 
 _MOST = 50_000_000
+_LEAST = 0.1  # of the median: the smallest of a normal distribution
 
 
 class UniformParameters(Parameters):
-    """Particles; give exactly one of `count`, `per_mm3` and `per_pixel`.
-
-    Diameters are log-normal (a spread of 0: all equal).
-    """
+    """Particles; give exactly one of `count`, `per_mm3` and `per_pixel`."""
 
     count: int | None = Field(None, ge=0, le=_MOST, description="number of particles")
     per_mm3: float | None = Field(None, ge=0.0, description="particles per mm3 of the volume")
@@ -23,7 +23,17 @@ class UniformParameters(Parameters):
     )
     diameter_mm: float = Field(0.05, gt=0.0, description="median diameter")
     diameter_spread: float = Field(
-        0.0, ge=0.0, le=1.0, description="standard deviation of the logarithm of the diameter"
+        0.0,
+        ge=0.0,
+        le=1.0,
+        description="standard deviation of the logarithm of the diameter (log-normal) or of the "
+        "diameter over its median (normal); 0: all are equal",
+    )
+    diameter_distribution: Literal["log-normal", "normal"] | None = Field(
+        None, description="by default log-normal; a normal one ends at a tenth of the median"
+    )
+    diameters_mm: tuple[Annotated[float, Field(gt=0.0)], ...] | None = Field(
+        None, min_length=1, description="instead: sizes of which each particle has one at random"
     )
     velocity_mm_s: tuple[float, float, float] = Field(
         (0.0, 0.0, 0.0), description="velocity of all particles"
@@ -57,15 +67,22 @@ class Uniform(Generator):
         rng = stream(seed, "particles")
         size, velocity = np.asarray(domain.size_mm), np.asarray(self.parameters.velocity_mm_s)
         travelled = rng.random((count, 3)) * size + velocity * time_s
-        diameter = self.parameters.diameter_mm * np.exp(
-            self.parameters.diameter_spread * rng.standard_normal(count)
-        )
+        diameter = self._diameters(rng, count)
         turns = np.floor(travelled / size).astype(
             np.int64
         )  # a particle that re-enters is a new one, with a new id
         position = domain.low_mm + np.clip(travelled - turns * size, 0.0, size)
         identity = np.arange(count, dtype=np.int64) + count * np.abs(turns).sum(axis=1)
         return Particles(identity, position, diameter, np.tile(velocity, (count, 1)))
+
+    def _diameters(self, rng: np.random.Generator, count: int) -> F64:
+        chosen: UniformParameters = self.parameters
+        if chosen.diameters_mm is not None:
+            return rng.choice(np.array(chosen.diameters_mm), count)
+        deviation = chosen.diameter_spread * rng.standard_normal(count)
+        if chosen.diameter_distribution == "normal":
+            return np.asarray(chosen.diameter_mm * np.maximum(1.0 + deviation, _LEAST))
+        return np.asarray(chosen.diameter_mm * np.exp(deviation))
 
     def _count(self, domain: Domain) -> int:
         chosen: UniformParameters = self.parameters

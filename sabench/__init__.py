@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING, Any
 
+from sabench.utils.kernel_cache import stamp_kernels
 from sabench.utils.version import __version__
 
 if TYPE_CHECKING:
@@ -118,6 +119,8 @@ __all__ = [
     "verify",
 ]
 
+
+stamp_kernels()
 
 if not TYPE_CHECKING:  # type checkers would take any name for one of the module's
 

@@ -5,7 +5,12 @@ from __future__ import annotations
 import numpy as np
 from pydantic import Field
 
-from sabench.algorithms.refocus import ExtractionParameters, extract_particles, refocus_sum
+from sabench.algorithms.refocus import (
+    ExtractionParameters,
+    extract_particles,
+    refocus_sum,
+    typical_where_covered,
+)
 from sabench.api import Observation, Reconstruction, Solver
 
 
@@ -35,7 +40,7 @@ class Asa(Solver):
 
     def solve(self, case: Observation) -> Reconstruction:
         """Compute I_k = (1 / N) sum_i I_ki, thresholded plane by plane."""
-        volume = refocus_sum(case.normalised_images(), case.cameras, case.grid)
+        volume = refocus_sum(typical_where_covered(case), case.cameras, case.grid)
         if self.parameters.seen_only:
             volume /= np.maximum(
                 refocus_sum(np.ones(case.images.shape, dtype=np.float32), case.cameras, case.grid),

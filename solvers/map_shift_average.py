@@ -2,7 +2,12 @@
 
 from __future__ import annotations
 
-from sabench.algorithms.refocus import ExtractionParameters, extract_particles, refocus_by_shifts
+from sabench.algorithms.refocus import (
+    ExtractionParameters,
+    extract_particles,
+    refocus_by_shifts,
+    typical_where_covered,
+)
 from sabench.api import Observation, Reconstruction, Solver
 
 
@@ -25,5 +30,5 @@ class MapShiftAverage(Solver):
         The images are mapped to the reference plane. I_k = (1 / N) sum_i of image i shifted by mu_k
         (dX_i, dY_i).
         """
-        volume = refocus_by_shifts(case.normalised_images(), case.cameras, case.grid)
+        volume = refocus_by_shifts(typical_where_covered(case), case.cameras, case.grid)
         return Reconstruction(extract_particles(volume, case, self.parameters))

@@ -7,9 +7,9 @@ from pydantic import Field
 
 from sabench.algorithms.refocus import (
     ExtractionParameters,
+    count_views,
     extract_particles,
     refocus_log2,
-    refocus_sum,
 )
 from sabench.api import Observation, Reconstruction, Solver
 
@@ -56,13 +56,9 @@ class Msa(Solver):
         """Compute I_k = prod_i max(I_ki, floor)^n, thresholded plane by plane."""
         count, floor = len(case.cameras), self.parameters.floor
         exponent = self.parameters.exponent or min(1.0, 3.0 / count)
-        images = case.normalised_images()
-        if self.parameters.seen_only:  # where a camera sees nothing its factor is 1
-            volume = refocus_log2(images, case.cameras, case.grid, floor, outside=1.0)
-            volume *= count / np.maximum(
-                refocus_sum(np.ones_like(images), case.cameras, case.grid), 1.0
-            )
-        else:
-            volume = refocus_log2(images, case.cameras, case.grid, floor)
-        volume *= exponent
+        # where a camera shows nothing its factor is 1
+        images = np.where(case.repaired.flaws.covered, np.float32(1.0), case.normalised_images())
+        outside = 1.0 if self.parameters.seen_only else 0.0
+        volume = refocus_log2(images, case.cameras, case.grid, floor, outside=outside)
+        volume *= exponent * count / count_views(case, seen_only=self.parameters.seen_only)
         return Reconstruction(extract_particles(np.exp2(volume, out=volume), case, self.parameters))

@@ -22,6 +22,7 @@ from sabench.interop.openptv import (
     missing,
     solve,
     unfit,
+    unlike,
     write_frame,
     write_project,
 )
@@ -74,12 +75,9 @@ class Optv(ParticleSolver):
         odd = next((camera.name for camera in case.cameras if not isinstance(camera, Camera)), None)
         if odd:
             return f"{odd} is no pinhole"
-        unfits = (
-            f"{camera.name}: {reason}"
-            for camera in case.cameras
-            if isinstance(camera, Camera) and (reason := unfit(camera))
-        )
-        return missing() or next(unfits, None)
+        cameras = [camera for camera in case.cameras if isinstance(camera, Camera)]
+        unfits = (f"{camera.name}: {reason}" for camera in cameras if (reason := unfit(camera)))
+        return missing() or next(unfits, None) or unlike(cameras)
 
     def solve(self, case: ImageSequence) -> list[FoundParticles]:
         """Write its files, run it, read what it found."""

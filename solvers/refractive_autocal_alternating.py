@@ -4,7 +4,12 @@ from __future__ import annotations
 
 from pydantic import Field
 
-from sabench.algorithms.calibration import CalibrationProblem, FreeParameters, alternate
+from sabench.algorithms.calibration import (
+    CalibrationProblem,
+    FreeParameters,
+    alternate,
+    check_plane_wall,
+)
 from sabench.api import Calibration, CalibrationCase, CalibrationSolver, Parameters
 
 
@@ -33,6 +38,7 @@ class RefractiveAutocalAlternating(CalibrationSolver):
 
     def solve(self, case: CalibrationCase) -> Calibration:
         """Alternate, bring the points to the known reference points, and alternate again."""
+        check_plane_wall(case.cameras)  # behind others thousands of small fits would take hours
         chosen: AlternatingParameters = self.parameters
         free = FreeParameters.from_names(case.unknown)
         problem = CalibrationProblem.from_case(case, free)

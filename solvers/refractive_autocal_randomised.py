@@ -12,6 +12,7 @@ from sabench.algorithms.calibration import (
     FreeParameters,
     State,
     alternate,
+    check_plane_wall,
     mean_rotation,
     select_cameras,
 )
@@ -57,6 +58,7 @@ class RefractiveAutocalRandomised(CalibrationSolver):
 
     def solve(self, case: CalibrationCase) -> Calibration:
         """Draw and average until the subsets agree, or agree less than before."""
+        check_plane_wall(case.cameras)  # behind others thousands of small fits would take hours
         chosen: RandomisedParameters = self.parameters
         free, rng = FreeParameters.from_names(case.unknown), stream(self.parameters.seed, "subsets")
         problem = CalibrationProblem.from_case(case, free)

@@ -10,7 +10,15 @@ from pydantic import Field
 
 from sabench.algorithms.bubbles import transmission
 from sabench.algorithms.refocus import refocus_log2, refocus_sum
-from sabench.api import F32, Observation, Parameters, Reconstruction, SeeThroughSolver, make_solver
+from sabench.api import (
+    F32,
+    Flaws,
+    Observation,
+    Parameters,
+    Reconstruction,
+    SeeThroughSolver,
+    make_solver,
+)
 
 _FLOOR = 0.02  # of transmission and of darkness: one camera cannot erase a point
 _LEVELS = 4000.0  # grey values of the largest optical depth that the tomography is given
@@ -51,10 +59,13 @@ class SeeThrough(SeeThroughSolver):
                 np.float32(1.0)
                 - _product(np.maximum(np.float32(1.0) - light, np.float32(_FLOOR)), case, count)
             )
+        no_flaws = Flaws.none(light.shape)
         depth = np.rint(-np.log(light) / _DEEPEST * _LEVELS).astype(np.uint16)
         volume = (
             make_solver("mart", {"floor": 0.0})
-            .solve(replace(case, images=depth, black_dn=0.0, white_dn=2.0 * _LEVELS))
+            .solve(
+                replace(case, images=depth, black_dn=0.0, white_dn=2.0 * _LEVELS, flaws=no_flaws)
+            )
             .volume
         )
         return Reconstruction(np.exp(-volume))

@@ -31,21 +31,31 @@ Command = Callable[..., "subprocess.CompletedProcess[str]"]
 ROOT = Path(__file__).resolve().parents[1]
 _LONGEST = (
     "test_bubbles",
+    "test_conformance",
     "test_faults",
     "test_recording",
+    "test_reproduce",
+    "test_calibration_solvers",
     "test_programs",
     "test_self_calibration",
-    "test_bubbles_traced",
-    "test_particle_tracks",
-    "test_gate",
+    "test_killed",
+    "test_know_nothing",
+    "test_untrusted",
     "test_windows",
-    "test_calibration_solvers",
-    "test_board_in_browser",
-    "test_chain",
-    "test_synthetic_aperture",
-    "test_art_updates",
+    "test_copies",
     "test_velocimetry_chain",
-    "test_reproduce",
+    "test_particle_tracks",
+    "test_board_in_browser",
+    "test_art_updates",
+    "test_untrusted_files",
+    "test_gate",
+    "test_code_blocks",
+    "test_pack",
+    "test_chain",
+    "test_runs",
+    "test_reading_in_time",
+    "test_synthetic_aperture",
+    "test_bubbles_traced",
 )
 
 
@@ -58,7 +68,8 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Start the files that take longest.
 
-    Otherwise one worker would be left alone with such a file at the end.
+    Otherwise one worker would be left alone with such a file at the end. The first two compile
+    different kernels: two workers that need the same one at the same time both compile it.
     """
     order = {name: place for place, name in enumerate(_LONGEST)}
     items.sort(key=lambda item: order.get(item.path.stem, len(order)))

@@ -250,7 +250,9 @@ struct Wall {
     double thickness = 0.0;
 
     explicit Wall(const Json& wall) {
-        if (wall.kind != Json::object) return;
+        if (wall.kind == Json::null) return;
+        if (wall.kind != Json::object || !wall.has("normal"))
+            throw std::runtime_error("it needs one plane wall in front of all cameras");
         there = true;
         point = wall["point_mm"].vec();
         normal = wall["normal"].vec();

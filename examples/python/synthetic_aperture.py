@@ -21,6 +21,8 @@ def leaving(wall, pinhole, points):
     """
     if wall is None:
         return points - pinhole
+    if "normal" not in wall:
+        raise SystemExit("it needs one plane wall in front of all cameras")
     normal, outer, layers = np.array(wall["normal"]), np.array(wall["point_mm"]), wall["layers"]
     n = np.array([wall["air_index"], *(layer["index"] for layer in layers), wall["fluid_index"]])
     solid = [layer["thickness_mm"] for layer in layers]

@@ -5,6 +5,8 @@
 globalThis.trustedTypes?.createPolicy("default", { createHTML: text => (text === "" ? "" : null) });
 const data = JSON.parse(document.getElementById("data").textContent);
 const DASH = "–";
+const PROCESS = "†";  // next to the seconds of a program
+const PROCESS_TEXT = `${PROCESS} marks the seconds of a program: they are those of its whole process, with its start and the reading and writing of files, which the seconds of a plug-in leave out.`;
 const SVG = "http://www.w3.org/2000/svg";
 
 // An element with attributes (null, false and undefined are left out; functions listen to the event of that name) and children.

@@ -94,7 +94,7 @@ function differences(a, b) {
   const lines = columns.map(column => {
     const difference = paired(a, b, column.place);
     return make("tr", { "data-key": column.key }, make("th", { scope: "row", title: column.meaning }, column.heading),
-      [a, b].map(row => make("td", { class: "number" }, shown(row.scores[column.place], column.decimals))),
+      [a, b].map(row => make("td", { class: "number" }, scoreWords(row, column))),
       make("td", { class: "number" }, shown(difference?.mean, column.decimals + 1)), make("td", { class: "number" }, String(difference?.count ?? 0)),
       make("td", {}, verdict(difference)));
   });

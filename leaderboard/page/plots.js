@@ -131,14 +131,15 @@ function timePlot(rows, column, own) {
   if (!known.length) return nothing(`No solver of this case has both this score and a time${inKernels ? " in reference kernels" : ""}.`);
   const points_ = known.map(row => {
     const seconds = scoreOf(row, "seconds");
-    return { ...plotted(row, scoreOf(row, column.key), column, `, ${shown(seconds, 2)} s, ${listed([textOf(row.machine)].filter(Boolean), "machine unknown")}`), time: seconds[0] / (inKernels ? row.reference : 1) };
+    return { ...plotted(row, scoreOf(row, column.key), column, `, ${shown(seconds, 2)} s${row.wholeProcess ? ` ${PROCESS}` : ""}, ${listed([textOf(row.machine)].filter(Boolean), "machine unknown")}`), time: seconds[0] / (inKernels ? row.reference : 1) };
   });
   const x = { field: "time", type: "quantitative", scale: { type: "log" }, title: TIMES[state.x] ?? "seconds", axis: { labelOverlap: true, gridOpacity: 0.5 } };
   const y = { field: "value", type: "quantitative", scale: { zero: false }, title: column.heading };
   const label = `${column.heading} against time of ${known.length} results of the case ${own.name}; the table says the same in numbers`;
   return make("figure", {}, plot({ height: 380, layer: points(points_, x, y, "y") }, label), legend(values(known, solverOf)),
     make("figcaption", { class: "quiet" }, `${meant(column)} Bars are 95 % confidence intervals over the seeds; time is of the solver alone, on the machine that a point's tip names; `
-      + "in reference kernels it is over the time that a fixed piece of work took on the same machine in the same run."));
+      + "in reference kernels it is over the time that a fixed piece of work took on the same machine in the same run."
+      + (known.some(row => row.wholeProcess) ? ` ${PROCESS_TEXT}` : "")));
 }
 
 // Scores by difficulty, and what each axis costs against the standard case of the same suite.

@@ -50,9 +50,10 @@ function ordered(rows) {
   const place = data.tasks[state.task].columns.findIndex(column => column.key === key);
   if (score && place < 0) return rows;
   const valued = rows.map(row => ({ row, value: score ? row.scores[place]?.[0] ?? null : SORTED_BY[key](row) }));
-  const last = one => (score && one.row.error ? 2 : one.value === null ? 1 : 0);  // no number, then a failed run: at the end either way
-  const by = (a, b) => (typeof a === "string" ? words.compare(a, b) : a - b);
-  valued.sort((a, b) => last(a) - last(b) || (last(a) ? 0 : (falling ? -1 : 1) * by(a.value, b.value)) || a.row.place - b.row.place);
+  // at the end either way: rows without a rank, whose scores may be good by what they leave out, then failed runs; in each group, no number
+  const last = ({ row, value }) => (row.error ? 4 : row.ranked ? 0 : 2) + (value === null ? 1 : 0);
+  const by = (a, b) => (a === null ? 0 : typeof a === "string" ? words.compare(a, b) : a - b);
+  valued.sort((a, b) => last(a) - last(b) || (falling ? -1 : 1) * by(a.value, b.value) || a.row.place - b.row.place);
   return valued.map(one => one.row);
 }
 

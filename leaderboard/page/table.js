@@ -49,7 +49,12 @@ function scoreCells(row, columns) {
     const word = row.declined ? "declined: " : "failed: ";
     return [make("td", { class: row.declined ? "error quiet" : "error", colspan: columns.length }, word + row.error)];
   }
-  return columns.map(column => make("td", { class: "number" }, shown(row.scores[column.place], column.decimals)));
+  return columns.map(column => make("td", { class: "number" }, scoreWords(row, column)));
+}
+
+// A score, marked where it is not measured as others are.
+function scoreWords(row, column) {
+  return shown(row.scores[column.place], column.decimals) + (column.key === "seconds" && row.wholeProcess && row.scores[column.place] ? ` ${PROCESS}` : "");
 }
 
 function lineOf(row, columns) {
@@ -148,6 +153,7 @@ function legendOfColumns(rows) {
   return make("details", { class: "meaning" }, make("summary", {}, "What the columns mean"),
     terms(columnsOf(rows).map(column => [column.heading, column.meaning])),
     make("p", { class: "quiet" }, "Over several seeds a score is the mean ± half the width of its 95 % confidence interval. "
-      + "Cases come in the order of their names and the best of each first, until a heading sorts them: once for rising, twice for falling. "
+      + "Cases come in the order of their names and the best of each first, until a heading sorts them: once for rising, twice for falling. Results without a rank and failed ones stay last. "
+      + (rows.some(row => row.wholeProcess) ? `${PROCESS_TEXT} ` : "")
       + `${DASH} stands for a score that does not apply. ${data.tasks[state.task].gate}`));
 }

@@ -40,6 +40,7 @@ from sabench.geometry.frames import Domain, Pose
 from sabench.geometry.grid import Grid
 from sabench.geometry.refraction import Layer, Rays, Wall
 from sabench.geometry.rotations import frame_along, rotation_matrices
+from sabench.images.flaws import Flaws, Repaired
 from sabench.utils.arrays import F32, F64, I32, I64, U16, Bool, triple
 from sabench.utils.errors import DeclinedError, InputError
 from sabench.utils.fields import LensNumber, Vector
@@ -74,6 +75,7 @@ __all__ = [
     "Domain",
     "FileParameters",
     "Film",
+    "Flaws",
     "Flow",
     "FoundParticles",
     "Generator",
@@ -91,6 +93,7 @@ __all__ = [
     "Pose",
     "Rays",
     "Reconstruction",
+    "Repaired",
     "SeeThroughSolver",
     "SelfCalibrationSolver",
     "Shown",

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, Literal
 
 import numpy as np
@@ -15,6 +16,7 @@ from sabench.api.truth import Target
 from sabench.geometry.camera import Camera
 from sabench.geometry.camera_model import CameraModel
 from sabench.geometry.grid import Grid
+from sabench.images.flaws import Flaws, Repaired
 from sabench.utils.arrays import F32, F64, U16, Bool
 from sabench.utils.errors import InputError
 from sabench.utils.fields import LensNumber
@@ -33,6 +35,7 @@ class Observation:
         see `[calibration]` in a scene.
     grid : the voxels to reconstruct.
     black_dn, white_dn : grey values of no light and of saturation.
+    flaws : pixels that have been repaired in the images; None where they have not been looked for.
 
     Raises
     ------
@@ -46,6 +49,7 @@ class Observation:
     grid: Grid
     black_dn: float
     white_dn: float
+    flaws: Flaws | None = None
 
     def __post_init__(self) -> None:
         """Check the images against the cameras, and the levels."""
@@ -59,11 +63,25 @@ class Observation:
     def normalised_images(self) -> F32:
         """Scale each camera's images to the peak of a bright particle in it.
 
-        Black becomes 0. See `sabench.images.brightness.normalise`.
+        Black becomes 0. Flaws have been repaired: see `repaired`, and
+        `sabench.images.brightness.normalise`.
         """
         from sabench.images.brightness import normalise  # numba is loaded at the first use
 
-        return normalise(self.images, self.black_dn)
+        good = self.repaired
+        return normalise(good.images, self.black_dn, good.flaws.unknown)
+
+    @cached_property
+    def repaired(self) -> Repaired:
+        """Replace hot and dead pixels and reflections in images of particles.
+
+        What has been replaced is unknown, neither light nor dark: see `sabench.images.repair`.
+        """
+        from sabench.images.repair import repair  # numba is loaded at the first use
+
+        if self.flaws is not None:
+            return Repaired(self.images, self.flaws)
+        return repair(self.images, self.black_dn, self.white_dn)
 
 
 def _check_kind(images: Any) -> None:

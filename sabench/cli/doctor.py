@@ -90,13 +90,13 @@ def try_render() -> str:
     """
     from sabench.scenes import build_rig, load_scene
     from sabench.simulation.in_memory import make_particles
-    from sabench.simulation.rendering.particle_images import image_particles, scattering_table
+    from sabench.simulation.rendering.particle_images import image_particles
+    from sabench.simulation.rendering.particle_light import scatterers_of
     from sabench.simulation.rendering.particles_traced import render
 
     scene = load_scene("quick")
     camera, particles = build_rig(scene).cameras[0], make_particles(scene, 0, 0)
-    table = scattering_table(scene, (camera,), particles)
-    images = image_particles(scene, camera, particles, table)
+    images = image_particles(scene, camera, particles, scatterers_of(scene, (camera,), 0))
     rendered = render(camera, images, particles.position_mm, 9) * camera.etendue()
     ratio = float(rendered.sum() / images.photons[images.visible].sum())
     if not abs(ratio - 1.0) < 0.05:

@@ -60,8 +60,8 @@ def run(
 
     Results that have a record already are not computed again.
     """
-    from sabench.evaluation.hidden_split import read_secret
-    from sabench.evaluation.runner import Only, run_suite
+    from sabench.evaluation.runner import run_suite
+    from sabench.evaluation.selection import Only
     from sabench.utils.progress import announce_compiling
 
     announce_compiling()
@@ -71,7 +71,7 @@ def run(
         leaderboard,
         fresh=fresh,
         only=Only(tuple(case or ()), tuple(seed or ()), tuple(solver or ())),
-        secret=read_secret(hidden) if hidden else None,
+        secret=hidden,
         jobs=jobs,
     )
     if as_json:

@@ -102,7 +102,9 @@ def _compare_images(one: Dataset, first: Path, second: Path) -> Iterator[str]:
     shape = (camera.rows, camera.columns)
     if first.suffix == ".tif":
         read = read_tiff(first, shape), read_tiff(second, shape)
-        different = _other_grey(*read, one.scene.sensor)
+        names = [own.name for own in one.setup.cameras]
+        number = names.index(first.stem) if first.stem in names else 0
+        different = _other_grey(*read, one.scene.sensor.of_camera(number))
     else:
         different = _other_radiance(read_exr(first, shape), read_exr(second, shape))
     yield from _too_many(different, first, second)

@@ -19,7 +19,7 @@ from sabench.dataset.schema import CamerasFile, Contents, Manifest
 from sabench.geometry.camera import Camera
 from sabench.geometry.frames import Pose
 from sabench.geometry.grid import Grid
-from sabench.images.preprocessing import WHITE, Step, preprocess
+from sabench.images.preprocessing import WHITE, Step, preprocess, takes_all_frames
 from sabench.images.tiff_exr import read_exr, read_tiff
 from sabench.scenes import Scene
 from sabench.utils.arrays import F32, F64, U16, Bool
@@ -94,17 +94,34 @@ class Dataset:
         """Read one frame as a solver receives it."""
         self._check_frame(frame)
         setup = self.setup
-        images = [
-            read_tiff(self._image(camera.name, frame), (camera.rows, camera.columns))
-            for camera in setup.cameras
-        ]
         return build_observation(
-            np.stack(images),
+            self._raw(frame),
             setup.cameras,
             setup.grid,
             (setup.sensor.black_dn, setup.sensor.white_dn),
             setup.preprocessing,
+            lowest=self._lowest,
+            by_camera=setup.sensor.by_camera,
+            backlit="bubbles" in setup.shows,
         )
+
+    def _raw(self, frame: int) -> U16:
+        """Read the raw images (camera, row, column) of a frame."""
+        images = [
+            read_tiff(self._image(camera.name, frame), (camera.rows, camera.columns))
+            for camera in self.setup.cameras
+        ]
+        return np.stack(images)
+
+    @cached_property
+    def _lowest(self) -> U16 | None:
+        """Read each pixel's least value over all frames, where a step needs it."""
+        if not takes_all_frames(self.setup.preprocessing):
+            return None
+        lowest = self._raw(0)
+        for frame in range(1, self.setup.frames):
+            np.minimum(lowest, self._raw(frame), out=lowest)
+        return lowest
 
     def radiance(self, frame: int) -> list[F32]:
         """Read the noise-free radiance of every camera: truth, not for solvers.
@@ -314,14 +331,48 @@ def build_observation(
     grid: Grid,
     levels: tuple[float, float],
     steps: Sequence[Step],
+    *,
+    lowest: U16 | None = None,
+    by_camera: Sequence[tuple[float, float]] = (),
+    backlit: bool = False,
 ) -> Observation:
     """Build the observation of raw images, after the steps of preprocessing.
 
-    `levels` are the grey values of no light and of saturation.
+    Steps would spread hot pixels, and darken reflections: both are replaced before, unless the
+    images are backlit.
+
+    Parameters
+    ----------
+    levels : grey values of no light and of saturation.
+    lowest : each pixel's least value over all frames; only where a step needs it.
+    by_camera : those of each camera, where they differ: all images are brought to one black level.
     """
+    if by_camera:
+        lowest = None if lowest is None else _align_levels(lowest, levels[0], by_camera)[0]
+        images, levels = _align_levels(images, levels[0], by_camera)
     if not steps:
         return Observation(images, cameras, grid, *levels)
-    return Observation(preprocess(images, *levels, steps), cameras, grid, 0.0, float(WHITE))
+    from sabench.images.repair import repair  # numba is loaded at the first use
+
+    good, flaws = (images, None) if backlit else repair(images, *levels)
+    light = preprocess(good, *levels, steps, lowest)
+    return Observation(light, cameras, grid, 0.0, float(WHITE), flaws)
+
+
+def _align_levels(
+    images: U16, black_dn: float, by_camera: Sequence[tuple[float, float]]
+) -> tuple[U16, tuple[float, float]]:
+    """Subtract each camera's dark level and add `black_dn`, in whole grey values.
+
+    Returns the images with one black and one white level, which saturated pixels have.
+    """
+    widest = max(round(own_white - black) for black, own_white in by_camera)
+    white = min(round(black_dn) + widest, np.iinfo(np.uint16).max)
+    aligned = np.empty_like(images)
+    for image, out, (black, own_white) in zip(images, aligned, by_camera, strict=True):
+        grey = image.astype(np.int64) - round(black) + round(black_dn)
+        out[:] = np.where(image >= own_white, white, np.clip(grey, 0, white))
+    return aligned, (black_dn, float(white))
 
 
 def _pose(file: Any, group: str) -> Pose:

@@ -46,6 +46,7 @@ _ATTRIBUTES = (
     "compile_s",
     "reconstruction_s",
     "isolated",
+    "whole_process",
 )
 _STORED_KINDS = {"f": "f", "i": "iu", "u": "u", "b": "u"}  # kinds in a file, by the array's own
 _CHUNK = 256  # voxels along a side of the pieces in which volumes are compressed
@@ -57,7 +58,9 @@ class Result:
     """Result file: its data set, its solver and the costs.
 
     A cost that the file does not give is None. `seconds` leaves out `compile_s`, the time in which
-    kernels were compiled. `isolated` tells whether the solver saw the observation side only.
+    kernels were compiled and modules imported. `isolated` tells whether the solver saw the
+    observation side only.
+    `whole_process` tells whether the seconds are those of a program's whole process.
     """
 
     path: Path
@@ -70,6 +73,7 @@ class Result:
     reconstruction_s: float | None = None
     compile_s: float | None = None
     isolated: bool = False
+    whole_process: bool = False
 
     def read(self, kind: type[AnEstimate], frame: int = 0) -> AnEstimate:
         """Read an estimate, by the arrays that its class declares.
@@ -159,6 +163,11 @@ class ResultWriter:
         with delay_interrupts():
             self._file.attrs["isolated"] = 1
 
+    def set_whole_process(self) -> None:
+        """Note that the seconds include the start of a process and its files."""
+        with delay_interrupts():
+            self._file.attrs["whole_process"] = 1
+
 
 def _packing(declared: Array, value: npt.NDArray[Any]) -> dict[str, Any]:
     """Choose the HDF5 options for an array.
@@ -226,6 +235,7 @@ def open_result(path: str | Path, dataset: Dataset) -> Result:
         parameters=_parameters(str(head.get("parameters", "{}")), path),
         grid=dataset.setup.grid,
         isolated=bool(head.get("isolated", 0) == 1),
+        whole_process=bool(head.get("whole_process", 0) == 1),
         **costs,
     )
 

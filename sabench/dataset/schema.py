@@ -13,11 +13,12 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from sabench.api.truth import Target
 from sabench.dataset.setup_limits import check_lengths, check_shown
+from sabench.dataset.wall_entries import behind, check_walls
 from sabench.geometry.camera import Camera
 from sabench.geometry.camera_model import CameraModel
 from sabench.geometry.camera_records import record_camera
 from sabench.geometry.grid import Grid
-from sabench.geometry.refraction import Wall
+from sabench.geometry.wall_records import WallRecord, WallsRecord
 from sabench.images.preprocessing import Step
 from sabench.utils.errors import InputError
 from sabench.utils.fields import LensNumber
@@ -35,6 +36,7 @@ MANIFEST, CAMERAS, SCENE, TRUTH, TRUE_CAMERAS = (
 )
 TARGET, POINTS = "target.json", "points.h5"
 MOST_POINTS = 1_000_000  # of a target
+_MOST_DN = 65535  # of 16 bits
 GIVEN = "given"  # folder of files of other programs, which the scene reads
 
 
@@ -43,11 +45,15 @@ class _Record(BaseModel):
 
 
 class SensorLevels(_Record):
-    """Grey levels of the sensor."""
+    """Grey levels of the sensor: of no light and of saturation.
+
+    `by_camera` has both of each camera where they differ, as dark images show them.
+    """
 
     black_dn: float
     white_dn: float
     bit_depth: int = Field(ge=1, le=16)
+    by_camera: tuple[tuple[float, float], ...] = ()
 
 
 class CamerasFile(_Record):
@@ -55,9 +61,9 @@ class CamerasFile(_Record):
 
     format: str
     version: int
-    frames: int = Field(ge=1)
+    frames: int = Field(ge=1, le=1_000_000)  # tasks list them
     interval_s: float = Field(gt=0)
-    wall: Wall | None
+    wall: WallsRecord | None
     cameras: tuple[Camera, ...] = Field(min_length=1)
     grid: Grid
     sensor: SensorLevels
@@ -66,6 +72,10 @@ class CamerasFile(_Record):
     pulses: int = Field(1, ge=1)
     preprocessing: tuple[Step, ...] = ()
     shows: tuple[Literal["particles", "bubbles", "code"], ...] = ("particles",)
+
+    def walls_of_cameras(self) -> tuple[WallRecord | None, ...]:
+        """List the wall that each camera looks through."""
+        return self.wall if isinstance(self.wall, tuple) else (self.wall,) * len(self.cameras)
 
     def time_s(self, frame: int) -> float:
         """Compute the time of a frame."""
@@ -238,15 +248,16 @@ def read_cameras(root: Path) -> CamerasFile:
         )
     _check_cameras(loaded.cameras, path)
     check_shown(path, loaded.shows)
-    check_lengths(path, loaded.wall, loaded.cameras, loaded.grid)
+    check_walls(path, loaded.walls_of_cameras(), len(loaded.cameras))
+    check_lengths(path, loaded.walls_of_cameras(), loaded.cameras, loaded.grid)
     _check_numbers(loaded, path)
-    return loaded.model_copy(update={"cameras": _behind(loaded.wall, loaded.cameras)})
+    return loaded.model_copy(update={"cameras": behind(loaded.walls_of_cameras(), loaded.cameras)})
 
 
 def read_true_cameras(root: Path, nominal: CamerasFile) -> tuple[Camera, ...]:
     """Read the true cameras of a data set whose cameras.json holds others.
 
-    They have the same names and image sizes, and are behind the same wall.
+    They have the same names and image sizes, and are behind the same walls.
     """
     path = inside(root, TRUE_CAMERAS)
     cameras = _read_versioned(TrueCamerasFile, path).cameras
@@ -259,8 +270,9 @@ def read_true_cameras(root: Path, nominal: CamerasFile) -> tuple[Camera, ...]:
             f"{got}"
         )
     _check_cameras(cameras, path)
-    check_lengths(path, nominal.wall, cameras, nominal.grid)
-    return _behind(nominal.wall, cameras)
+    walls = nominal.walls_of_cameras()
+    check_lengths(path, walls, cameras, nominal.grid)
+    return behind(walls, cameras)
 
 
 def read_target(root: Path) -> Target:
@@ -279,10 +291,6 @@ def read_target(root: Path) -> Target:
             f"smaller mark_mm, got {target}"
         )
     return target
-
-
-def _behind(wall: Wall | None, cameras: tuple[Camera, ...]) -> tuple[Camera, ...]:
-    return tuple(dataclasses.replace(camera, wall=wall) for camera in cameras)
 
 
 def _check_cameras(cameras: tuple[Camera, ...], path: Path) -> None:
@@ -321,14 +329,18 @@ def _check_numbers(loaded: CamerasFile, path: Path) -> None:
             f"{path}: sensor: expected black_dn below white_dn, got {levels.black_dn:g} and "
             f"{levels.white_dn:g}"
         )
-    wall, grid = loaded.wall, loaded.grid
-    if wall and (
-        abs(np.linalg.norm(wall.normal) - 1.0) > 1e-9
-        or min(*wall.indices, *(layer.thickness_mm for layer in wall.layers)) <= 0.0
-    ):
+    if levels.by_camera and len(levels.by_camera) != len(loaded.cameras):
         raise InputError(
-            f"{path}: wall: expected a unit normal and positive indices and thicknesses, got {wall}"
+            f"{path}: sensor.by_camera: expected two levels for each of {len(loaded.cameras)} "
+            f"cameras, got {len(levels.by_camera)}"
         )
+    for camera, (black, white) in zip(loaded.cameras, levels.by_camera, strict=False):
+        if not 0.0 <= black < white <= _MOST_DN or not 0.0 <= levels.black_dn <= _MOST_DN:
+            raise InputError(
+                f"{path}: sensor.by_camera: {camera.name}: expected black below white, of 0 to "
+                f"{_MOST_DN}, got {black:g} and {white:g}, and black_dn = {levels.black_dn:g}"
+            )
+    grid = loaded.grid
     if min(*grid.shape, *grid.voxel_mm) <= 0 or any(
         cut < 0 or 2 * cut >= n for cut, n in zip(grid.crop, grid.shape[::-1], strict=True)
     ):
@@ -364,7 +376,7 @@ def write_cameras(path: Path, cameras: Sequence[CameraModel], **keys: Any) -> No
 
     Parameters
     ----------
-    keys : further keys of the file, such as the wall of all cameras.
+    keys : further keys of the file, such as `wall`, see `wall_entries.wall_entry`.
     """
     records = [_camera_entry(camera) for camera in cameras]
     values = {key: _plain(value) for key, value in keys.items()}

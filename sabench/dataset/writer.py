@@ -18,6 +18,7 @@ from sabench.api import Shown
 from sabench.api.truth import Prior, Target
 from sabench.dataset import schema
 from sabench.dataset.hdf5 import create_hdf5, delay_interrupts
+from sabench.dataset.wall_entries import wall_entry
 from sabench.geometry.camera import Camera
 from sabench.scenes import Rig, Scene
 from sabench.utils.arrays import F64, Bool
@@ -118,8 +119,9 @@ def dataset_writer(
     with complete_or_nothing(target, overwrite=overwrite) as root:
         root.mkdir()
         (root / schema.SCENE).write_text(_with_copies(scene, root).to_toml(), encoding="utf-8")
-        keys = _observation(scene) | ({"shows": shows} if shows else {})
-        schema.write_cameras(root / schema.CAMERAS, nominal, wall=rig.wall, grid=rig.grid, **keys)
+        keys = _observation(scene, len(nominal)) | ({"shows": shows} if shows else {})
+        keys |= {"wall": wall_entry(rig.cameras), "grid": rig.grid}
+        schema.write_cameras(root / schema.CAMERAS, nominal, **keys)
         if scene.calibration:
             schema.write_cameras(root / schema.TRUE_CAMERAS, rig.cameras)
         with create_hdf5(root / schema.TRUTH) as (truth, check):
@@ -142,7 +144,7 @@ def _with_copies(scene: Scene, root: Path) -> Scene:
     return scene.with_files(copies)
 
 
-def _observation(scene: Scene) -> dict[str, Any]:
+def _observation(scene: Scene, cameras: int) -> dict[str, Any]:
     """List the keys of cameras.json besides the cameras, their wall and the grid."""
     keys: dict[str, Any] = {
         "frames": scene.frames,
@@ -153,6 +155,8 @@ def _observation(scene: Scene) -> dict[str, Any]:
             "bit_depth": scene.sensor.bit_depth,
         },
     }
+    if by_camera := scene.sensor.levels_by_camera(cameras):
+        keys["sensor"]["by_camera"] = by_camera
     if scene.timing is not None:
         keys["times_s"] = [scene.time_s(frame) for frame in range(scene.frames)]
         keys["pulses"] = len(scene.timing.pulses_s)

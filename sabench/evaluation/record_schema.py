@@ -50,10 +50,25 @@ def _check_printable(text: str) -> str:
     return text
 
 
+def _check_year(text: str) -> str:
+    try:
+        year = datetime.datetime.fromisoformat(text).year
+    except ValueError:
+        year = 0
+    if not _YEARS[0] <= year <= _YEARS[1]:
+        raise ValueError(f"expected a date of {_YEARS[0]} to {_YEARS[1]}, got {text!r}")
+    return text
+
+
 Name = Annotated[
     str, Field(min_length=1, max_length=_LONGEST_NAME), AfterValidator(_check_printable)
 ]
 _Line = Annotated[str, Field(max_length=_LONGEST_TEXT), AfterValidator(_check_printable)]
+_Time = Annotated[
+    str,
+    Field(pattern=r"^\d{4}-\d{2}-\d{2}T\d{2}:\d{2}:\d{2}Z$"),
+    AfterValidator(_check_year),
+]
 _Text = Annotated[str, Field(max_length=_LONGEST_TEXT)]
 
 
@@ -70,13 +85,7 @@ class Submission(_Part):
     @field_validator("date")
     @classmethod
     def _check_date(cls, text: str) -> str:
-        try:
-            year = datetime.date.fromisoformat(text).year
-        except ValueError:
-            year = 0
-        if not _YEARS[0] <= year <= _YEARS[1]:
-            raise ValueError(f"expected a date of {_YEARS[0]} to {_YEARS[1]}, got {text!r}")
-        return text
+        return _check_year(text)
 
 
 class Head(_Part):
@@ -116,6 +125,7 @@ class Head(_Part):
     )
     run_hash: Name
     submission: Submission | None = None
+    date: _Time | None = Field(None, description="when the score was known; UTC")
     versions: dict[str, Any]
     machine: dict[str, Any]
     pictures: Name | None = Field(None, description="folder of the case's figures")
@@ -128,6 +138,10 @@ class Head(_Part):
     )
     isolated: bool | None = Field(
         None, description="whether the solver ran confined to the observation side"
+    )
+    whole_process: bool | None = Field(
+        None,
+        description="whether `seconds` are those of a program's whole process, from its start",
     )
     error: _Text | None = None
     declined: bool = Field(False, description="whether the solver declined the case")

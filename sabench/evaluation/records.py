@@ -6,6 +6,7 @@ content.
 
 from __future__ import annotations
 
+import datetime
 import json
 import os
 from collections.abc import Iterator
@@ -119,17 +120,28 @@ def _whole(file: Any) -> int:
 
 
 def latest(records: list[Record]) -> list[Record]:
-    """Select the last record of each run, in the order of the first ones.
+    """Select the newest record of each run, in the order of the first ones.
 
     Records of one run have the same scene, seed, split, renderer, solver, parameters, machine and
-    submission. Of submitted results, the first record is selected: no later one replaces it.
+    submission. Records without a date are the oldest; of equally old ones the last is selected. Of
+    submitted results, the first record is selected: no later one replaces it.
     """
     selected: dict[str, Record] = {}
     for record in records:
         key = run_key(record)
-        if key not in selected or not record.get("submission"):
+        if key not in selected or _replaces(record, selected[key]):
             selected[key] = record
     return list(selected.values())
+
+
+def _replaces(record: Record, other: Record) -> bool:
+    newer = (record.get("date") or "") >= (other.get("date") or "")
+    return newer and not record.get("submission")
+
+
+def now() -> str:
+    """Return the time of this moment as records write it."""
+    return datetime.datetime.now(datetime.UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
 
 
 def run_key(record: Record) -> str:

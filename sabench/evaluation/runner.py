@@ -8,7 +8,6 @@ from __future__ import annotations
 import shlex
 import shutil
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -17,75 +16,25 @@ from sabench.dataset.reader import Dataset, open_dataset
 from sabench.dataset.results import open_result
 from sabench.dataset.verification import verify
 from sabench.evaluation.environment import machine, version_of, versions
-from sabench.evaluation.hidden_split import Secret
+from sabench.evaluation.hidden_split import read_secret
 from sabench.evaluation.leaderboard import rows
 from sabench.evaluation.record_schema import Record, score_faults
-from sabench.evaluation.records import append, key_of, latest, read_records
+from sabench.evaluation.records import append, key_of, latest, now, read_records
+from sabench.evaluation.selection import WHOLE, Only
 from sabench.evaluation.suite_loading import load_suite
 from sabench.evaluation.suites import Case, SolverEntry, Suite
 from sabench.evaluation.timed_solving import solve_timed
 from sabench.simulation.pipeline import generate
 from sabench.simulation.renderer_choice import Renderer
-from sabench.tasks.solve_and_score import score
+from sabench.tasks.solve_and_score import check_result_task, score
+from sabench.tasks.visible_files import hide_from_solvers
 from sabench.utils.errors import DeclinedError, InputError
 from sabench.utils.files import complete_or_nothing, digest
 from sabench.utils.progress import console
-from sabench.utils.version import __version__
+from sabench.utils.version import SIMULATION, __version__
 
 _RUN = ("scene_hash", "seed", "split", "renderer", "solver", "parameters", "code_hash")
 _COMPUTED = ("run_hash", "case", "label", "machine", "versions")
-
-
-@dataclass(frozen=True)
-class Only:
-    """Selection of cases, seeds and solvers of a suite; an empty tuple selects all.
-
-    Solvers have the names that tables show.
-    """
-
-    cases: tuple[str, ...] = ()
-    seeds: tuple[int, ...] = ()
-    solvers: tuple[str, ...] = ()
-
-    def select(self, cases: list[Case]) -> list[Case]:
-        """Select the wanted cases, each with the wanted solvers.
-
-        Raises
-        ------
-        InputError
-            A case, seed or solver that the suite does not have.
-        """
-        _check_known("case", self.cases, {case.name for case in cases})
-        _check_known("seed", self.seeds, {case.shown_seed for case in cases})
-        _check_known(
-            "solver",
-            self.solvers,
-            {solver_entry.shown for case in cases for solver_entry in case.solvers},
-        )
-        wanted = (
-            case
-            for case in cases
-            if _among(case.name, self.cases) and _among(case.shown_seed, self.seeds)
-        )
-        own = [
-            replace(
-                case, solvers=tuple(one for one in case.solvers if _among(one.shown, self.solvers))
-            )
-            for case in wanted
-        ]
-        return [case for case in own if case.solvers]
-
-
-def _among(value: Any, wanted: tuple[Any, ...]) -> bool:
-    return not wanted or value in wanted
-
-
-def _check_known(what: str, wanted: tuple[Any, ...], known: set[Any]) -> None:
-    for value in wanted:
-        if value not in known:
-            raise InputError(
-                f"--{what} {value}: expected one of {', '.join(str(one) for one in sorted(known))}"
-            )
 
 
 def run_suite(
@@ -94,8 +43,8 @@ def run_suite(
     leaderboard: Path,
     *,
     fresh: bool = False,
-    only: Only = Only(),
-    secret: Secret | None = None,
+    only: Only = WHOLE,
+    secret: Path | None = None,
     jobs: int = 1,
 ) -> list[Record]:
     """Generate, solve, score and record a whole suite, then rebuild the page.
@@ -111,10 +60,25 @@ def run_suite(
     ----------
     fresh : compute everything again.
     only : a part of the suite.
-    secret : run the private test set.
+    secret : run the private test set of this file, which no solver sees.
     jobs : processes that generate a data set.
     """
-    suite, cases = load_suite(path, secret)
+    with hide_from_solvers(secret):
+        records = _run_cases(path, work, leaderboard, fresh, only, secret, jobs)
+    build_board(leaderboard)
+    return records
+
+
+def _run_cases(
+    path: str | Path,
+    work: Path,
+    leaderboard: Path,
+    fresh: bool,
+    only: Only,
+    secret: Path | None,
+    jobs: int,
+) -> list[Record]:
+    suite, cases = load_suite(path, read_secret(secret) if secret else None)
     known = {} if fresh else _known_records(leaderboard)
     records, wanted = [], only.select(cases)
     for number, case in enumerate(wanted, 1):
@@ -132,7 +96,6 @@ def run_suite(
         )
         if missing:
             records += _run_case(case, missing, suite, work, leaderboard, fresh=fresh, jobs=jobs)
-    build_board(leaderboard)
     return records
 
 
@@ -180,7 +143,8 @@ def build_board(leaderboard: Path) -> Path:
 def dataset_of(case: Case, work: Path, fresh: bool, jobs: int = 1) -> Dataset:
     """Open the case's data set, or generate it.
 
-    An earlier one is used again if it is intact and was made by this version.
+    An earlier one is used again if it is intact and was made by these versions of sabench, its
+    simulation and the renderer.
 
     Raises
     ------
@@ -190,9 +154,8 @@ def dataset_of(case: Case, work: Path, fresh: bool, jobs: int = 1) -> Dataset:
     folder = case.folder(work)
     if folder.is_dir() and not fresh and not verify(folder):
         dataset = open_dataset(folder)
-        if dataset.manifest.versions.get(
-            "sabench"
-        ) == __version__ and dataset.manifest.versions.get("mitsuba") == version_of("mitsuba"):
+        made = dataset.manifest.versions
+        if all(made.get(name) == version for name, version in _made_by().items()):
             console.print(f"data set {folder} is intact: used again")
             return dataset
     renderer: Renderer = "mitsuba" if case.renderer == "mitsuba" else "splat"
@@ -205,6 +168,15 @@ def dataset_of(case: Case, work: Path, fresh: bool, jobs: int = 1) -> Dataset:
         overwrite=True,
         jobs=jobs,
     )
+
+
+def _made_by() -> dict[str, str]:
+    """List the versions that the content of a data set depends on."""
+    return {
+        "sabench": __version__,
+        "simulation": SIMULATION,
+        "mitsuba": version_of("mitsuba"),
+    }
 
 
 def _rank(
@@ -242,11 +214,15 @@ def _rank(
             record["error"], record["declined"] = str(error), isinstance(error, DeclinedError)
         if not suite.keep_data:
             out.unlink(missing_ok=True)
-        yield record
+        yield record | {"date": now()}
 
 
 def _checked(scores: dict[str, Any], head: Record) -> dict[str, Any]:
-    """Select what a record's head lacks; refuse scores that no record may have."""
+    """Select what a record's head lacks; refuse scores that no record may have.
+
+    Those of another task than the head's are refused, too.
+    """
+    check_result_task(scores["task"], head["task"], f"solver {head['solver']}")
     if faults := list(score_faults(head["task"], scores)):
         raise InputError.from_faults(f"solver {head['solver']}", faults)
     return {key: value for key, value in scores.items() if key not in head}

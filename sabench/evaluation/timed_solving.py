@@ -7,12 +7,19 @@ from pathlib import Path
 from sabench.dataset.reader import Dataset
 from sabench.evaluation.gates.reference_kernel import reference_s
 from sabench.evaluation.suites import SolverEntry
+from sabench.tasks import NAMES
 from sabench.tasks.solve_and_score import solve
 from sabench.utils import backend
 from sabench.utils.files import clear_abandoned
 from sabench.utils.processes.isolated import call_isolated, preload
 
-preload("sabench.evaluation.timed_solving")
+# Where many solvers are run, it pays to load all that one of them may need.
+preload(
+    "sabench.evaluation.timed_solving",
+    "sabench.utils.ready_compiler",
+    "tifffile",
+    *(f"sabench.tasks.{name}" for name in NAMES),
+)
 
 
 def solve_timed(

@@ -16,6 +16,7 @@ import numpy.typing as npt
 from sabench.geometry.camera_model import on_sensor
 from sabench.geometry.refraction import Rays, Wall, trace_into_fluid, trace_to_points
 from sabench.geometry.rotations import frame_of_normal
+from sabench.geometry.wall_records import WallRecord
 from sabench.utils.arrays import F64, Bool, rows_of, triple
 
 _UNDISTORT_STEPS = 20
@@ -68,7 +69,7 @@ class Camera:
     distortion: Distortion
     focal_length_mm: float
     f_number: float
-    wall: Wall | None = None
+    wall: WallRecord | None = None
 
     @property
     def focal_px(self) -> float:
@@ -106,7 +107,7 @@ class Camera:
         outside the image: see `contains`.
         """
         points = rows_of(points_mm, 3, "points_mm")
-        if self.wall is None or self.wall.depth_of(np.asarray(self.center_mm)) >= 0.0:
+        if not isinstance(self.wall, Wall) or self.wall.depth_of(np.asarray(self.center_mm)) >= 0.0:
             paths = trace_to_points(self.wall, np.asarray(self.center_mm), points)
             return self.pixels_of(paths.leaving, paths.valid)
         pixels = self._ideal_pixels(self.wall, points)

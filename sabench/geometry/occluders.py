@@ -10,6 +10,8 @@ import numpy as np
 
 from sabench.utils.arrays import F64, Bool
 
+_RINGS, _AROUND = 33, 360  # points of a disc where it is sampled
+
 
 @dataclass(frozen=True)
 class Disc:
@@ -34,6 +36,19 @@ class Disc:
         middle, tilt = float(np.dot(self.center_mm, along)), float(np.dot(self.normal, along))
         half = self.radius_mm * math.sqrt(max(0.0, 1.0 - tilt * tilt))
         return middle - half, middle + half
+
+    def points_mm(self) -> F64:
+        """Compute points (n, 3) all over the disc, the edge included."""
+        normal = np.asarray(self.normal)
+        first = np.cross(normal, np.eye(3)[int(np.argmin(np.abs(normal)))])
+        first /= np.linalg.norm(first)
+        radius, angle = np.meshgrid(
+            np.linspace(0.0, self.radius_mm, _RINGS), np.arange(_AROUND) * 2.0 * np.pi / _AROUND
+        )
+        right, up = (
+            part.reshape(-1, 1) for part in (radius * np.cos(angle), radius * np.sin(angle))
+        )
+        return np.asarray(self.center_mm + right * first + up * np.cross(normal, first))
 
     def stops(self, pinhole_mm: F64, directions: F64) -> Bool:
         """Mark rays from a pinhole (3,) along directions (n, 3) that meet the disc.

@@ -1,9 +1,12 @@
-"""Refraction by a stack of parallel plane layers between a camera and a fluid.
+"""Refraction at the wall between a camera and a fluid.
+
+The functions take a wall of any shape (`AnyWall`), or None for plain air. `Wall` is a stack of
+parallel plane layers, `cylinder_wall.CylinderWall` one of coaxial cylinders.
 
 This module is the reference of the light path; for its copies see
 docs/developing/copies-of-the-projection.md.
 
-The slope of a path, its one unknown, comes from `path_slope`.
+The slope of a path through plane layers, its one unknown, comes from `path_slope`.
 """
 
 from __future__ import annotations
@@ -11,6 +14,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
@@ -27,6 +31,73 @@ class Layer:
     name: str
     index: float
     thickness_mm: float
+
+
+@dataclass(frozen=True)
+class Paths:
+    """Light paths from a pinhole to points.
+
+    Directions are unit vectors (n, 3) away from the pinhole, in its medium and in the fluid.
+    """
+
+    leaving: F64
+    arriving: F64
+    valid: Bool
+
+
+@dataclass(frozen=True)
+class Rays:
+    """Rays in the fluid.
+
+    Origins (n, 3) in mm on the wall's inner face (the pinhole without a wall), unit directions (n,
+    3).
+    """
+
+    origins_mm: F64
+    directions: F64
+    valid: Bool
+
+
+class AnyWall(Protocol):
+    """Wall of any shape between a camera's medium and the fluid."""
+
+    @property
+    def air_index(self) -> float:
+        """Refractive index on the cameras' side."""
+
+    @property
+    def fluid_index(self) -> float:
+        """Refractive index in the tank."""
+
+    @property
+    def layers(self) -> tuple[Layer, ...]:
+        """Solid layers, in the order in which light from a camera meets them."""
+
+    @property
+    def thickness_mm(self) -> float:
+        """Distance from the outer to the inner face."""
+
+    @property
+    def indices(self) -> F64:
+        """Indices of all media along the way of light from a camera: (2 + layers,)."""
+
+    def depth_of(self, points_mm: F64) -> F64:
+        """Compute the signed distance of points (..., 3) behind the outer face, mm."""
+
+    def normal_at(self, point_mm: F64) -> F64:
+        """Compute the unit normal (3,) into the tank, nearest to a point (3,)."""
+
+    def paths(self, pinhole_mm: F64, points_mm: F64) -> Paths:
+        """Trace paths of light; see `trace_to_points`."""
+
+    def rays(self, pinhole_mm: F64, directions: F64) -> Rays:
+        """Follow rays into the fluid; see `trace_into_fluid`."""
+
+    def lengths(self, pinhole_mm: F64, leaving: F64) -> F64:
+        """Compute lengths of paths before the fluid; see `length_to_fluid`."""
+
+    def transmittances(self, pinhole_mm: F64, leaving: F64) -> F64:
+        """Compute transmitted fractions; see `transmittance`."""
 
 
 @dataclass(frozen=True)
@@ -69,42 +140,70 @@ class Wall:
         """Compute the signed distance of points (..., 3) behind the outer face, mm."""
         return np.asarray((points_mm - np.asarray(self.point_mm)) @ np.asarray(self.normal))
 
+    def normal_at(self, point_mm: F64) -> F64:
+        """Return the normal, which is the same everywhere."""
+        return np.asarray(self.normal)
 
-@dataclass(frozen=True)
-class Paths:
-    """Light paths from a pinhole to points.
+    def paths(self, pinhole_mm: F64, points_mm: F64) -> Paths:
+        """Trace paths of light, by the one unknown that all their angles share."""
+        normal = np.asarray(self.normal)
+        leaving, arriving = np.empty_like(points_mm), np.empty_like(points_mm)
+        valid = np.empty(len(points_mm), dtype=np.bool_)
+        for part in _chunks(len(points_mm)):
+            towards, radius, depths, good = _cylindrical(self, pinhole_mm, points_mm[part])
+            slope, _ = solve_slope(self.indices, depths, radius)
+            _direct(normal, towards, *angle_in(self.indices, 0, slope), leaving[part])
+            _direct(normal, towards, *angle_in(self.indices, -1, slope), arriving[part])
+            valid[part] = good
+        if not valid.all():
+            leaving[~valid] = arriving[~valid] = np.nan
+        return Paths(leaving, arriving, valid)
 
-    Directions are unit vectors (n, 3) away from the pinhole, in its medium and in the fluid.
-    """
-
-    leaving: F64
-    arriving: F64
-    valid: Bool
-
-
-def trace_to_points(wall: Wall | None, pinhole_mm: F64, points_mm: F64) -> Paths:
-    """Trace paths of light from one pinhole (3,) to points (n, 3) through the wall.
-
-    `valid` is False for points that are not in the fluid, that are not finite, or when the pinhole
-    itself lies in the wall or the fluid.
-    """
-    if wall is None:
-        offset = points_mm - pinhole_mm
+    def rays(self, pinhole_mm: F64, directions: F64) -> Rays:
+        """Follow rays into the fluid, layer by layer."""
+        origins = np.broadcast_to(pinhole_mm, directions.shape).copy()
+        valid: Bool = np.asarray(np.isfinite(directions).all(axis=1))
+        normal, indices, current = np.asarray(self.normal), self.indices, directions
+        gaps = np.diff(self.interface_depths_mm, prepend=self.depth_of(pinhole_mm))
+        valid &= gaps[0] > 0.0
         with np.errstate(invalid="ignore", divide="ignore"):
-            direction = offset / np.linalg.norm(offset, axis=1, keepdims=True)
-        return Paths(direction, direction, np.isfinite(direction).all(axis=1))
-    normal = np.asarray(wall.normal)
-    leaving, arriving = np.empty_like(points_mm), np.empty_like(points_mm)
-    valid = np.empty(len(points_mm), dtype=np.bool_)
-    for part in _chunks(len(points_mm)):
-        towards, radius, depths, good = _cylindrical(wall, pinhole_mm, points_mm[part])
-        slope, _ = solve_slope(wall.indices, depths, radius)
-        _direct(normal, towards, *angle_in(wall.indices, 0, slope), leaving[part])
-        _direct(normal, towards, *angle_in(wall.indices, -1, slope), arriving[part])
-        valid[part] = good
-    if not valid.all():
-        leaving[~valid] = arriving[~valid] = np.nan
-    return Paths(leaving, arriving, valid)
+            for gap, before, after in zip(gaps, indices[:-1], indices[1:], strict=True):
+                cosine = current @ normal
+                origins = origins + current * (gap / cosine)[:, None]
+                tangential = (current - cosine[:, None] * normal) * (before / after)
+                square = 1.0 - np.einsum("ij,ij->i", tangential, tangential)
+                valid &= (cosine > 0.0) & (square > 0.0)
+                current = tangential + np.sqrt(square)[:, None] * normal
+        origins[~valid] = current[~valid] = np.nan
+        return Rays(origins, current, valid)
+
+    def lengths(self, pinhole_mm: F64, leaving: F64) -> F64:
+        """Compute lengths of light paths before the fluid."""
+        cosine = leaving @ np.asarray(self.normal)
+        sine = np.sqrt(np.maximum(0.0, 1.0 - cosine**2))
+        total = -self.depth_of(pinhole_mm) / cosine
+        for layer in self.layers:
+            total = total + layer.thickness_mm / np.sqrt(
+                1.0 - (sine * self.air_index / layer.index) ** 2
+            )
+        return np.asarray(total)
+
+    def transmittances(self, pinhole_mm: F64, leaving: F64) -> F64:
+        """Compute transmitted fractions, which do not depend on the pinhole's position."""
+        indices, cosine = self.indices, leaving @ np.asarray(self.normal)
+        result = np.ones(len(leaving))
+        for before, after in itertools.pairwise(indices):
+            sine = (before / after) * np.sqrt(np.maximum(0.0, 1.0 - cosine * cosine))
+            after_cosine = np.sqrt(np.maximum(0.0, 1.0 - sine * sine))
+            reflect_s = (before * cosine - after * after_cosine) / (
+                before * cosine + after * after_cosine
+            )
+            reflect_p = (after * cosine - before * after_cosine) / (
+                after * cosine + before * after_cosine
+            )
+            result *= 1.0 - 0.5 * (reflect_s**2 + reflect_p**2)
+            cosine = after_cosine
+        return result
 
 
 def _cylindrical(
@@ -155,82 +254,46 @@ def _chunks(count: int) -> Iterator[slice]:
         yield slice(start, min(start + _CHUNK, count))
 
 
-@dataclass(frozen=True)
-class Rays:
-    """Rays in the fluid.
+def trace_to_points(wall: AnyWall | None, pinhole_mm: F64, points_mm: F64) -> Paths:
+    """Trace paths of light from one pinhole (3,) to points (n, 3) through the wall.
 
-    Origins (n, 3) in mm on the wall's inner face (the pinhole without a wall), unit directions (n,
-    3).
+    `valid` is False for points that are not in the fluid, that are not finite, that no path leads
+    to, or when the pinhole itself lies in the wall or the fluid.
     """
+    if wall is not None:
+        return wall.paths(pinhole_mm, points_mm)
+    offset = points_mm - pinhole_mm
+    with np.errstate(invalid="ignore", divide="ignore"):
+        direction = offset / np.linalg.norm(offset, axis=1, keepdims=True)
+    return Paths(direction, direction, np.isfinite(direction).all(axis=1))
 
-    origins_mm: F64
-    directions: F64
-    valid: Bool
 
-
-def trace_into_fluid(wall: Wall | None, pinhole_mm: F64, directions: F64) -> Rays:
+def trace_into_fluid(wall: AnyWall | None, pinhole_mm: F64, directions: F64) -> Rays:
     """Follow unit directions (n, 3) from a pinhole (3,) through the wall.
 
     Total reflection and misses are not `valid`.
     """
+    if wall is not None:
+        return wall.rays(pinhole_mm, directions)
     origins = np.broadcast_to(pinhole_mm, directions.shape).copy()
-    valid: Bool = np.asarray(np.isfinite(directions).all(axis=1))
-    if wall is None:
-        return Rays(origins, directions.copy(), valid)
-    normal, indices, current = np.asarray(wall.normal), wall.indices, directions
-    gaps = np.diff(wall.interface_depths_mm, prepend=wall.depth_of(pinhole_mm))
-    valid &= gaps[0] > 0.0
-    with np.errstate(invalid="ignore", divide="ignore"):
-        for gap, before, after in zip(gaps, indices[:-1], indices[1:], strict=True):
-            cosine = current @ normal
-            origins = origins + current * (gap / cosine)[:, None]
-            tangential = (current - cosine[:, None] * normal) * (before / after)
-            square = 1.0 - np.einsum("ij,ij->i", tangential, tangential)
-            valid &= (cosine > 0.0) & (square > 0.0)
-            current = tangential + np.sqrt(square)[:, None] * normal
-    origins[~valid] = current[~valid] = np.nan
-    return Rays(origins, current, valid)
+    return Rays(origins, directions.copy(), np.asarray(np.isfinite(directions).all(axis=1)))
 
 
-def length_to_fluid(wall: Wall | None, pinhole_mm: F64, leaving: F64) -> F64:
+def length_to_fluid(wall: AnyWall | None, pinhole_mm: F64, leaving: F64) -> F64:
     """Compute lengths (n,) of light paths from a pinhole to the wall's inner face.
 
     The pinhole is (3,); unit directions are (n, 3) in the camera's medium. Without a wall all
     lengths are 0.
     """
-    if wall is None:
-        return np.zeros(len(leaving))
-    cosine = leaving @ np.asarray(wall.normal)
-    sine = np.sqrt(np.maximum(0.0, 1.0 - cosine**2))
-    total = -wall.depth_of(pinhole_mm) / cosine
-    for layer in wall.layers:
-        total = total + layer.thickness_mm / np.sqrt(
-            1.0 - (sine * wall.air_index / layer.index) ** 2
-        )
-    return np.asarray(total)
+    return np.zeros(len(leaving)) if wall is None else wall.lengths(pinhole_mm, leaving)
 
 
-def transmittance(wall: Wall | None, leaving: F64) -> F64:
+def transmittance(wall: AnyWall | None, pinhole_mm: F64, leaving: F64) -> F64:
     """Compute the fraction of unpolarised power that passes all interfaces.
 
-    Unit directions are (n, 3) in the camera's medium.
+    The pinhole is (3,); unit directions are (n, 3) in the camera's medium.
 
     Fresnel's equations at every interface; light that is reflected twice inside a layer is not
     counted.
     """
-    if wall is None:
-        return np.ones(len(leaving))
-    indices, cosine = wall.indices, leaving @ np.asarray(wall.normal)
-    result = np.ones(len(leaving))
-    for before, after in itertools.pairwise(indices):
-        sine = (before / after) * np.sqrt(np.maximum(0.0, 1.0 - cosine * cosine))
-        after_cosine = np.sqrt(np.maximum(0.0, 1.0 - sine * sine))
-        reflect_s = (before * cosine - after * after_cosine) / (
-            before * cosine + after * after_cosine
-        )
-        reflect_p = (after * cosine - before * after_cosine) / (
-            after * cosine + before * after_cosine
-        )
-        result *= 1.0 - 0.5 * (reflect_s**2 + reflect_p**2)
-        cosine = after_cosine
-    return result
+    return np.ones(len(leaving)) if wall is None else wall.transmittances(pinhole_mm, leaving)

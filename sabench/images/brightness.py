@@ -11,13 +11,15 @@ from typing import Any
 import numba
 import numpy as np
 
-from sabench.utils.arrays import F32, U16
+from sabench.images.repair import above_background, peak_light
+from sabench.utils.arrays import F32, U16, Bool
 
 _BRIGHT = 95.0  # percentile of the illuminated pixels that becomes 1
-_ILLUMINATED = 0.1  # of the image's maximum
+_ILLUMINATED = 0.1  # of the brightest pixel
+_PEAKS = 4.0  # typical peaks that the brightest pixel counts at most
 
 
-def normalise(images: U16, black_dn: float) -> F32:
+def normalise(images: U16, black_dn: float, unknown: Bool | None = None) -> F32:
     """Scale images to a bright particle's peak in the same camera.
 
     Cameras record particles at different scattering angles and so at very different brightness; a
@@ -29,26 +31,36 @@ def normalise(images: U16, black_dn: float) -> F32:
     ----------
     images : (camera, row, column) grey values.
     black_dn : grey value without light.
+    unknown : (camera, row, column) pixels that do not count for the scale.
 
     Returns
     -------
     (camera, row, column) fractions of the bright level, black level subtracted.
     """
     scaled: F32 = np.empty(images.shape, dtype=np.float32)
-    for grey, image in zip(images, scaled, strict=True):
-        _scale(grey, float(black_dn), 1.0 / max(bright_dn(grey, black_dn), 1.0), image)
+    for number, (grey, image) in enumerate(zip(images, scaled, strict=True)):
+        level = bright_dn(grey, black_dn, None if unknown is None else unknown[number])
+        _scale(grey, float(black_dn), 1.0 / max(level, 1.0), image)
     return scaled
 
 
-def bright_dn(grey: U16, black_dn: float) -> float:
+def bright_dn(grey: U16, black_dn: float, unknown: Bool | None = None) -> float:
     """Compute the bright level of an image: a percentile of its illuminated pixels.
 
     It is the 95th percentile, interpolated linearly, of grey values less black of the pixels that
-    exceed a tenth of the brightest; 0 without any.
+    exceed a tenth of the brightest; 0 without any. Pixels brighter than four typical peaks
+    (`repair.peak_light`) count as four: a few of them may be anything.
+
+    Parameters
+    ----------
+    unknown : pixels (row, column) that do not count.
     """
-    counts = np.bincount(grey.ravel(), minlength=1)
+    peak = peak_light(*above_background(grey))
+    known = grey.ravel() if unknown is None else grey[~unknown]
+    counts = np.bincount(known, minlength=1)
     levels = np.maximum(np.arange(len(counts)) - black_dn, 0.0)
-    counts[levels <= _ILLUMINATED * levels[-1]] = 0
+    brightest = min(levels[-1], _PEAKS * peak) if peak else levels[-1]
+    counts[levels <= _ILLUMINATED * brightest] = 0
     up_to = np.cumsum(counts)
     if up_to[-1] == 0:
         return 0.0

@@ -38,7 +38,7 @@ def find_peaks(image: F32, least: float) -> Peaks:
     A parabola through the logarithms of three values along either axis, which is a Gaussian
     through the values, gives their positions to fractions of a pixel.
     """
-    row, column = _maxima(np.ascontiguousarray(image), np.float32(least))
+    row, column = maxima(np.ascontiguousarray(image), np.float32(least))
     height = np.log(np.maximum(image, np.float32(1e-6 + 0.01 * least)))
     across = _vertex(height[row, column - 1], height[row, column], height[row, column + 1])
     along = _vertex(height[row - 1, column], height[row, column], height[row + 1, column])
@@ -46,8 +46,8 @@ def find_peaks(image: F32, least: float) -> Peaks:
 
 
 @numba.njit(cache=True)
-def _maxima(light: Any, least: Any) -> Any:
-    """Find rows and columns (2, n) of pixels that no neighbour exceeds.
+def maxima(light: Any, least: Any) -> Any:
+    """Find rows and columns (2, n) of pixels of `least` or more that no neighbour exceeds.
 
     Borders are left out.
     """

@@ -6,7 +6,7 @@ any order.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Annotated, Literal
 
 import cv2
@@ -93,22 +93,62 @@ class Stretch(_Step):
         return out
 
 
-Step = Annotated[SlidingMinimum | Gaussian | MatchHistograms | Stretch, Field(discriminator="step")]
+class TemporalMinimum(_Step):
+    """Subtract the least value of each pixel over all frames: static light.
+
+    It is the first step.
+    """
+
+    step: Literal["temporal_minimum"]
 
 
-def preprocess(images: U16, black_dn: float, white_dn: float, steps: Sequence[Step]) -> U16:
+Step = Annotated[
+    TemporalMinimum | SlidingMinimum | Gaussian | MatchHistograms | Stretch,
+    Field(discriminator="step"),
+]
+
+
+def takes_all_frames(steps: Sequence[Step]) -> bool:
+    """Say whether steps need each pixel's least value over all frames."""
+    return any(isinstance(step, TemporalMinimum) for step in steps)
+
+
+def step_faults(steps: Sequence[Step], frames: int) -> Iterator[str]:
+    """List what keeps steps from being applied to a number of frames."""
+    if takes_all_frames(steps[1:]):
+        yield "expected temporal_minimum as the first step, got it after another one"
+    if takes_all_frames(steps) and frames < 2:
+        yield f"temporal_minimum: expected two frames or more, got {frames}"
+
+
+def preprocess(
+    images: U16,
+    black_dn: float,
+    white_dn: float,
+    steps: Sequence[Step],
+    lowest: U16 | None = None,
+) -> U16:
     """Apply all steps to images (camera, row, column), from 0 to `WHITE`.
 
     Finer than grey values, which blurring would else round.
+
+    Parameters
+    ----------
+    lowest : the same shape, each pixel's least grey value over all frames, for `TemporalMinimum`.
     """
-    light = np.clip(
-        (images.astype(np.float32) - np.float32(black_dn)) / np.float32(white_dn - black_dn),
-        0.0,
-        1.0,
-    )
+    light = _light(images, black_dn, white_dn)
     for step in steps:
-        light = step.apply(light)
+        if not isinstance(step, TemporalMinimum):
+            light = step.apply(light)
+        elif lowest is not None:
+            light = np.maximum(light - _light(lowest, black_dn, white_dn), np.float32(0.0))
     return np.asarray(np.rint(np.clip(light, 0.0, 1.0) * WHITE), dtype=np.uint16)
+
+
+def _light(images: U16, black_dn: float, white_dn: float) -> F32:
+    """Scale grey values to 0 to 1."""
+    light = (images.astype(np.float32) - np.float32(black_dn)) / np.float32(white_dn - black_dn)
+    return np.asarray(np.clip(light, 0.0, 1.0))
 
 
 def _match_ranks(image: F32, values: F32) -> F32:

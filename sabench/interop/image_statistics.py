@@ -8,7 +8,7 @@ import numpy as np
 
 from sabench.algorithms.particles.refinement import image_widths
 from sabench.api import Observation
-from sabench.images.brightness import background_noise, normalise
+from sabench.images.brightness import background_noise
 from sabench.images.peaks import find_peaks
 
 # smallest peak, relative to a bright particle's and to the background's standard deviation: the
@@ -38,7 +38,7 @@ class ImageStatistics:
 
 def measure_statistics(frame: Observation) -> ImageStatistics:
     """Measure a frame's particle images."""
-    images = normalise(frame.images, frame.black_dn)
+    images = frame.normalised_images()
     floor = max(_FLOOR, *(_NOISE * background_noise(image) for image in images))
     peaks = [find_peaks(image, floor).pixels for image in images]
     count = int(np.median([len(one) for one in peaks]))

@@ -82,7 +82,7 @@ def camera_text(camera: Camera) -> str:
         camera.principal_point_px,
         camera.distortion,
     )
-    wall = camera.wall if camera.wall and _bends(camera.wall) else None
+    wall = camera.wall if isinstance(camera.wall, Wall) and _bends(camera.wall) else None
     parts = [
         "# Camera Model",
         "PINPLATE" if wall else "PINHOLE",
@@ -117,6 +117,8 @@ def missing() -> str | None:
 
 def unfit(camera: Camera) -> str | None:
     """Say why OpenLPT cannot describe a camera; None if it can."""
+    if camera.wall and not isinstance(camera.wall, Wall):
+        return "OpenLPT supports plane walls, and this wall is a cylinder"
     lens = camera.distortion
     coefficients = np.array([lens.k1, lens.k2, lens.p1, lens.p2, lens.k3])
     if coefficients.any() and coefficients.max() <= 0.0:

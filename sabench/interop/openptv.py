@@ -11,6 +11,7 @@ the image's centre.
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -20,6 +21,7 @@ import tifffile
 from sabench.api import FoundParticles
 from sabench.geometry.camera import Camera
 from sabench.geometry.grid import Grid
+from sabench.geometry.refraction import Wall
 from sabench.utils.arrays import F32, F64, I64
 from sabench.utils.files import read_json
 from sabench.utils.processes import child
@@ -59,6 +61,8 @@ def missing() -> str | None:
 
 def unfit(camera: Camera) -> str | None:
     """Say why OpenPTV cannot describe a camera; None if it can."""
+    if camera.wall and not isinstance(camera.wall, Wall):
+        return "OpenPTV supports plane walls, and this wall is a cylinder"
     if camera.wall and len(camera.wall.layers) > 1:
         return f"OpenPTV supports one layer of glass, and this wall has {len(camera.wall.layers)}"
     lens = camera.distortion
@@ -70,6 +74,17 @@ def unfit(camera: Camera) -> str | None:
             "OpenPTV has distortion about the centre of the image, and this camera has it elsewhere"
         )
     return None
+
+
+def unlike(cameras: Sequence[Camera]) -> str | None:
+    """Say why OpenPTV cannot describe cameras together; None if it can."""
+    media = [media_of(camera) for camera in cameras]
+    other = next((c for c, own in zip(cameras, media, strict=True) if own != media[0]), None)
+    return (
+        f"OpenPTV supports one kind of wall, and {other.name} has another than {cameras[0].name}"
+        if other
+        else None
+    )
 
 
 def origin_mm(grid: Grid) -> F64:
@@ -131,7 +146,7 @@ def orientation_text(camera: Camera, grid: Grid) -> str:
 
 def _glass(camera: Camera, grid: Grid, position: F64) -> F64:
     """Compute the vector from the origin to the glass's inner face, along its normal."""
-    if camera.wall is None:
+    if not isinstance(camera.wall, Wall):
         return np.array([0.0, 0.0, _BETWEEN * position[2]])
     normal, thick = (
         np.asarray(camera.wall.normal),

@@ -98,22 +98,43 @@ def detection_scores(estimate: AnyBubbles, truth: AnyBubbles, visible: F64) -> d
 def _counts(
     estimate: AnyBubbles, truth: AnyBubbles, visible: F64, i: I64, j: I64
 ) -> dict[str, float]:
-    """Compute F1 scores, precision and recall from the rows of matched bubbles."""
+    """Compute F1 scores, precision and recall from the rows of matched bubbles.
+
+    A false detection counts as large if the true bubble nearest to it is large, so that no F1 score
+    depends on the radii that an estimate chooses.
+    """
     hit = np.zeros(len(truth.center_mm), dtype=np.bool_)
     ghost = np.ones(len(estimate.center_mm), dtype=np.bool_)
     hit[j], ghost[i] = True, False
     large = truth.radius_mm >= LARGE_MM
     every = np.ones(len(large), dtype=np.bool_)
-    ghost_mm = estimate.radius_mm[ghost]
+    near_large = large[nearest(truth, estimate.center_mm[ghost])]
     return {
-        "f1": _f1(hit, every, len(ghost_mm)),
-        "f1_large": _f1(hit, large, int((ghost_mm >= LARGE_MM).sum())),
-        "f1_small": _f1(hit, ~large, int((ghost_mm < LARGE_MM).sum())),
+        "f1": _f1(hit, every, int(ghost.sum())),
+        "f1_large": _f1(hit, large, int(near_large.sum())),
+        "f1_small": _f1(hit, ~large, int((~near_large).sum())),
         "precision": ratio(len(i), len(estimate.center_mm)),
         "recall": ratio(len(j), len(truth.center_mm)),
         "recall_hidden": _recall(hit, visible < HIDDEN),
         "recall_dense": _recall(hit, crowding(truth) >= DENSE),
     }
+
+
+def nearest(bubbles: AnyBubbles, points_mm: F64) -> I64:
+    """Find the bubble (n,) in whose cell of the power diagram each point lies.
+
+    The answer is empty if there is no bubble. The cell of a bubble holds the points at which
+    distance^2 - radius^2 is smallest: all points inside it, if it overlaps no other one. With the
+    heights below, that is the nearest neighbour in four dimensions. Source: Aurenhammer, "Power
+    diagrams", SIAM J. Comput. 16 (1987).
+    """
+    if not len(bubbles.center_mm):
+        return np.zeros(0, dtype=np.int64)
+    radius = bubbles.radius_mm
+    height = np.sqrt(radius.max() ** 2 - radius**2)
+    lifted = np.column_stack([bubbles.center_mm, height])
+    points = np.column_stack([points_mm, np.zeros(len(points_mm))])
+    return np.asarray(cKDTree(lifted).query(points)[1], dtype=np.int64)
 
 
 def _totals(estimate: AnyBubbles, truth: AnyBubbles) -> dict[str, float]:

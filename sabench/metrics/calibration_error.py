@@ -10,6 +10,7 @@ from sabench.algorithms.calibration.bundle_adjustment import BoardImages
 from sabench.algorithms.calibration.cramer_rao import Limit, limit
 from sabench.algorithms.calibration.parameters import Frame, FreeParameters
 from sabench.algorithms.calibration.problem import make_anchors
+from sabench.algorithms.calibration.wall_frame import common_plane
 from sabench.api import Calibration, CalibrationCase
 from sabench.geometry.camera import Camera
 from sabench.geometry.camera_model import CameraModel
@@ -44,12 +45,13 @@ def calibration_scores(
         case, frame, truth_mm, good, detection_noise(case.pixels, true_pixels, good)
     )
     points, seen = target_points(estimate, case), np.asarray(good.any(axis=0))
-    wall = estimate.cameras[0].wall if isinstance(estimate.cameras[0], Camera) else None
+    pinholes = [camera for camera in estimate.cameras if isinstance(camera, Camera)]
+    wall = common_plane(pinholes) if pinholes else None
     return (
         _reprojection_scores(estimate, points, case, true_cameras, true_pixels, good, bound)
         | _point_scores(points, truth_mm, seen, frame.motion, bound)
         | detection_scores(case.pixels, true_pixels, good)
-        | wall_scores(wall, true_cameras[0].wall)
+        | wall_scores(wall, common_plane(true_cameras))
     )
 
 
@@ -156,7 +158,8 @@ def lower_bound(
         return None
     board = case.target.points_mm
     anchors = make_anchors(case, frame, noise_px)
-    seen = BoardImages(board, np.nan_to_num(case.pixels), good.astype(np.float64), anchors)
+    pixels, weights = np.nan_to_num(case.pixels), good.astype(np.float64)
+    seen = BoardImages(board, pixels, weights, anchors, frame.beyond_kernels)
     try:
         return limit(
             frame.state(board, truth_mm), seen, FreeParameters.from_names(case.unknown), noise_px

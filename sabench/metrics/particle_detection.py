@@ -77,6 +77,11 @@ class Counts:
         return self.matched / self.detections if self.detections else 0.0
 
     @property
+    def f1(self) -> float:
+        """Harmonic mean of precision and recall; 0 without pairs."""
+        return 2.0 * self.matched / (self.truths + self.detections) if self.matched else 0.0
+
+    @property
     def true_percent(self) -> float:
         """Percentage of the true particles that are detected."""
         return 100.0 * self.recall

@@ -1,4 +1,4 @@
-"""Errors of a reconstructed volume: quality factor, and particles found in it."""
+"""Errors of a reconstructed volume: quality factor, particles, intensities."""
 
 from __future__ import annotations
 
@@ -7,14 +7,21 @@ from collections.abc import Sequence
 from sabench.api import Reconstruction
 from sabench.api.truth import Particles, View
 from sabench.geometry.grid import Grid
-from sabench.metrics.particle_detection import count_challenge, count_thesis, detect, detect_peaks
+from sabench.metrics.blob_intensity import intensity_error
+from sabench.metrics.particle_detection import (
+    Counts,
+    count_challenge,
+    count_thesis,
+    detect,
+    detect_peaks,
+)
 from sabench.metrics.quality_factor import quality
-from sabench.metrics.synthesised_field import true_field
+from sabench.metrics.synthesised_field import brightness, true_field
 from sabench.utils import memory
 from sabench.utils.arrays import F64
 
 _DETECTION = ("true_percent", "ghost_percent", "precision", "recall", "rms_px")
-SCORES = ("q", *_DETECTION, *(f"peak_{key}" for key in _DETECTION))
+SCORES = ("q", "peak_f1", "intensity_error", *_DETECTION, *(f"peak_{key}" for key in _DETECTION))
 
 
 def score_frame(
@@ -22,10 +29,18 @@ def score_frame(
 ) -> dict[str, float | None]:
     """Score one frame's estimate against its true particles; the keys are `SCORES`."""
     truth = grid.to_voxels(particles.position_mm)
-    components, peaks = (_count(grid, one, truth) for one in _particles(grid, estimate))
+    detected, peaks = _particles(grid, estimate)
+    own, other = _counts(grid, detected, truth), _counts(grid, peaks, truth)
+    light = intensity_error(estimate.volume, peaks, truth, brightness(views), grid.in_scored(truth))
     memory.trim()
     q = quality(estimate.volume[grid.scored], true_field(grid, particles, views)[grid.scored])
-    return {"q": q, **components, **{f"peak_{key}": value for key, value in peaks.items()}}
+    return {
+        "q": q,
+        "peak_f1": other[1].f1,
+        "intensity_error": light,
+        **_figures(*own),
+        **{f"peak_{key}": value for key, value in _figures(*other).items()},
+    }
 
 
 def _particles(grid: Grid, estimate: Reconstruction) -> tuple[F64, F64]:
@@ -39,10 +54,14 @@ def _particles(grid: Grid, estimate: Reconstruction) -> tuple[F64, F64]:
     return given, given
 
 
-def _count(grid: Grid, estimate: F64, truth: F64) -> dict[str, float | None]:
-    """Compute the detection figures of particles against true ones, in voxels."""
+def _counts(grid: Grid, estimate: F64, truth: F64) -> tuple[Counts, Counts]:
+    """Count particles by the thesis's and the challenge's rule; both in voxels."""
     pair = (estimate, truth, grid.in_scored(estimate), grid.in_scored(truth))
-    thesis, challenge = count_thesis(*pair), count_challenge(*pair)
+    return count_thesis(*pair), count_challenge(*pair)
+
+
+def _figures(thesis: Counts, challenge: Counts) -> dict[str, float | None]:
+    """Name the detection figures of both rules."""
     figures = (
         thesis.true_percent,
         thesis.ghost_percent,

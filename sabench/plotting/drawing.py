@@ -44,13 +44,13 @@ def draw(figure: Figure) -> bytes:
         dpi=_DPI,
         layout="constrained",
     )
-    FigureCanvasAgg(sheet)
+    canvas: Any = FigureCanvasAgg(sheet)
     sheet.suptitle(figure.title, fontsize=11)
     for number, panel in enumerate(figure.panels, 1):
         solid = isinstance(panel.content[0], Space)
         _fill(sheet.add_subplot(down, across, number, projection="3d" if solid else None), panel)
     out = io.BytesIO()
-    sheet.savefig(out, format="png", metadata={"Software": None})
+    canvas.print_png(out, metadata={"Software": None})  # `savefig` would lay it out in a pass more
     return out.getvalue()
 
 

@@ -16,7 +16,6 @@ from sabench.geometry.camera import Camera, Distortion, aim, aimed_rotation
 from sabench.geometry.frames import Domain
 from sabench.geometry.grid import Grid
 from sabench.geometry.occluders import Disc
-from sabench.geometry.refraction import Layer, Wall
 from sabench.scenes import checks
 from sabench.scenes.cameras import (
     Cameras,
@@ -28,7 +27,15 @@ from sabench.scenes.cameras import (
     RingLayout,
 )
 from sabench.scenes.scene import Scene
-from sabench.scenes.wall import OccluderSpec, WallSpec
+from sabench.scenes.tank import (
+    TankWall,
+    build_walls,
+    check_one_face,
+    check_one_plane,
+    is_outside,
+    wall_towards,
+)
+from sabench.scenes.wall import OccluderSpec
 from sabench.utils.arrays import F64, triple
 from sabench.utils.errors import InputError
 from sabench.utils.validation import Collector
@@ -42,15 +49,18 @@ class Rig:
 
     Attributes
     ----------
-    cameras : the true cameras, each with the wall in front of it.
+    cameras : the true cameras, each with the wall that it looks through.
     grid : the voxels that solvers reconstruct.
     occluders : opaque discs between the cameras and the volume.
     """
 
     cameras: tuple[Camera, ...]
-    wall: Wall | None
     grid: Grid
     occluders: tuple[Disc, ...]
+
+    def occluders_of(self, camera: Camera) -> tuple[Disc, ...]:
+        """Give the occluders on a camera's side of the tank."""
+        return tuple(disc for disc in self.occluders if checks.is_beside(disc, camera))
 
 
 def build_rig(scene: Scene, source: str = "scene") -> Rig:
@@ -59,32 +69,37 @@ def build_rig(scene: Scene, source: str = "scene") -> Rig:
     Raises
     ------
     InputError
-        All of: cameras in the wall or the tank, a volume that is not wholly in the fluid, a grid
-        that does not fit, a volume that no camera sees, occluders that are not between the cameras
-        and the wall (or the volume), a backlight that is not behind the volume.
+        All of: cameras in the wall or the tank, or that face two walls, a volume that is not wholly
+        in the fluid, a grid that does not fit, a volume that no camera sees, occluders that are not
+        between the cameras and the wall (or the volume), a backlight that is not behind the volume.
     """
     check, count = Collector(source), _camera_count(scene.cameras)
     if count > _MOST_CAMERAS:
         expected = f"expected at most {_MOST_CAMERAS} cameras"
         raise InputError(f"{source}: cameras.layout: {expected}, got {count}")
-    wall = build_wall(scene.wall) if scene.wall else None
+    for fault in scene.sensor.faults_by_camera(count):
+        with check.collect():
+            raise InputError(fault)
     corners = _corners(scene)
     with check.collect():
         grid = _build_grid(scene)
     with check.collect():
-        checks.check_tank(wall, corners)  # cameras are aimed at the volume: not built if it fails
-        cameras = _build_cameras(scene, wall)
+        if scene.bubbles or scene.solids or scene.backlight:
+            check_one_plane(scene)
+        walls = build_walls(scene.wall)
+        checks.check_tank(walls, corners)  # cameras are aimed at the volume: not built if it fails
+        cameras = _build_cameras(scene, walls, corners)
         discs = tuple(_build_occluder(spec) for spec in scene.occluders or ())
-        _check_light(scene, wall, cameras, corners, discs, check)
+        _check_light(scene, walls, cameras, corners, discs, check)
         if not check.faults:
             checks.check_views(cameras, corners)
     check.finish()
-    return Rig(cameras, wall, grid, discs)
+    return Rig(cameras, grid, discs)
 
 
 def _check_light(
     scene: Scene,
-    wall: Wall | None,
+    walls: tuple[TankWall, ...],
     cameras: tuple[Camera, ...],
     corners: F64,
     discs: tuple[Disc, ...],
@@ -93,12 +108,12 @@ def _check_light(
     """Collect the faults of occluders and of the backlight."""
     for number, disc in enumerate(discs):
         with check.collect():
-            checks.check_occluder(disc, wall, cameras, corners, f"occluders.{number}")
+            checks.check_occluder(disc, walls, cameras, corners, f"occluders.{number}")
     if scene.backlight:
-        rear = (scene.wall.rear or ()) if scene.wall else ()
+        rear = scene.rear
         with check.collect():
             thickness = sum(layer.thickness_mm for layer in rear)
-            checks.check_backlight(scene.backlight, wall, thickness, cameras, corners)
+            checks.check_backlight(scene.backlight, walls, thickness, cameras, corners)
 
 
 def _build_grid(scene: Scene) -> Grid:
@@ -122,15 +137,6 @@ def domain_of(scene: Scene) -> Domain:
     """Give the volume that the scene's generators fill."""
     return Domain(
         scene.volume.center_mm, scene.volume.size_mm, scene.cameras.rows * scene.cameras.columns
-    )
-
-
-def build_wall(spec: WallSpec) -> Wall:
-    """Build the wall in front of the fluid; its normal becomes a unit vector."""
-    unit = _unit(spec.normal)
-    layers = tuple(Layer(layer.name, layer.index, layer.thickness_mm) for layer in spec.layers)
-    return Wall(
-        spec.point_mm, triple(unit), spec.air_index, layers, spec.fluid_index, spec.depth_mm
     )
 
 
@@ -191,12 +197,15 @@ def _offsets(spec: GridLayout | RingLayout | LineLayout | CrossLayout) -> F64:
     )
 
 
-def _build_cameras(scene: Scene, wall: Wall | None) -> tuple[Camera, ...]:
+def _build_cameras(scene: Scene, walls: tuple[TankWall, ...], corners: F64) -> tuple[Camera, ...]:
     """Build all cameras, collecting the faults of all."""
     cameras, check = [], Collector("")
     for number, place in enumerate(_places(scene.cameras)):
         with check.collect():
-            cameras.append(_build_camera(scene, wall, f"camera_{number:02d}", place))
+            camera = _build_camera(scene, walls, f"camera_{number:02d}", place)
+            if len(walls) > 1:
+                check_one_face(camera, walls, corners)
+            cameras.append(camera)
     if check.faults:
         raise InputError.from_faults("", _alike(check.faults))
     return tuple(cameras)
@@ -213,9 +222,9 @@ def _alike(faults: list[str]) -> list[str]:
     ]
 
 
-def _build_camera(scene: Scene, wall: Wall | None, name: str, place: Place) -> Camera:
-    spec = scene.cameras
-    if wall and wall.depth_of(np.asarray(place.center_mm)) >= 0.0:
+def _build_camera(scene: Scene, walls: tuple[TankWall, ...], name: str, place: Place) -> Camera:
+    spec, center = scene.cameras, np.asarray(place.center_mm)
+    if not is_outside(walls, center):
         raise InputError(
             f"cameras: {name} at {list(place.center_mm)} mm: expected it in front of the wall, "
             "but it is in the wall or the tank"
@@ -233,7 +242,7 @@ def _build_camera(scene: Scene, wall: Wall | None, name: str, place: Place) -> C
         distortion=Distortion(**spec.distortion.model_dump()),
         focal_length_mm=spec.focal_length_mm,
         f_number=spec.f_number,
-        wall=wall,
+        wall=wall_towards(walls, center, target),
     )
     if place.rotation is None:
         try:

@@ -106,6 +106,11 @@ class Cameras(Table):
         description="standard deviation of every particle's image; by default it follows from "
         "diffraction, size and defocus",
     )
+    airy_rings: bool | None = Field(
+        None,
+        description="whether images of particles have the rings of Airy's pattern; by default "
+        "diffraction is the Gaussian nearest to it",
+    )
     center_mm: Vector = Field((0.0, 0.0, 0.0), description="centre of the array (not for lists)")
     x_axis: Direction = Field((1.0, 0.0, 0.0), description="direction of the array's columns")
     y_axis: Direction = Field((0.0, 1.0, 0.0), description="direction of the array's rows")

@@ -11,8 +11,20 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from sabench.utils.fields import Direction, Positive, Table, Vector
+from sabench.scenes.wall import MOST_LAYERS, LayerSpec
+from sabench.utils.fields import Direction, Index, Positive, Table, Vector
 from sabench.utils.validation import refuse
+
+
+class EntrySpec(Table):
+    """Window through which the laser enters the tank, from air."""
+
+    point_mm: Vector = Field(description="a point on the window's outer face")
+    normal: Direction = Field(description="direction from the laser into the tank")
+    air_index: Index = Field(1.0, description="refractive index on the laser's side")
+    layers: tuple[LayerSpec, ...] = Field(
+        (), max_length=MOST_LAYERS, description="solid layers, the laser's side first"
+    )
 
 
 class Illumination(Table):
@@ -20,7 +32,10 @@ class Illumination(Table):
 
     wavelength_nm: Positive = Field(532.0, description="in vacuum")
     pulse_energy_mj: Positive
-    direction: Vector = Field((1.0, 0.0, 0.0), description="direction of propagation")
+    direction: Vector = Field(
+        (1.0, 0.0, 0.0),
+        description="direction of propagation: in the fluid or, with `entry`, in the air before it",
+    )
     sheet_normal: Vector = Field((0.0, 0.0, 1.0), description="normal of the sheet")
     thickness_mm: Positive = Field(description="full width (top-hat) or e^-2 width (gaussian)")
     height_mm: Positive = Field(
@@ -30,6 +45,22 @@ class Illumination(Table):
         None, description="offset of the sheet's middle from the volume's centre, along the normal"
     )
     profile: Literal["top-hat", "gaussian"] = "top-hat"
+    height_profile: Literal["top-hat", "gaussian"] | None = Field(
+        None,
+        description="along the height, which is the width of the top-hat or the e^-2 width; by "
+        "default the sheet is even and goes on",
+    )
+    entry: EntrySpec | None = Field(
+        None,
+        description="window that refracts the sheet; without it the sheet would pass through the "
+        "volume's centre",
+    )
+    extinction: bool | None = Field(
+        None, description="whether particles attenuate the light on its way to and from others"
+    )
+    polarisation: Vector | None = Field(
+        None, description="direction of the electric field; by default the light is unpolarised"
+    )
     scattering: Literal["mie", "isotropic"] = "mie"
 
     @model_validator(mode="after")
@@ -40,6 +71,13 @@ class Illumination(Table):
             raise ValueError(
                 "expected direction and sheet_normal of non-zero length and at right angles"
             )
+        if self.polarisation is not None:
+            lengths = math.hypot(*self.direction) * math.hypot(*self.polarisation)
+            dot = sum(a * b for a, b in zip(self.direction, self.polarisation, strict=True))
+            if lengths < 1e-9 or abs(dot) > 1e-6 * lengths:
+                raise ValueError(
+                    "expected polarisation of non-zero length, at right angles to direction"
+                )
         return self
 
 
@@ -136,8 +174,29 @@ class Backlight(Table):
     wavelength_nm: Positive = Field(550.0, description="for diffraction")
 
 
-class Tracer(Table):
-    """Material of the particles: complex refractive index m = index - i absorption."""
+class Material(Table):
+    """Material of particles: complex refractive index m = index - i absorption."""
 
     index: float = Field(1.59, ge=1.0, le=4.0)
     absorption: float = Field(0.0, ge=0.0, le=5.0)
+
+
+class Admixture(Material):
+    """Material of a share of the particles."""
+
+    share: float = Field(gt=0.0, lt=1.0, description="of all particles")
+
+
+class Tracer(Material):
+    """Material of the particles, or of those that `mixture` leaves."""
+
+    mixture: tuple[Admixture, ...] | None = Field(
+        None, max_length=20, description="materials of some of the particles"
+    )
+
+    @model_validator(mode="after")
+    def _check_shares(self) -> Tracer:
+        total = sum(one.share for one in self.mixture or ())
+        if total > 1.0 + 1e-9:
+            raise ValueError(f"expected shares of mixture that add up to 1 at most, got {total:g}")
+        return self

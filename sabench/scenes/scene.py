@@ -8,13 +8,23 @@ from typing import Any, Self
 import tomli_w
 from pydantic import Field, ModelWrapValidatorHandler, ValidationError, model_validator
 
-from sabench.images.preprocessing import Step
+from sabench.images.preprocessing import Step, step_faults
+from sabench.scenes.background import Background
 from sabench.scenes.calibration import Calibration, Detection
 from sabench.scenes.cameras import Cameras
 from sabench.scenes.illumination import Backlight, Illumination, Lighting, Timing, Tracer
+from sabench.scenes.inertia import Inertia
+from sabench.scenes.materials import fill_indices
 from sabench.scenes.sensor import Render, Sensor
 from sabench.scenes.volume import GridSpec, Volume
-from sabench.scenes.wall import OccluderSpec, WallSpec
+from sabench.scenes.wall import (
+    CylinderSpec,
+    LayerSpec,
+    OccluderSpec,
+    WallSpec,
+    WallTable,
+    wall_tables,
+)
 from sabench.scenes.world import BubbleWorld, ParticleWorld, TargetWorld, World, world_faults
 from sabench.utils.errors import InputError
 from sabench.utils.fields import LensNumber, Positive, Table
@@ -33,7 +43,7 @@ class Scene(Table):
     timing: Timing | None = Field(None, description="instead of frames at equal intervals")
     volume: Volume
     grid: GridSpec
-    wall: WallSpec | None = None
+    wall: WallTable | None = None
     occluders: tuple[OccluderSpec, ...] | None = Field(
         None, description="discs that hide a part of the volume from some cameras"
     )
@@ -48,6 +58,9 @@ class Scene(Table):
     )
     flow: dict[str, Any] | None = Field(
         None, description="flow that carries the particles: `generator` and its parameters"
+    )
+    inertia: Inertia | None = Field(
+        None, description="particles that do not follow the flow exactly; by default they do"
     )
     flow_grid_mm: tuple[Positive, Positive, Positive] | None = Field(
         None,
@@ -70,6 +83,9 @@ class Scene(Table):
     detection: Detection | None = Field(
         None, description="by default every point of a target is detected exactly"
     )
+    background: Background | None = Field(
+        None, description="static light on the sensors that does not come from the volume"
+    )
     sensor: Sensor = Sensor()
     preprocessing: tuple[Step, ...] | None = Field(
         None,
@@ -82,11 +98,16 @@ class Scene(Table):
     @classmethod
     def _check_world(cls, values: Any, handler: ModelWrapValidatorHandler[Self]) -> Self:
         """Check which tables are there, also where some of them have faults of their own."""
-        faults = list(world_faults(_name_tables(values))) if isinstance(values, dict) else []
+        faults: list[tuple[str, str]] = []
+        if isinstance(values, dict):
+            values, faults = fill_indices(values)
+            faults += world_faults(_name_tables(values))
         try:
             scene = handler(values)
         except ValidationError as error:
             raise join_faults(error, faults) from None
+        steps = step_faults(scene.preprocessing or (), scene.frames)
+        faults += [("preprocessing", fault) for fault in steps]
         refuse(faults)
         return scene
 
@@ -119,6 +140,27 @@ class Scene(Table):
         if (tracers := self.tracers) is None:
             raise InputError(f"{self.title}: particles: expected a scene with particles, got none")
         return tracers
+
+    @property
+    def walls(self) -> tuple[WallSpec | CylinderSpec, ...]:
+        """Tables of all walls; none in plain air."""
+        return wall_tables(self.wall)
+
+    @property
+    def plane(self) -> WallSpec | None:
+        """The only wall of a scene, where it is plane."""
+        only = self.walls[0] if len(self.walls) == 1 else None
+        return only if isinstance(only, WallSpec) else None
+
+    @property
+    def rear(self) -> tuple[LayerSpec, ...]:
+        """Layers of the back wall behind a single plane wall, the fluid's side first."""
+        return (self.plane.rear or ()) if self.plane else ()
+
+    @property
+    def fluid_index(self) -> float:
+        """Refractive index of the fluid, 1 in plain air."""
+        return self.walls[0].fluid_index if self.walls else 1.0
 
     @property
     def light(self) -> Illumination:

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
+from typing import Annotated
 
 from pydantic import Field, model_validator
 
 from sabench.utils.fields import Positive, Table
+from sabench.utils.validation import refuse
 
 
 class Sensor(Table):
@@ -21,12 +24,117 @@ class Sensor(Table):
     black_level_dn: float = Field(0.0, ge=0.0, description="grey value without light")
     bit_depth: int = Field(12, ge=1, le=16)
     shot_noise: bool = True
+    prnu: float | None = Field(
+        None,
+        ge=0.0,
+        le=0.2,
+        description="photo-response non-uniformity: relative standard deviation of the pixels' "
+        "responses to light",
+    )
+    dsnu_e: float | None = Field(
+        None,
+        ge=0.0,
+        description="dark-signal non-uniformity: standard deviation of the pixels' signals without "
+        "light",
+    )
+    hot_pixels: float | None = Field(
+        None, ge=0.0, le=0.05, description="share of pixels with a large dark signal"
+    )
+    hot_e: Positive | None = Field(
+        None,
+        description="mean dark signal of hot pixels, distributed exponentially; by default half "
+        "the full well",
+    )
+    dead_pixels: float | None = Field(
+        None, ge=0.0, le=0.05, description="share of pixels without any signal"
+    )
+    nonlinearity: float | None = Field(
+        None,
+        ge=0.0,
+        le=0.3,
+        description="part of the signal that is missing at the full well; below, it falls with the "
+        "square of the signal",
+    )
+    camera_exposure: tuple[Positive, ...] | None = Field(
+        None, description="exposure time of each camera, relative to exposure_s"
+    )
+    camera_gain: tuple[Positive, ...] | None = Field(
+        None, description="gain of each camera, relative to gain_dn_e"
+    )
+    camera_black_dn: tuple[Annotated[float, Field(ge=0.0)], ...] | None = Field(
+        None, description="grey value without light of each camera, in place of black_level_dn"
+    )
 
     @property
     def white_dn(self) -> int:
         """Grey value of a saturated pixel: the lower limit of full well and converter."""
-        full = round(self.black_level_dn + self.gain_dn_e * self.full_well_e)
-        return min((1 << self.bit_depth) - 1, full)
+        most = self.full_well_e * (1.0 - (self.nonlinearity or 0.0))
+        converter = float((1 << self.bit_depth) - 1)
+        return round(min(converter, self.black_level_dn + self.gain_dn_e * most))
+
+    @property
+    def has_pattern(self) -> bool:
+        """True if its pixels differ."""
+        return any((self.prnu, self.dsnu_e, self.hot_pixels, self.dead_pixels))
+
+    def of_camera(self, number: int) -> Sensor:
+        """Give the sensor of one camera, by its number in the rig.
+
+        It has no keys by camera.
+        """
+        exposure, gain, black = (
+            None if values is None else values[number]
+            for values in (self.camera_exposure, self.camera_gain, self.camera_black_dn)
+        )
+        return self.model_copy(
+            update={
+                "exposure_s": self.exposure_s * (1.0 if exposure is None else exposure),
+                "gain_dn_e": self.gain_dn_e * (1.0 if gain is None else gain),
+                "black_level_dn": self.black_level_dn if black is None else black,
+                "camera_exposure": None,
+                "camera_gain": None,
+                "camera_black_dn": None,
+            }
+        )
+
+    def levels_by_camera(self, cameras: int) -> tuple[tuple[float, float], ...]:
+        """List the grey values of no light and of saturation of each camera.
+
+        Empty where they are the same in all of them.
+        """
+        if self.camera_black_dn is None and self.camera_gain is None:
+            return ()
+        own = [self.of_camera(number) for number in range(cameras)]
+        return tuple((sensor.black_level_dn, float(sensor.white_dn)) for sensor in own)
+
+    def faults_by_camera(self, cameras: int) -> Iterator[str]:
+        """List the keys by camera that have another number of values."""
+        for name in ("camera_exposure", "camera_gain", "camera_black_dn"):
+            values = getattr(self, name)
+            if values is not None and len(values) != cameras:
+                yield (
+                    f"sensor.{name}: expected one value for each of {cameras} cameras, "
+                    f"got {len(values)}"
+                )
+
+    @model_validator(mode="after")
+    def _check_flaws(self) -> Sensor:
+        refuse(self._faults())
+        return self
+
+    def _faults(self) -> Iterator[tuple[str, str]]:
+        """List flaws that exceed the sensor's range."""
+        well, white = self.full_well_e, (1 << self.bit_depth) - 1
+        if self.dsnu_e is not None and 3.0 * self.dsnu_e > well:
+            expected = f"expected at most a third of full_well_e = {well:g} electrons"
+            yield "dsnu_e", f"{expected}, got {self.dsnu_e:g}"
+        if self.hot_e is not None and self.hot_pixels is None:
+            yield "hot_e", "expected hot_pixels, their share, next to it, got none"
+        if self.hot_e is not None and self.hot_e > well:
+            yield "hot_e", f"expected at most full_well_e = {well:g} electrons, got {self.hot_e:g}"
+        if self.camera_black_dn is not None and max(self.camera_black_dn, default=0.0) >= white:
+            got = max(self.camera_black_dn)
+            yield "camera_black_dn", f"expected less than the white level {white}, got {got:g}"
 
 
 class Render(Table):

@@ -1,28 +1,76 @@
-"""Tables of a scene: the tank wall and opaque discs in front of it."""
+"""Tables of a scene: the tank's walls and opaque discs in front of them."""
 
 from __future__ import annotations
 
-from pydantic import Field
+from typing import Annotated, Any, Literal
+
+from pydantic import (
+    ConfigDict,
+    Discriminator,
+    Field,
+    SerializerFunctionWrapHandler,
+    Tag,
+    model_serializer,
+    model_validator,
+)
 
 from sabench.utils.fields import Direction, Index, Positive, Table, Vector
+from sabench.utils.validation import refuse
 
 MOST_LAYERS = 20  # of a wall
+MOST_FACES = 12  # of a tank
 
 
 class LayerSpec(Table):
     """Solid layer of the wall."""
 
+    model_config = ConfigDict(json_schema_extra=lambda schema: schema["required"].remove("index"))
+
     name: str = "glass"
-    index: Index = Field(description="refractive index")
+    material: str | None = Field(
+        None, description="name of a material whose index at the light's wavelength is known"
+    )
+    index: Index = Field(description="refractive index; left out with `material`")
     thickness_mm: Positive
 
+    @model_validator(mode="before")
+    @classmethod
+    def _check_light(cls, values: Any) -> Any:
+        return _with_index(values, "material", "index")
 
-class WallSpec(Table):
-    """Tank wall between the cameras and the fluid.
+    @model_serializer(mode="wrap")
+    def _leave_out(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Leave out the index of a named material: the scene's light determines it again."""
+        return _without("index", handler(self), self.material)
 
-    A scene without this table is in plain air.
+
+class _BeforeFluid(Table):
+    """Wall before a fluid, which may be named in place of its index."""
+
+    model_config = ConfigDict(
+        json_schema_extra=lambda schema: schema["required"].remove("fluid_index")
+    )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _check_light(cls, values: Any) -> Any:
+        return _with_index(values, "fluid", "fluid_index")
+
+    @model_serializer(mode="wrap")
+    def _leave_out(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Leave out the index of a named fluid: the scene's light determines it again."""
+        return _without("fluid_index", handler(self), getattr(self, "fluid", None))
+
+
+class WallSpec(_BeforeFluid):
+    """Plane tank wall between the cameras and the fluid.
+
+    A scene without this table is in plain air. A list of these tables describes a tank whose
+    cameras look through several faces.
     """
 
+    shape: Literal["plane"] | None = Field(None, description="plane, or cylinder: another table")
+    name: str | None = Field(None, description="of a face of several, for messages")
     point_mm: Vector = Field((0.0, 0.0, 0.0), description="a point on the outer face")
     normal: Direction = Field(
         (0.0, 0.0, 1.0), description="direction from the cameras into the tank"
@@ -31,7 +79,11 @@ class WallSpec(Table):
     layers: tuple[LayerSpec, ...] = Field(
         (), max_length=MOST_LAYERS, description="solid layers, the cameras' side first"
     )
-    fluid_index: Index = Field(description="refractive index of the fluid")
+    fluid: str | None = Field(
+        None, description="name of a fluid whose index at the light's wavelength is known"
+    )
+    temperature_c: float | None = Field(None, description="of water; 20 by default")
+    fluid_index: Index = Field(description="refractive index of the fluid; left out with `fluid`")
     depth_mm: Positive | None = Field(
         None, description="distance from the inner face to the back wall"
     )
@@ -40,6 +92,80 @@ class WallSpec(Table):
         max_length=MOST_LAYERS,
         description="solid layers of the back wall, the fluid's side first; air is behind it",
     )
+    mirrors: bool | None = Field(
+        None,
+        description="whether faces reflect particles' light: those of the back wall (`depth_mm`) "
+        "once, those of this wall to and fro",
+    )
+
+
+class CylinderSpec(_BeforeFluid):
+    """Round tank: coaxial cylinders around the fluid, with the cameras outside.
+
+    The cylinder has no ends.
+    """
+
+    shape: Literal["cylinder"]
+    axis_point_mm: Vector = Field((0.0, 0.0, 0.0), description="a point on the axis")
+    axis: Direction = Field((0.0, 1.0, 0.0), description="direction of the axis")
+    outer_radius_mm: Positive = Field(description="radius of the outer face")
+    air_index: Index = Field(1.0, description="refractive index on the cameras' side")
+    layers: tuple[LayerSpec, ...] = Field(
+        (), max_length=MOST_LAYERS, description="solid layers, from outside"
+    )
+    fluid: str | None = Field(
+        None, description="name of a fluid whose index at the light's wavelength is known"
+    )
+    temperature_c: float | None = Field(None, description="of water; 20 by default")
+    fluid_index: Index = Field(description="refractive index of the fluid; left out with `fluid`")
+
+    @property
+    def inner_radius_mm(self) -> float:
+        """Radius of the fluid."""
+        return self.outer_radius_mm - sum(layer.thickness_mm for layer in self.layers)
+
+    @model_validator(mode="after")
+    def _check_layers(self) -> CylinderSpec:
+        if self.inner_radius_mm <= 0.0:
+            thick = self.outer_radius_mm - self.inner_radius_mm
+            expected = f"expected layers thinner than outer_radius_mm = {self.outer_radius_mm:g}"
+            refuse([("layers", f"{expected} together, got {thick:g} mm")])
+        return self
+
+
+def _shape(value: Any) -> str:
+    """Name the kind of wall that a table, or a list of tables, describes."""
+    if isinstance(value, list | tuple):
+        return "faces"
+    if not isinstance(value, dict):
+        return "cylinder" if isinstance(value, CylinderSpec) else "plane"
+    return "cylinder" if value.get("shape") == "cylinder" or "outer_radius_mm" in value else "plane"
+
+
+WallTable = Annotated[
+    Annotated[WallSpec, Tag("plane")]
+    | Annotated[CylinderSpec, Tag("cylinder")]
+    | Annotated[tuple[WallSpec, ...], Field(min_length=1, max_length=MOST_FACES), Tag("faces")],
+    Discriminator(_shape),
+]
+
+
+def wall_tables(wall: WallTable | None) -> tuple[WallSpec | CylinderSpec, ...]:
+    """List the tables of all walls; none in plain air."""
+    if wall is None:
+        return ()
+    return wall if isinstance(wall, tuple) else (wall,)
+
+
+def _with_index(values: Any, name: str, index: str) -> Any:
+    """Refuse a named material where no scene has added its index."""
+    if isinstance(values, dict) and values.get(name) is not None and index not in values:
+        raise ValueError(f"expected {index}: {name} needs the wavelength of a scene's light")
+    return values
+
+
+def _without(key: str, table: dict[str, Any], material: str | None) -> dict[str, Any]:
+    return table if material is None else {name: table[name] for name in table if name != key}
 
 
 class OccluderSpec(Table):

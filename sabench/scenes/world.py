@@ -86,6 +86,8 @@ def world_faults(given: Set[str]) -> Iterator[tuple[str, str]]:
         yield "backlight", "expected bubbles or solids in front of it, got neither"
     if "flow" in given and "particles" not in given:
         yield "flow", "expected particles that it carries, got none"
+    if "inertia" in given and "flow" not in given:
+        yield "inertia", "expected a flow, got none; a linear_flow without keys is fluid at rest"
     if "flow_grid_mm" in given and "flow" not in given:
         yield "flow_grid_mm", "expected a flow, got none"
     if "particles" in given and "illumination" not in given:

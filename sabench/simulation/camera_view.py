@@ -8,8 +8,9 @@ import numpy as np
 
 from sabench.api.truth import Bubbles, Sight
 from sabench.geometry.camera import Camera
-from sabench.geometry.refraction import Layer
-from sabench.scenes import Rig, Scene
+from sabench.geometry.refraction import Layer, Wall
+from sabench.scenes import Scene
+from sabench.scenes.tank import build_wall
 from sabench.simulation.frame_content import FrameContent, Tracers
 from sabench.simulation.obstacles import find_hidden
 from sabench.simulation.rendering import (
@@ -18,7 +19,9 @@ from sabench.simulation.rendering import (
     particles_traced,
     targets_traced,
 )
+from sabench.simulation.rendering.airy_rings import render_with_rings
 from sabench.simulation.rendering.bubble_stage_builder import Lights, Tank
+from sabench.simulation.rendering.light_routes import Route, direct, reflections
 from sabench.simulation.rendering.particle_images import ParticleImages, image_particles
 from sabench.simulation.rendering.pixel_truth import see
 from sabench.simulation.rendering.sensor import full_well_photons
@@ -35,7 +38,6 @@ class CameraView:
     Attributes
     ----------
     photons : (rows, columns) mean number that each pixel receives in one exposure.
-    traced_radiance : (rows, columns) where the renderer gives it; else it follows from the photons.
     particles : images of the tracers; None without any.
     sight : what each pixel sees of bubbles and bodies; None without any.
     error : mean relative standard error of `photons`; None for a renderer without random rays.
@@ -43,7 +45,6 @@ class CameraView:
 
     camera: Camera
     photons: F64
-    traced_radiance: F64 | None = None
     particles: ParticleImages | None = None
     sight: Sight | None = None
     error: float | None = None
@@ -53,8 +54,6 @@ class CameraView:
 
         0 where a distorted lens shows nothing.
         """
-        if self.traced_radiance is not None:
-            return self.traced_radiance
         etendue, dark = self.camera.etendue(), np.zeros_like(self.photons)
         return np.divide(self.photons, etendue, out=dark, where=etendue > 0.0)
 
@@ -71,41 +70,60 @@ def render(frame: FrameContent, camera: int) -> CameraView:
 
 
 def _render_tracers(frame: FrameContent, tracers: Tracers, number: int) -> CameraView:
-    """Render tracers alone: the mean over the parts of the pulse."""
-    camera, parts = frame.rig.cameras[number], len(tracers.positions_mm)
+    """Render tracers alone."""
+    camera, scene = frame.rig.cameras[number], frame.scene
     images = _image(frame, tracers, camera)
-    total = np.zeros((camera.rows, camera.columns))
+    if scene.cameras.airy_rings:
+        wavelength = scene.light.wavelength_nm
+        photons = render_with_rings(camera, wavelength, lambda fine: _take(frame, tracers, fine))
+    else:
+        photons = _take(frame, tracers, camera)
+    return CameraView(camera, photons, particles=images)
+
+
+def _take(frame: FrameContent, tracers: Tracers, camera: Camera) -> F64:
+    """Take the photons of one exposure on all routes, the mean over the pulse."""
+    total, parts = np.zeros((camera.rows, camera.columns)), len(tracers.positions_mm)
     for positions in tracers.positions_mm:
         moment = replace(tracers, particles=replace(tracers.particles, position_mm=positions))
-        middle = positions is tracers.particles.position_mm
-        part = images if middle else _image(frame, moment, camera)
-        total += _render_part(frame, camera, part, positions) / parts
-    if frame.renderer == "splat":
-        return CameraView(camera, total, particles=images)
-    return CameraView(camera, total * camera.etendue(), total, images)
+        for route in _routes(frame.scene, camera):
+            images = _image(frame, moment, camera, route)
+            place = route.place(positions)
+            total += _take_part(frame, route.behind(camera), images, place) / parts
+    return total
 
 
-def _render_part(frame: FrameContent, camera: Camera, images: ParticleImages, at_mm: F64) -> F64:
-    """Render one part of a pulse.
+def _routes(scene: Scene, camera: Camera) -> list[Route]:
+    """List the routes of light to a camera that the scene asks for."""
+    routes = [direct(camera.wall)]
+    if scene.plane is not None and scene.plane.mirrors and isinstance(camera.wall, Wall):
+        rear = [Layer(layer.name, layer.index, layer.thickness_mm) for layer in scene.rear]
+        routes += reflections(camera.wall, tuple(rear))
+    return routes
 
-    The analytic renderer gives photons, the traced one radiance.
-    """
+
+def _take_part(frame: FrameContent, camera: Camera, images: ParticleImages, at_mm: F64) -> F64:
+    """Take the photons of one part of a pulse on one route."""
     if frame.renderer == "splat":
         return particles_splatted.render(camera, images)
     samples = frame.scene.render.samples_per_pixel
-    return particles_traced.render(camera, images, at_mm, samples, frame.rig.occluders)
+    occluders = frame.rig.occluders_of(camera)
+    radiance = particles_traced.render(camera, images, at_mm, samples, occluders)
+    return radiance * camera.etendue()
 
 
-def _image(frame: FrameContent, tracers: Tracers, camera: Camera) -> ParticleImages:
-    return image_particles(
-        frame.scene, camera, tracers.particles, tracers.table, frame.rig.occluders
-    )
+def _image(
+    frame: FrameContent, tracers: Tracers, camera: Camera, route: Route | None = None
+) -> ParticleImages:
+    occluders = frame.rig.occluders_of(camera)
+    given = (tracers.particles, tracers.scatterers, occluders, route)
+    return image_particles(frame.scene, camera, *given)
 
 
 def _render_bubbles(frame: FrameContent, bubbles: Bubbles, number: int) -> CameraView:
     """Render bubbles and bodies, with or without tracers among them."""
     scene, camera = frame.scene, frame.rig.cameras[number]
-    tank, seed = tank_of(scene, frame.rig), frame.path_seed(number)
+    tank, seed = tank_of(scene), frame.path_seed(number)
     lights = lights_of(scene)
     shown = bubbles_traced.render(
         camera,
@@ -138,11 +156,10 @@ def _render_bubbles(frame: FrameContent, bubbles: Bubbles, number: int) -> Camer
     return CameraView(camera, photons, particles=images, sight=sight, error=shown.error)
 
 
-def tank_of(scene: Scene, rig: Rig) -> Tank:
-    """Return the walls of a scene."""
-    layers = (scene.wall.rear or ()) if scene.wall else ()
-    rear = tuple(Layer(layer.name, layer.index, layer.thickness_mm) for layer in layers)
-    return Tank(rig.wall, rear)
+def tank_of(scene: Scene) -> Tank:
+    """Return the walls in front of and behind bubbles and bodies."""
+    rear = tuple(Layer(layer.name, layer.index, layer.thickness_mm) for layer in scene.rear)
+    return Tank(build_wall(scene.plane) if scene.plane else None, rear)
 
 
 def lights_of(scene: Scene) -> Lights:

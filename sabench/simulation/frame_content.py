@@ -10,7 +10,7 @@ from sabench.api import Material
 from sabench.api.truth import Bubbles, Particles, Solid, Target
 from sabench.geometry.frames import Pose
 from sabench.scenes import Rig, Scene
-from sabench.simulation.rendering.mie import MieTable
+from sabench.simulation.rendering.particle_light import Scatterers
 from sabench.utils.arrays import F64, Bool
 from sabench.utils.rng import stream
 
@@ -24,13 +24,13 @@ class Tracers:
     particles : at the middle of the pulse.
     positions_mm : their positions (n, 3) in the middle of equal parts of the pulse; one array for a
         short pulse.
-    table : how they scatter; None for isotropic scattering.
+    scatterers : how they scatter; None for isotropic scattering.
     illuminated : (n,) whether the laser reaches each; None where nothing throws shadows.
     """
 
     particles: Particles
     positions_mm: tuple[F64, ...]
-    table: MieTable | None
+    scatterers: Scatterers | None
     illuminated: Bool | None = None
 
 

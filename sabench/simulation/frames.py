@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+
 import numpy as np
 
 from sabench.api.truth import Bubbles, Particles
@@ -9,7 +11,8 @@ from sabench.geometry.camera import Camera
 from sabench.scenes import BubbleWorld, Rig, Scene, TargetWorld
 from sabench.simulation.frame_content import FrameContent, Tracers
 from sabench.simulation.obstacles import find_obstructed, inside
-from sabench.simulation.rendering.particle_images import scattering_table
+from sabench.simulation.rendering.laser_sheet import enter_fluid
+from sabench.simulation.rendering.particle_light import Scatterers, scatterers_of
 from sabench.utils.arrays import F64, Bool
 from sabench.utils.errors import InputError
 from sabench.worlds import calibration_targets
@@ -34,7 +37,7 @@ class Frames:
     """
 
     def __init__(self, scene: Scene, rig: Rig, seed: int, renderer: str = "mitsuba") -> None:
-        self.scene, self.rig, self.seed, self.renderer = scene, rig, seed, renderer
+        self.scene, self.rig, self.seed, self.renderer = light_in_fluid(scene), rig, seed, renderer
         world, timing = scene.world, scene.timing
         among = isinstance(world, BubbleWorld) and world.tracers is not None
         if among and timing is not None and timing.duration_s:
@@ -79,8 +82,8 @@ class Frames:
         scene, tracers = self.scene, None
         if particles is not None:
             scene = scene.model_copy(update={"illumination": pulse(scene, self.seed, number)})
-            table = scattering_table(scene, self.rig.cameras, particles)
-            tracers = Tracers(particles, self._positions(particles, number), table, illuminated)
+            positions = self._positions(particles, number)
+            tracers = Tracers(particles, positions, self._scatterers, illuminated)
         return FrameContent(
             scene,
             self.rig,
@@ -93,6 +96,10 @@ class Frames:
             self.placed.target if self.placed else None,
             self.placed.poses[number] if self.placed else None,
         )
+
+    @functools.cached_property
+    def _scatterers(self) -> Scatterers | None:
+        return scatterers_of(self.scene, self.rig.cameras, self.seed)
 
     def _positions(self, particles: Particles, number: int) -> tuple[F64, ...]:
         """List positions along each path.
@@ -114,6 +121,17 @@ class Frames:
         if self.motion is None or delay_s == 0.0:
             return particles.position_mm
         return self.motion.move(particles, number, delay_s)
+
+
+def light_in_fluid(scene: Scene) -> Scene:
+    """Return a scene whose laser is as its window leaves it.
+
+    Raises as `enter_fluid`.
+    """
+    if scene.tracers is None or scene.light.entry is None:
+        return scene
+    light = enter_fluid(scene.light, np.asarray(scene.volume.center_mm), scene.fluid_index)
+    return scene.model_copy(update={"illumination": light})
 
 
 def _longest_px(camera: Camera, early_mm: F64, late_mm: F64) -> float:

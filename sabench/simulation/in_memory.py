@@ -9,13 +9,14 @@ import numpy as np
 from sabench.api import Observation
 from sabench.api.truth import Particles, View
 from sabench.dataset.reader import build_observation
+from sabench.images.preprocessing import takes_all_frames
 from sabench.scenes import Scene, build_rig
 from sabench.scenes.nominal_cameras import nominal_cameras
 from sabench.simulation.camera_view import render
 from sabench.simulation.frame_content import FrameContent
 from sabench.simulation.frames import Frames
+from sabench.simulation.grey_values import record_image
 from sabench.simulation.renderer_choice import Renderer, choose_renderer
-from sabench.simulation.rendering.sensor import expose
 from sabench.utils.arrays import U16
 from sabench.worlds.tracers import Motion
 
@@ -38,20 +39,33 @@ def simulate(scene: Scene, *, seed: int = 0, frame: int = 0, backend: Renderer =
         As `generate`.
     """
     rig = build_rig(scene, scene.title)
-    content = Frames(scene, rig, seed, choose_renderer(backend)).at(frame)
+    frames = Frames(scene, rig, seed, choose_renderer(backend))
+    content = frames.at(frame)
     if content.tracers is None:
         raise ValueError(f"{scene.title}: expected a scene with particles")
-    images, views = [], []
-    for number in range(len(rig.cameras)):
-        view = render(content, number)
-        images.append(expose(scene.sensor, view.photons, content.sensor_noise(number)))
-        if view.particles is not None:
-            views.append(view.particles)
-    return Shot(observation_of(content, images), content.tracers.particles, list(views))
+    shown = [render(content, number) for number in range(len(rig.cameras))]
+    images = [record_image(content, view, number) for number, view in enumerate(shown)]
+    views: list[View] = [view.particles for view in shown if view.particles is not None]
+    lowest = None
+    if takes_all_frames(scene.preprocessing or ()):
+        lowest = np.min([_record(frames.at(number)) for number in range(scene.frames)], axis=0)
+    return Shot(observation_of(content, images, lowest), content.tracers.particles, views)
 
 
-def observation_of(frame: FrameContent, images: list[U16]) -> Observation:
-    """Build the observation of a frame's images, one for each camera."""
+def _record(frame: FrameContent) -> U16:
+    """Record the images (camera, row, column) of a frame."""
+    return np.stack(
+        [record_image(frame, render(frame, n), n) for n in range(len(frame.rig.cameras))]
+    )
+
+
+def observation_of(
+    frame: FrameContent, images: list[U16], lowest: U16 | None = None
+) -> Observation:
+    """Build the observation of a frame's images, one for each camera.
+
+    `lowest` are each pixel's least values over all frames, where a step needs them.
+    """
     scene, rig = frame.scene, frame.rig
     return build_observation(
         np.stack(images),
@@ -59,6 +73,8 @@ def observation_of(frame: FrameContent, images: list[U16]) -> Observation:
         rig.grid,
         (scene.sensor.black_level_dn, scene.sensor.white_dn),
         scene.preprocessing or (),
+        lowest=lowest,
+        by_camera=scene.sensor.levels_by_camera(len(rig.cameras)),
     )
 
 

@@ -19,8 +19,8 @@ from sabench.api import CalibrationCase
 from sabench.api.truth import Pattern, Target
 from sabench.geometry.camera import Camera, Distortion, aim, aimed_rotation
 from sabench.images.photographs import read_photographs
-from sabench.scenes.build import build_wall
-from sabench.scenes.wall import WallSpec
+from sabench.scenes.tank import build_walls, wall_towards
+from sabench.scenes.wall import CylinderSpec, WallTable, wall_tables
 from sabench.utils.arrays import F64
 from sabench.utils.errors import InputError
 from sabench.utils.fields import LensNumber, Positive, Vector
@@ -86,7 +86,7 @@ class Configuration(_Table):
 
     target: TargetSpec
     array: ArraySpec
-    wall: WallSpec | None = None
+    wall: WallTable | None = None
     cameras: Annotated[tuple[CameraSpec, ...], Field(min_length=2)]
     target_mm: Vector = Field(description="initial guess of the target's position")
     known: tuple[KnownSpec, ...] = ()
@@ -137,8 +137,9 @@ def _check_lengths(configuration: Configuration, source: str) -> None:
         given[f"cameras.{number}"] = (*camera.center_mm, *camera.aim_mm)
     for number, point in enumerate(configuration.known):
         given[f"known.{number}"] = (point.x_mm or 0.0, point.y_mm or 0.0, point.z_mm or 0.0)
-    if configuration.wall is not None:
-        given["wall"] = configuration.wall.point_mm
+    for wall in wall_tables(configuration.wall):
+        place = wall.axis_point_mm if isinstance(wall, CylinderSpec) else wall.point_mm
+        given["wall"] = (*given.get("wall", ()), *place)
     for key, values in given.items():
         largest = max(map(abs, values))
         if largest > _FARTHEST_MM:
@@ -148,7 +149,7 @@ def _check_lengths(configuration: Configuration, source: str) -> None:
 
 
 def _cameras(configuration: Configuration, source: str) -> tuple[Camera, ...]:
-    wall = build_wall(configuration.wall) if configuration.wall else None
+    walls = build_walls(configuration.wall)
     shared, cameras = configuration.array, []
     names = [spec.name for spec in configuration.cameras]
     if len(set(names)) != len(names):
@@ -166,7 +167,7 @@ def _cameras(configuration: Configuration, source: str) -> tuple[Camera, ...]:
             distortion=Distortion(),
             focal_length_mm=shared.focal_length_mm,
             f_number=8.0,
-            wall=wall,
+            wall=wall_towards(walls, np.asarray(spec.center_mm), np.asarray(spec.aim_mm)),
         )
         try:
             cameras.append(aim(camera, spec.aim_mm))

@@ -28,6 +28,7 @@ from sabench.api import (
 from sabench.api.estimates import Estimate
 from sabench.api.make import make_algorithm
 from sabench.dataset.reader import Dataset, open_dataset
+from sabench.images.flaws import Flaws
 from sabench.scenes import load_scene
 from sabench.simulation.pipeline import generate
 from sabench.tasks.solve_and_score import score, solve
@@ -292,7 +293,9 @@ def _reverse_cameras(case: Any) -> Any:
         frames = [_reverse_cameras(frame) for frame in case]
         return _image_sequence(case, frames)
     if isinstance(case, Observation):
-        return replace(case, images=case.images[::-1].copy(), cameras=case.cameras[::-1])
+        flaws = case.flaws and Flaws(*(kind[::-1].copy() for kind in case.flaws))
+        images, cameras = case.images[::-1].copy(), case.cameras[::-1]
+        return replace(case, images=images, cameras=cameras, flaws=flaws)
     if isinstance(case, CalibrationCase):
         return replace(case, pixels=case.pixels[::-1].copy(), cameras=case.cameras[::-1])
     raise _SkippedError("its cases have no cameras")

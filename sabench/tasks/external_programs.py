@@ -104,7 +104,8 @@ def run_program(
         def account(result: Result) -> Account:
             frames = max(1, len(tasks.of(result.task).frames(dataset)))
             name, seconds = solver_name(program), cost.seconds / frames
-            return Account(name, parameters or {}, desk.confined, seconds, cost.peak_mb)
+            costs = (seconds, cost.peak_mb)
+            return Account(name, parameters or {}, desk.confined, *costs, whole_process=True)
 
         adopt_from(desk, dataset, out, path.name, account, overwrite=overwrite)
     return open_result(out, dataset)
@@ -118,7 +119,7 @@ class Account:
     ----------
     solver, parameters : as it was started.
     isolated : whether the solver saw the observation side only.
-    seconds, peak_mb, compile_s, reconstruction_s : costs, as in `Result`.
+    seconds, peak_mb, compile_s, reconstruction_s, whole_process : costs, as in `Result`.
     """
 
     solver: str
@@ -128,6 +129,7 @@ class Account:
     peak_mb: float | None = None
     compile_s: float | None = None
     reconstruction_s: float | None = None
+    whole_process: bool = False
 
 
 def adopt_from(
@@ -204,3 +206,5 @@ def adopt(
             writer.set_reconstruction(known.reconstruction_s)
         if known.isolated:
             writer.set_isolated()
+        if known.whole_process:
+            writer.set_whole_process()

@@ -21,6 +21,7 @@ from sabench.algorithms.calibration.problem import make_anchors
 from sabench.api import Calibration, CalibrationCase
 from sabench.api.make import make_algorithm
 from sabench.dataset.schema import CAMERAS, write_cameras
+from sabench.dataset.wall_entries import wall_entry
 from sabench.geometry.camera import Camera
 from sabench.plotting import pictures
 from sabench.tasks.calibration_folder import read_case
@@ -76,12 +77,11 @@ def calibrate(
             f"solver {solver}: expected one that returns pinhole cameras and the target's "
             "positions, for the report"
         )
-    report, errors = report_on(case, answer, points)
+    report, errors = report_on(case, answer, points, solver)
     check_finite(report, answer, solver)
     with complete_or_nothing(out, overwrite=overwrite) as partial:
         partial.mkdir()
-        walls = [camera.wall for camera in answer.cameras if isinstance(camera, Camera)]
-        write_cameras(partial / CAMERAS, answer.cameras, wall=walls[0] if walls else None)
+        write_cameras(partial / CAMERAS, answer.cameras, wall=wall_entry(answer.cameras))
         (partial / "report.json").write_text(canonical_json(asdict(report)), encoding="utf-8")
         (partial / "errors.png").write_bytes(
             pictures.arrows(case.pixels, errors, case.cameras[0].rows, case.cameras[0].columns)
@@ -114,10 +114,17 @@ def check_finite(report: Report, answer: Calibration, solver: str) -> None:
         ) from error
 
 
-def report_on(case: CalibrationCase, answer: Calibration, points: F64) -> tuple[Report, F64]:
+def report_on(
+    case: CalibrationCase, answer: Calibration, points: F64, solver: str
+) -> tuple[Report, F64]:
     """Report the quality of a calibration, and the residuals of all points found.
 
     Residuals are (camera, frame, point, 2).
+
+    Raises
+    ------
+    InputError
+        Points found where the calibration lets no camera see them.
     """
     cameras = tuple(camera for camera in answer.cameras if isinstance(camera, Camera))
     flat = points.reshape(-1, 3)
@@ -125,6 +132,12 @@ def report_on(case: CalibrationCase, answer: Calibration, points: F64) -> tuple[
         case.pixels.shape
     )
     used = case.found if answer.used is None else answer.used
+    if hidden := int(np.isnan(errors[used]).any(axis=-1).sum()):
+        raise InputError(
+            f"solver {solver}: expected the target in the fluid, but {hidden} of {int(used.sum())} "
+            "points found cannot be seen where the calibration puts them: in the wall or before "
+            "it; check target_mm, wall and known"
+        )
     frame = Frame.from_cameras(cameras, points)
     free = FreeParameters.from_names(case.unknown)
     size, boards = free.per_camera * len(cameras), 6 * int(used.any(axis=(0, 2)).sum())
@@ -134,6 +147,7 @@ def report_on(case: CalibrationCase, answer: Calibration, points: F64) -> tuple[
         np.nan_to_num(case.pixels),
         used.astype(np.float64),
         make_anchors(case, frame, noise),
+        frame.beyond_kernels,
     )
     bound = limit(frame.state(case.target.points_mm, points), seen, free, noise)
     lengths = np.linalg.norm(errors, axis=-1)

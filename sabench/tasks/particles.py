@@ -236,9 +236,9 @@ def link_frames(setup: CamerasFile, found: Sequence[FoundParticles]) -> list[Fou
     for frames in setup.sequences():
         own = [number for frame in frames if (number := found[frame].trajectory) is not None]
         part = own if len(own) == len(frames) else _link(setup, found, frames)
-        last = max((int(one.max(initial=-1)) for one in out), default=-1)
-        lowest = min((int(one.min(initial=0)) for one in part), default=0)
-        out.extend(last + 1 - lowest + one for one in part)
+        first = max((int(one.max(initial=-1)) for one in out), default=-1) + 1
+        numbers = np.unique(np.concatenate(part))  # a solver's may be any 64-bit integers
+        out.extend(first + np.searchsorted(numbers, one) for one in part)
     return [replace(one, trajectory=number) for one, number in zip(found, out, strict=True)]
 
 

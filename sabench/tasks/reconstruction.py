@@ -50,6 +50,12 @@ class ReconstructionTask(FrameByFrame):
         Score("q", "Q", "", "larger", 3,
               "quality factor, the correlation of the reconstructed with the true intensity: "
               "1 is perfect"),
+        Score("peak_f1", "peak F1", "", "larger", 3,
+              "harmonic mean of peak precision and peak recall: it does not depend on the blobs' "
+              "shape", counted=True),
+        Score("intensity_error", "intensity error", "", "smaller", 3,
+              "relative root mean square error of the blobs' intensities over the true particles; "
+              "lost ones are dark"),
         Score("true_percent", "true %", "%", "larger", 1,
               "share of the true particles that were found within 1.5 voxels", counted=True),
         Score("ghost_percent", "ghost %", "%", "smaller", 1,

@@ -19,7 +19,7 @@ from sabench.dataset.results import Result, add_identity, open_result, result_wr
 from sabench.tasks.external_programs import Account, adopt_from, is_program, run_program
 from sabench.tasks.visible_files import open_desk, view_of_import, view_of_plugin
 from sabench.utils import backend, memory
-from sabench.utils.compile_clock import compile_s
+from sabench.utils.compile_clock import compile_s, load_registries
 from sabench.utils.errors import InputError
 from sabench.utils.files import complete_or_nothing, refuse_existing
 from sabench.utils.processes.confinement import can_confine
@@ -30,6 +30,7 @@ preload(
     "sabench.tasks.solve_and_score",
     "sabench.algorithms.refocus",
     "sabench.algorithms.tomography.problem",
+    "sabench.utils.loaded_numba",
 )
 
 WORDS: tuple[Literal["truth", "empty"], ...] = ("truth", "empty")
@@ -83,7 +84,8 @@ def solve(
         )
     place = Path(out)
     refuse_existing(place, overwrite=overwrite)
-    plugins.file_of("solvers", solver)  # raises where there is none
+    bundled = plugins.is_bundled("solvers", solver)  # raises where there is none
+    task = "" if bundled else describe_solver(solver, parameters or {})[0]
     with open_desk(data) as desk, desk.naming(data.root, place):
         call_isolated(
             functools.partial(solve_at_desk, threads=threads, isolated=desk.confined),
@@ -94,13 +96,14 @@ def solve(
             doing=f"solver {solver}",
             view=view_of_plugin(desk, data, solver),
         )
-        if plugins.is_bundled("solvers", solver):
+        if bundled:
             with complete_or_nothing(place, overwrite=overwrite) as partial:
                 shutil.move(desk.result, partial)
                 add_identity(partial, data)
         else:
 
             def account(result: Result) -> Account:
+                check_result_task(result.task, task, f"solver {solver}")
                 costs = (result.seconds, result.peak_mb, result.compile_s, result.reconstruction_s)
                 return Account(solver, result.parameters, desk.confined, *costs)
 
@@ -111,17 +114,21 @@ def solve(
 def describe_solver(solver: str, parameters: dict[str, Any]) -> tuple[str, dict[str, Any]]:
     """Return the task of a plug-in, and all its parameters with their defaults.
 
-    One that is not sabench's own is imported in a confined process, where that can be.
+    One that is not sabench's own is imported in a child process, which is confined where that can
+    be.
     """
-    view = None
-    if not plugins.is_bundled("solvers", solver) and can_confine():
-        view = view_of_import(solver)
-    words = (solver, parameters)
-    if view is None:
-        task, resolved = _describe(*words)
-    else:
-        task, resolved = call_isolated(_describe, *words, doing=f"solver {solver}", view=view)
+    if plugins.is_bundled("solvers", solver):
+        return _describe(solver, parameters)
+    view = view_of_import(solver) if can_confine() else None
+    doing = f"solver {solver}"
+    task, resolved = call_isolated(_describe, solver, parameters, doing=doing, view=view)
     return task, resolved
+
+
+def check_result_task(found: str, expected: str, who: str) -> None:
+    """Raise an InputError for a result of another task than its solver is known for."""
+    if found != expected:
+        raise InputError(f"{who}: expected a result of the task {expected}, got one of {found}")
 
 
 def _describe(solver: str, parameters: dict[str, Any]) -> tuple[str, dict[str, Any]]:
@@ -147,6 +154,7 @@ def solve_at_desk(
             f"solver {solver}: expected a data set that shows {_SHOWN[algorithm.sees]}, but "
             f"this one shows {shown}"
         )
+    load_registries()  # which no solver's clock should see
     memory.forget_peak()
     resolved = algorithm.parameters.model_dump(mode="json")
     with (
@@ -203,4 +211,5 @@ def score(
         "peak_mb": opened.peak_mb if opened else None,
         "compile_s": opened.compile_s if opened else None,
         "isolated": opened.isolated if opened else None,
+        "whole_process": opened.whole_process if opened else None,
     }

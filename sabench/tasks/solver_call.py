@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from typing import Any
 
-from sabench.utils.compile_clock import compile_s
+from sabench.utils.compile_clock import compile_s, timed_imports
 from sabench.utils.errors import DeclinedError, InputError
 
 
@@ -18,7 +18,8 @@ def call_solver(
 
     Returns
     -------
-    Its answer, and the seconds that it took without those of compiling its kernels.
+    Its answer, and the seconds that it took without those of compiling its kernels and of
+    imports.
 
     Raises
     ------
@@ -27,8 +28,11 @@ def call_solver(
     """
     start, compiled_s = time.perf_counter(), compile_s()
     try:
-        reason = algorithm.skip(case)
-        answer = None if reason else algorithm.solve(case)
+        with timed_imports():
+            reason = algorithm.skip(case)
+            answer = None if reason else algorithm.solve(case)
+    except DeclinedError as error:
+        raise DeclinedError(f"solver {name} declines this case: {error}") from error
     except InputError as error:
         raise InputError(f"solver {name}: {error}") from error
     except Exception as error:

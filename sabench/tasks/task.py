@@ -90,7 +90,7 @@ COSTS = (
         "s",
         "steady",
         1,
-        "time in which kernels were compiled, once for a machine and no part of the seconds",
+        "time in which kernels were compiled and modules imported, no part of the seconds",
         hidden=True,
     ),
 )

@@ -42,6 +42,8 @@ class VelocimetryTask(Task):
     estimate = Velocity
     # fmt: off
     scores = (
+        Score("rms_voxel", "rms voxel", "voxel", "smaller", 3,
+              "root mean square length of the error"),
         Score("u_p90_voxel", "u 90 % voxel", "voxel", "smaller", 3,
               "half width of the interval about zero that holds 90 % of the errors of the "
               "displacement along X"),
@@ -51,8 +53,6 @@ class VelocimetryTask(Task):
               "the same along Z"),
         Score("bias_voxel", "bias voxel", "voxel", "smaller", 4,
               "length of the mean error"),
-        Score("rms_voxel", "rms voxel", "voxel", "smaller", 3,
-              "root mean square length of the error"),
         Score("yield_percent", "yield %", "%", "larger", 1,
               "share of the evaluation nodes at which the velocity was measured", counted=True),
         Score("response", "response", "", "unity", 3,

@@ -12,6 +12,7 @@ import re
 import sys
 import tempfile
 from collections.abc import Iterable, Iterator
+from contextvars import ContextVar
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -28,6 +29,18 @@ _UNFINISHED = re.compile(r"[^\s']*\.result\.h5\.partial-\d+")  # what a killed w
 _DEEPEST = 6  # folders below a shown one in which data sets are looked for
 _BESIDE_COMMANDS = ("lib", "lib64", "libexec", "pyvenv.cfg")  # what commands in a bin folder need
 _SKIPPED = {".git", ".venv", "__pycache__", "node_modules", "site-packages"}
+
+_SECRET: ContextVar[Path | None] = ContextVar("secret", default=None)
+
+
+@contextlib.contextmanager
+def hide_from_solvers(secret: Path | None) -> Iterator[None]:
+    """Hide a file, for a while, from all solvers that are confined."""
+    token = _SECRET.set(secret)
+    try:
+        yield
+    finally:
+        _SECRET.reset(token)
 
 
 @dataclass(frozen=True)
@@ -98,7 +111,7 @@ def view_of_plugin(desk: Desk, data: Dataset, solver: str) -> View | None:
         own,
         readable=(*own.readable, *_words([desk.observation])),
         writable=(*own.writable, *_words([desk.scratch])),
-        hidden=_words(hidden),
+        hidden=(*own.hidden, *_words(hidden)),
     )
 
 
@@ -110,10 +123,11 @@ def view_of_import(solver: str) -> View:
     """
     python = [Path(sys.prefix), Path(sys.base_prefix), _PACKAGE.parent / "pyproject.toml"]
     own = [folder for kind in plugins.KINDS for folder in plugins.folders(kind)]
-    kernels = _words([_PACKAGE, *own, *_import_paths(), *_kernel_folders()])
+    kernels = [_PACKAGE, *own, *_import_paths(), *_kernel_folders()]
+    view = View(readable=_words(python), hidden=_words(_find_secret([*python, *kernels])))
     if plugins.is_bundled("solvers", solver):
-        return View(readable=_words(python), writable=kernels, home=str(Path.home()))
-    return View(readable=_words(python), changeable=kernels)
+        return replace(view, writable=_words(kernels), home=str(Path.home()))
+    return replace(view, changeable=_words(kernels))
 
 
 def _kernel_folders() -> list[Path]:
@@ -134,10 +148,11 @@ def view_of_program(desk: Desk, data: Dataset, program: Path) -> View | None:
     beside = [one.parent / name for one in commands for name in _BESIDE_COMMANDS]
     python = [Path(sys.prefix), Path(sys.base_prefix)]
     own = [program.parent, *_listed("SABENCH_VISIBLE")]
+    shown = [*own, *python, *commands, *beside]
     return View(
-        readable=_words([*own, *python, *commands, *beside, desk.observation]),
+        readable=_words([*shown, desk.observation]),
         writable=_words([desk.scratch]),
-        hidden=_words(_find_data_sets(own, data)),
+        hidden=_words([*_find_data_sets(own, data), *_find_secret(shown)]),
     )
 
 
@@ -171,6 +186,17 @@ def _find_data_sets(shown: Iterable[Path], data: Dataset) -> Iterator[Path]:
                 yield Path(place)
             deep = len(Path(place).parts) - depth >= _DEEPEST
             below[:] = [] if deep else [one for one in below if one not in _SKIPPED]
+
+
+def _find_secret(shown: Iterable[Path]) -> Iterator[Path]:
+    """Find the paths, also in linked folders, at which a solver would see the secret."""
+    secret = _SECRET.get()
+    if secret is None:
+        return
+    yield from (secret.absolute(), secret.resolve())
+    for folder in shown:
+        if secret.resolve().is_relative_to(folder.resolve()):
+            yield folder / secret.resolve().relative_to(folder.resolve())
 
 
 def _words(paths: Iterable[Path]) -> tuple[str, ...]:

@@ -1,19 +1,53 @@
-"""Clock of the time that kernels take to compile, or to come out of their cache.
+"""Clock of the time in which kernels are compiled and modules imported.
 
-It happens once for a kernel and a machine, so that it is no part of what a solver costs.
+A kernel may come out of its cache in place of it. All this happens once for a kernel and a machine,
+or for a process, so that it is no part of what a solver costs.
 """
 
 from __future__ import annotations
 
+import builtins
+import contextlib
 import functools
 import threading
 import time
+from collections.abc import Iterator
 from typing import Any
 
 
 def compile_s() -> float:
-    """Return the seconds of compilation by this thread since the first call."""
+    """Return the seconds of compilation and imports by this thread.
+
+    They count from the first call.
+    """
     return float(_clock().seconds)
+
+
+def load_registries() -> None:
+    """Load all that numba loads with the first kernel of a process: half a second."""
+    from numba.core.registry import cpu_target
+
+    cpu_target.typing_context.refresh()
+    cpu_target.target_context.refresh()
+
+
+@contextlib.contextmanager
+def timed_imports() -> Iterator[None]:
+    """Count the imports of this thread, for a while."""
+    plain, clock = builtins.__import__, _clock()
+
+    def timed(*words: Any, **more: Any) -> Any:
+        clock.on_start(None)
+        try:
+            return plain(*words, **more)
+        finally:
+            clock.on_end(None)
+
+    builtins.__import__ = timed
+    try:
+        yield
+    finally:
+        builtins.__import__ = plain
 
 
 @functools.cache
@@ -21,21 +55,21 @@ def _clock() -> Any:
     from numba.core import event
 
     class CompileClock(event.Listener):  # type: ignore[misc]
-        """Sum of the times in which this thread holds numba's compiler."""
+        """Sum of the times in which this thread holds numba's compiler, or imports."""
 
         def __init__(self) -> None:
             self.seconds, self._depth, self._start = 0.0, 0, 0.0
             self._thread = threading.get_ident()
 
         def on_start(self, event: Any) -> None:
-            """Start with the outermost compilation: a kernel compiles those that it calls."""
+            """Start with the outermost one: a kernel compiles those that it calls."""
             if threading.get_ident() == self._thread:
                 self._depth += 1
                 if self._depth == 1:
                     self._start = time.perf_counter()
 
         def on_end(self, event: Any) -> None:
-            """Stop with the outermost compilation."""
+            """Stop with the outermost one."""
             if threading.get_ident() == self._thread and self._depth:
                 self._depth -= 1
                 if not self._depth:

@@ -82,7 +82,7 @@ def sentences(model: type[BaseModel], error: ValidationError, prefix: str = "") 
     for fault in error.errors(include_url=False):
         path = [str(part) for part in _key_path(fault["loc"])]
         unknown = fault["type"] == "extra_forbidden"
-        near = nearest(path[-1], _keys_at(model, path[:-1])) if unknown else None
+        near = nearest(path[-1], _keys_at(model, path)) if unknown else None
         if near:
             misspelt.add((*path[:-1], near))
         found += [(path + key, kind, text) for key, kind, text in _texts(model, fault, path, near)]
@@ -102,7 +102,7 @@ def _texts(
         for key, text in inner.faults:
             yield ([key] if key else []), kind, text
     elif kind == "extra_forbidden":
-        known = ", ".join(_keys_at(model, path[:-1]))
+        known = ", ".join(_keys_at(model, path))
         hint = f"did you mean {near}?" if near else f"expected one of {known}"
         yield [], kind, f"unknown key; {hint}"
     elif kind == "missing":
@@ -139,16 +139,19 @@ def nearest(word: str, known: Iterable[str]) -> str | None:
 
 def _key_path(loc: tuple[Any, ...]) -> list[Any]:
     """Give the path of TOML keys, without the tags that pydantic adds for unions."""
-    tags = {"grid", "ring", "line", "cross", "list"}
+    layouts, walls = {"grid", "ring", "line", "cross", "list"}, {"plane", "cylinder", "faces"}
     return [
-        part for i, part in enumerate(loc) if not (i and loc[i - 1] == "layout" and part in tags)
+        part
+        for i, part in enumerate(loc)
+        if not (i and loc[i - 1] == "layout" and part in layouts)
+        and not ("wall" in loc[:i] and part in walls)
     ]
 
 
 def _keys_at(model: type[BaseModel], path: list[str]) -> list[str]:
-    """List the keys that are valid inside the table at `path`."""
+    """List the keys that are valid in place of the last of `path`."""
     models: list[type[BaseModel]] = [model]
-    for part in path:
+    for part in path[:-1]:
         if part.isdigit():
             continue
         models = [
@@ -157,7 +160,7 @@ def _keys_at(model: type[BaseModel], path: list[str]) -> list[str]:
             if part in outer.model_fields
             for inner in _models_in(outer.model_fields[part].annotation)
         ]
-    return sorted({name for table in models for name in table.model_fields})
+    return sorted({name for table in models for name in table.model_fields} - {path[-1]})
 
 
 def _models_in(annotation: Any) -> list[type[BaseModel]]:

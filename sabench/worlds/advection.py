@@ -14,7 +14,7 @@ from sabench.utils.errors import InputError
 _RELATIVE = 1e-13  # next to nothing: the least that scipy takes is 100 roundings
 _MOST = 50_000  # velocities of a particle's path
 # particles whose paths share their steps: one fast particle costs these no more than its own steps
-_AT_ONCE = 20_000
+AT_ONCE = 20_000
 
 
 def advect(flow: Flow, points_mm: F64, start_s: float, end_s: float, tolerance_mm: float) -> F64:
@@ -28,8 +28,8 @@ def advect(flow: Flow, points_mm: F64, start_s: float, end_s: float, tolerance_m
     out = np.array(points_mm, dtype=np.float64)
     if start_s == end_s:
         return out
-    for first in range(0, len(out), _AT_ONCE):
-        part = slice(first, first + _AT_ONCE)
+    for first in range(0, len(out), AT_ONCE):
+        part = slice(first, first + AT_ONCE)
         out[part] = _advect_together(flow, out[part], start_s, end_s, tolerance_mm)
     return out
 

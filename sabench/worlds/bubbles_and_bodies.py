@@ -14,7 +14,8 @@ from sabench.geometry.frames import Pose
 from sabench.geometry.refraction import Wall
 from sabench.geometry.rotations import rotation_matrices
 from sabench.scenes import BubbleWorld, Scene
-from sabench.scenes.build import build_wall, domain_of
+from sabench.scenes.build import domain_of
+from sabench.scenes.tank import build_wall, check_one_plane
 from sabench.scenes.world import GeneratorTable
 from sabench.utils.arrays import I64
 from sabench.utils.errors import InputError
@@ -126,6 +127,12 @@ def _check_closed(body: Solid, where: str, scene: Scene) -> Solid:
     return Solid(np.asarray(body.vertices_mm, dtype=np.float64), np.asarray(faces, dtype=np.int64))
 
 
+def _wall_of(scene: Scene) -> Wall | None:
+    """Build the one plane wall that bubbles and bodies may be behind."""
+    check_one_plane(scene)
+    return build_wall(scene.plane) if scene.plane else None
+
+
 def _depths(wall: Wall) -> tuple[float, float]:
     """Return the depths of the inner faces of both walls."""
     inner = wall.thickness_mm
@@ -133,7 +140,7 @@ def _depths(wall: Wall) -> tuple[float, float]:
 
 
 def _check_walls(bubbles: Bubbles, scene: Scene, where: str) -> None:
-    wall = build_wall(scene.wall) if scene.wall else None
+    wall = _wall_of(scene)
     if wall is None or not len(bubbles):
         return
     depth, extent, (near, far) = (
@@ -172,7 +179,7 @@ def _check_beside(bubbles: Bubbles, solid: Solid, where: str, name: str) -> None
 
 
 def _check_tank(solid: Solid, scene: Scene, where: str) -> None:
-    wall = build_wall(scene.wall) if scene.wall else None
+    wall = _wall_of(scene)
     if wall is None:
         return
     depth, (near, far) = wall.depth_of(solid.vertices_mm), _depths(wall)

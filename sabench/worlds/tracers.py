@@ -17,9 +17,11 @@ from sabench.scenes.illumination import Illumination
 from sabench.utils.arrays import F64, Bool, triple
 from sabench.utils.errors import InputError
 from sabench.utils.rng import stream
-from sabench.worlds.advection import advect
+from sabench.worlds.inertial import check_inertia, move_particles, velocity_of
+from sabench.worlds.library.size_lattice import lattice_diameters_mm, size_numbers
 
 TOLERANCE = 1e-9  # of the volume's largest edge, per step of a particle's path
+_SIZES = (0.01, 4000.0)  # size parameters, pi d n / lambda
 _NEWER = 1 << 32  # ids of particles that enter in a frame start at so many times its number
 
 
@@ -83,7 +85,7 @@ class Motion:
         """
         domain, time, flow = domain_of(self.scene), self.scene.time_s(frame), self._flow
         if flow is None:
-            return self._generator.particles(domain, self.seed, frame, time)
+            return self._made(domain, self.seed, frame, time)
         number, particles = (
             self._last if self._last and self._last[0] <= frame else (0, self._first(flow, domain))
         )
@@ -98,20 +100,59 @@ class Motion:
         if self._flow is None:
             return particles.position_mm + delay_s * particles.velocity_mm_s
         time = self.scene.time_s(frame)
-        return advect(self._flow, particles.position_mm, time, time + delay_s, self._tolerance)
+        return self._carry(self._flow, particles, time, time + delay_s)
+
+    def _carry(self, flow: Flow, particles: Particles, start_s: float, end_s: float) -> F64:
+        return move_particles(
+            flow,
+            self.scene.inertia,
+            particles.position_mm,
+            particles.diameter_mm,
+            start_s,
+            end_s,
+            self._tolerance,
+        )
+
+    def _made(self, domain: Domain, seed: int, frame: int, time_s: float) -> Particles:
+        """Let the generator make particles.
+
+        For Mie scattering, their diameters are rounded to the lattice of sizes.
+
+        Raises
+        ------
+        InputError
+            Diameters for which Mie's series is not summed.
+        """
+        made = self._generator.particles(domain, seed, frame, time_s)
+        light = self.scene.light
+        if light.scattering == "isotropic" or not len(made):
+            return made
+        unit = light.wavelength_nm * 1e-6 / (np.pi * self.scene.fluid_index)  # of a size parameter
+        low, high = made.diameter_mm.min(), made.diameter_mm.max()
+        if low < _SIZES[0] * unit or high > _SIZES[1] * unit:
+            raise InputError(
+                f"{self.scene.title}: particles: expected diameters of {_SIZES[0] * unit:.2g} to "
+                f"{_SIZES[1] * unit:.2g} mm for Mie scattering at {light.wavelength_nm:g} nm, got "
+                f"{low:.3g} to {high:.3g} mm"
+            )
+        rounded = lattice_diameters_mm(size_numbers(made.diameter_mm))
+        return replace(made, diameter_mm=rounded)
 
     @property
     def _tolerance(self) -> float:
         return TOLERANCE * max(self.scene.volume.size_mm)
 
     def _first(self, flow: Flow, domain: Domain) -> Particles:
-        made = self._generator.particles(domain, self.seed, 0, 0.0)
+        made = self._made(domain, self.seed, 0, 0.0)
         if np.any(made.velocity_mm_s):
             raise InputError(
                 f"{self.scene.title}: particles: expected some that rest, for the flow to carry "
                 "them, got some that move by themselves"
             )
-        return _give_velocity(flow, made, self.scene.time_s(0))
+        if (inertia := self.scene.inertia) is not None:
+            title, size = self.scene.title, made.diameter_mm
+            check_inertia(flow, inertia, made.position_mm, size, self.scene.time_s(0), title)
+        return self._give_velocity(flow, made, self.scene.time_s(0))
 
     def _next(self, flow: Flow, domain: Domain, before: Particles, frame: int) -> Particles:
         """Advect particles by one frame, dropping and replacing those that leave.
@@ -121,23 +162,24 @@ class Motion:
         density exactly, whatever the flow does at the faces.
         """
         start, end = self.scene.time_s(frame - 1), self.scene.time_s(frame)
-        there = advect(flow, before.position_mm, start, end, self._tolerance)
+        there = self._carry(flow, before, start, end)
         stay = _inside(domain, there)
         seed = int(stream(self.seed, "entering", frame).integers(1 << 62))
-        fresh = self._generator.particles(domain, seed, 0, 0.0)
-        enter = ~_inside(domain, advect(flow, fresh.position_mm, end, start, self._tolerance))
+        fresh = self._made(domain, seed, 0, 0.0)
+        enter = ~_inside(domain, self._carry(flow, fresh, end, start))
         both = Particles(
             np.concatenate([before.id[stay], frame * _NEWER + fresh.id[enter]]),
             np.concatenate([there[stay], fresh.position_mm[enter]]),
             np.concatenate([before.diameter_mm[stay], fresh.diameter_mm[enter]]),
             np.zeros((int(stay.sum() + enter.sum()), 3)),
         )
-        return _give_velocity(flow, both, end)
+        return self._give_velocity(flow, both, end)
 
-
-def _give_velocity(flow: Flow, particles: Particles, time_s: float) -> Particles:
-    """Give particles the velocity of the flow that carries them."""
-    return replace(particles, velocity_mm_s=flow.velocity(particles.position_mm, time_s))
+    def _give_velocity(self, flow: Flow, particles: Particles, time_s: float) -> Particles:
+        """Give particles their own velocity in the flow that carries them."""
+        position, size = particles.position_mm, particles.diameter_mm
+        own = velocity_of(flow, self.scene.inertia, position, size, time_s)
+        return replace(particles, velocity_mm_s=own)
 
 
 def _inside(domain: Domain, points_mm: F64) -> Bool:

@@ -278,7 +278,7 @@ def _long_stream(file: Any, name: str, rng: random.Random) -> None:
     size = rng.choice((0, 1, made.nbytes - 1, made.nbytes + 1, 10**6, 10**8, 10**8))
     stream = zlib.compress(bytes(size), 9)
     if rng.random() < 0.2:
-        stream = data(stream[:100_000], rng)
+        stream = data(stream[:100_000], rng) or b"x"
     made.id.write_direct_chunk((0,) * len(shape), stream)
 
 
@@ -487,6 +487,11 @@ def set_attribute(path: Path, name: str, value: Any) -> None:
         file.attrs[name] = value
 
 
+def _is_small(node: Any) -> bool:
+    """Say whether a data set can be changed: the first change may have made a bomb of it."""
+    return node.shape is None or int(node.nbytes) < 1 << 28
+
+
 def hdf5(path: Path, rng: random.Random) -> None:
     """Change an HDF5 file in place: its bytes, or by its own library what it holds."""
     if rng.random() < 0.35:
@@ -497,7 +502,9 @@ def hdf5(path: Path, rng: random.Random) -> None:
             names: list[str] = []
             file.visititems(
                 lambda name, node, into=names: (
-                    into.append(name) if isinstance(node, h5py.Dataset) else None
+                    into.append(name)
+                    if isinstance(node, h5py.Dataset) and _is_small(node)
+                    else None
                 )
             )
             with contextlib.suppress(

@@ -142,7 +142,7 @@ def test_rows_are_ranked_and_cases_kept_apart(tmp_path: Path) -> None:
 
 def test_what_the_gate_does_not_admit_comes_after_the_others(tmp_path: Path) -> None:
     def field(solver: str, error: float | None, share: float, **changes: Any) -> Record:
-        scores = {"u_p90_voxel": error, "yield_percent": share}
+        scores = {"rms_voxel": error, "yield_percent": share}
         return record(solver, task="velocimetry", **scores, **changes)
 
     records = [
@@ -155,14 +155,14 @@ def test_what_the_gate_does_not_admit_comes_after_the_others(tmp_path: Path) -> 
     text = page_of(records, tmp_path)
     assert solvers(text)[:2] == ["good", "fair"]
     assert [row["ranked"] for row in block(text)["rows"]] == [True, True, False, False]
-    gate = "u 90 % voxel ranks results whose yield % is 50 or more."
+    gate = "rms voxel ranks results whose yield % is 50 or more."
     assert block(text)["tasks"]["velocimetry"]["gate"] == gate
     assert all("gate" in task for task in block(text)["tasks"].values())
 
 
 def test_what_the_gate_does_not_admit_has_no_standing() -> None:
     ranked, little = (
-        record(name, task="velocimetry", u_p90_voxel=error, yield_percent=share, submission=None)
+        record(name, task="velocimetry", rms_voxel=error, yield_percent=share, submission=None)
         for name, error, share in (("good", 0.1, 90.0), ("little", 0.001, 10.0))
     )
     every = [ranked, {**little, "run_hash": "f" * 16}]

@@ -156,11 +156,52 @@ def test_a_click_sorts_numbers_as_numbers_and_nulls_last(browser: Browser, page:
     browser.press(heading("seconds"))
     assert browser.ask(SOLVERS) == ["add", "ten", HOSTILE, "broken"]
     browser.press(heading("seconds"))
-    assert browser.ask(SOLVERS) == [HOSTILE, "ten", "add", "broken"]
+    assert browser.ask(SOLVERS) == ["ten", "add", HOSTILE, "broken"]
     browser.press(heading("peak MB"))
-    assert browser.ask(SOLVERS) == [HOSTILE, "add", "ten", "broken"]
+    assert browser.ask(SOLVERS) == ["add", "ten", HOSTILE, "broken"]
     browser.press(heading("peak MB"))
-    assert browser.ask(SOLVERS) == ["add", HOSTILE, "ten", "broken"]
+    assert browser.ask(SOLVERS) == ["add", "ten", HOSTILE, "broken"]
+
+
+def test_rows_without_a_rank_come_last_whichever_column_is_sorted(
+    browser: Browser, tmp_path: Path
+) -> None:
+    """They fail the gate of the rank, by which they may be best in every column."""
+    found = {"fair": (0.7, 5.0, 0.5), "good": (0.9, 6.0, 0.6), "little": (1.0, 1.0, 0.01)}
+    records = [
+        record(name, task="bubbles", f1_large=f1, seconds=seconds, precision=share)
+        for name, (f1, seconds, share) in found.items()
+    ]
+    records.append(record("a failed one", task="bubbles", error="it broke"))
+    rows.build_page(records, tmp_path / "pictures", tmp_path / "index.html")
+    browser.open(tmp_path / "index.html")
+    assert browser.ask(SOLVERS) == ["good", "fair", "little", "a failed one"]
+    for name in ("solver", "F1, large", "seconds"):
+        orders = []
+        for _ in range(2):
+            browser.press(heading(name))
+            orders.append(browser.ask(SOLVERS))
+        assert sorted(one[:2] for one in orders) == [["fair", "good"], ["good", "fair"]]
+        assert [one[2:] for one in orders] == [["little", "a failed one"]] * 2
+
+
+def test_seconds_of_whole_processes_are_marked_and_explained(
+    browser: Browser, tmp_path: Path
+) -> None:
+    records = [
+        record("a program", 0.9, seconds=2.0, whole_process=True),
+        record("a plug-in", 0.8, seconds=1.0, whole_process=False),
+        record("an old record", 0.7, seconds=3.0),
+    ]
+    rows.build_page(records, tmp_path / "pictures", tmp_path / "index.html")
+    browser.open(tmp_path / "index.html")
+    cells = "[...document.querySelectorAll('tbody td.number')].map(td => td.textContent)"
+    assert {"2.00 †", "1.00", "3.00"} < set(browser.ask(cells))
+    legend = "document.querySelector('.meaning').textContent.includes('† marks the seconds')"
+    assert browser.ask(legend)
+    rows.build_page(records[1:], tmp_path / "pictures", tmp_path / "index.html")
+    browser.open(tmp_path / "index.html")
+    assert not browser.ask(legend)
 
 
 @pytest.mark.parametrize("key", ["\ue007", " "], ids=["enter", "space"])
@@ -177,7 +218,7 @@ def test_a_key_sorts_aria_says_so_and_the_heading_keeps_the_focus(
     assert browser.ask("document.activeElement.textContent") == "solver"
     browser.press(heading("solver"), key)
     assert browser.ask(sorted_by) == [["solver", "descending"]]
-    assert browser.ask(SOLVERS) == ["ten", "broken", "add", HOSTILE]
+    assert browser.ask(SOLVERS) == ["ten", "add", HOSTILE, "broken"]
 
 
 def test_scores_that_no_shown_row_has_take_no_column(browser: Browser, page: Path) -> None:

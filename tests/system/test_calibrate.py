@@ -17,13 +17,16 @@ import tomli_w
 from pydantic import TypeAdapter
 
 from sabench.geometry.camera import Camera
-from sabench.scenes import Scene, build_rig
+from sabench.scenes import Scene, build_rig, parse_scene
 from sabench.scenes.illumination import Lighting
+from sabench.simulation.pipeline import generate
 from sabench.simulation.rendering.targets_traced import render
 from sabench.utils.arrays import F64
 from sabench.worlds.calibration_targets import place
 from tests.conftest import Command
 from tests.helpers.calibration_cases import calibration_scene, case_of, true_error_px
+from tests.helpers.untrusted import TARGETS
+from tests.helpers.untrusted_files import describe_calibration
 
 
 def describe(scene: Scene, folder: Path, cameras: tuple[Camera, ...], **changes: Any) -> None:
@@ -67,6 +70,33 @@ def cameras_in(path: Path) -> tuple[Camera, ...]:
     assert (content["format"], content["version"]) == ("sabench-dataset", 1)
     records = [{**record, "wall": content["wall"]} for record in content["cameras"]]
     return tuple(TypeAdapter(Camera).validate_python(record) for record in records)
+
+
+def test_a_round_tank_is_calibrated(command: Command, tmp_path: Path) -> None:
+    """Three cameras in front of a cylinder, which the report and cameras.json keep."""
+    wall = {
+        "shape": "cylinder",
+        "axis_point_mm": [0.0, 0.0, 90.0],
+        "outer_radius_mm": 90.0,
+        "fluid_index": 1.333,
+        "layers": [{"index": 1.5, "thickness_mm": 5.0}],
+    }
+    layout = {"kind": "line", "count": 3, "spacing_mm": 150.0}
+    target = {"generator": "boards", "pattern": "checkerboard", "pitch_mm": 9.0}
+    scene = calibration_scene(
+        targets={**target, "columns": 5, "rows": 5}, cameras={"layout": layout}, calibration=None
+    )
+    values = scene.to_dict() | {"wall": wall}
+    case, cameras, _, _ = case_of(parse_scene(values, "round"))
+    known = [{"frame": 2, "point": 12, "x_mm": 0.0, "y_mm": 0.0, "z_mm": 35.0}]
+    describe(scene, tmp_path / "mine", cameras, wall=wall, known=known)
+    write_points(tmp_path / "mine" / "points.csv", case.pixels, cameras)
+    run = command("calibrate", str(tmp_path / "mine"))
+    assert run.returncode == 0, run.stderr
+    content = json.loads((tmp_path / "mine" / "result" / "cameras.json").read_text())
+    assert content["wall"]["outer_radius_mm"] == 90.0
+    report = json.loads((tmp_path / "mine" / "result" / "report.json").read_text())
+    assert report["noise_px"] == pytest.approx(0.1, rel=0.1)
 
 
 def test_points_become_cameras(command: Command, tmp_path: Path) -> None:
@@ -205,3 +235,15 @@ def test_a_fault_is_one_sentence(command: Command, tmp_path: Path, what: str) ->
     assert "Traceback" not in done.stderr
     assert FAULTS[what] in " ".join(done.stderr.split()), done.stderr
     assert not (tmp_path / "mine" / "result").exists()
+
+
+def test_a_target_that_a_known_height_puts_into_the_wall_is_one_sentence(
+    command: Command, tmp_path: Path
+) -> None:
+    data = generate(parse_scene(TARGETS, "board"), tmp_path / "board", seed=1, backend="splat")
+    values = describe_calibration(data, tmp_path / "mine")
+    known = [{"frame": 0, "point": 0, "z_mm": 0.03}]  # the glass ends at 5 mm
+    (tmp_path / "mine" / "calibration.toml").write_text(tomli_w.dumps(values | {"known": known}))
+    done = command("calibrate", "mine")
+    assert done.returncode == 2
+    assert ": expected the target in the fluid, but" in " ".join(done.stderr.split())

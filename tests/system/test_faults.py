@@ -365,7 +365,7 @@ def test_a_disk_that_takes_no_more(quick: Dataset, own_process: Command, tmp_pat
 def many_frames(quick_toml: str, folder: Path) -> Path:
     file = folder / "many.toml"
     file.write_text(
-        quick_toml.replace("frames = 1", "frames = 80").replace("diameter_spread = 0.1", "")
+        quick_toml.replace("frames = 1", "frames = 40").replace("diameter_spread = 0.1", "")
     )
     return file
 
@@ -421,7 +421,7 @@ def test_killed_at_any_moment_nothing_verifies_and_it_goes_on_to_the_same_bytes(
         with start(tmp_path, scene, folder / "set") as process:
             if number:  # the first is killed while it starts up
                 wait_for_work(folder, before)
-            time.sleep(float(rng.uniform(0.0, 0.3)))
+            time.sleep(float(rng.uniform(0.0, 0.15)))
             process.kill()
         assert process.returncode == -signal.SIGKILL
         for left in folder.iterdir():
@@ -443,7 +443,7 @@ def test_ctrl_c_at_any_moment_ends_in_a_sentence_and_keeps_what_is_finished(
         before = recorded(folder)
         with start(tmp_path, scene, folder / "set", "--jobs", jobs) as process:
             wait_for_work(folder, before)
-            time.sleep(float(rng.uniform(0.0, 0.2)))
+            time.sleep(float(rng.uniform(0.0, 0.1)))
             process.send_signal(signal.SIGINT)
             _, errors = process.communicate(timeout=60)
         assert process.returncode == 2, errors

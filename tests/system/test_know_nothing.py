@@ -57,6 +57,20 @@ def test_who_knows_nothing_ranks_no_better_than_nothing(
     assert not better
 
 
+def test_peaks_and_intensities_from_nothing_are_near_their_worst(
+    folder: Path, tmp_path: Path
+) -> None:
+    task = tasks.of("reconstruction")
+    data = example(task, task.shown, folder)
+    for trial in know_nothing.try_all(task, data, tmp_path / "nothing.h5"):
+        if trial.figures is not None:
+            f1, error = trial.figures["peak_f1"], trial.figures["intensity_error"]
+            assert f1 is not None
+            assert error is not None
+            assert f1 < 0.05, trial
+            assert error > 0.8, trial
+
+
 @pytest.mark.parametrize(
     ("name", "shown"),
     [("see_through", "reconstruction"), ("bubbles", "reconstruction"), ("particles", "bubbles")],

@@ -105,6 +105,7 @@ def test_a_result_is_taken_and_its_costs_are_measured(quick: Dataset, tmp_path: 
     scores = sabench.score(quick, tmp_path / "r.h5")
     assert scores["q"] == 0.0
     assert scores["recall"] < 0.01
+    assert scores["whole_process"] is made.whole_process is True
 
 
 BAD = [
@@ -211,6 +212,7 @@ def test_programs_in_a_suite(command: Command, tmp_path: Path) -> None:
     assert (slow["solver"], slow["label"], slow["declined"]) == ("slow", "slow one", False)
     assert "within 0.5 s" in slow["error"]
     assert asa["q"] > 0.4
+    assert (mine["whole_process"], asa["whole_process"]) == (True, False)
     assert str(tmp_path) not in json.dumps([mine["solver"], slow["solver"], slow["error"]])
     suite.write_text(SUITE.replace('track = "reconstruction", l', "l"))
     check_sentence(command("run", suite), "slow.py: task: expected one of reconstruction")

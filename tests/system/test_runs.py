@@ -17,7 +17,7 @@ from sabench.evaluation import runner
 from sabench.evaluation.hidden_split import read_secret
 from sabench.evaluation.suite_loading import load_suite
 from sabench.tasks.solve_and_score import score
-from sabench.utils.errors import UncheckedError
+from sabench.utils.errors import InputError, UncheckedError
 from tests.conftest import Command
 
 SUITE = """title = "t"
@@ -108,6 +108,27 @@ def test_a_data_set_that_could_not_be_checked_stays_as_it_is(
     assert manifest.stat().st_mtime_ns == before
 
 
+@pytest.mark.parametrize(
+    ("name", "other"),
+    [("__version__", "0"), ("SIMULATION", "0"), ("version_of", lambda package: f"no {package}")],
+)
+def test_a_data_set_of_other_versions_is_generated_again(
+    name: str, other: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "s.toml").write_text(SUITE)
+    case = load_suite(tmp_path / "s.toml")[1][0]
+    made = runner.dataset_of(case, tmp_path, fresh=False)
+
+    def refuse(*_: object, **__: object) -> None:
+        raise InputError("generated again")
+
+    monkeypatch.setattr(runner, "generate", refuse)
+    assert runner.dataset_of(case, tmp_path, fresh=False).content_hash == made.content_hash
+    monkeypatch.setattr(runner, name, other)
+    with pytest.raises(InputError, match="generated again"):
+        runner.dataset_of(case, tmp_path, fresh=False)
+
+
 def test_a_score_that_no_record_may_have_is_an_error_of_the_solver(
     tmp_path: Path, command: Command, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -119,6 +140,14 @@ def test_a_score_that_no_record_may_have_is_an_error_of_the_solver(
     (found,) = lines(tmp_path)
     assert found["error"] == "solver asa: q: expected -1 to 1, got 1e+300"
     assert found["q"] is None
+
+
+def test_scores_of_another_task_than_the_solver_was_listed_with_are_refused() -> None:
+    head = {"task": "particles", "solver": "asa"}
+    fault = "solver asa: expected a result of the task particles, got one of reconstruction"
+    with pytest.raises(InputError, match=fault):
+        runner._checked({"task": "reconstruction", "q": 0.5}, head)
+    assert runner._checked({"task": "particles", "f1": 0.5}, head) == {"f1": 0.5}
 
 
 def test_hidden_runs_tell_no_seed_and_show_no_picture(tmp_path: Path, command: Command) -> None:

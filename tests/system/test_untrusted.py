@@ -50,7 +50,9 @@ def test_damaged_input_is_refused_by_one_sentence_or_taken(tmp_path: Path) -> No
     ]
     done = subprocess.run(words, capture_output=True, text=True, check=False, cwd=tmp_path)
     assert done.returncode == 0, done.stdout + done.stderr
-    assert re.search(r"^all +144 +\d+ +\d+ +0 +0 +0 +0$", done.stdout, re.MULTILINE), done.stdout
+    assert re.search(r"^all +144 +\d+ +\d+ +0 +0 +0 +0 +\d+$", done.stdout, re.MULTILINE), (
+        done.stdout
+    )
 
 
 @pytest.fixture
@@ -242,8 +244,17 @@ def test_a_target_of_too_many_points_is_refused(tmp_path: Path) -> None:
 def test_frames_beyond_counting_end_in_a_hundred_faults(quick: Dataset, tmp_path: Path) -> None:
     root = Path(shutil.copytree(quick.root, tmp_path / "set"))
     cameras = read_json(root / "cameras.json")
-    (root / "cameras.json").write_text(canonical_json({**cameras, "frames": 10**15}))
+    (root / "cameras.json").write_text(canonical_json({**cameras, "frames": 10**6}))
     reseal(root)
     faults = verify(root)
     assert len(faults) == 100
     assert "frame_0001" in faults[0]
+
+
+def test_more_frames_than_tasks_list_are_one_fault(quick: Dataset, tmp_path: Path) -> None:
+    root = Path(shutil.copytree(quick.root, tmp_path / "set"))
+    cameras = read_json(root / "cameras.json")
+    (root / "cameras.json").write_text(canonical_json({**cameras, "frames": 10**15}))
+    reseal(root)
+    (fault,) = verify(root)
+    assert "less than or equal to 1000000" in fault

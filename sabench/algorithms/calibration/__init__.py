@@ -20,7 +20,7 @@ from sabench.algorithms.calibration.self_calibration import (
     follow_disparities,
     match_particles,
 )
-from sabench.algorithms.calibration.wall_frame import fit_similarity
+from sabench.algorithms.calibration.wall_frame import check_plane_wall, fit_similarity
 from sabench.geometry.polynomial_cameras import fit_planes, fit_soloff
 from sabench.geometry.projective_camera import Projective, fit_projective
 
@@ -35,6 +35,7 @@ __all__ = [
     "adjust_factors",
     "alternate",
     "check_fit",
+    "check_plane_wall",
     "factorise",
     "fit_planes",
     "fit_projective",

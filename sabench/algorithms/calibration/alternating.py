@@ -57,6 +57,7 @@ def select_cameras(state: State, seen: BoardImages, cameras: I64) -> tuple[State
         seen,
         pixels=np.ascontiguousarray(seen.pixels[cameras]),
         weights=np.ascontiguousarray(seen.weights[cameras]),
+        frame=seen.frame and seen.frame.select(cameras),
     )
 
 

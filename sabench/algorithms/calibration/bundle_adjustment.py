@@ -17,8 +17,9 @@ from typing import Literal
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
+from sabench.algorithms.calibration import any_wall
 from sabench.algorithms.calibration.normal_equations import equations, misses
-from sabench.algorithms.calibration.parameters import FreeParameters, State, steps_of
+from sabench.algorithms.calibration.parameters import Frame, FreeParameters, State, steps_of
 from sabench.geometry.rigid_motion import RigidMotion
 from sabench.geometry.rotations import skew
 from sabench.utils.arrays import F64, I64
@@ -41,12 +42,14 @@ class BoardImages:
     pixels : (M, K, m, 2) column and row; anything where the weight is 0.
     weights : (M, K, m).
     anchors : known positions; empty for none.
+    frame : of cameras that are not behind one plane wall, see `Frame.beyond_kernels`.
     """
 
     board: F64
     pixels: F64
     weights: F64
     anchors: tuple[Anchor, ...] = ()
+    frame: Frame | None = None
 
     @cached_property
     def anchored(self) -> tuple[I64, I64, F64, F64, F64, F64]:
@@ -119,10 +122,7 @@ def normal_equations(
     state: State, seen: BoardImages, free: FreeParameters, scale: float = 0.0
 ) -> Normal:
     """Compute the equations of one Gauss-Newton step."""
-    boards = state.board_rotations, state.board_positions, seen.board
-    cost, aa, ab, bb, a, d = equations(
-        state.array(), boards, (seen.pixels, seen.weights), free.columns(len(state.indices)), scale
-    )
+    cost, aa, ab, bb, a, d = _equations(state, seen, free, scale)
     if seen.anchors:
         board, point, position_mm, precision, rotations, shifts = seen.anchored
         arms = np.einsum("nij,nj->ni", state.board_rotations[board], seen.board[point])
@@ -139,6 +139,20 @@ def normal_equations(
         np.add.at(bb, board, weighted.transpose(0, 2, 1) @ slopes)
         np.add.at(d, board, np.einsum("nij,ni->nj", weighted, miss))
     return Normal(cost, aa, ab, bb, a, d)
+
+
+def _equations(
+    state: State, seen: BoardImages, free: FreeParameters, scale: float
+) -> any_wall.Equations:
+    """Sum the equations of the images, without anchors."""
+    pair = seen.pixels, seen.weights
+    if seen.frame is not None:
+        return any_wall.equations(seen.frame, state, seen.board, pair, free, scale)
+    boards = state.board_rotations, state.board_positions, seen.board
+    made: any_wall.Equations = equations(
+        state.array(), boards, pair, free.columns(len(state.indices)), scale
+    )
+    return made
 
 
 def refine(
@@ -235,9 +249,10 @@ def residuals(state: State, seen: BoardImages) -> F64:
 
     NaN where a point is not seen.
     """
+    pair = seen.pixels, seen.weights
+    if seen.frame is not None:
+        return any_wall.misses(seen.frame, state, seen.board, pair)
     out: F64 = misses(
-        state.array(),
-        (state.board_rotations, state.board_positions, seen.board),
-        (seen.pixels, seen.weights),
+        state.array(), (state.board_rotations, state.board_positions, seen.board), pair
     )
     return out

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import ellipe
 
+from sabench.algorithms.calibration import any_wall
 from sabench.algorithms.calibration.bundle_adjustment import BoardImages, normal_equations
 from sabench.algorithms.calibration.kernels import BOARD
 from sabench.algorithms.calibration.normal_equations import spreads
@@ -53,14 +54,7 @@ def limit(state: State, seen: BoardImages, free: FreeParameters, noise_px: float
     information = _whole(state, seen, free)
     covariance, rank = _inverse(information)
     covariance *= noise_px**2
-    boards = state.board_rotations, state.board_positions, seen.board
-    pairs = spreads(
-        state.array(),
-        boards,
-        (seen.pixels, seen.weights),
-        free.columns(len(state.indices)),
-        covariance,
-    )
+    pairs = _spreads(state, seen, free, covariance)
     known = np.isfinite(pairs[..., 0])
     uu, vv, uv = pairs[known].T
     std, mean = _points(state, seen, covariance)
@@ -72,6 +66,16 @@ def limit(state: State, seen: BoardImages, free: FreeParameters, noise_px: float
         rank,
         2 * int(known.sum()),
     )
+
+
+def _spreads(state: State, seen: BoardImages, free: FreeParameters, covariance: F64) -> F64:
+    """Compute covariances (M, K, m, 3) of computed pixels: column, row and both."""
+    pair = seen.pixels, seen.weights
+    if seen.frame is not None:
+        return any_wall.spreads(seen.frame, state, seen.board, pair, free, covariance)
+    boards = state.board_rotations, state.board_positions, seen.board
+    columns = free.columns(len(state.indices))
+    return np.asarray(spreads(state.array(), boards, pair, columns, covariance))
 
 
 def _whole(state: State, seen: BoardImages, free: FreeParameters) -> F64:

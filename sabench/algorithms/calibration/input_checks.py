@@ -11,6 +11,7 @@ import numpy as np
 
 from sabench.algorithms.calibration.bundle_adjustment import BoardImages, residuals
 from sabench.algorithms.calibration.parameters import Frame, State
+from sabench.algorithms.calibration.wall_frame import common_plane
 from sabench.api import CalibrationCase
 from sabench.api.truth import Target
 from sabench.geometry.refraction import Wall
@@ -38,8 +39,8 @@ def check_case(case: CalibrationCase) -> None:
                 f"{camera.name}: expected it in front of the wall's outer face, but the wall is "
                 "behind it"
             )
-    if case.cameras[0].wall:
-        _check_indices(case.cameras[0].wall)
+    if wall := common_plane(case.cameras):
+        _check_indices(wall)
     _check_duplicates(case)
 
 

@@ -29,7 +29,8 @@ def _columns(own: Any, shared: Any) -> Any:
     """
     f, s = len(own), len(shared)
     pick = np.empty(f + s + BOARD, dtype=np.int64)
-    pick[:f] = own
+    for i in range(f):
+        pick[i] = own[i]
     for i in range(s):
         pick[f + i] = CAMERA + BOARD + shared[i]
     for i in range(BOARD):

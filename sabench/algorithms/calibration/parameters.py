@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sabench.algorithms.calibration.kernels import CAMERA
-from sabench.algorithms.calibration.wall_frame import wall_frame
+from sabench.algorithms.calibration.wall_frame import common_plane, has_plane_wall, wall_frame
 from sabench.geometry.camera import Camera, Distortion
 from sabench.geometry.refraction import Layer, Wall
 from sabench.geometry.rigid_motion import RigidMotion, fit_rigid_motion
@@ -126,17 +126,27 @@ class Frame:
     """Transformation from states to cameras.
 
     It holds the world's position in the wall's frame, and the constants that a state lacks.
+    `wall` is the plane wall of all cameras; None in plain air, or where there is no such wall.
     """
 
     motion: RigidMotion
     cameras: tuple[Camera, ...]
     wall: Wall | None
 
+    @property
+    def beyond_kernels(self) -> Frame | None:
+        """The frame itself where the kernels of one plane wall do not hold, else None."""
+        return None if has_plane_wall(self.cameras) else self
+
     @classmethod
     def from_cameras(cls, cameras: tuple[Camera, ...], points_mm: F64) -> Frame:
-        """Make the frame of the cameras' wall."""
-        wall = cameras[0].wall
+        """Make the frame of the cameras' common plane wall, if there is one."""
+        wall = common_plane(cameras)
         return cls(wall_frame(wall, cameras, points_mm), cameras, wall)
+
+    def select(self, cameras: I64) -> Frame:
+        """Select some of the cameras."""
+        return replace(self, cameras=tuple(self.cameras[number] for number in cameras.tolist()))
 
     def state(self, board: F64, points_mm: F64) -> State:
         """Make the state of the cameras, with boards (m, 3) fitted to points (K, m, 3).
@@ -203,7 +213,7 @@ class Frame:
             camera,
             center_mm=triple(center),
             rotation=(triple(turn[0]), triple(turn[1]), triple(turn[2])),
-            wall=wall,
+            wall=wall or camera.wall,
             principal_distance_mm=lens[0] * camera.pixel_mm,
             principal_point_px=(lens[1], lens[2]),
             distortion=Distortion(**dict(zip(_DISTORTION, lens[3:], strict=True))),

@@ -7,8 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from sabench.algorithms.calibration.bundle_adjustment import Anchor, BoardImages
+from sabench.algorithms.calibration.free_motion import fit_free_motion
 from sabench.algorithms.calibration.input_checks import check_case
 from sabench.algorithms.calibration.parameters import Frame, FreeParameters, State
+from sabench.algorithms.calibration.wall_frame import check_plane_wall
 from sabench.api import Calibration, CalibrationCase
 from sabench.geometry.rigid_motion import RigidMotion, fit_lateral_motion, fit_rigid_motion
 from sabench.utils.arrays import Bool
@@ -51,8 +53,13 @@ class CalibrationProblem:
                 )
         frame = Frame.from_cameras(case.cameras, case.initial_mm)
         found = case.found
+        if free.indices or free.thicknesses:
+            check_plane_wall(case.cameras)
         seen = BoardImages(
-            case.target.points_mm, np.nan_to_num(case.pixels), found.astype(np.float64)
+            case.target.points_mm,
+            np.nan_to_num(case.pixels),
+            found.astype(np.float64),
+            frame=frame.beyond_kernels,
         )
         return cls(frame, frame.state(case.target.points_mm, case.initial_mm), seen, case)
 
@@ -64,6 +71,9 @@ class CalibrationProblem:
         points, initial = state.points(self.seen.board), self.frame.motion(self.case.initial_mm)
         there = np.isfinite(initial).all(axis=-1) & (self.seen.weights.sum(axis=0) > 0.0)
         known = np.isfinite(self.case.known_mm).all(axis=-1)
+        if self.frame.beyond_kernels:
+            motion = fit_free_motion(self.frame, points[there], initial[there])
+            return state if known.any() else state.move(motion)
         if known.sum() > (1 if self.frame.wall else 2):
             return state
         if self.frame.wall is None:

@@ -237,6 +237,7 @@ def adjust_cameras(tracking: Tracking, matched: tuple[F64, F64]) -> tuple[Camera
         np.nan_to_num(both)[:, :, None],
         weights[:, :, None],
         _anchor_lattice(frame, lattice, len(particles)),
+        frame.beyond_kernels,
     )
     state = _adjust(state, seen, len(particles))
     by_number = dict(zip(tracking.order, frame.build_cameras(state), strict=True))

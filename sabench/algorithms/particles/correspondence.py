@@ -103,7 +103,8 @@ def match(
     errors : (sets, cameras, 2) filled with where the images lie against where the cameras see the
         position, px.
     """
-    cameras, count = len(peaks), 0
+    cameras = len(peaks)
+    count: Any = np.int64(0)  # for a literal 0, all that takes it would be compiled once more
     position, here, slope, step = np.zeros(3), np.zeros(2), np.zeros((2, 3)), np.zeros(3)
     slopes, gains = np.zeros((cameras, 2, 3)), np.zeros((cameras, 2, 3))
     misses, chosen = np.zeros((cameras, 2)), np.zeros(cameras, dtype=np.int64)
@@ -121,12 +122,12 @@ def match(
             project_point(maps, 1, position, here, slope)
             for k in range(find_near(peaks[1], here, radius, second)):
                 chosen[1] = second[k]
-                if (tried[: min(left, _NEAR)] == second[k]).any():
+                if _is_among(tried[: min(left, _NEAR)], second[k]):
                     continue
                 tried[left % _NEAR] = second[k]
                 left += 1
                 start = position.copy()
-                if _intersect(maps, peaks, chosen, start, slopes, misses, gains, here, slope, step):
+                if _intersect(maps, peaks, chosen, start, slopes, misses, gains, here, step):
                     count = _others(
                         maps,
                         peaks,
@@ -142,7 +143,15 @@ def match(
                         errors,
                         count,
                     )
-    return count
+    return int(count)
+
+
+@numba.njit(cache=True)
+def _is_among(numbers: Any, number: int) -> bool:
+    found = False
+    for one in numbers:
+        found |= one == number
+    return found
 
 
 @numba.njit(cache=True)
@@ -155,7 +164,6 @@ def _intersect(
     misses: Any,
     gains: Any,
     here: Any,
-    slope: Any,
     step: Any,
 ) -> bool:
     """Move a point to where the lines of sight of the first two cameras come nearest.
@@ -164,14 +172,15 @@ def _intersect(
     """
     for _ in range(2):
         for c in range(2):
-            project_point(maps, c, position, here, slope)
-            slopes[c] = slope
-            misses[c] = peaks[c].pixels[chosen[c]] - here
+            project_point(maps, c, position, here, slopes[c])
+            for a in range(2):
+                misses[c, a] = peaks[c].pixels[chosen[c], a] - here[a]
         if not _gains(slopes, 2, gains):
             return False
         _compute_step(gains, misses, 2, step)
-        position += step
-    return bool(np.abs(position).max() <= 1.0)
+        for p in range(3):
+            position[p] += step[p]
+    return bool(abs(position[0]) <= 1.0 and abs(position[1]) <= 1.0 and abs(position[2]) <= 1.0)
 
 
 @numba.njit(cache=True)
@@ -204,7 +213,8 @@ def _others(
     if numbers[0] * numbers[1] == 0 or not _gains(slopes, cameras, gains):
         return count
     for c in range(2):
-        misses[c] = peaks[c].pixels[chosen[c]] - seen[c]
+        for a in range(2):
+            misses[c, a] = peaks[c].pixels[chosen[c], a] - seen[c, a]
     for both in range(numbers[0] * numbers[1]):
         for c in range(2, cameras):
             chosen[c] = found[0, both // numbers[1]] if c == 2 else found[1, both % numbers[1]]

@@ -24,7 +24,7 @@ from sabench.geometry.volume_polynomials import (
     fit_volume_polynomials,
     project_points,
 )
-from sabench.images.brightness import background_noise, normalise
+from sabench.images.brightness import background_noise
 from sabench.images.peaks import Peaks, find_peaks
 from sabench.utils.arrays import F32, F64, Bool
 
@@ -68,9 +68,9 @@ def triangulate_particles(
     case: Observation, maps: VolumePolynomials, settings: IprSettings
 ) -> FoundParticles:
     """Triangulate the particles that particle images agree on, each image used once."""
-    images = normalise(case.images, case.black_dn)
+    images, covered = case.normalised_images(), case.repaired.flaws.covered
     peaks = _find_peaks(images, settings)
-    found = _select_unique(maps, peaks, settings, 0, 0, images)
+    found = _select_unique(maps, peaks, settings, 0, 0, covered)
     return FoundParticles(
         in_mm(maps, found.position), _peak_values(found, peaks, images).mean(axis=1)
     )
@@ -83,21 +83,24 @@ def reconstruct_particles(
 
     They are found and fitted again and again on the residual images.
     """
-    images = normalise(case.images, case.black_dn)
+    images, flaws = case.normalised_images(), case.repaired.flaws
+    unknown = flaws.unknown
     sigma = image_widths(images, [one.pixels for one in _find_peaks(images, settings)])
     left, positions, light = images.copy(), np.zeros((0, 3)), np.zeros((0, len(images)))
     full, reduced = settings.rounds
     for number in range(full + reduced):
         peaks = _find_peaks(left, settings)
-        found = _select_unique(maps, peaks, settings, int(number >= full), number, left)
+        found = _select_unique(maps, peaks, settings, int(number >= full), number, flaws.covered)
         positions = np.concatenate([positions, found.position])
         light = np.concatenate([light, np.zeros((len(found.position), len(images)))])
-        refine_particles(maps, sigma, left, positions, light, settings.fits)
-        good = _real(maps, positions, light, sigma, settings)
+        refine_particles(maps, sigma, left, unknown, positions, light, settings.fits)
+        shown = _shown(maps, positions, flaws.covered)
+        good = _real(maps, positions, np.where(shown, light, np.nan), settings)
         subtract_images(maps, sigma, left, positions[~good], light[~good])
         positions, light = positions[good], light[good]
-    refine_particles(maps, sigma, left, positions, light, settings.fits)
-    return FoundParticles(in_mm(maps, positions), peak_brightness(light, sigma).mean(axis=1))
+    refine_particles(maps, sigma, left, unknown, positions, light, settings.fits)
+    seen = np.where(_shown(maps, positions, flaws.covered), light, np.nan)
+    return FoundParticles(in_mm(maps, positions), _mean_known(peak_brightness(seen, sigma)))
 
 
 def _find_peaks(images: F32, settings: IprSettings) -> tuple[Peaks, ...]:
@@ -114,7 +117,7 @@ def _select_unique(
     settings: IprSettings,
     missing: int,
     number: int,
-    images: F32,
+    covered: Bool,
 ) -> Candidates:
     """Select candidates so that each particle image belongs to one.
 
@@ -122,9 +125,7 @@ def _select_unique(
     """
     first = number % len(peaks)
     order = (first, (first + 1) % len(peaks))
-    found = find_candidates(
-        maps, peaks, order, settings.reach_px, missing, (images.shape[1], images.shape[2])
-    )
+    found = find_candidates(maps, peaks, order, settings.reach_px, missing, covered)
     kept = select_best(found, peaks)
     return Candidates(found.position[kept], found.hit[kept], found.error_px[kept])
 
@@ -142,22 +143,40 @@ def _peak_values(found: Candidates, peaks: tuple[Peaks, ...], images: F32) -> F6
     return out
 
 
-def _real(
-    maps: VolumePolynomials, positions: F64, light: F64, sigma: F64, settings: IprSettings
-) -> Bool:
+def _shown(maps: VolumePolynomials, positions: F64, covered: Bool) -> Bool:
+    """Mark (n, camera) where no reflection covers a particle's image."""
+    shown = np.ones((len(positions), len(covered)), dtype=bool)
+    for camera, area in enumerate(covered):
+        column, row = np.rint(project_points(maps, camera, positions)).astype(np.int64).T
+        inside = (row >= 0) & (row < area.shape[0]) & (column >= 0) & (column < area.shape[1])
+        shown[inside, camera] = ~area[row[inside], column[inside]]
+    return shown
+
+
+def _mean_known(values: F64) -> F64:
+    """Average rows (n, camera) over what is known; 0 where nothing is."""
+    known = np.isfinite(values)
+    total = np.where(known, values, 0.0).sum(axis=1)
+    return np.asarray(total / np.maximum(known.sum(axis=1), 1))
+
+
+def _real(maps: VolumePolynomials, positions: F64, light: F64, settings: IprSettings) -> Bool:
     """Mark particles that are bright enough in enough cameras.
 
-    Duplicates of another one are left out.
+    Cameras whose light (n, camera) is NaN do not count. Duplicates of another particle are left
+    out.
     """
     if not len(positions):
         return np.zeros(0, dtype=bool)
-    typical = np.maximum(np.median(light, axis=0), 1e-12)
+    unseen = np.isnan(light).all(axis=0)
+    typical = np.maximum(np.nanmedian(np.where(unseen, 0.0, light), axis=0), 1e-12)
     second = np.sort(light / typical, axis=1)[:, min(1, light.shape[1] - 2)]
     good = np.asarray(second >= settings.faint)
+    total = np.nansum(light, axis=1)
     radius = settings.apart_px * _mm_per_px(maps)
     for i, j in cKDTree(in_mm(maps, positions)).query_pairs(radius):
         if good[i] and good[j]:
-            good[i if light[i].sum() < light[j].sum() else j] = False
+            good[i if total[i] < total[j] else j] = False
     return good
 
 

@@ -21,18 +21,21 @@ from sabench.utils.arrays import F32, F64
 
 _HALF = 3  # pixels from the middle of a particle's image to the border of its window
 _WINDOW = 2 * _HALF + 1
+_KNOWN = 0.01  # of a particle's image: from less, its light would be mostly noise
 _FARTHEST_PX = 0.5  # that a particle moves in one step
 
 
 def image_widths(images: F32, pixels: list[F64]) -> F64:
     """Estimate standard deviations (camera,) of lone particles' images, px.
 
-    Each estimate uses three values along either axis. The lower quartile is returned, since
+    Each estimate uses three values along either axis, about pixels that are not on the border; a
+    peak half a pixel from one is rounded away from it. The lower quartile is returned, since
     overlaps widen images.
     """
     out = []
     for image, positions in zip(images, pixels, strict=True):
-        column, row = np.rint(positions).astype(np.int64).T
+        inner = np.array(image.shape[::-1]) - 2
+        column, row = np.clip(np.rint(positions), 1, inner).astype(np.int64).T
         high = np.log(np.maximum(image, 1e-6))
         bends = np.concatenate(
             [
@@ -57,7 +60,7 @@ def _paint(image: Any, column: int, row: int, x: Any, y: Any, amount: float) -> 
 
 @numba.njit(cache=True)
 def refine_particles(
-    maps: Any, sigma: Any, left: Any, positions: Any, light: Any, rounds: int
+    maps: Any, sigma: Any, left: Any, unknown: Any, positions: Any, light: Any, rounds: int
 ) -> None:
     """Fit particles one after the other, in several rounds.
 
@@ -65,6 +68,7 @@ def refine_particles(
     ----------
     sigma : (camera,) widths of particle images, px.
     left : (camera, row, column) float32, the images less all particles; kept up to date.
+    unknown : the same shape, pixels that are not fitted.
     positions : (n, 3) in the box of the maps.
     light : (n, camera) of each particle, in units of the images times px2; not negative.
     """
@@ -85,13 +89,23 @@ def refine_particles(
                 _set(maps, c, position, sigma[c], here, slope, corner[c], x[c], y[c], dx[c], dy[c])
                 _paint(left[c], corner[c, 0], corner[c, 1], x[c], y[c], light[n, c])
                 _pull(
-                    left[c], corner[c], x[c], y[c], dx[c], dy[c], light[n, c], slope, matrix, right
+                    left[c],
+                    unknown[c],
+                    corner[c],
+                    x[c],
+                    y[c],
+                    dx[c],
+                    dy[c],
+                    light[n, c],
+                    slope,
+                    matrix,
+                    right,
                 )
                 steepest = max(steepest, np.abs(slope).max())
             _move(position, matrix, right, _FARTHEST_PX / steepest)
             for c in range(cameras):
                 _set(maps, c, position, sigma[c], here, slope, corner[c], x[c], y[c], dx[c], dy[c])
-                light[n, c] = _brightness(left[c], corner[c], x[c], y[c])
+                light[n, c] = _brightness(left[c], unknown[c], corner[c], x[c], y[c])
                 _paint(left[c], corner[c, 0], corner[c, 1], x[c], y[c], -light[n, c])
 
 
@@ -121,6 +135,7 @@ def _set(
 @numba.njit(cache=True)
 def _pull(
     image: Any,
+    unknown: Any,
     corner: Any,
     x: Any,
     y: Any,
@@ -135,6 +150,8 @@ def _pull(
     rows, columns = image.shape
     for i in range(max(0, -corner[1]), min(_WINDOW, rows - corner[1])):
         for j in range(max(0, -corner[0]), min(_WINDOW, columns - corner[0])):
+            if unknown[corner[1] + i, corner[0] + j]:
+                continue
             by_column, by_row = light * y[i] * dx[j], light * dy[i] * x[j]
             off = image[corner[1] + i, corner[0] + j] - light * y[i] * x[j]
             for p in range(3):
@@ -154,15 +171,20 @@ def _move(position: Any, matrix: Any, right: Any, farthest: float) -> None:
 
 
 @numba.njit(cache=True)
-def _brightness(image: Any, corner: Any, x: Any, y: Any) -> float:
-    """Compute the light that leaves the least of a window unexplained."""
+def _brightness(image: Any, unknown: Any, corner: Any, x: Any, y: Any) -> float:
+    """Compute the light that leaves the least of a window unexplained.
+
+    0 where less than `_KNOWN` of the image's squares is known and on the sensor.
+    """
     rows, columns = image.shape
-    both, own = 0.0, 0.0
+    both, own, whole = 0.0, 0.0, (x * x).sum() * (y * y).sum()
     for i in range(max(0, -corner[1]), min(_WINDOW, rows - corner[1])):
         for j in range(max(0, -corner[0]), min(_WINDOW, columns - corner[0])):
+            if unknown[corner[1] + i, corner[0] + j]:
+                continue
             both += image[corner[1] + i, corner[0] + j] * y[i] * x[j]
             own += (y[i] * x[j]) ** 2
-    return max(both / own, 0.0) if own > 0.0 else 0.0
+    return max(both / own, 0.0) if own > _KNOWN * whole else 0.0
 
 
 @numba.njit(cache=True)

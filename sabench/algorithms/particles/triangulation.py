@@ -17,7 +17,7 @@ import numpy as np
 from sabench.algorithms.particles.correspondence import move_to_pixel
 from sabench.geometry.volume_polynomials import VolumePolynomials, project_point, project_points
 from sabench.images.peaks import Peaks, find_near
-from sabench.utils.arrays import F64, I64
+from sabench.utils.arrays import F64, I64, Bool
 
 _NEAR = 64  # particle images looked at around one position
 _ROOM = 50  # sets of each of the first camera's images for which memory is allocated
@@ -45,7 +45,7 @@ def find_candidates(
     order: tuple[int, int],
     reach_px: float,
     missing: int,
-    size: tuple[int, int],
+    covered: Bool,
 ) -> Candidates:
     """Find all sets of peaks that agree on a position within `reach_px`.
 
@@ -54,7 +54,7 @@ def find_candidates(
     peaks : of each camera.
     order : the camera whose lines of sight are followed, and the one that they are intersected in.
     missing : how many of the cameras that have the position on their sensor may show nothing there.
-    size : rows and columns of the images.
+    covered : (camera, row, column) pixels where a camera can show nothing.
     """
     reordered = (order[0], *(number for number in range(len(peaks)) if number != order[0]))
     own = VolumePolynomials(np.ascontiguousarray(maps.coefficients[list(reordered)]), *maps[1:])
@@ -63,7 +63,16 @@ def find_candidates(
     position, hit, error = np.zeros((most, 3)), np.full((most, len(peaks)), -1), np.zeros(most)
     steps = max(2, int(_travel(own, reordered.index(order[1])) / reach_px) + 2)
     count = _follow(
-        own, seen, reordered.index(order[1]), reach_px, missing, size, steps, position, hit, error
+        own,
+        seen,
+        reordered.index(order[1]),
+        reach_px,
+        missing,
+        covered[list(reordered)],
+        steps,
+        position,
+        hit,
+        error,
     )
     back = np.argsort(reordered)
     return Candidates(position[:count], hit[:count][:, back], error[:count])
@@ -104,7 +113,7 @@ def _follow(
     second: int,
     radius: float,
     missing: int,
-    size: Any,
+    covered: Any,
     steps: int,
     positions: Any,
     hits: Any,
@@ -142,7 +151,7 @@ def _follow(
                 if (
                     worst > radius
                     or np.abs(start).max() > 1.0
-                    or not _others(maps, peaks, chosen, start, second, radius, missing, size)
+                    or not _others(maps, peaks, chosen, start, second, radius, missing, covered)
                 ):
                     continue
                 worst = _fit_position(maps, peaks, chosen, start)
@@ -165,11 +174,11 @@ def _others(
     second: int,
     radius: float,
     missing: int,
-    size: Any,
+    covered: Any,
 ) -> bool:
     """Choose the image nearest to a position in each of the other cameras.
 
-    Returns False if too many have it on their sensor and show none.
+    Returns False if too many show none and have it on their sensor, uncovered.
     """
     here, slope, near, absent = np.zeros(2), np.zeros((2, 3)), np.zeros(_NEAR, dtype=np.int64), 0
     for c in range(1, len(peaks)):
@@ -183,8 +192,9 @@ def _others(
             )
             if apart < nearest:
                 nearest, chosen[c] = apart, near[k]
-        if chosen[c] < 0 and 0.0 < here[0] < size[1] - 1.0 and 0.0 < here[1] < size[0] - 1.0:
-            absent += 1
+        rows, columns = covered[c].shape
+        if chosen[c] < 0 and 0.0 < here[0] < columns - 1.0 and 0.0 < here[1] < rows - 1.0:
+            absent += not covered[c, int(np.rint(here[1])), int(np.rint(here[0]))]
     return absent <= missing and (len(peaks) == 2 or (chosen >= 0).sum() > 2)
 
 

@@ -4,9 +4,11 @@ Images of all cameras are summed or multiplied on planes of the world.
 """
 
 from sabench.algorithms.refocus.synthetic_aperture import (
+    count_views,
     refocus_by_shifts,
     refocus_log2,
     refocus_sum,
+    typical_where_covered,
 )
 from sabench.algorithms.refocus.thresholding import (
     ExtractionParameters,
@@ -19,10 +21,12 @@ from sabench.algorithms.refocus.thresholding import (
 __all__ = [
     "ExtractionParameters",
     "auto_k",
+    "count_views",
     "extract",
     "extract_particles",
     "occupancy",
     "refocus_by_shifts",
     "refocus_log2",
     "refocus_sum",
+    "typical_where_covered",
 ]

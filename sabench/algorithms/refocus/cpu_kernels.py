@@ -136,7 +136,7 @@ def _interpolate(
             target[i] = _fold(target[i], over + under, fold)
 
 
-@numba.njit(cache=True, fastmath=True, forceinline=True)
+@numba.njit(cache=True, fastmath=True)
 def _fold_tile(
     image: Any, spline: Any, affine: Any, outside: Any, fold: Any, total: Any, size: Any
 ) -> None:
@@ -145,18 +145,17 @@ def _fold_tile(
     The tile's rows lie TILE_COLUMNS apart in `total`. `size` is its rows and columns.
     """
     rows, columns = size
-    row, flat = 0, image.ravel()
+    flat, fours = image.ravel(), 0
     if len(spline) == 1 and abs(affine[2]) <= _SHEAR:
-        while row + 4 <= rows:
+        fours = rows // 4 * 4
+        for row in range(0, fours, 4):
             _fold_four(image, flat, spline, affine, row, outside, fold, total, columns)
-            row += 4
-    while row < rows:
+    for row in range(fours, rows):
         start = row * TILE_COLUMNS
         _fold_row(image, spline, affine, row, 0, outside, fold, total[start : start + columns])
-        row += 1
 
 
-@numba.njit(cache=True, fastmath=True, forceinline=True)
+@numba.njit(cache=True, fastmath=True)
 def _fold_four(
     image: Any,
     flat: Any,
@@ -329,9 +328,9 @@ def sum_planes(rectified: Any, spline: Any, maps: Any, outside: float, out: Any)
                     (height, width),
                 )
             for row in range(height):
-                out[plane, top + row, left : left + width] = total[
-                    row * TILE_COLUMNS : row * TILE_COLUMNS + width
-                ]
+                target = out[plane, top + row, left : left + width]
+                for i in range(width):
+                    target[i] = total[row * TILE_COLUMNS + i]
 
 
 @numba.njit(cache=True, parallel=True, fastmath=True)
@@ -372,9 +371,9 @@ def multiply_planes(
                 if camera % group == group - 1 or camera == len(rectified) - 1:
                     _add_log2(product, total)
             for row in range(height):
-                out[plane, top + row, left : left + width] = total[
-                    row * TILE_COLUMNS : row * TILE_COLUMNS + width
-                ]
+                target = out[plane, top + row, left : left + width]
+                for i in range(width):
+                    target[i] = total[row * TILE_COLUMNS + i]
 
 
 @numba.njit(cache=True, parallel=True, fastmath=True)

@@ -67,9 +67,10 @@ def _filter_along_columns(padded: Any) -> None:
         image, first = padded[job // strips], job % strips * _LINES
         strip = image[:, first : first + _LINES]
         _filter(strip[1:-2])
-        strip[0] = strip[2]
-        strip[rows - 2] = strip[rows - 4]
-        strip[rows - 1] = strip[rows - 5]
+        for i in range(strip.shape[1]):
+            strip[0, i] = strip[2, i]
+            strip[rows - 2, i] = strip[rows - 4, i]
+            strip[rows - 1, i] = strip[rows - 5, i]
 
 
 @numba.njit(cache=True, fastmath=True)

@@ -16,6 +16,7 @@ from sabench.algorithms.refocus import cpu_kernels, gpu_kernels
 from sabench.algorithms.refocus.cpu_kernels import TILE_COLUMNS, TILE_ROWS
 from sabench.algorithms.refocus.rectification import CUBIC, LINEAR, coefficients_of, resample
 from sabench.algorithms.refocus.slabs import Slab, make_slab, rectifying_maps, slabs, tile_origins
+from sabench.api import Observation
 from sabench.geometry.camera_model import CameraModel
 from sabench.geometry.grid import Grid
 from sabench.utils import backend
@@ -50,6 +51,31 @@ def refocus_sum(
         else:
             cpu_kernels.sum_planes(rectified, LINEAR, view.tiles, outside, part)
     return volume
+
+
+def typical_where_covered(case: Observation) -> F32:
+    """Normalise images, with the camera's mean light under reflections.
+
+    The images are (camera, row, column). In an average over cameras, a reflection then neither
+    makes voxels bright nor dark.
+    """
+    images = case.normalised_images()
+    for image, covered in zip(images, case.repaired.flaws.covered, strict=True):
+        image[covered] = image[~covered].mean() if covered.any() and not covered.all() else 0.0
+    return images
+
+
+def count_views(case: Observation, *, seen_only: bool) -> F32 | float:
+    """Count the cameras that show something at each voxel: (z, y, x), 1 at least.
+
+    A camera shows nothing where a reflection covers its image. One that does not see the voxel
+    shows it dark, unless `seen_only` is set.
+    """
+    covered = case.repaired.flaws.covered
+    if not seen_only and not covered.any():
+        return float(len(case.cameras))
+    known, outside = (~covered).astype(np.float32), 0.0 if seen_only else 1.0
+    return np.maximum(refocus_sum(known, case.cameras, case.grid, outside=outside), 1.0)
 
 
 def refocus_log2(

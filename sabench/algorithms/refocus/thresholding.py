@@ -15,7 +15,7 @@ from pydantic import BeforeValidator, Field
 from sabench.api import Observation, Parameters
 from sabench.geometry.grid import Grid
 from sabench.images.gaussians import effective_width
-from sabench.utils.arrays import F32, F64, U16
+from sabench.utils.arrays import F32, F64, U16, Bool
 
 _SHARE = {
     "reduced": 0.85,
@@ -79,14 +79,17 @@ def occupancy(case: Observation) -> float:
     grid's particles only, and voxels whose x edge is a pixel's size or, if it is not, particles as
     wide in voxels as in pixels, as E_s has them. The median camera counts.
     """
-    return float(
-        np.median([_fill_share(image, float(case.black_dn), case.grid) for image in case.images])
-    )
+    good = case.repaired
+    both = zip(good.images, good.flaws.covered, strict=True)
+    shares = [_fill_share(image, float(case.black_dn), case.grid, own) for image, own in both]
+    return float(np.median(shares))
 
 
-def _fill_share(image: U16, black_dn: float, grid: Grid) -> float:
-    light = float(image.mean()) - black_dn
-    square, across, down = _products(image, light + black_dn)
+def _fill_share(image: U16, black_dn: float, grid: Grid, covered: Bool) -> float:
+    mean, known = float(image[~covered].mean()), image.size - int(covered.sum())
+    light = mean - black_dn
+    square, across, down = _products(np.where(covered, mean, image), mean)
+    square, across, down = (one * image.size / known for one in (square, across, down))
     variance = square / image.size
     if not variance > 0.0:
         return 0.0

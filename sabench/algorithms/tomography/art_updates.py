@@ -23,6 +23,7 @@ from sabench.utils.progress import progress_bar
 # correction
 DARKEST = 1e-3
 _NOTHING = 1e-30
+_UNKNOWN = np.float32(1e-30)  # at least as much light: no projection is too bright for it
 
 
 @dataclass(frozen=True)
@@ -33,8 +34,8 @@ class Iterate:
     ----------
     lines : W on their support.
     values : (n,) light of the voxels; steps change it in place.
-    seen : (n,) sum_i W_ij, the number of cameras that see each voxel; 1 where it is 0, and there
-        the value is 0.
+    seen : (n,) sum_i W_ij over the pixels that are known, the number of cameras that see each
+        voxel; 1 where it is less. The value is 0 where no camera sees the voxel.
     """
 
     lines: ProjectionOperator
@@ -48,13 +49,27 @@ class RecordedLight:
 
     Attributes
     ----------
-    light : (camera, row, column) P, at least DARKEST.
+    light : (camera, row, column) P, at least DARKEST, but less in pixels that show nothing.
     saturated : (camera, row, column) pixels that may have received more light than they show: where
         the projection is brighter, the residual is zero.
     """
 
     light: F32
     saturated: Bool
+
+    @classmethod
+    def of(cls, light: F32, saturated: Bool, unknown: Bool) -> RecordedLight:
+        """Make it of normalised images; every projection explains the unknown pixels."""
+        known = np.where(unknown, _UNKNOWN, np.maximum(light, np.float32(DARKEST)))
+        return cls(known, saturated | unknown)
+
+    def unknown(self) -> Bool:
+        """Mark the pixels (camera, row, column) that show nothing."""
+        return np.asarray(self.light < DARKEST)
+
+    def possible(self) -> F32:
+        """Give the light (camera, row, column); a bright particle's where it is unknown."""
+        return np.where(self.unknown(), np.float32(1.0), self.light)
 
     def select_camera(self, camera: int) -> RecordedLight:
         """Select one camera."""

@@ -82,9 +82,9 @@ def _slab(
 @numba.njit(cache=True, parallel=True)
 def _pack(start: Any, x: Any, values: Any, packed_x: Any, packed_values: Any) -> None:
     for row in numba.prange(len(start) - 1):
-        count = start[row + 1] - start[row]
-        packed_x[start[row] : start[row + 1]] = x[row, :count]
-        packed_values[start[row] : start[row + 1]] = values[row, :count]
+        for i in range(start[row + 1] - start[row]):
+            packed_x[start[row] + i] = x[row, i]
+            packed_values[start[row] + i] = values[row, i]
 
 
 @numba.njit(cache=True, parallel=True)
@@ -109,7 +109,9 @@ def _multiply_block(
     """Multiply rows of voxels by the images of one camera after the other."""
     work, product, seen = scratch(geometry), np.ones(x.shape), np.zeros(x.shape, dtype=np.int32)
     for row in range(len(x)):
-        x[row], counts[row] = np.arange(geometry.width), geometry.width
+        counts[row] = geometry.width
+        for i in range(geometry.width):
+            x[row, i] = i
     for camera in range(len(images)):
         for row in range(len(x)):
             left = counts[row]

@@ -81,7 +81,8 @@ def locate(geometry: Any, camera: int, row: int, x: Any, work: Any) -> Any:
             v,
             total,
         )
-        line[axis] = total
+        for i in range(len(total)):
+            line[axis, i] = total[i]
     _evaluate(line, x, geometry.width, position)
     _fix(position, len(x), geometry, base, across, down)
     return base[: len(x)], across[: len(x)], down[: len(x)]

@@ -9,7 +9,7 @@ import numpy as np
 from pydantic import Field
 
 from sabench.algorithms.tomography import supersampling
-from sabench.algorithms.tomography.art_updates import DARKEST, Iterate, RecordedLight
+from sabench.algorithms.tomography.art_updates import Iterate, RecordedLight
 from sabench.algorithms.tomography.first_guess import every_voxel, product_guess
 from sabench.algorithms.tomography.footprint import BILINEAR, Footprint, gaussian, image_sigma_px
 from sabench.algorithms.tomography.kernels import KernelGeometry
@@ -20,7 +20,6 @@ from sabench.algorithms.tomography.projection_operator import (
 )
 from sabench.api import Observation, Parameters
 from sabench.geometry.grid import Grid
-from sabench.images.brightness import normalise
 from sabench.utils.arrays import F32
 
 # standard deviation of a blob against that of the particles' images: best Q of .6 to 1 (seeds from
@@ -95,28 +94,24 @@ class TomographyProblem:
     @classmethod
     def from_case(cls, case: Observation, parameters: TomographyParameters) -> TomographyProblem:
         """Scale the images, split the grid's voxels where needed, choose the footprint."""
-        light, scale = (
-            normalise(case.images, case.black_dn),
-            supersampling.scale_of(case.cameras, case.grid),
-        )
+        light, unknown = case.normalised_images(), case.repaired.flaws.unknown
+        scale = supersampling.scale_of(case.cameras, case.grid)
         splits, (footprint, sigma_px) = supersampling.splits(scale), _footprint(light, parameters)
         geometry = make_geometry(
             case.cameras, supersampling.split(case.grid, splits), footprint.margin
         )
-        measured = RecordedLight(
-            np.maximum(light, np.float32(DARKEST)), case.images >= case.white_dn
-        )
+        measured = RecordedLight.of(light, case.images >= case.white_dn, unknown)
         return cls(measured, case.grid, splits, sigma_px / scale.px_per_mm, geometry, footprint)
 
     def mlos(self, threshold: float) -> Iterate:
         """Multiply lines of sight (MLOS): the cameras' bilinear samples."""
-        return self._start(*product_guess(self.geometry, self.measured.light, threshold))
+        return self._start(*product_guess(self.geometry, self.measured.possible(), threshold))
 
     def mfg(self, threshold: float) -> Iterate:
         """Make the multiplicative first guess (MFG): the cameras' nearest pixels."""
         return self._start(
             *product_guess(
-                self.geometry._replace(shift=0.5, mask=0), self.measured.light, threshold
+                self.geometry._replace(shift=0.5, mask=0), self.measured.possible(), threshold
             )
         )
 
@@ -141,6 +136,9 @@ class TomographyProblem:
         lines = ProjectionOperator(self.geometry, support, self.footprint)
         seen = np.rint(lines.adjoint(np.ones_like(self.measured.light)))
         values[seen == 0.0] = 0.0
+        unknown = self.measured.unknown()
+        if unknown.any():
+            seen -= lines.adjoint(unknown.astype(np.float32))
         return Iterate(lines, values, np.maximum(seen, np.float32(1.0)))
 
 

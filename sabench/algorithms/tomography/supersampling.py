@@ -25,6 +25,8 @@ _TRAVEL_PX = 1.25  # largest distance between the projections of two neighbourin
 _REACH = 3.0  # standard deviations at which a blob ends
 _BRIGHT, _LIT = 95.0, 0.1  # as `images.brightness.normalise` scales images
 _FAINTEST = 0.01
+_MOST = 20.0  # typical voxels that the brightest one counts at most
+_BITS = 18  # of a float32 that are left out of its class: 32 classes an octave
 
 
 Splits = tuple[int, int, int]  # fine voxels per voxel along x, y and z
@@ -167,14 +169,27 @@ def _spread(total: Any, along: Any, out: Any) -> None:
 def clear_dark(volume: F32, floor: float) -> F32:
     """Zero, in place, voxels darker than `floor` times a bright voxel.
 
-    A bright voxel is the 95th percentile of those that reach a tenth of the brightest.
+    A bright voxel is the 95th percentile of those that reach a tenth of the brightest; a few voxels
+    brighter than `_MOST` typical ones count as that bright.
 
     One is a bright particle's peak in the images, whose light fills dozens of voxels: a bright
     voxel is at least `_FAINTEST`.
     """
-    bright_voxels = volume[volume > _LIT * volume.max(initial=0.0)]
+    brightest = min(float(volume.max(initial=0.0)), _MOST * _typical(volume))
+    bright_voxels = volume[volume > _LIT * brightest]
     bright = max(
         float(np.percentile(bright_voxels, _BRIGHT)) if len(bright_voxels) else 0.0, _FAINTEST
     )
     volume[volume < floor * bright] = 0.0
     return volume
+
+
+def _typical(volume: F32) -> float:
+    """Compute the level that half of a volume's light lies above, within 3 %."""
+    light = np.zeros((np.iinfo(np.int32).max >> _BITS) + 1)
+    for plane in volume:
+        bright = plane[plane > 0.0]
+        light += np.bincount(bright.view(np.int32) >> _BITS, bright, len(light))
+    above = np.cumsum(light[::-1])[::-1]
+    level = int(np.flatnonzero(above >= 0.5 * above[0])[-1])
+    return float(np.array([level << _BITS], dtype=np.int32).view(np.float32)[0])

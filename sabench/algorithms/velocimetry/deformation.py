@@ -73,7 +73,8 @@ def _filter_rows(plane: Any, pole: Any) -> None:
         for x in range(width):
             start[x] += power * row[x]
         power *= pole
-    plane[0] = start
+    for x in range(width):
+        plane[0, x] = start[x]
     for n in range(1, count):
         for x in range(width):
             plane[n, x] += pole * plane[n - 1, x]

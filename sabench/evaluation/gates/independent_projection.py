@@ -4,18 +4,20 @@ It is a copy of `geometry.camera` and `geometry.refraction` with other equations
 independence. The test test_comparison.py::test_two_implementations_of_a_camera_agree compares both.
 
 It takes nothing from `sabench.geometry`: the wall's numbers come from the scene as its author wrote
-them, the path from bisection for the invariant n sin(angle) that all its angles share, the lens
-from the formula in docs/formats/dataset.md.
+them, the path from bisection for the invariant n sin(angle) that all its angles share (behind a
+cylinder from `independent_snell`), the lens from the formula in docs/formats/dataset.md.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
+from sabench.evaluation.gates.independent_snell import aim_at
 from sabench.scenes import Scene
-from sabench.scenes.wall import WallSpec
+from sabench.scenes.wall import CylinderSpec, WallSpec
 from sabench.utils.arrays import F64
 
 _HALVINGS = 100
@@ -31,7 +33,11 @@ def retrace(scene: Scene, camera: Any, points_mm: F64) -> F64:
     """
     pinhole, axes = np.array(camera.center_mm), np.array(camera.rotation)
     offset = points_mm - pinhole
-    leaving = offset if scene.wall is None else _leaving(scene.wall, pinhole, offset)
+    leaving = offset
+    if isinstance(scene.wall, CylinderSpec):
+        leaving = aim_at(scene.wall, pinhole, points_mm)
+    elif scene.wall is not None:
+        leaving = _leaving(_face(scene.walls, pinhole, camera.rotation[2]), pinhole, offset)
     right, down, forward = (leaving @ axis for axis in axes)
     x, y, lens = right / forward, down / forward, camera.distortion
     square = x**2 + y**2
@@ -40,6 +46,18 @@ def retrace(scene: Scene, camera: Any, points_mm: F64) -> F64:
     v = y * radial + 2.0 * lens.p2 * x * y + lens.p1 * (square + 2.0 * y**2)
     focal_px = camera.principal_distance_mm / camera.pixel_mm
     return np.asarray(np.column_stack([u, v]) * focal_px + np.array(camera.principal_point_px))
+
+
+def _face(walls: Sequence[Any], pinhole: F64, forward: Any) -> WallSpec:
+    """Find the face of a tank that a camera's axis enters last."""
+
+    def distance(wall: WallSpec) -> float:
+        normal = np.array(wall.normal)
+        along = float(normal @ np.array(forward))
+        return float((np.array(wall.point_mm) - pinhole) @ normal) / along if along > 0 else -1.0
+
+    face: WallSpec = max(walls, key=distance)
+    return face
 
 
 def _leaving(wall: WallSpec, pinhole: F64, offset: F64) -> F64:

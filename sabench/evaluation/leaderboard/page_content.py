@@ -172,6 +172,7 @@ def _row(row: Record, case: int, pool: _Pool) -> dict[str, Any]:
         if several
         else None,
         "ranked": row["ranked"],
+        "wholeProcess": any(run.get("whole_process") for run in runs),
         "open": any(run.get("isolated") is False for run in runs),
         "error": row["error"],
         "declined": bool(row["error"])

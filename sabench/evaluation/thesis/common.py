@@ -17,7 +17,6 @@ from sabench.evaluation.suites import Case
 from sabench.evaluation.thesis.best_threshold import quality_of_k
 from sabench.evaluation.thesis.published import published_volume
 from sabench.geometry.grid import Grid
-from sabench.images.brightness import normalise
 from sabench.metrics.particle_detection import Counts, count_thesis, detect
 from sabench.metrics.synthesised_field import true_field
 from sabench.plotting.charts import Figure
@@ -229,7 +228,7 @@ def additive(shot: Shot) -> Refocused:
     Every voxel of the scene's grid is the mean of all cameras.
     """
     seen = shot.observation
-    volume = refocus_sum(normalise(seen.images, seen.black_dn), seen.cameras, seen.grid)
+    volume = refocus_sum(seen.normalised_images(), seen.cameras, seen.grid)
     volume /= np.float32(len(seen.cameras))
     return Refocused.from_shot(shot, seen.grid, shot.particles, volume)
 

@@ -21,7 +21,6 @@ from sabench.algorithms.refocus.synthetic_aperture import shift_maps
 from sabench.api.truth import Particles
 from sabench.geometry.camera_model import CameraModel
 from sabench.geometry.grid import Grid
-from sabench.images.brightness import normalise
 from sabench.simulation.in_memory import Shot
 from sabench.utils.arrays import F32, F64
 
@@ -47,7 +46,7 @@ def published_volume(shot: Shot) -> tuple[Grid, Particles, F32]:
     slab = _as_large_as_images(make_slab(cameras, grid, 0, grid.shape[0]), center, grid)
     mapped = np.empty((len(cameras), *slab.shape), dtype=np.float32)
     resample(
-        coefficients_of(normalise(seen.images, seen.black_dn), LINEAR),
+        coefficients_of(seen.normalised_images(), LINEAR),
         LINEAR,
         *rectifying_maps(slab, cameras, grid),
         0.0,

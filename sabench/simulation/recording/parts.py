@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import zipfile
+import zlib
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -27,6 +28,8 @@ Part = dict[str, npt.NDArray[Any]]
 Recall = Callable[[int], Part]  # a frame's part
 KEPT = "kept/"
 _FILES = f"{KEPT}files"
+# what numpy and zipfile raise of a damaged archive; encrypted entries are a RuntimeError
+_DAMAGED = (OSError, EOFError, ValueError, RuntimeError, zipfile.BadZipFile, zlib.error)
 
 
 @dataclass(frozen=True)
@@ -124,11 +127,12 @@ def _load_needed(path: Path) -> Part:
 
 
 def _load(path: Path) -> Part | None:
+    """Load a part; None where it is not there or not intact: it is made again."""
     try:
         with path.open("rb") as file, np.load(file, allow_pickle=False) as arrays:
             # reading tests the archive's checksums
             return {name: arrays[name] for name in arrays.files}
-    except (OSError, EOFError, ValueError, zipfile.BadZipFile):
+    except _DAMAGED:
         return None
 
 

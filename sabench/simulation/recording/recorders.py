@@ -13,10 +13,11 @@ from sabench.scenes.nominal_cameras import nominal_cameras
 from sabench.simulation.camera_view import CameraView, render
 from sabench.simulation.frame_content import FrameContent
 from sabench.simulation.frames import Frames
+from sabench.simulation.grey_values import record_image
 from sabench.simulation.recording.parts import KEPT, Part, Parts, Recall, Taken
-from sabench.simulation.rendering.sensor import expose
 from sabench.utils.arrays import F64, Bool
 from sabench.worlds import calibration_targets
+from sabench.worlds.materials import material_numbers
 from sabench.worlds.tracers import lattice
 
 _PARTICLES = ("id", "position_mm", "diameter_mm", "velocity_mm_s")
@@ -64,7 +65,7 @@ class Recorder:
             self._last = self._restore(number, recall(number))
         frame = self._last
         view = render(frame, camera)
-        grey = expose(self._scene.sensor, view.photons, frame.sensor_noise(camera))
+        grey = record_image(frame, view, camera)
         return Taken(_view_truth(frame, view), grey, view.radiance().astype(np.float32))
 
     def finish(self, writer: DatasetWriter, parts: Parts) -> None:
@@ -157,6 +158,9 @@ def _truth(frame: FrameContent) -> Part:
         part |= _fields(f"{group}/bodies/{number}", solid, ("vertices_mm", "faces"))
     if frame.tracers is not None:
         part |= _fields(group, frame.tracers.particles, _PARTICLES)
+        if (tracer := frame.scene.tracer).mixture:
+            ids = frame.tracers.particles.id
+            part[f"{group}/material"] = material_numbers(tracer, frame.seed, ids)
     if frame.pose is not None:
         part |= {f"{group}/turn": frame.pose.rotation, f"{group}/place_mm": frame.pose.position_mm}
     return part
@@ -187,6 +191,7 @@ def _view_truth(frame: FrameContent, view: CameraView) -> Part:
         part[f"{own}/pixel"] = images.pixel
         part[f"{own}/photons"] = images.photons
         part[f"{own}/sigma_px"] = images.sigma_px.astype(np.float32)
+        part[f"{own}/spread_px2"] = images.spread_px2.astype(np.float32)
         part[f"{own}/visible"] = images.visible.astype(np.uint8)
     return part
 

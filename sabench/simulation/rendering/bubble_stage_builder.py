@@ -15,7 +15,7 @@ from sabench.geometry.occluders import Disc
 from sabench.geometry.refraction import Layer, Wall, transmittance
 from sabench.scenes.illumination import Backlight, Lighting
 from sabench.simulation.rendering.bubble_stage import Panel, Stack, Stage
-from sabench.simulation.rendering.lamps import Lamps, place_lamps
+from sabench.simulation.rendering.lamps import Lamps, facing_of, place_lamps
 from sabench.simulation.rendering.mesh_intersection import mesh_of
 from sabench.simulation.rendering.particle_images import ParticleImages
 from sabench.simulation.rendering.particles_traced import balls, glow_of
@@ -52,8 +52,9 @@ class Tank:
         if self.wall is None:
             return 1.0
         back = replace(self.wall, layers=self.rear)
-        normal = np.asarray(self.wall.normal)[None]
-        return float(transmittance(self.wall, normal)[0] * transmittance(back, normal)[0])
+        normal, start = np.asarray(self.wall.normal)[None], np.asarray(self.wall.point_mm)
+        passed = (transmittance(wall, start, normal)[0] for wall in (self.wall, back))
+        return float(next(passed) * next(passed))
 
 
 @dataclass(frozen=True)
@@ -251,8 +252,8 @@ def _lamps(light: Lighting | None, camera: Camera, origin: F64, full: float) -> 
     """Place the lamps, whose exposure is seen through the front wall."""
     if not light:
         return None
-    facing = np.asarray(camera.wall.normal if camera.wall else camera.rotation[2])
-    behind = full / float(transmittance(camera.wall, facing[None])[0])
+    pinhole, facing = np.asarray(camera.center_mm), facing_of(camera)
+    behind = full / float(transmittance(camera.wall, pinhole, facing[None])[0])
     return place_lamps(light, camera, origin, origin, behind)
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sabench.geometry.camera import Camera
-from sabench.geometry.refraction import Wall
+from sabench.geometry.refraction import AnyWall, Wall
 from sabench.scenes.illumination import Lighting
 from sabench.utils.arrays import F64
 
@@ -33,7 +33,7 @@ def place_lamps(
 
     The surface faces the wall; ambient light is included and all powers are multiplied by `scale`.
     """
-    facing = np.asarray(camera.wall.normal if camera.wall else camera.rotation[2])
+    facing = facing_of(camera)
     positions = np.array(
         [_find_apparent(camera.wall, np.asarray(lamp.center_mm)) for lamp in lighting.lamps]
     )
@@ -49,13 +49,20 @@ def place_lamps(
     )
 
 
-def _find_apparent(wall: Wall | None, lamp_mm: F64) -> F64:
-    """Find the apparent position of a lamp for rays that cross the wall steeply.
+def facing_of(camera: Camera) -> F64:
+    """Return the unit vector (3,) into the wall, or without one along the axis."""
+    if camera.wall is None:
+        return np.asarray(camera.rotation[2])
+    return camera.wall.normal_at(np.asarray(camera.center_mm))
 
-    A lamp in the fluid stays where it is.
+
+def _find_apparent(wall: AnyWall | None, lamp_mm: F64) -> F64:
+    """Find the apparent position of a lamp for rays that cross a plane wall steeply.
+
+    A lamp in the fluid stays where it is, and so does one in front of a cylinder.
     """
     before = -float(wall.depth_of(lamp_mm)) if wall else 0.0
-    if wall is None or before <= 0.0:
+    if not isinstance(wall, Wall) or before <= 0.0:
         return lamp_mm
     indices = wall.indices
     optical = before / indices[0] + sum(layer.thickness_mm / layer.index for layer in wall.layers)

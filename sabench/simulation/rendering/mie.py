@@ -1,130 +1,103 @@
-"""Mie scattering of particles, tabulated and averaged over an aperture."""
+"""Mie scattering of spheres, for many sizes and angles at once.
+
+Source: Bohren and Huffman (1983), chapter 4 and appendix A.
+"""
 
 from __future__ import annotations
 
-import functools
-from dataclasses import dataclass
-
 import numpy as np
-from scipy.ndimage import convolve1d
 
 from sabench.utils.arrays import C128, F64
 
-_STEP_RAD = np.deg2rad(
-    0.02
-    # resolves the lobes of particles up to about 0.5 mm in water (lobe width ~ wavelength /
-    # diameter)
-)
-_SIZES = 16
+_ROWS, _ANGLES = 512, 2048  # sizes and angles of one product of matrices
 
 
-@dataclass(frozen=True)
-class MieTable:
-    """Differential cross-section per squared diameter over scattering angles.
+def intensities(index: complex, size_parameters: F64, angles_rad: F64) -> tuple[F64, F64]:
+    """Compute |S1|^2 and |S2|^2 of spheres: (size, angle) each.
 
-    In 1/sr; angles in rad, ascending.
-
-    A polydisperse cloud is tabulated as the mean over `_SIZES` quantiles of its diameters: the
-    lobes of single sizes, which depend on the diameter's last nanometre, average out in it as they
-    do in an experiment; each particle then scales with its d^2.
-    """
-
-    angles_rad: F64
-    per_square_diameter: F64
-
-    def average(self, half_angle_rad: float) -> MieTable:
-        """Average the table over a round aperture of that half angle in the fluid.
-
-        The weights are semicircular.
-        """
-        steps = int(np.floor(half_angle_rad / _STEP_RAD))
-        weights = np.sqrt(
-            1.0 - (np.arange(-steps, steps + 1) * _STEP_RAD / max(half_angle_rad, _STEP_RAD)) ** 2
-        )
-        return MieTable(
-            self.angles_rad,
-            convolve1d(self.per_square_diameter, weights / weights.sum(), mode="nearest"),
-        )
-
-    def cross_section(self, angles_rad: F64, diameters_mm: F64) -> F64:
-        """Compute dC/dOmega in mm2/sr at scattering angles (n,) of particles (n,)."""
-        return np.interp(angles_rad, self.angles_rad, self.per_square_diameter) * diameters_mm**2
-
-
-def mie_table(
-    diameters_mm: F64,
-    particle_index: complex,
-    fluid_index: float,
-    wavelength_nm: float,
-    angles_rad: tuple[float, float],
-) -> MieTable:
-    """Tabulate unpolarised scattering of a cloud between two scattering angles.
+    S1 belongs to light polarised across the plane of scattering, S2 to light polarised in it. Both
+    are even functions of the angle, which may be negative.
 
     Parameters
     ----------
-    diameters_mm : (n,) the cloud's diameters.
-    particle_index : complex index n - i k of the particles, against vacuum.
-    wavelength_nm : in vacuum.
+    index : n - i k of the spheres, divided by that of the fluid.
+    size_parameters : (size,) pi d n / lambda.
 
-    Source: dC/dOmega = (|S1|^2 + |S2|^2) / (2 k^2), Bohren and Huffman (1983), section 4.4;
-    coefficients a_n, b_n from miepython.
+    Source: Bohren and Huffman (1983), eq. 4.74. The sums are taken as products of matrices: S1 + S2
+    has the terms (a_n + b_n) (pi_n + tau_n), and S1 - S2 those with differences.
     """
-    sizes, counts = np.unique(
-        np.quantile(diameters_mm, (np.arange(_SIZES) + 0.5) / _SIZES), return_counts=True
-    )
-    return _tabulate(
-        tuple(zip(sizes.tolist(), counts.tolist(), strict=True)),
-        particle_index,
-        fluid_index,
-        wavelength_nm,
-        angles_rad,
-    )
+    across, along = np.empty((2, len(size_parameters), len(angles_rad)))
+    for top in range(0, len(size_parameters), _ROWS):
+        rows = slice(top, top + _ROWS)
+        a, b = scaled_coefficients(index, size_parameters[rows])
+        for left in range(0, len(angles_rad), _ANGLES):
+            columns = slice(left, left + _ANGLES)
+            pi, tau = _angular_functions(np.cos(angles_rad[columns]), a.shape[1])
+            total, difference = _product(a + b, pi + tau), _product(a - b, pi - tau)
+            across[rows, columns] = np.abs(total + difference) ** 2 / 4.0
+            along[rows, columns] = np.abs(total - difference) ** 2 / 4.0
+    return across, along
 
 
-@functools.lru_cache(maxsize=8)
-def _tabulate(
-    sizes_mm: tuple[tuple[float, int], ...],
-    particle_index: complex,
-    fluid_index: float,
-    wavelength_nm: float,
-    angles_rad: tuple[float, float],
-) -> MieTable:
-    """Tabulate sizes with how many of the cloud's `_SIZES` quantiles have each.
+def extinction_efficiency(index: complex, size_parameters: F64) -> F64:
+    """Compute extinction cross-sections (size,) over geometric ones.
 
-    The table is cached, since the frames of a moving cloud share it.
+    Source: Bohren and Huffman (1983), eq. 4.62.
     """
-    angles = np.arange(
-        max(0.0, angles_rad[0] - 10 * _STEP_RAD),
-        min(np.pi, angles_rad[1] + 10 * _STEP_RAD) + _STEP_RAD,
-        _STEP_RAD,
-    )
-    wavenumber = 2.0 * np.pi * fluid_index / (wavelength_nm * 1e-6)
-    series = [
-        (size, count, *_coefficients(particle_index / fluid_index, wavenumber * size / 2.0))
-        for size, count in sizes_mm
-    ]
-    functions = _angular_functions(np.cos(angles), max(len(a) for _, _, a, _ in series))
-    total = np.zeros_like(angles)
-    for size, count, a, b in series:
-        strength = sum(np.abs(s) ** 2 for s in _amplitudes(a, b, *functions))
-        total += count * strength / (2.0 * wavenumber**2 * size**2)
-    return MieTable(angles, total / _SIZES)
+    a, b = scaled_coefficients(index, size_parameters)
+    n = np.arange(1, a.shape[1] + 1)
+    return np.asarray(2.0 / size_parameters**2 * ((a + b).real @ (n * (n + 1.0))))
 
 
-def _coefficients(index: complex, size_parameter: float) -> tuple[C128, C128]:
-    """Compute a_n and b_n (n,) of a sphere, from the order 1 on, by miepython."""
-    import miepython
+def scaled_coefficients(index: complex, size_parameters: F64) -> tuple[C128, C128]:
+    """Compute a_n and b_n times (2 n + 1) / (n (n + 1)): (size, order).
 
-    lossy = np.conj(index) if np.imag(index) > 0 else index  # its sign of absorption
-    a, b = miepython.an_bn(lossy, size_parameter, 0)
+    Orders start at 1; beyond its own number of them, a size has zeros.
+
+    Source: Bohren and Huffman (1983), eq. 4.88 and 4.89, and appendix A for the recurrences and the
+    number of orders.
+    """
+    x = np.asarray(size_parameters, dtype=np.float64)
+    m = complex(index.real, abs(index.imag))  # their sign of absorption
+    needed = np.floor(x + 4.05 * np.cbrt(x) + 2.0).astype(np.int64)
+    count = int(needed.max(initial=1))
+    derivative = _logarithmic_derivative(np.asarray(m * x, dtype=np.complex128), count)
+    a, b = np.zeros((2, len(x), count), dtype=np.complex128)
+    psi_before, psi, chi_before, chi = np.cos(x), np.sin(x), -np.sin(x), np.cos(x)
+    for n in range(1, count + 1):
+        own = needed >= n  # the functions of the others would overflow
+        factor = np.where(own, (2 * n - 1) / x, 0.0)
+        psi_before, psi = psi, factor * psi - psi_before
+        chi_before, chi = chi, factor * chi - chi_before
+        xi_before, xi = psi_before - 1j * chi_before, psi - 1j * chi
+        scale = (2.0 * n + 1.0) / (n * (n + 1.0))
+        for out, ratio in ((a, derivative[n] / m), (b, derivative[n] * m)):
+            bracket = ratio + n / x
+            fraction = (bracket * psi - psi_before) / (bracket * xi - xi_before)
+            out[:, n - 1] = np.where(own, scale * fraction, 0.0)
     return a, b
 
 
-def _angular_functions(cosines: F64, count: int) -> tuple[F64, F64]:
-    """Compute pi_n and tau_n (angle, order) for the orders 1 to `count`.
+def _logarithmic_derivative(z: C128, count: int) -> C128:
+    """Compute psi_n' / psi_n of z (size,), orders 0 to `count`: (order, size).
 
-    Source: Bohren and Huffman (1983), eq. 4.47, for all angles at once: miepython takes one at a
-    time, and repeats it for every size.
+    The recurrence downwards forgets its start above |z|, and keeps its error below.
+    """
+    out = np.zeros((count + 1, len(z)), dtype=np.complex128)
+    current = np.zeros(len(z), dtype=np.complex128)
+    largest = max(float(count), float(np.abs(z).max(initial=0.0)))
+    start = int(largest + 10.0 * np.cbrt(largest)) + 16
+    for n in range(start, 0, -1):
+        current = n / z - 1.0 / (current + n / z)
+        if n <= count + 1:
+            out[n - 1] = current
+    return out
+
+
+def _angular_functions(cosines: F64, count: int) -> tuple[F64, F64]:
+    """Compute pi_n and tau_n (order, angle) for the orders 1 to `count`.
+
+    Source: Bohren and Huffman (1983), eq. 4.47.
     """
     pi, tau = np.zeros((2, count, len(cosines)))
     before, pi[0] = np.zeros_like(cosines), 1.0
@@ -133,18 +106,10 @@ def _angular_functions(cosines: F64, count: int) -> tuple[F64, F64]:
         if n < count:
             pi[n] = ((2 * n + 1) * cosines * pi[n - 1] - (n + 1) * before) / n
             before = pi[n - 1]
-    return np.ascontiguousarray(pi.T), np.ascontiguousarray(tau.T)
+    return pi, tau
 
 
-def _amplitudes(a: C128, b: C128, pi: F64, tau: F64) -> tuple[C128, C128]:
-    """Sum the series of S1 and S2 (angle,), up to the complex conjugate.
-
-    Source: Bohren and Huffman (1983), eq. 4.74.
-    """
-    n = np.arange(1, len(a) + 1)
-    scale = (2.0 * n + 1.0) / ((n + 1.0) * n)
-    a, b = scale * a, scale * b
-    pairs = list(zip(pi[:, : len(a)], tau[:, : len(a)], strict=True))
-    first = np.array([np.dot(p, a) + np.dot(t, b) for p, t in pairs])
-    second = np.array([np.dot(t, a) + np.dot(p, b) for p, t in pairs])
-    return first, second
+def _product(series: C128, functions: F64) -> C128:
+    """Multiply a complex matrix by a real one."""
+    parts = np.concatenate([series.real, series.imag]) @ functions
+    return np.asarray(parts[: len(series)] + 1j * parts[len(series) :])

@@ -20,8 +20,8 @@ from sabench.geometry.camera import Camera
 from sabench.geometry.occluders import Disc, in_shadow
 from sabench.geometry.refraction import trace_to_points, transmittance
 from sabench.scenes import Scene
-from sabench.simulation.rendering.laser_sheet import fluence
-from sabench.simulation.rendering.mie import MieTable, mie_table
+from sabench.simulation.rendering.light_routes import Route, direct
+from sabench.simulation.rendering.particle_light import Scatterers, intensity
 from sabench.utils.arrays import F64, Bool
 
 _AIRY = 2.44 / np.sqrt(
@@ -39,100 +39,83 @@ class ParticleImages(View):
     intensity : (n,) photons per steradian that leave the particle towards the camera, before
         anything obstructs them.
     direction : (n, 3) unit direction of the light path at the particle, away from the camera.
+    spread_px2 : (n, 3) variances of the image along the columns and along the rows, and their
+        covariance; `sigma_px` is the geometric mean of the ellipse's two widths.
     """
 
     intensity: F64
     direction: F64
+    spread_px2: F64
 
     def shape_mm(self, camera: Camera, position_mm: F64) -> F64:
         """Compute vectors across the light path that span a particle's Gaussian.
 
-        (n, 2, 3). A shift of the particle by one of them shifts its image by sigma_px along the
-        columns or the rows.
+        (n, 2, 3). They are two conjugate half axes of the ellipse that one standard deviation of
+        the image has on the particle's side of the wall.
         """
-        return np.asarray(
-            _apply_in_chunks(_object_shape, camera, position_mm, self.direction)[1]
-            * self.sigma_px[:, None, None]
-        )
-
-
-def scattering_table(
-    scene: Scene, cameras: tuple[Camera, ...], particles: Particles
-) -> MieTable | None:
-    """Tabulate Mie scattering from the volume to all cameras.
-
-    None for isotropic scattering or no particles.
-    """
-    if scene.light.scattering == "isotropic" or not len(particles):
-        return None
-    index = complex(scene.tracer.index, -scene.tracer.absorption)
-    fluid = scene.wall.fluid_index if scene.wall else 1.0
-    return mie_table(
-        particles.diameter_mm, index, fluid, scene.light.wavelength_nm, _angle_range(scene, cameras)
-    )
-
-
-def _angle_range(scene: Scene, cameras: tuple[Camera, ...]) -> tuple[float, float]:
-    """Find smallest and largest scattering angle over a lattice in the volume.
-
-    A margin allows for the apertures and for points between the lattice's.
-    """
-    steps = np.stack(np.meshgrid(*[np.linspace(-0.5, 0.5, 9)] * 3), axis=-1).reshape(-1, 3)
-    lattice = np.asarray(scene.volume.center_mm) + steps * np.asarray(scene.volume.size_mm)
-    angles = []
-    for camera in cameras:
-        paths = trace_to_points(camera.wall, np.asarray(camera.center_mm), lattice)
-        angles.append(_scattering_angles(scene, paths.arriving[paths.valid]))
-    every = np.concatenate(angles)
-    margin = 0.01 + 2.0 * max(camera.aperture_radius_mm / camera.focus_mm for camera in cameras)
-    return float(every.min() - margin), float(every.max() + margin)
+        steps = _apply_in_chunks(_object_shape, camera, position_mm, self.direction)[1]
+        across, down, both = self.spread_px2.T
+        first = np.sqrt(across)
+        slant = both / np.where(first > 0.0, first, 1.0)
+        second = np.sqrt(np.maximum(down - slant**2, 0.0))
+        shape: F64 = np.empty_like(steps)
+        shape[:, 0] = first[:, None] * steps[:, 0] + slant[:, None] * steps[:, 1]
+        shape[:, 1] = second[:, None] * steps[:, 1]
+        return shape
 
 
 def image_particles(
     scene: Scene,
     camera: Camera,
     particles: Particles,
-    table: MieTable | None,
+    scatterers: Scatterers | None,
     occluders: tuple[Disc, ...] = (),
+    route: Route | None = None,
 ) -> ParticleImages:
     """Compute position, brightness and size of every particle's image.
 
-    Photons = intensity x solid angle of the lens x Fresnel transmission of the wall; intensity =
-    fluence x dC/dOmega averaged over the lens. The image is Gaussian with the summed variances of
-    the particle's disc (M d / 4), of diffraction (Airy, `_AIRY`) and of defocus (a disc, diameter /
-    4): Adrian and Yao (1985), Olsen and Adrian (2000).
+    By default the route is the direct one. On a route with reflections, all is that of the unfolded
+    particle, which `Route.place` and `Route.behind` tell; the light is that of the particle.
+
+    Photons = intensity x solid angle of the lens x Fresnel transmission of the wall. The image is
+    Gaussian with the summed variances of the particle's disc (M d / 4), of diffraction (Airy,
+    `_AIRY`) and of defocus (an ellipse, axes / 4): Adrian and Yao (1985), Olsen and Adrian (2000).
     """
-    seen = _LightPaths(*_apply_in_chunks(_see, camera, particles.position_mm))
-    unobstructed = seen.valid & ~in_shadow(occluders, np.asarray(camera.center_mm), seen.leaving)
-    half_angle = float(np.nanmedian(seen.half_angle)) if len(particles) else 0.0
-    intensity = fluence(
-        scene.light, np.asarray(scene.volume.center_mm), particles.position_mm
-    ) * _cross_section(scene, particles, seen.arriving, table, half_angle)
-    photons = np.where(
-        unobstructed, intensity * seen.solid_angle * transmittance(camera.wall, seen.leaving), 0.0
-    )
+    route = route or direct(camera.wall)
+    camera, place_mm = route.behind(camera), route.place(particles.position_mm)
+    seen = _LightPaths(*_apply_in_chunks(_see, camera, place_mm))
+    pinhole = np.asarray(camera.center_mm)
+    unobstructed = seen.valid & ~in_shadow(occluders, pinhole, seen.leaving)
+    leaving = route.at_particle(seen.arriving)
+    sent = intensity(scene, particles, leaving, seen.half_angle, scatterers)
+    sent *= route.reflected(seen.leaving)
+    passed = transmittance(camera.wall, pinhole, seen.leaving)
+    photons = np.where(unobstructed, sent * seen.solid_angle * passed, 0.0)
     given = scene.cameras.particle_sigma_px
-    sigma = (
-        _sigma_px(scene, camera, particles, seen)
+    spread = (
+        _spread_px2(scene, camera, place_mm, particles.diameter_mm, seen)
         if given is None
-        else np.full(len(particles), given)
+        else np.tile([given**2, given**2, 0.0], (len(particles), 1))
     )
+    sigma = (spread[:, 0] * spread[:, 1] - spread[:, 2] ** 2) ** 0.25
     visible = unobstructed & camera.contains(seen.pixel)
-    return ParticleImages(seen.pixel, photons, sigma, visible, intensity, seen.arriving)
+    return ParticleImages(seen.pixel, photons, sigma, visible, sent, seen.arriving, spread)
 
 
-def _sigma_px(scene: Scene, camera: Camera, particles: Particles, seen: _LightPaths) -> F64:
-    """Compute standard deviations of images from diffraction, disc and defocus.
+def _spread_px2(
+    scene: Scene, camera: Camera, place_mm: F64, diameter_mm: F64, seen: _LightPaths
+) -> F64:
+    """Compute variances and covariance (n, 3) of images.
 
-    The disc is the particle's.
+    They come from diffraction, disc and defocus. The disc is the particle's. Defocus alone may be
+    longer than wide.
     """
-    magnification = _apply_in_chunks(_object_shape, camera, particles.position_mm, seen.arriving)[0]
-    variance = (
+    magnification = _apply_in_chunks(_object_shape, camera, place_mm, seen.arriving)[0]
+    round_part = (
         diffraction_px(camera, scene.light.wavelength_nm) ** 2
-        + (magnification * particles.diameter_mm / 4.0) ** 2
-        + (seen.blur / 4.0) ** 2
+        + (magnification * diameter_mm / 4.0) ** 2
     )
-    return np.asarray(np.sqrt(variance))
+    return np.asarray(seen.blur_px2 + round_part[:, None] * [1.0, 1.0, 0.0])
 
 
 def diffraction_px(camera: Camera, wavelength_nm: float) -> float:
@@ -156,7 +139,7 @@ class _LightPaths(NamedTuple):
     pixel: F64
     valid: Bool
     half_angle: F64
-    blur: F64
+    blur_px2: F64
     solid_angle: F64
 
 
@@ -187,9 +170,11 @@ def _see(camera: Camera, points: F64) -> tuple[F64 | Bool, ...]:
 
 
 def _through_aperture(camera: Camera, points: F64, chief: F64) -> tuple[F64, F64, F64]:
-    """Compute the lens's half angle (rad), defocus (px) and solid angle (sr).
+    """Compute the lens's half angle (rad), defocus (px2) and solid angle (sr).
 
-    At each point (n,), in the fluid.
+    At each point (n,), in the fluid. Defocus is (n, 3), variances along columns and rows and their
+    covariance: the image moves in proportion as the pinhole moves over the aperture, and over a
+    disc of radius 1 each coordinate has the variance 1/4.
     """
     radius = camera.aperture_radius_mm
     rotations, smears = [], []
@@ -204,11 +189,11 @@ def _through_aperture(camera: Camera, points: F64, chief: F64) -> tuple[F64, F64
         smear[:, axis] += (
             2.0 * radius * camera.focal_px / camera.focus_mm
         )  # a point in focus would shift by this, and is at rest on the sensor
-        smears.append(np.linalg.norm(smear, axis=1))
+        smears.append(smear / 4.0)
     solid_angle = np.pi * np.abs(np.einsum("ij,ij->i", np.cross(rotations[0], rotations[1]), chief))
     return (
         np.linalg.norm(rotations[0], axis=1),
-        np.sqrt((smears[0] ** 2 + smears[1] ** 2) / 2.0),
+        np.sum([smear[:, [0, 1, 0]] * smear[:, [0, 1, 1]] for smear in smears], axis=0),
         solid_angle,
     )
 
@@ -237,22 +222,3 @@ def _object_shape(camera: Camera, points: F64, direction: F64) -> tuple[F64, F64
         ).reshape(-1, 2, 2)
         inverse = adjugate / determinant[:, None, None]
     return np.sqrt(np.abs(determinant)), np.einsum("nba,nbk->nak", inverse, basis)
-
-
-def _cross_section(
-    scene: Scene, particles: Particles, arriving: F64, table: MieTable | None, half_angle: float
-) -> F64:
-    """Compute the differential cross-section towards the camera, mm2/sr.
-
-    Isotropic scattering spreads the geometric cross-section over the sphere.
-    """
-    if table is None:
-        return np.asarray(particles.diameter_mm**2 / 16.0)
-    angles = _scattering_angles(scene, arriving)
-    return table.average(half_angle).cross_section(angles, particles.diameter_mm)
-
-
-def _scattering_angles(scene: Scene, arriving: F64) -> F64:
-    """Compute the angle between the laser's direction and light to the camera, rad."""
-    forward = np.asarray(scene.light.direction) / np.linalg.norm(scene.light.direction)
-    return np.asarray(np.arccos(np.clip(-arriving @ forward, -1.0, 1.0)))

@@ -16,8 +16,9 @@ from typing import Any
 import numpy as np
 
 from sabench.geometry.camera import Camera
+from sabench.geometry.cylinder_wall import CylinderWall
 from sabench.geometry.occluders import Disc
-from sabench.geometry.refraction import Wall
+from sabench.geometry.refraction import AnyWall, Wall
 from sabench.simulation.rendering.particle_images import ParticleImages
 from sabench.utils import backend
 from sabench.utils.arrays import F64, Bool
@@ -61,7 +62,7 @@ def render(
     scene = mi.load_dict(
         {
             "type": "scene",
-            **interfaces(mi, camera.wall, origin, camera),
+            **interfaces(mi, origin, camera),
             "cloud": balls(mi, cloud.centers, cloud.radii),
         }
     )
@@ -104,13 +105,45 @@ def balls(mi: Any, centers: F64, radii: F64) -> dict[str, Any]:
     }
 
 
-def interfaces(mi: Any, wall: Wall | None, origin: F64, camera: Camera) -> dict[str, Any]:
-    """Describe one dielectric rectangle per interface, facing the cameras."""
-    if wall is None:
+def interfaces(mi: Any, origin: F64, camera: Camera) -> dict[str, Any]:
+    """Describe the dielectric interfaces of a camera's wall."""
+    if camera.wall is None:
         return {}
+    half = 4.0 * float(np.linalg.norm(np.asarray(camera.center_mm) - origin))
+    if isinstance(camera.wall, CylinderWall):
+        return _cylinders(mi, camera.wall, origin, half)
+    return _rectangles(mi, camera.wall, origin, half)
+
+
+def _cylinders(mi: Any, wall: CylinderWall, origin: F64, half: float) -> dict[str, Any]:
+    """Describe one dielectric cylinder per interface; normals point outwards."""
+    axis, foot = np.asarray(wall.axis), np.asarray(wall.axis_point_mm) - origin
+    middle = foot - np.dot(foot, axis) * axis
+    return {
+        f"interface_{i}": {
+            "type": "cylinder",
+            "p0": (middle - half * axis).tolist(),
+            "p1": (middle + half * axis).tolist(),
+            "radius": float(radius),
+            "bsdf": _dielectric(wall, i),
+        }
+        for i, radius in enumerate(wall.radii_mm)
+    }
+
+
+def _dielectric(wall: AnyWall, number: int) -> dict[str, Any]:
+    indices = wall.indices
+    return {
+        "type": "dielectric",
+        "ext_ior": float(indices[number]),
+        "int_ior": float(indices[number + 1]),
+    }
+
+
+def _rectangles(mi: Any, wall: Wall, origin: F64, half: float) -> dict[str, Any]:
+    """Describe one dielectric rectangle per interface, facing the cameras."""
     normal = np.asarray(wall.normal)
     foot = origin - wall.depth_of(origin) * normal  # the outer face next to the particles
-    half = 4.0 * float(np.linalg.norm(np.asarray(camera.center_mm) - origin))
     shapes = {}
     for i, depth in enumerate(wall.interface_depths_mm):
         position = foot + depth * normal - origin
@@ -119,15 +152,10 @@ def interfaces(mi: Any, wall: Wall | None, origin: F64, camera: Camera) -> dict[
             target=(position - normal).tolist(),
             up=_any_across(normal).tolist(),
         )
-        optics = {
-            "type": "dielectric",
-            "ext_ior": float(wall.indices[i]),
-            "int_ior": float(wall.indices[i + 1]),
-        }
         shapes[f"interface_{i}"] = {
             "type": "rectangle",
             "to_world": frame @ mi.ScalarTransform4f().scale([half, half, 1.0]),
-            "bsdf": optics,
+            "bsdf": _dielectric(wall, i),
         }
     return shapes
 

@@ -11,7 +11,7 @@ from sabench.geometry.camera import Camera
 from sabench.geometry.frames import Pose
 from sabench.geometry.refraction import transmittance
 from sabench.scenes.illumination import Lighting
-from sabench.simulation.rendering.lamps import place_lamps
+from sabench.simulation.rendering.lamps import facing_of, place_lamps
 from sabench.simulation.rendering.particle_images import diffraction_px
 from sabench.simulation.rendering.particles_traced import interfaces
 from sabench.utils import backend
@@ -40,7 +40,7 @@ def render(
     scene = mi.load_dict(
         {
             "type": "scene",
-            **interfaces(mi, camera.wall, origin, camera),
+            **interfaces(mi, origin, camera),
             **_shapes(mi, target, pose),
         }
     )
@@ -57,19 +57,22 @@ def render(
         marker_bits(target),
         pose.rotation.T,
     )
-    facing = np.asarray(camera.wall.normal if camera.wall else camera.rotation[2])
     lamps = place_lamps(lighting, camera, center_mm, origin)
     planes = len(camera.wall.layers) + 1 if camera.wall else 0
     radiance = target_integrator.render(
         scene, camera, origin, paint, lamps, planes, samples
     ).astype(np.float64)
-    radiance /= (
-        float(transmittance(camera.wall, facing[None])[0])
-        * (camera.wall.air_index / camera.wall.fluid_index) ** 2
-        if camera.wall
-        else 1.0
-    )
+    radiance /= _through_wall(camera)
     return _diffract(camera, radiance * camera.etendue() / camera.etendue().max(), lighting)
+
+
+def _through_wall(camera: Camera) -> float:
+    """Compute the share of radiance that passes the wall, at normal incidence."""
+    if camera.wall is None:
+        return 1.0
+    facing, pinhole = facing_of(camera), np.asarray(camera.center_mm)
+    passed = float(transmittance(camera.wall, pinhole, facing[None])[0])
+    return passed * (camera.wall.air_index / camera.wall.fluid_index) ** 2
 
 
 def marker_bits(target: Target) -> Bool:

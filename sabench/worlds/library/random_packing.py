@@ -94,7 +94,8 @@ def _place(
             if _fits(
                 n, tried[k, m], centers, shapes, largest, smallest, heads, chain, cells, low, width
             ):
-                centers[n] = tried[k, m]
+                for axis in range(3):
+                    centers[n, axis] = tried[k, m, axis]
                 _enter(n, centers[n], heads, chain, cells, low, width)
                 placed[k] = True
                 break

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from sabench.evaluation.hidden_split import read_secret
-from sabench.evaluation.runner import Only
+from sabench.evaluation.selection import Only
 from sabench.evaluation.suite_loading import load_suite
 from sabench.utils.errors import InputError
 

@@ -256,6 +256,24 @@ def test_latest_keeps_the_last_of_each_run() -> None:
     assert latest([old, *others, new]) == [new, *others]
 
 
+def test_latest_decides_by_date_whichever_file_comes_last(tmp_path: Path) -> None:
+    """`standard.jsonl` is read after `local.jsonl`."""
+    dates = ("2026-01-02T00:00:00Z", "2026-01-01T23:59:59Z", None)
+    for date, other in ((dates[0], dates[1]), (dates[1], dates[2])):
+        folder = tmp_path / str(other)
+        append(folder / "local.jsonl", record("a", 0.6, date=date))
+        append(folder / "standard.jsonl", record("a", 0.5, date=other))
+        every = read_records(folder)
+        assert [one["q"] for one in every] == [0.6, 0.5]
+        assert [one["q"] for one in latest(every)] == [0.6]
+
+
+@pytest.mark.parametrize("date", ["2026-01-02", "2026-13-01T00:00:00Z", "1999-01-01T00:00:00Z"])
+def test_a_date_is_a_time_of_this_century(tmp_path: Path, date: str) -> None:
+    with pytest.raises(InputError, match=r"date: "):
+        append(tmp_path / "a.jsonl", record("a", date=date))
+
+
 def test_sixteen_writers_at_once_lose_and_tear_nothing(tmp_path: Path) -> None:
     file = tmp_path / "a.jsonl"
     words = [sys.executable, "-c", FORKS, str(file), str(WRITERS), str(LINES)]

@@ -13,10 +13,12 @@ import pytest
 from scipy.integrate import quad
 
 from sabench.geometry.camera import Camera, Distortion, aim, aimed_rotation
-from sabench.geometry.grid import Grid, synthesise
+from sabench.geometry.grid import Grid, check_volume, synthesise
 from sabench.geometry.plane_polynomials import TOLERANCE_PX, plane_map, plane_maps
 from sabench.geometry.refraction import Layer, Wall
+from sabench.utils import memory
 from sabench.utils.arrays import F64
+from sabench.utils.errors import InputError
 
 GRID = Grid((-4.0, 2.0, 40.0), (0.25, 0.2, 0.5), (12, 30, 41), crop=(3, 2, 1))
 
@@ -60,6 +62,18 @@ def test_scored_part_is_the_same_for_voxels_and_positions() -> None:
 
 
 # The field of a perfect reconstruction
+
+
+def test_a_volume_that_fills_the_memory_fits_and_a_larger_one_does_not(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    need_mb = 12 * 30 * 41 * 4 / 1e6
+    for there in (None, need_mb, 2.0 * need_mb):
+        monkeypatch.setattr(memory, "available_mb", lambda there=there: there)
+        check_volume(GRID)
+    monkeypatch.setattr(memory, "available_mb", lambda: 0.99 * need_mb)
+    with pytest.raises(InputError, match="12 x 30 x 41 voxels"):
+        check_volume(GRID)
 
 
 @pytest.mark.parametrize("sigma_mm", [0.1, 0.25, 0.5])

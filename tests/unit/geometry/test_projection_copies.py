@@ -69,5 +69,5 @@ def test_bubbles_reflect_as_walls_do(index: float) -> None:
     surface = Wall((0.0, 0.0, 0.0), (0.0, 0.0, 1.0), 1.0, (), index)
     directions = np.column_stack([np.sin(angle), np.zeros_like(angle), np.cos(angle)])
     refracted = np.arcsin(np.sin(angle) / index)
-    expected = 1.0 - transmittance(surface, directions)
+    expected = 1.0 - transmittance(surface, np.array([0.0, 0.0, -1.0]), directions)
     np.testing.assert_allclose(reflectance(angle, refracted, index), expected, atol=1e-12)

@@ -70,6 +70,7 @@ def random_walls() -> list[Wall]:
 
 
 WALLS = random_walls()
+ANYWHERE = np.zeros(3)  # pinhole: a plane wall transmits the same from everywhere
 
 
 def hand_path(wall: Wall, before: float, behind: float, sine: float) -> tuple[F64, F64]:
@@ -366,7 +367,7 @@ def test_total_reflection_is_not_valid(indices: list[float]) -> None:
     rays = trace_into_fluid(wall, np.array([0.0, 0.0, -100.0]), directions)
     assert rays.valid.tolist() == [True, True, False, False, False]
     assert np.isnan(rays.directions[2:]).all()
-    assert transmittance(wall, directions)[2:].tolist() == [0.0, 0.0, 0.0]
+    assert transmittance(wall, ANYWHERE, directions)[2:].tolist() == [0.0, 0.0, 0.0]
 
 
 def test_camera_in_the_dense_medium_marks_reflected_pixels() -> None:
@@ -403,10 +404,12 @@ def test_points_without_a_path_are_not_valid(bad: tuple[float, float, float]) ->
     np.testing.assert_array_equal(pixels[[0, 2]], camera.project([good, good])[0])
 
 
-@pytest.mark.parametrize("depth", [0.0, 2.0, 5.0, 80.0])
+@pytest.mark.parametrize("depth", [0.0, 0.5, 2.0, 5.0, 80.0])
 def test_a_pinhole_behind_the_face_sees_nothing(depth: float) -> None:
     wall = make_wall([1.0, 1.5, 1.333], [5.0])
     pinhole = np.array([1.0, 2.0, depth])
+    camera = straight_camera(wall, center_mm=triple(pinhole))
+    assert not camera.project([[0.0, 0.0, 100.0], [3.0, -4.0, 9.0]])[1].any()
     assert not trace_to_points(wall, pinhole, np.array([[0.0, 0.0, 100.0]])).valid.any()
     assert not trace_into_fluid(wall, pinhole, np.array([[0.0, 0.0, 1.0]])).valid.any()
 
@@ -428,7 +431,7 @@ def test_transmittance_at_normal_incidence() -> None:
     for wall in WALLS:
         n = wall.indices
         expected = np.prod(4.0 * n[:-1] * n[1:] / (n[:-1] + n[1:]) ** 2)
-        assert transmittance(wall, np.asarray(wall.normal)[None])[0] == pytest.approx(
+        assert transmittance(wall, ANYWHERE, np.asarray(wall.normal)[None])[0] == pytest.approx(
             expected, rel=1e-13
         )
 
@@ -440,7 +443,7 @@ def test_brewsters_angle_passes_all_of_the_parallel_part() -> None:
         (n1**2 - n2**2) / (n1**2 + n2**2)
     ) ** 2  # the reflected share of the other part, at this angle
     found = transmittance(
-        make_wall([n1, n2], []), np.array([[math.sin(angle), 0.0, math.cos(angle)]])
+        make_wall([n1, n2], []), ANYWHERE, np.array([[math.sin(angle), 0.0, math.cos(angle)]])
     )[0]
     assert found == pytest.approx(1.0 - across_only / 2.0, rel=1e-13)
 
@@ -460,7 +463,7 @@ def test_transmittance_is_the_transmitted_power(wall: Wall) -> None:
             c1, c2 = cosines[i], cosines[i + 1]
             across, along = 2.0 * n1 * c1 / (n1 * c1 + n2 * c2), 2.0 * n1 * c1 / (n2 * c1 + n1 * c2)
             expected *= n2 * c2 / (n1 * c1) * (across**2 + along**2) / 2.0
-        assert transmittance(wall, unit(path[1] - path[0])[None])[0] == pytest.approx(
+        assert transmittance(wall, path[0], unit(path[1] - path[0])[None])[0] == pytest.approx(
             expected, rel=1e-10
         )
 
@@ -475,7 +478,10 @@ def test_transmittance_is_the_same_in_both_directions(wall: Wall) -> None:
         normal=-np.asarray(wall.normal),
     )
     np.testing.assert_allclose(
-        transmittance(wall, found.leaving), transmittance(back, -found.arriving), rtol=0, atol=1e-11
+        transmittance(wall, ANYWHERE, found.leaving),
+        transmittance(back, ANYWHERE, -found.arriving),
+        rtol=0,
+        atol=1e-11,
     )
 
 

@@ -15,7 +15,7 @@ import pytest
 
 from sabench.geometry.camera import Camera, Distortion
 from sabench.geometry.grid import Grid
-from sabench.geometry.refraction import Layer, Wall
+from sabench.geometry.refraction import AnyWall, Layer, Wall
 from sabench.geometry.rotations import rotation_matrices
 from sabench.interop import openlpt, openptv
 from sabench.interop.openptv_process import parameters
@@ -41,9 +41,9 @@ def rig(scene: str) -> tuple[tuple[Camera, ...], Grid, F64]:
     )
 
 
-def walls(wall: Wall | None) -> dict[str, Wall | None]:
+def walls(wall: AnyWall | None) -> dict[str, Wall | None]:
     """Walls that differ in what a format may get wrong."""
-    assert wall is not None
+    assert isinstance(wall, Wall)
     normal = rotation_matrices(np.array([0.06, -0.04, 0.0])) @ np.array([0.0, 0.0, 1.0])
     return {
         "glass": wall,

@@ -10,7 +10,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from sabench.api import Detections
-from sabench.metrics.bubble_detection import crowding, detection_scores, match
+from sabench.metrics.bubble_detection import crowding, detection_scores, match, nearest
 from sabench.metrics.plunging_jet import analyse
 from sabench.plotting.charts import Circles
 from sabench.plotting.drawing import draw
@@ -69,6 +69,14 @@ def test_a_third_missing_and_as_many_ghosts() -> None:
     found = Detections(np.concatenate([true.center_mm[20:], ghosts]), true.semi_axes_mm, true.turn)
     scores = detection_scores(found, true, np.ones(60))
     assert scores["recall"] == scores["precision"] == scores["f1"] == pytest.approx(2.0 / 3.0)
+
+
+def test_neighbours_are_matched_with_the_nearest() -> None:
+    """Both of them are near enough to both detections."""
+    truth = np.array([[-0.3, 2.0, 5.0], [0.3, 2.0, 5.0], [9.0, 9.0, 9.0]])
+    found = np.array([[9.1, 9.0, 9.0], [0.28, 2.1, 5.0], [-0.25, 1.9, 5.1]])
+    rows, others = match(found, truth, np.full(3, 2.0))
+    assert dict(zip(rows.tolist(), others.tolist(), strict=True)) == {0: 2, 1: 1, 2: 0}
 
 
 def test_half_a_radius_is_the_limit() -> None:
@@ -148,6 +156,10 @@ def test_figures_of_a_jet_are_those_of_its_law() -> None:
     assert figures.angle_deg == pytest.approx(law.angle_deg, rel=0.25)
     assert figures.weight == pytest.approx(0.903, rel=0.1)
     assert figures.width == pytest.approx(0.1894, rel=0.25)
+    # at 90 mm the concentration is c exp(-ln 2 r^2 / R^2), and C_Y its integral over r times 2 pi
+    radius, air = (float(part(np.array([90.0]))[0]) for part in (law.half_radius_mm, law.air_mm2))
+    largest = air * LN2 / (np.pi * radius**2)
+    assert figures.total[4] == pytest.approx(np.pi**1.5 * largest * radius / np.sqrt(LN2), rel=0.15)
     assert figures.half_radius_mm[4] == pytest.approx(
         float(law.half_radius_mm(np.array(90.0))), rel=0.2
     )
@@ -158,6 +170,36 @@ def test_no_bubbles_have_no_figures() -> None:
     assert np.isnan(figures.penetration_mm)
     assert np.isnan(figures.weight)
     assert (figures.concentration == 0.0).all()
+
+
+def test_false_detections_cost_the_same_whatever_radius_they_have() -> None:
+    """A spray of detections hits all large bubbles by chance."""
+    rng = np.random.default_rng(3)
+    places = 10.0 * np.stack(np.unravel_index(np.arange(40), (4, 5, 2)), axis=1)
+    true = Detections.balls(places.astype(float), np.where(np.arange(40) % 2, 1.0, 0.2))
+    inside = places[1::2, None] + rng.uniform(-1.0, 1.0, (20, 60, 3))
+    spray = np.concatenate([inside.reshape(-1, 3), places[::2] + np.array([0.15, 0.0, 0.0])])
+    scores = [
+        detection_scores(Detections.balls(spray, np.full(len(spray), radius)), true, np.ones(40))
+        for radius in (0.1, 0.49, 0.5, 2.0)
+    ]
+    assert scores[0]["f1_large"] < 0.1
+    assert scores[0]["f1_small"] == 0.0  # missed by more than half their radius
+    for one in scores[1:]:
+        assert [one[key] for key in ("f1", "f1_large", "f1_small")] == [
+            scores[0][key] for key in ("f1", "f1_large", "f1_small")
+        ]
+
+
+def test_false_detections_belong_to_the_bubble_that_they_are_in() -> None:
+    """The small bubble's centre is nearer to a point within the large one."""
+    true = Detections.balls(np.array([[0.0, 0.0, 0.0], [2.5, 0.0, 0.0]]), np.array([2.0, 0.3]))
+    points = np.array([[1.9, 0.0, 0.0], [2.3, 0.0, 0.0], [-30.0, 0.0, 0.0], [40.0, 0.0, 0.0]])
+    np.testing.assert_array_equal(nearest(true, points), [0, 1, 0, 1])
+    none = Detections.balls(np.zeros((0, 3)), np.zeros(0))
+    scores = detection_scores(true, none, np.zeros(0))
+    assert scores["f1"] == 0.0
+    assert np.isnan(scores["f1_large"])
 
 
 def test_small_ones_and_those_among_many_are_counted_apart() -> None:

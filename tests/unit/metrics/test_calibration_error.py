@@ -47,6 +47,15 @@ def test_the_true_calibration_has_no_error_but_that_of_detection() -> None:
     assert scores["true_ratio"] == pytest.approx(0.0, abs=1e-6)
 
 
+def test_without_noise_there_is_an_error_and_no_bound() -> None:
+    case, cameras, points, exact = case_of(calibration_scene(detection=None))
+    estimate = Calibration(cameras, points + np.array([0.02, 0.0, 0.0]))
+    scores = calibration_scores(estimate, case, cameras, points, exact, case.found)
+    assert scores["true_px"] is not None
+    assert scores["true_px"] == pytest.approx(scores["measured_px"], rel=1e-6)
+    assert [scores[key] for key in ("bound_px", "true_ratio", "efficiency_ratio")] == [None] * 3
+
+
 def test_a_principal_point_aside_is_the_mean_reprojection_error() -> None:
     case, cameras, points, exact = case_of(calibration_scene(detection=NOISE))
     shifted = [

@@ -113,6 +113,19 @@ def test_peaks_at_the_border_stay_in_their_voxel() -> None:
     np.testing.assert_allclose(detect_peaks(volume), [[0.0, 0.0, 0.0], [4.0, 3.0, 2.0]])
 
 
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_a_mirrored_volume_has_mirrored_peaks(axis: int) -> None:
+    """Also on faces, where the next value in memory is one of another row or plane."""
+    volume = np.random.default_rng(5).uniform(0.1, 1.0, (5, 6, 7)).astype(np.float32)
+    found = fitted_maxima(volume, 0.5)
+    mirrored = fitted_maxima(np.ascontiguousarray(np.flip(volume, 2 - axis)), 0.5)
+    mirrored[:, axis] = (7, 6, 5)[axis] - 1 - mirrored[:, axis]
+    assert (found[:, axis] == 0.0).any()
+    assert (found[:, axis] == (7, 6, 5)[axis] - 1).any()
+    order, other = (np.lexsort(np.round(one, 6).T) for one in (found, mirrored))
+    np.testing.assert_allclose(mirrored[other], found[order], atol=1e-6)
+
+
 def test_the_faintest_tenth_is_left_out_and_nothing_is_found_in_the_dark() -> None:
     volume = np.zeros((3, 5, 41), dtype=np.float32)
     assert detect_peaks(volume).shape == (0, 3)

@@ -56,6 +56,18 @@ def test_a_rotation_s_circulation_is_its_vorticity_times_the_area() -> None:
     )  # a part of it lies beyond the field
 
 
+def test_a_gradient_has_no_circulation() -> None:
+    """Its values at a rectangle's opposite ends differ, and add up to nothing all the same."""
+
+    def gradient_of_a_cubic(points: F64) -> F64:
+        x, y, z = points.T
+        return np.column_stack([2.0 * x * y + z, x**2 - y * z, x - 0.5 * y**2])
+
+    half = half_plane((1.0, -2.0, 0.5), (0.2, 1.0, -0.1), (1.0, 0.0, 0.0), 25.0)
+    found = circulation(gradient_of_a_cubic, half, 6.0, 1.0, 8.0, 5.0)
+    assert found == pytest.approx(0.0, abs=0.05)
+
+
 @pytest.mark.parametrize("degrees", [0.0, 40.0, 90.0, 180.0])
 @pytest.mark.parametrize("axis", [(0.0, 1.0, 0.0), (0.0, 0.0, -1.0)])
 def test_a_ring_is_found_at_every_angle(degrees: float, axis: tuple[float, float, float]) -> None:

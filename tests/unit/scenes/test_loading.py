@@ -20,6 +20,7 @@ from sabench.scenes import (
     parse_scene,
     scene_schema,
 )
+from sabench.scenes.sensor import Sensor
 from sabench.simulation.in_memory import make_particles
 from sabench.utils.errors import InputError
 
@@ -295,3 +296,9 @@ def test_every_layout_aims_its_cameras_at_the_volume(layout: dict[str, object], 
         pixel, valid = camera.project([scene.volume.center_mm])
         assert valid.all()
         np.testing.assert_allclose(pixel[0], camera.principal_point_px, atol=1e-9)
+
+
+def test_a_gain_beyond_all_numbers_saturates_the_converter() -> None:
+    sensor = Sensor(full_well_e=1e300, gain_dn_e=1e300, bit_depth=12)
+    assert sensor.white_dn == 4095
+    assert Sensor(full_well_e=1000.0, gain_dn_e=0.2, black_level_dn=7.4).white_dn == 207

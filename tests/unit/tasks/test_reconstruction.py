@@ -39,7 +39,9 @@ def test_truth_is_perfect_and_empty_is_the_floor_by_both_rules(shot: Shot) -> No
         assert [best[key] for key in keys] == [100.0, 0.0, 1.0, 1.0, 0.0]
         assert [floor[key] for key in keys] == [0.0, 0.0, 0.0, 0.0, None]
     assert best["q"] == pytest.approx(1.0, abs=1e-6)
-    assert floor["q"] == 0.0
+    assert best["peak_f1"] == 1.0
+    assert best["intensity_error"] == pytest.approx(0.0, abs=0.01)
+    assert (floor["q"], floor["peak_f1"], floor["intensity_error"]) == (0.0, 0.0, 1.0)
 
 
 def test_peaks_tell_particles_apart_that_are_one_component(shot: Shot) -> None:

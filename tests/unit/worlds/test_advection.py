@@ -33,7 +33,7 @@ FLOWS: list[tuple[str, dict[str, Any]]] = [
         },
     ),
     ("shear_wave", {"along": (0.0, 1.0, 0.0), "across": (1.0, 0.0, 1.0)}),
-    ("turbulence", {"modes": 60}),
+    ("turbulence", {"integral_mm": 8.0, "kolmogorov_mm": 0.5}),
 ]
 FREE = [case for case in FLOWS if case[0] not in ("vortex_ring", "linear_flow")]  # of divergence
 
@@ -148,18 +148,6 @@ def test_oseen_s_vortex_diffuses() -> None:
         / step**2
     )
     np.testing.assert_allclose(rate, laplacian, atol=1e-3 * np.abs(rate).max())
-
-
-def test_turbulence_has_its_rms_and_spectrum() -> None:
-    fields = [
-        flow("turbulence", {"draw": draw, "modes": 300, "integral_mm": 10.0, "kolmogorov_mm": 0.5})
-        for draw in range(8)
-    ]
-    places = np.random.default_rng(1).uniform(-200.0, 200.0, (8000, 3))
-    speeds = np.array([field.velocity(places, 0.0).std(axis=0) for field in fields])
-    assert np.sqrt((speeds**2).mean()) == pytest.approx(50.0, rel=0.05)
-    dissipation = np.mean([(field.gradient(places, 0.0) ** 2).mean() for field in fields])
-    assert dissipation > (50.0 * 2.0 * np.pi / 10.0 / 3.0) ** 2  # small scales are there
 
 
 @pytest.mark.parametrize(

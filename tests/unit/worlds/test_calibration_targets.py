@@ -6,6 +6,7 @@ Their positions, their detected points with and without images, and the prior kn
 from __future__ import annotations
 
 import itertools
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -16,8 +17,10 @@ import sabench
 from sabench.algorithms.calibration.target_detection import detect
 from sabench.api.truth import Target
 from sabench.dataset.verification import verify
-from sabench.geometry.camera import Camera
+from sabench.geometry.camera import Camera, aim
+from sabench.geometry.cylinder_wall import CylinderWall
 from sabench.geometry.frames import Pose
+from sabench.geometry.refraction import Layer
 from sabench.scenes import build_rig, parse_scene
 from sabench.scenes.calibration import Detection
 from sabench.scenes.illumination import Lighting
@@ -42,22 +45,35 @@ POSE = Pose(
 )
 
 
-def small_camera() -> Camera:
-    """A corner camera behind the wall with images of 400 x 400 pixels."""
+ROUND = CylinderWall(
+    (0.0, 0.0, 90.0), (0.0, 1.0, 0.0), 90.0, 1.0, (Layer("glass", 1.5, 5.0),), 1.333
+)
+
+
+def small_camera(wall: CylinderWall | None = None) -> Camera:
+    """A corner camera behind the wall, or another, with images of 400 x 400 pixels."""
     scene = calibration_scene(cameras={"rows": 400, "columns": 400, "pixel_mm": 0.03})
-    return build_rig(scene).cameras[0]
+    camera = build_rig(scene).cameras[0]
+    return aim(replace(camera, wall=wall), [0.0, 0.0, 35.0]) if wall else camera
 
 
 @pytest.mark.parametrize(
-    ("pattern", "spread", "bias"),
-    [("checkerboard", 0.04, 0.03), ("circles", 0.05, 0.04), ("charuco", 0.1, 0.05)],
+    ("pattern", "wall", "spread", "bias"),
+    [
+        ("checkerboard", None, 0.04, 0.03),
+        ("circles", None, 0.05, 0.04),
+        ("charuco", None, 0.1, 0.05),
+        ("checkerboard", ROUND, 0.04, 0.03),
+    ],
 )
-def test_a_rendered_board_is_found_where_it_is(pattern: str, spread: float, bias: float) -> None:
+def test_a_rendered_board_is_found_where_it_is(
+    pattern: str, wall: CylinderWall | None, spread: float, bias: float
+) -> None:
     """Points agree to hundredths of a pixel between three programs.
 
     Mitsuba's rays, our projection and OpenCV's detectors.
     """
-    camera, target = small_camera(), BOARDS[pattern]
+    camera, target = small_camera(wall), BOARDS[pattern]
     picture = render(camera, target, POSE, LAMPS, np.array([0.0, 0.0, 35.0]), 16)
     grey = np.clip(np.random.default_rng(0).normal(2800.0 * picture, 3.0), 0.0, 4095.0).astype(
         np.uint16

@@ -12,13 +12,15 @@ from typing import Any
 import h5py
 import numpy as np
 import pytest
-from scipy.stats import kstest
+from scipy.stats import kstest, lognorm, norm
 
 from sabench.scenes import Scene, load_scene, parse_scene
 from sabench.simulation.in_memory import make_particles, simulate
 from sabench.simulation.pipeline import generate
 from sabench.utils.errors import InputError
 from sabench.worlds.advection import advect
+from sabench.worlds.library.size_lattice import lattice_diameters_mm, size_numbers
+from sabench.worlds.materials import material_numbers
 from sabench.worlds.tracers import Motion, flow_of, pulse
 
 ABC = {"generator": "abc_flow", "wavelength_mm": 12.0}
@@ -227,3 +229,62 @@ def test_a_data_set_keeps_the_flow_on_a_lattice(tmp_path: Path) -> None:
     place = low + step * np.array([6, 2, 1])
     np.testing.assert_allclose(velocity[1, 2, 6], flow.velocity(place[None], scene.time_s(1))[0])
     np.testing.assert_allclose(gradient[1, 2, 6], flow.gradient(place[None], scene.time_s(1))[0])
+
+
+# Sizes and materials
+
+
+def test_diameters_lie_on_the_lattice_of_sizes_where_mie_s_series_asks_for_it() -> None:
+    exact = make_particles(moving_scene(illumination={"scattering": "isotropic"}), 3, 0)
+    rounded = make_particles(moving_scene(), 3, 0)
+    np.testing.assert_array_equal(
+        rounded.diameter_mm, lattice_diameters_mm(size_numbers(exact.diameter_mm))
+    )
+    np.testing.assert_array_equal(rounded.position_mm, exact.position_mm)
+
+
+@pytest.mark.parametrize("diameter_mm", [1e-7, 5.0])
+def test_diameters_beyond_mie_s_series_are_refused(diameter_mm: float) -> None:
+    scene = moving_scene(particles={"diameter_mm": diameter_mm})
+    with pytest.raises(InputError, match=r"particles: expected diameters of 1\.3e-06 to 0\.51 mm"):
+        make_particles(scene, 3, 0)
+
+
+@pytest.mark.parametrize(
+    ("kind", "law"), [("normal", norm(0.05, 0.01)), ("log-normal", lognorm(0.2, 0.0, 0.05))]
+)
+def test_diameters_follow_their_distribution(kind: str, law: Any) -> None:
+    sizes = {"diameter_mm": 0.05, "diameter_spread": 0.2, "diameter_distribution": kind}
+    scene = moving_scene(particles=sizes, illumination={"scattering": "isotropic"}, flow=None)
+    assert kstest(make_particles(scene, 3, 0).diameter_mm, law.cdf).pvalue > 0.01
+
+
+def test_a_wide_normal_distribution_ends_above_zero() -> None:
+    sizes = {"diameter_mm": 0.05, "diameter_spread": 0.8, "diameter_distribution": "normal"}
+    assert make_particles(moving_scene(particles=sizes), 3, 0).diameter_mm.min() >= 0.00499
+
+
+def test_listed_sizes_occur_alike() -> None:
+    listed = {"diameters_mm": [0.01, 0.01, 0.03, 0.05], "count": 4000}
+    scene = moving_scene(particles=listed, illumination={"scattering": "isotropic"}, flow=None)
+    sizes, counts = np.unique(make_particles(scene, 3, 0).diameter_mm, return_counts=True)
+    np.testing.assert_array_equal(sizes, [0.01, 0.03, 0.05])
+    np.testing.assert_allclose(counts / 4000, [0.5, 0.25, 0.25], atol=0.03)
+
+
+def test_shares_of_a_mixture_beyond_the_whole_are_refused() -> None:
+    mixture = [{"index": 1.4, "share": 0.7}, {"index": 1.2, "share": 0.4}]
+    with pytest.raises(InputError, match="tracer: expected shares of mixture that add up to 1 at"):
+        moving_scene(tracer={"mixture": mixture})
+
+
+def test_a_data_set_tells_the_materials_of_a_mixture(tmp_path: Path) -> None:
+    mixture = [{"index": 1.4, "share": 0.4}]
+    scene = moving_scene(tracer={"mixture": mixture}, frames=2, particles={"count": 40})
+    data = generate(scene, tmp_path / "data", seed=3, backend="splat")
+    with h5py.File(data.root / "truth.h5") as truth:
+        for frame in ("0000", "0001"):
+            group = truth[f"frames/{frame}"]
+            expected = material_numbers(scene.tracer, 3, group["id"][:])
+            np.testing.assert_array_equal(group["material"][:], expected)
+            assert 0.1 < expected.mean() < 0.7

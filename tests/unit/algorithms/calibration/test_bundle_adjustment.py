@@ -14,11 +14,13 @@ import pytest
 from sabench.algorithms.calibration import kernels
 from sabench.algorithms.calibration.bundle_adjustment import (
     BoardImages,
+    Moving,
     normal_equations,
     refine,
     residuals,
 )
 from sabench.algorithms.calibration.cramer_rao import limit
+from sabench.algorithms.calibration.normal_equations import spreads
 from sabench.algorithms.calibration.parameters import Frame, FreeParameters, State
 from sabench.algorithms.calibration.problem import CalibrationProblem, make_anchors
 from sabench.algorithms.calibration.robust import adjust
@@ -109,18 +111,15 @@ def test_all_derivatives_are_those_of_finite_differences() -> None:
     )  # rounding of 500 px over a step of 1e-6
 
 
-def test_the_equations_are_those_of_a_dense_jacobian() -> None:
-    _, state, seen = truth()
-    rng = np.random.default_rng(0)
-    seen = replace(seen, pixels=seen.pixels + rng.normal(0.0, 0.5, seen.pixels.shape))
-    free = FreeParameters(True, ("k1",), (2,), (0,))
-    normal = normal_equations(state, seen, free)
+def dense_jacobian(
+    state: State, seen: BoardImages, free: FreeParameters
+) -> tuple[F64, list[list[int]]]:
+    """Derivatives (n, 2, unknowns) of all pixels seen, and the camera, board and point of each."""
     own, shared = free.columns(3)
     size = 9 * len(own) + len(shared) + 5 * kernels.BOARD
-    jacobian, rhs = [], []
+    jacobian, places = [], np.argwhere(seen.weights > 0.0).tolist()
     row, room = np.zeros((2, kernels.CAMERA + kernels.BOARD + 4)), np.zeros((3, 3))
-    misses = residuals(state, seen)
-    for c, k, i in np.argwhere(seen.weights > 0.0).tolist():
+    for c, k, i in places:
         arm = state.board_rotations[k] @ seen.board[i]
         kernels.observe(
             state.rotations[c],
@@ -142,8 +141,20 @@ def test_the_equations_are_those_of_a_dense_jacobian() -> None:
             :, kernels.CAMERA : kernels.CAMERA + kernels.BOARD
         ]
         jacobian.append(full)
-        rhs.append(misses[c, k, i])
-    dense, right = np.vstack(jacobian), np.concatenate(rhs)
+    return np.stack(jacobian), places
+
+
+def test_the_equations_are_those_of_a_dense_jacobian() -> None:
+    _, state, seen = truth()
+    rng = np.random.default_rng(0)
+    seen = replace(seen, pixels=seen.pixels + rng.normal(0.0, 0.5, seen.pixels.shape))
+    free = FreeParameters(True, ("k1",), (2,), (0,))
+    normal = normal_equations(state, seen, free)
+    own, shared = free.columns(3)
+    jacobian, places = dense_jacobian(state, seen, free)
+    misses = residuals(state, seen)
+    dense = jacobian.reshape(-1, jacobian.shape[2])
+    right = np.concatenate([misses[c, k, i] for c, k, i in places])
     whole, split = dense.T @ dense, 9 * len(own) + len(shared)
     np.testing.assert_allclose(normal.aa, whole[:split, :split], rtol=1e-9, atol=1e-6)
     for k in range(5):
@@ -154,6 +165,43 @@ def test_the_equations_are_those_of_a_dense_jacobian() -> None:
         np.concatenate([normal.a, normal.d.ravel()]), dense.T @ right, rtol=1e-7, atol=1e-5
     )
     assert normal.cost == pytest.approx(right @ right)
+
+
+def test_covariances_of_pixels_are_those_of_a_dense_jacobian() -> None:
+    _, state, seen = truth()
+    free = FreeParameters(True, ("k1", "p2"), (2,), (0,))
+    jacobian, places = dense_jacobian(state, seen, free)
+    root = np.random.default_rng(2).normal(0.0, 1e-3, 2 * (jacobian.shape[2],))
+    found = spreads(
+        state.array(),
+        (state.board_rotations, state.board_positions, seen.board),
+        (seen.pixels, seen.weights),
+        free.columns(3),
+        root @ root.T,
+    )
+    there = jacobian @ root
+    expected = np.einsum("nax,nbx->nab", there, there)[:, [0, 1, 0], [0, 1, 1]]
+    np.testing.assert_allclose(found[tuple(np.transpose(places))], expected, rtol=1e-7, atol=1e-9)
+    assert np.isnan(found[seen.weights == 0.0]).all()
+
+
+@pytest.mark.parametrize("moving", ["cameras", "boards"])
+def test_one_half_is_found_while_the_other_is_right_and_stays(moving: Moving) -> None:
+    _, state, seen = truth()
+    rng, free, boards = np.random.default_rng(5), FreeParameters(), moving == "boards"
+    own, shared = free.columns(3)
+    off = 1e-3 * rng.normal(size=(9, len(own))), 1e-3 * rng.normal(size=(5, kernels.BOARD))
+    wrong = state.apply_steps(
+        0.0 * off[0] if boards else off[0], np.zeros(len(shared)), off[1] * boards, free
+    )
+    assert np.nanmax(np.abs(residuals(wrong, seen)[seen.weights > 0.0])) > 0.1
+    found = refine(wrong, seen, free, moving=moving).state
+    assert np.nanmax(np.abs(residuals(found, seen)[seen.weights > 0.0])) < 1e-4
+    np.testing.assert_allclose(found.centers, state.centers, atol=1e-3)
+    if boards:
+        np.testing.assert_array_equal(found.centers, state.centers)
+    else:
+        np.testing.assert_array_equal(found.board_positions, state.board_positions)
 
 
 @pytest.mark.parametrize("cameras", [3, 7, 9, 13])

@@ -124,19 +124,6 @@ def test_particle_images_are_found_to_parts_of_a_pixel() -> None:
     assert lone.mean() < 0.06
 
 
-def test_maps_stand_for_cameras_behind_a_wall() -> None:
-    cameras = build_rig(particle_scene(0.0)).cameras
-    low, high = np.array([-6.0, -6.0, -3.0]), np.array([6.0, 6.0, 3.0])
-    maps = fit_volume_polynomials(cameras, low, high)
-    unit = np.random.default_rng(0).uniform(-1.0, 1.0, (500, 3))
-    for number, camera in enumerate(cameras):
-        errors = (
-            project_points(maps, number, unit)
-            - camera.project(maps.middle_mm + maps.half_mm * unit)[0]
-        )
-        assert np.abs(errors).max() < 2e-3
-
-
 def test_all_right_sets_are_among_those_found() -> None:
     """Every particle whose images are near their nominal positions makes a set.
 

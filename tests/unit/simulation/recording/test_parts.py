@@ -47,6 +47,19 @@ def test_what_is_put_is_there_and_nothing_beside_it(tmp_path: Path) -> None:
     ]
 
 
+def test_a_part_with_one_byte_wrong_is_not_there_or_whole(tmp_path: Path) -> None:
+    parts, path = Parts(tmp_path), tmp_path / "frames" / "0003.npz"
+    parts.put_frame(3, {"frames/0003/id": np.arange(4)})
+    whole = path.read_bytes()
+    refused = 0
+    for position in range(len(whole)):  # compression, encryption, length, names, checksum, ...
+        damaged = bytearray(whole)
+        damaged[position] ^= 0x49
+        path.write_bytes(damaged)
+        refused += not parts.has_frame(3)
+    assert refused > len(whole) / 2
+
+
 @pytest.mark.parametrize("file", ["images/frame_0003/a.exr", "images/frame_0003/a.tif"])
 def test_a_view_with_one_bit_wrong_in_a_picture_is_not_there(tmp_path: Path, file: str) -> None:
     parts, rng, path = Parts(tmp_path), np.random.default_rng(2), tmp_path / file

@@ -6,6 +6,7 @@ Against ray optics by hand, against Mitsuba's own path tracer, and the documente
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -407,6 +408,29 @@ def test_a_black_body_hides_what_is_behind_it_and_a_lamp_shows_it() -> None:
         0.6, rel=0.02
     )  # 2 mm before the volume's centre, facing the lamp
     assert lit.photons[~(np.roll(on, 2, axis=1) | np.roll(on, -2, axis=1))].max() == 0.0
+
+
+def test_a_bubble_out_of_focus_is_blurred_by_the_aperture_s_disc() -> None:
+    """A disc of radius r adds r^2 / 4 to the variance along each axis."""
+    what, lens = bubbles([[0.0, 0.0, 95.0]], [[0.6] * 3]), camera(32, 32)
+    spread, offset = [], np.arange(32) - 15.5
+    for f_number in (64.0, 1.4):
+        image = shot(replace(lens, f_number=f_number), what, error=0.003).photons
+        dark = np.mean(image[:4]) - image
+        assert abs(np.sum(dark.sum(axis=0) * offset) / dark.sum()) < 0.3
+        spread.append(np.sum(dark.sum(axis=0) * offset**2) / dark.sum())
+    apparent = 550.0 + 8.0 / 1.52 + 87.0 / 1.333
+    radius = 3000.0 * lens.focal_length_mm / 2.8 * (1.0 / lens.focus_mm - 1.0 / apparent)
+    assert spread[1] - spread[0] == pytest.approx(radius**2 / 4.0, rel=0.25)
+
+
+def test_a_moving_bubble_is_sharp_in_an_instant() -> None:
+    still = bubbles([[0.0, 0.0, 50.0]], [[0.6] * 3])
+    moving = Bubbles(
+        still.id, still.center_mm, still.semi_axes_mm, still.turn, np.array([[500.0, 0.0, 0.0]])
+    )
+    one, other = (shot(camera(20, 30), what, error=0.05).photons for what in (still, moving))
+    np.testing.assert_array_equal(one, other)
 
 
 def test_a_moving_bubble_is_smeared() -> None:

@@ -16,18 +16,21 @@ import numpy as np
 import pytest
 
 from sabench.api.truth import Particles
-from sabench.geometry.camera import Camera, Distortion, aimed_rotation
+from sabench.geometry.camera import Camera, Distortion, aim, aimed_rotation
 from sabench.geometry.refraction import trace_to_points, transmittance
 from sabench.scenes import Scene, build_rig, find, parse_scene
+from sabench.scenes.build import _focus
 from sabench.simulation.rendering import particles_splatted
 from sabench.simulation.rendering.laser_sheet import LIGHT_M_S, PLANCK_J_S, fluence
 from sabench.simulation.rendering.particle_images import (
     ParticleImages,
+    diffraction_px,
     image_particles,
-    scattering_table,
 )
+from sabench.simulation.rendering.particle_light import _angle_range, scatterers_of
 from sabench.simulation.rendering.particles_traced import render
 from sabench.utils.arrays import F64, I64
+from sabench.worlds.library.size_lattice import lattice_diameters_mm, size_numbers
 
 WAVELENGTH_MM = 532e-6
 
@@ -35,7 +38,7 @@ WAVELENGTH_MM = 532e-6
 def make_scene(**changes: dict[str, Any] | None) -> Scene:
     """Return the quick scene with unequal, small images.
 
-    Each table is updated with the given keys, or left out.
+    Each table is updated with the given keys, or left out; a wall of another shape replaces it.
     """
     values = tomllib.loads(find("quick", "scenes").read_text(encoding="utf-8"))
     values["cameras"] |= {"rows": 110, "columns": 170}
@@ -49,7 +52,7 @@ def make_scene(**changes: dict[str, Any] | None) -> Scene:
         if update is None:
             del values[table]
         else:
-            values[table] |= update
+            values[table] = update if "shape" in update else values[table] | update
     return parse_scene(values, "test")
 
 
@@ -77,8 +80,9 @@ def caught_light(camera: Camera, points: F64, rings: int = 6, sectors: int = 24)
 
     def paths(radius: float, turn: float) -> tuple[F64, F64]:
         moved = camera.shifted(radius * math.cos(turn), radius * math.sin(turn))
-        found = trace_to_points(camera.wall, np.asarray(moved.center_mm), points)
-        return found.arriving, transmittance(camera.wall, found.leaving)
+        pinhole = np.asarray(moved.center_mm)
+        found = trace_to_points(camera.wall, pinhole, points)
+        return found.arriving, transmittance(camera.wall, pinhole, found.leaving)
 
     radii = np.linspace(0.0, camera.aperture_radius_mm, rings + 1)
     turns = np.linspace(0.0, 2.0 * np.pi, sectors + 1)
@@ -103,6 +107,14 @@ TILT = {
         {"name": "gel", "index": 1.4, "thickness_mm": 3.0},
     ],
 }
+ROUND = {
+    "shape": "cylinder",
+    "axis_point_mm": [2.0, 0.0, 45.0],
+    "axis": [0.1, 1.0, 0.05],
+    "outer_radius_mm": 40.0,
+    "layers": TILT["layers"],
+    "fluid_index": 1.333,
+}
 VARIANTS: dict[str, dict[str, dict[str, Any] | None]] = {
     "flat": {},
     "tilted": {"wall": TILT},
@@ -110,6 +122,7 @@ VARIANTS: dict[str, dict[str, dict[str, Any] | None]] = {
         "cameras": {"distortion": {"k1": -60.0, "k2": 2000.0, "p1": 0.3, "p2": -0.2, "k3": 0.0}}
     },
     "air": {"wall": None},
+    "round": {"wall": ROUND},
     "wide-open": {"cameras": {"f_number": 2.0}},
 }
 
@@ -148,10 +161,10 @@ def test_mie_intensity_is_the_mean_over_the_lens(f_number: float) -> None:
     """
     scene, diameter = (
         make_scene(illumination={"scattering": "mie"}, cameras={"f_number": f_number}),
-        0.02,
+        float(lattice_diameters_mm(size_numbers(np.array([0.02])))[0]),
     )
     rig, particles = build_rig(scene), cloud(np.array([[0.5, -0.4, 30.5]]), diameter)
-    table = scattering_table(scene, rig.cameras, particles)
+    scatterers = scatterers_of(scene, rig.cameras, 0)
     disc = np.random.default_rng(7).uniform(-1.0, 1.0, (1500, 2))
     disc = disc[np.hypot(*disc.T) < 1.0]
     light = fluence(scene.light, np.array([0.0, 0.0, 30.0]), particles.position_mm)[0]
@@ -171,8 +184,26 @@ def test_mie_intensity_is_the_mean_over_the_lens(f_number: float) -> None:
         raw = sum(np.abs(a) ** 2 for a in amplitudes) / (
             2.0 * (2.0 * np.pi * 1.333 / WAVELENGTH_MM) ** 2
         )
-        found = image_particles(scene, camera, particles, table).intensity[0]
+        found = image_particles(scene, camera, particles, scatterers).intensity[0]
         assert found == pytest.approx(raw.mean() * light, rel=0.02)
+
+
+def test_the_table_holds_the_angles_of_all_light_that_is_caught_and_few_others() -> None:
+    scene = make_scene(illumination={"scattering": "mie"}, cameras={"f_number": 2.0})
+    cameras, rng = build_rig(scene).cameras, np.random.default_rng(3)
+    corners = np.array(list(itertools.product((-0.5, 0.0, 0.5), repeat=3)))
+    points = np.asarray(scene.volume.center_mm) + corners * np.asarray(scene.volume.size_mm)
+    found = _angle_range(scene, cameras)
+    angles = []
+    for camera in cameras:
+        for turn in rng.uniform(0.0, 2.0 * np.pi, 30):  # the rim of the aperture
+            edge = camera.aperture_radius_mm * np.array([math.cos(turn), math.sin(turn)])
+            moved = camera.shifted(*edge)
+            arriving = trace_to_points(moved.wall, np.asarray(moved.center_mm), points).arriving
+            angles.append(np.arccos(-arriving[:, 0]))  # the laser runs along +X
+    assert found[0] < np.min(angles)
+    assert found[-1] > np.max(angles)
+    assert np.ptp(found) < np.ptp(angles) + 0.3
 
 
 @pytest.mark.parametrize("z_mm", [-200.0, 0.0, 100.0, 400.0, 1500.0])
@@ -212,19 +243,17 @@ def test_shape_moves_the_image_by_its_width() -> None:
         np.random.default_rng(3).uniform([-1.5, -1.0, 28.0], [1.5, 1.0, 32.0], (20, 3))
     )
     images = image_particles(scene, camera, particles, None)
-    shape_mm = images.shape_mm(camera, particles.position_mm)
+    shape_mm, moves = images.shape_mm(camera, particles.position_mm), []
     for axis in (0, 1):
         step = 1e-2 * shape_mm[:, axis]
-        moved = (
-            camera.project(particles.position_mm + step)[0]
-            - camera.project(particles.position_mm - step)[0]
-        )
-        np.testing.assert_allclose(
-            moved / 2e-2, images.sigma_px[:, None] * np.eye(2)[axis], rtol=0, atol=1e-5
-        )
+        there, back = (camera.project(particles.position_mm + s * step)[0] for s in (1.0, -1.0))
+        moves.append((there - back) / 2e-2)
         np.testing.assert_allclose(
             np.einsum("ij,ij->i", shape_mm[:, axis], images.direction), 0.0, atol=1e-12
         )
+    spread = sum(move[:, [0, 1, 0]] * move[:, [0, 1, 1]] for move in moves)
+    assert np.abs(images.spread_px2[:, 2]).max() > 1e-4
+    np.testing.assert_allclose(spread, images.spread_px2, rtol=0, atol=1e-5)
 
 
 @pytest.mark.parametrize(
@@ -253,10 +282,9 @@ def test_width_does_not_depend_on_where_the_world_points(
 
 def spots(pixels: F64, photons: F64, sigma: F64) -> ParticleImages:
     count = len(pixels)
-    zero = np.zeros((count, 3))
-    return ParticleImages(
-        pixels, photons, sigma, np.ones(count, dtype=np.bool_), np.zeros(count), zero
-    )
+    zero, seen = np.zeros((count, 3)), np.ones(count, dtype=np.bool_)
+    spread = sigma[:, None] ** 2 * [1.0, 1.0, 0.0]
+    return ParticleImages(pixels, photons, sigma, seen, np.zeros(count), zero, spread)
 
 
 SMALL = Camera(
@@ -534,3 +562,83 @@ def test_the_same_render_twice_gives_the_same_bytes() -> None:
     np.testing.assert_array_equal(
         render(camera, images, positions, 4), render(camera, images, positions, 4)
     )
+
+
+# Ellipses
+
+
+def slanted(pixels: F64, photons: float, spread: tuple[float, float, float]) -> ParticleImages:
+    count = len(pixels)
+    images = spots(pixels, np.full(count, photons), np.ones(count))
+    return replace(images, spread_px2=np.tile(spread, (count, 1)))
+
+
+@pytest.mark.parametrize(
+    "spread", [(0.7, 0.4, 0.3), (0.25, 2.0, -0.5), (2.0, 0.25, 0.01), (0.667, 0.667, 0.65)]
+)
+def test_a_pixel_of_an_ellipse_is_the_integral_over_it(spread: tuple[float, float, float]) -> None:
+    place, fine = np.array([20.37, 11.81]), (np.arange(300) + 0.5) / 300 - 0.5
+    image = particles_splatted.render(SMALL, slanted(place[None], 500.0, spread))
+    inverse = np.linalg.inv([[spread[0], spread[2]], [spread[2], spread[1]]])
+    scale = 500.0 * math.sqrt(np.linalg.det(inverse)) / (2.0 * np.pi)
+    for row, column in ((12, 20), (11, 21), (13, 21), (10, 20)):
+        x, y = np.meshgrid(column + fine - place[0], row + fine - place[1])
+        form = inverse[0, 0] * x**2 + 2.0 * inverse[0, 1] * x * y + inverse[1, 1] * y**2
+        expected = scale * np.exp(-form / 2.0).mean()
+        assert image[row, column] == pytest.approx(expected, rel=2e-3, abs=2e-3)
+    assert image.sum() == pytest.approx(500.0, rel=2e-5)
+
+
+def oblique_camera(f_number: float) -> tuple[Scene, Camera]:
+    """A camera at 45 degrees to the wall, whose refraction is strongly astigmatic."""
+    scene = make_scene(cameras={"f_number": f_number}, illumination={"thickness_mm": 1e4})
+    camera = build_rig(scene).cameras[0]
+    camera = replace(camera, center_mm=(-330.0, -330.0, -440.0))
+    turned = aim(camera, np.array([0.0, 0.0, 200.0]))
+    return scene, _focus(turned, np.array([0.0, 0.0, 200.0]), None)
+
+
+def test_the_blur_of_an_oblique_view_is_that_of_rays_through_the_lens() -> None:
+    """Trace rays from points all over the aperture to the sensor, one by one."""
+    scene, camera = oblique_camera(4.0)
+    points = np.array([[0.0, 0.0, 200.0], [1.0, -0.5, 212.0], [-1.5, 1.0, 191.0]])
+    images = image_particles(scene, camera, cloud(points), None)
+    disc = np.random.default_rng(3).uniform(-1.0, 1.0, (6000, 2))
+    disc = disc[np.hypot(*disc.T) < 1.0] * camera.aperture_radius_mm
+    hits = []
+    for right, down in disc:
+        moved = camera.shifted(right, down)
+        # a point at the focus's distance is at rest on the sensor
+        back = np.array([right, down]) * camera.focal_px / camera.focus_mm
+        hits.append(moved.project(points)[0] + back)
+    round_part = diffraction_px(camera, 532.0) ** 2  # the disc of 20 um is small beside it
+    for k in range(len(points)):
+        found = np.cov(np.array(hits)[:, k].T)
+        across, down, both = images.spread_px2[k] - round_part * np.array([1.0, 1.0, 0.0])
+        scale = max(found[0, 0], found[1, 1])
+        np.testing.assert_allclose(
+            [across, down, both], [found[0, 0], found[1, 1], found[0, 1]], atol=0.05 * scale + 0.03
+        )
+    long, short = np.linalg.eigvalsh(images.spread_px2[1][[[0, 2], [2, 1]]])[::-1]
+    assert long > 2.0 * short
+
+
+@pytest.mark.parametrize("z_mm", [191.0, 200.0, 212.0])
+def test_rays_and_formulas_make_the_same_ellipses(z_mm: float) -> None:
+    scene, camera = oblique_camera(8.0)
+    position = np.array([[0.4, -0.3, z_mm]])
+    images = image_particles(scene, camera, cloud(position), None)
+    traced = render(camera, images, position, 100) * camera.etendue()
+    formula = particles_splatted.render(camera, images)
+    rows, columns = np.mgrid[: camera.rows, : camera.columns]
+    found = []
+    for image in (traced, formula):
+        weights = image / image.sum()
+        x, y = columns - (weights * columns).sum(), rows - (weights * rows).sum()
+        found.append([(weights * term).sum() for term in (x * x, y * y, x * y)])
+        np.testing.assert_allclose(
+            [(weights * columns).sum(), (weights * rows).sum()], images.pixel[0], atol=2e-3
+        )
+    np.testing.assert_allclose(found[0], found[1], atol=2e-3 * max(found[1]))
+    assert traced.sum() == pytest.approx(formula.sum(), rel=2e-3)
+    assert z_mm == 200.0 or abs(images.spread_px2[0, 2]) > 0.2

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
+import trimesh
 
-from sabench.api.truth import NOTHING
+from sabench.api.truth import BODY, NOTHING, Solid
 from sabench.simulation.rendering.pixel_truth import meets, see
 from tests.unit.simulation.rendering.test_bubbles_traced import WALL, bubbles, camera
 
@@ -28,6 +29,8 @@ def test_a_contour_is_where_lines_of_sight_touch() -> None:
             what[np.array([n])],
             *(lambda r: (r.origins_mm, r.directions))(lens.back_project(inwards)),
         ).all()
+        beyond = lens.back_project(seen.pixel[n] + 1.02 * (seen.contour[n] - seen.pixel[n]))
+        assert not meets(what[np.array([n])], beyond.origins_mm, beyond.directions).any()
 
 
 def test_pixels_see_the_first_bubble_at_its_depth() -> None:
@@ -71,6 +74,39 @@ def test_shares_are_those_of_discs() -> None:
     )
     seen = see(lens, what)
     np.testing.assert_allclose(seen.visible, [1.0, 0.0, 0.5, 1.0], atol=0.03)
+
+
+def test_a_ball_is_seen_alike_as_a_bubble_and_as_a_body() -> None:
+    """It hides half of what is behind it, and the second of two bodies has the next number."""
+    lens = camera(60, 80, x=3.0)
+    behind, ball, other = [1.4, 0.5, 60.0], [0.0, 0.5, 45.0], [4.0, -3.0, 50.0]
+    mesh = trimesh.creation.icosphere(5, 1.5)
+    bodies = [Solid(mesh.vertices + place, mesh.faces) for place in (ball, other)]
+    plain = see(lens, bubbles([behind, ball, other], [[1.0] * 3, [1.5] * 3, [1.5] * 3]))
+    seen = see(lens, bubbles([behind], [[1.0] * 3]), bodies)
+    assert 0.2 < plain.visible[0] < 0.8
+    np.testing.assert_allclose(seen.visible[0], plain.visible[0], atol=0.01)
+    for number, body in ((0, 0), (1, BODY), (2, BODY - 1)):
+        assert np.mean((plain.number == number) != (seen.number == body)) < 0.002
+    both = (plain.number >= 0) & (seen.number != NOTHING)
+    np.testing.assert_allclose(seen.depth_mm[both], plain.depth_mm[both], atol=0.03)
+    np.testing.assert_allclose(seen.path_mm[both], plain.path_mm[both], atol=0.03)
+
+
+def test_light_s_way_in_glass_is_longer_than_it_is_wide() -> None:
+    """Path lengths follow from crossings of the wall's faces that are found one by one."""
+    lens = camera(20, 30, focal=150.0)
+    seen = see(lens, bubbles([[0.0, 0.0, 90.0]], [[70.0] * 3]))
+    rows, columns = np.mgrid[0:20, 0:30]
+    pixels = np.column_stack([columns.ravel(), rows.ravel()]).astype(float)
+    leaving = lens.directions(pixels)[0]
+    air = 550.0 / leaving[:, 2]  # the pinhole lies 550 mm in front of the wall
+    sine = np.hypot(leaving[:, 0], leaving[:, 1]) / 1.52
+    glass = 8.0 / np.sqrt(1.0 - sine**2)
+    rays = lens.back_project(pixels)
+    water = (seen.depth_mm.ravel() - 8.0) / rays.directions[:, 2]
+    assert np.isfinite(water).sum() > 300
+    np.testing.assert_allclose(seen.path_mm.ravel(), air + glass + water, rtol=1e-5)
 
 
 def test_a_bubble_outside_the_image_is_not_seen() -> None:

@@ -23,8 +23,10 @@ import sys
 
 os.environ["PARENT"] = str(os.getpid())
 from sabench.dataset.hdf5_probe import probe
+from sabench.utils.processes import isolated_reading
 from slow_to_import import SlowPath
 
+isolated_reading._CPU_S = 0.5
 probe(SlowPath(sys.argv[1]))
 """
 SLOW_MODULE = """
@@ -33,7 +35,7 @@ import time
 from pathlib import PosixPath
 
 if os.getpid() != int(os.environ["PARENT"]):
-    time.sleep(6.0)
+    time.sleep(2.0)
 
 class SlowPath(PosixPath):
     pass
@@ -75,12 +77,12 @@ def test_a_process_that_starts_slowly_makes_no_file_damaged(file: Path) -> None:
         words, capture_output=True, text=True, check=False, env=os.environ | {"PYTHONPATH": paths}
     )
     assert done.returncode == 0, done.stderr
-    assert time.monotonic() - start > 6.0  # the process did start slowly
+    assert time.monotonic() - start > 2.0  # the process did start slowly
 
 
 @pytest.mark.usefixtures("one_second")
 def test_time_that_others_take_does_not_count(file: Path) -> None:
-    read_isolated(wait, file, 2.5)
+    read_isolated(wait, file, 1.5)
 
 
 @pytest.mark.usefixtures("one_second")

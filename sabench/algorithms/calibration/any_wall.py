@@ -1,0 +1,121 @@
+"""Bundles of projections through any walls.
+
+The cameras themselves project, and derivatives are central differences: slower than the kernels of
+`normal_equations`, for any wall. Results are as there.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+
+from sabench.algorithms.calibration.kernels import BOARD, CAMERA
+from sabench.algorithms.calibration.parameters import Frame, FreeParameters, State
+from sabench.utils.arrays import F64
+
+# of a camera's unknowns as in `kernels.observe`: far above rounding, far below any curvature
+_STEPS = np.array([1e-5] * 3 + [1e-2] * 3 + [1.0] * 3 + [1e-3] * (CAMERA - 9))
+_BOARD_STEPS = np.array([1e-5] * 3 + [1e-2] * 3)
+
+Equations = tuple[float, F64, F64, F64, F64, F64]
+Seen = tuple[F64, F64]  # pixels (M, K, m, 2) and weights (M, K, m)
+
+
+def project(frame: Frame, state: State, board: F64) -> F64:
+    """Project all boards' points (m, 3) into all cameras: pixels (M, K, m, 2)."""
+    points = frame.points(state, board)
+    pixels = [camera.project(points.reshape(-1, 3))[0] for camera in frame.build_cameras(state)]
+    return np.stack(pixels).reshape(len(pixels), *points.shape[:2], 2)
+
+
+def misses(frame: Frame, state: State, board: F64, seen: Seen) -> F64:
+    """Subtract computed from observed pixels (M, K, m, 2); NaN without a path."""
+    return np.asarray(seen[0] - project(frame, state, board))
+
+
+def equations(
+    frame: Frame, state: State, board: F64, seen: Seen, free: FreeParameters, scale: float
+) -> Equations:
+    """Sum normal equations of all observations; see `normal_equations.equations`."""
+    error, weights = misses(frame, state, board, seen), seen[1]
+    used = weights > 0.0
+    cameras, count = weights.shape[:2]
+    size = cameras * free.per_camera
+    aa, ab = np.zeros((size, size)), np.zeros((count, size, BOARD))
+    bb, a, d = np.zeros((count, BOARD, BOARD)), np.zeros(size), np.zeros((count, BOARD))
+    if not np.isfinite(error[used]).all():
+        return math.inf, aa, ab, bb, a, d
+    error = np.where(used[..., None], error, 0.0)
+    square, loss = np.sum(error**2, axis=-1), weights
+    if scale > 0.0:
+        cost = float(np.sum(weights * scale**2 * np.log1p(square / scale**2)))
+        loss = weights / (1.0 + square / scale**2)
+    else:
+        cost = float(np.sum(weights * square))
+    slopes = np.where(used[..., None, None], _slopes(frame, state, board, free), 0.0)
+    for camera, (own, miss, weight) in enumerate(zip(slopes, error, loss, strict=True)):
+        part = slice(camera * free.per_camera, (camera + 1) * free.per_camera)
+        by_camera, by_board = np.split(own, [free.per_camera], axis=-1)
+        heavy = weight[..., None, None] * by_camera
+        aa[part, part] = np.einsum("kmxp,kmxq->pq", heavy, by_camera)
+        ab[:, part] = np.einsum("kmxp,kmxq->kpq", heavy, by_board)
+        a[part] = np.einsum("kmxp,kmx->p", heavy, miss)
+        heavy = weight[..., None, None] * by_board
+        bb += np.einsum("kmxp,kmxq->kpq", heavy, by_board)
+        d += np.einsum("kmxp,kmx->kp", heavy, miss)
+    return cost, aa, ab, bb, a, d
+
+
+def spreads(
+    frame: Frame,
+    state: State,
+    board: F64,
+    seen: Seen,
+    free: FreeParameters,
+    covariance: F64,
+) -> F64:
+    """Compute covariances (M, K, m, 3) as `normal_equations.spreads` does."""
+    cameras, count = seen[1].shape[:2]
+    slopes, base = _slopes(frame, state, board, free), cameras * free.per_camera
+    out = np.full((*seen[1].shape, 3), math.nan)
+    for camera in range(cameras):
+        own = np.arange(free.per_camera) + camera * free.per_camera
+        for number in range(count):
+            columns = np.concatenate([own, base + number * BOARD + np.arange(BOARD)])
+            rows = slopes[camera, number]
+            both = rows @ covariance[np.ix_(columns, columns)] @ rows.transpose(0, 2, 1)
+            out[camera, number] = np.stack([both[:, 0, 0], both[:, 1, 1], both[:, 0, 1]], axis=1)
+    return np.where(seen[1][..., None] > 0.0, out, math.nan)
+
+
+def _slopes(frame: Frame, state: State, board: F64, free: FreeParameters) -> F64:
+    """Differentiate pixels by cameras' and boards' unknowns.
+
+    Returns (M, K, m, 2, f + BOARD).
+    """
+    columns = [
+        (
+            project(frame, state.apply_steps(camera, np.zeros(0), boards, free), board)
+            - project(frame, state.apply_steps(-camera, np.zeros(0), -boards, free), board)
+        )
+        / (2.0 * step)
+        for camera, boards, step in _unknowns(state, free)
+    ]
+    return np.stack(columns, axis=-1)
+
+
+def _unknowns(state: State, free: FreeParameters) -> Iterator[tuple[F64, F64, float]]:
+    """Give steps of every unknown, of all cameras and then of all boards at once."""
+    cameras = np.zeros((len(state.rotations), free.per_camera))
+    boards = np.zeros((len(state.board_rotations), BOARD))
+    own, _ = free.columns(len(state.indices))
+    for number, step in enumerate(_STEPS[own].tolist()):
+        moved = cameras.copy()
+        moved[:, number] = step
+        yield moved, boards, step
+    for number, step in enumerate(_BOARD_STEPS.tolist()):
+        moved = boards.copy()
+        moved[:, number] = step
+        yield cameras, moved, step

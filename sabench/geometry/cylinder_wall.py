@@ -1,0 +1,126 @@
+"""Wall of coaxial cylinders around the fluid, with the cameras outside."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from sabench.geometry.refraction import Layer, Paths, Rays
+from sabench.utils.arrays import F64, Bool
+
+
+@dataclass(frozen=True)
+class CylinderWall:
+    """Coaxial cylindrical layers between the cameras' medium and the fluid inside.
+
+    The cylinder has no ends.
+
+    Attributes
+    ----------
+    axis_point_mm : a point on the axis, world frame.
+    axis : unit vector along the axis, world frame.
+    outer_radius_mm : of the outer face (the face that the cameras see).
+    air_index, fluid_index : refractive indices on the cameras' side and in the tank.
+    layers : the solid layers, from outside; may be empty (a bare surface).
+    """
+
+    axis_point_mm: tuple[float, float, float]
+    axis: tuple[float, float, float]
+    outer_radius_mm: float
+    air_index: float
+    layers: tuple[Layer, ...]
+    fluid_index: float
+
+    @property
+    def thickness_mm(self) -> float:
+        """Distance from the outer to the inner face."""
+        return sum(layer.thickness_mm for layer in self.layers)
+
+    @property
+    def radii_mm(self) -> F64:
+        """Radii of all faces, from outside: (1 + layers,)."""
+        thick = [layer.thickness_mm for layer in self.layers]
+        return np.asarray(self.outer_radius_mm - np.cumsum([0.0, *thick]))
+
+    @property
+    def indices(self) -> F64:
+        """Indices of all media along the way of light from a camera: (2 + layers,)."""
+        return np.array([self.air_index, *(layer.index for layer in self.layers), self.fluid_index])
+
+    def depth_of(self, points_mm: F64) -> F64:
+        """Compute the signed distance of points (..., 3) behind the outer face, mm."""
+        return np.asarray(self.outer_radius_mm - np.linalg.norm(self._across(points_mm), axis=-1))
+
+    def normal_at(self, point_mm: F64) -> F64:
+        """Compute the unit normal (3,) from a point (3,) to the axis."""
+        across = self._across(point_mm)
+        with np.errstate(invalid="ignore"):  # a point on the axis has none
+            return np.asarray(-across / np.linalg.norm(across))
+
+    def paths(self, pinhole_mm: F64, points_mm: F64) -> Paths:
+        """Trace paths of light; those behind a caustic are left out.
+
+        Not `valid` are also points in a shadow of the wall, near its limb.
+        """
+        from sabench.geometry import cylinder_kernels  # numba is loaded at the first use
+
+        leaving, arriving = np.full_like(points_mm, np.nan), np.full_like(points_mm, np.nan)
+        with np.errstate(invalid="ignore"):  # infinite coordinates
+            valid = np.asarray(self.depth_of(points_mm) > self.thickness_mm)
+        gap = -float(self.depth_of(pinhole_mm))
+        valid &= gap > 0.0
+        if valid.any():
+            frame = self._frame(pinhole_mm)
+            local = (points_mm[valid] - pinhole_mm) @ frame.T - np.array([gap, 0.0, 0.0])
+            there, here = np.zeros_like(local), np.zeros_like(local)
+            found = cylinder_kernels.find(gap, self._faces(), self.indices, local, there, here)
+            leaving[valid], arriving[valid] = there @ frame, here @ frame
+            valid[valid] = found
+            leaving[~valid] = arriving[~valid] = np.nan
+        return Paths(leaving, arriving, valid)
+
+    def rays(self, pinhole_mm: F64, directions: F64) -> Rays:
+        """Follow rays into the fluid; those that miss the inner face are not `valid`."""
+        ends, arriving, _, _, valid = self._follow(pinhole_mm, directions)
+        ends[~valid] = arriving[~valid] = np.nan
+        return Rays(ends, arriving, valid)
+
+    def lengths(self, pinhole_mm: F64, leaving: F64) -> F64:
+        """Compute lengths of light paths before the fluid."""
+        _, _, lengths, _, valid = self._follow(pinhole_mm, leaving)
+        return np.where(valid, lengths, np.nan)
+
+    def transmittances(self, pinhole_mm: F64, leaving: F64) -> F64:
+        """Compute transmitted fractions, 0 for rays that do not reach the fluid."""
+        _, _, _, passed, valid = self._follow(pinhole_mm, leaving)
+        return np.where(valid, passed, 0.0)
+
+    def _follow(self, pinhole_mm: F64, directions: F64) -> tuple[F64, F64, F64, F64, Bool]:
+        """Return ends, directions in the fluid, lengths, transmitted shares, validity."""
+        from sabench.geometry import cylinder_kernels
+
+        frame, gap = self._frame(pinhole_mm), -float(self.depth_of(pinhole_mm))
+        along = np.ascontiguousarray(directions @ frame.T)
+        ends, lengths, passed = np.zeros_like(along), np.zeros(len(along)), np.zeros(len(along))
+        valid = cylinder_kernels.follow(
+            gap, self._faces(), self.indices, along, ends, lengths, passed
+        )
+        valid &= gap > 0.0
+        world = pinhole_mm + (ends + np.array([gap, 0.0, 0.0])) @ frame
+        return np.asarray(world), np.asarray(along @ frame), lengths, passed, np.asarray(valid)
+
+    def _frame(self, pinhole_mm: F64) -> F64:
+        """Make the pinhole's own frame, see `cylinder_kernels`: rows x, y and z."""
+        towards, axis = self.normal_at(pinhole_mm), np.asarray(self.axis)
+        return np.stack([towards, np.cross(axis, towards), axis])
+
+    def _faces(self) -> F64:
+        """List curvature and depth of each face: (1 + layers, 2)."""
+        radii = self.radii_mm
+        return np.ascontiguousarray(np.column_stack([1.0 / radii, radii[0] - radii]))
+
+    def _across(self, points_mm: F64) -> F64:
+        """Compute vectors (..., 3) from the axis to points, at right angles to it."""
+        offset, axis = points_mm - np.asarray(self.axis_point_mm), np.asarray(self.axis)
+        return np.asarray(offset - (offset @ axis)[..., None] * axis)

@@ -1,0 +1,224 @@
+"""Repair of images of particles: hot pixels, dead pixels and reflections.
+
+They are found in a single image. A particle's image has a width, and a hot pixel has none: its
+neighbours are darker than those of the image's own peaks. A dead pixel is darker than the light on
+all of its sides. A reflection is a bright area wider than any particle's image.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numba
+import numpy as np
+
+from sabench.images.flaws import Flaws, Repaired
+from sabench.images.peaks import maxima
+from sabench.utils.arrays import F32, I64, U16, Bool
+
+_WINDOW = 9  # px: edge of the square whose darkest part is the background
+_CLEAR = 8.0  # standard deviations of noise by which a peak exceeds the background
+_LEAST_NOISE = 0.5  # grey values: of rounding
+_NARROW = 0.25  # of the typical peak's sharpness: the neighbours of hot pixels are darker
+_DARK, _HOLE = 0.15, 0.4  # of the light on both sides: the limit for dead pixels, and by sharpness
+_FAINT = 0.5  # of the median peak: the light of dimmer flaws does no harm
+_MARGIN = 1.5  # standard deviations by which both are certain
+_WIDE = 7  # px: edge of a square that no particle fills with light
+_BRIGHT, _SKIRT = 4.0, 0.5  # of a typical peak: a reflection, and the light around it
+_GLARE = 10.0  # of a typical peak: brighter than particles are
+_REACH = 3  # px around it
+
+
+def repair(images: U16, black_dn: float, white_dn: float) -> Repaired:
+    """Replace hot pixels, dead pixels and reflections in images of particles.
+
+    Images (camera, row, column) without any are not copied.
+
+    Parameters
+    ----------
+    black_dn, white_dn : grey values of no light and of saturation.
+    """
+    out, flaws = images, Flaws.none(images.shape)
+    for number, (grey, points, covered) in enumerate(zip(images, *flaws, strict=True)):
+        points[:] = find_points(grey, black_dn)
+        good = _without(points, grey)
+        covered[:] = find_reflections(good, white_dn)
+        if points.any() or covered.any():
+            out = images.copy() if out is images else out
+            out[number] = np.where(covered, np.uint16(np.rint(black_dn)), good)
+    return Repaired(out, flaws)
+
+
+def above_background(grey: U16) -> tuple[F32, float]:
+    """Subtract the darkest part around every pixel.
+
+    Single dead pixels do not change it. Returns light (row, column) and the standard deviation of
+    the noise, in grey values.
+    """
+    import cv2  # takes long to load
+
+    smooth = cv2.medianBlur(grey, 3)
+    low = cv2.erode(smooth, np.ones((_WINDOW, _WINDOW), dtype=np.uint8))
+    light = grey.astype(np.float32) - low
+    return light, max(1.4826 * _middle(cv2.absdiff(grey, smooth)), _LEAST_NOISE)
+
+
+def _middle(grey: U16) -> int:
+    """Compute the median of many grey values."""
+    return int(np.searchsorted(np.cumsum(np.bincount(grey.ravel())), grey.size / 2.0))
+
+
+def peak_light(light: F32, noise: float) -> float:
+    """Compute the height that a quarter of the peaks exceed.
+
+    Peaks are those clear of noise; 0 without any. A few peaks of any height hardly change it.
+    """
+    row, column = maxima(light, np.float32(_CLEAR * noise))
+    heights = light[row, column]
+    return float(np.quantile(heights, 0.75)) if len(heights) else 0.0
+
+
+def find_points(grey: U16, black_dn: float) -> Bool:
+    """Find hot and dead pixels (row, column)."""
+    light, noise = above_background(grey)
+    points = np.zeros(light.shape, dtype=np.bool_)
+    row, column = maxima(light, np.float32(_CLEAR * noise))
+    if len(row):
+        sharpness = _sharpness(light, row, column)
+        least = max(_CLEAR * noise, _FAINT * float(np.median(light[row, column])))
+        margin, hole = _MARGIN * noise, min(_DARK, _HOLE * sharpness)
+        _mark_hot(light, least, _NARROW * sharpness, margin, points)
+        points |= _find_dead(grey.astype(np.float32) - np.float32(black_dn), least, hole, margin)
+    return points
+
+
+def _sharpness(light: F32, row: I64, column: I64) -> float:
+    """Compute the light beside typical peaks over theirs.
+
+    It is small where images are sharp: 0.2 for Gaussians of 0.5 px, 0.45 for those of 0.75 px. Most
+    peaks must be particles'.
+    """
+    ratios = np.empty(len(row))
+    _measure_ratios(light, row, column, ratios)
+    return max(float(np.quantile(ratios, 0.6)), 0.0)
+
+
+def find_reflections(grey: U16, white_dn: float) -> Bool:
+    """Find areas (row, column) of light that is no particle's."""
+    import cv2
+
+    light, noise = above_background(grey)
+    peak = peak_light(light, noise)
+    if peak == 0.0:
+        return np.zeros(grey.shape, dtype=np.bool_)
+    dark = _middle(grey)
+    square = np.ones((_WIDE, _WIDE), dtype=np.uint8)
+    least = cv2.erode(grey, square)
+    seeds = least >= min(dark + _BRIGHT * peak, white_dn)
+    covered = np.zeros(grey.shape, dtype=np.uint8)
+    if seeds.any():
+        _, areas = cv2.connectedComponents((least > dark + _SKIRT * peak).astype(np.uint8))
+        skirts = np.isin(areas, np.unique(areas[seeds & (areas > 0)]))
+        covered = cv2.dilate(skirts.astype(np.uint8), np.ones((_WIDE + 2,) * 2, dtype=np.uint8))
+    glare = light > _GLARE * peak
+    if glare.any():
+        covered |= cv2.dilate(glare.astype(np.uint8), np.ones((2 * _REACH + 1,) * 2, np.uint8))
+    return covered.astype(np.bool_)
+
+
+def _without(points: Bool, grey: U16) -> U16:
+    """Replace pixels by their neighbours' mean."""
+    if not points.any():
+        return grey
+    good = grey.copy()
+    _fill(grey, points, good)
+    return good
+
+
+@numba.njit(cache=True)
+def _beside(light: Any, r: int, c: int) -> Any:
+    """Look up the left, right, upper and lower neighbours.
+
+    Beyond the border it is the one on the other side.
+    """
+    rows, columns = light.shape
+    left, right = c - 1 if c > 0 else c + 1, c + 1 if c < columns - 1 else c - 1
+    above, below = r - 1 if r > 0 else r + 1, r + 1 if r < rows - 1 else r - 1
+    return light[r, left], light[r, right], light[above, c], light[below, c]
+
+
+@numba.njit(cache=True)
+def _dim_side(a: Any, b: Any, c: Any, d: Any) -> Any:
+    """Average the three darkest of four neighbours: two hot pixels may touch."""
+    return (a + b + c + d - max(max(a, b), max(c, d))) / 3.0
+
+
+@numba.njit(cache=True)
+def _measure_ratios(light: Any, row: Any, column: Any, ratios: Any) -> None:
+    for n in range(len(row)):
+        a, b, c, d = _beside(light, row[n], column[n])
+        ratios[n] = _dim_side(a, b, c, d) / light[row[n], column[n]]
+
+
+@numba.njit(cache=True)
+def _mark_hot(light: Any, least: float, narrow: float, margin: float, points: Any) -> None:
+    """Mark pixels too bright for their neighbours.
+
+    They are so alone, or together with the brightest neighbour.
+    """
+    for r in range(light.shape[0]):
+        for c in range(light.shape[1]):
+            here = light[r, c]
+            if here <= least or not _is_narrow(light, r, c, narrow, margin):
+                continue
+            y, x = _brightest(light, r, c)
+            most = light[y, x]
+            points[r, c] = most <= max(here, least) or _is_narrow(light, y, x, narrow, margin)
+
+
+@numba.njit(cache=True)
+def _is_narrow(light: Any, r: int, c: int, narrow: float, margin: float) -> bool:
+    return bool(_dim_side(*_beside(light, r, c)) + margin < narrow * light[r, c])
+
+
+@numba.njit(cache=True)
+def _brightest(light: Any, r: int, c: int) -> Any:
+    """Find row and column of the brightest of a pixel's four neighbours."""
+    rows, columns = light.shape
+    best_r, best_c, most = r, c, -np.inf
+    for i, j in ((-1, 0), (1, 0), (0, -1), (0, 1)):
+        y, x = r + i, c + j
+        if 0 <= y < rows and 0 <= x < columns and light[y, x] > most:
+            best_r, best_c, most = y, x, light[y, x]
+    return best_r, best_c
+
+
+def _find_dead(light: F32, least: float, dark: float, margin: float) -> Bool:
+    """Mark pixels too dark for the light on all of their sides.
+
+    Light (row, column) is above black.
+    """
+    import cv2
+
+    wide = cv2.copyMakeBorder(np.maximum(light, 0.0), 1, 1, 1, 1, cv2.BORDER_REFLECT_101)
+    across, down = wide[1:-1, :-2] * wide[1:-1, 2:], wide[:-2, 1:-1] * wide[2:, 1:-1]
+    beside = np.minimum(across, down, out=across)
+    limit = np.float32(dark) * np.sqrt(beside, out=down)
+    return np.asarray((light + np.float32(margin) < limit) & (beside > (0.5 * least) ** 2))
+
+
+@numba.njit(cache=True)
+def _fill(grey: Any, points: Any, good: Any) -> None:
+    """Replace marked pixels by the mean of their neighbours that are not marked."""
+    rows, columns = grey.shape
+    for r in range(rows):
+        for c in range(columns):
+            if not points[r, c]:
+                continue
+            total, count = 0.0, 0
+            for i, j in ((-1, 0), (1, 0), (0, -1), (0, 1)):
+                y, x = r + i, c + j
+                if 0 <= y < rows and 0 <= x < columns and not points[y, x]:
+                    total, count = total + grey[y, x], count + 1
+            if count:
+                good[r, c] = np.rint(total / count)

@@ -1,0 +1,97 @@
+"""Named materials of a scene: their refractive indices for the scene's light."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from sabench.geometry.dispersion import refractive_index
+
+_LASER_NM, _LAMP_NM = 532.0, 550.0  # defaults of the tables
+_ANY = 1.5  # in place of an index that a fault leaves open
+Faults = list[tuple[str, str]]
+
+
+def fill_indices(values: dict[str, Any]) -> tuple[dict[str, Any], Faults]:
+    """Add the index of every named material to a scene's tables.
+
+    Returns the scene's values, and faults as pairs of a key and a sentence.
+    """
+    faults: Faults = []
+    nm, filled = _wavelength_nm(values), dict(values)
+    if isinstance(wall := values.get("wall"), list | tuple):
+        filled["wall"] = [_wall(one, f"wall.{n}", nm, faults) for n, one in enumerate(wall)]
+    elif "wall" in values:
+        filled["wall"] = _wall(wall, "wall", nm, faults)
+    light = values.get("illumination")
+    entry = light.get("entry") if isinstance(light, dict) else None
+    if isinstance(light, dict) and isinstance(entry, dict) and "layers" in entry:
+        layers = _layers(entry["layers"], "illumination.entry.layers", nm, faults)
+        filled["illumination"] = {**light, "entry": {**entry, "layers": layers}}
+    return filled, faults
+
+
+def _wavelength_nm(values: dict[str, Any]) -> float | None:
+    """Give the laser's wavelength, or that of the lamps; None where it is no number."""
+    for key, default in (("illumination", _LASER_NM), ("backlight", _LAMP_NM)):
+        if isinstance(table := values.get(key), dict):
+            return _number(table.get("wavelength_nm", default))
+    table = values.get("lighting")
+    return _number(table.get("wavelength_nm", _LAMP_NM) if isinstance(table, dict) else _LAMP_NM)
+
+
+def _number(value: Any) -> float | None:
+    return float(value) if isinstance(value, int | float) else None
+
+
+def _wall(wall: Any, path: str, nm: float | None, faults: Faults) -> Any:
+    if not isinstance(wall, dict):
+        return wall
+    filled = _fluid(wall, path, nm, faults)
+    for key in ("layers", "rear"):
+        if key in filled:
+            filled[key] = _layers(filled[key], f"{path}.{key}", nm, faults)
+    return filled
+
+
+def _fluid(wall: dict[str, Any], path: str, nm: float | None, faults: Faults) -> dict[str, Any]:
+    celsius = wall.get("temperature_c")
+    if celsius is None:
+        return dict(_filled(wall, "fluid", "fluid_index", path, nm, faults))
+    if wall.get("fluid") != "water":
+        expected = 'expected fluid = "water" with it'
+        faults.append((f"{path}.temperature_c", f"{expected}, got {wall.get('fluid')}"))
+        return dict(wall)
+    return dict(_filled(wall, "fluid", "fluid_index", path, nm, faults, celsius))
+
+
+def _layers(layers: Any, path: str, nm: float | None, faults: Faults) -> Any:
+    if not isinstance(layers, list | tuple):
+        return layers
+    return [
+        _filled(layer, "material", "index", f"{path}.{number}", nm, faults)
+        for number, layer in enumerate(layers)
+    ]
+
+
+def _filled(
+    table: Any,
+    name_key: str,
+    index_key: str,
+    path: str,
+    nm: float | None,
+    faults: Faults,
+    celsius: Any = 20.0,
+) -> Any:
+    """Add the index of a table's material; exactly one of both may be given."""
+    if not isinstance(table, dict) or table.get(name_key) is None:
+        return table
+    name, index = table[name_key], _ANY
+    if index_key in table:
+        faults.append((f"{path}.{name_key}", f"expected it or {index_key}, got both"))
+        return table
+    if isinstance(name, str) and nm is not None and _number(celsius) is not None:
+        try:
+            index = refractive_index(name, nm, celsius)
+        except ValueError as error:
+            faults.append((f"{path}.{name_key}", str(error)))
+    return {**table, index_key: index}

@@ -1,0 +1,147 @@
+"""Cameras that see nothing: every --json prints strict JSON, or one sentence."""
+
+from __future__ import annotations
+
+import inspect
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import sabench
+from sabench.cli.main import app
+from sabench.dataset.reader import Dataset
+from tests.conftest import Command
+from tests.helpers.calibration_cases import calibration_scene, case_of
+from tests.system.test_calibrate import describe, write_points
+
+BLIND = '''"""Turns all cameras away from the target."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from sabench.api import Calibration, CalibrationSolver
+
+
+class Blind(CalibrationSolver):
+    """Cameras behind which all points lie, or in whose images none lies."""
+
+    name = "{name}"
+
+    def solve(self, case):
+        blind = tuple({camera} for own in case.cameras)
+        return Calibration(blind, {points})
+'''
+BEHIND = "replace(own, rotation=(np.diag([-1.0, 1.0, -1.0]) @ own.rotation).tolist())"
+OUTSIDE = "replace(own, principal_point_px=(1e7, 1e7))"
+SUITE = """title = "t"
+backend = "splat"
+scenes = ["boards.toml"]
+solvers = [{ name = "behind" }, { name = "behind_alone" }, { name = "outside" }]
+"""
+NAMES = ("behind", "behind_alone", "outside")
+
+
+@pytest.fixture(scope="module")
+def boards(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
+    folder = tmp_path_factory.mktemp("boards") / "data"
+    return sabench.generate(small_scene(), folder, seed=1, backend="splat")
+
+
+def small_scene() -> Any:
+    return calibration_scene(frames=3)
+
+
+@pytest.fixture
+def plugins(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder = tmp_path / "plugins" / "solvers"
+    folder.mkdir(parents=True)
+    ways = ((BEHIND, "case.initial_mm"), (BEHIND, "None"), (OUTSIDE, "case.initial_mm"))
+    for name, (camera, points) in zip(NAMES, ways, strict=True):
+        (folder / f"{name}.py").write_text(BLIND.format(name=name, camera=camera, points=points))
+    monkeypatch.setenv("SABENCH_PLUGINS", str(tmp_path / "plugins"))
+
+
+def read_strictly(text: str) -> Any:
+    def refuse(constant: str) -> None:
+        raise AssertionError(f"{constant} is no JSON")
+
+    return json.loads(text, parse_constant=refuse)
+
+
+def run_suite(command: Command, folder: Path) -> list[dict[str, Any]]:
+    (folder / "boards.toml").write_text(small_scene().to_toml(), encoding="utf-8")
+    (folder / "suite.toml").write_text(SUITE)
+    done = command("run", "suite.toml", "--json")
+    assert done.returncode == 0, done.stderr
+    return list(read_strictly(done.stdout))
+
+
+@pytest.mark.usefixtures("plugins")
+@pytest.mark.parametrize("name", NAMES)
+def test_score_prints_json(command: Command, boards: Dataset, tmp_path: Path, name: str) -> None:
+    made = sabench.solve(name, boards, tmp_path / "r.h5")
+    done = command("score", boards.root, made.path, "--json")
+    assert done.returncode == 0, done.stderr
+    scores = read_strictly(done.stdout)
+    first = boards.setup.cameras[0]
+    assert scores["true_px"] == pytest.approx(np.hypot(first.rows, first.columns))
+
+
+@pytest.mark.usefixtures("plugins")
+def test_run_check_and_submit_print_json(command: Command, tmp_path: Path) -> None:
+    records = run_suite(command, tmp_path)
+    assert [one["error"] for one in records] == [None] * 3
+    (result,) = (tmp_path / "work" / "results").glob("*-behind-*.h5")
+    done = command("submit", result, "--name", "me", "--json")
+    assert done.returncode == 0, done.stderr
+    assert len(read_strictly(done.stdout)) == 1
+    for words in (["--update"], []):
+        done = command("check", "suite.toml", "--baseline", "b.json", "--json", *words)
+        assert done.returncode == 0, done.stderr
+        assert read_strictly(done.stdout)["worse"] == []
+
+
+@pytest.mark.usefixtures("plugins")
+@pytest.mark.parametrize("name", NAMES)
+def test_conform_prints_json(command: Command, name: str) -> None:
+    done = command("conform", name, "--json")
+    assert done.returncode in (0, 1), done.stderr
+    assert read_strictly(done.stdout)
+
+
+@pytest.mark.usefixtures("plugins")
+@pytest.mark.parametrize("name", NAMES)
+def test_calibrate_prints_json_or_one_sentence(command: Command, tmp_path: Path, name: str) -> None:
+    scene = small_scene()
+    case, cameras, *_ = case_of(scene)
+    describe(scene, tmp_path / "mine", cameras)
+    write_points(tmp_path / "mine" / "points.csv", case.pixels, cameras)
+    done = command("calibrate", "mine", "--solver", name, "--json")
+    if done.returncode == 0:
+        assert read_strictly(done.stdout)
+    else:
+        assert done.returncode == 2
+        assert done.stdout == ""
+        assert done.stderr.startswith(f"sabench: solver {name}: expected ")
+        assert not (tmp_path / "mine" / "result").exists()
+
+
+@pytest.mark.usefixtures("plugins")
+def test_list_prints_json(command: Command) -> None:
+    done = command("list", "--json")
+    assert set(NAMES) < {one["name"] for one in read_strictly(done.stdout)}
+
+
+def test_every_command_with_json_is_tried_here() -> None:
+    """All but `reproduce`, which takes neither solvers nor cameras of others."""
+    with_json = {
+        command.name or getattr(command.callback, "__name__", "")
+        for command in app.registered_commands
+        if "as_json" in inspect.signature(command.callback or len).parameters
+    }
+    tried = {"calibrate", "check", "conform", "list", "run", "score", "submit"}
+    assert with_json == tried | {"reproduce"}

@@ -1,0 +1,109 @@
+"""Bubbles fitted to images that are known."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from sabench.algorithms.bubbles.backlit_profile import Profile
+from sabench.algorithms.bubbles.rim_fit import (
+    Model,
+    darken,
+    ellipses_of,
+    fit,
+    gain,
+    misfit,
+    unexplained,
+)
+from sabench.algorithms.bubbles.spheroids import start_of
+from sabench.simulation.rendering.pixel_truth import outlines
+from sabench.utils.arrays import F64
+from tests.unit.algorithms.particles.test_triangulation import CAMERAS, COLUMNS, ROWS
+from tests.unit.simulation.rendering.test_bubbles_traced import bubbles
+
+PROFILE = Profile.tabulate(1.0 / 1.333, 0.4, 0.8)
+PLACE = np.array([0.5, -0.4, 36.0])
+SHAPE = (4, ROWS, COLUMNS)
+
+
+def model_of(*shown: F64) -> Model:
+    """Images of the bubbles shown, and a model without any."""
+    model = Model(np.ones(SHAPE, np.float32), np.zeros(SHAPE, np.float32), CAMERAS, PROFILE)
+    for one in shown:
+        darken(model, one, 1.0)
+    return Model(np.exp(model.logs), np.zeros(SHAPE, np.float32), CAMERAS, PROFILE)
+
+
+@pytest.mark.parametrize("radius_mm", [0.15, 1.0])
+def test_a_ball_darkens_pixels_by_its_profile_inside_its_outline(radius_mm: float) -> None:
+    """Radii in all directions are those of the outline that refracted lines of sight touch."""
+    images = model_of(start_of(PLACE, radius_mm)).images
+    ball = bubbles([PLACE.tolist()], [[radius_mm] * 3])
+    row, column = np.mgrid[0:ROWS, 0:COLUMNS]
+    for image, lens in zip(images, CAMERAS, strict=True):
+        middle, _ = lens.project(PLACE[None])
+        x, y = outlines(lens, ball, middle)[0].T - middle[0][:, None]
+        away = np.column_stack([column.ravel(), row.ravel()]) - middle[0]
+        radius = np.interp(
+            np.arctan2(*away.T[::-1]), np.arctan2(y, x), np.hypot(x, y), period=2.0 * np.pi
+        )
+        distance = np.hypot(*away.T)
+        expected = [
+            PROFILE(d, r)
+            for d, r in zip(distance[distance < 30], radius[distance < 30], strict=True)
+        ]
+        np.testing.assert_allclose(image.ravel()[distance < 30], expected, atol=0.04)
+        assert (image.ravel()[distance >= 30] == 1.0).all()
+
+
+def test_what_is_put_in_is_taken_out() -> None:
+    model, ball = model_of(), start_of(PLACE, 0.8, 0.7)
+    darken(model, ball, 1.0)
+    assert model.logs.min() < -1.0
+    darken(model, ball, -1.0)
+    np.testing.assert_allclose(model.logs, 0.0, atol=1e-6)
+
+
+def test_gain_is_the_part_of_the_shadow_that_nothing_explains() -> None:
+    ball = start_of(PLACE, 0.8)
+    dark, empty = model_of(ball), model_of()
+    np.testing.assert_allclose(gain(dark, ball), 1.0, atol=1e-5)
+    np.testing.assert_allclose(gain(empty, ball), -1.0, atol=1e-5)
+    darken(dark, ball, 1.0)
+    assert (gain(dark, ball) < 0.0).all()
+    assert np.isnan(gain(empty, start_of(PLACE + np.array([200.0, 0.0, 0.0]), 0.8))).all()
+
+
+def test_misfit_is_least_for_the_bubble_itself() -> None:
+    ball = start_of(PLACE, 0.8)
+    model = model_of(ball)
+    assert misfit(model, ball) == pytest.approx(0.0, abs=1e-12)
+    moved = [misfit(model, ball + np.array([x, 0, 0, 0, 0, 0, 0])) for x in (0.02, 0.05, 0.1)]
+    assert 1e-5 < moved[0] < moved[1] < moved[2]
+
+
+@pytest.mark.parametrize("off", [0.01, 0.06, 0.12, 0.5])
+def test_a_pixel_that_is_far_off_counts_less(off: float) -> None:
+    """Geman and McClure's function rises to half at its width, 0.12, and ends there squared."""
+    model, ellipses = model_of(), ellipses_of(model_of(), start_of(PLACE, 0.8))
+    model.logs[:] = np.log(1.0 - off)
+    value = unexplained(model, ellipses)
+    model.logs[:] = np.log(0.88)
+    assert value / unexplained(model, ellipses) == pytest.approx(
+        2.0 * off**2 / (off**2 + 0.12**2), rel=1e-4
+    )
+
+
+@pytest.mark.parametrize("spoiled", [False, True])
+def test_a_spheroid_is_found_again(spoiled: bool) -> None:
+    """Also where another bubble hides a part of it in one camera."""
+    true = np.array([*PLACE, 0.0, np.log(0.75), 0.1, -0.05])
+    model = model_of(true)
+    if spoiled:
+        column, row = CAMERAS[1].project(PLACE[None])[0][0].astype(int)
+        model.images[1, row - 30 : row - 4, column - 20 : column + 20] = 0.1
+    start = true + np.array([0.15, -0.1, 0.2, 0.1, 0.05, -0.1, 0.05])
+    found = fit(model, start, 40)
+    np.testing.assert_allclose(found[:3], PLACE, atol=0.03)
+    np.testing.assert_allclose(np.exp(found[3:5]), [1.0, 0.75], rtol=0.03)
+    np.testing.assert_allclose(found[5:], true[5:], atol=0.06)

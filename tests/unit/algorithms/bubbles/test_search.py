@@ -1,0 +1,50 @@
+"""Outlines and bubbles in images that hold few of them, or none."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from sabench.algorithms.bubbles.feature_potential import find_outlines
+from sabench.algorithms.bubbles.hypotheses import Hypotheses
+from sabench.algorithms.bubbles.search import search_bubbles
+from sabench.algorithms.bubbles.spheroids import start_of
+from sabench.utils.arrays import F32
+from tests.unit.algorithms.bubbles.test_rim_fit import PROFILE, SHAPE, model_of
+from tests.unit.algorithms.particles.test_triangulation import CAMERAS
+
+
+def disc(column: float, row: float, radius: float) -> F32:
+    """Darkness of a disc with an edge of two voxels."""
+    y, x = np.mgrid[0:70, 0:90]
+    apart = radius - np.hypot(x - column, y - row)
+    return np.asarray(np.clip(0.5 + apart / 2.0, 0.0, 1.0), dtype=np.float32)
+
+
+@pytest.mark.parametrize(
+    ("column", "row", "radius"), [(47.3, 31.6, 12.0), (60.2, 50.7, 2.5), (3.0, 62.0, 2.0)]
+)
+def test_an_outline_is_where_the_disc_is(column: float, row: float, radius: float) -> None:
+    found = find_outlines(disc(column, row, radius), np.full((70, 90), 7.0, np.float32), 0.3, 10.0)
+    (x, y, a, b), (depth,) = found.shapes[0], found.depth
+    assert (x, y) == pytest.approx((column, row), abs=0.25)
+    assert (a, b) == pytest.approx((radius, radius), abs=0.8)  # a threshold at the mean
+    assert depth == pytest.approx(7.0)
+
+
+def test_nothing_is_found_in_the_light() -> None:
+    nothing = Hypotheses(np.zeros((0, 3)), np.zeros(0), np.zeros(0), np.zeros(0))
+    images = np.ones(SHAPE, np.float32)
+    found = search_bubbles(images, CAMERAS, lambda half_angle: PROFILE, None, nothing, 0.5, 1)
+    assert found.center_mm.shape == (0, 3)
+
+
+def test_two_bubbles_are_found_and_a_third_is_not_invented() -> None:
+    true = np.array([[0.5, -0.4, 36.0], [-0.9, 0.3, 37.5]])
+    images = model_of(start_of(true[0], 0.8), start_of(true[1], 0.6)).images
+    guess = np.vstack([true + np.array([0.05, -0.05, 0.1]), [[-3.0, 2.5, 34.0]]])
+    start = Hypotheses(guess, np.array([0.75, 0.65, 0.7]), np.array([0.9, 0.8, 0.7]), np.ones(3))
+    found = search_bubbles(images, CAMERAS, lambda half_angle: PROFILE, 0.4, start, 0.5, 1)
+    order = np.argsort(-found.radius_mm)
+    np.testing.assert_allclose(found.center_mm[order], true, atol=0.03)
+    np.testing.assert_allclose(found.radius_mm[order], [0.8, 0.6], rtol=0.02)

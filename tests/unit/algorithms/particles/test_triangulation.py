@@ -1,0 +1,207 @@
+"""Positions from particle images, and maps of a box, against cameras' own projection."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from sabench.algorithms.particles.correspondence import match, move_to_pixel, pair_up
+from sabench.algorithms.particles.ipr import fit_cameras
+from sabench.algorithms.particles.triangulation import Candidates, find_candidates, select_best
+from sabench.geometry.camera import Camera, Distortion, aim, aimed_rotation
+from sabench.geometry.refraction import Layer, Wall
+from sabench.geometry.volume_polynomials import (
+    VolumePolynomials,
+    fit_volume_polynomials,
+    project_point,
+    project_points,
+)
+from sabench.images.peaks import Peaks, _sort
+from sabench.simulation.in_memory import simulate
+from sabench.utils.arrays import F64, Bool
+from tests.unit.simulation.rendering.test_particle_images import make_scene
+
+WALL = Wall((0.0, 0.0, 0.0), (0.0, 0.0, 1.0), 1.0, (Layer("glass", 1.5, 6.0),), 1.333)
+LOW, HIGH = np.array([-7.0, -5.0, 30.0]), np.array([7.0, 5.0, 42.0])
+ROWS, COLUMNS = 160, 200
+
+
+def camera(x: float, y: float) -> Camera:
+    """About 11 px a millimetre; the whole box is on the sensor."""
+    rotation, middle = aimed_rotation(np.array([0.0, 0.0, 1.0])), (101.0, 78.0)
+    lens = Distortion(k1=-0.2, p1=1e-3)
+    plain = Camera(
+        "one", ROWS, COLUMNS, (x, y, -300.0), rotation, 36.0, 0.01, middle, lens, 32.0, 8.0, WALL
+    )
+    return aim(plain, (0.0, 0.0, 36.0))
+
+
+CAMERAS = [camera(-90.0, -60.0), camera(90.0, -60.0), camera(90.0, 60.0), camera(-90.0, 60.0)]
+
+
+@pytest.fixture(scope="module")
+def maps() -> VolumePolynomials:
+    return fit_volume_polynomials(CAMERAS, LOW, HIGH)
+
+
+def unit_points(count: int, seed: int = 1) -> F64:
+    return np.random.default_rng(seed).uniform(-0.95, 0.95, (count, 3))
+
+
+def images_of(points: F64, maps: VolumePolynomials, cameras: int = 4) -> tuple[F64, ...]:
+    """Exact pixels (n, 2) in each camera of points of the box from -1 to 1."""
+    world = maps.middle_mm + maps.half_mm * points
+    return tuple(one.project(world)[0] for one in CAMERAS[:cameras])
+
+
+def peaks_of(pixels: tuple[F64, ...]) -> tuple[Peaks, ...]:
+    return tuple(_sort(own, (ROWS, COLUMNS)) for own in pixels)
+
+
+def first(maps: VolumePolynomials, cameras: int) -> VolumePolynomials:
+    return VolumePolynomials(np.ascontiguousarray(maps.coefficients[:cameras]), *maps[1:])
+
+
+def distances(found: F64, points: F64, maps: VolumePolynomials) -> F64:
+    """Of each point from the nearest position that was found, mm."""
+    apart = (points[:, None] - found[None]) * maps.half_mm
+    return np.asarray(np.linalg.norm(apart, axis=2).min(axis=1, initial=np.inf))
+
+
+def test_maps_are_the_cameras_to_a_thousandth_of_a_pixel_in_all_of_the_box(
+    maps: VolumePolynomials,
+) -> None:
+    axis = np.linspace(-1.0, 1.0, 8)
+    points = np.stack(np.meshgrid(axis, axis, axis), axis=-1).reshape(-1, 3)
+    for number, exact in enumerate(images_of(points, maps)):
+        assert np.abs(project_points(maps, number, points) - exact).max() < 1.0e-3
+
+
+def test_slopes_of_maps_are_their_differences(maps: VolumePolynomials) -> None:
+    pixel, slope = np.zeros(2), np.zeros((2, 3))
+    for point in np.vstack([unit_points(5), np.zeros((1, 3))]):
+        for number in range(4):
+            project_point(maps, number, point, pixel, slope)
+            np.testing.assert_allclose(pixel, project_points(maps, number, point[None])[0])
+            steps = 1e-5 * np.eye(3)
+            ends = [project_points(maps, number, point + sign * steps) for sign in (1.0, -1.0)]
+            np.testing.assert_allclose(slope.T, (ends[0] - ends[1]) / 2e-5, atol=1e-4)
+
+
+def open_sensors(cameras: int) -> Bool:
+    """No pixel is covered."""
+    return np.zeros((cameras, ROWS, COLUMNS), dtype=np.bool_)
+
+
+@pytest.mark.parametrize(("cameras", "order"), [(3, (0, 1)), (4, (2, 1))])
+def test_all_particles_are_found_where_they_are(
+    maps: VolumePolynomials, cameras: int, order: tuple[int, int]
+) -> None:
+    points = unit_points(30)
+    peaks = peaks_of(images_of(points, maps, cameras))
+    found = find_candidates(first(maps, cameras), peaks, order, 0.1, 0, open_sensors(cameras))
+    assert distances(found.position, points, maps).max() < 2e-3
+    assert found.error_px.max() < 0.1
+    best = select_best(found, peaks)
+    assert len(best) == 30
+    for number in range(cameras):  # each particle image once
+        assert sorted(found.hit[best, number]) == list(range(30))
+
+
+def test_a_single_particle_is_found_by_all_cameras(maps: VolumePolynomials) -> None:
+    point = np.array([[0.2, -0.4, 0.9]])
+    for cameras in (3, 4):
+        peaks = peaks_of(images_of(point, maps, cameras))
+        found = find_candidates(first(maps, cameras), peaks, (0, 1), 0.5, 0, open_sensors(cameras))
+        assert found.hit.tolist() == [[0] * cameras]
+        assert distances(found.position, point, maps)[0] < 2e-3
+
+
+def test_a_camera_may_miss_a_particle_where_that_is_allowed_or_off_its_sensor(
+    maps: VolumePolynomials,
+) -> None:
+    points = unit_points(10)
+    pixels = images_of(points, maps)
+    peaks = peaks_of((*pixels[:2], pixels[2][1:], pixels[3]))
+    strict, tolerant = (
+        find_candidates(maps, peaks, (0, 1), 0.1, missing, open_sensors(4)) for missing in (0, 1)
+    )
+    assert distances(strict.position, points, maps)[0] > 0.1
+    assert distances(strict.position, points[1:], maps).max() < 2e-3
+    assert distances(tolerant.position, points, maps).max() < 2e-3
+    lost = np.argmin(np.linalg.norm(tolerant.position - points[0], axis=1))
+    assert np.flatnonzero(tolerant.hit[lost] < 0).tolist() == [2]
+    # a sensor that ends before the particle's image misses nothing
+    column = int(pixels[2][0, 0])
+    cut = find_candidates(maps, peaks, (0, 1), 0.1, 0, open_sensors(4)[:, :, :column])
+    assert distances(cut.position, points[:1], maps)[0] < 2e-3
+
+
+def test_each_peak_goes_to_the_complete_set_that_fits_best() -> None:
+    hit = np.array([[0, 0, 0], [0, 1, 1], [1, 1, -1], [1, 2, 2], [2, 0, -1]])
+    error = np.array([0.3, 0.1, 0.0, 0.2, 0.0])
+    peaks = tuple(Peaks(np.zeros((3, 2)), np.zeros(2, dtype=np.int64), 1, 1) for _ in range(3))
+    kept = select_best(Candidates(np.zeros((5, 3)), hit, error), peaks)
+    assert kept.tolist() == [1, 3, 4]
+
+
+def matched(maps: VolumePolynomials, peaks: tuple[Peaks, ...], radius: float) -> Any:
+    """Positions and errors of the sets that self-calibration matches."""
+    positions, errors = np.zeros((500, 3)), np.zeros((500, 4, 2))
+    hits, order = np.zeros((500, 4), dtype=np.int64), np.arange(len(peaks[0].pixels))
+    count = match(maps, peaks, order, radius, 200, positions, hits, errors)
+    return positions[:count], errors[:count]
+
+
+def test_matches_fit_their_images_best(maps: VolumePolynomials) -> None:
+    """The errors of a match have no part along the slopes of its position: least squares."""
+    points = unit_points(12)
+    pixels = images_of(points, maps)
+    positions, errors = matched(maps, peaks_of(pixels), 0.5)
+    assert distances(positions, points, maps).max() < 2e-3
+    assert np.abs(errors[np.linalg.norm(errors, axis=2).max(axis=1) < 0.01]).max() < 0.01
+    off = (*pixels[:-1], pixels[-1] + np.array([0.0, 0.5]))
+    positions, errors = matched(maps, peaks_of(off), 0.7)
+    assert distances(positions, points, maps).max() < 0.1
+    near = np.linalg.norm((positions - points[:, None]) * maps.half_mm, axis=2).argmin(axis=1)
+    for number, point in zip(near, points, strict=True):
+        pixel, slope, gradient = np.zeros(2), np.zeros((2, 3)), np.zeros(3)
+        for one in range(4):
+            project_point(maps, one, point, pixel, slope)
+            gradient += slope.T @ errors[number, one]
+        assert np.abs(gradient).max() < 0.02 * np.abs(slope).max()
+    assert len(matched(maps, peaks_of((*pixels[:-1], pixels[-1] + [0.0, 3.0])), 0.5)[0]) < 12
+
+
+def test_a_line_of_sight_is_followed_as_far_as_the_box_goes(maps: VolumePolynomials) -> None:
+    here, slope = np.zeros(2), np.zeros((2, 3))
+    for goal in ([0.3, 0.4, -0.5], [0.3, 1.3, -0.5], [-1.2, 0.2, 0.6], [0.9, -1.1, 0.0]):
+        pixel = project_points(maps, 0, np.array([goal]))[0]
+        position = np.array([0.0, 0.0, goal[2]])
+        inside = move_to_pixel(maps, pixel, position, here, slope)
+        assert inside == (max(np.abs(goal)) <= 1.0)
+        if inside:
+            np.testing.assert_allclose(position, goal, atol=1e-4)
+
+
+def test_pairs_are_those_within_the_radius_until_the_room_is_full() -> None:
+    rng = np.random.default_rng(4)
+    peaks = _sort(rng.uniform(0.0, 60.0, (40, 2)), (60, 60))
+    pixels, out = rng.uniform(0.0, 60.0, (50, 2)), np.zeros((500, 2), dtype=np.int64)
+    count = pair_up(peaks, pixels, 5.0, out)
+    near = np.linalg.norm(pixels[:, None] - peaks.pixels[None], axis=2) <= 5.0
+    assert {(int(a), int(b)) for a, b in out[:count]} == {
+        (int(a), int(b)) for a, b in np.argwhere(near)
+    }
+    assert pair_up(peaks, pixels, 5.0, out[:7]) == 7
+
+
+def test_particles_are_looked_for_in_whole_border_voxels() -> None:
+    case = simulate(make_scene(particles={"count": 5}), seed=1).observation
+    maps, grid = fit_cameras(case), case.grid
+    low = np.asarray(grid.low_mm) - np.asarray(grid.voxel_mm) / 2.0
+    assert (maps.middle_mm - maps.half_mm < low).all()
+    high = low + np.asarray(grid.shape[::-1]) * np.asarray(grid.voxel_mm)
+    assert (maps.middle_mm + maps.half_mm > high).all()

@@ -1,0 +1,345 @@
+"""Light paths through cylinders, against rays that another program follows.
+
+And their limits: a flat wall, and rays in a plane through the axis.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from sabench.evaluation.gates.independent_snell import aim_at, shoot
+from sabench.geometry import cylinder_kernels
+from sabench.geometry.camera import Camera, Distortion, aim, aimed_rotation
+from sabench.geometry.cylinder_wall import CylinderWall
+from sabench.geometry.refraction import (
+    Layer,
+    Wall,
+    length_to_fluid,
+    trace_into_fluid,
+    trace_to_points,
+    transmittance,
+)
+from sabench.geometry.rotations import rotation_matrices
+from sabench.scenes.tank import build_wall
+from sabench.scenes.wall import CylinderSpec, LayerSpec
+from sabench.utils.arrays import F64, triple
+
+GLASS = LayerSpec(index=1.52, thickness_mm=5.0)
+SPECS = {
+    "glass": CylinderSpec(
+        shape="cylinder", outer_radius_mm=40.0, layers=(GLASS,), fluid_index=1.333
+    ),
+    "bare": CylinderSpec(shape="cylinder", outer_radius_mm=40.0, fluid_index=1.333),
+    "tilted": CylinderSpec(
+        shape="cylinder",
+        axis_point_mm=(3.0, -2.0, 5.0),
+        axis=(0.3, 1.0, -0.2),
+        outer_radius_mm=55.0,
+        layers=(GLASS, LayerSpec(index=1.49, thickness_mm=2.0)),
+        fluid_index=1.36,
+    ),
+    "air gap": CylinderSpec(
+        shape="cylinder",
+        outer_radius_mm=60.0,
+        layers=(GLASS, LayerSpec(index=1.0, thickness_mm=4.0), GLASS),
+        fluid_index=1.333,
+    ),
+    "denser outside": CylinderSpec(
+        shape="cylinder",
+        outer_radius_mm=40.0,
+        air_index=1.333,
+        layers=(GLASS,),
+        fluid_index=1.0,
+    ),
+}
+PINHOLE = np.array([60.0, -150.0, -480.0])
+
+
+def points_in(spec: CylinderSpec, share: float, count: int, seed: int) -> F64:
+    """Return points up to a share of the inner radius from the axis."""
+    rng = np.random.default_rng(seed)
+    radius = share * spec.inner_radius_mm * np.sqrt(rng.random(count))
+    angle = rng.uniform(0.0, 2.0 * np.pi, count)
+    frame = np.asarray(aimed_rotation(np.asarray(spec.axis)))
+    local = np.column_stack(
+        [radius * np.cos(angle), radius * np.sin(angle), rng.uniform(-60.0, 60.0, count)]
+    )
+    return np.asarray(np.asarray(spec.axis_point_mm) + local @ frame)
+
+
+def camera_behind(
+    wall: Wall | CylinderWall, target: tuple[float, float, float] = (0.0, 0.0, 0.0)
+) -> Camera:
+    """A camera with a distorted lens, aimed at a point."""
+    made = Camera(
+        "one",
+        800,
+        1000,
+        triple(PINHOLE),
+        aimed_rotation(-PINHOLE),
+        100.0,
+        0.01,
+        (500.0, 400.0),
+        Distortion(k1=-0.2, p1=1e-3),
+        85.0,
+        16.0,
+        wall,
+    )
+    return aim(made, target)
+
+
+def misses(at: F64, along: F64, points: F64) -> F64:
+    """Distances (n,) of points from rays."""
+    return np.asarray(np.linalg.norm(np.cross(points - at, along), axis=1))
+
+
+@pytest.mark.parametrize("kind", SPECS)
+def test_paths_and_rays_are_those_of_a_vector_tracer(kind: str) -> None:
+    """Rays that leave along a found path meet its point, and both programs agree on them."""
+    spec = SPECS[kind]
+    wall, points = build_wall(spec), points_in(spec, 0.6, 300, 1)
+    paths = trace_to_points(wall, PINHOLE, points)
+    assert paths.valid.all()
+    at, along = shoot(spec, PINHOLE, paths.leaving)
+    assert misses(at, along, points).max() < 1e-9
+    rays = trace_into_fluid(wall, PINHOLE, paths.leaving)
+    assert rays.valid.all()
+    assert misses(rays.origins_mm, rays.directions, points).max() < 1e-9
+    np.testing.assert_allclose(rays.origins_mm, at, rtol=0, atol=1e-10)
+    np.testing.assert_allclose(rays.directions, along, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(paths.arriving, along, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(paths.leaving, aim_at(spec, PINHOLE, points), rtol=0, atol=1e-11)
+
+
+@pytest.mark.parametrize("kind", SPECS)
+def test_a_camera_projects_and_back_projects(kind: str) -> None:
+    spec = SPECS[kind]
+    camera, points = camera_behind(build_wall(spec)), points_in(spec, 0.3, 200, 2)
+    pixels, valid = camera.project(points)
+    rays = camera.back_project(pixels)
+    assert valid.all()
+    assert rays.valid.all()
+    assert misses(rays.origins_mm, rays.directions, points).max() < 1e-9
+    there = camera.carry(points, 1.0)
+    again = camera.project(np.column_stack([there, np.ones(len(there))]))[0]
+    near = np.isfinite(again).all(axis=1)
+    assert near.sum() > 100
+    np.testing.assert_allclose(again[near], pixels[near], rtol=0, atol=1e-8)
+
+
+def _near(wall: CylinderWall, leaving: F64, points: F64) -> F64:
+    """Return where rays come nearest to their points."""
+    rays = wall.rays(PINHOLE, leaving)
+    along = np.sum((points - rays.origins_mm) * rays.directions, axis=1, keepdims=True)
+    return np.asarray(rays.origins_mm + along * rays.directions)
+
+
+def forward(spec: CylinderSpec, count: int) -> tuple[F64, F64, F64]:
+    """Return rays all over the cylinder and a point on each: directions, points, area of a bundle.
+
+    The area is positive where neighbouring rays have not crossed yet.
+    """
+    rng = np.random.default_rng(3)
+    wall = build_wall(spec)
+    inwards, axis = wall.normal_at(PINHOLE), np.asarray(wall.axis)
+    across = np.cross(axis, inwards)
+    aims = np.asarray(spec.axis_point_mm) + rng.uniform(-1.0, 1.0, (count, 2)) @ np.stack(
+        [spec.outer_radius_mm * across, 200.0 * axis]
+    )
+    leaving = (aims - PINHOLE) / np.linalg.norm(aims - PINHOLE, axis=1, keepdims=True)
+    rays = wall.rays(PINHOLE, leaving)
+    leaving, start, along = (
+        part[rays.valid] for part in (leaving, rays.origins_mm, rays.directions)
+    )
+    radial, flat = (
+        part - (part @ axis)[:, None] * axis for part in (start - wall.axis_point_mm, along)
+    )
+    chord = -2.0 * np.sum(radial * flat, axis=1) / np.sum(flat**2, axis=1)
+    points = start + (rng.uniform(0.01, 0.99, len(chord)) * chord)[:, None] * along
+    first = np.cross(leaving, axis)
+    one, other = (
+        _near(wall, leaving + 1e-6 * side, points) - _near(wall, leaving - 1e-6 * side, points)
+        for side in (first, np.cross(leaving, first))
+    )
+    return leaving, points, np.asarray(np.sum(np.cross(one, other) * along, axis=1))
+
+
+@pytest.mark.parametrize("kind", SPECS)
+def test_every_path_before_a_caustic_is_found(kind: str) -> None:
+    """Also those next to the limb; behind a caustic the path found is the other one."""
+    spec = SPECS[kind]
+    leaving, points, area = forward(spec, 4000)
+    paths = build_wall(spec).paths(PINHOLE, points)
+    before = area > 0.0
+    assert before.mean() > 0.9
+    assert paths.valid[before].all()
+    np.testing.assert_allclose(paths.leaving[before], leaving[before], rtol=0, atol=1e-9)
+    crossed = paths.leaving[~before] - leaving[~before]
+    assert not (np.linalg.norm(crossed, axis=1) < 1e-6).any()
+
+
+def test_points_without_a_path_are_not_valid() -> None:
+    """In the wall, outside, in the shadow behind the limb, or without coordinates."""
+    wall = build_wall(SPECS["glass"])
+    pinhole = np.array([0.0, 0.0, -500.0])
+    points = np.array(
+        [
+            [0.0, 0.0, 0.0],
+            [0.0, 0.0, -36.0],
+            [0.0, 0.0, -45.0],
+            [32.4, 0.0, 11.8],
+            [math.nan, 0.0, 0.0],
+            [0.0, math.inf, 0.0],
+        ]
+    )
+    paths = trace_to_points(wall, pinhole, points)
+    assert paths.valid.tolist() == [True, False, False, False, False, False]
+    assert np.isnan(paths.leaving[1:]).all()
+    assert np.isnan(paths.arriving[1:]).all()
+    inside = trace_to_points(wall, np.array([0.0, 0.0, -37.0]), points[:1])
+    assert not inside.valid.any()
+
+
+def test_rays_that_miss_the_fluid_are_not_valid() -> None:
+    wall, pinhole = build_wall(SPECS["air gap"]), np.array([0.0, 0.0, -500.0])
+    sideways = np.array([0.0, 0.05, 0.11, 0.13])  # of the last the line passes the cylinder
+    directions = np.column_stack([sideways, np.zeros(4), np.sqrt(1.0 - sideways**2)])
+    rays = trace_into_fluid(wall, pinhole, directions)
+    assert rays.valid.tolist() == [True, True, False, False]
+    assert np.isnan(rays.directions[2:]).all()
+    assert transmittance(wall, pinhole, directions)[2:].tolist() == [0.0, 0.0]
+    assert np.isnan(length_to_fluid(wall, pinhole, directions)[2:]).all()
+
+
+def plane_twin(wall: CylinderWall, pinhole: F64) -> Wall:
+    """The plane wall that touches a cylinder next to a pinhole."""
+    normal = wall.normal_at(pinhole)
+    return Wall(
+        triple(pinhole - float(wall.depth_of(pinhole)) * normal),
+        triple(normal),
+        wall.air_index,
+        wall.layers,
+        wall.fluid_index,
+    )
+
+
+@pytest.mark.parametrize("kind", ["glass", "tilted"])
+def test_without_curvature_the_kernels_are_a_plane_wall(kind: str) -> None:
+    """To rounding: the curvature is zero in place of small."""
+    wall = build_wall(SPECS[kind])
+    flat, pinhole = plane_twin(wall, PINHOLE), PINHOLE
+    gap, frame = -float(wall.depth_of(pinhole)), wall._frame(pinhole)
+    faces = np.column_stack([np.zeros(len(wall.layers) + 1), flat.interface_depths_mm])
+    local = np.random.default_rng(4).uniform([8.0, -60.0, -60.0], [90.0, 60.0, 60.0], (200, 3))
+    leaving, arriving = np.zeros_like(local), np.zeros_like(local)
+    assert cylinder_kernels.find(gap, faces, wall.indices, local, leaving, arriving).all()
+    points = pinhole + (local + np.array([gap, 0.0, 0.0])) @ frame
+    paths = trace_to_points(flat, pinhole, points)
+    np.testing.assert_allclose(leaving @ frame, paths.leaving, rtol=0, atol=1e-15 * 5)
+    np.testing.assert_allclose(arriving @ frame, paths.arriving, rtol=0, atol=1e-15 * 5)
+    ends, length, passed = np.zeros_like(local), np.zeros(200), np.zeros(200)
+    there = leaving.copy()
+    assert cylinder_kernels.follow(gap, faces, wall.indices, there, ends, length, passed).all()
+    np.testing.assert_allclose(there, arriving, rtol=0, atol=1e-15 * 5)
+    np.testing.assert_allclose(
+        length, length_to_fluid(flat, pinhole, paths.leaving), rtol=1e-14, atol=0
+    )
+    np.testing.assert_allclose(
+        passed, transmittance(flat, pinhole, paths.leaving), rtol=1e-14, atol=0
+    )
+
+
+def test_large_cylinders_come_near_a_plane_wall() -> None:
+    """The deviation falls as one over the radius."""
+    plane = Wall((0.0, 0.0, 0.0), (0.0, 0.0, 1.0), 1.0, (Layer("glass", 1.52, 5.0),), 1.333)
+    points = np.random.default_rng(5).uniform([-30.0, -30.0, 20.0], [30.0, 30.0, 60.0], (100, 3))
+    camera = camera_behind(plane, (0.0, 0.0, 40.0))
+    exact = camera.project(points)[0]
+    worst = []
+    for radius in (1e4, 1e5, 1e6):
+        wall = CylinderWall(
+            (0.0, 0.0, radius), (0.0, 1.0, 0.0), radius, 1.0, plane.layers, plane.fluid_index
+        )
+        worst.append(float(np.abs(replace(camera, wall=wall).project(points)[0] - exact).max()))
+    assert worst[0] > 0.1
+    np.testing.assert_allclose(np.array(worst[:2]) / worst[1:], 10.0, rtol=0.02)
+
+
+@pytest.mark.parametrize("kind", SPECS)
+def test_rays_in_a_plane_through_the_axis_see_a_plane_wall(kind: str) -> None:
+    spec = SPECS[kind]
+    wall = build_wall(spec)
+    normal, axis = wall.normal_at(PINHOLE), np.asarray(wall.axis)
+    rng = np.random.default_rng(6)
+    depth = rng.uniform(-0.9, 0.9, 100) * spec.inner_radius_mm
+    foot = PINHOLE - np.dot(PINHOLE - wall.axis_point_mm, normal) * normal
+    points = foot + depth[:, None] * normal + rng.uniform(-80.0, 80.0, 100)[:, None] * axis
+    flat = plane_twin(wall, PINHOLE)
+    round_, plane = (trace_to_points(one, PINHOLE, points) for one in (wall, flat))
+    np.testing.assert_allclose(round_.leaving, plane.leaving, rtol=0, atol=2e-14)
+    np.testing.assert_allclose(round_.arriving, plane.arriving, rtol=0, atol=2e-14)
+    lengths, passed = (
+        [function(one, PINHOLE, plane.leaving) for one in (wall, flat)]
+        for function in (length_to_fluid, transmittance)
+    )
+    np.testing.assert_allclose(lengths[0], lengths[1], rtol=1e-12)
+    np.testing.assert_allclose(passed[0], passed[1], rtol=1e-12)
+
+
+def test_a_ray_at_the_axis_goes_on_straight() -> None:
+    wall = build_wall(SPECS["tilted"])
+    towards = wall.normal_at(PINHOLE)
+    rays = trace_into_fluid(wall, PINHOLE, towards[None])
+    np.testing.assert_allclose(rays.directions[0], towards, rtol=0, atol=1e-15)
+    n = wall.indices
+    straight = np.prod(4.0 * n[:-1] * n[1:] / (n[:-1] + n[1:]) ** 2)
+    assert transmittance(wall, PINHOLE, towards[None])[0] == pytest.approx(straight, rel=1e-13)
+
+
+def test_light_takes_the_same_way_back() -> None:
+    """Transmission by Fresnel's amplitudes at the angles of the other program's path."""
+    spec = replace_layers(SPECS["glass"], ())
+    wall, points = build_wall(spec), points_in(spec, 0.6, 50, 7)
+    leaving = trace_to_points(wall, PINHOLE, points).leaving
+    at, along = shoot(spec, PINHOLE, leaving)
+    outwards = (at * [1.0, 0.0, 1.0]) / spec.outer_radius_mm
+    c1, c2 = (-np.sum(ray * outwards, axis=1) for ray in (leaving, along))
+    s, p = 2.0 * c1 / (c1 + 1.333 * c2), 2.0 * c1 / (1.333 * c1 + c2)
+    expected = 1.333 * c2 / c1 * (s**2 + p**2) / 2.0
+    np.testing.assert_allclose(transmittance(wall, PINHOLE, leaving), expected, rtol=1e-12)
+    np.testing.assert_allclose(
+        length_to_fluid(wall, PINHOLE, leaving), np.linalg.norm(at - PINHOLE, axis=1), rtol=1e-13
+    )
+
+
+def replace_layers(spec: CylinderSpec, layers: tuple[LayerSpec, ...]) -> CylinderSpec:
+    return spec.model_copy(update={"layers": layers})
+
+
+def test_moving_the_whole_world_moves_no_pixel() -> None:
+    spec = SPECS["tilted"]
+    wall, points = build_wall(spec), points_in(spec, 0.5, 100, 8)
+    turn = rotation_matrices(np.array([0.4, -1.1, 0.7]))
+    shift = np.array([30.0, -20.0, 70.0])
+
+    def moved(point: Any) -> tuple[float, float, float]:
+        return triple(turn @ np.asarray(point) + shift)
+
+    camera = camera_behind(wall)
+    rotation = np.asarray(camera.rotation) @ turn.T
+    other = replace(
+        camera,
+        center_mm=moved(camera.center_mm),
+        rotation=(triple(rotation[0]), triple(rotation[1]), triple(rotation[2])),
+        wall=replace(
+            wall, axis_point_mm=moved(wall.axis_point_mm), axis=triple(turn @ np.asarray(wall.axis))
+        ),
+    )
+    np.testing.assert_allclose(
+        other.project(points @ turn.T + shift)[0], camera.project(points)[0], rtol=0, atol=1e-8
+    )

@@ -1,0 +1,146 @@
+"""Materials of a scene: their names become indices at the wavelength of its light."""
+
+from __future__ import annotations
+
+import tomllib
+from typing import Any
+
+import pytest
+
+from sabench.geometry.dispersion import refractive_index
+from sabench.scenes import Scene, build_rig, find, parse_scene
+from sabench.scenes.materials import fill_indices
+from sabench.scenes.wall import CylinderSpec, WallSpec
+from sabench.utils.errors import InputError
+from sabench.utils.validation import validate
+
+
+def quick(wall: dict[str, Any], layer: dict[str, Any], **light: Any) -> Scene:
+    values = tomllib.loads(find("quick", "scenes").read_text(encoding="utf-8"))
+    values["wall"] = {"layers": [{"thickness_mm": 5.0, **layer}], "depth_mm": 100.0, **wall}
+    values["illumination"] |= light
+    return parse_scene(values, "test")
+
+
+@pytest.mark.parametrize("nm", [532.0, 632.8])
+def test_the_wall_has_the_indices_at_the_laser_s_wavelength(nm: float) -> None:
+    scene = quick({"fluid": "water", "temperature_c": 25.0}, {"material": "BK7"}, wavelength_nm=nm)
+    wall = build_rig(scene).cameras[0].wall
+    assert wall is not None
+    assert wall.fluid_index == refractive_index("water", nm, 25.0)
+    assert wall.layers[0].index == refractive_index("BK7", nm)
+
+
+def test_at_532_nm_glass_is_not_what_it_is_in_the_catalogue() -> None:
+    wall = quick({"fluid": "water"}, {"material": "BK7"}).plane
+    assert wall is not None
+    assert wall.layers[0].index == pytest.approx(1.51947, abs=1e-5)
+    assert wall.fluid_index == refractive_index("water", 532.0, 20.0)
+
+
+def test_a_scene_with_materials_survives_being_written() -> None:
+    scene = quick({"fluid": "water"}, {"material": "acrylic"})
+    written = tomllib.loads(scene.to_toml())
+    assert "index" not in written["wall"]["layers"][0]
+    assert "fluid_index" not in written["wall"]
+    again = parse_scene(written, "again")
+    assert again == scene
+    assert again.hash == scene.hash
+    assert scene.with_frames(3).wall == scene.wall
+    red = {**written, "illumination": {**written["illumination"], "wavelength_nm": 650.0}}
+    wall = parse_scene(red, "red").plane
+    assert wall is not None
+    assert wall.fluid_index == refractive_index("water", 650.0)
+
+
+def test_round_tanks_and_tanks_of_several_faces_have_materials() -> None:
+    values = tomllib.loads(find("quick", "scenes").read_text(encoding="utf-8"))
+    layers = [{"material": "acrylic", "thickness_mm": 5.0}]
+    face = {"fluid": "water", "temperature_c": 30.0, "layers": layers}
+    round_tank = {"shape": "cylinder", "outer_radius_mm": 80.0, **face}
+    for wall in ([face, face], round_tank):
+        filled, faults = fill_indices({**values, "wall": wall})
+        assert not faults
+        for one in filled["wall"] if isinstance(wall, list) else [filled["wall"]]:
+            kind: type[WallSpec | CylinderSpec] = CylinderSpec if "shape" in one else WallSpec
+            made: WallSpec | CylinderSpec = validate(kind, one, "test")
+            assert made.fluid_index == refractive_index("water", 532.0, 30.0)
+            assert made.layers[0].index == refractive_index("acrylic", 532.0)
+            assert "fluid_index" not in made.model_dump()
+
+
+def test_the_window_of_the_laser_has_materials_too() -> None:
+    entry = {
+        "point_mm": [-60.0, 0.0, 0.0],
+        "normal": [1.0, 0.0, 0.0],
+        "layers": [{"material": "fused silica", "thickness_mm": 3.0}],
+    }
+    light = quick({"fluid": "water"}, {"material": "BK7"}, entry=entry).illumination
+    assert light is not None
+    assert light.entry is not None
+    assert light.entry.layers[0].index == refractive_index("fused silica", 532.0)
+
+
+@pytest.mark.parametrize(
+    ("wall", "layer", "message"),
+    [
+        (
+            {"fluid_index": 1.333},
+            {"material": "BK8"},
+            "wall.layers.0.material: expected a known material, such as BK7 or N-BK7; got BK8",
+        ),
+        (
+            {"fluid_index": 1.333},
+            {"material": "BK7", "index": 1.5},
+            "wall.layers.0.material: expected it or index, got both",
+        ),
+        (
+            {"fluid": "water", "fluid_index": 1.333},
+            {"index": 1.5},
+            "wall.fluid: expected it or fluid_index, got both",
+        ),
+        (
+            {"fluid_index": 1.333, "temperature_c": 20.0},
+            {"index": 1.5},
+            'wall.temperature_c: expected fluid = "water" with it, got None',
+        ),
+        ({"fluid_index": 1.333}, {}, "wall.layers.0.index: this key is missing"),
+    ],
+)
+def test_what_cannot_be_is_one_sentence(
+    wall: dict[str, Any], layer: dict[str, Any], message: str
+) -> None:
+    with pytest.raises(InputError) as caught:
+        quick(wall, layer)
+    assert str(caught.value) == f"test: {message}"
+
+
+@pytest.mark.parametrize(
+    ("wall", "message"),
+    [
+        (
+            {"fluid_index": 1.333, "layers": [{"material": "BK7", "thickness_mm": 1.0}]},
+            "test: layers.0: expected index: material needs the wavelength of a scene's light",
+        ),
+        ({"fluid": "water"}, "test: expected fluid_index: fluid needs the wavelength of a scene's"),
+    ],
+)
+def test_a_wall_outside_a_scene_needs_numbers(wall: dict[str, Any], message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        validate(WallSpec, wall, "test")
+
+
+def test_round_tanks_and_tanks_of_several_faces_have_materials_too() -> None:
+    for name in ("cylinder-tank", "two-faces"):
+        values = tomllib.loads(find(name, "scenes").read_text(encoding="utf-8"))
+        walls = values["wall"] if isinstance(values["wall"], list) else [values["wall"]]
+        for wall in walls:
+            del wall["fluid_index"]
+            wall["fluid"] = "water"
+            for layer in wall["layers"]:
+                del layer["index"]
+                layer["material"] = "acrylic"
+        for camera in build_rig(parse_scene(values, name)).cameras:
+            assert camera.wall is not None
+            assert camera.wall.fluid_index == refractive_index("water", 532.0, 20.0)
+            assert camera.wall.layers[0].index == refractive_index("acrylic", 532.0)

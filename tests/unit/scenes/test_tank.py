@@ -1,0 +1,230 @@
+"""Walls of a scene: which one a camera looks through, and what cannot be."""
+
+from __future__ import annotations
+
+import json
+import tomllib
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from sabench.geometry.cylinder_wall import CylinderWall
+from sabench.geometry.refraction import Wall
+from sabench.scenes import Scene, build_rig, find, load_scene, parse_scene, scene_schema
+from sabench.utils.errors import InputError
+
+Change = Callable[[dict[str, Any]], None]
+
+
+def values_of(name: str) -> dict[str, Any]:
+    return tomllib.loads(find(name, "scenes").read_text(encoding="utf-8"))
+
+
+def place(*centers: list[float], **lens: float) -> Change:
+    """Put the cameras elsewhere, with another lens or sensor."""
+
+    def change(values: dict[str, Any]) -> None:
+        places = [{"center_mm": center} for center in centers]
+        values["cameras"] |= {"layout": {"kind": "list", "places": places}, **lens}
+
+    return change
+
+
+def put(table: str, **keys: Any) -> Change:
+    def change(values: dict[str, Any]) -> None:
+        values[table] |= keys
+
+    return change
+
+
+def hide(z_mm: float) -> Change:
+    def change(values: dict[str, Any]) -> None:
+        values["occluders"] = [{"center_mm": [0.0, 0.0, z_mm], "radius_mm": 3.0}]
+
+    return change
+
+
+def other_fluid(values: dict[str, Any]) -> None:
+    values["wall"][1]["fluid_index"] = 1.4
+
+
+def add_mirrors(values: dict[str, Any]) -> None:
+    values["wall"][1]["mirrors"] = True
+
+
+def round_face(values: dict[str, Any]) -> None:
+    values["wall"][1] = {"shape": "cylinder", "fluid_index": 1.333}
+
+
+def add_backlight(values: dict[str, Any]) -> None:
+    del values["particles"], values["illumination"]
+    values["bubbles"] = {"generator": "bubble_field", "count": 3, "radius_mm": 0.5}
+    values["backlight"] = {"center_mm": [0.0, 0.0, 80.0], "size_mm": [30.0, 30.0]}
+
+
+FAULTS: list[tuple[str, Change, str]] = [
+    (
+        "cylinder-tank",
+        put("volume", center_mm=[30.0, 0.0, 0.0]),
+        "volume: expected it inside the cylinder's inner face, of radius 35 mm, but it reaches "
+        "37.05 mm from the axis",
+    ),
+    (
+        "cylinder-tank",
+        place([0.0, 0.0, -37.0]),
+        "cameras: camera_00 at [0.0, 0.0, -37.0] mm: expected it in front of the wall, but it is "
+        "in the wall or the tank",
+    ),
+    (
+        "cylinder-tank",
+        put("wall", layers=[{"index": 1.5, "thickness_mm": 50.0}]),
+        "wall.layers: expected layers thinner than outer_radius_mm = 40 together, got 50 mm",
+    ),
+    ("cylinder-tank", put("wall", shape="round"), "wall.shape: expected 'cylinder', got 'round'"),
+    (
+        "cylinder-tank",
+        put("wall", outer_radius=40.0),
+        "wall.outer_radius: unknown key; did you mean outer_radius_mm?",
+    ),
+    (
+        "cylinder-tank",
+        add_backlight,
+        "wall: expected one plane wall for bubbles and bodies, got a cylinder",
+    ),
+    (
+        "cylinder-tank",
+        hide(-39.0),
+        "occluders.0: expected it wholly in front of the wall, but it reaches 1 mm behind the "
+        "wall's outer face",
+    ),
+    (
+        "two-faces",
+        place([-60.0, 0.0, -500.0], focal_length_mm=12.0, rows=800, columns=1000),
+        "cameras: camera_00 at [-60.0, 0.0, -500.0] mm: expected it to see the volume through one "
+        "wall, but it faces two, wall.0 and wall.1",
+    ),
+    (
+        "two-faces",
+        place([0.0, 0.0, 20.0]),
+        "cameras: camera_00 at [0.0, 0.0, 20.0] mm: expected it in front of the wall, but it is in "
+        "the wall or the tank",
+    ),
+    (
+        "two-faces",
+        other_fluid,
+        "wall.1.fluid_index: expected 1.333 as behind the first wall, got 1.4",
+    ),
+    (
+        "two-faces",
+        add_mirrors,
+        "wall.1.mirrors: expected none, since reflections need a single wall",
+    ),
+    ("two-faces", round_face, "wall.1.shape: expected 'plane', got 'cylinder'"),
+    (
+        "two-faces",
+        add_backlight,
+        "wall: expected one plane wall for bubbles and bodies, got 2 walls",
+    ),
+    (
+        "two-faces",
+        hide(20.0),
+        "occluders.0: expected it wholly in front of the wall, but it reaches 16.26 mm behind the "
+        "wall's outer face",
+    ),
+]
+
+
+@pytest.mark.parametrize(("name", "change", "sentence"), FAULTS)
+def test_what_cannot_be_is_one_sentence(name: str, change: Change, sentence: str) -> None:
+    values = values_of(name)
+    change(values)
+    with pytest.raises(InputError) as error:
+        build_rig(parse_scene(values, "scene"))
+    assert str(error.value) == f"scene: {sentence}"
+
+
+def test_cameras_choose_the_face_that_they_look_through() -> None:
+    walls = [camera.wall for camera in build_rig(load_scene("two-faces")).cameras]
+    assert all(isinstance(wall, Wall) for wall in walls)
+    sides = [float(np.sign(wall.normal[0])) for wall in walls if isinstance(wall, Wall)]
+    assert sides == [1.0, 1.0, -1.0, -1.0]
+
+
+def test_a_face_beside_the_line_of_sight_is_not_chosen() -> None:
+    """A camera in front of the planes of three faces of an octagon, but of one face only."""
+    values = values_of("two-faces")
+    angles = np.deg2rad([-45.0, 0.0, 45.0])
+    values["volume"]["center_mm"] = [0.0, 0.0, 0.0]
+    values["wall"] = [
+        {
+            "point_mm": [-80.0 * np.sin(angle), 0.0, -80.0 * np.cos(angle)],
+            "normal": [np.sin(angle), 0.0, np.cos(angle)],
+            "fluid_index": 1.333,
+        }
+        for angle in angles
+    ]
+    place([0.0, 0.0, -500.0], [350.0, 0.0, -350.0], [-350.0, 0.0, -350.0])(values)
+    rig = build_rig(parse_scene(values, "octagon"))
+    normals = [camera.wall.normal for camera in rig.cameras if isinstance(camera.wall, Wall)]
+    np.testing.assert_allclose(
+        np.array(normals)[:, 0], np.sin(angles[[1, 0, 2]]), rtol=0, atol=1e-12
+    )
+
+
+@pytest.mark.parametrize("name", ["cylinder-tank", "two-faces"])
+def test_occluders_hide_nothing_from_the_other_side(name: str) -> None:
+    """The straight line of a camera beyond the tank would meet the disc after leaving it again."""
+    values = values_of(name)
+    values["occluders"] = [
+        {"center_mm": [-60.0, 0.0, -50.0], "normal": [1.0, 0.0, 1.0], "radius_mm": 5.0}
+    ]
+    place(
+        [-300.0, 0.0, -300.0],
+        [300.0, 0.0, 300.0] if name == "cylinder-tank" else [300.0, 0.0, -300.0],
+    )(values)
+    rig = build_rig(parse_scene(values, "scene"))
+    assert [len(rig.occluders_of(camera)) for camera in rig.cameras] == [1, 0]
+
+
+def test_a_tank_survives_toml() -> None:
+    for name in ("cylinder-tank", "two-faces", "free-surface"):
+        scene = load_scene(name)
+        again = parse_scene(tomllib.loads(scene.to_toml()), "again")
+        assert again == scene
+        assert again.hash == scene.hash
+
+
+def test_the_walls_of_a_plane_scene_are_written_as_before() -> None:
+    """The hash of a scene, and with it a data set's identity, does not know the new keys."""
+    scene = load_scene("quick")
+    assert sorted(scene.to_dict()["wall"]) == [
+        "air_index",
+        "depth_mm",
+        "fluid_index",
+        "layers",
+        "normal",
+        "point_mm",
+    ]
+    assert scene.walls == (scene.plane,)
+    assert scene.fluid_index == 1.333
+    assert Scene.model_validate({**values_of("quick"), "wall": None}).fluid_index == 1.0
+
+
+def test_the_free_surface_is_a_wall_without_layers() -> None:
+    wall = build_rig(load_scene("free-surface")).cameras[0].wall
+    assert isinstance(wall, Wall)
+    assert wall.indices.tolist() == [1.0, 1.333]
+
+
+def test_the_schema_knows_all_walls() -> None:
+    text = json.dumps(scene_schema())
+    assert all(f"#/$defs/{name}" in text for name in ("WallSpec", "CylinderSpec"))
+
+
+def test_the_cylinder_of_a_scene() -> None:
+    wall = build_rig(load_scene("cylinder-tank")).cameras[0].wall
+    assert isinstance(wall, CylinderWall)
+    assert wall.radii_mm.tolist() == [40.0, 35.0]
+    assert wall.indices.tolist() == [1.0, 1.52, 1.333]

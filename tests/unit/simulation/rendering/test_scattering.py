@@ -1,0 +1,100 @@
+"""Single particles through a lens against direct sums of Mie's series."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from sabench.simulation.rendering.mie import intensities
+from sabench.simulation.rendering.scattering import Scattering
+from sabench.utils.arrays import F64
+from sabench.worlds.library.size_lattice import lattice_diameters_mm, size_numbers
+
+WAVENUMBER = 2.0 * np.pi * 1.333 / 532e-6
+SIDEWAYS = (np.deg2rad(58.0), np.deg2rad(122.0))
+
+
+def on_lattice(diameters_mm: F64) -> F64:
+    return lattice_diameters_mm(size_numbers(diameters_mm))
+
+
+def direct(diameters: F64, angles: F64, half: float, in_plane: F64) -> F64:
+    """Sum the series at many chords of the aperture."""
+    turns = np.arange(1, 102) * np.pi / 102
+    weights = np.sin(turns) ** 2 / (np.sin(turns) ** 2).sum()
+    out = []
+    for d, angle, share in zip(diameters, angles, in_plane, strict=True):
+        size = np.array([WAVENUMBER * d / 2.0])
+        across, along = intensities(1.59 / 1.333, size, angle + half * np.cos(turns))
+        out.append(weights @ ((1.0 - share) * across[0] + share * along[0]) / WAVENUMBER**2)
+    return np.array(out)
+
+
+@pytest.mark.parametrize(("median", "spread"), [(0.02, 0.3), (0.05, 0.1), (0.002, 0.3)])
+@pytest.mark.parametrize("half", [0.0, 0.0025, 0.02])
+def test_single_particles_scatter_as_their_own_series(
+    median: float, spread: float, half: float
+) -> None:
+    rng = np.random.default_rng(1)
+    diameters = on_lattice(median * np.exp(spread * rng.standard_normal(60)))
+    angles, in_plane = np.deg2rad(rng.uniform(60.0, 120.0, 60)), rng.random(60)
+    table = Scattering(1.59, 1.333, 532.0, SIDEWAYS)
+    found = table.cross_section(diameters, angles, np.full(60, half), in_plane)
+    ratio = found / direct(diameters, angles, half, in_plane)
+    assert np.sqrt(np.mean((ratio - 1.0) ** 2)) < 2e-3
+
+
+def test_a_particle_scatters_alike_whatever_else_there_is() -> None:
+    rng = np.random.default_rng(2)
+    diameters = on_lattice(rng.uniform(0.005, 0.05, 300))
+    angles, half, share = rng.uniform(1.1, 2.0, 300), np.full(300, 0.004), np.full(300, 0.5)
+    together = Scattering(1.59, 1.333, 532.0, SIDEWAYS)
+    whole = together.cross_section(diameters, angles, half, share)
+    for i in (0, 17, 299):
+        one = slice(i, i + 1)
+        alone = Scattering(1.59, 1.333, 532.0, (angles[i] - 0.1, angles[i] + 0.1))
+        found = alone.cross_section(diameters[one], angles[one], half[one], share[one])
+        assert found[0] == pytest.approx(whole[i], rel=1e-6)
+    again = together.cross_section(diameters[:5], angles[:5], half[:5], share[:5])
+    np.testing.assert_array_equal(again, whole[:5])
+
+
+def test_the_aperture_s_mean_is_over_a_disc() -> None:
+    half, rng = 0.012, np.random.default_rng(1)
+    points = rng.uniform(-1.0, 1.0, (200_000, 2))
+    across = points[np.hypot(*points.T) < 1.0, 0] * half
+    table, size = Scattering(1.59, 1.333, 532.0, SIDEWAYS), on_lattice(np.array([0.03]))
+    for angle in (1.3, 1.5, 1.75):
+        share = np.full(len(across), 0.5)
+        each = table.cross_section(
+            np.full(len(across), size[0]), angle + across, 0.0 * across, share
+        )
+        mean = table.cross_section(size, np.array([angle]), np.array([half]), np.array([0.5]))
+        assert mean[0] == pytest.approx(each.mean(), rel=0.01)
+
+
+def test_forward_and_backward_light_are_in_reach() -> None:
+    table = Scattering(1.59, 1.333, 532.0, (0.0, np.pi))
+    angles, size = np.array([0.0, 0.001, np.pi - 0.001, np.pi]), on_lattice(np.full(4, 0.02))
+    found = table.cross_section(size, angles, np.full(4, 0.001), np.full(4, 0.5))
+    np.testing.assert_allclose(found, direct(size, angles, 0.001, np.full(4, 0.5)), rtol=2e-3)
+
+
+def test_one_particle_differs_between_cameras_as_single_ones_do() -> None:
+    """No mean over sizes: 20 um +- 10 % at f/16, two cameras 20 degrees apart (see physics)."""
+    rng = np.random.default_rng(3)
+    diameters = on_lattice(0.02 * (1.0 + 0.1 * rng.standard_normal(4000)))
+    table, half, share = Scattering(1.59, 1.333, 532.0, SIDEWAYS), np.full(4000, 0.0025), 0.5
+    first, second = (
+        np.log(table.cross_section(diameters, np.full(4000, a), half, np.full(4000, share)))
+        for a in np.deg2rad([80.0, 100.0])
+    )
+    assert 0.5 < np.std(first - second) < 1.1
+    assert abs(np.corrcoef(first, second)[0, 1]) < 0.3
+
+
+def test_the_lattice_is_finer_than_anybody_measures() -> None:
+    diameters = np.random.default_rng(4).uniform(1e-4, 0.3, 1000)
+    rounded = on_lattice(diameters)
+    assert np.abs(rounded / diameters - 1.0).max() < 2e-4
+    np.testing.assert_array_equal(on_lattice(rounded), rounded)
