@@ -2,8 +2,8 @@
 
 numba compiles a kernel again when its own file has changed, but not when another file has changed
 whose kernels it calls. The stamp of every kernel of sabench and of plug-ins therefore contains the
-sources of all modules of sabench that its module imports, directly or not. numba compares the stamp in each index of its cache, and replaces
-the index if it differs.
+sources of all modules of sabench that its module imports, directly or not. numba compares the stamp
+in each index of its cache, and replaces the index if it differs.
 """
 
 from __future__ import annotations
