@@ -8,7 +8,6 @@ diameter, whatever else is in the frame.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
 from typing import Any
 
 import numba
@@ -30,7 +29,8 @@ class Scattering:
     ----------
     particle_index : complex index n - i k against vacuum.
     wavelength_nm : in vacuum.
-    angles_rad : range of scattering angles, apertures included.
+    angles_rad : range of scattering angles that are expected, apertures included; tables grow where
+        others occur, as for particles outside the volume.
     """
 
     def __init__(
@@ -53,7 +53,8 @@ class Scattering:
         Parameters
         ----------
         diameters_mm : (n,) on the lattice of sizes.
-        angles_rad : (n,) between the laser's direction and that to the aperture's middle.
+        angles_rad : (n,) between the laser's direction and that to the aperture's middle; where
+            light does not arrive, NaN, the cross-section is 0.
         half_angles_rad : (n,) of the aperture, seen from the particle in the fluid.
         in_plane : (n,) share of the laser's power that is polarised in the plane of scattering; .5
             for light that is not polarised.
@@ -62,11 +63,13 @@ class Scattering:
         a disc's chords are the weights. Source: Bohren and Huffman (1983), section 4.4.
         """
         numbers, out = size_numbers(diameters_mm), np.zeros(len(diameters_mm))
-        for octave in np.unique(numbers // PER_OCTAVE):
-            chosen = np.flatnonzero(numbers // PER_OCTAVE == octave)
-            table = self._octave(int(octave), numbers[chosen])
-            given = (angles_rad[chosen], half_angles_rad[chosen], in_plane[chosen])
-            out[chosen] = table.average(numbers[chosen], *given)
+        arrives = np.isfinite(angles_rad) & np.isfinite(half_angles_rad)
+        for octave in np.unique(numbers[arrives] // PER_OCTAVE):
+            chosen = np.flatnonzero(arrives & (numbers // PER_OCTAVE == octave))
+            angles, half = angles_rad[chosen], half_angles_rad[chosen]
+            reach = float((angles - half).min()), float((angles + half).max())
+            table = self._octave(int(octave), numbers[chosen], reach)
+            out[chosen] = table.average(numbers[chosen], angles, half, in_plane[chosen])
         return out * (self._wavelength_mm / (2.0 * np.pi)) ** 2
 
     @property
@@ -80,60 +83,81 @@ class Scattering:
         efficiency = extinction_efficiency(self._index, np.pi * sizes / self._wavelength_mm)
         return np.asarray((efficiency * np.pi / 4.0 * sizes**2)[which])
 
-    def _octave(self, octave: int, numbers: I64) -> _Octave:
-        """Return the table of an octave of sizes that holds given ones."""
+    def _octave(self, octave: int, numbers: I64, reach_rad: tuple[float, float]) -> _Octave:
+        """Return the table of an octave of sizes that holds given ones over given angles."""
         if octave not in self._octaves:
             largest = float(lattice_diameters_mm(np.array((octave + 1) * PER_OCTAVE)))
             step = min(self._wavelength_mm / largest, 1.0) / _PER_LOBE
-            low, high = self._angles_rad
-            first, last = math.floor(low / step) - _MARGIN, math.ceil(high / step) + _MARGIN
-            self._octaves[octave] = _Octave(octave, step, first, last - first + 1)
+            wavenumber = np.pi / self._wavelength_mm
+            self._octaves[octave] = _Octave(octave, step, self._index, wavenumber, self._angles_rad)
         table = self._octaves[octave]
-        table.add(numbers, self._index, np.pi / self._wavelength_mm)
+        table.widen(reach_rad)
+        table.add(numbers)
         return table
 
 
-@dataclass
 class _Octave:
-    """Intensities of the sizes of one octave that occur.
-
-    They are tabulated at multiples of an angle's step.
+    """Intensities of the sizes of one octave that occur, tabulated at multiples of an angle's step.
 
     Attributes
     ----------
-    first, count : the first multiple, and how many.
     rows : (size, angle, 2) |S1|^2 and |S2|^2.
-    places : (PER_OCTAVE,) the row of each size; -1: none yet.
     """
 
-    octave: int
-    step_rad: float
-    first: int
-    count: int
-    rows: F32 = field(init=False)
-    places: I64 = field(init=False)
+    def __init__(
+        self,
+        octave: int,
+        step_rad: float,
+        index: complex,
+        wavenumber: float,  # which times a diameter is its size parameter
+        reach_rad: tuple[float, float],
+    ) -> None:
+        self._octave, self._step_rad, self._index = octave, step_rad, index
+        self._wavenumber = wavenumber
+        self._first, self._last = self._multiples(reach_rad)
+        self._numbers: I64 = np.zeros(0, dtype=np.int64)  # of the rows
+        self._places: I64 = np.full(PER_OCTAVE, -1)  # row of each size; -1: none yet
+        self.rows = self._intensities(self._numbers, self._first, self._last)
 
-    def __post_init__(self) -> None:
-        self.rows = np.zeros((0, self.count, 2), dtype=np.float32)
-        self.places = np.full(PER_OCTAVE, -1)
+    def widen(self, reach_rad: tuple[float, float]) -> None:
+        """Extend the table to more angles; what it holds stays as it is."""
+        first, last = self._multiples(reach_rad)
+        if first < self._first:
+            more = self._intensities(self._numbers, first, self._first - 1)
+            self.rows, self._first = np.concatenate([more, self.rows], axis=1), first
+        if last > self._last:
+            more = self._intensities(self._numbers, self._last + 1, last)
+            self.rows, self._last = np.concatenate([self.rows, more], axis=1), last
 
-    def add(self, numbers: I64, index: complex, wavenumber: float) -> None:
-        """Tabulate new sizes; `wavenumber` times d is their size parameter."""
+    def add(self, numbers: I64) -> None:
+        """Tabulate new sizes."""
         own = np.unique(numbers)
-        own = own[self.places[own - self.octave * PER_OCTAVE] < 0]
-        if not len(own):
-            return
-        angles = self.step_rad * np.arange(self.first, self.first + self.count, dtype=np.float64)
-        sizes = wavenumber * lattice_diameters_mm(own)
-        fresh = np.stack(intensities(index, sizes, angles), axis=-1).astype(np.float32)
-        self.places[own - self.octave * PER_OCTAVE] = len(self.rows) + np.arange(len(own))
-        self.rows = np.concatenate([self.rows, fresh])
+        own = own[self._places[own - self._octave * PER_OCTAVE] < 0]
+        if len(own):
+            more = self._intensities(own, self._first, self._last)
+            self._places[own - self._octave * PER_OCTAVE] = len(self.rows) + np.arange(len(own))
+            self.rows = np.concatenate([self.rows, more])
+            self._numbers = np.concatenate([self._numbers, own])
+
+    def _multiples(self, reach_rad: tuple[float, float]) -> tuple[int, int]:
+        low, high = reach_rad
+        return (
+            math.floor(low / self._step_rad) - _MARGIN,
+            math.ceil(high / self._step_rad) + _MARGIN,
+        )
+
+    def _intensities(self, numbers: I64, first: int, last: int) -> F32:
+        angles = self._step_rad * np.arange(first, last + 1, dtype=np.float64)
+        sizes = self._wavenumber * lattice_diameters_mm(numbers)
+        if not len(sizes):
+            return np.zeros((0, len(angles), 2), dtype=np.float32)
+        return np.stack(intensities(self._index, sizes, angles), axis=-1).astype(np.float32)
 
     def average(self, numbers: I64, angles_rad: F64, half_rad: F64, in_plane: F64) -> F64:
         """Average |S|^2 (n,) over apertures."""
-        places = self.places[numbers - self.octave * PER_OCTAVE]
+        places = self._places[numbers - self._octave * PER_OCTAVE]
         out = np.empty(len(numbers))
-        at, half = angles_rad / self.step_rad - self.first, half_rad / self.step_rad
+        at, half = angles_rad / self._step_rad - self._first, half_rad / self._step_rad
         _average(self.rows, places, at, half, in_plane, *_nodes(), out)
         return out
 

@@ -80,6 +80,28 @@ def test_forward_and_backward_light_are_in_reach() -> None:
     np.testing.assert_allclose(found, direct(size, angles, 0.001, np.full(4, 0.5)), rtol=2e-3)
 
 
+def test_tables_grow_where_other_angles_occur() -> None:
+    """Outside its range the table is not extrapolated, and what it held stays the same."""
+    rng = np.random.default_rng(5)
+    diameters, share, half = on_lattice(rng.uniform(0.01, 0.04, 40)), np.full(40, 0.5), 0.004
+    table = Scattering(1.59, 1.333, 532.0, (1.5, 1.6))
+    inside = rng.uniform(1.51, 1.59, 40)
+    before = table.cross_section(diameters, inside, np.full(40, half), share)
+    beyond = rng.uniform(0.2, 3.0, 40)
+    found = table.cross_section(diameters, beyond, np.full(40, half), share)
+    np.testing.assert_allclose(found, direct(diameters, beyond, half, share), rtol=5e-3)
+    again = table.cross_section(diameters, inside, np.full(40, half), share)
+    np.testing.assert_allclose(again, before, rtol=1e-12)
+
+
+def test_light_that_does_not_arrive_is_none() -> None:
+    table, sizes = Scattering(1.59, 1.333, 532.0, SIDEWAYS), on_lattice(np.full(3, 0.02))
+    angles, half = np.array([1.5, np.nan, 1.5]), np.array([0.01, 0.01, np.nan])
+    found = table.cross_section(sizes, angles, half, np.full(3, 0.5))
+    assert found[0] > 0.0
+    np.testing.assert_array_equal(found[1:], 0.0)
+
+
 def test_one_particle_differs_between_cameras_as_single_ones_do() -> None:
     """No mean over sizes: 20 um +- 10 % at f/16, two cameras 20 degrees apart (see physics)."""
     rng = np.random.default_rng(3)
