@@ -12,6 +12,7 @@ from sabench.images.preprocessing import Step, step_faults
 from sabench.scenes.background import Background
 from sabench.scenes.calibration import Calibration, Detection
 from sabench.scenes.cameras import Cameras
+from sabench.scenes.idle_keys import idle_keys
 from sabench.scenes.illumination import Backlight, Illumination, Lighting, Timing, Tracer
 from sabench.scenes.inertia import Inertia
 from sabench.scenes.materials import fill_indices
@@ -108,6 +109,7 @@ class Scene(Table):
             raise join_faults(error, faults) from None
         steps = step_faults(scene.preprocessing or (), scene.frames)
         faults += [("preprocessing", fault) for fault in steps]
+        faults += idle_keys(scene)
         refuse(faults)
         return scene
 
