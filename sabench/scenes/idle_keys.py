@@ -30,9 +30,5 @@ def idle_keys(scene: Scene) -> Iterator[tuple[str, str]]:
     if scene.cameras.airy_rings and scene.cameras.particle_sigma_px is not None:
         yield "cameras.airy_rings", "expected none beside particle_sigma_px, which sets the image"
     light = scene.illumination
-    if light is None or light.scattering != "isotropic":
-        return
-    if light.polarisation is not None:
+    if light and light.scattering == "isotropic" and light.polarisation is not None:
         yield "illumination.polarisation", 'expected none with scattering = "isotropic"'
-    if scene.tracer.mixture:
-        yield "tracer.mixture", 'expected none with illumination.scattering = "isotropic"'

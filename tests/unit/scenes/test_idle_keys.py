@@ -39,14 +39,6 @@ def changed(name: str, changes: dict[str, Any]) -> dict[str, Any]:
             {"illumination.scattering": "isotropic", "illumination.polarisation": [0.0, 1.0, 0.0]},
             "illumination.polarisation: expected none",
         ),
-        (
-            "quick",
-            {
-                "illumination.scattering": "isotropic",
-                "tracer.mixture": [{"share": 0.1, "index": 1.4}],
-            },
-            "tracer.mixture: expected none",
-        ),
     ],
 )
 def test_a_key_that_would_change_nothing_is_refused(
@@ -61,7 +53,6 @@ def test_a_key_that_would_change_nothing_is_refused(
     [
         {"cameras.airy_rings": True, **MIRROR},
         {"illumination.polarisation": [0.0, 1.0, 0.0]},
-        {"tracer.mixture": [{"share": 0.1, "index": 1.4}]},
     ],
 )
 def test_the_same_keys_serve_particles(changes: dict[str, Any]) -> None:
