@@ -7,7 +7,8 @@ from __future__ import annotations
 
 import pytest
 
-from benchmarks.gate import BUGS, ROOT, Bug
+from benchmarks.gate import ROOT
+from benchmarks.planted_bugs import BUGS, Bug
 
 
 @pytest.mark.parametrize("bug", BUGS, ids=lambda bug: bug.title)

@@ -56,7 +56,7 @@ def make_scene(**changes: dict[str, Any] | None) -> Scene:
     return parse_scene(values, "test")
 
 
-def cloud(positions: F64, diameter_mm: float = 0.02) -> Particles:
+def cloud(positions: F64, diameter_mm: float | F64 = 0.02) -> Particles:
     count = len(positions)
     return Particles(np.arange(count), positions, np.full(count, diameter_mm), np.zeros((count, 3)))
 
