@@ -69,14 +69,15 @@ class Tally:
     """Outcomes and seconds by kind, and the largest memory of a process, MB."""
 
     outcomes: dict[str, Counter[str]]
-    seconds: Counter[str]
+    seconds: dict[str, float]
     peak_mb: float = 0.0
 
     def add(self, other: Tally) -> None:
         """Add those of another job."""
         for kind, row in other.outcomes.items():
             self.outcomes.setdefault(kind, Counter()).update(row)
-        self.seconds.update(other.seconds)
+        for kind, seconds in other.seconds.items():
+            self.seconds[kind] = self.seconds.get(kind, 0.0) + seconds
         self.peak_mb = max(self.peak_mb, other.peak_mb)
 
 
@@ -96,7 +97,7 @@ def fuzz(plan: Plan, root: Path, jobs: int) -> Tally:
     fork = multiprocessing.get_context("fork")
     with fork.Pool(1) as elsewhere:  # once kernels have run in parallel, a process may not fork
         base = elsewhere.apply(make_base, (root / "base",))
-    total = Tally({kind: Counter() for kind in plan.kinds}, Counter())
+    total = _empty(plan)
     with ProcessPoolExecutor(jobs, mp_context=fork) as pool:
         rest = [
             pool.submit(_job, replace(plan, numbers=plan.numbers[job::jobs]), base, root, job)
@@ -107,8 +108,12 @@ def fuzz(plan: Plan, root: Path, jobs: int) -> Tally:
     return total
 
 
+def _empty(plan: Plan) -> Tally:
+    return Tally({kind: Counter() for kind in plan.kinds}, dict.fromkeys(plan.kinds, 0.0))
+
+
 def _job(plan: Plan, base: Base, root: Path, job: int) -> Tally:
-    tally = Tally({kind: Counter() for kind in plan.kinds}, Counter())
+    tally = _empty(plan)
     own = root / f"job-{job}"
     own.mkdir()
     with contextlib.ExitStack() as stack:
@@ -118,7 +123,7 @@ def _job(plan: Plan, base: Base, root: Path, job: int) -> Tally:
             kind = plan.kinds[number % len(plan.kinds)]
             start = time.monotonic()
             outcome, words = worker.case(kind, number)
-            tally.seconds[kind] += time.monotonic() - start  # type: ignore[assignment]
+            tally.seconds[kind] += time.monotonic() - start
             if outcome == "hang":  # another program may have held the machine up
                 outcome, words = worker.case(kind, number)
             tally.outcomes[kind][outcome] += 1
@@ -354,7 +359,7 @@ def main() -> None:
 def _show(tally: Tally) -> None:
     columns = ("refused", "accepted", "tracebacks", "crashes", "hangs", "memory", "ms each")
     print(f"{'kind':<12}{'count':>8}" + "".join(f"{name:>11}" for name in columns))
-    total = ("all", sum(tally.outcomes.values(), Counter()), tally.seconds.total())
+    total = ("all", sum(tally.outcomes.values(), Counter()), sum(tally.seconds.values()))
     each = [(kind, row, tally.seconds[kind]) for kind, row in tally.outcomes.items()]
     for kind, row, seconds in [*each, total]:
         cells = "".join(f"{row[name]:>11}" for name in _OUTCOMES)

@@ -44,7 +44,7 @@ class Mutant:
 
     @property
     def name(self) -> str:
-        """What was changed, in one line."""
+        """Name the change, in one line."""
         change = f"{self.before.strip()} -> {self.after.strip()}"
         return f"{self.module}:{self.line} {self.kind}: {change}"
 

@@ -125,7 +125,7 @@ def _pytest(tree: Path, words: list[str], plugin: object, cpu_s: float) -> None:
 
 
 class Reach:
-    """Which tests enter which functions, stored in a file from run to run."""
+    """Tests that enter each function, stored in a file from run to run."""
 
     def __init__(self, tree: Path, store: Path) -> None:
         self.tree = tree

@@ -47,7 +47,7 @@ def find_peaks(image: F32, least: float) -> Peaks:
 
 @numba.njit(cache=True)
 def maxima(light: Any, least: Any) -> Any:
-    """Find rows and columns (2, n) of pixels of `least` or more that no neighbour exceeds.
+    """Find pixels (2, n) of `least` or more that no neighbour exceeds: rows, columns.
 
     Borders are left out.
     """

@@ -109,7 +109,7 @@ class Scene(Table):
             raise join_faults(error, faults) from None
         steps = step_faults(scene.preprocessing or (), scene.frames)
         faults += [("preprocessing", fault) for fault in steps]
-        faults += idle_keys(scene)
+        faults += idle_keys(scene.world, scene.walls, scene.cameras, scene.illumination)
         refuse(faults)
         return scene
 

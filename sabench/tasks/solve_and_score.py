@@ -82,15 +82,28 @@ def solve(
             f"solver {solver}: expected limits for programs only, not for a plug-in, which runs "
             "within sabench"
         )
-    place = Path(out)
+    _solve_plug_in(solver, data, Path(out), parameters or {}, threads, overwrite=overwrite)
+    return open_result(out, data)
+
+
+def _solve_plug_in(
+    solver: str,
+    data: Dataset,
+    place: Path,
+    parameters: dict[str, Any],
+    threads: int | None,
+    *,
+    overwrite: bool,
+) -> None:
+    """Run a plug-in in a process that holds the observation side only."""
     refuse_existing(place, overwrite=overwrite)
     bundled = plugins.is_bundled("solvers", solver)  # raises where there is none
-    task = "" if bundled else describe_solver(solver, parameters or {})[0]
+    task = "" if bundled else describe_solver(solver, parameters)[0]
     with open_desk(data) as desk, desk.naming(data.root, place):
         call_isolated(
             functools.partial(solve_at_desk, threads=threads, isolated=desk.confined),
             solver,
-            parameters or {},
+            parameters,
             desk.observation,
             desk.result,
             doing=f"solver {solver}",
@@ -108,7 +121,6 @@ def solve(
                 return Account(solver, result.parameters, desk.confined, *costs)
 
             adopt_from(desk, data, place, solver, account, overwrite=overwrite)
-    return open_result(out, data)
 
 
 def describe_solver(solver: str, parameters: dict[str, Any]) -> tuple[str, dict[str, Any]]:

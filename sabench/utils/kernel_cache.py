@@ -1,4 +1,4 @@
-"""Stamps of compiled kernels, which change with the source of any kernel that they may call.
+"""Stamps of compiled kernels, which change with what they may call.
 
 numba compiles a kernel again when its own file has changed, but not when another file has changed
 whose kernels it calls. The stamp of every kernel of sabench and of plug-ins therefore contains the
@@ -79,7 +79,7 @@ def _locator_of(others: tuple[Any, ...]) -> type:
 
 @functools.cache
 def kernel_sources(file: Path) -> str:
-    """Compute the SHA-256 of a file with kernels and of all files of sabench that it imports."""
+    """Compute the SHA-256 of a file and of all files of sabench that it imports."""
     found, open_files = {file}, [file]
     while open_files:
         new = _imported(open_files.pop()) - found

@@ -45,7 +45,7 @@ def solve(name: str, case: Any) -> Any:
 
 @pytest.mark.parametrize("name", TANKS)
 def test_polynomials_are_the_exact_projection(name: str) -> None:
-    """Those of planes and of the volume, in which most solvers project."""
+    """Most solvers project in polynomials of planes or of the volume."""
     rig = build_rig(load_scene(name))
     grid, rng = rig.grid, np.random.default_rng(1)
     low = np.asarray(grid.low_mm)

@@ -97,7 +97,9 @@ class Scattering:
 
 
 class _Octave:
-    """Intensities of the sizes of one octave that occur, tabulated at multiples of an angle's step.
+    """Intensities of the sizes of one octave that occur.
+
+    They are tabulated at multiples of an angle's step.
 
     Attributes
     ----------

@@ -77,7 +77,8 @@ def light(one: Camera, places: F64, normal: F64) -> F64:
 def test_a_board_is_seen_where_lines_of_sight_meet_it(pattern: str, wall: Wall | None) -> None:
     """Pixels whose surroundings have one reflectance, by it, the lamps and the wall."""
     one = camera(wall)
-    target = Target(pattern, 4, 2, 3.0, 2.0 if pattern == "circles" else 0.0)  # type: ignore[arg-type]
+    diameter_mm = 2.0 if pattern == "circles" else 0.0
+    target = Target(pattern, 4, 2, 3.0, diameter_mm)  # type: ignore[arg-type]
     image = render(one, target, POSE, LAMPS, CENTER, 16)
     row, column = np.mgrid[0 : one.rows, 0 : one.columns]
     pixels = np.column_stack([column.ravel(), row.ravel()]).astype(np.float64)
