@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -14,12 +13,13 @@ import numpy as np
 from sabench.api import CalibrationCase, Observation, Shown
 from sabench.api.truth import Bubbles, Particles, Placed, Sight, Solid, Target, View
 from sabench.dataset import schema
+from sabench.dataset.build_observation import build_observation
+from sabench.dataset.camera_files import CamerasFile, read_cameras, read_true_cameras
 from sabench.dataset.hdf5 import finite, names_in, open_hdf5, read_array
-from sabench.dataset.schema import CamerasFile, Contents, Manifest
+from sabench.dataset.schema import Contents, Manifest
 from sabench.geometry.camera import Camera
 from sabench.geometry.frames import Pose
-from sabench.geometry.grid import Grid
-from sabench.images.preprocessing import WHITE, Step, preprocess, takes_all_frames
+from sabench.images.preprocessing import takes_all_frames
 from sabench.images.tiff_exr import read_exr, read_tiff
 from sabench.scenes import Scene
 from sabench.utils.arrays import F32, F64, U16, Bool
@@ -66,7 +66,7 @@ class Dataset:
     @cached_property
     def setup(self) -> CamerasFile:
         """Read the cameras, wall, grid and sensor levels that solvers receive."""
-        return schema.read_cameras(self.root)
+        return read_cameras(self.root)
 
     @cached_property
     def true_cameras(self) -> tuple[Camera, ...]:
@@ -76,7 +76,7 @@ class Dataset:
         """
         if schema.TRUE_CAMERAS not in self.manifest.files:
             return self.setup.cameras
-        return schema.read_true_cameras(self.root, self.setup)
+        return read_true_cameras(self.root, self.setup)
 
     @cached_property
     def scene(self) -> Scene:
@@ -323,56 +323,6 @@ class Dataset:
     def _check_frame(self, frame: int) -> None:
         if not 0 <= frame < self.setup.frames:
             raise InputError(f"{self.root}: frame {frame}: expected 0 to {self.setup.frames - 1}")
-
-
-def build_observation(
-    images: U16,
-    cameras: tuple[Camera, ...],
-    grid: Grid,
-    levels: tuple[float, float],
-    steps: Sequence[Step],
-    *,
-    lowest: U16 | None = None,
-    by_camera: Sequence[tuple[float, float]] = (),
-    backlit: bool = False,
-) -> Observation:
-    """Build the observation of raw images, after the steps of preprocessing.
-
-    Steps would spread hot pixels, and darken reflections: both are replaced before, unless the
-    images are backlit.
-
-    Parameters
-    ----------
-    levels : grey values of no light and of saturation.
-    lowest : each pixel's least value over all frames; only where a step needs it.
-    by_camera : those of each camera, where they differ: all images are brought to one black level.
-    """
-    if by_camera:
-        lowest = None if lowest is None else _align_levels(lowest, levels[0], by_camera)[0]
-        images, levels = _align_levels(images, levels[0], by_camera)
-    if not steps:
-        return Observation(images, cameras, grid, *levels)
-    from sabench.images.repair import repair  # numba is loaded at the first use
-
-    good, flaws = (images, None) if backlit else repair(images, *levels)
-    light = preprocess(good, *levels, steps, lowest)
-    return Observation(light, cameras, grid, 0.0, float(WHITE), flaws)
-
-
-def _align_levels(
-    images: U16, black_dn: float, by_camera: Sequence[tuple[float, float]]
-) -> tuple[U16, tuple[float, float]]:
-    """Subtract each camera's dark level and add `black_dn`, in whole grey values.
-
-    Returns the images with one black and one white level, which saturated pixels have.
-    """
-    widest = max(round(own_white - black) for black, own_white in by_camera)
-    white = min(round(black_dn) + widest, np.iinfo(np.uint16).max)
-    aligned = np.empty_like(images)
-    for image, out, (black, own_white) in zip(images, aligned, by_camera, strict=True):
-        grey = image.astype(np.int64) - round(black) + round(black_dn)
-        out[:] = np.where(image >= own_white, white, np.clip(grey, 0, white))
-    return aligned, (black_dn, float(white))
 
 
 def _pose(file: Any, group: str) -> Pose:

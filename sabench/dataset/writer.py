@@ -17,6 +17,7 @@ import numpy.typing as npt
 from sabench.api import Shown
 from sabench.api.truth import Prior, Target
 from sabench.dataset import schema
+from sabench.dataset.camera_files import write_cameras
 from sabench.dataset.hdf5 import create_hdf5, delay_interrupts
 from sabench.dataset.wall_entries import wall_entry
 from sabench.geometry.camera import Camera
@@ -121,9 +122,9 @@ def dataset_writer(
         (root / schema.SCENE).write_text(_with_copies(scene, root).to_toml(), encoding="utf-8")
         keys = _observation(scene, len(nominal)) | ({"shows": shows} if shows else {})
         keys |= {"wall": wall_entry(rig.cameras), "grid": rig.grid}
-        schema.write_cameras(root / schema.CAMERAS, nominal, **keys)
+        write_cameras(root / schema.CAMERAS, nominal, **keys)
         if scene.calibration:
-            schema.write_cameras(root / schema.TRUE_CAMERAS, rig.cameras)
+            write_cameras(root / schema.TRUE_CAMERAS, rig.cameras)
         with create_hdf5(root / schema.TRUTH) as (truth, check):
             with delay_interrupts():
                 truth.attrs["format"], truth.attrs["version"] = schema.FORMAT, schema.VERSION

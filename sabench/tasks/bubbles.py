@@ -14,9 +14,10 @@ import numpy as np
 from sabench.algorithms.particles.linking import link
 from sabench.api import Detections
 from sabench.api.truth import Bubbles
+from sabench.dataset.camera_files import CamerasFile
 from sabench.dataset.reader import Dataset
 from sabench.dataset.results import Result, ResultWriter
-from sabench.dataset.schema import CamerasFile, frame_group
+from sabench.dataset.schema import frame_group
 from sabench.geometry.rotations import rotation_matrices
 from sabench.metrics.averages import finite_or_none, mean_of_each
 from sabench.metrics.bubble_detection import AnyBubbles, detection_scores

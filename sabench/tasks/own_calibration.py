@@ -20,7 +20,8 @@ from sabench.algorithms.calibration.parameters import Frame, FreeParameters
 from sabench.algorithms.calibration.problem import make_anchors
 from sabench.api import Calibration, CalibrationCase
 from sabench.api.make import make_algorithm
-from sabench.dataset.schema import CAMERAS, write_cameras
+from sabench.dataset.camera_files import write_cameras
+from sabench.dataset.schema import CAMERAS
 from sabench.dataset.wall_entries import wall_entry
 from sabench.geometry.camera import Camera
 from sabench.plotting import pictures

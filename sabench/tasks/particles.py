@@ -15,9 +15,10 @@ import numpy as np
 from sabench.algorithms.particles.linking import link
 from sabench.api import FoundParticles, ImageSequence, Observation
 from sabench.api.truth import Particles
+from sabench.dataset.camera_files import CamerasFile
 from sabench.dataset.reader import Dataset
 from sabench.dataset.results import Result, ResultWriter
-from sabench.dataset.schema import CamerasFile, frame_group
+from sabench.dataset.schema import frame_group
 from sabench.geometry.grid import synthesise
 from sabench.metrics.averages import finite_or_none, mean_of_each, root_mean_square
 from sabench.metrics.particle_detection import challenge_pairs, count_challenge

@@ -12,7 +12,7 @@ import pytest
 
 from sabench import plugins
 from sabench.api import F64, DeclinedError, ImageSequence
-from sabench.dataset import schema
+from sabench.dataset import camera_files, schema
 from sabench.dataset.reader import open_dataset
 from sabench.geometry.camera_records import decode_cameras, encode_cameras
 from sabench.geometry.cylinder_wall import CylinderWall
@@ -122,9 +122,9 @@ def test_damaged_walls_are_named(tmp_path: Path) -> None:
         ([dataclasses.asdict(round_wall) | {"axis": [1.0, 1.0, 0.0]}] * 4, "a unit axis"),
         ([dataclasses.asdict(round_wall) | {"outer_radius_mm": -1.0}] * 4, "positive radii"),
     ):
-        schema.write_cameras(tmp_path / schema.CAMERAS, cameras, wall=walls, **keys)
+        camera_files.write_cameras(tmp_path / schema.CAMERAS, cameras, wall=walls, **keys)
         with pytest.raises(InputError, match=sentence):
-            schema.read_cameras(tmp_path)
+            camera_files.read_cameras(tmp_path)
 
 
 @pytest.mark.parametrize(

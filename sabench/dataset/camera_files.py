@@ -1,0 +1,220 @@
+"""Cameras of a data set: `cameras.json` and `true_cameras.json`."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from pydantic import Field
+
+from sabench.dataset.schema import (
+    CAMERAS,
+    FORMAT,
+    TRUE_CAMERAS,
+    VERSION,
+    Record,
+    read_versioned,
+)
+from sabench.dataset.setup_limits import check_lengths, check_shown
+from sabench.dataset.wall_entries import behind, check_walls
+from sabench.geometry.camera import Camera
+from sabench.geometry.camera_model import CameraModel
+from sabench.geometry.camera_records import record_camera
+from sabench.geometry.grid import Grid
+from sabench.geometry.wall_records import WallRecord, WallsRecord
+from sabench.images.preprocessing import Step
+from sabench.utils.errors import InputError
+from sabench.utils.fields import LensNumber
+from sabench.utils.files import canonical_json, inside
+
+_MOST_DN = 65535  # of 16 bits
+
+
+class SensorLevels(Record):
+    """Grey levels of the sensor: of no light and of saturation.
+
+    `by_camera` has both of each camera where they differ, as dark images show them.
+    """
+
+    black_dn: float
+    white_dn: float
+    bit_depth: int = Field(ge=1, le=16)
+    by_camera: tuple[tuple[float, float], ...] = ()
+
+
+class CamerasFile(Record):
+    """cameras.json: the observation, apart from the images."""
+
+    format: str
+    version: int
+    frames: int = Field(ge=1, le=1_000_000)  # tasks list them
+    interval_s: float = Field(gt=0)
+    wall: WallsRecord | None
+    cameras: tuple[Camera, ...] = Field(min_length=1)
+    grid: Grid
+    sensor: SensorLevels
+    unknown: tuple[LensNumber, ...] = ()
+    times_s: tuple[float, ...] | None = None
+    pulses: int = Field(1, ge=1)
+    preprocessing: tuple[Step, ...] = ()
+    shows: tuple[Literal["particles", "bubbles", "code"], ...] = ("particles",)
+
+    def walls_of_cameras(self) -> tuple[WallRecord | None, ...]:
+        """List the wall that each camera looks through."""
+        return self.wall if isinstance(self.wall, tuple) else (self.wall,) * len(self.cameras)
+
+    def time_s(self, frame: int) -> float:
+        """Compute the time of a frame."""
+        return frame * self.interval_s if self.times_s is None else self.times_s[frame]
+
+    def sequences(self) -> list[range]:
+        """List the sequences of frames.
+
+        They are the groups of pulses; without groups there is one sequence of all frames.
+        """
+        step = self.pulses if self.pulses > 1 else self.frames
+        return [
+            range(first, min(first + step, self.frames)) for first in range(0, self.frames, step)
+        ]
+
+    def pairs(self) -> list[tuple[int, int]]:
+        """List the pairs of frames that follow each other within a sequence."""
+        return [pair for frames in self.sequences() for pair in itertools.pairwise(frames)]
+
+
+class TrueCamerasFile(Record):
+    """true_cameras.json: the true cameras, where cameras.json holds others."""
+
+    format: str
+    version: int
+    cameras: tuple[Camera, ...]
+
+
+def read_cameras(root: Path) -> CamerasFile:
+    """Read the cameras of a data set, every one with its wall."""
+    path = inside(root, CAMERAS)
+    loaded = read_versioned(CamerasFile, path)
+    names = [camera.name for camera in loaded.cameras]
+    if len(set(names)) != len(names) or not all(name.replace("_", "").isalnum() for name in names):
+        raise InputError(
+            f"{path}: cameras: expected different names of letters, digits and _, got {names}"
+        )
+    _check_cameras(loaded.cameras, path)
+    check_shown(path, loaded.shows)
+    check_walls(path, loaded.walls_of_cameras(), len(loaded.cameras))
+    check_lengths(path, loaded.walls_of_cameras(), loaded.cameras, loaded.grid)
+    _check_numbers(loaded, path)
+    return loaded.model_copy(update={"cameras": behind(loaded.walls_of_cameras(), loaded.cameras)})
+
+
+def read_true_cameras(root: Path, nominal: CamerasFile) -> tuple[Camera, ...]:
+    """Read the true cameras of a data set whose cameras.json holds others.
+
+    They have the same names and image sizes, and are behind the same walls.
+    """
+    path = inside(root, TRUE_CAMERAS)
+    cameras = read_versioned(TrueCamerasFile, path).cameras
+    expected, got = (
+        [(c.name, c.rows, c.columns) for c in group] for group in (nominal.cameras, cameras)
+    )
+    if got != expected:
+        raise InputError(
+            f"{path}: cameras: expected names and image sizes as in {CAMERAS}, {expected}, got "
+            f"{got}"
+        )
+    _check_cameras(cameras, path)
+    walls = nominal.walls_of_cameras()
+    check_lengths(path, walls, cameras, nominal.grid)
+    return behind(walls, cameras)
+
+
+def _check_cameras(cameras: tuple[Camera, ...], path: Path) -> None:
+    """Check what the types cannot express of cameras."""
+    first = cameras[0]
+    for camera in cameras:
+        sizes = (
+            camera.rows,
+            camera.columns,
+            camera.pixel_mm,
+            camera.principal_distance_mm,
+            camera.focal_length_mm,
+            camera.f_number,
+        )
+        if min(sizes) <= 0:
+            raise InputError(f"{path}: {camera.name}: expected positive sizes, got {sizes}")
+        if (camera.rows, camera.columns) != (first.rows, first.columns):
+            got = f"{camera.rows} x {camera.columns}"
+            raise InputError(
+                f"{path}: {camera.name}: expected {first.rows} x {first.columns} pixels (rows x "
+                f"columns) as {first.name} has, got {got}"
+            )
+        rotation = np.asarray(camera.rotation)
+        if np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-9 or np.linalg.det(rotation) < 0.0:
+            raise InputError(
+                f"{path}: {camera.name}: rotation: expected a right-handed orthonormal matrix, got "
+                f"{rotation.tolist()}"
+            )
+
+
+def _check_numbers(loaded: CamerasFile, path: Path) -> None:
+    """Check what the types cannot express of the rest."""
+    levels = loaded.sensor
+    if not levels.black_dn < levels.white_dn:
+        raise InputError(
+            f"{path}: sensor: expected black_dn below white_dn, got {levels.black_dn:g} and "
+            f"{levels.white_dn:g}"
+        )
+    if levels.by_camera and len(levels.by_camera) != len(loaded.cameras):
+        raise InputError(
+            f"{path}: sensor.by_camera: expected two levels for each of {len(loaded.cameras)} "
+            f"cameras, got {len(levels.by_camera)}"
+        )
+    for camera, (black, white) in zip(loaded.cameras, levels.by_camera, strict=False):
+        if not 0.0 <= black < white <= _MOST_DN or not 0.0 <= levels.black_dn <= _MOST_DN:
+            raise InputError(
+                f"{path}: sensor.by_camera: {camera.name}: expected black below white, of 0 to "
+                f"{_MOST_DN}, got {black:g} and {white:g}, and black_dn = {levels.black_dn:g}"
+            )
+    grid = loaded.grid
+    if min(*grid.shape, *grid.voxel_mm) <= 0 or any(
+        cut < 0 or 2 * cut >= n for cut, n in zip(grid.crop, grid.shape[::-1], strict=True)
+    ):
+        raise InputError(
+            f"{path}: grid: expected positive shape and voxels and a crop that leaves some, got "
+            f"{grid}"
+        )
+
+
+def write_cameras(path: Path, cameras: Sequence[CameraModel], **keys: Any) -> None:
+    """Write cameras in the format of a data set's `cameras.json`.
+
+    Parameters
+    ----------
+    keys : further keys of the file, such as `wall`, see `wall_entries.wall_entry`.
+    """
+    records = [_camera_entry(camera) for camera in cameras]
+    values = {key: _plain(value) for key, value in keys.items()}
+    head = {"format": FORMAT, "version": VERSION}
+    path.write_text(canonical_json({**head, **values, "cameras": records}), encoding="utf-8")
+
+
+def _camera_entry(camera: CameraModel) -> dict[str, Any]:
+    """Make a camera's entry.
+
+    The entry of a pinhole leaves out the wall and the model, which is the default.
+    """
+    record = record_camera(camera)
+    if isinstance(camera, Camera):
+        del record["model"], record["wall"]
+    return record
+
+
+def _plain(value: Any) -> Any:
+    """Convert a dataclass to what JSON holds; leave anything else as it is."""
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        return dataclasses.asdict(value)
+    return value
