@@ -5,6 +5,7 @@ A suite becomes a list of cases, one for each combination of its varied values a
 
 from __future__ import annotations
 
+import copy
 import functools
 import itertools
 import math
@@ -168,7 +169,7 @@ def override(scene: Scene, values: Mapping[str, Any], source: str) -> Scene:
     """
     table = scene.to_dict()
     for key, value in values.items():
-        _assign(table, key, value, source)
+        _assign(table, key, copy.deepcopy(value), source)  # a later key may change this table
     changed = parse_scene(table, source)
     build_rig(changed, source)
     return changed

@@ -130,6 +130,36 @@ def test_the_suites_changes_hold_for_all_cases_and_a_case_has_the_last_word(tmp_
     assert {scene.cameras.f_number for scene in found.values()} == {8.0}
 
 
+def test_a_case_does_not_change_a_table_of_the_suite_for_the_next_one(tmp_path: Path) -> None:
+    text = (
+        '[set]\n"sensor" = { bit_depth = 12 }\n[[cases]]\nscene = "quick"\nname = "a"\n'
+        '[cases.set]\n"sensor.bit_depth" = 8\n[[cases]]\nscene = "quick"\nname = "b"\n'
+    )
+    assert [case.scene.sensor.bit_depth for case in load(tmp_path, text)] == [8, 12]
+
+
+def test_realism_adds_up_to_the_realistic_scene() -> None:
+    """All effects together are those of the scene; size, cameras and laser fit the smaller one."""
+    real = load_scene("realistic-particles").to_dict()
+    cases = load_suite("realism")[1]
+    for case in (case for case in cases if case.name.endswith("-everything")):
+        own = case.scene.to_dict()
+        for table in ("wall", "calibration", "background", "sensor", "tracer"):
+            assert own[table] == real[table]
+        given = ("pulse_energy_mj", "thickness_mm", "height_mm")
+        assert own["illumination"] | {key: real["illumination"][key] for key in given} == (
+            real["illumination"]
+        )
+        given = ("rows", "columns", "layout")
+        assert own["cameras"] | {key: real["cameras"][key] for key in given} == real["cameras"]
+        assert own["particles"] | {"per_pixel": 0.05} == real["particles"]
+
+
+def test_each_case_of_realism_is_a_data_set_of_its_own() -> None:
+    cases = load_suite("realism")[1]
+    assert len({case.scene.hash for case in cases}) == len({case.name for case in cases}) == 26
+
+
 def test_a_value_replaces_the_whole_that_its_key_names() -> None:
     scene = load_scene("quick")
     line = override(
