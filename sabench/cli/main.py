@@ -17,6 +17,7 @@ from sabench.cli import data, evaluate, solve
 from sabench.cli.doctor import doctor
 from sabench.cli.help_pages import Command, Group
 from sabench.cli.options import say
+from sabench.cli.recordings import compare_statistics
 from sabench.cli.reproduce import reproduce
 from sabench.utils.errors import InputError
 from sabench.utils.version import __version__
@@ -28,6 +29,7 @@ for _command in (
     data.generate,
     data.verify,
     data.pack,
+    compare_statistics,
     solve.solve,
     solve.score,
     data.export,

@@ -107,11 +107,13 @@ class Dataset:
 
     def _raw(self, frame: int) -> U16:
         """Read the raw images (camera, row, column) of a frame."""
-        images = [
-            read_tiff(self._image(camera.name, frame), (camera.rows, camera.columns))
-            for camera in self.setup.cameras
-        ]
-        return np.stack(images)
+        return np.stack([self.raw_image(n, frame) for n in range(len(self.setup.cameras))])
+
+    def raw_image(self, number: int, frame: int) -> U16:
+        """Read the image (row, column) of a frame and camera as it was recorded."""
+        self._check_frame(frame)
+        camera = self.setup.cameras[number]
+        return read_tiff(self._image(camera.name, frame), (camera.rows, camera.columns))
 
     @cached_property
     def _lowest(self) -> U16 | None:

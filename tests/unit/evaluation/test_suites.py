@@ -147,8 +147,9 @@ def test_realism_adds_up_to_the_realistic_scene() -> None:
         for table in ("wall", "calibration", "background", "sensor", "tracer"):
             assert own[table] == real[table]
         given = ("pulse_energy_mj", "thickness_mm", "height_mm")
-        assert own["illumination"] | {key: real["illumination"][key] for key in given} == (
-            real["illumination"]
+        assert (
+            own["illumination"] | {key: real["illumination"][key] for key in given}
+            == (real["illumination"])
         )
         given = ("rows", "columns", "layout")
         assert own["cameras"] | {key: real["cameras"][key] for key in given} == real["cameras"]
