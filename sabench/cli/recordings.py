@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from sabench.evaluation.recording_comparison import Measured
 
 # label, key, factor, decimals
-_ROWS = (
+ROWS = (
     ("saturated pixels, %", "saturated", 100.0, 3),
     ("background p5, of 255", "background_p5", 1.0, 1),
     ("background p50, of 255", "background_p50", 1.0, 1),
@@ -69,15 +69,16 @@ def compare_statistics(
         return
     columns = [one.medians() for one in both]
     rows = [
-        (label, *(_cell(one.get(key), factor, decimals) for one in columns))
-        for label, key, factor, decimals in _ROWS
+        (label, *(cell(one.get(key), factor, decimals) for one in columns))
+        for label, key, factor, decimals in ROWS
     ]
     tables.show(("median over the cameras", "data set", "recording"), rows)
     for name, one in zip(("data set", "recording"), both, strict=True):
         say(f"{name}: {_describe(one)}")
 
 
-def _cell(value: float | None, factor: float, decimals: int) -> str:
+def cell(value: float | None, factor: float, decimals: int) -> str:
+    """Format a figure of the table, a missing one as a dash."""
     return tables.format_number(None if value is None else factor * value, decimals)
 
 

@@ -12,11 +12,10 @@ import numpy as np
 from sabench.algorithms.particles import IprSettings, fit_cameras, triangulate_particles
 from sabench.dataset.reader import Dataset, open_dataset
 from sabench.dataset.schema import MANIFEST
+from sabench.images.particle_fits import fit_particle_images, flux_near
 from sabench.images.recording_statistics import (
     CameraStatistics,
     RatioSpread,
-    fit_particle_images,
-    flux_near,
     flux_ratio_spread,
     measure_camera,
 )
@@ -54,10 +53,11 @@ class Measured:
         None where the images do not tell.
         """
         every = [asdict(one) for one in self.cameras.values()]
-        out = {key: float(np.median([one[key] for one in every])) for key in every[0]}
+        out = {key: _median([one[key] for one in every]) for key in every[0]}
         if self.ratio is not None:
-            out |= {"ln_ratio": self.ratio.plain, "ln_ratio_robust": self.ratio.robust}
-        return {key: _finite(value) for key, value in out.items()}
+            out["ln_ratio"] = _finite(self.ratio.plain)
+            out["ln_ratio_robust"] = _finite(self.ratio.robust)
+        return out
 
     def to_json(self) -> dict[str, Any]:
         """Give all figures as JSON holds them."""
@@ -73,6 +73,11 @@ class Measured:
             "ratio_matched_by": self.matched,
             "ratio_pairs": pairs,
         }
+
+
+def _median(values: list[float]) -> float | None:
+    known = [value for value in values if np.isfinite(value)]
+    return float(np.median(known)) if known else None
 
 
 def _finite(value: float) -> float | None:

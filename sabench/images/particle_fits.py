@@ -36,15 +36,15 @@ class ParticleImages(NamedTuple):
 
 
 def image_noise(grey: U16) -> float:
-    """Estimate the noise of a single image from pixels no brighter than its median, at least 0.5.
+    """Estimate the noise of an image from its darker half, at least 0.5.
 
-    It follows from the mean distance to the median of 3 x 3 pixels, which, unlike a median distance,
+    It follows from the mean distance to the median of 3 x 3 pixels. Unlike a median distance, it
     also tells noise of less than a grey value.
     """
     import cv2
 
     smooth = cv2.medianBlur(grey, 3)
-    dim = grey <= np.median(grey)
+    dim = smooth <= np.median(smooth)
     return max(0.5, float(np.sqrt(np.pi / 2.0) * cv2.absdiff(grey, smooth)[dim].mean()))
 
 
@@ -52,17 +52,18 @@ def fit_particle_images(grey: U16, white_dn: float) -> ParticleImages:
     """Fit a Gaussian at any angle to each peak of an image (row, column).
 
     Peaks exceed all of their 5 x 5 surroundings, and the local background by 8 standard deviations
-    of the noise; hot pixels, saturated peaks and those at the border are left out. The logarithm of
-    light is fitted by a quadratic, with the light's square as weight (Guo, IEEE Signal Process. Mag.
-    28 (2011) 134-137): of 3 x 3 pixels, since neighbours overlap, or of 5 x 5 where the image is
-    wider than 1 px.
+    of the noise; hot pixels, saturated peaks and those at the border are left out. A quadratic is
+    fitted to the logarithm of the light, with the light's square as weight (Guo, IEEE Signal
+    Process. Mag. 28 (2011) 134-137): of 3 x 3 pixels, since neighbours overlap, or of 5 x 5 where
+    the image is wider than 1 px.
 
     Parameters
     ----------
     white_dn : grey value of a saturated pixel.
     """
-    light = above_background(grey)[0]
-    row, column, windows = _windows(grey, light)
+    noise = image_noise(grey)
+    light = above_background(grey)[0] - np.float32(noise)  # the least of many values is that low
+    row, column, windows = _windows(light, _CLEAR * noise)
     top = windows[:, _HALF, _HALF] >= windows.max(axis=(1, 2), initial=0.0)
     top &= ~find_points(grey, float(grey.min()))[row, column]
     around = np.arange(-_HALF, _HALF + 1)
@@ -77,11 +78,11 @@ def fit_particle_images(grey: U16, white_dn: float) -> ParticleImages:
     return ParticleImages(pixel[valid], fit[valid, 0], fit[valid, 1], height[valid], int(top.sum()))
 
 
-def _windows(grey: U16, light: F32) -> tuple[I64, I64, F64]:
-    """Cut the light (n, 5, 5) around peaks; returns their rows and columns, too."""
-    peaks = find_peaks(light, _CLEAR * image_noise(grey)).pixels
+def _windows(light: F32, least: float) -> tuple[I64, I64, F64]:
+    """Cut the light (n, 5, 5) around peaks above `least`; returns rows and columns, too."""
+    peaks = find_peaks(light, least).pixels
     column, row = np.rint(peaks).astype(np.int64).T
-    most = np.array(grey.shape) - 1 - _HALF
+    most = np.array(light.shape) - 1 - _HALF
     inner = (np.minimum(column, row) >= _HALF) & (row <= most[0]) & (column <= most[1])
     row, column = row[inner], column[inner]
     around = np.arange(-_HALF, _HALF + 1)
@@ -107,7 +108,7 @@ def _fit_gaussians(windows: F64) -> F64:
 
 
 def _gaussians_of(c: F64) -> F64:
-    """Turn quadratics c0 + c1 x + c2 y + c3 x2 + c4 x y + c5 y2 into what `_fit_gaussians` returns."""
+    """Turn quadratics c0 + c1 x + c2 y + c3 x2 + c4 x y + c5 y2 into Gaussians (n, 4)."""
     determinant = 4.0 * c[:, 3] * c[:, 5] - c[:, 4] ** 2
     valid = (c[:, 3] < 0.0) & (determinant > 1e-9)
     safe = np.where(valid, determinant, 1.0)

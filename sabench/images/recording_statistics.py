@@ -75,19 +75,19 @@ def measure_camera(frames: Sequence[U16], white_dn: float) -> CameraStatistics:
         np.concatenate([getattr(one, name) for one in fits])
         for name in ("width_px", "flux", "height")
     )
-    background = scale * np.percentile(low, [5.0, 50.0, 95.0])
+    background = (scale * np.percentile(low, [5.0, 50.0, 95.0])).tolist()
     median = scale * float(np.median(height)) if len(height) else np.nan
-    widths = np.percentile(width, [10.0, 50.0, 90.0]) if len(width) else [np.nan] * 3
+    widths = np.percentile(width, [10.0, 50.0, 90.0]).tolist() if len(width) else [np.nan] * 3
     return CameraStatistics(
-        float((stack >= white_dn).mean()),
-        *(float(one) for one in background),
-        scale * fixed,
-        scale * near,
-        scale * temporal,
-        *(float(one) for one in widths),
+        saturated=float((stack >= white_dn).mean()),
+        **{f"background_p{p}": one for p, one in zip((5, 50, 95), background, strict=True)},
+        fixed=scale * fixed,
+        fixed_near=scale * near,
+        temporal=scale * temporal,
+        **{f"width_p{p}": one for p, one in zip((10, 50, 90), widths, strict=True)},
         ln_flux=float(np.std(np.log(flux))) if len(flux) > 1 else np.nan,
         per_pixel=sum(one.found for one in fits) / stack.size,
-        contrast=median / (median + 2.0 * float(background[1])),
+        contrast=median / (median + 2.0 * background[1]),
     )
 
 

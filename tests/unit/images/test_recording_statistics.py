@@ -1,0 +1,109 @@
+"""Statistics of a camera's images against the numbers that made them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from sabench.images.recording_statistics import (
+    flux_ratio_spread,
+    measure_camera,
+    measure_noise,
+)
+from sabench.utils.arrays import F64, U16
+from tests.unit.images.test_particle_fits import SHAPE, lattice, shares
+
+
+def stack(fixed: float, temporal: float, frames: int, light: F64 | float = 0.0) -> U16:
+    rng = np.random.default_rng(3)
+    still = 60.0 + fixed * rng.standard_normal(SHAPE) + light
+    images = still + temporal * rng.standard_normal((frames, *SHAPE))
+    return np.clip(np.rint(images), 0, 4095).astype(np.uint16)
+
+
+@pytest.mark.parametrize(("fixed", "temporal"), [(5.5, 0.9), (2.0, 0.9), (0.5, 4.0), (8.0, 3.0)])
+@pytest.mark.parametrize("frames", [4, 20])
+def test_fixed_and_temporal_noise_are_told_apart(
+    fixed: float, temporal: float, frames: int
+) -> None:
+    found = measure_noise(stack(fixed, temporal, frames))
+    drawn = np.hypot(temporal, 12**-0.5)  # rounding
+    assert found[0] == pytest.approx(fixed, rel=0.03, abs=0.25)
+    assert found[1] == pytest.approx(fixed, rel=0.05, abs=0.25)
+    assert found[2] == pytest.approx(drawn, rel=0.05)
+
+
+def test_smooth_light_counts_as_fixed_but_not_from_pixel_to_pixel() -> None:
+    row, column = np.mgrid[: SHAPE[0], : SHAPE[1]]
+    slope = 0.2 * np.hypot(row, column)
+    found = measure_noise(stack(1.0, 1.0, 12, slope))
+    assert found[0] > 8.0
+    assert found[1] == pytest.approx(1.0, abs=0.15)
+
+
+def test_passing_particles_do_not_count_as_noise() -> None:
+    images = stack(2.0, 1.0, 10).astype(np.float64)
+    rng = np.random.default_rng(5)
+    for image in images:
+        for _ in range(300):
+            r, c = rng.uniform([5, 5], [SHAPE[0] - 5, SHAPE[1] - 5])
+            y, x = shares(np.arange(SHAPE[0]) - r, 0.6), shares(np.arange(SHAPE[1]) - c, 0.6)
+            image += 400.0 * np.outer(y, x)
+    found = measure_noise(np.rint(images).astype(np.uint16))
+    assert found[0] == pytest.approx(2.0, rel=0.1)
+    assert found[2] == pytest.approx(np.hypot(1.0, 12**-0.5), rel=0.1)
+
+
+def test_a_camera_s_statistics_are_those_drawn() -> None:
+    light, nodes, _ = lattice(0.5, 0.5, 200.0, spread=0.3)
+    rng = np.random.default_rng(2)
+    frames = [
+        np.clip(np.rint(light + 30.0 + rng.standard_normal(SHAPE)), 0, 255).astype(np.uint16)
+        for _ in range(3)
+    ]
+    for frame in frames:
+        frame[:22, :26] = 255
+    found = measure_camera(frames, 255.0)
+    assert found.saturated == pytest.approx(0.01, abs=2e-3)
+    assert found.background_p50 == pytest.approx(30.0, abs=2.0)
+    assert found.width_p50 == pytest.approx(0.5, rel=0.05)
+    assert found.ln_flux == pytest.approx(0.3, abs=0.06)
+    assert found.per_pixel == pytest.approx(len(nodes) / (SHAPE[0] * SHAPE[1]), rel=0.05)
+    assert 0.4 < found.contrast < 0.8
+
+
+def test_grey_values_are_scaled_to_255() -> None:
+    light, _, _ = lattice(0.5, 0.5, 1000.0)
+    frames = list(stack(8.0, 4.0, 5, light))
+    coarse, fine = measure_camera(frames, 1023.0), measure_camera(frames, 4095.0)
+    dark = measure_camera(list(stack(8.0, 4.0, 5)), 1023.0)
+    assert dark.fixed == pytest.approx(8.0 * 255 / 1023, rel=0.05)
+    for name in ("background_p50", "fixed", "temporal"):
+        assert getattr(coarse, name) == pytest.approx(getattr(fine, name) * 4095 / 1023)
+    assert coarse.width_p50 == fine.width_p50
+
+
+def test_one_image_has_no_noise_of_a_stack() -> None:
+    found = measure_camera([stack(1.0, 1.0, 1)[0]], 255.0)
+    assert np.isnan([found.fixed, found.fixed_near, found.temporal]).all()
+    assert np.isfinite(found.background_p50)
+    assert np.isnan([found.width_p50, found.ln_flux, found.contrast]).all()
+
+
+def test_ratios_of_cameras_have_the_spread_drawn_whatever_their_gains() -> None:
+    rng = np.random.default_rng(4)
+    own = np.exp(rng.standard_normal(4000))
+    flux = own * np.exp(0.2 * rng.standard_normal((3, 4000))) * np.array([[1.0], [5.0], [0.3]])
+    found = flux_ratio_spread(flux)
+    assert (found.plain, found.robust) == pytest.approx((0.2 * 2**0.5, 0.2 * 2**0.5), rel=0.03)
+    assert found.pairs == 12000
+    flux[0, :100] *= 50.0
+    flux[1, 100:200] = np.nan
+    outliers = flux_ratio_spread(flux)
+    assert outliers.pairs == 11800
+    assert outliers.robust == pytest.approx(0.29, abs=0.02)
+    assert outliers.plain > 0.5
+
+
+def test_one_camera_has_no_ratio() -> None:
+    assert flux_ratio_spread(np.ones((1, 9))).pairs == 0
