@@ -13,6 +13,7 @@ from sabench.utils.arrays import F32, F64, I64, U16
 _CLEAR = 8.0  # standard deviations of noise by which a peak exceeds the background
 _HALF = 2  # px: half the window in which a particle image is fitted
 _NARROW_PX, _WIDEST_PX = 1.0, 10.0  # widths of fits by 3 x 3 pixels, and of those that fail
+_MOST = 50.0  # ln of light; only of fits that fail
 _PIXEL = 1.0 / 12.0  # px2: variance of a pixel
 
 
@@ -114,8 +115,8 @@ def _gaussians_of(c: F64) -> F64:
     safe = np.where(valid, determinant, 1.0)
     across, down, both = -2.0 * c[:, 5] / safe, -2.0 * c[:, 3] / safe, c[:, 4] / safe
     x, y = across * c[:, 1] + both * c[:, 2], both * c[:, 1] + down * c[:, 2]
-    top = np.where(valid, c[:, 0] + 0.5 * (c[:, 1] * x + c[:, 2] * y), 0.0)
-    flux = np.exp(top) * 2.0 * np.pi / np.sqrt(safe)
+    top = c[:, 0] + 0.5 * (c[:, 1] * x + c[:, 2] * y)
+    flux = np.exp(np.minimum(top, _MOST)) * 2.0 * np.pi / np.sqrt(safe)
     square = (across - _PIXEL) * (down - _PIXEL) - both**2
     valid &= (np.minimum(across, down) > _PIXEL) & (square > 0.0)
     valid &= np.maximum(np.abs(x), np.abs(y)) < 1.0

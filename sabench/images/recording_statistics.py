@@ -33,8 +33,8 @@ class CameraStatistics:
     saturated : share of the pixels.
     background_p5, background_p50, background_p95 : percentiles of the local background, the least
         value within 9 x 9 pixels of the image that a median over 3 x 3 pixels has smoothed.
-    fixed : standard deviation of dim pixels' typical values, without what temporal noise adds. The
-        typical value is the mean of the middle half of the frames' values; dim pixels are the half
+    fixed : standard deviation of dim pixels' typical values, without what temporal noise adds, and
+        without values more than four of it away, as hot pixels have. The typical value is the mean of the middle half of the frames' values; dim pixels are the half
         of all pixels with the lowest medians of 5 x 5 typical values around them.
     fixed_near : the same of each pixel less that median.
     temporal : standard deviation of dim pixels from frame to frame, without particles that pass.
@@ -110,20 +110,21 @@ def measure_noise(stack: U16) -> tuple[float, float, float]:
     temporal = _clipped_deviation(np.diff(stack.astype(np.float32), axis=0)[:, dim]) / np.sqrt(2.0)
     rest = _MIDDLE / len(stack) * temporal**2
     fixed, fixed_near = (
-        float(np.sqrt(max(np.var(values[dim].astype(np.float64)) - rest, 0.0)))
+        float(np.sqrt(max(_clipped_deviation(values[dim]) ** 2 - rest, 0.0)))
         for values in (middle, middle - around)
     )
     return fixed, fixed_near, temporal
 
 
 def _clipped_deviation(values: F32) -> float:
-    """Compute the standard deviation of values without the few that are far from 0.
+    """Compute the standard deviation of values without the few that are far from the median.
 
     Unlike quantiles, it also tells noise of less than a grey value.
     """
-    limit = max(float(np.percentile(np.abs(values), 68.0)), 1.0)
+    away = np.abs(values - np.median(values))
+    limit = max(float(np.percentile(away, 68.0)), 1.0)
     for _ in range(_ROUNDS):
-        deviation = float(values[np.abs(values) <= _FAR * limit].std(dtype=np.float64))
+        deviation = float(values[away <= _FAR * limit].std(dtype=np.float64))
         limit = max(deviation, 1.0 / _FAR)
     return deviation
 
