@@ -20,7 +20,7 @@ ROWS = (
     ("background p50, of 255", "background_p50", 1.0, 1),
     ("background p95, of 255", "background_p95", 1.0, 1),
     ("dim pixels, fixed, of 255", "fixed", 1.0, 2),
-    ("the same, less surroundings", "fixed_near", 1.0, 2),
+    ("the same, pixel to pixel", "fixed_near", 1.0, 2),
     ("dim pixels, temporal, of 255", "temporal", 1.0, 2),
     ("image width p10, px", "width_p10", 1.0, 2),
     ("image width p50, px", "width_p50", 1.0, 2),

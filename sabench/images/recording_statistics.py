@@ -33,10 +33,11 @@ class CameraStatistics:
     saturated : share of the pixels.
     background_p5, background_p50, background_p95 : percentiles of the local background, the least
         value within 9 x 9 pixels of the image that a median over 3 x 3 pixels has smoothed.
-    fixed : standard deviation of dim pixels' typical values, without what temporal noise adds, and
-        without values more than four of it away, as hot pixels have. The typical value is the mean of the middle half of the frames' values; dim pixels are the half
+    fixed : standard deviation of dim pixels' typical values, without what temporal noise adds. The
+        typical value is the mean of the middle half of the frames' values; dim pixels are the half
         of all pixels with the lowest medians of 5 x 5 typical values around them.
-    fixed_near : the same of each pixel less that median.
+    fixed_near : the same of each pixel less that median, without values more than four of it away,
+        as hot pixels have: what differs from pixel to pixel.
     temporal : standard deviation of dim pixels from frame to frame, without particles that pass.
     width_p10, width_p50, width_p90 : percentiles of `ParticleImages.width_px`.
     ln_flux : standard deviation of ln flux of particle images.
@@ -109,10 +110,11 @@ def measure_noise(stack: U16) -> tuple[float, float, float]:
     dim = around <= np.percentile(around, _DIM)
     temporal = _clipped_deviation(np.diff(stack.astype(np.float32), axis=0)[:, dim]) / np.sqrt(2.0)
     rest = _MIDDLE / len(stack) * temporal**2
-    fixed, fixed_near = (
-        float(np.sqrt(max(_clipped_deviation(values[dim]) ** 2 - rest, 0.0)))
-        for values in (middle, middle - around)
+    deviations = (
+        float(middle[dim].std(dtype=np.float64)),
+        _clipped_deviation((middle - around)[dim]),
     )
+    fixed, fixed_near = (float(np.sqrt(max(one**2 - rest, 0.0))) for one in deviations)
     return fixed, fixed_near, temporal
 
 
