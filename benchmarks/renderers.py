@@ -1,8 +1,10 @@
 """Ray tracer against formulas: `python benchmarks/renderers.py [scene]`.
 
 For each camera thousands of particles are placed behind the wall so that their images lie on a
-jittered lattice, at least 12 px apart; centroids and light are taken in windows of their own. The
-error of a solver that ignores the wall is computed with the same cameras in air. Prints JSON.
+jittered lattice, at least 12 px apart; centroids, light and widths are taken in windows of their
+own. Images are all that the scene makes of the particles: single particles' Mie scattering, rings,
+mirror images. The error of a solver that ignores the wall is computed with the same cameras in air.
+Prints JSON.
 """
 
 from __future__ import annotations
@@ -11,16 +13,16 @@ import json
 import sys
 import time
 from dataclasses import replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from sabench.api.truth import Particles
 from sabench.geometry.camera import Camera
 from sabench.scenes import Rig, Scene, build_rig, load_scene
-from sabench.simulation.rendering import particles_splatted
-from sabench.simulation.rendering.particle_images import image_particles
-from sabench.simulation.rendering.particles_traced import render
+from sabench.simulation import camera_view
+from sabench.simulation.frame_content import FrameContent, Tracers
+from sabench.simulation.rendering.particle_light import scatterers_of
 from sabench.utils import backend
 from sabench.utils.arrays import F64, I64
 from sabench.utils.progress import progress_bar
@@ -54,34 +56,74 @@ def lattice(scene: Scene, camera: Camera, seed: int) -> tuple[Particles, I64]:
     return Particles(np.arange(len(nodes)), positions, diameter, np.zeros((len(nodes), 3))), nodes
 
 
-def moments(image: F64, nodes: I64) -> tuple[F64, F64]:
-    """Measure light and centroid (n, 2), relative to the node, in each window."""
+class Moments(NamedTuple):
+    """Moments of the images of n particles.
+
+    Attributes
+    ----------
+    light : (n,) sums over windows.
+    centroid : (n, 2) column and row from the node.
+    width_px : (n,) fourth root of the determinant of the second moments.
+    """
+
+    light: F64
+    centroid: F64
+    width_px: F64
+
+
+def moments(image: F64, nodes: I64) -> Moments:
+    """Measure the images in a window around each node."""
     offset = np.arange(-_HALF, _HALF + 1)
     windows = image[nodes[:, 1, None, None] + offset[:, None], nodes[:, 0, None, None] + offset]
     light = windows.sum(axis=(1, 2))
-    return light, np.stack(
-        [windows.sum(axis=1) @ offset, windows.sum(axis=2) @ offset], axis=1
-    ) / light[:, None]
+    share = windows / light[:, None, None]
+    x, y = share.sum(axis=1) @ offset, share.sum(axis=2) @ offset
+    across = share.sum(axis=1) @ offset**2 - x**2
+    down = share.sum(axis=2) @ offset**2 - y**2
+    both = np.einsum("nij,i,j->n", share, offset, offset) - x * y
+    width = np.maximum(across * down - both**2, 0.0) ** 0.25
+    return Moments(light, np.stack([x, y], axis=1), width)
 
 
-def compare_renderers(scene: Scene, camera: Camera, seed: int) -> tuple[F64, F64, F64, float]:
-    """Compare rays with formulas and with exact projection.
+class Comparison(NamedTuple):
+    """Differences of the renderers' images of n particles, and seconds of the ray tracer.
 
-    Returns both centroid differences (n, 2), light ratios (n,), and seconds of the ray tracer.
+    Attributes
+    ----------
+    shift_px : (n, 2) centroid by rays less that by formulas.
+    error_px : (n, 2) centroid by rays less the exact projection.
+    light : (n,) ratio.
+    width : (n,) ratio.
     """
-    particles, nodes = lattice(scene, camera, seed)
-    images = image_particles(scene, camera, particles, None)
-    start = time.perf_counter()
-    picture = (
-        render(camera, images, particles.position_mm, scene.render.samples_per_pixel)
-        * camera.etendue()
+
+    shift_px: F64
+    error_px: F64
+    light: F64
+    width: F64
+    seconds: float
+
+
+def compare_renderers(scene: Scene, rig: Rig, number: int) -> Comparison:
+    """Compare rays with formulas in one camera."""
+    particles, nodes = lattice(scene, rig.cameras[number], number)
+    scatterers = scatterers_of(scene, rig.cameras, number)
+    tracers = Tracers(particles, (particles.position_mm,), scatterers)
+    views, seconds = [], 0.0
+    for renderer in ("splat", "mitsuba"):
+        start = time.perf_counter()
+        frame = FrameContent(scene, rig, number, 0, renderer, tracers=tracers)
+        views.append(camera_view.render(frame, number))
+        seconds = time.perf_counter() - start
+    formula, traced = (moments(view.photons, nodes) for view in views)
+    images = views[0].particles
+    assert images is not None
+    return Comparison(
+        traced.centroid - formula.centroid,
+        traced.centroid + nodes - images.pixel,
+        traced.light / formula.light,
+        traced.width_px / formula.width_px,
+        seconds,
     )
-    seconds = time.perf_counter() - start
-    traced, formula = (
-        moments(picture, nodes),
-        moments(particles_splatted.render(camera, images), nodes),
-    )
-    return traced[1] - formula[1], traced[1] + nodes - images.pixel, traced[0] / formula[0], seconds
 
 
 def without_wall(rig: Rig, scene: Scene, count: int) -> dict[str, float]:
@@ -123,33 +165,35 @@ def _spread(shift: F64) -> dict[str, Any]:
     }
 
 
+def _ratio(values: F64) -> dict[str, float]:
+    return {
+        "mean": float(values.mean()),
+        "spread": float(values.std()),
+        "lowest": float(values.min()),
+        "highest": float(values.max()),
+    }
+
+
 def main() -> None:
     """Compare the renderers on a scene's frame."""
     name = sys.argv[1] if len(sys.argv) > 1 else "demo"
-    loaded = load_scene(name)
-    scene = loaded.model_copy(
-        update={"illumination": loaded.light.model_copy(update={"scattering": "isotropic"})}
-    )
+    scene = load_scene(name)
     rig = build_rig(scene)
     found = [
-        compare_renderers(scene, camera, i)
-        for i, camera in enumerate(progress_bar(rig.cameras, "render with Mitsuba"))
+        compare_renderers(scene, rig, number)
+        for number in progress_bar(range(len(rig.cameras)), "render with Mitsuba")
     ]
-    formula, exact, ratio = (np.concatenate([part[i] for part in found]) for i in range(3))
+    shift, exact, light, width = (np.concatenate([part[i] for part in found]) for i in range(4))
     report = {
         "scene": name,
         "backend": backend.choose().why,
         "cameras": len(rig.cameras),
-        "isolated_particles": len(ratio),
-        "render_s_per_camera": round(float(np.median([part[3] for part in found])), 3),
-        "mitsuba_minus_splat": _spread(formula),
+        "isolated_particles": len(light),
+        "render_s_per_camera": round(float(np.median([part.seconds for part in found])), 3),
+        "mitsuba_minus_splat": _spread(shift),
         "mitsuba_minus_exact_projection": _spread(exact),
-        "flux_ratio": {
-            "mean": float(ratio.mean()),
-            "spread": float(ratio.std()),
-            "lowest": float(ratio.min()),
-            "highest": float(ratio.max()),
-        },
+        "flux_ratio": _ratio(light),
+        "width_ratio": _ratio(width),
         "wall_removed": without_wall(rig, scene, 20_000),
     }
     print(json.dumps(report, indent=2))

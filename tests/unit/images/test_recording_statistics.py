@@ -107,3 +107,13 @@ def test_ratios_of_cameras_have_the_spread_drawn_whatever_their_gains() -> None:
 
 def test_one_camera_has_no_ratio() -> None:
     assert flux_ratio_spread(np.ones((1, 9))).pairs == 0
+
+
+def test_hot_pixels_count_as_fixed_but_not_from_pixel_to_pixel() -> None:
+    images = stack(2.0, 1.0, 6)
+    hot = np.random.default_rng(8).random(SHAPE) < 2e-3
+    images[:, hot] += np.uint16(300)
+    fixed, near, temporal = measure_noise(images)
+    assert fixed == pytest.approx(np.sqrt(4.0 + 300.0**2 * hot.mean()), rel=0.1)
+    assert near == pytest.approx(2.0, rel=0.05)
+    assert temporal == pytest.approx(np.hypot(1.0, 12**-0.5), rel=0.05)
