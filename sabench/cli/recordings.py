@@ -83,7 +83,9 @@ def cell(value: float | None, factor: float, decimals: int) -> str:
 
 
 def _describe(measured: Measured) -> str:
-    size = f"{len(measured.cameras)} camera(s), up to {measured.frames} image(s) of each"
+    low, high = min(measured.white_dn.values()), max(measured.white_dn.values())
+    white = f"{low:g}" if low == high else f"{low:g} to {high:g}"
+    size = f"cameras: {len(measured.cameras)}, images of each: {measured.frames}, white: {white}"
     if measured.ratio is None:
-        return f"{size}; the ratio between cameras needs a calibration"
-    return f"{size}; {measured.ratio.pairs} ratios of particles matched by {measured.matched}"
+        return f"{size}\n  flux ratios: they need a calibration"
+    return f"{size}\n  flux ratios: {measured.ratio.pairs}, matched by {measured.matched}"

@@ -38,12 +38,14 @@ class Measured:
     ----------
     cameras : by their names.
     frames : number of images of each camera, at most.
+    white_dn : grey values of saturated pixels, of each camera.
     ratio : of a particle's flux between cameras; None without a calibration.
     matched : what tells which peaks of the cameras are one particle's.
     """
 
     cameras: dict[str, CameraStatistics]
     frames: int
+    white_dn: dict[str, float]
     ratio: RatioSpread | None = None
     matched: Matched | None = None
 
@@ -68,6 +70,7 @@ class Measured:
         pairs = self.ratio.pairs if self.ratio else None
         return {
             "frames": self.frames,
+            "white_dn": self.white_dn,
             "median": self.medians(),
             "cameras": own,
             "ratio_matched_by": self.matched,
@@ -99,11 +102,12 @@ def measure(path: Path, most: int, white_dn: float | None = None) -> Measured:
     """
     if (path / MANIFEST).is_file():
         return measure_dataset(open_dataset(path), most)
-    frames, cameras = 0, {}
+    frames, cameras, white = 0, {}, {}
     for one in read_recordings(path, most, white_dn):
         cameras[one.name] = measure_camera(one.frames, one.white_dn)
+        white[one.name] = one.white_dn
         frames = max(frames, len(one.frames))
-    return Measured(cameras, frames)
+    return Measured(cameras, frames, white)
 
 
 def measure_dataset(dataset: Dataset, most: int) -> Measured:
@@ -118,13 +122,14 @@ def measure_dataset(dataset: Dataset, most: int) -> Measured:
         got = ", ".join(dataset.shows)
         raise InputError(f"{dataset.root}: expected a data set of particles, got one of {got}")
     frames, setup = min(most, dataset.setup.frames), dataset.setup
-    by_camera = {}
+    cameras, white = {}, {}
     for number, camera in enumerate(progress_bar(setup.cameras, "measure images")):
         stack = [dataset.raw_image(number, frame) for frame in range(frames)]
-        by_camera[camera.name] = measure_camera(stack, _white(dataset, number))
+        white[camera.name] = _white(dataset, number)
+        cameras[camera.name] = measure_camera(stack, white[camera.name])
     flux = np.concatenate([*_fluxes(dataset, frames)], axis=1)
     matched: Matched = "true positions" if dataset.has_truth else "triangulated positions"
-    return Measured(by_camera, frames, flux_ratio_spread(flux), matched)
+    return Measured(cameras, frames, white, flux_ratio_spread(flux), matched)
 
 
 def _white(dataset: Dataset, number: int) -> float:

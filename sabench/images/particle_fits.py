@@ -13,6 +13,7 @@ from sabench.utils.arrays import F32, F64, I64, U16
 _CLEAR = 8.0  # standard deviations of noise by which a peak exceeds the background
 _HALF = 2  # px: half the window in which a particle image is fitted
 _NARROW_PX, _WIDEST_PX = 1.0, 10.0  # widths of fits by 3 x 3 pixels, and of those that fail
+_FROM_MAD = 1.4826  # standard deviation of normal numbers, over their median distance
 _MOST = 50.0  # ln of light; only of fits that fail
 _PIXEL = 1.0 / 12.0  # px2: variance of a pixel
 
@@ -39,14 +40,16 @@ class ParticleImages(NamedTuple):
 def image_noise(grey: U16) -> float:
     """Estimate the noise of an image from its darker half, at least 0.5.
 
-    It follows from the mean distance to the median of 3 x 3 pixels. Unlike a median distance, it
-    also tells noise of less than a grey value.
+    It follows from the median distance to the median of 3 x 3 pixels. A distance of k counts as
+    evenly spread from k - 0.5 to k + 0.5, which also tells noise of less than a grey value.
     """
     import cv2
 
     smooth = cv2.medianBlur(grey, 3)
-    dim = smooth <= np.median(smooth)
-    return max(0.5, float(np.sqrt(np.pi / 2.0) * cv2.absdiff(grey, smooth)[dim].mean()))
+    away = cv2.absdiff(grey, smooth)[smooth <= np.median(smooth)]
+    up_to = np.cumsum(np.bincount(away.ravel()))
+    middle = np.interp(0.5 * up_to[-1], [0, *up_to], [0.0, *(np.arange(len(up_to)) + 0.5)])
+    return max(0.5, _FROM_MAD * float(middle))
 
 
 def fit_particle_images(grey: U16, white_dn: float) -> ParticleImages:
