@@ -83,7 +83,10 @@ def fit_particle_images(grey: U16, white_dn: float) -> ParticleImages:
 
 
 def _windows(light: F32, least: float) -> tuple[I64, I64, F64]:
-    """Cut the light (n, 5, 5) around peaks above `least`; returns rows and columns, too."""
+    """Cut the light (n, 5, 5) around peaks above `least`.
+
+    Returns their rows and columns, too.
+    """
     peaks = find_peaks(light, least).pixels
     column, row = np.rint(peaks).astype(np.int64).T
     most = np.array(light.shape) - 1 - _HALF
@@ -112,7 +115,10 @@ def _fit_gaussians(windows: F64) -> F64:
 
 
 def _gaussians_of(c: F64) -> F64:
-    """Turn quadratics c0 + c1 x + c2 y + c3 x2 + c4 x y + c5 y2 into Gaussians (n, 4)."""
+    """Turn quadratics into Gaussians (n, 4).
+
+    Coefficients (n, 6) are of 1, x, y, x2, x y and y2.
+    """
     determinant = 4.0 * c[:, 3] * c[:, 5] - c[:, 4] ** 2
     valid = (c[:, 3] < 0.0) & (determinant > 1e-9)
     safe = np.where(valid, determinant, 1.0)

@@ -1,4 +1,4 @@
-"""Statistics of a camera's images of particles: light, noise, and particle images.
+"""Statistics of a camera's images: light, noise, and particle images.
 
 They need no calibration, and are computed alike from images of data sets and of laboratories. Grey
 values are scaled so that a saturated pixel has 255.
@@ -26,7 +26,9 @@ _FROM_MAD = 1.4826  # standard deviation of normal numbers, over their median ab
 
 @dataclass(frozen=True)
 class CameraStatistics:
-    """Statistics of a camera's images; grey values are of 255. NaN where images do not tell.
+    """Statistics of a camera's images.
+
+    Grey values are of 255. NaN where images do not tell.
 
     Attributes
     ----------
@@ -93,7 +95,10 @@ def measure_camera(frames: Sequence[U16], white_dn: float) -> CameraStatistics:
 
 
 def local_background(grey: U16) -> U16:
-    """Compute the darkest part around every pixel (row, column), without single dead pixels."""
+    """Compute the darkest part around every pixel (row, column).
+
+    Single dead pixels do not count.
+    """
     return np.asarray(grey.astype(np.float32) - above_background(grey)[0]).astype(np.uint16)
 
 
@@ -119,9 +124,9 @@ def measure_noise(stack: U16) -> tuple[float, float, float]:
 
 
 def _clipped_deviation(values: F32) -> float:
-    """Compute the standard deviation of values without the few that are far from the median.
+    """Compute the standard deviation of values without the few outliers.
 
-    Unlike quantiles, it also tells noise of less than a grey value.
+    Those are far from the median. Unlike quantiles, it also tells noise of less than a grey value.
     """
     away = np.abs(values - np.median(values))
     limit = max(float(np.percentile(away, 68.0)), 1.0)
@@ -132,7 +137,7 @@ def _clipped_deviation(values: F32) -> float:
 
 
 class RatioSpread(NamedTuple):
-    """Spread of the ln of the ratio of a particle's flux in two cameras, over all pairs.
+    """Spread of the logarithm of the ratio of a particle's flux in two cameras.
 
     Attributes
     ----------

@@ -96,7 +96,7 @@ def read_recordings(folder: Path, most: int, white_dn: float | None = None) -> I
 
 
 def guess_white(frames: Sequence[U16]) -> float:
-    """Return the largest grey value of the least usual bit depth that holds all of them.
+    """Return the largest grey value of the least bit depth that holds all values.
 
     Values that are all multiples of 4, 16 or 64 fill the upper bits of 16.
     """
@@ -109,7 +109,9 @@ def guess_white(frames: Sequence[U16]) -> float:
 
 
 def read_frames(paths: Sequence[Path], most: int) -> tuple[U16, ...]:
-    """Read up to so many grey images (row, column) of one size; a file may hold several.
+    """Read up to so many grey images (row, column) of one size.
+
+    A file may hold several.
 
     A limited child process reads them, which the libraries may not survive.
 
