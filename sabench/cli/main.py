@@ -42,7 +42,7 @@ for _command in (
     evaluate.board,
     doctor,
 ):
-    app.command(cls=Command)(_command)
+    app.command(_command.__name__.replace("_", "-"), cls=Command)(_command)
 
 _INTERRUPTED = "interrupted: finished work is kept, nothing is left half-written"
 _AGAIN_S = 0.05  # until a Ctrl-C is repeated
