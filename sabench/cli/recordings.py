@@ -51,7 +51,7 @@ def compare_statistics(
         typer.Option(
             min=1.0,
             metavar="DN",
-            help="Grey value of a saturated pixel of your images; by default that of the bit depth.",
+            help="Grey value of a saturated pixel of your images; by default of the bit depth.",
             show_default=False,
         ),
     ] = None,
