@@ -50,6 +50,7 @@ def compare_statistics(
         float | None,
         typer.Option(
             min=1.0,
+            max=65535.0,
             metavar="DN",
             help="Grey value of a saturated pixel of your images; by default of the bit depth.",
             show_default=False,
@@ -61,9 +62,11 @@ def compare_statistics(
 
     Light, noise, and widths and brightness of particle images, as medians over the cameras.
     """
-    from sabench.evaluation.recording_comparison import measure
+    from sabench.dataset.reader import open_dataset
+    from sabench.evaluation.recording_comparison import measure, measure_dataset
 
-    both = measure(dataset, frames), measure(recording, frames, white)
+    data = open_dataset(dataset)
+    both = measure_dataset(data, frames), measure(recording, frames, white)
     if as_json:
         say_json(dict(zip(("dataset", "recording"), (one.to_json() for one in both), strict=True)))
         return

@@ -128,6 +128,12 @@ def test_a_wrong_folder_is_one_sentence(data: Dataset, tmp_path: Path, command: 
     assert done.stderr.splitlines()[-1].startswith(f"sabench: {tmp_path}: expected images")
 
 
+def test_a_folder_of_images_is_no_data_set(folder: Path, command: Command) -> None:
+    done = command("compare-statistics", folder, folder)
+    assert done.returncode == 2
+    assert "expected a data set's manifest, found none" in done.stderr
+
+
 def test_a_data_set_of_a_target_is_refused(tmp_path: Path, command: Command) -> None:
     made = sabench.generate("calibration", tmp_path / "target", seed=1, backend="splat")
     done = command("compare-statistics", made.root, made.root)
