@@ -307,6 +307,7 @@ struct Camera {
     Vec center{};
     std::array<Vec, 3> rotation{};
     double focal = 0.0, column = 0.0, row = 0.0, k1 = 0.0, k2 = 0.0, k3 = 0.0, p1 = 0.0, p2 = 0.0;
+    double about_x = 0.0, about_y = 0.0;  // of the sensor, rad
 
     explicit Camera(const Json& camera)
         : name(camera["name"].string), center(camera["center_mm"].vec()) {
@@ -317,6 +318,10 @@ struct Camera {
         const Json& d = camera["distortion"];
         k1 = d["k1"].value, k2 = d["k2"].value, k3 = d["k3"].value, p1 = d["p1"].value,
         p2 = d["p2"].value;
+        if (camera.has("tilt_deg")) {
+            about_x = camera["tilt_deg"].items.at(0).value * M_PI / 180;
+            about_y = camera["tilt_deg"].items.at(1).value * M_PI / 180;
+        }
     }
 
     std::array<double, 2> project(const Wall& wall, const Vec& point) const {  // column, row
@@ -326,7 +331,11 @@ struct Camera {
         double radial = 1 + s * (k1 + s * (k2 + s * k3));
         double u = x * radial + 2 * p1 * x * y + p2 * (s + 2 * x * x),
                v = y * radial + p1 * (s + 2 * y * y) + 2 * p2 * x * y;
-        return {u * focal + column, v * focal + row};
+        double ca = std::cos(about_x), sa = std::sin(about_x), cb = std::cos(about_y),
+               sb = std::sin(about_y), near = (u * sb - v * sa * cb) / (ca * cb) + 1;
+        double right = (u * cb + v * sa * sb - ca * sb) / near + ca * sb,
+               down = (v * ca + sa) / near - sa;
+        return {right * focal + column, down * focal + row};
     }
 };
 

@@ -48,10 +48,19 @@ def project(camera, wall, points):
     radial = 1 + s * (d["k1"] + s * (d["k2"] + s * d["k3"]))
     u = x * radial + 2 * d["p1"] * x * y + d["p2"] * (s + 2 * x**2)
     v = y * radial + d["p1"] * (s + 2 * y**2) + 2 * d["p2"] * x * y
+    u, v = tilt(u, v, *np.deg2rad(camera.get("tilt_deg", [0.0, 0.0])))
     return (
         axis * camera["principal_distance_mm"] / camera["pixel_mm"] + p
         for axis, p in zip((u, v), camera["principal_point_px"], strict=True)
     )
+
+
+def tilt(u, v, a, b):
+    """Take light to a sensor that is turned by a about X, then by b about its own Y axis."""
+    cos, sin = np.cos, np.sin
+    depth = (u * sin(b) - v * sin(a) * cos(b)) / (cos(a) * cos(b)) + 1
+    right = (u * cos(b) + v * sin(a) * sin(b) - cos(a) * sin(b)) / depth + cos(a) * sin(b)
+    return right, (v * cos(a) + sin(a)) / depth - sin(a)
 
 
 def sample(image, column, row):

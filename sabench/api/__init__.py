@@ -34,10 +34,11 @@ from sabench.api.solvers import (
     VelocimetrySolver,
 )
 from sabench.api.truth import Bubbles, Particles, Solid, Target
-from sabench.geometry.camera import Camera, Distortion
+from sabench.geometry.camera import Camera
 from sabench.geometry.camera_model import CameraModel
 from sabench.geometry.frames import Domain, Pose
 from sabench.geometry.grid import Grid
+from sabench.geometry.lens_distortion import Distortion
 from sabench.geometry.refraction import Layer, Rays, Wall
 from sabench.geometry.rotations import frame_along, rotation_matrices
 from sabench.images.flaws import Flaws, Repaired

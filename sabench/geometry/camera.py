@@ -1,4 +1,4 @@
-"""Pinhole cameras with radial-tangential distortion.
+"""Pinhole cameras with radial-tangential distortion and a sensor that may be tilted.
 
 They look through a wall, or through air. `Camera.pixels_of` of paths by
 `refraction.trace_to_points` is the reference of the projection; its copies, their reasons and the
@@ -14,26 +14,13 @@ import numpy as np
 import numpy.typing as npt
 
 from sabench.geometry.camera_model import on_sensor
+from sabench.geometry.lens_distortion import Distortion, distort, undistort
 from sabench.geometry.refraction import Rays, Wall, trace_into_fluid, trace_to_points
 from sabench.geometry.rotations import frame_of_normal
+from sabench.geometry.sensor_tilt import UPRIGHT, from_sensor, onto_sensor
 from sabench.geometry.wall_records import WallRecord
 from sabench.utils.arrays import F64, Bool, rows_of, triple
-
-_UNDISTORT_STEPS = 20
-
-
-@dataclass(frozen=True)
-class Distortion:
-    """Brown-Conrady coefficients of distortion.
-
-    They are dimensionless and act on ideal image coordinates x/z, y/z. All zero means none.
-    """
-
-    k1: float = 0.0
-    k2: float = 0.0
-    p1: float = 0.0
-    p2: float = 0.0
-    k3: float = 0.0
+from sabench.utils.fields import TiltAngle
 
 
 @dataclass(frozen=True)
@@ -54,6 +41,8 @@ class Camera:
     distortion : radial-tangential coefficients.
     focal_length_mm, f_number : of the lens, for defocus and light gathering.
     wall : wall that the camera looks through; None for plain air.
+    tilt_deg : of the sensor against the lens, see `sensor_tilt`; the axes above are the lens's, and
+        the principal distance is along them.
     """
 
     name: str
@@ -70,6 +59,7 @@ class Camera:
     focal_length_mm: float
     f_number: float
     wall: WallRecord | None = None
+    tilt_deg: tuple[TiltAngle, TiltAngle] = UPRIGHT
 
     @property
     def focal_px(self) -> float:
@@ -85,7 +75,8 @@ class Camera:
     def focus_mm(self) -> float:
         """Distance in the camera's medium at which points are sharp.
 
-        The thin lens's conjugate of the principal distance; it may be infinite.
+        The thin lens's conjugate of the principal distance; it may be infinite. With a tilted
+        sensor it is the distance along the optical axis.
         """
         inverse = 1.0 / self.focal_length_mm - 1.0 / self.principal_distance_mm
         return 1.0 / inverse if inverse else float("inf")
@@ -112,13 +103,10 @@ class Camera:
             return self.pixels_of(paths.leaving, paths.valid)
         pixels = self._ideal_pixels(self.wall, points)
         valid = np.asarray(np.isfinite(pixels[:, 0]) & np.isfinite(pixels[:, 1]))
-        if self.distortion != Distortion():
+        if self.distortion != Distortion() or self.tilt_deg != UPRIGHT:
             middle = np.asarray(self.principal_point_px)
-            ideal, one_to_one, _ = _distort(
-                self.distortion, np.where(valid[:, None], (pixels - middle) / self.focal_px, 0.0)
-            )
-            valid &= one_to_one
-            pixels = ideal * self.focal_px + middle
+            ideal = np.where(valid[:, None], (pixels - middle) / self.focal_px, 0.0)
+            return self._on_sensor(ideal, valid)
         pixels[~valid] = np.nan
         return pixels, valid
 
@@ -151,10 +139,17 @@ class Camera:
         local = leaving @ np.asarray(self.rotation).T
         valid = valid & (local[:, 2] > 1e-9)
         ideal = local[:, :2] / np.where(valid, local[:, 2], 1.0)[:, None]
+        return self._on_sensor(ideal, valid)
+
+    def _on_sensor(self, image: F64, valid: Bool) -> tuple[F64, Bool]:
+        """Distort ideal image coordinates (n, 2) and take them to pixels (n, 2)."""
         if self.distortion != Distortion():
-            ideal, one_to_one, _ = _distort(self.distortion, ideal)
-            valid &= one_to_one
-        pixels = ideal * self.focal_px + np.asarray(self.principal_point_px)
+            image, one_to_one, _ = distort(self.distortion, image)
+            valid = valid & one_to_one
+        if self.tilt_deg != UPRIGHT:
+            image, behind = onto_sensor(self.tilt_deg, image)
+            valid = valid & behind
+        pixels = image * self.focal_px + np.asarray(self.principal_point_px)
         pixels[~valid] = np.nan
         return pixels, valid
 
@@ -173,7 +168,11 @@ class Camera:
         distorted = (
             rows_of(pixels, 2, "pixels") - np.asarray(self.principal_point_px)
         ) / self.focal_px
-        return _undistort(self.distortion, distorted)
+        if self.tilt_deg == UPRIGHT:
+            return undistort(self.distortion, distorted)
+        distorted, before = from_sensor(self.tilt_deg, distorted)
+        ideal, valid = undistort(self.distortion, distorted)
+        return ideal, valid & before
 
     def back_project(self, pixels: npt.ArrayLike) -> Rays:
         """Return the rays in the fluid that pixels (n, 2) see.
@@ -224,57 +223,6 @@ def _etendue(camera: Camera) -> F64:
     )
     out.flags.writeable = False
     return out
-
-
-@functools.cache
-def _fold_square(lens: Distortion) -> float:
-    """Find the squared ideal radius at which the radial part stops growing.
-
-    Beyond it, two points share a pixel.
-    """
-    roots = np.roots([7.0 * lens.k3, 5.0 * lens.k2, 3.0 * lens.k1, 1.0])
-    real = roots.real[(np.abs(roots.imag) < 1e-12) & (roots.real > 0.0)]
-    return float(real.min()) if len(real) else float("inf")
-
-
-def _distort(lens: Distortion, ideal: F64) -> tuple[F64, Bool, tuple[F64, F64, F64]]:
-    """Compute distorted image coordinates, validity and Jacobian.
-
-    Valid is where the map is one to one: inside the radial fold, with a positive determinant.
-
-    The Jacobian is symmetric: (du/dx, du/dy, dv/dy).
-    """
-    x, y = ideal[:, 0], ideal[:, 1]
-    s = x * x + y * y
-    radial = 1.0 + s * (lens.k1 + s * (lens.k2 + s * lens.k3))
-    slope = lens.k1 + s * (2.0 * lens.k2 + 3.0 * lens.k3 * s)
-    u = x * radial + 2.0 * lens.p1 * x * y + lens.p2 * (s + 2.0 * x * x)
-    v = y * radial + lens.p1 * (s + 2.0 * y * y) + 2.0 * lens.p2 * x * y
-    ux = radial + 2.0 * x * x * slope + 2.0 * lens.p1 * y + 6.0 * lens.p2 * x
-    uy = 2.0 * x * y * slope + 2.0 * lens.p1 * x + 2.0 * lens.p2 * y
-    vy = radial + 2.0 * y * y * slope + 6.0 * lens.p1 * y + 2.0 * lens.p2 * x
-    one_to_one = (ux * vy - uy * uy > 0.0) & (s < _fold_square(lens))
-    return np.column_stack([u, v]), np.asarray(one_to_one), (ux, uy, vy)
-
-
-def _undistort(lens: Distortion, distorted: F64) -> tuple[F64, Bool]:
-    """Invert `_distort` by Newton's iteration with the exact residual as its test."""
-    if lens == Distortion():
-        return distorted, np.asarray(np.isfinite(distorted).all(axis=1))
-    ideal, residual = distorted.copy(), np.zeros_like(distorted)
-    with np.errstate(all="ignore"):
-        for _ in range(_UNDISTORT_STEPS):
-            image, _, (ux, uy, vy) = _distort(lens, ideal)
-            residual = distorted - image
-            if np.all(np.abs(residual) < 1e-15):
-                break
-            a, b = residual.T
-            ideal = (
-                ideal
-                + np.column_stack([vy * a - uy * b, ux * b - uy * a]) / (ux * vy - uy * uy)[:, None]
-            )
-        valid = (np.abs(residual).max(axis=1) < 1e-12) & _distort(lens, ideal)[1]
-    return ideal, np.asarray(valid)
 
 
 def aimed_rotation(

@@ -14,6 +14,7 @@ from sabench.geometry.camera import Camera
 from sabench.geometry.camera_model import CameraModel
 from sabench.geometry.polynomial_cameras import PlanePolynomials, Soloff
 from sabench.geometry.projective_camera import Projective
+from sabench.geometry.sensor_tilt import UPRIGHT
 from sabench.utils.arrays import U8
 from sabench.utils.errors import InputError
 from sabench.utils.files import canonical_json
@@ -30,9 +31,15 @@ _LARGEST = 1e12  # no length or coefficient of a camera is beyond it
 
 
 def record_camera(camera: CameraModel) -> dict[str, Any]:
-    """Turn a camera into its JSON record: `model`, then the fields of that model."""
+    """Turn a camera into its JSON record: `model`, then the fields of that model.
+
+    A sensor that is not tilted has no `tilt_deg`.
+    """
     name = next(name for name, model in MODELS.items() if type(camera) is model)
-    return {"model": name, **asdict(cast(Any, camera))}
+    fields = asdict(cast(Any, camera))
+    if fields.get("tilt_deg") == UPRIGHT:
+        del fields["tilt_deg"]
+    return {"model": name, **fields}
 
 
 def read_camera(record: Any, where: str) -> CameraModel:

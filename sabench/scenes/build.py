@@ -12,10 +12,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sabench.geometry import array_layouts
-from sabench.geometry.camera import Camera, Distortion, aim, aimed_rotation
+from sabench.geometry.camera import Camera, aim, aimed_rotation
 from sabench.geometry.frames import Domain
 from sabench.geometry.grid import Grid
+from sabench.geometry.lens_distortion import Distortion
 from sabench.geometry.occluders import Disc
+from sabench.geometry.sensor_tilt import UPRIGHT
 from sabench.scenes import checks
 from sabench.scenes.cameras import (
     Cameras,
@@ -77,7 +79,8 @@ def build_rig(scene: Scene, source: str = "scene") -> Rig:
     if count > _MOST_CAMERAS:
         expected = f"expected at most {_MOST_CAMERAS} cameras"
         raise InputError(f"{source}: cameras.layout: {expected}, got {count}")
-    for fault in scene.sensor.faults_by_camera(count):
+    faults = scene.cameras.faults_by_camera([_name_camera(number) for number in range(count)])
+    for fault in (*scene.sensor.faults_by_camera(count), *faults):
         with check.collect():
             raise InputError(fault)
     corners = _corners(scene)
@@ -202,7 +205,7 @@ def _build_cameras(scene: Scene, walls: tuple[TankWall, ...], corners: F64) -> t
     cameras, check = [], Collector("")
     for number, place in enumerate(_places(scene.cameras)):
         with check.collect():
-            camera = _build_camera(scene, walls, f"camera_{number:02d}", place)
+            camera = _build_camera(scene, walls, _name_camera(number), place)
             if len(walls) > 1:
                 check_one_face(camera, walls, corners)
             cameras.append(camera)
@@ -222,8 +225,12 @@ def _alike(faults: list[str]) -> list[str]:
     ]
 
 
+def _name_camera(number: int) -> str:
+    return f"camera_{number:02d}"
+
+
 def _build_camera(scene: Scene, walls: tuple[TankWall, ...], name: str, place: Place) -> Camera:
-    spec, center = scene.cameras, np.asarray(place.center_mm)
+    (spec, own), center = scene.cameras.of_camera(name), np.asarray(place.center_mm)
     if not is_outside(walls, center):
         raise InputError(
             f"cameras: {name} at {list(place.center_mm)} mm: expected it in front of the wall, "
@@ -238,11 +245,13 @@ def _build_camera(scene: Scene, walls: tuple[TankWall, ...], name: str, place: P
         rotation=place.rotation or aimed_rotation(np.array([0.0, 0.0, 1.0])),
         principal_distance_mm=spec.focal_length_mm,
         pixel_mm=spec.pixel_mm,
-        principal_point_px=((spec.columns - 1) / 2.0, (spec.rows - 1) / 2.0),
+        principal_point_px=own.principal_point_px
+        or ((spec.columns - 1) / 2.0, (spec.rows - 1) / 2.0),
         distortion=Distortion(**spec.distortion.model_dump()),
         focal_length_mm=spec.focal_length_mm,
         f_number=spec.f_number,
         wall=wall_towards(walls, center, target),
+        tilt_deg=own.tilt_deg or UPRIGHT,
     )
     if place.rotation is None:
         try:
@@ -272,7 +281,7 @@ def apparent_distance_mm(camera: Camera, target_mm: F64) -> float:
     The distance is along the axis. A point in plain air at this distance shows the same parallax.
     Refraction makes it astigmatic: the mean over the aperture's two axes is taken.
     """
-    plain = replace(camera, distortion=Distortion())
+    plain = replace(camera, distortion=Distortion(), tilt_deg=UPRIGHT)
     step = camera.aperture_radius_mm
     moves = []
     for axis, (right, down) in enumerate(((step, 0.0), (0.0, step))):

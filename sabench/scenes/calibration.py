@@ -48,6 +48,12 @@ class Calibration(Table):
     focal_percent: float = Field(
         0.0, ge=0.0, lt=100.0, description="standard deviation of the principal distances"
     )
+    tilt_deg: float | None = Field(
+        None,
+        ge=0.0,
+        le=10.0,
+        description="standard deviation of each angle between sensor and lens",
+    )
     points: float = Field(
         0.0,
         ge=0.0,
@@ -63,7 +69,7 @@ class Calibration(Table):
     unknown: tuple[LensNumber, ...] | None = Field(
         None,
         description="unmeasured numbers of the lenses; solvers receive their names, and zero for "
-        "coefficients of distortion",
+        "coefficients of distortion; `tilt` is that of the sensors against the lenses",
     )
 
 

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from typing import Literal
 
 from pydantic import Field, model_validator
 
-from sabench.utils.fields import Direction, Positive, Table, Vector
+from sabench.utils.fields import Direction, Positive, Table, TiltAngle, Vector
 
 
 class GridLayout(Table):
@@ -88,8 +89,27 @@ class DistortionSpec(Table):
     k3: float = 0.0
 
 
+class CameraSpec(Table):
+    """Lens and sensor of one camera of the array; what is left out is that of all cameras."""
+
+    camera: str = Field(description="name of the camera: camera_00, camera_01, ...")
+    focal_length_mm: Positive | None = None
+    f_number: Positive | None = None
+    focus_mm: Positive | None = Field(None, description="focus distance in air")
+    distortion: DistortionSpec | None = None
+    principal_point_px: tuple[float, float] | None = Field(
+        None, description="column and row; by default the centre of the image"
+    )
+    pixel_mm: float | None = Field(None, gt=0.0, le=10.0, description="pixel pitch")
+    tilt_deg: tuple[TiltAngle, TiltAngle] | None = Field(
+        None,
+        description="angles by which the sensor is turned against the lens (Scheimpflug): about "
+        "the lens's X axis (right), then about its own Y axis (down)",
+    )
+
+
 class Cameras(Table):
-    """Array of equal cameras."""
+    """Array of cameras, equal but for the keys in `each`."""
 
     rows: int = Field(ge=8, le=20000)
     columns: int = Field(ge=8, le=20000)
@@ -115,8 +135,34 @@ class Cameras(Table):
     x_axis: Direction = Field((1.0, 0.0, 0.0), description="direction of the array's columns")
     y_axis: Direction = Field((0.0, 1.0, 0.0), description="direction of the array's rows")
     aim_mm: Vector | None = Field(
-        None, description="point at every image centre; by default the volume's centre"
+        None,
+        description="point at every image centre, or principal point where that is given; by "
+        "default the volume's centre",
+    )
+    each: tuple[CameraSpec, ...] | None = Field(
+        None, description="cameras with another lens or sensor than the others"
     )
     layout: GridLayout | RingLayout | LineLayout | CrossLayout | ListLayout = Field(
         discriminator="kind"
     )
+
+    def of_camera(self, name: str) -> tuple[Cameras, CameraSpec]:
+        """Give the array's table with the numbers of one camera, and what only that camera has."""
+        own = next((one for one in self.each or () if one.camera == name), CameraSpec(camera=name))
+        shared = type(self).model_fields
+        given = {key: value for key, value in own if key in shared and value is not None}
+        return self.model_copy(update={**given, "each": None}), own
+
+    def faults_by_camera(self, names: Sequence[str]) -> Iterator[str]:
+        """List the entries of `each` that are of no camera, or of a camera that has one before."""
+        found: set[str] = set()
+        for number, one in enumerate(self.each or ()):
+            if one.camera not in names:
+                span = names[0] if len(names) == 1 else f"{names[0]} to {names[-1]}"
+                yield f"cameras.each.{number}.camera: expected {span}, got {one.camera!r}"
+            elif one.camera in found:
+                yield (
+                    f"cameras.each.{number}.camera: expected every camera once, got "
+                    f"{one.camera!r} again"
+                )
+            found.add(one.camera)

@@ -32,7 +32,7 @@ def nominal_cameras(scene: Scene, cameras: tuple[Camera, ...], seed: int) -> tup
 
 def _drop_unmeasured(camera: Camera, spec: Calibration) -> Camera:
     """Set coefficients of distortion that are unknown to zero."""
-    unmeasured = {name: 0.0 for name in spec.unknown or () if name != "principal_point"}
+    unmeasured = {name: 0.0 for name in spec.unknown or () if name in vars(camera.distortion)}
     return replace(camera, distortion=replace(camera.distortion, **unmeasured))
 
 
@@ -50,7 +50,7 @@ def _shift(camera: Camera, spec: Calibration, seed: int, number: int) -> Camera:
 
 
 def _perturb(camera: Camera, spec: Calibration, seed: int, number: int) -> Camera:
-    """Perturb position, rotation and principal distance."""
+    """Perturb position, rotation, principal distance and the tilt of the sensor."""
     rng = stream(seed, "rough cameras", number)
     center = np.asarray(camera.center_mm) + spec.center_mm * rng.standard_normal(3)
     rotation = rotation_matrices(np.deg2rad(spec.turn_deg) * rng.standard_normal(3)) @ np.asarray(
@@ -59,8 +59,10 @@ def _perturb(camera: Camera, spec: Calibration, seed: int, number: int) -> Camer
     distance = camera.principal_distance_mm * (
         1.0 + spec.focal_percent / 100.0 * float(rng.standard_normal())
     )
+    tilt = np.asarray(camera.tilt_deg) + (spec.tilt_deg or 0.0) * rng.standard_normal(2)
     return replace(
         camera,
+        tilt_deg=(float(tilt[0]), float(tilt[1])),
         center_mm=triple(center),
         rotation=(triple(rotation[0]), triple(rotation[1]), triple(rotation[2])),
         principal_distance_mm=distance,

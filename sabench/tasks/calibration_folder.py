@@ -17,7 +17,8 @@ from pydantic import BaseModel, ConfigDict, Field
 from sabench.algorithms.calibration.target_detection import detect
 from sabench.api import CalibrationCase
 from sabench.api.truth import Pattern, Target
-from sabench.geometry.camera import Camera, Distortion, aim, aimed_rotation
+from sabench.geometry.camera import Camera, aim, aimed_rotation
+from sabench.geometry.lens_distortion import Distortion
 from sabench.images.photographs import read_photographs
 from sabench.scenes.tank import build_walls, wall_towards
 from sabench.scenes.wall import CylinderSpec, WallTable, wall_tables

@@ -17,7 +17,8 @@ from typing import Any
 
 import numba
 
-CAMERA = 14  # rotation 3, centre 3, focal length in px, principal point 2, k1, k2, p1, p2, k3
+# rotation 3, centre 3, focal length in px, principal point 2, k1, k2, p1, p2, k3, tilt 2
+CAMERA = 16
 BOARD = 6  # rotation 3, position 3
 _STEPS = 60
 
@@ -103,7 +104,7 @@ def observe(
     ----------
     rotation : (3, 3) wall frame to camera frame; a small rotation d acts as exp(d) rotation.
     center : (3,) pinhole.
-    lens : (8,) focal length in px, principal point, k1, k2, p1, p2, k3.
+    lens : (10,) focal length in px, principal point, k1, k2, p1, p2, k3, the sensor's tilt in rad.
     media : indices (m,) and thicknesses (m - 2,).
     lever : (3,) the rotated point of the board; a small rotation d acts as exp(d) lever.
     position : (3,) the board's origin.
@@ -138,18 +139,51 @@ def observe(
     u, v = u / w, v / w
     du, dv, uu, uv, vv = _distort(u, v, lens)
     focal, swing = lens[0], (x, y, tangent, curved)
-    _fill(row[0], focal * uu / w, focal * uv / w, (u, v, w), rotation, swing, lever, work, count)
-    _fill(row[1], focal * uv / w, focal * vv / w, (u, v, w), rotation, swing, lever, work, count)
-    s = u * u + v * v
+    du, dv = _tilt(du, dv, lens, row)
+    for i in range(2):
+        right, down = focal * row[i, 9], focal * row[i, 10]  # by the distorted coordinates
+        first, second = (right * uu + down * uv) / w, (right * uv + down * vv) / w
+        _fill(row[i], first, second, (u, v, w), rotation, swing, lever, work, count)
+        _fill_lens(row[i], right, down, u, v)
+        row[i, 14], row[i, 15] = focal * row[i, 14], focal * row[i, 15]
     row[0, 6], row[1, 6] = du, dv
     row[0, 7], row[1, 7] = 1.0, 0.0
     row[0, 8], row[1, 8] = 0.0, 1.0
-    row[0, 9], row[1, 9] = focal * u * s, focal * v * s
-    row[0, 10], row[1, 10] = focal * u * s * s, focal * v * s * s
-    row[0, 11], row[1, 11] = focal * 2.0 * u * v, focal * (s + 2.0 * v * v)
-    row[0, 12], row[1, 12] = focal * (s + 2.0 * u * u), focal * 2.0 * u * v
-    row[0, 13], row[1, 13] = focal * u * s * s * s, focal * v * s * s * s
     return focal * du + lens[1], focal * dv + lens[2], True
+
+
+@numba.njit(cache=True)
+def _fill_lens(row: Any, right: float, down: float, u: float, v: float) -> None:
+    """Fill in derivatives by the coefficients of distortion.
+
+    They follow from those by the distorted coordinates, of the point (u, v) of an ideal lens.
+    """
+    s = u * u + v * v
+    radial = right * u + down * v
+    row[9], row[10], row[13] = radial * s, radial * s * s, radial * s * s * s
+    row[11] = right * 2.0 * u * v + down * (s + 2.0 * v * v)
+    row[12] = right * (s + 2.0 * u * u) + down * 2.0 * u * v
+
+
+@numba.njit(cache=True)
+def _tilt(u: float, v: float, lens: Any, row: Any) -> tuple[float, float]:
+    """Take distorted coordinates to a tilted sensor, as `sensor_tilt.onto_sensor` does.
+
+    The derivatives by the distorted coordinates go to columns 9 and 10 of `row`, those by the tilt
+    to 14 and 15.
+    """
+    ca, sa, cb, sb = math.cos(lens[8]), math.sin(lens[8]), math.cos(lens[9]), math.sin(lens[9])
+    nx, ny, nz = sb, -cb * sa, cb * ca
+    approach = nx * u + ny * v + nz
+    depth = nz / approach
+    across = (cb * u + sb * sa * v - sb * ca) / approach
+    along = (ca * v + sa) / approach
+    x, y = nz * across + sb * ca, nz * along - sa
+    row[0, 9], row[0, 10] = depth * (cb - across * nx), depth * (sb * sa - across * ny)
+    row[1, 9], row[1, 10] = depth * (-along * nx), depth * (ca - along * ny)
+    row[0, 14], row[0, 15] = sb * y + across * cb * y, -across * x
+    row[1, 14], row[1, 15] = -sb * x + along * cb * y, -along * x
+    return x, y
 
 
 @numba.njit(cache=True)

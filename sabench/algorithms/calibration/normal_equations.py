@@ -44,7 +44,7 @@ def equations(array: Any, boards: Any, seen: Any, free: Any, scale: float) -> An
 
     Parameters
     ----------
-    array : rotations (M, 3, 3), centres (M, 3), lenses (M, 8), media.
+    array : rotations (M, 3, 3), centres (M, 3), lenses (M, 10), media.
     boards : rotations (K, 3, 3), positions (K, 3), points on a board (m, 3).
     seen : pixels (M, K, m, 2) and weights (M, K, m); what has no weight is not looked at.
     free : columns of a camera (f,) that are unknowns, and of what all cameras share, counted from 0

@@ -5,6 +5,7 @@ They convert to cameras and points.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
@@ -12,7 +13,8 @@ import numpy as np
 
 from sabench.algorithms.calibration.kernels import CAMERA
 from sabench.algorithms.calibration.wall_frame import common_plane, has_plane_wall, wall_frame
-from sabench.geometry.camera import Camera, Distortion
+from sabench.geometry.camera import Camera
+from sabench.geometry.lens_distortion import Distortion
 from sabench.geometry.refraction import Layer, Wall
 from sabench.geometry.rigid_motion import RigidMotion, fit_rigid_motion
 from sabench.geometry.rotations import rotation_matrices
@@ -29,6 +31,7 @@ class FreeParameters:
     ----------
     principal_point : of every camera.
     distortion : names of coefficients.
+    tilt : of every sensor.
     indices : numbers of media along the way of light from a camera, 0 for the cameras' own.
     thicknesses : numbers of layers.
     """
@@ -37,17 +40,22 @@ class FreeParameters:
     distortion: tuple[str, ...] = ()
     indices: tuple[int, ...] = ()
     thicknesses: tuple[int, ...] = ()
+    tilt: bool = False
 
     @classmethod
     def from_names(cls, unknown: Iterable[str]) -> FreeParameters:
         """Make from the names of a case's unknowns of the lenses."""
         names = set(unknown)
-        return cls("principal_point" in names, tuple(name for name in _DISTORTION if name in names))
+        return cls(
+            "principal_point" in names,
+            tuple(name for name in _DISTORTION if name in names),
+            tilt="tilt" in names,
+        )
 
     @property
     def per_camera(self) -> int:
         """Unknowns of one camera."""
-        return 7 + 2 * self.principal_point + len(self.distortion)
+        return 7 + 2 * self.principal_point + len(self.distortion) + 2 * self.tilt
 
     def columns(self, media: int) -> tuple[I64, I64]:
         """Index a camera's unknowns and the shared ones, as `equations` takes them."""
@@ -55,6 +63,7 @@ class FreeParameters:
             [0, 1, 2, 3, 4, 5, 6]
             + [7, 8] * self.principal_point
             + [9 + _DISTORTION.index(name) for name in self.distortion]
+            + [14, 15] * self.tilt
         )
         shared = [*self.indices, *(media + layer for layer in self.thicknesses)]
         return np.array(own, dtype=np.int64), np.array(shared, dtype=np.int64)
@@ -66,7 +75,7 @@ class State:
 
     Attributes
     ----------
-    rotations, centers, lenses : (M, 3, 3), (M, 3), (M, 8) as in `kernels.observe`.
+    rotations, centers, lenses : (M, 3, 3), (M, 3), (M, 10) as in `kernels.observe`.
     indices, thicknesses : of the media (m,) and layers (m - 2,).
     board_rotations, board_positions : (K, 3, 3), (K, 3).
     """
@@ -163,6 +172,7 @@ class Frame:
                     c.focal_px,
                     *c.principal_point_px,
                     *(getattr(c.distortion, k) for k in _DISTORTION),
+                    *np.deg2rad(c.tilt_deg),
                 ]
                 for c in self.cameras
             ]
@@ -216,7 +226,8 @@ class Frame:
             wall=wall or camera.wall,
             principal_distance_mm=lens[0] * camera.pixel_mm,
             principal_point_px=(lens[1], lens[2]),
-            distortion=Distortion(**dict(zip(_DISTORTION, lens[3:], strict=True))),
+            distortion=Distortion(**dict(zip(_DISTORTION, lens[3:8], strict=True))),
+            tilt_deg=(math.degrees(lens[8]), math.degrees(lens[9])),
         )
 
 

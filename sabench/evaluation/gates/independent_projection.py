@@ -14,6 +14,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from sabench.evaluation.gates.independent_snell import aim_at
 from sabench.scenes import Scene
@@ -29,7 +30,7 @@ def retrace(scene: Scene, camera: Any, points_mm: F64) -> F64:
     Parameters
     ----------
     camera : anything with the pinhole's `center_mm`, `rotation`, `principal_distance_mm`,
-        `pixel_mm`, `principal_point_px` and `distortion`.
+        `pixel_mm`, `principal_point_px`, `distortion` and `tilt_deg`.
     """
     pinhole, axes = np.array(camera.center_mm), np.array(camera.rotation)
     offset = points_mm - pinhole
@@ -45,7 +46,24 @@ def retrace(scene: Scene, camera: Any, points_mm: F64) -> F64:
     u = x * radial + 2.0 * lens.p1 * x * y + lens.p2 * (square + 2.0 * x**2)
     v = y * radial + 2.0 * lens.p2 * x * y + lens.p1 * (square + 2.0 * y**2)
     focal_px = camera.principal_distance_mm / camera.pixel_mm
-    return np.asarray(np.column_stack([u, v]) * focal_px + np.array(camera.principal_point_px))
+    hit = _meet_sensor(np.column_stack([u, v]), camera.tilt_deg)
+    return np.asarray(hit * focal_px + np.array(camera.principal_point_px))
+
+
+def _meet_sensor(image: F64, tilt_deg: tuple[float, float]) -> F64:
+    """Find where light through (x, y, 1) meets a sensor that is turned about (0, 0, 1).
+
+    The sensor is the image of an upright one under two turns, and two equations for a place on it
+    say that the light passes there.
+    """
+    turn = Rotation.from_euler("XY", tilt_deg, degrees=True).as_matrix()
+    right, down = turn[:, 0], turn[:, 1]
+    first = right[:2] - image * right[2]
+    second = down[:2] - image * down[2]
+    gain = first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]
+    column = (image[:, 0] * second[:, 1] - image[:, 1] * second[:, 0]) / gain
+    row = (first[:, 0] * image[:, 1] - first[:, 1] * image[:, 0]) / gain
+    return np.column_stack([column, row])
 
 
 def _face(walls: Sequence[Any], pinhole: F64, forward: Any) -> WallSpec:

@@ -14,8 +14,10 @@ import mitsuba as mi
 import numpy as np
 import numpy.typing as npt
 
-from sabench.geometry.camera import Camera, Distortion
+from sabench.geometry.camera import Camera
+from sabench.geometry.lens_distortion import Distortion
 from sabench.geometry.occluders import Disc
+from sabench.geometry.sensor_tilt import UPRIGHT, focus_slope, sensor_axes
 from sabench.utils.arrays import F32, F64
 
 WAVEFRONT = 1 << 22  # rays traced simultaneously: bounds memory, not results
@@ -57,7 +59,7 @@ def pinhole_rays(camera: Camera, origin: F64, column: Any, row: Any, first: int 
     column, row : pixel coordinates; (0, 0) is the centre of a pixel.
     first : row of the image at which `row` starts counting.
     """
-    x, y = _ideal(camera, column, row, first)
+    x, y = undistort(camera.distortion, *_distorted(camera, column, row, first))
     right, below, forward = (opaque(axis) for axis in camera.rotation)
     start = mi.Point3f(opaque(np.asarray(camera.center_mm) - origin))
     return mi.Ray3f(start, dr.normalize(x * right + y * below + forward))
@@ -70,21 +72,37 @@ def lens_rays(
 
     Other parameters as `pinhole_rays`.
     """
-    x, y = _ideal(camera, column, row, first)
+    u, v = _distorted(camera, column, row, first)
+    x, y = undistort(camera.distortion, u, v)
     a, b = lens_mm
     right, below, forward = (opaque(axis) for axis in camera.rotation)
-    focus = dr.opaque(mi.Float, camera.focus_mm)
     start = mi.Point3f(opaque(np.asarray(camera.center_mm) - origin)) + a * right + b * below
-    direction = (x * focus - a) * right + (y * focus - b) * below + focus * forward
+    if camera.tilt_deg == UPRIGHT:
+        focus = dr.opaque(mi.Float, camera.focus_mm)
+        direction = (x * focus - a) * right + (y * focus - b) * below + focus * forward
+    else:  # the plane in focus may pass the horizon, where the inverse of its depth is 0
+        near = _inverse_focus(camera, u, v)
+        direction = (x - a * near) * right + (y - b * near) * below + forward
     return mi.Ray3f(start, dr.normalize(direction))
 
 
-def _ideal(camera: Camera, column: Any, row: Any, first: int) -> tuple[Any, Any]:
-    """Return undistorted image coordinates, x/z and y/z."""
+def _inverse_focus(camera: Camera, u: Any, v: Any) -> Any:
+    """Return the inverse of the sharp depth, 1/mm, at distorted image coordinates."""
+    slopes = focus_slope(camera.tilt_deg) / camera.principal_distance_mm
+    first, second = (dr.opaque(mi.Float, slope) for slope in slopes.tolist())
+    return dr.opaque(mi.Float, 1.0 / camera.focus_mm) - first * u - second * v
+
+
+def _distorted(camera: Camera, column: Any, row: Any, first: int) -> tuple[Any, Any]:
+    """Return distorted image coordinates, on the upright plane if the sensor is tilted."""
     center, scale = camera.principal_point_px, dr.opaque(mi.Float, 1.0 / camera.focal_px)
     u = (column - dr.opaque(mi.Float, center[0])) * scale
     v = (row + dr.opaque(mi.Float, first - center[1])) * scale
-    return undistort(camera.distortion, u, v)
+    if camera.tilt_deg == UPRIGHT:
+        return u, v
+    right, down, _ = (opaque(axis) for axis in sensor_axes(camera.tilt_deg))
+    depth = 1.0 + u * right.z + v * down.z
+    return (u * right.x + v * down.x) / depth, (u * right.y + v * down.y) / depth
 
 
 def undistort(lens: Distortion, u: Any, v: Any) -> tuple[Any, Any]:

@@ -10,7 +10,7 @@ the lens, the spread of the pixels is the defocus.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -19,6 +19,7 @@ from sabench.api.truth import Particles, View
 from sabench.geometry.camera import Camera
 from sabench.geometry.occluders import Disc, in_shadow
 from sabench.geometry.refraction import trace_to_points, transmittance
+from sabench.geometry.sensor_tilt import UPRIGHT, from_sensor, onto_sensor, stretch
 from sabench.scenes import Scene
 from sabench.simulation.rendering.light_routes import Route, direct
 from sabench.simulation.rendering.particle_light import Scatterers, intensity
@@ -111,11 +112,20 @@ def _spread_px2(
     longer than wide.
     """
     magnification = _apply_in_chunks(_object_shape, camera, place_mm, seen.arriving)[0]
-    round_part = (
-        diffraction_px(camera, scene.light.wavelength_nm) ** 2
-        + (magnification * diameter_mm / 4.0) ** 2
-    )
-    return np.asarray(seen.blur_px2 + round_part[:, None] * [1.0, 1.0, 0.0])
+    diffraction = diffraction_px(camera, scene.light.wavelength_nm)
+    disc = magnification * diameter_mm / 4.0
+    if camera.tilt_deg == UPRIGHT:
+        round_part = diffraction**2 + disc**2
+        return np.asarray(seen.blur_px2 + round_part[:, None] * [1.0, 1.0, 0.0])
+    shape = _cone_on_sensor(camera, seen.pixel)
+    area = np.sqrt(shape[:, 0] * shape[:, 1] - shape[:, 2] ** 2)  # in the magnification already
+    return np.asarray(seen.blur_px2 + (diffraction**2 + disc**2 / area)[:, None] * shape)
+
+
+def _cone_on_sensor(camera: Camera, pixel: F64) -> F64:
+    """Compute the shape (n, 3) of a round cone on a tilted sensor, see `stretch`."""
+    sensor = (pixel - np.asarray(camera.principal_point_px)) / camera.focal_px
+    return stretch(camera.tilt_deg, from_sensor(camera.tilt_deg, sensor)[0])
 
 
 def diffraction_px(camera: Camera, wavelength_nm: float) -> float:
@@ -177,25 +187,47 @@ def _through_aperture(camera: Camera, points: F64, chief: F64) -> tuple[F64, F64
     disc of radius 1 each coordinate has the variance 1/4.
     """
     radius = camera.aperture_radius_mm
+    upright = replace(camera, tilt_deg=UPRIGHT)
     rotations, smears = [], []
     for axis, (right, down) in enumerate(((radius, 0.0), (0.0, radius))):
         ends = []
         for sign in (1.0, -1.0):
-            moved = camera.shifted(sign * right, sign * down)
+            moved = upright.shifted(sign * right, sign * down)
             paths = trace_to_points(moved.wall, np.asarray(moved.center_mm), points)
             ends.append((paths.arriving, moved.pixels_of(paths.leaving, paths.valid)[0]))
         rotations.append((ends[0][0] - ends[1][0]) / 2.0)
-        smear = ends[0][1] - ends[1][1]
-        smear[:, axis] += (
-            2.0 * radius * camera.focal_px / camera.focus_mm
-        )  # a point in focus would shift by this, and is at rest on the sensor
-        smears.append(smear / 4.0)
+        smears.append(_smear(camera, axis, ends[0][1], ends[1][1]) / 4.0)
     solid_angle = np.pi * np.abs(np.einsum("ij,ij->i", np.cross(rotations[0], rotations[1]), chief))
     return (
         np.linalg.norm(rotations[0], axis=1),
         np.sum([smear[:, [0, 1, 0]] * smear[:, [0, 1, 1]] for smear in smears], axis=0),
         solid_angle,
     )
+
+
+def _smear(camera: Camera, axis: int, first: F64, second: F64) -> F64:
+    """Subtract the places on the sensor (n, 2) of light through both ends of the aperture.
+
+    `first` and `second` are the pixels of upright cameras that are moved there, along `axis`. A
+    point in focus would shift on their sensors, and is at rest on the true one.
+    """
+    radius = camera.aperture_radius_mm
+    if camera.tilt_deg == UPRIGHT:
+        smear = first - second
+        smear[:, axis] += 2.0 * radius * camera.focal_px / camera.focus_mm
+        return smear
+    lens = np.zeros(2)
+    lens[axis] = radius
+    places = [
+        onto_sensor(
+            camera.tilt_deg,
+            (pixel - np.asarray(camera.principal_point_px)) / camera.focal_px
+            + sign * lens / camera.focus_mm,
+            sign * lens / camera.principal_distance_mm,
+        )[0]
+        for sign, pixel in ((1.0, first), (-1.0, second))
+    ]
+    return (places[0] - places[1]) * camera.focal_px
 
 
 def _object_shape(camera: Camera, points: F64, direction: F64) -> tuple[F64, F64]:

@@ -15,7 +15,8 @@ import pytest
 from numpy.polynomial.legendre import leggauss
 
 from sabench.geometry import array_layouts
-from sabench.geometry.camera import Camera, Distortion, aim, aimed_rotation
+from sabench.geometry.camera import Camera, aim, aimed_rotation
+from sabench.geometry.lens_distortion import Distortion
 from sabench.geometry.refraction import Layer, Wall, trace_to_points
 from sabench.scenes.build import apparent_distance_mm
 from sabench.utils.arrays import F64, Bool, triple

@@ -14,8 +14,9 @@ import pytest
 
 from sabench.evaluation.gates.independent_snell import aim_at, shoot
 from sabench.geometry import cylinder_kernels
-from sabench.geometry.camera import Camera, Distortion, aim, aimed_rotation
+from sabench.geometry.camera import Camera, aim, aimed_rotation
 from sabench.geometry.cylinder_wall import CylinderWall
+from sabench.geometry.lens_distortion import Distortion
 from sabench.geometry.refraction import (
     Layer,
     Wall,

@@ -12,7 +12,8 @@ import numpy as np
 import pytest
 
 from sabench.algorithms.bubbles.backlit_profile import reflectance
-from sabench.geometry.camera import Camera, Distortion, aimed_rotation
+from sabench.geometry.camera import Camera, aimed_rotation
+from sabench.geometry.lens_distortion import Distortion
 from sabench.geometry.refraction import Layer, Wall, transmittance
 from sabench.utils import backend
 from tests.architecture.plan import ROOT

@@ -15,7 +15,8 @@ from scipy.optimize import brentq, minimize
 from scipy.spatial.transform import Rotation
 
 import sabench.geometry.path_slope
-from sabench.geometry.camera import Camera, Distortion, aimed_rotation
+from sabench.geometry.camera import Camera, aimed_rotation
+from sabench.geometry.lens_distortion import Distortion
 from sabench.geometry.path_slope import solve_slope
 from sabench.geometry.refraction import (
     Layer,

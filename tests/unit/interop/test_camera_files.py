@@ -13,8 +13,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sabench.geometry.camera import Camera, Distortion
+from sabench.geometry.camera import Camera
 from sabench.geometry.grid import Grid
+from sabench.geometry.lens_distortion import Distortion
 from sabench.geometry.refraction import AnyWall, Layer, Wall
 from sabench.geometry.rotations import rotation_matrices
 from sabench.interop import openlpt, openptv

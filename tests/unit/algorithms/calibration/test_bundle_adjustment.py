@@ -30,7 +30,7 @@ from sabench.utils.arrays import F64
 from sabench.utils.errors import InputError
 from tests.helpers.calibration_cases import calibration_scene, case_of, true_error_px
 
-ALL = FreeParameters(True, ("k1", "k2", "p1", "p2", "k3"), (0, 1, 2), (0,))
+ALL = FreeParameters(True, ("k1", "k2", "p1", "p2", "k3"), (0, 1, 2), (0,), tilt=True)
 NOISELESS = {"detection": None, "calibration": {"points": 0.0}}
 
 
@@ -72,7 +72,7 @@ def test_all_derivatives_are_those_of_finite_differences() -> None:
     _, state, seen = truth()
     rng = np.random.default_rng(3)
     state = replace(
-        state, lenses=state.lenses + np.pad(rng.normal(0.0, 0.02, (9, 5)), ((0, 0), (3, 0)))
+        state, lenses=state.lenses + np.pad(rng.normal(0.0, 0.02, (9, 7)), ((0, 0), (3, 0)))
     )
     row, room = np.zeros((2, kernels.CAMERA + kernels.BOARD + 4)), np.zeros((3, 3))
 
@@ -97,7 +97,7 @@ def test_all_derivatives_are_those_of_finite_differences() -> None:
     for column in range(row.shape[1]):
         ends = []
         for step in (1e-6, -1e-6):
-            cameras, shared, boards = np.zeros((9, 14)), np.zeros(4), np.zeros((5, 6))
+            cameras, shared, boards = np.zeros((9, kernels.CAMERA)), np.zeros(4), np.zeros((5, 6))
             if column < kernels.CAMERA:
                 cameras[3, column] = step
             elif column < kernels.CAMERA + kernels.BOARD:

@@ -10,7 +10,8 @@ import pytest
 from sabench.algorithms.particles.correspondence import match, move_to_pixel, pair_up
 from sabench.algorithms.particles.ipr import fit_cameras
 from sabench.algorithms.particles.triangulation import Candidates, find_candidates, select_best
-from sabench.geometry.camera import Camera, Distortion, aim, aimed_rotation
+from sabench.geometry.camera import Camera, aim, aimed_rotation
+from sabench.geometry.lens_distortion import Distortion
 from sabench.geometry.refraction import Layer, Wall
 from sabench.geometry.volume_polynomials import (
     VolumePolynomials,

@@ -23,8 +23,9 @@ from sabench.algorithms.tomography.projection_operator import (
     make_geometry,
 )
 from sabench.api import Observation
-from sabench.geometry.camera import Camera, Distortion, aim, aimed_rotation
+from sabench.geometry.camera import Camera, aim, aimed_rotation
 from sabench.geometry.grid import Grid
+from sabench.geometry.lens_distortion import Distortion
 from sabench.geometry.refraction import Layer, Wall
 from sabench.utils.arrays import F32, F64
 

@@ -16,7 +16,8 @@ from sabench.evaluation.thesis.theory import (
     operations,
     plane_spacing_ratio,
 )
-from sabench.geometry.camera import Camera, Distortion
+from sabench.geometry.camera import Camera
+from sabench.geometry.lens_distortion import Distortion
 
 S_O, S_I, PIXEL = 510.0, 102.0, 0.01  # mm: M(0) = -0.2
 

@@ -16,7 +16,8 @@ import numpy as np
 import pytest
 
 from sabench.api.truth import Particles
-from sabench.geometry.camera import Camera, Distortion, aim, aimed_rotation
+from sabench.geometry.camera import Camera, aim, aimed_rotation
+from sabench.geometry.lens_distortion import Distortion
 from sabench.geometry.refraction import trace_to_points, transmittance
 from sabench.scenes import Scene, build_rig, find, parse_scene
 from sabench.scenes.build import _focus

@@ -8,8 +8,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from sabench.api.truth import Target
-from sabench.geometry.camera import Camera, Distortion, aimed_rotation
+from sabench.geometry.camera import Camera, aimed_rotation
 from sabench.geometry.frames import Pose
+from sabench.geometry.lens_distortion import Distortion
 from sabench.geometry.refraction import Layer, Wall, trace_to_points, transmittance
 from sabench.scenes.illumination import Lamp, Lighting
 from sabench.simulation.rendering.lamps import place_lamps
