@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from sabench.algorithms.calibration import (
@@ -11,7 +13,15 @@ from sabench.algorithms.calibration import (
     fit_similarity,
     upgrade_to_euclidean,
 )
-from sabench.api import F64, Calibration, CalibrationCase, CalibrationSolver, InputError
+from sabench.api import (
+    F64,
+    Calibration,
+    CalibrationCase,
+    CalibrationSolver,
+    Camera,
+    Distortion,
+    InputError,
+)
 
 
 class LinearAutocal(CalibrationSolver):
@@ -35,7 +45,7 @@ class LinearAutocal(CalibrationSolver):
         if len(case.cameras) < 3:
             raise InputError(f"expected 3 cameras or more, got {len(case.cameras)}")
         scales = np.array(
-            [_scale(camera.focal_px, camera.principal_point_px) for camera in case.cameras]
+            [_scale(replace(camera, distortion=Distortion()).upright()) for camera in case.cameras]
         )
         images = (
             case.pixels.reshape(len(scales), -1, 2)[:, chosen] - scales[:, None, :2]
@@ -58,8 +68,8 @@ class LinearAutocal(CalibrationSolver):
         return Calibration(tuple(cameras))
 
 
-def _scale(focal_px: float, principal_point_px: tuple[float, float]) -> tuple[float, float, float]:
-    return *principal_point_px, focal_px
+def _scale(camera: Camera) -> tuple[float, float, float]:
+    return *camera.principal_point_px, camera.focal_px
 
 
 def _image(scale: F64) -> F64:

@@ -29,6 +29,7 @@ class RefractiveAutocalParameters(Parameters):
     distortion: tuple[Literal["k1", "k2", "p1", "p2", "k3"], ...] = Field(
         (), description="coefficients of every camera, in the same way"
     )
+    tilt: bool = Field(False, description="angles between every sensor and its lens, likewise")
     indices: tuple[int, ...] = Field(
         (),
         description="refractive indices of these media, the cameras' side first, starting with 0",
@@ -61,7 +62,12 @@ class RefractiveAutocal(CalibrationSolver):
         """
         chosen: RefractiveAutocalParameters = self.parameters
         lenses = FreeParameters.from_names(
-            {*case.unknown, *chosen.distortion, *["principal_point"] * chosen.principal_point}
+            {
+                *case.unknown,
+                *chosen.distortion,
+                *["principal_point"] * chosen.principal_point,
+                *["tilt"] * chosen.tilt,
+            }
         )
         free = replace(lenses, indices=chosen.indices, thicknesses=chosen.thicknesses)
         problem = CalibrationProblem.from_case(case, free)

@@ -17,7 +17,7 @@ from sabench.geometry.camera_model import on_sensor
 from sabench.geometry.lens_distortion import Distortion, distort, undistort
 from sabench.geometry.refraction import Rays, Wall, trace_into_fluid, trace_to_points
 from sabench.geometry.rotations import frame_of_normal
-from sabench.geometry.sensor_tilt import UPRIGHT, from_sensor, onto_sensor
+from sabench.geometry.sensor_tilt import UPRIGHT, from_sensor, onto_sensor, sensor_axes
 from sabench.geometry.wall_records import WallRecord
 from sabench.utils.arrays import F64, Bool, rows_of, triple
 from sabench.utils.fields import TiltAngle
@@ -89,6 +89,34 @@ class Camera:
         axes = np.asarray(self.rotation)
         center = np.asarray(self.center_mm) + right_mm * axes[0] + down_mm * axes[1]
         return replace(self, center_mm=triple(center))
+
+    def upright(self) -> Camera:
+        """Give the camera with an upright sensor that projects as this one does.
+
+        Its optical axis is normal to the sensor. Other points are in focus.
+
+        Raises
+        ------
+        ValueError
+            A tilted sensor behind a lens with distortion: there is none.
+        """
+        if self.tilt_deg == UPRIGHT:
+            return self
+        if self.distortion != Distortion():
+            raise ValueError(
+                f"camera {self.name}: expected no distortion next to a tilted sensor, got "
+                f"{self.distortion}"
+            )
+        axes = sensor_axes(self.tilt_deg)
+        turned = axes @ np.asarray(self.rotation)
+        column, row = np.asarray(self.principal_point_px) - self.focal_px * axes[:2, 2]
+        return replace(
+            self,
+            rotation=(triple(turned[0]), triple(turned[1]), triple(turned[2])),
+            principal_distance_mm=self.principal_distance_mm * float(axes[2, 2]),
+            principal_point_px=(float(column), float(row)),
+            tilt_deg=UPRIGHT,
+        )
 
     def project(self, points_mm: npt.ArrayLike) -> tuple[F64, Bool]:
         """Project world points (n, 3) to pixels (n, 2) as (column, row).

@@ -21,6 +21,7 @@ from sabench.api import FoundParticles
 from sabench.geometry.camera import Camera
 from sabench.geometry.grid import Grid
 from sabench.geometry.refraction import Wall
+from sabench.geometry.sensor_tilt import UPRIGHT
 from sabench.utils.arrays import F32, F64
 from sabench.utils.processes import child
 
@@ -75,6 +76,7 @@ def camera_text(camera: Camera) -> str:
     reason = unfit(camera)
     if reason:
         raise ValueError(f"{camera.name}: {reason}")
+    camera = camera.upright()
     rotation = np.asarray(camera.rotation)
     center = np.asarray(camera.center_mm)
     focal, (across, down), lens = (
@@ -123,6 +125,8 @@ def unfit(camera: Camera) -> str | None:
     coefficients = np.array([lens.k1, lens.k2, lens.p1, lens.p2, lens.k3])
     if coefficients.any() and coefficients.max() <= 0.0:
         return "OpenLPT ignores a distortion without a positive coefficient"
+    if coefficients.any() and camera.tilt_deg != UPRIGHT:
+        return "OpenLPT has no tilted sensor behind a lens with distortion"
     return None
 
 

@@ -21,7 +21,9 @@ import tifffile
 from sabench.api import FoundParticles
 from sabench.geometry.camera import Camera
 from sabench.geometry.grid import Grid
+from sabench.geometry.lens_distortion import Distortion
 from sabench.geometry.refraction import Wall
+from sabench.geometry.sensor_tilt import UPRIGHT
 from sabench.utils.arrays import F32, F64, I64
 from sabench.utils.files import read_json
 from sabench.utils.processes import child
@@ -66,10 +68,12 @@ def unfit(camera: Camera) -> str | None:
     if camera.wall and len(camera.wall.layers) > 1:
         return f"OpenPTV supports one layer of glass, and this wall has {len(camera.wall.layers)}"
     lens = camera.distortion
+    if lens == Distortion():
+        return None
+    if camera.tilt_deg != UPRIGHT:
+        return "OpenPTV has no tilted sensor behind a lens with distortion"
     middle = ((camera.columns - 1) / 2.0, (camera.rows - 1) / 2.0)
-    if np.array([lens.k1, lens.k2, lens.k3, lens.p1, lens.p2]).any() and not np.allclose(
-        camera.principal_point_px, middle, atol=1e-3
-    ):
+    if not np.allclose(camera.principal_point_px, middle, atol=1e-3):
         return (
             "OpenPTV has distortion about the centre of the image, and this camera has it elsewhere"
         )
@@ -79,12 +83,17 @@ def unfit(camera: Camera) -> str | None:
 def unlike(cameras: Sequence[Camera]) -> str | None:
     """Say why OpenPTV cannot describe cameras together; None if it can."""
     media = [media_of(camera) for camera in cameras]
-    other = next((c for c, own in zip(cameras, media, strict=True) if own != media[0]), None)
-    return (
-        f"OpenPTV supports one kind of wall, and {other.name} has another than {cameras[0].name}"
-        if other
-        else None
-    )
+    first = cameras[0]
+    for camera, own in zip(cameras, media, strict=True):
+        if own != media[0]:
+            got = f"{camera.name} has another than {first.name}"
+            return f"OpenPTV supports one kind of wall, and {got}"
+        if camera.pixel_mm != first.pixel_mm:
+            return (
+                f"OpenPTV supports one pixel pitch, and {camera.name} has {camera.pixel_mm:g} mm "
+                f"where {first.name} has {first.pixel_mm:g} mm"
+            )
+    return None
 
 
 def origin_mm(grid: Grid) -> F64:
@@ -119,6 +128,7 @@ def orientation_text(camera: Camera, grid: Grid) -> str:
     """
     if reason := unfit(camera):
         raise ValueError(f"{camera.name}: {reason}")
+    camera = camera.upright()
     right, down, forward = (_AXES @ row for row in np.asarray(camera.rotation))
     rotation = np.column_stack([right, -down, -forward])
     angles = [

@@ -297,6 +297,11 @@ def _check_pinhole(camera: Camera, source: str) -> None:
         value = getattr(camera, key)
         if not value > 0.0:
             raise InputError(f"{source}: {camera.name}: {key}: expected more than 0, got {value:g}")
+    if not max(map(abs, camera.tilt_deg)) < 90.0:
+        raise InputError(
+            f"{source}: {camera.name}: tilt_deg: expected angles between -90 and 90, got "
+            f"{list(camera.tilt_deg)}"
+        )
     rotation = np.asarray(camera.rotation, dtype=np.float64)
     with np.errstate(all="ignore"):
         off = float(np.abs(rotation @ rotation.T - np.eye(3)).max())

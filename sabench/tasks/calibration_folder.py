@@ -9,22 +9,20 @@ import csv
 import tomllib
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Annotated
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
 
 from sabench.algorithms.calibration.target_detection import detect
 from sabench.api import CalibrationCase
-from sabench.api.truth import Pattern, Target
+from sabench.api.truth import Target
 from sabench.geometry.camera import Camera, aim, aimed_rotation
 from sabench.geometry.lens_distortion import Distortion
 from sabench.images.photographs import read_photographs
 from sabench.scenes.tank import build_walls, wall_towards
-from sabench.scenes.wall import CylinderSpec, WallTable, wall_tables
+from sabench.scenes.wall import CylinderSpec, wall_tables
+from sabench.tasks.calibration_configuration import Configuration
 from sabench.utils.arrays import F64
 from sabench.utils.errors import InputError
-from sabench.utils.fields import LensNumber, Positive, Vector
 from sabench.utils.progress import progress_bar
 from sabench.utils.validation import printable, validate
 
@@ -34,66 +32,6 @@ _FARTHEST_MM = 1e6  # a kilometre
 _FARTHEST_PX = 1e6  # of a point from the image's corner
 _MOST_PIXELS = 20_000_000  # pixels of points in all frames and cameras
 _SUFFIXES = (".tif", ".tiff", ".png", ".bmp", ".jpg", ".jpeg")
-
-
-class _Table(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
-
-
-class TargetSpec(_Table):
-    """Calibration target that the cameras see."""
-
-    pattern: Pattern
-    columns: Annotated[int, Field(ge=1, le=200)]
-    rows: Annotated[int, Field(ge=1, le=200)]
-    pitch_mm: Positive
-    mark_mm: Annotated[float, Field(ge=0.0)] = 0.0
-
-
-class ArraySpec(_Table):
-    """Properties that all cameras share, as far as they are known."""
-
-    rows: Annotated[int, Field(ge=8, le=20000)]
-    columns: Annotated[int, Field(ge=8, le=20000)]
-    pixel_mm: Positive
-    focal_length_mm: Positive
-    principal_distance_mm: Positive | None = Field(None, description="by default the focal length")
-
-
-class CameraSpec(_Table):
-    """Initial guess of a camera's position, and the point that it is aimed at."""
-
-    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9_]+$")]
-    center_mm: Vector
-    aim_mm: Vector
-
-
-class KnownSpec(_Table):
-    """Point of the target whose position was measured.
-
-    Coordinates that were not measured are left out.
-    """
-
-    frame: Annotated[int, Field(ge=0)]
-    point: Annotated[int, Field(ge=0)]
-    x_mm: float | None = None
-    y_mm: float | None = None
-    z_mm: float | None = None
-    sigma_mm: Positive = 0.05
-
-
-class Configuration(_Table):
-    """Content of calibration.toml."""
-
-    target: TargetSpec
-    array: ArraySpec
-    wall: WallTable | None = None
-    cameras: Annotated[tuple[CameraSpec, ...], Field(min_length=2)]
-    target_mm: Vector = Field(description="initial guess of the target's position")
-    known: tuple[KnownSpec, ...] = ()
-    unknown: tuple[LensNumber, ...] = Field(
-        (), description="parameters of the lenses to be found besides their focal lengths"
-    )
 
 
 def read_case(folder: Path) -> CalibrationCase:
@@ -156,18 +94,22 @@ def _cameras(configuration: Configuration, source: str) -> tuple[Camera, ...]:
     if len(set(names)) != len(names):
         raise InputError(f"{source}: cameras: expected different names, got {names}")
     for spec in configuration.cameras:
+        focal_length_mm = spec.focal_length_mm or shared.focal_length_mm
+        distance_mm = spec.principal_distance_mm or shared.principal_distance_mm
         camera = Camera(
             name=spec.name,
             rows=shared.rows,
             columns=shared.columns,
             center_mm=spec.center_mm,
             rotation=aimed_rotation(np.array([0.0, 0.0, 1.0])),
-            principal_distance_mm=shared.principal_distance_mm or shared.focal_length_mm,
-            pixel_mm=shared.pixel_mm,
-            principal_point_px=((shared.columns - 1) / 2.0, (shared.rows - 1) / 2.0),
-            distortion=Distortion(),
-            focal_length_mm=shared.focal_length_mm,
+            principal_distance_mm=distance_mm or focal_length_mm,
+            pixel_mm=spec.pixel_mm or shared.pixel_mm,
+            principal_point_px=spec.principal_point_px
+            or ((shared.columns - 1) / 2.0, (shared.rows - 1) / 2.0),
+            distortion=Distortion(**spec.distortion.model_dump()),
+            focal_length_mm=focal_length_mm,
             f_number=8.0,
+            tilt_deg=spec.tilt_deg,
             wall=wall_towards(walls, np.asarray(spec.center_mm), np.asarray(spec.aim_mm)),
         )
         try:

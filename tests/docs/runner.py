@@ -25,7 +25,7 @@ from sabench.evaluation.hidden_split import read_secret
 from sabench.evaluation.suite_loading import load_suite
 from sabench.evaluation.suites import Suite
 from sabench.scenes import scene_schema
-from sabench.tasks.calibration_folder import Configuration
+from sabench.tasks.calibration_configuration import Configuration
 from tests.docs.pages import ROOT, Block
 
 
