@@ -58,7 +58,8 @@ def seen_by_opencv(camera: Camera, points: F64) -> F64:
             [0.0, 0.0, 1.0],
         ]
     )
-    coefficients = np.array([lens.k1, lens.k2, lens.p1, lens.p2, lens.k3])
+    tilt = np.deg2rad(camera.tilt_deg)
+    coefficients = np.array([lens.k1, lens.k2, lens.p1, lens.p2, lens.k3, *[0.0] * 7, *tilt])
     turn, shift = cv2.Rodrigues(rotation)[0], -rotation @ np.asarray(camera.center_mm)
     return np.asarray(cv2.projectPoints(points, turn, shift, matrix, coefficients)[0]).reshape(
         -1, 2

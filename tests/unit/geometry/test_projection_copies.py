@@ -6,6 +6,7 @@ See docs/developing/copies-of-the-projection.md.
 from __future__ import annotations
 
 import runpy
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,7 @@ from sabench.algorithms.bubbles.backlit_profile import reflectance
 from sabench.geometry.camera import Camera, aimed_rotation
 from sabench.geometry.lens_distortion import Distortion
 from sabench.geometry.refraction import Layer, Wall, transmittance
+from sabench.geometry.sensor_tilt import UPRIGHT
 from sabench.utils import backend
 from tests.architecture.plan import ROOT
 
@@ -24,7 +26,7 @@ WALL = Wall((1.0, 2.0, 3.0), NORMAL, 1.0, (Layer("glass", 1.52, 5.0), Layer("gap
 
 
 def camera(wall: Wall | None) -> Camera:
-    """A tilted camera with all five coefficients of distortion."""
+    """A camera at an angle, with all five coefficients of distortion."""
     rotation = aimed_rotation(np.array([0.05, -0.1, 1.0]))
     center, middle = (-20.0, 40.0, -490.0), (160.0, 118.0)
     return Camera("one", 240, 320, center, rotation, 88.0, 0.01, middle, LENS, 85.0, 16.0, wall)
@@ -34,18 +36,24 @@ def record(one: Camera) -> tuple[dict[str, Any], dict[str, Any] | None]:
     """A camera and its wall as cameras.json has them."""
     names = ["center_mm", "rotation", "principal_distance_mm", "pixel_mm", "principal_point_px"]
     own = {name: getattr(one, name) for name in names} | {"distortion": vars(one.distortion)}
+    if one.tilt_deg != UPRIGHT:
+        own["tilt_deg"] = list(one.tilt_deg)
     if one.wall is None:
         return own, None
     wall = vars(one.wall) | {"layers": [vars(layer) for layer in one.wall.layers]}
     return own, wall
 
 
+@pytest.mark.parametrize("tilt", [(0.0, 0.0), (8.0, -11.0)])
 @pytest.mark.parametrize("wall", [None, WALL])
-def test_the_example_program_projects_as_cameras_do(wall: Wall | None) -> None:
+def test_the_example_program_projects_as_cameras_do(
+    wall: Wall | None, tilt: tuple[float, float]
+) -> None:
     example = runpy.run_path(str(ROOT / "examples" / "python" / "synthetic_aperture.py"))
     points = np.random.default_rng(1).uniform([-8.0, -6.0, 20.0], [8.0, 6.0, 40.0], (200, 3))
-    exact, valid = camera(wall).project(points)
-    column, row = example["project"](*record(camera(wall)), points)
+    one = replace(camera(wall), tilt_deg=tilt)
+    exact, valid = one.project(points)
+    column, row = example["project"](*record(one), points)
     assert valid.all()
     np.testing.assert_allclose(np.column_stack([column, row]), exact, rtol=0.0, atol=1e-8)
 

@@ -7,6 +7,7 @@ with.
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, cast
 from xml.etree import ElementTree
@@ -375,12 +376,14 @@ def slanted(**changes: Any) -> Scene:
     return parse_scene(values | changes, "slanted")
 
 
+@pytest.mark.parametrize("tilt", [(0.0, 0.0), (14.0, -8.0)])
 @pytest.mark.parametrize("wall", [True, False])
-def test_two_implementations_of_a_camera_agree(wall: bool) -> None:
+def test_two_implementations_of_a_camera_agree(wall: bool, tilt: tuple[float, float]) -> None:
     scene = slanted()
     scene = scene if wall else scene.model_copy(update={"wall": None})
     points = np.random.default_rng(1).uniform([-4.5, -3.0, 28.0], [4.5, 3.0, 32.0], (50, 3))
-    for camera in build_rig(scene).cameras:
+    for upright in build_rig(scene).cameras:
+        camera = replace(upright, tilt_deg=tilt)
         np.testing.assert_allclose(
             retrace(scene, camera, points), camera.project(points)[0], rtol=0.0, atol=1e-9
         )

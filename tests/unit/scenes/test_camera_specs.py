@@ -1,0 +1,130 @@
+"""Lenses and sensors of single cameras of a scene."""
+
+from __future__ import annotations
+
+import json
+import tomllib
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import sabench
+from sabench.dataset.schema import read_cameras
+from sabench.geometry.camera import Camera
+from sabench.geometry.lens_distortion import Distortion
+from sabench.scenes import Scene, build_rig, find, parse_scene
+from sabench.scenes.nominal_cameras import nominal_cameras
+from sabench.utils.errors import InputError
+
+OWN = {
+    "camera": "camera_02",
+    "focal_length_mm": 60.0,
+    "f_number": 8.0,
+    "distortion": {"k1": -0.3, "p2": 0.01},
+    "principal_point_px": [150.25, 128.5],
+    "pixel_mm": 0.015,
+    "tilt_deg": [4.0, -6.0],
+}
+
+
+def scene_with(*each: dict[str, Any], **tables: Any) -> Scene:
+    values = tomllib.loads(find("quick", "scenes").read_text(encoding="utf-8"))
+    if each:
+        values["cameras"]["each"] = list(each)
+    return parse_scene(values | tables, "test")
+
+
+def test_one_camera_has_the_lens_and_the_sensor_of_its_own_table() -> None:
+    plain, own = (build_rig(scene).cameras for scene in (scene_with(), scene_with(OWN)))
+    assert [*own[:2], *own[3:]] == [*plain[:2], *plain[3:]]
+    camera = own[2]
+    assert (camera.focal_length_mm, camera.f_number, camera.pixel_mm) == (60.0, 8.0, 0.015)
+    assert camera.distortion == Distortion(k1=-0.3, p2=0.01)
+    assert camera.tilt_deg == (4.0, -6.0)
+    assert camera.principal_point_px == (150.25, 128.5)
+    assert camera.rotation == plain[2].rotation
+    # the lens is aimed at the centre of the volume, and focused on it
+    center = [scene_with().volume.center_mm]
+    np.testing.assert_allclose(camera.project(center)[0][0], (150.25, 128.5), rtol=0, atol=1e-9)
+    assert camera.focus_mm == pytest.approx(plain[2].focus_mm, rel=1e-3)
+    sharp = build_rig(scene_with(OWN | {"focus_mm": 400.0})).cameras[2]
+    assert sharp.focus_mm == pytest.approx(400.0)
+
+
+def test_a_table_without_numbers_changes_nothing() -> None:
+    plain = scene_with()
+    assert "each" not in plain.to_dict()["cameras"]
+    same = build_rig(scene_with({"camera": "camera_01"})).cameras
+    assert same == build_rig(plain).cameras
+    again = parse_scene(tomllib.loads(scene_with(OWN).to_toml()), "test")
+    assert again == scene_with(OWN)
+    assert again.hash != plain.hash
+
+
+@pytest.mark.parametrize(
+    ("each", "expected"),
+    [
+        (
+            [OWN | {"camera": "camera_04"}],
+            "cameras.each.0.camera: expected camera_00 to camera_03, got 'camera_04'",
+        ),
+        (
+            [OWN, {"camera": "camera_02"}],
+            "cameras.each.1.camera: expected every camera once, got 'camera_02' again",
+        ),
+        ([OWN | {"tilt_deg": [90.0, 0.0]}], "cameras.each.0.tilt_deg.0: .*less than 90"),
+        ([OWN | {"tilt_deg": [5.0]}], "cameras.each.0.tilt_deg"),
+        ([OWN | {"pixel_mm": 0.0}], "cameras.each.0.pixel_mm: .*greater than 0"),
+        ([OWN | {"rows": 100}], "cameras.each.0.rows"),
+        ([{"f_number": 8.0}], "cameras.each.0.camera"),
+        (
+            [OWN | {"focus_mm": 55.0}],
+            "cameras.focus_mm: camera_02: expected more than the focal length 60 mm, got 55",
+        ),
+    ],
+)
+def test_what_cannot_be_is_refused(each: list[dict[str, Any]], expected: str) -> None:
+    with pytest.raises(InputError, match=f"^test: {expected}") as caught:
+        build_rig(scene_with(*each), "test")
+    assert "\n" not in str(caught.value)
+
+
+def test_data_sets_keep_the_tilt(tmp_path: Path) -> None:
+    made = sabench.generate(scene_with(OWN), tmp_path / "data", seed=1, backend="splat")
+    assert sabench.open_dataset(made.root).setup.cameras[2].tilt_deg == (4.0, -6.0)
+    path = made.root / "cameras.json"
+    values = json.loads(path.read_text(encoding="utf-8"))
+    assert [("tilt_deg" in camera) for camera in values["cameras"]] == [False, False, True, False]
+    values["cameras"][2]["tilt_deg"] = [0.0, 95.0]
+    path.write_text(json.dumps(values), encoding="utf-8")
+    with pytest.raises(InputError, match=r"cameras.json: cameras.2.tilt_deg.1: .*less than 90"):
+        read_cameras(made.root)
+
+
+def test_nominal_tilts_are_off_by_the_scene_s_error() -> None:
+    scene = scene_with(
+        OWN, calibration={"tilt_deg": 0.5, "unknown": ["tilt", "principal_point", "k1"]}
+    )
+    true = build_rig(scene).cameras
+    many = [nominal_cameras(scene, true, seed)[2] for seed in range(300)]
+    errors = np.array([camera.tilt_deg for camera in many]) - true[2].tilt_deg
+    assert scene.unknown == ("tilt", "principal_point", "k1")
+    np.testing.assert_allclose(errors.std(axis=0), 0.5, rtol=0.15)
+    np.testing.assert_allclose(errors.mean(axis=0), 0.0, atol=0.12)
+    assert all(camera.distortion == Distortion(p2=0.01) for camera in many)
+    without = scene_with(OWN, calibration={})
+    assert nominal_cameras(without, true, 1) == true
+
+
+def test_a_tilt_moves_projections_little_and_focus_much() -> None:
+    """The use of a tilt: other points are sharp, at nearly the same pixels."""
+    camera: Camera = build_rig(scene_with({"camera": "camera_00", "tilt_deg": [0.0, 5.0]})).cameras[
+        0
+    ]
+    points = np.random.default_rng(1).uniform([-4.5, -3.0, 28.0], [4.5, 3.0, 32.0], (50, 3))
+    flat = replace(camera, tilt_deg=(0.0, 0.0))
+    moved = np.abs(camera.project(points)[0] - flat.project(points)[0])
+    assert 0.01 < moved.max() < 3.0

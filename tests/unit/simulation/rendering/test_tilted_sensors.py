@@ -1,0 +1,137 @@
+"""Images of particles and targets on sensors that are tilted against their lenses."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from sabench.geometry.camera import Camera, aimed_rotation
+from sabench.geometry.refraction import trace_to_points
+from sabench.scenes import Scene, build_rig
+from sabench.simulation.rendering import particles_splatted
+from sabench.simulation.rendering.particle_images import diffraction_px, image_particles
+from sabench.simulation.rendering.particles_traced import render
+from sabench.utils.arrays import F64
+from tests.unit.simulation.rendering.test_particle_images import (
+    TILT,
+    cloud,
+    isolated,
+    make_scene,
+    moments,
+)
+
+LENS = {"k1": -60.0, "k2": 2000.0, "p1": 0.3, "p2": -0.2, "k3": 0.0}
+
+
+def tilted_rig(
+    tilt: tuple[float, float], wall: bool, f_number: float = 4.0
+) -> tuple[Scene, Camera]:
+    own = {"camera": "camera_01", "tilt_deg": list(tilt)}
+    scene = make_scene(
+        wall=TILT if wall else None,
+        cameras={"f_number": f_number, "each": [own]},
+        illumination={"thickness_mm": 1e4},
+    )
+    return scene, build_rig(scene).cameras[1]
+
+
+def light_on_sensor(camera: Camera, leaving: F64, aperture: F64) -> F64:
+    """Follow rays through a thin lens to a tilted plane behind it, in the lens's frame.
+
+    Parameters
+    ----------
+    leaving : (n, 3) directions in front of the lens, world frame.
+    aperture : (2,) the point of the lens through which they come.
+    """
+    local = leaving @ np.asarray(camera.rotation).T
+    before = local[:, :2] / local[:, 2:]
+    # backwards from the scene: slopes change by the distance from the axis over the focal length
+    after = np.column_stack(
+        [-before - aperture / camera.focal_length_mm, np.full(len(local), -1.0)]
+    )
+    turn = Rotation.from_euler("XY", camera.tilt_deg, degrees=True)
+    right, down, normal = (turn.apply(axis) for axis in np.eye(3))
+    start = np.array([*aperture, 0.0])
+    middle = np.array([0.0, 0.0, -camera.principal_distance_mm])
+    length = ((middle - start) @ normal) / (after @ normal)
+    offset = start + length[:, None] * after - middle
+    places = -np.column_stack([offset @ right, offset @ down]) / camera.pixel_mm
+    return np.asarray(places + np.asarray(camera.principal_point_px))
+
+
+@pytest.mark.parametrize("wall", [False, True])
+@pytest.mark.parametrize("tilt", [(0.0, 0.0), (8.0, -11.0), (0.0, 25.0)])
+def test_the_blur_is_that_of_rays_through_a_thin_lens(
+    tilt: tuple[float, float], wall: bool
+) -> None:
+    scene, camera = tilted_rig(tilt, wall)
+    points = np.array([[1.5, -1.0, 27.0], [-2.0, 1.2, 33.0], [0.5, 0.5, 30.0], [-2.5, -1.0, 29.0]])
+    disc = np.random.default_rng(3).uniform(-1.0, 1.0, (8000, 2))
+    disc = disc[np.hypot(*disc.T) < 1.0]
+    disc = np.vstack([disc, -disc, disc[:, ::-1], -disc[:, ::-1]])
+    disc *= 0.5 / np.sqrt(np.mean(disc**2, axis=0))  # exactly the variance of a disc
+    hits = []
+    for aperture in disc[::7] * camera.aperture_radius_mm:
+        moved = camera.shifted(*aperture)
+        paths = trace_to_points(camera.wall, np.asarray(moved.center_mm), points)
+        hits.append(light_on_sensor(camera, paths.leaving, aperture))
+    images = image_particles(scene, camera, cloud(points, 1e-6), None)
+    chief = trace_to_points(camera.wall, np.asarray(camera.center_mm), points).leaving
+    np.testing.assert_allclose(
+        images.pixel, light_on_sensor(camera, chief, np.zeros(2)), rtol=0, atol=1e-9
+    )
+    sharp = image_particles(
+        scene, replace(camera, f_number=1e3 * camera.f_number), cloud(points, 1e-6), None
+    )
+    round_part = sharp.spread_px2 / 1e6  # diffraction grows with the f-number
+    for k in range(len(points)):
+        found = np.cov(np.array(hits)[:, k].T)
+        exact = [found[0, 0], found[1, 1], found[0, 1]]
+        scale = max(exact)
+        np.testing.assert_allclose(
+            images.spread_px2[k] - round_part[k], exact, rtol=0, atol=0.03 * scale + 1e-4
+        )
+
+
+@pytest.mark.parametrize("tilt", [(10.0, 0.0), (-7.0, 15.0)])
+def test_particles_in_the_tilted_plane_of_focus_are_sharp(tilt: tuple[float, float]) -> None:
+    """Points that a thin lens images onto the sensor's plane, in air; others are blurred."""
+    scene, camera = tilted_rig(tilt, wall=False, f_number=2.0)
+    camera = replace(camera, rotation=aimed_rotation(np.array([0.0, 0.0, 1.0])))
+    turn = Rotation.from_euler("XY", tilt, degrees=True)
+    offsets = np.random.default_rng(1).uniform(-0.7, 0.7, (40, 2))
+    places = turn.apply(np.column_stack([offsets, np.zeros(40)]))  # on the sensor, mm
+    places[:, 2] -= camera.principal_distance_mm
+    depth = 1.0 / (1.0 / camera.focal_length_mm + 1.0 / places[:, 2])
+    points = places * (depth / places[:, 2])[:, None] + np.asarray(camera.center_mm)
+    assert np.ptp(points[:, 2]) > 1.0
+    images = image_particles(scene, camera, cloud(points, 1e-6), None)
+    expected = -offsets / camera.pixel_mm + camera.principal_point_px
+    np.testing.assert_allclose(images.pixel, expected, rtol=0, atol=1e-9)
+    airy = diffraction_px(camera, scene.light.wavelength_nm)
+    np.testing.assert_allclose(images.sigma_px, airy, rtol=0.05)
+    flat = image_particles(scene, replace(camera, tilt_deg=(0.0, 0.0)), cloud(points, 1e-6), None)
+    assert flat.sigma_px.max() > 3.0 * airy
+
+
+@pytest.mark.parametrize("number", [0, 1])
+def test_rays_and_formulas_make_the_same_picture_on_tilted_sensors(number: int) -> None:
+    own = [
+        {"camera": "camera_00", "tilt_deg": [6.0, 9.0], "distortion": LENS},
+        {"camera": "camera_01", "tilt_deg": [0.0, -20.0], "principal_point_px": [80.0, 60.0]},
+    ]
+    scene = make_scene(wall=TILT, cameras={"each": own})
+    camera = build_rig(scene).cameras[number]
+    positions, pixels = isolated(camera, (27.0, 33.0), 13, number)
+    images = image_particles(scene, camera, cloud(positions), None)
+    traced = moments(render(camera, images, positions, 16) * camera.etendue(), pixels, 6)
+    formula = moments(particles_splatted.render(camera, images), pixels, 6)
+    assert len(positions) >= 70
+    shift = traced[1] - formula[1]
+    assert np.abs(shift.mean(axis=0)).max() < 0.01
+    assert np.abs(shift).max() < 0.02
+    np.testing.assert_allclose(traced[0], formula[0], rtol=0.02)
+    assert traced[0].sum() == pytest.approx(formula[0].sum(), rel=5e-3)
