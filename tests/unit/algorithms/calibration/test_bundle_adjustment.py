@@ -55,6 +55,14 @@ def truth(
         {"wall": None},
         {"wall": {"normal": [0.04, -0.05, 1.0], "point_mm": [3.0, 4.0, 1.0]}},
         {"cameras": {"distortion": {"k1": -0.4, "k2": 3.0, "k3": 20.0, "p1": 4e-3, "p2": -3e-3}}},
+        {
+            "cameras": {
+                "distortion": {"k1": -0.4, "k2": 3.0, "k3": 20.0, "p1": 4e-3, "p2": -3e-3},
+                "each": [
+                    {"camera": f"camera_0{n}", "tilt_deg": [9.0 - n, 3.0 * n]} for n in range(8)
+                ],
+            }
+        },
     ],
 )
 def test_the_kernel_projects_as_cameras_do(wall: dict[str, object]) -> None:

@@ -135,3 +135,28 @@ def test_rays_and_formulas_make_the_same_picture_on_tilted_sensors(number: int) 
     assert np.abs(shift).max() < 0.02
     np.testing.assert_allclose(traced[0], formula[0], rtol=0.02)
     assert traced[0].sum() == pytest.approx(formula[0].sum(), rel=5e-3)
+
+
+@pytest.mark.parametrize("tilt", [(20.0, 0.0), (-12.0, 30.0)])
+def test_discs_and_diffraction_are_stretched_on_tilted_sensors(tilt: tuple[float, float]) -> None:
+    """Circles in a plane parallel to the lens, and cones of light behind it, by their rays."""
+    scene, camera = tilted_rig(tilt, wall=False, f_number=8.0)
+    axes, circle = np.asarray(camera.rotation), np.linspace(0.0, 2.0 * np.pi, 64, endpoint=False)
+    around = np.column_stack([np.cos(circle), np.sin(circle)]) * np.sqrt(2.0)  # unit variances
+    points = np.array([[1.5, -1.0, 27.0], [-2.0, 1.2, 33.0]])
+    tiny, large = (image_particles(scene, camera, cloud(points, d), None) for d in (1e-6, 0.2))
+    narrow = replace(camera, f_number=800.0)
+    airy = diffraction_px(narrow, scene.light.wavelength_nm)
+    small = image_particles(scene, narrow, cloud(points, 1e-6), None)
+    for k, point in enumerate(points):
+        ring = point + (around * 0.2 / 4.0) @ axes[:2]
+        disc = np.cov(camera.project(ring)[0].T, bias=True)
+        found = large.spread_px2[k] - tiny.spread_px2[k]
+        exact = [disc[0, 0], disc[1, 1], disc[0, 1]]
+        np.testing.assert_allclose(found, exact, rtol=0, atol=0.01 * max(exact))
+        chief = (point - np.asarray(camera.center_mm)) @ axes.T
+        cone = chief / chief[2] + np.column_stack([around * 1e-5, np.zeros(64)])
+        spot = np.cov(light_on_sensor(camera, cone @ axes, np.zeros(2)).T, bias=True)
+        scale = (airy / (1e-5 * camera.focal_px)) ** 2
+        exact = [scale * spot[0, 0], scale * spot[1, 1], scale * spot[0, 1]]
+        np.testing.assert_allclose(small.spread_px2[k], exact, rtol=0, atol=0.01 * max(exact))
