@@ -1,4 +1,4 @@
-"""Pinhole cameras with radial-tangential distortion and a sensor that may be tilted.
+"""Pinhole cameras with radial-tangential distortion and a sensor at any tilt.
 
 They look through a wall, or through air. `Camera.pixels_of` of paths by
 `refraction.trace_to_points` is the reference of the projection; its copies, their reasons and the

@@ -1,4 +1,4 @@
-"""Radial and tangential distortion of lenses: Brown and Conrady's model, as OpenCV has it."""
+"""Radial and tangential distortion of lenses, by Brown and Conrady's model."""
 
 from __future__ import annotations
 

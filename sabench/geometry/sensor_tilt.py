@@ -23,7 +23,10 @@ UPRIGHT: Tilt = (0.0, 0.0)
 
 @functools.lru_cache(maxsize=256)
 def sensor_axes(tilt_deg: Tilt) -> F64:
-    """Compute the sensor's axes (3, 3) in the lens's frame: right, down and normal, as rows."""
+    """Compute the sensor's axes (3, 3) in the lens's frame.
+
+    Rows are right, down and the normal away from the lens.
+    """
     x, y = np.deg2rad(tilt_deg)
     about_x = [[1.0, 0.0, 0.0], [0.0, np.cos(x), np.sin(x)], [0.0, -np.sin(x), np.cos(x)]]
     about_y = [[np.cos(y), 0.0, -np.sin(y)], [0.0, 1.0, 0.0], [np.sin(y), 0.0, np.cos(y)]]
@@ -72,7 +75,9 @@ def focus_slope(tilt_deg: Tilt) -> F64:
 
 
 def stretch(tilt_deg: Tilt, image: F64) -> F64:
-    """Compute the shape on the sensor of a round cone of light through the lens's middle.
+    """Compute the shape of a round cone of light on the sensor.
+
+    The light comes through the lens's middle.
 
     Variances along columns and rows, and their covariance (n, 3), where they are 1, 1 and 0 on the
     upright plane.

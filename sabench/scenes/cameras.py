@@ -90,7 +90,7 @@ class DistortionSpec(Table):
 
 
 class CameraSpec(Table):
-    """Lens and sensor of one camera of the array; what is left out is that of all cameras."""
+    """Lens and sensor of one camera; other numbers are those of the array."""
 
     camera: str = Field(description="name of the camera: camera_00, camera_01, ...")
     focal_length_mm: Positive | None = None
@@ -147,14 +147,14 @@ class Cameras(Table):
     )
 
     def of_camera(self, name: str) -> tuple[Cameras, CameraSpec]:
-        """Give the array's table with the numbers of one camera, and what only that camera has."""
+        """Give the array's table with one camera's numbers, and the camera's own table."""
         own = next((one for one in self.each or () if one.camera == name), CameraSpec(camera=name))
         shared = type(self).model_fields
         given = {key: value for key, value in own if key in shared and value is not None}
         return self.model_copy(update={**given, "each": None}), own
 
     def faults_by_camera(self, names: Sequence[str]) -> Iterator[str]:
-        """List the entries of `each` that are of no camera, or of a camera that has one before."""
+        """List the entries of `each` that name no camera, or one camera again."""
         found: set[str] = set()
         for number, one in enumerate(self.each or ()):
             if one.camera not in names:

@@ -167,9 +167,9 @@ def _fill_lens(row: Any, right: float, down: float, u: float, v: float) -> None:
 
 @numba.njit(cache=True)
 def _tilt(u: float, v: float, lens: Any, row: Any) -> tuple[float, float]:
-    """Take distorted coordinates to a tilted sensor, as `sensor_tilt.onto_sensor` does.
+    """Take distorted coordinates to a tilted sensor.
 
-    The derivatives by the distorted coordinates go to columns 9 and 10 of `row`, those by the tilt
+    A copy of `sensor_tilt.onto_sensor` for the sake of the derivatives. The derivatives by the distorted coordinates go to columns 9 and 10 of `row`, those by the tilt
     to 14 and 15.
     """
     ca, sa, cb, sb = math.cos(lens[8]), math.sin(lens[8]), math.cos(lens[9]), math.sin(lens[9])

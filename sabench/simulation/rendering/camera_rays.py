@@ -94,7 +94,7 @@ def _inverse_focus(camera: Camera, u: Any, v: Any) -> Any:
 
 
 def _distorted(camera: Camera, column: Any, row: Any, first: int) -> tuple[Any, Any]:
-    """Return distorted image coordinates, on the upright plane if the sensor is tilted."""
+    """Return distorted image coordinates on the plane of an upright sensor."""
     center, scale = camera.principal_point_px, dr.opaque(mi.Float, 1.0 / camera.focal_px)
     u = (column - dr.opaque(mi.Float, center[0])) * scale
     v = (row + dr.opaque(mi.Float, first - center[1])) * scale

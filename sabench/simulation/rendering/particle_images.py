@@ -206,7 +206,7 @@ def _through_aperture(camera: Camera, points: F64, chief: F64) -> tuple[F64, F64
 
 
 def _smear(camera: Camera, axis: int, first: F64, second: F64) -> F64:
-    """Subtract the places on the sensor (n, 2) of light through both ends of the aperture.
+    """Subtract places on the sensor (n, 2) of light through both ends of a lens.
 
     `first` and `second` are the pixels of upright cameras that are moved there, along `axis`. A
     point in focus would shift on their sensors, and is at rest on the true one.

@@ -18,6 +18,7 @@ from sabench.geometry.grid import Grid
 from sabench.geometry.lens_distortion import Distortion
 from sabench.geometry.refraction import AnyWall, Layer, Wall
 from sabench.geometry.rotations import rotation_matrices
+from sabench.geometry.sensor_tilt import UPRIGHT
 from sabench.interop import openlpt, openptv
 from sabench.interop.openptv_process import parameters
 from sabench.scenes import build_rig, load_scene
@@ -28,6 +29,9 @@ from tests.conftest import pinholes
 
 NEAR_PX = 1e-3
 LENS = Distortion(k1=0.05, k2=-0.2, p1=1e-3, p2=-5e-4, k3=0.01)
+TILT = (7.0, -11.0)
+OPTICS = [(Distortion(), UPRIGHT), (LENS, UPRIGHT), (Distortion(), TILT)]
+OPTICS_IDS = ["ideal", "distorted", "tilted sensor"]
 
 
 def rig(scene: str) -> tuple[tuple[Camera, ...], Grid, F64]:
@@ -57,9 +61,11 @@ def walls(wall: AnyWall | None) -> dict[str, Wall | None]:
     }
 
 
-@pytest.mark.parametrize("lens", [Distortion(), LENS], ids=["ideal", "distorted"])
+@pytest.mark.parametrize(("lens", "tilt"), OPTICS, ids=OPTICS_IDS)
 @pytest.mark.parametrize("kind", ["glass", "none", "bare", "two layers", "tilted"])
-def test_openlpt_projects_as_we_do(kind: str, lens: Distortion, tmp_path: Path) -> None:
+def test_openlpt_projects_as_we_do(
+    kind: str, lens: Distortion, tilt: tuple[float, float], tmp_path: Path
+) -> None:
     lpt = pytest.importorskip("pyopenlpt")
     cameras, _, points = rig("particle-tracking")
     for camera in cameras:
@@ -68,6 +74,7 @@ def test_openlpt_projects_as_we_do(kind: str, lens: Distortion, tmp_path: Path) 
             wall=walls(camera.wall)[kind],
             distortion=lens,
             principal_point_px=(121.3, 117.8),
+            tilt_deg=tilt,
         )
         (tmp_path / "cam.txt").write_text(openlpt.camera_text(own), encoding="utf-8")
         seen = lpt.loadCameraModel(str(tmp_path / "cam.txt")).projectBatchStatus(
@@ -77,9 +84,11 @@ def test_openlpt_projects_as_we_do(kind: str, lens: Distortion, tmp_path: Path) 
         assert np.abs(pixels - own.project(points)[0]).max() < NEAR_PX
 
 
-@pytest.mark.parametrize("lens", [Distortion(), LENS], ids=["ideal", "distorted"])
+@pytest.mark.parametrize(("lens", "tilt"), OPTICS, ids=OPTICS_IDS)
 @pytest.mark.parametrize("kind", ["glass", "none", "bare", "tilted"])
-def test_openptv_projects_as_we_do(kind: str, lens: Distortion, tmp_path: Path) -> None:
+def test_openptv_projects_as_we_do(
+    kind: str, lens: Distortion, tilt: tuple[float, float], tmp_path: Path
+) -> None:
     pytest.importorskip("optv")
     from optv.imgcoord import image_coordinates
     from optv.transforms import convert_arr_metric_to_pixel
@@ -88,7 +97,11 @@ def test_openptv_projects_as_we_do(kind: str, lens: Distortion, tmp_path: Path) 
     off = (119.5, 119.5) if lens == LENS else (121.3, 117.8)
     own = tuple(
         dataclasses.replace(
-            one, wall=walls(one.wall)[kind], distortion=lens, principal_point_px=off
+            one,
+            wall=walls(one.wall)[kind],
+            distortion=lens,
+            principal_point_px=off,
+            tilt_deg=tilt,
         )
         for one in cameras
     )
@@ -117,6 +130,15 @@ def test_what_a_format_cannot_say_is_said() -> None:
         openptv.orientation_text(two, grid)
     barrel = dataclasses.replace(cameras[0], distortion=Distortion(k1=-0.1))
     assert "without a positive coefficient" in str(openlpt.unfit(barrel))
+    leaning = dataclasses.replace(cameras[0], distortion=LENS, tilt_deg=TILT)
+    for program, name in ((openlpt, "OpenLPT"), (openptv, "OpenPTV")):
+        expected = f"{name} has no tilted sensor behind a lens with distortion"
+        assert program.unfit(leaning) == expected
+    with pytest.raises(ValueError, match="camera_00: OpenLPT has no tilted sensor"):
+        openlpt.camera_text(leaning)
+    finer = dataclasses.replace(cameras[1], pixel_mm=cameras[0].pixel_mm / 2.0)
+    assert openptv.unlike(cameras[:2]) is None
+    assert "one pixel pitch, and camera_01 has" in str(openptv.unlike([cameras[0], finer]))
 
 
 def test_points_come_back_from_openptvs_world() -> None:
