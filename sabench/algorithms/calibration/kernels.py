@@ -169,8 +169,8 @@ def _fill_lens(row: Any, right: float, down: float, u: float, v: float) -> None:
 def _tilt(u: float, v: float, lens: Any, row: Any) -> tuple[float, float]:
     """Take distorted coordinates to a tilted sensor.
 
-    A copy of `sensor_tilt.onto_sensor` for the sake of the derivatives. The derivatives by the distorted coordinates go to columns 9 and 10 of `row`, those by the tilt
-    to 14 and 15.
+    A copy of `sensor_tilt.onto_sensor` for the sake of the derivatives. Those by the distorted
+    coordinates go to columns 9 and 10 of `row`, those by the tilt to 14 and 15.
     """
     ca, sa, cb, sb = math.cos(lens[8]), math.sin(lens[8]), math.cos(lens[9]), math.sin(lens[9])
     nx, ny, nz = sb, -cb * sa, cb * ca
