@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import itertools
 import re
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -28,6 +28,7 @@ from sabench.scenes.cameras import (
     Place,
     RingLayout,
 )
+from sabench.scenes.focusing import focus, tilt_sensor
 from sabench.scenes.scene import Scene
 from sabench.scenes.tank import (
     TankWall,
@@ -260,35 +261,7 @@ def _build_camera(scene: Scene, walls: tuple[TankWall, ...], name: str, place: P
             raise InputError(f"cameras.aim_mm: {error}") from error
     else:
         checks.check_rotation(np.asarray(place.rotation), f"cameras: {name}: rotation")
-    return _focus(camera, target, spec.focus_mm)
-
-
-def _focus(camera: Camera, target: F64, focus_mm: float | None) -> Camera:
-    """Move the image plane so that a point is sharp.
-
-    The point is `focus_mm` or else the target.
-    """
-    focus = focus_mm or apparent_distance_mm(camera, target)
-    if not focus > camera.focal_length_mm:
-        expected = f"expected more than the focal length {camera.focal_length_mm:g} mm"
-        raise InputError(f"cameras.focus_mm: {camera.name}: {expected}, got {focus:.4g}")
-    return replace(camera, principal_distance_mm=1.0 / (1.0 / camera.focal_length_mm - 1.0 / focus))
-
-
-def apparent_distance_mm(camera: Camera, target_mm: F64) -> float:
-    """Compute the apparent distance of a target seen through the wall.
-
-    The distance is along the axis. A point in plain air at this distance shows the same parallax.
-    Refraction makes it astigmatic: the mean over the aperture's two axes is taken.
-    """
-    plain = replace(camera, distortion=Distortion(), tilt_deg=UPRIGHT)
-    step = camera.aperture_radius_mm
-    moves = []
-    for axis, (right, down) in enumerate(((step, 0.0), (0.0, step))):
-        there, valid = plain.shifted(right, down).project(target_mm[None])
-        back, valid_back = plain.shifted(-right, -down).project(target_mm[None])
-        if not (valid[0] and valid_back[0]):
-            return float("nan")
-        moves.append(abs(there[0, axis] - back[0, axis]) / (2.0 * step * plain.focal_px))
-    mean = float(np.mean(moves))
-    return 1.0 / mean if mean else float("inf")
+    camera = focus(camera, target, spec.focus_mm)
+    if own.tilt_deg is None and spec.focus_normal is not None:
+        return tilt_sensor(camera, target, _unit(spec.focus_normal))
+    return camera

@@ -139,6 +139,11 @@ class Cameras(Table):
         description="point at every image centre, or principal point where that is given; by "
         "default the volume's centre",
     )
+    focus_normal: Direction | None = Field(
+        None,
+        description="normal of the plane through the aim point on which cameras are focused by "
+        "tilted sensors (Scheimpflug); by default sensors are upright",
+    )
     each: tuple[CameraSpec, ...] | None = Field(
         None, description="cameras with another lens or sensor than the others"
     )

@@ -18,7 +18,7 @@ from sabench.geometry import array_layouts
 from sabench.geometry.camera import Camera, aim, aimed_rotation
 from sabench.geometry.lens_distortion import Distortion
 from sabench.geometry.refraction import Layer, Wall, trace_to_points
-from sabench.scenes.build import apparent_distance_mm
+from sabench.scenes.focusing import apparent_distance_mm
 from sabench.utils.arrays import F64, Bool, triple
 
 BROWN = Distortion(-0.12, 0.03, 2e-3, -3e-3, 0.01)

@@ -128,3 +128,34 @@ def test_a_tilt_moves_projections_little_and_focus_much() -> None:
     flat = replace(camera, tilt_deg=(0.0, 0.0))
     moved = np.abs(camera.project(points)[0] - flat.project(points)[0])
     assert 0.01 < moved.max() < 3.0
+
+
+@pytest.mark.parametrize("normal", [(0.0, 0.0, 1.0), (0.3, -0.5, 1.0), (-1.0, 0.4, 2.0)])
+def test_a_plane_in_focus_in_air_has_the_tilt_of_the_hinge_rule(
+    normal: tuple[float, float, float],
+) -> None:
+    """The formula of docs/physics/imaging.md, in the lens's frame."""
+    values = scene_with().to_dict()
+    values["cameras"] |= {
+        "focus_normal": normal,
+        "each": [{"camera": "camera_03", "tilt_deg": [1.0, 2.0]}],
+    }
+    del values["wall"]
+    cameras = build_rig(parse_scene(values, "test")).cameras
+    assert cameras[3].tilt_deg == (1.0, 2.0)
+    for camera in cameras[:3]:
+        x, y, z = np.asarray(camera.rotation) @ normal
+        enlarged = camera.principal_distance_mm / camera.focus_mm
+        about_x = np.arctan(y / z * enlarged)
+        about_y = np.arctan(-np.cos(about_x) * x / z * enlarged)
+        exact = np.rad2deg([about_x, about_y])
+        np.testing.assert_allclose(camera.tilt_deg, exact, rtol=0, atol=2e-3)
+
+
+def test_a_camera_cannot_be_focused_on_a_plane_that_it_looks_along() -> None:
+    values = scene_with().to_dict()
+    forward = np.asarray(build_rig(scene_with()).cameras[0].rotation)[2]
+    values["cameras"]["focus_normal"] = np.cross(forward, [0.0, 1.0, 0.0]).tolist()
+    expected = "test: cameras.focus_normal: camera_00: expected a plane that the camera does not"
+    with pytest.raises(InputError, match=expected):
+        build_rig(parse_scene(values, "test"), "test")

@@ -20,7 +20,7 @@ from sabench.geometry.camera import Camera, aim, aimed_rotation
 from sabench.geometry.lens_distortion import Distortion
 from sabench.geometry.refraction import trace_to_points, transmittance
 from sabench.scenes import Scene, build_rig, find, parse_scene
-from sabench.scenes.build import _focus
+from sabench.scenes.focusing import focus
 from sabench.simulation.rendering import particles_splatted
 from sabench.simulation.rendering.laser_sheet import LIGHT_M_S, PLANCK_J_S, fluence
 from sabench.simulation.rendering.particle_images import (
@@ -596,7 +596,7 @@ def oblique_camera(f_number: float) -> tuple[Scene, Camera]:
     camera = build_rig(scene).cameras[0]
     camera = replace(camera, center_mm=(-330.0, -330.0, -440.0))
     turned = aim(camera, np.array([0.0, 0.0, 200.0]))
-    return scene, _focus(turned, np.array([0.0, 0.0, 200.0]), None)
+    return scene, focus(turned, np.array([0.0, 0.0, 200.0]), None)
 
 
 def test_the_blur_of_an_oblique_view_is_that_of_rays_through_the_lens() -> None:

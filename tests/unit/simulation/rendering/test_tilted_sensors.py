@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from sabench.geometry.camera import Camera, aimed_rotation
 from sabench.geometry.refraction import trace_to_points
-from sabench.scenes import Scene, build_rig
+from sabench.scenes import Scene, build_rig, load_scene
 from sabench.simulation.rendering import particles_splatted
 from sabench.simulation.rendering.particle_images import diffraction_px, image_particles
 from sabench.simulation.rendering.particles_traced import render
@@ -134,6 +134,37 @@ def test_rays_and_formulas_make_the_same_picture_on_tilted_sensors(number: int) 
     assert np.abs(shift.mean(axis=0)).max() < 0.01
     assert np.abs(shift).max() < 0.02
     np.testing.assert_allclose(traced[0], formula[0], rtol=0.02)
+    assert traced[0].sum() == pytest.approx(formula[0].sum(), rel=5e-3)
+
+
+@pytest.mark.parametrize("number", [0, 3])
+def test_a_scene_s_plane_of_focus_is_sharp_through_its_walls(number: int) -> None:
+    """Refraction at 45 degrees is in the tilt; what is left is the bend of the plane."""
+    scene = load_scene("scheimpflug")
+    camera = build_rig(scene).cameras[number]
+    rng = np.random.default_rng(1)
+    points = rng.uniform([-7.0, -5.0, 42.0], [7.0, 5.0, 42.0], (200, 3))
+    widths = []
+    for tilt in (camera.tilt_deg, (0.0, 0.0)):
+        images = image_particles(scene, replace(camera, tilt_deg=tilt), cloud(points), None)
+        assert images.visible.mean() > 0.95
+        widths.append(images.sigma_px)
+    assert np.ptp(widths[0]) < 0.01 * widths[0].mean()
+    assert widths[1].max() > 1.3 * widths[0].max()
+
+
+@pytest.mark.parametrize("number", [0, 3])
+def test_both_renderers_agree_on_a_scene_with_tilted_sensors(number: int) -> None:
+    scene = load_scene("scheimpflug")
+    camera = build_rig(scene).cameras[number]
+    positions, pixels = isolated(camera, (41.2, 42.8), 24, number)
+    images = image_particles(scene, camera, cloud(positions), None)
+    traced = moments(render(camera, images, positions, 64) * camera.etendue(), pixels, 10)
+    formula = moments(particles_splatted.render(camera, images), pixels, 10)
+    assert len(positions) >= 80
+    shift = traced[1] - formula[1]
+    assert np.abs(shift.mean(axis=0)).max() < 0.002
+    assert np.abs(shift).max() < 0.01
     assert traced[0].sum() == pytest.approx(formula[0].sum(), rel=5e-3)
 
 
