@@ -61,8 +61,8 @@ def measure_calibration(draws: int) -> dict[str, Any]:
         there = np.isfinite(given.exact).all(axis=-1) & np.isfinite(exact).all(axis=-1)
         noise = _NOISE_PX * np.random.default_rng(seed).standard_normal(exact.shape)
         board_mm = given.case.target.points_mm
-        seen_px: F64 = np.nan_to_num(exact) + noise
-        seen = BoardImages(board_mm, seen_px, there.astype(np.float64))
+        weights = np.asarray(there, dtype=np.float64)
+        seen = BoardImages(board_mm, np.nan_to_num(exact) + noise, weights)
         frame = Frame.from_cameras(cameras, given.points_mm)
         state = frame.state(board_mm, given.points_mm)
         found = refine(_perturb(state, seed), seen, free)
