@@ -56,7 +56,7 @@ BUGS = (
     ),
     Bug(
         "sign of the distortion's p1",
-        "sabench/geometry/camera.py",
+        "sabench/geometry/lens_distortion.py",
         "u = x * radial + 2.0 * lens.p1 * x * y",
         "u = x * radial - 2.0 * lens.p1 * x * y",
     ),
@@ -297,8 +297,8 @@ BUGS = (
     Bug(
         "the optical axis at half the columns",
         "sabench/scenes/build.py",
-        "principal_point_px=((spec.columns - 1) / 2.0,",
-        "principal_point_px=(spec.columns / 2.0,",
+        "or ((spec.columns - 1) / 2.0,",
+        "or (spec.columns / 2.0,",
         case="particles",
     ),
     Bug(
@@ -335,5 +335,19 @@ BUGS = (
         "                inner_mm + wall.depth_mm,\n",
         "                inner_mm,\n",
         tests="tests/unit/simulation/rendering/test_light_routes.py",
+    ),
+    Bug(
+        "a tilted sensor's two turns in the other order",
+        "sabench/geometry/sensor_tilt.py",
+        "np.array(about_y) @ np.array(about_x)",
+        "np.array(about_x) @ np.array(about_y)",
+        tests="tests/unit/geometry/test_sensor_tilt.py",
+    ),
+    Bug(
+        "the plane of focus tilted to the other side",
+        "sabench/simulation/rendering/particle_images.py",
+        "sign * lens / camera.principal_distance_mm",
+        "-sign * lens / camera.principal_distance_mm",
+        tests="tests/unit/simulation/rendering/test_tilted_sensors.py",
     ),
 )
