@@ -25,6 +25,7 @@ from sabench.dataset.reader import Dataset
 from sabench.dataset.schema import identity_of, seal
 from sabench.evaluation.leaderboard.submissions import submit
 from sabench.evaluation.records import append, latest, read_records
+from sabench.scenes import load_scene, parse_scene
 from sabench.tasks import of
 from sabench.tasks.external_programs import is_program, run_program
 from sabench.utils.errors import InputError, UncheckedError
@@ -278,6 +279,29 @@ def test_the_cpp_example_scores_as_the_python_example_does(
             assert scores[column.key] == pytest.approx(python_scores[column.key], rel=1e-6), (
                 column.key
             )
+
+
+@pytest.mark.skipif(
+    not (shutil.which("g++") and shutil.which("make") and HEADERS),
+    reason="g++, make or the headers of libhdf5 are not there",
+)
+def test_both_examples_take_tilted_sensors(tmp_path: Path) -> None:
+    values = load_scene("quick").to_dict()
+    lens = {"k1": -2.0, "p2": 0.05}
+    values["cameras"]["each"] = [
+        {"camera": f"camera_0{n}", "tilt_deg": [20.0 - 10.0 * n, 9.0 * n], "distortion": lens}
+        for n in range(4)
+    ]
+    data = sabench.generate(parse_scene(values, "tilted"), tmp_path / "data", backend="splat")
+    python = [sys.executable, str(EXAMPLES / "python" / "synthetic_aperture.py")]
+    volumes = []
+    for number, program in enumerate((python, [str(compiled(tmp_path))])):
+        result = tmp_path / f"{number}.h5"
+        subprocess.run([*program, str(data.root), str(result)], check=True)
+        with h5py.File(result) as file:
+            volumes.append(file["frames/0000/volume"][...])
+    assert volumes[0].max() > 0.0
+    np.testing.assert_allclose(volumes[1], volumes[0], rtol=0, atol=1e-5 * volumes[0].max())
 
 
 def test_a_submission_is_ranked_beside_what_is_there(
