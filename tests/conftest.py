@@ -5,6 +5,7 @@ Mitsuba renders the data set through glass, once for all system tests.
 
 from __future__ import annotations
 
+import gc
 import os
 import signal
 import subprocess
@@ -17,6 +18,10 @@ from typing import Any
 # it from the neighbour: 59 s of CPU in place of 8 s for one bundle adjustment, measured on 2 cores.
 os.environ["OPENBLAS_NUM_THREADS"] = "1"
 os.environ["OMP_WAIT_POLICY"] = "PASSIVE"
+
+# The compiler of kernels makes so many objects that a tenth of its time went into the search for
+# garbage.
+gc.set_threshold(50_000, 10, 10)
 
 import pytest
 
@@ -73,6 +78,11 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """
     order = {name: place for place, name in enumerate(_LONGEST)}
     items.sort(key=lambda item: order.get(item.path.stem, len(order)))
+
+
+def pytest_collection_finish() -> None:
+    """Look for no garbage among what all tests import."""
+    gc.freeze()
 
 
 @pytest.fixture(scope="session", autouse=True)
