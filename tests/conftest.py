@@ -19,10 +19,6 @@ from typing import Any
 os.environ["OPENBLAS_NUM_THREADS"] = "1"
 os.environ["OMP_WAIT_POLICY"] = "PASSIVE"
 
-# The compiler of kernels makes so many objects that a tenth of its time went into the search for
-# garbage.
-gc.set_threshold(50_000, 10, 10)
-
 import pytest
 
 import sabench
@@ -78,6 +74,14 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """
     order = {name: place for place, name in enumerate(_LONGEST)}
     items.sort(key=lambda item: order.get(item.path.stem, len(order)))
+
+
+def pytest_configure() -> None:
+    """Look for garbage less often.
+
+    The compiler of kernels makes so many objects that a tenth of its time went into this search.
+    """
+    gc.set_threshold(50_000, 10, 10)
 
 
 def pytest_collection_finish() -> None:
