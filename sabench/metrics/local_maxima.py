@@ -70,7 +70,10 @@ def _collect(volume: Any, mark: Any, found: Any) -> Any:
 
 @numba.njit(cache=True)
 def _put(rows: Any, number: int, values: Any) -> None:
-    """Set a row; one by one, since numba's copy takes seconds to compile with its error message."""
+    """Set a row, value by value.
+
+    numba's copy of an array takes seconds to compile, with the message of its error.
+    """
     for axis in range(3):
         rows[number, axis] = values[axis]
 

@@ -1,4 +1,4 @@
-"""Public names of a package that are imported from its modules when they are first used."""
+"""Public names of a package that are imported at their first use."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any
 
 
 def lazy_names(package: str, homes: Mapping[str, str]) -> Callable[[str], Any]:
-    """Return the `__getattr__` of a package that imports public names at their first use.
+    """Return a `__getattr__` that imports public names at their first use.
 
     Parameters
     ----------
