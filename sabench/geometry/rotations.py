@@ -22,10 +22,11 @@ def rotation_matrices(vectors: F64) -> F64:
 
 def skew(vectors: F64) -> F64:
     """Compute the matrices (..., 3, 3) of the cross product with vectors (..., 3)."""
-    x, y, z = np.moveaxis(vectors, -1, 0)
-    zero = np.zeros_like(x)
-    rows = [[zero, -z, y], [z, zero, -x], [-y, x, zero]]
-    return np.stack([np.stack(row, -1) for row in rows], -2)
+    made = np.zeros((*vectors.shape, 3))
+    for row, column, axis in ((2, 1, 0), (0, 2, 1), (1, 0, 2)):
+        made[..., row, column] = vectors[..., axis]
+        made[..., column, row] = -vectors[..., axis]
+    return made
 
 
 def frame_along(axis: tuple[float, float, float]) -> F64:

@@ -10,7 +10,6 @@ from typing import Any
 
 import numba
 import numpy as np
-from scipy.special import erf
 
 from sabench.utils.arrays import F64
 
@@ -20,6 +19,8 @@ def gaussian_shares(edges: F64, sigma: float) -> F64:
 
     Edges are distances from the Gaussians' centres, in the unit of sigma.
     """
+    from scipy.special import erf  # takes long to load
+
     shares: F64 = 0.5 * np.diff(erf(edges / (sigma * np.sqrt(2.0))), axis=1)
     return shares
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from typing import Annotated, Literal
 
-import cv2
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
@@ -30,6 +29,8 @@ class SlidingMinimum(_Step):
 
     def apply(self, images: F32) -> F32:
         """Apply the step to images (camera, row, column); no result is below zero."""
+        import cv2  # takes long to load
+
         kernel = np.ones((self.window_px, self.window_px), dtype=np.uint8)
         return np.stack(
             [image - cv2.erode(image, kernel, borderType=cv2.BORDER_REPLICATE) for image in images]
@@ -50,6 +51,8 @@ class Gaussian(_Step):
 
         Beyond the edges they are mirrored.
         """
+        import cv2
+
         size = 2 * self.reach_px + 1
         return np.stack([cv2.GaussianBlur(image, (size, size), self.sigma_px) for image in images])
 

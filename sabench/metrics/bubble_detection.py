@@ -7,7 +7,6 @@ from scipy.optimize import linear_sum_assignment
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
-from scipy.stats import wasserstein_distance
 
 from sabench.api import Detections
 from sabench.api.truth import Bubbles
@@ -139,6 +138,8 @@ def nearest(bubbles: AnyBubbles, points_mm: F64) -> I64:
 
 def _totals(estimate: AnyBubbles, truth: AnyBubbles) -> dict[str, float]:
     """Compute errors of the distribution of sizes and of the total volume, percent."""
+    from scipy.stats import wasserstein_distance  # takes long to load
+
     own, true = estimate.radius_mm, truth.radius_mm
     sizes = wasserstein_distance(own, true) / true.mean() if len(own) and len(true) else np.nan
     air, true_air = (

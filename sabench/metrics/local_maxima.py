@@ -58,14 +58,24 @@ def _collect(volume: Any, mark: Any, found: Any) -> Any:
         for y in range(mark.shape[1]):
             for x in range(mark.shape[2]):
                 if mark[z, y, x] == _SINGLE:
-                    found[count] = _fit(volume, z, y, x)
+                    _put(found, count, _fit(volume, z, y, x))
                     count += 1
                 elif mark[z, y, x] == _TIED:
                     highest, position = _plateau(volume, mark, z, y, x)
                     if highest:
-                        found[count] = position
+                        _put(found, count, position)
                         count += 1
     return found[:count].copy()
+
+
+@numba.njit(cache=True)
+def _put(rows: Any, number: int, values: Any) -> None:
+    """Set a row, value by value.
+
+    numba's copy of an array takes seconds to compile, with the message of its error.
+    """
+    for axis in range(3):
+        rows[number, axis] = values[axis]
 
 
 @numba.njit(cache=True)

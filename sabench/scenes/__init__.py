@@ -5,8 +5,9 @@ Their tables, their loading, and the rig of cameras that they describe.
 
 from __future__ import annotations
 
-import importlib
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from sabench.utils.lazy_names import lazy_names
 
 if TYPE_CHECKING:
     from sabench.scenes.build import Rig, build_rig
@@ -43,10 +44,4 @@ _HOMES = {
     "parse_scene": "loading",
     "scene_schema": "json_schema",
 }
-
-
-def __getattr__(name: str) -> Any:
-    """Import public names when they are first used: finding a file needs no schema."""
-    if name not in _HOMES:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(importlib.import_module(f"{__name__}.{_HOMES[name]}"), name)
+__getattr__ = lazy_names(__name__, _HOMES)

@@ -77,17 +77,29 @@ def _render_tracers(frame: FrameContent, tracers: Tracers, number: int) -> Camer
         wavelength = scene.light.wavelength_nm
         photons = render_with_rings(camera, wavelength, lambda fine: _take(frame, tracers, fine))
     else:
-        photons = _take(frame, tracers, camera)
+        photons = _take(frame, tracers, camera, images)
     return CameraView(camera, photons, particles=images)
 
 
-def _take(frame: FrameContent, tracers: Tracers, camera: Camera) -> F64:
-    """Take the photons of one exposure on all routes, the mean over the pulse."""
+def _take(
+    frame: FrameContent, tracers: Tracers, camera: Camera, known: ParticleImages | None = None
+) -> F64:
+    """Take the photons of one exposure on all routes, the mean over the pulse.
+
+    Parameters
+    ----------
+    known : images on the direct route at the middle of the pulse, where they were computed.
+    """
     total, parts = np.zeros((camera.rows, camera.columns)), len(tracers.positions_mm)
     for positions in tracers.positions_mm:
         moment = replace(tracers, particles=replace(tracers.particles, position_mm=positions))
+        middle = positions is tracers.particles.position_mm
         for route in _routes(frame.scene, camera):
-            images = _image(frame, moment, camera, route)
+            images = (
+                known
+                if known is not None and middle and not route.faces
+                else _image(frame, moment, camera, route)
+            )
             place = route.place(positions)
             total += _take_part(frame, route.behind(camera), images, place) / parts
     return total

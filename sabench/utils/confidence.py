@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import stdtrit
 
 CONFIDENCE = 0.95
 
@@ -41,6 +40,8 @@ def mean_of(values: Sequence[float]) -> Mean | None:
         return None
     if count == 1:
         return Mean(float(values[0]), None, 1)
+    from scipy.special import stdtrit  # takes long to load
+
     error = float(np.std(values, ddof=1)) / math.sqrt(count)
     return Mean(
         float(np.mean(values)), float(stdtrit(count - 1, (1.0 + CONFIDENCE) / 2.0)) * error, count

@@ -5,7 +5,6 @@ from __future__ import annotations
 import itertools
 
 import numpy as np
-from scipy.integrate import solve_ivp
 
 from sabench.api import Flow
 from sabench.utils.arrays import F64
@@ -42,6 +41,8 @@ def _advect_together(
     scipy bounds the root mean square over all coordinates; divided by the root of their number, its
     tolerance bounds each of them.
     """
+    from scipy.integrate import solve_ivp  # takes long to load
+
     calls = itertools.count()
 
     def velocity(time: float, flat: F64) -> F64:

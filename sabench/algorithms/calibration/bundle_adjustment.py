@@ -215,8 +215,10 @@ def _step(normal: Normal, damping: float, moving: Moving) -> tuple[F64, F64, flo
         return cameras, boards, float(cameras @ normal.a + np.sum(boards * normal.d))
     right = np.concatenate([normal.ab.transpose(0, 2, 1), normal.d[:, :, None]], axis=2)
     solved = np.linalg.solve(bb, right)  # bb^-1 ab^T and bb^-1 d
-    reduced = aa - np.tensordot(normal.ab, solved[:, :, :-1], axes=([0, 2], [0, 1]))
-    free = normal.a - np.tensordot(normal.ab, solved[:, :, -1], axes=([0, 2], [0, 1]))
+    size = len(aa)
+    flat = normal.ab.transpose(1, 0, 2).reshape(size, -1)
+    reduced = aa - np.dot(flat, solved[:, :, :-1].reshape(-1, size))
+    free = normal.a - np.dot(flat, solved[:, :, -1].reshape(-1, 1))[:, 0]
     cameras = _solve_damped(reduced, free)
     boards = solved[:, :, -1] - solved[:, :, :-1] @ cameras
     promise = float(cameras @ normal.a + np.sum(boards * normal.d))

@@ -140,29 +140,51 @@ def _follow(
                 continue
             project_point(maps, second, position, here, slope)
             for k in range(find_near(peaks[second], here, 1.5 * radius, near)):
-                if left == len(tried) or count == len(positions) or (tried[:left] == near[k]).any():
+                if left == len(tried) or count == len(positions) or _has(tried, left, near[k]):
                     continue
                 tried[left] = near[k]
                 left += 1
                 chosen[:] = -1
                 chosen[0], chosen[second] = first, near[k]
-                start[:] = position
+                for i in range(3):
+                    start[i] = position[i]
                 worst = _fit_position(maps, peaks, chosen, start)
                 if (
                     worst > radius
-                    or np.abs(start).max() > 1.0
+                    or not _within(start, 1.0)
                     or not _others(maps, peaks, chosen, start, second, radius, missing, covered)
                 ):
                     continue
                 worst = _fit_position(maps, peaks, chosen, start)
-                if worst <= radius and np.abs(start).max() <= 1.0:
-                    positions[count], hits[count], errors[count] = (
-                        start,
-                        chosen,
-                        _error(maps, peaks, chosen, start),
-                    )
+                if worst <= radius and _within(start, 1.0):
+                    for i in range(3):
+                        positions[count, i] = start[i]
+                    for c in range(cameras):
+                        hits[count, c] = chosen[c]
+                    errors[count] = _error(maps, peaks, chosen, start)
                     count += 1
     return count
+
+
+@numba.njit(cache=True)
+def _has(values: Any, count: int, value: int) -> bool:
+    """Say whether a value is among the first ones.
+
+    Loops like this one take less time to compile than expressions of arrays.
+    """
+    found = False
+    for n in range(count):
+        found |= values[n] == value
+    return found
+
+
+@numba.njit(cache=True)
+def _within(position: Any, bound: float) -> bool:
+    """Say whether no coordinate is beyond a bound."""
+    inside = True
+    for i in range(3):
+        inside &= abs(position[i]) <= bound
+    return inside
 
 
 @numba.njit(cache=True)
@@ -195,7 +217,10 @@ def _others(
         rows, columns = covered[c].shape
         if chosen[c] < 0 and 0.0 < here[0] < columns - 1.0 and 0.0 < here[1] < rows - 1.0:
             absent += not covered[c, int(np.rint(here[1])), int(np.rint(here[0]))]
-    return absent <= missing and (len(peaks) == 2 or (chosen >= 0).sum() > 2)
+    showing = 0
+    for c in range(len(peaks)):
+        showing += chosen[c] >= 0
+    return absent <= missing and (len(peaks) == 2 or showing > 2)
 
 
 @numba.njit(cache=True)
@@ -230,7 +255,7 @@ def _fit_position(maps: Any, peaks: Any, chosen: Any, position: Any) -> float:
         ):
             break
         position += np.linalg.solve(matrix, right)
-        if np.abs(position).max() > 1.5:
+        if not _within(position, 1.5):
             return np.inf
     return worst
 

@@ -9,8 +9,6 @@ from collections.abc import Sequence
 from itertools import groupby
 from typing import Any
 
-from scipy.special import stdtrit
-
 from sabench import tasks
 from sabench.evaluation.record_schema import Record
 from sabench.evaluation.records import key_of
@@ -231,6 +229,8 @@ def _quantiles() -> list[float]:
 
     The page uses them for intervals of differences, as `sabench.utils.confidence` does.
     """
+    from scipy.special import stdtrit  # takes long to load
+
     return [
         short(float(stdtrit(degree, (1.0 + CONFIDENCE) / 2.0))) for degree in range(1, _DEGREES + 1)
     ]

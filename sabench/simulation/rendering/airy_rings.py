@@ -10,7 +10,6 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
-from scipy import fft
 
 from sabench.geometry.camera import Camera
 from sabench.simulation.rendering.particle_images import diffraction_px
@@ -53,6 +52,8 @@ def _filter(camera: Camera, photons: F64, wavelength_nm: float) -> F64:
     They are Airy's and the Gaussian's. Light that leaves the image is lost. Source: Goodman,
     Introduction to Fourier Optics (2005), eq. 6-31.
     """
+    from scipy import fft  # takes long to load
+
     rows, columns = (fft.next_fast_len(size + _MARGIN, real=True) for size in photons.shape)
     frequency = np.hypot(fft.fftfreq(rows)[:, None], fft.rfftfreq(columns))
     gaussian = np.exp(-2.0 * (np.pi * diffraction_px(camera, wavelength_nm) * frequency) ** 2)

@@ -10,7 +10,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.ndimage import gaussian_filter, maximum_filter, uniform_filter
 
 from sabench.api import Material
 from sabench.api.truth import Bubbles, Solid
@@ -64,6 +63,8 @@ def render(
         they are.
     exposure_s : for how long the bubbles move.
     """
+    from scipy.ndimage import gaussian_filter, maximum_filter  # takes long to load
+
     scale = camera.etendue()
     stage_of = Stager(camera, tank, bubbles, bodies, lights, occluders, images, particles_mm)
     floor = _DARK * stage_of.brightest
@@ -145,6 +146,8 @@ class _Tally:
         A few rays that have found a pixel dark may have missed what its neighbours show: variances
         start from the mean over nine pixels, which counts as `_PASSES` passes.
         """
+        from scipy.ndimage import uniform_filter
+
         variance = self._squares / (self.count * np.maximum(self.count - 1.0, 1.0))
         around = uniform_filter(variance.reshape(self._shape), 3).ravel()
         mixed = (self.count * variance + _PASSES * around) / (self.count + _PASSES)

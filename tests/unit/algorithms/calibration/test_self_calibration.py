@@ -68,7 +68,7 @@ def disagreement_px(shot: Shot, cameras: tuple[CameraModel, ...], scene: Scene) 
 
 
 def test_cameras_two_pixels_off_agree_again() -> None:
-    scene = particle_scene(2.0)
+    scene = particle_scene(2.0, per_pixel=0.012)
     shot = simulate(scene, seed=3)
     assert disagreement_px(shot, shot.observation.cameras, scene) > 1.0
     answer = corrected(shot.observation)
@@ -85,7 +85,7 @@ def test_exact_cameras_stay_as_they_are() -> None:
 
 
 def test_larger_errors_need_a_larger_reach() -> None:
-    scene = particle_scene(8.0)
+    scene = particle_scene(8.0, per_pixel=0.012)
     shot = simulate(scene, seed=4)
     assert disagreement_px(shot, corrected(shot.observation, reach_px=10.0).cameras, scene) < 0.06
 
