@@ -7,6 +7,7 @@ import json
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 
@@ -136,6 +137,17 @@ def test_list_prints_json(command: Command) -> None:
     assert set(NAMES) < {one["name"] for one in read_strictly(done.stdout)}
 
 
+@pytest.mark.parametrize("grey", [0, 255])
+def test_compare_statistics_prints_json_of_images_that_show_nothing(
+    command: Command, quick: Dataset, tmp_path: Path, grey: int
+) -> None:
+    for frame in range(3):
+        cv2.imwrite(str(tmp_path / f"{frame}.png"), np.full((60, 80), grey, dtype=np.uint8))
+    done = command("compare-statistics", quick.root, tmp_path, "--json")
+    assert done.returncode == 0, done.stderr
+    assert read_strictly(done.stdout)
+
+
 def test_every_command_with_json_is_tried_here() -> None:
     """All but `reproduce`, which takes neither solvers nor cameras of others."""
     with_json = {
@@ -143,5 +155,14 @@ def test_every_command_with_json_is_tried_here() -> None:
         for command in app.registered_commands
         if "as_json" in inspect.signature(command.callback or len).parameters
     }
-    tried = {"calibrate", "check", "conform", "list", "run", "score", "submit"}
+    tried = {
+        "calibrate",
+        "check",
+        "compare-statistics",
+        "conform",
+        "list",
+        "run",
+        "score",
+        "submit",
+    }
     assert with_json == tried | {"reproduce"}
