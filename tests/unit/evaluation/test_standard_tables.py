@@ -1,0 +1,35 @@
+"""Tables of suite `standard` from records."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from benchmarks.standard_tables import collect, read_tables, table
+
+ROOT = Path(__file__).resolve().parents[3]
+RECORDS = [
+    {"case": "tracking-easy", "solver": "ipr", "label": None, "f1": 0.99},
+    {"case": "tracking-easy", "solver": "optv", "label": "own", "f1": None},
+    {"case": "tracking-hard", "solver": "ipr", "label": None, "f1": 0.7},
+    {"case": "bubbles-hard", "solver": "ipr", "label": None, "f1": 0.1},
+]
+
+
+def test_a_table_has_a_row_for_each_case_and_a_column_for_each_solver() -> None:
+    lines = table(collect(RECORDS, "tracking-", "f1", 3)).splitlines()
+    assert lines == [
+        "| case | ipr | own |",
+        "|---|---|---|",
+        "| easy | 0.990 | - |",
+        "| hard | 0.700 | - |",
+    ]
+
+
+def test_no_records_are_no_rows(tmp_path: Path) -> None:
+    assert not any(read_tables([tmp_path], 1).values())
+
+
+def test_the_bundled_records_are_of_the_present_version() -> None:
+    found = read_tables([ROOT / "leaderboard" / "records"], 1)
+    assert all(found.values())
+    assert set(found["reconstruction"]) >= {"easy", "standard", "hard"}
