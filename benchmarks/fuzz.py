@@ -171,6 +171,7 @@ class Worker:
         answer = self._answer(self._limit_s)
         self.peak_mb = max(self.peak_mb, self._largest)
         if answer[0] in _OUTCOMES[:2] and self._largest > _MOST_MB:
+            self.stop()  # what it keeps is not the next case's
             return "memory", f"{self._largest:.0f} MB"
         return answer
 
