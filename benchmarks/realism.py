@@ -1,4 +1,4 @@
-"""What each effect of suite `realism` costs each solver: tables in Markdown.
+"""Tables, in Markdown, of the cost of each effect of suite `realism` to each solver.
 
     python benchmarks/realism.py [--records FOLDER ...] [--json FILE]
 

@@ -44,7 +44,8 @@ def compare_statistics(
         ),
     ],
     frames: Annotated[
-        int, typer.Option(min=1, metavar="N", help="Images of each camera to read, at most.")
+        int,
+        typer.Option(min=1, max=200, metavar="N", help="Images of each camera to read, at most."),
     ] = 20,
     white: Annotated[
         float | None,

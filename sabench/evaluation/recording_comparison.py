@@ -98,9 +98,14 @@ def measure(path: Path, most: int, white_dn: float | None = None) -> Measured:
     Raises
     ------
     InputError
-        A data set without particles; a folder without images, or with some that cannot be read.
+        A data set without particles, or with a white level given; a folder without images, or with
+        some that cannot be read.
     """
     if (path / MANIFEST).is_file():
+        if white_dn is not None:
+            raise InputError(
+                f"{path}: expected no white level for a data set, which states its own"
+            )
         return measure_dataset(open_dataset(path), most)
     frames, cameras, white = 0, {}, {}
     for one in read_recordings(path, most, white_dn):

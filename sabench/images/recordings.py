@@ -15,6 +15,7 @@ import numpy as np
 from sabench.utils.arrays import U16
 from sabench.utils.errors import InputError
 from sabench.utils.processes.isolated_reading import read_isolated
+from sabench.utils.progress import progress_bar
 
 FORMATS = (".tif", ".tiff", ".png", ".bmp")
 _NUMBER = re.compile(r"\d+(?=\D*$)")  # the last one of a name
@@ -90,7 +91,7 @@ def read_recordings(folder: Path, most: int, white_dn: float | None = None) -> I
     InputError
         No images, a file that is not an image or shows colours, images of different sizes.
     """
-    for name, paths in list_cameras(folder).items():
+    for name, paths in progress_bar(list(list_cameras(folder).items()), "measure recordings"):
         frames = read_frames(paths[:most], most)
         yield Recording(name, frames, white_dn or guess_white(frames))
 
@@ -123,7 +124,7 @@ def read_frames(paths: Sequence[Path], most: int) -> tuple[U16, ...]:
     with tempfile.TemporaryDirectory(prefix="sabench-") as folder:
         size = sum(path.stat().st_size for path in paths)
         read_isolated(_store, paths[0], tuple(paths), most, Path(folder), size_bytes=size)
-        files = sorted(Path(folder).glob("*.npy"))
+        files = sorted(Path(folder).glob("*.npy"), key=lambda file: int(file.stem))
         frames = tuple(np.load(file, allow_pickle=False) for file in files)
     _check_sizes(paths[0].parent, frames)
     return frames
@@ -145,11 +146,11 @@ def _check_sizes(folder: Path, frames: Sequence[U16]) -> None:
 
 
 def _store(_: Path, paths: Sequence[Path], most: int, folder: Path) -> None:
-    """Save the grey values of images as files 0000.npy, 0001.npy, ..."""
+    """Save the grey values of images as files 0.npy, 1.npy, ..."""
     count = 0
     for path in paths:
         for image in _read_pages(path, most - count):
-            np.save(folder / f"{count:04}.npy", _grey(path, image))
+            np.save(folder / f"{count}.npy", _grey(path, image))
             count += 1
 
 

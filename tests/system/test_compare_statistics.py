@@ -139,3 +139,9 @@ def test_a_data_set_of_a_target_is_refused(tmp_path: Path, command: Command) -> 
     done = command("compare-statistics", made.root, made.root)
     assert done.returncode == 2
     assert "expected a data set of particles, got one of target" in done.stderr
+
+
+def test_a_white_level_is_for_images_without_one(data: Dataset, command: Command) -> None:
+    done = command("compare-statistics", data.root, data.root, "--white", 255)
+    assert done.returncode == 2
+    assert "expected no white level for a data set" in done.stderr

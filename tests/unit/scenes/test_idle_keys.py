@@ -56,4 +56,7 @@ def test_a_key_that_would_change_nothing_is_refused(
     ],
 )
 def test_the_same_keys_serve_particles(changes: dict[str, Any]) -> None:
-    parse_scene(changed("quick", changes), "quick", Path("scenes"))
+    made = parse_scene(changed("quick", changes), "quick", Path("scenes")).to_dict()
+    assert {
+        dotted: made[dotted.split(".")[0]][dotted.split(".")[1]] for dotted in changes
+    } == changes

@@ -436,6 +436,18 @@ def moments(image: F64, pixels: I64, half: int) -> tuple[F64, F64]:
     ) / light[:, None]
 
 
+def assert_same_picture(scene: Scene, camera: Camera, positions: F64, pixels: I64) -> None:
+    """Compare light and centroids of isolated particles between both renderers."""
+    images = image_particles(scene, camera, cloud(positions), None)
+    traced = moments(render(camera, images, positions, 16) * camera.etendue(), pixels, 6)
+    formula = moments(particles_splatted.render(camera, images), pixels, 6)
+    shift = traced[1] - formula[1]
+    assert np.abs(shift.mean(axis=0)).max() < 0.01
+    assert np.abs(shift).max() < 0.02
+    np.testing.assert_allclose(traced[0], formula[0], rtol=0.02)
+    assert traced[0].sum() == pytest.approx(formula[0].sum(), rel=5e-3)
+
+
 @pytest.mark.parametrize("number", [0, 3])
 @pytest.mark.parametrize("variant", VARIANTS)
 def test_rays_and_formulas_make_the_same_picture(variant: str, number: int) -> None:
@@ -444,15 +456,8 @@ def test_rays_and_formulas_make_the_same_picture(variant: str, number: int) -> N
     positions, pixels = isolated(
         camera, (27.0, 33.0) if variant != "wide-open" else (29.5, 30.5), 13, number
     )
-    images = image_particles(scene, camera, cloud(positions), None)
-    traced = moments(render(camera, images, positions, 16) * camera.etendue(), pixels, 6)
-    formula = moments(particles_splatted.render(camera, images), pixels, 6)
     assert len(positions) >= 70
-    shift = traced[1] - formula[1]
-    assert np.abs(shift.mean(axis=0)).max() < 0.01
-    assert np.abs(shift).max() < 0.02
-    np.testing.assert_allclose(traced[0], formula[0], rtol=0.02)
-    assert traced[0].sum() == pytest.approx(formula[0].sum(), rel=5e-3)
+    assert_same_picture(scene, camera, positions, pixels)
 
 
 def test_rays_carry_the_light_of_near_and_large_particles() -> None:

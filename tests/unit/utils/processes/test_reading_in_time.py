@@ -82,7 +82,9 @@ def test_a_process_that_starts_slowly_makes_no_file_damaged(file: Path) -> None:
 
 @pytest.mark.usefixtures("one_second")
 def test_time_that_others_take_does_not_count(file: Path) -> None:
+    start = time.monotonic()
     read_isolated(wait, file, 1.5)
+    assert time.monotonic() - start > 1.5  # thrice the limit of CPU time
 
 
 @pytest.mark.usefixtures("one_second")
