@@ -12,7 +12,7 @@ import math
 import re
 import tomllib
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, get_args
@@ -22,6 +22,7 @@ from sabench.api.solvers import TaskName
 from sabench.evaluation.hidden_split import Secret
 from sabench.evaluation.suites import Case, CaseSpec, SolverEntry, Suite
 from sabench.scenes import Scene, build_rig, find, load_scene, parse_scene
+from sabench.scenes.loading import read_scene
 from sabench.simulation.renderer_choice import choose_renderer
 from sabench.tasks.external_programs import find_program
 from sabench.tasks.solve_and_score import describe_solver
@@ -32,6 +33,7 @@ from sabench.utils.validation import printable, validate
 _MOST_CASES = 1000
 _LONGEST_CASE = 200  # characters of a name
 _UNSAFE = re.compile(r"[^A-Za-z0-9._-]+")
+Load = Callable[[str | Path], Scene]
 
 
 def load_suite(path: str | Path, secret: Secret | None = None) -> tuple[Suite, list[Case]]:
@@ -48,11 +50,7 @@ def load_suite(path: str | Path, secret: Secret | None = None) -> tuple[Suite, l
         or cases that differ from the frozen ones.
     """
     file = find(path, "scenes/suites")
-    try:
-        values = tomllib.loads(file.read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError) as error:
-        raise InputError(f"{file}: expected a TOML file, got {error}") from error
-    suite = validate(Suite, values, str(file))
+    suite = _read_suite(file)
     own = suite.model_copy(
         update={"solvers": tuple(_resolve(solver_entry, file) for solver_entry in suite.solvers)}
     )
@@ -66,13 +64,22 @@ def load_suite(path: str | Path, secret: Secret | None = None) -> tuple[Suite, l
         raise InputError(f"{file}: scenes, cases: expected at most {_MOST_CASES}, got {len(specs)}")
     # before the scenes are built, which takes long
     _check_names([name for spec in specs for name, _ in _names(spec, file)], file)
-    first = [case for spec in specs for case in _cases(spec, own, file)]
+    load = functools.cache(load_scene)  # most cases of a suite share their scene
+    first = [case for spec in specs for case in _cases(spec, own, file, load)]
     _check_frozen(own, first, file)
     return own, [
         replace(case, seed=seed, number=number)
         for case in first
         for number, seed in _seeds(own, case, file.stem, secret)
     ]
+
+
+def _read_suite(file: Path) -> Suite:
+    try:
+        values = tomllib.loads(file.read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError) as error:
+        raise InputError(f"{file}: expected a TOML file, got {error}") from error
+    return validate(Suite, values, str(file))
 
 
 def is_public(scene_hash: str, seed: int) -> bool:
@@ -86,16 +93,17 @@ def is_public(scene_hash: str, seed: int) -> bool:
 
 @functools.cache
 def _scene_hashes(file: Path) -> frozenset[str]:
-    try:
-        return frozenset(case.scene.hash for case in load_suite(file)[1])
-    except InputError:  # a renderer that is not installed
-        return frozenset()
+    """Hash all scenes of a bundled suite; their geometry was checked before it was bundled."""
+    read = functools.cache(read_scene)
+    variants = (_variants(spec, file, read) for spec in _specs(_read_suite(file)))
+    return frozenset(scene.hash for *_, scene in itertools.chain.from_iterable(variants))
 
 
-def _cases(spec: CaseSpec, suite: Suite, file: Path) -> Iterator[Case]:
+def _cases(spec: CaseSpec, suite: Suite, file: Path, load: Load) -> Iterator[Case]:
     """Make all cases of a specification, with the suite's first seed."""
     renderer = choose_renderer(spec.backend or suite.backend)
-    for name, base, axes, scene in _variants(spec, file):
+    for name, base, axes, scene in _variants(spec, file, load):
+        build_rig(scene, f"{file}: case {name}")
         yield Case(
             name,
             base,
@@ -167,12 +175,16 @@ def override(scene: Scene, values: Mapping[str, Any], source: str) -> Scene:
 
     The new scene is checked as a scene file is; errors name `source`.
     """
+    changed = _change(scene, values, source)
+    build_rig(changed, source)
+    return changed
+
+
+def _change(scene: Scene, values: Mapping[str, Any], source: str) -> Scene:
     table = scene.to_dict()
     for key, value in values.items():
         _assign(table, key, copy.deepcopy(value), source)  # a later key may change this table
-    changed = parse_scene(table, source)
-    build_rig(changed, source)
-    return changed
+    return parse_scene(table, source)
 
 
 def _assign(table: dict[str, Any], key: str, value: Any, source: str) -> None:
@@ -198,12 +210,14 @@ def _specs(suite: Suite) -> list[CaseSpec]:
     return [spec.model_copy(update=update) for spec, update in zip(specs, inherited, strict=True)]
 
 
-def _variants(spec: CaseSpec, suite: Path) -> Iterator[tuple[str, str, dict[str, Any], Scene]]:
+def _variants(
+    spec: CaseSpec, suite: Path, load: Load
+) -> Iterator[tuple[str, str, dict[str, Any], Scene]]:
     """Make name, base, axes and scene for every combination of the varied values."""
     beside = suite.parent / spec.scene
-    base, scene = Path(spec.scene).stem, load_scene(beside if is_file(beside) else spec.scene)
+    base, scene = Path(spec.scene).stem, load(beside if is_file(beside) else spec.scene)
     for name, axes in _names(spec, suite):
-        yield name, base, axes, override(scene, spec.set | axes, f"{suite}: case {name}")
+        yield name, base, axes, _change(scene, spec.set | axes, f"{suite}: case {name}")
 
 
 def _names(spec: CaseSpec, suite: Path) -> Iterator[tuple[str, dict[str, Any]]]:

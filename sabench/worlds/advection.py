@@ -12,6 +12,7 @@ from sabench.utils.errors import InputError
 
 _RELATIVE = 1e-13  # next to nothing: the least that scipy takes is 100 roundings
 _MOST = 50_000  # velocities of a particle's path
+_TRIED, _HOPELESS = 2_000, 4.0  # velocities until its pace tells, and how much too slow it may be
 # particles whose paths share their steps: one fast particle costs these no more than its own steps
 AT_ONCE = 20_000
 
@@ -46,7 +47,9 @@ def _advect_together(
     calls = itertools.count()
 
     def velocity(time: float, flat: F64) -> F64:
-        if next(calls) > _MOST:
+        count = next(calls)
+        covered = (time - start_s) / (end_s - start_s)
+        if count > _MOST or (count > _TRIED and covered * _MOST * _HOPELESS < count):
             raise InputError(
                 f"flow {flow.name}: expected a field smooth enough to follow for "
                 f"{end_s - start_s:g} s to {tolerance_mm:g} mm, but it is not"

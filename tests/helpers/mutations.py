@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import copy
 import io
+import math
 import random
 import struct
 import tarfile
@@ -304,7 +305,9 @@ def _blind(file: Any, name: str, rng: random.Random) -> None:
     value = rng.choice((0, 0, float("nan"), -1))
 
     def change(other: str, node: Any) -> None:
-        if isinstance(node, h5py.Dataset) and other.rpartition("/")[2] == last and node.shape:
+        if not isinstance(node, h5py.Dataset) or not _is_small(node):
+            return
+        if other.rpartition("/")[2] == last and node.shape:
             if node.dtype.kind in "iu":
                 node[...] = 0
             elif node.dtype.kind == "f":
@@ -488,8 +491,14 @@ def set_attribute(path: Path, name: str, value: Any) -> None:
 
 
 def _is_small(node: Any) -> bool:
-    """Say whether a data set can be changed: the first change may have made a bomb of it."""
-    return node.shape is None or int(node.nbytes) < 1 << 28
+    """Say whether a data set can be changed: the first change may have made a bomb of it.
+
+    One value written to a chunk of gigabytes writes all of the chunk.
+    """
+    if node.shape is None:
+        return True
+    chunk = math.prod(node.chunks or (1,)) * node.dtype.itemsize
+    return max(int(node.nbytes), chunk) < 1 << 28
 
 
 def hdf5(path: Path, rng: random.Random) -> None:
