@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import functools
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
@@ -16,11 +17,14 @@ import numpy.typing as npt
 from sabench.geometry.camera_model import on_sensor
 from sabench.geometry.lens_distortion import Distortion, distort, undistort
 from sabench.geometry.refraction import Rays, Wall, trace_into_fluid, trace_to_points
-from sabench.geometry.rotations import frame_of_normal
+from sabench.geometry.rotations import cross, frame_of_normal
 from sabench.geometry.sensor_tilt import UPRIGHT, from_sensor, onto_sensor, sensor_axes
 from sabench.geometry.wall_records import WallRecord
 from sabench.utils.arrays import F64, Bool, rows_of, triple
 from sabench.utils.fields import TiltAngle
+
+if TYPE_CHECKING:
+    from sabench.geometry.projection_kernels import Media
 
 
 @dataclass(frozen=True)
@@ -142,24 +146,10 @@ class Camera:
         """Project to pixels without distortion (n, 2), NaN for points without a path."""
         from sabench.geometry import projection_kernels  # numba is loaded at the first use
 
-        axes = frame_of_normal(np.asarray(wall.normal, dtype=np.float64))
-        local = np.asarray(self.rotation) @ axes.T
-        local[:2] *= self.focal_px
         x, y, z = np.ascontiguousarray(points.T)
         column, row = np.empty(len(points)), np.empty(len(points))
-        frame = tuple(axes.ravel().tolist())
-        lens = (*local.ravel().tolist(), *(float(v) for v in self.principal_point_px))
-        projection_kernels.project(
-            x,
-            y,
-            z,
-            self.center_mm,
-            frame,
-            projection_kernels.media_of(wall, np.asarray(self.center_mm)),
-            lens,
-            column,
-            row,
-        )
+        frame, media, lens = _constants(self, wall)
+        projection_kernels.project(x, y, z, self.center_mm, frame, media, lens, column, row)
         return np.column_stack([column, row])
 
     def pixels_of(self, leaving: F64, valid: Bool) -> tuple[F64, Bool]:
@@ -234,6 +224,19 @@ class Camera:
         return _etendue(self)
 
 
+@functools.lru_cache(maxsize=256)
+def _constants(camera: Camera, wall: Wall) -> tuple[tuple[float, ...], Media, tuple[float, ...]]:
+    """Collect what the projection kernel needs: the wall's frame, its media, the lens."""
+    from sabench.geometry import projection_kernels
+
+    axes = frame_of_normal(np.asarray(wall.normal, dtype=np.float64))
+    local = np.asarray(camera.rotation) @ axes.T
+    local[:2] *= camera.focal_px
+    lens = (*local.ravel().tolist(), *(float(v) for v in camera.principal_point_px))
+    media = projection_kernels.media_of(wall, np.asarray(camera.center_mm))
+    return tuple(axes.ravel().tolist()), media, lens
+
+
 @functools.lru_cache(maxsize=32)
 def _etendue(camera: Camera) -> F64:
     """Compute the etendue once for all frames of a camera."""
@@ -261,13 +264,13 @@ def aimed_rotation(
     Its Y axis is as near to `down` as it can be.
     """
     z = forward / np.linalg.norm(forward)
-    x = np.cross(np.asarray(down, dtype=np.float64), z)
+    x = cross(np.asarray(down, dtype=np.float64), z)
     if (
         np.linalg.norm(x) < 1e-9
     ):  # looking along `down`: any right-hand side will do, so the world's X
-        x = np.cross(np.cross(z, [1.0, 0.0, 0.0]), z)
+        x = cross(cross(z, np.array([1.0, 0.0, 0.0])), z)
     x = x / np.linalg.norm(x)
-    return triple(x), triple(np.cross(z, x)), triple(z)
+    return triple(x), triple(cross(z, x)), triple(z)
 
 
 def aim(camera: Camera, target_mm: npt.ArrayLike) -> Camera:

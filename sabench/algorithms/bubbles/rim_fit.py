@@ -14,7 +14,8 @@ from typing import Any
 import numba
 import numpy as np
 
-from sabench.algorithms.bubbles.backlit_profile import LARGEST, REACH, SMALLEST, Profile
+from sabench.algorithms.bubbles.backlit_profile import Profile
+from sabench.algorithms.bubbles.ellipse_shadows import DIM, box_of, shade_at, slopes_at
 from sabench.algorithms.bubbles.spheroids import images_of, linearise
 from sabench.geometry.camera import Camera
 from sabench.utils.arrays import F32, F64
@@ -22,9 +23,7 @@ from sabench.utils.arrays import F32, F64
 # of the parameters of a spheroid
 _STEPS = np.array([1e-3, 1e-3, 5e-3, 1e-3, 1e-3, 2e-3, 2e-3])  # of differences
 _PRIOR = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.15, 0.15])  # weight of the tilts: a ball has none
-_DIM = 0.02  # transmission of the darkest model
 _ROBUST = 0.12  # transmission by which a pixel may be off before it counts less
-_MARGIN = 2.5  # px around a bubble that are looked at
 
 
 @dataclass
@@ -91,7 +90,7 @@ def unexplained(model: Model, ellipses: F64) -> float:
 
 def ellipses_of(model: Model, parameters: F64) -> F64:
     """Compute a bubble's images (camera, 5), as from `images_of`."""
-    return images_of(model.cameras, linearise(model.cameras, parameters[:3]), parameters)
+    return images_of(linearise(model.cameras, parameters[:3]), parameters)
 
 
 def misfit(model: Model, parameters: F64) -> float:
@@ -109,8 +108,7 @@ def _normal_equations(
     model: Model, linear: tuple[F64, F64, F64], parameters: F64
 ) -> tuple[float, F64, F64]:
     """Compute the robust sum of squares and its normal equations."""
-    moved = [parameters, *(parameters + np.diag(_STEPS))]
-    ellipses = np.stack([images_of(model.cameras, linear, one) for one in moved], axis=1)
+    ellipses = images_of(linear, np.vstack([parameters, parameters + np.diag(_STEPS)]))
     normal, slope = np.zeros((len(parameters), len(parameters))), np.zeros(len(parameters))
     value = _normal(
         model.images,
@@ -131,65 +129,15 @@ def _normal_equations(
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _shade(table: Any, blur: float, distance: float, part: float) -> Any:
-    """Interpolate transmission at a distance in px.
-
-    The distance is a part of the radius there. The profile's table is interpolated bilinearly.
-    """
-    radius = distance / part if part > 1e-9 else 1e9
-    radius = min(max(radius, SMALLEST), LARGEST)
-    across = distance / (radius + REACH * blur) * (table.shape[1] - 1)
-    if across >= table.shape[1] - 1:
-        return 1.0
-    position = np.log(radius / SMALLEST) / np.log(LARGEST / SMALLEST) * (table.shape[0] - 1)
-    i, j = min(int(position), table.shape[0] - 2), int(across)
-    u, v = position - i, across - j
-    upper = table[i, j] * (1.0 - v) + table[i, j + 1] * v
-    lower = table[i + 1, j] * (1.0 - v) + table[i + 1, j + 1] * v
-    return upper * (1.0 - u) + lower * u
-
-
-@numba.njit(cache=True, error_model="numpy")
-def _at(ellipse: Any, column: int, row: int, middle: float, table: Any, blur: float) -> Any:
-    x, y = column - ellipse[0], row - ellipse[1]
-    distance = np.sqrt(x * x + y * y)
-    part = np.sqrt(max(ellipse[2] * x * x + 2.0 * ellipse[3] * x * y + ellipse[4] * y * y, 0.0))
-    if distance < 1e-6:
-        return (
-            _shade(table, blur, 0.0, 0.0)
-            if middle <= 0.0
-            else _shade(table, blur, 1e-6 * middle, 1e-6)
-        )
-    return _shade(table, blur, distance, part)
-
-
-@numba.njit(cache=True, error_model="numpy")
-def _box(ellipse: Any, shape: Any, blur: float) -> Any:
-    """Find the rows and columns that an ellipse's image reaches, and its mean radius."""
-    determinant = ellipse[2] * ellipse[4] - ellipse[3] * ellipse[3]
-    width, height = np.sqrt(ellipse[4] / determinant), np.sqrt(ellipse[2] / determinant)
-    margin = REACH * blur + _MARGIN
-    top, bottom = (
-        int(max(np.floor(ellipse[1] - height - margin), 0)),
-        int(min(np.ceil(ellipse[1] + height + margin) + 1, shape[0])),
-    )
-    left, right = (
-        int(max(np.floor(ellipse[0] - width - margin), 0)),
-        int(min(np.ceil(ellipse[0] + width + margin) + 1, shape[1])),
-    )
-    return top, bottom, left, right, determinant**-0.25
-
-
-@numba.njit(cache=True, error_model="numpy")
 def _darken(logs: Any, ellipses: Any, table: Any, blur: float, sign: Any) -> None:
     for k in range(len(ellipses)):
         if np.isnan(ellipses[k, 0]):
             continue
-        top, bottom, left, right, middle = _box(ellipses[k], logs.shape[1:], blur)
+        top, bottom, left, right, middle = box_of(ellipses[k], logs.shape[1:], blur)
         for row in range(top, bottom):
             for column in range(left, right):
                 logs[k, row, column] += sign * np.float32(
-                    np.log(max(_at(ellipses[k], column, row, middle, table, blur), _DIM))
+                    np.log(max(shade_at(ellipses[k], column, row, middle, table, blur), DIM))
                 )
 
 
@@ -198,11 +146,11 @@ def _gains(images: Any, logs: Any, ellipses: Any, table: Any, blur: float, out: 
     for k in range(len(ellipses)):
         if np.isnan(ellipses[k, 0]):
             continue
-        top, bottom, left, right, middle = _box(ellipses[k], logs.shape[1:], blur)
+        top, bottom, left, right, middle = box_of(ellipses[k], logs.shape[1:], blur)
         better = most = 0.0
         for row in range(top, bottom):
             for column in range(left, right):
-                shade = max(_at(ellipses[k], column, row, middle, table, blur), _DIM)
+                shade = max(shade_at(ellipses[k], column, row, middle, table, blur), DIM)
                 behind = np.exp(logs[k, row, column])
                 without = abs(images[k, row, column] - behind)
                 with_it = abs(images[k, row, column] - behind * shade)
@@ -218,7 +166,7 @@ def _robust_residual(images: Any, logs: Any, ellipses: Any, blur: float) -> Any:
     for k in range(len(ellipses)):
         if np.isnan(ellipses[k, 0]):
             continue
-        top, bottom, left, right, _ = _box(ellipses[k], logs.shape[1:], blur)
+        top, bottom, left, right, _ = box_of(ellipses[k], logs.shape[1:], blur)
         for row in range(top, bottom):
             for column in range(left, right):
                 off = np.exp(logs[k, row, column]) - images[k, row, column]
@@ -231,12 +179,12 @@ def _squares(images: Any, logs: Any, ellipses: Any, table: Any, blur: float, out
     for k in range(len(ellipses)):
         if np.isnan(ellipses[k, 0]):
             continue
-        top, bottom, left, right, middle = _box(ellipses[k], logs.shape[1:], blur)
+        top, bottom, left, right, middle = box_of(ellipses[k], logs.shape[1:], blur)
         total = 0.0
         for row in range(top, bottom):
             for column in range(left, right):
                 here = np.exp(logs[k, row, column]) * max(
-                    _at(ellipses[k], column, row, middle, table, blur), _DIM
+                    shade_at(ellipses[k], column, row, middle, table, blur), DIM
                 )
                 total += (images[k, row, column] - here) ** 2
         if bottom > top and right > left:
@@ -259,25 +207,27 @@ def _normal(
     The weights of the normal equations are those of this function.
     """
     count = len(steps)
-    change = np.empty(count)
+    change, own, moves = np.empty(count), np.empty(5), np.empty((count, 5))
     value = 0.0
     for k in range(len(ellipses)):
         if np.isnan(ellipses[k, 0, 0]):
             continue
-        top, bottom, left, right, middle = _box(ellipses[k, 0], logs.shape[1:], blur)
+        for i in range(count):
+            for j in range(5):
+                moves[i, j] = (ellipses[k, i + 1, j] - ellipses[k, 0, j]) / steps[i]
+        top, bottom, left, right, middle = box_of(ellipses[k, 0], logs.shape[1:], blur)
         for row in range(top, bottom):
             for column in range(left, right):
                 behind = np.exp(logs[k, row, column])
-                here = behind * max(_at(ellipses[k, 0], column, row, middle, table, blur), _DIM)
+                here = behind * slopes_at(ellipses[k, 0], column, row, middle, table, blur, own)
                 off = here - images[k, row, column]
                 scale = 1.0 + (off / _ROBUST) ** 2
                 value += off * off / scale
                 weight = 1.0 / (scale * scale)
                 for i in range(count):
-                    there = behind * max(
-                        _at(ellipses[k, i + 1], column, row, middle, table, blur), _DIM
-                    )
-                    change[i] = (there - here) / steps[i]
+                    change[i] = 0.0
+                    for j in range(5):
+                        change[i] += behind * own[j] * moves[i, j]
                 for i in range(count):
                     slope[i] += weight * change[i] * off
                     for j in range(i + 1):

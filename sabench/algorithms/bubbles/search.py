@@ -201,6 +201,6 @@ def _detections(kept: list[F64]) -> Detections:
         return Detections(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 3, 3)))
     return Detections(
         np.stack([p[:3] for p in kept]),
-        np.stack([semi_axes_of(p) for p in kept]),
-        np.stack([turn_of(p) for p in kept]),
+        semi_axes_of(np.array(kept)),
+        turn_of(np.array(kept)),
     )

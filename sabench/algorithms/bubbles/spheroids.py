@@ -21,25 +21,26 @@ def start_of(center_mm: F64, radius_mm: float, aspect: float = 1.0) -> F64:
 
 
 def turn_of(parameters: F64) -> F64:
-    """Return the rotation to a bubble's axes.
+    """Return the rotation (..., 3, 3) to the axes of bubbles (..., 7).
 
     It is from the world; the second row is the short axis.
     """
-    a, b = parameters[5], parameters[6]
-    short = np.array([np.sin(a) * np.cos(b), -np.cos(a) * np.cos(b), np.sin(b)])
-    first = np.cross(short, [0.0, 0.0, 1.0])
-    first /= np.linalg.norm(first)
-    return np.stack([first, short, np.cross(first, short)])
+    a, b = parameters[..., 5], parameters[..., 6]
+    x, y, z = np.sin(a) * np.cos(b), -np.cos(a) * np.cos(b), np.sin(b)
+    length = np.hypot(x, y)
+    right, ahead, level = y / length, -x / length, np.zeros_like(x)
+    rows = [right, ahead, level, x, y, z, ahead * z, -right * z, right * y - ahead * x]
+    return np.stack(rows, axis=-1).reshape(*x.shape, 3, 3)
 
 
 def semi_axes_of(parameters: F64) -> F64:
-    """Compute the semi-axes along the rows of `turn_of`."""
-    long, short = np.exp(parameters[3]), np.exp(parameters[4])
-    return np.array([long, short, long])
+    """Compute the semi-axes (..., 3) along the rows of `turn_of`."""
+    long, short = np.exp(parameters[..., 3]), np.exp(parameters[..., 4])
+    return np.stack([long, short, long], axis=-1)
 
 
-def images_of(cameras: Sequence[Camera], linear: tuple[F64, F64, F64], parameters: F64) -> F64:
-    """Compute ellipses (camera, 5) of a bubble.
+def images_of(linear: tuple[F64, F64, F64], parameters: F64) -> F64:
+    """Compute the ellipses (camera, ..., 5) of bubbles (..., 7).
 
     Centre column and row, and the inverse of its shape matrix as xx, xy, yy.
 
@@ -49,17 +50,18 @@ def images_of(cameras: Sequence[Camera], linear: tuple[F64, F64, F64], parameter
         3).
     """
     position, pixels, jacobians = linear
+    among = parameters.ndim - 1
+    pixels = pixels.reshape(-1, *(1,) * among, 2)
+    jacobians = jacobians.reshape(-1, *(1,) * among, 2, 3)
     rotation, axes = turn_of(parameters), semi_axes_of(parameters)
-    shape = rotation.T @ (axes[:, None] ** 2 * rotation)
-    out = np.empty((len(cameras), 5))
-    out[:, :2] = pixels + jacobians @ (parameters[:3] - position)
-    flat = jacobians @ shape @ jacobians.transpose(0, 2, 1)
-    determinant = flat[:, 0, 0] * flat[:, 1, 1] - flat[:, 0, 1] ** 2
-    out[:, 2], out[:, 3], out[:, 4] = (
-        flat[:, 1, 1] / determinant,
-        -flat[:, 0, 1] / determinant,
-        flat[:, 0, 0] / determinant,
-    )
+    half = jacobians @ (rotation.swapaxes(-1, -2) * axes[..., None, :])  # (camera, ..., 2, 3)
+    xx, yy = np.sum(half[..., 0, :] ** 2, axis=-1), np.sum(half[..., 1, :] ** 2, axis=-1)
+    xy = np.sum(half[..., 0, :] * half[..., 1, :], axis=-1)
+    out = np.empty((*half.shape[:-2], 5))
+    offset = parameters[..., :3] - position
+    out[..., :2] = pixels + np.sum(jacobians * offset[..., None, :], axis=-1)
+    determinant = xx * yy - xy**2
+    out[..., 2], out[..., 3], out[..., 4] = yy / determinant, -xy / determinant, xx / determinant
     return out
 
 
