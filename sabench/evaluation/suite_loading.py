@@ -93,7 +93,7 @@ def is_public(scene_hash: str, seed: int) -> bool:
 
 @functools.cache
 def _scene_hashes(file: Path) -> frozenset[str]:
-    """Hash all scenes of a bundled suite; their geometry was checked before it was bundled."""
+    """Hash all scenes of a bundled suite, whose geometry is known to be good."""
     read = functools.cache(read_scene)
     variants = (_variants(spec, file, read) for spec in _specs(_read_suite(file)))
     return frozenset(scene.hash for *_, scene in itertools.chain.from_iterable(variants))

@@ -31,7 +31,7 @@ def load_scene(path: str | Path) -> Scene:
 
 
 def read_scene(path: str | Path) -> Scene:
-    """Read a scene file without a look at its geometry: a tenth of the time of `load_scene`."""
+    """Read a scene file without a look at its geometry: ten times as quick."""
     file = find(path, "scenes")
     try:
         values = tomllib.loads(file.read_text(encoding="utf-8"))

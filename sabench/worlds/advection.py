@@ -46,15 +46,21 @@ def _advect_together(
 
     calls = itertools.count()
 
+    def complaint(reason: str) -> InputError:
+        return InputError(
+            f"flow {flow.name}: expected a field that particles can follow for "
+            f"{end_s - start_s:g} s to {tolerance_mm:g} mm, but {reason}"
+        )
+
     def velocity(time: float, flat: F64) -> F64:
-        count = next(calls)
-        covered = (time - start_s) / (end_s - start_s)
+        made = flow.velocity(flat.reshape(-1, 3), time).ravel()
+        count, covered = next(calls), (time - start_s) / (end_s - start_s)
         if count > _MOST or (count > _TRIED and covered * _MOST * _HOPELESS < count):
-            raise InputError(
-                f"flow {flow.name}: expected a field smooth enough to follow for "
-                f"{end_s - start_s:g} s to {tolerance_mm:g} mm, but it is not"
+            finite = np.isfinite(made).all()
+            raise complaint(
+                "it is not smooth enough" if finite else "its velocities are not finite"
             )
-        return flow.velocity(flat.reshape(-1, 3), time).ravel()
+        return made
 
     atol = tolerance_mm / np.sqrt(points.size)
     done = solve_ivp(
@@ -67,8 +73,5 @@ def _advect_together(
         t_eval=(end_s,),
     )
     if not done.success:  # velocities that are not finite, or that change too fast
-        raise InputError(
-            f"flow {flow.name}: expected a field that particles can follow for "
-            f"{end_s - start_s:g} s, but the integration failed: {done.message}"
-        )
+        raise complaint(f"the integration failed: {done.message}")
     return np.asarray(done.y[:, -1].reshape(-1, 3))
