@@ -226,7 +226,7 @@ class Camera:
 
 @functools.lru_cache(maxsize=256)
 def _constants(camera: Camera, wall: Wall) -> tuple[tuple[float, ...], Media, tuple[float, ...]]:
-    """Collect what the projection kernel needs: the wall's frame, its media, the lens."""
+    """Collect what the projection kernel needs: wall's frame, media, lens."""
     from sabench.geometry import projection_kernels
 
     axes = frame_of_normal(np.asarray(wall.normal, dtype=np.float64))

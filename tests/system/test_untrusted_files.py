@@ -367,5 +367,5 @@ class Wild(Flow):
 
 
 def test_a_flow_that_nobody_can_follow_is_a_sentence() -> None:
-    with pytest.raises(InputError, match="flow wild: .* its velocities are not finite"):
+    with pytest.raises(InputError, match=r"flow wild: .* its velocities are not finite"):
         advect(Wild(None), np.zeros((2, 3)), 0.0, 1.0, 1e-3)

@@ -37,7 +37,7 @@ def _shade(table: Any, blur: float, distance: float, part: float) -> Any:
 
 @numba.njit(cache=True, error_model="numpy")
 def shade_at(ellipse: Any, column: int, row: int, middle: float, table: Any, blur: float) -> Any:
-    """Compute the transmission at a pixel; `middle` is the ellipse's mean radius in px."""
+    """Compute the transmission at a pixel; `middle` is the mean radius, px."""
     x, y = column - ellipse[0], row - ellipse[1]
     distance = np.sqrt(x * x + y * y)
     part = np.sqrt(max(ellipse[2] * x * x + 2.0 * ellipse[3] * x * y + ellipse[4] * y * y, 0.0))
@@ -54,7 +54,7 @@ def shade_at(ellipse: Any, column: int, row: int, middle: float, table: Any, blu
 def slopes_at(
     ellipse: Any, column: int, row: int, middle: float, table: Any, blur: float, out: Any
 ) -> Any:
-    """Compute the transmission at a pixel, and its derivatives by the ellipse's five numbers.
+    """Compute the transmission at a pixel, and its derivatives by the ellipse.
 
     The transmission is at least `DIM`. Derivatives of the table are those of its bilinear
     interpolation.
