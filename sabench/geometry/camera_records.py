@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import json
 from collections.abc import Sequence
 from dataclasses import asdict
@@ -61,11 +62,16 @@ def read_camera(record: Any, where: str) -> CameraModel:
             f"{where}: {bad[0]}: expected finite numbers of at most {_LARGEST:g}, got {bad[1]!r}"
         )
     try:
-        made: CameraModel = TypeAdapter(MODELS[model]).validate_python(fields)
+        made: CameraModel = _validator(model).validate_python(fields)
     except ValidationError as error:
         first = error.errors()[0]
         raise InputError(f"{where}: {first['loc']}: {first['msg']}") from error
     return made
+
+
+@functools.cache
+def _validator(model: str) -> TypeAdapter[Any]:
+    return TypeAdapter(MODELS[model])  # takes 8 ms
 
 
 def _extreme(value: Any, key: str = "") -> tuple[str, float] | None:

@@ -160,8 +160,8 @@ def dots(pixels: F64, rows: int, columns: int) -> bytes:
     )
     for sheet, frames in zip(sheets, pixels, strict=True):
         for number, frame in enumerate(frames):
-            for x, y in frame[np.isfinite(frame).all(axis=1)] * scale:
-                _line(sheet, (x, y), (x, y), 255 - 130 * number // max(len(frames) - 1, 1), 2)
+            places = frame[np.isfinite(frame).all(axis=1)] * scale
+            _lines(sheet, places, places, 255 - 130 * number // max(len(frames) - 1, 1), 2)
     return _png(_mosaic(sheets, across))
 
 
@@ -184,9 +184,9 @@ def arrows(positions: F64, errors: F64, rows: int, columns: int) -> bytes:
     )
     for sheet, at, off in zip(sheets, positions, errors, strict=True):
         good = np.isfinite(at).all(axis=-1) & np.isfinite(off).all(axis=-1)
-        for (x, y), (dx, dy) in zip(at[good] * scale, off[good] * scale * longer, strict=True):
-            _line(sheet, (x, y), (x + dx, y + dy), 170, 1)
-            _line(sheet, (x, y), (x, y), 255, 1)
+        places = at[good] * scale
+        _lines(sheet, places, places + off[good] * scale * longer, 170, 1)
+        _lines(sheet, places, places, 255, 1)
     _write(sheets[0], f"x {longer:g}")
     return _png(_mosaic(sheets, across))
 
@@ -197,16 +197,13 @@ def _layout(cameras: int, rows: int, columns: int) -> tuple[int, float]:
     return across, min(1.0, (_MONTAGE_PX - _GAP_PX * (across - 1)) / across / columns)
 
 
-def _line(
-    sheet: U8, start: tuple[float, float], end: tuple[float, float], grey: int, width: int
-) -> None:
+def _lines(sheet: U8, starts: F64, ends: F64, grey: int, width: int) -> None:
+    """Draw lines between points (n, 2) in px."""
     import cv2
 
     finer = 16.0  # four fractional bits
-    ends = [
-        tuple(int(np.clip(value * finer, -1e6, 1e6)) for value in point) for point in (start, end)
-    ]
-    cv2.line(sheet, ends[0], ends[1], grey, width, cv2.LINE_AA, 4)
+    pairs = np.clip(np.stack([starts, ends], axis=1) * finer, -1e6, 1e6).astype(np.int32)
+    cv2.polylines(sheet, list(pairs), False, grey, width, cv2.LINE_AA, 4)
 
 
 def _write(sheet: U8, text: str) -> None:
