@@ -148,7 +148,10 @@ class Camera:
 
         x, y, z = np.ascontiguousarray(points.T)
         column, row = np.empty(len(points)), np.empty(len(points))
-        frame, media, lens = _constants(self, wall)
+        try:
+            frame, media, lens = _constants(self, wall)
+        except TypeError:  # made by hand, of lists or arrays, which have no hash
+            frame, media, lens = _constants.__wrapped__(self, wall)
         projection_kernels.project(x, y, z, self.center_mm, frame, media, lens, column, row)
         return np.column_stack([column, row])
 

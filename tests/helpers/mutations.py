@@ -498,7 +498,7 @@ def _is_small(node: Any) -> bool:
     if node.shape is None:
         return True
     chunk = math.prod(node.chunks or (1,)) * node.dtype.itemsize
-    return max(int(node.nbytes), chunk) < 1 << 28
+    return bool(max(node.nbytes, chunk) < 1 << 28)
 
 
 def hdf5(path: Path, rng: random.Random) -> None:

@@ -149,6 +149,15 @@ def test_points_behind_the_camera_are_not_valid() -> None:
     ]
 
 
+def test_a_camera_may_be_made_of_arrays() -> None:
+    """Its constants for projection are then computed at every call: arrays have no hash."""
+    plain = make_camera()
+    arrays: Any = {name: np.array(getattr(plain, name)) for name in ("center_mm", "rotation")}
+    lists = replace(plain, **arrays)
+    points = np.array([[1.0, 2.0, 30.0], [-3.0, 0.5, 40.0]])
+    np.testing.assert_array_equal(lists.project(points)[0], plain.project(points)[0])
+
+
 def test_pixel_zero_is_the_centre_of_the_top_left_pixel() -> None:
     camera = make_camera(principal_point_px=(0.0, 0.0))
     np.testing.assert_allclose(
