@@ -89,26 +89,16 @@ class Profile:
     blur_px: float
 
     @classmethod
-    @functools.lru_cache(maxsize=64)  # 0.2 s each, and the same for every frame
+    @functools.lru_cache(maxsize=64)  # the same for every frame
     def tabulate(cls, index: float, half_angle: float, blur_px: float) -> Profile:
         """Tabulate balls of a relative index in front of a diffuser of a half angle.
 
         A Gaussian blurs the profiles.
         """
-        radii = np.geomspace(SMALLEST, LARGEST, _RADII)
-        table = np.empty((_RADII, _DISTANCES), dtype=np.float32)
-        for row, radius in zip(table, radii, strict=True):
-            edges = np.linspace(0.0, radius, _FINE + 1)
-            middle, step = edges[:-1] + radius / _FINE / 2.0, radius / _FINE
-            missing = 1.0 - sharp(middle / radius, index, half_angle)
-            distance = np.linspace(0.0, 1.0, _DISTANCES)[:, None] * (radius + REACH * blur_px)
-            weight = (
-                np.exp(-((distance - middle) ** 2) / (2.0 * blur_px**2))
-                * i0e(distance * middle / blur_px**2)
-                * middle
-                / blur_px**2
-            )
-            row[:] = 1.0 - (weight * missing).sum(axis=1) * step
+        parts = (np.arange(_FINE) + 0.5) / _FINE
+        table = (1.0 - _blur_weights(blur_px) @ (1.0 - sharp(parts, index, half_angle))).astype(
+            np.float32
+        )
         table.flags.writeable = False
         return cls(table, blur_px)
 
@@ -119,3 +109,17 @@ class Profile:
         row = self.table[low] * (low + 1 - position) + self.table[low + 1] * (position - low)
         part = distance / (radius_px + REACH * self.blur_px)
         return np.asarray(np.interp(part, np.linspace(0.0, 1.0, _DISTANCES), row, right=1.0))
+
+
+@functools.lru_cache(maxsize=1)  # 33 MB, and the same for all half angles
+def _blur_weights(blur_px: float) -> F64:
+    """Compute how much of a ball's ring reaches a distance: (radius, distance, ring)."""
+    weights = np.empty((_RADII, _DISTANCES, _FINE))
+    radii = np.geomspace(SMALLEST, LARGEST, _RADII)
+    for weight, radius in zip(weights, radii, strict=True):
+        step = radius / _FINE
+        middle = (np.arange(_FINE) + 0.5) * step
+        distance = np.linspace(0.0, 1.0, _DISTANCES)[:, None] * (radius + REACH * blur_px)
+        near = np.exp(-((distance - middle) ** 2) / (2.0 * blur_px**2))
+        weight[:] = near * i0e(distance * middle / blur_px**2) * middle * step / blur_px**2
+    return weights
