@@ -156,6 +156,17 @@ def test_small_shifts_are_found_to_parts_of_a_voxel() -> None:
     assert peaks.height.min() > 0.7
 
 
+def test_the_unit_of_light_does_not_matter() -> None:
+    """Below which a window counts as empty is a part of the mean, not a number."""
+    pair = volume(particles()), volume(particles() + 0.3 * np.asarray(GRID.voxel_mm))
+    windows = Windows.over(GRID.shape, WINDOW, 0.5)
+    plain = by_shifts(*pair, windows, (1, 1, 1))
+    dim = np.float32(2.0**-20)
+    faint = by_shifts(dim * pair[0], dim * pair[1], windows, (1, 1, 1))
+    np.testing.assert_allclose(faint.shift, plain.shift, atol=1e-6)
+    np.testing.assert_allclose(faint.height, plain.height, atol=1e-6)
+
+
 def test_large_shifts_are_found_by_spectra() -> None:
     start, shift = particles(), np.array([7.2, -9.6, 3.3])
     windows = Windows.over(GRID.shape, WINDOW, 0.5)

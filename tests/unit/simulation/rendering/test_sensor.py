@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from sabench.scenes.sensor import Sensor
-from sabench.simulation.rendering.sensor import expose
+from sabench.simulation.rendering.sensor import expose, full_well_photons
 
 
 def test_photon_transfer() -> None:
@@ -44,6 +44,16 @@ def test_a_full_well_and_the_converter_limit_the_grey_value() -> None:
     for sensor, top in ((well, 520), (converter, 255)):
         assert sensor.white_dn == top
         assert (expose(sensor, photons, np.random.default_rng(0)) == top).all()
+
+
+def test_that_many_photons_fill_the_well() -> None:
+    """A quarter of the photons become electrons, so that it takes four for each."""
+    sensor = Sensor(full_well_e=1000.0, quantum_efficiency=0.25, bit_depth=16, gain_dn_e=1.0)
+    assert full_well_photons(sensor) == 4000.0
+    half = expose(
+        sensor, np.full((300, 500), 0.5 * full_well_photons(sensor)), np.random.default_rng(0)
+    )
+    assert half.mean() - sensor.black_level_dn == pytest.approx(500.0, rel=1e-3)
 
 
 def test_without_noise_the_grey_value_is_rounded() -> None:
