@@ -1,6 +1,7 @@
 """Particles in three dimensions.
 
-The package holds triangulation of image peaks, iterative reconstruction (IPR), and linking.
+The package holds triangulation of image peaks, iterative reconstruction (IPR), reconstruction of
+the most probable particles (Bayesian IPR), and linking.
 """
 
 from __future__ import annotations
@@ -10,6 +11,10 @@ from typing import TYPE_CHECKING
 from sabench.utils.lazy_names import lazy_names
 
 if TYPE_CHECKING:
+    from sabench.algorithms.particles.bayesian_ipr import (
+        BayesianIprSettings,
+        reconstruct_most_probable,
+    )
     from sabench.algorithms.particles.ipr import (
         IprSettings,
         fit_cameras,
@@ -19,17 +24,21 @@ if TYPE_CHECKING:
     from sabench.algorithms.particles.linking import link
 
 __all__ = [
+    "BayesianIprSettings",
     "IprSettings",
     "fit_cameras",
     "link",
+    "reconstruct_most_probable",
     "reconstruct_particles",
     "triangulate_particles",
 ]
 
 _HOMES = {
+    "BayesianIprSettings": "bayesian_ipr",
     "IprSettings": "ipr",
     "fit_cameras": "ipr",
     "link": "linking",
+    "reconstruct_most_probable": "bayesian_ipr",
     "reconstruct_particles": "ipr",
     "triangulate_particles": "ipr",
 }

@@ -1,0 +1,165 @@
+"""Search of the volume for places where all cameras see light.
+
+At every point of a lattice the images are looked up where the cameras see it. Local maxima of a
+mean over cameras are candidates for particles. The mean is that of logarithms, so that a particle
+may be dim in one camera, and not more above the darkest camera than particles' scatter explains.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numba
+import numpy as np
+
+from sabench.geometry.volume_polynomials import VolumePolynomials, project_point
+from sabench.utils.arrays import F32, F64
+
+BRIGHTEST = 1.5  # of a typical peak: more light in one camera does not make up for another's lack
+_NODE = 8  # points of the lattice between two exact projections
+_FLATTEST = 2.0  # pixels: longest step of the lattice, in space
+_DARK = np.float32(-1e9)
+_FEWEST = 3  # cameras that have a place on their sensors
+
+
+def lattice_shape(maps: VolumePolynomials) -> tuple[int, int, int]:
+    """Choose the lattice's points along z, y and x.
+
+    Neighbours are one pixel apart in the camera that resolves their direction best, and no more
+    than two pixels' size in space.
+    """
+    slopes = _slopes_per_mm(maps)
+    finest = 1.0 / np.linalg.norm(slopes, ord=2, axis=(1, 2)).max()
+    along = 1.0 / np.linalg.norm(slopes, axis=1).max(axis=0)
+    step = np.minimum(along, _FLATTEST * finest)
+    x, y, z = np.maximum((2.0 * maps.half_mm / step).astype(np.int64) + 1, 3).tolist()
+    return z, y, x
+
+
+def pixel_mm(maps: VolumePolynomials) -> float:
+    """Compute the size in the volume of the best camera's pixel, in the middle."""
+    return float(1.0 / np.linalg.norm(_slopes_per_mm(maps), ord=2, axis=(1, 2)).max())
+
+
+def _slopes_per_mm(maps: VolumePolynomials) -> F64:
+    """Compute derivatives (camera, 2, 3) of pixels by mm in the middle of the box."""
+    slopes = np.zeros((len(maps.coefficients), 2, 3))
+    for camera in range(len(slopes)):
+        project_point(maps, camera, np.zeros(3), np.zeros(2), slopes[camera])
+    return np.asarray(slopes / maps.half_mm)
+
+
+def find_candidates(maps: VolumePolynomials, logs: F32, floor: float, spread: float) -> F64:
+    """Find positions (n, 3) in the box of the maps, the brightest first.
+
+    Parameters
+    ----------
+    logs : (camera, row, column) logarithms of light over a typical particle's peak, at most that
+        of `BRIGHTEST`; NaN where a camera shows nothing.
+    floor : smallest mean of the cameras' logarithms.
+    spread : the most that the mean may exceed the darkest camera's.
+    """
+    means = np.empty(lattice_shape(maps), dtype=np.float32)
+    _sweep(
+        maps, logs, np.float32(floor), np.float32(spread), np.float32(math.log(BRIGHTEST)), means
+    )
+    z, y, x = _local_maxima(means)
+    order = np.argsort(-means[z, y, x], kind="stable")
+    places = np.stack([x, y, z], axis=1)[order]
+    return np.asarray(2.0 * places / (np.array(means.shape[::-1]) - 1.0) - 1.0)
+
+
+def _local_maxima(means: F32) -> tuple[Any, Any, Any]:
+    """Find points (z, y, x) that exceed their 26 neighbours; of equal ones the first."""
+    count = _mark_maxima(means, np.zeros((0, 3), dtype=np.int64))
+    places = np.zeros((count, 3), dtype=np.int64)
+    _mark_maxima(means, places)
+    return places[:, 0], places[:, 1], places[:, 2]
+
+
+@numba.njit(cache=True)
+def _look_up(image: Any, column: float, row: float) -> Any:
+    """Interpolate an image linearly; NaN outside."""
+    rows, columns = image.shape
+    if not (0.0 <= column < columns - 1 and 0.0 <= row < rows - 1):
+        return np.nan
+    j, i = int(column), int(row)
+    right, down = column - j, row - i
+    upper = image[i, j] * (1.0 - right) + image[i, j + 1] * right
+    lower = image[i + 1, j] * (1.0 - right) + image[i + 1, j + 1] * right
+    return upper * (1.0 - down) + lower * down
+
+
+@numba.njit(cache=True, parallel=True)
+def _sweep(maps: Any, logs: Any, floor: Any, spread: Any, most: Any, means: Any) -> None:
+    """Fill in the lattice's mean logarithms (z, y, x), `_DARK` below the floor."""
+    slices, rows, columns = means.shape
+    cameras, nodes = len(logs), (columns + _NODE - 1) // _NODE + 1
+    for z in numba.prange(slices):
+        seen = np.zeros((cameras, nodes, 2))
+        point, pixel, slope = np.zeros(3), np.zeros(2), np.zeros((2, 3))
+        point[2] = -1.0 + 2.0 * z / (slices - 1)
+        for y in range(rows):
+            point[1] = -1.0 + 2.0 * y / (rows - 1)
+            for c in range(cameras):
+                for n in range(nodes):
+                    point[0] = -1.0 + 2.0 * n * _NODE / (columns - 1)
+                    project_point(maps, c, point, pixel, slope)
+                    seen[c, n, 0], seen[c, n, 1] = pixel[0], pixel[1]
+            for x in range(columns):
+                node = x // _NODE
+                means[z, y, x] = _mean_log(logs, seen, node, x / _NODE - node, floor, spread, most)
+
+
+@numba.njit(cache=True)
+def _mean_log(
+    logs: Any, seen: Any, node: int, between: float, floor: Any, spread: Any, most: Any
+) -> Any:
+    """Average the cameras' logarithms at one point; `_DARK` below the floor."""
+    total, lowest, count, cameras = 0.0, np.inf, 0, len(logs)
+    for c in range(cameras):
+        column = seen[c, node, 0] * (1.0 - between) + seen[c, node + 1, 0] * between
+        row = seen[c, node, 1] * (1.0 - between) + seen[c, node + 1, 1] * between
+        value = _look_up(logs[c], column, row)
+        if np.isnan(value):
+            continue
+        total, count, lowest = total + value, count + 1, min(lowest, value)
+        if (
+            lowest + spread < floor
+            or total + (cameras - c - 1) * most < (count + cameras - c - 1) * floor
+        ):
+            return _DARK
+    if count < _FEWEST:
+        return _DARK
+    mean = min(total / count, lowest + spread)
+    return np.float32(mean) if mean >= floor else _DARK
+
+
+@numba.njit(cache=True)
+def _mark_maxima(means: Any, places: Any) -> int:
+    """Fill in local maxima as far as there is room; return how many there are."""
+    slices, rows, columns = means.shape
+    count = 0
+    for z in range(slices):
+        for y in range(rows):
+            for x in range(columns):
+                if means[z, y, x] > _DARK and _is_maximum(means, z, y, x):
+                    if count < len(places):
+                        places[count, 0], places[count, 1], places[count, 2] = z, y, x
+                    count += 1
+    return count
+
+
+@numba.njit(cache=True)
+def _is_maximum(means: Any, z: int, y: int, x: int) -> bool:
+    """Say whether no neighbour is brighter, and no earlier one as bright."""
+    slices, rows, columns = means.shape
+    here, number = means[z, y, x], (z * rows + y) * columns + x
+    for k in range(max(z - 1, 0), min(z + 2, slices)):
+        for j in range(max(y - 1, 0), min(y + 2, rows)):
+            for i in range(max(x - 1, 0), min(x + 2, columns)):
+                other = means[k, j, i]
+                if other > here or (other == here and (k * rows + j) * columns + i < number):
+                    return False
+    return True

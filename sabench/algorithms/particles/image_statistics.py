@@ -1,0 +1,99 @@
+"""Widths and light of particle images, and noise, by statistics of all pixels.
+
+No particle has to be found first, and overlaps do no harm: for particles at random, products of
+pixels some distance apart follow from one particle's image (Campbell's theorem: N. R. Campbell,
+The study of discontinuous phenomena, Proc. Camb. Phil. Soc. 15, 117-136, 1909).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from sabench.utils.arrays import F64, Bool
+
+_PIXEL = 1.0 / 12.0  # variance of a pixel's extent, px2
+_LEAST_SIGMA, _MOST_SIGMA = 0.3, 2.5  # px
+_FAR = (6, 7)  # px: so far apart, pixels share no particle
+_LEAST_NOISE = 0.5  # grey values: of rounding
+_FEW = 50  # values below black that tell the noise
+
+
+@dataclass(frozen=True)
+class ImageStatistics:
+    """Statistics of the particles in the images of all cameras.
+
+    Attributes
+    ----------
+    sigma : (camera, 2) standard deviations of particle images along columns and rows, px.
+    light : (camera,) sum of the grey values of a typical particle's image; particles of different
+        light count by their light.
+    noise : (camera,) standard deviation of dark pixels, grey values.
+    number : particles in the images; the median over cameras.
+    """
+
+    sigma: F64
+    light: F64
+    noise: F64
+    number: float
+
+
+def measure_images(images: F64, known: Bool) -> ImageStatistics:
+    """Measure images (camera, row, column) less black.
+
+    Parameters
+    ----------
+    known : the same shape, pixels that count.
+    """
+    sigma, light, noise, number = [], [], [], []
+    for image, there in zip(images, known, strict=True):
+        widths, own = _measure_image(image, there)
+        sigma.append(widths)
+        light.append(own)
+        noise.append(dark_noise(image[there]))
+        number.append(max(float(image[there].sum()) / own, 1.0))
+    return ImageStatistics(
+        np.array(sigma), np.array(light), np.array(noise), float(np.median(number))
+    )
+
+
+def dark_noise(values: F64) -> float:
+    """Estimate the standard deviation of dark pixels from the values below black."""
+    below = values[values < 0.0]
+    return max(float(np.sqrt(np.mean(below**2))) if len(below) > _FEW else 0.0, _LEAST_NOISE)
+
+
+def _measure_image(image: F64, known: Bool) -> tuple[tuple[float, float], float]:
+    """Measure widths (columns, rows) of particle images, and a typical light.
+
+    Products of pixels d apart fall as exp(-d2 / (4 s2)), s2 = sigma2 + 1/12. Those one and two
+    pixels apart give s, that at distance 0 follows without the noise of a pixel, and it is the
+    number of particles times their mean squared light over 4 pi s_x s_y; the mean is the number
+    times their mean light.
+    """
+    light, count = np.where(known, image, 0.0), known.astype(np.float64)
+    apart = [_product(light, count, *step) for d in _FAR for step in ((0, d), (d, 0))]
+    far = sum(apart) / len(apart)
+    squares: list[float] = []
+    at_zero: list[float] = []
+    for step in ((0, 1), (1, 0)):
+        one = _product(light, count, *step) - far
+        two = _product(light, count, 2 * step[0], 2 * step[1]) - far
+        square = 0.75 / math.log(one / two) if one > two > 0.0 else 0.0
+        square = min(max(square, _LEAST_SIGMA**2 + _PIXEL), _MOST_SIGMA**2 + _PIXEL)
+        squares.append(square)
+        at_zero.append(max(one, 0.0) * math.exp(0.25 / square))
+    mean = max(float(light.sum() / max(count.sum(), 1.0)), 1e-12)
+    own = sum(at_zero) * 2.0 * math.pi * math.sqrt(squares[0] * squares[1]) / mean
+    widths = math.sqrt(squares[0] - _PIXEL), math.sqrt(squares[1] - _PIXEL)
+    return widths, max(own, 1e-6)
+
+
+def _product(light: F64, count: F64, rows: int, columns: int) -> float:
+    """Average the products of known pixels that are some rows and columns apart."""
+    here = slice(0, light.shape[0] - rows), slice(0, light.shape[1] - columns)
+    there = slice(rows, None), slice(columns, None)
+    pairs = float((count[here] * count[there]).sum())
+    return float((light[here] * light[there]).sum()) / max(pairs, 1.0)

@@ -1,0 +1,250 @@
+"""Removals and splits of particles that make them more probable.
+
+A ghost shares the light of true particles' images with them. It fits as well as they do, but when
+it is taken out, its neighbours fit as well without it. So every particle is taken out for trial,
+its neighbours are fitted again, and it comes back only if its absence costs more than its price.
+Two particles closer than two pixels look like one; a particle that does not fit is tried as two.
+Both are the moves of P. J. Green, Reversible jump Markov chain Monte Carlo computation and Bayesian
+model determination, Biometrika 82, 711-732, 1995, taken where they raise the probability.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numba
+import numpy as np
+from scipy.spatial import cKDTree
+
+from sabench.algorithms.particles.joint_fit import (
+    WINDOW,
+    adjust,
+    cost_of,
+    look,
+    price,
+    put_in,
+    set_profile,
+    set_slopes,
+    take_out,
+)
+from sabench.geometry.volume_polynomials import VolumePolynomials, project_points
+from sabench.utils.arrays import F64, I64
+
+_NEIGHBOURS = 512  # that are fitted again around one particle
+_NEAR_PX = 3.0  # of a neighbour's image in some camera
+_SETTLE = 6  # fits of the two particles of a split
+_DOUBTFUL = 2  # of them, after which a split that does not pay is given up
+
+
+def find_neighbours(maps: VolumePolynomials, positions: F64) -> tuple[I64, I64]:
+    """Find particles whose images are near each other in at least one camera.
+
+    Returns where each particle's neighbours start in the list (n + 1,), and the list.
+    """
+    pairs = np.concatenate(
+        [
+            cKDTree(project_points(maps, camera, positions)).query_pairs(
+                _NEAR_PX, output_type="ndarray"
+            )
+            for camera in range(len(maps.coefficients))
+        ]
+    )
+    pairs = np.unique(pairs, axis=0)
+    both = np.concatenate([pairs, pairs[:, ::-1]])
+    both = both[np.argsort(both[:, 0], kind="stable")]
+    starts = np.searchsorted(both[:, 0], np.arange(len(positions) + 1))
+    return starts.astype(np.int64), np.ascontiguousarray(both[:, 1]).astype(np.int64)
+
+
+@numba.njit(cache=True)
+def remove_ghosts(
+    model: Any, room: Any, particles: Any, order: Any, starts: Any, near: Any, fits: int, lone: bool
+) -> int:
+    """Take particles out for good where the images do not ask for them.
+
+    Returns how many.
+
+    Parameters
+    ----------
+    order : rows, in the order of the trials.
+    starts, near : from `find_neighbours`.
+    fits : rounds of fitting the neighbours without a particle.
+    lone : whether what a particle earns in the camera where it earns most does not count: light in
+        one camera alone is no particle.
+    """
+    cameras = particles.light.shape[1]
+    positions, lights = np.zeros((_NEIGHBOURS, 3)), np.zeros((_NEIGHBOURS, cameras))
+    removed = 0
+    for n in order:
+        position, light = particles.position[n], particles.light[n]
+        least = price(model, room, position, light)
+        first, last = starts[n], min(starts[n + 1], starts[n] + _NEIGHBOURS)
+        for k in range(first, last):
+            positions[k - first], lights[k - first] = (
+                particles.position[near[k]],
+                particles.light[near[k]],
+            )
+        take_out(model, room, position, light)
+        look(model, room, position)
+        loss = -cost_of(model, room, light)
+        if lone:
+            least /= max(1.0 - _largest_share(room, light), 1e-3)
+        particles.alive[n] = False
+        for _ in range(fits):
+            for k in range(first, last):
+                if loss > least and particles.alive[near[k]]:
+                    loss += adjust(model, room, particles, near[k])
+        if loss <= least:
+            removed += 1
+            continue
+        particles.alive[n] = True
+        for k in range(first, last):
+            j = near[k]
+            if particles.alive[j]:
+                take_out(model, room, particles.position[j], particles.light[j])
+                particles.position[j], particles.light[j] = (
+                    positions[k - first],
+                    lights[k - first],
+                )
+                put_in(model, room, particles.position[j], particles.light[j])
+        put_in(model, room, position, light)
+    return removed
+
+
+@numba.njit(cache=True)
+def _largest_share(room: Any, light: Any) -> float:
+    """Compute the share of a particle's earnings, after `look`, in its best camera."""
+    most, total = 0.0, 1e-300
+    for c in range(len(light)):
+        earned = max(light[c] * (room.signal[c] - 0.5 * light[c] * room.weight[c]), 0.0)
+        most, total = max(most, earned), total + earned
+    return float(most / total)
+
+
+@numba.njit(cache=True)
+def measure_misfit(model: Any, room: Any, particles: Any, misfit: Any) -> None:
+    """Fill in (n,) how far squares left around particles exceed those of noise.
+
+    The unit is the standard deviation of their sum.
+    """
+    for n in range(len(misfit)):
+        squares, count = 0.0, 0
+        for c in range(len(model.typical)):
+            set_profile(model, room, c, particles.position[n])
+            left, weights = model.left[c], model.weight[c]
+            column, row = room.corner[c, 0], room.corner[c, 1]
+            rows, columns = left.shape
+            for i in range(max(1, -row), min(WINDOW - 1, rows - row)):
+                for j in range(max(1, -column), min(WINDOW - 1, columns - column)):
+                    each = weights[row + i, column + j]
+                    squares += each * left[row + i, column + j] ** 2
+                    count += each > 0.0
+        misfit[n] = (squares - count) / math.sqrt(2.0 * count) if count else 0.0
+
+
+@numba.njit(cache=True)
+def split_pairs(model: Any, room: Any, particles: Any, order: Any, count: int, steps: Any) -> int:
+    """Replace particles by two each where that is more probable.
+
+    Returns the new number of rows.
+
+    Parameters
+    ----------
+    order : rows, in the order of the trials.
+    count : number of rows in use; those after them are room for new particles.
+    steps : (k, 3) half distances of the two, in the box's coordinates, that are tried.
+    """
+    cameras = particles.light.shape[1]
+    place, own, places, lights = (
+        np.zeros(3),
+        np.zeros(cameras),
+        np.zeros((2, 3)),
+        np.zeros((2, cameras)),
+    )
+    for n in order:
+        if count == len(particles.position):
+            break
+        place[:], own[:] = particles.position[n], particles.light[n]
+        best = 0.0
+        for s in range(len(steps)):
+            cost = _try_split(model, room, particles, n, count, steps[s])
+            if cost < best:
+                best = cost
+                places[0], places[1] = particles.position[n], particles.position[count]
+                lights[0], lights[1] = particles.light[n], particles.light[count]
+            take_out(model, room, particles.position[n], particles.light[n])
+            take_out(model, room, particles.position[count], particles.light[count])
+            particles.position[n], particles.light[n] = place, own
+            put_in(model, room, place, own)
+        if best < 0.0:
+            take_out(model, room, place, own)
+            for k in range(2):
+                put_in(model, room, places[k], lights[k])
+            dearer = max(
+                price(model, room, places[0], lights[0]), price(model, room, places[1], lights[1])
+            )
+            if best + dearer < 0.0:
+                particles.position[n], particles.light[n] = places[0], lights[0]
+                particles.position[count], particles.light[count] = places[1], lights[1]
+                particles.alive[count] = True
+                count += 1
+            else:
+                for k in range(2):
+                    take_out(model, room, places[k], lights[k])
+                put_in(model, room, place, own)
+    return count
+
+
+@numba.njit(cache=True)
+def _try_split(model: Any, room: Any, particles: Any, n: int, new: int, step: Any) -> float:
+    """Replace a particle by two of half its light, and fit both.
+
+    Returns the change of the cost.
+    """
+    take_out(model, room, particles.position[n], particles.light[n])
+    look(model, room, particles.position[n])
+    cost = -cost_of(model, room, particles.light[n])
+    for p in range(3):
+        middle = particles.position[n, p]
+        particles.position[n, p] = min(max(middle + step[p], -1.0), 1.0)
+        particles.position[new, p] = min(max(middle - step[p], -1.0), 1.0)
+    for c in range(len(model.typical)):
+        particles.light[n, c] *= 0.5
+        particles.light[new, c] = particles.light[n, c]
+    for k in (n, new):
+        look(model, room, particles.position[k])
+        cost += cost_of(model, room, particles.light[k])
+        put_in(model, room, particles.position[k], particles.light[k])
+    for fit in range(_SETTLE):
+        cost += adjust(model, room, particles, n)
+        cost += adjust(model, room, particles, new)
+        if fit == _DOUBTFUL and cost > 0.0:
+            break
+    return float(cost)
+
+
+@numba.njit(cache=True)
+def add_camera_misses(model: Any, room: Any, particles: Any, equations: Any) -> None:
+    """Add up (camera, 5) what each camera alone says of a common shift of its images.
+
+    The columns are the sums xx, xy, yy of the normal equations, and their right sides x and y.
+    """
+    for n in range(len(particles.position)):
+        for c in range(len(model.typical)):
+            set_profile(model, room, c, particles.position[n])
+            set_slopes(model, room, c)
+            light, sums = particles.light[n, c], equations[c]
+            left, weights = model.left[c], model.weight[c]
+            column, row = room.corner[c, 0], room.corner[c, 1]
+            rows, columns = left.shape
+            for i in range(max(0, -row), min(WINDOW, rows - row)):
+                for j in range(max(0, -column), min(WINDOW, columns - column)):
+                    dx = light * room.y[c, i] * room.by_x[c, j]
+                    dy = light * room.by_y[c, i] * room.x[c, j]
+                    each, off = weights[row + i, column + j], left[row + i, column + j]
+                    sums[0] += each * dx * dx
+                    sums[1] += each * dx * dy
+                    sums[2] += each * dy * dy
+                    sums[3] += each * dx * off
+                    sums[4] += each * dy * off

@@ -1,0 +1,59 @@
+"""Iterative particle reconstruction as the most probable explanation of images."""
+
+from __future__ import annotations
+
+from pydantic import Field
+
+from sabench.algorithms.particles import (
+    BayesianIprSettings,
+    fit_cameras,
+    reconstruct_most_probable,
+)
+from sabench.api import FoundParticles, ImageSequence, Parameters, ParticleSolver, progress_bar
+
+
+class BayesianIprParameters(Parameters):
+    """Parameters of the search for the most probable particles."""
+
+    rounds: int = Field(
+        3, ge=1, description="rounds of search and removal, after the first candidates"
+    )
+    splits: int = Field(
+        3, ge=0, description="rounds in which particles are tried as two, after those"
+    )
+    fits: int = Field(2, ge=1, description="times that all particles are fitted at each step")
+    widening: float = Field(
+        1.3,
+        ge=1.0,
+        le=2.0,
+        description="of the particles' images while the first candidates share the light",
+    )
+
+
+class BayesianIpr(ParticleSolver):
+    """Bayesian iterative particle reconstruction.
+
+    Widths, light and its scatter, noise and shifts of the cameras come from the images. The harness
+    links the frames.
+    """
+
+    name = "bayesian_ipr"
+    references = (
+        "Wieneke, Meas. Sci. Technol. 24 (2013) 024008",
+        "Green, Biometrika 82 (1995) 711",
+    )
+    Parameters = BayesianIprParameters
+
+    def skip(self, case: ImageSequence) -> str | None:
+        """Skip fewer than three cameras, as two lines of sight meet by chance too often."""
+        return "it needs three cameras" if len(case.cameras) < 3 else None
+
+    def solve(self, case: ImageSequence) -> list[FoundParticles]:
+        """Reconstruct each frame on its own."""
+        chosen = self.parameters
+        settings = BayesianIprSettings(chosen.rounds, chosen.splits, chosen.fits, chosen.widening)
+        maps = fit_cameras(case[0])
+        return [
+            reconstruct_most_probable(frame, maps, settings)
+            for frame in progress_bar(case, "most probable particles")
+        ]

@@ -1,0 +1,92 @@
+"""The most probable particles of small scenes, and of images that show none."""
+
+from __future__ import annotations
+
+import tomllib
+from typing import Any
+
+import numpy as np
+import pytest
+
+from sabench.algorithms.particles import (
+    BayesianIprSettings,
+    fit_cameras,
+    reconstruct_most_probable,
+    reconstruct_particles,
+)
+from sabench.algorithms.particles.ipr import IprSettings
+from sabench.api import Observation
+from sabench.metrics.particle_detection import Counts, count_challenge
+from sabench.scenes import find, parse_scene
+from sabench.simulation.in_memory import Shot, simulate
+from sabench.utils.arrays import F64
+
+
+def make_shot(seed: int, **changes: dict[str, Any]) -> Shot:
+    """A frame of a smaller standard scene with four cameras."""
+    values = tomllib.loads(find("standard-particles", "scenes").read_text(encoding="utf-8"))
+    values["volume"]["size_mm"] = [7.0, 6.0, 5.0]
+    values["grid"]["crop_mm"] = [0.8, 0.8, 0.3]
+    values["cameras"] |= {"rows": 120, "columns": 140}
+    values["cameras"]["layout"] |= {"columns": 2, "rows": 2}
+    values["illumination"] |= {"scattering": "isotropic", "pulse_energy_mj": 6.5}
+    for table, update in changes.items():
+        values[table] = values.get(table, {}) | update
+    return simulate(parse_scene(values, "test"), seed=seed)
+
+
+def find_in(case: Observation) -> F64:
+    found = reconstruct_most_probable(case, fit_cameras(case), BayesianIprSettings())
+    return found.position_mm
+
+
+def count(shot: Shot, positions: F64) -> Counts:
+    grid = shot.observation.grid
+    found, true = grid.to_voxels(positions), grid.to_voxels(shot.particles.position_mm)
+    return count_challenge(found, true, grid.in_scored(found), grid.in_scored(true))
+
+
+def test_many_overlapping_particles_are_found_and_no_ghosts() -> None:
+    shot = make_shot(11, particles={"per_pixel": 0.08})
+    case = shot.observation
+    counts = count(shot, find_in(case))
+    assert counts.truths > 300
+    assert counts.recall > 0.99
+    assert counts.precision > 0.99
+    plain = reconstruct_particles(case, fit_cameras(case), IprSettings())
+    assert 1.0 - counts.f1 < 0.2 * (1.0 - count(shot, plain.position_mm).f1)
+
+
+def test_particles_whose_light_differs_between_cameras_are_found() -> None:
+    shot = make_shot(
+        12,
+        particles={"per_pixel": 0.04},
+        illumination={"scattering": "mie", "pulse_energy_mj": 220.0, "direction": [0.8, 0.6, 0.0]},
+    )
+    counts = count(shot, find_in(shot.observation))
+    assert counts.truths > 150
+    assert counts.recall > 0.97
+    assert counts.precision > 0.97
+
+
+def test_cameras_that_are_off_are_shifted_back() -> None:
+    """Places are then as good as without the shifts but for what all cameras share."""
+    shot = make_shot(13, particles={"per_pixel": 0.04}, calibration={"shift_px": 0.3})
+    found, true = find_in(shot.observation), shot.particles.position_mm
+    counts = count(shot, found)
+    assert counts.recall > 0.98
+    assert counts.precision > 0.98
+    nearest = np.linalg.norm(found[:, None] - true[None], axis=2).argmin(axis=1)
+    off = found - true[nearest]
+    spread = off[np.linalg.norm(off, axis=1) < 0.2].std(axis=0)
+    assert spread[:2].max() < 0.15 * 0.05  # of a pixel's size
+
+
+@pytest.mark.parametrize("level", [64.0, 66.0, 4095.0])
+def test_images_without_particles_give_none(level: float) -> None:
+    """Dark, even and saturated ones, with the sensor's noise."""
+    shot = make_shot(14, particles={"per_pixel": 0.001})
+    noise = np.random.default_rng(1).normal(level, 2.2, shot.observation.images.shape)
+    images = np.clip(np.rint(noise), 0, 4095).astype(np.uint16)
+    grid, cameras = shot.observation.grid, shot.observation.cameras
+    assert len(find_in(Observation(images, cameras, grid, 64.0, 4095.0))) == 0

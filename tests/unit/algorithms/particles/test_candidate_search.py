@@ -1,0 +1,92 @@
+"""Places where all cameras see light."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from sabench.algorithms.particles.candidate_search import (
+    BRIGHTEST,
+    find_candidates,
+    lattice_shape,
+    pixel_mm,
+)
+from sabench.geometry.volume_polynomials import VolumePolynomials, fit_volume_polynomials
+from sabench.utils.arrays import F32, F64
+from tests.helpers.image_model import TYPICAL, paint
+from tests.unit.algorithms.particles.test_triangulation import (
+    CAMERAS,
+    COLUMNS,
+    HIGH,
+    LOW,
+    ROWS,
+    distances,
+    maps,
+    unit_points,
+)
+
+__all__ = ["maps"]
+
+
+def logs_of(images: F64) -> F32:
+    """Logarithms of light over the brightest pixel's."""
+    logs = np.log(np.clip(images / images.max(), 0.03, BRIGHTEST))
+    return np.asarray(logs, dtype=np.float32)
+
+
+def test_every_lone_particle_is_a_candidate(maps: VolumePolynomials) -> None:
+    points = 0.9 * unit_points(20)
+    images = paint(maps, points, np.full((20, 4), TYPICAL), ROWS, COLUMNS)
+    found = find_candidates(maps, logs_of(images), math.log(0.3), 0.2)
+    assert distances(found, points, maps).max() < 3.0 * pixel_mm(maps)
+    assert len(found) < 60
+
+
+def test_one_dim_camera_is_forgiven_as_far_as_light_scatters(maps: VolumePolynomials) -> None:
+    points = 0.9 * unit_points(8)
+    light = np.full((8, 4), TYPICAL)
+    light[:4, 1] *= 0.2
+    images = paint(maps, points, light, ROWS, COLUMNS)
+    strict, tolerant = (
+        find_candidates(maps, logs_of(images), math.log(0.25), spread) for spread in (0.1, 1.5)
+    )
+    near = 3.0 * pixel_mm(maps)
+    assert (distances(strict, points, maps)[:4] > near).all()
+    assert (distances(strict, points, maps)[4:] < near).all()
+    assert (distances(tolerant, points, maps) < near).all()
+
+
+def test_a_camera_that_shows_nothing_does_not_count(maps: VolumePolynomials) -> None:
+    points = 0.9 * unit_points(5)
+    images = paint(maps, points, np.full((5, 4), TYPICAL), ROWS, COLUMNS)
+    logs = logs_of(images)
+    logs[2] = np.nan
+    near = 4.0 * pixel_mm(maps)
+    assert (distances(find_candidates(maps, logs, math.log(0.3), 0.2), points, maps) < near).all()
+    logs[3] = np.nan  # two lines of sight meet by chance too often
+    assert len(find_candidates(maps, logs, math.log(0.3), 0.2)) == 0
+
+
+def test_dark_images_have_no_candidates(maps: VolumePolynomials) -> None:
+    dark = np.full((4, ROWS, COLUMNS), math.log(0.03), dtype=np.float32)
+    assert find_candidates(maps, dark, math.log(0.1), 0.2).shape == (0, 3)
+
+
+def test_the_lattice_is_as_fine_as_pixels_across_and_coarser_along_the_view(
+    maps: VolumePolynomials,
+) -> None:
+    z, y, x = lattice_shape(maps)
+    size = pixel_mm(maps)
+    step = 2.0 * maps.half_mm / (np.array([x, y, z]) - 1.0)
+    assert (step[:2] <= 1.05 * size).all()
+    assert size < step[2] <= 2.1 * size
+
+
+def test_the_lattice_turns_with_the_axes() -> None:
+    """A box twice as long has twice as many points along that axis."""
+    middle, half = (LOW + HIGH) / 2.0, (HIGH - LOW) / 2.0
+    short = fit_volume_polynomials(CAMERAS, middle - 0.5 * half, middle + 0.5 * half)
+    long = fit_volume_polynomials(CAMERAS, middle - half, middle + half)
+    ratio = np.array(lattice_shape(long)) / np.array(lattice_shape(short))
+    np.testing.assert_allclose(ratio, 2.0, rtol=0.06)

@@ -1,0 +1,67 @@
+"""Widths, light and noise of particle images, from images of known ones."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from sabench.algorithms.particles.image_statistics import dark_noise, measure_images
+from sabench.utils.arrays import F64
+from tests.helpers.image_model import profile
+
+ROWS, COLUMNS = 400, 500
+
+
+def image(per_pixel: float, sigma: tuple[float, float], seed: int, spread: float = 0.0) -> F64:
+    """An image of particles of mean light 200, and noise of standard deviation 2."""
+    rng = np.random.default_rng(seed)
+    count = int(per_pixel * (ROWS + 20) * (COLUMNS + 20))
+    center = rng.uniform(-10.0, (COLUMNS + 10.0, ROWS + 10.0), (count, 2))
+    light = 200.0 * np.exp(spread * rng.standard_normal(count) - 0.5 * spread**2)
+    x, y = profile(center[:, 0], sigma[0], COLUMNS), profile(center[:, 1], sigma[1], ROWS)
+    return (y * light[:, None]).T @ x + 2.0 * rng.standard_normal((ROWS, COLUMNS))
+
+
+@pytest.mark.parametrize("per_pixel", [0.005, 0.05, 0.2])
+@pytest.mark.parametrize("sigma", [(0.5, 0.6), (0.9, 0.7)])
+def test_widths_light_and_number_hold_at_any_density(
+    per_pixel: float, sigma: tuple[float, float]
+) -> None:
+    images = image(per_pixel, sigma, 3)[None]
+    found = measure_images(images, np.ones(images.shape, dtype=bool))
+    np.testing.assert_allclose(found.sigma[0], sigma, rtol=0.06)
+    assert found.light[0] == pytest.approx(200.0, rel=0.06)
+    assert found.number == pytest.approx(per_pixel * ROWS * COLUMNS, rel=0.08)
+
+
+def test_unequal_particles_count_by_their_light() -> None:
+    images = image(0.05, (0.7, 0.7), 4, spread=0.4)[None]
+    found = measure_images(images, np.ones(images.shape, dtype=bool))
+    assert found.light[0] == pytest.approx(200.0 * np.exp(0.4**2), rel=0.08)
+
+
+def test_unknown_pixels_do_not_count() -> None:
+    images = image(0.05, (0.7, 0.7), 5)[None]
+    known = np.ones(images.shape, dtype=bool)
+    whole = measure_images(images, known)
+    known[0, 100:140, 200:260] = False
+    images[0, 100:140, 200:260] = 4000.0
+    found = measure_images(images, known)
+    np.testing.assert_allclose(found.sigma, whole.sigma, rtol=0.02)
+    assert found.light[0] == pytest.approx(whole.light[0], rel=0.02)
+
+
+def test_dark_noise_comes_from_below_black_and_light_does_not_change_it() -> None:
+    images = image(0.02, (0.7, 0.7), 6)
+    assert dark_noise(images) == pytest.approx(2.0, rel=0.05)
+    assert dark_noise(np.abs(images)) == 0.5  # values cut at black: of rounding
+
+
+def test_images_of_noise_or_of_nothing_have_finite_statistics() -> None:
+    noise = np.random.default_rng(7).standard_normal((2, 60, 70))
+    for images in (noise, np.zeros((2, 60, 70)), np.full((2, 60, 70), 9.0)):
+        for known in (True, False):
+            found = measure_images(images, np.full(images.shape, known))
+            assert np.isfinite(found.sigma).all()
+            assert (found.light > 0.0).all()
+            assert np.isfinite(found.number)

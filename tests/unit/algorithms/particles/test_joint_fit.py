@@ -1,0 +1,96 @@
+"""Fits of particles to images: costs against their definition, places and light against truth."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from sabench.algorithms.particles.joint_fit import (
+    ImageModel,
+    Particles,
+    adjust,
+    price,
+    put_all_in,
+    refine,
+    solve_three,
+    start_light,
+)
+from sabench.geometry.volume_polynomials import VolumePolynomials
+from sabench.utils.arrays import F64
+from tests.helpers.image_model import NOISE, TYPICAL, model_of, paint, particles_of, room_of
+from tests.unit.algorithms.particles.test_triangulation import (
+    COLUMNS,
+    ROWS,
+    distances,
+    maps,
+    unit_points,
+)
+
+__all__ = ["maps"]
+RNG = np.random.default_rng(8)
+COUNT = 30
+LIGHT = TYPICAL * np.exp(0.3 * RNG.standard_normal((COUNT, 1)) + 0.1 * RNG.standard_normal((30, 4)))
+
+
+def whole_cost(model: ImageModel, particles: Particles, images: F64) -> float:
+    """Minus the logarithm of the probability of images and lights, from its definition."""
+    left = images - paint(model.maps, particles.position, particles.light, ROWS, COLUMNS)
+    logs = np.log(particles.light / model.typical)
+    prior = np.einsum("ni,ij,nj->", logs, model.precision, logs)
+    return float(0.5 * (left**2 * model.weight).sum() + 0.5 * prior)
+
+
+def test_changes_of_cost_are_those_of_the_whole_images(maps: VolumePolynomials) -> None:
+    points = 0.3 * unit_points(COUNT)  # many overlap
+    images = paint(maps, points, LIGHT, ROWS, COLUMNS)
+    images += NOISE * RNG.standard_normal(images.shape)
+    model, room = model_of(maps, images), room_of(maps)
+    particles = particles_of(points + 0.004 * RNG.standard_normal(points.shape), LIGHT)
+    put_all_in(model, room, particles)
+    before = whole_cost(model, particles, images)
+    changes = [adjust(model, room, particles, n) for n in range(COUNT)]
+    assert max(changes) <= 0.0
+    after = whole_cost(model, particles, images)
+    assert sum(changes) == pytest.approx(after - before, rel=1e-3)
+    total = refine(model, room, particles, 2)
+    assert total == pytest.approx(whole_cost(model, particles, images) - after, rel=1e-2)
+    # what is left of the images has been kept up to date
+    left = images - paint(maps, particles.position, particles.light, ROWS, COLUMNS)
+    np.testing.assert_allclose(model.left, left, atol=5e-3)  # the images end at their windows
+
+
+def test_overlapping_particles_are_found_where_they_are(maps: VolumePolynomials) -> None:
+    points = 0.5 * unit_points(COUNT)
+    images = paint(maps, points, LIGHT, ROWS, COLUMNS)
+    model, room = model_of(maps, images, between=0.3), room_of(maps)
+    start = points + 0.05 * RNG.uniform(-1.0, 1.0, points.shape) / maps.half_mm
+    particles = particles_of(start, np.zeros_like(LIGHT))
+    start_light(model, room, particles, 0)
+    refine(model, room, particles, 25)
+    errors = distances(particles.position, points, maps)
+    assert np.median(errors) < 2e-4
+    assert errors.max() < 0.02  # two of them are one pixel apart
+    assert np.median(np.abs(particles.light / LIGHT - 1.0)) < 0.005
+
+
+def test_errors_of_places_are_as_large_as_the_price_says(maps: VolumePolynomials) -> None:
+    """A price grows by the logarithm of how much better places are known."""
+    point, light = np.zeros(3), np.full(4, TYPICAL)
+    images = np.zeros((4, ROWS, COLUMNS))
+    model, room = model_of(maps, images), room_of(maps)
+    sharp = model._replace(weight=100.0 * model.weight)
+    gain = price(sharp, room, point, light) - price(model, room, point, light)
+    assert gain == pytest.approx(3.0 * np.log(10.0) + 4.0 * np.log(10.0), abs=3.0)
+    rare = model._replace(log_rate=model.log_rate - 2.0)
+    assert price(rare, room, point, light) - price(model, room, point, light) == pytest.approx(2.0)
+
+
+def test_three_equations_are_solved_unless_they_say_too_little() -> None:
+    matrix = RNG.standard_normal((3, 3))
+    matrix = matrix @ matrix.T + 0.1 * np.eye(3)
+    right, step = RNG.standard_normal(3), np.zeros(3)
+    determinant = solve_three(matrix, right, step)
+    np.testing.assert_allclose(step, np.linalg.solve(matrix, right))
+    assert determinant == pytest.approx(np.linalg.det(matrix))
+    assert solve_three(np.ones((3, 3)), right, step) == 0.0
+    assert solve_three(np.zeros((3, 3)), right, step) == 0.0

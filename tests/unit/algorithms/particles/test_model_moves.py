@@ -1,0 +1,154 @@
+"""Ghosts are removed, pairs are split, and neither happens to what is true."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from sabench.algorithms.particles.candidate_search import pixel_mm
+from sabench.algorithms.particles.joint_fit import Particles, put_all_in, refine
+from sabench.algorithms.particles.model_moves import (
+    add_camera_misses,
+    find_neighbours,
+    measure_misfit,
+    remove_ghosts,
+    split_pairs,
+)
+from sabench.geometry.volume_polynomials import VolumePolynomials, project_points
+from sabench.utils.arrays import F64
+from tests.helpers.image_model import NOISE, TYPICAL, model_of, paint, particles_of, room_of
+from tests.unit.algorithms.particles.test_triangulation import (
+    COLUMNS,
+    ROWS,
+    distances,
+    maps,
+    unit_points,
+)
+
+__all__ = ["maps"]
+RNG = np.random.default_rng(9)
+
+
+def noisy(maps: VolumePolynomials, points: F64, light: F64) -> F64:
+    images = paint(maps, points, light, ROWS, COLUMNS)
+    return np.asarray(images + NOISE * RNG.standard_normal(images.shape))
+
+
+def crossing(maps: VolumePolynomials, ghost: F64) -> F64:
+    """Four particles, each of which one camera sees where it sees the ghost."""
+    out = []
+    for camera, depth in enumerate((-0.7, -0.4, 0.4, 0.7)):
+        point, goal = ghost.copy(), project_points(maps, camera, ghost[None])[0]
+        point[2] = depth
+        for _ in range(30):
+            off = goal - project_points(maps, camera, point[None])[0]
+            slope = (
+                project_points(maps, camera, point + 1e-4 * np.eye(3)[:2])
+                - project_points(maps, camera, point[None])
+            ).T / 1e-4
+            point[:2] += np.linalg.solve(slope, off)
+        out.append(point)
+    return np.array(out)
+
+
+def test_a_ghost_of_four_particles_is_removed_and_they_get_their_light_back(
+    maps: VolumePolynomials,
+) -> None:
+    ghost = np.array([0.05, -0.1, 0.1])
+    true = crossing(maps, ghost)
+    light = np.full((4, 4), TYPICAL)
+    images = noisy(maps, true, light)
+    shared = light.copy()
+    shared[np.arange(4), np.arange(4)] *= 0.5  # the ghost has half of one image of each
+    particles = particles_of(np.vstack([true, ghost]), np.vstack([shared, 0.5 * light[:1]]))
+    model, room = model_of(maps, images, between=0.3), room_of(maps)
+    put_all_in(model, room, particles)
+    starts, near = find_neighbours(maps, particles.position)
+    assert set(near[starts[4] :]) == {0, 1, 2, 3}
+    order = np.arange(5)[::-1].copy()
+    assert remove_ghosts(model, room, particles, order, starts, near, 4, True) == 1
+    assert particles.alive.tolist() == [True] * 4 + [False]
+    kept = Particles(particles.position[:4], particles.light[:4], particles.alive[:4])
+    refine(model, room, kept, 10)
+    assert np.abs(kept.light / light - 1.0).max() < 0.1
+
+
+def test_light_in_one_camera_alone_is_no_particle(maps: VolumePolynomials) -> None:
+    point = np.zeros((1, 3))
+    light = np.array([[1e-3, 3.0 * TYPICAL, 1e-3, 1e-3]])
+    images = noisy(maps, point, light)
+    starts, near = np.zeros(2, dtype=np.int64), np.zeros(0, dtype=np.int64)
+    for lone, expected in ((True, 1), (False, 0)):
+        model, room = model_of(maps, images, between=1.0), room_of(maps)
+        particles = particles_of(point, np.array([[8.0, 3.0 * TYPICAL, 8.0, 8.0]]))
+        put_all_in(model, room, particles)
+        order = np.zeros(1, dtype=np.int64)
+        found = remove_ghosts(model, room, particles, order, starts, near, 1, lone)
+        assert found == expected
+
+
+def test_true_particles_stay_and_nothing_moves(maps: VolumePolynomials) -> None:
+    points, light = 0.5 * unit_points(30), np.full((30, 4), TYPICAL)
+    model, room = model_of(maps, noisy(maps, points, light)), room_of(maps)
+    particles = particles_of(points, light)
+    put_all_in(model, room, particles)
+    left = model.left.copy()
+    starts, near = find_neighbours(maps, points)
+    assert remove_ghosts(model, room, particles, np.arange(30), starts, near, 2, True) == 0
+    np.testing.assert_array_equal(particles.position, points)
+    np.testing.assert_array_equal(particles.light, light)
+    np.testing.assert_allclose(model.left, left, atol=1e-3)
+
+
+@pytest.mark.parametrize("direction", [[1.0, 0.0, 0.0], [0.0, 0.6, 0.8]])
+def test_two_particles_that_look_like_one_are_split(
+    maps: VolumePolynomials, direction: list[float]
+) -> None:
+    size = pixel_mm(maps) / maps.half_mm
+    half = 0.8 * size * np.array(direction) * [1.0, 1.0, 4.0]
+    pair = np.array([half, -half])
+    images = noisy(maps, pair, np.full((2, 4), TYPICAL))
+    model, room = model_of(maps, images), room_of(maps)
+    rows, lights = np.zeros((2, 3)), np.full((2, 4), 2.0 * TYPICAL)
+    particles = Particles(rows, lights, np.array([True, False]))
+    single = Particles(rows[:1], lights[:1], np.ones(1, dtype=np.bool_))
+    put_all_in(model, room, single)
+    refine(model, room, single, 10)
+    misfit = np.zeros(1)
+    measure_misfit(model, room, single, misfit)
+    assert misfit[0] > 4.0
+    steps = 0.7 * size * np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 3.0]])
+    order = np.zeros(1, dtype=np.int64)
+    assert split_pairs(model, room, particles, order, 1, steps) == 2
+    refine(model, room, particles, 20)
+    assert distances(particles.position, pair, maps).max() < 0.3 * pixel_mm(maps)
+    measure_misfit(model, room, particles, two := np.zeros(2))
+    assert two.max() < 4.0
+
+
+def test_a_single_particle_is_not_split(maps: VolumePolynomials) -> None:
+    point, light = np.zeros((1, 3)), np.full((1, 4), TYPICAL)
+    model, room = model_of(maps, noisy(maps, point, light)), room_of(maps)
+    particles = Particles(np.zeros((2, 3)), np.full((2, 4), TYPICAL), np.array([True, False]))
+    put_all_in(model, room, particles_of(point, light))
+    left, size = model.left.copy(), pixel_mm(maps) / maps.half_mm
+    steps = 0.7 * size * np.eye(3)
+    order = np.zeros(1, dtype=np.int64)
+    assert split_pairs(model, room, particles, order, 1, steps) == 1
+    np.testing.assert_allclose(particles.position[0], 0.0, atol=1e-12)
+    np.testing.assert_allclose(model.left, left, atol=1e-3)
+
+
+def test_a_shift_of_a_camera_shows_in_its_equations(maps: VolumePolynomials) -> None:
+    points, light = 0.8 * unit_points(30), np.full((30, 4), TYPICAL)
+    shifted = maps._replace(coefficients=maps.coefficients.copy())
+    shifted.coefficients[1, 0] += [0.04, -0.06]
+    model, room = model_of(maps, paint(shifted, points, light, ROWS, COLUMNS)), room_of(maps)
+    particles = particles_of(points, light)
+    put_all_in(model, room, particles)
+    sums = np.zeros((4, 5))
+    add_camera_misses(model, room, particles, sums)
+    for camera, (xx, xy, yy, x, y) in enumerate(sums):
+        shift = np.linalg.solve([[xx, xy], [xy, yy]], [x, y])
+        expected = [0.04, -0.06] if camera == 1 else [0.0, 0.0]
+        np.testing.assert_allclose(shift, expected, atol=3e-3)
