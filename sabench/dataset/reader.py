@@ -27,6 +27,8 @@ from sabench.utils.errors import InputError
 from sabench.utils.files import inside
 from sabench.utils.validation import validate
 
+_WIDEST_PX = 1000.0  # standard deviation of a particle image
+
 
 @dataclass(frozen=True)
 class Dataset:
@@ -170,6 +172,7 @@ class Dataset:
                 )
                 view = View(pixel, photons, sigma_px, visible)
                 finite(view.photons, f"{file.filename}: {base}/photons")
+                _check_widths(sigma_px, f"{file.filename}: {base}/sigma_px")
                 finite(
                     view.pixel[view.visible],
                     f"{file.filename}: {base}/pixel of visible particles",
@@ -325,6 +328,13 @@ class Dataset:
     def _check_frame(self, frame: int) -> None:
         if not 0 <= frame < self.setup.frames:
             raise InputError(f"{self.root}: frame {frame}: expected 0 to {self.setup.frames - 1}")
+
+
+def _check_widths(sigma_px: F64, where: str) -> None:
+    """Check that particle images are not wider than any sensor; NaN where there is none."""
+    widest = float(np.nanmax(sigma_px, initial=0.0))
+    if widest > _WIDEST_PX:
+        raise InputError(f"{where}: expected at most {_WIDEST_PX:g} px, got {widest:g}")
 
 
 def _pose(file: Any, group: str) -> Pose:

@@ -23,6 +23,7 @@ MANIFEST, CAMERAS, SCENE, TRUTH, TRUE_CAMERAS = (
 )
 TARGET, POINTS = "target.json", "points.h5"
 MOST_POINTS = 1_000_000  # of a target
+_LARGEST_MM = 1e6  # pitch of a target: a kilometre
 GIVEN = "given"  # folder of files of other programs, which the scene reads
 
 
@@ -175,10 +176,11 @@ def read_target(root: Path) -> Target:
         or target.pitch_mm <= 0.0
         or not 0.0 <= target.mark_mm < target.pitch_mm
         or target.columns * target.rows > MOST_POINTS
+        or target.pitch_mm > _LARGEST_MM
     ):
         raise InputError(
-            f"{path}: target: expected 2 to {MOST_POINTS} points, a positive pitch_mm and a "
-            f"smaller mark_mm, got {target}"
+            f"{path}: target: expected 2 to {MOST_POINTS} points, a positive pitch_mm of at most "
+            f"{_LARGEST_MM:g} and a smaller mark_mm, got {target}"
         )
     return target
 

@@ -214,7 +214,8 @@ def _other_shape(file: Any, name: str, rng: random.Random) -> None:
         shape[rng.randrange(len(shape))] = rng.choice((0, 1, 2, 5, 17))
     else:
         shape = [rng.choice((0, 1, 2, 3)) for _ in range(rng.randrange(6))]
-    file.create_dataset(name, shape, old.dtype, fillvalue=1)
+    fill = None if old.dtype.kind in "OSUV" else 1
+    file.create_dataset(name, shape, old.dtype, fillvalue=fill)
 
 
 def _other_type(file: Any, name: str, rng: random.Random) -> None:

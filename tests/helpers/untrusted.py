@@ -255,6 +255,9 @@ def scene(base: Base, inputs: Path, out: Path, rng: random.Random) -> Feed:
     return feed
 
 
+_MOST_VALUES = 100_000  # of a damaged TOML file
+
+
 def write_toml(path: Path, whole: dict[str, Any], rng: random.Random) -> None:
     if rng.random() < 0.2:
         path.write_bytes(mutations.data(tomli_w.dumps(whole).encode(), rng))
@@ -262,21 +265,24 @@ def write_toml(path: Path, whole: dict[str, Any], rng: random.Random) -> None:
     damaged = mutations.tree(whole, rng)
     try:
         text = tomli_w.dumps(
-            _without_none(damaged if isinstance(damaged, dict) else {"x": damaged})
+            _without_none(damaged if isinstance(damaged, dict) else {"x": damaged}, [_MOST_VALUES])
         )
     except (TypeError, RecursionError):
         text = "x = " + "[" * 5000
     path.write_text(text, encoding="utf-8", errors="surrogatepass")
 
 
-def _without_none(value: Any) -> Any:
+def _without_none(value: Any, room: list[int]) -> Any:
+    """Leave out None; a RecursionError where lists in lists that are one have too many values."""
+    room[0] -= 1
+    if room[0] < 0:
+        raise RecursionError
     if isinstance(value, dict):
-        return {str(key): _without_none(part) for key, part in value.items() if part is not None}
-    return (
-        [_without_none(part) for part in value if part is not None]
-        if isinstance(value, list)
-        else value
-    )
+        parts = {str(key): part for key, part in value.items() if part is not None}
+        return {key: _without_none(part, room) for key, part in parts.items()}
+    if isinstance(value, list):
+        return [_without_none(part, room) for part in value if part is not None]
+    return value
 
 
 def suite(base: Base, inputs: Path, out: Path, rng: random.Random) -> Feed:

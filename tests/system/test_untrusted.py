@@ -20,7 +20,7 @@ import tifffile
 import sabench
 from sabench.dataset import hdf5
 from sabench.dataset.hdf5 import open_hdf5, read_array
-from sabench.dataset.reader import Dataset
+from sabench.dataset.reader import Dataset, open_dataset
 from sabench.dataset.schema import read_target
 from sabench.dataset.verification import verify
 from sabench.evaluation.suite_loading import load_suite
@@ -239,6 +239,31 @@ def test_a_target_of_too_many_points_is_refused(tmp_path: Path) -> None:
     )
     with pytest.raises(InputError, match="expected 2 to 1000000 points"):
         read_target(tmp_path)
+
+
+def test_a_target_as_large_as_the_world_is_refused(tmp_path: Path) -> None:
+    target = {
+        "pattern": "circles",
+        "columns": 5,
+        "rows": 4,
+        "pitch_mm": 1.7e308,
+        "mark_mm": 0.5,
+    }
+    (tmp_path / "target.json").write_text(
+        canonical_json({"format": "sabench-dataset", "version": 1, "target": target})
+    )
+    with pytest.raises(InputError, match=r"pitch_mm of at most 1e\+06"):
+        read_target(tmp_path)
+
+
+def test_particle_images_wider_than_any_sensor_are_refused(quick: Dataset, tmp_path: Path) -> None:
+    root = Path(shutil.copytree(quick.root, tmp_path / "set"))
+    camera = quick.setup.cameras[0].name
+    name = f"frames/0000/cameras/{camera}/sigma_px"
+    with h5py.File(root / "truth.h5", "r+") as file:
+        file[name][0] = 1e18
+    with pytest.raises(InputError, match=f"{name}: expected at most 1000 px, got 1e"):
+        open_dataset(root).views(0)
 
 
 def test_frames_beyond_counting_end_in_a_hundred_faults(quick: Dataset, tmp_path: Path) -> None:
