@@ -308,11 +308,9 @@ def _blind(file: Any, name: str, rng: random.Random) -> None:
     def change(other: str, node: Any) -> None:
         if not isinstance(node, h5py.Dataset) or not _is_small(node):
             return
-        if other.rpartition("/")[2] == last and node.shape:
-            if node.dtype.kind in "iu":
-                node[...] = 0
-            elif node.dtype.kind == "f":
-                node[...] = value
+        if other.rpartition("/")[2] == last and node.shape and node.dtype.kind in "iuf":
+            same = value if node.dtype.kind == "f" else 0
+            node[...] = np.full(node.shape, same, node.dtype)  # a single value: row by row, minutes
 
     file.visititems(change)
 
@@ -494,12 +492,14 @@ def set_attribute(path: Path, name: str, value: Any) -> None:
 def _is_small(node: Any) -> bool:
     """Say whether a data set can be changed: the first change may have made a bomb of it.
 
-    One value written to a chunk of gigabytes writes all of the chunk.
+    One value written to a chunk of gigabytes writes all of the chunk, and a value for each of a
+    million chunks takes minutes.
     """
     if node.shape is None:
         return True
-    chunk = math.prod(node.chunks or (1,)) * node.dtype.itemsize
-    return bool(max(node.nbytes, chunk) < 1 << 28)
+    values = math.prod(node.chunks or node.shape)
+    chunk, count = values * node.dtype.itemsize, node.size / max(values, 1)
+    return bool(max(node.nbytes, chunk) < 1 << 28 and count < 10_000)
 
 
 def hdf5(path: Path, rng: random.Random) -> None:

@@ -126,7 +126,7 @@ SUITE: dict[str, Any] = {
         {"name": "./program", "task": "reconstruction", "time_limit_s": 5.0},
     ],
 }
-# pixels x frames x cameras, and particles, of scenes that are generated and not only checked
+# pixels, particles and files of all frames of scenes that are generated and not only checked
 LARGEST_STEPS = 4e6
 
 
@@ -246,7 +246,7 @@ def scene(base: Base, inputs: Path, out: Path, rng: random.Random) -> Feed:
         count = (loaded.particles or {}).get("count") or 0
         if (
             loaded.cameras.rows * loaded.cameras.columns * loaded.frames
-            + 1000 * count * loaded.frames
+            + (1000 * count + 50_000) * loaded.frames
             < LARGEST_STEPS
             and loaded.flow_grid_mm is None
         ):

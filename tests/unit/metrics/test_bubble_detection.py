@@ -60,6 +60,7 @@ def test_faults_are_distinguished() -> None:
     assert scores["depth_mm"] == pytest.approx(0.05)
     assert scores["radius_percent"] == scores["axes_percent"] == pytest.approx(10.0)
     assert scores["void_percent"] == pytest.approx(100.0 * (1.1**3 - 1.0))
+    assert scores["sizes_percent"] == pytest.approx(10.0)
     assert np.isnan(scores["recall_hidden"])
 
 

@@ -92,6 +92,11 @@ def test_efficiency_is_relative_to_that_of_an_efficient_estimate(
     assert ratio is not None
     assert 0.0 < bound.efficiency < 1.0
     assert ratio * bound.efficiency == pytest.approx(true / measured)
+    for number, axis in enumerate("xyz"):
+        std, over = scores[f"{axis}_std_mm"], scores[f"{axis}_std_ratio"]
+        assert std is not None
+        assert over is not None
+        assert over * bound.point_std_mm[number] == pytest.approx(std)
 
 
 def test_each_alignment_takes_away_its_own_motion() -> None:
@@ -107,6 +112,20 @@ def test_each_alignment_takes_away_its_own_motion() -> None:
     assert means[""] == pytest.approx([0.0, 0.0, 0.3])  # lateral: in the plane of the wall
     assert means["shift_"] == pytest.approx([0.0, 0.0, 0.3], abs=1e-9)
     assert means["rigid_"] == pytest.approx([0.0, 0.0, 0.0], abs=1e-9)
+
+
+def test_scatter_of_points_is_that_of_each_axis() -> None:
+    rng = np.random.default_rng(5)
+    truth, seen = rng.normal(0.0, 10.0, (3, 20, 3)), np.ones((3, 20), dtype=np.bool_)
+    still, errors = RigidMotion(np.eye(3), np.zeros(3)), rng.normal(0.0, 0.1, (3, 20, 3))
+    errors *= [1.0, 2.0, 3.0]
+    scores = point_scores(truth + errors, truth, seen, still)
+    expected = errors.reshape(-1, 3)
+    for number, axis in enumerate("xyz"):
+        assert scores[f"raw_{axis}_std_mm"] == pytest.approx(expected[:, number].std())
+        assert scores[f"shift_{axis}_mean_mm"] == pytest.approx(
+            expected[:, 2].mean() if axis == "z" else 0.0, abs=1e-9
+        )
 
 
 def test_points_are_triangulated_from_the_observations_that_were_used() -> None:

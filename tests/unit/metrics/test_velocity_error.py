@@ -58,6 +58,8 @@ def test_errors_of_derivatives_are_those_of_a_linear_field() -> None:
     assert got["divergence_1_s"] == pytest.approx(0.7)
     # curl: (a_32 - a_23, a_13 - a_31, a_21 - a_12) = (0.8, 0.6, 0)
     assert got["vorticity_percent"] == pytest.approx(100.0 * np.sqrt(0.8**2 + 0.6**2) / 6.0)
+    slow = scores(0.01 * linear(spin + wrong), 0.01 * linear(spin))
+    assert slow["vorticity_percent"] == pytest.approx(got["vorticity_percent"])
 
 
 @pytest.mark.parametrize("node", [(1, 2, 2), (2, 1, 3), (1, 3, 4), (3, 2, 2), (2, 2, 0)])
