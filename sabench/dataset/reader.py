@@ -331,7 +331,7 @@ class Dataset:
 
 
 def _check_widths(sigma_px: F64, where: str) -> None:
-    """Check that particle images are not wider than any sensor; NaN where there is none."""
+    """Check that no particle image is wider than any sensor; NaN is no image."""
     widest = float(np.nanmax(sigma_px, initial=0.0))
     if widest > _WIDEST_PX:
         raise InputError(f"{where}: expected at most {_WIDEST_PX:g} px, got {widest:g}")
