@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tomllib
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -80,6 +81,18 @@ def test_cameras_that_are_off_are_shifted_back() -> None:
     off = found - true[nearest]
     spread = off[np.linalg.norm(off, axis=1) < 0.2].std(axis=0)
     assert spread[:2].max() < 0.15 * 0.05  # of a pixel's size
+
+
+@pytest.mark.parametrize("level", [64.0, 4095.0])
+@pytest.mark.parametrize("noise", [0.0, 2.2])
+def test_a_camera_without_particles_does_not_count(level: float, noise: float) -> None:
+    shot = make_shot(15, particles={"per_pixel": 0.04})
+    images = shot.observation.images.copy()
+    drawn = np.random.default_rng(2).normal(level, noise, images[2].shape)
+    images[2] = np.clip(np.rint(drawn), 0, 4095)
+    counts = count(shot, find_in(replace(shot.observation, images=images)))
+    assert counts.recall > 0.95
+    assert counts.precision > 0.95
 
 
 @pytest.mark.parametrize("level", [64.0, 66.0, 4095.0])

@@ -41,8 +41,11 @@ from sabench.algorithms.particles.model_moves import (
 from sabench.algorithms.particles.refinement import in_mm, peak_brightness
 from sabench.api import FoundParticles, Observation
 from sabench.geometry.volume_polynomials import VolumePolynomials, project_points
+from sabench.images.flaws import Flaws
 from sabench.utils.arrays import F32, F64, Bool
 
+_FEWEST = 3  # cameras that must show particles
+_BOX = 8.0  # volume of the box in its coordinates
 _ANY_LIGHT = 2.0  # scatter of the common logarithm while candidates share the light: no prior
 _BETWEEN, _COMMON = 0.1, 0.4  # first scatter between cameras, and of what they have in common
 _FIRST_FLOOR = 0.35  # of the first candidates' mean light, over a typical particle's
@@ -85,29 +88,39 @@ def reconstruct_most_probable(
     case: Observation, maps: VolumePolynomials, settings: BayesianIprSettings
 ) -> FoundParticles:
     """Reconstruct the particles that make the images most probable."""
-    search = _Search(case, maps, settings)
-    if search.statistics.number > 1.0:
-        search.run()
+    good = case.repaired
+    images = good.images.astype(np.float32) - np.float32(case.black_dn)
+    statistics = measure_images(images.astype(np.float64), ~good.flaws.unknown)
+    if statistics.shown.sum() < _FEWEST:
+        return FoundParticles(np.zeros((0, 3)), np.zeros(0))
+    search = _Search(images, good.flaws, maps, statistics, settings)
+    search.run()
     brightness = peak_brightness(search.light, search.sigma.mean(axis=1)).mean(axis=1)
     return FoundParticles(in_mm(search.maps, search.position), brightness)
 
 
 class _Search:
-    """State of the search: the model of the images, and the particles so far."""
+    """State of the search: the model of the images, and the particles so far.
+
+    Cameras that show no particles are left out.
+    """
 
     def __init__(
-        self, case: Observation, maps: VolumePolynomials, settings: BayesianIprSettings
+        self,
+        images: F32,
+        flaws: Flaws,
+        maps: VolumePolynomials,
+        statistics: ImageStatistics,
+        settings: BayesianIprSettings,
     ) -> None:
-        good = case.repaired
-        self.images: F32 = good.images.astype(np.float32) - np.float32(case.black_dn)
-        self.known: Bool = ~good.flaws.unknown
-        self.covered: Bool = good.flaws.covered
+        shown = statistics.shown
+        self.images: F32 = images[shown]
+        self.known: Bool = ~flaws.unknown[shown]
+        self.covered: Bool = flaws.covered[shown]
         self.settings = settings
-        self.maps = maps._replace(coefficients=maps.coefficients.copy())
-        self.statistics: ImageStatistics = measure_images(
-            self.images.astype(np.float64), self.known
-        )
-        self.sigma, self.typical = self.statistics.sigma, self.statistics.light.copy()
+        self.maps = maps._replace(coefficients=maps.coefficients[shown])
+        self.number, self.noise = statistics.number, statistics.noise[shown]
+        self.sigma, self.typical = statistics.sigma[shown], statistics.light[shown]
         cameras = len(self.images)
         self.room = make_room(cameras)
         self.covariance = even_covariance(cameras, _BETWEEN, _COMMON)
@@ -170,7 +183,7 @@ class _Search:
             float(np.linalg.slogdet(precision)[1]),
             weight,
             self.left,
-            math.log(self.statistics.number / 8.0),
+            math.log(self.number / _BOX),
         )
 
     def _particles(self) -> Particles:
@@ -204,7 +217,7 @@ class _Search:
     def _find(self, floor: float) -> None:
         """Add candidates from what is left of the images."""
         peaks = self._peaks()[:, None, None]
-        dark = np.maximum(self.statistics.noise[:, None, None] / peaks, _DIMMEST)
+        dark = np.maximum(self.noise[:, None, None] / peaks, _DIMMEST)
         logs = np.log(np.clip(self.left / peaks, dark, BRIGHTEST))
         logs = np.where(self.covered, np.nan, logs).astype(np.float32)
         cameras = len(logs)
@@ -223,7 +236,7 @@ class _Search:
         noise is not more than `cap` of a typical peak squared.
         """
         for camera, peak in enumerate(self._peaks()):
-            known, dark = self.known[camera], self.statistics.noise[camera] ** 2
+            known, dark = self.known[camera], self.noise[camera] ** 2
             model = np.maximum(self.images[camera] - self.left[camera], 0.0)
             squares = np.square(self.left[camera][known], dtype=np.float64)
             squares = np.minimum(squares, 30.0 * squares.mean())

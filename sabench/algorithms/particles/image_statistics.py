@@ -19,6 +19,7 @@ _LEAST_SIGMA, _MOST_SIGMA = 0.3, 2.5  # px
 _FAR = (6, 7)  # px: so far apart, pixels share no particle
 _LEAST_NOISE = 0.5  # grey values: of rounding
 _FEW = 50  # values below black that tell the noise
+_CLEAR = 6.0  # standard deviations by which neighbours' products exceed those of noise
 
 
 @dataclass(frozen=True)
@@ -31,12 +32,14 @@ class ImageStatistics:
     light : (camera,) sum of the grey values of a typical particle's image; particles of different
         light count by their light.
     noise : (camera,) standard deviation of dark pixels, grey values.
-    number : particles in the images; the median over cameras.
+    shown : (camera,) whether an image shows particles: it is not dark, even or all noise.
+    number : particles in the images; the median over the cameras that show them.
     """
 
     sigma: F64
     light: F64
     noise: F64
+    shown: Bool
     number: float
 
 
@@ -47,15 +50,21 @@ def measure_images(images: F64, known: Bool) -> ImageStatistics:
     ----------
     known : the same shape, pixels that count.
     """
-    sigma, light, noise, number = [], [], [], []
+    sigma, light, noise, shown, number = [], [], [], [], []
     for image, there in zip(images, known, strict=True):
-        widths, own = _measure_image(image, there)
+        widths, own, clear = _measure_image(image, there)
         sigma.append(widths)
         light.append(own)
         noise.append(dark_noise(image[there]))
-        number.append(max(float(image[there].sum()) / own, 1.0))
+        shown.append(clear)
+        if clear:
+            number.append(max(float(image[there].sum()) / own, 1.0))
     return ImageStatistics(
-        np.array(sigma), np.array(light), np.array(noise), float(np.median(number))
+        np.array(sigma),
+        np.array(light),
+        np.array(noise),
+        np.array(shown),
+        float(np.median(number)) if number else 0.0,
     )
 
 
@@ -65,8 +74,8 @@ def dark_noise(values: F64) -> float:
     return max(float(np.sqrt(np.mean(below**2))) if len(below) > _FEW else 0.0, _LEAST_NOISE)
 
 
-def _measure_image(image: F64, known: Bool) -> tuple[tuple[float, float], float]:
-    """Measure widths (columns, rows) of particle images, and a typical light.
+def _measure_image(image: F64, known: Bool) -> tuple[tuple[float, float], float, bool]:
+    """Measure widths (columns, rows), a typical light, and whether particles show.
 
     Products of pixels d apart fall as exp(-d2 / (4 s2)), s2 = sigma2 + 1/12. Those one and two
     pixels apart give s, that at distance 0 follows without the noise of a pixel, and it is the
@@ -78,8 +87,10 @@ def _measure_image(image: F64, known: Bool) -> tuple[tuple[float, float], float]
     far = sum(apart) / len(apart)
     squares: list[float] = []
     at_zero: list[float] = []
+    nearest: list[float] = []
     for step in ((0, 1), (1, 0)):
         one = _product(light, count, *step) - far
+        nearest.append(one)
         two = _product(light, count, 2 * step[0], 2 * step[1]) - far
         square = 0.75 / math.log(one / two) if one > two > 0.0 else 0.0
         square = min(max(square, _LEAST_SIGMA**2 + _PIXEL), _MOST_SIGMA**2 + _PIXEL)
@@ -88,7 +99,9 @@ def _measure_image(image: F64, known: Bool) -> tuple[tuple[float, float], float]
     mean = max(float(light.sum() / max(count.sum(), 1.0)), 1e-12)
     own = sum(at_zero) * 2.0 * math.pi * math.sqrt(squares[0] * squares[1]) / mean
     widths = math.sqrt(squares[0] - _PIXEL), math.sqrt(squares[1] - _PIXEL)
-    return widths, max(own, 1e-6)
+    values = image[known]
+    chance = float(values.var()) / math.sqrt(len(values)) if len(values) else 0.0
+    return widths, max(own, 1e-6), sum(nearest) / 2.0 > _CLEAR * chance and own > 1e-6
 
 
 def _product(light: F64, count: F64, rows: int, columns: int) -> float:
