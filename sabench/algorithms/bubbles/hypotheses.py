@@ -173,7 +173,7 @@ def _sample(
     for n in numba.prange(len(out)):
         if not good[n]:
             continue
-        column, row = int(pixels[n, 0] + 0.5), int(pixels[n, 1] + 0.5)
+        column, row = int(np.floor(pixels[n, 0] + 0.5)), int(np.floor(pixels[n, 1] + 0.5))
         if column < 0 or row < 0 or column >= columns or row >= rows:
             continue
         position = min(max((np.log(size[n]) - first) / step, 0.0), count - 1.001)

@@ -12,7 +12,7 @@ import pytest
 from sabench.api import Reconstruction
 from sabench.api.truth import Particles, View
 from sabench.geometry.grid import Grid, synthesise
-from sabench.metrics.blob_intensity import blob_intensities, intensity_error
+from sabench.metrics.blob_intensity import _find_steps, blob_intensities, intensity_error
 from sabench.metrics.particle_detection import detect_peaks
 from sabench.metrics.reconstruction_error import score_frame
 from sabench.utils.arrays import F32, F64, triple
@@ -88,3 +88,14 @@ def test_blobs_hold_all_the_light_that_leads_to_their_peak() -> None:
     truth, yes = GRID.to_voxels(one.position_mm), np.ones(1, dtype=np.bool_)
     assert intensity_error(blob, peaks, truth, np.ones(1), yes) == pytest.approx(0.0, abs=1e-6)
     assert intensity_error(blob, peaks, truth, np.zeros(1), yes) is None
+
+
+def test_steps_lead_to_the_brightest_neighbour_up_to_the_faces() -> None:
+    """Against a loop over all 27, for a volume so small that every voxel is near a face."""
+    bright = np.random.default_rng(3).random((3, 4, 5)).astype(np.float32)
+    step = np.full(bright.shape, 13, dtype=np.int8)
+    _find_steps(bright, step)
+    padded = np.pad(bright, 1, constant_values=-1.0)
+    for place in np.ndindex(*bright.shape):
+        around = padded[tuple(slice(one, one + 3) for one in place)]
+        assert step[place] == int(around.argmax())

@@ -185,3 +185,22 @@ def test_discs_and_diffraction_are_stretched_on_tilted_sensors(tilt: tuple[float
         scale = (airy / (1e-5 * camera.focal_px)) ** 2
         exact = [scale * spot[0, 0], scale * spot[1, 1], scale * spot[0, 1]]
         np.testing.assert_allclose(small.spread_px2[k], exact, rtol=0, atol=0.01 * max(exact))
+
+
+def test_large_particles_are_stretched_as_their_outline_is() -> None:
+    """Against the projection of two directions across the line of sight."""
+    scene, camera = tilted_rig((14.0, -10.0), wall=False)
+    place = np.array([[2.0, -1.5, 31.0]])
+    large, small = (
+        image_particles(scene, camera, cloud(place, diameter), None).spread_px2[0]
+        for diameter in (0.5, 0.1)
+    )
+    sight = place[0] - np.asarray(camera.center_mm)
+    across = np.cross(sight, [0.3, 1.0, 0.2])
+    both = np.stack([across, np.cross(sight, across)])
+    both /= np.linalg.norm(both, axis=1)[:, None]
+    ends = [camera.project(place + sign * 1e-4 * both)[0] for sign in (1.0, -1.0)]
+    slopes = (ends[0] - ends[1]) / 2e-4
+    shape = slopes.T @ slopes * (0.5**2 - 0.1**2) / 16.0
+    expected = [shape[0, 0], shape[1, 1], shape[0, 1]]
+    np.testing.assert_allclose(large - small, expected, rtol=2e-3, atol=1e-3 * shape[0, 0])
