@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -455,3 +456,32 @@ def test_a_moving_bubble_is_smeared() -> None:
         (right[0] - left[0]) ** 2 / 12.0, rel=0.08
     )  # that of 2 mm of way
     assert middle[1] == pytest.approx(middle[0], abs=0.15)
+
+
+def test_surfaces_are_met_to_single_precision_from_far_away() -> None:
+    """A ray that starts 30 m before a bubble near the origin, against double precision."""
+    mi = backend.mitsuba()
+    from sabench.simulation.rendering.bubble_integrator import _on_bubble
+
+    rng = np.random.default_rng(5)
+    center, to_ball = np.array([0.4, -0.3, 1.2]), np.diag([2.0, 1.25, 1.6])
+    aims = center + rng.uniform(-0.15, 0.15, (50, 3))
+    sent = np.array([300.0, -200.0, -30000.0])
+    ways = (aims - sent) / np.linalg.norm(aims - sent, axis=1)[:, None]
+    starts = np.float32(aims - 30000.0 * ways).astype(np.float64)
+    ways = np.float32(ways).astype(np.float64)
+    device = SimpleNamespace(
+        centers=mi.Point3f(center.tolist()), rows=[mi.Vector3f(row) for row in to_ball.tolist()]
+    )
+    columns = [np.ascontiguousarray(each.T, dtype=np.float32) for each in (starts, ways)]
+    ray = mi.Ray3f(mi.Point3f(columns[0]), mi.Vector3f(columns[1]))
+    for inside, sign in ((False, -1.0), (True, 1.0)):
+        at, normal = _on_bubble(device, ray, mi.UInt32(0), mi.Bool(inside), mi.Bool(True))
+        p, d = (starts - center) @ to_ball, ways @ to_ball
+        a, b, c = (np.einsum("ij,ij->i", *two) for two in ((d, d), (p, d), (p, p)))
+        step = (sign * np.sqrt(b * b - a * (c - 1.0)) - b) / a
+        expected = starts + step[:, None] * ways
+        outwards = (expected - center) @ to_ball**2
+        outwards /= np.linalg.norm(outwards, axis=1)[:, None]
+        np.testing.assert_allclose(np.array(at).T, expected, atol=1e-5)
+        np.testing.assert_allclose(np.array(normal).T, outwards, atol=1e-5)

@@ -189,7 +189,7 @@ def test_discs_and_diffraction_are_stretched_on_tilted_sensors(tilt: tuple[float
 
 def test_large_particles_are_stretched_as_their_outline_is() -> None:
     """Against the projection of two directions across the line of sight."""
-    scene, camera = tilted_rig((14.0, -10.0), wall=False)
+    scene, camera = tilted_rig((25.0, -22.0), wall=False)
     place = np.array([[2.0, -1.5, 31.0]])
     large, small = (
         image_particles(scene, camera, cloud(place, diameter), None).spread_px2[0]
