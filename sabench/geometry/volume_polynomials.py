@@ -29,7 +29,7 @@ class VolumePolynomials(NamedTuple):
     Attributes
     ----------
     coefficients : (camera, terms, 2) of column and row.
-    powers : (terms, 3).
+    powers : (terms, 3), as `_powers` lists them: kernels rely on the order.
     middle_mm, half_mm : (3,) centre and half edges of the box.
     """
 
@@ -100,23 +100,62 @@ def _powers(degree: int) -> I64:
 def project_point(maps: Any, camera: int, point: Any, pixel: Any, slope: Any) -> None:
     """Fill in a camera's pixel (2,) of a point (3,) and its slope (2, 3).
 
-    The point's coordinates run from -1 to 1.
+    The point's coordinates run from -1 to 1. By Horner's rule, one coordinate within the other.
     """
-    x, y, z = np.ones(_HIGHEST + 1), np.ones(_HIGHEST + 1), np.ones(_HIGHEST + 1)
-    for i in range(_HIGHEST):
-        x[i + 1], y[i + 1], z[i + 1] = x[i] * point[0], y[i] * point[1], z[i] * point[2]
-    pixel[:], slope[:] = 0.0, 0.0
-    for t in range(len(maps.powers)):
-        i, j, k = maps.powers[t]
-        by_x = i * x[i - 1] * y[j] * z[k] if i else 0.0
-        by_y = j * x[i] * y[j - 1] * z[k] if j else 0.0
-        by_z = k * x[i] * y[j] * z[k - 1] if k else 0.0
-        for a in range(2):
-            value = maps.coefficients[camera, t, a]
-            pixel[a] += value * x[i] * y[j] * z[k]
-            slope[a, 0] += value * by_x
-            slope[a, 1] += value * by_y
-            slope[a, 2] += value * by_z
+    x, y, z = point[0], point[1], point[2]
+    terms = maps.coefficients[camera]
+    degree, t = maps.powers[-1, 2], len(terms)
+    u = v = ux = vx = uy = vy = uz = vz = 0.0
+    for k in range(degree, -1, -1):
+        a = b = ax = bx = ay = by = 0.0
+        for j in range(degree - k, -1, -1):
+            c = d = cx = dx = 0.0
+            for _ in range(degree - k - j + 1):
+                t -= 1
+                cx, dx = cx * x + c, dx * x + d
+                c, d = c * x + terms[t, 0], d * x + terms[t, 1]
+            ay, by = ay * y + a, by * y + b
+            a, b = a * y + c, b * y + d
+            ax, bx = ax * y + cx, bx * y + dx
+        uz, vz = uz * z + u, vz * z + v
+        u, v = u * z + a, v * z + b
+        ux, vx = ux * z + ax, vx * z + bx
+        uy, vy = uy * z + ay, vy * z + by
+    pixel[0], pixel[1] = u, v
+    slope[0, 0], slope[0, 1], slope[0, 2] = ux, uy, uz
+    slope[1, 0], slope[1, 1], slope[1, 2] = vx, vy, vz
+
+
+@numba.njit(cache=True)
+def project_row(
+    maps: Any, camera: int, y: float, z: float, first: float, step: float, pixels: Any
+) -> None:
+    """Fill in a camera's pixels (2, n) of points along x.
+
+    Parameters
+    ----------
+    first, step : x of the first point, and from each to the next.
+    """
+    terms = maps.coefficients[camera]
+    degree, t = maps.powers[-1, 2], 0
+    line = np.zeros((degree + 1, 2))
+    by_z = 1.0
+    for k in range(degree + 1):
+        both = by_z
+        for j in range(degree + 1 - k):
+            for i in range(degree + 1 - k - j):
+                line[i, 0] += both * terms[t, 0]
+                line[i, 1] += both * terms[t, 1]
+                t += 1
+            both *= y
+        by_z *= z
+    for a in range(2):
+        for n in range(pixels.shape[1]):
+            pixels[a, n] = line[degree, a]
+        for i in range(degree - 1, -1, -1):
+            value = line[i, a]
+            for n in range(pixels.shape[1]):
+                pixels[a, n] = pixels[a, n] * (first + step * n) + value
 
 
 def project_points(maps: VolumePolynomials, camera: int, points: F64) -> F64:

@@ -13,11 +13,10 @@ from typing import Any
 import numba
 import numpy as np
 
-from sabench.geometry.volume_polynomials import VolumePolynomials, project_point
+from sabench.geometry.volume_polynomials import VolumePolynomials, project_point, project_row
 from sabench.utils.arrays import F32, F64
 
 BRIGHTEST = 1.5  # of a typical peak: more light in one camera does not make up for another's lack
-_NODE = 8  # points of the lattice between two exact projections
 _FLATTEST = 2.0  # pixels: longest step of the lattice, in space
 _DARK = np.float32(-1e9)
 _FEWEST = 3  # cameras that have a place on their sensors
@@ -61,9 +60,10 @@ def find_candidates(maps: VolumePolynomials, logs: F32, floor: float, spread: fl
     spread : the most that the mean may exceed the darkest camera's.
     """
     means = np.empty(lattice_shape(maps), dtype=np.float32)
-    _sweep(
-        maps, logs, np.float32(floor), np.float32(spread), np.float32(math.log(BRIGHTEST)), means
-    )
+    marks = np.zeros(logs.shape, dtype=np.bool_)
+    limits = np.float32(floor), np.float32(spread), np.float32(math.log(BRIGHTEST))
+    _mark_light(logs, limits[0] - limits[1], marks)
+    _sweep(maps, logs, marks, *limits, means)
     z, y, x = _local_maxima(means)
     order = np.argsort(-means[z, y, x], kind="stable")
     places = np.stack([x, y, z], axis=1)[order]
@@ -91,37 +91,61 @@ def _look_up(image: Any, column: float, row: float) -> Any:
     return upper * (1.0 - down) + lower * down
 
 
+@numba.njit(cache=True)
+def _mark_light(logs: Any, least: Any, marks: Any) -> None:
+    """Mark pixels (camera, row, column) between which and the next ones there may be light.
+
+    Light is at least `least`, or unknown. The last row and column are no lower corners.
+    """
+    cameras, rows, columns = logs.shape
+    for c in range(cameras):
+        for i in range(rows - 1):
+            for j in range(columns - 1):
+                dark = True
+                for k in range(2):
+                    for n in range(2):
+                        dark = dark and logs[c, i + k, j + n] < least  # NaN is not
+                marks[c, i, j] = not dark
+
+
 @numba.njit(cache=True, parallel=True)
-def _sweep(maps: Any, logs: Any, floor: Any, spread: Any, most: Any, means: Any) -> None:
+def _sweep(
+    maps: Any, logs: Any, marks: Any, floor: Any, spread: Any, most: Any, means: Any
+) -> None:
     """Fill in the lattice's mean logarithms (z, y, x), `_DARK` below the floor."""
     slices, rows, columns = means.shape
-    cameras, nodes = len(logs), (columns + _NODE - 1) // _NODE + 1
+    cameras, last_row, last_column = len(logs), logs.shape[1] - 1.0, logs.shape[2] - 1.0
     for z in numba.prange(slices):
-        seen = np.zeros((cameras, nodes, 2))
-        point, pixel, slope = np.zeros(3), np.zeros(2), np.zeros((2, 3))
-        point[2] = -1.0 + 2.0 * z / (slices - 1)
+        pixels = np.zeros((cameras, 2, columns))
+        alive = np.zeros(columns, dtype=np.bool_)
         for y in range(rows):
-            point[1] = -1.0 + 2.0 * y / (rows - 1)
+            alive[:] = True
             for c in range(cameras):
-                for n in range(nodes):
-                    point[0] = -1.0 + 2.0 * n * _NODE / (columns - 1)
-                    project_point(maps, c, point, pixel, slope)
-                    seen[c, n, 0], seen[c, n, 1] = pixel[0], pixel[1]
+                project_row(
+                    maps,
+                    c,
+                    -1.0 + 2.0 * y / (rows - 1),
+                    -1.0 + 2.0 * z / (slices - 1),
+                    -1.0,
+                    2.0 / (columns - 1),
+                    pixels[c],
+                )
+                for x in range(columns):
+                    column, row = pixels[c, 0, x], pixels[c, 1, x]
+                    if alive[x] and 0.0 <= column < last_column and 0.0 <= row < last_row:
+                        alive[x] = marks[c, int(row), int(column)]
             for x in range(columns):
-                node = x // _NODE
-                means[z, y, x] = _mean_log(logs, seen, node, x / _NODE - node, floor, spread, most)
+                means[z, y, x] = _DARK
+                if alive[x]:
+                    means[z, y, x] = _mean_log(logs, pixels, x, floor, spread, most)
 
 
 @numba.njit(cache=True)
-def _mean_log(
-    logs: Any, seen: Any, node: int, between: float, floor: Any, spread: Any, most: Any
-) -> Any:
+def _mean_log(logs: Any, pixels: Any, x: int, floor: Any, spread: Any, most: Any) -> Any:
     """Average the cameras' logarithms at one point; `_DARK` below the floor."""
     total, lowest, count, cameras = 0.0, np.inf, 0, len(logs)
     for c in range(cameras):
-        column = seen[c, node, 0] * (1.0 - between) + seen[c, node + 1, 0] * between
-        row = seen[c, node, 1] * (1.0 - between) + seen[c, node + 1, 1] * between
-        value = _look_up(logs[c], column, row)
+        value = _look_up(logs[c], pixels[c, 0, x], pixels[c, 1, x])
         if np.isnan(value):
             continue
         total, count, lowest = total + value, count + 1, min(lowest, value)
