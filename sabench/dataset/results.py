@@ -45,6 +45,7 @@ _ATTRIBUTES = (
     "peak_mb",
     "compile_s",
     "reconstruction_s",
+    "cpu_share",
     "isolated",
     "whole_process",
 )
@@ -60,7 +61,9 @@ class Result:
     A cost that the file does not give is None. `seconds` leaves out `compile_s`, the time in which
     kernels were compiled and modules imported. `isolated` tells whether the solver saw the
     observation side only.
-    `whole_process` tells whether the seconds are those of a program's whole process.
+    `whole_process` tells whether the seconds are those of a program's whole process. `cpu_share`
+    is the CPU seconds per second of the solver's process while it solved: below one it waited,
+    above one it used several cores.
     """
 
     path: Path
@@ -72,6 +75,7 @@ class Result:
     grid: Grid
     reconstruction_s: float | None = None
     compile_s: float | None = None
+    cpu_share: float | None = None
     isolated: bool = False
     whole_process: bool = False
 
@@ -148,13 +152,23 @@ class ResultWriter:
             self._file.attrs["reconstruction_s"] = seconds
 
     def set_cost(
-        self, seconds: float, peak_mb: float | None, compile_s: float | None = None
+        self,
+        seconds: float,
+        peak_mb: float | None,
+        compile_s: float | None = None,
+        cpu_share: float | None = None,
     ) -> None:
         """Store the cost of one frame: mean seconds and peak resident memory.
 
-        The memory is None if it is not known, as is the time of compilation, of all frames.
+        The memory is None if it is not known, as is the time of compilation, of all frames, and the
+        share of the CPU.
         """
-        costs = {"seconds": seconds, "peak_mb": peak_mb, "compile_s": compile_s}
+        costs = {
+            "seconds": seconds,
+            "peak_mb": peak_mb,
+            "compile_s": compile_s,
+            "cpu_share": cpu_share,
+        }
         with delay_interrupts():
             self._file.attrs.update({key: one for key, one in costs.items() if one is not None})
 
@@ -226,7 +240,7 @@ def open_result(path: str | Path, dataset: Dataset) -> Result:
         )
     costs = {
         key: _cost(head.get(key), f"{path}: attribute {key}")
-        for key in ("seconds", "peak_mb", "compile_s", "reconstruction_s")
+        for key in ("seconds", "peak_mb", "compile_s", "reconstruction_s", "cpu_share")
     }
     return Result(
         path=file_path,

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import time
+from collections.abc import Callable
 from pathlib import Path
 
 from sabench.dataset.reader import Dataset
@@ -23,20 +25,26 @@ preload(
 
 
 def solve_timed(
-    solver_entry: SolverEntry, dataset: Dataset, out: Path, *, threads: int | None = None
+    solver_entry: SolverEntry,
+    dataset: Dataset,
+    out: Path,
+    *,
+    threads: int | None = None,
+    clock: Callable[[], float] = time.perf_counter,
 ) -> float:
     """Solve, and time the reference kernel before and after.
 
     Parameters
     ----------
     threads : of compiled kernels and of linear algebra; None: as many as there are cores.
+    clock : of the reference kernel, a function of the module `time`.
 
     Returns
     -------
     Seconds of the reference kernel, the mean of before and after.
     """
     try:
-        before = _reference_s(threads)
+        before = _reference_s(threads, clock)
         solve(
             solver_entry.name,
             dataset,
@@ -46,15 +54,15 @@ def solve_timed(
             threads=threads,
             overwrite=True,
         )
-        return (before + _reference_s(threads)) / 2.0
+        return (before + _reference_s(threads, clock)) / 2.0
     finally:
         clear_abandoned(out)
 
 
-def _reference_s(threads: int | None) -> float:
-    return float(call_isolated(_measure, threads, doing="reference kernel"))
+def _reference_s(threads: int | None, clock: Callable[[], float]) -> float:
+    return float(call_isolated(_measure, threads, clock, doing="reference kernel"))
 
 
-def _measure(threads: int | None) -> float:
+def _measure(threads: int | None, clock: Callable[[], float]) -> float:
     with backend.limit_libraries(threads):
-        return reference_s()
+        return reference_s(clock)

@@ -119,7 +119,7 @@ class Account:
     ----------
     solver, parameters : as it was started.
     isolated : whether the solver saw the observation side only.
-    seconds, peak_mb, compile_s, reconstruction_s, whole_process : costs, as in `Result`.
+    seconds, peak_mb, compile_s, reconstruction_s, cpu_share, whole_process : costs, see `Result`.
     """
 
     solver: str
@@ -129,6 +129,7 @@ class Account:
     peak_mb: float | None = None
     compile_s: float | None = None
     reconstruction_s: float | None = None
+    cpu_share: float | None = None
     whole_process: bool = False
 
 
@@ -201,7 +202,7 @@ def adopt(
     ) as writer:
         task.copy(data, result, writer)
         if known.seconds is not None:
-            writer.set_cost(known.seconds, known.peak_mb, known.compile_s)
+            writer.set_cost(known.seconds, known.peak_mb, known.compile_s, known.cpu_share)
         if known.reconstruction_s is not None:
             writer.set_reconstruction(known.reconstruction_s)
         if known.isolated:

@@ -6,7 +6,9 @@ The time and memory of the solver are measured; the scores compare its result wi
 from __future__ import annotations
 
 import functools
+import os
 import shutil
+import time
 from pathlib import Path
 from typing import Any, Literal
 
@@ -117,8 +119,16 @@ def _solve_plug_in(
 
             def account(result: Result) -> Account:
                 check_result_task(result.task, task, f"solver {solver}")
-                costs = (result.seconds, result.peak_mb, result.compile_s, result.reconstruction_s)
-                return Account(solver, result.parameters, desk.confined, *costs)
+                return Account(
+                    solver,
+                    result.parameters,
+                    desk.confined,
+                    result.seconds,
+                    result.peak_mb,
+                    result.compile_s,
+                    result.reconstruction_s,
+                    result.cpu_share,
+                )
 
             adopt_from(desk, data, place, solver, account, overwrite=overwrite)
 
@@ -175,9 +185,15 @@ def solve_at_desk(
     ):
         if isolated:
             writer.set_isolated()
-        before = compile_s()
+        before, start, spent = compile_s(), time.perf_counter(), _cpu_s()
         seconds = tasks.of(algorithm.task).run(algorithm, solver, data, writer)
-        writer.set_cost(float(np.mean(seconds)), memory.peak_mb(), compile_s() - before)
+        share = (_cpu_s() - spent) / (time.perf_counter() - start)
+        writer.set_cost(float(np.mean(seconds)), memory.peak_mb(), compile_s() - before, share)
+
+
+def _cpu_s() -> float:
+    """Read the CPU seconds of this process and of its children that have ended."""
+    return sum(os.times()[:4])
 
 
 def score(

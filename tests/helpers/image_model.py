@@ -54,4 +54,4 @@ def particles_of(points: F64, light: F64) -> Particles:
 
 def room_of(maps: VolumePolynomials) -> Room:
     """Room to work in for the maps' cameras."""
-    return make_room(len(maps.coefficients))
+    return make_room(np.tile(np.array(SIGMA), (len(maps.coefficients), 1)))

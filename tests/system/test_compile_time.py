@@ -1,4 +1,4 @@
-"""Seconds of a solver contain neither the compilation of its kernels nor imports."""
+"""Seconds of a solver contain neither compilation nor imports, and waiting is told apart."""
 
 from __future__ import annotations
 
@@ -85,3 +85,39 @@ def test_late_imports_count_as_compilation(
     assert made.seconds is not None
     assert made.compile_s >= 1.0
     assert made.seconds < 0.5
+
+
+WAITING = '''"""Works, and waits."""
+
+import time
+
+import numpy as np
+
+from sabench.api import Observation, Reconstruction, Solver
+
+
+class Waiting(Solver):
+    """Works for half a second, and waits nine times as long."""
+
+    name = "waiting"
+
+    def solve(self, case: Observation) -> Reconstruction:
+        start = time.process_time()
+        while time.process_time() - start < 0.5:
+            np.sqrt(np.arange(1000.0))
+        time.sleep(4.5)
+        return Reconstruction(np.zeros(case.grid.shape, dtype=np.float32))
+'''
+
+
+def test_waiting_is_no_work(
+    quick: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("SABENCH_PLUGINS", str(tmp_path))
+    (tmp_path / "solvers").mkdir()
+    (tmp_path / "solvers" / "waiting.py").write_text(WAITING)
+    made = solve("waiting", quick, tmp_path / "r.h5", threads=1)
+    assert made.seconds is not None
+    assert made.cpu_share is not None
+    assert made.seconds > 4.5
+    assert 0.4 < made.seconds * made.cpu_share < 1.5

@@ -122,7 +122,7 @@ class _Search:
         self.number, self.noise = statistics.number, statistics.noise[shown]
         self.sigma, self.typical = statistics.sigma[shown], statistics.light[shown]
         cameras = len(self.images)
-        self.room = make_room(cameras)
+        self.room = make_room(self.sigma)
         self.covariance = even_covariance(cameras, _BETWEEN, _COMMON)
         self.left: F32 = self.images.copy()
         self.variance: F32 = np.ones_like(self.images)
@@ -156,6 +156,7 @@ class _Search:
         """Let the first candidates share the light, and drop the darkest, slowly."""
         cameras, narrow = len(self.images), self.sigma
         self.sigma = self.settings.widening * narrow
+        self.room = make_room(self.sigma)
         self.covariance = even_covariance(cameras, _BETWEEN, _ANY_LIGHT)
         self._weigh(_CAPS[0])
         self._find(_FIRST_FLOOR)
@@ -167,6 +168,7 @@ class _Search:
             real = common[common > _REAL]
             self._keep(common >= level * (np.median(real) if len(real) else 1.0))
         self.sigma = narrow
+        self.room = make_room(self.sigma)
         self.covariance = even_covariance(cameras, _BETWEEN, _COMMON)
         self._subtract_all()
         self._refine(self.settings.fits)

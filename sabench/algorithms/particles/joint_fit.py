@@ -19,10 +19,11 @@ from sabench.geometry.volume_polynomials import VolumePolynomials, project_point
 from sabench.images.gaussians import fill_shares, fill_slopes
 from sabench.utils.arrays import F32, F64
 
-_HALF = 3  # pixels from the middle of a particle's image to the border of its window
-WINDOW = 2 * _HALF + 1
+_REACH, _ROUNDED_PX = 3.1, 0.1  # of a particle's image in widths; that much less is enough
 _FARTHEST_PX = 0.5  # that a particle moves in one step
 _UNSEEN = 1e-12  # weight of an image that a camera does not see
+_WEIGHT, _PULL, _XX, _XY, _YY, _X, _Y = range(7)  # of `sum_up`
+SUMS = 7
 
 
 class ImageModel(NamedTuple):
@@ -66,7 +67,10 @@ class Particles(NamedTuple):
 
 
 class Room(NamedTuple):
-    """Room to work in: profiles of one particle's images and their sums, by camera."""
+    """Room to work in: profiles of one particle's images and their sums, by camera.
+
+    Windows of the images are as many pixels wide and high as the profiles are long, an odd number.
+    """
 
     x: F64
     y: F64
@@ -75,6 +79,7 @@ class Room(NamedTuple):
     corner: Any
     slope: F64
     here: F64
+    sums: F64
     signal: F64
     weight: F64
     logs: F64
@@ -86,16 +91,19 @@ class Room(NamedTuple):
     light: F64
 
 
-def make_room(cameras: int) -> Room:
-    """Make the arrays that kernels work in."""
+def make_room(sigma: F64) -> Room:
+    """Make the arrays that kernels work in, for images of a width (camera, 2)."""
+    cameras, half = len(sigma), math.ceil(_REACH * float(sigma.max()) - _ROUNDED_PX)
+    window = 2 * half + 1
     return Room(
-        x=np.zeros((cameras, WINDOW)),
-        y=np.zeros((cameras, WINDOW)),
-        by_x=np.zeros((cameras, WINDOW)),
-        by_y=np.zeros((cameras, WINDOW)),
+        x=np.zeros((cameras, window)),
+        y=np.zeros((cameras, window)),
+        by_x=np.zeros((cameras, window)),
+        by_y=np.zeros((cameras, window)),
         corner=np.zeros((cameras, 2), dtype=np.int64),
         slope=np.zeros((cameras, 2, 3)),
         here=np.zeros(2),
+        sums=np.zeros((cameras, SUMS)),
         signal=np.zeros(cameras),
         weight=np.zeros(cameras),
         logs=np.zeros(cameras),
@@ -112,8 +120,8 @@ def make_room(cameras: int) -> Room:
 def set_profile(model: Any, room: Any, c: int, position: Any) -> None:
     """Project a position to a camera and fill in the profiles of its image there."""
     project_point(model.maps, c, position, room.here, room.slope[c])
-    corner = room.corner[c]
-    corner[0], corner[1] = round(room.here[0]) - _HALF, round(room.here[1]) - _HALF
+    corner, half = room.corner[c], len(room.x[c]) // 2
+    corner[0], corner[1] = round(room.here[0]) - half, round(room.here[1]) - half
     fill_shares(room.here[0], model.sigma[c, 0], corner[0], room.x[c])
     fill_shares(room.here[1], model.sigma[c, 1], corner[1], room.y[c])
 
@@ -130,9 +138,9 @@ def _paint(model: Any, room: Any, c: int, amount: float) -> None:
     """Add light of the current profile to what is left of an image."""
     image, column, row = model.left[c], room.corner[c, 0], room.corner[c, 1]
     rows, columns = image.shape
-    for i in range(max(0, -row), min(WINDOW, rows - row)):
+    for i in range(max(0, -row), min(len(room.y[c]), rows - row)):
         share = amount * room.y[c, i]
-        for j in range(max(0, -column), min(WINDOW, columns - column)):
+        for j in range(max(0, -column), min(len(room.x[c]), columns - column)):
             image[row + i, column + j] += np.float32(share * room.x[c, j])
 
 
@@ -161,8 +169,8 @@ def look(model: Any, room: Any, position: Any) -> None:
         column, row = room.corner[c, 0], room.corner[c, 1]
         rows, columns = image.shape
         signal, weight = 0.0, 0.0
-        for i in range(max(0, -row), min(WINDOW, rows - row)):
-            for j in range(max(0, -column), min(WINDOW, columns - column)):
+        for i in range(max(0, -row), min(len(room.y[c]), rows - row)):
+            for j in range(max(0, -column), min(len(room.x[c]), columns - column)):
                 own = room.y[c, i] * room.x[c, j]
                 each = own * weights[row + i, column + j]
                 signal += each * image[row + i, column + j]
@@ -194,6 +202,46 @@ def best_light(model: Any, room: Any, light: Any) -> float:
 
 
 @numba.njit(cache=True)
+def sum_up(model: Any, room: Any, c: int, position: Any) -> None:
+    """Fill in a camera's sums of weights, of a particle whose light is subtracted.
+
+    Squares of its image, products with what is left, squares of the image's derivatives (three),
+    and their products with what is left (two); all for light 1.
+    """
+    set_profile(model, room, c, position)
+    set_slopes(model, room, c)
+    image, weights, sums = model.left[c], model.weight[c], room.sums[c]
+    column, row = room.corner[c, 0], room.corner[c, 1]
+    rows, columns = image.shape
+    weight = pull = xx = xy = yy = x = y = 0.0
+    for i in range(max(0, -row), min(len(room.y[c]), rows - row)):
+        for j in range(max(0, -column), min(len(room.x[c]), columns - column)):
+            own = room.y[c, i] * room.x[c, j]
+            dx, dy = room.y[c, i] * room.by_x[c, j], room.by_y[c, i] * room.x[c, j]
+            each = weights[row + i, column + j]
+            off = each * image[row + i, column + j]
+            weight += each * own * own
+            pull += off * own
+            x, y = x + off * dx, y + off * dy
+            xx, xy, yy = xx + each * dx * dx, xy + each * dx * dy, yy + each * dy * dy
+    sums[_WEIGHT], sums[_PULL], sums[_XX], sums[_XY], sums[_YY] = weight, pull, xx, xy, yy
+    sums[_X], sums[_Y] = x, y
+
+
+@numba.njit(cache=True)
+def _add_to_matrix(room: Any, c: int, light: float) -> None:
+    """Add what a camera tells of the position to the normal matrix, after `sum_up`."""
+    square, slope = light * light, room.slope[c]
+    xx, xy, yy = room.sums[c, _XX], room.sums[c, _XY], room.sums[c, _YY]
+    for p in range(3):
+        for q in range(3):
+            room.matrix[p, q] += square * (
+                slope[0, p] * (xx * slope[0, q] + xy * slope[1, q])
+                + slope[1, p] * (xy * slope[0, q] + yy * slope[1, q])
+            )
+
+
+@numba.njit(cache=True)
 def _normal_equations(model: Any, room: Any, position: Any, light: Any) -> float:
     """Fill in sums and normal equations of a particle, and give its light back.
 
@@ -201,34 +249,19 @@ def _normal_equations(model: Any, room: Any, position: Any, light: Any) -> float
     """
     room.matrix[:], room.right[:], steepest = 0.0, 0.0, 0.0
     for c in range(len(light)):
-        set_profile(model, room, c, position)
-        set_slopes(model, room, c)
+        sum_up(model, room, c, position)
         _paint(model, room, c, light[c])
-        image, weights = model.left[c], model.weight[c]
-        column, row = room.corner[c, 0], room.corner[c, 1]
-        rows, columns = image.shape
-        signal, weight, xx, xy, yy, bx, by = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-        for i in range(max(0, -row), min(WINDOW, rows - row)):
-            for j in range(max(0, -column), min(WINDOW, columns - column)):
-                own = room.y[c, i] * room.x[c, j]
-                dx, dy = room.y[c, i] * room.by_x[c, j], room.by_y[c, i] * room.x[c, j]
-                each, light_here = weights[row + i, column + j], image[row + i, column + j]
-                signal += each * own * light_here
-                weight += each * own * own
-                off = each * (light_here - light[c] * own)
-                bx, by = bx + dx * off, by + dy * off
-                xx, xy, yy = xx + each * dx * dx, xy + each * dx * dy, yy + each * dy * dy
+        weight, pull = room.sums[c, _WEIGHT], room.sums[c, _PULL]
         seen = weight > _UNSEEN
-        room.signal[c], room.weight[c] = signal if seen else 0.0, weight if seen else 0.0
-        square, slope = light[c] * light[c], room.slope[c]
+        room.signal[c] = pull + light[c] * weight if seen else 0.0
+        room.weight[c] = weight if seen else 0.0
+        slope = room.slope[c]
         for p in range(3):
             steepest = max(steepest, abs(slope[0, p]), abs(slope[1, p]))
-            room.right[p] += light[c] * (slope[0, p] * bx + slope[1, p] * by)
-            for q in range(3):
-                room.matrix[p, q] += square * (
-                    slope[0, p] * (xx * slope[0, q] + xy * slope[1, q])
-                    + slope[1, p] * (xy * slope[0, q] + yy * slope[1, q])
-                )
+            room.right[p] += light[c] * (
+                slope[0, p] * room.sums[c, _X] + slope[1, p] * room.sums[c, _Y]
+            )
+        _add_to_matrix(room, c, light[c])
     return steepest
 
 
@@ -281,7 +314,8 @@ def adjust(model: Any, room: Any, particles: Any, n: int) -> float:
         cost = best_light(model, room, room.light)
     if cost <= before:
         light[:] = room.light
-    put_in(model, room, position, light)
+    for c in range(len(light)):
+        _paint(model, room, c, -light[c])  # where `look` has just been
     return float(min(cost - before, 0.0))
 
 
@@ -306,7 +340,8 @@ def start_light(model: Any, room: Any, particles: Any, first: int) -> None:
         look(model, room, particles.position[n])
         guess_light(room.signal, room.weight, model.typical, room.logs)
         best_light(model, room, particles.light[n])
-        put_in(model, room, particles.position[n], particles.light[n])
+        for c in range(len(room.signal)):
+            _paint(model, room, c, -particles.light[n, c])
 
 
 @numba.njit(cache=True)
@@ -326,27 +361,11 @@ def price(model: Any, room: Any, position: Any, light: Any) -> float:
     """
     room.matrix[:] = 0.0
     for c in range(len(light)):
-        set_profile(model, room, c, position)
-        set_slopes(model, room, c)
-        weights, column, row = model.weight[c], room.corner[c, 0], room.corner[c, 1]
-        rows, columns = weights.shape
-        weight, xx, xy, yy = 0.0, 0.0, 0.0, 0.0
-        for i in range(max(0, -row), min(WINDOW, rows - row)):
-            for j in range(max(0, -column), min(WINDOW, columns - column)):
-                each, own = weights[row + i, column + j], room.y[c, i] * room.x[c, j]
-                dx, dy = room.y[c, i] * room.by_x[c, j], room.by_y[c, i] * room.x[c, j]
-                weight += each * own * own
-                xx, xy, yy = xx + each * dx * dx, xy + each * dx * dy, yy + each * dy * dy
-        square, slope = light[c] * light[c], room.slope[c]
+        sum_up(model, room, c, position)
         for k in range(len(light)):
             room.bend[c, k] = model.precision[c, k]
-        room.bend[c, c] += square * weight
-        for p in range(3):
-            for q in range(3):
-                room.matrix[p, q] += square * (
-                    slope[0, p] * (xx * slope[0, q] + xy * slope[1, q])
-                    + slope[1, p] * (xy * slope[0, q] + yy * slope[1, q])
-                )
+        room.bend[c, c] += light[c] * light[c] * room.sums[c, _WEIGHT]
+        _add_to_matrix(room, c, light[c])
     known = 0.5 * (factorise(room.bend) - model.log_precision)
     determinant = solve_three(room.matrix, room.right, room.trial)
     known += 0.5 * math.log(max(determinant, 1e-300)) - 1.5 * math.log(2.0 * math.pi)

@@ -18,14 +18,14 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from sabench.algorithms.particles.joint_fit import (
-    WINDOW,
+    SUMS,
     adjust,
     cost_of,
     look,
     price,
     put_in,
     set_profile,
-    set_slopes,
+    sum_up,
     take_out,
 )
 from sabench.geometry.volume_polynomials import VolumePolynomials, project_points
@@ -135,8 +135,8 @@ def measure_misfit(model: Any, room: Any, particles: Any, misfit: Any) -> None:
             left, weights = model.left[c], model.weight[c]
             column, row = room.corner[c, 0], room.corner[c, 1]
             rows, columns = left.shape
-            for i in range(max(1, -row), min(WINDOW - 1, rows - row)):
-                for j in range(max(1, -column), min(WINDOW - 1, columns - column)):
+            for i in range(max(0, -row), min(len(room.y[c]), rows - row)):
+                for j in range(max(0, -column), min(len(room.x[c]), columns - column)):
                     each = weights[row + i, column + j]
                     squares += each * left[row + i, column + j] ** 2
                     count += each > 0.0
@@ -232,19 +232,9 @@ def add_camera_misses(model: Any, room: Any, particles: Any, equations: Any) -> 
     """
     for n in range(len(particles.position)):
         for c in range(len(model.typical)):
-            set_profile(model, room, c, particles.position[n])
-            set_slopes(model, room, c)
-            light, sums = particles.light[n, c], equations[c]
-            left, weights = model.left[c], model.weight[c]
-            column, row = room.corner[c, 0], room.corner[c, 1]
-            rows, columns = left.shape
-            for i in range(max(0, -row), min(WINDOW, rows - row)):
-                for j in range(max(0, -column), min(WINDOW, columns - column)):
-                    dx = light * room.y[c, i] * room.by_x[c, j]
-                    dy = light * room.by_y[c, i] * room.x[c, j]
-                    each, off = weights[row + i, column + j], left[row + i, column + j]
-                    sums[0] += each * dx * dx
-                    sums[1] += each * dx * dy
-                    sums[2] += each * dy * dy
-                    sums[3] += each * dx * off
-                    sums[4] += each * dy * off
+            sum_up(model, room, c, particles.position[n])
+            light = particles.light[n, c]
+            for k in range(3):
+                equations[c, k] += light * light * room.sums[c, SUMS - 5 + k]
+            for k in range(3, 5):
+                equations[c, k] += light * room.sums[c, SUMS - 5 + k]

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 import time
+from collections.abc import Callable
 from typing import Any
 
 import numba
@@ -16,7 +17,7 @@ _CELLS = 1 << 20  # 8 MB: more than the second-level cache, so that memory count
 _ROUNDS = 3
 
 
-def reference_s() -> float:
+def reference_s(clock: Callable[[], float] = time.perf_counter) -> float:
     """Measure the seconds of the kernel on one thread: the median of a few rounds.
 
     A round takes some 15 ms on a current processor. The arithmetic must never change, because the
@@ -24,13 +25,13 @@ def reference_s() -> float:
     """
     table = np.arange(_CELLS, dtype=np.float64)
     _work(table[:64])  # compiles it, or loads the compiled code
-    return float(np.median([_time(table) for _ in range(_ROUNDS)]))
+    return float(np.median([_time(table, clock) for _ in range(_ROUNDS)]))
 
 
-def _time(table: Any) -> float:
-    start = time.perf_counter()
+def _time(table: Any, clock: Callable[[], float]) -> float:
+    start = clock()
     _work(table)
-    return time.perf_counter() - start
+    return clock() - start
 
 
 @numba.njit(cache=True)

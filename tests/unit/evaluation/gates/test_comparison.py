@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, cast
 from xml.etree import ElementTree
 
@@ -282,8 +283,19 @@ def test_compilation_is_no_figure_of_a_gate(monkeypatch: pytest.MonkeyPatch) -> 
     monkeypatch.setattr(measurement, "solve_timed", lambda *_, **__: 0.01)
     scores = {"q": 0.5, "seconds": 1.0, "compile_s": 20.0}
     monkeypatch.setattr(measurement, "score", lambda *_: scores)
+    monkeypatch.setattr(measurement, "open_result", lambda *_: SimpleNamespace(cpu_share=None))
     entry_ = measurement._solve(cast(Any, None), SolverEntry(name="msa"), Path("unused.h5"))
     assert entry_.figures == {"q": 0.5, "seconds": 1.0}
+
+
+def test_seconds_of_a_gate_are_cpu_seconds(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A solver that had a quarter of a core took a quarter of its time."""
+    monkeypatch.setattr(measurement, "solve_timed", lambda *_, **__: 0.01)
+    scores = {"q": 0.5, "seconds": 2.0, "reconstruction_s": 1.0}
+    monkeypatch.setattr(measurement, "score", lambda *_: scores)
+    monkeypatch.setattr(measurement, "open_result", lambda *_: SimpleNamespace(cpu_share=0.25))
+    entry_ = measurement._solve(cast(Any, None), SolverEntry(name="msa"), Path("unused.h5"))
+    assert entry_.figures == {"q": 0.5, "seconds": 0.5, "reconstruction_s": 0.25}
 
 
 def test_solvers_of_one_name_need_labels() -> None:
