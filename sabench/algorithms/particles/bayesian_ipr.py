@@ -35,6 +35,7 @@ from sabench.algorithms.particles.model_moves import (
     add_camera_misses,
     find_neighbours,
     measure_misfit,
+    near_any,
     remove_ghosts,
     split_pairs,
 )
@@ -128,6 +129,7 @@ class _Search:
         self.variance: F32 = np.ones_like(self.images)
         self.position: F64 = np.zeros((0, 3))
         self.light: F64 = np.zeros((0, cameras))
+        self.sure: Bool = np.zeros(0, dtype=np.bool_)
 
     def run(self) -> None:
         """Search until the particles explain the images."""
@@ -214,7 +216,17 @@ class _Search:
         model = self._model()
         for n in np.flatnonzero(~good):
             take_out(model, self.room, self.position[n], self.light[n])
+        self._select(good)
+
+    def _select(self, good: Bool) -> None:
         self.position, self.light = self.position[good], self.light[good]
+        self.sure = self.sure[good]
+
+    def _append(self, count: int, light: float) -> None:
+        """Add rows for new particles."""
+        self.position = np.concatenate([self.position, np.zeros((count, 3))])
+        self.light = np.concatenate([self.light, np.full((count, self.light.shape[1]), light)])
+        self.sure = np.concatenate([self.sure, np.zeros(count, dtype=np.bool_)])
 
     def _find(self, floor: float) -> None:
         """Add candidates from what is left of the images."""
@@ -227,8 +239,8 @@ class _Search:
         least = max(floor, _SURE * float(dark.max()))
         found = find_candidates(self.maps, logs, math.log(least), spread)
         first = len(self.position)
-        self.position = np.concatenate([self.position, found])
-        self.light = np.concatenate([self.light, np.zeros((len(found), cameras))])
+        self._append(len(found), 0.0)
+        self.position[first:] = found
         start_light(self._model(), self.room, self._particles(), first)
 
     def _weigh(self, cap: float) -> None:
@@ -249,16 +261,21 @@ class _Search:
             self.variance[camera] = np.minimum(variance, dark + (cap * peak) ** 2)
 
     def _remove(self, lone: bool) -> None:
-        """Remove particles that do not earn their price, the darkest first."""
+        """Remove particles that do not earn their price, the darkest first.
+
+        Those that earn several times their price are tried again only near others that newly do.
+        """
         starts, near = find_neighbours(self.maps, self.position)
-        order = np.argsort(self._common_light(), kind="stable")
-        particles = self._particles()
-        fits = self.settings.fits
-        remove_ghosts(self._model(), self.room, particles, order, starts, near, fits, lone)
-        self.position, self.light = (
-            self.position[particles.alive],
-            self.light[particles.alive],
-        )
+        particles, fits, model = self._particles(), self.settings.fits, self._model()
+        tried = ~self.sure
+        for _ in range(2):
+            rows = np.flatnonzero(tried)
+            order = rows[np.argsort(self._common_light()[rows], kind="stable")]
+            remove_ghosts(model, self.room, particles, order, starts, near, fits, lone, self.sure)
+            promoted = tried & self.sure & particles.alive
+            tried = ~tried & near_any(promoted, starts, near)
+        self.sure &= lone
+        self._select(particles.alive)
         self._refine(1)
 
     def _split(self) -> None:
@@ -268,8 +285,8 @@ class _Search:
         measure_misfit(model, self.room, self._particles(), misfit)
         order = np.argsort(-misfit, kind="stable")[: int(_DOUBTFUL * count)]
         order = order[misfit[order] > _MISFIT]
-        self.position = np.concatenate([self.position, np.zeros((len(order), 3))])
-        self.light = np.concatenate([self.light, np.ones((len(order), self.light.shape[1]))])
+        self.sure[order] = False
+        self._append(len(order), 1.0)
         directions = np.array(
             [
                 [1.0, 0.0, 0.0],
@@ -285,7 +302,7 @@ class _Search:
         )
         steps = _APART_PX * pixel_mm(self.maps) / self.maps.half_mm * directions
         count = split_pairs(model, self.room, self._particles(), order, count, steps)
-        self.position, self.light = self.position[:count], self.light[:count]
+        self._select(np.arange(len(self.position)) < count)
 
     def _learn(self) -> None:
         """Learn typical light and its covariance from the particles that stand alone."""

@@ -60,10 +60,10 @@ def find_candidates(maps: VolumePolynomials, logs: F32, floor: float, spread: fl
     spread : the most that the mean may exceed the darkest camera's.
     """
     means = np.empty(lattice_shape(maps), dtype=np.float32)
-    marks = np.zeros(logs.shape, dtype=np.bool_)
+    bounds = np.zeros_like(logs)
     limits = np.float32(floor), np.float32(spread), np.float32(math.log(BRIGHTEST))
-    _mark_light(logs, limits[0] - limits[1], marks)
-    _sweep(maps, logs, marks, *limits, means)
+    _bound(logs, limits[2], bounds)
+    _sweep(maps, logs, bounds, *limits, means)
     z, y, x = _local_maxima(means)
     order = np.argsort(-means[z, y, x], kind="stable")
     places = np.stack([x, y, z], axis=1)[order]
@@ -92,34 +92,37 @@ def _look_up(image: Any, column: float, row: float) -> Any:
 
 
 @numba.njit(cache=True)
-def _mark_light(logs: Any, least: Any, marks: Any) -> None:
-    """Mark pixels (camera, row, column) between which and the next ones there may be light.
+def _bound(logs: Any, most: Any, bounds: Any) -> None:
+    """Fill in the most (camera, row, column) between pixels and the next ones.
 
-    Light is at least `least`, or unknown. The last row and column are no lower corners.
+    It is `most` where one of them is unknown. The last row and column are no lower corners.
     """
     cameras, rows, columns = logs.shape
     for c in range(cameras):
         for i in range(rows - 1):
             for j in range(columns - 1):
-                dark = True
-                for k in range(2):
-                    for n in range(2):
-                        dark = dark and logs[c, i + k, j + n] < least  # NaN is not
-                marks[c, i, j] = not dark
+                a, b = logs[c, i, j], logs[c, i, j + 1]
+                d, e = logs[c, i + 1, j], logs[c, i + 1, j + 1]
+                unknown = np.isnan(a + b + d + e)
+                bounds[c, i, j] = most if unknown else max(max(a, b), max(d, e))
 
 
 @numba.njit(cache=True, parallel=True)
 def _sweep(
-    maps: Any, logs: Any, marks: Any, floor: Any, spread: Any, most: Any, means: Any
+    maps: Any, logs: Any, bounds: Any, floor: Any, spread: Any, most: Any, means: Any
 ) -> None:
-    """Fill in the lattice's mean logarithms (z, y, x), `_DARK` below the floor."""
+    """Fill in the lattice's mean logarithms (z, y, x), `_DARK` below the floor.
+
+    The bounds, of one memory access a camera, spare most points the rest.
+    """
     slices, rows, columns = means.shape
     cameras, last_row, last_column = len(logs), logs.shape[1] - 1.0, logs.shape[2] - 1.0
+    least = floor - spread
     for z in numba.prange(slices):
         pixels = np.zeros((cameras, 2, columns))
-        alive = np.zeros(columns, dtype=np.bool_)
+        above = np.zeros(columns, dtype=np.float32)
         for y in range(rows):
-            alive[:] = True
+            above[:] = 0.0
             for c in range(cameras):
                 project_row(
                     maps,
@@ -130,13 +133,18 @@ def _sweep(
                     2.0 / (columns - 1),
                     pixels[c],
                 )
+                room = (cameras - c - 1) * (most - floor)
                 for x in range(columns):
                     column, row = pixels[c, 0, x], pixels[c, 1, x]
-                    if alive[x] and 0.0 <= column < last_column and 0.0 <= row < last_row:
-                        alive[x] = marks[c, int(row), int(column)]
+                    inside = 0.0 <= column < last_column and 0.0 <= row < last_row
+                    if inside and above[x] > _DARK:
+                        bound = bounds[c, int(row), int(column)]
+                        above[x] += bound - floor
+                        if bound < least or above[x] + room < 0.0:
+                            above[x] = _DARK
             for x in range(columns):
                 means[z, y, x] = _DARK
-                if alive[x]:
+                if above[x] > _DARK:
                     means[z, y, x] = _mean_log(logs, pixels, x, floor, spread, most)
 
 

@@ -14,7 +14,13 @@ from typing import Any, NamedTuple
 import numba
 import numpy as np
 
-from sabench.algorithms.particles.light_prior import factorise, find_light, guess_light, light_cost
+from sabench.algorithms.particles.light_prior import (
+    factorise,
+    find_light,
+    guess_light,
+    light_cost,
+    log_determinant,
+)
 from sabench.geometry.volume_polynomials import VolumePolynomials, project_point
 from sabench.images.gaussians import fill_shares, fill_slopes
 from sabench.utils.arrays import F32, F64
@@ -366,7 +372,8 @@ def price(model: Any, room: Any, position: Any, light: Any) -> float:
             room.bend[c, k] = model.precision[c, k]
         room.bend[c, c] += light[c] * light[c] * room.sums[c, _WEIGHT]
         _add_to_matrix(room, c, light[c])
-    known = 0.5 * (factorise(room.bend) - model.log_precision)
+    factorise(room.bend)
+    known = 0.5 * (log_determinant(room.bend) - model.log_precision)
     determinant = solve_three(room.matrix, room.right, room.trial)
     known += 0.5 * math.log(max(determinant, 1e-300)) - 1.5 * math.log(2.0 * math.pi)
     return float(known - model.log_rate)

@@ -132,24 +132,26 @@ def find_light(
 
 
 @numba.njit(cache=True)
-def factorise(matrix: Any) -> float:
-    """Replace a positive definite matrix by its Cholesky factor.
-
-    Returns the logarithm of its determinant.
-    """
-    total = 0.0
+def factorise(matrix: Any) -> None:
+    """Replace a positive definite matrix by its Cholesky factor."""
     for i in range(len(matrix)):
         for j in range(i + 1):
             value = matrix[i, j]
             for k in range(j):
                 value -= matrix[i, k] * matrix[j, k]
             if i == j:
-                value = max(value, 1e-12)
-                total += math.log(value)
-                matrix[i, i] = math.sqrt(value)
+                matrix[i, i] = math.sqrt(max(value, 1e-12))
             else:
                 matrix[i, j] = value / matrix[j, j]
-    return total
+
+
+@numba.njit(cache=True)
+def log_determinant(factor: Any) -> float:
+    """Compute the logarithm of the determinant of a factorised matrix."""
+    total = 0.0
+    for i in range(len(factor)):
+        total += math.log(factor[i, i])
+    return 2.0 * total
 
 
 @numba.njit(cache=True)

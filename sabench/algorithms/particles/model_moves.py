@@ -33,6 +33,7 @@ from sabench.utils.arrays import F64, I64
 
 _NEIGHBOURS = 512  # that are fitted again around one particle
 _NEAR_PX = 3.0  # of a neighbour's image in some camera
+_SURE = 4.0  # prices that a particle earns which is not tried again
 _SETTLE = 6  # fits of the two particles of a split
 _DOUBTFUL = 2  # of them, after which a split that does not pay is given up
 
@@ -59,7 +60,15 @@ def find_neighbours(maps: VolumePolynomials, positions: F64) -> tuple[I64, I64]:
 
 @numba.njit(cache=True)
 def remove_ghosts(
-    model: Any, room: Any, particles: Any, order: Any, starts: Any, near: Any, fits: int, lone: bool
+    model: Any,
+    room: Any,
+    particles: Any,
+    order: Any,
+    starts: Any,
+    near: Any,
+    fits: int,
+    lone: bool,
+    sure: Any,
 ) -> int:
     """Take particles out for good where the images do not ask for them.
 
@@ -72,6 +81,7 @@ def remove_ghosts(
     fits : rounds of fitting the neighbours without a particle.
     lone : whether what a particle earns in the camera where it earns most does not count: light in
         one camera alone is no particle.
+    sure : (n,) set for the rows of `order`: whether a particle earns several times its price.
     """
     cameras = particles.light.shape[1]
     positions, lights = np.zeros((_NEIGHBOURS, 3)), np.zeros((_NEIGHBOURS, cameras))
@@ -81,20 +91,23 @@ def remove_ghosts(
         least = price(model, room, position, light)
         first, last = starts[n], min(starts[n + 1], starts[n] + _NEIGHBOURS)
         for k in range(first, last):
-            positions[k - first], lights[k - first] = (
-                particles.position[near[k]],
-                particles.light[near[k]],
-            )
+            for p in range(3):
+                positions[k - first, p] = particles.position[near[k], p]
+            for c in range(cameras):
+                lights[k - first, c] = particles.light[near[k], c]
         take_out(model, room, position, light)
         look(model, room, position)
         loss = -cost_of(model, room, light)
         if lone:
             least /= max(1.0 - _largest_share(room, light), 1e-3)
         particles.alive[n] = False
-        for _ in range(fits):
+        for fit in range(fits):
+            if fit and loss > _SURE * least:
+                break
             for k in range(first, last):
                 if loss > least and particles.alive[near[k]]:
                     loss += adjust(model, room, particles, near[k])
+        sure[n] = loss > _SURE * least
         if loss <= least:
             removed += 1
             continue
@@ -103,13 +116,21 @@ def remove_ghosts(
             j = near[k]
             if particles.alive[j]:
                 take_out(model, room, particles.position[j], particles.light[j])
-                particles.position[j], particles.light[j] = (
-                    positions[k - first],
-                    lights[k - first],
-                )
+                for p in range(3):
+                    particles.position[j, p] = positions[k - first, p]
+                for c in range(cameras):
+                    particles.light[j, c] = lights[k - first, c]
                 put_in(model, room, particles.position[j], particles.light[j])
         put_in(model, room, position, light)
     return removed
+
+
+def near_any(chosen: Any, starts: I64, near: I64) -> Any:
+    """Mark rows (n,) with a chosen one (n,) among their neighbours."""
+    rows = np.repeat(np.arange(len(chosen)), np.diff(starts))
+    found = np.zeros(len(chosen), dtype=np.bool_)
+    found[rows[chosen[near]]] = True
+    return found
 
 
 @numba.njit(cache=True)

@@ -126,7 +126,7 @@ def _solve_again(
 
 
 def _solve(data: Dataset, solver_entry: SolverEntry, out: Path) -> Entry:
-    """Solve and score. Times are CPU seconds: other processes only make a solver wait."""
+    """Solve and score, in CPU seconds: other processes only make a solver wait."""
     try:
         # like the reference kernel; other processes slow threads down most
         reference_s = solve_timed(solver_entry, data, out, threads=1, clock=time.thread_time)

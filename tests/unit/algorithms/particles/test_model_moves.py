@@ -11,6 +11,7 @@ from sabench.algorithms.particles.model_moves import (
     add_camera_misses,
     find_neighbours,
     measure_misfit,
+    near_any,
     remove_ghosts,
     split_pairs,
 )
@@ -66,7 +67,9 @@ def test_a_ghost_of_four_particles_is_removed_and_they_get_their_light_back(
     starts, near = find_neighbours(maps, particles.position)
     assert set(near[starts[4] :]) == {0, 1, 2, 3}
     order = np.arange(5)[::-1].copy()
-    assert remove_ghosts(model, room, particles, order, starts, near, 4, True) == 1
+    sure = np.zeros(5, dtype=np.bool_)
+    assert remove_ghosts(model, room, particles, order, starts, near, 4, True, sure) == 1
+    assert sure.tolist() == [True] * 4 + [False]
     assert particles.alive.tolist() == [True] * 4 + [False]
     kept = Particles(particles.position[:4], particles.light[:4], particles.alive[:4])
     refine(model, room, kept, 10)
@@ -83,7 +86,8 @@ def test_light_in_one_camera_alone_is_no_particle(maps: VolumePolynomials) -> No
         particles = particles_of(point, np.array([[8.0, 3.0 * TYPICAL, 8.0, 8.0]]))
         put_all_in(model, room, particles)
         order = np.zeros(1, dtype=np.int64)
-        found = remove_ghosts(model, room, particles, order, starts, near, 1, lone)
+        sure = np.zeros(1, dtype=np.bool_)
+        found = remove_ghosts(model, room, particles, order, starts, near, 1, lone, sure)
         assert found == expected
 
 
@@ -94,10 +98,18 @@ def test_true_particles_stay_and_nothing_moves(maps: VolumePolynomials) -> None:
     put_all_in(model, room, particles)
     left = model.left.copy()
     starts, near = find_neighbours(maps, points)
-    assert remove_ghosts(model, room, particles, np.arange(30), starts, near, 2, True) == 0
+    order, sure = np.arange(30), np.zeros(30, dtype=np.bool_)
+    assert remove_ghosts(model, room, particles, order, starts, near, 2, True, sure) == 0
+    assert sure.all()
     np.testing.assert_array_equal(particles.position, points)
     np.testing.assert_array_equal(particles.light, light)
     np.testing.assert_allclose(model.left, left, atol=1e-3)
+
+
+def test_rows_with_a_chosen_neighbour_are_marked() -> None:
+    starts, near = np.array([0, 1, 3, 3, 4]), np.array([1, 0, 3, 1])
+    chosen = np.array([False, True, False, False])
+    assert near_any(chosen, starts, near).tolist() == [True, False, False, True]
 
 
 @pytest.mark.parametrize("direction", [[1.0, 0.0, 0.0], [0.0, 0.6, 0.8]])
