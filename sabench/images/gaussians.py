@@ -47,6 +47,19 @@ def fill_slopes(center: float, sigma: float, first: int, slopes: Any) -> None:
         before = after
 
 
+@numba.njit(cache=True)
+def fill_growth(center: float, sigma: float, first: int, growth: Any) -> None:
+    """Fill in the derivatives (n,) of the shares by sigma."""
+    scale, peak = 1.0 / (sigma * math.sqrt(2.0)), 1.0 / (math.sqrt(2.0 * math.pi) * sigma**2)
+    edge = first - 0.5 - center
+    before = edge * peak * math.exp(-((edge * scale) ** 2))
+    for i in range(len(growth)):
+        edge = first + i + 0.5 - center
+        after = edge * peak * math.exp(-((edge * scale) ** 2))
+        growth[i] = before - after
+        before = after
+
+
 def effective_width(sigma: float) -> float:
     """Compute (integral)^2 / (sum of squares) of a Gaussian, mean over its positions.
 

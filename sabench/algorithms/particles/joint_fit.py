@@ -38,7 +38,8 @@ class ImageModel(NamedTuple):
     Attributes
     ----------
     maps : cameras.
-    sigma : (camera, 2) widths of particle images along columns and rows, px.
+    widths : (camera, 2, 4) widths of particle images along columns and rows, px: in the box's
+        middle, and their change along each of its coordinates.
     typical : (camera,) a typical particle's light.
     precision : (camera, camera) inverse covariance of the logarithms of light.
     log_precision : logarithm of its determinant.
@@ -48,7 +49,7 @@ class ImageModel(NamedTuple):
     """
 
     maps: VolumePolynomials
-    sigma: F64
+    widths: F64
     typical: F64
     precision: F64
     log_precision: float
@@ -85,6 +86,7 @@ class Room(NamedTuple):
     corner: Any
     slope: F64
     here: F64
+    width: F64
     sums: F64
     signal: F64
     weight: F64
@@ -109,6 +111,7 @@ def make_room(sigma: F64) -> Room:
         corner=np.zeros((cameras, 2), dtype=np.int64),
         slope=np.zeros((cameras, 2, 3)),
         here=np.zeros(2),
+        width=np.zeros(2),
         sums=np.zeros((cameras, SUMS)),
         signal=np.zeros(cameras),
         weight=np.zeros(cameras),
@@ -127,16 +130,21 @@ def set_profile(model: Any, room: Any, c: int, position: Any) -> None:
     """Project a position to a camera and fill in the profiles of its image there."""
     project_point(model.maps, c, position, room.here, room.slope[c])
     corner, half = room.corner[c], len(room.x[c]) // 2
-    corner[0], corner[1] = round(room.here[0]) - half, round(room.here[1]) - half
-    fill_shares(room.here[0], model.sigma[c, 0], corner[0], room.x[c])
-    fill_shares(room.here[1], model.sigma[c, 1], corner[1], room.y[c])
+    for k in range(2):
+        corner[k] = round(room.here[k]) - half
+        width = model.widths[c, k, 0]
+        for p in range(3):
+            width += model.widths[c, k, p + 1] * position[p]
+        room.width[k] = width
+    fill_shares(room.here[0], room.width[0], corner[0], room.x[c])
+    fill_shares(room.here[1], room.width[1], corner[1], room.y[c])
 
 
 @numba.njit(cache=True)
-def set_slopes(model: Any, room: Any, c: int) -> None:
+def set_slopes(room: Any, c: int) -> None:
     """Fill in the profiles' derivatives, just after the profiles of the same camera."""
-    fill_slopes(room.here[0], model.sigma[c, 0], room.corner[c, 0], room.by_x[c])
-    fill_slopes(room.here[1], model.sigma[c, 1], room.corner[c, 1], room.by_y[c])
+    fill_slopes(room.here[0], room.width[0], room.corner[c, 0], room.by_x[c])
+    fill_slopes(room.here[1], room.width[1], room.corner[c, 1], room.by_y[c])
 
 
 @numba.njit(cache=True)
@@ -215,7 +223,7 @@ def sum_up(model: Any, room: Any, c: int, position: Any) -> None:
     and their products with what is left (two); all for light 1.
     """
     set_profile(model, room, c, position)
-    set_slopes(model, room, c)
+    set_slopes(room, c)
     image, weights, sums = model.left[c], model.weight[c], room.sums[c]
     column, row = room.corner[c, 0], room.corner[c, 1]
     rows, columns = image.shape
@@ -377,3 +385,17 @@ def price(model: Any, room: Any, position: Any, light: Any) -> float:
     determinant = solve_three(room.matrix, room.right, room.trial)
     known += 0.5 * math.log(max(determinant, 1e-300)) - 1.5 * math.log(2.0 * math.pi)
     return float(known - model.log_rate)
+
+
+@numba.njit(cache=True)
+def position_information(model: Any, room: Any, particles: Any, matrices: Any) -> None:
+    """Fill in what the images tell of each position: inverse covariances (n, 3, 3).
+
+    Neighbours and light count as known (Fisher information of one particle).
+    """
+    for n in range(len(matrices)):
+        room.matrix[:] = 0.0
+        for c in range(len(model.typical)):
+            sum_up(model, room, c, particles.position[n])
+            _add_to_matrix(room, c, particles.light[n, c])
+        matrices[n] = room.matrix

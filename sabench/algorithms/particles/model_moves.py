@@ -28,12 +28,18 @@ from sabench.algorithms.particles.joint_fit import (
     sum_up,
     take_out,
 )
-from sabench.geometry.volume_polynomials import VolumePolynomials, project_points
+from sabench.geometry.volume_polynomials import (
+    VolumePolynomials,
+    project_point,
+    project_points,
+)
+from sabench.images.gaussians import fill_growth
 from sabench.utils.arrays import F64, I64
 
 _NEIGHBOURS = 512  # that are fitted again around one particle
 _NEAR_PX = 3.0  # of a neighbour's image in some camera
 _SURE = 4.0  # prices that a particle earns which is not tried again
+_SAME_PX = 0.5  # distance of images of the two of a split that are one
 _SETTLE = 6  # fits of the two particles of a split
 _DOUBTFUL = 2  # of them, after which a split that does not pay is given up
 
@@ -198,7 +204,7 @@ def split_pairs(model: Any, room: Any, particles: Any, order: Any, count: int, s
             take_out(model, room, particles.position[count], particles.light[count])
             particles.position[n], particles.light[n] = place, own
             put_in(model, room, place, own)
-        if best < 0.0:
+        if best < 0.0 and _are_apart(model, room, places):
             take_out(model, room, place, own)
             for k in range(2):
                 put_in(model, room, places[k], lights[k])
@@ -215,6 +221,21 @@ def split_pairs(model: Any, room: Any, particles: Any, order: Any, count: int, s
                     take_out(model, room, places[k], lights[k])
                 put_in(model, room, place, own)
     return count
+
+
+@numba.njit(cache=True)
+def _are_apart(model: Any, room: Any, places: Any) -> bool:
+    """Say whether some camera sees two positions apart.
+
+    If not, one particle with a wider image than others looks the same, and is more probable.
+    """
+    here, slopes = np.zeros((2, 2)), np.zeros((2, 3))
+    for c in range(len(model.typical)):
+        for k in range(2):
+            project_point(model.maps, c, places[k], here[k], slopes)
+        if math.hypot(here[0, 0] - here[1, 0], here[0, 1] - here[1, 1]) > _SAME_PX:
+            return True
+    return False
 
 
 @numba.njit(cache=True)
@@ -259,3 +280,52 @@ def add_camera_misses(model: Any, room: Any, particles: Any, equations: Any) -> 
                 equations[c, k] += light * light * room.sums[c, SUMS - 5 + k]
             for k in range(3, 5):
                 equations[c, k] += light * room.sums[c, SUMS - 5 + k]
+
+
+@numba.njit(cache=True)
+def add_width_misses(
+    model: Any, room: Any, particles: Any, rows: Any, matrices: Any, right: Any
+) -> None:
+    """Add up what some particles say of widths, with light as it fits best.
+
+    The unknowns of a camera are those of `ImageModel.widths`.
+
+    Parameters
+    ----------
+    rows : (k,) particles.
+    matrices, right : (camera, 8, 8) and (camera, 8) normal equations.
+    """
+    own, both, terms, slopes = np.zeros(2), np.zeros((2, 2)), np.ones(4), np.zeros(2)
+    for n in rows:
+        terms[1:] = particles.position[n]
+        for c in range(len(model.typical)):
+            set_profile(model, room, c, particles.position[n])
+            column, row = room.corner[c, 0], room.corner[c, 1]
+            fill_growth(room.here[0], room.width[0], column, room.by_x[c])
+            fill_growth(room.here[1], room.width[1], row, room.by_y[c])
+            left, weights, light = model.left[c], model.weight[c], particles.light[n, c]
+            height, columns = left.shape
+            own[:], both[:], slopes[:], whole, pull = 0.0, 0.0, 0.0, 1e-300, 0.0
+            for i in range(max(0, -row), min(len(room.y[c]), height - row)):
+                for j in range(max(0, -column), min(len(room.x[c]), columns - column)):
+                    each = weights[row + i, column + j]
+                    share = room.y[c, i] * room.x[c, j]
+                    dx, dy = room.y[c, i] * room.by_x[c, j], room.by_y[c, i] * room.x[c, j]
+                    off = each * left[row + i, column + j]
+                    whole, pull = whole + each * share * share, pull + off * share
+                    own[0], own[1] = own[0] + each * share * dx, own[1] + each * share * dy
+                    both[0, 0], both[1, 1] = (
+                        both[0, 0] + each * dx * dx,
+                        both[1, 1] + each * dy * dy,
+                    )
+                    both[0, 1] += each * dx * dy
+                    slopes[0], slopes[1] = slopes[0] + off * dx, slopes[1] + off * dy
+            both[1, 0] = both[0, 1]
+            for k in range(8):
+                a, p = k // 4, k % 4
+                right[c, k] += light * terms[p] * (slopes[a] - own[a] * pull / whole)
+                for m in range(8):
+                    b, q = m // 4, m % 4
+                    matrices[c, k, m] += (
+                        light * light * terms[p] * terms[q] * (both[a, b] - own[a] * own[b] / whole)
+                    )

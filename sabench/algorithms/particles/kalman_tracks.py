@@ -1,0 +1,176 @@
+"""Tracks of particles: where they are expected next, and how well that is known.
+
+A Kalman filter for each particle and axis with position, velocity and acceleration, which a random
+jerk changes (Y. Bar-Shalom et al., Estimation with applications to tracking and navigation, Wiley
+2001, section 6.2). The errors of positions come from the images; the strength of the jerk, and how
+much particles accelerate at first, come from the misses of the predictions themselves.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from sabench.utils.arrays import F64, I64, Bool
+
+MATURE = 3  # positions after which a track's own prediction is as good as it gets
+_NEIGHBOURS = 8  # whose velocities a new track is expected to have
+_MEDIAN = 0.4549  # of the square of a standard normal variable
+_ENOUGH, _FASTEST = 30, 4.0  # predictions that tell the jerk's strength, and its change at once
+_SURPRISE = 12.0  # sum of three squared misses over the expected ones, seldom reached
+_LEAST = 1e-6  # of the first strength
+_BY_TRACK = ("number", "state", "covariance", "light", "seen", "missed")
+_ANY_SPEED = 1e6  # mm/s
+
+
+@dataclass
+class KalmanTracks:
+    """Tracks that may go on, all predicted to the same time.
+
+    Attributes
+    ----------
+    number : (n,) of the trajectories.
+    state : (n, 3, 3) position, velocity and acceleration along the axes, mm and s.
+    covariance : (n, 3, 3, 3) of these three, for each axis.
+    light : (n, camera) last seen.
+    seen : (n,) how many positions a track has.
+    missed : (n,) predictions since the last of them.
+    jerk, least_jerk : power of the jerk, mm2/s5.
+    acceleration : variance of a new track's acceleration, mm2/s4.
+    """
+
+    number: I64
+    state: F64
+    covariance: F64
+    light: F64
+    seen: I64
+    missed: I64
+    jerk: float
+    acceleration: float
+    least_jerk: float
+
+    @staticmethod
+    def start(acceleration: float, duration: float) -> KalmanTracks:
+        """Begin without tracks, with a first variance of accelerations.
+
+        The first jerk changes them by a third in the duration between two frames.
+        """
+        jerk = 0.1 * acceleration / duration
+        none = np.zeros(0, dtype=np.int64)
+        return KalmanTracks(
+            none,
+            np.zeros((0, 3, 3)),
+            np.zeros((0, 3, 3, 3)),
+            np.zeros((0, 0)),
+            none,
+            none,
+            jerk,
+            acceleration,
+            _LEAST * jerk,
+        )
+
+    @property
+    def variance(self) -> F64:
+        """Variances (n, 3) of the positions."""
+        return np.asarray(self.covariance[:, :, 0, 0])
+
+    def select(self, rows: Bool | I64) -> None:
+        """Keep these tracks."""
+        for name in _BY_TRACK:
+            setattr(self, name, getattr(self, name)[rows])
+
+    def predict(self, duration: float) -> None:
+        """Move the states on by a duration in s."""
+        d = duration
+        step = np.array([[1.0, d, d**2 / 2.0], [0.0, 1.0, d], [0.0, 0.0, 1.0]])
+        noise = np.array(
+            [
+                [d**5 / 20.0, d**4 / 8.0, d**3 / 6.0],
+                [d**4 / 8.0, d**3 / 3.0, d**2 / 2.0],
+                [d**3 / 6.0, d**2 / 2.0, d],
+            ]
+        )
+        self.state = step @ self.state
+        self.covariance = step @ self.covariance @ step.T + self.jerk * noise
+        self.missed = self.missed + 1
+
+    def off(self, rows: I64, position: F64, variance: F64) -> F64:
+        """Compute squared misses (n, 3) of positions over what is expected."""
+        expected = self.covariance[rows][:, :, 0, 0] + variance
+        return np.asarray((position - self.state[rows, 0]) ** 2 / expected)
+
+    def update(self, rows: I64, position: F64, variance: F64, light: F64) -> None:
+        """Take positions (n, 3), their variances, and light (n, camera) of tracks.
+
+        A track that misses by more than it should does not know its acceleration: its errors grow.
+        """
+        off = self.off(rows, position, variance)
+        self._learn(rows, off)
+        known = self.covariance[rows]
+        known *= np.maximum(off.sum(axis=1) / _SURPRISE, 1.0)[:, None, None, None]
+        gain = known[:, :, :, 0] / (known[:, :, 0, 0] + variance)[:, :, None]
+        miss = position - self.state[rows, 0]
+        self.state[rows] += (gain * miss[:, :, None]).transpose(0, 2, 1)
+        self.covariance[rows] = known - gain[:, :, :, None] * known[:, :, None, 0, :]
+        self.light[rows] = light
+        self.seen[rows] += 1
+        self.missed[rows] = 0
+
+    def _learn(self, rows: I64, off: F64) -> None:
+        """Learn the strengths from the squares of misses (n, 3) of these tracks."""
+        last = self.missed[rows] == 1
+        old, new = self.seen[rows] >= MATURE, self.seen[rows] == MATURE - 1
+        if (last & old).sum() >= _ENOUGH:
+            self.jerk = max(self.jerk * _change(off[last & old]), self.least_jerk)
+        if (last & new).sum() >= _ENOUGH:
+            self.acceleration *= _change(off[last & new])
+
+    def neighbours_velocity(self, position: F64) -> tuple[F64, F64]:
+        """Estimate velocities (n, 3) and their variances from the tracks near.
+
+        Without tracks nearby it is 0 with an error as large.
+        """
+        known = np.flatnonzero((self.seen >= 2) & (self.missed == 0))
+        if not len(known):
+            return np.zeros_like(position), np.full_like(position, _ANY_SPEED**2)
+        count = min(_NEIGHBOURS, len(known))
+        _, near = cKDTree(self.state[known, 0]).query(position, range(1, count + 1))
+        velocity = self.state[known[near], 1]
+        return np.median(velocity, axis=1), velocity.var(axis=1) * (1.0 + 2.0 / _NEIGHBOURS)
+
+    def add(
+        self,
+        number: I64,
+        position: F64,
+        variance: F64,
+        light: F64,
+        velocity: F64,
+        spread: F64,
+        seen: int,
+    ) -> None:
+        """Begin tracks.
+
+        Parameters
+        ----------
+        number : (n,).
+        position, variance, velocity, spread : (n, 3) mm, mm2, mm/s, mm2/s2.
+        light : (n, camera).
+        seen : how many positions they have.
+        """
+        count = len(number)
+        state = np.stack([position, velocity, np.zeros((count, 3))], axis=1)
+        covariance = np.zeros((count, 3, 3, 3))
+        covariance[:, :, 0, 0], covariance[:, :, 1, 1] = variance, spread
+        covariance[:, :, 2, 2] = self.acceleration
+        times = np.full(count, seen), np.zeros(count, dtype=np.int64)
+        new = (number, state, covariance, light, *times)
+        for name, more in zip(_BY_TRACK, new, strict=True):
+            old = getattr(self, name)
+            setattr(self, name, np.concatenate([old, more]) if len(old) else more)
+
+
+def _change(off: F64) -> float:
+    ratio = float(np.median(off)) / _MEDIAN
+    return min(max(ratio, 1.0 / _FASTEST), _FASTEST)

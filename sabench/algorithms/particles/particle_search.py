@@ -1,0 +1,363 @@
+"""State and moves of a search for the most probable particles of one frame.
+
+A particle has a place, light with a prior that is learned from the images, and a price.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from sabench.algorithms.particles.candidate_search import BRIGHTEST, find_candidates, pixel_mm
+from sabench.algorithms.particles.image_statistics import ImageStatistics
+from sabench.algorithms.particles.joint_fit import (
+    ImageModel,
+    Particles,
+    make_room,
+    position_information,
+    put_all_in,
+    refine,
+    start_light,
+    take_out,
+)
+from sabench.algorithms.particles.light_prior import (
+    even_covariance,
+    learn_covariance,
+    scatter_between,
+)
+from sabench.algorithms.particles.model_moves import (
+    add_camera_misses,
+    add_width_misses,
+    find_neighbours,
+    measure_misfit,
+    near_any,
+    remove_ghosts,
+    split_pairs,
+)
+from sabench.algorithms.particles.refinement import in_mm, peak_brightness
+from sabench.api import FoundParticles
+from sabench.geometry.volume_polynomials import VolumePolynomials, project_points
+from sabench.images.flaws import Flaws
+from sabench.utils.arrays import F32, F64, I64, Bool
+
+_BOX = 8.0  # volume of the box in its coordinates
+_BETWEEN, _COMMON = 0.1, 0.4  # first scatter between cameras, and of what they have in common
+_FLOOR = 2.0  # standard deviations of noise: the least floor of candidates
+_DIMMEST = 0.03  # of a typical peak: darker light is as good as none
+_OVERLAP_PX = 3.0  # distance of images that overlap
+_ALONE, _LEAST_ALONE, _HARDLY = 0.03, 60, 0.1  # share, number and overlap of lone particles
+_FEW = 30  # particles that tell nothing of all
+_BORDER_PX = 3.0  # where images are not complete
+_MISFIT = 4.0  # standard deviations: particles that fit no better may be two
+_DOUBTFUL = 0.3  # largest share of particles that are tried as two
+_ALIGNMENTS, _FARTHEST_PX = 2, 0.5  # steps of cameras' shifts, and the longest of each
+_WIDTH_ERROR, _WIDTH_CHANGE = 0.2, 0.05  # of the first widths, and over the box: their scatter
+_WIDTH_STEPS = 2
+_OWN_ERROR = 0.03  # of a particle's image: particles differ
+_UNKNOWN = 0.25  # of light that is left: other particles' tails do not explain it
+_APART_PX = 0.7  # of the two from their middle
+
+
+class ParticleSearch:
+    """State of the search: the model of the images, and the particles so far.
+
+    Cameras that show no particles are left out.
+
+    Attributes
+    ----------
+    images, known, covered : (camera, row, column) less black; which pixels count; which tell
+        nothing of what is behind them.
+    left, variance : the images less all particles, and the variance of each pixel.
+    position, light : (n, 3) in the box of the maps, (n, camera).
+    sure : (n,) whether a particle earned several times its price.
+    tag : (n,) numbers that a caller gave particles, -1 for those found here.
+    """
+
+    images: F32
+    known: Bool
+    covered: Bool
+    left: F32
+    variance: F32
+    position: F64
+    light: F64
+    sure: Bool
+    tag: I64
+
+    def __init__(
+        self,
+        images: F32,
+        flaws: Flaws,
+        maps: VolumePolynomials,
+        statistics: ImageStatistics,
+        fits: int,
+    ) -> None:
+        """Start without particles; a trial of removal fits neighbours `fits` times."""
+        self.shown, self.fits = statistics.shown, fits
+        self.maps = maps._replace(coefficients=maps.coefficients[self.shown])
+        self.number, self.noise = statistics.number, statistics.noise[self.shown]
+        self.typical = statistics.light[self.shown]
+        self.reset_covariance()
+        self.show(images, flaws)
+        self.set_width(statistics.sigma[self.shown])
+
+    def show(self, images: F32, flaws: Flaws) -> None:
+        """Take the images of a frame, with all cameras, and no particles."""
+        self.images = images[self.shown]
+        self.known, self.covered = ~flaws.unknown[self.shown], flaws.covered[self.shown]
+        self.left, self.variance = self.images.copy(), np.ones_like(self.images)
+        self.position, self.light = np.zeros((0, 3)), np.zeros((0, len(self.images)))
+        self.sure, self.tag = np.zeros(0, dtype=np.bool_), np.zeros(0, dtype=np.int64)
+
+    def set_width(self, sigma: F64) -> None:
+        """Set the widths (camera, 2) of the particles' images, the same everywhere."""
+        self.widths = np.concatenate([sigma[:, :, None], np.zeros((*sigma.shape, 3))], axis=2)
+        self.first_widths, self.room = self.widths.copy(), make_room(sigma)
+        self.subtract_all()
+
+    @property
+    def sigma(self) -> F64:
+        """Widths (camera, 2) of the particles' images in the middle of the box, px."""
+        return self.widths[:, :, 0]
+
+    def reset_covariance(self, between: float = _BETWEEN, common: float = _COMMON) -> None:
+        """Forget the covariance of light that was learned."""
+        self.covariance = even_covariance(len(self.typical), between, common)
+
+    def found(self) -> FoundParticles:
+        """Return the particles."""
+        brightness = peak_brightness(self.light, self.sigma.mean(axis=1)).mean(axis=1)
+        return FoundParticles(in_mm(self.maps, self.position), brightness)
+
+    def put(self, position: F64, light: F64, tag: I64) -> None:
+        """Put in particles, whatever the images show."""
+        first = len(self.position)
+        self.append(len(position), 1.0)
+        self.position[first:], self.light[first:], self.tag[first:] = position, light, tag
+        self.subtract_all()
+
+    def variance_of_positions(self) -> F64:
+        """Estimate the variances (n, 3) of positions, in the box's coordinates.
+
+        Neighbours count as known. The largest is that of a position anywhere in the box.
+        """
+        matrices = np.zeros((len(self.position), 3, 3))
+        position_information(self.model(), self.room, self.particles(), matrices)
+        matrices += 3.0 * np.eye(3)  # the inverse variance of a place between -1 and 1
+        return np.asarray(np.linalg.inv(matrices)[:, [0, 1, 2], [0, 1, 2]])
+
+    def model(self) -> ImageModel:
+        """Make the kernels' view of images and what is left of them."""
+        precision: F64 = np.linalg.inv(self.covariance).astype(np.float64)
+        weight = (self.known / self.variance).astype(np.float32)
+        return ImageModel(
+            self.maps,
+            self.widths,
+            self.typical,
+            precision,
+            float(np.linalg.slogdet(precision)[1]),
+            weight,
+            self.left,
+            math.log(self.number / _BOX),
+        )
+
+    def particles(self) -> Particles:
+        """Make the kernels' view of the particles, all alive."""
+        return Particles(self.position, self.light, np.ones(len(self.position), dtype=np.bool_))
+
+    def common_light(self) -> F64:
+        """Compute the mean light (n,) over cameras, in a typical particle's."""
+        return np.asarray(np.exp(np.log(self.light / self.typical).mean(axis=1)))
+
+    def _peaks(self) -> F64:
+        """Compute the brightest pixel (camera,) of a typical particle."""
+        erf = np.array(
+            [[math.erf(0.5 / (math.sqrt(2.0) * one)) for one in row] for row in self.sigma]
+        )
+        return np.asarray(self.typical * erf.prod(axis=1))
+
+    def refine(self, rounds: int) -> None:
+        """Fit all particles, one after the other, in several rounds."""
+        refine(self.model(), self.room, self.particles(), rounds)
+
+    def subtract_all(self) -> None:
+        """Compute anew what all particles leave of the images."""
+        self.left[:] = self.images
+        put_all_in(self.model(), self.room, self.particles())
+
+    def keep(self, good: Bool) -> None:
+        """Drop the other particles, and give their light back."""
+        model = self.model()
+        for n in np.flatnonzero(~good):
+            take_out(model, self.room, self.position[n], self.light[n])
+        self.select(good)
+
+    def select(self, good: Bool) -> None:
+        """Keep these rows, whatever the images show."""
+        self.position, self.light = self.position[good], self.light[good]
+        self.sure, self.tag = self.sure[good], self.tag[good]
+
+    def append(self, count: int, light: float) -> None:
+        """Add rows for new particles."""
+        self.position = np.concatenate([self.position, np.zeros((count, 3))])
+        self.light = np.concatenate([self.light, np.full((count, self.light.shape[1]), light)])
+        self.sure = np.concatenate([self.sure, np.zeros(count, dtype=np.bool_)])
+        self.tag = np.concatenate([self.tag, np.full(count, -1)])
+
+    def find(self, floor: float) -> None:
+        """Add candidates from what is left of the images."""
+        peaks = self._peaks()[:, None, None]
+        dark = np.maximum(self.noise[:, None, None] / peaks, _DIMMEST)
+        logs = np.log(np.clip(self.left / peaks, dark, BRIGHTEST))
+        logs = np.where(self.covered, np.nan, logs).astype(np.float32)
+        cameras = len(logs)
+        spread = (math.sqrt(2.0 * math.log(cameras)) + 0.5) * scatter_between(self.covariance)
+        least = max(floor, _FLOOR * float(dark.max()))
+        found = find_candidates(self.maps, logs, math.log(least), spread)
+        first = len(self.position)
+        self.append(len(found), 0.0)
+        self.position[first:] = found
+        start_light(self.model(), self.room, self.particles(), first)
+
+    def weigh(self, cap: float) -> None:
+        """Estimate the variance of every pixel from what is left.
+
+        It is the noise of dark pixels and a share of the model's light; the part above the dark
+        noise is at most `cap` of a typical peak squared, but not less than what particles leave
+        whose images are a little wider or narrower than others', or what particles that are not
+        found yet leave.
+        """
+        for camera, peak in enumerate(self._peaks()):
+            known, dark = self.known[camera], self.noise[camera] ** 2
+            # no more than the image shows, or particles that are too bright would hide it
+            image = np.maximum(self.images[camera], 0.0)
+            model = np.clip(self.images[camera] - self.left[camera], 0.0, image)
+            squares = np.square(self.left[camera][known], dtype=np.float64)
+            squares = np.minimum(squares, 30.0 * squares.mean())
+            light = model[known].astype(np.float64)
+            terms = np.stack([np.ones_like(light), light], axis=1)
+            even, slope = np.linalg.lstsq(terms, squares, rcond=None)[0]
+            variance = np.minimum(
+                max(even, dark) + max(slope, 0.0) * model, dark + (cap * peak) ** 2
+            )
+            least = (_OWN_ERROR * model) ** 2 + (_UNKNOWN * self.left[camera]) ** 2
+            self.variance[camera] = np.maximum(variance, dark + least)
+
+    def remove(self, lone: bool) -> None:
+        """Remove particles that do not earn their price, the darkest first.
+
+        Those that earn several times their price are tried again only near others that newly do.
+        """
+        starts, near = find_neighbours(self.maps, self.position)
+        particles, model = self.particles(), self.model()
+        tried = ~self.sure
+        for _ in range(2):
+            rows = np.flatnonzero(tried)
+            order = rows[np.argsort(self.common_light()[rows], kind="stable")]
+            remove_ghosts(
+                model, self.room, particles, order, starts, near, self.fits, lone, self.sure
+            )
+            promoted = tried & self.sure & particles.alive
+            tried = ~tried & near_any(promoted, starts, near)
+        self.sure &= lone
+        self.select(particles.alive)
+        self.refine(1)
+
+    def split(self) -> None:
+        """Replace particles that do not fit by two, where that is more probable."""
+        count, model = len(self.position), self.model()
+        misfit = np.zeros(count)
+        measure_misfit(model, self.room, self.particles(), misfit)
+        order = np.argsort(-misfit, kind="stable")[: int(_DOUBTFUL * count)]
+        order = order[misfit[order] > _MISFIT]
+        self.sure[order] = False
+        self.append(len(order), 1.0)
+        directions = np.array(
+            [
+                [1.0, 0.0, 0.0],
+                [0.0, 1.0, 0.0],
+                [0.0, 0.0, 3.0],
+                [0.7, 0.7, 0.0],
+                [0.7, -0.7, 0.0],
+                [0.7, 0.0, 2.0],
+                [0.0, 0.7, 2.0],
+                [0.7, 0.0, -2.0],
+                [0.0, 0.7, -2.0],
+            ]
+        )
+        steps = _APART_PX * pixel_mm(self.maps) / self.maps.half_mm * directions
+        count = split_pairs(model, self.room, self.particles(), order, count, steps)
+        self.select(np.arange(len(self.position)) < count)
+
+    def learn(self) -> None:
+        """Learn typical light and its covariance from the particles that stand alone."""
+        lone = self._alone()
+        if len(lone) < _FEW:
+            return
+        logs = np.log(self.light[lone] / self.typical)
+        self.typical = self.typical * np.exp(np.median(logs, axis=0))
+        self.covariance = learn_covariance(logs)
+
+    def learn_widths(self) -> None:
+        """Learn the widths of images, and how they change, from lone particles.
+
+        Half of them count, those that leave least of their images: others may be two. Few must be
+        missing yet, because what they leave makes others wider.
+        """
+        lone = self._alone()
+        if len(lone) < _FEW:
+            return
+        model, particles, cameras = self.model(), self.particles(), len(self.images)
+        misfit = np.zeros(len(self.position))
+        measure_misfit(model, self.room, particles, misfit)
+        misfit = misfit[lone] / self.common_light()[lone] ** 2
+        lone = lone[misfit <= np.median(misfit)]
+        for _ in range(_WIDTH_STEPS):
+            matrices, right = np.zeros((cameras, 8, 8)), np.zeros((cameras, 8))
+            add_width_misses(model, self.room, particles, lone, matrices, right)
+            sigma = np.repeat(self.sigma[:, :, None], 4, axis=2)
+            known = (np.array([_WIDTH_ERROR, *[_WIDTH_CHANGE] * 3]) * sigma).reshape(-1, 8) ** -2.0
+            right -= known * (self.widths - self.first_widths).reshape(-1, 8)
+            matrices += known[:, :, None] * np.eye(8)
+            step = np.linalg.solve(matrices, right[:, :, None]).reshape(self.widths.shape)
+            most = _WIDTH_CHANGE * sigma
+            self.widths += np.clip(step, -most, most)
+            self.subtract_all()
+
+    def align(self) -> None:
+        """Shift each camera's pixels to where it sees the particles.
+
+        A shift that particles take part in, as one of all cameras, cannot be seen.
+        """
+        if len(self.position) < _FEW:
+            return
+        for _ in range(_ALIGNMENTS):
+            sums = np.zeros((len(self.images), 5))
+            add_camera_misses(self.model(), self.room, self.particles(), sums)
+            xx, xy, yy, x, y = sums.T
+            matrix = np.stack([np.stack([xx, xy], axis=1), np.stack([xy, yy], axis=1)], axis=2)
+            shifts = np.linalg.solve(matrix, np.stack([x, y], axis=1)[:, :, None])[:, :, 0]
+            self.maps.coefficients[:, 0] += np.clip(shifts, -_FARTHEST_PX, _FARTHEST_PX)
+            self.subtract_all()
+            self.refine(1)
+
+    def _alone(self) -> I64:
+        """Find particles whose images overlap with others' the least, and are complete."""
+        if len(self.position) < _FEW:
+            return np.zeros(0, dtype=np.int64)
+        overlap = np.zeros(len(self.position))
+        inside = np.ones(len(self.position), dtype=bool)
+        last = np.array(self.images.shape[:0:-1]) - 1.0
+        for camera, sigma in enumerate(self.sigma):
+            pixels = project_points(self.maps, camera, self.position)
+            i, j = cKDTree(pixels).query_pairs(_OVERLAP_PX, output_type="ndarray").T
+            apart = np.sum((pixels[i] - pixels[j]) ** 2 / (4.0 * sigma**2), axis=1)
+            shared, light = np.exp(-apart), self.light[:, camera]
+            np.add.at(overlap, i, shared * light[j] / light[i])
+            np.add.at(overlap, j, shared * light[i] / light[j])
+            inside &= ((pixels > _BORDER_PX) & (pixels < last - _BORDER_PX)).all(axis=1)
+        least = np.sort(np.where(inside, overlap, np.inf))
+        rank = min(max(_LEAST_ALONE, int(_ALONE * len(overlap))), len(overlap) - 1)
+        most = max(least[rank], _HARDLY * len(self.sigma))
+        return np.flatnonzero(inside & (overlap <= most))

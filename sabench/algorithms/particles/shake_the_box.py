@@ -1,0 +1,282 @@
+"""Particles followed over time, by predictions that are fitted to the images.
+
+Shake-The-Box (D. Schanz, S. Gesemann and A. Schroeder, Exp. Fluids 57, 70, 2016) with the fits and
+prices of `bayesian_ipr`. The first two frames are searched on their own and linked. From then on
+known particles start where a Kalman filter expects them and are fitted to the images, so that few
+are left to be found. What is seen once only, where it had to be seen before or afterwards, is a
+ghost; where a track misses a frame between others, its position is interpolated.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from sabench.algorithms.particles.bayesian_ipr import (
+    CAPS,
+    FLOORS,
+    BayesianIprSettings,
+    images_less_black,
+    search_frame,
+    split_and_find,
+)
+from sabench.algorithms.particles.candidate_search import pixel_mm
+from sabench.algorithms.particles.kalman_tracks import MATURE, KalmanTracks
+from sabench.algorithms.particles.linking import GATE, assign, link
+from sabench.algorithms.particles.particle_search import ParticleSearch
+from sabench.api import FoundParticles, Observation
+from sabench.geometry.volume_polynomials import VolumePolynomials
+from sabench.utils.arrays import F64, I64, Bool
+
+_SHAKES = 3  # rounds of fits of the predicted particles before others are looked for
+_SLACK = 0.04  # of the distance between particles: misses, beside those expected, of the same one
+_KNOWN_PX = 1.0  # standard deviation up to which a prediction is worth a fit
+_FADED = 0.5  # light over the last light below which a particle may be a ghost
+_LEAST_ERROR_PX = 0.02  # of positions, beside what the images tell
+_NEAR = 3.0  # standard deviations from the box's faces within which a particle may come or go
+_NEIGHBOURS = 5  # particles that a lost track is compared with
+_FEWEST = 16  # links that tell how particles move
+_ACCELERATION = 0.3  # first guess of the change of velocity in a frame, over neighbours' scatter
+
+
+@dataclass(frozen=True)
+class ShakeTheBoxSettings:
+    """Settings of the tracker.
+
+    Attributes
+    ----------
+    first : of the search in the first two frames.
+    searches : rounds of search and removal in every later frame.
+    splits : rounds of splits after those.
+    gap : frames in a row that a track may miss.
+    """
+
+    first: BayesianIprSettings
+    searches: int = 2
+    splits: int = 1
+    gap: int = 2
+
+
+@dataclass
+class _Frame:
+    """Particles of a frame: positions (n, 3) mm, brightness (n,), trajectories (n,)."""
+
+    time: float
+    position: F64
+    intensity: F64
+    number: I64
+
+    def add(self, position: F64, intensity: F64, number: I64) -> None:
+        self.position = np.concatenate([self.position, position])
+        self.intensity = np.concatenate([self.intensity, intensity])
+        self.number = np.concatenate([self.number, number])
+
+    def without(self, ghosts: I64) -> FoundParticles:
+        kept = ~np.isin(self.number, ghosts)
+        return FoundParticles(self.position[kept], self.intensity[kept], self.number[kept])
+
+
+def track_particles(
+    frames: Iterable[Observation],
+    times_s: Sequence[float],
+    maps: VolumePolynomials,
+    settings: ShakeTheBoxSettings,
+) -> list[FoundParticles]:
+    """Follow the particles of a sequence; the images of one frame at a time are held."""
+    tracker = _Tracker(maps, settings)
+    for case, time in zip(frames, times_s, strict=True):
+        tracker.take(case, time)
+    ghosts = np.concatenate([np.zeros(0, dtype=np.int64), *tracker.ghosts])
+    return [frame.without(ghosts) for frame in tracker.frames]
+
+
+class _Tracker:
+    """State of the tracker: tracks that go on, and the frames so far."""
+
+    def __init__(self, maps: VolumePolynomials, settings: ShakeTheBoxSettings) -> None:
+        self.maps, self.settings = maps, settings
+        self.search: ParticleSearch | None = None
+        self.tracks: KalmanTracks | None = None
+        self.frames: list[_Frame] = []
+        self.ghosts: list[I64] = []
+        self.born = 0
+
+    def take(self, case: Observation, time: float) -> None:
+        """Find the particles of the next frame."""
+        if self.tracks is None or self.search is None:
+            self._begin(case, time)
+        else:
+            self._follow(case, time, self.tracks, self.search)
+
+    def _begin(self, case: Observation, time: float) -> None:
+        """Search a frame without predictions, and link it to the one before."""
+        before, self.search = self.search, search_frame(case, self.maps, self.settings.first)
+        frame = _Frame(time, *_NOTHING)
+        if self.search is not None:
+            frame = self._write(self.search, time)
+        if before is not None and self.search is not None:
+            self.tracks = self._link_first(before, self.frames[-1], frame)
+        if self.tracks is not None and self.search is not None:
+            self._follow(case, time, self.tracks, self.search)
+        else:
+            self.frames.append(frame)
+
+    def _write(self, search: ParticleSearch, time: float) -> _Frame:
+        """Write down what a frame shows, as new trajectories."""
+        found = search.found()
+        numbers = self.born + np.arange(len(found.position_mm))
+        self.born += len(numbers)
+        intensity = np.zeros(0) if found.intensity is None else found.intensity
+        return _Frame(time, found.position_mm, intensity, numbers)
+
+    def _variance(self, search: ParticleSearch) -> F64:
+        """Estimate the variances (n, 3) of a search's positions, mm2."""
+        least = (_LEAST_ERROR_PX * pixel_mm(self.maps)) ** 2
+        return np.asarray(search.variance_of_positions() * self.maps.half_mm**2 + least)
+
+    def _link_first(
+        self, search: ParticleSearch, first: _Frame, second: _Frame
+    ) -> KalmanTracks | None:
+        """Begin tracks at the first of two frames if enough can be linked."""
+        earlier, later = link(
+            [first.position, second.position],
+            [np.ones(len(first.position)), np.ones(len(second.position))],
+            [first.time, second.time],
+        )
+        _, i, j = np.intersect1d(earlier, later, return_indices=True)
+        if len(i) < _FEWEST:
+            return None
+        duration = second.time - first.time
+        variance = self._variance(search)
+        velocity = (second.position[j] - first.position[i]) / duration
+        scatter = _scatter(first.position[i], velocity)
+        tracks = KalmanTracks.start((_ACCELERATION * scatter / duration) ** 2, duration)
+        errors = 2.0 * variance[i] / duration**2 + tracks.acceleration * duration**2
+        light, place = search.light, first.position
+        tracks.add(first.number[i], place[i], variance[i], light[i], velocity, errors, 2)
+        alone = np.setdiff1d(np.arange(len(first.number)), i)
+        self._begin_tracks(tracks, first, alone, variance, light)
+        tracks.seen[:] = 1
+        return tracks
+
+    def _inside(self, position: F64, error: F64) -> Bool:
+        """Mark positions (n, 3) mm that are surely in the box, with errors (n, 3)."""
+        aside = np.abs(position - self.maps.middle_mm) + _NEAR * error
+        return np.asarray((aside <= self.maps.half_mm).all(axis=1))
+
+    def _begin_tracks(
+        self, tracks: KalmanTracks, frame: _Frame, rows: I64, variance: F64, light: F64
+    ) -> None:
+        if len(rows):
+            position = frame.position[rows]
+            velocity, spread = tracks.neighbours_velocity(position)
+            numbers = frame.number[rows]
+            tracks.add(numbers, position, variance[rows], light[rows], velocity, spread, 1)
+
+    def _follow(
+        self, case: Observation, time: float, tracks: KalmanTracks, search: ParticleSearch
+    ) -> None:
+        """Find a frame's particles from where they are expected."""
+        tracks.predict(time - self.frames[-1].time)
+        self._shake(case, tracks, search)
+        frame, variance = self._write(search, time), self._variance(search)
+        self.frames.append(frame)
+        row = self._recognise(tracks, search, frame.position, variance)
+        seen = np.flatnonzero(row >= 0)
+        frame.number[seen] = tracks.number[row[seen]]
+        late = tracks.missed[row[seen]] > 1
+        tracks.update(row[seen], frame.position[seen], variance[seen], search.light[seen])
+        self._fill_gaps(tracks, row[seen[late]], frame.intensity[seen[late]])
+        self._end_tracks(tracks)
+        self._begin_tracks(tracks, frame, np.flatnonzero(row < 0), variance, search.light)
+
+    def _shake(self, case: Observation, tracks: KalmanTracks, search: ParticleSearch) -> None:
+        """Fit the predicted particles, and search what they leave of the images."""
+        settings, error = self.settings, np.sqrt(tracks.variance)
+        place = (tracks.state[:, 0] - self.maps.middle_mm) / self.maps.half_mm
+        known = np.median(error, axis=1) < _KNOWN_PX * pixel_mm(self.maps)
+        rows = np.flatnonzero(known & (np.abs(place) <= 1.0).all(axis=1))
+        search.show(*images_less_black(case))
+        search.put(place[rows], tracks.light[rows], rows)
+        search.weigh(CAPS[0])
+        search.refine(_SHAKES)
+        search.weigh(CAPS[1])
+        search.refine(_SHAKES)
+        bright = search.light.sum(axis=1) > _FADED * tracks.light[search.tag].sum(axis=1)
+        search.sure = bright & (tracks.seen[search.tag] >= MATURE)
+        search.remove(lone=True)
+        for number in range(settings.searches):
+            search.find(FLOORS[min(number, 1)])
+            search.refine(search.fits)
+            search.weigh(CAPS[1])
+            search.remove(lone=True)
+        search.align()
+        for _ in range(settings.splits):
+            split_and_find(search)
+        search.weigh(CAPS[1])
+        search.refine(search.fits)
+
+    def _recognise(
+        self, tracks: KalmanTracks, search: ParticleSearch, position: F64, variance: F64
+    ) -> I64:
+        """Return the track (n,) of each particle found, -1 for new ones."""
+        row = search.tag.copy()
+        known = np.flatnonzero(row >= 0)
+        slack = (_SLACK * self._spacing(len(position))) ** 2
+        off = tracks.off(row[known], position[known], variance[known] + slack)
+        row[known[off.sum(axis=1) > GATE]] = -1
+        lost = np.setdiff1d(np.arange(len(tracks.number)), row)
+        new = np.flatnonzero(row < 0)
+        if len(lost) and len(new):
+            count = min(_NEIGHBOURS, len(new))
+            _, slot = cKDTree(position[new]).query(tracks.state[lost, 0], range(1, count + 1))
+            i, j = np.repeat(np.arange(len(lost)), count), slot.ravel()
+            cost = tracks.off(lost[i], position[new[j]], variance[new[j]] + slack).sum(axis=1)
+            good = cost < GATE
+            i, j = assign(i[good], j[good], cost[good], (len(lost), len(new)))
+            row[new[j]] = lost[i]
+        return row
+
+    def _spacing(self, count: int) -> float:
+        """Compute the edge of the cube that holds one particle on average, mm."""
+        return float((np.prod(2.0 * self.maps.half_mm) / max(count, 1)) ** (1.0 / 3.0))
+
+    def _fill_gaps(self, tracks: KalmanTracks, rows: I64, intensity: F64) -> None:
+        """Add the positions that tracks had in the frames which they missed."""
+        numbers = tracks.number[rows]
+        for frame in self.frames[-2 : -self.settings.gap - 2 : -1]:
+            absent = ~np.isin(numbers, frame.number)
+            # frames before the track's last position have its number
+            rows, numbers, intensity = rows[absent], numbers[absent], intensity[absent]
+            back = frame.time - self.frames[-1].time
+            terms = np.array([1.0, back, back**2 / 2.0])
+            position = np.einsum("o,noa->na", terms, tracks.state[rows])
+            position = np.clip(
+                position,
+                self.maps.middle_mm - self.maps.half_mm,
+                self.maps.middle_mm + self.maps.half_mm,
+            )
+            frame.add(position, intensity, numbers)
+
+    def _end_tracks(self, tracks: KalmanTracks) -> None:
+        """End the tracks that have left, or were missed too often."""
+        missed = tracks.missed > 0
+        inside = self._inside(tracks.state[:, 0], np.sqrt(tracks.variance))
+        once = missed & inside & (tracks.seen == 1)
+        self.ghosts.append(tracks.number[once])
+        outside = (np.abs(tracks.state[:, 0] - self.maps.middle_mm) > self.maps.half_mm).any(axis=1)
+        over = (tracks.seen < MATURE) | (tracks.missed > self.settings.gap) | outside
+        tracks.select(~(missed & over))
+
+
+def _scatter(position: F64, velocity: F64) -> float:
+    """Compute the typical difference of a velocity from its neighbours'."""
+    _, near = cKDTree(position).query(position, _NEIGHBOURS + 1)
+    apart = velocity - np.median(velocity[near[:, 1:]], axis=1)
+    return float(np.median(np.linalg.norm(apart, axis=1)))
+
+
+_NOTHING = (np.zeros((0, 3)), np.zeros(0), np.zeros(0, dtype=np.int64))

@@ -1,0 +1,51 @@
+"""Particles followed over time by prediction and fits to the images."""
+
+from __future__ import annotations
+
+from pydantic import Field
+
+from sabench.algorithms.particles import (
+    BayesianIprSettings,
+    ShakeTheBoxSettings,
+    fit_cameras,
+    track_particles,
+)
+from sabench.api import FoundParticles, ImageSequence, Parameters, ParticleSolver, progress_bar
+
+
+class ShakeTheBoxParameters(Parameters):
+    """Parameters of the tracker."""
+
+    searches: int = Field(
+        2, ge=1, description="rounds of search and removal in frames with predictions"
+    )
+    splits: int = Field(1, ge=0, description="rounds in which particles are tried as two there")
+    gap: int = Field(2, ge=0, description="frames in a row that a trajectory may miss")
+
+
+class ShakeTheBox(ParticleSolver):
+    """Shake-The-Box on the probability of the images.
+
+    The first two frames are those of `bayesian_ipr`. Later ones start from predictions.
+    """
+
+    name = "shake_the_box"
+    references = (
+        "Schanz, Gesemann and Schroeder, Exp. Fluids 57 (2016) 70",
+        "Bar-Shalom, Li and Kirubarajan, Estimation with Applications to Tracking and Navigation"
+        " (Wiley 2001)",
+    )
+    Parameters = ShakeTheBoxParameters
+
+    def skip(self, case: ImageSequence) -> str | None:
+        """Skip fewer than three cameras, as two lines of sight meet by chance too often."""
+        return "it needs three cameras" if len(case.cameras) < 3 else None
+
+    def solve(self, case: ImageSequence) -> list[FoundParticles]:
+        """Follow the particles through the sequence."""
+        chosen = self.parameters
+        settings = ShakeTheBoxSettings(
+            BayesianIprSettings(), chosen.searches, chosen.splits, chosen.gap
+        )
+        frames = progress_bar(case, "shake the box")
+        return track_particles(frames, case.times_s, fit_cameras(case[0]), settings)
