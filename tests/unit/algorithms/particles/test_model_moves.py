@@ -9,6 +9,7 @@ from sabench.algorithms.particles.candidate_search import pixel_mm
 from sabench.algorithms.particles.joint_fit import Particles, put_all_in, refine
 from sabench.algorithms.particles.model_moves import (
     add_camera_misses,
+    add_width_misses,
     find_neighbours,
     measure_misfit,
     near_any,
@@ -17,7 +18,15 @@ from sabench.algorithms.particles.model_moves import (
 )
 from sabench.geometry.volume_polynomials import VolumePolynomials, project_points
 from sabench.utils.arrays import F64
-from tests.helpers.image_model import NOISE, TYPICAL, model_of, paint, particles_of, room_of
+from tests.helpers.image_model import (
+    NOISE,
+    SIGMA,
+    TYPICAL,
+    model_of,
+    paint,
+    particles_of,
+    room_of,
+)
 from tests.unit.algorithms.particles.test_triangulation import (
     COLUMNS,
     ROWS,
@@ -149,6 +158,46 @@ def test_a_single_particle_is_not_split(maps: VolumePolynomials) -> None:
     assert split_pairs(model, room, particles, order, 1, steps) == 1
     np.testing.assert_allclose(particles.position[0], 0.0, atol=1e-12)
     np.testing.assert_allclose(model.left, left, atol=1e-3)
+
+
+def test_a_wide_particle_is_not_split(maps: VolumePolynomials) -> None:
+    """Two so near that no camera sees them apart are one with a wider image."""
+    size = pixel_mm(maps) / maps.half_mm
+    pair = 0.15 * size * np.array([[1.0, 1.0, 1.0], [-1.0, -1.0, -1.0]])
+    images = noisy(maps, pair, np.full((2, 4), 50.0 * TYPICAL))
+    model, room = model_of(maps, images), room_of(maps)
+    light = np.full((2, 4), 100.0 * TYPICAL)
+    particles = Particles(np.zeros((2, 3)), light, np.array([True, False]))
+    single = Particles(np.zeros((1, 3)), light[:1], np.ones(1, dtype=np.bool_))
+    put_all_in(model, room, single)
+    measure_misfit(model, room, single, misfit := np.zeros(1))
+    assert misfit[0] > 100.0
+    order = np.zeros(1, dtype=np.int64)
+    assert split_pairs(model, room, particles, order, 1, 0.15 * size * np.ones((1, 3))) == 1
+
+
+def test_widths_that_change_over_the_box_are_learned(maps: VolumePolynomials) -> None:
+    points, light = 0.8 * unit_points(30), np.full((30, 4), TYPICAL)
+    model, room = model_of(maps, np.zeros((4, ROWS, COLUMNS))), room_of(maps)
+    changes = 0.02 * np.array([[1.0, -1.0, 0.5, 2.0], [-1.0, 1.5, 1.0, 0.5]])
+    model.widths[2] += changes
+    put_all_in(model, room, particles_of(points, light))
+    images = -model.left
+    model, particles = model_of(maps, images), particles_of(points, 1.1 * light)
+    particles.light[:, 2] *= 0.95  # as if its images were narrower
+    put_all_in(model, room, particles)
+    for _ in range(3):
+        matrices, right = np.zeros((4, 8, 8)), np.zeros((4, 8))
+        add_width_misses(model, room, particles, np.arange(30), matrices, right)
+        step = np.linalg.solve(matrices, right[:, :, None]).reshape(4, 2, 4)
+        model.widths[:] += step
+        model.left[:] = images
+        put_all_in(model, room, particles)
+        refine(model, room, particles, 2)
+    expected = np.zeros((4, 2, 4))
+    expected[2] = changes
+    expected[:, :, 0] += SIGMA
+    np.testing.assert_allclose(model.widths, expected, atol=2e-3)
 
 
 def test_a_shift_of_a_camera_shows_in_its_equations(maps: VolumePolynomials) -> None:
