@@ -18,7 +18,8 @@ The splat renderer makes the images. Its model differs from that of `bayesian_ip
 the lens and the particles' size and vary over the field and with depth, particles differ in size by
 10 %, and grey values are noisy and rounded. The seeds are others than those on which the solver's
 settings were chosen (101). Prints one line a measurement, and writes one JSON value: recall and
-ghosts in percent of the true particles, F1, the RMS distance in the images, and CPU seconds.
+ghosts in percent of the true particles, F1, the RMS distance in the images, and CPU seconds. What
+the file holds of other cases and solvers stays.
 """
 
 from __future__ import annotations
@@ -150,7 +151,15 @@ def main() -> None:
                 table.setdefault(case, {}).setdefault(name, []).append({"seed": seed} | row)
                 print(case, name, json.dumps({"seed": seed} | row), file=sys.stderr, flush=True)
     if chosen.output:
-        chosen.output.write_text(json.dumps(table, indent=1) + "\n", encoding="utf-8")
+        write_record(chosen.output, table)
+
+
+def write_record(path: Path, table: dict[str, dict[str, list[dict[str, Any]]]]) -> None:
+    """Write what was measured; other cases and solvers of the file stay as they are."""
+    record = json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
+    for case, rows in table.items():
+        record[case] = record.get(case, {}) | rows
+    path.write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

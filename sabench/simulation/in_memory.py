@@ -1,7 +1,8 @@
-"""Simulation of one frame in memory."""
+"""Simulation of frames in memory."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -38,12 +39,33 @@ def simulate(scene: Scene, *, seed: int = 0, frame: int = 0, backend: Renderer =
     InputError
         As `generate`.
     """
-    rig = build_rig(scene, scene.title)
-    frames = Frames(scene, rig, seed, choose_renderer(backend))
-    content = frames.at(frame)
+    return _shot(_frames_of(scene, seed, backend), frame)
+
+
+def simulate_sequence(
+    scene: Scene, *, seed: int = 0, backend: Renderer = "splat"
+) -> Iterator[Shot]:
+    """Simulate all frames of the data set that `generate` would make, one after the other.
+
+    Raises
+    ------
+    InputError
+        As `generate`.
+    """
+    frames = _frames_of(scene, seed, backend)
+    for frame in range(scene.frames):
+        yield _shot(frames, frame)
+
+
+def _frames_of(scene: Scene, seed: int, backend: Renderer) -> Frames:
+    return Frames(scene, build_rig(scene, scene.title), seed, choose_renderer(backend))
+
+
+def _shot(frames: Frames, frame: int) -> Shot:
+    scene, content = frames.scene, frames.at(frame)
     if content.tracers is None:
         raise ValueError(f"{scene.title}: expected a scene with particles")
-    shown = [render(content, number) for number in range(len(rig.cameras))]
+    shown = [render(content, number) for number in range(len(frames.rig.cameras))]
     images = [record_image(content, view, number) for number, view in enumerate(shown)]
     views: list[View] = [view.particles for view in shown if view.particles is not None]
     lowest = None

@@ -18,7 +18,7 @@ from sabench.algorithms.particles import (
 from sabench.api import FoundParticles, Observation
 from sabench.metrics.particle_detection import Counts, count_challenge
 from sabench.scenes import find, parse_scene
-from sabench.simulation.in_memory import Shot, simulate
+from sabench.simulation.in_memory import Shot, simulate, simulate_sequence
 
 FRAMES, STEP_S = 6, 0.01
 SETTINGS = ShakeTheBoxSettings(BayesianIprSettings())
@@ -35,7 +35,7 @@ def make_shots() -> tuple[Shot, ...]:
     values["particles"]["per_pixel"] = 0.06
     values["illumination"] |= {"scattering": "isotropic", "pulse_energy_mj": 6.5}
     scene = parse_scene(values, "test")
-    return tuple(simulate(scene, seed=21, frame=frame) for frame in range(FRAMES))
+    return tuple(simulate_sequence(scene, seed=21))
 
 
 def follow(cases: Sequence[Observation]) -> list[FoundParticles]:
@@ -96,7 +96,27 @@ def test_a_sequence_may_begin_in_the_dark_or_be_dark() -> None:
     assert [len(one.position_mm) for one in follow([dark] * 3)] == [0] * 3
 
 
+def test_tracking_begins_again_after_many_dark_frames() -> None:
+    shots = make_shots()
+    cases = [shot.observation for shot in shots]
+    for number in (2, 3, 4):
+        cases[number] = replace(cases[number], images=np.full_like(cases[number].images, 64))
+    found = follow(cases)
+    assert len(found[4].position_mm) == 0
+    assert count(shots[1], found[1]).recall > 0.98
+    assert count(shots[5], found[5]).recall > 0.98
+
+
 def test_a_single_frame_is_searched() -> None:
     shots = make_shots()
     found = follow([shots[0].observation])
     assert count(shots[0], found[0]).recall > 0.98
+
+
+def test_frames_one_after_the_other_are_the_same_as_single_ones() -> None:
+    values = tomllib.loads(find("particle-tracking", "scenes").read_text(encoding="utf-8"))
+    values["frames"], values["particles"]["per_pixel"] = 3, 0.002
+    scene = parse_scene(values, "test")
+    for frame, shot in enumerate(simulate_sequence(scene, seed=3)):
+        single = simulate(scene, seed=3, frame=frame).observation
+        np.testing.assert_array_equal(shot.observation.images, single.images)

@@ -106,14 +106,15 @@ class _Tracker:
 
     def take(self, case: Observation, time: float) -> None:
         """Find the particles of the next frame."""
-        if self.tracks is None or self.search is None:
-            self._begin(case, time)
-        else:
+        if self.search is not None and self.tracks is not None and len(self.tracks.number):
             self._follow(case, time, self.tracks, self.search)
+        else:
+            self._begin(case, time)
 
     def _begin(self, case: Observation, time: float) -> None:
         """Search a frame without predictions, and link it to the one before."""
         before, self.search = self.search, search_frame(case, self.maps, self.settings.first)
+        self.tracks = None
         frame = _Frame(time, *_NOTHING)
         if self.search is not None:
             frame = self._write(self.search, time)

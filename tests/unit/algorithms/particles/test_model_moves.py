@@ -182,7 +182,7 @@ def test_widths_that_change_over_the_box_are_learned(maps: VolumePolynomials) ->
     changes = 0.02 * np.array([[1.0, -1.0, 0.5, 2.0], [-1.0, 1.5, 1.0, 0.5]])
     model.widths[2] += changes
     put_all_in(model, room, particles_of(points, light))
-    images = -model.left
+    images = -model.left.astype(np.float64)
     model, particles = model_of(maps, images), particles_of(points, 1.1 * light)
     particles.light[:, 2] *= 0.95  # as if its images were narrower
     put_all_in(model, room, particles)
