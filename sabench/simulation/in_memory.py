@@ -45,7 +45,7 @@ def simulate(scene: Scene, *, seed: int = 0, frame: int = 0, backend: Renderer =
 def simulate_sequence(
     scene: Scene, *, seed: int = 0, backend: Renderer = "splat"
 ) -> Iterator[Shot]:
-    """Simulate all frames of the data set that `generate` would make, one after the other.
+    """Simulate all frames that `generate` would make, one after the other.
 
     Raises
     ------
