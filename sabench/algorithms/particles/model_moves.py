@@ -37,24 +37,25 @@ from sabench.images.gaussians import fill_growth
 from sabench.utils.arrays import F64, I64
 
 _NEIGHBOURS = 512  # that are fitted again around one particle
-_NEAR_PX = 3.0  # of a neighbour's image in some camera
+_NEAR = 4.8  # widths of images: distance of a neighbour's image in some camera
 _SURE = 4.0  # prices that a particle earns which is not tried again
-_SAME_PX = 0.5  # distance of images of the two of a split that are one
+_SAME = 0.8  # widths: distance of images of the two of a split that are one
 _SETTLE = 6  # fits of the two particles of a split
 _DOUBTFUL = 2  # of them, after which a split that does not pay is given up
 
 
-def find_neighbours(maps: VolumePolynomials, positions: F64) -> tuple[I64, I64]:
+def find_neighbours(maps: VolumePolynomials, sigma: F64, positions: F64) -> tuple[I64, I64]:
     """Find particles whose images are near each other in at least one camera.
 
-    Returns where each particle's neighbours start in the list (n + 1,), and the list.
+    Near is a few widths (camera, 2) of images. Returns where each particle's neighbours start in
+    the list (n + 1,), and the list.
     """
     pairs = np.concatenate(
         [
             cKDTree(project_points(maps, camera, positions)).query_pairs(
-                _NEAR_PX, output_type="ndarray"
+                _NEAR * width, output_type="ndarray"
             )
-            for camera in range(len(maps.coefficients))
+            for camera, width in enumerate(sigma.max(axis=1))
         ]
     )
     pairs = np.unique(pairs, axis=0)
@@ -233,7 +234,8 @@ def _are_apart(model: Any, room: Any, places: Any) -> bool:
     for c in range(len(model.typical)):
         for k in range(2):
             project_point(model.maps, c, places[k], here[k], slopes)
-        if math.hypot(here[0, 0] - here[1, 0], here[0, 1] - here[1, 1]) > _SAME_PX:
+        apart = math.hypot(here[0, 0] - here[1, 0], here[0, 1] - here[1, 1])
+        if apart > _SAME * max(model.widths[c, 0, 0], model.widths[c, 1, 0]):
             return True
     return False
 

@@ -46,10 +46,10 @@ _BOX = 8.0  # volume of the box in its coordinates
 _BETWEEN, _COMMON = 0.1, 0.4  # first scatter between cameras, and of what they have in common
 _FLOOR = 2.0  # standard deviations of noise: the least floor of candidates
 _DIMMEST = 0.03  # of a typical peak: darker light is as good as none
-_OVERLAP_PX = 3.0  # distance of images that overlap
+_OVERLAP = 4.8  # widths of images: distance of those that overlap
 _ALONE, _LEAST_ALONE, _HARDLY = 0.03, 60, 0.1  # share, number and overlap of lone particles
 _FEW = 30  # particles that tell nothing of all
-_BORDER_PX = 3.0  # where images are not complete
+_BORDER = 4.8  # widths: distance from the border where images are not complete
 _MISFIT = 4.0  # standard deviations: particles that fit no better may be two
 _DOUBTFUL = 0.3  # largest share of particles that are tried as two
 _ALIGNMENTS, _FARTHEST_PX = 2, 0.5  # steps of cameras' shifts, and the longest of each
@@ -57,7 +57,7 @@ _WIDTH_ERROR, _WIDTH_CHANGE = 0.2, 0.05  # of the first widths, and over the box
 _WIDTH_STEPS = 2
 _OWN_ERROR = 0.03  # of a particle's image: particles differ
 _UNKNOWN = 0.25  # of light that is left: other particles' tails do not explain it
-_APART_PX = 0.7  # of the two from their middle
+_APART = 1.1  # widths: distance of the two of a split from their middle
 
 
 class ParticleSearch:
@@ -249,7 +249,7 @@ class ParticleSearch:
 
         Those that earn several times their price are tried again only near others that newly do.
         """
-        starts, near = find_neighbours(self.maps, self.position)
+        starts, near = find_neighbours(self.maps, self.sigma, self.position)
         particles, model = self.particles(), self.model()
         tried = ~self.sure
         for _ in range(2):
@@ -286,7 +286,8 @@ class ParticleSearch:
                 [0.0, 0.7, -2.0],
             ]
         )
-        steps = _APART_PX * pixel_mm(self.maps) / self.maps.half_mm * directions
+        width = float(self.sigma.max())
+        steps = _APART * width * pixel_mm(self.maps) / self.maps.half_mm * directions
         count = split_pairs(model, self.room, self.particles(), order, count, steps)
         self.select(np.arange(len(self.position)) < count)
 
@@ -351,12 +352,13 @@ class ParticleSearch:
         last = np.array(self.images.shape[:0:-1]) - 1.0
         for camera, sigma in enumerate(self.sigma):
             pixels = project_points(self.maps, camera, self.position)
-            i, j = cKDTree(pixels).query_pairs(_OVERLAP_PX, output_type="ndarray").T
+            i, j = cKDTree(pixels).query_pairs(_OVERLAP * sigma.max(), output_type="ndarray").T
             apart = np.sum((pixels[i] - pixels[j]) ** 2 / (4.0 * sigma**2), axis=1)
             shared, light = np.exp(-apart), self.light[:, camera]
             np.add.at(overlap, i, shared * light[j] / light[i])
             np.add.at(overlap, j, shared * light[i] / light[j])
-            inside &= ((pixels > _BORDER_PX) & (pixels < last - _BORDER_PX)).all(axis=1)
+            border = _BORDER * sigma.max()
+            inside &= ((pixels > border) & (pixels < last - border)).all(axis=1)
         least = np.sort(np.where(inside, overlap, np.inf))
         rank = min(max(_LEAST_ALONE, int(_ALONE * len(overlap))), len(overlap) - 1)
         most = max(least[rank], _HARDLY * len(self.sigma))

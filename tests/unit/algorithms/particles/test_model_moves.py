@@ -37,6 +37,7 @@ from tests.unit.algorithms.particles.test_triangulation import (
 
 __all__ = ["maps"]
 RNG = np.random.default_rng(9)
+WIDTHS = np.tile(np.array(SIGMA), (4, 1))
 
 
 def noisy(maps: VolumePolynomials, points: F64, light: F64) -> F64:
@@ -73,7 +74,7 @@ def test_a_ghost_of_four_particles_is_removed_and_they_get_their_light_back(
     particles = particles_of(np.vstack([true, ghost]), np.vstack([shared, 0.5 * light[:1]]))
     model, room = model_of(maps, images, between=0.3), room_of(maps)
     put_all_in(model, room, particles)
-    starts, near = find_neighbours(maps, particles.position)
+    starts, near = find_neighbours(maps, WIDTHS, particles.position)
     assert set(near[starts[4] :]) == {0, 1, 2, 3}
     order = np.arange(5)[::-1].copy()
     sure = np.zeros(5, dtype=np.bool_)
@@ -106,7 +107,7 @@ def test_true_particles_stay_and_nothing_moves(maps: VolumePolynomials) -> None:
     particles = particles_of(points, light)
     put_all_in(model, room, particles)
     left = model.left.copy()
-    starts, near = find_neighbours(maps, points)
+    starts, near = find_neighbours(maps, WIDTHS, points)
     order, sure = np.arange(30), np.zeros(30, dtype=np.bool_)
     assert remove_ghosts(model, room, particles, order, starts, near, 2, True, sure) == 0
     assert sure.all()
