@@ -16,7 +16,7 @@ from typing import Any
 
 
 def compile_s() -> float:
-    """Return the seconds of compilation and imports by this thread.
+    """Return the seconds in which any thread of this process compiled or imported.
 
     They count from the first call.
     """
@@ -33,7 +33,7 @@ def load_registries() -> None:
 
 @contextlib.contextmanager
 def timed_imports() -> Iterator[None]:
-    """Count the imports of this thread, for a while."""
+    """Count imports for a while."""
     plain, clock = builtins.__import__, _clock()
 
     def timed(*words: Any, **more: Any) -> Any:
@@ -55,25 +55,29 @@ def _clock() -> Any:
     from numba.core import event
 
     class CompileClock(event.Listener):  # type: ignore[misc]
-        """Sum of the times in which this thread holds numba's compiler, or imports."""
+        """Time in which at least one thread holds or awaits numba's compiler, or imports.
+
+        A solver that starts threads waits for the kernels that they compile.
+        """
 
         def __init__(self) -> None:
-            self.seconds, self._depth, self._start = 0.0, 0, 0.0
-            self._thread = threading.get_ident()
+            self.seconds, self._busy, self._start = 0.0, 0, 0.0
+            self._lock = threading.Lock()
 
         def on_start(self, event: Any) -> None:
-            """Start with the outermost one: a kernel compiles those that it calls."""
-            if threading.get_ident() == self._thread:
-                self._depth += 1
-                if self._depth == 1:
+            """Start with the first one: kernels compile those that they call."""
+            with self._lock:
+                self._busy += 1
+                if self._busy == 1:
                     self._start = time.perf_counter()
 
         def on_end(self, event: Any) -> None:
-            """Stop with the outermost one."""
-            if threading.get_ident() == self._thread and self._depth:
-                self._depth -= 1
-                if not self._depth:
-                    self.seconds += time.perf_counter() - self._start
+            """Stop with the last one."""
+            with self._lock:
+                if self._busy:
+                    self._busy -= 1
+                    if not self._busy:
+                        self.seconds += time.perf_counter() - self._start
 
     clock = CompileClock()
     event.register("numba:compiler_lock", clock)
