@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -133,18 +134,45 @@ def count_challenge(estimate: F64, truth: F64, scored_estimate: Bool, scored_tru
     return _counts(a, b, estimate, truth, scored_estimate, scored_truth)
 
 
-def challenge_pairs(estimate: F64, truth: F64) -> tuple[I64, I64]:
+def f1_over_distance(
+    estimate: F64, truth: F64, scored_estimate: Bool, scored_truth: Bool, radii: Sequence[float]
+) -> F64:
+    """Compute F1 as a curve over the matching distance.
+
+    The rule is that of `count_challenge`, with each of the radii, in voxels. Arguments as for
+    `count_thesis`.
+    """
+    curve = []
+    for radius in radii:
+        a, b = challenge_pairs(estimate, truth, radius)
+        curve.append(_counts(a, b, estimate, truth, scored_estimate, scored_truth).f1)
+    return np.array(curve)
+
+
+def count_duplicates(estimate: F64, truth: F64, scored_estimate: Bool) -> int:
+    """Count the scored detections of true particles that have a better one."""
+    a, _ = challenge_pairs(estimate, truth)
+    alone = scored_estimate.copy()
+    alone[a] = False
+    if not alone.any() or not len(truth):
+        return 0
+    limit = CHALLENGE_RADIUS
+    apart, _ = cKDTree(truth).query(estimate[alone], p=np.inf, distance_upper_bound=limit)
+    return int((apart < limit).sum())
+
+
+def challenge_pairs(estimate: F64, truth: F64, radius: float = CHALLENGE_RADIUS) -> tuple[I64, I64]:
     """Pair detections (n, 3) with true particles (m, 3) by the challenge's rule.
 
     Both are in voxels. Returns the rows of both, equally long.
     """
     if not len(estimate) or not len(truth):
         return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)
-    pairs = cKDTree(estimate).query_ball_tree(cKDTree(truth), CHALLENGE_RADIUS, p=np.inf)
+    pairs = cKDTree(estimate).query_ball_tree(cKDTree(truth), radius, p=np.inf)
     left = np.repeat(np.arange(len(pairs)), [len(near) for near in pairs])
     right = np.fromiter((row for near in pairs for row in near), dtype=np.int64, count=len(left))
     offset = estimate[left] - truth[right]
-    close = np.abs(offset).max(axis=1) < CHALLENGE_RADIUS
+    close = np.abs(offset).max(axis=1) < radius
     order = np.argsort(np.linalg.norm(offset[close], axis=1), kind="stable")
     return _one_to_one(left[close][order], right[close][order], len(estimate), len(truth))
 

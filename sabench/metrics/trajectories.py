@@ -16,6 +16,7 @@ import numpy as np
 from sabench.api.truth import Bubbles
 from sabench.metrics.averages import ratio
 from sabench.metrics.bubble_detection import AnyBubbles, match
+from sabench.metrics.motion_errors import median_errors
 from sabench.utils.arrays import F64, I64
 
 _KEYS = ("link_recall", "link_precision", "effectiveness", "velocity_mm_s", "velocity_percent")
@@ -98,7 +99,7 @@ def link_scores(
         ratio(right, there),
         ratio(right, links),
         _mean(np.concatenate(cover)),
-        *_errors(np.concatenate(off), np.concatenate(speed)),
+        *median_errors(np.concatenate(off), np.concatenate(speed)),
     )
     return dict(zip(_KEYS, figures, strict=True))
 
@@ -134,19 +135,6 @@ def _coverage(trajectory: Sequence[I64], identity: Sequence[I64], every: Sequenc
     most = np.zeros(len(objects), dtype=np.int64)
     np.maximum.at(most, np.searchsorted(objects, both[:, 0]), times)
     return (most / frames)[frames > 1]
-
-
-def _errors(off: F64, speed: F64) -> tuple[float, float]:
-    """Compute the median error, and the median error relative to the true speed.
-
-    The latter is in percent, of moving objects.
-    """
-    moving = speed > 0.0
-    return _median(off), 100.0 * _median(off[moving] / speed[moving])
-
-
-def _median(values: F64) -> float:
-    return float(np.median(values)) if len(values) else float("nan")
 
 
 def _mean(values: F64) -> float:

@@ -1,0 +1,45 @@
+"""Tests of the true images from which bounds of positions are computed."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from sabench.dataset.reader import Dataset
+from sabench.metrics.particle_bounds import true_spots
+from sabench.scenes import load_scene, parse_scene
+from sabench.simulation.pipeline import generate
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
+    values = load_scene("quick").to_dict()
+    values["particles"]["count"] = 40
+    values["sensor"] |= {"read_noise_e": 6.0, "shot_noise": True, "quantum_efficiency": 0.5}
+    scene = parse_scene(values, "small")
+    return generate(scene, tmp_path_factory.mktemp("data") / "data", seed=2, backend="splat")
+
+
+def test_slopes_move_images_as_cameras_do(data: Dataset) -> None:
+    place, cameras = data.particles(0).position_mm, data.true_cameras
+    raw = [data.raw_image(camera, 0) for camera in range(len(cameras))]
+    spots = true_spots(place, data.views(0), cameras, raw, data.scene.sensor)
+    move = np.array([0.02, -0.01, 0.03])
+    for spot, camera in zip(spots, cameras, strict=True):
+        moved = camera.project(place + move)[0] - camera.project(place)[0]
+        np.testing.assert_allclose(spot.slope @ move, moved, atol=2e-4)
+
+
+def test_noise_is_of_photons_reading_and_rounding(data: Dataset) -> None:
+    sensor, views = data.scene.sensor, data.views(0)[:1]
+    image = data.raw_image(0, 0).copy()
+    image[0, 0], image[0, 1] = sensor.white_dn, sensor.black_level_dn
+    spots = true_spots(data.particles(0).position_mm, views, data.true_cameras[:1], [image], sensor)
+    variance = spots[0].variance
+    dark = sensor.read_noise_e**2 + 1.0 / (12.0 * sensor.gain_dn_e**2)
+    assert variance[0, 0] == np.inf
+    assert variance[0, 1] == pytest.approx(dark)
+    bright = np.unravel_index(np.argmax(np.where(image < sensor.white_dn, image, 0)), image.shape)
+    electrons = (int(image[bright]) - sensor.black_level_dn) / sensor.gain_dn_e
+    assert variance[bright] == pytest.approx(dark + electrons)
+    np.testing.assert_allclose(spots[0].light, 0.5 * views[0].photons)
