@@ -149,8 +149,8 @@ def main() -> None:
                 row = measure(name, shots, interval_s)
                 table.setdefault(case, {}).setdefault(name, []).append({"seed": seed} | row)
                 print(f"{case:12s} seed {seed} {name:14s} {_line(row)}", flush=True)
-    if chosen.output:
-        write_record(chosen.output, table)
+        if chosen.output:
+            write_record(chosen.output, table)  # after each case: the next may be stopped
 
 
 def _line(row: dict[str, Any]) -> str:

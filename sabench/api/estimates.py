@@ -169,6 +169,11 @@ class FoundParticles(Estimate):
     ----------
     position_mm : (n, 3).
     intensity : (n,), of any scale, if the algorithm estimates it.
+    light : (n, camera) in each camera, of any scale.
+    covariance_mm2 : (n, 3, 3) of the positions' errors.
+    probability : (n,) that there is a particle.
+    velocity_mm_s, velocity_covariance : (n, 3) and (n, 3, 3) mm2/s2, at the time of the frame.
+    acceleration_mm_s2, acceleration_covariance : (n, 3) and (n, 3, 3) mm2/s4.
     trajectory : (n,) numbers of trajectories, different within a frame: particles with the same
         number in several frames are the same particle. None: sabench links them. The keyword
         `track` is accepted for it.
@@ -176,14 +181,21 @@ class FoundParticles(Estimate):
     Raises
     ------
     InputError
-        Arrays of other shapes or types, values that are not finite, or two particles of one
-        trajectory.
+        Arrays of other shapes or types, values that are not finite, two particles of one
+        trajectory, a probability that is none, or a covariance that is none.
     """
 
     GROUP = "particles"
     ARRAYS = (
         Array("position_mm", ("n", 3)),
         Array("intensity", ("n",), optional=True),
+        Array("light", ("n", "camera"), optional=True),
+        Array("covariance_mm2", ("n", 3, 3), optional=True),
+        Array("probability", ("n",), optional=True),
+        Array("velocity_mm_s", ("n", 3), optional=True),
+        Array("velocity_covariance", ("n", 3, 3), optional=True),
+        Array("acceleration_mm_s2", ("n", 3), optional=True),
+        Array("acceleration_covariance", ("n", 3, 3), optional=True, largest=_LARGEST**2),
         Array("trajectory", ("n",), np.int64, optional=True, unique=True, stored="track"),
     )
 
@@ -191,12 +203,48 @@ class FoundParticles(Estimate):
     intensity: F64 | None = None
     trajectory: I64 | None = None
     track: InitVar[I64 | None] = None
+    light: F64 | None = None
+    covariance_mm2: F64 | None = None
+    probability: F64 | None = None
+    velocity_mm_s: F64 | None = None
+    velocity_covariance: F64 | None = None
+    acceleration_mm_s2: F64 | None = None
+    acceleration_covariance: F64 | None = None
 
     def __post_init__(self, track: I64 | None) -> None:
         """Accept `track` for `trajectory`, and check the arrays."""
         if self.trajectory is None and track is not None:
             object.__setattr__(self, "trajectory", track)
         self.check()
+        if self.probability is not None:
+            _check_probabilities(self.probability)
+        for name in ("covariance_mm2", "velocity_covariance", "acceleration_covariance"):
+            value = getattr(self, name)
+            if value is not None:
+                _check_covariances(name, value)
+
+    def rows(self, chosen: Bool | I64) -> FoundParticles:
+        """Return some of the particles, with all that is known of them."""
+        return FoundParticles(**{one.name: value[chosen] for one, value in self.arrays()})
+
+
+def _check_probabilities(value: F64) -> None:
+    wrong = value[(value < 0.0) | (value > 1.0)]
+    if len(wrong):
+        raise InputError(f"probability: expected values from 0 to 1, got {wrong[0]:g}")
+
+
+def _check_covariances(name: str, value: F64) -> None:
+    """Check matrices (n, 3, 3); rounding may leave their halves a little uneven."""
+    scale = np.abs(value).max(axis=(1, 2), initial=0.0)
+    uneven = np.abs(value - value.transpose(0, 2, 1)).max(axis=(1, 2), initial=0.0) > 1e-6 * scale
+    even = np.where(uneven[:, None, None], np.eye(3), value)
+    wrong = np.flatnonzero(uneven | ~(np.linalg.eigvalsh(even)[:, 0] > 0.0))
+    if len(wrong):
+        raise InputError(
+            f"{name}: expected symmetric matrices with positive eigenvalues, got another one for "
+            f"particle {wrong[0]}"
+        )
 
 
 @dataclass(frozen=True)

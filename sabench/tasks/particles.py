@@ -19,9 +19,24 @@ from sabench.dataset.camera_files import CamerasFile
 from sabench.dataset.reader import Dataset
 from sabench.dataset.results import Result, ResultWriter
 from sabench.dataset.schema import frame_group
-from sabench.geometry.grid import synthesise
+from sabench.geometry.grid import Grid, synthesise
+from sabench.images.position_bounds import position_bounds
 from sabench.metrics.averages import finite_or_none, mean_of_each, root_mean_square
-from sabench.metrics.particle_detection import challenge_pairs, count_challenge
+from sabench.metrics.claimed_accuracy import brier_score, coverage, rms_over_bound
+from sabench.metrics.motion_errors import (
+    accelerations,
+    claimed_errors,
+    median_errors,
+)
+from sabench.metrics.particle_bounds import true_spots
+from sabench.metrics.particle_detection import (
+    CHALLENGE_RADIUS,
+    challenge_pairs,
+    count_challenge,
+    count_duplicates,
+    f1_over_distance,
+)
+from sabench.metrics.track_identity import Sightings, identity_scores
 from sabench.metrics.trajectories import link_scores
 from sabench.plotting import pictures
 from sabench.tasks.reconstruction import PARTICLE_IMAGES
@@ -44,6 +59,7 @@ from sabench.utils.progress import progress_bar
 _DRAWN_VOXELS = 1.0  # standard deviation of the Gaussian blobs that particles are drawn as
 # share of the particles found with the cameras in another order, and how near, in voxels
 _ALIKE, _NEAR_VOXELS = 0.9, 0.2
+_RADII = tuple((np.arange(1, 11) / 10.0).tolist())  # matching distances, voxels
 
 
 class ParticlesTask(Task):
@@ -68,6 +84,23 @@ class ParticlesTask(Task):
               "cameras and pairs"),
         Score("rms_mm", "rms mm", "mm", "smaller", 4,
               "root mean square distance between them in space"),
+        Score("f1_area", "F1 area", "", "larger", 3,
+              "mean of F1 over matching distances of .1, .2 ... 1 voxel", counted=True,
+              hidden=True),
+        Score("duplicate_percent", "duplicate %", "%", "smaller", 2,
+              "further detections closer than 1 voxel to a particle that was found, relative to "
+              "the particles found; they are ghosts, too", counted=True, hidden=True),
+        Score("rms_over_bound", "rms / bound", "", "smaller", 2,
+              "root mean square distance in space over the Cramer-Rao bound of each particle in "
+              "its images, with noise and neighbours; 1 at the bound", hidden=True),
+        Score("coverage_68", "coverage 68", "", "unity", 2,
+              "share of the found particles whose distance is within the claimed 68 % ellipsoid, "
+              "over .68", counted=True, hidden=True),
+        Score("coverage_95", "coverage 95", "", "unity", 2,
+              "the same for 95 %", counted=True, hidden=True),
+        Score("brier", "Brier", "", "smaller", 4,
+              "mean square of claimed probabilities less 1 for true detections, 0 for ghosts",
+              hidden=True),
         Score("link_recall", "link recall", "", "larger", 3,
               "share of the particles found in two consecutive frames that one trajectory "
               "joins", counted=True),
@@ -77,10 +110,27 @@ class ParticlesTask(Task):
               "share of a particle's frames in which its longest trajectory has it, mean over "
               "the particles", counted=True),
         Score("velocity_mm_s", "velocity mm/s", "mm/s", "smaller", 3,
-              "median error of the velocity of correct links, against the true mean velocity "
+              "median error of velocities: claimed ones of found particles against the true "
+              "ones; without claims those of correct links, against the true mean velocity "
               "between the frames"),
         Score("velocity_percent", "velocity %", "%", "smaller", 2,
               "the same over that velocity"),
+        Score("acceleration_percent", "acceleration %", "%", "smaller", 1,
+              "median error of accelerations over the true ones, both by second differences of "
+              "positions; claimed ones count where there are any", hidden=True),
+        Score("hota", "HOTA", "", "larger", 3,
+              "higher order tracking accuracy: geometric mean of the quality of detections and "
+              "of identities, averaged over matching distances up to 1 voxel", counted=True,
+              hidden=True),
+        Score("complete", "complete", "", "larger", 3,
+              "share of the true trajectories that one estimated trajectory has in all frames",
+              counted=True, hidden=True),
+        Score("switch_percent", "switches %", "%", "smaller", 2,
+              "changes of the estimated trajectory of a true particle, relative to true links",
+              counted=True, hidden=True),
+        Score("fragment_percent", "fragments %", "%", "smaller", 2,
+              "times that a true particle is lost and found again, relative to true links",
+              counted=True, hidden=True),
     )
     # fmt: on
     gate = Gate("precision", 0.02)
@@ -154,7 +204,12 @@ class ParticlesTask(Task):
         truth = [data.particles(frame) for frame in self.frames(data)]
         found = self._all(data, source, truth)
         pairs = list(zip(found, truth, strict=True))
-        frames = [score_frame(data, one, true) for one, true in progress_bar(pairs, "score")]
+        frames = [
+            score_frame(data, one, true, frame)
+            for frame, (one, true) in zip(
+                self.frames(data), progress_bar(pairs, "score"), strict=True
+            )
+        ]
         return mean_of_each(frames) | _over_time(data, found, truth)
 
     def _all(
@@ -249,14 +304,20 @@ def _link(setup: CamerasFile, found: Sequence[FoundParticles], frames: range) ->
     return link(positions, sizes, times)
 
 
-def score_frame(data: Dataset, estimate: FoundParticles, truth: Particles) -> Figures:
+def score_frame(data: Dataset, estimate: FoundParticles, truth: Particles, frame: int) -> Figures:
     """Score one frame's particles."""
     grid = data.setup.grid
     found, true = grid.to_voxels(estimate.position_mm), grid.to_voxels(truth.position_mm)
-    counts = count_challenge(found, true, grid.in_scored(found), grid.in_scored(true))
-    i, j = _scored_pairs(found, true, grid.in_scored(true))
+    scored = grid.in_scored(found), grid.in_scored(true)
+    counts = count_challenge(found, true, *scored)
+    a, b = challenge_pairs(found, true)
+    i, j = a[scored[1][b]], b[scored[1][b]]
+    ghosts = scored[0].copy()
+    ghosts[a] = False
     whole = counts.precision + counts.recall
-    apart = np.linalg.norm(estimate.position_mm[i] - truth.position_mm[j], axis=1)
+    error = estimate.position_mm[i] - truth.position_mm[j]
+    apart = np.linalg.norm(error, axis=1)
+    duplicates = count_duplicates(found, true, scored[0])
     return {
         "f1": 2.0 * counts.precision * counts.recall / whole if whole else 0.0,
         "precision": counts.precision,
@@ -264,7 +325,43 @@ def score_frame(data: Dataset, estimate: FoundParticles, truth: Particles) -> Fi
         "ghost_percent": counts.ghost_percent,
         "rms_px": _apart_px(data, estimate.position_mm[i], truth.position_mm[j]),
         "rms_mm": finite_or_none(root_mean_square(apart)),
+        "f1_area": float(f1_over_distance(found, true, *scored, _RADII).mean()),
+        "duplicate_percent": 100.0 * duplicates / len(i) if len(i) else None,
+        "rms_over_bound": finite_or_none(
+            rms_over_bound(error, _bounds(data, frame, j)) if len(j) else np.nan
+        ),
+        **_claims(estimate, error, i, ghosts),
     }
+
+
+def _claims(estimate: FoundParticles, error: F64, i: I64, ghosts: Bool) -> Figures:
+    """Score what an estimate claims of its errors; None where it claims nothing.
+
+    Errors (k, 3) belong to the rows i of matched particles; ghosts are marked.
+    """
+    figures: Figures = {"coverage_68": None, "coverage_95": None, "brier": None}
+    if estimate.covariance_mm2 is not None:
+        claimed = estimate.covariance_mm2[i]
+        figures["coverage_68"] = finite_or_none(coverage(error, claimed, 0.68))
+        figures["coverage_95"] = finite_or_none(coverage(error, claimed, 0.95))
+    if estimate.probability is not None:
+        rows = np.concatenate([i, np.flatnonzero(ghosts)])
+        true = np.arange(len(rows)) < len(i)
+        figures["brier"] = finite_or_none(brier_score(estimate.probability[rows], true))
+    return figures
+
+
+def _bounds(data: Dataset, frame: int, rows: I64) -> F64:
+    """Compute the bounds (k, 3, 3) of the positions of some of a frame's particles."""
+    cameras = range(len(data.true_cameras))
+    spots = true_spots(
+        data.particles(frame).position_mm,
+        data.views(frame),
+        data.true_cameras,
+        [data.raw_image(camera, frame) for camera in cameras],
+        data.scene.sensor,
+    )
+    return position_bounds(spots, rows)
 
 
 def _scored_pairs(found: F64, true: F64, scored: Bool) -> tuple[I64, I64]:
@@ -289,22 +386,89 @@ def _over_time(
 
     Only those particles count that lie in the scored part, or belong to a true particle that does.
     """
-    grid, positions, numbers, identities, truths, matched = data.setup.grid, [], [], [], [], []
-    for one, true in zip(found, truth, strict=True):
-        there = grid.in_scored(grid.to_voxels(true.position_mm))
-        voxels = grid.to_voxels(one.position_mm)
-        i, j = _scored_pairs(voxels, grid.to_voxels(true.position_mm), there)
-        kept = grid.in_scored(voxels)
-        kept[i] = True
-        positions.append(one.position_mm[kept])
-        numbers.append(np.asarray(one.trajectory)[kept])
-        truths.append(true.position_mm[there])
-        identities.append(true.id[there])
-        matched.append(((np.cumsum(kept) - 1)[i], (np.cumsum(there) - 1)[j]))
-    times = [data.setup.time_s(n) for n in range(data.setup.frames)]
+    grid, times = data.setup.grid, [data.setup.time_s(n) for n in range(data.setup.frames)]
+    parts = [_scored_part(grid, one, true) for one, true in zip(found, truth, strict=True)]
     sequences = data.setup.sequences()
-    scores = link_scores(positions, numbers, truths, identities, matched, times, sequences)
+    scores = link_scores(
+        [part.found.position_mm for part in parts],
+        [np.asarray(part.found.trajectory) for part in parts],
+        [part.true.position_mm for part in parts],
+        [part.true.id for part in parts],
+        [part.pairs for part in parts],
+        times,
+        sequences,
+    )
+    sightings = [[_sighting(grid, parts[n]) for n in frames] for frames in sequences]
+    scores |= identity_scores(sightings) | _motion_scores(parts, times, sequences)
     return {key: finite_or_none(value) for key, value in scores.items()}
+
+
+@dataclass(frozen=True)
+class _ScoredPart:
+    """Scored particles of a frame, found and true, and rows that form pairs."""
+
+    found: FoundParticles
+    true: Particles
+    pairs: tuple[I64, I64]
+
+
+def _scored_part(grid: Grid, found: FoundParticles, true: Particles) -> _ScoredPart:
+    """Select those in the scored part, and those paired with a true one there."""
+    there = grid.in_scored(grid.to_voxels(true.position_mm))
+    voxels = grid.to_voxels(found.position_mm)
+    i, j = _scored_pairs(voxels, grid.to_voxels(true.position_mm), there)
+    kept = grid.in_scored(voxels)
+    kept[i] = True
+    scored = Particles(
+        true.id[there], true.position_mm[there], true.diameter_mm[there], true.velocity_mm_s[there]
+    )
+    pairs = (np.cumsum(kept) - 1)[i], (np.cumsum(there) - 1)[j]
+    return _ScoredPart(found.rows(kept), scored, pairs)
+
+
+def _sighting(grid: Grid, part: _ScoredPart) -> Sightings:
+    (i, j), numbers = part.pairs, np.asarray(part.found.trajectory)
+    apart = grid.to_voxels(part.found.position_mm[i]) - grid.to_voxels(part.true.position_mm[j])
+    near = np.abs(apart).max(axis=1, initial=0.0) / CHALLENGE_RADIUS
+    return Sightings(numbers, part.true.id, part.pairs, near)
+
+
+def _motion_scores(
+    parts: Sequence[_ScoredPart], times: Sequence[float], sequences: Sequence[range]
+) -> dict[str, float]:
+    """Score accelerations, and velocities if they are claimed."""
+    claimed = [part.found.velocity_mm_s for part in parts]
+    scores = {}
+    if all(one is not None for one in claimed):
+        pairs = [
+            (np.asarray(one)[part.pairs[0]], part.true.velocity_mm_s[part.pairs[1]])
+            for one, part in zip(claimed, parts, strict=True)
+        ]
+        off, percent = median_errors(*claimed_errors(pairs))
+        scores = {"velocity_mm_s": off, "velocity_percent": percent}
+    threes = [frames[k : k + 3] for frames in sequences for k in range(len(frames) - 2)]
+    pairs = [
+        _accelerations_of([parts[n] for n in three], times[three[1]] - times[three[0]])
+        for three in threes
+        if np.isclose(times[three[1]] - times[three[0]], times[three[2]] - times[three[1]])
+    ]
+    return scores | {"acceleration_percent": median_errors(*claimed_errors(pairs))[1]}
+
+
+def _accelerations_of(parts: Sequence[_ScoredPart], duration: float) -> tuple[F64, F64]:
+    """Pair estimated and true accelerations in the middle one of three frames."""
+    middle = parts[1]
+    rows, true = accelerations([(one.true.id, one.true.position_mm) for one in parts], duration)
+    i, j = middle.pairs
+    if middle.found.acceleration_mm_s2 is not None:
+        own, estimate = np.arange(len(middle.found.position_mm)), middle.found.acceleration_mm_s2
+    else:
+        own, estimate = accelerations(
+            [(np.asarray(one.found.trajectory), one.found.position_mm) for one in parts], duration
+        )
+    _, a, k = np.intersect1d(own, i, return_indices=True)
+    _, b, m = np.intersect1d(rows, j[k], return_indices=True)
+    return estimate[a[m]], true[b]
 
 
 TASK = ParticlesTask()

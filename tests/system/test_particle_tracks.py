@@ -131,6 +131,56 @@ def test_known_faults_have_known_scores(sequence: Dataset, tmp_path: Path) -> No
     assert scores["velocity_mm_s"] == pytest.approx(0.0, abs=1e-6)
 
 
+def test_claims_are_scored(sequence: Dataset, tmp_path: Path) -> None:
+    """Positions err as claimed, velocities by 5 %; ghosts and duplicates claim nothing."""
+    rng = np.random.default_rng(8)
+    root = 0.002 * rng.normal(size=(3, 3)) + 0.002 * np.eye(3)
+    with result_writer(tmp_path / "r.h5", sequence, "claims", "particles", {}) as writer:
+        for frame in range(sequence.setup.frames):
+            true = sequence.particles(frame)
+            count = len(true.id)
+            twice = np.arange(0, count, 10)
+            rows = np.concatenate([np.arange(count), twice])
+            error = rng.normal(size=(len(rows), 3)) @ root.T
+            error[count:] = 0.04, 0.0, 0.0
+            writer.add(
+                FoundParticles(
+                    true.position_mm[rows] + error,
+                    covariance_mm2=np.broadcast_to(root @ root.T, (len(rows), 3, 3)),
+                    probability=np.where(np.arange(len(rows)) < count, 1.0, 0.0),
+                    velocity_mm_s=1.05 * true.velocity_mm_s[rows],
+                    trajectory=np.concatenate([true.id, 10**6 + true.id[twice]]),
+                ),
+                frame,
+            )
+    scores = score(sequence, tmp_path / "r.h5")
+    assert scores["coverage_68"] == pytest.approx(1.0, abs=0.06)
+    assert scores["coverage_95"] == pytest.approx(1.0, abs=0.03)
+    assert scores["brier"] == 0.0
+    assert scores["duplicate_percent"] == pytest.approx(10.0, abs=1.5)
+    assert scores["velocity_percent"] == pytest.approx(5.0, rel=1e-6)
+    assert scores["rms_over_bound"] > 10.0  # what the images allow is far better
+    assert 0.8 < scores["f1_area"] < scores["f1"] < 0.97
+    assert scores["complete"] == 1.0
+    assert scores["switch_percent"] == scores["fragment_percent"] == 0.0
+
+
+def test_lost_and_confused_particles_cost_identity(sequence: Dataset, tmp_path: Path) -> None:
+    """Numbers are given anew from frame 3 on, and frame 1 lacks every second particle."""
+    with result_writer(tmp_path / "r.h5", sequence, "confused", "particles", {}) as writer:
+        for frame in range(sequence.setup.frames):
+            true = sequence.particles(frame)
+            kept = (true.id % 2 == 0) | (frame != 1)
+            number = true.id[kept] + 10**6 * (frame >= 3)
+            writer.add(FoundParticles(true.position_mm[kept], trajectory=number), frame)
+    scores = score(sequence, tmp_path / "r.h5")
+    assert scores["complete"] < 0.2  # those that leave or come
+    assert scores["switch_percent"] == pytest.approx(20.0, abs=2.0)  # one link of five
+    assert scores["fragment_percent"] == pytest.approx(10.0, abs=2.0)
+    assert scores["hota"] == pytest.approx(np.sqrt(0.9 * 0.5), abs=0.06)
+    assert score(sequence, "truth", "particles")["hota"] == 1.0
+
+
 def test_faults_of_results_are_named(sequence: Dataset, tmp_path: Path) -> None:
     place = tmp_path / "r.h5"
     with result_writer(place, sequence, "faulty", "particles", {}) as writer:

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sabench.algorithms.particles.image_statistics import measure_images
-from sabench.algorithms.particles.particle_search import ParticleSearch
+from sabench.algorithms.particles.particle_search import ParticleSearch, no_particles
 from sabench.api import FoundParticles, Observation
 from sabench.geometry.volume_polynomials import VolumePolynomials
 from sabench.images.flaws import Flaws
@@ -54,7 +54,7 @@ def reconstruct_most_probable(
 ) -> FoundParticles:
     """Reconstruct the particles that make the images most probable."""
     search = search_frame(case, maps, settings)
-    return search.found() if search else FoundParticles(np.zeros((0, 3)), np.zeros(0))
+    return search.found() if search else no_particles(len(case.cameras))
 
 
 def images_less_black(case: Observation) -> tuple[F32, Flaws]:

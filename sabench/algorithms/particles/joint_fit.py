@@ -388,14 +388,25 @@ def price(model: Any, room: Any, position: Any, light: Any) -> float:
 
 
 @numba.njit(cache=True)
-def position_information(model: Any, room: Any, particles: Any, matrices: Any) -> None:
-    """Fill in what the images tell of each position: inverse covariances (n, 3, 3).
+def add_leverage(model: Any, room: Any, particles: Any, leverage: Any) -> None:
+    """Add up how much of each pixel the fit of particles takes for itself.
 
-    Neighbours and light count as known (Fisher information of one particle).
+    In each camera a particle's light takes one pixel's worth altogether, its position as much of
+    three as the camera has a share in. Neighbours count as known.
     """
-    for n in range(len(matrices)):
-        room.matrix[:] = 0.0
-        for c in range(len(model.typical)):
+    cameras = len(model.typical)
+    for n in range(len(particles.position)):
+        for c in range(cameras):
             sum_up(model, room, c, particles.position[n])
-            _add_to_matrix(room, c, particles.light[n, c])
-        matrices[n] = room.matrix
+            weight, slopes = room.sums[c, _WEIGHT], room.sums[c, _XX] + room.sums[c, _YY]
+            if not min(weight, slopes) > _UNSEEN:
+                continue
+            weights, into = model.weight[c], leverage[c]
+            column, row = room.corner[c, 0], room.corner[c, 1]
+            rows, columns = weights.shape
+            for i in range(max(0, -row), min(len(room.y[c]), rows - row)):
+                for j in range(max(0, -column), min(len(room.x[c]), columns - column)):
+                    own = room.y[c, i] * room.x[c, j]
+                    dx, dy = room.y[c, i] * room.by_x[c, j], room.by_y[c, i] * room.x[c, j]
+                    share = own * own / weight + 3.0 / cameras * (dx * dx + dy * dy) / slopes
+                    into[row + i, column + j] += share * weights[row + i, column + j]

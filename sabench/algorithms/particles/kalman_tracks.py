@@ -22,7 +22,7 @@ _ENOUGH, _FASTEST = 30, 4.0  # predictions that tell the jerk's strength, and it
 _SURPRISE = 12.0  # sum of three squared misses over the expected ones, seldom reached
 _LEAST = 1e-6  # of the first strength
 _BY_TRACK = ("number", "state", "covariance", "light", "seen", "missed")
-_ANY_SPEED = 1e6  # mm/s
+ANY_SPEED = 1e6  # mm/s
 
 
 @dataclass
@@ -132,13 +132,8 @@ class KalmanTracks:
 
         Without tracks nearby it is 0 with an error as large.
         """
-        known = np.flatnonzero((self.seen >= 2) & (self.missed == 0))
-        if not len(known):
-            return np.zeros_like(position), np.full_like(position, _ANY_SPEED**2)
-        count = min(_NEIGHBOURS, len(known))
-        _, near = cKDTree(self.state[known, 0]).query(position, range(1, count + 1))
-        velocity = self.state[known[near], 1]
-        return np.median(velocity, axis=1), velocity.var(axis=1) * (1.0 + 2.0 / _NEIGHBOURS)
+        known = (self.seen >= 2) & (self.missed == 0)
+        return velocity_near(position, self.state[known, 0], self.state[known, 1])
 
     def add(
         self,
@@ -169,6 +164,23 @@ class KalmanTracks:
         for name, more in zip(_BY_TRACK, new, strict=True):
             old = getattr(self, name)
             setattr(self, name, np.concatenate([old, more]) if len(old) else more)
+
+
+def velocity_near(position: F64, known: F64, velocity: F64) -> tuple[F64, F64]:
+    """Estimate velocities (n, 3) at positions, and their variances.
+
+    Known ones (m, 3) are those of particles at other or the same positions. Without any, velocities
+    are 0 with a large variance.
+    """
+    if not len(known):
+        return np.zeros_like(position), np.full_like(position, ANY_SPEED**2)
+    count = min(_NEIGHBOURS, len(known))
+    _, near = cKDTree(known).query(position, range(1, count + 1))
+    around = velocity[near]
+    spread = around.var(axis=1) * (1.0 + 2.0 / _NEIGHBOURS)
+    if count < 2:
+        spread = np.full_like(position, ANY_SPEED**2)
+    return np.median(around, axis=1), spread
 
 
 def _change(off: F64) -> float:

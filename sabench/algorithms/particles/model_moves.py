@@ -76,6 +76,7 @@ def remove_ghosts(
     fits: int,
     lone: bool,
     sure: Any,
+    odds: Any,
 ) -> int:
     """Take particles out for good where the images do not ask for them.
 
@@ -89,6 +90,8 @@ def remove_ghosts(
     lone : whether what a particle earns in the camera where it earns most does not count: light in
         one camera alone is no particle.
     sure : (n,) set for the rows of `order`: whether a particle earns several times its price.
+    odds : (n,) set for the same rows: what it earns less its price, the logarithm of the odds that
+        it is real; trials end where they are high enough.
     """
     cameras = particles.light.shape[1]
     positions, lights = np.zeros((_NEIGHBOURS, 3)), np.zeros((_NEIGHBOURS, cameras))
@@ -114,7 +117,7 @@ def remove_ghosts(
             for k in range(first, last):
                 if loss > least and particles.alive[near[k]]:
                     loss += adjust(model, room, particles, near[k])
-        sure[n] = loss > _SURE * least
+        sure[n], odds[n] = loss > _SURE * least, loss - least
         if loss <= least:
             removed += 1
             continue

@@ -15,8 +15,8 @@ from sabench.algorithms.particles.image_statistics import ImageStatistics
 from sabench.algorithms.particles.joint_fit import (
     ImageModel,
     Particles,
+    add_leverage,
     make_room,
-    position_information,
     put_all_in,
     refine,
     start_light,
@@ -40,6 +40,7 @@ from sabench.algorithms.particles.refinement import in_mm, peak_brightness
 from sabench.api import FoundParticles
 from sabench.geometry.volume_polynomials import VolumePolynomials, project_points
 from sabench.images.flaws import Flaws
+from sabench.images.position_bounds import ParticleSpots, position_bounds
 from sabench.utils.arrays import F32, F64, I64, Bool
 
 _BOX = 8.0  # volume of the box in its coordinates
@@ -58,6 +59,33 @@ _WIDTH_STEPS = 2
 _OWN_ERROR = 0.03  # of a particle's image: particles differ
 _UNKNOWN = 0.25  # of light that is left: other particles' tails do not explain it
 _APART = 1.1  # widths: distance of the two of a split from their middle
+_CERTAIN = 30.0  # logarithm of the highest odds
+_LEAST_ERROR_PX = 0.002  # of positions, beside what the images tell
+_VARIANCE_STEPS, _LEAST_FREE = 4, 0.2
+_STEP = 1e-4  # of the box's coordinates, for differences
+
+
+def no_particles(cameras: int) -> FoundParticles:
+    """Return no particles, with all that a search tells of them."""
+    none = np.zeros(0)
+    return FoundParticles(
+        np.zeros((0, 3)),
+        none,
+        light=np.zeros((0, cameras)),
+        covariance_mm2=np.zeros((0, 3, 3)),
+        probability=none,
+    )
+
+
+def joined(one: FoundParticles, other: FoundParticles) -> FoundParticles:
+    """Join particles of which the same is known."""
+    more = {declared.name: value for declared, value in other.arrays()}
+    return FoundParticles(
+        **{
+            declared.name: np.concatenate([value, more[declared.name]])
+            for declared, value in one.arrays()
+        }
+    )
 
 
 class ParticleSearch:
@@ -72,6 +100,7 @@ class ParticleSearch:
     left, variance : the images less all particles, and the variance of each pixel.
     position, light : (n, 3) in the box of the maps, (n, camera).
     sure : (n,) whether a particle earned several times its price.
+    odds : (n,) logarithm of the odds that it is real.
     tag : (n,) numbers that a caller gave particles, -1 for those found here.
     """
 
@@ -83,6 +112,7 @@ class ParticleSearch:
     position: F64
     light: F64
     sure: Bool
+    odds: F64
     tag: I64
 
     def __init__(
@@ -109,6 +139,7 @@ class ParticleSearch:
         self.left, self.variance = self.images.copy(), np.ones_like(self.images)
         self.position, self.light = np.zeros((0, 3)), np.zeros((0, len(self.images)))
         self.sure, self.tag = np.zeros(0, dtype=np.bool_), np.zeros(0, dtype=np.int64)
+        self.odds = np.zeros(0)
 
     def set_width(self, sigma: F64) -> None:
         """Set the widths (camera, 2) of the particles' images, the same everywhere."""
@@ -128,24 +159,80 @@ class ParticleSearch:
     def found(self) -> FoundParticles:
         """Return the particles."""
         brightness = peak_brightness(self.light, self.sigma.mean(axis=1)).mean(axis=1)
-        return FoundParticles(in_mm(self.maps, self.position), brightness)
+        light = np.zeros((len(self.light), len(self.shown)))
+        light[:, self.shown] = self.light
+        return FoundParticles(
+            in_mm(self.maps, self.position),
+            brightness,
+            light=light,
+            covariance_mm2=self.covariances(),
+            probability=1.0 / (1.0 + np.exp(-np.clip(self.odds, -_CERTAIN, _CERTAIN))),
+        )
 
     def put(self, position: F64, light: F64, tag: I64) -> None:
         """Put in particles, whatever the images show."""
         first = len(self.position)
         self.append(len(position), 1.0)
         self.position[first:], self.light[first:], self.tag[first:] = position, light, tag
+        self.odds[first:] = _CERTAIN
         self.subtract_all()
 
-    def variance_of_positions(self) -> F64:
-        """Estimate the variances (n, 3) of positions, in the box's coordinates.
+    def covariances(self) -> F64:
+        """Estimate the covariances (n, 3, 3) of the positions' errors, mm2.
 
-        Neighbours count as known. The largest is that of a position anywhere in the box.
+        They are the Cramer-Rao bounds with neighbours that are fitted, too, where the noise of
+        pixels is as strong as what is left around particles. The largest is that of a position
+        anywhere in the box.
         """
-        matrices = np.zeros((len(self.position), 3, 3))
-        position_information(self.model(), self.room, self.particles(), matrices)
-        matrices += 3.0 * np.eye(3)  # the inverse variance of a place between -1 and 1
-        return np.asarray(np.linalg.inv(matrices)[:, [0, 1, 2], [0, 1, 2]])
+        leverage = np.zeros(self.images.shape)
+        add_leverage(self.model(), self.room, self.particles(), leverage)
+        spots = [
+            self._spots(camera, self._noise(camera, leverage[camera]))
+            for camera in range(len(self.images))
+        ]
+        bounds = position_bounds(spots, np.arange(len(self.position)))
+        anywhere = np.diag(self.maps.half_mm**2 / 3.0)
+        lost = ~np.isfinite(bounds).all(axis=(1, 2)) | (np.trace(bounds, 0, 1, 2) > anywhere.sum())
+        bounds[lost] = anywhere
+        least = (_LEAST_ERROR_PX * pixel_mm(self.maps)) ** 2
+        return np.asarray(bounds + least * np.eye(3))
+
+    def _spots(self, camera: int, variance: F64) -> ParticleSpots:
+        """Make the images of the particles in a camera, with the variance of its pixels."""
+        pixel = project_points(self.maps, camera, self.position)
+        steps = _STEP * np.eye(3)
+        slopes = [
+            project_points(self.maps, camera, self.position + step)
+            - project_points(self.maps, camera, self.position - step)
+            for step in steps
+        ]
+        terms = np.concatenate([np.ones((len(self.position), 1)), self.position], axis=1)
+        return ParticleSpots(
+            pixel,
+            np.stack(slopes, axis=2) / (2.0 * _STEP * self.maps.half_mm),
+            self.light[:, camera],
+            (terms @ self.widths[camera].T).mean(axis=1),
+            np.where(self.known[camera], variance, np.inf),
+        )
+
+    def _noise(self, camera: int, leverage: F64) -> F64:
+        """Estimate the variance of every pixel around particles from what is left there.
+
+        It grows with the light. What fits have taken from it, the leverage (row, column), is given
+        back.
+        """
+        dark = self.noise[camera] ** 2
+        model = np.clip(self.images[camera] - self.left[camera], 0.0, None).astype(np.float64)
+        lit = self.known[camera] & (model > self.noise[camera])
+        light, squares = model[lit], np.square(self.left[camera][lit], dtype=np.float64)
+        squares /= np.maximum(1.0 - leverage[lit], _LEAST_FREE)
+        even, slope = dark, 0.0
+        for _ in range(_VARIANCE_STEPS):
+            expected = even + slope * light
+            terms = np.stack([np.ones_like(light), light], axis=1) / expected[:, None]
+            even, slope = np.linalg.lstsq(terms, squares / expected, rcond=None)[0]
+            even, slope = max(even, dark), max(slope, 0.0)
+        return np.asarray(even + slope * model)
 
     def model(self) -> ImageModel:
         """Make the kernels' view of images and what is left of them."""
@@ -196,7 +283,7 @@ class ParticleSearch:
     def select(self, good: Bool) -> None:
         """Keep these rows, whatever the images show."""
         self.position, self.light = self.position[good], self.light[good]
-        self.sure, self.tag = self.sure[good], self.tag[good]
+        self.sure, self.tag, self.odds = self.sure[good], self.tag[good], self.odds[good]
 
     def append(self, count: int, light: float) -> None:
         """Add rows for new particles."""
@@ -204,6 +291,7 @@ class ParticleSearch:
         self.light = np.concatenate([self.light, np.full((count, self.light.shape[1]), light)])
         self.sure = np.concatenate([self.sure, np.zeros(count, dtype=np.bool_)])
         self.tag = np.concatenate([self.tag, np.full(count, -1)])
+        self.odds = np.concatenate([self.odds, np.zeros(count)])
 
     def find(self, floor: float) -> None:
         """Add candidates from what is left of the images."""
@@ -256,7 +344,16 @@ class ParticleSearch:
             rows = np.flatnonzero(tried)
             order = rows[np.argsort(self.common_light()[rows], kind="stable")]
             remove_ghosts(
-                model, self.room, particles, order, starts, near, self.fits, lone, self.sure
+                model,
+                self.room,
+                particles,
+                order,
+                starts,
+                near,
+                self.fits,
+                lone,
+                self.sure,
+                self.odds,
             )
             promoted = tried & self.sure & particles.alive
             tried = ~tried & near_any(promoted, starts, near)

@@ -10,7 +10,7 @@ ghost; where a track misses a frame between others, its position is interpolated
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -24,9 +24,15 @@ from sabench.algorithms.particles.bayesian_ipr import (
     split_and_find,
 )
 from sabench.algorithms.particles.candidate_search import pixel_mm
-from sabench.algorithms.particles.kalman_tracks import MATURE, KalmanTracks
+from sabench.algorithms.particles.kalman_tracks import (
+    ANY_SPEED,
+    MATURE,
+    KalmanTracks,
+    velocity_near,
+)
 from sabench.algorithms.particles.linking import GATE, assign, link
-from sabench.algorithms.particles.particle_search import ParticleSearch
+from sabench.algorithms.particles.particle_search import ParticleSearch, joined, no_particles
+from sabench.algorithms.particles.track_motion import most_probable_motion
 from sabench.api import FoundParticles, Observation
 from sabench.geometry.volume_polynomials import VolumePolynomials
 from sabench.utils.arrays import F64, I64, Bool
@@ -36,6 +42,7 @@ _SLACK = 0.04  # of the distance between particles: misses, beside those expecte
 _KNOWN_PX = 1.0  # standard deviation up to which a prediction is worth a fit
 _FADED = 0.5  # light over the last light below which a particle may be a ghost
 _LEAST_ERROR_PX = 0.02  # of positions, beside what the images tell
+_LAG = 3  # frames before and after one that tell how its particles move
 _NEAR = 3.0  # standard deviations from the box's faces within which a particle may come or go
 _NEIGHBOURS = 5  # particles that a lost track is compared with
 _FEWEST = 16  # links that tell how particles move
@@ -62,21 +69,32 @@ class ShakeTheBoxSettings:
 
 @dataclass
 class _Frame:
-    """Particles of a frame: positions (n, 3) mm, brightness (n,), trajectories (n,)."""
+    """Particles of a frame, their trajectories (n,), and whether they were seen."""
 
     time: float
-    position: F64
-    intensity: F64
+    found: FoundParticles
     number: I64
+    seen: Bool
 
-    def add(self, position: F64, intensity: F64, number: I64) -> None:
-        self.position = np.concatenate([self.position, position])
-        self.intensity = np.concatenate([self.intensity, intensity])
+    @property
+    def position(self) -> F64:
+        return self.found.position_mm
+
+    @property
+    def variance(self) -> F64:
+        """Variances (n, 3) of positions, mm2."""
+        return np.asarray(self.found.covariance_mm2)[:, [0, 1, 2], [0, 1, 2]]
+
+    def add(self, more: FoundParticles, number: I64) -> None:
+        """Add particles that were not seen."""
+        self.found = joined(self.found, more)
         self.number = np.concatenate([self.number, number])
+        self.seen = np.concatenate([self.seen, np.zeros(len(number), dtype=np.bool_)])
 
-    def without(self, ghosts: I64) -> FoundParticles:
+    def without(self, ghosts: I64) -> _Frame:
+        """Drop some trajectories."""
         kept = ~np.isin(self.number, ghosts)
-        return FoundParticles(self.position[kept], self.intensity[kept], self.number[kept])
+        return _Frame(self.time, self.found.rows(kept), self.number[kept], self.seen[kept])
 
 
 def track_particles(
@@ -90,7 +108,60 @@ def track_particles(
     for case, time in zip(frames, times_s, strict=True):
         tracker.take(case, time)
     ghosts = np.concatenate([np.zeros(0, dtype=np.int64), *tracker.ghosts])
-    return [frame.without(ghosts) for frame in tracker.frames]
+    kept = [frame.without(ghosts) for frame in tracker.frames]
+    return [
+        _with_motion(kept[max(number - _LAG, 0) : number + _LAG + 1], frame, tracker.motion)
+        for number, frame in enumerate(kept)
+    ]
+
+
+def _with_motion(
+    frames: Sequence[_Frame], frame: _Frame, motion: tuple[float, float] | None
+) -> FoundParticles:
+    """Add velocities and accelerations to a frame, from it and those around it.
+
+    Particles that were not seen get their positions, too.
+    """
+    found = replace(frame.found, trajectory=frame.number)
+    if motion is None or not len(frame.number):
+        return found
+    times = np.array([one.time - frame.time for one in frames])
+    positions = _positions(frames, frame.number)
+    moving = np.isfinite(positions[0][:, :, 0]).sum(axis=1) > 1
+    still = np.zeros_like(frame.position), np.full_like(frame.position, ANY_SPEED**2)
+    state, _ = most_probable_motion(times, *positions, *still, *motion)
+    expected = velocity_near(frame.position, frame.position[moving], state[moving, 1])
+    state, covariance = most_probable_motion(times, *positions, *expected, *motion)
+    seen = frame.seen[:, None]
+    place = np.where(seen, frame.position, state[:, 0])
+    error = np.where(seen[:, None], np.asarray(found.covariance_mm2), _diagonal(covariance, 0))
+    return replace(
+        found,
+        position_mm=place,
+        covariance_mm2=error,
+        velocity_mm_s=state[:, 1],
+        velocity_covariance=_diagonal(covariance, 1),
+        acceleration_mm_s2=state[:, 2],
+        acceleration_covariance=_diagonal(covariance, 2),
+    )
+
+
+def _positions(frames: Sequence[_Frame], number: I64) -> tuple[F64, F64]:
+    """Collect places of trajectories in some frames, and variances: (n, frame, 3).
+
+    NaN where they were not seen.
+    """
+    position, variance = (np.full((len(number), len(frames), 3), np.nan) for _ in range(2))
+    for slot, one in enumerate(frames):
+        _, i, j = np.intersect1d(number, one.number[one.seen], return_indices=True)
+        position[i, slot] = one.position[one.seen][j]
+        variance[i, slot] = one.variance[one.seen][j]
+    return position, variance
+
+
+def _diagonal(covariance: F64, order: int) -> F64:
+    """Make covariances (n, 3, 3) over axes of one order of the motion."""
+    return np.asarray(covariance[:, :, order, order, None] * np.eye(3))
 
 
 class _Tracker:
@@ -103,6 +174,7 @@ class _Tracker:
         self.frames: list[_Frame] = []
         self.ghosts: list[I64] = []
         self.born = 0
+        self.motion: tuple[float, float] | None = None  # strengths of acceleration and jerk
 
     def take(self, case: Observation, time: float) -> None:
         """Find the particles of the next frame."""
@@ -115,11 +187,11 @@ class _Tracker:
         """Search a frame without predictions, and link it to the one before."""
         before, self.search = self.search, search_frame(case, self.maps, self.settings.first)
         self.tracks = None
-        frame = _Frame(time, *_NOTHING)
+        frame = _nothing(time, len(self.maps.coefficients))
         if self.search is not None:
             frame = self._write(self.search, time)
         if before is not None and self.search is not None:
-            self.tracks = self._link_first(before, self.frames[-1], frame)
+            self.tracks = self._link_first(before.light, self.frames[-1], frame)
         if self.tracks is not None and self.search is not None:
             self._follow(case, time, self.tracks, self.search)
         else:
@@ -130,17 +202,13 @@ class _Tracker:
         found = search.found()
         numbers = self.born + np.arange(len(found.position_mm))
         self.born += len(numbers)
-        intensity = np.zeros(0) if found.intensity is None else found.intensity
-        return _Frame(time, found.position_mm, intensity, numbers)
+        return _Frame(time, found, numbers, np.ones(len(numbers), dtype=np.bool_))
 
-    def _variance(self, search: ParticleSearch) -> F64:
-        """Estimate the variances (n, 3) of a search's positions, mm2."""
-        least = (_LEAST_ERROR_PX * pixel_mm(self.maps)) ** 2
-        return np.asarray(search.variance_of_positions() * self.maps.half_mm**2 + least)
+    def _variance(self, frame: _Frame) -> F64:
+        """Estimate the variances (n, 3) of a frame's positions, mm2."""
+        return frame.variance + (_LEAST_ERROR_PX * pixel_mm(self.maps)) ** 2
 
-    def _link_first(
-        self, search: ParticleSearch, first: _Frame, second: _Frame
-    ) -> KalmanTracks | None:
+    def _link_first(self, light: F64, first: _Frame, second: _Frame) -> KalmanTracks | None:
         """Begin tracks at the first of two frames if enough can be linked."""
         earlier, later = link(
             [first.position, second.position],
@@ -151,15 +219,15 @@ class _Tracker:
         if len(i) < _FEWEST:
             return None
         duration = second.time - first.time
-        variance = self._variance(search)
+        variance = self._variance(first)
         velocity = (second.position[j] - first.position[i]) / duration
         scatter = _scatter(first.position[i], velocity)
         tracks = KalmanTracks.start((_ACCELERATION * scatter / duration) ** 2, duration)
         errors = 2.0 * variance[i] / duration**2 + tracks.acceleration * duration**2
-        light, place = search.light, first.position
+        place = first.position
         tracks.add(first.number[i], place[i], variance[i], light[i], velocity, errors, 2)
         alone = np.setdiff1d(np.arange(len(first.number)), i)
-        self._begin_tracks(tracks, first, alone, variance, light)
+        self._begin_tracks(tracks, first, alone, light)
         tracks.seen[:] = 1
         return tracks
 
@@ -168,14 +236,11 @@ class _Tracker:
         aside = np.abs(position - self.maps.middle_mm) + _NEAR * error
         return np.asarray((aside <= self.maps.half_mm).all(axis=1))
 
-    def _begin_tracks(
-        self, tracks: KalmanTracks, frame: _Frame, rows: I64, variance: F64, light: F64
-    ) -> None:
+    def _begin_tracks(self, tracks: KalmanTracks, frame: _Frame, rows: I64, light: F64) -> None:
         if len(rows):
-            position = frame.position[rows]
+            position, variance = frame.position[rows], self._variance(frame)[rows]
             velocity, spread = tracks.neighbours_velocity(position)
-            numbers = frame.number[rows]
-            tracks.add(numbers, position, variance[rows], light[rows], velocity, spread, 1)
+            tracks.add(frame.number[rows], position, variance, light[rows], velocity, spread, 1)
 
     def _follow(
         self, case: Observation, time: float, tracks: KalmanTracks, search: ParticleSearch
@@ -183,16 +248,18 @@ class _Tracker:
         """Find a frame's particles from where they are expected."""
         tracks.predict(time - self.frames[-1].time)
         self._shake(case, tracks, search)
-        frame, variance = self._write(search, time), self._variance(search)
+        frame = self._write(search, time)
+        variance = self._variance(frame)
         self.frames.append(frame)
         row = self._recognise(tracks, search, frame.position, variance)
         seen = np.flatnonzero(row >= 0)
         frame.number[seen] = tracks.number[row[seen]]
         late = tracks.missed[row[seen]] > 1
         tracks.update(row[seen], frame.position[seen], variance[seen], search.light[seen])
-        self._fill_gaps(tracks, row[seen[late]], frame.intensity[seen[late]])
+        self._fill_gaps(tracks, row[seen[late]], frame.found.rows(seen[late]))
         self._end_tracks(tracks)
-        self._begin_tracks(tracks, frame, np.flatnonzero(row < 0), variance, search.light)
+        self._begin_tracks(tracks, frame, np.flatnonzero(row < 0), search.light)
+        self.motion = tracks.acceleration, tracks.jerk
 
     def _shake(self, case: Observation, tracks: KalmanTracks, search: ParticleSearch) -> None:
         """Fit the predicted particles, and search what they leave of the images."""
@@ -245,13 +312,13 @@ class _Tracker:
         """Compute the edge of the cube that holds one particle on average, mm."""
         return float((np.prod(2.0 * self.maps.half_mm) / max(count, 1)) ** (1.0 / 3.0))
 
-    def _fill_gaps(self, tracks: KalmanTracks, rows: I64, intensity: F64) -> None:
-        """Add the positions that tracks had in the frames which they missed."""
+    def _fill_gaps(self, tracks: KalmanTracks, rows: I64, found: FoundParticles) -> None:
+        """Add tracks to the frames which they missed, as they are found now."""
         numbers = tracks.number[rows]
         for frame in self.frames[-2 : -self.settings.gap - 2 : -1]:
             absent = ~np.isin(numbers, frame.number)
             # frames before the track's last position have its number
-            rows, numbers, intensity = rows[absent], numbers[absent], intensity[absent]
+            rows, numbers, found = rows[absent], numbers[absent], found.rows(absent)
             back = frame.time - self.frames[-1].time
             terms = np.array([1.0, back, back**2 / 2.0])
             position = np.einsum("o,noa->na", terms, tracks.state[rows])
@@ -260,7 +327,7 @@ class _Tracker:
                 self.maps.middle_mm - self.maps.half_mm,
                 self.maps.middle_mm + self.maps.half_mm,
             )
-            frame.add(position, intensity, numbers)
+            frame.add(replace(found, position_mm=position), numbers)
 
     def _end_tracks(self, tracks: KalmanTracks) -> None:
         """End the tracks that have left, or were missed too often."""
@@ -280,4 +347,5 @@ def _scatter(position: F64, velocity: F64) -> float:
     return float(np.median(np.linalg.norm(apart, axis=1)))
 
 
-_NOTHING = (np.zeros((0, 3)), np.zeros(0), np.zeros(0, dtype=np.int64))
+def _nothing(time: float, cameras: int) -> _Frame:
+    return _Frame(time, no_particles(cameras), np.zeros(0, dtype=np.int64), np.zeros(0, np.bool_))

@@ -9,7 +9,6 @@ from sabench.algorithms.particles.joint_fit import (
     ImageModel,
     Particles,
     adjust,
-    position_information,
     price,
     put_all_in,
     refine,
@@ -95,16 +94,3 @@ def test_three_equations_are_solved_unless_they_say_too_little() -> None:
     assert determinant == pytest.approx(np.linalg.det(matrix))
     assert solve_three(np.ones((3, 3)), right, step) == 0.0
     assert solve_three(np.zeros((3, 3)), right, step) == 0.0
-
-
-def test_information_is_that_of_the_images_derivatives(maps: VolumePolynomials) -> None:
-    points = 0.5 * unit_points(COUNT)
-    model, room = model_of(maps, np.zeros((4, ROWS, COLUMNS))), room_of(maps)
-    found = np.zeros((COUNT, 3, 3))
-    position_information(model, room, particles_of(points, LIGHT), found)
-    for n in (0, 11, 29):
-        ends = [points[n] + sign * 1e-4 * np.eye(3)[p] for p in range(3) for sign in (1.0, -1.0)]
-        light = LIGHT[n : n + 1]
-        shown = np.array([paint(maps, end[None], light, ROWS, COLUMNS) for end in ends])
-        slopes = (shown[::2] - shown[1::2]).reshape(3, -1) / 2e-4
-        np.testing.assert_allclose(found[n], slopes @ slopes.T / NOISE**2, rtol=0.01)

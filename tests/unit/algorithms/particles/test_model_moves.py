@@ -77,9 +77,10 @@ def test_a_ghost_of_four_particles_is_removed_and_they_get_their_light_back(
     starts, near = find_neighbours(maps, WIDTHS, particles.position)
     assert set(near[starts[4] :]) == {0, 1, 2, 3}
     order = np.arange(5)[::-1].copy()
-    sure = np.zeros(5, dtype=np.bool_)
-    assert remove_ghosts(model, room, particles, order, starts, near, 4, True, sure) == 1
+    sure, odds = np.zeros(5, dtype=np.bool_), np.zeros(5)
+    assert remove_ghosts(model, room, particles, order, starts, near, 4, True, sure, odds) == 1
     assert sure.tolist() == [True] * 4 + [False]
+    assert (odds > 10.0).tolist() == [True] * 4 + [False]
     assert particles.alive.tolist() == [True] * 4 + [False]
     kept = Particles(particles.position[:4], particles.light[:4], particles.alive[:4])
     refine(model, room, kept, 10)
@@ -97,7 +98,9 @@ def test_light_in_one_camera_alone_is_no_particle(maps: VolumePolynomials) -> No
         put_all_in(model, room, particles)
         order = np.zeros(1, dtype=np.int64)
         sure = np.zeros(1, dtype=np.bool_)
-        found = remove_ghosts(model, room, particles, order, starts, near, 1, lone, sure)
+        found = remove_ghosts(
+            model, room, particles, order, starts, near, 1, lone, sure, np.zeros(1)
+        )
         assert found == expected
 
 
@@ -109,7 +112,9 @@ def test_true_particles_stay_and_nothing_moves(maps: VolumePolynomials) -> None:
     left = model.left.copy()
     starts, near = find_neighbours(maps, WIDTHS, points)
     order, sure = np.arange(30), np.zeros(30, dtype=np.bool_)
-    assert remove_ghosts(model, room, particles, order, starts, near, 2, True, sure) == 0
+    assert (
+        remove_ghosts(model, room, particles, order, starts, near, 2, True, sure, np.zeros(30)) == 0
+    )
     assert sure.all()
     np.testing.assert_array_equal(particles.position, points)
     np.testing.assert_array_equal(particles.light, light)
