@@ -16,7 +16,7 @@ class BayesianIprParameters(Parameters):
     """Parameters of the search for the most probable particles."""
 
     rounds: int = Field(
-        3, ge=1, description="rounds of search and removal, after the first candidates"
+        8, ge=1, description="most rounds of search and removal, after the first candidates"
     )
     splits: int = Field(
         3, ge=0, description="rounds in which particles are tried as two, after those"

@@ -103,3 +103,29 @@ def test_images_without_particles_give_none(level: float) -> None:
     images = np.clip(np.rint(noise), 0, 4095).astype(np.uint16)
     grid, cameras = shot.observation.grid, shot.observation.cameras
     assert len(find_in(Observation(images, cameras, grid, 64.0, 4095.0))) == 0
+
+
+def test_a_camera_that_is_half_hidden_costs_nothing() -> None:
+    """A disc in front of one of four cameras hides half of the volume from it."""
+    particles = {"per_pixel": 0.05}
+    free, shot = make_shot(16, particles=particles), make_shot(16, particles=particles)
+    images = shot.observation.images.copy()
+    images[1, :, :60] = np.random.default_rng(3).normal(64.0, 2.2, images[1, :, :60].shape)
+    counts = count(shot, find_in(replace(shot.observation, images=images)))
+    assert counts.recall > count(free, find_in(free.observation)).recall - 0.01
+    assert counts.precision > 0.99
+
+
+def test_a_bright_background_and_reflections_cost_little() -> None:
+    shot = make_shot(17, particles={"per_pixel": 0.04})
+    images = shot.observation.images.astype(np.float64)
+    rows, columns = np.mgrid[: images.shape[1], : images.shape[2]]
+    images += 30.0 + 0.3 * columns + 0.1 * rows
+    for camera, (row, column) in enumerate([(40, 50), (90, 30), (70, 110), (25, 100)]):
+        apart = (rows - row) ** 2 + (columns - column) ** 2
+        images[camera] += 3000.0 * np.exp(-apart / (2.0 * 3.0**2))
+    bright = np.clip(np.rint(images), 0, 4095).astype(np.uint16)
+    counts = count(shot, find_in(replace(shot.observation, images=bright)))
+    assert counts.truths > 150
+    assert counts.recall > 0.97
+    assert counts.precision > 0.97

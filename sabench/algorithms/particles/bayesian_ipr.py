@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from sabench.algorithms.particles.background import clear_images, find_dark_areas
 from sabench.algorithms.particles.image_statistics import measure_images
 from sabench.algorithms.particles.particle_search import ParticleSearch, no_particles
 from sabench.api import FoundParticles, Observation
@@ -27,6 +28,9 @@ _FIRST_FLOOR = 0.35  # of the first candidates' mean light, over a typical parti
 _DARKEST = (0.05, 0.1, 0.2, 0.3, 0.4, 0.45)  # light below which candidates go, over the median
 _REAL = 0.3  # of a typical particle's light: what counts for that median
 FLOORS = (0.2, 0.06)  # of the candidates of the first and the last later round
+_STEPS = 3  # rounds from the first floor to the last
+_GROWTH = 1.02  # of the number of particles in a round: less is the end
+_UNEXPLAINED = 0.02  # of the light: more that remains has a reason
 CAPS = (0.3, 0.05)  # largest error of the model, over a typical peak, first and last
 
 
@@ -36,14 +40,14 @@ class BayesianIprSettings:
 
     Attributes
     ----------
-    rounds : of search and removal, after the first.
+    rounds : the most of search and removal, after the first.
     splits : rounds of splits, search and removal after those.
     fits : times that all particles are fitted at each step.
     widening : of the particles' images while candidates share the light, over their width: it
         brings particles together whose images meet by chance.
     """
 
-    rounds: int = 3
+    rounds: int = 8
     splits: int = 3
     fits: int = 2
     widening: float = 1.3
@@ -57,38 +61,59 @@ def reconstruct_most_probable(
     return search.found() if search else no_particles(len(case.cameras))
 
 
-def images_less_black(case: Observation) -> tuple[F32, Flaws]:
-    """Return the repaired images (camera, row, column) less black, and their flaws."""
+def dark_images(case: Observation) -> tuple[F32, Flaws]:
+    """Return the repaired images (camera, row, column) less background, and their flaws."""
     good = case.repaired
-    return good.images.astype(np.float32) - np.float32(case.black_dn), good.flaws
+    return clear_images(good.images.astype(np.float32) - np.float32(case.black_dn), good.flaws)
 
 
 def search_frame(
     case: Observation, maps: VolumePolynomials, settings: BayesianIprSettings
 ) -> ParticleSearch | None:
-    """Search for a frame's particles; None if too few cameras show any."""
-    images, flaws = images_less_black(case)
+    """Search for a frame's particles; None if too few cameras show any.
+
+    If light remains in the images, areas that are dark in a camera may be hidden from it, and count
+    no longer.
+    """
+    images, flaws = dark_images(case)
+    search = _find_most(images, flaws, maps, settings)
+    if search is None:
+        return None
+    if search.unexplained() > _UNEXPLAINED:
+        hidden = find_dark_areas(images, flaws, search.number)
+        hidden[~search.shown] = False
+        again = Flaws(flaws.points, flaws.covered | hidden)
+        if hidden.any():
+            search = _find_most(images, again, maps, settings) or search
+            search.hidden = hidden
+    search.learn_own_error()
+    for _ in range(settings.splits):
+        search.weigh(CAPS[1])
+        split_and_find(search)
+    search.weigh(CAPS[1])
+    search.refine(2 * settings.fits)
+    return search
+
+
+def _find_most(
+    images: F32, flaws: Flaws, maps: VolumePolynomials, settings: BayesianIprSettings
+) -> ParticleSearch | None:
+    """Find all particles but those that look like one with others."""
     statistics = measure_images(images.astype(np.float64), ~flaws.unknown)
     if statistics.shown.sum() < _FEWEST:
         return None
     search = ParticleSearch(images, flaws, maps, statistics, settings.fits)
     _share_the_light(search, settings)
     for number in range(settings.rounds):
-        along = (number + 1) / settings.rounds
+        before, along = len(search.position), min((number + 1) / _STEPS, 1.0)
         search.find(FLOORS[0] * (FLOORS[1] / FLOORS[0]) ** along)
         search.refine(settings.fits)
         search.weigh(CAPS[0] * (CAPS[1] / CAPS[0]) ** along)
         search.remove(lone=number > 0)
         search.learn()
         search.align()
-    for _ in range(settings.splits):
-        search.weigh(CAPS[1])
-        before = len(search.position)
-        split_and_find(search)
-        if len(search.position) == before:
+        if along == 1.0 and len(search.position) < _GROWTH * before:
             break
-    search.weigh(CAPS[1])
-    search.refine(2 * settings.fits)
     return search
 
 

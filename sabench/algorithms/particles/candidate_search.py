@@ -18,6 +18,20 @@ from sabench.utils.arrays import F32, F64
 
 BRIGHTEST = 1.5  # of a typical peak: more light in one camera does not make up for another's lack
 _FLATTEST = 2.0  # pixels: longest step of the lattice, in space
+_DEEPEST = 3.0  # of the longest step along the depth over one across
+_STEPS = np.array(  # across, across and along the depth, in their units
+    [
+        [1.0, 0.0, 0.0],
+        [0.0, 1.0, 0.0],
+        [0.0, 0.0, 1.0],
+        [0.7, 0.7, 0.0],
+        [0.7, -0.7, 0.0],
+        [0.7, 0.0, 0.7],
+        [0.0, 0.7, 0.7],
+        [0.7, 0.0, -0.7],
+        [0.0, 0.7, -0.7],
+    ]
+)
 _DARK = np.float32(-1e9)
 _FEWEST = 3  # cameras that have a place on their sensors
 
@@ -39,6 +53,23 @@ def lattice_shape(maps: VolumePolynomials) -> tuple[int, int, int]:
 def pixel_mm(maps: VolumePolynomials) -> float:
     """Compute the size in the volume of the best camera's pixel, in the middle."""
     return float(1.0 / np.linalg.norm(_slopes_per_mm(maps), ord=2, axis=(1, 2)).max())
+
+
+def split_directions(maps: VolumePolynomials) -> F64:
+    """Make nine steps (n, 3) mm by which two particles may differ.
+
+    Depth is the direction that moves images the least. Steps across it are one pixel of the best
+    camera, steps along it longer, as the cameras resolve it less.
+    """
+    slopes = _slopes_per_mm(maps)
+    values, vectors = np.linalg.eigh(np.einsum("cia,cib->ab", slopes, slopes))
+    depth = vectors[:, 0] * np.sign(vectors[np.argmax(np.abs(vectors[:, 0])), 0])
+    least = np.argsort(np.abs(depth), kind="stable")[0]  # the world's axis that is most across
+    one = np.eye(3)[least] - depth[least] * depth
+    one /= np.linalg.norm(one)
+    longer = min(math.sqrt(values[1] / max(values[0], 1e-300)), _DEEPEST)
+    frame = np.stack([one, np.cross(depth, one), longer * depth])
+    return np.asarray(pixel_mm(maps) * _STEPS @ frame)
 
 
 def _slopes_per_mm(maps: VolumePolynomials) -> F64:

@@ -10,7 +10,12 @@ import math
 import numpy as np
 from scipy.spatial import cKDTree
 
-from sabench.algorithms.particles.candidate_search import BRIGHTEST, find_candidates, pixel_mm
+from sabench.algorithms.particles.candidate_search import (
+    BRIGHTEST,
+    find_candidates,
+    pixel_mm,
+    split_directions,
+)
 from sabench.algorithms.particles.image_statistics import ImageStatistics
 from sabench.algorithms.particles.joint_fit import (
     ImageModel,
@@ -46,9 +51,11 @@ from sabench.utils.arrays import F32, F64, I64, Bool
 _BOX = 8.0  # volume of the box in its coordinates
 _BETWEEN, _COMMON = 0.1, 0.4  # first scatter between cameras, and of what they have in common
 _FLOOR = 2.0  # standard deviations of noise: the least floor of candidates
+_MORE = 0.5  # of the particles so far: candidates beside them
 _DIMMEST = 0.03  # of a typical peak: darker light is as good as none
 _OVERLAP = 4.8  # widths of images: distance of those that overlap
 _ALONE, _LEAST_ALONE, _HARDLY = 0.03, 60, 0.1  # share, number and overlap of lone particles
+_NORMAL = 1.4826  # standard deviation of a normal error over its median
 _FEW = 30  # particles that tell nothing of all
 _BORDER = 4.8  # widths: distance from the border where images are not complete
 _MISFIT = 4.0  # standard deviations: particles that fit no better may be two
@@ -56,7 +63,8 @@ _DOUBTFUL = 0.3  # largest share of particles that are tried as two
 _ALIGNMENTS, _FARTHEST_PX = 2, 0.5  # steps of cameras' shifts, and the longest of each
 _WIDTH_ERROR, _WIDTH_CHANGE = 0.2, 0.05  # of the first widths, and over the box: their scatter
 _WIDTH_STEPS = 2
-_OWN_ERROR = 0.03  # of a particle's image: particles differ
+_OWN_ERROR = 0.03, 0.12  # of a particle's image, least and most: particles differ
+_OWN_PEAKS = 2.0  # typical peaks: light in which that error is clear of noise
 _UNKNOWN = 0.25  # of light that is left: other particles' tails do not explain it
 _APART = 1.1  # widths: distance of the two of a split from their middle
 _CERTAIN = 30.0  # logarithm of the highest odds
@@ -99,6 +107,7 @@ class ParticleSearch:
         nothing of what is behind them.
     left, variance : the images less all particles, and the variance of each pixel.
     position, light : (n, 3) in the box of the maps, (n, camera).
+    hidden : (all cameras, row, column) areas that something hides from a camera in every frame.
     sure : (n,) whether a particle earned several times its price.
     odds : (n,) logarithm of the odds that it is real.
     tag : (n,) numbers that a caller gave particles, -1 for those found here.
@@ -128,6 +137,8 @@ class ParticleSearch:
         self.maps = maps._replace(coefficients=maps.coefficients[self.shown])
         self.number, self.noise = statistics.number, statistics.noise[self.shown]
         self.typical = statistics.light[self.shown]
+        self.hidden: Bool | None = None
+        self.own_error = np.full(len(self.typical), _OWN_ERROR[0])
         self.reset_covariance()
         self.show(images, flaws)
         self.set_width(statistics.sigma[self.shown])
@@ -135,7 +146,9 @@ class ParticleSearch:
     def show(self, images: F32, flaws: Flaws) -> None:
         """Take the images of a frame, with all cameras, and no particles."""
         self.images = images[self.shown]
-        self.known, self.covered = ~flaws.unknown[self.shown], flaws.covered[self.shown]
+        covered = flaws.covered if self.hidden is None else flaws.covered | self.hidden
+        self.covered = covered[self.shown]
+        self.known = ~(flaws.points | covered)[self.shown]
         self.left, self.variance = self.images.copy(), np.ones_like(self.images)
         self.position, self.light = np.zeros((0, 3)), np.zeros((0, len(self.images)))
         self.sure, self.tag = np.zeros(0, dtype=np.bool_), np.zeros(0, dtype=np.int64)
@@ -253,6 +266,14 @@ class ParticleSearch:
         """Make the kernels' view of the particles, all alive."""
         return Particles(self.position, self.light, np.ones(len(self.position), dtype=np.bool_))
 
+    def unexplained(self) -> float:
+        """Compute the share of the light that is left; the median over the cameras."""
+        shares = [
+            float(left[known].sum() / max(image[known].sum(), 1e-6))
+            for left, image, known in zip(self.left, self.images, self.known, strict=True)
+        ]
+        return float(np.median(shares))
+
     def common_light(self) -> F64:
         """Compute the mean light (n,) over cameras, in a typical particle's."""
         return np.asarray(np.exp(np.log(self.light / self.typical).mean(axis=1)))
@@ -294,7 +315,10 @@ class ParticleSearch:
         self.odds = np.concatenate([self.odds, np.zeros(count)])
 
     def find(self, floor: float) -> None:
-        """Add candidates from what is left of the images."""
+        """Add candidates from what is left of the images, the brightest.
+
+        Many at once would take each other's light, and that of particles.
+        """
         peaks = self._peaks()[:, None, None]
         dark = np.maximum(self.noise[:, None, None] / peaks, _DIMMEST)
         logs = np.log(np.clip(self.left / peaks, dark, BRIGHTEST))
@@ -304,6 +328,8 @@ class ParticleSearch:
         least = max(floor, _FLOOR * float(dark.max()))
         found = find_candidates(self.maps, logs, math.log(least), spread)
         first = len(self.position)
+        if first:
+            found = found[: int(_MORE * max(first, self.number))]
         self.append(len(found), 0.0)
         self.position[first:] = found
         start_light(self.model(), self.room, self.particles(), first)
@@ -329,7 +355,7 @@ class ParticleSearch:
             variance = np.minimum(
                 max(even, dark) + max(slope, 0.0) * model, dark + (cap * peak) ** 2
             )
-            least = (_OWN_ERROR * model) ** 2 + (_UNKNOWN * self.left[camera]) ** 2
+            least = (self.own_error[camera] * model) ** 2 + (_UNKNOWN * self.left[camera]) ** 2
             self.variance[camera] = np.maximum(variance, dark + least)
 
     def remove(self, lone: bool) -> None:
@@ -370,21 +396,8 @@ class ParticleSearch:
         order = order[misfit[order] > _MISFIT]
         self.sure[order] = False
         self.append(len(order), 1.0)
-        directions = np.array(
-            [
-                [1.0, 0.0, 0.0],
-                [0.0, 1.0, 0.0],
-                [0.0, 0.0, 3.0],
-                [0.7, 0.7, 0.0],
-                [0.7, -0.7, 0.0],
-                [0.7, 0.0, 2.0],
-                [0.0, 0.7, 2.0],
-                [0.7, 0.0, -2.0],
-                [0.0, 0.7, -2.0],
-            ]
-        )
         width = float(self.sigma.max())
-        steps = _APART * width * pixel_mm(self.maps) / self.maps.half_mm * directions
+        steps = _APART * width / self.maps.half_mm * split_directions(self.maps)
         count = split_pairs(model, self.room, self.particles(), order, count, steps)
         self.select(np.arange(len(self.position)) < count)
 
@@ -422,6 +435,20 @@ class ParticleSearch:
             most = _WIDTH_CHANGE * sigma
             self.widths += np.clip(step, -most, most)
             self.subtract_all()
+
+    def learn_own_error(self) -> None:
+        """Learn from bright pixels how far images of particles are from the model's.
+
+        That must be before particles are split: two fit any image better than one.
+        """
+        for camera, peak in enumerate(self._peaks()):
+            model = self.images[camera] - self.left[camera]
+            bright = self.known[camera] & (model > _OWN_PEAKS * peak)
+            if bright.sum() > _FEW:
+                error = _NORMAL * float(
+                    np.median(np.abs(self.left[camera][bright] / model[bright]))
+                )
+                self.own_error[camera] = min(max(error, _OWN_ERROR[0]), _OWN_ERROR[1])
 
     def align(self) -> None:
         """Shift each camera's pixels to where it sees the particles.

@@ -19,7 +19,7 @@ from sabench.algorithms.particles.bayesian_ipr import (
     CAPS,
     FLOORS,
     BayesianIprSettings,
-    images_less_black,
+    dark_images,
     search_frame,
     split_and_find,
 )
@@ -267,7 +267,7 @@ class _Tracker:
         place = (tracks.state[:, 0] - self.maps.middle_mm) / self.maps.half_mm
         known = np.median(error, axis=1) < _KNOWN_PX * pixel_mm(self.maps)
         rows = np.flatnonzero(known & (np.abs(place) <= 1.0).all(axis=1))
-        search.show(*images_less_black(case))
+        search.show(*dark_images(case))
         search.put(place[rows], tracks.light[rows], rows)
         search.weigh(CAPS[0])
         search.refine(_SHAKES)

@@ -1,0 +1,132 @@
+"""Background of images, its noise, and bright things that are no particles.
+
+Images may be brighter than black between particles, differently from place to place: scattered
+light, or what a sliding minimum leaves of noise. The background of a tile is its mode, estimated by
+clipping (E. Bertin and S. Arnouts, SExtractor, Astron. Astrophys. Suppl. 117, 393, 1996).
+"""
+
+from __future__ import annotations
+
+import math
+
+import cv2
+import numpy as np
+
+from sabench.algorithms.particles.image_statistics import measure_images
+from sabench.images.flaws import Flaws
+from sabench.utils.arrays import F32, F64, Bool
+
+_TILE = 24  # px: many particles' spacings, and few of them in the background's changes
+_BLACK = 0.02  # share of a tile's values at or below black: there it is dark between particles
+_CLIP, _CLIPS = 3.0, 12  # standard deviations, and the most rounds
+_FEW = 20  # values that tell nothing
+_DENSE = 0.04  # scatter of the background over the image's bright pixels: above, it is particles
+_BRIGHT = 99.0  # percentile that stands for bright particles' pixels
+_SPOT = 7  # px: a particle's image is narrower
+_SPOT_LIGHT = 0.5  # of bright pixels, in all of a square: no particle
+_MANY, _CHANCE = 8.0, 6.0  # typical particles, and standard deviations of overlapping ones
+_SEARCHES = 4  # for bright spots, as each makes typical light a little too large
+_EXPECTED = 8.0  # particles in a window that may be dark for a reason
+_DARK = 0.05  # of an image's mean: light in it
+_HALO = 6  # px around bright spots
+
+
+def clear_images(images: F32, flaws: Flaws) -> tuple[F32, Flaws]:
+    """Take the background from images less black, and cover bright spots.
+
+    Images are (camera, row, column).
+    """
+    cleared, covered = images.copy(), flaws.covered.copy()
+    for camera, image in enumerate(cleared):
+        known = ~flaws.unknown[camera]
+        spots = find_bright_spots(image, known)
+        background = estimate_background(image, known & ~spots)
+        if background is not None:
+            image -= background
+        for _ in range(_SEARCHES):
+            light = float(measure_images(image[None], (known & ~spots)[None]).light[0])
+            more = find_bright_spots(image, known & ~spots, light) & ~spots
+            if not more.any():
+                break
+            spots |= more
+        covered[camera] |= spots
+    return cleared, Flaws(flaws.points, covered)
+
+
+def estimate_background(image: F32, known: Bool) -> F32 | None:
+    """Estimate the background of an image (row, column) less black.
+
+    None where black is the background, or where particles leave no pixel between them: then
+    nothing tells.
+    """
+    values = np.where(known, image, np.nan)
+    rows, columns = (max(size // _TILE, 1) for size in image.shape)
+    tiles = [
+        tile.ravel()[np.isfinite(tile.ravel())]
+        for strip in np.array_split(values, rows)
+        for tile in np.array_split(strip, columns, axis=1)
+    ]
+    bright = float(np.percentile(image[known], _BRIGHT)) if known.any() else 0.0
+    modes = [_mode(tile) if len(tile) > _FEW else None for tile in tiles]
+    levels, scatter = (np.array([np.nan if m is None else m[k] for m in modes]) for k in (0, 1))
+    clear = scatter < _DENSE * bright
+    if not clear.any() or np.median([np.mean(tile <= 0.0) for tile in tiles if len(tile)]) > _BLACK:
+        return None
+    level = np.where(clear, levels, np.median(levels[clear])).reshape(rows, columns)
+    grid = cv2.medianBlur(level.astype(np.float32), 3) if min(level.shape) > 2 else level
+    size = image.shape[::-1]
+    smooth = cv2.resize(np.float32(grid), size, interpolation=cv2.INTER_LINEAR)
+    return np.maximum(smooth, np.float32(0.0))
+
+
+def _mode(values: F64) -> tuple[float, float]:
+    """Estimate the mode and the scatter of what remains after clipping."""
+    for _ in range(_CLIPS):
+        middle, scatter = float(np.median(values)), float(values.std())
+        kept = values[np.abs(values - middle) <= _CLIP * scatter]
+        if len(kept) == len(values) or len(kept) < _FEW:
+            break
+        values = kept
+    return 2.5 * float(np.median(values)) - 1.5 * float(values.mean()), float(values.std())
+
+
+def find_bright_spots(image: F32, known: Bool, light: float = 0.0) -> Bool:
+    """Mark glints and other bright things (row, column) that are no particles.
+
+    They are wider than a particle's image or, where the light of a typical particle is known, many
+    times as bright.
+    """
+    shown = np.where(known, image, np.float32(0.0))
+    bright = max(float(np.percentile(image[known], _BRIGHT)) if known.any() else 0.0, 1e-6)
+    square = np.ones((_SPOT, _SPOT), np.uint8)
+    spots = cv2.morphologyEx(shown, cv2.MORPH_OPEN, square) > _SPOT_LIGHT * bright
+    if light:
+        sums = cv2.boxFilter(shown, -1, (_SPOT, _SPOT), normalize=False)
+        excess = sums - np.median(sums)
+        scatter = 1.4826 * float(np.median(np.abs(excess)))
+        spots |= excess > _MANY * light + _CHANCE * scatter
+    halo = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * _HALO + 1, 2 * _HALO + 1))
+    return np.asarray(cv2.dilate(spots.astype(np.uint8), halo) > 0)
+
+
+def find_dark_areas(images: F32, flaws: Flaws, number: float) -> Bool:
+    """Mark areas without light in which several particles are expected.
+
+    They are (camera, row, column). The images hold `number` particles. Something may hide the volume there.
+    """
+    cameras, rows, columns = images.shape
+    edge = math.ceil(math.sqrt(_EXPECTED * rows * columns / max(number, 1.0)))
+    dark = np.zeros(images.shape, dtype=np.bool_)
+    if 2 * edge > min(rows, columns):
+        return dark
+    window = np.ones((edge, edge), np.uint8)
+    for camera in range(cameras):
+        known = ~flaws.unknown[camera]
+        sums, counts = (
+            cv2.boxFilter(one.astype(np.float32), -1, (edge, edge), normalize=False)
+            for one in (np.where(known, images[camera], 0.0), known)
+        )
+        mean = float(images[camera][known].mean()) if known.any() else 0.0
+        empty = sums < _DARK * mean * counts
+        dark[camera] = cv2.dilate(empty.astype(np.uint8), window) > 0
+    return dark

@@ -1,0 +1,88 @@
+"""Backgrounds, glints and hidden areas of images of known particles."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from sabench.algorithms.particles.background import (
+    clear_images,
+    estimate_background,
+    find_bright_spots,
+    find_dark_areas,
+)
+from sabench.images.flaws import Flaws
+from sabench.utils.arrays import F32, F64
+from tests.helpers.image_model import profile
+
+ROWS, COLUMNS = 240, 320
+NOISE, LIGHT = 2.0, 200.0
+
+
+def image(per_pixel: float, seed: int, spread: float = 0.3) -> F32:
+    """An image of particles of mean light 200 with noise, on black."""
+    rng = np.random.default_rng(seed)
+    count = int(per_pixel * (ROWS + 20) * (COLUMNS + 20))
+    center = rng.uniform(-10.0, (COLUMNS + 10.0, ROWS + 10.0), (count, 2))
+    light = LIGHT * np.exp(spread * rng.standard_normal(count) - 0.5 * spread**2)
+    x, y = profile(center[:, 0], 0.7, COLUMNS), profile(center[:, 1], 0.7, ROWS)
+    shown = (y * light[:, None]).T @ x + NOISE * rng.standard_normal((ROWS, COLUMNS))
+    return np.asarray(shown, dtype=np.float32)
+
+
+def glint(row: int, column: int, sigma: float) -> F64:
+    """A reflection thirty times as bright as a particle's peak."""
+    rows, columns = np.mgrid[:ROWS, :COLUMNS]
+    return np.asarray(
+        2000.0 * np.exp(-((rows - row) ** 2 + (columns - column) ** 2) / (2.0 * sigma**2))
+    )
+
+
+@pytest.mark.parametrize("per_pixel", [0.005, 0.02, 0.05])
+def test_a_background_is_found_to_the_noise(per_pixel: float) -> None:
+    ramp = np.linspace(20.0, 60.0, COLUMNS, dtype=np.float32)[None, :] * np.ones((ROWS, 1))
+    shown = (image(per_pixel, 1) + ramp).astype(np.float32)
+    found = estimate_background(shown, np.ones(shown.shape, dtype=np.bool_))
+    assert found is not None
+    apart = (found - ramp)[24:-24, 24:-24]
+    assert np.abs(np.median(apart)) < NOISE
+    assert np.percentile(np.abs(apart), 95) < 2.0 * NOISE
+
+
+@pytest.mark.parametrize("per_pixel", [0.005, 0.05, 0.2])
+def test_where_it_is_black_nothing_is_taken_and_particles_are_no_glints(per_pixel: float) -> None:
+    shown = image(per_pixel, 2, spread=0.6)[None]
+    cleared, flaws = clear_images(shown, Flaws.none(shown.shape))
+    np.testing.assert_array_equal(cleared, shown)
+    assert not flaws.unknown.any()
+
+
+@pytest.mark.parametrize("per_pixel", [0.01, 0.1])
+def test_glints_are_covered_and_their_surroundings_are_not(per_pixel: float) -> None:
+    centers = [(60, 70, 2.0), (150, 250, 4.0)]
+    light = sum(glint(*one) for one in centers)
+    shown = (image(per_pixel, 3) + light).astype(np.float32)[None]
+    _, flaws = clear_images(shown, Flaws.none(shown.shape))
+    covered = flaws.covered[0]
+    assert covered[light > 0.02 * light.max()].all()
+    assert covered.mean() < 0.02
+    assert not flaws.points.any()
+
+
+def test_spots_of_nothing_are_none() -> None:
+    none = np.zeros((ROWS, COLUMNS), dtype=np.float32)
+    assert not find_bright_spots(none, np.ones(none.shape, dtype=np.bool_)).any()
+    assert not find_bright_spots(none, np.zeros(none.shape, dtype=np.bool_)).any()
+
+
+def test_areas_that_show_nothing_are_dark() -> None:
+    images = np.stack([image(0.05, seed) for seed in (4, 5)])
+    images[1, :100, :120] = NOISE * np.random.default_rng(6).standard_normal((100, 120))
+    number = 0.05 * ROWS * COLUMNS
+    dark = find_dark_areas(images, Flaws.none(images.shape), number)
+    assert dark[0].mean() < 0.005
+    hidden = np.zeros((ROWS, COLUMNS), dtype=np.bool_)
+    hidden[:100, :120] = True
+    assert (dark[1] & hidden).sum() > 0.97 * hidden.sum()
+    assert (dark[1] & ~hidden).mean() < 0.01
+    assert not find_dark_areas(images, Flaws.none(images.shape), 5.0).any()  # too few to tell
