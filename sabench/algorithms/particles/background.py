@@ -76,7 +76,7 @@ def estimate_background(image: F32, known: Bool) -> F32 | None:
     grid = cv2.medianBlur(level.astype(np.float32), 3) if min(level.shape) > 2 else level
     size = image.shape[::-1]
     smooth = cv2.resize(np.float32(grid), size, interpolation=cv2.INTER_LINEAR)
-    return np.maximum(smooth, np.float32(0.0))
+    return np.asarray(np.maximum(smooth, np.float32(0.0)))
 
 
 def _mode(values: F64) -> tuple[float, float]:
@@ -112,7 +112,8 @@ def find_bright_spots(image: F32, known: Bool, light: float = 0.0) -> Bool:
 def find_dark_areas(images: F32, flaws: Flaws, number: float) -> Bool:
     """Mark areas without light in which several particles are expected.
 
-    They are (camera, row, column). The images hold `number` particles. Something may hide the volume there.
+    They are (camera, row, column). The images hold `number` particles. Something may hide the
+    volume there.
     """
     cameras, rows, columns = images.shape
     edge = math.ceil(math.sqrt(_EXPECTED * rows * columns / max(number, 1.0)))

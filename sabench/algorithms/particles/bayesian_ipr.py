@@ -62,7 +62,7 @@ def reconstruct_most_probable(
 
 
 def dark_images(case: Observation) -> tuple[F32, Flaws]:
-    """Return the repaired images (camera, row, column) less background, and their flaws."""
+    """Return repaired images (camera, row, column) less background, and flaws."""
     good = case.repaired
     return clear_images(good.images.astype(np.float32) - np.float32(case.black_dn), good.flaws)
 

@@ -60,7 +60,7 @@ def test_where_it_is_black_nothing_is_taken_and_particles_are_no_glints(per_pixe
 @pytest.mark.parametrize("per_pixel", [0.01, 0.1])
 def test_glints_are_covered_and_their_surroundings_are_not(per_pixel: float) -> None:
     centers = [(60, 70, 2.0), (150, 250, 4.0)]
-    light = sum(glint(*one) for one in centers)
+    light = np.sum([glint(*one) for one in centers], axis=0)
     shown = (image(per_pixel, 3) + light).astype(np.float32)[None]
     _, flaws = clear_images(shown, Flaws.none(shown.shape))
     covered = flaws.covered[0]
