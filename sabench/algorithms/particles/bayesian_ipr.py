@@ -86,7 +86,6 @@ def search_frame(
         if hidden.any():
             search = _find_most(images, again, maps, settings) or search
             search.hidden = hidden
-    search.learn_own_error()
     for _ in range(settings.splits):
         search.weigh(CAPS[1])
         split_and_find(search)

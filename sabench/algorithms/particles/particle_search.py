@@ -55,7 +55,6 @@ _MORE = 0.5  # of the particles so far: candidates beside them
 _DIMMEST = 0.03  # of a typical peak: darker light is as good as none
 _OVERLAP = 4.8  # widths of images: distance of those that overlap
 _ALONE, _LEAST_ALONE, _HARDLY = 0.03, 60, 0.1  # share, number and overlap of lone particles
-_NORMAL = 1.4826  # standard deviation of a normal error over its median
 _FEW = 30  # particles that tell nothing of all
 _BORDER = 4.8  # widths: distance from the border where images are not complete
 _MISFIT = 4.0  # standard deviations: particles that fit no better may be two
@@ -63,8 +62,7 @@ _DOUBTFUL = 0.3  # largest share of particles that are tried as two
 _ALIGNMENTS, _FARTHEST_PX = 2, 0.5  # steps of cameras' shifts, and the longest of each
 _WIDTH_ERROR, _WIDTH_CHANGE = 0.2, 0.05  # of the first widths, and over the box: their scatter
 _WIDTH_STEPS = 2
-_OWN_ERROR = 0.03, 0.12  # of a particle's image, least and most: particles differ
-_OWN_PEAKS = 2.0  # typical peaks: light in which that error is clear of noise
+_OWN_ERROR = 0.03  # of a particle's image: particles differ
 _UNKNOWN = 0.25  # of light that is left: other particles' tails do not explain it
 _APART = 1.1  # widths: distance of the two of a split from their middle
 _CERTAIN = 30.0  # logarithm of the highest odds
@@ -138,7 +136,6 @@ class ParticleSearch:
         self.number, self.noise = statistics.number, statistics.noise[self.shown]
         self.typical = statistics.light[self.shown]
         self.hidden: Bool | None = None
-        self.own_error = np.full(len(self.typical), _OWN_ERROR[0])
         self.reset_covariance()
         self.show(images, flaws)
         self.set_width(statistics.sigma[self.shown])
@@ -355,7 +352,7 @@ class ParticleSearch:
             variance = np.minimum(
                 max(even, dark) + max(slope, 0.0) * model, dark + (cap * peak) ** 2
             )
-            least = (self.own_error[camera] * model) ** 2 + (_UNKNOWN * self.left[camera]) ** 2
+            least = (_OWN_ERROR * model) ** 2 + (_UNKNOWN * self.left[camera]) ** 2
             self.variance[camera] = np.maximum(variance, dark + least)
 
     def remove(self, lone: bool) -> None:
@@ -435,20 +432,6 @@ class ParticleSearch:
             most = _WIDTH_CHANGE * sigma
             self.widths += np.clip(step, -most, most)
             self.subtract_all()
-
-    def learn_own_error(self) -> None:
-        """Learn from bright pixels how far images of particles are from the model's.
-
-        That must be before particles are split: two fit any image better than one.
-        """
-        for camera, peak in enumerate(self._peaks()):
-            model = self.images[camera] - self.left[camera]
-            bright = self.known[camera] & (model > _OWN_PEAKS * peak)
-            if bright.sum() > _FEW:
-                error = _NORMAL * float(
-                    np.median(np.abs(self.left[camera][bright] / model[bright]))
-                )
-                self.own_error[camera] = min(max(error, _OWN_ERROR[0]), _OWN_ERROR[1])
 
     def align(self) -> None:
         """Shift each camera's pixels to where it sees the particles.
