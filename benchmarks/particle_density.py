@@ -96,12 +96,9 @@ CASES = {
 SOLVERS = ("bayesian_ipr", "ipr", "openlpt", "optv")
 
 
-def scene_of(case: str) -> Scene:
-    """Change the standard scene to a case."""
-    return _build(CASES[case], case)
-
-
-def _build(case: Case, name: str) -> Scene:
+def scene_of(name: str) -> Scene:
+    """Change a bundled scene to a case."""
+    case = CASES[name]
     values = tomllib.loads(find(case.scene, "scenes").read_text(encoding="utf-8"))
     values["particles"]["per_pixel"] = case.per_pixel
     values["illumination"] |= case.light

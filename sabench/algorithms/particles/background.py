@@ -1,4 +1,4 @@
-"""Background of images, its noise, and bright things that are no particles.
+"""Background of images, bright things that are no particles, and hidden areas.
 
 Images may be brighter than black between particles, differently from place to place: scattered
 light, or what a sliding minimum leaves of noise. The background of a tile is its mode, estimated by

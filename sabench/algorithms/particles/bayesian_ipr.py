@@ -83,8 +83,9 @@ def search_frame(
         hidden = find_dark_areas(images, flaws, search.number)
         hidden[~search.shown] = False
         again = Flaws(flaws.points, flaws.covered | hidden)
-        if hidden.any():
-            search = _find_most(images, again, maps, settings) or search
+        without = _find_most(images, again, maps, settings) if hidden.any() else None
+        if without is not None:
+            search = without
             search.hidden = hidden
     for _ in range(settings.splits):
         search.weigh(CAPS[1])

@@ -54,4 +54,5 @@ def test_a_covariance_is_symmetric_and_positive(name: str, wrong: np.ndarray) ->
 def test_rounding_leaves_a_covariance_one() -> None:
     matrix = np.diag([1e-6, 2e-6, 3e-6])
     matrix[0, 1] = 1e-15
-    FoundParticles(_PLACES[:1], covariance_mm2=matrix[None])
+    found = FoundParticles(_PLACES[:1], covariance_mm2=matrix[None])
+    np.testing.assert_array_equal(found.covariance_mm2, matrix[None])
