@@ -19,26 +19,19 @@ from sabench.dataset.camera_files import CamerasFile
 from sabench.dataset.reader import Dataset
 from sabench.dataset.results import Result, ResultWriter
 from sabench.dataset.schema import frame_group
-from sabench.geometry.grid import Grid, synthesise
+from sabench.geometry.grid import synthesise
 from sabench.images.position_bounds import position_bounds
 from sabench.metrics.averages import finite_or_none, mean_of_each, root_mean_square
 from sabench.metrics.claimed_accuracy import brier_score, coverage, rms_over_bound
-from sabench.metrics.motion_errors import (
-    accelerations,
-    claimed_errors,
-    median_errors,
-)
 from sabench.metrics.particle_bounds import true_spots
 from sabench.metrics.particle_detection import (
-    CHALLENGE_RADIUS,
     challenge_pairs,
     count_challenge,
     count_duplicates,
     f1_over_distance,
 )
-from sabench.metrics.track_identity import Sightings, identity_scores
-from sabench.metrics.trajectories import link_scores
 from sabench.plotting import pictures
+from sabench.tasks.particles_over_time import score_over_time
 from sabench.tasks.reconstruction import PARTICLE_IMAGES
 from sabench.tasks.solver_call import call_solver
 from sabench.tasks.task import (
@@ -210,7 +203,7 @@ class ParticlesTask(Task):
                 self.frames(data), progress_bar(pairs, "score"), strict=True
             )
         ]
-        return mean_of_each(frames) | _over_time(data, found, truth)
+        return mean_of_each(frames) | score_over_time(data, found, truth)
 
     def _all(
         self, data: Dataset, source: Source, truth: Sequence[Particles] = ()
@@ -364,12 +357,6 @@ def _bounds(data: Dataset, frame: int, rows: I64) -> F64:
     return position_bounds(spots, rows)
 
 
-def _scored_pairs(found: F64, true: F64, scored: Bool) -> tuple[I64, I64]:
-    """Match found and true particles; keep pairs whose truth is in the scored part."""
-    i, j = challenge_pairs(found, true)
-    return i[scored[j]], j[scored[j]]
-
-
 def _apart_px(data: Dataset, found_mm: F64, true_mm: F64) -> float | None:
     """Compute the RMS distance of pairs of points in the true cameras' images."""
     apart = [
@@ -377,98 +364,6 @@ def _apart_px(data: Dataset, found_mm: F64, true_mm: F64) -> float | None:
         for camera in data.true_cameras
     ]
     return finite_or_none(root_mean_square(np.concatenate(apart)))
-
-
-def _over_time(
-    data: Dataset, found: Sequence[FoundParticles], truth: Sequence[Particles]
-) -> Figures:
-    """Score trajectories.
-
-    Only those particles count that lie in the scored part, or belong to a true particle that does.
-    """
-    grid, times = data.setup.grid, [data.setup.time_s(n) for n in range(data.setup.frames)]
-    parts = [_scored_part(grid, one, true) for one, true in zip(found, truth, strict=True)]
-    sequences = data.setup.sequences()
-    scores = link_scores(
-        [part.found.position_mm for part in parts],
-        [np.asarray(part.found.trajectory) for part in parts],
-        [part.true.position_mm for part in parts],
-        [part.true.id for part in parts],
-        [part.pairs for part in parts],
-        times,
-        sequences,
-    )
-    sightings = [[_sighting(grid, parts[n]) for n in frames] for frames in sequences]
-    scores |= identity_scores(sightings) | _motion_scores(parts, times, sequences)
-    return {key: finite_or_none(value) for key, value in scores.items()}
-
-
-@dataclass(frozen=True)
-class _ScoredPart:
-    """Scored particles of a frame, found and true, and rows that form pairs."""
-
-    found: FoundParticles
-    true: Particles
-    pairs: tuple[I64, I64]
-
-
-def _scored_part(grid: Grid, found: FoundParticles, true: Particles) -> _ScoredPart:
-    """Select those in the scored part, and those paired with a true one there."""
-    there = grid.in_scored(grid.to_voxels(true.position_mm))
-    voxels = grid.to_voxels(found.position_mm)
-    i, j = _scored_pairs(voxels, grid.to_voxels(true.position_mm), there)
-    kept = grid.in_scored(voxels)
-    kept[i] = True
-    scored = Particles(
-        true.id[there], true.position_mm[there], true.diameter_mm[there], true.velocity_mm_s[there]
-    )
-    pairs = (np.cumsum(kept) - 1)[i], (np.cumsum(there) - 1)[j]
-    return _ScoredPart(found.rows(kept), scored, pairs)
-
-
-def _sighting(grid: Grid, part: _ScoredPart) -> Sightings:
-    (i, j), numbers = part.pairs, np.asarray(part.found.trajectory)
-    apart = grid.to_voxels(part.found.position_mm[i]) - grid.to_voxels(part.true.position_mm[j])
-    near = np.abs(apart).max(axis=1, initial=0.0) / CHALLENGE_RADIUS
-    return Sightings(numbers, part.true.id, part.pairs, near)
-
-
-def _motion_scores(
-    parts: Sequence[_ScoredPart], times: Sequence[float], sequences: Sequence[range]
-) -> dict[str, float]:
-    """Score accelerations, and velocities if they are claimed."""
-    claimed = [part.found.velocity_mm_s for part in parts]
-    scores = {}
-    if all(one is not None for one in claimed):
-        pairs = [
-            (np.asarray(one)[part.pairs[0]], part.true.velocity_mm_s[part.pairs[1]])
-            for one, part in zip(claimed, parts, strict=True)
-        ]
-        off, percent = median_errors(*claimed_errors(pairs))
-        scores = {"velocity_mm_s": off, "velocity_percent": percent}
-    threes = [frames[k : k + 3] for frames in sequences for k in range(len(frames) - 2)]
-    pairs = [
-        _accelerations_of([parts[n] for n in three], times[three[1]] - times[three[0]])
-        for three in threes
-        if np.isclose(times[three[1]] - times[three[0]], times[three[2]] - times[three[1]])
-    ]
-    return scores | {"acceleration_percent": median_errors(*claimed_errors(pairs))[1]}
-
-
-def _accelerations_of(parts: Sequence[_ScoredPart], duration: float) -> tuple[F64, F64]:
-    """Pair estimated and true accelerations in the middle one of three frames."""
-    middle = parts[1]
-    rows, true = accelerations([(one.true.id, one.true.position_mm) for one in parts], duration)
-    i, j = middle.pairs
-    if middle.found.acceleration_mm_s2 is not None:
-        own, estimate = np.arange(len(middle.found.position_mm)), middle.found.acceleration_mm_s2
-    else:
-        own, estimate = accelerations(
-            [(np.asarray(one.found.trajectory), one.found.position_mm) for one in parts], duration
-        )
-    _, a, k = np.intersect1d(own, i, return_indices=True)
-    _, b, m = np.intersect1d(rows, j[k], return_indices=True)
-    return estimate[a[m]], true[b]
 
 
 TASK = ParticlesTask()
