@@ -163,4 +163,17 @@ def project_points(maps: VolumePolynomials, camera: int, points: F64) -> F64:
 
     The points' coordinates run from -1 to 1.
     """
-    return np.asarray(np.prod(points[:, None] ** maps.powers, axis=2) @ maps.coefficients[camera])
+    return project_with_slopes(maps, camera, points)[0]
+
+
+def project_with_slopes(maps: VolumePolynomials, camera: int, points: F64) -> tuple[F64, F64]:
+    """Compute a camera's pixels (n, 2) of points (n, 3), and their derivatives (n, 2, 3)."""
+    pixels, slopes = np.empty((len(points), 2)), np.empty((len(points), 2, 3))
+    _project_each(maps, camera, np.ascontiguousarray(points, dtype=np.float64), pixels, slopes)
+    return pixels, slopes
+
+
+@numba.njit(cache=True)
+def _project_each(maps: Any, camera: int, points: Any, pixels: Any, slopes: Any) -> None:
+    for n in range(len(points)):
+        project_point(maps, camera, points[n], pixels[n], slopes[n])

@@ -62,8 +62,9 @@ def position_bounds(cameras: Sequence[ParticleSpots], rows: I64) -> F64:
     every = np.concatenate([np.zeros((0, _UNKNOWNS, _UNKNOWNS)), *blocks])
     count = len(cameras[0].pixel)
     unique, place = np.unique(keys[:, 0] * count + keys[:, 1], return_inverse=True)
-    summed = np.zeros((len(unique), _UNKNOWNS, _UNKNOWNS))
-    np.add.at(summed, place, every)
+    order = np.argsort(place, kind="stable")
+    starts = np.searchsorted(place[order], np.arange(len(unique)))
+    summed = np.add.reduceat(every[order], starts) if len(every) else every
     first = np.searchsorted(unique, np.arange(count + 1) * count)
     bounds: F64 = _invert(first, unique % max(count, 1), summed, np.asarray(rows, dtype=np.int64))
     return bounds

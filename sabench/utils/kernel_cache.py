@@ -3,7 +3,9 @@
 numba compiles a kernel again when its own file has changed, but not when another file has changed
 whose kernels it calls. The stamp of every kernel of sabench and of plug-ins therefore contains the
 sources of all modules of sabench that its module imports, directly or not. numba compares the stamp
-in each index of its cache, and replaces the index if it differs.
+in each index of its cache, and replaces the index if it differs. It reads the whole index first,
+which fails where a class has moved to another module since, or where the file is damaged: such an
+index counts as empty, too.
 """
 
 from __future__ import annotations
@@ -11,8 +13,10 @@ from __future__ import annotations
 import functools
 import hashlib
 import importlib.machinery
+import pickle
 import re
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -56,6 +60,18 @@ class _OnImport:
 def _install(caching: ModuleType) -> None:
     locators = caching.CacheImpl._locator_classes
     caching.CacheImpl._locator_classes = [_locator_of(tuple(locators)), *locators]
+    caching.IndexDataCacheFile._load_index = _or_empty(caching.IndexDataCacheFile._load_index)
+
+
+def _or_empty(load: Callable[[Any], dict[Any, str]]) -> Callable[[Any], dict[Any, str]]:
+    @functools.wraps(load)
+    def load_index(index: Any) -> dict[Any, str]:
+        try:
+            return load(index)
+        except (pickle.UnpicklingError, AttributeError, EOFError, ImportError, IndexError):
+            return {}
+
+    return load_index
 
 
 def _locator_of(others: tuple[Any, ...]) -> type:

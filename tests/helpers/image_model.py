@@ -7,7 +7,7 @@ import math
 import numpy as np
 from scipy.special import erf
 
-from sabench.algorithms.particles.joint_fit import ImageModel, Particles, Room, make_room
+from sabench.algorithms.particles.image_model import ImageModel, Particles, Room, make_room
 from sabench.algorithms.particles.light_prior import even_covariance
 from sabench.geometry.volume_polynomials import VolumePolynomials, project_points
 from sabench.utils.arrays import F64
@@ -41,6 +41,7 @@ def model_of(maps: VolumePolynomials, images: F64, between: float = 0.1) -> Imag
         np.full(cameras, TYPICAL),
         precision,
         float(np.linalg.slogdet(precision)[1]),
+        images.astype(np.float32),
         np.full(images.shape, 1.0 / NOISE**2, dtype=np.float32),
         images.astype(np.float32),
         math.log(30.0 / 8.0),

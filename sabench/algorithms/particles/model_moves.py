@@ -17,17 +17,16 @@ import numba
 import numpy as np
 from scipy.spatial import cKDTree
 
-from sabench.algorithms.particles.joint_fit import (
+from sabench.algorithms.particles.image_model import (
     SUMS,
-    adjust,
-    cost_of,
     look,
-    price,
+    place,
     put_in,
-    set_profile,
     sum_up,
     take_out,
+    window_within,
 )
+from sabench.algorithms.particles.joint_fit import adjust, cost_of, price
 from sabench.geometry.volume_polynomials import (
     VolumePolynomials,
     project_point,
@@ -39,6 +38,7 @@ from sabench.utils.arrays import F64, I64
 _NEIGHBOURS = 512  # that are fitted again around one particle
 _NEAR = 4.8  # widths of images: distance of a neighbour's image in some camera
 _SURE = 4.0  # prices that a particle earns which is not tried again
+_SHARED = 0.1  # of a particle's light in a pixel: more from others, and they may take it over
 _SAME = 0.8  # widths: distance of images of the two of a split that are one
 _SETTLE = 6  # fits of the two particles of a split
 _DOUBTFUL = 2  # of them, after which a split that does not pay is given up
@@ -99,6 +99,10 @@ def remove_ghosts(
     for n in order:
         position, light = particles.position[n], particles.light[n]
         least = price(model, room, position, light)
+        alone = _earned_alone(model, room, light)
+        if alone > _SURE * least:
+            sure[n], odds[n] = True, alone - least
+            continue
         first, last = starts[n], min(starts[n + 1], starts[n] + _NEIGHBOURS)
         for k in range(first, last):
             for p in range(3):
@@ -135,6 +139,45 @@ def remove_ghosts(
     return removed
 
 
+@numba.njit(cache=True)
+def _earned_alone(model: Any, room: Any, light: Any) -> float:
+    """Compute the least that a particle earns, where `price` was just asked for.
+
+    That is in pixels where others leave hardly any light, so that none of them can take over its
+    own; without the camera in which this is most, and less the cost of its light's prior.
+    """
+    most, total, prior = 0.0, 0.0, 0.0
+    for c in range(len(light)):
+        earned = _earned_in(
+            model.images[c],
+            model.left[c],
+            model.weight[c],
+            room.x[c],
+            room.y[c],
+            room.corner[c],
+            light[c],
+        )
+        most, total = max(most, earned), total + max(earned, 0.0)
+        for k in range(len(light)):
+            logs = math.log(light[c] / model.typical[c]), math.log(light[k] / model.typical[k])
+            prior += 0.5 * logs[0] * model.precision[c, k] * logs[1]
+    return float(total - most - prior)
+
+
+@numba.njit(cache=True)
+def _earned_in(
+    image: Any, left: Any, weights: Any, x: Any, y: Any, corner: Any, light: float
+) -> float:
+    earned = 0.0
+    top, bottom, first, last = window_within(corner, len(x), image.shape)
+    for i in range(top, bottom):
+        for j in range(first, last):
+            row, column, own = corner[1] + i, corner[0] + j, light * y[i] * x[j]
+            if image[row, column] - left[row, column] - own <= _SHARED * own:
+                earned += weights[row, column] * own * (left[row, column] + 0.5 * own)
+    return earned
+
+
 def near_any(chosen: Any, starts: I64, near: I64) -> Any:
     """Mark rows (n,) with a chosen one (n,) among their neighbours."""
     rows = np.repeat(np.arange(len(chosen)), np.diff(starts))
@@ -161,16 +204,14 @@ def measure_misfit(model: Any, room: Any, particles: Any, misfit: Any) -> None:
     """
     for n in range(len(misfit)):
         squares, count = 0.0, 0
+        place(model, room, particles.position[n])
         for c in range(len(model.typical)):
-            set_profile(model, room, c, particles.position[n])
-            left, weights = model.left[c], model.weight[c]
-            column, row = room.corner[c, 0], room.corner[c, 1]
-            rows, columns = left.shape
-            for i in range(max(0, -row), min(len(room.y[c]), rows - row)):
-                for j in range(max(0, -column), min(len(room.x[c]), columns - column)):
-                    each = weights[row + i, column + j]
-                    squares += each * left[row + i, column + j] ** 2
-                    count += each > 0.0
+            left, weights, corner = model.left[c], model.weight[c], room.corner[c]
+            top, bottom, first, last = window_within(corner, room.x.shape[1], left.shape)
+            for i in range(corner[1] + top, corner[1] + bottom):
+                for j in range(corner[0] + first, corner[0] + last):
+                    squares += weights[i, j] * left[i, j] ** 2
+                    count += weights[i, j] > 0.0
         misfit[n] = (squares - count) / math.sqrt(2.0 * count) if count else 0.0
 
 
@@ -278,8 +319,8 @@ def add_camera_misses(model: Any, room: Any, particles: Any, equations: Any) -> 
     The columns are the sums xx, xy, yy of the normal equations, and their right sides x and y.
     """
     for n in range(len(particles.position)):
+        sum_up(model, room, particles.position[n])
         for c in range(len(model.typical)):
-            sum_up(model, room, c, particles.position[n])
             light = particles.light[n, c]
             for k in range(3):
                 equations[c, k] += light * light * room.sums[c, SUMS - 5 + k]
@@ -303,16 +344,16 @@ def add_width_misses(
     own, both, terms, slopes = np.zeros(2), np.zeros((2, 2)), np.ones(4), np.zeros(2)
     for n in rows:
         terms[1:] = particles.position[n]
+        place(model, room, particles.position[n])
         for c in range(len(model.typical)):
-            set_profile(model, room, c, particles.position[n])
             column, row = room.corner[c, 0], room.corner[c, 1]
-            fill_growth(room.here[0], room.width[0], column, room.by_x[c])
-            fill_growth(room.here[1], room.width[1], row, room.by_y[c])
+            fill_growth(room.here[c, 0], room.width[c, 0], column, room.by_x[c])
+            fill_growth(room.here[c, 1], room.width[c, 1], row, room.by_y[c])
             left, weights, light = model.left[c], model.weight[c], particles.light[n, c]
-            height, columns = left.shape
+            top, bottom, start, end = window_within(room.corner[c], room.x.shape[1], left.shape)
             own[:], both[:], slopes[:], whole, pull = 0.0, 0.0, 0.0, 1e-300, 0.0
-            for i in range(max(0, -row), min(len(room.y[c]), height - row)):
-                for j in range(max(0, -column), min(len(room.x[c]), columns - column)):
+            for i in range(top, bottom):
+                for j in range(start, end):
                     each = weights[row + i, column + j]
                     share = room.y[c, i] * room.x[c, j]
                     dx, dy = room.y[c, i] * room.by_x[c, j], room.by_y[c, i] * room.x[c, j]

@@ -17,16 +17,15 @@ from sabench.algorithms.particles.candidate_search import (
     split_directions,
 )
 from sabench.algorithms.particles.image_statistics import ImageStatistics
-from sabench.algorithms.particles.joint_fit import (
+from sabench.algorithms.particles.image_model import (
     ImageModel,
     Particles,
     add_leverage,
     make_room,
     put_all_in,
-    refine,
-    start_light,
     take_out,
 )
+from sabench.algorithms.particles.joint_fit import refine, start_light
 from sabench.algorithms.particles.light_prior import (
     even_covariance,
     learn_covariance,
@@ -43,7 +42,11 @@ from sabench.algorithms.particles.model_moves import (
 )
 from sabench.algorithms.particles.refinement import in_mm, peak_brightness
 from sabench.api import FoundParticles
-from sabench.geometry.volume_polynomials import VolumePolynomials, project_points
+from sabench.geometry.volume_polynomials import (
+    VolumePolynomials,
+    project_points,
+    project_with_slopes,
+)
 from sabench.images.flaws import Flaws
 from sabench.images.position_bounds import ParticleSpots, position_bounds
 from sabench.utils.arrays import F32, F64, I64, Bool
@@ -68,7 +71,6 @@ _APART = 1.1  # widths: distance of the two of a split from their middle
 _CERTAIN = 30.0  # logarithm of the highest odds
 _LEAST_ERROR_PX = 0.002  # of positions, beside what the images tell
 _VARIANCE_STEPS, _LEAST_FREE = 4, 0.2
-_STEP = 1e-4  # of the box's coordinates, for differences
 
 
 def no_particles(cameras: int) -> FoundParticles:
@@ -209,17 +211,11 @@ class ParticleSearch:
 
     def _spots(self, camera: int, variance: F64) -> ParticleSpots:
         """Make the images of the particles in a camera, with the variance of its pixels."""
-        pixel = project_points(self.maps, camera, self.position)
-        steps = _STEP * np.eye(3)
-        slopes = [
-            project_points(self.maps, camera, self.position + step)
-            - project_points(self.maps, camera, self.position - step)
-            for step in steps
-        ]
+        pixel, slope = project_with_slopes(self.maps, camera, self.position)
         terms = np.concatenate([np.ones((len(self.position), 1)), self.position], axis=1)
         return ParticleSpots(
             pixel,
-            np.stack(slopes, axis=2) / (2.0 * _STEP * self.maps.half_mm),
+            slope / self.maps.half_mm,
             self.light[:, camera],
             (terms @ self.widths[camera].T).mean(axis=1),
             np.where(self.known[camera], variance, np.inf),
@@ -254,6 +250,7 @@ class ParticleSearch:
             self.typical,
             precision,
             float(np.linalg.slogdet(precision)[1]),
+            self.images,
             weight,
             self.left,
             math.log(self.number / _BOX),

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import os
+import pickle
 import shutil
 import subprocess
 import sys
 from pathlib import Path
+
+import numba
 
 import sabench
 
@@ -79,3 +82,21 @@ def test_kernels_of_other_packages_keep_their_stamps(tmp_path: Path) -> None:
     )
     environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(tmp_path), str(PACKAGE.parent)])}
     subprocess.run([sys.executable, "-c", script], env=environment, cwd=tmp_path, check=True)
+
+
+def test_an_unreadable_index_counts_as_empty(tmp_path: Path) -> None:
+    """A class in a kernel's signature may have moved since; a disk may have been full."""
+    own = tmp_path / "sabench"
+    shutil.copytree(PACKAGE / "utils", own / "utils", ignore=shutil.ignore_patterns("__pycache__"))
+    shutil.copy(PACKAGE / "__init__.py", own)
+    (own / "caller.py").write_text(CALLER)
+    (own / "callee.py").write_text(CALLEE.format(number=1))
+    assert run(tmp_path) == (10, 0)
+    (index,) = (tmp_path / "cache").rglob("caller.caller*.nbi")
+    version = pickle.dumps(numba.__version__, protocol=-1)
+    for content in (b"cmath\nThereIsNoSuchClass\n.", b"cno_such_module\nname\n.", b"", b"\x80"):
+        index.write_bytes(version + content)
+        assert run(tmp_path) == (10, 0)
+        assert run(tmp_path) == (10, 1)
+    index.write_bytes(b"")
+    assert run(tmp_path) == (10, 0)

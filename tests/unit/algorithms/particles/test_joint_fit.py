@@ -5,12 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from sabench.algorithms.particles.image_model import ImageModel, Particles, put_all_in
 from sabench.algorithms.particles.joint_fit import (
-    ImageModel,
-    Particles,
     adjust,
     price,
-    put_all_in,
     refine,
     solve_three,
     start_light,

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from sabench.algorithms.particles.candidate_search import pixel_mm
-from sabench.algorithms.particles.joint_fit import Particles, put_all_in, refine
+from sabench.algorithms.particles.image_model import Particles, put_all_in
+from sabench.algorithms.particles.joint_fit import refine
 from sabench.algorithms.particles.model_moves import (
     add_camera_misses,
     add_width_misses,
