@@ -16,7 +16,6 @@ from sabench.algorithms.particles.candidate_search import (
     pixel_mm,
     split_directions,
 )
-from sabench.algorithms.particles.image_statistics import ImageStatistics
 from sabench.algorithms.particles.image_model import (
     ImageModel,
     Particles,
@@ -25,6 +24,7 @@ from sabench.algorithms.particles.image_model import (
     put_all_in,
     take_out,
 )
+from sabench.algorithms.particles.image_statistics import ImageStatistics
 from sabench.algorithms.particles.joint_fit import refine, start_light
 from sabench.algorithms.particles.light_prior import (
     even_covariance,
