@@ -13,11 +13,12 @@ import numpy as np
 
 from sabench.algorithms.particles.light_prior import scatter_between
 from sabench.algorithms.particles.particle_search import ParticleSearch
-from sabench.utils.arrays import F64, Bool
+from sabench.utils.arrays import F32, F64, Bool
 
 _FEWEST = 3  # cameras that may be left
 _LEFT = 0.1  # of the squared light of an image: more that is left has a reason
 _SCATTER, _LITTLE = 0.7, 0.03  # of light between cameras; with less left, it is particles' own
+_CLEAR = 6.0  # standard deviations of noise: light
 _WORST = 2.0  # times the median camera's: what a camera leaves that contradicts the others
 
 
@@ -66,15 +67,19 @@ def explains(search: ParticleSearch) -> bool:
 
 
 def left_of_images(search: ParticleSearch) -> F64:
-    """Compute the share of each image's squared light, less noise, that is left (camera,)."""
+    """Compute the share of each image's squared light, clear of noise, that is left (camera,)."""
     shares = []
     for left, image, known, noise in zip(
         search.left, search.images, search.known, search.noise, strict=True
     ):
-        dark = float(known.sum()) * noise**2
-        squares = [np.square(one[known], dtype=np.float64).sum() - dark for one in (left, image)]
-        shares.append(max(squares[0], 0.0) / max(squares[1], dark, 1e-6))
+        rest, whole = (_squares(one[known], _CLEAR * noise) for one in (left, image))
+        shares.append(rest / max(whole, rest, 1e-6))
     return np.array(shares)
+
+
+def _squares(light: F32, floor: float) -> float:
+    """Add up the squares of light above a floor."""
+    return float(np.square(light[np.abs(light) > floor], dtype=np.float64).sum())
 
 
 def _worst(search: ParticleSearch) -> int:
