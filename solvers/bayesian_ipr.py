@@ -6,6 +6,7 @@ from pydantic import Field
 
 from sabench.algorithms.particles import (
     BayesianIprSettings,
+    find_fault,
     fit_cameras,
     reconstruct_most_probable,
 )
@@ -28,6 +29,11 @@ class BayesianIprParameters(Parameters):
         le=2.0,
         description="of the particles' images while the first candidates share the light",
     )
+    budget_s: float | None = Field(
+        None,
+        gt=0.0,
+        description="seconds for a frame, after which the particles so far are the result",
+    )
 
 
 class BayesianIpr(ParticleSolver):
@@ -46,12 +52,14 @@ class BayesianIpr(ParticleSolver):
 
     def skip(self, case: ImageSequence) -> str | None:
         """Skip fewer than three cameras, as two lines of sight meet by chance too often."""
-        return "it needs three cameras" if len(case.cameras) < 3 else None
+        return find_fault(case.cameras, case.grid)
 
     def solve(self, case: ImageSequence) -> list[FoundParticles]:
         """Reconstruct each frame on its own."""
         chosen = self.parameters
-        settings = BayesianIprSettings(chosen.rounds, chosen.splits, chosen.fits, chosen.widening)
+        settings = BayesianIprSettings(
+            chosen.rounds, chosen.splits, chosen.fits, chosen.widening, chosen.budget_s
+        )
         maps = fit_cameras(case[0])
         return [
             reconstruct_most_probable(frame, maps, settings)

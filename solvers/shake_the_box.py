@@ -7,6 +7,7 @@ from pydantic import Field
 from sabench.algorithms.particles import (
     BayesianIprSettings,
     ShakeTheBoxSettings,
+    find_fault,
     fit_cameras,
     track_particles,
 )
@@ -21,6 +22,12 @@ class ShakeTheBoxParameters(Parameters):
     )
     splits: int = Field(1, ge=0, description="rounds in which particles are tried as two there")
     gap: int = Field(2, ge=0, description="frames in a row that a trajectory may miss")
+    budget_s: float | None = Field(
+        None,
+        gt=0.0,
+        description="seconds for a frame, after which the particles so far are the result; twice "
+        "as long for the second frame, which is searched twice",
+    )
 
 
 class ShakeTheBox(ParticleSolver):
@@ -39,13 +46,12 @@ class ShakeTheBox(ParticleSolver):
 
     def skip(self, case: ImageSequence) -> str | None:
         """Skip fewer than three cameras, as two lines of sight meet by chance too often."""
-        return "it needs three cameras" if len(case.cameras) < 3 else None
+        return find_fault(case.cameras, case.grid)
 
     def solve(self, case: ImageSequence) -> list[FoundParticles]:
         """Follow the particles through the sequence."""
         chosen = self.parameters
-        settings = ShakeTheBoxSettings(
-            BayesianIprSettings(), chosen.searches, chosen.splits, chosen.gap
-        )
+        first = BayesianIprSettings(budget_s=chosen.budget_s)
+        settings = ShakeTheBoxSettings(first, chosen.searches, chosen.splits, chosen.gap)
         frames = progress_bar(case, "shake the box")
         return track_particles(frames, case.times_s, fit_cameras(case[0]), settings)

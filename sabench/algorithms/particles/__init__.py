@@ -15,6 +15,7 @@ if TYPE_CHECKING:
         BayesianIprSettings,
         reconstruct_most_probable,
     )
+    from sabench.algorithms.particles.common_view import find_fault
     from sabench.algorithms.particles.ipr import (
         IprSettings,
         fit_cameras,
@@ -28,6 +29,7 @@ __all__ = [
     "BayesianIprSettings",
     "IprSettings",
     "ShakeTheBoxSettings",
+    "find_fault",
     "fit_cameras",
     "link",
     "reconstruct_most_probable",
@@ -40,6 +42,7 @@ _HOMES = {
     "BayesianIprSettings": "bayesian_ipr",
     "IprSettings": "ipr",
     "ShakeTheBoxSettings": "shake_the_box",
+    "find_fault": "common_view",
     "fit_cameras": "ipr",
     "link": "linking",
     "reconstruct_most_probable": "bayesian_ipr",

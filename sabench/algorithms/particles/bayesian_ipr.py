@@ -9,17 +9,22 @@ like one are split. Widths, light, noise and shifts of the cameras come from the
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 
 from sabench.algorithms.particles.background import clear_images, find_dark_areas
+from sabench.algorithms.particles.camera_check import without_wrong_cameras
 from sabench.algorithms.particles.image_statistics import measure_images
 from sabench.algorithms.particles.particle_search import ParticleSearch, no_particles
+from sabench.algorithms.particles.rig_axes import rig_axes, turn_maps, turn_to_world
+from sabench.algorithms.particles.time_budget import Deadline
 from sabench.api import FoundParticles, Observation
 from sabench.geometry.volume_polynomials import VolumePolynomials
 from sabench.images.flaws import Flaws
-from sabench.utils.arrays import F32
+from sabench.utils.arrays import F32, Bool
 
 _FEWEST = 3  # cameras that must show particles
 _ANY_LIGHT = 2.0  # scatter of the common logarithm while candidates share the light: no prior
@@ -45,20 +50,24 @@ class BayesianIprSettings:
     fits : times that all particles are fitted at each step.
     widening : of the particles' images while candidates share the light, over their width: it
         brings particles together whose images meet by chance.
+    budget_s : seconds after which a frame's search ends with the particles so far; None is no end.
     """
 
     rounds: int = 8
     splits: int = 3
     fits: int = 2
     widening: float = 1.3
+    budget_s: float | None = None
 
 
 def reconstruct_most_probable(
     case: Observation, maps: VolumePolynomials, settings: BayesianIprSettings
 ) -> FoundParticles:
     """Reconstruct the particles that make the images most probable."""
-    search = search_frame(case, maps, settings)
-    return search.found() if search else no_particles(len(case.cameras))
+    axes = rig_axes(maps)
+    search = search_frame(case, turn_maps(maps, axes), settings)
+    found = search.found() if search else no_particles(len(case.cameras))
+    return turn_to_world(found, axes)
 
 
 def dark_images(case: Observation) -> tuple[F32, Flaws]:
@@ -73,21 +82,18 @@ def search_frame(
     """Search for a frame's particles; None if too few cameras show any.
 
     If light remains in the images, areas that are dark in a camera may be hidden from it, and count
-    no longer.
+    no longer. Cameras that contradict the others are left out, with a warning.
     """
-    images, flaws = dark_images(case)
-    search = _find_most(images, flaws, maps, settings)
+    frame = _Frame(*dark_images(case), maps, settings, Deadline(settings.budget_s))
+    search = _find_visible(frame, np.zeros(len(case.cameras), dtype=np.bool_))
     if search is None:
         return None
-    if search.unexplained() > _UNEXPLAINED:
-        hidden = find_dark_areas(images, flaws, search.number)
-        hidden[~search.shown] = False
-        again = Flaws(flaws.points, flaws.covered | hidden)
-        without = _find_most(images, again, maps, settings) if hidden.any() else None
-        if without is not None:
-            search = without
-            search.hidden = hidden
+    if not frame.deadline.over:
+        names = [camera.name for camera in case.cameras]
+        search = without_wrong_cameras(search, names, partial(_find_visible, frame))
     for _ in range(settings.splits):
+        if frame.deadline.over:
+            break
         search.weigh(CAPS[1])
         split_and_find(search)
     search.weigh(CAPS[1])
@@ -95,16 +101,48 @@ def search_frame(
     return search
 
 
-def _find_most(
-    images: F32, flaws: Flaws, maps: VolumePolynomials, settings: BayesianIprSettings
-) -> ParticleSearch | None:
+class _Frame(NamedTuple):
+    """A frame's images, and how they are searched."""
+
+    images: F32
+    flaws: Flaws
+    maps: VolumePolynomials
+    settings: BayesianIprSettings
+    deadline: Deadline
+
+
+def _find_visible(frame: _Frame, wrong: Bool) -> ParticleSearch | None:
+    """Find most particles without the cameras (all cameras,) that are wrong.
+
+    Areas that seem hidden do not count where light remains.
+    """
+    search = _find_most(frame, wrong)
+    if search is None or search.unexplained() <= _UNEXPLAINED or frame.deadline.over:
+        return search
+    images, flaws = frame.images, frame.flaws
+    hidden = find_dark_areas(images, flaws, search.number)
+    hidden[~search.shown] = False
+    again = frame._replace(flaws=Flaws(flaws.points, flaws.covered | hidden))
+    without = _find_most(again, wrong) if hidden.any() else None
+    if without is None or frame.deadline.over:
+        return search
+    without.hidden = hidden
+    return without
+
+
+def _find_most(frame: _Frame, wrong: Bool) -> ParticleSearch | None:
     """Find all particles but those that look like one with others."""
+    images, flaws, maps, settings, deadline = frame
     statistics = measure_images(images.astype(np.float64), ~flaws.unknown)
+    statistics = replace(statistics, shown=statistics.shown & ~wrong)
     if statistics.shown.sum() < _FEWEST:
         return None
     search = ParticleSearch(images, flaws, maps, statistics, settings.fits)
+    search.deadline = deadline
     _share_the_light(search, settings)
     for number in range(settings.rounds):
+        if deadline.over:
+            break
         before, along = len(search.position), min((number + 1) / _STEPS, 1.0)
         search.find(FLOORS[0] * (FLOORS[1] / FLOORS[0]) ** along)
         search.refine(settings.fits)

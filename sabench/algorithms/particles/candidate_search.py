@@ -42,7 +42,7 @@ def lattice_shape(maps: VolumePolynomials) -> tuple[int, int, int]:
     Neighbours are one pixel apart in the camera that resolves their direction best, and no more
     than two pixels' size in space.
     """
-    slopes = _slopes_per_mm(maps)
+    slopes = slopes_per_mm(maps)
     finest = 1.0 / np.linalg.norm(slopes, ord=2, axis=(1, 2)).max()
     along = 1.0 / np.linalg.norm(slopes, axis=1).max(axis=0)
     step = np.minimum(along, _FLATTEST * finest)
@@ -52,7 +52,7 @@ def lattice_shape(maps: VolumePolynomials) -> tuple[int, int, int]:
 
 def pixel_mm(maps: VolumePolynomials) -> float:
     """Compute the size in the volume of the best camera's pixel, in the middle."""
-    return float(1.0 / np.linalg.norm(_slopes_per_mm(maps), ord=2, axis=(1, 2)).max())
+    return float(1.0 / np.linalg.norm(slopes_per_mm(maps), ord=2, axis=(1, 2)).max())
 
 
 def split_directions(maps: VolumePolynomials) -> F64:
@@ -61,7 +61,7 @@ def split_directions(maps: VolumePolynomials) -> F64:
     Depth is the direction that moves images the least. Steps across it are one pixel of the best
     camera, steps along it longer, as the cameras resolve it less.
     """
-    slopes = _slopes_per_mm(maps)
+    slopes = slopes_per_mm(maps)
     values, vectors = np.linalg.eigh(np.einsum("cia,cib->ab", slopes, slopes))
     depth = vectors[:, 0] * np.sign(vectors[np.argmax(np.abs(vectors[:, 0])), 0])
     least = np.argsort(np.abs(depth), kind="stable")[0]  # the world's axis that is most across
@@ -72,7 +72,7 @@ def split_directions(maps: VolumePolynomials) -> F64:
     return np.asarray(pixel_mm(maps) * _STEPS @ frame)
 
 
-def _slopes_per_mm(maps: VolumePolynomials) -> F64:
+def slopes_per_mm(maps: VolumePolynomials) -> F64:
     """Compute derivatives (camera, 2, 3) of pixels by mm in the middle of the box."""
     slopes = np.zeros((len(maps.coefficients), 2, 3))
     for camera in range(len(slopes)):

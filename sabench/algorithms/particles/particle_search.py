@@ -41,6 +41,7 @@ from sabench.algorithms.particles.model_moves import (
     split_pairs,
 )
 from sabench.algorithms.particles.refinement import in_mm, peak_brightness
+from sabench.algorithms.particles.time_budget import Deadline
 from sabench.api import FoundParticles
 from sabench.geometry.volume_polynomials import (
     VolumePolynomials,
@@ -111,6 +112,7 @@ class ParticleSearch:
     sure : (n,) whether a particle earned several times its price.
     odds : (n,) logarithm of the odds that it is real.
     tag : (n,) numbers that a caller gave particles, -1 for those found here.
+    deadline : after it, particles are no longer found, fitted, removed or split.
     """
 
     images: F32
@@ -123,6 +125,7 @@ class ParticleSearch:
     sure: Bool
     odds: F64
     tag: I64
+    deadline: Deadline = Deadline()
 
     def __init__(
         self,
@@ -280,8 +283,11 @@ class ParticleSearch:
         return np.asarray(self.typical * erf.prod(axis=1))
 
     def refine(self, rounds: int) -> None:
-        """Fit all particles, one after the other, in several rounds."""
-        refine(self.model(), self.room, self.particles(), rounds)
+        """Fit all particles, one after the other, in several rounds, as time allows."""
+        model, particles = self.model(), self.particles()
+        for _ in range(rounds):
+            for part in self.deadline.portions(len(self.position)):
+                refine(model, self.room, Particles(*(rows[part] for rows in particles)), 1)
 
     def subtract_all(self) -> None:
         """Compute anew what all particles leave of the images."""
@@ -313,6 +319,8 @@ class ParticleSearch:
 
         Many at once would take each other's light, and that of particles.
         """
+        if self.deadline.over:
+            return
         peaks = self._peaks()[:, None, None]
         dark = np.maximum(self.noise[:, None, None] / peaks, _DIMMEST)
         logs = np.log(np.clip(self.left / peaks, dark, BRIGHTEST))
@@ -363,18 +371,19 @@ class ParticleSearch:
         for _ in range(2):
             rows = np.flatnonzero(tried)
             order = rows[np.argsort(self.common_light()[rows], kind="stable")]
-            remove_ghosts(
-                model,
-                self.room,
-                particles,
-                order,
-                starts,
-                near,
-                self.fits,
-                lone,
-                self.sure,
-                self.odds,
-            )
+            for part in self.deadline.portions(len(order)):
+                remove_ghosts(
+                    model,
+                    self.room,
+                    particles,
+                    order[part],
+                    starts,
+                    near,
+                    self.fits,
+                    lone,
+                    self.sure,
+                    self.odds,
+                )
             promoted = tried & self.sure & particles.alive
             tried = ~tried & near_any(promoted, starts, near)
         self.sure &= lone
@@ -392,7 +401,8 @@ class ParticleSearch:
         self.append(len(order), 1.0)
         width = float(self.sigma.max())
         steps = _APART * width / self.maps.half_mm * split_directions(self.maps)
-        count = split_pairs(model, self.room, self.particles(), order, count, steps)
+        for part in self.deadline.portions(len(order)):
+            count = split_pairs(model, self.room, self.particles(), order[part], count, steps)
         self.select(np.arange(len(self.position)) < count)
 
     def learn(self) -> None:
@@ -442,7 +452,10 @@ class ParticleSearch:
             add_camera_misses(self.model(), self.room, self.particles(), sums)
             xx, xy, yy, x, y = sums.T
             matrix = np.stack([np.stack([xx, xy], axis=1), np.stack([xy, yy], axis=1)], axis=2)
-            shifts = np.linalg.solve(matrix, np.stack([x, y], axis=1)[:, :, None])[:, :, 0]
+            shifts = np.zeros((len(matrix), 2))
+            there = np.linalg.det(matrix) > 0.0  # cameras that see some particles
+            right = np.stack([x, y], axis=1)[there, :, None]
+            shifts[there] = np.linalg.solve(matrix[there], right)[:, :, 0]
             self.maps.coefficients[:, 0] += np.clip(shifts, -_FARTHEST_PX, _FARTHEST_PX)
             self.subtract_all()
             self.refine(1)

@@ -32,6 +32,8 @@ from sabench.algorithms.particles.kalman_tracks import (
 )
 from sabench.algorithms.particles.linking import GATE, assign, link
 from sabench.algorithms.particles.particle_search import ParticleSearch, joined, no_particles
+from sabench.algorithms.particles.rig_axes import rig_axes, turn_maps, turn_to_world
+from sabench.algorithms.particles.time_budget import Deadline
 from sabench.algorithms.particles.track_motion import most_probable_motion
 from sabench.api import FoundParticles, Observation
 from sabench.geometry.volume_polynomials import VolumePolynomials
@@ -104,15 +106,17 @@ def track_particles(
     settings: ShakeTheBoxSettings,
 ) -> list[FoundParticles]:
     """Follow the particles of a sequence; the images of one frame at a time are held."""
-    tracker = _Tracker(maps, settings)
+    axes = rig_axes(maps)
+    tracker = _Tracker(turn_maps(maps, axes), settings)
     for case, time in zip(frames, times_s, strict=True):
         tracker.take(case, time)
     ghosts = np.concatenate([np.zeros(0, dtype=np.int64), *tracker.ghosts])
     kept = [frame.without(ghosts) for frame in tracker.frames]
-    return [
+    moving = [
         _with_motion(kept[max(number - _LAG, 0) : number + _LAG + 1], frame, tracker.motion)
         for number, frame in enumerate(kept)
     ]
+    return [turn_to_world(found, axes) for found in moving]
 
 
 def _with_motion(
@@ -221,7 +225,8 @@ class _Tracker:
         duration = second.time - first.time
         variance = self._variance(first)
         velocity = (second.position[j] - first.position[i]) / duration
-        scatter = _scatter(first.position[i], velocity)
+        least = _LEAST_ERROR_PX * pixel_mm(self.maps) / duration  # particles may stand still
+        scatter = max(_scatter(first.position[i], velocity), least)
         tracks = KalmanTracks.start((_ACCELERATION * scatter / duration) ** 2, duration)
         errors = 2.0 * variance[i] / duration**2 + tracks.acceleration * duration**2
         place = first.position
@@ -267,6 +272,7 @@ class _Tracker:
         place = (tracks.state[:, 0] - self.maps.middle_mm) / self.maps.half_mm
         known = np.median(error, axis=1) < _KNOWN_PX * pixel_mm(self.maps)
         rows = np.flatnonzero(known & (np.abs(place) <= 1.0).all(axis=1))
+        search.deadline = Deadline(settings.first.budget_s)
         search.show(*dark_images(case))
         search.put(place[rows], tracks.light[rows], rows)
         search.weigh(CAPS[0])

@@ -1,0 +1,91 @@
+"""Cameras whose images contradict the others'.
+
+A camera whose calibration is wrong by many pixels, or is another camera's, shows little where the
+particles of the others are. What the search leaves of its image tells.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from sabench.algorithms.particles.light_prior import scatter_between
+from sabench.algorithms.particles.particle_search import ParticleSearch
+from sabench.utils.arrays import F32, F64, Bool
+
+_FEWEST = 3  # cameras that may be left
+_LEFT = 0.1  # of the squared light of an image: more that is left has a reason
+_SCATTER, _LITTLE = 0.7, 0.03  # of light between cameras; with less left, it is particles' own
+_CLEAR = 6.0  # standard deviations of noise: light
+_WORST = 2.0  # times the median camera's: what a camera leaves that contradicts the others
+
+
+def without_wrong_cameras(
+    search: ParticleSearch,
+    names: Sequence[str],
+    search_without: Callable[[Bool], ParticleSearch | None],
+) -> ParticleSearch:
+    """Search again without the cameras that contradict the others, with a warning for each.
+
+    If no choice of cameras explains the images, one warning says so, and the search stays.
+
+    Parameters
+    ----------
+    names : of all cameras.
+    search_without : searches the frame without the cameras (all cameras,) that are marked.
+    """
+    wrong = np.zeros(len(search.shown), dtype=np.bool_)
+    now: ParticleSearch | None = search
+    while now is not None and not explains(now):
+        left, worst = left_of_images(now), _worst(now)
+        if now.shown.sum() <= _FEWEST or left.max() < _WORST * np.median(left):
+            now = None
+        else:
+            wrong[worst] = True
+            now = search_without(wrong)
+    if now is None:
+        _warn(
+            f"{names[_worst(search)]}: expected light of particles in the grid, got light that "
+            "they do not explain, as in other cameras; check the calibration, and that the grid "
+            "holds all particles that the cameras see"
+        )
+        return search
+    for camera in np.flatnonzero(wrong).tolist():
+        _warn(
+            f"{names[camera]}: expected light where the other cameras' particles are, got it "
+            "elsewhere; the camera is left out: check its calibration"
+        )
+    return now
+
+
+def explains(search: ParticleSearch) -> bool:
+    """Say whether the particles explain the images, with light as particles have it."""
+    left = float(left_of_images(search).max())
+    return left < _LITTLE or (left < _LEFT and scatter_between(search.covariance) < _SCATTER)
+
+
+def left_of_images(search: ParticleSearch) -> F64:
+    """Compute the share of each image's squared light, clear of noise, that is left (camera,)."""
+    shares = []
+    for left, image, known, noise in zip(
+        search.left, search.images, search.known, search.noise, strict=True
+    ):
+        rest, whole = (_squares(one[known], _CLEAR * noise) for one in (left, image))
+        shares.append(rest / max(whole, rest, 1e-6))
+    return np.array(shares)
+
+
+def _squares(light: F32, floor: float) -> float:
+    """Add up the squares of light above a floor."""
+    return float(np.square(light[np.abs(light) > floor], dtype=np.float64).sum())
+
+
+def _worst(search: ParticleSearch) -> int:
+    """Return the camera, among all, of whose image most is left."""
+    return int(np.flatnonzero(search.shown)[np.argmax(left_of_images(search))])
+
+
+def _warn(sentence: str) -> None:
+    warnings.warn(sentence, stacklevel=2)

@@ -1,0 +1,207 @@
+"""Particle solvers on images and cameras that are wrong, empty or nearly so.
+
+Each case ends in one sentence, or in a valid result.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from sabench.api import Camera, FoundParticles, ImageSequence, Observation
+from sabench.api.make import make_algorithm
+from sabench.tasks.solver_call import call_solver
+from sabench.utils.arrays import F64
+from sabench.utils.errors import DeclinedError
+from tests.helpers.small_particles import count_found, make_small
+
+SOLVERS = ["bayesian_ipr", "shake_the_box"]
+FRAMES = 3
+ELSEWHERE, UNEXPLAINED = "elsewhere; the camera is left out", "got light that they do not explain"
+
+pytestmark = pytest.mark.parametrize("solver", SOLVERS)
+
+
+def solve(solver: str, frames: Sequence[Observation]) -> list[FoundParticles]:
+    found, _ = call_solver(make_algorithm(solver, {}), solver, ImageSequence.of([*frames]), list)
+    return list(found)
+
+
+def decline(solver: str, case: Observation) -> str:
+    with pytest.raises(DeclinedError) as caught:
+        solve(solver, [case])
+    return str(caught.value)
+
+
+def with_images(case: Observation, images: npt.ArrayLike) -> Observation:
+    grey = np.clip(np.rint(np.asarray(images, dtype=np.float64)), 0, 65535).astype(np.uint16)
+    return replace(case, images=grey)
+
+
+def shifted(case: Observation, camera: int, columns: float) -> Observation:
+    """Shift where a camera is said to see things."""
+    cameras: list[Any] = list(case.cameras)
+    column, row = cameras[camera].principal_point_px
+    cameras[camera] = replace(cameras[camera], principal_point_px=(column + columns, row))
+    return replace(case, cameras=tuple(cameras))
+
+
+def swapped(case: Observation) -> Observation:
+    one, other, *rest = case.cameras
+    return replace(case, cameras=(other, one, *rest))
+
+
+def draw(case: Observation, points: F64, noise: float = 2.2) -> Observation:
+    """Draw particles (n, 3) of equal light into images of noise."""
+    rows, columns = np.mgrid[: case.images.shape[1], : case.images.shape[2]]
+    images = np.random.default_rng(7).normal(case.black_dn, noise, case.images.shape)
+    for image, camera in zip(images, case.cameras, strict=True):
+        for column, row in camera.project(points)[0]:
+            image += 300.0 * np.exp(-((columns - column) ** 2 + (rows - row) ** 2) / (2 * 0.7**2))
+    return with_images(case, images)
+
+
+@pytest.mark.parametrize("cameras", [1, 2])
+def test_fewer_than_three_cameras_are_declined(solver: str, cameras: int) -> None:
+    case = make_small(1).observation
+    few = replace(case, images=case.images[:cameras], cameras=case.cameras[:cameras])
+    assert decline(solver, few).endswith("it needs three cameras")
+
+
+def test_cameras_without_a_common_view_are_declined(solver: str) -> None:
+    case = make_small(1).observation
+    for camera, columns in enumerate([-200.0, 200.0, -600.0, 600.0]):
+        case = shifted(case, camera, columns)
+    assert "three cameras that see the same part of the grid, got 0" in decline(solver, case)
+
+
+def test_a_camera_without_a_light_path_is_named(solver: str) -> None:
+    case = make_small(1).observation
+    behind = case.cameras[1]
+    assert isinstance(behind, Camera)
+    inside = replace(behind, center_mm=(0.0, 0.0, -0.2))  # in the middle of the volume
+    case = replace(case, cameras=(case.cameras[0], inside, *case.cameras[2:]))
+    assert "a light path from all of the grid to camera_01" in decline(solver, case)
+
+
+@pytest.mark.parametrize("level", [0.0, 64.0, 100.0, 4095.0])
+def test_uniform_images_give_no_particles(solver: str, level: float) -> None:
+    case = make_small(1).observation
+    uniform = with_images(case, np.full(case.images.shape, level))
+    assert [len(one.position_mm) for one in solve(solver, [uniform] * FRAMES)] == [0] * FRAMES
+
+
+@pytest.mark.parametrize("layout", [(2, 2), (3, 3)])
+@pytest.mark.parametrize("noise", [0.4, 2.2, 20.0])
+@pytest.mark.parametrize("level", [64.0, 94.0])
+def test_noise_gives_no_particles(
+    solver: str, layout: tuple[int, int], noise: float, level: float
+) -> None:
+    case = make_small(1, 1e-5, layout).observation
+    rng = np.random.default_rng(5)
+    frames = [with_images(case, rng.normal(level, noise, case.images.shape)) for _ in range(FRAMES)]
+    assert [len(one.position_mm) for one in solve(solver, frames)] == [0] * FRAMES
+
+
+@pytest.mark.parametrize("count", [1, 2])
+def test_one_and_two_particles_are_found(solver: str, count: int) -> None:
+    case = make_small(1, 1e-5).observation
+    points = np.array([[0.3, -0.4, 0.2], [-0.8, 0.5, -0.3]])[:count]
+    found = solve(solver, [draw(case, points)])[0]
+    apart = np.linalg.norm(found.position_mm[:, None] - points, axis=2)
+    assert apart.shape == (count, count)
+    assert apart.min(axis=0).max() < 0.05
+
+
+def test_images_of_eight_bit_lose_nothing(solver: str) -> None:
+    shot = make_small(1)
+    light = (shot.observation.images.astype(np.float64) - 64.0) / 8.0
+    images = np.clip(np.rint(light), 0, 252).astype(np.uint16) + np.uint16(3)
+    case = Observation(images, shot.observation.cameras, shot.observation.grid, 3.0, 255.0)
+    counts = count_found(shot, solve(solver, [case])[0])
+    assert counts.truths > 80
+    assert min(counts.recall, counts.precision) > 0.97
+
+
+def test_saturated_particles_are_found(solver: str) -> None:
+    shot = make_small(1)
+    light = shot.observation.images.astype(np.float64) - 64.0
+    case = with_images(shot.observation, np.minimum(64.0 + 150.0 * light, 4095.0))
+    assert np.mean(case.images == 4095) > 0.1
+    counts = count_found(shot, solve(solver, [case])[0])
+    assert min(counts.recall, counts.precision) > 0.95
+
+
+def test_images_of_one_grey_value_are_reported(solver: str) -> None:
+    """Thresholded images; what they show is not what particles look like."""
+    case = make_small(1).observation
+    binary = np.where(case.images > 104, 4095, 64)
+    with pytest.warns(UserWarning, match=UNEXPLAINED):
+        solve(solver, [with_images(case, binary)])
+
+
+@pytest.mark.parametrize("columns", [3.0, 20.0, 1000.0])
+def test_a_camera_that_is_off_is_named_and_left_out(solver: str, columns: float) -> None:
+    shot = make_small(1)
+    with pytest.warns(UserWarning, match=f"camera_01: .*{ELSEWHERE}") as caught:
+        found = solve(solver, [shifted(shot.observation, 1, columns)])[0]
+    assert len(caught) == 1
+    counts = count_found(shot, found)
+    assert min(counts.recall, counts.precision) > 0.97
+    assert found.light is not None
+    assert not found.light[:, 1].any()
+
+
+def test_cameras_that_are_swapped_among_many_are_left_out(solver: str) -> None:
+    shot = make_small(1, layout=(3, 3))
+    with pytest.warns(UserWarning, match=ELSEWHERE) as caught:
+        found = solve(solver, [swapped(shot.observation)])[0]
+    assert {str(one.message)[:9] for one in caught} == {"camera_00", "camera_01"}
+    counts = count_found(shot, found)
+    assert min(counts.recall, counts.precision) > 0.97
+
+
+def test_cameras_of_which_no_three_agree_are_reported(solver: str) -> None:
+    """Two of four are swapped: particles that all of them see would be by chance."""
+    with pytest.warns(UserWarning, match=UNEXPLAINED):
+        solve(solver, [swapped(make_small(1).observation)])
+
+
+def test_particles_outside_the_grid_are_reported(solver: str) -> None:
+    small = make_small(1).observation
+    large = make_small(1, volume={"size_mm": [6.0, 6.0, 8.0]}).observation
+    with pytest.warns(UserWarning, match="that the grid holds all particles"):
+        solve(solver, [replace(large, grid=small.grid)])
+
+
+@pytest.mark.parametrize(("seed", "layout"), [(1, (2, 2)), (2, (3, 1)), (3, (3, 3))])
+def test_right_cameras_are_not_reported(solver: str, seed: int, layout: tuple[int, int]) -> None:
+    shot = make_small(seed, layout=layout)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        counts = count_found(shot, solve(solver, [shot.observation])[0])
+    assert counts.recall > 0.97
+
+
+@pytest.mark.parametrize("level", [0.0, 64.0])
+def test_a_missing_frame_leaves_the_others(solver: str, level: float) -> None:
+    shot = make_small(4)
+    case = shot.observation
+    missing = with_images(case, np.full(case.images.shape, level))
+    found = solve(solver, [case, case, missing, case])
+    for frame in (0, 1, 3):
+        assert count_found(shot, found[frame]).recall > 0.97
+
+
+def test_particles_that_stand_still_are_found(solver: str) -> None:
+    shot = make_small(1)
+    for found in solve(solver, [shot.observation] * FRAMES):
+        assert count_found(shot, found).recall > 0.97
+        if found.velocity_mm_s is not None:
+            assert np.abs(found.velocity_mm_s).max() < 0.05  # mm in a frame of 1 s: a pixel
