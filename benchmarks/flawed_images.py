@@ -55,7 +55,7 @@ VOLUMES = (
     "mlos_smart",
     "mlos_sart",
 )
-PARTICLES = ("ipr", "ray_triangulation", "openlpt", "optv")
+PARTICLES = ("bayesian_ipr", "ray_triangulation", "openlpt", "optv")
 _FLAWS = ("clean", "one", "each", "all")
 _RADIUS_PX = 1.0  # of a found particle about a true one, in the mean image
 _AROUND_VOXELS = 6.0  # a covered particle's surroundings, in which voxels do not count

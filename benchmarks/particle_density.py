@@ -93,7 +93,7 @@ CASES = {
     "realistic": Case(0.05, scene="realistic-particles"),
     "hard": Case(0.04, {"pulse_energy_mj": 75.0}, _FOUR, shift_px=0.3),
 }
-SOLVERS = ("bayesian_ipr", "ipr", "openlpt", "optv")
+SOLVERS = ("bayesian_ipr", "openlpt", "optv")
 
 
 def scene_of(name: str) -> Scene:

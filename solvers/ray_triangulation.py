@@ -4,7 +4,11 @@ from __future__ import annotations
 
 from pydantic import Field
 
-from sabench.algorithms.particles import IprSettings, fit_cameras, triangulate_particles
+from sabench.algorithms.particles import (
+    TriangulationSettings,
+    fit_cameras,
+    triangulate_particles,
+)
 from sabench.api import FoundParticles, ImageSequence, Parameters, ParticleSolver, progress_bar
 
 
@@ -47,7 +51,7 @@ class RayTriangulation(ParticleSolver):
     def solve(self, case: ImageSequence) -> list[FoundParticles]:
         """Triangulate each frame on its own."""
         chosen = self.parameters
-        settings = IprSettings(floor=chosen.floor, noise=chosen.noise, reach_px=chosen.reach_px)
+        settings = TriangulationSettings(chosen.floor, chosen.noise, chosen.reach_px)
         maps = fit_cameras(case[0])
         return [
             triangulate_particles(frame, maps, settings)

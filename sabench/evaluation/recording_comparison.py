@@ -9,7 +9,11 @@ from typing import Any, Literal
 
 import numpy as np
 
-from sabench.algorithms.particles import IprSettings, fit_cameras, triangulate_particles
+from sabench.algorithms.particles import (
+    TriangulationSettings,
+    fit_cameras,
+    triangulate_particles,
+)
 from sabench.dataset.reader import Dataset, open_dataset
 from sabench.dataset.schema import MANIFEST
 from sabench.images.particle_fits import fit_particle_images, flux_near
@@ -165,6 +169,6 @@ def _pixels(dataset: Dataset, frame: int) -> list[F64]:
         views = dataset.views(frame)
         return [np.where(view.visible[:, None], view.pixel, np.nan) for view in views]
     case = dataset.observation(frame)
-    found = triangulate_particles(case, fit_cameras(case), IprSettings())
+    found = triangulate_particles(case, fit_cameras(case), TriangulationSettings())
     projected = [camera.project(found.position_mm) for camera in case.cameras]
     return [np.where(valid[:, None], pixel, np.nan) for pixel, valid in projected]

@@ -71,6 +71,11 @@ def fit_volume_polynomials(
     )
 
 
+def points_in_mm(maps: VolumePolynomials, positions: F64) -> F64:
+    """Convert positions in the box of the maps to world points (n, 3)."""
+    return np.asarray(maps.middle_mm + positions * maps.half_mm)
+
+
 def _project_exactly(cameras: Sequence[CameraModel], points_mm: F64) -> F64:
     """Project points (n, 3) exactly to pixels (n, 2 cameras).
 

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sabench.algorithms.particles.refinement import image_widths
 from sabench.api import Observation
 from sabench.images.brightness import background_noise
+from sabench.images.particle_widths import image_widths
 from sabench.images.peaks import find_peaks
 
 # smallest peak, relative to a bright particle's and to the background's standard deviation: the

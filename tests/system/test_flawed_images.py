@@ -34,7 +34,10 @@ def shots() -> dict[float, Shot]:
 
 @pytest.mark.parametrize(
     "name",
-    ["asa", "msa", "map_shift_average", "block_mart", "mart", "mlos_smart", "mlos_sart", "ipr"],
+    [
+        *("asa", "msa", "map_shift_average", "block_mart", "mart", "mlos_smart", "mlos_sart"),
+        "bayesian_ipr",
+    ],
 )
 def test_flaws_cost_next_to_nothing(name: str, shots: dict[float, Shot]) -> None:
     shot, kind = (shots[0.05], "q") if name in VOLUMES else (shots[0.02], "f1")

@@ -75,7 +75,8 @@ def found_share(shot: Shot, points_mm: F64) -> float:
 def test_particles_are_found_as_behind_a_plane_wall(name: str, shots: dict[str, Shot]) -> None:
     plane, own = (
         found_share(
-            shots[one], solve("ipr", ImageSequence.of([shots[one].observation]))[0].position_mm
+            shots[one],
+            solve("bayesian_ipr", ImageSequence.of([shots[one].observation]))[0].position_mm,
         )
         for one in ("quick", name)
     )

@@ -1,7 +1,7 @@
 """Particles in three dimensions.
 
-The package holds triangulation of image peaks, iterative reconstruction (IPR), reconstruction of
-the most probable particles (Bayesian IPR), tracking (Shake-The-Box), and linking.
+The package holds triangulation of image peaks, reconstruction of the most probable particles
+(Bayesian IPR), tracking (Shake-The-Box), and linking.
 """
 
 from __future__ import annotations
@@ -16,38 +16,35 @@ if TYPE_CHECKING:
         reconstruct_most_probable,
     )
     from sabench.algorithms.particles.common_view import find_fault
-    from sabench.algorithms.particles.ipr import (
-        IprSettings,
+    from sabench.algorithms.particles.linking import link
+    from sabench.algorithms.particles.ray_triangulation import (
+        TriangulationSettings,
         fit_cameras,
-        reconstruct_particles,
         triangulate_particles,
     )
-    from sabench.algorithms.particles.linking import link
     from sabench.algorithms.particles.shake_the_box import ShakeTheBoxSettings, track_particles
 
 __all__ = [
     "BayesianIprSettings",
-    "IprSettings",
     "ShakeTheBoxSettings",
+    "TriangulationSettings",
     "find_fault",
     "fit_cameras",
     "link",
     "reconstruct_most_probable",
-    "reconstruct_particles",
     "track_particles",
     "triangulate_particles",
 ]
 
 _HOMES = {
     "BayesianIprSettings": "bayesian_ipr",
-    "IprSettings": "ipr",
     "ShakeTheBoxSettings": "shake_the_box",
+    "TriangulationSettings": "ray_triangulation",
     "find_fault": "common_view",
-    "fit_cameras": "ipr",
+    "fit_cameras": "ray_triangulation",
     "link": "linking",
     "reconstruct_most_probable": "bayesian_ipr",
-    "reconstruct_particles": "ipr",
     "track_particles": "shake_the_box",
-    "triangulate_particles": "ipr",
+    "triangulate_particles": "ray_triangulation",
 }
 __getattr__ = lazy_names(__name__, _HOMES)

@@ -42,49 +42,32 @@ class Candidates(NamedTuple):
 def find_candidates(
     maps: VolumePolynomials,
     peaks: tuple[Peaks, ...],
-    order: tuple[int, int],
     reach_px: float,
-    missing: int,
     covered: Bool,
 ) -> Candidates:
     """Find all sets of peaks that agree on a position within `reach_px`.
 
+    Every camera that has the position on its sensor must show a peak there.
+
     Parameters
     ----------
     peaks : of each camera.
-    order : the camera whose lines of sight are followed, and the one that they are intersected in.
-    missing : how many of the cameras that have the position on their sensor may show nothing there.
     covered : (camera, row, column) pixels where a camera can show nothing.
     """
-    reordered = (order[0], *(number for number in range(len(peaks)) if number != order[0]))
-    own = VolumePolynomials(np.ascontiguousarray(maps.coefficients[list(reordered)]), *maps[1:])
-    seen = tuple(peaks[number] for number in reordered)
-    most = _ROOM * len(seen[0].pixels)
+    most = _ROOM * len(peaks[0].pixels)
     position, hit, error = np.zeros((most, 3)), np.full((most, len(peaks)), -1), np.zeros(most)
-    steps = max(2, int(_travel(own, reordered.index(order[1])) / reach_px) + 2)
-    count = _follow(
-        own,
-        seen,
-        reordered.index(order[1]),
-        reach_px,
-        missing,
-        covered[list(reordered)],
-        steps,
-        position,
-        hit,
-        error,
-    )
-    back = np.argsort(reordered)
-    return Candidates(position[:count], hit[:count][:, back], error[:count])
+    steps = max(2, int(_travel(maps) / reach_px) + 2)
+    count = _follow(maps, peaks, reach_px, covered, steps, position, hit, error)
+    return Candidates(position[:count], hit[:count], error[:count])
 
 
-def _travel(maps: VolumePolynomials, second: int) -> float:
+def _travel(maps: VolumePolynomials) -> float:
     """Compute the length in the second image of a line of sight of the first camera.
 
     The length is in px; the line runs from the front to the back of the box.
     """
     ends = np.array([[0.0, 0.0, -1.0], [0.0, 0.0, 1.0]])
-    here, there = project_points(maps, 0, ends), project_points(maps, second, ends)
+    here, there = project_points(maps, 0, ends), project_points(maps, 1, ends)
     return float(np.linalg.norm(np.diff(there, axis=0)) + np.linalg.norm(np.diff(here, axis=0)))
 
 
@@ -110,9 +93,7 @@ def select_best(found: Candidates, peaks: tuple[Peaks, ...]) -> I64:
 def _follow(
     maps: Any,
     peaks: Any,
-    second: int,
     radius: float,
-    missing: int,
     covered: Any,
     steps: int,
     positions: Any,
@@ -138,21 +119,21 @@ def _follow(
             if not move_to_pixel(maps, peaks[0].pixels[first], position, here, slope):
                 position[:2] = 0.0
                 continue
-            project_point(maps, second, position, here, slope)
-            for k in range(find_near(peaks[second], here, 1.5 * radius, near)):
+            project_point(maps, 1, position, here, slope)
+            for k in range(find_near(peaks[1], here, 1.5 * radius, near)):
                 if left == len(tried) or count == len(positions) or _has(tried, left, near[k]):
                     continue
                 tried[left] = near[k]
                 left += 1
                 chosen[:] = -1
-                chosen[0], chosen[second] = first, near[k]
+                chosen[0], chosen[1] = first, near[k]
                 for i in range(3):
                     start[i] = position[i]
                 worst = _fit_position(maps, peaks, chosen, start)
                 if (
                     worst > radius
                     or not _within(start, 1.0)
-                    or not _others(maps, peaks, chosen, start, second, radius, missing, covered)
+                    or not _others(maps, peaks, chosen, start, radius, covered)
                 ):
                     continue
                 worst = _fit_position(maps, peaks, chosen, start)
@@ -193,19 +174,15 @@ def _others(
     peaks: Any,
     chosen: Any,
     position: Any,
-    second: int,
     radius: float,
-    missing: int,
     covered: Any,
 ) -> bool:
-    """Choose the image nearest to a position in each of the other cameras.
+    """Choose the image nearest to a position in each camera after the first two.
 
-    Returns False if too many show none and have it on their sensor, uncovered.
+    Returns False if one shows none and has it on its sensor, uncovered.
     """
-    here, slope, near, absent = np.zeros(2), np.zeros((2, 3)), np.zeros(_NEAR, dtype=np.int64), 0
-    for c in range(1, len(peaks)):
-        if c == second:
-            continue
+    here, slope, near = np.zeros(2), np.zeros((2, 3)), np.zeros(_NEAR, dtype=np.int64)
+    for c in range(2, len(peaks)):
         project_point(maps, c, position, here, slope)
         nearest = radius * 1.5
         for k in range(find_near(peaks[c], here, nearest, near)):
@@ -214,13 +191,21 @@ def _others(
             )
             if apart < nearest:
                 nearest, chosen[c] = apart, near[k]
-        rows, columns = covered[c].shape
-        if chosen[c] < 0 and 0.0 < here[0] < columns - 1.0 and 0.0 < here[1] < rows - 1.0:
-            absent += not covered[c, int(np.rint(here[1])), int(np.rint(here[0]))]
+        if chosen[c] < 0 and _open(covered[c], here):
+            return False
     showing = 0
     for c in range(len(peaks)):
         showing += chosen[c] >= 0
-    return absent <= missing and (len(peaks) == 2 or showing > 2)
+    return len(peaks) == 2 or showing > 2
+
+
+@numba.njit(cache=True)
+def _open(covered: Any, pixel: Any) -> bool:
+    """Say whether a pixel is on the sensor and not covered."""
+    rows, columns = covered.shape
+    if not (0.0 < pixel[0] < columns - 1.0 and 0.0 < pixel[1] < rows - 1.0):
+        return False
+    return not covered[int(np.rint(pixel[1])), int(np.rint(pixel[0]))]
 
 
 @numba.njit(cache=True)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sabench.algorithms.particles.refinement import image_widths
+from sabench.images.particle_widths import image_widths
 from sabench.images.peaks import find_peaks
 
 
