@@ -8,6 +8,7 @@ clipping (E. Bertin and S. Arnouts, SExtractor, Astron. Astrophys. Suppl. 117, 3
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -29,6 +30,21 @@ _SEARCHES = 4  # for bright spots, as each makes typical light a little too larg
 _EXPECTED = 8.0  # particles in a window that may be dark for a reason
 _DARK = 0.05  # of an image's mean: light in it
 _HALO = 6  # px around bright spots
+
+
+class ClearImages(NamedTuple):
+    """Images of all cameras that show particles alone.
+
+    Attributes
+    ----------
+    images : (camera, row, column) less black and background.
+    flaws : pixels that show nothing of the particles.
+    saturated : (camera, row, column) pixels that show less light than there is.
+    """
+
+    images: F32
+    flaws: Flaws
+    saturated: Bool
 
 
 def clear_images(images: F32, flaws: Flaws) -> tuple[F32, Flaws]:

@@ -15,7 +15,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sabench.algorithms.particles.background import clear_images, find_dark_areas
+from sabench.algorithms.particles.background import (
+    ClearImages,
+    clear_images,
+    find_dark_areas,
+)
 from sabench.algorithms.particles.camera_check import without_wrong_cameras
 from sabench.algorithms.particles.image_statistics import measure_images
 from sabench.algorithms.particles.particle_search import ParticleSearch, no_particles
@@ -24,7 +28,7 @@ from sabench.algorithms.particles.time_budget import Deadline
 from sabench.api import FoundParticles, Observation
 from sabench.geometry.volume_polynomials import VolumePolynomials
 from sabench.images.flaws import Flaws
-from sabench.utils.arrays import F32, Bool
+from sabench.utils.arrays import Bool
 
 _FEWEST = 3  # cameras that must show particles
 _ANY_LIGHT = 2.0  # scatter of the common logarithm while candidates share the light: no prior
@@ -70,10 +74,11 @@ def reconstruct_most_probable(
     return turn_to_world(found, axes)
 
 
-def dark_images(case: Observation) -> tuple[F32, Flaws]:
-    """Return repaired images (camera, row, column) less background, and flaws."""
+def dark_images(case: Observation) -> ClearImages:
+    """Return repaired images less background, flaws, and saturated pixels."""
     good = case.repaired
-    return clear_images(good.images.astype(np.float32) - np.float32(case.black_dn), good.flaws)
+    light = good.images.astype(np.float32) - np.float32(case.black_dn)
+    return ClearImages(*clear_images(light, good.flaws), good.images >= case.white_dn)
 
 
 def search_frame(
@@ -84,7 +89,7 @@ def search_frame(
     If light remains in the images, areas that are dark in a camera may be hidden from it, and count
     no longer. Cameras that contradict the others are left out, with a warning.
     """
-    frame = _Frame(*dark_images(case), maps, settings, Deadline(settings.budget_s))
+    frame = _Frame(dark_images(case), maps, settings, Deadline(settings.budget_s))
     search = _find_visible(frame, np.zeros(len(case.cameras), dtype=np.bool_))
     if search is None:
         return None
@@ -104,8 +109,7 @@ def search_frame(
 class _Frame(NamedTuple):
     """A frame's images, and how they are searched."""
 
-    images: F32
-    flaws: Flaws
+    clear: ClearImages
     maps: VolumePolynomials
     settings: BayesianIprSettings
     deadline: Deadline
@@ -119,10 +123,11 @@ def _find_visible(frame: _Frame, wrong: Bool) -> ParticleSearch | None:
     search = _find_most(frame, wrong)
     if search is None or search.unexplained() <= _UNEXPLAINED or frame.deadline.over:
         return search
-    images, flaws = frame.images, frame.flaws
+    images, flaws, saturated = frame.clear
     hidden = find_dark_areas(images, flaws, search.number)
     hidden[~search.shown] = False
-    again = frame._replace(flaws=Flaws(flaws.points, flaws.covered | hidden))
+    more = Flaws(flaws.points, flaws.covered | hidden)
+    again = frame._replace(clear=ClearImages(images, more, saturated))
     without = _find_most(again, wrong) if hidden.any() else None
     if without is None or frame.deadline.over:
         return search
@@ -132,12 +137,12 @@ def _find_visible(frame: _Frame, wrong: Bool) -> ParticleSearch | None:
 
 def _find_most(frame: _Frame, wrong: Bool) -> ParticleSearch | None:
     """Find all particles but those that look like one with others."""
-    images, flaws, maps, settings, deadline = frame
-    statistics = measure_images(images.astype(np.float64), ~flaws.unknown)
+    clear, maps, settings, deadline = frame
+    statistics = measure_images(clear.images.astype(np.float64), ~clear.flaws.unknown)
     statistics = replace(statistics, shown=statistics.shown & ~wrong)
     if statistics.shown.sum() < _FEWEST:
         return None
-    search = ParticleSearch(images, flaws, maps, statistics, settings.fits)
+    search = ParticleSearch(clear, maps, statistics, settings.fits)
     search.deadline = deadline
     _share_the_light(search, settings)
     for number in range(settings.rounds):
@@ -168,8 +173,12 @@ def split_and_find(search: ParticleSearch) -> None:
 
 
 def _share_the_light(search: ParticleSearch, settings: BayesianIprSettings) -> None:
-    """Let the first candidates share the light, and drop the darkest, slowly."""
-    narrow = search.sigma
+    """Let the first candidates share the light, and drop the darkest, slowly.
+
+    Meanwhile saturated pixels have no more light than they show, or candidates would not share it.
+    """
+    narrow, saturated = search.sigma, search.saturated
+    search.saturated = np.zeros_like(saturated)
     search.set_width(settings.widening * narrow)
     search.reset_covariance(_BETWEEN, _ANY_LIGHT)
     search.weigh(CAPS[0])
@@ -181,6 +190,7 @@ def _share_the_light(search: ParticleSearch, settings: BayesianIprSettings) -> N
         common = search.common_light()
         real = common[common > _REAL]
         search.keep(common >= level * (np.median(real) if len(real) else 1.0))
+    search.saturated = saturated
     search.reset_covariance()
     search.set_width(narrow)
     search.refine(settings.fits)

@@ -69,10 +69,11 @@ def explains(search: ParticleSearch) -> bool:
 def left_of_images(search: ParticleSearch) -> F64:
     """Compute the share of each image's squared light, clear of noise, that is left (camera,)."""
     shares = []
-    for left, image, known, noise in zip(
-        search.left, search.images, search.known, search.noise, strict=True
+    for camera, (image, known, noise) in enumerate(
+        zip(search.images, search.known, search.noise, strict=True)
     ):
-        rest, whole = (_squares(one[known], _CLEAR * noise) for one in (left, image))
+        both = search.miss(camera), image
+        rest, whole = (_squares(one[known], _CLEAR * noise) for one in both)
         shares.append(rest / max(whole, rest, 1e-6))
     return np.array(shares)
 

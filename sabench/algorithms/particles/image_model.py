@@ -34,7 +34,8 @@ class ImageModel(NamedTuple):
     precision : (camera, camera) inverse covariance of the logarithms of light.
     log_precision : logarithm of its determinant.
     images : (camera, row, column) float32, less black.
-    weight : the same shape, 1 / variance of a pixel; 0 where it is unknown.
+    weight : the same shape, 1 / variance of a pixel; 0 where it is unknown, and less than 0 where
+        it is saturated: such a pixel asks for as much light as it has, or more.
     left : the same shape, the images less all particles; kept up to date.
     log_rate : logarithm of the number of particles in a unit cube of the box's coordinates.
     """
@@ -76,6 +77,9 @@ class Room(NamedTuple):
     corner, here, width : (camera, 2) first column and row, centre, and widths, px.
     slope : (camera, 2, 3) derivatives of the centre by the position in the box.
     sums : (camera, SUMS) of `sum_up`.
+    signal, weight : (camera,) of `look`: minus the cost of light L in a camera, relative to no
+        light, is L signal - L^2 weight / 2, and `given` in all cameras.
+    given : (1,) what light saves in saturated pixels that have enough of it.
     """
 
     x: F64
@@ -89,6 +93,7 @@ class Room(NamedTuple):
     sums: F64
     signal: F64
     weight: F64
+    given: F64
     logs: F64
     pull: F64
     bend: F64
@@ -114,6 +119,7 @@ def make_room(sigma: F64) -> Room:
         sums=np.zeros((cameras, SUMS)),
         signal=np.zeros(cameras),
         weight=np.zeros(cameras),
+        given=np.zeros(1),
         logs=np.zeros(cameras),
         pull=np.zeros(cameras),
         bend=np.zeros((cameras, cameras)),
@@ -152,6 +158,14 @@ def window_within(corner: Any, size: int, shape: Any) -> Any:
 
 
 @numba.njit(cache=True)
+def counting(weight: Any, left: Any) -> float:
+    """Return the weight of a pixel with what is left there; 0 if it has enough light."""
+    if weight < 0.0:
+        return np.float64(-weight) if left > 0.0 else 0.0
+    return np.float64(weight)
+
+
+@numba.njit(cache=True)
 def _paint(image: Any, x: Any, y: Any, corner: Any, amount: float) -> None:
     """Add light with a window's profiles to an image."""
     top, bottom, left, right = window_within(corner, len(x), image.shape)
@@ -162,19 +176,27 @@ def _paint(image: Any, x: Any, y: Any, corner: Any, amount: float) -> None:
 
 
 @numba.njit(cache=True)
-def _match(image: Any, weights: Any, x: Any, y: Any, corner: Any) -> Any:
-    """Sum up weights times a window's image times an image, and times its own square."""
+def _match(image: Any, weights: Any, x: Any, y: Any, corner: Any, light: float) -> Any:
+    """Sum up weights times a window's image times an image, and times its own square.
+
+    Saturated pixels that have enough with this light count in the third sum.
+    """
     top, bottom, left, right = window_within(corner, len(x), image.shape)
-    signal, weight = 0.0, 0.0
+    signal = weight = given = 0.0
     for i in range(top, bottom):
         row, along, square = np.uintp(corner[1] + i), 0.0, 0.0
         for j in range(left, right):
             column, own = np.uintp(corner[0] + j), x[np.uintp(j)]
-            each = own * np.float64(weights[row, column])
-            along += each * image[row, column]
-            square += each * own
+            value, each = np.float64(image[row, column]), np.float64(weights[row, column])
+            if each < 0.0:
+                each = -each
+                if value - light * y[i] * own <= 0.0:
+                    given += 0.5 * each * max(value, 0.0) ** 2
+                    continue
+            along += each * own * value
+            square += each * own * own
         signal, weight = signal + y[i] * along, weight + y[i] * y[i] * square
-    return signal, weight
+    return signal, weight, given
 
 
 @numba.njit(cache=True)
@@ -189,7 +211,7 @@ def _sum_window(
         own = both = slopes = off = off_x = 0.0
         for j in range(left, right):
             column, a, b = np.uintp(corner[0] + j), x[np.uintp(j)], by_x[np.uintp(j)]
-            each = np.float64(weights[row, column])
+            each = counting(weights[row, column], image[row, column])
             light = each * image[row, column]
             own, both, slopes = own + each * a * a, both + each * a * b, slopes + each * b * b
             off, off_x = off + light * a, off_x + light * b
@@ -230,15 +252,26 @@ def put_all_in(model: Any, room: Any, particles: Any) -> None:
 
 
 @numba.njit(cache=True)
-def look(model: Any, room: Any, position: Any) -> None:
-    """Sum up what the images less all others say of a particle at a position."""
+def look(model: Any, room: Any, position: Any, light: Any) -> None:
+    """Sum up what the images less all others say of a particle at a position.
+
+    Light (camera,) tells which saturated pixels have enough.
+    """
     place(model, room, position)
+    match_here(model, room, light)
+
+
+@numba.njit(cache=True)
+def match_here(model: Any, room: Any, light: Any) -> None:
+    """Sum up as `look` does, where `place` was last."""
+    room.given[0] = 0.0
     for c in range(len(room.signal)):
-        signal, weight = _match(
-            model.left[c], model.weight[c], room.x[c], room.y[c], room.corner[c]
+        signal, weight, given = _match(
+            model.left[c], model.weight[c], room.x[c], room.y[c], room.corner[c], light[c]
         )
         seen = weight > UNSEEN
         room.signal[c], room.weight[c] = signal if seen else 0.0, weight if seen else 0.0
+        room.given[0] += given
 
 
 @numba.njit(cache=True)
@@ -284,4 +317,4 @@ def add_leverage(model: Any, room: Any, particles: Any, leverage: Any) -> None:
                     own, dx, dy = y[i] * x[j], y[i] * by_x[j], by_y[i] * x[j]
                     share = own * own / weight + 3.0 / cameras * (dx * dx + dy * dy) / slopes
                     row, column = corner[1] + i, corner[0] + j
-                    into[row, column] += share * weights[row, column]
+                    into[row, column] += share * abs(weights[row, column])

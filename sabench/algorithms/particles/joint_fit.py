@@ -14,8 +14,6 @@ from typing import Any
 import numba
 
 from sabench.algorithms.particles.image_model import (
-    PULL,
-    UNSEEN,
     WEIGHT,
     XX,
     XY,
@@ -23,6 +21,7 @@ from sabench.algorithms.particles.image_model import (
     X,
     Y,
     look,
+    match_here,
     paint_here,
     sum_up,
 )
@@ -42,7 +41,8 @@ def cost_of(model: Any, room: Any, light: Any) -> float:
     """Compute the cost of a particle's light after `look`, relative to no light."""
     for c in range(len(light)):
         room.logs[c] = math.log(light[c] / model.typical[c])
-    return float(light_cost(room.signal, room.weight, model.typical, model.precision, room.logs))
+    cost = light_cost(room.signal, room.weight, model.typical, model.precision, room.logs)
+    return float(cost - room.given[0])
 
 
 @numba.njit(cache=True)
@@ -56,7 +56,7 @@ def best_light(model: Any, room: Any, light: Any) -> float:
     )
     for c in range(len(light)):
         light[c] = model.typical[c] * math.exp(room.logs[c])
-    return float(cost)
+    return float(cost - room.given[0])
 
 
 @numba.njit(cache=True)
@@ -79,12 +79,9 @@ def _normal_equations(model: Any, room: Any, position: Any, light: Any) -> float
     """
     sum_up(model, room, position)
     paint_here(model, room, light, 1.0)
+    match_here(model, room, light)
     room.matrix[:], room.right[:], steepest = 0.0, 0.0, 0.0
     for c in range(len(light)):
-        weight, pull = room.sums[c, WEIGHT], room.sums[c, PULL]
-        seen = weight > UNSEEN
-        room.signal[c] = pull + light[c] * weight if seen else 0.0
-        room.weight[c] = weight if seen else 0.0
         slope = room.slope[c]
         for p in range(3):
             steepest = max(steepest, abs(slope[0, p]), abs(slope[1, p]))
@@ -133,13 +130,13 @@ def adjust(model: Any, room: Any, particles: Any, n: int) -> float:
         share = min(1.0, _FARTHEST_PX / max(steepest * largest, 1e-300))
         for p in range(3):
             room.trial[p] = min(max(position[p] + share * room.trial[p], -1.0), 1.0)
-        look(model, room, room.trial)
+        look(model, room, room.trial, light)
         cost = best_light(model, room, room.light)
         if cost <= before:
             position[:] = room.trial
             lowered = True
     if not lowered:
-        look(model, room, position)
+        look(model, room, position, light)
         cost_of(model, room, light)  # the search starts from the present light
         cost = best_light(model, room, room.light)
     if cost <= before:
@@ -166,7 +163,8 @@ def refine(model: Any, room: Any, particles: Any, rounds: int) -> float:
 def start_light(model: Any, room: Any, particles: Any, first: int) -> None:
     """Give particles from a row on the light that those before leave them."""
     for n in range(first, len(particles.position)):
-        look(model, room, particles.position[n])
+        particles.light[n] = 0.0
+        look(model, room, particles.position[n], particles.light[n])
         guess_light(room.signal, room.weight, model.typical, room.logs)
         best_light(model, room, particles.light[n])
         paint_here(model, room, particles.light[n], -1.0)

@@ -19,6 +19,7 @@ from scipy.spatial import cKDTree
 
 from sabench.algorithms.particles.image_model import (
     SUMS,
+    counting,
     look,
     place,
     put_in,
@@ -110,7 +111,7 @@ def remove_ghosts(
             for c in range(cameras):
                 lights[k - first, c] = particles.light[near[k], c]
         take_out(model, room, position, light)
-        look(model, room, position)
+        look(model, room, position, light)
         loss = -cost_of(model, room, light)
         if lone:
             least /= max(1.0 - _largest_share(room, light), 1e-3)
@@ -174,8 +175,17 @@ def _earned_in(
         for j in range(first, last):
             row, column, own = corner[1] + i, corner[0] + j, light * y[i] * x[j]
             if image[row, column] - left[row, column] - own <= _SHARED * own:
-                earned += weights[row, column] * own * (left[row, column] + 0.5 * own)
+                earned += _saved(weights[row, column], left[row, column], own)
     return earned
+
+
+@numba.njit(cache=True)
+def _saved(weight: Any, left: Any, own: float) -> float:
+    """Compute the cost that light of a particle saves in a pixel, from what all leave there."""
+    without, rest = left + own, left
+    if weight < 0.0:  # saturated: light beyond what it shows costs nothing
+        weight, without, rest = -weight, max(without, 0.0), max(left, 0.0)
+    return float(0.5 * weight * (without * without - rest * rest))
 
 
 def near_any(chosen: Any, starts: I64, near: I64) -> Any:
@@ -210,8 +220,9 @@ def measure_misfit(model: Any, room: Any, particles: Any, misfit: Any) -> None:
             top, bottom, first, last = window_within(corner, room.x.shape[1], left.shape)
             for i in range(corner[1] + top, corner[1] + bottom):
                 for j in range(corner[0] + first, corner[0] + last):
-                    squares += weights[i, j] * left[i, j] ** 2
-                    count += weights[i, j] > 0.0
+                    each = counting(weights[i, j], left[i, j])
+                    squares += each * left[i, j] ** 2
+                    count += each > 0.0
         misfit[n] = (squares - count) / math.sqrt(2.0 * count) if count else 0.0
 
 
@@ -291,7 +302,7 @@ def _try_split(model: Any, room: Any, particles: Any, n: int, new: int, step: An
     Returns the change of the cost.
     """
     take_out(model, room, particles.position[n], particles.light[n])
-    look(model, room, particles.position[n])
+    look(model, room, particles.position[n], particles.light[n])
     cost = -cost_of(model, room, particles.light[n])
     for p in range(3):
         middle = particles.position[n, p]
@@ -301,7 +312,7 @@ def _try_split(model: Any, room: Any, particles: Any, n: int, new: int, step: An
         particles.light[n, c] *= 0.5
         particles.light[new, c] = particles.light[n, c]
     for k in (n, new):
-        look(model, room, particles.position[k])
+        look(model, room, particles.position[k], particles.light[k])
         cost += cost_of(model, room, particles.light[k])
         put_in(model, room, particles.position[k], particles.light[k])
     for fit in range(_SETTLE):
@@ -354,7 +365,7 @@ def add_width_misses(
             own[:], both[:], slopes[:], whole, pull = 0.0, 0.0, 0.0, 1e-300, 0.0
             for i in range(top, bottom):
                 for j in range(start, end):
-                    each = weights[row + i, column + j]
+                    each = counting(weights[row + i, column + j], left[row + i, column + j])
                     share = room.y[c, i] * room.x[c, j]
                     dx, dy = room.y[c, i] * room.by_x[c, j], room.by_y[c, i] * room.x[c, j]
                     off = each * left[row + i, column + j]

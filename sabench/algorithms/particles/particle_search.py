@@ -10,6 +10,7 @@ import math
 import numpy as np
 from scipy.spatial import cKDTree
 
+from sabench.algorithms.particles.background import ClearImages
 from sabench.algorithms.particles.candidate_search import (
     BRIGHTEST,
     find_candidates,
@@ -48,7 +49,6 @@ from sabench.geometry.volume_polynomials import (
     project_points,
     project_with_slopes,
 )
-from sabench.images.flaws import Flaws
 from sabench.images.position_bounds import ParticleSpots, position_bounds
 from sabench.utils.arrays import F32, F64, I64, Bool
 
@@ -104,8 +104,8 @@ class ParticleSearch:
 
     Attributes
     ----------
-    images, known, covered : (camera, row, column) less black; which pixels count; which tell
-        nothing of what is behind them.
+    images, known, covered, saturated : (camera, row, column) less black; which pixels count; which
+        tell nothing of what is behind them; which show less light than there is.
     left, variance : the images less all particles, and the variance of each pixel.
     position, light : (n, 3) in the box of the maps, (n, camera).
     hidden : (all cameras, row, column) areas that something hides from a camera in every frame.
@@ -118,6 +118,7 @@ class ParticleSearch:
     images: F32
     known: Bool
     covered: Bool
+    saturated: Bool
     left: F32
     variance: F32
     position: F64
@@ -129,8 +130,7 @@ class ParticleSearch:
 
     def __init__(
         self,
-        images: F32,
-        flaws: Flaws,
+        clear: ClearImages,
         maps: VolumePolynomials,
         statistics: ImageStatistics,
         fits: int,
@@ -142,12 +142,13 @@ class ParticleSearch:
         self.typical = statistics.light[self.shown]
         self.hidden: Bool | None = None
         self.reset_covariance()
-        self.show(images, flaws)
+        self.show(clear)
         self.set_width(statistics.sigma[self.shown])
 
-    def show(self, images: F32, flaws: Flaws) -> None:
+    def show(self, clear: ClearImages) -> None:
         """Take the images of a frame, with all cameras, and no particles."""
-        self.images = images[self.shown]
+        images, flaws, saturated = clear
+        self.images, self.saturated = images[self.shown], saturated[self.shown]
         covered = flaws.covered if self.hidden is None else flaws.covered | self.hidden
         self.covered = covered[self.shown]
         self.known = ~(flaws.points | covered)[self.shown]
@@ -221,8 +222,13 @@ class ParticleSearch:
             slope / self.maps.half_mm,
             self.light[:, camera],
             (terms @ self.widths[camera].T).mean(axis=1),
-            np.where(self.known[camera], variance, np.inf),
+            np.where(self.known[camera] & ~self.saturated[camera], variance, np.inf),
         )
+
+    def miss(self, camera: int) -> F32:
+        """Return what is left of an image; nothing where a saturated pixel has enough light."""
+        left, enough = self.left[camera], self.saturated[camera] & (self.left[camera] < 0.0)
+        return np.where(enough, np.float32(0.0), left)
 
     def _noise(self, camera: int, leverage: F64) -> F64:
         """Estimate the variance of every pixel around particles from what is left there.
@@ -232,7 +238,7 @@ class ParticleSearch:
         """
         dark = self.noise[camera] ** 2
         model = np.clip(self.images[camera] - self.left[camera], 0.0, None).astype(np.float64)
-        lit = self.known[camera] & (model > self.noise[camera])
+        lit = self.known[camera] & ~self.saturated[camera] & (model > self.noise[camera])
         light, squares = model[lit], np.square(self.left[camera][lit], dtype=np.float64)
         squares /= np.maximum(1.0 - leverage[lit], _LEAST_FREE)
         even, slope = dark, 0.0
@@ -246,7 +252,8 @@ class ParticleSearch:
     def model(self) -> ImageModel:
         """Make the kernels' view of images and what is left of them."""
         precision: F64 = np.linalg.inv(self.covariance).astype(np.float64)
-        weight = (self.known / self.variance).astype(np.float32)
+        sign = np.where(self.saturated, np.float32(-1.0), np.float32(1.0))
+        weight = (sign * self.known / self.variance).astype(np.float32)
         return ImageModel(
             self.maps,
             self.widths,
@@ -266,8 +273,8 @@ class ParticleSearch:
     def unexplained(self) -> float:
         """Compute the share of the light that is left; the median over the cameras."""
         shares = [
-            float(left[known].sum() / max(image[known].sum(), 1e-6))
-            for left, image, known in zip(self.left, self.images, self.known, strict=True)
+            float(self.miss(camera)[known].sum() / max(image[known].sum(), 1e-6))
+            for camera, (image, known) in enumerate(zip(self.images, self.known, strict=True))
         ]
         return float(np.median(shares))
 
@@ -324,7 +331,8 @@ class ParticleSearch:
         peaks = self._peaks()[:, None, None]
         dark = np.maximum(self.noise[:, None, None] / peaks, _DIMMEST)
         logs = np.log(np.clip(self.left / peaks, dark, BRIGHTEST))
-        logs = np.where(self.covered, np.nan, logs).astype(np.float32)
+        enough = self.saturated & (self.left <= 0.0)
+        logs = np.where(self.covered | enough, np.nan, logs).astype(np.float32)
         cameras = len(logs)
         spread = (math.sqrt(2.0 * math.log(cameras)) + 0.5) * scatter_between(self.covariance)
         least = max(floor, _FLOOR * float(dark.max()))
@@ -349,7 +357,8 @@ class ParticleSearch:
             # no more than the image shows, or particles that are too bright would hide it
             image = np.maximum(self.images[camera], 0.0)
             model = np.clip(self.images[camera] - self.left[camera], 0.0, image)
-            squares = np.square(self.left[camera][known], dtype=np.float64)
+            miss = self.miss(camera)
+            squares = np.square(miss[known], dtype=np.float64)
             squares = np.minimum(squares, 30.0 * squares.mean())
             light = model[known].astype(np.float64)
             terms = np.stack([np.ones_like(light), light], axis=1)
@@ -357,7 +366,7 @@ class ParticleSearch:
             variance = np.minimum(
                 max(even, dark) + max(slope, 0.0) * model, dark + (cap * peak) ** 2
             )
-            least = (_OWN_ERROR * model) ** 2 + (_UNKNOWN * self.left[camera]) ** 2
+            least = (_OWN_ERROR * model) ** 2 + (_UNKNOWN * miss) ** 2
             self.variance[camera] = np.maximum(variance, dark + least)
 
     def remove(self, lone: bool) -> None:

@@ -273,7 +273,7 @@ class _Tracker:
         known = np.median(error, axis=1) < _KNOWN_PX * pixel_mm(self.maps)
         rows = np.flatnonzero(known & (np.abs(place) <= 1.0).all(axis=1))
         search.deadline = Deadline(settings.first.budget_s)
-        search.show(*dark_images(case))
+        search.show(dark_images(case))
         search.put(place[rows], tracks.light[rows], rows)
         search.weigh(CAPS[0])
         search.refine(_SHAKES)
