@@ -115,10 +115,15 @@ def cpu_s() -> float:
     return sum(one.ru_utime + one.ru_stime for one in both)
 
 
-def measure(name: str, shot: Shot, true_cameras: tuple[Camera, ...]) -> dict[str, Any]:
+def measure(
+    name: str,
+    shot: Shot,
+    true_cameras: tuple[Camera, ...],
+    parameters: dict[str, Any] | None = None,
+) -> dict[str, Any]:
     """Run a solver on a shot and score it; the CPU seconds include no compilation."""
     case = shot.observation
-    solver: Any = make_algorithm(name, {})
+    solver: Any = make_algorithm(name, parameters or {})
     why = solver.skip(ImageSequence.of([case]))
     if why:
         return {"skipped": why}

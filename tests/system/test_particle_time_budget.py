@@ -10,6 +10,7 @@ import pytest
 
 from sabench.api import FoundParticles, ImageSequence
 from sabench.api.make import make_algorithm
+from sabench.tasks.solver_call import call_solver
 from tests.helpers.small_particles import count_found, make_small
 
 SOLVERS = ["bayesian_ipr", "shake_the_box"]
@@ -17,10 +18,9 @@ SOLVERS = ["bayesian_ipr", "shake_the_box"]
 
 def solve(solver: str, budget_s: float | None, frames: int = 1) -> list[FoundParticles]:
     case = ImageSequence.of([make_small(6, 0.05).observation] * frames)
-    parameters = {} if budget_s is None else {"budget_s": budget_s}
-    found = make_algorithm(solver, parameters).solve(case)  # type: ignore[union-attr]
-    assert isinstance(found, list)
-    return found
+    algorithm = make_algorithm(solver, {} if budget_s is None else {"budget_s": budget_s})
+    found, _ = call_solver(algorithm, solver, case, list)
+    return list(found)
 
 
 def equal(one: FoundParticles, other: FoundParticles) -> bool:

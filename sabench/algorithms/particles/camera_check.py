@@ -27,9 +27,10 @@ def without_wrong_cameras(
     names: Sequence[str],
     search_without: Callable[[Bool], ParticleSearch | None],
 ) -> ParticleSearch:
-    """Search again without the cameras that contradict the others, with a warning for each.
+    """Search again without the cameras that contradict the others.
 
-    If no choice of cameras explains the images, one warning says so, and the search stays.
+    A warning names each. If no choice of cameras explains the images, one warning says so, and the
+    search stays.
 
     Parameters
     ----------
@@ -67,7 +68,10 @@ def explains(search: ParticleSearch) -> bool:
 
 
 def left_of_images(search: ParticleSearch) -> F64:
-    """Compute the share of each image's squared light, clear of noise, that is left (camera,)."""
+    """Compute the share (camera,) of each image's squared light that is left.
+
+    Light that is not clear of noise does not count.
+    """
     shares = []
     for camera, (image, known, noise) in enumerate(
         zip(search.images, search.known, search.noise, strict=True)

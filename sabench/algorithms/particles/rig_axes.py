@@ -21,7 +21,7 @@ _SQUARES = {"covariance_mm2", "velocity_covariance", "acceleration_covariance"}
 
 
 def rig_axes(maps: VolumePolynomials) -> F64:
-    """Choose the directions (3, 3) that serve as x, y and z, one a row, among the box's axes.
+    """Choose directions (3, 3) of the box's axes as x, y and z, one a row.
 
     Along x the columns of all cameras' images grow the most, along y, of the other two, the rows;
     x, y and z are right-handed.

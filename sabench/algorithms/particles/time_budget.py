@@ -17,7 +17,7 @@ class Deadline:
 
     @property
     def over(self) -> bool:
-        """Whether the budget is spent."""
+        """Say whether the budget is spent."""
         return time.monotonic() >= self._end_s
 
     def portions(self, count: int) -> Iterator[slice]:
