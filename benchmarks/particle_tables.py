@@ -35,10 +35,10 @@ def collect(records: list[Any], cases: list[str], key: str, digits: int) -> dict
     """Collect a score: a row for each case that has records, a cell for each solver."""
     values: dict[str, dict[str, list[float]]] = {}
     for record in records:
-        own = values.setdefault(record["case"], {})
-        own = own.setdefault(record["label"] or record["solver"], [])
+        row = values.setdefault(record["case"], {})
+        cell = row.setdefault(record["label"] or record["solver"], [])
         if record.get(key) is not None:
-            own.append(record[key])
+            cell.append(record[key])
     return {
         case: {solver: _cell(own, digits) for solver, own in values[case].items()}
         for case in cases
