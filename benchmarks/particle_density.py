@@ -1,20 +1,25 @@
-"""Particles found and ghosts over the particle density, by particle solvers.
+"""Particles found and ghosts over the particle density, by solvers of particles and of volumes.
 
     python benchmarks/particle_density.py [--seeds 1 2] [--cases NAME ...] [--solvers NAME ...]
         [--output benchmarks/records/particle-density.json]
 
 The scene is `standard-particles`: 240 x 320 pixels behind glass, particles of the whole volume,
-scored where all cameras see. Cases:
+scored where all cameras see. The particles of a volume are its local maxima. Cases:
 
-    equal 0.05 ... 0.15     four cameras, each particle equally bright in all of them
-    equal 0.20, 0.25        the same with nine cameras
+    equal 0.01 ... 0.15     four cameras, each particle equally bright in all of them
+    nine 0.05, 0.10         the same with nine cameras, as are equal 0.20 and 0.25
+    thirteen 0.05 ... 0.50  the same with thirteen cameras
+    twentyfive 0.05 ...     the same with 25 cameras in the square of the nine
+    scatter 0.05, 0.10      four cameras, Mie scattering of particles of 2 um: the logarithm of the
+                            ratio of two cameras' light has a standard deviation of 0.3
+    scatter nine 0.20       the same with nine cameras
     off 0.10                four cameras, each off by 0.1 px
     mitsuba 0.10            four cameras, Mitsuba's images
     own 0.01                nine cameras, Mie scattering of single particles, noise of the scene
     front 0.05, 0.10        four cameras, the same
     own 0.05                four cameras, the same with light from a direction in which no two
                             cameras see the same angle
-    nine 0.05, hidden 0.05  nine cameras, equally bright; a disc hides half of the volume from one
+    hidden 0.05             nine cameras, equally bright; a disc hides half of the volume from one
     realistic               the scene `realistic-particles`, nine cameras
     hard                    the standard suite's hard case of tracking, one frame
 
@@ -23,7 +28,9 @@ But for one case, the splat renderer makes the images. Its model differs from th
 depth, particles differ in size by 10 %, and grey values are noisy and rounded. The seeds are others
 than those on which the solver's settings were chosen (101). Prints one line a measurement, and
 writes one JSON value: recall and ghosts in percent of the true particles, F1, the RMS distance in
-the images, and CPU seconds. What the file holds of other cases and solvers stays.
+the images, the RMS distance in space over the Cramer-Rao bound, the coverage of claimed 68 and 95 %
+ellipsoids over the nominal one, and CPU seconds. What the file holds of other cases and solvers
+stays.
 """
 
 from __future__ import annotations
@@ -37,20 +44,31 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import numpy as np
+ROOT = Path(__file__).resolve().parents[1]
+sys.path.insert(0, str(ROOT))
+from benchmarks.particle_scores import (  # noqa: E402
+    Recording,
+    find_particles,
+    score_particles,
+    why_skipped,
+)
+from sabench.api import Camera, Observation  # noqa: E402
+from sabench.api.make import make_algorithm  # noqa: E402
+from sabench.scenes import Scene, parse_scene  # noqa: E402
+from sabench.scenes.bundled import find  # noqa: E402
+from sabench.simulation.in_memory import Shot, simulate  # noqa: E402
+from sabench.simulation.renderer_choice import Renderer  # noqa: E402
 
-from sabench.api import Camera, ImageSequence, Observation
-from sabench.api.make import make_algorithm
-from sabench.metrics.particle_detection import challenge_pairs, count_challenge
-from sabench.scenes import Scene, parse_scene
-from sabench.scenes.bundled import find
-from sabench.simulation.in_memory import Shot, simulate
-from sabench.simulation.renderer_choice import Renderer
-from sabench.utils.arrays import F64
-
-_EQUAL = {"scattering": "isotropic", "pulse_energy_mj": 6.5}  # light of the scene's Mie particles
+EQUAL = {"scattering": "isotropic", "pulse_energy_mj": 6.5}  # light of the scene's Mie particles
+_SMALL = {"diameter_mm": 0.002}  # of 2 um: the lobes of their light are wide
+_BRIGHT = {"pulse_energy_mj": 3260.0}  # as much light from them
 _FOUR = {"columns": 2, "rows": 2}
+_TWENTY_FIVE = {"columns": 5, "rows": 5, "spacing_mm": [102.0, 102.0]}
+_CROSS = [(x, y) for x in (-204, 0, 204) for y in (-204, 0, 204)]
+_CROSS += [(-408, 0), (408, 0), (0, -408), (0, 408)]
+_THIRTEEN = {"kind": "list", "places": [{"center_mm": [x, y, -516.7]} for x, y in _CROSS]}
 _OBLIQUE = {"direction": [0.8, 0.6, 0.0]}
+MANY = (0.05, 0.10, 0.20, 0.30, 0.40, 0.50)  # particles per pixel before many cameras
 _HIDDEN = {"occluders": [{"center_mm": [-151.5, -158.0, -400.0], "radius_mm": 6.0}]}
 
 
@@ -62,6 +80,7 @@ class Case:
     ----------
     per_pixel : particles.
     light, layout, more : keys of illumination, of the layout of cameras, and of the scene.
+    particles : keys of the particles.
     shift_px : error of the cameras.
     scene : the bundled one that is changed.
     renderer : of the images.
@@ -71,25 +90,35 @@ class Case:
     light: dict[str, Any] = field(default_factory=dict)
     layout: dict[str, Any] = field(default_factory=dict)
     more: dict[str, Any] = field(default_factory=dict)
+    particles: dict[str, Any] = field(default_factory=dict)
     shift_px: float = 0.0
     scene: str = "standard-particles"
     renderer: Renderer = "splat"
 
 
 CASES = {
-    "equal 0.05": Case(0.05, _EQUAL, _FOUR),
-    "equal 0.10": Case(0.10, _EQUAL, _FOUR),
-    "equal 0.15": Case(0.15, _EQUAL, _FOUR),
-    "equal 0.20": Case(0.20, _EQUAL),
-    "equal 0.25": Case(0.25, _EQUAL),
-    "off 0.10": Case(0.10, _EQUAL, _FOUR, shift_px=0.1),
-    "mitsuba 0.10": Case(0.10, _EQUAL, _FOUR, renderer="mitsuba"),
+    "equal 0.01": Case(0.01, EQUAL, _FOUR),
+    "equal 0.02": Case(0.02, EQUAL, _FOUR),
+    "equal 0.05": Case(0.05, EQUAL, _FOUR),
+    "equal 0.10": Case(0.10, EQUAL, _FOUR),
+    "equal 0.125": Case(0.125, EQUAL, _FOUR),
+    "equal 0.15": Case(0.15, EQUAL, _FOUR),
+    "nine 0.05": Case(0.05, EQUAL),
+    "nine 0.10": Case(0.10, EQUAL),
+    "equal 0.20": Case(0.20, EQUAL),
+    "equal 0.25": Case(0.25, EQUAL),
+    **{f"thirteen {one:.2f}": Case(one, EQUAL, _THIRTEEN) for one in MANY},
+    **{f"twentyfive {one:.2f}": Case(one, EQUAL, _TWENTY_FIVE) for one in MANY},
+    "scatter 0.05": Case(0.05, _BRIGHT, _FOUR, particles=_SMALL),
+    "scatter 0.10": Case(0.10, _BRIGHT, _FOUR, particles=_SMALL),
+    "scatter nine 0.20": Case(0.20, _BRIGHT, particles=_SMALL),
+    "off 0.10": Case(0.10, EQUAL, _FOUR, shift_px=0.1),
+    "mitsuba 0.10": Case(0.10, EQUAL, _FOUR, renderer="mitsuba"),
     "own 0.01": Case(0.01),
     "front 0.05": Case(0.05, {}, _FOUR),
     "front 0.10": Case(0.10, {}, _FOUR),
     "own 0.05": Case(0.05, _OBLIQUE, _FOUR),
-    "nine 0.05": Case(0.05, _EQUAL),
-    "hidden 0.05": Case(0.05, _EQUAL, more=_HIDDEN),
+    "hidden 0.05": Case(0.05, EQUAL, more=_HIDDEN),
     "realistic": Case(0.05, scene="realistic-particles"),
     "hard": Case(0.04, {"pulse_energy_mj": 75.0}, _FOUR, shift_px=0.3),
 }
@@ -100,9 +129,10 @@ def scene_of(name: str) -> Scene:
     """Change a bundled scene to a case."""
     case = CASES[name]
     values = tomllib.loads(find(case.scene, "scenes").read_text(encoding="utf-8"))
-    values["particles"]["per_pixel"] = case.per_pixel
+    values["particles"] |= {"per_pixel": case.per_pixel} | case.particles
     values["illumination"] |= case.light
-    values["cameras"]["layout"] |= case.layout
+    layout = {} if "kind" in case.layout else values["cameras"]["layout"]
+    values["cameras"]["layout"] = layout | case.layout
     values |= case.more
     if case.shift_px:
         values["calibration"] = {"shift_px": case.shift_px}
@@ -120,33 +150,18 @@ def measure(
     shot: Shot,
     true_cameras: tuple[Camera, ...],
     parameters: dict[str, Any] | None = None,
+    recording: Recording | None = None,
 ) -> dict[str, Any]:
     """Run a solver on a shot and score it; the CPU seconds include no compilation."""
-    case = shot.observation
     solver: Any = make_algorithm(name, parameters or {})
-    why = solver.skip(ImageSequence.of([case]))
+    why = why_skipped(solver, shot.observation)
     if why:
         return {"skipped": why}
     before = cpu_s()
-    found: F64 = solver.solve(ImageSequence.of([case]))[0].position_mm
+    found = find_particles(solver, shot.observation)
     seconds = cpu_s() - before
-    grid, true = case.grid, shot.particles.position_mm
-    here, there = grid.to_voxels(found), grid.to_voxels(true)
-    counts = count_challenge(here, there, grid.in_scored(here), grid.in_scored(there))
-    i, j = challenge_pairs(here, there)
-    i, j = i[grid.in_scored(there[j])], j[grid.in_scored(there[j])]
-    apart = [
-        np.linalg.norm(camera.project(found[i])[0] - camera.project(true[j])[0], axis=1)
-        for camera in true_cameras
-    ]
-    return {
-        "recall": round(100.0 * counts.recall, 2),
-        "ghosts": round(100.0 * (counts.detections - counts.matched) / counts.truths, 2),
-        "f1": round(counts.f1, 4),
-        "rms_px": round(float(np.sqrt(np.mean(np.square(apart)))), 4) if len(i) else None,
-        "true": counts.truths,
-        "cpu_s": round(seconds, 1),
-    }
+    scores = score_particles(found, shot, true_cameras, recording)
+    return scores | {"cpu_s": round(seconds, 1)}
 
 
 def warm_up(names: list[str]) -> None:
@@ -158,8 +173,7 @@ def warm_up(names: list[str]) -> None:
     values["grid"]["crop_mm"] = [0.2, 0.2, 0.0]
     shot = simulate(parse_scene(values, "warm-up"), seed=1)
     for name in names:
-        solver: Any = make_algorithm(name, {})
-        solver.solve(ImageSequence.of([shot.observation]))
+        find_particles(make_algorithm(name, {}), shot.observation)
 
 
 def exact_cameras(case: str, shot: Shot) -> tuple[Camera, ...]:
@@ -171,6 +185,15 @@ def exact_cameras(case: str, shot: Shot) -> tuple[Camera, ...]:
     del values["calibration"]
     values["particles"]["per_pixel"] = 0.001
     return _plain(simulate(parse_scene(values, "exact"), seed=1).observation)
+
+
+def recording_of(case: str, shot: Shot, seed: int) -> Recording:
+    """Give the images of a shot as they were before preprocessing."""
+    scene = scene_of(case)
+    if scene.preprocessing:
+        raw = parse_scene({**scene.to_dict(), "preprocessing": []}, "raw")
+        shot = simulate(raw, seed=seed, backend=CASES[case].renderer)
+    return Recording(shot.observation.images, scene.sensor)
 
 
 def _plain(case: Observation) -> tuple[Camera, ...]:
@@ -190,9 +213,9 @@ def main() -> None:
     for case in chosen.cases:
         for seed in chosen.seeds:
             shot = simulate(scene_of(case), seed=seed, backend=CASES[case].renderer)
-            cameras = exact_cameras(case, shot)
+            cameras, recording = exact_cameras(case, shot), recording_of(case, shot, seed)
             for name in chosen.solvers:
-                row = measure(name, shot, cameras)
+                row = measure(name, shot, cameras, recording=recording)
                 table.setdefault(case, {}).setdefault(name, []).append({"seed": seed} | row)
                 print(case, name, json.dumps({"seed": seed} | row), file=sys.stderr, flush=True)
         if chosen.output:
