@@ -1,7 +1,8 @@
 """Particles in three dimensions.
 
 The package holds triangulation of image peaks, iterative reconstruction (IPR), reconstruction of
-the most probable particles (Bayesian IPR), tracking (Shake-The-Box), and linking.
+the most probable particles (Bayesian IPR), inverse rendering, tracking (Shake-The-Box), and
+linking.
 """
 
 from __future__ import annotations
@@ -15,6 +16,10 @@ if TYPE_CHECKING:
         BayesianIprSettings,
         reconstruct_most_probable,
     )
+    from sabench.algorithms.particles.inverse_rendering import (
+        InverseRenderingSettings,
+        reconstruct_by_descent,
+    )
     from sabench.algorithms.particles.ipr import (
         IprSettings,
         fit_cameras,
@@ -26,10 +31,12 @@ if TYPE_CHECKING:
 
 __all__ = [
     "BayesianIprSettings",
+    "InverseRenderingSettings",
     "IprSettings",
     "ShakeTheBoxSettings",
     "fit_cameras",
     "link",
+    "reconstruct_by_descent",
     "reconstruct_most_probable",
     "reconstruct_particles",
     "track_particles",
@@ -38,10 +45,12 @@ __all__ = [
 
 _HOMES = {
     "BayesianIprSettings": "bayesian_ipr",
+    "InverseRenderingSettings": "inverse_rendering",
     "IprSettings": "ipr",
     "ShakeTheBoxSettings": "shake_the_box",
     "fit_cameras": "ipr",
     "link": "linking",
+    "reconstruct_by_descent": "inverse_rendering",
     "reconstruct_most_probable": "bayesian_ipr",
     "reconstruct_particles": "ipr",
     "track_particles": "shake_the_box",

@@ -17,13 +17,18 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from sabench.algorithms.particles.differentiable_projection import DifferentiableCamera, constants
+from sabench.algorithms.particles.differentiable_projection import (
+    DifferentiableCamera,
+    aligned,
+    constants,
+)
 from sabench.geometry.camera import Camera
 from sabench.utils.arrays import F32, F64, I64
 from sabench.utils.backend import drjit
 
 _REACH = 3.1  # of a particle's image in widths
 _MARGIN_PX = 0.9  # that a particle may move before windows are laid out again
+_SLOTS = 4  # of window pixels for a pixel: multiples of it, as each number has its own kernel
 
 
 class ImageModel(NamedTuple):
@@ -61,28 +66,27 @@ class DifferentiableImages:
 
     def __init__(self, model: ImageModel) -> None:
         """Prepare the cameras; `lay_out` comes next."""
-        self._dr, arrays = drjit()
-        self._float, self._index = arrays.ad.Float64, arrays.ad.UInt32
-        half = math.ceil(_REACH * float(model.widths[:, :, 0].max()) + _MARGIN_PX)
-        self._model, self._window = model, 2 * half + 1
-        self._precision = constants(model.precision)
-        self._views = [_View(self, number) for number in range(len(model.cameras))]
+        self._dr, _ = drjit()
+        self._half = math.ceil(_REACH * float(model.widths[:, :, 0].max()) + _MARGIN_PX)
+        self._model, self._precision = model, constants(model.precision)
+        cameras = range(len(model.cameras))
+        self._views = [_View(model, camera, 2 * self._half + 1) for camera in cameras]
 
     def lay_out(self, position_mm: F64) -> None:
         """Lay out windows around positions (n, 3)."""
         for view, pixel in zip(self._views, self._project(position_mm), strict=True):
-            view.lay_out(np.rint(pixel).astype(np.int64) - self._window // 2)
+            view.lay_out(np.rint(pixel).astype(np.int64) - self._half)
 
     def farthest_px(self, position_mm: F64) -> float:
         """Measure how far positions (n, 3) are from the middles of their windows."""
         return max(
-            float(np.abs(pixel - self._window // 2 - view.corner).max(initial=0.0))
+            float(np.abs(pixel - self._half - view.corner).max(initial=0.0))
             for view, pixel in zip(self._views, self._project(position_mm), strict=True)
         )
 
     def _project(self, position_mm: F64) -> list[F64]:
         """Project positions (n, 3) to the pixels (n, 2) of each camera."""
-        place = self._leaves(position_mm)
+        place = _load(position_mm)
         both = [view.camera.project(*place) for view in self._views]
         return [np.column_stack([one.numpy() for one in pixel]) for pixel in both]
 
@@ -95,7 +99,7 @@ class DifferentiableImages:
         logarithms : (n, camera) of light over a typical particle's.
         """
         dr = self._dr
-        place, logs = self._leaves(position_mm), self._leaves(logarithms)
+        place, logs = _load(position_mm), _load(logarithms)
         for leaf in (*place, *logs):
             dr.enable_grad(leaf)
         cost = 0.0
@@ -130,26 +134,28 @@ class DifferentiableImages:
 
     def render(self, position_mm: F64, logarithms: F64) -> F64:
         """Render the images (camera, row, column)."""
-        place, logs = self._leaves(position_mm), self._leaves(logarithms)
+        place, logs = _load(position_mm), _load(logarithms)
         return np.stack(
             [view.render(place, own) for view, own in zip(self._views, logs, strict=True)]
         )
 
-    def spread(self, values: list[Any]) -> Any:
-        """Repeat arrays (n,) of particles for each of their window pixels."""
-        return self._dr.custom(_repeat(), values, self._window**2)
-
     def _prior(self, logs: list[Any]) -> Any:
         """Compute the cost of lights: that of a normal distribution."""
-        total = self._float(0.0)
-        for one, row in zip(logs, self._precision, strict=True):
-            pull = sum(each * other for each, other in zip(row, logs, strict=True))
-            total += 0.5 * self._dr.sum(one * pull)
-        return total
+        pulls = [_weighted(row, logs) for row in self._precision]
+        return 0.5 * self._dr.sum(_weighted(logs, pulls))
 
-    def _leaves(self, columns: F64) -> list[Any]:
-        """Copy the columns of an array (n, k) into k arrays."""
-        return [self._float(np.ascontiguousarray(column)) for column in columns.T]
+
+def _load(columns: F64) -> list[Any]:
+    """Copy the columns of an array (n, k) to k Dr.Jit arrays."""
+    return [_array(column) for column in columns.T]
+
+
+def _array(values: F64 | I64) -> Any:
+    return drjit()[1].ad.Float64(aligned(np.asarray(values, dtype=np.float64).ravel()))
+
+
+def _indices(values: I64) -> Any:
+    return drjit()[1].ad.UInt32(aligned(values.ravel().astype(np.uint32)))
 
 
 @functools.cache
@@ -160,7 +166,7 @@ def _repeat() -> Any:
     """
     dr, _ = drjit()
 
-    class Repeat(dr.CustomOp):  # type: ignore[misc]
+    class Repeat(dr.CustomOp):  # type: ignore[misc,name-defined]
         def eval(self, arrays: list[Any], count: int) -> list[Any]:
             self.count = count
             return self.repeat(dr.detach(arrays))
@@ -183,42 +189,44 @@ def _repeat() -> Any:
 class _View:
     """One camera's part of the cost."""
 
-    def __init__(self, owner: DifferentiableImages, number: int) -> None:
-        self._owner, model = owner, owner._model
-        self.camera = DifferentiableCamera(model.cameras[number], model.shifts[number])
-        self._image, self._weight = model.images[number], model.weight[number]
-        per_mm = model.widths[number, :, 1:] / model.half_mm
-        middle = model.widths[number, :, 0] - per_mm @ model.middle_mm
-        terms = np.column_stack([middle, per_mm])
-        self._typical, self._widths = constants([model.typical[number], terms])
+    def __init__(self, model: ImageModel, camera: int, window: int) -> None:
+        """Prepare one of a model's cameras; windows are so many pixels wide and high."""
+        self._dr, self._window = drjit()[0], window
+        exact = model.cameras[camera]
+        self.camera = DifferentiableCamera(exact, model.shifts[camera])
+        self._image, self._weight = model.images[camera], model.weight[camera]
+        per_mm = model.widths[camera, :, 1:] / model.half_mm
+        middle = model.widths[camera, :, 0] - per_mm @ model.middle_mm
+        terms = np.column_stack([per_mm, middle])
+        self._typical, self._widths = constants([model.typical[camera], terms])
 
     def lay_out(self, corner: I64) -> None:
-        """Lay out windows from corners (n, 2), (column, row) of their first pixels.
-
-        The table (pixel, slot) lists the window pixels that cover each pixel of the image; a slot
-        that is not used refers to a zero behind them all.
-        """
-        self.corner, owner, window = corner, self._owner, self._owner._window
-        steps = np.arange(window)
-        column = corner[:, :1] + np.tile(steps, window)
-        row = corner[:, 1:] + np.repeat(steps, window)
+        """Lay out windows from corners (n, 2), (column, row) of their first pixels."""
+        steps = np.arange(self._window)
+        column = corner[:, :1] + np.tile(steps, self._window)
+        row = corner[:, 1:] + np.repeat(steps, self._window)
         rows, columns = self._image.shape
         inside = (column >= 0) & (column < columns) & (row >= 0) & (row < rows)
         self._flat = np.where(inside, row * columns + column, -1)
-        source = np.flatnonzero(inside)
-        target = self._flat.ravel()[source]
-        order = np.argsort(target, kind="stable")
-        self._lit, first, count = np.unique(target[order], return_index=True, return_counts=True)
-        self._slots = int(count.max(initial=1))
-        table = np.full((len(self._lit), self._slots), inside.size)
-        slot = np.arange(len(order)) - np.repeat(first, count)
-        table[np.repeat(np.arange(len(count)), count), slot] = source[order]
-        self._table = owner._index(table.ravel().astype(np.uint32))
-        self._used = owner._index(np.array([inside.size], dtype=np.uint32))
-        self._column, self._row = (
-            owner._float(one.ravel().astype(np.float64)) for one in (column, row)
-        )
+        self.corner, self._column, self._row = corner, _array(column), _array(row)
+        self._set_table()
         self._set_data()
+
+    def _set_table(self) -> None:
+        """List the window pixels that cover each lit pixel of the image (pixel, slot).
+
+        A slot that is not used refers to a place behind all window pixels.
+        """
+        source = np.flatnonzero(self._flat >= 0)
+        source = source[np.argsort(self._flat.ravel()[source], kind="stable")]
+        target = self._flat.ravel()[source]
+        self._lit = np.union1d(target, [0])  # one pixel at least: Dr.Jit has no empty arrays
+        place = np.searchsorted(self._lit, target)
+        slot = np.arange(len(target)) - np.searchsorted(target, target)
+        self._slots = _SLOTS * (int(slot.max(initial=0)) // _SLOTS + 1)
+        table = np.full((len(self._lit), self._slots), self._flat.size)
+        table[place, slot] = source
+        self._table, self._unused = _indices(table), _indices(np.array([self._flat.size]))
 
     def _set_data(self) -> None:
         """Take the data of lit pixels, and the constant cost of all others."""
@@ -226,12 +234,12 @@ class _View:
         dark = np.ones(image.size, dtype=np.bool_)
         dark[self._lit] = False
         self.dark = float(0.5 * np.sum((weight * image**2)[dark]))
-        self._data, self._trust = (self._owner._float(one[self._lit]) for one in (image, weight))
+        self._data, self._trust = _array(image[self._lit]), _array(weight[self._lit])
 
     def cost(self, place: list[Any], log: Any) -> Any:
         """Compute half the weighted sum of squared residuals, of positions and light."""
         off = self._sum_up(self._images(place, log)) - self._data
-        return 0.5 * self._owner._dr.sum(self._trust * off * off)
+        return 0.5 * self._dr.sum(self._trust * off * off)
 
     def render(self, place: list[Any], log: Any) -> F64:
         """Render the image (row, column)."""
@@ -244,9 +252,9 @@ class _View:
 
         Returns (n, window pixel, 4), and the weights (n, window pixel) of the pixels.
         """
-        dr, found = self._owner._dr, []
+        dr, found = self._dr, []
         for axis in range(4):
-            *place, light = self._owner._leaves(np.column_stack([position_mm, log]))
+            *place, light = _load(np.column_stack([position_mm, log]))
             leaf = (*place, light)[axis]
             dr.enable_grad(leaf)
             image = self._images(place, light)
@@ -257,30 +265,25 @@ class _View:
 
     def _images(self, place: list[Any], log: Any) -> Any:
         """Render each particle's own image: arrays (n window pixels,), particle by particle."""
-        dr, spread = self._owner._dr, self._owner.spread
-        column, row = self.camera.project(*place)
-        across, down = (
-            middle + sum(each * one for each, one in zip(slopes, place, strict=True))
-            for middle, *slopes in self._widths
-        )
-        light = self._typical * dr.exp(log)
-        column, row, across, down, light = spread([column, row, across, down, light])
+        across, down = (_weighted(terms, [*place, 1.0]) for terms in self._widths)
+        light = self._typical * self._dr.exp(log)
+        spread = [*self.camera.project(*place), across, down, light]
+        column, row, across, down, light = self._dr.custom(_repeat(), spread, self._window**2)
         light *= self._shares(self._column - column, across)
         return light * self._shares(self._row - row, down)
 
     def _shares(self, offset: Any, width: Any) -> Any:
         """Integrate Gaussians over pixels at an offset from their centres."""
-        erf, scale = self._owner._dr.erf, self._owner._dr.rcp(width * math.sqrt(2.0))
+        erf, scale = self._dr.erf, self._dr.rcp(width * math.sqrt(2.0))
         return 0.5 * (erf((offset + 0.5) * scale) - erf((offset - 0.5) * scale))
 
     def _sum_up(self, images: Any) -> Any:
         """Add up the images of all particles in the lit pixels."""
-        dr, owner = self._owner._dr, self._owner
-        each = dr.gather(
-            owner._float,
-            images,
-            self._table,
-            active=self._table < self._used,
-            mode=dr.ReduceMode.NoConflicts,
-        )
-        return dr.block_sum(each, self._slots)
+        used, mode = self._table < self._unused, self._dr.ReduceMode.NoConflicts
+        each = self._dr.gather(type(images), images, self._table, active=used, mode=mode)
+        return self._dr.block_sum(each, self._slots)
+
+
+def _weighted(weights: Sequence[Any], values: Sequence[Any]) -> Any:
+    """Add up values times their weights."""
+    return sum(weight * value for weight, value in zip(weights, values, strict=True))

@@ -14,6 +14,7 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from sabench.geometry.camera import Camera
 from sabench.geometry.projection_kernels import media_of
@@ -22,6 +23,20 @@ from sabench.geometry.sensor_tilt import sensor_axes
 from sabench.utils.backend import drjit
 
 _NEWTON = 12  # steps: each doubles the right digits, and grazing light starts with few
+_ALIGN = 128  # bytes
+
+
+def aligned(values: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """Copy an array to memory whose start is a multiple of 128 bytes.
+
+    Dr.Jit uses the memory of numpy arrays as it is, and compiles another kernel for memory that is
+    not aligned.
+    """
+    room = np.empty(values.nbytes + _ALIGN, dtype=np.uint8)
+    start = -room.ctypes.data % _ALIGN
+    own = room[start : start + values.nbytes].view(values.dtype).reshape(values.shape)
+    own[...] = values
+    return own
 
 
 def constants(values: Any) -> Any:
@@ -33,7 +48,7 @@ def constants(values: Any) -> Any:
     dr, arrays = drjit()
     flat: list[float] = []
     places = _collect(values, flat)
-    table = arrays.ad.Float64(np.array(flat))
+    table = arrays.ad.Float64(aligned(np.array(flat)))
     return _map(places, lambda place: dr.gather(arrays.ad.Float64, table, arrays.ad.UInt32(place)))
 
 

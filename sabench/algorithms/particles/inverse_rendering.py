@@ -58,9 +58,7 @@ def reconstruct_by_descent(
     return search.found()
 
 
-def image_model(
-    search: ParticleSearch, case: Observation, maps: VolumePolynomials
-) -> ImageModel:
+def image_model(search: ParticleSearch, case: Observation, maps: VolumePolynomials) -> ImageModel:
     """Make the model of images, with what a search has learned, and exact cameras.
 
     Parameters
@@ -91,7 +89,7 @@ def descend(
     images = DifferentiableImages(model)
     position = search.position * model.half_mm + model.middle_mm
     logs = np.log(search.light / model.typical)
-    costs = []
+    costs: list[float] = []
     for _ in range(settings.descents):
         images.lay_out(position)
         before, after, step = _descend_once(images, position, logs, settings)
@@ -118,17 +116,17 @@ def _descend_once(
     inverse = np.linalg.inv(factors)
 
     def step_of(whitened: F64) -> F64:
-        return np.einsum("nij,ni->nj", inverse, whitened.reshape(inverse.shape[:2]))
+        own = whitened.reshape(inverse.shape[:2])
+        return np.asarray(np.einsum("nij,ni->nj", inverse, own))
 
     def cost(whitened: F64) -> tuple[float, F64]:
         step = step_of(whitened)
-        value, by_place, by_log = images.cost_and_slopes(
-            position + step[:, :3], logs + step[:, 3:]
-        )
+        value, by_place, by_log = images.cost_and_slopes(position + step[:, :3], logs + step[:, 3:])
         slopes = np.concatenate([by_place, by_log], axis=1)
         return value, np.einsum("nij,nj->ni", inverse, slopes).ravel()
 
     start = np.zeros(inverse.shape[:2]).ravel()
+    first = cost(start)[0]
     found = minimize(
         cost,
         start,
@@ -141,4 +139,4 @@ def _descend_once(
             "ftol": _LEAST_FALL,
         },
     )
-    return cost(start)[0], float(found.fun), step_of(found.x)
+    return first, float(found.fun), step_of(found.x)
