@@ -1,4 +1,4 @@
-"""Particles by inverse rendering: all images are fitted together, by automatic derivatives."""
+"""Particles by inverse rendering with automatic derivatives."""
 
 from __future__ import annotations
 

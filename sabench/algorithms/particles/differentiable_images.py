@@ -264,7 +264,7 @@ class _View:
         return np.stack(found, axis=2), weight
 
     def _images(self, place: list[Any], log: Any) -> Any:
-        """Render each particle's own image: arrays (n window pixels,), particle by particle."""
+        """Render each particle's own image, window pixels (n k,) particle by particle."""
         across, down = (_weighted(terms, [*place, 1.0]) for terms in self._widths)
         light = self._typical * self._dr.exp(log)
         spread = [*self.camera.project(*place), across, down, light]

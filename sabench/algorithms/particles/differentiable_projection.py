@@ -40,9 +40,9 @@ def aligned(values: npt.NDArray[Any]) -> npt.NDArray[Any]:
 
 
 def constants(values: Any) -> Any:
-    """Copy numbers, in lists of any depth, to one Dr.Jit array, and look them up there.
+    """Copy numbers, in lists of any depth, to one array, and look them up there.
 
-    Returns lists of the same shape. Kernels with other numbers are the same kernels: they are
+    Returns lists of the same shape, of Dr.Jit arrays of one number. Kernels with other numbers are the same kernels: they are
     compiled once.
     """
     dr, arrays = drjit()
@@ -100,7 +100,7 @@ class DifferentiableCamera:
         )
 
     def project(self, x: Any, y: Any, z: Any) -> tuple[Any, Any]:
-        """Project world points, three arrays (n,) in mm, to arrays of columns and rows, px."""
+        """Project world points x, y, z (n,) in mm to columns and rows (n,), px."""
         offset = [one - center for one, center in zip((x, y, z), self._center, strict=True)]
         along = self._through_wall(offset) if self._normal else offset
         right, down, forward = (_dot(row, along) for row in self._rotation)
@@ -118,7 +118,9 @@ class DifferentiableCamera:
         return [one * slope + axis for one, axis in zip(lateral, self._normal, strict=True)]
 
     def _slope(self, square: Any, deep: Any) -> Any:
-        """Solve for the tangent of paths in the rarest medium over their lateral distance, 1/mm.
+        """Solve for the slopes of paths: tangents over lateral distances, 1/mm.
+
+        The tangent is that in the rarest medium.
 
         Parameters
         ----------
@@ -167,8 +169,9 @@ class DifferentiableCamera:
 
 
 def _media(wall: Wall, camera: Camera) -> list[Any]:
-    """List the rarest medium's thickness, the fluid's ratio, the camera's, the gap, and the rest.
+    """List what the projection needs of a wall in front of a camera.
 
+    The rarest medium's thickness, the fluid's ratio, the camera's, the gap, and the other media.
     Ratios are squared indices over the rarest one's, see `projection_kernels.media_of`.
     """
     rare, others, fluid, first, gap = media_of(wall, np.asarray(camera.center_mm))

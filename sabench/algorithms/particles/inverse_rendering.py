@@ -1,4 +1,4 @@
-"""Particles whose rendered images fit best: all at a time, by automatic derivatives.
+"""Particles whose rendered images fit best, by automatic derivatives.
 
 The start is the most probable particles that a search finds (`bayesian_ipr`). A descent moves all
 of them and all of their lights until the cost of `differentiable_images` is least. In its
