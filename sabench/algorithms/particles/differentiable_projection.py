@@ -42,8 +42,8 @@ def aligned(values: npt.NDArray[Any]) -> npt.NDArray[Any]:
 def constants(values: Any) -> Any:
     """Copy numbers, in lists of any depth, to one array, and look them up there.
 
-    Returns lists of the same shape, of Dr.Jit arrays of one number. Kernels with other numbers are the same kernels: they are
-    compiled once.
+    Returns lists of the same shape, of Dr.Jit arrays of one number. Kernels with other numbers are
+    the same kernels, compiled once.
     """
     dr, arrays = drjit()
     flat: list[float] = []
