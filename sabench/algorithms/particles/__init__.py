@@ -1,7 +1,13 @@
 """Particles in three dimensions.
 
-The package holds triangulation of image peaks, reconstruction of the most probable particles
-(Bayesian IPR), tracking (Shake-The-Box), and linking.
+    from sabench.algorithms.particles.common_view import find_fault
+    from sabench.algorithms.particles.inverse_rendering import (
+        InverseRenderingSettings,
+        reconstruct_by_descent,
+    )
+    from sabench.algorithms.particles.linking import link
+    from sabench.algorithms.particles.ray_triangulation import (
+        TriangulationSettings,
 """
 
 from __future__ import annotations
@@ -15,10 +21,7 @@ if TYPE_CHECKING:
         BayesianIprSettings,
         reconstruct_most_probable,
     )
-    from sabench.algorithms.particles.common_view import find_fault
-    from sabench.algorithms.particles.linking import link
-    from sabench.algorithms.particles.ray_triangulation import (
-        TriangulationSettings,
+    "InverseRenderingSettings",
         fit_cameras,
         triangulate_particles,
     )
@@ -26,11 +29,13 @@ if TYPE_CHECKING:
 
 __all__ = [
     "BayesianIprSettings",
+    "InverseRenderingSettings": "inverse_rendering",
     "ShakeTheBoxSettings",
     "TriangulationSettings",
     "find_fault",
     "fit_cameras",
     "link",
+    "reconstruct_by_descent",
     "reconstruct_most_probable",
     "track_particles",
     "triangulate_particles",
@@ -38,11 +43,13 @@ __all__ = [
 
 _HOMES = {
     "BayesianIprSettings": "bayesian_ipr",
+    "InverseRenderingSettings": "inverse_rendering",
     "ShakeTheBoxSettings": "shake_the_box",
     "TriangulationSettings": "ray_triangulation",
     "find_fault": "common_view",
     "fit_cameras": "ray_triangulation",
     "link": "linking",
+    "reconstruct_by_descent": "inverse_rendering",
     "reconstruct_most_probable": "bayesian_ipr",
     "track_particles": "shake_the_box",
     "triangulate_particles": "ray_triangulation",
