@@ -42,7 +42,7 @@ from sabench.algorithms.particles.inverse_rendering import (
     image_model,
 )
 from sabench.algorithms.particles.particle_search import ParticleSearch
-from sabench.algorithms.particles.refinement import in_mm
+from sabench.geometry.volume_polynomials import points_in_mm
 from sabench.metrics.particle_detection import challenge_pairs, count_challenge
 from sabench.scenes import Scene, parse_scene
 from sabench.scenes.bundled import find
@@ -143,9 +143,9 @@ def measure(shot: Shot) -> dict[str, dict[str, Any]]:
         if name == "displaced":
             displace(found)
         found.subtract_all()
-        start_px = accuracy(shot, in_mm(found.maps, found.position))["rms_px"]
+        start_px = accuracy(shot, points_in_mm(found.maps, found.position))["rms_px"]
         _, seconds = timed(fit)
-        rows[name] = accuracy(shot, in_mm(found.maps, found.position)) | {
+        rows[name] = accuracy(shot, points_in_mm(found.maps, found.position)) | {
             "start_rms_px": start_px,
             "cpu_ms_particle": round(1e3 * (before_s + seconds) / len(found.position), 2),
             "cost": round(cost_of(found) - first, 2),

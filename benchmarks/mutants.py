@@ -41,12 +41,22 @@ class Mutant:
     kind: str
     before: str
     after: str
+    function: str = ""
 
     @property
     def name(self) -> str:
         """Name the change, in one line."""
-        change = f"{self.before.strip()} -> {self.after.strip()}"
-        return f"{self.module}:{self.line} {self.kind}: {change}"
+        return f"{self.module}:{self.line} {self.change}"
+
+    @property
+    def place(self) -> str:
+        """Name the change by its function: lines move."""
+        return f"{self.module} {self.function or 'module'} {self.change}"
+
+    @property
+    def change(self) -> str:
+        """State the kind, and the line before and after."""
+        return f"{self.kind}: {self.before.strip()} -> {self.after.strip()}"
 
     def apply(self, text: str) -> str:
         """Return the text with the line replaced."""
@@ -60,15 +70,25 @@ def mutants_of(module: Path) -> list[Mutant]:
     """List all mutants of a module, a path relative to the root."""
     text = (ROOT / module).read_text(encoding="utf-8")
     lines = text.splitlines(keepends=True)
-    found = []
-    for kind, node, code in _changes(ast.parse(text)):
+    found, tree = [], ast.parse(text)
+    for kind, node, code in _changes(tree):
         before = lines[node.lineno - 1]
         raw = before.encode()
         after = (raw[: node.col_offset] + code.encode() + raw[node.end_col_offset :]).decode()
-        mutant = Mutant(module, node.lineno, kind, before, after)
+        mutant = Mutant(module, node.lineno, kind, before, after, _around(tree, node.lineno))
         if before != after:
             found.append(mutant)
     return found
+
+
+def _around(tree: ast.Module, line: int) -> str:
+    """Name the innermost function at a line; empty outside functions."""
+    around = [
+        node.name
+        for node in ast.walk(tree)
+        if isinstance(node, ast.FunctionDef) and node.lineno <= line <= (node.end_lineno or 0)
+    ]
+    return around[-1] if around else ""
 
 
 def _changes(tree: ast.Module) -> Iterator[tuple[str, ast.expr | ast.stmt, str]]:
@@ -133,10 +153,31 @@ def _other(value: float) -> float:
 
 def draw(seed: int, count: int, package: str, kinds: list[str]) -> list[Mutant]:
     """Draw mutants without replacement from all modules of a package."""
+    candidates = _candidates(package, kinds)
+    return random.Random(seed).sample(candidates, min(count, len(candidates)))
+
+
+def _candidates(package: str, kinds: list[str]) -> list[Mutant]:
     modules = sorted((ROOT / "sabench" / package).rglob("*.py"))
     found = [one for module in modules for one in mutants_of(module.relative_to(ROOT))]
-    candidates = [mutant for mutant in found if mutant.kind in kinds]
-    return random.Random(seed).sample(candidates, min(count, len(candidates)))
+    return [mutant for mutant in found if mutant.kind in kinds]
+
+
+def select(texts: list[str], packages: list[str], kinds: list[str]) -> list[Mutant]:
+    """Select all mutants of packages whose name or place contains one of the texts.
+
+    Raises
+    ------
+    ValueError
+        A text that no mutant contains.
+    """
+    candidates = [mutant for package in packages for mutant in _candidates(package, kinds)]
+    names = [f"{mutant.name}\n{mutant.place}" for mutant in candidates]
+    for text in texts:
+        if not any(text in name for name in names):
+            raise ValueError(f"--only: expected a part of a mutant's name, got {text!r}")
+    chosen = [any(text in name for text in texts) for name in names]
+    return [mutant for mutant, wanted in zip(candidates, chosen, strict=True) if wanted]
 
 
 def draw_in_turn(seed: int, count: int, packages: list[str], kinds: list[str]) -> list[Mutant]:

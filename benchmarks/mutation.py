@@ -6,8 +6,10 @@
 Each mutant is one changed expression on one line of one module below `sabench/`. The tests that
 enter the changed function run on it in a copy of the tree, the nearest and cheapest first, up to
 the first failure. A mutant is killed if a test fails or uses up its CPU time. Survivors are listed
-with their line. Some are equivalent to the original or change a tuning constant only: compare
-figures of equal seeds. The tests of every 100th mutant run on the original, too, and must pass.
+with their line. `--only TEXT ...` runs all mutants whose name contains a text, in place of a
+sample, and `--only @FILE` those named by the lines of a file. Some survivors are equivalent to the
+original or change a tuning constant only: compare figures of equal seeds. The tests of every 100th
+mutant run on the original, too, and must pass.
 
 The folder `work/mutation` keeps the copies, the functions that each test enters (the first run
 traces all chosen test files: minutes) and the outcomes: what is known is not run again, survivors
@@ -32,7 +34,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
-from benchmarks.mutants import Mutant, draw_in_turn  # noqa: E402
+from benchmarks.mutants import Mutant, draw_in_turn, select  # noqa: E402
 from benchmarks.mutation_tests import Chosen, Reach, run_pytest  # noqa: E402
 
 # imported once, for all forks: what tests need of others (but not the renderer, which has threads)
@@ -200,7 +202,11 @@ def work_side_by_side(mutants: list[Mutant], reach: Reach, options: argparse.Nam
 def main() -> None:
     """Run the tests on sampled mutants and print the survivors."""
     options = parsed()
-    drawn = draw_in_turn(options.seed, options.count, options.room, options.kinds)
+    drawn = (
+        select(options.only, options.room, options.kinds)
+        if options.only
+        else draw_in_turn(options.seed, options.count, options.room, options.kinds)
+    )
     for name in _WARM:
         importlib.import_module(name)
     tree = options.work / "tree"
@@ -215,15 +221,21 @@ def main() -> None:
     print()
     for room in options.room:
         own = [one["killed"] for one in outcomes if one["mutant"].startswith(f"sabench/{room}")]
-        print(f"{room or 'all'}: {sum(own)} of {len(own)} mutants killed, seed {options.seed}")
+        chosen = "chosen by name" if options.only else f"seed {options.seed}"
+        print(f"{room or 'all'}: {sum(own)} of {len(own)} mutants killed, {chosen}")
     print("\nsurvivors:", *(one["mutant"] for one in outcomes if not one["killed"]), sep="\n")
 
 
 def parsed() -> argparse.Namespace:
     """Parse the command's words."""
-    parser = argparse.ArgumentParser(description=__doc__.split("\n", 1)[0])
+    parser = argparse.ArgumentParser(
+        description=__doc__.split("\n", 1)[0], fromfile_prefix_chars="@"
+    )
     parser.add_argument("--seed", type=int, default=1, help="seed of the choice of mutants")
     parser.add_argument("--count", type=int, default=40, help="number of mutants")
+    parser.add_argument(
+        "--only", nargs="+", metavar="TEXT", help="mutants whose names contain it; @FILE: its lines"
+    )
     parser.add_argument(
         "--room",
         nargs="+",

@@ -52,8 +52,7 @@ def match(estimate_mm: F64, truth_mm: F64, radius_mm: F64) -> tuple[I64, I64]:
     _, label = connected_components(
         coo_matrix(
             (np.ones(len(pairs)), (pairs[:, 0], len(estimate_mm) + pairs[:, 1])), shape=(size, size)
-        ),
-        directed=False,
+        )
     )
     which = label[pairs[:, 0]]
     order = np.argsort(which, kind="stable")

@@ -94,7 +94,7 @@ def core(
     if np.isnan(across).all():
         return float("nan"), float("nan"), float("nan")
     top = float(across[np.nanargmax(np.abs(across))])
-    weight = np.where(across / top > 0.5, across / top, 0.0)
+    weight = np.where(across / top > 0.5, across, 0.0)
     return float(np.average(r, weights=weight)), float(np.average(z, weights=weight)), top
 
 

@@ -18,7 +18,8 @@ from sabench.api.solvers import TaskName
 from sabench.dataset import schema
 from sabench.dataset.reader import Dataset, open_dataset
 from sabench.dataset.results import result_writer
-from sabench.scenes import parse_scene
+from sabench.scenes import Scene, parse_scene
+from sabench.scenes.build import _camera_count
 from sabench.utils.errors import InputError
 from tests.helpers import mutations, untrusted_files
 from tests.helpers.bubble_scenes import small
@@ -126,7 +127,7 @@ SUITE: dict[str, Any] = {
         {"name": "./program", "task": "reconstruction", "time_limit_s": 5.0},
     ],
 }
-# pixels, particles and files of all frames of scenes that are generated and not only checked
+# work, as `steps_of` estimates it, of scenes that are generated and not only checked
 LARGEST_STEPS = 4e6
 
 
@@ -243,16 +244,17 @@ def scene(base: Base, inputs: Path, out: Path, rng: random.Random) -> Feed:
         loaded = load_scene(path)
         if loaded.illumination is not None and loaded.illumination.scattering == "mie":
             return  # its table takes seconds
-        count = (loaded.particles or {}).get("count") or 0
-        if (
-            loaded.cameras.rows * loaded.cameras.columns * loaded.frames
-            + (1000 * count + 50_000) * loaded.frames
-            < LARGEST_STEPS
-            and loaded.flow_grid_mm is None
-        ):
+        if steps_of(loaded) < LARGEST_STEPS and loaded.flow_grid_mm is None:
             generate(path, out / "set", seed=1, backend="splat")
 
     return feed
+
+
+def steps_of(loaded: Scene) -> float:
+    """Estimate the work of generating a scene: pixels, particles and files of all its images."""
+    count = (loaded.particles or {}).get("count") or 0
+    images = 0.5 * _camera_count(loaded.cameras) * loaded.frames
+    return images * (loaded.cameras.rows * loaded.cameras.columns + 1000 * count + 50_000)
 
 
 _MOST_VALUES = 100_000  # of a damaged TOML file

@@ -17,12 +17,12 @@ from sabench.algorithms.particles.inverse_rendering import (
     image_model,
 )
 from sabench.algorithms.particles.particle_search import ParticleSearch
-from sabench.algorithms.particles.refinement import in_mm
 from sabench.api import Camera, CameraModel, ImageSequence, Observation
 from sabench.api.make import make_algorithm
 from sabench.geometry.cylinder_wall import CylinderWall
 from sabench.geometry.projective_camera import fit_projective
 from sabench.geometry.refraction import Layer
+from sabench.geometry.volume_polynomials import points_in_mm
 from sabench.utils.arrays import F64
 from tests.system.test_bayesian_ipr import make_shot
 
@@ -44,7 +44,7 @@ def searched() -> Searched:
 
 def rms_px(search: ParticleSearch, true: F64) -> tuple[float, float]:
     """Share of the particles next to a true one, and their distance."""
-    apart = in_mm(search.maps, search.position)[:, None] - true
+    apart = points_in_mm(search.maps, search.position)[:, None] - true
     nearest = np.linalg.norm(apart, axis=2).min(axis=1) / PIXEL_MM
     near = nearest < 1.0
     return float(near.mean()), float(np.sqrt(np.mean(nearest[near] ** 2)))

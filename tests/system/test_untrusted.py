@@ -29,7 +29,14 @@ from sabench.scenes import load_scene, parse_scene
 from sabench.utils.errors import InputError
 from sabench.utils.files import canonical_json, read_json
 from tests.conftest import ROOT
-from tests.helpers.untrusted import KINDS, SCENE, check_sentence, reseal
+from tests.helpers.untrusted import (
+    KINDS,
+    LARGEST_STEPS,
+    SCENE,
+    check_sentence,
+    reseal,
+    steps_of,
+)
 
 
 def test_damaged_input_is_refused_by_one_sentence_or_taken(tmp_path: Path) -> None:
@@ -53,6 +60,22 @@ def test_damaged_input_is_refused_by_one_sentence_or_taken(tmp_path: Path) -> No
     assert re.search(r"^all +144 +\d+ +\d+ +0 +0 +0 +0 +\d+$", done.stdout, re.MULTILINE), (
         done.stdout
     )
+
+
+@pytest.mark.parametrize(
+    "large",
+    [
+        {"frames": 160},
+        {"cameras": SCENE["cameras"] | {"rows": 2000, "columns": 1500}},
+        {"cameras": SCENE["cameras"] | {"layout": SCENE["cameras"]["layout"] | {"rows": 255}}},
+        {"particles": SCENE["particles"] | {"count": 3000}},
+    ],
+    ids=["frames", "pixels", "cameras", "particles"],
+)
+def test_fuzzing_generates_no_scene_that_is_valid_but_large(large: dict[str, object]) -> None:
+    """Two rows of 255 cameras took 25 s, which looked like a hang."""
+    assert steps_of(parse_scene(SCENE, "small")) < 0.1 * LARGEST_STEPS
+    assert steps_of(parse_scene(SCENE | large, "large")) > LARGEST_STEPS
 
 
 @pytest.fixture

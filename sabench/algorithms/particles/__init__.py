@@ -1,13 +1,7 @@
 """Particles in three dimensions.
 
-    from sabench.algorithms.particles.common_view import find_fault
-    from sabench.algorithms.particles.inverse_rendering import (
-        InverseRenderingSettings,
-        reconstruct_by_descent,
-    )
-    from sabench.algorithms.particles.linking import link
-    from sabench.algorithms.particles.ray_triangulation import (
-        TriangulationSettings,
+The package holds triangulation of image peaks, reconstruction of the most probable particles
+(Bayesian IPR) and by inverse rendering, tracking (Shake-The-Box), and linking.
 """
 
 from __future__ import annotations
@@ -21,7 +15,14 @@ if TYPE_CHECKING:
         BayesianIprSettings,
         reconstruct_most_probable,
     )
-    "InverseRenderingSettings",
+    from sabench.algorithms.particles.common_view import find_fault
+    from sabench.algorithms.particles.inverse_rendering import (
+        InverseRenderingSettings,
+        reconstruct_by_descent,
+    )
+    from sabench.algorithms.particles.linking import link
+    from sabench.algorithms.particles.ray_triangulation import (
+        TriangulationSettings,
         fit_cameras,
         triangulate_particles,
     )
@@ -29,7 +30,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "BayesianIprSettings",
-    "InverseRenderingSettings": "inverse_rendering",
+    "InverseRenderingSettings",
     "ShakeTheBoxSettings",
     "TriangulationSettings",
     "find_fault",

@@ -41,14 +41,15 @@ from sabench.algorithms.particles.model_moves import (
     remove_ghosts,
     split_pairs,
 )
-from sabench.algorithms.particles.refinement import in_mm, peak_brightness
 from sabench.algorithms.particles.time_budget import Deadline
 from sabench.api import FoundParticles
 from sabench.geometry.volume_polynomials import (
     VolumePolynomials,
+    points_in_mm,
     project_points,
     project_with_slopes,
 )
+from sabench.images.particle_widths import peak_brightness
 from sabench.images.position_bounds import ParticleSpots, position_bounds
 from sabench.utils.arrays import F32, F64, I64, Bool
 
@@ -178,7 +179,7 @@ class ParticleSearch:
         light = np.zeros((len(self.light), len(self.shown)))
         light[:, self.shown] = self.light
         return FoundParticles(
-            in_mm(self.maps, self.position),
+            points_in_mm(self.maps, self.position),
             brightness,
             light=light,
             covariance_mm2=self.covariances(),

@@ -53,7 +53,7 @@ class Windows:
             A window larger than the volume, or an overlap that leaves no whole number of steps in a
             window.
         """
-        if any(own > there for own, there in zip(size, shape, strict=True)):
+        if np.any(np.greater(size, shape)):
             raise InputError(
                 f"window: expected one that fits into the volume of {_xyz(shape)} voxels, got "
                 f"{_xyz(size)}"

@@ -225,3 +225,31 @@ def test_plane_without_a_light_path_is_refused() -> None:
         ValueError, match="expected a light path to every voxel, but the plane z = 3 mm"
     ):
         plane_map(make_camera(0.0, 0.0, FLAT), GRID, 3.0, 3)
+
+
+def test_a_part_of_a_grid_has_the_values_of_the_whole() -> None:
+    """Particles outside the part reach into it with all of their tails, and no further.
+
+    All lengths are whole multiples of 1/64 mm, so that both grids see the same positions.
+    """
+    part = Grid((0.0, 0.0, 0.0), (0.25, 0.5, 1.0), (6, 10, 20))
+    whole = Grid((-10.0, -20.0, -40.0), (0.25, 0.5, 1.0), (86, 90, 100))
+    rng = np.random.default_rng(7)
+    positions = rng.integers(-64 * 5, 64 * 11, (4000, 3)) / 64.0
+    weights, sigma = rng.uniform(0.5, 1.0, 4000), 0.4
+    inside = synthesise(whole, positions, weights, sigma)[40:46, 40:50, 40:60]
+    np.testing.assert_array_equal(synthesise(part, positions, weights, sigma), inside)
+    alone = np.array([[-1.85, 2.0, 3.0], [2.0, 2.0, -2.4]])  # reach voxel 0 by their last value
+    for position in alone:
+        at = np.round(64.0 * position[None]) / 64.0
+        field = synthesise(part, at, np.ones(1), sigma)
+        np.testing.assert_array_equal(
+            field, synthesise(whole, at, np.ones(1), sigma)[40:46, 40:50, 40:60]
+        )
+        assert field.max() > 0.0
+
+
+@pytest.mark.parametrize("far_mm", [1e3, 1e12, 1e30])
+def test_particles_however_far_away_add_nothing(far_mm: float) -> None:
+    positions = far_mm * np.array([[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [1.0, -1.0, 1.0]])
+    assert not synthesise(GRID, positions, np.ones(3), 0.4).any()

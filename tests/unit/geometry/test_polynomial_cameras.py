@@ -170,3 +170,17 @@ def test_models_are_values() -> None:
         again = eval(repr(model), names)
         assert again == model
         assert hash(again) == hash(model)
+
+
+def test_a_mirrored_or_turned_camera_has_the_same_centre() -> None:
+    """Pixels that define the centre lie symmetrically on the sensor."""
+    camera = build_rig(calibration_scene()).cameras[0]
+    points, last = lattice(), np.array([camera.columns - 1.0, camera.rows - 1.0])
+    pixels, size = camera.project(points)[0], (camera.rows, camera.columns)
+    centre = fit_soloff(camera.name, *size, points, pixels).center_mm
+    for mirror in ([True, False], [False, True]):
+        image = np.where(mirror, last - pixels, pixels)
+        mirrored = fit_soloff(camera.name, *size, points, image).center_mm
+        np.testing.assert_allclose(mirrored, centre, rtol=1e-7)
+    turned = fit_soloff(camera.name, *size[::-1], points, pixels[:, ::-1]).center_mm
+    np.testing.assert_allclose(turned, centre, rtol=1e-7)

@@ -10,7 +10,14 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from sabench.api import Detections
-from sabench.metrics.bubble_detection import crowding, detection_scores, match, nearest
+from sabench.metrics.bubble_detection import (
+    AROUND_MM,
+    DENSE,
+    crowding,
+    detection_scores,
+    match,
+    nearest,
+)
 from sabench.metrics.plunging_jet import analyse
 from sabench.plotting.charts import Circles
 from sabench.plotting.drawing import draw
@@ -255,3 +262,19 @@ def test_a_picture_of_errors_parts_found_missed_and_invented_bubbles() -> None:
     assert draw(figure).startswith(b"\x89PNG")
     none = Detections.balls(np.zeros((0, 3)), np.zeros(0))
     assert draw(detection_figure(none, none)).startswith(b"\x89PNG")
+
+
+def test_a_place_is_dense_from_its_void_fraction_on() -> None:
+    """A neighbour of exactly this share of the ball makes a place dense, a smaller one does not."""
+    share = DENSE * AROUND_MM**3 * np.nextafter(1.0, 0.0)  # its share is rounded to the limit
+    for axis, dense in ((share, True), (share * (1.0 - 1e-12), False)):
+        true = Detections(
+            np.array([[0.0, 0.0, 0.0], [5.0, 0.0, 0.0], [50.0, 0.0, 0.0]]),
+            np.array([[1.0, 1.0, axis]] * 3),
+            np.tile(np.eye(3), (3, 1, 1)),
+        )
+        assert (crowding(true)[0] == DENSE) == dense
+        assert crowding(true)[0] == pytest.approx(DENSE, rel=1e-11)
+        found = Detections(true.center_mm[:1], true.semi_axes_mm[:1], true.turn[:1])
+        recall = detection_scores(found, true, np.ones(3))["recall_dense"]
+        assert recall == 0.5 if dense else np.isnan(recall)

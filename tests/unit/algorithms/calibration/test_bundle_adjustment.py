@@ -193,6 +193,25 @@ def test_covariances_of_pixels_are_those_of_a_dense_jacobian() -> None:
     assert np.isnan(found[seen.weights == 0.0]).all()
 
 
+def test_the_kernel_of_covariances_reads_and_writes_nothing_beyond_its_arrays() -> None:
+    """As plain Python, which refuses an index beyond an array, it finds the same.
+
+    All constants of the wall are unknown, up to the last column of a projection's derivatives.
+    """
+    _, state, seen = truth()
+    free = (np.arange(kernels.CAMERA), np.arange(2 * len(state.indices) - 2))
+    size = 9 * len(free[0]) + len(free[1]) + kernels.BOARD * len(state.board_positions)
+    root = np.random.default_rng(3).normal(0.0, 1e-3, (size, 2))
+    arguments = (
+        state.array(),
+        (state.board_rotations, state.board_positions, seen.board[:2]),
+        (seen.pixels[:, :, :2], seen.weights[:, :, :2]),
+        free,
+        root @ root.T,
+    )
+    np.testing.assert_allclose(spreads.py_func(*arguments), spreads(*arguments), rtol=1e-9)
+
+
 @pytest.mark.parametrize("moving", ["cameras", "boards"])
 def test_one_half_is_found_while_the_other_is_right_and_stays(moving: Moving) -> None:
     _, state, seen = truth()

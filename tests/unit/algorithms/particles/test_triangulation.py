@@ -206,3 +206,36 @@ def test_particles_are_looked_for_in_whole_border_voxels() -> None:
     assert (maps.middle_mm - maps.half_mm < low).all()
     high = low + np.asarray(grid.shape[::-1]) * np.asarray(grid.voxel_mm)
     assert (maps.middle_mm + maps.half_mm > high).all()
+
+
+def straight_and_oblique(*tilts: float) -> VolumePolynomials:
+    """Cameras that see z as a displacement by so many pixels, and one that sees y so."""
+    axes = [[[70.0, 60.0], [40.0, 0.0], [0.0, 30.0], [tilt, 0.0]] for tilt in tilts]
+    axes.append([[70.0, 60.0], [40.0, 0.0], [0.0, 30.0], [0.0, 20.0]])
+    powers = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
+    return VolumePolynomials(np.array(axes), powers, np.zeros(3), np.ones(3))
+
+
+@pytest.mark.parametrize("tilts", [(25.0, 0.0), (0.0, 25.0), (25.0, -25.0)])
+def test_lines_of_sight_are_followed_closely_whichever_camera_looks_along_the_depth(
+    tilts: tuple[float, float],
+) -> None:
+    maps = straight_and_oblique(*tilts)
+    points = np.array([[0.1, -0.2, z] for z in (-0.99, -0.4, 0.1, 0.63, 0.99)])
+    for point in points:
+        peaks = peaks_of(tuple(project_points(maps, number, point[None]) for number in range(3)))
+        found = find_candidates(maps, peaks, (0, 1), 0.5, 0, open_sensors(3))
+        assert len(found.position) == 1
+        np.testing.assert_allclose(found.position[0], point, atol=1e-6)
+
+
+def test_steps_along_a_line_of_sight_run_from_the_front_of_the_box_to_its_back() -> None:
+    maps = straight_and_oblique(0.0, 25.0)
+    for point in ([0.1, -0.2, -0.99], [0.1, -0.2, 0.01], [0.1, -0.2, 0.99]):
+        peaks = peaks_of(
+            tuple(project_points(maps, number, np.array([point])) for number in range(3))
+        )
+        positions, errors = np.zeros((5, 3)), np.zeros((5, 3, 2))
+        hits, order = np.zeros((5, 3), dtype=np.int64), np.arange(1)
+        assert match(maps, peaks, order, 0.5, 3, positions, hits, errors) == 1
+        np.testing.assert_allclose(positions[0], point, atol=1e-6)

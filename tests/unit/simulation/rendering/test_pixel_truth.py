@@ -6,7 +6,7 @@ import numpy as np
 import trimesh
 
 from sabench.api.truth import BODY, NOTHING, Solid
-from sabench.simulation.rendering.pixel_truth import meets, see
+from sabench.simulation.rendering.pixel_truth import _meet, meets, see
 from tests.unit.simulation.rendering.test_bubbles_traced import WALL, bubbles, camera
 
 
@@ -121,3 +121,20 @@ def test_nothing_is_there() -> None:
     assert seen.visible.shape == (0,)
     assert seen.contour.shape == (0, 48, 2)
     assert np.isnan(seen.path_mm).all()
+
+
+def test_the_kernel_that_meets_bubbles_reads_nothing_beyond_its_arrays() -> None:
+    """As plain Python, which refuses an index beyond an array, it finds the same."""
+    rng = np.random.default_rng(5)
+    what = bubbles(
+        [[0.0, 0.0, 40.0], [6.0, -4.0, 55.0], [-5.0, 3.0, 70.0]],
+        [[2.0, 1.2, 1.7], [3.0] * 3, [1.0] * 3],
+    )
+    starts = np.column_stack([rng.uniform(-8.0, 8.0, (60, 2)), np.zeros(60)])
+    directions = np.column_stack([rng.normal(0.0, 0.05, (60, 2)), np.ones(60)])
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    plain = np.zeros(60, dtype=np.bool_)
+    reach = what.semi_axes_mm.max(axis=1)
+    _meet.py_func(starts, directions, what.center_mm, what.to_ball, reach, plain)
+    assert 5 < plain.sum() < 55
+    np.testing.assert_array_equal(meets(what, starts, directions), plain)

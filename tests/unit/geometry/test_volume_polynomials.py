@@ -1,0 +1,33 @@
+"""Polynomials in place of cameras: as exact as promised, also behind a strong lens."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from sabench.geometry.camera import Camera, aim, aimed_rotation
+from sabench.geometry.lens_distortion import Distortion
+from sabench.geometry.refraction import Layer, Wall
+from sabench.geometry.volume_polynomials import fit_volume_polynomials, project_points
+
+WALL = Wall((0.0, 0.0, 0.0), (0.0, 0.0, 1.0), 1.0, (Layer("glass", 1.5, 6.0),), 1.333)
+LOW, HIGH = np.array([-25.0, -15.0, 10.0]), np.array([25.0, 15.0, 60.0])
+
+
+def camera(k1: float = 0.0) -> Camera:
+    """An oblique view of the box, 800 px wide."""
+    rotation, middle = aimed_rotation(np.array([0.0, 0.0, 1.0])), (500.0, 400.0)
+    lens = Distortion(k1=k1, p1=1e-3)
+    place, size = (120.0, -90.0, -300.0), (800, 1000)
+    plain = Camera("one", *size, place, rotation, 60.0, 0.01, middle, lens, 36.0, 8.0, WALL)
+    return aim(plain, (0.0, 0.0, 36.0))
+
+
+@pytest.mark.parametrize("k1", [0.0, -0.3, -1.5, 4.0])
+def test_polynomials_are_the_camera_in_all_of_the_box(k1: float) -> None:
+    exact = camera(k1)
+    maps = fit_volume_polynomials([exact], LOW, HIGH)
+    axis = np.linspace(-1.0, 1.0, 9)
+    points = np.stack(np.meshgrid(axis, axis, axis), axis=-1).reshape(-1, 3)
+    expected = exact.project(maps.middle_mm + maps.half_mm * points)[0]
+    assert np.abs(project_points(maps, 0, points) - expected).max() < 1e-3
