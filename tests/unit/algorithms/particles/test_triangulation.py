@@ -224,7 +224,7 @@ def test_lines_of_sight_are_followed_closely_whichever_camera_looks_along_the_de
     points = np.array([[0.1, -0.2, z] for z in (-0.99, -0.4, 0.1, 0.63, 0.99)])
     for point in points:
         peaks = peaks_of(tuple(project_points(maps, number, point[None]) for number in range(3)))
-        found = find_candidates(maps, peaks, (0, 1), 0.5, 0, open_sensors(3))
+        found = find_candidates(maps, peaks, 0.5, open_sensors(3))
         assert len(found.position) == 1
         np.testing.assert_allclose(found.position[0], point, atol=1e-6)
 
