@@ -69,7 +69,7 @@ def measure(name: str, shots: list[Shot], interval_s: float) -> dict[str, Any]:
     if why:
         return {"skipped": why}
     before = cpu_s()
-    found: list[FoundParticles] = solver.solve(sequence)
+    found: list[FoundParticles] = list(solver.solve(sequence))
     spent = (cpu_s() - before) / len(shots)
     frames = [score_frame(shot, one) for shot, one in zip(shots, found, strict=True)]
     return {"frames": frames, "cpu_s": round(spent, 2)} | over_time(shots, found, interval_s)

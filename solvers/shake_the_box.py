@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 from pydantic import Field
 
 from sabench.algorithms.particles import (
@@ -48,7 +50,7 @@ class ShakeTheBox(ParticleSolver):
         """Skip fewer than three cameras, as two lines of sight meet by chance too often."""
         return find_fault(case.cameras, case.grid)
 
-    def solve(self, case: ImageSequence) -> list[FoundParticles]:
+    def solve(self, case: ImageSequence) -> Iterator[FoundParticles]:
         """Follow the particles through the sequence."""
         chosen = self.parameters
         first = BayesianIprSettings(budget_s=chosen.budget_s)

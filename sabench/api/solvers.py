@@ -10,6 +10,7 @@ values that a scene or `-p name=value` may set.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import ClassVar, Literal
 
 from pydantic import Field
@@ -44,7 +45,8 @@ class Solver(PlugIn):
 class ParticleSolver(PlugIn):
     """Base of an algorithm that finds particles, with or without trajectories.
 
-    `solve` turns an image sequence into the particles of each of its frames.
+    `solve` turns an image sequence into the particles of each of its frames: a list, or an iterator
+    that yields them in order, so that a long sequence needs no more memory than a short one.
     """
 
     task: ClassVar[TaskName] = "particles"
@@ -54,7 +56,7 @@ class ParticleSolver(PlugIn):
         """Give the reason why this algorithm cannot take the case; None if it can."""
         return None
 
-    def solve(self, case: ImageSequence) -> list[FoundParticles]:
+    def solve(self, case: ImageSequence) -> Iterable[FoundParticles]:
         """Find the particles of every frame; either all with trajectories, or none."""
         raise NotImplementedError(f"solver {type(self).__name__} must implement solve()")
 

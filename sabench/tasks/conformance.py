@@ -86,7 +86,7 @@ class _Trial:
         if reason:
             raise _SkippedError(f"the solver declines the case: {reason}")
         answer = algorithm.solve(case)
-        found: list[Estimate] = answer if isinstance(case, ImageSequence) else [answer]
+        found: list[Estimate] = list(answer) if isinstance(case, ImageSequence) else [answer]
         for one in found:
             if not isinstance(one, self.task.estimate):
                 kind, got = self.task.estimate.__name__, type(one).__name__

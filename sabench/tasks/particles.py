@@ -7,15 +7,13 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
-from sabench.algorithms.particles.linking import link
 from sabench.api import FoundParticles, ImageSequence, Observation
 from sabench.api.truth import Particles
-from sabench.dataset.camera_files import CamerasFile
 from sabench.dataset.reader import Dataset
 from sabench.dataset.results import Result, ResultWriter
 from sabench.dataset.schema import frame_group
@@ -31,9 +29,15 @@ from sabench.metrics.particle_detection import (
     f1_over_distance,
 )
 from sabench.plotting import pictures
+from sabench.tasks.found_frames import (
+    TrajectoryNumbers,
+    find_in_each_frame,
+    link_frames,
+    link_sequence,
+)
 from sabench.tasks.particles_over_time import score_over_time
 from sabench.tasks.reconstruction import PARTICLE_IMAGES
-from sabench.tasks.solver_call import call_solver
+from sabench.tasks.solver_call import SolverClock
 from sabench.tasks.task import (
     Captions,
     Figures,
@@ -148,16 +152,21 @@ class ParticlesTask(Task):
 
         The time for reading images does not count.
         """
-        seconds, every = [], []
+        seconds, numbers = list[float](), TrajectoryNumbers()
         for frames in progress_bar(data.setup.sequences(), f"particles by {name}"):
             sequence, reader = self._image_sequence(data, frames)
-            found, took = _call(algorithm, name, sequence, frames)
-            each = max(took - reader.seconds, 0.0) / len(frames)
-            seconds += [each] * len(frames)
-            every += found
+            clock, waiting = SolverClock(), list[FoundParticles]()
+            found = find_in_each_frame(algorithm, name, sequence, frames, clock)
+            for frame, one in zip(frames, found, strict=True):
+                if one.trajectory is None:
+                    waiting.append(one)
+                else:
+                    writer.add(numbers.assign(one), frame)
+            for frame, one in zip(frames, link_sequence(waiting, sequence.times_s), strict=False):
+                writer.add(numbers.assign(one), frame)
+            numbers.begin_sequence()
+            seconds += [max(clock.seconds - reader.seconds, 0.0) / len(frames)] * len(frames)
             memory.trim()
-        for frame, one in enumerate(link_frames(data.setup, every)):
-            writer.add(one, frame)
         return seconds
 
     def copy(self, data: Dataset, result: Result, writer: ResultWriter) -> None:
@@ -254,47 +263,6 @@ class _Reader:
         seen = self.data.observation(self.frames[number])
         self.seconds += time.perf_counter() - start
         return seen
-
-
-def _call(
-    algorithm: Any, name: str, sequence: ImageSequence, frames: range
-) -> tuple[list[FoundParticles], float]:
-    """Call a solver on a sequence, check what it returns, and measure the seconds."""
-    where = f" on frames {frames[0]} to {frames[-1]}"
-    found, took = call_solver(algorithm, name, sequence, list, where)
-    other = next((type(one).__name__ for one in found if not isinstance(one, FoundParticles)), "")
-    if len(found) != len(frames) or other:
-        raise InputError(
-            f"solver {name}: expected FoundParticles for each of {len(frames)} frames, "
-            f"got {len(found)} of {other or 'them'}"
-        )
-    if len({one.trajectory is None for one in found}) > 1:
-        raise InputError(
-            f"solver {name}: expected trajectories in every frame or in none, got them in some"
-        )
-    return found, took
-
-
-def link_frames(setup: CamerasFile, found: Sequence[FoundParticles]) -> list[FoundParticles]:
-    """Assign trajectory numbers to every frame's particles.
-
-    The numbers are the solver's own, or come from linking. No trajectory leads from one group of
-    pulses to the next.
-    """
-    out: list[I64] = []
-    for frames in setup.sequences():
-        own = [number for frame in frames if (number := found[frame].trajectory) is not None]
-        part = own if len(own) == len(frames) else _link(setup, found, frames)
-        first = max((int(one.max(initial=-1)) for one in out), default=-1) + 1
-        numbers = np.unique(np.concatenate(part))  # a solver's may be any 64-bit integers
-        out.extend(first + np.searchsorted(numbers, one) for one in part)
-    return [replace(one, trajectory=number) for one, number in zip(found, out, strict=True)]
-
-
-def _link(setup: CamerasFile, found: Sequence[FoundParticles], frames: range) -> list[I64]:
-    positions = [found[frame].position_mm for frame in frames]
-    sizes, times = [np.ones(len(one)) for one in positions], [setup.time_s(n) for n in frames]
-    return link(positions, sizes, times)
 
 
 def score_frame(data: Dataset, estimate: FoundParticles, truth: Particles, frame: int) -> Figures:

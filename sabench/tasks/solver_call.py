@@ -3,10 +3,37 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
 from typing import Any
 
 from sabench.utils.compile_clock import compile_s, timed_imports
 from sabench.utils.errors import DeclinedError, InputError
+
+
+@dataclass
+class SolverClock:
+    """Seconds in which a solver ran, without those of compiling its kernels and of imports."""
+
+    seconds: float = 0.0
+
+    @contextmanager
+    def running(self, name: str, where: str = "") -> Iterator[None]:
+        """Measure a piece of a solver's work, which may raise anything: then an InputError."""
+        start, compiled_s = time.perf_counter(), compile_s()
+        try:
+            with timed_imports():
+                yield
+        except DeclinedError as error:
+            raise DeclinedError(f"solver {name} declines this case: {error}") from error
+        except InputError as error:
+            raise InputError(f"solver {name}: {error}") from error
+        except Exception as error:
+            failed = f"solver {name} failed{where}: {type(error).__name__}: {error}"
+            raise InputError(failed) from error
+        took = time.perf_counter() - start - (compile_s() - compiled_s)
+        self.seconds += max(took, 0.0)
 
 
 def call_solver(
@@ -26,23 +53,14 @@ def call_solver(
     InputError
         A solver that declines, raises, or returns something else than an `expected`.
     """
-    start, compiled_s = time.perf_counter(), compile_s()
-    try:
-        with timed_imports():
-            reason = algorithm.skip(case)
-            answer = None if reason else algorithm.solve(case)
-    except DeclinedError as error:
-        raise DeclinedError(f"solver {name} declines this case: {error}") from error
-    except InputError as error:
-        raise InputError(f"solver {name}: {error}") from error
-    except Exception as error:
-        failed = f"solver {name} failed{where}: {type(error).__name__}: {error}"
-        raise InputError(failed) from error
-    took = time.perf_counter() - start - (compile_s() - compiled_s)
+    clock = SolverClock()
+    with clock.running(name, where):
+        reason = algorithm.skip(case)
+        answer = None if reason else algorithm.solve(case)
     if reason:
         raise DeclinedError(f"solver {name} declines this case: {reason}")
     if not isinstance(answer, expected):
         raise InputError(
-            f"solver {name}: expected a {expected.__name__}, got {type(answer).__name__}"
+            f"solver {name}: expected {expected.__name__}, got {type(answer).__name__}"
         )
-    return answer, max(took, 0.0)
+    return answer, clock.seconds

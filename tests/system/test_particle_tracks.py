@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 
 import h5py
@@ -215,6 +216,55 @@ def test_a_solver_that_returns_something_else_is_named(
         result_writer(tmp_path / "r.h5", sequence, "bad", "particles", {}) as writer,
     ):
         TASK.run(made, "bad", sequence, writer)
+
+
+def test_a_solver_may_yield_frames_one_after_the_other(
+    sequence: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Each is written before the next one is made, with numbers of trajectories from 0 on."""
+    made, written = make_algorithm("ray_triangulation", {}), list[int]()
+    many = 2**62
+
+    def solve(case: ImageSequence) -> Iterator[FoundParticles]:
+        for frame in range(len(case)):
+            assert written == list(range(frame))
+            place = np.full((2, 3), float(frame))
+            yield FoundParticles(place, None, np.array([many - frame % 2, -many]))
+
+    monkeypatch.setattr(made, "solve", solve)
+    with result_writer(tmp_path / "r.h5", sequence, "stream", "particles", {}) as writer:
+        add = writer.add
+
+        def note(one: FoundParticles, frame: int) -> None:
+            add(one, frame)
+            written.append(frame)
+
+        monkeypatch.setattr(writer, "add", note)
+        seconds = TASK.run(made, "stream", sequence, writer)
+        writer.set_cost(float(np.mean(seconds)), None)
+    result = open_result(tmp_path / "r.h5", sequence)
+    numbers = [np.asarray(result.read(FoundParticles, n).trajectory).tolist() for n in range(6)]
+    assert numbers == [[0, 1], [2, 1]] * 3
+
+
+def test_frames_too_many_and_other_things_are_refused(
+    sequence: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made, nothing = make_algorithm("ray_triangulation", {}), FoundParticles(np.zeros((0, 3)))
+    linked = FoundParticles(np.zeros((1, 3)), None, np.zeros(1, dtype=np.int64))
+    for answer, text in (
+        ([nothing] * 7, "expected FoundParticles for each of 6 frames, got more"),
+        ([nothing, "x"], "expected FoundParticles for each of 6 frames, got a str for one"),
+        ([nothing, linked], "expected trajectories in every frame or in none"),
+        (3, "expected Iterable, got int"),
+    ):
+        monkeypatch.setattr(made, "solve", lambda case, answer=answer: answer)
+        with (
+            pytest.raises(InputError, match=text),
+            result_writer(tmp_path / "r.h5", sequence, "bad", "particles", {}) as writer,
+        ):
+            TASK.run(made, "bad", sequence, writer)
+        assert not (tmp_path / "r.h5").exists()
 
 
 def test_frames_are_read_when_they_are_asked_for(shot: Shot) -> None:

@@ -40,7 +40,7 @@ def make_shots() -> tuple[Shot, ...]:
 
 def follow(cases: Sequence[Observation]) -> list[FoundParticles]:
     times = [STEP_S * number for number in range(len(cases))]
-    return track_particles(iter(cases), times, fit_cameras(cases[0]), SETTINGS)
+    return list(track_particles(iter(cases), times, fit_cameras(cases[0]), SETTINGS))
 
 
 def count(shot: Shot, found: FoundParticles) -> Counts:

@@ -9,7 +9,7 @@ ghost; where a track misses a frame between others, its position is interpolated
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -93,10 +93,11 @@ class _Frame:
         self.number = np.concatenate([self.number, number])
         self.seen = np.concatenate([self.seen, np.zeros(len(number), dtype=np.bool_)])
 
-    def without(self, ghosts: I64) -> _Frame:
+    def drop(self, ghosts: I64) -> None:
         """Drop some trajectories."""
         kept = ~np.isin(self.number, ghosts)
-        return _Frame(self.time, self.found.rows(kept), self.number[kept], self.seen[kept])
+        self.found, self.number = self.found.rows(kept), self.number[kept]
+        self.seen = self.seen[kept]
 
 
 def track_particles(
@@ -104,19 +105,20 @@ def track_particles(
     times_s: Sequence[float],
     maps: VolumePolynomials,
     settings: ShakeTheBoxSettings,
-) -> list[FoundParticles]:
-    """Follow the particles of a sequence; the images of one frame at a time are held."""
+) -> Iterator[FoundParticles]:
+    """Follow the particles of a sequence, and yield those of one frame after the other.
+
+    A frame's are yielded once later frames change them no more. The images of one frame, and the
+    particles of some, are held at a time.
+    """
     axes = rig_axes(maps)
     tracker = _Tracker(turn_maps(maps, axes), settings)
     for case, time in zip(frames, times_s, strict=True):
         tracker.take(case, time)
-    ghosts = np.concatenate([np.zeros(0, dtype=np.int64), *tracker.ghosts])
-    kept = [frame.without(ghosts) for frame in tracker.frames]
-    moving = [
-        _with_motion(kept[max(number - _LAG, 0) : number + _LAG + 1], frame, tracker.motion)
-        for number, frame in enumerate(kept)
-    ]
-    return [turn_to_world(found, axes) for found in moving]
+        while tracker.later >= _LAG + max(settings.gap, 1):
+            yield turn_to_world(tracker.give(), axes)
+    while tracker.later >= 0:
+        yield turn_to_world(tracker.give(), axes)
 
 
 def _with_motion(
@@ -169,16 +171,31 @@ def _diagonal(covariance: F64, order: int) -> F64:
 
 
 class _Tracker:
-    """State of the tracker: tracks that go on, and the frames so far."""
+    """State of the tracker: tracks that go on, and the last frames."""
 
     def __init__(self, maps: VolumePolynomials, settings: ShakeTheBoxSettings) -> None:
         self.maps, self.settings = maps, settings
         self.search: ParticleSearch | None = None
         self.tracks: KalmanTracks | None = None
         self.frames: list[_Frame] = []
-        self.ghosts: list[I64] = []
+        self.given = 0  # of these frames
         self.born = 0
         self.motion: tuple[float, float] | None = None  # strengths of acceleration and jerk
+
+    @property
+    def later(self) -> int:
+        """Number of frames after the next one to give; -1 if all were given."""
+        return len(self.frames) - self.given - 1
+
+    def give(self) -> FoundParticles:
+        """Return the particles of the next frame, and forget the frames that it needs no more."""
+        around = self.frames[max(self.given - _LAG, 0) : self.given + _LAG + 1]
+        found = _with_motion(around, self.frames[self.given], self.motion)
+        self.given += 1
+        while self.given > _LAG:
+            del self.frames[0]
+            self.given -= 1
+        return found
 
     def take(self, case: Observation, time: float) -> None:
         """Find the particles of the next frame."""
@@ -336,11 +353,14 @@ class _Tracker:
             frame.add(replace(found, position_mm=position), numbers)
 
     def _end_tracks(self, tracks: KalmanTracks) -> None:
-        """End the tracks that have left, or were missed too often."""
+        """End the tracks that have left, or were missed too often.
+
+        What was seen in the frame before alone is a ghost there.
+        """
         missed = tracks.missed > 0
         inside = self._inside(tracks.state[:, 0], np.sqrt(tracks.variance))
         once = missed & inside & (tracks.seen == 1)
-        self.ghosts.append(tracks.number[once])
+        self.frames[-2].drop(tracks.number[once])
         outside = (np.abs(tracks.state[:, 0] - self.maps.middle_mm) > self.maps.half_mm).any(axis=1)
         over = (tracks.seen < MATURE) | (tracks.missed > self.settings.gap) | outside
         tracks.select(~(missed & over))
