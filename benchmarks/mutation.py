@@ -8,7 +8,8 @@ enter the changed function run on it in a copy of the tree, the nearest and chea
 the first failure. A mutant is killed if a test fails or uses up its CPU time. Survivors are listed
 with their line. `--only TEXT ...` runs all mutants whose name contains a text, in place of a
 sample, and `--only @FILE` those named by the lines of a file. Some survivors are equivalent to the
-original or change a tuning constant only: compare figures of equal seeds. The tests of every 100th mutant run on the original, too, and must pass.
+original or change a tuning constant only: compare figures of equal seeds. The tests of every 100th
+mutant run on the original, too, and must pass.
 
 The folder `work/mutation` keeps the copies, the functions that each test enters (the first run
 traces all chosen test files: minutes) and the outcomes: what is known is not run again, survivors
