@@ -163,8 +163,10 @@ def main() -> None:
     names = chosen.solvers or [one for one in plugins.names("solvers") if one not in _OTHERS]
     with tempfile.TemporaryDirectory() as folder:
         rows = compare(names, chosen.runs, Path(folder))
-    head = "   cold s   warm s  again s  compile s  cold/warm  warm/again  cpu cold s  cpu warm s"
-    print(f"{'solver':<32}{head}")
+    columns = (
+        "   cold s   warm s  again s  compile s  cold/warm  warm/again  cpu cold s  cpu warm s"
+    )
+    print(f"{'solver':<32}{columns}")
     for row in rows:
         say(row)
     if chosen.output:
