@@ -5,10 +5,11 @@ has done before. Every bundled solver, or those named, solves the small data set
 (`scenes/conformance`) in new processes, twice in each: in a first round with a cache of kernels
 that is empty at its start, then in `--runs` rounds with the cache that the first one leaves.
 Printed are the seconds in the first round (cold), the smallest of the others (warm), those of the
-second time in one process (again), what compiling took, and the ratios cold / warm and
-warm / again. A solver misses if cold / warm is farther from 1 than 20 % and the difference is more
-than 0.05 s. Other processes only add to seconds, so that a solver that misses is tried with a
-second empty cache, and its smaller seconds count. The second time in one process may be shorter:
+second time in one process (again), what compiling took, and the ratios cold / warm and warm /
+again. The last columns are the CPU seconds of the solver without those of the compiler, which other
+processes change less. A solver misses if cold / warm is farther from 1 than 20 % and the difference
+is more than 0.05 s. Other processes only add to seconds, so that a solver that misses is tried with
+a second empty cache, and its smaller seconds count. The second time in one process may be shorter:
 solvers keep what they computed from the cameras. A busy machine tells nothing: see `load` in the
 record.
 """
@@ -36,26 +37,62 @@ _OTHERS = {"openlpt", "optv"}  # programs of others, which few machines have
 # as in the processes of `sabench solve`: what their server has loaded, and no more
 _CHILD = """
 import sys
+import time
 from pathlib import Path
 
 import h5py
+from numba.core import event
 
 import sabench.algorithms.refocus
 import sabench.algorithms.tomography.problem
+from sabench import plugins
 from sabench.tasks.solve_and_score import solve_at_desk
 
+
+class Compiler(event.Listener):
+    # CPU seconds while numba's compiler is held
+    held, cpu_s = 0, 0.0
+
+    def on_start(self, event):
+        self.cpu_s -= 0.0 if self.held else time.process_time()
+        self.held += 1
+
+    def on_end(self, event):
+        self.held -= 1
+        self.cpu_s += 0.0 if self.held else time.process_time()
+
+
 solver, data, folder = sys.argv[1:]
+compiler, spent = Compiler(), []
+event.register("numba:compiler_lock", compiler)
+plug_in = plugins.load("solvers", solver)
+plain = plug_in.solve
+
+
+def solve(self, case):
+    start = time.process_time() - compiler.cpu_s
+    try:
+        return plain(self, case)
+    finally:
+        spent.append(time.process_time() - compiler.cpu_s - start)
+
+
+plug_in.solve = solve
 for number in range(2):
     out = Path(folder) / f"{number}.h5"
     solve_at_desk(solver, {}, Path(data), out, threads=None, isolated=False)
     with h5py.File(out) as file:
-        print(file.attrs["seconds"], file.attrs["compile_s"])
+        print(file.attrs["seconds"], file.attrs["compile_s"], sum(spent) / len(spent))
+    spent.clear()
     out.unlink()
 """
 
 
-def measure(solver: str, data: Path, cache: Path) -> list[tuple[float, float]]:
-    """Solve twice in one new process; return seconds and compile_s of each."""
+Run = list[tuple[float, float, float]]  # seconds, compile_s and CPU seconds of each time
+
+
+def measure(solver: str, data: Path, cache: Path) -> Run:
+    """Solve twice in one new process."""
     environment = os.environ | {"NUMBA_CACHE_DIR": str(cache)}
     with tempfile.TemporaryDirectory() as folder:
         words = [sys.executable, "-c", _CHILD, solver, str(data), folder]
@@ -63,12 +100,10 @@ def measure(solver: str, data: Path, cache: Path) -> list[tuple[float, float]]:
     if done.returncode:
         raise InputError(f"{solver}: {done.stderr.strip().splitlines()[-1]}")
     lines = (line.split() for line in done.stdout.splitlines()[-2:])
-    return [(float(seconds), float(compiling)) for seconds, compiling in lines]
+    return [(float(seconds), float(compiling), float(cpu_s)) for seconds, compiling, cpu_s in lines]
 
 
-def judge(
-    solver: str, cold: list[tuple[float, float]], later: list[list[tuple[float, float]]]
-) -> dict[str, Any]:
+def judge(solver: str, cold: Run, later: list[Run]) -> dict[str, Any]:
     """Compare first rounds, with kernels to compile, with the later ones."""
     first = min(cold)
     warm, again = (min(run[n][0] for run in later) for n in (0, 1))
@@ -81,6 +116,8 @@ def judge(
         "compile_warm_s": min(run[0][1] for run in later),
         "cold_over_warm": first[0] / warm,
         "warm_over_again": warm / again,
+        "cpu_cold_s": min(one[2] for one in cold),
+        "cpu_warm_s": min(run[0][2] for run in later),
         "missed": abs(first[0] / warm - 1.0) > _APART and abs(first[0] - warm) > _NOISE_S,
     }
 
@@ -89,15 +126,16 @@ def say(row: dict[str, Any]) -> None:
     """Print the line of a solver."""
     seconds = "".join(f"{row[key]:9.3f}" for key in ("cold_s", "warm_s", "again_s"))
     ratios = f"{row['cold_over_warm']:11.2f}{row['warm_over_again']:12.2f}"
+    cpu = f"{row['cpu_cold_s']:12.3f}{row['cpu_warm_s']:12.3f}"
     missed = "  missed" if row["missed"] else ""
-    print(f"{row['solver']:<32}{seconds}{row['compile_cold_s']:11.2f}{ratios}{missed}")
+    print(f"{row['solver']:<32}{seconds}{row['compile_cold_s']:11.2f}{ratios}{cpu}{missed}")
 
 
 def compare(names: list[str], runs: int, folder: Path) -> list[dict[str, Any]]:
     """Solve in all rounds, and judge; what misses is tried with a second empty cache."""
-    rounds: dict[str, list[list[tuple[float, float]]]] = {name: [] for name in names}
+    rounds: dict[str, list[Run]] = {name: [] for name in names}
 
-    def solve(name: str, cache: str) -> list[tuple[float, float]]:
+    def solve(name: str, cache: str) -> Run:
         plugin = plugins.load("solvers", name)
         data = example(tasks.of(plugin.task), plugin.sees, folder).root
         return measure(name, data, folder / cache)
@@ -125,7 +163,10 @@ def main() -> None:
     names = chosen.solvers or [one for one in plugins.names("solvers") if one not in _OTHERS]
     with tempfile.TemporaryDirectory() as folder:
         rows = compare(names, chosen.runs, Path(folder))
-    print(f"{'solver':<32}   cold s   warm s  again s  compile s  cold/warm  warm/again")
+    columns = (
+        "   cold s   warm s  again s  compile s  cold/warm  warm/again  cpu cold s  cpu warm s"
+    )
+    print(f"{'solver':<32}{columns}")
     for row in rows:
         say(row)
     if chosen.output:

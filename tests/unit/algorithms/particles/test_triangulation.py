@@ -230,12 +230,12 @@ def test_lines_of_sight_are_followed_closely_whichever_camera_looks_along_the_de
 
 
 def test_steps_along_a_line_of_sight_run_from_the_front_of_the_box_to_its_back() -> None:
-    maps = straight_and_oblique(0.0, 25.0)
+    maps = straight_and_oblique(0.0, 25.0, -10.0)
     for point in ([0.1, -0.2, -0.99], [0.1, -0.2, 0.01], [0.1, -0.2, 0.99]):
         peaks = peaks_of(
-            tuple(project_points(maps, number, np.array([point])) for number in range(3))
+            tuple(project_points(maps, number, np.array([point])) for number in range(4))
         )
-        positions, errors = np.zeros((5, 3)), np.zeros((5, 3, 2))
-        hits, order = np.zeros((5, 3), dtype=np.int64), np.arange(1)
+        positions, errors = np.zeros((5, 3)), np.zeros((5, 4, 2))
+        hits, order = np.zeros((5, 4), dtype=np.int64), np.arange(1)
         assert match(maps, peaks, order, 0.5, 3, positions, hits, errors) == 1
         np.testing.assert_allclose(positions[0], point, atol=1e-6)

@@ -20,7 +20,7 @@ def device_of(radius: float) -> Any:
     from sabench.simulation.rendering.tank_walls import layers_of, panel_of
 
     front = Stack(np.array([-25.0, -31.0]), np.array([1.333, 1.5, 1.0]))
-    edges = (np.array([40.0, 0.0, 0.0]), np.array([0.0, 20.0, 0.0]))
+    edges = np.array([[40.0, 0.0, 0.0], [0.0, 20.0, 0.0]])
     return SimpleNamespace(
         front=layers_of(front),
         rear=None,
@@ -38,7 +38,7 @@ def test_the_diffuser_is_seen_from_before_it_only(z: float, seen: float) -> None
 
     from sabench.simulation.rendering.tank_walls import leave
 
-    radiance, _, _ = leave(device, mi.Ray3f([1.0, 2.0, z], [0.0, 0.0, 1.0]))
+    radiance, _, _ = leave(device, mi.Ray3f(mi.Point3f(1.0, 2.0, z), mi.Vector3f(0.0, 0.0, 1.0)))
     assert np.array(radiance) == seen
 
 
@@ -50,7 +50,7 @@ def test_walls_reflect_what_is_nearer_than_fifty_radii(radius: float, reflects: 
 
     from sabench.simulation.rendering.tank_walls import leave
 
-    radiance, share, here = leave(device, mi.Ray3f([0.0, 0.0, 0.0], [0.0, 0.0, -1.0]))
+    radiance, share, here = leave(device, mi.Ray3f(mi.Point3f(0.0), mi.Vector3f(0.0, 0.0, -1.0)))
     passed = 4.0 * 1.333 * 1.5 / (1.333 + 1.5) ** 2 * 4.0 * 1.5 / (1.0 + 1.5) ** 2
     np.testing.assert_allclose(np.array(share), (1.0 - passed) * reflects, atol=1e-6)
     np.testing.assert_allclose(np.array(here).ravel(), [0.0, 0.0, -25.0], atol=1e-5)
