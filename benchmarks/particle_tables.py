@@ -55,7 +55,7 @@ def main() -> None:
     """Print the tables."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--records", type=Path, nargs="+", default=[Path("leaderboard/records")])
-    parser.add_argument("--seeds", type=int, nargs="+", default=[1, 2, 3])
+    parser.add_argument("--seeds", type=int, nargs="+", default=[1, 2, 3, 4, 5])
     chosen = parser.parse_args()
     records = latest([one for folder in chosen.records for one in read_records(folder)])
     suites = {

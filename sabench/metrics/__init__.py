@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from sabench.metrics.quality_factor import quality
     from sabench.metrics.reconstruction_error import score_frame
     from sabench.metrics.synthesised_field import brightness, true_field
-    from sabench.metrics.trajectories import link_scores, trajectory_scores
+    from sabench.metrics.trajectories import link_scores, trajectory_scores, vector_scores
     from sabench.metrics.velocity_error import precision_interval, response, velocity_scores
     from sabench.metrics.vortex_rings import circulation
 
@@ -61,6 +61,7 @@ __all__ = [
     "spacing_error",
     "trajectory_scores",
     "true_field",
+    "vector_scores",
     "velocity_scores",
     "wall_scores",
 ]
@@ -89,6 +90,7 @@ _HOMES = {
     "single_views": "code_reading",
     "spacing_error": "calibration_error",
     "trajectory_scores": "trajectories",
+    "vector_scores": "trajectories",
     "true_field": "synthesised_field",
     "velocity_scores": "velocity_error",
     "wall_scores": "calibration_error",

@@ -104,6 +104,34 @@ def link_scores(
     return dict(zip(_KEYS, figures, strict=True))
 
 
+def vector_scores(
+    estimate_mm: Sequence[F64],
+    trajectory: Sequence[I64],
+    truth_mm: Sequence[F64],
+    identity: Sequence[I64],
+    matched: Sequence[tuple[I64, I64]],
+    sequences: Sequence[range],
+) -> dict[str, float]:
+    """Score displacements as the first LPT challenge does (Leclaire et al. 2021).
+
+    Arguments as for `link_scores`. Keys: vector_recall, the share of the true displacements between
+    consecutive frames that a trajectory has, so that particles that were not found count as missed;
+    displacement_mm, the root mean square error of these displacements. NaN without any.
+    """
+    right, there, squares = 0, 0, [np.zeros(0)]
+    for one, other in (pair for frames in sequences for pair in itertools.pairwise(frames)):
+        i, j, k, m = _in_both(identity, matched, one, other)
+        good = trajectory[one][i] == trajectory[other][k]
+        found = estimate_mm[other][k] - estimate_mm[one][i]
+        off = (found - truth_mm[other][m] + truth_mm[one][j])[good]
+        right, there = right + len(off), there + len(np.intersect1d(identity[one], identity[other]))
+        squares.append(np.square(off).sum(axis=1))
+    return {
+        "vector_recall": ratio(right, there),
+        "displacement_mm": float(np.sqrt(_mean(np.concatenate(squares)))),
+    }
+
+
 def _in_both(
     identity: Sequence[I64], matched: Sequence[tuple[I64, I64]], one: int, other: int
 ) -> tuple[I64, I64, I64, I64]:

@@ -103,6 +103,11 @@ class ParticlesTask(Task):
               "joins", counted=True),
         Score("link_precision", "link precision", "", "larger", 3,
               "share of the links between such frames that join the same particle", counted=True),
+        Score("vector_recall", "vector recall", "", "larger", 3,
+              "share of the true displacements between consecutive frames that a trajectory has; "
+              "particles that were not found count as missed", counted=True, hidden=True),
+        Score("displacement_mm", "displacement mm", "mm", "smaller", 4,
+              "root mean square error of these displacements", hidden=True),
         Score("effectiveness", "effectiveness", "", "larger", 3,
               "share of a particle's frames in which its longest trajectory has it, mean over "
               "the particles", counted=True),

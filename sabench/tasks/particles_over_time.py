@@ -15,7 +15,7 @@ from sabench.metrics.averages import finite_or_none
 from sabench.metrics.motion_errors import accelerations, claimed_errors, median_errors
 from sabench.metrics.particle_detection import CHALLENGE_RADIUS, challenge_pairs
 from sabench.metrics.track_identity import Sightings, identity_scores
-from sabench.metrics.trajectories import link_scores
+from sabench.metrics.trajectories import link_scores, vector_scores
 from sabench.tasks.task import Figures
 from sabench.utils.arrays import F64, I64, Bool
 
@@ -30,15 +30,14 @@ def score_over_time(
     grid, times = data.setup.grid, [data.setup.time_s(n) for n in range(data.setup.frames)]
     parts = [_scored_part(grid, one, true) for one, true in zip(found, truth, strict=True)]
     sequences = data.setup.sequences()
-    scores = link_scores(
+    linked = (
         [part.found.position_mm for part in parts],
         [np.asarray(part.found.trajectory) for part in parts],
         [part.true.position_mm for part in parts],
         [part.true.id for part in parts],
         [part.pairs for part in parts],
-        times,
-        sequences,
     )
+    scores = link_scores(*linked, times, sequences) | vector_scores(*linked, sequences)
     sightings = [[_sighting(grid, parts[n]) for n in frames] for frames in sequences]
     scores |= identity_scores(sightings) | _motion_scores(parts, times, sequences)
     return {key: finite_or_none(value) for key, value in scores.items()}

@@ -10,8 +10,8 @@ import pytest
 
 from sabench.api import Detections
 from sabench.api.truth import Bubbles
-from sabench.metrics.trajectories import trajectory_scores
-from sabench.utils.arrays import I64
+from sabench.metrics.trajectories import trajectory_scores, vector_scores
+from sabench.utils.arrays import F64, I64
 
 TIMES = [0.0, 0.5, 1.5, 2.0]
 SPEED = np.array([2.0, 0.0, 1.0])
@@ -154,3 +154,53 @@ def test_as_counted_one_by_one(seed: int) -> None:
     assert got["link_recall"] == pytest.approx(right / len(true_links))
     assert got["link_precision"] == pytest.approx(right / links)
     assert got["effectiveness"] == pytest.approx(np.mean(longest))
+
+
+def vectors(
+    places: list[F64], track: list[I64], sequences: list[range] | None = None
+) -> dict[str, float]:
+    """Scores of displacements where detection i of a frame is its true bubble i."""
+    true = true_bubbles()
+    rows = [np.arange(len(one)) for one in places]
+    return vector_scores(
+        places,
+        track,
+        [one.center_mm for one in true],
+        [one.id for one in true],
+        [(own, own) for own in rows],
+        sequences or [range(4)],
+    )
+
+
+def test_the_true_displacements_are_perfect() -> None:
+    true = true_bubbles()
+    got = vectors([one.center_mm for one in true], [1000 - one.id for one in true])
+    assert got["vector_recall"] == 1.0
+    assert got["displacement_mm"] == pytest.approx(0.0, abs=1e-12)
+
+
+def test_displacements_err_by_the_difference_of_both_ends() -> None:
+    """An offset along Y grows by 0.1, 0.3 and 0.1 mm; the last is in another sequence."""
+    true, offset = true_bubbles(), [0.0, 0.1, 0.4, 0.5]
+    places = [
+        one.center_mm + np.array([0.0, off, 0.0]) for one, off in zip(true, offset, strict=True)
+    ]
+    track = [one.id for one in true]
+    got = vectors(places, track)
+    assert got["displacement_mm"] == pytest.approx(np.sqrt((0.01 + 0.09 + 0.01) / 3.0))
+    apart = vectors(places, track, [range(2), range(2, 4)])
+    assert apart["displacement_mm"] == pytest.approx(0.1)
+
+
+def test_particles_that_are_not_found_are_missed_displacements() -> None:
+    """A quarter is missing in the second of four frames, in two of three links."""
+    true = true_bubbles()
+    places, track = [one.center_mm for one in true], [one.id for one in true]
+    places[1], track[1] = places[1][:30], track[1][:30]
+    assert vectors(places, track)["vector_recall"] == pytest.approx((30 + 30 + 40) / 120)
+    track[3] = track[3] + 1000  # no link to the last frame
+    got = vectors(places, track)
+    assert got["vector_recall"] == pytest.approx(60 / 120)
+    none = vectors([one[:0] for one in places], [one[:0] for one in track])
+    assert none["vector_recall"] == 0.0
+    assert np.isnan(none["displacement_mm"])
