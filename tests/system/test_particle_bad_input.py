@@ -109,6 +109,16 @@ def test_noise_gives_no_particles(
     assert [len(one.position_mm) for one in solve(solver, frames)] == [0] * FRAMES
 
 
+@pytest.mark.parametrize("layout", [(2, 2), (3, 3)])
+def test_a_bright_background_with_noise_gives_no_particles(
+    solver: str, layout: tuple[int, int]
+) -> None:
+    case = make_small(1, 1e-5, layout, cameras={"rows": 120, "columns": 160}).observation
+    for seed in range(8):
+        noise = np.random.default_rng(seed).normal(94.0, 5.0, case.images.shape)
+        assert len(solve(solver, [with_images(case, noise)])[0].position_mm) == 0
+
+
 @pytest.mark.parametrize("count", [1, 2])
 def test_one_and_two_particles_are_found(solver: str, count: int) -> None:
     case = make_small(1, 1e-5).observation

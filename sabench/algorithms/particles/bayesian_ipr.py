@@ -118,7 +118,7 @@ class _Frame(NamedTuple):
 def _find_visible(frame: _Frame, wrong: Bool) -> ParticleSearch | None:
     """Find most particles without the cameras (all cameras,) that are wrong.
 
-    Areas that seem hidden do not count where light remains.
+    Where light remains, areas that seem hidden do not count if less remains without them.
     """
     search = _find_most(frame, wrong)
     if search is None or search.unexplained() <= _UNEXPLAINED or frame.deadline.over:
@@ -129,7 +129,7 @@ def _find_visible(frame: _Frame, wrong: Bool) -> ParticleSearch | None:
     more = Flaws(flaws.points, flaws.covered | hidden)
     again = frame._replace(clear=ClearImages(images, more, saturated))
     without = _find_most(again, wrong) if hidden.any() else None
-    if without is None or frame.deadline.over:
+    if without is None or without.unexplained() >= search.unexplained() or frame.deadline.over:
         return search
     without.hidden = hidden
     return without

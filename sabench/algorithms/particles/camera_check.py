@@ -70,8 +70,12 @@ def explains(search: ParticleSearch) -> bool:
 def left_of_images(search: ParticleSearch) -> F64:
     """Compute the share (camera,) of each image's squared light that is left.
 
-    Light that is not clear of noise does not count.
+    Light that is not clear of noise does not count; without particles, noise is the scatter of all
+    pixels about their median, as a background may have passed for light.
     """
+    if not len(search.position):
+        seen = zip(search.images, search.known, strict=True)
+        return np.array([_stands_out(image[known]) for image, known in seen])
     shares = []
     for camera, (image, known, noise) in enumerate(
         zip(search.images, search.known, search.noise, strict=True)
@@ -80,6 +84,12 @@ def left_of_images(search: ParticleSearch) -> F64:
         rest, whole = (_squares(one[known], _CLEAR * noise) for one in both)
         shares.append(rest / max(whole, rest, 1e-6))
     return np.array(shares)
+
+
+def _stands_out(light: F32) -> float:
+    """Return 1 if pixels stand out from the others, else 0."""
+    off = light - np.median(light)
+    return float((off > 1.4826 * _CLEAR * np.median(np.abs(off))).any())
 
 
 def _squares(light: F32, floor: float) -> float:
