@@ -130,7 +130,7 @@ def measure(name: str, shot: Shot, case: Observation, seed: int) -> dict[str, fl
         if name in VOLUMES:
             scores = score_volume(shot, solver.solve(case).volume, covered)
         else:
-            found = solver.solve(ImageSequence.of([case]))[0].position_mm
+            found = next(iter(solver.solve(ImageSequence.of([case])))).position_mm
             scores = score_particles(shot, found, covered, hidden)
     except Exception as error:
         return {"error": f"{type(error).__name__}: {error}"[:200]}

@@ -43,7 +43,7 @@ def why_skipped(solver: Any, case: Observation) -> str | None:
 def find_particles(solver: Any, case: Observation) -> FoundParticles:
     """Find the particles of a frame by a solver of particles or of volumes."""
     if not _makes_volumes(solver):
-        found: FoundParticles = solver.solve(ImageSequence.of([case]))[0]
+        found: FoundParticles = next(iter(solver.solve(ImageSequence.of([case]))))
         return found
     estimate = solver.solve(case)
     if estimate.particles_mm is not None:

@@ -178,7 +178,7 @@ def _invert(first: Any, partners: Any, blocks: Any, rows: Any) -> Any:  # pragma
     return out
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, fastmath={"reassoc", "contract"})  # vectorised sums
 def _factorise(matrix: Any) -> bool:  # pragma: no cover
     """Replace the lower triangle by the Cholesky factor; False if it is singular."""
     for i in range(len(matrix)):

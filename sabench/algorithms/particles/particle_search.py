@@ -111,6 +111,7 @@ class ParticleSearch:
     position, light : (n, 3) in the box of the maps, (n, camera).
     hidden : (all cameras, row, column) areas that something hides from a camera in every frame.
     sure : (n,) whether a particle earned several times its price.
+    trusted : (n,) whether a caller has other reasons to take a particle for real: it is not tried.
     odds : (n,) logarithm of the odds that it is real.
     tag : (n,) numbers that a caller gave particles, -1 for those found here.
     deadline : after it, particles are no longer found, fitted, removed or split.
@@ -125,6 +126,7 @@ class ParticleSearch:
     position: F64
     light: F64
     sure: Bool
+    trusted: Bool
     odds: F64
     tag: I64
     deadline: Deadline = Deadline()
@@ -155,7 +157,8 @@ class ParticleSearch:
         self.known = ~(flaws.points | covered)[self.shown]
         self.left, self.variance = self.images.copy(), np.ones_like(self.images)
         self.position, self.light = np.zeros((0, 3)), np.zeros((0, len(self.images)))
-        self.sure, self.tag = np.zeros(0, dtype=np.bool_), np.zeros(0, dtype=np.int64)
+        self.sure, self.trusted = np.zeros(0, dtype=np.bool_), np.zeros(0, dtype=np.bool_)
+        self.tag = np.zeros(0, dtype=np.int64)
         self.odds = np.zeros(0)
 
     def set_width(self, sigma: F64) -> None:
@@ -313,12 +316,14 @@ class ParticleSearch:
         """Keep these rows, whatever the images show."""
         self.position, self.light = self.position[good], self.light[good]
         self.sure, self.tag, self.odds = self.sure[good], self.tag[good], self.odds[good]
+        self.trusted = self.trusted[good]
 
     def append(self, count: int, light: float) -> None:
         """Add rows for new particles."""
         self.position = np.concatenate([self.position, np.zeros((count, 3))])
         self.light = np.concatenate([self.light, np.full((count, self.light.shape[1]), light)])
         self.sure = np.concatenate([self.sure, np.zeros(count, dtype=np.bool_)])
+        self.trusted = np.concatenate([self.trusted, np.zeros(count, dtype=np.bool_)])
         self.tag = np.concatenate([self.tag, np.full(count, -1)])
         self.odds = np.concatenate([self.odds, np.zeros(count)])
 
@@ -377,7 +382,7 @@ class ParticleSearch:
         """
         starts, near = find_neighbours(self.maps, self.sigma, self.position)
         particles, model = self.particles(), self.model()
-        tried = ~self.sure
+        tried = ~self.sure & ~self.trusted
         for _ in range(2):
             rows = np.flatnonzero(tried)
             order = rows[np.argsort(self.common_light()[rows], kind="stable")]
@@ -395,7 +400,7 @@ class ParticleSearch:
                     self.odds,
                 )
             promoted = tried & self.sure & particles.alive
-            tried = ~tried & near_any(promoted, starts, near)
+            tried = ~tried & ~self.trusted & near_any(promoted, starts, near)
         self.sure &= lone
         self.select(particles.alive)
         self.refine(1)

@@ -297,7 +297,7 @@ class _Tracker:
         search.weigh(CAPS[1])
         search.refine(_SHAKES)
         bright = search.light.sum(axis=1) > _FADED * tracks.light[search.tag].sum(axis=1)
-        search.sure = bright & (tracks.seen[search.tag] >= MATURE)
+        search.trusted = bright & (tracks.seen[search.tag] >= MATURE)
         search.remove(lone=True)
         for number in range(settings.searches):
             search.find(FLOORS[min(number, 1)])
