@@ -43,3 +43,14 @@ def test_noise_is_of_photons_reading_and_rounding(data: Dataset) -> None:
     electrons = (int(image[bright]) - sensor.black_level_dn) / sensor.gain_dn_e
     assert variance[bright] == pytest.approx(dark + electrons)
     np.testing.assert_allclose(spots[0].light, 0.5 * views[0].photons)
+
+
+def test_light_grows_with_the_exposure_of_its_camera(data: Dataset) -> None:
+    sensor, views, cameras = data.scene.sensor, data.views(0), data.true_cameras
+    factors = tuple(0.5 + number for number in range(len(cameras)))
+    exposed = sensor.model_copy(update={"camera_exposure": factors})
+    raw = [data.raw_image(camera, 0) for camera in range(len(cameras))]
+    place = data.particles(0).position_mm
+    plain, more = (true_spots(place, views, cameras, raw, one) for one in (sensor, exposed))
+    for factor, one, other in zip(factors, plain, more, strict=True):
+        np.testing.assert_allclose(other.light, factor * one.light)

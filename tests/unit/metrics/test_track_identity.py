@@ -79,3 +79,20 @@ def test_sequences_are_scored_apart() -> None:
 def test_nothing_has_no_scores() -> None:
     scores = identity_scores([[_frame([], [], [])]])
     assert all(math.isnan(value) for value in scores.values())
+
+
+@pytest.mark.parametrize(
+    ("similarity", "levels"), [(0.04, 0), (0.06, 1), (0.52, 10), (0.94, 18), (0.96, 19)]
+)
+def test_hota_is_the_share_of_levels_that_a_pair_is_similar_enough_for(
+    similarity: float, levels: int
+) -> None:
+    """Levels are 0.05, 0.10 to 0.95; complete pairs count fully at each."""
+    frames = [_frame([4], [1], [(0, 0)], 1.0 - similarity) for _ in range(3)]
+    assert identity_scores([frames])["hota"] == pytest.approx(levels / 19.0)
+
+
+def test_no_estimate_has_hota_0_and_nothing_at_all_has_none() -> None:
+    assert identity_scores([[_frame([], [1, 2], [])]])["hota"] == 0.0
+    assert identity_scores([[_frame([4], [], [])]])["hota"] == 0.0
+    assert math.isnan(identity_scores([[_frame([], [], [])]])["hota"])
