@@ -37,7 +37,7 @@ from sabench.images.gaussians import fill_growth
 from sabench.utils.arrays import F64, I64
 
 _NEIGHBOURS = 512  # that are fitted again around one particle
-_NEAR = 4.8  # widths of images: distance of a neighbour's image in some camera
+_NEAR = 3.6  # widths of images: distance of a neighbour's image in some camera
 _SURE = 4.0  # prices that a particle earns which is not tried again
 _SHARED = 0.1  # of a particle's light in a pixel: more from others, and they may take it over
 _SAME = 0.8  # widths: distance of images of the two of a split that are one
