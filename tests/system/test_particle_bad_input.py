@@ -16,7 +16,8 @@ import pytest
 
 from sabench.api import Camera, FoundParticles, ImageSequence, Observation
 from sabench.api.make import make_algorithm
-from sabench.tasks.solver_call import call_solver
+from sabench.tasks.found_frames import find_in_each_frame
+from sabench.tasks.solver_call import SolverClock
 from sabench.utils.arrays import F64
 from sabench.utils.errors import DeclinedError
 from tests.helpers.small_particles import count_found, make_small
@@ -29,8 +30,9 @@ pytestmark = pytest.mark.parametrize("solver", SOLVERS)
 
 
 def solve(solver: str, frames: Sequence[Observation]) -> list[FoundParticles]:
-    found, _ = call_solver(make_algorithm(solver, {}), solver, ImageSequence.of([*frames]), list)
-    return list(found)
+    sequence, each = ImageSequence.of([*frames]), range(len(frames))
+    algorithm = make_algorithm(solver, {})
+    return list(find_in_each_frame(algorithm, solver, sequence, each, SolverClock()))
 
 
 def decline(solver: str, case: Observation) -> str:

@@ -10,7 +10,8 @@ import pytest
 
 from sabench.api import FoundParticles, ImageSequence
 from sabench.api.make import make_algorithm
-from sabench.tasks.solver_call import call_solver
+from sabench.tasks.found_frames import find_in_each_frame
+from sabench.tasks.solver_call import SolverClock
 from tests.helpers.small_particles import count_found, make_small
 
 SOLVERS = ["bayesian_ipr", "shake_the_box"]
@@ -19,8 +20,7 @@ SOLVERS = ["bayesian_ipr", "shake_the_box"]
 def solve(solver: str, budget_s: float | None, frames: int = 1) -> list[FoundParticles]:
     case = ImageSequence.of([make_small(6, 0.05).observation] * frames)
     algorithm = make_algorithm(solver, {} if budget_s is None else {"budget_s": budget_s})
-    found, _ = call_solver(algorithm, solver, case, list)
-    return list(found)
+    return list(find_in_each_frame(algorithm, solver, case, range(frames), SolverClock()))
 
 
 def equal(one: FoundParticles, other: FoundParticles) -> bool:

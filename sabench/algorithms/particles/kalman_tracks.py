@@ -17,7 +17,7 @@ from sabench.utils.arrays import F64, I64, Bool
 
 MATURE = 3  # positions after which a track's own prediction is as good as it gets
 _NEIGHBOURS = 8  # whose velocities a new track is expected to have
-_MEDIAN = 0.4549  # of the square of a standard normal variable
+_WITHIN = 0.6827  # share of a normal variable's values within one standard deviation
 _ENOUGH, _FASTEST = 30, 4.0  # predictions that tell the jerk's strength, and its change at once
 _SURPRISE = 12.0  # sum of three squared misses over the expected ones, seldom reached
 _LEAST = 1e-6  # of the first strength
@@ -52,12 +52,8 @@ class KalmanTracks:
     least_jerk: float
 
     @staticmethod
-    def start(acceleration: float, duration: float) -> KalmanTracks:
-        """Begin without tracks, with a first variance of accelerations.
-
-        The first jerk changes them by a third in the duration between two frames.
-        """
-        jerk = 0.1 * acceleration / duration
+    def start(acceleration: float, jerk: float) -> KalmanTracks:
+        """Begin without tracks, with first guesses of the strengths."""
         none = np.zeros(0, dtype=np.int64)
         return KalmanTracks(
             none,
@@ -184,5 +180,5 @@ def velocity_near(position: F64, known: F64, velocity: F64) -> tuple[F64, F64]:
 
 
 def _change(off: F64) -> float:
-    ratio = float(np.median(off)) / _MEDIAN
+    ratio = float(np.quantile(off, _WITHIN))
     return min(max(ratio, 1.0 / _FASTEST), _FASTEST)

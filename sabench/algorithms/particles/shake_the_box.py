@@ -48,7 +48,11 @@ _LAG = 3  # frames before and after one that tell how its particles move
 _NEAR = 3.0  # standard deviations from the box's faces within which a particle may come or go
 _NEIGHBOURS = 5  # particles that a lost track is compared with
 _FEWEST = 16  # links that tell how particles move
-_ACCELERATION = 0.3  # first guess of the change of velocity in a frame, over neighbours' scatter
+# first guesses of acceleration over velocity times velocity gradient, and of its change over itself
+# times gradient times time: those of turbulence, within a few percent for two integral lengths;
+# and the most that an acceleration changes from frame to frame
+_ACCELERATION, _CHANGE, _MOST_CHANGE = 1.4, 3.5, 1.4
+_MAD = 1.4826  # standard deviation over the median of distances from the median
 
 
 @dataclass(frozen=True)
@@ -112,7 +116,8 @@ def track_particles(
     particles of some, are held at a time.
     """
     axes = rig_axes(maps)
-    tracker = _Tracker(turn_maps(maps, axes), settings)
+    longest = float(np.diff(times_s).max(initial=0.0))
+    tracker = _Tracker(turn_maps(maps, axes), settings, longest)
     for case, time in zip(frames, times_s, strict=True):
         tracker.take(case, time)
         while tracker.later >= _LAG + max(settings.gap, 1):
@@ -173,8 +178,11 @@ def _diagonal(covariance: F64, order: int) -> F64:
 class _Tracker:
     """State of the tracker: tracks that go on, and the last frames."""
 
-    def __init__(self, maps: VolumePolynomials, settings: ShakeTheBoxSettings) -> None:
+    def __init__(
+        self, maps: VolumePolynomials, settings: ShakeTheBoxSettings, longest_s: float
+    ) -> None:
         self.maps, self.settings = maps, settings
+        self.longest_s = longest_s  # between two frames
         self.search: ParticleSearch | None = None
         self.tracks: KalmanTracks | None = None
         self.frames: list[_Frame] = []
@@ -243,8 +251,7 @@ class _Tracker:
         variance = self._variance(first)
         velocity = (second.position[j] - first.position[i]) / duration
         least = _LEAST_ERROR_PX * pixel_mm(self.maps) / duration  # particles may stand still
-        scatter = max(_scatter(first.position[i], velocity), least)
-        tracks = KalmanTracks.start((_ACCELERATION * scatter / duration) ** 2, duration)
+        tracks = _start_tracks(first.position[i], velocity, self.longest_s, least / duration)
         errors = 2.0 * variance[i] / duration**2 + tracks.acceleration * duration**2
         place = first.position
         tracks.add(first.number[i], place[i], variance[i], light[i], velocity, errors, 2)
@@ -366,11 +373,19 @@ class _Tracker:
         tracks.select(~(missed & over))
 
 
-def _scatter(position: F64, velocity: F64) -> float:
-    """Compute the typical difference of a velocity from its neighbours'."""
-    _, near = cKDTree(position).query(position, _NEIGHBOURS + 1)
-    apart = velocity - np.median(velocity[near[:, 1:]], axis=1)
-    return float(np.median(np.linalg.norm(apart, axis=1)))
+def _start_tracks(position: F64, velocity: F64, longest_s: float, least: float) -> KalmanTracks:
+    """Guess how strongly particles accelerate, at least so much, and how fast that changes.
+
+    An acceleration is as large as (u grad) u, of fluctuations of the velocity and their gradient.
+    A random jerk changes it as much as that in the longest time between two frames.
+    """
+    distance, near = cKDTree(position).query(position, _NEIGHBOURS + 1)
+    apart = np.linalg.norm(velocity[near[:, 1:]] - velocity[:, None], axis=2)
+    gradient = float(np.median(apart / np.maximum(distance[:, 1:], 1e-12)))
+    fluctuation = _MAD * np.median(np.abs(velocity - np.median(velocity, axis=0)), axis=0)
+    acceleration = max(_ACCELERATION * gradient * float(np.sqrt(np.mean(fluctuation**2))), least)
+    change = min(_CHANGE * gradient * longest_s, _MOST_CHANGE)
+    return KalmanTracks.start(acceleration**2, (change * acceleration) ** 2 / longest_s)
 
 
 def _nothing(time: float, cameras: int) -> _Frame:

@@ -14,7 +14,7 @@ COUNT = 400
 
 def begin(position: F64, velocity: F64, spread: float, acceleration: float) -> KalmanTracks:
     """Tracks that have been seen once."""
-    tracks = KalmanTracks.start(acceleration, STEP)
+    tracks = KalmanTracks.start(acceleration, 0.1 * acceleration / STEP)
     variance, light = np.full(position.shape, ERROR**2), np.ones((len(position), 4))
     speeds = np.full(position.shape, spread**2)
     tracks.add(np.arange(len(position)), position, variance, light, velocity, speeds, 1)
