@@ -15,6 +15,8 @@ from sabench.api import FoundParticles
 from sabench.api.truth import Particles
 from sabench.dataset.reader import Dataset
 from sabench.dataset.results import open_result, result_writer
+from sabench.metrics.claimed_accuracy import coverage
+from sabench.metrics.particle_detection import challenge_pairs
 from sabench.scenes import find, parse_scene
 from sabench.simulation.pipeline import generate
 from sabench.tasks.solve_and_score import score, solve
@@ -74,6 +76,21 @@ def test_shake_the_box_solves_each_group(recording: Dataset, tmp_path: Path) -> 
         assert one.velocity_mm_s.shape == one.position_mm.shape
         assert (np.linalg.eigvalsh(one.velocity_covariance) > 0.0).all()
     assert trajectories_of(found, 0).isdisjoint(trajectories_of(found, 1))
+    # a steady flow accelerates particles less than the turbulence that first guesses are made for
+    assert velocity_coverage(recording, found.frames) > 0.95
+
+
+def velocity_coverage(recording: Dataset, frames: list[FoundParticles]) -> float:
+    """Share of the true velocities within the claimed 68 % ellipsoids, over .68."""
+    errors, claimed, grid = [], [], recording.setup.grid
+    for number, one in enumerate(frames):
+        true = recording.particles(number)
+        i, j = challenge_pairs(grid.to_voxels(one.position_mm), grid.to_voxels(true.position_mm))
+        scored = grid.in_scored(grid.to_voxels(true.position_mm[j]))
+        i, j = i[scored], j[scored]
+        errors.append(np.asarray(one.velocity_mm_s)[i] - true.velocity_mm_s[j])
+        claimed.append(np.asarray(one.velocity_covariance)[i])
+    return coverage(np.concatenate(errors), np.concatenate(claimed), 0.68)
 
 
 def trajectories_of(found: Solved, group: int) -> set[int]:
