@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import numba
 import numpy as np
 
+from sabench.algorithms.particles.light_prior import factorise, fill_inverse_diagonal
 from sabench.geometry.volume_polynomials import VolumePolynomials, project_point
 from sabench.images.gaussians import fill_profile
 from sabench.utils.arrays import F32, F64
@@ -299,22 +300,29 @@ def sum_up(model: Any, room: Any, position: Any) -> None:
 def add_leverage(model: Any, room: Any, particles: Any, leverage: Any) -> None:
     """Add up how much of each pixel the fit of particles takes for itself.
 
-    In each camera a particle's light takes one pixel's worth altogether, its position as much of
-    three as the camera has a share in. Neighbours count as known.
+    In each camera a particle's light takes as much of one pixel as the image tells more of it than
+    its prior and the other cameras, its position as much of three as the camera has a share in.
+    Neighbours count as known.
     """
     cameras = len(model.typical)
     for n in range(len(particles.position)):
         sum_up(model, room, particles.position[n])
+        room.bend[:] = model.precision
+        for c in range(cameras):
+            room.bend[c, c] += particles.light[n, c] ** 2 * room.sums[c, WEIGHT]
+        factorise(room.bend)
+        fill_inverse_diagonal(room.bend, room.pull, room.logs)
         for c in range(cameras):
             weight, slopes = room.sums[c, WEIGHT], room.sums[c, XX] + room.sums[c, YY]
             if not min(weight, slopes) > UNSEEN:
                 continue
+            taken = room.pull[c] * particles.light[n, c] ** 2
             x, y, by_x, by_y = room.x[c], room.y[c], room.by_x[c], room.by_y[c]
             weights, into, corner = model.weight[c], leverage[c], room.corner[c]
             top, bottom, left, right = window_within(corner, len(x), weights.shape)
             for i in range(top, bottom):
                 for j in range(left, right):
                     own, dx, dy = y[i] * x[j], y[i] * by_x[j], by_y[i] * x[j]
-                    share = own * own / weight + 3.0 / cameras * (dx * dx + dy * dy) / slopes
+                    share = taken * own * own + 3.0 / cameras * (dx * dx + dy * dy) / slopes
                     row, column = corner[1] + i, corner[0] + j
                     into[row, column] += share * abs(weights[row, column])

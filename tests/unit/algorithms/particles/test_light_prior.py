@@ -11,6 +11,7 @@ from scipy.optimize import minimize
 from sabench.algorithms.particles.light_prior import (
     even_covariance,
     factorise,
+    fill_inverse_diagonal,
     find_light,
     guess_light,
     learn_covariance,
@@ -91,3 +92,12 @@ def test_factors_give_the_determinant() -> None:
     factorise(factor)
     assert log_determinant(factor) == pytest.approx(np.linalg.slogdet(matrix)[1])
     np.testing.assert_allclose(np.tril(factor) @ np.tril(factor).T, matrix)
+
+
+def test_the_inverse_of_a_factorised_matrix_has_this_diagonal() -> None:
+    matrix = np.random.default_rng(6).standard_normal((5, 5))
+    matrix = matrix @ matrix.T + np.eye(5)
+    factor, diagonal = matrix.copy(), np.zeros(5)
+    factorise(factor)
+    fill_inverse_diagonal(factor, diagonal, np.zeros(5))
+    np.testing.assert_allclose(diagonal, np.diag(np.linalg.inv(matrix)))
