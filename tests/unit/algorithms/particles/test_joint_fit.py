@@ -5,16 +5,17 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sabench.algorithms.particles.image_model import ImageModel, Particles, put_all_in
+from sabench.algorithms.particles.image_model import ImageModel, Particles, look, put_all_in
 from sabench.algorithms.particles.joint_fit import (
     adjust,
+    cost_of,
     price,
     refine,
     solve_three,
     start_light,
 )
 from sabench.geometry.volume_polynomials import VolumePolynomials
-from sabench.utils.arrays import F64
+from sabench.utils.arrays import F64, Bool
 from tests.helpers.image_model import NOISE, TYPICAL, model_of, paint, particles_of, room_of
 from tests.unit.algorithms.particles.test_triangulation import (
     COLUMNS,
@@ -69,6 +70,53 @@ def test_overlapping_particles_are_found_where_they_are(maps: VolumePolynomials)
     assert np.median(errors) < 2e-4
     assert errors.max() < 0.02  # two of them are one pixel apart
     assert np.median(np.abs(particles.light / LIGHT - 1.0)) < 0.005
+
+
+def saturate(model: ImageModel, most: float) -> tuple[ImageModel, Bool]:
+    """Cut images off, and say where."""
+    saturated = model.images >= most
+    cut = np.minimum(model.images, np.float32(most))
+    weight = np.where(saturated, -model.weight, model.weight)
+    return model._replace(images=cut, left=cut.copy(), weight=weight), saturated
+
+
+def test_saturated_pixels_ask_for_as_much_light_as_they_show_or_more(
+    maps: VolumePolynomials,
+) -> None:
+    points = 0.5 * unit_points(COUNT)
+    images = paint(maps, points, LIGHT, ROWS, COLUMNS)
+    model, saturated = saturate(model_of(maps, images, between=0.3), 0.2 * TYPICAL)
+    assert 0.2 < np.mean([saturated[c].sum() / COUNT for c in range(4)]) / 5.0 < 2.0
+    room = room_of(maps)
+    start = points + 0.02 * RNG.uniform(-1.0, 1.0, points.shape) / maps.half_mm
+    errors = []
+    for one in (model, model._replace(weight=np.abs(model.weight))):
+        particles = particles_of(start, LIGHT)
+        one.left[:] = one.images
+        put_all_in(one, room, particles)
+        refine(one, room, particles, 40)
+        errors.append(np.median(distances(particles.position, points, maps)))
+    assert errors[0] < 2e-4
+    assert errors[1] > 10.0 * errors[0]  # as if the light ended where the sensor's range does
+
+
+def test_light_beyond_saturation_costs_nothing_and_less_does(maps: VolumePolynomials) -> None:
+    point, light = np.zeros((1, 3)), np.full((1, 4), TYPICAL)
+    images = paint(maps, point, light, ROWS, COLUMNS)
+    model, saturated = saturate(model_of(maps, images), 0.2 * TYPICAL)
+    costs = []
+    for share in (1.0, 0.5):
+        room = room_of(maps)
+        look(model, room, point[0], share * light[0])
+        costs.append(cost_of(model, room, share * light[0]))
+        left = model.images - share * images
+        squares = np.where(saturated & (left < 0.0), 0.0, left) ** 2 - model.images**2
+        logs = np.full(4, np.log(share))
+        expected = (
+            0.5 * (np.abs(model.weight) * squares).sum() + 0.5 * logs @ model.precision @ logs
+        )
+        assert costs[-1] == pytest.approx(0.5 * expected, rel=0.01)  # images end at their windows
+    assert costs[0] < costs[1]
 
 
 def test_errors_of_places_are_as_large_as_the_price_says(maps: VolumePolynomials) -> None:

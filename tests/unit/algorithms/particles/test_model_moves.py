@@ -105,6 +105,26 @@ def test_light_in_one_camera_alone_is_no_particle(maps: VolumePolynomials) -> No
         assert found == expected
 
 
+def test_of_two_at_one_place_one_is_removed_and_none_of_two_apart(
+    maps: VolumePolynomials,
+) -> None:
+    """Light is a particle's own only where others leave none: it is sure without a trial."""
+    size, light = pixel_mm(maps) / maps.half_mm, np.full((2, 4), TYPICAL)
+    for apart, expected in ((0.0, 1), (6.0, 0)):
+        pair = apart * size * np.array([[0.5, 0.5, 0.0], [-0.5, -0.5, 0.0]])
+        share = 1.0 if apart else 0.5
+        model, room = model_of(maps, noisy(maps, pair, share * light), 0.3), room_of(maps)
+        particles = particles_of(pair, share * light)
+        put_all_in(model, room, particles)
+        starts, near = find_neighbours(maps, WIDTHS, pair)
+        sure, odds = np.zeros(2, dtype=np.bool_), np.zeros(2)
+        removed = remove_ghosts(
+            model, room, particles, np.arange(2), starts, near, 3, True, sure, odds
+        )
+        assert removed == expected
+        assert sure.sum() == 2 - expected
+
+
 def test_true_particles_stay_and_nothing_moves(maps: VolumePolynomials) -> None:
     points, light = 0.5 * unit_points(30), np.full((30, 4), TYPICAL)
     model, room = model_of(maps, noisy(maps, points, light)), room_of(maps)
