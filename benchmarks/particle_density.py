@@ -66,7 +66,7 @@ _FOUR = {"columns": 2, "rows": 2}
 _TWENTY_FIVE = {"columns": 5, "rows": 5, "spacing_mm": [102.0, 102.0]}
 _CROSS = [(x, y) for x in (-204, 0, 204) for y in (-204, 0, 204)]
 _CROSS += [(-408, 0), (408, 0), (0, -408), (0, 408)]
-_THIRTEEN = {"kind": "list", "places": [{"center_mm": [x, y, -516.7]} for x, y in _CROSS]}
+THIRTEEN = {"kind": "list", "places": [{"center_mm": [x, y, -516.7]} for x, y in _CROSS]}
 _OBLIQUE = {"direction": [0.8, 0.6, 0.0]}
 MANY = (0.05, 0.10, 0.20, 0.30, 0.40, 0.50)  # particles per pixel before many cameras
 _HIDDEN = {"occluders": [{"center_mm": [-151.5, -158.0, -400.0], "radius_mm": 6.0}]}
@@ -107,7 +107,7 @@ CASES = {
     "nine 0.10": Case(0.10, EQUAL),
     "equal 0.20": Case(0.20, EQUAL),
     "equal 0.25": Case(0.25, EQUAL),
-    **{f"thirteen {one:.2f}": Case(one, EQUAL, _THIRTEEN) for one in MANY},
+    **{f"thirteen {one:.2f}": Case(one, EQUAL, THIRTEEN) for one in MANY},
     **{f"twentyfive {one:.2f}": Case(one, EQUAL, _TWENTY_FIVE) for one in MANY},
     "scatter 0.05": Case(0.05, _BRIGHT, _FOUR, particles=_SMALL),
     "scatter 0.10": Case(0.10, _BRIGHT, _FOUR, particles=_SMALL),
