@@ -312,7 +312,7 @@ BUGS = (
         "sabench/metrics/trajectories.py",
         "(most / frames)[frames > 1]",
         "(most / frames)[frames > 0]",
-        case="tracking",
+        tests="tests/unit/metrics/test_trajectories.py",
     ),
     Bug(
         "the optical axis at half the columns",
