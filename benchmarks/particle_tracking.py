@@ -7,7 +7,7 @@ The scene is `particle-tracking`: 240 x 240 pixels behind glass, four cameras, t
 displacements of 3 px rms per frame, particles of the whole volume, scored where all cameras see.
 Cases:
 
-    equal 0.05 ... 0.15     each particle equally bright in all cameras
+    equal 0.05 ... 0.20     each particle equally bright in all cameras
     own 0.05                Mie scattering of single particles, light from a direction in which no
                             two cameras see the same angle
 
@@ -46,6 +46,7 @@ CASES: dict[str, tuple[float, dict[str, Any]]] = {
     "equal 0.05": (0.05, _EQUAL),
     "equal 0.10": (0.10, _EQUAL),
     "equal 0.15": (0.15, _EQUAL),
+    "equal 0.20": (0.20, _EQUAL),
     "own 0.05": (0.05, _OBLIQUE),
 }
 SOLVERS = ("shake_the_box", "openlpt", "optv")
