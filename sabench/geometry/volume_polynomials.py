@@ -172,7 +172,7 @@ def project_points(maps: VolumePolynomials, camera: int, points: F64) -> F64:
 
 
 def project_with_slopes(maps: VolumePolynomials, camera: int, points: F64) -> tuple[F64, F64]:
-    """Compute a camera's pixels (n, 2) of points (n, 3), and their derivatives (n, 2, 3)."""
+    """Compute a camera's pixels (n, 2) of points, and derivatives (n, 2, 3)."""
     pixels, slopes = np.empty((len(points), 2)), np.empty((len(points), 2, 3))
     _project_each(maps, camera, np.ascontiguousarray(points, dtype=np.float64), pixels, slopes)
     return pixels, slopes

@@ -17,7 +17,7 @@ _TABLE_STEP, _TABLE_END = 1.0 / 32.0, 6.0  # of half the error function, in the 
 
 
 def _half_erf_table() -> F64:
-    """Tabulate (n, 2) half the error function and its derivative times the table's step."""
+    """Tabulate half the error function and its derivative times the step."""
     nodes = np.arange(-_TABLE_END, _TABLE_END + 1.5 * _TABLE_STEP, _TABLE_STEP)
     halves = [0.5 * math.erf(node) for node in nodes]
     slopes = _TABLE_STEP / math.sqrt(math.pi) * np.exp(-(nodes**2))

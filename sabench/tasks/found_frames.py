@@ -1,4 +1,4 @@
-"""Particles that a solver finds frame after frame, and numbers of their trajectories."""
+"""Particles that a solver finds frame after frame, and their trajectories."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from sabench.utils.errors import InputError
 def find_in_each_frame(
     algorithm: Any, name: str, sequence: ImageSequence, frames: range, clock: SolverClock
 ) -> Iterator[FoundParticles]:
-    """Call a solver on a sequence, and yield its particles of each frame as it gives them.
+    """Call a solver on a sequence, and yield each frame's particles.
 
     The clock runs while the solver does.
 

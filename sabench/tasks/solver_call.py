@@ -14,13 +14,13 @@ from sabench.utils.errors import DeclinedError, InputError
 
 @dataclass
 class SolverClock:
-    """Seconds in which a solver ran, without those of compiling its kernels and of imports."""
+    """Seconds in which a solver ran, without compilation and imports."""
 
     seconds: float = 0.0
 
     @contextmanager
     def running(self, name: str, where: str = "") -> Iterator[None]:
-        """Measure a piece of a solver's work, which may raise anything: then an InputError."""
+        """Measure a piece of a solver's work; what it raises becomes an InputError."""
         start, compiled_s = time.perf_counter(), compile_s()
         try:
             with timed_imports():

@@ -1,4 +1,4 @@
-"""Images as sums of particles' images, and kernels that add up what they say of one particle.
+"""Images as sums of particles' images, and what they say of one particle.
 
 All cameras' windows of a particle are placed first, and then looked at, so that kernels pass few
 arrays to each other: a call that hands on the whole model and room costs more than a window's sums.
@@ -133,7 +133,7 @@ def make_room(sigma: F64) -> Room:
 
 @numba.njit(cache=True)
 def place(model: Any, room: Any, position: Any) -> None:
-    """Place a particle's windows in all cameras, and fill in the profiles of its images."""
+    """Place a particle's windows in all cameras, with its images' profiles."""
     half = room.x.shape[1] // 2
     for c in range(len(room.here)):
         project_point(model.maps, c, position, room.here[c], room.slope[c])
@@ -204,7 +204,7 @@ def _match(image: Any, weights: Any, x: Any, y: Any, corner: Any, light: float) 
 def _sum_window(
     image: Any, weights: Any, x: Any, y: Any, by_x: Any, by_y: Any, corner: Any, sums: Any
 ) -> None:
-    """Fill in the sums (SUMS,) of a window. Along a row, all but its profiles are one sum."""
+    """Fill in the sums (SUMS,) of a window, first along its rows."""
     top, bottom, left, right = window_within(corner, len(x), image.shape)
     weight = pull = xx = xy = yy = along_x = along_y = 0.0
     for i in range(top, bottom):
@@ -226,7 +226,7 @@ def _sum_window(
 
 @numba.njit(cache=True)
 def paint_here(model: Any, room: Any, light: Any, sign: float) -> None:
-    """Add light (camera,) times a sign to what is left of the images, where `place` was last."""
+    """Add light (camera,) times a sign to the images, where `place` was last."""
     for c in range(len(light)):
         _paint(model.left[c], room.x[c], room.y[c], room.corner[c], sign * light[c])
 

@@ -156,7 +156,10 @@ def log_determinant(factor: Any) -> float:
 
 @numba.njit(cache=True)
 def fill_inverse_diagonal(factor: Any, diagonal: Any, column: Any) -> None:
-    """Fill in the diagonal (n,) of the inverse of a factorised matrix; column (n,) is room."""
+    """Fill in the diagonal (n,) of a factorised matrix's inverse.
+
+    The column (n,) is room to work in.
+    """
     count = len(factor)
     for k in range(count):
         diagonal[k] = 0.0

@@ -181,7 +181,7 @@ def _earned_in(
 
 @numba.njit(cache=True)
 def _saved(weight: Any, left: Any, own: float) -> float:
-    """Compute the cost that light of a particle saves in a pixel, from what all leave there."""
+    """Compute the cost that a particle's light saves in a pixel."""
     without, rest = left + own, left
     if weight < 0.0:  # saturated: light beyond what it shows costs nothing
         weight, without, rest = -weight, max(without, 0.0), max(left, 0.0)

@@ -230,7 +230,7 @@ class ParticleSearch:
         )
 
     def miss(self, camera: int) -> F32:
-        """Return what is left of an image; nothing where a saturated pixel has enough light."""
+        """Return what is left of an image; 0 where a saturated pixel has enough."""
         left, enough = self.left[camera], self.saturated[camera] & (self.left[camera] < 0.0)
         return np.where(enough, np.float32(0.0), left)
 

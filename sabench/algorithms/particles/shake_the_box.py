@@ -110,7 +110,7 @@ def track_particles(
     maps: VolumePolynomials,
     settings: ShakeTheBoxSettings,
 ) -> Iterator[FoundParticles]:
-    """Follow the particles of a sequence, and yield those of one frame after the other.
+    """Follow the particles of a sequence, and yield them frame after frame.
 
     A frame's are yielded once later frames change them no more. The images of one frame, and the
     particles of some, are held at a time.
@@ -196,7 +196,7 @@ class _Tracker:
         return len(self.frames) - self.given - 1
 
     def give(self) -> FoundParticles:
-        """Return the particles of the next frame, and forget the frames that it needs no more."""
+        """Return the next frame's particles, and forget frames of no more use."""
         around = self.frames[max(self.given - _LAG, 0) : self.given + _LAG + 1]
         found = _with_motion(around, self.frames[self.given], self.motion)
         self.given += 1
@@ -374,9 +374,10 @@ class _Tracker:
 
 
 def _start_tracks(position: F64, velocity: F64, longest_s: float, least: float) -> KalmanTracks:
-    """Guess how strongly particles accelerate, at least so much, and how fast that changes.
+    """Guess how strongly particles accelerate, and how fast that changes.
 
-    An acceleration is as large as (u grad) u, of fluctuations of the velocity and their gradient.
+    An acceleration is as large as (u grad) u, of fluctuations of the velocity and their gradient,
+    but at least `least`.
     A random jerk changes it as much as that in the longest time between two frames.
     """
     distance, near = cKDTree(position).query(position, _NEIGHBOURS + 1)
