@@ -8,19 +8,17 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from sabench.algorithms.particles.background import ClearImages
 from sabench.algorithms.particles.candidate_search import (
     BRIGHTEST,
     find_candidates,
-    pixel_mm,
     split_directions,
 )
+from sabench.algorithms.particles.claimed_errors import claimed_covariances
 from sabench.algorithms.particles.image_model import (
     ImageModel,
     Particles,
-    add_leverage,
     make_room,
     put_all_in,
     take_out,
@@ -32,6 +30,7 @@ from sabench.algorithms.particles.light_prior import (
     learn_covariance,
     scatter_between,
 )
+from sabench.algorithms.particles.lone_particles import find_lone
 from sabench.algorithms.particles.model_moves import (
     add_camera_misses,
     add_width_misses,
@@ -46,11 +45,8 @@ from sabench.api import FoundParticles
 from sabench.geometry.volume_polynomials import (
     VolumePolynomials,
     points_in_mm,
-    project_points,
-    project_with_slopes,
 )
 from sabench.images.particle_widths import peak_brightness
-from sabench.images.position_bounds import ParticleSpots, position_bounds
 from sabench.utils.arrays import F32, F64, I64, Bool
 
 _BOX = 8.0  # volume of the box in its coordinates
@@ -58,10 +54,7 @@ _BETWEEN, _COMMON = 0.1, 0.4  # first scatter between cameras, and of what they 
 _FLOOR = 2.0  # standard deviations of noise: the least floor of candidates
 _MORE = 0.5  # of the particles so far: candidates beside them
 _DIMMEST = 0.03  # of a typical peak: darker light is as good as none
-_OVERLAP = 4.8  # widths of images: distance of those that overlap
-_ALONE, _LEAST_ALONE, _HARDLY = 0.03, 60, 0.1  # share, number and overlap of lone particles
 _FEW = 30  # particles that tell nothing of all
-_BORDER = 4.8  # widths: distance from the border where images are not complete
 _MISFIT = 4.0  # standard deviations: particles that fit no better may be two
 _DOUBTFUL = 0.3  # largest share of particles that are tried as two
 _ALIGNMENTS, _FARTHEST_PX = 2, 0.5  # steps of cameras' shifts, and the longest of each
@@ -71,8 +64,6 @@ _OWN_ERROR = 0.03  # of a particle's image: particles differ
 _UNKNOWN = 0.25  # of light that is left: other particles' tails do not explain it
 _APART = 1.1  # widths: distance of the two of a split from their middle
 _CERTAIN = 30.0  # logarithm of the highest odds
-_LEAST_ERROR_PX = 0.002  # of positions, beside what the images tell
-_VARIANCE_STEPS, _LEAST_FREE = 4, 0.2
 
 
 def no_particles(cameras: int) -> FoundParticles:
@@ -185,7 +176,9 @@ class ParticleSearch:
             points_in_mm(self.maps, self.position),
             brightness,
             light=light,
-            covariance_mm2=self.covariances(),
+            covariance_mm2=claimed_covariances(
+                self.model(), self.room, self.particles(), self.noise
+            ),
             probability=1.0 / (1.0 + np.exp(-np.clip(self.odds, -_CERTAIN, _CERTAIN))),
         )
 
@@ -197,61 +190,10 @@ class ParticleSearch:
         self.odds[first:] = _CERTAIN
         self.subtract_all()
 
-    def covariances(self) -> F64:
-        """Estimate the covariances (n, 3, 3) of the positions' errors, mm2.
-
-        They are the Cramer-Rao bounds with neighbours that are fitted, too, where the noise of
-        pixels is as strong as what is left around particles. The largest is that of a position
-        anywhere in the box.
-        """
-        leverage = np.zeros(self.images.shape)
-        add_leverage(self.model(), self.room, self.particles(), leverage)
-        spots = [
-            self._spots(camera, self._noise(camera, leverage[camera]))
-            for camera in range(len(self.images))
-        ]
-        bounds = position_bounds(spots, np.arange(len(self.position)))
-        anywhere = np.diag(self.maps.half_mm**2 / 3.0)
-        lost = ~np.isfinite(bounds).all(axis=(1, 2)) | (np.trace(bounds, 0, 1, 2) > anywhere.sum())
-        bounds[lost] = anywhere
-        least = (_LEAST_ERROR_PX * pixel_mm(self.maps)) ** 2
-        return np.asarray(bounds + least * np.eye(3))
-
-    def _spots(self, camera: int, variance: F64) -> ParticleSpots:
-        """Make the images of the particles in a camera, with the variance of its pixels."""
-        pixel, slope = project_with_slopes(self.maps, camera, self.position)
-        terms = np.concatenate([np.ones((len(self.position), 1)), self.position], axis=1)
-        return ParticleSpots(
-            pixel,
-            slope / self.maps.half_mm,
-            self.light[:, camera],
-            (terms @ self.widths[camera].T).mean(axis=1),
-            np.where(self.known[camera] & ~self.saturated[camera], variance, np.inf),
-        )
-
     def miss(self, camera: int) -> F32:
         """Return what is left of an image; 0 where a saturated pixel has enough."""
         left, enough = self.left[camera], self.saturated[camera] & (self.left[camera] < 0.0)
         return np.where(enough, np.float32(0.0), left)
-
-    def _noise(self, camera: int, leverage: F64) -> F64:
-        """Estimate the variance of every pixel around particles from what is left there.
-
-        It grows with the light. What fits have taken from it, the leverage (row, column), is given
-        back.
-        """
-        dark = self.noise[camera] ** 2
-        model = np.clip(self.images[camera] - self.left[camera], 0.0, None).astype(np.float64)
-        lit = self.known[camera] & ~self.saturated[camera] & (model > self.noise[camera])
-        light, squares = model[lit], np.square(self.left[camera][lit], dtype=np.float64)
-        squares /= np.maximum(1.0 - leverage[lit], _LEAST_FREE)
-        even, slope = dark, 0.0
-        for _ in range(_VARIANCE_STEPS):
-            expected = even + slope * light
-            terms = np.stack([np.ones_like(light), light], axis=1) / expected[:, None]
-            even, slope = np.linalg.lstsq(terms, squares / expected, rcond=None)[0]
-            even, slope = max(even, dark), max(slope, 0.0)
-        return np.asarray(even + slope * model)
 
     def model(self) -> ImageModel:
         """Make the kernels' view of images and what is left of them."""
@@ -422,7 +364,7 @@ class ParticleSearch:
 
     def learn(self) -> None:
         """Learn typical light and its covariance from the particles that stand alone."""
-        lone = self._alone()
+        lone = self._lone()
         if len(lone) < _FEW:
             return
         logs = np.log(self.light[lone] / self.typical)
@@ -435,7 +377,7 @@ class ParticleSearch:
         Half of them count, those that leave least of their images: others may be two. Few must be
         missing yet, because what they leave makes others wider.
         """
-        lone = self._alone()
+        lone = self._lone()
         if len(lone) < _FEW:
             return
         model, particles, cameras = self.model(), self.particles(), len(self.images)
@@ -475,23 +417,5 @@ class ParticleSearch:
             self.subtract_all()
             self.refine(1)
 
-    def _alone(self) -> I64:
-        """Find particles whose images overlap with others' the least, and are complete."""
-        if len(self.position) < _FEW:
-            return np.zeros(0, dtype=np.int64)
-        overlap = np.zeros(len(self.position))
-        inside = np.ones(len(self.position), dtype=bool)
-        last = np.array(self.images.shape[:0:-1]) - 1.0
-        for camera, sigma in enumerate(self.sigma):
-            pixels = project_points(self.maps, camera, self.position)
-            i, j = cKDTree(pixels).query_pairs(_OVERLAP * sigma.max(), output_type="ndarray").T
-            apart = np.sum((pixels[i] - pixels[j]) ** 2 / (4.0 * sigma**2), axis=1)
-            shared, light = np.exp(-apart), self.light[:, camera]
-            np.add.at(overlap, i, shared * light[j] / light[i])
-            np.add.at(overlap, j, shared * light[i] / light[j])
-            border = _BORDER * sigma.max()
-            inside &= ((pixels > border) & (pixels < last - border)).all(axis=1)
-        least = np.sort(np.where(inside, overlap, np.inf))
-        rank = min(max(_LEAST_ALONE, int(_ALONE * len(overlap))), len(overlap) - 1)
-        most = max(least[rank], _HARDLY * len(self.sigma))
-        return np.flatnonzero(inside & (overlap <= most))
+    def _lone(self) -> I64:
+        return find_lone(self.maps, self.position, self.light, self.sigma, self.images.shape[1:])
