@@ -1,4 +1,4 @@
-"""Errors of positions that a search claims: bounds with the noise that its residuals show."""
+"""Errors of positions that a search claims: bounds with the noise of residuals."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Particles that stand alone in the images, which tell what all particles are like."""
+"""Particles that stand alone in the images, and tell what all are like."""
 
 from __future__ import annotations
 
