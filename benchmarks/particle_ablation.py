@@ -1,4 +1,4 @@
-"""What each part of `bayesian_ipr` does: runs with one part taken out at a time.
+"""Effect of each part of `bayesian_ipr`: runs with one part taken out at a time.
 
     python benchmarks/particle_ablation.py [--cases "equal 0.10" ...] [--seeds 101 ...]
         [--parts NAME ...] [--output benchmarks/records/particle-ablation.json]

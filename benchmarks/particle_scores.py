@@ -23,7 +23,7 @@ from sabench.utils.arrays import F64, I64, U16
 
 @dataclass(frozen=True)
 class Recording:
-    """What bounds of positions depend on, next to the truth.
+    """Images and sensor, on which bounds of positions depend next to the truth.
 
     Attributes
     ----------

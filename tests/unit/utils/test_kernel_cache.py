@@ -57,12 +57,18 @@ def run(folder: Path, order: str = "sabench") -> tuple[int, int]:
     return int(answer), int(hits)
 
 
-def test_a_changed_callee_in_another_file_is_not_overlooked(tmp_path: Path) -> None:
-    own = tmp_path / "sabench"
+def write_package(folder: Path) -> Path:
+    """Copy what stamps kernels, with a kernel that calls another one."""
+    own = folder / "sabench"
     shutil.copytree(PACKAGE / "utils", own / "utils", ignore=shutil.ignore_patterns("__pycache__"))
     shutil.copy(PACKAGE / "__init__.py", own)
     (own / "caller.py").write_text(CALLER)
     (own / "callee.py").write_text(CALLEE.format(number=1))
+    return own
+
+
+def test_a_changed_callee_in_another_file_is_not_overlooked(tmp_path: Path) -> None:
+    own = write_package(tmp_path)
     assert run(tmp_path) == (10, 0)
     assert run(tmp_path) == (10, 1)
     (own / "callee.py").write_text(CALLEE.format(number=2))
@@ -86,11 +92,7 @@ def test_kernels_of_other_packages_keep_their_stamps(tmp_path: Path) -> None:
 
 def test_an_unreadable_index_counts_as_empty(tmp_path: Path) -> None:
     """A class in a kernel's signature may have moved since; a disk may have been full."""
-    own = tmp_path / "sabench"
-    shutil.copytree(PACKAGE / "utils", own / "utils", ignore=shutil.ignore_patterns("__pycache__"))
-    shutil.copy(PACKAGE / "__init__.py", own)
-    (own / "caller.py").write_text(CALLER)
-    (own / "callee.py").write_text(CALLEE.format(number=1))
+    write_package(tmp_path)
     assert run(tmp_path) == (10, 0)
     (index,) = (tmp_path / "cache").rglob("caller.caller*.nbi")
     version = pickle.dumps(numba.__version__, protocol=-1)
